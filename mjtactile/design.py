@@ -1,0 +1,296 @@
+"""`SensorDesign`: what a sensor is made of, read from a TOML file and checked. Used by the simulator *and* by sensing.
+
+Every quantity is SI inside. The file's keys carry the unit; the table `FIELDS` is the one place that knows both.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjtactile import resources
+from mjtactile.errors import InputError
+from mjtactile.types import Array
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Rigid frame: inner `length` (x) and `width` (y), `rim` width of its wall around the opening, m."""
+
+    length: float
+    width: float
+    rim: float = 0.003
+
+
+@dataclass(frozen=True)
+class Membrane:
+    """Rubber sheet: `thickness` m before stretching, `young` Pa, `poisson`, `density` kg/m^3, `pre_stretch` (1 = none),
+    `friction` coefficient of its outside."""
+
+    thickness: float
+    young: float
+    poisson: float
+    density: float
+    pre_stretch: float = 1.0
+    friction: float = 0.9
+
+    @property
+    def pretension(self) -> float:
+        """Tension per length T0, N/m, of the flat mounted sheet: StVK, equi-biaxial, per mounted length.
+
+        With stretch l, Green strain e = (l^2 - 1)/2, second Piola-Kirchhoff S = E e/(1 - nu); the force per *mounted*
+        length is h S (the factor l of the deformation and the factor 1/l of the mounted length cancel).
+        """
+        strain = (self.pre_stretch**2 - 1) / 2
+        return self.young * self.thickness * strain / (1 - self.poisson)
+
+
+@dataclass(frozen=True)
+class MarkerLayout:
+    """Rigid black circles on the inside: `rows` x `columns` at `pitch_x`, `pitch_y` m about the centre, `radius` m.
+
+    Positions are those of the mounted, flat membrane.
+    """
+
+    rows: int
+    columns: int
+    pitch_x: float
+    pitch_y: float
+    radius: float
+
+    @property
+    def count(self) -> int:
+        return self.rows * self.columns
+
+    @property
+    def p_SM(self) -> Array:
+        """Marker centres on the flat membrane, (N, 3) m in S; row by row, x fastest."""
+        x = (np.arange(self.columns) - (self.columns - 1) / 2) * self.pitch_x
+        y = (np.arange(self.rows) - (self.rows - 1) / 2) * self.pitch_y
+        grid_x, grid_y = np.meshgrid(x, y)
+        return np.column_stack([grid_x.ravel(), grid_y.ravel(), np.zeros(self.count)])
+
+
+@dataclass(frozen=True)
+class Chamber:
+    """Sealed space of `depth` m behind the flat membrane; `heat_ratio` is gamma of the gas law p V^gamma (1 =
+    isothermal); `supply_gauge` Pa that the valve connects to; `ambient` Pa absolute; `temperature` K."""
+
+    depth: float
+    heat_ratio: float = 1.0
+    supply_gauge: float = 1000.0
+    ambient: float = 101325.0
+    temperature: float = 293.15
+
+
+@dataclass(frozen=True)
+class Glass:
+    """Flat pane normal to the camera's axis: `thickness` m (0 = no glass), `refractive_index`, `distance` m from the
+    camera centre to its near face."""
+
+    thickness: float
+    refractive_index: float
+    distance: float
+
+
+@dataclass(frozen=True)
+class CameraDesign:
+    """Camera behind the glass, looking along +z of S: `distance` m from its centre to the flat membrane, pinhole
+    intrinsics in pixels, plumb_bob `distortion` (k1, k2, p1, p2, k3), `rate` Hz, `blur_px` (Gaussian sd) and
+    `noise_dn` (sd at 8 bit) of its images."""
+
+    distance: float
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    rate: float = 30.0
+    blur_px: float = 0.7
+    noise_dn: float = 2.0
+
+    @property
+    def K(self) -> Array:
+        """Intrinsic matrix (3, 3), pixels."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def p_SC(self) -> Array:
+        """Camera centre in S; the camera's axes are parallel to those of S (R_SC = I)."""
+        return np.array([0.0, 0.0, -self.distance])
+
+
+@dataclass(frozen=True)
+class Leds:
+    """`count` LEDs on a ring of `ring_radius` m around the camera; `membrane_dn`, `marker_dn` are the grey levels (0-255)
+    of the white membrane and the black markers under them; `falloff` is the share of light lost at the corners."""
+
+    count: int = 4
+    ring_radius: float = 0.012
+    membrane_dn: float = 185.0
+    marker_dn: float = 40.0
+    falloff: float = 0.25
+
+
+@dataclass(frozen=True)
+class SensorDesign:
+    """A whole sensor. Build one with `load_sensor`, or directly with SI values."""
+
+    name: str
+    frame: Frame
+    membrane: Membrane
+    markers: MarkerLayout
+    chamber: Chamber
+    glass: Glass
+    camera: CameraDesign
+    leds: Leds = field(default_factory=Leds)
+
+    @property
+    def pane_thickness_apparent(self) -> float:
+        """Depth by which the glass brings the scene nearer on the camera's axis, t (1 - 1/n), m."""
+        return self.glass.thickness * (1 - 1 / self.glass.refractive_index)
+
+    @property
+    def chamber_volume_flat(self) -> float:
+        """Gas volume with a flat membrane, m^3."""
+        return self.frame.length * self.frame.width * self.chamber.depth
+
+
+# One row a field: key in the file, attribute, SI units in one unit of the file, lowest and highest value allowed.
+_MM, _KPA = 1e-3, 1e3
+_Row = tuple[str, str, float, float, float]
+FIELDS: dict[str, tuple[type, tuple[_Row, ...]]] = {
+    "frame": (Frame, (
+        ("length_mm", "length", _MM, 2, 500), ("width_mm", "width", _MM, 2, 500), ("rim_mm", "rim", _MM, 0, 100))),
+    "membrane": (Membrane, (
+        ("thickness_mm", "thickness", _MM, 0.01, 5), ("young_MPa", "young", 1e6, 0.01, 1000),
+        ("poisson_ratio", "poisson", 1, 0, 0.499), ("density_kg_m3", "density", 1, 100, 20000),
+        ("pre_stretch", "pre_stretch", 1, 0.9, 2), ("friction", "friction", 1, 0, 5))),
+    "markers": (MarkerLayout, (
+        ("rows", "rows", 0, 2, 200), ("columns", "columns", 0, 2, 200), ("pitch_x_mm", "pitch_x", _MM, 0.1, 200),
+        ("pitch_y_mm", "pitch_y", _MM, 0.1, 200), ("radius_mm", "radius", _MM, 0.05, 50))),
+    "chamber": (Chamber, (
+        ("depth_mm", "depth", _MM, 0.1, 500), ("heat_ratio", "heat_ratio", 1, 1, 1.7),
+        ("supply_gauge_kPa", "supply_gauge", _KPA, -50, 100), ("ambient_kPa", "ambient", _KPA, 1, 1000),
+        ("temperature_K", "temperature", 1, 200, 400))),
+    "glass": (Glass, (
+        ("thickness_mm", "thickness", _MM, 0, 50), ("refractive_index", "refractive_index", 1, 1, 3),
+        ("distance_mm", "distance", _MM, 0, 1000))),
+    "camera": (CameraDesign, (
+        ("distance_mm", "distance", _MM, 1, 2000), ("width_px", "width", 0, 16, 8192), ("height_px", "height", 0, 16, 8192),
+        ("fx_px", "fx", 1, 10, 1e5), ("fy_px", "fy", 1, 10, 1e5), ("cx_px", "cx", 1, -8192, 16384),
+        ("cy_px", "cy", 1, -8192, 16384), ("distortion", "distortion", 1, -100, 100), ("rate_Hz", "rate", 1, 0.1, 2000),
+        ("blur_px", "blur_px", 1, 0, 20), ("noise_DN", "noise_dn", 1, 0, 100))),
+    "leds": (Leds, (
+        ("count", "count", 0, 0, 1000), ("ring_radius_mm", "ring_radius", _MM, 0, 500),
+        ("membrane_DN", "membrane_dn", 1, 0, 255), ("marker_DN", "marker_dn", 1, 0, 255),
+        ("falloff", "falloff", 1, 0, 1))),
+}  # fmt: skip
+_OPTIONAL_SECTIONS = {"leds"}
+
+
+def load_sensor(name_or_path: str | Path | SensorDesign) -> SensorDesign:
+    """Read a sensor by shipped name or from a TOML file.
+
+    Raises InputError naming file, field, value and valid choices for a missing, misspelt, negative, non-finite or
+    wrong-unit field.
+    """
+    if isinstance(name_or_path, SensorDesign):
+        return name_or_path
+    path = resources.find(name_or_path, "models/sensors", ".toml")
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"not valid TOML: {error}", source=path) from error
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", source=path) from error
+    return sensor_from_table(table, name=path.stem, source=str(path))
+
+
+def sensor_from_table(table: Mapping[str, Any], *, name: str, source: str) -> SensorDesign:
+    """Validate a parsed TOML table; see `load_sensor`."""
+    _check_keys(table, ["name", *FIELDS], source, "section")
+    parts = {}
+    for section in FIELDS:
+        if section not in table and section in _OPTIONAL_SECTIONS:
+            continue
+        if not isinstance(table.get(section), Mapping):
+            raise InputError("missing section", source=source, field=f"[{section}]", choices=FIELDS)
+        parts[section] = _section(table[section], section, source)
+    design = SensorDesign(name=str(table.get("name", name)), **parts)
+    _check_geometry(design, source)
+    return design
+
+
+def _check_keys(table: Mapping[str, Any], known: list[str], source: str, what: str) -> None:
+    for key in table:
+        if key in known:
+            continue
+        stem = {k.rsplit("_", 1)[0]: k for k in known if "_" in k}.get(key.rsplit("_", 1)[0])
+        near = difflib.get_close_matches(key, known, 1)
+        hint = f", wrong unit? write it as {stem!r}" if stem else f", did you mean {near[0]!r}?" if near else ""
+        raise InputError(f"unknown {what}{hint}", source=source, field=key, choices=known)
+
+
+def _section(table: Mapping[str, Any], section: str, source: str) -> Any:
+    kind, rows = FIELDS[section]
+    _check_keys(table, [row[0] for row in rows], source, f"field in [{section}]")
+    values = {}
+    for key, attribute, scale, low, high in rows:
+        label = f"{section}.{key}"
+        if key in table:
+            read = _vector if attribute == "distortion" else _number
+            values[attribute] = read(table[key], scale, low, high, source, label)
+        elif attribute not in _with_default(kind):
+            raise InputError("missing field", source=source, field=label)
+    return kind(**values)
+
+
+def _with_default(kind: type) -> set[str]:
+    return {name for name in kind.__dataclass_fields__ if hasattr(kind, name)}  # type: ignore[attr-defined]
+
+
+def _number(value: Any, scale: float, low: float, high: float, source: str, label: str) -> float | int:
+    """Check one number and convert it to SI; `scale` 0 means a whole number."""
+    whole = scale == 0
+    if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)):
+        raise InputError(f"{value!r} is not a {'whole ' if whole else ''}number", source=source, field=label)
+    if not math.isfinite(value) or not low <= value <= high:
+        raise InputError(f"{value!r} is outside {low:g} to {high:g}", source=source, field=label)
+    return value if whole else value * scale
+
+
+def _vector(value: Any, scale: float, low: float, high: float, source: str, label: str) -> tuple[float, ...]:
+    if not isinstance(value, list) or len(value) != 5:
+        raise InputError(f"{value!r} is not a list of 5 numbers (k1, k2, p1, p2, k3)", source=source, field=label)
+    return tuple(float(_number(v, scale, low, high, source, f"{label}[{i}]")) for i, v in enumerate(value))
+
+
+def _check_geometry(design: SensorDesign, source: str) -> None:
+    """Physical preconditions that join several fields."""
+    frame, markers, camera, glass = design.frame, design.markers, design.camera, design.glass
+    for axis, count, pitch, size in (("x", markers.columns, markers.pitch_x, frame.length),
+                                     ("y", markers.rows, markers.pitch_y, frame.width)):
+        label = f"markers.pitch_{axis}_mm"
+        if pitch <= 2 * markers.radius:
+            raise InputError(f"{pitch / _MM:g} lets markers of radius {markers.radius / _MM:g} mm touch",
+                             source=source, field=label)
+        extent = (count - 1) * pitch + 2 * markers.radius
+        if extent >= size:
+            raise InputError(f"markers span {extent / _MM:g} mm, more than the frame's {size / _MM:g} mm",
+                             source=source, field=label)
+    inner_face = glass.distance + glass.thickness
+    if inner_face + design.chamber.depth > camera.distance + 1e-9:
+        raise InputError(f"glass (to {inner_face / _MM:g} mm) and chamber ({design.chamber.depth / _MM:g} mm) do not fit in "
+                         f"{camera.distance / _MM:g} mm", source=source, field="camera.distance_mm")
+    if design.leds.marker_dn >= design.leds.membrane_dn:
+        raise InputError("markers must be darker than the membrane", source=source, field="leds.marker_DN")
