@@ -1,0 +1,196 @@
+"""Lens and glass against references that share no code: OpenCV's lens, a vector ray trace through the pane."""
+
+import cv2
+import numpy as np
+import pytest
+
+from mjtactile import geometry, optics
+from mjtactile.design import load_sensor
+from mjtactile.errors import InputError
+from mjtactile.optics import Camera
+
+LENS = Camera(640, 480, 600.0, 610.0, 320.5, 238.0, distortion=(-0.21, 0.08, 0.002, -0.003, -0.01))
+GLASS = Camera(640, 480, 600.0, 600.0, 319.5, 239.5, glass_thickness=2e-3, glass_index=1.52, glass_distance=23e-3)
+BOTH = Camera(640, 480, 600.0, 610.0, 320.5, 238.0, (-0.21, 0.08, 0.002, -0.003, -0.01), 2e-3, 1.52, 23e-3)
+
+
+def points(n=500, seed=0):
+    """Points 30-60 mm away that fill the field of view and some more."""
+    rng = np.random.default_rng(seed)
+    z = rng.uniform(0.030, 0.060, n)
+    return np.column_stack([rng.uniform(-0.6, 0.6, n) * z, rng.uniform(-0.5, 0.5, n) * z, z])
+
+
+def snell(d, normal, n_from, n_to):
+    """Vector form of Snell's law (unit directions d, one unit normal against them)."""
+    ratio = n_from / n_to
+    cos_in = -d @ normal
+    cos_out = np.sqrt(1 - ratio**2 * (1 - cos_in**2))
+    return ratio * d + (ratio * cos_in - cos_out)[:, None] * normal
+
+
+def trace_to_depth(rays, camera, z):
+    """Where unit rays from the camera's centre are at depth z, traced face by face."""
+    normal = np.array([0.0, 0.0, -1.0])
+    p = rays * (camera.glass_distance / rays[:, 2:])
+    inside = snell(rays, normal, 1.0, camera.glass_index)
+    p = p + inside * (camera.glass_thickness / inside[:, 2:])
+    out = snell(inside, normal, camera.glass_index, 1.0)
+    return p + out * ((z - p[:, 2]) / out[:, 2])[:, None]
+
+
+def test_lens_is_opencvs_plumb_bob():
+    p = points()
+    reference, _ = cv2.projectPoints(p, np.zeros(3), np.zeros(3), LENS.K, np.array(LENS.distortion))
+    # both evaluate the same polynomial in float64: rounding of ~1e3 px
+    np.testing.assert_allclose(optics.project(LENS, p), reference[:, 0], atol=1e-10)
+
+
+def test_unproject_inverts_the_lens():
+    p = points()
+    # 1e-10 of a unit ray is 6e-8 px: what Newton promises, and far below any pixel noise
+    np.testing.assert_allclose(optics.unproject(LENS, optics.project(LENS, p)), geometry.unit(p), atol=1e-10)
+
+
+def test_distortion_jacobian_is_the_derivative():
+    xy, h = points()[:, :2] / 0.05, 1e-6
+    for axis in range(2):
+        step = h * np.eye(2)[axis]
+        numeric = (optics.distort(LENS, xy + step) - optics.distort(LENS, xy - step)) / (2 * h)
+        # central difference: h^2 truncation 1e-12 and cancellation 1e-16/h = 1e-10
+        np.testing.assert_allclose(optics.distortion_jacobian(LENS, xy)[..., axis], numeric, atol=2e-9)
+
+
+def test_undistort_refuses_what_the_lens_cannot_produce():
+    folded = Camera(640, 480, 600.0, 600.0, 320.0, 240.0, distortion=(-0.3, 0.0, 0.0, 0.0, 0.0))
+    # r (1 - 0.3 r^2) is at most 0.7027 (at r = 1.054): no ideal point gives 0.71
+    assert np.isnan(optics.undistort(folded, [[0.71, 0.0]])).all()
+    xy = optics.undistort(folded, [[0.69, 0.0]])
+    assert 0 < xy[0, 0] < 1.054
+
+
+def test_projection_through_the_pane_agrees_with_a_ray_trace():
+    p = points()
+    rays = optics.unproject(GLASS, optics.project(GLASS, p))
+    # both are exact: float64 rounding over four intersections; 1e-12 m is a nanometre's thousandth
+    np.testing.assert_allclose(trace_to_depth(rays, GLASS, p[:, 2]), p, atol=1e-12)
+
+
+def test_pane_and_lens_together():
+    p = points()
+    rays = optics.unproject(BOTH, optics.project(BOTH, p))
+    np.testing.assert_allclose(trace_to_depth(rays, BOTH, p[:, 2]), p, atol=1e-11)  # 1e-10 rays over 0.06 m
+
+
+def test_glass_shift_is_the_depth_error_of_a_model_without_glass():
+    p = points()
+    rays = optics.unproject(BOTH, optics.project(BOTH, p))
+    shift = optics.glass_shift(BOTH, rays)
+    apparent = p - np.column_stack([np.zeros((len(p), 2)), shift])
+    np.testing.assert_allclose(geometry.unit(apparent), rays, atol=1e-10)
+    # by hand, 2 mm of n = 1.52: 0.684 mm on the axis, t (1 - 1/n), and 0.801 mm at 31 degrees
+    angle = np.deg2rad([0.0, 31.0])
+    shift = optics.glass_shift(GLASS, np.column_stack([np.sin(angle), 0 * angle, np.cos(angle)]))
+    assert shift[0] == pytest.approx(2e-3 * (1 - 1 / 1.52), rel=1e-14)
+    assert shift[1] == pytest.approx(0.80123e-3, abs=1e-8)
+
+
+def test_no_pane_means_no_shift_and_bad_points_are_nan():
+    assert (optics.glass_shift(LENS, points()) == 0).all()
+    assert np.isnan(optics.project(LENS, [[0.0, 0.0, -0.04]])).all()
+    assert np.isnan(optics.project(GLASS, [[0.0, 0.0, 0.0249]])).all()  # inside the pane, which ends at 25 mm
+    np.testing.assert_array_equal(optics.project(GLASS, [[0.0, 0.0, 0.04]]), [[319.5, 239.5]])
+
+
+def test_shapes_are_kept():
+    grid = points(24).reshape(4, 6, 3)
+    uv = optics.project(BOTH, grid)
+    assert uv.shape == (4, 6, 2)
+    assert optics.unproject(BOTH, uv).shape == (4, 6, 3)
+    assert optics.project(BOTH, np.zeros((0, 3))).shape == (0, 2)
+    assert optics.unproject(BOTH, np.zeros((0, 2))).shape == (0, 3)
+
+
+def test_camera_of_a_design():
+    design = load_sensor("dense")
+    camera = Camera.from_design(design.camera, design.glass)
+    assert camera.glass_thickness == design.glass.thickness
+    assert camera.distortion == design.camera.distortion
+    np.testing.assert_array_equal(camera.K, design.camera.K)
+
+
+YAML = """image_width: 640
+image_height: 480
+camera_name: finger
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [600.0, 0.0, 319.5, 0.0, 601.0, 239.5, 0.0, 0.0, 1.0]
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [-0.05, 0.01, 1e-5, 0.0, 0.0]
+rectification_matrix:
+  rows: 3
+  cols: 3
+  data: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+"""
+
+
+def test_ros_camera_info(tmp_path):
+    file = tmp_path / "camera.yaml"
+    file.write_text(YAML)
+    camera = Camera.from_yaml(file)
+    assert (camera.width, camera.height, camera.fy, camera.cx) == (640, 480, 601.0, 319.5)
+    assert camera.distortion == (-0.05, 0.01, 1e-5, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(("old", "new", "field"), [
+    ("image_width: 640", "image_width: -3", "image_width"),
+    ("image_width: 640", "img_width: 640", "image_width"),
+    ("plumb_bob", "equidistant", "distortion_model"),
+    ("data: [600.0, 0.0,", "data: [600.0, 0.1,", "camera_matrix.data"),
+    ("data: [600.0,", "data: [", "camera_matrix.data"),
+    ("[-0.05", "[.nan", "distortion_coefficients.data[0]"),
+    ("[-0.05", "[left", "distortion_coefficients.data[0]"),
+    ("image_width: 640", "image_width: [640", "YAML"),
+])  # fmt: skip
+def test_bad_camera_info_names_file_and_field(tmp_path, old, new, field):
+    file = tmp_path / "camera.yaml"
+    file.write_text(YAML.replace(old, new))
+    with pytest.raises(InputError) as caught:
+        Camera.from_yaml(file)
+    assert str(file) in str(caught.value)
+    assert field in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_camera_info_is_one_line():
+    with pytest.raises(InputError, match="nowhere"):
+        Camera.from_yaml("nowhere.yaml")
+
+
+def test_rotations_and_frames():
+    rng = np.random.default_rng(1)
+    w = rng.normal(size=(50, 3))
+    w[0], w[1] = 0, 1e-9
+    R = geometry.rotation_from_vector(w)
+    reference = np.array([cv2.Rodrigues(v)[0] for v in w])
+    np.testing.assert_allclose(R, reference, atol=1e-14)  # rounding
+    n = geometry.unit(rng.normal(size=(50, 3)))
+    a, b = geometry.tangents(n)
+    triad = np.stack([a, b, n], axis=-1)
+    np.testing.assert_allclose(np.swapaxes(triad, -1, -2) @ triad, np.broadcast_to(np.eye(3), (50, 3, 3)), atol=1e-14)
+    np.testing.assert_allclose(np.linalg.det(triad), 1, atol=1e-14)
+    p = rng.normal(size=(7, 3))
+    R_BA, p_BA = geometry.inverse_transform(R[2], w[2])
+    np.testing.assert_allclose(geometry.transform(R_BA, p_BA, geometry.transform(R[2], w[2], p)), p, atol=1e-14)
+
+
+def test_normals_and_slopes_are_inverse():
+    slope = np.random.default_rng(2).normal(size=(20, 2))
+    n = geometry.normal_from_slope(slope[:, 0], slope[:, 1])
+    assert (n[:, 2] < 0).all()  # towards the camera
+    np.testing.assert_allclose(geometry.slope_from_normal(n), slope, atol=1e-14)
+    assert np.isnan(geometry.unit([0.0, 0.0, 0.0])).all()
