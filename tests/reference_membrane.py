@@ -1,0 +1,97 @@
+"""An independent membrane: triangles, StVK, gas, given surface loads; static equilibrium by Newton. For tests only.
+
+It shares no code with the package: sensing writes the membrane as B-splines in weak form, MuJoCo as a flex; this is a
+plain total-Lagrangian finite-element code, so that agreement means something.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as spla
+
+
+class ReferenceMembrane:
+    """Rectangle `length` x `width` m clamped on its rim; equi-biaxial pre-stretch; sealed gas behind it."""
+
+    def __init__(self, length, width, thickness, young, poisson, pre_stretch, chamber_volume, ambient, n=41):
+        ny = int(round((n - 1) * width / length)) + 1
+        x, y = np.linspace(-length / 2, length / 2, n), np.linspace(-width / 2, width / 2, ny)
+        gx, gy = np.meshgrid(x, y, indexing="ij")
+        self.X = np.column_stack([gx.ravel(), gy.ravel()])
+        index = np.arange(n * ny).reshape(n, ny)
+        a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+        odd = (np.indices(a.shape).sum(0) % 2).astype(bool)  # alternate the diagonals: no preferred direction
+        one = np.where(odd[..., None], np.stack([a, b, d], -1), np.stack([a, b, c], -1))
+        two = np.where(odd[..., None], np.stack([b, c, d], -1), np.stack([a, c, d], -1))
+        self.tri = np.concatenate([one.reshape(-1, 3), two.reshape(-1, 3)])
+        rim = np.ones((n, ny), bool)
+        rim[1:-1, 1:-1] = False
+        self.free = np.flatnonzero(~rim.ravel())
+        self.shape, self.grid = (n, ny), (x, y)
+        self.stretch, self.nu = pre_stretch, poisson
+        self.modulus = young * thickness / (1 - poisson**2)
+        self.chamber, self.ambient = chamber_volume, ambient
+        X = self.X[self.tri]
+        D = np.stack([X[:, 1] - X[:, 0], X[:, 2] - X[:, 0]], -1)
+        self.area0 = np.linalg.det(D) / 2
+        shape_gradient = np.array([[-1.0, -1.0], [1, 0], [0, 1]])
+        self.G = shape_gradient @ np.linalg.inv(D)  # (T, 3 nodes, 2)
+        self.node_area = np.bincount(self.tri.ravel(), np.repeat(self.area0 / 3, 3), len(self.X))
+
+    def _elastic(self, x):
+        """Nodal elastic forces (V, 3) (gradient of the energy) and element stiffness (T, 9, 9)."""
+        F = np.einsum("tni,tna->tia", x[self.tri], self.G)
+        E = (self.stretch**2 * np.einsum("tia,tib->tab", F, F) - np.eye(2)) / 2
+        S = self.modulus * ((1 - self.nu) * E + self.nu * np.trace(E, axis1=1, axis2=2)[:, None, None] * np.eye(2))
+        f = np.einsum("t,tia,tab,tnb->tni", self.area0, F, S, self.G)
+        nodal = np.zeros_like(x)
+        np.add.at(nodal, self.tri, f)
+        geometric = np.einsum("t,tna,tab,tmb->tnm", self.area0, self.G, S, self.G)
+        # dE/dx_(n,i) as a symmetric 2x2, then C : dE
+        dE = np.einsum("tia,tnb->tniab", F, self.G)
+        dE = self.stretch**2 * (dE + np.swapaxes(dE, -1, -2)) / 2
+        trace = np.trace(dE, axis1=-2, axis2=-1)
+        CdE = self.modulus * ((1 - self.nu) * dE + self.nu * trace[..., None, None] * np.eye(2))
+        K = np.einsum("t,tniab,tmjab->tnimj", self.area0, dE, CdE) / self.stretch**2
+        for i in range(3):
+            K[:, :, i, :, i] += geometric
+        return nodal, K.reshape(len(K), 9, 9)
+
+    def _volume(self, x):
+        """Bulge volume and its gradient (V, 3)."""
+        a, b, c = (x[self.tri[:, k]] for k in range(3))
+        volume = np.einsum("ti,ti->", a, np.cross(b, c)) / 6
+        g = np.zeros_like(x)
+        for k, v in enumerate((np.cross(b, c), np.cross(c, a), np.cross(a, b))):
+            np.add.at(g, self.tri[:, k], v / 6)
+        return volume, g
+
+    def solve(self, load, *, gauge=None, sealed=None, x=None):
+        """Equilibrium positions (V, 3) under nodal loads (V, 3) N.
+
+        `gauge` Pa: constant pressure; or `sealed` = p V of the gas, J (isothermal). Returns (x, gauge pressure).
+        """
+        x = np.column_stack([self.X, 1e-5 * np.ones(len(self.X))]) if x is None else x.copy()
+        x[np.setdiff1d(np.arange(len(x)), self.free), 2] = 0
+        dofs = (3 * self.free[:, None] + np.arange(3)).ravel()
+        rows = (3 * self.tri[:, :, None] + np.arange(3)).reshape(len(self.tri), 9)
+        I, J = np.repeat(rows, 9, axis=1).ravel(), np.tile(rows, (1, 9)).ravel()
+        for _ in range(200):
+            nodal, K = self._elastic(x)
+            volume, g = self._volume(x)
+            p = gauge if sealed is None else sealed / (self.chamber + volume) - self.ambient
+            residual = (nodal - p * g - load).ravel()[dofs]
+            if np.abs(residual).max() < 1e-11:
+                return x, p
+            full = sp.csc_matrix((K.ravel(), (I, J)), shape=(3 * len(x),) * 2)[dofs][:, dofs]
+            regular = full + 1e-6 * abs(full).max() * sp.identity(len(dofs))
+            lu = spla.splu(sp.csc_matrix(regular))
+            step = lu.solve(residual)
+            if sealed is not None:  # rank-one gas stiffness k g g^T by Sherman-Morrison
+                k, gf = sealed / (self.chamber + volume) ** 2, g.ravel()[dofs]
+                w = lu.solve(gf)
+                step -= w * (k * (gf @ step)) / (1 + k * (gf @ w))
+            scale = min(1.0, 5e-4 / max(np.abs(step).max(), 1e-30))
+            x.reshape(-1)[dofs] -= scale * step
+        raise RuntimeError("no equilibrium found")
