@@ -1,0 +1,130 @@
+"""Gentle grasp: close until something is felt, regulate the felt force, lift, hold, put down, let go.
+
+`step` is pure: what it must remember it writes into `Command.memory` and finds again in `Observation.command.memory`.
+It knows no clock, simulator or device, so the same file drives the simulated, the emulated and the real gripper.
+Copy it to make your own: any file with a function `step(observation) -> command` will do.
+"""
+
+from dataclasses import replace
+from math import isfinite
+
+from mjtactile.types import Command, Observation
+
+TARGET_FORCE = 0.6  # N on each finger: enough friction for 60 g at a coefficient of 0.5, well below what an egg stands
+TOUCH_FORCE = 0.08  # N: several times the noise of the estimate
+SERVO_FORCE_LIMIT = 4.0  # N: the most that the servo may push, whatever is felt
+CLOSING_SPEED = 0.025  # m/s while nothing is felt: 0.8 mm a cycle at 30 Hz, about 0.1 N past the first touch
+OPENING_SPEED = 0.040
+REGULATION_GAIN = 0.03  # m/s of opening for each N of error: with 160 N/m of grip, settles in 0.2 s, six times the delay
+REGULATION_SPEED_MAX = 0.010
+LIFT_HEIGHT, LIFT_SPEED = 0.040, 0.040
+SETTLE_TIME, HOLD_TIME, GRIP_TIMEOUT = 0.4, 2.0, 6.0
+FORCE_TOLERANCE = 0.08  # N around the target that counts as settled
+BLIND_TIME_MAX = 0.5  # s without a usable image before giving up
+RELEASE_OPENING = 0.012  # m to open beyond the grip before the run ends
+
+
+def step(observation: Observation) -> Command:
+    """One control cycle: dispatch on the phase that the last command was in."""
+    memory = {"phase_time": 0.0, "settled_time": 0.0, "blind_time": 0.0, **observation.command.memory}
+    memory["phase_time"] += observation.period
+    felt = [touch.force_normal for touch in observation.touch]
+    command = replace(observation.command, force_limit=SERVO_FORCE_LIMIT, memory=memory)
+    if not all(isfinite(force) for force in felt):  # unknown is not zero: stand still, then open gently
+        return _blind(observation, command)
+    memory["blind_time"] = 0.0
+    return _PHASES[command.phase](observation, command, felt)
+
+
+def _go(command: Command, phase: str, **changes) -> Command:
+    """Enter `phase` with its clocks at zero."""
+    memory = {**command.memory, "phase_time": 0.0, "settled_time": 0.0}
+    return replace(command, phase=phase, memory=memory, **changes)
+
+
+def _remember(command: Command, **values: float) -> Command:
+    return replace(command, memory={**command.memory, **values})
+
+
+def _blind(observation: Observation, command: Command) -> Command:
+    blind_time = command.memory["blind_time"] + observation.period
+    command = _remember(command, blind_time=blind_time)
+    return _go(command, "abort") if blind_time > BLIND_TIME_MAX else command
+
+
+def _approach(observation: Observation, command: Command, felt: list[float]) -> Command:
+    """Close at a steady speed until either finger feels something."""
+    if max(felt) > TOUCH_FORCE:
+        return _go(command, "close")
+    if observation.gripper.opening <= 0.001:
+        return _go(command, "abort")  # closed on nothing
+    return replace(command, opening=command.opening - CLOSING_SPEED * observation.period)
+
+
+def _close(observation: Observation, command: Command, felt: list[float]) -> Command:
+    """One finger has touched: go on slowly until both do, so that neither pushes the object over."""
+    if min(felt) > TOUCH_FORCE or max(felt) > TARGET_FORCE:
+        return _go(command, "regulate")
+    if command.memory["phase_time"] > GRIP_TIMEOUT:
+        return _go(command, "abort")
+    return replace(command, opening=command.opening - 0.3 * CLOSING_SPEED * observation.period)
+
+
+def _regulated(observation: Observation, command: Command, felt: list[float]) -> Command:
+    """Move the opening so that the mean felt force goes to the target; stay within reach of the real opening."""
+    error = TARGET_FORCE - sum(felt) / len(felt)
+    speed = max(-REGULATION_SPEED_MAX, min(REGULATION_SPEED_MAX, REGULATION_GAIN * error))
+    opening = command.opening - speed * observation.period
+    actual = observation.gripper.opening
+    return replace(command, opening=max(actual - 0.004, min(actual + 0.004, opening)))
+
+
+def _regulate(observation: Observation, command: Command, felt: list[float]) -> Command:
+    """Bring the force to the target and wait until it stays there."""
+    command = _regulated(observation, command, felt)
+    settled = abs(sum(felt) / len(felt) - TARGET_FORCE) < FORCE_TOLERANCE
+    settled_time = command.memory["settled_time"] + observation.period if settled else 0.0
+    if settled_time >= SETTLE_TIME:
+        return _go(command, "lift")
+    if command.memory["phase_time"] > GRIP_TIMEOUT:
+        return _go(command, "abort")
+    return _remember(command, settled_time=settled_time)
+
+
+def _lift(observation: Observation, command: Command, felt: list[float]) -> Command:
+    command = _regulated(observation, command, felt)
+    height = min(LIFT_HEIGHT, command.lift_height + LIFT_SPEED * observation.period)
+    command = replace(command, lift_height=height)
+    return _go(command, "hold") if observation.gripper.lift_height > LIFT_HEIGHT - 0.001 else command
+
+
+def _hold(observation: Observation, command: Command, felt: list[float]) -> Command:
+    command = _regulated(observation, command, felt)
+    return _go(command, "lower") if command.memory["phase_time"] >= HOLD_TIME else command
+
+
+def _lower(observation: Observation, command: Command, felt: list[float]) -> Command:
+    command = _regulated(observation, command, felt)
+    height = max(0.0, command.lift_height - LIFT_SPEED * observation.period)
+    command = replace(command, lift_height=height)
+    if height == 0.0 and observation.gripper.lift_height < 0.001:
+        return _remember(_go(command, "release"), grip_opening=command.opening)
+    return command
+
+
+def _release(observation: Observation, command: Command, felt: list[float]) -> Command:
+    """Open until the fingers are clear of the object."""
+    goal = command.memory["grip_opening"] + RELEASE_OPENING
+    if observation.gripper.opening > goal - 0.001 and max(felt) < TOUCH_FORCE:
+        return _go(command, "done")
+    if command.memory["phase_time"] > GRIP_TIMEOUT:
+        return _go(command, "abort")
+    return replace(command, opening=min(goal, command.opening + OPENING_SPEED * observation.period))
+
+
+def _end(observation: Observation, command: Command, felt: list[float]) -> Command:
+    return command
+
+
+_PHASES = {"approach": _approach, "close": _close, "regulate": _regulate, "lift": _lift, "hold": _hold,
+           "lower": _lower, "release": _release, "done": _end, "abort": _end}
