@@ -47,7 +47,8 @@ class Bench:
 
     def estimate(self, x, **noise):
         markers = self.markers(x, **noise)
-        return self.estimator.force(markers.ids, markers.p_SM, self.rest)
+        wrench, gauge = self.estimator.wrench(markers.ids, markers.p_SM, self.rest)
+        return wrench[:3], gauge
 
 
 @pytest.fixture(scope="module")
@@ -66,14 +67,27 @@ def test_net_force_and_pressure(dense, force, center, radius):
     assert gauge_estimated == pytest.approx(gauge, abs=0.02 * gauge)  # volume of the spline against that of the FEM
 
 
+def test_torque_is_the_moment_of_the_patch(dense):
+    """A patch off the middle: M = sum of x cross f over the loaded nodes of the independent membrane."""
+    force = np.array([0.1, 0.0, -0.6])
+    r2 = np.sum((dense.fem.X - (0.005, 0.003)) ** 2, axis=1) / 0.006**2
+    weight = np.clip(1 - r2, 0, None) * dense.fem.node_area
+    load = np.outer(weight / weight.sum(), force)
+    x, _ = dense.fem.solve(load, sealed=dense.sealed, x=dense.x0)
+    markers = dense.markers(x)
+    torque = dense.estimator.wrench(markers.ids, markers.p_SM, dense.rest)[0][3:]
+    # 0.6 N at 0.3 mm, the accuracy asked of a contact's place
+    np.testing.assert_allclose(torque, np.cross(x, load).sum(0), atol=0.6 * 3e-4)
+
+
 def test_force_error_follows_the_predicted_noise(dense):
     x, _ = dense.press(np.array([0, 0, -0.6]))
     exact = dense.estimate(x)[0]
     noise = 1e-5
     errors = np.array([dense.estimate(x, noise=noise, seed=s)[0] - exact for s in range(200)])
-    sd = dense.estimator.force_sd(dense.markers(x, noise=noise), dense.rest)
+    cov = dense.estimator.wrench_cov(dense.markers(x, noise=noise), dense.rest)
     # sd of 200 samples is known to 5 %; the rest is that the sensitivities are taken at rest, not under load
-    np.testing.assert_allclose(errors.std(0), sd, rtol=0.25)
+    np.testing.assert_allclose(errors.std(0), np.sqrt(np.diag(cov))[:3], rtol=0.25)
 
 
 def test_wrong_young_modulus_is_absorbed_by_the_rest_state():
@@ -84,17 +98,17 @@ def test_wrong_young_modulus_is_absorbed_by_the_rest_state():
 
 
 def test_nodal_forces_lie_under_the_patch_and_add_up(dense):
-    grid = GridForce(dense.estimator, np.linspace(-0.02, 0.02, 17), np.linspace(-0.015, 0.015, 13))
+    grid = GridForce(dense.estimator)
 
     def nodal(x):
         markers = dense.markers(x)
         fields = dense.model.fields(dense.model.fit(markers.ids, markers.p_SM))
-        return grid.forces(fields, dense.estimator.force(markers.ids, markers.p_SM, dense.rest)[1], dense.rest)
+        return grid.forces(fields, dense.estimator.wrench(markers.ids, markers.p_SM, dense.rest)[1], dense.rest)
 
     x, _ = dense.press(np.array([0.1, 0, -0.6]), (0.004, 0.0), 0.006)
     force = nodal(x) - nodal(dense.x0)
-    # The hats fall to the frame within one cell, where the spline's strain is worst: 5 % of the force is theirs.
-    assert force[..., 2].sum() == pytest.approx(-0.6, abs=0.03)
+    # The hats fall to the frame within one cell, where the strain between last marker and frame is a guess: 10 %.
+    assert force[..., 2].sum() == pytest.approx(-0.6, abs=0.06)
     pressing = np.where(force[..., 2] < 0.3 * force[..., 2].min(), -force[..., 2], 0.0)
     centroid = (pressing @ grid.x).sum() / pressing.sum()
     assert centroid == pytest.approx(0.004, abs=0.0008)  # a third of the grid's spacing of 2.5 mm
@@ -107,8 +121,8 @@ def test_flat_membrane_feels_nothing_and_springs_of_a_flat_sheet_cancel():
     n = np.tile([0.0, 0.0, -1.0], (len(flat), 1))
     markers = Markers(np.arange(len(flat)), flat, n, np.zeros((len(flat), 3, 3)))
     rest = estimator.rest_state(markers, 0.0)
-    force, gauge = estimator.force(markers.ids, flat, rest)
-    np.testing.assert_allclose(force, 0, atol=1e-9)
+    wrench, gauge = estimator.wrench(markers.ids, flat, rest)
+    np.testing.assert_allclose(wrench, 0, atol=1e-9)
     assert gauge == pytest.approx(0.0, abs=1e-6)
     x, y = np.linspace(-0.02, 0.02, 9), np.linspace(-0.015, 0.015, 7)
     surface = Surface(x, y, np.zeros((7, 9)), 1.2e-3, 0.0, 0.0, 0.0)

@@ -1,0 +1,142 @@
+"""`PressWorld`: one sensor on a fixed base and an indenter that is driven into it, as in the paper's experiment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from mjtactile.design import SensorDesign
+from mjtactile.errors import InputError
+from mjtactile.sim.attach import DEFAULT_MESH, attach, recommend_options
+from mjtactile.sim.world import World
+
+SHAPES = ("sphere:R_mm", "cylinder:R_mm", "box:A_mm", "FILE.stl")
+_LENGTH = 0.03  # m, of a cylinder along its axis
+_CLEARANCE = 0.002  # m above first touch at which the indenter waits
+_STIFFNESS, _MASS = 2e5, 0.2  # N/m and kg of the drive: gives way by 5 um at 1 N
+
+
+@dataclass(frozen=True)
+class Indenter:
+    """A rigid shape. `size` m: radius of a "sphere", radius of a "cylinder" (axis along z, 30 mm long, end face down),
+    edge of a "box" (face down); `path` of a "mesh" in STL, whose unit is taken as mm."""
+
+    kind: str
+    size: float = 0.0
+    path: Path | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Indenter:
+        """Read "sphere:8", "cylinder:5", "box:10" or "part.stl". Raises InputError listing the choices."""
+        kind, _, number = text.partition(":")
+        if text.lower().endswith(".stl"):
+            path = Path(text).expanduser()
+            if not path.is_file():
+                raise InputError("no such file", source=path, field="--indenter", choices=SHAPES)
+            return cls("mesh", path=path)
+        try:
+            size = float(number) * 1e-3
+        except ValueError:
+            size = np.nan
+        if kind not in ("sphere", "cylinder", "box") or not 1e-5 <= size <= 1:
+            raise InputError(f"{text!r} is not an indenter of 0.01 to 1000 mm", field="--indenter", choices=SHAPES)
+        return cls(kind, size)
+
+    def add_to(self, spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
+        """Add the collision geom "indenter", centred on the body."""
+        geom = body.add_geom(name="indenter", mass=_MASS, rgba=[0.3, 0.45, 0.7, 1.0])
+        if self.kind == "mesh":
+            mesh = spec.add_mesh(name="indenter", file=str(self.path), scale=[1e-3] * 3)
+            geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, mesh.name
+            return
+        geom.type = getattr(mujoco.mjtGeom, f"mjGEOM_{self.kind.upper()}")
+        half = self.size / 2
+        geom.size = {"sphere": [self.size, 0, 0], "cylinder": [self.size, _LENGTH / 2, 0], "box": [half] * 3}[self.kind]
+
+
+class PressWorld(World):
+    """The sensor looks up (S is the world frame); the indenter comes down along -z and can be dragged along x.
+
+    `at` (x, y) m in S, `tilt` rad about y. Depths are counted from first touch of the membrane as it was then.
+    """
+
+    def __init__(self, sensor: SensorDesign | str | Path, indenter: Indenter, *, at: tuple[float, float] = (0.0, 0.0),
+                 tilt: float = 0.0, timestep: float = 4e-3, mesh: tuple[int, int] = DEFAULT_MESH):
+        spec = mujoco.MjSpec()
+        recommend_options(spec, timestep)
+        spec.worldbody.add_site(name="base")
+        attachment = attach(spec, sensor, site="base", prefix="sensor/", mesh=mesh)
+        self.design = attachment.design
+        body = spec.worldbody.add_body(name="indenter", pos=[*at, 0.1], gravcomp=1.0)
+        for axis, direction in (("x", [1, 0, 0]), ("z", [0, 0, 1])):
+            body.add_joint(name=f"drive_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction)
+            drive = spec.add_actuator(name=f"drive_{axis}", target=f"drive_{axis}", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            drive.set_to_position(kp=_STIFFNESS, kv=2 * np.sqrt(_STIFFNESS * _MASS))
+        holder = body.add_body(name="holder", gravcomp=1.0, quat=[np.cos(tilt / 2), 0, np.sin(tilt / 2), 0])
+        indenter.add_to(spec, holder)
+        super().__init__(spec, [attachment])
+        self._x, self._z = (self.model.actuator(f"drive_{axis}").id for axis in "xz")
+        self._joints = [self.model.joint(f"drive_{axis}").qposadr[0] for axis in "xz"]
+        self._geom = self.model.geom("indenter").id
+        self._touch_height = 0.0
+
+    def inflate(self, pressure_gauge: float, *, seal: bool) -> bool:
+        """Bring the chamber to `pressure_gauge` Pa, close the valve if `seal`, find first touch; True when it settled."""
+        sensor = self.sensors[0]
+        sensor.open_valve(pressure_gauge)
+        settled = self.settle()
+        if seal:
+            sensor.close_valve()
+        self._find_touch()
+        return settled
+
+    def press(self, depth: float, shear: float = 0.0, speed: float = 0.02) -> bool:
+        """Drive to `depth` m below first touch and `shear` m along x at `speed` m/s, then settle; True when it did."""
+        start, goal = self.data.ctrl[[self._x, self._z]], np.array([shear, self._touch_height - depth])
+        count = max(1, int(np.ceil(np.abs(goal - start).max() / (speed * self.timestep))))
+        for part in np.linspace(0, 1, count + 1)[1:]:
+            for actuator, value in zip((self._x, self._z), start + part * (goal - start), strict=True):
+                self.set_control(actuator, value)
+            self.step()
+        return self.settle()
+
+    def settle(self, time_limit: float = 1.0, speed: float = 2e-5) -> bool:
+        """Step until nothing moves faster than `speed` m/s for 20 ms; False when that was not reached in time."""
+        needed, still = round(0.02 / self.timestep) + 1, 0
+        for _ in range(round(time_limit / self.timestep)):
+            self.step()
+            still = still + 1 if np.abs(self.data.qvel).max() < speed else 0
+            if still >= needed:
+                return True
+        return False
+
+    @property
+    def depth(self) -> float:
+        """How far the indenter really is below first touch, m."""
+        return self._touch_height - float(self.data.qpos[self._joints[1]])
+
+    @property
+    def drive_force(self) -> np.ndarray:
+        """Force (3,) N of the drive on the indenter, frame S: what a load cell between them reads."""
+        return np.array([self.data.actuator_force[self._x], 0.0, self.data.actuator_force[self._z]])
+
+    def _find_touch(self) -> None:
+        """Lower the indenter by its distance to the membrane until that is nothing, then raise it by a clearance."""
+        geoms = self.sensors[0].vertex_geom_ids
+        height = 0.0
+        for _ in range(100):
+            self._place(height)
+            gap = min(mujoco.mj_geomDistance(self.model, self.data, int(g), self._geom, 0.5, None) for g in geoms)
+            height -= gap
+            if abs(gap) < 1e-7:
+                break
+        self._touch_height = height
+        self._place(height + _CLEARANCE)
+
+    def _place(self, height: float) -> None:
+        self.data.qpos[self._joints[1]] = height
+        self.set_control(self._z, height)
+        mujoco.mj_forward(self.model, self.data)

@@ -1,0 +1,94 @@
+"""Ground truth of a simulated scene, for scoring, benchmarks and tests only. Nothing else in the simulator imports it.
+
+Forces and positions are in the sensor's frame S unless a name says otherwise; N, m, Pa.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from mjtactile.sim.objects import PREFIX
+from mjtactile.types import Array
+
+if TYPE_CHECKING:
+    from mjtactile.sim.sensor import TactileSensor
+    from mjtactile.sim.world import World
+
+
+def contact_forces(world: World, sensor: int) -> tuple[Array, Array, Array]:
+    """Forces `f_S` (n, 3) N that the world exerts on membrane `sensor`, their points `p_S` (n, 3) m, and penetration
+    depths (n,) m, one row per contact, in the order of MuJoCo's contact list."""
+    model, data, device = world.model, world.data, world.sensors[sensor]
+    on_membrane = np.isin(data.contact.geom, device.vertex_geom_ids)  # (ncon, 2)
+    rows = np.flatnonzero(on_membrane.any(axis=1))
+    f_W, buffer = np.zeros((len(rows), 3)), np.zeros(6)
+    for k, row in enumerate(rows):
+        mujoco.mj_contactForce(model, data, row, buffer)
+        # rows of `frame` are the contact's axes in W; the force acts on the contact's second entity
+        f_W[k] = data.contact.frame[row].reshape(3, 3).T @ buffer[:3] * (1 if on_membrane[row, 1] else -1)
+    R_WS, p_WS = _pose(world, device)
+    return f_W @ R_WS, (data.contact.pos[rows] - p_WS) @ R_WS, -data.contact.dist[rows]
+
+
+def contact_force(world: World, sensor: int) -> Array:
+    """Total force (3,) N that the world exerts on membrane `sensor`, frame S; a press has a negative z."""
+    return contact_forces(world, sensor)[0].sum(axis=0)
+
+
+def contact_torque(world: World, sensor: int) -> Array:
+    """Total torque (3,) N m of the contact forces on membrane `sensor` about the origin of S."""
+    forces, points, _ = contact_forces(world, sensor)
+    return np.cross(points, forces).sum(axis=0)
+
+
+def contact_area(world: World, sensor: int) -> float:
+    """Area of contact, m^2: the sheet that the touching vertices stand for."""
+    device, data = world.sensors[sensor], world.data
+    touching = np.isin(device.vertex_geom_ids, data.contact.geom)
+    return float(device.mesh.areas[device.mesh.interior][touching].sum())
+
+
+def penetration(world: World, sensor: int) -> float:
+    """Deepest penetration of an object into membrane `sensor`, m; 0 without contact. An error of the simulation."""
+    return float(max(contact_forces(world, sensor)[2].max(initial=0.0), 0.0))
+
+
+def heights(world: World, sensor: int) -> Array:
+    """Heights of the membrane's mesh over the frame's plane, (nx, ny) m, over `mesh.x`, `mesh.y`."""
+    device = world.sensors[sensor]
+    return device.p_SV[:, 2].reshape(device.mesh.nx, device.mesh.ny)
+
+
+def marker_poses(world: World, sensor: int) -> tuple[Array, Array]:
+    """True marker centres (N, 3) m and outward unit normals (N, 3) in S."""
+    return world.sensors[sensor].marker_poses()
+
+
+def pressure_and_volume(world: World, sensor: int) -> tuple[float, float]:
+    """Gauge pressure, Pa, and gas volume, m^3, of the present state."""
+    device = world.sensors[sensor]
+    device.update()
+    return device.pressure_gauge, device.volume
+
+
+def object_position(world: World) -> Array:
+    """Centre of mass (3,) m of the grasped object with its soft parts, frame W."""
+    return world.data.subtree_com[world.model.body(PREFIX + "object").id].copy()
+
+
+def object_pose(world: World) -> tuple[Array, Array]:
+    """Position `p_WO` (3,) m and rotation `R_WO` (3, 3) of the body `object`, frame W."""
+    body = world.model.body(PREFIX + "object").id
+    return world.data.xpos[body].copy(), world.data.xmat[body].reshape(3, 3).copy()
+
+
+def hand_position(world: World) -> Array:
+    """Position (3,) m of the hand that carries the fingers, frame W."""
+    return world.data.xpos[world.model.body("hand").id].copy()
+
+
+def _pose(world: World, device: TactileSensor) -> tuple[Array, Array]:
+    return world.data.xmat[device.body_id].reshape(3, 3), world.data.xpos[device.body_id]

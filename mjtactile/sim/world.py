@@ -1,0 +1,89 @@
+"""`World`: a compiled scene with its sensors, stepped with every step checked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import mujoco
+import numpy as np
+
+from mjtactile.errors import InputError, SimulationError
+from mjtactile.sim.attach import Attachment
+from mjtactile.sim.log import route_warnings
+from mjtactile.sim.sensor import TactileSensor
+from mjtactile.types import Array
+
+
+class World:
+    """Owns model and data of a scene with attached sensors.
+
+    MuJoCo answers divergence by silently resetting the state and rewinding time. Here that is off, and every step is
+    checked for it: `step` raises SimulationError, never returns a wrong number.
+    """
+
+    def __init__(self, spec: mujoco.MjSpec, attachments: Sequence[Attachment]):
+        route_warnings()
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        try:
+            self.model = spec.compile()
+        except ValueError as error:
+            raise InputError(f"the scene does not compile: {' '.join(str(error).split())}", source="scene") from error
+        self.data = mujoco.MjData(self.model)
+        mujoco.mj_forward(self.model, self.data)
+        self.sensors: tuple[TactileSensor, ...] = tuple(a.bind(self.model, self.data) for a in attachments)
+        self.step_count = 0
+        self._watchers: list[Callable[[], None]] = []
+
+    @property
+    def time(self) -> float:
+        """Simulated time, s."""
+        return float(self.data.time)
+
+    @property
+    def timestep(self) -> float:
+        return float(self.model.opt.timestep)
+
+    def set_control(self, actuator: int, value: float) -> None:
+        """Set one actuator's control. Raises InputError when it is not finite (MuJoCo would take it for zero)."""
+        if not np.isfinite(value):
+            raise InputError(f"{value!r} is not a finite control", source="World", field=self.model.actuator(actuator).name)
+        self.data.ctrl[actuator] = value
+
+    def step(self, count: int = 1) -> None:
+        """Advance by `count` time steps. Raises SimulationError when the state is no longer to be trusted."""
+        for _ in range(count):
+            self._before_step()
+            for sensor in self.sensors:
+                sensor.update()
+            mujoco.mj_step(self.model, self.data)
+            self.step_count += 1
+            self._check()
+            for watcher in self._watchers:
+                watcher()
+
+    def watch(self, watcher: Callable[[], None]) -> None:
+        """Call `watcher()` after every step."""
+        self._watchers.append(watcher)
+
+    def marker_poses(self, sensor: int) -> tuple[Array, Array]:
+        """True marker centres (N, 3) m and outward normals (N, 3) of one sensor in its frame S: what its camera sees."""
+        return self.sensors[sensor].marker_poses()
+
+    def _before_step(self) -> None:
+        """Hook for worlds that move their controls by themselves."""
+
+    def _check(self) -> None:
+        data = self.data
+        if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):
+            self._fail("the state is not finite")
+        counts = data.warning.number
+        if counts.any():
+            names = [mujoco.mjtWarning(int(i)).name.removeprefix("mjWARN_") for i in np.flatnonzero(counts)]
+            self._fail(f"MuJoCo warned: {', '.join(names)}")
+        for sensor in self.sensors:
+            reason = sensor.failure()
+            if reason:
+                self._fail(reason)
+
+    def _fail(self, reason: str) -> None:
+        raise SimulationError(reason, step=self.step_count, time=self.time)

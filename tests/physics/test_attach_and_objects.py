@@ -1,0 +1,179 @@
+"""What `attach`, the object loader and the world refuse, and how they say it."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from mjtactile.errors import InputError, SimulationError
+from mjtactile.sim.attach import attach, recommend_options
+from mjtactile.sim.gripper import GraspWorld
+from mjtactile.sim.objects import load_object
+from mjtactile.sim.world import World
+
+
+def scene():
+    spec = mujoco.MjSpec()
+    recommend_options(spec)
+    spec.worldbody.add_site(name="mount")
+    return spec
+
+
+@pytest.mark.parametrize(("option", "value", "words"), [
+    ("integrator", mujoco.mjtIntegrator.mjINT_EULER, ["integrator", "Euler", "discrete"]),
+    ("integrator", mujoco.mjtIntegrator.mjINT_IMPLICITFAST, ["integrator", "implicitfast", "discrete"]),
+    ("solver", mujoco.mjtSolver.mjSOL_NEWTON, ["solver", "Newton", "CG"]),
+    ("solver", mujoco.mjtSolver.mjSOL_PGS, ["solver", "PGS", "CG"]),
+    ("timestep", 0.02, ["timestep", "0.02", "0.008"]),
+    ("timestep", 1e-6, ["timestep", "1e-06", "0.0001"]),
+    ("timestep", float("nan"), ["timestep", "nan"]),
+    ("jacobian", mujoco.mjtJacobian.mjJAC_DENSE, ["jacobian", "dense", "sparse"]),
+    ("noslip_iterations", 3, ["noslip_iterations", "3"]),
+])
+def test_options_that_cannot_carry_a_membrane_are_refused(option, value, words):
+    spec = scene()
+    setattr(spec.option, option, value)
+    with pytest.raises(InputError) as caught:
+        attach(spec, "paper16", site="mount")
+    assert all(word in str(caught.value) for word in words)
+
+
+def test_default_options_of_a_new_scene_are_refused():
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_site(name="mount")
+    with pytest.raises(InputError, match="integrator"):
+        attach(spec, "paper16", site="mount")
+
+
+def test_options_changed_after_attaching_are_refused_when_binding():
+    spec = scene()
+    attachment = attach(spec, "paper16", site="mount")
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    with pytest.raises((InputError, ValueError), match="integrator"):
+        model = spec.compile()
+        attachment.bind(model, mujoco.MjData(model))
+
+
+def test_unknown_site_used_prefix_and_bad_mesh_are_refused():
+    spec = scene()
+    with pytest.raises(InputError, match=r"nowhere.*mount"):
+        attach(spec, "paper16", site="nowhere")
+    with pytest.raises(InputError, match="prefix"):
+        attach(spec, "paper16", site="mount", prefix="")
+    with pytest.raises(InputError, match="nx"):
+        attach(spec, "paper16", site="mount", mesh=(3, 11))
+    attach(spec, "paper16", site="mount", prefix="one/")
+    with pytest.raises(InputError, match="one/"):
+        attach(spec, "paper16", site="mount", prefix="one/")
+
+
+def test_binding_to_a_foreign_model_is_refused():
+    attachment = attach(scene(), "paper16", site="mount")
+    other = scene().compile()
+    with pytest.raises(InputError, match="attached"):
+        attachment.bind(other, mujoco.MjData(other))
+
+
+def test_a_model_keeps_its_pre_stretch_when_bound_again():
+    spec = scene()
+    attachment = attach(spec, "paper16", site="mount")
+    model = spec.compile()
+    attachment.bind(model, mujoco.MjData(model))
+    once = model.flexedge_length0.copy()
+    attachment.bind(model, mujoco.MjData(model))
+    np.testing.assert_array_equal(model.flexedge_length0, once)
+
+
+OBJECT = """<mujoco><custom>{custom}</custom><worldbody><body name="{body}" pos="0 0 0.03">{joint}
+<geom type="sphere" size="0.02" mass="0.01" contype="{contype}"/></body></worldbody></mujoco>"""
+GOOD = {"custom": '<numeric name="break_force_N" data="2"/><text name="material" data="solid"/>', "body": "object",
+        "joint": "<freejoint/>", "contype": "1"}
+
+
+def write(folder, text=None, **changes):
+    path = folder / "thing.xml"
+    path.write_text(OBJECT.format(**{**GOOD, **changes}) if text is None else text)
+    return path
+
+
+def test_a_users_object_is_read(tmp_path):
+    thing = load_object(write(tmp_path))
+    assert (thing.name, thing.break_force, thing.material) == ("thing", 2.0, "solid")
+    assert thing.grasp_height == pytest.approx(0.03)
+    assert thing.mass == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize(("changes", "words"), [
+    ({"text": "<mujoco><worldbody><body"}, ["not valid MJCF"]),
+    ({"text": "<mujoco><worldbody><nonsense/></worldbody></mujoco>"}, ["not valid MJCF", "nonsense"]),
+    ({"text": ""}, ["not valid MJCF"]),
+    ({"body": "thing"}, ["'object'", "thing"]),
+    ({"joint": ""}, ["free joint"]),
+    ({"joint": '<joint type="slide"/>'}, ["free joint"]),
+    ({"custom": '<text name="material" data="solid"/>'}, ["break_force_N"]),
+    ({"custom": GOOD["custom"].replace('"2"', '"-1"')}, ["break_force_N", "-1"]),
+    ({"custom": GOOD["custom"].replace('"2"', '"0"')}, ["break_force_N", "0"]),
+    ({"custom": GOOD["custom"].replace('"2"', '"nan"')}, ["break_force_N"]),
+    ({"custom": '<numeric name="break_force_N" data="2"/>'}, ["material", "solid", "soft", "amorphous"]),
+    ({"custom": GOOD["custom"].replace("solid", "jelly")}, ["jelly", "solid", "soft", "amorphous"]),
+    ({"contype": "0"}, ["contype"]),
+])
+def test_broken_objects_are_refused_by_file_and_field(tmp_path, changes, words):
+    path = write(tmp_path, **changes)
+    with pytest.raises(InputError) as caught:
+        load_object(path)
+    assert str(path) in str(caught.value)
+    assert all(word in str(caught.value) for word in words)
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_object_lists_the_shipped_ones():
+    with pytest.raises(InputError, match=r"egg.*strawberry.*vial"):
+        load_object("pineapple")
+
+
+def test_object_too_low_for_the_fingers_is_refused(tmp_path):
+    path = write(tmp_path, text=OBJECT.format(**GOOD).replace("0 0 0.03", "0 0 0.01").replace("0.02", "0.01"))
+    with pytest.raises(InputError, match="grasp_height_m"):
+        GraspWorld("paper16", path)
+
+
+@pytest.fixture(scope="module")
+def grasp():
+    return GraspWorld("paper16", "egg", mesh=(7, 7))
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -0.01])
+def test_commands_that_are_not_numbers_are_refused(grasp, value):
+    with pytest.raises(InputError, match="opening"):
+        grasp.set_finger_target(value)
+    with pytest.raises(InputError, match="force_limit"):
+        grasp.set_finger_target(0.05, value)
+    with pytest.raises(InputError, match="lift_height"):
+        grasp.set_lift_target(value)
+    with pytest.raises(InputError, match="not a finite control"):
+        grasp.set_control(0, float("nan"))
+    with pytest.raises(InputError, match="supply_gauge"):
+        grasp.open_valve(0, float("nan"))
+
+
+def test_divergence_is_an_error_with_step_and_reason():
+    spec = scene()
+    world = World(spec, [attach(spec, "paper16", site="mount", mesh=(7, 7))])
+    world.step(5)
+    world.data.qvel[10] = np.nan
+    with pytest.raises(SimulationError, match=r"step 6 .*: ") as caught:
+        world.step()
+    assert caught.value.step == 6
+    assert world.time > 0  # no silent reset
+
+
+def test_membrane_pushed_against_the_glass_is_an_error():
+    spec = scene()
+    spec.option.gravity = [0, 0, 0]
+    ball = spec.worldbody.add_body(name="ball", mocap=True, pos=[0, 0, 0.02])
+    ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.008, 0, 0])
+    world = World(spec, [attach(spec, "paper16", site="mount", mesh=(9, 9))])
+    with pytest.raises(SimulationError, match="glass"):
+        for height in np.linspace(0.02, -0.02, 400):
+            world.data.mocap_pos[0, 2] = height
+            world.step()

@@ -1,0 +1,170 @@
+"""Statics of contact: actuator = contact = reaction, left = right, friction = weight, on slides, arms and free bodies."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from mjtactile.design import load_sensor
+from mjtactile.sim import truth
+from mjtactile.sim.attach import attach, recommend_options
+from mjtactile.sim.gripper import GraspWorld
+from mjtactile.sim.world import World
+
+TIMESTEP = 1 / 270
+MESH = (11, 9)  # balance does not depend on the mesh, so take a cheap one
+GRAVITY = 9.81
+
+
+@pytest.fixture(scope="module", params=["egg", "vial", "strawberry"])
+def held(request):
+    """An object held 20 mm above the table with 0.5 N (the strawberry with 0.4 N)."""
+    force = 0.4 if request.param == "strawberry" else 0.5
+    world = GraspWorld("paper16", request.param, timestep=TIMESTEP, mesh=MESH)
+    for i in range(2):
+        world.open_valve(i)
+    world.step(54)
+    for i in range(2):
+        world.close_valve(i)
+    world.set_finger_target(0.02, force)
+    world.step(600)
+    world.grasped_at = truth.object_position(world) - truth.hand_position(world)
+    world.set_lift_target(0.02)
+    world.step(400)
+    return world
+
+
+def forces(world, count=30):
+    """Contact forces on both membranes (2, 3) and the servo's force, averaged over `count` steps."""
+    contact, servo = np.zeros((2, 3)), 0.0
+    for _ in range(count):
+        world.step()
+        contact += [truth.contact_force(world, i) for i in range(2)]
+        servo += world.grip_force
+    return contact / count, servo / count
+
+
+def test_servo_and_both_membranes_agree(held):
+    contact, servo = forces(held)
+    # friction in the slides is viscous and nothing moves; what is left is the solver's tolerance and slow creep
+    assert -contact[0, 2] == pytest.approx(servo, rel=0.01)
+    assert -contact[1, 2] == pytest.approx(servo, rel=0.01)
+    assert contact[0, 2] == pytest.approx(contact[1, 2], rel=0.01)
+
+
+def test_friction_carries_the_weight(held):
+    contact, _ = forces(held)
+    # S has y up on both fingers. 3 %: the object still settles by micrometres, and soft ones swing a little
+    assert -contact[:, 1].sum() == pytest.approx(held.object.mass * GRAVITY, rel=0.03)
+
+
+def test_object_hardly_slips(held):
+    slip = truth.object_position(held) - truth.hand_position(held) - held.grasped_at
+    assert np.linalg.norm(slip) < 0.5e-3  # the rubber shears by about 0.1-0.3 mm under the weight; creep adds little
+
+
+def test_penetration_is_a_small_share_of_the_indentation(held):
+    for i, sensor in enumerate(held.sensors):
+        points = truth.contact_forces(held, i)[1]
+        free_bulge = 2.4e-3  # of this sensor at 1 kPa (test_membrane)
+        indentation = free_bulge - points[:, 2].min()
+        assert truth.penetration(held, i) < 0.05 * indentation, sensor.prefix
+
+
+def test_pressure_rises_alike_in_both_chambers(held):
+    left, right = (truth.pressure_and_volume(held, i)[0] for i in range(2))
+    assert left > 1100.0
+    assert left - 1000 == pytest.approx(right - 1000, rel=0.05)  # the object may sit a little off the middle
+
+
+def test_arm_joints_carry_exactly_the_contact_wrench():
+    """On a rotated six-joint arm the servos' torques are J^T times the contact wrench: gas and rim cancel inside."""
+    spec = mujoco.MjSpec()
+    recommend_options(spec)
+    spec.option.gravity = [0, 0, 0]
+    body = spec.worldbody
+    for i, axis in enumerate(([0, 0, 1], [0, 1, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0])):
+        body = body.add_body(name=f"link{i}", pos=[0, 0, 0.1])
+        body.add_joint(name=f"hinge{i}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis, armature=0.01)
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.02, 0, 0], fromto=[0, 0, 0, 0, 0, 0.1], mass=0.3,
+                      contype=0, conaffinity=0)
+        servo = spec.add_actuator(name=f"servo{i}", target=f"hinge{i}", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        servo.set_to_position(kp=200, kv=10)
+    body.add_site(name="tip", pos=[0, 0, 0.145])
+    ball = spec.worldbody.add_body(name="ball", mocap=True, pos=[2, 0, 0])
+    ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.01, 0, 0])
+    world = World(spec, [attach(spec, "paper16", site="tip", mesh=MESH)])
+    model, data, sensor = world.model, world.data, world.sensors[0]
+    goal = [0.3, -0.6, 0.9, 0.4, -0.5, 0.2]
+    joints = [model.joint(f"hinge{i}") for i in range(6)]
+    for joint, angle in zip(joints, goal, strict=True):
+        data.qpos[joint.qposadr[0]] = angle
+    data.ctrl[:] = goal
+    mujoco.mj_forward(model, data)
+    sensor.open_valve()
+    world.step(60)
+    sensor.close_valve()
+    R_WS, p_WS = data.xmat[sensor.body_id].reshape(3, 3).copy(), data.xpos[sensor.body_id].copy()
+    for height in np.linspace(0.02, 0.0095, 150):
+        data.mocap_pos[0] = p_WS + R_WS @ [0.003, -0.002, height]
+        world.step()
+    world.step(250)
+    R_WS = data.xmat[sensor.body_id].reshape(3, 3)
+    force, torque = R_WS @ truth.contact_force(world, 0), R_WS @ truth.contact_torque(world, 0)
+    jac_p, jac_r = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+    mujoco.mj_jacBody(model, data, jac_p, jac_r, sensor.body_id)
+    dofs = [joint.dofadr[0] for joint in joints]
+    needed = -(jac_p[:, dofs].T @ force + jac_r[:, dofs].T @ torque)
+    assert np.linalg.norm(force) > 0.3
+    np.testing.assert_allclose(data.actuator_force, needed, atol=0.01 * np.abs(needed).max())  # residual motion
+
+
+def test_free_floating_sensor_does_not_accelerate_itself():
+    spec = mujoco.MjSpec()
+    recommend_options(spec)
+    spec.option.gravity = [0, 0, 0]
+    body = spec.worldbody.add_body(name="float", quat=[0.8, 0.3, 0.5, 0.1])
+    body.add_freejoint()
+    body.add_site(name="mount")
+    world = World(spec, [attach(spec, "paper16", site="mount", mesh=MESH)])
+    world.sensors[0].open_valve()
+    world.step(300)
+    world.sensors[0].close_valve()
+    world.step(300)
+    # 1 kPa on 12 cm^2 would drive 50 g at 24 m/s^2: 29 m/s by now
+    assert np.abs(world.data.qvel[:6]).max() < 1e-8
+
+
+def test_one_and_many_sensors_give_the_same_numbers():
+    spec = mujoco.MjSpec()
+    recommend_options(spec)
+    spec.option.gravity = [0, 0, 0]
+    spec.worldbody.add_site(name="a")
+    spec.worldbody.add_site(name="b", pos=[0.3, 0, 0], quat=[0.5, 0.5, -0.5, 0.5])
+    carrier = spec.worldbody.add_body(name="carrier", pos=[0, 0.3, 0])
+    carrier.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, axis=[1, 0, 0], stiffness=[100.0, 0, 0], damping=[1.0, 0, 0])
+    carrier.add_site(name="c", pos=[0, 0, 0.1], quat=[0.9, 0.1, 0.3, 0.2])
+    design = load_sensor("paper16")
+    world = World(spec, [attach(spec, design, site=s, prefix=f"{s}/", mesh=MESH) for s in "abc"])
+    for sensor in world.sensors:
+        sensor.open_valve()
+    world.step(200)
+    shapes = [sensor.p_SV for sensor in world.sensors]
+    # each is solved to the solver's relative tolerance, 1e-6, of 2.4 mm, a few times over
+    np.testing.assert_allclose(shapes[1], shapes[0], atol=2e-8)
+    np.testing.assert_allclose(shapes[2], shapes[0], atol=2e-8)
+
+
+def test_sealed_membrane_at_rest_gains_no_energy():
+    spec = mujoco.MjSpec()
+    recommend_options(spec)
+    spec.worldbody.add_site(name="mount")
+    world = World(spec, [attach(spec, "paper16", site="mount", mesh=MESH)])
+    world.sensors[0].open_valve()
+    world.step(10)  # seal it while it still moves
+    world.sensors[0].close_valve()
+    speeds = []
+    for _ in range(5):
+        world.step(40)
+        speeds.append(np.abs(world.data.qvel).max())
+    assert all(later <= earlier + 1e-7 for earlier, later in zip(speeds, speeds[1:], strict=False))
+    assert speeds[-1] < 1e-6  # m/s; both bounds are the solver's own noise

@@ -1,0 +1,190 @@
+"""Inflated membrane against closed forms; volume, markers, and what the mount must not change."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from mjtactile.design import Chamber, Frame, Membrane, load_sensor
+from mjtactile.sim.attach import attach, recommend_options
+from mjtactile.sim.chamber import ChamberGeometry
+from mjtactile.sim.membrane import MarkerInterpolator, make_mesh
+from mjtactile.sim.world import World
+
+# Rectangle 2a x 2b, p = C1 T0 w0 / a^2 + C2 E h w0^3 / a^4, each term exact where the other vanishes. Recomputed for
+# this project by Ritz, series and finite elements, which agree to 0.01 %: keys are b/a, then Poisson's ratio.
+C1 = {1.0: 3.39345, 4 / 3: 2.66753, 1.5: 2.48086, 2.0: 2.19545}
+C2 = {1.0: {0.3: 2.65658, 0.45: 3.22296}, 4 / 3: {0.3: 1.77660, 0.45: 2.12927},
+      1.5: {0.3: 1.63875, 0.45: 1.94600}, 2.0: {0.3: 1.50873, 0.45: 1.75557}}
+SHORT = 0.03  # m, the shorter side
+
+
+def sensor(aspect=4 / 3, poisson=0.45, pre_stretch=1.05, **chamber):
+    from dataclasses import replace
+
+    base = load_sensor("paper16")
+    return replace(base, frame=Frame(SHORT * aspect, SHORT), chamber=Chamber(depth=0.02, **chamber),
+                   membrane=Membrane(3e-4, 1e6, poisson, 950.0, pre_stretch))
+
+
+def scene(design, mesh=(13, 11), timestep=8e-3, gravity=(0, 0, 0)):
+    """One sensor at rest on the world."""
+    spec = mujoco.MjSpec()
+    recommend_options(spec, timestep)
+    spec.option.gravity = gravity
+    spec.worldbody.add_site(name="mount")
+    return World(spec, [attach(spec, design, site="mount", mesh=mesh)])
+
+
+def settle(world, pressure, speed=1e-6):
+    """Open the valve at `pressure` and step until nothing moves faster than `speed` m/s."""
+    world.sensors[0].open_valve(pressure)
+    for _ in range(100):
+        world.step(10)
+        if np.abs(world.data.qvel).max() < speed:
+            return
+    raise AssertionError("did not settle")
+
+
+def centre_height(world):
+    mesh = world.sensors[0].mesh
+    return world.sensors[0].p_SV[(mesh.nx // 2) * mesh.ny + mesh.ny // 2, 2]
+
+
+@pytest.mark.parametrize("aspect", C1)
+def test_small_bulge_is_the_pretensioned_membranes(aspect):
+    design = sensor(aspect)
+    world = scene(design)
+    pressure = 20.0  # w0 / a < 0.6 %: the cubic term is 1e-4 of the linear one
+    settle(world, pressure, speed=1e-7)
+    theory = pressure * (SHORT / 2) ** 2 / (C1[aspect] * design.membrane.pretension)
+    # 13 x 11 linear triangles: 1.5 %, the project's bound for the default mesh
+    assert centre_height(world) == pytest.approx(theory, rel=0.015)
+
+
+@pytest.mark.parametrize("poisson", [0.3, 0.45])
+@pytest.mark.parametrize("aspect", C2)
+def test_large_bulge_without_pretension_is_cubic(aspect, poisson):
+    design = sensor(aspect, poisson, pre_stretch=1.0)
+    world = scene(design)
+    a, stiffness = SHORT / 2, 1e6 * 3e-4
+    pressure = 1e-3 * stiffness / a  # p a / E h = 1e-3: strains of 0.5 %, where StVK is Hooke
+    settle(world, pressure)
+    theory = a * (pressure * a / (C2[aspect][poisson] * stiffness)) ** (1 / 3)
+    assert centre_height(world) == pytest.approx(theory, rel=0.015)  # as above
+
+
+def test_bulge_converges_at_second_order():
+    design = sensor(1.0)
+    heights, pressure = [], 2.0  # so small that the cubic term, 1e-6 of the linear one, does not hide the mesh's error
+    for n in (9, 17, 33):
+        world = scene(design, mesh=(n, n))
+        settle(world, pressure, speed=1e-9)
+        heights.append(centre_height(world))
+    order = np.log2((heights[1] - heights[0]) / (heights[2] - heights[1]))
+    assert 1.7 < order < 2.3  # linear triangles: 2
+    richardson = heights[2] + (heights[2] - heights[1]) / 3
+    theory = pressure * (SHORT / 2) ** 2 / (C1[1.0] * design.membrane.pretension)
+    assert richardson == pytest.approx(theory, rel=2e-3)  # what second-order extrapolation leaves
+
+
+def test_volume_gradient_is_the_derivative_of_the_volume():
+    mesh = make_mesh(0.04, 0.03, 7, 5)
+    geometry = ChamberGeometry(mesh, 2.4e-5)
+    rng = np.random.default_rng(0)
+    p_SV, direction = mesh.p_SV.copy(), np.zeros_like(mesh.p_SV)
+    p_SV[mesh.interior] += rng.normal(scale=1e-3, size=(len(mesh.interior), 3))
+    direction[mesh.interior] = rng.normal(size=(len(mesh.interior), 3))
+    _, gradient = geometry.volume_and_gradient(p_SV)
+    step = 1e-6
+    high, low = (geometry.volume_and_gradient(p_SV + s * step * direction)[0] for s in (1, -1))
+    # V is a cubic polynomial: central differences err by step^2 only, 1e-12 of the third derivative
+    assert np.sum(gradient * direction[mesh.interior]) == pytest.approx((high - low) / (2 * step), rel=1e-6)
+
+
+def test_volume_of_a_known_surface():
+    mesh = make_mesh(0.04, 0.03, 41, 31)
+    p_SV = mesh.p_SV.copy()
+    p_SV[:, 2] = 2e-3 * np.cos(np.pi * p_SV[:, 0] / 0.04) * np.cos(np.pi * p_SV[:, 1] / 0.03)
+    volume, _ = ChamberGeometry(mesh, 2.4e-5).volume_and_gradient(p_SV)
+    bulge = 2e-3 * (0.04 * 2 / np.pi) * (0.03 * 2 / np.pi)
+    assert volume - 2.4e-5 == pytest.approx(bulge, rel=2e-3)  # chords under arcs: (pi h)^2 / 12 a direction
+
+
+def test_markers_ride_on_the_surface():
+    mesh = make_mesh(0.04, 0.03, 13, 11)
+    at = load_sensor("dense").markers.p_SM
+    x, y = mesh.p_SV[:, 0], mesh.p_SV[:, 1]
+    p_SV = np.column_stack([1.01 * x, y, 2e-3 - 5 * x**2 - 8 * y**2 + 40 * x**3 - 90 * x * y**2])
+    p_SM, n_S = MarkerInterpolator(mesh, at).marker_poses(p_SV)
+    X, Y = at[:, 0], at[:, 1]
+    # a cubic is in the spline's space, so only rounding is left
+    np.testing.assert_allclose(p_SM[:, 2], 2e-3 - 5 * X**2 - 8 * Y**2 + 40 * X**3 - 90 * X * Y**2, atol=1e-12)
+    normal = np.column_stack([-(-10 * X + 120 * X**2 - 90 * Y**2) / 1.01, 16 * Y + 180 * X * Y, np.ones(len(X))])
+    np.testing.assert_allclose(n_S, normal / np.linalg.norm(normal, axis=1, keepdims=True), atol=1e-10)
+
+
+def test_sealed_gas_keeps_its_amount_under_outside_pressure():
+    """Boyle, seen from outside: a plate presses the bulge in; pressure and *independently* taken volume follow p V."""
+    design = sensor()
+    world = pressed(design, depth=2e-3)
+    device = world.sensors[0]
+    mesh, p = device.mesh, device.p_SV
+    a, b, c = (p[mesh.triangles[:, k]] for k in range(3))
+    volume = design.chamber_volume_flat + np.einsum("ti,ti->", a, np.cross(b, c)) / 6
+    device.update()
+    before = world.amount  # p V when the valve closed
+    assert (device.pressure_gauge + design.chamber.ambient) * volume == pytest.approx(before, rel=1e-9)
+    assert device.pressure_gauge > 1200.0  # it did compress: 2 mm of a 25 ml chamber
+
+
+@pytest.mark.parametrize("heat_ratio", [1.0, 1.4])
+def test_gas_stiffness_is_the_slope_of_its_pressure(heat_ratio):
+    from mjtactile.sim.chamber import Gas
+
+    gas = Gas(101325.0, heat_ratio)
+    gas.open(1000.0)
+    gas.close(2.5e-5)
+    _, stiffness = gas.pressure_and_stiffness(2.4e-5)
+    step = 1e-10
+    slope = (gas.pressure_and_stiffness(2.4e-5 - step)[0] - gas.pressure_and_stiffness(2.4e-5 + step)[0]) / (2 * step)
+    assert stiffness == pytest.approx(slope, rel=1e-6)  # central difference of a smooth law
+
+
+def pressed(design, depth, mesh=(13, 11), radius=0.01, timestep=4e-3):
+    """Inflate to 1 kPa, seal, and push a sphere `depth` m into the bulge; returns the settled world."""
+    spec = mujoco.MjSpec()
+    recommend_options(spec, timestep)
+    spec.option.gravity = [0, 0, 0]
+    spec.worldbody.add_site(name="mount")
+    ball = spec.worldbody.add_body(name="ball", mocap=True, pos=[0, 0, 0.1])
+    ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0])
+    world = World(spec, [attach(spec, design, site="mount", mesh=mesh)])
+    device = world.sensors[0]
+    settle(world, 1000.0)
+    device.close_valve()
+    world.amount = (device.pressure_gauge + design.chamber.ambient) * device.volume
+    top = centre_height(world) + design.membrane.thickness / 2 + radius
+    steps = round(0.4 / timestep)
+    for k in range(steps):
+        world.data.mocap_pos[0, 2] = top - depth * (k + 1) / steps
+        world.step()
+    world.step(round(0.4 / timestep))
+    return world
+
+
+def test_contact_force_and_penetration():
+    from mjtactile.sim import truth
+
+    coarse, fine = pressed(sensor(), 2e-3), pressed(sensor(), 2e-3, mesh=(25, 19))
+    force, reference = (-truth.contact_force(w, 0)[2] for w in (coarse, fine))
+    assert truth.penetration(coarse, 0) < 0.05 * 2e-3  # the issue's bound
+    assert force == pytest.approx(reference, rel=0.05)  # the issue's bound for the real-time mesh
+    sideways = truth.contact_force(coarse, 0)[:2]
+    assert np.abs(sideways).max() < 0.01 * force  # pressed at the centre: symmetric
+
+
+def test_flat_when_the_valve_starts():
+    world = scene(sensor(), gravity=(0, 0, -9.81))
+    world.step(100)
+    # its own weight, 2.6 N/m^2 on 28 N/m of tension, sags it by p a^2 / (C1 T0) = 8 um
+    assert np.abs(world.sensors[0].p_SV[:, 2]).max() < 1e-5
