@@ -9,8 +9,6 @@ import time as wall
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from mjtactile.controller import Controller
 from mjtactile.errors import DeviceError
 from mjtactile.rig import Rig
@@ -32,8 +30,9 @@ class Cycle:
     valves: tuple[ValveState, ...]
     wanted: Command
     sent: Command
-    perception_ms: float
     camera_ms: float
+    perception_ms: float
+    controller_ms: float
 
 
 def take_references(rig: Rig, pipelines: Sequence[SensorPipeline], report: Callable[[str], None] = lambda _: None) -> None:
@@ -99,14 +98,11 @@ def _turn(rig: Rig, pipelines: Sequence[SensorPipeline], controller: Controller,
     touch = tuple(pipeline.perceive(image, now) for pipeline, image in zip(pipelines, images, strict=True))
     felt = wall.perf_counter()
     observation = Observation(now, rig.period, touch, rig.gripper.state(), tuple(v.state() for v in rig.valves), last)
+    thought = wall.perf_counter()
     wanted = controller.step(observation)
+    controller_ms = 1e3 * (wall.perf_counter() - thought)
     sent = rig.gripper.command(rig.limits.apply(wanted, last, rig.period))
     sent = replace(sent, phase=wanted.phase, memory=wanted.memory)
     on_cycle(Cycle(now, images, touch, observation.gripper, observation.valves, wanted, sent,
-                   perception_ms=1e3 * (felt - seen), camera_ms=1e3 * (seen - begin)))
+                   1e3 * (seen - begin), 1e3 * (felt - seen), controller_ms))
     return sent
-
-
-def mean_force(touch: Sequence[Touch]) -> float:
-    """Mean normal force over the fingers, N; NaN when any is unknown."""
-    return float(np.mean([t.force_normal for t in touch]))

@@ -145,15 +145,16 @@ class Surface:
 class Traction:
     """Force that the outside world exerts on the membrane, frame S.
 
-    `force` (ny, nx, 3) N per grid node, `force_total` (3,) N, `force_total_sd` (3,) N. A press has a negative z.
-    `pressure_gauge` Pa of the chamber (estimated), `method` names the estimator.
+    `force` (ny, nx, 3) N per grid node; `wrench` (6,) the net force, N, and torque about the origin of S, N m, with
+    `wrench_cov` (6, 6). A press has a negative z. `pressure_gauge` Pa of the chamber (estimated), `method` names the
+    estimator.
     """
 
     x: Array
     y: Array
     force: Array
-    force_total: Array
-    force_total_sd: Array
+    wrench: Array
+    wrench_cov: Array
     pressure_gauge: float
     method: str
     status: Status = "ok"
@@ -161,8 +162,8 @@ class Traction:
     def __post_init__(self) -> None:
         nx, ny = len(_freeze(self, "x", self.x, (None,))), len(_freeze(self, "y", self.y, (None,)))
         _freeze(self, "force", self.force, (ny, nx, 3))
-        _freeze(self, "force_total", self.force_total, (3,))
-        _freeze(self, "force_total_sd", self.force_total_sd, (3,))
+        _freeze(self, "wrench", self.wrench, (6,))
+        _freeze(self, "wrench_cov", self.wrench_cov, (6, 6))
 
 
 @dataclass(frozen=True, eq=False)

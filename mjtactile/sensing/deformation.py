@@ -80,6 +80,12 @@ class MembraneModel:
                                          np.kron(slope[0], value[1]) @ self._kernel,
                                          np.kron(value[0], slope[1]) @ self._kernel])  # (3 Q, N)
 
+    @property
+    def knots(self) -> tuple[Array, Array]:
+        """Grid lines x, y (m) between which the spline is one polynomial."""
+        ax, ay = (np.linspace(-a.length / 2, a.length / 2, a.spans + 1) for a in self._axes)
+        return ax, ay
+
     def basis(self, X: Array) -> Array:
         """Spline basis (N, K) at material points X (N, 2)."""
         a, b = (axis.basis(x) for axis, x in zip(self._axes, X.T, strict=True))

@@ -7,16 +7,18 @@ Statics (`MembraneForce`): the net force that equilibrium demands, from the sens
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from mjtactile.design import SensorDesign
 from mjtactile.sensing.deformation import Fields, MembraneModel
 from mjtactile.types import Array, Markers, Surface
 
-_TAPER_MARGIN = 1.25
+_TAPER_MARGIN = 1.25  # width of the test function's fall, in marker pitches: at least one marker must see it
+_INFORMATIVE_PRESSURE = 100.0  # Pa; below, the bulge is too small to tell the stiffness
 
 
 def integral_force(area_change: float, constant: float) -> float:
@@ -55,96 +57,107 @@ def _spring_pull(surface: Surface, tension: float) -> Array:
 class RestState:
     """What the sensor measured of itself with nothing touching: gas `volume` m^3 (chamber and bulge), absolute
     `pressure` Pa, the factor `stiffness_scale` that makes its elastic forces balance the pressure, the remaining
-    force `offset` (3,) N, and the sensitivities `jacobian` (3, 3 N) of the force to marker positions."""
+    wrench `offset` (6,), and the sensitivities `jacobian` (6, N, 3) of the wrench to marker positions. `sealed`: the gas
+    is kept; otherwise the valve keeps the pressure."""
 
     volume: float
     pressure: float
     stiffness_scale: float
     offset: Array
     jacobian: Array
+    sealed: bool = True
 
 
 class MembraneForce:
-    """Net contact force by the weak form of equilibrium (docs/equations.md, Eq. F5).
+    """Net contact wrench by the weak form of equilibrium (docs/equations.md, Eq. F5, F6).
 
     For a test function phi that is 1 over the contact and 0 on the frame, the virtual work of the membrane's stress,
-    of the gas and of the contact cancel:  F = int P grad(phi) dX - p int N phi dX.  It needs slopes only where phi
-    falls, so noise in curvature does not enter. The pressure follows from the reconstructed volume by p V^gamma.
+    of the gas and of the contact cancel:  F = int P grad(phi) dX - p int phi N dX, and with x cross both integrands
+    the torque. It needs slopes only where phi falls, so noise in curvature does not enter. The pressure follows from
+    the reconstructed volume by p V^gamma = constant.
     """
 
     def __init__(self, model: MembraneModel):
         self.model, self.design = model, model.design
         markers = self.design.markers
-        taper = _TAPER_MARGIN * max(markers.pitch_x, markers.pitch_y)
-        self._phi, self._grad_phi = model.plateau(taper)
+        self._phi, self._grad_phi = model.plateau(_TAPER_MARGIN * max(markers.pitch_x, markers.pitch_y))
 
-    def pressure(self, volume: float, rest: RestState) -> float:
-        """Absolute gas pressure, Pa, from gas volume, m^3: p V^gamma = constant (Eq. G1)."""
-        return rest.pressure * (rest.volume / volume) ** self.design.chamber.heat_ratio
+    def pressure_gauge(self, fields: Fields, rest: RestState) -> float:
+        """Gauge pressure, Pa, from the gas volume under the membrane (Eq. G1)."""
+        if not rest.sealed:
+            return rest.pressure - self.design.chamber.ambient
+        ratio = rest.volume / self.gas_volume(fields)
+        return rest.pressure * ratio**self.design.chamber.heat_ratio - self.design.chamber.ambient
 
     def gas_volume(self, fields: Fields) -> float:
+        """Chamber and bulge, m^3."""
         return self.design.chamber_volume_flat + self.model.volume(fields)
 
     def _terms(self, fields: Fields) -> tuple[Array, Array]:
-        """Weak-form elastic force (3,) N and the vector area (3,) m^2 that the pressure acts on."""
+        """Elastic wrench (6,), and the wrench (6,) of one pascal of pressure."""
         w = self.model.weights
-        elastic = np.einsum("q,qia,qa->i", w, self.model.first_piola(fields), self._grad_phi)
-        return elastic, (w * self._phi) @ fields.normal_area
+        stress = np.einsum("qia,qa->qi", self.model.first_piola(fields), self._grad_phi)
+        area = self._phi[:, None] * fields.normal_area
+        return (np.concatenate([w @ stress, w @ np.cross(fields.x, stress)]),
+                np.concatenate([w @ area, w @ np.cross(fields.x, area)]))
 
-    def rest_state(self, markers: Markers, pressure_gauge: float) -> RestState:
+    def rest_state(self, markers: Markers, pressure_gauge: float, *, sealed: bool = True) -> RestState:
         """Calibrate on a state with nothing touching and a known gauge pressure, Pa.
 
         The ratio of pressure force to elastic force absorbs an error of Young's modulus, thickness or pre-stretch. A
         flat membrane (no pressure) carries no information on stiffness: then the design's value stands.
         """
-        fields = self.model.fields(self.model.fit(markers.ids, markers.p_SM))
-        elastic, vector_area = self._terms(fields)
-        push = pressure_gauge * vector_area[2]
-        scale = push / elastic[2] if pressure_gauge > 100 and elastic[2] > 0 else 1.0
-        offset = scale * elastic - pressure_gauge * vector_area
-        rest = RestState(self.gas_volume(fields), self.design.chamber.ambient + pressure_gauge, float(scale), offset,
-                         np.zeros((3, 3 * len(markers))))
-        jacobian = self._jacobian(markers, rest)
-        return RestState(rest.volume, rest.pressure, rest.stiffness_scale, rest.offset, jacobian)
+        fields = self._fields(markers.ids, markers.p_SM)
+        elastic, push = self._terms(fields)
+        informative = pressure_gauge > _INFORMATIVE_PRESSURE and elastic[2] > 0
+        scale = float(pressure_gauge * push[2] / elastic[2]) if informative else 1.0
+        rest = RestState(self.gas_volume(fields), self.design.chamber.ambient + pressure_gauge, scale,
+                         scale * elastic - pressure_gauge * push, np.zeros((6, 0, 3)), sealed)
+        return replace(rest, jacobian=self._jacobian(markers, rest))
 
     def _jacobian(self, markers: Markers, rest: RestState) -> Array:
-        """dF/dp_SM at rest by central differences over marker coordinates, (3, 3 N); the noise model's only input."""
-        step, columns = 1e-5, []
-        for index in range(3 * len(markers)):
-            shift = np.zeros(3 * len(markers))
-            shift[index] = step
-            shift = shift.reshape(-1, 3)
-            plus = self.force(markers.ids, markers.p_SM + shift, rest)[0]
-            minus = self.force(markers.ids, markers.p_SM - shift, rest)[0]
-            columns.append((plus - minus) / (2 * step))
-        return np.array(columns).T
+        """d(wrench)/d(p_SM) at rest by central differences, (6, N, 3) over all the layout's markers."""
+        step, jacobian = 1e-5, np.zeros((6, self.design.markers.count, 3))
+        for row, marker in enumerate(markers.ids):
+            for axis in range(3):
+                shift = np.zeros_like(markers.p_SM)
+                shift[row, axis] = step
+                plus, minus = (self.wrench(markers.ids, markers.p_SM + s * shift, rest)[0] for s in (1, -1))
+                jacobian[:, marker, axis] = (plus - minus) / (2 * step)
+        return jacobian
 
-    def force(self, ids: np.ndarray, p_SM: Array, rest: RestState) -> tuple[Array, float]:
-        """Net contact force (3,) N on the membrane in S, and the gauge pressure, Pa."""
-        fields = self.model.fields(self.model.fit(ids, p_SM))
-        elastic, vector_area = self._terms(fields)
-        gauge = self.pressure(self.gas_volume(fields), rest) - self.design.chamber.ambient
-        return rest.stiffness_scale * elastic - gauge * vector_area - rest.offset, gauge
+    def _fields(self, ids: NDArray[np.int64], p_SM: Array) -> Fields:
+        return self.model.fields(self.model.fit(ids, p_SM))
 
-    def force_sd(self, markers: Markers, rest: RestState) -> Array:
-        """Standard deviation (3,) N that the marker covariances imply."""
-        J = rest.jacobian.reshape(3, -1, 3)
-        seen = np.minimum(markers.ids, J.shape[1] - 1)
-        return np.sqrt(np.einsum("fni,nij,fnj->f", J[:, seen], markers.cov_p, J[:, seen]))
+    def wrench(self, ids: NDArray[np.int64], p_SM: Array, rest: RestState) -> tuple[Array, float]:
+        """Net contact wrench (6,) on the membrane in S (N, N m), and the gauge pressure, Pa, from marker positions."""
+        return self.wrench_of(self._fields(ids, p_SM), rest)
+
+    def wrench_of(self, fields: Fields, rest: RestState) -> tuple[Array, float]:
+        """The same from the deformation itself."""
+        elastic, push = self._terms(fields)
+        gauge = self.pressure_gauge(fields, rest)
+        return rest.stiffness_scale * elastic - gauge * push - rest.offset, gauge
+
+    def wrench_cov(self, markers: Markers, rest: RestState) -> Array:
+        """Covariance (6, 6) that the marker covariances imply."""
+        J = rest.jacobian[:, markers.ids]
+        return np.einsum("fni,nij,gnj->fg", J, markers.cov_p, J, optimize=True)
 
 
 class GridForce:
-    """Contact force on each node of a Cartesian grid: the same weak form, tested with the grid's bilinear hats.
+    """Contact force on each node of the spline's knot grid: the same weak form, tested with the grid's bilinear hats.
 
     The hats of the inner nodes sum to one away from the frame, so the nodal forces add up to the net force of a
     contact that does not reach the outermost ring of cells.
     """
 
-    def __init__(self, estimator: MembraneForce, x: Array, y: Array):
-        self._estimator, self.x, self.y = estimator, x, y
+    def __init__(self, estimator: MembraneForce):
+        self._estimator = estimator
         model = estimator.model
-        hx, sx = _hats(x, model.X[:, 0])
-        hy, sy = _hats(y, model.X[:, 1])
+        self.x, self.y = model.knots
+        hx, sx = hats(self.x, model.X[:, 0])
+        hy, sy = hats(self.y, model.X[:, 1])
         w = model.weights[:, None]
         self._hat, self._hat_1, self._hat_2 = (
             csr_matrix((w * (b[:, :, None] * a[:, None, :]).reshape(len(w), -1)).T)
@@ -160,7 +173,7 @@ class GridForce:
         return nodal
 
 
-def _hats(knots: Array, at: Array) -> tuple[Array, Array]:
+def hats(knots: Array, at: Array) -> tuple[Array, Array]:
     """Values and slopes (len(at), len(knots)) of the piecewise linear hats on `knots`."""
     step = knots[1] - knots[0]
     distance = (at[:, None] - knots) / step

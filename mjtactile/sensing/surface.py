@@ -1,0 +1,324 @@
+"""The membrane's shape from marker poses: a smoothing spline fitted straight to the markers, and the paper's route.
+
+`SurfaceFitter` (default): a tensor-product cubic B-spline z(x, y) over the frame's opening whose boundary coefficients
+are left out, so that it is exactly zero on the frame. Its coefficients c minimise
+
+    sum ((z(x_i, y_i) - z_i) / sd_i)^2 + sum |(grad z - slope_i) / sd_slope_i|^2 + integral (|grad lap z| / g)^2 / A
+                                                                                 + integral (lap z / k)^2 / A
+
+The third term is the membrane's physics: where nothing touches, a sheet of uniform tension under uniform pressure has
+a constant Laplacian (Young-Laplace), so that inflating or pumping costs nothing, and under a ball it is constant again
+(2 / R). `g` is the rms gradient of the Laplacian to expect (contact edges make it), A the opening's area. The fourth
+term only keeps the fit finite where markers are missing. Read as a Gaussian process, the inverse Hessian is the
+coefficients' covariance, from which heights, area and volume get their uncertainties.
+
+`reconstruct_delaunay` (paper, II-B.3): Delaunay triangles of the marker centres and points on the frame, barycentric
+interpolation on a Cartesian grid, B-spline surface through it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import BSpline, LinearNDInterpolator, PPoly, RectBivariateSpline
+from scipy.linalg import lapack
+
+from mjtactile import geometry
+from mjtactile.design import Frame, SensorDesign
+from mjtactile.types import Array, Markers, Surface
+
+GRID_STEP = 1e-3
+"""Largest spacing of the height grid, m."""
+ROUGHNESS, LAPLACIAN = 3e3, 300.0
+"""Expected rms gradient of the Laplacian, 1/m^2, and Laplacian, 1/m: see the module docstring."""
+MARKERS_MIN = 4
+"""Fewer markers than this give a surface whose status is not "ok"."""
+_DEGREE, _QUADRATURE = 3, 3
+_ASPECT_PER_DEPTH = 3.0
+"""sd of an ellipse's axis ratio over the relative sd of its depth. An outline with independent radial errors gives
+2 sqrt(2) / sqrt(3) = 1.6 (mean radius against second harmonic); real outlines are also blurred and pixelated."""
+_SLOPE_SD_MAX = 0.01  # a slope known worse than this says less than the heights do, and is left out
+_OUTLIER_SD, _OUTLIER_MIN = 6.0, 0.3e-3  # a marker this far off the others' surface is left out: sd, and m
+
+
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """Cubic B-splines on [-half, half] over `intervals` equal intervals, without the two that do not vanish at the
+    ends; there are intervals + 1."""
+
+    half: float
+    intervals: int
+    pieces: Array  # (interval, power, local spline): polynomials in the distance from the interval's left end
+
+    @classmethod
+    def build(cls, length: float, intervals: int) -> Basis:
+        breaks = np.linspace(-length / 2, length / 2, intervals + 1)
+        knots = np.concatenate([[breaks[0]] * _DEGREE, breaks, [breaks[-1]] * _DEGREE])
+        pieces = np.zeros((intervals, _DEGREE + 1, _DEGREE + 1))
+        for j in range(intervals + _DEGREE):
+            unit = BSpline(knots, np.eye(intervals + _DEGREE)[j], _DEGREE)
+            powers = PPoly.from_spline(unit).c[::-1, _DEGREE : _DEGREE + intervals]
+            for k in range(max(j - _DEGREE, 0), min(j + 1, intervals)):
+                pieces[k, :, j - k] = powers[:, k]
+        return cls(length / 2, intervals, pieces)
+
+    @property
+    def count(self) -> int:
+        return self.intervals + _DEGREE - 2
+
+    def at(self, x: ArrayLike, derivative: int = 0) -> Array:
+        """Values (N, count) of the splines or of a derivative at `x` (N,) m; `x` is cut to the opening."""
+        x = np.clip(np.asarray(x, dtype=float), -self.half, self.half) + self.half
+        h = 2 * self.half / self.intervals
+        k = np.clip((x / h).astype(np.int64), 0, self.intervals - 1)
+        t = x - k * h
+        powers = np.zeros((len(x), _DEGREE + 1))
+        factor = 1.0
+        for p in range(derivative, _DEGREE + 1):
+            factor = float(np.prod(np.arange(p, p - derivative, -1)))
+            powers[:, p] = factor * t ** (p - derivative)
+        values = np.zeros((len(x), self.intervals + _DEGREE))
+        values[np.arange(len(x))[:, None], k[:, None] + np.arange(_DEGREE + 1)] = (
+            powers[:, None, :] @ self.pieces[k])[:, 0]
+        return values[:, 1:-1]
+
+    def quadrature(self) -> tuple[Array, Array]:
+        """Gauss-Legendre nodes and weights, three per interval: exact for products of two splines' derivatives up to
+        degree 5, and to 1e-6 for products of two cubics."""
+        node, weight = np.polynomial.legendre.leggauss(_QUADRATURE + 1)
+        h = 2 * self.half / self.intervals
+        left = -self.half + h * np.arange(self.intervals)[:, None]
+        return (left + h * (node + 1) / 2).ravel(), np.tile(h / 2 * weight, self.intervals)
+
+
+@dataclass(frozen=True, eq=False)
+class Spline:
+    """A fitted surface: `coefficients` (ny, nx) m of z(x, y) = sum B_j(y) c_ji B_i(x), zero on the frame, in S."""
+
+    fitter: SurfaceFitter
+    coefficients: Array
+    cholesky: Array  # lower triangular factor of the coefficients' inverse covariance
+    status: str
+
+    def evaluate(self, x: ArrayLike, y: ArrayLike, dx: int = 0, dy: int = 0) -> Array:
+        """z or its derivative of order (dx, dy) at points `x`, `y` (N,) m."""
+        across, down = self.fitter.basis_x.at(x, dx), self.fitter.basis_y.at(y, dy)
+        return ((down @ self.coefficients) * across).sum(axis=1)
+
+    def normals(self, x: ArrayLike, y: ArrayLike) -> Array:
+        """Unit normals (N, 3) towards the camera at points `x`, `y` (N,) m."""
+        return geometry.normal_from_slope(self.evaluate(x, y, 1, 0), self.evaluate(x, y, 0, 1))
+
+    def grid(self, dx: int = 0, dy: int = 0) -> Array:
+        """z or its derivative of order (dx, dy) on the fitter's grid, (ny, nx)."""
+        return self.fitter.grid_y[dy] @ self.coefficients @ self.fitter.grid_x[dx].T
+
+    def mean_curvature(self) -> Array:
+        """Mean curvature H (ny, nx) 1/m on the grid; positive where the membrane is hollow seen from outside (+z).
+
+        Do Carmo, Differential Geometry of Curves and Surfaces, 3-3, example 5 (Monge patch).
+        """
+        p, q = self.grid(1, 0), self.grid(0, 1)
+        top = (1 + q * q) * self.grid(2, 0) - 2 * p * q * self.grid(1, 1) + (1 + p * p) * self.grid(0, 2)
+        return top / (2 * (1 + p * p + q * q) ** 1.5)
+
+    def height_sd(self, x: ArrayLike, y: ArrayLike) -> Array:
+        """Standard deviation (N,) m of z at points `x`, `y` (N,) m."""
+        rows = self.fitter.rows(x, y)
+        half, _ = lapack.dtrtrs(self.cholesky, rows.T, lower=True)
+        return np.sqrt((half**2).sum(axis=0))
+
+    def surface(self) -> Surface:
+        """Heights on the grid, area and volume by Gauss quadrature, and their uncertainties to first order."""
+        f, c = self.fitter, self.coefficients
+        z_x, z_y = f.quad_y[0] @ c @ f.quad_x[1].T, f.quad_y[1] @ c @ f.quad_x[0].T
+        stretch = np.sqrt(1 + z_x * z_x + z_y * z_y)
+        area_c = (f.quad_y[0].T @ (f.weights * z_x / stretch) @ f.quad_x[1]
+                  + f.quad_y[1].T @ (f.weights * z_y / stretch) @ f.quad_x[0])
+        gradients = np.column_stack([f.stiffness_root, area_c.ravel(), f.volume_c.ravel()])
+        half, _ = lapack.dtrtrs(self.cholesky, gradients, lower=True)
+        *rough, area_var, volume_var = np.einsum("ij,ij->j", half, half).tolist()
+        # noise makes a flat sheet's area larger, to second order: E = trace(stiffness covariance) / 2
+        rough = sum(rough) / 2
+        area_sd, volume_sd = float(np.sqrt(area_var + rough**2)), float(np.sqrt(volume_var))
+        return Surface(f.x, f.y, self.grid(), float((f.weights * stretch).sum()), float((f.volume_c * c).sum()),
+                       area_sd, volume_sd, self.status)
+
+
+@dataclass(frozen=True, eq=False)
+class _Terms:
+    """Normal equations of weighted observations: A^T A, A^T b, b^T b, the number of rows, and of markers."""
+
+    normal: Array
+    right: Array
+    square: float
+    rows: int
+    markers: int
+
+    @classmethod
+    def of(cls, A: Array, b: Array, markers: int) -> _Terms:
+        return cls(A.T @ A, A.T @ b, float(b @ b), len(b), markers)
+
+    def __add__(self, other: _Terms) -> _Terms:
+        return _Terms(self.normal + other.normal, self.right + other.right, self.square + other.square,
+                      self.rows + other.rows, self.markers + other.markers)
+
+
+class SurfaceFitter:
+    """Fits splines for one sensor; keeps the tables that do not depend on the frame of video.
+
+    `roughness` 1/m^2 and `laplacian` 1/m are the rms values g and k to expect (module docstring). `intervals` (x, y)
+    of the spline: by default one more than the markers in a row, and no fewer than 8.
+    """
+
+    def __init__(self, design: SensorDesign, *, roughness: float = ROUGHNESS, laplacian: float = LAPLACIAN,
+                 intervals: tuple[int, int] | None = None, grid_step: float = GRID_STEP):
+        frame, layout, self.distance = design.frame, design.markers, design.camera.distance
+        nx, ny = intervals or (max(8, layout.columns + 1), max(8, layout.rows + 1))
+        self.basis_x, self.basis_y = Basis.build(frame.length, nx), Basis.build(frame.width, ny)
+        self.x, self.y = grid_of(frame, grid_step)
+        self.grid_x = [self.basis_x.at(self.x, d) for d in range(3)]
+        self.grid_y = [self.basis_y.at(self.y, d) for d in range(3)]
+        (qx, wx), (qy, wy) = self.basis_x.quadrature(), self.basis_y.quadrature()
+        self.quad_x = [self.basis_x.at(qx, d) for d in range(4)]
+        self.quad_y = [self.basis_y.at(qy, d) for d in range(4)]
+        self.weights = wy[:, None] * wx
+        self.volume_c = self.quad_y[0].T @ self.weights @ self.quad_x[0]
+        self.stiffness_root = np.linalg.cholesky(self._energy(wx, wy, ((1, 0),), ((0, 1),)))
+        area = frame.length * frame.width
+        self.prior = (self._energy(wx, wy, ((3, 0), (1, 2)), ((2, 1), (0, 3))) / (roughness**2 * area)
+                      + self._energy(wx, wy, ((2, 0), (0, 2))) / (laplacian**2 * area))
+
+    def fit(self, markers: Markers, *, normals: bool = True) -> Surface:
+        """The surface through identified markers; see `fit_spline`."""
+        return self.fit_spline(markers.p_SM, markers.cov_p, markers.n_S if normals else None).surface()
+
+    def fit_spline(self, p_SM: ArrayLike, cov_p: ArrayLike | None = None, n_S: ArrayLike | None = None) -> Spline:
+        """Fit markers at `p_SM` (N, 3) m with covariance `cov_p` (N, 3, 3) m^2 (default: 10 um) in S.
+
+        With normals `n_S` (N, 3) of either sign their slopes count too, where they are known well enough
+        (`slope_sd_of`, at the tilts of a first fit without them: the measured tilts would favour their own errors).
+        A marker that is not finite, or far off the surface of the others, is left out.
+        """
+        p = np.asarray(p_SM, dtype=float).reshape(-1, 3)
+        variance = np.full(len(p), 1e-10) if cov_p is None else np.asarray(cov_p, dtype=float)[:, 2, 2]
+        good = np.isfinite(p).all(axis=1) & (variance > 0)
+        p, variance = p[good], variance[good]
+        heights = self._terms(p, variance)
+        spline = self._solve(heights)
+        off = np.abs(p[:, 2] - spline.evaluate(p[:, 0], p[:, 1]))
+        fits = off <= np.maximum(_OUTLIER_SD * np.sqrt(variance), _OUTLIER_MIN)
+        if not fits.all():
+            p, variance = p[fits], variance[fits]
+            heights = self._terms(p, variance)
+            spline = self._solve(heights)
+        if n_S is None:
+            return spline
+        slope = geometry.slope_from_normal(np.asarray(n_S, dtype=float)[good][fits])
+        sd = self._slope_sd(spline, p, variance)
+        use = np.isfinite(slope).all(axis=1) & (sd < _SLOPE_SD_MAX)
+        return self._solve(heights + self._slope_terms(p[use], slope[use], sd[use])) if use.any() else spline
+
+    def _slope_sd(self, spline: Spline, p: Array, variance: Array) -> Array:
+        p_CM = p + [0.0, 0.0, self.distance]
+        far = np.sqrt(np.einsum("ni,ni->n", p_CM, p_CM))
+        return slope_sd_of(spline.normals(p[:, 0], p[:, 1]), p_CM / far[:, None],
+                           _ASPECT_PER_DEPTH * np.sqrt(variance) / far)
+
+    def rows(self, x: ArrayLike, y: ArrayLike, dx: int = 0, dy: int = 0) -> Array:
+        """Design matrix (N, ny * nx): z or its derivative of order (dx, dy) at `x`, `y` (N,) m per coefficient."""
+        return _products(self.basis_y.at(y, dy), self.basis_x.at(x, dx))
+
+    def _terms(self, p: Array, variance: Array) -> _Terms:
+        scale = 1 / np.sqrt(variance)
+        return _Terms.of(self.rows(p[:, 0], p[:, 1]) * scale[:, None], p[:, 2] * scale, len(p))
+
+    def _slope_terms(self, p: Array, slope: Array, sd: Array) -> _Terms:
+        rows = np.concatenate([self.rows(p[:, 0], p[:, 1], 1, 0), self.rows(p[:, 0], p[:, 1], 0, 1)])
+        scale = np.tile(1 / sd, 2)
+        return _Terms.of(rows * scale[:, None], slope.T.ravel() * scale, 0)
+
+    def _solve(self, terms: _Terms) -> Spline:
+        cholesky, fault = lapack.dpotrf(terms.normal + self.prior, lower=True, overwrite_a=True)
+        if fault:  # the prior is positive definite: only absurd weights come here
+            raise np.linalg.LinAlgError("normal equations of the surface are not positive definite")
+        c, _ = lapack.dpotrs(cholesky, terms.right, lower=True)
+        # what the splines cannot follow (the edge of a contact) shows as residuals larger than their noise: Birge 1932
+        squares = c @ terms.normal @ c - 2 * (c @ terms.right) + terms.square
+        cholesky /= np.sqrt(max(1.0, squares / max(terms.rows, 1)))
+        few = terms.markers < MARKERS_MIN
+        status = f"too few markers: {terms.markers} of at least {MARKERS_MIN}" if few else "ok"
+        return Spline(self, c.reshape(self.basis_y.count, self.basis_x.count), cholesky, status)
+
+    def _energy(self, wx: Array, wy: Array, *terms: tuple[tuple[int, int], ...]) -> Array:
+        """Matrix of the integral of sum over `terms` of (d1 z + d2 z + ...)^2, each d an order of derivative (x, y)."""
+        def gram(tables: list[Array], w: Array, a: int, b: int) -> Array:
+            return tables[a].T @ (w[:, None] * tables[b])
+
+        total = np.zeros((self.basis_x.count * self.basis_y.count,) * 2)
+        for pair in terms:
+            for ax, ay in pair:
+                for bx, by in pair:
+                    total += np.kron(gram(self.quad_y, wy, ay, by), gram(self.quad_x, wx, ax, bx))
+        return total
+
+
+def slope_sd_of(n: ArrayLike, view: ArrayLike, aspect_sd: ArrayLike) -> Array:
+    """Standard deviation (N,) of the slopes of markers with unit normals `n`, seen along unit rays `view` (N, 3).
+
+    The tilt t against the line of sight comes from the ellipse's axis ratio cos(t), known to `aspect_sd` (N,):
+    d t = aspect_sd / sin(t), and face-on at most sqrt(2 aspect_sd); the turn of the ellipse costs up to twice that.
+    A slope is tan of an angle to the axis: d tan = d t / n_z^2.
+    """
+    n, aspect_sd = np.asarray(n, dtype=float), np.asarray(aspect_sd, dtype=float)
+    sine2 = 1 - np.einsum("ni,ni->n", n, np.asarray(view, dtype=float)) ** 2
+    return 2 * aspect_sd / np.sqrt(np.maximum(sine2, 2 * aspect_sd)) / np.maximum(n[:, 2] ** 2, 1e-6)
+
+
+def grid_of(frame: Frame, step: float = GRID_STEP) -> tuple[Array, Array]:
+    """Grid lines x (nx,), y (ny,) m over the opening, frame included, at most `step` apart."""
+    nx, ny = (int(np.ceil(size / step - 1e-9)) + 1 for size in (frame.length, frame.width))
+    return np.linspace(-frame.length / 2, frame.length / 2, nx), np.linspace(-frame.width / 2, frame.width / 2, ny)
+
+
+def reconstruct_delaunay(design: SensorDesign, p_SM: ArrayLike, *, grid_step: float = GRID_STEP,
+                         smoothing: float = 0.0) -> Surface:
+    """The paper's route: triangles, barycentric grid with the frame as boundary, B-spline surface.
+
+    `p_SM` (N, 3) m. The "low resolution" grid that the spline goes through has half the markers' pitch. `smoothing`
+    is FITPACK's sum of squared residuals, m^2. The paper gives no uncertainty: `area_sd`, `volume_sd` are NaN.
+    """
+    p_SM = np.asarray(p_SM, dtype=float).reshape(-1, 3)
+    p_SM = p_SM[np.isfinite(p_SM).all(axis=1)]
+    frame, layout = design.frame, design.markers
+    rim = _rim_points(frame, layout.columns + 1, layout.rows + 1)
+    heights = LinearNDInterpolator(np.concatenate([p_SM[:, :2], rim]), np.append(p_SM[:, 2], np.zeros(len(rim))))
+    coarse_x = np.linspace(-frame.length / 2, frame.length / 2, 2 * layout.columns + 3)
+    coarse_y = np.linspace(-frame.width / 2, frame.width / 2, 2 * layout.rows + 3)
+    z = np.nan_to_num(heights(*np.meshgrid(coarse_x, coarse_y)))
+    z[[0, -1]] = 0.0
+    z[:, [0, -1]] = 0.0
+    spline = RectBivariateSpline(coarse_y, coarse_x, z, s=smoothing)
+    (qx, wx), (qy, wy) = (Basis.build(size, 2 * n + 2).quadrature()
+                          for size, n in ((frame.length, layout.columns), (frame.width, layout.rows)))
+    stretch = np.sqrt(1 + spline(qy, qx, dy=1) ** 2 + spline(qy, qx, dx=1) ** 2)
+    area, volume = float(wy @ stretch @ wx), float(wy @ spline(qy, qx) @ wx)
+    x, y = grid_of(frame, grid_step)
+    few = f"too few markers: {len(p_SM)} of at least {MARKERS_MIN}"
+    return Surface(x, y, spline(y, x), area, volume, np.nan, np.nan, few if len(p_SM) < MARKERS_MIN else "ok")
+
+
+def _rim_points(frame: Frame, nx: int, ny: int) -> Array:
+    """Points (M, 2) all round the opening, nx and ny to a side."""
+    t, s = np.linspace(-1, 1, nx, endpoint=False)[:, None], np.linspace(-1, 1, ny, endpoint=False)[:, None]
+    one_t, one_s = np.ones_like(t), np.ones_like(s)
+    square = np.concatenate([np.hstack([t, -one_t]), np.hstack([one_s, s]),
+                             np.hstack([-t, one_t]), np.hstack([-one_s, -s])])
+    return square * [frame.length / 2, frame.width / 2]
+
+
+def _products(down: Array, across: Array) -> Array:
+    """Row-wise Kronecker product (N, ny * nx) of (N, ny) and (N, nx)."""
+    return (down[:, :, None] * across[:, None, :]).reshape(len(down), down.shape[1] * across.shape[1])
