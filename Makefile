@@ -1,0 +1,75 @@
+# Everything is set up by these targets: they make .venv from the locked dependencies and install this package in it.
+# Needed beforehand: Python 3.11+, git, make. `make` alone lists the targets.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DEFAULT_GOAL := help
+.PHONY: help venv grasp bench test lint types contracts pytest lock clean
+
+# The first of these that is Python 3.11 or newer; override with `make PYTHON=/path/to/python`.
+PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 python; do \
+	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
+OUT ?= runs/grasp
+ARGS ?=
+
+help:  ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 18
+
+grasp: $(VENV)/.run-ready  ## grasp an egg in simulation; results in runs/grasp (ARGS="--object vial" and so on)
+	$(BIN)/mjtactile grasp --out $(OUT) $(ARGS)
+
+bench: $(VENV)/.run-ready  ## measure the grasp and the perception; tables and plots in bench-results
+	$(BIN)/mjtactile bench grasp --out bench-results $(ARGS)
+	$(BIN)/mjtactile bench perception --out bench-results $(ARGS)
+
+test: lint types contracts pytest  ## lint, types, import contracts, tests: all that CI runs
+
+lint: $(VENV)/.test-ready  ## style and likely bugs (ruff)
+	$(BIN)/ruff check .
+
+types: $(VENV)/.test-ready  ## types (pyright)
+	$(BIN)/pyright --warnings --level error
+
+contracts: $(VENV)/.test-ready  ## who may import whom (import-linter)
+	$(BIN)/lint-imports --no-cache
+
+pytest: $(VENV)/.test-ready  ## the tests alone (ARGS="-k name" and so on)
+	$(BIN)/pytest $(ARGS)
+
+venv: $(VENV)/.test-ready  ## the virtual environment with everything, for development
+
+# Three steps, each remade when what it depends on changes: an empty environment, what a run needs, what tests need.
+$(VENV)/bin/python:
+	@[ -n "$(PYTHON)" ] || { echo "make: no Python 3.11 or newer found; set PYTHON=/path/to/python" >&2; exit 2; }
+	@$(PYTHON) -m venv $(VENV) >/dev/null 2>&1 \
+	|| { rm -rf $(VENV); $(PYTHON) -m venv --without-pip $(VENV) && $(PYTHON) -m pip --quiet --python $(BIN)/python install pip; } \
+	|| { rm -rf $(VENV); echo "make: $(PYTHON) cannot make a virtual environment: it lacks both ensurepip and pip" \
+	     "(on Debian and Ubuntu: apt install python3-venv)" >&2; exit 2; }
+
+$(VENV)/.run-ready: requirements.lock pyproject.toml | $(VENV)/bin/python
+	@echo "make: installing mjtactile and its locked dependencies into $(VENV)"
+	@$(PIP) install -r requirements.lock
+	@$(PIP) install --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(VENV)/.test-ready: requirements-dev.lock $(VENV)/.run-ready
+	@echo "make: installing the locked test tools into $(VENV)"
+	@$(PIP) install -r requirements-dev.lock
+	@touch $@
+
+lock:  ## renew requirements*.lock from pyproject.toml (newest versions that fit)
+	rm -rf build/lock && $(PYTHON) -m venv build/lock
+	build/lock/bin/pip --quiet install 'hatchling>=1.27' --editable '.[plots]'
+	build/lock/bin/pip freeze --exclude-editable --exclude pip --exclude setuptools > build/run.txt
+	build/lock/bin/pip --quiet install --editable '.[plots,dev]'
+	build/lock/bin/pip freeze --exclude-editable --exclude pip --exclude setuptools > build/all.txt
+	(echo '# What a run needs. Made by `make lock`; do not edit.'; cat build/run.txt) > requirements.lock
+	(echo '# What `make test` needs on top. Made by `make lock`; do not edit.'; \
+	 echo '-r requirements.lock'; grep -vxFf build/run.txt build/all.txt) > requirements-dev.lock
+
+clean:  ## remove the environment, caches and build leftovers (results in runs/ stay)
+	rm -rf $(VENV) build dist .pytest_cache .ruff_cache .import_linter_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

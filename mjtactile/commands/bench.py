@@ -1,0 +1,67 @@
+"""`mjtactile bench`: measure, write a table, a JSON and plots."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+from pathlib import Path
+
+from mjtactile.commands.output import prepare_folder, print_json, stdout_to_stderr
+from mjtactile.errors import InputError
+from mjtactile.progress import Progress
+from mjtactile.recording import write_json
+
+HELP = "measure accuracy and speed; writes a table, a JSON and plots"
+DESCRIPTION = """\
+Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
+  grasp       every shipped object with seeds 0-9: outcome, force error, real-time factor
+              and where the time goes
+  perception  marker accuracy against the Cramer-Rao bound, and speed, next to OpenCV's tools"""
+EPILOG = """\
+examples:
+  mjtactile bench grasp --quick            one seed instead of ten
+  mjtactile bench perception --out results
+  mjtactile bench grasp --readme README.md put the table between that file's bench markers
+"""
+BENCHMARKS = {"grasp": "mjtactile.bench.grasp", "perception": "mjtactile.bench.perception"}
+"""Name to module; each has `run(out, *, quick, say) -> dict` and `table(result) -> str` in Markdown."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("name", choices=list(BENCHMARKS), metavar="NAME", help=f"what to measure: {', '.join(BENCHMARKS)}")
+    parser.add_argument("--quick", action="store_true", help="a small part of it, to see that it works")
+    parser.add_argument("--out", type=Path, default=Path("bench-results"), metavar="DIR",
+                        help="folder for the results (default: bench-results)")
+    parser.add_argument("--readme", type=Path, metavar="FILE.md", help="also put the table into this file, between "
+                        "<!-- bench:NAME --> and <!-- /bench -->")
+
+
+def run(options: argparse.Namespace) -> int:
+    out, progress = prepare_folder(options.out), Progress()
+    with stdout_to_stderr():
+        module = importlib.import_module(BENCHMARKS[options.name])
+        result = module.run(out, quick=options.quick, say=progress.message)
+        table = module.table(result)
+        write_json(out / f"{options.name}.json", result)
+        (out / f"{options.name}.md").write_text(table, encoding="utf-8")
+        if options.readme is not None:
+            insert_table(options.readme, options.name, table)
+    if options.json:
+        print_json(result)
+    else:
+        print(f"{table}\nwritten to {out}")
+    return 0
+
+
+def insert_table(path: Path, name: str, table: str) -> None:
+    """Replace what stands between the markers of `name` in a Markdown file. Raises InputError when they are missing."""
+    begin, end = f"<!-- bench:{name} -->", "<!-- /bench -->"
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", source=path, field="--readme") from error
+    head, found, rest = text.partition(begin)
+    _, closed, tail = rest.partition(end)
+    if not (found and closed):
+        raise InputError(f"has no {begin} … {end}", source=path, field="--readme")
+    path.write_text(f"{head}{begin}\n{table.strip()}\n{end}{tail}", encoding="utf-8")

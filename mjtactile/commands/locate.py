@@ -1,0 +1,160 @@
+"""`mjtactile locate`: where each circular marker of an image is, with covariance. Needs no sensor and no simulator."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import statistics
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.commands.output import prepare_folder, print_json, stdout_to_stderr
+from mjtactile.commands.sources import Frame, read_frames
+from mjtactile.errors import InputError
+from mjtactile.optics import Camera
+from mjtactile.recording import write_json
+from mjtactile.sensing.ellipse import boundary, shape_from_axes
+from mjtactile.sensing.markers import Polarity, detect
+from mjtactile.sensing.pose import estimate_poses
+from mjtactile.types import CirclePoses, Ellipses
+
+SIMULATES = False
+HELP = "find circular markers in images and say where they are in 3D"
+DESCRIPTION = """\
+Find circular markers of a known radius in an image, a folder of images or a video, and
+estimate each one's centre and normal in the camera frame (x right, y down, z forward)."""
+EPILOG = """\
+examples:
+  mjtactile locate photo.png --camera camera.yaml --radius-mm 6.35
+  mjtactile locate photos/ --camera camera.yaml --radius-mm 6.35 --json > markers.json
+  mjtactile locate clip.mp4 --camera camera.yaml --radius-mm 1.5 --bright --out overlays
+
+JSON: {"frames": [{"source": …, "status": …, "markers": [{
+  "uv_px": projected centre (distorted pixels; (0, 0) is the centre of the top-left pixel),
+  "ellipse_px": {"center", "semi_axes", "angle_deg"},
+  "center_mm", "normal" and "normal_alt" (the two solutions, facing the camera),
+  "cov_center_mm2": 3x3, "status": "ok", or why not to trust it}]}]}
+exit codes: 0 done (also when no marker was found), 2 bad input.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("source", type=Path, metavar="SOURCE", help="an image, a folder of images or a video")
+    parser.add_argument("--camera", type=Path, required=True, metavar="CAMERA.yaml",
+                        help="calibration of the camera, ROS camera_info YAML (plumb_bob)")
+    parser.add_argument("--radius-mm", type=_positive, required=True, metavar="R", help="radius of the markers in mm")
+    colour = parser.add_mutually_exclusive_group()
+    colour.add_argument("--dark", dest="polarity", action="store_const", const="dark", default="dark",
+                        help="dark markers on a bright ground (default)")
+    colour.add_argument("--bright", dest="polarity", action="store_const", const="bright",
+                        help="bright markers on a dark ground")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write an overlay of each image and locate.json there")
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) or value <= 0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
+    return value
+
+
+def run(options: argparse.Namespace) -> int:
+    camera = Camera.from_yaml(options.camera)
+    out = None if options.out is None else prepare_folder(options.out)
+    with stdout_to_stderr():
+        frames = [_locate(frame, camera, options, out) for frame in read_frames(options.source)]
+    if not any(frame["status"] == "ok" for frame in frames):
+        raise InputError(f"none of its {len(frames)} images can be read", source=options.source, field="SOURCE")
+    if out is not None:
+        write_json(out / "locate.json", {"frames": [_public(frame) for frame in frames]})
+    if options.json:
+        print_json({"frames": [_public(frame) for frame in frames]})
+    else:
+        _print_table(frames, out)
+    return 0
+
+
+def _public(frame: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in frame.items() if key != "ms"}
+
+
+def _locate(frame: Frame, camera: Camera, options: argparse.Namespace, out: Path | None) -> dict[str, Any]:
+    """One frame of the JSON, with its time `ms` for the table."""
+    if frame.pixels is None:
+        return {"source": frame.name, "status": "cannot be read", "markers": [], "ms": 0.0}
+    height, width = frame.pixels.shape[:2]
+    if (width, height) != (camera.width, camera.height):
+        raise InputError(f"{width} x {height} pixels, but the camera file is for {camera.width} x {camera.height}",
+                         source=frame.name, field="image size")
+    begin = time.perf_counter()
+    ellipses, poses = locate(frame.pixels, camera, options.radius_mm * 1e-3, options.polarity)
+    spent = 1e3 * (time.perf_counter() - begin)
+    if out is not None:
+        name = f"{Path(frame.name).stem}{_index(frame.name)}_overlay.png"
+        cv2.imwrite(str(out / name), overlay(frame.pixels, ellipses, poses))
+    return {"source": frame.name, "status": "ok", "markers": markers_to_json(ellipses, poses), "ms": spent}
+
+
+def _index(name: str) -> str:
+    """`_000012` for a frame of a video."""
+    return "_" + name.rsplit("#", 1)[1] if "#" in name else ""
+
+
+def locate(pixels: NDArray, camera: Camera, radius: float, polarity: Polarity) -> tuple[Ellipses, CirclePoses]:
+    """Ellipses and poses of the markers of `radius` m in an image."""
+    ellipses = detect(pixels, polarity=polarity)
+    return ellipses, estimate_poses(ellipses, camera, radius)
+
+
+def markers_to_json(ellipses: Ellipses, poses: CirclePoses) -> list[dict[str, Any]]:
+    """One object a marker, in mm, mm^2 and degrees."""
+    return [{
+        "uv_px": poses.uv_px[i], "ellipse_px": {"center": ellipses.center_px[i], "semi_axes": ellipses.semi_axes_px[i],
+                                                "angle_deg": math.degrees(ellipses.angle[i])},
+        "center_mm": poses.p_CM[i] * 1e3, "normal": poses.n_C[i], "normal_alt": poses.n_C_alt[i],
+        "cov_center_mm2": poses.cov_p[i] * 1e6, "status": str(poses.status[i]),
+    } for i in range(len(poses))]  # fmt: skip
+
+
+def overlay(pixels: NDArray, ellipses: Ellipses, poses: CirclePoses) -> NDArray[np.uint8]:
+    """The image with each ellipse (green: ok, orange: not to be trusted) and the projected centre."""
+    eight = pixels if pixels.dtype == np.uint8 else cv2.convertScaleAbs(pixels, alpha=255 / max(int(pixels.max()), 1))
+    canvas = cv2.cvtColor(eight, cv2.COLOR_GRAY2BGR) if eight.ndim == 2 else np.ascontiguousarray(eight[..., :3])
+    zoom = max(1, round(1280 / canvas.shape[1]))
+    canvas = cv2.resize(canvas, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_NEAREST)
+    if not len(ellipses):
+        return canvas
+    points, _ = boundary(ellipses.center_px, shape_from_axes(ellipses.semi_axes_px, ellipses.angle), 48)
+    for i, curve in enumerate(points):
+        colour = (80, 220, 60) if poses.status[i] == "ok" else (0, 150, 255)
+        cv2.polylines(canvas, [_fixed(curve, zoom)], True, colour, 1, cv2.LINE_AA, 4)
+        cross = poses.uv_px[i] + np.array([[-2, 0], [2, 0], [0, -2], [0, 2]]) / zoom
+        for line in (cross[:2], cross[2:]):
+            cv2.polylines(canvas, [_fixed(line, zoom)], False, (60, 60, 255), 1, cv2.LINE_AA, 4)
+    return canvas
+
+
+def _fixed(uv: NDArray, zoom: int) -> NDArray[np.int32]:
+    """Pixels of the image to OpenCV's fixed point (4 bits) in the enlarged one; centres stay centres."""
+    return np.rint(((uv + 0.5) * zoom - 0.5) * 16).astype(np.int32)
+
+
+def _print_table(frames: Sequence[dict[str, Any]], out: Path | None) -> None:
+    print(f"{'source':<40} {'markers':>7} {'ok':>5} {'sd of depth mm':>15} {'ms':>7}")
+    for frame in frames:
+        good = [m for m in frame["markers"] if m["status"] == "ok"]
+        depth = statistics.median(math.sqrt(m["cov_center_mm2"][2][2]) for m in good) if good else math.nan
+        note = "" if frame["status"] == "ok" else f"  {frame['status']}"
+        print(f"{frame['source'][-40:]:<40} {len(frame['markers']):>7} {len(good):>5} {depth:>15.4f} "
+              f"{frame['ms']:>7.1f}{note}")
+    if out is not None:
+        print(f"overlays and locate.json are in {out}")

@@ -1,0 +1,141 @@
+"""The main job: references, grasp, score. It joins the control loop, which knows no truth, to scoring, which does."""
+
+from __future__ import annotations
+
+import math
+import time as wall
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from mjtactile.control import Cycle, run, take_references
+from mjtactile.controller import load_controller
+from mjtactile.design import load_sensor
+from mjtactile.rig import Rig, build_rig
+from mjtactile.sensing.pipeline import SensorPipeline
+
+TIME_LIMIT = 60.0  # s on the rig's clock; a gentle grasp takes about 10
+
+
+@dataclass(frozen=True)
+class GraspOptions:
+    """What to grasp, with what: shipped names or files, the rig, and the seed of placement and noise."""
+
+    object: str = "egg"
+    sensor: str = "dense"
+    controller: str = "gentle"
+    rig: str = "sim"
+    seed: int = 0
+
+
+class RecorderLike(Protocol):
+    def note(self, **values: Any) -> None: ...
+    def add(self, cycle: Cycle, **truth: Any) -> None: ...
+
+
+class ProgressLike(Protocol):
+    def message(self, text: str) -> None: ...
+    def update(self, phase: str, time: float, force: float) -> None: ...
+
+
+@dataclass(frozen=True)
+class GraspResult:
+    """Outcome of a grasp; forces in N on one finger, `slip` m. `milliseconds` are means of wall time per control cycle for
+    camera, perception, controller and the rest (in simulation: physics); `perception_median` is a median."""
+
+    options: GraspOptions
+    outcome: str
+    peak_force: float
+    peak_force_true: float
+    hold_force: float
+    hold_force_true: float
+    slip_true: float
+    real_time_factor: float
+    frames: int
+    milliseconds: dict[str, float]
+
+    def summary(self) -> dict[str, Any]:
+        """The JSON object of `mjtactile grasp --json`; what is unknown is NaN here and null there."""
+        names = {key: Path(getattr(self.options, key)).stem for key in ("object", "sensor", "controller")}
+        return {"outcome": self.outcome, "peak_force_N": self.peak_force, "peak_force_true_N": self.peak_force_true,
+                "hold_force_N": self.hold_force, "hold_force_true_N": self.hold_force_true,
+                "slip_mm_true": 1e3 * self.slip_true, "real_time_factor": self.real_time_factor, "frames": self.frames,
+                "perception_ms_median": self.milliseconds["perception_median"], **names, "seed": self.options.seed}
+
+
+@dataclass
+class _Log:
+    """What the loop says, cycle by cycle, for the result."""
+
+    forces: list[tuple[float, ...]] = field(default_factory=list)
+    phases: list[str] = field(default_factory=list)
+    milliseconds: dict[str, list[float]] = field(default_factory=lambda: {"camera": [], "perception": [], "controller": []})
+
+    def add(self, cycle: Cycle) -> None:
+        self.forces.append(tuple(touch.force_normal for touch in cycle.touch))
+        self.phases.append(cycle.sent.phase)
+        for part, values in self.milliseconds.items():
+            values.append(getattr(cycle, f"{part}_ms"))
+
+    def hold_force(self) -> float:
+        held = [force for force, phase in zip(self.forces, self.phases, strict=True) if phase == "hold"]
+        return float(np.nanmean(held)) if np.isfinite(held).any() else math.nan
+
+    def peak_force(self) -> float:
+        return float(np.nanmax(self.forces)) if np.isfinite(self.forces).any() else math.nan
+
+
+def run_grasp(options: GraspOptions, *, recorder: RecorderLike, progress: ProgressLike) -> GraspResult:
+    """Run one grasp on the rig that `options` names.
+
+    Raises InputError for bad files or names, ControllerError, DeviceError, SimulationError; the rig is brought to its
+    safe state on every way out.
+    """
+    design = load_sensor(options.sensor)
+    controller = load_controller(options.controller)
+    rig = build_rig(options.rig, design, object_name=options.object, seed=options.seed)
+    try:
+        pipelines = [SensorPipeline(design) for _ in rig.cameras]
+        score = _watch(rig, recorder)
+        take_references(rig, pipelines, progress.message)
+        log = _Log()
+
+        def on_cycle(cycle: Cycle) -> None:
+            if score is not None:
+                score.phase = cycle.sent.phase
+            log.add(cycle)
+            recorder.add(cycle, **({} if score is None else score.columns(cycle.touch)))
+            progress.update(cycle.sent.phase, cycle.time, float(np.mean(log.forces[-1])))
+
+        begin, start = wall.perf_counter(), rig.clock.now()
+        last = run(rig, pipelines, controller, time_limit=TIME_LIMIT, on_cycle=on_cycle)
+        factor = (rig.clock.now() - start) / (wall.perf_counter() - begin)
+    finally:
+        rig.close()
+    return _result(options, log, score, factor, completed=last.phase == "done", period=rig.period)
+
+
+def _watch(rig: Rig, recorder: RecorderLike) -> Any:
+    """A score that looks at the truth after every physics step; None on a rig that has no truth."""
+    if rig.scene is None:
+        return None
+    from mjtactile.scoring import GraspScore
+
+    score = GraspScore(rig.scene)
+    rig.scene.watch(score.after_step)
+    recorder.note(break_force_N=rig.scene.object.break_force)
+    return score
+
+
+def _result(options: GraspOptions, log: _Log, score: Any, factor: float, *, completed: bool, period: float) -> GraspResult:
+    """Put the loop's log and the score together. Without a truth, "held" is what the controller believes."""
+    parts = {part: float(np.mean(ms)) for part, ms in log.milliseconds.items()}
+    parts["rest"] = 1e3 * period / factor - sum(parts.values())
+    parts["perception_median"] = float(np.median(log.milliseconds["perception"]))
+    outcome = score.outcome() if score is not None else "held" if completed else "dropped"
+    return GraspResult(
+        options, outcome, log.peak_force(), score.peak_force if score else math.nan,
+        log.hold_force(), score.hold_force if score else math.nan, score.slip if score else math.nan,
+        factor, len(log.phases), parts)

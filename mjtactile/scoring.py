@@ -1,0 +1,82 @@
+"""What really happened in a simulated grasp, by ground truth: forces, slip, held or dropped or crushed. Never sensed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mjtactile.sim import truth
+from mjtactile.sim.gripper import GraspWorld
+from mjtactile.types import Touch
+
+_HELD_SHARE = 0.5  # the object counts as held when it rose by at least this share of what the hand rose
+
+
+@dataclass
+class GraspScore:
+    """Watches a world at every physics step; `phase` is set by the caller from the commands that were sent."""
+
+    world: GraspWorld
+    phase: str = "approach"
+    peak_force: float = 0.0
+    crushed_at: float | None = None
+    _hold_forces: list[float] = field(default_factory=list)
+    _held: list[bool] = field(default_factory=list)
+    _grip_start: np.ndarray | None = None
+    _slip: float = 0.0
+
+    def __post_init__(self) -> None:
+        self._rest_height = truth.object_position(self.world)[2]
+
+    def after_step(self) -> None:
+        """Sample the truth; call after every physics step."""
+        forces = self.forces()
+        self.peak_force = max(self.peak_force, *forces)
+        if max(forces) > self.world.object.break_force and self.crushed_at is None:
+            self.crushed_at = self.world.time
+        if self.phase in ("lift", "hold"):
+            self._track_slip()
+        if self.phase == "hold":
+            self._hold_forces.append(float(np.mean(forces)))
+            rise = truth.object_position(self.world)[2] - self._rest_height
+            self._held.append(rise > _HELD_SHARE * self.world.lift_height)
+
+    def forces(self) -> list[float]:
+        """Normal force of the object on each membrane, N, positive when pressing."""
+        return [float(-truth.contact_force(self.world, i)[2]) for i in range(len(self.world.sensors))]
+
+    def columns(self, touch: Sequence[Touch]) -> dict[str, list[float]]:
+        """Truth beside one cycle's touch: normal forces, N, and mean distance of the seen markers from theirs, m."""
+        errors = []
+        for index, seen in enumerate(touch):
+            p_SM = self.world.marker_poses(index)[0]
+            markers = seen.markers
+            errors.append(math.nan if markers is None or not len(markers) else
+                          float(np.linalg.norm(markers.p_SM - p_SM[markers.ids], axis=1).mean()))
+        return {"force_normal_true": self.forces(), "marker_error_true": errors}
+
+    def _track_slip(self) -> None:
+        """Largest motion of the object against the hand since it was lifted, m."""
+        relative = truth.object_position(self.world) - truth.hand_position(self.world)
+        if self._grip_start is None:
+            self._grip_start = relative
+        self._slip = max(self._slip, float(np.linalg.norm(relative - self._grip_start)))
+
+    def outcome(self) -> str:
+        """"crushed" if a finger ever pushed harder than the object stands, "held" if it stayed up, else "dropped"."""
+        if self.crushed_at is not None:
+            return "crushed"
+        return "held" if self._held and all(self._held) else "dropped"
+
+    @property
+    def hold_force(self) -> float:
+        """Mean normal force per finger over the hold phase, N; NaN when it was never reached."""
+        return float(np.mean(self._hold_forces)) if self._hold_forces else float("nan")
+
+    @property
+    def slip(self) -> float:
+        """Slip, m; NaN when the object was never lifted."""
+        return self._slip if self._grip_start is not None else float("nan")

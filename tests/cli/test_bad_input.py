@@ -1,0 +1,129 @@
+"""Bad input: exit code 2, one clear line that names the file, the field and the choices, and nothing left behind."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from mjtactile import resources
+from mjtactile.recording import load_recording
+
+EGG = resources.find("egg", "models/objects", ".xml").read_text()
+DENSE = resources.find("dense", "models/sensors", ".toml").read_text()
+
+# case: option, file name, its text (None: not made), words that the message must have
+CASES = {
+    "unknown object": ("--object", "eg", None, ["eg", "egg", "strawberry", "vial"]),
+    "unknown sensor": ("--sensor", "dens", None, ["dens", "dense", "paper16"]),
+    "unknown controller": ("--controller", "rough", None, ["rough", "gentle"]),
+    "object file missing": ("--object", "./no.xml", None, ["no.xml", "no such file"]),
+    "broken MJCF": ("--object", "a.xml", "<mujoco><worldbody></mujoco>", ["a.xml", "MJCF"]),
+    "no body named object": ("--object", "a.xml", EGG.replace('"object"', '"egg"'), ["a.xml", "'object'"]),
+    "no free joint": ("--object", "a.xml", EGG.replace("<freejoint/>", ""), ["a.xml", "free joint"]),
+    "no break force": ("--object", "a.xml", EGG.replace("break_force_N", "strength"), ["a.xml", "break_force_N"]),
+    "unknown material": ("--object", "a.xml", EGG.replace('"solid"', '"stone"'), ["a.xml", "material", "stone", "soft"]),
+    "field missing": ("--sensor", "a.toml", DENSE.replace("young_MPa = 1.0", ""), ["a.toml", "membrane.young_MPa"]),
+    "misspelt": ("--sensor", "a.toml", DENSE.replace("young_MPa", "yung_MPa"), ["a.toml", "yung_MPa", "young_MPa"]),
+    "wrong unit": ("--sensor", "a.toml", DENSE.replace("young_MPa", "young_kPa"), ["a.toml", "young_kPa", "young_MPa"]),
+    "negative": ("--sensor", "a.toml", DENSE.replace("_MPa = 1.0", "_MPa = -1.0"), ["a.toml", "young_MPa", "-1.0"]),
+    "not finite": ("--sensor", "a.toml", DENSE.replace("_MPa = 1.0", "_MPa = nan"), ["a.toml", "young_MPa", "nan"]),
+    "not TOML": ("--sensor", "a.toml", "[frame", ["a.toml", "TOML"]),
+    "controller does not import": ("--controller", "a.py", "import nothing_like_this", ["a.py", "nothing_like_this"]),
+    "controller without step": ("--controller", "a.py", "x = 1", ["a.py", "step"]),
+}
+
+
+def assert_one_line(process, words, code=2):
+    assert process.returncode == code, process.stderr
+    line = process.stderr.strip().splitlines()[-1]
+    assert line.startswith("mjtactile: ")
+    assert [word for word in words if word not in line] == []
+    assert "Traceback" not in process.stderr
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_bad_file_or_name(mjtactile, tmp_path, case):
+    option, name, text, words = CASES[case]
+    if text is not None:
+        (tmp_path / name).write_text(text)
+    before = set(tmp_path.iterdir())
+    process = mjtactile("grasp", option, name, "--out", "result")
+    assert_one_line(process, words)
+    assert len(process.stderr.strip().splitlines()) == 1
+    assert process.stdout == ""
+    assert set(tmp_path.iterdir()) == before  # neither an empty result nor MuJoCo's log file
+
+
+@pytest.mark.parametrize(("body", "words"), [
+    ("return 1 / 0", ["line 2", "ZeroDivisionError"]),
+    ("return None", ["step", "None"]),
+    ("from dataclasses import replace; return replace(observation.command, opening=float('nan'))", ["opening", "nan"]),
+    ("from dataclasses import replace; return replace(observation.command, phase='grab')", ["phase", "grab", "hold"]),
+])  # fmt: skip
+def test_a_controller_that_misbehaves_is_named(mjtactile, tmp_path, body, words):
+    (tmp_path / "bad.py").write_text(f"def step(observation):\n    {body}\n")
+    process = mjtactile("grasp", "--controller", "bad.py", "--out", "result", "--json")
+    assert_one_line(process, ["bad.py", *words])
+    assert json.loads(process.stdout)["exit_code"] == 2
+
+
+def test_what_was_recorded_before_a_controller_failed_is_kept(mjtactile, tmp_path):
+    (tmp_path / "bad.py").write_text("""
+def step(observation):
+    if observation.time > 2.5:
+        raise ValueError("tired")
+    return observation.command
+""")
+    process = mjtactile("grasp", "--controller", "bad.py", "--out", "result", "--json")
+    assert_one_line(process, ["bad.py", "line 4", "tired"])
+    report = json.loads(process.stdout)
+    assert report["outcome"] == "fault" and report["exit_code"] == 2
+    assert len(load_recording(tmp_path / "result")) == report["frames"] > 0
+
+
+@pytest.mark.parametrize(("args", "words"), [
+    (["grasp", "--seed", "-1"], ["--seed", "-1"]),
+    (["grasp", "--rig", "dream"], ["--rig", "dream", "sim"]),
+    (["grab"], ["grab", "grasp", "locate"]),
+    (["bench", "nothing"], ["nothing", "grasp", "perception"]),
+    (["locate", "x.png", "--camera", "c.yaml", "--radius-mm", "0"], ["--radius-mm", "0"]),
+    (["locate", "x.png", "--camera", "c.yaml", "--radius-mm", "1"], ["c.yaml"]),
+    ([], ["COMMAND", "--help"]),
+])  # fmt: skip
+def test_bad_usage(mjtactile, args, words):
+    process = mjtactile(*args)
+    assert_one_line(process, words)
+    assert process.stdout == ""
+
+
+def test_with_json_an_error_is_one_json_object_too(mjtactile):
+    process = mjtactile("grasp", "--object", "stone", "--json")
+    report = json.loads(process.stdout)
+    assert report["exit_code"] == process.returncode == 2 and "stone" in report["error"]
+
+
+def test_an_output_folder_that_cannot_be_written_is_found_before_the_run(mjtactile, tmp_path):
+    (tmp_path / "file").write_text("")
+    process = mjtactile("grasp", "--out", "file/result")
+    assert_one_line(process, ["file/result", "--out", "cannot be written"])
+    assert "approach" not in process.stderr
+
+
+def test_debug_shows_where(mjtactile):
+    process = mjtactile("grasp", "--object", "stone", "--debug")
+    assert process.returncode == 2 and "Traceback" in process.stderr
+
+
+def test_help_teaches(mjtactile):
+    for command in ([], ["grasp"], ["bench"], ["locate"]):
+        process = mjtactile(*command, "--help")
+        assert process.returncode == 0 and process.stderr == ""
+        assert "examples:" in process.stdout
+        assert max(map(len, process.stdout.splitlines())) <= 120
+    assert "egg, strawberry, vial" in mjtactile("grasp", "--help").stdout
+    assert mjtactile("--version").stdout.startswith("mjtactile 0.")
+
+
+def test_nothing_is_left_in_the_working_folder(mjtactile, tmp_path):
+    mjtactile("grasp", "--object", "stone")
+    assert list(Path(tmp_path).iterdir()) == []

@@ -1,0 +1,101 @@
+"""`mjtactile locate` as a tool of its own: circles drawn by another program come out where they were put."""
+
+import functools
+import json
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+FX, WIDTH, HEIGHT, RADIUS_MM, DEPTH_MM = 600.0, 640, 480, 6.0, 120.0
+CAMERA = f"""\
+image_width: {WIDTH}
+image_height: {HEIGHT}
+camera_name: test
+camera_matrix: {{rows: 3, cols: 3, data: [{FX}, 0.0, 319.5, 0.0, {FX}, 239.5, 0.0, 0.0, 1.0]}}
+distortion_model: plumb_bob
+distortion_coefficients: {{rows: 1, cols: 5, data: [0.0, 0.0, 0.0, 0.0, 0.0]}}
+"""
+CENTERS_PX = [(u, v) for v in (120.25, 240.5, 360.75) for u in (140.5, 320.25, 500.0)]
+
+
+@functools.cache
+def draw(dark=True):
+    """Face-on circles, supersampled 8 times, then blurred: radius 30 px at 120 mm."""
+    scale, radius = 8, FX * RADIUS_MM / DEPTH_MM
+    v, u = np.ogrid[0 : HEIGHT * scale, 0 : WIDTH * scale]
+    u, v = (u + 0.5) / scale - 0.5, (v + 0.5) / scale - 0.5  # pixel (0, 0) is the centre of the top-left pixel
+    cu, cv = ((np.unique([c[i] for c in CENTERS_PX])) for i in (0, 1))  # the circles stand on a grid
+    inside = np.abs(u[..., None] - cu).min(-1) ** 2 + np.abs(v[..., None] - cv).min(-1) ** 2 < radius**2
+    image = cv2.resize(np.where(inside, 40, 190).astype(np.float32), (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
+    image = cv2.GaussianBlur(image, (0, 0), 0.7) + np.random.default_rng(0).normal(0, 2, (HEIGHT, WIDTH))
+    image = np.clip(np.rint(image), 0, 255).astype(np.uint8)
+    return image if dark else 255 - image
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "camera.yaml").write_text(CAMERA)
+    cv2.imwrite(str(tmp_path / "dark.png"), draw())
+    return tmp_path
+
+
+def locate(mjtactile, source, *args):
+    process = mjtactile("locate", source, "--camera", "camera.yaml", "--radius-mm", RADIUS_MM, "--json", *args)
+    assert process.returncode == 0, process.stderr
+    return json.loads(process.stdout)["frames"]
+
+
+def check(frame):
+    """Depth is right to 0.1 mm: the bound is about 0.01 mm there, one pixel of radius would be 4 mm."""
+    markers = sorted(frame["markers"], key=lambda m: (round(m["uv_px"][1] / 60), m["uv_px"][0]))
+    assert [m["status"] for m in markers] == ["ok"] * 9
+    for marker, (u, v) in zip(markers, CENTERS_PX, strict=True):
+        assert math.dist(marker["uv_px"], (u, v)) < 0.1
+        want = [(u - 319.5) * DEPTH_MM / FX, (v - 239.5) * DEPTH_MM / FX, DEPTH_MM]
+        assert math.dist(marker["center_mm"], want) < 0.1
+        assert marker["normal"][2] < -0.98  # faces the camera
+        assert np.all(np.linalg.eigvalsh(marker["cov_center_mm2"]) > 0)
+        assert len(marker["normal_alt"]) == 3 and marker["ellipse_px"]["semi_axes"][0] == pytest.approx(30, abs=0.1)
+
+
+def test_an_image(mjtactile, folder):
+    (frame,) = locate(mjtactile, "dark.png")
+    assert frame["source"] == "dark.png"
+    check(frame)
+
+
+def test_bright_markers_and_16_bit(mjtactile, folder):
+    cv2.imwrite(str(folder / "bright.png"), draw(dark=False).astype(np.uint16) * 200)
+    (frame,) = locate(mjtactile, "bright.png", "--bright")
+    check(frame)
+
+
+def test_a_folder_in_name_order_with_a_corrupt_file_and_overlays(mjtactile, folder):
+    (folder / "images").mkdir()
+    cv2.imwrite(str(folder / "images" / "b.png"), draw())
+    (folder / "images" / "a.png").write_bytes(b"no image")
+    cv2.imwrite(str(folder / "images" / "c.png"), np.full((HEIGHT, WIDTH), 190, np.uint8))
+    frames = locate(mjtactile, "images", "--out", "out")
+    assert [frame["source"] for frame in frames] == ["a.png", "b.png", "c.png"]
+    assert frames[0]["status"] == "cannot be read" and frames[0]["markers"] == []
+    check(frames[1])
+    assert frames[2]["status"] == "ok" and frames[2]["markers"] == []
+    assert {path.name for path in (folder / "out").iterdir()} == {"b_overlay.png", "c_overlay.png", "locate.json"}
+    assert cv2.imread(str(folder / "out" / "b_overlay.png")).shape == (960, 1280, 3)
+
+
+@pytest.mark.parametrize(("name", "make", "words"), [
+    ("no.png", lambda path: None, ["no.png", "no such file"]),
+    ("bad.png", lambda path: path.write_bytes(b""), ["bad.png", "not an image"]),
+    ("bad.mp4", lambda path: path.write_bytes(b"x"), ["bad.mp4", "video"]),
+    ("empty", lambda path: path.mkdir(), ["empty", "without images"]),
+    ("small.png", lambda path: cv2.imwrite(str(path), np.zeros((48, 64), np.uint8)), ["small.png", "64 x 48", "640 x 480"]),
+])  # fmt: skip
+def test_bad_sources_are_named(mjtactile, folder, name, make, words):
+    make(folder / name)
+    process = mjtactile("locate", name, "--camera", "camera.yaml", "--radius-mm", 6)
+    assert process.returncode == 2 and process.stdout == ""
+    line = process.stderr.strip().splitlines()[-1]
+    assert [word for word in words if word not in line] == [] and "Traceback" not in process.stderr
