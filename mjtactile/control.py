@@ -69,10 +69,11 @@ def _settled_images(rig: Rig) -> list[list[Image]]:
 
 
 def run(rig: Rig, pipelines: Sequence[SensorPipeline], controller: Controller, *, time_limit: float,
-        on_cycle: Callable[[Cycle], None]) -> Command:
+        on_cycle: Callable[[Cycle], None], on_images: Callable[[], None] = lambda: None) -> Command:
     """Run the controller until it says "done" or "abort"; returns the last command sent.
 
-    `on_cycle` is called after each command was sent. Raises ControllerError, DeviceError (also when `time_limit` s
+    `on_images` is called when a cycle's images were taken and the world still stands at that time, `on_cycle` after
+    its command was sent. Raises ControllerError, DeviceError (also when `time_limit` s
     pass), SimulationError; the caller closes the rig.
     """
     state = rig.gripper.state()
@@ -82,27 +83,29 @@ def run(rig: Rig, pipelines: Sequence[SensorPipeline], controller: Controller, *
     while command.phase not in ("done", "abort"):
         if rig.clock.now() - start > time_limit:
             raise DeviceError(f"controller {controller.path}: still in phase {command.phase!r} after {time_limit:g} s")
-        command = _turn(rig, pipelines, controller, command, on_cycle)
         deadline += rig.period
+        command = _turn(rig, pipelines, controller, command, deadline, on_images, on_cycle)
         rig.clock.wait_until(deadline)
     return command
 
 
-def _turn(rig: Rig, pipelines: Sequence[SensorPipeline], controller: Controller, last: Command,
-          on_cycle: Callable[[Cycle], None]) -> Command:
-    """One cycle from the images to the command that was sent."""
+def _turn(rig: Rig, pipelines: Sequence[SensorPipeline], controller: Controller, last: Command, deadline: float,
+          on_images: Callable[[], None], on_cycle: Callable[[Cycle], None]) -> Command:
+    """One cycle from the images to the command that was sent. The world moves on meanwhile."""
     begin = wall.perf_counter()
     images = tuple(camera.read() for camera in rig.cameras)
     seen = wall.perf_counter()
-    now = rig.clock.now()
+    now, gripper, valves = rig.clock.now(), rig.gripper.state(), tuple(valve.state() for valve in rig.valves)
+    on_images()
+    rig.clock.start(deadline)
     touch = tuple(pipeline.perceive(image, now) for pipeline, image in zip(pipelines, images, strict=True))
     felt = wall.perf_counter()
-    observation = Observation(now, rig.period, touch, rig.gripper.state(), tuple(v.state() for v in rig.valves), last)
+    observation = Observation(now, rig.period, touch, gripper, valves, last)
     thought = wall.perf_counter()
     wanted = controller.step(observation)
     controller_ms = 1e3 * (wall.perf_counter() - thought)
     sent = rig.gripper.command(rig.limits.apply(wanted, last, rig.period))
     sent = replace(sent, phase=wanted.phase, memory=wanted.memory)
-    on_cycle(Cycle(now, images, touch, observation.gripper, observation.valves, wanted, sent,
+    on_cycle(Cycle(now, images, touch, gripper, valves, wanted, sent,
                    1e3 * (seen - begin), 1e3 * (felt - seen), controller_ms))
     return sent

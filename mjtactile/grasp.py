@@ -103,14 +103,13 @@ def run_grasp(options: GraspOptions, *, recorder: RecorderLike, progress: Progre
         log = _Log()
 
         def on_cycle(cycle: Cycle) -> None:
-            if score is not None:
-                score.phase = cycle.sent.phase
             log.add(cycle)
-            recorder.add(cycle, **({} if score is None else score.columns(cycle.touch)))
+            recorder.add(cycle, **({} if score is None else score.columns(cycle.touch, cycle.sent.phase)))
             progress.update(cycle.sent.phase, cycle.time, float(np.mean(log.forces[-1])))
 
         begin, start = wall.perf_counter(), rig.clock.now()
-        last = run(rig, pipelines, controller, time_limit=TIME_LIMIT, on_cycle=on_cycle)
+        last = run(rig, pipelines, controller, time_limit=TIME_LIMIT, on_cycle=on_cycle,
+                   on_images=score.snapshot if score is not None else lambda: None)
         factor = (rig.clock.now() - start) / (wall.perf_counter() - begin)
     finally:
         rig.close()

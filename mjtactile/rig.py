@@ -55,6 +55,10 @@ class Clock(Protocol):
 
     def now(self) -> float: ...
 
+    def start(self, time: float) -> None:
+        """Let the world move on towards `time` while the caller computes. Real time needs no telling."""
+        ...
+
     def wait_until(self, time: float) -> None: ...
 
 

@@ -10,26 +10,48 @@ import numpy as np
 
 from mjtactile.sim import truth
 from mjtactile.sim.gripper import GraspWorld
-from mjtactile.types import Touch
+from mjtactile.types import Array, Touch
 
 _HELD_SHARE = 0.5  # the object counts as held when it rose by at least this share of what the hand rose
 
 
 @dataclass
 class GraspScore:
-    """Watches a world at every physics step; `phase` is set by the caller from the commands that were sent."""
+    """Watches a world at every physics step. A phase counts from the image after the command that began it."""
 
     world: GraspWorld
     phase: str = "approach"
     peak_force: float = 0.0
     crushed_at: float | None = None
+    _next_phase: str = "approach"
+    _forces: list[float] = field(default_factory=list)
+    _markers: list[Array] = field(default_factory=list)
     _hold_forces: list[float] = field(default_factory=list)
     _held: list[bool] = field(default_factory=list)
-    _grip_start: np.ndarray | None = None
+    _grip_start: Array | None = None
     _slip: float = 0.0
 
     def __post_init__(self) -> None:
         self._rest_height = truth.object_position(self.world)[2]
+
+    def snapshot(self) -> None:
+        """Keep the truth of this moment, at which the images were taken; the world must not be moving."""
+        self.phase = self._next_phase
+        self._forces = self.forces()
+        self._markers = [self.world.marker_poses(i)[0] for i in range(len(self.world.sensors))]
+
+    def columns(self, touch: Sequence[Touch], phase: str) -> dict[str, list[float]]:
+        """Truth beside one cycle's touch: normal forces, N, and mean distance of the seen markers from theirs, m.
+
+        `phase` is that of the command which was sent for it.
+        """
+        self._next_phase = phase
+        errors = []
+        for seen, p_SM in zip(touch, self._markers, strict=True):
+            markers = seen.markers
+            errors.append(math.nan if markers is None or not len(markers) else
+                          float(np.linalg.norm(markers.p_SM - p_SM[markers.ids], axis=1).mean()))
+        return {"force_normal_true": self._forces, "marker_error_true": errors}
 
     def after_step(self) -> None:
         """Sample the truth; call after every physics step."""
@@ -47,16 +69,6 @@ class GraspScore:
     def forces(self) -> list[float]:
         """Normal force of the object on each membrane, N, positive when pressing."""
         return [float(-truth.contact_force(self.world, i)[2]) for i in range(len(self.world.sensors))]
-
-    def columns(self, touch: Sequence[Touch]) -> dict[str, list[float]]:
-        """Truth beside one cycle's touch: normal forces, N, and mean distance of the seen markers from theirs, m."""
-        errors = []
-        for index, seen in enumerate(touch):
-            p_SM = self.world.marker_poses(index)[0]
-            markers = seen.markers
-            errors.append(math.nan if markers is None or not len(markers) else
-                          float(np.linalg.norm(markers.p_SM - p_SM[markers.ids], axis=1).mean()))
-        return {"force_normal_true": self.forces(), "marker_error_true": errors}
 
     def _track_slip(self) -> None:
         """Largest motion of the object against the hand since it was lifted, m."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+
 import numpy as np
 
 from mjtactile.design import SensorDesign
@@ -15,16 +18,48 @@ _LARGEST_STEP = 4e-3  # s; contact forces are within 3 % of their converged valu
 
 
 class SimClock:
-    """Simulated time."""
+    """Simulated time. Between `start` and `wait_until` the world steps in a thread of its own.
+
+    MuJoCo lets go of Python while it computes, so physics and perception use a core each. What is commanded meanwhile
+    takes effect when the time is reached: one camera period of latency, as on a real rig, and the same every run.
+    """
 
     def __init__(self, world: GraspWorld):
         self._world = world
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="physics")
+        self._running: Future[None] | None = None
+        self._pending: list[Callable[[], None]] = []
 
     def now(self) -> float:
         return self._world.time
 
+    def start(self, time: float) -> None:
+        self._running = self._pool.submit(self._advance, time)
+
     def wait_until(self, time: float) -> None:
-        """Step the world until `time`; a time in the past returns at once."""
+        """Step the world until `time`, then do what was deferred; a time in the past only does the latter.
+
+        Raises SimulationError when the world diverged.
+        """
+        if self._running is not None:
+            running, self._running = self._running, None
+            running.result()
+        self._advance(time)
+        for action in self._pending:
+            action()
+        self._pending.clear()
+
+    def defer(self, action: Callable[[], None]) -> None:
+        """Do `action` now, or when the world has stopped moving."""
+        if self._running is None:
+            action()
+        else:
+            self._pending.append(action)
+
+    def close(self) -> None:
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def _advance(self, time: float) -> None:
         missing = round((time - self._world.time) / self._world.timestep)
         if missing > 0:
             self._world.step(missing)
@@ -62,8 +97,8 @@ class SimValve:
 class SimGripper:
     """Jaw servo and lift of the world."""
 
-    def __init__(self, world: GraspWorld):
-        self._world = world
+    def __init__(self, world: GraspWorld, clock: SimClock):
+        self._world, self._clock = world, clock
 
     def state(self) -> GripperState:
         world = self._world
@@ -71,9 +106,12 @@ class SimGripper:
 
     def command(self, command: Command) -> Command:
         """Set the goals of jaw and lift; a force limit of 0 leaves the servo's limit as it was."""
+        self._clock.defer(lambda: self._apply(command))
+        return command
+
+    def _apply(self, command: Command) -> None:
         self._world.set_finger_target(command.opening, command.force_limit if command.force_limit > 0 else None)
         self._world.set_lift_target(command.lift_height)
-        return command
 
 
 def build_sim_rig(design: SensorDesign, *, object_name: str, seed: int) -> Rig:
@@ -83,10 +121,11 @@ def build_sim_rig(design: SensorDesign, *, object_name: str, seed: int) -> Rig:
     x, y = rng.uniform(-_SCATTER, _SCATTER, 2)
     world = GraspWorld(design, object_name, timestep=1 / (design.camera.rate * steps),
                        object_pose=(x, y, rng.uniform(-np.pi, np.pi)))
+    clock = SimClock(world)
     seeds = rng.integers(2**31, size=len(world.sensors))
     return Rig(
         name="sim", design=design,
         cameras=tuple(SimCamera(world, i, int(s)) for i, s in enumerate(seeds)),
         valves=tuple(SimValve(world, i) for i in range(len(world.sensors))),
-        gripper=SimGripper(world), clock=SimClock(world),
-        limits=Limits(opening=(0.0, world.max_opening), force=8.0), close=lambda: None, scene=world)
+        gripper=SimGripper(world, clock), clock=clock,
+        limits=Limits(opening=(0.0, world.max_opening), force=8.0), close=clock.close, scene=world)
