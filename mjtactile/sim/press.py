@@ -16,6 +16,7 @@ from mjtactile.sim.world import World
 SHAPES = ("sphere:R_mm", "cylinder:R_mm", "box:A_mm", "FILE.stl")
 _LENGTH = 0.03  # m, of a cylinder along its axis
 _CLEARANCE = 0.002  # m above first touch at which the indenter waits
+_AWAY = 0.05  # m above the world's origin of the drive, where no bulge reaches the indenter
 _STIFFNESS, _MASS = 2e5, 0.2  # N/m and kg of the drive: gives way by 5 um at 1 N
 
 
@@ -70,7 +71,7 @@ class PressWorld(World):
         spec.worldbody.add_site(name="base")
         attachment = attach(spec, sensor, site="base", prefix="sensor/", mesh=mesh)
         self.design = attachment.design
-        body = spec.worldbody.add_body(name="indenter", pos=[*at, 0.1], gravcomp=1.0)
+        body = spec.worldbody.add_body(name="indenter", pos=[*at, _AWAY], gravcomp=1.0)
         for axis, direction in (("x", [1, 0, 0]), ("z", [0, 0, 1])):
             body.add_joint(name=f"drive_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction)
             drive = spec.add_actuator(name=f"drive_{axis}", target=f"drive_{axis}", trntype=mujoco.mjtTrn.mjTRN_JOINT)
@@ -86,6 +87,7 @@ class PressWorld(World):
     def inflate(self, pressure_gauge: float, *, seal: bool) -> bool:
         """Bring the chamber to `pressure_gauge` Pa, close the valve if `seal`, find first touch; True when it settled."""
         sensor = self.sensors[0]
+        self._place(_AWAY)
         sensor.open_valve(pressure_gauge)
         settled = self.settle()
         if seal:
