@@ -9,7 +9,7 @@ C has its origin at the camera's centre, x right, y down, z forward. The pane is
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -61,10 +61,15 @@ class Camera:
     @classmethod
     def from_design(cls, camera: CameraDesign, glass: Glass | None = None) -> Camera:
         """The camera of a sensor design, behind its pane."""
-        pane = {} if glass is None else {"glass_thickness": glass.thickness, "glass_index": glass.refractive_index,
-                                         "glass_distance": glass.distance}
         return cls(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy,
-                   tuple(camera.distortion), **pane)
+                   tuple(camera.distortion)).behind(glass)
+
+    def behind(self, glass: Glass | None) -> Camera:
+        """This camera behind a pane (None: as it is)."""
+        if glass is None:
+            return self
+        return replace(self, glass_thickness=glass.thickness, glass_index=glass.refractive_index,
+                       glass_distance=glass.distance)
 
     @classmethod
     def from_yaml(cls, path: str | Path, glass: Glass | None = None) -> Camera:
@@ -72,7 +77,7 @@ class Camera:
 
         Raises InputError naming the file, the field and the valid choices.
         """
-        return _camera_from_table(_read_yaml(Path(path)), str(path), glass)
+        return _camera_from_table(_read_yaml(Path(path)), str(path)).behind(glass)
 
 
 def project(camera: Camera, p_CP: ArrayLike) -> Array:
@@ -219,7 +224,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
 _YAML_FIELDS = ("image_width", "image_height", "camera_matrix", "distortion_model", "distortion_coefficients")
 
 
-def _camera_from_table(table: dict[str, Any], source: str, glass: Glass | None) -> Camera:
+def _camera_from_table(table: dict[str, Any], source: str) -> Camera:
     for name in _YAML_FIELDS:
         if name not in table:
             raise InputError("missing field", source=source, field=name, choices=_YAML_FIELDS)
@@ -237,9 +242,7 @@ def _camera_from_table(table: dict[str, Any], source: str, glass: Glass | None) 
         raise InputError(f"{K} is not [fx, 0, cx, 0, fy, cy, 0, 0, 1] with positive focal lengths", source=source,
                          field="camera_matrix.data")
     k = _numbers(table["distortion_coefficients"], "distortion_coefficients", (4, 5), source)
-    pane = {} if glass is None else {"glass_thickness": glass.thickness, "glass_index": glass.refractive_index,
-                                     "glass_distance": glass.distance}
-    return Camera(**size, fx=fx, fy=fy, cx=cx, cy=cy, distortion=tuple((*k, 0.0)[:5]), **pane)
+    return Camera(size["width"], size["height"], fx, fy, cx, cy, tuple((*k, 0.0)[:5]))
 
 
 def _numbers(value: Any, name: str, lengths: tuple[int, ...], source: str) -> list[float]:

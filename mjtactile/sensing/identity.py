@@ -44,7 +44,10 @@ def identify(poses: CirclePoses, design: SensorDesign, expected: ArrayLike | Non
     seen = seen[np.argsort(ids[seen])]
     ids = ids[seen]
     factor = np.ones(len(ids)) if scale is None else np.asarray(scale, dtype=float)[ids]
-    p, p_alt = (_rescaled(design, poses.uv_px[seen], p[seen], factor) for p in (poses.p_CM, poses.p_CM_alt))
+    shift = _pane_shift(design, poses.p_CM[seen]) if (factor != 1).any() else 0.0
+    # a circle `factor` times larger than assumed is as much farther from where its rays meet
+    p, p_alt = ((p_CM[seen] - shift) * factor[:, None] + shift + design.camera.p_SC
+                for p_CM in (poses.p_CM, poses.p_CM_alt))
     n, n_alt = poses.n_C[seen], poses.n_C_alt[seen]
     second = prefer_second(n, n_alt, expected_normals(design, ids, p[:, 2]))
     return Markers(ids, np.where(second[:, None], p_alt, p), np.where(second[:, None], n_alt, n),
@@ -61,10 +64,10 @@ def match(p_SM: ArrayLike, expected: ArrayLike, layout: ArrayLike) -> Ids:
     layout = np.asarray(layout, dtype=float)[:, :2]
     expected = np.asarray(expected, dtype=float)[:, :2]
     pitch, order = _neighbourhood(layout.tobytes())
-    known = np.isfinite(expected).all(axis=1)
+    known = np.isfinite(expected.sum(axis=1))
     expected = expected if known.all() else layout + _smooth(np.where(known[:, None], expected - layout, np.nan), order)
     ids = np.full(len(found), -1)
-    if not np.isfinite(found).all(axis=1).any():
+    if not np.isfinite(found.sum(axis=1)).any():
         return ids
     shift = _common_shift(found, expected, pitch)
     for _ in range(_ROUNDS):
@@ -144,29 +147,30 @@ def _common_shift(found: Array, expected: Array, pitch: float) -> Array:
     """Offset (2,) of all circles against where they are expected, up to half a pitch: the densest place among the
     offsets of every circle to its nearest marker."""
     found = found[np.isfinite(found).all(axis=1)]
-    offset = found[:, None] - expected
-    nearest = np.argmin((offset**2).sum(axis=2), axis=1)
-    offset = offset[np.arange(len(found)), nearest]
-    offset = offset[np.linalg.norm(offset, axis=1) < pitch]
+    offset = found - expected[np.argmin(_squared_distances(found, expected), axis=1)]
+    offset = offset[(offset**2).sum(axis=1) < pitch * pitch]
     if not len(offset):
         return np.zeros(2)
-    near = np.linalg.norm(offset[:, None] - offset, axis=2) < pitch / 5
+    near = _squared_distances(offset, offset) < (pitch / 5) ** 2
     return np.median(offset[near[np.argmax(near.sum(axis=1))]], axis=0)
 
 
 def _mutual_nearest(found: Array, expected: Array, gate: float) -> Ids:
     """Pairs that are each other's nearest and closer than `gate`: ids (N,), -1 for none."""
-    d2 = np.nan_to_num(((found[:, None] - expected) ** 2).sum(axis=2), nan=np.inf)
+    d2 = np.nan_to_num(_squared_distances(found, expected), nan=np.inf)
     ids = np.argmin(d2, axis=1)
     back = np.argmin(d2, axis=0)
     each = np.arange(len(found))
     return np.where((back[ids] == each) & (d2[each, ids] < gate * gate), ids, -1)
 
 
-def _rescaled(design: SensorDesign, uv_px: Array, p_CM: Array, factor: Array) -> Array:
-    """Centres (N, 3) m in S of circles whose radius is `factor` (N,) times the one assumed in `p_CM`."""
-    if (factor != 1).any():
-        camera = optics.Camera.from_design(design.camera, design.glass)
-        shift = optics.glass_shift(camera, optics.unproject(camera, uv_px))[:, None] * [0.0, 0.0, 1.0]
-        p_CM = (p_CM - shift) * factor[:, None] + shift
-    return p_CM + design.camera.p_SC
+def _pane_shift(design: SensorDesign, p_CM: Array) -> Array:
+    """Displacement (N, 3) m by the pane of points `p_CM` (N, 3)."""
+    camera = optics.Camera.from_design(design.camera, design.glass)
+    ray = np.concatenate([optics.refract(camera, p_CM), np.ones((len(p_CM), 1))], axis=1)
+    return optics.glass_shift(camera, ray)[:, None] * [0.0, 0.0, 1.0]
+
+
+def _squared_distances(a: Array, b: Array) -> Array:
+    """Squares (N, M) of the distances of points (N, 2) and (M, 2)."""
+    return np.subtract.outer(a[:, 0], b[:, 0]) ** 2 + np.subtract.outer(a[:, 1], b[:, 1]) ** 2

@@ -36,11 +36,15 @@ ROUGHNESS, LAPLACIAN = 3e3, 300.0
 MARKERS_MIN = 4
 """Fewer markers than this give a surface whose status is not "ok"."""
 _DEGREE, _QUADRATURE = 3, 3
-_ASPECT_PER_DEPTH = 3.0
-"""sd of an ellipse's axis ratio over the relative sd of its depth. An outline with independent radial errors gives
-2 sqrt(2) / sqrt(3) = 1.6 (mean radius against second harmonic); real outlines are also blurred and pixelated."""
-_SLOPE_SD_MAX = 0.01  # a slope known worse than this says less than the heights do, and is left out
-_OUTLIER_SD, _OUTLIER_MIN = 6.0, 0.3e-3  # a marker this far off the others' surface is left out: sd, and m
+_ASPECT_PER_DEPTH = np.sqrt(8 / 3)
+"""sd of an ellipse's axis ratio over the relative sd of its depth. With independent radial errors along the outline the
+axis ratio, 1 - 2 c / r with c the second harmonic, has sqrt(8) times the mean radius's relative sd, and the depth, whose
+tilt is fitted too, sqrt(3) times. Normals measured on rendered images have 0.8 to 0.9 of the sd that follows."""
+SLOPE_MODEL_SD = 4e-3
+"""sd of a slope's misfit: next to the edge of a contact a cubic spline cannot follow slopes as exact as markers give."""
+_SLOPE_SD_MAX = 0.02  # a slope known worse than this says less than the heights do, and is left out
+_OUTLIER_SD, _OUTLIER_MIN = 6.0, 1.2e-3  # a marker farther off what the others predict is left out: sd, and m
+_OUTLIERS_LEAVE = 0.8  # share of the markers that is always kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +54,7 @@ class Basis:
 
     half: float
     intervals: int
-    pieces: Array  # (interval, power, local spline): polynomials in the distance from the interval's left end
+    pieces: tuple[Array, ...]  # by derivative: polynomials (interval, power, local spline) from the interval's left end
 
     @classmethod
     def build(cls, length: float, intervals: int) -> Basis:
@@ -62,7 +66,10 @@ class Basis:
             powers = PPoly.from_spline(unit).c[::-1, _DEGREE : _DEGREE + intervals]
             for k in range(max(j - _DEGREE, 0), min(j + 1, intervals)):
                 pieces[k, :, j - k] = powers[:, k]
-        return cls(length / 2, intervals, pieces)
+        derivatives = [pieces]
+        for _ in range(_DEGREE):
+            derivatives.append(derivatives[-1][:, 1:] * np.arange(1, derivatives[-1].shape[1])[:, None])
+        return cls(length / 2, intervals, tuple(derivatives))
 
     @property
     def count(self) -> int:
@@ -70,18 +77,14 @@ class Basis:
 
     def at(self, x: ArrayLike, derivative: int = 0) -> Array:
         """Values (N, count) of the splines or of a derivative at `x` (N,) m; `x` is cut to the opening."""
-        x = np.clip(np.asarray(x, dtype=float), -self.half, self.half) + self.half
         h = 2 * self.half / self.intervals
-        k = np.clip((x / h).astype(np.int64), 0, self.intervals - 1)
+        x = np.minimum(np.maximum(np.asarray(x, dtype=float) + self.half, 0.0), 2 * self.half)
+        k = np.minimum((x / h).astype(np.int64), self.intervals - 1)
         t = x - k * h
-        powers = np.zeros((len(x), _DEGREE + 1))
-        factor = 1.0
-        for p in range(derivative, _DEGREE + 1):
-            factor = float(np.prod(np.arange(p, p - derivative, -1)))
-            powers[:, p] = factor * t ** (p - derivative)
+        powers = np.stack([np.ones_like(t), t, t * t, t * t * t][: _DEGREE + 1 - derivative], axis=1)
         values = np.zeros((len(x), self.intervals + _DEGREE))
-        values[np.arange(len(x))[:, None], k[:, None] + np.arange(_DEGREE + 1)] = (
-            powers[:, None, :] @ self.pieces[k])[:, 0]
+        local = (powers[:, None] @ self.pieces[derivative][k])[:, 0]
+        values[np.arange(len(x))[:, None], k[:, None] + np.arange(_DEGREE + 1)] = local
         return values[:, 1:-1]
 
     def quadrature(self) -> tuple[Array, Array]:
@@ -99,7 +102,8 @@ class Spline:
 
     fitter: SurfaceFitter
     coefficients: Array
-    cholesky: Array  # lower triangular factor of the coefficients' inverse covariance
+    cholesky: Array  # lower triangular factor of the coefficients' inverse covariance, before `misfit`
+    misfit: float  # factor on the covariance, at least 1: mean square of the residuals over their sd
     status: str
 
     def evaluate(self, x: ArrayLike, y: ArrayLike, dx: int = 0, dy: int = 0) -> Array:
@@ -128,7 +132,7 @@ class Spline:
         """Standard deviation (N,) m of z at points `x`, `y` (N,) m."""
         rows = self.fitter.rows(x, y)
         half, _ = lapack.dtrtrs(self.cholesky, rows.T, lower=True)
-        return np.sqrt((half**2).sum(axis=0))
+        return np.sqrt(self.misfit * (half**2).sum(axis=0))
 
     def surface(self) -> Surface:
         """Heights on the grid, area and volume by Gauss quadrature, and their uncertainties to first order."""
@@ -142,7 +146,7 @@ class Spline:
         *rough, area_var, volume_var = np.einsum("ij,ij->j", half, half).tolist()
         # noise makes a flat sheet's area larger, to second order: E = trace(stiffness covariance) / 2
         rough = sum(rough) / 2
-        area_sd, volume_sd = float(np.sqrt(area_var + rough**2)), float(np.sqrt(volume_var))
+        area_sd, volume_sd = (float(np.sqrt(self.misfit * v)) for v in (area_var + rough**2, volume_var))
         return Surface(f.x, f.y, self.grid(), float((f.weights * stretch).sum()), float((f.volume_c * c).sum()),
                        area_sd, volume_sd, self.status)
 
@@ -158,7 +162,8 @@ class _Terms:
     markers: int
 
     @classmethod
-    def of(cls, A: Array, b: Array, markers: int) -> _Terms:
+    def of(cls, A: Array, b: Array, sd: Array, markers: int) -> _Terms:
+        A, b = A / sd[:, None], b / sd
         return cls(A.T @ A, A.T @ b, float(b @ b), len(b), markers)
 
     def __add__(self, other: _Terms) -> _Terms:
@@ -170,17 +175,20 @@ class SurfaceFitter:
     """Fits splines for one sensor; keeps the tables that do not depend on the frame of video.
 
     `roughness` 1/m^2 and `laplacian` 1/m are the rms values g and k to expect (module docstring). `intervals` (x, y)
-    of the spline: by default one more than the markers in a row, and no fewer than 8.
+    of the spline: by default two or three more than the markers in a row, at
+    least 8, and even: with a knot in the middle, where things are pressed, errors under a ball are half as large.
     """
 
     def __init__(self, design: SensorDesign, *, roughness: float = ROUGHNESS, laplacian: float = LAPLACIAN,
                  intervals: tuple[int, int] | None = None, grid_step: float = GRID_STEP):
         frame, layout, self.distance = design.frame, design.markers, design.camera.distance
-        nx, ny = intervals or (max(8, layout.columns + 1), max(8, layout.rows + 1))
+        nx, ny = intervals or tuple(max(8, n + 2 + n % 2) for n in (layout.columns, layout.rows))
+        self.slope_off = laplacian / 4 * max(layout.pitch_x, layout.pitch_y)  # half a pitch of a principal curvature k / 2
         self.basis_x, self.basis_y = Basis.build(frame.length, nx), Basis.build(frame.width, ny)
         self.x, self.y = grid_of(frame, grid_step)
         self.grid_x = [self.basis_x.at(self.x, d) for d in range(3)]
         self.grid_y = [self.basis_y.at(self.y, d) for d in range(3)]
+        self.grid_x[0][[0, -1]] = self.grid_y[0][[0, -1]] = 0.0  # exactly, not only to rounding
         (qx, wx), (qy, wy) = self.basis_x.quadrature(), self.basis_y.quadrature()
         self.quad_x = [self.basis_x.at(qx, d) for d in range(4)]
         self.quad_y = [self.basis_y.at(qy, d) for d in range(4)]
@@ -206,39 +214,47 @@ class SurfaceFitter:
         variance = np.full(len(p), 1e-10) if cov_p is None else np.asarray(cov_p, dtype=float)[:, 2, 2]
         good = np.isfinite(p).all(axis=1) & (variance > 0)
         p, variance = p[good], variance[good]
-        heights = self._terms(p, variance)
-        spline = self._solve(heights)
-        off = np.abs(p[:, 2] - spline.evaluate(p[:, 0], p[:, 1]))
-        fits = off <= np.maximum(_OUTLIER_SD * np.sqrt(variance), _OUTLIER_MIN)
-        if not fits.all():
-            p, variance = p[fits], variance[fits]
-            heights = self._terms(p, variance)
-            spline = self._solve(heights)
+        x, across = (self.basis_x.at(p[:, 0], d) for d in (0, 1))
+        y, down = (self.basis_y.at(p[:, 1], d) for d in (0, 1))
+        rows = _products(y, x)
+        spline, heights, fits = self._solve_without_outliers(rows, p[:, 2], np.sqrt(variance))
         if n_S is None:
             return spline
-        slope = geometry.slope_from_normal(np.asarray(n_S, dtype=float)[good][fits])
-        sd = self._slope_sd(spline, p, variance)
-        use = np.isfinite(slope).all(axis=1) & (sd < _SLOPE_SD_MAX)
-        return self._solve(heights + self._slope_terms(p[use], slope[use], sd[use])) if use.any() else spline
+        across, down = _products(y, across), _products(down, x)
+        c = spline.coefficients.ravel()
+        predicted = np.column_stack([across @ c, down @ c])
+        sd = self._slope_sd(geometry.normal_from_slope(predicted[:, 0], predicted[:, 1]), p, variance)
+        slope = geometry.slope_from_normal(np.asarray(n_S, dtype=float)[good])
+        # comparisons are False for NaN: an unknown slope is not used
+        use = fits & (sd < _SLOPE_SD_MAX) & (np.abs(slope - predicted).max(axis=1) < self.slope_off)
+        if not use.any():
+            return spline
+        rows, slopes = np.concatenate([across[use], down[use]]), slope[use].T.ravel()
+        return self._solve(heights + _Terms.of(rows, slopes, np.tile(sd[use], 2), 0))
 
-    def _slope_sd(self, spline: Spline, p: Array, variance: Array) -> Array:
-        p_CM = p + [0.0, 0.0, self.distance]
+    def _solve_without_outliers(self, rows: Array, z: Array, sd: Array) -> tuple[Spline, _Terms, NDArray[np.bool_]]:
+        """Fit heights `z` (N,), and again without the worst marker while one is far off what all others predict."""
+        fits = np.ones(len(z), bool)
+        while True:
+            terms = _Terms.of(rows[fits], z[fits], sd[fits], int(fits.sum()))
+            spline = self._solve(terms)
+            half, _ = lapack.dtrtrs(spline.cholesky, (rows[fits] / sd[fits, None]).T, lower=True)
+            # leave one out: residual / (1 - leverage), variance / (1 - leverage); Cook & Weisberg 1982, 2.2
+            left = np.maximum(1 - np.einsum("ij,ij->j", half, half), 1e-9)
+            off = np.abs(z[fits] - rows[fits] @ spline.coefficients.ravel()) / left
+            excess = np.minimum(off / _OUTLIER_MIN, off * np.sqrt(left) / (_OUTLIER_SD * sd[fits]))
+            if not len(excess) or excess.max() <= 1 or fits.sum() <= _OUTLIERS_LEAVE * len(z):
+                return spline, terms, fits
+            fits[np.flatnonzero(fits)[np.argmax(excess)]] = False
+
+    def _slope_sd(self, n: Array, p: Array, variance: Array) -> Array:
+        p_CM = p + np.array([0.0, 0.0, self.distance])
         far = np.sqrt(np.einsum("ni,ni->n", p_CM, p_CM))
-        return slope_sd_of(spline.normals(p[:, 0], p[:, 1]), p_CM / far[:, None],
-                           _ASPECT_PER_DEPTH * np.sqrt(variance) / far)
+        return np.hypot(SLOPE_MODEL_SD, slope_sd_of(n, p_CM / far[:, None], _ASPECT_PER_DEPTH * np.sqrt(variance) / far))
 
     def rows(self, x: ArrayLike, y: ArrayLike, dx: int = 0, dy: int = 0) -> Array:
         """Design matrix (N, ny * nx): z or its derivative of order (dx, dy) at `x`, `y` (N,) m per coefficient."""
         return _products(self.basis_y.at(y, dy), self.basis_x.at(x, dx))
-
-    def _terms(self, p: Array, variance: Array) -> _Terms:
-        scale = 1 / np.sqrt(variance)
-        return _Terms.of(self.rows(p[:, 0], p[:, 1]) * scale[:, None], p[:, 2] * scale, len(p))
-
-    def _slope_terms(self, p: Array, slope: Array, sd: Array) -> _Terms:
-        rows = np.concatenate([self.rows(p[:, 0], p[:, 1], 1, 0), self.rows(p[:, 0], p[:, 1], 0, 1)])
-        scale = np.tile(1 / sd, 2)
-        return _Terms.of(rows * scale[:, None], slope.T.ravel() * scale, 0)
 
     def _solve(self, terms: _Terms) -> Spline:
         cholesky, fault = lapack.dpotrf(terms.normal + self.prior, lower=True, overwrite_a=True)
@@ -247,10 +263,10 @@ class SurfaceFitter:
         c, _ = lapack.dpotrs(cholesky, terms.right, lower=True)
         # what the splines cannot follow (the edge of a contact) shows as residuals larger than their noise: Birge 1932
         squares = c @ terms.normal @ c - 2 * (c @ terms.right) + terms.square
-        cholesky /= np.sqrt(max(1.0, squares / max(terms.rows, 1)))
+        misfit = max(1.0, squares / max(terms.rows, 1))
         few = terms.markers < MARKERS_MIN
         status = f"too few markers: {terms.markers} of at least {MARKERS_MIN}" if few else "ok"
-        return Spline(self, c.reshape(self.basis_y.count, self.basis_x.count), cholesky, status)
+        return Spline(self, c.reshape(self.basis_y.count, self.basis_x.count), cholesky, misfit, status)
 
     def _energy(self, wx: Array, wy: Array, *terms: tuple[tuple[int, int], ...]) -> Array:
         """Matrix of the integral of sum over `terms` of (d1 z + d2 z + ...)^2, each d an order of derivative (x, y)."""
@@ -269,12 +285,13 @@ def slope_sd_of(n: ArrayLike, view: ArrayLike, aspect_sd: ArrayLike) -> Array:
     """Standard deviation (N,) of the slopes of markers with unit normals `n`, seen along unit rays `view` (N, 3).
 
     The tilt t against the line of sight comes from the ellipse's axis ratio cos(t), known to `aspect_sd` (N,):
-    d t = aspect_sd / sin(t), and face-on at most sqrt(2 aspect_sd); the turn of the ellipse costs up to twice that.
+    d t = aspect_sd / sin(t), and face-on at most sqrt(aspect_sd). Its direction comes from the ellipse's axes: with the
+    same second harmonic's noise, sin(t) d(angle) = aspect_sd sin(t) / (2 (1 - cos(t))), to 5 % the same up to 35 degrees.
     A slope is tan of an angle to the axis: d tan = d t / n_z^2.
     """
     n, aspect_sd = np.asarray(n, dtype=float), np.asarray(aspect_sd, dtype=float)
     sine2 = 1 - np.einsum("ni,ni->n", n, np.asarray(view, dtype=float)) ** 2
-    return 2 * aspect_sd / np.sqrt(np.maximum(sine2, 2 * aspect_sd)) / np.maximum(n[:, 2] ** 2, 1e-6)
+    return aspect_sd / np.sqrt(np.maximum(sine2, np.maximum(aspect_sd, 1e-12))) / np.maximum(n[:, 2] ** 2, 1e-6)
 
 
 def grid_of(frame: Frame, step: float = GRID_STEP) -> tuple[Array, Array]:
@@ -283,12 +300,11 @@ def grid_of(frame: Frame, step: float = GRID_STEP) -> tuple[Array, Array]:
     return np.linspace(-frame.length / 2, frame.length / 2, nx), np.linspace(-frame.width / 2, frame.width / 2, ny)
 
 
-def reconstruct_delaunay(design: SensorDesign, p_SM: ArrayLike, *, grid_step: float = GRID_STEP,
-                         smoothing: float = 0.0) -> Surface:
+def reconstruct_delaunay(design: SensorDesign, p_SM: ArrayLike, *, grid_step: float = GRID_STEP) -> Surface:
     """The paper's route: triangles, barycentric grid with the frame as boundary, B-spline surface.
 
-    `p_SM` (N, 3) m. The "low resolution" grid that the spline goes through has half the markers' pitch. `smoothing`
-    is FITPACK's sum of squared residuals, m^2. The paper gives no uncertainty: `area_sd`, `volume_sd` are NaN.
+    `p_SM` (N, 3) m. The "low resolution" grid that the spline goes through has half the markers' pitch. The paper
+    gives no uncertainty: `area_sd`, `volume_sd` are NaN.
     """
     p_SM = np.asarray(p_SM, dtype=float).reshape(-1, 3)
     p_SM = p_SM[np.isfinite(p_SM).all(axis=1)]
@@ -300,7 +316,7 @@ def reconstruct_delaunay(design: SensorDesign, p_SM: ArrayLike, *, grid_step: fl
     z = np.nan_to_num(heights(*np.meshgrid(coarse_x, coarse_y)))
     z[[0, -1]] = 0.0
     z[:, [0, -1]] = 0.0
-    spline = RectBivariateSpline(coarse_y, coarse_x, z, s=smoothing)
+    spline = RectBivariateSpline(coarse_y, coarse_x, z)
     (qx, wx), (qy, wy) = (Basis.build(size, 2 * n + 2).quadrature()
                           for size, n in ((frame.length, layout.columns), (frame.width, layout.rows)))
     stretch = np.sqrt(1 + spline(qy, qx, dy=1) ** 2 + spline(qy, qx, dx=1) ** 2)

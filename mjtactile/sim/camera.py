@@ -2,14 +2,15 @@
 
 Every circle goes through its pose, the pane and the lens exactly; its boundary in the image is then a smooth closed
 curve, whose area under the point spread function (the camera's Gaussian blur and the pixel's square) is integrated
-along that curve, without any sampling of the area: see `_coverage`. What is not in the picture: marker thickness, specular reflections,
-light that bounces off the walls. The light is the LEDs' inverse-square law, see `_Light`.
+along that curve, without any sampling of the area: see `_coverage`. What is not in the picture: marker thickness,
+specular reflections, light that bounces off the walls. The light is the LEDs' inverse-square law, see `_Light`.
 
 This module shares no code with `sensing`, so that a mistake cannot cancel.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -30,6 +31,7 @@ BLUR_MIN_PX = 0.2
 """A smaller blur is drawn as this one: no lens has less, and the quadrature needs a smooth edge."""
 _STEP_PER_BLUR = 1.25  # quadrature step along an edge, in sd of the blur: exp(-2 pi^2 / 1.25^2) = 3e-6 of aliasing
 _BINS = 512  # places per pixel at which the edge functions are tabulated: at most 1e-3 px off, at random
+_STRIPE_PX = 64
 _BLOCK_PX = 16  # the light is computed once per block of this size and interpolated: below 0.05 DN at 25 % falloff
 _POOL_FRAMES = 4  # noise is cut from a pool of this many frames' worth, at a random place
 
@@ -125,14 +127,15 @@ def draw_discs(camera: Camera, p_CM: Array, n_C: Array, radius: ArrayLike, blur_
     curve = (uv[seen] - low[..., None]).reshape(-1, _SAMPLES)
     shape = len(low), 2, count
     xy, rise = (curve @ between.T).reshape(shape), (curve[1::2] @ derivative.T).reshape(len(low), count)
-    patches = _coverage(xy, rise, (high - low).max(axis=0) + 1, blur_px)
+    patches = _coverage(xy, rise, ((high - low).max(axis=0) + 1).tolist(), blur_px)
     _paste(coverage, patches, low)
 
 
 def draw_opening(camera: Camera, corners_CP: Array, blur_px: float, coverage: Floats) -> None:
     """Add the blurred area coverage of the polygon `corners_CP` (M, 3) m in C, bent by pane and lens, to `coverage`.
 
-    Gauss-Legendre quadrature with four nodes per two pixels along each straight side.
+    Gauss-Legendre quadrature with four nodes per two pixels along each straight side; a stripe of rows at a time, to
+    which only the nodes near it count.
     """
     node, weight = np.polynomial.legendre.leggauss(4)
     panels = max(camera.width, camera.height) // 2
@@ -141,8 +144,12 @@ def draw_opening(camera: Camera, corners_CP: Array, blur_px: float, coverage: Fl
     h = 1e-5  # of a side; the curve is smooth: truncation h^2
     uv, ahead, behind = (optics.project(camera, start + side * s).reshape(-1, 2) for s in (t, t + h, t - h))
     rise = (ahead - behind)[:, 1] / (2 * h) * np.tile(weight, panels * len(corners_CP)) / (2 * panels)
-    size = np.array([camera.width, camera.height])
-    coverage += _coverage(uv.T[None], rise[None], size, max(blur_px, BLUR_MIN_PX))[0]
+    reach = _margin(blur_px) + 1
+    for v in range(0, camera.height, _STRIPE_PX):
+        rows = min(_STRIPE_PX, camera.height - v)
+        near = (uv[:, 1] > v - reach) & (uv[:, 1] < v + rows + reach)
+        xy = (uv[near] - np.array([0.0, v])).T[None]
+        coverage[v : v + rows] += _coverage(xy, rise[None, near], (camera.width, rows), max(blur_px, BLUR_MIN_PX))[0]
 
 
 def _margin(blur_px: float) -> int:
@@ -161,8 +168,8 @@ def _resampling(count: int) -> tuple[Array, Array]:
     return _RESAMPLING[count]
 
 
-def _coverage(xy: Array, rise: Array, size: NDArray[np.int64], blur_px: float) -> Floats:
-    """Blurred area coverage (N, size_y, size_x) of the insides of N closed curves, by Green's theorem.
+def _coverage(xy: Array, rise: Array, size: Sequence[int], blur_px: float) -> Floats:
+    """Blurred area coverage (N, size_y, size_x) of the insides of N closed curves, `size` pixels (x, y), by Green's theorem.
 
     `xy` (N, 2, K) px are quadrature nodes along each curve, `rise` (N, K) the weight times dy. With the point spread
     function h(x) h(y), h = pixel * Gaussian, and H its integral,
@@ -172,7 +179,7 @@ def _coverage(xy: Array, rise: Array, size: NDArray[np.int64], blur_px: float) -
     The integrand is smooth, so that the rule converges exponentially for a smooth curve; it is a product of a
     function of u and one of v, so that the sum over nodes is a matrix product. The sign is the curve's orientation.
     """
-    width, height = int(size[0]), int(size[1])
+    width, height = size
     across = _table(width, blur_px, integral=True)[_table_rows(xy[:, 0], width, blur_px)]
     down = _table(height, blur_px, integral=False)[_table_rows(xy[:, 1], height, blur_px)]
     down = down * rise[..., None].astype(np.float32)
@@ -230,9 +237,10 @@ def _opening(design: SensorDesign) -> Array:
 class _Light:
     """LEDs on a ring around the camera light the membrane by the inverse-square law and two cosines.
 
-    No LEDs mean even light. The field is 1 in the middle of the flat membrane and 1 - falloff at its corners. A membrane that comes nearer
-    gets brighter: heights between the markers are those of the bubble (1 - (2x/L)^2) (1 - (2y/W)^2) (a + bx + cy)
-    that fits the markers best. That is smooth, as light is, and it is not meant to be a model of the surface.
+    No LEDs mean even light. The field is 1 in the middle of the flat membrane and 1 - falloff at its corners. A
+    membrane that comes nearer gets brighter: heights between the markers are those of the bubble
+    (1 - (2x/L)^2) (1 - (2y/W)^2) (a + bx + cy) that fits the markers best. That is smooth, as light is, and it is not
+    meant to be a model of the surface.
     """
 
     def __init__(self, design: SensorDesign, camera: Camera):

@@ -36,14 +36,15 @@ def pressed(design, depth=4e-3, shear=1e-3):
     return p, geometry.normal_from_slope(slope[:, 0], slope[:, 1])
 
 
+@pytest.mark.parametrize("share", [1 / 3, 0.45])  # of the pitch; beyond a half the next marker is nearer
 @pytest.mark.parametrize("sensor", SENSORS)
-def test_flat_membrane_seen_by_a_displaced_camera(sensor):
+def test_flat_membrane_seen_by_a_displaced_camera(sensor, share):
     design = load_sensor(sensor)
     layout, markers = design.markers.p_SM, design.markers
     for seed in range(20):
         rng = np.random.default_rng(seed)
         p, ids = seen(layout, rng)
-        offset = rng.choice([-1, 1], 2) * [markers.pitch_x, markers.pitch_y] / 3  # a third: what was asked for
+        offset = rng.choice([-1, 1], 2) * share * np.array([markers.pitch_x, markers.pitch_y])
         turn = geometry.rotation_from_vector([0, 0, np.deg2rad(rng.uniform(-1, 1))])
         np.testing.assert_array_equal(identity.match(p @ turn.T + [*offset, 0], layout, layout), ids)
 
@@ -88,7 +89,7 @@ def test_a_wrong_match_is_found_by_its_neighbours():
     layout = design.markers.p_SM
     # marker 40 is hidden, and a speck lies half a pitch away from it, nearest to its place of all circles
     p = np.delete(layout, 40, axis=0)
-    p = np.concatenate([p, layout[40:41] + [0.55 * design.markers.pitch_y, 0, 0]])
+    p = np.concatenate([p, layout[40:41] + np.array([0.55 * design.markers.pitch_y, 0, 0])])
     found = identity.match(p, layout, layout)
     assert found[-1] == -1
     np.testing.assert_array_equal(found[:-1], np.delete(np.arange(81), 40))
@@ -97,7 +98,7 @@ def test_a_wrong_match_is_found_by_its_neighbours():
 def test_unknown_expectations_come_from_the_neighbours():
     design = load_sensor("dense")
     layout = design.markers.p_SM
-    moved = layout + [1.4e-3, 0.5e-3, 0]
+    moved = layout + np.array([1.4e-3, 0.5e-3, 0])
     expected = moved.copy()
     expected[::3] = np.nan
     np.testing.assert_array_equal(identity.match(moved, expected, layout), np.arange(81))

@@ -1,8 +1,8 @@
 """The renderer against a brute-force ray cast of the same scene: 16 x 16 rays a pixel, each traced face by face.
 
 Each ray is at a random place of its cell of 1/16 px: on a regular grid an edge along a pixel row would be off by up to
-1/32 px, 2 DN. The reference shares no code with the renderer or with `optics`: OpenCV inverts the lens, Snell's law is in vector
-form, a ray is black when it meets the marker's plane within its radius.
+1/32 px, 2 DN. The reference shares no code with the renderer or with `optics`: OpenCV inverts the lens, Snell's law is
+in vector form, a ray is black when it meets the marker's plane within its radius.
 """
 
 from dataclasses import replace
