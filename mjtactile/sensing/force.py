@@ -1,6 +1,6 @@
 """Force from the membrane's shape, at the paper's two levels and by membrane statics.
 
-Level 1 (`integral_force`): dF = c dA (paper Eq. 11), c calibrated once for each sensor.
+Level 1 (`AreaCalibration`): dF = c dA (paper Eq. 11), c calibrated once for each sensor.
 Level 2 (`spring_grid_force`): the surface as a grid of springs; the force on a node is the sum of its four springs.
 Statics (`MembraneForce`): the net force that equilibrium demands, from the sensor file and the gas law alone.
 """
@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_matrix
 
-from mjtactile.design import SensorDesign
+from mjtactile.errors import InputError
 from mjtactile.sensing.deformation import Fields, MembraneModel
 from mjtactile.types import Array, Markers, Surface
 
@@ -21,9 +21,28 @@ _TAPER_MARGIN = 1.25  # width of the test function's fall, in marker pitches: at
 _INFORMATIVE_PRESSURE = 100.0  # Pa; below, the bulge is too small to tell the stiffness
 
 
-def integral_force(area_change: float, constant: float) -> float:
-    """Normal force, N, from the change of membrane area, m^2: dF = c dA (paper Eq. 11). `constant` c in N/m^2."""
-    return constant * area_change
+@dataclass(frozen=True)
+class AreaCalibration:
+    """The paper's calibration: `constant` c, N/m^2, of dF = c dA, and the rms `residual`, N, that it left."""
+
+    constant: float
+    residual: float
+
+    @classmethod
+    def fit(cls, area_change: ArrayLike, force: ArrayLike) -> AreaCalibration:
+        """Least squares through the origin for area changes, m^2, at known normal forces, N (a load cell, weights).
+
+        Raises InputError when the area did not change, or shrank under load: then no such constant exists.
+        """
+        dA, F = np.asarray(area_change, dtype=float), np.asarray(force, dtype=float)
+        if not np.isfinite(dA).all() or float(dA @ F) <= 0:
+            raise InputError("the membrane's area does not grow with the force", source="calibration", field="area_change")
+        constant = float(dA @ F / (dA @ dA))
+        return cls(constant, float(np.sqrt(np.mean((F - constant * dA) ** 2))))
+
+    def force(self, area_change: float) -> float:
+        """Normal force, N, from the change of membrane area, m^2 (paper Eq. 11)."""
+        return self.constant * area_change
 
 
 def spring_grid_force(surface: Surface, rest: Surface, tension: float) -> Array:

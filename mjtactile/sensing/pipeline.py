@@ -15,9 +15,9 @@ from mjtactile.design import SensorDesign
 from mjtactile.errors import DeviceError
 from mjtactile.optics import Camera, glass_shift
 from mjtactile.sensing import identity
-from mjtactile.sensing.contact import find_contact
+from mjtactile.sensing.contact import find_contact, resample
 from mjtactile.sensing.deformation import Fields, MembraneModel
-from mjtactile.sensing.force import GridForce, MembraneForce, RestState
+from mjtactile.sensing.force import AreaCalibration, GridForce, MembraneForce, RestState, spring_grid_force
 from mjtactile.sensing.markers import detect
 from mjtactile.sensing.pose import estimate_poses
 from mjtactile.sensing.surface import SurfaceFitter
@@ -41,10 +41,14 @@ class Reference:
 
 
 class SensorPipeline:
-    """The sensing chain of one sensor. Keeps the reference and, for marker identity, the last marker positions."""
+    """The sensing chain of one sensor. Keeps the reference and, for marker identity, the last marker positions.
 
-    def __init__(self, design: SensorDesign):
-        self.design = design
+    The force comes from statics; with an `area_calibration` it comes the paper's way instead: the net force from the
+    change of area, its distribution from a grid of springs.
+    """
+
+    def __init__(self, design: SensorDesign, *, area_calibration: AreaCalibration | None = None):
+        self.design, self.area_calibration = design, area_calibration
         self.camera = Camera.from_design(design.camera, design.glass)
         self.model = MembraneModel(design)
         self.statics = MembraneForce(self.model)
@@ -102,7 +106,7 @@ class SensorPipeline:
         if len(markers) < FEWEST_SEEN * self.design.markers.count:
             return replace(unknown, status=f"only {len(markers)} of {self.design.markers.count} markers seen")
         surface = self.fitter.fit(markers)
-        traction = self._traction(markers)
+        traction = self._traction(markers) if self.area_calibration is None else self._paper_traction(surface)
         force, sd = -float(traction.wrench[2]), float(np.sqrt(traction.wrench_cov[2, 2]))
         touching = force > max(TOUCH_LEAST, TOUCH_SD * sd)
         contact = self._contact(surface, traction, touching)
@@ -143,6 +147,17 @@ class SensorPipeline:
         cov = self.statics.wrench_cov(markers, reference.rest)
         nodal = self.grid.forces(fields, gauge, reference.rest) - reference.grid_force
         return Traction(self.grid.x, self.grid.y, nodal, wrench, cov, gauge, method="statics")
+
+    def _paper_traction(self, surface: Surface) -> Traction:
+        """The paper's levels 1 and 2: dF = c dA for the sum, a grid of springs for how it is spread."""
+        assert self.reference is not None and self.area_calibration is not None
+        rest, (x, y) = self.reference.surface, (self.grid.x, self.grid.y)
+        now, before = (replace(s, x=x, y=y, z=resample(s, x, y)) for s in (surface, rest))
+        nodal = spring_grid_force(now, before, self.design.membrane.pretension)
+        wrench, cov = np.zeros(6), np.zeros((6, 6))
+        wrench[2] = -self.area_calibration.force(surface.area - rest.area)
+        cov[2, 2] = self.area_calibration.residual**2 + (self.area_calibration.constant * surface.area_sd) ** 2
+        return Traction(x, y, nodal, wrench, cov, np.nan, method="paper")
 
     def _contact(self, surface: Surface, traction: Traction, touching: bool) -> Contact:
         assert self.reference is not None

@@ -1,0 +1,46 @@
+"""The paper's own force estimate, dF = c dA with a grid of springs: it works as far as the paper says, and no further."""
+
+import numpy as np
+import pytest
+
+from mjtactile.calibrate.area import calibrate_area
+from mjtactile.design import load_sensor
+from mjtactile.errors import InputError
+from mjtactile.sensing.force import AreaCalibration
+from mjtactile.sensing.pipeline import SensorPipeline
+from mjtactile.sim.camera import Renderer
+from mjtactile.sim.press import Indenter, PressWorld
+
+
+def test_fit_recovers_an_exact_constant_and_refuses_a_shrinking_area():
+    dA = np.array([1e-6, 2e-6, 5e-6])
+    calibration = AreaCalibration.fit(dA, 4e4 * dA)
+    assert calibration.constant == pytest.approx(4e4) and calibration.residual < 1e-12
+    with pytest.raises(InputError, match="area does not grow"):
+        AreaCalibration.fit(-dA, 4e4 * dA)
+
+
+def test_calibrated_on_a_cylinder_it_reads_that_cylinder_roughly():
+    design = load_sensor("dense")
+    calibration = calibrate_area(design)
+    # A sealed membrane's area grows with the square of depth at first: a line through it misses by 0.1-0.25 N (measured;
+    # the paper's 0.04 N needs a larger initial load). That is why statics is the default.
+    assert 2e4 < calibration.constant < 1e5 and 0.04 < calibration.residual < 0.25
+    world, renderer = PressWorld(design, Indenter("cylinder", 5e-3)), Renderer(design, seed=3)
+    pipeline = SensorPipeline(design, area_calibration=calibration)
+
+    def image():
+        return renderer.render(*world.marker_poses(0), world.time)
+
+    world.inflate(0.0, seal=False)
+    pipeline.take_flat([image() for _ in range(10)])
+    world.inflate(design.chamber.supply_gauge, seal=True)
+    pipeline.take_rest([image() for _ in range(10)], design.chamber.supply_gauge)
+    world.press(3e-3)
+    touch = pipeline.perceive(image(), world.time)
+    assert touch.traction is not None and touch.traction.method == "paper"
+    assert touch.force_normal == pytest.approx(-world.drive_force[2], abs=2 * calibration.residual)
+    # the spring grid presses where the cylinder is: the middle third of the frame carries most of it
+    force = -touch.traction.force[..., 2]
+    middle = (np.abs(touch.traction.x) < 0.0067)[None, :] & (np.abs(touch.traction.y) < 0.0067)[:, None]
+    assert force[middle].sum() > 0.5 * force[force > 0].sum()
