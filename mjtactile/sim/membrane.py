@@ -20,10 +20,12 @@ from mjtactile.types import Array
 
 FLEX, TENDON, BODY = "membrane", "gas", "sensor"
 
-# Viscous resistance of the sheet against motion relative to its frame, N s/m per m^2 of sheet. It stands for the
-# rubber's internal friction, settles the shape in about 10 ms, and conditions the solver: it joins the diagonal of the
-# implicit system, which a membrane vertex of a few milligrams leaves almost empty.
-SURFACE_DAMPING = 8e3
+# Viscous resistance of the sheet against motion relative to its frame, N s/m per m^2 of sheet and per N/m of its
+# stiffness (s/m^2). It stands for the rubber's internal friction, settles the shape in about 10 ms whatever the rubber,
+# and conditions the solver: it joins the diagonal of the implicit system, which a membrane vertex of a few milligrams
+# leaves almost empty; contact stiffness scales with that diagonal.
+SURFACE_DAMPING = 27.0
+SOFTEST = 100.0  # N/m; below this stiffness the damping stays, for the gas's sake
 # Inertia against motion relative to the frame, kg/m^2, without weight: about three times the rubber's own mass.
 SURFACE_ARMATURE = 0.8
 # Contact: the share of the constraint that is rigid, and the depth over which it becomes so (MuJoCo `solimp`).
@@ -86,9 +88,17 @@ def add_membrane(spec: mujoco.MjSpec, body: mujoco.MjsBody, design: SensorDesign
     sheet = design.membrane
     names = [BODY] * len(mesh.p_SV)
     mass = mesh.areas * sheet.thickness * sheet.density / sheet.pre_stretch**2
+    stiffness = max(sheet.young * sheet.thickness, 10 * sheet.pretension, SOFTEST)  # against stretch, against bulging
+    damping = mesh.areas * SURFACE_DAMPING * stiffness
+    armature = mesh.areas * SURFACE_ARMATURE
     for v in mesh.interior:
         names[v] = f"v{v}"
-        _add_vertex(body, names[v], mesh.p_SV[v], float(mass[v]), float(mesh.areas[v]), sheet.thickness, sheet.friction)
+        vertex = body.add_body(name=names[v], pos=mesh.p_SV[v])
+        vertex.mass, vertex.inertia, vertex.explicitinertial = mass[v], [mass[v] * 1e-8] * 3, True
+        for axis, direction in zip("xyz", np.eye(3), strict=True):
+            vertex.add_joint(name=names[v] + axis, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction,
+                             damping=[damping[v], 0.0, 0.0], armature=armature[v])
+        _add_contact_sphere(vertex, names[v], sheet.thickness / 2, sheet.friction)
     flex = spec.add_flex(name=FLEX)
     flex.dim, flex.radius, flex.thickness = 2, sheet.thickness / 2, sheet.thickness
     flex.young, flex.poisson, flex.damping = sheet.young * sheet.pre_stretch**2, sheet.poisson, 1e-9
@@ -108,17 +118,13 @@ def add_membrane(spec: mujoco.MjSpec, body: mujoco.MjsBody, design: SensorDesign
             tendon.wrap_joint(f"{names[v]}{axis}", 1.0)
 
 
-def _add_vertex(parent: mujoco.MjsBody, name: str, p_SV: Array, mass: float, area: float, thickness: float,
-                friction: float) -> None:
-    vertex = parent.add_body(name=name, pos=p_SV)
-    vertex.mass, vertex.inertia, vertex.ipos, vertex.explicitinertial = mass, [mass * 1e-8] * 3, [0.0, 0.0, 0.0], True
-    for axis, direction in zip("xyz", np.eye(3), strict=True):
-        vertex.add_joint(name=name + axis, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction,
-                         damping=[SURFACE_DAMPING * area, 0.0, 0.0], armature=SURFACE_ARMATURE * area)
-    # contype 0: a vertex is touched by whatever touches (contype 1), but not by other vertices or by frames.
-    # Friction and stiffness are the membrane's own (priority), not averaged with the object's.
-    vertex.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[thickness / 2, 0, 0], mass=0.0, contype=0,
-                    conaffinity=1, priority=1, condim=3, friction=[friction, 0.005, 0.0001], solimp=SOLIMP, group=4)
+def _add_contact_sphere(vertex: mujoco.MjsBody, name: str, radius: float, friction: float) -> None:
+    """Let the vertex be touched by whatever touches (contype 1), but not by other vertices or by frames.
+
+    Friction and stiffness are the membrane's own (priority), not averaged with the object's.
+    """
+    vertex.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], mass=0.0, contype=0, conaffinity=1,
+                    priority=1, condim=3, friction=[friction, 0.005, 0.0001], solimp=SOLIMP, group=4)
 
 
 def pre_stretch(model: mujoco.MjModel, flex_id: int, mesh: MembraneMesh, stretch: float) -> None:

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
+import numpy as np
+from numpy.typing import NDArray
 
 from mjtactile import resources
 from mjtactile.errors import InputError
@@ -112,12 +114,17 @@ def _check_compiled(spec: mujoco.MjSpec, path: Path) -> float:
         mujoco.mj_forward(model, data)
     except (ValueError, RuntimeError) as error:
         raise InputError(f"does not compile: {_one_line(error)}", source=path) from error
-    root = model.body("object").id
-    family = {body for body in range(model.nbody) if model.body_rootid[body] == root}
-    touchable = any(model.geom_bodyid[g] in family and model.geom_contype[g] & 1 for g in range(model.ngeom))
-    if not touchable and not any(int(contype) & 1 for contype in model.flex_contype):
+    moving = moving_bodies(model)
+    touchable = (model.geom_contype[np.isin(model.geom_bodyid, moving)] & 1).any()
+    if not touchable and not (model.flex_contype & 1).any():
         raise InputError("has no geom or flex with contype 1: nothing can touch it", source=path, field="object")
-    return float(model.body_subtreemass[root])
+    return float(model.body_mass[moving].sum())
+
+
+def moving_bodies(model: mujoco.MjModel, prefix: str = "") -> NDArray[np.int64]:
+    """Ids of the bodies that make up the object in `model`: all of its file's bodies (by `prefix`) that can move."""
+    return np.array([i for i in range(1, model.nbody)
+                     if model.body_weldid[i] and model.body(i).name.startswith(prefix)], dtype=np.int64)
 
 
 def _one_line(error: Exception) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from mjtactile.sim.objects import PREFIX
+from mjtactile.sim.objects import PREFIX, moving_bodies
 from mjtactile.types import Array
 
 if TYPE_CHECKING:
@@ -76,7 +76,9 @@ def pressure_and_volume(world: World, sensor: int) -> tuple[float, float]:
 
 def object_position(world: World) -> Array:
     """Centre of mass (3,) m of the grasped object with its soft parts, frame W."""
-    return world.data.subtree_com[world.model.body(PREFIX + "object").id].copy()
+    parts = moving_bodies(world.model, PREFIX)
+    mass = world.model.body_mass[parts]
+    return mass @ world.data.xipos[parts] / mass.sum()
 
 
 def object_pose(world: World) -> tuple[Array, Array]:

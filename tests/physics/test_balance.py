@@ -109,13 +109,18 @@ def test_arm_joints_carry_exactly_the_contact_wrench():
         world.step()
     world.step(250)
     R_WS = data.xmat[sensor.body_id].reshape(3, 3)
-    force, torque = R_WS @ truth.contact_force(world, 0), R_WS @ truth.contact_torque(world, 0)
+    force, torque, servos = np.zeros(3), np.zeros(3), np.zeros(6)
+    for _ in range(50):  # averages out the solver's noise, a few 1e-3 of the force
+        world.step()
+        force += R_WS @ truth.contact_force(world, 0) / 50
+        torque += R_WS @ truth.contact_torque(world, 0) / 50
+        servos += data.actuator_force / 50
     jac_p, jac_r = np.zeros((3, model.nv)), np.zeros((3, model.nv))
     mujoco.mj_jacBody(model, data, jac_p, jac_r, sensor.body_id)
     dofs = [joint.dofadr[0] for joint in joints]
     needed = -(jac_p[:, dofs].T @ force + jac_r[:, dofs].T @ torque)
     assert np.linalg.norm(force) > 0.3
-    np.testing.assert_allclose(data.actuator_force, needed, atol=0.01 * np.abs(needed).max())  # residual motion
+    np.testing.assert_allclose(servos, needed, atol=0.01 * np.abs(needed).max())  # residual motion
 
 
 def test_free_floating_sensor_does_not_accelerate_itself():
