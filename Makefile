@@ -11,6 +11,7 @@ PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 p
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
 VENV := .venv
 BIN := $(VENV)/bin
+export OPENBLAS_NUM_THREADS ?= 1
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 OUT ?= runs/grasp
 ARGS ?=
@@ -21,9 +22,9 @@ help:  ## list the targets
 grasp: $(VENV)/.run-ready  ## grasp an egg in simulation; results in runs/grasp (ARGS="--object vial" and so on)
 	$(BIN)/mjtactile grasp --out $(OUT) $(ARGS)
 
-bench: $(VENV)/.run-ready  ## measure the grasp and the perception; tables and plots in bench-results
-	$(BIN)/mjtactile bench grasp --out bench-results $(ARGS)
-	$(BIN)/mjtactile bench perception --out bench-results $(ARGS)
+bench: $(VENV)/.run-ready  ## measure the grasp and the perception; results in bench-results, tables in README.md
+	$(BIN)/mjtactile bench grasp --out bench-results --readme README.md $(ARGS)
+	$(BIN)/mjtactile bench perception --out bench-results --readme README.md $(ARGS)
 
 test: lint types contracts pytest  ## lint, types, import contracts, tests: all that CI runs
 

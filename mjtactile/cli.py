@@ -6,13 +6,13 @@ import argparse
 import importlib.metadata
 import json
 import logging
+import os
 import signal
 import sys
 import traceback
 from collections.abc import Sequence
 from typing import NoReturn
 
-from mjtactile.commands import COMMANDS
 from mjtactile.errors import MjtactileError
 
 DESCRIPTION = """\
@@ -47,6 +47,8 @@ class _UsageError(MjtactileError):
 
 
 def build_parser() -> argparse.ArgumentParser:
+    from mjtactile.commands import COMMANDS  # not before `main` has set the number of threads: this imports numpy
+
     parser = _Parser(prog="mjtactile", description=DESCRIPTION, epilog=EPILOG,
                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--version", action="version", version=f"mjtactile {importlib.metadata.version('mjtactile')}")
@@ -65,6 +67,9 @@ def build_parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line `argv` (default: the process's own) and return the exit code."""
     argv = sys.argv[1:] if argv is None else list(argv)
+    # The matrices here are small: a second BLAS thread only waits for the first (the sensing chain is 2-4 times slower).
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
     logging.basicConfig(format="mjtactile: %(levelname)s: %(message)s", level=logging.WARNING, stream=sys.stderr)
     previous = signal.signal(signal.SIGTERM, signal.default_int_handler)  # SIGTERM ends a run like Ctrl-C
     try:

@@ -79,11 +79,12 @@ def _row(cycle: CycleLike, names: Sequence[str], truth: Mapping[str, Any]) -> di
         "force_normal": [t.force_normal for t in touch], "force_normal_sd": [t.force_normal_sd for t in touch],
         "touching": [t.touching for t in touch], "status": [t.status for t in touch],
         "marker_count": [0 if t.markers is None else len(t.markers) for t in touch],
-        "opening": gripper.opening, "effort": gripper.effort, "lift_height": gripper.lift_height,
+        "opening": gripper.opening, "speed": gripper.speed, "effort": gripper.effort, "lift_height": gripper.lift_height,
         "valve_open": [valve.is_open for valve in cycle.valves],
         "pressure_gauge": [valve.pressure_gauge for valve in cycle.valves],
         "command_opening": sent.opening, "command_force_limit": sent.force_limit, "command_lift_height": sent.lift_height,
-        "memory": dict(sent.memory), "perception_ms": cycle.perception_ms, **truth,
+        "memory": dict(sent.memory), "perception_ms": cycle.perception_ms,
+        "state": getattr(cycle, "state", "running"), "reason": getattr(cycle, "reason", ""), **truth,
     }  # fmt: skip
 
 
@@ -117,12 +118,22 @@ class Recorder:
 
     def add(self, cycle: CycleLike, **truth: Any) -> None:
         """Record one cycle; `truth` are ground-truth columns (`force_normal_true`, …) that a scorer knows."""
+        if self.cycles == 0 and (last := getattr(cycle, "last", None)) is not None:
+            self.note(start_opening=last.opening, start_lift_height=last.lift_height)
         images = [(f"frames/{self.cycles:06d}_{finger}.png", image)
                   for finger, image in zip(FINGERS, cycle.images, strict=False)] if self._frames else []
         self._put(_row(cycle, [name for name, _ in images], truth), images)
         self.cycles += 1
         if self.snapshot is None or _worth_showing(cycle) >= _worth_showing(self.snapshot):
             self.snapshot = cycle
+
+    def add_reference(self, stage: str, images: Sequence[Sequence[Image]], pressure_gauge: Sequence[float | None]) -> None:
+        """Record the images of a reference ("flat", "rest"), one list a finger, and the pressures it was taken at, Pa."""
+        named = [[(f"frames/{stage}_{i:02d}_{finger}.png", image) for i, image in enumerate(shots)]
+                 for finger, shots in zip(FINGERS, images, strict=False)] if self._frames else []
+        self._put({"kind": "reference", "stage": stage, "images": [[name for name, _ in shots] for shots in named],
+                   "image_time": [[image.time for image in shots] for shots in images],
+                   "pressure_gauge": list(pressure_gauge)}, [pair for shots in named for pair in shots])
 
     def note(self, **values: Any) -> None:
         """Record facts that are no cycle, such as `break_force_N`."""
@@ -178,6 +189,22 @@ def _worth_showing(cycle: CycleLike) -> tuple[bool, float]:
 
 
 @dataclass(frozen=True, eq=False)
+class RecordedReference:
+    """The images that a reference was taken from, and the chambers' gauge pressures, Pa (None: not measured)."""
+
+    folder: Path
+    stage: str
+    names: Sequence[Sequence[str]]
+    times: Sequence[Sequence[float]]
+    pressure_gauge: Sequence[float | None]
+
+    def images(self, finger: int) -> Iterator[Image]:
+        """The images of one finger. Raises InputError naming a file that is missing or broken."""
+        for name, time in zip(self.names[finger], self.times[finger], strict=True):
+            yield _read_image(self.folder / name, time)
+
+
+@dataclass(frozen=True, eq=False)
 class Recording:
     """A recording read back. `columns[key]` has one row a cycle; a JSON null is NaN. `complete`: it was closed properly."""
 
@@ -187,6 +214,16 @@ class Recording:
     columns: Mapping[str, np.ndarray]
     complete: bool
     problems: tuple[str, ...]
+    references: tuple[RecordedReference, ...] = ()
+
+    @property
+    def width(self) -> int:
+        """Number of cameras."""
+        return len(self.columns["images"][0]) if len(self) else 0
+
+    @property
+    def valve_count(self) -> int:
+        return len(self.columns["valve_open"][0]) if len(self) else 0
 
     def __len__(self) -> int:
         return len(self.columns["time"])
@@ -241,7 +278,9 @@ def load_recording(path: str | Path) -> Recording:
     complete = rows[-1].get("kind") == "end"
     if not complete:
         problems.append(f"cut off after {len(cycles)} cycles")
-    return Recording(folder, header, notes, _columns(cycles), complete, tuple(problems))
+    references = tuple(RecordedReference(folder, row["stage"], row["images"], row["image_time"], row["pressure_gauge"])
+                       for row in rows if row.get("kind") == "reference")
+    return Recording(folder, header, notes, _columns(cycles), complete, tuple(problems), references)
 
 
 def _parse(log: Path) -> tuple[list[dict[str, Any]], list[str]]:

@@ -35,7 +35,7 @@ def write_figure(path: Path, recording: Recording, snapshot: CycleLike | None, s
     canvas_class(figure)
     grid = figure.add_gridspec(2, 2, height_ratios=[1.12, 1], width_ratios=[1.12, 1])
     figure.suptitle(_title(summary), fontsize=14, fontweight="bold")
-    left, right = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1], projection="3d")
+    left, right = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1], projection="3d", computed_zorder=False)
     if snapshot is None:
         for axes in (left, right):
             axes.set_axis_off()
@@ -93,7 +93,8 @@ def _draw_surface(axes: Any, touch: Touch) -> None:
         return
     x, y = np.meshgrid(surface.x * _MM, surface.y * _MM)
     z = surface.z * _MM
-    axes.plot_surface(x, y, z, cmap="viridis", linewidth=0.2, edgecolor="#00000030", rcount=40, ccount=40, alpha=0.85)
+    axes.plot_surface(x, y, z, cmap="viridis", linewidth=0.2, edgecolor="#00000030", rcount=40, ccount=40, alpha=0.9,
+                      zorder=1)
     span = max(float(np.ptp(z)), 1.0)
     top = float(z.max())
     if traction is not None and traction.status == "ok":
@@ -103,7 +104,7 @@ def _draw_surface(axes: Any, touch: Touch) -> None:
     axes.set_zlabel("z [mm]")
     axes.set_zlim(min(float(z.min()), 0.0), top + 0.05 * span)
     axes.set_box_aspect((float(np.ptp(x)), float(np.ptp(y)), 0.6 * float(np.ptp(y))))
-    axes.view_init(elev=28, azim=-58)
+    axes.view_init(elev=38, azim=-62)
     known = f"{touch.force_normal:.2f} ± {touch.force_normal_sd:.2f} N"
     felt = known if touch.status == "ok" else f"unknown: {touch.status}"
     axes.set_title(f"membrane (sensor frame S) and force on it, shown with a minus sign\nnormal force {felt}", fontsize=11)
@@ -123,8 +124,9 @@ def _draw_arrows(axes: Any, traction: Any, surface: Any, span: float) -> float:
     iy = np.abs(surface.y[:, None] - gy[keep]).argmin(axis=0)
     ix = np.abs(surface.x[:, None] - gx[keep]).argmin(axis=0)
     foot_z = surface.z[iy, ix] * _MM
-    arrow = -force[keep] / size.max() * 0.9 * span
-    axes.quiver(gx[keep] * _MM, gy[keep] * _MM, foot_z, *arrow.T, color="#c0221c", linewidth=1.1, arrow_length_ratio=0.22)
+    arrow = -force[keep] / size.max() * 1.3 * span
+    axes.quiver(gx[keep] * _MM, gy[keep] * _MM, foot_z, *arrow.T, color="#c0221c", linewidth=1.1, arrow_length_ratio=0.22,
+                zorder=2)
     return float((foot_z + arrow[:, 2]).max())
 
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mjtactile.errors import InputError
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]  # of float64; numpy's stubs cannot follow dtypes through arithmetic
 Status = str
 """`"ok"`, or a short reason why the value should not be trusted. "unknown" is an answer; zero is not."""
 

@@ -10,22 +10,28 @@ from typing import Any
 from mjtactile import resources
 from mjtactile.errors import MjtactileError
 from mjtactile.grasp import GraspOptions, GraspResult, run_grasp
+from mjtactile.progress import Progress
 
 SEEDS = range(10)
 
 
-class _Nothing:
-    """A recorder and progress display that does nothing, so that only the loop is timed."""
+class _Watcher:
+    """In place of recorder and progress display: keeps the marker errors, writes nothing, so that the loop is timed."""
+
+    def __init__(self) -> None:
+        self.marker_errors: list[float] = []
+
+    def add(self, cycle: Any, **truth: Any) -> None:
+        self.marker_errors += truth.get("marker_error_true", [])
 
     def note(self, **values: Any) -> None: ...
-    def add(self, cycle: Any, **truth: Any) -> None: ...
     def message(self, text: str) -> None: ...
     def update(self, phase: str, time: float, force: float) -> None: ...
 
 
-def run(out: Path, *, quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
+def run(out: Path, quick: bool = False) -> dict[str, Any]:
     """Grasp every shipped object with the dense sensor; one row a run. A run that fails is a row too."""
-    rows = []
+    rows, say = [], Progress().message
     for name in resources.names("models/objects", ".xml"):
         for seed in SEEDS[:1] if quick else SEEDS:
             row = _row(GraspOptions(object=name, sensor="dense", seed=seed))
@@ -45,12 +51,14 @@ def _line(row: Mapping[str, Any]) -> str:
 
 
 def _row(options: GraspOptions) -> dict[str, Any]:
-    nothing = _Nothing()
+    watcher = _Watcher()
     try:
-        result: GraspResult = run_grasp(options, recorder=nothing, progress=nothing)
+        result: GraspResult = run_grasp(options, recorder=watcher, progress=watcher)
     except MjtactileError as error:
         return {"object": options.object, "seed": options.seed, "outcome": "fault", "error": str(error)}
-    return {**result.summary(), "milliseconds": dict(result.milliseconds)}
+    errors = [1e3 * error for error in watcher.marker_errors if error == error]
+    return {**result.summary(), "marker_error_mm_mean": statistics.fmean(errors) if errors else float("nan"),
+            "milliseconds": dict(result.milliseconds)}
 
 
 def _by_object(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
@@ -72,7 +80,7 @@ def _summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "hold_force_true_N": median("hold_force_true_N"),
         "hold_force_error_N_mean": statistics.fmean(errors), "hold_force_error_N_worst": max(errors, key=abs),
         "peak_force_true_N": max(row["peak_force_true_N"] for row in done), "slip_mm_true": median("slip_mm_true"),
-        "real_time_factor": median("real_time_factor"),
+        "marker_error_mm_mean": median("marker_error_mm_mean"), "real_time_factor": median("real_time_factor"),
         "milliseconds": {part: statistics.median(row["milliseconds"][part] for row in done)
                          for part in done[0]["milliseconds"]},
     }  # fmt: skip
@@ -81,50 +89,50 @@ def _summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 def table(result: Mapping[str, Any]) -> str:
     """The result as Markdown."""
     lines = ["| object | held | crushed | hold force, N (true) | its error, N: mean / worst | peak, N (true) "
-             "| slip, mm (true) | x real time |", "|---|---|---|---|---|---|---|---|"]
+             "| slip, mm (true) | marker error, mm | x real time |", "|---" * 9 + "|"]
     for name, s in result["objects"].items():
         if "milliseconds" not in s:
-            lines.append(f"| {name} | {s['held']} of {s['runs']} | {s['crushed']} | | | | | |")
+            lines.append(f"| {name} | {s['held']} of {s['runs']} | {s['crushed']} |" + " |" * 6)
             continue
         lines.append(f"| {name} | {s['held']} of {s['runs']} | {s['crushed']} | {s['hold_force_true_N']:.2f} "
                      f"| {s['hold_force_error_N_mean']:+.3f} / {s['hold_force_error_N_worst']:+.3f} "
-                     f"| {s['peak_force_true_N']:.2f} | {s['slip_mm_true']:.2f} | {s['real_time_factor']:.2f} |")
+                     f"| {s['peak_force_true_N']:.2f} | {s['slip_mm_true']:.2f} | {s['marker_error_mm_mean']:.3f} "
+                     f"| {s['real_time_factor']:.2f} |")
     return "\n".join([*lines, "", _time_table(result)]) + "\n"
 
 
+_PARTS = {"rest": "physics (and truth)", "camera": "camera", "perception": "perception", "controller": "controller"}
+
+
 def _time_table(result: Mapping[str, Any]) -> str:
-    """Where a control cycle's time goes; what is not camera or perception is physics, controller and truth."""
-    lines = ["| ms a control cycle (both fingers) | camera | perception | controller | physics and the rest | whole |",
-             "|---|---|---|---|---|---|"]
+    """Where the wall time of a control cycle goes, both fingers together."""
+    lines = [f"| ms a control cycle, mean | {' | '.join(_PARTS.values())} | whole |", "|---" * (len(_PARTS) + 2) + "|"]
     for name, s in result["objects"].items():
-        ms = s.get("milliseconds")
-        if ms:
-            controller = ms.get("controller", 0.0)
-            rest = ms["cycle"] - ms["camera"] - ms["perception"] - controller
-            lines.append(f"| {name} | {ms['camera']:.1f} | {ms['perception']:.1f} | {controller:.2f} | {rest:.1f} "
-                         f"| {ms['cycle']:.1f} |")
+        if "milliseconds" in s:
+            parts = [s["milliseconds"][part] for part in _PARTS]
+            lines.append(f"| {name} | {' | '.join(f'{ms:.1f}' for ms in parts)} | {sum(parts):.1f} |")
     return "\n".join(lines)
 
 
 def _plot(rows: Sequence[Mapping[str, Any]], out: Path, say: Callable[[str], None]) -> None:
-    """Felt against true hold force, every run."""
+    """Error of the felt hold force, every run."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError:
         say("no plot: matplotlib is not installed (pip install 'mjtactile[plots]')")
         return
-    figure = Figure(figsize=(6.4, 5.2), dpi=110, layout="constrained")
+    figure = Figure(figsize=(7.2, 4.4), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    done = [row for row in rows if "milliseconds" in row and row["hold_force_N"] == row["hold_force_N"]]
+    axes.axhspan(-0.15, 0.15, color="#00000010", linewidth=0, label="± 0.15 N")
+    axes.axhline(0, color="black", linewidth=0.8)
+    done = [row for row in rows if "milliseconds" in row]
     for name, group in _by_object(done).items():
-        axes.plot([r["hold_force_true_N"] for r in group], [r["hold_force_N"] for r in group], "o", alpha=0.7, label=name)
-    low, high = axes.get_xlim()
-    axes.plot([low, high], [low, high], color="black", linewidth=0.8, label="felt = true")
-    axes.fill_between([low, high], [low - 0.15, high - 0.15], [low + 0.15, high + 0.15], color="black", alpha=0.06)
-    axes.set_xlabel("true normal force per finger, mean over the hold phase [N]")
-    axes.set_ylabel("felt normal force, same [N]")
-    axes.set_title("hold force, one dot a run; grey: ± 0.15 N")
-    axes.legend()
+        axes.plot([r["seed"] for r in group], [r["hold_force_N"] - r["hold_force_true_N"] for r in group], "o-", label=name)
+    axes.set_xlabel("seed")
+    axes.set_xticks(sorted({row["seed"] for row in rows}))
+    axes.set_ylabel("felt less true normal force [N]")
+    axes.set_title("error of the force on a finger, mean over the hold phase")
+    axes.legend(ncols=4, loc="upper center")
     figure.savefig(out / "grasp.png")

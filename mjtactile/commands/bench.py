@@ -8,7 +8,6 @@ from pathlib import Path
 
 from mjtactile.commands.output import prepare_folder, print_json, stdout_to_stderr
 from mjtactile.errors import InputError
-from mjtactile.progress import Progress
 from mjtactile.recording import write_json
 
 HELP = "measure accuracy and speed; writes a table, a JSON and plots"
@@ -24,7 +23,7 @@ examples:
   mjtactile bench grasp --readme README.md put the table between that file's bench markers
 """
 BENCHMARKS = {"grasp": "mjtactile.bench.grasp", "perception": "mjtactile.bench.perception"}
-"""Name to module; each has `run(out, *, quick, say) -> dict` and `table(result) -> str` in Markdown."""
+"""Name to module; each has `run(out, quick) -> dict`, which draws into `out`, and `table(result) -> str` in Markdown."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,10 +36,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    out, progress = prepare_folder(options.out), Progress()
+    out = prepare_folder(options.out)
     with stdout_to_stderr():
         module = importlib.import_module(BENCHMARKS[options.name])
-        result = module.run(out, quick=options.quick, say=progress.message)
+        result = module.run(out, quick=options.quick)
         table = module.table(result)
         write_json(out / f"{options.name}.json", result)
         (out / f"{options.name}.md").write_text(table, encoding="utf-8")

@@ -13,6 +13,7 @@ from mjtactile.commands.output import prepare_folder, print_json, stdout_to_stde
 from mjtactile.errors import InputError, MjtactileError
 from mjtactile.progress import Progress
 from mjtactile.recording import Recorder, load_recording, write_json
+from mjtactile.rig import rig_names
 
 HELP = "grasp a fragile object, lift it, hold it, set it down"
 DESCRIPTION = """\
@@ -46,7 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help=f"on each finger: {shipped('models/sensors', '.toml')}, or your own file (default: dense)")
     parser.add_argument("--controller", default="gentle", metavar="NAME|FILE.py",
                         help=f"grasp controller: {shipped('controllers', '.py')}, or your own file (default: gentle)")
-    parser.add_argument("--rig", default="sim", choices=["sim"], help="what to run it on (default: sim)")
+    parser.add_argument("--rig", default="sim", metavar="RIG",
+                        help=f"what to run it on: {', '.join(rig_names())} (default: sim)")
     parser.add_argument("--seed", type=_seed, default=0, metavar="N",
                         help="seed of the camera noise and of where the object stands (default: 0)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default: runs/<time>-<object>)")

@@ -20,7 +20,8 @@ from mjtactile.errors import InputError
 from mjtactile.optics import Camera
 from mjtactile.recording import write_json
 from mjtactile.sensing.ellipse import boundary, shape_from_axes
-from mjtactile.sensing.markers import Polarity, detect
+from mjtactile.sensing.locate import marker_records
+from mjtactile.sensing.markers import detect
 from mjtactile.sensing.pose import estimate_poses
 from mjtactile.types import CirclePoses, Ellipses
 
@@ -96,33 +97,18 @@ def _locate(frame: Frame, camera: Camera, options: argparse.Namespace, out: Path
         raise InputError(f"{width} x {height} pixels, but the camera file is for {camera.width} x {camera.height}",
                          source=frame.name, field="image size")
     begin = time.perf_counter()
-    ellipses, poses = locate(frame.pixels, camera, options.radius_mm * 1e-3, options.polarity)
+    ellipses = detect(frame.pixels, polarity=options.polarity)
+    poses = estimate_poses(ellipses, camera, options.radius_mm * 1e-3)
     spent = 1e3 * (time.perf_counter() - begin)
     if out is not None:
         name = f"{Path(frame.name).stem}{_index(frame.name)}_overlay.png"
         cv2.imwrite(str(out / name), overlay(frame.pixels, ellipses, poses))
-    return {"source": frame.name, "status": "ok", "markers": markers_to_json(ellipses, poses), "ms": spent}
+    return {"source": frame.name, "status": "ok", "markers": marker_records(ellipses, poses), "ms": spent}
 
 
 def _index(name: str) -> str:
     """`_000012` for a frame of a video."""
     return "_" + name.rsplit("#", 1)[1] if "#" in name else ""
-
-
-def locate(pixels: NDArray, camera: Camera, radius: float, polarity: Polarity) -> tuple[Ellipses, CirclePoses]:
-    """Ellipses and poses of the markers of `radius` m in an image."""
-    ellipses = detect(pixels, polarity=polarity)
-    return ellipses, estimate_poses(ellipses, camera, radius)
-
-
-def markers_to_json(ellipses: Ellipses, poses: CirclePoses) -> list[dict[str, Any]]:
-    """One object a marker, in mm, mm^2 and degrees."""
-    return [{
-        "uv_px": poses.uv_px[i], "ellipse_px": {"center": ellipses.center_px[i], "semi_axes": ellipses.semi_axes_px[i],
-                                                "angle_deg": math.degrees(ellipses.angle[i])},
-        "center_mm": poses.p_CM[i] * 1e3, "normal": poses.n_C[i], "normal_alt": poses.n_C_alt[i],
-        "cov_center_mm2": poses.cov_p[i] * 1e6, "status": str(poses.status[i]),
-    } for i in range(len(poses))]  # fmt: skip
 
 
 def overlay(pixels: NDArray, ellipses: Ellipses, poses: CirclePoses) -> NDArray[np.uint8]:
@@ -152,7 +138,7 @@ def _print_table(frames: Sequence[dict[str, Any]], out: Path | None) -> None:
     print(f"{'source':<40} {'markers':>7} {'ok':>5} {'sd of depth mm':>15} {'ms':>7}")
     for frame in frames:
         good = [m for m in frame["markers"] if m["status"] == "ok"]
-        depth = statistics.median(math.sqrt(m["cov_center_mm2"][2][2]) for m in good) if good else math.nan
+        depth = statistics.median(math.sqrt(m["cov_center_mm2"][2][2] or math.nan) for m in good) if good else math.nan
         note = "" if frame["status"] == "ok" else f"  {frame['status']}"
         print(f"{frame['source'][-40:]:<40} {len(frame['markers']):>7} {len(good):>5} {depth:>15.4f} "
               f"{frame['ms']:>7.1f}{note}")

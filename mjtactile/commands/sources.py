@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
-import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.errors import InputError
+from mjtactile.sensing.locate import IMAGE_SUFFIXES, load_image
 
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")
 
 
@@ -36,22 +35,14 @@ def read_frames(source: Path) -> Iterator[Frame]:
     elif source.suffix.lower() in VIDEO_SUFFIXES:
         yield from _read_video(source)
     else:
-        frame = _read(source)
-        if frame.pixels is None:
-            raise InputError("not an image that can be read", source=source, field="SOURCE",
-                             choices=(*IMAGE_SUFFIXES, *VIDEO_SUFFIXES))
-        yield frame
+        yield Frame(source.name, load_image(source))
 
 
 def _read(path: Path) -> Frame:
-    data = np.frombuffer(path.read_bytes(), np.uint8)  # not imread: it prints its own complaints
-    pixels = None
-    if len(data):
-        try:
-            pixels = cv2.imdecode(data, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH)
-        except cv2.error:
-            pixels = None
-    return Frame(path.name, pixels)
+    try:
+        return Frame(path.name, load_image(path))
+    except InputError:
+        return Frame(path.name, None)
 
 
 def _read_video(path: Path) -> Iterator[Frame]:

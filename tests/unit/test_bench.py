@@ -1,0 +1,52 @@
+"""The benchmark's table is made from rows of any outcome, and finds its place in a document."""
+
+import math
+
+import pytest
+
+from mjtactile.bench import grasp
+from mjtactile.commands.bench import insert_table
+from mjtactile.errors import InputError, SimulationError
+
+MILLISECONDS = {"rest": 12.0, "camera": 5.0, "perception": 10.0, "controller": 0.1, "perception_median": 10.0}
+
+
+class FakeResult:
+    milliseconds = MILLISECONDS
+
+    def __init__(self, options):
+        self.options = options
+
+    def summary(self):
+        return {"object": self.options.object, "seed": self.options.seed, "outcome": "held", "hold_force_N": 0.6,
+                "hold_force_true_N": 0.62, "peak_force_true_N": 0.7, "slip_mm_true": 0.1, "real_time_factor": 1.0}
+
+
+def fake_run(options, *, recorder, progress):
+    if options.object == "vial":
+        raise SimulationError("diverged", step=7, time=0.1)
+    recorder.add(None, marker_error_true=[2e-5, math.nan])
+    return FakeResult(options)
+
+
+def test_a_failed_run_is_a_row_and_never_a_result(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(grasp, "run_grasp", fake_run)
+    result = grasp.run(tmp_path, quick=True)
+    assert [row["outcome"] for row in result["runs"]] == ["held", "held", "fault"]
+    assert result["objects"]["egg"]["hold_force_error_N_mean"] == pytest.approx(-0.02)
+    assert result["objects"]["egg"]["marker_error_mm_mean"] == pytest.approx(0.02)
+    table = grasp.table(result)
+    assert "| egg | 1 of 1 | 0 | 0.62 | -0.020 / -0.020 | 0.70 | 0.10 | 0.020 | 1.00 |" in table
+    assert "| vial | 0 of 1 | 0 |" in table and "| egg | 12.0 | 5.0 | 10.0 | 0.1 | 27.1 |" in table
+    widths = {line.count("|") for line in table.split("\n\n")[0].splitlines()}
+    assert len(widths) == 1  # every row has as many cells as the head
+    assert "step 7" in capsys.readouterr().err and (tmp_path / "grasp.png").exists()
+
+
+def test_a_table_replaces_what_stood_between_its_markers(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("a\n<!-- bench:grasp -->\nold\n<!-- /bench -->\nb\n<!-- bench:x -->\nkeep\n<!-- /bench -->\n")
+    insert_table(page, "grasp", "new\n")
+    assert page.read_text() == ("a\n<!-- bench:grasp -->\nnew\n<!-- /bench -->\nb\n<!-- bench:x -->\nkeep\n<!-- /bench -->\n")
+    with pytest.raises(InputError, match="bench:other"):
+        insert_table(page, "other", "new")

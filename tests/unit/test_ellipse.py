@@ -1,0 +1,55 @@
+"""The shape matrix and what it converts to."""
+
+import numpy as np
+
+from mjtactile.sensing import ellipse
+
+
+def shapes(count=200):
+    rng = np.random.default_rng(0)
+    axes = np.sort(rng.uniform(2, 30, (count, 2)), axis=1)[:, ::-1]
+    angle = rng.uniform(-np.pi / 2, np.pi / 2, count)
+    return axes, angle, ellipse.shape_from_axes(axes, angle)
+
+
+def test_axes_and_shape_are_inverse():
+    axes, angle, shape = shapes()
+    back_axes, back_angle = ellipse.axes_from_shape(shape)
+    np.testing.assert_allclose(back_axes, axes, rtol=1e-12)
+    np.testing.assert_allclose(back_angle, angle, atol=1e-9)  # loses digits where a is nearly b
+
+
+def test_conic_vanishes_on_the_boundary():
+    _, _, shape = shapes()
+    center = np.random.default_rng(1).uniform(-50, 600, (len(shape), 2))
+    points, _ = ellipse.boundary(center, shape, 17)
+    x = np.concatenate([points, np.ones_like(points[..., :1])], axis=-1)
+    value = np.einsum("nki,nij,nkj->nk", x, ellipse.conic_from_shape(center, shape), x)
+    assert np.abs(value).max() < 1e-8  # rounding times (600/2)^2
+
+
+def test_second_moments_give_the_shape():
+    _, _, shape = shapes()
+    p, q, s = shape.T
+    second = np.stack([p * p + q * q, q * (p + s), q * q + s * s], axis=1) / 4  # of a filled ellipse: S^2/4
+    np.testing.assert_allclose(ellipse.shape_from_moments(second), shape, rtol=1e-9, atol=1e-9)
+
+
+def test_covariances_convert_there_and_back_even_for_a_circle():
+    axes, angle, _ = shapes(3)
+    axes = axes.copy()
+    axes[0, 1] = axes[0, 0]
+    A = np.random.default_rng(2).normal(size=(3, 5, 5))
+    cov = A @ A.transpose(0, 2, 1)
+    back = ellipse.covariance_of_shape(ellipse.covariance_of_axes(cov, axes, angle), axes, angle)
+    np.testing.assert_allclose(back, cov, rtol=1e-5, atol=1e-5)  # the circle's floor of 1e-6 costs that much
+
+
+def test_jacobian_is_the_derivative():
+    axes, angle, _ = shapes(20)
+    J = ellipse.axes_jacobian(axes, angle)
+    h = 1e-6
+    for column, (da, dangle) in enumerate((((h, 0), 0), ((0, h), 0), ((0, 0), h)), start=2):
+        plus = ellipse.shape_from_axes(axes + da, angle + dangle)
+        minus = ellipse.shape_from_axes(axes - np.array(da), angle - dangle)
+        np.testing.assert_allclose(J[:, 2:, column], (plus - minus) / (2 * h), atol=1e-6)  # central difference, O(h^2)
