@@ -13,28 +13,26 @@ import numpy as np
 
 from mjtactile.design import SensorDesign
 from mjtactile.errors import DeviceError
-from mjtactile.optics import Camera, glass_shift
+from mjtactile.optics import Camera
 from mjtactile.sensing import identity
 from mjtactile.sensing.contact import find_contact, resample
 from mjtactile.sensing.deformation import Fields, MembraneModel
 from mjtactile.sensing.force import AreaCalibration, GridForce, MembraneForce, RestState, spring_grid_force
 from mjtactile.sensing.markers import detect
 from mjtactile.sensing.pose import estimate_poses
+from mjtactile.sensing.reference import FlatReference, measure_flat
 from mjtactile.sensing.surface import SurfaceFitter
-from mjtactile.types import Array, CirclePoses, Contact, Image, Markers, Surface, Touch, Traction
+from mjtactile.types import Array, Contact, Image, Markers, Surface, Touch, Traction
 
 FEWEST_SEEN = 0.4  # share of the markers below which the shape is a guess
-RADIUS_RANGE = 0.1  # a marker whose size is off by more than this share is not the one in the sensor file
 TOUCH_SD = 4.0  # a touch is a force above four standard deviations: one false alarm in 10^4 images
 TOUCH_LEAST = 0.04  # N, and above what the model itself is sure of near zero
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What the chain knows of its own sensor at rest: marker `scale` (N,) of depth (true radius over nominal), the
-    statics at rest, the rest `surface` and grid forces."""
+    """What the chain knows of its own sensor at rest: its statics, its `surface` and its grid forces."""
 
-    scale: Array
     rest: RestState
     surface: Surface
     grid_force: Array
@@ -54,46 +52,39 @@ class SensorPipeline:
         self.statics = MembraneForce(self.model)
         self.fitter = SurfaceFitter(design)
         self.grid = GridForce(self.statics)
+        self.flat = FlatReference.nominal(design)
         self.reference: Reference | None = None
-        self._scale = np.ones(design.markers.count)
         self._last = design.markers.p_SM
 
     # -- the sensor's own reference --------------------------------------------------------------------------------
 
-    def take_flat(self, images: Sequence[Image]) -> None:
-        """Measure each marker's radius on the flat membrane (valve open), whose plane the sensor file gives.
+    def take_flat(self, images: Sequence[Image]) -> FlatReference:
+        """Measure the camera's pose and each marker's radius on the flat membrane (valve open to the air).
 
-        Depth goes with the assumed radius, so the ratio of known to measured depth corrects it for each marker.
-        Raises DeviceError when markers are missing or too far from where the sensor file has them.
+        Raises DeviceError when too few markers are seen, or they do not agree with the sensor file.
         """
-        self._scale = np.ones(self.design.markers.count)
-        depths = [[] for _ in range(self.design.markers.count)]
-        for image in images:
-            markers = self._locate(image, self.design.markers.p_SM, "flat reference")
-            for i, z in zip(markers.ids, self._apparent_depth(markers.p_SM), strict=True):
-                depths[i].append(z)
-        wanted = self._apparent_depth(self.design.markers.p_SM)
-        self._scale = np.array([w / np.mean(d) if d else 1.0 for w, d in zip(wanted, depths, strict=True)])
-        worst = int(np.argmax(np.abs(self._scale - 1)))
-        if abs(self._scale[worst] - 1) > RADIUS_RANGE:
-            raise DeviceError(f"sensor {self.design.name}: flat reference: marker {worst} looks "
-                              f"{100 * (self._scale[worst] - 1):+.0f} % off in size or distance; check [markers] radius_mm "
-                              "and [camera] distance_mm, and that the valve is open")
+        self.flat = FlatReference.nominal(self.design)
+        seen = [self._locate(image, self.design.markers.p_SM, "flat reference") for image in images]
+        self.flat = measure_flat(self.design, self.camera, seen)
+        return self.flat
 
-    def take_rest(self, images: Sequence[Image], pressure_gauge: float, *, sealed: bool = True) -> None:
+    def take_rest(self, images: Sequence[Image], pressure_gauge: float, *, sealed: bool = True) -> Markers:
         """Measure the inflated membrane with nothing touching, at a known gauge pressure, Pa.
 
         `sealed`: from here on the chamber keeps its gas; otherwise the valve keeps its pressure.
         """
         self._last = self.design.markers.p_SM
-        seen = [self._locate(image, self._last, "rest reference") for image in images]
-        markers = _average(seen)
+        markers = _average([self._locate(image, self._last, "rest reference") for image in images])
+        self.set_rest(markers, pressure_gauge, sealed=sealed)
+        return markers
+
+    def set_rest(self, markers: Markers, pressure_gauge: float, *, sealed: bool = True) -> None:
+        """Use a rest state that was measured before; see `take_rest`."""
         rest = self.statics.rest_state(markers, pressure_gauge, sealed=sealed)
-        fields = self._fields(markers)
-        self.reference = Reference(self._scale, rest, self.fitter.fit(markers),
-                                   self.grid.forces(fields, pressure_gauge, rest))
-        self._last = self.model.displacement(self.model.fit(markers.ids, markers.p_SM), self.model.material)
-        self._last = self._last + self.design.markers.p_SM
+        alpha = self.model.fit(markers.ids, markers.p_SM)
+        grid_force = self.grid.forces(self.model.fields(alpha), pressure_gauge, rest)
+        self.reference = Reference(rest, self.fitter.fit(markers), grid_force)
+        self._last = self.design.markers.p_SM + self.model.displacement(alpha, self.model.material)
 
     # -- an image ----------------------------------------------------------------------------------------------------
 
@@ -115,7 +106,8 @@ class SensorPipeline:
     def markers(self, image: Image) -> Markers:
         """Identified markers in S."""
         poses = estimate_poses(detect(image, self.camera), self.camera, self.design.markers.radius)
-        markers = self._identify(poses)
+        poses = self.flat.to_nominal(self.design, poses)
+        markers = identity.identify(poses, self.design, self._last, self.flat.scale)
         self._last = self._last.copy()
         self._last[markers.ids] = markers.p_SM
         return markers
@@ -127,14 +119,6 @@ class SensorPipeline:
             raise DeviceError(f"sensor {self.design.name}: {what}: only {len(markers)} of {self.design.markers.count} "
                               "markers found; check lighting, focus and the sensor file")
         return markers
-
-    def _identify(self, poses: CirclePoses) -> Markers:
-        return identity.identify(poses, self.design, self._last, self._scale)
-
-    def _apparent_depth(self, p_SM: Array) -> Array:
-        """Depth below which size is seen: from the camera's centre, less the pane's shift."""
-        p_CM = p_SM - self.design.camera.p_SC
-        return p_CM[:, 2] - glass_shift(self.camera, p_CM)
 
     def _fields(self, markers: Markers) -> Fields:
         return self.model.fields(self.model.fit(markers.ids, markers.p_SM))
