@@ -43,7 +43,7 @@ def write_figure(path: Path, recording: Recording, snapshot: CycleLike | None, s
     else:
         touch = snapshot.touch[0]
         _draw_image(left, snapshot.images[0], detect(snapshot.images[0]), f"left finger's camera, t = {snapshot.time:.2f} s")
-        _draw_surface(right, touch)
+        draw_surface(right, touch)
     _draw_forces(figure.add_subplot(grid[1, :]), recording, snapshot)
     part = path.with_name(path.name + ".part")
     figure.savefig(part, format="png")
@@ -84,7 +84,7 @@ def _draw_image(axes: Any, image: Image, ellipses: Ellipses, title: str) -> None
     axes.set_ylim(height - 0.5, -0.5)
 
 
-def _draw_surface(axes: Any, touch: Touch) -> None:
+def draw_surface(axes: Any, touch: Touch) -> None:
     """The reconstructed membrane; arrows are the force on it, drawn outward (minus sign) like in the paper's Fig. 7."""
     surface, traction = touch.surface, touch.traction
     if surface is None:
@@ -105,9 +105,12 @@ def _draw_surface(axes: Any, touch: Touch) -> None:
     axes.set_zlim(min(float(z.min()), 0.0), top + 0.05 * span)
     axes.set_box_aspect((float(np.ptp(x)), float(np.ptp(y)), 0.6 * float(np.ptp(y))))
     axes.view_init(elev=38, azim=-62)
-    known = f"{touch.force_normal:.2f} ± {touch.force_normal_sd:.2f} N"
-    felt = known if touch.status == "ok" else f"unknown: {touch.status}"
-    axes.set_title(f"membrane (sensor frame S) and force on it, shown with a minus sign\nnormal force {felt}", fontsize=11)
+    title = "membrane in the sensor's frame S"
+    if touch.status != "ok" or np.isfinite(touch.force_normal):
+        known = f"{touch.force_normal:.2f} ± {touch.force_normal_sd:.2f} N"
+        felt = known if touch.status == "ok" else f"unknown: {touch.status}"
+        title = f"membrane (sensor frame S) and force on it, shown with a minus sign\nnormal force {felt}"
+    axes.set_title(title, fontsize=11)
 
 
 def _draw_arrows(axes: Any, traction: Any, surface: Any, span: float) -> float:

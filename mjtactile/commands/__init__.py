@@ -3,6 +3,9 @@
 One that needs no simulator says `SIMULATES = False`.
 """
 
-from mjtactile.commands import bench, grasp, inflate, locate, press
+from mjtactile.commands import bench, calibrate, grasp, inflate, locate, press, reconstruct
 
-COMMANDS = {"grasp": grasp, "inflate": inflate, "press": press, "locate": locate, "bench": bench}
+COMMANDS = {
+    "grasp": grasp, "inflate": inflate, "press": press, "locate": locate, "reconstruct": reconstruct, "calibrate": calibrate,
+    "bench": bench,
+}  # fmt: skip

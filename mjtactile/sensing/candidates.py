@@ -15,7 +15,7 @@ from mjtactile.sensing import ellipse
 from mjtactile.types import Array
 
 _CELLS = 60  # the threshold's grid has about this many cells along the image's shorter side
-_MARGIN_DN = 4.0  # how much darker than its neighbourhood, at least, at 8 bit
+_MARGINS = (3.0, 24.0)  # how much darker than its neighbourhood, at 8 bit: least; most that noise can ask for
 
 
 @dataclass(frozen=True)
@@ -55,15 +55,24 @@ def threshold(dark: NDArray[np.uint8]) -> NDArray[np.uint8]:
     cell = max(1, round(min(height, width) / _CELLS))
     small = cv2.resize(dark, (max(1, width // cell), max(1, height // cell)), interpolation=cv2.INTER_AREA)
     small = cv2.blur(small, (5, 5))
-    margin = np.clip(small // 16, _MARGIN_DN, 255).astype(np.uint8)
+    soft = cv2.GaussianBlur(dark, (3, 3), 0)
+    margin = np.clip(small // 24, _margin(soft), 255).astype(np.uint8)
     local = cv2.resize(cv2.subtract(small, margin), (width, height), interpolation=cv2.INTER_LINEAR)
-    return cv2.compare(cv2.GaussianBlur(dark, (3, 3), 0), local, cv2.CMP_LT)
+    return cv2.compare(soft, local, cv2.CMP_LT)
+
+
+def _margin(soft: NDArray[np.uint8]) -> float:
+    """Several times the noise left in `soft`, from the median difference of neighbours on some of the rows."""
+    rows = soft[:: max(1, soft.shape[0] // 40)]
+    histogram = cv2.calcHist([cv2.absdiff(rows[:, 1:], rows[:, :-1])], [0], None, [256], [0, 256]).ravel()
+    median = np.searchsorted(np.cumsum(histogram), histogram.sum() / 2)
+    return float(np.clip(4 * median, *_MARGINS))
 
 
 def _moments(borders: list[NDArray], size: tuple[int, ...]) -> Candidates:
     """Area moments of all borders at once, by Green's theorem on the polygons through their pixels' centres."""
     counts = np.array([len(b) for b in borders])
-    points = np.concatenate(borders)[:, 0].astype(float)
+    points = np.concatenate(borders)[:, 0].astype(np.float32)
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
     origin = points[starts]
     x, y = (points - np.repeat(origin, counts, axis=0)).T
@@ -73,7 +82,8 @@ def _moments(borders: list[NDArray], size: tuple[int, ...]) -> Candidates:
     cross = x * y2 - x2 * y
     terms = np.stack([cross, cross * (x + x2), cross * (y + y2), cross * (x * x + x * x2 + x2 * x2),
                       cross * (2 * x * y + x * y2 + x2 * y + 2 * x2 * y2), cross * (y * y + y * y2 + y2 * y2)])
-    area, mx, my, mxx, mxy, myy = np.add.reduceat(terms, starts, axis=1) / [[2.0], [6.0], [6.0], [12.0], [24.0], [12.0]]
+    sums = np.add.reduceat(terms, starts, axis=1).astype(float)
+    area, mx, my, mxx, mxy, myy = sums / np.array([[2.0], [6.0], [6.0], [12.0], [24.0], [12.0]])
     # A one-pixel-wide border has no area; it is no marker either, so that any non-zero stand-in will do.
     flat = np.abs(area) < 0.5
     area = np.where(flat, 1.0, area)
@@ -83,15 +93,16 @@ def _moments(borders: list[NDArray], size: tuple[int, ...]) -> Candidates:
     shape = ellipse.shape_from_moments(second)
     # The polygon runs through centres of boundary pixels, half a pixel inside of the blob's outline.
     shape += [0.5, 0.0, 0.5]
-    inverse = np.repeat(ellipse.inverse_shape(shape), counts, axis=0).T
-    dx, dy = x - np.repeat(cx, counts), y - np.repeat(cy, counts)
+    inverse = np.repeat(ellipse.inverse_shape(shape).T.astype(np.float32), counts, axis=1)
+    dx, dy = x - np.repeat(cx.astype(np.float32), counts), y - np.repeat(cy.astype(np.float32), counts)
     ex, ey = inverse[0] * dx + inverse[1] * dy, inverse[1] * dx + inverse[2] * dy
     # first-order distance (rho - 1)/|S^-1 e| from the ellipse, of the outline half a pixel further out
     rho = np.sqrt(ex * ex + ey * ey) + 1e-9
-    slope = np.hypot(inverse[0] * ex + inverse[1] * ey, inverse[1] * ex + inverse[2] * ey) / rho
+    slope = np.hypot(inverse[0] * ex + inverse[1] * ey, inverse[1] * ex + inverse[2] * ey) / rho + 1e-9
     misfit = np.maximum.reduceat(np.abs((rho - 1) / slope + 0.5), starts)
     low = np.minimum.reduceat(points, starts, axis=0)
     high = np.maximum.reduceat(points, starts, axis=0)
-    cut = (low <= 0).any(axis=1) | (high >= [size[1] - 1, size[0] - 1]).any(axis=1)
+    cut = np.any((low <= 0) | (high >= np.array([size[1] - 1, size[0] - 1])), axis=1)
+    cut = np.asarray(cut, dtype=bool)
     misfit[flat] = np.inf
     return Candidates(np.stack([cx, cy], axis=1) + origin, shape, misfit, cut)

@@ -1,20 +1,22 @@
 """Sub-pixel ellipses by least squares on the image itself, for all markers at once (no per-marker call).
 
-Model of the pixels near one marker's edge, with outward distance n from the ellipse (dx, dy from its centre):
+The estimator for small or much blurred markers; `profiles` is ten times faster where there is room for it. Model of
+the pixels near one marker's edge, (dx, dy) from its centre:
 
-    I = (1 + g . (dx, dy)) (outside + (inside - outside) F),   F = Phi(-(n + kappa sigma^2/2)/sigma)
+    I = (1 + g . (dx, dy)) (outside + (inside - outside) F)
 
-Phi is the normal distribution's integral: a step blurred by a Gaussian of sd sigma (lens and pixel together). The
-curved edge of a disc, blurred, has its 50 % level further in by kappa sigma^2/2 (kappa: the edge's curvature); the
-term removes that bias, which is 41 um of depth in the paper's geometry. Ten parameters a marker: centre, shape
-(see `ellipse`), inside, outside, gradient g of the light, sigma. Gauss-Newton on raw pixels: they carry white noise,
-so that the inverse normal matrix is an honest covariance (interpolated profiles would not give one).
+F is the filled ellipse blurred by a Gaussian of sd sigma (lens, pixel and the softening below together). For large
+markers F = Phi(-(n + kappa sigma^2/2)/sigma), with n the outward distance and kappa the edge's curvature: blurred, a
+curved edge has its 50 % level further in (41 um of depth in the paper's geometry). For small ones F is integrated.
+Ten parameters a marker: centre, shape (see `ellipse`), inside, outside, gradient g of the light, sigma. Gauss-Newton,
+with robust weights.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,16 +24,24 @@ from mjtactile.sensing import ellipse
 from mjtactile.types import Array
 
 PARAMETERS = 10
+# A light softening first: what a camera does to single pixels (sharpening, demosaicing, compression) matters less then.
+SOFTEN = np.array([0.2, 0.6, 0.2])
+SOFTEN_VARIANCE = 0.4  # px^2 per axis
+_COLOURED = 4.3  # softened noise is not white: how much less pixels tell than their scatter says, by Monte Carlo
 _PIXELS_AT_ONCE = 30_000  # a working set that stays in the processor's cache
 _SMALL = 7.0  # px; below this mean radius the edge's curvature is felt beyond the first order
 _ENOUGH = 170  # pixels per marker for the first steps and for the normal matrix
+_SETTLED = 0.05  # px: the largest last step of a fit that has converged
+_UNSETTLED = 1e3  # grey levels added to the residual of one that has not, so that nobody trusts it
+_HERMITE = ((0.0, 8 / 15), (1.3556262, 0.22207592), (-1.3556262, 0.22207592), (2.8569700, 0.01125741), (-2.8569700, 0.01125741))
 _FAR = 1e7  # px; beyond any image
 
 
 @dataclass(frozen=True)
 class EdgeFit:
     """N fits: `center` (N, 2), `shape` (N, 3) px, `cov` (N, 5, 5) of (u, v, p, q, s), `inside`, `outside` levels (N,),
-    `blur` (N,) px, `residual` (N,) rms in grey levels, `pixels` (N,) used, `lost` (N,) share of robust weight lost."""
+    `blur` (N,) px, `residual` (N,) rms in grey levels, `pixels` (N,) used, `lost` (N,) share of robust weight lost,
+    `motion` (N,) px: how much of the correction for blur is owed to motion."""
 
     center: Array
     shape: Array
@@ -42,21 +52,29 @@ class EdgeFit:
     residual: Array
     pixels: Array
     lost: Array
+    motion: Array
+
+    def take(self, keep: NDArray[np.bool_]) -> EdgeFit:
+        """The fits selected by `keep` (N,)."""
+        return EdgeFit(*(column[keep] for column in vars(self).values()))
 
 
-def fit(image: NDArray, center: Array, shape: Array, *, width: float = 5.0, iterations: int = 4) -> EdgeFit:
-    """Fit N ellipses starting from `center` (N, 2), `shape` (N, 3), within a band of +-`width` px around them."""
+def fit(image: NDArray, center: Array, shape: Array, *, blur: float = 0.8, iterations: int = 4) -> EdgeFit:
+    """Fit N ellipses starting from `center` (N, 2), `shape` (N, 3), and `blur` px of about the right size."""
+    width = max(5.0, 3.5 * blur)
+    blur = float(np.hypot(blur, np.sqrt(SOFTEN_VARIANCE)))
+    image = cv2.sepFilter2D(image, cv2.CV_32F, SOFTEN, SOFTEN, borderType=cv2.BORDER_REPLICATE)
     parts, first = [], 0
     perimeter = 2 * np.pi * np.sqrt((shape[:, 0] ** 2 + shape[:, 2] ** 2) / 2 + shape[:, 1] ** 2)
     load = np.cumsum(perimeter * 2 * width)
     while first < len(center):
         done = load[first - 1] if first else 0.0
         last = max(first + 1, int(np.searchsorted(load, done + _PIXELS_AT_ONCE)))
-        parts.append(_fit_some(image, center[first:last], shape[first:last], width, iterations))
+        parts.append(_fit_some(image, center[first:last], shape[first:last], width, blur, iterations))
         first = last
     if not parts:
         none = np.zeros(0)
-        return EdgeFit(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 5, 5)), *[none] * 6)
+        return EdgeFit(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 5, 5)), *[none] * 7)
     return EdgeFit(*(np.concatenate(column) for column in zip(*(vars(p).values() for p in parts), strict=True)))
 
 
@@ -146,30 +164,36 @@ class _Pixels:
         return _Pixels(self.x[index], self.y[index], self.observed[index], counts)
 
 
-def _fit_some(image: NDArray, center: Array, shape: Array, width: float, iterations: int) -> EdgeFit:
+def _fit_some(image: NDArray, center: Array, shape: Array, width: float, blur: float,
+              iterations: int) -> EdgeFit:
     """Gauss-Newton for markers of similar size. The first steps look at some of the pixels only; the last two at all,
     with one normal matrix between them (the fixed point does not depend on it)."""
-    small = bool((shape[:, 0] * shape[:, 2] - shape[:, 1] ** 2).min() < _SMALL**2)
-    iterations += 3 if small else 0  # blur, radius and level are harder to tell apart
+    small = bool((shape[:, 0] * shape[:, 2] - shape[:, 1] ** 2).min() < (_SMALL * max(blur, 1)) ** 2)
+    iterations += 8 if small else 0  # blur, radius and level are harder to tell apart
     pixels, used, origin = _gather(image, center, shape, width)
     theta = np.zeros((len(center), PARAMETERS))
     theta[:, :2], theta[:, 2:5] = center - origin, shape
     theta[:, 5], theta[:, 6] = _levels(image, center, shape)
-    theta[:, 9] = 0.8
+    theta[:, 9] = blur
     stride = int(max(1, pixels.counts.mean() // _ENOUGH))
     part = pixels.every(stride)
     J = np.empty((PARAMETERS, len(part.x)), np.float32)
     for k in range(iterations - 2):
         residual = part.observed - _model(part, theta, J, small)
-        weight = _robust(part, residual, theta) if k else np.float32(1.0)
+        weight = _robust(part, residual, theta) if k else np.ones_like(residual)
+        old = theta
         theta = _step(theta, _normal_matrix(part, J, weight), part.sums(J * (weight * residual)).T)
+        if k and np.abs(theta - old)[:, :5].max() < _SETTLED:
+            break
     J = np.empty((PARAMETERS, len(pixels.x)), np.float32)
-    residual = pixels.observed - _model(pixels, theta, J, small)
-    weight = _robust(pixels, residual, theta)
-    H = _normal_matrix(pixels, J, weight)
-    theta = _step(theta, H, pixels.sums(J * (weight * residual)).T)
-    residual = pixels.observed - _model(pixels, theta, J, small)
-    theta = _step(theta, H, pixels.sums(J * (weight * residual)).T)
+    H, residual, weight, old = np.zeros(0), pixels.x, pixels.x, theta
+    for _ in range(2):
+        residual = pixels.observed - _model(pixels, theta, J, small)
+        weight = _robust(pixels, residual, theta)
+        H = _normal_matrix(pixels, J, weight)
+        old = theta
+        theta = _step(theta, H, pixels.sums(J * (weight * residual)).T)
+    residual[np.repeat(np.abs(theta - old)[:, :5].max(axis=1) > _SETTLED, pixels.counts)] += _UNSETTLED
     return _result(theta, H, residual, weight, pixels, used, origin)
 
 
@@ -186,7 +210,7 @@ def _gather(image: NDArray, center: Array, shape: Array, width: float) -> tuple[
     return _Pixels(x.astype(np.float32), y.astype(np.float32), observed.astype(np.float32), counts), used, origin
 
 
-def _normal_matrix(pixels: _Pixels, J: NDArray, weight: NDArray | np.float32) -> Array:
+def _normal_matrix(pixels: _Pixels, J: NDArray, weight: NDArray) -> Array:
     """Per-marker J^T W J (n, 10, 10)."""
     H = np.empty((PARAMETERS, PARAMETERS, len(pixels.counts)))
     WJ = J * weight
@@ -198,7 +222,8 @@ def _normal_matrix(pixels: _Pixels, J: NDArray, weight: NDArray | np.float32) ->
 def _model(pixels: _Pixels, theta: Array, J: NDArray, small: bool) -> NDArray:
     """Model image (P,) for parameters `theta` (n, 10); fills J (10, P) with its derivatives.
 
-    `small`: markers whose curvature is felt beyond the first order; see `_blurred_edge`.
+    `small`: markers whose curvature is felt beyond the first order, see `_blurred_disc`. To first order, the blur along
+    a curved edge shifts it by kappa sigma^2/2.
     """
     cu, cv, p, q, s, inside, outside, gx, gy, sigma = theta.T
     det = 1 / (p * s - q * q)
@@ -219,9 +244,13 @@ def _model(pixels: _Pixels, theta: Array, J: NDArray, small: bool) -> NDArray:
     root += B2 * inverse
     n = (rho2 - 1) / root  # distance to the edge along the gradient: |e - n f| = 1
     kappa = det2 * inverse * inverse * inverse * rho2 * np.sqrt(rho2)  # 1/(det(S)^2 |S^-1 e|^3)
+    if small:  # the tangent (-m_y, m_x) in unit-circle coordinates: S^-1 t
+        F, phi = _blurred_disc((ex, ey), (fx, fy), (iq * mx - ip * my, js * mx - iq * my), sigma, sharp)
+    else:
+        F, phi = _normal_tail(n * sharp + 0.5 * kappa * sigma)
+    tail = n * sharp - 0.5 * kappa * sigma  # dF/d(ln sigma) over -dF/dz
     ex -= n * fx
     ey -= n * fy
-    F, phi, tail = _blurred_edge(n * sharp, kappa * sigma, root / A * sharp if small else None)
     light = 1 + gx * dx + gy * dy
     flat = outside + step * F
     slope = light * step
@@ -241,25 +270,26 @@ def _model(pixels: _Pixels, theta: Array, J: NDArray, small: bool) -> NDArray:
     return light * flat
 
 
-def _blurred_edge(z: NDArray, bend: NDArray, far: NDArray | None) -> tuple[NDArray, NDArray, NDArray]:
-    """Blurred step F at `z` = n/sigma outside of an edge of curvature kappa, `bend` = kappa sigma; -dF/dz; and
-    dF/d(ln sigma)/(-dF/dz).
+def _blurred_disc(e: tuple[NDArray, NDArray], f: tuple[NDArray, NDArray], d: tuple[NDArray, NDArray], sigma: NDArray,
+                  sharp: NDArray) -> tuple[NDArray, NDArray]:
+    """The filled ellipse blurred by a Gaussian of sd `sigma`, and its slope across the edge times sigma.
 
-    The blur along the edge averages F over the edge's own retreat. To first order that is a shift by bend/2. For
-    small markers (`far` given: distance to the opposite edge over sigma) it is the three-point Gauss-Hermite mean
-    over an osculating circle, and the opposite edge counts as well.
+    Pixels are at `e`, moves along the normal and the tangent are `f` and `d`, all in unit-circle coordinates. Across
+    the edge the blur is an integral over a chord, exact: Phi at its near end less Phi at its far end. Along the edge
+    it is the five-point Gauss-Hermite mean of such chords, exact to ninth order in the offset.
     """
-    if far is None:
-        shifted = z + 0.5 * bend
-        F, phi = _normal_tail(shifted)
-        return F, phi, z - 0.5 * bend
-    bend = np.minimum(bend, np.float32(0.55))
-    retreat = (1 - np.sqrt(1 - 3 * bend * bend)) / np.maximum(bend, np.float32(1e-6))
-    F1, phi1 = _normal_tail(z)
-    F2, phi2 = _normal_tail(z + retreat)
-    F = (2 * F1 + F2) * np.float32(1 / 3)
-    F -= _normal_tail(far + retreat * np.float32(1 / 3))[0]
-    return F, (2 * phi1 + phi2) * np.float32(1 / 3), z - 0.5 * bend
+    A = f[0] * f[0] + f[1] * f[1] + np.float32(1e-9)
+    F, phi = np.zeros_like(A), np.zeros_like(A)
+    for offset, share in _HERMITE:
+        x, y = (e[0] + (np.float32(offset) * sigma) * d[0], e[1] + (np.float32(offset) * sigma) * d[1]) if offset else e
+        B = x * f[0] + y * f[1]
+        under = B * B - A * (x * x + y * y - 1)
+        root = np.sqrt(np.maximum(under, 0))
+        near, slope = _normal_tail((B - root) / A * sharp)
+        hit = np.float32(share) * (under > 0)
+        F = F + hit * (near - _normal_tail((B + root) / A * sharp)[0])
+        phi = phi + hit * slope
+    return F, phi
 
 
 def _normal_tail(z: NDArray) -> tuple[NDArray, NDArray]:
@@ -302,7 +332,7 @@ def _step(theta: Array, H: Array, gradient: Array) -> Array:
     step = np.linalg.solve(damped, gradient[..., None])[..., 0]
     step[:, :5] = np.clip(step[:, :5], -1.5, 1.5)
     new = theta + step
-    new[:, 9] = np.clip(new[:, 9], 0.3, 4.0)
+    new[:, 9] = np.clip(new[:, 9], 0.3, 8.0)
     small = np.linalg.norm(theta[:, 2:5], axis=1) * 0.2
     bad = ~np.isfinite(new).all(axis=1) | (new[:, 2] * new[:, 4] - new[:, 3] ** 2 <= small**2 * 0.1)
     bad |= (new[:, 2] <= 0) | (new[:, 4] <= 0)
@@ -315,8 +345,9 @@ def _result(theta: Array, H: Array, residual: NDArray, weight: NDArray, pixels: 
     H[:, diagonal, diagonal] = H[:, diagonal, diagonal] * (1 + 1e-9) + 1e-9
     kept = pixels.sums(weight)
     variance = pixels.sums(weight * residual * residual) / np.maximum(kept - PARAMETERS, 1)
-    cov = np.linalg.inv(H)[:, :5, :5] * variance[:, None, None]
+    cov = np.linalg.inv(H)[:, :5, :5] * (_COLOURED * variance)[:, None, None]
     cov = (cov + cov.transpose(0, 2, 1)) / 2
     lost = 1 - kept / np.maximum(used, 1)
-    return EdgeFit(theta[:, :2] + origin, theta[:, 2:5], cov, theta[:, 5], theta[:, 6], theta[:, 9],
-                   np.sqrt(variance), used.astype(float), lost)
+    optical = np.sqrt(np.maximum(theta[:, 9] ** 2 - SOFTEN_VARIANCE, 0.09))
+    return EdgeFit(theta[:, :2] + origin, theta[:, 2:5], cov, theta[:, 5], theta[:, 6], optical, np.sqrt(variance),
+                   used.astype(float), lost, np.zeros(len(theta)))

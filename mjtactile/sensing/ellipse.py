@@ -60,7 +60,14 @@ def axes_jacobian(semi_axes: Array, angle: Array) -> Array:
 
 def covariance_of_axes(cov: Array, semi_axes: Array, angle: Array) -> Array:
     """Covariance (N, 5, 5) of (u, v, a, b, angle) from that of (u, v, p, q, s)."""
-    J = np.linalg.inv(axes_jacobian(semi_axes, angle))
+    c, s = np.cos(angle), np.sin(angle)
+    a, b = semi_axes.T
+    difference = np.maximum(a - b, _ROUND * a)
+    J = np.zeros((len(angle), 5, 5))
+    J[:, 0, 0] = J[:, 1, 1] = 1.0
+    J[:, 2, 2:] = np.stack([c * c, 2 * c * s, s * s], axis=1)
+    J[:, 3, 2:] = np.stack([s * s, -2 * c * s, c * c], axis=1)
+    J[:, 4, 2:] = np.stack([-c * s, c * c - s * s, c * s], axis=1) / difference[:, None]
     return J @ cov @ J.transpose(0, 2, 1)
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from mjtactile.errors import InputError
 from mjtactile.sensing import candidates, edges, ellipse, profiles
@@ -13,8 +15,13 @@ from mjtactile.types import Array, Ellipses, Image
 
 Polarity = Literal["dark", "bright"]
 CUT, NOT_ELLIPSE, TOUCHING = "cut by image border", "not an ellipse", "touches another"
-_SMALL = 6.0  # px, semi-minor axis
+_SMALL = 6.0  # px, semi-minor axis; profiles need this much room
+_BLURRED = 7.5  # and this many times the blur
+_TOO_BLURRED = 2.8  # times the blur: below, radius, blur and level cannot be told apart
+_MOTION = 0.06  # px
+_CLOSE = 3.0  # px between two edges, or an edge and the image's border, that disturb a fit
 LOW_CONTRAST, GLARE, SMALL = "low contrast", "glare or dirt", "too small"
+MOTION, BLURRED = "motion blur", "too blurred"
 
 
 def detect(image: NDArray | Image, camera: Any = None, *, polarity: Polarity = "dark",
@@ -34,6 +41,7 @@ def detect(image: NDArray | Image, camera: Any = None, *, polarity: Polarity = "
     found = candidates.find(eight if polarity == "dark" else 255 - eight, min_radius_px)
     found = _plausible(found, min_radius_px)
     fit = _fit(grey, found)
+    fit = _sound(fit)
     status = _judge(fit, found, polarity, grey.shape, min_radius_px)
     keep = status != ""
     axes, angle = ellipse.axes_from_shape(fit.shape[keep])
@@ -59,12 +67,28 @@ def _fit(grey: NDArray, found: candidates.Candidates) -> edges.EdgeFit:
     """Profiles for what is large enough; the image itself, which costs ten times more per pixel, for the small."""
     axes, _ = ellipse.axes_from_shape(found.shape)
     large = axes[:, 1] >= _SMALL
-    if large.all() and len(large):
-        return profiles.fit(grey, found.center, found.shape)
-    fit = edges.fit(grey, found.center[~large], found.shape[~large])
-    if large.any():
-        fit = edges.merge(~large, fit, profiles.fit(grey, found.center[large], found.shape[large]))
-    return fit
+    if not large.any():
+        return edges.fit(grey, found.center, found.shape)
+    fit = profiles.fit(grey, found.center[large], found.shape[large])
+    blurred = (fit.blur * _BLURRED > axes[large, 1]) & (fit.motion < _MOTION)  # `edges` knows of no motion
+    if blurred.any():
+        again = edges.fit(grey, fit.center[blurred], fit.shape[blurred], blur=float(np.median(fit.blur[blurred])))
+        fit = edges.merge(blurred, again, fit.take(~blurred))
+    if large.all():
+        return fit
+    return edges.merge(large, fit, edges.fit(grey, found.center[~large], found.shape[~large]))
+
+
+def _sound(fit: edges.EdgeFit) -> edges.EdgeFit:
+    """`fit` with a covariance as large as the marker, and no trust, where the numbers are not those of a minimum."""
+    variances = np.diagonal(fit.cov, axis1=1, axis2=2)
+    bad = ~(np.isfinite(fit.cov).all(axis=(1, 2)) & (variances > 0).all(axis=1) & np.isfinite(fit.residual))
+    if not bad.any():
+        return fit
+    size = np.square(fit.shape[bad]).sum(axis=1)
+    cov, residual = fit.cov.copy(), fit.residual.copy()
+    cov[bad], residual[bad] = np.eye(5) * size[:, None, None], 1e9
+    return replace(fit, cov=cov, residual=residual)
 
 
 def _eight_bit(grey: NDArray) -> NDArray[np.uint8]:
@@ -74,29 +98,56 @@ def _eight_bit(grey: NDArray) -> NDArray[np.uint8]:
 
 
 def _plausible(found: candidates.Candidates, min_radius_px: float) -> candidates.Candidates:
-    """Drop what cannot be a marker: too small or long, or a border far from its own ellipse."""
+    """Drop what cannot be a marker: too small or long, or a border far from its own ellipse (further if cut)."""
     axes, _ = ellipse.axes_from_shape(found.shape)
     a, b = axes.T
-    good = (b >= min_radius_px) & (b > 0.3 * a) & (found.misfit < 1.2 + 0.15 * b)
-    return found.take(good)
+    bound = 1.2 + np.where(found.cut, 0.4, 0.2) * b
+    return found.take((b >= min_radius_px) & (b > 0.15 * a) & (found.misfit < bound))
 
 
 def _judge(fit: edges.EdgeFit, found: candidates.Candidates, polarity: str, size: tuple[int, ...],
            min_radius_px: float) -> NDArray[np.str_]:
     """Status of each fit; "" for what is no marker at all."""
     axes, _ = ellipse.axes_from_shape(fit.shape)
-    b = axes[:, 1]
+    a, b = axes.T
     contrast = (fit.outside - fit.inside) * (1 if polarity == "dark" else -1)
     noise = np.maximum(fit.residual, 1e-3)
+    doubt = np.sqrt(np.trace(fit.cov[:, 2:, 2:], axis1=1, axis2=2)) / b
     moved = np.linalg.norm(fit.center - found.center, axis=1)
-    extent = np.sqrt(fit.shape[:, [0, 2]] ** 2 + fit.shape[:, 1:2] ** 2)
-    out = ((fit.center - extent < 1) | (fit.center + extent > np.array([size[1], size[0]]) - 2)).any(axis=1)
+    extent = np.hypot(fit.shape[:, [0, 2]], fit.shape[:, 1:2])
+    out = ((fit.center - extent < _CLOSE) | (fit.center + extent > np.array([size[1], size[0]]) - 1 - _CLOSE)).any(axis=1)
     status = np.full(len(b), "ok", dtype="<U24")
-    status[contrast < 8 * noise] = LOW_CONTRAST
-    status[fit.residual > 0.12 * contrast] = NOT_ELLIPSE
+    status[(contrast < 5 * noise) | (doubt > 0.1)] = LOW_CONTRAST
+    status[fit.residual > 0.15 * contrast] = NOT_ELLIPSE
     status[fit.lost > 0.25] = GLARE
+    status[fit.motion > _MOTION] = MOTION
+    status[b < _TOO_BLURRED * fit.blur] = BLURRED
+    changed = np.abs(fit.shape - found.shape).max(axis=1)
+    status[changed > 1.2 + 0.25 * b] = NOT_ELLIPSE
     status[b < min_radius_px] = SMALL
-    status[out | found.cut] = CUT
-    wrong = (contrast < 3 * noise) | (moved > 1 + 0.3 * b) | (b < 0.5 * min_radius_px) | (axes[:, 0] > 5 * b)
-    status[wrong] = ""
+    cut = out | found.cut
+    status[cut] = CUT
+    wrong = (contrast < 2 * noise) | (b < 0.5 * min_radius_px) | (b < 0.1 * a) | (doubt > 0.5)
+    status[wrong | ((moved > 1 + 0.3 * b) & ~cut)] = ""
+    good = np.flatnonzero(status == "ok")
+    status[good[_crowded(fit.center[good], fit.shape[good], a[good])]] = TOUCHING
     return status
+
+
+def _crowded(center: Array, shape: Array, a: Array) -> NDArray[np.bool_]:
+    """Which ellipses (N,) come within `_CLOSE` px of another's edge, measured along the line of centres."""
+    if len(center) < 2:
+        return np.zeros(len(center), dtype=bool)
+    near = KDTree(center).query_pairs(2 * a.max() + _CLOSE, output_type="ndarray")
+    i, j = near.T
+    d = center[j] - center[i]
+    length = np.maximum(np.hypot(*d.T), 1e-9)
+    towards = d / length[:, None]
+    reach = 0.0
+    for k in (i, j):
+        p, q, s = ellipse.inverse_shape(shape[k]).T
+        reach = reach + 1 / np.hypot(p * towards[:, 0] + q * towards[:, 1], q * towards[:, 0] + s * towards[:, 1])
+    touching = near[length < reach + _CLOSE]
+    crowded = np.zeros(len(center), dtype=bool)
+    crowded[touching.ravel()] = True
+    return crowded

@@ -114,7 +114,10 @@ def _both(camera: optics.Camera, center_px: Array, shape: Array, r: Array) -> tu
         scale = 1 + (middle[:, None] - shift) / depth
         # a point seen along a ray that starts at `shift`, as seen from `middle`: x (Z - shift)/(Z - middle)
         both = circles_from_cones(fit_cones(xy * scale[..., None]), r)
-        solutions.append((both[0][k] + middle[:, None] * [0, 0, 1], both[1][k]))
+        # the eigenvectors' signs are free, so the refit may return the two solutions in the other order
+        same = np.argmax(np.einsum("kni,ni->kn", both[1], n[k]), axis=0)
+        each = np.arange(len(r))
+        solutions.append((both[0][same, each] + middle[:, None] * [0, 0, 1], both[1][same, each]))
     return np.stack([s[0] for s in solutions]), np.stack([s[1] for s in solutions])
 
 
@@ -135,16 +138,16 @@ def _covariance(camera: optics.Camera, p: Array, n: Array, r: Array, shape: Arra
     P[..., 2] -= optics.glass_shift(camera, p)[:, None] if camera.glass_thickness else 0.0
     xy = P[..., :2] / P[..., 2:]
     lens = optics.distortion_jacobian(camera, xy.mean(axis=1)) * np.array([[camera.fx], [camera.fy]])
-    offset = np.einsum("nij,nkj->nki", lens, xy - xy.mean(axis=1)[:, None])
+    offset = (xy - xy.mean(axis=1)[:, None]) @ lens.transpose(0, 2, 1)
     sp, sq, ss = ellipse.inverse_shape(shape).T[..., None]
     ex, ey = sp * offset[..., 0] + sq * offset[..., 1], sq * offset[..., 0] + ss * offset[..., 1]
     mx, my = sp * ex + sq * ey, sq * ex + ss * ey
     length = np.hypot(mx, my)
     mx, my = mx / length, my / length
     T = np.stack([mx, my, mx * ex, mx * ey + my * ex, my * ey], axis=-1)
-    m = np.einsum("nki,nij->nkj", np.stack([mx, my], axis=-1), lens) / P[..., 2:]
-    m = np.concatenate([m, -np.einsum("nki,nki->nk", m, xy)[..., None]], axis=-1)  # d(normal motion)/dP
-    along = np.einsum("nki,ni->nk", m, n) * r[:, None]
+    m = (np.stack([mx, my], axis=-1) @ lens) / P[..., 2:]
+    m = np.concatenate([m, -(m * xy).sum(axis=2, keepdims=True)], axis=-1)  # d(normal motion)/dP
+    along = (m @ n[..., None])[..., 0] * r[:, None]
     D = np.concatenate([m, (along * cos.T)[..., None], (along * sin.T)[..., None]], axis=-1)
     Tt = T.transpose(0, 2, 1)
     # scaled to r, so that the 5 x 5 system has comparable columns

@@ -1,0 +1,95 @@
+"""Recorded frames through `calibrate frame` and `reconstruct`, as a user with a real sensor would."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from mjtactile.cli import main
+from mjtactile.sim.camera import Renderer
+from mjtactile.sim.press import Indenter, PressWorld
+
+
+@pytest.fixture(scope="module")
+def frames(tmp_path_factory):
+    """Images of the flat, the inflated and the pressed membrane, and what was true of the last."""
+    folder = tmp_path_factory.mktemp("frames")
+    world = PressWorld("dense", Indenter("sphere", 16e-3))
+    view = Renderer(world.design, seed=0)
+
+    def shoot(name, count):
+        (folder / name).mkdir()
+        for i in range(count):
+            cv2.imwrite(str(folder / name / f"{i}.png"), view.render(*world.marker_poses(0)).pixels)
+
+    world.inflate(0.0, seal=False)
+    shoot("flat", 6)
+    world.inflate(1000.0, seal=True)
+    shoot("rest", 6)
+    world.press(2e-3)
+    shoot("press", 2)
+    sensor = world.sensors[0]
+    return folder, {"force": -world.drive_force[2], "volume_mL": 1e6 * (sensor.volume - world.design.chamber_volume_flat),
+                    "area_mm2": 1e6 * sensor.stretch_and_area()[1], "middle_mm": 1e3 * sensor.height_at(0.0, 0.0)}
+
+
+def run_json(capsys, *args):
+    assert main([*map(str, args), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_from_frames_to_surface_and_force(capsys, frames, tmp_path):
+    folder, truth = frames
+    reference = tmp_path / "reference.json"
+    calibration = run_json(capsys, "calibrate", "frame", folder / "flat", "--rest", folder / "rest", "--out", reference)
+    assert calibration["residual_px"] < 0.05  # centre noise of 0.02 px, averaged over six images
+    # "dense" is rendered as its file says: camera and radii come out unchanged within noise
+    assert max(map(abs, calibration["offset_mm"])) < 0.02
+    np.testing.assert_allclose(calibration["radius_mm"], 1.0, atol=2e-3)
+
+    result = run_json(capsys, "reconstruct", folder / "press", "--reference", reference, "--out", tmp_path / "out")
+    assert [frame["source"] for frame in result["frames"]] == ["0.png", "1.png"]
+    for frame in result["frames"]:
+        assert frame["status"] == "ok" and len(frame["markers"]) == 81
+        x, y, z = (np.array(frame["surface"][key]) for key in ("x_mm", "y_mm", "z_mm"))
+        assert z.shape == (len(y), len(x))
+        assert z[len(y) // 2, len(x) // 2] == pytest.approx(truth["middle_mm"], abs=0.04)  # under a ball: bench perception
+        # triangles cut the corners of the bulge: 1 % of its 1.3 mL at 13 x 11, and 20 uL is 17 um of common depth
+        assert frame["volume_mL"] == pytest.approx(truth["volume_mL"], abs=0.05)
+        assert frame["area_mm2"] == pytest.approx(truth["area_mm2"], abs=2.0)
+        assert -frame["force_N"][2] == pytest.approx(truth["force"], abs=0.04)  # the paper's error
+        assert frame["depth_mm"] == pytest.approx(2.0, abs=0.2)
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"reconstruct.json", "0_overlay.png", "0_surface.png", "1_overlay.png"} <= written
+
+
+def test_without_a_reference_touch_is_unknown_not_zero(capsys, frames):
+    frame = run_json(capsys, "reconstruct", frames[0] / "press" / "0.png")["frames"][0]
+    assert frame["status"] == "ok" and frame["surface"] is not None
+    assert frame["force_N"] is None and frame["contact_area_mm2"] is None and frame["depth_mm"] is None
+
+
+def test_frames_that_cannot_be_used_are_named(capsys, frames, tmp_path):
+    mixed = tmp_path / "mixed"
+    mixed.mkdir()
+    (mixed / "a.png").write_bytes((frames[0] / "press" / "0.png").read_bytes())
+    (mixed / "b.png").write_bytes(b"not a picture")
+    cv2.imwrite(str(mixed / "c.png"), np.zeros((100, 100), np.uint8))
+    cv2.imwrite(str(mixed / "d.png"), np.full((480, 640), 180, np.uint8))
+    rows = run_json(capsys, "reconstruct", mixed)["frames"]
+    assert [row["status"] for row in rows] == ["ok", "cannot be read", "100 x 100 pixels, the sensor's camera has 640 x 480",
+                                               "only 0 of 81 markers seen"]
+    assert rows[3]["surface"] is None
+
+
+@pytest.mark.parametrize(("args", "words"), [
+    (("reconstruct", "nowhere"), ("nowhere", "no such file")),
+    (("reconstruct", "{press}", "--reference", "no.json"), ("no.json", "--reference")),
+    (("calibrate", "frame", "{press}", "--sensor", "paper16", "--out", "{tmp}/r.json"), ("paper16",)),
+    (("calibrate", "frame", "{press}", "--out", "nowhere/r.json"), ("nowhere", "--out"))])
+def test_bad_input_is_one_line(capsys, frames, tmp_path, args, words):
+    code = main([a.format(press=frames[0] / "press", tmp=tmp_path) for a in args])
+    captured = capsys.readouterr()
+    assert code in (2, 3) and len(captured.err.strip().splitlines()) == 1
+    assert all(word in captured.err for word in words)
