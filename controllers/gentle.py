@@ -29,10 +29,12 @@ def step(observation: Observation) -> Command:
     memory = {"phase_time": 0.0, "settled_time": 0.0, "blind_time": 0.0, **observation.command.memory}
     memory["phase_time"] += observation.period
     felt = [touch.force_normal for touch in observation.touch]
+    known = all(isfinite(force) for force in felt)
+    if known:
+        memory["blind_time"] = 0.0
     command = replace(observation.command, force_limit=SERVO_FORCE_LIMIT, memory=memory)
-    if not all(isfinite(force) for force in felt):  # unknown is not zero: stand still, then open gently
+    if not known:  # unknown is not zero: stand still, then open gently
         return _blind(observation, command)
-    memory["blind_time"] = 0.0
     return _PHASES[command.phase](observation, command, felt)
 
 

@@ -15,6 +15,7 @@ from mjtactile.controller import load_controller
 from mjtactile.design import load_sensor
 from mjtactile.rig import Rig, build_rig
 from mjtactile.sensing.pipeline import SensorPipeline
+from mjtactile.types import Image
 
 TIME_LIMIT = 60.0  # s on the rig's clock; a gentle grasp takes about 10
 
@@ -28,10 +29,13 @@ class GraspOptions:
     controller: str = "gentle"
     rig: str = "sim"
     seed: int = 0
+    accuracy: str = ""
+    effects: str = "auto"
 
 
 class RecorderLike(Protocol):
     def note(self, **values: Any) -> None: ...
+    def add_reference(self, stage: str, images: list[list[Image]], pressure_gauge: list[float | None]) -> None: ...
     def add(self, cycle: Cycle, **truth: Any) -> None: ...
 
 
@@ -95,11 +99,12 @@ def run_grasp(options: GraspOptions, *, recorder: RecorderLike, progress: Progre
     """
     design = load_sensor(options.sensor)
     controller = load_controller(options.controller)
-    rig = build_rig(options.rig, design, object_name=options.object, seed=options.seed)
+    rig = build_rig(options.rig, design, object_name=options.object, seed=options.seed, accuracy=options.accuracy,
+                    effects=options.effects)
     try:
-        pipelines = [SensorPipeline(design) for _ in rig.cameras]
+        pipelines = [SensorPipeline(rig.design) for _ in rig.cameras]
         score = _watch(rig, recorder)
-        take_references(rig, pipelines, progress.message)
+        take_references(rig, pipelines, progress.message, recorder.add_reference)
         log = _Log()
 
         def on_cycle(cycle: Cycle) -> None:

@@ -9,8 +9,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
+from mjtactile import resources
 from mjtactile.design import SensorDesign
 from mjtactile.errors import InputError
+from mjtactile.rigfile import load_rig_file
 from mjtactile.types import Command, GripperState, Image, ValveState
 
 
@@ -108,20 +110,34 @@ class Rig:
         return 1.0 / self.design.camera.rate
 
 
-def build_rig(name: str, design: SensorDesign, *, object_name: str, seed: int) -> Rig:
-    """Build the rig that the user named.
+def build_rig(name: str, design: SensorDesign, *, object_name: str, seed: int, **simulation: str) -> Rig:
+    """Build the rig that the user named: "sim", "emulated", "replay:FOLDER", or a rig file (shipped name or FILE.toml).
 
+    `simulation` goes to the simulator (`accuracy`, `effects`); another rig has no use for it.
     Raises InputError for an unknown rig, object or sensor; DeviceError for a device that is not there.
     """
-    if name not in _BUILDERS:
-        raise InputError(f"unknown rig {name!r}", field="--rig", choices=_BUILDERS)
-    return _BUILDERS[name](design, object_name, seed)
+    if name == "sim":
+        from mjtactile.sim.rig import build_sim_rig  # lazily, here and below: a real rig needs no simulator
+
+        return build_sim_rig(design, object_name=object_name, seed=seed, **simulation)
+    if any(value not in ("", "auto") for value in simulation.values()):
+        raise InputError(f"the rig {name!r} is not simulated here", field=" or ".join(f"--{key}" for key in simulation))
+    if name.startswith("replay:"):
+        from mjtactile.devices.replay import build_replay_rig
+
+        return build_replay_rig(name.removeprefix("replay:"), design)
+    if "." not in name and "/" not in name and name not in resources.names("models/rigs", ".toml"):
+        raise InputError(f"unknown rig {name!r}", field="--rig", choices=rig_names())
+    rig_file = load_rig_file(name)
+    if rig_file.emulator is not None:
+        from mjtactile.emulator.rig import build_emulated_rig
+
+        return build_emulated_rig(rig_file, design, object_name=object_name, seed=seed)
+    from mjtactile.devices.rig import build_device_rig
+
+    return build_device_rig(rig_file, design, name=rig_file.name)
 
 
-def _sim(design: SensorDesign, object_name: str, seed: int) -> Rig:
-    from mjtactile.sim.rig import build_sim_rig  # lazily: a real rig needs no simulator
-
-    return build_sim_rig(design, object_name=object_name, seed=seed)
-
-
-_BUILDERS: dict[str, Callable[[SensorDesign, str, int], Rig]] = {"sim": _sim}
+def rig_names() -> list[str]:
+    """What a user may write after `--rig`."""
+    return ["sim", *resources.names("models/rigs", ".toml"), "FILE.toml", "replay:FOLDER"]

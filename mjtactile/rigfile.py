@@ -22,13 +22,15 @@ FINGERS = ("left", "right")
 @dataclass(frozen=True)
 class BusConfig:
     """Serial bus of the servos: `port`, `baud`, `reply_timeout` s on top of the wire's own time, `watchdog` s after which
-    a servo that hears nothing stops by itself, `fast_sync`: ask all servos in one reply packet (newer firmware)."""
+    a servo that hears nothing stops by itself, `fast_sync`: ask all servos in one reply packet (newer firmware),
+    `host_timeout` s after which a control loop that calls no more counts as hung: the watchdogs are then let trip."""
 
     port: str
     baud: int = 1_000_000
     reply_timeout: float = 0.008
     watchdog: float = 0.1
     fast_sync: bool = False
+    host_timeout: float = 0.25
 
 
 @dataclass(frozen=True)
@@ -148,8 +150,8 @@ class Section:
         if key in self._table:
             return self._table[key]
         if default is ...:
-            self.done(partial=True)
-            raise self.fail(key, "missing field")
+            like = [other for other in self._table if other.rsplit("_", 1)[0] == key.rsplit("_", 1)[0] and "_" in key]
+            raise self.fail(key, f"missing field; there is {like[0]!r}: wrong unit?" if like else "missing field")
         return None
 
     def number(self, key: str, low: float, high: float, scale: float = 1.0, default: Any = ...) -> Any:
@@ -219,15 +221,13 @@ class Section:
         label = f"{self._label}.{key}" if self._label else key
         return [Section(item, f"{label}[{i}]", self._source) for i, item in enumerate(value)]
 
-    def done(self, *, partial: bool = False) -> None:
-        """Raise InputError for a field that is not known (`partial`: only if it looks like the one that is missing)."""
+    def done(self) -> None:
+        """Raise InputError for a field that is not known."""
         for key in self._table:
             if key in self._asked:
                 continue
             stem = {k.rsplit("_", 1)[0]: k for k in self._asked if "_" in k}.get(key.rsplit("_", 1)[0])
             near = stem or next(iter(difflib.get_close_matches(key, self._asked, 1)), None)
-            if partial and near is None:
-                continue
             hint = f", wrong unit? write it as {stem!r}" if stem else f", did you mean {near!r}?" if near else ""
             raise self.fail(key, f"unknown field{hint}", self._asked)
 
@@ -278,7 +278,8 @@ def _bus(section: Section) -> BusConfig:
         baud=section.whole("baud", 9600, 4_000_000, default=1_000_000),
         reply_timeout=section.number("reply_timeout_ms", 0.5, 100, 1e-3, default=0.008),
         watchdog=section.number("watchdog_ms", 20, 2540, 1e-3, default=0.1),  # register 98: 1 to 127 units of 20 ms
-        fast_sync=section.flag("fast_sync", False))
+        fast_sync=section.flag("fast_sync", False),
+        host_timeout=section.number("host_timeout_ms", 50, 60000, 1e-3, default=0.25))
     section.done()
     return config
 

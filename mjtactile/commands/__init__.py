@@ -3,9 +3,9 @@
 One that needs no simulator says `SIMULATES = False`.
 """
 
-from mjtactile.commands import bench, calibrate, grasp, inflate, locate, press, reconstruct
+from mjtactile.commands import bench, calibrate, doctor, emulate, grasp, inflate, locate, press, probe, reconstruct
 
 COMMANDS = {
-    "grasp": grasp, "inflate": inflate, "press": press, "locate": locate, "reconstruct": reconstruct, "calibrate": calibrate,
-    "bench": bench,
+    "grasp": grasp, "probe": probe, "inflate": inflate, "press": press, "locate": locate, "reconstruct": reconstruct, "calibrate": calibrate,
+    "bench": bench, "emulate": emulate, "doctor": doctor,
 }  # fmt: skip

@@ -13,16 +13,21 @@ from mjtactile.recording import write_json
 HELP = "measure accuracy and speed; writes a table, a JSON and plots"
 DESCRIPTION = """\
 Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
-  grasp       every shipped object with seeds 0-9: outcome, force error, real-time factor
+  grasp       egg, strawberry and vial with seeds 0-9: outcome, force error, real-time factor
               and where the time goes
-  perception  marker accuracy against the Cramer-Rao bound, and speed, next to OpenCV's tools"""
+  perception  marker accuracy against the Cramer-Rao bound, and speed, next to OpenCV's tools
+  material    class and modulus of random bodies, probed
+  stability   more than 300 hard cases of the simulation, each judged by physics
+  rig         the emulated rig: loop rate, latency, reaction to every fault, host killed"""
 EPILOG = """\
 examples:
   mjtactile bench grasp --quick            one seed instead of ten
   mjtactile bench perception --out results
   mjtactile bench grasp --readme README.md put the table between that file's bench markers
 """
-BENCHMARKS = {"grasp": "mjtactile.bench.grasp", "perception": "mjtactile.bench.perception"}
+BENCHMARKS = {"grasp": "mjtactile.bench.grasp", "perception": "mjtactile.bench.perception",
+              "material": "mjtactile.bench.material",
+              "rig": "mjtactile.bench.rig", "stability": "mjtactile.bench.stability"}
 """Name to module; each has `run(out, quick) -> dict`, which draws into `out`, and `table(result) -> str` in Markdown."""
 
 

@@ -20,23 +20,26 @@ from mjtactile.errors import InputError
 from mjtactile.optics import Camera
 from mjtactile.recording import write_json
 from mjtactile.sensing.ellipse import boundary, shape_from_axes
-from mjtactile.sensing.locate import marker_records
-from mjtactile.sensing.markers import detect
-from mjtactile.sensing.pose import estimate_poses
+from mjtactile.sensing.locate import find_circles, marker_records
 from mjtactile.types import CirclePoses, Ellipses
 
 SIMULATES = False
 HELP = "find circular markers in images and say where they are in 3D"
 DESCRIPTION = """\
 Find circular markers of a known radius in an image, a folder of images or a video, and
-estimate each one's centre and normal in the camera frame (x right, y down, z forward)."""
+estimate each one's centre and normal in the camera frame (x right, y down, z forward).
+
+Forty and more small circles (below 6 px) that plainly lie on one smooth surface, such as a board's dots, help each
+other: the depth of each is smoothed by a spline over the image, whose stiffness the circles themselves decide. Neither
+flatness nor any spacing is assumed, but the depths are no longer independent; --neighbours never turns it off."""
 EPILOG = """\
 examples:
   mjtactile locate photo.png --camera camera.yaml --radius-mm 6.35
   mjtactile locate photos/ --camera camera.yaml --radius-mm 6.35 --json > markers.json
   mjtactile locate clip.mp4 --camera camera.yaml --radius-mm 1.5 --bright --out overlays
 
-JSON: {"frames": [{"source": …, "status": …, "markers": [{
+JSON: {"frames": [{"source": …, "status": "ok", or why it has no markers,
+  "shared": [] or what its circles share with neighbours ("elongation", "depth"), "markers": [{
   "uv_px": projected centre (distorted pixels; (0, 0) is the centre of the top-left pixel),
   "ellipse_px": {"center", "semi_axes", "angle_deg"},
   "center_mm", "normal" and "normal_alt" (the two solutions, facing the camera),
@@ -55,6 +58,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="dark markers on a bright ground (default)")
     colour.add_argument("--bright", dest="polarity", action="store_const", const="bright",
                         help="bright markers on a dark ground")
+    parser.add_argument("--neighbours", choices=["auto", "always", "never"], default="auto",
+                        help="let many circles on one smooth surface help each other: small ones (auto, the default), "
+                        "of any size, or never")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write an overlay of each image and locate.json there")
 
 
@@ -74,7 +80,8 @@ def run(options: argparse.Namespace) -> int:
     with stdout_to_stderr():
         frames = [_locate(frame, camera, options, out) for frame in read_frames(options.source)]
     if not any(frame["status"] == "ok" for frame in frames):
-        raise InputError(f"none of its {len(frames)} images can be read", source=options.source, field="SOURCE")
+        raise InputError(f"none of its {len(frames)} images can be used; {frames[0]['source']}: {frames[0]['status']}",
+                         source=options.source, field="SOURCE")
     if out is not None:
         write_json(out / "locate.json", {"frames": [_public(frame) for frame in frames]})
     if options.json:
@@ -91,19 +98,24 @@ def _public(frame: dict[str, Any]) -> dict[str, Any]:
 def _locate(frame: Frame, camera: Camera, options: argparse.Namespace, out: Path | None) -> dict[str, Any]:
     """One frame of the JSON, with its time `ms` for the table."""
     if frame.pixels is None:
-        return {"source": frame.name, "status": "cannot be read", "markers": [], "ms": 0.0}
+        return _without_markers(frame, "cannot be read")
     height, width = frame.pixels.shape[:2]
     if (width, height) != (camera.width, camera.height):
-        raise InputError(f"{width} x {height} pixels, but the camera file is for {camera.width} x {camera.height}",
-                         source=frame.name, field="image size")
+        return _without_markers(frame, f"{width} x {height} pixels, but the camera file is for "
+                                f"{camera.width} x {camera.height}")
     begin = time.perf_counter()
-    ellipses = detect(frame.pixels, polarity=options.polarity)
-    poses = estimate_poses(ellipses, camera, options.radius_mm * 1e-3)
+    found = find_circles(frame.pixels, camera, options.radius_mm * 1e-3, polarity=options.polarity,
+                         neighbours=options.neighbours)
     spent = 1e3 * (time.perf_counter() - begin)
     if out is not None:
         name = f"{Path(frame.name).stem}{_index(frame.name)}_overlay.png"
-        cv2.imwrite(str(out / name), overlay(frame.pixels, ellipses, poses))
-    return {"source": frame.name, "status": "ok", "markers": marker_records(ellipses, poses), "ms": spent}
+        cv2.imwrite(str(out / name), overlay(frame.pixels, found.ellipses, found.poses))
+    return {"source": frame.name, "status": "ok", "shared": list(found.shared),
+            "markers": marker_records(found.ellipses, found.poses), "ms": spent}
+
+
+def _without_markers(frame: Frame, status: str) -> dict[str, Any]:
+    return {"source": frame.name, "status": status, "shared": [], "markers": [], "ms": 0.0}
 
 
 def _index(name: str) -> str:
@@ -139,7 +151,7 @@ def _print_table(frames: Sequence[dict[str, Any]], out: Path | None) -> None:
     for frame in frames:
         good = [m for m in frame["markers"] if m["status"] == "ok"]
         depth = statistics.median(math.sqrt(m["cov_center_mm2"][2][2] or math.nan) for m in good) if good else math.nan
-        note = "" if frame["status"] == "ok" else f"  {frame['status']}"
+        note = f"  {frame['status']}" if frame["status"] != "ok" else "  smoothed" if "depth" in frame["shared"] else ""
         print(f"{frame['source'][-40:]:<40} {len(frame['markers']):>7} {len(good):>5} {depth:>15.4f} "
               f"{frame['ms']:>7.1f}{note}")
     if out is not None:

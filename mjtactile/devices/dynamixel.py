@@ -9,16 +9,16 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
-import signal
 import threading
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from mjtactile.devices.dynamixel_bus import BusError, DynamixelBus, Reply
 from mjtactile.devices.dynamixel_tables import (
     CURRENT_BASED_POSITION,
     EEPROM_END,
+    MODEL_BY_NUMBER,
+    NO_CURRENT_CONTROL,
     TICKS_PER_RAD,
     VELOCITY_UNIT,
     WATCHDOG_UNIT,
@@ -28,6 +28,7 @@ from mjtactile.devices.dynamixel_tables import (
     signed,
 )
 from mjtactile.devices.geometry import JawGeometry, find_model
+from mjtactile.devices.shutdown import signals_later
 from mjtactile.errors import DeviceError
 from mjtactile.rigfile import BusConfig, GripperConfig, LiftConfig
 from mjtactile.types import Command, GripperState
@@ -36,9 +37,10 @@ _log = logging.getLogger(__name__)
 _STATE_START, _STATE_SIZE = 126, 21  # present current, velocity, position, …, voltage, temperature: one block
 _GOAL_START = 102  # goal current, velocity, profile acceleration, profile velocity, goal position: one block
 _FAILURES_MAX = 3  # cycles in a row without a servo's reply before it counts as lost
-_SILENCE_RUNNING = 0.25  # s without a command before the host counts as hung and the watchdog is let trip
+_WATCHDOG_IDLE = 2.0  # s, before the first command: taking references can hold the interpreter for longer than 0.1 s
 _SILENCE_IDLE = 30.0  # s without any call, before the first command (references are being taken)
-_OFF_ATTEMPTS = 3
+_POLL_EVERY = 3  # readings: with three servos each is asked every ninth, five times a second
+_OFF_ATTEMPTS = _READ_ATTEMPTS = 3
 
 
 class ServoFault(DeviceError):
@@ -103,6 +105,7 @@ class DynamixelGripper:
         self._state_time = self._bus_time = -math.inf
         self._poll_turn = 0
         self._lost: DeviceError | None = None
+        self._keeper = threading.Thread(target=self._keep_alive, name="dynamixel", daemon=True)
         self.bus = DynamixelBus(bus.port, bus.baud, reply_timeout=bus.reply_timeout)
         try:
             for servo in self._servos.values():
@@ -113,7 +116,6 @@ class DynamixelGripper:
         except BaseException:
             self.close(quiet=True)
             raise
-        self._keeper = threading.Thread(target=self._keep_alive, name="dynamixel", daemon=True)
         self._keeper.start()
 
     # -- the rig's protocol --------------------------------------------------------------------------------------
@@ -132,12 +134,15 @@ class DynamixelGripper:
                 lift_height=self._lift_height())
 
     def command(self, command: Command) -> Command:
-        """Send goals to all servos in one packet; returns what the servos were really told, after limits and rounding.
+        """Send goals to all servos in one packet; returns what was sent, after limits.
 
+        A servo rounds to its own position unit (0.02 mm here). That is not in what is returned: a controller that steps
+        from the last command by less than half a unit would never get anywhere.
         A force limit of 0 leaves the servos' limits as they were. Raises DeviceError when the port is lost.
         """
         with self._lock:
-            self._last_call, self._silence = time.monotonic(), _SILENCE_RUNNING
+            self._arm()
+            self._last_call = time.monotonic()
             low, high = self.config.opening
             opening = min(max(command.opening, low), high)
             force = min(max(command.force_limit, 0.0), self.config.force_max)
@@ -149,8 +154,7 @@ class DynamixelGripper:
                     servo.goal_current_units = jaw.current_units(force, servo.ticks)
             height = self._command_lift(command.lift_height)
             self._send_goals()
-            sent = sum(jaw.part(goals[jaw.config.id]) for jaw in self.geometry.servos)
-            return Command(sent, force, height, command.phase, command.memory)
+            return Command(opening, force, height, command.phase, command.memory)
 
     @property
     def reading_time(self) -> float:
@@ -165,12 +169,18 @@ class DynamixelGripper:
         if self._closed.is_set():
             return
         self._closed.set()
-        with _signals_later(), self._lock:
-            failed = [servo.id for servo in self._servos.values() if not self._torque_off(servo)]
+        with signals_later():
+            self._finish(quiet)
+
+    def _finish(self, quiet: bool) -> None:
+        with self._lock:
+            failed = {servo.id: reason for servo in self._servos.values() if (reason := self._torque_off(servo))}
             self.bus.close()
+        if self._keeper.is_alive():
+            self._keeper.join()
         if failed:
-            text = (f"torque of servo {', '.join(map(str, failed))} on {self.bus.name} could not be switched off; its bus "
-                    f"watchdog stops it after {self._bus_config.watchdog * 1e3:.0f} ms. Cut its power before touching it")
+            text = (f"torque of servo {', '.join(map(str, failed))} on {self.bus.name} could not be switched off "
+                    f"({'; '.join(failed.values())}); its bus watchdog stops it. Cut its power before touching it")
             _log.error(text)
             if not quiet:
                 raise DeviceError(text)
@@ -215,7 +225,7 @@ class DynamixelGripper:
         self._set(servo, "Goal Current", servo.goal_current_units)
         servo.ticks = servo.goal_ticks = signed(self._get(servo, "Present Position"), 4)
         self._set(servo, "Goal Position", servo.goal_ticks)
-        self._set(servo, "Bus Watchdog", max(1, round(self._bus_config.watchdog / WATCHDOG_UNIT)))
+        self._set(servo, "Bus Watchdog", _watchdog_units(_WATCHDOG_IDLE))
 
     def _find_place(self, servo: _Servo) -> None:
         """Which turn the servo is in, from where its jaw can be."""
@@ -246,8 +256,15 @@ class DynamixelGripper:
         return int(min(max(1, units), servo.model.current_max_units))
 
     def _get(self, servo: _Servo, name: str) -> int:
+        """Read one register; reading again changes nothing, so a lost reply is asked for again."""
         register = servo.model.table[name]
-        return self.bus.read(servo.id, register.address, register.size).value(0, register.size)
+        for attempt in range(_READ_ATTEMPTS):
+            try:
+                return self.bus.read(servo.id, register.address, register.size).value(0, register.size)
+            except BusError as error:
+                if attempt == _READ_ATTEMPTS - 1 or error.reason in ("refused", "lost"):
+                    raise
+        raise AssertionError
 
     def _set(self, servo: _Servo, name: str, value: int) -> None:
         """Write a register and read it back. EEPROM is spared when it has the value already."""
@@ -301,11 +318,11 @@ class DynamixelGripper:
             servo.faults.append(text)
 
     def _poll_one(self) -> None:
-        """Every 16th reading, ask one servo for what the block does not hold: a brown-out resets a servo in silence."""
+        """Now and then ask one servo for what the block does not hold: a brown-out resets a servo in silence."""
         self._poll_turn += 1
-        if self._poll_turn % 16 or self._silence == _SILENCE_IDLE and self._poll_turn < 16:
+        if self._poll_turn % _POLL_EVERY:
             return
-        servo = list(self._servos.values())[self._poll_turn // 16 % len(self._servos)]
+        servo = list(self._servos.values())[self._poll_turn // _POLL_EVERY % len(self._servos)]
         with contextlib.suppress(BusError):
             block = self.bus.read(servo.id, 64, 35)  # 64 torque, 70 hardware error, 98 bus watchdog
             if block.value(6, 1):
@@ -329,6 +346,13 @@ class DynamixelGripper:
                   for s in self._servos.values()}
         self.bus.write_many(_GOAL_START, blocks)
 
+    def _arm(self) -> None:
+        """At the first command, the bus watchdogs get the rig file's time, and a silent host is given no more than that."""
+        if self._silence != self._bus_config.host_timeout:
+            for servo in self._servos.values():
+                self._set(servo, "Bus Watchdog", _watchdog_units(self._bus_config.watchdog))
+            self._silence = self._bus_config.host_timeout
+
     # -- the lift ------------------------------------------------------------------------------------------------
 
     def _command_lift(self, height: float) -> float:
@@ -351,7 +375,7 @@ class DynamixelGripper:
     # -- staying alive, and ending -------------------------------------------------------------------------------
 
     def _keep_alive(self) -> None:
-        """Feed the bus watchdog between the loop's calls, but only while the loop lives: see `_SILENCE_RUNNING`."""
+        """Feed the bus watchdog between the loop's calls, but only while the loop lives: see `BusConfig.host_timeout`."""
         interval = self._bus_config.watchdog / 4
         while not self._closed.wait(interval):
             with self._lock:
@@ -361,21 +385,20 @@ class DynamixelGripper:
                 with contextlib.suppress(DeviceError):  # the loop's next call meets the same trouble and raises it
                     self._refresh()
 
-    def _torque_off(self, servo: _Servo) -> bool:
-        """Switch one servo's torque off, trying again on a lost reply; True when it was confirmed."""
-        address = servo.model.table["Torque Enable"].address
+    def _torque_off(self, servo: _Servo) -> str:
+        """Switch one servo's torque off, trying again on a lost reply; "" when it was confirmed, else what went wrong."""
+        address, reason = servo.model.table["Torque Enable"].address, ""
         for _ in range(_OFF_ATTEMPTS):
             try:
                 self.bus.write(servo.id, address, 1, 0)
-                return True
+                return ""
             except BusError as error:
-                if error.reason == "refused":
-                    return False
-                if error.reason == "lost":
+                reason = str(error)
+                if error.reason in ("refused", "lost"):
                     break
-            except Exception:  # noqa: BLE001  # whatever it is, the next motor must still be switched off
-                _log.exception("servo %d: torque off failed", servo.id)
-        return False
+            except Exception as error:  # noqa: BLE001  # whatever it is, the next motor must still be switched off
+                reason = f"{type(error).__name__}: {error}"
+        return reason
 
     def reports(self) -> list[ServoReport]:
         """What each servo says about itself, for `mjtactile doctor`."""
@@ -383,27 +406,16 @@ class DynamixelGripper:
             return [read_report(self.bus, servo.id) for servo in self._servos.values()]
 
 
+def _watchdog_units(seconds: float) -> int:
+    return max(1, round(seconds / WATCHDOG_UNIT))
+
+
 def read_report(bus: DynamixelBus, servo: int) -> ServoReport:
     """Ask one servo about itself. Changes nothing. Raises BusError."""
     number, firmware = bus.ping(servo)
-    from mjtactile.devices.dynamixel_tables import MODEL_BY_NUMBER, NO_CURRENT_CONTROL
-
     name = MODEL_BY_NUMBER[number].name if number in MODEL_BY_NUMBER else NO_CURRENT_CONTROL.get(number, f"model {number}")
     error = bus.read(servo, 70, 1).value(0, 1)
     power = bus.read(servo, 144, 3)
     return ServoReport(servo, name, firmware, bus.read(servo, 11, 1).value(0, 1), 0.1 * power.value(0, 2),
                        float(power.value(2, 1)), describe_hardware_error(error) if error else "",
                        bool(bus.read(servo, 64, 1).value(0, 1)))
-
-
-@contextlib.contextmanager
-def _signals_later() -> Iterator[None]:
-    """Keep Ctrl-C and SIGTERM from cutting a shutdown short; they arrive when it is done."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import contextlib
 import select
+import termios
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -30,6 +31,10 @@ from mjtactile.errors import DeviceError
 _ID, _LENGTH, _ERROR, _PARAMETERS = 4, 5, 8, 9  # places in a status packet
 _OVERHEAD = 11  # bytes of a status packet around its parameters
 ALERT = 0x80
+_BABBLE = 5  # times the time-out
+_DRAIN_MAX = 0.05  # s of babble that are thrown away
+_LOST = (serial.SerialException, OSError, termios.error, TypeError)
+"""What pyserial raises on a port that has gone: termios.error is no OSError, and a closed port is a TypeError."""
 _STATUS_ERRORS = {1: "could not carry it out", 2: "does not know the instruction", 3: "received a wrong CRC",
                   4: "says the value is out of range", 5: "says the length is wrong",
                   6: "says the value is beyond its limit", 7: "denies access to that register"}
@@ -81,6 +86,11 @@ class _Port(PortHandler):
     def getCurrentTime(self) -> float:
         return 1e3 * time.monotonic()
 
+    def isPacketTimeout(self) -> bool:
+        """Late only when nothing is waiting to be read: it may be this thread that was late. A babbler gets no more time."""
+        passed = self.getTimeSinceStart()
+        return passed > self.packet_timeout and (self.ser.in_waiting == 0 or passed > _BABBLE * self.packet_timeout)
+
     def setPacketTimeout(self, packet_length: int) -> None:
         self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + self._reply_timeout_ms)
 
@@ -120,6 +130,7 @@ class DynamixelBus:
         self._port, self._packets = _Port(port, reply_timeout), _PacketHandler()
         self._port.baudrate = baud
         self._dirty = False
+        self._quiet = reply_timeout  # s to wait for a straggler: as long again as a reply may take
         try:
             if not self._port.setBaudRate(baud):
                 raise DeviceError(f"{port}: the SDK knows no baud rate {baud}")
@@ -190,7 +201,7 @@ class DynamixelBus:
             except BusError as error:
                 self._dirty = error.reason != "refused"
                 raise
-            except (serial.SerialException, OSError, TypeError) as error:  # pyserial: TypeError on a closed port
+            except _LOST as error:
                 raise BusError(f"servo port {self.name} is lost: {_plain(error)}", servo=servo, reason="lost") from error
             except (IndexError, ValueError, UnboundLocalError) as error:  # the SDK's parser on bad bytes
                 self._dirty = True
@@ -200,10 +211,11 @@ class DynamixelBus:
                 self._port.is_using = False
 
     def _drain(self) -> None:
-        """Throw away a late reply, which would otherwise pass for the answer to the next question."""
-        while self._port.ser.read(4096):
-            time.sleep(5e-4)
-        self._dirty = False
+        """Throw away a late reply, which would otherwise pass for the answer to the next question: listen until it is quiet."""
+        deadline = time.monotonic() + _DRAIN_MAX
+        while time.monotonic() < deadline and select.select([self._port.ser.fileno()], [], [], self._quiet)[0]:
+            if not self._port.ser.read(4096):
+                break
 
     def _exchange(self, servo: int, body: list[int], *, reply: int) -> Reply:
         """Send one instruction and return the parameters of its status packet, of which there must be `reply` bytes."""
@@ -217,15 +229,23 @@ class DynamixelBus:
             received, result = self._packets.rxPacket(self._port, False)
             if result != COMM_SUCCESS:
                 raise self._failed(servo, result)
-            if received[_ID] == servo:
-                return self._parse(servo, received, reply)
+            if received[_ID] != servo or self._dirty and self._length(received) != reply:
+                continue  # another's, or a late answer to an earlier question
+            answer = self._parse(servo, received, reply)
+            self._dirty = False
+            return answer
+
+    @staticmethod
+    def _length(packet: Sequence[int]) -> int:
+        """Bytes of parameters in a status packet."""
+        return (packet[_LENGTH] | packet[_LENGTH + 1] << 8) - 4
 
     def _parse(self, servo: int, packet: Sequence[int], expected: int) -> Reply:
         error = packet[_ERROR]
         if error & ~ALERT:
             what = _STATUS_ERRORS.get(error & ~ALERT, f"answered with error {error & ~ALERT}")
             raise BusError(f"servo {servo} on {self.name} {what}", servo=servo, reason="refused")
-        count = (packet[_LENGTH] | packet[_LENGTH + 1] << 8) - 4
+        count = self._length(packet)
         if count != expected:
             raise BusError(f"servo {servo} on {self.name} sent {count} bytes instead of {expected}", servo=servo, reason="short")
         return Reply(bytes(packet[_PARAMETERS : _PARAMETERS + count]), bool(error & ALERT))

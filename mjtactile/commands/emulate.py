@@ -1,0 +1,113 @@
+"""`mjtactile emulate`: emulated hardware for any client, until it is stopped."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from mjtactile import resources
+from mjtactile.errors import InputError
+
+HELP = "start emulated hardware on serial ports and streams, until stopped"
+DESCRIPTION = """\
+Start emulated servos, a valve board and cameras around a simulated grasp, in real time, and
+print a rig file for them. Any client may talk to them: this package's drivers (--rig FILE),
+the Dynamixel SDK, a serial terminal, a browser. Runs until Ctrl-C."""
+EPILOG = """\
+examples:
+  mjtactile emulate --out rig.toml
+  mjtactile grasp --rig rig.toml                  in another terminal
+  mjtactile emulate --faults servo_drop=0.01 --faults frames_dark=1
+
+faults can also be switched while it runs: type `servo_overload 1` and Enter; `servo_overload 0` ends it.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--scene", "--object", dest="object", default="egg", metavar="NAME|FILE.xml",
+                        help=f"what stands on the table: {', '.join(resources.names('models/objects', '.xml'))}, or your own "
+                             "MJCF file (default: egg)")
+    parser.add_argument("--sensor", default="dense", metavar="NAME|FILE.toml", help="sensor on each finger (default: dense)")
+    parser.add_argument("--rig", default="emulated", metavar="NAME|FILE.toml",
+                        help="rig file whose servos, valves and cameras to emulate (default: emulated)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="placement and noise (default: 0)")
+    parser.add_argument("--faults", action="append", default=[], metavar="KIND=VALUE", help="a fault from the start; repeatable")
+    parser.add_argument("--out", type=Path, metavar="FILE.toml", help="write the rig file here too")
+
+
+def run(options: argparse.Namespace) -> int:
+    from mjtactile.design import load_sensor
+    from mjtactile.emulator.process import EmulatorProcess
+    from mjtactile.rigfile import load_rig_file
+
+    rig_file = load_rig_file(options.rig)
+    faults = dict(_fault(text) for text in options.faults)
+    emulator = EmulatorProcess(rig_file, load_sensor(options.sensor), object_name=options.object, seed=options.seed,
+                               faults=faults)
+    try:
+        text = _rig_text(rig_file.path.read_text(encoding="utf-8"), emulator.endpoints)
+        if options.out is not None:
+            _write(options.out, text)
+        print(text)
+        print("emulated hardware runs; Ctrl-C ends it", file=sys.stderr, flush=True)
+        _obey_terminal(emulator)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        emulator.close()
+    return 0
+
+
+def _fault(text: str) -> tuple[str, float]:
+    """Parse and check KIND=VALUE or "KIND VALUE". Raises InputError with the kinds that exist."""
+    from mjtactile.emulator.faults import KINDS
+
+    kind, _, value = text.replace("=", " ").partition(" ")
+    if kind not in KINDS:
+        raise InputError(f"unknown fault {kind!r}", field="--faults", choices=KINDS)
+    try:
+        return kind, float(value or 1)
+    except ValueError as error:
+        raise InputError(f"{value!r} is not a number", field=f"--faults {kind}") from error
+
+
+def _obey_terminal(emulator) -> None:
+    """Switch faults that are typed; when stdin is no terminal and ends, just go on."""
+    from mjtactile.errors import MjtactileError
+
+    for line in sys.stdin:
+        try:
+            emulator.fault(*_fault(line.strip()))
+            print(f"ok: {line.strip()}", file=sys.stderr, flush=True)
+        except MjtactileError as error:
+            print(error, file=sys.stderr, flush=True)
+    while True:
+        import time
+
+        time.sleep(1.0)
+        emulator.truth()  # raises when the emulator has ended
+
+
+def _rig_text(text: str, endpoints: dict) -> str:
+    """The rig file with real addresses, and without [emulator]: a client's file."""
+    lines, section, camera = [], "", iter(endpoints["cameras"].values())
+    for line in text.splitlines():
+        if line.startswith("["):
+            section = line.strip("[] ")
+        if section == "emulator":
+            continue
+        key = line.split("=")[0].strip()
+        if key == "port":
+            line = f'port = "{endpoints["servo" if section == "bus" else "valve"]}"'
+        elif key == "source":
+            line = f'source = "{next(camera)}"'
+        lines.append(line)
+    return "\n".join(lines) + "\n"
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror}", source=path, field="--out") from error

@@ -1,0 +1,129 @@
+"""`mjtactile probe`: squeeze an object gently and say what it is made of."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mjtactile import resources
+from mjtactile.commands import plots
+from mjtactile.commands.output import prepare_folder, print_json, stdout_to_stderr
+from mjtactile.errors import InputError
+from mjtactile.progress import Progress
+from mjtactile.recording import Recorder, load_recording, write_json
+from mjtactile.rig import rig_names
+
+if TYPE_CHECKING:
+    from mjtactile.probe import ProbeResult
+
+HELP = "squeeze an object gently and say what it is made of"
+DESCRIPTION = """\
+Press to 0.9 N, hold the jaws still for 2 s, let go, wait, touch once more; then say, from
+the cameras alone, whether the object is solid, soft or amorphous, how stiff it is, how fast
+it relaxes and what stays of its deformation."""
+EPILOG = """\
+examples:
+  mjtactile probe --object clay
+  mjtactile probe --object my_fruit.xml --out runs/fruit    probe.json, probe.png, recording/
+  mjtactile probe --source runs/fruit --json                the same recording, judged again
+
+"unknown" is a verdict: status then says why (not enough contact yet, or undecided).
+exit codes: 0 a class was named, 1 unknown, 2 bad input, 3 a device or the simulation failed.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    names = ", ".join(resources.names("models/objects", ".xml"))
+    parser.add_argument("--object", metavar="NAME|FILE.xml", help=f"what to probe: {names}, or your own (default: sponge)")
+    parser.add_argument("--source", type=Path, metavar="RECORDING", help="judge the images of a recorded run instead")
+    parser.add_argument("--sensor", metavar="NAME|FILE.toml", help="on each finger (default: dense, or the recording's)")
+    parser.add_argument("--controller", default="probe", metavar="NAME|FILE.py", help="what moves (default: probe)")
+    parser.add_argument("--rig", default="sim", metavar="RIG", help=f"{', '.join(rig_names())} (default: sim)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of placement and noise (default: 0)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write probe.json, probe.png and the recording there")
+
+
+def run(options: argparse.Namespace) -> int:
+    if options.source is not None and options.object is not None:
+        raise InputError("say either what to probe or which recording to judge", field="--source")
+    if options.seed < 0:
+        raise InputError(f"{options.seed} is not a whole number from 0 up", field="--seed")
+    out = None if options.out is None else prepare_folder(options.out)
+    with stdout_to_stderr():
+        result = _replay(options) if options.source is not None else _live(options, out)
+        if out is not None:
+            write_json(out / "probe.json", {**result.summary(), "history": result.history()})
+            plots.save(out / "probe.png", lambda figure: draw(figure, result), (9.0, 6.4))
+    if options.json:
+        print_json(result.summary())
+    else:
+        _print(result, out)
+    return 0 if result.material.kind != "unknown" else 1
+
+
+def _replay(options: argparse.Namespace) -> ProbeResult:
+    from mjtactile.probe import replay_probe
+
+    return replay_probe(load_recording(options.source), options.sensor)
+
+
+def _live(options: argparse.Namespace, out: Path | None) -> ProbeResult:
+    from mjtactile.probe import ProbeOptions, run_probe
+
+    names = {"object": options.object or "sponge", "sensor": options.sensor or "dense", "controller": options.controller,
+             "rig": options.rig, "seed": options.seed}
+    say = Progress(quiet=options.json).message
+    if out is None:
+        return run_probe(ProbeOptions(**names), say=say)
+    with Recorder(out / "recording", names) as recorder:
+        result = run_probe(ProbeOptions(**names), recorder=recorder, say=say)
+        recorder.close(outcome=result.material.kind)
+    return result
+
+
+def _print(result: ProbeResult, out: Path | None) -> None:
+    m, known = result.material, math.isfinite
+    chances = ", ".join(f"{name} {100 * p:.0f} %" for name, p in m.probability.items())
+    print(f"{result.names['object']}: {m.kind} ({chances})" + ("" if m.status == "ok" else f"; {m.status}"))
+    if known(m.deformation):
+        print(f"  gave way     {1e3 * m.deformation:.2f} mm under {m.force:.2f} N on each finger")
+        print(f"  came back    all but {1e3 * m.permanent_set:.2f} mm (sd {1e3 * m.permanent_set_sd:.2f})")
+    if known(m.stiffness):
+        print(f"  stiffness    {_range(m.stiffness, m.stiffness_interval)} N/m")
+    if known(m.modulus):
+        print(f"  modulus      {_range(1e-3 * m.modulus, [1e-3 * v for v in m.modulus_interval])} kPa, as between flat faces")
+    if m.relaxation_time:
+        print("  relaxation   " + (f"in {m.relaxation_time:.2f} s" if known(m.relaxation_time) else "yes, no single time"))
+    if known(m.speed):
+        print(f"  flow         {1e3 * m.speed:.2f} mm/s after the fingers stopped")
+    if out is not None:
+        print(f"  results      {out}/probe.json, probe.png")
+
+
+def _range(value: float, interval: Any) -> str:
+    return f"{value:.3g} (68 %: {interval[0]:.3g} to {interval[1]:.3g})"
+
+
+def draw(figure: Any, result: ProbeResult) -> None:
+    """Force against deformation and against membrane-and-object indentation; force and width over time."""
+    s, phases = result.squeeze, result.phases
+    free = s.width[(s.force > 0.1) & (s.width == s.width)]
+    width0 = max(free[:3]) if len(free) else math.nan
+    curve, over_time, width, travel = figure.subplots(2, 2).ravel()
+    for phase in dict.fromkeys(phases):
+        rows = [i for i, name in enumerate(phases) if name == phase and s.force[i] > 0.05]
+        if rows:
+            curve.plot(1e3 * (width0 - s.width[rows]), s.force[rows], ".", ms=4, label=phase)
+            travel.plot(1e3 * (s.opening[rows[0]] - s.opening[rows]), s.force[rows], ".", ms=4)
+    curve.set(xlabel="the object's own deformation, mm", ylabel="force on a finger, N",
+              title=f"{result.names['object']}: {result.material.kind}")
+    curve.legend()
+    over_time.plot(s.time, s.force)
+    over_time.set(xlabel="time, s", ylabel="force on a finger, N")
+    width.plot(s.time, 1e3 * s.width, ".", ms=3)
+    width.set(xlabel="time, s", ylabel="width of the object, mm")
+    travel.set(xlabel="closed since the phase began, mm (object and membranes)", ylabel="force on a finger, N")
+    for axes in (curve, over_time, width, travel):
+        axes.grid(alpha=0.3)

@@ -1,0 +1,284 @@
+"""What `mjtactile doctor` looks at. Each check returns findings in plain words with a remedy; none moves anything."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import statistics
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from serial.tools import list_ports
+
+from mjtactile.devices.dynamixel import read_report
+from mjtactile.devices.dynamixel_bus import BusError, DynamixelBus
+from mjtactile.devices.dynamixel_tables import MODELS, NO_CURRENT_CONTROL
+from mjtactile.devices.opencv_camera import OpenCvCamera
+from mjtactile.devices.valve import connect_valves
+from mjtactile.errors import DeviceError
+from mjtactile.rigfile import BusConfig, CameraConfig, RigFile, load_rig_file
+
+_BAUDS = (57600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115200)
+_ROUND_TRIP_GOOD = 4e-3  # s for three servos at 1 Mbaud with latency_timer = 1; 16 ms is the driver's default timer
+_HOT = 60.0  # degrees C; X series shut down at 70
+_WATCH_TIME = 2.0  # s to watch a camera
+
+
+@dataclass(frozen=True)
+class Finding:
+    """`level` "ok", "warn" or "bad"; `what` was looked at, `text` what was found, `remedy` how to mend it ("": nothing to)."""
+
+    level: str
+    what: str
+    text: str
+    remedy: str = ""
+
+
+def examine(rig: str | None, *, fix: bool = False) -> list[Finding]:
+    """All findings. Raises InputError for a rig file that is wrong itself."""
+    findings = [*_plugged_in()]
+    if rig is None:
+        return findings
+    rig_file = load_rig_file(rig)
+    if rig_file.emulator is not None:
+        return [*findings, Finding("ok", rig_file.name, "is emulated: nothing to be plugged in",
+                                   "`mjtactile emulate --out FILE.toml` starts it; then `mjtactile doctor --rig FILE.toml`")]
+    ports = [*_port("servo bus", rig_file.bus.port, fix=fix)]
+    findings += ports if _bad(ports) else [*ports, *_servos(rig_file)]
+    ports = [f for port in dict.fromkeys(valve.port for valve in rig_file.valves) for f in _port("valve board", port, fix=fix)]
+    findings += ports if _bad(ports) else [*ports, *_valves(rig_file)]
+    for camera in rig_file.cameras:
+        findings += _camera(camera)
+    return findings
+
+
+def _bad(findings: list[Finding]) -> bool:
+    return any(finding.level == "bad" for finding in findings)
+
+
+def _plugged_in() -> Iterator[Finding]:
+    ports = list_ports.comports()
+    for port in ports:
+        yield Finding("ok", "serial port", f"{port.device} ({port.description})")
+    cameras = sorted(Path("/dev/v4l/by-id").glob("*")) if Path("/dev/v4l/by-id").is_dir() else []
+    for camera in cameras:
+        yield Finding("ok", "camera", str(camera))
+    if not ports:
+        yield Finding("warn", "serial ports", "none found", "plug the adapters in; in a container, pass their devices through")
+    if not cameras:
+        yield Finding("warn", "cameras", "none found in /dev/v4l/by-id", "plug them in; `ls /dev/video*` shows those without id")
+
+
+def _port(what: str, path: str, *, fix: bool) -> Iterator[Finding]:
+    """That the port is there, may be used, and does not wait 16 ms to hand over what it received."""
+    if "://" in path:
+        return
+    if not Path(path).exists():
+        yield Finding("bad", what, f"{path} is not there", "is it plugged in? `ls -l /dev/serial/by-id` shows the names that "
+                      "stay the same; write one of them into the rig file")
+        return
+    if not os.access(path, os.R_OK | os.W_OK):
+        group = _group(path)
+        yield Finding("bad", what, f"{path} may not be used by this user", f"sudo usermod -aG {group} $USER, then log in again")
+        return
+    timer = Path("/sys/bus/usb-serial/devices") / Path(path).resolve().name / "latency_timer"
+    if timer.is_file():
+        yield from _latency(what, timer, fix=fix)
+
+
+def _latency(what: str, timer: Path, *, fix: bool) -> Iterator[Finding]:
+    value = timer.read_text().strip()
+    if value == "1":
+        yield Finding("ok", what, "latency timer 1 ms")
+        return
+    if fix:
+        with contextlib.suppress(OSError):
+            timer.write_text("1")
+            yield Finding("ok", what, f"latency timer was {value} ms, is 1 ms until it is unplugged")
+            return
+    yield Finding("warn", what, f"latency timer is {value} ms: each reading takes that long",
+                  "for good: a udev rule ACTION==\"add\", SUBSYSTEM==\"usb-serial\", DRIVER==\"ftdi_sio\", "
+                  "ATTR{latency_timer}=\"1\" in /etc/udev/rules.d/99-latency.rules; for now: --fix as root")
+
+
+def _group(path: str) -> str:
+    with contextlib.suppress(KeyError, OSError, ImportError):
+        import grp
+
+        return grp.getgrgid(Path(path).stat().st_gid).gr_name
+    return "dialout"
+
+
+def _servos(rig_file: RigFile) -> Iterator[Finding]:
+    config = rig_file.bus
+    try:
+        bus = DynamixelBus(config.port, config.baud, reply_timeout=config.reply_timeout)
+    except DeviceError as error:
+        yield Finding("bad", "servo bus", str(error), "close the program that uses it (Dynamixel Wizard, another run)")
+        return
+    wanted = {servo.id: servo.model for servo in rig_file.gripper.servos}
+    if rig_file.lift.kind == "servo":
+        wanted[rig_file.lift.id] = rig_file.lift.model
+    try:
+        answering = []
+        for servo, model in wanted.items():
+            findings = list(_servo(bus, servo, model))
+            yield from findings
+            if not any("does not answer" in f.text for f in findings):
+                answering.append(servo)
+        if answering:
+            yield _round_trip(bus, answering, config)
+    finally:
+        bus.close()
+    if not answering:
+        yield from _search(config)
+
+
+def _servo(bus: DynamixelBus, servo: int, model: str) -> Iterator[Finding]:
+    """One servo against what the file says."""
+    what = f"servo {servo}"
+    try:
+        number, _ = bus.ping(servo)
+        report = read_report(bus, servo)
+    except BusError as error:
+        yield Finding("bad", what, f"does not answer ({error.reason})", "power, cable, id and baud rate: see the search below")
+        return
+    text = (f"{report.model}, firmware {report.firmware}, mode {report.operating_mode}, {report.voltage:.1f} V, "
+            f"{report.temperature:.0f} C, torque {'on' if report.torque_on else 'off'}")
+    if number in NO_CURRENT_CONTROL:
+        yield Finding("bad", what, f"{text}: it cannot limit its force", f"use one of {', '.join(MODELS)}")
+    elif report.model != model:
+        yield Finding("bad", what, f"{text}: the rig file says {model}",
+                      "write the right model into the rig file, or mend the ids")
+    else:
+        yield Finding("ok", what, text)
+    if report.hardware_error:
+        yield Finding("bad", what, f"has latched {report.hardware_error}", "find the cause, take its power off and on")
+    if report.temperature >= _HOT:
+        yield Finding("warn", what, f"is hot: {report.temperature:.0f} C", "let it cool; lower force_max_N")
+
+
+def _round_trip(bus: DynamixelBus, servos: list[int], config: BusConfig) -> Finding:
+    times, lost = [], 0
+    for _ in range(100):
+        start = time.perf_counter()
+        _, failures = bus.read_many(servos, 126, 21, fast=config.fast_sync)
+        times.append(time.perf_counter() - start)
+        lost += bool(failures)
+    median, worst = statistics.median(times), max(times)
+    text = f"reading {len(servos)} servos takes {1e3 * median:.1f} ms (worst {1e3 * worst:.1f} ms), {lost} of 100 replies lost"
+    if lost:
+        return Finding("warn", "servo bus", text, "shorter cable, termination, a good ground; or a longer reply_timeout_ms")
+    if median > _ROUND_TRIP_GOOD:
+        return Finding("warn", "servo bus", text, "baud 1000000 and latency timer 1 ms make it 1 to 3 ms")
+    return Finding("ok", "servo bus", text)
+
+
+def _search(config: BusConfig) -> Iterator[Finding]:
+    """Nobody answered: look for servos with other ids and baud rates. Takes some seconds; pings change nothing."""
+    for baud in (config.baud, *(b for b in _BAUDS if b != config.baud)):
+        with contextlib.suppress(DeviceError):
+            bus = DynamixelBus(config.port, baud, reply_timeout=config.reply_timeout)
+            try:
+                found = [servo for servo in range(21) if _pings(bus, servo)]
+            finally:
+                bus.close()
+            if found:
+                yield Finding("warn", "servo bus", f"servos {found} answer at {baud} baud",
+                              "write these into the rig file, or change the servos with Dynamixel Wizard")
+                return
+    yield Finding("bad", "servo bus", "no servo answers at any baud rate (ids 0 to 20)", "is their power on? USB powers none")
+
+
+def _pings(bus: DynamixelBus, servo: int) -> bool:
+    try:
+        bus.ping(servo)
+    except BusError as error:
+        if error.reason == "lost":
+            raise
+        return False
+    return True
+
+
+def _valves(rig_file: RigFile) -> Iterator[Finding]:
+    """Handshake, limits and a reading of each; connecting sets limits and heartbeat, and leaves every valve vented."""
+    if not rig_file.valves:
+        return
+    try:
+        boards, valves = connect_valves(rig_file.valves)
+    except DeviceError as error:
+        yield Finding("bad", "valve board", str(error), "port, baud and dialect in the rig file; another program on the port?")
+        return
+    try:
+        for valve in valves:
+            what = f"valve {valve.config.finger}"
+            try:
+                state = valve.state()
+            except DeviceError as error:
+                yield Finding("bad", what, str(error))
+                continue
+            pressure = "no pressure sensor" if state.pressure_gauge is None else f"{state.pressure_gauge:.0f} Pa"
+            board = f"{valve.board.dialect.name} {valve.board.firmware}"
+            yield Finding("ok", what, f"{board}, channel {valve.config.channel}, {pressure}")
+    finally:
+        for board in boards:
+            with contextlib.suppress(DeviceError):
+                board.close()
+
+
+def _camera(config: CameraConfig) -> Iterator[Finding]:
+    """Settings by read-back, then rate, age and jitter over two seconds."""
+    what = f"camera {config.finger}"
+    try:
+        camera = OpenCvCamera(config)
+    except DeviceError as error:
+        yield Finding("bad", what, str(error), _camera_remedy(config))
+        return
+    try:
+        ages, end = [], time.monotonic() + _WATCH_TIME
+        last = 0.0
+        while time.monotonic() < end:
+            if camera.wait_newer(last, 0.5):
+                image = camera.read()
+                last = image.time
+                ages.append(time.monotonic() - last)
+        yield _rate(what, camera, ages)
+        yield _light(what, camera)
+    except DeviceError as error:
+        yield Finding("bad", what, str(error))
+    finally:
+        camera.close()
+
+
+def _rate(what: str, camera: OpenCvCamera, ages: list[float]) -> Finding:
+    counters, config = camera.counters, camera.config
+    if len(counters.intervals) < 3:
+        return Finding("bad", what, f"{counters.pictures} pictures in {_WATCH_TIME:g} s", "another cable or USB port")
+    rate = 1 / statistics.mean(counters.intervals)
+    jitter = statistics.pstdev(counters.intervals)
+    text = (f"{rate:.1f} pictures a second, jitter {1e3 * jitter:.1f} ms, age {1e3 * statistics.median(ages):.1f} ms, "
+            f"{counters.dropped} lost, {counters.duplicates} twice")
+    if rate < 0.9 * config.rate:
+        return Finding("bad", what, f"{text}: the rig file says {config.rate:g}",
+                       "a shorter exposure (it must fit into the period), MJPG, or its own USB controller")
+    return Finding("warn" if counters.duplicates else "ok", what, text)
+
+
+def _light(what: str, camera: OpenCvCamera) -> Finding:
+    pixels = camera.read().pixels
+    mean, white = float(pixels.mean()), float((pixels >= 254).mean())
+    if mean < 20:
+        return Finding("bad", what, f"dark: mean grey level {mean:.0f}", "are the LEDs on? raise exposure_100us")
+    if white > 0.05:
+        return Finding("bad", what, f"{100 * white:.0f} % of the picture is saturated", "lower exposure_100us or gain")
+    return Finding("ok", what, f"mean grey level {mean:.0f}, {100 * white:.1f} % saturated")
+
+
+def _camera_remedy(config: CameraConfig) -> str:
+    if config.source.startswith("/dev") and not Path(config.source).exists():
+        return "`ls -l /dev/v4l/by-id` shows the names that stay the same; write one of them into the rig file"
+    if config.source.startswith("/dev") and not os.access(config.source, os.R_OK | os.W_OK):
+        return f"sudo usermod -aG {_group(config.source)} $USER, then log in again"
+    return "`v4l2-ctl -d DEVICE --list-formats-ext --list-ctrls` shows what it can do"

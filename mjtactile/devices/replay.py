@@ -1,0 +1,145 @@
+"""A recording as a rig: the same images, states and times again, as fast as they can be worked on.
+
+Nothing reacts: what a controller commands is answered with what was really sent then. The same controller on the same
+code therefore gives the same numbers, bit for bit; another one shows what it would have wanted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import chain
+
+from mjtactile.design import SensorDesign
+from mjtactile.errors import DeviceError, InputError
+from mjtactile.recording import Recording, load_recording
+from mjtactile.rig import Limits, Rig
+from mjtactile.types import Command, GripperState, Image, ValveState
+
+
+class Tape:
+    """Where the replay is: first the references' images, then cycle after cycle."""
+
+    def __init__(self, recording: Recording):
+        self.recording = recording
+        self.cycle = -1
+        self.ended = False
+        self._references = [_reference_images(recording, finger) for finger in range(recording.width)]
+        self._frames = recording.images()
+        self._now: tuple[Image, ...] = ()
+
+    def read(self, camera: int) -> Image:
+        """The next image of one camera; the first camera's turn begins a cycle. Raises DeviceError as it happened then."""
+        image = next(self._references[camera], None)
+        if image is not None:
+            return image
+        if camera == 0:
+            self._advance()
+        return self._now[camera]
+
+    def value(self, key: str) -> float:
+        """A number of the present cycle."""
+        return float(self.recording.columns[key][self.cycle])
+
+    def _advance(self) -> None:
+        images = None if self.ended else next(self._frames, None)
+        if images is None:
+            self.ended = True
+            raise DeviceError("the recording has ended")
+        before, self._now = self._now, images
+        self.cycle += 1
+        status = self.recording.columns["status"][self.cycle]
+        repeated = before and all(a.time == b.time for a, b in zip(before, images, strict=True))
+        if repeated and all(text != "ok" for text in status):  # a cycle in which the loop was blind
+            raise DeviceError(str(status[0]))
+
+
+class ReplayClock:
+    """The recorded times. Raises DeviceError when the recording has ended."""
+
+    def __init__(self, tape: Tape):
+        self._tape = tape
+
+    def now(self) -> float:
+        if self._tape.ended:
+            raise DeviceError(f"{self._tape.recording.folder}: the recording ends after {len(self._tape.recording)} cycles")
+        return float(self._tape.recording.columns["time"][max(self._tape.cycle, 0)])
+
+    def start(self, time: float) -> None:
+        """Nothing moves but the tape."""
+
+    def wait_until(self, time: float) -> None:
+        """No waiting: a replay is as fast as it can be."""
+
+
+class ReplayCamera:
+    """One camera's recorded images."""
+
+    def __init__(self, tape: Tape, camera: int):
+        self._tape, self._camera = tape, camera
+
+    def read(self) -> Image:
+        return self._tape.read(self._camera)
+
+
+class ReplayGripper:
+    """Recorded states, and as answer to a command what was sent then."""
+
+    def __init__(self, tape: Tape):
+        self._tape = tape
+
+    def state(self) -> GripperState:
+        tape, notes = self._tape, self._tape.recording.notes
+        if tape.cycle < 0:
+            return GripperState(float(notes["start_opening"]), 0.0, 0.0, float(notes["start_lift_height"]))
+        return GripperState(tape.value("opening"), tape.value("speed"), tape.value("effort"), tape.value("lift_height"))
+
+    def command(self, command: Command) -> Command:
+        value = self._tape.value
+        return Command(value("command_opening"), value("command_force_limit"), value("command_lift_height"), command.phase,
+                       command.memory)
+
+
+class ReplayValve:
+    """Recorded valve states; opening and closing does nothing."""
+
+    def __init__(self, tape: Tape, finger: int):
+        self._tape, self._finger = tape, finger
+
+    def state(self) -> ValveState:
+        recording = self._tape.recording
+        if self._tape.cycle < 0:
+            return ValveState(False, _pressure(recording.references[-1].pressure_gauge[self._finger]))
+        return ValveState(bool(recording.columns["valve_open"][self._tape.cycle][self._finger]),
+                          _pressure(recording.columns["pressure_gauge"][self._tape.cycle][self._finger]))
+
+    def open(self, supply_gauge: float) -> None:
+        """It was opened then."""
+
+    def close(self) -> None:
+        """It was closed then."""
+
+
+def build_replay_rig(folder: str, design: SensorDesign) -> Rig:
+    """The recording in `folder` as a rig. Raises InputError when it cannot be replayed with this sensor design."""
+    recording = load_recording(folder)
+    if len(recording) == 0 or "start_opening" not in recording.notes or len(recording.references) != 2:
+        raise InputError("cannot be replayed: it has no cycles, or was made without its reference images", source=folder)
+    recorded = recording.header.get("design")
+    if recorded is not None and recorded != design.name:
+        raise InputError(f"was recorded with sensor {recorded!r}, not {design.name!r}", source=folder, field="--sensor")
+    tape = Tape(recording)
+    fingers = range(recording.width)
+    return Rig(name="replay", design=design, cameras=tuple(ReplayCamera(tape, i) for i in fingers),
+               valves=tuple(ReplayValve(tape, i) for i in range(recording.valve_count)), gripper=ReplayGripper(tape),
+               clock=ReplayClock(tape), limits=Limits(opening=(0.0, math.inf), speed=math.inf, force=math.inf,
+                                                      lift=(-math.inf, math.inf), lift_speed=math.inf),
+               close=lambda: None)
+
+
+def _reference_images(recording: Recording, finger: int) -> Iterator[Image]:
+    return chain.from_iterable(reference.images(finger) for reference in recording.references)
+
+
+def _pressure(value: object) -> float | None:
+    return None if value is None or value != value else float(value)  # type: ignore[arg-type]

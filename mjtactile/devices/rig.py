@@ -1,0 +1,70 @@
+"""Build a rig of real devices from a rig file. The emulated rig is the same, at the emulator's addresses."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+
+from mjtactile.design import SensorDesign
+from mjtactile.devices.dynamixel import DynamixelGripper
+from mjtactile.devices.opencv_camera import OpenCvCamera
+from mjtactile.devices.shutdown import close_all
+from mjtactile.devices.valve import connect_valves
+from mjtactile.errors import DeviceError, InputError
+from mjtactile.rig import Limits, Rig
+from mjtactile.rigfile import CameraConfig, RigFile
+
+
+class MonotonicClock:
+    """The computer's monotonic clock; a change of the wall clock does not touch it."""
+
+    def now(self) -> float:
+        return time.monotonic()
+
+    def start(self, time: float) -> None:
+        """The real world moves by itself."""
+
+    def wait_until(self, time: float) -> None:
+        _sleep_until(time)
+
+
+def _sleep_until(deadline: float) -> None:
+    remaining = deadline - time.monotonic()
+    if remaining > 0:
+        time.sleep(remaining)
+
+
+def build_device_rig(rig_file: RigFile, design: SensorDesign, *, name: str = "real",
+                     also_close: Callable[[], None] = lambda: None) -> Rig:
+    """Connect every device of `rig_file`, all or none. `also_close` is called last when the rig is closed.
+
+    Raises InputError when the file does not fit the sensor design, DeviceError naming the device that is missing.
+    """
+    closers: list[Callable[[], None]] = [also_close]
+    try:
+        for camera in rig_file.cameras:
+            _check_picture(camera, design, rig_file)
+        cameras = []
+        for camera in rig_file.cameras:
+            cameras.append(OpenCvCamera(camera))
+            closers.append(cameras[-1].close)
+        boards, valves = connect_valves(rig_file.valves)
+        closers.extend(board.close for board in boards)
+        gripper = DynamixelGripper(rig_file.bus, rig_file.gripper, rig_file.lift, source=str(rig_file.path))
+        closers.append(gripper.close)
+    except BaseException:
+        with contextlib.suppress(DeviceError):  # the first trouble is the one to report
+            close_all(closers)
+        raise
+    config = rig_file.gripper
+    limits = Limits(opening=config.opening, speed=config.speed_max, force=config.force_max,
+                    lift=(0.0, rig_file.lift.travel), lift_speed=rig_file.lift.speed)
+    return Rig(name=name, design=design, cameras=tuple(cameras), valves=tuple(valves), gripper=gripper,
+               clock=MonotonicClock(), limits=limits, close=lambda: close_all(closers))
+
+
+def _check_picture(camera: CameraConfig, design: SensorDesign, rig_file: RigFile) -> None:
+    if (camera.width, camera.height) != (design.camera.width, design.camera.height):
+        raise InputError(f"{camera.width} x {camera.height} pixels, but sensor {design.name!r} has {design.camera.width} x "
+                         f"{design.camera.height}", source=rig_file.path, field=f"camera.{camera.finger}.width_px")

@@ -1,0 +1,114 @@
+"""The emulated devices and what joins them to the world: servos to jaws and lift, valve channels to chambers."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+
+from mjtactile.emulator.faults import Faults
+from mjtactile.emulator.mechanism import Jaw, Jaws
+from mjtactile.emulator.servo import EmulatedServo
+from mjtactile.emulator.servo_bus import ServoBus
+from mjtactile.emulator.shared import SharedState
+from mjtactile.emulator.valve import ValveFirmware, ValvePort
+from mjtactile.rigfile import EmulatorConfig, RigFile
+
+_TICK = 0.003  # s between two looks at the world
+_SHARED_FAULTS = ("puncture", "frames_frozen", "frames_dark", "frames_saturated", "frames_stopped", "frames_late",
+                  "frames_duplicated")
+
+
+class Hardware:
+    """Servo bus and valve board of `rig_file`, alive until `close`. They also work with no world behind `shared`."""
+
+    def __init__(self, rig_file: RigFile, shared: SharedState, faults: Faults):
+        emulator = rig_file.emulator or EmulatorConfig()
+        self._rig_file, self._shared, self.faults = rig_file, shared, faults
+        self.servos: dict[int, EmulatedServo] = {}
+        self._jaws = self._build_jaws()
+        self._lift = self._build_lift()
+        shared["goal"] = math.nan
+        self.bus = ServoBus(self.servos, faults, baud=rig_file.bus.baud, usb_latency=emulator.usb_latency)
+        self.firmware = ValveFirmware(emulator.dialect, self, faults)
+        self.valve = ValvePort(self.firmware) if rig_file.valves else None
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="hardware", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._stop.set()
+        self._thread.join()
+        self.unplug()
+
+    def unplug(self) -> None:
+        """Pull both USB plugs."""
+        self.bus.close()
+        if self.valve is not None:
+            self.valve.close()
+
+    # -- chambers, as the valve board moves them ------------------------------------------------------------------
+
+    def connect(self, channel: int, supply_gauge: float) -> None:
+        self._shared[f"supply_{channel}"] = supply_gauge
+        self._shared[f"open_{channel}"] = 1.0
+
+    def seal(self, channel: int) -> None:
+        self._shared[f"open_{channel}"] = 0.0
+
+    def pressure(self, channel: int) -> float:
+        return self._shared[f"pressure_{channel}"]
+
+    # -- inside ---------------------------------------------------------------------------------------------------
+
+    def _build_jaws(self) -> Jaws:
+        jaws = []
+        configs = self._rig_file.gripper.servos
+        for config in configs:
+            jaw = Jaw(EmulatedServo(config.id, config.model), config, str(self._rig_file.path))
+            angle = jaw.angle(self._shared["opening"] / len(configs))
+            jaw.servo = EmulatedServo(config.id, config.model, angle=angle, baud=self._rig_file.bus.baud)
+            self.servos[config.id] = jaw.servo
+            jaws.append(jaw)
+        return Jaws(jaws)
+
+    def _build_lift(self) -> EmulatedServo | None:
+        lift = self._rig_file.lift
+        if lift.kind != "servo":
+            return None
+        self.servos[lift.id] = EmulatedServo(lift.id, lift.model, baud=self._rig_file.bus.baud)
+        return self.servos[lift.id]
+
+    def _run(self) -> None:
+        last = time.monotonic()
+        while not self._stop.wait(_TICK):
+            now = time.monotonic()
+            self._tick(now, now - last)
+            last = now
+
+    def _tick(self, now: float, period: float) -> None:
+        shared = self._shared
+        self._strike()
+        if not self.bus.is_busy():
+            for servo in self.servos.values():
+                servo.look_at_watchdog(now)
+        goal, force = self._jaws.drive()
+        shared["force"], shared["goal"] = force, math.nan if goal is None else goal
+        if self._lift is not None:
+            drive = self._lift.drive()
+            if drive.torque_max > 0:
+                shared["lift_goal"] = drive.goal * self._rig_file.lift.per_rad
+            self._lift.feel(shared["lift_height"] / self._rig_file.lift.per_rad, 0.0, 0.0, period)
+        self._jaws.feel(shared["opening"], shared["speed"], shared["grip_force"], period)
+        self.firmware.tick(now, period)
+
+    def _strike(self) -> None:
+        """Carry out the faults that happen to a servo or to the world, rather than to a reply."""
+        for kind, act in (("servo_overload", lambda s: s.raise_error(0x20)), ("servo_overheat", lambda s: s.heat(95.0)),
+                          ("servo_brown_out", lambda s: s.brown_out())):
+            servo = self.servos.get(int(self.faults.get(kind)))
+            if servo is not None:
+                self.faults.set(kind, 0)
+                act(servo)
+        for kind in _SHARED_FAULTS:
+            self._shared[kind] = self.faults.get(kind)

@@ -1,0 +1,71 @@
+"""How the emulated servos' shafts are joined to the jaws: the mechanics side of a rig file's `law`.
+
+Written apart from the driver's geometry, so that a wrong sign or factor there shows as a wrong opening or force.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from mjtactile.emulator.servo import EmulatedServo
+from mjtactile.errors import InputError
+from mjtactile.rigfile import ServoConfig
+
+_TICK = 2 * math.pi / 4096  # rad
+
+
+class Jaw:
+    """One servo's shaft and its part x (m) of the opening: x = x0 + r a on a rack, x0 + r sin a on a crank."""
+
+    def __init__(self, servo: EmulatedServo, config: ServoConfig, source: str):
+        if config.law not in ("rack", "crank"):
+            raise InputError("the emulator has no such mechanism", source=source, field="gripper.servo.law",
+                             choices=("rack", "crank"))
+        self.servo, self._config = servo, config
+        self._zero = config.zero_ticks * _TICK
+
+    def angle(self, part: float) -> float:
+        ratio = (part - self._config.opening_part) / self._config.per_rad
+        if self._config.law == "crank":
+            ratio = math.asin(max(-1.0, min(1.0, ratio)))
+        return self._zero + ratio
+
+    def part(self, angle: float) -> float:
+        swing = angle - self._zero
+        if self._config.law == "crank":
+            swing = math.sin(max(-math.pi / 2, min(math.pi / 2, swing)))
+        return self._config.opening_part + self._config.per_rad * swing
+
+    def lever(self, angle: float) -> float:
+        """m of opening part per rad here: torque over force, by virtual work."""
+        if self._config.law == "crank":
+            return self._config.per_rad * max(0.02, math.cos(angle - self._zero))
+        return self._config.per_rad
+
+
+class Jaws:
+    """All jaws; a gear keeps them symmetric, so that each owns the same part of the opening."""
+
+    def __init__(self, jaws: Sequence[Jaw]):
+        self._jaws = tuple(jaws)
+
+    def drive(self) -> tuple[float | None, float]:
+        """Goal opening m (None: nobody drives), and the most force N on each finger that the servos may use together."""
+        drives = [(jaw, jaw.servo.drive()) for jaw in self._jaws]
+        on = [(jaw, drive) for jaw, drive in drives if drive.torque_max > 0]
+        if not on:
+            return None, 0.0
+        parts = [jaw.part(drive.goal) for jaw, drive in on]
+        forces = [drive.torque_max / abs(jaw.lever(jaw.servo.angle)) for jaw, drive in on]
+        return sum(parts) / len(on) * len(self._jaws), sum(forces) / len(self._jaws)
+
+    def feel(self, opening: float, speed: float, force: float, period: float) -> None:
+        """Turn the shafts to where the jaws are; those that drive share the closing `force` N on each finger."""
+        on = [jaw for jaw in self._jaws if jaw.servo.drive().torque_max > 0]
+        count = len(self._jaws)
+        for jaw in self._jaws:
+            angle = jaw.angle(opening / count)
+            lever = jaw.lever(angle)
+            torque = -force * count / len(on) * lever if jaw in on else 0.0
+            jaw.servo.feel(angle, speed / count / lever, torque, period)

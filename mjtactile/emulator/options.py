@@ -1,0 +1,29 @@
+"""What the emulator's process is told when it starts."""
+
+from __future__ import annotations
+
+import base64
+import pickle
+from dataclasses import dataclass, field
+
+from mjtactile.design import SensorDesign
+from mjtactile.rigfile import RigFile
+
+
+@dataclass(frozen=True)
+class EmulatorOptions:
+    """The rig, the sensor on each finger, the object on the table, the seed of placement and noise, faults from the start."""
+
+    rig_file: RigFile
+    design: SensorDesign
+    object_name: str
+    seed: int = 0
+    faults: dict[str, float] = field(default_factory=dict)
+
+    def encode(self) -> str:
+        """One line of text, for the process's stdin: both ends are this program."""
+        return base64.b64encode(pickle.dumps(self)).decode("ascii")
+
+    @staticmethod
+    def decode(line: str) -> EmulatorOptions:
+        return pickle.loads(base64.b64decode(line))

@@ -1,0 +1,93 @@
+"""A pseudo-terminal that looks like a serial port, served by a thread."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import termios
+import threading
+import time
+import tty
+from collections.abc import Callable
+
+_OPEN_POLL = 0.005  # s between looks at whether a host has opened the port
+
+
+class PtyPort:
+    """Opens a pty; `handle(data)` is called in a thread with what the host sent, `write` answers. `path` is for the host.
+
+    With `on_open`, it is called whenever a host opens the port (a board that resets then).
+    """
+
+    def __init__(self, handle: Callable[[bytes], None], name: str, *, on_open: Callable[[], None] | None = None):
+        self._master, slave = os.openpty()
+        tty.setraw(slave)
+        self.path = os.ttyname(slave)
+        os.close(slave)
+        self._handle, self._on_open = handle, on_open
+        self._wake_read, self._wake_write = os.pipe()
+        self._lock = threading.Lock()
+        self._is_open = True
+        self._thread = threading.Thread(target=self._serve, name=name, daemon=True)
+        self._thread.start()
+
+    @property
+    def baud(self) -> int:
+        """The speed that the host has set on its side, as a termios constant."""
+        return termios.tcgetattr(self._master)[5]
+
+    @property
+    def has_input(self) -> bool:
+        """Bytes wait to be read. (`select` would also call a port readable that the host has closed.)"""
+        poll = select.poll()
+        with self._lock:
+            if not self._is_open:
+                return False
+            poll.register(self._master, select.POLLIN)
+            return any(event & select.POLLIN and not event & select.POLLHUP for _, event in poll.poll(0))
+
+    def write(self, data: bytes) -> None:
+        """Send to the host; nothing happens when the port is gone."""
+        with self._lock, contextlib.suppress(OSError):
+            if self._is_open:
+                os.write(self._master, data)
+
+    def close(self) -> None:
+        """Pull the plug: the host's next read or write fails as with a USB adapter that was unplugged."""
+        with self._lock:
+            if not self._is_open:
+                return
+            self._is_open = False
+            os.write(self._wake_write, b"x")
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+        for descriptor in (self._master, self._wake_read, self._wake_write):
+            os.close(descriptor)
+
+    def _serve(self) -> None:
+        poll = select.poll()
+        poll.register(self._master, select.POLLIN)
+        poll.register(self._wake_read, select.POLLIN)
+        host_is_there = False
+        while True:
+            events = dict(poll.poll())
+            if self._wake_read in events:
+                return
+            event = events.get(self._master, 0)
+            if event & select.POLLHUP and not event & select.POLLIN:
+                host_is_there = False
+                time.sleep(_OPEN_POLL)
+                if not self._host_opened(poll):
+                    continue
+            if not host_is_there:
+                host_is_there = True
+                if self._on_open is not None:
+                    self._on_open()
+            with contextlib.suppress(OSError):  # the host closed its side
+                data = os.read(self._master, 4096) if event & select.POLLIN else b""
+                if data:
+                    self._handle(data)
+
+    def _host_opened(self, poll: select.poll) -> bool:
+        return not any(fd == self._master and event & select.POLLHUP for fd, event in poll.poll(0))

@@ -1,0 +1,20 @@
+"""The emulated rig: the emulator's process, and the drivers of the real devices talking to it."""
+
+from __future__ import annotations
+
+from mjtactile.design import SensorDesign
+from mjtactile.devices.rig import build_device_rig
+from mjtactile.emulator.process import EmulatorProcess
+from mjtactile.rig import Rig
+from mjtactile.rigfile import RigFile
+
+
+def build_emulated_rig(rig_file: RigFile, design: SensorDesign, *, object_name: str, seed: int,
+                       emulator: EmulatorProcess | None = None) -> Rig:
+    """Start the emulator (or use the one given, which stays running) and connect to it.
+
+    Raises InputError for bad names or files, DeviceError when a device does not answer.
+    """
+    process = emulator or EmulatorProcess(rig_file, design, object_name=object_name, seed=seed)
+    also_close = process.close if emulator is None else lambda: None
+    return build_device_rig(process.connect(rig_file), design, name=rig_file.name, also_close=also_close)

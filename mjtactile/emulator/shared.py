@@ -1,0 +1,38 @@
+"""A page of memory that the emulator's two processes share: what the devices ask of the world, and what it does to them.
+
+Two processes, because a servo must answer within a millisecond and a physics step holds Python's interpreter for longer.
+Each value has one writer; a double is written at once, and each is only ever "the newest".
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+from collections.abc import Sequence
+
+import numpy as np
+
+FROM_WORLD = ("time", "lost", "opening", "speed", "grip_force", "lift_height", "object_height", "pressure_1", "pressure_2",
+              "picture_delay", "failed", "pictures")
+TO_WORLD = ("goal", "force", "lift_goal", "open_1", "supply_1", "open_2", "supply_2", "puncture", "frames_frozen",
+            "frames_dark", "frames_saturated", "frames_stopped", "frames_late", "frames_duplicated")
+
+
+class SharedState:
+    """Named numbers in a file descriptor (`os.memfd_create`); `state["opening"]` reads and writes."""
+
+    def __init__(self, descriptor: int, names: Sequence[str] = (*FROM_WORLD, *TO_WORLD)):
+        os.ftruncate(descriptor, mmap.PAGESIZE)
+        self._memory = mmap.mmap(descriptor, mmap.PAGESIZE)
+        self._values = np.frombuffer(self._memory, dtype=np.float64, count=len(names))
+        self._places = {name: i for i, name in enumerate(names)}
+
+    def __getitem__(self, name: str) -> float:
+        return float(self._values[self._places[name]])
+
+    def __setitem__(self, name: str, value: float) -> None:
+        self._values[self._places[name]] = value
+
+    def close(self) -> None:
+        del self._values
+        self._memory.close()

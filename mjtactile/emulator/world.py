@@ -1,0 +1,183 @@
+"""The process behind the emulated hardware: one simulated grasp stepped in real time, and its cameras.
+
+`python -m mjtactile.emulator.world DESCRIPTOR`, started by `mjtactile.emulator.app`: options on stdin's first line, one
+JSON line on stdout when it is ready; it ends when its stdin does. All else goes through `SharedState`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import queue
+import random
+import signal
+import sys
+import threading
+import time
+from typing import Any
+
+import cv2
+import numpy as np
+
+from mjtactile.emulator.options import EmulatorOptions
+from mjtactile.emulator.shared import SharedState
+from mjtactile.emulator.stream import StreamServer
+from mjtactile.errors import MjtactileError
+from mjtactile.rigfile import FINGERS
+from mjtactile.sim.camera import Effects, Renderer
+from mjtactile.sim.log import route_warnings
+from mjtactile.sim.rig import build_sim_rig
+
+_BEHIND_MAX = 0.02  # s; a world that is further behind the clock lets time go rather than race after it
+_BREATH = 3e-4  # s of rest after each step, for the thread that draws the pictures
+_BACKDRIVE_FORCE = 0.05  # N: gear friction of servos without torque
+_LEAK_TIME = 0.15  # s: a puncture's time constant
+_DARK, _GLARE = 0.03, 20.0  # gain of the camera's picture: black markers at 13 times white are white too
+
+
+class EmulatedWorld:
+    """The grasp of `options`, driven by what `shared` asks for."""
+
+    def __init__(self, options: EmulatorOptions, shared: SharedState):
+        self.scene = build_sim_rig(options.design, object_name=options.object_name, seed=options.seed).scene
+        self._shared, self._travel = shared, options.rig_file.lift.travel
+        self._cameras = Cameras(options, shared)
+        self.streams = self._cameras.streams
+        self._picture_period, self._next_picture = 1 / options.rig_file.cameras[0].rate, 0.0
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="world", daemon=True)
+        self._publish()
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def close(self) -> None:
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        self._cameras.close()
+
+    def _run(self) -> None:
+        """Step when the clock says so."""
+        begin = time.monotonic()
+        try:
+            while not self._stop.is_set():
+                behind = time.monotonic() - begin - self.scene.time
+                if behind < self.scene.timestep:
+                    self._stop.wait(self.scene.timestep - behind)
+                    continue
+                if behind > _BEHIND_MAX:
+                    begin += behind
+                    self._shared["lost"] += behind
+                self._step()
+                self._stop.wait(_BREATH)
+        except MjtactileError as error:
+            print(f"emulator: {error}", file=sys.stderr, flush=True)
+            self._shared["failed"] = 1
+
+    def _step(self) -> None:
+        scene, shared = self.scene, self._shared
+        goal, force = shared["goal"], shared["force"]
+        nobody = math.isnan(goal) or force <= 0
+        scene.set_finger_target(scene.opening if nobody else max(goal, 0.0), max(force, _BACKDRIVE_FORCE))
+        scene.set_lift_target(min(max(shared["lift_goal"], 0.0), self._travel))
+        for number, sensor in enumerate(scene.sensors, 1):
+            if shared[f"open_{number}"]:
+                scene.open_valve(number - 1, shared[f"supply_{number}"])
+            elif sensor.valve_is_open:
+                scene.close_valve(number - 1)
+        leaking = scene.sensors[0]
+        if shared["puncture"] and not leaking.valve_is_open:
+            leaking.open_valve(leaking.pressure_gauge * (1 - scene.timestep / _LEAK_TIME))
+            leaking.close_valve()
+        scene.step()
+        self._publish()
+        if scene.time >= self._next_picture:
+            self._next_picture += self._picture_period
+            self._cameras.expose([scene.marker_poses(i) for i in range(len(scene.sensors))])
+
+    def _publish(self) -> None:
+        scene, shared = self.scene, self._shared
+        shared["time"], shared["opening"], shared["speed"] = scene.time, scene.opening, scene.opening_speed
+        shared["grip_force"], shared["lift_height"] = scene.grip_force, scene.lift_height
+        shared["object_height"] = scene.data.body("object/object").xpos[2]
+        for number, sensor in enumerate(scene.sensors, 1):
+            shared[f"pressure_{number}"] = sensor.pressure_gauge
+
+
+class Cameras:
+    """Draws the markers' poses and streams the pictures, in a thread of its own; a picture is dropped when it is behind."""
+
+    def __init__(self, options: EmulatorOptions, shared: SharedState):
+        count = len(options.rig_file.cameras)
+        self.streams = StreamServer(FINGERS[:count])
+        seeds = np.random.default_rng(options.seed).integers(2**31, size=count)
+        self._renderers = [Renderer(options.design, seed=int(s)) for s in seeds]
+        self._period, self._shared = 1 / options.rig_file.cameras[0].rate, shared
+        self._rng = random.Random(options.seed)
+        self._queue: queue.Queue[Any] = queue.Queue(2)
+        self._last: dict[str, Any] = {}
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="pictures", daemon=True)
+        self._thread.start()
+
+    def expose(self, poses: list[Any]) -> None:
+        """Hand over the poses of this moment."""
+        try:
+            self._queue.put_nowait((time.monotonic(), poses))
+        except queue.Full:
+            return
+
+    def close(self) -> None:
+        self._stop.set()
+        self._thread.join()
+        self.streams.close()
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            try:
+                exposed, poses = self._queue.get(timeout=0.1)
+            except queue.Empty:
+                continue
+            for name, renderer, (p_SM, n_S) in zip(self.streams.names, self._renderers, poses, strict=False):
+                self._send(name, renderer, p_SM, n_S)
+            self._shared["picture_delay"] += 0.1 * (time.monotonic() - exposed - self._shared["picture_delay"])
+            self._shared["pictures"] += 1
+
+    def _send(self, name: str, renderer: Renderer, p_SM: Any, n_S: Any) -> None:
+        shared = self._shared
+        if shared["frames_stopped"]:
+            return
+        if not (shared["frames_frozen"] and name in self._last):
+            gain = _DARK if shared["frames_dark"] else _GLARE if shared["frames_saturated"] else 1.0
+            self._last[name] = renderer.render(p_SM, n_S, effects=Effects(gain=gain)).pixels
+        if shared["frames_late"]:
+            self._stop.wait(shared["frames_late"] / len(self._renderers))
+        self.streams.publish(name, self._last[name])
+        if self._rng.random() < shared["frames_duplicated"]:
+            self._stop.wait(0.2 * self._period)
+            self.streams.publish(name, self._last[name])
+
+
+def main(descriptor: int) -> int:
+    sys.setswitchinterval(1e-3)
+    cv2.setNumThreads(1)  # the other core is the host's
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    route_warnings()
+    shared = SharedState(descriptor)
+    try:
+        world = EmulatedWorld(EmulatorOptions.decode(sys.stdin.readline()), shared)
+    except MjtactileError as error:
+        print(json.dumps({"error": str(error), "exit_code": error.exit_code}), flush=True)
+        return error.exit_code
+    world.start()
+    cameras = {name: world.streams.url(name) for name in world.streams.names}
+    print(json.dumps({"cameras": cameras}), flush=True)
+    sys.stdin.read()
+    world.close()
+    shared.close()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(int(sys.argv[1])))

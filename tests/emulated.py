@@ -1,0 +1,114 @@
+"""Emulated servos and valves inside the test's own process, for tests of the drivers. Nothing here needs MuJoCo.
+
+Time-outs are generous (0.2 s where a real bus needs 8 ms) since tests share their processors; none is asserted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from mjtactile.devices.dynamixel import DynamixelGripper
+from mjtactile.emulator.faults import Faults
+from mjtactile.emulator.protocol2 import Instruction
+from mjtactile.emulator.servo import EmulatedServo
+from mjtactile.emulator.servo_bus import ServoBus
+from mjtactile.emulator.valve import ValveFirmware, ValvePort
+from mjtactile.rigfile import BusConfig, GripperConfig, LiftConfig, ServoConfig, ValveConfig
+
+REPLY_TIMEOUT = 0.2
+ANGLE = 3.0  # rad at which the emulated servos stand
+
+
+@dataclass
+class Bench:
+    """Two jaw servos and what they need; `log` holds every packet that reached them."""
+
+    servos: dict[int, EmulatedServo]
+    faults: Faults
+    bus: ServoBus
+    log: list[Instruction] = field(default_factory=list)
+
+    @property
+    def bus_config(self) -> BusConfig:
+        return BusConfig(self.bus.path, reply_timeout=REPLY_TIMEOUT, watchdog=2.0)
+
+    def gripper(self, **changes) -> DynamixelGripper:
+        config = BusConfig(self.bus.path, **{"reply_timeout": REPLY_TIMEOUT, "watchdog": 2.0, **changes})
+        return DynamixelGripper(config, GRIPPER, LiftConfig())
+
+
+GRIPPER = GripperConfig((0.0, 0.12), (ServoConfig(1, "XL330-M288", per_rad=0.012, zero_ticks=0),
+                                      ServoConfig(2, "XL330-M288", per_rad=0.012, zero_ticks=0)))
+
+
+@contextlib.contextmanager
+def servo_bench(model: str = "XL330-M288", count: int = 2) -> Iterator[Bench]:
+    """Servos on a pty; interpreter switches are made quick so that their thread answers."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(5e-4)
+    servos = {i: EmulatedServo(i, model, angle=ANGLE) for i in range(1, count + 1)}
+    faults = Faults()
+    log: list[Instruction] = []
+    bus = ServoBus(servos, faults, usb_latency=0.0, on_packet=lambda _, packet: log.append(packet))
+    try:
+        yield Bench(servos, faults, bus, log)
+    finally:
+        bus.close()
+        sys.setswitchinterval(before)
+
+
+class Chambers:
+    """Chambers without a world: at the pressure that they are connected to."""
+
+    def __init__(self) -> None:
+        self.pressures = {1: 0.0, 2: 0.0}
+
+    def connect(self, channel: int, supply_gauge: float) -> None:
+        self.pressures[channel] = supply_gauge
+
+    def seal(self, channel: int) -> None:
+        pass
+
+    def pressure(self, channel: int) -> float:
+        return self.pressures[channel]
+
+
+@contextlib.contextmanager
+def valve_bench(dialect: str) -> Iterator[tuple[ValvePort, ValveFirmware, Faults, Chambers]]:
+    """A valve board on a pty with its pneumatics alive."""
+    faults, chambers = Faults(), Chambers()
+    firmware = ValveFirmware(dialect, chambers, faults)
+    port, stop = ValvePort(firmware), threading.Event()
+
+    def live() -> None:
+        while not stop.wait(0.005):
+            firmware.tick(time.monotonic(), 0.005)
+
+    thread = threading.Thread(target=live)
+    thread.start()
+    try:
+        yield port, firmware, faults, chambers
+    finally:
+        stop.set()
+        thread.join()
+        port.close()
+
+
+def valve_configs(port: ValvePort, dialect: str) -> list[ValveConfig]:
+    return [ValveConfig(finger, port.path, dialect, channel, heartbeat=2.0, supply_gauge=1000.0)
+            for channel, finger in enumerate(("left", "right"), 1)]
+
+
+def wait_for(condition, timeout: float = 5.0) -> bool:
+    """Wait until `condition()`; five seconds is far beyond what any of it takes."""
+    deadline = time.monotonic() + timeout
+    while time.monotonic() < deadline:
+        if condition():
+            return True
+        time.sleep(0.005)
+    return False

@@ -1,0 +1,190 @@
+"""The camera driver with a capture object that behaves like V4L2: controls reset, clamped values, kernel times."""
+
+import threading
+import time
+
+import cv2
+import numpy as np
+import pytest
+
+from mjtactile.devices.opencv_camera import OpenCvCamera
+from mjtactile.emulator.stream import StreamServer
+from mjtactile.errors import DeviceError
+from mjtactile.rigfile import CameraConfig
+from tests.emulated import wait_for
+
+CONFIG = CameraConfig("left", "/dev/video9", 64, 48, 100.0, exposure=100.0, gain=10.0, white_balance=4600.0)
+STREAM_PROPS = {cv2.CAP_PROP_FOURCC, cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_BUFFERSIZE,
+                cv2.CAP_PROP_FPS}
+
+
+class V4l2:
+    """A UVC camera as the kernel shows it. `clamp` maps a property to the largest value that it takes."""
+
+    def __init__(self, clamp=None, clock_offset=0.0):
+        self.values = {cv2.CAP_PROP_AUTO_EXPOSURE: 3.0, cv2.CAP_PROP_AUTO_WB: 1.0}
+        self.order, self.clamp, self.offset = [], clamp or {}, clock_offset
+        self.rng, self.number = np.random.default_rng(0), 0
+        self.mode, self.released = "live", False
+        self.pixels = self.picture()
+        self.time = time.monotonic()
+        self.gate = threading.Event()
+
+    def picture(self):
+        return self.rng.integers(0, 255, (48, 64, 3), dtype=np.uint8)
+
+    def isOpened(self):
+        return self.mode != "absent"
+
+    def get(self, propId):
+        if propId == cv2.CAP_PROP_POS_MSEC:
+            return 1e3 * (self.time + self.offset)
+        return self.values.get(propId, 0.0)
+
+    def set(self, propId, value):
+        self.order.append(propId)
+        if propId in STREAM_PROPS:  # a change of the stream resets the controls
+            self.values |= {cv2.CAP_PROP_AUTO_EXPOSURE: 3.0, cv2.CAP_PROP_EXPOSURE: 166.0, cv2.CAP_PROP_AUTO_WB: 1.0}
+        if propId == cv2.CAP_PROP_EXPOSURE and self.values[cv2.CAP_PROP_AUTO_EXPOSURE] != 1:
+            return True  # silently ignored
+        self.values[propId] = min(value, self.clamp.get(propId, value))
+        return True
+
+    def read(self):
+        time.sleep(0.01)
+        if self.mode in ("gone", "absent"):
+            return False, None
+        if self.mode == "stopped":
+            self.gate.wait()
+            return False, None
+        if self.mode == "live":
+            self.pixels = self.picture()
+        self.time = time.monotonic() - 0.004
+        self.number += 1
+        return True, self.pixels
+
+    def release(self):
+        self.released = True
+
+
+@pytest.fixture
+def device():
+    device = V4l2()
+    yield device
+    device.mode = "gone"
+    device.gate.set()
+
+
+@pytest.fixture
+def camera(device):
+    camera = OpenCvCamera(CONFIG, capture=lambda: device)
+    yield camera
+    device.mode = "gone"
+    device.gate.set()
+    camera.close()
+    assert device.released
+
+
+def test_stream_settings_come_first_and_controls_last(camera, device):
+    last_stream = max(i for i, prop in enumerate(device.order) if prop in STREAM_PROPS)
+    first_control = min(i for i, prop in enumerate(device.order) if prop not in STREAM_PROPS)
+    assert last_stream < first_control
+    assert device.values[cv2.CAP_PROP_AUTO_EXPOSURE] == 1
+    assert device.values[cv2.CAP_PROP_EXPOSURE] == 100
+    assert (device.values[cv2.CAP_PROP_AUTO_WB], device.values[cv2.CAP_PROP_GAIN]) == (0, 10)
+
+
+@pytest.mark.parametrize(("prop", "largest", "name"), [
+    (cv2.CAP_PROP_FRAME_WIDTH, 32, "width"), (cv2.CAP_PROP_FPS, 30, "rate"), (cv2.CAP_PROP_EXPOSURE, 50, "exposure"),
+    (cv2.CAP_PROP_GAIN, 5, "gain"), (cv2.CAP_PROP_FOURCC, 1, "FOURCC"), (cv2.CAP_PROP_WB_TEMPERATURE, 4000, "white balance")])
+def test_what_did_not_take_is_refused(prop, largest, name):
+    device = V4l2(clamp={prop: largest})
+    with pytest.raises(DeviceError, match=f"left camera /dev/video9: {name} was set to"):
+        OpenCvCamera(CONFIG, capture=lambda: device)
+    assert device.released
+
+
+def test_time_is_the_kernels(camera):
+    image = camera.read()
+    assert 0.004 <= time.monotonic() - image.time < 5.0  # captured 4 ms before it arrived
+
+
+def test_a_kernel_clock_that_is_not_the_monotonic_one_is_refused():
+    device = V4l2(clock_offset=1.7e9)
+    with pytest.raises(DeviceError, match="not on the monotonic clock"):
+        OpenCvCamera(CONFIG, capture=lambda: device)
+
+
+def test_the_newest_picture_is_given(camera):
+    first = camera.read()
+    assert camera.wait_newer(first.time, 5.0)
+    assert camera.read().time > first.time
+    assert camera.read().pixels.shape == (48, 64)
+
+
+def test_a_frozen_camera_is_an_error(camera, device):
+    device.mode = "frozen"  # new times, the same pixels
+    assert wait_for(lambda: camera.counters.duplicates > 8)
+    with pytest.raises(DeviceError, match="frozen"):
+        camera.read()
+
+
+def test_a_camera_that_stops_is_stale(camera, device):
+    device.mode = "stopped"
+    time.sleep(0.1)  # ten periods
+    with pytest.raises(DeviceError, match="stale"):
+        camera.read()
+
+
+def test_an_unplugged_camera_is_an_error(camera, device):
+    device.mode = "gone"
+    assert wait_for(lambda: camera._error is not None)
+    with pytest.raises(DeviceError, match="unplugged"):
+        camera.read()
+
+
+def test_lost_pictures_are_counted(camera):
+    camera.counters.dropped = 0
+    camera._count(0.041)  # four periods: three pictures never came
+    assert camera.counters.dropped >= 3
+
+
+def test_a_missing_camera_is_named():
+    device = V4l2()
+    device.mode = "absent"
+    with pytest.raises(DeviceError, match="left camera /dev/video9 cannot be opened"):
+        OpenCvCamera(CONFIG, capture=lambda: device)
+
+
+def test_another_size_than_asked_for_is_an_error():
+    device = V4l2()
+    device.picture = lambda: np.zeros((24, 32, 3), np.uint8)
+    with pytest.raises(DeviceError, match="32 x 24 pixels"):
+        OpenCvCamera(CONFIG, capture=lambda: device)
+
+
+def test_a_stream_over_http_is_read(tmp_path):
+    """The path of the emulated rig: MJPEG on loopback through FFmpeg."""
+    server, stop = StreamServer(("left",)), threading.Event()
+    rng = np.random.default_rng(0)
+    base = cv2.GaussianBlur(rng.integers(60, 200, (48, 64)).astype(np.float32), (0, 0), 3)
+
+    def publish():
+        while not stop.wait(0.02):
+            server.publish("left", np.clip(base + rng.normal(0, 2, base.shape), 0, 255).astype(np.uint8))
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    config = CameraConfig("left", server.url("left"), 64, 48, 5.0, backend="ffmpeg", timestamps="arrival")
+    try:
+        camera = OpenCvCamera(config)
+        try:
+            picture = camera.read().pixels.astype(float)
+            # noise of 2 DN and JPEG's loss at quality 98, below 2 DN
+            assert np.sqrt(np.mean((picture - base) ** 2)) < 4.0
+        finally:
+            camera.close()
+    finally:
+        stop.set()
+        thread.join()
+        server.close()

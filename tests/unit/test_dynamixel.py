@@ -1,0 +1,325 @@
+"""The gripper driver against emulated servos: recipe, units, faults, and torque off on every way out."""
+
+import math
+import time
+from dataclasses import replace
+
+import pytest
+
+from mjtactile.devices.dynamixel import DynamixelGripper, ServoFault
+from mjtactile.devices.dynamixel_tables import MODEL_BY_NUMBER, MODELS, NO_CURRENT_CONTROL, load_table, require_model
+from mjtactile.devices.geometry import JawGeometry, JawServo
+from mjtactile.emulator import protocol2 as p2
+from mjtactile.emulator.servo import EmulatedServo
+from mjtactile.errors import DeviceError, InputError
+from mjtactile.rigfile import GripperConfig, LiftConfig, ServoConfig
+from mjtactile.types import Command
+from tests.emulated import ANGLE, GRIPPER, servo_bench, wait_for
+
+TICK = 2 * math.pi / 4096
+
+
+@pytest.fixture
+def bench():
+    with servo_bench() as bench:
+        yield bench
+
+
+def names_written(bench, servo=1):
+    """Names of the registers written to one servo, in order."""
+    table = {register.address: name for name, register in load_table("xl330_m288").items()}
+    return [table[int.from_bytes(p.parameters[:2], "little")] for p in bench.log if p.code == p2.WRITE and p.servo == servo]
+
+
+# -- tables and models -------------------------------------------------------------------------------------------------
+
+def test_the_sdks_tables_are_read():
+    table = load_table("xl330_m288")
+    assert (table["Goal Current"].address, table["Goal Current"].size) == (102, 2)
+    assert (table["Bus Watchdog"].address, table["Present Current"].address, table["Present Position"].size) == (98, 126, 4)
+
+
+def test_every_model_has_a_table_with_what_is_needed():
+    for model in MODELS.values():
+        assert {"Goal Current", "Bus Watchdog", "Hardware Error Status", "Current Limit"} <= set(model.table), model.name
+    assert len(MODEL_BY_NUMBER) == len(MODELS)
+
+
+@pytest.mark.parametrize("number", NO_CURRENT_CONTROL)
+def test_models_without_goal_current_are_refused_by_name(number):
+    with pytest.raises(DeviceError, match=NO_CURRENT_CONTROL[number]):
+        require_model(number, "servo 1")
+
+
+# -- connecting --------------------------------------------------------------------------------------------------------
+
+def test_recipe_in_its_order(bench):
+    with_gripper(bench, lambda gripper: None)
+    written = names_written(bench)
+    key = ["Operating Mode", "Torque Enable", "Goal Current", "Goal Position", "Bus Watchdog"]
+    first_on = [i for i, name in enumerate(written) if name == "Torque Enable"][1]
+    places = [written.index("Operating Mode"), first_on, written.index("Goal Current"), written.index("Goal Position"),
+              max(i for i, name in enumerate(written) if name == "Bus Watchdog")]
+    assert places == sorted(places), dict(zip(key, places, strict=True))
+    assert written[:2] == ["Bus Watchdog", "Torque Enable"]  # a tripped watchdog would make goals read-only
+    assert bench.servos[1].get("Operating Mode") == 5
+    assert bench.servos[1].get("Return Delay Time") == 0
+
+
+def with_gripper(bench, act):
+    gripper = bench.gripper()
+    try:
+        return act(gripper)
+    finally:
+        gripper.close()
+
+
+def test_a_setting_that_does_not_take_is_refused(bench, monkeypatch):
+    monkeypatch.setattr(EmulatedServo, "_apply",
+                        lambda self, name, value: self.set(name, value if name != "Goal Current" else value + 100))
+    with pytest.raises(DeviceError, match=r"Goal Current was set to .* but reads"):
+        bench.gripper()
+    assert not bench.servos[1].get("Torque Enable")
+
+
+def test_another_model_than_the_files_is_refused(bench):
+    for servo in bench.servos.values():
+        servo.set("Model Number", 1190)
+    with pytest.raises(DeviceError, match="is a XL330-M077, but the rig file says XL330-M288"):
+        bench.gripper()
+
+
+def test_a_servo_without_goal_current_is_refused_at_connect(bench):
+    bench.servos[2].set("Model Number", 1060)
+    with pytest.raises(DeviceError, match="XL430-W250"):
+        bench.gripper()
+
+
+def test_a_latched_error_is_reported_and_never_rebooted_away(bench):
+    bench.servos[2].raise_error(0x20)
+    with pytest.raises(ServoFault, match=r"servo 2 .* overload"):
+        bench.gripper()
+    assert bench.servos[2].get("Hardware Error Status") == 0x20
+    assert p2.REBOOT not in [packet.code for packet in bench.log]
+
+
+def test_a_missing_servo_is_named(bench):
+    bench.faults.set("servo_silent", 2)
+    with pytest.raises(DeviceError, match=r"servo 2 on /dev/pts/.* does not answer"):
+        bench.gripper(reply_timeout=0.05)
+
+
+def test_a_tripped_watchdog_is_cleared_at_connect(bench):
+    bench.servos[1].set("Bus Watchdog", 0xFF)
+    with_gripper(bench, lambda gripper: gripper.command(Command(0.06, 2.0)))
+    assert bench.servos[1].get("Bus Watchdog") != 0xFF
+
+
+def test_the_turn_is_found_after_power_up():
+    """A full turn away the jaw would be at 36 + 75 mm; only one turn puts it between the stops."""
+    config = GripperConfig((0.0, 0.12), (ServoConfig(1, "XL330-M288", per_rad=0.012, zero_ticks=-1000),))
+    geometry = JawGeometry(config, "test")
+    jaw = geometry.servos[0]
+    true_ticks = jaw.ticks(0.05)
+    for read in (true_ticks, true_ticks - 4096, true_ticks + 4096):
+        jaw.set_turn_offset(read, 0.0, 0.07)
+        assert jaw.part(read) == pytest.approx(0.05, abs=0.012 * TICK)
+    with pytest.raises(ValueError, match="no"):
+        jaw.set_turn_offset(jaw.ticks(0.0) - 300 - jaw.turn_offset_ticks, 0.02, 0.05)
+    with pytest.raises(ValueError, match="more than one"):
+        jaw.set_turn_offset(true_ticks, -0.1, 0.2)
+
+
+# -- units -------------------------------------------------------------------------------------------------------------
+
+def test_state_is_in_si(bench):
+    for servo in bench.servos.values():
+        servo.feel(ANGLE, -1.0, -0.06, 0.01)  # closing with 0.06 N m
+    state = with_gripper(bench, lambda gripper: gripper.state())
+    assert state.opening == pytest.approx(2 * 0.012 * ANGLE, abs=2 * 0.012 * TICK)
+    assert state.speed == pytest.approx(-2 * 0.012, rel=0.02)  # the unit is 0.229 rpm = 2.4 %/2 of 1 rad/s
+    assert state.effort == pytest.approx(0.06 / 0.012, rel=0.01)  # virtual work: tau / r on each finger; 1 mA of 169
+
+
+def test_command_returns_what_was_sent_and_the_servos_have_it(bench):
+    def act(gripper):
+        sent = gripper.command(Command(0.061234, 4.0, 0.0, "close", {"a": 1.0}))
+        assert wait_for(lambda: bench.servos[1].get("Goal Position") == round(0.061234 / 2 / 0.012 / TICK))
+        return sent
+
+    sent = with_gripper(bench, act)
+    assert sent.opening == 0.061234
+    assert (sent.phase, dict(sent.memory)) == ("close", {"a": 1.0})
+    assert bench.servos[1].get("Goal Current") == math.floor(4.0 * 0.012 / MODELS["XL330-M288"].torque_per_A / 1e-3)
+
+
+def test_steps_below_a_tick_add_up(bench):
+    """1 um a cycle, where a tick is 18 um: after 100 cycles the goal is 0.1 mm further."""
+    def act(gripper):
+        command = Command(0.06, 2.0)
+        start = gripper.geometry.goals(0.06)[1]
+        for _ in range(100):
+            command = gripper.command(replace(command, opening=command.opening - 1e-6))
+        assert wait_for(lambda: bench.servos[1].get("Goal Position") == round(0.0599 / 2 / 0.012 / TICK))
+        return start
+
+    assert bench.servos[1].get("Goal Position") != with_gripper(bench, act)
+
+
+def test_commands_are_limited_to_the_rig_file(bench):
+    sent = with_gripper(bench, lambda gripper: gripper.command(Command(0.5, 1e6)))
+    assert sent.opening == pytest.approx(0.12, abs=2 * 0.012 * TICK)
+    assert sent.force_limit == GRIPPER.force_max
+
+
+@pytest.mark.parametrize("config", [
+    ServoConfig(1, "XM430-W350", "rack", -0.02, 0.01, 700),
+    ServoConfig(1, "XM430-W350", "crank", 0.05, 0.03, 2048),
+    ServoConfig(1, "XM430-W350", "table", 0.0, 0.0, 2048, table=((-0.5, 0.05), (0.1, 0.02), (0.7, 0.0))),
+])
+def test_laws_invert_and_their_slope_is_their_derivative(config):
+    jaw = JawServo(config, "test")
+    for part in (0.011, 0.024, 0.041):
+        ticks = jaw.ticks(part)
+        assert jaw.part(ticks) == pytest.approx(part, abs=abs(jaw.slope(ticks)) * TICK)  # one tick of rounding
+        numeric = (jaw.part(ticks + 5) - jaw.part(ticks - 5)) / (10 * TICK)
+        assert jaw.slope(ticks) == pytest.approx(numeric, rel=1e-3)  # 5 ticks of a crank's curvature
+
+
+def test_a_table_that_cannot_be_inverted_is_refused():
+    config = ServoConfig(1, "XM430-W350", "table", table=((0.0, 0.01), (0.1, 0.02), (0.2, 0.015)))
+    with pytest.raises(InputError, match="table_deg_mm"):
+        JawServo(config, "test")
+
+
+# -- faults ------------------------------------------------------------------------------------------------------------
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_a_hardware_error_is_seen_in_the_next_cycle(bench, fast):
+    gripper = bench.gripper(fast_sync=fast)
+    try:
+        gripper.state()
+        bench.servos[2].raise_error(0x20)
+        with pytest.raises(ServoFault, match=r"servo 2 .* overload"):
+            gripper.state()
+    finally:
+        gripper.close()
+
+
+def test_one_lost_reply_is_tolerated_and_three_are_not(bench):
+    gripper = bench.gripper(reply_timeout=0.05)
+    gripper._closed.set()  # ends the keep-alive thread, so that this test counts the readings
+    gripper._keeper.join()
+    gripper._closed.clear()
+    try:
+        before = gripper.state()
+        bench.faults.set("servo_silent", 2)
+        assert gripper.state().opening == before.opening
+        gripper.state()
+        with pytest.raises(DeviceError, match=r"servo 2 .* no reply 3 times"):
+            gripper.state()
+    finally:
+        bench.faults.set("servo_silent", 0)
+        gripper.close()
+
+
+def test_a_brown_out_is_noticed(bench):
+    gripper = bench.gripper()
+    try:
+        bench.servos[1].brown_out()
+        with pytest.raises(ServoFault, match="restart"):
+            for _ in range(12):  # each of two servos is asked every sixth reading
+                gripper.state()
+    finally:
+        gripper.close()
+
+
+def test_a_silent_host_trips_the_watchdog_and_the_driver_says_so(bench):
+    gripper = bench.gripper()
+    try:
+        gripper.command(Command(0.07, 2.0))
+        bench.servos[1].look_at_watchdog(time.monotonic() + 10)
+        assert bench.servos[1].drive().torque_max == 0
+        with pytest.raises(ServoFault, match="bus watchdog"):
+            for _ in range(12):
+                gripper.state()
+    finally:
+        gripper.close()
+
+
+def test_a_host_that_vanished_is_silence_for_the_watchdog(bench):
+    """A closed pty looks readable; the emulated watchdog must not take that for traffic."""
+    gripper = bench.gripper()
+    gripper.close()
+    assert wait_for(lambda: not bench.bus.is_busy())
+
+
+def test_goals_are_read_only_after_a_trip(bench):
+    servo = bench.servos[1]
+    servo.set("Bus Watchdog", 5)
+    servo.look_at_watchdog(time.monotonic() + 10)
+    assert servo.write(116, (1).to_bytes(4, "little")) != 0
+
+
+def test_keep_alive_rests_when_the_host_is_silent(bench):
+    """The watchdog must be able to trip: 0.25 s after the last call of a running loop nothing is sent any more."""
+    gripper = bench.gripper(watchdog=0.1)
+    try:
+        gripper.command(Command(0.07, 2.0))
+        assert wait_for(lambda: time.monotonic() - bench.servos[1].last_packet > 0.5)
+    finally:
+        gripper.close()
+
+
+# -- ending ------------------------------------------------------------------------------------------------------------
+
+def test_torque_is_off_after_close(bench):
+    with_gripper(bench, lambda gripper: gripper.command(Command(0.05, 2.0)))
+    assert [servo.get("Torque Enable") for servo in bench.servos.values()] == [0, 0]
+
+
+def test_torque_goes_off_on_the_others_when_one_motor_fails(bench):
+    gripper = bench.gripper(reply_timeout=0.05)
+    bench.faults.set("servo_silent", 1)
+    with pytest.raises(DeviceError, match=r"torque of servo 1 .* could not be switched off"):
+        gripper.close()
+    assert bench.servos[2].get("Torque Enable") == 0
+    gripper.close()  # a second time does nothing
+
+
+def test_torque_is_off_when_connecting_fails_half_way(bench):
+    bench.servos[2].angle = 20.0  # out of the gripper's range
+    bench.servos[2]._lost_turns = 0.0
+    bench.servos[2].feel(20.0, 0.0, 0.0, 0.01)
+    with pytest.raises(DeviceError, match=r"stands at .* ticks"):
+        bench.gripper()
+    assert bench.servos[1].get("Torque Enable") == 0
+
+
+def test_an_unplugged_bus_is_an_error_and_closing_still_returns(bench):
+    gripper = bench.gripper()
+    bench.bus.close()
+    with pytest.raises(DeviceError, match="is lost"):
+        gripper.state()
+    with pytest.raises(DeviceError, match="could not be switched off"):
+        gripper.close()
+
+
+def test_lift_moves_from_where_it_stood():
+    with servo_bench("XM430-W350", 1) as bench:
+        gripper = GripperConfig((0.0, 0.12), (ServoConfig(1, "XM430-W350", per_rad=0.024, zero_ticks=0),))
+        bench.servos[3] = EmulatedServo(3, "XM430-W350", angle=1.0)
+        driver = DynamixelGripper(bench.bus_config, gripper, LiftConfig("servo", id=3, model="XM430-W350", per_rad=0.02))
+        try:
+            assert driver.state().lift_height == 0.0
+            driver.command(Command(0.07, 2.0, lift_height=0.04))
+            assert wait_for(lambda: bench.servos[3].get("Goal Position") == round((1.0 + 0.04 / 0.02) / TICK))
+            bench.servos[3].feel(3.0, 0.0, 0.0, 0.01)
+            assert driver.state().lift_height == pytest.approx(0.04, abs=0.02 * TICK)
+        finally:
+            driver.close()
+
+
+def test_wrong_lift_model_is_refused():
+    with servo_bench() as bench, pytest.raises(InputError, match=r"lift\.model"):
+        DynamixelGripper(bench.bus_config, GRIPPER, replace(LiftConfig("servo"), model="XL430-W250"))

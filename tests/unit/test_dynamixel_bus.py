@@ -1,0 +1,165 @@
+"""Each trap of the SDK's packet layer (docs/hardware.md), through the bus and emulated servos on a pty."""
+
+import threading
+import time
+
+import pytest
+from dynamixel_sdk import PortHandler, Protocol2PacketHandler
+
+from mjtactile.devices.dynamixel_bus import BusError, DynamixelBus
+from mjtactile.emulator import protocol2
+from mjtactile.errors import DeviceError
+from tests.emulated import REPLY_TIMEOUT, servo_bench
+
+POSITION = 132
+
+
+@pytest.fixture
+def bench():
+    with servo_bench() as bench:
+        yield bench
+
+
+@pytest.fixture
+def bus(bench):
+    bus = DynamixelBus(bench.bus.path, reply_timeout=REPLY_TIMEOUT)
+    yield bus
+    bus.close()
+
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_group_read_keeps_the_alert_byte(bench, bus, fast):
+    bench.servos[2].raise_error(0x20)
+    replies, failures = bus.read_many([1, 2], POSITION, 4, fast=fast)
+    assert not failures
+    assert (replies[1].alert, replies[2].alert) == (False, True)
+    assert replies[1].value(0, 4) == bench.servos[1].get("Present Position")
+
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_group_read_says_who_did_not_answer(bench, bus, fast):
+    bench.faults.set("servo_silent", 2)
+    replies, failures = bus.read_many([1, 2], POSITION, 4, fast=fast)
+    assert failures[2].reason == "no reply"
+    assert set(replies) == (set() if fast else {1})  # the fast reply is one packet for all
+
+
+def test_a_short_reply_is_an_error(bench, bus):
+    bench.faults.set("servo_short", 1)
+    with pytest.raises(BusError, match="3 bytes instead of 4") as caught:
+        bus.read(1, POSITION, 4)
+    assert caught.value.reason == "short"
+    _, failures = bus.read_many([1, 2], POSITION, 4)
+    assert {error.reason for error in failures.values()} == {"short"}
+
+
+def test_a_corrupt_reply_is_an_error_and_the_next_read_is_right(bench, bus):
+    for _ in range(8):  # another byte is hit each time: header, id, length, data, CRC
+        bench.faults.set("servo_corrupt", 1)
+        bus._port._reply_timeout_ms = 20  # a broken length is waited for
+        with pytest.raises(BusError):
+            bus.read(1, POSITION, 4)
+        bench.faults.set("servo_corrupt", 0)
+        bus._port._reply_timeout_ms = 1e3 * REPLY_TIMEOUT
+        assert bus.read(1, POSITION, 4).value(0, 4) == bench.servos[1].get("Present Position")
+
+
+def test_an_exception_in_a_transaction_leaves_the_bus_usable(bus, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(Protocol2PacketHandler, "rxPacket", lambda *_: [].pop())
+        with pytest.raises(BusError, match="unreadable"):
+            bus.read(1, POSITION, 4)
+    assert bus.ping(1)[0] == 1200
+
+
+def test_many_threads_share_one_bus(bus):
+    wrong: list[object] = []
+
+    def ask(servo: int) -> None:
+        try:
+            for _ in range(30):
+                if bus.ping(servo)[0] != 1200:
+                    wrong.append(servo)
+        except DeviceError as error:
+            wrong.append(error)
+
+    threads = [threading.Thread(target=ask, args=(servo,)) for servo in (1, 2, 1, 2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert wrong == []
+
+
+def test_time_outs_are_the_files_and_not_the_sdks(bench):
+    """LATENCY_TIMER = 16 makes the SDK wait 34 ms; what the port is told counts here, on the monotonic clock."""
+    bus = DynamixelBus(bench.bus.path, reply_timeout=0.005)
+    sdk = PortHandler("none")
+    try:
+        bus._port.setPacketTimeout(21)
+        assert bus._port.packet_timeout == pytest.approx(5 + 21 * 0.01)  # ms; 10 bits a byte at 1 Mbaud
+        sdk.setPacketTimeout(21)
+        assert sdk.packet_timeout > 30
+        assert abs(bus._port.getCurrentTime() - 1e3 * time.monotonic()) < 1e3  # not the wall clock's 1.7e12
+    finally:
+        bus.close()
+
+
+def test_a_late_reply_is_not_taken_for_the_next_answer(bench):
+    """It comes 20 ms after the time-out, is intact, from the right servo and as long as the next one's."""
+    bus = DynamixelBus(bench.bus.path, reply_timeout=0.05)
+    try:
+        bench.faults.set("servo_late", 0.07)
+        with pytest.raises(BusError, match="no reply"):
+            bus.read(1, 0, 4)  # model number and information
+        bench.faults.set("servo_late", 0)
+        bus._port._reply_timeout_ms = 1e3 * REPLY_TIMEOUT
+        assert bus.read(1, POSITION, 4).value(0, 4) == bench.servos[1].get("Present Position")
+    finally:
+        bus.close()
+
+
+def test_stuffing_is_sent_and_undone(bench, bus, monkeypatch):
+    """The SDK computes the stuffed packet and throws it away. The bytes are compared with the emulator's own encoder."""
+    sent = []
+    write = bus._port.writePort
+    monkeypatch.setattr(bus._port, "writePort", lambda packet: sent.append(bytes(packet)) or write(packet))
+    value = 0x00FDFFFF  # little-endian FF FF FD 00; profile acceleration takes any value in the emulator
+    bus.write(1, 108, 4, value)
+    assert sent == [protocol2.encode(1, protocol2.WRITE, bytes.fromhex("6c00fffffd00"))]
+    assert b"\xff\xff\xfd\xfd" in sent[0]
+    assert bench.servos[1].get("Profile Acceleration") == value
+    assert bus.read(1, 108, 4).value(0, 4) == value
+    block = bytes.fromhex("fffffd00fffffd00")  # two places in one packet
+    bus.write_many(108, {1: block, 2: block})
+    assert bus.read(2, 108, 8).data == block
+
+
+def test_a_refused_write_says_why(bench, bus):
+    bench.servos[1].set("Torque Enable", 1)
+    with pytest.raises(BusError, match="denies access") as caught:
+        bus.write(1, 11, 1, 5)  # EEPROM is locked while torque is on
+    assert caught.value.reason == "refused"
+
+
+def test_the_port_is_opened_alone_and_a_missing_one_is_named(bench, bus):
+    with pytest.raises(DeviceError, match=bench.bus.path):
+        DynamixelBus(bench.bus.path)
+    with pytest.raises(DeviceError, match="/dev/no-such-port"):
+        DynamixelBus("/dev/no-such-port")
+
+
+def test_an_unplugged_adapter_is_a_lost_port(bench, bus):
+    assert bus.ping(1)[0] == 1200
+    bench.bus.close()
+    for _ in range(2):  # and stays one
+        with pytest.raises(BusError) as caught:
+            bus.read(1, POSITION, 4)
+        assert caught.value.reason == "lost"
+
+
+def test_another_baud_rate_hears_nothing(bench):
+    bus = DynamixelBus(bench.bus.path, 57600, reply_timeout=0.02)
+    with pytest.raises(BusError, match="no reply"):
+        bus.ping(1)
+    bus.close()
