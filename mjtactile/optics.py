@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from mjtactile.design import CameraDesign, Glass
 
 _NEWTON_STEPS = 30
-_UNDISTORT_TOLERANCE = 1e-12  # normalised image plane; 6e-10 px at f = 600 px
+_UNDISTORT_NEAR = 1e-7  # normalised image plane: one more Newton step from here is exact to about 1e-13
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def refract(camera: Camera, p_CP: ArrayLike) -> Array:
         root = 1 / np.sqrt(n2 + (n2 - 1) * x * x)
         step = ((z - t + t * root) * x - rho) / (z - t + t * n2 * root**3)
         x = x - step
-        if not np.any(np.abs(step) > 1e-15 * (1 + x)):
+        if not np.any(np.abs(step) > 1e-8 * (1 + x)):  # the step just made squares it
             break
     with np.errstate(invalid="ignore", divide="ignore"):
         scale = np.where(rho > 0, x / rho, 1 / z)
@@ -131,57 +131,59 @@ def refract(camera: Camera, p_CP: ArrayLike) -> Array:
 def glass_shift(camera: Camera, rays: ArrayLike) -> Array:
     """Depth (...) m by which the pane brings a point nearer along z, for `rays` (..., 3) in air (any length).
 
-    t (1 - cos(theta) / sqrt(n^2 - sin^2(theta))) for a pane normal to the axis. A pose found without the pane in the
-    model becomes p_true = p_apparent + (0, 0, shift).
+    A pose found without the pane in the model becomes p_true = p_apparent + (0, 0, shift).
     """
     ray = np.asarray(rays, dtype=float)
-    cos2 = ray[..., 2] ** 2 / np.einsum("...i,...i->...", ray, ray)
-    return camera.glass_thickness * (1 - np.sqrt(cos2 / (camera.glass_index**2 - 1 + cos2)))
+    x, y, z = ray[..., 0], ray[..., 1], ray[..., 2]
+    return pane_shift(camera, (x * x + y * y) / (z * z))
+
+
+def pane_shift(camera: Camera, tan2: ArrayLike) -> Array:
+    """`glass_shift` (...) m for rays at an angle theta to the axis with tan(theta)^2 = `tan2` (...).
+
+    t (1 - cos(theta) / sqrt(n^2 - sin^2(theta))) for a pane normal to the axis.
+    """
+    slower = camera.glass_index**2 - 1
+    return camera.glass_thickness * (1 - 1 / np.sqrt(slower * np.asarray(tan2, dtype=float) + (slower + 1)))
 
 
 def distort(camera: Camera, xy: ArrayLike) -> Array:
     """plumb_bob: distorted from ideal normalised coordinates (..., 2)."""
-    return _distortion(camera, np.asarray(xy, dtype=float))
+    xy = np.asarray(xy, dtype=float)
+    if not any(camera.distortion):
+        return xy
+    return np.stack(_lens(camera, xy[..., 0], xy[..., 1])[:2], axis=-1)
 
 
 def undistort(camera: Camera, xy_distorted: ArrayLike) -> Array:
-    """Ideal from distorted normalised coordinates (..., 2), by Newton with the exact Jacobian, to 1e-12.
+    """Ideal from distorted normalised coordinates (..., 2), by Newton with the exact Jacobian, to about 1e-13.
 
     NaN where it does not converge to a point on the near side of the fold.
     """
     target = np.asarray(xy_distorted, dtype=float)
     if not any(camera.distortion):
         return target.copy()
-    xy = target
-    residual = np.full(target.shape[:-1], np.nan)
-    J = np.zeros((*target.shape, 2))
+    x_d, y_d = np.moveaxis(target, -1, 0).copy()
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        x, y, *_ = _lens(camera, x_d, y_d)
+        x, y = 2 * x_d - x, 2 * y_d - y  # one step of the fixed-point iteration, without derivatives
         for _ in range(_NEWTON_STEPS):
-            error = _distortion(camera, xy) - target
-            residual = np.abs(error).max(axis=-1, initial=0.0)
-            J = distortion_jacobian(camera, xy)
-            if not np.any(residual > _UNDISTORT_TOLERANCE):
+            x_now, y_now, xx, xy, yy = _lens(camera, x, y)
+            x_off, y_off, det = x_now - x_d, y_now - y_d, xx * yy - xy * xy
+            x, y = x - (yy * x_off - xy * y_off) / det, y - (xx * y_off - xy * x_off) / det
+            residual = np.maximum(np.abs(x_off), np.abs(y_off))
+            if not np.any(residual > _UNDISTORT_NEAR):  # the step just made squares it
                 break
-            det = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
-            step = np.stack([J[..., 1, 1] * error[..., 0] - J[..., 0, 1] * error[..., 1],
-                             J[..., 0, 0] * error[..., 1] - J[..., 1, 0] * error[..., 0]], axis=-1)
-            xy = xy - step / det[..., None]
-        good = (residual <= 100 * _UNDISTORT_TOLERANCE) & (np.linalg.det(J) > 0)
-    return np.where(good[..., None], xy, np.nan)
+        good = np.logical_and(residual <= _UNDISTORT_NEAR, det > 0)
+    return np.where(good[..., None], np.stack([x, y], axis=-1), np.nan)
 
 
 def distortion_jacobian(camera: Camera, xy: ArrayLike) -> Array:
     """Derivative (..., 2, 2) of `distort` with respect to the ideal normalised coordinates (..., 2)."""
-    k1, k2, p1, p2, k3 = camera.distortion
     xy = np.asarray(xy, dtype=float)
-    x, y = xy[..., 0], xy[..., 1]
-    r2 = x * x + y * y
-    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = 2 * (k1 + r2 * (2 * k2 + 3 * k3 * r2))  # d(radial)/dx = slope x
     J = np.empty((*xy.shape, 2))
-    J[..., 0, 0] = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x
-    J[..., 1, 1] = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x
-    J[..., 0, 1] = J[..., 1, 0] = slope * x * y + 2 * p1 * x + 2 * p2 * y
+    _, _, J[..., 0, 0], J[..., 0, 1], J[..., 1, 1] = _lens(camera, xy[..., 0], xy[..., 1])
+    J[..., 1, 0] = J[..., 0, 1]
     return J
 
 
@@ -195,15 +197,18 @@ def normalized_from_pixel(camera: Camera, uv_px: ArrayLike) -> Array:
     return (np.asarray(uv_px, dtype=float) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
 
 
-def _distortion(camera: Camera, xy: Array) -> Array:
+def _lens(camera: Camera, x: Array, y: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """plumb_bob of ideal coordinates x, y (...), and its derivatives dx/dx, dx/dy = dy/dx, dy/dy."""
     k1, k2, p1, p2, k3 = camera.distortion
-    if not (k1 or k2 or p1 or p2 or k3):
-        return xy
-    x, y = xy[..., 0], xy[..., 1]
-    r2 = x * x + y * y
+    x2, y2, xy = x * x, y * y, x * y
+    r2 = x2 + y2
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    return np.stack([x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-                     y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], axis=-1)
+    slope = 2 * k1 + r2 * (4 * k2 + 6 * k3 * r2)  # d(radial)/dx = slope x
+    x_d, y_d, xx, xy_, yy = x * radial, y * radial, radial + slope * x2, slope * xy, radial + slope * y2
+    if p1 or p2:
+        x_d, y_d = x_d + 2 * p1 * xy + p2 * (r2 + 2 * x2), y_d + p1 * (r2 + 2 * y2) + 2 * p2 * xy
+        xx, xy_, yy = xx + 2 * p1 * y + 6 * p2 * x, xy_ + 2 * p1 * x + 2 * p2 * y, yy + 6 * p1 * y + 2 * p2 * x
+    return x_d, y_d, xx, xy_, yy
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:

@@ -15,6 +15,8 @@ from mjtactile.sensing import ellipse
 from mjtactile.types import Array
 
 _CELLS = 60  # the threshold's grid has about this many cells along the image's shorter side
+_DIVISORS = np.array([[2.0], [6.0], [6.0], [12.0], [24.0], [12.0]])  # of the polygon's moments
+_LARGE = 4.0  # px: where nothing smaller counts, half the resolution shows enough, in less than half the time
 _MARGINS = (3.0, 24.0)  # how much darker than its neighbourhood, at 8 bit: least; most that noise can ask for
 
 
@@ -31,78 +33,100 @@ class Candidates:
     def __len__(self) -> int:
         return len(self.center)
 
-    def take(self, keep: NDArray) -> Candidates:
-        return Candidates(self.center[keep], self.shape[keep], self.misfit[keep], self.cut[keep])
+    def take(self, keep: NDArray[np.bool_]) -> Candidates:
+        return self if keep.all() else Candidates(self.center[keep], self.shape[keep], self.misfit[keep], self.cut[keep])
+
+
+_NONE = Candidates(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, dtype=bool))
 
 
 def find(dark: NDArray[np.uint8], min_radius_px: float) -> Candidates:
     """Candidates for dark blobs in an 8-bit image (H, W) with semi-axes of at least about `min_radius_px`."""
-    binary = threshold(dark)
-    borders, tree = cv2.findContours(binary, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+    if min_radius_px >= _LARGE and min(dark.shape) >= 4 * _CELLS:
+        height, width = (side // 2 for side in dark.shape)
+        half = cv2.resize(dark[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
+        found = find(half, min_radius_px / 2)
+        # the middle of the first 2 x 2 pixels is at (0.5, 0.5)
+        return Candidates(2 * found.center + 0.5, 2 * found.shape, 2 * found.misfit, found.cut)
+    borders, tree = cv2.findContours(threshold(dark), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+    if not borders:
+        return _NONE
     # Outer borders only (no parent): a disc larger than the threshold's neighbourhood comes out hollow. Straight runs
     # are given by their ends; less than six corners are no disc.
-    borders = [b for b, links in zip(borders, tree[0], strict=True) if links[3] < 0 and len(b) > 5] if borders else []
-    if not borders:
-        empty = np.zeros(0)
-        return Candidates(np.zeros((0, 2)), np.zeros((0, 3)), empty, empty.astype(bool))
-    found = _moments(borders, dark.shape)
-    return found.take(found.shape[:, 0] * found.shape[:, 2] - found.shape[:, 1] ** 2 > (0.7 * min_radius_px) ** 2)
+    counts = np.fromiter(map(len, borders), np.int64, len(borders))
+    keep = (tree[0, :, 3] < 0) & (counts > 5)
+    if not keep.any():
+        return _NONE
+    if not keep.all():
+        borders, counts = [borders[i] for i in np.flatnonzero(keep)], counts[keep]
+    found = _moments(np.concatenate(borders), counts, dark.shape)
+    p, q, s = found.shape.T
+    return found.take(p * s - q * q > (0.7 * min_radius_px) ** 2)
 
 
 def threshold(dark: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Binary image: what is darker than the mean of its neighbourhood, by a margin."""
     height, width = dark.shape
-    cell = max(1, round(min(height, width) / _CELLS))
-    small = cv2.resize(dark, (max(1, width // cell), max(1, height // cell)), interpolation=cv2.INTER_AREA)
+    small = dark
+    while min(small.shape) >= 1.5 * _CELLS:  # halving is what cv2 does fastest
+        small = cv2.resize(small, (small.shape[1] // 2, small.shape[0] // 2), interpolation=cv2.INTER_AREA)
     small = cv2.blur(small, (5, 5))
     soft = cv2.GaussianBlur(dark, (3, 3), 0)
-    margin = np.clip(small // 24, _margin(soft), 255).astype(np.uint8)
+    margin = cv2.max(small // 24, _margin(soft))
     local = cv2.resize(cv2.subtract(small, margin), (width, height), interpolation=cv2.INTER_LINEAR)
     return cv2.compare(soft, local, cv2.CMP_LT)
 
 
 def _margin(soft: NDArray[np.uint8]) -> float:
     """Several times the noise left in `soft`, from the median difference of neighbours on some of the rows."""
-    rows = soft[:: max(1, soft.shape[0] // 40)]
+    rows = soft[:: max(1, soft.shape[0] // 16)]
     histogram = cv2.calcHist([cv2.absdiff(rows[:, 1:], rows[:, :-1])], [0], None, [256], [0, 256]).ravel()
-    median = np.searchsorted(np.cumsum(histogram), histogram.sum() / 2)
-    return float(np.clip(4 * median, *_MARGINS))
+    below = histogram.cumsum()
+    return float(min(max(4 * below.searchsorted(below[-1] / 2), _MARGINS[0]), _MARGINS[1]))
 
 
-def _moments(borders: list[NDArray], size: tuple[int, ...]) -> Candidates:
-    """Area moments of all borders at once, by Green's theorem on the polygons through their pixels' centres."""
-    counts = np.array([len(b) for b in borders])
-    points = np.concatenate(borders)[:, 0].astype(np.float32)
-    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    origin = points[starts]
-    x, y = (points - np.repeat(origin, counts, axis=0)).T
-    following = np.arange(1, len(points) + 1)
-    following[starts + counts - 1] = starts
-    x2, y2 = x[following], y[following]
-    cross = x * y2 - x2 * y
-    terms = np.stack([cross, cross * (x + x2), cross * (y + y2), cross * (x * x + x * x2 + x2 * x2),
-                      cross * (2 * x * y + x * y2 + x2 * y + 2 * x2 * y2), cross * (y * y + y * y2 + y2 * y2)])
-    sums = np.add.reduceat(terms, starts, axis=1).astype(float)
-    area, mx, my, mxx, mxy, myy = sums / np.array([[2.0], [6.0], [6.0], [12.0], [24.0], [12.0]])
+def _moments(points: NDArray[np.int32], counts: NDArray[np.int64], size: tuple[int, ...]) -> Candidates:
+    """Area moments of all borders at once, by Green's theorem on the polygons through their pixels' centres.
+
+    `points` (P, 1, 2) of one border after the other, `counts` (N,) of them.
+    """
+    ends = counts.cumsum() - 1
+    starts = ends - counts + 1
+    xy = points[:, 0].T.astype(float)
+    following = np.empty_like(xy)
+    following[:, :-1] = xy[:, 1:]
+    following[:, ends] = xy[:, starts]
+    (x, y), (x2, y2) = xy, following
+    sx, sy = x + x2, y + y2
+    terms = np.empty((6, len(x)))
+    cross = np.subtract(x * y2, x2 * y, out=terms[0])
+    terms[1], terms[2] = cross * sx, cross * sy
+    terms[3], terms[5] = cross * (sx * sx - x * x2), cross * (sy * sy - y * y2)
+    terms[4] = cross * (sx * sy + x * y + x2 * y2)
+    area, mx, my, mxx, mxy, myy = np.add.reduceat(terms, starts, axis=1) / _DIVISORS
     # A one-pixel-wide border has no area; it is no marker either, so that any non-zero stand-in will do.
     flat = np.abs(area) < 0.5
-    area = np.where(flat, 1.0, area)
+    area[flat] = 1.0
     cx, cy = mx / area, my / area
     second = np.stack([mxx / area - cx * cx, mxy / area - cx * cy, myy / area - cy * cy], axis=1)
     second[flat] = [0.01, 0.0, 0.01]
     shape = ellipse.shape_from_moments(second)
     # The polygon runs through centres of boundary pixels, half a pixel inside of the blob's outline.
     shape += [0.5, 0.0, 0.5]
-    inverse = np.repeat(ellipse.inverse_shape(shape).T.astype(np.float32), counts, axis=1)
-    dx, dy = x - np.repeat(cx.astype(np.float32), counts), y - np.repeat(cy.astype(np.float32), counts)
-    ex, ey = inverse[0] * dx + inverse[1] * dy, inverse[1] * dx + inverse[2] * dy
-    # first-order distance (rho - 1)/|S^-1 e| from the ellipse, of the outline half a pixel further out
-    rho = np.sqrt(ex * ex + ey * ey) + 1e-9
-    slope = np.hypot(inverse[0] * ex + inverse[1] * ey, inverse[1] * ex + inverse[2] * ey) / rho + 1e-9
-    misfit = np.maximum.reduceat(np.abs((rho - 1) / slope + 0.5), starts)
-    low = np.minimum.reduceat(points, starts, axis=0)
-    high = np.maximum.reduceat(points, starts, axis=0)
-    cut = np.any((low <= 0) | (high >= np.array([size[1] - 1, size[0] - 1])), axis=1)
-    cut = np.asarray(cut, dtype=bool)
+    center = np.stack([cx, cy], axis=1)
+    misfit = np.maximum.reduceat(_distance(xy, center, shape, counts), starts)
     misfit[flat] = np.inf
-    return Candidates(np.stack([cx, cy], axis=1) + origin, shape, misfit, cut)
+    room = np.minimum(np.minimum(x, y), np.minimum(size[1] - 1 - x, size[0] - 1 - y))
+    return Candidates(center, shape, misfit, np.minimum.reduceat(room, starts) <= 0)
+
+
+def _distance(xy: Array, center: Array, shape: Array, counts: NDArray[np.int64]) -> Array:
+    """First-order distance |(rho - 1)/|S^-1 e|| (P,) of border points `xy` (2, P) from their ellipses; the blob's outline
+    is half a pixel further out than they are."""
+    own = np.concatenate([center.T, ellipse.inverse_shape(shape).T]).repeat(counts, axis=1)
+    dx, dy = xy - own[:2]
+    p, q, s = own[2:]
+    ex, ey = p * dx + q * dy, q * dx + s * dy
+    rho2 = ex * ex + ey * ey
+    mx, my = p * ex + q * ey, q * ex + s * ey
+    return np.abs((rho2 - np.sqrt(rho2)) / np.sqrt(mx * mx + my * my + 1e-18) + 0.5)

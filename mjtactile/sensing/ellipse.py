@@ -45,11 +45,16 @@ def shape_from_axes(semi_axes: Array, angle: Array) -> Array:
     return np.stack([a * c * c + b * s * s, (a - b) * c * s, a * s * s + b * c * c], axis=1)
 
 
+def axes_difference(a: Array, b: Array) -> Array:
+    """a - b (N,), not below the floor that keeps the angle's variance finite."""
+    return np.maximum(a - b, _ROUND * a)
+
+
 def axes_jacobian(semi_axes: Array, angle: Array) -> Array:
     """Derivative (N, 5, 5) of (u, v, p, q, s) with respect to (u, v, a, b, angle)."""
     c, s = np.cos(angle), np.sin(angle)
     a, b = semi_axes.T
-    difference = np.maximum(a - b, _ROUND * a)
+    difference = axes_difference(a, b)
     J = np.zeros((len(angle), 5, 5))
     J[:, 0, 0] = J[:, 1, 1] = 1.0
     J[:, 2:, 2] = np.stack([c * c, c * s, s * s], axis=1)
@@ -62,7 +67,7 @@ def covariance_of_axes(cov: Array, semi_axes: Array, angle: Array) -> Array:
     """Covariance (N, 5, 5) of (u, v, a, b, angle) from that of (u, v, p, q, s)."""
     c, s = np.cos(angle), np.sin(angle)
     a, b = semi_axes.T
-    difference = np.maximum(a - b, _ROUND * a)
+    difference = axes_difference(a, b)
     J = np.zeros((len(angle), 5, 5))
     J[:, 0, 0] = J[:, 1, 1] = 1.0
     J[:, 2, 2:] = np.stack([c * c, 2 * c * s, s * s], axis=1)
@@ -98,3 +103,29 @@ def boundary(center: Array, shape: Array, count: int) -> tuple[Array, Array]:
     p, q, s = (column[:, None] for column in shape.T)
     offset = np.stack([p * e[:, 0] + q * e[:, 1], q * e[:, 0] + s * e[:, 1]], axis=-1)
     return center[:, None] + offset, e
+
+
+def moved(center: Array, shape: Array, move: Array) -> tuple[Array, Array]:
+    """Ellipses after a `move` (N, 5) = (w, V) with V = [[V0, V1], [V1, V2]], in units of the local radius (cut at 0.4):
+    centre c + S w, and the shape whose square is that of S (I + V)."""
+    w0, w1, a, b, c = np.minimum(np.maximum(move.T.astype(float), -0.4), 0.4)
+    p, q, s = shape.T
+    a, c = 1 + a, 1 + c
+    A, B, C, D = p * a + q * b, p * b + q * c, q * a + s * b, q * b + s * c
+    squared = np.stack([A * A + B * B, A * C + B * D, C * C + D * D], axis=1)
+    return center + np.stack([p * w0 + q * w1, q * w0 + s * w1], axis=1), shape_from_moments(squared / 4)
+
+
+def covariance_of_moves(cov: Array, shape: Array) -> Array:
+    """Covariance (N, 5, 5) of (u, v, p, q, s) from that of (w, V): dc = S w, and S^-1 dS + dS S^-1 = 2 V, of which
+    dS = (det(S) V + S V S)/trace(S) is the solution."""
+    p, q, s = shape.T
+    over, det = 1 / (p + s), p * s - q * q
+    L = np.zeros((len(shape), 5, 5))
+    L[:, 0, 0], L[:, 1, 1] = p, s
+    L[:, 0, 1] = L[:, 1, 0] = q
+    qq, pq, qs = q * q * over, p * q * over, q * s * over
+    L[:, 2, 2], L[:, 2, 3], L[:, 2, 4] = (det + p * p) * over, 2 * pq, qq
+    L[:, 3, 2], L[:, 3, 3], L[:, 3, 4] = pq, (det + p * s) * over + qq, qs
+    L[:, 4, 2], L[:, 4, 3], L[:, 4, 4] = qq, 2 * qs, (det + s * s) * over
+    return L @ cov @ L.transpose(0, 2, 1)

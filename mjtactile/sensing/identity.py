@@ -69,15 +69,19 @@ def match(p_SM: ArrayLike, expected: ArrayLike, layout: ArrayLike) -> Ids:
     ids = np.full(len(found), -1)
     if not np.isfinite(found.sum(axis=1)).any():
         return ids
-    shift = _common_shift(found, expected, pitch)
-    for _ in range(_ROUNDS):
+    # all found where they are expected, and none left over, needs no common offset: a whole grid cannot hide a shift
+    shift = np.zeros(2)
+    for tried in range(_ROUNDS + 1):
+        if tried == 1:
+            shift = _common_shift(found, expected, pitch)
         ids = _mutual_nearest(found, expected + shift, GATE * pitch)
         moved = np.full_like(layout, np.nan)
         moved[ids[ids >= 0]] = found[ids >= 0] - expected[ids[ids >= 0]]
         common = _smooth(moved, order)
         wrong = np.linalg.norm(moved - common, axis=1) > INCONSISTENT * pitch
         ids[(ids >= 0) & wrong[ids]] = -1
-        if not wrong.any() and (ids >= 0).sum() == min(len(found), len(layout)):
+        matched = (ids >= 0).sum()
+        if not wrong.any() and matched == (min(len(found), len(layout)) if tried else max(len(found), len(layout))):
             break
         moved[wrong] = np.nan
         shift = _smooth(moved, order)
@@ -130,6 +134,10 @@ def _smooth(moved: Array, order: Ids) -> Array:
 
     Where there are none, the median of all; zero if nothing is known.
     """
+    near = moved[order[:, :_NEIGHBOURS]]
+    if np.isfinite(near.sum()):
+        ranked, k = np.sort(near, axis=1), near.shape[1]
+        return (ranked[:, (k - 1) // 2] + ranked[:, k // 2]) / 2
     near = moved[order]
     known = np.isfinite(near[..., 0])
     first = known & (np.cumsum(known, axis=1) <= _NEIGHBOURS)

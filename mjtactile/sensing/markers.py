@@ -18,7 +18,9 @@ CUT, NOT_ELLIPSE, TOUCHING = "cut by image border", "not an ellipse", "touches a
 _SMALL = 6.0  # px, semi-minor axis; profiles need this much room
 _BLURRED = 7.5  # and this many times the blur
 _TOO_BLURRED = 2.8  # times the blur: below, radius, blur and level cannot be told apart
+_BLUR_SPREAD = 1.15  # of one marker's blur over the image's
 _MOTION = 0.06  # px
+_SOME, _ALIKE = 5, 0.5  # markers that say how large markers are; how far (log of size) from their median
 _CLOSE = 3.0  # px between two edges, or an edge and the image's border, that disturb a fit
 LOW_CONTRAST, GLARE, SMALL = "low contrast", "glare or dirt", "too small"
 MOTION, BLURRED = "motion blur", "too blurred"
@@ -29,7 +31,8 @@ def detect(image: NDArray | Image, camera: Any = None, *, polarity: Polarity = "
     """Find circular markers in `image` ((H, W) or (H, W, 3) uint8 or uint16, or an `Image`).
 
     `polarity`: markers "dark" on bright or "bright" on dark. `camera` is accepted so that all stages look alike;
-    ellipses are in distorted pixels, as in the image. `min_radius_px`: smallest semi-minor axis looked for.
+    ellipses are in distorted pixels, as in the image. `min_radius_px`: smallest semi-minor axis looked for; from 4
+    px on, the search runs at half the resolution (the fit does not).
 
     Returns `Ellipses` in reading order of detection; those whose status is not "ok" are likely markers that should not
     be trusted. No marker gives an empty result. Raises InputError for a wrong shape, type or option.
@@ -44,9 +47,10 @@ def detect(image: NDArray | Image, camera: Any = None, *, polarity: Polarity = "
     fit = _sound(fit)
     status = _judge(fit, found, polarity, grey.shape, min_radius_px)
     keep = status != ""
-    axes, angle = ellipse.axes_from_shape(fit.shape[keep])
-    cov = ellipse.covariance_of_axes(fit.cov[keep], axes, angle)
-    return Ellipses(fit.center[keep], axes, angle, cov, status[keep])
+    if not keep.all():
+        fit, status = fit.take(keep), status[keep]
+    axes, angle = ellipse.axes_from_shape(fit.shape)
+    return Ellipses(fit.center, axes, angle, ellipse.covariance_of_axes(fit.cov, axes, angle), status)
 
 
 def grey_image(image: NDArray | Image) -> NDArray:
@@ -76,13 +80,14 @@ def _fit(grey: NDArray, found: candidates.Candidates) -> edges.EdgeFit:
         fit = edges.merge(blurred, again, fit.take(~blurred))
     if large.all():
         return fit
-    return edges.merge(large, fit, edges.fit(grey, found.center[~large], found.shape[~large]))
+    others = found.center[large], found.shape[large]
+    return edges.merge(large, fit, edges.fit(grey, found.center[~large], found.shape[~large], others=others))
 
 
 def _sound(fit: edges.EdgeFit) -> edges.EdgeFit:
     """`fit` with a covariance as large as the marker, and no trust, where the numbers are not those of a minimum."""
     variances = np.diagonal(fit.cov, axis1=1, axis2=2)
-    bad = ~(np.isfinite(fit.cov).all(axis=(1, 2)) & (variances > 0).all(axis=1) & np.isfinite(fit.residual))
+    bad = ~(np.isfinite(fit.cov.sum(axis=(1, 2)) + fit.residual) & (variances.min(axis=1, initial=np.inf) > 0))
     if not bad.any():
         return fit
     size = np.square(fit.shape[bad]).sum(axis=1)
@@ -101,8 +106,19 @@ def _plausible(found: candidates.Candidates, min_radius_px: float) -> candidates
     """Drop what cannot be a marker: too small or long, or a border far from its own ellipse (further if cut)."""
     axes, _ = ellipse.axes_from_shape(found.shape)
     a, b = axes.T
-    bound = 1.2 + np.where(found.cut, 0.4, 0.2) * b
-    return found.take((b >= min_radius_px) & (b > 0.15 * a) & (found.misfit < bound))
+    fits = (b >= min_radius_px) & (b > 0.15 * a) & ~_odd(found)
+    if fits.sum() < _SOME:
+        return found.take(fits)
+    # a border as large as the others' but of another outline is a marker with glare or dirt on it, to be flagged
+    size = np.sqrt(a * b)
+    alike = np.abs(np.log(size / np.median(size[fits]))) < _ALIKE
+    return found.take(fits | (alike & (b > 0.4 * a) & (found.misfit < 0.6 * size)))
+
+
+def _odd(found: candidates.Candidates) -> NDArray[np.bool_]:
+    """Which borders are far from their own ellipses (further if cut)."""
+    b = ellipse.axes_from_shape(found.shape)[0][:, 1]
+    return found.misfit >= 1.2 + np.where(found.cut, 0.4, 0.2) * b
 
 
 def _judge(fit: edges.EdgeFit, found: candidates.Candidates, polarity: str, size: tuple[int, ...],
@@ -112,8 +128,8 @@ def _judge(fit: edges.EdgeFit, found: candidates.Candidates, polarity: str, size
     a, b = axes.T
     contrast = (fit.outside - fit.inside) * (1 if polarity == "dark" else -1)
     noise = np.maximum(fit.residual, 1e-3)
-    doubt = np.sqrt(np.trace(fit.cov[:, 2:, 2:], axis1=1, axis2=2)) / b
-    moved = np.linalg.norm(fit.center - found.center, axis=1)
+    doubt = np.sqrt(fit.cov[:, 2, 2] + fit.cov[:, 3, 3] + fit.cov[:, 4, 4]) / b
+    moved = np.hypot(*(fit.center - found.center).T)
     extent = np.hypot(fit.shape[:, [0, 2]], fit.shape[:, 1:2])
     out = ((fit.center - extent < _CLOSE) | (fit.center + extent > np.array([size[1], size[0]]) - 1 - _CLOSE)).any(axis=1)
     status = np.full(len(b), "ok", dtype="<U24")
@@ -121,14 +137,19 @@ def _judge(fit: edges.EdgeFit, found: candidates.Candidates, polarity: str, size
     status[fit.residual > 0.15 * contrast] = NOT_ELLIPSE
     status[fit.lost > 0.25] = GLARE
     status[fit.motion > _MOTION] = MOTION
-    status[b < _TOO_BLURRED * fit.blur] = BLURRED
+    # blur is the image's, and its scatter from marker to marker mostly the fit's
+    common = float(np.median(fit.blur[status == "ok"])) if (status == "ok").any() else 0.0
+    status[b < _TOO_BLURRED * np.clip(fit.blur, common / _BLUR_SPREAD, common * _BLUR_SPREAD)] = BLURRED
+    status[(fit.blur < common / 2) & (common > 1)] = BLURRED  # a fit that took the blur for size
     changed = np.abs(fit.shape - found.shape).max(axis=1)
     status[changed > 1.2 + 0.25 * b] = NOT_ELLIPSE
     status[b < min_radius_px] = SMALL
     cut = out | found.cut
     status[cut] = CUT
+    odd = _odd(found) & ~cut
+    status[odd] = GLARE
     wrong = (contrast < 2 * noise) | (b < 0.5 * min_radius_px) | (b < 0.1 * a) | (doubt > 0.5)
-    status[wrong | ((moved > 1 + 0.3 * b) & ~cut)] = ""
+    status[wrong | ((moved > 1 + 0.3 * b) & ~cut & ~odd)] = ""
     good = np.flatnonzero(status == "ok")
     status[good[_crowded(fit.center[good], fit.shape[good], a[good])]] = TOUCHING
     return status

@@ -7,6 +7,8 @@ eigenvectors v1, v3 (v3 away from the camera), sin psi = sqrt((l1 - l2)/(l1 - l3
 
 Departures from the paper (docs/equations.md): Q = K^T M K instead of the pixel conic M; the sign belongs to the sine
 term alone; C is the centre in space, not only its image, so that no sine rule is needed; n faces the camera.
+
+Arrays inside have the markers on their last axis, which makes every step one pass over contiguous memory.
 """
 
 from __future__ import annotations
@@ -14,15 +16,19 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mjtactile import optics
+from mjtactile import geometry, optics
 from mjtactile.design import CameraDesign
 from mjtactile.errors import InputError
 from mjtactile.sensing import ellipse
 from mjtactile.types import Array, CirclePoses, Ellipses
 
-_SAMPLES = 16  # boundary points that carry an ellipse through lens and glass
-_FEW = 8  # boundary points that carry derivatives; five are the least
+_POINTS = 8  # on an ellipse's boundary: five are the least, and what lens and pane add has few harmonics
 _LEAST_TILT = 1e-3  # rad; below it the normal's derivative vanishes and only its bound is left
+_FIT_STEPS, _FIT_TOLERANCE = 30, 1e-8  # of a conic's coefficients; what is left after such a step is 1e-10
+_E = np.stack([np.cos(2 * np.pi * np.arange(_POINTS) / _POINTS), np.sin(2 * np.pi * np.arange(_POINTS) / _POINTS)])
+_TO_AFFINE = np.concatenate([np.full((1, _POINTS), 1 / _POINTS), _E * (2 / _POINTS)])
+_TO_CONIC = np.linalg.pinv(np.stack([_E[0] ** 2, 2 * _E[0] * _E[1], _E[1] ** 2, 2 * _E[0], 2 * _E[1]], axis=1))
+_TO_MOTION = np.linalg.pinv(np.stack([_E[0], _E[1], _E[0] ** 2, _E[1] ** 2, 2 * _E[0] * _E[1]], axis=1))
 
 
 def estimate_poses(ellipses: Ellipses, camera: optics.Camera | CameraDesign, radius: ArrayLike) -> CirclePoses:
@@ -36,137 +42,195 @@ def estimate_poses(ellipses: Ellipses, camera: optics.Camera | CameraDesign, rad
     if not len(ellipses):
         none = np.zeros((0, 3))
         return CirclePoses(none[:, :2], none, none, none, none, np.zeros((0, 3, 3)), ellipses.status)
-    shape = ellipse.shape_from_axes(ellipses.semi_axes_px, ellipses.angle)
-    p, n = _both(camera, ellipses.center_px, shape, r)
-    first = (n[1, :, 2] < n[0, :, 2]).astype(int)
-    each = np.arange(len(ellipses))
+    a, b = ellipses.semi_axes_px.T
+    cos, sin = np.cos(ellipses.angle), np.sin(ellipses.angle)
+    xy, affine, Q = _cones(camera, ellipses.center_px, np.array([[a * cos, -b * sin], [a * sin, b * cos]]))
+    p, n = circles_from_cones(Q, r)
+    if camera.glass_thickness:
+        p, n = _through_pane(camera, xy, p, n, r)
+    first = np.where(n[1, :, 2] < n[0, :, 2], 1, 0)
+    each = np.arange(len(r))
     p_first, n_first = p[first, each], n[first, each]
-    uv = optics.project(camera, p_first)
-    cov = ellipse.covariance_of_shape(ellipses.cov, ellipses.semi_axes_px, ellipses.angle)
-    cov_p = _covariance(camera, p_first, n_first, r, shape, cov)
-    return CirclePoses(uv, p_first, n_first, p[1 - first, each], n[1 - first, each], cov_p, ellipses.status)
+    cov = _covariance(camera, ellipses, xy, affine[:, 0], p_first, n_first)
+    return CirclePoses(optics.project(camera, p_first), p_first, n_first, p[1 - first, each], n[1 - first, each], cov,
+                       ellipses.status)
 
 
 def circles_from_cones(Q: Array, radius: Array) -> tuple[Array, Array]:
     """The closed form: centres and normals, each (2, N, 3), of circles of `radius` (N,) on the cones `Q` (N, 3, 3).
 
-    Q has one negative eigenvalue (the inside of the ellipse is negative). Normals point towards the camera.
+    Q has one negative eigenvalue (the inside of the ellipse is negative), its eigenvector within 90 deg of z. Normals
+    point towards the camera.
+
+    l3 by the trigonometric solution of the cubic (Smith, Comm. ACM 4(4), 1961), exact for the eigenvalue that stands
+    alone; l1 and l2, which are equal for a circle seen face-on, from the 2 x 2 problem across v3.
     """
-    values, vectors = np.linalg.eigh(Q)
-    l3, l2, l1 = np.maximum(values.T, [[-np.inf], [1e-300], [1e-300]])
-    v3, v1 = vectors[:, :, 0], vectors[:, :, 2]
-    v3 = v3 * np.where(v3[:, 2] < 0, -1.0, 1.0)[:, None]
-    sine = np.sqrt(np.maximum(l1 - l2, 0) / (l1 - l3))
-    cosine = np.sqrt((l2 - l3) / (l1 - l3))
-    along1 = (radius * np.sqrt(-l3 / l1) * sine)[:, None] * v1
-    along3 = (radius * np.sqrt(-l1 / l3) * cosine)[:, None] * v3
+    (a, b, d), (_, c, e), (_, _, f) = np.ascontiguousarray(Q.transpose(1, 2, 0))
+    third = (a + c + f) / 3
+    A, C, F = a - third, c - third, f - third
+    size = np.sqrt((A * A + C * C + F * F + 2 * (b * b + d * d + e * e)) / 6)
+    half_det = (A * (C * F - e * e) - b * (b * F - d * e) + d * (b * e - d * C)) / (2 * size**3)
+    angle = np.arccos(np.minimum(np.maximum(half_det, -1.0), 1.0)) / 3
+    l3 = third + 2 * size * np.cos(angle + 2 * np.pi / 3)
+    A, C = a - l3, c - l3
+    x, y, z = b * e - d * C, b * d - A * e, A * C - b * b
+    over = 1 / np.sqrt(x * x + y * y + z * z)
+    x, y, z = x * over, y * over, z * over
+    off = A * x * x + C * y * y + (f - l3) * z * z + 2 * (b * x * y + d * x * z + e * y * z)  # Rayleigh
+    l3, A, C = l3 + off, A - off, C - off
+    # u, w across v3 (geometry.tangents); Q - l3 I vanishes along v3, so that its block [[A, b], [b, C]] acts on
+    # (u_x, u_y) - (u_z/z) (x, y), which is (1, 0) + h x (x, y), and (0, 1) + h y (x, y) for w
+    h = 1 / (z * (1 + z))
+    g, hh, k = 1 + h * x * x, h * x * y, 1 + h * y * y
+    t, s, v = A * g + b * hh, A * hh + b * k, b * hh + C * k
+    uu, uw, ww = g * t + hh * (b * g + C * hh), g * s + hh * v, hh * s + k * v
+    mean, half = (uu + ww) / 2, (uu - ww) / 2
+    spread = np.sqrt(half * half + uw * uw)
+    l1 = mean + spread + l3
+    sine = np.sqrt(2 * spread / (mean + spread))
+    cosine = np.sqrt((mean - spread) / (mean + spread))
+    turn = 0.5 * np.arctan2(uw, half)
+    cu, cw = np.cos(turn), np.sin(turn)
+    j = -(cu * x + cw * y) / (1 + z)
+    v1 = np.stack([cu + j * x, cw + j * y, -(cu * x + cw * y)], axis=1)
+    v3 = np.stack([x, y, z], axis=1)
+    ratio = np.sqrt(-l3 / l1)
+    along1, along3 = (radius * ratio * sine)[:, None] * v1, (radius / ratio * cosine)[:, None] * v3
     n1, n3 = sine[:, None] * v1, cosine[:, None] * v3
     return np.stack([along3 + along1, along3 - along1]), np.stack([n1 - n3, -n1 - n3])
 
 
 def cones(camera: optics.Camera, center_px: Array, shape: Array) -> Array:
     """Cones Q (N, 3, 3) in ideal normalised coordinates of ellipses in distorted pixels, without the pane."""
+    p, q, s = shape.T
+    return _cones(camera, center_px, np.array([[p, q], [q, s]]))[2]
+
+
+def _cones(camera: optics.Camera, center_px: Array, axes: Array) -> tuple[Array, Array, Array]:
+    """Boundary points (2, K, N), ideal, of the ellipses `center_px` (N, 2) + `axes` (2, 2, N) e; the affine map
+    (2, 3, N) of (1, e) that they almost are; and the cones Q (N, 3, 3)."""
     if not any(camera.distortion):
-        K = camera.K
-        return K.T @ ellipse.conic_from_shape(center_px, shape) @ K
-    points, _ = ellipse.boundary(center_px, shape, _SAMPLES)
-    xy = optics.undistort(camera, optics.normalized_from_pixel(camera, points))
-    return fit_cones(xy)
+        scale = np.array([[1 / camera.fx], [1 / camera.fy]])
+        affine = np.empty((2, 3, len(center_px)))
+        affine[:, 0] = optics.normalized_from_pixel(camera, center_px).T
+        affine[:, 1:] = axes * scale[..., None]
+        circle = np.zeros((5, 1))
+        circle[[0, 2]] = 1.0
+        return affine[:, :1] + np.einsum("ijn,jk->ikn", affine[:, 1:], _E), affine, _cone(affine, circle)
+    points = center_px.T[:, None] + np.einsum("ijn,jk->ikn", axes, _E)
+    xy = optics.undistort(camera, optics.normalized_from_pixel(camera, points.transpose(1, 2, 0)))
+    xy = np.ascontiguousarray(xy.transpose(2, 0, 1))
+    return xy, *_fit(xy)
 
 
 def fit_cones(xy: Array) -> Array:
-    """Cones Q (N, 3, 3) by least squares through boundary points `xy` (N, K, 2) that lie on conics almost exactly.
+    """Cones Q (N, 3, 3) through boundary points `xy` (N, 8, 2) that lie on conics almost exactly, and almost at equal
+    steps of an ellipse's parameter."""
+    return _fit(np.ascontiguousarray(xy.transpose(2, 1, 0)))[1]
 
-    Points are first mapped to near the unit circle by their own moments, where the algebraic distance is the
-    geometric one to first order.
+
+def _fit(xy: Array) -> tuple[Array, Array]:
+    """Affine map (2, 3, N) and cones (N, 3, 3) of boundary points `xy` (2, K, N).
+
+    In the coordinates of the affine map the points are nearly the unit circle's; the conic's least squares are then
+    solved by the *circle's* pseudo-inverse, again and again on what is left, which converges like (distance)^k.
     """
-    middle = xy.mean(axis=1)
-    d = xy - middle[:, None]
-    second = np.stack([(d[..., 0] ** 2).mean(1), (d[..., 0] * d[..., 1]).mean(1), (d[..., 1] ** 2).mean(1)], axis=1)
-    p, q, s = ellipse.inverse_shape(ellipse.shape_from_moments(second / 2)).T[..., None]
-    x, y = p * d[..., 0] + q * d[..., 1], q * d[..., 0] + s * d[..., 1]
-    A = np.stack([x * x, 2 * x * y, y * y, 2 * x, 2 * y], axis=-1)
-    At = A.transpose(0, 2, 1)
-    a, b, c, e, f = np.linalg.solve(At @ A, At.sum(axis=2)[..., None])[..., 0].T
-    local = np.stack([np.stack([a, b, e], -1), np.stack([b, c, f], -1), np.stack([e, f, -np.ones_like(a)], -1)], axis=1)
-    T = np.zeros_like(local)  # normalised -> unit-circle coordinates
-    T[:, 0, 0], T[:, 1, 1], T[:, 2, 2] = p[:, 0], s[:, 0], 1.0
-    T[:, 0, 1] = T[:, 1, 0] = q[:, 0]
-    T[:, :2, 2] = -np.einsum("nij,nj->ni", T[:, :2, :2], middle)
-    return T.transpose(0, 2, 1) @ local @ T
+    affine = _TO_AFFINE @ xy
+    (x0, xa, xb), (y0, ya, yb) = affine
+    over = 1 / (xa * yb - xb * ya)
+    dx, dy = xy[0] - x0, xy[1] - y0
+    u, v = (yb * over) * dx - (xb * over) * dy, (xa * over) * dy - (ya * over) * dx
+    terms = np.stack([u * u, 2 * u * v, v * v, 2 * u, 2 * v])
+    conic = np.zeros((5, len(x0)))
+    conic[[0, 2]] = 1.0
+    for _ in range(_FIT_STEPS):
+        step = _TO_CONIC @ (np.einsum("ikn,in->kn", terms, conic) - 1)
+        conic -= step
+        if not (np.abs(step) > _FIT_TOLERANCE).any():
+            break
+    return affine, _cone(affine, conic)
 
 
-def _both(camera: optics.Camera, center_px: Array, shape: Array, r: Array) -> tuple[Array, Array]:
-    """Both solutions (2, N, 3) through lens and pane."""
-    p, n = circles_from_cones(cones(camera, center_px, shape), r)
-    if camera.glass_thickness == 0:
-        return p, n
-    # The pane shifts every ray along z by its own amount; seen from the shifted centre that belongs to the marker's
-    # middle, each boundary point is rescaled by the ratio of its depths. Its depth comes from the first estimate.
-    points, _ = ellipse.boundary(center_px, shape, _SAMPLES)
-    xy = optics.undistort(camera, optics.normalized_from_pixel(camera, points))
-    rays = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
-    shift = optics.glass_shift(camera, rays)
-    middle = shift.mean(axis=1)
-    solutions = []
-    for k in range(2):
-        depth = np.einsum("ni,ni->n", n[k], p[k])[:, None] / np.einsum("ni,nki->nk", n[k], rays)
-        scale = 1 + (middle[:, None] - shift) / depth
-        # a point seen along a ray that starts at `shift`, as seen from `middle`: x (Z - shift)/(Z - middle)
-        both = circles_from_cones(fit_cones(xy * scale[..., None]), r)
-        # the eigenvectors' signs are free, so the refit may return the two solutions in the other order
-        same = np.argmax(np.einsum("kni,ni->kn", both[1], n[k]), axis=0)
-        each = np.arange(len(r))
-        solutions.append((both[0][same, each] + middle[:, None] * [0, 0, 1], both[1][same, each]))
-    return np.stack([s[0] for s in solutions]), np.stack([s[1] for s in solutions])
+def _cone(affine: Array, conic: Array) -> Array:
+    """Q (N, 3, 3) of the conic (a, b, c, e, f) (5, N or 1), a u^2 + 2 b u v + c v^2 + 2 e u + 2 f v = 1, in the
+    coordinates (u, v) that `affine` (2, 3, N) takes to ideal ones."""
+    (x0, xa, xb), (y0, ya, yb) = affine
+    a, b, c, e, f = conic
+    over = 1 / (xa * yb - xb * ya)
+    ux, uy, vx, vy = yb * over, -xb * over, -ya * over, xa * over
+    u0, v0 = -(ux * x0 + uy * y0), -(vx * x0 + vy * y0)
+    T = np.stack([np.stack([ux, uy, u0]), np.stack([vx, vy, v0])])  # (2, 3, N): u, v of (x, y, 1)
+    au, cv = a * T[0] + b * T[1], b * T[0] + c * T[1]
+    Q = T[0][:, None] * au + T[1][:, None] * cv
+    linear = e * T[0] + f * T[1]
+    Q[:, 2] += linear
+    Q[2] += linear
+    Q[2, 2] -= 1
+    return Q.transpose(2, 0, 1)
 
 
-def _covariance(camera: optics.Camera, p: Array, n: Array, r: Array, shape: Array, cov: Array) -> Array:
+def _through_pane(camera: optics.Camera, xy: Array, p: Array, n: Array, r: Array) -> tuple[Array, Array]:
+    """Both solutions (2, N, 3) behind the pane, from those `p`, `n` without it and boundary points `xy` (2, K, N).
+
+    The pane shifts every ray along z by its own amount; seen from the shifted centre that belongs to the marker's
+    middle, each boundary point is rescaled by the ratio of its depths. Its depth comes from the first estimate.
+    """
+    x, y = xy
+    shift = optics.pane_shift(camera, x * x + y * y)
+    middle = shift.mean(axis=0)
+    away = (n * p).sum(axis=2)
+    nx, ny, nz = n.transpose(2, 0, 1)[:, :, None]
+    # a point seen along a ray that starts at `shift`, as seen from `middle`: x (Z - shift)/(Z - middle)
+    scale = 1 + (middle - shift) * ((nx * x + ny * y + nz) / away[:, None])  # (2, K, N)
+    seen = (xy[:, None] * scale).transpose(0, 2, 1, 3).reshape(2, _POINTS, -1)
+    both_p, both_n = circles_from_cones(_fit(seen)[1], np.tile(r, 2))
+    both_p, both_n = both_p.reshape(2, 2, -1, 3), both_n.reshape(2, 2, -1, 3)
+    # the eigenvectors' signs are free, so the refit may return the two solutions in the other order
+    match = ((both_n * n).sum(axis=3)).argmax(axis=0)[None, ..., None]
+    p = np.take_along_axis(both_p, match, axis=0)[0]
+    p[..., 2] += middle
+    return p, np.take_along_axis(both_n, match, axis=0)[0]
+
+
+def _covariance(camera: optics.Camera, ellipses: Ellipses, xy: Array, middle: Array, p: Array, n: Array) -> Array:
     """Covariance (N, 3, 3) m^2 of the centres: the pose's five derivatives of the ellipse's five parameters, inverted.
 
-    Both are compared by the boundary's motion along its normal at `_FEW` points, in distorted pixels; the lens
-    enters by its derivative at the marker's centre.
+    With e the unit circle's points, R diag(a, b) e the boundary's offsets in distorted pixels, an ellipse's change
+    moves the boundary, in units of the local radius, by e . w + e^T V e; so does a change of the pose. `xy` (2, K, N)
+    are the ideal boundary points; the lens enters by its derivative at the `middle` (2, N).
     """
     n = _tilted(n, p)
-    e1 = np.cross(n, [0.0, 1.0, 0.0])
-    e1 /= np.linalg.norm(e1, axis=1)[:, None]
-    e2 = np.cross(n, e1)
-    t = 2 * np.pi * np.arange(_FEW) / _FEW
-    cos, sin = np.cos(t)[:, None], np.sin(t)[:, None]
-    arm = r[:, None, None] * (e1[:, None] * cos + e2[:, None] * sin)
-    P = p[:, None] + arm
-    P[..., 2] -= optics.glass_shift(camera, p)[:, None] if camera.glass_thickness else 0.0
-    xy = P[..., :2] / P[..., 2:]
-    lens = optics.distortion_jacobian(camera, xy.mean(axis=1)) * np.array([[camera.fx], [camera.fy]])
-    offset = (xy - xy.mean(axis=1)[:, None]) @ lens.transpose(0, 2, 1)
-    sp, sq, ss = ellipse.inverse_shape(shape).T[..., None]
-    ex, ey = sp * offset[..., 0] + sq * offset[..., 1], sq * offset[..., 0] + ss * offset[..., 1]
-    mx, my = sp * ex + sq * ey, sq * ex + ss * ey
-    length = np.hypot(mx, my)
-    mx, my = mx / length, my / length
-    T = np.stack([mx, my, mx * ex, mx * ey + my * ex, my * ey], axis=-1)
-    m = (np.stack([mx, my], axis=-1) @ lens) / P[..., 2:]
-    m = np.concatenate([m, -(m * xy).sum(axis=2, keepdims=True)], axis=-1)  # d(normal motion)/dP
-    along = (m @ n[..., None])[..., 0] * r[:, None]
-    D = np.concatenate([m, (along * cos.T)[..., None], (along * sin.T)[..., None]], axis=-1)
-    Tt = T.transpose(0, 2, 1)
-    # scaled to r, so that the 5 x 5 system has comparable columns
-    D[..., :3] *= r[:, None, None]
-    G = np.linalg.solve(Tt @ D, Tt @ T)
-    return (G @ cov @ G.transpose(0, 2, 1))[:, :3, :3] * (r * r)[:, None, None]
+    x, y = xy
+    nx, ny, nz = n.T
+    px, py, pz = p.T
+    if camera.glass_thickness:
+        pz = pz - optics.glass_shift(camera, p)
+    a, b = ellipses.semi_axes_px.T
+    cos, sin = np.cos(ellipses.angle), np.sin(ellipses.angle)
+    du = np.stack([cos / a, -sin / b]), np.stack([sin / a, cos / b])  # of e: (u, v) change by one pixel
+    lens = optics.distortion_jacobian(camera, middle.T)
+    mx, my = (_E.T @ (camera.fx * lens[:, 0, i] * du[0] + camera.fy * lens[:, 1, i] * du[1]) for i in (0, 1))
+    over = (nx * x + ny * y + nz) / (nx * px + ny * py + nz * pz)  # 1/depth of the boundary's points
+    mz = -(mx * x + my * y)
+    along = mx * nx + my * ny + mz * nz  # boundary's motion, over depth, as a point moves along the normal
+    D = np.stack([mx * over, my * over, mz * over, along * (x - px * over), along * (y - py * over)])
+    D = (_TO_MOTION @ D).transpose(2, 1, 0)  # (N, 5 of (w, V), 5 of the pose)
+    lateral = np.zeros((len(a), 5, 5))  # (w, V) of (u, v, a, b, angle)
+    lateral[:, :2, 0], lateral[:, :2, 1] = du[0].T, du[1].T
+    lateral[:, 2, 2], lateral[:, 3, 3] = 1 / a, 1 / b
+    lateral[:, 4, 4] = ellipse.axes_difference(a, b) * (a + b) / (2 * a * b)
+    G = np.linalg.solve(D, lateral)[:, :3]
+    return G @ ellipses.cov @ G.transpose(0, 2, 1)
 
 
 def _tilted(n: Array, p: Array) -> Array:
     """Normals (N, 3), pushed away from exactly face-on, where the ellipse does not change with the tilt."""
-    view = p / np.linalg.norm(p, axis=1)[:, None]
-    across = n + view * -np.einsum("ni,ni->n", n, view)[:, None]
-    size = np.linalg.norm(across, axis=1)
-    flat = size < _LEAST_TILT
+    far = np.sqrt((p * p).sum(axis=1))
+    flat = -(n * p).sum(axis=1) > np.cos(_LEAST_TILT) * far
     if not flat.any():
         return n
-    sideways = np.cross(view, [0.0, 1.0, 0.0])
-    pushed = -view + _LEAST_TILT * sideways / np.linalg.norm(sideways, axis=1)[:, None]
-    return np.where(flat[:, None], pushed / np.linalg.norm(pushed, axis=1)[:, None], n)
+    view = p / far[:, None]
+    return np.where(flat[:, None], _LEAST_TILT * geometry.tangents(view)[0] - view, n)
 
 
 def _radii(radius: ArrayLike, count: int) -> Array:

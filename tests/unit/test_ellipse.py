@@ -53,3 +53,16 @@ def test_jacobian_is_the_derivative():
         plus = ellipse.shape_from_axes(axes + da, angle + dangle)
         minus = ellipse.shape_from_axes(axes - np.array(da), angle - dangle)
         np.testing.assert_allclose(J[:, 2:, column], (plus - minus) / (2 * h), atol=1e-6)  # central difference, O(h^2)
+
+
+def test_moves_have_the_covariance_of_their_derivative():
+    """Moves (w, V) of a boundary point e are e . w + e^T V e in units of the local radius; by central differences."""
+    (_, _, shape), center, h = shapes(50), np.zeros((50, 2)), 1e-5
+    J = np.empty((50, 5, 5))
+    for k in range(5):
+        ahead, behind = (np.concatenate(ellipse.moved(center, shape, np.tile(sign * h * np.eye(5)[k], (50, 1))), axis=1)
+                         for sign in (1, -1))
+        J[:, :, k] = (ahead - behind) / (2 * h)
+    A = np.random.default_rng(1).normal(size=(50, 5, 5))
+    cov = A @ A.transpose(0, 2, 1)
+    np.testing.assert_allclose(ellipse.covariance_of_moves(cov, shape), J @ cov @ J.transpose(0, 2, 1), rtol=1e-6, atol=1e-6)
