@@ -39,7 +39,8 @@ examples:
   mjtactile locate clip.mp4 --camera camera.yaml --radius-mm 1.5 --bright --out overlays
 
 JSON: {"frames": [{"source": …, "status": "ok", or why it has no markers,
-  "shared": [] or what its circles share with neighbours ("elongation", "depth"), "markers": [{
+  "shared": [] or what its circles share with neighbours ("elongation", "depth"),
+  "overexposed": whether the bright side is clipped, which hides tenths of a pixel of size, "markers": [{
   "uv_px": projected centre (distorted pixels; (0, 0) is the centre of the top-left pixel),
   "ellipse_px": {"center", "semi_axes", "angle_deg"},
   "center_mm", "normal" and "normal_alt" (the two solutions, facing the camera),
@@ -110,12 +111,12 @@ def _locate(frame: Frame, camera: Camera, options: argparse.Namespace, out: Path
     if out is not None:
         name = f"{Path(frame.name).stem}{_index(frame.name)}_overlay.png"
         cv2.imwrite(str(out / name), overlay(frame.pixels, found.ellipses, found.poses))
-    return {"source": frame.name, "status": "ok", "shared": list(found.shared),
+    return {"source": frame.name, "status": "ok", "shared": list(found.shared), "overexposed": found.overexposed,
             "markers": marker_records(found.ellipses, found.poses), "ms": spent}
 
 
 def _without_markers(frame: Frame, status: str) -> dict[str, Any]:
-    return {"source": frame.name, "status": status, "shared": [], "markers": [], "ms": 0.0}
+    return {"source": frame.name, "status": status, "shared": [], "overexposed": False, "markers": [], "ms": 0.0}
 
 
 def _index(name: str) -> str:
@@ -151,8 +152,9 @@ def _print_table(frames: Sequence[dict[str, Any]], out: Path | None) -> None:
     for frame in frames:
         good = [m for m in frame["markers"] if m["status"] == "ok"]
         depth = statistics.median(math.sqrt(m["cov_center_mm2"][2][2] or math.nan) for m in good) if good else math.nan
-        note = f"  {frame['status']}" if frame["status"] != "ok" else "  smoothed" if "depth" in frame["shared"] else ""
+        note = [] if frame["status"] == "ok" else [frame["status"]]
+        note += ["depth shared"] * ("depth" in frame["shared"]) + ["over-exposed"] * frame["overexposed"]
         print(f"{frame['source'][-40:]:<40} {len(frame['markers']):>7} {len(good):>5} {depth:>15.4f} "
-              f"{frame['ms']:>7.1f}{note}")
+              f"{frame['ms']:>7.1f}  {', '.join(note)}".rstrip())
     if out is not None:
         print(f"overlays and locate.json are in {out}")

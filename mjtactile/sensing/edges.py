@@ -8,8 +8,7 @@ the pixels near one marker's edge, (dx, dy) from its centre:
 F is the filled ellipse blurred by a Gaussian of sd sigma (lens, pixel and the softening below together). For large
 markers F = Phi(-(n + kappa sigma^2/2)/sigma), with n the outward distance and kappa the edge's curvature: blurred, a
 curved edge has its 50 % level further in (41 um of depth in the paper's geometry). For small ones F is integrated.
-Ten parameters a marker: centre, shape (see `ellipse`), inside, outside, gradient g of the light, sigma. Gauss-Newton,
-with robust weights.
+Ten parameters a marker: centre, shape, inside, outside, gradient g of the light, sigma. Gauss-Newton, robust weights.
 """
 
 from __future__ import annotations
@@ -21,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.sensing import ellipse
+from mjtactile.sensing.bands import Around, Pixels, band
 from mjtactile.types import Array
 
 PARAMETERS = 10
@@ -34,7 +34,6 @@ _ENOUGH = 170  # pixels per marker for the first steps and for the normal matrix
 _SETTLED = 0.05  # px: the largest last step of a fit that has converged
 _UNSETTLED = 1e3  # grey levels added to the residual of one that has not, so that nobody trusts it
 _HERMITE = ((0.0, 8 / 15), (1.3556262, 0.22207592), (-1.3556262, 0.22207592), (2.8569700, 0.01125741), (-2.8569700, 0.01125741))
-_FAR = 1e7  # px; beyond any image
 
 
 @dataclass(frozen=True)
@@ -59,18 +58,26 @@ class EdgeFit:
         return EdgeFit(*(column[keep] for column in vars(self).values()))
 
 
-def fit(image: NDArray, center: Array, shape: Array, *, blur: float = 0.8, iterations: int = 4) -> EdgeFit:
-    """Fit N ellipses starting from `center` (N, 2), `shape` (N, 3), and `blur` px of about the right size."""
+def fit(image: NDArray, center: Array, shape: Array, *, blur: float = 0.8, iterations: int = 4,
+        others: tuple[Array, Array] | None = None) -> EdgeFit:
+    """Fit N ellipses starting from `center` (N, 2), `shape` (N, 3), and `blur` px of about the right size.
+
+    Pixels that another of them darkens are left out; `others`: centres and shapes of more markers that may.
+    """
     width = max(5.0, 3.5 * blur)
     blur = float(np.hypot(blur, np.sqrt(SOFTEN_VARIANCE)))
     image = cv2.sepFilter2D(image, cv2.CV_32F, SOFTEN, SOFTEN, borderType=cv2.BORDER_REPLICATE)
+    if others is not None:
+        others = np.concatenate([center, others[0]]), np.concatenate([shape, others[1]])
+    around = Around.of(*(others or (center, shape)), len(center), width)
     parts, first = [], 0
     perimeter = 2 * np.pi * np.sqrt((shape[:, 0] ** 2 + shape[:, 2] ** 2) / 2 + shape[:, 1] ** 2)
     load = np.cumsum(perimeter * 2 * width)
     while first < len(center):
         done = load[first - 1] if first else 0.0
         last = max(first + 1, int(np.searchsorted(load, done + _PIXELS_AT_ONCE)))
-        parts.append(_fit_some(image, center[first:last], shape[first:last], width, blur, iterations))
+        parts.append(_fit_some(image, center[first:last], shape[first:last], around.part(first, last), width, blur,
+                               iterations))
         first = last
     if not parts:
         none = np.zeros(0)
@@ -88,47 +95,6 @@ def merge(first: NDArray[np.bool_], one: EdgeFit, other: EdgeFit) -> EdgeFit:
     return EdgeFit(*columns)
 
 
-def band(size: tuple[int, int], center: Array, shape: Array, width: float) -> tuple[NDArray, NDArray, NDArray]:
-    """Pixels within +-`width` of each ellipse: flat lists `u`, `v`, and `counts` (N,) of pixels per ellipse.
-
-    Row by row: each image row cuts the outer and the inner ellipse in at most one interval each.
-    """
-    outer, inner = shape + [width, 0, width], shape - [width, 0, width]
-    hollow = (inner[:, 0] > 0) & (inner[:, 0] * inner[:, 2] > inner[:, 1] ** 2)
-    reach = np.sqrt(outer[:, 1] ** 2 + outer[:, 2] ** 2)
-    top = np.ceil(center[:, 1] - reach).astype(np.int64)
-    rows = int(np.ceil(2 * reach.max())) + 1
-    v = top[:, None] + np.arange(rows)
-    left, right = _chord(outer, v - center[:, 1:], center[:, :1])
-    hole_left, hole_right = _chord(np.where(hollow[:, None], inner, [1e-3, 0, 1e-3]), v - center[:, 1:], center[:, :1])
-    inside_rows = (v >= 0) & (v < size[0])
-    left, right = np.maximum(np.ceil(left), 0), np.minimum(np.floor(right), size[1] - 1)
-    holed = hollow[:, None] & (hole_right > hole_left)
-    middle_left = np.where(holed, np.minimum(np.floor(hole_left), right), right)
-    middle_right = np.where(holed, np.maximum(np.ceil(hole_right), left), right + 1)
-    middle_right = np.maximum(middle_right, middle_left + 1)
-    begin = np.stack([left, middle_right], axis=-1)
-    length = np.stack([middle_left - left + 1, right - middle_right + 1], axis=-1)
-    length = np.where(inside_rows[..., None], np.maximum(length, 0), 0).astype(np.int64)
-    begin = np.where(length > 0, begin, 0).astype(np.int64)
-    counts = length.sum(axis=(1, 2))
-    flat = length.ravel()
-    ends = np.cumsum(flat)
-    total = int(ends[-1]) if len(ends) else 0
-    u = np.arange(total) + np.repeat(begin.ravel() - (ends - flat), flat)
-    return u, np.repeat(np.repeat(v.ravel(), 2), flat), counts
-
-
-def _chord(shape: Array, dy: Array, u0: Array) -> tuple[Array, Array]:
-    """Where rows at `dy` (N, R) from the centre cut the ellipses; an empty interval where they do not."""
-    p, q, s = ellipse.inverse_shape(shape).T[..., None]
-    A, B, C = p * p + q * q, q * (p + s), q * q + s * s
-    under = (B * dy) ** 2 - A * (C * dy * dy - 1)
-    half = np.sqrt(np.maximum(under, 0)) / A
-    middle = u0 - B * dy / A
-    return np.where(under > 0, middle - half, _FAR), np.where(under > 0, middle + half, -_FAR)
-
-
 def _levels(image: NDArray, center: Array, shape: Array) -> tuple[Array, Array]:
     """First guess of the levels inside and outside: medians on a ring 1/2 in and on one 4 px out."""
     height, width = image.shape
@@ -140,49 +106,25 @@ def _levels(image: NDArray, center: Array, shape: Array) -> tuple[Array, Array]:
     return rings[0], rings[1]
 
 
-class _Pixels:
-    """The pixels of some markers as flat float32 arrays: `x`, `y` from each marker's origin, `observed`, and the bounds
-    of each marker's stretch."""
-
-    def __init__(self, x: NDArray, y: NDArray, observed: NDArray, counts: NDArray):
-        self.x, self.y, self.observed, self.counts = x, y, observed, counts
-        self.starts = np.cumsum(counts) - counts
-
-    def sums(self, values: NDArray) -> Array:
-        """Per-marker sums (..., n) of `values` (..., P)."""
-        return np.add.reduceat(values, self.starts, axis=-1)
-
-    def spread(self, values: Array) -> NDArray:
-        """Per-marker `values` (..., n) repeated for each of its pixels (..., P)."""
-        return np.repeat(values.astype(np.float32), self.counts, axis=-1)
-
-    def every(self, stride: int) -> _Pixels:
-        """Every `stride`-th pixel of each marker."""
-        counts = -(-self.counts // stride)
-        starts = np.cumsum(counts) - counts
-        index = (np.arange(counts.sum()) - np.repeat(starts, counts)) * stride + np.repeat(self.starts, counts)
-        return _Pixels(self.x[index], self.y[index], self.observed[index], counts)
-
-
-def _fit_some(image: NDArray, center: Array, shape: Array, width: float, blur: float,
+def _fit_some(image: NDArray, center: Array, shape: Array, around: Around, width: float, blur: float,
               iterations: int) -> EdgeFit:
     """Gauss-Newton for markers of similar size. The first steps look at some of the pixels only; the last two at all,
     with one normal matrix between them (the fixed point does not depend on it)."""
     small = bool((shape[:, 0] * shape[:, 2] - shape[:, 1] ** 2).min() < (_SMALL * max(blur, 1)) ** 2)
     iterations += 8 if small else 0  # blur, radius and level are harder to tell apart
-    pixels, used, origin = _gather(image, center, shape, width)
+    pixels, used, origin = _gather(image, center, shape, around, width)
     theta = np.zeros((len(center), PARAMETERS))
     theta[:, :2], theta[:, 2:5] = center - origin, shape
     theta[:, 5], theta[:, 6] = _levels(image, center, shape)
     theta[:, 9] = blur
     stride = int(max(1, pixels.counts.mean() // _ENOUGH))
-    part = pixels.every(stride)
-    J = np.empty((PARAMETERS, len(part.x)), np.float32)
+    some = pixels.every(stride)
+    J = np.empty((PARAMETERS, len(some.x)), np.float32)
     for k in range(iterations - 2):
-        residual = part.observed - _model(part, theta, J, small)
-        weight = _robust(part, residual, theta) if k else np.ones_like(residual)
+        residual = some.observed - _model(some, theta, J, small)
+        weight = _robust(some, residual, theta) if k else np.ones_like(residual)
         old = theta
-        theta = _step(theta, _normal_matrix(part, J, weight), part.sums(J * (weight * residual)).T)
+        theta = _step(theta, _normal_matrix(some, J, weight), some.sums(J * (weight * residual)).T)
         if k and np.abs(theta - old)[:, :5].max() < _SETTLED:
             break
     J = np.empty((PARAMETERS, len(pixels.x)), np.float32)
@@ -197,9 +139,14 @@ def _fit_some(image: NDArray, center: Array, shape: Array, width: float, blur: f
     return _result(theta, H, residual, weight, pixels, used, origin)
 
 
-def _gather(image: NDArray, center: Array, shape: Array, width: float) -> tuple[_Pixels, NDArray, Array]:
-    """The band's pixels; how many of them are real, per marker; and each marker's origin (whole pixels)."""
+def _gather(image: NDArray, center: Array, shape: Array, around: Around,
+            width: float) -> tuple[Pixels, NDArray, Array]:
+    """The band's pixels, less what neighbours darken; how many are real, per marker; each marker's origin (whole px)."""
     u, v, used = band((image.shape[0], image.shape[1]), center, shape, width)
+    if around.near.size:
+        clear = around.clear(u, v, used)
+        owner = np.repeat(np.arange(len(used)), used)
+        u, v, used = u[clear], v[clear], np.bincount(owner[clear], minlength=len(used))
     counts = used
     if (used == 0).any():  # wholly outside of the image: one stand-in pixel, so that every stretch exists
         at = np.cumsum(used)[used == 0]
@@ -207,10 +154,10 @@ def _gather(image: NDArray, center: Array, shape: Array, width: float) -> tuple[
     origin = np.rint(center)
     x, y = u - np.repeat(origin[:, 0], counts), v - np.repeat(origin[:, 1], counts)
     observed = image.ravel()[v * image.shape[1] + u]
-    return _Pixels(x.astype(np.float32), y.astype(np.float32), observed.astype(np.float32), counts), used, origin
+    return Pixels(x.astype(np.float32), y.astype(np.float32), observed.astype(np.float32), counts), used, origin
 
 
-def _normal_matrix(pixels: _Pixels, J: NDArray, weight: NDArray) -> Array:
+def _normal_matrix(pixels: Pixels, J: NDArray, weight: NDArray) -> Array:
     """Per-marker J^T W J (n, 10, 10)."""
     H = np.empty((PARAMETERS, PARAMETERS, len(pixels.counts)))
     WJ = J * weight
@@ -219,7 +166,7 @@ def _normal_matrix(pixels: _Pixels, J: NDArray, weight: NDArray) -> Array:
     return H.transpose(2, 0, 1).copy()
 
 
-def _model(pixels: _Pixels, theta: Array, J: NDArray, small: bool) -> NDArray:
+def _model(pixels: Pixels, theta: Array, J: NDArray, small: bool) -> NDArray:
     """Model image (P,) for parameters `theta` (n, 10); fills J (10, P) with its derivatives.
 
     `small`: markers whose curvature is felt beyond the first order, see `_blurred_disc`. To first order, the blur along
@@ -310,7 +257,7 @@ def _normal_tail(z: NDArray) -> tuple[NDArray, NDArray]:
     return np.where(z < 0, 1 - tail, tail), density
 
 
-def _robust(pixels: _Pixels, residual: NDArray, theta: Array) -> NDArray:
+def _robust(pixels: Pixels, residual: NDArray, theta: Array) -> NDArray:
     """Weights 1/(1 + (r/c)^4): one for the bulk of the pixels, falling fast for glare, specks and neighbours.
 
     c is four times the marker's rms residual, and no less than a share of its contrast: a lens or a camera's
@@ -339,7 +286,7 @@ def _step(theta: Array, H: Array, gradient: Array) -> Array:
     return np.where(bad[:, None], theta, new)
 
 
-def _result(theta: Array, H: Array, residual: NDArray, weight: NDArray, pixels: _Pixels, used: NDArray,
+def _result(theta: Array, H: Array, residual: NDArray, weight: NDArray, pixels: Pixels, used: NDArray,
             origin: Array) -> EdgeFit:
     diagonal = np.arange(PARAMETERS)
     H[:, diagonal, diagonal] = H[:, diagonal, diagonal] * (1 + 1e-9) + 1e-9

@@ -41,10 +41,11 @@ def centre_distance_as_printed(radius: Array, phi: Array, omega: Array) -> Array
 
 
 def centres_by_sine_rule(ellipses: Ellipses, camera: optics.Camera, radius: float | Array,
-                         chord: Literal["major", "minor"] = "major") -> Array:
+                         chord: Literal["major", "minor"] = "major", end_error_px: Array | None = None) -> Array:
     """Centres (2, N, 3) m of both solutions by Eq. 4-10, the chord parallel to the major axis as the paper suggests.
 
-    No pane. A lens is handled as in `pose.cones`.
+    `end_error_px` (2, N): how far px each of the chord's ends is off along the chord, to see what that costs. No pane.
+    A lens is handled as in `pose.cones`.
     """
     shape = ellipse.shape_from_axes(ellipses.semi_axes_px, ellipses.angle)
     Q = pose.cones(camera, ellipses.center_px, shape)
@@ -58,7 +59,8 @@ def centres_by_sine_rule(ellipses: Ellipses, camera: optics.Camera, radius: floa
         step = np.concatenate([along, np.zeros((len(d), 1))], axis=1)
         A, B, C = (np.einsum("ni,nij,nj->n", x, Q, y) for x, y in ((step, step), (step, d), (d, d)))
         root = np.sqrt(np.maximum(B * B - A * C, 0))
-        ends = [d + ((-B + sign * root) / A)[:, None] * step for sign in (1, -1)]
+        off = np.zeros((2, len(d))) if end_error_px is None else end_error_px
+        ends = [d + ((-B + sign * root) / A + error)[:, None] * step for sign, error in zip((1, -1), off, strict=True)]
         phi, omega = (_angle(end, d) for end in ends)
         centres.append(d / np.linalg.norm(d, axis=1)[:, None] * centre_distance(r, phi, omega)[:, None])
     return np.stack(centres)

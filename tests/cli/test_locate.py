@@ -77,11 +77,13 @@ def test_a_folder_in_name_order_with_a_corrupt_file_and_overlays(mjtactile, fold
     cv2.imwrite(str(folder / "images" / "b.png"), draw())
     (folder / "images" / "a.png").write_bytes(b"no image")
     cv2.imwrite(str(folder / "images" / "c.png"), np.full((HEIGHT, WIDTH), 190, np.uint8))
+    cv2.imwrite(str(folder / "images" / "d.png"), np.full((48, 64), 190, np.uint8))
     frames = locate(mjtactile, "images", "--out", "out")
-    assert [frame["source"] for frame in frames] == ["a.png", "b.png", "c.png"]
+    assert [frame["source"] for frame in frames] == ["a.png", "b.png", "c.png", "d.png"]
     assert frames[0]["status"] == "cannot be read" and frames[0]["markers"] == []
     check(frames[1])
     assert frames[2]["status"] == "ok" and frames[2]["markers"] == []
+    assert "64 x 48 pixels" in frames[3]["status"] and frames[3]["markers"] == []
     assert {path.name for path in (folder / "out").iterdir()} == {"b_overlay.png", "c_overlay.png", "locate.json"}
     assert cv2.imread(str(folder / "out" / "b_overlay.png")).shape == (960, 1280, 3)
 

@@ -1,0 +1,151 @@
+"""Circles of photographs: many small ones on a smooth surface help each other, and only there; clipped and glared ones."""
+
+import numpy as np
+import pytest
+
+from mjtactile import optics
+from mjtactile.bench import scenes
+from mjtactile.bench.marker_methods import cheap_camera
+from mjtactile.errors import InputError
+from mjtactile.sensing.locate import find_circles
+from mjtactile.sensing.markers import detect
+from mjtactile.sensing.smoothness import share_depth
+from mjtactile.types import CirclePoses
+
+CAMERA = optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
+R, PITCH = 0.0015, 0.006
+X, Y = (c.ravel() for c in np.meshgrid(np.arange(10) - 4.5, np.arange(10) - 4.5))
+SURFACES = {"flat": 0.2 * X - 0.3 * Y, "cylinder": 12 - np.sqrt(144 - X**2), "ripple": 0.3 * np.sin(X)}
+
+
+def poses(height, seed, sd=4e-4):
+    """100 poses 0.22 m away with independent errors of depth of relative sd `sd`, and the true centres."""
+    truth = PITCH * np.stack([X, Y, height + 37.5], axis=1)
+    p = truth * (1 + sd * np.random.default_rng(seed).normal(size=100))[:, None]
+    ray = truth / truth[:, 2:]
+    cov = (sd * truth[:, 2, None, None]) ** 2 * ray[:, :, None] * ray[:, None] + 1e-14 * np.eye(3)
+    n = np.tile([0.0, 0.0, -1.0], (100, 1))
+    return CirclePoses(optics.project(CAMERA, p), p, n, p, n, cov, np.full(100, "ok")), truth
+
+
+def board(height=0.0, depth=37.5, rows=100):
+    n = np.array([0.3, -0.2, -1.0]) / np.linalg.norm([0.3, -0.2, -1.0])
+    p = np.stack([X, Y, depth + height + 0.3 * X - 0.2 * Y], axis=1)[:rows] * PITCH
+    return [scenes.Circle(point, n, R) for point in p]
+
+
+@pytest.mark.parametrize("name", SURFACES)
+def test_neighbours_make_depth_better_on_any_smooth_surface(name):
+    """True error, not flatness: a spline of 100 data with d degrees of freedom leaves sqrt(d / 100) of the sd. 12 are left
+    to the flat board (0.35); what bends by many sd needs most of them, and must then not be made worse."""
+    before, after, normalised = [], [], []
+    for seed in range(5):
+        alone, truth = poses(SURFACES[name], seed)
+        smooth = share_depth(alone, alone)
+        assert smooth is not alone
+        before.append((alone.p_CM - truth)[:, 2])
+        after.append((smooth.p_CM - truth)[:, 2])
+        normalised.append(after[-1] / np.sqrt(smooth.cov_p[:, 2, 2]))
+        np.testing.assert_allclose(smooth.p_CM[:, :2] / smooth.p_CM[:, 2:], alone.p_CM[:, :2] / alone.p_CM[:, 2:], rtol=1e-12)
+    gain = np.std(np.concatenate(after)) / np.std(np.concatenate(before))
+    assert gain < (0.4 if name == "flat" else 0.98)
+    # a third of each one's own sd is kept for what all share, which is none here: error bars on the safe side
+    assert 0.4 < np.sqrt(np.mean(np.concatenate(normalised) ** 2)) < 1.4
+
+
+def test_circles_at_depths_of_their_own_are_left_alone():
+    alone, _ = poses(np.random.default_rng(1).uniform(-1, 1, 100), 0)
+    assert share_depth(alone, alone) is alone
+    few, _ = poses(SURFACES["flat"], 0)
+    few = CirclePoses(*(column[:30] for column in vars(few).values()))
+    assert share_depth(few, few) is few
+
+
+def test_a_circle_that_does_not_belong_keeps_its_depth():
+    alone, _ = poses(SURFACES["cylinder"], 3)
+    p = alone.p_CM.copy()
+    p[0] /= 2  # twice the radius, taken for the same
+    odd = CirclePoses(alone.uv_px, p, alone.n_C, p, alone.n_C_alt, alone.cov_p, alone.status)
+    smooth = share_depth(odd, odd)
+    np.testing.assert_array_equal(smooth.p_CM[0], p[0])
+    clean = share_depth(alone, alone)
+    # without its corner the spline may move by about one sd of a marker (0.09 mm) next to it, and not at all further off
+    assert np.abs(smooth.p_CM - clean.p_CM)[1:, 2].max() < 1e-4
+
+
+@pytest.mark.parametrize("height", [0.0, SURFACES["cylinder"]])
+def test_small_circles_through_a_cheap_camera(height):
+    """Through mosaic, sharpening and clipping; a common scale is taken out, as these move all edges alike."""
+    circles = board(height)
+    image = cheap_camera(scenes.coverage(CAMERA, circles, 0.6), 0)
+    truth = np.array([c.p_C for c in circles])
+    scatter = {}
+    for neighbours in ("never", "auto"):
+        found = find_circles(image, CAMERA, R, neighbours=neighbours)
+        assert (found.poses.status == "ok").sum() == 100 and found.overexposed
+        assert ("depth" in found.shared) is (neighbours == "auto")
+        uv = optics.project(CAMERA, truth)
+        which = np.linalg.norm(found.poses.uv_px - uv[:, None], axis=2).argmin(axis=1)
+        relative = found.poses.p_CM[which, 2] / truth[:, 2]
+        A = np.column_stack([X, Y, np.ones(100)])
+        scatter[neighbours] = np.std(relative - A @ np.linalg.lstsq(A, relative, rcond=None)[0])
+        # edges clipped at the bright end make dark circles look smaller: the error bars know
+        sd = np.sqrt(found.poses.cov_p[which, 2, 2]) / truth[:, 2]
+        assert np.abs((relative - 1) / sd).max() < 3
+    assert scatter["auto"] < 0.75 * scatter["never"]  # the benchmark has 0.25 (flat) and 0.5 (cylinder); one image here
+
+
+def test_bright_circles_and_large_ones():
+    circles = board(depth=18.0)
+    image = scenes.image(CAMERA, circles)
+    dark, bright = find_circles(image, CAMERA, R), find_circles(255 - image, CAMERA, R, polarity="bright")
+    assert (dark.poses.status == "ok").sum() >= 80  # the rest is outside of the image or cut
+    np.testing.assert_allclose(dark.poses.p_CM, bright.poses.p_CM, atol=1e-5)  # rounding in the detector only
+    assert not dark.overexposed and not bright.overexposed
+    assert "depth" not in dark.shared  # 8 px: each knows its depth itself
+    assert "depth" in find_circles(image, CAMERA, R, neighbours="always").shared
+
+
+def test_one_grey_from_colour_and_bits():
+    image = scenes.image(CAMERA, board(depth=20.0)[:30])
+    reference = find_circles(image, CAMERA, R).poses.p_CM
+    for same in (np.dstack([image] * 3), image[..., None], image.astype(np.uint16) * 257):
+        np.testing.assert_allclose(find_circles(same, CAMERA, R).poses.p_CM, reference, atol=2e-6)  # float32 inside
+
+
+def test_a_large_neighbour_does_not_disturb_a_small_circle():
+    """Dots of 4 px beside one of twice the size, 4 px between the edges: what it darkens is left out of their fit."""
+    circles = [c for c in board() if np.hypot(*(c.p_C[:2] / PITCH - [-4.5, 4.5])) > 0.1]
+    corner = board()[90]
+    image = scenes.image(CAMERA, [*circles, scenes.Circle(corner.p_C, corner.n_C, 2 * R)])
+    found = detect(image, CAMERA)
+    near = np.linalg.norm(found.center_px - optics.project(CAMERA, corner.p_C), axis=1)
+    assert (found.status[near < 30] == "ok").sum() == 4  # itself, two beside it and one across
+    assert (found.status == "ok").sum() == 100
+
+
+@pytest.mark.parametrize("blur", [1.2, 2.0, 3.0])
+def test_blur_on_small_circles_is_right_or_flagged(blur):
+    circles = board()
+    truth = np.array([c.p_C for c in circles])
+    for seed in range(2):
+        found = find_circles(scenes.image(CAMERA, circles, blur_px=blur, seed=seed), CAMERA, R, neighbours="never").poses
+        for i in np.flatnonzero(found.status == "ok"):
+            k = np.linalg.norm(optics.project(CAMERA, truth) - found.uv_px[i], axis=1).argmin()
+            # 200 draws at most: 3.5 sd once in ten runs of honest Gaussian errors; 5 leaves room for blur's own doubt
+            assert abs(found.p_CM[i, 2] - truth[k, 2]) < 5 * np.sqrt(found.cov_p[i, 2, 2])
+
+
+def test_glare_over_an_outline_is_flagged_not_left_out():
+    circles = board(depth=15.0)[33:67]
+    image = scenes.image(CAMERA, circles)
+    u, v = np.rint(optics.project(CAMERA, circles[14].p_C)).astype(int)
+    image[v - 14 : v + 4, u + 2 : u + 12] = 250  # a bright bar over a quarter of a marker of 10 px
+    found = detect(image, CAMERA)
+    near = np.linalg.norm(found.center_px - [u, v], axis=1) < 8
+    assert near.any() and not (found.status[near] == "ok").any()
+
+
+def test_bad_neighbours():
+    with pytest.raises(InputError, match="auto, always, never"):
+        find_circles(np.zeros((48, 64), np.uint8), CAMERA, R, neighbours="some")
