@@ -22,11 +22,18 @@ from mjtactile.types import Array
 
 @dataclass(frozen=True)
 class Frame:
-    """Rigid frame: inner `length` (x) and `width` (y), `rim` width of its wall around the opening, m."""
+    """Rigid frame: inner `length` (x) and `width` (y), `rim` width of its wall around the opening, m; `shape`
+    "rectangle", or "circle" with its diameter for both. Sensing handles rectangles only, and refuses a circle."""
 
     length: float
     width: float
     rim: float = 0.003
+    shape: str = "rectangle"
+
+    @property
+    def area(self) -> float:
+        """Area of the opening, m^2."""
+        return self.length * self.width * (math.pi / 4 if self.shape == "circle" else 1.0)
 
 
 @dataclass(frozen=True)
@@ -81,13 +88,21 @@ class MarkerLayout:
 @dataclass(frozen=True)
 class Chamber:
     """Sealed space of `depth` m behind the flat membrane; `heat_ratio` is gamma of the gas law p V^gamma (1 =
-    isothermal); `supply_gauge` Pa that the valve connects to; `ambient` Pa absolute; `temperature` K."""
+    isothermal); `supply_gauge` Pa that the valve connects to; `ambient` Pa absolute; `temperature` K of gas and walls.
+
+    `heat_exchange` s is the time constant with which the gas takes the walls' temperature (infinite: never, so that
+    gamma stays; a few mm of air need 0.5-2 s). `valve_conductance` and `leak_conductance`, m^3/(s Pa), are volume flow
+    per pressure difference of the open valve (infinite: the pressure follows at once) and of a hole to ambient.
+    """
 
     depth: float
     heat_ratio: float = 1.0
     supply_gauge: float = 1000.0
     ambient: float = 101325.0
     temperature: float = 293.15
+    heat_exchange: float = math.inf
+    valve_conductance: float = math.inf
+    leak_conductance: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -154,6 +169,12 @@ class SensorDesign:
     camera: CameraDesign
     leds: Leds = field(default_factory=Leds)
 
+    def require_rectangle(self, who: str) -> None:
+        """Raise InputError where the frame is not what `who` is made for."""
+        if self.frame.shape != "rectangle":
+            raise InputError(f"{self.frame.shape!r} can be simulated, but {who} handles rectangles only", source=self.name,
+                             field="frame.shape", choices=["rectangle"])
+
     @property
     def pane_thickness_apparent(self) -> float:
         """Depth by which the glass brings the scene nearer on the camera's axis, t (1 - 1/n), m."""
@@ -162,11 +183,11 @@ class SensorDesign:
     @property
     def chamber_volume_flat(self) -> float:
         """Gas volume with a flat membrane, m^3."""
-        return self.frame.length * self.frame.width * self.chamber.depth
+        return self.frame.area * self.chamber.depth
 
 
 # One row a field: key in the file, attribute, SI units in one unit of the file, lowest and highest value allowed.
-_MM, _KPA = 1e-3, 1e3
+_MM, _KPA, _ML_S_KPA = 1e-3, 1e3, 1e-9
 _Row = tuple[str, str, float, float, float]
 FIELDS: dict[str, tuple[type, tuple[_Row, ...]]] = {
     "frame": (Frame, (
@@ -181,7 +202,8 @@ FIELDS: dict[str, tuple[type, tuple[_Row, ...]]] = {
     "chamber": (Chamber, (
         ("depth_mm", "depth", _MM, 0.1, 500), ("heat_ratio", "heat_ratio", 1, 1, 1.7),
         ("supply_gauge_kPa", "supply_gauge", _KPA, -50, 100), ("ambient_kPa", "ambient", _KPA, 1, 1000),
-        ("temperature_K", "temperature", 1, 200, 400))),
+        ("temperature_K", "temperature", 1, 200, 400), ("heat_exchange_s", "heat_exchange", 1, 1e-3, 1e6),
+        ("valve_mL_s_kPa", "valve_conductance", _ML_S_KPA, 1e-3, 1e6), ("leak_mL_s_kPa", "leak_conductance", _ML_S_KPA, 0, 1e6))),
     "glass": (Glass, (
         ("thickness_mm", "thickness", _MM, 0, 50), ("refractive_index", "refractive_index", 1, 1, 3),
         ("distance_mm", "distance", _MM, 0, 1000))),
@@ -196,6 +218,7 @@ FIELDS: dict[str, tuple[type, tuple[_Row, ...]]] = {
         ("falloff", "falloff", 1, 0, 1))),
 }  # fmt: skip
 _OPTIONAL_SECTIONS = {"leds"}
+SHAPES = ("rectangle", "circle")
 
 
 def load_sensor(name_or_path: str | Path | SensorDesign) -> SensorDesign:
@@ -225,7 +248,8 @@ def sensor_from_table(table: Mapping[str, Any], *, name: str, source: str) -> Se
             continue
         if not isinstance(table.get(section), Mapping):
             raise InputError("missing section", source=source, field=f"[{section}]", choices=FIELDS)
-        parts[section] = _section(table[section], section, source)
+        read = _frame if section == "frame" else _section
+        parts[section] = read(table[section], section, source)
     design = SensorDesign(name=str(table.get("name", name)), **parts)
     _check_geometry(design, source)
     return design
@@ -253,6 +277,22 @@ def _section(table: Mapping[str, Any], section: str, source: str) -> Any:
         elif attribute not in _with_default(kind):
             raise InputError("missing field", source=source, field=label)
     return kind(**values)
+
+
+def _frame(table: Mapping[str, Any], section: str, source: str) -> Frame:
+    """A rectangle by length and width (`shape` may be left out), or a circle by its diameter."""
+    shape = table.get("shape", "rectangle")
+    rest = {key: value for key, value in table.items() if key != "shape"}
+    if shape not in SHAPES:
+        raise InputError(f"{shape!r} is not a shape", source=source, field="frame.shape", choices=SHAPES)
+    if shape == "rectangle":
+        return _section(rest, section, source)
+    _check_keys(rest, ["diameter_mm", "rim_mm"], source, "field in [frame] of a circle")
+    if "diameter_mm" not in rest:
+        raise InputError("missing field", source=source, field="frame.diameter_mm")
+    diameter = _number(rest.pop("diameter_mm"), 1, 2, 500, source, "frame.diameter_mm")
+    side = _section({**rest, "length_mm": diameter, "width_mm": diameter}, section, source)
+    return Frame(side.length, side.width, side.rim, shape)
 
 
 def _with_default(kind: type) -> set[str]:
@@ -288,6 +328,11 @@ def _check_geometry(design: SensorDesign, source: str) -> None:
         if extent >= size:
             raise InputError(f"markers span {extent / _MM:g} mm, more than the frame's {size / _MM:g} mm",
                              source=source, field=label)
+    if frame.shape == "circle":
+        reach = float(np.linalg.norm(markers.p_SM, axis=1).max()) + markers.radius
+        if reach >= frame.length / 2:
+            raise InputError(f"markers reach {reach / _MM:g} mm from the middle, out of the frame's radius of "
+                             f"{frame.length / 2 / _MM:g} mm", source=source, field="markers")
     inner_face = glass.distance + glass.thickness
     if inner_face + design.chamber.depth > camera.distance + 1e-9:
         raise InputError(f"glass (to {inner_face / _MM:g} mm) and chamber ({design.chamber.depth / _MM:g} mm) do not fit in "

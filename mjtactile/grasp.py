@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time as wall
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -13,6 +13,7 @@ import numpy as np
 from mjtactile.control import Cycle, run, take_references
 from mjtactile.controller import load_controller
 from mjtactile.design import load_sensor
+from mjtactile.errors import InputError
 from mjtactile.rig import Rig, build_rig
 from mjtactile.sensing.pipeline import SensorPipeline
 from mjtactile.types import Image
@@ -31,6 +32,7 @@ class GraspOptions:
     seed: int = 0
     accuracy: str = ""
     effects: str = "auto"
+    error_estimate: bool = False
 
 
 class RecorderLike(Protocol):
@@ -59,6 +61,7 @@ class GraspResult:
     real_time_factor: float
     frames: int
     milliseconds: dict[str, float]
+    force_error_estimate: float | None = None
 
     def summary(self) -> dict[str, Any]:
         """The JSON object of `mjtactile grasp --json`; what is unknown is NaN here and null there."""
@@ -66,7 +69,8 @@ class GraspResult:
         return {"outcome": self.outcome, "peak_force_N": self.peak_force, "peak_force_true_N": self.peak_force_true,
                 "hold_force_N": self.hold_force, "hold_force_true_N": self.hold_force_true,
                 "slip_mm_true": 1e3 * self.slip_true, "real_time_factor": self.real_time_factor, "frames": self.frames,
-                "perception_ms_median": self.milliseconds["perception_median"], **names, "seed": self.options.seed}
+                "perception_ms_median": self.milliseconds["perception_median"], **names, "seed": self.options.seed,
+                **({} if self.force_error_estimate is None else {"force_error_estimate_N": self.force_error_estimate})}
 
 
 @dataclass
@@ -106,6 +110,13 @@ def run_grasp(options: GraspOptions, *, recorder: RecorderLike, progress: Progre
         score = _watch(rig, recorder)
         take_references(rig, pipelines, progress.message, recorder.add_reference)
         log = _Log()
+        estimate = _estimate(options, rig)
+
+        def on_images() -> None:
+            if score is not None:
+                score.snapshot()
+            if estimate is not None and log.phases and log.phases[-1] == "hold":
+                estimate.keep()
 
         def on_cycle(cycle: Cycle) -> None:
             log.add(cycle)
@@ -113,12 +124,23 @@ def run_grasp(options: GraspOptions, *, recorder: RecorderLike, progress: Progre
             progress.update(cycle.sent.phase, cycle.time, float(np.mean(log.forces[-1])))
 
         begin, start = wall.perf_counter(), rig.clock.now()
-        last = run(rig, pipelines, controller, time_limit=TIME_LIMIT, on_cycle=on_cycle,
-                   on_images=score.snapshot if score is not None else lambda: None)
+        last = run(rig, pipelines, controller, time_limit=TIME_LIMIT, on_cycle=on_cycle, on_images=on_images)
         factor = (rig.clock.now() - start) / (wall.perf_counter() - begin)
     finally:
         rig.close()
-    return _result(options, log, score, factor, completed=last.phase == "done", period=rig.period)
+    result = _result(options, log, score, factor, completed=last.phase == "done", period=rig.period)
+    return result if estimate is None else replace(result, force_error_estimate=estimate.force_error())
+
+
+def _estimate(options: GraspOptions, rig: Rig) -> Any:
+    """What reckons the run's own force error, if that was asked for. Raises InputError on a rig that is not simulated."""
+    if not options.error_estimate:
+        return None
+    if rig.scene is None:
+        raise InputError("only a simulated rig can repeat its run on another mesh", field="--error-estimate")
+    from mjtactile.estimate import GraspEstimate
+
+    return GraspEstimate(rig.scene)
 
 
 def _watch(rig: Rig, recorder: RecorderLike) -> Any:

@@ -10,6 +10,8 @@ The table was recomputed by Ritz, series and finite elements, which agree to 0.0
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
 from scipy.optimize import brentq
@@ -36,13 +38,17 @@ def rectangle_coefficients(aspect: float, poisson: float) -> tuple[float, float]
 
 
 def bulge_height(design: SensorDesign, pressure_gauge: float) -> float:
-    """Height w0, m, of the middle of the inflated rectangle at a gauge pressure, Pa (Eq. M1); NaN outside of the table.
+    """Height w0, m, of the middle of the inflated rectangle, or circle with C1 = 4 and Hencky's C2, at a gauge pressure, Pa
+    (Eq. M1); NaN outside of the table.
 
     Seen from the mounted sheet, stretched by l, the stiffness is l^2 E h (docs/equations.md, Eq. F4).
     """
     short, long = sorted((design.frame.width, design.frame.length))
     a, sheet = short / 2, design.membrane
-    c1, c2 = rectangle_coefficients(long / short, sheet.poisson)
+    if design.frame.shape == "circle":
+        c1, c2 = 4.0, hencky_factor(sheet.poisson) ** -3
+    else:
+        c1, c2 = rectangle_coefficients(long / short, sheet.poisson)
     linear = c1 * sheet.pretension / a**2
     cubic = c2 * sheet.young * sheet.thickness * sheet.pre_stretch**2 / a**4
     if not np.isfinite(linear + cubic) or linear < 0:
@@ -58,7 +64,44 @@ HENCKY = {0.0: 0.7183192, 0.2: 0.6774353, 0.3: 0.6534433, 1 / 3: 0.6447764, 0.4:
 """w0 / a (E h / p a)^(1/3) of a flat clamped circle without pre-tension, by Poisson ratio (Hencky's series)."""
 
 
+_POINT_LOAD = {0.0: 0.86098, 0.2: 0.95729, 0.3: 1.02206, 1 / 3: 1.0472, 0.4: 1.10435, 0.5: 1.21334}
+
+
+def hencky_factor(poisson: float) -> float:
+    """w0 / a (E h / p a)^(1/3) of Eq. M2 for nu from 0 to 0.5."""
+    return float(PchipInterpolator(list(HENCKY), list(HENCKY.values()))(poisson))
+
+
 def hencky_height(radius: float, stiffness: float, poisson: float, pressure: float) -> float:
     """Height, m, of a clamped circular membrane of `radius` m and `stiffness` E h N/m under `pressure` Pa (Eq. M2)."""
-    factor = float(PchipInterpolator(list(HENCKY), list(HENCKY.values()))(poisson))
-    return radius * factor * (pressure * radius / stiffness) ** (1 / 3)
+    return radius * hencky_factor(poisson) * (pressure * radius / stiffness) ** (1 / 3)
+
+
+def point_load(radius: float, stiffness: float, poisson: float, depth: float) -> float:
+    """Force, N, that pushes the middle of a clamped circle without pre-tension in by `depth` m (Eq. M6)."""
+    kappa = float(PchipInterpolator(list(_POINT_LOAD), list(_POINT_LOAD.values()))(poisson))
+    return kappa * stiffness * depth**3 / radius**2
+
+
+def sphere_on_circle(radius: float, tension: float, sphere: float, force: float) -> float:
+    """Depth, m, to which a `force` N presses a sphere of radius `sphere` m into a circle under constant `tension` N/m
+    (Eq. M4); for slopes that are small and a contact that is small against the circle."""
+    contact_square = force * sphere / (2 * np.pi * tension)
+    return force / (2 * np.pi * tension) * (np.log(radius / np.sqrt(contact_square)) + 0.5)
+
+
+def stvk_height_error(stretch: float, pre_stretch: float = 1.0) -> float:
+    """By how much, as a share, the bulge of a St. Venant-Kirchhoff sheet is lower than a neo-Hookean one's (Eq. M7).
+
+    `stretch` and `pre_stretch` count from the free sheet. The two tensions part as 4 e with the strain e beyond the
+    mounted state; a height goes with the cube root of stiffness; a pre-tension, which both share, dilutes it.
+    """
+    strain = max(stretch / pre_stretch - 1, 0.0)
+    added, shared = stretch**2 - pre_stretch**2, max(pre_stretch**2 - 1, 0.0)
+    return 4 / 3 * strain * (added / (added + shared) if added > 0 else 0.0)
+
+
+def stvk_stretch_limit(pre_stretch: float, error: float = 0.02) -> float:
+    """The stretch against the free sheet at which `stvk_height_error` reaches `error`."""
+    root: Any = brentq(lambda s: stvk_height_error(s, pre_stretch) - error, pre_stretch, 2 * pre_stretch)
+    return float(root)

@@ -170,7 +170,9 @@ class Traction:
 class Contact:
     """What touches: `area` m^2, `centroid` (2,) m in S, `depth` m of the deepest indentation against the rest shape.
 
-    `mask` (ny, nx) marks the surface grid's nodes in contact. With no contact `area` is 0 and `centroid` is NaN.
+    `mask` (ny, nx) marks the traction grid's nodes in contact. With no contact `area` is 0 and `centroid` is NaN. Of a
+    single patch also the `force` (3,) N on it, its `outline` (P, 2) m as a closed polygon, and the ellipse of the same
+    second moments: `semi_axes` (2,) m, larger first, and `angle` rad of the larger from x.
     """
 
     touching: bool
@@ -179,17 +181,47 @@ class Contact:
     depth: float
     mask: NDArray[np.bool_]
     status: Status = "ok"
+    force: Array = field(default_factory=lambda: np.full(3, np.nan))
+    outline: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    semi_axes: Array = field(default_factory=lambda: np.full(2, np.nan))
+    angle: float = np.nan
 
     def __post_init__(self) -> None:
         _freeze(self, "centroid", self.centroid, (2,))
         _freeze(self, "mask", self.mask, (None, None), np.bool_)
+        _freeze(self, "force", self.force, (3,))
+        _freeze(self, "outline", self.outline, (None, 2))
+        _freeze(self, "semi_axes", self.semi_axes, (2,))
+
+
+SlipState = Literal["none", "sticking", "incipient", "slipping", "unknown"]
+SLIP_STATES: tuple[str, ...] = ("none", "sticking", "incipient", "slipping", "unknown")
+
+
+@dataclass(frozen=True, eq=False)
+class Slip:
+    """Whether the object slips on the membrane. `state` is one of SLIP_STATES; "none": nothing touches.
+
+    `velocity` (2,) m/s of the object over the membrane, S; `distance` m slipped since the touch began; `stick_ratio`
+    the share of the contact whose shear is below what friction can hold there.
+    """
+
+    state: SlipState
+    velocity: Array
+    distance: float
+    stick_ratio: float
+    status: Status = "ok"
+
+    def __post_init__(self) -> None:
+        _freeze(self, "velocity", self.velocity, (2,))
 
 
 @dataclass(frozen=True, eq=False)
 class Touch:
     """Everything one sensor says about one image. `age` s is now minus capture.
 
-    When `status` is not "ok", `force_normal` is NaN: the force is unknown, not zero.
+    When `status` is not "ok", `force_normal` is NaN: the force is unknown, not zero. `contact` is all that touches
+    taken together, `patches` each place of it, the strongest first.
     """
 
     time: float
@@ -202,6 +234,42 @@ class Touch:
     surface: Surface | None = None
     markers: Markers | None = None
     status: Status = "ok"
+    patches: tuple[Contact, ...] = ()
+    slip: Slip | None = None
+
+
+MATERIALS: tuple[str, ...] = ("solid", "soft", "amorphous")
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """What a probe says an object is made of. What is not known is NaN, an open end of an interval is inf.
+
+    `kind` is one of MATERIALS or "unknown", `probability` has one entry a class. `stiffness` N/m of the whole object, the
+    force over the deformation that it can recover from; `modulus` Pa, the same as stress over strain between flat faces;
+    each with a 68 % interval. `relaxation_time` s (0: none was seen), `deformation` m under `force` N, of which
+    `permanent_set` m stayed, `speed` m/s at which it went on deforming when the fingers had stopped.
+    """
+
+    kind: str
+    probability: Mapping[str, float]
+    force: float = float("nan")
+    deformation: float = float("nan")
+    stiffness: float = float("nan")
+    stiffness_interval: tuple[float, float] = (float("nan"), float("nan"))
+    modulus: float = float("nan")
+    modulus_interval: tuple[float, float] = (float("nan"), float("nan"))
+    relaxation_time: float = float("nan")
+    permanent_set: float = float("nan")
+    permanent_set_sd: float = float("nan")
+    speed: float = float("nan")
+    status: Status = "ok"
+
+    def __post_init__(self) -> None:
+        if self.kind not in (*MATERIALS, "unknown"):
+            raise InputError(f"{self.kind!r} is not a material", source="Material", field="kind",
+                             choices=(*MATERIALS, "unknown"))
+        object.__setattr__(self, "probability", MappingProxyType(dict(self.probability)))
 
 
 @dataclass(frozen=True)

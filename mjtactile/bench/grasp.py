@@ -1,4 +1,4 @@
-"""`mjtactile bench grasp`: every shipped object with ten seeds; outcome, force error, speed, and where the time goes."""
+"""`mjtactile bench grasp`: three fragile objects with ten seeds; outcome, force error, speed, and where the time goes."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from mjtactile import resources
 from mjtactile.errors import MjtactileError
 from mjtactile.grasp import GraspOptions, GraspResult, run_grasp
 from mjtactile.progress import Progress
 
+OBJECTS = ("egg", "strawberry", "vial")  # the others that ship are there to be probed
 SEEDS = range(10)
 
 
@@ -30,9 +30,9 @@ class _Watcher:
 
 
 def run(out: Path, quick: bool = False) -> dict[str, Any]:
-    """Grasp every shipped object with the dense sensor; one row a run. A run that fails is a row too."""
+    """Grasp each of OBJECTS with the dense sensor; one row a run. A run that fails is a row too."""
     rows, say = [], Progress().message
-    for name in resources.names("models/objects", ".xml"):
+    for name in OBJECTS:
         for seed in SEEDS[:1] if quick else SEEDS:
             row = _row(GraspOptions(object=name, sensor="dense", seed=seed))
             rows.append(row)

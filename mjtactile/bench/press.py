@@ -13,6 +13,7 @@ import numpy as np
 
 from mjtactile import theory
 from mjtactile.design import SensorDesign
+from mjtactile.estimate import press_errors
 from mjtactile.sensing.pipeline import SensorPipeline
 from mjtactile.sim import truth
 from mjtactile.sim.camera import Renderer
@@ -39,7 +40,7 @@ def inflate(design: SensorDesign, pressures: Sequence[float], *, mesh: tuple[int
             "volume_mL": 1e6 * sensor.volume, "area_mm2": 1e6 * area, "max_stretch": stretch,
             "theory_height_mm": 1e3 * theory.bulge_height(design, pressure), "converged": converged})  # fmt: skip
         say(f"{steps[-1]['pressure_kPa']:.3g} kPa: {steps[-1]['centre_height_mm']:.3f} mm")
-    return {"sensor": design.name, "steps": steps}
+    return {"sensor": design.name, "steps": steps, "flags": world.flags}
 
 
 @dataclass(frozen=True)
@@ -56,9 +57,13 @@ class PressPlan:
 
 
 def press(design: SensorDesign, plan: PressPlan, *, mesh: tuple[int, int] | None = None, seed: int = 0,
-          say: Say = lambda _: None) -> dict[str, Any]:
-    """Drive the indenter in steps; the JSON of `mjtactile press`. Estimates come from rendered images alone."""
-    world = _world(design, plan.indenter, at=plan.at, tilt=plan.tilt, mesh=mesh)
+          say: Say = lambda _: None, error_estimate: bool = False, **simulation: Any) -> dict[str, Any]:
+    """Drive the indenter in steps; the JSON of `mjtactile press`. Estimates come from rendered images alone.
+
+    `error_estimate`: run again on a coarser mesh, and let every step report its own force error. `simulation`:
+    `timestep` s and `effects` of the world.
+    """
+    world = _world(design, plan.indenter, at=plan.at, tilt=plan.tilt, mesh=mesh, **simulation)
     eye = _Eye(world, seed)
     eye.take_references(design.chamber.supply_gauge, seal=plan.sealed)
     steps = []
@@ -71,13 +76,35 @@ def press(design: SensorDesign, plan: PressPlan, *, mesh: tuple[int, int] | None
             world.press(depth)
         say(f"depth {1e3 * depth:.2f} mm: {-steps[-1]['force_true_N'][2]:.3f} N, "
             f"felt {-steps[-1]['force_estimated_N'][2]:.3f} N")
-    return {"sensor": design.name, "steps": steps}
+    if error_estimate:
+        grid = world.sensors[0].mesh
+        errors = press_errors(lambda m, t: _bare_steps(design, plan, m, simulation | {"timestep": t}), steps, (grid.nx, grid.ny),
+                              world.timestep)
+        for step, error in zip(steps, errors, strict=True):
+            step["force_error_estimate_N"] = error
+    return {"sensor": design.name, "steps": steps, "flags": world.flags}
+
+
+def _bare_steps(design: SensorDesign, plan: PressPlan, mesh: tuple[int, int], simulation: dict[str, Any]) -> list[dict[str, Any]]:
+    """The true forces of the same plan on another mesh, without a camera."""
+    world = _world(design, plan.indenter, at=plan.at, tilt=plan.tilt, mesh=mesh, **simulation)
+    world.inflate(design.chamber.supply_gauge, seal=plan.sealed)
+    steps = []
+    for depth in plan.depths:
+        world.press(depth)
+        if plan.shear:
+            world.press(depth, plan.shear)
+        steps.append({"force_true_N": truth.contact_force(world, 0)})
+        if plan.shear:
+            world.press(depth)
+    return steps
 
 
 class _Eye:
     """Camera and sensing chain of the pressed sensor."""
 
     def __init__(self, world: PressWorld, seed: int):
+        world.design.require_rectangle("the sensing chain")
         self._world = world
         self._renderer = Renderer(world.design, seed=seed)
         self._pipeline = SensorPipeline(world.design)
@@ -110,4 +137,5 @@ def _step(world: PressWorld, touch: Touch, converged: bool) -> dict[str, Any]:
 
 
 def _world(design: SensorDesign, indenter: Indenter, *, mesh: tuple[int, int] | None, **placing: Any) -> PressWorld:
-    return PressWorld(design, indenter, **placing, **({} if mesh is None else {"mesh": mesh}))
+    options: dict[str, Any] = placing if mesh is None else placing | {"mesh": mesh}
+    return PressWorld(design, indenter, **options)

@@ -3,9 +3,9 @@
 One that needs no simulator says `SIMULATES = False`.
 """
 
-from mjtactile.commands import bench, calibrate, doctor, emulate, grasp, inflate, locate, press, probe, reconstruct
+from mjtactile.commands import bench, calibrate, doctor, effects, emulate, experiments, grasp, inflate, locate, press, probe, reconstruct
 
 COMMANDS = {
-    "grasp": grasp, "probe": probe, "inflate": inflate, "press": press, "locate": locate, "reconstruct": reconstruct, "calibrate": calibrate,
-    "bench": bench, "emulate": emulate, "doctor": doctor,
+    "grasp": grasp, "probe": probe, "experiments": experiments, "inflate": inflate, "press": press, "locate": locate,
+    "reconstruct": reconstruct, "calibrate": calibrate, "bench": bench, "effects": effects, "emulate": emulate, "doctor": doctor,
 }  # fmt: skip

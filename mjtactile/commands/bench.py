@@ -16,17 +16,22 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   grasp       egg, strawberry and vial with seeds 0-9: outcome, force error, real-time factor
               and where the time goes
   perception  marker accuracy against the Cramer-Rao bound, and speed, next to OpenCV's tools
+  touch       force, shear, torque, patch, smallest touch, slip and error bars, random indenters
   material    class and modulus of random bodies, probed
   stability   more than 300 hard cases of the simulation, each judged by physics
-  rig         the emulated rig: loop rate, latency, reaction to every fault, host killed"""
+  rig         the emulated rig: loop rate, latency, reaction to every fault, host killed
+  accuracy    work-precision diagrams: error of force and surface against time, every knob
+  speed       two membranes holding an object: against the clock, rigid pads, mesh size
+  effects     what each effect costs, and what leaving it out costs"""
 EPILOG = """\
 examples:
   mjtactile bench grasp --quick            one seed instead of ten
   mjtactile bench perception --out results
   mjtactile bench grasp --readme README.md put the table between that file's bench markers
 """
-BENCHMARKS = {"grasp": "mjtactile.bench.grasp", "perception": "mjtactile.bench.perception",
-              "material": "mjtactile.bench.material",
+BENCHMARKS = {"grasp": "mjtactile.bench.grasp", "speed": "mjtactile.bench.speed", "accuracy": "mjtactile.bench.accuracy",
+              "effects": "mjtactile.bench.effects", "perception": "mjtactile.bench.perception",
+              "material": "mjtactile.bench.material", "touch": "mjtactile.bench.touch",
               "rig": "mjtactile.bench.rig", "stability": "mjtactile.bench.stability"}
 """Name to module; each has `run(out, quick) -> dict`, which draws into `out`, and `table(result) -> str` in Markdown."""
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile import report, resources
+from mjtactile.commands import effects
 from mjtactile.commands.output import prepare_folder, print_json, stdout_to_stderr
 from mjtactile.errors import InputError, MjtactileError
 from mjtactile.progress import Progress
@@ -51,6 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help=f"what to run it on: {', '.join(rig_names())} (default: sim)")
     parser.add_argument("--seed", type=_seed, default=0, metavar="N",
                         help="seed of the camera noise and of where the object stands (default: 0)")
+    effects.add_shared_arguments(parser)
+    effects.add_estimate_argument(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default: runs/<time>-<object>)")
 
 
@@ -84,6 +87,10 @@ def _header(options: argparse.Namespace) -> dict[str, Any]:
     return {key: getattr(options, key) for key in ("object", "sensor", "controller", "rig", "seed")}
 
 
+def _simulation(options: argparse.Namespace) -> dict[str, Any]:
+    return {key: getattr(options, key) for key in ("accuracy", "effects", "error_estimate")}
+
+
 def _run_and_report(options: argparse.Namespace, out: Path, progress: Progress) -> dict[str, Any]:
     """Run the grasp and write its report, also of a run that failed half-way; the error then carries its summary."""
     from mjtactile.grasp import GraspOptions, run_grasp
@@ -91,7 +98,7 @@ def _run_and_report(options: argparse.Namespace, out: Path, progress: Progress) 
     header = _header(options)
     recorder = Recorder(out / "recording", header)
     try:
-        summary = run_grasp(GraspOptions(**header), recorder=recorder, progress=progress).summary()
+        summary = run_grasp(GraspOptions(**header, **_simulation(options)), recorder=recorder, progress=progress).summary()
     except (Exception, KeyboardInterrupt) as error:
         progress.close()
         if isinstance(error, InputError) and recorder.cycles == 0:
@@ -136,6 +143,8 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
     print(f"  at most   {newton('peak_force_N')} (true {newton('peak_force_true_N')})")
     if isinstance(summary.get("slip_mm_true"), float):
         print(f"  slipped   {summary['slip_mm_true']:.2f} mm (true)")
+    if "force_error_estimate_N" in summary:
+        print(f"  estimate  the simulated force is off by about {1e3 * summary['force_error_estimate_N']:.0f} mN")
     speed, spent = summary["real_time_factor"], summary["perception_ms_median"]
     print(f"  speed     {speed:.2f} x real time; perception takes {spent:.1f} ms a cycle (median)")
     print(f"  results   {out}/summary.json, summary.png, recording/")

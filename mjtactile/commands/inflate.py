@@ -23,7 +23,8 @@ examples:
   mjtactile inflate --sensor my_sensor.toml --pressure-kPa 0:4:0.5 --out runs/bulge
 
 JSON: {"sensor": …, "steps": [{"pressure_kPa", "centre_height_mm", "volume_mL" (gas in chamber and bulge), "area_mm2",
-"max_stretch" (against the free sheet), "theory_height_mm" (null outside of the table of closed forms), "converged"}]}
+"max_stretch" (against the free sheet), "theory_height_mm" (null outside of the table of closed forms), "converged"}],
+"flags": {kind of doubt: reason}}
 """
 
 
@@ -59,6 +60,8 @@ def _print_table(result: dict[str, Any], out: Path | None) -> None:
     for s in result["steps"]:
         print(f"{s['pressure_kPa']:12.3f} {s['centre_height_mm']:10.4f} {s['theory_height_mm']:10.4f} {s['volume_mL']:10.4f} "
               f"{s['area_mm2']:10.2f} {s['max_stretch']:12.4f}{'' if s['converged'] else '  not settled'}")
+    for kind, reason in result["flags"].items():
+        print(f"doubt ({kind}): {reason}")
     if out is not None:
         print(f"inflate.json and inflate.png are in {out}")
 

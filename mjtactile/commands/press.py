@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from mjtactile.commands import plots, ranges
+from mjtactile.commands import effects, plots, ranges
 from mjtactile.commands.output import prepare_folder, print_json, stdout_to_stderr
 from mjtactile.design import SensorDesign, load_sensor
 from mjtactile.errors import InputError
@@ -28,7 +28,8 @@ JSON: {"sensor": …, "steps": [{"depth_mm", "force_true_N" and "force_estimated
 a press has a negative z), "wrench_estimated" (force N, torque N m about the middle of the frame),
 "force_estimated_sd_N", "drive_force_N" (what a load cell on the drive reads), "contact_area_mm2",
 "contact_area_true_mm2", "penetration_mm" (how far the simulated bodies overlap: its error), "pressure_kPa",
-"volume_mL", "converged", "status"}]}
+"volume_mL", "converged", "status"}],
+"flags": {kind of doubt: reason}}
 """
 
 
@@ -44,6 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--valve", choices=["closed", "open"], default="closed",
                         help="closed: the chamber keeps its gas (default); open: it keeps its pressure")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the camera's noise (default: 0)")
+    effects.add_shared_arguments(parser)
+    effects.add_estimate_argument(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="write press.json and press.png there")
 
 
@@ -58,7 +61,8 @@ def run(options: argparse.Namespace) -> int:
                      sealed=options.valve == "closed")
     out = None if options.out is None else prepare_folder(options.out)
     with stdout_to_stderr():
-        result = press(design, plan, seed=options.seed, say=Progress(quiet=options.json).message)
+        result = press(design, plan, seed=options.seed, say=Progress(quiet=options.json).message,
+                       error_estimate=options.error_estimate, **_simulation(options, design))
     if out is not None:
         write_json(out / "press.json", result)
         plots.save(out / "press.png", lambda figure: _draw(figure, result))
@@ -67,6 +71,17 @@ def run(options: argparse.Namespace) -> int:
     else:
         _print_table(result, out)
     return 0
+
+
+def _simulation(options: argparse.Namespace, design: SensorDesign) -> dict[str, Any]:
+    """Mesh, time step and effects of the world, from --accuracy and --effects."""
+    from mjtactile.fidelity import Fidelity
+    from mjtactile.sim.effects import DEFAULT_FORCE_ERROR, choose
+
+    fidelity = Fidelity.parse(options.accuracy) if options.accuracy else None
+    wanted = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.force_error
+    chosen = choose(design, force_error=wanted, overrides=options.effects)
+    return {"effects": chosen.on} | ({} if fidelity is None else {"mesh": fidelity.mesh, "timestep": fidelity.timestep})
 
 
 def _check(options: argparse.Namespace, design: SensorDesign) -> None:
@@ -90,6 +105,8 @@ def _print_table(result: dict[str, Any], out: Path | None) -> None:
         print(f"{s['depth_mm']:8.3f} {true} {felt} {s['contact_area_mm2']:16.1f} {s['contact_area_true_mm2']:6.1f} "
               f"{s['penetration_mm']:11.4f} {s['pressure_kPa']:10.4f}{'' if s['converged'] else '  not settled'}"
               f"{'' if s['status'] == 'ok' else '  ' + s['status']}")
+    for kind, reason in result["flags"].items():
+        print(f"doubt ({kind}): {reason}")
     if out is not None:
         print(f"press.json and press.png are in {out}")
 

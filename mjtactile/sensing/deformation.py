@@ -35,7 +35,7 @@ class Fields:
         return np.cross(self.F[:, :, 0], self.F[:, :, 1])
 
 
-class _Axis:
+class Axis:
     """Clamped cubic B-splines on one axis without the two that are non-zero at its ends, and Gauss points."""
 
     def __init__(self, length: float, spans: int):
@@ -69,7 +69,7 @@ class MembraneModel:
         self.design = design
         self.material = np.asarray(design.markers.p_SM[:, :2] if material is None else material, float)
         frame = design.frame
-        ax, ay = self._axes = (_Axis(frame.length, spans), _Axis(frame.width, spans))
+        ax, ay = self._axes = (Axis(frame.length, spans), Axis(frame.width, spans))
         self.X = np.column_stack([g.ravel() for g in np.meshgrid(ax.points, ay.points, indexing="ij")])
         self.weights = np.outer(ax.weights, ay.weights).ravel()
         self._kernel = np.linalg.solve(self._bending(), self.basis(self.material).T)  # (K, N)

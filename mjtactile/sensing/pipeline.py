@@ -14,47 +14,53 @@ import numpy as np
 from mjtactile.design import SensorDesign
 from mjtactile.errors import DeviceError
 from mjtactile.optics import Camera
-from mjtactile.sensing import identity
+from mjtactile.sensing import identity, slip, zero
 from mjtactile.sensing.contact import find_contact, resample
-from mjtactile.sensing.deformation import Fields, MembraneModel
-from mjtactile.sensing.force import AreaCalibration, GridForce, MembraneForce, RestState, spring_grid_force
+from mjtactile.sensing.force import AreaCalibration, spring_grid_force
+from mjtactile.sensing.inverse import InverseMembrane, InverseRest, Shape
 from mjtactile.sensing.markers import detect
+from mjtactile.sensing.patches import find_patches, together
 from mjtactile.sensing.pose import estimate_poses
 from mjtactile.sensing.reference import FlatReference, measure_flat
 from mjtactile.sensing.surface import SurfaceFitter
-from mjtactile.types import Array, Contact, Image, Markers, Surface, Touch, Traction
+from mjtactile.types import Array, Image, Markers, Surface, Touch, Traction
 
 FEWEST_SEEN = 0.4  # share of the markers below which the shape is a guess
-TOUCH_SD = 4.0  # a touch is a force above four standard deviations: one false alarm in 10^4 images
-TOUCH_LEAST = 0.04  # N, and above what the model itself is sure of near zero
+TOUCH_SD, TOUCH_LEAST = 4.0, 0.04  # with the paper's force: its residual's sd, and N
+MISFIT_MAX = 50.0  # mean square of the markers' misfit over their sd above which the shape is not explained
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What the chain knows of its own sensor at rest: its statics, its `surface` and its grid forces."""
+    """What the chain knows of its own sensor at rest: its statics and its `surface`."""
 
-    rest: RestState
+    rest: InverseRest
     surface: Surface
-    grid_force: Array
 
 
 class SensorPipeline:
-    """The sensing chain of one sensor. Keeps the reference and, for marker identity, the last marker positions.
+    """The sensing chain of one sensor. Keeps the reference and what the last image showed: marker positions (for their
+    identity), the membrane's shape (to start from), the histories of touch and slip.
 
-    The force comes from statics; with an `area_calibration` it comes the paper's way instead: the net force from the
-    change of area, its distribution from a grid of springs.
+    The force comes from inverse finite elements; with an `area_calibration` it comes the paper's way instead: the net
+    force from the change of area, its distribution from a grid of springs.
     """
 
     def __init__(self, design: SensorDesign, *, area_calibration: AreaCalibration | None = None):
         self.design, self.area_calibration = design, area_calibration
         self.camera = Camera.from_design(design.camera, design.glass)
-        self.model = MembraneModel(design)
-        self.statics = MembraneForce(self.model)
+        self.inverse = InverseMembrane(design)
         self.fitter = SurfaceFitter(design)
-        self.grid = GridForce(self.statics)
         self.flat = FlatReference.nominal(design)
         self.reference: Reference | None = None
         self._last = design.markers.p_SM
+        self._forget()
+
+    def _forget(self) -> None:
+        """Start the histories anew."""
+        self._shape: Shape | None = None
+        self._watch: zero.Watch | None = None
+        self._slip: slip.SlipHistory | None = None
 
     # -- the sensor's own reference --------------------------------------------------------------------------------
 
@@ -80,11 +86,10 @@ class SensorPipeline:
 
     def set_rest(self, markers: Markers, pressure_gauge: float, *, sealed: bool = True) -> None:
         """Use a rest state that was measured before; see `take_rest`."""
-        rest = self.statics.rest_state(markers, pressure_gauge, sealed=sealed)
-        alpha = self.model.fit(markers.ids, markers.p_SM)
-        grid_force = self.grid.forces(self.model.fields(alpha), pressure_gauge, rest)
-        self.reference = Reference(rest, self.fitter.fit(markers), grid_force)
-        self._last = self.design.markers.p_SM + self.model.displacement(alpha, self.model.material)
+        rest = self.inverse.rest_state(markers, pressure_gauge, sealed=sealed)
+        self.reference = Reference(rest, self.fitter.fit(markers))
+        self._last = self.inverse.positions(rest.c)
+        self._forget()
 
     # -- an image ----------------------------------------------------------------------------------------------------
 
@@ -97,11 +102,46 @@ class SensorPipeline:
         if len(markers) < FEWEST_SEEN * self.design.markers.count:
             return replace(unknown, status=f"only {len(markers)} of {self.design.markers.count} markers seen")
         surface = self.fitter.fit(markers)
-        traction = self._traction(markers) if self.area_calibration is None else self._paper_traction(surface)
+        if self.area_calibration is not None:
+            return self._paper_touch(unknown, markers, surface)
+        return replace(self.touch_of(markers, surface, image.time), age=unknown.age)
+
+    def touch_of(self, markers: Markers, surface: Surface, time: float) -> Touch:
+        """Force, contact and slip by inverse finite elements, from markers and surface at `time` s."""
+        if self.reference is None:
+            raise DeviceError(f"sensor {self.design.name}: touch_of() before take_rest()")
+        unknown = Touch(time, 0.0, np.nan, np.nan, False)
+        rest, before = self.reference.rest, self._watch
+        self._shape = shape = self.inverse.estimate(markers, rest, self._shape)
+        if not shape.misfit < MISFIT_MAX:
+            self._forget()
+            lost = slip.unknown("shape not explained")
+            return replace(unknown, surface=surface, markers=markers, slip=lost, status="the markers fit no membrane shape")
+        traction = self.inverse.traction(shape)
+        self._watch = watch = zero.watch(unknown.time, traction, before)
+        patches = find_patches(self.inverse, shape, rest) if watch.touching else ()
+        judged, self._slip = slip.judge(unknown.time, self.inverse, shape, patches, self._slip)
+        quiet = before is not None and not watch.touching and watch.time - watch.quiet_since > zero.QUIET
+        if quiet and before is not None:
+            rest = zero.follow(self.inverse, rest, shape, markers, watch.time - before.time)
+            self.reference = replace(self.reference, rest=rest)
+        sd = float(np.sqrt(traction.wrench_cov[2, 2]))
+        if quiet and watch.force < -max(zero.PULL_MOST, zero.TOUCH_SD * sd):
+            return replace(unknown, traction=traction, surface=surface, markers=markers, slip=slip.unknown("no zero"),
+                           status="the membrane seems pulled: the rest reference no longer holds (temperature, camera)")
+        return replace(unknown, force_normal=watch.force, force_normal_sd=sd, touching=watch.touching, surface=surface,
+                       contact=together(patches, (len(traction.y), len(traction.x))), traction=traction, markers=markers,
+                       patches=patches, slip=judged)
+
+    def _paper_touch(self, unknown: Touch, markers: Markers, surface: Surface) -> Touch:
+        """Force by the paper's levels 1 and 2."""
+        assert self.reference is not None
+        traction = self._paper_traction(surface)
         force, sd = -float(traction.wrench[2]), float(np.sqrt(traction.wrench_cov[2, 2]))
         touching = force > max(TOUCH_LEAST, TOUCH_SD * sd)
-        contact = self._contact(surface, traction, touching)
-        return Touch(image.time, now - image.time, force, sd, touching, contact, traction, surface, markers)
+        contact = find_contact(surface, self.reference.surface, traction, touching=touching)
+        return replace(unknown, force_normal=force, force_normal_sd=sd, touching=touching, contact=contact,
+                       traction=traction, surface=surface, markers=markers, slip=slip.unknown("needs membrane statics"))
 
     def markers(self, image: Image) -> Markers:
         """Identified markers in S."""
@@ -120,32 +160,16 @@ class SensorPipeline:
                               "markers found; check lighting, focus and the sensor file")
         return markers
 
-    def _fields(self, markers: Markers) -> Fields:
-        return self.model.fields(self.model.fit(markers.ids, markers.p_SM))
-
-    def _traction(self, markers: Markers) -> Traction:
-        reference = self.reference
-        assert reference is not None
-        fields = self._fields(markers)
-        wrench, gauge = self.statics.wrench_of(fields, reference.rest)
-        cov = self.statics.wrench_cov(markers, reference.rest)
-        nodal = self.grid.forces(fields, gauge, reference.rest) - reference.grid_force
-        return Traction(self.grid.x, self.grid.y, nodal, wrench, cov, gauge, method="statics")
-
     def _paper_traction(self, surface: Surface) -> Traction:
         """The paper's levels 1 and 2: dF = c dA for the sum, a grid of springs for how it is spread."""
         assert self.reference is not None and self.area_calibration is not None
-        rest, (x, y) = self.reference.surface, (self.grid.x, self.grid.y)
+        rest, x, y = self.reference.surface, self.inverse.x, self.inverse.y
         now, before = (replace(s, x=x, y=y, z=resample(s, x, y)) for s in (surface, rest))
         nodal = spring_grid_force(now, before, self.design.membrane.pretension)
         wrench, cov = np.zeros(6), np.zeros((6, 6))
         wrench[2] = -self.area_calibration.force(surface.area - rest.area)
         cov[2, 2] = self.area_calibration.residual**2 + (self.area_calibration.constant * surface.area_sd) ** 2
         return Traction(x, y, nodal, wrench, cov, np.nan, method="paper")
-
-    def _contact(self, surface: Surface, traction: Traction, touching: bool) -> Contact:
-        assert self.reference is not None
-        return find_contact(surface, self.reference.surface, traction, touching=touching)
 
 
 def _average(seen: Sequence[Markers]) -> Markers:

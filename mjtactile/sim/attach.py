@@ -26,8 +26,11 @@ import mujoco
 
 from mjtactile.design import SensorDesign, load_sensor
 from mjtactile.errors import InputError
-from mjtactile.sim.membrane import BODY, FLEX, MembraneMesh, add_membrane, make_mesh
+from mjtactile.sim import features, limits
+from mjtactile.sim.membrane import BODY, FLEX, add_membrane
+from mjtactile.sim.mesh import MembraneMesh, make_mesh
 from mjtactile.sim.sensor import TactileSensor
+from mjtactile.sim.switches import PHYSICS, set_physics
 
 TIMESTEP_RANGE = (1e-4, 8e-3)
 DEFAULT_MESH = (13, 11)
@@ -42,6 +45,8 @@ class Attachment:
     design: SensorDesign
     mesh: MembraneMesh
     prefix: str
+    contact: str = "auto"
+    effects: frozenset[str] = PHYSICS
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> TactileSensor:
         """Return the sensor's runtime, and finish the model: pre-stretch and contact stiffness.
@@ -50,19 +55,26 @@ class Attachment:
         the model was not compiled from the spec.
         """
         check_options(model.opt, source="bind")
-        return TactileSensor(model, data, self.design, self.mesh, self.prefix)
+        return TactileSensor(model, data, self.design, self.mesh, self.prefix, self.contact, self.effects)
 
 
 def attach(spec: mujoco.MjSpec, sensor: SensorDesign | str | Path, *, site: mujoco.MjsSite | str, prefix: str = "tactile_",
-           mesh: tuple[int, int] = DEFAULT_MESH, mass: float = 0.05) -> Attachment:
+           mesh: tuple[int, int] = DEFAULT_MESH, mass: float = 0.05, contact: str = "auto",
+           effects: frozenset[str] = PHYSICS) -> Attachment:
     """Attach `sensor` (a design, a shipped name or a TOML file) to the parent scene `spec` at `site`.
 
     `prefix` keeps several sensors apart, `mesh` is the number of vertices along x and y, `mass` kg that of frame,
-    glass and camera. Raises InputError for an unknown site, a prefix already used, or options of `spec` that cannot
-    carry a membrane (MuJoCo never takes them from an attached child).
+    glass and camera; `contact` says what of the membrane touches: its "vertices", its triangles ("elements"), "both", or
+    "auto" by the scene's smallest feature; `effects` are names of effects.py. Raises InputError for an unknown site, a
+    prefix already used, a membrane that the method cannot carry, or options of `spec` that cannot (MuJoCo never takes
+    them from an attached child).
     """
     design = load_sensor(sensor)
     check_options(spec.option, source="attach")
+    limits.check_design(design, mesh)
+    if contact not in ("auto", *features.CONTACT_MODELS):
+        raise InputError(f"{contact!r} is not a contact model", source="attach", field="contact",
+                         choices=["auto", *features.CONTACT_MODELS])
     target = spec.site(site) if isinstance(site, str) else site
     if target is None:
         raise InputError(f"no site {site!r} in the scene", source="attach", field="site",
@@ -72,13 +84,14 @@ def attach(spec: mujoco.MjSpec, sensor: SensorDesign | str | Path, *, site: mujo
     if spec.body(prefix + BODY) is not None or any(flex.name == prefix + FLEX for flex in spec.flexes):
         raise InputError(f"{prefix!r} is taken: the scene has a body {prefix + BODY!r}", source="attach",
                          field="prefix")
-    grid = make_mesh(design.frame.length, design.frame.width, *mesh)
+    grid = make_mesh(design.frame.length, design.frame.width, *mesh, shape=design.frame.shape)
     child = mujoco.MjSpec()
     body = child.worldbody.add_body(name=BODY)
     _add_housing(body, design, mass)
     add_membrane(child, body, design, grid)
+    set_physics(child, grid, effects)
     spec.attach(child, site=target, prefix=prefix)
-    return Attachment(design, grid, prefix)
+    return Attachment(design, grid, prefix, contact, effects)
 
 
 def recommend_options(spec: mujoco.MjSpec, timestep: float = 4e-3) -> None:
@@ -122,7 +135,10 @@ def check_options(option: Any, *, source: str) -> None:
 
 
 def _add_housing(body: mujoco.MjsBody, design: SensorDesign, mass: float) -> None:
-    """Frame walls around the chamber and a block for glass and camera behind it; nothing in front of z = 0."""
+    """Frame walls around the chamber and a block for glass and camera behind it; nothing in front of z = 0.
+
+    A circular frame gets the walls of the square around it: what touches between circle and square touches nothing.
+    """
     frame, depth = design.frame, design.chamber.depth
     rim = max(frame.rim, 1e-3)
     half_x, half_y = frame.length / 2, frame.width / 2

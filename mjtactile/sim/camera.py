@@ -70,9 +70,12 @@ class Renderer:
 
         `time` s is passed on. Noise comes from `rng`, or from the renderer's own generator.
         """
-        camera = self.design.camera
-        noise_dn = camera.noise_dn if effects.noise_dn is None else effects.noise_dn
-        gray = self.irradiance_image(p_SM, n_S, effects=effects)
+        return self.expose(self.irradiance_image(p_SM, n_S, effects=effects), time, rng=rng, effects=effects)
+
+    def expose(self, gray: Floats, time: float = 0.0, *, rng: np.random.Generator | None = None,
+               effects: Effects = Effects()) -> Image:
+        """The image of grey levels `gray` (H, W): with noise, rounded. For motion blur, give the mean of several."""
+        noise_dn = self.design.camera.noise_dn if effects.noise_dn is None else effects.noise_dn
         if noise_dn <= 0:
             return Image(cv2.add(gray, 0.0, dtype=cv2.CV_8U), time)
         rng = self._rng if rng is None else rng

@@ -12,6 +12,7 @@ from mjtactile.design import SensorDesign, load_sensor
 from mjtactile.errors import InputError
 from mjtactile.sim.attach import DEFAULT_MESH, attach, recommend_options
 from mjtactile.sim.objects import ObjectModel, add_object, load_object
+from mjtactile.sim.switches import PHYSICS, set_servo
 from mjtactile.sim.world import World
 
 SITES = ("left_fingertip", "right_fingertip")
@@ -29,16 +30,19 @@ class GraspWorld(World):
     def __init__(self, sensor: SensorDesign | str | Path = "dense", grasped: ObjectModel | str | Path = "egg", *,
                  timestep: float = DEFAULT_TIMESTEP, mesh: tuple[int, int] = DEFAULT_MESH,
                  object_pose: tuple[float, float, float] = (0.0, 0.0, 0.0), opening: float = 0.08,
-                 jaw_speed: float = 0.05, lift_speed: float = 0.05):
+                 jaw_speed: float = 0.05, lift_speed: float = 0.05, effects: frozenset[str] = PHYSICS):
         """`timestep` s and `mesh` trade accuracy for speed; `object_pose` is x, y (m) and yaw (rad) of the object's file on
-        the table; `opening` m is where the jaws start."""
+        the table; `opening` m is where the jaws start, `effects` are names of effects.py."""
         self.design = load_sensor(sensor)
+        self.design.require_rectangle("grasping, which rests on sensing,")
         self.object = grasped if isinstance(grasped, ObjectModel) else load_object(grasped)
+        self.effects = effects
         spec = mujoco.MjSpec.from_file(str(resources.find("two_finger", "models/grippers", ".xml")))
         recommend_options(spec, timestep)
         self._place_hand(spec)
-        attachments = [attach(spec, self.design, site=site, prefix=prefix, mesh=mesh)
+        attachments = [attach(spec, self.design, site=site, prefix=prefix, mesh=mesh, effects=effects)
                        for site, prefix in zip(SITES, SENSOR_PREFIXES, strict=True)]
+        set_servo(spec, "jaw", effects)
         _add_table(spec)
         add_object(spec, self.object, object_pose)
         super().__init__(spec, attachments)
@@ -105,6 +109,14 @@ class GraspWorld(World):
     def lift_height(self) -> float:
         """Height of the hand above where it started, m."""
         return float(self.data.qpos[self._lift_joint.qposadr[0]])
+
+    def place_hand(self, opening: float, lift: float) -> None:
+        """Put jaws and lift at these coordinates, m, at rest, with their goals there: for experiments, not for control."""
+        for joint in self._jaw_joints:
+            self.data.qpos[joint.qposadr[0]], self.data.qvel[joint.dofadr[0]] = opening / 2, 0.0
+        self.data.qpos[self._lift_joint.qposadr[0]], self.data.qvel[self._lift_joint.dofadr[0]] = lift, 0.0
+        self._finger_target = self._finger_goal = opening
+        self._lift_target = self._lift_goal = lift
 
     # -- inside --------------------------------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""The rubber membrane as a MuJoCo flex: its mesh, its bodies in an `MjSpec`, its pre-stretch, and the markers on it.
+"""The rubber membrane as a MuJoCo flex: its bodies in an `MjSpec`, its pre-stretch, and what touches it how.
 
 Every interior vertex is a small body on three slide joints *in the sensor's own frame S*, child of the sensor's body;
 the rim vertices belong to the sensor's body itself. Joint positions are therefore displacements in S, whatever
@@ -7,16 +7,11 @@ carries the sensor, and forces between membrane and frame need no bookkeeping (d
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
-from scipy.interpolate import make_interp_spline
 
-from mjtactile.design import SensorDesign
-from mjtactile.errors import InputError
-from mjtactile.types import Array
+from mjtactile.design import Membrane, SensorDesign
+from mjtactile.sim.mesh import MembraneMesh
 
 FLEX, TENDON, BODY = "membrane", "gas", "sensor"
 
@@ -25,57 +20,19 @@ FLEX, TENDON, BODY = "membrane", "gas", "sensor"
 # and conditions the solver: it joins the diagonal of the implicit system, which a membrane vertex of a few milligrams
 # leaves almost empty; contact stiffness scales with that diagonal.
 SURFACE_DAMPING = 27.0
+# The same along the sheet, in multiples: the sheet is that much stiffer there, so that shear settles no slower than a
+# bulge, and the implicit solve needs a quarter less time.
+IN_PLANE_DAMPING = 3.0
 SOFTEST = 100.0  # N/m; below this stiffness the damping stays, for the gas's sake
 # Inertia against motion relative to the frame, kg/m^2, without weight: about three times the rubber's own mass.
 SURFACE_ARMATURE = 0.8
-# Contact: the share of the constraint that is rigid, and the depth over which it becomes so (MuJoCo `solimp`).
+# Contact: the share of the constraint that is rigid, and the depth over which it becomes so (MuJoCo `solimp`), and its
+# time constant in steps: at 1 the solver takes twice the iterations.
 SOLIMP = (0.9995, 0.9995, 1e-4, 0.5, 2.0)
-
-
-@dataclass(frozen=True, eq=False)
-class MembraneMesh:
-    """Regular triangle mesh of the flat, mounted membrane; vertex (i, j) has index i * ny + j, x grows with i.
-
-    `p_SV` (n, 3) m, `triangles` (m, 3) counter-clockwise seen from outside (+z), `interior` (k,) vertex indices that
-    move, `areas` (n,) m^2 of sheet that each vertex stands for.
-    """
-
-    nx: int
-    ny: int
-    p_SV: Array
-    triangles: NDArray[np.int64]
-    interior: NDArray[np.int64]
-    areas: Array
-
-    @property
-    def x(self) -> Array:
-        return self.p_SV[:: self.ny, 0]
-
-    @property
-    def y(self) -> Array:
-        return self.p_SV[: self.ny, 1]
-
-
-def make_mesh(length: float, width: float, nx: int, ny: int) -> MembraneMesh:
-    """Mesh a `length` x `width` m rectangle with nx x ny vertices; diagonals alternate, so that no direction is favoured.
-
-    Raises InputError when a side has fewer than 5 vertices (the cubic marker interpolation needs them) or more than
-    101 (a step would take seconds).
-    """
-    for name, count in (("nx", nx), ("ny", ny)):
-        if not 5 <= count <= 101:
-            raise InputError(f"{count} vertices along a side, need 5 to 101", source="mesh", field=name)
-    grid_x, grid_y = np.meshgrid(np.linspace(-length / 2, length / 2, nx), np.linspace(-width / 2, width / 2, ny),
-                                 indexing="ij")
-    p_SV = np.column_stack([grid_x.ravel(), grid_y.ravel(), np.zeros(nx * ny)])
-    index = np.arange(nx * ny).reshape(nx, ny)
-    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
-    even = np.add.outer(np.arange(nx - 1), np.arange(ny - 1)) % 2 == 0
-    first = np.where(even[..., None], np.stack([a, b, c], -1), np.stack([a, b, d], -1))
-    second = np.where(even[..., None], np.stack([a, c, d], -1), np.stack([b, c, d], -1))
-    triangles = np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
-    areas = np.bincount(triangles.ravel(), minlength=nx * ny) * (length * width / len(triangles) / 3.0)
-    return MembraneMesh(nx, ny, p_SV, triangles, index[1:-1, 1:-1].ravel(), areas)
+CONTACT_TIME = 1.5
+CONTACT_DEPTH = 20e-6
+"""Depth, m, to which contact should sink in under a pressure that is typical for the membrane. At 12 um a free plate of 20 g
+on a membrane keeps the solver from converging at a step of 4 ms, and rattles; at 6 um a driven indenter is still fine."""
 
 
 def add_membrane(spec: mujoco.MjSpec, body: mujoco.MjsBody, design: SensorDesign, mesh: MembraneMesh) -> None:
@@ -88,16 +45,16 @@ def add_membrane(spec: mujoco.MjSpec, body: mujoco.MjsBody, design: SensorDesign
     sheet = design.membrane
     names = [BODY] * len(mesh.p_SV)
     mass = mesh.areas * sheet.thickness * sheet.density / sheet.pre_stretch**2
-    stiffness = max(sheet.young * sheet.thickness, 10 * sheet.pretension, SOFTEST)  # against stretch, against bulging
-    damping = mesh.areas * SURFACE_DAMPING * stiffness
+    damping = mesh.areas * SURFACE_DAMPING * sheet_stiffness(sheet)
     armature = mesh.areas * SURFACE_ARMATURE
     for v in mesh.interior:
         names[v] = f"v{v}"
         vertex = body.add_body(name=names[v], pos=mesh.p_SV[v])
-        vertex.mass, vertex.inertia, vertex.explicitinertial = mass[v], [mass[v] * 1e-8] * 3, True
+        vertex.mass, vertex.inertia, vertex.explicitinertial = mass[v], [max(mass[v] * 1e-8, 1e-14)] * 3, True
         for axis, direction in zip("xyz", np.eye(3), strict=True):
             vertex.add_joint(name=names[v] + axis, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction,
-                             damping=[damping[v], 0.0, 0.0], armature=armature[v])
+                             damping=[damping[v] * (1.0 if axis == "z" else IN_PLANE_DAMPING), 0.0, 0.0],
+                             armature=armature[v])
         _add_contact_sphere(vertex, names[v], sheet.thickness / 2, sheet.friction)
     flex = spec.add_flex(name=FLEX)
     flex.dim, flex.radius, flex.thickness = 2, sheet.thickness / 2, sheet.thickness
@@ -107,7 +64,9 @@ def add_membrane(spec: mujoco.MjSpec, body: mujoco.MjsBody, design: SensorDesign
     local = mesh.p_SV.copy()
     local[mesh.interior] = 0.0  # these vertices sit at their own body's origin
     flex.vert = local.ravel().tolist()
-    flex.selfcollide, flex.contype, flex.conaffinity = 0, 0, 0  # the vertex spheres touch, the triangles do not
+    flex.selfcollide, flex.contype, flex.conaffinity = 0, 0, 0  # vertex spheres touch; see `touch_with`
+    flex.condim, flex.priority, flex.friction = 3, 1, [sheet.friction, 0.005, 0.0001]
+    flex.solimp = SOLIMP
     flex.rgba = [0.92, 0.92, 0.9, 1.0]
     # The chamber: a fixed tendon over every vertex joint, whose coefficients become dV/dq at run time (chamber.py).
     tendon = spec.add_tendon(name=TENDON)
@@ -127,39 +86,49 @@ def _add_contact_sphere(vertex: mujoco.MjsBody, name: str, radius: float, fricti
                     priority=1, condim=3, friction=[friction, 0.005, 0.0001], solimp=SOLIMP, group=4)
 
 
+def sheet_stiffness(sheet: Membrane) -> float:
+    """N/m against stretching or, where pre-tension rules, against bulging; sets damping and contact stiffness."""
+    return max(sheet.young * sheet.thickness, 10 * sheet.pretension, SOFTEST)
+
+
+def contact_pressure(sheet: Membrane, pressure_gauge: float) -> float:
+    """A typical pressure under a contact, Pa: tension over a radius of about 10 mm, and the gas."""
+    return sheet_stiffness(sheet) / 0.04 + 3 * abs(pressure_gauge)
+
+
+class ContactStiffness:
+    """Keeps contact as stiff as pressure and tension ask: a vertex sinks in by `CONTACT_DEPTH` under `contact_pressure`.
+
+    MuJoCo's contact softness is proportional to the compiled `body_invweight0` of the bodies, times M / (M + h D) of their
+    joints; that of the vertices is therefore written such that the force on a vertex is (stiffness per area) x (its
+    area) x (depth), whatever step h and damping D. The solver's effort depends on the ratio of this stiffness to the
+    damping, which is the same for all rubber. See `CONTACT_DEPTH`.
+    """
+
+    def __init__(self, model: mujoco.MjModel, vertex_geom_ids: np.ndarray, flex_id: int, mesh: MembraneMesh, sheet: Membrane):
+        self._sheet = sheet
+        bodies = model.geom_bodyid[vertex_geom_ids]
+        self._weights = np.asarray(model.body_invweight0)[bodies[0]:bodies[-1] + 1]  # one block, in the mesh's order
+        time = CONTACT_TIME * float(model.opt.timestep)
+        model.geom_solref[vertex_geom_ids] = model.flex_solref[flex_id] = (time, 1.0)
+        inertia = SURFACE_ARMATURE + sheet.thickness * sheet.density / sheet.pre_stretch**2  # kg/m^2
+        slowed = 1 + float(model.opt.timestep) * SURFACE_DAMPING * sheet_stiffness(sheet) / inertia
+        share = SOLIMP[0]
+        self._soft = share / (1 - share) * slowed * CONTACT_DEPTH / (mesh.areas[mesh.interior] * time**2)
+
+    def set_pressure(self, pressure_gauge: float) -> None:
+        self._weights[:, 0] = self._soft / contact_pressure(self._sheet, pressure_gauge)
+
+
+def touch_with(model: mujoco.MjModel, vertex_geom_ids: np.ndarray, flex_id: int, mode: str) -> None:
+    """Let the membrane be touched at its "vertices", on its triangles ("elements"), or on "both"."""
+    model.geom_conaffinity[vertex_geom_ids] = int(mode != "elements")
+    model.flex_conaffinity[flex_id] = int(mode != "vertices")
+
+
 def pre_stretch(model: mujoco.MjModel, flex_id: int, mesh: MembraneMesh, stretch: float) -> None:
     """Shorten the flex's free edge lengths so that the mounted mesh is stretched by `stretch`; can be called again."""
     start, count = int(model.flex_edgeadr[flex_id]), int(model.flex_edgenum[flex_id])
     edges = np.asarray(model.flex_edge)[start:start + count]
     mounted = np.linalg.norm(mesh.p_SV[edges[:, 1]] - mesh.p_SV[edges[:, 0]], axis=1)
     model.flexedge_length0[start:start + count] = mounted / stretch
-
-
-class MarkerInterpolator:
-    """Where the rigid marker circles ride on the deformed mesh.
-
-    Position and tangents come from a tensor-product cubic spline (not-a-knot) through the vertices, a fixed linear
-    operator: the normals are smooth, where the facets' own would jump from triangle to triangle.
-    """
-
-    def __init__(self, mesh: MembraneMesh, p_SM: Array):
-        """`p_SM` (N, 3) m: marker centres on the flat, mounted membrane."""
-        value_x, slope_x = _spline_rows(mesh.x, p_SM[:, 0])
-        value_y, slope_y = _spline_rows(mesh.y, p_SM[:, 1])
-
-        def tensor(rows_x: Array, rows_y: Array) -> Array:
-            return (rows_x[:, :, None] * rows_y[:, None, :]).reshape(len(p_SM), -1)
-
-        self._operator = np.concatenate([tensor(value_x, value_y), tensor(slope_x, value_y), tensor(value_x, slope_y)])
-
-    def marker_poses(self, p_SV: Array) -> tuple[Array, Array]:
-        """Return centres `p_SM` (N, 3) m and outward unit normals `n_S` (N, 3) for vertex positions `p_SV` (n, 3)."""
-        p_SM, along_x, along_y = (self._operator @ p_SV).reshape(3, -1, 3)
-        normal = np.cross(along_x, along_y)
-        return p_SM, normal / np.linalg.norm(normal, axis=1, keepdims=True)
-
-
-def _spline_rows(knots: Array, at: Array) -> tuple[Array, Array]:
-    """Matrices (N, n) that take values at `knots` to spline values and slopes at `at`."""
-    spline = make_interp_spline(knots, np.eye(len(knots)), k=3)
-    return spline(at), spline.derivative()(at)

@@ -3,7 +3,8 @@
 Format (docs: "Your own object"): one top-level body named `object` with a free joint; a `<custom>` numeric
 `break_force_N` (normal force per finger above which it counts as crushed) and a text `material`. The table's top is
 z = 0, the fingers close along x, and grasp at the height of the body's origin unless a numeric `grasp_height_m` says
-otherwise. Whatever else stands in the file's world (a cup, a stand) comes along.
+otherwise; a numeric `turn_deg` keeps it from being turned about z by more than that (a block between flat fingers).
+Whatever else stands in the file's world (a cup, a stand) comes along.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ PREFIX = "object/"
 
 @dataclass(frozen=True)
 class ObjectModel:
-    """A checked object: `break_force` N per finger, `grasp_height` m above the table, `path` of its MJCF file."""
+    """A checked object: `break_force` N per finger, `grasp_height` m above the table, `path` of its MJCF file, `turn` rad
+    about z by which it may be placed at random."""
 
     name: str
     path: Path
@@ -34,6 +36,7 @@ class ObjectModel:
     material: str
     grasp_height: float
     mass: float
+    turn: float = math.pi
 
 
 def load_object(name_or_path: str | Path) -> ObjectModel:
@@ -48,8 +51,9 @@ def load_object(name_or_path: str | Path) -> ObjectModel:
     break_force = _numeric(spec, path, "break_force_N")
     body = spec.body("object")
     height = _numeric(spec, path, "grasp_height_m", default=float(body.pos[2]))
+    turn = min(math.radians(_numeric(spec, path, "turn_deg", default=180.0)), math.pi)
     mass = _check_compiled(spec, path)
-    return ObjectModel(path.stem, path, break_force, _material(spec, path), height, mass)
+    return ObjectModel(path.stem, path, break_force, _material(spec, path), height, mass, turn)
 
 
 def add_object(scene: mujoco.MjSpec, model: ObjectModel, pose: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:

@@ -11,12 +11,15 @@ import numpy as np
 from mjtactile.design import SensorDesign
 from mjtactile.errors import InputError
 from mjtactile.sim.attach import DEFAULT_MESH, attach, recommend_options
+from mjtactile.sim.switches import PHYSICS
 from mjtactile.sim.world import World
 
 SHAPES = ("sphere:R_mm", "cylinder:R_mm", "box:A_mm", "FILE.stl")
 _LENGTH = 0.03  # m, of a cylinder along its axis
 _CLEARANCE = 0.002  # m above first touch at which the indenter waits
+_STRIDE = 5e-4  # m, less than any indenter's or bulge's height
 _AWAY = 0.05  # m above the world's origin of the drive, where no bulge reaches the indenter
+_STILL = 2e-4  # m/s: vertices in contact keep moving this fast by the solver's tolerance; the force by 0.1 %
 _STIFFNESS, _MASS = 2e5, 0.2  # N/m and kg of the drive: gives way by 5 um at 1 N
 
 
@@ -61,17 +64,21 @@ class Indenter:
 class PressWorld(World):
     """The sensor looks up (S is the world frame); the indenter comes down along -z and can be dragged along x.
 
-    `at` (x, y) m in S, `tilt` rad about y. Depths are counted from first touch of the membrane as it was then.
+    `at` (x, y) m in S, `tilt` rad about y. Depths are counted from first touch of the membrane as it was then. Sensor and
+    drive stand on a carrier that is turned by `mount` (rotation vector, rad) and shaken along its x with `shake`
+    (amplitude m, frequency Hz).
     """
 
     def __init__(self, sensor: SensorDesign | str | Path, indenter: Indenter, *, at: tuple[float, float] = (0.0, 0.0),
-                 tilt: float = 0.0, timestep: float = 4e-3, mesh: tuple[int, int] = DEFAULT_MESH):
+                 tilt: float = 0.0, timestep: float = 4e-3, mesh: tuple[int, int] = DEFAULT_MESH, contact: str = "auto",
+                 effects: frozenset[str] = PHYSICS,
+                 mount: tuple[float, float, float] = (0.0, 0.0, 0.0), shake: tuple[float, float] = (0.0, 0.0)):
         spec = mujoco.MjSpec()
         recommend_options(spec, timestep)
-        spec.worldbody.add_site(name="base")
-        attachment = attach(spec, sensor, site="base", prefix="sensor/", mesh=mesh)
+        carrier = _add_carrier(spec, mount)
+        attachment = attach(spec, sensor, site="base", prefix="sensor/", mesh=mesh, contact=contact, effects=effects)
         self.design = attachment.design
-        body = spec.worldbody.add_body(name="indenter", pos=[*at, _AWAY], gravcomp=1.0)
+        body = carrier.add_body(name="indenter", pos=[*at, _AWAY], gravcomp=1.0)
         for axis, direction in (("x", [1, 0, 0]), ("z", [0, 0, 1])):
             body.add_joint(name=f"drive_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction)
             drive = spec.add_actuator(name=f"drive_{axis}", target=f"drive_{axis}", trntype=mujoco.mjtTrn.mjTRN_JOINT)
@@ -81,8 +88,8 @@ class PressWorld(World):
         super().__init__(spec, [attachment])
         self._x, self._z = (self.model.actuator(f"drive_{axis}").id for axis in "xz")
         self._joints = [self.model.joint(f"drive_{axis}").qposadr[0] for axis in "xz"]
-        self._geom = self.model.geom("indenter").id
         self._touch_height = 0.0
+        self._shake, self._carrier = shake, self.model.actuator("carrier").id
 
     def inflate(self, pressure_gauge: float, *, seal: bool) -> bool:
         """Bring the chamber to `pressure_gauge` Pa, close the valve if `seal`, find first touch; True when it settled."""
@@ -97,23 +104,40 @@ class PressWorld(World):
 
     def press(self, depth: float, shear: float = 0.0, speed: float = 0.02) -> bool:
         """Drive to `depth` m below first touch and `shear` m along x at `speed` m/s, then settle; True when it did."""
+        self.drive(depth, shear, speed)
+        return self.settle(speed=_STILL)
+
+    def drive(self, depth: float, shear: float = 0.0, speed: float = 0.02) -> None:
+        """The same without waiting: the world moves on by the time that the way takes."""
         start, goal = self.data.ctrl[[self._x, self._z]], np.array([shear, self._touch_height - depth])
-        count = max(1, int(np.ceil(np.abs(goal - start).max() / (speed * self.timestep))))
+        count = max(1, int(np.ceil(np.abs(goal - start).max() / (speed * self.timestep) - 1e-9)))
         for part in np.linspace(0, 1, count + 1)[1:]:
             for actuator, value in zip((self._x, self._z), start + part * (goal - start), strict=True):
                 self.set_control(actuator, value)
             self.step()
-        return self.settle()
 
     def settle(self, time_limit: float = 1.0, speed: float = 2e-5) -> bool:
-        """Step until nothing moves faster than `speed` m/s for 20 ms; False when that was not reached in time."""
+        """Step until nothing moves faster than `speed` m/s for 20 ms; False when that was not reached in time.
+
+        A shaken mount never rests: it is given 0.2 s.
+        """
+        if self._shake[0]:
+            self.step(round(0.2 / self.timestep))
+            return True
         needed, still = round(0.02 / self.timestep) + 1, 0
         for _ in range(round(time_limit / self.timestep)):
             self.step()
             still = still + 1 if np.abs(self.data.qvel).max() < speed else 0
             if still >= needed:
                 return True
+        self.flags.setdefault("unsettled", f"did not come to rest in {time_limit:g} s: forces are those of a moving membrane; "
+                                           "use a smaller timestep")
         return False
+
+    def _before_step(self) -> None:
+        amplitude, frequency = self._shake
+        if amplitude:
+            self.set_control(self._carrier, amplitude * np.sin(2 * np.pi * frequency * self.time))
 
     @property
     def depth(self) -> float:
@@ -126,19 +150,40 @@ class PressWorld(World):
         return np.array([self.data.actuator_force[self._x], 0.0, self.data.actuator_force[self._z]])
 
     def _find_touch(self) -> None:
-        """Lower the indenter by its distance to the membrane until that is nothing, then raise it by a clearance."""
-        geoms = self.sensors[0].vertex_geom_ids
-        height = 0.0
-        for _ in range(100):
-            self._place(height)
-            gap = min(mujoco.mj_geomDistance(self.model, self.data, int(g), self._geom, 0.5, None) for g in geoms)
-            height -= gap
-            if abs(gap) < 1e-7:
-                break
-        self._touch_height = height
-        self._place(height + _CLEARANCE)
+        """Lower the indenter until it touches, by halving; then raise it by a clearance.
+
+        Raises InputError when it touches nothing above the glass: a pin beside every vertex.
+        """
+        low, high = _AWAY, _AWAY
+        while not self._touches(low):
+            low, high = low - _STRIDE, low
+            if low < -_AWAY - self.design.chamber.depth:
+                raise InputError("slips between the membrane's vertices; contact 'elements' feels it", source="press",
+                                 field="indenter")
+        while high - low > 1e-8:
+            middle = (low + high) / 2
+            low, high = (middle, high) if self._touches(middle) else (low, middle)
+        self._touch_height = high
+        self._place(high + _CLEARANCE)
+
+    def _touches(self, height: float) -> bool:
+        self._place(height)
+        return bool((self.data.contact.dist < 0).any())
 
     def _place(self, height: float) -> None:
         self.data.qpos[self._joints[1]] = height
         self.set_control(self._z, height)
         mujoco.mj_forward(self.model, self.data)
+
+
+def _add_carrier(spec: mujoco.MjSpec, mount: tuple[float, float, float]) -> mujoco.MjsBody:
+    """A heavy body on a stiff slide that carries the sensor's site "base"."""
+    angle = float(np.linalg.norm(mount))
+    axis = np.asarray(mount) / angle if angle else np.array([0.0, 0.0, 1.0])
+    carrier = spec.worldbody.add_body(name="carrier", quat=[np.cos(angle / 2), *(np.sin(angle / 2) * axis)], gravcomp=1.0)
+    carrier.mass, carrier.inertia, carrier.explicitinertial = 1.0, [1e-3] * 3, True
+    carrier.add_joint(name="carrier", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
+    drive = spec.add_actuator(name="carrier", target="carrier", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    drive.set_to_position(kp=_STIFFNESS, kv=2 * np.sqrt(_STIFFNESS))
+    carrier.add_site(name="base")
+    return carrier

@@ -8,13 +8,20 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import numpy as np
 
 from mjtactile.design import SensorDesign
+from mjtactile.fidelity import Fidelity
 from mjtactile.rig import Limits, Rig
+from mjtactile.sim.attach import DEFAULT_MESH
 from mjtactile.sim.camera import Renderer
+from mjtactile.sim.effects import DEFAULT_FORCE_ERROR, choose
 from mjtactile.sim.gripper import GraspWorld
+from mjtactile.sim.objects import load_object
+from mjtactile.sim.switches import CAMERA, set_design, set_picture
 from mjtactile.types import Command, GripperState, Image, ValveState
 
 _SCATTER = 2e-3  # m, to each side
-_LARGEST_STEP = 4e-3  # s; contact forces are within 3 % of their converged value (docs/equations.md)
+_LARGEST_STEP = 6.7e-3  # s; against 1 ms, forces change by 1 mN (docs/accuracy.md)
+_EXPOSURE = 8e-3  # s, for motion blur
+_SHUTTER = (0.0, 0.5, 1.0)  # shares of the exposure at which the moving markers are drawn
 
 
 class SimClock:
@@ -68,14 +75,25 @@ class SimClock:
 class SimCamera:
     """Renders one sensor's image when it is read, and not otherwise."""
 
-    def __init__(self, world: GraspWorld, sensor: int, seed: int):
+    def __init__(self, world: GraspWorld, sensor: int, seed: int, effects: frozenset[str] = CAMERA):
+        """`effects`: what is drawn; "latency" hands out the image before, "motion blur" keeps the shutter open."""
         self._world, self._sensor = world, sensor
-        self._renderer = Renderer(world.design, seed=seed)
+        self._renderer = Renderer(set_picture(world.design, effects), seed=seed)
+        self._moving, self._late = "motion blur" in effects, "latency" in effects
+        self._before: Image | None = None
 
     def read(self) -> Image:
         """The image of the membrane now."""
-        p_SM, n_S = self._world.marker_poses(self._sensor)
-        return self._renderer.render(p_SM, n_S, self._world.time)
+        image = self._blurred() if self._moving else self._renderer.render(
+            *self._world.marker_poses(self._sensor), self._world.time)
+        before, self._before = self._before, image
+        return before if self._late and before is not None else image
+
+    def _blurred(self) -> Image:
+        """The mean of what the sensor sees over the exposure that ends now."""
+        poses = [self._world.sensors[self._sensor].marker_poses_before(share * _EXPOSURE) for share in _SHUTTER]
+        gray = np.asarray(np.mean([self._renderer.irradiance_image(*pose) for pose in poses], axis=0, dtype=np.float32))
+        return self._renderer.expose(gray, self._world.time)
 
 
 class SimValve:
@@ -114,18 +132,30 @@ class SimGripper:
         self._world.set_lift_target(command.lift_height)
 
 
-def build_sim_rig(design: SensorDesign, *, object_name: str, seed: int) -> Rig:
-    """A simulated grasp. `seed` places the object by a few millimetres and fixes the cameras' noise."""
+def build_sim_rig(design: SensorDesign, *, object_name: str, seed: int, accuracy: str = "", effects: str = "auto") -> Rig:
+    """A simulated grasp. `seed` places the object by a few millimetres and fixes the cameras' noise.
+
+    `accuracy` is "", "0.02N" or "realtime" (fidelity.py), `effects` "auto" or "+name,-name" (effects.py).
+    """
     rng = np.random.default_rng(seed)
-    steps = int(np.ceil(1 / (design.camera.rate * _LARGEST_STEP)))  # a whole number of steps per camera frame
+    fidelity = Fidelity.parse(accuracy) if accuracy else None
+    largest = _LARGEST_STEP if fidelity is None else fidelity.timestep * (1 + 1e-9)
+    steps = int(np.ceil(1 / (design.camera.rate * largest)))  # a whole number of steps per camera frame
     x, y = rng.uniform(-_SCATTER, _SCATTER, 2)
-    world = GraspWorld(design, object_name, timestep=1 / (design.camera.rate * steps),
-                       object_pose=(x, y, rng.uniform(-np.pi, np.pi)))
+    grasped = load_object(object_name)
+    wanted = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.force_error
+    on = choose(design, grasped, force_error=wanted, overrides=effects).on
+    design = set_design(design, on)
+    world = GraspWorld(design, grasped, timestep=1 / (design.camera.rate * steps), effects=on,
+                       mesh=DEFAULT_MESH if fidelity is None else fidelity.mesh,
+                       object_pose=(x, y, grasped.turn * rng.uniform(-1, 1)))
+    if fidelity is not None:
+        world.model.opt.tolerance = fidelity.tolerance
     clock = SimClock(world)
     seeds = rng.integers(2**31, size=len(world.sensors))
     return Rig(
         name="sim", design=design,
-        cameras=tuple(SimCamera(world, i, int(s)) for i, s in enumerate(seeds)),
+        cameras=tuple(SimCamera(world, i, int(s), on) for i, s in enumerate(seeds)),
         valves=tuple(SimValve(world, i) for i in range(len(world.sensors))),
         gripper=SimGripper(world, clock), clock=clock,
         limits=Limits(opening=(0.0, world.max_opening), force=8.0), close=clock.close, scene=world)

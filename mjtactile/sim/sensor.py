@@ -7,8 +7,10 @@ import numpy as np
 
 from mjtactile.design import SensorDesign
 from mjtactile.errors import InputError
-from mjtactile.sim.chamber import ChamberGeometry, Gas, GasTendon
-from mjtactile.sim.membrane import FLEX, TENDON, MarkerInterpolator, MembraneMesh, pre_stretch
+from mjtactile.sim import features, limits
+from mjtactile.sim.membrane import FLEX, ContactStiffness, pre_stretch, touch_with
+from mjtactile.sim.mesh import MarkerInterpolator, MembraneMesh
+from mjtactile.sim.switches import PHYSICS, make_gas, make_geometry, make_load
 from mjtactile.types import Array
 
 GLASS_MARGIN = 0.02
@@ -23,27 +25,33 @@ class TactileSensor:
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, design: SensorDesign, mesh: MembraneMesh,
-                 prefix: str):
+                 prefix: str, contact: str = "auto", effects: frozenset[str] = PHYSICS):
+        """`contact`: what of the membrane touches, "vertices", "elements", "both", or "auto" by the scene's smallest feature."""
         self.design, self.mesh, self.prefix = design, mesh, prefix
+        self._data, self._timestep = data, float(model.opt.timestep)
         self.flex_id = _require(model, mujoco.mjtObj.mjOBJ_FLEX, prefix + FLEX)
         self.body_id = _require(model, mujoco.mjtObj.mjOBJ_BODY, prefix + "sensor")
         names = [f"{prefix}v{v}" for v in mesh.interior]
         self.vertex_geom_ids = np.array([_require(model, mujoco.mjtObj.mjOBJ_GEOM, name) for name in names])
         pre_stretch(model, self.flex_id, mesh, design.membrane.pre_stretch)
         model.flex_damping[self.flex_id] = 0.0  # a trace is needed to compile without a warning, none to simulate
-        # Time constant of contact: at 1 step it takes twice the iterations, at 2 objects sink in 1.7 times as deep.
-        model.geom_solref[self.vertex_geom_ids] = (1.5 * model.opt.timestep, 1.0)
-        self._tendon = GasTendon(model, data, _require(model, mujoco.mjtObj.mjOBJ_TENDON, prefix + TENDON))
-        self._geometry = ChamberGeometry(mesh, design.chamber_volume_flat)
+        self.contact = features.contact_model(model, mesh) if contact == "auto" else contact
+        touch_with(model, self.vertex_geom_ids, self.flex_id, self.contact)
+        self._contact_stiffness = ContactStiffness(model, self.vertex_geom_ids, self.flex_id, mesh, design.membrane)
+        self._tendon = make_load(model, data, mesh, prefix, effects)
+        self._geometry = make_geometry(mesh, design.chamber_volume_flat, effects)
         self._markers = MarkerInterpolator(mesh, design.markers.p_SM)
-        self._gas = Gas(design.chamber.ambient, design.chamber.heat_ratio)
+        self._gas, self._time = make_gas(design.chamber, effects), float(data.time)
         self.update()
 
     def update(self) -> None:
         """Bring gas volume, pressure and stiffness up to the present state; call before every `mj_step`."""
         self._volume, gradient = self._geometry.volume_and_gradient(self.p_SV)
-        self._pressure, stiffness = self._gas.pressure_and_stiffness(self._volume)
-        self._tendon.apply(self._pressure, stiffness, gradient)
+        time = float(self._data.time)
+        self._gas.advance(self._volume, time - self._time)
+        self._time, pressure = time, self._gas.pressure_gauge
+        self._tendon.apply(pressure, self._gas.stiffness(self._timestep), gradient)
+        self._contact_stiffness.set_pressure(pressure)
 
     @property
     def p_SV(self) -> Array:
@@ -56,23 +64,40 @@ class TactileSensor:
         """Marker centres `p_SM` (N, 3) m and outward unit normals `n_S` (N, 3), in the order of the design's layout."""
         return self._markers.marker_poses(self.p_SV)
 
+    def marker_poses_before(self, seconds: float) -> tuple[Array, Array]:
+        """Where the markers were `seconds` ago, if they moved as they do now; for motion blur."""
+        p_SV = self.p_SV
+        velocity = np.asarray(self._data.qvel)[self._tendon.dofs].reshape(-1, 3)
+        p_SV[self.mesh.interior] -= seconds * velocity
+        return self._markers.marker_poses(p_SV)
+
     def height_at(self, x: float, y: float) -> float:
         """Height, m, of the material point (x, y) of the flat sheet, from the spline that carries the markers."""
         return float(MarkerInterpolator(self.mesh, np.array([[x, y, 0.0]])).marker_poses(self.p_SV)[0][0, 2])
 
     def stretch_and_area(self) -> tuple[float, float]:
         """Largest principal stretch against the free sheet over all triangles, and the membrane's area, m^2."""
+        stretches, areas = self.stretches()
+        return float(stretches.max()), float(areas.sum())
+
+    def stretches(self) -> tuple[Array, Array]:
+        """Principal stretches (m, 2), small and large, of each triangle against the free sheet, and its area (m,) m^2."""
         flat, now = self.mesh.p_SV[self.mesh.triangles], self.p_SV[self.mesh.triangles]
         edges, moved = flat[:, 1:, :2] - flat[:, :1, :2], now[:, 1:] - now[:, :1]
         F = np.linalg.solve(edges, moved)  # rows: dx/dX and dx/dY, (m, 2, 3)
-        largest = np.linalg.eigvalsh(F @ F.transpose(0, 2, 1))[:, 1].max()
-        area = 0.5 * np.linalg.norm(np.cross(moved[:, 0], moved[:, 1]), axis=1).sum()
-        return self.design.membrane.pre_stretch * float(np.sqrt(largest)), float(area)
+        squares = np.linalg.eigvalsh(F @ F.transpose(0, 2, 1))
+        area = 0.5 * np.linalg.norm(np.cross(moved[:, 0], moved[:, 1]), axis=1)
+        return self.design.membrane.pre_stretch * np.sqrt(np.maximum(squares, 0.0)), area
 
     @property
     def pressure_gauge(self) -> float:
         """Gauge pressure in the chamber, Pa, at the last `update`."""
-        return self._pressure
+        return self._gas.pressure_gauge
+
+    @property
+    def gas_temperature(self) -> float:
+        """Temperature of the gas at the last `update`, K."""
+        return self._gas.temperature
 
     @property
     def volume(self) -> float:
@@ -84,13 +109,25 @@ class TactileSensor:
         return self._gas.is_open
 
     def open_valve(self, supply_gauge: float | None = None) -> None:
-        """Connect the chamber to a supply at `supply_gauge` Pa (default: the design's); the pressure follows at once."""
+        """Connect the chamber to a supply at `supply_gauge` Pa (default: the design's).
+
+        The pressure follows at once, or through the valve's conductance where the design gives one.
+        """
+        self.update()
         self._gas.open(self.design.chamber.supply_gauge if supply_gauge is None else supply_gauge)
 
     def close_valve(self) -> None:
         """Trap the gas that is in the chamber now."""
         self.update()
-        self._gas.close(self._volume)
+        self._gas.close()
+
+    def puncture(self, conductance: float) -> None:
+        """Make a hole to ambient of `conductance` m^3/(s Pa); 0 mends it."""
+        self._gas.puncture(conductance)
+
+    def flags(self) -> limits.Flags:
+        """What makes the present numbers less good than they look; empty when nothing does."""
+        return limits.state_flags(self)
 
     def failure(self) -> str | None:
         """Say why this sensor's state is outside what the model describes, or None."""

@@ -22,7 +22,7 @@ def contact_forces(world: World, sensor: int) -> tuple[Array, Array, Array]:
     """Forces `f_S` (n, 3) N that the world exerts on membrane `sensor`, their points `p_S` (n, 3) m, and penetration
     depths (n,) m, one row per contact, in the order of MuJoCo's contact list."""
     model, data, device = world.model, world.data, world.sensors[sensor]
-    on_membrane = np.isin(data.contact.geom, device.vertex_geom_ids)  # (ncon, 2)
+    on_membrane = np.isin(data.contact.geom, device.vertex_geom_ids) | (data.contact.flex == device.flex_id)  # (ncon, 2)
     rows = np.flatnonzero(on_membrane.any(axis=1))
     f_W, buffer = np.zeros((len(rows), 3)), np.zeros(6)
     for k, row in enumerate(rows):
@@ -45,10 +45,13 @@ def contact_torque(world: World, sensor: int) -> Array:
 
 
 def contact_area(world: World, sensor: int) -> float:
-    """Area of contact, m^2: the sheet that the touching vertices stand for."""
+    """Area of contact, m^2: the sheet that the touching vertices stand for, or a third of each touching triangle."""
     device, data = world.sensors[sensor], world.data
-    touching = np.isin(device.vertex_geom_ids, data.contact.geom)
-    return float(device.mesh.areas[device.mesh.interior][touching].sum())
+    if device.contact == "vertices":
+        touching = np.isin(device.vertex_geom_ids, data.contact.geom)
+        return float(device.mesh.areas[device.mesh.interior][touching].sum())
+    elements = np.unique(data.contact.elem[data.contact.flex == device.flex_id])
+    return float(device.stretches()[1][elements[elements >= 0]].sum() / 3)
 
 
 def penetration(world: World, sensor: int) -> float:

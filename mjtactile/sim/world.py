@@ -9,16 +9,20 @@ import numpy as np
 
 from mjtactile.errors import InputError, SimulationError
 from mjtactile.sim.attach import Attachment
+from mjtactile.sim.limits import Flags, Monitor
 from mjtactile.sim.log import route_warnings
 from mjtactile.sim.sensor import TactileSensor
 from mjtactile.types import Array
+
+_LOOK_EVERY = 0.02  # s, between the checks that cost more than a few microseconds
 
 
 class World:
     """Owns model and data of a scene with attached sensors.
 
     MuJoCo answers divergence by silently resetting the state and rewinding time. Here that is off, and every step is
-    checked for it: `step` raises SimulationError, never returns a wrong number.
+    checked for it: `step` raises SimulationError, never returns a wrong number. What makes the numbers worse than usual
+    is in `flags`: the kind of doubt, and its reason when it was first seen.
     """
 
     def __init__(self, spec: mujoco.MjSpec, attachments: Sequence[Attachment]):
@@ -32,6 +36,10 @@ class World:
         mujoco.mj_forward(self.model, self.data)
         self.sensors: tuple[TactileSensor, ...] = tuple(a.bind(self.model, self.data) for a in attachments)
         self.step_count = 0
+        self._monitor = Monitor(self.model, self.data, self.sensors)
+        self.flags: Flags = self._monitor.built()
+        self._unsolved = [0, 0]  # steps whose solver ran out of iterations, since the last look and in the one before
+        self._look_every = max(1, round(_LOOK_EVERY / self.timestep))
         self._watchers: list[Callable[[], None]] = []
 
     @property
@@ -42,6 +50,11 @@ class World:
     @property
     def timestep(self) -> float:
         return float(self.model.opt.timestep)
+
+    @property
+    def kinetic_energy(self) -> float:
+        """J, with each joint's inertia at the model's reference pose; what no quiet scene may gain."""
+        return float(0.5 * np.asarray(self.model.dof_M0) @ np.square(self.data.qvel))
 
     def set_control(self, actuator: int, value: float) -> None:
         """Set one actuator's control. Raises InputError when it is not finite (MuJoCo would take it for zero)."""
@@ -84,6 +97,19 @@ class World:
             reason = sensor.failure()
             if reason:
                 self._fail(reason)
+        self._unsolved[0] += int(data.solver_niter[0] >= self.model.opt.iterations)
+        if self.step_count % self._look_every == 0:
+            self._look()
+
+    def _look(self) -> None:
+        flags, stop = self._monitor.look()
+        if min(self._unsolved) > 0.5 * self._look_every:
+            flags["solver"] = (f"the solver did not converge in {self.model.opt.iterations} iterations: forces are rough; use a "
+                               "smaller timestep")
+        self._unsolved = [0, self._unsolved[0]]
+        self.flags = flags | self.flags
+        if stop:
+            self._fail(stop)
 
     def _fail(self, reason: str) -> None:
         raise SimulationError(reason, step=self.step_count, time=self.time)

@@ -67,7 +67,7 @@ def test_penetration_is_a_small_share_of_the_indentation(held):
         points = truth.contact_forces(held, i)[1]
         free_bulge = 2.4e-3  # of this sensor at 1 kPa (test_membrane)
         indentation = free_bulge - points[:, 2].min()
-        assert truth.penetration(held, i) < 0.05 * indentation, sensor.prefix
+        assert truth.penetration(held, i) < 0.03 * indentation, sensor.prefix
 
 
 def test_pressure_rises_alike_in_both_chambers(held):
@@ -173,3 +173,86 @@ def test_sealed_membrane_at_rest_gains_no_energy():
         speeds.append(np.abs(world.data.qvel).max())
     assert all(later <= earlier + 1e-7 for earlier, later in zip(speeds, speeds[1:], strict=False))
     assert speeds[-1] < 1e-6  # m/s; both bounds are the solver's own noise
+
+
+def test_no_energy_is_gained_with_the_valve_closed_and_nothing_moving():
+    """Kinetic energy of a struck, sealed membrane: from one 40 ms to the next it never grows."""
+    spec = mujoco.MjSpec()
+    recommend_options(spec)
+    spec.option.gravity = [0, 0, 0]
+    spec.worldbody.add_site(name="mount")
+    world = World(spec, [attach(spec, "paper16", site="mount", mesh=MESH)])
+    world.sensors[0].open_valve()
+    world.step(100)
+    world.sensors[0].close_valve()
+    world.data.qvel[:] = 0.05 * np.random.default_rng(0).standard_normal(world.model.nv)
+    energy = []
+    for _ in range(10):
+        energy.append(world.kinetic_energy)
+        world.step(10)
+    assert energy[1] < 0.1 * energy[0]  # the sheet's damping settles it in about 10 ms
+    assert all(b <= a + 1e-15 for a, b in zip(energy, energy[1:], strict=False))  # J; the solver's noise
+
+
+def test_two_membranes_hold_a_sheet_by_friction():
+    from mjtactile.sim.trials import Body, PinchWorld
+
+    world = PinchWorld("paper16", Body("plate", 1e-3, 2e-3), pressure_gauge=1000.0, squeeze=1e-3, timestep=2e-3, mesh=MESH)
+    world.step(150)
+    left, right = np.zeros(3), np.zeros(3)
+    for _ in range(50):
+        world.step()
+        left += truth.contact_force(world, 0) / 50
+        right += truth.contact_force(world, 1) / 50
+    assert left[2] == pytest.approx(right[2], rel=0.01)  # the solver's noise; both squeeze the same sheet
+    # S has x down on the left finger and up on the right. 3 %: the sheet still creeps by micrometres
+    assert left[0] - right[0] == pytest.approx(world.weight, rel=0.03)
+    assert world.drop < 3e-4  # m: the sheets shear under 2 g
+
+
+def test_an_object_rests_on_nothing_but_a_membrane():
+    from mjtactile.sim.trials import Body, DropWorld
+
+    world = DropWorld("paper16", Body("box", 0.015, 0.03), pressure_gauge=500.0, mesh=MESH)
+    world.step(400)
+    force = np.zeros(3)
+    for _ in range(25):
+        world.step()
+        force += truth.contact_force(world, 0) / 25
+    assert -force[2] == pytest.approx(world.weight, rel=0.02)  # residual rocking
+    assert np.abs(force[:2]).max() < 0.02 * world.weight
+
+
+@pytest.mark.parametrize("speed", [0.5, 2.0])
+def test_a_weight_that_strikes_the_membrane_ends_up_carried(speed):
+    """Up to 2 m/s: the blow is felt, the energy goes, and the force at rest is the weight."""
+    from mjtactile.sim.trials import Body, DropWorld
+
+    world = DropWorld("paper16", Body("sphere", 0.01, 0.02), pressure_gauge=1000.0, speed=speed, timestep=1e-3, mesh=MESH,
+                      guided=True)
+    strike, energy = 0.0, []
+    for _ in range(2500):
+        world.step()
+        strike = max(strike, -truth.contact_force(world, 0)[2])
+        energy.append(world.kinetic_energy)
+    assert strike > 5 * world.weight
+    assert max(energy) < 1.1 * (0.5 * 0.02 * speed**2 + 0.02 * 9.81 * 0.02)  # never more than it came with, and fell by
+    force = np.mean([-truth.contact_force(world, 0)[2] for _ in range(20) if world.step() is None])
+    assert force == pytest.approx(world.weight, rel=0.02)
+
+
+def test_a_shaken_mount_presses_as_a_still_one_does():
+    from mjtactile.sim.press import Indenter, PressWorld
+
+    forces = []
+    for shake in ((0.0, 0.0), (2e-3, 10.0)):
+        world = PressWorld("paper16", Indenter.parse("sphere:8"), mesh=MESH, mount=(0.4, 0.9, 0.2), shake=shake)
+        world.inflate(1000.0, seal=True)
+        world.press(2e-3)
+        force = 0.0
+        for _ in range(50):  # two periods
+            world.step()
+            force -= truth.contact_force(world, 0)[2] / 50
+        forces.append(force)
+    # 8 m/s^2 on 0.5 g of sheet: 4 mN to and fro, which averages out; the gas and the drive do not notice
+    assert forces[1] == pytest.approx(forces[0], rel=0.02)

@@ -3,18 +3,19 @@
 import mujoco
 import numpy as np
 import pytest
+from membrane_scenes import scene, settle
 
 from mjtactile.design import Chamber, Frame, Membrane, load_sensor
 from mjtactile.sim.attach import attach, recommend_options
 from mjtactile.sim.chamber import ChamberGeometry
-from mjtactile.sim.membrane import MarkerInterpolator, make_mesh
+from mjtactile.sim.mesh import MarkerInterpolator, make_mesh
 from mjtactile.sim.world import World
 
 # Rectangle 2a x 2b, p = C1 T0 w0 / a^2 + C2 E h w0^3 / a^4, each term exact where the other vanishes. Recomputed for
 # this project by Ritz, series and finite elements, which agree to 0.01 %: keys are b/a, then Poisson's ratio.
 C1 = {1.0: 3.39345, 4 / 3: 2.66753, 1.5: 2.48086, 2.0: 2.19545}
-C2 = {1.0: {0.3: 2.65658, 0.45: 3.22296}, 4 / 3: {0.3: 1.77660, 0.45: 2.12927},
-      1.5: {0.3: 1.63875, 0.45: 1.94600}, 2.0: {0.3: 1.50873, 0.45: 1.75557}}
+C2 = {1.0: {0.3: 2.65658, 0.45: 3.22296, 0.49: 3.42903}, 4 / 3: {0.3: 1.77660, 0.45: 2.12927, 0.49: 2.25844},
+      1.5: {0.3: 1.63875, 0.45: 1.94600, 0.49: 2.05926}, 2.0: {0.3: 1.50873, 0.45: 1.75557, 0.49: 1.84867}}
 SHORT = 0.03  # m, the shorter side
 
 
@@ -26,33 +27,15 @@ def sensor(aspect=4 / 3, poisson=0.45, pre_stretch=1.05, **chamber):
                    membrane=Membrane(3e-4, 1e6, poisson, 950.0, pre_stretch))
 
 
-def scene(design, mesh=(13, 11), timestep=8e-3, gravity=(0, 0, 0)):
-    """One sensor at rest on the world."""
-    spec = mujoco.MjSpec()
-    recommend_options(spec, timestep)
-    spec.option.gravity = gravity
-    spec.worldbody.add_site(name="mount")
-    return World(spec, [attach(spec, design, site="mount", mesh=mesh)])
-
-
-def settle(world, pressure, speed=1e-6):
-    """Open the valve at `pressure` and step until nothing moves faster than `speed` m/s."""
-    world.sensors[0].open_valve(pressure)
-    for _ in range(100):
-        world.step(10)
-        if np.abs(world.data.qvel).max() < speed:
-            return
-    raise AssertionError("did not settle")
-
-
 def centre_height(world):
     mesh = world.sensors[0].mesh
     return world.sensors[0].p_SV[(mesh.nx // 2) * mesh.ny + mesh.ny // 2, 2]
 
 
+@pytest.mark.parametrize("poisson", [0.3, 0.45, 0.49])
 @pytest.mark.parametrize("aspect", C1)
-def test_small_bulge_is_the_pretensioned_membranes(aspect):
-    design = sensor(aspect)
+def test_small_bulge_is_the_pretensioned_membranes(aspect, poisson):
+    design = sensor(aspect, poisson)
     world = scene(design)
     pressure = 20.0  # w0 / a < 0.6 %: the cubic term is 1e-4 of the linear one
     settle(world, pressure, speed=1e-7)
@@ -61,7 +44,7 @@ def test_small_bulge_is_the_pretensioned_membranes(aspect):
     assert centre_height(world) == pytest.approx(theory, rel=0.015)
 
 
-@pytest.mark.parametrize("poisson", [0.3, 0.45])
+@pytest.mark.parametrize("poisson", [0.3, 0.45, 0.49])
 @pytest.mark.parametrize("aspect", C2)
 def test_large_bulge_without_pretension_is_cubic(aspect, poisson):
     design = sensor(aspect, poisson, pre_stretch=1.0)
@@ -71,6 +54,19 @@ def test_large_bulge_without_pretension_is_cubic(aspect, poisson):
     settle(world, pressure)
     theory = a * (pressure * a / (C2[aspect][poisson] * stiffness)) ** (1 / 3)
     assert centre_height(world) == pytest.approx(theory, rel=0.015)  # as above
+
+
+@pytest.mark.parametrize("pre_stretch", [1.0, 1.05])
+def test_fine_mesh_is_within_three_per_mille(pre_stretch):
+    design = sensor(1.5, pre_stretch=pre_stretch)
+    world = scene(design, mesh=(33, 27))
+    a, stiffness = SHORT / 2, 1e6 * 3e-4
+    pressure = 20.0 if pre_stretch > 1 else 1e-3 * stiffness / a
+    settle(world, pressure, speed=2e-6)
+    linear = pressure * a**2 / (C1[1.5] * design.membrane.pretension) if pre_stretch > 1 else np.inf
+    cubic = a * (pressure * a / (C2[1.5][0.45] * stiffness)) ** (1 / 3)
+    # second order: (12 x 10) / (32 x 26) of the default mesh's 1.3 % is 0.2 %; the project's bound
+    assert centre_height(world) == pytest.approx(min(linear, cubic), rel=3e-3)
 
 
 def test_bulge_converges_at_second_order():
@@ -137,19 +133,6 @@ def test_sealed_gas_keeps_its_amount_under_outside_pressure():
     assert device.pressure_gauge > 1200.0  # it did compress: 2 mm of a 25 ml chamber
 
 
-@pytest.mark.parametrize("heat_ratio", [1.0, 1.4])
-def test_gas_stiffness_is_the_slope_of_its_pressure(heat_ratio):
-    from mjtactile.sim.chamber import Gas
-
-    gas = Gas(101325.0, heat_ratio)
-    gas.open(1000.0)
-    gas.close(2.5e-5)
-    _, stiffness = gas.pressure_and_stiffness(2.4e-5)
-    step = 1e-10
-    slope = (gas.pressure_and_stiffness(2.4e-5 - step)[0] - gas.pressure_and_stiffness(2.4e-5 + step)[0]) / (2 * step)
-    assert stiffness == pytest.approx(slope, rel=1e-6)  # central difference of a smooth law
-
-
 def test_gas_in_a_thin_chamber_is_stable_at_a_long_step():
     """1 mm of air under 12 cm^2 is twenty times stiffer than the shipped sensor's; an explicit pressure explodes here."""
     from dataclasses import replace
@@ -195,7 +178,7 @@ def test_contact_force_and_penetration():
 
     coarse, fine = pressed(sensor(), 2e-3), pressed(sensor(), 2e-3, mesh=(25, 19))
     force, reference = (-truth.contact_force(w, 0)[2] for w in (coarse, fine))
-    assert truth.penetration(coarse, 0) < 0.05 * 2e-3  # the issue's bound
+    assert truth.penetration(coarse, 0) < 0.03 * 2e-3  # the issue's bound
     assert force == pytest.approx(reference, rel=0.05)  # the issue's bound for the real-time mesh
     sideways = truth.contact_force(coarse, 0)[:2]
     assert np.abs(sideways).max() < 0.01 * force  # pressed at the centre: symmetric

@@ -1,0 +1,139 @@
+"""`mjtactile bench effects`: what each effect costs, and what leaving it out costs; and that all-off leaves nothing behind.
+
+Each switch alone, against everything on: ms per simulated second of two sensors holding an egg, force and surface of a
+pressed sphere. Camera effects: ms an image. "Nothing behind": a scene with no sensor stepped by `World` and by MuJoCo
+alone; and a membrane with every effect off against one that was never offered any.
+"""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjtactile.bench.accuracy import stamp
+from mjtactile.bench.settings import HOLD_FORCE, SENSOR, attempt, core_ms, hold
+from mjtactile.design import SensorDesign, load_sensor
+from mjtactile.progress import Progress
+from mjtactile.recording import write_json
+from mjtactile.sim import rigid, truth
+from mjtactile.sim.camera import Renderer
+from mjtactile.sim.gripper import GraspWorld
+from mjtactile.sim.press import Indenter, PressWorld
+from mjtactile.sim.switches import CAMERA, PHYSICS, set_design, set_picture
+
+_STEP = 1 / 240
+_ALL = PHYSICS | CAMERA
+_REAL_GAS = {"heat_ratio": 1.4, "heat_exchange": 1.0, "valve_conductance": 1e-7}
+
+
+def run(out: Path, quick: bool = False) -> dict[str, Any]:
+    """Measure every switch; writes effects.json, which the table of `mjtactile effects` reads."""
+    say, design = Progress().message, load_sensor(SENSOR)
+    names = ("bending", "gas") if quick else ("gas", "bending", "friction", "gravity", "follower pressure", "servo dynamics",
+                                              "heat exchange", "valve flow", "camera noise", "blur", "distortion", "refraction",
+                                              "LED shading", "motion blur")
+    effects = {}
+    for name in names:
+        effects[name] = attempt(lambda name=name: _measure(name, design))
+        say(f"{name}: {effects[name]}")
+    result = {"stamp": stamp(), "effects": effects, "nothing_left": _nothing_left(design),
+              "date": f"{datetime.date.today():%Y-%m-%d}"}
+    good = {name: row for name, row in effects.items() if "failed" not in row}
+    write_json(out / "effects_table.json", {"stamp": result["stamp"], "effects": good})
+    return result
+
+
+def _measure(name: str, design: SensorDesign) -> dict[str, float]:
+    """Cost of the effect (ms per simulated s) and what changes without it (N, um)."""
+    if name in ("heat exchange", "valve flow"):
+        design = replace(design, chamber=replace(design.chamber, **_REAL_GAS))
+        base = _ALL | {"heat exchange", "valve flow"}
+    else:
+        base = _ALL
+    on, off = base | {name}, base - {name}
+    if name in CAMERA or name == "motion blur":
+        cost = 2 * design.camera.rate * (_image_ms(design, on) - _image_ms(design, off))
+        return {"cost_ms_per_s": cost, "force_N": float("nan"), "surface_um": _shift(design, on, off)}
+    costs = np.array([[_hold_ms(design, effects) for effects in (on, off)] for _ in range(3)])
+    pressed = [_press(design, effects) for effects in (on, off)]
+    moved = np.linalg.norm(pressed[0][1] - pressed[1][1], axis=1)
+    if name == "servo dynamics":  # a press has no jaw: nothing to compare
+        moved, pressed = moved * np.nan, [(np.nan, pressed[0][1])] * 2
+    return {"cost_ms_per_s": float(np.median(costs[:, 0] - costs[:, 1])), "force_N": abs(pressed[0][0] - pressed[1][0]),
+            "surface_um": 1e6 * float(np.sqrt(np.mean(moved**2)))}
+
+
+def _hold_ms(design: SensorDesign, effects: frozenset[str]) -> float:
+    """Core ms per simulated second, held; an object that friction does not carry stays on the table: the hand stays too."""
+    world = GraspWorld(set_design(design, effects), "egg", timestep=_STEP, effects=effects, opening=0.05)
+    if "friction" not in effects:
+        world.set_lift_target = lambda height: None  # type: ignore[method-assign]
+    return core_ms(hold(world, settle=0.2).step, 60) / _STEP
+
+
+def _press(design: SensorDesign, effects: frozenset[str]) -> tuple[float, np.ndarray]:
+    world = PressWorld(set_design(design, effects), Indenter("sphere", 16e-3), at=(0.7e-3, 0.4e-3), effects=effects,
+                       timestep=_STEP)
+    world.inflate(1000.0, seal=True)
+    world.press(2.5e-3)
+    return float(-truth.contact_force(world, 0)[2]), world.marker_poses(0)[0]
+
+
+def _image_ms(design: SensorDesign, effects: frozenset[str]) -> float:
+    draw = _drawer(design, effects)
+    return core_ms(draw, 25)
+
+
+def _shift(design: SensorDesign, on: frozenset[str], off: frozenset[str]) -> float:
+    """How far markers would be misplaced if the pictured effect were not there but sensing believed it: geometry only."""
+    from mjtactile import optics
+
+    if not {"distortion", "refraction"} & (on - off):
+        return float("nan")
+    cameras = [optics.Camera.from_design(d.camera, d.glass) for d in (set_design(design, on), set_design(design, off))]
+    p_CM = design.markers.p_SM - design.camera.p_SC
+    pixels = np.linalg.norm(optics.project(cameras[0], p_CM) - optics.project(cameras[1], p_CM), axis=1)
+    return float(1e6 * np.sqrt(np.mean(pixels**2)) * design.camera.distance / design.camera.fx)
+
+
+def _drawer(design: SensorDesign, effects: frozenset[str]) -> Callable[[], Any]:
+    seen = set_picture(set_design(design, effects), effects)
+    renderer = Renderer(seen, seed=0)
+    p_SM, n_S = design.markers.p_SM, np.tile([0.0, 0.0, 1.0], (design.markers.count, 1))
+    if "motion blur" in effects:
+        return lambda: renderer.expose(
+            np.asarray(np.mean([renderer.irradiance_image(p_SM, n_S) for _ in range(3)], axis=0, dtype=np.float32)))
+    return lambda: renderer.render(p_SM, n_S)
+
+
+def _nothing_left(design: SensorDesign) -> dict[str, Any]:
+    """Bare MuJoCo against `World` without sensors, interleaved; and the model's elements with all effects off."""
+    world = rigid.hold(design, "egg", _STEP, HOLD_FORCE)
+    pairs = np.array([[core_ms(bare, 400) for bare in (lambda: rigid.bare_step(world), world.step)]
+                      for _ in range(5)])
+    off = GraspWorld(design, "egg", effects=frozenset())
+    return {"mujoco_us": 1e3 * float(np.median(pairs[:, 0])), "world_us": 1e3 * float(np.median(pairs[:, 1])),
+            "tendons_all_off": int(off.model.ntendon), "gas_tendons": 0 if off.model.ntendon == 1 else off.model.ntendon - 1,
+            "activations_all_off": int(off.model.na)}
+
+
+def table(result: dict[str, Any]) -> str:
+    """Markdown."""
+    lines = ["| effect | costs, ms per simulated s | leaving it out costs, mN | um |", "|---|---|---|---|"]
+    for name, row in result["effects"].items():
+        cells = f"failed: {row['failed']} | |" if "failed" in row else (
+            f"{row['cost_ms_per_s']:+.0f} | {_cell(1e3 * row['force_N'])} | {_cell(row['surface_um'])}")
+        lines.append(f"| {name} | {cells} |")
+    bare = result["nothing_left"]
+    return "\n".join(lines) + (
+        f"\n\nA scene without sensors: {bare['mujoco_us']:.1f} us a step by MuJoCo alone, {bare['world_us']:.1f} us by `World`, "
+        f"which also checks every step. With every effect off the model has {bare['gas_tendons']} gas tendons.\n")
+
+
+def _cell(value: float) -> str:
+    return "-" if value != value else f"{value:.1f}"

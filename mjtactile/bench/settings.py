@@ -1,0 +1,142 @@
+"""Settings of the simulator as the benchmarks vary them, and the two experiments in which each is measured.
+
+Accuracy is measured on one sensor into which spheres are driven to a given depth (the force is an outcome), cost and
+noise on two sensors that hold an egg (the work the simulator is made for). Times are core time, so that what else runs
+on the machine disturbs them little; compare ratios of one run only.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mjtactile.design import SensorDesign
+from mjtactile.errors import MjtactileError
+from mjtactile.sim import truth
+from mjtactile.sim.attach import DEFAULT_MESH
+from mjtactile.sim.gripper import GraspWorld
+from mjtactile.sim.press import Indenter, PressWorld
+from mjtactile.types import Array
+
+HOLD_FORCE = 0.6  # N on each finger
+SENSOR = "dense"
+
+
+@dataclass(frozen=True)
+class Setting:
+    """`mesh` vertices along x, y; `timestep` s; CG `tolerance` and `iterations`; `softness` scales the depth to which
+    objects sink into the membrane."""
+
+    mesh: tuple[int, int] = DEFAULT_MESH
+    timestep: float = 1 / 240
+    tolerance: float = 1e-7
+    iterations: int = 300
+    softness: float = 1.0
+
+    def apply(self, world: Any) -> None:
+        option = world.model.opt
+        option.tolerance, option.iterations = self.tolerance, self.iterations
+        for sensor in world.sensors:
+            world.model.geom_solref[sensor.vertex_geom_ids, 0] *= np.sqrt(self.softness)
+
+    def summary(self) -> dict[str, Any]:
+        return {"mesh": list(self.mesh), "timestep_ms": 1e3 * self.timestep, "tolerance": self.tolerance,
+                "iterations": self.iterations, "softness": self.softness}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A sphere of `radius` m driven `depth` m below first touch at `at` m."""
+
+    radius: float
+    depth: float
+    at: tuple[float, float]
+
+
+# The places are no symmetry points of any mesh: the error of a coarse mesh depends on where the vertices are.
+CASES = (Case(16e-3, 2.5e-3, (0.7e-3, 0.4e-3)), Case(16e-3, 2.0e-3, (-3.1e-3, 2.3e-3)), Case(8e-3, 2.0e-3, (1.9e-3, -1.2e-3)),
+         Case(8e-3, 1.0e-3, (-4.7e-3, 3.1e-3)))
+
+
+@dataclass(frozen=True, eq=False)
+class Pressed:
+    """What a press gave: normal `force` N, marker positions `p_SM` (N, 3) m, `penetration` m."""
+
+    force: float
+    p_SM: Array
+    penetration: float
+
+
+def press(setting: Setting, case: Case, design: SensorDesign | str = SENSOR) -> Pressed:
+    """Inflate to 1 kPa, seal, press, settle, and average over 20 steps. Raises SimulationError."""
+    world = PressWorld(design, Indenter("sphere", case.radius), at=case.at, timestep=setting.timestep, mesh=setting.mesh)
+    setting.apply(world)
+    world.inflate(1000.0, seal=True)
+    world.press(case.depth)
+    forces, places = [], []
+    for _ in range(20):
+        world.step()
+        forces.append(-truth.contact_force(world, 0)[2])
+        places.append(world.marker_poses(0)[0])
+    return Pressed(float(np.mean(forces)), np.mean(places, axis=0), truth.penetration(world, 0))
+
+
+def held(setting: Setting, *, grasped: str = "egg", design: SensorDesign | str = SENSOR, settle: float = 0.8) -> GraspWorld:
+    """Two sealed sensors that hold `grasped` in the air, at rest. Raises SimulationError."""
+    world = GraspWorld(design, grasped, timestep=setting.timestep, mesh=setting.mesh, opening=0.05)
+    setting.apply(world)
+    return hold(world, settle)
+
+
+def hold(world: GraspWorld, settle: float = 0.8) -> GraspWorld:
+    """Inflate, seal, close on the object, lift it by 10 mm, and wait."""
+    def run(seconds: float) -> None:
+        world.step(max(1, round(seconds / world.timestep)))
+
+    for sensor in range(len(world.sensors)):
+        world.open_valve(sensor)
+    run(0.15)
+    for sensor in range(len(world.sensors)):
+        world.close_valve(sensor)
+    world.set_finger_target(0.01, HOLD_FORCE)
+    run(1.0)
+    world.set_lift_target(0.01)
+    run(settle)
+    return world
+
+
+def core_ms(action: Callable[[], Any], count: int) -> float:
+    """Core time of one `action()`, ms: the median of five bursts, since a neighbour's cache misses come in bursts."""
+    bursts = []
+    for _ in range(5):
+        begin = time.thread_time()
+        for _ in range(max(count // 5, 1)):
+            action()
+        bursts.append((time.thread_time() - begin) / max(count // 5, 1))
+    return 1e3 * float(np.median(bursts))
+
+
+def cost_and_noise(setting: Setting, seconds: float = 0.6) -> dict[str, float]:
+    """Cost in ms per simulated second, noise of the contact force (sd, N), and solver iterations a step, while holding."""
+    world = held(setting)
+    ms = core_ms(world.step, round(seconds / setting.timestep))
+    forces, iterations = [], []
+    for _ in range(round(0.2 / setting.timestep)):
+        world.step()
+        forces.append([truth.contact_force(world, i)[2] for i in range(len(world.sensors))])
+        iterations.append(int(world.data.solver_niter[0]))
+    return {"ms_per_s": ms / setting.timestep, "ms_per_step": ms, "force_noise_N": float(np.std(forces, axis=0).mean()),
+            "iterations_mean": float(np.mean(iterations)),
+            "penetration_um": 1e6 * max(truth.penetration(world, i) for i in range(len(world.sensors)))}
+
+
+def attempt(measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """The measurement, or {"failed": reason}: a setting that cannot be run is a result too."""
+    try:
+        return measure()
+    except MjtactileError as error:
+        return {"failed": " ".join(str(error).split())}

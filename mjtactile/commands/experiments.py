@@ -1,0 +1,69 @@
+"""`mjtactile experiments`: the paper's Results again, as figures and one table."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from mjtactile.commands.output import prepare_folder, print_json, stdout_to_stderr
+from mjtactile.errors import InputError
+from mjtactile.progress import Progress
+from mjtactile.recording import write_json
+
+HELP = "the paper's experiments again: figures, and our numbers beside its own"
+DESCRIPTION = """\
+Repeat the Results of the paper in simulation, from images alone:
+  fig5a  load cell against estimate, 1 mm increments, cylinder; ours and dF = c dA
+  fig5b  solid cylinder and sponge: line and parabola through force against deformation
+  fig5c  force over time while driving in
+  fig6   15 images of 16 circles: error of the centres
+  fig7   three objects: image, reconstruction, force field
+  air    sensitivity set by pressure and amount of air"""
+EPILOG = """\
+examples:
+  mjtactile experiments --out runs/paper
+  mjtactile experiments --only fig6,air --json
+  mjtactile experiments --page docs/experiments.md     the page of the documentation, with its figures
+"""
+NAMES = ("fig5a", "fig5b", "fig5c", "fig6", "fig7", "air")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--only", type=_names, default=list(NAMES), metavar="NAME,…", help=f"which (default: {','.join(NAMES)})")
+    parser.add_argument("--quick", action="store_true", help="fewer points, to see that it works")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write experiments.json, experiments.md and a figure each there")
+    parser.add_argument("--page", type=Path, metavar="FILE.md", help="also write a page about them, with its figures in images/")
+
+
+def _names(text: str) -> list[str]:
+    names = text.split(",")
+    wrong = [name for name in names if name not in NAMES]
+    if wrong:
+        raise argparse.ArgumentTypeError(f"{wrong[0]!r} is not one of {', '.join(NAMES)}")
+    return names
+
+
+def run(options: argparse.Namespace) -> int:
+    if options.page is not None and options.page.suffix != ".md":
+        raise InputError("not a Markdown file", source=options.page, field="--page")
+    out = None if options.out is None else prepare_folder(options.out)
+    images = None if options.page is None else prepare_folder(options.page.parent / "images" / "experiments")
+    with stdout_to_stderr():
+        from mjtactile.bench import figures
+        from mjtactile.bench.experiments import run as run_experiments
+        from mjtactile.bench.experiments import without_arrays
+        from mjtactile.bench.findings import page, table
+
+        results = run_experiments(options.only, out, quick=options.quick, say=Progress(quiet=options.json).message)
+        if out is not None:
+            write_json(out / "experiments.json", without_arrays(results))
+            (out / "experiments.md").write_text(table(results), encoding="utf-8")
+        if images is not None and options.page is not None:
+            for name, result in results.items():
+                figures.save(name, result, images)
+            Path(options.page).write_text(page(results, "images/experiments"), encoding="utf-8")
+    if options.json:
+        print_json(without_arrays(results))
+    else:
+        print(table(results) + (f"\nfigures are in {out}" if out is not None else ""))
+    return 0

@@ -1,0 +1,232 @@
+"""Traction on the membrane from its markers by inverse finite elements (level 3; docs/equations.md, Eq. F9-F12).
+
+Unknown are the tractions at the nodes of a grid. They deform the sheet of `mjtactile.sensing.sheet` from its
+forward-solved rest shape, so the bulge is not interpolated but computed; markers see the deformation at their places.
+Nothing touches almost everywhere: each node has a prior variance that follows the traction found there before, so that
+contacts become compact; a node presses or does not, and shears only as much as friction allows.
+
+A frame is one Gauss-Newton step, or a few after a sudden change. Stiffness and gains are kept as long as the shape
+stays near where they were computed; then the step is back-substitutions only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+
+from mjtactile.design import SensorDesign
+from mjtactile.sensing.force import hats
+from mjtactile.sensing.sheet import Gas, Sheet
+from mjtactile.types import Array, Markers, Traction
+
+SPANS = (14, 10)
+PRESSURE_SD = 4e3  # Pa, of contact before anything is known
+BACKGROUND = 0.05  # share of it that a node keeps when nothing was felt there
+FRICTION = 0.8  # prior ratio of shear to pressure
+MARKER_FLOOR = 2e-6  # m, what the markers' covariance does not know of
+MODEL_SHARE = 0.018  # of the force: stiffness, discretisation (from bench touch: chi-square near one)
+STEPS_MAX, STEP_LIMIT = 8, 2e-3  # m
+SETTLED, NEAR = 3e-5, 2e-4  # m: a step that ends the iteration; a distance over which stiffness and gains are kept
+REFINE = 5  # cells of the fine grid, for outlines, to a cell of the traction grid
+_INFORMATIVE_PRESSURE = 100.0  # Pa; below, the bulge is too small to tell the stiffness
+
+
+@dataclass(frozen=True, eq=False)
+class InverseRest:
+    """What the sensor measured of itself with nothing touching: the `gas`, the factor `stiffness_scale` on Young's modulus that
+    makes the model bulge as far as the markers do, coefficients `c` (3, n) m of that model, and what then remains,
+    `offset` (N, 3) m, measured less modelled marker positions."""
+
+    gas: Gas
+    stiffness_scale: float
+    c: Array
+    offset: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Gain:
+    """One linearisation, at `c` (3, n), for markers `ids`: the stiffness's Cholesky factor, the markers' response
+    (3 m, 3 J) to nodal tractions, whitened; `weights` that whiten; prior variances (3 J,); and the factor of
+    the predicted covariance of the whitened markers."""
+
+    c: Array
+    ids: NDArray[np.int64]
+    stiffness: tuple[Array, bool]
+    response: Array
+    weights: Array
+    prior: Array
+    innovation: tuple[Array, bool]
+    is_first: bool  # made before any traction was known
+
+    def serves(self, c: Array, markers: Markers) -> bool:
+        """Whether it can be used near `c`, for these markers."""
+        return np.array_equal(self.ids, markers.ids) and bool(np.abs(c - self.c).max() < NEAR)
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """An estimate: coefficients `c` (3, n) m of the deformation, nodal tractions (3, J) Pa, gauge pressure Pa, the mean
+    square `misfit` of the markers over their predicted sd, and the gain it came from. Hand it to the next frame."""
+
+    c: Array
+    traction: Array
+    pressure_gauge: float
+    misfit: float
+    gain: Gain
+    steps: int
+
+
+class InverseMembrane:
+    """Traction estimator of one sensor; `spans` (x, y) of the sheet, whose inner grid lines carry the nodes."""
+
+    def __init__(self, design: SensorDesign, spans: tuple[int, int] = SPANS):
+        self.design, self.sheet = design, Sheet(design, spans)
+        ax, ay = self.sheet.axes
+        self.x, self.y = (np.linspace(-a.length / 2, a.length / 2, n + 1) for a, n in zip((ax, ay), spans, strict=True))
+        hat_x, hat_y = hats(self.x, ax.points)[0][:, 1:-1], hats(self.y, ay.points)[0][:, 1:-1]
+        load_x, load_y = ((a.basis(a.points) * a.weights[:, None]).T @ h for a, h in ((ax, hat_x), (ay, hat_y)))
+        self._hats = (hat_x, hat_y)
+        self._load = np.kron(load_x, load_y)  # (n, J): generalised force of one pascal at each node
+        self.node_area = np.outer(ax.weights @ hat_x, ay.weights @ hat_y).ravel()  # (J,) m^2
+        X, Y = np.meshgrid(self.x[1:-1], self.y[1:-1], indexing="ij")
+        self.nodes = np.column_stack([X.ravel(), Y.ravel()])
+        self._at_nodes = self.sheet.basis(self.nodes)
+        self._fine = [np.linspace(-a.length / 2, a.length / 2, REFINE * a.spans + 1) for a in (ax, ay)]
+        self._at_fine = [a.basis(g) for a, g in zip((ax, ay), self._fine, strict=True)]
+        self._material = design.markers.p_SM
+        self._at_markers = self.sheet.basis(self._material[:, :2])
+
+    # -- the sensor's own rest -----------------------------------------------------------------------------------------
+
+    def rest_state(self, markers: Markers, pressure_gauge: float, *, sealed: bool = True) -> InverseRest:
+        """Calibrate on a state with nothing touching and a known gauge pressure, Pa: see `InverseRest`."""
+        valve, scale = Gas(pressure_gauge), 1.0
+        c = self.sheet.equilibrium(valve)
+        height = markers.p_SM[:, 2]
+        if pressure_gauge > _INFORMATIVE_PRESSURE:
+            for _ in range(3):  # the bulge goes with the stiffness to a power between -1 and -1/3
+                modelled = self._at_markers[markers.ids] @ c[2]
+                ratio = float(modelled @ height / (modelled @ modelled))
+                scale *= np.clip(1 / ratio**1.6, 0.5, 2.0)
+                c = self.sheet.equilibrium(valve, scale, start=c)
+        state = self.sheet.state(c, scale)
+        gas = self.sheet.seal(state, pressure_gauge) if sealed else valve
+        offset = np.zeros((self.design.markers.count, 3))
+        offset[markers.ids] = markers.p_SM - self.positions(c)[markers.ids]
+        return InverseRest(gas, scale, c, offset)
+
+    def positions(self, c: Array) -> Array:
+        """Marker centres (N, 3) m in S."""
+        return self._material + self._at_markers @ c.T
+
+    # -- one frame -----------------------------------------------------------------------------------------------------
+
+    def estimate(self, markers: Markers, rest: InverseRest, start: Shape | None = None) -> Shape:
+        """Tractions and deformation that explain the markers, starting from the last frame's where there is one."""
+        zero = np.zeros((3, self._load.shape[1]))
+        c, traction, gain = (rest.c, zero, None) if start is None else (start.c, start.traction, start.gain)
+        for steps in range(1, STEPS_MAX + 1):
+            if gain is None or gain.is_first or not gain.serves(c, markers):
+                gain = self._gain(c, markers, rest, traction, first=gain is None)
+            shape = self._step(c, markers, rest, gain, steps)
+            settled = float(np.abs(shape.c - c).max()) < SETTLED
+            c, traction = shape.c, shape.traction
+            if settled and not gain.is_first:
+                return shape
+        return shape  # pyright: ignore[reportPossiblyUnboundVariable] the loop runs at least once
+
+    def _step(self, c: Array, markers: Markers, rest: InverseRest, gain: Gain, count: int) -> Shape:
+        """One Gauss-Newton step from `c`: the sheet relaxes, tractions explain what the markers show beyond that."""
+        data = markers.p_SM - rest.offset[markers.ids] - self._material[markers.ids]
+        state = self.sheet.state(c, rest.stiffness_scale)
+        pressure, _ = self.sheet.gas_pressure(state, rest.gas)
+        residual = self.sheet.residual(state, pressure)
+        free = c - cho_solve(gain.stiffness, residual.ravel(), check_finite=False).reshape(3, -1)
+        misfit = _whiten(gain.weights, data - self._at_markers[markers.ids] @ free.T)
+        scaled = cho_solve(gain.innovation, misfit, check_finite=False)
+        traction = (gain.prior * (scaled @ gain.response)).reshape(3, -1)
+        load = traction @ self._load.T
+        new = free + cho_solve(gain.stiffness, load.ravel(), check_finite=False).reshape(3, -1)
+        largest = float(np.abs(new - c).max())
+        c = c + min(1.0, STEP_LIMIT / max(largest, 1e-30)) * (new - c)
+        return Shape(c, traction, pressure, float(misfit @ scaled) / len(misfit), gain, count)
+
+    def _gain(self, c: Array, markers: Markers, rest: InverseRest, traction: Array, *, first: bool) -> Gain:
+        _, stiffness = self.sheet.linearise(self.sheet.state(c, rest.stiffness_scale), rest.gas, rest.stiffness_scale)
+        rows = self._at_markers[markers.ids]
+        weights = np.linalg.inv(np.linalg.cholesky(markers.cov_p + MARKER_FLOOR**2 * np.eye(3)))
+        # unit forces along the whitened axes of each marker, (3 n, 3 m)
+        unit = (weights.transpose(2, 0, 1)[:, None] * rows.T[None, :, :, None]).reshape(3 * self.sheet.count, -1)
+        moved = cho_solve(stiffness, unit, overwrite_b=True, check_finite=False)
+        response = (moved.T.reshape(-1, self.sheet.count) @ self._load).reshape(unit.shape[1], -1)
+        prior = self._prior(traction, first)
+        innovation = (response * prior) @ response.T
+        innovation[np.diag_indices_from(innovation)] += 1.0
+        return Gain(c, markers.ids, stiffness, response, weights, prior, cho_factor(innovation, check_finite=False),
+                    is_first=first)
+
+    def _prior(self, traction: Array, first: bool) -> Array:
+        """Prior variances (3 J,) Pa^2 of nodal tractions, x, y, z, after what was found before."""
+        variance = np.empty_like(traction)
+        if first:
+            variance[:2], variance[2] = (FRICTION * PRESSURE_SD) ** 2, PRESSURE_SD**2
+            return variance.ravel()
+        pressing = np.maximum(-traction[2], 0.0)
+        background = BACKGROUND * PRESSURE_SD
+        variance[2] = pressing**2 + background**2
+        variance[:2] = (FRICTION * pressing) ** 2 + (background / 2) ** 2
+        return variance.ravel()
+
+    # -- what it means -------------------------------------------------------------------------------------------------
+
+    def traction(self, shape: Shape) -> Traction:
+        """Nodal forces on the grid, net wrench and its covariance."""
+        force = shape.traction * self.node_area
+        moment = self._moments(shape.c)
+        wrench = moment @ force.ravel()
+        nodal = np.zeros((len(self.y), len(self.x), 3))
+        nodal[1:-1, 1:-1] = force.reshape(3, len(self.x) - 2, len(self.y) - 2).transpose(2, 1, 0)
+        return Traction(self.x, self.y, nodal, wrench, self._wrench_cov(shape, moment, wrench), shape.pressure_gauge,
+                        method="inverse")
+
+    def node_positions(self, c: Array) -> Array:
+        """Where the nodes are now, (J, 3) m in S."""
+        return np.column_stack([self.nodes, np.zeros(len(self.nodes))]) + self._at_nodes @ c.T
+
+    def fine_positions(self, c: Array) -> Array:
+        """Where the points of the fine grid are now, (a, b, 3) m in S."""
+        moved = self._at_fine[0] @ c.reshape(3, *self.sheet.shape) @ self._at_fine[1].T
+        moved[0] += self._fine[0][:, None]
+        moved[1] += self._fine[1]
+        return np.moveaxis(moved, 0, -1)
+
+    def pressing_at_points(self, shape: Shape) -> Array:
+        """Force per cell of the sheet's Gauss points (qx, qy) with which the outside presses, N; never negative."""
+        hat_x, hat_y = self._hats
+        pressure = np.maximum(-shape.traction[2], 0.0).reshape(hat_x.shape[1], hat_y.shape[1])
+        return self.sheet.weights * (hat_x @ pressure @ hat_y.T)
+
+    def _moments(self, c: Array) -> Array:
+        """Matrix (6, 3 J) that adds nodal forces (3, J) up to force and torque about the origin of S."""
+        x, y, z = self.node_positions(c).T
+        one, zero = np.ones_like(x), np.zeros_like(x)
+        return np.stack([np.r_[one, zero, zero], np.r_[zero, one, zero], np.r_[zero, zero, one],
+                         np.r_[zero, -z, y], np.r_[z, zero, -x], np.r_[-y, x, zero]])
+
+    def _wrench_cov(self, shape: Shape, moment: Array, wrench: Array) -> Array:
+        """Posterior covariance (6, 6): what the prior leaves open between markers, their noise, and the model's share."""
+        gain = shape.gain
+        L = moment * np.tile(self.node_area, 3)
+        LD = L * gain.prior
+        half = solve_triangular(gain.innovation[0], gain.response @ LD.T, trans=1, check_finite=False)
+        cov = (LD @ L.T - half.T @ half) * max(1.0, shape.misfit)
+        cov[np.diag_indices(6)] += (MODEL_SHARE * np.r_[np.full(3, np.linalg.norm(wrench[:3])),
+                                                        np.full(3, np.linalg.norm(wrench[3:]))]) ** 2
+        return cov
+
+
+def _whiten(weights: Array, values: Array) -> Array:
+    return np.einsum("mai,mi->ma", weights, values).ravel()

@@ -1,0 +1,102 @@
+"""Contact patches from the traction field: several at once, each with outline, area, centroid, depth and axes (Eq. F13).
+
+Inside a contact the object holds the membrane against the gas, so the pressure there is about the gas's or more; how
+much more depends on the object's shape. The inverse cannot place pressure more sharply than its grid, so the field is
+smoothed by that much, and the outline drawn where it falls to a share of the geometric mean of gas pressure and peak.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, zoom
+
+from mjtactile.sensing.inverse import REFINE, InverseMembrane, InverseRest, Shape
+from mjtactile.types import Array, Contact
+
+SMOOTHING = 0.6  # sd of the smoothing, in nodes
+OUTLINE_SHARE = 0.8  # of the geometric mean of gas pressure and peak: areas are then right on average (bench touch)
+CORE_SHARE = 0.03  # of the peak: pressure below it does not count for the centroid
+LEAST_SHARE = 0.1  # of the whole force: a patch that carries less is no patch
+
+
+def find_patches(estimator: InverseMembrane, shape: Shape, rest: InverseRest) -> tuple[Contact, ...]:
+    """Contact patches, the strongest first; empty when nothing presses."""
+    nx, ny = len(estimator.x), len(estimator.y)
+    pressing = np.zeros((nx, ny))
+    inner = (slice(1, -1), slice(1, -1))
+    pressing[inner] = np.maximum(-shape.traction[2], 0).reshape(nx - 2, ny - 2)
+    smooth = np.asarray(gaussian_filter(pressing, SMOOTHING, mode="constant"))
+    peak = float(smooth.max())
+    if peak <= 0:
+        return ()
+    fine = np.asarray(zoom(smooth, ((REFINE * (nx - 1) + 1) / nx, (REFINE * (ny - 1) + 1) / ny), order=1))
+    above = fine > min(OUTLINE_SHARE * np.sqrt(max(shape.pressure_gauge, 0.1 * peak) * peak), 0.9 * peak)
+    count, places = cv2.connectedComponents(above.astype(np.uint8), connectivity=4)
+    position, cells = _fine_positions(estimator, shape)
+    nodal = np.zeros((nx, ny, 3))
+    nodal[inner] = (shape.traction * estimator.node_area).T.reshape(nx - 2, ny - 2, 3)
+    sink = np.zeros((nx, ny))
+    sink[inner] = -(estimator.node_positions(shape.c) - estimator.node_positions(rest.c))[:, 2].reshape(nx - 2, ny - 2)
+    owner = _nearest_place(places)
+    total = max(-float(nodal[..., 2].sum()), 1e-9)
+    patches = []
+    for k in range(1, count):
+        mine = owner[::REFINE, ::REFINE] == k
+        force = nodal[mine].sum(axis=0)
+        if -force[2] >= LEAST_SHARE * total:
+            weight = np.where(owner == k, np.maximum(fine - CORE_SHARE * peak, 0), 0)
+            patches.append(_patch(places == k, mine, weight, force, position, cells, sink))
+    return tuple(sorted(patches, key=lambda patch: float(patch.force[2])))
+
+
+def together(patches: tuple[Contact, ...], grid_shape: tuple[int, int]) -> Contact:
+    """All patches taken as one contact, on a grid of (ny, nx) nodes; without any, no contact."""
+    if not patches:
+        return Contact(False, 0.0, np.full(2, np.nan), 0.0, np.zeros(grid_shape, bool))
+    if len(patches) == 1:
+        return patches[0]
+    weights = np.array([-p.force[2] for p in patches])
+    centroid = weights @ np.array([p.centroid for p in patches]) / weights.sum()
+    return Contact(True, sum(p.area for p in patches), centroid, max(p.depth for p in patches),
+                   np.logical_or.reduce([p.mask for p in patches]), force=np.sum([p.force for p in patches], axis=0))
+
+
+def _fine_positions(estimator: InverseMembrane, shape: Shape) -> tuple[Array, Array]:
+    """Positions (a, b, 3) m in S of the fine grid's points, and the curved area (a, b) m^2 that each stands for."""
+    position = estimator.fine_positions(shape.c)
+    across, along = position[:, 2:] - position[:, :-2], position[2:] - position[:-2]
+    a, b = np.moveaxis(along[:, 1:-1], -1, 0), np.moveaxis(across[1:-1], -1, 0)
+    cells = np.zeros(position.shape[:2])  # none on the frame itself
+    cells[1:-1, 1:-1] = np.sqrt((a * a).sum(0) * (b * b).sum(0) - (a * b).sum(0) ** 2) / 4
+    return position, cells
+
+
+def _nearest_place(places: NDArray) -> NDArray:
+    """For each point the number of the nearest labelled place; 0 when there is none."""
+    if places.max() <= 1:
+        return np.full_like(places, places.max())
+    _, nearest = cv2.distanceTransformWithLabels((places == 0).astype(np.uint8), cv2.DIST_L2, 5,
+                                                 labelType=cv2.DIST_LABEL_PIXEL)
+    owner = np.zeros(int(nearest.max()) + 1, dtype=places.dtype)
+    owner[nearest[places > 0]] = places[places > 0]
+    return owner[nearest]
+
+
+def _patch(inside: NDArray, nodes: NDArray, weight: Array, force: Array, position: Array, cells: Array,
+           sink: Array) -> Contact:
+    """One patch from its fine cells `inside` (a, b), its grid nodes (nx, ny) and its pressure `weight` (a, b)."""
+    share = weight / weight.sum()
+    centroid = np.einsum("ab,abi->i", share, position[..., :2])
+    area = float(cells[inside].sum())
+    points = position[inside][:, :2]
+    spread = np.cov(points.T, aweights=cells[inside]) if len(points) > 2 else np.zeros((2, 2))
+    values, vectors = np.linalg.eigh(spread)
+    contours, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    b, a = max(contours, key=len)[:, 0].T
+    mask = nodes & inside[::REFINE, ::REFINE]
+    depth = float(sink[mask].max()) if mask.any() else float(sink[nodes].max())
+    return Contact(True, area, centroid, max(depth, 0.0), mask.T, force=force, outline=position[a, b, :2],
+                   semi_axes=2 * np.sqrt(np.maximum(values[::-1], 0)),
+                   angle=float(np.arctan2(vectors[1, 1], vectors[0, 1])))

@@ -1,0 +1,271 @@
+"""The effects a simulation can have: their names, when each is needed, what it costs, and what leaving it out costs.
+
+    chosen = choose(design, load_object("egg"), force_error=0.02)          # effects="auto"
+    chosen = choose(design, item, overrides="+bending,-friction")          # forced by hand
+    world = GraspWorld(design, item, effects=chosen.on)
+
+The gates are those of docs/effects.md: an effect is on when leaving it out would move force or surface by more than
+the accuracy asked for, or when the scene makes it the point (friction carries the object). Costs and errors are
+measured on the shipped membrane by `mjtactile bench effects` (models/fidelity/effects.json).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mjtactile import resources, theory
+from mjtactile.design import SensorDesign
+from mjtactile.errors import InputError
+from mjtactile.sim import features
+from mjtactile.sim.objects import ObjectModel
+
+DEFAULT_FORCE_ERROR = 0.02  # N
+GRAVITY = 9.81
+_CONTACT_SPEED = 0.01  # m/s of the membrane while an object is touched gently
+_EXPOSURE = 0.008  # s
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What the gates look at."""
+
+    design: SensorDesign
+    grasped: ObjectModel | None
+    force_error: float
+    feature: float
+    sharp: bool
+
+    @property
+    def bulge(self) -> float:
+        """Height of the free bulge at the supply's pressure, m; an estimate outside of the theory's table."""
+        height = theory.bulge_height(self.design, self.design.chamber.supply_gauge)
+        return abs(height) if math.isfinite(height) else 0.1 * min(self.design.frame.length, self.design.frame.width)
+
+    @property
+    def half_width(self) -> float:
+        return min(self.design.frame.length, self.design.frame.width) / 2
+
+
+Gate = Callable[[Scene], tuple[bool, str]]
+
+
+@dataclass(frozen=True)
+class Effect:
+    """`name`; `kind` of place it lives in; `gate` that says whether a scene needs it and why; `built`: False when this
+    version has no such effect, `fixed` when it cannot be taken out."""
+
+    name: str
+    kind: str
+    gate: Gate
+    built: bool = True
+    fixed: bool = False
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One row of the table: the effect, whether it is on, why, ms per simulated second it costs, and what leaving it out
+    costs, N and um (NaN: not measured)."""
+
+    effect: Effect
+    on: bool
+    why: str
+    cost: float
+    force: float
+    surface: float
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """`choices` in the order of the catalogue; `on` the names of those that are on and built."""
+
+    choices: tuple[Choice, ...]
+
+    @property
+    def on(self) -> frozenset[str]:
+        return frozenset(c.effect.name for c in self.choices if c.on and c.effect.built)
+
+    def summary(self) -> list[dict[str, Any]]:
+        """One object an effect, for JSON."""
+        return [{"effect": c.effect.name, "kind": c.effect.kind, "on": c.on, "built": c.effect.built, "why": c.why,
+                 "cost_ms_per_s": c.cost, "left_out_N": c.force, "left_out_um": c.surface} for c in self.choices]
+
+
+def choose(design: SensorDesign, grasped: ObjectModel | None = None, *, force_error: float = DEFAULT_FORCE_ERROR,
+           overrides: str = "auto") -> Chosen:
+    """Derive the set for a sensor, an object and a force error asked for (N); then apply `overrides`.
+
+    `overrides` is "auto", or "+name,-name,...". Raises InputError for an unknown name, an effect that is not built and
+    is forced on, or one that cannot be taken out and is forced off.
+    """
+    forced = parse(overrides)
+    scene = Scene(design, grasped, force_error, *_feature(grasped))
+    measured = _measured()
+    choices = []
+    for effect in EFFECTS:
+        on, why = effect.gate(scene)
+        if effect.name in forced:
+            on, why = forced[effect.name], f"forced {'on' if forced[effect.name] else 'off'} (auto: {'on' if on else 'off'})"
+        row = measured.get(effect.name, {})
+        numbers = (_number(row.get(key)) for key in ("cost_ms_per_s", "force_N", "surface_um"))
+        choices.append(Choice(effect, on, why, *numbers))
+    return Chosen(tuple(choices))
+
+
+def parse(text: str) -> dict[str, bool]:
+    """Read "auto" or "+bending,-friction" into name to on. Raises InputError listing the names."""
+    forced: dict[str, bool] = {}
+    for part in ([] if text.strip() in ("", "auto") else text.split(",")):
+        sign, name = part.strip()[:1], part.strip()[1:].strip().replace("_", " ")
+        effect = next((e for e in EFFECTS if e.name.lower() == name.lower()), None)
+        if sign not in ("+", "-") or effect is None:
+            raise InputError(f"{part.strip()!r} is not +NAME or -NAME", field="--effects",
+                             choices=["auto", *(e.name for e in EFFECTS)])
+        if sign == "+" and not effect.built:
+            raise InputError(f"{effect.name!r} is not in this version: {effect.kind}", field="--effects")
+        if sign == "-" and effect.fixed:
+            raise InputError(f"{effect.name!r} cannot be taken out: it is part of {effect.kind}", field="--effects")
+        forced[effect.name] = sign == "+"
+    return forced
+
+
+# -- gates: (needed, why) ---------------------------------------------------------------------------------------------
+
+
+def _gas(s: Scene) -> tuple[bool, str]:
+    volume = s.design.chamber_volume_flat
+    stiffness = s.design.chamber.heat_ratio * s.design.chamber.ambient * s.design.frame.area**2 / volume
+    return True, f"the chamber is sealed in a grasp: {1e-3 * stiffness:.1f} N/mm against piston motion"
+
+
+def _large_deflection(s: Scene) -> tuple[bool, str]:
+    sheet, frame = s.design.membrane, s.design.frame
+    c1, c2 = theory.rectangle_coefficients(max(frame.length, frame.width) / (2 * s.half_width), sheet.poisson)
+    tension = max(sheet.pretension, 1e-9)
+    share = c2 / c1 * sheet.young * sheet.thickness / tension * (s.bulge / s.half_width) ** 2
+    return _over(share, 0.01, "cubic share of the stiffness")
+
+
+def _bending(s: Scene) -> tuple[bool, str]:
+    limit = 5 * s.design.membrane.thickness
+    if s.feature < limit:
+        return True, f"a feature of {1e3 * s.feature:.2g} mm is below five thicknesses ({1e3 * limit:.2g} mm)"
+    if s.sharp and s.force_error < 0.005:
+        return True, "the object has sharp edges, and less than 5 mN is asked for"
+    return False, "no feature below five thicknesses" + ("; edges count below 5 mN" if s.sharp else "")
+
+
+def _friction(s: Scene) -> tuple[bool, str]:
+    if s.grasped is None:
+        return True, "shear may be applied"
+    return True, f"carries the object's weight of {GRAVITY * s.grasped.mass:.2f} N"
+
+
+def _gravity(s: Scene) -> tuple[bool, str]:
+    sheet, frame = s.design.membrane, s.design.frame
+    weight = sheet.density * sheet.thickness * frame.area * GRAVITY / sheet.pre_stretch**2
+    return _over(weight / s.force_error, 0.1, f"the sheet's weight of {1e3 * weight:.1f} mN over the force error asked for")
+
+
+def _follower(s: Scene) -> tuple[bool, str]:
+    sheet = s.design.membrane
+    pressure = max(abs(s.design.chamber.supply_gauge), 0.02 * s.design.chamber.ambient)  # a grasp raises it by 1-2 kPa
+    return _over(pressure * s.half_width / (sheet.young * sheet.thickness), 1e-2, "p a / E h")
+
+
+def _hyperelastic(s: Scene) -> tuple[bool, str]:
+    stretch = 1 + 2 / 3 * (s.bulge / s.half_width) ** 2
+    return _over(stretch - 1, 0.005, "stretch of the bulge's pole beyond the mounted sheet")
+
+
+def _heat(s: Scene) -> tuple[bool, str]:
+    chamber = s.design.chamber
+    on = math.isfinite(chamber.heat_exchange) and chamber.heat_ratio > 1
+    return on, f"{chamber.heat_exchange:g} s is within a grasp's time" if on else "the sensor's gas keeps one exponent"
+
+
+def _valve(s: Scene) -> tuple[bool, str]:
+    chamber = s.design.chamber
+    on = math.isfinite(chamber.valve_conductance) or chamber.leak_conductance > 0
+    return on, "the sensor's valve or leak has a conductance" if on else "the sensor's valve is ideal and nothing leaks"
+
+
+def _servo(s: Scene) -> tuple[bool, str]:
+    period = 1 / s.design.camera.rate
+    return period < 0.02, f"the controller acts every {1e3 * period:.0f} ms, a servo's lag is 20 ms"
+
+
+def _motion_blur(s: Scene) -> tuple[bool, str]:
+    camera = s.design.camera
+    pixels = camera.fx * s.half_width / camera.distance**2 * _CONTACT_SPEED * _EXPOSURE
+    return _over(pixels, 0.5, "px of motion within an exposure at 10 mm/s")
+
+
+def _latency(s: Scene) -> tuple[bool, str]:
+    return False, "the control loop acts one image late already"
+
+
+def _has(value: float, what: str) -> tuple[bool, str]:
+    return value > 0, f"the camera's file has {what}" if value > 0 else f"the camera's file has no {what}"
+
+
+def _material(name: str) -> Gate:
+    def gate(s: Scene) -> tuple[bool, str]:
+        found = s.grasped is not None and s.grasped.material == name
+        return found, f"the object is {name}: in its own file" if found else f"no {name} object"
+    return gate
+
+
+def _over(value: float, limit: float, what: str) -> tuple[bool, str]:
+    return value > limit, f"{what}: {value:.2g} {'>' if value > limit else '<='} {limit:g}"
+
+
+EFFECTS: tuple[Effect, ...] = (
+    Effect("gas", "physics", _gas),
+    Effect("large deflection", "the membrane's elements", _large_deflection, fixed=True),
+    Effect("bending", "physics", _bending),
+    Effect("friction", "physics", _friction),
+    Effect("gravity", "physics", _gravity),
+    Effect("follower pressure", "physics", _follower),
+    Effect("hyperelastic correction", "MuJoCo's sheet is St. Venant-Kirchhoff; a run flags stretches where that is off by 2 %",
+           _hyperelastic, built=False),
+    Effect("heat exchange", "chamber", _heat),
+    Effect("valve flow", "chamber", _valve),
+    Effect("servo dynamics", "rig", _servo),
+    Effect("camera noise", "camera", lambda s: _has(s.design.camera.noise_dn, "noise")),
+    Effect("blur", "camera", lambda s: _has(s.design.camera.blur_px, "blur")),
+    Effect("motion blur", "camera", _motion_blur),
+    Effect("distortion", "camera", lambda s: _has(float(np.abs(s.design.camera.distortion).max()), "distortion")),
+    Effect("refraction", "camera", lambda s: _has(s.design.glass.thickness * (s.design.glass.refractive_index - 1), "glass")),
+    Effect("LED shading", "camera", lambda s: _has(s.design.leds.count * s.design.leds.falloff, "LEDs that fall off")),
+    Effect("shadows", "markers and membrane are drawn as one surface", lambda s: (False, "flat markers cast none"), built=False),
+    Effect("latency", "camera", _latency),
+    Effect("plasticity", "the object's own file (docs/objects.md)", _material("amorphous"), built=False),
+    Effect("volumetric softness", "the object's own file (docs/objects.md)", _material("soft"), built=False),
+)  # fmt: skip
+
+
+def _feature(grasped: ObjectModel | None) -> tuple[float, bool]:
+    """Smallest radius of the object, m, and whether it has sharp edges."""
+    if grasped is None:
+        return math.inf, False
+    model = mujoco.MjModel.from_xml_path(str(grasped.path))
+    kinds = model.geom_type[features.touching_geoms(model)]
+    sharp = np.isin(kinds, (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_MESH)).any()
+    return features.smallest_feature(model)[0], bool(sharp)
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)
+
+
+def _measured() -> dict[str, dict[str, float]]:
+    """What `bench effects` wrote, by name; empty when it never ran."""
+    path = resources.folder("models/fidelity") / "effects.json"
+    return json.loads(path.read_text(encoding="utf-8"))["effects"] if path.is_file() else {}

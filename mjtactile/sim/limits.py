@@ -1,0 +1,186 @@
+"""Where the method ends: what is refused when a scene is built, flagged while it runs, or stops it.
+
+A refusal (InputError) or a stop (SimulationError) is for numbers that would be wrong; a flag is for numbers that are
+worse than usual, with the reason and the nearest setting that works. Never a wrong number silently.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from mjtactile import theory
+from mjtactile.design import SensorDesign
+from mjtactile.errors import InputError
+from mjtactile.sim import features
+from mjtactile.types import Array
+
+if TYPE_CHECKING:
+    from mjtactile.sim.sensor import TactileSensor
+
+Flags = dict[str, str]
+"""Kind of doubt ("stretch", "wrinkles", "penetration", "mesh", "feature", "bending", "speed", "solver",
+"unsettled") to its reason."""
+
+STVK_ERROR = 0.02  # share of a height
+WRINKLED = 0.01  # share of the sheet under compression
+PENETRATION = 0.05  # share of the indentation
+_SUNK = 0.5  # share of the indentation at which a force means nothing
+SLACKEST = 0.95
+_LEAST_INDENTATION = 3e-4  # m; below it, shares of the indentation say nothing
+_BENDING = 0.05  # share of the bulge's stiffness
+_THICKEST = 0.1  # of the frame's shorter side
+
+
+def check_design(design: SensorDesign, mesh: tuple[int, int]) -> None:
+    """Refuse a membrane that the method cannot carry. Raises InputError naming field, value and nearest good value."""
+    sheet, short = design.membrane, min(design.frame.length, design.frame.width)
+    if sheet.thickness > _THICKEST * short:
+        raise InputError(f"{sheet.thickness * 1e3:g} is a plate, not a membrane, in a frame of {short * 1e3:g} mm: bending is "
+                         f"left out; at most {_THICKEST * short * 1e3:g}", source=design.name, field="membrane.thickness_mm")
+    if sheet.pre_stretch < SLACKEST:
+        raise InputError(f"{sheet.pre_stretch:g} leaves the sheet so slack that it folds; at least {SLACKEST:g}",
+                         source=design.name, field="membrane.pre_stretch")
+    if mesh[0] * mesh[1] < 30:
+        raise InputError(f"{mesh} vertices make heights wrong by more than 10 %; at least (7, 5)", source="attach",
+                         field="mesh")
+
+
+def design_flags(design: SensorDesign, nx: int, ny: int) -> Flags:
+    """What a design's numbers suffer from whatever happens to it."""
+    flags: Flags = {}
+    sheet, frame = design.membrane, design.frame
+    error = 0.01 * 120 / ((nx - 1) * (ny - 1))  # second order; 1 % at 13 x 11 (tests/physics/test_membrane.py)
+    if error > 0.02:
+        flags["mesh"] = f"mesh ({nx}, {ny}): heights and forces may be off by {error:.0%}; (13, 11) has 1-3 %"
+    rigidity = sheet.young * sheet.thickness**3 / (12 * (1 - sheet.poisson**2))
+    wave = np.pi**2 * (1 / frame.length**2 + 1 / frame.width**2)
+    tension = max(sheet.pretension, 0.0) + 1e-3 * sheet.young * sheet.thickness  # a bulge of 0.1 % strain
+    if rigidity * wave > _BENDING * tension:
+        share = rigidity * wave / tension
+        flags["bending"] = (f"bending, which is left out, would add {share:.0%} to the stiffness of this "
+                            f"{sheet.thickness * 1e3:g} mm sheet; a thinner or more stretched sheet is a membrane")
+    return flags
+
+
+def state_flags(sensor: TactileSensor) -> Flags:
+    """What makes the present state of the sheet less good than it looks: large stretch, compression."""
+    flags: Flags = {}
+    sheet = sensor.design.membrane
+    stretches, areas = sensor.stretches()
+    largest = float(np.quantile(stretches[:, 1], 0.9))  # a few triangles at an edge do not make the bulge
+    error = theory.stvk_height_error(largest, sheet.pre_stretch)
+    if error > STVK_ERROR:
+        limit = theory.stvk_stretch_limit(sheet.pre_stretch)
+        flags["stretch"] = (f"stretch {largest:.3f} is beyond {limit:.3f}: real (neo-Hookean) rubber is softer than the model's "
+                            f"St. Venant-Kirchhoff, its bulge about {error:.0%} higher; use less pressure or a thicker sheet")
+    strain = (stretches**2 - 1) / 2
+    least = strain[:, 0] + sheet.poisson * strain[:, 1]  # of the smaller principal stress, over E / (1 - nu^2)
+    share = float(areas[least < -1e-3].sum() / areas.sum())
+    if share > WRINKLED:
+        flags["wrinkles"] = (f"{share:.0%} of the sheet is under compression, where a real one wrinkles: shape and force are "
+                             "those of a sheet that cannot; use pre_stretch above 1 or more pressure")
+    return flags
+
+
+class Monitor:
+    """Looks at a running world now and then: penetration, things that went through, objects too fast for the step."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, sensors: tuple[TactileSensor, ...]):
+        self._model, self._data, self._sensors = model, data, sensors
+        self._geoms = features.touching_geoms(model)
+        self._sizes = np.array([features.feature_radius(model, int(g)) for g in self._geoms])
+        self._rest = [sensor.p_SV[:, 2] for sensor in sensors]
+        self._deep = np.zeros((len(sensors), 5))  # shares at the last looks
+        self._places = self._geoms_in(sensors)
+
+    def built(self) -> Flags:
+        """Flags of the scene as it was built."""
+        flags: Flags = {}
+        for sensor in self._sensors:
+            flags |= design_flags(sensor.design, sensor.mesh.nx, sensor.mesh.ny)
+        return flags
+
+    def look(self) -> tuple[Flags, str | None]:
+        """Flags of the present state, and the reason to stop, if there is one. Call every 20 ms or so."""
+        flags: Flags = {}
+        stop = None
+        places = self._geoms_in(self._sensors)
+        for number, sensor in enumerate(self._sensors):
+            flags |= sensor.flags()
+            feature = features.resolution_flag(self._model, self._touching(sensor), sensor.mesh)
+            if feature:
+                flags["feature"] = feature
+            lasting = self._penetration(number)
+            if lasting > PENETRATION:
+                flags["penetration"] = (f"objects sink into the membrane by {lasting:.0%} of what they push in, more than "
+                                        f"{PENETRATION:.0%}; a smaller timestep makes contact stiffer")
+            if lasting > _SUNK:
+                stop = f"sensor {sensor.prefix!r}: {flags['penetration']}"
+            stop = stop or self._passed(number, places[number])
+            flags |= self._too_fast(number, places[number])
+        self._places = places
+        return flags, stop
+
+    def _mine(self, sensor: TactileSensor) -> np.ndarray:
+        """Which contacts are the sensor's membrane's, (ncon,) of bool."""
+        contact = self._data.contact
+        return (np.isin(contact.geom, sensor.vertex_geom_ids) | (contact.flex == sensor.flex_id)).any(axis=1)
+
+    def _touching(self, sensor: TactileSensor) -> np.ndarray:
+        """Geoms that touch the sensor's membrane."""
+        return np.intersect1d(self._data.contact.geom[self._mine(sensor)], self._geoms)
+
+    def _penetration(self, number: int) -> float:
+        """Penetration as a share of the indentation, if it lasts for some looks: an impact sinks in for a moment."""
+        sensor, contact = self._sensors[number], self._data.contact
+        mine = self._mine(sensor)
+        heights = sensor.p_SV[:, 2]
+        if not mine.any():
+            self._rest[number], self._deep[number] = heights, 0.0
+            return 0.0
+        indentation = float((self._rest[number] - heights).max())
+        depth = float(-contact.dist[mine].min())
+        self._deep[number] = [*self._deep[number, 1:], depth / max(indentation + depth, _LEAST_INDENTATION)]
+        return float(self._deep[number].min())
+
+    def _geoms_in(self, sensors: tuple[TactileSensor, ...]) -> list[Array]:
+        """Centres (g, 3) m of what may touch, in each sensor's frame."""
+        data = self._data
+        return [(data.geom_xpos[self._geoms] - data.xpos[s.body_id]) @ data.xmat[s.body_id].reshape(3, 3) for s in sensors]
+
+    def _passed(self, number: int, places: Array) -> str | None:
+        """Something whose middle is behind the membrane, or was before it and is now behind the glass, went through it."""
+        sensor = self._sensors[number]
+        frame, p_SV, before = sensor.design.frame, sensor.p_SV, self._places[number]
+        within = (np.abs(places[:, :2]) < (0.45 * frame.length, 0.45 * frame.width)).all(axis=1)
+        top, glass = p_SV[:, 2].max(), -sensor.design.chamber.depth
+        for k in np.flatnonzero(within & (places[:, 2] < top)):
+            nearest = np.argmin(((p_SV[:, :2] - places[k, :2]) ** 2).sum(axis=1))
+            if (places[k, 2] < p_SV[nearest, 2]) if places[k, 2] > glass else (before[k, 2] > top):
+                name = self._model.geom(int(self._geoms[k])).name or f"geom {self._geoms[k]}"
+                return f"sensor {sensor.prefix!r}: {name!r} went through the membrane; use a smaller timestep or finer mesh"
+        return None
+
+    def _too_fast(self, number: int, places: Array) -> Flags:
+        """Objects near a membrane that move by more than half their size in a step may not be seen in time."""
+        if not len(places):
+            return {}
+        sensor = self._sensors[number].body_id
+        speed = np.linalg.norm(self._velocities(self._model.geom_bodyid[self._geoms]) - self._velocities([sensor]), axis=1)
+        share = speed * float(self._model.opt.timestep) / self._sizes
+        share[np.linalg.norm(places, axis=1) > 0.05 + self._sizes] = 0.0
+        k = int(np.argmax(share))
+        if share[k] <= 0.5:
+            return {}
+        best = 0.25 * self._sizes[k] / speed[k] * 1e3
+        return {"speed": f"an object approaches at {speed[k]:.2g} m/s, more than half its size in a step; use a timestep of at "
+                         f"most {best:.2g} ms"}
+
+    def _velocities(self, bodies: Sequence[int] | np.ndarray) -> Array:
+        """Velocities (n, 3) m/s of the origins of bodies, frame W."""
+        data, root = self._data, self._model.body_rootid[bodies]
+        return data.cvel[bodies, 3:] + np.cross(data.cvel[bodies, :3], data.xpos[bodies] - data.subtree_com[root])

@@ -1,0 +1,26 @@
+"""Scenes that several tests of the membrane share."""
+
+import mujoco
+import numpy as np
+
+from mjtactile.sim.attach import attach, recommend_options
+from mjtactile.sim.world import World
+
+
+def scene(design, mesh=(13, 11), timestep=8e-3, gravity=(0, 0, 0)):
+    """One sensor at rest on the world."""
+    spec = mujoco.MjSpec()
+    recommend_options(spec, timestep)
+    spec.option.gravity = gravity
+    spec.worldbody.add_site(name="mount")
+    return World(spec, [attach(spec, design, site="mount", mesh=mesh)])
+
+
+def settle(world, pressure, speed=1e-6):
+    """Open the valve at `pressure` and step until nothing moves faster than `speed` m/s."""
+    world.sensors[0].open_valve(pressure)
+    for _ in range(100):
+        world.step(10)
+        if np.abs(world.data.qvel).max() < speed:
+            return
+    raise AssertionError("did not settle")

@@ -1,0 +1,126 @@
+"""The gas against closed forms: Boyle, adiabatic, the heat exchange between them, valve, leak. No membrane in sight."""
+
+import math
+
+import numpy as np
+import pytest
+
+from mjtactile.design import Chamber
+from mjtactile.errors import InputError
+from mjtactile.sim.gas import Gas
+
+AMBIENT, VOLUME = 101325.0, 2.4e-5
+
+
+def closed(gauge=1000.0, **chamber):
+    """A chamber of 24 mL, filled to `gauge` Pa and closed."""
+    gas = Gas(Chamber(0.02, **chamber))
+    gas.open(gauge)
+    gas.advance(VOLUME, 0.0)
+    gas.close()
+    return gas
+
+
+def ramp(gas, end, duration, steps=200):
+    """Change the volume from VOLUME to `end` at a constant relative rate."""
+    for volume in VOLUME * (end / VOLUME) ** np.linspace(0, 1, steps + 1)[1:]:
+        gas.advance(float(volume), duration / steps)
+    return gas.pressure_gauge + AMBIENT
+
+
+@pytest.mark.parametrize("heat_ratio", [1.0, 1.4])
+def test_closed_gas_keeps_p_v_gamma(heat_ratio):
+    gas = closed(heat_ratio=heat_ratio)
+    absolute = ramp(gas, 0.8 * VOLUME, 1.0)
+    assert absolute * 0.8**heat_ratio == pytest.approx(102325.0, rel=1e-12)  # exact in each step: rounding only
+    expected = 293.15 * 0.8 ** (1 - heat_ratio)
+    assert gas.temperature == pytest.approx(expected, rel=1e-12)
+
+
+def test_heat_exchange_slides_from_adiabatic_to_isothermal():
+    fast = ramp(closed(heat_ratio=1.4, heat_exchange=1.0), 0.9 * VOLUME, 1e-6)
+    slow = ramp(closed(heat_ratio=1.4, heat_exchange=1.0), 0.9 * VOLUME, 1e4)
+    assert fast == pytest.approx(102325.0 / 0.9**1.4, rel=1e-6)  # 1 us against 1 s
+    assert slow == pytest.approx(102325.0 / 0.9, rel=1e-4)  # lag of 0.4 x 0.1 x 1 s / 10 000 s
+
+
+def test_after_a_quick_squeeze_the_pressure_decays_with_the_time_constant():
+    tau = 0.8
+    gas = closed(heat_ratio=1.4, heat_exchange=tau)
+    start = ramp(gas, 0.9 * VOLUME, 1e-9)
+    end = 102325.0 / 0.9
+    for _ in range(100):
+        gas.advance(0.9 * VOLUME, 0.01)
+    expected = end + (start - end) * math.exp(-1.0 / tau)
+    assert gas.pressure_gauge + AMBIENT == pytest.approx(expected, rel=1e-9)  # exact at constant volume
+
+
+def test_one_step_equals_many_at_a_constant_relative_rate():
+    once = ramp(closed(heat_ratio=1.4, heat_exchange=0.5), 0.7 * VOLUME, 0.3, steps=1)
+    many = ramp(closed(heat_ratio=1.4, heat_exchange=0.5), 0.7 * VOLUME, 0.3, steps=1000)
+    assert once == pytest.approx(many, rel=1e-10)  # the solution is exact for such a ramp
+
+
+@pytest.mark.parametrize("chamber", [{}, {"heat_ratio": 1.4}, {"heat_ratio": 1.4, "heat_exchange": 0.01},
+                                     {"heat_ratio": 1.4, "leak_conductance": 1e-8}])
+@pytest.mark.parametrize("step", [1e-3, 8e-3])
+def test_stiffness_is_the_response_of_the_next_step(chamber, step):
+    def pressure(change):
+        gas = closed(0.0, **chamber)  # at ambient pressure and temperature: nothing flows by itself
+        gas.advance(VOLUME + change, step)
+        return gas.pressure_gauge
+
+    change = 1e-5 * VOLUME
+    slope = (pressure(-change) - pressure(change)) / (2 * change)
+    # `advance` lets gas flow before and after the change, the stiffness during it: exp(-x/2) against (1 - exp(-x))/x,
+    # x^2/24 with x = 0.47 at 8 ms; where nothing leaks, only the curvature of the law is left
+    assert closed(0.0, **chamber).stiffness(step) == pytest.approx(slope, rel=0.02 if "leak_conductance" in chamber else 1e-6)
+
+
+def test_an_open_valve_fills_with_its_time_constant():
+    gas = closed(0.0, valve_conductance=1e-9)
+    gas.open(500.0)
+    tau = VOLUME / (1e-9 * (AMBIENT + 500.0))  # isothermal: V / (C p) = 0.24 s
+    for _ in range(60):
+        gas.advance(VOLUME, tau / 60)
+    assert gas.pressure_gauge == pytest.approx(500 * (1 - math.exp(-1)), rel=1e-3)  # the rate uses the higher pressure
+    for _ in range(2000):
+        gas.advance(VOLUME, tau / 60)
+    assert gas.pressure_gauge == pytest.approx(500.0, abs=1e-6)
+    gas.open(0.0)  # vent
+    for _ in range(3000):
+        gas.advance(VOLUME, tau / 60)
+    assert gas.pressure_gauge == pytest.approx(0.0, abs=1e-6)
+
+
+def test_charging_adiabatically_heats_by_gamma():
+    """An evacuated rigid vessel that fills quickly from air at T ends at gamma T (first law, textbook)."""
+    gas = closed(-0.999 * AMBIENT, heat_ratio=1.4, leak_conductance=1e-8)
+    for _ in range(4000):
+        gas.advance(VOLUME, 1e-4)
+    assert gas.pressure_gauge == pytest.approx(0.0, abs=1.0)
+    assert gas.temperature == pytest.approx(1.4 * 293.15, rel=2e-3)  # 0.1 % of the gas was there before, at T
+
+
+def test_a_leak_and_a_puncture_lose_the_pressure_and_nothing_else():
+    gas = closed(1000.0, leak_conductance=1e-9)
+    amount = gas.amount
+    for _ in range(5000):
+        gas.advance(VOLUME, 1e-3)
+    assert gas.pressure_gauge == pytest.approx(0.0, abs=1e-3)
+    assert gas.amount == pytest.approx(amount * AMBIENT / (AMBIENT + 1000.0), rel=1e-6)
+    gas = closed(1000.0)
+    gas.puncture(1e-7)
+    gas.advance(VOLUME, 1.0)  # a hundred time constants in one step
+    assert gas.pressure_gauge == pytest.approx(0.0, abs=1.0)
+    for bad in (-1.0, math.nan, math.inf):
+        with pytest.raises(InputError, match="leak_conductance"):
+            gas.puncture(bad)
+
+
+def test_ambient_pressure_and_temperature_are_parameters():
+    """On a mountain (70 kPa) the same gauge pressure in the same volume is softer: k = p / V."""
+    low, high = (closed(1000.0, ambient=a) for a in (70e3, 100e3))
+    assert low.stiffness(1e-3) / high.stiffness(1e-3) == pytest.approx(71 / 101, rel=1e-12)
+    cold = closed(1000.0, temperature=253.15)
+    assert cold.amount == pytest.approx(102325.0 * VOLUME / 253.15, rel=1e-12)

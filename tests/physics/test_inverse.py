@@ -1,0 +1,175 @@
+"""Inverse finite elements against an independent membrane (tests/reference_membrane.py), symmetry and its own statistics."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from reference_membrane import ReferenceMembrane
+from scipy.interpolate import RectBivariateSpline
+
+from mjtactile.design import load_sensor
+from mjtactile.sensing.inverse import InverseMembrane
+from mjtactile.sensing.patches import find_patches, together
+from mjtactile.sensing.sheet import Gas, Sheet
+from mjtactile.types import Markers
+
+SUPPLY = 1000.0  # Pa
+OBLIQUE, PLACE = np.array([0.15, -0.05, -0.6]), (0.004, -0.002)
+PAIR = ((-0.009, 0.002), (0.009, -0.002))
+
+
+class Truth:
+    """The paper's membrane as triangles: at rest, under one oblique patch, and under two patches."""
+
+    def __init__(self):
+        d = load_sensor("dense")
+        m = d.membrane
+        self.fem = ReferenceMembrane(d.frame.length, d.frame.width, m.thickness, m.young, m.poisson, m.pre_stretch,
+                                     d.chamber_volume_flat, d.chamber.ambient, n=33)
+        self.rest, _ = self.fem.solve(np.zeros((len(self.fem.X), 3)), gauge=SUPPLY)
+        self.volume = self.fem._volume(self.rest)[0]
+        self.sealed = (d.chamber.ambient + SUPPLY) * (d.chamber_volume_flat + self.volume)
+        self.load = self.patch(PLACE, OBLIQUE, 0.006)
+        self.pressed, self.gauge = self.fem.solve(self.load, sealed=self.sealed, x=self.rest)
+        two = sum(self.patch(place, np.array([0, 0, -force]), 0.005) for place, force in zip(PAIR, (0.3, 0.5), strict=True))
+        self.twice, _ = self.fem.solve(two, sealed=self.sealed, x=self.rest)
+
+    def patch(self, center, force, radius):
+        weight = np.clip(1 - np.sum((self.fem.X - center) ** 2, axis=1) / radius**2, 0, None) * self.fem.node_area
+        return np.outer(weight / weight.sum(), force)
+
+    def markers(self, design, x, noise=6e-6):
+        q = design.markers.p_SM
+        grid = x.reshape(*self.fem.shape, 3)
+        p = np.column_stack([RectBivariateSpline(*self.fem.grid, grid[..., k])(q[:, 0], q[:, 1], grid=False)
+                             for k in range(3)])
+        return make_markers(p, noise)
+
+
+def make_markers(p, noise=6e-6):
+    n = len(p)
+    return Markers(np.arange(n), p, np.tile([0.0, 0.0, -1.0], (n, 1)), np.tile(np.eye(3) * noise**2, (n, 1, 1)))
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return Truth()
+
+
+@pytest.fixture(scope="module", params=["dense", "paper16"])
+def sensor(request, truth):
+    estimator = InverseMembrane(load_sensor(request.param))
+    return estimator, estimator.rest_state(truth.markers(estimator.design, truth.rest), SUPPLY)
+
+
+def test_forward_solution_matches_the_independent_membrane(truth):
+    sheet = Sheet(load_sensor("dense"), (14, 10))
+    c = sheet.equilibrium(Gas(SUPPLY))
+    height = (sheet.basis(np.zeros((1, 2))) @ c[2])[0]
+    # linear triangles of 1.25 mm are too stiff by O(h^2): 0.4 % of a 40 x 30 mm bulge
+    assert height == pytest.approx(truth.rest[:, 2].max(), rel=0.006)
+    assert sheet.state(c).volume == pytest.approx(truth.volume, rel=0.01)
+
+
+def test_tangent_is_the_derivative_of_the_residual():
+    sheet = Sheet(load_sensor("dense"), (14, 10))
+    c = sheet.equilibrium(Gas(SUPPLY))
+    v = 1e-6 * np.random.default_rng(0).standard_normal(c.shape)
+    lower = sheet.tangent(sheet.state(c), SUPPLY)
+    K = np.tril(lower) + np.tril(lower, -1).T
+    change = (sheet.residual(sheet.state(c + v), SUPPLY) - sheet.residual(sheet.state(c - v), SUPPLY)).ravel() / 2
+    # 2-point Gauss quadrature leaves the follower pressure's matrix unsymmetric by 5e-4, of which half is used
+    assert np.linalg.norm(K @ v.ravel() - change) < 2e-3 * np.linalg.norm(change)
+
+
+def test_force_torque_and_pressure_of_an_oblique_patch(sensor, truth):
+    estimator, rest = sensor
+    shape = estimator.estimate(truth.markers(estimator.design, truth.pressed), rest)
+    traction = estimator.traction(shape)
+    # asked: 0.02 N (dense), 0.04 N (paper16); triangles are up to 3 % stiffer under a patch of 6 mm
+    assert traction.wrench[2] == pytest.approx(OBLIQUE[2], abs=0.03)
+    np.testing.assert_allclose(traction.wrench[:2], OBLIQUE[:2], atol=0.015)
+    torque = np.cross(truth.pressed, truth.load).sum(axis=0)
+    np.testing.assert_allclose(traction.wrench[3:], torque, atol=0.6 * 4e-4)  # 0.6 N at 0.4 mm
+    nodal = (shape.traction * estimator.node_area).T  # and to rounding it is the moment of the nodal forces
+    np.testing.assert_allclose(traction.wrench[3:], np.cross(estimator.node_positions(shape.c), nodal).sum(axis=0), atol=1e-12)
+    assert traction.pressure_gauge == pytest.approx(truth.gauge, rel=0.02)
+    assert traction.force[..., :].sum(axis=(0, 1)) == pytest.approx(traction.wrench[:3])
+
+
+def test_patch_lies_where_the_load_is(sensor, truth):
+    estimator, rest = sensor
+    shape = estimator.estimate(truth.markers(estimator.design, truth.pressed), rest)
+    patches = find_patches(estimator, shape, rest)
+    assert len(patches) == 1
+    where = np.abs(truth.load[:, 2]) @ truth.pressed[:, :2] / np.abs(truth.load[:, 2]).sum()
+    np.testing.assert_allclose(patches[0].centroid, where, atol=6e-4)  # twice the mean that bench touch asks for
+    assert 0.5e-3 < patches[0].depth < 4e-3
+    # a parabola of radius 6 mm: most of its force lies within 4 mm (50 mm^2), nothing beyond 6 mm (113 mm^2)
+    assert 40e-6 < patches[0].area < 120e-6
+    inside = patches[0].outline
+    assert np.linalg.norm(inside - patches[0].centroid, axis=1).max() < 8e-3
+
+
+def test_two_patches_are_told_apart(truth):
+    estimator = InverseMembrane(load_sensor("dense"))
+    rest = estimator.rest_state(truth.markers(estimator.design, truth.rest), SUPPLY)
+    patches = find_patches(estimator, estimator.estimate(truth.markers(estimator.design, truth.twice), rest), rest)
+    assert len(patches) == 2
+    strong, weak = patches
+    assert strong.centroid[0] == pytest.approx(PAIR[1][0], abs=1e-3) and weak.centroid[0] == pytest.approx(PAIR[0][0], abs=1e-3)
+    assert -strong.force[2] == pytest.approx(0.5, abs=0.06) and -weak.force[2] == pytest.approx(0.3, abs=0.06)
+    both = together(patches, (3, 4))
+    assert both.area == pytest.approx(strong.area + weak.area) and both.force[2] == pytest.approx(-0.8, abs=0.04)
+
+
+def test_mirror_image_gives_the_mirrored_wrench(sensor, truth):
+    estimator, rest = sensor
+    design = estimator.design
+    grid = (design.markers.rows, design.markers.columns, 3)
+    p = truth.markers(design, truth.pressed).p_SM
+    flipped = p.reshape(grid)[:, ::-1].reshape(-1, 3) * [-1, 1, 1]
+    at_rest = truth.markers(design, truth.rest).p_SM
+    mirrored_rest = estimator.rest_state(make_markers(at_rest.reshape(grid)[:, ::-1].reshape(-1, 3) * [-1, 1, 1]), SUPPLY)
+    one = estimator.traction(estimator.estimate(make_markers(p), rest)).wrench
+    other = estimator.traction(estimator.estimate(make_markers(flipped), mirrored_rest)).wrench
+    # the same operations in another order: only where an iteration stops (30 um of shape) can differ
+    np.testing.assert_allclose(other * [-1, 1, 1, 1, -1, -1], one, atol=1e-4)
+
+
+def test_covariance_is_that_of_errors_drawn_from_prior_and_noise(sensor, truth):
+    """Draw tractions from the prior and noise from the markers; the linear estimate must err by the predicted covariance."""
+    estimator, rest = sensor
+    shape = estimator.estimate(truth.markers(estimator.design, truth.pressed), rest)
+    gain, moment = shape.gain, estimator._moments(shape.c) * np.tile(estimator.node_area, 3)
+    rng = np.random.default_rng(1)
+    t = np.sqrt(gain.prior)[:, None] * rng.standard_normal((len(gain.prior), 400))
+    y = gain.response @ t + rng.standard_normal((len(gain.response), 400))
+    S = (gain.response * gain.prior) @ gain.response.T + np.eye(len(gain.response))
+    error = moment @ (gain.prior[:, None] * (gain.response.T @ np.linalg.solve(S, y)) - t)
+    predicted = np.sqrt(np.diag(estimator._wrench_cov(shape, estimator._moments(shape.c), np.zeros(6))))
+    misfit = np.sqrt(max(1.0, shape.misfit))
+    np.testing.assert_allclose(error.std(axis=1) * misfit, predicted, rtol=0.12)  # 400 draws: 3.5 %, six of them
+
+
+def test_softer_rubber_is_absorbed_by_the_rest_state(truth):
+    """Told 10 % too stiff a rubber, the estimator finds it from the bulge and still feels the right force."""
+    nominal = load_sensor("dense")
+    wrong = replace(nominal, membrane=replace(nominal.membrane, young=1.1 * nominal.membrane.young))
+    estimator = InverseMembrane(wrong)
+    rest = estimator.rest_state(truth.markers(nominal, truth.rest), SUPPLY)
+    assert rest.stiffness_scale == pytest.approx(1 / 1.1, abs=0.01)
+    wrench = estimator.traction(estimator.estimate(truth.markers(nominal, truth.pressed), rest)).wrench
+    assert wrench[2] == pytest.approx(OBLIQUE[2], abs=0.03)
+
+
+def test_starting_from_the_last_frame_gives_the_same_force(sensor, truth):
+    estimator, rest = sensor
+    markers = truth.markers(estimator.design, truth.pressed)
+    cold = estimator.estimate(markers, rest)
+    warm = estimator.estimate(markers, rest, cold)
+    assert warm.steps <= cold.steps
+    difference = estimator.traction(warm).wrench[:3] - estimator.traction(cold).wrench[:3]
+    assert np.abs(difference).max() < 0.01  # reweighting goes on, within the error bar

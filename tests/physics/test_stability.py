@@ -1,0 +1,81 @@
+"""The pruned stability matrix, and what is refused or flagged where the method ends."""
+
+from dataclasses import replace
+
+import pytest
+
+from mjtactile.bench import stability
+from mjtactile.bench.stability_cases import matrix, pruned
+from mjtactile.design import load_sensor
+from mjtactile.errors import InputError, SimulationError
+from mjtactile.sim import limits
+from mjtactile.sim.press import Indenter, PressWorld
+from mjtactile.sim.trials import Body, DropWorld
+
+
+def test_the_matrix_is_large_and_its_cases_are_distinct():
+    cases = matrix()
+    assert len(cases) >= 300
+    assert len({(case.axis, case.label) for case in cases}) == len(cases)
+
+
+@pytest.mark.parametrize("case", pruned(), ids=lambda case: f"{case.axis}: {case.label}")
+def test_pruned_case(case):
+    row = stability.judge(case)
+    assert row["outcome"] in ("ok", "flagged", "refused"), row["reason"]
+
+
+def test_a_plain_press_is_plainly_ok():
+    case = next(c for c in matrix() if (c.axis, c.label) == ("time step", "4 ms"))
+    assert stability.judge(case)["outcome"] == "ok"
+
+
+@pytest.mark.parametrize(("problem", "words"), [("force", "quarter"), ("settled", "settle")])
+def test_the_judge_fails_what_nothing_owns_up_to(monkeypatch, problem, words):
+    case = next(c for c in matrix() if (c.axis, c.label) == ("time step", "8 ms"))
+
+    def measure(case):
+        wrong = case.timestep < 8e-3 and problem == "force"
+        return {"force_N": 0.5 if wrong else 0.3, "flags": {"stretch": "large"},
+                "problems": {} if problem == "force" else {"settled": "does not settle"}}
+
+    monkeypatch.setattr(stability, "measure", measure)
+    row = stability.judge(case)
+    assert row["outcome"] == "FAILED" and words in row["reason"]
+
+
+def design(**sheet):
+    base = load_sensor("paper16")
+    return replace(base, membrane=replace(base.membrane, **sheet))
+
+
+@pytest.mark.parametrize(("sheet", "words"), [({"thickness": 4e-3}, "thickness_mm.*plate.*at most 3"),
+                                              ({"pre_stretch": 0.9}, r"pre_stretch.*slack.*at least 0\.95")])
+def test_sheets_that_are_no_membranes_are_refused(sheet, words):
+    with pytest.raises(InputError, match=words):
+        PressWorld(design(**sheet), Indenter.parse("sphere:8"))
+
+
+def test_a_slack_sheet_is_flagged_for_wrinkles():
+    world = PressWorld(design(pre_stretch=0.98), Indenter.parse("sphere:8"))
+    world.inflate(0.0, seal=False)
+    assert "compression" in world.flags["wrinkles"]
+
+
+def test_a_thick_sheet_and_a_coarse_mesh_are_flagged():
+    assert "bending" in limits.design_flags(design(thickness=2e-3, pre_stretch=1.0), 13, 11)
+    assert "(13, 11)" in limits.design_flags(design(), 7, 7)["mesh"]
+    assert not limits.design_flags(design(), 13, 11)
+
+
+def test_something_that_goes_through_stops_the_run():
+    """A sheet of paper at 30 m/s moves its own thickness 600 times in a step: it is never seen in contact."""
+    world = DropWorld("paper16", Body("plate", 2e-4, 1e-3), pressure_gauge=1000.0, speed=30.0, guided=True)
+    with pytest.raises(SimulationError, match=r"went through|glass|sunk"):
+        world.step(300)
+
+
+def test_a_body_too_fast_for_the_step_is_flagged():
+    world = DropWorld("paper16", Body("sphere", 0.01, 0.01), pressure_gauge=1000.0, speed=2.0, timestep=8e-3, guided=True)
+    world.step(3)
+    assert "use a timestep of at most" in world.flags["speed"]

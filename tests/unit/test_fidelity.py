@@ -1,0 +1,73 @@
+"""Fidelity: the cheapest measured setting that gives what is asked; honest when none does."""
+
+import json
+
+import pytest
+
+from mjtactile import fidelity
+from mjtactile.errors import InputError
+from mjtactile.fidelity import Fidelity
+
+
+def _row(mesh, error, cost):
+    return {"mesh": mesh, "timestep_ms": 4.0, "tolerance": 1e-7, "force_error_N": error, "surface_error_um": 10.0,
+            "force_noise_N": 1e-4, "ms_per_s": cost}
+
+
+@pytest.fixture
+def table(tmp_path):
+    path = tmp_path / "measured.json"
+    rows = [_row([9, 7], 0.04, 200.0), _row([11, 9], 0.015, 500.0), _row([12, 9], 0.012, 600.0), _row([21, 17], 0.003, 4000.0)]
+    path.write_text(json.dumps({"stamp": {"machine": "m", "mujoco": "4", "date": "d"}, "rows": rows}))
+    return path
+
+
+@pytest.mark.parametrize(("asked", "mesh"), [(0.05, (9, 7)), (0.02, (11, 9)), (0.015, (11, 9)), (0.0031, (21, 17))])
+def test_takes_the_cheapest_that_is_good_enough(table, asked, mesh):
+    assert Fidelity.for_force_error(asked, table).mesh == mesh
+
+
+def test_says_how_close_it_can_get(table):
+    best = Fidelity.for_force_error(0.001, table)
+    assert not best.met
+    assert best.mesh == (21, 17)
+    assert "0.003" in best.basis
+
+
+def test_real_time_leaves_room_and_takes_the_most_accurate(table):
+    # 600 ms/s is 1.67 x real time, 4000 is not; the margin is REAL_TIME_MARGIN
+    assert Fidelity.for_real_time(table).mesh == (12, 9)
+
+
+def test_basis_names_the_measurement_and_the_machine(table):
+    basis = Fidelity.parse("0.02N", table).basis
+    assert "11x9" in basis
+    assert "m, MuJoCo 4, d" in basis
+
+
+@pytest.mark.parametrize("text", ["0.02", "fast", "-1N", "nanN", "infN", "0N", ""])
+def test_refuses_what_is_no_accuracy(table, text):
+    with pytest.raises(InputError, match="realtime"):
+        Fidelity.parse(text, table)
+
+
+def test_round_trip(table):
+    row = Fidelity.for_force_error(0.02, table)
+    assert fidelity.row_from_json(row.summary()) == fidelity.row_from_json(_row([11, 9], 0.015, 500.0))
+
+
+@pytest.mark.parametrize("text", ["{}", "no json", '{"rows": [], "stamp": {"machine": "", "mujoco": "", "date": ""}}'])
+def test_refuses_a_broken_table(tmp_path, text):
+    path = tmp_path / "broken.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"broken\.json"):
+        Fidelity.for_real_time(path)
+
+
+def test_shipped_table_can_be_read_and_orders_by_mesh():
+    rows, _ = fidelity.load_table()
+    assert len(rows) > 5
+    # second order in the mesh: the finest measured mesh beats the coarsest by far more than any noise
+    by_mesh = sorted(rows, key=lambda row: row.mesh[0] * row.mesh[1])
+    assert by_mesh[-1].force_error < 0.5 * by_mesh[0].force_error
+    assert by_mesh[-1].cost > by_mesh[0].cost

@@ -1,0 +1,172 @@
+"""Touch or none, the zero that follows drift, and slip: on made-up frames whose answer is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mjtactile.design import load_sensor
+from mjtactile.sensing import slip, zero
+from mjtactile.sensing.inverse import InverseMembrane
+from mjtactile.sensing.patches import find_patches
+from mjtactile.sensing.pipeline import SensorPipeline
+from mjtactile.sensing.sheet import Gas
+from mjtactile.types import SLIP_STATES, Markers, Traction
+
+SUPPLY, FRAME = 1000.0, 1 / 30
+NOISE = np.array([2e-6, 2e-6, 6e-6])  # m, sd of a marker
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    estimator = InverseMembrane(load_sensor("paper16"))
+    c = estimator.sheet.equilibrium(estimator.sheet.seal(estimator.sheet.state(np.zeros((3, estimator.sheet.count))), 0.0))
+    assert np.abs(c).max() < 1e-9  # without pressure a sheet is flat
+    markers = seen(estimator, estimator.sheet.equilibrium(Gas(SUPPLY)))
+    return estimator, estimator.rest_state(markers, SUPPLY)
+
+
+def seen(estimator, c, rng=None):
+    p = estimator.positions(c)
+    n = len(p)
+    if rng is not None:
+        p = p + NOISE * rng.standard_normal(p.shape)
+    return Markers(np.arange(n), p, np.tile([0.0, 0.0, -1.0], (n, 1)), np.tile(np.diag(NOISE**2), (n, 1, 1)))
+
+
+def pressed(estimator, rest, force, place=(0.0, 0.0), radius=5e-3):
+    """Coefficients and nodal tractions (3, J) Pa of the sheet under a parabolic patch with resultant (3,) N."""
+    traction = parabola(estimator, force, place, radius)
+    load = traction @ estimator._load.T
+    return estimator.sheet.equilibrium(rest.gas, rest.stiffness_scale, load, start=rest.c), traction
+
+
+def traction(force, sd=5e-3):
+    x = np.array([0.0, 1.0])
+    return Traction(x, x, np.zeros((2, 2, 3)), np.array([0, 0, -force, 0, 0, 0]), sd**2 * np.eye(6), 1e3, "test")
+
+
+# -- touch ------------------------------------------------------------------------------------------------------------
+
+
+def test_noise_is_learnt_and_a_light_touch_is_felt_and_released():
+    rng, watch = np.random.default_rng(0), None
+    for k in range(200):
+        watch = zero.watch(k * FRAME, traction(4e-3 * rng.standard_normal()), watch)
+        assert not watch.touching
+    assert watch.noise == pytest.approx(4e-3, rel=0.4)  # 30 frames: sd of a sd is 13 %; three of them
+    assert watch.threshold < 0.03  # N, asked for
+    on = zero.watch(7.0, traction(0.03), watch)
+    assert on.touching and zero.watch(7.1, traction(0.02), on).touching  # hysteresis
+    off = zero.watch(7.2, traction(0.005), on)
+    assert not off.touching and off.quiet_since == 7.2
+
+
+def test_no_false_alarm_in_ten_minutes():
+    rng, watch, alarms = np.random.default_rng(1), None, 0
+    shown = traction(0.0)
+    for k, force in enumerate(5e-3 * rng.standard_normal(18000)):
+        wrench = shown.wrench.copy()
+        wrench[2] = -force
+        watch = zero.watch(k * FRAME, replace(shown, wrench=wrench), watch)
+        alarms += watch.touching
+    # at 5 mN of noise, 0.025 N is five sd: 3e-7 a frame, and the threshold follows the noise's estimate
+    assert alarms <= 1
+
+
+def test_zero_follows_a_warming_chamber_and_leaves_a_right_force(sensor):
+    """0.3 K: p V grows by 0.1 %. Untouched for a minute, the felt force must come back to nothing."""
+    estimator, rest = sensor
+    warm = replace(rest.gas, constant=rest.gas.constant * (1 + 0.3 / 293.15))
+    c = estimator.sheet.equilibrium(warm, rest.stiffness_scale, start=rest.c)
+    rng, shape, now = np.random.default_rng(2), None, rest
+    before = estimator.traction(estimator.estimate(seen(estimator, c), rest)).wrench[2]
+    assert before > 0.02  # N: it looks like a pull
+    for _ in range(300):
+        markers = seen(estimator, c, rng)
+        shape = estimator.estimate(markers, now, shape)
+        now = zero.follow(estimator, now, shape, markers, 0.2)
+    after = estimator.traction(estimator.estimate(seen(estimator, c), now)).wrench[2]
+    assert abs(after) < 5e-3
+    assert now.gas.constant / rest.gas.constant - 1 == pytest.approx(0.3 / 293.15, rel=0.1)
+    # and a press is felt as it should be, since it was the gas that was corrected
+    warm_rest = replace(rest, gas=warm, c=c)
+    c_pressed, _ = pressed(estimator, warm_rest, np.array([0, 0, -0.5]))
+    felt = estimator.traction(estimator.estimate(seen(estimator, c_pressed), now)).wrench[2]
+    assert felt == pytest.approx(-0.5, abs=0.02)  # 4 x 4 markers, asked 0.04
+
+
+def test_zero_is_frozen_in_contact_and_a_lost_zero_is_said():
+    pipeline = SensorPipeline(load_sensor("paper16"))
+    estimator = pipeline.inverse
+    rest_markers = seen(estimator, estimator.sheet.equilibrium(Gas(SUPPLY)))
+    pipeline.set_rest(rest_markers, SUPPLY)
+    assert pipeline.reference is not None
+    rest, surface = pipeline.reference.rest, pipeline.fitter.fit(rest_markers)
+    markers = seen(estimator, pressed(estimator, rest, np.array([0, 0, -0.4]))[0])
+    pipeline.touch_of(rest_markers, surface, 0.0)
+    for k in range(40):
+        touch = pipeline.touch_of(markers, surface, (k + 1) * FRAME)
+    assert touch.touching and pipeline.reference.rest is rest
+    assert touch.contact is not None and touch.contact.area > 0 and len(touch.patches) == 1
+    assert touch.slip is not None and touch.slip.state == "sticking"
+    hot = replace(rest.gas, constant=rest.gas.constant * 1.01)  # 3 K at once
+    bulged = seen(estimator, estimator.sheet.equilibrium(hot, rest.stiffness_scale, start=rest.c))
+    for k in range(40):
+        touch = pipeline.touch_of(bulged, surface, 10 + k * FRAME)
+        if touch.status != "ok":
+            break
+    assert "pulled" in touch.status and np.isnan(touch.force_normal)
+
+
+# -- slip -------------------------------------------------------------------------------------------------------------
+
+
+def judge_run(sensor, forces, places, start=0.0):
+    """Slip verdicts for a sequence of loads (3,) N and their places (2,) m on the material."""
+    estimator, rest = sensor
+    shape = estimator.estimate(seen(estimator, rest.c), rest)
+    history, verdicts = None, []
+    for k, (force, place) in enumerate(zip(forces, places, strict=True)):
+        now = replace(shape, traction=parabola(estimator, force, place))
+        verdict, history = slip.judge(start + k * FRAME, estimator, now, find_patches(estimator, now, rest), history)
+        verdicts.append(verdict)
+    return verdicts
+
+
+def parabola(estimator, force, place, radius=5e-3):
+    """Nodal tractions (3, J) Pa of a parabolic patch with resultant (3,) N at `place` (2,) m of the flat sheet."""
+    weight = np.clip(1 - np.sum((estimator.nodes - place) ** 2, axis=1) / radius**2, 0, None)
+    return np.outer(force, weight / (weight @ estimator.node_area))
+
+
+def test_slip_states(sensor):
+    mu, still = sensor[0].design.membrane.friction, [(0.0, 0.0)] * 20
+    assert judge_run(sensor, [(0.1, 0, -0.5)] * 20, still)[-1].state == "sticking"
+    assert judge_run(sensor, [(0.8 * mu * 0.5, 0, -0.5)] * 20, still)[-1].state == "incipient"
+    assert judge_run(sensor, [(1.0 * mu * 0.5, 0, -0.5)] * 20, still)[-1].state == "slipping"
+    assert judge_run(sensor, [(0, 0, -0.01)], still[:1])[-1].state == "unknown"
+    none, history = slip.judge(0.0, sensor[0], sensor[0].estimate(seen(sensor[0], sensor[1].c), sensor[1]), (), None)
+    assert none.state == "none" and history is None and {"none", "unknown"} < set(SLIP_STATES)
+
+
+def test_stick_ratio_is_mindlins(sensor):
+    mu = sensor[0].design.membrane.friction
+    for used in (0.2, 0.5, 0.8):
+        verdict = judge_run(sensor, [(used * mu * 0.5, 0, -0.5)], [(0.0, 0.0)])[-1]
+        assert verdict.stick_ratio == pytest.approx((1 - used) ** (2 / 3), abs=0.06)  # the patch's normal is not quite z
+
+
+def test_a_patch_that_wanders_over_the_material_slips_with_its_speed(sensor):
+    """Below the friction limit that the sensor file gives: the object is smoother than thought."""
+    speed, count = 8e-3, 25
+    mu = sensor[0].design.membrane.friction
+    places = [(speed * k * FRAME - 3e-3, 0.0) for k in range(count)]
+    verdicts = judge_run(sensor, [(0.5 * mu * 0.5, 0, -0.5)] * count, places)
+    first = next(k for k, v in enumerate(verdicts) if v.state == "slipping")
+    assert speed * first * FRAME < 5e-4 + speed * FRAME  # within 0.5 mm, to a frame
+    # a parabola of 5 mm on a grid of 3 mm: its centroid moves unevenly, right on average over a grid cell
+    assert np.mean([v.velocity[0] for v in verdicts[8:]]) == pytest.approx(speed, rel=0.25)
+    assert abs(verdicts[-1].velocity[1]) < 1e-3
