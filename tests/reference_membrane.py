@@ -15,7 +15,7 @@ class ReferenceMembrane:
     """Rectangle `length` x `width` m clamped on its rim; equi-biaxial pre-stretch; sealed gas behind it."""
 
     def __init__(self, length, width, thickness, young, poisson, pre_stretch, chamber_volume, ambient, n=41):
-        ny = int(round((n - 1) * width / length)) + 1
+        ny = round((n - 1) * width / length) + 1
         x, y = np.linspace(-length / 2, length / 2, n), np.linspace(-width / 2, width / 2, ny)
         gx, gy = np.meshgrid(x, y, indexing="ij")
         self.X = np.column_stack([gx.ravel(), gy.ravel()])

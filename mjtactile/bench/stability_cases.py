@@ -107,7 +107,7 @@ def _shapes() -> Iterator[Case]:
 
 def _motions() -> Iterator[Case]:
     for axis, angle in product(((1, 0, 0), (0, 1, 0), (1, 1, 1)), (0.5, 1.5708, 3.1416)):
-        yield Case("turned mount", f"{axis} {angle:.2f} rad", mount=tuple(a * angle for a in axis))
+        yield Case("turned mount", f"{axis} {angle:.2f} rad", mount=(axis[0] * angle, axis[1] * angle, axis[2] * angle))
     for amplitude, frequency, step in product((1e-3, 5e-3), (2.0, 10.0, 25.0), (2e-3, 4e-3)):
         yield Case("shaken mount", f"{amplitude * 1e3:g} mm, {frequency:g} Hz, {step * 1e3:g} ms", shake=(amplitude, frequency),
                    mount=(0.3, 0.7, 0.2), timestep=step)

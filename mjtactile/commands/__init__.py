@@ -3,7 +3,20 @@
 One that needs no simulator says `SIMULATES = False`.
 """
 
-from mjtactile.commands import bench, calibrate, doctor, effects, emulate, experiments, grasp, inflate, locate, press, probe, reconstruct
+from mjtactile.commands import (
+    bench,
+    calibrate,
+    doctor,
+    effects,
+    emulate,
+    experiments,
+    grasp,
+    inflate,
+    locate,
+    press,
+    probe,
+    reconstruct,
+)
 
 COMMANDS = {
     "grasp": grasp, "probe": probe, "experiments": experiments, "inflate": inflate, "press": press, "locate": locate,

@@ -19,6 +19,8 @@ from mjtactile.sensing.squeeze import Squeeze
 from mjtactile.types import MATERIALS, Array, Material
 
 FORCE_LEAST = 0.35  # N that must have been felt before anything is said
+SHRUNK_ENOUGH = 2e-3  # m by which a width must have changed to speak for itself: a paste never pushes back so hard
+FORCE_TRACED = 0.05  # N down to which the width is followed
 FORCE_SEEN = 0.1  # N from which on the contact is wide enough to measure the width
 SOLID_COMPLIANCE = 0.12e-3  # m/N: what gives way less than this is called solid (8 kN/m; an eraser has 5)
 SET_SHARE = 0.35  # of the deformation that stays: more of it is amorphous
@@ -67,9 +69,10 @@ class _Curve:
 
 def judge(squeeze: Squeeze) -> Material:
     """The verdict on a probe: press, hold, release and (better) a second touch. "unknown" says why in `status`."""
-    seen = np.isfinite(squeeze.width) & np.isfinite(squeeze.force) & (squeeze.force > FORCE_SEEN)
+    seen = np.isfinite(squeeze.width) & np.isfinite(squeeze.force) & (squeeze.force > FORCE_TRACED)
     most = float(np.max(squeeze.force[seen], initial=0.0))
-    if most < FORCE_LEAST:
+    shrunk = float(np.ptp(squeeze.width[seen])) if seen.any() else 0.0
+    if most < FORCE_LEAST and shrunk < SHRUNK_ENOUGH:
         return _unknown(f"not enough contact yet: felt {most:.2f} N, needs {FORCE_LEAST:g} N")
     phases = _phases(squeeze, np.flatnonzero(seen))
     if len(phases.load) < _SAMPLES_LEAST or len(phases.hold) < _SAMPLES_LEAST:
@@ -87,7 +90,7 @@ def _phases(squeeze: Squeeze, seen: NDArray[np.int64]) -> _Phases:
     gap = 4 * float(np.median(np.diff(squeeze.time)))
     runs = np.split(seen, np.flatnonzero(np.diff(squeeze.time[seen]) > gap) + 1)
     peaks = [squeeze.force[run].max() for run in runs]
-    first = next(i for i, peak in enumerate(peaks) if peak >= max(FORCE_LEAST, 0.5 * max(peaks)))
+    first = next(i for i, peak in enumerate(peaks) if peak >= min(FORCE_LEAST, 0.7 * max(peaks)))
     run = runs[first]
     opening, time = squeeze.opening[run], squeeze.time[run]
     speed = -np.gradient(opening, time) if len(run) > 2 else np.zeros(len(run))
@@ -104,7 +107,7 @@ def _fit_press(squeeze: Squeeze, load: NDArray[np.int64]) -> _Curve:
 
     Up to half the force: what flows has not flowed much by then.
     """
-    gentle = load[squeeze.force[load] <= _GENTLE_SHARE * squeeze.force[load].max()]
+    gentle = load[(squeeze.force[load] > FORCE_SEEN) & (squeeze.force[load] <= _GENTLE_SHARE * squeeze.force[load].max())]
     load = gentle if len(gentle) >= _SAMPLES_LEAST else load[:_SAMPLES_LEAST]
     force, width, sd = squeeze.force[load], squeeze.width[load], squeeze.width_sd[load]
     slope = max(float(-np.polyfit(force, width, 1)[0]), 1e-6)
@@ -115,7 +118,8 @@ def _fit_press(squeeze: Squeeze, load: NDArray[np.int64]) -> _Curve:
 
     first = float(width[:3].max())  # seen at FORCE_SEEN or a little more
     start = np.array([first + min(slope * force[0], 0.5 * _UNSEEN_MOST), 1.0, 0.1])
-    fit = least_squares(residual, start, bounds=([first - _UNSEEN_MOST, 0, 0], [first + _UNSEEN_MOST, 50, 100]), x_scale=[1e-4, 1, 1], loss="soft_l1")
+    fit = least_squares(residual, start, bounds=([first - _UNSEEN_MOST, 0, 0], [first + _UNSEEN_MOST, 50, 100]),
+                        x_scale=[1e-4, 1, 1], loss="soft_l1")
     scatter = max(1.0, math.sqrt(2 * fit.cost / max(len(load) - 3, 1)))
     unit = np.array([1.0, slope, 1.0])
     cov = scatter**2 * np.linalg.pinv(fit.jac.T @ fit.jac) * np.outer(unit, unit)
@@ -160,9 +164,9 @@ def _probabilities(deformation: float, sd: float, force: float, stayed: float, s
 
 def _permanent_set(squeeze: Squeeze, phases: _Phases, curve: _Curve) -> tuple[float, float]:
     """How much narrower the object is at the same small force afterwards, m, and its sd."""
-    after = phases.second if len(phases.second) >= 3 else phases.release
-    limit = 0.5 * float(np.max(squeeze.force[phases.load]))
-    after = after[squeeze.force[after] < limit]
+    after = phases.second[squeeze.force[phases.second] > FORCE_SEEN]
+    if len(after) < 3:  # the end of the release, where the force is small again
+        after = phases.release[squeeze.force[phases.release] < max(0.5 * float(np.max(squeeze.force[phases.load])), 0.15)]
     if not len(after):
         return 0.0, math.inf
     lost = curve.width(squeeze.force[after]) - squeeze.width[after]

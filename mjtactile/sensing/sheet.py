@@ -58,6 +58,7 @@ class Sheet:
     """Operators of one sensor's membrane on `spans` (x, y) spline intervals. `scale` multiplies Young's modulus."""
 
     def __init__(self, design: SensorDesign, spans: tuple[int, int]):
+        design.require_rectangle("inverse finite elements")
         self.design = design
         self.axes = ax, ay = Axis(design.frame.length, spans[0]), Axis(design.frame.width, spans[1])
         self.shape, self.count = (ax.count, ay.count), ax.count * ay.count

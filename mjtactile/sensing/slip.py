@@ -4,7 +4,7 @@ Two signs. Coulomb: shear beyond friction times normal force cannot be held; lon
 while its middle sticks, and the sticking share of the area is (1 - Q / mu N)^(2/3) (Cattaneo 1938, Mindlin 1949).
 Kinematics: markers are material points, so the patch's centroid is known in the membrane's *material* coordinates.
 While the object sticks it stays there, however much the membrane is dragged along; a patch that wanders over the
-material slips (or rolls). The second needs no friction coefficient, and teaches it: see `friction` (Eq. F14).
+material slips (or rolls). The second needs the friction coefficient only to tell slip from rolling (Eq. F14).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _FORGET = 1.0  # s, in which the point that the patch stuck to is forgotten whil
 @dataclass(frozen=True, eq=False)
 class SlipHistory:
     """What the next frame needs: `time` s, the strongest patch's centroid `p` and the place `stuck` where it stuck
-    (material coordinates, m), its `velocity` m/s, the `distance` m slipped, and the `friction` coefficient believed."""
+    (material coordinates, m), its `velocity` m/s, the `distance` m slipped, and the sensor file's `friction`."""
 
     time: float
     p: Array

@@ -161,12 +161,12 @@ class Pad(Indenter):
     stiffening: float = 0.0
 
     def add_to(self, spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
-        """A thin disc, the geom "indenter", on a spring along the drive's axis."""
+        """A rod, the geom "indenter", on a spring along the drive's axis."""
         body.mass, body.inertia, body.explicitinertial = 0.2, [1e-4] * 3, True
         face = body.add_body(name="face", gravcomp=1.0)
         face.add_joint(name="face", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1], range=[-1e-4, 0.05], limited=True,
-                       stiffness=[self.stiffness, self.stiffening, 0.0], damping=[1.0, 0.0, 0.0])
-        face.add_geom(name="indenter", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[self.size, 1e-3, 0], mass=1e-3,
+                       stiffness=[self.stiffness, self.stiffening, 0.0], damping=[4.0, 0.0, 0.0])
+        face.add_geom(name="indenter", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[self.size, 0.01, 0], mass=0.02,
                       rgba=[0.9, 0.75, 0.5, 1.0])
 
 

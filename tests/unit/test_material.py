@@ -130,6 +130,12 @@ def test_too_little_contact_is_a_verdict():
         assert sum(found.probability.values()) == pytest.approx(1.0)
 
 
+def test_a_paste_need_not_push_back():
+    """It never reaches the least force, but its width has shrunk by millimetres."""
+    found = judge(squeeze(yielding(3000.0, 0.08, 30.0)))
+    assert found.kind == "amorphous" and found.force < 0.35
+
+
 def test_without_a_second_touch_the_release_decides():
     found = judge(squeeze(yielding(3000.0, 0.3, 40.0), second=False))
     assert found.kind == "amorphous" and "no second touch" in found.status
