@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.bench.perception import compare_methods, paper_like
+from mjtactile.bench.marker_accuracy import paper_like
+from mjtactile.bench.marker_methods import compare_methods
 from mjtactile.bench.station import Station
 from mjtactile.design import SensorDesign, load_sensor
 from mjtactile.errors import InputError
@@ -63,7 +64,8 @@ def _increments(design: SensorDesign, indenter: Indenter, *, sealed: bool, depth
         step["paper_N"] = felt
     ours = np.array([s["ours_N"] for s in steps])
     return {"sensor": design.name, "valve": "closed" if sealed else "open", "constant_N_m2": constant, "steps": steps,
-            "error_ours_N": float(np.abs(ours - cell).mean()), "error_paper_N": float(np.abs(constant * area - cell).mean())}
+            "error_ours_N": float(np.nanmean(np.abs(ours - cell))),
+            "unknown": int(np.isnan(ours).sum()), "error_paper_N": float(np.abs(constant * area - cell).mean())}
 
 
 def fig5b(say: Say, quick: bool = False) -> dict[str, Any]:

@@ -143,7 +143,7 @@ class Monitor:
             self._rest[number], self._deep[number] = heights, 0.0
             return 0.0
         indentation = float((self._rest[number] - heights).max())
-        depth = float(-contact.dist[mine].min())
+        depth = float((contact.includemargin - contact.dist)[mine].max())
         self._deep[number] = [*self._deep[number, 1:], depth / max(indentation + depth, _LEAST_INDENTATION)]
         return float(self._deep[number].min())
 

@@ -9,6 +9,7 @@ from mjtactile.design import SensorDesign
 from mjtactile.errors import InputError
 from mjtactile.sim import features, limits
 from mjtactile.sim.membrane import FLEX, ContactStiffness, pre_stretch, touch_with
+from mjtactile.sim.facets import StandOff
 from mjtactile.sim.mesh import MarkerInterpolator, MembraneMesh
 from mjtactile.sim.switches import PHYSICS, make_gas, make_geometry, make_load
 from mjtactile.types import Array
@@ -38,6 +39,7 @@ class TactileSensor:
         self.contact = features.contact_model(model, mesh) if contact == "auto" else contact
         touch_with(model, self.vertex_geom_ids, self.flex_id, self.contact)
         self._contact_stiffness = ContactStiffness(model, self.vertex_geom_ids, self.flex_id, mesh, design.membrane)
+        self._stand_off = StandOff(model, data, self.vertex_geom_ids, mesh)
         self._tendon = make_load(model, data, mesh, prefix, effects)
         self._geometry = make_geometry(mesh, design.chamber_volume_flat, effects)
         self._markers = MarkerInterpolator(mesh, design.markers.p_SM)
@@ -52,6 +54,7 @@ class TactileSensor:
         self._time, pressure = time, self._gas.pressure_gauge
         self._tendon.apply(pressure, self._gas.stiffness(self._timestep), gradient)
         self._contact_stiffness.set_pressure(pressure)
+        self._stand_off.update()
 
     @property
     def p_SV(self) -> Array:

@@ -30,7 +30,8 @@ def contact_forces(world: World, sensor: int) -> tuple[Array, Array, Array]:
         # rows of `frame` are the contact's axes in W; the force acts on the contact's second entity
         f_W[k] = data.contact.frame[row].reshape(3, 3).T @ buffer[:3] * (1 if on_membrane[row, 1] else -1)
     R_WS, p_WS = _pose(world, device)
-    return f_W @ R_WS, (data.contact.pos[rows] - p_WS) @ R_WS, -data.contact.dist[rows]
+    depth = data.contact.includemargin[rows] - data.contact.dist[rows]
+    return f_W @ R_WS, (data.contact.pos[rows] - p_WS) @ R_WS, depth
 
 
 def contact_force(world: World, sensor: int) -> Array:
