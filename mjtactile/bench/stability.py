@@ -35,7 +35,7 @@ _COLOURS = {"ok": "#4c9f70", "flagged": "#e8b84a", "refused": "#8a94a6", "FAILED
 FORCE_ERROR, FORCE_FLOOR = 0.10, 0.005  # share of the force; N below which a share says nothing
 PENETRATION = 0.10  # m per m of indentation
 _NUMERICAL = ("not finite", "MuJoCo warned")
-_EXCUSES = {"force": {"penetration", "speed", "unsettled", "feature", "solver"}, "settled": {"unsettled", "solver"},
+_EXCUSES = {"force": {"penetration", "speed", "unsettled", "feature", "edge", "solver"}, "settled": {"unsettled", "solver"},
             "penetration": {"penetration", "solver"}, "energy": {"unsettled", "solver"},
             "weight": {"unsettled", "penetration", "solver"}}
 """Which flags own up to which failed check; nothing excuses a number that is not finite."""

@@ -12,12 +12,12 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from mjtactile.sim.features import END
 from mjtactile.sim.mesh import MembraneMesh
 from mjtactile.types import Array
 
 SHARE = 0.4  # of the facets' mean sagitta
 _EVERY, _SETTLE = 0.01, 0.02  # s: how often to look at the contacts, and the time constant with which the stand-off follows
-_SIDE = 0.7  # cosine that parts the side of a cylinder from its ends
 
 
 class StandOff:
@@ -73,7 +73,7 @@ def curvature(model: mujoco.MjModel, geom: int, normal: Array) -> float:
     if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
         return (1 if abs(normal[2]) < 0.1 else 2) / float(size[0])
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-        return 1 / float(size[0]) if abs(normal[2]) < _SIDE else 0.0
+        return 1 / float(size[0]) if abs(normal[2]) < END else 0.0
     if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
         point = size**2 * normal / np.linalg.norm(size * normal)  # where the normal is this one
         slope, second = point / size**2, 1 / size**2  # gradient and Hessian of half of sum (x/a)^2

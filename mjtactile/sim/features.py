@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from mjtactile.sim.mesh import MembraneMesh
 
 CONTACT_MODELS = ("vertices", "elements", "both")
+END = 0.7
+"""Cosine of a normal to a cylinder's axis above which its end face touches."""
 SLIPS = 0.8
 """Radius in vertex spacings below which a feature can slip between vertices."""
 RESOLVED = 2.0
@@ -63,6 +65,30 @@ def resolution_flag(model: mujoco.MjModel, geoms: NDArray[np.int64], mesh: Membr
     remedy = f"mesh {finer} resolves it" if max(finer) <= 61 else "no affordable mesh does; trust place and time, not force"
     return (f"{name!r} (radius {radius * 1e3:.2g} mm) is finer than the mesh ({mesh.spacing * 1e3:.2g} mm between vertices): "
             f"its force may be off by {_error(radius / mesh.spacing):.0%}; {remedy}")
+
+
+def edge_half_width(model: mujoco.MjModel, geom: int, axial: float) -> float:
+    """Half width, m, of the face with sharp edges that a geom presses with; infinite when it has none.
+
+    `axial` is how far the contact's normal is along the geom's z (cosine): only a cylinder's ends have an edge.
+    """
+    kind = model.geom_type[geom]
+    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        return float(model.geom_size[geom, 0]) if axial > END else np.inf
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        return float(np.sort(model.geom_size[geom])[1])
+    if kind == mujoco.mjtGeom.mjGEOM_MESH:
+        return float(np.sort(model.geom_aabb[geom, 3:])[1])
+    return np.inf
+
+
+def edge_flag(half_width: float, mesh: MembraneMesh) -> str | None:
+    """Say how much of a force hangs on where an edge falls between the vertices; None when the edge is out of the frame."""
+    if half_width > np.abs(mesh.p_SV).max():
+        return None
+    share = min(mesh.spacing / half_width, 1.0)
+    return (f"an edge presses, {half_width * 1e3:.2g} mm from the middle of its face, and the mesh has {mesh.spacing * 1e3:.2g} mm "
+            f"between vertices: the force may be off by {share:.0%}; a finer mesh divides that")
 
 
 def _error(ratio: float) -> float:

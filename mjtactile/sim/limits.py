@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from mjtactile.sim.sensor import TactileSensor
 
 Flags = dict[str, str]
-"""Kind of doubt ("stretch", "wrinkles", "penetration", "mesh", "feature", "bending", "speed", "solver",
+"""Kind of doubt ("stretch", "wrinkles", "penetration", "mesh", "feature", "edge", "bending", "speed", "solver",
 "unsettled") to its reason."""
 
 STVK_ERROR = 0.02  # share of a height
@@ -114,6 +114,9 @@ class Monitor:
             feature = features.resolution_flag(self._model, self._touching(sensor), sensor.mesh)
             if feature:
                 flags["feature"] = feature
+            edge = features.edge_flag(self._edge(sensor), sensor.mesh)
+            if edge:
+                flags["edge"] = edge
             lasting = self._penetration(number)
             if lasting > PENETRATION:
                 flags["penetration"] = (f"objects sink into the membrane by {lasting:.0%} of what they push in, more than "
@@ -133,6 +136,15 @@ class Monitor:
     def _touching(self, sensor: TactileSensor) -> np.ndarray:
         """Geoms that touch the sensor's membrane."""
         return np.intersect1d(self._data.contact.geom[self._mine(sensor)], self._geoms)
+
+    def _edge(self, sensor: TactileSensor) -> float:
+        """Half width, m, of the smallest face with edges that touches the sensor's membrane."""
+        contact, smallest = self._data.contact, np.inf
+        for row in np.flatnonzero(self._mine(sensor)):
+            for geom in np.intersect1d(contact.geom[row], self._geoms):
+                axial = abs(float(contact.frame[row, :3] @ self._data.geom_xmat[geom].reshape(3, 3)[:, 2]))
+                smallest = min(smallest, features.edge_half_width(self._model, int(geom), axial))
+        return smallest
 
     def _penetration(self, number: int) -> float:
         """Penetration as a share of the indentation, if it lasts for some looks: an impact sinks in for a moment."""

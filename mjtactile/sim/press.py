@@ -75,6 +75,7 @@ class PressWorld(World):
                  mount: tuple[float, float, float] = (0.0, 0.0, 0.0), shake: tuple[float, float] = (0.0, 0.0)):
         spec = mujoco.MjSpec()
         recommend_options(spec, timestep)
+        spec.option.tolerance = 1e-9  # a stiff drive shows the solver's noise: 10 mN at the 1e-7 of a grasp, 1 mN here
         carrier = _add_carrier(spec, mount)
         attachment = attach(spec, sensor, site="base", prefix="sensor/", mesh=mesh, contact=contact, effects=effects)
         self.design = attachment.design

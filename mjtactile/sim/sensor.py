@@ -8,8 +8,8 @@ import numpy as np
 from mjtactile.design import SensorDesign
 from mjtactile.errors import InputError
 from mjtactile.sim import features, limits
-from mjtactile.sim.membrane import FLEX, ContactStiffness, pre_stretch, touch_with
 from mjtactile.sim.facets import StandOff
+from mjtactile.sim.membrane import FLEX, ContactStiffness, pre_stretch, touch_with
 from mjtactile.sim.mesh import MarkerInterpolator, MembraneMesh
 from mjtactile.sim.switches import PHYSICS, make_gas, make_geometry, make_load
 from mjtactile.types import Array

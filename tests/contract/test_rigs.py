@@ -21,6 +21,8 @@ from mjtactile.rigfile import load_rig_file
 from mjtactile.sensing.pipeline import SensorPipeline
 from mjtactile.types import Command
 
+pytestmark = pytest.mark.realtime
+
 DESIGN = load_sensor("paper16")
 CYCLES = 12
 
