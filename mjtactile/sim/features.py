@@ -16,9 +16,9 @@ from mjtactile.sim.mesh import MembraneMesh
 CONTACT_MODELS = ("vertices", "elements", "both")
 END = 0.7
 """Cosine of a normal to a cylinder's axis above which its end face touches."""
-SLIPS = 0.8
+SLIPS = 0.6
 """Radius in vertex spacings below which a feature can slip between vertices."""
-RESOLVED = 2.0
+RESOLVED = 1.5
 """Radius in vertex spacings from which a feature's force is good: 5 % and better (tests/physics/test_features.py)."""
 
 

@@ -10,14 +10,15 @@ import numpy as np
 
 from mjtactile.design import SensorDesign
 from mjtactile.errors import InputError
+from mjtactile.sim import features
 from mjtactile.sim.attach import DEFAULT_MESH, attach, recommend_options
+from mjtactile.sim.mesh import MarkerInterpolator
 from mjtactile.sim.switches import PHYSICS
 from mjtactile.sim.world import World
 
 SHAPES = ("sphere:R_mm", "cylinder:R_mm", "box:A_mm", "FILE.stl")
 _LENGTH = 0.03  # m, of a cylinder along its axis
 _CLEARANCE = 0.002  # m above first touch at which the indenter waits
-_STRIDE = 5e-4  # m, less than any indenter's or bulge's height
 _AWAY = 0.05  # m above the world's origin of the drive, where no bulge reaches the indenter
 _STILL = 2e-4  # m/s: vertices in contact keep moving this fast by the solver's tolerance; the force by 0.1 %
 _STIFFNESS, _MASS = 2e5, 0.2  # N/m and kg of the drive: gives way by 5 um at 1 N
@@ -89,7 +90,8 @@ class PressWorld(World):
         super().__init__(spec, [attachment])
         self._x, self._z = (self.model.actuator(f"drive_{axis}").id for axis in "xz")
         self._joints = [self.model.joint(f"drive_{axis}").qposadr[0] for axis in "xz"]
-        self._touch_height = 0.0
+        self._geom, self._touch_height = self.model.geom("indenter").id, 0.0
+        self._surface = MarkerInterpolator(self.sensors[0].mesh, _sheet_points(self.design, at))
         self._shake, self._carrier = shake, self.model.actuator("carrier").id
 
     def inflate(self, pressure_gauge: float, *, seal: bool) -> bool:
@@ -151,30 +153,51 @@ class PressWorld(World):
         return np.array([self.data.actuator_force[self._x], 0.0, self.data.actuator_force[self._z]])
 
     def _find_touch(self) -> None:
-        """Lower the indenter until it touches, by halving; then raise it by a clearance.
+        """Lower the indenter by its distance from the smooth membrane until that is nothing, then raise it by a clearance.
 
-        Raises InputError when it touches nothing above the glass: a pin beside every vertex.
+        The smooth membrane is the one that carries the markers: a mesh's vertices alone may leave the indenter 0.1 mm lower.
+        Raises InputError when the indenter would slip between vertices that alone can touch.
         """
-        low, high = _AWAY, _AWAY
-        while not self._touches(low):
-            low, high = low - _STRIDE, low
-            if low < -_AWAY - self.design.chamber.depth:
-                raise InputError("slips between the membrane's vertices; contact 'elements' feels it", source="press",
-                                 field="indenter")
-        while high - low > 1e-8:
-            middle = (low + high) / 2
-            low, high = (middle, high) if self._touches(middle) else (low, middle)
-        self._touch_height = high
-        self._place(high + _CLEARANCE)
+        sensor = self.sensors[0]
+        radius, _ = features.smallest_feature(self.model)
+        if sensor.contact == "vertices" and radius < features.SLIPS * sensor.mesh.spacing:
+            raise InputError("slips between the membrane's vertices; contact 'elements' feels it", source="press",
+                             field="indenter")
+        points = self._surface.marker_poses(sensor.p_SV)[0]
+        probe, height = int(sensor.vertex_geom_ids[0]), _AWAY
+        R_WS, p_WS = self.data.xmat[sensor.body_id].reshape(3, 3).copy(), self.data.xpos[sensor.body_id].copy()
+        for _ in range(50):
+            self._place(height)
+            gap = self._gap(points @ R_WS.T + p_WS, probe)
+            height -= gap
+            if abs(gap) < 1e-7:
+                break
+        self._touch_height = height
+        self._place(height + _CLEARANCE)
 
-    def _touches(self, height: float) -> bool:
-        self._place(height)
-        return bool((self.data.contact.dist < 0).any())
+    def _gap(self, points: np.ndarray, probe: int) -> float:
+        """Least distance, m, of the indenter from spheres of the membrane's thickness at `points` (n, 3) m, frame W."""
+        gaps = []
+        for point in points:
+            self.data.geom_xpos[probe] = point
+            gaps.append(mujoco.mj_geomDistance(self.model, self.data, probe, self._geom, 0.5, None))
+        return min(gaps)
 
     def _place(self, height: float) -> None:
         self.data.qpos[self._joints[1]] = height
         self.set_control(self._z, height)
         mujoco.mj_forward(self.model, self.data)
+
+
+def _sheet_points(design: SensorDesign, at: tuple[float, float]) -> np.ndarray:
+    """Points (n, 3) m of the flat sheet, 0.6 mm apart, one of them at `at`."""
+    frame = design.frame
+    axes = [np.arange(-0.5 * side, 0.5 * side, 6e-4) for side in (frame.length, frame.width)]
+    x, y = (axis + (place - axis[np.argmin(np.abs(axis - place))]) for axis, place in zip(axes, at, strict=True))
+    points = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))], axis=-1).reshape(-1, 3)
+    inside = np.abs(points[:, :2] / (frame.length, frame.width))
+    within = np.linalg.norm(inside, axis=1) < 0.49 if frame.shape == "circle" else inside.max(axis=1) < 0.49
+    return points[within]
 
 
 def _add_carrier(spec: mujoco.MjSpec, mount: tuple[float, float, float]) -> mujoco.MjsBody:
