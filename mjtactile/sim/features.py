@@ -87,8 +87,8 @@ def edge_flag(half_width: float, mesh: MembraneMesh) -> str | None:
     if half_width > np.abs(mesh.p_SV).max():
         return None
     share = min(mesh.spacing / half_width, 1.0)
-    return (f"an edge presses, {half_width * 1e3:.2g} mm from the middle of its face, and the mesh has {mesh.spacing * 1e3:.2g} mm "
-            f"between vertices: the force may be off by {share:.0%}; a finer mesh divides that")
+    return (f"an edge presses, {half_width * 1e3:.2g} mm from the middle of its face, and the mesh has "
+            f"{mesh.spacing * 1e3:.2g} mm between vertices: the force may be off by {share:.0%}; a finer mesh divides that")
 
 
 def _error(ratio: float) -> float:
