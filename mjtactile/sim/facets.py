@@ -3,7 +3,8 @@
 Where the vertices lie on a convex object, the facets between them cut into it, and the membrane is indented too little: the
 force of a sphere of 8 mm is 8 % low at 13 x 11 vertices. A membrane whose facets touch the object on the average stands off
 by the facets' mean sagitta, (hx^2 + hy^2)/24 times the sum of the curvatures; four tenths of it, measured, give the force
-of a fine mesh (tests/physics/test_contact.py). The stand-off falls with the square of the spacing, so that it leaves what a mesh converges
+of a fine mesh (tests/physics/test_contact.py). The stand-off falls with the square of the spacing, so that it leaves what a
+mesh converges
 to; flat faces get none (docs/equations.md, C2).
 """
 

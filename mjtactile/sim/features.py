@@ -31,7 +31,7 @@ def touching_geoms(model: mujoco.MjModel) -> NDArray[np.int64]:
 def feature_radius(model: mujoco.MjModel, geom: int) -> float:
     """Smallest radius, m, with which a geom can press: of a sphere, rod or end face; half the smallest side of a box or
     mesh. Edges are sharp, and are not counted."""
-    size, kind = model.geom_size[geom], model.geom_type[geom]
+    size, kind = model.geom_size[geom], mujoco.mjtGeom(int(model.geom_type[geom]))
     if kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE):
         return float(size[0])
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:

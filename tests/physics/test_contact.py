@@ -103,6 +103,12 @@ def test_a_pin_between_the_vertices_is_felt_and_its_error_is_stated():
     assert 0.1 < force[0] / 0.18 - 1 < stated + 0.1  # 0.14 on the uniform default mesh
 
 
+@pytest.mark.parametrize("radius", [0.5, 1, 2, 4])
+def test_small_balls_are_flagged(radius):
+    _, world = pressed(f"sphere:{radius}", (1e-3,))
+    assert "feature" in world.flags
+
+
 def test_a_large_smooth_object_is_not_flagged():
     _, world = pressed("sphere:8", (2e-3,))
     assert not world.flags
