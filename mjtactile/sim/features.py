@@ -18,7 +18,7 @@ END = 0.7
 """Cosine of a normal to a cylinder's axis above which its end face touches."""
 SLIPS = 0.6
 """Radius in vertex spacings below which a feature can slip between vertices."""
-RESOLVED = 1.5
+RESOLVED = 2.0
 """Radius in vertex spacings from which a feature's force is good: 5 % and better (tests/physics/test_features.py)."""
 
 
