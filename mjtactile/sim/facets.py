@@ -1,11 +1,10 @@
 """Touch of a curved object by a mesh of facets: how far from the object its vertices have to stay.
 
-Where the vertices lie on a convex object, the facets between them cut into it, and the membrane is indented too little: the
-force of a sphere of 8 mm is 8 % low at 13 x 11 vertices. A membrane whose facets touch the object on the average stands off
-by the facets' mean sagitta, (hx^2 + hy^2)/24 times the sum of the curvatures; four tenths of it, measured, give the force
-of a fine mesh (tests/physics/test_contact.py). The stand-off falls with the square of the spacing, so that it leaves what a
-mesh converges
-to; flat faces get none (docs/equations.md, C2).
+Where the vertices lie on a convex object, the facets between them cut into it, and the membrane is indented too little:
+the force of a sphere of 8 mm is 5-8 % low at 13 x 11 vertices. A membrane whose facets touch the object on the average
+stands off by their mean sagitta, (hx^2 + hy^2)/24 times the sum of the curvatures; a third of it, measured, gives the
+force of a fine mesh (tests/physics/test_contact.py). The stand-off falls with the square of the spacing, so that it leaves
+what a mesh converges to; flat faces get none (docs/equations.md, C2).
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from mjtactile.sim.features import END
 from mjtactile.sim.mesh import MembraneMesh
 from mjtactile.types import Array
 
-SHARE = 0.4  # of the facets' mean sagitta
+SHARE = 0.33  # of the facets' mean sagitta
 _EVERY, _SETTLE = 0.01, 0.02  # s: how often to look at the contacts, and the time constant with which the stand-off follows
 
 

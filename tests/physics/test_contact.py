@@ -27,15 +27,15 @@ def pressed(indenter, depths=DEPTHS, *, pressure=1000.0, **how):
 
 # Forces at 33 x 27 vertices without stand-off, contact three times as stiff; 25 x 21 differ by less than 2 %. By indenter
 # and place, m. Regenerate: `pressed(...)` with facets.SHARE = 0 and membrane.CONTACT_DEPTH = 6e-6.
-FINE = {("sphere:8", (0.0, 0.0)): (0.2999, 0.5836), ("sphere:15", (0.0, 0.0)): (0.3907, 0.8141),
-        ("sphere:8", (5e-3, 3e-3)): (0.2915, 0.5573), ("sphere:15", (5e-3, 3e-3)): (0.3808, 0.7793)}
+FINE = {("sphere:8", (0.0, 0.0)): (0.3007, 0.5850), ("sphere:15", (0.0, 0.0)): (0.3926, 0.8182),
+        ("sphere:8", (5e-3, 3e-3)): (0.2929, 0.5597), ("sphere:15", (5e-3, 3e-3)): (0.3819, 0.7842)}
 
 
 @pytest.mark.parametrize("case", FINE)
 def test_default_force_is_the_converged_one(case):
     (force, depth), _ = pressed(case[0], at=case[1])
-    # 3 % is what is wanted, and kept by seven of the eight; 4 to 9 vertices touch, and the eighth is 3.9 % low
-    np.testing.assert_allclose(force, FINE[case], rtol=0.045)
+    # 3 % is what is wanted, and kept by seven of the eight; 4 to 9 vertices touch, and the eighth is 3.4 % low
+    np.testing.assert_allclose(force, FINE[case], rtol=0.037)
     assert (depth < 0.03 * np.array(DEPTHS)).all()  # the project's bound
 
 
