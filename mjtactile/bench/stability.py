@@ -10,12 +10,14 @@ A case is run twice, at its time step and at a quarter of it. Its outcome is
 
 from __future__ import annotations
 
+import contextlib
+import json
 import multiprocessing
 import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +27,7 @@ import numpy as np
 from mjtactile.bench.stability_cases import Case, matrix, pruned
 from mjtactile.design import SensorDesign, load_sensor
 from mjtactile.errors import InputError, SimulationError
+from mjtactile.progress import Progress
 from mjtactile.sim import truth
 from mjtactile.sim.press import Indenter, PressWorld
 from mjtactile.sim.trials import Body, DropWorld, PinchWorld
@@ -41,22 +44,39 @@ _EXCUSES = {"force": {"penetration", "speed", "unsettled", "feature", "edge", "s
 """Which flags own up to which failed check; nothing excuses a number that is not finite."""
 
 
-def run(out: Path, *, quick: bool = False, say: Callable[[str], None] = lambda _: None) -> dict[str, Any]:
-    """Run the matrix (`quick`: the pruned set) in two processes; draw `stability.png` into `out`; return the JSON."""
-    cases, started = pruned() if quick else matrix(), time.perf_counter()
-    rows = []
+def run(out: Path, quick: bool = False, say: Callable[[str], None] | None = None, *, resume: bool = False) -> dict[str, Any]:
+    """Run the matrix (`quick`: the pruned set) in two processes; draw `stability.png` into `out`; return the JSON.
+
+    Every case that ends is appended to `stability.jsonl`; `resume` keeps those that an interrupted run left there.
+    """
+    say = Progress().message if say is None else say
+    cases, log = pruned() if quick else matrix(), out / "stability.jsonl"
+    place = {(c.axis, c.label): i for i, c in enumerate(cases)}
+    rows = _kept(log, place) if resume else []
+    log.write_text("".join(f"{json.dumps(row)}\n" for row in rows), encoding="utf-8")
+    done = {(row["axis"], row["label"]) for row in rows}
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    with multiprocessing.get_context("spawn").Pool(min(2, os.cpu_count() or 1)) as pool:
-        for row in pool.imap_unordered(judge, cases):
+    with multiprocessing.get_context("spawn").Pool(min(2, len(os.sched_getaffinity(0)))) as pool, log.open("a") as file:
+        for row in pool.imap_unordered(judge, [c for c in cases if (c.axis, c.label) not in done]):
             rows.append(row)
+            print(json.dumps(row), file=file, flush=True)
             if row["outcome"] == "FAILED" or len(rows) % 25 == 0:
                 say(f"{len(rows)}/{len(cases)} {row['axis']}, {row['label']}: {row['outcome']} {row['reason']}")
-    place = {(c.axis, c.label): i for i, c in enumerate(cases)}
     rows.sort(key=lambda row: place[row["axis"], row["label"]])
     result = {"cases": rows, "counts": {o: sum(r["outcome"] == o for r in rows) for o in OUTCOMES},
-              "wall_s": time.perf_counter() - started}
+              "core_s": sum(row["wall_s"] for row in rows)}
     _save(out / "stability.png", rows)
     return result
+
+
+def _kept(log: Path, place: Mapping[tuple[str, str], int]) -> list[dict[str, Any]]:
+    """The cases of `place` that an earlier run finished; a line that it did not finish is left out."""
+    rows = {}
+    for line in log.read_text(encoding="utf-8").splitlines() if log.is_file() else ():
+        with contextlib.suppress(ValueError):
+            row = json.loads(line)
+            rows[row["axis"], row["label"]] = row
+    return [row for key, row in rows.items() if key in place]
 
 
 def judge(case: Case) -> dict[str, Any]:

@@ -41,15 +41,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help="a small part of it, to see that it works")
     parser.add_argument("--out", type=Path, default=Path("bench-results"), metavar="DIR",
                         help="folder for the results (default: bench-results)")
+    parser.add_argument("--resume", action="store_true", help="stability: keep the cases that an interrupted run finished")
     parser.add_argument("--readme", type=Path, metavar="FILE.md", help="also put the table into this file, between "
                         "<!-- bench:NAME --> and <!-- /bench -->")
 
 
 def run(options: argparse.Namespace) -> int:
-    out = prepare_folder(options.out)
+    if options.resume and options.name != "stability":
+        raise InputError(f"{options.name!r} starts anew each time", field="--resume", choices=["stability"])
+    out, more = prepare_folder(options.out), {"resume": True} if options.resume else {}
     with stdout_to_stderr():
         module = importlib.import_module(BENCHMARKS[options.name])
-        result = module.run(out, quick=options.quick)
+        result = module.run(out, quick=options.quick, **more)
         table = module.table(result)
         write_json(out / f"{options.name}.json", result)
         (out / f"{options.name}.md").write_text(table, encoding="utf-8")
