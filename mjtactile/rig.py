@@ -29,7 +29,9 @@ class Camera(Protocol):
 class Gripper(Protocol):
     """Two fingers and the axis that lifts the hand."""
 
-    def state(self) -> GripperState: ...
+    def state(self) -> GripperState:
+        """Opening, speed, effort, height, with the time of measurement on the rig's clock and its age."""
+        ...
 
     def command(self, command: Command) -> Command:
         """Send the goals of `command`, limited to what the rig allows; returns what was really sent."""
@@ -40,7 +42,9 @@ class Gripper(Protocol):
 class Valve(Protocol):
     """The valve of one chamber."""
 
-    def state(self) -> ValveState: ...
+    def state(self) -> ValveState:
+        """Open or closed, and the pressure, with the time of measurement on the rig's clock and its age."""
+        ...
 
     def open(self, supply_gauge: float) -> None:
         """Connect the chamber to a supply at `supply_gauge` Pa (0 vents it to the ambient air)."""

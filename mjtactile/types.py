@@ -275,20 +275,26 @@ class Material:
 @dataclass(frozen=True)
 class GripperState:
     """What the gripper reports: `opening` m between the two frames, `speed` m/s, `effort` N at the jaw as the servo
-    believes it, `lift_height` m of the hand above where it started."""
+    believes it, `lift_height` m of the hand above where it started. It was so at `time` s on the rig's clock, which was
+    `age` s ago when the state was handed over (NaN: not known)."""
 
     opening: float
     speed: float
     effort: float
     lift_height: float
+    time: float = float("nan")
+    age: float = float("nan")
 
 
 @dataclass(frozen=True)
 class ValveState:
-    """`is_open`, and the chamber's gauge pressure in Pa where the rig has a pressure sensor (else None)."""
+    """`is_open`, and the chamber's gauge pressure in Pa where the rig has a pressure sensor (else None), as measured at
+    `time` s on the rig's clock, `age` s before the state was handed over (NaN: not known)."""
 
     is_open: bool
     pressure_gauge: float | None = None
+    time: float = float("nan")
+    age: float = float("nan")
 
 
 Phase = Literal["approach", "close", "regulate", "lift", "hold", "lower", "release", "done", "abort"]

@@ -1,0 +1,17 @@
+"""Options and rules of all tests."""
+
+import pytest
+
+
+def pytest_addoption(parser):
+    parser.addoption("--hardware", metavar="RIG.toml", help="also run the contract suite on this real rig; clear its jaws first")
+
+
+def pytest_collection_modifyitems(config, items):
+    """Tests marked `hardware` run only when a rig was named; with one, nothing else of the contract suite is left out."""
+    if config.getoption("--hardware"):
+        return
+    skip = pytest.mark.skip(reason="needs a real rig: pytest --hardware RIG.toml")
+    for item in items:
+        if "hardware" in item.keywords:
+            item.add_marker(skip)

@@ -1,7 +1,8 @@
 """What the driver must know of each servo model: registers (read from the tables that the SDK ships) and units.
 
 The SDK's tables give addresses, but no current unit worth using (1.0 "raw", or "N/m"), so the mA per unit are here,
-each from the "Goal Current" entry of the model's page at https://emanual.robotis.com/docs/en/dxl/.
+each from the "Goal Current" entry of the model's page at https://emanual.robotis.com/docs/en/dxl/x/. Torque over current
+are the stall values of the same page's specifications. What each rests on: docs/hardware.md.
 """
 
 from __future__ import annotations
@@ -54,8 +55,8 @@ def _rows() -> tuple[ServoModel, ...]:
         # number, name, A per unit, largest current limit, N m per A
         ServoModel(1190, "XL330-M077", 1.00e-3, 1750, 0.146),  # 0.215 N m, 1.47 A at 5 V
         ServoModel(1200, "XL330-M288", 1.00e-3, 1750, 0.354),  # 0.52 N m, 1.47 A at 5 V
-        ServoModel(1210, "XC330-T181", 1.00e-3, 910, 0.95),  # 0.76 N m, 0.80 A at 12 V
-        ServoModel(1220, "XC330-T288", 1.00e-3, 910, 1.15),  # 0.92 N m, 0.80 A at 12 V
+        ServoModel(1210, "XC330-T181", 1.00e-3, 910, 0.95),  # 0.76 N m, 0.80 A at 11.1 V
+        ServoModel(1220, "XC330-T288", 1.00e-3, 910, 1.15),  # 0.92 N m, 0.80 A at 11.1 V
         ServoModel(1230, "XC330-M181", 1.00e-3, 1800, 0.333),  # 0.60 N m, 1.80 A at 5 V
         ServoModel(1240, "XC330-M288", 1.00e-3, 1800, 0.517),  # 0.93 N m, 1.80 A at 5 V
         ServoModel(1020, "XM430-W350", 2.69e-3, 1193, 1.78),  # 4.1 N m, 2.3 A at 12 V

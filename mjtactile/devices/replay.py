@@ -38,8 +38,15 @@ class Tape:
         return self._now[camera]
 
     def value(self, key: str) -> float:
-        """A number of the present cycle."""
-        return float(self.recording.columns[key][self.cycle])
+        """A number of the present cycle; NaN where an older recording has none."""
+        column = self.recording.columns.get(key)
+        return math.nan if column is None else float(column[self.cycle])
+
+    def values(self, key: str, finger: int) -> float:
+        """The same of one finger."""
+        column = self.recording.columns.get(key)
+        value = None if column is None else column[self.cycle][finger]
+        return math.nan if value is None else float(value)
 
     def _advance(self) -> None:
         images = None if self.ended else next(self._frames, None)
@@ -92,7 +99,8 @@ class ReplayGripper:
         tape, notes = self._tape, self._tape.recording.notes
         if tape.cycle < 0:
             return GripperState(float(notes["start_opening"]), 0.0, 0.0, float(notes["start_lift_height"]))
-        return GripperState(tape.value("opening"), tape.value("speed"), tape.value("effort"), tape.value("lift_height"))
+        return GripperState(tape.value("opening"), tape.value("speed"), tape.value("effort"), tape.value("lift_height"),
+                            tape.value("gripper_time"), tape.value("gripper_age"))
 
     def command(self, command: Command) -> Command:
         value = self._tape.value
@@ -111,7 +119,8 @@ class ReplayValve:
         if self._tape.cycle < 0:
             return ValveState(False, _pressure(recording.references[-1].pressure_gauge[self._finger]))
         return ValveState(bool(recording.columns["valve_open"][self._tape.cycle][self._finger]),
-                          _pressure(recording.columns["pressure_gauge"][self._tape.cycle][self._finger]))
+                          _pressure(recording.columns["pressure_gauge"][self._tape.cycle][self._finger]),
+                          self._tape.values("valve_time", self._finger), self._tape.values("valve_age", self._finger))
 
     def open(self, supply_gauge: float) -> None:
         """It was opened then."""

@@ -36,7 +36,7 @@ _FAILURES_MAX = 3
 
 @dataclass(frozen=True)
 class ValveReading:
-    """One answer of the board, with its monotonic time, s."""
+    """One answer of the board, with the monotonic time of the question, s."""
 
     is_open: bool
     pressure_gauge: float | None
@@ -194,13 +194,14 @@ class ValveBoard:
             raise DeviceError(f"valve board {self.name}: noise instead of a reply") from error
 
     def _read(self, channel: int) -> ValveReading:
+        asked = time.monotonic()  # the board measures after this, so that a reading is never thought younger than it is
         line = self._ask(self.dialect.read.format(channel=channel))
         match = re.fullmatch(self.dialect.reading.replace("{channel}", str(channel)), line)
         if match is None:
             raise DeviceError(f"valve board {self.name}: unreadable answer {line[:60]!r}")
         pressure = match.groupdict().get("pressure")
         gauge = None if pressure is None else float(pressure) * self.dialect.unit
-        reading = ValveReading(self.dialect.states[match["state"]], gauge, time.monotonic())
+        reading = ValveReading(self.dialect.states[match["state"]], gauge, asked)
         self._readings[channel] = reading
         self._failures = 0
         return reading
@@ -239,7 +240,7 @@ class BoardValve:
         """Whether it is open, and the pressure. Raises DeviceError: silent board, or a pressure that does not follow."""
         reading = self.board.reading(self.config.channel)
         self._check_moves(reading)
-        return ValveState(reading.is_open, reading.pressure_gauge)
+        return ValveState(reading.is_open, reading.pressure_gauge, reading.time, time.monotonic() - reading.time)
 
     def open(self, supply_gauge: float) -> None:
         """Connect to a supply of `supply_gauge` Pa; 0 vents. Raises DeviceError beyond the rig file's limits."""

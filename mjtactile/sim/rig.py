@@ -103,7 +103,7 @@ class SimValve:
         self._world, self._sensor = world, sensor
 
     def state(self) -> ValveState:
-        return ValveState(is_open=self._world.sensors[self._sensor].valve_is_open)
+        return ValveState(self._world.sensors[self._sensor].valve_is_open, time=self._world.time, age=0.0)
 
     def open(self, supply_gauge: float) -> None:
         self._world.open_valve(self._sensor, supply_gauge)
@@ -120,7 +120,7 @@ class SimGripper:
 
     def state(self) -> GripperState:
         world = self._world
-        return GripperState(world.opening, world.opening_speed, world.grip_force, world.lift_height)
+        return GripperState(world.opening, world.opening_speed, world.grip_force, world.lift_height, world.time, 0.0)
 
     def command(self, command: Command) -> Command:
         """Set the goals of jaw and lift; a force limit of 0 leaves the servo's limit as it was."""

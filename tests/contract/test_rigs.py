@@ -5,6 +5,7 @@ The emulated rig runs in real time beside other work, so that its time-outs are 
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -74,10 +75,14 @@ def record(rig, folder):
         control.run(rig, pipelines, Nothing(), time_limit=60.0, on_cycle=recorder.add)
 
 
-@pytest.fixture(params=["sim", "emulated", "replay"])
+@pytest.fixture(params=["sim", "emulated", "replay", pytest.param("hardware", marks=pytest.mark.hardware)])
 def rig(request):
+    """Each kind of rig; "hardware" is the one of `pytest --hardware RIG.toml`, whose sensor is DESIGN. Clear its jaws."""
     if request.param == "sim":
         rig = build_rig("sim", DESIGN, object_name="egg", seed=0)
+    elif request.param == "hardware":
+        rig_file = str(Path(request.config.getoption("--hardware")).resolve())
+        rig = build_rig(rig_file, DESIGN, object_name="egg", seed=0)
     elif request.param == "emulated":
         emulator = request.getfixturevalue("emulator")
         rig = build_emulated_rig(patient_rig_file(), DESIGN, object_name="egg", seed=0, emulator=emulator)
@@ -131,6 +136,23 @@ def test_state_is_finite_and_within_the_limits(rig):
     assert abs(state.lift_height) < 1e-3  # where it started
 
 
+def test_every_reading_says_when_it_was_taken(rig):
+    images = [camera.read() for camera in rig.cameras]
+    for _ in range(2):  # a replay's first image begins its first cycle only after the references' images
+        for camera in rig.cameras:
+            images.append(camera.read())
+    before = rig.clock.now()
+    readings = [rig.gripper.state(), *(valve.state() for valve in rig.valves)]
+    after = rig.clock.now()
+    assert all(image.time <= after for image in images)
+    if rig.name == "replay":
+        return  # before its first cycle nothing was recorded but images: their own test compares the times bit for bit
+    for reading in readings:
+        assert 0 <= reading.age <= 1.0  # s; a valve's heartbeat may be 0.25 s old, an image 0.5 s on a busy computer
+        assert before - 1.0 <= reading.time <= after
+        assert reading.time + reading.age <= after + 1e-9  # one clock for all of them; rounding of the sum
+
+
 def test_closing_twice_does_no_harm(rig):
     rig.close()
     rig.close()
@@ -141,7 +163,8 @@ def test_closing_twice_does_no_harm(rig):
 def test_a_replay_gives_the_same_numbers_bit_for_bit(recording_folder, tmp_path):
     record(build_replay_rig(str(recording_folder), DESIGN), tmp_path)
     first, second = load_recording(recording_folder), load_recording(tmp_path)
-    for key in ("time", "force_normal", "force_normal_sd", "opening", "speed", "effort", "command_opening", "image_time"):
+    for key in ("time", "force_normal", "force_normal_sd", "opening", "speed", "effort", "command_opening", "image_time",
+                "gripper_time", "gripper_age", "valve_time", "valve_age"):
         assert np.array_equal(first.column(key), second.column(key), equal_nan=True), key
     for a, b in zip(first.images(), second.images(), strict=True):
         assert all(np.array_equal(x.pixels, y.pixels) for x, y in zip(a, b, strict=True))
