@@ -113,6 +113,7 @@ def _compare(case: Case) -> dict[str, Any]:
         if difference > FORCE_ERROR * max(abs(quarter["force_N"]), FORCE_FLOOR):
             problems["force"] = f"force {full['force_N']:.4g} N, {quarter['force_N']:.4g} N at a quarter of the step"
     flags = full["flags"]
+    full["problems"] = list(problems.values())
     unsaid = [text for kind, text in problems.items() if not _EXCUSES.get(kind, set()) & set(flags)]
     if unsaid:
         return {**full, "outcome": "FAILED", "reason": "; ".join(unsaid)}
@@ -202,9 +203,16 @@ def table(result: dict[str, Any]) -> str:
     for axis in dict.fromkeys(row["axis"] for row in rows):
         counts = Counter(row["outcome"] for row in rows if row["axis"] == axis)
         lines.append(f"| {axis} | " + " | ".join(str(counts[o] or "") for o in OUTCOMES) + " |")
-    lines += ["", "| case | outcome | reason |", "|---|---|---|"]
-    lines += [f"| {r['axis']}: {r['label']} | {r['outcome']} | {r['reason']} |" for r in rows if r["outcome"] != "ok"]
-    return "\n".join(lines) + "\n"
+    lines += ["", "<details><summary>Every case that is not plainly ok</summary>", "", "| case | outcome | flags | what the judge "
+              "found, or why it stopped |", "|---|---|---|---|"]
+    lines += [f"| {r['axis']}: {r['label']} | {r['outcome']} | {', '.join(r['flags'])} | {_found(r)} |"
+              for r in rows if r["outcome"] != "ok"]
+    return "\n".join(lines) + "\n\n</details>\n"
+
+
+def _found(row: dict[str, Any]) -> str:
+    """What failed and a flag owns up to; a case without flags was refused or stopped, for its reason."""
+    return "; ".join(row.get("problems", ())) if row["flags"] else row["reason"]
 
 
 def _save(path: Path, rows: Sequence[dict[str, Any]]) -> None:

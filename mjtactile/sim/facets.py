@@ -11,11 +11,14 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from mjtactile.sim.features import END
 from mjtactile.sim.mesh import MembraneMesh
 from mjtactile.types import Array
 
+_SPHERE, _CAPSULE, _CYLINDER, _ELLIPSOID = (int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}")) for name in (
+    "SPHERE", "CAPSULE", "CYLINDER", "ELLIPSOID"))
 SHARE = 0.33  # of the facets' mean sagitta
 _EVERY, _SETTLE = 0.01, 0.02  # s: how often to look at the contacts, and the time constant with which the stand-off follows
 
@@ -55,28 +58,31 @@ class StandOff:
         second = mine[rows, 1]
         vertices = np.where(second, pairs[rows, 1], pairs[rows, 0]) - self._first
         others = np.where(second, pairs[rows, 0], pairs[rows, 1])
-        found = np.array([curvature(self._model, g, self._data.geom_xmat[g].reshape(3, 3).T @ n) if g >= 0 else 0.0
-                          for g, n in zip(others, contact.frame[rows, :3], strict=True)])
+        axes = self._data.geom_xmat[others].reshape(-1, 3, 3)
+        normals = np.einsum("kji,kj->ki", axes, contact.frame[rows, :3])
+        found = np.where(others >= 0, curvatures(self._model, others, normals), 0.0)  # no geom: a flex
         result = np.full(len(self._margins), found.mean())
         result[vertices] = found
         return result
 
 
-def curvature(model: mujoco.MjModel, geom: int, normal: Array) -> float:
-    """Sum of the principal curvatures, 1/m, of a geom where its surface has the unit `normal` (3,), in the geom's frame.
+def curvatures(model: mujoco.MjModel, geoms: NDArray[np.int64], normals: Array) -> Array:
+    """Sums of the principal curvatures (n,) 1/m of `geoms` (n,) where their surfaces have the unit `normals` (n, 3), each in
+    its geom's frame. Zero for faces, and for meshes and height fields, whose curvature is not known."""
+    kinds, sizes = model.geom_type[geoms], model.geom_size[geoms]
+    axial = np.abs(normals[:, 2])
+    turns = (2 * (kinds == _SPHERE) + np.where(axial < 0.1, 1, 2) * (kinds == _CAPSULE)
+             + (axial < END) * (kinds == _CYLINDER))  # how many of the two curvatures are one over the first size
+    result = turns / np.where(turns > 0, sizes[:, 0], 1.0)
+    rows = np.flatnonzero(kinds == _ELLIPSOID)
+    if len(rows):
+        result[rows] = _of_ellipsoids(sizes[rows], normals[rows])
+    return result
 
-    Zero for faces, and for meshes and height fields, whose curvature is not known.
-    """
-    kind, size = model.geom_type[geom], model.geom_size[geom]
-    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
-        return 2 / float(size[0])
-    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        return (1 if abs(normal[2]) < 0.1 else 2) / float(size[0])
-    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-        return 1 / float(size[0]) if abs(normal[2]) < END else 0.0
-    if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-        point = size**2 * normal / np.linalg.norm(size * normal)  # where the normal is this one
-        slope, second = point / size**2, 1 / size**2  # gradient and Hessian of half of sum (x/a)^2
-        length = np.linalg.norm(slope)
-        return float((length**2 * second.sum() - slope**2 @ second) / length**3)
-    return 0.0
+
+def _of_ellipsoids(sizes: Array, normals: Array) -> Array:
+    squares = sizes * sizes
+    # gradient of half of sum (x/a)^2 where the normal is this one
+    slope = normals / np.sqrt((squares * normals**2).sum(axis=1, keepdims=True))
+    length2 = (slope * slope).sum(axis=1)
+    return (length2 * (1 / squares).sum(axis=1) - (slope * slope / squares).sum(axis=1)) / length2**1.5

@@ -54,12 +54,11 @@ def contact_model(model: mujoco.MjModel, mesh: MembraneMesh) -> str:
     return "elements" if smallest_feature(model)[0] < SLIPS * mesh.spacing else "vertices"
 
 
-def resolution_flag(model: mujoco.MjModel, geoms: NDArray[np.int64], mesh: MembraneMesh) -> str | None:
-    """Say when one of `geoms`, which touch, is too small for the mesh, and which mesh would carry it."""
-    radius, name = min(((feature_radius(model, int(g)), model.geom(int(g)).name or f"geom {g}") for g in geoms),
-                       default=(np.inf, ""))
+def resolution_flag(model: mujoco.MjModel, geom: int, radius: float, mesh: MembraneMesh) -> str | None:
+    """Say when a geom of `feature_radius` m, which touches, is too small for the mesh, and which mesh would carry it."""
     if radius >= RESOLVED * mesh.spacing:
         return None
+    name = model.geom(geom).name or f"geom {geom}"
     factor = RESOLVED * mesh.spacing / radius
     finer = tuple(int(np.ceil((n - 1) * factor)) + 1 for n in (mesh.nx, mesh.ny))
     remedy = f"mesh {finer} resolves it" if max(finer) <= 61 else "no affordable mesh does; trust place and time, not force"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +50,18 @@ class MembraneMesh:
         """The mesh's own coordinates (N, 2) of points `p_SM` (N, 3) m of the flat sheet."""
         return to_square(p_SM[:, :2] / self.radius) if self.radius else p_SM[:, :2]
 
-    @property
+    @cached_property
+    def inverse_edges(self) -> Array:
+        """Inverse (m, 2, 2) 1/m of each flat triangle's two edges from its first corner (rows: edges, columns: x, y)."""
+        corners = self.p_SV[self.triangles]
+        return np.linalg.inv(corners[:, 1:, :2] - corners[:, :1, :2])
+
+    @cached_property
+    def triangle_areas(self) -> Array:
+        """Areas (m,) m^2 of the flat triangles."""
+        return 0.5 / np.linalg.det(self.inverse_edges)
+
+    @cached_property
     def spacing(self) -> float:
         """Radius, m, of the disc that fits between the vertices in the middle half of the sheet (median of triangles)."""
         corners = self.p_SV[self.triangles]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from mjtactile.design import SensorDesign
 from mjtactile.errors import InputError
@@ -63,6 +64,11 @@ class TactileSensor:
         p_SV[self.mesh.interior] += self._tendon.displacements.reshape(-1, 3)
         return p_SV
 
+    @property
+    def dofs(self) -> NDArray[np.int64]:
+        """The degrees of freedom of the vertices, x, y, z of one after the other."""
+        return np.arange(self._tendon.dofs.start, self._tendon.dofs.stop)
+
     def marker_poses(self) -> tuple[Array, Array]:
         """Marker centres `p_SM` (N, 3) m and outward unit normals `n_S` (N, 3), in the order of the design's layout."""
         return self._markers.marker_poses(self.p_SV)
@@ -85,12 +91,14 @@ class TactileSensor:
 
     def stretches(self) -> tuple[Array, Array]:
         """Principal stretches (m, 2), small and large, of each triangle against the free sheet, and its area (m,) m^2."""
-        flat, now = self.mesh.p_SV[self.mesh.triangles], self.p_SV[self.mesh.triangles]
-        edges, moved = flat[:, 1:, :2] - flat[:, :1, :2], now[:, 1:] - now[:, :1]
-        F = np.linalg.solve(edges, moved)  # rows: dx/dX and dx/dY, (m, 2, 3)
-        squares = np.linalg.eigvalsh(F @ F.transpose(0, 2, 1))
-        area = 0.5 * np.linalg.norm(np.cross(moved[:, 0], moved[:, 1]), axis=1)
-        return self.design.membrane.pre_stretch * np.sqrt(np.maximum(squares, 0.0)), area
+        now = self.p_SV[self.mesh.triangles]
+        moved = now[:, 1:] - now[:, :1]
+        F = self.mesh.inverse_edges @ moved  # rows: dx/dX and dx/dY, (m, 2, 3)
+        xx, yy, xy = (np.einsum("ki,ki->k", F[:, i], F[:, j]) for i, j in ((0, 0), (1, 1), (0, 1)))
+        mean, spread = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
+        squares = np.maximum(np.stack([mean - spread, mean + spread], axis=1), 0.0)
+        area = np.sqrt(np.maximum(xx * yy - xy * xy, 0.0)) * self.mesh.triangle_areas
+        return self.design.membrane.pre_stretch * np.sqrt(squares), area
 
     @property
     def pressure_gauge(self) -> float:

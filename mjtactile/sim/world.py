@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import mujoco
@@ -36,11 +37,13 @@ class World:
         mujoco.mj_forward(self.model, self.data)
         self.sensors: tuple[TactileSensor, ...] = tuple(a.bind(self.model, self.data) for a in attachments)
         self.step_count = 0
+        self._qpos, self._qvel, self._warned = self.data.qpos, self.data.qvel, self.data.warning.number  # live views
         self._monitor = Monitor(self.model, self.data, self.sensors)
         self.flags: Flags = self._monitor.built()
         self._unsolved = [0, 0]  # steps whose solver ran out of iterations, since the last look and in the one before
         self._look_every = max(1, round(_LOOK_EVERY / self.timestep))
         self._watchers: list[Callable[[], None]] = []
+        self._moves = type(self)._before_step is not World._before_step
 
     @property
     def time(self) -> float:
@@ -64,6 +67,11 @@ class World:
 
     def step(self, count: int = 1) -> None:
         """Advance by `count` time steps. Raises SimulationError when the state is no longer to be trusted."""
+        if not (self.sensors or self._watchers or self._moves):  # nothing to do between the steps
+            mujoco.mj_step(self.model, self.data, count)
+            self.step_count += count
+            self._check()
+            return
         for _ in range(count):
             self._before_step()
             for sensor in self.sensors:
@@ -86,18 +94,20 @@ class World:
         """Hook for worlds that move their controls by themselves."""
 
     def _check(self) -> None:
-        data = self.data
-        if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):
+        if not math.isfinite(self._qpos.dot(self._qpos) + self._qvel.dot(self._qvel)):
             self._fail("the state is not finite")
-        counts = data.warning.number
-        if counts.any():
-            names = [mujoco.mjtWarning(int(i)).name.removeprefix("mjWARN_") for i in np.flatnonzero(counts)]
+        if self._warned.dot(self._warned):
+            names = [mujoco.mjtWarning(int(i)).name.removeprefix("mjWARN_") for i in np.flatnonzero(self._warned)]
             self._fail(f"MuJoCo warned: {', '.join(names)}")
+        if not self.sensors:
+            return
         for sensor in self.sensors:
             reason = sensor.failure()
             if reason:
                 self._fail(reason)
-        self._unsolved[0] += int(data.solver_niter[0] >= self.model.opt.iterations)
+        self._unsolved[0] += int(self.data.solver_niter[0] >= self.model.opt.iterations)
+        if "speed" not in self.flags:
+            self.flags |= self._monitor.hurried()
         if self.step_count % self._look_every == 0:
             self._look()
 

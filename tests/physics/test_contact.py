@@ -6,7 +6,7 @@ import pytest
 
 from mjtactile.errors import InputError
 from mjtactile.sim import truth
-from mjtactile.sim.facets import curvature
+from mjtactile.sim.facets import curvatures
 from mjtactile.sim.gripper import GraspWorld
 from mjtactile.sim.membrane import CONTACT_DEPTH
 from mjtactile.sim.press import Indenter, PressWorld
@@ -55,7 +55,8 @@ def test_stand_off_vanishes_on_a_fine_mesh_and_on_flat_faces():
 def test_curvature_of_primitives(geom, size, normal, expected):
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(type=getattr(mujoco.mjtGeom, f"mjGEOM_{geom.upper()}"), size=size)
-    assert curvature(spec.compile(), 0, np.array(normal, float)) == pytest.approx(expected, rel=1e-9)  # exact
+    found = curvatures(spec.compile(), np.zeros(1, int), np.array([normal], float))
+    assert found == pytest.approx(expected, rel=1e-9)  # exact
 
 
 @pytest.mark.parametrize(("pressure", "bound"), [(0.0, 0.03), (5e3, 0.03), (20e3, 0.03)])
