@@ -203,8 +203,8 @@ def table(result: dict[str, Any]) -> str:
     for axis in dict.fromkeys(row["axis"] for row in rows):
         counts = Counter(row["outcome"] for row in rows if row["axis"] == axis)
         lines.append(f"| {axis} | " + " | ".join(str(counts[o] or "") for o in OUTCOMES) + " |")
-    lines += ["", "<details><summary>Every case that is not plainly ok</summary>", "", "| case | outcome | flags | what the judge "
-              "found, or why it stopped |", "|---|---|---|---|"]
+    lines += ["", "<details><summary>Every case that is not plainly ok</summary>", "",
+              "| case | outcome | flags | what the judge found, or why it stopped |", "|---|---|---|---|"]
     lines += [f"| {r['axis']}: {r['label']} | {r['outcome']} | {', '.join(r['flags'])} | {_found(r)} |"
               for r in rows if r["outcome"] != "ok"]
     return "\n".join(lines) + "\n\n</details>\n"
