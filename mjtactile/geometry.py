@@ -26,7 +26,9 @@ def normal_from_slope(z_x: ArrayLike, z_y: ArrayLike) -> Array:
     """
     z_x, z_y = np.broadcast_arrays(np.asarray(z_x, dtype=float), np.asarray(z_y, dtype=float))
     scale = 1 / np.sqrt(1 + z_x * z_x + z_y * z_y)
-    return np.stack([z_x * scale, z_y * scale, -scale], axis=-1)
+    n = np.empty((*scale.shape, 3))
+    n[..., 0], n[..., 1], n[..., 2] = z_x * scale, z_y * scale, -scale
+    return n
 
 
 def slope_from_normal(n: ArrayLike) -> Array:

@@ -108,12 +108,12 @@ def _moments(points: NDArray[np.int32], counts: NDArray[np.int64], size: tuple[i
     flat = np.abs(area) < 0.5
     area[flat] = 1.0
     cx, cy = mx / area, my / area
-    second = np.stack([mxx / area - cx * cx, mxy / area - cx * cy, myy / area - cy * cy], axis=1)
+    second = np.array([mxx / area - cx * cx, mxy / area - cx * cy, myy / area - cy * cy]).T
     second[flat] = [0.01, 0.0, 0.01]
     shape = ellipse.shape_from_moments(second)
     # The polygon runs through centres of boundary pixels, half a pixel inside of the blob's outline.
     shape += [0.5, 0.0, 0.5]
-    center = np.stack([cx, cy], axis=1)
+    center = np.array([cx, cy]).T
     misfit = np.maximum.reduceat(_distance(xy, center, shape, counts), starts)
     misfit[flat] = np.inf
     room = np.minimum(np.minimum(x, y), np.minimum(size[1] - 1 - x, size[0] - 1 - y))

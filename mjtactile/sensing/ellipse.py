@@ -14,10 +14,16 @@ from mjtactile.types import Array
 _ROUND = 1e-6  # below this (a - b)/a the angle is meaningless; the floor keeps its variance finite
 
 
+def middle(values: Array) -> float:
+    """The upper median of all `values`: np.median for scales, where half a rank does not matter, at a fifth of its price."""
+    flat = values.ravel()
+    return float(np.partition(flat, flat.size // 2)[flat.size // 2])
+
+
 def inverse_shape(shape: Array) -> Array:
     """Entries (N, 3) of S^-1."""
     p, q, s = shape.T
-    return np.stack([s, -q, p], axis=1) / (p * s - q * q)[:, None]
+    return np.array([s, -q, p]).T / (p * s - q * q)[:, None]
 
 
 def shape_from_moments(second: Array) -> Array:
@@ -28,21 +34,21 @@ def shape_from_moments(second: Array) -> Array:
     xx, xy, yy = (4 * second).T
     root = np.sqrt(np.maximum(xx * yy - xy * xy, 0.0))
     scale = 1 / np.sqrt(np.maximum(xx + yy + 2 * root, 1e-12))
-    return np.stack([(xx + root) * scale, xy * scale, (yy + root) * scale], axis=1)
+    return np.array([(xx + root) * scale, xy * scale, (yy + root) * scale]).T
 
 
 def axes_from_shape(shape: Array) -> tuple[Array, Array]:
     """Semi-axes a >= b (N, 2) and the angle (N,) of a from +u towards +v, rad in (-pi/2, pi/2]."""
     p, q, s = shape.T
     mean, half = (p + s) / 2, np.hypot((p - s) / 2, q)
-    return np.stack([mean + half, mean - half], axis=1), 0.5 * np.arctan2(2 * q, p - s)
+    return np.array([mean + half, mean - half]).T, 0.5 * np.arctan2(2 * q, p - s)
 
 
 def shape_from_axes(semi_axes: Array, angle: Array) -> Array:
     """S (N, 3) of semi-axes (N, 2) and angle (N,)."""
     c, s = np.cos(angle), np.sin(angle)
     a, b = semi_axes.T
-    return np.stack([a * c * c + b * s * s, (a - b) * c * s, a * s * s + b * c * c], axis=1)
+    return np.array([a * c * c + b * s * s, (a - b) * c * s, a * s * s + b * c * c]).T
 
 
 def axes_difference(a: Array, b: Array) -> Array:
@@ -57,9 +63,9 @@ def axes_jacobian(semi_axes: Array, angle: Array) -> Array:
     difference = axes_difference(a, b)
     J = np.zeros((len(angle), 5, 5))
     J[:, 0, 0] = J[:, 1, 1] = 1.0
-    J[:, 2:, 2] = np.stack([c * c, c * s, s * s], axis=1)
-    J[:, 2:, 3] = np.stack([s * s, -c * s, c * c], axis=1)
-    J[:, 2:, 4] = difference[:, None] * np.stack([-2 * c * s, c * c - s * s, 2 * c * s], axis=1)
+    J[:, 2:, 2] = np.array([c * c, c * s, s * s]).T
+    J[:, 2:, 3] = np.array([s * s, -c * s, c * c]).T
+    J[:, 2:, 4] = difference[:, None] * np.array([-2 * c * s, c * c - s * s, 2 * c * s]).T
     return J
 
 
@@ -70,9 +76,9 @@ def covariance_of_axes(cov: Array, semi_axes: Array, angle: Array) -> Array:
     difference = axes_difference(a, b)
     J = np.zeros((len(angle), 5, 5))
     J[:, 0, 0] = J[:, 1, 1] = 1.0
-    J[:, 2, 2:] = np.stack([c * c, 2 * c * s, s * s], axis=1)
-    J[:, 3, 2:] = np.stack([s * s, -2 * c * s, c * c], axis=1)
-    J[:, 4, 2:] = np.stack([-c * s, c * c - s * s, c * s], axis=1) / difference[:, None]
+    J[:, 2, 2:] = np.array([c * c, 2 * c * s, s * s]).T
+    J[:, 3, 2:] = np.array([s * s, -2 * c * s, c * c]).T
+    J[:, 4, 2:] = np.array([-c * s, c * c - s * s, c * s]).T / difference[:, None]
     return J @ cov @ J.transpose(0, 2, 1)
 
 
@@ -99,7 +105,7 @@ def conic_from_shape(center: Array, shape: Array) -> Array:
 def boundary(center: Array, shape: Array, count: int) -> tuple[Array, Array]:
     """`count` points (N, count, 2) around each ellipse, and their unit-circle parameters e (count, 2)."""
     t = 2 * np.pi * np.arange(count) / count
-    e = np.stack([np.cos(t), np.sin(t)], axis=1)
+    e = np.array([np.cos(t), np.sin(t)]).T
     p, q, s = (column[:, None] for column in shape.T)
     offset = np.stack([p * e[:, 0] + q * e[:, 1], q * e[:, 0] + s * e[:, 1]], axis=-1)
     return center[:, None] + offset, e
@@ -112,8 +118,8 @@ def moved(center: Array, shape: Array, move: Array) -> tuple[Array, Array]:
     p, q, s = shape.T
     a, c = 1 + a, 1 + c
     A, B, C, D = p * a + q * b, p * b + q * c, q * a + s * b, q * b + s * c
-    squared = np.stack([A * A + B * B, A * C + B * D, C * C + D * D], axis=1)
-    return center + np.stack([p * w0 + q * w1, q * w0 + s * w1], axis=1), shape_from_moments(squared / 4)
+    squared = np.array([A * A + B * B, A * C + B * D, C * C + D * D]).T
+    return center + np.array([p * w0 + q * w1, q * w0 + s * w1]).T, shape_from_moments(squared / 4)
 
 
 def covariance_of_moves(cov: Array, shape: Array) -> Array:

@@ -111,7 +111,7 @@ def _plausible(found: candidates.Candidates, min_radius_px: float) -> candidates
         return found.take(fits)
     # a border as large as the others' but of another outline is a marker with glare or dirt on it, to be flagged
     size = np.sqrt(a * b)
-    alike = np.abs(np.log(size / np.median(size[fits]))) < _ALIKE
+    alike = np.abs(np.log(size / ellipse.middle(size[fits]))) < _ALIKE
     return found.take(fits | (alike & (b > 0.4 * a) & (found.misfit < 0.6 * size)))
 
 
@@ -138,7 +138,7 @@ def _judge(fit: edges.EdgeFit, found: candidates.Candidates, polarity: str, size
     status[fit.lost > 0.25] = GLARE
     status[fit.motion > _MOTION] = MOTION
     # blur is the image's, and its scatter from marker to marker mostly the fit's
-    common = float(np.median(fit.blur[status == "ok"])) if (status == "ok").any() else 0.0
+    common = ellipse.middle(fit.blur[good]) if (good := status == "ok").any() else 0.0
     status[b < _TOO_BLURRED * np.clip(fit.blur, common / _BLUR_SPREAD, common * _BLUR_SPREAD)] = BLURRED
     status[(fit.blur < common / 2) & (common > 1)] = BLURRED  # a fit that took the blur for size
     changed = np.abs(fit.shape - found.shape).max(axis=1)
@@ -160,6 +160,9 @@ def _crowded(center: Array, shape: Array, a: Array) -> NDArray[np.bool_]:
     if len(center) < 2:
         return np.zeros(len(center), dtype=bool)
     near = KDTree(center).query_pairs(2 * a.max() + _CLOSE, output_type="ndarray")
+    near = near[np.square(np.diff(center[near], axis=1)).sum(axis=(1, 2)) < np.square(a[near].sum(axis=1) + _CLOSE)]
+    if not len(near):
+        return np.zeros(len(center), dtype=bool)
     i, j = near.T
     d = center[j] - center[i]
     length = np.maximum(np.hypot(*d.T), 1e-9)

@@ -54,6 +54,8 @@ class SensorPipeline:
         self.flat = FlatReference.nominal(design)
         self.reference: Reference | None = None
         self._last = design.markers.p_SM
+        # seen 60 degrees aslant and from half as far again
+        self._smallest_px = max(1.5, 0.33 * self.camera.fx * design.markers.radius / design.camera.distance)
         self._forget()
 
     def _forget(self) -> None:
@@ -145,7 +147,8 @@ class SensorPipeline:
 
     def markers(self, image: Image) -> Markers:
         """Identified markers in S."""
-        poses = estimate_poses(detect(image, self.camera), self.camera, self.design.markers.radius)
+        ellipses = detect(image, self.camera, min_radius_px=self._smallest_px)
+        poses = estimate_poses(ellipses, self.camera, self.design.markers.radius)
         poses = self.flat.to_nominal(self.design, poses)
         markers = identity.identify(poses, self.design, self._last, self.flat.scale)
         self._last = self._last.copy()

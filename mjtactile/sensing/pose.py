@@ -92,12 +92,12 @@ def circles_from_cones(Q: Array, radius: Array) -> tuple[Array, Array]:
     turn = 0.5 * np.arctan2(uw, half)
     cu, cw = np.cos(turn), np.sin(turn)
     j = -(cu * x + cw * y) / (1 + z)
-    v1 = np.stack([cu + j * x, cw + j * y, -(cu * x + cw * y)], axis=1)
-    v3 = np.stack([x, y, z], axis=1)
+    v1 = np.array([cu + j * x, cw + j * y, -(cu * x + cw * y)]).T
+    v3 = np.array([x, y, z]).T
     ratio = np.sqrt(-l3 / l1)
     along1, along3 = (radius * ratio * sine)[:, None] * v1, (radius / ratio * cosine)[:, None] * v3
     n1, n3 = sine[:, None] * v1, cosine[:, None] * v3
-    return np.stack([along3 + along1, along3 - along1]), np.stack([n1 - n3, -n1 - n3])
+    return np.array([along3 + along1, along3 - along1]), np.array([n1 - n3, -n1 - n3])
 
 
 def cones(camera: optics.Camera, center_px: Array, shape: Array) -> Array:
@@ -140,7 +140,7 @@ def _fit(xy: Array) -> tuple[Array, Array]:
     over = 1 / (xa * yb - xb * ya)
     dx, dy = xy[0] - x0, xy[1] - y0
     u, v = (yb * over) * dx - (xb * over) * dy, (xa * over) * dy - (ya * over) * dx
-    terms = np.stack([u * u, 2 * u * v, v * v, 2 * u, 2 * v])
+    terms = np.array([u * u, 2 * u * v, v * v, 2 * u, 2 * v])
     conic = np.zeros((5, len(x0)))
     conic[[0, 2]] = 1.0
     for _ in range(_FIT_STEPS):
@@ -159,7 +159,7 @@ def _cone(affine: Array, conic: Array) -> Array:
     over = 1 / (xa * yb - xb * ya)
     ux, uy, vx, vy = yb * over, -xb * over, -ya * over, xa * over
     u0, v0 = -(ux * x0 + uy * y0), -(vx * x0 + vy * y0)
-    T = np.stack([np.stack([ux, uy, u0]), np.stack([vx, vy, v0])])  # (2, 3, N): u, v of (x, y, 1)
+    T = np.array([[ux, uy, u0], [vx, vy, v0]])  # (2, 3, N): u, v of (x, y, 1)
     au, cv = a * T[0] + b * T[1], b * T[0] + c * T[1]
     Q = T[0][:, None] * au + T[1][:, None] * cv
     linear = e * T[0] + f * T[1]
@@ -186,10 +186,10 @@ def _through_pane(camera: optics.Camera, xy: Array, p: Array, n: Array, r: Array
     both_p, both_n = circles_from_cones(_fit(seen)[1], np.tile(r, 2))
     both_p, both_n = both_p.reshape(2, 2, -1, 3), both_n.reshape(2, 2, -1, 3)
     # the eigenvectors' signs are free, so the refit may return the two solutions in the other order
-    match = ((both_n * n).sum(axis=3)).argmax(axis=0)[None, ..., None]
-    p = np.take_along_axis(both_p, match, axis=0)[0]
+    match = (both_n * n).sum(axis=3).argmax(axis=0), np.array([[0], [1]]), np.arange(len(r))
+    p = both_p[match]
     p[..., 2] += middle
-    return p, np.take_along_axis(both_n, match, axis=0)[0]
+    return p, both_n[match]
 
 
 def _covariance(camera: optics.Camera, ellipses: Ellipses, xy: Array, middle: Array, p: Array, n: Array) -> Array:
@@ -207,13 +207,13 @@ def _covariance(camera: optics.Camera, ellipses: Ellipses, xy: Array, middle: Ar
         pz = pz - optics.glass_shift(camera, p)
     a, b = ellipses.semi_axes_px.T
     cos, sin = np.cos(ellipses.angle), np.sin(ellipses.angle)
-    du = np.stack([cos / a, -sin / b]), np.stack([sin / a, cos / b])  # of e: (u, v) change by one pixel
+    du = np.array([cos / a, -sin / b]), np.array([sin / a, cos / b])  # of e: (u, v) change by one pixel
     lens = optics.distortion_jacobian(camera, middle.T)
     mx, my = (_E.T @ (camera.fx * lens[:, 0, i] * du[0] + camera.fy * lens[:, 1, i] * du[1]) for i in (0, 1))
     over = (nx * x + ny * y + nz) / (nx * px + ny * py + nz * pz)  # 1/depth of the boundary's points
     mz = -(mx * x + my * y)
     along = mx * nx + my * ny + mz * nz  # boundary's motion, over depth, as a point moves along the normal
-    D = np.stack([mx * over, my * over, mz * over, along * (x - px * over), along * (y - py * over)])
+    D = np.array([mx * over, my * over, mz * over, along * (x - px * over), along * (y - py * over)])
     D = (_TO_MOTION @ D).transpose(2, 1, 0)  # (N, 5 of (w, V), 5 of the pose)
     lateral = np.zeros((len(a), 5, 5))  # (w, V) of (u, v, a, b, angle)
     lateral[:, :2, 0], lateral[:, :2, 1] = du[0].T, du[1].T

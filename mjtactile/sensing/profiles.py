@@ -22,6 +22,7 @@ from scipy.special import ndtr
 
 from mjtactile.sensing import ellipse
 from mjtactile.sensing.edges import SOFTEN, SOFTEN_VARIANCE, EdgeFit
+from mjtactile.sensing.ellipse import middle
 from mjtactile.types import Array
 
 _SAMPLES, _ENDS = 17, 5  # along a profile; of these, at either end, for the levels
@@ -30,7 +31,7 @@ _COARSE_STEP, _COARSE_COUNT = 0.9, 24  # px between samples, profiles per marker
 _STEP = 0.75  # px between samples of the last round, for blur up to _SIGMA; more blur stretches it
 _SIGMA = 1.1  # px
 _COARSE_ROUNDS = 4
-_NEAR = 1.0  # px: a coarse move below this ends the coarse rounds
+_NEAR = 1.5  # px: a coarse move below this ends the coarse rounds; it is right by area within two
 _PER_PIXEL = 2.0  # px of arc between the profiles of the last round
 # Softening before bilinear interpolation makes the image smooth enough for it: without, offsets depend on where the
 # edge lies within a pixel, by 2 um of depth in the paper's geometry.
@@ -90,7 +91,7 @@ def fit(image: NDArray, center: Array, shape: Array) -> EdgeFit:
     source = cv2.sepFilter2D(image, cv2.CV_32F, SOFTEN, SOFTEN, borderType=cv2.BORDER_REPLICATE)
     center, shape, sigma = _approach(source, center, shape)
     step = _STEP * max(1.0, sigma / _SIGMA)
-    fan = _fan(int(np.clip(8 * np.ceil(np.median(_perimeter(shape)) / _PER_PIXEL / 8), 32, 160)))
+    fan = _fan(int(np.clip(8 * np.ceil(middle(_perimeter(shape)) / _PER_PIXEL / 8), 32, 160)))
     line = _outline(shape, fan)
     numbers = _read(source, center, shape, line, fan, step, sigma)
     inside, outside, spread = _levels(numbers, fan)
@@ -99,7 +100,7 @@ def fit(image: NDArray, center: Array, shape: Array) -> EdgeFit:
     delta = (numbers[EDGE] - sums[EDGE] * outside) * over - rest[0]
     blur = (numbers[BLUR] - sums[BLUR] * outside) * over + (np.float32(sigma) - rest[1])
     blur = np.maximum(blur, np.float32(0.5))
-    delta *= 1 / _gain(step, sigma, float(np.median(blur[:, ::4])))
+    delta *= 1 / _gain(step, sigma, middle(blur[:, ::4]))
     blur, retreat, motion = _retreat(blur, line)
     delta = np.minimum(np.maximum(delta, np.float32(-2)), np.float32(2)) + retreat
     center, shape, inverse, weight, left = _settle(center, shape, delta, line, fan)
@@ -140,10 +141,10 @@ def _retreat(blur: NDArray, line: _Outline) -> tuple[Array, NDArray, NDArray]:
     """
     some = blur[:, ::4]  # enough for three numbers
     variance = some * some
-    bound = np.minimum(variance, 3 * np.median(variance))
+    bound = np.minimum(variance, 3 * middle(variance))
     mx, my = line.m
     mxx, mxy, myy = mx * mx, 2 * mx * my, my * my
-    A = np.stack([mxx[:, ::4], mxy[:, ::4], myy[:, ::4]])
+    A = np.array([mxx[:, ::4], mxy[:, ::4], myy[:, ::4]])
     flat = A.reshape(3, -1)
     b = np.linalg.solve((flat @ flat.T).astype(float) + 1e-9 * np.eye(3), (flat @ bound.ravel()).astype(float))
     uu, uv, vv = b.astype(np.float32)
@@ -168,7 +169,7 @@ def _common_blur(numbers: NDArray, over: NDArray, delta: NDArray, step: float, f
     # the weights' own sum is zero: the outside level drops out
     second = numbers[SECOND] * over - np.float32(_STEP_MOMENT)
     # 1/6: what sampling takes off the second moment of a smooth step, in samples squared
-    squared = (float(np.median((2 * second - delta * delta) @ fan.mean)) + 1 / 6) * step * step
+    squared = (middle((2 * second - delta * delta) @ fan.mean) + 1 / 6) * step * step
     return min(max(squared, 0.75**2), 4.0**2) ** 0.5
 
 
@@ -223,8 +224,8 @@ def _read(source: NDArray, center: Array, shape: Array, line: _Outline, fan: _Fa
     offsets = _offsets(round(step * 100) / 100)
     (u, v), (p, q, s) = center.T, shape.T
     place = np.array([[u, p, q], [v, q, s]], np.float32).transpose(0, 2, 1) @ fan.one
-    rays = np.stack([place, line.m], axis=1).reshape(2, 2, -1)
-    maps = np.stack([np.ones(_SAMPLES), offsets], axis=1).astype(np.float32) @ rays
+    rays = np.array([[place[0], line.m[0]], [place[1], line.m[1]]]).reshape(2, 2, -1)
+    maps = np.array([np.ones(_SAMPLES), offsets], np.float32).T @ rays
     values = cv2.remap(source, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return (_filters(step, sigma)[0].T @ values).reshape(-1, *line.g.shape)
 

@@ -81,7 +81,7 @@ class Basis:
         x = np.minimum(np.maximum(np.asarray(x, dtype=float) + self.half, 0.0), 2 * self.half)
         k = np.minimum((x / h).astype(np.int64), self.intervals - 1)
         t = x - k * h
-        powers = np.stack([np.ones_like(t), t, t * t, t * t * t][: _DEGREE + 1 - derivative], axis=1)
+        powers = np.array([np.ones_like(t), t, t * t, t * t * t][: _DEGREE + 1 - derivative]).T
         values = np.zeros((len(x), self.intervals + _DEGREE))
         local = (powers[:, None] @ self.pieces[derivative][k])[:, 0]
         values[np.arange(len(x))[:, None], k[:, None] + np.arange(_DEGREE + 1)] = local
@@ -141,8 +141,9 @@ class Spline:
         stretch = np.sqrt(1 + z_x * z_x + z_y * z_y)
         area_c = (f.quad_y[0].T @ (f.weights * z_x / stretch) @ f.quad_x[1]
                   + f.quad_y[1].T @ (f.weights * z_y / stretch) @ f.quad_x[0])
-        gradients = np.column_stack([f.stiffness_root, area_c.ravel(), f.volume_c.ravel()])
-        half, _ = lapack.dtrtrs(self.cholesky, gradients, lower=True)
+        gradients = f.gradients.copy()
+        gradients[:, -2] = area_c.ravel()
+        half, _ = lapack.strtrs(self.cholesky.astype(np.float32), gradients, lower=True, overwrite_b=True)
         *rough, area_var, volume_var = np.einsum("ij,ij->j", half, half).tolist()
         # noise makes a flat sheet's area larger, to second order: E = trace(stiffness covariance) / 2
         rough = sum(rough) / 2
@@ -153,7 +154,7 @@ class Spline:
 
 @dataclass(frozen=True, eq=False)
 class _Terms:
-    """Normal equations of weighted observations: A^T A, A^T b, b^T b, the number of rows, and of markers."""
+    """Normal equations of observations in units of their sd: A^T A, A^T b, b^T b, the number of rows, and of heights."""
 
     normal: Array
     right: Array
@@ -162,9 +163,8 @@ class _Terms:
     markers: int
 
     @classmethod
-    def of(cls, A: Array, b: Array, sd: Array, markers: int) -> _Terms:
-        A, b = A / sd[:, None], b / sd
-        return cls(A.T @ A, A.T @ b, float(b @ b), len(b), markers)
+    def of(cls, A: Array, b: Array, *, heights: bool = True) -> _Terms:
+        return cls(A.T @ A, A.T @ b, float(b @ b), len(b), len(b) if heights else 0)
 
     def __add__(self, other: _Terms) -> _Terms:
         return _Terms(self.normal + other.normal, self.right + other.right, self.square + other.square,
@@ -194,7 +194,10 @@ class SurfaceFitter:
         self.quad_y = [self.basis_y.at(qy, d) for d in range(4)]
         self.weights = wy[:, None] * wx
         self.volume_c = self.quad_y[0].T @ self.weights @ self.quad_x[0]
-        self.stiffness_root = np.linalg.cholesky(self._energy(wx, wy, ((1, 0),), ((0, 1),)))
+        # what `Spline.surface` wants covariances of (single precision is plenty): slopes everywhere, area, volume
+        stiffness_root = np.linalg.cholesky(self._energy(wx, wy, ((1, 0),), ((0, 1),)))
+        gradients = [stiffness_root, np.zeros(len(stiffness_root)), self.volume_c.ravel()]
+        self.gradients = np.asfortranarray(np.column_stack(gradients), dtype=np.float32)
         area = frame.length * frame.width
         self.prior = (self._energy(wx, wy, ((3, 0), (1, 2)), ((2, 1), (0, 3))) / (roughness**2 * area)
                       + self._energy(wx, wy, ((2, 0), (0, 2))) / (laplacian**2 * area))
@@ -229,23 +232,27 @@ class SurfaceFitter:
         use = fits & (sd < _SLOPE_SD_MAX) & (np.abs(slope - predicted).max(axis=1) < self.slope_off)
         if not use.any():
             return spline
-        rows, slopes = np.concatenate([across[use], down[use]]), slope[use].T.ravel()
-        return self._solve(heights + _Terms.of(rows, slopes, np.tile(sd[use], 2), 0))
+        over = 1 / sd[use, None]
+        rows, slopes = np.concatenate([across[use] * over, down[use] * over]), (slope[use] * over).T.ravel()
+        return self._solve(heights + _Terms.of(rows, slopes, heights=False))
 
     def _solve_without_outliers(self, rows: Array, z: Array, sd: Array) -> tuple[Spline, _Terms, NDArray[np.bool_]]:
         """Fit heights `z` (N,), and again without the worst marker while one is far off what all others predict."""
         fits = np.ones(len(z), bool)
+        A, b = rows / sd[:, None], z / sd
         while True:
-            terms = _Terms.of(rows[fits], z[fits], sd[fits], int(fits.sum()))
+            terms = _Terms.of(A, b)
             spline = self._solve(terms)
-            half, _ = lapack.dtrtrs(spline.cholesky, (rows[fits] / sd[fits, None]).T, lower=True)
             # leave one out: residual / (1 - leverage), variance / (1 - leverage); Cook & Weisberg 1982, 2.2
-            left = np.maximum(1 - np.einsum("ij,ij->j", half, half), 1e-9)
-            off = np.abs(z[fits] - rows[fits] @ spline.coefficients.ravel()) / left
-            excess = np.minimum(off / _OUTLIER_MIN, off * np.sqrt(left) / (_OUTLIER_SD * sd[fits]))
-            if not len(excess) or excess.max() <= 1 or fits.sum() <= _OUTLIERS_LEAVE * len(z):
+            half, _ = lapack.strtrs(spline.cholesky.astype(np.float32), A.T.astype(np.float32), lower=True, overwrite_b=True)
+            left = np.maximum(1 - np.einsum("ij,ij->j", half, half), 1e-6)
+            off = np.abs(b - A @ spline.coefficients.ravel()) / left  # in sd
+            excess = np.minimum(off * sd[fits] / _OUTLIER_MIN, off * np.sqrt(left) / _OUTLIER_SD)
+            if not len(excess) or excess.max() <= 1 or len(excess) <= _OUTLIERS_LEAVE * len(z):
                 return spline, terms, fits
-            fits[np.flatnonzero(fits)[np.argmax(excess)]] = False
+            worst = np.argmax(excess)
+            fits[np.flatnonzero(fits)[worst]] = False
+            A, b = np.delete(A, worst, axis=0), np.delete(b, worst)
 
     def _slope_sd(self, n: Array, p: Array, variance: Array) -> Array:
         p_CM = p + np.array([0.0, 0.0, self.distance])

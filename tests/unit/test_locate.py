@@ -110,7 +110,8 @@ def test_one_grey_from_colour_and_bits():
     image = scenes.image(CAMERA, board(depth=20.0)[:30])
     reference = find_circles(image, CAMERA, R).poses.p_CM
     for same in (np.dstack([image] * 3), image[..., None], image.astype(np.uint16) * 257):
-        np.testing.assert_allclose(find_circles(same, CAMERA, R).poses.p_CM, reference, atol=2e-6)  # float32 inside
+        # float32 inside, and the search starts elsewhere: 1e-4 of the depth, where noise makes 1e-3
+        np.testing.assert_allclose(find_circles(same, CAMERA, R).poses.p_CM, reference, atol=2e-5)
 
 
 def test_a_large_neighbour_does_not_disturb_a_small_circle():
