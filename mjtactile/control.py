@@ -51,7 +51,7 @@ def take_references(rig: Rig, pipelines: Sequence[SensorPipeline], report: Calla
     report("reference: flat, valve open")
     for valve in rig.valves:
         valve.open(0.0)
-    shots = _settled_images(rig)
+    shots = settled_images(rig)
     on_reference("flat", shots, [0.0 for _ in rig.valves])
     for pipeline, images in zip(pipelines, shots, strict=True):
         pipeline.take_flat(images)
@@ -61,14 +61,14 @@ def take_references(rig: Rig, pipelines: Sequence[SensorPipeline], report: Calla
     rig.clock.wait_until(rig.clock.now() + SETTLE_TIME)
     for valve in rig.valves:
         valve.close()
-    shots = _settled_images(rig)
+    shots = settled_images(rig)
     pressures = [valve.state().pressure_gauge for valve in rig.valves]
     on_reference("rest", shots, pressures)
     for pipeline, measured, images in zip(pipelines, pressures, shots, strict=True):
         pipeline.take_rest(images, supply if measured is None else measured)
 
 
-def _settled_images(rig: Rig) -> list[list[Image]]:
+def settled_images(rig: Rig) -> list[list[Image]]:
     """Wait until everything is still, then return REFERENCE_IMAGES images of each camera."""
     rig.clock.wait_until(rig.clock.now() + SETTLE_TIME)
     shots: list[list[Image]] = [[] for _ in rig.cameras]

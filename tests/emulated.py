@@ -63,16 +63,17 @@ def servo_bench(model: str = "XL330-M288", count: int = 2) -> Iterator[Bench]:
 
 
 class Chambers:
-    """Chambers without a world: at the pressure that they are connected to."""
+    """Chambers without a world: at the pressure that they are connected to. Sealed, they lose `leak` Pa each tick."""
 
     def __init__(self) -> None:
         self.pressures = {1: 0.0, 2: 0.0}
+        self.leak = 0.0
 
     def connect(self, channel: int, supply_gauge: float) -> None:
         self.pressures[channel] = supply_gauge
 
     def seal(self, channel: int) -> None:
-        pass
+        self.pressures[channel] -= self.leak
 
     def pressure(self, channel: int) -> float:
         return self.pressures[channel]

@@ -1,4 +1,4 @@
-"""`mjtactile calibrate WHAT`: measure what a sensor or a rig needs, once, and keep it with its residuals."""
+"""`mjtactile calibrate frame`: the camera's pose in the sensor, the markers' radii and the rest state, from images."""
 
 from __future__ import annotations
 
@@ -15,10 +15,9 @@ from mjtactile.sensing.pipeline import SensorPipeline
 from mjtactile.sensing.reference import save_reference
 from mjtactile.types import Image
 
-SIMULATES = False
-HELP = "calibrate: frame (camera pose and marker radii from the flat membrane)"
+HELP = "camera pose and marker radii from the flat membrane"
 DESCRIPTION = """\
-frame: from images with the valve open and nothing touching (the membrane is flat), find the
+From images with the valve open and nothing touching (the membrane is flat), find the
 camera's pose against the frame and each marker's true radius. With images of the inflated
 membrane too, the rest state that forces are measured against. Refuses what does not agree
 with the sensor file."""
@@ -35,7 +34,6 @@ pressure; null without --rest), "file"}.
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("what", choices=["frame"], metavar="WHAT", help="frame")
     parser.add_argument("source", type=Path, metavar="FLAT", help="image, folder or video of the flat membrane, valve open")
     parser.add_argument("--sensor", default="dense", metavar="NAME|FILE.toml", help="the sensor (default: dense)")
     parser.add_argument("--rest", type=Path, metavar="SOURCE", help="images of the inflated membrane, nothing touching")

@@ -95,6 +95,12 @@ class ValveBoard:
                     raise DeviceError(f"valve board {self.name} is silent or broken: {error}") from error
             return reading
 
+    def measure(self, channel: int) -> ValveReading:
+        """Ask the board now. Raises DeviceError."""
+        with self._lock:
+            self._last_call = time.monotonic()
+            return self._read(channel)
+
     def close(self, *, quiet: bool = False) -> None:
         """Vent every channel, also after one failed, then let go of the port. Raises DeviceError for what did not vent."""
         if self._closed.is_set():

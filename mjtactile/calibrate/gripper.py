@@ -1,0 +1,143 @@
+"""A gripper against a caliper and a load cell: zero and scale of the opening, backlash, current to force.
+
+Model of the opening: what a caliper measures is offset + scale * reported - backlash / 2 * direction, with direction +1
+while opening and -1 while closing: the jaws lag behind the servo by half the play either way. Model of the force on each
+finger: load cell = friction offset + factor * reported, the factor correcting the torque per ampere of the data sheet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from mjtactile.calibrate.verdict import fit_line
+from mjtactile.devices.dynamixel_tables import TICKS_PER_RAD
+from mjtactile.devices.geometry import JawGeometry, JawServo
+from mjtactile.errors import InputError
+from mjtactile.types import Array
+
+DIRECTIONS = ("closing", "opening")
+SCALE_OFF_MAX = 0.03  # more is a wrong pinion radius or a wrong law, which a number should not hide
+OPENING_RMS_MAX = 2e-4  # m; a caliper reads 0.02 mm, a servo's tick is 0.02 to 0.03 mm
+BACKLASH_MAX = 1e-3  # m; the membrane is pressed by 1 to 3 mm
+FACTOR_RANGE = (0.5, 1.5)  # data sheets are stall values, good to 20 %; friction takes more
+FORCE_RMS_SHARE = 0.10  # of the largest force
+
+
+@dataclass(frozen=True)
+class OpeningCalibration:
+    """`offset` m, `scale`, `backlash` m with their standard deviations, `rms` m of what is left; `reasons` to refuse it."""
+
+    offset: float
+    offset_sd: float
+    scale: float
+    scale_sd: float
+    backlash: float
+    backlash_sd: float
+    rms: float
+    reasons: tuple[str, ...]
+
+    def report(self) -> dict[str, Any]:
+        mm = {f"{name}_mm": 1e3 * getattr(self, name) for name in ("offset", "offset_sd", "backlash", "backlash_sd", "rms")}
+        return {"scale": self.scale, "scale_sd": self.scale_sd, **mm}
+
+
+@dataclass(frozen=True)
+class ForceCalibration:
+    """`factor` on the reported force and `offset` N (negative: friction) with standard deviations, `rms` N left."""
+
+    factor: float
+    factor_sd: float
+    offset: float
+    offset_sd: float
+    rms: float
+    reasons: tuple[str, ...]
+
+    def report(self) -> dict[str, Any]:
+        return {"factor": self.factor, "factor_sd": self.factor_sd, "offset_N": self.offset, "offset_sd_N": self.offset_sd,
+                "rms_N": self.rms}
+
+
+def calibrate_opening(reported: Array, direction: Sequence[str], measured: Array) -> OpeningCalibration:
+    """From openings m as the servos report them, the direction they were reached in, and a caliper's readings m.
+
+    Raises InputError when the readings cannot tell offset, scale and backlash apart.
+    """
+    bad = next((text for text in direction if text not in DIRECTIONS), None)
+    if bad is not None:
+        raise InputError(f"{bad!r} is no direction", field="direction", choices=DIRECTIONS)
+    sign = np.array([1.0 if text == "opening" else -1.0 for text in direction])
+    if len(reported) < 4 or np.ptp(reported) < 5e-3 or not (sign > 0).any() or not (sign < 0).any():
+        raise InputError("needs at least two openings, 5 mm or more apart, each reached closing and opening", field="openings")
+    A = np.column_stack([np.ones_like(reported), reported, -0.5 * sign])
+    inverse = np.linalg.inv(A.T @ A)
+    x = inverse @ A.T @ measured
+    left = measured - A @ x
+    sd = np.sqrt(float(left @ left) / max(len(left) - 3, 1) * np.diag(inverse))
+    result = OpeningCalibration(float(x[0]), float(sd[0]), float(x[1]), float(sd[1]), float(x[2]), float(sd[2]),
+                                float(np.sqrt(np.mean(left**2))), ())
+    return OpeningCalibration(**{**asdict(result), "reasons": tuple(_judge_opening(result))})
+
+
+def _judge_opening(c: OpeningCalibration) -> list[str]:
+    checks = [
+        (abs(c.scale - 1) <= SCALE_OFF_MAX, f"the jaws move {c.scale:.3f} times as far as the rig file says: mm_per_rad or law "
+         "is wrong"),
+        (c.rms <= OPENING_RMS_MAX, f"the caliper is off the fit by {1e3 * c.rms:.2f} mm (rms), at most "
+         f"{1e3 * OPENING_RMS_MAX:g} is good: a slipped reading, or law \"rack\" for a crank"),
+        (c.backlash <= BACKLASH_MAX, f"{1e3 * c.backlash:.2f} mm of backlash: loose horn, worn gear"),
+        (c.backlash >= -3 * max(c.backlash_sd, 1e-5), f"a backlash of {1e3 * c.backlash:.2f} mm: directions mixed up?"),
+    ]
+    return [text for good, text in checks if not good]
+
+
+def calibrate_force(reported: Array, measured: Array) -> ForceCalibration:
+    """From closing forces N as the currents say, and a load cell's readings N. Raises InputError for fewer than 4."""
+    if len(reported) < 4 or np.ptp(reported) < 0.2 * np.max(np.abs(reported)):
+        raise InputError("needs at least 4 forces that differ", field="forces")
+    (offset, factor), (offset_sd, factor_sd), rms = fit_line(reported, measured)
+    result = ForceCalibration(float(factor), float(factor_sd), float(offset), float(offset_sd), rms, ())
+    return ForceCalibration(**{**asdict(result), "reasons": tuple(_judge_force(result, float(np.max(measured))))})
+
+
+def _judge_force(c: ForceCalibration, largest: float) -> list[str]:
+    low, high = FACTOR_RANGE
+    checks = [
+        (low <= c.factor <= high, f"the force is {c.factor:.2f} times what the currents say, {low:g} to {high:g} is plausible: "
+         "wrong servo model, mm_per_rad or load cell range"),
+        (c.rms <= FORCE_RMS_SHARE * largest, f"the forces are off a line by {c.rms:.2f} N of {largest:.2f}: stick-slip, a jaw "
+         "that touches something else"),
+        (c.offset <= 0.1 * largest, f"the load cell shows {c.offset:.2f} N more than the currents explain: its zero?"),
+    ]
+    return [text for good, text in checks if not good]
+
+
+def servo_lines(geometry: JawGeometry, opening: OpeningCalibration | None, force: ForceCalibration | None
+                ) -> list[dict[str, Any]]:
+    """What to write into each `[[gripper.servo]]` of the rig file: id, zero_ticks, mm_per_rad (racks), torque_Nm_per_A.
+
+    The opening's offset is shared by the servos alike; a servo's zero moves by the angle that makes its share. On a rack
+    the scale goes into the pinion's radius; another law keeps its own, and is right in the middle of the range.
+    """
+    return [_servo_line(jaw, len(geometry.servos), sum(geometry.config.opening) / 2, opening, force) for jaw in geometry.servos]
+
+
+def _servo_line(jaw: JawServo, count: int, middle: float, opening: OpeningCalibration | None, force: ForceCalibration | None
+                ) -> dict[str, Any]:
+    line: dict[str, Any] = {"id": jaw.config.id}
+    scale = 1.0
+    if opening is not None and jaw.config.law == "rack":
+        scale, share = opening.scale, opening.offset / count
+        per_rad = scale * jaw.config.per_rad
+        shift = (share + (scale - 1) * jaw.config.opening_part) / per_rad
+        line["mm_per_rad"] = round(1e3 * per_rad, 4)
+        line["zero_ticks"] = round(jaw.config.zero_ticks - shift * TICKS_PER_RAD)
+    elif opening is not None:
+        share = (opening.offset + (opening.scale - 1) * middle) / count
+        line["zero_ticks"] = round(jaw.config.zero_ticks - share / jaw.slope(jaw.ticks(middle / count)) * TICKS_PER_RAD)
+    if force is not None:
+        line["torque_Nm_per_A"] = round(jaw.torque_per_A * force.factor * scale, 4)  # force = torque over radius
+    return line

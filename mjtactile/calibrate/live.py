@@ -1,0 +1,224 @@
+"""Calibration on live devices: what to do in which order, with prompts for a person who reads a caliper or a load cell.
+
+On the emulated rig the emulator's own world is the caliper and the load cell: instruments outside the device, which a
+person would read on a real one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.calibrate.camera import BoardFinder, View
+from mjtactile.calibrate.valve import ValveCalibration, calibrate_valve
+from mjtactile.design import SensorDesign
+from mjtactile.devices.dynamixel import DynamixelGripper
+from mjtactile.devices.opencv_camera import OpenCvCamera
+from mjtactile.devices.valve import BoardValve
+from mjtactile.emulator.process import EmulatorProcess
+from mjtactile.errors import DeviceError, InputError
+from mjtactile.rigfile import RigFile, load_rig_file
+from mjtactile.types import Array, Command
+
+Say = Callable[[str], None]
+Ask = Callable[[str], float | None]
+"""Asks a person for a number; None: skip this one."""
+
+_STILL_PX, _NEW_VIEW_SHARE = 2.0, 0.06  # a view counts when the board rests, and is elsewhere than in all others
+_SPEED = 0.010  # m/s of the opening while calibrating
+_PERIOD = 0.02  # s between two commands
+_REST_TIME = 0.6  # s at each opening
+_STALL_TIME, _CLOSE_TIME_MAX = 0.5, 20.0  # s of standing still; s to reach what is between the jaws
+_STILL, _AHEAD_MIN, _AHEAD_MAX = 1e-4, 8e-3, 30e-3  # m of the opening
+_VALVE_STAGES = (1.0, 2.0, 1.0)  # s of venting, step, venting again
+_SAMPLE = 0.01  # s between pressure samples
+
+
+@contextlib.contextmanager
+def live_rig(name: str, design: SensorDesign, *, object_name: str = "egg") -> Iterator[tuple[RigFile, EmulatorProcess | None]]:
+    """The rig file of `name` with addresses that can be connected to; starts (and ends) the emulator for an emulated one."""
+    rig_file = load_rig_file(name)
+    if rig_file.emulator is None:
+        yield rig_file, None
+        return
+    process = EmulatorProcess(rig_file, design, object_name=object_name)
+    try:
+        yield process.connect(rig_file), process
+    finally:
+        process.close()
+
+
+# -- camera ------------------------------------------------------------------------------------------------------------
+
+def collect_views(pictures: Iterator[tuple[str, NDArray[np.uint8]]], finder: BoardFinder, count: int, say: Say) -> list[View]:
+    """Take `count` views of a board that is moved about, each when it rests somewhere new; fewer when the pictures end."""
+    taken: list[View] = []
+    before: View | None = None
+    for name, gray in pictures:
+        view = finder.find(name, gray)
+        if view is not None and before is not None and _moved(view, before) < _STILL_PX and _is_new(view, taken, gray.shape[1]):
+            taken.append(view)
+            say(f"view {len(taken)} of {count}: {len(view.ids)} corners. {_hint(taken, gray.shape)}")
+            if len(taken) == count:
+                break
+        before = view
+    return taken
+
+
+def camera_pictures(camera: OpenCvCamera, seconds: float) -> Iterator[tuple[str, NDArray[np.uint8]]]:
+    """Each new picture of a camera, for `seconds` s. Raises DeviceError when it fails."""
+    end, last, number = time.monotonic() + seconds, 0.0, 0
+    while time.monotonic() < end:
+        if camera.wait_newer(last, 0.5):
+            image = camera.read()
+            last, number = image.time, number + 1
+            yield f"picture {number}", image.pixels
+
+
+def _moved(view: View, other: View) -> float:
+    """Largest movement in px of the corners that both have; infinite when they share none."""
+    shared, a, b = np.intersect1d(view.ids, other.ids, return_indices=True)
+    return float(np.max(np.linalg.norm(view.uv[a] - other.uv[b], axis=1))) if len(shared) else np.inf
+
+
+def _is_new(view: View, taken: Sequence[View], width: int) -> bool:
+    return all(_moved(view, other) > _NEW_VIEW_SHARE * width for other in taken)
+
+
+def _hint(taken: Sequence[View], shape: tuple[int, ...]) -> str:
+    """Where in the picture no corner was seen yet."""
+    uv = np.concatenate([view.uv for view in taken])
+    names = np.array([["upper left", "upper right"], ["lower left", "lower right"]])
+    quarter = np.histogram2d(uv[:, 1] / shape[0], uv[:, 0] / shape[1], bins=4, range=((0, 1), (0, 1)))[0]
+    empty = [str(names[i, j]) for i in (0, 1) for j in (0, 1) if quarter[3 * i, 3 * j] == 0]
+    return f"Now to the {empty[0]}, tilted." if empty else "Tilt it another way, or come closer."
+
+
+# -- gripper -----------------------------------------------------------------------------------------------------------
+
+def measure_openings(gripper: DynamixelGripper, openings: Sequence[float], ask: Ask, force: float, say: Say
+                     ) -> tuple[Array, list[str], Array]:
+    """Reach each opening (m) from both sides and ask for the caliper's reading: reported m, directions, measured m."""
+    rows: list[tuple[float, str, float]] = []
+    path = [*((o, "closing") for o in sorted(openings, reverse=True)), *((o, "opening") for o in sorted(openings))]
+    low, high = gripper.config.opening
+    for opening, direction in path:
+        away = 4e-3 if direction == "closing" else -4e-3
+        say(f"moving to {1e3 * opening:.1f} mm, {direction}")
+        _move(gripper, min(max(opening + away, low), high), force)
+        _move(gripper, opening, force)
+        reported = gripper.state().opening
+        with _kept_alive(gripper):
+            measured = ask(f"caliper between the sensors' frames, mm (jaws at {1e3 * reported:.2f})")
+        if measured is not None:
+            rows.append((reported, direction, 1e-3 * measured))
+    reported_all, directions, measured_all = zip(*rows, strict=True) if rows else ((), (), ())
+    return np.array(reported_all), list(directions), np.array(measured_all)
+
+
+def measure_forces(gripper: DynamixelGripper, forces: Sequence[float], ask: Ask, say: Say) -> tuple[Array, Array]:
+    """Squeeze what is between the jaws with rising force limits (N) and ask for the load cell's reading: reported N, true N."""
+    rows = []
+    for force in sorted(forces):
+        say(f"squeezing with up to {force:.2f} N")
+        _squeeze(gripper, force)
+        reported = float(np.mean([_pause(gripper, _PERIOD).effort for _ in range(10)]))
+        with _kept_alive(gripper):
+            measured = ask(f"load cell, N (the currents say {reported:.2f})")
+        if measured is not None:
+            rows.append((reported, measured))
+    _move(gripper, min(gripper.state().opening + 0.01, gripper.config.opening[1]), max(forces))
+    reported_all, measured_all = zip(*rows, strict=True) if rows else ((), ())
+    return np.array(reported_all), np.array(measured_all)
+
+
+def _pause(gripper: DynamixelGripper, seconds: float):
+    time.sleep(seconds)
+    return gripper.state()
+
+
+@contextlib.contextmanager
+def _kept_alive(gripper: DynamixelGripper) -> Iterator[None]:
+    """Call the gripper while a person reads an instrument: a host that is silent would let the watchdog stop it."""
+    done = threading.Event()
+
+    def call() -> None:
+        while not done.wait(0.05):
+            with contextlib.suppress(DeviceError):
+                gripper.state()
+
+    thread = threading.Thread(target=call, name="keep alive", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()
+
+
+def _move(gripper: DynamixelGripper, opening: float, force: float) -> None:
+    """Go there slowly and rest."""
+    at = gripper.state().opening
+    while abs(opening - at) > 1e-9:
+        at += float(np.clip(opening - at, -_SPEED * _PERIOD, _SPEED * _PERIOD))
+        gripper.command(Command(at, force))
+        _pause(gripper, _PERIOD)
+    for _ in range(round(_REST_TIME / _PERIOD)):
+        gripper.command(Command(opening, force))
+        _pause(gripper, _PERIOD)
+
+
+def _squeeze(gripper: DynamixelGripper, force: float) -> None:
+    """Close until the jaws have stood still for a while. Raises DeviceError when there is nothing between them."""
+    low = gripper.config.opening[0]
+    start = still_since = time.monotonic()
+    goal = stood = gripper.state().opening
+    while time.monotonic() - still_since < _STALL_TIME:
+        opening = gripper.state().opening
+        # The goal runs ahead of the jaws, far enough that the servo asks for all the force it may use.
+        goal = max(low, goal - _SPEED * _PERIOD, opening - _AHEAD_MAX)
+        gripper.command(Command(goal, force))
+        _pause(gripper, _PERIOD)
+        if abs(opening - stood) > _STILL or opening - goal < _AHEAD_MIN:
+            stood, still_since = opening, time.monotonic()
+        if opening <= low + 1e-4 or time.monotonic() - start > _CLOSE_TIME_MAX:
+            raise DeviceError("the jaws met nothing: put the load cell between them, or `--forces FILE.csv`")
+
+
+# -- valve -------------------------------------------------------------------------------------------------------------
+
+def step_valve(valve: BoardValve, pressure: float, seal_time: float, say: Say) -> tuple[Array, Array, list[str]]:
+    """Vent, open at `pressure` Pa, seal for `seal_time` s, vent: times s, gauge pressures Pa, stages.
+
+    Raises InputError for a board without a pressure sensor, DeviceError when it does not obey.
+    """
+    rows: list[tuple[float, float, str]] = []
+    vent, rise, fall = _VALVE_STAGES
+    for stage, act, seconds in (("vent", lambda: valve.open(0.0), vent), ("open", lambda: valve.open(pressure), rise),
+                                ("closed", valve.close, seal_time), ("vent", lambda: valve.open(0.0), fall)):
+        say(f"{valve.config.finger}: {stage} for {seconds:g} s")
+        if not rows:
+            act()
+            time.sleep(vent)  # what was in the chamber before is no step
+        act()
+        end = time.monotonic() + seconds
+        while (now := time.monotonic()) < end:
+            reading = valve.board.measure(valve.config.channel)
+            if reading.pressure_gauge is None:
+                raise InputError(f"the {valve.board.dialect.name} board has no pressure sensor: nothing to calibrate",
+                                 field=f"valve.{valve.config.finger}")
+            if not rows or reading.time > rows[-1][0]:
+                rows.append((reading.time, reading.pressure_gauge, stage))
+            time.sleep(max(0.0, now + _SAMPLE - time.monotonic()))
+    times, pressures, stages = zip(*rows, strict=True)
+    return np.array(times), np.array(pressures), list(stages)
+
+
+def calibrate_live_valve(valve: BoardValve, pressure: float, seal_time: float, say: Say) -> ValveCalibration:
+    """`step_valve` and what it means."""
+    return calibrate_valve(*step_valve(valve, pressure, seal_time, say), pressure)

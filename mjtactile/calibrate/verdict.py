@@ -1,0 +1,97 @@
+"""What all calibrations share: what a file of theirs says besides its numbers, and where a refused one goes."""
+
+from __future__ import annotations
+
+import csv
+import datetime
+import importlib.metadata
+import math
+import platform
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from mjtactile.errors import InputError
+from mjtactile.recording import to_json, write_json
+from mjtactile.types import Array
+
+
+def versions() -> dict[str, str]:
+    """Versions of what took part."""
+    return {"mjtactile": importlib.metadata.version("mjtactile"), "opencv": cv2.__version__, "numpy": np.__version__,
+            "python": platform.python_version()}
+
+
+def stamp(kind: str, reasons: Sequence[str]) -> dict[str, Any]:
+    """`calibration` (its kind), `verdict` "good" or "refused", `reasons` of a refusal, `date`, `versions`."""
+    now = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
+    return {"calibration": kind, "verdict": "refused" if reasons else "good", "reasons": list(reasons), "date": now,
+            "versions": versions()}
+
+
+def write(path: Path, result: Mapping[str, Any], writer: Callable[[Path, Any], None] = write_json) -> Path:
+    """Write a result; a refused one goes beside `path`, as NAME.refused.SUFFIX, so that a good file is never replaced."""
+    if result["verdict"] == "refused":
+        path = path.with_name(f"{path.stem}.refused{path.suffix}")
+    try:
+        writer(path, result)
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror}", source=path, field="--out") from error
+    return path
+
+
+def write_yaml(path: Path, value: Mapping[str, Any]) -> None:
+    """Write `value` as YAML, at once or not at all."""
+    import yaml  # only this function needs it
+
+    part = path.with_name(path.name + ".part")
+    part.write_text(yaml.safe_dump(to_json(value), sort_keys=False, default_flow_style=None), encoding="utf-8")
+    part.replace(path)
+
+
+def read_columns(path: Path, numbers: Sequence[str], texts: Sequence[str] = (), *, fewest: int = 1) -> dict[str, Any]:
+    """Columns of a CSV file with a header line: arrays of finite numbers, lists of texts; other columns are ignored.
+
+    Raises InputError naming file, line and column.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as lines:
+            rows = list(csv.DictReader(row for row in lines if row.strip() and not row.lstrip().startswith("#")))
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", source=path) from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"no CSV file: {error}", source=path) from error
+    names = list(rows[0]) if rows else []
+    missing = [name for name in (*numbers, *texts) if name not in names]
+    if missing:
+        raise InputError("missing column", source=path, field=missing[0], choices=(*numbers, *texts))
+    if len(rows) < fewest:
+        raise InputError(f"{len(rows)} rows, at least {fewest} are needed", source=path)
+    result: dict[str, Any] = {name: _numbers(path, name, rows) for name in numbers}
+    return result | {name: [(row[name] or "").strip() for row in rows] for name in texts}
+
+
+def _numbers(path: Path, name: str, rows: Sequence[Mapping[str, str | None]]) -> Array:
+    values = []
+    for line, row in enumerate(rows, 2):
+        try:
+            value = float(row[name] or "")
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise InputError(f"{row[name]!r} is not a finite number", source=path, field=f"line {line}, column {name}")
+        values.append(value)
+    return np.array(values)
+
+
+def fit_line(x: Array, y: Array) -> tuple[Array, Array, float]:
+    """Least squares y = a + b x: (a, b), their standard deviations, and the rms of what is left."""
+    A = np.column_stack([np.ones_like(x), x])
+    inverse = np.linalg.inv(A.T @ A)
+    coefficients = inverse @ A.T @ y
+    left = y - A @ coefficients
+    variance = float(left @ left) / max(len(x) - 2, 1)
+    return coefficients, np.sqrt(variance * np.diag(inverse)), float(np.sqrt(np.mean(left**2)))

@@ -1,0 +1,49 @@
+"""What the calibrations share at the terminal: guidance, prompts, the result."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from mjtactile.commands.output import print_json
+from mjtactile.errors import InputError
+
+
+def say(text: str) -> None:
+    """Tell the person what happens or what to do; stdout is for the result."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def finish(options: argparse.Namespace, path: Path, result: dict, lines: list[str]) -> int:
+    """Print the result; the exit code is 0 for a good calibration and 1 for a refused one."""
+    if options.json:
+        print_json({**result, "file": path})
+    else:
+        print("\n".join(lines))
+        for reason in result["reasons"]:
+            print(f"  REFUSED: {reason}")
+        print(f"  {result['verdict']}; written to {path}")
+    return 0 if result["verdict"] == "good" else 1
+
+
+def ask(text: str) -> float | None:
+    """Ask for a number on the terminal; an empty line skips. Raises InputError when there is nobody to answer."""
+    while True:
+        print(f"{text} [empty: skip]: ", end="", file=sys.stderr, flush=True)
+        line = sys.stdin.readline()
+        if not line:
+            raise InputError("nobody answers on the terminal; give the readings in a CSV file instead (see --help)")
+        if not line.strip():
+            return None
+        try:
+            return float(line.replace(",", "."))
+        except ValueError:
+            say(f"{line.strip()!r} is not a number")
+
+
+def check_folder(path: Path, field: str = "--out") -> Path:
+    """Refuse an output file whose folder is not there, before any work is done. Raises InputError."""
+    if not path.parent.is_dir():
+        raise InputError("no such folder", source=path.parent, field=field)
+    return path
