@@ -6,8 +6,11 @@ A background thread writes the images of a cycle first and its line last, so wha
 
 from __future__ import annotations
 
+import hashlib
+import importlib.metadata
 import json
 import math
+import platform
 import queue
 import threading
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,6 +21,7 @@ from typing import Any, Protocol
 import cv2
 import numpy as np
 
+from mjtactile import resources
 from mjtactile.errors import DeviceError, InputError
 from mjtactile.types import Array, Command, GripperState, Image, Touch, ValveState
 
@@ -70,6 +74,27 @@ def write_json(path: Path, value: Any) -> None:
     part.replace(path)
 
 
+def versions() -> dict[str, str]:
+    """Versions of what takes part in a measurement."""
+    return {"mjtactile": importlib.metadata.version("mjtactile"), "opencv": cv2.__version__, "numpy": np.__version__,
+            "python": platform.python_version()}
+
+
+def provenance(header: Mapping[str, Any]) -> dict[str, Any]:
+    """Versions, and the text of the sensor and rig files that a header names: with what was recorded can be looked up when
+    those files have long changed."""
+    files = {}
+    for key, folder in (("sensor", "models/sensors"), ("rig", "models/rigs")):
+        name = header.get(key)
+        try:
+            text = resources.find(name, folder, ".toml").read_text(encoding="utf-8") if name else None
+        except (InputError, OSError):  # a rig without a file: sim, replay
+            text = None
+        if text is not None:
+            files[key] = {"name": str(name), "sha256": hashlib.sha256(text.encode()).hexdigest(), "text": text}
+    return {"versions": versions(), "files": files}
+
+
 def _row(cycle: CycleLike, names: Sequence[str], truth: Mapping[str, Any]) -> dict[str, Any]:
     """One line of the log; the keys are those of docs/recording.md."""
     touch, gripper, sent = cycle.touch, cycle.gripper, cycle.sent
@@ -110,7 +135,7 @@ class Recorder:
         self._queue: queue.Queue[tuple[Mapping[str, Any], list[tuple[str, Image]]] | None] = queue.Queue(_QUEUE_CYCLES)
         self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._thread.start()
-        self._put({"kind": "start", "format": FORMAT, "version": VERSION, **header})
+        self._put({"kind": "start", "format": FORMAT, "version": VERSION, **provenance(header), **header})
 
     def __enter__(self) -> Recorder:
         return self

@@ -4,25 +4,16 @@ from __future__ import annotations
 
 import csv
 import datetime
-import importlib.metadata
 import math
-import platform
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from mjtactile.errors import InputError
-from mjtactile.recording import to_json, write_json
+from mjtactile.recording import to_json, versions, write_json
 from mjtactile.types import Array
-
-
-def versions() -> dict[str, str]:
-    """Versions of what took part."""
-    return {"mjtactile": importlib.metadata.version("mjtactile"), "opencv": cv2.__version__, "numpy": np.__version__,
-            "python": platform.python_version()}
 
 
 def stamp(kind: str, reasons: Sequence[str]) -> dict[str, Any]:

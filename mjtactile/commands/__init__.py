@@ -16,9 +16,11 @@ from mjtactile.commands import (
     press,
     probe,
     reconstruct,
+    record,
 )
 
 COMMANDS = {
     "grasp": grasp, "probe": probe, "experiments": experiments, "inflate": inflate, "press": press, "locate": locate,
     "reconstruct": reconstruct, "calibrate": calibrate, "bench": bench, "effects": effects, "emulate": emulate, "doctor": doctor,
+    "record": record,
 }  # fmt: skip

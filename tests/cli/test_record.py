@@ -1,0 +1,61 @@
+"""`mjtactile record`: nothing moves, everything is kept, and a replay gives the same numbers."""
+
+import json
+
+import numpy as np
+import pytest
+
+from mjtactile.cli import main
+from mjtactile.recording import load_recording
+
+
+def record(capsys, *arguments):
+    code = main(["record", *map(str, arguments), "--sensor", "paper16", "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("watch")
+    assert main(["record", "--rig", "sim", "--sensor", "paper16", "--seconds", "0.3", "--out", str(folder)]) == 0
+    return folder
+
+
+def test_nothing_is_commanded(folder):
+    recording = load_recording(folder)
+    assert recording.complete and recording.notes["outcome"] == "recorded"
+    assert len(recording) == pytest.approx(0.3 * 30, abs=1)
+    assert np.ptp(recording.column("command_opening", 1)) == 0 and np.ptp(recording.column("command_lift_height", 1)) == 0
+    assert np.ptp(recording.column("opening", 1)) < 1e-4  # m; the jaws stand
+    assert [phase for phase, *_ in recording.phases()][-1] == "done"
+
+
+def test_what_made_it_is_in_it(folder):
+    header = load_recording(folder).header
+    assert header["versions"]["mjtactile"] and header["versions"]["opencv"]
+    assert "[membrane]" in header["files"]["sensor"]["text"]
+    assert header["design"] == "paper16" and header["rig"] == "sim"
+
+
+def test_a_replay_gives_the_same_numbers(folder, tmp_path, capsys):
+    code, result = record(capsys, "--rig", f"replay:{folder}", "--seconds", "0.3", "--out", tmp_path)
+    first, second = load_recording(folder), load_recording(tmp_path)
+    assert code == 0 and result["cycles"] == len(first) == len(second)
+    for key in ("time", "image_time", "force_normal", "force_normal_sd", "opening", "effort", "gripper_time", "valve_time"):
+        assert np.array_equal(first.column(key), second.column(key), equal_nan=True), key  # bit for bit
+    for a, b in zip(first.images(), second.images(), strict=True):
+        assert all(np.array_equal(x.pixels, y.pixels) for x, y in zip(a, b, strict=True))
+
+
+def test_longer_than_the_recording_is_a_fault_that_keeps_what_was_there(folder, tmp_path, capsys):
+    code, result = record(capsys, "--rig", f"replay:{folder}", "--seconds", "5", "--out", tmp_path)
+    assert code == 3 and "recording ends" in result["error"]
+    assert load_recording(tmp_path).notes["outcome"] == "fault"
+
+
+@pytest.mark.parametrize(("arguments", "word"), [(("--rig", "nowhere"), "--rig"),
+                                                 (("--rig", "sim", "--seconds", "-1"), "--seconds"),
+                                                 (("--rig", "replay:nowhere"), "nowhere")])
+def test_bad_input(arguments, word, tmp_path, capsys):
+    code, result = record(capsys, *arguments, "--out", tmp_path / "out")
+    assert code == 2 and word in result["error"]
