@@ -49,7 +49,7 @@ class GasTendon:
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, tendon_id: int):
         self._model, self._data, self._tendon = model, data, tendon_id
         start, count = int(model.tendon_adr[tendon_id]), int(model.tendon_num[tendon_id])
-        self._wraps = slice(start, start + count)
+        self._wraps, self._count = slice(start, start + count), count
         first = int(model.wrap_objid[start])  # the vertex joints are one block, in the tendon's order
         qpos, dof = int(model.jnt_qposadr[first]), int(model.jnt_dofadr[first])
         self.dofs = slice(dof, dof + count)
@@ -66,3 +66,12 @@ class GasTendon:
         self._model.tendon_stiffness[self._tendon] = stiffness
         self._model.tendon_lengthspring[self._tendon] = coefficients @ self.displacements
         self._data.qfrc_applied[self.dofs] = pressure_gauge * coefficients
+
+    def suspend(self) -> None:
+        """Take the tendon's joints and the pressure out of the model; the vertices are held otherwise."""
+        self._model.tendon_num[self._tendon], self._model.tendon_stiffness[self._tendon] = 0, 0.0
+        self._data.qfrc_applied[self.dofs] = 0.0
+
+    def resume(self) -> None:
+        """Put the joints back; `apply` brings the pressure."""
+        self._model.tendon_num[self._tendon] = self._count

@@ -12,6 +12,8 @@ import math
 from mjtactile.design import Chamber
 from mjtactile.errors import InputError
 
+_LEVEL, _WARM = 0.01, 1e-4  # Pa and K: both are 0.03 Pa of a gas that weighs on the sheet with 1000
+
 
 class Gas:
     """Gas of one chamber. Pressures in Pa, volumes in m^3, time in s; "gauge" means above ambient.
@@ -51,6 +53,14 @@ class Gas:
     def amount(self) -> float:
         """n R of the trapped gas, J/K; NaN while an ideal valve is open."""
         return self._amount
+
+    @property
+    def is_still(self) -> bool:
+        """Whether the pressure stays as it is while the volume does: nothing flows, and the gas is as warm as its walls."""
+        if self._is_ideally_open:
+            return True
+        level = all(abs(far - self._pressure) < _LEVEL for _, far in self._openings())
+        return level and (math.isinf(self._chamber.heat_exchange) or abs(self._temperature - self._chamber.temperature) < _WARM)
 
     def open(self, supply_gauge: float) -> None:
         """Connect the chamber to a supply. Raises InputError when the pressure is not a possible one."""

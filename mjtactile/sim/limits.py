@@ -120,6 +120,8 @@ class Monitor:
         stop = None
         places = self._geoms_in(self._sensors)
         for number, sensor in enumerate(self._sensors):
+            if sensor.is_asleep:
+                continue
             flags |= sensor.flags()
             rows = self._contacts(sensor)
             flags |= self._shapes(sensor, rows) if len(rows) else {}
@@ -139,7 +141,7 @@ class Monitor:
         contact = self._data.contact
         geom, vertices = contact.geom, sensor.vertex_geom_ids  # one block
         mine = ((geom >= vertices[0]) & (geom <= vertices[-1])) | (contact.flex == sensor.flex_id)
-        return np.flatnonzero(mine.any(axis=1))
+        return np.flatnonzero(mine.any(axis=1) & (contact.exclude == 0))  # 1: near, but not touching
 
     def _shapes(self, sensor: TactileSensor, rows: NDArray[np.int64]) -> Flags:
         """What is to be said of the geoms that touch in the contacts `rows`: too small for the mesh, edges."""

@@ -12,6 +12,7 @@ from mjtactile.sim import features, limits
 from mjtactile.sim.facets import StandOff
 from mjtactile.sim.membrane import FLEX, ContactStiffness, pre_stretch, touch_with
 from mjtactile.sim.mesh import MarkerInterpolator, MembraneMesh
+from mjtactile.sim.sleep import Sleeper
 from mjtactile.sim.switches import PHYSICS, make_gas, make_geometry, make_load
 from mjtactile.types import Array
 
@@ -45,10 +46,37 @@ class TactileSensor:
         self._geometry = make_geometry(mesh, design.chamber_volume_flat, effects)
         self._markers = MarkerInterpolator(mesh, design.markers.p_SM)
         self._gas, self._time = make_gas(design.chamber, effects), float(data.time)
-        self.update()
+        self._sleeper = Sleeper(model, data, mesh, self._tendon, self.flex_id, self.body_id, self.vertex_geom_ids)
+        self.sleepy = True
+        """Whether the sensor may fall asleep while nothing is near it and nothing moves (sleep.py)."""
+        self._follow()
 
     def update(self) -> None:
-        """Bring gas volume, pressure and stiffness up to the present state; call before every `mj_step`."""
+        """Bring gas volume, pressure and stiffness up to the present state; call before every `mj_step`.
+
+        Asleep, it only looks whether anything is near.
+        """
+        if self._sleeper.asleep:
+            if self.sleepy and not self._sleeper.wakes():
+                return
+            self.wake()
+        elif self.sleepy and self._sleeper.may_sleep(self._gas.is_still):
+            self._sleeper.sleep()
+            return
+        self._follow()
+
+    @property
+    def is_asleep(self) -> bool:
+        return self._sleeper.asleep
+
+    def wake(self) -> None:
+        """Go on from where the sensor fell asleep; needed by hand only after a change of the model's own numbers."""
+        if self._sleeper.asleep:
+            self._sleeper.wake()
+            self._time = float(self._data.time)  # nothing has flowed meanwhile
+            self._follow()
+
+    def _follow(self) -> None:
         self._volume, gradient = self._geometry.volume_and_gradient(self.p_SV)
         time = float(self._data.time)
         self._gas.advance(self._volume, time - self._time)
@@ -124,16 +152,19 @@ class TactileSensor:
 
         The pressure follows at once, or through the valve's conductance where the design gives one.
         """
-        self.update()
+        self.wake()
+        self._follow()
         self._gas.open(self.design.chamber.supply_gauge if supply_gauge is None else supply_gauge)
 
     def close_valve(self) -> None:
         """Trap the gas that is in the chamber now."""
-        self.update()
+        self.wake()
+        self._follow()
         self._gas.close()
 
     def puncture(self, conductance: float) -> None:
         """Make a hole to ambient of `conductance` m^3/(s Pa); 0 mends it."""
+        self.wake()
         self._gas.puncture(conductance)
 
     def flags(self) -> limits.Flags:
@@ -142,6 +173,8 @@ class TactileSensor:
 
     def failure(self) -> str | None:
         """Say why this sensor's state is outside what the model describes, or None."""
+        if self.is_asleep:
+            return None
         moved = self._tendon.displacements
         depth = self.design.chamber.depth
         if moved[2::3].min() < -(1 - GLASS_MARGIN) * depth:

@@ -90,6 +90,14 @@ class FixedLoad:
             self._last = (pressure_gauge, id(gradient))
             self._data.qfrc_applied[self.dofs] = pressure_gauge * gradient.ravel()
 
+    def suspend(self) -> None:
+        """Take the load away; the vertices are held otherwise."""
+        self._data.qfrc_applied[self.dofs] = 0.0
+
+    def resume(self) -> None:
+        """Let the next `apply` write it again."""
+        self._last = (math.nan, None)
+
 
 class FixedGas(Gas):
     """When "gas" is off: the closed valve keeps the pressure that was there, whatever the volume."""

@@ -1,0 +1,112 @@
+"""A sensor that touches nothing sleeps: nothing of it is left in the solve, and it wakes exactly as it was."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from mjtactile.bench.settings import HOLD_FORCE
+from mjtactile.design import load_sensor
+from mjtactile.sim import rigid, truth
+from mjtactile.sim.press import Indenter, PressWorld
+from mjtactile.sim.sleep import NEAR
+
+CHANGED = ("geom_gap", "geom_margin", "geom_conaffinity", "body_margin", "qpos_spring", "jnt_stiffness", "tendon_num",
+           "flex_rigid")
+AWAY = 0.02  # m above first touch
+
+
+def inflated(**how):
+    world = PressWorld("dense", Indenter.parse("sphere:8"), mesh=(11, 9), **how)
+    world.inflate(1000.0, seal=True)
+    world._place(world._touch_height + AWAY)
+    return world
+
+
+def asleep():
+    world = inflated()
+    world.step(60)
+    assert world.sensors[0].is_asleep
+    return world
+
+
+def test_a_press_after_sleep_is_the_press_without_it():
+    worlds = inflated(), inflated()
+    worlds[0].sensors[0].sleepy = False
+    pressed = []
+    for world in worlds:
+        world.step(60)
+        world._find_touch()
+        world.press(2e-3)
+        pressed.append((-truth.contact_force(world, 0)[2], world.marker_poses(0)[0]))
+    assert pressed[1][0] == pytest.approx(pressed[0][0], rel=2e-3)  # a press comes to rest with 0.1 % of creep left
+    np.testing.assert_allclose(pressed[1][1], pressed[0][1], atol=2e-6)  # the same
+
+
+def test_it_wakes_as_it_fell_asleep_and_the_model_is_as_it_was():
+    world = inflated()
+    sensor = world.sensors[0]
+    before = {name: getattr(world.model, name).copy() for name in CHANGED}
+    while not sensor.is_asleep:
+        p_SV, pressure = sensor.p_SV, sensor.pressure_gauge
+        world.step()
+    world.step(50)
+    np.testing.assert_allclose(sensor.p_SV, p_SV, atol=2e-9)  # springs that hold the sheet's weight give way by 1 nm
+    sensor.wake()
+    np.testing.assert_array_equal(sensor.p_SV, p_SV)
+    assert sensor.pressure_gauge == pressure
+    for name, value in before.items():
+        np.testing.assert_array_equal(getattr(world.model, name), value, err_msg=name)
+
+
+def test_asleep_nothing_of_it_is_solved():
+    world = asleep()
+    model, data, sensor = world.model, world.data, world.sensors[0]
+    world.step()
+    assert not model.tendon_num.any() and model.flex_rigid.all()
+    assert not data.qfrc_applied[sensor.dofs].any()
+    assert np.abs(data.qvel[sensor.dofs]).max() < 1e-9  # m/s
+    assert data.nefc == 0
+
+
+def test_it_wakes_before_it_is_touched():
+    world = asleep()
+    height = AWAY
+    while world.sensors[0].is_asleep and height > 0:
+        height -= 2e-4
+        world._place(world._touch_height + height)
+        world.step()
+    # vertices see 5 mm around them; a sphere's lowest point may be half a cell from the next one
+    assert 0.9 * NEAR < height < 1.1 * NEAR + 2e-4
+    assert not np.any(truth.contact_force(world, 0))
+
+
+def push(world):
+    world.data.xfrc_applied[world.model.geom_bodyid[world.sensors[0].vertex_geom_ids[20]], 2] = 1e-3
+
+
+@pytest.mark.parametrize("disturb", [
+    push, lambda w: w.sensors[0].open_valve(900.0), lambda w: w.sensors[0].puncture(1e-9),
+    lambda w: w.model.opt.gravity.__setitem__(0, 1.0), lambda w: w.set_control(w.model.actuator("carrier").id, 1e-4)])
+def test_it_wakes_when_disturbed(disturb):
+    world = asleep()
+    disturb(world)
+    world.step(3)  # the frame's velocity is known a step late
+    assert not world.sensors[0].is_asleep
+
+
+def test_a_shaken_sensor_does_not_sleep():
+    world = inflated(shake=(1e-3, 10.0))
+    for _ in range(100):
+        world.step()
+        assert not world.sensors[0].is_asleep
+
+
+def test_a_scene_without_sensors_is_a_bare_mujoco_scene():
+    world = rigid.hold(load_sensor("dense"), "egg", 1 / 240, HOLD_FORCE)
+    twin = mujoco.MjData(world.model)
+    mujoco.mj_copyData(twin, world.model, world.data)
+    for _ in range(50):
+        mujoco.mj_step(world.model, twin)
+    world.step(50)
+    np.testing.assert_array_equal(world.data.qpos, twin.qpos)
+    assert world.step_count and world.time == twin.time
