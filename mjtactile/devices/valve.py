@@ -32,6 +32,8 @@ _SILENCE = 5.0  # s without a call from the loop before the heartbeat is let die
 _SETTLE_TIME = 1.5  # s for the chamber to reach the pressure that was set
 _SETTLE_SHARE, _SETTLE_FLOOR = 0.25, 120.0  # of the pressure, Pa: how far off is a valve that does not move
 _FAILURES_MAX = 3
+_SURPRISE_SHARE = 0.05  # of the largest pressure: a change since the last reading that is asked for again
+_CONFIRMATIONS_MAX = 8  # a chamber that fills in 50 ms may surprise several times in a row
 
 
 @dataclass(frozen=True)
@@ -200,6 +202,27 @@ class ValveBoard:
             raise DeviceError(f"valve board {self.name}: noise instead of a reply") from error
 
     def _read(self, channel: int) -> ValveReading:
+        """One reading. These lines have no checksum: what surprises must be said twice. Raises DeviceError."""
+        before, reading = self._readings.get(channel), self._ask_reading(channel)
+        for _ in range(_CONFIRMATIONS_MAX):
+            if before is not None and self._agree(channel, before, reading):
+                break
+            before, reading = reading, self._ask_reading(channel)
+        else:
+            raise DeviceError(f"valve board {self.name}: answers that contradict each other")
+        self._readings[channel] = reading
+        self._failures = 0
+        return reading
+
+    def _agree(self, channel: int, before: ValveReading, reading: ValveReading) -> bool:
+        if reading.is_open != before.is_open:
+            return False
+        if reading.pressure_gauge is None or before.pressure_gauge is None:
+            return reading.pressure_gauge == before.pressure_gauge
+        most = _SURPRISE_SHARE * self._configs[channel].pressure_max
+        return abs(reading.pressure_gauge - before.pressure_gauge) <= most
+
+    def _ask_reading(self, channel: int) -> ValveReading:
         asked = time.monotonic()  # the board measures after this, so that a reading is never thought younger than it is
         line = self._ask(self.dialect.read.format(channel=channel))
         match = re.fullmatch(self.dialect.reading.replace("{channel}", str(channel)), line)
@@ -207,10 +230,7 @@ class ValveBoard:
             raise DeviceError(f"valve board {self.name}: unreadable answer {line[:60]!r}")
         pressure = match.groupdict().get("pressure")
         gauge = None if pressure is None else float(pressure) * self.dialect.unit
-        reading = ValveReading(self.dialect.states[match["state"]], gauge, asked)
-        self._readings[channel] = reading
-        self._failures = 0
-        return reading
+        return ValveReading(self.dialect.states[match["state"]], gauge, asked)
 
     def _beat(self) -> None:
         """The heartbeat: read all channels while the loop lives."""

@@ -6,6 +6,7 @@ import time
 import pytest
 from dynamixel_sdk import PortHandler, Protocol2PacketHandler
 
+from mjtactile.bench.rig_fuzz import fuzz_servos
 from mjtactile.devices.dynamixel_bus import BusError, DynamixelBus
 from mjtactile.emulator import protocol2
 from mjtactile.errors import DeviceError
@@ -163,3 +164,11 @@ def test_another_baud_rate_hears_nothing(bench):
     with pytest.raises(BusError, match="no reply"):
         bus.ping(1)
     bus.close()
+
+
+def test_bad_bytes_are_no_replies():
+    """A seeded 40 kB of noise and damaged packets; `mjtactile bench rig` feeds 10^6 bytes."""
+    result = fuzz_servos(40_000)
+    assert result["wrong"] == 0 and result["refused"] > 100
+    assert result["true"] > 0  # the true answers among them were taken
+    assert result["longest_s"] < 1.0  # a babbler gets five times the time-out of 2 ms; nothing hangs
