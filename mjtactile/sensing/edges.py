@@ -32,7 +32,8 @@ _PIXELS_AT_ONCE = 30_000  # a working set that stays in the processor's cache
 _SMALL = 7.0  # px; below this mean radius the edge's curvature is felt beyond the first order
 _ENOUGH = 170  # pixels per marker for the first steps and for the normal matrix
 _SETTLED = 0.05  # px: the largest last step of a fit that has converged
-_UNSETTLED = 1e3  # grey levels added to the residual of one that has not, so that nobody trusts it
+_SHARPEST = 0.55  # px: softening and the pixel's own square make 0.69 of no blur at all; below, blur was taken for size
+_UNSETTLED = 1e3  # grey levels added to the residual of any other, so that nobody trusts it
 _HERMITE = ((0.0, 8 / 15), (1.3556262, 0.22207592), (-1.3556262, 0.22207592), (2.8569700, 0.01125741), (-2.8569700, 0.01125741))
 
 
@@ -135,7 +136,8 @@ def _fit_some(image: NDArray, center: Array, shape: Array, around: Around, width
         H = _normal_matrix(pixels, J, weight)
         old = theta
         theta = _step(theta, H, pixels.sums(J * (weight * residual)).T)
-    residual[np.repeat(np.abs(theta - old)[:, :5].max(axis=1) > _SETTLED, pixels.counts)] += _UNSETTLED
+    wrong = (np.abs(theta - old)[:, :5].max(axis=1) > _SETTLED) | (theta[:, 9] < _SHARPEST)
+    residual[np.repeat(wrong, pixels.counts)] += _UNSETTLED
     return _result(theta, H, residual, weight, pixels, used, origin)
 
 

@@ -17,7 +17,9 @@ Polarity = Literal["dark", "bright"]
 CUT, NOT_ELLIPSE, TOUCHING = "cut by image border", "not an ellipse", "touches another"
 _SMALL = 6.0  # px, semi-minor axis; profiles need this much room
 _BLURRED = 7.5  # and this many times the blur
-_TOO_BLURRED = 2.8  # times the blur: below, radius, blur and level cannot be told apart
+_TOO_BLURRED = 3.0  # times the blur: below, radius, blur and level cannot be told apart
+_WIDE = 0.3  # of a marker's size: the blur to start from where it was taken for size
+_UNSURE = 5.0  # times the blur: a larger marker knows its own
 _BLUR_SPREAD = 1.15  # of one marker's blur over the image's
 _MOTION = 0.06  # px
 _SOME, _ALIKE = 5, 0.5  # markers that say how large markers are; how far (log of size) from their median
@@ -75,6 +77,12 @@ def _fit(grey: NDArray, found: candidates.Candidates) -> edges.EdgeFit:
         return edges.fit(grey, found.center, found.shape)
     fit = profiles.fit(grey, found.center[large], found.shape[large])
     blurred = (fit.blur * _BLURRED > axes[large, 1]) & (fit.motion < _MOTION)  # `edges` knows of no motion
+    sharpest = fit.blur < 1.01 * profiles.SHARPEST  # a drawing, or a blur that was taken for size
+    if sharpest.any():
+        start = found.take(large).take(sharpest)
+        again = edges.fit(grey, start.center, start.shape, blur=_WIDE * float(ellipse.middle(axes[large, 1][sharpest])))
+        fit = edges.merge(sharpest, again, fit.take(~sharpest))
+        blurred &= ~sharpest
     if blurred.any():
         again = edges.fit(grey, fit.center[blurred], fit.shape[blurred], blur=float(np.median(fit.blur[blurred])))
         fit = edges.merge(blurred, again, fit.take(~blurred))
@@ -140,7 +148,7 @@ def _judge(fit: edges.EdgeFit, found: candidates.Candidates, polarity: str, size
     # blur is the image's, and its scatter from marker to marker mostly the fit's
     common = ellipse.middle(fit.blur[good]) if (good := status == "ok").any() else 0.0
     status[b < _TOO_BLURRED * np.clip(fit.blur, common / _BLUR_SPREAD, common * _BLUR_SPREAD)] = BLURRED
-    status[(fit.blur < common / 2) & (common > 1)] = BLURRED  # a fit that took the blur for size
+    status[(fit.blur < 0.7 * common) & (common > 1) & (b < _UNSURE * common)] = BLURRED  # a fit that took the blur for size
     changed = np.abs(fit.shape - found.shape).max(axis=1)
     status[changed > 1.2 + 0.25 * b] = NOT_ELLIPSE
     status[b < min_radius_px] = SMALL

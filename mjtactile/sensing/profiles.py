@@ -39,6 +39,7 @@ _BILINEAR_VARIANCE = 1 / 6  # of linear interpolation, mean over all positions
 # Rounding, interpolation and the blur's own noise, as a share of the variance, by Monte Carlo.
 _UNMODELLED = 1.08
 _MOTION_DOUBT = 0.5  # motion is no Gaussian: the share of its correction that is in doubt
+SHARPEST = 0.3  # px: blur as low as that is the pixel's own square at most
 _NEIGHBOURS = -np.arange(1.0, 5.0)[:, None] ** 2
 _LEVEL_MOVES = np.diag([2.0, 2.0, 1.0, 0.0, 1.0])
 _LEVEL_MOVES[2, 4] = _LEVEL_MOVES[4, 2] = 1.0
@@ -294,6 +295,6 @@ def _result(center: Array, shape: Array, inverse: Array, weight: NDArray, left: 
     # an offset's rms in px, as grey levels at the edge's slope, to compare with the contrast
     residual = np.sqrt(variance) * np.abs(inside - outside) / (np.sqrt(2 * np.pi) * blur)
     lost = 1 - total / (spacing * count)
-    optical = np.sqrt(np.maximum(blur * blur - SOFTEN_VARIANCE - _BILINEAR_VARIANCE, 0.09))
+    optical = np.sqrt(np.maximum(blur * blur - SOFTEN_VARIANCE - _BILINEAR_VARIANCE, SHARPEST**2))
     return EdgeFit(center, shape, ellipse.covariance_of_moves(cov, shape), inside, outside, optical, residual,
                    np.full(len(center), float(count)), lost, motion)
