@@ -25,7 +25,7 @@ _log = logging.getLogger(__name__)
 _GOAL_START = 102  # goal current, velocity, profile acceleration, profile velocity, goal position: one block
 _FAILURES_MAX = 3  # cycles in a row without a servo's reply before it counts as lost
 _SILENCE_IDLE = 30.0  # s without any call, before the first command (references are being taken)
-_POLL_EVERY = 3  # readings: with three servos each is asked every ninth, five times a second
+_POLL_EVERY = 3  # cycles: with three servos each is asked every ninth, three times a second at 30 Hz
 
 
 class DynamixelGripper:
@@ -44,8 +44,8 @@ class DynamixelGripper:
         self._closed = threading.Event()
         self._lock = threading.RLock()
         self._last_call, self._silence = time.monotonic(), _SILENCE_IDLE
-        self._state_time = self._bus_time = -math.inf
-        self._poll_turn = 0
+        self._state_time = self._bus_time = self._sent_time = -math.inf
+        self._poll_turn, self._commanded = 0, False
         self._keeper = threading.Thread(target=self._keep_alive, name="dynamixel", daemon=True)
         self.bus = DynamixelBus(bus.port, bus.baud, reply_timeout=bus.reply_timeout)
         self._jaws = {s.config.id: Servo(self.bus, s.config.id, s.model) for s in self.geometry.servos}
@@ -70,6 +70,9 @@ class DynamixelGripper:
         with self._lock:
             self._last_call = time.monotonic()
             self._refresh()
+            if not self._commanded:
+                self._poll_one()
+            self._commanded = False
             for servo in self._servos.values():
                 servo.raise_trouble(_FAILURES_MAX)
             ticks = {i: s.ticks for i, s in self._jaws.items()}
@@ -100,12 +103,19 @@ class DynamixelGripper:
                     servo.goal_current_units = jaw.current_units(force, servo.ticks)
             height = self._command_lift(command.lift_height)
             self._send_goals()
+            self._commanded, self._sent_time = True, time.monotonic()
+            self._poll_one()  # here, where the cycle's picture waits for nothing any more
             return Command(opening, force, height, command.phase, command.memory)
 
     @property
     def reading_time(self) -> float:
         """Monotonic time of the last state, s."""
         return self._state_time
+
+    @property
+    def sent_time(self) -> float:
+        """Monotonic time at which the last command was handed to the port, s."""
+        return self._sent_time
 
     @property
     def positions(self) -> dict[int, tuple[int, float]]:
@@ -179,7 +189,6 @@ class DynamixelGripper:
             servo.failures, servo.last_failure = servo.failures + 1, error.reason
         # They measure after the question, so that a state is never thought younger than it is.
         self._state_time = asked if not failures else self._state_time
-        self._poll_one()
 
     def _poll_one(self) -> None:
         """Now and then ask one servo, in turn, for what the block does not hold."""
@@ -233,6 +242,7 @@ class DynamixelGripper:
                     continue
                 with contextlib.suppress(DeviceError):  # the loop's next call meets the same trouble and raises it
                     self._refresh()
+                    self._poll_one()
 
     def reports(self) -> list[ServoReport]:
         """What each servo says about itself, for `mjtactile doctor`."""

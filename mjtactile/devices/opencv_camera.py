@@ -104,6 +104,12 @@ class OpenCvCamera:
             return self._condition.wait_for(
                 lambda: self._error is not None or self._newest is not None and self._newest.time > than, timeout)
 
+    @property
+    def newest_time(self) -> float:
+        """When the newest picture was captured, monotonic s."""
+        with self._condition:
+            return -math.inf if self._newest is None else self._newest.time
+
     def close(self) -> None:
         self._stopping.set()
         if self._thread.is_alive():
