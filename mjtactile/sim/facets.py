@@ -2,7 +2,7 @@
 
 Where the vertices lie on a convex object, the facets between them cut into it, and the membrane is indented too little:
 the force of a sphere of 8 mm is 5-8 % low at 13 x 11 vertices. A membrane whose facets touch the object on the average
-stands off by their mean sagitta, (hx^2 + hy^2)/24 times the sum of the curvatures; a third of it, measured, gives the
+stands off by their mean sagitta, (hx^2 + hy^2)/24 times the sum of the curvatures; 0.36 of it, measured, gives the
 force of a fine mesh (tests/physics/test_contact.py). The stand-off falls with the square of the spacing, so that it leaves
 what a mesh converges to; flat faces get none (docs/equations.md, C2).
 """
@@ -19,7 +19,7 @@ from mjtactile.types import Array
 
 _SPHERE, _CAPSULE, _CYLINDER, _ELLIPSOID = (int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}")) for name in (
     "SPHERE", "CAPSULE", "CYLINDER", "ELLIPSOID"))
-SHARE = 0.33  # of the facets' mean sagitta
+SHARE = 0.36  # of the facets' mean sagitta
 _EVERY, _SETTLE = 0.01, 0.02  # s: how often to look at the contacts, and the time constant with which the stand-off follows
 
 

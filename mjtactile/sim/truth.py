@@ -49,7 +49,7 @@ def contact_area(world: World, sensor: int) -> float:
     """Area of contact, m^2: the sheet that the touching vertices stand for, or a third of each touching triangle."""
     device, data = world.sensors[sensor], world.data
     if device.contact == "vertices":
-        touching = np.isin(device.vertex_geom_ids, data.contact.geom)
+        touching = np.isin(device.vertex_geom_ids, data.contact.geom[data.contact.exclude == 0])
         return float(device.mesh.areas[device.mesh.interior][touching].sum())
     elements = np.unique(data.contact.elem[data.contact.flex == device.flex_id])
     return float(device.stretches()[1][elements[elements >= 0]].sum() / 3)
