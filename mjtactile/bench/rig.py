@@ -1,273 +1,164 @@
-"""`mjtactile bench rig`: the emulated rig's loop, latency, reaction to every fault, host killed, bad bytes.
+"""`mjtactile bench rig`: the emulated rig's loop, latency, reaction to every fault, host killed, bad bytes, grasps.
 
-The host and the emulator share this computer's processors: with other work beside them the numbers are worse.
+The host and the emulator share this computer's processors: with other work beside them the numbers are worse, and the
+load average is kept with them. Each part is written when it is done; `resume` goes on with what is missing.
 """
 
 from __future__ import annotations
 
-import base64
-import pickle
-import random
-import signal
+import json
+import os
 import statistics
-import subprocess
-import sys
-import time
-from dataclasses import dataclass, replace
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from mjtactile.bench import rig_faults, rig_fuzz, rig_loop
+from mjtactile.errors import InputError
+from mjtactile.recording import to_json, write_json
 
-from mjtactile import control
-from mjtactile.design import SensorDesign, load_sensor
-from mjtactile.devices.dynamixel_bus import DynamixelBus
-from mjtactile.emulator import protocol2
-from mjtactile.emulator.process import EmulatorProcess
-from mjtactile.emulator.rig import build_emulated_rig
-from mjtactile.errors import DeviceError
-from mjtactile.rig import Rig
-from mjtactile.rigfile import load_rig_file
-from mjtactile.safety import Supervisor
-from mjtactile.sensing.pipeline import SensorPipeline
-from mjtactile.types import Command, Observation
-
-SENSOR, OBJECT = "paper16", "egg"
-FAULTS: dict[str, float] = {
-    "frames_stopped": 1, "frames_frozen": 1, "frames_late": 0.4, "frames_dark": 1, "frames_saturated": 1, "servo_overload": 1,
-    "servo_overheat": 2, "servo_brown_out": 1, "servo_silent": 2, "servo_unplug": 1, "valve_unplug": 1, "valve_silent": 1,
-    "valve_garbage": 1, "puncture": 1}
-"""Kind and value of each fault that is injected while the loop runs; a stuck valve is injected before the references."""
-_FAULT_CYCLE, _CYCLES_MAX = 12, 150
+PARTS = ("loop", "bus", "fuzz", "killed", "stuck", "outcomes", "faults")
 
 
-@dataclass
-class _Closing:
-    """A controller that closes slowly, and never ends by itself."""
+def run(out: Path, *, quick: bool, resume: bool = False, parts: tuple[str, ...] = PARTS, soak: float | None = None
+        ) -> dict[str, Any]:
+    """All `parts`; `quick` injects each fault twice instead of 20 times and so on. `soak`: also run the loop for hours."""
+    unknown = [part for part in parts if part not in PARTS]
+    if unknown:
+        raise InputError(f"unknown part {unknown[0]!r}", field="--parts", choices=PARTS)
+    store = _Store(out / "rig.json", resume)
+    times, seconds, count, seeds = (2, 10.0, 10**5, 1) if quick else (20, 60.0, 10**6, 3)
+    work: dict[str, Callable[[], None]] = {
+        "loop": lambda: store.once("loop", lambda: rig_loop.measure_loop(seconds)),
+        "bus": lambda: store.once("bus", rig_loop.measure_bus),
+        "fuzz": lambda: store.once("fuzz", lambda: {"servos": rig_fuzz.fuzz_servos(count), "valve": rig_fuzz.fuzz_valve(count)}),
+        "killed": lambda: store.repeat("killed", min(times, 5), lambda _: rig_faults.killed()),
+        "stuck": lambda: store.repeat("stuck", min(times, 5), lambda _: rig_faults.stuck()),
+        "outcomes": lambda: store.repeat("outcomes", seeds, rig_faults.outcome),
+        "faults": lambda: _faults(store, times)}
+    for part in PARTS:
+        if part in parts:
+            work[part]()
+    if soak is not None:
+        store.result["soak"] = rig_loop.soak(soak)
+    store.result["load_average"] = os.getloadavg()[0]
+    return store.result
 
-    path: Path = Path("bench")
 
-    def step(self, observation: Observation) -> Command:
-        return replace(observation.command, opening=observation.command.opening - 5e-5, force_limit=2.0)
+class _Store:
+    """The result so far, on disk after each step."""
+
+    def __init__(self, path: Path, resume: bool):
+        self._path = path
+        self.result: dict[str, Any] = json.loads(path.read_text()) if resume and path.is_file() else {}
+
+    def once(self, part: str, measure: Callable[[], Any]) -> None:
+        if part not in self.result:
+            self._keep(part, measure())
+
+    def repeat(self, part: str, times: int, measure: Callable[[int], Any]) -> None:
+        while len(self.result.get(part, [])) < times:
+            done = self.result.get(part, [])
+            self._keep(part, [*done, measure(len(done))])
+
+    def _keep(self, part: str, value: Any) -> None:
+        self.result[part] = to_json(value)
+        write_json(self._path, self.result)
 
 
-class _Enough(Exception):
-    """Ends a run from within `on_cycle`."""
-
-
-def run(out: Path, *, quick: bool) -> dict[str, Any]:
-    """All parts; `quick` injects each fault once instead of 20 times and runs the loop for 10 s instead of 5 min."""
-    times, seconds, count = (1, 10.0, 10**5) if quick else (20, 300.0, 10**6)
-    design = load_sensor(SENSOR)
-    faults = {kind: [_react(design, kind, value, seed) for seed in range(times)] for kind, value in FAULTS.items()}
-    return {"loop": _loop(design, seconds), "bus": _bus(design), "faults": {k: _summary(v) for k, v in faults.items()},
-            "stuck_valve_refused": [_stuck(design) for _ in range(times)],
-            "killed": [_killed(design) for _ in range(times)], "fuzz": _fuzz(count)}
-
-
-def _session(design: SensorDesign, seed: int = 0) -> tuple[EmulatorProcess, Rig]:
-    rig_file = load_rig_file("emulated")
-    process = EmulatorProcess(rig_file, design, object_name=OBJECT, seed=seed)
+def _faults(store: _Store, times: int) -> None:
+    """Each kind in turn, again and again, so that an interrupted run has all kinds about as often."""
+    bench = rig_faults.FaultBench()
     try:
-        return process, build_emulated_rig(rig_file, design, object_name=OBJECT, seed=seed, emulator=process)
-    except BaseException:
-        process.close()
-        raise
-
-
-def _end(process: EmulatorProcess, rig: Rig) -> None:
-    try:
-        rig.close()
-    except DeviceError:
-        pass  # what was unplugged cannot be switched off
+        for count in range(1, times + 1):
+            for kind, value in rig_faults.FAULTS.items():
+                store.repeat(f"fault:{kind}", count, lambda _, kind=kind, value=value: bench.react(kind, value))
     finally:
-        process.close()
-
-
-def _loop(design: SensorDesign, seconds: float) -> dict[str, float]:
-    """Rate, jitter, missed cycles, and the time from a picture's capture to the command on the wire."""
-    process, rig = _session(design)
-    starts, latencies = [], []
-
-    def on_cycle(cycle: control.Cycle) -> None:
-        starts.append(cycle.time)
-        if cycle.state == "running":
-            latencies.append(time.monotonic() - max(image.time for image in cycle.images))
-        if cycle.time - starts[0] > seconds:
-            raise _Enough
-
-    try:
-        pipelines = [SensorPipeline(design) for _ in rig.cameras]
-        control.take_references(rig, pipelines)
-        control.run(rig, pipelines, _Still(), time_limit=seconds + 60, on_cycle=on_cycle)  # type: ignore[arg-type]
-    except _Enough:
-        pass
-    finally:
-        truth = process.truth()
-        _end(process, rig)
-    intervals = np.diff(starts)
-    return {"rate_Hz": float(1 / intervals.mean()), "period_ms": 1e3 * rig.period, "jitter_ms": float(1e3 * intervals.std()),
-            "missed_percent": float(100 * (intervals > 1.5 * rig.period).mean()),
-            "capture_to_command_median_ms": float(1e3 * np.median(latencies)),
-            "capture_to_command_p99_ms": float(1e3 * np.percentile(latencies, 99)),
-            "world_lost_s": float(truth["lost"])}
-
-
-class _Still(_Closing):
-    def step(self, observation: Observation) -> Command:
-        return observation.command
-
-
-def _bus(design: SensorDesign) -> dict[str, float]:
-    """Round trip of one sync read of all servos."""
-    rig_file = load_rig_file("emulated")
-    process = EmulatorProcess(rig_file, design, object_name=OBJECT)
-    try:
-        bus = DynamixelBus(process.endpoints["servo"], reply_timeout=0.1)
-        try:
-            durations = []
-            for _ in range(500):
-                start = time.perf_counter()
-                bus.read_many([1, 2, 3], 126, 21)
-                durations.append(time.perf_counter() - start)
-        finally:
-            bus.close()
-    finally:
-        process.close()
-    return {"read_3_servos_median_ms": 1e3 * statistics.median(durations),
-            "read_3_servos_p99_ms": float(1e3 * np.percentile(durations, 99))}
-
-
-def _react(design: SensorDesign, kind: str, value: float, seed: int) -> dict[str, Any]:
-    """Inject one fault into a running loop; s until the loop had left `running`, and what became of it."""
-    process, rig = _session(design, seed)
-    supervisor, injected, cycles = Supervisor(rig.period), [0.0], [0]
-
-    def on_cycle(cycle: control.Cycle) -> None:
-        cycles[0] += 1
-        if cycles[0] == _FAULT_CYCLE:
-            injected[0] = time.monotonic()
-            process.fault(kind, value)
-        if cycles[0] > _CYCLES_MAX:
-            raise _Enough
-
-    outcome = "not noticed"
-    try:
-        pipelines = [SensorPipeline(design) for _ in rig.cameras]
-        control.take_references(rig, pipelines)
-        control.run(rig, pipelines, _Closing(), time_limit=60, on_cycle=on_cycle, supervisor=supervisor)  # type: ignore[arg-type]
-    except _Enough:
-        pass
-    except DeviceError as error:
-        outcome = str(error)
-    finally:
-        _end(process, rig)
-    left = [t.time for t in supervisor.history if t.state in ("holding", "safe", "latched") and t.time >= injected[0] - 0.05]
-    return {"safe": bool(left), "reaction_s": max(0.0, left[0] - injected[0]) if left and injected[0] else None,
-            "state": supervisor.state, "outcome": outcome}
-
-
-def _summary(runs: list[dict[str, Any]]) -> dict[str, Any]:
-    reactions = [r["reaction_s"] for r in runs if r["reaction_s"] is not None]
-    return {"times": len(runs), "safe": sum(r["safe"] for r in runs),
-            "reaction_median_ms": 1e3 * statistics.median(reactions) if reactions else None,
-            "reaction_max_ms": 1e3 * max(reactions) if reactions else None, "outcome": runs[0]["outcome"]}
-
-
-def _stuck(design: SensorDesign) -> bool:
-    """A valve that does not move must be refused by the references or by the valve's own sensor."""
-    process, rig = _session(design)
-    try:
-        process.fault("valve_stuck")
-        control.take_references(rig, [SensorPipeline(design) for _ in rig.cameras])
-        control.run(rig, [], _Closing(), time_limit=3, on_cycle=lambda cycle: None)  # type: ignore[arg-type]
-    except DeviceError:
-        return True
-    finally:
-        _end(process, rig)
-    return False
-
-
-def _killed(design: SensorDesign) -> dict[str, float | None]:
-    """SIGKILL for a host that holds; s until the servos stopped and the valves were vented by their own watchdogs."""
-    rig_file = load_rig_file("emulated")
-    process = EmulatorProcess(rig_file, design, object_name=OBJECT)
-    try:
-        code = base64.b64encode(pickle.dumps(process.connect(rig_file))).decode()
-        host = subprocess.Popen([sys.executable, "-m", "mjtactile.bench.rig", code], stdout=subprocess.PIPE)
-        assert host.stdout
-        host.stdout.readline()  # it holds now
-        host.send_signal(signal.SIGKILL)
-        killed = time.monotonic()
-        host.wait()
-        host.stdout.close()
-        time.sleep(1.0)
-        truth = process.truth()
-    finally:
-        process.close()
-    stops = [t for t in truth["servo_stop_time"].values() if t is not None]
-    return {"servos_stopped_s": max(stops) - killed if len(stops) == len(truth["servo_stop_time"]) else None,
-            "valves_vented_s": truth["valve_vent_time"] - killed if truth["valve_vent_time"] else None}
-
-
-def _hold(code: str) -> None:
-    """The host that gets killed: hold at 50 Hz, valves open."""
-    from mjtactile.devices.dynamixel import DynamixelGripper
-    from mjtactile.devices.valve import connect_valves
-
-    rig_file = pickle.loads(base64.b64decode(code))
-    _, valves = connect_valves(rig_file.valves)
-    gripper = DynamixelGripper(rig_file.bus, rig_file.gripper, rig_file.lift)
-    for valve in valves:
-        valve.open(1000.0)
-    start = time.monotonic()
-    while True:
-        state = gripper.state()
-        gripper.command(Command(state.opening, 2.0))
-        for valve in valves:
-            valve.state()
-        if start and time.monotonic() - start > 0.5:
-            start = 0.0
-            sys.stdout.write("holding\n")
-            sys.stdout.flush()
-        time.sleep(0.02)
-
-
-def _fuzz(count: int) -> dict[str, int]:
-    """Bad bytes into the servo's decoder; how many packets were taken for intact."""
-    rng = random.Random(0)
-    decoder, packets, intact, fed = protocol2.Decoder(), 0, 0, 0
-    while fed < count:
-        noise = bytes(rng.choice((0xFF, 0xFF, 0xFD, 0x00, rng.randrange(256))) for _ in range(4096))
-        fed += len(noise)
-        for packet in decoder.feed(noise):
-            packets, intact = packets + 1, intact + packet.intact
-    return {"bytes": fed, "packets": packets, "accepted": intact}
+        bench.close()
 
 
 def table(result: dict[str, Any]) -> str:
-    """The result in Markdown."""
-    loop, bus, killed = result["loop"], result["bus"], result["killed"]
-
-    def worst(key: str) -> str:
-        values = [k[key] for k in killed]
-        return "never" if None in values else f"{1e3 * max(values):.0f} ms"
-
-    lines = ["| what | |", "|---|---|",
-             f"| loop | {loop['rate_Hz']:.1f} Hz, jitter {loop['jitter_ms']:.1f} ms, {loop['missed_percent']:.1f} % missed |",
-             f"| capture to command | median {loop['capture_to_command_median_ms']:.1f} ms, "
-             f"p99 {loop['capture_to_command_p99_ms']:.1f} ms |",
-             f"| three servos read | median {bus['read_3_servos_median_ms']:.2f} ms, p99 {bus['read_3_servos_p99_ms']:.2f} ms |",
-             f"| host killed | servos stopped after {worst('servos_stopped_s')}, "
-             f"valves vented after {worst('valves_vented_s')} |",
-             f"| stuck valve refused | {sum(result['stuck_valve_refused'])} of {len(result['stuck_valve_refused'])} |",
-             f"| bad bytes | {result['fuzz']['bytes']}, {result['fuzz']['accepted']} packets accepted |", "",
-             "| fault | safe | reaction, median / worst | |", "|---|---|---|---|"]
-    for kind, row in result["faults"].items():
-        times = "-" if row["reaction_max_ms"] is None else f"{row['reaction_median_ms']:.0f} / {row['reaction_max_ms']:.0f} ms"
-        lines.append(f"| {kind} | {row['safe']} of {row['times']} | {times} | {row['outcome'][:90]} |")
+    """The result in Markdown, what was asked for beside it."""
+    lines = ["| what | at least | measured |", "|---|---|---|", *(f"| {a} | {b} | {c} |" for a, b, c in _rows(result))]
+    lines += ["", f"Load average of this computer (2 processors) meanwhile: {result.get('load_average', float('nan')):.1f}.", ""]
+    faults = {key.removeprefix("fault:"): rows for key, rows in result.items() if key.startswith("fault:")}
+    if faults:
+        lines += ["| fault | safe | reaction, median / worst, ms | ends as |", "|---|---|---|---|"]
+    for kind, rows in faults.items():
+        median, worst = _reactions(rows)
+        lines.append(f"| {kind} | {sum(r['safe'] for r in rows)} of {len(rows)} | {median:.0f} / {worst:.0f} | "
+                     f"{rows[0]['outcome'][:110]} |")
     return "\n".join(lines) + "\n"
 
 
-if __name__ == "__main__":
-    _hold(sys.argv[1])
+def _reactions(rows: list[dict[str, Any]]) -> tuple[float, float]:
+    times = [1e3 * r["reaction_s"] for r in rows if r["reaction_s"] is not None] or [float("nan")]
+    return statistics.median(times), max(times)
+
+
+def _rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
+    rows: list[tuple[str, str, str]] = []
+    for part, make in (("loop", _loop_rows), ("soak", _soak_rows), ("bus", _bus_rows), ("killed", _killed_rows),
+                       ("outcomes", _outcome_rows), ("fuzz", _fuzz_rows), ("stuck", _stuck_rows)):
+        if part in result:
+            rows += make(result[part])
+    faults = [row for key, found in result.items() if key.startswith("fault:") for row in found]
+    if faults:
+        _, worst = _reactions(faults)
+        late = sum((r["reaction_s"] or 0) > 0.2 for r in faults)
+        rows.append(("safe state after a fault, from its injection", "every time, 200 ms", f"{sum(r['safe'] for r in faults)} of "
+                     f"{len(faults)}, {late} later than 200 ms, worst {worst:.0f} ms"))
+    return rows
+
+
+def _loop_rows(loop: dict[str, Any]) -> list[tuple[str, str, str]]:
+    cpu, parts = loop["cpu"], loop["parts_median_ms"]
+    return [("loop of a 60 Hz camera, two servos, valve", "60 Hz",
+             f"{loop['rate_Hz']:.1f} Hz, jitter {loop['jitter_ms']:.1f} ms"),
+            ("capture to command, median / p99", "25 / 45 ms",
+             f"{loop['capture_to_command_median_ms']:.1f} / {loop['capture_to_command_p99_ms']:.1f} ms "
+             f"(p10 {loop['capture_to_command_p10_ms']:.1f})"),
+            ("of it, median", "", ", ".join(f"{name} {value:.1f}" for name, value in parts.items()) + " ms"),
+            ("missed cycles", "< 0.5 %", f"{loop['missed_percent']:.2f} % of {loop['cycles']} in {loop['seconds']:.0f} s"),
+            ("processors used", "", f"host {cpu['host']:.2f}, emulated world {cpu['world']:.2f}, emulated devices "
+             f"{cpu['devices']:.2f}; load average {cpu['load_average']:.1f}")]
+
+
+def _soak_rows(soak: dict[str, Any]) -> list[tuple[str, str, str]]:
+    return [(f"soak of {soak['hours']:g} h", "",
+             f"{soak['cycles']} cycles, {soak['missed_percent']:.2f} % missed, memory grew by "
+             f"{soak['memory_growth_MB']:.0f} MB, {soak['outcome'] or 'no fault'}")]
+
+
+def _bus_rows(bus: dict[str, Any]) -> list[tuple[str, str, str]]:
+    return [("two servos read, median / p99", "", f"{bus['read_2_servos_median_ms']:.2f} / {bus['read_2_servos_p99_ms']:.2f} ms")]
+
+
+def _killed_rows(runs: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
+    def worst(key: str) -> str:
+        values = [run[key] for run in runs]
+        return "never" if None in values else f"{1e3 * max(values):.0f} ms"
+
+    return [(f"host killed while holding ({len(runs)} times), worst", "300 ms",
+             f"servos stopped after {worst('servos_stopped_s')}, valves vented after {worst('valves_vented_s')}")]
+
+
+def _outcome_rows(runs: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
+    rows = []
+    for run in runs:
+        sim, emulated = run["sim"], run["emulated"]
+        known = sim["hold_force_N"] and emulated["hold_force_N"]
+        change = f", {100 * (emulated['hold_force_N'] / sim['hold_force_N'] - 1):+.1f} %" if known else ""
+        text = ", ".join(f"{name} {r['outcome']} with {r['hold_force_N'] or float('nan'):.3f} N"
+                         for name, r in (("sim", sim), ("emulated", emulated)))
+        rows.append((f"grasp of an egg, seed {run['seed']}", "within 10 %", text + change))
+    return rows
+
+
+def _fuzz_rows(fuzz: dict[str, Any]) -> list[tuple[str, str, str]]:
+    return [(f"bad bytes to the {name} driver", "10^6, none accepted", f"{r['bytes']} in {r['calls']} calls: {r['wrong']} wrong "
+             f"accepted, {r['true']} true accepted, longest call {1e3 * r['longest_s']:.0f} ms") for name, r in fuzz.items()]
+
+
+def _stuck_rows(runs: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
+    return [("stuck valve refused", "every time", f"{sum(r['safe'] for r in runs)} of {len(runs)}: {runs[0]['outcome'][:80]}")]

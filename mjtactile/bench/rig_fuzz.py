@@ -122,7 +122,7 @@ class ValveAdversary:
             return true, False
         kind = rng.randrange(4)
         if kind == 0:
-            return rng.randbytes(rng.randrange(1, 300)) + b"\n", True
+            return rng.randbytes(rng.randrange(1, 2000)) + b"\n", True
         if kind == 1:
             alphabet = b"read;1.0239-openclosdvt\n"
             return bytes(rng.choice(alphabet) for _ in range(rng.randrange(1, 120))) + b"\n", True

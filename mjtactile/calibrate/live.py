@@ -199,8 +199,12 @@ def step_valve(valve: BoardValve, pressure: float, seal_time: float, say: Say) -
     """
     rows: list[tuple[float, float, str]] = []
     vent, rise, fall = _VALVE_STAGES
+
+    def seal() -> None:  # also a valve that did not move: that is for the verdict
+        valve.board.obey(valve.board.dialect.close, valve.config.channel)
+
     for stage, act, seconds in (("vent", lambda: valve.open(0.0), vent), ("open", lambda: valve.open(pressure), rise),
-                                ("closed", valve.close, seal_time), ("vent", lambda: valve.open(0.0), fall)):
+                                ("closed", seal, seal_time), ("vent", lambda: valve.open(0.0), fall)):
         say(f"{valve.config.finger}: {stage} for {seconds:g} s")
         if not rows:
             act()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib
 from pathlib import Path
+from typing import Any
 
 from mjtactile.commands.output import prepare_folder, print_json, stdout_to_stderr
 from mjtactile.errors import InputError
@@ -41,15 +42,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help="a small part of it, to see that it works")
     parser.add_argument("--out", type=Path, default=Path("bench-results"), metavar="DIR",
                         help="folder for the results (default: bench-results)")
-    parser.add_argument("--resume", action="store_true", help="stability: keep the cases that an interrupted run finished")
+    parser.add_argument("--resume", action="store_true", help="stability, rig: keep what an interrupted run finished")
+    parser.add_argument("--parts", metavar="A,B,…", help="rig: only these of loop, bus, fuzz, killed, stuck, outcomes, faults")
+    parser.add_argument("--soak", type=float, metavar="HOURS", help="rig: also run its loop for so long")
     parser.add_argument("--readme", type=Path, metavar="FILE.md", help="also put the table into this file, between "
                         "<!-- bench:NAME --> and <!-- /bench -->")
 
 
 def run(options: argparse.Namespace) -> int:
-    if options.resume and options.name != "stability":
-        raise InputError(f"{options.name!r} starts anew each time", field="--resume", choices=["stability"])
-    out, more = prepare_folder(options.out), {"resume": True} if options.resume else {}
+    if options.resume and options.name not in ("stability", "rig"):
+        raise InputError(f"{options.name!r} starts anew each time", field="--resume", choices=["stability", "rig"])
+    if (options.parts or options.soak) and options.name != "rig":
+        raise InputError(f"{options.name!r} has none", field="--parts, --soak", choices=["rig"])
+    out = prepare_folder(options.out)
+    more: dict[str, Any] = {"resume": True} if options.resume else {}
+    if options.parts:
+        more["parts"] = tuple(options.parts.split(","))
+    if options.soak:
+        more["soak"] = options.soak
     with stdout_to_stderr():
         module = importlib.import_module(BENCHMARKS[options.name])
         result = module.run(out, quick=options.quick, **more)

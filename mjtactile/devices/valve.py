@@ -30,6 +30,7 @@ _REPLY_TIME = 0.15  # s; USB adds 16 ms each way, a board's own loop up to 50 ms
 _LINE_LONGEST = 200  # bytes; a longer line is noise
 _SILENCE = 5.0  # s without a call from the loop before the heartbeat is let die; references take 2 s between calls
 _SETTLE_TIME = 1.5  # s for the chamber to reach the pressure that was set
+_SETTLE_POLL = 0.02  # s between looks at it
 _SETTLE_SHARE, _SETTLE_FLOOR = 0.25, 120.0  # of the pressure, Pa: how far off is a valve that does not move
 _FAILURES_MAX = 3
 _SURPRISE_SHARE = 0.05  # of the largest pressure: a change since the last reading that is asked for again
@@ -283,7 +284,10 @@ class BoardValve:
         self._goal, self._goal_time = supply_gauge, time.monotonic()
 
     def close(self) -> None:
-        """Seal the chamber."""
+        """Seal the chamber, once its pressure is what was set. Raises DeviceError for a valve that does not move."""
+        while self._goal is not None and not self._has_moved(self.board.measure(self.config.channel)):
+            self._check_moves(self.board.measure(self.config.channel))
+            time.sleep(_SETTLE_POLL)
         self.board.obey(self.board.dialect.close, self.config.channel)
         self._goal = None
 
@@ -294,11 +298,14 @@ class BoardValve:
                               "and a relay cannot change that")
         self.board.obey(self.board.dialect.connect, self.config.channel)
 
+    def _has_moved(self, reading: ValveReading) -> bool:
+        """The chamber has the pressure that was set, as far as is known."""
+        if self._goal is None or reading.pressure_gauge is None:
+            return True
+        return abs(reading.pressure_gauge - self._goal) <= max(_SETTLE_SHARE * abs(self._goal), _SETTLE_FLOOR)
+
     def _check_moves(self, reading: ValveReading) -> None:
-        if self._goal is None or reading.pressure_gauge is None or time.monotonic() - self._goal_time < _SETTLE_TIME:
-            return
-        allowed = max(_SETTLE_SHARE * abs(self._goal), _SETTLE_FLOOR)
-        if abs(reading.pressure_gauge - self._goal) > allowed:
+        if time.monotonic() - self._goal_time >= _SETTLE_TIME and not self._has_moved(reading):
             raise DeviceError(f"valve {self.config.finger} is stuck: {self._goal:g} Pa was set {_SETTLE_TIME:g} s ago, the "
                               f"chamber has {reading.pressure_gauge:.0f} Pa")
 

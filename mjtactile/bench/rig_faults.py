@@ -1,0 +1,151 @@
+"""Every fault of docs/hardware.md, injected into a running loop; a host that is killed; sim against emulated."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from typing import Any
+
+from mjtactile import control
+from mjtactile.bench.rig_session import OBJECT, Bench, Closing, Enough, design_at, drive
+from mjtactile.errors import DeviceError
+from mjtactile.safety import Supervisor
+from mjtactile.sensing.pipeline import SensorPipeline
+from mjtactile.types import Command
+
+FAULTS: dict[str, float] = {
+    "frames_stopped": 1, "frames_frozen": 1, "frames_late": 0.4, "frames_dark": 1, "frames_saturated": 1, "servo_overload": 1,
+    "servo_overheat": 2, "servo_brown_out": 1, "servo_silent": 2, "servo_unplug": 1, "valve_unplug": 1, "valve_silent": 1,
+    "valve_garbage": 1, "puncture": 1}
+"""Kind and value of each fault that is injected while the loop runs; a stuck valve is injected before the references."""
+_LASTING = ("servo_overload", "servo_overheat", "servo_brown_out", "servo_unplug", "valve_unplug")
+"""What an emulator does not recover from without its power being switched."""
+_FAULT_CYCLE, _WATCH = 12, 3.0  # s after the fault in which the loop must react
+
+
+class FaultBench:
+    """Injects faults one after the other, into the same emulator as long as it lasts."""
+
+    def __init__(self) -> None:
+        self._bench: Bench | None = None
+
+    def close(self) -> None:
+        if self._bench is not None:
+            self._bench.close()
+            self._bench = None
+
+    def react(self, kind: str, value: float) -> dict[str, Any]:
+        """One fault; s from its injection until the loop had left `running`, and what became of it."""
+        self._bench = bench = self._bench or Bench("emulated", design_at(30.0))
+        supervisor, injected, cycles = Supervisor(1 / 30), [0.0], [0]
+
+        def on_cycle(cycle: control.Cycle) -> None:
+            cycles[0] += cycle.state == "running" or injected[0] > 0
+            if cycles[0] == _FAULT_CYCLE and not injected[0]:
+                injected[0] = time.monotonic()
+                bench.process.fault(kind, value)
+            if injected[0] and time.monotonic() - injected[0] > _WATCH:
+                raise Enough
+
+        outcome = drive(bench, Closing(), on_cycle, supervisor=supervisor)
+        left = [t.time for t in supervisor.history if t.state in ("holding", "safe", "latched") and t.time >= injected[0] - 1e-3]
+        if kind in _LASTING:
+            self.close()
+        else:
+            bench.process.fault(kind, 0)
+            time.sleep(0.3)
+        safe = bool(left) and injected[0] > 0
+        return {"safe": safe, "reaction_s": max(0.0, left[0] - injected[0]) if safe else None, "state": supervisor.state,
+                "outcome": outcome or supervisor.reason}
+
+
+def stuck() -> dict[str, Any]:
+    """A valve that does not move must be refused by the references or by the valve's own sensor."""
+    bench = Bench("emulated", design_at(30.0))
+    rig = bench.connect()
+    try:
+        bench.process.fault("valve_stuck")
+        control.take_references(rig, [SensorPipeline(bench.design) for _ in rig.cameras])
+        rig.clock.wait_until(rig.clock.now() + 2.0)
+        for valve in rig.valves:
+            valve.state()
+    except DeviceError as error:
+        return {"safe": True, "outcome": str(error)}
+    finally:
+        with contextlib.suppress(DeviceError):
+            rig.close()
+        bench.close()
+    return {"safe": False, "outcome": "not noticed"}
+
+
+def killed() -> dict[str, float | None]:
+    """SIGKILL for a host that holds; s until the servos stopped and the valves were vented by their own watchdogs."""
+    bench = Bench("emulated", design_at(30.0))
+    try:
+        code = base64.b64encode(pickle.dumps(bench.process.connect(bench.rig_file))).decode()
+        host = subprocess.Popen([sys.executable, "-m", "mjtactile.bench.rig_faults", code], stdout=subprocess.PIPE)
+        assert host.stdout
+        host.stdout.readline()  # it holds now
+        host.send_signal(signal.SIGKILL)
+        at = time.monotonic()
+        host.wait()
+        host.stdout.close()
+        time.sleep(1.0)
+        truth = bench.process.truth()
+    finally:
+        bench.close()
+    stops = [t for t in truth["servo_stop_time"].values() if t is not None]
+    return {"servos_stopped_s": max(stops) - at if len(stops) == len(truth["servo_stop_time"]) else None,
+            "valves_vented_s": truth["valve_vent_time"] - at if truth["valve_vent_time"] else None}
+
+
+def _hold(code: str) -> None:
+    """The host that gets killed: hold at 50 Hz, valves open."""
+    from mjtactile.devices.dynamixel import DynamixelGripper
+    from mjtactile.devices.valve import connect_valves
+
+    rig_file = pickle.loads(base64.b64decode(code))
+    _, valves = connect_valves(rig_file.valves)
+    gripper = DynamixelGripper(rig_file.bus, rig_file.gripper, rig_file.lift)
+    for valve in valves:
+        valve.open(1000.0)
+    start = time.monotonic()
+    while True:
+        state = gripper.state()
+        gripper.command(Command(state.opening, 2.0))
+        for valve in valves:
+            valve.state()
+        if start and time.monotonic() - start > 0.5:
+            start = 0.0
+            sys.stdout.write("holding\n")
+            sys.stdout.flush()
+        time.sleep(0.02)
+
+
+def outcome(seed: int) -> dict[str, Any]:
+    """The same grasp on both rigs: outcome and held force as felt, N."""
+    import tempfile
+
+    from mjtactile.grasp import GraspOptions, run_grasp
+    from mjtactile.progress import Progress
+    from mjtactile.recording import Recorder
+
+    result: dict[str, Any] = {"seed": seed}
+    for rig in ("sim", "emulated"):
+        try:
+            options = GraspOptions(object=OBJECT, sensor="dense", controller="gentle", rig=rig, seed=seed)
+            with tempfile.TemporaryDirectory() as folder, Recorder(folder, {}, frames=False) as recorder:
+                summary = run_grasp(options, recorder=recorder, progress=Progress(quiet=True)).summary()
+            result[rig] = {key: summary[key] for key in ("outcome", "hold_force_N", "peak_force_N")}
+        except DeviceError as error:
+            result[rig] = {"outcome": "fault", "hold_force_N": None, "peak_force_N": None, "error": str(error)}
+    return result
+
+
+if __name__ == "__main__":
+    _hold(sys.argv[1])
