@@ -17,11 +17,12 @@ Polarity = Literal["dark", "bright"]
 CUT, NOT_ELLIPSE, TOUCHING = "cut by image border", "not an ellipse", "touches another"
 _SMALL = 6.0  # px, semi-minor axis; profiles need this much room
 _BLURRED = 7.5  # and this many times the blur
-_TOO_BLURRED = 3.0  # times the blur: below, radius, blur and level cannot be told apart
+_TOO_BLURRED = 2.8  # times the blur: below, radius, blur and level cannot be told apart
 _WIDE = 0.3  # of a marker's size: the blur to start from where it was taken for size
 _UNSURE = 5.0  # times the blur: a larger marker knows its own
 _BLUR_SPREAD = 1.15  # of one marker's blur over the image's
 _MOTION = 0.06  # px
+_COVERED = 0.08  # of the contrast: what a fit leaves over where part of the edge is not the marker's
 _SOME, _ALIKE = 5, 0.5  # markers that say how large markers are; how far (log of size) from their median
 _CLOSE = 3.0  # px between two edges, or an edge and the image's border, that disturb a fit
 LOW_CONTRAST, GLARE, SMALL = "low contrast", "glare or dirt", "too small"
@@ -143,7 +144,8 @@ def _judge(fit: edges.EdgeFit, found: candidates.Candidates, polarity: str, size
     status = np.full(len(b), "ok", dtype="<U24")
     status[(contrast < 5 * noise) | (doubt > 0.1)] = LOW_CONTRAST
     status[fit.residual > 0.15 * contrast] = NOT_ELLIPSE
-    status[fit.lost > 0.25] = GLARE
+    usual = ellipse.middle(fit.residual) if len(b) else 0.0  # of this image: its noise, its compression
+    status[(fit.lost > 0.25) | (fit.residual > np.maximum(_COVERED * contrast, 5 * usual))] = GLARE
     status[fit.motion > _MOTION] = MOTION
     # blur is the image's, and its scatter from marker to marker mostly the fit's
     common = ellipse.middle(fit.blur[good]) if (good := status == "ok").any() else 0.0
