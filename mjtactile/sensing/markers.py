@@ -145,7 +145,8 @@ def _judge(fit: edges.EdgeFit, found: candidates.Candidates, polarity: str, size
     status[(contrast < 5 * noise) | (doubt > 0.1)] = LOW_CONTRAST
     status[fit.residual > 0.15 * contrast] = NOT_ELLIPSE
     usual = ellipse.middle(fit.residual) if len(b) else 0.0  # of this image: its noise, its compression
-    status[(fit.lost > 0.25) | (fit.residual > np.maximum(_COVERED * contrast, 5 * usual))] = GLARE
+    covered = (fit.residual > np.maximum(_COVERED * contrast, 5 * usual)) & (b > _SMALL)
+    status[(fit.lost > 0.25) | covered] = GLARE
     status[fit.motion > _MOTION] = MOTION
     # blur is the image's, and its scatter from marker to marker mostly the fit's
     common = ellipse.middle(fit.blur[good]) if (good := status == "ok").any() else 0.0
