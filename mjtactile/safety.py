@@ -19,8 +19,8 @@ RETREAT_SPEED = 0.030  # m/s of opening, and of lowering
 RETREAT_OPENING = 0.015  # m to open in `safe`: an object is let go of, and not thrown
 RETREAT_TIME_MAX = 5.0  # s; lowering 0.1 m takes 3.3 s
 _OPENING_TOLERANCE = 2e-4  # m: a servo's goal is rounded to 0.02 to 0.1 mm, and limits may end the way
-_LEAK_SHARE = 0.7  # of the sealed pressure; an object only ever raises it, temperature changes it by 1 % for 3 K
-_LEAK_CYCLES = 3
+_LEAK_SHARE = 0.8  # of the sealed pressure; an object only ever raises it, temperature changes it by 1 % for 3 K
+_LEAK_CYCLES, _SINK_CYCLES = 2, 3  # in a row, by pressure (a damaged reading is asked for again below) and by shape
 _BULGE_SHARE = 0.6  # of the volume of the untouched bulge: the same sign of a leak where there is no pressure sensor
 STATES = ("idle", "armed", "running", "holding", "safe", "latched")
 
@@ -45,7 +45,7 @@ class Supervisor:
         self._retreat_goal, self._safe_since = math.nan, math.nan
         self._sealed: list[float] | None = None
         self._bulge: list[float] | None = None
-        self._leak_cycles = 0
+        self._leak_cycles = self._sink_cycles = 0
 
     @property
     def is_over(self) -> bool:
@@ -108,14 +108,17 @@ class Supervisor:
         if self._sealed is None or self._bulge is None:
             self._sealed = [math.nan if v.is_open or v.pressure_gauge is None else v.pressure_gauge for v in valves]
             self._bulge = [t.surface.volume if t.surface else math.nan for t in touch]
-        leaking = [f"chamber {i} lost pressure: {v.pressure_gauge:.0f} Pa, sealed at {sealed:.0f} Pa"
-                   for i, (v, sealed) in enumerate(zip(valves, self._sealed, strict=True))
-                   if v.pressure_gauge is not None and not v.is_open and v.pressure_gauge < _LEAK_SHARE * sealed]
-        leaking += [f"the membrane of chamber {i} has sunk to {1e9 * t.surface.volume:.0f} mm^3 from {1e9 * bulge:.0f} mm^3 "
-                    "with nothing touching" for i, (t, bulge) in enumerate(zip(touch, self._bulge, strict=True))
-                    if t.surface is not None and not t.touching and bulge > 0 and t.surface.volume < _BULGE_SHARE * bulge]
-        self._leak_cycles = self._leak_cycles + 1 if leaking else 0
-        return f"leak: {leaking[0]}" if self._leak_cycles >= _LEAK_CYCLES else ""
+        lost = [f"chamber {i} lost pressure: {v.pressure_gauge:.0f} Pa, sealed at {sealed:.0f} Pa"
+                for i, (v, sealed) in enumerate(zip(valves, self._sealed, strict=True))
+                if v.pressure_gauge is not None and not v.is_open and v.pressure_gauge < _LEAK_SHARE * sealed]
+        sunk = [f"the membrane of chamber {i} has sunk to {1e9 * t.surface.volume:.0f} mm^3 from {1e9 * bulge:.0f} mm^3 "
+                "with nothing touching" for i, (t, bulge) in enumerate(zip(touch, self._bulge, strict=True))
+                if t.surface is not None and not t.touching and bulge > 0 and t.surface.volume < _BULGE_SHARE * bulge]
+        self._leak_cycles = self._leak_cycles + 1 if lost else 0
+        self._sink_cycles = self._sink_cycles + 1 if sunk else 0
+        if self._leak_cycles >= _LEAK_CYCLES:
+            return f"leak: {lost[0]}"
+        return f"leak: {sunk[0]}" if self._sink_cycles >= _SINK_CYCLES else ""
 
     def _enter(self, state: str, reason: str, now: float) -> None:
         self.state, self.reason = state, reason

@@ -62,7 +62,7 @@ class ValveBoard:
         self._failures, self._last_error = 0, ""
         self._last_call = time.monotonic()
         self._serial = _open_port(first.port, first.baud)
-        self._interval = min(config.heartbeat for config in configs) / 4
+        self._interval = min(config.heartbeat for config in configs) / 8  # also how old a reading may be
         self._thread = threading.Thread(target=self._beat, name="valve", daemon=True)
         try:
             self._handshake()

@@ -38,8 +38,8 @@ def host(emulator, tmp_path):
         text = text.replace(f"{name} = {before}", f"{name} = {after}")
     (tmp_path / "rig.toml").write_text(text)
     process = subprocess.Popen(
-        [sys.executable, "-W", "error", "-m", "mjtactile", "record", "--rig", "rig.toml", "--sensor", "paper16", "--seconds", "60",
-         "--out", "out", "--json"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        [sys.executable, "-W", "error", "-m", "mjtactile", "record", "--rig", "rig.toml", "--sensor", "paper16",
+         "--seconds", "60", "--out", "out", "--json"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     log = tmp_path / "out" / "recording" / "log.jsonl"
     try:
         assert wait_for(lambda: log.exists() and log.read_text().count('"kind": "cycle"') >= 5, 40.0), process.poll()
