@@ -135,7 +135,7 @@ def test_a_relay_needs_its_supply_in_the_file():
 
 
 def test_another_dialect_and_old_firmware_are_refused(monkeypatch):
-    monkeypatch.setattr("mjtactile.devices.valve._HANDSHAKE_TIME", 0.5)
+    monkeypatch.setattr("mjtactile.devices.valve_board._HANDSHAKE_TIME", 0.5)
     with valve_bench("relay") as (port, *_), pytest.raises(DeviceError, match="does not answer as a ctrlp board"):
         ValveBoard([ValveConfig("left", port.path, "ctrlp")])
     monkeypatch.setattr(ValveFirmware, "_ctrlp", lambda *_: "version;ctrl-p;1.9")
