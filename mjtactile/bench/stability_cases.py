@@ -131,7 +131,7 @@ def _things() -> Iterator[Case]:
 def matrix() -> list[Case]:
     """All cases, more than 300."""
     hold = Case("long hold", "a million steps", "hold", mesh=(7, 7), steps=1_000_000)
-    return [hold, *_sheets(), *_gases(), *_grids(), *_shapes(), *_motions(), *_things()]
+    return [*_sheets(), *_gases(), *_grids(), *_shapes(), *_motions(), *_things(), hold]
 
 
 def pruned() -> list[Case]:

@@ -3,7 +3,8 @@
 A trapped gas is far stiffer than the membrane's mass allows any explicit pressure to be. The chamber is therefore a
 fixed tendon whose coefficients are dV/dq: moving it by one unit changes the volume by one cubic metre, its force is a
 pressure, and its stiffness -dp/dV joins the integrator's implicit system. Each step re-linearises it at the current
-state, in the sensor's own frame.
+state, in the sensor's own frame. The pressure itself acts along all axes; the stiffness needs only dV/dz, since the sheet
+is far stiffer in its plane than the gas.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ class GasTendon:
         self._model, self._data, self._tendon = model, data, tendon_id
         start, count = int(model.tendon_adr[tendon_id]), int(model.tendon_num[tendon_id])
         self._wraps, self._count = slice(start, start + count), count
-        first = int(model.wrap_objid[start])  # the vertex joints are one block, in the tendon's order
+        first, count = int(model.wrap_objid[start]) - 2, 3 * count  # the vertex joints are one block, x, y, z of each vertex
         qpos, dof = int(model.jnt_qposadr[first]), int(model.jnt_dofadr[first])
         self.dofs = slice(dof, dof + count)
         self.displacements: Array = np.asarray(data.qpos)[qpos:qpos + count]
@@ -62,9 +63,10 @@ class GasTendon:
         The spring is relaxed at the current state, so that it holds the *implicit* part only: f = p - k (V' - V).
         """
         coefficients = gradient.ravel()
-        self._model.wrap_prm[self._wraps] = coefficients
+        normal = coefficients[2::3]
+        self._model.wrap_prm[self._wraps] = normal
         self._model.tendon_stiffness[self._tendon] = stiffness
-        self._model.tendon_lengthspring[self._tendon] = coefficients @ self.displacements
+        self._model.tendon_lengthspring[self._tendon] = normal @ self.displacements[2::3]
         self._data.qfrc_applied[self.dofs] = pressure_gauge * coefficients
 
     def suspend(self) -> None:
