@@ -147,11 +147,11 @@ def _outcome_rows(runs: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
     rows = []
     for run in runs:
         sim, emulated = run["sim"], run["emulated"]
-        known = sim["hold_force_N"] and emulated["hold_force_N"]
-        change = f", {100 * (emulated['hold_force_N'] / sim['hold_force_N'] - 1):+.1f} %" if known else ""
-        text = ", ".join(f"{name} {r['outcome']} with {r['hold_force_N'] or float('nan'):.3f} N"
-                         for name, r in (("sim", sim), ("emulated", emulated)))
-        rows.append((f"grasp of an egg, seed {run['seed']}", "within 10 %", text + change))
+        text = f"sim {sim['outcome']}, emulated {emulated['outcome']}"
+        for key, name in (("hold_force_N", "felt"), ("hold_drive_N", "by the drive")):
+            a, b = sim[key], emulated[key]
+            text += f"; {name} {a:.3f} and {b:.3f} N ({100 * (b / a - 1):+.1f} %)" if a and b else ""
+        rows.append((f"grasp of an egg, seed {run['seed']}: held force", "within 10 %", text))
     return rows
 
 

@@ -128,22 +128,29 @@ def _hold(code: str) -> None:
 
 
 def outcome(seed: int) -> dict[str, Any]:
-    """The same grasp on both rigs: outcome and held force as felt, N."""
+    """The same grasp on both rigs: outcome, held force as felt, and as the jaws' drive gives it (simulated: the joint's
+    force; emulated: the servos' current), N."""
     import tempfile
+
+    import numpy as np
 
     from mjtactile.grasp import GraspOptions, run_grasp
     from mjtactile.progress import Progress
-    from mjtactile.recording import Recorder
+    from mjtactile.recording import Recorder, load_recording
 
     result: dict[str, Any] = {"seed": seed}
     for rig in ("sim", "emulated"):
         try:
             options = GraspOptions(object=OBJECT, sensor="dense", controller="gentle", rig=rig, seed=seed)
-            with tempfile.TemporaryDirectory() as folder, Recorder(folder, {}, frames=False) as recorder:
-                summary = run_grasp(options, recorder=recorder, progress=Progress(quiet=True)).summary()
-            result[rig] = {key: summary[key] for key in ("outcome", "hold_force_N", "peak_force_N")}
+            with tempfile.TemporaryDirectory() as folder:
+                with Recorder(folder, {}, frames=False) as recorder:
+                    summary = run_grasp(options, recorder=recorder, progress=Progress(quiet=True)).summary()
+                recording = load_recording(folder)
+            holding = recording.columns["phase"] == "hold"
+            drive = float(np.mean(recording.column("effort", 1)[holding])) if holding.any() else None
+            result[rig] = {key: summary[key] for key in ("outcome", "hold_force_N", "peak_force_N")} | {"hold_drive_N": drive}
         except DeviceError as error:
-            result[rig] = {"outcome": "fault", "hold_force_N": None, "peak_force_N": None, "error": str(error)}
+            result[rig] = {"outcome": "fault", "hold_force_N": None, "peak_force_N": None, "hold_drive_N": None, "error": str(error)}
     return result
 
 

@@ -50,3 +50,29 @@ def test_a_table_replaces_what_stood_between_its_markers(tmp_path):
     assert page.read_text() == ("a\n<!-- bench:grasp -->\nnew\n<!-- /bench -->\nb\n<!-- bench:x -->\nkeep\n<!-- /bench -->\n")
     with pytest.raises(InputError, match="bench:other"):
         insert_table(page, "other", "new")
+
+
+def test_the_rigs_bench_goes_on_where_it_was_interrupted(tmp_path):
+    from mjtactile.bench.rig import _Store
+
+    calls = []
+    store = _Store(tmp_path / "rig.json", resume=False)
+    store.once("bus", lambda: {"ms": math.nan})
+    store.repeat("killed", 2, lambda n: calls.append(n) or {"n": n})
+    again = _Store(tmp_path / "rig.json", resume=True)
+    again.once("bus", lambda: pytest.fail("was done"))
+    again.repeat("killed", 4, lambda n: calls.append(n) or {"n": n})
+    assert calls == [0, 1, 2, 3] and [row["n"] for row in again.result["killed"]] == [0, 1, 2, 3]
+    assert again.result["bus"] == {"ms": None}  # what is not known is null in JSON
+
+
+def test_the_rigs_table_counts_what_was_late_and_what_was_not_safe():
+    from mjtactile.bench import rig
+
+    row = {"state": "latched", "outcome": "leak"}
+    result = {"fault:puncture": [{"safe": True, "reaction_s": 0.1} | row, {"safe": True, "reaction_s": 0.3} | row,
+                                 {"safe": False, "reaction_s": None} | row],
+              "killed": [{"servos_stopped_s": 0.2, "valves_vented_s": None}]}
+    table = rig.table(result)
+    assert "2 of 3, 1 later than 200 ms, worst 300 ms" in table and "valves vented after never" in table
+    assert "| puncture | 2 of 3 | 200 / 300 | leak |" in table

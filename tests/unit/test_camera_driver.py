@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mjtactile.devices.opencv_camera import OpenCvCamera
+from mjtactile.devices.rig import FrameClock
 from mjtactile.emulator.stream import StreamServer
 from mjtactile.errors import DeviceError
 from mjtactile.rigfile import CameraConfig
@@ -188,3 +189,26 @@ def test_a_stream_over_http_is_read(tmp_path):
         stop.set()
         thread.join()
         server.close()
+
+
+def test_a_cycle_begins_with_a_picture_and_never_waits_for_long(device):
+    """The loop's clock wakes up when a picture has come, at the latest half a period after the time asked for."""
+    camera = OpenCvCamera(CONFIG, capture=lambda: device)
+    try:
+        period = 0.05
+        clock = FrameClock([camera], period)
+        for _ in range(5):
+            goal = clock.now() + period
+            seen = camera.newest_time
+            clock.wait_until(goal)
+            assert clock.now() >= goal - period / 2 - 1e-3  # the sleep's own resolution
+            assert camera.newest_time > seen
+        device.mode = "stopped"
+        goal = clock.now() + period
+        clock.wait_until(goal)  # the last picture may still come
+        clock.wait_until(clock.now() + period)
+        assert clock.now() < goal + 3 * period + 1.0  # the loop goes on without pictures; 1 s for a busy computer
+    finally:
+        device.mode = "gone"
+        device.gate.set()
+        camera.close()
