@@ -150,7 +150,8 @@ def outcome(seed: int) -> dict[str, Any]:
             drive = float(np.mean(recording.column("effort", 1)[holding])) if holding.any() else None
             result[rig] = {key: summary[key] for key in ("outcome", "hold_force_N", "peak_force_N")} | {"hold_drive_N": drive}
         except DeviceError as error:
-            result[rig] = {"outcome": "fault", "hold_force_N": None, "peak_force_N": None, "hold_drive_N": None, "error": str(error)}
+            unknown = dict.fromkeys(("hold_force_N", "peak_force_N", "hold_drive_N"))
+            result[rig] = {"outcome": "fault", "error": str(error)} | unknown
     return result
 
 
