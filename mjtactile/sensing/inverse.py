@@ -2,8 +2,10 @@
 
 Unknown are the tractions at the nodes of a grid. They deform the sheet of `mjtactile.sensing.sheet` from its
 forward-solved rest shape, so the bulge is not interpolated but computed; markers see the deformation at their places.
-Nothing touches almost everywhere: each node has a prior variance that follows the traction found there before, so that
-contacts become compact; a node presses or does not, and shears only as much as friction allows.
+Nothing touches almost everywhere: the prior of `mjtactile.sensing.prior` follows the tractions found before, so that
+contacts become compact. The amount of gas and the camera's place may have drifted a little since they were measured; they
+are unknowns, too. And next to a sharp edge markers move in ways that the sheet's splines cannot follow: a marker counts
+the less, the worse it was explained.
 
 A frame is one Gauss-Newton step, or a few after a sudden change. Stiffness and gains are kept as long as the shape
 stays near where they were computed; then the step is back-substitutions only.
@@ -19,15 +21,19 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from mjtactile.design import SensorDesign
 from mjtactile.sensing.force import hats
-from mjtactile.sensing.sheet import Gas, Sheet
+from mjtactile.sensing.prior import LoadPrior
+from mjtactile.sensing.sheet import Gas, Sheet, State
 from mjtactile.types import Array, Markers, Traction
 
 SPANS = (14, 10)
-PRESSURE_SD = 4e3  # Pa, of contact before anything is known
-BACKGROUND = 0.05  # share of it that a node keeps when nothing was felt there
-FRICTION = 0.8  # prior ratio of shear to pressure
-MARKER_FLOOR = 2e-6  # m, what the markers' covariance does not know of
-MODEL_SHARE = 0.018  # of the force: stiffness, discretisation (from bench touch: chi-square near one)
+MARKER_FLOOR = 8e-6  # m, what the markers' covariance does not know of: the sheet's splines are as coarse as that
+EXCESS = 0.6  # mean square of a marker's noise, over its sd, from which on it counts less (bench touch: force, centroid)
+DRIFT_GAS = 2e-4  # sd of the amount of gas since it was measured: 0.06 K, or 0.2 hPa of weather; the zero follows it
+DENT_SHARE = 0.03  # sd of the volume of a dent between the markers, of that volume (bench touch)
+DRIFT_CAMERA = 3e-6  # m, sd of the camera's place since then: 10 K in 10 mm of a plastic housing
+POSTERIOR_SHARE = 0.17  # of the predicted variance: contacts are smoother than the prior says (bench touch: chi-square)
+MODEL_SHARE = 0.006  # of the force: stiffness, discretisation (bench touch)
+REWEIGHTED = 2  # from a cold start
 STEPS_MAX, STEP_LIMIT = 8, 2e-3  # m
 SETTLED, NEAR = 3e-5, 2e-4  # m: a step that ends the iteration; a distance over which stiffness and gains are kept
 REFINE = 5  # cells of the fine grid, for outlines, to a cell of the traction grid
@@ -49,17 +55,24 @@ class InverseRest:
 @dataclass(frozen=True, eq=False)
 class Gain:
     """One linearisation, at `c` (3, n), for markers `ids`: the stiffness's Cholesky factor, the markers' response
-    (3 m, 3 J) to nodal tractions, whitened; `weights` that whiten; prior variances (3 J,); and the factor of
-    the predicted covariance of the whitened markers."""
+    (3 m, 3 J) to nodal tractions, whitened; `weights` that whiten, and the factors `distrust` (m,) on the markers' sd that
+    they contain; the response (3 m, 4) to one sd of `drift` (gas, camera's x, y, z), and the gas's part of it as pressure, Pa,
+    and as a load (3, n), and the share `drift_seen` (4,) of their variances that estimates have; prior sd (3 J,) of the
+    tractions; the factor of the predicted covariance of the whitened markers; and how often it was `reweighted`, that is,
+    tractions had been found before it was made."""
 
     c: Array
     ids: NDArray[np.int64]
     stiffness: tuple[Array, bool]
     response: Array
     weights: Array
+    distrust: Array
+    drift: Array
+    drift_gas: tuple[float, Array]
+    drift_seen: Array
     prior: Array
     innovation: tuple[Array, bool]
-    is_first: bool  # made before any traction was known
+    reweighted: int
 
     def serves(self, c: Array, markers: Markers) -> bool:
         """Whether it can be used near `c`, for these markers."""
@@ -69,7 +82,8 @@ class Gain:
 @dataclass(frozen=True, eq=False)
 class Shape:
     """An estimate: coefficients `c` (3, n) m of the deformation, nodal tractions (3, J) Pa, gauge pressure Pa, the mean
-    square `misfit` of the markers over their predicted sd, and the gain it came from. Hand it to the next frame."""
+    square `misfit` of the markers over their predicted sd, the gain it came from, and each marker's mean square noise over
+    its sd, `excess` (N,), and the mean square `drift` found, over what is to be expected. Hand it to the next frame."""
 
     c: Array
     traction: Array
@@ -77,6 +91,8 @@ class Shape:
     misfit: float
     gain: Gain
     steps: int
+    excess: Array
+    drift: float
 
 
 class InverseMembrane:
@@ -91,6 +107,7 @@ class InverseMembrane:
         self._hats = (hat_x, hat_y)
         self._load = np.kron(load_x, load_y)  # (n, J): generalised force of one pascal at each node
         self.node_area = np.outer(ax.weights @ hat_x, ay.weights @ hat_y).ravel()  # (J,) m^2
+        self.prior = LoadPrior(self.x[1:-1], self.y[1:-1])
         X, Y = np.meshgrid(self.x[1:-1], self.y[1:-1], indexing="ij")
         self.nodes = np.column_stack([X.ravel(), Y.ravel()])
         self._at_nodes = self.sheet.basis(self.nodes)
@@ -126,59 +143,70 @@ class InverseMembrane:
 
     def estimate(self, markers: Markers, rest: InverseRest, start: Shape | None = None) -> Shape:
         """Tractions and deformation that explain the markers, starting from the last frame's where there is one."""
-        zero = np.zeros((3, self._load.shape[1]))
-        c, traction, gain = (rest.c, zero, None) if start is None else (start.c, start.traction, start.gain)
+        c, before = (rest.c, None) if start is None else (start.c, start)
+        gain = None if start is None else start.gain
         for steps in range(1, STEPS_MAX + 1):
-            if gain is None or gain.is_first or not gain.serves(c, markers):
-                gain = self._gain(c, markers, rest, traction, first=gain is None)
+            if gain is None or gain.reweighted < REWEIGHTED or not gain.serves(c, markers):
+                gain = self._gain(c, markers, rest, before)
             shape = self._step(c, markers, rest, gain, steps)
             settled = float(np.abs(shape.c - c).max()) < SETTLED
-            c, traction = shape.c, shape.traction
-            if settled and not gain.is_first:
+            c, before = shape.c, shape
+            if settled and gain.reweighted >= REWEIGHTED:
                 return shape
         return shape  # pyright: ignore[reportPossiblyUnboundVariable] the loop runs at least once
 
     def _step(self, c: Array, markers: Markers, rest: InverseRest, gain: Gain, count: int) -> Shape:
-        """One Gauss-Newton step from `c`: the sheet relaxes, tractions explain what the markers show beyond that."""
+        """One Gauss-Newton step from `c`: the sheet relaxes, tractions and drift explain what markers show beyond that."""
         data = markers.p_SM - rest.offset[markers.ids] - self._material[markers.ids]
         state = self.sheet.state(c, rest.stiffness_scale)
         pressure, _ = self.sheet.gas_pressure(state, rest.gas)
         residual = self.sheet.residual(state, pressure)
         free = c - cho_solve(gain.stiffness, residual.ravel(), check_finite=False).reshape(3, -1)
         misfit = _whiten(gain.weights, data - self._at_markers[markers.ids] @ free.T)
-        scaled = cho_solve(gain.innovation, misfit, check_finite=False)
-        traction = (gain.prior * (scaled @ gain.response)).reshape(3, -1)
-        load = traction @ self._load.T
+        noise = cho_solve(gain.innovation, misfit, check_finite=False)  # what is left for the whitened markers' noise
+        traction = self.prior.times(noise @ gain.response, gain.prior).reshape(3, -1)
+        drift = noise @ gain.drift  # in sd
+        load = traction @ self._load.T + drift[0] * gain.drift_gas[1]
         new = free + cho_solve(gain.stiffness, load.ravel(), check_finite=False).reshape(3, -1)
         largest = float(np.abs(new - c).max())
         c = c + min(1.0, STEP_LIMIT / max(largest, 1e-30)) * (new - c)
-        return Shape(c, traction, pressure, float(misfit @ scaled) / len(misfit), gain, count)
+        pressure += float(drift[0]) * gain.drift_gas[0]
+        excess = np.zeros(len(self._material))
+        excess[markers.ids] = gain.distrust**2 * (noise.reshape(-1, 3) ** 2).mean(axis=1)
+        return Shape(c, traction, pressure, float(misfit @ noise) / len(misfit), gain, count, excess,
+                     float((drift**2 / gain.drift_seen).mean()))
 
-    def _gain(self, c: Array, markers: Markers, rest: InverseRest, traction: Array, *, first: bool) -> Gain:
-        _, stiffness = self.sheet.linearise(self.sheet.state(c, rest.stiffness_scale), rest.gas, rest.stiffness_scale)
+    def _gain(self, c: Array, markers: Markers, rest: InverseRest, before: Shape | None) -> Gain:
+        state = self.sheet.state(c, rest.stiffness_scale)
+        _, stiffness = self.sheet.linearise(state, rest.gas, rest.stiffness_scale)
         rows = self._at_markers[markers.ids]
-        weights = np.linalg.inv(np.linalg.cholesky(markers.cov_p + MARKER_FLOOR**2 * np.eye(3)))
+        excess = np.zeros(len(rows)) if before is None else before.excess[markers.ids]
+        distrust = np.sqrt(np.maximum(1.0, excess / EXCESS))
+        weights = np.linalg.inv(np.linalg.cholesky(markers.cov_p + MARKER_FLOOR**2 * np.eye(3))) / distrust[:, None, None]
         # unit forces along the whitened axes of each marker, (3 n, 3 m)
         unit = (weights.transpose(2, 0, 1)[:, None] * rows.T[None, :, :, None]).reshape(3 * self.sheet.count, -1)
+        drift, drift_gas = self._drift(state, rest, stiffness, weights, unit)
         moved = cho_solve(stiffness, unit, overwrite_b=True, check_finite=False)
         response = (moved.T.reshape(-1, self.sheet.count) @ self._load).reshape(unit.shape[1], -1)
-        prior = self._prior(traction, first)
-        innovation = (response * prior) @ response.T
+        prior = self.prior.first() if before is None else self.prior.after(before.traction)
+        half = self.prior.half(response, prior)
+        innovation = half @ half.T + drift @ drift.T
         innovation[np.diag_indices_from(innovation)] += 1.0
-        return Gain(c, markers.ids, stiffness, response, weights, prior, cho_factor(innovation, check_finite=False),
-                    is_first=first)
+        innovation = cho_factor(innovation, check_finite=False)
+        seen = np.maximum((drift * cho_solve(innovation, drift, check_finite=False)).sum(axis=0), 1e-6)
+        return Gain(c, markers.ids, stiffness, response, weights, distrust, drift, drift_gas, seen, prior, innovation,
+                    0 if before is None else before.gain.reweighted + 1)
 
-    def _prior(self, traction: Array, first: bool) -> Array:
-        """Prior variances (3 J,) Pa^2 of nodal tractions, x, y, z, after what was found before."""
-        variance = np.empty_like(traction)
-        if first:
-            variance[:2], variance[2] = (FRICTION * PRESSURE_SD) ** 2, PRESSURE_SD**2
-            return variance.ravel()
-        pressing = np.maximum(-traction[2], 0.0)
-        background = BACKGROUND * PRESSURE_SD
-        variance[2] = pressing**2 + background**2
-        variance[:2] = (FRICTION * pressing) ** 2 + (background / 2) ** 2
-        return variance.ravel()
+    def _drift(self, state: State, rest: InverseRest, stiffness: tuple[Array, bool], weights: Array,
+               unit: Array) -> tuple[Array, tuple[float, Array]]:
+        """What one sd of drift does: to the whitened markers (3 m, 4), and, by the gas, as pressure and as a load."""
+        volume = self.design.chamber_volume_flat + state.volume
+        dent = self.sheet.state(rest.c).volume - state.volume
+        pressure = self.sheet.gas_pressure(state, rest.gas)[0] + self.design.chamber.ambient
+        pressure *= float(np.hypot(DRIFT_GAS, DENT_SHARE * dent / volume)) if rest.gas.constant is not None else 0.0
+        load = pressure * self.sheet.volume_gradient(state)
+        bulge = cho_solve(stiffness, load.ravel(), check_finite=False)
+        return np.column_stack([bulge @ unit, DRIFT_CAMERA * weights.reshape(-1, 3)]), (pressure, load)
 
     # -- what it means -------------------------------------------------------------------------------------------------
 
@@ -217,12 +245,13 @@ class InverseMembrane:
                          np.r_[zero, -z, y], np.r_[z, zero, -x], np.r_[-y, x, zero]])
 
     def _wrench_cov(self, shape: Shape, moment: Array, wrench: Array) -> Array:
-        """Posterior covariance (6, 6): what the prior leaves open between markers, their noise, and the model's share."""
+        """Posterior covariance (6, 6): what the prior leaves open between markers, their noise, and the model's share; more
+        where the markers fit worse than their noise, or show more drift than was believed."""
         gain = shape.gain
-        L = moment * np.tile(self.node_area, 3)
-        LD = L * gain.prior
-        half = solve_triangular(gain.innovation[0], gain.response @ LD.T, trans=1, check_finite=False)
-        cov = (LD @ L.T - half.T @ half) * max(1.0, shape.misfit)
+        L = self.prior.half(moment * np.tile(self.node_area, 3), gain.prior)
+        seen = self.prior.half(gain.response, gain.prior) @ L.T
+        half = solve_triangular(gain.innovation[0], seen, trans=1, check_finite=False)
+        cov = max(POSTERIOR_SHARE * max(1.0, shape.misfit), shape.drift - 1) * (L @ L.T - half.T @ half)
         cov[np.diag_indices(6)] += (MODEL_SHARE * np.r_[np.full(3, np.linalg.norm(wrench[:3])),
                                                         np.full(3, np.linalg.norm(wrench[3:]))]) ** 2
         return cov

@@ -1,8 +1,8 @@
 """Contact patches from the traction field: several at once, each with outline, area, centroid, depth and axes (Eq. F13).
 
-Inside a contact the object holds the membrane against the gas, so the pressure there is about the gas's or more; how
-much more depends on the object's shape. The inverse cannot place pressure more sharply than its grid, so the field is
-smoothed by that much, and the outline drawn where it falls to a share of the geometric mean of gas pressure and peak.
+The inverse cannot place pressure more sharply than its grid, but the second moment of a pressure survives such a blur. It
+gives the area of a disc that is pressed uniformly; small round objects press in their middle and large faces at their
+rims, so small areas are larger than that and large ones smaller. The outline encloses the strongest pressure, that much of it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from mjtactile.sensing.inverse import REFINE, InverseMembrane, InverseRest, Shap
 from mjtactile.types import Array, Contact
 
 SMOOTHING = 0.6  # sd of the smoothing, in nodes
-OUTLINE_SHARE = 0.8  # of the geometric mean of gas pressure and peak: areas are then right on average (bench touch)
+SEPARATE_SHARE = 0.8  # of the geometric mean of gas pressure and peak: patches are apart where pressure falls below it
+AREA_MIDDLE, AREA_POWER = 58e-6, 0.7  # m^2 at which an area is that of its uniform disc, and how it goes with it (bench touch)
 CORE_SHARE = 0.03  # of the peak: pressure below it does not count for the centroid
 LEAST_SHARE = 0.1  # of the whole force: a patch that carries less is no patch
 
@@ -32,7 +33,7 @@ def find_patches(estimator: InverseMembrane, shape: Shape, rest: InverseRest) ->
     if peak <= 0:
         return ()
     fine = np.asarray(zoom(smooth, ((REFINE * (nx - 1) + 1) / nx, (REFINE * (ny - 1) + 1) / ny), order=1))
-    above = fine > min(OUTLINE_SHARE * np.sqrt(max(shape.pressure_gauge, 0.1 * peak) * peak), 0.9 * peak)
+    above = fine > min(SEPARATE_SHARE * np.sqrt(max(shape.pressure_gauge, 0.1 * peak) * peak), 0.9 * peak)
     count, places = cv2.connectedComponents(above.astype(np.uint8), connectivity=4)
     position, cells = _fine_positions(estimator, shape)
     nodal = np.zeros((nx, ny, 3))
@@ -46,8 +47,10 @@ def find_patches(estimator: InverseMembrane, shape: Shape, rest: InverseRest) ->
         mine = owner[::REFINE, ::REFINE] == k
         force = nodal[mine].sum(axis=0)
         if -force[2] >= LEAST_SHARE * total:
-            weight = np.where(owner == k, np.maximum(fine - CORE_SHARE * peak, 0), 0)
-            patches.append(_patch(places == k, mine, weight, force, position, cells, sink))
+            core = np.where(mine, np.maximum(pressing - CORE_SHARE * float(pressing.max()), 0), 0)
+            field = np.where(owner == k, fine, 0)
+            inside = _strongest(field, cells, _area(core[inner].ravel(), position[::REFINE, ::REFINE][inner], estimator))
+            patches.append(_patch(inside, mine, np.maximum(field - CORE_SHARE * peak, 0), force, position, cells, sink))
     return tuple(sorted(patches, key=lambda patch: float(patch.force[2])))
 
 
@@ -71,6 +74,26 @@ def _fine_positions(estimator: InverseMembrane, shape: Shape) -> tuple[Array, Ar
     cells = np.zeros(position.shape[:2])  # none on the frame itself
     cells[1:-1, 1:-1] = np.sqrt((a * a).sum(0) * (b * b).sum(0) - (a * b).sum(0) ** 2) / 4
     return position, cells
+
+
+def _area(pressure: Array, p: Array, estimator: InverseMembrane) -> float:
+    """Area, m^2, from the second moment of nodal pressures (J,) at `p` (jx, jy, 3); a node's own extent is the least."""
+    p, share = p[..., :2].reshape(-1, 2), pressure * estimator.node_area
+    share /= share.sum()
+    off = p - share @ p
+    variance = float(share @ (off * off).sum(axis=1)) / 2
+    least = float(np.diff(estimator.x)[0] ** 2 + np.diff(estimator.y)[0] ** 2) / 24
+    return AREA_MIDDLE * (4 * np.pi * max(variance, least) / AREA_MIDDLE) ** AREA_POWER
+
+
+def _strongest(field: Array, cells: Array, area: float) -> NDArray:
+    """Where (a, b) the `field` is strongest, as many cells as make up `area` m^2; one at least."""
+    order = np.argsort(field, axis=None)[::-1]
+    filled = np.cumsum(cells.ravel()[order])
+    count = max(1, min(int(np.searchsorted(filled, area)), int(np.count_nonzero(field))))
+    inside = np.zeros(field.size, bool)
+    inside[order[:count]] = True
+    return inside.reshape(field.shape)
 
 
 def _nearest_place(places: NDArray) -> NDArray:

@@ -128,9 +128,9 @@ class SensorPipeline:
             rest = zero.follow(self.inverse, rest, shape, markers, watch.time - before.time)
             self.reference = replace(self.reference, rest=rest)
         sd = float(np.sqrt(traction.wrench_cov[2, 2]))
-        if quiet and watch.force < -max(zero.PULL_MOST, zero.TOUCH_SD * sd):
+        if quiet and (watch.force < -max(zero.PULL_MOST, zero.TOUCH_SD * sd) or shape.drift > zero.DRIFT_MOST):
             return replace(unknown, traction=traction, surface=surface, markers=markers, slip=slip.unknown("no zero"),
-                           status="the membrane seems pulled: the rest reference no longer holds (temperature, camera)")
+                           status="the membrane seems pulled, or shifted: the rest reference is lost (temperature, camera)")
         return replace(unknown, force_normal=watch.force, force_normal_sd=sd, touching=watch.touching, surface=surface,
                        contact=together(patches, (len(traction.y), len(traction.x))), traction=traction, markers=markers,
                        patches=patches, slip=judged)

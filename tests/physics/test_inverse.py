@@ -10,6 +10,7 @@ from reference_membrane import ReferenceMembrane
 from scipy.interpolate import RectBivariateSpline
 
 from mjtactile.design import load_sensor
+from mjtactile.sensing import inverse
 from mjtactile.sensing.inverse import InverseMembrane
 from mjtactile.sensing.patches import find_patches, together
 from mjtactile.sensing.sheet import Gas, Sheet
@@ -145,12 +146,14 @@ def test_covariance_is_that_of_errors_drawn_from_prior_and_noise(sensor, truth):
     shape = estimator.estimate(truth.markers(estimator.design, truth.pressed), rest)
     gain, moment = shape.gain, estimator._moments(shape.c) * np.tile(estimator.node_area, 3)
     rng = np.random.default_rng(1)
-    t = np.sqrt(gain.prior)[:, None] * rng.standard_normal((len(gain.prior), 400))
-    y = gain.response @ t + rng.standard_normal((len(gain.response), 400))
-    S = (gain.response * gain.prior) @ gain.response.T + np.eye(len(gain.response))
-    error = moment @ (gain.prior[:, None] * (gain.response.T @ np.linalg.solve(S, y)) - t)
+    root = estimator.prior.half(np.eye(len(gain.prior)), gain.prior)  # of the prior's covariance
+    t = root @ rng.standard_normal((len(root), 400))
+    y = gain.response @ t + gain.drift @ rng.standard_normal((4, 400)) + rng.standard_normal((len(gain.response), 400))
+    seen = gain.response @ root
+    S = seen @ seen.T + gain.drift @ gain.drift.T + np.eye(len(seen))
+    error = moment @ (root @ (seen.T @ np.linalg.solve(S, y)) - t)
     predicted = np.sqrt(np.diag(estimator._wrench_cov(shape, estimator._moments(shape.c), np.zeros(6))))
-    misfit = np.sqrt(max(1.0, shape.misfit))
+    misfit = np.sqrt(max(inverse.POSTERIOR_SHARE * max(1.0, shape.misfit), shape.drift - 1))
     np.testing.assert_allclose(error.std(axis=1) * misfit, predicted, rtol=0.12)  # 400 draws: 3.5 %, six of them
 
 

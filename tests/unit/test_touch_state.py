@@ -83,7 +83,7 @@ def test_zero_follows_a_warming_chamber_and_leaves_a_right_force(sensor):
     c = estimator.sheet.equilibrium(warm, rest.stiffness_scale, start=rest.c)
     rng, shape, now = np.random.default_rng(2), None, rest
     before = estimator.traction(estimator.estimate(seen(estimator, c), rest)).wrench[2]
-    assert before > 0.02  # N: it looks like a pull
+    assert before > 0.015  # N: it looks like a pull
     for _ in range(300):
         markers = seen(estimator, c, rng)
         shape = estimator.estimate(markers, now, shape)

@@ -1,0 +1,59 @@
+"""What is believed of the tractions on a grid of nodes before a frame is looked at (docs/equations.md, Eq. F11).
+
+Contacts are compact: a node's variance follows the pressure found there before, softened over part of the grid's step and
+limited to what a sheet can carry; what presses on a node presses on its neighbours, too. Shear goes with pressure by
+friction. Tractions are (3, J) Pa, component by component, J = jx * jy nodes with y fastest.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjtactile.types import Array
+
+PRESSURE_SD = 4e3  # Pa, of contact before anything is known
+BACKGROUND = 0.03  # share of it that a node keeps when nothing was felt there
+PRESSURE_MOST = 20e3  # Pa: a sheet of 28 N/m bent around 3 mm; more on one node is a spike that no object makes
+FRICTION = 0.8  # ratio of shear to pressure
+CORRELATION = 2e-3  # m, over which pressures go together: a fraction of an object's size
+SOFTENING = 1e-3  # m, over which the pressures found before are smeared
+_JITTER = 1e-6  # keeps the correlation's factor finite
+
+
+class LoadPrior:
+    """Prior covariance S C S of nodal tractions: S the nodes' standard deviations, C Gaussian correlation over the grid
+    lines `x` (jx,), `y` (jy,) m, the same for each component."""
+
+    def __init__(self, x: Array, y: Array):
+        self._shape = (len(x), len(y))
+        self._root = tuple(np.linalg.cholesky(_kernel(v, CORRELATION) + _JITTER * np.eye(len(v))) for v in (x, y))
+        self._soften = tuple(k / k.sum(axis=1, keepdims=True) for k in (_kernel(v, SOFTENING) for v in (x, y)))
+
+    def first(self) -> Array:
+        """Standard deviations (3 J,) Pa before any traction was found."""
+        count = self._shape[0] * self._shape[1]
+        return PRESSURE_SD * np.repeat([FRICTION, FRICTION, 1.0], count)
+
+    def after(self, traction: Array) -> Array:
+        """Standard deviations (3 J,) Pa after `traction` (3, J) was found; pulling counts as nothing found."""
+        by_x, by_y = self._soften
+        pressing = (by_x @ np.maximum(-traction[2], 0.0).reshape(self._shape) @ by_y.T).ravel()
+        pressing /= np.hypot(1.0, pressing / PRESSURE_MOST)
+        background = BACKGROUND * PRESSURE_SD
+        shear = np.hypot(FRICTION * pressing, background / 2)
+        return np.concatenate([shear, shear, np.hypot(pressing, background)])
+
+    def half(self, rows: Array, sd: Array) -> Array:
+        """`rows` (m, 3 J) times the covariance's root, so that half half^T is the covariance of what they see."""
+        by_x, by_y = self._root
+        return (by_x.T @ (rows * sd).reshape(-1, *self._shape) @ by_y).reshape(rows.shape)
+
+    def times(self, vector: Array, sd: Array) -> Array:
+        """The covariance times a vector (3 J,)."""
+        by_x, by_y = self._root
+        half = by_x.T @ (vector * sd).reshape(3, *self._shape) @ by_y
+        return sd * (by_x @ half @ by_y.T).ravel()
+
+
+def _kernel(x: Array, length: float) -> Array:
+    return np.exp(-0.5 * (np.subtract.outer(x, x) / length) ** 2)
