@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from mjtactile.commands.calibration import ask, check_folder, finish, say
+from mjtactile.commands.calibration import check_folder, confirm, finish, say
 from mjtactile.commands.output import stdout_to_stderr
 from mjtactile.commands.reconstruct import load_pipeline, to_image
 from mjtactile.commands.sources import read_frames
@@ -195,8 +195,7 @@ def _live(options: argparse.Namespace, design, stack: contextlib.ExitStack) -> t
 
     def loads() -> Loads:
         for mass in masses:
-            if ask(f"put {mass:g} g on the middle of the {options.finger} membrane, then press Enter") is not None:
-                say("(the weights of --weights-g are used, not what was typed)")
+            confirm(f"put {mass:g} g on the middle of the {options.finger} membrane")
             yield f"{mass:g} g", 1e-3 * GRAVITY * mass, control.settled_images(rig)[finger]
 
     return pipelines[finger], loads()

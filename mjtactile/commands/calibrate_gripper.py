@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from mjtactile.commands.calibration import ask, check_folder, finish, say
+from mjtactile.commands.calibration import ask, check_folder, confirm, finish, say
 from mjtactile.commands.output import stdout_to_stderr
 from mjtactile.errors import InputError
 
@@ -109,7 +109,7 @@ def _live(options: argparse.Namespace) -> tuple[Any, Any]:
         if options.skip_forces:
             return openings, None
         if emulator is None:
-            ask("now put the load cell between the jaws, then press Enter")
+            confirm("now put the load cell between the jaws")
         return openings, measure_forces(gripper, [most * part for part in (0.3, 0.5, 0.7, 0.85, 1.0)], load_cell, say)
 
 

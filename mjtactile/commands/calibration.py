@@ -27,13 +27,23 @@ def finish(options: argparse.Namespace, path: Path, result: dict, lines: list[st
     return 0 if result["verdict"] == "good" else 1
 
 
+def _line(prompt: str) -> str:
+    print(prompt, end="" if sys.stdin.isatty() else "\n", file=sys.stderr, flush=True)
+    line = sys.stdin.readline()
+    if not line:
+        raise InputError("nobody answers on the terminal; give the readings in a CSV file instead (see --help)")
+    return line
+
+
+def confirm(text: str) -> None:
+    """Wait until a person has done what `text` says. Raises InputError when there is nobody."""
+    _line(f"{text}, then press Enter ")
+
+
 def ask(text: str) -> float | None:
     """Ask for a number on the terminal; an empty line skips. Raises InputError when there is nobody to answer."""
     while True:
-        print(f"{text} [empty: skip]: ", end="", file=sys.stderr, flush=True)
-        line = sys.stdin.readline()
-        if not line:
-            raise InputError("nobody answers on the terminal; give the readings in a CSV file instead (see --help)")
+        line = _line(f"{text} [empty: skip]: ")
         if not line.strip():
             return None
         try:

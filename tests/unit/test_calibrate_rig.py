@@ -5,6 +5,7 @@ that what comes back can be compared with what was put in.
 """
 
 import contextlib
+import io
 import json
 import math
 import threading
@@ -18,6 +19,7 @@ from mjtactile.calibrate import live
 from mjtactile.calibrate.gripper import calibrate_force, calibrate_opening, servo_lines
 from mjtactile.calibrate.valve import calibrate_valve
 from mjtactile.cli import main
+from mjtactile.commands.calibration import ask
 from mjtactile.devices.geometry import JawGeometry
 from mjtactile.devices.valve import connect_valves
 from mjtactile.errors import DeviceError, InputError
@@ -235,3 +237,14 @@ def test_every_rig_file_names_servos_that_can_be_calibrated():
         geometry = JawGeometry(rig_file.gripper, name)
         lines = servo_lines(geometry, calibrate_opening(*readings(noise=0.0)), None)
         assert [line["id"] for line in lines] == [servo.id for servo in rig_file.gripper.servos]
+
+
+# -- the person at the terminal ----------------------------------------------------------------------------------------
+
+def test_readings_are_asked_for_until_they_are_numbers(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stdin", io.StringIO("twelve\n12,5\n\n"))
+    assert ask("caliper, mm") == 12.5  # a comma is a decimal point to half of the world
+    assert "'twelve' is not a number" in capsys.readouterr().err
+    assert ask("caliper, mm") is None
+    with pytest.raises(InputError, match="nobody answers"):
+        ask("caliper, mm")
