@@ -23,9 +23,8 @@ from mjtactile.types import Command, GripperState
 __all__ = ["DynamixelGripper", "ServoFault", "ServoReport", "read_report"]
 _log = logging.getLogger(__name__)
 _GOAL_START = 102  # goal current, velocity, profile acceleration, profile velocity, goal position: one block
-_FAILURES_MAX = 3  # cycles in a row without a servo's reply before it counts as lost
+_FAILURES_MAX = 4  # questions in a row without a servo's reply before it counts as lost: two cycles of two
 _SILENCE_IDLE = 30.0  # s without any call, before the first command (references are being taken)
-_POLL_EVERY = 3  # cycles: with three servos each is asked every ninth, three times a second at 30 Hz
 
 
 class DynamixelGripper:
@@ -184,19 +183,28 @@ class DynamixelGripper:
         replies, failures = self.bus.read_many(list(self._servos), STATE_START, STATE_SIZE, fast=self._bus_config.fast_sync)
         for servo_id, reply in replies.items():
             self._servos[servo_id].take(reply)
-        for servo_id, error in failures.items():
-            servo = self._servos[servo_id]
-            servo.failures, servo.last_failure = servo.failures + 1, error.reason
+        lost = [error for servo_id, error in failures.items() if not self._ask_again(self._servos[servo_id], error)]
         # They measure after the question, so that a state is never thought younger than it is.
-        self._state_time = asked if not failures else self._state_time
+        self._state_time = asked if not lost else self._state_time
+
+    def _ask_again(self, servo: Servo, error: BusError) -> bool:
+        """A servo's reply was lost or damaged: ask it alone, once; whether it answered."""
+        servo.failures, servo.last_failure = servo.failures + 1, error.reason
+        try:
+            servo.take(self.bus.read(servo.id, STATE_START, STATE_SIZE))
+        except BusError as second:
+            if second.reason == "lost":
+                raise
+            servo.failures, servo.last_failure = servo.failures + 1, second.reason
+            return False
+        return True
 
     def _poll_one(self) -> None:
-        """Now and then ask one servo, in turn, for what the block does not hold."""
+        """Each time ask one servo, in turn, for what the block does not hold."""
         self._poll_turn += 1
-        if self._poll_turn % _POLL_EVERY == 0:
-            servo = list(self._servos.values())[self._poll_turn // _POLL_EVERY % len(self._servos)]
-            with contextlib.suppress(BusError):
-                servo.poll()
+        servo = list(self._servos.values())[self._poll_turn % len(self._servos)]
+        with contextlib.suppress(BusError):
+            servo.poll()
 
     def _send_goals(self) -> None:
         """One sync write of goal current, velocity, profile and position; goals are never written partly."""
