@@ -118,6 +118,8 @@ class Monitor:
         """Flags of the present state, and the reason to stop, if there is one. Call every 20 ms or so."""
         flags: Flags = {}
         stop = None
+        if all(sensor.is_asleep for sensor in self._sensors):
+            return flags, stop
         places = self._geoms_in(self._sensors)
         for number, sensor in enumerate(self._sensors):
             if sensor.is_asleep:

@@ -97,7 +97,7 @@ class PressWorld(World):
     def inflate(self, pressure_gauge: float, *, seal: bool) -> bool:
         """Bring the chamber to `pressure_gauge` Pa, close the valve if `seal`, find first touch; True when it settled."""
         sensor = self.sensors[0]
-        self._place(_AWAY)
+        self.lift_off()
         sensor.open_valve(pressure_gauge)
         settled = self.settle()
         if seal:
@@ -151,6 +151,10 @@ class PressWorld(World):
     def drive_force(self) -> np.ndarray:
         """Force (3,) N of the drive on the indenter, frame S: what a load cell between them reads."""
         return np.array([self.data.actuator_force[self._x], 0.0, self.data.actuator_force[self._z]])
+
+    def lift_off(self) -> None:
+        """Put the indenter where nothing touches it."""
+        self._place(_AWAY)
 
     def _find_touch(self) -> None:
         """Lower the indenter by its distance from the smooth membrane until that is nothing, then raise it by a clearance.

@@ -25,6 +25,7 @@ SHAKEN = 0.5  # m/s^2: change of weight or acceleration of the frame that wakes;
 _TURNING = 0.1  # rad/s of the frame
 _LOOK, _TIMES = 0.01, 3  # s between two looks at an awake sensor; how many of them in a row must find it still
 _HOLD = 0.1  # s that a woken sensor stays awake
+_BULGED = 1.2  # distances between vertices of an inflated sheet, against the flat one's
 _STIFFNESS = 1e5  # N/m a vertex: its weight moves it by less than 1 nm
 
 
@@ -38,13 +39,17 @@ class Sleeper:
         self._geoms = slice(self._first, self._last + 1)
         bodies = model.geom_bodyid[vertex_geoms]
         self._bodies = slice(int(bodies[0]), int(bodies[-1]) + 1)
+        watch = np.arange(len(bodies)).reshape(mesh.nx - 2, mesh.ny - 2)[1::3, 1::3].ravel()  # a ninth of the vertices
+        p_SV = mesh.p_SV[mesh.interior]
+        between = np.linalg.norm(p_SV[:, None] - p_SV[watch], axis=2).min(axis=1).max()
+        self._watch, self._reach = self._first + watch, NEAR + _BULGED * float(between)
         self._pushes = data.xfrc_applied[self._bodies]  # a live view: the vertices are one block
         joint = int(model.body_jntadr[bodies[0]])
         self._joints = slice(joint, joint + 3 * len(mesh.interior))
         place = int(model.jnt_qposadr[joint])
         self._springs = model.qpos_spring[place:place + 3 * len(mesh.interior)]
-        self._velocity = data.cvel[body_id].copy()
-        self._weight, self._kept = np.full(3, np.nan), tuple[Array, ...]()
+        self._velocity: list[float] = data.cvel[body_id].tolist()
+        self._weight, self._kept = [np.nan] * 3, tuple[Array, ...]()
         self._before: Array = np.full_like(load.displacements, np.nan)
         self._time, self._calm = float(data.time), 0
         self._after = -np.inf
@@ -70,10 +75,12 @@ class Sleeper:
 
     def sleep(self) -> None:
         model = self._model
-        self._kept = tuple(part.copy() for part in (model.geom_gap[self._geoms], model.body_margin[self._bodies],
-                                               model.geom_conaffinity[self._geoms], self._springs))
-        model.geom_gap[self._geoms] = model.body_margin[self._bodies] = NEAR  # contacts are listed, and push nothing yet
-        model.geom_conaffinity[self._geoms] = 1
+        self._kept = tuple(part.copy() for part in (*self._collision(), self._springs))
+        for part in self._collision():
+            part[:] = 0
+        bodies = model.geom_bodyid[self._watch]
+        model.geom_gap[self._watch] = model.body_margin[bodies] = self._reach  # contacts are listed, and push nothing yet
+        model.geom_conaffinity[self._watch] = model.body_conaffinity[bodies] = 1
         model.flex_rigid[self._flex] = True
         self._springs[:] = self._load.displacements
         model.jnt_stiffness[self._joints, ...] = _STIFFNESS
@@ -87,12 +94,18 @@ class Sleeper:
         if np.abs(self._load.displacements - self._springs).max() <= 1e-6:
             self._load.displacements[:] = self._springs
             self._data.qvel[self._load.dofs] = 0.0
-        (model.geom_gap[self._geoms], model.body_margin[self._bodies], model.geom_conaffinity[self._geoms],
-         self._springs[:]) = self._kept
+        for part, kept in zip((*self._collision(), self._springs), self._kept, strict=True):
+            part[:] = kept
         model.flex_rigid[self._flex] = False
         model.jnt_stiffness[self._joints, ...] = 0.0
         self._load.resume()
         self._after, self._calm, self.asleep = float(self._data.time) + _HOLD, 0, False
+
+    def _collision(self) -> tuple[Array, ...]:
+        """Views of the model's numbers that say what touches the membrane, and from how far it is noticed."""
+        model, geoms, bodies, flex = self._model, self._geoms, self._bodies, slice(self._flex, self._flex + 1)
+        return (model.geom_gap[geoms], model.body_margin[bodies], model.geom_conaffinity[geoms], model.body_conaffinity[bodies],
+                model.flex_conaffinity[flex])
 
     def _is_settled(self) -> bool:
         """Whether the vertices are where they were at the last look."""
@@ -109,10 +122,11 @@ class Sleeper:
 
     def _is_moved(self) -> bool:
         """Whether the frame accelerates, turns, or has turned against gravity since the last call, or since it fell asleep."""
-        data, step = self._data, float(self._model.opt.timestep)
-        velocity = data.cvel[self._body].copy()
-        weight = data.xmat[self._body].reshape(3, 3).T @ self._model.opt.gravity
+        option = self._model.opt
+        velocity, axes = self._data.cvel[self._body].tolist(), self._data.xmat[self._body].tolist()
+        g, least = option.gravity.tolist(), SHAKEN * option.timestep
+        weight = [axes[k] * g[0] + axes[3 + k] * g[1] + axes[6 + k] * g[2] for k in range(3)]
         before, self._velocity = self._velocity, velocity
         known, self._weight = self._weight, self._weight if self.asleep else weight
-        return bool(np.abs(velocity[3:] - before[3:]).max() > SHAKEN * step or np.abs(velocity[:3]).max() > _TURNING
-                    or not np.abs(weight - known).max() < SHAKEN)
+        return (any(abs(velocity[k] - before[k]) > least for k in (3, 4, 5)) or any(abs(v) > _TURNING for v in velocity[:3])
+                or not all(abs(a - b) < SHAKEN for a, b in zip(weight, known, strict=True)))
