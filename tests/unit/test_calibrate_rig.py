@@ -216,8 +216,9 @@ def test_a_valve_on_a_pty(hurry):
             boards[0].close()
         passed = time.monotonic() - begin
     assert fit.offset == pytest.approx(0, abs=5)  # 5 Pa of noise, some 20 samples
-    assert fit.rise_time == pytest.approx(math.log(9) * 0.05, abs=0.08)  # the board's lag of 50 ms; busy computers sample late
-    assert 5 < fit.leak < 25, passed  # 20 Pa/s; a busy computer ticks less often
+    # The board's lag of 50 ms gives 0.11 s; its clock stands still while a busy computer does not let it tick.
+    assert 0.05 < fit.rise_time < 0.6
+    assert 2 < fit.leak < 25, passed  # 20 Pa/s; a busy computer ticks less often
     assert any("loses" in reason for reason in fit.reasons)
 
 
