@@ -79,3 +79,11 @@ def test_a_body_too_fast_for_the_step_is_flagged():
     world = DropWorld("paper16", Body("sphere", 3e-3, 0.05), pressure_gauge=1000.0, speed=2.0, timestep=4e-3, guided=True)
     world.step()  # as it is let go; the membrane stops it long before a look that comes every 20 ms
     assert "use a timestep of at most" in world.flags["speed"]
+
+
+def test_an_interrupted_run_keeps_what_it_finished(tmp_path):
+    log = tmp_path / "stability.jsonl"
+    log.write_text('{"axis": "mesh", "label": "7x7, 1 ms", "outcome": "ok"}\n{"axis": "gone", "label": "x"}\n{"axis": "me')
+    place = {(case.axis, case.label): i for i, case in enumerate(matrix())}
+    assert [row["outcome"] for row in stability._kept(log, place)] == ["ok"]
+    assert not stability._kept(tmp_path / "none.jsonl", place)
