@@ -86,10 +86,18 @@ def test_frames_that_cannot_be_used_are_named(capsys, frames, tmp_path):
 @pytest.mark.parametrize(("args", "words"), [
     (("reconstruct", "nowhere"), ("nowhere", "no such file")),
     (("reconstruct", "{press}", "--reference", "no.json"), ("no.json", "--reference")),
-    (("calibrate", "frame", "{press}", "--sensor", "paper16", "--out", "{tmp}/r.json"), ("paper16",)),
+    (("calibrate", "frame", "--sensor", "paper16", "--out", "{tmp}/r.json"), ("FLAT", "--rig")),
     (("calibrate", "frame", "{press}", "--out", "nowhere/r.json"), ("nowhere", "--out"))])
 def test_bad_input_is_one_line(capsys, frames, tmp_path, args, words):
     code = main([a.format(press=frames[0] / "press", tmp=tmp_path) for a in args])
     captured = capsys.readouterr()
     assert code in (2, 3) and len(captured.err.strip().splitlines()) == 1
     assert all(word in captured.err for word in words)
+
+
+def test_a_calibration_with_another_sensor_is_refused_with_its_reason(capsys, frames, tmp_path):
+    out = tmp_path / "r.json"
+    assert main(["calibrate", "frame", str(frames[0] / "press"), "--sensor", "paper16", "--out", str(out)]) == 1
+    assert "REFUSED: sensor paper16: flat reference" in capsys.readouterr().out
+    assert not out.exists()
+    assert json.loads((tmp_path / "r.refused.json").read_text())["verdict"] == "refused"
