@@ -35,7 +35,7 @@ POSTERIOR_SHARE = 0.17  # of the predicted variance: contacts are smoother than 
 MODEL_SHARE = 0.006  # of the force: stiffness, discretisation (bench touch)
 REWEIGHTED = 2  # from a cold start
 STEPS_MAX, STEP_LIMIT = 8, 2e-3  # m
-SETTLED, NEAR = 3e-5, 2e-4  # m: a step that ends the iteration; a distance over which stiffness and gains are kept
+SETTLED, NEAR = 1e-4, 2e-4  # m: a step that ends the iteration; a distance over which stiffness and gains are kept
 REFINE = 5  # cells of the fine grid, for outlines, to a cell of the traction grid
 _INFORMATIVE_PRESSURE = 100.0  # Pa; below, the bulge is too small to tell the stiffness
 
@@ -54,17 +54,19 @@ class InverseRest:
 
 @dataclass(frozen=True, eq=False)
 class Gain:
-    """One linearisation, at `c` (3, n), for markers `ids`: the stiffness's Cholesky factor, the markers' response
-    (3 m, 3 J) to nodal tractions, whitened; `weights` that whiten, and the factors `distrust` (m,) on the markers' sd that
-    they contain; the response (3 m, 4) to one sd of `drift` (gas, camera's x, y, z), and the gas's part of it as pressure, Pa,
-    and as a load (3, n), and the share `drift_seen` (4,) of their variances that estimates have; prior sd (3 J,) of the
-    tractions; the factor of the predicted covariance of the whitened markers; and how often it was `reweighted`, that is,
-    tractions had been found before it was made."""
+    """One linearisation, at `c` (3, n), for markers `ids`: the stiffness's Cholesky factor, the whitened markers'
+    motion (3 m, 3 n) by generalised forces, their response (3 m, 3 J) to nodal tractions, and its `half` covariance by the
+    prior; `weights` that whiten, and the factors `distrust` (m,) on the markers' sd that they contain; the response (3 m, 4)
+    to one sd of `drift` (gas, camera's x, y, z), the gas's part of it as pressure, Pa, and as a load (3, n), and the share
+    `drift_seen` (4,) of their variances that estimates have; prior sd (3 J,) of the tractions; the factor of the predicted
+    covariance of the whitened markers; and how often it was `reweighted`: tractions had been found before it was made."""
 
     c: Array
     ids: NDArray[np.int64]
     stiffness: tuple[Array, bool]
+    moved: Array
     response: Array
+    half: Array
     weights: Array
     distrust: Array
     drift: Array
@@ -106,6 +108,7 @@ class InverseMembrane:
         load_x, load_y = ((a.basis(a.points) * a.weights[:, None]).T @ h for a, h in ((ax, hat_x), (ay, hat_y)))
         self._hats = (hat_x, hat_y)
         self._load = np.kron(load_x, load_y)  # (n, J): generalised force of one pascal at each node
+        self._load_single = self._load.astype(np.float32)
         self.node_area = np.outer(ax.weights @ hat_x, ay.weights @ hat_y).ravel()  # (J,) m^2
         self.prior = LoadPrior(self.x[1:-1], self.y[1:-1])
         X, Y = np.meshgrid(self.x[1:-1], self.y[1:-1], indexing="ij")
@@ -161,15 +164,14 @@ class InverseMembrane:
         state = self.sheet.state(c, rest.stiffness_scale)
         pressure, _ = self.sheet.gas_pressure(state, rest.gas)
         residual = self.sheet.residual(state, pressure)
-        free = c - cho_solve(gain.stiffness, residual.ravel(), check_finite=False).reshape(3, -1)
-        misfit = _whiten(gain.weights, data - self._at_markers[markers.ids] @ free.T)
+        # against the state without tractions, u - K^-1 r
+        misfit = _whiten(gain.weights, data - self._at_markers[markers.ids] @ c.T) + gain.moved @ residual.ravel()
         noise = cho_solve(gain.innovation, misfit, check_finite=False)  # what is left for the whitened markers' noise
         traction = self.prior.times(noise @ gain.response, gain.prior).reshape(3, -1)
         drift = noise @ gain.drift  # in sd
         load = traction @ self._load.T + drift[0] * gain.drift_gas[1]
-        new = free + cho_solve(gain.stiffness, load.ravel(), check_finite=False).reshape(3, -1)
-        largest = float(np.abs(new - c).max())
-        c = c + min(1.0, STEP_LIMIT / max(largest, 1e-30)) * (new - c)
+        change = cho_solve(gain.stiffness, (load - residual).ravel(), check_finite=False).reshape(3, -1)
+        c = c + min(1.0, STEP_LIMIT / max(float(np.abs(change).max()), 1e-30)) * change
         pressure += float(drift[0]) * gain.drift_gas[0]
         excess = np.zeros(len(self._material))
         excess[markers.ids] = gain.distrust**2 * (noise.reshape(-1, 3) ** 2).mean(axis=1)
@@ -186,16 +188,18 @@ class InverseMembrane:
         # unit forces along the whitened axes of each marker, (3 n, 3 m)
         unit = (weights.transpose(2, 0, 1)[:, None] * rows.T[None, :, :, None]).reshape(3 * self.sheet.count, -1)
         drift, drift_gas = self._drift(state, rest, stiffness, weights, unit)
-        moved = cho_solve(stiffness, unit, overwrite_b=True, check_finite=False)
-        response = (moved.T.reshape(-1, self.sheet.count) @ self._load).reshape(unit.shape[1], -1)
+        # in single precision: from a factor in double precision that is good to 1e-4 of a motion, at half the time
+        single = (stiffness[0].astype(np.float32), stiffness[1])
+        moved = cho_solve(single, unit.astype(np.float32), overwrite_b=True, check_finite=False).T
+        response = (moved.reshape(-1, self.sheet.count) @ self._load_single).reshape(len(moved), -1)
         prior = self.prior.first() if before is None else self.prior.after(before.traction)
         half = self.prior.half(response, prior)
-        innovation = half @ half.T + drift @ drift.T
+        innovation = (half @ half.T).astype(float) + drift @ drift.T
         innovation[np.diag_indices_from(innovation)] += 1.0
         innovation = cho_factor(innovation, check_finite=False)
         seen = np.maximum((drift * cho_solve(innovation, drift, check_finite=False)).sum(axis=0), 1e-6)
-        return Gain(c, markers.ids, stiffness, response, weights, distrust, drift, drift_gas, seen, prior, innovation,
-                    0 if before is None else before.gain.reweighted + 1)
+        return Gain(c, markers.ids, stiffness, moved, response, half, weights, distrust, drift, drift_gas, seen, prior,
+                    innovation, 0 if before is None else before.gain.reweighted + 1)
 
     def _drift(self, state: State, rest: InverseRest, stiffness: tuple[Array, bool], weights: Array,
                unit: Array) -> tuple[Array, tuple[float, Array]]:
@@ -249,8 +253,7 @@ class InverseMembrane:
         where the markers fit worse than their noise, or show more drift than was believed."""
         gain = shape.gain
         L = self.prior.half(moment * np.tile(self.node_area, 3), gain.prior)
-        seen = self.prior.half(gain.response, gain.prior) @ L.T
-        half = solve_triangular(gain.innovation[0], seen, trans=1, check_finite=False)
+        half = solve_triangular(gain.innovation[0], gain.half @ L.T, trans=1, check_finite=False)
         cov = max(POSTERIOR_SHARE * max(1.0, shape.misfit), shape.drift - 1) * (L @ L.T - half.T @ half)
         cov[np.diag_indices(6)] += (MODEL_SHARE * np.r_[np.full(3, np.linalg.norm(wrench[:3])),
                                                         np.full(3, np.linalg.norm(wrench[3:]))]) ** 2

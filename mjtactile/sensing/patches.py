@@ -7,17 +7,19 @@ rims, so small areas are larger than that and large ones smaller. The outline en
 
 from __future__ import annotations
 
+from functools import cache
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, zoom
 
 from mjtactile.sensing.inverse import REFINE, InverseMembrane, InverseRest, Shape
 from mjtactile.types import Array, Contact
 
 SMOOTHING = 0.6  # sd of the smoothing, in nodes
 SEPARATE_SHARE = 0.8  # of the geometric mean of gas pressure and peak: patches are apart where pressure falls below it
-AREA_MIDDLE, AREA_POWER = 58e-6, 0.7  # m^2 at which an area is that of its uniform disc, and how it goes with it (bench touch)
+AREA_MIDDLE, AREA_POWER = 58e-6, -0.3  # m^2 at which an area is that of its uniform disc, and how their ratio goes (bench touch)
+AREA_FACTOR = (0.7, 1.7)  # the least and the most of that ratio: a face pressed at its rim, a ball
 CORE_SHARE = 0.03  # of the peak: pressure below it does not count for the centroid
 LEAST_SHARE = 0.1  # of the whole force: a patch that carries less is no patch
 
@@ -28,11 +30,10 @@ def find_patches(estimator: InverseMembrane, shape: Shape, rest: InverseRest) ->
     pressing = np.zeros((nx, ny))
     inner = (slice(1, -1), slice(1, -1))
     pressing[inner] = np.maximum(-shape.traction[2], 0).reshape(nx - 2, ny - 2)
-    smooth = np.asarray(gaussian_filter(pressing, SMOOTHING, mode="constant"))
-    peak = float(smooth.max())
+    fine = _smoother(nx) @ pressing @ _smoother(ny).T
+    peak = float(fine.max())
     if peak <= 0:
         return ()
-    fine = np.asarray(zoom(smooth, ((REFINE * (nx - 1) + 1) / nx, (REFINE * (ny - 1) + 1) / ny), order=1))
     above = fine > min(SEPARATE_SHARE * np.sqrt(max(shape.pressure_gauge, 0.1 * peak) * peak), 0.9 * peak)
     count, places = cv2.connectedComponents(above.astype(np.uint8), connectivity=4)
     position, cells = _fine_positions(estimator, shape)
@@ -83,7 +84,8 @@ def _area(pressure: Array, p: Array, estimator: InverseMembrane) -> float:
     off = p - share @ p
     variance = float(share @ (off * off).sum(axis=1)) / 2
     least = float(np.diff(estimator.x)[0] ** 2 + np.diff(estimator.y)[0] ** 2) / 24
-    return AREA_MIDDLE * (4 * np.pi * max(variance, least) / AREA_MIDDLE) ** AREA_POWER
+    disc = 4 * np.pi * max(variance, least)
+    return disc * float(np.clip((disc / AREA_MIDDLE) ** AREA_POWER, *AREA_FACTOR))
 
 
 def _strongest(field: Array, cells: Array, area: float) -> NDArray:
@@ -94,6 +96,16 @@ def _strongest(field: Array, cells: Array, area: float) -> NDArray:
     inside = np.zeros(field.size, bool)
     inside[order[:count]] = True
     return inside.reshape(field.shape)
+
+
+@cache
+def _smoother(nodes: int) -> Array:
+    """Matrix (REFINE (nodes - 1) + 1, nodes) from nodes to the fine grid: Gaussian smoothing, linear between nodes."""
+    index = np.arange(nodes)
+    kernel = np.exp(-0.5 * (np.subtract.outer(index, index) / SMOOTHING) ** 2)
+    kernel /= kernel[nodes // 2].sum()
+    fine = np.linspace(0, nodes - 1, REFINE * (nodes - 1) + 1)
+    return np.maximum(1 - np.abs(np.subtract.outer(fine, index)), 0) @ kernel
 
 
 def _nearest_place(places: NDArray) -> NDArray:

@@ -44,9 +44,9 @@ class LoadPrior:
         return np.concatenate([shear, shear, np.hypot(pressing, background)])
 
     def half(self, rows: Array, sd: Array) -> Array:
-        """`rows` (m, 3 J) times the covariance's root, so that half half^T is the covariance of what they see."""
-        by_x, by_y = self._root
-        return (by_x.T @ (rows * sd).reshape(-1, *self._shape) @ by_y).reshape(rows.shape)
+        """`rows` (m, 3 J) times the covariance's root: half half^T is the covariance of what they see. In their precision."""
+        by_x, by_y = (root.astype(rows.dtype) for root in self._root)
+        return (by_x.T @ (rows * sd.astype(rows.dtype)).reshape(-1, *self._shape) @ by_y).reshape(rows.shape)
 
     def times(self, vector: Array, sd: Array) -> Array:
         """The covariance times a vector (3 J,)."""
