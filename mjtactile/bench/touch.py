@@ -3,6 +3,7 @@
 One simulated membrane is seen by two cameras with their own markers, `dense` and `paper16`, which share everything but
 the layout. Nothing is calibrated for an object. The truth is the simulator's on a mesh finer than the default's, since a
 coarse mesh is stiffer than rubber; its contact area and centroid are those of the touching vertices, so known to a cell.
+Seeds below FIRST_SEED were used in tuning and are not among them.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ from mjtactile.types import Array, Image, Touch
 __all__ = ["run", "table"]
 SENSORS = ("dense", "paper16")
 MESH, MESH_QUICK = (33, 25), (21, 16)
-EPISODES, SLIPS, QUIET_FRAMES = 18, 9, 900
+FIRST_SEED = 1000
+EPISODES, SLIPS, QUIET_FRAMES = 20, 9, 900
 _REFERENCE_IMAGES, _PERIOD = 10, 1 / 30
 _SIZES = {"sphere": (3e-3, 12e-3), "cylinder": (2.5e-3, 6e-3), "box": (5e-3, 11e-3)}
 _FORCE_MAX = 2.5  # N
@@ -88,11 +90,11 @@ def run(out: Path, *, quick: bool = False, say: Say = lambda _: None) -> dict[st
     mesh = MESH_QUICK if quick else MESH
     calibrations = {name: calibrate_area(load_sensor(name)) for name in SENSORS}
     rows, slips, milliseconds = [], [], {name: [] for name in SENSORS}
-    for seed in range(3 if quick else EPISODES):
+    for seed in range(FIRST_SEED, FIRST_SEED + (3 if quick else EPISODES)):
         rows += _episode(seed, mesh, calibrations, milliseconds)
         say(f"press {seed}: " + ", ".join(f"{r['force_true_N'][2]:.2f} N ({r['sensor']} {r['error_N'][2]:+.3f})"
                                           for r in rows[-4:]))
-    for seed in range(2 if quick else SLIPS):
+    for seed in range(FIRST_SEED, FIRST_SEED + (2 if quick else SLIPS)):
         slips += _slip_episode(seed, mesh)
         say(f"slip {seed}: {slips[-1]}")
     quiet = _quiet(60 if quick else QUIET_FRAMES)
