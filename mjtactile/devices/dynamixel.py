@@ -23,7 +23,7 @@ from mjtactile.types import Command, GripperState
 __all__ = ["DynamixelGripper", "ServoFault", "ServoReport", "read_report"]
 _log = logging.getLogger(__name__)
 _GOAL_START = 102  # goal current, velocity, profile acceleration, profile velocity, goal position: one block
-_FAILURES_MAX = 4  # questions in a row without a servo's reply before it counts as lost: two cycles of two
+_FAILURES_MAX = 3  # questions in a row without a servo's reply before it counts as lost: one cycle of two, and another
 _SILENCE_IDLE = 30.0  # s without any call, before the first command (references are being taken)
 
 
@@ -190,8 +190,10 @@ class DynamixelGripper:
     def _ask_again(self, servo: Servo, error: BusError) -> bool:
         """A servo's reply was lost or damaged: ask it alone, once; whether it answered."""
         servo.failures, servo.last_failure = servo.failures + 1, error.reason
+        if servo.failures >= _FAILURES_MAX:
+            return False
         try:
-            servo.take(self.bus.read(servo.id, STATE_START, STATE_SIZE))
+            servo.take(self.bus.read(servo.id, STATE_START, STATE_SIZE, again=True))
         except BusError as second:
             if second.reason == "lost":
                 raise
@@ -203,8 +205,9 @@ class DynamixelGripper:
         """Each time ask one servo, in turn, for what the block does not hold."""
         self._poll_turn += 1
         servo = list(self._servos.values())[self._poll_turn % len(self._servos)]
-        with contextlib.suppress(BusError):
-            servo.poll()
+        if not servo.failures:  # one that is silent has cost time enough
+            with contextlib.suppress(BusError):
+                servo.poll()
 
     def _send_goals(self) -> None:
         """One sync write of goal current, velocity, profile and position; goals are never written partly."""

@@ -148,9 +148,10 @@ class DynamixelBus:
             packet = self._exchange(servo, [1], reply=3)
             return packet.value(0, 2), packet.value(2, 1)
 
-    def read(self, servo: int, address: int, size: int) -> Reply:
-        """Read `size` bytes of one servo. Raises BusError."""
-        with self._transaction(servo):
+    def read(self, servo: int, address: int, size: int, *, again: bool = False) -> Reply:
+        """Read `size` bytes of one servo. `again`: the same was asked just before, so that a late answer to that is as
+        good and need not be waited for and thrown away. Raises BusError."""
+        with self._transaction(servo, again=again):
             return self._exchange(servo, [2, *_word(address), *_word(size)], reply=size)
 
     def write(self, servo: int, address: int, size: int, value: int) -> bool:
@@ -191,11 +192,11 @@ class DynamixelBus:
     # -- inside --------------------------------------------------------------------------------------------------
 
     @contextlib.contextmanager
-    def _transaction(self, servo: int | None) -> Iterator[None]:
+    def _transaction(self, servo: int | None, *, again: bool = False) -> Iterator[None]:
         """Hold the bus; whatever happens, leave it usable, and name the port in what is raised."""
         with self._lock:
             try:
-                if self._dirty:
+                if self._dirty and not again:
                     self._drain()
                 yield
             except BusError as error:
