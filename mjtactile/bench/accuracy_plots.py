@@ -29,8 +29,21 @@ def draw(result: dict[str, Any], out: Path, say: Callable[[str], None]) -> None:
         for panel in axes:
             panel.set(xscale="log", yscale="log", xlabel="core time [ms per simulated s]", ylabel=unit)
             panel.axvline(1000, color="0.7", lw=0.8, ls="--")
-            panel.grid(alpha=0.3, which="both")
+            _scale(panel.xaxis, panel.get_xlim(), panel.set_xlim)
+            _scale(panel.yaxis, panel.get_ylim(), panel.set_ylim)
+            panel.grid(alpha=0.3)
         figure.savefig(out / name)
+
+
+def _scale(axis: Any, limits: tuple[float, float], set_limits: Callable[[float, float], Any]) -> None:
+    """Plain numbers at 1, 2 and 5, and at least a factor of four between the ends, so that noise does not look like a slope."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    middle, half = (limits[0] * limits[1]) ** 0.5, max((limits[1] / limits[0]) ** 0.5, 2.0)
+    set_limits(middle / half, middle * half)
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _panel(panel: Any, rows: list[dict[str, Any]], key: str, scale: float, label: Callable[[dict[str, Any]], str]) -> None:

@@ -22,7 +22,7 @@ from mjtactile.sim import rigid
 from mjtactile.sim.camera import Renderer
 
 MESHES = ((9, 7), (11, 9), (13, 11), (17, 13), (21, 17), (25, 21), (31, 25))
-TIMESTEPS = (1 / 240, 1 / 180, 1 / 150)
+TIMESTEPS = (1 / 240, 1 / 180, 1 / 150, 1 / 125)
 CAMERA_RATE = 60.0  # Hz
 
 
