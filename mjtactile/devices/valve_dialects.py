@@ -1,7 +1,7 @@
 """What the supported valve boards understand: newline-terminated ASCII, one reply for each command.
 
 - `ctrlp`: in the style of Ctrl-P, the open pressure controller (https://ctrl-p.cbteeple.com): `command;argument;…`, a
-  command without its last argument asks; kPa.
+  command without its last argument asks; kPa. Its public firmware lacks heartbeat, seal and vent: see docs/hardware.md.
 - `relay`: a minimal board with two relays a channel (supply, vent), no pressure sensor.
 - `regulator`: a proportional pressure regulator with a sensor; mbar.
 
