@@ -32,8 +32,8 @@ def host(emulator, tmp_path):
     """A host that watches the rig: torque on, chambers sealed; and its recording's folder."""
     text = _rig_text(load_rig_file("emulated").path.read_text(), emulator.endpoints)
     # Generous against a busy computer, as in test_rigs.py: no test here asserts how fast anything is.
-    for name, before, after in (("delay_ms", "8.0", "400.0"), ("reply_timeout_ms", "20", "100"), ("watchdog_ms", "200", "600"),
-                                ("heartbeat_ms", "250", "600")):
+    for name, before, after in (("delay_ms", "8.0", "400.0"), ("reply_timeout_ms", "20", "100"), ("watchdog_ms", "200", "1200"),
+                                ("heartbeat_ms", "250", "1200")):
         assert f"{name} = {before}" in text
         text = text.replace(f"{name} = {before}", f"{name} = {after}")
     (tmp_path / "rig.toml").write_text(text)
