@@ -10,13 +10,36 @@ from mjtactile.sim.objects import MATERIALS, load_object
 from mjtactile.sim.specimens import SHIPPED, to_mjcf
 
 
+@pytest.fixture
+def sensor(tmp_path):
+    """The dense sensor with fewer images a second: what is felt stays the same, in less time."""
+    path = tmp_path / "dense20.toml"
+    text = resources.find("dense", "models/sensors", ".toml").read_text(encoding="utf-8")
+    assert "rate_Hz = 30.0" in text
+    path.write_text(text.replace("rate_Hz = 30.0", "rate_Hz = 20.0"), encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def brisk(tmp_path):
+    """The probe's controller, in more of a hurry: clay gives way so far that less tells its class."""
+    path = tmp_path / "brisk.py"
+    text = resources.find("probe", "controllers", ".py").read_text(encoding="utf-8")
+    for slow, fast in (("PRESS_TRAVEL_MAX = 0.010", "PRESS_TRAVEL_MAX = 0.006"),
+                       ("REST_TIME = 2.0, 1.5", "REST_TIME = 1.0, 0.8")):
+        assert slow in text
+        text = text.replace(slow, fast)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
 def probe(capsys, *args):
     code = main(["probe", "--json", *map(str, args)])
     return code, json.loads(capsys.readouterr().out)
 
 
-def test_a_sponge_is_soft_and_its_modulus_is_felt(capsys, tmp_path):
-    code, found = probe(capsys, "--object", "sponge", "--out", tmp_path / "live")
+def test_a_sponge_is_soft_and_its_modulus_is_felt(capsys, tmp_path, sensor):
+    code, found = probe(capsys, "--object", "sponge", "--sensor", sensor, "--out", tmp_path / "live")
     specimen = SHIPPED["sponge"][0]
     assert (code, found["material"], found["status"]) == (0, "soft", "ok")
     # the free width is known to 50 um of 2 mm; the force to 5 %
@@ -25,13 +48,13 @@ def test_a_sponge_is_soft_and_its_modulus_is_felt(capsys, tmp_path):
     assert found["modulus_kPa"] == pytest.approx(1e-3 * specimen.modulus(found["force_N"]), rel=0.4)
     assert found["relaxation_time_s"] == 0 and abs(found["permanent_set_mm"]) < 0.15
     assert {"probe.json", "probe.png", "recording"} <= {path.name for path in (tmp_path / "live").iterdir()}
-    again, replayed = probe(capsys, "--source", tmp_path / "live")
+    again, replayed = probe(capsys, "--source", tmp_path / "live", "--sensor", sensor)
     assert again == 0 and replayed == found  # lossless images, the same code: the same numbers
 
 
 @pytest.mark.parametrize(("name", "kind"), [("block", "solid"), ("clay", "amorphous")])
-def test_class(capsys, name, kind):
-    code, found = probe(capsys, "--object", name)
+def test_class(capsys, name, kind, sensor, brisk):
+    code, found = probe(capsys, "--object", name, "--sensor", sensor, "--controller", brisk if kind == "amorphous" else "probe")
     assert (code, found["material"]) == (0, kind)
     assert found["probability"][kind] > 0.7
     if kind == "solid":
