@@ -33,6 +33,7 @@ DENT_SHARE = 0.03  # sd of the volume of a dent between the markers, of that vol
 DRIFT_CAMERA = 3e-6  # m, sd of the camera's place since then: 10 K in 10 mm of a plastic housing
 POSTERIOR_SHARE = 0.17  # of the predicted variance: contacts are smoother than the prior says (bench touch: chi-square)
 MODEL_SHARE = 0.006  # of the force: stiffness, discretisation (bench touch)
+SHARE_CELL = 12e-6  # m^2 of sheet to a marker; where it is more, that share of the normal force grows with it (bench touch)
 REWEIGHTED = 2  # from a cold start
 STEPS_MAX, STEP_LIMIT = 8, 2e-3  # m
 SETTLED, NEAR = 1e-4, 2e-4  # m: a step that ends the iteration; a distance over which stiffness and gains are kept
@@ -255,8 +256,9 @@ class InverseMembrane:
         L = self.prior.half(moment * np.tile(self.node_area, 3), gain.prior)
         half = solve_triangular(gain.innovation[0], gain.half @ L.T, trans=1, check_finite=False)
         cov = max(POSTERIOR_SHARE * max(1.0, shape.misfit), shape.drift - 1) * (L @ L.T - half.T @ half)
-        cov[np.diag_indices(6)] += (MODEL_SHARE * np.r_[np.full(3, np.linalg.norm(wrench[:3])),
-                                                        np.full(3, np.linalg.norm(wrench[3:]))]) ** 2
+        sparse = max(1.0, self.design.markers.pitch_x * self.design.markers.pitch_y / SHARE_CELL)
+        size = np.repeat([np.linalg.norm(wrench[:3]), np.linalg.norm(wrench[3:])], 3)
+        cov[np.diag_indices(6)] += (MODEL_SHARE * np.array([1, 1, sparse, 1, 1, 1]) * size) ** 2
         return cov
 
 
