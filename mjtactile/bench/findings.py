@@ -74,8 +74,8 @@ _TEXT = {
              "first loses area at the top and gains it at the flanks: the two cancel, and with a closed valve the area grows "
              "only with the square of the depth, while the force grows linearly. With the valve open, where the "
              "pressure stays, it even shrinks, and c has the wrong sign. The paper's straight line needs a membrane that is "
-             "flat, not inflated. Ours misses 0.04 N with 16 markers and a closed valve, too: the gas's volume between so "
-             "few markers is a guess, and 1 % of it is 1 kPa.",
+             "flat, not inflated. Ours misses 0.04 N with 16 markers and a closed valve, too: here the face "
+             "stands just between four of them, which see its rim alone, and the dent in the gas is guessed too deep.",
     "fig5b": "**Fig. 5b.** The same face, rigid and on a sponge. Left as the paper plots it: driven depth, membrane and "
              "object in series. Even the solid's curve is no line, because the membrane stiffens; the sponge's parabola is "
              "the membrane's as much as its own. Right: where the membrane stands is seen by the camera, so its share can "
@@ -85,10 +85,10 @@ _TEXT = {
             "shares nothing with the detector.",
     "fig7": "**Fig. 7.** Three objects: the camera's image, the reconstructed membrane, the force on each node (tangential "
             "forces with a minus sign, as in the paper).",
-    "air": "**Amount of air.** The claim holds, and has two sides. More pressure, or less air behind the membrane, makes a "
-           "touch meet more force in the first millimetre. The noise grows at least as fast: with the valve closed the "
-           "pressure is inferred from the volume, whose error counts by the absolute pressure over the volume. The most "
-           "sensitive is the open valve, which keeps a known pressure.",
+    "air": "**Amount of air.** The claim holds for pressures above about 1 kPa and for the amount of air: more of the one, or "
+           "less of the other, makes a touch meet more force in the first millimetre. More pressure makes the noise grow as "
+           "fast, so that no finer motion is told; less air changes it little. The finest force is felt with the valve "
+           "open, which keeps a known pressure; the finest motion with the valve closed.",
 }
 
 
