@@ -10,6 +10,7 @@ import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -76,13 +77,15 @@ class MarkerLayout:
     def count(self) -> int:
         return self.rows * self.columns
 
-    @property
+    @cached_property
     def p_SM(self) -> Array:
-        """Marker centres on the flat membrane, (N, 3) m in S; row by row, x fastest."""
+        """Marker centres on the flat membrane, (N, 3) m in S; row by row, x fastest. Read-only."""
         x = (np.arange(self.columns) - (self.columns - 1) / 2) * self.pitch_x
         y = (np.arange(self.rows) - (self.rows - 1) / 2) * self.pitch_y
         grid_x, grid_y = np.meshgrid(x, y)
-        return np.column_stack([grid_x.ravel(), grid_y.ravel(), np.zeros(self.count)])
+        p_SM = np.column_stack([grid_x.ravel(), grid_y.ravel(), np.zeros(self.count)])
+        p_SM.flags.writeable = False
+        return p_SM
 
 
 @dataclass(frozen=True)

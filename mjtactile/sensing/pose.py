@@ -219,7 +219,8 @@ def _covariance(camera: optics.Camera, ellipses: Ellipses, xy: Array, middle: Ar
     lateral[:, :2, 0], lateral[:, :2, 1] = du[0].T, du[1].T
     lateral[:, 2, 2], lateral[:, 3, 3] = 1 / a, 1 / b
     lateral[:, 4, 4] = ellipse.axes_difference(a, b) * (a + b) / (2 * a * b)
-    G = np.linalg.solve(D, lateral)[:, :3]
+    centre = np.broadcast_to(np.eye(5)[:, :3], (len(a), 5, 3))
+    G = np.linalg.solve(D.transpose(0, 2, 1), centre).transpose(0, 2, 1) @ lateral  # only the centre's rows of D^-1
     return G @ ellipses.cov @ G.transpose(0, 2, 1)
 
 

@@ -47,8 +47,8 @@ class FlatReference:
         """The same circles as a camera at the sensor file's pose would have them: C parallel to S, at `camera.p_SC`."""
         shift = self.p_SC - design.camera.p_SC
         R = self.R_SC
-        return replace(poses, p_CM=poses.p_CM @ R.T + shift, p_CM_alt=poses.p_CM_alt @ R.T + shift, n_C=poses.n_C @ R.T,
-                       n_C_alt=poses.n_C_alt @ R.T, cov_p=R @ poses.cov_p @ R.T)
+        p, p_alt, n, n_alt = np.array([poses.p_CM, poses.p_CM_alt, poses.n_C, poses.n_C_alt]) @ R.T
+        return replace(poses, p_CM=p + shift, p_CM_alt=p_alt + shift, n_C=n, n_C_alt=n_alt, cov_p=R @ poses.cov_p @ R.T)
 
 
 def measure_flat(design: SensorDesign, camera: Camera, seen: Sequence[Markers]) -> FlatReference:
