@@ -20,7 +20,7 @@ from mjtactile.probe import ProbeOptions, ProbeResult, run_probe
 from mjtactile.recording import write_json
 from mjtactile.sim.specimens import Kind, Specimen, to_mjcf
 
-FIRST_SEED = 3000
+FIRST_SEED = 4000
 KINDS: tuple[Kind, ...] = ("rigid", "elastic", "viscoelastic", "plastic")
 BODIES, BODIES_QUICK = 48, 4
 TARGETS = {"class_right": (0.93, 0.98), "modulus_within_2": (0.85, 0.95)}
