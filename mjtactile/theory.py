@@ -10,6 +10,7 @@ The table was recomputed by Ritz, series and finite elements, which agree to 0.0
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -99,6 +100,23 @@ def stvk_height_error(stretch: float, pre_stretch: float = 1.0) -> float:
     strain = max(stretch / pre_stretch - 1, 0.0)
     added, shared = stretch**2 - pre_stretch**2, max(pre_stretch**2 - 1, 0.0)
     return 4 / 3 * strain * (added / (added + shared) if added > 0 else 0.0)
+
+
+def neo_hookean_young(design: SensorDesign, pressure_gauge: float) -> float:
+    """Young's modulus, Pa, with which a St. Venant-Kirchhoff sheet bulges as high as a neo-Hookean one of the design's
+    modulus does at a gauge pressure, Pa (Eq. M7): the secant at that pressure, first order in the strain beyond mounting.
+    """
+    sheet, half_width = design.membrane, min(design.frame.length, design.frame.width) / 2
+    height = bulge_height(design, abs(pressure_gauge))
+    if not height > 0:
+        return sheet.young
+    stretch = sheet.pre_stretch * (1 + 2 / 3 * (height / half_width) ** 2)
+    wanted = height * (1 + stvk_height_error(stretch, sheet.pre_stretch))
+
+    def too_high(young: float) -> float:
+        return bulge_height(replace(design, membrane=replace(sheet, young=young)), abs(pressure_gauge)) - wanted
+
+    return float(brentq(too_high, 0.1 * sheet.young, sheet.young))  # type: ignore[arg-type]
 
 
 def stvk_stretch_limit(pre_stretch: float, error: float = 0.02) -> float:

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile import theory
 from mjtactile.bench.accuracy import stamp
 from mjtactile.bench.settings import HOLD_FORCE, SENSOR, attempt, core_ms, hold
 from mjtactile.design import SensorDesign, load_sensor
@@ -37,13 +36,13 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
     """Measure every switch; writes effects.json, which the table of `mjtactile effects` reads."""
     say, design = Progress().message, load_sensor(SENSOR)
     names = ("bending", "gas") if quick else ("gas", "bending", "friction", "gravity", "follower pressure", "servo dynamics",
+                                              "hyperelastic correction",
                                               "heat exchange", "valve flow", "camera noise", "blur", "distortion", "refraction",
                                               "LED shading", "motion blur")
     effects = {}
     for name in names:
         effects[name] = attempt(lambda name=name: _measure(name, design))
         say(f"{name}: {effects[name]}")
-    effects["hyperelastic correction"] = attempt(lambda: _hyperelastic(design))
     result = {"stamp": stamp(), "effects": effects, "nothing_left": _nothing_left(design),
               "date": f"{datetime.date.today():%Y-%m-%d}"}
     good = {name: row for name, row in effects.items() if "failed" not in row}
@@ -79,24 +78,13 @@ def _hold_ms(design: SensorDesign, effects: frozenset[str]) -> float:
     return core_ms(hold(world, settle=0.2).step, 60) / _STEP
 
 
-def _press(design: SensorDesign, effects: frozenset[str]) -> tuple[float, np.ndarray, float]:
-    """Normal force, N, marker positions (N, 3) m, and the stretch that a tenth of the sheet exceeds."""
+def _press(design: SensorDesign, effects: frozenset[str]) -> tuple[float, np.ndarray]:
+    """Normal force, N, and marker positions (N, 3) m."""
     world = PressWorld(set_design(design, effects), Indenter("sphere", 16e-3), at=(0.7e-3, 0.4e-3), effects=effects,
                        timestep=_STEP)
     world.inflate(1000.0, seal=True)
     world.press(2.5e-3)
-    stretch = float(np.quantile(world.sensors[0].stretches()[0][:, 1], 0.9))
-    return float(-truth.contact_force(world, 0)[2]), world.marker_poses(0)[0], stretch
-
-
-def _hyperelastic(design: SensorDesign) -> dict[str, float]:
-    """What the missing correction costs: the same press with the sheet as much softer as Eq. M7 says at its stretch."""
-    force, p_SM, stretch = _press(design, _ALL)
-    softer = (1 + theory.stvk_height_error(stretch, design.membrane.pre_stretch)) ** -3  # heights go with its cube root
-    sheet = replace(design.membrane, young=design.membrane.young * softer)
-    real, moved, _ = _press(replace(design, membrane=sheet), _ALL)
-    return {"cost_ms_per_s": float("nan"), "force_N": abs(force - real),
-            "surface_um": 1e6 * float(np.sqrt(np.mean(np.sum((p_SM - moved) ** 2, axis=1))))}
+    return float(-truth.contact_force(world, 0)[2]), world.marker_poses(0)[0]
 
 
 def _image_ms(design: SensorDesign, effects: frozenset[str]) -> float:

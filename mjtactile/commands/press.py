@@ -53,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     from mjtactile.bench.press import PressPlan, press
     from mjtactile.sim.press import Indenter
+    from mjtactile.sim.switches import set_design
 
     design = load_sensor(options.sensor)
     _check(options, design)
@@ -60,9 +61,10 @@ def run(options: argparse.Namespace) -> int:
                      (1e-3 * options.at[0], 1e-3 * options.at[1]), math.radians(options.tilt_deg), 1e-3 * options.shear_mm,
                      sealed=options.valve == "closed")
     out = None if options.out is None else prepare_folder(options.out)
+    simulation = _simulation(options, design)
     with stdout_to_stderr():
-        result = press(design, plan, seed=options.seed, say=Progress(quiet=options.json).message,
-                       error_estimate=options.error_estimate, **_simulation(options, design))
+        result = press(set_design(design, simulation["effects"]), plan, seed=options.seed,
+                       say=Progress(quiet=options.json).message, error_estimate=options.error_estimate, **simulation)
     if out is not None:
         write_json(out / "press.json", result)
         plots.save(out / "press.png", lambda figure: _draw(figure, result))

@@ -12,6 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mjtactile import theory
 from mjtactile.design import Chamber, SensorDesign
 from mjtactile.sim.chamber import ChamberGeometry, GasTendon
 from mjtactile.sim.gas import Gas
@@ -53,8 +54,10 @@ def set_servo(spec: mujoco.MjSpec, actuator: str, on: frozenset[str]) -> None:
 
 
 def set_design(design: SensorDesign, on: frozenset[str]) -> SensorDesign:
-    """The design without what is off in the chamber and in the camera's geometry: for simulator *and* sensing."""
-    chamber, camera, glass = design.chamber, design.camera, design.glass
+    """The design without what is off in the sheet's law, the chamber and the camera's geometry: for simulator *and* sensing."""
+    membrane, chamber, camera, glass = design.membrane, design.chamber, design.camera, design.glass
+    if "hyperelastic correction" in on:
+        membrane = replace(membrane, young=theory.neo_hookean_young(design, chamber.supply_gauge))
     if "heat exchange" not in on:
         chamber = replace(chamber, heat_exchange=math.inf)
     if "valve flow" not in on:
@@ -63,7 +66,7 @@ def set_design(design: SensorDesign, on: frozenset[str]) -> SensorDesign:
         camera = replace(camera, distortion=(0.0,) * 5)
     if "refraction" not in on:
         glass = replace(glass, refractive_index=1.0)
-    return replace(design, chamber=chamber, camera=camera, glass=glass)
+    return replace(design, membrane=membrane, chamber=chamber, camera=camera, glass=glass)
 
 
 def set_picture(design: SensorDesign, on: frozenset[str]) -> SensorDesign:
