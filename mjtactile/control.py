@@ -108,7 +108,8 @@ def run(rig: Rig, pipelines: Sequence[SensorPipeline], controller: Controller, *
     while command.phase not in ("done", "abort") and not loop.supervisor.is_over:
         if rig.clock.now() - start > time_limit:
             raise DeviceError(f"controller {controller.path}: still in phase {command.phase!r} after {time_limit:g} s")
-        deadline = max(deadline, rig.clock.now() - rig.period) + rig.period  # a cycle that was missed is not made up for
+        # A cycle that was missed is not made up for; one that began early, with its picture, counts from then.
+        deadline = min(max(deadline, rig.clock.now() - rig.period), rig.clock.now()) + rig.period
         command = loop.turn(command, deadline)
         rig.clock.wait_until(deadline)
     if loop.supervisor.is_over:
@@ -139,12 +140,14 @@ class _Loop:
         seen = wall.perf_counter()
         now = rig.clock.now()
         try:
-            gripper, valves = rig.gripper.state(), tuple(valve.state() for valve in rig.valves)
+            rig.gripper.ask()
+            valves = tuple(valve.state() for valve in rig.valves)
+            self.on_images()
+            rig.clock.start(deadline)
+            self._feel(now, blind)
+            gripper = rig.gripper.state()
         except DeviceError as error:
             return self._retreat(str(error), now, last, deadline)
-        self.on_images()
-        rig.clock.start(deadline)
-        self._feel(now, blind)
         felt = wall.perf_counter()
         observation = Observation(now, rig.period, self.touch, gripper, valves, last)
         thought = wall.perf_counter()

@@ -29,8 +29,15 @@ class Camera(Protocol):
 class Gripper(Protocol):
     """Two fingers and the axis that lifts the hand."""
 
+    def ask(self) -> None:
+        """Begin the measurement that the next `state` returns, so that servos answer while a picture is worked on."""
+        ...
+
     def state(self) -> GripperState:
-        """Opening, speed, effort, height, with the time of measurement on the rig's clock and its age."""
+        """Opening, speed, effort, height, with the time of measurement on the rig's clock and its age.
+
+        Measured when `ask` was called, or now if it was not.
+        """
         ...
 
     def command(self, command: Command) -> Command:

@@ -78,6 +78,7 @@ class GripperConfig:
 class CameraConfig:
     """One finger's camera. `source`: a device file or a stream's address. None of a control: leave it as it is.
 
+    `fourcc` is asked of a V4L2 camera; of a stream (ffmpeg) it says what comes: "MJPG" is decoded straight to grey.
     `timestamps`: "kernel" (V4L2's, on the monotonic clock) or "arrival" (streams, which carry none).
     `delay` s from capture to arrival for "arrival"."""
 
@@ -98,8 +99,8 @@ class CameraConfig:
 @dataclass(frozen=True)
 class ValveConfig:
     """Valve of one finger's chamber: `channel` on the board at `port` which speaks `dialect`; `pressure_max` Pa gauge is
-    set in the board, `heartbeat` s is the silence after which the board vents, `supply_gauge` Pa of a board that cannot
-    regulate."""
+    set in the board, `heartbeat` s is the silence after which the board vents, `reply_timeout` s what an answer to the
+    heartbeat's questions may take, `supply_gauge` Pa of a board that cannot regulate."""
 
     finger: str
     port: str
@@ -108,6 +109,7 @@ class ValveConfig:
     baud: int = 115200
     pressure_max: float = 3000.0
     heartbeat: float = 0.25
+    reply_timeout: float = 0.04
     supply_gauge: float | None = None
 
 
@@ -348,6 +350,7 @@ def _valve(section: Section) -> ValveConfig:
         channel=section.whole("channel", 1, 99, default=1), baud=section.whole("baud", 300, 4_000_000, default=115200),
         pressure_max=section.number("pressure_max_kPa", 0.01, 1000, 1e3),
         heartbeat=section.number("heartbeat_ms", 20, 60000, 1e-3, default=0.25),
+        reply_timeout=section.number("reply_timeout_ms", 1, 1000, 1e-3, default=0.04),
         supply_gauge=section.number("supply_kPa", -100, 1000, 1e3, default=None))
     section.done()
     return config

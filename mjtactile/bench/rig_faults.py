@@ -28,6 +28,18 @@ _LASTING = ("servo_overload", "servo_overheat", "servo_brown_out", "servo_unplug
 _FAULT_CYCLE, _WATCH = 12, 3.0  # s after the fault in which the loop must react
 
 
+class _Stopwatch(Supervisor):
+    """Notes when it really changed its state: a transition bears the time at which its cycle began."""
+
+    def __init__(self, period: float):
+        super().__init__(period)
+        self.entered: list[tuple[float, str]] = []
+
+    def _enter(self, state: str, reason: str, now: float) -> None:
+        super()._enter(state, reason, now)
+        self.entered.append((time.monotonic(), state))
+
+
 class FaultBench:
     """Injects faults one after the other, into the same emulator as long as it lasts."""
 
@@ -42,7 +54,7 @@ class FaultBench:
     def react(self, kind: str, value: float) -> dict[str, Any]:
         """One fault; s from its injection until the loop had left `running`, and what became of it."""
         self._bench = bench = self._bench or Bench("emulated", design_at(30.0))
-        supervisor, injected, cycles = Supervisor(1 / 30), [0.0], [0]
+        supervisor, injected, cycles = _Stopwatch(1 / 30), [0.0], [0]
 
         def on_cycle(cycle: control.Cycle) -> None:
             cycles[0] += cycle.state == "running" or injected[0] > 0
@@ -53,14 +65,14 @@ class FaultBench:
                 raise Enough
 
         outcome = drive(bench, Closing(), on_cycle, supervisor=supervisor)
-        left = [t.time for t in supervisor.history if t.state in ("holding", "safe", "latched") and t.time >= injected[0] - 1e-3]
+        left = [at for at, state in supervisor.entered if state in ("holding", "safe", "latched") and at >= injected[0]]
         if kind in _LASTING:
             self.close()
         else:
             bench.process.fault(kind, 0)
             time.sleep(0.3)
         safe = bool(left) and injected[0] > 0
-        return {"safe": safe, "reaction_s": max(0.0, left[0] - injected[0]) if safe else None, "state": supervisor.state,
+        return {"safe": safe, "reaction_s": left[0] - injected[0] if safe else None, "state": supervisor.state,
                 "outcome": outcome or supervisor.reason}
 
 

@@ -44,6 +44,7 @@ class DynamixelGripper:
         self._lock = threading.RLock()
         self._last_call, self._silence = time.monotonic(), _SILENCE_IDLE
         self._state_time = self._bus_time = self._sent_time = -math.inf
+        self._asked: float | None = None  # when; the answers wait in the port's buffer
         self._poll_turn, self._commanded = 0, False
         self._keeper = threading.Thread(target=self._keep_alive, name="dynamixel", daemon=True)
         self.bus = DynamixelBus(bus.port, bus.baud, reply_timeout=bus.reply_timeout)
@@ -64,8 +65,15 @@ class DynamixelGripper:
 
     # -- the rig's protocol --------------------------------------------------------------------------------------
 
+    def ask(self) -> None:
+        """Ask all servos now; `state` collects what they say. Raises DeviceError when the port is lost."""
+        with self._lock:
+            self._last_call = time.monotonic()
+            self._ask_all()
+
     def state(self) -> GripperState:
-        """Ask all servos now. Raises DeviceError when one is lost, ServoFault when one reports a hardware error."""
+        """What the servos said to `ask`, which is done now if it was not. Raises DeviceError when one is lost, ServoFault
+        when one reports a hardware error."""
         with self._lock:
             self._last_call = time.monotonic()
             self._refresh()
@@ -177,15 +185,23 @@ class DynamixelGripper:
 
     # -- every cycle ---------------------------------------------------------------------------------------------
 
+    def _ask_all(self) -> None:
+        """Ask all servos in one transaction, unless they have been asked and not been heard."""
+        if self._asked is None:
+            self._bus_time = asked = time.monotonic()
+            self.bus.ask_many(list(self._servos), STATE_START, STATE_SIZE, fast=self._bus_config.fast_sync)
+            self._asked = asked
+
     def _refresh(self) -> None:
-        """Read all servos in one transaction and note what is wrong with which."""
-        self._bus_time = asked = time.monotonic()
-        replies, failures = self.bus.read_many(list(self._servos), STATE_START, STATE_SIZE, fast=self._bus_config.fast_sync)
+        """Hear what all servos say and note what is wrong with which."""
+        self._ask_all()
+        asked, self._asked = self._asked, None
+        replies, failures = self.bus.answers(list(self._servos), STATE_SIZE, fast=self._bus_config.fast_sync)
         for servo_id, reply in replies.items():
             self._servos[servo_id].take(reply)
         lost = [error for servo_id, error in failures.items() if not self._ask_again(self._servos[servo_id], error)]
         # They measure after the question, so that a state is never thought younger than it is.
-        self._state_time = asked if not lost else self._state_time
+        self._state_time = self._state_time if lost or asked is None else asked
 
     def _ask_again(self, servo: Servo, error: BusError) -> bool:
         """A servo's reply was lost or damaged: ask it alone, once; whether it answered."""

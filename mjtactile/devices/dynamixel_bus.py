@@ -180,11 +180,21 @@ class DynamixelBus:
 
         Raises BusError only when the port itself fails.
         """
+        self.ask_many(servos, address, size, fast=fast)
+        return self.answers(servos, size, fast=fast)
+
+    def ask_many(self, servos: Sequence[int], address: int, size: int, *, fast: bool = False) -> None:
+        """The question of `read_many`: the servos answer into the port's buffer. Raises BusError when the port fails."""
         with self._transaction(None):
             result = self._packets.syncReadTx(self._port, address, size, list(servos), len(servos), fast)
             if result != COMM_SUCCESS:
                 raise self._failed(None, result)
             self._port.setPacketTimeout((_OVERHEAD + size) * len(servos))
+            self._dirty = True  # whoever comes in between must let the answers pass first
+
+    def answers(self, servos: Sequence[int], size: int, *, fast: bool = False) -> tuple[dict[int, Reply], dict[int, BusError]]:
+        """What the servos said to `ask_many` of the same arguments; see `read_many`."""
+        with self._transaction(None, again=True):
             replies, failures = self._receive_fast(servos, size) if fast else self._receive_each(servos, size)
             self._dirty = bool(failures)
             return replies, failures

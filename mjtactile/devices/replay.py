@@ -95,6 +95,9 @@ class ReplayGripper:
     def __init__(self, tape: Tape):
         self._tape = tape
 
+    def ask(self) -> None:
+        """Nothing to do: the answer is on the tape."""
+
     def state(self) -> GripperState:
         tape, notes = self._tape, self._tape.recording.notes
         if tape.cycle < 0:

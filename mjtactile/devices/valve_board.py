@@ -25,7 +25,8 @@ from mjtactile.rigfile import ValveConfig
 
 _log = logging.getLogger(__name__)
 _HANDSHAKE_TIME = 4.0  # s; opening the port resets many boards, whose boot loader waits up to 2 s
-_REPLY_TIME = 0.15  # s; USB adds 16 ms each way, a board's own loop up to 50 ms
+_COMMAND_TIME = 0.15  # s for the answer to a command; USB adds 16 ms each way, a board's own loop up to 50 ms
+_RETRY_TIME = 0.008  # s from a failed reading to the next try: longer than a burst of noise
 _LINE_LONGEST = 200  # bytes; a longer line is noise
 _SILENCE = 5.0  # s without a call from the loop before the heartbeat is let die; references take 2 s between calls
 _FAILURES_MAX = 3
@@ -58,7 +59,8 @@ class ValveBoard:
         self._failures, self._last_error = 0, ""
         self._last_call = time.monotonic()
         self._serial = _open_port(first.port, first.baud)
-        self._interval = min(config.heartbeat for config in configs) / 8  # also how old a reading may be
+        self._interval = min(config.heartbeat for config in configs) / 8
+        self._reply_time = max(config.reply_timeout for config in configs)
         self._thread = threading.Thread(target=self._beat, name="valve", daemon=True)
         try:
             self._handshake()
@@ -82,17 +84,15 @@ class ValveBoard:
             self._read(channel)
 
     def reading(self, channel: int) -> ValveReading:
-        """The newest reading. Raises DeviceError when the board has been silent."""
-        with self._lock:
-            self._last_call = time.monotonic()
-            reading = self._readings.get(channel)
-            age = time.monotonic() - reading.time if reading else 0.0
-            if reading is None or age > self._configs[channel].heartbeat or self._failures >= _FAILURES_MAX:
-                try:
-                    return self._read(channel)
-                except DeviceError as error:
-                    raise DeviceError(f"valve board {self.name} is silent or broken: {error}") from error
-            return reading
+        """The heartbeat's newest reading, without waiting for the board. Raises DeviceError when it has been silent."""
+        now, before = time.monotonic(), self._last_call
+        if now - before > _SILENCE:  # the heartbeat had been let die
+            return self.measure(channel)
+        self._last_call, reading = now, self._readings[channel]
+        if self._failures >= _FAILURES_MAX or now - reading.time > self._configs[channel].heartbeat:
+            why = self._last_error or f"its last reading is {1e3 * (now - reading.time):.0f} ms old"
+            raise DeviceError(f"valve board {self.name} is silent or broken: {why}")
+        return reading
 
     def measure(self, channel: int) -> ValveReading:
         """Ask the board now. Raises DeviceError."""
@@ -171,13 +171,13 @@ class ValveBoard:
 
     # -- talking -------------------------------------------------------------------------------------------------
 
-    def _ask(self, text: str) -> str:
-        """One command, one reply line. Raises DeviceError."""
+    def _ask(self, text: str, patience: float = _COMMAND_TIME) -> str:
+        """One command, one reply line within `patience` s. Raises DeviceError."""
         with self._lock:
             try:
                 self._serial.reset_input_buffer()
                 self._serial.write(text.encode("ascii") + b"\n")
-                line = self._line(time.monotonic() + _REPLY_TIME)
+                line = self._line(patience)
             except (serial.SerialException, OSError, termios.error, TypeError) as error:  # TypeError: a closed port
                 raise DeviceError(f"valve port {self.name} is lost: {error}") from error
         reason = re.fullmatch(self.dialect.error, line)
@@ -185,26 +185,28 @@ class ValveBoard:
             raise DeviceError(f"valve board {self.name} refuses {text!r}: {reason['reason']}")
         return line
 
-    def _line(self, deadline: float) -> str:
-        data = bytearray()
+    def _line(self, patience: float) -> str:
+        data, asked = bytearray(), time.monotonic()
         while not data.endswith(b"\n"):
-            if time.monotonic() > deadline:
+            byte = self._serial.read(1)  # the port's time-out is short; a line has 20 bytes
+            data += byte
+            waited = time.monotonic() - asked
+            if waited > patience and (not byte or waited > 2 * patience):  # what has come is read: this thread may be late
                 raise DeviceError(f"valve board {self.name}: no reply" if not data else f"valve board {self.name}: reply cut off")
             if len(data) > _LINE_LONGEST:
                 raise DeviceError(f"valve board {self.name}: noise instead of a reply")
-            data += self._serial.read(1)  # the port's time-out is short; a line has 20 bytes
         try:
             return data.decode("ascii").strip()
         except UnicodeDecodeError as error:
             raise DeviceError(f"valve board {self.name}: noise instead of a reply") from error
 
-    def _read(self, channel: int) -> ValveReading:
+    def _read(self, channel: int, patience: float = _COMMAND_TIME) -> ValveReading:
         """One reading. These lines have no checksum: what surprises must be said twice. Raises DeviceError."""
-        before, reading = self._readings.get(channel), self._ask_reading(channel)
+        before, reading = self._readings.get(channel), self._ask_reading(channel, patience)
         for _ in range(_CONFIRMATIONS_MAX):
             if before is not None and self._agree(channel, before, reading):
                 break
-            before, reading = reading, self._ask_reading(channel)
+            before, reading = reading, self._ask_reading(channel, patience)
         else:
             raise DeviceError(f"valve board {self.name}: answers that contradict each other")
         self._readings[channel] = reading
@@ -219,9 +221,9 @@ class ValveBoard:
         most = _SURPRISE_SHARE * self._configs[channel].pressure_max
         return abs(reading.pressure_gauge - before.pressure_gauge) <= most
 
-    def _ask_reading(self, channel: int) -> ValveReading:
+    def _ask_reading(self, channel: int, patience: float) -> ValveReading:
         asked = time.monotonic()  # the board measures after this, so that a reading is never thought younger than it is
-        line = self._ask(self.dialect.read.format(channel=channel))
+        line = self._ask(self.dialect.read.format(channel=channel), patience)
         match = re.fullmatch(self.dialect.reading.replace("{channel}", str(channel)), line)
         if match is None:
             raise DeviceError(f"valve board {self.name}: unreadable answer {line[:60]!r}")
@@ -231,12 +233,13 @@ class ValveBoard:
 
     def _beat(self) -> None:
         """The heartbeat: read all channels while the loop lives."""
-        while not self._closed.wait(self._interval):
+        while not self._closed.wait(_RETRY_TIME if 0 < self._failures < _FAILURES_MAX else self._interval):
             if time.monotonic() - self._last_call > _SILENCE:
                 continue
             for channel in self._configs:
                 try:
-                    self._read(channel)
+                    with self._lock:
+                        self._read(channel, self._reply_time)
                 except DeviceError as error:
                     self._failures, self._last_error = self._failures + 1, str(error)
 

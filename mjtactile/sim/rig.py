@@ -41,7 +41,8 @@ class SimClock:
         return self._world.time
 
     def start(self, time: float) -> None:
-        self._running = self._pool.submit(self._advance, time)
+        if self._running is None:
+            self._running = self._pool.submit(self._advance, time)
 
     def wait_until(self, time: float) -> None:
         """Step the world until `time`, then do what was deferred; a time in the past only does the latter.
@@ -117,10 +118,18 @@ class SimGripper:
 
     def __init__(self, world: GraspWorld, clock: SimClock):
         self._world, self._clock = world, clock
+        self._asked: GripperState | None = None
+
+    def ask(self) -> None:
+        world = self._world
+        self._asked = GripperState(world.opening, world.opening_speed, world.grip_force, world.lift_height, world.time, 0.0)
 
     def state(self) -> GripperState:
-        world = self._world
-        return GripperState(world.opening, world.opening_speed, world.grip_force, world.lift_height, world.time, 0.0)
+        if self._asked is None:
+            self.ask()
+        state, self._asked = self._asked, None
+        assert state is not None
+        return state
 
     def command(self, command: Command) -> Command:
         """Set the goals of jaw and lift; a force limit of 0 leaves the servo's limit as it was."""

@@ -164,8 +164,9 @@ def test_another_size_than_asked_for_is_an_error():
         OpenCvCamera(CONFIG, capture=lambda: device)
 
 
-def test_a_stream_over_http_is_read(tmp_path):
-    """The path of the emulated rig: MJPEG on loopback through FFmpeg."""
+@pytest.mark.parametrize("fourcc", ["MJPG", None])
+def test_a_stream_over_http_is_read(fourcc):
+    """The path of the emulated rig: MJPEG on loopback, decoded here or by FFmpeg."""
     server, stop = StreamServer(("left",)), threading.Event()
     rng = np.random.default_rng(0)
     base = cv2.GaussianBlur(rng.integers(60, 200, (48, 64)).astype(np.float32), (0, 0), 3)
@@ -176,7 +177,7 @@ def test_a_stream_over_http_is_read(tmp_path):
 
     thread = threading.Thread(target=publish)
     thread.start()
-    config = CameraConfig("left", server.url("left"), 64, 48, 5.0, backend="ffmpeg", timestamps="arrival")
+    config = CameraConfig("left", server.url("left"), 64, 48, 5.0, backend="ffmpeg", timestamps="arrival", fourcc=fourcc)
     try:
         camera = OpenCvCamera(config)
         try:
@@ -189,6 +190,13 @@ def test_a_stream_over_http_is_read(tmp_path):
         stop.set()
         thread.join()
         server.close()
+
+
+def test_a_stream_that_is_no_jpeg_says_so(device):
+    config = CameraConfig("left", "rtsp://there", 64, 48, 5.0, backend="ffmpeg", timestamps="arrival", fourcc="MJPG")
+    device.picture = lambda: np.zeros((1, 500), np.uint8)  # a packet of another codec
+    with pytest.raises(DeviceError, match=r"no JPEG.*fourcc"):
+        OpenCvCamera(config, capture=lambda: device)
 
 
 def test_a_cycle_begins_with_a_picture_and_never_waits_for_long(device):

@@ -206,6 +206,35 @@ def test_a_hardware_error_is_seen_in_the_next_cycle(bench, fast):
         gripper.close()
 
 
+def test_a_state_is_of_the_time_it_was_asked_for(bench):
+    """The servos answer while the loop works on its picture; what happens after the question is not in the answer."""
+    gripper = bench.gripper()
+    try:
+        before = gripper.state()
+        gripper.ask()
+        asked = time.monotonic()
+        wait_for(lambda: gripper.bus._port.ser.in_waiting >= 2 * 32)  # both have answered
+        bench.servos[2].feel(ANGLE + 0.5, 0.0, 0.0, 0.01)
+        state = gripper.state()
+        assert state.opening == before.opening and before.time < state.time <= asked
+        assert gripper.state().opening > before.opening + 0.005  # of the 6 mm that the jaw has moved
+    finally:
+        gripper.close()
+
+
+def test_what_comes_between_question_and_state_spoils_neither(bench):
+    gripper = bench.gripper(reply_timeout=0.05)
+    try:
+        before = gripper.state()
+        gripper.ask()
+        gripper.command(Command(before.opening, 1.0))
+        bench.servos[2].feel(ANGLE + 0.5, 0.0, 0.0, 0.01)
+        for _ in range(2):  # the answers were thrown away, so that the servos are asked again
+            assert gripper.state().opening > before.opening + 0.005
+    finally:
+        gripper.close()
+
+
 def test_two_lost_replies_are_tolerated_and_two_cycles_are_not(bench):
     gripper = bench.gripper(reply_timeout=0.05)
     gripper._closed.set()  # ends the keep-alive thread, so that this test counts the readings
