@@ -109,7 +109,7 @@ class ValveConfig:
     baud: int = 115200
     pressure_max: float = 3000.0
     heartbeat: float = 0.25
-    reply_timeout: float = 0.04
+    reply_timeout: float = 0.03
     supply_gauge: float | None = None
 
 
@@ -350,7 +350,7 @@ def _valve(section: Section) -> ValveConfig:
         channel=section.whole("channel", 1, 99, default=1), baud=section.whole("baud", 300, 4_000_000, default=115200),
         pressure_max=section.number("pressure_max_kPa", 0.01, 1000, 1e3),
         heartbeat=section.number("heartbeat_ms", 20, 60000, 1e-3, default=0.25),
-        reply_timeout=section.number("reply_timeout_ms", 1, 1000, 1e-3, default=0.04),
+        reply_timeout=section.number("reply_timeout_ms", 1, 1000, 1e-3, default=0.03),
         supply_gauge=section.number("supply_kPa", -100, 1000, 1e3, default=None))
     section.done()
     return config

@@ -15,6 +15,7 @@ from typing import Any
 
 from mjtactile.bench import rig_faults, rig_fuzz, rig_loop
 from mjtactile.errors import InputError
+from mjtactile.progress import Progress
 from mjtactile.recording import to_json, write_json
 
 PARTS = ("loop", "bus", "fuzz", "killed", "stuck", "outcomes", "faults")
@@ -27,9 +28,9 @@ def run(out: Path, *, quick: bool, resume: bool = False, parts: tuple[str, ...] 
     if unknown:
         raise InputError(f"unknown part {unknown[0]!r}", field="--parts", choices=PARTS)
     store = _Store(out / "rig.json", resume)
-    times, seconds, count, seeds = (2, 10.0, 10**5, 1) if quick else (20, 60.0, 10**6, 3)
+    times, seconds, count, seeds = (2, 10.0, 10**5, 1) if quick else (20, 300.0, 10**6, 3)
     work: dict[str, Callable[[], None]] = {
-        "loop": lambda: store.once("loop", lambda: rig_loop.measure_loop(seconds)),
+        "loop": lambda: store.once("loop", lambda: rig_loop.measure_loop(seconds, store.say_loop)),
         "bus": lambda: store.once("bus", rig_loop.measure_bus),
         "fuzz": lambda: store.once("fuzz", lambda: {"servos": rig_fuzz.fuzz_servos(count), "valve": rig_fuzz.fuzz_valve(count)}),
         "killed": lambda: store.repeat("killed", min(times, 5), lambda _: rig_faults.killed()),
@@ -40,7 +41,7 @@ def run(out: Path, *, quick: bool, resume: bool = False, parts: tuple[str, ...] 
         if part in parts:
             work[part]()
     if soak is not None:
-        store.result["soak"] = rig_loop.soak(soak)
+        _soak(store, soak)
     store.result["load_average"] = os.getloadavg()[0]
     return store.result
 
@@ -51,19 +52,36 @@ class _Store:
     def __init__(self, path: Path, resume: bool):
         self._path = path
         self.result: dict[str, Any] = json.loads(path.read_text()) if resume and path.is_file() else {}
+        self._say = Progress().message
 
     def once(self, part: str, measure: Callable[[], Any]) -> None:
         if part not in self.result:
-            self._keep(part, measure())
+            self._say(f"rig: {part}")
+            self.keep(part, measure())
 
     def repeat(self, part: str, times: int, measure: Callable[[int], Any]) -> None:
         while len(self.result.get(part, [])) < times:
             done = self.result.get(part, [])
-            self._keep(part, [*done, measure(len(done))])
+            self._say(f"rig: {part}, {len(done) + 1} of {times}")
+            self.keep(part, [*done, measure(len(done))])
 
-    def _keep(self, part: str, value: Any) -> None:
+    def say_loop(self, so_far: dict[str, Any]) -> None:
+        """One line on a loop that runs."""
+        self._say(f"rig: {so_far['seconds'] / 60:.0f} min, {so_far['cycles']} cycles, {so_far['missed_percent']:.2f} % missed, "
+                  f"{so_far['memory_growth_MB']:+.1f} MB")
+
+    def keep(self, part: str, value: Any) -> None:
         self.result[part] = to_json(value)
         write_json(self._path, self.result)
+
+
+def _soak(store: _Store, hours: float) -> None:
+    """The loop for hours; what it has so far is kept each minute."""
+    def report(so_far: dict[str, Any]) -> None:
+        store.say_loop(so_far)
+        store.keep("soak", so_far | {"hours": so_far["seconds"] / 3600})
+
+    store.keep("soak", rig_loop.soak(hours, report))
 
 
 def _faults(store: _Store, times: int) -> None:
@@ -74,7 +92,7 @@ def _faults(store: _Store, times: int) -> None:
             for kind, value in rig_faults.FAULTS.items():
                 store.repeat(f"fault:{kind}", count, lambda _, kind=kind, value=value: bench.react(kind, value))
     finally:
-        bench.close()
+        bench.end()
 
 
 def table(result: dict[str, Any]) -> str:
@@ -127,7 +145,7 @@ def _loop_rows(loop: dict[str, Any]) -> list[tuple[str, str, str]]:
 def _soak_rows(soak: dict[str, Any]) -> list[tuple[str, str, str]]:
     return [(f"soak of {soak['hours']:g} h", "",
              f"{soak['cycles']} cycles, {soak['missed_percent']:.2f} % missed, memory grew by "
-             f"{soak['memory_growth_MB']:.0f} MB, {soak['outcome'] or 'no fault'}")]
+             f"{soak['memory_growth_MB']:.1f} MB, {soak['outcome'] or 'no fault'}")]
 
 
 def _bus_rows(bus: dict[str, Any]) -> list[tuple[str, str, str]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import logging
 import pickle
 import signal
 import subprocess
@@ -45,11 +46,16 @@ class FaultBench:
 
     def __init__(self) -> None:
         self._bench: Bench | None = None
+        logging.getLogger("mjtactile").setLevel(logging.CRITICAL)  # what is unplugged cannot be switched off: said 100 times
 
     def close(self) -> None:
         if self._bench is not None:
             self._bench.close()
             self._bench = None
+
+    def end(self) -> None:
+        self.close()
+        logging.getLogger("mjtactile").setLevel(logging.NOTSET)
 
     def react(self, kind: str, value: float) -> dict[str, Any]:
         """One fault; s from its injection until the loop had left `running`, and what became of it."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import statistics
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,22 +17,31 @@ from mjtactile.devices.dynamixel_bus import DynamixelBus
 from mjtactile.rig import Rig
 
 RIG, RATE = "emulated_60", 60.0
+_REPORT = 60.0  # s
 
 
-def measure_loop(seconds: float) -> dict[str, Any]:
-    """The loop of one 60 Hz camera, two servos and a valve, holding still."""
+def measure_loop(seconds: float, report: Callable[[dict[str, Any]], None] = lambda _: None) -> dict[str, Any]:
+    """The loop of one 60 Hz camera, two servos and a valve, holding still. `report` gets the result so far each minute."""
     bench = Bench(RIG, design_at(RATE))
-    starts: list[float] = []
-    rows: list[tuple[float, ...]] = []
+    rows = np.full((int(1.1 * RATE * seconds) + 100, 7), np.nan)  # at once: what grows later is the loop's
     rigs: list[Rig] = []
+    count, memory, reported = 0, [_memory()], time.monotonic()
+
+    def so_far(outcome: str) -> dict[str, Any]:
+        return _loop_result(rows[:count], outcome) | {"memory_growth_MB": memory[-1] - memory[0]}
 
     def on_cycle(cycle: control.Cycle) -> None:
-        starts.append(cycle.time)
+        nonlocal count, reported
         captured, sent = cycle.images[0].time, rigs[0].gripper.sent_time  # type: ignore[attr-defined]  # the driver's own
-        rows.append((sent - captured, cycle.time - captured, 1e-3 * cycle.perception_ms, sent - cycle.time,
-                     cycle.gripper.age, cycle.state == "running"))
-        if cycle.time - starts[0] > seconds:
+        rows[count] = (cycle.time, sent - captured, cycle.time - captured, 1e-3 * cycle.perception_ms, sent - cycle.time,
+                       cycle.gripper.age, cycle.state == "running")
+        count += 1
+        if cycle.time - rows[0, 0] > seconds or count == len(rows):
             raise Enough
+        if time.monotonic() - reported > _REPORT:
+            memory[:] = [memory[0] if len(memory) > 1 else _memory(), _memory()]  # from the first minute on: caches are warm
+            reported = time.monotonic()
+            report(so_far("still running"))
 
     try:
         usage = _Usage(bench.process.pid)
@@ -44,13 +54,14 @@ def measure_loop(seconds: float) -> dict[str, Any]:
         truth, share = bench.process.truth(), usage.shares()
     finally:
         bench.close()
-    return _loop_result(np.array(starts), np.array(rows, dtype=float), outcome) | {
+    return so_far(outcome) | {
         "world_lost_s": truth["lost"], "picture_delay_ms": 1e3 * truth["picture_delay"], "cpu": share}
 
 
-def _loop_result(starts: np.ndarray, rows: np.ndarray, outcome: str) -> dict[str, Any]:
-    period, intervals = 1 / RATE, np.diff(starts)
-    latency, age, perception, rest, state_age, running = rows[rows[:, 5] > 0].T if len(rows) else np.full((6, 1), np.nan)
+def _loop_result(rows: np.ndarray, outcome: str) -> dict[str, Any]:
+    starts, period = rows[:, 0], 1 / RATE
+    intervals = np.diff(starts)
+    _, latency, age, perception, rest, state_age, running = rows[rows[:, 6] > 0].T
 
     def ms(values: np.ndarray, percent: float) -> float:
         return float(1e3 * np.percentile(values, percent))
@@ -104,12 +115,11 @@ def measure_bus() -> dict[str, float]:
             "read_2_servos_p99_ms": float(1e3 * np.percentile(durations, 99))}
 
 
-def soak(hours: float, report: Any = lambda text: None) -> dict[str, Any]:
-    """The loop for hours: rate, missed cycles, growth of memory, what ended it."""
-    import resource
+def soak(hours: float, report: Callable[[dict[str, Any]], None] = lambda _: None) -> dict[str, Any]:
+    """The loop for hours: rate, missed cycles, growth of memory after the first minute, what ended it."""
+    return measure_loop(3600 * hours, report) | {"hours": hours}
 
-    memory = [resource.getrusage(resource.RUSAGE_SELF).ru_maxrss]
-    result = measure_loop(3600 * hours)
-    memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
-    report(f"{result['cycles']} cycles")
-    return result | {"hours": hours, "memory_growth_MB": (memory[1] - memory[0]) / 1024}
+
+def _memory() -> float:
+    """MB that this process holds."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
