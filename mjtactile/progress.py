@@ -33,7 +33,7 @@ class Progress:
             print(text, file=self._stream, flush=True)
 
     def update(self, phase: str, time: float, force: float) -> None:
-        """`time` s of the run's clock, `force` N mean felt normal force per finger (NaN: unknown)."""
+        """`time` s on the rig's clock (shown: since the first call), `force` N mean felt normal force per finger (NaN: unknown)."""
         now = wall.perf_counter()
         if self._start_wall == -math.inf:
             self._start_wall, self._start_time = now, time
@@ -52,7 +52,7 @@ class Progress:
         felt = f"{force:5.2f} N" if math.isfinite(force) else "unknown"
         spent = now - self._start_wall
         factor = f"{(time - self._start_time) / spent:.2f}x real time" if spent > 0.5 else ""
-        return f"{phase:<9} t = {time:6.2f} s   force {felt}   {factor}".rstrip()
+        return f"{phase:<9} t = {time - self._start_time:6.2f} s   force {felt}   {factor}".rstrip()
 
     def _bar(self, phase: str) -> str:
         done = (_STEPS.index(phase) + 1) / len(_STEPS) if phase in _STEPS else 1.0
