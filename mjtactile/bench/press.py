@@ -64,7 +64,7 @@ def press(design: SensorDesign, plan: PressPlan, *, mesh: tuple[int, int] | None
     `timestep` s and `effects` of the world.
     """
     world = _world(design, plan.indenter, at=plan.at, tilt=plan.tilt, mesh=mesh, **simulation)
-    eye = _Eye(world, seed)
+    eye = _Eye(world, seed, shadows="shadows" in simulation.get("effects", ()))
     eye.take_references(design.chamber.supply_gauge, seal=plan.sealed)
     steps = []
     for depth in plan.depths:
@@ -103,10 +103,10 @@ def _bare_steps(design: SensorDesign, plan: PressPlan, mesh: tuple[int, int], si
 class _Eye:
     """Camera and sensing chain of the pressed sensor."""
 
-    def __init__(self, world: PressWorld, seed: int):
+    def __init__(self, world: PressWorld, seed: int, shadows: bool = False):
         world.design.require_rectangle("the sensing chain")
         self._world = world
-        self._renderer = Renderer(world.design, seed=seed)
+        self._renderer = Renderer(world.design, seed=seed, shadows=shadows)
         self._pipeline = SensorPipeline(world.design)
 
     def _image(self) -> Any:

@@ -3,7 +3,7 @@
 Every circle goes through its pose, the pane and the lens exactly; its boundary in the image is then a smooth closed
 curve, whose area under the point spread function (the camera's Gaussian blur and the pixel's square) is integrated
 along that curve, without any sampling of the area: see `_coverage`. What is not in the picture: marker thickness,
-specular reflections, light that bounces off the walls. The light is the LEDs' inverse-square law, see `_Light`.
+specular reflections, light that bounces off the walls. The light is the LEDs', see light.py and shadows.py.
 
 This module shares no code with `sensing`, so that a mistake cannot cancel.
 """
@@ -21,6 +21,8 @@ from scipy.special import ndtr
 from mjtactile import geometry, optics
 from mjtactile.design import SensorDesign
 from mjtactile.optics import Camera
+from mjtactile.sim.light import Light
+from mjtactile.sim.shadows import ShadowedLight
 from mjtactile.types import Array, Image
 
 _SAMPLES = 32
@@ -32,7 +34,6 @@ BLUR_MIN_PX = 0.2
 _STEP_PER_BLUR = 1.25  # quadrature step along an edge, in sd of the blur: exp(-2 pi^2 / 1.25^2) = 3e-6 of aliasing
 _BINS = 512  # places per pixel at which the edge functions are tabulated: at most 1e-3 px off, at random
 _STRIPE_PX = 64
-_BLOCK_PX = 16  # the light is computed once per block of this size and interpolated: below 0.05 DN at 25 % falloff
 _POOL_FRAMES = 4  # noise is cut from a pool of this many frames' worth, at a random place
 
 Floats = NDArray[np.float32]
@@ -50,14 +51,15 @@ class Effects:
 class Renderer:
     """Draws what the camera of `design` sees. Keeps the background and a pool of noise; `seed` fixes the noise.
 
-    `radius` m of the markers, one or one each (default: the design's).
+    `radius` m of the markers, one or one each (default: the design's). With `shadows` the LEDs light the sheet as it
+    lies, and what stands in their way throws a shadow; all markers of the design must then be given.
     """
 
-    def __init__(self, design: SensorDesign, *, radius: ArrayLike | None = None, seed: int = 0):
+    def __init__(self, design: SensorDesign, *, radius: ArrayLike | None = None, seed: int = 0, shadows: bool = False):
         self.design = design
         self.camera = Camera.from_design(design.camera, design.glass)
         self.radius = np.asarray(design.markers.radius if radius is None else radius, dtype=float)
-        self._light = _Light(design, self.camera)
+        self._light = (ShadowedLight if shadows else Light)(design, self.camera)
         self._rng = np.random.default_rng(seed)
         pixels = self.camera.width * self.camera.height
         pool = self._rng.standard_normal(_POOL_FRAMES * pixels, dtype=np.float32)
@@ -235,54 +237,3 @@ def _opening(design: SensorDesign) -> Array:
     """Corners of the frame's opening in C, (4, 3)."""
     x, y = design.frame.length / 2, design.frame.width / 2
     return np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]]) - design.camera.p_SC
-
-
-class _Light:
-    """LEDs on a ring around the camera light the membrane by the inverse-square law and two cosines.
-
-    No LEDs mean even light. The field is 1 in the middle of the flat membrane and 1 - falloff at its corners. A
-    membrane that comes nearer gets brighter: heights between the markers are those of the bubble
-    (1 - (2x/L)^2) (1 - (2y/W)^2) (a + bx + cy) that fits the markers best. That is smooth, as light is, and it is not
-    meant to be a model of the surface.
-    """
-
-    def __init__(self, design: SensorDesign, camera: Camera):
-        self._frame, self._falloff, self._size = design.frame, design.leds.falloff, (camera.width, camera.height)
-        nu, nv = -(-camera.width // _BLOCK_PX), -(-camera.height // _BLOCK_PX)
-        u = (np.arange(nu) + 0.5) * (camera.width / nu) - 0.5
-        v = (np.arange(nv) + 0.5) * (camera.height / nv) - 0.5
-        ray = optics.unproject(camera, np.stack(np.meshgrid(u, v), axis=-1))
-        self._xy = np.nan_to_num(ray[..., :2] / ray[..., 2:]) * design.camera.distance
-        self._even = design.leds.count == 0
-        angle = (np.arange(max(design.leds.count, 1)) + 0.5) * (2 * np.pi / max(design.leds.count, 1))
-        self._leds = design.leds.ring_radius * np.column_stack([np.cos(angle), np.sin(angle)])
-        self._distance = design.camera.distance
-        x, y = design.frame.length / 2, design.frame.width / 2
-        middle, corner = self._irradiance(np.array([[0.0, 0.0], [x, y]]), np.zeros(2))
-        self._middle, self._loss = middle, 1 - corner / middle
-
-    def field(self, p_SM: Array) -> Floats:
-        """Relative light (H, W) on a membrane with markers at `p_SM` (N, 3)."""
-        if self._even:
-            return np.ones(self._size[::-1], np.float32)
-        share = self._irradiance(self._xy, self._heights(p_SM)) / self._middle
-        field = 1 - self._falloff * (1 - share) / self._loss
-        return cv2.resize(np.maximum(field, 0.0).astype(np.float32), self._size, interpolation=cv2.INTER_LINEAR)
-
-    def _irradiance(self, xy: Array, z: Array) -> Array:
-        d2 = ((xy[..., None, :] - self._leds) ** 2).sum(axis=-1)
-        h2 = ((self._distance + z) ** 2)[..., None]
-        return (h2 / (d2 + h2) ** 2).sum(axis=-1)
-
-    def _heights(self, p_SM: Array) -> Array:
-        p_SM = p_SM[np.isfinite(p_SM).all(axis=1)]
-        basis = self._bubble(p_SM[:, :2])
-        ridge = 1e-6 * max(len(p_SM), 1) * np.diag([1.0, self._frame.length**2, self._frame.width**2])
-        weights = np.linalg.solve(basis.T @ basis + ridge, basis.T @ p_SM[:, 2])
-        return self._bubble(self._xy) @ weights
-
-    def _bubble(self, xy: Array) -> Array:
-        x, y = xy[..., 0], xy[..., 1]
-        half_x, half_y = self._frame.length / 2, self._frame.width / 2
-        bubble = np.clip(1 - (x / half_x) ** 2, 0, 1) * np.clip(1 - (y / half_y) ** 2, 0, 1)
-        return np.stack([bubble, bubble * x, bubble * y], axis=-1)

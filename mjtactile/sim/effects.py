@@ -23,7 +23,7 @@ import numpy as np
 from mjtactile import resources, theory
 from mjtactile.design import SensorDesign
 from mjtactile.errors import InputError
-from mjtactile.sim import features
+from mjtactile.sim import features, slopes
 from mjtactile.sim.objects import ObjectModel
 
 DEFAULT_FORCE_ERROR = 0.02  # N
@@ -31,17 +31,20 @@ GRAVITY = 9.81
 _CONTACT_SPEED = 0.01  # m/s of the membrane while an object is touched gently
 _EXPOSURE = 0.008  # s
 _HELD = 0.6  # N: a usual grasp
+_SHADED = 0.1  # of the force: its error by shading over the tangent of the slope squared, measured (docs/effects.md)
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What the gates look at."""
+    """What the gates look at. `feature` m: the object's smallest radius; `sharp`: it has edges; `half_extents` m: half its
+    size along and across a membrane that closes on it."""
 
     design: SensorDesign
     grasped: ObjectModel | None
     force_error: float
     feature: float
     sharp: bool
+    half_extents: tuple[float, float] = (math.inf, math.inf)
 
     @property
     def bulge(self) -> float:
@@ -217,6 +220,22 @@ def _has(value: float, what: str) -> tuple[bool, str]:
     return value > 0, f"the camera's file has {what}" if value > 0 else f"the camera's file has no {what}"
 
 
+def _shadows(s: Scene) -> tuple[bool, str]:
+    """The sheet's deepest slope at a usual grasp, against the LEDs' lowest ray, and by what slopes alone do to force."""
+    leds, frame = s.design.leds, s.design.frame
+    if not leds.count * leds.falloff:
+        return False, "no LEDs that fall off: light from everywhere"
+    if leds.ring_radius > s.half_width:
+        return True, "the frame's wall stands between the LEDs and the membrane"
+    lowest = math.atan2(s.design.camera.distance, math.hypot(frame.length, frame.width) / 2 + leds.ring_radius)
+    slope = slopes.deepest(s.design, s.half_extents, _HELD)
+    shaded = _SHADED * _HELD * math.tan(min(slope, lowest)) ** 2
+    angles = f"slopes of {math.degrees(slope):.0f} deg at {_HELD:g} N, LEDs from {math.degrees(lowest):.0f} deg up"
+    if slope > lowest:
+        return True, f"{angles}: dents are in their own light"
+    return shaded > s.force_error, f"{angles}: no shadow; shading moves {1e3 * shaded:.1f} mN"
+
+
 def _material(name: str) -> Gate:
     def gate(s: Scene) -> tuple[bool, str]:
         found = s.grasped is not None and s.grasped.material == name
@@ -245,21 +264,22 @@ EFFECTS: tuple[Effect, ...] = (
     Effect("distortion", "camera", lambda s: _has(float(np.abs(s.design.camera.distortion).max()), "distortion")),
     Effect("refraction", "camera", lambda s: _has(s.design.glass.thickness * (s.design.glass.refractive_index - 1), "glass")),
     Effect("LED shading", "camera", lambda s: _has(s.design.leds.count * s.design.leds.falloff, "LEDs that fall off")),
-    Effect("shadows", "markers and membrane are drawn as one surface", lambda s: (False, "flat markers cast none"), built=False),
+    Effect("shadows", "camera", _shadows),
     Effect("latency", "camera", _latency),
     Effect("plasticity", "the object's own file (docs/objects.md)", _material("amorphous"), built=False),
     Effect("volumetric softness", "the object's own file (docs/objects.md)", _material("soft"), built=False),
 )  # fmt: skip
 
 
-def _feature(grasped: ObjectModel | None) -> tuple[float, bool]:
-    """Smallest radius of the object, m, and whether it has sharp edges."""
+def _feature(grasped: ObjectModel | None) -> tuple[float, bool, tuple[float, float]]:
+    """Smallest radius of the object, m, whether it has sharp edges, and half its extents across the fingers' way, m."""
     if grasped is None:
-        return math.inf, False
+        return math.inf, False, (math.inf, math.inf)
     model = mujoco.MjModel.from_xml_path(str(grasped.path))
-    kinds = model.geom_type[features.touching_geoms(model)]
+    geoms = features.touching_geoms(model)
+    kinds = model.geom_type[geoms]
     sharp = np.isin(kinds, (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_MESH)).any()
-    return features.smallest_feature(model)[0], bool(sharp)
+    return features.smallest_feature(model)[0], bool(sharp), slopes.half_extents(model, geoms)
 
 
 def _number(value: float | None) -> float:

@@ -79,7 +79,7 @@ class SimCamera:
     def __init__(self, world: GraspWorld, sensor: int, seed: int, effects: frozenset[str] = CAMERA):
         """`effects`: what is drawn; "latency" hands out the image before, "motion blur" keeps the shutter open."""
         self._world, self._sensor = world, sensor
-        self._renderer = Renderer(set_picture(world.design, effects), seed=seed)
+        self._renderer = Renderer(set_picture(world.design, effects), seed=seed, shadows="shadows" in effects)
         self._moving, self._late = "motion blur" in effects, "latency" in effects
         self._before: Image | None = None
 
