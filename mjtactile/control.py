@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from mjtactile.controller import Controller
-from mjtactile.errors import DeviceError
+from mjtactile.errors import ControllerError, DeviceError, MjtactileError
 from mjtactile.rig import Camera, Rig
 from mjtactile.safety import Supervisor
 from mjtactile.sensing.pipeline import SensorPipeline
@@ -97,8 +97,9 @@ def run(rig: Rig, pipelines: Sequence[SensorPipeline], controller: Controller, *
     """Run the controller until it says "done" or "abort"; returns the last command sent.
 
     `on_images` is called when a cycle's images were taken and the world still stands at that time, `on_cycle` after
-    its command was sent. Raises ControllerError, DeviceError (also when `time_limit` s
-    pass, and when a fault brought the rig to its safe state), SimulationError; the caller closes the rig.
+    its command was sent. A controller that fails, or takes longer than `time_limit` s, is asked no more: the hand goes
+    down and opens first, and then the error is raised. Raises ControllerError, DeviceError (also when a fault brought the
+    rig to its safe state), SimulationError; the caller closes the rig.
     """
     state = rig.gripper.state()
     command = Command(opening=state.opening, force_limit=0.0, lift_height=state.lift_height)
@@ -107,13 +108,14 @@ def run(rig: Rig, pipelines: Sequence[SensorPipeline], controller: Controller, *
     loop.supervisor.arm(start)
     while command.phase not in ("done", "abort") and not loop.supervisor.is_over:
         if rig.clock.now() - start > time_limit:
-            raise DeviceError(f"controller {controller.path}: still in phase {command.phase!r} after {time_limit:g} s")
+            late = DeviceError(f"controller {controller.path}: still in phase {command.phase!r} after {time_limit:g} s")
+            loop.give_up(late, rig.clock.now(), command)
         # A cycle that was missed is not made up for; one that began early, with its picture, counts from then.
         deadline = min(max(deadline, rig.clock.now() - rig.period), rig.clock.now()) + rig.period
         command = loop.turn(command, deadline)
         rig.clock.wait_until(deadline)
     if loop.supervisor.is_over:
-        raise DeviceError(f"stopped safely: {loop.supervisor.reason}")
+        raise loop.failure or DeviceError(f"stopped safely: {loop.supervisor.reason}")
     return command
 
 
@@ -129,6 +131,7 @@ class _Loop:
     on_cycle: Callable[[Cycle], None]
     images: tuple[Image, ...] = ()
     touch: tuple[Touch, ...] = ()
+    failure: MjtactileError | None = None
 
     def turn(self, last: Command, deadline: float) -> Command:
         """One cycle from the images to the command that was sent. The world moves on meanwhile.
@@ -151,7 +154,7 @@ class _Loop:
         felt = wall.perf_counter()
         observation = Observation(now, rig.period, self.touch, gripper, valves, last)
         thought = wall.perf_counter()
-        wanted = self.controller.step(observation)
+        wanted = self._think(observation)
         controller_ms = 1e3 * (wall.perf_counter() - thought)
         safe = self.supervisor.decide(now, wanted, last, self.touch, valves)
         sent = rig.gripper.command(rig.limits.apply(safe, last, rig.period))
@@ -159,6 +162,22 @@ class _Loop:
         self.on_cycle(Cycle(now, self.images, self.touch, gripper, valves, wanted, sent, 1e3 * (seen - begin),
                             1e3 * (felt - seen), controller_ms, self.supervisor.state, self.supervisor.reason, last))
         return sent
+
+    def _think(self, observation: Observation) -> Command:
+        """What the controller wants; once the hand retreats it is not asked any more, and what it last got stands."""
+        if self.supervisor.state == "safe":
+            return observation.command
+        try:
+            return self.controller.step(observation)
+        except ControllerError as error:
+            self.give_up(error, observation.time, observation.command)
+            return observation.command
+
+    def give_up(self, error: MjtactileError, now: float, last: Command) -> None:
+        """Retreat because of `error`, unless the hand does already; it is raised when that is done."""
+        if self.supervisor.state != "safe":
+            self.failure = error
+            self.supervisor.make_safe(str(error), now, last)
 
     def _look(self) -> str:
         """Take the newest images; what is wrong with the cameras, "" for nothing. The first images must come."""

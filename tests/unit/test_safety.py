@@ -7,7 +7,7 @@ import pytest
 
 from mjtactile import control
 from mjtactile.design import load_sensor
-from mjtactile.errors import DeviceError
+from mjtactile.errors import ControllerError, DeviceError
 from mjtactile.rig import Limits, Rig
 from mjtactile.safety import BLIND_TIME_MAX, RETREAT_OPENING, Supervisor
 from mjtactile.types import Command, GripperState, Image, Touch, ValveState
@@ -126,7 +126,7 @@ class World:
     def rig(self):
         return Rig("stub", load_sensor("paper16"), (self,), (), self, self, Limits(), close=lambda: None)
 
-    def run(self, broken, after=5, controller=lambda o: o.command):
+    def run(self, broken, after=5, controller=lambda o: o.command, time_limit=30.0, error=DeviceError):
         cycles = []
 
         def on_cycle(cycle):
@@ -135,9 +135,9 @@ class World:
                 self.broken = broken
 
         pipeline = SimpleNamespace(perceive=lambda image, now: OK)
-        with pytest.raises(DeviceError) as caught:
+        with pytest.raises(error) as caught:
             control.run(self.rig(), [pipeline], SimpleNamespace(path="test", step=controller),  # type: ignore[list-item, arg-type]
-                        time_limit=30.0, on_cycle=on_cycle)
+                        time_limit=time_limit, on_cycle=on_cycle)
         return cycles, str(caught.value)
 
 
@@ -162,6 +162,33 @@ def test_when_nothing_obeys_the_run_ends_at_once():
     world = World()
     before = world.run("all")[0][-1].time
     assert world.time - before < 3 / 30  # cycles of 1/30 s
+
+
+def test_a_controller_that_fails_is_asked_no_more_and_the_hand_retreats_first():
+    """Whoever lets go at once drops what the hand holds in the air."""
+    asked = []
+
+    def fails(observation):
+        asked.append(observation)
+        if len(asked) == 3:
+            raise ControllerError("step() raised ZeroDivisionError", source="mine.py", field="line 7")
+        return observation.command
+
+    world = World()
+    cycles, message = world.run("", controller=fails, error=ControllerError)
+    assert message == "mine.py: line 7: step() raised ZeroDivisionError"
+    assert len(asked) == 3 and cycles[2].state == "safe"
+    assert world.lift < 1e-3
+    assert world.opening > 0.05 + RETREAT_OPENING - 1e-3
+
+
+def test_a_controller_that_does_not_end_is_stopped_the_same_way():
+    world = World()
+    cycles, message = world.run("", time_limit=1.0)
+    assert "still in phase 'approach' after 1 s" in message
+    assert cycles[29].state == "running" and cycles[32].state == "safe"  # at 30 cycles a second
+    assert world.lift < 1e-3
+    assert world.opening > 0.05 + RETREAT_OPENING - 1e-3
 
 
 def test_a_controller_cannot_close_blind():
