@@ -27,6 +27,7 @@ from mjtactile.types import Array, Image, Markers, Surface, Touch, Traction
 
 FEWEST_SEEN = 0.4  # share of the markers below which the shape is a guess
 TOUCH_SD, TOUCH_LEAST = 4.0, 0.04  # with the paper's force: its residual's sd, and N
+STIFFNESS_OFF_MAX = 3.0  # of the sensor file's stiffness; cast rubber varies by a factor of 1.5 from batch to batch
 MISFIT_MAX = 50.0  # mean square of the markers' misfit over their sd above which the shape is not explained
 
 
@@ -79,7 +80,8 @@ class SensorPipeline:
     def take_rest(self, images: Sequence[Image], pressure_gauge: float, *, sealed: bool = True) -> Markers:
         """Measure the inflated membrane with nothing touching, at a known gauge pressure, Pa.
 
-        `sealed`: from here on the chamber keeps its gas; otherwise the valve keeps its pressure.
+        `sealed`: from here on the chamber keeps its gas; otherwise the valve keeps its pressure. Raises DeviceError when the
+        membrane does not bulge as it must: a valve that did not move where no pressure sensor says so, or another membrane.
         """
         self._last = self.design.markers.p_SM
         markers = _average([self._locate(image, self._last, "rest reference") for image in images])
@@ -89,6 +91,11 @@ class SensorPipeline:
     def set_rest(self, markers: Markers, pressure_gauge: float, *, sealed: bool = True) -> None:
         """Use a rest state that was measured before; see `take_rest`."""
         rest = self.inverse.rest_state(markers, pressure_gauge, sealed=sealed)
+        if not 1 / STIFFNESS_OFF_MAX < rest.stiffness_scale < STIFFNESS_OFF_MAX:
+            bulge = 1e3 * float(np.abs(markers.p_SM[:, 2]).max())
+            raise DeviceError(f"sensor {self.design.name}: at {pressure_gauge:.0f} Pa the markers stand {bulge:.2f} mm high at "
+                              f"most, as if the membrane were {rest.stiffness_scale:.1f} times as stiff as in the sensor file: "
+                              "does the valve move, and are the membrane's young_MPa and thickness_mm right?")
         self.reference = Reference(rest, self.fitter.fit(markers))
         self._last = self.inverse.positions(rest.c)
         self._forget()

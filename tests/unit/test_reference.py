@@ -89,3 +89,16 @@ def test_what_does_not_fit_the_sensor_file_is_refused():
     stretched = replace(DESIGN, markers=replace(DESIGN.markers, pitch_x=3.9e-3))
     with pytest.raises(DeviceError, match="off the layout"):
         SensorPipeline(stretched).take_flat(flat_images(2))
+
+
+@pytest.mark.parametrize("stuck_inflated", [False, True])
+def test_a_valve_that_does_not_move_is_noticed_without_a_pressure_sensor(stuck_inflated):
+    """Whether the membrane stays flat, or never was: both references look the same."""
+    x, y = (DESIGN.markers.p_SM[:, i] / size for i, size in ((0, DESIGN.frame.length), (1, DESIGN.frame.width)))
+    bulge = 2e-3 * np.cos(np.pi * x) * np.cos(np.pi * y) * stuck_inflated
+    view = Renderer(DESIGN, seed=4)
+    images = [view.render(DESIGN.markers.p_SM + bulge[:, None] * [0, 0, 1], OUTWARD) for _ in range(5)]
+    pipeline = SensorPipeline(DESIGN)
+    pipeline.take_flat(images)
+    with pytest.raises(DeviceError, match="does the valve move"):
+        pipeline.take_rest(images, DESIGN.chamber.supply_gauge)
