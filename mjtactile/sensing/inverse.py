@@ -1,7 +1,8 @@
 """Traction on the membrane from its markers by inverse finite elements (level 3; docs/equations.md, Eq. F9-F12).
 
 Unknown are the tractions at the nodes of a grid. They deform the sheet of `mjtactile.sensing.sheet` from its
-forward-solved rest shape, so the bulge is not interpolated but computed; markers see the deformation at their places.
+forward-solved rest shape, so the bulge is not interpolated but computed; markers see the deformation at their places and,
+where they stand far apart, its slopes too.
 Nothing touches almost everywhere: the prior of `mjtactile.sensing.prior` follows the tractions found before, so that
 contacts become compact. The amount of gas and the camera's place may have drifted a little since they were measured; they
 are unknowns, too. And next to a sharp edge markers move in ways that the sheet's splines cannot follow: a marker counts
@@ -23,6 +24,8 @@ from mjtactile.design import SensorDesign
 from mjtactile.sensing.force import hats
 from mjtactile.sensing.prior import LoadPrior
 from mjtactile.sensing.sheet import Gas, Sheet, State
+from mjtactile.sensing.slopes import EXCESS as SLOPE_EXCESS
+from mjtactile.sensing.slopes import MarkerSlopes
 from mjtactile.types import Array, Markers, Traction
 
 SPANS = (14, 10)
@@ -34,6 +37,7 @@ DRIFT_CAMERA = 3e-6  # m, sd of the camera's place since then: 10 K in 10 mm of 
 POSTERIOR_SHARE = 0.17  # of the predicted variance: contacts are smoother than the prior says (bench touch: chi-square)
 MODEL_SHARE = 0.006  # of the force: stiffness, discretisation (bench touch)
 SHARE_CELL = 12e-6  # m^2 of sheet to a marker; where it is more, that share of the normal force grows with it (bench touch)
+SLOPES_CELL = 20e-6  # m^2 of sheet to a marker; where it is more, slopes are worth their time
 REWEIGHTED = 2  # from a cold start
 STEPS_MAX, STEP_LIMIT = 8, 2e-3  # m
 SETTLED, NEAR = 1e-4, 2e-4  # m: a step that ends the iteration; a distance over which stiffness and gains are kept
@@ -55,10 +59,11 @@ class InverseRest:
 
 @dataclass(frozen=True, eq=False)
 class Gain:
-    """One linearisation, at `c` (3, n), for markers `ids`: the stiffness's Cholesky factor, the whitened markers'
-    motion (3 m, 3 n) by generalised forces, their response (3 m, 3 J) to nodal tractions, and its `half` covariance by the
-    prior; `weights` that whiten, and the factors `distrust` (m,) on the markers' sd that they contain; the response (3 m, 4)
-    to one sd of `drift` (gas, camera's x, y, z), the gas's part of it as pressure, Pa, and as a load (3, n), and the share
+    """One linearisation, at `c` (3, n), for markers `ids`: the stiffness's Cholesky factor, the whitened markers' motion
+    (r, 3 n) by generalised forces (r = 3 m positions, and 2 m slopes where they count), their response (r, 3 J) to nodal
+    tractions, and its `half` covariance by the prior; `weights` (m, 3, 3) that whiten positions and `slope_weights` (m,), and
+    the factors `distrust` (2, m) on the sd of both that they contain; the response (r, 4) to
+    one sd of `drift` (gas, camera's x, y, z), the gas's part of it as pressure, Pa, and as a load (3, n), and the share
     `drift_seen` (4,) of their variances that estimates have; prior sd (3 J,) of the tractions; the factor of the predicted
     covariance of the whitened markers; and how often it was `reweighted`: tractions had been found before it was made."""
 
@@ -69,6 +74,7 @@ class Gain:
     response: Array
     half: Array
     weights: Array
+    slope_weights: Array
     distrust: Array
     drift: Array
     drift_gas: tuple[float, Array]
@@ -85,8 +91,9 @@ class Gain:
 @dataclass(frozen=True, eq=False)
 class Shape:
     """An estimate: coefficients `c` (3, n) m of the deformation, nodal tractions (3, J) Pa, gauge pressure Pa, the mean
-    square `misfit` of the markers over their predicted sd, the gain it came from, and each marker's mean square noise over
-    its sd, `excess` (N,), and the mean square `drift` found, over what is to be expected. Hand it to the next frame."""
+    square `misfit` of the markers over their predicted sd, the gain it came from, and the mean square noise over its sd,
+    `excess` (2, N), of each marker's position and slopes, and the mean square `drift` found, over what is to be expected.
+    Hand it to the next frame."""
 
     c: Array
     traction: Array
@@ -119,6 +126,8 @@ class InverseMembrane:
         self._at_fine = [a.basis(g) for a, g in zip((ax, ay), self._fine, strict=True)]
         self._material = design.markers.p_SM
         self._at_markers = self.sheet.basis(self._material[:, :2])
+        sparse = design.markers.pitch_x * design.markers.pitch_y > SLOPES_CELL
+        self._slopes = MarkerSlopes(self.sheet, self._material, design.camera.distance) if sparse else None
 
     # -- the sensor's own rest -----------------------------------------------------------------------------------------
 
@@ -166,7 +175,11 @@ class InverseMembrane:
         pressure, _ = self.sheet.gas_pressure(state, rest.gas)
         residual = self.sheet.residual(state, pressure)
         # against the state without tractions, u - K^-1 r
-        misfit = _whiten(gain.weights, data - self._at_markers[markers.ids] @ c.T) + gain.moved @ residual.ravel()
+        misfit = _whiten(gain.weights, data - self._at_markers[markers.ids] @ c.T)
+        if self._slopes is not None:
+            off = np.where(gain.slope_weights > 0, self._slopes.off(markers, c).T * gain.slope_weights, 0.0)
+            misfit = np.concatenate([misfit, off.T.ravel()])
+        misfit = misfit + gain.moved @ residual.ravel()
         noise = cho_solve(gain.innovation, misfit, check_finite=False)  # what is left for the whitened markers' noise
         traction = self.prior.times(noise @ gain.response, gain.prior).reshape(3, -1)
         drift = noise @ gain.drift  # in sd
@@ -174,8 +187,11 @@ class InverseMembrane:
         change = cho_solve(gain.stiffness, (load - residual).ravel(), check_finite=False).reshape(3, -1)
         c = c + min(1.0, STEP_LIMIT / max(float(np.abs(change).max()), 1e-30)) * change
         pressure += float(drift[0]) * gain.drift_gas[0]
-        excess = np.zeros(len(self._material))
-        excess[markers.ids] = gain.distrust**2 * (noise.reshape(-1, 3) ** 2).mean(axis=1)
+        count_p = 3 * len(markers)
+        excess = np.zeros((2, len(self._material)))
+        excess[0, markers.ids] = gain.distrust[0] ** 2 * (noise[:count_p].reshape(-1, 3) ** 2).mean(axis=1)
+        if self._slopes is not None:
+            excess[1, markers.ids] = gain.distrust[1] ** 2 * (noise[count_p:].reshape(-1, 2) ** 2).mean(axis=1)
         return Shape(c, traction, pressure, float(misfit @ noise) / len(misfit), gain, count, excess,
                      float((drift**2 / gain.drift_seen).mean()))
 
@@ -183,11 +199,16 @@ class InverseMembrane:
         state = self.sheet.state(c, rest.stiffness_scale)
         _, stiffness = self.sheet.linearise(state, rest.gas, rest.stiffness_scale)
         rows = self._at_markers[markers.ids]
-        excess = np.zeros(len(rows)) if before is None else before.excess[markers.ids]
-        distrust = np.sqrt(np.maximum(1.0, excess / EXCESS))
-        weights = np.linalg.inv(np.linalg.cholesky(markers.cov_p + MARKER_FLOOR**2 * np.eye(3))) / distrust[:, None, None]
+        excess = np.zeros((2, len(rows))) if before is None else before.excess[:, markers.ids]
+        distrust = np.sqrt(np.maximum(1.0, excess / [[EXCESS], [SLOPE_EXCESS]]))
+        weights = np.linalg.inv(np.linalg.cholesky(markers.cov_p + MARKER_FLOOR**2 * np.eye(3))) / distrust[0, :, None, None]
         # unit forces along the whitened axes of each marker, (3 n, 3 m)
         unit = (weights.transpose(2, 0, 1)[:, None] * rows.T[None, :, :, None]).reshape(3 * self.sheet.count, -1)
+        slope_weights = np.zeros(len(rows))
+        if self._slopes is not None:
+            slope_weights = self._slopes.weights(markers, c) / distrust[1]
+            tilting = self._slopes.rows(c, markers.ids) * slope_weights[:, None, None, None]
+            unit = np.concatenate([unit, tilting.reshape(2 * len(rows), -1).T], axis=1)
         drift, drift_gas = self._drift(state, rest, stiffness, weights, unit)
         # in single precision: from a factor in double precision that is good to 1e-4 of a motion, at half the time
         single = (stiffness[0].astype(np.float32), stiffness[1])
@@ -199,19 +220,22 @@ class InverseMembrane:
         innovation[np.diag_indices_from(innovation)] += 1.0
         innovation = cho_factor(innovation, check_finite=False)
         seen = np.maximum((drift * cho_solve(innovation, drift, check_finite=False)).sum(axis=0), 1e-6)
-        return Gain(c, markers.ids, stiffness, moved, response, half, weights, distrust, drift, drift_gas, seen, prior,
-                    innovation, 0 if before is None else before.gain.reweighted + 1)
+        return Gain(c, markers.ids, stiffness, moved, response, half, weights, slope_weights, distrust, drift, drift_gas, seen,
+                    prior, innovation, 0 if before is None else before.gain.reweighted + 1)
 
     def _drift(self, state: State, rest: InverseRest, stiffness: tuple[Array, bool], weights: Array,
                unit: Array) -> tuple[Array, tuple[float, Array]]:
-        """What one sd of drift does: to the whitened markers (3 m, 4), and, by the gas, as pressure and as a load."""
+        """What one sd of drift does: to the whitened markers (r, 4), and, by the gas, as pressure and as a load."""
         volume = self.design.chamber_volume_flat + state.volume
         dent = self.sheet.state(rest.c).volume - state.volume
         pressure = self.sheet.gas_pressure(state, rest.gas)[0] + self.design.chamber.ambient
         pressure *= float(np.hypot(DRIFT_GAS, DENT_SHARE * dent / volume)) if rest.gas.constant is not None else 0.0
         load = pressure * self.sheet.volume_gradient(state)
         bulge = cho_solve(stiffness, load.ravel(), check_finite=False)
-        return np.column_stack([bulge @ unit, DRIFT_CAMERA * weights.reshape(-1, 3)]), (pressure, load)
+        drift = np.zeros((unit.shape[1], 4))
+        drift[:, 0] = bulge @ unit
+        drift[: 3 * len(weights), 1:] = DRIFT_CAMERA * weights.reshape(-1, 3)  # slopes do not see the camera move
+        return drift, (pressure, load)
 
     # -- what it means -------------------------------------------------------------------------------------------------
 

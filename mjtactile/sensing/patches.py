@@ -126,7 +126,7 @@ def _patch(inside: NDArray, nodes: NDArray, weight: Array, force: Array, positio
     centroid = np.einsum("ab,abi->i", share, position[..., :2])
     area = float(cells[inside].sum())
     points = position[inside][:, :2]
-    spread = np.cov(points.T, aweights=cells[inside]) if len(points) > 2 else np.zeros((2, 2))
+    spread = _spread(points, cells[inside]) if len(points) > 2 else np.zeros((2, 2))
     values, vectors = np.linalg.eigh(spread)
     contours, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     b, a = max(contours, key=len)[:, 0].T
@@ -135,3 +135,10 @@ def _patch(inside: NDArray, nodes: NDArray, weight: Array, force: Array, positio
     return Contact(True, area, centroid, max(depth, 0.0), mask.T, force=force, outline=position[a, b, :2],
                    semi_axes=2 * np.sqrt(np.maximum(values[::-1], 0)),
                    angle=float(np.arctan2(vectors[1, 1], vectors[0, 1])))
+
+
+def _spread(points: Array, weight: Array) -> Array:
+    """Second moments (2, 2) of weighted points (n, 2) about their mean."""
+    share = weight / weight.sum()
+    off = points - share @ points
+    return (off.T * share) @ off

@@ -84,6 +84,20 @@ class Sheet:
 
     def state(self, c: Array, scale: float = 1.0) -> State:
         """Everything at the Gauss points for coefficients `c` (3, n) m."""
+        x, g1, g2 = self._positions(c)
+        normal = _cross(g1, g2)
+        E11, E22 = (self._lambda2 * (g * g).sum(0) / 2 - 0.5 for g in (g1, g2))
+        E12 = self._lambda2 * (g1 * g2).sum(0) / 2
+        m, nu = scale * self._modulus, self._nu
+        S = m * np.stack([E11 + nu * E22, E22 + nu * E11, (1 - nu) * E12])
+        return State(x, g1, g2, normal, S, float((self.weights * x[2] * normal[2]).sum()))
+
+    def normals(self, c: Array) -> Array:
+        """Area vectors (3, qx, qy) at the Gauss points, as in `State`."""
+        return _cross(*self._positions(c)[1:])
+
+    def _positions(self, c: Array) -> tuple[Array, Array, Array]:
+        """Positions and tangents (3, qx, qy) at the Gauss points."""
         qx, qy = self.weights.shape
         up = self._up_x @ c.reshape(3, *self.shape) @ self._up_y  # (3, 2 qx, 2 qy): value and slope along x, y
         x, g1, g2 = up[:, :qx, :qy], up[:, qx:, :qy], up[:, :qx, qy:]
@@ -92,12 +106,7 @@ class Sheet:
         x[1] += ay.points
         g1[0] += 1
         g2[1] += 1
-        normal = np.stack([g1[1] * g2[2] - g1[2] * g2[1], g1[2] * g2[0] - g1[0] * g2[2], g1[0] * g2[1] - g1[1] * g2[0]])
-        E11, E22 = (self._lambda2 * (g * g).sum(0) / 2 - 0.5 for g in (g1, g2))
-        E12 = self._lambda2 * (g1 * g2).sum(0) / 2
-        m, nu = scale * self._modulus, self._nu
-        S = m * np.stack([E11 + nu * E22, E22 + nu * E11, (1 - nu) * E12])
-        return State(x, g1, g2, normal, S, float((self.weights * x[2] * normal[2]).sum()))
+        return x, g1, g2
 
     def residual(self, state: State, pressure_gauge: float) -> Array:
         """Generalised forces (3, n) N that hold the state: elastic minus gas (Eq. F9); zero at rest."""
@@ -175,6 +184,11 @@ class Sheet:
             if largest < _CONVERGED:
                 return c
         raise MjtactileError(f"sensor {self.design.name}: the membrane finds no equilibrium at {gas.gauge:g} Pa")
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Vector products (3, ...)."""
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def _overlapping(count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

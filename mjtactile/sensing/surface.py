@@ -255,9 +255,7 @@ class SurfaceFitter:
             A, b = np.delete(A, worst, axis=0), np.delete(b, worst)
 
     def _slope_sd(self, n: Array, p: Array, variance: Array) -> Array:
-        p_CM = p + np.array([0.0, 0.0, self.distance])
-        far = np.sqrt(np.einsum("ni,ni->n", p_CM, p_CM))
-        return np.hypot(SLOPE_MODEL_SD, slope_sd_of(n, p_CM / far[:, None], _ASPECT_PER_DEPTH * np.sqrt(variance) / far))
+        return np.hypot(SLOPE_MODEL_SD, slope_sd(n, p + np.array([0.0, 0.0, self.distance]), variance))
 
     def rows(self, x: ArrayLike, y: ArrayLike, dx: int = 0, dy: int = 0) -> Array:
         """Design matrix (N, ny * nx): z or its derivative of order (dx, dy) at `x`, `y` (N,) m per coefficient."""
@@ -286,6 +284,13 @@ class SurfaceFitter:
                 for bx, by in pair:
                     total += np.kron(gram(self.quad_y, wy, ay, by), gram(self.quad_x, wx, ax, bx))
         return total
+
+
+def slope_sd(n: Array, p_CM: Array, variance: Array) -> Array:
+    """Standard deviation (N,) of slopes measured at markers with unit normals `n` at `p_CM` (N, 3) m from the camera, whose
+    depths have this `variance` (N,) m^2; see `slope_sd_of`."""
+    far = np.sqrt(np.einsum("ni,ni->n", p_CM, p_CM))
+    return slope_sd_of(n, p_CM / far[:, None], _ASPECT_PER_DEPTH * np.sqrt(variance) / far)
 
 
 def slope_sd_of(n: ArrayLike, view: ArrayLike, aspect_sd: ArrayLike) -> Array:

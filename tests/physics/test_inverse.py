@@ -18,6 +18,7 @@ from mjtactile.types import Markers
 
 SUPPLY = 1000.0  # Pa
 OBLIQUE, PLACE = np.array([0.15, -0.05, -0.6]), (0.004, -0.002)
+RIM = 0.0065  # m, radius of a flat face, which presses at its rim
 PAIR = ((-0.009, 0.002), (0.009, -0.002))
 
 
@@ -44,14 +45,15 @@ class Truth:
     def markers(self, design, x, noise=6e-6):
         q = design.markers.p_SM
         grid = x.reshape(*self.fem.shape, 3)
-        p = np.column_stack([RectBivariateSpline(*self.fem.grid, grid[..., k])(q[:, 0], q[:, 1], grid=False)
-                             for k in range(3)])
-        return make_markers(p, noise)
+        splines = [RectBivariateSpline(*self.fem.grid, grid[..., k]) for k in range(3)]
+        p, g1, g2 = (np.column_stack([s(q[:, 0], q[:, 1], grid=False, **slope) for s in splines])
+                     for slope in ({}, {"dx": 1}, {"dy": 1}))
+        return make_markers(p, noise, n=-np.cross(g1, g2))
 
 
-def make_markers(p, noise=6e-6):
-    n = len(p)
-    return Markers(np.arange(n), p, np.tile([0.0, 0.0, -1.0], (n, 1)), np.tile(np.eye(3) * noise**2, (n, 1, 1)))
+def make_markers(p, noise=6e-6, n=None):
+    n = np.full(p.shape, np.nan) if n is None else n / np.linalg.norm(n, axis=1)[:, None]  # NaN: not known
+    return Markers(np.arange(len(p)), p, n, np.tile(np.eye(3) * noise**2, (len(p), 1, 1)))
 
 
 @pytest.fixture(scope="module")
@@ -130,12 +132,15 @@ def test_mirror_image_gives_the_mirrored_wrench(sensor, truth):
     estimator, rest = sensor
     design = estimator.design
     grid = (design.markers.rows, design.markers.columns, 3)
-    p = truth.markers(design, truth.pressed).p_SM
-    flipped = p.reshape(grid)[:, ::-1].reshape(-1, 3) * [-1, 1, 1]
-    at_rest = truth.markers(design, truth.rest).p_SM
-    mirrored_rest = estimator.rest_state(make_markers(at_rest.reshape(grid)[:, ::-1].reshape(-1, 3) * [-1, 1, 1]), SUPPLY)
-    one = estimator.traction(estimator.estimate(make_markers(p), rest)).wrench
-    other = estimator.traction(estimator.estimate(make_markers(flipped), mirrored_rest)).wrench
+
+    def mirrored(m):
+        p, n = (v.reshape(grid)[:, ::-1].reshape(-1, 3) * [-1, 1, 1] for v in (m.p_SM, m.n_S))
+        return make_markers(p, n=n)
+
+    pressed = truth.markers(design, truth.pressed)
+    mirrored_rest = estimator.rest_state(mirrored(truth.markers(design, truth.rest)), SUPPLY)
+    one = estimator.traction(estimator.estimate(pressed, rest)).wrench
+    other = estimator.traction(estimator.estimate(mirrored(pressed), mirrored_rest)).wrench
     # the same operations in another order: only where an iteration stops (30 um of shape) can differ
     np.testing.assert_allclose(other * [-1, 1, 1, 1, -1, -1], one, atol=1e-4)
 
@@ -176,3 +181,43 @@ def test_starting_from_the_last_frame_gives_the_same_force(sensor, truth):
     assert warm.steps <= cold.steps
     difference = estimator.traction(warm).wrench[:3] - estimator.traction(cold).wrench[:3]
     assert np.abs(difference).max() < 0.01  # reweighting goes on, within the error bar
+
+
+# -- slopes of the markers --------------------------------------------------------------------------------------------
+
+
+def test_rows_of_slopes_are_their_derivative(truth):
+    estimator = InverseMembrane(load_sensor("paper16"))
+    slopes, markers = estimator._slopes, truth.markers(estimator.design, truth.pressed)
+    assert slopes is not None
+    c = estimator.estimate(markers, estimator.rest_state(truth.markers(estimator.design, truth.rest), SUPPLY)).c
+    v = 1e-7 * np.random.default_rng(3).standard_normal(c.shape)
+    change = (slopes.off(markers, c - v) - slopes.off(markers, c + v)) / 2
+    # central differences: what is left is of third order, (1e-4)^2 of slopes that change by 1e-4
+    np.testing.assert_allclose(slopes.rows(c, markers.ids).reshape(16, 2, -1) @ v.ravel(), change, rtol=1e-5, atol=1e-11)
+
+
+def test_slopes_tell_what_sparse_markers_miss(truth):
+    """A face stands on the four middle markers: their slopes say that it is flat, where heights alone allow a deeper dent."""
+    estimator = InverseMembrane(load_sensor("paper16"))
+    rest = estimator.rest_state(truth.markers(estimator.design, truth.rest), SUPPLY)
+    rim = np.exp(-(((np.linalg.norm(truth.fem.X, axis=1) - RIM) / 8e-4) ** 2)) * truth.fem.node_area
+    load = np.outer(rim / rim.sum(), [0.0, 0.0, -1.0])
+    pressed, _ = truth.fem.solve(load, sealed=truth.sealed, x=truth.rest)
+    markers = truth.markers(estimator.design, pressed)
+    blind = make_markers(markers.p_SM)
+    seeing, blind = (abs(estimator.traction(estimator.estimate(m, rest)).wrench[2] + 1.0) for m in (markers, blind))
+    # 0.006 N and 0.043 N; triangles of 1.25 mm are stiffer than the sheet by up to 3 % under a patch, 0.5 % under this one
+    assert seeing < 0.015 < 0.03 < blind
+
+
+def test_a_wrong_slope_is_left_out(truth):
+    """The other of an ellipse's two normals, or none: neither moves the force."""
+    estimator = InverseMembrane(load_sensor("paper16"))
+    rest = estimator.rest_state(truth.markers(estimator.design, truth.rest), SUPPLY)
+    markers = truth.markers(estimator.design, truth.pressed)
+    n = markers.n_S.copy()
+    n[5, :2] *= -4.0
+    n[9] = np.nan
+    right, wrong = (estimator.traction(estimator.estimate(m, rest)).wrench[2] for m in (markers, replace(markers, n_S=n)))
+    assert wrong == pytest.approx(right, abs=0.01)  # 14 of 16 slopes instead of 16; asked 0.04 N

@@ -33,7 +33,7 @@ def seen(estimator, c, rng=None):
     n = len(p)
     if rng is not None:
         p = p + NOISE * rng.standard_normal(p.shape)
-    return Markers(np.arange(n), p, np.tile([0.0, 0.0, -1.0], (n, 1)), np.tile(np.diag(NOISE**2), (n, 1, 1)))
+    return Markers(np.arange(n), p, np.full((n, 3), np.nan), np.tile(np.diag(NOISE**2), (n, 1, 1)))  # normals: not known
 
 
 def pressed(estimator, rest, force, place=(0.0, 0.0), radius=5e-3):
