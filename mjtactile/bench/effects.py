@@ -1,8 +1,9 @@
 """`mjtactile bench effects`: what each effect costs, and what leaving it out costs; and that all-off leaves nothing behind.
 
 Each switch alone, against everything on: ms per simulated second of two sensors holding an egg, force and surface of a
-pressed sphere. Camera effects: ms an image. "Nothing behind": a scene with no sensor stepped by `World` and by MuJoCo
-alone; and a membrane with every effect off against one that was never offered any.
+pressed sphere. Camera effects: ms an image; shadows: where there are some, and how differently force and marker places are
+felt then. "Nothing behind": a scene with no sensor stepped by `World` and by MuJoCo alone; and a membrane with every effect
+off against one that was never offered any.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from mjtactile.bench.settings import HOLD_FORCE, SENSOR, attempt, core_ms, hold
 from mjtactile.design import SensorDesign, load_sensor
 from mjtactile.progress import Progress
 from mjtactile.recording import write_json
+from mjtactile.sensing.pipeline import SensorPipeline
 from mjtactile.sim import rigid, truth
 from mjtactile.sim.camera import Renderer
 from mjtactile.sim.gripper import GraspWorld
@@ -28,6 +30,7 @@ from mjtactile.sim.switches import CAMERA, PHYSICS, set_design, set_picture
 
 _STEP = 1 / 240
 _BLOCK = 4  # steps at a time, as between two images
+_IMAGES = 20  # of a state, for means: the force felt scatters by 50 mN in the deepest
 _ALL = PHYSICS | CAMERA
 _REAL_GAS = {"heat_ratio": 1.4, "heat_exchange": 1.0, "valve_conductance": 1e-7}
 
@@ -38,7 +41,7 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
     names = ("bending", "gas") if quick else ("gas", "bending", "friction", "gravity", "follower pressure", "servo dynamics",
                                               "hyperelastic correction",
                                               "heat exchange", "valve flow", "camera noise", "blur", "distortion", "refraction",
-                                              "LED shading", "motion blur")
+                                              "LED shading", "motion blur", "shadows")
     effects = {}
     for name in names:
         effects[name] = attempt(lambda name=name: _measure(name, design))
@@ -58,6 +61,8 @@ def _measure(name: str, design: SensorDesign) -> dict[str, float]:
     else:
         base = _ALL
     on, off = base | {name}, base - {name}
+    if name == "shadows":
+        return _shadows(design)
     if name in CAMERA or name == "motion blur":
         cost = 2 * design.camera.rate * (_image_ms(design, on) - _image_ms(design, off))
         return {"cost_ms_per_s": cost, "force_N": float("nan"), "surface_um": _shift(design, on, off)}
@@ -68,6 +73,44 @@ def _measure(name: str, design: SensorDesign) -> dict[str, float]:
         moved, pressed = moved * np.nan, [(np.nan, *pressed[0][1:])] * 2
     return {"cost_ms_per_s": float(np.median(costs[:, 0] - costs[:, 1])), "force_N": abs(pressed[0][0] - pressed[1][0]),
             "surface_um": 1e6 * float(np.sqrt(np.mean(moved**2)))}
+
+
+def _shadows(design: SensorDesign) -> dict[str, float]:
+    """A small sphere beside the frame, 5 mm deep (39 degrees steep: the slopes are shaded) and 7.5 mm (59 degrees: they throw
+    shadows), drawn with and without. Cost of two cameras' images of the deeper; by how much the sensing chain's normal force
+    and markers (rms) differ at the depth where they do more."""
+    world = PressWorld(design, Indenter("sphere", 4e-3), at=(14e-3, 0.4e-3), timestep=_STEP)
+    poses = []
+    for gauge in (0.0, 1000.0):
+        world.inflate(gauge, seal=gauge > 0)
+        poses.append(world.marker_poses(0))
+    for depth in (2.5e-3, 5e-3, 7.5e-3):
+        world.press(depth)
+        poses.append(world.marker_poses(0))
+    (dear, *drawn), (cheap, *plain) = (_felt(design, poses, shadows) for shadows in (True, False))
+    force, moved = (np.array(one) - np.array(other) for one, other in zip(drawn, plain, strict=True))
+    rms = np.sqrt(np.nanmean((moved**2).sum(axis=2), axis=1))
+    return {"cost_ms_per_s": 2 * design.camera.rate * (dear - cheap), "force_N": float(np.abs(force[1:]).max()),
+            "surface_um": 1e6 * float(rms[1:].max())}
+
+
+def _felt(design: SensorDesign, poses: list[tuple[np.ndarray, np.ndarray]],
+          shadows: bool) -> tuple[float, list[float], list[np.ndarray]]:
+    """ms an image of the last of `poses` (flat, at rest, then pressed deeper and deeper); of each press the mean force felt,
+    N, and marker places (N, 3) m, NaN where one was not seen in every image."""
+    renderer, pipeline = Renderer(design, seed=1, shadows=shadows), SensorPipeline(design)
+    pipeline.take_flat([renderer.render(*poses[0]) for _ in range(_IMAGES)])
+    pipeline.take_rest([renderer.render(*poses[1]) for _ in range(_IMAGES)], 1000.0)
+    forces, places = [], []
+    for pose in poses[2:]:
+        touches = [pipeline.perceive(renderer.render(*pose), 0.0) for _ in range(_IMAGES)]
+        seen = np.full((_IMAGES, design.markers.count, 3), np.nan)
+        for k, touch in enumerate(touches):
+            if touch.markers is not None:
+                seen[k, touch.markers.ids] = touch.markers.p_SM
+        forces.append(float(np.mean([touch.force_normal for touch in touches])))
+        places.append(seen.mean(axis=0))
+    return core_ms(lambda: renderer.render(*poses[-1]), 50), forces, places
 
 
 def _hold_ms(design: SensorDesign, effects: frozenset[str]) -> float:
