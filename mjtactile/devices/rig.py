@@ -18,7 +18,6 @@ from mjtactile.rig import Limits, Rig
 from mjtactile.rigfile import CameraConfig, RigFile
 
 _SWITCH_INTERVAL = 5e-4  # s a thread keeps Python's interpreter: at the default of 5 ms a picture waits that long for its time
-_SHORTEST = 0.75  # of the period from one cycle to the next
 
 
 class MonotonicClock:
@@ -37,8 +36,8 @@ class MonotonicClock:
 class FrameClock(MonotonicClock):
     """The same, waking up with the cameras: a cycle begins when a picture has come, not up to a period later.
 
-    It wakes within half a period of the time asked for, whatever the cameras do: their faults are found by `Camera.read`.
-    For a picture that comes early it wakes earlier, so that the loop falls into step with its cameras.
+    It wakes from half a period before the time asked for to half a period after it, or after a period from its last
+    waking: so the loop falls into step with its cameras. Whatever they do, it wakes: their faults are found by `Camera.read`.
     """
 
     def __init__(self, cameras: Sequence[OpenCvCamera], period: float):
@@ -47,10 +46,11 @@ class FrameClock(MonotonicClock):
         self._woke = -math.inf
 
     def wait_until(self, time: float) -> None:
-        in_step = time - self._woke < 2 * self._period
-        _sleep_until(self._woke + _SHORTEST * self._period if in_step else time - self._period / 2)
+        half = self._period / 2
+        latest = max(time, self._woke + self._period) + half
+        _sleep_until(time - half)
         for i, camera in enumerate(self._cameras):
-            camera.wait_newer(self._seen[i], max(0.0, time + self._period / 2 - self.now()))
+            camera.wait_newer(self._seen[i], max(0.0, latest - self.now()))
             self._seen[i] = camera.newest_time
         self._woke = self.now()
 

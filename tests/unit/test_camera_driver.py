@@ -220,3 +220,40 @@ def test_a_cycle_begins_with_a_picture_and_never_waits_for_long(device):
         device.mode = "gone"
         device.gate.set()
         camera.close()
+
+
+class Beat:
+    """A camera that sends a picture every `period` s, on a clock of its own that stands still but for those who wait."""
+
+    def __init__(self, period, phase):
+        self.period, self.phase, self.now = period, phase, 10.0
+
+    def sleep_until(self, deadline):
+        self.now = max(self.now, deadline)
+
+    @property
+    def newest_time(self):
+        return self.phase + self.period * np.floor((self.now - self.phase) / self.period + 1e-9)
+
+    def wait_newer(self, than, timeout):
+        if self.newest_time <= than:
+            self.now = min(self.newest_time + self.period, self.now + timeout)
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.3, 0.6, 0.9])
+@pytest.mark.parametrize("rate", [0.98, 1.0, 1.02])
+def test_the_loop_falls_into_step_with_its_camera(rate, phase, monkeypatch):
+    """Whatever their phases were, and though neither has the rate it says: each picture is taken when it comes, once."""
+    camera = Beat(1 / rate, phase)
+    monkeypatch.setattr("mjtactile.devices.rig._sleep_until", camera.sleep_until)
+    clock = FrameClock([camera], 1.0)  # type: ignore[list-item]
+    clock.now = lambda: camera.now
+    deadline, taken = camera.now, []
+    for _ in range(100):
+        deadline = min(max(deadline, camera.now - 1.0), camera.now) + 1.0  # as the control loop has it
+        camera.now += 0.6  # its work
+        clock.wait_until(deadline)
+        taken.append((camera.now, camera.newest_time))
+    seen = np.array(taken[10:])
+    np.testing.assert_allclose(seen[:, 0], seen[:, 1], atol=1e-6)  # rounding: without falling into step up to 0.5
+    np.testing.assert_allclose(np.diff(seen[:, 1]), 1 / rate, atol=1e-6)
