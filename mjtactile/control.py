@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 from mjtactile.controller import Controller
 from mjtactile.errors import ControllerError, DeviceError, MjtactileError
+from mjtactile.parallel import Chain, perceive
 from mjtactile.rig import Camera, Rig
 from mjtactile.safety import Supervisor
-from mjtactile.sensing.pipeline import SensorPipeline
 from mjtactile.types import Command, GripperState, Image, Observation, Touch, ValveState
 
 REFERENCE_IMAGES = 10  # averaging ten takes the reference's noise to a third of an image's
@@ -41,7 +41,7 @@ class Cycle:
     last: Command | None = None
 
 
-def take_references(rig: Rig, pipelines: Sequence[SensorPipeline], report: Callable[[str], None] = lambda _: None,
+def take_references(rig: Rig, pipelines: Sequence[Chain], report: Callable[[str], None] = lambda _: None,
                     on_reference: Callable[[str, list[list[Image]], list[float | None]], None] = lambda *_: None) -> None:
     """Let every sensor measure itself: flat with the valve open to the air, then inflated, sealed, and touching nothing.
 
@@ -91,7 +91,7 @@ def _patient_read(rig: Rig, camera: Camera) -> Image:
             rig.clock.wait_until(rig.clock.now() + rig.period)
 
 
-def run(rig: Rig, pipelines: Sequence[SensorPipeline], controller: Controller, *, time_limit: float,
+def run(rig: Rig, pipelines: Sequence[Chain], controller: Controller, *, time_limit: float,
         on_cycle: Callable[[Cycle], None], on_images: Callable[[], None] = lambda: None,
         supervisor: Supervisor | None = None) -> Command:
     """Run the controller until it says "done" or "abort"; returns the last command sent.
@@ -124,7 +124,7 @@ class _Loop:
     """What stays the same from cycle to cycle, and what the sensors said last."""
 
     rig: Rig
-    pipelines: Sequence[SensorPipeline]
+    pipelines: Sequence[Chain]
     controller: Controller
     supervisor: Supervisor
     on_images: Callable[[], None]
@@ -197,7 +197,7 @@ class _Loop:
                                        contact=None, traction=None, surface=None, markers=None, status=blind)
                                for t in self.touch)
         else:
-            self.touch = tuple(p.perceive(image, now) for p, image in zip(self.pipelines, self.images, strict=True))
+            self.touch = perceive(self.pipelines, self.images, now)
 
     def _retreat(self, reason: str, now: float, last: Command, deadline: float) -> Command:
         """The gripper or a valve failed: go down and open with what still obeys, without asking the controller."""

@@ -14,8 +14,9 @@ from mjtactile.control import Cycle, run, take_references
 from mjtactile.controller import load_controller
 from mjtactile.design import load_sensor
 from mjtactile.errors import InputError
+from mjtactile.parallel import Workers, default_workers
+from mjtactile.recording import FINGERS
 from mjtactile.rig import Rig, build_rig
-from mjtactile.sensing.pipeline import SensorPipeline
 from mjtactile.types import Image
 
 TIME_LIMIT = 60.0  # s on the rig's clock; a gentle grasp takes about 10
@@ -23,7 +24,8 @@ TIME_LIMIT = 60.0  # s on the rig's clock; a gentle grasp takes about 10
 
 @dataclass(frozen=True)
 class GraspOptions:
-    """What to grasp, with what: shipped names or files, the rig, and the seed of placement and noise."""
+    """What to grasp, with what: shipped names or files, the rig, and the seed of placement and noise. `workers` processes
+    look at the images (None: as many as are worth it here); the result is the same with any number of them."""
 
     object: str = "egg"
     sensor: str = "dense"
@@ -33,6 +35,7 @@ class GraspOptions:
     accuracy: str = ""
     effects: str = "auto"
     error_estimate: bool = False
+    workers: int | None = None
 
 
 class RecorderLike(Protocol):
@@ -101,33 +104,33 @@ def run_grasp(options: GraspOptions, *, recorder: RecorderLike, progress: Progre
     Raises InputError for bad files or names, ControllerError, DeviceError, SimulationError; the rig is brought to its
     safe state on every way out.
     """
-    design = load_sensor(options.sensor)
-    controller = load_controller(options.controller)
-    rig = build_rig(options.rig, design, object_name=options.object, seed=options.seed, accuracy=options.accuracy,
-                    effects=options.effects)
-    try:
-        pipelines = [SensorPipeline(rig.design) for _ in rig.cameras]
-        score = _watch(rig, recorder)
-        take_references(rig, pipelines, progress.message, recorder.add_reference)
-        log = _Log()
-        estimate = _estimate(options, rig)
+    design, controller = load_sensor(options.sensor), load_controller(options.controller)
+    with Workers(default_workers() if options.workers is None else options.workers) as workers:  # they start meanwhile
+        rig = build_rig(options.rig, design, object_name=options.object, seed=options.seed, accuracy=options.accuracy,
+                        effects=options.effects)
+        try:
+            pipelines = workers.chains(rig.design, FINGERS[:len(rig.cameras)])
+            score = _watch(rig, recorder)
+            take_references(rig, pipelines, progress.message, recorder.add_reference)
+            log = _Log()
+            estimate = _estimate(options, rig)
 
-        def on_images() -> None:
-            if score is not None:
-                score.snapshot()
-            if estimate is not None and log.phases and log.phases[-1] == "hold":
-                estimate.keep()
+            def on_images() -> None:
+                if score is not None:
+                    score.snapshot()
+                if estimate is not None and log.phases and log.phases[-1] == "hold":
+                    estimate.keep()
 
-        def on_cycle(cycle: Cycle) -> None:
-            log.add(cycle)
-            recorder.add(cycle, **({} if score is None else score.columns(cycle.touch, cycle.sent.phase)))
-            progress.update(cycle.sent.phase, cycle.time, float(np.mean(log.forces[-1])))
+            def on_cycle(cycle: Cycle) -> None:
+                log.add(cycle)
+                recorder.add(cycle, **({} if score is None else score.columns(cycle.touch, cycle.sent.phase)))
+                progress.update(cycle.sent.phase, cycle.time, float(np.mean(log.forces[-1])))
 
-        begin, start = wall.perf_counter(), rig.clock.now()
-        last = run(rig, pipelines, controller, time_limit=TIME_LIMIT, on_cycle=on_cycle, on_images=on_images)
-        factor = (rig.clock.now() - start) / (wall.perf_counter() - begin)
-    finally:
-        rig.close()
+            begin, start = wall.perf_counter(), rig.clock.now()
+            last = run(rig, pipelines, controller, time_limit=TIME_LIMIT, on_cycle=on_cycle, on_images=on_images)
+            factor = (rig.clock.now() - start) / (wall.perf_counter() - begin)
+        finally:
+            rig.close()
     result = _result(options, log, score, factor, completed=last.phase == "done", period=rig.period)
     return result if estimate is None else replace(result, force_error_estimate=estimate.force_error())
 

@@ -27,6 +27,7 @@ examples:
   mjtactile grasp --object vial --sensor paper16 --seed 1
   mjtactile grasp --object my_fruit.xml --controller my_controller.py --out runs/fruit
   mjtactile grasp --json > result.json
+  mjtactile grasp --rig my_gripper.toml --workers 2    a real gripper: both fingers are felt at the same time
 
 The result (--json, summary.json) says: outcome ("held", "dropped", "crushed", "fault"), peak_force_N and
 hold_force_N as felt, peak_force_true_N, hold_force_true_N and slip_mm_true as they were (simulation only),
@@ -54,12 +55,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="seed of the camera noise and of where the object stands (default: 0)")
     effects.add_shared_arguments(parser)
     effects.add_estimate_argument(parser)
+    parser.add_argument("--workers", type=_count, metavar="N", help="processes that look at the camera images beside the control "
+                        "loop, at most one a camera; the result is the same with any number, 0 needs the least memory "
+                        "(default: one a camera on a computer with two processors or more, else 0)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default: runs/<time>-<object>)")
 
 
 def _seed(text: str) -> int:
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 up")
+    return int(text)
+
+
+def _count(text: str) -> int:
+    if text not in ("0", "1", "2"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not 0, 1 or 2: there are two cameras")
     return int(text)
 
 
@@ -87,8 +97,8 @@ def _header(options: argparse.Namespace) -> dict[str, Any]:
     return {key: getattr(options, key) for key in ("object", "sensor", "controller", "rig", "seed")}
 
 
-def _simulation(options: argparse.Namespace) -> dict[str, Any]:
-    return {key: getattr(options, key) for key in ("accuracy", "effects", "error_estimate")}
+def _manner(options: argparse.Namespace) -> dict[str, Any]:
+    return {key: getattr(options, key) for key in ("accuracy", "effects", "error_estimate", "workers")}
 
 
 def _run_and_report(options: argparse.Namespace, out: Path, progress: Progress) -> dict[str, Any]:
@@ -98,7 +108,7 @@ def _run_and_report(options: argparse.Namespace, out: Path, progress: Progress) 
     header = _header(options)
     recorder = Recorder(out / "recording", header)
     try:
-        summary = run_grasp(GraspOptions(**header, **_simulation(options)), recorder=recorder, progress=progress).summary()
+        summary = run_grasp(GraspOptions(**header, **_manner(options)), recorder=recorder, progress=progress).summary()
     except (Exception, KeyboardInterrupt) as error:
         progress.close()
         if isinstance(error, InputError) and recorder.cycles == 0:

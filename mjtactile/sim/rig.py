@@ -36,13 +36,15 @@ class SimClock:
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="physics")
         self._running: Future[None] | None = None
         self._pending: list[Callable[[], None]] = []
+        self.on_arrival: list[Callable[[], None]] = []
+        """What to do in the world's thread when a time given to `start` is reached: draw what the cameras see then."""
 
     def now(self) -> float:
         return self._world.time
 
     def start(self, time: float) -> None:
         if self._running is None:
-            self._running = self._pool.submit(self._advance, time)
+            self._running = self._pool.submit(self._go, time)
 
     def wait_until(self, time: float) -> None:
         """Step the world until `time`, then do what was deferred; a time in the past only does the latter.
@@ -67,6 +69,11 @@ class SimClock:
     def close(self) -> None:
         self._pool.shutdown(wait=True, cancel_futures=True)
 
+    def _go(self, time: float) -> None:
+        self._advance(time)
+        for action in self.on_arrival:
+            action()
+
     def _advance(self, time: float) -> None:
         missing = round((time - self._world.time) / self._world.timestep)
         if missing > 0:
@@ -74,7 +81,7 @@ class SimClock:
 
 
 class SimCamera:
-    """Renders one sensor's image when it is read, and not otherwise."""
+    """Renders one sensor's image when it is read, or before (`draw`), beside the work on the last one."""
 
     def __init__(self, world: GraspWorld, sensor: int, seed: int, effects: frozenset[str] = CAMERA):
         """`effects`: what is drawn; "latency" hands out the image before, "motion blur" keeps the shutter open."""
@@ -82,11 +89,19 @@ class SimCamera:
         self._renderer = Renderer(set_picture(world.design, effects), seed=seed, shadows="shadows" in effects)
         self._moving, self._late = "motion blur" in effects, "latency" in effects
         self._before: Image | None = None
+        self._drawn: Image | None = None
+
+    def draw(self) -> None:
+        """Have the image of the membrane now ready for `read`."""
+        self._drawn = self._blurred() if self._moving else self._renderer.render(
+            *self._world.marker_poses(self._sensor), self._world.time)
 
     def read(self) -> Image:
         """The image of the membrane now."""
-        image = self._blurred() if self._moving else self._renderer.render(
-            *self._world.marker_poses(self._sensor), self._world.time)
+        if self._drawn is None or self._drawn.time != self._world.time:
+            self.draw()
+        image, self._drawn = self._drawn, None
+        assert image is not None
         before, self._before = self._before, image
         return before if self._late and before is not None else image
 
@@ -162,9 +177,10 @@ def build_sim_rig(design: SensorDesign, *, object_name: str, seed: int, accuracy
         world.model.opt.tolerance = fidelity.tolerance
     clock = SimClock(world)
     seeds = rng.integers(2**31, size=len(world.sensors))
+    cameras = tuple(SimCamera(world, i, int(s), on) for i, s in enumerate(seeds))
+    clock.on_arrival += [camera.draw for camera in cameras]
     return Rig(
-        name="sim", design=design,
-        cameras=tuple(SimCamera(world, i, int(s), on) for i, s in enumerate(seeds)),
+        name="sim", design=design, cameras=cameras,
         valves=tuple(SimValve(world, i) for i in range(len(world.sensors))),
         gripper=SimGripper(world, clock), clock=clock,
         limits=Limits(opening=(0.0, world.max_opening), force=8.0), close=clock.close, scene=world)
