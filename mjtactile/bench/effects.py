@@ -36,7 +36,7 @@ _REAL_GAS = {"heat_ratio": 1.4, "heat_exchange": 1.0, "valve_conductance": 1e-7}
 
 
 def run(out: Path, quick: bool = False) -> dict[str, Any]:
-    """Measure every switch; writes effects.json, which the table of `mjtactile effects` reads."""
+    """Measure every switch; writes effects_table.json: as models/fidelity/effects.json, it is what `mjtactile effects` reads."""
     say, design = Progress().message, load_sensor(SENSOR)
     names = ("bending", "gas") if quick else ("gas", "bending", "friction", "gravity", "follower pressure", "servo dynamics",
                                               "hyperelastic correction",

@@ -31,7 +31,7 @@ GRAVITY = 9.81
 _CONTACT_SPEED = 0.01  # m/s of the membrane while an object is touched gently
 _EXPOSURE = 0.008  # s
 _HELD = 0.6  # N: a usual grasp
-_SHADED = 0.1  # of the force: its error by shading over the tangent of the slope squared, measured (docs/effects.md)
+_SHADED = 0.06  # of the force, over the slope's tangent squared: what shading moves in the middle, measured (docs/effects.md)
 
 
 @dataclass(frozen=True)

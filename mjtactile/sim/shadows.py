@@ -29,6 +29,7 @@ _NODE = 1e-3  # m between nodes of the height field; half of it moves shadow edg
 _EDGE_PX = 4  # blocks where a shadow falls: 0.3 mm of membrane; edges are soft over 0.1-0.5 mm
 _CAMERA_STEPS = 6  # fixed point: ray against height field; each halves the rest even at the corner and a slope of 45 degrees
 _CARRY_STEPS = 4  # fixed point: which material point lies at a place; displacements change by 0.2 per length
+_NEAR = 2e-5  # m between steps at which both fixed points are found: the rest is below half of it, 0.2 px
 _BEYOND = 1.1  # how far past the sheet's lowest point a ray is followed, for the penumbra
 _MOST_STEPS = 200  # samples along a ray: 0.1 m of way at the usual node
 
@@ -61,13 +62,12 @@ class ShadowedLight(Light):
         z = sheet.heights(p_SM)
         light = irradiance(sheet.xy, z, self._p_SL)
         total = light.sum(axis=0)
-        share = bilinear(total / self._middle, self._places(z, BLOCK_PX))
-        share = cv2.resize(share.astype(np.float32), self._size, interpolation=cv2.INTER_LINEAR)
-        field = np.maximum(1 - self._falloff / self._loss * (1 - share), 0.0).astype(np.float32)
+        share = bilinear(total / self._middle, self._places(z, BLOCK_PX)).astype(np.float32)
+        field = self._grow(np.maximum(1 - self._falloff / float(self._loss) * (1 - share), 0.0))
         blocked = self._blocked(z, light / np.maximum(total, 1e-12))
         if blocked is not None:
-            field -= np.minimum(self._direct * share, field) * blocked
-        return field * self._opening + self._wall
+            field -= np.minimum(self._direct * self._grow(share), field) * blocked
+        return cv2.add(cv2.multiply(field, self._opening), self._wall)
 
     def _blocked(self, z: Array, light: Array) -> Floats | None:
         """Share (H, W) of the LEDs' light that does not arrive; None when all of it does. `light` (n, ny, nx): each LED's."""
@@ -85,7 +85,11 @@ class ShadowedLight(Light):
             if room.min() < 1:  # the clearance is interpolated, not the light: edges are finer than the nodes
                 hidden = 1 - visible(cv2.remap(room, column, row, cv2.INTER_LINEAR))
                 blocked += cv2.remap(share, column, row, cv2.INTER_LINEAR) * hidden
-        return cv2.resize(blocked, self._size, interpolation=cv2.INTER_LINEAR)
+        return self._grow(blocked)
+
+    def _grow(self, blocks: Array | Floats) -> Floats:
+        """Values of blocks (nv, nu) as an image (H, W)."""
+        return cv2.resize(blocks.astype(np.float32, copy=False), self._size, interpolation=cv2.INTER_LINEAR)
 
     def _lines(self, block: int) -> tuple[Array, Array]:
         """Per block of pixels: slopes (nv, nu, 2) of the ray beyond the pane, and the depth (nv, nu) in C from which it
@@ -100,9 +104,13 @@ class ShadowedLight(Light):
             near = bilinear(z, self._places(z, BLOCK_PX))
             height = cv2.resize(near, shift.shape[::-1], interpolation=cv2.INTER_LINEAR)
             return self._sheet.columns_rows(self._line(slopes, shift, height))
-        at = self._sheet.columns_rows(self._line(slopes, shift, np.zeros(shift.shape)))
+        height = np.zeros(shift.shape)
+        at = self._sheet.columns_rows(self._line(slopes, shift, height))
         for _ in range(_CAMERA_STEPS):
-            at = self._sheet.columns_rows(self._line(slopes, shift, bilinear(z, at)))
+            last, height = height, bilinear(z, at)
+            at = self._sheet.columns_rows(self._line(slopes, shift, height))
+            if np.abs(height - last).max() < _NEAR:
+                break
         return at
 
     def _line(self, slopes: Array, shift: Array, height: Array) -> Array:
@@ -140,7 +148,9 @@ class Sheet:
         moved = (self._operator @ (p_SM - self._flat)).reshape(*self.xy.shape[:2], 3)
         found = moved
         for _ in range(_CARRY_STEPS):
-            found = bilinear(moved, self.columns_rows(self.xy - found[..., :2]))
+            last, found = found, bilinear(moved, self.columns_rows(self.xy - found[..., :2]))
+            if np.abs(found - last).max() < _NEAR:
+                break
         return found[..., 2]
 
 
