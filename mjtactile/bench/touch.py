@@ -32,7 +32,8 @@ __all__ = ["run", "table"]
 SENSORS = ("dense", "paper16")
 MESH, MESH_QUICK = (33, 25), (21, 16)
 FIRST_SEED = 1000
-EPISODES, SLIPS, QUIET_FRAMES = 20, 9, 900
+EPISODES, SLIPS, QUIET_FRAMES = 20, 36, 900
+FRICTIONS = (1.0, 0.75, 0.55)  # of the sensor file's: as it says, and objects that are smoother than it knows
 _REFERENCE_IMAGES, _PERIOD = 10, 1 / 30
 _SIZES = {"sphere": (3e-3, 12e-3), "cylinder": (2.5e-3, 6e-3), "box": (5e-3, 11e-3)}
 _FORCE_MAX = 2.5  # N
@@ -107,9 +108,12 @@ def run(out: Path, *, quick: bool = False, say: Say = lambda _: None) -> dict[st
 
 
 def _start(indenter: Indenter, at: tuple[float, float], tilt: float, mesh: tuple[int, int],
-           seed: int, names: tuple[str, ...] = SENSORS) -> tuple[PressWorld, dict[str, Eye]]:
-    """An inflated, sealed sensor, its cameras with references taken, and a waiting indenter."""
-    world = PressWorld(load_sensor("dense"), indenter, at=at, tilt=tilt, mesh=mesh)
+           seed: int, names: tuple[str, ...] = SENSORS, friction: float = 1.0) -> tuple[PressWorld, dict[str, Eye]]:
+    """An inflated, sealed sensor, its cameras with references taken, and a waiting indenter, whose `friction` is that share
+    of the sensor file's."""
+    design = load_sensor("dense")
+    design = replace(design, membrane=replace(design.membrane, friction=friction * design.membrane.friction))
+    world = PressWorld(design, indenter, at=at, tilt=tilt, mesh=mesh)
     eyes = {name: Eye(load_sensor(name), world, seed) for name in names}
     world.inflate(0.0, seal=False)
     for eye in eyes.values():
@@ -174,12 +178,16 @@ def _angle(a: Array, b: Array) -> float:
 
 
 def _slip_episode(seed: int, mesh: tuple[int, int], frames: int = 60, speed: float = 5e-3) -> list[dict[str, Any]]:
-    """Press, then drag at `speed` m/s; how far the object had slipped when each sensor first said "slipping"."""
+    """Press, then drag at `speed` m/s; how far the object had slipped when each sensor first said "slipping". Kinds,
+    frictions and directions take turns; size, place and depth are drawn."""
     rng = np.random.default_rng([seed, 6])
-    indenter = random_indenter(rng, seed)
-    world, eyes = _start(indenter, (rng.uniform(-6e-3, 0), rng.uniform(-4e-3, 4e-3)), 0.0, mesh, seed)
-    depth = rng.uniform(1e-3, 3e-3)
+    indenter, friction = random_indenter(rng, seed), FRICTIONS[seed // len(_SIZES) % len(FRICTIONS)]
+    way = 1 if seed // (len(_SIZES) * len(FRICTIONS)) % 2 else -1
+    at = (way * rng.uniform(-6e-3, 0), rng.uniform(-4e-3, 4e-3))
+    world, eyes = _start(indenter, at, 0.0, mesh, seed, friction=friction)
+    depth = rng.uniform(0.6e-3, 3.5e-3)
     world.press(depth)
+    pressed = -float(truth.contact_force(world, 0)[2])
     drives = [world.model.actuator(f"drive_{axis}").id for axis in "xz"]
     start, vertical = world.data.ctrl[drives]
     _, points, _ = truth.contact_forces(world, 0)
@@ -190,13 +198,13 @@ def _slip_episode(seed: int, mesh: tuple[int, int], frames: int = 60, speed: flo
     false_alarm = dict.fromkeys(eyes, False)
     slipped, per_frame = 0.0, round(_PERIOD / world.timestep)
     for frame in range(frames):
-        goal = start + speed * frame * _PERIOD
+        goal = start + way * speed * frame * _PERIOD
         for part in range(per_frame):
-            world.set_control(drives[0], goal + speed * part * world.timestep)
+            world.set_control(drives[0], goal + way * speed * part * world.timestep)
             world.set_control(drives[1], vertical)
             world.step()
         moved = float(world.data.ctrl[drives[0]] - start)
-        slipped = moved - (world.sensors[0].p_SV[held, 0].mean() - stuck)
+        slipped = way * (moved - (world.sensors[0].p_SV[held, 0].mean() - stuck))
         for name, eye in eyes.items():
             touch = eye.look()
             if name not in said and touch.slip is not None and touch.slip.state == "slipping":
@@ -204,7 +212,8 @@ def _slip_episode(seed: int, mesh: tuple[int, int], frames: int = 60, speed: flo
                 false_alarm[name] = slipped < 2e-5
         if slipped > 1.5e-3:
             break
-    return [{"sensor": name, "seed": seed, "kind": indenter.kind, "slipped_mm": 1e3 * slipped,
+    return [{"sensor": name, "seed": seed, "kind": indenter.kind, "friction": friction, "pressed_N": pressed,
+             "slipped_mm": 1e3 * slipped,
              "detected_at_mm": 1e3 * said.get(name, np.inf), "false_alarm": false_alarm[name]} for name in eyes]
 
 

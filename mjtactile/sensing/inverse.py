@@ -35,6 +35,7 @@ DRIFT_GAS = 2e-4  # sd of the amount of gas since it was measured: 0.06 K, or 0.
 DENT_SHARE = 0.03  # sd of the volume of a dent between the markers, of that volume (bench touch)
 DRIFT_CAMERA = 3e-6  # m, sd of the camera's place since then: 10 K in 10 mm of a plastic housing
 POSTERIOR_SHARE = 0.17  # of the predicted variance: contacts are smoother than the prior says (bench touch: chi-square)
+SHEAR_SHARE = 0.1  # of that for shear and the torque that it makes, which nearly all markers see (same)
 MODEL_SHARE = 0.006  # of the force: stiffness, discretisation (bench touch)
 SHARE_CELL = 12e-6  # m^2 of sheet to a marker; where it is more, that share of the normal force grows with it (bench touch)
 SLOPES_CELL = 20e-6  # m^2 of sheet to a marker; where it is more, slopes are worth their time
@@ -274,16 +275,23 @@ class InverseMembrane:
                          np.r_[zero, -z, y], np.r_[z, zero, -x], np.r_[-y, x, zero]])
 
     def _wrench_cov(self, shape: Shape, moment: Array, wrench: Array) -> Array:
-        """Posterior covariance (6, 6): what the prior leaves open between markers, their noise, and the model's share; more
-        where the markers fit worse than their noise, or show more drift than was believed."""
+        """Posterior covariance (6, 6): what the prior leaves open between markers, their noise, and the model's share; see
+        `posterior_share`."""
         gain = shape.gain
         L = self.prior.half(moment * np.tile(self.node_area, 3), gain.prior)
         half = solve_triangular(gain.innovation[0], gain.half @ L.T, trans=1, check_finite=False)
-        cov = max(POSTERIOR_SHARE * max(1.0, shape.misfit), shape.drift - 1) * (L @ L.T - half.T @ half)
+        scale = np.sqrt(posterior_share(shape))
+        cov = (L @ L.T - half.T @ half) * np.outer(scale, scale)
         sparse = max(1.0, self.design.markers.pitch_x * self.design.markers.pitch_y / SHARE_CELL)
         size = np.repeat([np.linalg.norm(wrench[:3]), np.linalg.norm(wrench[3:])], 3)
-        cov[np.diag_indices(6)] += (MODEL_SHARE * np.array([1, 1, sparse, 1, 1, 1]) * size) ** 2
+        cov[np.diag_indices(6)] += (MODEL_SHARE * np.array([np.sqrt(sparse), np.sqrt(sparse), sparse, 1, 1, 1]) * size) ** 2
         return cov
+
+
+def posterior_share(shape: Shape) -> Array:
+    """Share (6,) of the wrench's predicted variances, before the model's: more where markers misfit or show drift."""
+    share = POSTERIOR_SHARE * max(1.0, shape.misfit) * np.array([SHEAR_SHARE, SHEAR_SHARE, 1, 1, 1, SHEAR_SHARE])
+    return np.maximum(share, shape.drift - 1)
 
 
 def _whiten(weights: Array, values: Array) -> Array:

@@ -18,7 +18,8 @@ from mjtactile.types import Array, Contact
 
 SMOOTHING = 0.6  # sd of the smoothing, in nodes
 SEPARATE_SHARE = 0.8  # of the geometric mean of gas pressure and peak: patches are apart where pressure falls below it
-AREA_MIDDLE, AREA_POWER = 58e-6, -0.3  # m^2 at which an area is that of its uniform disc, and how their ratio goes (bench touch)
+AREA_MIDDLE, AREA_POWER = 50e-6, -0.35  # m^2 at which an area is that of its uniform disc, and how their ratio goes (bench touch)
+AREA_CELL, SPARSE_POWER = 12e-6, 0.3  # m^2 of sheet to a marker for which that holds; sparser markers blur larger areas (same)
 AREA_FACTOR = (0.7, 1.7)  # the least and the most of that ratio: a face pressed at its rim, a ball
 CORE_SHARE = 0.03  # of the peak: pressure below it does not count for the centroid
 LEAST_SHARE = 0.1  # of the whole force: a patch that carries less is no patch
@@ -85,7 +86,9 @@ def _area(pressure: Array, p: Array, estimator: InverseMembrane) -> float:
     variance = float(share @ (off * off).sum(axis=1)) / 2
     least = float(np.diff(estimator.x)[0] ** 2 + np.diff(estimator.y)[0] ** 2) / 24
     disc = 4 * np.pi * max(variance, least)
-    return disc * float(np.clip((disc / AREA_MIDDLE) ** AREA_POWER, *AREA_FACTOR))
+    layout = estimator.design.markers
+    middle = AREA_MIDDLE * (layout.pitch_x * layout.pitch_y / AREA_CELL) ** SPARSE_POWER
+    return disc * float(np.clip((disc / middle) ** AREA_POWER, *AREA_FACTOR))
 
 
 def _strongest(field: Array, cells: Array, area: float) -> NDArray:

@@ -158,8 +158,8 @@ def test_covariance_is_that_of_errors_drawn_from_prior_and_noise(sensor, truth):
     S = seen @ seen.T + gain.drift @ gain.drift.T + np.eye(len(seen))
     error = moment @ (root @ (seen.T @ np.linalg.solve(S, y)) - t)
     predicted = np.sqrt(np.diag(estimator._wrench_cov(shape, estimator._moments(shape.c), np.zeros(6))))
-    misfit = np.sqrt(max(inverse.POSTERIOR_SHARE * max(1.0, shape.misfit), shape.drift - 1))
-    np.testing.assert_allclose(error.std(axis=1) * misfit, predicted, rtol=0.12)  # 400 draws: 3.5 %, six of them
+    share = np.sqrt(inverse.posterior_share(shape))
+    np.testing.assert_allclose(error.std(axis=1) * share, predicted, rtol=0.12)  # 400 draws: 3.5 %, six of them
 
 
 def test_softer_rubber_is_absorbed_by_the_rest_state(truth):
