@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import datetime
+import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -131,7 +132,8 @@ def _report_fault(error: BaseException, recorder: Recorder, out: Path, header: d
     error.summary = summary  # type: ignore[attr-defined]  # cli prints it with --json
     recorder.close(outcome="fault", error=reason)
     _write_report(out, recorder, summary)
-    print(f"mjtactile: {recorder.cycles} cycles were recorded and are kept in {out}", file=sys.stderr)
+    if recorder.cycles:
+        print(f"mjtactile: {recorder.cycles} cycles were recorded and are kept in {out}", file=sys.stderr)
 
 
 def _write_report(out: Path, recorder: Recorder, summary: dict[str, Any]) -> None:
@@ -151,7 +153,7 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
     print(f"{summary['object']}: {summary['outcome']}")
     print(f"  holding   {newton('hold_force_N')} on each finger (true {newton('hold_force_true_N')})")
     print(f"  at most   {newton('peak_force_N')} (true {newton('peak_force_true_N')})")
-    if isinstance(summary.get("slip_mm_true"), float):
+    if math.isfinite(summary["slip_mm_true"]):
         print(f"  slipped   {summary['slip_mm_true']:.2f} mm (true)")
     if "force_error_estimate_N" in summary:
         print(f"  estimate  the simulated force is off by about {1e3 * summary['force_error_estimate_N']:.0f} mN")
