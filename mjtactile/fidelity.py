@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,8 @@ from mjtactile.errors import InputError
 REAL_TIME_MARGIN = 1.25
 """Physics must be this much faster than the clock: cameras, perception and the rest want their share."""
 CHOICES = ("0.02N (a force error)", "realtime")
+DEFAULT_FORCE_ERROR = 0.02
+"""Force error, N, that effects are chosen for when nobody says."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class Fidelity:
     period), solver `tolerance`; `force_error` N and `surface_error` m (root mean square against the converged
     reference), `force_noise` N (standard deviation while an object is held), `cost` ms of one core per simulated second
     of two sensors holding an object. `met` is False when nothing measured reaches what was asked; `basis` says why it
-    was taken.
+    was taken. `asked` N is the force error that effects are chosen for: who asks for real time asks for no costly ones.
     """
 
     mesh: tuple[int, int]
@@ -46,6 +48,7 @@ class Fidelity:
     cost: float
     met: bool = True
     basis: str = ""
+    asked: float = DEFAULT_FORCE_ERROR
 
     @property
     def real_time_factor(self) -> float:
@@ -62,10 +65,10 @@ class Fidelity:
             raise InputError(f"{force_error!r} N is not a finite force error > 0", source="Fidelity", field="force_error_N")
         rows, stamp = load_table(table)
         good = [row for row in rows if row.force_error <= force_error]
-        if good:
-            return _with_basis(min(good, key=lambda row: row.cost), True, f"cheapest with at most {force_error:g} N", stamp)
-        best = min(rows, key=lambda row: row.force_error)
-        return _with_basis(best, False, f"no setting reaches {force_error:g} N; the closest has {best.force_error:.3g} N", stamp)
+        best = min(good, key=lambda row: row.cost) if good else min(rows, key=lambda row: row.force_error)
+        reason = (f"cheapest with at most {force_error:g} N" if good else
+                  f"no setting reaches {force_error:g} N; the closest has {best.force_error:.3g} N")
+        return replace(_with_basis(best, bool(good), reason, stamp), asked=force_error)
 
     @classmethod
     def for_real_time(cls, table: Path | None = None) -> Fidelity:

@@ -45,13 +45,13 @@ def add_estimate_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.fidelity import Fidelity
-    from mjtactile.sim.effects import DEFAULT_FORCE_ERROR, choose
+    from mjtactile.fidelity import DEFAULT_FORCE_ERROR, Fidelity
+    from mjtactile.sim.effects import choose
     from mjtactile.sim.objects import load_object
 
     design, grasped = load_sensor(options.sensor), load_object(options.object)
     fidelity = Fidelity.parse(options.accuracy) if options.accuracy else None
-    wanted = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.force_error
+    wanted = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.asked
     chosen = choose(design, grasped, force_error=wanted, overrides=options.effects)
     rows = chosen.summary()
     if options.json:

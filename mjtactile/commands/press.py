@@ -77,11 +77,11 @@ def run(options: argparse.Namespace) -> int:
 
 def _simulation(options: argparse.Namespace, design: SensorDesign) -> dict[str, Any]:
     """Mesh, time step and effects of the world, from --accuracy and --effects."""
-    from mjtactile.fidelity import Fidelity
-    from mjtactile.sim.effects import DEFAULT_FORCE_ERROR, choose
+    from mjtactile.fidelity import DEFAULT_FORCE_ERROR, Fidelity
+    from mjtactile.sim.effects import choose
 
     fidelity = Fidelity.parse(options.accuracy) if options.accuracy else None
-    wanted = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.force_error
+    wanted = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.asked
     chosen = choose(design, force_error=wanted, overrides=options.effects)
     return {"effects": chosen.on} | ({} if fidelity is None else {"mesh": fidelity.mesh, "timestep": fidelity.timestep})
 

@@ -23,10 +23,10 @@ import numpy as np
 from mjtactile import resources, theory
 from mjtactile.design import SensorDesign
 from mjtactile.errors import InputError
+from mjtactile.fidelity import DEFAULT_FORCE_ERROR
 from mjtactile.sim import features, slopes
 from mjtactile.sim.objects import ObjectModel
 
-DEFAULT_FORCE_ERROR = 0.02  # N
 GRAVITY = 9.81
 _CONTACT_SPEED = 0.01  # m/s of the membrane while an object is touched gently
 _EXPOSURE = 0.008  # s

@@ -8,11 +8,11 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import numpy as np
 
 from mjtactile.design import SensorDesign
-from mjtactile.fidelity import Fidelity
+from mjtactile.fidelity import DEFAULT_FORCE_ERROR, Fidelity
 from mjtactile.rig import Limits, Rig
 from mjtactile.sim.attach import DEFAULT_MESH
 from mjtactile.sim.camera import Renderer
-from mjtactile.sim.effects import DEFAULT_FORCE_ERROR, choose
+from mjtactile.sim.effects import choose
 from mjtactile.sim.gripper import GraspWorld
 from mjtactile.sim.objects import load_object
 from mjtactile.sim.switches import CAMERA, set_design, set_picture
@@ -167,7 +167,7 @@ def build_sim_rig(design: SensorDesign, *, object_name: str, seed: int, accuracy
     steps = int(np.ceil(1 / (design.camera.rate * largest)))  # a whole number of steps per camera frame
     x, y = rng.uniform(-_SCATTER, _SCATTER, 2)
     grasped = load_object(object_name)
-    wanted = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.force_error
+    wanted = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.asked
     on = choose(design, grasped, force_error=wanted, overrides=effects).on
     design = set_design(design, on)
     world = GraspWorld(design, grasped, timestep=1 / (design.camera.rate * steps), effects=on,

@@ -6,7 +6,7 @@ import pytest
 
 from mjtactile import fidelity
 from mjtactile.errors import InputError
-from mjtactile.fidelity import Fidelity
+from mjtactile.fidelity import DEFAULT_FORCE_ERROR, Fidelity
 
 
 def _row(mesh, error, cost):
@@ -37,6 +37,13 @@ def test_says_how_close_it_can_get(table):
 def test_real_time_leaves_room_and_takes_the_most_accurate(table):
     # 600 ms/s is 1.67 x real time, 4000 is not; the margin is REAL_TIME_MARGIN
     assert Fidelity.for_real_time(table).mesh == (12, 9)
+
+
+def test_effects_are_chosen_for_what_was_asked_and_not_for_what_came_with_it(table):
+    """Real time with a fine mesh must not switch on effects that only that mesh's small error calls for."""
+    assert Fidelity.for_force_error(0.02, table).asked == 0.02
+    assert Fidelity.for_force_error(1e-6, table).asked == 1e-6  # also where nothing reaches it
+    assert Fidelity.for_real_time(table).asked == DEFAULT_FORCE_ERROR
 
 
 def test_basis_names_the_measurement_and_the_machine(table):
