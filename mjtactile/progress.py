@@ -33,7 +33,7 @@ class Progress:
             print(text, file=self._stream, flush=True)
 
     def update(self, phase: str, time: float, force: float) -> None:
-        """`time` s on the rig's clock (shown: since the first call), `force` N mean felt normal force per finger (NaN: unknown)."""
+        """`time` s on the rig's clock (shown: since the first call), `force` N mean felt normal force a finger (NaN: unknown)."""
         now = wall.perf_counter()
         if self._start_wall == -math.inf:
             self._start_wall, self._start_time = now, time
