@@ -52,7 +52,8 @@ class ProgressLike(Protocol):
 @dataclass(frozen=True)
 class GraspResult:
     """Outcome of a grasp; forces in N on one finger, `slip` m. `milliseconds` are means of wall time per control cycle for
-    camera, perception, controller and the rest (in simulation: physics); `perception_median` is a median."""
+    camera, perception, controller and the rest (in simulation: waiting for the world, which steps and draws meanwhile);
+    `perception_median` is a median."""
 
     options: GraspOptions
     outcome: str
