@@ -102,7 +102,8 @@ def table(result: Mapping[str, Any]) -> str:
     return "\n".join([*lines, "", _time_table(result)]) + "\n"
 
 
-_PARTS = {"rest": "waiting for physics, drawing, truth", "camera": "reading images", "perception": "perception", "controller": "controller"}
+_PARTS = {"rest": "waiting for physics, drawing, truth", "camera": "reading images", "perception": "perception",
+          "controller": "controller"}
 
 
 def _time_table(result: Mapping[str, Any]) -> str:
