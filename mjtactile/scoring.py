@@ -32,7 +32,8 @@ class GraspScore:
     _slip: float = 0.0
 
     def __post_init__(self) -> None:
-        self._rest_height = truth.object_position(self.world)[2]
+        self._bodies = truth.object_bodies(self.world)
+        self._rest_height = self._object_position()[2]
 
     def snapshot(self) -> None:
         """Keep the truth of this moment, at which the images were taken; the world must not be moving."""
@@ -63,16 +64,19 @@ class GraspScore:
             self._track_slip()
         if self.phase == "hold":
             self._hold_forces.append(float(np.mean(forces)))
-            rise = truth.object_position(self.world)[2] - self._rest_height
+            rise = self._object_position()[2] - self._rest_height
             self._held.append(rise > _HELD_SHARE * self.world.lift_height)
 
     def forces(self) -> list[float]:
         """Normal force of the object on each membrane, N, positive when pressing."""
         return [float(-truth.contact_force(self.world, i)[2]) for i in range(len(self.world.sensors))]
 
+    def _object_position(self) -> Array:
+        return truth.object_position(self.world, self._bodies)
+
     def _track_slip(self) -> None:
         """Largest motion of the object against the hand since it was lifted, m."""
-        relative = truth.object_position(self.world) - truth.hand_position(self.world)
+        relative = self._object_position() - truth.hand_position(self.world)
         if self._grip_start is None:
             self._grip_start = relative
         self._slip = max(self._slip, float(np.linalg.norm(relative - self._grip_start)))

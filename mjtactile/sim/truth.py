@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from mjtactile.sim.objects import PREFIX, moving_bodies
 from mjtactile.types import Array
@@ -78,9 +79,14 @@ def pressure_and_volume(world: World, sensor: int) -> tuple[float, float]:
     return device.pressure_gauge, device.volume
 
 
-def object_position(world: World) -> Array:
+def object_bodies(world: World) -> NDArray[np.int64]:
+    """The grasped object's bodies, its soft parts among them: what `object_position` is asked with in every step."""
+    return moving_bodies(world.model, PREFIX)
+
+
+def object_position(world: World, bodies: NDArray[np.int64] | None = None) -> Array:
     """Centre of mass (3,) m of the grasped object with its soft parts, frame W."""
-    parts = moving_bodies(world.model, PREFIX)
+    parts = object_bodies(world) if bodies is None else bodies
     mass = world.model.body_mass[parts]
     return mass @ world.data.xipos[parts] / mass.sum()
 
