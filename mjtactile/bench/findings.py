@@ -75,7 +75,7 @@ _TEXT = {
              "only with the square of the depth, while the force grows linearly. With the valve open, where the "
              "pressure stays, it even shrinks, and c has the wrong sign. The paper's straight line needs a membrane that is "
              "flat, not inflated. The mesh is finer here than the simulator's default, on whose vertices, 3.3 mm apart, "
-             "this face rests at nine points and is no circle. With 16 markers it stands between four that see its rim alone: "
+             "this face rests at eleven points and is no circle. With 16 markers it stands between four that see its rim alone: "
              "their slopes tell that it is flat.",
     "fig5b": "**Fig. 5b.** The same face, rigid and on a sponge. Left as the paper plots it: driven depth, membrane and "
              "object in series. Even the solid's curve is no line, because the membrane stiffens; the sponge's parabola is "
