@@ -14,7 +14,8 @@ from mjtactile.control import Cycle, run, take_references
 from mjtactile.controller import load_controller
 from mjtactile.design import load_sensor
 from mjtactile.errors import InputError
-from mjtactile.recording import Recording
+from mjtactile.parallel import Workers, default_workers
+from mjtactile.recording import FINGERS, Recording
 from mjtactile.rig import build_rig
 from mjtactile.sensing.material import judge
 from mjtactile.sensing.pipeline import SensorPipeline
@@ -91,9 +92,7 @@ def run_probe(options: ProbeOptions, *, recorder: RecorderLike | None = None,
 
     Raises InputError, ControllerError, DeviceError, SimulationError; the rig is closed on every way out.
     """
-    design, controller = load_sensor(options.sensor), load_controller(options.controller)
-    rig = build_rig(options.rig, design, object_name=options.object, seed=options.seed)
-    log = _Log()
+    design, controller, log = load_sensor(options.sensor), load_controller(options.controller), _Log()
 
     def on_cycle(cycle: Cycle) -> None:
         if log.phases[-1:] != [cycle.sent.phase]:
@@ -102,13 +101,15 @@ def run_probe(options: ProbeOptions, *, recorder: RecorderLike | None = None,
         if recorder is not None:
             recorder.add(cycle)
 
-    try:
-        watch(rig.scene)
-        pipelines = [SensorPipeline(design) for _ in rig.cameras]
-        take_references(rig, pipelines, say, recorder.add_reference if recorder is not None else lambda *_: None)
-        run(rig, pipelines, controller, time_limit=TIME_LIMIT, on_cycle=on_cycle)
-    finally:
-        rig.close()
+    with Workers(default_workers()) as workers:  # they start meanwhile
+        rig = build_rig(options.rig, design, object_name=options.object, seed=options.seed)
+        try:
+            watch(rig.scene)
+            pipelines = workers.chains(rig.design, FINGERS[:len(rig.cameras)])
+            take_references(rig, pipelines, say, recorder.add_reference if recorder is not None else lambda *_: None)
+            run(rig, pipelines, controller, time_limit=TIME_LIMIT, on_cycle=on_cycle)
+        finally:
+            rig.close()
     return _result({"object": Path(options.object).stem, "sensor": Path(options.sensor).stem, "seed": options.seed}, log)
 
 

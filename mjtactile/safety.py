@@ -20,7 +20,7 @@ RETREAT_OPENING = 0.015  # m to open in `safe`: an object is let go of, and not 
 RETREAT_TIME_MAX = 5.0  # s; lowering 0.1 m takes 3.3 s
 _OPENING_TOLERANCE = 2e-4  # m: a servo's goal is rounded to 0.02 to 0.1 mm, and limits may end the way
 _LEAK_SHARE = 0.8  # of the sealed pressure; an object only ever raises it, temperature changes it by 1 % for 3 K
-_LEAK_CYCLES, _SINK_CYCLES = 2, 3  # in a row, by pressure (a damaged reading is asked for again below) and by shape
+_SINK_CYCLES = 3  # in a row, by shape; one is enough by pressure, since a valve's driver asks again for what surprises
 _BULGE_SHARE = 0.6  # of the volume of the untouched bulge: the same sign of a leak where there is no pressure sensor
 STATES = ("idle", "armed", "running", "holding", "safe", "latched")
 
@@ -45,7 +45,7 @@ class Supervisor:
         self._retreat_goal, self._safe_since = math.nan, math.nan
         self._sealed: list[float] | None = None
         self._bulge: list[float] | None = None
-        self._leak_cycles = self._sink_cycles = 0
+        self._sink_cycles = 0
 
     @property
     def is_over(self) -> bool:
@@ -114,9 +114,8 @@ class Supervisor:
         sunk = [f"the membrane of chamber {i} has sunk to {1e9 * t.surface.volume:.0f} mm^3 from {1e9 * bulge:.0f} mm^3 "
                 "with nothing touching" for i, (t, bulge) in enumerate(zip(touch, self._bulge, strict=True))
                 if t.surface is not None and not t.touching and bulge > 0 and t.surface.volume < _BULGE_SHARE * bulge]
-        self._leak_cycles = self._leak_cycles + 1 if lost else 0
         self._sink_cycles = self._sink_cycles + 1 if sunk else 0
-        if self._leak_cycles >= _LEAK_CYCLES:
+        if lost:
             return f"leak: {lost[0]}"
         return f"leak: {sunk[0]}" if self._sink_cycles >= _SINK_CYCLES else ""
 
