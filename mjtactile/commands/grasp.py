@@ -28,7 +28,7 @@ examples:
   mjtactile grasp --object vial --sensor paper16 --seed 1
   mjtactile grasp --object my_fruit.xml --controller my_controller.py --out runs/fruit
   mjtactile grasp --json > result.json
-  mjtactile grasp --rig my_gripper.toml --workers 2    a real gripper: both fingers are felt at the same time
+  mjtactile grasp --workers 0              all in one process: least memory, the same numbers
 
 The result (--json, summary.json) says: outcome ("held", "dropped", "crushed", "fault"), peak_force_N and
 hold_force_N as felt, peak_force_true_N, hold_force_true_N and slip_mm_true as they were (simulation only),

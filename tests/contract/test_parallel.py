@@ -24,6 +24,7 @@ from mjtactile.recording import Recorder
 from mjtactile.sensing.pipeline import SensorPipeline
 from mjtactile.sim.camera import Renderer
 from mjtactile.types import Image, Touch
+from tests.emulated import wait_for
 
 DESIGN = load_sensor("paper16")
 NAMES = ("left", "right")
@@ -211,15 +212,6 @@ def is_alive(pid):
     return False
 
 
-def wait_until(condition):
-    deadline = time.monotonic() + WAIT
-    while time.monotonic() < deadline:
-        if condition():
-            return True
-        time.sleep(0.02)
-    return False
-
-
 def children(pid):
     """Its worker processes."""
     pids = [int(child) for task in Path(f"/proc/{pid}/task").iterdir() for child in (task / "children").read_text().split()]
@@ -233,12 +225,12 @@ def test_no_process_outlives_its_host(tmp_path, stop, cycles):
                             cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         log = tmp_path / "out" / "recording" / "log.jsonl"
-        assert wait_until(lambda: len(children(host.pid)) == 2 and log.read_text().count('"cycle"') >= cycles), host.poll()
+        assert wait_for(lambda: len(children(host.pid)) == 2 and log.read_text().count('"cycle"') >= cycles, WAIT), host.poll()
         pids = children(host.pid)
     finally:
         host.send_signal(stop)
         host.wait(WAIT)
-    assert wait_until(lambda: not any(map(is_alive, pids)))
+    assert wait_for(lambda: not any(map(is_alive, pids)), WAIT)
 
 
 def test_a_worker_ends_with_its_parent_even_if_another_process_holds_its_socket(tmp_path):
@@ -257,7 +249,7 @@ def test_a_worker_ends_with_its_parent_even_if_another_process_holds_its_socket(
         assert is_alive(worker)
         host.kill()
         host.wait(WAIT)
-        assert wait_until(lambda: not is_alive(worker))
+        assert wait_for(lambda: not is_alive(worker), WAIT)
         assert is_alive(sleeper)  # which had kept the socket open
     finally:
         os.kill(sleeper, signal.SIGKILL)
