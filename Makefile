@@ -19,12 +19,13 @@ ARGS ?=
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 18
 
-grasp: $(VENV)/.run-ready  ## grasp an egg in simulation; results in runs/grasp (ARGS="--object vial" and so on)
-	$(BIN)/mjtactile grasp --out $(OUT) $(ARGS)
+grasp: $(VENV)/.run-ready  ## grasp an egg in simulation; results in runs/grasp, later in runs/grasp-TIME (ARGS="--object vial" and so on)
+	$(BIN)/mjtactile grasp --out $(if $(wildcard $(OUT)/recording),$(OUT)-$(shell date +%Y%m%d-%H%M%S),$(OUT)) $(ARGS)
 
-bench: $(VENV)/.run-ready  ## measure the grasp and the perception; results in bench-results, tables in README.md
-	$(BIN)/mjtactile bench grasp --out bench-results --readme README.md $(ARGS)
-	$(BIN)/mjtactile bench perception --out bench-results --readme README.md $(ARGS)
+bench: $(VENV)/.run-ready  ## measure the grasp and the perception; results in bench-results, docs/benchmarks.md, README.md
+	$(BIN)/mjtactile bench grasp --out bench-results --readme docs/benchmarks.md $(ARGS)
+	$(BIN)/mjtactile bench perception --out bench-results --readme docs/benchmarks.md $(ARGS)
+	$(BIN)/mjtactile bench numbers --out bench-results --readme README.md
 
 test: lint types contracts pytest  ## lint, types, import contracts, tests: all that CI runs
 

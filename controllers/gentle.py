@@ -21,20 +21,24 @@ LIFT_HEIGHT, LIFT_SPEED = 0.040, 0.040
 SETTLE_TIME, HOLD_TIME, GRIP_TIMEOUT = 0.4, 2.0, 6.0
 FORCE_TOLERANCE = 0.08  # N around the target that counts as settled
 BLIND_TIME_MAX = 0.5  # s without a usable image before giving up
+LOST_TIME, LOST_SLIP = 0.3, 0.005  # s without a touch, or m slipped through every finger: the object stays behind
 RELEASE_OPENING = 0.012  # m to open beyond the grip before the run ends
 
 
 def step(observation: Observation) -> Command:
     """One control cycle: dispatch on the phase that the last command was in."""
-    memory = {"phase_time": 0.0, "settled_time": 0.0, "blind_time": 0.0, **observation.command.memory}
+    memory = {"phase_time": 0.0, "settled_time": 0.0, "blind_time": 0.0, "lost_time": 0.0, **observation.command.memory}
     memory["phase_time"] += observation.period
     felt = [touch.force_normal for touch in observation.touch]
     known = all(isfinite(force) for force in felt)
     if known:
         memory["blind_time"] = 0.0
+        memory["lost_time"] = 0.0 if max(felt) > TOUCH_FORCE else memory["lost_time"] + observation.period
     command = replace(observation.command, force_limit=SERVO_FORCE_LIMIT, memory=memory)
     if not known:  # unknown is not zero: stand still, then open gently
         return _blind(observation, command)
+    if command.phase in ("lift", "hold", "lower") and _is_lost(observation, memory["lost_time"]):
+        return _remember(_go(command, "release"), grip_opening=command.opening, lost=1.0)  # here, not down onto what fell
     return _PHASES[command.phase](observation, command, felt)
 
 
@@ -52,6 +56,12 @@ def _blind(observation: Observation, command: Command) -> Command:
     blind_time = command.memory["blind_time"] + observation.period
     command = _remember(command, blind_time=blind_time)
     return _go(command, "abort") if blind_time > BLIND_TIME_MAX else command
+
+
+def _is_lost(observation: Observation, lost_time: float) -> bool:
+    """Whether what was gripped is no longer held: too heavy, too slippery."""
+    slips = [touch.slip.distance if touch.slip is not None else 0.0 for touch in observation.touch]
+    return lost_time > LOST_TIME or min(slips) > LOST_SLIP
 
 
 def _approach(observation: Observation, command: Command, felt: list[float]) -> Command:
@@ -118,7 +128,7 @@ def _release(observation: Observation, command: Command, felt: list[float]) -> C
     """Open until the fingers are clear of the object."""
     goal = command.memory["grip_opening"] + RELEASE_OPENING
     if observation.gripper.opening > goal - 0.001 and max(felt) < TOUCH_FORCE:
-        return _go(command, "done")
+        return _go(command, "abort" if "lost" in command.memory else "done")
     if command.memory["phase_time"] > GRIP_TIMEOUT:
         return _go(command, "abort")
     return replace(command, opening=min(goal, command.opening + OPENING_SPEED * observation.period))

@@ -1,0 +1,74 @@
+"""mjtactile: a vision-based membrane touch sensor for MuJoCo, and a gripper that holds fragile things with it.
+
+What a user needs is here, and nothing else is public. Names are imported when they are first used: a rig without a simulator
+needs no mujoco, and one without a camera no OpenCV.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mjtactile.core.calibration import Calibration as Calibration
+    from mjtactile.core.calibration import Lens as Lens
+    from mjtactile.core.calibration import Stamp as Stamp
+    from mjtactile.core.calibration import load_calibration as load_calibration
+    from mjtactile.core.design import SensorDesign as SensorDesign
+    from mjtactile.core.design import load_sensor as load_sensor
+    from mjtactile.core.errors import ControllerError as ControllerError
+    from mjtactile.core.errors import DeviceError as DeviceError
+    from mjtactile.core.errors import InputError as InputError
+    from mjtactile.core.errors import MjtactileError as MjtactileError
+    from mjtactile.core.errors import SimulationError as SimulationError
+    from mjtactile.core.types import Command as Command
+    from mjtactile.core.types import GripperState as GripperState
+    from mjtactile.core.types import Image as Image
+    from mjtactile.core.types import Observation as Observation
+    from mjtactile.core.types import Touch as Touch
+    from mjtactile.core.types import ValveState as ValveState
+    from mjtactile.plugin.mount import Mount as Mount
+    from mjtactile.plugin.mount import attach as attach
+    from mjtactile.plugin.sim_finger import SimFinger as SimFinger
+    from mjtactile.plugin.sim_finger import step as step
+    from mjtactile.recording.reader import Recording as Recording
+    from mjtactile.recording.reader import load_recording as load_recording
+    from mjtactile.recording.writer import Recorder as Recorder
+    from mjtactile.rig.finger import Finger as Finger
+    from mjtactile.rig.finger import Rig as Rig
+    from mjtactile.rig.registry import build_rig as build_rig
+    from mjtactile.run.controller import load_controller as load_controller
+    from mjtactile.run.session import Session as Session
+    from mjtactile.run.session import open_session as open_session
+    from mjtactile.sensing.chain import Perception as Perception
+    from mjtactile.sim.attach import recommend_options as recommend_options
+
+_HOMES = {
+    "core.calibration": ("Calibration", "Lens", "Stamp", "load_calibration"),
+    "core.design": ("SensorDesign", "load_sensor"),
+    "core.errors": ("ControllerError", "DeviceError", "InputError", "MjtactileError", "SimulationError"),
+    "core.types": ("Command", "GripperState", "Image", "Observation", "Touch", "ValveState"),
+    "plugin.mount": ("Mount", "attach"),
+    "plugin.sim_finger": ("SimFinger", "step"),
+    "recording.reader": ("Recording", "load_recording"),
+    "recording.writer": ("Recorder",),
+    "rig.finger": ("Finger", "Rig"),
+    "rig.registry": ("build_rig",),
+    "run.controller": ("load_controller",),
+    "run.session": ("Session", "open_session"),
+    "sensing.chain": ("Perception",),
+    "sim.attach": ("recommend_options",),
+}
+_HOME = {name: f"mjtactile.{module}" for module, names in _HOMES.items() for name in names}
+__all__ = list(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first asked for."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(_HOME[name]), name)
+    globals()[name] = value  # the next time it is found at once
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOME})

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib.metadata
 import json
 import logging
 import os
-import signal
 import sys
 import traceback
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
-from mjtactile.errors import MjtactileError
+from mjtactile.core import signals
+from mjtactile.core.errors import MjtactileError
 
 DESCRIPTION = """\
 A vision-based membrane touch sensor for MuJoCo, and a two-finger gripper that holds
@@ -36,7 +37,12 @@ EXIT_INPUT, EXIT_FAULT = 2, 3
 
 
 class _Parser(argparse.ArgumentParser):
-    """Reports a usage error in one line and where to read on."""
+    """Reports a usage error in one line and where to read on; takes values with a leading minus."""
+
+    def _parse_optional(self, arg_string: str) -> Any:
+        """Every option here has two dashes: a word with one is a value (`--at -3.2,1.7`, `--effects -latency`)."""
+        is_value = arg_string.startswith("-") and not arg_string.startswith("--") and arg_string not in ("-", "-h")
+        return None if is_value else super()._parse_optional(arg_string)
 
     def error(self, message: str) -> NoReturn:
         raise _UsageError(f"{message} (see {self.prog} --help)")
@@ -65,13 +71,20 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line `argv` (default: the process's own) and return the exit code."""
-    argv = sys.argv[1:] if argv is None else list(argv)
+    """Run the command line `argv` (default: the process's own, which ends with it) and return the exit code."""
+    _open_streams()
+    with signals.listening(ends_process=argv is None):
+        code = _main(sys.argv[1:] if argv is None else list(argv))
+        _flush_streams()
+        return code
+
+
+def _main(argv: list[str]) -> int:
     # The matrices here are small: a second BLAS thread only waits for the first (the sensing chain is 2-4 times slower).
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    _quieten_libraries(debug="--debug" in argv)
     logging.basicConfig(format="mjtactile: %(levelname)s: %(message)s", level=logging.WARNING, stream=sys.stderr)
-    previous = signal.signal(signal.SIGTERM, signal.default_int_handler)  # SIGTERM ends a run like Ctrl-C
     try:
         options = build_parser().parse_args(argv)
         if options.simulates:
@@ -79,21 +92,24 @@ def main(argv: Sequence[str] | None = None) -> int:
 
             route_warnings()
         return options.run(options)
-    except KeyboardInterrupt as stop:  # Ctrl-C, or SIGTERM
+    except KeyboardInterrupt as stop:  # Ctrl-C, or another of these signals
         return _fail(stop, argv)
     except BrokenPipeError:  # the reader of our output left: no fault of the run
-        sys.stderr.close()
         return 0
     except Exception as error:  # noqa: BLE001  # the last resort: every error ends as one line
         return _fail(error, argv)
-    finally:
-        signal.signal(signal.SIGTERM, previous)
+
+
+def _quieten_libraries(*, debug: bool) -> None:
+    """What OpenCV, FFmpeg and MuJoCo print of their own ends as one line of ours: an error, or a doubt of the run."""
+    if not debug:
+        os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # read when cv2 is imported, in child processes too
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    logging.getLogger("mjtactile.mujoco").setLevel(logging.WARNING if debug else logging.ERROR)
 
 
 def _fail(error: BaseException, argv: Sequence[str]) -> int:
     """Report `error` in one line (in JSON too, if asked for) and return its exit code."""
-    if "--debug" in argv:
-        traceback.print_exception(error)
     code, text = EXIT_FAULT, " ".join(str(error).split())
     if isinstance(error, MjtactileError):
         code = error.exit_code
@@ -101,10 +117,36 @@ def _fail(error: BaseException, argv: Sequence[str]) -> int:
         text = "interrupted"
     else:
         text = f"internal error: {type(error).__name__}: {text} (--debug shows where)"
-    print(f"mjtactile: {text}", file=sys.stderr)
-    if "--json" in argv:
-        print(json.dumps(getattr(error, "summary", {}) | {"error": text, "exit_code": code}, indent=2, allow_nan=False))
+    with contextlib.suppress(OSError):  # nobody is there to be told
+        if "--debug" in argv:
+            traceback.print_exception(error)
+        print(f"mjtactile: {text}", file=sys.stderr)
+        if "--json" in argv:
+            print(json.dumps(getattr(error, "summary", {}) | {"error": text, "exit_code": code}, indent=2, allow_nan=False))
     return code
+
+
+def _open_streams() -> None:
+    """Give a process that was started without stdin, stdout or stderr /dev/null: else a device could get their numbers,
+    and what is written to stderr."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+            setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115
+
+
+def _flush_streams() -> None:
+    """Write what is still buffered; where that fails, Python must not try again at its end and change the exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            with contextlib.suppress(OSError):
+                null = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(null, stream.fileno())
+                os.close(null)
 
 
 if __name__ == "__main__":

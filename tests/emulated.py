@@ -12,13 +12,13 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from mjtactile.devices.dynamixel import DynamixelGripper
+from mjtactile.devices.dynamixel.gripper import DynamixelGripper
 from mjtactile.emulator.faults import Faults
 from mjtactile.emulator.protocol2 import Instruction
 from mjtactile.emulator.servo import EmulatedServo
 from mjtactile.emulator.servo_bus import ServoBus
 from mjtactile.emulator.valve import ValveFirmware, ValvePort
-from mjtactile.rigfile import BusConfig, GripperConfig, LiftConfig, ServoConfig, ValveConfig
+from mjtactile.rig.file import BusConfig, GripperConfig, LiftConfig, ServoConfig, ValveConfig
 
 REPLY_TIMEOUT = 0.2
 ANGLE = 3.0  # rad at which the emulated servos stand

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mjtactile.recording import Recorder
-from mjtactile.types import Command, Contact, GripperState, Image, Markers, Surface, Touch, Traction, ValveState
+from mjtactile.core.types import Command, Contact, GripperState, Image, Markers, Surface, Touch, Traction, ValveState
+from mjtactile.recording.writer import Recorder
 
 _SCHEDULE = (("approach", 0.15), ("close", 0.2), ("regulate", 0.4), ("lift", 0.5), ("hold", 0.8), ("lower", 0.92),
              ("release", 1.0))

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from mjtactile.sim.attach import attach, recommend_options
-from mjtactile.sim.world import World
+from mjtactile.sim.scenes.world import World
 
 
 def scene(design, mesh=(13, 11), timestep=8e-3, gravity=(0, 0, 0)):

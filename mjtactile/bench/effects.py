@@ -16,17 +16,19 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.bench.accuracy import stamp
+from mjtactile.bench.accuracy.run import stamp
 from mjtactile.bench.settings import HOLD_FORCE, SENSOR, attempt, core_ms, hold
-from mjtactile.design import SensorDesign, load_sensor
-from mjtactile.progress import Progress
-from mjtactile.recording import write_json
-from mjtactile.sensing.pipeline import SensorPipeline
-from mjtactile.sim import rigid, truth
-from mjtactile.sim.camera import Renderer
-from mjtactile.sim.gripper import GraspWorld
-from mjtactile.sim.press import Indenter, PressWorld
-from mjtactile.sim.switches import CAMERA, PHYSICS, set_design, set_picture
+from mjtactile.core.design import SensorDesign, load_sensor
+from mjtactile.recording.files import write_json
+from mjtactile.run.progress import Progress
+from mjtactile.sensing.chain import Perception
+from mjtactile.sim import truth
+from mjtactile.sim.effects.catalog import EFFECTS
+from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.sim.scenes import rigid
+from mjtactile.sim.scenes.grasp_world import GraspWorld
+from mjtactile.sim.scenes.indentation import Indenter, PressWorld
+from mjtactile.sim.sensor.switches import CAMERA, PHYSICS, Effect, set_design, set_picture
 
 _STEP = 1 / 240
 _BLOCK = 4  # steps at a time, as between two images
@@ -38,10 +40,8 @@ _REAL_GAS = {"heat_ratio": 1.4, "heat_exchange": 1.0, "valve_conductance": 1e-7}
 def run(out: Path, quick: bool = False) -> dict[str, Any]:
     """Measure every switch; writes effects_table.json: as models/fidelity/effects.json, it is what `mjtactile effects` reads."""
     say, design = Progress().message, load_sensor(SENSOR)
-    names = ("bending", "gas") if quick else ("gas", "bending", "friction", "gravity", "follower pressure", "servo dynamics",
-                                              "hyperelastic correction",
-                                              "heat exchange", "valve flow", "camera noise", "blur", "distortion", "refraction",
-                                              "LED shading", "motion blur", "shadows")
+    switched = [row.name for row in EFFECTS if row.built and not row.fixed and row.name != Effect.LATENCY]
+    names = [Effect.BENDING, Effect.GAS] if quick else switched
     effects = {}
     for name in names:
         effects[name] = attempt(lambda name=name: _measure(name, design))
@@ -53,23 +53,23 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
     return result
 
 
-def _measure(name: str, design: SensorDesign) -> dict[str, float]:
+def _measure(name: Effect, design: SensorDesign) -> dict[str, float]:
     """Cost of the effect (ms per simulated s) and what changes without it (N, um)."""
-    if name in ("heat exchange", "valve flow"):
+    if name in (Effect.HEAT_EXCHANGE, Effect.VALVE_FLOW):
         design = replace(design, chamber=replace(design.chamber, **_REAL_GAS))
-        base = _ALL | {"heat exchange", "valve flow"}
+        base = _ALL | {Effect.HEAT_EXCHANGE, Effect.VALVE_FLOW}
     else:
         base = _ALL
     on, off = base | {name}, base - {name}
-    if name == "shadows":
+    if name == Effect.SHADOWS:
         return _shadows(design)
-    if name in CAMERA or name == "motion blur":
+    if name in CAMERA or name == Effect.MOTION_BLUR:
         cost = 2 * design.camera.rate * (_image_ms(design, on) - _image_ms(design, off))
         return {"cost_ms_per_s": cost, "force_N": float("nan"), "surface_um": _shift(design, on, off)}
     costs = np.array([[_hold_ms(design, effects) for effects in (on, off)] for _ in range(3)])
     pressed = [_press(design, effects) for effects in (on, off)]
     moved = np.linalg.norm(pressed[0][1] - pressed[1][1], axis=1)
-    if name == "servo dynamics":  # a press has no jaw: nothing to compare
+    if name == Effect.SERVO_DYNAMICS:  # a press has no jaw: nothing to compare
         moved, pressed = moved * np.nan, [(np.nan, *pressed[0][1:])] * 2
     return {"cost_ms_per_s": float(np.median(costs[:, 0] - costs[:, 1])), "force_N": abs(pressed[0][0] - pressed[1][0]),
             "surface_um": 1e6 * float(np.sqrt(np.mean(moved**2)))}
@@ -98,12 +98,12 @@ def _felt(design: SensorDesign, poses: list[tuple[np.ndarray, np.ndarray]],
           shadows: bool) -> tuple[float, list[float], list[np.ndarray]]:
     """ms an image of the last of `poses` (flat, at rest, then pressed deeper and deeper); of each press the mean force felt,
     N, and marker places (N, 3) m, NaN where one was not seen in every image."""
-    renderer, pipeline = Renderer(design, seed=1, shadows=shadows), SensorPipeline(design)
-    pipeline.take_flat([renderer.render(*poses[0]) for _ in range(_IMAGES)])
-    pipeline.take_rest([renderer.render(*poses[1]) for _ in range(_IMAGES)], 1000.0)
+    renderer, perception = Renderer(design, seed=1, shadows=shadows), Perception.of(design)
+    perception.take_flat([renderer.render(*poses[0]) for _ in range(_IMAGES)])
+    perception.take_rest([renderer.render(*poses[1]) for _ in range(_IMAGES)], 1000.0)
     forces, places = [], []
     for pose in poses[2:]:
-        touches = [pipeline.perceive(renderer.render(*pose), 0.0) for _ in range(_IMAGES)]
+        touches = [perception.perceive(renderer.render(*pose), 0.0) for _ in range(_IMAGES)]
         seen = np.full((_IMAGES, design.markers.count, 3), np.nan)
         for k, touch in enumerate(touches):
             if touch.markers is not None:
@@ -116,7 +116,7 @@ def _felt(design: SensorDesign, poses: list[tuple[np.ndarray, np.ndarray]],
 def _hold_ms(design: SensorDesign, effects: frozenset[str]) -> float:
     """Core ms per simulated second, held; an object that friction does not carry stays on the table: the hand stays too."""
     world = GraspWorld(set_design(design, effects), "egg", timestep=_STEP, effects=effects, opening=0.05)
-    if "friction" not in effects:
+    if Effect.FRICTION not in effects:
         world.set_lift_target = lambda height: None  # type: ignore[method-assign]
     return core_ms(hold(world, settle=0.2).step, 60) / _STEP
 
@@ -137,9 +137,9 @@ def _image_ms(design: SensorDesign, effects: frozenset[str]) -> float:
 
 def _shift(design: SensorDesign, on: frozenset[str], off: frozenset[str]) -> float:
     """How far markers would be misplaced if the pictured effect were not there but sensing believed it: geometry only."""
-    from mjtactile import optics
+    from mjtactile.core import optics
 
-    if not {"distortion", "refraction"} & (on - off):
+    if not {Effect.DISTORTION, Effect.REFRACTION} & (on - off):
         return float("nan")
     cameras = [optics.Camera.from_design(d.camera, d.glass) for d in (set_design(design, on), set_design(design, off))]
     p_CM = design.markers.p_SM - design.camera.p_SC
@@ -151,7 +151,7 @@ def _drawer(design: SensorDesign, effects: frozenset[str]) -> Callable[[], Any]:
     seen = set_picture(set_design(design, effects), effects)
     renderer = Renderer(seen, seed=0)
     p_SM, n_S = design.markers.p_SM, np.tile([0.0, 0.0, 1.0], (design.markers.count, 1))
-    if "motion blur" in effects:
+    if Effect.MOTION_BLUR in effects:
         return lambda: renderer.expose(
             np.asarray(np.mean([renderer.irradiance_image(p_SM, n_S) for _ in range(3)], axis=0, dtype=np.float32)))
     return lambda: renderer.render(p_SM, n_S)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from mjtactile.errors import MjtactileError
-from mjtactile.grasp import GraspOptions, GraspResult, run_grasp
-from mjtactile.progress import Progress
+from mjtactile.core.errors import MjtactileError
+from mjtactile.run.figures import new_figure
+from mjtactile.run.grasp import GraspOptions, GraspResult, run_grasp
+from mjtactile.run.progress import Progress
 
 OBJECTS = ("egg", "strawberry", "vial")  # the others that ship are there to be probed
 SEEDS = range(10)
@@ -20,6 +21,7 @@ class _Watcher:
 
     def __init__(self) -> None:
         self.marker_errors: list[float] = []
+        self.patience = 0.0
 
     def add(self, cycle: Any, **truth: Any) -> None:
         self.marker_errors += truth.get("marker_error_true", [])
@@ -38,7 +40,7 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
             row = _row(GraspOptions(object=name, sensor="dense", seed=seed))
             rows.append(row)
             say(_line(row))
-    _plot(rows, out, say)
+    _plot(rows, out)
     objects = {name: _summary(group) for name, group in _by_object(rows).items()}
     return {"sensor": "dense", "runs": rows, "objects": objects}
 
@@ -116,16 +118,10 @@ def _time_table(result: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _plot(rows: Sequence[Mapping[str, Any]], out: Path, say: Callable[[str], None]) -> None:
+def _plot(rows: Sequence[Mapping[str, Any]], out: Path) -> None:
     """Error of the felt hold force, every run."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        say("no plot: matplotlib is not installed (pip install 'mjtactile[plots]')")
+    if (figure := new_figure("grasp.png", (7.2, 4.4))) is None:
         return
-    figure = Figure(figsize=(7.2, 4.4), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     axes.axhspan(-0.15, 0.15, color="#00000010", linewidth=0, label="± 0.15 N")
     axes.axhline(0, color="black", linewidth=0.8)

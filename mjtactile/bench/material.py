@@ -15,10 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.errors import MjtactileError
-from mjtactile.probe import ProbeOptions, ProbeResult, run_probe
-from mjtactile.recording import write_json
-from mjtactile.sim.specimens import Kind, Specimen, to_mjcf
+from mjtactile.core.errors import MjtactileError
+from mjtactile.recording.files import write_json
+from mjtactile.run.figures import new_figure
+from mjtactile.run.probe import ProbeOptions, ProbeResult, run_probe
+from mjtactile.sim.scenes.specimens import Kind, Specimen, to_mjcf
 
 FIRST_SEED = 4000
 KINDS: tuple[Kind, ...] = ("rigid", "elastic", "viscoelastic", "plastic")
@@ -135,13 +136,8 @@ def table(result: Mapping[str, Any]) -> str:
 
 def _plot(out: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """`material.png`: estimated against true modulus."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
+    if (figure := new_figure("material.png", (5.6, 4.6))) is None:
         return
-    figure = Figure(figsize=(5.6, 4.6), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     for kind, mark in (("elastic", "o"), ("viscoelastic", "s")):
         group = [r for r in rows if r["kind"] == kind and math.isfinite(r.get("modulus_kPa", math.nan))]

@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.design import SensorDesign
-from mjtactile.errors import MjtactileError
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import MjtactileError
+from mjtactile.core.types import Array
 from mjtactile.sim import truth
 from mjtactile.sim.attach import DEFAULT_MESH
-from mjtactile.sim.gripper import GraspWorld
-from mjtactile.sim.press import Indenter, PressWorld
-from mjtactile.types import Array
+from mjtactile.sim.scenes.grasp_world import GraspWorld
+from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 HOLD_FORCE = 0.6  # N on each finger
 SENSOR = "dense"

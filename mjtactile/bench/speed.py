@@ -16,15 +16,13 @@ from typing import Any
 import numpy as np
 
 from mjtactile.bench.settings import HOLD_FORCE, Setting, attempt, core_ms, cost_and_noise
-from mjtactile.control import run as run_loop
-from mjtactile.control import take_references
-from mjtactile.controller import load_controller
-from mjtactile.design import load_sensor
-from mjtactile.parallel import Workers
-from mjtactile.progress import Progress
-from mjtactile.recording import FINGERS
-from mjtactile.rig import build_rig
-from mjtactile.sim import rigid
+from mjtactile.core.design import load_sensor
+from mjtactile.run.controller import load_controller
+from mjtactile.run.figures import new_figure
+from mjtactile.run.progress import Progress
+from mjtactile.run.session import Session, open_session
+from mjtactile.run.workers import RemotePerception
+from mjtactile.sim.scenes import rigid
 
 MESHES = ((9, 7), (11, 9), (13, 11), (17, 13), (21, 17), (25, 21), (31, 25))
 TIMESTEPS = (1 / 240, 1 / 180, 1 / 150, 1 / 125)
@@ -41,7 +39,7 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
     kinds = [("", 0), ("", 2)] if quick else [(accuracy, n) for accuracy in ("", "realtime") for n in (0, 1, 2)]
     loops = [_loop(accuracy, n, say) for accuracy, n in kinds]
     result = {"physics": physics, "growth": growth, "rigid": scenes, "loops": loops}
-    _plot(result, out, say)
+    _plot(result, out)
     return result
 
 
@@ -77,18 +75,14 @@ def _loop(accuracy: str, workers: int, say: Callable[[str], None]) -> dict[str, 
     design = load_sensor("dense")
     design = replace(design, camera=replace(design.camera, rate=CAMERA_RATE))
     moments: list[tuple[bool, float, float]] = []  # held, the rig's time, wall time
-    with Workers(workers) as crew:
-        rig = build_rig("sim", design, object_name="egg", seed=SEED, accuracy=accuracy)
-        try:
-            chains = crew.chains(rig.design, FINGERS[:len(rig.cameras)])
-            take_references(rig, chains)
-            start, core = (rig.clock.now(), time.perf_counter()), _core_s(crew)
-            run_loop(rig, chains, load_controller("gentle"), time_limit=60.0, on_cycle=lambda cycle: moments.append(
-                (cycle.sent.phase in ("lift", "hold", "lower"), cycle.time, time.perf_counter())))
-            simulated, wall = rig.clock.now() - start[0], time.perf_counter() - start[1]
-            core = _core_s(crew) - core
-        finally:
-            rig.close()
+    with open_session("sim", design, seed=SEED, accuracy=accuracy, workers=workers) as session:
+        clock = session.rig.clock
+        session.take_references()
+        start, core = (clock.now(), time.perf_counter()), _core_s(session)
+        session.run(load_controller("gentle"), time_limit=60.0, on_cycle=lambda cycle: moments.append(
+            (cycle.sent.phase in ("lift", "hold", "lower"), cycle.time, time.perf_counter())))
+        simulated, wall = clock.now() - start[0], time.perf_counter() - start[1]
+        core = _core_s(session) - core
     _, first, begin = next(moment for moment in moments if moment[0])
     _, last, end = next(moment for moment in reversed(moments) if moment[0])
     row = {"accuracy": accuracy or "default", "workers": workers, "camera_rate_Hz": CAMERA_RATE,
@@ -100,9 +94,10 @@ def _loop(accuracy: str, workers: int, say: Callable[[str], None]) -> dict[str, 
     return row
 
 
-def _core_s(crew: Workers) -> float:
+def _core_s(session: Session) -> float:
     """Core time, s, of this process and of its workers (whose clocks' numbers are those of clock_getcpuclockid(3))."""
-    return time.process_time() + sum(time.clock_gettime((~pid << 3) | 2) for pid in crew.pids)
+    workers = [perception.pid for perception in session.perceptions if isinstance(perception, RemotePerception)]
+    return time.process_time() + sum(time.clock_gettime((~pid << 3) | 2) for pid in workers)
 
 
 def table(result: dict[str, Any]) -> str:
@@ -127,13 +122,9 @@ def table(result: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _plot(result: dict[str, Any], out: Path, say: Callable[[str], None]) -> None:
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        say("no plot: matplotlib is not installed (pip install 'mjtactile[plots]')")
+def _plot(result: dict[str, Any], out: Path) -> None:
+    if (figure := new_figure("speed.png", (6, 4))) is None:
         return
-    figure = Figure(figsize=(6, 4), dpi=110, layout="constrained")
     axes = figure.add_subplot()
     good = [row for row in result["growth"]["rows"] if "failed" not in row]
     count, ms = np.array([r["vertices"] for r in good]), np.array([r["ms_per_step"] for r in good])

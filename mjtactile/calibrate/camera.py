@@ -15,8 +15,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.errors import InputError
-from mjtactile.types import Array
+from mjtactile.core.calibration import Lens, Stamp
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array
 
 VIEWS_MIN = 8  # each adds 6 unknowns (its pose) to the camera's 8, and gives some 50 to 100 numbers
 CORNERS_MIN = 12
@@ -203,6 +204,12 @@ def camera_info(c: CameraCalibration, name: str) -> dict[str, Any]:
     return {"image_width": c.size[0], "image_height": c.size[1], "camera_name": name, "camera_matrix": matrix(c.K, 3),
             "distortion_model": "plumb_bob", "distortion_coefficients": matrix(c.distortion, 1),
             "rectification_matrix": matrix(np.eye(3), 3), "projection_matrix": matrix(projection, 3)}
+
+
+def lens_part(c: CameraCalibration, stamp: Stamp) -> Lens:
+    """What a finger's calibration keeps of it."""
+    return Lens(*c.size, float(c.K[0, 0]), float(c.K[1, 1]), float(c.K[0, 2]), float(c.K[1, 2]),
+                tuple(float(k) for k in c.distortion), stamp)
 
 
 def report(c: CameraCalibration) -> dict[str, Any]:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from mjtactile.calibrate.verdict import fit_line
-from mjtactile.errors import InputError
-from mjtactile.sensing.force import AreaCalibration
-from mjtactile.sensing.pipeline import SensorPipeline
-from mjtactile.types import Array, Image
+from mjtactile.core.calibration import Calibration, ForceScale, Stamp
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array, Image
+from mjtactile.sensing.chain import Perception
+from mjtactile.sensing.paper.levels import AreaCalibration
 
 LOADS_MIN = 4
 FORCE_MIN = 0.2  # N; the largest load, below it noise is what would be calibrated
@@ -47,12 +49,22 @@ class ForceCalibration:
                           for t, f, a in zip(self.true, self.felt, self.area_change, strict=True)]}
 
 
-def feel(pipeline: SensorPipeline, images: Sequence[Image]) -> tuple[float, float]:
+def ready_perception(design: SensorDesign, calibration: Calibration, flat: Sequence[Image], rest: Sequence[Image],
+                     reading: float | None) -> Perception:
+    """Perception with references from these pictures, at what its pressure sensor says, Pa (None: there is none), without the
+    scale that is to be found. Raises DeviceError when they do not agree with the sensor file."""
+    perception = Perception.of(design, replace(calibration, force=None))
+    perception.take_flat(flat)
+    perception.take_rest(rest, design.chamber.supply_gauge if reading is None else calibration.pressure(reading))
+    return perception
+
+
+def feel(perception: Perception, images: Sequence[Image]) -> tuple[float, float]:
     """Mean normal force, N, and area, m^2, that a sensor with references sees in images of one load.
 
     Raises InputError with the reason when it sees nothing usable.
     """
-    touches = [pipeline.perceive(image, image.time) for image in images]
+    touches = [perception.perceive(image, image.time) for image in images]
     good = [t for t in touches if np.isfinite(t.force_normal) and t.surface is not None and t.traction is not None]
     if not good:
         raise InputError(f"cannot be used: {touches[0].status if touches else 'no image'}")
@@ -78,6 +90,12 @@ def calibrate_force(true: Array, felt: Array, area: Array, area_rest: float) -> 
     reasons = _judge(true, felt, constant, float(scale), float(offset), rms)
     return ForceCalibration(constant, float(scale), float(scale_sd), float(offset), float(offset_sd), rms, true, felt, change,
                             tuple(reasons))
+
+
+def force_part(c: ForceCalibration, stamp: Stamp) -> ForceScale:
+    """What a finger's calibration keeps of it: the slope. At rest a sensor feels nothing; the offset is what held the load cell,
+    or its zero."""
+    return ForceScale(c.scale, c.scale_sd, float(np.max(c.true)), stamp)
 
 
 def _judge(true: Array, felt: Array, constant: AreaCalibration | None, scale: float, offset: float, rms: float) -> list[str]:

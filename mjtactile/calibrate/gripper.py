@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from mjtactile.calibrate.verdict import fit_line
-from mjtactile.devices.dynamixel_tables import TICKS_PER_RAD
-from mjtactile.devices.geometry import JawGeometry, JawServo
-from mjtactile.errors import InputError
-from mjtactile.types import Array
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array
+from mjtactile.devices.dynamixel.jaws import JawGeometry, JawServo
+from mjtactile.devices.dynamixel.tables import TICKS_PER_RAD
 
 DIRECTIONS = ("closing", "opening")
 SCALE_OFF_MAX = 0.03  # more is a wrong pinion radius or a wrong law, which a number should not hide

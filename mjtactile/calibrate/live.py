@@ -10,20 +10,23 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.calibrate.camera import BoardFinder, View
 from mjtactile.calibrate.valve import ValveCalibration, calibrate_valve
-from mjtactile.design import SensorDesign
-from mjtactile.devices.dynamixel import DynamixelGripper
-from mjtactile.devices.opencv_camera import OpenCvCamera
-from mjtactile.devices.valve import BoardValve
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import DeviceError, InputError
+from mjtactile.core.types import Array, Command, Image
+from mjtactile.devices.camera.opencv import OpenCvCamera
+from mjtactile.devices.dynamixel.gripper import DynamixelGripper
+from mjtactile.devices.valve.driver import BoardValve
 from mjtactile.emulator.process import EmulatorProcess
-from mjtactile.errors import DeviceError, InputError
-from mjtactile.rigfile import RigFile, load_rig_file
-from mjtactile.types import Array, Command
+from mjtactile.rig.file import RigFile, load_rig_file
+from mjtactile.rig.finger import Rig
+from mjtactile.run.session import Session
 
 Say = Callable[[str], None]
 Ask = Callable[[str], float | None]
@@ -99,6 +102,54 @@ def _hint(taken: Sequence[View], shape: tuple[int, ...]) -> str:
     return f"Now to the {empty[0]}, tilted." if empty else "Tilt it another way, or come closer."
 
 
+# -- frame and force ---------------------------------------------------------------------------------------------------
+
+class _Bystander:
+    """Stands where perception is asked for: the pictures are judged afterwards."""
+
+    def take_flat(self, images: Sequence[Image]) -> None: ...
+    def take_rest(self, images: Sequence[Image], pressure_gauge: float, *, sealed: bool = True) -> None: ...
+    def perceive(self, image: Image, now: float) -> Any: ...
+
+
+class _Album:
+    """Keeps the pictures of the references."""
+
+    def __init__(self) -> None:
+        self.shots: dict[str, list[list[Image]]] = {}
+        self.pressures: list[float | None] = []
+
+    def add_reference(self, stage: str, images: list[list[Image]], pressure_gauge: list[float | None]) -> None:
+        self.shots[stage], self.pressures = images, pressure_gauge
+
+    def note(self, **_: Any) -> None: ...
+
+
+def reference_pictures(rig: Rig, say: Say) -> list[tuple[list[Image], list[Image], float | None]]:
+    """Of each finger: pictures of the flat and of the inflated membrane, and what its pressure sensor says then, Pa."""
+    album = _Album()
+    Session(rig, [_Bystander() for _ in rig.fingers], say=say).take_references(album)
+    return list(zip(album.shots["flat"], album.shots["rest"], album.pressures or [None] * len(rig.fingers), strict=True))
+
+
+def squeezed_pictures(rig: Rig, forces: Sequence[float], load_cell: Ask, say: Say
+                      ) -> Iterator[tuple[str, float, list[list[Image]]]]:
+    """Squeeze a load cell between the jaws with rising force limits (N): a name, what it shows (N), pictures of each finger.
+
+    The jaws open again at the end. Whatever holds the load cell takes a little of the force: the same of each, but of none.
+    """
+    gripper: Any = rig.gripper
+    for force in sorted(forces):
+        say(f"squeezing with up to {force:.2f} N")
+        _squeeze(gripper, force)
+        with kept_alive(gripper):
+            shots = Session(rig, []).settled_images()
+            measured = load_cell(f"load cell, N (squeezed with {force:.2f})")
+        if measured is not None:
+            yield f"{force:.2f} N", measured, shots
+    _move(gripper, min(gripper.state().opening + 0.02, gripper.config.opening[1]), max(forces))
+
+
 # -- gripper -----------------------------------------------------------------------------------------------------------
 
 def measure_openings(gripper: DynamixelGripper, openings: Sequence[float], ask: Ask, force: float, say: Say
@@ -113,7 +164,7 @@ def measure_openings(gripper: DynamixelGripper, openings: Sequence[float], ask: 
         _move(gripper, min(max(opening + away, low), high), force)
         _move(gripper, opening, force)
         reported = gripper.state().opening
-        with _kept_alive(gripper):
+        with kept_alive(gripper):
             measured = ask(f"caliper between the sensors' frames, mm (jaws at {1e3 * reported:.2f})")
         if measured is not None:
             rows.append((reported, direction, 1e-3 * measured))
@@ -128,7 +179,7 @@ def measure_forces(gripper: DynamixelGripper, forces: Sequence[float], ask: Ask,
         say(f"squeezing with up to {force:.2f} N")
         _squeeze(gripper, force)
         reported = float(np.mean([_pause(gripper, _PERIOD).effort for _ in range(10)]))
-        with _kept_alive(gripper):
+        with kept_alive(gripper):
             measured = ask(f"load cell, N (the currents say {reported:.2f})")
         if measured is not None:
             rows.append((reported, measured))
@@ -143,14 +194,16 @@ def _pause(gripper: DynamixelGripper, seconds: float):
 
 
 @contextlib.contextmanager
-def _kept_alive(gripper: DynamixelGripper) -> Iterator[None]:
-    """Call the gripper while a person reads an instrument: a host that is silent would let the watchdog stop it."""
+def kept_alive(*devices: Any) -> Iterator[None]:
+    """Ask grippers or valves for their state while a person reads an instrument, or the pictures are worked on: the servos'
+    watchdog, or the valve board's heartbeat, would take a host that is silent for one that hangs."""
     done = threading.Event()
 
     def call() -> None:
         while not done.wait(0.05):
-            with contextlib.suppress(DeviceError):
-                gripper.state()
+            for device in devices:
+                with contextlib.suppress(DeviceError):
+                    device.state()
 
     thread = threading.Thread(target=call, name="keep alive", daemon=True)
     thread.start()

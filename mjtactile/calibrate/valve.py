@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from mjtactile.calibrate.verdict import fit_line
-from mjtactile.errors import InputError
-from mjtactile.types import Array
+from mjtactile.core.calibration import Stamp, ValveZero
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array
 
 STATES = ("vent", "open", "closed")
 OFFSET_MAX_SHARE = 0.05  # of the step: the rest state is weighed with this pressure
@@ -43,6 +44,11 @@ class ValveCalibration:
         return {"asked_Pa": self.asked, "offset_Pa": self.offset, "noise_sd_Pa": self.noise_sd, "step_Pa": self.step,
                 "rise_time_s": self.rise_time, "time_constant_s": self.time_constant, "leak_Pa_per_s": self.leak,
                 "leak_sd_Pa_per_s": self.leak_sd, "fall_time_s": self.fall_time}
+
+
+def valve_part(c: ValveCalibration, stamp: Stamp) -> ValveZero:
+    """What a finger's calibration keeps of it."""
+    return ValveZero(c.offset, c.noise_sd, stamp)
 
 
 def calibrate_valve(time: Array, pressure: Array, state: Sequence[str], asked: float) -> ValveCalibration:

@@ -11,9 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.errors import InputError
-from mjtactile.recording import to_json, versions, write_json
-from mjtactile.types import Array
+from mjtactile.core import calibration
+from mjtactile.core.calibration import Stamp
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array
+from mjtactile.recording.files import to_json, versions, write_json
+
+
+def mark(design: SensorDesign, residuals: Mapping[str, Any]) -> Stamp:
+    """The stamp of a calibration's part that was measured now."""
+    return calibration.stamp(design, versions(), to_json(residuals))
 
 
 def stamp(kind: str, reasons: Sequence[str]) -> dict[str, Any]:

@@ -6,6 +6,7 @@ One that needs no simulator says `SIMULATES = False`.
 from mjtactile.commands import (
     bench,
     calibrate,
+    docs,
     doctor,
     effects,
     emulate,
@@ -13,6 +14,7 @@ from mjtactile.commands import (
     grasp,
     inflate,
     locate,
+    new,
     press,
     probe,
     reconstruct,
@@ -22,5 +24,5 @@ from mjtactile.commands import (
 COMMANDS = {
     "grasp": grasp, "probe": probe, "experiments": experiments, "inflate": inflate, "press": press, "locate": locate,
     "reconstruct": reconstruct, "calibrate": calibrate, "bench": bench, "effects": effects, "emulate": emulate, "doctor": doctor,
-    "record": record,
+    "record": record, "new": new, "docs": docs,
 }  # fmt: skip

@@ -7,9 +7,9 @@ import importlib
 from pathlib import Path
 from typing import Any
 
-from mjtactile.commands.output import prepare_folder, print_json, stdout_to_stderr
-from mjtactile.errors import InputError
-from mjtactile.recording import write_json
+from mjtactile.commands.output import output_folder, print_json, stdout_to_stderr
+from mjtactile.core.errors import InputError
+from mjtactile.recording.files import write_json
 
 HELP = "measure accuracy and speed; writes a table, a JSON and plots"
 DESCRIPTION = """\
@@ -23,17 +23,20 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   rig         the emulated rig: loop rate, latency, reaction to every fault, host killed
   accuracy    work-precision diagrams: error of force and surface against time, every knob
   speed       two membranes holding an object: against the clock, rigid pads, mesh size
-  effects     what each effect costs, and what leaving it out costs"""
+  effects     what each effect costs, and what leaving it out costs
+  numbers     measures nothing: the ten numbers of the README, from the pages of the others"""
 EPILOG = """\
 examples:
   mjtactile bench grasp --quick            one seed instead of ten
   mjtactile bench perception --out results
-  mjtactile bench grasp --readme README.md put the table between that file's bench markers
+  mjtactile bench grasp --readme docs/benchmarks.md    put the table between that file's bench markers
+  mjtactile bench numbers --readme README.md           then take the README's numbers from there
 """
-BENCHMARKS = {"grasp": "mjtactile.bench.grasp", "speed": "mjtactile.bench.speed", "accuracy": "mjtactile.bench.accuracy",
-              "effects": "mjtactile.bench.effects", "perception": "mjtactile.bench.perception",
-              "material": "mjtactile.bench.material", "touch": "mjtactile.bench.touch",
-              "rig": "mjtactile.bench.rig", "stability": "mjtactile.bench.stability"}
+BENCHMARKS = {"grasp": "mjtactile.bench.grasp", "speed": "mjtactile.bench.speed", "accuracy": "mjtactile.bench.accuracy.run",
+              "effects": "mjtactile.bench.effects", "perception": "mjtactile.bench.perception.run",
+              "material": "mjtactile.bench.material", "touch": "mjtactile.bench.touch.run",
+              "rig": "mjtactile.bench.rig.run", "stability": "mjtactile.bench.stability.run",
+              "numbers": "mjtactile.bench.numbers"}
 """Name to module; each has `run(out, quick) -> dict`, which draws into `out`, and `table(result) -> str` in Markdown."""
 
 
@@ -54,13 +57,12 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"{options.name!r} starts anew each time", field="--resume", choices=["stability", "rig"])
     if (options.parts or options.soak) and options.name != "rig":
         raise InputError(f"{options.name!r} has none", field="--parts, --soak", choices=["rig"])
-    out = prepare_folder(options.out)
     more: dict[str, Any] = {"resume": True} if options.resume else {}
     if options.parts:
         more["parts"] = tuple(options.parts.split(","))
     if options.soak:
         more["soak"] = options.soak
-    with stdout_to_stderr():
+    with output_folder(options.out) as out, stdout_to_stderr():
         module = importlib.import_module(BENCHMARKS[options.name])
         result = module.run(out, quick=options.quick, **more)
         table = module.table(result)
@@ -71,7 +73,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json(result)
     else:
-        print(f"{table}\nwritten to {out}")
+        print(f"{table}\nwritten to {options.out}")
     return 0
 
 

@@ -7,16 +7,24 @@ import sys
 from typing import Any
 
 from mjtactile.commands.output import print_json, stdout_to_stderr
+from mjtactile.rig.file import read_rig_file
+from mjtactile.rig.finding import Finding
+from mjtactile.rig.simulated import SimRigFile
 
-HELP = "check cameras, servos and valves, and say how to mend what is wrong"
+HELP = "check cameras, servos and valves, or a simulated robot, and say how to mend what is wrong"
 DESCRIPTION = """\
 Look for cameras and serial ports; with --rig FILE, check each device that the file names: that it
 answers, is the model that the file says, keeps its settings, is fast enough and has no error.
-Nothing is changed and nothing moves; --fix mends what software can (FTDI latency timer)."""
+Nothing is changed and nothing moves; --fix mends what software can (FTDI latency timer). Of the
+calibrations that it names: which parts are missing, refused, or older than what they rest on.
+
+Of a simulated rig it checks the names in the file, which way the fingertips look, whether the
+jaws go where their laws say and the hand rises, that no sensor touches its own gripper, and the force."""
 EPILOG = """\
 examples:
   mjtactile doctor                        what is plugged in
   mjtactile doctor --rig my_gripper.toml  is it what the file says
+  mjtactile doctor --rig sim_arm          a simulated robot: docs/robots.md
 exit codes: 0 all well, 1 something is wrong, 2 bad rig file.
 """
 SIMULATES = False
@@ -25,14 +33,26 @@ _MARKS = {"ok": "ok  ", "warn": "warn", "bad": "BAD "}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rig", metavar="NAME|FILE.toml", help="rig file to check (default: only look what is plugged in)")
+    parser.add_argument("--sensor", default="dense", metavar="NAME|FILE.toml",
+                        help="the sensor, where the rig file does not say it (default: dense)")
     parser.add_argument("--fix", action="store_true", help="mend what software can")
 
 
-def run(options: argparse.Namespace) -> int:
+def _examine(options: argparse.Namespace) -> list[Finding]:
+    """A simulated rig has no devices to look for, and real devices need no simulator."""
+    rig = None if options.rig is None else read_rig_file(options.rig)
+    if isinstance(rig, SimRigFile):
+        from mjtactile.sim.doctor import examine_simulated
+
+        return examine_simulated(rig)
     from mjtactile.devices.doctor import examine
 
+    return examine(options.rig, sensor=options.sensor, fix=options.fix)
+
+
+def run(options: argparse.Namespace) -> int:
     with stdout_to_stderr():
-        findings = examine(options.rig, fix=options.fix)
+        findings = _examine(options)
     if options.json:
         report: dict[str, Any] = {"ok": all(f.level != "bad" for f in findings), "findings": [vars(f) for f in findings]}
         print_json(report)

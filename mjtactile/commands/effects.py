@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 
-from mjtactile import resources
 from mjtactile.commands.output import print_json
-from mjtactile.design import load_sensor
+from mjtactile.core import resources
+from mjtactile.core.design import load_sensor
 
 HELP = "list the effects that a sensor and an object call for, and their price"
 DESCRIPTION = """\
@@ -45,9 +45,9 @@ def add_estimate_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.fidelity import DEFAULT_FORCE_ERROR, Fidelity
-    from mjtactile.sim.effects import choose
-    from mjtactile.sim.objects import load_object
+    from mjtactile.sim.effects.catalog import choose
+    from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR, Fidelity
+    from mjtactile.sim.scenes.objects import load_object
 
     design, grasped = load_sensor(options.sensor), load_object(options.object)
     fidelity = Fidelity.parse(options.accuracy) if options.accuracy else None

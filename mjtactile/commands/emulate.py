@@ -6,8 +6,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from mjtactile import resources
-from mjtactile.errors import InputError
+from mjtactile.core import resources
+from mjtactile.core.errors import InputError
 
 HELP = "start emulated hardware on serial ports and streams, until stopped"
 DESCRIPTION = """\
@@ -37,16 +37,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.design import load_sensor
+    from mjtactile.core.design import load_sensor
     from mjtactile.emulator.process import EmulatorProcess
-    from mjtactile.rigfile import load_rig_file
+    from mjtactile.rig.file import load_rig_file
 
     rig_file = load_rig_file(options.rig)
     faults = dict(_fault(text) for text in options.faults)
     emulator = EmulatorProcess(rig_file, load_sensor(options.sensor), object_name=options.object, seed=options.seed,
                                faults=faults)
     try:
-        text = _rig_text(rig_file.path.read_text(encoding="utf-8"), emulator.endpoints)
+        text = client_text(rig_file.path, emulator.endpoints)
         if options.out is not None:
             _write(options.out, text)
         print(text)
@@ -74,7 +74,7 @@ def _fault(text: str) -> tuple[str, float]:
 
 def _obey_terminal(emulator) -> None:
     """Switch faults that are typed; when stdin is no terminal and ends, just go on."""
-    from mjtactile.errors import MjtactileError
+    from mjtactile.core.errors import MjtactileError
 
     for line in sys.stdin:
         try:
@@ -89,19 +89,21 @@ def _obey_terminal(emulator) -> None:
         emulator.truth()  # raises when the emulator has ended
 
 
-def _rig_text(text: str, endpoints: dict) -> str:
-    """The rig file with real addresses, and without [emulator]: a client's file."""
+def client_text(path: Path, endpoints: dict) -> str:
+    """The rig file with real addresses, and without [emulator]: a client's file, which may stand elsewhere."""
     lines, section, camera = [], "", iter(endpoints["cameras"].values())
-    for line in text.splitlines():
+    for line in path.read_text(encoding="utf-8").splitlines():
         if line.startswith("["):
-            section = line.strip("[] ")
-        if section == "emulator":
+            section = line.split("#")[0].strip("[] ")
+        if section.split(".")[0] == "emulator":
             continue
-        key = line.split("=")[0].strip()
+        key, _, value = (part.strip() for part in line.partition("="))
         if key == "port":
             line = f'port = "{endpoints["servo" if section == "bus" else "valve"]}"'
         elif key == "source":
             line = f'source = "{next(camera)}"'
+        elif key == "calibration" or key == "sensor" and ".toml" in value:
+            line = f'{key} = "{path.parent.resolve() / value.split(chr(34))[1]}"'
         lines.append(line)
     return "\n".join(lines) + "\n"
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from mjtactile.commands.output import prepare_folder, print_json, stdout_to_stderr
-from mjtactile.errors import InputError
-from mjtactile.progress import Progress
-from mjtactile.recording import write_json
+from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
+from mjtactile.core.errors import InputError
+from mjtactile.recording.files import write_json
+from mjtactile.run.progress import Progress
 
 HELP = "the paper's experiments again: figures, and our numbers beside its own"
 DESCRIPTION = """\
@@ -46,13 +46,13 @@ def _names(text: str) -> list[str]:
 def run(options: argparse.Namespace) -> int:
     if options.page is not None and options.page.suffix != ".md":
         raise InputError("not a Markdown file", source=options.page, field="--page")
-    out = None if options.out is None else prepare_folder(options.out)
-    images = None if options.page is None else prepare_folder(options.page.parent / "images" / "experiments")
-    with stdout_to_stderr():
-        from mjtactile.bench import figures
-        from mjtactile.bench.experiments import run as run_experiments
-        from mjtactile.bench.experiments import without_arrays
-        from mjtactile.bench.findings import page, table
+    page_images = None if options.page is None else options.page.parent / "images" / "experiments"
+    with (optional_folder(options.out, "experiments.json", "experiments.md") as out, optional_folder(page_images) as images,
+          stdout_to_stderr()):
+        from mjtactile.experiments import figures
+        from mjtactile.experiments.findings import page, table
+        from mjtactile.experiments.run import run as run_experiments
+        from mjtactile.experiments.run import without_arrays
 
         results = run_experiments(options.only, out, quick=options.quick, say=Progress(quiet=options.json).message)
         if out is not None:

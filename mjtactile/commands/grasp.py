@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import argparse
-import datetime
+import contextlib
 import math
 import sys
 from pathlib import Path
 from typing import Any
 
-from mjtactile import report, resources
-from mjtactile.commands import effects
-from mjtactile.commands.output import prepare_folder, print_json, stdout_to_stderr
-from mjtactile.errors import InputError, MjtactileError
-from mjtactile.progress import Progress
-from mjtactile.recording import Recorder, load_recording, write_json
-from mjtactile.rig import rig_names
+from mjtactile.commands import effects, ranges
+from mjtactile.commands.output import new_run_folder, output_folder, print_json, stdout_to_stderr
+from mjtactile.core import resources
+from mjtactile.core.errors import Interrupted, MjtactileError
+from mjtactile.recording.files import write_json
+from mjtactile.recording.reader import load_recording
+from mjtactile.recording.writer import Recorder
+from mjtactile.rig.registry import rig_names
+from mjtactile.run import report
+from mjtactile.run.progress import Progress
 
 HELP = "grasp a fragile object, lift it, hold it, set it down"
 DESCRIPTION = """\
-Close a two-finger gripper on an object, feel the touch through the membrane cameras,
+Close a gripper on an object, feel the touch through the membrane camera of each finger,
 regulate the force, lift, hold for 2 s, set down. Writes a folder with summary.json,
 summary.png and a recording."""
 EPILOG = """\
@@ -32,7 +35,7 @@ examples:
 
 The result (--json, summary.json) says: outcome ("held", "dropped", "crushed", "fault"), peak_force_N and
 hold_force_N as felt, peak_force_true_N, hold_force_true_N and slip_mm_true as they were (simulation only),
-real_time_factor, frames, perception_ms_median, object, sensor, controller, seed.
+real_time_factor, frames, perception_ms_median, object, sensor, controller, seed; a "reason" where it is known.
 exit codes: 0 held, 1 dropped or crushed, 2 bad input, 3 a device or the simulation failed, or Ctrl-C.
 """
 EXIT_CODES = {"held": 0, "dropped": 1, "crushed": 1, "fault": 3}
@@ -59,6 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=_count, metavar="N", help="processes that look at the camera images beside the control "
                         "loop, at most one a camera; the result is the same with any number, 0 needs the least memory "
                         "(default: one a camera on a computer with two processors or more, else 0)")
+    ranges.add_frames_argument(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default: runs/<time>-<object>)")
 
 
@@ -69,28 +73,22 @@ def _seed(text: str) -> int:
 
 
 def _count(text: str) -> int:
-    if text not in ("0", "1", "2"):
-        raise argparse.ArgumentTypeError(f"{text!r} is not 0, 1 or 2: there are two cameras")
+    if text not in tuple("012345678"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 to 8")
     return int(text)
 
 
 def run(options: argparse.Namespace) -> int:
-    name = Path(options.object).stem
-    out = options.out or Path("runs") / f"{datetime.datetime.now():%Y%m%d-%H%M%S}-{name}"
-    made = [folder for folder in (out, *out.parents) if not folder.exists()]
-    prepare_folder(out)
-    try:
-        with stdout_to_stderr():
-            summary = _run_and_report(options, out, Progress())
-    except InputError:
-        for folder in made:  # leave nothing behind for a run that never began
-            if not any(folder.iterdir()):
-                folder.rmdir()
-        raise
-    if options.json:
-        print_json(summary)
-    else:
-        _print_summary(summary, out)
+    progress = Progress()  # which looks whether stderr is a terminal
+    folder = (output_folder(options.out, "recording", "summary.json", "summary.png") if options.out is not None else
+              new_run_folder(Path(options.object).stem))
+    with folder as out, stdout_to_stderr():
+        summary = _run_and_report(options, out, progress)
+    with contextlib.suppress(BrokenPipeError):  # the exit code says how it went, read or not
+        if options.json:
+            print_json(summary)
+        else:
+            _print_summary(summary, out)
     return EXIT_CODES[summary["outcome"]]
 
 
@@ -104,45 +102,49 @@ def _manner(options: argparse.Namespace) -> dict[str, Any]:
 
 def _run_and_report(options: argparse.Namespace, out: Path, progress: Progress) -> dict[str, Any]:
     """Run the grasp and write its report, also of a run that failed half-way; the error then carries its summary."""
-    from mjtactile.grasp import GraspOptions, run_grasp
+    from mjtactile.run.grasp import GraspOptions, run_grasp
 
     header = _header(options)
-    recorder = Recorder(out / "recording", header)
+    recorder = Recorder(out / "recording", header, frames=options.frames)
     try:
         summary = run_grasp(GraspOptions(**header, **_manner(options)), recorder=recorder, progress=progress).summary()
     except (Exception, KeyboardInterrupt) as error:
         progress.close()
-        if isinstance(error, InputError) and recorder.cycles == 0:
+        if recorder.never_began(error):
             recorder.discard()
             raise
         _report_fault(error, recorder, out, header)
         raise
     progress.close()
     recorder.close(outcome=summary["outcome"])
+    if recorder.problem:
+        summary["recording_problem"] = recorder.problem
     _write_report(out, recorder, summary)
     return summary
 
 
 def _report_fault(error: BaseException, recorder: Recorder, out: Path, header: dict[str, Any]) -> None:
     """Keep what a failed run recorded and say where it is."""
-    reason = "interrupted" if isinstance(error, KeyboardInterrupt) else " ".join(str(error).split())
+    stopped = isinstance(error, (Interrupted, KeyboardInterrupt))
+    reason = "interrupted" if stopped else " ".join(str(error).split())
     names = {key: Path(header[key]).stem for key in ("object", "sensor", "controller")}
     summary = {"outcome": "fault", **dict.fromkeys(_MEASURED), "frames": recorder.cycles, **names, "seed": header["seed"],
                "error": reason}
     error.summary = summary  # type: ignore[attr-defined]  # cli prints it with --json
     recorder.close(outcome="fault", error=reason)
-    _write_report(out, recorder, summary)
+    _write_report(out, recorder, summary, picture=not stopped)  # which takes longer than who stops a run will wait
     if recorder.cycles:
         print(f"mjtactile: {recorder.cycles} cycles were recorded and are kept in {out}", file=sys.stderr)
 
 
-def _write_report(out: Path, recorder: Recorder, summary: dict[str, Any]) -> None:
-    """Write summary.json, then the picture; a picture that cannot be drawn does not lose the run."""
-    write_json(out / "summary.json", summary)
+def _write_report(out: Path, recorder: Recorder, summary: dict[str, Any], *, picture: bool = True) -> None:
+    """Write summary.json, then the picture; what cannot be written does not change how the run went."""
     try:
-        report.write_figure(out / "summary.png", load_recording(out), recorder.snapshot, summary)
-    except MjtactileError as error:
-        print(f"mjtactile: warning: summary.png was not written: {error}", file=sys.stderr)
+        write_json(out / "summary.json", summary)
+        if picture:
+            report.write_figure(out / "summary.png", load_recording(out), recorder.snapshot, summary, recorder.view)
+    except (MjtactileError, OSError) as error:
+        print(f"mjtactile: warning: the report is not complete: {error}", file=sys.stderr)
 
 
 def _print_summary(summary: dict[str, Any], out: Path) -> None:
@@ -151,6 +153,8 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
         return "unknown" if value is None or value != value else f"{value:.2f} N"
 
     print(f"{summary['object']}: {summary['outcome']}")
+    if summary.get("reason"):
+        print(f"  because   {summary['reason']}")
     print(f"  holding   {newton('hold_force_N')} on each finger (true {newton('hold_force_true_N')})")
     print(f"  at most   {newton('peak_force_N')} (true {newton('peak_force_true_N')})")
     if math.isfinite(summary["slip_mm_true"]):

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile.commands import plots, ranges
-from mjtactile.commands.output import prepare_folder, print_json, stdout_to_stderr
-from mjtactile.design import load_sensor
-from mjtactile.errors import InputError
-from mjtactile.progress import Progress
-from mjtactile.recording import write_json
+from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import InputError
+from mjtactile.recording.files import write_json
+from mjtactile.run.progress import Progress
 
 HELP = "inflate a sensor's membrane and compare its height with theory"
 DESCRIPTION = """\
@@ -36,22 +36,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.bench.press import inflate
+    from mjtactile.experiments.press import inflate
 
     design = load_sensor(options.sensor)
     lowest = -1e-3 * design.chamber.ambient
     if min(options.pressures) <= lowest:
         raise InputError(f"{min(options.pressures):g} kPa is not above vacuum ({lowest:g} kPa)", field="--pressure-kPa")
-    out = None if options.out is None else prepare_folder(options.out)
-    with stdout_to_stderr():
-        result = inflate(design, [1e3 * p for p in options.pressures], say=Progress(quiet=options.json).message)
-    if out is not None:
-        write_json(out / "inflate.json", result)
-        plots.save(out / "inflate.png", lambda figure: _draw(figure, result))
+    with optional_folder(options.out, "inflate.json", "inflate.png") as out:
+        with stdout_to_stderr():
+            result = inflate(design, [1e3 * p for p in options.pressures], say=Progress(quiet=options.json).message)
+        if out is not None:
+            write_json(out / "inflate.json", result)
+            plots.save(out / "inflate.png", lambda figure: _draw(figure, result))
     if options.json:
         print_json(result)
     else:
-        _print_table(result, out)
+        _print_table(result, options.out)
     return 0
 
 

@@ -14,14 +14,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.commands.output import prepare_folder, print_json, stdout_to_stderr
+from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
 from mjtactile.commands.sources import Frame, read_frames
-from mjtactile.errors import InputError
-from mjtactile.optics import Camera
-from mjtactile.recording import write_json
-from mjtactile.sensing.ellipse import boundary, shape_from_axes
-from mjtactile.sensing.locate import find_circles, marker_records
-from mjtactile.types import CirclePoses, Ellipses
+from mjtactile.core.errors import InputError
+from mjtactile.core.optics import Camera
+from mjtactile.core.types import CirclePoses, Ellipses
+from mjtactile.recording.files import write_json
+from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
+from mjtactile.sensing.pose.locate import find_circles, marker_records
 
 SIMULATES = False
 HELP = "find circular markers in images and say where they are in 3D"
@@ -77,18 +77,18 @@ def _positive(text: str) -> float:
 
 def run(options: argparse.Namespace) -> int:
     camera = Camera.from_yaml(options.camera)
-    out = None if options.out is None else prepare_folder(options.out)
-    with stdout_to_stderr():
-        frames = [_locate(frame, camera, options, out) for frame in read_frames(options.source)]
-    if not any(frame["status"] == "ok" for frame in frames):
-        raise InputError(f"none of its {len(frames)} images can be used; {frames[0]['source']}: {frames[0]['status']}",
-                         source=options.source, field="SOURCE")
-    if out is not None:
-        write_json(out / "locate.json", {"frames": [_public(frame) for frame in frames]})
+    with optional_folder(options.out, "locate.json") as out:
+        with stdout_to_stderr():
+            frames = [_locate(frame, camera, options, out) for frame in read_frames(options.source)]
+        if not any(frame["status"] == "ok" for frame in frames):
+            raise InputError(f"none of its {len(frames)} images can be used; {frames[0]['source']}: {frames[0]['status']}",
+                             source=options.source, field="SOURCE")
+        if out is not None:
+            write_json(out / "locate.json", {"frames": [_public(frame) for frame in frames]})
     if options.json:
         print_json({"frames": [_public(frame) for frame in frames]})
     else:
-        _print_table(frames, out)
+        _print_table(frames, options.out)
     return 0
 
 

@@ -1,8 +1,10 @@
-"""What the commands share: a checked output folder, a stdout that stays clean, JSON."""
+"""What the commands share: an output folder that destroys nothing, a stdout that stays clean, JSON."""
 
 from __future__ import annotations
 
 import contextlib
+import datetime
+import itertools
 import json
 import os
 import sys
@@ -11,34 +13,92 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from mjtactile.errors import InputError
-from mjtactile.recording import to_json
+from mjtactile.commands.background import Background
+from mjtactile.core.errors import InputError
+from mjtactile.recording.files import to_json
 
 
-def prepare_folder(path: Path) -> Path:
-    """Make the output folder and prove that it can be written, before any work is done. Raises InputError."""
+@contextlib.contextmanager
+def output_folder(path: Path, *results: str) -> Iterator[Path]:
+    """Make the output folder and prove that it can be written, before any work is done.
+
+    Raises InputError when it cannot, or when one of `results`, the files and folders that will be written, is there
+    already. Leaves no empty folder behind when the work failed.
+    """
+    taken = [name for name in results if (path / name).exists()]
+    if taken:
+        raise InputError(f"holds {taken[0]} already, and nothing is overwritten; name another folder", source=path,
+                         field="--out")
+    with _removed_if_empty(path):
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            with tempfile.NamedTemporaryFile(dir=path, prefix=".writable-"):
+                pass
+        except OSError as error:
+            raise InputError(f"cannot be written: {error.strerror}", source=path, field="--out") from error
+        yield path
+
+
+@contextlib.contextmanager
+def optional_folder(path: Path | None, *results: str) -> Iterator[Path | None]:
+    """The same where `--out` may be left out: None then."""
+    if path is None:
+        yield None
+        return
+    with output_folder(path, *results):
+        yield path
+
+
+@contextlib.contextmanager
+def new_run_folder(name: str) -> Iterator[Path]:
+    """A new folder `runs/<time>-<name>`, with a number behind it where another run of the same second has that.
+
+    Raises InputError when it cannot be made. Leaves no empty folder behind when the work failed.
+    """
+    stem = Path("runs") / f"{datetime.datetime.now():%Y%m%d-%H%M%S}-{name}"
+    for number in itertools.count(1):
+        folder = stem if number == 1 else Path(f"{stem}-{number}")
+        with _removed_if_empty(folder):
+            try:
+                folder.mkdir(parents=True)
+            except FileExistsError:  # even if it was made just now, by another process
+                continue
+            except OSError as error:
+                raise InputError(f"cannot be written: {error.strerror}", source=folder) from error
+            yield folder
+            return
+
+
+@contextlib.contextmanager
+def _removed_if_empty(path: Path) -> Iterator[None]:
+    """Remove in the end what was not there in the beginning and holds nothing: `path`, and the folders around it."""
+    made = [folder for folder in (path, *path.parents) if not folder.exists()]
     try:
-        path.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path, prefix=".writable-"):
-            pass
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror}", source=path, field="--out") from error
-    return path
+        yield
+    finally:
+        for folder in made:
+            with contextlib.suppress(OSError):  # it is not empty
+                folder.rmdir()
 
 
 @contextlib.contextmanager
 def stdout_to_stderr() -> Iterator[None]:
-    """Send everything written to stdout, by Python or by a C library, to stderr meanwhile."""
-    sys.stdout.flush()
-    saved = os.dup(1)
-    os.dup2(2, 1)
-    try:
-        with contextlib.redirect_stdout(sys.stderr):
-            yield
-    finally:
-        sys.stderr.flush()
-        os.dup2(saved, 1)
-        os.close(saved)
+    """Send everything written to stdout, by Python or by a C library, to stderr meanwhile; in the background, so that a
+    terminal that stands still or a reader that has left holds up nothing."""
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    with Background(2) as entry:
+        saved = [os.dup(fd) for fd in (1, 2)]
+        for fd in (1, 2):
+            os.dup2(entry, fd)
+        try:
+            with contextlib.redirect_stdout(sys.stderr):
+                yield
+        finally:
+            sys.stderr.flush()
+            for fd, before in zip((1, 2), saved, strict=True):
+                os.dup2(before, fd)
+                os.close(before)
 
 
 def print_json(value: Any) -> None:

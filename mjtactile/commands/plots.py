@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from mjtactile.run.figures import new_figure
+
 
 def save(path: Path, draw: Callable[[Any], None], size: tuple[float, float] = (7.0, 4.6)) -> None:
     """Let `draw` fill a figure of `size` inches and write it to `path`; without matplotlib say so on stderr."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError:
-        print(f"mjtactile: warning: {path.name} was not drawn: pip install 'mjtactile[plots]'", file=sys.stderr)
-        return
-    figure = Figure(figsize=size, dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
-    draw(figure)
-    figure.savefig(path)
+    if (figure := new_figure(path.name, size)) is not None:
+        draw(figure)
+        figure.savefig(path)

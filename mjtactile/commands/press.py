@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile.commands import effects, plots, ranges
-from mjtactile.commands.output import prepare_folder, print_json, stdout_to_stderr
-from mjtactile.design import SensorDesign, load_sensor
-from mjtactile.errors import InputError
-from mjtactile.progress import Progress
-from mjtactile.recording import write_json
+from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
+from mjtactile.core.design import SensorDesign, load_sensor
+from mjtactile.core.errors import InputError
+from mjtactile.recording.files import write_json
+from mjtactile.run.progress import Progress
 
 HELP = "drive an indenter into a sensor and compare the felt with the true force"
 DESCRIPTION = """\
@@ -21,7 +21,7 @@ membrane in steps. Depth counts from first touch. The felt force comes from came
 EPILOG = """\
 examples:
   mjtactile press --indenter cylinder:5 --depth-mm 0:4:1
-  mjtactile press --indenter sphere:8 --at 5,-3 --depth-mm 2 --shear-mm 1 --valve open
+  mjtactile press --indenter sphere:8 --at -5,3 --depth-mm 2 --shear-mm 1 --valve open
   mjtactile press --indenter part.stl --tilt-deg 10 --depth-mm 0.5:3:0.5 --out runs/part
 
 JSON: {"sensor": …, "steps": [{"depth_mm", "force_true_N" and "force_estimated_N" ([x, y, z] on the membrane, frame S:
@@ -51,34 +51,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.bench.press import PressPlan, press
-    from mjtactile.sim.press import Indenter
-    from mjtactile.sim.switches import set_design
+    from mjtactile.experiments.press import PressPlan, press
+    from mjtactile.sim.scenes.indentation import Indenter
+    from mjtactile.sim.sensor.switches import set_design
 
     design = load_sensor(options.sensor)
     _check(options, design)
     plan = PressPlan(Indenter.parse(options.indenter), [1e-3 * d for d in options.depths],
                      (1e-3 * options.at[0], 1e-3 * options.at[1]), math.radians(options.tilt_deg), 1e-3 * options.shear_mm,
                      sealed=options.valve == "closed")
-    out = None if options.out is None else prepare_folder(options.out)
     simulation = _simulation(options, design)
-    with stdout_to_stderr():
-        result = press(set_design(design, simulation["effects"]), plan, seed=options.seed,
-                       say=Progress(quiet=options.json).message, error_estimate=options.error_estimate, **simulation)
-    if out is not None:
-        write_json(out / "press.json", result)
-        plots.save(out / "press.png", lambda figure: _draw(figure, result))
+    with optional_folder(options.out, "press.json", "press.png") as out:
+        with stdout_to_stderr():
+            result = press(set_design(design, simulation["effects"]), plan, seed=options.seed,
+                           say=Progress(quiet=options.json).message, error_estimate=options.error_estimate, **simulation)
+        if out is not None:
+            write_json(out / "press.json", result)
+            plots.save(out / "press.png", lambda figure: _draw(figure, result))
     if options.json:
         print_json(result)
     else:
-        _print_table(result, out)
+        _print_table(result, options.out)
     return 0
 
 
 def _simulation(options: argparse.Namespace, design: SensorDesign) -> dict[str, Any]:
     """Mesh, time step and effects of the world, from --accuracy and --effects."""
-    from mjtactile.fidelity import DEFAULT_FORCE_ERROR, Fidelity
-    from mjtactile.sim.effects import choose
+    from mjtactile.sim.effects.catalog import choose
+    from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR, Fidelity
 
     fidelity = Fidelity.parse(options.accuracy) if options.accuracy else None
     wanted = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.asked

@@ -7,16 +7,18 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjtactile import resources
-from mjtactile.commands import plots
-from mjtactile.commands.output import prepare_folder, print_json, stdout_to_stderr
-from mjtactile.errors import InputError
-from mjtactile.progress import Progress
-from mjtactile.recording import Recorder, load_recording, write_json
-from mjtactile.rig import rig_names
+from mjtactile.commands import plots, ranges
+from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
+from mjtactile.core import resources
+from mjtactile.core.errors import InputError
+from mjtactile.recording.files import write_json
+from mjtactile.recording.reader import load_recording
+from mjtactile.recording.writer import Recorder
+from mjtactile.rig.registry import rig_names
+from mjtactile.run.progress import Progress
 
 if TYPE_CHECKING:
-    from mjtactile.probe import ProbeResult
+    from mjtactile.run.probe import ProbeResult
 
 HELP = "squeeze an object gently and say what it is made of"
 DESCRIPTION = """\
@@ -42,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--controller", default="probe", metavar="NAME|FILE.py", help="what moves (default: probe)")
     parser.add_argument("--rig", default="sim", metavar="RIG", help=f"{', '.join(rig_names())} (default: sim)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of placement and noise (default: 0)")
+    ranges.add_frames_argument(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="write probe.json, probe.png and the recording there")
 
 
@@ -50,8 +53,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("say either what to probe or which recording to judge", field="--source")
     if options.seed < 0:
         raise InputError(f"{options.seed} is not a whole number from 0 up", field="--seed")
-    out = None if options.out is None else prepare_folder(options.out)
-    with stdout_to_stderr():
+    with optional_folder(options.out, "probe.json", "probe.png", "recording") as out, stdout_to_stderr():
         result = _replay(options) if options.source is not None else _live(options, out)
         if out is not None:
             write_json(out / "probe.json", {**result.summary(), "history": result.history()})
@@ -59,25 +61,25 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json(result.summary())
     else:
-        _print(result, out)
+        _print(result, options.out)
     return 0 if result.material.kind != "unknown" else 1
 
 
 def _replay(options: argparse.Namespace) -> ProbeResult:
-    from mjtactile.probe import replay_probe
+    from mjtactile.run.probe import replay_probe
 
     return replay_probe(load_recording(options.source), options.sensor)
 
 
 def _live(options: argparse.Namespace, out: Path | None) -> ProbeResult:
-    from mjtactile.probe import ProbeOptions, run_probe
+    from mjtactile.run.probe import ProbeOptions, run_probe
 
     names = {"object": options.object or "sponge", "sensor": options.sensor or "dense", "controller": options.controller,
              "rig": options.rig, "seed": options.seed}
     say = Progress(quiet=options.json).message
     if out is None:
         return run_probe(ProbeOptions(**names), say=say)
-    with Recorder(out / "recording", names) as recorder:
+    with Recorder(out / "recording", names, frames=options.frames) as recorder:
         result = run_probe(ProbeOptions(**names), recorder=recorder, say=say)
         recorder.close(outcome=result.material.kind)
     return result

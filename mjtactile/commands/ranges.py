@@ -1,4 +1,4 @@
-"""Numbers on the command line: single values, pairs, and ranges A:B:STEP."""
+"""Numbers on the command line: single values, pairs, ranges A:B:STEP, and which images to keep."""
 
 from __future__ import annotations
 
@@ -48,3 +48,19 @@ def finite(text: str) -> float:
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
     return value
+
+
+def add_frames_argument(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--frames", type=frames, default=1, metavar="none|every:N|all",
+                        help="camera images to keep in the recording: of no cycle, of every N-th, of all (default). Without all "
+                        "of them it cannot be replayed; two cameras take 9 MB a second")
+
+
+def frames(text: str) -> int:
+    """Read "none" (0), "all" (1) or "every:N" (N)."""
+    word, _, number = text.partition(":")
+    if word == "every" and number.isdecimal() and int(number) > 0:
+        return int(number)
+    if text not in ("none", "all"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not none, every:N or all")
+    return int(text == "all")

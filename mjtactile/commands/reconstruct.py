@@ -13,34 +13,34 @@ import numpy as np
 
 from mjtactile.commands import plots
 from mjtactile.commands.locate import overlay
-from mjtactile.commands.output import prepare_folder, print_json, stdout_to_stderr
+from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
 from mjtactile.commands.sources import Frame, read_frames
-from mjtactile.design import SensorDesign, load_sensor
-from mjtactile.errors import InputError
-from mjtactile.progress import Progress
-from mjtactile.recording import write_json
-from mjtactile.report import draw_surface
-from mjtactile.sensing.markers import detect, grey_image
-from mjtactile.sensing.pipeline import SensorPipeline
-from mjtactile.sensing.pose import estimate_poses
-from mjtactile.sensing.reference import load_reference
-from mjtactile.types import Image, Markers, Surface, Touch
+from mjtactile.core.calibration import load_calibration
+from mjtactile.core.design import SensorDesign, load_sensor
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Image, Markers, Surface, Touch
+from mjtactile.recording.files import write_json
+from mjtactile.run.progress import Progress
+from mjtactile.run.report import draw_surface
+from mjtactile.sensing.chain import Chain, Perception
+from mjtactile.sensing.image.markers import detect, grey_image
+from mjtactile.sensing.pose.circles import estimate_poses
 
 SIMULATES = False
 HELP = "reconstruct a membrane's surface and contact from recorded frames"
 DESCRIPTION = """\
 Run the sensing chain on an image, a folder of images or a video of one sensor: identified
-markers in the sensor frame S, the membrane's surface, its area and volume. With a reference
+markers in the sensor frame S, the membrane's surface, its area and volume. With a calibration
 (see `mjtactile calibrate frame`) also what touches it, how deep and how hard."""
 EPILOG = """\
 examples:
   mjtactile reconstruct frames/ --sensor dense --out shapes
-  mjtactile reconstruct press.png --sensor my_sensor.toml --reference my_reference.json --json
+  mjtactile reconstruct press.png --sensor my_sensor.toml --calibration left.json --json
 
 JSON: {"sensor": …, "frames": [{"source", "status", "markers": [{"id", "p_SM_mm", "normal", "sd_mm"}],
   "surface": {"x_mm", "y_mm", "z_mm" (rows along y)}, "area_mm2", "area_sd_mm2", "volume_mL" (under the bulge),
   "volume_sd_mL", "contact_area_mm2", "contact_centroid_mm", "depth_mm", "force_N" ([x, y, z] on the membrane),
-  "force_sd_N"}]}. What needs a reference that was not given, and what is unknown, is null.
+  "force_sd_N"}]}. What needs a calibration that was not given, and what is unknown, is null.
 """
 FIGURES_MAX = 40
 
@@ -48,45 +48,44 @@ FIGURES_MAX = 40
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", type=Path, metavar="SOURCE", help="an image, a folder of images or a video")
     parser.add_argument("--sensor", default="dense", metavar="NAME|FILE.toml", help="the sensor (default: dense)")
-    parser.add_argument("--reference", type=Path, metavar="FILE.json", help="what `mjtactile calibrate frame` measured")
+    parser.add_argument("--calibration", type=Path, metavar="FILE.json", help="of this sensor, by `mjtactile calibrate`")
     parser.add_argument("--out", type=Path, metavar="DIR",
                         help=f"write reconstruct.json, overlays, and 3D figures (of at most {FIGURES_MAX} frames) there")
 
 
 def run(options: argparse.Namespace) -> int:
     design = load_sensor(options.sensor)
-    pipeline = load_pipeline(design, options.reference)
-    out = None if options.out is None else prepare_folder(options.out)
+    perception = load_perception(design, options.calibration)
     progress = Progress(quiet=options.json)
-    with stdout_to_stderr():
-        seen = []
-        for frame in read_frames(options.source):
-            seen.append((frame.name, *_reconstruct(frame, pipeline, out)))
-            if len(seen) % 50 == 0:
-                progress.message(f"{len(seen)} frames")
-    if not any(touch is not None for _, _, touch in seen):
-        raise InputError(f"none of its {len(seen)} images can be used: {seen[0][1]['status']}", source=options.source,
-                         field="SOURCE")
-    result = {"sensor": design.name, "frames": [row for _, row, _ in seen]}
-    if out is not None:
-        write_json(out / "reconstruct.json", result)
-        _figures(seen, out)
+    with optional_folder(options.out, "reconstruct.json") as out:
+        with stdout_to_stderr():
+            seen = []
+            for frame in read_frames(options.source):
+                seen.append((frame.name, *_reconstruct(frame, perception, out)))
+                if len(seen) % 50 == 0:
+                    progress.message(f"{len(seen)} frames")
+        if not any(touch is not None for _, _, touch in seen):
+            raise InputError(f"none of its {len(seen)} images can be used: {seen[0][1]['status']}", source=options.source,
+                             field="SOURCE")
+        result = {"sensor": design.name, "frames": [row for _, row, _ in seen]}
+        if out is not None:
+            write_json(out / "reconstruct.json", result)
+            _figures(seen, out)
     if options.json:
         print_json(result)
     else:
-        _print_table(result["frames"], out)
+        _print_table(result["frames"], options.out)
     return 0
 
 
-def load_pipeline(design: SensorDesign, reference: Path | None) -> SensorPipeline:
-    """The chain of a sensor, with a stored reference if there is one."""
-    pipeline = SensorPipeline(design)
-    if reference is not None:
-        pipeline.flat, rest = load_reference(reference, design)
-        if rest is not None:
-            markers, pressure, sealed = rest
-            pipeline.set_rest(markers, pressure, sealed=sealed)
-    return pipeline
+def load_perception(design: SensorDesign, path: Path | None) -> Perception:
+    """The chain of a sensor, with what its calibration file says, if there is one. Raises InputError for a file of another."""
+    if path is None:
+        return Perception.of(design)
+    calibration = load_calibration(path)
+    calibration.check(design, calibration.finger, path)
+    chain = Chain(design, calibration)
+    return Perception(chain, chain.recall())
 
 
 def to_image(frame: Frame, design: SensorDesign) -> Image | str:
@@ -100,22 +99,22 @@ def to_image(frame: Frame, design: SensorDesign) -> Image | str:
     return Image(pixels if pixels.dtype == np.uint8 else (pixels >> 8).astype(np.uint8))
 
 
-def _reconstruct(frame: Frame, pipeline: SensorPipeline, out: Path | None) -> tuple[dict[str, Any], Touch | None]:
+def _reconstruct(frame: Frame, perception: Perception, out: Path | None) -> tuple[dict[str, Any], Touch | None]:
     """One frame of the JSON, and its touch."""
-    image = to_image(frame, pipeline.design)
+    chain, state = perception.chain, perception.state
+    image = to_image(frame, chain.design)
     if isinstance(image, str):
         return _row(frame.name, image, None), None
-    if pipeline.reference is not None:
-        touch = pipeline.perceive(image, time.monotonic())
+    if state.reference is not None:
+        touch = perception.perceive(image, time.monotonic())
     else:
-        markers = pipeline.markers(image)
-        enough = len(markers) >= 0.4 * pipeline.design.markers.count
-        status = "ok" if enough else f"only {len(markers)} of {pipeline.design.markers.count} markers seen"
-        surface = pipeline.fitter.fit(markers) if enough else None
+        markers, perception.state = chain.see(state, image)
+        status = chain.enough(markers)
+        surface = chain.fitter.fit(markers) if status == "ok" else None
         touch = Touch(0.0, 0.0, np.nan, np.nan, False, surface=surface, markers=markers, status=status)
     if out is not None:
         ellipses = detect(image)
-        poses = estimate_poses(ellipses, pipeline.camera, pipeline.design.markers.radius)
+        poses = estimate_poses(ellipses, chain.camera, chain.design.markers.radius)
         cv2.imwrite(str(out / f"{_stem(frame.name)}_overlay.png"), overlay(image.pixels, ellipses, poses))
     return _row(frame.name, touch.status, touch), touch
 

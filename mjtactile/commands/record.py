@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from mjtactile import resources
-from mjtactile.commands.output import prepare_folder, print_json, stdout_to_stderr
-from mjtactile.errors import InputError
-from mjtactile.progress import Progress
-from mjtactile.recording import Recorder
-from mjtactile.rig import Rig, rig_names
-from mjtactile.types import Command, Observation
+from mjtactile.commands import ranges
+from mjtactile.commands.output import output_folder, print_json, stdout_to_stderr
+from mjtactile.core import resources
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Command, Observation
+from mjtactile.recording.writer import Recorder
+from mjtactile.rig.registry import rig_names
+from mjtactile.run.progress import Progress
+
+if TYPE_CHECKING:
+    from mjtactile.run.loop import Cycle
+    from mjtactile.run.session import Session
 
 HELP = "record a rig that stands still: images, times, pressures, servos, calibration"
 DESCRIPTION = """\
@@ -40,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rig", required=True, metavar="RIG", help=f"what to record: {', '.join(rig_names())}")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the recording")
     parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="length after the references (default: 10)")
+    ranges.add_frames_argument(parser)
     parser.add_argument("--sensor", default="dense", metavar="NAME|FILE.toml", help="on each finger (default: dense)")
     parser.add_argument("--object", default="egg", metavar="NAME|FILE.xml", help="sim and emulated: what stands on the table: "
                         f"{', '.join(resources.names('models/objects', '.xml'))} (default: egg)")
@@ -62,54 +69,46 @@ class Monitor:
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.design import load_sensor
-    from mjtactile.rig import build_rig
+    from mjtactile.core.design import load_sensor
+    from mjtactile.run.session import open_session
 
     if not 0 < options.seconds <= 86400:
         raise InputError(f"{options.seconds:g} is outside 0 to 86400", field="--seconds")
     design = load_sensor(options.sensor)
-    folder = prepare_folder(options.out)
-    with stdout_to_stderr():
-        rig = build_rig(options.rig, design, object_name=options.object, seed=options.seed)
-        header = {"object": options.object if rig.scene is not None else None, "sensor": options.sensor, "controller": "monitor",
-                  "rig": options.rig, "seed": options.seed, "design": design.name}
-        with Recorder(folder / "recording", header) as recorder:
-            result = _record(rig, recorder, options.seconds)
-    result |= {"rig": options.rig, "sensor": design.name, "out": folder}
+    progress = Progress()
+    with (output_folder(options.out, "recording") as folder, stdout_to_stderr(), contextlib.closing(progress),
+          contextlib.ExitStack() as later):  # what is left when the rig is switched off
+        with open_session(options.rig, design, object_name=options.object, seed=options.seed, workers=0,
+                          say=progress.message) as session:
+            header = {"object": options.object if session.rig.scene is not None else None, "sensor": options.sensor,
+                      "controller": "monitor", "rig": options.rig, "seed": options.seed, "design": design.name}
+            recorder = later.enter_context(Recorder(folder / "recording", header, frames=options.frames))
+            result = _record(session, recorder, options.seconds, progress)
+        recorder.close(outcome="recorded")
+    result |= {"rig": options.rig, "sensor": design.name, "out": options.out}
     if options.json:
         print_json(result)
     else:
         print(f"{result['cycles']} cycles in {result['seconds']:.2f} s, {result['unknown']} with an unknown force; felt "
-              f"{result['force_min_N']:.3f} to {result['force_max_N']:.3f} N\n  recorded in {folder}/recording")
+              f"{result['force_min_N']:.3f} to {result['force_max_N']:.3f} N\n  recorded in {options.out}/recording")
     return 0
 
 
-def _record(rig: Rig, recorder: Recorder, seconds: float) -> dict[str, Any]:
-    """References, then the watch; the rig is closed on every way out, and says so in the recording's last line."""
+def _record(session: Session, recorder: Recorder, seconds: float, progress: Progress) -> dict[str, Any]:
+    """References, then the watch."""
     import numpy as np
 
-    from mjtactile import control
-    from mjtactile.sensing.pipeline import SensorPipeline
+    forces, times = [], []
 
-    progress, forces, times = Progress(), [], []
-
-    def on_cycle(cycle: control.Cycle) -> None:
+    def on_cycle(cycle: Cycle) -> None:
         recorder.add(cycle)
         forces.append([t.force_normal for t in cycle.touch])
         times.append(cycle.time)
         progress.update(cycle.sent.phase, cycle.time, float(np.mean(forces[-1])))
 
-    try:
-        pipelines = [SensorPipeline(rig.design) for _ in rig.cameras]
-        control.take_references(rig, pipelines, report=progress.message, on_reference=recorder.add_reference)
-        control.run(rig, pipelines, Monitor(seconds), time_limit=seconds + 60, on_cycle=on_cycle)  # type: ignore[arg-type]
-    except BaseException as error:
-        recorder.close(outcome="fault", error=" ".join(str(error).split()) or type(error).__name__)
-        raise
-    finally:
-        progress.close()
-        rig.close()
-    recorder.close(outcome="recorded")
+    recorder.patience = session.patience
+    session.take_references(recorder)
+    session.run(Monitor(seconds), time_limit=seconds + 60, on_cycle=on_cycle)
     known = np.array(forces)[np.isfinite(forces).all(axis=1)] if forces else np.zeros((0, 1))
     low, high = (float(known.min()), float(known.max())) if known.size else (float("nan"),) * 2
     return {"cycles": len(forces), "seconds": times[-1] - times[0] if times else 0.0, "unknown": len(forces) - len(known),

@@ -9,8 +9,8 @@ from pathlib import Path
 import cv2
 from numpy.typing import NDArray
 
-from mjtactile.errors import InputError
-from mjtactile.sensing.locate import IMAGE_SUFFIXES, load_image
+from mjtactile.core.errors import InputError
+from mjtactile.sensing.pose.locate import IMAGE_SUFFIXES, load_image
 
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")
 

@@ -7,18 +7,20 @@ import os
 import statistics
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from serial.tools import list_ports
 
-from mjtactile.devices.dynamixel import read_report
-from mjtactile.devices.dynamixel_bus import BusError, DynamixelBus
-from mjtactile.devices.dynamixel_tables import MODELS, NO_CURRENT_CONTROL
-from mjtactile.devices.opencv_camera import OpenCvCamera
-from mjtactile.devices.valve import connect_valves
-from mjtactile.errors import DeviceError
-from mjtactile.rigfile import BusConfig, CameraConfig, RigFile, load_rig_file
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import DeviceError
+from mjtactile.devices.camera.opencv import OpenCvCamera
+from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus
+from mjtactile.devices.dynamixel.gripper import read_report
+from mjtactile.devices.dynamixel.tables import MODELS, NO_CURRENT_CONTROL
+from mjtactile.devices.valve.driver import connect_valves
+from mjtactile.rig.file import BusConfig, CameraConfig, RigFile, load_rig_file
+from mjtactile.rig.finding import Finding
+from mjtactile.rig.sensors import calibration_findings
 
 _BAUDS = (57600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115200)
 _ROUND_TRIP_GOOD = 4e-3  # s for three servos at 1 Mbaud with latency_timer = 1; 16 ms is the driver's default timer
@@ -26,22 +28,14 @@ _HOT = 60.0  # degrees C; X series shut down at 70
 _WATCH_TIME = 2.0  # s to watch a camera
 
 
-@dataclass(frozen=True)
-class Finding:
-    """`level` "ok", "warn" or "bad"; `what` was looked at, `text` what was found, `remedy` how to mend it ("": nothing to)."""
-
-    level: str
-    what: str
-    text: str
-    remedy: str = ""
-
-
-def examine(rig: str | None, *, fix: bool = False) -> list[Finding]:
-    """All findings. Raises InputError for a rig file that is wrong itself."""
+def examine(rig: str | None, *, sensor: str = "dense", fix: bool = False) -> list[Finding]:
+    """All findings; `sensor` is on fingers of which the rig file does not say it. Raises InputError for a rig file that is wrong
+    itself."""
     findings = [*_plugged_in()]
     if rig is None:
         return findings
     rig_file = load_rig_file(rig)
+    findings += calibration_findings(rig_file, load_sensor(sensor))
     if rig_file.emulator is not None:
         return [*findings, Finding("ok", rig_file.name, "is emulated: nothing to be plugged in",
                                    "`mjtactile emulate --out FILE.toml` starts it; then `mjtactile doctor --rig FILE.toml`")]

@@ -7,15 +7,21 @@ import math
 import sys
 import time
 from collections.abc import Callable, Sequence
+from typing import Any
 
-from mjtactile.design import SensorDesign
-from mjtactile.devices.dynamixel import DynamixelGripper
-from mjtactile.devices.opencv_camera import OpenCvCamera
+from mjtactile.core import signals
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import DeviceError, InputError
+from mjtactile.devices.dynamixel.gripper import DynamixelGripper
 from mjtactile.devices.shutdown import close_all
-from mjtactile.devices.valve import connect_valves
-from mjtactile.errors import DeviceError, InputError
-from mjtactile.rig import Limits, Rig
-from mjtactile.rigfile import CameraConfig, RigFile
+from mjtactile.devices.valve.driver import connect_valves
+from mjtactile.rig.file import CameraConfig, RigFile
+from mjtactile.rig.finger import Rig, make_fingers
+from mjtactile.rig.gripper import calibrated_gripper
+from mjtactile.rig.limits import Limits
+from mjtactile.rig.protocols import Camera
+from mjtactile.rig.registry import CAMERAS, RigRequest, load_backend, need_file
+from mjtactile.rig.sensors import finger_calibration, finger_design
 
 _SWITCH_INTERVAL = 5e-4  # s a thread keeps Python's interpreter: at the default of 5 ms a picture waits that long for its time
 
@@ -38,11 +44,12 @@ class FrameClock(MonotonicClock):
 
     It wakes from half a period before the time asked for to half a period after it, or after a period from its last
     waking: so the loop falls into step with its cameras. Whatever they do, it wakes: their faults are found by `Camera.read`.
+    A camera that cannot be waited for (a third party's, without `wait_newer` and `newest_time`) is not.
     """
 
-    def __init__(self, cameras: Sequence[OpenCvCamera], period: float):
-        self._cameras, self._period = cameras, period
-        self._seen = [0.0 for _ in cameras]
+    def __init__(self, cameras: Sequence[Camera], period: float):
+        self._cameras: list[Any] = [camera for camera in cameras if hasattr(camera, "wait_newer")]
+        self._period, self._seen = period, [0.0 for _ in self._cameras]
         self._woke = -math.inf
 
     def wait_until(self, time: float) -> None:
@@ -71,25 +78,38 @@ def build_device_rig(rig_file: RigFile, design: SensorDesign, *, name: str = "re
     sys.setswitchinterval(_SWITCH_INTERVAL)
     closers: list[Callable[[], None]] = [lambda: sys.setswitchinterval(before), also_close]
     try:
+        designs = tuple(finger_design(camera, design) for camera in rig_file.cameras)
+        calibrations = tuple(finger_calibration(*pair) for pair in zip(rig_file.cameras, designs, strict=True))
+        for camera, own in zip(rig_file.cameras, designs, strict=True):
+            _check_picture(camera, own, rig_file)
+        cameras: list[Camera] = []
         for camera in rig_file.cameras:
-            _check_picture(camera, design, rig_file)
-        cameras = []
-        for camera in rig_file.cameras:
-            cameras.append(OpenCvCamera(camera))
-            closers.append(cameras[-1].close)
+            signals.check()
+            cameras.append(load_backend(CAMERAS, camera.backend)(camera))
+            closers.append(getattr(cameras[-1], "close", lambda: None))
+        signals.check()
         boards, valves = connect_valves(rig_file.valves)
         closers.extend(board.close for board in boards)
-        gripper = DynamixelGripper(rig_file.bus, rig_file.gripper, rig_file.lift, source=str(rig_file.path))
+        signals.check()
+        config = calibrated_gripper(rig_file.gripper)
+        gripper = DynamixelGripper(rig_file.bus, config, rig_file.lift, source=str(rig_file.path))
         closers.append(gripper.close)
     except BaseException:
         with contextlib.suppress(DeviceError):  # the first trouble is the one to report
             close_all(closers)
         raise
-    config = rig_file.gripper
     limits = Limits(opening=config.opening, speed=config.speed_max, force=config.force_max,
                     lift=(0.0, rig_file.lift.travel), lift_speed=rig_file.lift.speed)
-    return Rig(name=name, design=design, cameras=tuple(cameras), valves=tuple(valves), gripper=gripper,
-               clock=FrameClock(cameras, 1 / design.camera.rate), limits=limits, close=lambda: close_all(closers))
+    names = tuple(camera.finger for camera in rig_file.cameras)
+    return Rig(name=name, fingers=make_fingers(names, designs, tuple(cameras), tuple(valves), calibrations), gripper=gripper,
+               clock=FrameClock(cameras, 1 / design.camera.rate), limits=limits, close=lambda: close_all(closers),
+               host_timeout=rig_file.bus.host_timeout)
+
+
+def build(request: RigRequest) -> Rig:
+    """The backend "devices" of `mjtactile.rig.registry`."""
+    file = need_file(request)
+    return build_device_rig(file, request.design, name=file.name)
 
 
 def _check_picture(camera: CameraConfig, design: SensorDesign, rig_file: RigFile) -> None:

@@ -2,29 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
-import signal
 import sys
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
-from mjtactile.errors import DeviceError
+from mjtactile.core.errors import DeviceError
+from mjtactile.core.signals import deferred
 
 _log = logging.getLogger(__name__)
-
-
-@contextlib.contextmanager
-def signals_later() -> Iterator[None]:
-    """Keep Ctrl-C and SIGTERM from cutting a shutdown short; they arrive when it is done."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def close_all(closers: list[Callable[[], None]]) -> None:
@@ -34,7 +19,7 @@ def close_all(closers: list[Callable[[], None]]) -> None:
     """
     failures = []
     on_its_way = sys.exc_info()[0] is not None
-    with signals_later():
+    with deferred():
         while closers:
             try:
                 closers.pop()()

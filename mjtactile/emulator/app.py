@@ -8,20 +8,18 @@ outlives whoever started it.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
-import signal
-import subprocess
 import sys
 import time
 from typing import Any, TextIO
 
+from mjtactile.core import process
+from mjtactile.core.errors import InputError, MjtactileError
 from mjtactile.emulator.faults import KINDS, Faults
 from mjtactile.emulator.hardware import Hardware
 from mjtactile.emulator.options import EmulatorOptions
 from mjtactile.emulator.shared import FROM_WORLD, SharedState
-from mjtactile.errors import DeviceError, InputError, MjtactileError
 
 _STOP_TIME = 3.0  # s for the world's process to end in order
 
@@ -32,31 +30,16 @@ class WorldProcess:
     def __init__(self, options: str):
         descriptor = os.memfd_create("mjtactile-emulator")
         self.shared = SharedState(descriptor)
-        command = [sys.executable, "-m", "mjtactile.emulator.world", str(descriptor)]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, pass_fds=[descriptor])
+        self._process = process.start("mjtactile.emulator.world", descriptor, descriptors=[descriptor], talk=True)
         os.close(descriptor)
-        assert self._process.stdin and self._process.stdout
-        self._process.stdin.write(options + "\n")
-        self._process.stdin.flush()
-        line = self._process.stdout.readline()
-        ready = json.loads(line) if line else {"error": "the emulated world ended without a word", "exit_code": 3}
-        if "error" in ready:
+        try:
+            self.cameras: dict[str, str] = process.ask(self._process, options, "the emulated world")["cameras"]
+        except BaseException:
             self.close()
-            raise (InputError if ready["exit_code"] == 2 else DeviceError)(ready["error"])
-        self.cameras: dict[str, str] = ready["cameras"]
+            raise
 
     def close(self) -> None:
-        process = self._process
-        if process.stdin:
-            with contextlib.suppress(OSError):
-                process.stdin.close()
-        try:
-            process.wait(_STOP_TIME)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        if process.stdout:
-            process.stdout.close()
+        process.stop(self._process, _STOP_TIME)
 
 
 class Emulator:
@@ -85,7 +68,7 @@ class Emulator:
             return self._set_fault(request["fault"], float(request.get("value", 1)))
         if request.get("ask") == "truth":
             return self._truth()
-        return {"error": f"unknown request {request!r}"}
+        raise InputError(f"unknown request {request!r}")
 
     def close(self) -> None:
         self._hardware.close()
@@ -93,7 +76,7 @@ class Emulator:
 
     def _set_fault(self, kind: str, value: float) -> dict[str, Any]:
         if kind not in KINDS:
-            return {"error": f"unknown fault {kind!r} (valid: {', '.join(KINDS)})"}
+            raise InputError(f"unknown fault {kind!r}", field="fault", choices=KINDS)
         self.faults.set(kind, value)
         if kind == "servo_unplug" and value:
             self._hardware.bus.close()
@@ -122,15 +105,19 @@ def serve(emulator: Emulator, requests: TextIO, answers: TextIO) -> None:
             request = {}
         if request.get("stop"):
             return
-        print(json.dumps(emulator.obey(request)), file=answers, flush=True)
+        try:
+            answer = json.dumps(emulator.obey(request))
+        except InputError as error:
+            answer = process.failure(error)
+        print(answer, file=answers, flush=True)
 
 
 def main() -> int:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the host; the emulator ends with its stdin
+    process.end_with_parent()
     try:
         emulator = Emulator(sys.stdin.readline())
     except MjtactileError as error:
-        print(json.dumps({"error": str(error), "exit_code": error.exit_code}), flush=True)
+        print(process.failure(error), flush=True)
         return error.exit_code
     try:
         serve(emulator, sys.stdin, sys.stdout)

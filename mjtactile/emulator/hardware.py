@@ -12,7 +12,7 @@ from mjtactile.emulator.servo import EmulatedServo
 from mjtactile.emulator.servo_bus import ServoBus
 from mjtactile.emulator.shared import SharedState
 from mjtactile.emulator.valve import ValveFirmware, ValvePort
-from mjtactile.rigfile import EmulatorConfig, RigFile
+from mjtactile.rig.file import EmulatorConfig, RigFile
 
 _TICK = 0.003  # s between two looks at the world
 _SHARED_FAULTS = ("puncture", "frames_frozen", "frames_dark", "frames_saturated", "frames_stopped", "frames_late",
@@ -29,8 +29,9 @@ class Hardware:
         self._jaws = self._build_jaws()
         self._lift = self._build_lift()
         shared["goal"] = math.nan
+        zeros = {valve.channel: emulator.specimen(valve.finger).valve_zero for valve in rig_file.valves}
         self.bus = ServoBus(self.servos, faults, baud=rig_file.bus.baud, usb_latency=emulator.usb_latency)
-        self.firmware = ValveFirmware(emulator.dialect, self, faults)
+        self.firmware = ValveFirmware(emulator.dialect, self, faults, zeros=zeros)
         self.valve = ValvePort(self.firmware) if rig_file.valves else None
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="hardware", daemon=True)
@@ -67,7 +68,8 @@ class Hardware:
         for config in configs:
             jaw = Jaw(EmulatedServo(config.id, config.model), config, str(self._rig_file.path))
             angle = jaw.angle(self._shared["opening"] / len(configs))
-            jaw.servo = EmulatedServo(config.id, config.model, angle=angle, baud=self._rig_file.bus.baud)
+            jaw.servo = EmulatedServo(config.id, config.model, angle=angle, baud=self._rig_file.bus.baud,
+                                      torque_share=(self._rig_file.emulator or EmulatorConfig()).torque_share)
             self.servos[config.id] = jaw.servo
             jaws.append(jaw)
         return Jaws(jaws)

@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from mjtactile.core.errors import InputError
 from mjtactile.emulator.servo import EmulatedServo
-from mjtactile.errors import InputError
-from mjtactile.rigfile import ServoConfig
+from mjtactile.rig.file import ServoConfig
 
 _TICK = 2 * math.pi / 4096  # rad
 

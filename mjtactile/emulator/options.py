@@ -6,8 +6,9 @@ import base64
 import pickle
 from dataclasses import dataclass, field
 
-from mjtactile.design import SensorDesign
-from mjtactile.rigfile import RigFile
+from mjtactile.core.design import SensorDesign
+from mjtactile.rig.file import RigFile
+from mjtactile.rig.sensors import finger_design
 
 
 @dataclass(frozen=True)
@@ -19,6 +20,10 @@ class EmulatorOptions:
     object_name: str
     seed: int = 0
     faults: dict[str, float] = field(default_factory=dict)
+
+    def finger_design(self, finger: str) -> SensorDesign:
+        """What the sensor file of that finger says."""
+        return next((finger_design(c, self.design) for c in self.rig_file.cameras if c.finger == finger), self.design)
 
     def encode(self) -> str:
         """One line of text, for the process's stdin: both ends are this program."""

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
-import subprocess
-import sys
 import threading
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from mjtactile.design import SensorDesign
+from mjtactile.core import process
+from mjtactile.core.design import SensorDesign
 from mjtactile.emulator.options import EmulatorOptions
-from mjtactile.errors import DeviceError, InputError
-from mjtactile.rigfile import RigFile
+from mjtactile.rig.file import RigFile
 
 _STOP_TIME = 5.0  # s to end in order
 
@@ -27,19 +23,12 @@ class EmulatorProcess:
                  faults: Mapping[str, float] | None = None):
         options = EmulatorOptions(rig_file, design, object_name, seed, dict(faults or {}))
         self._lock = threading.Lock()
-        # A group of its own: Ctrl-C in the terminal is for the host, which ends the emulator when it has shut down.
-        self._process = subprocess.Popen([sys.executable, "-m", "mjtactile.emulator.app"], text=True,
-                                         stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True,
-                                         env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"})
+        self._process = process.start("mjtactile.emulator.app", talk=True)
         try:
-            ready = self._request(options.encode())
+            self.endpoints = self._request(options.encode())
         except BaseException:
             self.close()
             raise
-        if "error" in ready:
-            self.close()
-            raise (InputError if ready.get("exit_code") == 2 else DeviceError)(ready["error"])
-        self.endpoints = ready
 
     @property
     def pid(self) -> int:
@@ -47,9 +36,7 @@ class EmulatorProcess:
 
     def fault(self, kind: str, value: float = 1.0) -> None:
         """Switch a fault on (or off with 0). Raises InputError for one that does not exist."""
-        answer = self._request({"fault": kind, "value": value})
-        if "error" in answer:
-            raise InputError(answer["error"], field="fault")
+        self._request({"fault": kind, "value": value})
 
     def truth(self) -> dict[str, Any]:
         """What really happens in the emulated world; for tests and benchmarks."""
@@ -65,32 +52,8 @@ class EmulatorProcess:
 
     def close(self) -> None:
         """End the process, by force if it does not listen."""
-        process = self._process
-        with contextlib.suppress(OSError, ValueError):
-            if process.stdin:
-                process.stdin.close()
-        try:
-            process.wait(_STOP_TIME)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        if process.stdout:
-            process.stdout.close()
+        process.stop(self._process, _STOP_TIME)
 
     def _request(self, request: Mapping[str, Any] | str) -> dict[str, Any]:
-        line = request if isinstance(request, str) else json.dumps(request)
         with self._lock:
-            try:
-                assert self._process.stdin
-                self._process.stdin.write(line + "\n")
-                self._process.stdin.flush()
-            except (OSError, ValueError) as error:
-                raise DeviceError("the emulator has ended") from error
-            return self._receive()
-
-    def _receive(self) -> dict[str, Any]:
-        assert self._process.stdout
-        line = self._process.stdout.readline()
-        if not line:
-            raise DeviceError("the emulator ended without a word; what it printed to stderr says why")
-        return json.loads(line)
+            return process.ask(self._process, request if isinstance(request, str) else json.dumps(request), "the emulator")

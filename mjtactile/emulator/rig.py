@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from mjtactile.design import SensorDesign
+from mjtactile.core.design import SensorDesign
 from mjtactile.devices.rig import build_device_rig
 from mjtactile.emulator.process import EmulatorProcess
-from mjtactile.rig import Rig
-from mjtactile.rigfile import RigFile
+from mjtactile.rig.file import RigFile
+from mjtactile.rig.finger import Rig
+from mjtactile.rig.registry import RigRequest, need_file
 
 
 def build_emulated_rig(rig_file: RigFile, design: SensorDesign, *, object_name: str, seed: int,
@@ -18,3 +19,8 @@ def build_emulated_rig(rig_file: RigFile, design: SensorDesign, *, object_name: 
     process = emulator or EmulatorProcess(rig_file, design, object_name=object_name, seed=seed)
     also_close = process.close if emulator is None else lambda: None
     return build_device_rig(process.connect(rig_file), design, name=rig_file.name, also_close=also_close)
+
+
+def build(request: RigRequest) -> Rig:
+    """The backend "emulator" of `mjtactile.rig.registry`."""
+    return build_emulated_rig(need_file(request), request.design, object_name=request.object, seed=request.seed)

@@ -12,7 +12,7 @@ import threading
 import time
 from dataclasses import dataclass
 
-from mjtactile.devices.dynamixel_tables import MODELS, load_table
+from mjtactile.devices.dynamixel.tables import MODELS, load_table
 
 _TICKS_PER_RAD = 4096 / (2 * math.pi)
 _RPM_UNIT = 0.229 * 2 * math.pi / 60  # rad/s
@@ -43,10 +43,13 @@ class Drive:
 
 
 class EmulatedServo:
-    """`ticks` it wakes up at; `now` is monotonic s. Thread-safe."""
+    """`angle` rad it wakes up at; `torque_share` more torque per ampere than the data sheet says; `now` is monotonic s.
+    Thread-safe."""
 
-    def __init__(self, servo_id: int, model: str, *, angle: float = 0.0, baud: int = 1_000_000, voltage: float = 5.0):
+    def __init__(self, servo_id: int, model: str, *, angle: float = 0.0, baud: int = 1_000_000, voltage: float = 5.0,
+                 torque_share: float = 0.0):
         self.model = MODELS[model]
+        self._torque_per_A = (1 + torque_share) * self.model.torque_per_A  # N m/A, really
         self._table = load_table(model.lower().replace("-", "_"))
         self._by_address = {r.address: (n, r.size) for n, r in self._table.items() if not n.startswith("Indirect")}
         self._memory = bytearray(1024)
@@ -222,13 +225,13 @@ class EmulatedServo:
             goal = self.get("Goal Position")
             goal = goal - (1 << 32) if goal >= 1 << 31 else goal
             ampere = abs(units) * self.model.ampere_per_unit
-            return Drive(goal / _TICKS_PER_RAD + self._lost_turns, ampere * self.model.torque_per_A)
+            return Drive(goal / _TICKS_PER_RAD + self._lost_turns, ampere * self._torque_per_A)
 
     def feel(self, angle: float, speed: float, torque: float, period: float) -> None:
         """What the mechanism does to the shaft: angle rad, speed rad/s, and the torque N m that the motor gives now."""
         with self._lock:
             self.angle, self.speed = angle, speed
-            self.current = torque / self.model.torque_per_A
+            self.current = torque / self._torque_per_A
             self._warm(period)
             self._publish()
 

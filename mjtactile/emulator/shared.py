@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 FROM_WORLD = ("time", "lost", "opening", "speed", "grip_force", "lift_height", "object_height", "pressure_1", "pressure_2",
-              "picture_delay", "failed", "pictures")
+              "contact_1", "contact_2", "picture_delay", "failed", "pictures")
 TO_WORLD = ("goal", "force", "lift_goal", "open_1", "supply_1", "open_2", "supply_2", "puncture", "frames_frozen",
             "frames_dark", "frames_saturated", "frames_stopped", "frames_late", "frames_duplicated")
 

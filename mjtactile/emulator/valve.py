@@ -9,8 +9,9 @@ from __future__ import annotations
 import random
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Protocol
 
 from mjtactile.emulator.faults import Faults
@@ -41,9 +42,12 @@ class _Channel:
 class ValveFirmware:
     """Understands one dialect. `tick` moves the pneumatics, `reply` answers a command line."""
 
-    def __init__(self, dialect: str, chambers: Chambers, faults: Faults, channels: int = 2):
+    def __init__(self, dialect: str, chambers: Chambers, faults: Faults, channels: int = 2,
+                 zeros: Mapping[int, float] = MappingProxyType({})):
+        """`zeros` Pa: what each channel's pressure sensor shows at ambient pressure."""
         self._replies: Callable[[str], str] = {"ctrlp": self._ctrlp, "relay": self._relay, "regulator": self._regulator}[dialect]
-        self._chambers, self._faults = chambers, faults
+        self._chambers, self._faults, self._zeros = chambers, faults, zeros
+        self._regulates = dialect != "relay"  # by its own sensor, whose zero is then in the chamber
         self.channels = {number: _Channel() for number in range(1, channels + 1)}
         self.heartbeat = 0.0
         self.last_heard = time.monotonic()
@@ -71,7 +75,8 @@ class ValveFirmware:
                 if channel.state == "closed":
                     self._chambers.seal(number)
                 else:
-                    channel.supply += (channel.goal - channel.supply) * min(1.0, period / _LAG)
+                    zero = self._zeros.get(number, 0.0) if self._regulates and channel.state == "open" else 0.0
+                    channel.supply += (channel.goal - zero - channel.supply) * min(1.0, period / _LAG)
                     self._chambers.connect(number, channel.supply)
 
     def reply(self, line: str, now: float) -> str | None:
@@ -94,7 +99,7 @@ class ValveFirmware:
             channel.goal = goal
 
     def _pressure(self, number: int) -> float:
-        return self._chambers.pressure(number) + self._rng.gauss(0.0, _SENSOR_NOISE)
+        return self._chambers.pressure(number) + self._zeros.get(number, 0.0) + self._rng.gauss(0.0, _SENSOR_NOISE)
 
     def _ctrlp(self, line: str) -> str:
         word, *arguments = line.split(";")

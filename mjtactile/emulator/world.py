@@ -10,7 +10,6 @@ import json
 import math
 import queue
 import random
-import signal
 import sys
 import threading
 import time
@@ -19,13 +18,17 @@ from typing import Any
 import cv2
 import numpy as np
 
+from mjtactile.core import process
+from mjtactile.core.errors import MjtactileError
+from mjtactile.core.types import FINGERS
 from mjtactile.emulator.options import EmulatorOptions
 from mjtactile.emulator.shared import SharedState
+from mjtactile.emulator.specimen import camera_pose, true_design
 from mjtactile.emulator.stream import StreamServer
-from mjtactile.errors import MjtactileError
-from mjtactile.rigfile import FINGERS
-from mjtactile.sim.camera import Effects, Renderer
+from mjtactile.rig.file import EmulatorConfig
+from mjtactile.sim import truth
 from mjtactile.sim.log import route_warnings
+from mjtactile.sim.picture.renderer import Effects, Renderer
 from mjtactile.sim.rig import build_sim_rig
 
 _BEHIND_MAX = 0.02  # s; a world that is further behind the clock lets time go rather than race after it
@@ -39,7 +42,10 @@ class EmulatedWorld:
     """The grasp of `options`, driven by what `shared` asks for."""
 
     def __init__(self, options: EmulatorOptions, shared: SharedState):
-        self.scene = build_sim_rig(options.design, object_name=options.object_name, seed=options.seed).scene
+        emulator = options.rig_file.emulator or EmulatorConfig()
+        specimens = [true_design(options.finger_design(finger), emulator.specimen(finger)) for finger in FINGERS]
+        self.scene = build_sim_rig(options.design, object_name=options.object_name, seed=options.seed,
+                                   specimens=specimens).scene
         self._shared, self._travel = shared, options.rig_file.lift.travel
         self._cameras = Cameras(options, shared)
         self.streams = self._cameras.streams
@@ -94,6 +100,7 @@ class EmulatedWorld:
         self._publish()
         if scene.time >= self._next_picture:
             self._next_picture += self._picture_period
+            self._publish_forces()
             self._cameras.expose([scene.marker_poses(i) for i in range(len(scene.sensors))])
 
     def _publish(self) -> None:
@@ -104,15 +111,22 @@ class EmulatedWorld:
         for number, sensor in enumerate(scene.sensors, 1):
             shared[f"pressure_{number}"] = sensor.pressure_gauge
 
+    def _publish_forces(self) -> None:
+        """What load cells behind the membranes would show; as often as pictures are taken."""
+        for number in range(len(self.scene.sensors)):
+            self._shared[f"contact_{number + 1}"] = -truth.contact_force(self.scene, number)[2]
+
 
 class Cameras:
     """Draws the markers' poses and streams the pictures, in a thread of its own; a picture is dropped when it is behind."""
 
     def __init__(self, options: EmulatorOptions, shared: SharedState):
-        count = len(options.rig_file.cameras)
+        emulator, count = options.rig_file.emulator or EmulatorConfig(), len(options.rig_file.cameras)
         self.streams = StreamServer(FINGERS[:count])
         seeds = np.random.default_rng(options.seed).integers(2**31, size=count)
-        self._renderers = [Renderer(options.design, seed=int(s)) for s in seeds]
+        fingers = [(options.finger_design(finger), emulator.specimen(finger)) for finger in FINGERS[:count]]
+        self._renderers = [Renderer(true_design(design, own), seed=int(s), pose=camera_pose(design, own))
+                           for s, (design, own) in zip(seeds, fingers, strict=True)]
         self._period, self._shared = 1 / options.rig_file.cameras[0].rate, shared
         self._rng = random.Random(options.seed)
         self._queue: queue.Queue[Any] = queue.Queue(2)
@@ -162,13 +176,13 @@ class Cameras:
 def main(descriptor: int) -> int:
     sys.setswitchinterval(1e-3)
     cv2.setNumThreads(1)  # the other core is the host's
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    process.end_with_parent()
     route_warnings()
     shared = SharedState(descriptor)
     try:
         world = EmulatedWorld(EmulatorOptions.decode(sys.stdin.readline()), shared)
     except MjtactileError as error:
-        print(json.dumps({"error": str(error), "exit_code": error.exit_code}), flush=True)
+        print(process.failure(error), flush=True)
         return error.exit_code
     world.start()
     cameras = {name: world.streams.url(name) for name in world.streams.names}

@@ -1,1 +1,1 @@
-"""The MuJoCo backend: the only place that imports mujoco. `mjtactile.sim.attach` is the front door."""
+"""The MuJoCo backend. `attach` is its entry, `truth` is for scoring alone."""

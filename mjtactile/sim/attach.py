@@ -1,4 +1,4 @@
-"""`attach`: put a vision-based tactile sensor into any MuJoCo scene. The plugin's front door.
+"""`attach`: put the membrane, the gas and the housing of a sensor into any MuJoCo scene. `mjtactile.attach` adds what feels.
 
     spec = mujoco.MjSpec.from_file("my_robot.xml")
     recommend_options(spec)                                  # integrator, solver, cone, timestep
@@ -18,24 +18,42 @@ The site's frame becomes the sensor's frame S: origin in the middle of the flat 
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import mujoco
 
-from mjtactile.design import SensorDesign, load_sensor
-from mjtactile.errors import InputError
-from mjtactile.sim import features, limits
-from mjtactile.sim.membrane import BODY, FLEX, add_membrane
-from mjtactile.sim.mesh import MembraneMesh, make_mesh
-from mjtactile.sim.sensor import TactileSensor
-from mjtactile.sim.switches import PHYSICS, set_physics
+from mjtactile.core.design import SensorDesign, load_sensor
+from mjtactile.core.errors import InputError
+from mjtactile.sim.sensor import features, limits
+from mjtactile.sim.sensor.membrane import ANYTHING, BODY, FLEX, add_membrane
+from mjtactile.sim.sensor.mesh import MembraneMesh, make_mesh
+from mjtactile.sim.sensor.runtime import TactileSensor
+from mjtactile.sim.sensor.switches import PHYSICS, Effect, effects_named, set_physics
 
 TIMESTEP_RANGE = (1e-4, 8e-3)
 DEFAULT_MESH = (13, 11)
-_SOLVER_NAMES = {0: "PGS", 1: "CG", 2: "Newton"}
-_INTEGRATOR_NAMES = {0: "Euler", 1: "RK4", 2: "implicit", 3: "implicitfast", 4: "discrete"}
+_OPTION_NAMES = {
+    "integrator": {0: "Euler", 1: "RK4", 2: "implicit", 3: "implicitfast", 4: "discrete"},
+    "solver": {0: "PGS", 1: "CG", 2: "Newton"}, "cone": {0: "pyramidal", 1: "elliptic"},
+    "jacobian": {0: "dense", 1: "sparse", 2: "auto"}}
+_REQUIRED = {
+    "integrator": (mujoco.mjtIntegrator.mjINT_DISCRETE, "only it is implicit in the stiffness of membrane and gas"),
+    "solver": (mujoco.mjtSolver.mjSOL_CG, "the gas couples all vertices, which makes Newton's Hessian dense and PGS explicit"),
+    "cone": (mujoco.mjtCone.mjCONE_ELLIPTIC, "static friction is remembered by its rows")}
+_RECOMMENDED = {
+    **_REQUIRED,
+    "jacobian": (mujoco.mjtJacobian.mjJAC_SPARSE, "a membrane has hundreds of degrees of freedom"),
+    "tolerance": (1e-7, "1e-6 leaves 6 mN of noise in a held force, 1e-7 1 mN"),
+    "iterations": (300, "so many may be needed at first touch"),
+    "noslip_iterations": (0, "they treat membrane stiffness explicitly")}
+_NEEDED = {mujoco.mjtDisableBit.mjDSBL_CONTACT: "the membrane would touch nothing",
+           mujoco.mjtDisableBit.mjDSBL_CONSTRAINT: "the membrane would touch nothing",
+           mujoco.mjtDisableBit.mjDSBL_SPRING: "membrane and gas are passive forces",
+           mujoco.mjtDisableBit.mjDSBL_DAMPER: "membrane and gas are passive forces"}
+_LEAST_MEMORY = 1 << 24  # bytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +64,7 @@ class Attachment:
     mesh: MembraneMesh
     prefix: str
     contact: str = "auto"
-    effects: frozenset[str] = PHYSICS
+    effects: frozenset[Effect] = PHYSICS
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> TactileSensor:
         """Return the sensor's runtime, and finish the model: pre-stretch and contact stiffness.
@@ -60,25 +78,23 @@ class Attachment:
 
 def attach(spec: mujoco.MjSpec, sensor: SensorDesign | str | Path, *, site: mujoco.MjsSite | str, prefix: str = "tactile_",
            mesh: tuple[int, int] = DEFAULT_MESH, mass: float = 0.05, contact: str = "auto",
-           effects: frozenset[str] = PHYSICS) -> Attachment:
+           effects: Collection[str] = PHYSICS) -> Attachment:
     """Attach `sensor` (a design, a shipped name or a TOML file) to the parent scene `spec` at `site`.
 
     `prefix` keeps several sensors apart, `mesh` is the number of vertices along x and y, `mass` kg that of frame,
     glass and camera; `contact` says what of the membrane touches: its "vertices", its triangles ("elements"), "both", or
-    "auto" by the scene's smallest feature; `effects` are names of effects.py. Raises InputError for an unknown site, a
-    prefix already used, a membrane that the method cannot carry, or options of `spec` that cannot (MuJoCo never takes
-    them from an attached child).
+    "auto" by the scene's smallest feature; `effects` are those of `Effect`, or their names. Raises InputError for an
+    unknown site or effect, a prefix already used, a membrane that the method cannot carry, or options of `spec` that
+    cannot (MuJoCo never takes them from an attached child).
     """
     design = load_sensor(sensor)
     check_options(spec.option, source="attach")
     limits.check_design(design, mesh)
+    on = effects_named(effects)
     if contact not in ("auto", *features.CONTACT_MODELS):
         raise InputError(f"{contact!r} is not a contact model", source="attach", field="contact",
                          choices=["auto", *features.CONTACT_MODELS])
-    target = spec.site(site) if isinstance(site, str) else site
-    if target is None:
-        raise InputError(f"no site {site!r} in the scene", source="attach", field="site",
-                         choices=[s.name for s in spec.sites if s.name])
+    target = _site(spec, site)
     if not prefix:
         raise InputError("must not be empty: MuJoCo cannot save such a model", source="attach", field="prefix")
     if spec.body(prefix + BODY) is not None or any(flex.name == prefix + FLEX for flex in spec.flexes):
@@ -87,23 +103,49 @@ def attach(spec: mujoco.MjSpec, sensor: SensorDesign | str | Path, *, site: mujo
     grid = make_mesh(design.frame.length, design.frame.width, *mesh, shape=design.frame.shape)
     child = mujoco.MjSpec()
     body = child.worldbody.add_body(name=BODY)
+    body.gravcomp = target.parent.gravcomp  # a robot that does not feel its own weight does not feel the sensor's either
     _add_housing(body, design, mass)
     add_membrane(child, body, design, grid)
-    set_physics(child, grid, effects)
-    spec.attach(child, site=target, prefix=prefix)
-    return Attachment(design, grid, prefix, contact, effects)
+    set_physics(child, grid, on)
+    try:
+        spec.attach(child, site=target, prefix=prefix)
+    except ValueError as error:
+        raise InputError(" ".join(str(error).split()), source="attach", field="site") from error
+    return Attachment(design, grid, prefix, contact, on)
 
 
-def recommend_options(spec: mujoco.MjSpec, timestep: float = 4e-3) -> None:
-    """Set the options of `spec` that membranes need or like best; leaves gravity and all the rest alone."""
-    option = spec.option
-    option.timestep = timestep
-    option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
-    option.solver = mujoco.mjtSolver.mjSOL_CG
-    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC  # fewer rows and faster to converge than the pyramid
-    option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
-    option.tolerance, option.iterations = 1e-7, 300  # noise of the held force: 1e-6 leaves 6 mN, 1e-7 1 mN
-    option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a diverged run must not rewind and go on silently
+def recommend_options(spec: mujoco.MjSpec, timestep: float = 4e-3) -> tuple[str, ...]:
+    """Set the options of `spec` that membranes need or like best; leaves gravity and all the rest alone.
+
+    Returns one line for each option that it changed: what it was, what it is now, and why.
+    """
+    option, changes = spec.option, []
+    for name, (value, why) in {**_RECOMMENDED, "timestep": (timestep, "forces are good to 1 mN from 1 to 7 ms")}.items():
+        before = getattr(option, name)
+        if before != value:
+            setattr(option, name, value)
+            changes.append(f"option.{name}: {_readable(name, before)} -> {_readable(name, value)} ({why})")
+    for flag, why in _NEEDED.items():
+        if option.disableflags & flag:
+            option.disableflags &= ~int(flag)
+            changes.append(f"flag {flag.name.removeprefix('mjDSBL_').lower()}: disable -> enable ({why})")
+    if not option.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET:
+        option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        changes.append("flag autoreset: enable -> disable (a diverged run must not rewind and go on silently)")
+    if option.enableflags & mujoco.mjtEnableBit.mjENBL_OVERRIDE:
+        option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
+        changes.append("flag override: enable -> disable (the membrane needs its own contact stiffness)")
+    if 0 <= spec.memory < _LEAST_MEMORY:
+        changes.append(f"size.memory: {spec.memory} bytes -> as needed (a touching membrane has hundreds of contacts)")
+        spec.memory = -1
+    return tuple(changes)
+
+
+def _readable(name: str, value: Any) -> str:
+    """An option's value as its user writes it."""
+    if name in _OPTION_NAMES:
+        return _OPTION_NAMES[name].get(int(value), str(value))
+    return f"{value:g} s" if name == "timestep" else f"{value:g}"
 
 
 def check_options(option: Any, *, source: str) -> None:
@@ -114,12 +156,9 @@ def check_options(option: Any, *, source: str) -> None:
     def refuse(name: str, value: object, need: str, why: str) -> None:
         raise InputError(f"is {value}, must be {need}: {why}", source=source, field=f"option.{name}")
 
-    if option.integrator != mujoco.mjtIntegrator.mjINT_DISCRETE:
-        refuse("integrator", _INTEGRATOR_NAMES.get(int(option.integrator), option.integrator), "discrete",
-               "only it is implicit in the stiffness of membrane and gas")
-    if option.solver != mujoco.mjtSolver.mjSOL_CG:
-        refuse("solver", _SOLVER_NAMES.get(int(option.solver), option.solver), "CG",
-               "the gas couples all vertices, which makes Newton's Hessian dense and PGS explicit")
+    for name, (needed, why) in _REQUIRED.items():
+        if getattr(option, name) != needed:
+            refuse(name, _readable(name, getattr(option, name)), _OPTION_NAMES[name][int(needed)], why)
     low, high = TIMESTEP_RANGE
     if not low <= option.timestep <= high:
         refuse("timestep", f"{option.timestep:g} s", f"{low:g} to {high:g} s", "contact forces are wrong beyond")
@@ -127,11 +166,33 @@ def check_options(option: Any, *, source: str) -> None:
         refuse("jacobian", "dense", "sparse or auto", "a membrane has hundreds of degrees of freedom")
     if option.noslip_iterations:
         refuse("noslip_iterations", option.noslip_iterations, "0", "it treats membrane stiffness explicitly")
-    if option.disableflags & (mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT):
-        refuse("flag", "contact or constraint disabled", "both enabled", "the membrane would touch nothing")
-    for flag, name in ((mujoco.mjtDisableBit.mjDSBL_SPRING, "spring"), (mujoco.mjtDisableBit.mjDSBL_DAMPER, "damper")):
+    for flag, why in _NEEDED.items():
         if option.disableflags & flag:
-            refuse("flag", f"{name} disabled", f"{name} enabled", "membrane and gas are passive forces")
+            refuse("flag", f"{flag.name.removeprefix('mjDSBL_').lower()} disabled", "enabled", why)
+    if option.enableflags & mujoco.mjtEnableBit.mjENBL_OVERRIDE:
+        refuse("flag", "override enabled", "disabled", "the membrane needs its own contact stiffness")
+
+
+def _site(spec: mujoco.MjSpec, site: mujoco.MjsSite | str) -> mujoco.MjsSite:
+    """The site to attach to. Raises InputError when it is not there, or on a body that cannot carry a membrane."""
+    found = spec.site(site) if isinstance(site, str) else site
+    if found is None:
+        raise InputError(f"no site {site!r} in the scene", source="attach", field="site",
+                         choices=[s.name for s in spec.sites if s.name])
+    carrier = _mocap_carrier(found.parent)
+    if carrier is not None:
+        raise InputError(f"{found.name!r} is on the mocap body {carrier!r}, which cannot carry a membrane: put it on a body "
+                         "that follows this one by a weld", source="attach", field="site")
+    return found
+
+
+def _mocap_carrier(body: mujoco.MjsBody | None) -> str | None:
+    """The name of the mocap body that `body` is, or is fixed to; None for all others."""
+    while body is not None and not list(body.joints):
+        if body.mocap:
+            return body.name
+        body = body.parent
+    return None
 
 
 def _add_housing(body: mujoco.MjsBody, design: SensorDesign, mass: float) -> None:
@@ -150,4 +211,4 @@ def _add_housing(body: mujoco.MjsBody, design: SensorDesign, mass: float) -> Non
     ] + [((0, 0, -depth - back / 2), (half_x + rim, half_y + rim, back / 2))]
     for number, (pos, size) in enumerate(boxes):
         body.add_geom(name=f"housing{number}", type=mujoco.mjtGeom.mjGEOM_BOX, pos=pos, size=size,
-                      mass=mass / len(boxes), contype=0, conaffinity=1, rgba=[0.25, 0.27, 0.3, 1.0])
+                      mass=mass / len(boxes), contype=0, conaffinity=ANYTHING, rgba=[0.25, 0.27, 0.3, 1.0])

@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 
-from mjtactile.design import SensorDesign
-from mjtactile.fidelity import DEFAULT_FORCE_ERROR, Fidelity
-from mjtactile.rig import Limits, Rig
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.types import Command, GripperState, ValveState
+from mjtactile.rig.file import load_sim_rig
+from mjtactile.rig.finger import Rig, make_fingers
+from mjtactile.rig.limits import Limits
+from mjtactile.rig.registry import RigRequest
+from mjtactile.rig.simulated import SimRigFile
 from mjtactile.sim.attach import DEFAULT_MESH
-from mjtactile.sim.camera import Renderer
-from mjtactile.sim.effects import choose
-from mjtactile.sim.gripper import GraspWorld
-from mjtactile.sim.objects import load_object
-from mjtactile.sim.switches import CAMERA, set_design, set_picture
-from mjtactile.types import Command, GripperState, Image, ValveState
+from mjtactile.sim.camera import SimCamera
+from mjtactile.sim.effects.catalog import choose
+from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR, Fidelity
+from mjtactile.sim.scenes.grasp_world import GraspWorld, finger_designs
+from mjtactile.sim.scenes.objects import load_object
+from mjtactile.sim.scenes.world import World
+from mjtactile.sim.sensor.runtime import TactileSensor
+from mjtactile.sim.sensor.switches import set_design
 
 _SCATTER = 2e-3  # m, to each side
 _LARGEST_STEP = 6.7e-3  # s; against 1 ms, forces change by 1 mN (docs/accuracy.md)
-_EXPOSURE = 8e-3  # s, for motion blur
-_SHUTTER = (0.0, 0.5, 1.0)  # shares of the exposure at which the moving markers are drawn
 
 
 class SimClock:
@@ -31,7 +36,7 @@ class SimClock:
     takes effect when the time is reached: one camera period of latency, as on a real rig, and the same every run.
     """
 
-    def __init__(self, world: GraspWorld):
+    def __init__(self, world: World):
         self._world = world
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="physics")
         self._running: Future[None] | None = None
@@ -80,52 +85,20 @@ class SimClock:
             self._world.step(missing)
 
 
-class SimCamera:
-    """Renders one sensor's image when it is read, or before (`draw`), beside the work on the last one."""
-
-    def __init__(self, world: GraspWorld, sensor: int, seed: int, effects: frozenset[str] = CAMERA):
-        """`effects`: what is drawn; "latency" hands out the image before, "motion blur" keeps the shutter open."""
-        self._world, self._sensor = world, sensor
-        self._renderer = Renderer(set_picture(world.design, effects), seed=seed, shadows="shadows" in effects)
-        self._moving, self._late = "motion blur" in effects, "latency" in effects
-        self._before: Image | None = None
-        self._drawn: Image | None = None
-
-    def draw(self) -> None:
-        """Have the image of the membrane now ready for `read`."""
-        self._drawn = self._blurred() if self._moving else self._renderer.render(
-            *self._world.marker_poses(self._sensor), self._world.time)
-
-    def read(self) -> Image:
-        """The image of the membrane now."""
-        if self._drawn is None or self._drawn.time != self._world.time:
-            self.draw()
-        image, self._drawn = self._drawn, None
-        assert image is not None
-        before, self._before = self._before, image
-        return before if self._late and before is not None else image
-
-    def _blurred(self) -> Image:
-        """The mean of what the sensor sees over the exposure that ends now."""
-        poses = [self._world.sensors[self._sensor].marker_poses_before(share * _EXPOSURE) for share in _SHUTTER]
-        gray = np.asarray(np.mean([self._renderer.irradiance_image(*pose) for pose in poses], axis=0, dtype=np.float32))
-        return self._renderer.expose(gray, self._world.time)
-
-
 class SimValve:
     """The valve of one chamber; this rig has no pressure sensor, as the paper's device has none."""
 
-    def __init__(self, world: GraspWorld, sensor: int):
-        self._world, self._sensor = world, sensor
+    def __init__(self, sensor: TactileSensor):
+        self._sensor = sensor
 
     def state(self) -> ValveState:
-        return ValveState(self._world.sensors[self._sensor].valve_is_open, time=self._world.time, age=0.0)
+        return ValveState(self._sensor.valve_is_open, time=self._sensor.time, age=0.0)
 
     def open(self, supply_gauge: float) -> None:
-        self._world.open_valve(self._sensor, supply_gauge)
+        self._sensor.open_valve(supply_gauge)
 
     def close(self) -> None:
-        self._world.close_valve(self._sensor)
+        self._sensor.close_valve()
 
 
 class SimGripper:
@@ -156,31 +129,43 @@ class SimGripper:
         self._world.set_lift_target(command.lift_height)
 
 
-def build_sim_rig(design: SensorDesign, *, object_name: str, seed: int, accuracy: str = "", effects: str = "auto") -> Rig:
-    """A simulated grasp. `seed` places the object by a few millimetres and fixes the cameras' noise.
+def build_sim_rig(design: SensorDesign, *, object_name: str, seed: int, accuracy: str = "", effects: str = "auto",
+                  file: SimRigFile | str | Path = "sim", specimens: Sequence[SensorDesign] = ()) -> Rig:
+    """A simulated grasp with the rig of `file`. `seed` places the object by a few millimetres and fixes the cameras' noise.
 
-    `accuracy` is "", "0.02N" or "realtime" (fidelity.py), `effects` "auto" or "+name,-name" (effects.py).
+    `accuracy` is "", "0.02N" or "realtime" (fidelity.py), `effects` "auto" or "+name,-name" (catalog.py); `specimens` as in
+    `GraspWorld`. Sensing knows the fingers' designs, not the specimens.
     """
     rng = np.random.default_rng(seed)
+    file = file if isinstance(file, SimRigFile) else load_sim_rig(file)
     fidelity = Fidelity.parse(accuracy) if accuracy else None
     largest = _LARGEST_STEP if fidelity is None else fidelity.timestep * (1 + 1e-9)
-    steps = int(np.ceil(1 / (design.camera.rate * largest)))  # a whole number of steps per camera frame
     x, y = rng.uniform(-_SCATTER, _SCATTER, 2)
     grasped = load_object(object_name)
     wanted = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.asked
     on = choose(design, grasped, force_error=wanted, overrides=effects).on
-    design = set_design(design, on)
-    world = GraspWorld(design, grasped, timestep=1 / (design.camera.rate * steps), effects=on,
+    designs = tuple(set_design(own, on) for own in finger_designs(file, design))
+    rate = min(own.camera.rate for own in designs)
+    steps = int(np.ceil(1 / (rate * largest)))  # a whole number of steps per camera frame
+    world = GraspWorld(set_design(design, on), grasped, rig=file, timestep=1 / (rate * steps), effects=on,
                        mesh=DEFAULT_MESH if fidelity is None else fidelity.mesh,
-                       object_pose=(x, y, grasped.turn * rng.uniform(-1, 1)))
+                       object_pose=(x, y, grasped.turn * rng.uniform(-1, 1)),
+                       specimens=[set_design(own, on) for own in specimens] or designs)
     if fidelity is not None:
         world.model.opt.tolerance = fidelity.tolerance
     clock = SimClock(world)
     seeds = rng.integers(2**31, size=len(world.sensors))
-    cameras = tuple(SimCamera(world, i, int(s), on) for i, s in enumerate(seeds))
+    cameras = tuple(SimCamera(sensor, int(s), on) for sensor, s in zip(world.sensors, seeds, strict=True))
     clock.on_arrival += [camera.draw for camera in cameras]
+    valves = tuple(SimValve(sensor) for sensor in world.sensors)
+    limits = Limits(file.gripper.opening, file.gripper.speed, file.gripper.force_max, (0.0, file.lift.travel), file.lift.speed)
     return Rig(
-        name="sim", design=design, cameras=cameras,
-        valves=tuple(SimValve(world, i) for i in range(len(world.sensors))),
-        gripper=SimGripper(world, clock), clock=clock,
-        limits=Limits(opening=(0.0, world.max_opening), force=8.0), close=clock.close, scene=world)
+        name=file.name, fingers=make_fingers(tuple(finger.name for finger in file.fingers), designs, cameras, valves),
+        gripper=SimGripper(world, clock), clock=clock, limits=limits, close=clock.close, scene=world)
+
+
+def build(request: RigRequest) -> Rig:
+    """The backend "sim" of `mjtactile.rig.registry`; without a file, the shipped "sim"."""
+    file = request.file if isinstance(request.file, SimRigFile) else "sim"
+    return build_sim_rig(request.design, object_name=request.object, seed=request.seed, accuracy=request.accuracy,
+                         effects=request.effects, file=file)

@@ -11,12 +11,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.sim.objects import PREFIX, moving_bodies
-from mjtactile.types import Array
+from mjtactile.core.types import Array
+from mjtactile.sim.scenes.objects import PREFIX, moving_bodies
 
 if TYPE_CHECKING:
-    from mjtactile.sim.sensor import TactileSensor
-    from mjtactile.sim.world import World
+    from mjtactile.sim.scenes.hand_world import HandWorld
+    from mjtactile.sim.scenes.world import World
+    from mjtactile.sim.sensor.runtime import TactileSensor
 
 
 def contact_forces(world: World, sensor: int) -> tuple[Array, Array, Array]:
@@ -31,8 +32,7 @@ def contact_forces(world: World, sensor: int) -> tuple[Array, Array, Array]:
         # rows of `frame` are the contact's axes in W; the force acts on the contact's second entity
         f_W[k] = data.contact.frame[row].reshape(3, 3).T @ buffer[:3] * (1 if on_membrane[row, 1] else -1)
     R_WS, p_WS = _pose(world, device)
-    depth = data.contact.includemargin[rows] - data.contact.dist[rows]
-    return f_W @ R_WS, (data.contact.pos[rows] - p_WS) @ R_WS, depth
+    return f_W @ R_WS, (data.contact.pos[rows] - p_WS) @ R_WS, device.penetrations(rows)
 
 
 def contact_force(world: World, sensor: int) -> Array:
@@ -42,8 +42,13 @@ def contact_force(world: World, sensor: int) -> Array:
 
 def contact_torque(world: World, sensor: int) -> Array:
     """Total torque (3,) N m of the contact forces on membrane `sensor` about the origin of S."""
+    return contact_wrench(world, sensor)[3:]
+
+
+def contact_wrench(world: World, sensor: int) -> Array:
+    """Total force, N, and torque about the origin of S, N m, (6,) that the world exerts on membrane `sensor`, frame S."""
     forces, points, _ = contact_forces(world, sensor)
-    return np.cross(points, forces).sum(axis=0)
+    return np.concatenate([forces.sum(axis=0), np.cross(points, forces).sum(axis=0)])
 
 
 def contact_area(world: World, sensor: int) -> float:
@@ -72,13 +77,6 @@ def marker_poses(world: World, sensor: int) -> tuple[Array, Array]:
     return world.sensors[sensor].marker_poses()
 
 
-def pressure_and_volume(world: World, sensor: int) -> tuple[float, float]:
-    """Gauge pressure, Pa, and gas volume, m^3, of the present state."""
-    device = world.sensors[sensor]
-    device.update()
-    return device.pressure_gauge, device.volume
-
-
 def object_bodies(world: World) -> NDArray[np.int64]:
     """The grasped object's bodies, its soft parts among them: what `object_position` is asked with in every step."""
     return moving_bodies(world.model, PREFIX)
@@ -92,14 +90,14 @@ def object_position(world: World, bodies: NDArray[np.int64] | None = None) -> Ar
 
 
 def object_pose(world: World) -> tuple[Array, Array]:
-    """Position `p_WO` (3,) m and rotation `R_WO` (3, 3) of the body `object`, frame W."""
+    """Position `p_WO` (3,) m and rotation, a unit quaternion (4,) with its real part first, of the body `object`, frame W."""
     body = world.model.body(PREFIX + "object").id
-    return world.data.xpos[body].copy(), world.data.xmat[body].reshape(3, 3).copy()
+    return world.data.xpos[body].copy(), world.data.xquat[body].copy()
 
 
-def hand_position(world: World) -> Array:
+def hand_position(world: HandWorld) -> Array:
     """Position (3,) m of the hand that carries the fingers, frame W."""
-    return world.data.xpos[world.model.body("hand").id].copy()
+    return world.data.xpos[world.start.hand].copy()
 
 
 def _pose(world: World, device: TactileSensor) -> tuple[Array, Array]:

@@ -1,15 +1,23 @@
 """Bad input: exit code 2, one clear line that names the file, the field and the choices, and nothing left behind."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from mjtactile import resources
-from mjtactile.recording import load_recording
+from mjtactile.core import resources
+from mjtactile.recording.reader import load_recording
 
 EGG = resources.find("egg", "models/objects", ".xml").read_text()
 DENSE = resources.find("dense", "models/sensors", ".toml").read_text()
+
+STREAM = resources.find("two_xm430", "models/rigs", ".toml").read_text().replace('timestamps = "kernel"', """backend = "ffmpeg"
+timestamps = "arrival\"""").replace('"/dev/v4l/by-id/usb-Arducam_Left-video-index0"', '"http://127.0.0.1:9/left"')
+
+ROBOT = resources.find("sim", "models/rigs", ".toml").read_text().replace(
+    "../grippers/two_finger.xml", str(resources.folder("models/grippers") / "two_finger.xml"))
 
 # case: option, file name, its text (None: not made), words that the message must have
 CASES = {
@@ -22,12 +30,20 @@ CASES = {
     "no free joint": ("--object", "a.xml", EGG.replace("<freejoint/>", ""), ["a.xml", "free joint"]),
     "no break force": ("--object", "a.xml", EGG.replace("break_force_N", "strength"), ["a.xml", "break_force_N"]),
     "unknown material": ("--object", "a.xml", EGG.replace('"solid"', '"stone"'), ["a.xml", "material", "stone", "soft"]),
+    "wider than the jaws open": ("--object", "a.xml", EGG.replace("0.016 0.016 0.02", "0.06 0.06 0.06"),
+                                 ["a.xml", "stands in the way", "they open to 80 mm", "wider"]),
     "field missing": ("--sensor", "a.toml", DENSE.replace("young_MPa = 1.0", ""), ["a.toml", "membrane.young_MPa"]),
     "misspelt": ("--sensor", "a.toml", DENSE.replace("young_MPa", "yung_MPa"), ["a.toml", "yung_MPa", "young_MPa"]),
     "wrong unit": ("--sensor", "a.toml", DENSE.replace("young_MPa", "young_kPa"), ["a.toml", "young_kPa", "young_MPa"]),
     "negative": ("--sensor", "a.toml", DENSE.replace("_MPa = 1.0", "_MPa = -1.0"), ["a.toml", "young_MPa", "-1.0"]),
     "not finite": ("--sensor", "a.toml", DENSE.replace("_MPa = 1.0", "_MPa = nan"), ["a.toml", "young_MPa", "nan"]),
     "not TOML": ("--sensor", "a.toml", "[frame", ["a.toml", "TOML"]),
+    "no fingers": ("--rig", "a.toml", ROBOT.replace("[[finger]]", "[[fingr]]"), ["a.toml", "finger", "'fingr'"]),
+    "two fingers of one name": ("--rig", "a.toml", ROBOT.replace('"right"', '"left"'), ["a.toml", "finger.name", "'left'"]),
+    "no such site": ("--rig", "a.toml", ROBOT.replace('"right_fingertip"', '"tip"'), ["a.toml", "finger[1].site", "'tip'",
+                                                                                    "right_fingertip"]),
+    "no such actuator": ("--rig", "a.toml", ROBOT.replace('"jaw"', '"jw"'), ["a.toml", "actuator[0].name", "'jw'", "jaw"]),
+    "robot file missing": ("--rig", "a.toml", ROBOT.replace("two_finger.xml", "no.xml"), ["a.toml", "sim.model", "no.xml"]),
     "controller does not import": ("--controller", "a.py", "import nothing_like_this", ["a.py", "nothing_like_this"]),
     "controller without step": ("--controller", "a.py", "x = 1", ["a.py", "step"]),
 }
@@ -94,6 +110,42 @@ def test_bad_usage(mjtactile, args, words):
     process = mjtactile(*args)
     assert_one_line(process, words)
     assert process.stdout == ""
+
+
+# Each of these makes OpenCV, FFmpeg or MuJoCo print something of their own.
+@pytest.mark.parametrize(("files", "args", "words"), [
+    ({"bad.mp4": b"xx"}, ["reconstruct", "bad.mp4", "--sensor", "dense", "--out", "out"], ["bad.mp4"]),
+    ({"bad.png": b"\x89PNG"}, ["reconstruct", "bad.png", "--sensor", "dense", "--out", "out"], ["bad.png"]),
+    ({"rig.toml": STREAM.encode()}, ["grasp", "--rig", "rig.toml", "--out", "out"], ["left camera", "127.0.0.1:9"]),
+])  # fmt: skip
+def test_no_library_speaks_before_our_own_line(mjtactile, tmp_path, files, args, words):
+    for name, content in files.items():
+        (tmp_path / name).write_bytes(content)
+    process = mjtactile(*args)
+    assert process.returncode in (2, 3)
+    assert_one_line(process, words, process.returncode)
+    assert len(process.stderr.strip().splitlines()) == 1, process.stderr
+    assert not (tmp_path / "out").exists()  # nor is an empty folder left behind
+
+
+def test_mujocos_own_words_are_for_debugging(tmp_path):
+    code = """if True:
+        import mujoco, numpy as np
+        from mjtactile import cli
+        from mjtactile.sim.log import route_warnings
+        cli._quieten_libraries(debug=DEBUG)
+        route_warnings()
+        ball = "<body><freejoint/><geom size='1'/></body>"
+        model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{ball}</worldbody></mujoco>")
+        data = mujoco.MjData(model)
+        data.qvel[0] = np.nan
+        mujoco.mj_step(model, data)
+    """
+    for debug in (False, True):
+        process = subprocess.run([sys.executable, "-c", code.replace("DEBUG", str(debug))], cwd=tmp_path, capture_output=True,
+                                 text=True, check=True)
+        assert ("unstable" in process.stderr) == debug
+    assert not list(tmp_path.iterdir())
 
 
 def test_with_json_an_error_is_one_json_object_too(mjtactile):

@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 
-from mjtactile.recording import load_recording
+from mjtactile.recording.reader import load_recording
 
 WAIT = 120  # s for the run to get going on a busy machine
 
@@ -30,7 +30,6 @@ def test_what_was_recorded_is_kept(tmp_path, stop):
     report = json.loads(stdout)
     assert report["outcome"] == "fault" and report["exit_code"] == 3 and report["hold_force_N"] is None
     assert json.loads((tmp_path / "result" / "summary.json").read_text())["outcome"] == "fault"
-    assert (tmp_path / "result" / "summary.png").read_bytes().startswith(b"\x89PNG")
     recording = load_recording(tmp_path / "result")
     assert recording.complete and len(recording) == report["frames"] >= 10
     assert np.isfinite(recording.column("force_normal")).all()

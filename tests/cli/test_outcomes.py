@@ -2,9 +2,11 @@
 
 import json
 
+import numpy as np
 import pytest
 
-from mjtactile import resources
+from mjtactile.core import resources
+from mjtactile.recording.reader import load_recording
 
 DENSE = resources.find("paper16", "models/sensors", ".toml").read_text()
 
@@ -50,3 +52,31 @@ def test_a_membrane_pushed_to_the_glass_is_a_fault_with_step_and_reason(mjtactil
     line = process.stderr.strip().splitlines()[-1]
     assert "step" in line and "t =" in line and "glass" in line
     assert report["hold_force_N"] is None and report["frames"] > 0  # recorded so far, and no made-up result
+
+
+HEAVY = """<mujoco model="heavy">
+  <custom><numeric name="break_force_N" data="9"/><text name="material" data="solid"/></custom>
+  <worldbody>
+    <body name="object" pos="0 0 0.03"><freejoint/><geom type="box" size="0.02 0.02 0.03" mass="1"/></body>
+  </worldbody>
+</mujoco>"""
+
+
+def test_an_object_too_heavy_for_the_grip_is_dropped_with_the_reason(mjtactile, tmp_path):
+    (tmp_path / "heavy.xml").write_text(HEAVY)
+    process = mjtactile("grasp", "--object", "./heavy.xml", "--sensor", "paper16", "--frames", "none", "--out", "result",
+                        "--json")
+    report = json.loads(process.stdout)
+    assert (process.returncode, report["outcome"]) == (1, "dropped"), process.stderr
+    assert "too heavy" in report["reason"] and "9.8 N" in report["reason"]
+    recording = load_recording(tmp_path / "result")
+    assert recording.columns["phase"][-1] == "abort" and not list((tmp_path / "result/recording/frames").iterdir())
+    # truth of every cycle: the force on the membranes and where the box is, upright on the table
+    wrench = recording.column("wrench_true")
+    assert wrench.shape == (len(recording), 2, 6)
+    np.testing.assert_allclose(-wrench[..., 2], recording.column("force_normal_true"), atol=1e-12)
+    position = recording.column("object_position_true")
+    assert position.shape == (len(recording), 3) and np.abs(position[0] - [0, 0, 0.03]).max() < 3e-3  # m; the seed's scatter
+    np.testing.assert_allclose(np.linalg.norm(recording.column("object_quaternion_true"), axis=1), 1.0, atol=1e-9)
+    replay = mjtactile("grasp", "--rig", "replay:result", "--sensor", "paper16", "--out", "again")
+    assert replay.returncode == 2 and "0 of" in replay.stderr and "--frames all" in replay.stderr

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from mjtactile.cli import main
-from mjtactile.sim.camera import Renderer
-from mjtactile.sim.press import Indenter, PressWorld
+from mjtactile.core.calibration import load_calibration
+from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 
 @pytest.fixture(scope="module")
@@ -41,14 +42,14 @@ def run_json(capsys, *args):
 
 def test_from_frames_to_surface_and_force(capsys, frames, tmp_path):
     folder, truth = frames
-    reference = tmp_path / "reference.json"
-    calibration = run_json(capsys, "calibrate", "frame", folder / "flat", "--rest", folder / "rest", "--out", reference)
+    calibration_file = tmp_path / "left.json"
+    calibration = run_json(capsys, "calibrate", "frame", folder / "flat", "--rest", folder / "rest", "--out", calibration_file)
     assert calibration["residual_px"] < 0.05  # centre noise of 0.02 px, averaged over six images
     # "dense" is rendered as its file says: camera and radii come out unchanged within noise
     assert max(map(abs, calibration["offset_mm"])) < 0.02
     np.testing.assert_allclose(calibration["radius_mm"], 1.0, atol=2e-3)
 
-    result = run_json(capsys, "reconstruct", folder / "press", "--reference", reference, "--out", tmp_path / "out")
+    result = run_json(capsys, "reconstruct", folder / "press", "--calibration", calibration_file, "--out", tmp_path / "out")
     assert [frame["source"] for frame in result["frames"]] == ["0.png", "1.png"]
     for frame in result["frames"]:
         assert frame["status"] == "ok" and len(frame["markers"]) == 81
@@ -85,7 +86,7 @@ def test_frames_that_cannot_be_used_are_named(capsys, frames, tmp_path):
 
 @pytest.mark.parametrize(("args", "words"), [
     (("reconstruct", "nowhere"), ("nowhere", "no such file")),
-    (("reconstruct", "{press}", "--reference", "no.json"), ("no.json", "--reference")),
+    (("reconstruct", "{press}", "--calibration", "no.json"), ("no.json", "cannot be read")),
     (("calibrate", "frame", "--sensor", "paper16", "--out", "{tmp}/r.json"), ("FLAT", "--rig")),
     (("calibrate", "frame", "{press}", "--out", "nowhere/r.json"), ("nowhere", "--out"))])
 def test_bad_input_is_one_line(capsys, frames, tmp_path, args, words):
@@ -99,5 +100,5 @@ def test_a_calibration_with_another_sensor_is_refused_with_its_reason(capsys, fr
     out = tmp_path / "r.json"
     assert main(["calibrate", "frame", str(frames[0] / "press"), "--sensor", "paper16", "--out", str(out)]) == 1
     assert "REFUSED: sensor paper16: flat reference" in capsys.readouterr().out
-    assert not out.exists()
-    assert json.loads((tmp_path / "r.refused.json").read_text())["verdict"] == "refused"
+    written = load_calibration(out)
+    assert written.frame is None and "flat reference" in written.refused["frame"].reasons[0]

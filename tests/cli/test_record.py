@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mjtactile.cli import main
-from mjtactile.recording import load_recording
+from mjtactile.recording.reader import load_recording
 
 
 def record(capsys, *arguments):

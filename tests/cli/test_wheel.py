@@ -29,6 +29,8 @@ def test_the_wheel_grasps_an_egg_in_a_fresh_environment(tmp_path):
     run(*pip, "--no-deps", *wheels.glob("mjtactile-*.whl"), cwd=work)
     where = run(fresh / "bin" / "python", "-c", "import mjtactile; print(mjtactile.__file__)", cwd=work).strip()
     assert Path(where).is_relative_to(fresh)
+    pages = json.loads(run(fresh / "bin" / "mjtactile", "docs", "--json", cwd=work))
+    assert Path(pages["folder"]).is_relative_to(fresh) and "sensors" in pages["pages"]
     summary = json.loads(run(fresh / "bin" / "mjtactile", "grasp", "--object", "egg", "--json", "--out", "egg", cwd=work))
     assert summary["outcome"] == "held"
     assert {path.name for path in (work / "egg").iterdir()} == {"summary.json", "summary.png", "recording"}

@@ -1,71 +1,153 @@
-"""Ctrl-C, SIGTERM and SIGKILL for a host that drives the emulated rig: torque off and valves vented, with or without its help.
+"""Whatever ends or fails while an object is held in the air, on the emulated rig: it is set down, torque is off, the chambers
+are vented, the recording can be read, and the process is gone.
 
-The host is the command line in a process of its own; the emulator outlives it and says what became of the hardware.
+A part of all combinations; all of them, in half an hour: `MJTACTILE_SIGNALS=all pytest tests/contract/test_signals.py`.
 """
 
+import itertools
 import json
+import os
+import pty
+import resource
+import shutil
 import signal
 import subprocess
 import sys
+import termios
 import time
 
 import pytest
 
-from mjtactile.commands.emulate import _rig_text
-from mjtactile.design import load_sensor
+from mjtactile.core.design import load_sensor
 from mjtactile.emulator.process import EmulatorProcess
-from mjtactile.rigfile import load_rig_file
+from mjtactile.rig.file import load_rig_file
 from tests.emulated import wait_for
+from tests.emulated_host import WAIT, controller_text, host, rig_text
 
 pytestmark = pytest.mark.realtime
 
+INT, TERM, HUP, QUIT = signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT
+TIMES = {"once": (), "twice, 1 ms": (0.001,), "twice, 30 ms": (0.03,), "twice, 50 ms": (0.05,),
+         "six": (0.001, 0.05, 0.01, 0.1, 0.03)}
+PHASES = ("connecting", "references", "approach", "regulate", "lift", "hold", "lower", "release")
+SOME = [(INT, "twice, 30 ms", "hold"), (HUP, "six", "lift"), (QUIT, "twice, 1 ms", "regulate"), (TERM, "six", "references"),
+        (INT, "twice, 50 ms", "connecting")]
+ALL = os.environ.get("MJTACTILE_SIGNALS") == "all"
+CASES = list(itertools.product((INT, TERM, HUP, QUIT), TIMES, PHASES)) if ALL else SOME
+FAULTS = ["while True: pass", "import sys; sys.exit(0)", "raise KeyboardInterrupt"]  # the others also in test_safety.py
 
-@pytest.fixture(scope="module")
+
+@pytest.fixture
 def emulator():
+    """Its own for each test: the egg stands and the jaws are open."""
     process = EmulatorProcess(load_rig_file("emulated"), load_sensor("paper16"), object_name="egg", seed=0)
     yield process
     process.close()
 
 
-@pytest.fixture
-def host(emulator, tmp_path):
-    """A host that watches the rig: torque on, chambers sealed; and its recording's folder."""
-    text = _rig_text(load_rig_file("emulated").path.read_text(), emulator.endpoints)
-    # Generous against a busy computer, as in test_rigs.py: no test here asserts how fast anything is.
-    for name, before, after in (("delay_ms", "8.0", "400.0"), ("reply_timeout_ms", "20", "100"), ("watchdog_ms", "200", "1200"),
-                                ("heartbeat_ms", "250", "1200")):
-        assert f"{name} = {before}" in text
-        text = text.replace(f"{name} = {before}", f"{name} = {after}")
-    (tmp_path / "rig.toml").write_text(text)
-    process = subprocess.Popen(
-        [sys.executable, "-W", "error", "-m", "mjtactile", "record", "--rig", "rig.toml", "--sensor", "paper16",
-         "--seconds", "60", "--out", "out", "--json"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+def wait_until(running, phase):
+    if phase == "connecting":
+        assert wait_for(running.log.exists, WAIT)
+    elif phase == "references":
+        assert wait_for(lambda: "closed" in emulator_valves(running) or "open" in emulator_valves(running), WAIT)
+    else:
+        running.wait_for_phase(phase)
+
+
+def emulator_valves(running):
+    return running.emulator.truth()["valve"].values()
+
+
+@pytest.mark.parametrize(("number", "times", "phase"), CASES, ids=[f"{n.name}-{t}-{p}" for n, t, p in CASES])
+def test_signals(emulator, tmp_path, number, times, phase):
+    with host(emulator, tmp_path, controller_text(hold=60.0 if phase not in PHASES[6:] else 0.1)) as running:
+        wait_until(running, phase)
+        running.signal(number)
+        for pause in TIMES[times]:
+            time.sleep(pause)
+            running.signal(number)
+        output, errors = running.ends()
+        assert running.process.returncode == 3 and "Traceback" not in errors
+        assert errors.splitlines()[-1] == "mjtactile: interrupted" and json.loads(output)["exit_code"] == 3
+        running.has_set_down()
+        if phase not in PHASES[:2]:
+            recording = running.recording()
+            assert recording.notes["outcome"] == "fault" and recording.notes["error"] == "interrupted"
+            assert recording.columns["state"][-1] == "latched" and recording.columns["command_lift_height"][-1] < 1e-3
+
+
+def test_a_second_signal_a_second_later_lets_go_at_once(emulator, tmp_path):
+    with host(emulator, tmp_path) as running:
+        running.wait_for_phase("hold")
+        running.signal(INT)
+        time.sleep(1.05)
+        running.signal(INT)
+        _, errors = running.ends()
+        assert running.process.returncode == 3 and errors.splitlines()[-1] == "mjtactile: interrupted"
+        assert running.recording().columns["state"][-1] == "safe"  # it was not down yet
+
+
+def test_output_that_nobody_reads_and_a_folder_that_is_removed(emulator, tmp_path):
+    """`mjtactile grasp … 2>&1 | head -6`: the grasp goes on to its end."""
+    reader, writer = os.pipe()
+    with host(emulator, tmp_path, controller_text(hold=0.5), stdout=writer, stderr=writer) as running:
+        os.close(writer)
+        os.read(reader, 20)
+        os.close(reader)
+        running.wait_for_phase("lift", "hold")
+        shutil.rmtree(tmp_path / "out")
+        running.ends()
+        assert running.process.returncode == 0
+        running.has_set_down()
+
+
+def test_a_terminal_that_stands_still_a_full_disk_and_no_descriptors(emulator, tmp_path):
+    reader, writer = pty.openpty()
+    with host(emulator, tmp_path, controller_text(hold=0.5), stderr=writer) as running:
+        running.wait_for_phase("regulate", "lift", "hold")
+        termios.tcflow(writer, termios.TCOOFF)  # Ctrl-S
+        resource.prlimit(running.process.pid, resource.RLIMIT_FSIZE, (1, 1))
+        resource.prlimit(running.process.pid, resource.RLIMIT_NOFILE, (3, 3))
+        assert wait_for(lambda: not any(emulator.truth()["torque"].values()), WAIT)
+        termios.tcflow(writer, termios.TCOON)  # Ctrl-Q: now it may say how it went
+        output, _ = running.ends()
+        assert running.process.returncode == 0
+        running.has_set_down()
+        result = json.loads(output)
+        assert result["outcome"] == "held" and result["recording_problem"]
+    os.close(reader)
+    os.close(writer)
+
+
+def test_a_perception_process_that_hangs(emulator, tmp_path):
+    with host(emulator, tmp_path) as running:
+        running.wait_for_phase("hold")
+        os.kill(running.children()[0], signal.SIGSTOP)
+        _, errors = running.ends()
+        assert running.process.returncode == 3 and "its perception process does not answer" in errors
+        running.has_set_down()
+        states = list(running.recording().columns["state"])
+        assert states.index("holding") < states.index("safe")  # noticed within a turn, and not worth a retreat at once
+
+
+@pytest.mark.parametrize("fault", FAULTS if ALL else FAULTS[:1])
+def test_a_controller_that_fails(emulator, tmp_path, fault):
+    text = controller_text().replace("def _hold(", f"def _hold(*_):\n    {fault}\n\n\ndef _unused(")
+    with host(emulator, tmp_path, text) as running:
+        _, errors = running.ends()
+        assert running.process.returncode == 2 and "Traceback" not in errors, errors
+        line = errors.splitlines()[-1]
+        assert line.startswith("mjtactile: mine.py: line ") and "step()" in line
+        running.has_set_down()
+        assert running.recording().columns["state"][-1] == "latched"
+
+
+def test_a_killed_host_leaves_it_to_the_watchdogs(emulator, tmp_path):
+    (tmp_path / "rig.toml").write_text(rig_text(emulator))
+    process = subprocess.Popen([sys.executable, "-m", "mjtactile", "record", "--rig", "rig.toml", "--sensor", "paper16",
+                                "--seconds", "60", "--out", "out"], cwd=tmp_path, stderr=subprocess.DEVNULL)
     log = tmp_path / "out" / "recording" / "log.jsonl"
-    try:
-        assert wait_for(lambda: log.exists() and log.read_text().count('"kind": "cycle"') >= 5, 40.0), process.poll()
-        truth = emulator.truth()
-        assert all(truth["torque"].values()) and set(truth["valve"].values()) == {"closed"}
-        yield process, log
-    finally:
-        process.kill()
-        process.communicate()
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_stopped_host_switches_torque_off_and_vents(emulator, host, number):
-    process, log = host
-    process.send_signal(number)
-    output, errors = process.communicate(timeout=20)
-    assert process.returncode == 3 and "interrupted" in errors
-    assert json.loads(output)["exit_code"] == 3
-    truth = emulator.truth()
-    assert not any(truth["torque"].values())
-    assert set(truth["valve"].values()) == {"vent"}
-    assert json.loads(log.read_text().splitlines()[-1])["outcome"] == "fault"  # the recording is whole
-
-
-def test_a_killed_host_leaves_it_to_the_watchdogs(emulator, host):
-    process, _ = host
+    assert wait_for(lambda: log.exists() and log.read_text().count('"kind": "cycle"') >= 5, WAIT), process.poll()
     process.send_signal(signal.SIGKILL)
     killed = time.monotonic()
     process.wait()

@@ -4,11 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjtactile.errors import InputError, SimulationError
+from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.sim.attach import attach, recommend_options
-from mjtactile.sim.gripper import GraspWorld
-from mjtactile.sim.objects import load_object
-from mjtactile.sim.world import World
+from mjtactile.sim.scenes.grasp_world import GraspWorld
+from mjtactile.sim.scenes.objects import load_object
+from mjtactile.sim.scenes.world import World
 
 
 def scene():

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from membrane_scenes import scene, settle
 
-from mjtactile import resources, theory
-from mjtactile.design import Frame, MarkerLayout, Membrane, load_sensor
-from mjtactile.errors import InputError
-from mjtactile.sim.mesh import MarkerInterpolator, make_mesh, to_square
-from mjtactile.sim.switches import PHYSICS, set_design
+from mjtactile.core import resources, theory
+from mjtactile.core.design import Frame, MarkerLayout, Membrane, load_sensor
+from mjtactile.core.errors import InputError
+from mjtactile.sim.sensor.mesh import MarkerInterpolator, make_mesh, to_square
+from mjtactile.sim.sensor.switches import PHYSICS, set_design
 
 RADIUS = 0.015
 MESH = (17, 17)
@@ -71,7 +71,7 @@ def test_point_load_on_a_flat_circle_is_schwerins():
 def test_sphere_on_a_pretensioned_circle():
     """M4 by force: constant tension, contact small against the circle. Young's modulus is low, so that the tension stays."""
     from mjtactile.sim import truth
-    from mjtactile.sim.press import Indenter, PressWorld
+    from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
     design = circle(pre_stretch=1.3, young=1e5)
     world = PressWorld(design, Indenter("sphere", 8e-3), mesh=(25, 25))
@@ -111,7 +111,7 @@ def test_circle_is_read_from_a_file_and_checked(tmp_path):
     assert design.frame.shape == "circle" and design.frame.length == pytest.approx(0.04)
     assert design.chamber_volume_flat == pytest.approx(np.pi * 0.02**2 * 0.02)
     path.write_text(text.replace("diameter_mm = 40.0", "length_mm = 40.0"))
-    with pytest.raises(InputError, match=r"length_mm.*diameter_mm"):
+    with pytest.raises(InputError, match=r"frame\.diameter_mm: missing field"):
         load_sensor(path)
     path.write_text(text.replace('"circle"', '"star"'))
     with pytest.raises(InputError, match=r"star.*rectangle, circle"):

@@ -6,18 +6,19 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjtactile.design import load_sensor
-from mjtactile.errors import InputError
-from mjtactile.estimate import GraspEstimate, coarser, richardson
-from mjtactile.sim import slopes, truth
-from mjtactile.sim.effects import EFFECTS, choose, parse
-from mjtactile.sim.gripper import GraspWorld
-from mjtactile.sim.light import Light
-from mjtactile.sim.objects import load_object
-from mjtactile.sim.press import Indenter, PressWorld
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import InputError
+from mjtactile.run.estimate import GraspEstimate, coarser, richardson
+from mjtactile.sim import truth
+from mjtactile.sim.effects import steepness
+from mjtactile.sim.effects.catalog import EFFECTS, choose, parse
+from mjtactile.sim.picture.light import Light
+from mjtactile.sim.picture.shadows import ShadowedLight
 from mjtactile.sim.rig import build_sim_rig
-from mjtactile.sim.shadows import ShadowedLight
-from mjtactile.sim.switches import CAMERA, PHYSICS, set_design, set_picture
+from mjtactile.sim.scenes.grasp_world import GraspWorld
+from mjtactile.sim.scenes.indentation import Indenter, PressWorld
+from mjtactile.sim.scenes.objects import load_object
+from mjtactile.sim.sensor.switches import CAMERA, PHYSICS, Effect, effects_named, set_design, set_picture
 
 MESH = (9, 7)
 DENSE = load_sensor("dense")
@@ -103,7 +104,7 @@ def test_bending_stiffens_a_thick_sheet_only():
 
 
 def test_servo_lag_is_first_order():
-    from mjtactile.sim.switches import SERVO_LAG
+    from mjtactile.sim.sensor.switches import SERVO_LAG
 
     world = GraspWorld("dense", "egg", mesh=MESH, effects=PHYSICS | {"servo dynamics"})
     assert world.model.na == 1
@@ -157,7 +158,7 @@ def test_a_rig_s_cameras_draw_shadows_when_they_are_on(effects, kind):
                          [(4e-3, 0.32, 27), (4e-3, 1.2, 39), (8e-3, 1.06, 32), (16e-3, 0.84, 21)])
 def test_slope_beside_a_sphere_is_that_of_the_simulation(radius, force, measured):
     """`measured` degrees: the steepest of the sheet through the markers, 13 x 11 vertices, pressed to that force."""
-    slope = np.degrees(slopes.deepest(DENSE, (radius, radius), force))
+    slope = np.degrees(steepness.deepest(DENSE, (radius, radius), force))
     assert slope == pytest.approx(measured, abs=5)  # a gate's estimate: 5 degrees move the force error by a third
 
 
@@ -165,13 +166,13 @@ def test_slopes_in_the_limit_of_little_force():
     """F = 2 pi R T0 sin(t)^2 without gas: a cap of a sphere in a sheet under constant tension."""
     bare = replace(DENSE, chamber=replace(DENSE.chamber, supply_gauge=0.0))
     expected = np.sqrt(1e-4 / (2 * np.pi * 4e-3 * DENSE.membrane.pretension))
-    assert slopes.deepest(bare, (4e-3, 4e-3), 1e-4) == pytest.approx(expected, rel=1e-2)  # stretch: of order t^2 x 6
+    assert steepness.deepest(bare, (4e-3, 4e-3), 1e-4) == pytest.approx(expected, rel=1e-2)  # stretch: of order t^2 x 6
 
 
 def test_half_extents_are_those_across_the_fingers():
     model = mujoco.MjModel.from_xml_string("""<mujoco><worldbody><body><freejoint/>
         <geom type="box" size="0.01 0.02 0.005"/><geom type="sphere" size="0.004" pos="0 0.03 0"/></body></worldbody></mujoco>""")
-    half = slopes.half_extents(model, np.arange(2))
+    half = steepness.half_extents(model, np.arange(2))
     assert half == pytest.approx((0.027, 0.005))  # y from -20 to 34 mm
 
 
@@ -214,3 +215,9 @@ def test_a_grasp_estimates_its_own_error():
     estimate.keep()
     # the default mesh is within a few per cent of 0.5 N (docs/accuracy.md); an estimate of 0 or of the force is broken
     assert 1e-5 < estimate.force_error() < 0.1
+
+
+def test_an_effect_is_its_name_and_a_misspelt_one_is_refused():
+    assert effects_named(["gas", "LED shading"]) == {Effect.GAS, Effect.LED_SHADING} == {"gas", "LED shading"}
+    with pytest.raises(InputError, match=r"'frction' is not an effect \(valid: gas, .*shadows"):
+        PressWorld(DENSE, Indenter("sphere", 0.016), mesh=MESH, effects={"frction"})

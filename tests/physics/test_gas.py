@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from mjtactile.design import Chamber
-from mjtactile.errors import InputError
-from mjtactile.sim.gas import Gas
+from mjtactile.core.design import Chamber
+from mjtactile.core.errors import InputError
+from mjtactile.sim.sensor.gas import Gas
 
 AMBIENT, VOLUME = 101325.0, 2.4e-5
 

@@ -9,12 +9,11 @@ import pytest
 from reference_membrane import ReferenceMembrane
 from scipy.interpolate import RectBivariateSpline
 
-from mjtactile.design import load_sensor
-from mjtactile.sensing import inverse
-from mjtactile.sensing.inverse import InverseMembrane
-from mjtactile.sensing.patches import find_patches, together
-from mjtactile.sensing.sheet import Gas, Sheet
-from mjtactile.types import Markers
+from mjtactile.core.design import load_sensor
+from mjtactile.core.types import Markers
+from mjtactile.sensing.force.inverse import InverseMembrane
+from mjtactile.sensing.force.sheet import Gas, Sheet
+from mjtactile.sensing.touch.patches import find_patches, together
 
 SUPPLY = 1000.0  # Pa
 OBLIQUE, PLACE = np.array([0.15, -0.05, -0.6]), (0.004, -0.002)
@@ -158,7 +157,7 @@ def test_covariance_is_that_of_errors_drawn_from_prior_and_noise(sensor, truth):
     S = seen @ seen.T + gain.drift @ gain.drift.T + np.eye(len(seen))
     error = moment @ (root @ (seen.T @ np.linalg.solve(S, y)) - t)
     predicted = np.sqrt(np.diag(estimator._wrench_cov(shape, estimator._moments(shape.c), np.zeros(6))))
-    share = np.sqrt(inverse.posterior_share(shape))
+    share = np.sqrt(estimator.posterior_share(shape))
     np.testing.assert_allclose(error.std(axis=1) * share, predicted, rtol=0.12)  # 400 draws: 3.5 %, six of them
 
 

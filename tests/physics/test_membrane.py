@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from membrane_scenes import scene, settle
 
-from mjtactile.design import Chamber, Frame, Membrane, load_sensor
+from mjtactile.core.design import Chamber, Frame, Membrane, load_sensor
 from mjtactile.sim.attach import attach, recommend_options
-from mjtactile.sim.chamber import ChamberGeometry
-from mjtactile.sim.mesh import MarkerInterpolator, make_mesh
-from mjtactile.sim.world import World
+from mjtactile.sim.scenes.world import World
+from mjtactile.sim.sensor.chamber import ChamberGeometry
+from mjtactile.sim.sensor.mesh import MarkerInterpolator, make_mesh
 
 # Rectangle 2a x 2b, p = C1 T0 w0 / a^2 + C2 E h w0^3 / a^4, each term exact where the other vanishes. Recomputed for
 # this project by Ritz, series and finite elements, which agree to 0.01 %: keys are b/a, then Poisson's ratio.

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from mjtactile.calibrate.area import calibrate_area
-from mjtactile.design import load_sensor
-from mjtactile.errors import InputError
-from mjtactile.sensing.force import AreaCalibration
-from mjtactile.sensing.pipeline import SensorPipeline
-from mjtactile.sim.camera import Renderer
-from mjtactile.sim.press import Indenter, PressWorld
+from mjtactile.bench.touch.area import calibrate_area
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import InputError
+from mjtactile.sensing.chain import Perception
+from mjtactile.sensing.paper.chain import PaperChain
+from mjtactile.sensing.paper.levels import AreaCalibration
+from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 
 def test_fit_recovers_an_exact_constant_and_refuses_a_shrinking_area():
@@ -27,7 +28,7 @@ def test_calibrated_on_a_cylinder_it_reads_that_cylinder_roughly():
     # the paper's 0.04 N needs a larger initial load). That is why statics is the default.
     assert 2e4 < calibration.constant < 1e5 and 0.04 < calibration.residual < 0.25
     world, renderer = PressWorld(design, Indenter("cylinder", 5e-3)), Renderer(design, seed=3)
-    pipeline = SensorPipeline(design, area_calibration=calibration)
+    pipeline = Perception(PaperChain(design, calibration))
 
     def image():
         return renderer.render(*world.marker_poses(0), world.time)

@@ -4,10 +4,10 @@ import json
 
 import pytest
 
-from mjtactile import resources
 from mjtactile.cli import main
-from mjtactile.sim.objects import MATERIALS, load_object
-from mjtactile.sim.specimens import SHIPPED, to_mjcf
+from mjtactile.core import resources
+from mjtactile.sim.scenes.objects import MATERIALS, load_object
+from mjtactile.sim.scenes.specimens import SHIPPED, to_mjcf
 
 
 @pytest.fixture

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import pytest
 
-from mjtactile.bench import stability
-from mjtactile.bench.stability_cases import matrix, pruned
-from mjtactile.design import load_sensor
-from mjtactile.errors import InputError, SimulationError
-from mjtactile.sim import limits
-from mjtactile.sim.press import Indenter, PressWorld
-from mjtactile.sim.trials import Body, DropWorld
+from mjtactile.bench.stability import run
+from mjtactile.bench.stability.cases import matrix, pruned
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import InputError, SimulationError
+from mjtactile.sim.scenes.indentation import Indenter, PressWorld
+from mjtactile.sim.scenes.trials import Body, DropWorld
+from mjtactile.sim.sensor import limits
 
 
 def test_the_matrix_is_large_and_its_cases_are_distinct():
@@ -21,13 +21,13 @@ def test_the_matrix_is_large_and_its_cases_are_distinct():
 
 @pytest.mark.parametrize("case", pruned(), ids=lambda case: f"{case.axis}: {case.label}")
 def test_pruned_case(case):
-    row = stability.judge(case)
+    row = run.judge(case)
     assert row["outcome"] in ("ok", "flagged", "refused"), row["reason"]
 
 
 def test_a_plain_press_is_plainly_ok():
     case = next(c for c in matrix() if (c.axis, c.label) == ("time step", "4 ms"))
-    assert stability.judge(case)["outcome"] == "ok"
+    assert run.judge(case)["outcome"] == "ok"
 
 
 @pytest.mark.parametrize(("problem", "words"), [("force", "quarter"), ("settled", "settle")])
@@ -39,8 +39,8 @@ def test_the_judge_fails_what_nothing_owns_up_to(monkeypatch, problem, words):
         return {"force_N": 0.5 if wrong else 0.3, "flags": {"stretch": "large"},
                 "problems": {} if problem == "force" else {"settled": "does not settle"}}
 
-    monkeypatch.setattr(stability, "measure", measure)
-    row = stability.judge(case)
+    monkeypatch.setattr(run, "measure", measure)
+    row = run.judge(case)
     assert row["outcome"] == "FAILED" and words in row["reason"]
 
 
@@ -85,5 +85,5 @@ def test_an_interrupted_run_keeps_what_it_finished(tmp_path):
     log = tmp_path / "stability.jsonl"
     log.write_text('{"axis": "mesh", "label": "7x7, 1 ms", "outcome": "ok"}\n{"axis": "gone", "label": "x"}\n{"axis": "me')
     place = {(case.axis, case.label): i for i, case in enumerate(matrix())}
-    assert [row["outcome"] for row in stability._kept(log, place)] == ["ok"]
-    assert not stability._kept(tmp_path / "none.jsonl", place)
+    assert [row["outcome"] for row in run._kept(log, place)] == ["ok"]
+    assert not run._kept(tmp_path / "none.jsonl", place)

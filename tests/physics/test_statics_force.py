@@ -7,10 +7,10 @@ import pytest
 from reference_membrane import ReferenceMembrane
 from scipy.interpolate import RectBivariateSpline
 
-from mjtactile.design import load_sensor
-from mjtactile.sensing.deformation import MembraneModel
-from mjtactile.sensing.force import GridForce, MembraneForce, spring_grid_force
-from mjtactile.types import Markers, Surface
+from mjtactile.core.design import load_sensor
+from mjtactile.core.types import Markers, Surface
+from mjtactile.sensing.paper.levels import GridForce, MembraneForce, spring_grid_force
+from mjtactile.sensing.shape.deformation import MembraneModel
 
 SUPPLY = 1000.0  # Pa
 

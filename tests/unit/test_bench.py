@@ -6,7 +6,7 @@ import pytest
 
 from mjtactile.bench import grasp
 from mjtactile.commands.bench import insert_table
-from mjtactile.errors import InputError, SimulationError
+from mjtactile.core.errors import InputError, SimulationError
 
 MILLISECONDS = {"rest": 12.0, "camera": 5.0, "perception": 10.0, "controller": 0.1, "perception_median": 10.0}
 
@@ -53,7 +53,7 @@ def test_a_table_replaces_what_stood_between_its_markers(tmp_path):
 
 
 def test_the_rigs_bench_goes_on_where_it_was_interrupted(tmp_path):
-    from mjtactile.bench.rig import _Store
+    from mjtactile.bench.rig.run import _Store
 
     calls = []
     store = _Store(tmp_path / "rig.json", resume=False)
@@ -67,12 +67,12 @@ def test_the_rigs_bench_goes_on_where_it_was_interrupted(tmp_path):
 
 
 def test_the_rigs_table_counts_what_was_late_and_what_was_not_safe():
-    from mjtactile.bench import rig
+    from mjtactile.bench.rig import run
 
     row = {"state": "latched", "outcome": "leak"}
     result = {"fault:puncture": [{"safe": True, "reaction_s": 0.1} | row, {"safe": True, "reaction_s": 0.3} | row,
                                  {"safe": False, "reaction_s": None} | row],
               "killed": [{"servos_stopped_s": 0.2, "valves_vented_s": None}]}
-    table = rig.table(result)
+    table = run.table(result)
     assert "2 of 3, 1 later than 200 ms, worst 300 ms" in table and "valves vented after never" in table
     assert "| puncture | 2 of 3 | 200 / 300 | leak |" in table

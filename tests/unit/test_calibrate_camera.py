@@ -12,9 +12,9 @@ import yaml
 from mjtactile.calibrate.camera import Board, BoardFinder, calibrate_camera
 from mjtactile.calibrate.live import collect_views
 from mjtactile.cli import main
+from mjtactile.core.optics import Camera
 from mjtactile.emulator.stream import StreamServer
-from mjtactile.optics import Camera
-from mjtactile.rigfile import load_rig_file
+from mjtactile.rig.file import load_rig_file
 
 SIZE = (640, 480)
 K = np.array([[610.0, 0, 325.3], [0, 606.0, 236.1], [0, 0, 1]])
@@ -123,7 +123,8 @@ def test_a_picture_of_a_bent_board_is_left_out(photos):
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
-    ([], ("SOURCE", "--rig")), (["nowhere"], ("nowhere",)), (["--print", "no/board.png"], ("--print", "no")),
+    ([], ("SOURCE", "--rig")), (["nowhere", "--out", "left.json"], ("nowhere",)), (["x"], ("whose", "--rig", "--out")),
+    (["--print", "no/board.png"], ("--print", "no")),
     (["x", "--board", "9"], ("--board", "9x7")), (["x", "--dictionary", "Q"], ("--dictionary", "4X4_50")),
     (["x", "--marker-mm", "6"], ("--marker-mm",)), (["x", "--out", "no/camera.yaml"], ("--out", "no"))])
 def test_bad_input_names_the_field(arguments, words, capsys):

@@ -19,11 +19,12 @@ from mjtactile.calibrate import live
 from mjtactile.calibrate.gripper import calibrate_force, calibrate_opening, servo_lines
 from mjtactile.calibrate.valve import calibrate_valve
 from mjtactile.cli import main
-from mjtactile.commands.calibration import ask
-from mjtactile.devices.geometry import JawGeometry
-from mjtactile.devices.valve import connect_valves
-from mjtactile.errors import DeviceError, InputError
-from mjtactile.rigfile import load_rig_file
+from mjtactile.commands.calibrate.terminal import ask
+from mjtactile.core.calibration import load_calibration
+from mjtactile.core.errors import DeviceError, InputError
+from mjtactile.devices.dynamixel.jaws import JawGeometry
+from mjtactile.devices.valve.driver import connect_valves
+from mjtactile.rig.file import load_rig_file
 from tests.emulated import ANGLE, GRIPPER, servo_bench, valve_bench, valve_configs
 
 RADIUS, TICK = 0.012, 2 * math.pi / 4096
@@ -198,8 +199,9 @@ def test_recorded_step_through_the_command(tmp_path, capsys):
     table = write_csv(tmp_path / "step.csv", "time_s,pressure_kPa,state", zip(t, 1e-3 * p, state, strict=True))
     out = tmp_path / "valve.json"
     assert main(["calibrate", "valve", str(table), "--pressure-kPa", "1", "--out", str(out)]) == 1
-    assert "REFUSED: recorded: sealed, it loses" in capsys.readouterr().out
-    assert not out.exists() and (tmp_path / "valve.refused.json").exists()
+    assert "REFUSED: sealed, it loses" in capsys.readouterr().out
+    written = load_calibration(out)
+    assert written.valve is None and "sealed, it loses" in written.refused["valve"].reasons[0]
     write_csv(table, "time_s,pressure_kPa,state", [(i, 0.0, "shut") for i in range(20)])
     assert main(["calibrate", "valve", str(table), "--pressure-kPa", "1", "--out", str(out)]) == 2
     assert "valid: vent, open, closed" in capsys.readouterr().err

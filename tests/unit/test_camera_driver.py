@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 import pytest
 
-from mjtactile.devices.opencv_camera import OpenCvCamera
+from mjtactile.core.errors import DeviceError
+from mjtactile.devices.camera.opencv import OpenCvCamera
 from mjtactile.devices.rig import FrameClock
 from mjtactile.emulator.stream import StreamServer
-from mjtactile.errors import DeviceError
-from mjtactile.rigfile import CameraConfig
+from mjtactile.rig.file import CameraConfig
 from tests.emulated import wait_for
 
 CONFIG = CameraConfig("left", "/dev/video9", 64, 48, 100.0, exposure=100.0, gain=10.0, white_balance=4600.0)

@@ -10,20 +10,26 @@ import pytest
 CHECKOUT = Path(__file__).resolve().parents[2]
 
 VIOLATIONS = {
-    "Layers": ("mjtactile/types.py", "import mjtactile.design"),
+    "Layers": ("mjtactile/core/types.py", "import mjtactile.rig.file"),
     "Layers (a new module without a place)": ("mjtactile/stray.py", ""),
-    "Sensing meets": ("mjtactile/sensing/pose.py", "import mjtactile.rig"),
-    "Only sim imports mujoco": ("mjtactile/control.py", "import mujoco"),
-    "A controller sees": ("controllers/gentle.py", "import mjtactile.design"),
+    "Core, from the ground up": ("mjtactile/core/types.py", "import mjtactile.core.design"),
+    "Sensing, from the image up": ("mjtactile/sensing/image/edges.py", "import mjtactile.sensing.force.sheet"),
+    "Simulation, from the sensor up": ("mjtactile/sim/sensor/gas.py", "import mjtactile.sim.scenes.world"),
+    "The product imports no benchmark": ("mjtactile/commands/press.py", "import mjtactile.bench.speed"),
+    "The default chain imports": ("mjtactile/sensing/chain.py", "import mjtactile.sensing.paper.levels"),
+    "Sensing meets": ("mjtactile/sensing/pose/circles.py", "import mjtactile.rig.registry"),
+    "Only the simulator": ("mjtactile/run/loop.py", "import mujoco"),
+    "A controller sees": ("controllers/gentle.py", "import mjtactile.core.design"),
     "A controller sees (no simulator)": ("controllers/gentle.py", "import mujoco"),
-    "Ground truth": ("mjtactile/control.py", "import mjtactile.sim.truth"),
+    "Examples use": ("examples/touch_in_my_scene.py", "import mjtactile.sim.attach"),
+    "Ground truth": ("mjtactile/run/loop.py", "import mjtactile.sim.truth"),
 }
 
 
 @pytest.fixture(scope="module")
 def copy(tmp_path_factory):
     folder = tmp_path_factory.mktemp("contracts")
-    for name in ("mjtactile", "controllers"):
+    for name in ("mjtactile", "controllers", "examples"):
         shutil.copytree(CHECKOUT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(CHECKOUT / "pyproject.toml", folder)
     return folder

@@ -5,9 +5,9 @@ import tomllib
 
 import pytest
 
-from mjtactile import resources
-from mjtactile.design import FIELDS, load_sensor, sensor_from_table
-from mjtactile.errors import InputError
+from mjtactile.core import resources
+from mjtactile.core.design import FIELDS, load_sensor, sensor_from_table
+from mjtactile.core.errors import InputError
 
 DENSE = resources.find("dense", "models/sensors", ".toml")
 

@@ -1,28 +1,41 @@
 """What the documents show works: the README's scene, the object and the controller to copy, the links."""
 
 import re
+import tomllib
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from mjtactile.controller import load_controller
-from mjtactile.sim.objects import load_object
-from mjtactile.types import Command, GripperState, Observation, Touch, ValveState
+from mjtactile.bench import numbers
+from mjtactile.core.design import FIELDS, load_sensor
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Command, GripperState, Observation, Slip, Touch, ValveState
+from mjtactile.recording.columns import SENSED, TRUE
+from mjtactile.run.controller import load_controller
+from mjtactile.sim.scenes.objects import load_object
 
 CHECKOUT = Path(__file__).resolve().parents[2]
+WHEEL = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
 PAGES = [CHECKOUT / "README.md", CHECKOUT / "CHANGELOG.md", *sorted((CHECKOUT / "docs").rglob("*.md"))]
 
 
-def block(page: str, language: str) -> str:
-    return re.search(rf"```{language}\n(.*?)```", (CHECKOUT / page).read_text(), re.DOTALL).group(1)
+def block(page: str, language: str, number: int = 0) -> str:
+    return re.findall(rf"```{language}\n(.*?)```", (CHECKOUT / page).read_text(), re.DOTALL)[number]
 
 
 def test_attach_example_of_the_readme():
     names: dict = {}
     exec(block("README.md", "python"), names)
-    assert names["p_SM"].shape == (81, 3) and np.isfinite(names["p_SM"]).all()
-    assert names["p_SM"][:, 2].max() > 1e-3  # it is inflated
+    assert names["finger"].touch.force_normal == pytest.approx(0.05 * 9.81, abs=0.03)  # the weight that lies on it
+
+
+def test_example_of_touch_in_your_scene(capsys):
+    names: dict = {}
+    exec(block("docs/your_scene.md", "python"), names)
+    assert names["finger"].touch.force_normal == pytest.approx(0.05 * 9.81, abs=0.03)  # the weight that lies on it
+    assert "option.integrator: Euler -> discrete" in capsys.readouterr().out
 
 
 def test_object_example(tmp_path):
@@ -44,7 +57,87 @@ def test_controller_example(tmp_path):
     assert controller.step(observe(0.4)).phase == "done"
 
 
+def test_slip_controller_example(tmp_path):
+    (tmp_path / "mine.py").write_text(block("docs/controllers.md", "python", 1))
+    controller = load_controller(tmp_path / "mine.py")
+    state, valves, touch = GripperState(0.05, 0, 0, 0), (ValveState(False),) * 2, Touch(1.0, 0.01, 0.25, 0.01, True)
+    slips = replace(touch, slip=Slip("incipient", np.zeros(2), 0.0, 0.4))
+
+    def step(*touches):
+        return controller.step(Observation(1.0, 1 / 30, touches, state, valves, Command(0.05, 3.0)))
+
+    assert step(touch, touch).opening == 0.05 and step(touch, touch).memory["target"] == 0.2
+    assert step(touch, slips).opening < 0.05 and step(touch, slips).memory["target"] == pytest.approx(0.3)
+    assert step(touch, replace(slips, age=0.2)).opening == 0.05
+    assert step(touch, replace(touch, force_normal=np.nan)).opening == 0.05
+
+
+def test_the_page_of_controllers_has_every_field_of_touch():
+    page = (CHECKOUT / "docs/controllers.md").read_text()
+    table = re.search(r"What a `Touch` holds.*?\n\n(.*?)\n\n", page, re.DOTALL).group(1)
+    firsts = {name for line in table.splitlines()[2:] for name in re.findall(r"`(\w+)`", line.split("|")[1])}
+    assert firsts | {"status"} == {field.name for field in fields(Touch)}
+
+
+@pytest.mark.parametrize(("heading", "columns"), [("| `images` |", {"images": ("", "")} | dict(SENSED)),
+                                                  ("| `force_normal_true` |", dict(TRUE))])
+def test_the_page_of_recordings_has_every_column(heading, columns):
+    page = (CHECKOUT / "docs/recording.md").read_text()
+    lines = page[page.index(heading):].split("\n\n")[0].splitlines()
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    assert [row[0].strip("`") for row in rows] == list(columns)
+    for key, unit, meaning in rows[1:]:
+        assert (unit, meaning) == columns[key.strip("`")][:2]
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_lead_somewhere(page):
     for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text()):
         assert (page.parent / target).exists(), target
+
+
+@pytest.mark.parametrize("page", sorted((CHECKOUT / "docs").rglob("*.md")), ids=lambda page: page.name)
+def test_links_of_the_pages_in_the_wheel_stay_in_the_wheel(page):
+    """`mjtactile docs` shows where the pages are: links work there, too."""
+    for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text()):
+        assert (page.parent / target).resolve().relative_to(CHECKOUT).parts[0] in WHEEL["force-include"], target
+
+
+def test_the_readmes_numbers_are_those_of_the_pages_that_the_benchmarks_wrote():
+    readme = (CHECKOUT / "README.md").read_text()
+    written = re.search(r"<!-- bench:numbers -->\n(.*?)<!-- /bench -->", readme, re.DOTALL).group(1)
+    assert written.strip() == numbers.table(numbers.run(Path())).strip()  # else: mjtactile bench numbers --readme README.md
+    assert written.count("\n") == 2 + 10
+
+
+def test_a_number_that_a_page_lacks_is_named():
+    page = "| what | dense |\n|---|---|\n| force | 1 |\n\n| what | paper16 |\n|---|---|\n| force | 2 |\n"
+    assert numbers.cell(page, "for", "paper16", source="x") == "2"  # of the table that has the column
+    with pytest.raises(InputError, match=r"x\.md.*'shear'"):
+        numbers.cell(page, "shear", "dense", source="x")
+
+
+@pytest.mark.parametrize("section", FIELDS)
+def test_the_page_of_sensor_files_has_every_field_with_its_range_and_default(section):
+    text = re.search(rf"^## \[{section}\]$(.*?)^## ", (CHECKOUT / "docs/sensors.md").read_text(), re.DOTALL | re.MULTILINE)
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.group(1).splitlines()
+            if line.startswith("| `")]
+    kind, known_fields = FIELDS[section]
+    assert [row[0].strip("`") for row in rows] == [field[0] for field in known_fields]
+    for (_, allowed, default, meaning), (key, attribute, scale, low, high) in zip(rows, known_fields, strict=True):
+        assert allowed == f"{low:g} to {high:g}" + (", whole" if scale == 0 else ""), key
+        known = getattr(kind, attribute, None)  # a dataclass keeps a field's default on the class
+        special = {None: "must be given", float("inf"): "infinite", (0.0,) * 5: "no distortion"}
+        assert default == (special[known] if known in special else f"{known / (scale or 1):g}"), key
+        assert len(meaning) > 3
+
+
+def test_round_sensor_without_glass(tmp_path):
+    dense = (CHECKOUT / "models/sensors/dense.toml").read_text()
+    example = block("docs/sensors.md", "toml")
+    for section in ("frame", "glass"):
+        new = re.search(rf"\[{section}\].*?(?=\n\n|\Z)", example, re.DOTALL).group(0)
+        dense = re.sub(rf"\[{section}\].*?(?=\n\n)", new, dense, flags=re.DOTALL)
+    (tmp_path / "round.toml").write_text(dense)
+    design = load_sensor(tmp_path / "round.toml")
+    assert design.frame.shape == "circle" and design.pane_thickness_apparent == 0.0

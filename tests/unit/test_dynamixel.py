@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import pytest
 
-from mjtactile.devices.dynamixel import DynamixelGripper, ServoFault
-from mjtactile.devices.dynamixel_tables import MODEL_BY_NUMBER, MODELS, NO_CURRENT_CONTROL, load_table, require_model
-from mjtactile.devices.geometry import JawGeometry, JawServo
+from mjtactile.core.errors import DeviceError, InputError
+from mjtactile.core.types import Command
+from mjtactile.devices.dynamixel.gripper import DynamixelGripper, ServoFault
+from mjtactile.devices.dynamixel.jaws import JawGeometry, JawServo
+from mjtactile.devices.dynamixel.tables import MODEL_BY_NUMBER, MODELS, NO_CURRENT_CONTROL, load_table, require_model
 from mjtactile.emulator import protocol2 as p2
 from mjtactile.emulator.servo import EmulatedServo
-from mjtactile.errors import DeviceError, InputError
-from mjtactile.rigfile import GripperConfig, LiftConfig, ServoConfig
-from mjtactile.types import Command
+from mjtactile.rig.file import GripperConfig, LiftConfig, ServoConfig
 from tests.emulated import ANGLE, GRIPPER, servo_bench, wait_for
 
 TICK = 2 * math.pi / 4096

@@ -6,10 +6,10 @@ import time
 import pytest
 from dynamixel_sdk import PortHandler, Protocol2PacketHandler
 
-from mjtactile.bench.rig_fuzz import fuzz_servos
-from mjtactile.devices.dynamixel_bus import BusError, DynamixelBus
+from mjtactile.bench.rig.fuzz import fuzz_servos
+from mjtactile.core.errors import DeviceError
+from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus
 from mjtactile.emulator import protocol2
-from mjtactile.errors import DeviceError
 from tests.emulated import REPLY_TIMEOUT, servo_bench
 
 POSITION = 132

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mjtactile.sensing import ellipse
+from mjtactile.sensing.image import ellipse
 
 
 def shapes(count=200):

@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from mjtactile import fidelity
-from mjtactile.errors import InputError
-from mjtactile.fidelity import DEFAULT_FORCE_ERROR, Fidelity
+from mjtactile.core.errors import InputError
+from mjtactile.sim.effects import fidelity
+from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR, Fidelity
 
 
 def _row(mesh, error, cost):

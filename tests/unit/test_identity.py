@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from mjtactile import geometry, optics
-from mjtactile.design import load_sensor
-from mjtactile.optics import Camera
-from mjtactile.sensing import identity
-from mjtactile.types import CirclePoses
+from mjtactile.core import geometry, optics
+from mjtactile.core.design import load_sensor
+from mjtactile.core.optics import Camera
+from mjtactile.core.types import CirclePoses
+from mjtactile.sensing.pose import identity
 
 SENSORS = ["paper16", "dense"]
 

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from mjtactile import optics
-from mjtactile.bench import scenes
-from mjtactile.bench.marker_methods import cheap_camera
-from mjtactile.errors import InputError
-from mjtactile.sensing.locate import find_circles
-from mjtactile.sensing.markers import detect
-from mjtactile.sensing.smoothness import share_depth
-from mjtactile.types import CirclePoses
+from mjtactile.core import optics
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import CirclePoses
+from mjtactile.experiments import marker_scenes
+from mjtactile.experiments.marker_methods import cheap_camera
+from mjtactile.sensing.image.markers import detect
+from mjtactile.sensing.pose.locate import find_circles
+from mjtactile.sensing.shape.smoothness import share_depth
 
 CAMERA = optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
 R, PITCH = 0.0015, 0.006
@@ -31,7 +31,7 @@ def poses(height, seed, sd=4e-4):
 def board(height=0.0, depth=37.5, rows=100):
     n = np.array([0.3, -0.2, -1.0]) / np.linalg.norm([0.3, -0.2, -1.0])
     p = np.stack([X, Y, depth + height + 0.3 * X - 0.2 * Y], axis=1)[:rows] * PITCH
-    return [scenes.Circle(point, n, R) for point in p]
+    return [marker_scenes.Circle(point, n, R) for point in p]
 
 
 @pytest.mark.parametrize("name", SURFACES)
@@ -77,7 +77,7 @@ def test_a_circle_that_does_not_belong_keeps_its_depth():
 def test_small_circles_through_a_cheap_camera(height):
     """Through mosaic, sharpening and clipping; a common scale is taken out, as these move all edges alike."""
     circles = board(height)
-    image = cheap_camera(scenes.coverage(CAMERA, circles, 0.6), 0)
+    image = cheap_camera(marker_scenes.coverage(CAMERA, circles, 0.6), 0)
     truth = np.array([c.p_C for c in circles])
     scatter = {}
     for neighbours in ("never", "auto"):
@@ -97,7 +97,7 @@ def test_small_circles_through_a_cheap_camera(height):
 
 def test_bright_circles_and_large_ones():
     circles = board(depth=18.0)
-    image = scenes.image(CAMERA, circles)
+    image = marker_scenes.image(CAMERA, circles)
     dark, bright = find_circles(image, CAMERA, R), find_circles(255 - image, CAMERA, R, polarity="bright")
     assert (dark.poses.status == "ok").sum() >= 80  # the rest is outside of the image or cut
     np.testing.assert_allclose(dark.poses.p_CM, bright.poses.p_CM, atol=1e-5)  # rounding in the detector only
@@ -107,7 +107,7 @@ def test_bright_circles_and_large_ones():
 
 
 def test_one_grey_from_colour_and_bits():
-    image = scenes.image(CAMERA, board(depth=20.0)[:30])
+    image = marker_scenes.image(CAMERA, board(depth=20.0)[:30])
     reference = find_circles(image, CAMERA, R).poses.p_CM
     for same in (np.dstack([image] * 3), image[..., None], image.astype(np.uint16) * 257):
         # float32 inside, and the search starts elsewhere: 1e-4 of the depth, where noise makes 1e-3
@@ -118,7 +118,7 @@ def test_a_large_neighbour_does_not_disturb_a_small_circle():
     """Dots of 4 px beside one of twice the size, 4 px between the edges: what it darkens is left out of their fit."""
     circles = [c for c in board() if np.hypot(*(c.p_C[:2] / PITCH - [-4.5, 4.5])) > 0.1]
     corner = board()[90]
-    image = scenes.image(CAMERA, [*circles, scenes.Circle(corner.p_C, corner.n_C, 2 * R)])
+    image = marker_scenes.image(CAMERA, [*circles, marker_scenes.Circle(corner.p_C, corner.n_C, 2 * R)])
     found = detect(image, CAMERA)
     near = np.linalg.norm(found.center_px - optics.project(CAMERA, corner.p_C), axis=1)
     assert (found.status[near < 30] == "ok").sum() == 4  # itself, two beside it and one across
@@ -128,9 +128,9 @@ def test_a_large_neighbour_does_not_disturb_a_small_circle():
 @pytest.mark.parametrize(("radius_px", "blur"), [(4, 1.5), (4, 2.0), (5, 1.5)])
 def test_blur_is_not_taken_for_size(radius_px, blur):
     depth = 1e-3 * CAMERA.fx / radius_px
-    circles = scenes.random_circles(CAMERA, np.random.default_rng(0), rows=6, columns=8, radius=1e-3,
+    circles = marker_scenes.random_circles(CAMERA, np.random.default_rng(0), rows=6, columns=8, radius=1e-3,
                                     depth=(0.98 * depth, 1.02 * depth), tilt_deg=(0, 25))
-    found = find_circles(scenes.image(CAMERA, circles, blur_px=blur), CAMERA, 1e-3, neighbours="never").poses
+    found = find_circles(marker_scenes.image(CAMERA, circles, blur_px=blur), CAMERA, 1e-3, neighbours="never").poses
     z, sd = found.p_CM[:, 2], np.sqrt(found.cov_p[:, 2, 2])
     ok = found.status == "ok"
     # depths lie within 2 %; blur taken for size makes them 5 to 30 % nearer; 3.5 sd happens once in 40 runs of 50
@@ -142,7 +142,7 @@ def test_blur_on_small_circles_is_right_or_flagged(blur):
     circles = board()
     truth = np.array([c.p_C for c in circles])
     for seed in range(2):
-        found = find_circles(scenes.image(CAMERA, circles, blur_px=blur, seed=seed), CAMERA, R, neighbours="never").poses
+        found = find_circles(marker_scenes.image(CAMERA, circles, blur_px=blur, seed=seed), CAMERA, R, neighbours="never").poses
         for i in np.flatnonzero(found.status == "ok"):
             k = np.linalg.norm(optics.project(CAMERA, truth) - found.uv_px[i], axis=1).argmin()
             # 200 draws at most: 3.5 sd once in ten runs of honest Gaussian errors; 5 leaves room for blur's own doubt
@@ -151,7 +151,7 @@ def test_blur_on_small_circles_is_right_or_flagged(blur):
 
 def test_glare_over_an_outline_is_flagged_not_left_out():
     circles = board(depth=15.0)[33:67]
-    image = scenes.image(CAMERA, circles)
+    image = marker_scenes.image(CAMERA, circles)
     u, v = np.rint(optics.project(CAMERA, circles[14].p_C)).astype(int)
     image[v - 14 : v + 4, u + 2 : u + 12] = 250  # a bright bar over a quarter of a marker of 10 px
     found = detect(image, CAMERA)

@@ -4,13 +4,13 @@ import cv2
 import numpy as np
 import pytest
 
-from mjtactile import optics
-from mjtactile.bench import marker_accuracy, scenes
-from mjtactile.errors import InputError
-from mjtactile.sensing import edges, ellipse, markers
-from mjtactile.sensing.consensus import share_elongation
-from mjtactile.sensing.locate import load_image, locate
-from mjtactile.sensing.pose import estimate_poses
+from mjtactile.core import optics
+from mjtactile.core.errors import InputError
+from mjtactile.experiments import marker_accuracy, marker_scenes
+from mjtactile.sensing.image import edges, ellipse, markers
+from mjtactile.sensing.pose.circles import estimate_poses
+from mjtactile.sensing.pose.consensus import share_elongation
+from mjtactile.sensing.pose.locate import load_image, locate
 
 CAMERA = marker_accuracy.CAMERA
 R = marker_accuracy.RADIUS
@@ -18,7 +18,7 @@ R = marker_accuracy.RADIUS
 
 @pytest.fixture(scope="module")
 def circles():
-    return scenes.random_circles(CAMERA, np.random.default_rng(5))
+    return marker_scenes.random_circles(CAMERA, np.random.default_rng(5))
 
 
 def noisy(exact, sd=2.0, seed=0):
@@ -58,11 +58,11 @@ def test_accuracy_of_the_papers_case():
 @pytest.mark.parametrize("blur", [0.0, 0.5, 1.0, 1.5, 2.0])
 def test_blur_does_not_bias_the_size(circles, blur):
     """Without noise what is left is bias. Uncorrected it would be sigma^2/(2a) = 0.06 px at blur 1.5, a = 20 px."""
-    ellipses = markers.detect(scenes.image(CAMERA, circles, blur_px=blur, seed=None), CAMERA)
+    ellipses = markers.detect(marker_scenes.image(CAMERA, circles, blur_px=blur, seed=None), CAMERA)
     uv = optics.project(CAMERA, [c.p_C for c in circles])
     order = np.linalg.norm(uv[:, None] - ellipses.center_px, axis=2).argmin(axis=1)
     for circle, i in zip(circles, order, strict=True):
-        rim = scenes.rim_px(CAMERA, circle)
+        rim = marker_scenes.rim_px(CAMERA, circle)
         area = 0.5 * abs(np.sum(rim[:, 0] * np.roll(rim[:, 1], -1) - rim[:, 1] * np.roll(rim[:, 0], -1)))
         # mean radius from the area, px; a tenth of the uncorrected bias at blur 1.5, and 0.005 px for rounding
         assert abs(np.sqrt(np.prod(ellipses.semi_axes_px[i])) - np.sqrt(area / np.pi)) < 0.007
@@ -71,8 +71,8 @@ def test_blur_does_not_bias_the_size(circles, blur):
 @pytest.mark.parametrize(("depth", "sd_bound"), [(0.04, 0.006), (0.10, 0.02), (0.20, 0.03)])
 def test_ellipse_covariance_is_honest(depth, sd_bound):
     """Monte Carlo over noise: large markers (profiles) and small ones (image fit, 4.5 px)."""
-    circles = scenes.random_circles(CAMERA, np.random.default_rng(1), depth=(depth, depth), tilt_deg=(15, 30))
-    exact = scenes.exact_image(CAMERA, circles)
+    circles = marker_scenes.random_circles(CAMERA, np.random.default_rng(1), depth=(depth, depth), tilt_deg=(15, 30))
+    exact = marker_scenes.exact_image(CAMERA, circles)
     repeats, samples, predicted = 30, [], []
     uv = optics.project(CAMERA, [c.p_C for c in circles])
     for k in range(repeats):
@@ -87,12 +87,12 @@ def test_ellipse_covariance_is_honest(depth, sd_bound):
 
 
 def test_small_dots_are_unbiased():
-    circles = scenes.random_circles(CAMERA, np.random.default_rng(2), depth=(0.24, 0.26), tilt_deg=(0, 30))  # 3.6 px
-    ellipses = markers.detect(scenes.image(CAMERA, circles, noise_dn=0.2), CAMERA)
+    circles = marker_scenes.random_circles(CAMERA, np.random.default_rng(2), depth=(0.24, 0.26), tilt_deg=(0, 30))  # 3.6 px
+    ellipses = markers.detect(marker_scenes.image(CAMERA, circles, noise_dn=0.2), CAMERA)
     uv = optics.project(CAMERA, [c.p_C for c in circles])
     order = np.linalg.norm(uv[:, None] - ellipses.center_px, axis=2).argmin(axis=1)
     for circle, i in zip(circles, order, strict=True):
-        rim = scenes.rim_px(CAMERA, circle)
+        rim = marker_scenes.rim_px(CAMERA, circle)
         area = 0.5 * abs(np.sum(rim[:, 0] * np.roll(rim[:, 1], -1) - rim[:, 1] * np.roll(rim[:, 0], -1)))
         if ellipses.status[i] == "ok":
             # a first-order correction would be wrong by 0.02 px here
@@ -110,10 +110,10 @@ def glare(exact, circles, every, reach):
 
 
 HARD = {
-    "dark": (lambda e, c: scenes.exact_image(CAMERA, c, dark_dn=8, bright_dn=40), 16),
-    "low contrast": (lambda e, c: scenes.exact_image(CAMERA, c, dark_dn=100, bright_dn=115), 14),
-    "hopeless contrast": (lambda e, c: scenes.exact_image(CAMERA, c, dark_dn=100, bright_dn=101), 0),
-    "blurred": (lambda e, c: scenes.exact_image(CAMERA, c, blur_px=2), 14),
+    "dark": (lambda e, c: marker_scenes.exact_image(CAMERA, c, dark_dn=8, bright_dn=40), 16),
+    "low contrast": (lambda e, c: marker_scenes.exact_image(CAMERA, c, dark_dn=100, bright_dn=115), 14),
+    "hopeless contrast": (lambda e, c: marker_scenes.exact_image(CAMERA, c, dark_dn=100, bright_dn=101), 0),
+    "blurred": (lambda e, c: marker_scenes.exact_image(CAMERA, c, blur_px=2), 14),
     "vignetting": (lambda e, c: e * (1 - 0.7 * np.hypot(*(np.mgrid[:480, :640] - [[[240]], [[320]]]) / 400.0) ** 2), 14),
     "light from one side": (lambda e, c: e * np.linspace(0.3, 1, 640), 14),
     "glare": (lambda e, c: glare(e, c, 3, 6), 8),
@@ -127,17 +127,17 @@ HARD = {
 @pytest.mark.parametrize("name", HARD)
 def test_hard_light(circles, name):
     make, at_least = HARD[name]
-    exact = scenes.exact_image(CAMERA, circles)
+    exact = marker_scenes.exact_image(CAMERA, circles)
     assert_right_or_flagged(noisy(make(exact, circles)), circles, at_least=at_least)
 
 
 def test_strong_noise(circles):
-    assert_right_or_flagged(noisy(scenes.exact_image(CAMERA, circles), 15), circles, at_least=14)
+    assert_right_or_flagged(noisy(marker_scenes.exact_image(CAMERA, circles), 15), circles, at_least=14)
 
 
 def test_specks_and_scratches(circles):
     """Specks are small discs, so that they may be found; they must not disturb the markers silently."""
-    exact, rng = scenes.exact_image(CAMERA, circles), np.random.default_rng(2)
+    exact, rng = marker_scenes.exact_image(CAMERA, circles), np.random.default_rng(2)
     for _ in range(150):
         cv2.circle(exact, rng.integers(0, 480, 2).tolist(), int(rng.integers(1, 4)), float(rng.choice([20, 230])), -1)
     for _ in range(15):
@@ -158,18 +158,18 @@ def test_specks_and_scratches(circles):
 
 @pytest.mark.parametrize(("tilt", "at_least"), [(60, 12), (75, 6)])
 def test_steep_markers(tilt, at_least):
-    circles = scenes.random_circles(CAMERA, np.random.default_rng(5), tilt_deg=(tilt, tilt))
-    assert_right_or_flagged(scenes.image(CAMERA, circles), circles, at_least=at_least)
+    circles = marker_scenes.random_circles(CAMERA, np.random.default_rng(5), tilt_deg=(tilt, tilt))
+    assert_right_or_flagged(marker_scenes.image(CAMERA, circles), circles, at_least=at_least)
 
 
 def test_six_pixel_markers():
-    circles = scenes.random_circles(CAMERA, np.random.default_rng(5), depth=(0.14, 0.16))
-    assert_right_or_flagged(scenes.image(CAMERA, circles), circles, at_least=14)
+    circles = marker_scenes.random_circles(CAMERA, np.random.default_rng(5), depth=(0.14, 0.16))
+    assert_right_or_flagged(marker_scenes.image(CAMERA, circles), circles, at_least=14)
 
 
 def test_large_markers_are_found_at_half_the_resolution(circles):
     """Where the search starts must not matter to the fit, beyond a part of its error bar; the smallest here has 9 px."""
-    image = noisy(scenes.exact_image(CAMERA, circles))
+    image = noisy(marker_scenes.exact_image(CAMERA, circles))
     whole, half = markers.detect(image, CAMERA), markers.detect(image, CAMERA, min_radius_px=6.0)
     order = np.linalg.norm(whole.center_px[:, None] - half.center_px, axis=2).argmin(axis=1)
     assert len(half) == len(whole) == len(circles)
@@ -182,12 +182,12 @@ def test_large_markers_are_found_at_half_the_resolution(circles):
 def test_touching_and_cut_markers_are_flagged():
     def row(pixels):
         rays = optics.unproject(CAMERA, np.array(pixels, float))
-        return [scenes.Circle(ray / ray[2] * 0.045, np.array([0.0, 0.0, -1.0]), R) for ray in rays]
+        return [marker_scenes.Circle(ray / ray[2] * 0.045, np.array([0.0, 0.0, -1.0]), R) for ray in rays]
 
     touching = row([(200, 240), (240, 240), (281, 240), (322.5, 240), (450, 240)])
-    assert_right_or_flagged(scenes.image(CAMERA, touching), touching, at_least=1)
+    assert_right_or_flagged(marker_scenes.image(CAMERA, touching), touching, at_least=1)
     cut = row([(5, 100), (320, 470), (630, 240), (320, 5), (320, 240), (21.5, 300), (618, 400)])
-    _, poses = errors(scenes.image(CAMERA, cut), cut)
+    _, poses = errors(marker_scenes.image(CAMERA, cut), cut)
     inside = (poses.status == "ok") & (np.abs(poses.uv_px - [320, 240]).max(axis=1) > 100)
     assert not inside.any()
     assert (poses.status == markers.CUT).sum() >= 3
@@ -203,13 +203,13 @@ def test_nothing_there():
 
 
 def test_bright_markers_are_dark_ones_inverted(circles):
-    image = scenes.image(CAMERA, circles)
+    image = marker_scenes.image(CAMERA, circles)
     dark, bright = markers.detect(image), markers.detect(255 - image, polarity="bright")
     np.testing.assert_allclose(bright.center_px, dark.center_px, atol=1e-3)  # float32 sums in another order
 
 
 def test_colour_and_16_bit_images(circles):
-    image = scenes.image(CAMERA, circles)
+    image = marker_scenes.image(CAMERA, circles)
     grey = markers.detect(image)
     for other in (np.repeat(image[..., None], 3, axis=2), image[..., None], image.astype(np.uint16) * 200):
         found = markers.detect(other)
@@ -220,8 +220,8 @@ def test_colour_and_16_bit_images(circles):
 
 def test_4k_image():
     camera = optics.Camera(3840, 2160, 3000.0, 3000.0, 1919.5, 1079.5)
-    circles = scenes.random_circles(camera, np.random.default_rng(1), rows=4, columns=6, depth=(0.05, 0.06))
-    image = scenes.image(camera, circles, noise_dn=4, blur_px=1.5)
+    circles = marker_scenes.random_circles(camera, np.random.default_rng(1), rows=4, columns=6, depth=(0.05, 0.06))
+    image = marker_scenes.image(camera, circles, noise_dn=4, blur_px=1.5)
     assert_right_or_flagged(image, circles, at_least=24, camera=camera)
 
 
@@ -230,14 +230,14 @@ def test_4k_image():
     optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5, (-0.05, 0.01, 0.0, 0.0, 0.0), 0.002, 1.52, 0.023),
 ], ids=["lens", "pane"])  # fmt: skip
 def test_lens_and_pane(camera):
-    circles = scenes.random_circles(camera, np.random.default_rng(5))
-    error, _ = errors(scenes.image(camera, circles), circles, camera)
+    circles = marker_scenes.random_circles(camera, np.random.default_rng(5))
+    error, _ = errors(marker_scenes.image(camera, circles), circles, camera)
     assert error.max() < 0.06e-3  # as without: the noise's worst of 16
 
 
 def test_image_fit_and_profiles_agree(circles):
     """Two estimators, one truth: profiles and the fit to the image itself differ by less than their noise."""
-    image = scenes.image(CAMERA, circles)
+    image = marker_scenes.image(CAMERA, circles)
     found = markers.detect(image)
     fit = edges.fit(image, found.center_px, ellipse.shape_from_axes(found.semi_axes_px, found.angle))
     assert np.abs(fit.center - found.center_px).max() < 0.02
@@ -258,7 +258,7 @@ def test_bad_polarity():
 
 
 def test_image_files(tmp_path, circles):
-    image = scenes.image(CAMERA, circles)
+    image = marker_scenes.image(CAMERA, circles)
     records = locate(image, CAMERA, R)
     for name, pixels in (("a.png", image), ("b.tiff", image.astype(np.uint16) * 257), ("c.png", np.dstack([image] * 4))):
         cv2.imwrite(str(tmp_path / name), pixels)
@@ -279,8 +279,8 @@ def test_neighbours_share_elongation_on_a_plane_only():
     n = np.array([0.35, 0.2, -1.0]) / np.linalg.norm([0.35, 0.2, -1.0])
     x, y = (c.ravel() * 0.006 for c in np.meshgrid(np.arange(-5, 5), np.arange(-3, 3)))
     p = np.stack([x, y, 0.12 - (n[0] * x + n[1] * y) / n[2]], axis=1)
-    board = [scenes.Circle(point, n, R) for point in p]
-    exact = scenes.exact_image(CAMERA, board)
+    board = [marker_scenes.Circle(point, n, R) for point in p]
+    exact = marker_scenes.exact_image(CAMERA, board)
     before, after, ratio = [], [], []
     for seed in range(4):
         alone = markers.detect(noisy(exact, 4, seed), CAMERA)
@@ -295,6 +295,6 @@ def test_neighbours_share_elongation_on_a_plane_only():
     assert np.std(np.concatenate(after)) < 0.8 * np.std(np.concatenate(before))
     assert 0.7 < np.std(np.concatenate(ratio)) < 1.4
 
-    scattered = scenes.random_circles(CAMERA, np.random.default_rng(0), rows=7, columns=9, radius=0.001)
-    ellipses = markers.detect(scenes.image(CAMERA, scattered), CAMERA)
+    scattered = marker_scenes.random_circles(CAMERA, np.random.default_rng(0), rows=7, columns=9, radius=0.001)
+    ellipses = markers.detect(marker_scenes.image(CAMERA, scattered), CAMERA)
     assert share_elongation(ellipses) is ellipses

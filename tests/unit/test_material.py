@@ -5,10 +5,10 @@ import sys
 import numpy as np
 import pytest
 
-from mjtactile.errors import InputError
-from mjtactile.sensing.material import judge
-from mjtactile.sensing.squeeze import Squeeze, covered_area, object_width
-from mjtactile.types import Contact, Material, Surface, Touch, Traction
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Contact, Material, Surface, Touch, Traction
+from mjtactile.sensing.touch.material import judge
+from mjtactile.sensing.touch.squeeze import Squeeze, covered_area, object_width
 
 PERIOD, FREE_WIDTH, AREA = 1 / 30, 0.024, 288e-6
 GRIP = 350.0  # N/m of the two membranes in series

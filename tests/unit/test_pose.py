@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
-from mjtactile import optics
-from mjtactile.design import CameraDesign
-from mjtactile.errors import InputError
-from mjtactile.sensing import ellipse, paper, pose
-from mjtactile.types import Ellipses
+from mjtactile.core import optics
+from mjtactile.core.design import CameraDesign
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Ellipses
+from mjtactile.sensing.image import ellipse
+from mjtactile.sensing.paper import sine_rule
+from mjtactile.sensing.pose import circles
 
 CAMERA = optics.Camera(640, 480, 600.0, 610.0, 322.0, 236.0)
 LENS = optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5, (-0.25, 0.08, 0.001, -0.002, 0.0))
@@ -50,7 +52,7 @@ def nearest(poses_p, poses_alt, truth):
 def test_closed_form_is_exact():
     p, n = random_poses(np.random.default_rng(0), 5000)
     Q = exact_cones(p, n)
-    both_p, both_n = pose.circles_from_cones(Q, np.full(len(p), R))
+    both_p, both_n = circles.circles_from_cones(Q, np.full(len(p), R))
     right = np.linalg.norm(both_p - p, axis=2).argmin(axis=0)
     each = np.arange(len(p))
     # m; 1e-9 mm. Double precision times the cone's condition number (Z/r)^2 ~ 2e3, squared at most.
@@ -63,7 +65,7 @@ def test_closed_form_is_exact():
 
 def test_face_on_circle_is_harmless():
     p, n = np.array([[0.0, 0.0, 0.04]]), np.array([[0.0, 0.0, -1.0]])
-    both_p, both_n = pose.circles_from_cones(exact_cones(p, n), np.array([R]))
+    both_p, both_n = circles.circles_from_cones(exact_cones(p, n), np.array([R]))
     # the normal's error is the square root of rounding, 1e-8, and the centre moves by r (r/Z) of that
     np.testing.assert_allclose(both_p, np.stack([p, p]), atol=1e-11)
     np.testing.assert_allclose(both_n, np.stack([n, n]), atol=1e-6)
@@ -80,7 +82,7 @@ def test_through_lens_and_pane(camera, bound):
     p, n = random_poses(np.random.default_rng(1), 300, (5, 45))
     uv = optics.project(camera, rims(p, n, 256))
     center, shape = geometric_ellipses(uv)
-    poses = pose.estimate_poses(as_ellipses(center, shape), camera, R)
+    poses = circles.estimate_poses(as_ellipses(center, shape), camera, R)
     assert nearest(poses.p_CM, poses.p_CM_alt, p).max() < bound
     right = np.linalg.norm(poses.p_CM - p, axis=1) < np.linalg.norm(poses.p_CM_alt - p, axis=1)
     np.testing.assert_allclose(poses.uv_px[right], optics.project(camera, p)[right], atol=0.02)
@@ -115,11 +117,11 @@ def test_covariance_agrees_with_monte_carlo(camera):
     p, n = random_poses(rng, 20, (15, 45))
     center, shape = geometric_ellipses(optics.project(camera, rims(p, n, 128)))
     sd = np.array([0.003, 0.003, 0.004, 0.003, 0.004])  # px: about what noise of 2 DN leaves
-    predicted = pose.estimate_poses(as_ellipses(center, shape, np.tile(np.diag(sd**2), (20, 1, 1))), camera, R)
+    predicted = circles.estimate_poses(as_ellipses(center, shape, np.tile(np.diag(sd**2), (20, 1, 1))), camera, R)
     repeats = 800
     moves = rng.normal(0, sd, (repeats, 20, 5))
     many = as_ellipses((center + moves[..., :2]).reshape(-1, 2), (shape + moves[..., 2:]).reshape(-1, 3))
-    poses = pose.estimate_poses(many, camera, R)
+    poses = circles.estimate_poses(many, camera, R)
     both = np.stack([poses.p_CM, poses.p_CM_alt]).reshape(2, repeats, 20, 3)
     same = np.linalg.norm(both - predicted.p_CM, axis=3).argmin(axis=0)
     samples = np.take_along_axis(both, same[None, ..., None], axis=0)[0]
@@ -136,7 +138,7 @@ def test_sine_rule_is_the_closed_form():
     center, shape = geometric_ellipses(uv)
     exact = as_ellipses(center, shape)
     for chord in ("major", "minor"):
-        both = paper.centres_by_sine_rule(exact, CAMERA, R, chord)
+        both = sine_rule.centres_by_sine_rule(exact, CAMERA, R, chord)
         # exact in theory; rounding grows with 1/angle^2 of the chord
         assert nearest(both[0], both[1], p).max() < 1e-10
 
@@ -144,29 +146,29 @@ def test_sine_rule_is_the_closed_form():
 def test_sine_rule_as_printed_and_in_its_stable_form():
     rng = np.random.default_rng(4)
     phi, omega = rng.uniform(0.005, 0.2, (2, 1000))
-    stable = paper.centre_distance(np.full(1000, R), phi, omega)
-    np.testing.assert_allclose(paper.centre_distance_as_printed(np.full(1000, R), phi, omega), stable, rtol=1e-9)
+    stable = sine_rule.centre_distance(np.full(1000, R), phi, omega)
+    np.testing.assert_allclose(sine_rule.centre_distance_as_printed(np.full(1000, R), phi, omega), stable, rtol=1e-9)
     # a chord seen square-on: CD = r/tan(phi)
-    np.testing.assert_allclose(paper.centre_distance(np.array([R]), np.array([0.04]), np.array([0.04])), R / np.tan(0.04))
+    np.testing.assert_allclose(sine_rule.centre_distance(np.array([R]), np.array([0.04]), np.array([0.04])), R / np.tan(0.04))
 
 
 def test_radius_per_marker_scales_its_distance():
     p, n = random_poses(np.random.default_rng(5), 3, (20, 20))
     ellipses = as_ellipses(*geometric_ellipses(optics.project(CAMERA, rims(p, n))))
-    one = pose.estimate_poses(ellipses, CAMERA, R)
-    three = pose.estimate_poses(ellipses, CAMERA, np.array([1.0, 2.0, 3.0]) * R)
+    one = circles.estimate_poses(ellipses, CAMERA, R)
+    three = circles.estimate_poses(ellipses, CAMERA, np.array([1.0, 2.0, 3.0]) * R)
     np.testing.assert_allclose(three.p_CM, one.p_CM * np.array([[1.0], [2.0], [3.0]]), rtol=1e-12)
     design = CameraDesign(0.045, 640, 480, 600.0, 610.0, 322.0, 236.0)
-    np.testing.assert_array_equal(pose.estimate_poses(ellipses, design, R).p_CM, one.p_CM)
+    np.testing.assert_array_equal(circles.estimate_poses(ellipses, design, R).p_CM, one.p_CM)
 
 
 @pytest.mark.parametrize("radius", [0.0, -1.0, np.nan, [1.0, 2.0], [[1.0]]])
 def test_bad_radius(radius):
     ellipses = as_ellipses(np.array([[100.0, 100.0]] * 3), np.array([[9.0, 0.0, 8.0]] * 3))
     with pytest.raises(InputError, match="radius"):
-        pose.estimate_poses(ellipses, CAMERA, radius)
+        circles.estimate_poses(ellipses, CAMERA, radius)
 
 
 def test_no_ellipses():
     none = as_ellipses(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 5, 5)))
-    assert len(pose.estimate_poses(none, CAMERA, R)) == 0
+    assert len(circles.estimate_poses(none, CAMERA, R)) == 0

@@ -2,13 +2,24 @@
 
 import json
 import math
+import resource
+import shutil
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from mjtactile.errors import DeviceError, InputError
-from mjtactile.recording import Recorder, load_recording, to_json, write_json
-from tests.fake_run import fake_cycle, write_fake_recording
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Command, Slip, Touch
+from mjtactile.recording import writer
+from mjtactile.recording.files import to_json, write_json
+from mjtactile.recording.reader import load_recording
+from mjtactile.recording.writer import Recorder
+from tests.emulated import wait_for
+from tests.fake_run import fake_cycle, fake_touch, write_fake_recording
 
 
 def test_what_goes_in_comes_out(tmp_path):
@@ -50,6 +61,65 @@ def test_without_truth_the_column_is_unknown_not_zero(tmp_path):
     assert np.isnan(load_recording(tmp_path).column("force_normal_true")).all()
 
 
+def test_a_column_that_no_recording_has_is_an_error_with_the_names(tmp_path):
+    write_fake_recording(tmp_path, count=3)
+    recording = load_recording(tmp_path)
+    with pytest.raises(InputError, match=r"force_norml.*valid:.*force_normal"):
+        recording.column("force_norml")
+    with pytest.raises(InputError, match=r"phase.*not a column of numbers"):
+        recording.column("phase")
+
+
+def test_all_that_is_felt_comes_back_in_its_shape(tmp_path):
+    """Wrench, slip and contact of every finger; what is not known is NaN in the shape that it would have."""
+    felt = fake_touch(0.5, 0.0)
+    patch = replace(felt.contact, force=np.array([0.1, 0.0, -0.5]), semi_axes=np.array([2e-3, 1e-3]), angle=0.3)
+    felt = replace(felt, slip=Slip("incipient", np.array([1e-3, -2e-3]), 3e-4, 0.4), patches=(patch, patch))
+    blind = Touch(0.0, 0.3, math.nan, math.nan, False, status="dark")
+    with Recorder(tmp_path, {}) as recorder:
+        recorder.add(replace(fake_cycle(0), touch=(felt, blind)))
+        recorder.add(replace(fake_cycle(1), touch=(felt, felt)))
+    recording = load_recording(tmp_path)
+    wrench = recording.column("wrench")
+    assert wrench.shape == (2, 2, 6) and np.isnan(wrench[0, 1]).all()
+    np.testing.assert_array_equal(wrench[1, 1], felt.traction.wrench)
+    np.testing.assert_allclose(recording.column("wrench_sd")[0, 0], 0.02)  # fake_touch says so
+    np.testing.assert_array_equal(recording.column("slip_velocity")[0], [[1e-3, -2e-3], [np.nan, np.nan]])
+    assert recording.column("contact_centroid").shape == (2, 2, 2) and recording.column("touch_age")[0, 1] == 0.3
+    assert recording.columns["slip_state"].tolist() == [["incipient", "unknown"], ["incipient", "incipient"]]
+    one, other = recording.columns["patches"][0]
+    assert len(one) == 2 and other == [] and one[0]["force"] == [0.1, 0.0, -0.5] and one[0]["semi_axes"] == [2e-3, 1e-3]
+    assert recording.column("force_normal").shape == (2, 2) and recording.column("time").shape == (2, 1)
+
+
+@pytest.mark.parametrize(("frames", "kept"), [(0, 0), (1, 10), (4, 3)])
+def test_frames_may_be_left_out_and_the_log_stays_whole(tmp_path, frames, kept):
+    with Recorder(tmp_path, {}, frames=frames) as recorder:
+        for i in range(10):
+            recorder.add(fake_cycle(i))
+    recording = load_recording(tmp_path)
+    assert len(list((tmp_path / "frames").glob("*.png"))) == 2 * kept and recording.header["frames"] == frames
+    assert len(recording) == 10 and recording.width == 2 and np.isfinite(recording.column("force_normal")).all()
+    assert [len(images) for images in recording.images()] == [2 if frames and i % frames == 0 else 0 for i in range(10)]
+    if frames == 1:
+        recording.require_images()
+    else:
+        with pytest.raises(InputError, match=f"{kept} of 10 cycles have their images.*--frames all"):
+            recording.require_images()
+
+
+def test_a_recording_of_before_these_columns_still_loads(tmp_path):
+    write_fake_recording(tmp_path, count=3)
+    log = tmp_path / "log.jsonl"
+    rows = [json.loads(line) for line in log.read_text().splitlines()]
+    new = {"wrench", "wrench_sd", "force_shear", "patches", "slip_state", "slip_velocity", "touch_age", "contact_area"}
+    log.write_text("".join(json.dumps({k: v for k, v in row.items() if k not in new | {"frames"}}) + "\n" for row in rows))
+    recording = load_recording(tmp_path)
+    assert recording.complete and len(recording) == 3 and np.isfinite(recording.column("force_normal")).all()
+    assert np.isnan(recording.column("force_shear")).all()
+    recording.require_images()
+
+
 def test_phases_are_read_in_order(tmp_path):
     write_fake_recording(tmp_path, count=60)
     phases = load_recording(tmp_path).phases()
@@ -72,15 +142,89 @@ def test_no_recording_and_a_foreign_file_are_named(tmp_path):
         load_recording(tmp_path)
 
 
-def test_a_disk_that_fails_is_reported_and_never_hangs_the_loop(tmp_path):
+# -- a recording is never worth what the hand holds: it is given up, once said, and the run goes on ------------------------
+
+CYCLES = [fake_cycle(i) for i in range(50)]
+
+
+def given_up(recorder, caplog):
+    """Record until the recorder gives up; what it said."""
+    for cycle in CYCLES:
+        recorder.add(cycle)
+        recorder._thread.join(0.01)
+    recorder.close(outcome="held")
+    assert recorder.problem
+    return [message for message in caplog.messages if "given up" in message]
+
+
+def test_a_folder_that_is_removed(tmp_path, caplog):
+    recorder = Recorder(tmp_path / "run", {})
+    shutil.rmtree(tmp_path / "run")
+    (said,) = given_up(recorder, caplog)
+    assert "No such file" in said
+
+
+def test_a_disk_that_is_full(tmp_path, caplog):
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
     recorder = Recorder(tmp_path, {})
-    recorder._log.close()  # as good as a disk that vanished: the next write fails
-    with pytest.raises(DeviceError, match="cannot be written"):
-        for i in range(100):
-            recorder.add(fake_cycle(i))
-            recorder._thread.join(0.01)
-    with pytest.raises(DeviceError):
-        recorder.close()
+    for cycle in CYCLES[:3]:
+        recorder.add(cycle)
+    assert wait_for(recorder._queue.empty)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1, limit[1]))  # as good as a full disk: whatever grows a file fails
+    try:
+        (said,) = given_up(recorder, caplog)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+    assert "too large" in said
+    assert len(load_recording(tmp_path)) >= 2  # what was written before can be read
+
+
+def test_a_process_without_descriptors(tmp_path, caplog):
+    limit = resource.getrlimit(resource.RLIMIT_NOFILE)
+    recorder = Recorder(tmp_path, {})
+    resource.setrlimit(resource.RLIMIT_NOFILE, (3, limit[1]))
+    try:
+        (said,) = given_up(recorder, caplog)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limit)
+    assert "Too many open files" in said
+
+
+def test_a_notebook_that_contains_itself(tmp_path, caplog):
+    memory = {}
+    memory["me"] = memory
+    recorder = Recorder(tmp_path, {})
+    recorder.add(replace(fake_cycle(0), sent=Command(0.05, 4.0, memory=memory)))
+    (said,) = given_up(recorder, caplog)
+    assert "RecursionError" in said
+
+
+@pytest.mark.parametrize("patience", [0.0, 0.05])
+def test_a_disk_that_stands_still_holds_up_nothing(tmp_path, caplog, monkeypatch, patience):
+    """The first image takes for ever, or as long as this test; the loop is held up for `patience` at most, once."""
+    over = threading.Event()
+    monkeypatch.setattr(Path, "write_bytes", lambda *_: over.wait(60))
+    monkeypatch.setattr(writer, "_FLUSH_TIME", 0.05)
+    recorder = Recorder(tmp_path, {})
+    recorder.patience = patience
+    waits: list[float] = []
+    for cycle in 4 * CYCLES:
+        begin = time.monotonic()
+        recorder.add(cycle)
+        waits.append(time.monotonic() - begin)
+    recorder.close(outcome="held")
+    assert "cycles behind" in recorder.problem and sum("given up" in message for message in caplog.messages) == 1
+    assert sum(wait > 0.04 for wait in waits) <= (1 if patience else 0) + 1  # one more: a busy computer
+    over.set()
+    recorder._thread.join()
+
+
+def test_a_recording_is_never_overwritten(tmp_path):
+    write_fake_recording(tmp_path, count=5)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    with pytest.raises(InputError, match="holds a recording already"):
+        Recorder(tmp_path, {})
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
 def test_json_is_always_valid(tmp_path):

@@ -1,18 +1,18 @@
-"""The flat reference finds a camera that sits askew and markers of the wrong size; files round-trip and refuse nonsense."""
+"""The flat reference finds a camera that sits askew and markers of the wrong size."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from mjtactile import geometry
-from mjtactile.design import load_sensor
-from mjtactile.errors import DeviceError, InputError
-from mjtactile.optics import Camera, project
-from mjtactile.sensing.pipeline import SensorPipeline
-from mjtactile.sensing.reference import fit_camera_pose, load_reference, save_reference
-from mjtactile.sim.camera import Renderer
-from mjtactile.types import Image
+from mjtactile.core import geometry
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import DeviceError
+from mjtactile.core.optics import Camera, project
+from mjtactile.core.types import Image
+from mjtactile.sensing.chain import Perception
+from mjtactile.sensing.pose.reference import fit_camera_pose
+from mjtactile.sim.picture.renderer import Renderer
 
 DESIGN = load_sensor("dense")
 OUTWARD = np.tile([0.0, 0.0, 1.0], (DESIGN.markers.count, 1))
@@ -36,12 +36,12 @@ def test_pose_fit_inverts_the_projection():
 
 def test_radius_of_each_marker_is_found():
     factor = 1 + 0.03 * np.random.default_rng(1).uniform(-1, 1, DESIGN.markers.count)
-    pipeline = SensorPipeline(DESIGN)
-    flat = pipeline.take_flat(flat_images(radius=DESIGN.markers.radius * factor, seed=2))
+    perception = Perception.of(DESIGN)
+    flat = perception.take_flat(flat_images(radius=DESIGN.markers.radius * factor, seed=2))
     # depth noise of 18 um in 45 mm over ten images is 1.3e-4; four sd
     np.testing.assert_allclose(flat.scale, factor, atol=6e-4)
     view = Renderer(DESIGN, radius=DESIGN.markers.radius * factor, seed=5)
-    markers = pipeline.markers(view.render(DESIGN.markers.p_SM, OUTWARD))
+    markers = perception.chain.see(perception.state, view.render(DESIGN.markers.p_SM, OUTWARD))[0]
     assert np.abs(markers.p_SM[:, 2]).max() < 1.5e-4  # without the calibration 3 % of 45 mm is 1.35 mm
 
 
@@ -54,41 +54,25 @@ def test_a_camera_that_sits_askew_is_found_and_taken_out():
     def image(p_SM: np.ndarray, n_S: np.ndarray) -> Image:
         return view.render((p_SM - p_SC) @ R_SC + DESIGN.camera.p_SC, n_S @ R_SC)
 
-    pipeline = SensorPipeline(DESIGN)
-    flat = pipeline.take_flat([image(DESIGN.markers.p_SM, OUTWARD) for _ in range(10)])
+    perception = Perception.of(DESIGN)
+    flat = perception.take_flat([image(DESIGN.markers.p_SM, OUTWARD) for _ in range(10)])
     # 81 centres to 0.02 px over ten images: 0.7 um sideways, 2 um in depth, 1e-4 rad; four sd
     np.testing.assert_allclose(flat.p_SC, p_SC, atol=1e-5)
     np.testing.assert_allclose(flat.R_SC, R_SC, atol=4e-4)
     raised = DESIGN.markers.p_SM + [0.0, 0.0, 1e-3]
-    markers = pipeline.markers(image(raised, OUTWARD))
+    markers = perception.chain.see(perception.state, image(raised, OUTWARD))[0]
     np.testing.assert_allclose(markers.p_SM.mean(axis=0), raised.mean(axis=0), atol=1e-5)  # 18 um / sqrt(81), four sd
-
-
-def test_a_reference_survives_its_file(tmp_path):
-    pipeline = SensorPipeline(DESIGN)
-    flat = pipeline.take_flat(flat_images(3, seed=4))
-    rest = pipeline.markers(flat_images(1, seed=6)[0])
-    save_reference(tmp_path / "r.json", DESIGN, flat, (rest, 1000.0, True))
-    loaded, (markers, pressure, sealed) = load_reference(tmp_path / "r.json", DESIGN)
-    np.testing.assert_allclose(loaded.scale, flat.scale, rtol=1e-15)
-    np.testing.assert_allclose(markers.p_SM, rest.p_SM, atol=1e-18)
-    assert (pressure, sealed) == (1000.0, True)
-    with pytest.raises(InputError, match="81 markers"):
-        load_reference(tmp_path / "r.json", load_sensor("paper16"))
-    (tmp_path / "r.json").write_text("{}")
-    with pytest.raises(InputError, match="not a reference file"):
-        load_reference(tmp_path / "r.json", DESIGN)
 
 
 def test_what_does_not_fit_the_sensor_file_is_refused():
     with pytest.raises(DeviceError, match=r"radius_mm"):
-        SensorPipeline(DESIGN).take_flat(flat_images(2, radius=DESIGN.markers.radius * 1.15))
+        Perception.of(DESIGN).take_flat(flat_images(2, radius=DESIGN.markers.radius * 1.15))
     blank = Image(np.full((480, 640), 180, np.uint8))
     with pytest.raises(DeviceError, match="only 0 of 81 markers"):
-        SensorPipeline(DESIGN).take_flat([blank])
+        Perception.of(DESIGN).take_flat([blank])
     stretched = replace(DESIGN, markers=replace(DESIGN.markers, pitch_x=3.9e-3))
     with pytest.raises(DeviceError, match="off the layout"):
-        SensorPipeline(stretched).take_flat(flat_images(2))
+        Perception.of(stretched).take_flat(flat_images(2))
 
 
 @pytest.mark.parametrize("stuck_inflated", [False, True])
@@ -98,7 +82,7 @@ def test_a_valve_that_does_not_move_is_noticed_without_a_pressure_sensor(stuck_i
     bulge = 2e-3 * np.cos(np.pi * x) * np.cos(np.pi * y) * stuck_inflated
     view = Renderer(DESIGN, seed=4)
     images = [view.render(DESIGN.markers.p_SM + bulge[:, None] * [0, 0, 1], OUTWARD) for _ in range(5)]
-    pipeline = SensorPipeline(DESIGN)
-    pipeline.take_flat(images)
+    perception = Perception.of(DESIGN)
+    perception.take_flat(images)
     with pytest.raises(DeviceError, match="does the valve move"):
-        pipeline.take_rest(images, DESIGN.chamber.supply_gauge)
+        perception.take_rest(images, DESIGN.chamber.supply_gauge)

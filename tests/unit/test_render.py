@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from mjtactile import geometry
-from mjtactile.design import Leds, load_sensor
-from mjtactile.sim.camera import Effects, Renderer
+from mjtactile.core import geometry
+from mjtactile.core.design import Leds, load_sensor
+from mjtactile.sim.picture.renderer import Effects, Renderer
 
 RAYS = 16
 NO_LEDS = Leds(count=0, membrane_dn=185.0, marker_dn=40.0)  # even light: shapes only

@@ -2,22 +2,37 @@
 
 import io
 import sys
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
-from mjtactile import report
-from mjtactile.errors import MjtactileError
-from mjtactile.progress import Progress
-from mjtactile.recording import Recorder, load_recording
-from tests.fake_run import fake_cycle, write_fake_recording
+from mjtactile.core.errors import MjtactileError
+from mjtactile.recording.reader import load_recording
+from mjtactile.recording.writer import Recorder
+from mjtactile.run import report
+from mjtactile.run.progress import Progress
+from tests.fake_run import fake_cycle, fake_touch, write_fake_recording
+
+
+class FakeScene:
+    """A triangle and sensors around it."""
+
+    def __init__(self, sensors):
+        angle = 2 * np.pi * np.arange(sensors) / sensors
+        self.p_WS = 0.03 * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(sensors)])
+        self.R_WS = np.tile(np.eye(3), (sensors, 1, 1))
+
+    def triangles(self):
+        return 0.02 * np.eye(3)[None], np.ones((1, 4))
+
 
 SUMMARY = {"object": "egg", "outcome": "held", "hold_force_N": 0.6, "hold_force_true_N": None, "sensor": "dense", "seed": 0}
 
 
-def draw(folder, snapshot):
-    report.write_figure(folder / "summary.png", load_recording(folder), snapshot, SUMMARY)
+def draw(folder, snapshot, scene=None):
+    report.write_figure(folder / "summary.png", load_recording(folder), snapshot, SUMMARY, scene)
     picture = cv2.imread(str(folder / "summary.png"))
     assert picture.shape[0] > 600 and picture.std() > 10
     assert not list(folder.glob("*.part"))
@@ -31,9 +46,30 @@ def test_a_whole_run(tmp_path, break_force):
     draw(tmp_path, cycles[40])
 
 
+@pytest.mark.parametrize("fingers", [1, 2, 3])
+def test_a_run_with_its_scene_and_any_number_of_fingers(tmp_path, fingers):
+    cycles = write_fake_recording(tmp_path, count=60)
+    cycle = cycles[40]
+    cycle = replace(cycle, touch=(cycle.touch[0],) * fingers, images=(cycle.images[0],) * fingers)
+    draw(tmp_path, cycle, FakeScene(fingers))
+
+
 def test_a_run_without_a_cycle(tmp_path):
     Recorder(tmp_path, {}).close()
     draw(tmp_path, None)
+
+
+def test_arrows_stand_only_where_something_touches_and_their_scale_is_round():
+    touch = fake_touch(0.6, 0.0)
+    stress = report._tractions(touch)
+    assert np.array_equal(np.linalg.norm(stress, axis=-1) > 0, touch.contact.mask)
+    area = (touch.traction.x[1] - touch.traction.x[0]) * (touch.traction.y[1] - touch.traction.y[0])
+    inside = touch.traction.force[touch.contact.mask].sum(axis=0)
+    np.testing.assert_allclose(stress.sum(axis=(0, 1)) * area, inside, rtol=1e-9)
+    largest = np.linalg.norm(stress, axis=-1).max()
+    assert 0.4 * largest < report.arrow_unit([touch]) <= largest
+    assert not report._tractions(replace(touch, touching=False)).any()
+    assert report.arrow_unit([fake_touch(0.0, 0.0)]) == 1000.0  # nothing touches: a scale all the same
 
 
 def test_a_run_that_felt_nothing_known(tmp_path):

@@ -1,16 +1,23 @@
 """The supervisor's state machine, and the control loop around it, on a rig of stubs."""
 
 import math
+import re
+import threading
+from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
-from mjtactile import control
-from mjtactile.design import load_sensor
-from mjtactile.errors import ControllerError, DeviceError
-from mjtactile.rig import Limits, Rig
-from mjtactile.safety import BLIND_TIME_MAX, RETREAT_OPENING, Supervisor
-from mjtactile.types import Command, GripperState, Image, Touch, ValveState
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import ControllerError, DeviceError, Interrupted
+from mjtactile.core.signals import Stop
+from mjtactile.core.types import Command, GripperState, Image, Touch, ValveState
+from mjtactile.rig.finger import Finger, Rig
+from mjtactile.rig.limits import Limits
+from mjtactile.run import loop
+from mjtactile.run.controller import Controller
+from mjtactile.run.supervisor import BLIND_TIME_MAX, RETREAT_OPENING, Supervisor
 
 PERIOD = 0.05
 OK = Touch(0.0, 0.0, 0.5, 0.01, True)
@@ -122,22 +129,31 @@ class World:
         self.sent.append(command)
         return command
 
-    def rig(self):
-        return Rig("stub", load_sensor("paper16"), (self,), (), self, self, Limits(), close=lambda: None)
+    def rig(self, host_timeout=math.inf):
+        return Rig("stub", (Finger("left", load_sensor("paper16"), self),), self, self, Limits(), close=lambda: None,
+                   host_timeout=host_timeout)
 
-    def run(self, broken, after=5, controller=lambda o: o.command, time_limit=30.0, error=DeviceError):
+    def run(self, broken, after=5, controller=lambda o: o.command, time_limit=30.0, error=DeviceError, act=lambda: None,
+            perceive=lambda image, now: OK, host_timeout=math.inf, stop=None):
+        """Run until `error`; after cycle number `after`, something is `broken`, and `act` is called in each cycle."""
         cycles = []
 
         def on_cycle(cycle):
             cycles.append(cycle)
-            if len(cycles) == after:
+            if len(cycles) >= after:
                 self.broken = broken
+                act()
 
-        pipeline = SimpleNamespace(perceive=lambda image, now: OK)
         with pytest.raises(error) as caught:
-            control.run(self.rig(), [pipeline], SimpleNamespace(path="test", step=controller),  # type: ignore[list-item, arg-type]
-                        time_limit=time_limit, on_cycle=on_cycle)
+            loop.run_loop(self.rig(host_timeout), [SimpleNamespace(perceive=perceive)],  # type: ignore[list-item]
+                          SimpleNamespace(path=Path(__file__), step=controller),  # type: ignore[arg-type]
+                          time_limit=time_limit, on_cycle=on_cycle, stop=stop)
         return cycles, str(caught.value)
+
+    def has_set_down(self):
+        """It went down before it opened, so that nothing was dropped."""
+        opened = next(i for i, command in enumerate(self.sent) if command.opening > 0.05 + 1e-3)
+        return self.sent[opened].lift_height < 1e-3 and self.opening > 0.05 + RETREAT_OPENING - 1e-3
 
 
 def test_a_stale_camera_holds_then_opens_and_the_run_ends():
@@ -152,15 +168,19 @@ def test_a_stale_camera_holds_then_opens_and_the_run_ends():
 
 def test_a_faulty_servo_ends_in_the_safe_state_with_its_reason():
     world = World()
-    _, message = world.run("gripper")
+    cycles, message = world.run("gripper")
     assert message == "stopped safely: servo 1 reports overload"
+    assert len(cycles) == len(world.sent)  # every turn is recorded, the retreat too
+    assert all(math.isnan(cycle.gripper.opening) and cycle.reason == message.split(": ")[1] for cycle in cycles[5:])
+    assert cycles[-1].state == "latched" and cycles[-1].touch == (OK,)
     assert world.opening > 0.05 + RETREAT_OPENING - 1e-3
 
 
 def test_when_nothing_obeys_the_run_ends_at_once():
     world = World()
-    before = world.run("all")[0][-1].time
-    assert world.time - before < 3 / 30  # cycles of 1/30 s
+    cycles, message = world.run("all")
+    assert len(cycles) == 6 and cycles[-1].state == "latched"
+    assert message == "stopped safely: servo 1 reports overload"
 
 
 def test_a_controller_that_fails_is_asked_no_more_and_the_hand_retreats_first():
@@ -190,9 +210,117 @@ def test_a_controller_that_does_not_end_is_stopped_the_same_way():
     assert world.opening > 0.05 + RETREAT_OPENING - 1e-3
 
 
-def test_a_controller_cannot_close_blind():
-    from dataclasses import replace
+def test_a_retreat_ends_where_the_jaws_do():
+    supervisor = Supervisor(PERIOD)
+    supervisor.make_safe("a fault", 0.0, replace(LAST, lift_height=0.0))
+    last, widest = replace(LAST, lift_height=0.0), LAST.opening + 0.004
+    for step in range(8):
+        last = supervisor.decide(step * PERIOD, last, last, (), ())
+        last = replace(last, opening=min(last.opening, widest))  # as the rig's limits do
+    assert supervisor.is_over
 
+
+# -- whatever fails, what the hand holds is set down first -----------------------------------------------------------------
+
+@pytest.mark.parametrize("raised", [SystemExit(0), KeyboardInterrupt(), GeneratorExit(), ZeroDivisionError()])
+def test_a_controller_that_raises_what_it_should_not(raised, tmp_path):
+    def step(observation):
+        if observation.time > 0.2:
+            raise raised
+        return observation.command
+
+    world = World()
+    _, message = world.run("", controller=Controller(tmp_path / "mine.py", step).step, error=ControllerError)
+    assert f"step() raised {type(raised).__name__}" in message
+    assert world.has_set_down()
+
+
+def test_a_controller_that_does_not_return():
+    ended = threading.Event()
+
+    def step(observation):
+        try:
+            while observation.time > 0.2:
+                pass
+        finally:
+            if observation.time > 0.2:
+                ended.set()
+        return observation.command
+
+    world = World()
+    cycles, message = world.run("", controller=step, error=ControllerError, host_timeout=0.25)
+    assert "step() did not return within 0.2 s" in message
+    assert re.search(r"test_safety.py: line \d+: step\(\) did not return", message)  # where it hangs
+    assert ended.wait(10)  # it was asked to end, and takes no more computing time
+    assert world.has_set_down() and len(cycles) == len(world.sent)
+
+
+def test_a_controllers_module_state_and_its_thread_last_for_the_run():
+    calls, threads = [], set()
+
+    def step(observation):
+        calls.append(observation.time)
+        threads.add(threading.current_thread())
+        return replace(observation.command, phase="done" if len(calls) == 5 else "hold", lift_height=0.0)
+
+    world = World()
+    world.lift = 0.0
+    controller = SimpleNamespace(path=Path("mine.py"), step=step)
+    last = loop.run_loop(world.rig(), [SimpleNamespace(perceive=lambda image, now: OK)], controller,  # type: ignore[list-item, arg-type]
+                         time_limit=30.0, on_cycle=lambda cycle: None)
+    assert last.phase == "done" and len(calls) == 5 and len(threads) == 1
+
+
+@pytest.mark.parametrize("phase", ["done", "abort"])
+def test_a_controller_that_ends_with_the_hand_in_the_air(phase):
+    world = World()
+    controller = SimpleNamespace(path=Path("mine.py"), step=lambda o: replace(o.command, phase=phase))
+    last = loop.run_loop(world.rig(), [SimpleNamespace(perceive=lambda image, now: OK)], controller,  # type: ignore[list-item, arg-type]
+                         time_limit=30.0, on_cycle=lambda cycle: None)
+    assert last.phase == phase and world.has_set_down()
+
+
+def test_who_is_told_of_a_cycle_and_fails():
+    def act():
+        raise OSError("no space left")
+
+    world = World()
+    cycles, message = world.run("", act=act, error=OSError)
+    assert message == "no space left" and world.has_set_down()
+    assert len(cycles) == len(world.sent)  # and it is told of every other one
+
+
+def test_a_chain_that_fails():
+    def perceive(image, now):
+        if image.time > 0.2:
+            raise ValueError("singular matrix")
+        return OK
+
+    world = World()
+    cycles, message = world.run("", perceive=perceive, error=ValueError)
+    assert message == "singular matrix" and world.has_set_down()
+    assert math.isnan(cycles[-1].touch[0].force_normal) and cycles[-1].touch[0].status.code == "no answer"
+
+
+def test_a_signal():
+    stop = Stop()
+    world = World()
+    cycles, _ = world.run("", act=lambda: setattr(stop, "asked", True), error=Interrupted, stop=stop)
+    assert world.has_set_down() and cycles[5].state == "safe"
+
+
+def test_a_second_signal_ends_at_once():
+    stop = Stop()
+    world = World()
+
+    def act():
+        stop.asked, stop.at_once = True, len(world.sent) >= 8
+
+    cycles, _ = world.run("", act=act, error=Interrupted, stop=stop)
+    assert len(cycles) == 8 and world.lift > 0.015
+
+
+def test_a_controller_cannot_close_blind():
     world = World()
     world.run("camera", controller=lambda o: replace(o.command, opening=0.0, lift_height=1.0))
     at = world.sent[4].opening

@@ -5,13 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mjtactile import optics
-from mjtactile.design import load_sensor
-from mjtactile.errors import InputError
-from mjtactile.sim import shadows
-from mjtactile.sim.camera import Renderer
-from mjtactile.sim.light import Light
-from mjtactile.sim.shadows import ShadowedLight, Sheet, bilinear, clearance, irradiance, may_block, visible, wall_clearance
+from mjtactile.core import optics
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import InputError
+from mjtactile.sim.picture import shadows
+from mjtactile.sim.picture.light import Light
+from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.sim.picture.shadows import (
+    ShadowedLight,
+    Sheet,
+    bilinear,
+    clearance,
+    irradiance,
+    may_block,
+    visible,
+    wall_clearance,
+)
 
 DENSE = load_sensor("dense")
 OUTWARD = np.tile([0.0, 0.0, 1.0], (81, 1))

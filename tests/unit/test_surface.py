@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline, RectBivariateSpline
 
-from mjtactile import geometry
-from mjtactile.design import load_sensor
-from mjtactile.sensing.surface import Basis, SurfaceFitter, reconstruct_delaunay, slope_sd_of
-from mjtactile.types import Markers
+from mjtactile.core import geometry
+from mjtactile.core.bspline import Cubic
+from mjtactile.core.design import load_sensor
+from mjtactile.core.types import Markers
+from mjtactile.sensing.shape.surface import SurfaceFitter, reconstruct_delaunay, slope_sd_of
 
 L, W = 40e-3, 30e-3
 NOISE = 10e-6  # of a marker's height: twice the Cramer-Rao limit of docs/equations.md
@@ -80,7 +81,7 @@ def rms(surface, shape):
 
 
 def test_basis_is_the_b_spline_basis():
-    basis = Basis.build(L, 7)
+    basis = Cubic(L, 7, 4)
     knots = np.concatenate([[-L / 2] * 3, np.linspace(-L / 2, L / 2, 8), [L / 2] * 3])
     x = np.linspace(-L / 2, L / 2, 40)
     for derivative in range(4):

@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mjtactile.design import load_sensor
-from mjtactile.sensing import slip, zero
-from mjtactile.sensing.inverse import InverseMembrane
-from mjtactile.sensing.patches import find_patches
-from mjtactile.sensing.pipeline import SensorPipeline
-from mjtactile.sensing.sheet import Gas
-from mjtactile.types import SLIP_STATES, Markers, Traction
+from mjtactile.core.design import load_sensor
+from mjtactile.core.types import SLIP_STATES, Markers, Traction
+from mjtactile.sensing.chain import Chain
+from mjtactile.sensing.force import zero
+from mjtactile.sensing.force.inverse import InverseMembrane
+from mjtactile.sensing.force.sheet import Gas
+from mjtactile.sensing.touch import slip
+from mjtactile.sensing.touch.patches import find_patches
 
 SUPPLY, FRAME = 1000.0, 1 / 30
 NOISE = np.array([2e-6, 2e-6, 6e-6])  # m, sd of a marker
@@ -52,26 +53,26 @@ def traction(force, sd=5e-3):
 
 
 def test_noise_is_learnt_and_a_light_touch_is_felt_and_released():
-    rng, watch = np.random.default_rng(0), None
+    rng, last = np.random.default_rng(0), None
     for k in range(200):
-        watch = zero.watch(k * FRAME, traction(4e-3 * rng.standard_normal()), watch)
-        assert not watch.touching
-    assert watch.noise == pytest.approx(4e-3, rel=0.4)  # 30 frames: sd of a sd is 13 %; three of them
-    assert watch.threshold < 0.03  # N, asked for
-    on = zero.watch(7.0, traction(0.03), watch)
-    assert on.touching and zero.watch(7.1, traction(0.02), on).touching  # hysteresis
-    off = zero.watch(7.2, traction(0.005), on)
+        last = zero.detect_touch(k * FRAME, traction(4e-3 * rng.standard_normal()), last)
+        assert not last.touching
+    assert last.noise == pytest.approx(4e-3, rel=0.4)  # 30 frames: sd of a sd is 13 %; three of them
+    assert zero.threshold(last.noise) < 0.03  # N, asked for
+    on = zero.detect_touch(7.0, traction(0.03), last)
+    assert on.touching and zero.detect_touch(7.1, traction(0.02), on).touching  # hysteresis
+    off = zero.detect_touch(7.2, traction(0.005), on)
     assert not off.touching and off.quiet_since == 7.2
 
 
 def test_no_false_alarm_in_ten_minutes():
-    rng, watch, alarms = np.random.default_rng(1), None, 0
+    rng, last, alarms = np.random.default_rng(1), None, 0
     shown = traction(0.0)
     for k, force in enumerate(5e-3 * rng.standard_normal(18000)):
         wrench = shown.wrench.copy()
         wrench[2] = -force
-        watch = zero.watch(k * FRAME, replace(shown, wrench=wrench), watch)
-        alarms += watch.touching
+        last = zero.detect_touch(k * FRAME, replace(shown, wrench=wrench), last)
+        alarms += last.touching
     # at 5 mN of noise, 0.025 N is five sd: 3e-7 a frame, and the threshold follows the noise's estimate
     assert alarms <= 1
 
@@ -99,23 +100,23 @@ def test_zero_follows_a_warming_chamber_and_leaves_a_right_force(sensor):
 
 
 def test_zero_is_frozen_in_contact_and_a_lost_zero_is_said():
-    pipeline = SensorPipeline(load_sensor("paper16"))
-    estimator = pipeline.inverse
+    chain = Chain(load_sensor("paper16"))
+    estimator = chain.inverse
     rest_markers = seen(estimator, estimator.sheet.equilibrium(Gas(SUPPLY)))
-    pipeline.set_rest(rest_markers, SUPPLY)
-    assert pipeline.reference is not None
-    rest, surface = pipeline.reference.rest, pipeline.fitter.fit(rest_markers)
+    state = chain.set_rest(chain.begin(), rest_markers, SUPPLY)
+    assert state.reference is not None
+    rest, surface = state.reference.rest, chain.fitter.fit(rest_markers)
     markers = seen(estimator, pressed(estimator, rest, np.array([0, 0, -0.4]))[0])
-    pipeline.touch_of(rest_markers, surface, 0.0)
+    _, state = chain.feel(state, rest_markers, surface, 0.0)
     for k in range(40):
-        touch = pipeline.touch_of(markers, surface, (k + 1) * FRAME)
-    assert touch.touching and pipeline.reference.rest is rest
+        touch, state = chain.feel(state, markers, surface, (k + 1) * FRAME)
+    assert touch.touching and state.reference is not None and state.reference.rest is rest
     assert touch.contact is not None and touch.contact.area > 0 and len(touch.patches) == 1
     assert touch.slip is not None and touch.slip.state == "sticking"
     hot = replace(rest.gas, constant=rest.gas.constant * 1.01)  # 3 K at once
     bulged = seen(estimator, estimator.sheet.equilibrium(hot, rest.stiffness_scale, start=rest.c))
     for k in range(40):
-        touch = pipeline.touch_of(bulged, surface, 10 + k * FRAME)
+        touch, state = chain.feel(state, bulged, surface, 10 + k * FRAME)
         if touch.status != "ok":
             break
     assert "pulled" in touch.status and np.isnan(touch.force_normal)

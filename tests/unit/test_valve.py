@@ -4,11 +4,11 @@ import time
 
 import pytest
 
-from mjtactile.bench.rig_fuzz import fuzz_valve
-from mjtactile.devices.valve import ValveBoard, connect_valves
+from mjtactile.bench.rig.fuzz import fuzz_valve
+from mjtactile.core.errors import DeviceError, InputError
+from mjtactile.devices.valve.driver import ValveBoard, connect_valves
 from mjtactile.emulator.valve import ValveFirmware
-from mjtactile.errors import DeviceError, InputError
-from mjtactile.rigfile import ValveConfig
+from mjtactile.rig.file import ValveConfig
 from tests.emulated import valve_bench, valve_configs, wait_for
 
 DIALECTS = ["ctrlp", "relay", "regulator"]
@@ -136,7 +136,7 @@ def test_a_relay_needs_its_supply_in_the_file():
 
 
 def test_another_dialect_and_old_firmware_are_refused(monkeypatch):
-    monkeypatch.setattr("mjtactile.devices.valve_board._HANDSHAKE_TIME", 0.5)
+    monkeypatch.setattr("mjtactile.devices.valve.board._HANDSHAKE_TIME", 0.5)
     with valve_bench("relay") as (port, *_), pytest.raises(DeviceError, match="does not answer as a ctrlp board"):
         ValveBoard([ValveConfig("left", port.path, "ctrlp")])
     monkeypatch.setattr(ValveFirmware, "_ctrlp", lambda *_: "version;ctrl-p;1.9")

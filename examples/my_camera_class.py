@@ -1,0 +1,50 @@
+"""A camera of your own on a finger: any class with `read`, named in the rig file and found by an entry point.
+
+Your package's pyproject.toml:          the finger's part of the rig file:
+
+    [project.entry-points."mjtactile.cameras"]      [[camera]]
+    newest = "my_camera_class:NewestFrame"          backend = "newest"
+
+Then `mjtactile doctor`, `record` and `grasp` use it like the shipped ones. This one reads a network stream with OpenCV.
+"""
+
+import threading
+import time
+
+import cv2
+
+import mjtactile
+
+
+class NewestFrame:
+    """`config` has what the rig file says of this camera: finger, source, width, height, rate, delay and more."""
+
+    def __init__(self, config):
+        self._config = config
+        self._capture = cv2.VideoCapture(config.source, cv2.CAP_FFMPEG)
+        if not self._capture.isOpened():
+            raise mjtactile.DeviceError(f"{config.finger} camera {config.source} is not there")
+        self._newest = None
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+        self._thread.start()
+
+    def _watch(self):
+        while not self._closed.is_set():
+            arrived, frame = self._capture.read()
+            if arrived:  # captured `delay` s before, on the clock that the rig goes by
+                gray = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
+                self._newest = mjtactile.Image(gray, time.monotonic() - self._config.delay)
+
+    def read(self):
+        """The newest image; an old one is an error, so that nobody takes old news for new."""
+        image = self._newest
+        if image is None or time.monotonic() - image.time > 0.15:
+            raise mjtactile.DeviceError(f"{self._config.finger} camera {self._config.source} is stale")
+        return image
+
+    def close(self):
+        """Called on every way out."""
+        self._closed.set()
+        self._thread.join(1.0)
+        self._capture.release()

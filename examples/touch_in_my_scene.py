@@ -1,0 +1,26 @@
+"""Touch in a scene that somebody else wrote: the Fetch arm of gymnasium-robotics closes its gripper on nothing.
+
+One fingertip gets a sensor, which then feels the other finger. Needs `pip install 'mjtactile[examples]'`.
+"""
+
+from importlib.util import find_spec
+
+import mujoco
+
+import mjtactile
+
+package = find_spec("gymnasium_robotics").submodule_search_locations[0]
+spec = mujoco.MjSpec.from_file(f"{package}/envs/assets/fetch/pick_and_place.xml")
+print(*mjtactile.recommend_options(spec), sep="\n")  # what a membrane needs, and why
+
+# The site's z points out of the sensor, its x along the longer side; 2 mm before the finger's own pad.
+spec.body("robot0:r_gripper_finger_link").add_site(name="tip", pos=[0.01, -0.017, 0], quat=[1, 1, 0, 0])
+tip = mjtactile.attach(spec, "dense", site="tip", prefix="tip/")
+model = spec.compile()
+data = mujoco.MjData(model)
+finger = tip.bind(model, data)
+
+data.ctrl[:] = 0.0014  # m that each finger stays open
+while data.time < 1.0:
+    mjtactile.step(model, data, [finger])
+print(f"felt: {finger.touch.force_normal:.2f} N, chamber at {finger.pressure_gauge:.0f} Pa")

@@ -1,0 +1,1 @@
+"""Work-precision diagrams of the simulation."""

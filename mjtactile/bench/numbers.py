@@ -1,0 +1,55 @@
+"""`mjtactile bench numbers`: the ten numbers of the README, taken from the pages that the benchmarks wrote.
+
+It measures nothing, so that a number stands in two places and is written down in one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from mjtactile.core import resources
+from mjtactile.core.errors import InputError
+
+# what to say, page, how the first cell of the row begins, heading of the column, by which command
+NUMBERS = (
+    ("normal force felt: mean absolute error (worst), N", "benchmarks", "normal force, mean absolute", "dense", "bench touch"),
+    ("shear force felt: mean absolute error, N", "benchmarks", "shear force error", "dense", "bench touch"),
+    ("middle of the contact: error, mm", "benchmarks", "contact centroid", "dense", "bench touch"),
+    ("touches of 0.03-0.06 N felt", "benchmarks", "touches of 0.03-0.06 N", "dense", "bench touch"),
+    ("the paper's force test (the paper: 0.04 N)", "experiments", "5a: force error, cylinder", "ours", "experiments"),
+    ("eggs held, of ten seeds", "benchmarks", "egg", "held", "bench grasp"),
+    ("force while holding an egg: error, mean / worst, N", "benchmarks", "egg", "its error, N: mean / worst", "bench grasp"),
+    ("centres of circles in space: mean error, mm", "benchmarks", "mean centre error", "measured", "bench perception"),
+    ("materials named right", "benchmarks", "material class right", "measured", "bench material"),
+    ("faults of the emulated rig that ended safely", "benchmarks", "safe state after a fault", "measured", "bench rig"),
+)
+
+
+def run(out: Path, quick: bool = False) -> dict[str, Any]:
+    """Read the pages of the checkout or of the installed package. Raises InputError naming a page that lacks a number."""
+    folder = resources.folder("docs")
+    pages = {name: (folder / f"{name}.md").read_text(encoding="utf-8") for name in ("benchmarks", "experiments")}
+    return {"numbers": [{"what": what, "value": cell(pages[page], row, column, source=page), "page": page, "by": by}
+                        for what, page, row, column, by in NUMBERS]}
+
+
+def table(result: Mapping[str, Any]) -> str:
+    """The result as Markdown."""
+    rows = [f"| {n['what']} | {n['value']} | [`{n['by']}`](docs/{n['page']}.md) |" for n in result["numbers"]]
+    return "\n".join(["| what | measured | by |", "|---|---|---|", *rows]) + "\n"
+
+
+def cell(page: str, row: str, column: str, *, source: str) -> str:
+    """The cell under the heading `column` in the first row that begins with `row`, of the tables that have that column."""
+    heading: list[str] = []
+    for line in page.splitlines():
+        cells = [text.strip() for text in line.strip().strip("|").split(" | ")] if line.startswith("|") else []
+        if not cells:
+            heading = []
+        elif not heading:
+            heading = cells
+        elif cells[0].startswith(row) and column in heading:
+            return cells[heading.index(column)]
+    raise InputError(f"has no table with a row {row!r} and a column {column!r}", source=f"docs/{source}.md")

@@ -1,0 +1,1 @@
+"""The emulated rig: loop, faults, damaged bytes."""

@@ -1,0 +1,178 @@
+"""Every fault of docs/hardware.md, injected into a running loop; a host that is killed; sim against emulated."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import logging
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from typing import Any
+
+from mjtactile.bench.rig.session import OBJECT, Bench, Closing, EndOfRun, design_at, drive
+from mjtactile.core.errors import DeviceError
+from mjtactile.core.types import Command
+from mjtactile.run.loop import Cycle
+from mjtactile.run.session import Session
+from mjtactile.run.supervisor import Supervisor
+
+FAULTS: dict[str, float] = {
+    "frames_stopped": 1, "frames_frozen": 1, "frames_late": 0.4, "frames_dark": 1, "frames_saturated": 1, "servo_overload": 1,
+    "servo_overheat": 2, "servo_brown_out": 1, "servo_silent": 2, "servo_unplug": 1, "valve_unplug": 1, "valve_silent": 1,
+    "valve_garbage": 1, "puncture": 1}
+"""Kind and value of each fault that is injected while the loop runs; a stuck valve is injected before the references."""
+_LASTING = ("servo_overload", "servo_overheat", "servo_brown_out", "servo_unplug", "valve_unplug")
+"""What an emulator does not recover from without its power being switched."""
+_FAULT_CYCLE, _WATCH = 12, 3.0  # s after the fault in which the loop must react
+
+
+class _Stopwatch(Supervisor):
+    """Notes when it really changed its state: a transition bears the time at which its cycle began."""
+
+    def __init__(self, period: float):
+        super().__init__(period)
+        self.entered: list[tuple[float, str]] = []
+
+    def _enter(self, state: str, reason: str, now: float) -> None:
+        super()._enter(state, reason, now)
+        self.entered.append((time.monotonic(), state))
+
+
+class FaultBench:
+    """Injects faults one after the other, into the same emulator as long as it lasts."""
+
+    def __init__(self) -> None:
+        self._bench: Bench | None = None
+        logging.getLogger("mjtactile").setLevel(logging.CRITICAL)  # what is unplugged cannot be switched off: said 100 times
+
+    def close(self) -> None:
+        if self._bench is not None:
+            self._bench.close()
+            self._bench = None
+
+    def end(self) -> None:
+        self.close()
+        logging.getLogger("mjtactile").setLevel(logging.NOTSET)
+
+    def react(self, kind: str, value: float) -> dict[str, Any]:
+        """One fault; s from its injection until the loop had left `running`, and what became of it."""
+        self._bench = bench = self._bench or Bench("emulated", design_at(30.0))
+        supervisor, injected, cycles = _Stopwatch(1 / 30), [0.0], [0]
+
+        def on_cycle(cycle: Cycle) -> None:
+            cycles[0] += cycle.state == "running" or injected[0] > 0
+            if cycles[0] == _FAULT_CYCLE and not injected[0]:
+                injected[0] = time.monotonic()
+                bench.process.fault(kind, value)
+            if injected[0] and time.monotonic() - injected[0] > _WATCH:
+                raise EndOfRun
+
+        outcome = drive(bench, Closing(), on_cycle, supervisor=supervisor)
+        left = [at for at, state in supervisor.entered if state in ("holding", "safe", "latched") and at >= injected[0]]
+        if kind in _LASTING:
+            self.close()
+        else:
+            bench.process.fault(kind, 0)
+            time.sleep(0.3)
+        safe = bool(left) and injected[0] > 0
+        return {"safe": safe, "reaction_s": left[0] - injected[0] if safe else None, "state": supervisor.state,
+                "outcome": outcome or supervisor.reason}
+
+
+def stuck() -> dict[str, Any]:
+    """A valve that does not move must be refused by the references or by the valve's own sensor."""
+    bench = Bench("emulated", design_at(30.0))
+    rig = bench.connect()
+    try:
+        bench.process.fault("valve_stuck")
+        Session(rig).take_references()
+        rig.clock.wait_until(rig.clock.now() + 2.0)
+        for valve in rig.valves:
+            valve.state()
+    except DeviceError as error:
+        return {"safe": True, "outcome": str(error)}
+    finally:
+        with contextlib.suppress(DeviceError):
+            rig.close()
+        bench.close()
+    return {"safe": False, "outcome": "not noticed"}
+
+
+def killed() -> dict[str, float | None]:
+    """SIGKILL for a host that holds; s until the servos stopped and the valves were vented by their own watchdogs."""
+    bench = Bench("emulated", design_at(30.0))
+    try:
+        code = base64.b64encode(pickle.dumps(bench.process.connect(bench.rig_file))).decode()
+        host = subprocess.Popen([sys.executable, "-m", "mjtactile.bench.rig.faults", code], stdout=subprocess.PIPE)
+        assert host.stdout
+        host.stdout.readline()  # it holds now
+        host.send_signal(signal.SIGKILL)
+        at = time.monotonic()
+        host.wait()
+        host.stdout.close()
+        time.sleep(1.0)
+        truth = bench.process.truth()
+    finally:
+        bench.close()
+    stops = [t for t in truth["servo_stop_time"].values() if t is not None]
+    return {"servos_stopped_s": max(stops) - at if len(stops) == len(truth["servo_stop_time"]) else None,
+            "valves_vented_s": truth["valve_vent_time"] - at if truth["valve_vent_time"] else None}
+
+
+def _hold(code: str) -> None:
+    """The host that gets killed: hold at 50 Hz, valves open."""
+    from mjtactile.devices.dynamixel.gripper import DynamixelGripper
+    from mjtactile.devices.valve.driver import connect_valves
+
+    rig_file = pickle.loads(base64.b64decode(code))
+    _, valves = connect_valves(rig_file.valves)
+    gripper = DynamixelGripper(rig_file.bus, rig_file.gripper, rig_file.lift)
+    for valve in valves:
+        valve.open(1000.0)
+    start = time.monotonic()
+    while True:
+        state = gripper.state()
+        gripper.command(Command(state.opening, 2.0))
+        for valve in valves:
+            valve.state()
+        if start and time.monotonic() - start > 0.5:
+            start = 0.0
+            sys.stdout.write("holding\n")
+            sys.stdout.flush()
+        time.sleep(0.02)
+
+
+def outcome(seed: int) -> dict[str, Any]:
+    """The same grasp on both rigs: outcome, held force as felt, and as the jaws' drive gives it (simulated: the joint's
+    force; emulated: the servos' current), N."""
+    import tempfile
+
+    import numpy as np
+
+    from mjtactile.recording.reader import load_recording
+    from mjtactile.recording.writer import Recorder
+    from mjtactile.run.grasp import GraspOptions, run_grasp
+    from mjtactile.run.progress import Progress
+
+    result: dict[str, Any] = {"seed": seed}
+    for rig in ("sim", "emulated"):
+        try:
+            options = GraspOptions(object=OBJECT, sensor="dense", controller="gentle", rig=rig, seed=seed)
+            with tempfile.TemporaryDirectory() as folder:
+                with Recorder(folder, {}, frames=False) as recorder:
+                    summary = run_grasp(options, recorder=recorder, progress=Progress(quiet=True)).summary()
+                recording = load_recording(folder)
+            holding = recording.columns["phase"] == "hold"
+            drive = float(np.mean(recording.column("effort", 1)[holding])) if holding.any() else None
+            result[rig] = {key: summary[key] for key in ("outcome", "hold_force_N", "peak_force_N")} | {"hold_drive_N": drive}
+        except DeviceError as error:
+            unknown = dict.fromkeys(("hold_force_N", "peak_force_N", "hold_drive_N"))
+            result[rig] = {"outcome": "fault", "error": str(error)} | unknown
+    return result
+
+
+if __name__ == "__main__":
+    _hold(sys.argv[1])

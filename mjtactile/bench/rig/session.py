@@ -1,0 +1,92 @@
+"""A session of the emulated rig for `mjtactile bench rig`: emulator, rig, and sensing chains with references."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from mjtactile.core.design import SensorDesign, load_sensor
+from mjtactile.core.errors import DeviceError
+from mjtactile.core.types import Command, Observation
+from mjtactile.emulator.process import EmulatorProcess
+from mjtactile.emulator.rig import build_emulated_rig
+from mjtactile.rig.file import RigFile, load_rig_file
+from mjtactile.rig.finger import Rig
+from mjtactile.run.loop import Cycle
+from mjtactile.run.session import Session
+from mjtactile.run.supervisor import Supervisor
+from mjtactile.sensing.chain import Chain, ChainState, Perception
+
+SENSOR, OBJECT = "paper16", "egg"
+
+
+def design_at(rate: float) -> SensorDesign:
+    """The benchmark's sensor with a camera of `rate` Hz."""
+    design = load_sensor(SENSOR)
+    return replace(design, camera=replace(design.camera, rate=rate))
+
+
+@dataclass
+class Closing:
+    """A controller that closes by `speed` m a cycle, and never ends by itself."""
+
+    speed: float = 5e-5
+    path: Path = Path("bench")
+
+    def step(self, observation: Observation) -> Command:
+        return replace(observation.command, opening=observation.command.opening - self.speed, force_limit=2.0)
+
+
+class EndOfRun(BaseException):
+    """Ends a run from within `on_cycle`, at once: any Exception would make the hand retreat first."""
+
+
+class Bench:
+    """An emulator that outlives rigs connected to it: to start one takes longer than most faults."""
+
+    def __init__(self, name: str, design: SensorDesign, *, object_name: str = OBJECT, seed: int = 0):
+        self.rig_file: RigFile = load_rig_file(name)
+        self.design, self.object_name, self.seed = design, object_name, seed
+        self.process = EmulatorProcess(self.rig_file, design, object_name=object_name, seed=seed)
+        self._states: list[ChainState] = []
+
+    def connect(self) -> Rig:
+        return build_emulated_rig(self.rig_file, self.design, object_name=self.object_name, seed=self.seed, emulator=self.process)
+
+    def session(self, rig: Rig) -> Session:
+        """A session with references; those of the first rig are used again, as a calibration is."""
+        if not self._states:
+            session = Session(rig)
+            session.take_references()
+            self._states = [perception.state for perception in session.perceptions if isinstance(perception, Perception)]
+            return session
+        chain = Chain(self.design)
+        session = Session(rig, [Perception(chain, state) for state in self._states])
+        session.inflate()
+        return session
+
+    def close(self) -> None:
+        self.process.close()
+
+
+def drive(bench: Bench, controller: Any, on_cycle: Callable[[Cycle], None], *, supervisor: Supervisor | None = None,
+          time_limit: float = 60.0, on_ready: Callable[[Rig], None] = lambda _: None) -> str:
+    """Connect, take references, run until `on_cycle` raises EndOfRun or a fault ends it; what ended it ("" for EndOfRun)."""
+    rig = bench.connect()
+    try:
+        session = bench.session(rig)
+        on_ready(rig)
+        session.run(controller, time_limit=time_limit, on_cycle=on_cycle, supervisor=supervisor)
+    except EndOfRun:
+        return ""
+    except DeviceError as error:
+        return str(error)
+    finally:
+        with contextlib.suppress(DeviceError):  # what was unplugged cannot be switched off
+            rig.close()
+    return "the controller ended"
+
+

@@ -1,0 +1,1 @@
+"""Hard cases of the simulation, each judged by physics."""

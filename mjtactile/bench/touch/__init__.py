@@ -1,0 +1,1 @@
+"""Touch against truth, random indenters."""

@@ -1,0 +1,43 @@
+"""Where the camera sits in the frame, how large the markers are, and how the membrane rests: from its own pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from mjtactile.calibrate.verdict import mark
+from mjtactile.core.calibration import Calibration, FrameCalibration, RestMarkers
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import DeviceError
+from mjtactile.core.types import Image
+from mjtactile.sensing.chain import Perception
+
+RESIDUAL_MAX_PX = 1.0  # centres of markers in focus are found to 0.05 px; a bent frame or a wrong lens shows as more
+
+
+def calibrate_frame(design: SensorDesign, calibration: Calibration, flat: Sequence[Image], rest: Sequence[Image],
+                    pressure_gauge: float, *, sealed: bool = True) -> tuple[FrameCalibration | None, dict[str, Any], list[str]]:
+    """The part (None where nothing could be measured), what to tell of it, and the reasons to refuse it.
+
+    `flat` and `rest` (may be empty) are images of the membrane with the valve open, and inflated to `pressure_gauge` Pa.
+    """
+    perception = Perception.of(design, calibration)
+    try:
+        found = perception.take_flat(flat)
+        markers = perception.take_rest(rest, pressure_gauge, sealed=sealed) if rest else None
+    except DeviceError as error:  # the pictures do not agree with the sensor file
+        return None, {"sensor": design.name, "images": len(flat)}, [str(error)]
+    reference = perception.state.reference
+    stiffness = None if reference is None else reference.rest.stiffness_scale
+    tilt = np.degrees(np.arccos(np.clip((np.trace(found.R_SC) - 1) / 2, -1, 1)))
+    radii = 1e3 * design.markers.radius * np.array([found.scale.min(), found.scale.max()])
+    report = {"sensor": design.name, "images": len(flat), "residual_px": found.residual_px, "scale_sd": found.scale_sd,
+              "radius_mm": radii, "offset_mm": 1e3 * (found.p_SC - design.camera.p_SC), "tilt_deg": tilt,
+              "rest_stiffness_scale": stiffness}
+    part = FrameCalibration(found.R_SC, found.p_SC, found.scale, found.residual_px, found.scale_sd, mark(design, report),
+                            None if markers is None else RestMarkers(markers, pressure_gauge, sealed), stiffness)
+    reasons = [f"the marker centres are off by {found.residual_px:.2f} px (rms), at most {RESIDUAL_MAX_PX:g} is good: camera "
+               "calibration, marker positions in the sensor file, something that touches"] * (found.residual_px > RESIDUAL_MAX_PX)
+    return part, report, reasons

@@ -1,0 +1,46 @@
+"""`mjtactile calibrate WHAT`: measure what a sensor or a rig needs, once, and keep it with its residuals."""
+
+from __future__ import annotations
+
+import argparse
+
+from mjtactile.commands.calibrate import camera, force, frame, gripper, valve
+
+SIMULATES = False
+KINDS = {"camera": camera, "valve": valve, "frame": frame, "force": force, "gripper": gripper}
+HELP = "calibrate camera, valve, frame, force or gripper, from live devices or recorded input"
+DESCRIPTION = """\
+Measure what a sensor's specimen or a gripper really is, and keep it: each command writes its part,
+with residuals, date, versions, into the calibration file of a finger, which the rig file names
+([[camera]] calibration = "left.json"). grasp, probe, record and reconstruct use it, doctor says
+what is missing. A bad measurement is refused with the reason, and replaces nothing.
+
+The order for a new finger: camera (lens), valve, frame (flat membrane), force; gripper any time."""
+EPILOG = """\
+examples:
+  mjtactile calibrate camera --print board.png             a board to print and glue to glass
+  mjtactile calibrate camera --rig my_gripper.toml --finger left
+  mjtactile calibrate valve --rig my_gripper.toml          both fingers
+  mjtactile calibrate frame --rig my_gripper.toml
+  mjtactile calibrate force --rig my_gripper.toml --load-cell
+  mjtactile calibrate gripper --rig my_gripper.toml
+
+`mjtactile calibrate WHAT --help` says what to do, what is written, and what is refused; docs/hardware.md has the whole
+story with numbers. exit codes: 0 good, 1 measured but refused, 2 bad input, 3 a device failed.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    kinds = parser.add_subparsers(title="what to calibrate", metavar="WHAT", dest="what", required=True)
+    for name, kind in KINDS.items():
+        sub = kinds.add_parser(name, help=kind.HELP, description=kind.DESCRIPTION, epilog=kind.EPILOG,
+                               formatter_class=argparse.RawDescriptionHelpFormatter)
+        kind.add_arguments(sub)
+        for flag, text in (("--json", "print one JSON object to stdout, all else to stderr"),
+                           ("--debug", "show the traceback of an error")):
+            sub.add_argument(flag, action="store_true", default=argparse.SUPPRESS, help=text)
+
+
+def run(options: argparse.Namespace) -> int:
+    return KINDS[options.what].run(options)
+

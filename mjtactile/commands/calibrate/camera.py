@@ -1,0 +1,172 @@
+"""`mjtactile calibrate camera`: lens and focal length from pictures of a ChArUco board."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from pathlib import Path
+from typing import Any
+
+from mjtactile.commands.calibrate import target
+from mjtactile.commands.calibrate.terminal import check_folder, finish, say
+from mjtactile.commands.output import print_json, stdout_to_stderr
+from mjtactile.commands.sources import read_frames
+from mjtactile.core.errors import InputError
+
+HELP = "lens and focal length from pictures of a printed board (ROS camera_info)"
+DESCRIPTION = """\
+Intrinsics of a camera from pictures of a ChArUco board: take the membrane and glass off, print
+the board (--print), glue it to something flat, measure a square with a caliper (--square-mm).
+Take 15 to 30 pictures that fill the view between them, with the board tilted by 20 to 40 degrees
+left, right, up and down in most, sharp to the edges, lens and focus as they will be used.
+
+From pictures (SOURCE: a folder, an image or a video) or live (--rig FILE --finger left: move the
+board; a picture is taken when it rests somewhere new)."""
+EPILOG = """\
+examples:
+  mjtactile calibrate camera --print board.png --square-mm 5
+  mjtactile calibrate camera --rig my_gripper.toml --finger left
+  mjtactile calibrate camera photos/ --square-mm 4.98 --rig my_gripper.toml --finger left
+  mjtactile calibrate camera photos/ --out left.yaml
+  mjtactile locate photo.png --camera left.yaml --radius-mm 1.5
+
+Writes the part `lens` of the finger's calibration file, or with --out FILE.yaml a ROS camera_info (plumb_bob). Both with
+verdict, reasons, date, versions, rms_px (corners, all pictures), holdout_px (in pictures that were not fitted), view_rms_px
+by picture, sd of each parameter, coverage (share of the view), tilt_deg of each picture, dropped pictures.
+Refused (exit code 1): fewer than 8 usable pictures, rms above 0.5 px, holdout above 0.7 px, focal length known to less
+than 0.5 %, fewer than 3 pictures tilted by 15 degrees, corners in less than 60 % of the view.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("source", nargs="?", type=Path, metavar="SOURCE", help="folder, image or video of the board")
+    target.add_arguments(parser, "pictures are taken with its camera", finger="left")
+    parser.add_argument("--views", type=int, default=20, metavar="N", help="pictures to take live (default: 20)")
+    parser.add_argument("--seconds", type=float, default=300.0, metavar="S", help="longest time to take them in (default: 300)")
+    parser.add_argument("--board", default="9x7", metavar="CxR", help="squares of the board in x and y (default: 9x7)")
+    parser.add_argument("--square-mm", type=float, default=5.0, metavar="MM", help="side of a square, as measured (default: 5)")
+    parser.add_argument("--marker-mm", type=float, metavar="MM", help="side of a marker (default: 0.75 squares)")
+    parser.add_argument("--dictionary", default="4X4_50", metavar="NAME", help="ArUco dictionary (default: 4X4_50)")
+    parser.add_argument("--k3", action="store_true", help="fit the distortion's sixth order too (wide lenses)")
+    parser.add_argument("--print", dest="print_to", type=Path, metavar="FILE.png", help="write the board as an image, and end")
+
+
+def run(options: argparse.Namespace) -> int:
+    from mjtactile.calibrate.camera import BoardFinder, calibrate_camera, camera_info, lens_part, report
+    from mjtactile.calibrate.verdict import mark, stamp, write, write_yaml
+
+    board = _board(options)
+    if options.print_to is not None:
+        return _print_board(options, board)
+    if options.source is None and options.rig is None:
+        raise InputError("give pictures (SOURCE), or --rig to take some", field="SOURCE")
+    out: Path | None = options.out
+    goal = None
+    if out is not None and out.suffix in (".yaml", ".yml"):
+        path = check_folder(out)
+    else:
+        goal = target.find_targets(options)[0]
+        path = goal.path
+    finder = BoardFinder(board)
+    with stdout_to_stderr():
+        views, size = _live(options, finder) if options.source is None else _recorded(options.source, finder)
+        fit = calibrate_camera(finder, views, size, k3=options.k3)
+    reasons = fit.reasons if goal is None else _fits(fit, goal.design)
+    verdict, info, residuals = stamp("camera", reasons), camera_info(fit, path.stem), report(fit)
+
+    def to_yaml(path: Path, _: Any) -> None:
+        write_yaml(path, {**info, "calibration": {**verdict, **residuals}})
+
+    if goal is None:
+        path = write(path, verdict, to_yaml)
+    else:
+        goal.write("lens", lens_part(fit, mark(goal.design, residuals)), reasons)
+    fx, fy, cx, cy = fit.K[0, 0], fit.K[1, 1], fit.K[0, 2], fit.K[1, 2]
+    return finish(options, path, {**verdict, **residuals, **info}, [
+        f"{len(fit.view_rms)} pictures, {len(fit.dropped)} left out; corners fit to {fit.rms:.3f} px, "
+        f"{fit.holdout_px:.3f} px in pictures that were not fitted",
+        f"  focal length {fx:.2f}, {fy:.2f} px (sd {fit.sd[0]:.2f}, {fit.sd[1]:.2f}), centre {cx:.2f}, {cy:.2f} px",
+        f"  {100 * fit.coverage:.0f} % of the view seen, board tilted by up to {fit.tilts.max():.0f} degrees"])
+
+
+def _fits(fit, design) -> list[str]:
+    """Why the camera is refused for this sensor; nothing for a good one."""
+    size = design.camera.width, design.camera.height
+    wrong = f"the pictures have {fit.size[0]} x {fit.size[1]} pixels, sensor {design.name!r} has {size[0]} x {size[1]}"
+    return [*fit.reasons, *([wrong] if fit.size != size else [])]
+
+
+def _board(options: argparse.Namespace):
+    from mjtactile.calibrate.camera import Board
+
+    try:
+        columns, rows = (int(part) for part in options.board.lower().split("x"))
+    except ValueError:
+        columns = rows = 0
+    if columns < 3 or rows < 3:
+        raise InputError(f"{options.board!r} is not like 9x7, with 3 or more squares each way", field="--board")
+    if not 0.1 <= options.square_mm <= 1000:
+        raise InputError(f"{options.square_mm:g} is outside 0.1 to 1000", field="--square-mm")
+    square = 1e-3 * options.square_mm
+    marker = 0.75 * square if options.marker_mm is None else 1e-3 * options.marker_mm
+    board = Board(columns, rows, square, marker, options.dictionary)
+    board.make()  # complains
+    return board
+
+
+def _print_board(options: argparse.Namespace, board) -> int:
+    import cv2
+
+    check_folder(options.print_to, "--print")
+    if not cv2.imwrite(str(options.print_to), board.draw()):
+        raise InputError("cannot be written", source=options.print_to, field="--print")
+    width, height = (1e3 * board.square * (n + 1) for n in (board.columns, board.rows))
+    text = f"board of {options.board} squares; print it {width:g} x {height:g} mm large (margin included), check a square"
+    if options.json:
+        print_json({"file": options.print_to, "width_mm": width, "height_mm": height})
+    else:
+        print(f"{text}\nwritten to {options.print_to}")
+    return 0
+
+
+def _recorded(source: Path, finder) -> tuple[list, tuple[int, int]]:
+    from mjtactile.sensing.image.markers import grey_image
+
+    views, sizes, blind = [], set(), 0
+    for frame in read_frames(source):
+        if frame.pixels is None:
+            raise InputError("cannot be read as an image", source=source / frame.name)
+        gray = grey_image(frame.pixels)
+        gray = gray if gray.dtype == "uint8" else (gray >> 8).astype("uint8")
+        sizes.add((gray.shape[1], gray.shape[0]))
+        if len(sizes) > 1:
+            raise InputError(f"pictures of different sizes: {sorted(sizes)}", source=source)
+        view = finder.find(frame.name, gray)
+        blind += view is None
+        if view is not None:
+            views.append(view)
+    if blind:
+        say(f"the board was not found in {blind} of {blind + len(views)} pictures")
+    if not views:
+        raise InputError("the board is in none of the pictures: are --board and --dictionary those of the print?", source=source)
+    return views, sizes.pop()
+
+
+def _live(options: argparse.Namespace, finder) -> tuple[list, tuple[int, int]]:
+    from mjtactile.calibrate.live import camera_pictures, collect_views, live_rig
+    from mjtactile.core.design import load_sensor
+    from mjtactile.devices.camera.opencv import OpenCvCamera
+
+    with contextlib.ExitStack() as stack:
+        rig_file, _ = stack.enter_context(live_rig(options.rig, load_sensor("dense")))
+        config = next((c for c in rig_file.cameras if c.finger == options.finger), None)
+        if config is None:
+            raise InputError(f"the rig has no {options.finger} camera", source=rig_file.path, field="--finger")
+        camera = OpenCvCamera(config)
+        stack.callback(camera.close)
+        say(f"{camera.name}: hold the board into the view, still for a moment; then elsewhere, tilted. Ctrl-C gives up.")
+        views = collect_views(camera_pictures(camera, options.seconds), finder, options.views, say)
+    if not views:
+        raise InputError(f"the board was never seen resting within {options.seconds:g} s: are --board and --dictionary those of "
+                         "the print, and is it sharp?", field="--rig")
+    return views, (config.width, config.height)

@@ -1,0 +1,119 @@
+"""`mjtactile calibrate frame`: the camera's pose in the sensor, the markers' radii and the rest state, from images."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from pathlib import Path
+from typing import Any
+
+from mjtactile.commands.calibrate import target
+from mjtactile.commands.calibrate.terminal import finish_all, say
+from mjtactile.commands.output import stdout_to_stderr
+from mjtactile.commands.reconstruct import to_image
+from mjtactile.commands.sources import read_frames
+from mjtactile.core.design import SensorDesign, load_sensor
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Image
+
+HELP = "camera pose and marker radii from the flat membrane"
+DESCRIPTION = """\
+From images with the valve open and nothing touching (the membrane is flat), find the
+camera's pose against the frame and each marker's true radius. With images of the inflated
+membrane too, the rest state that forces are measured against. Refuses what does not agree
+with the sensor file."""
+EPILOG = """\
+examples:
+  mjtactile calibrate frame --rig my_gripper.toml                   both fingers, with their valves and cameras
+  mjtactile calibrate frame flat/ --rest rest/ --pressure-kPa 1.0 --rig my_gripper.toml --finger left
+  mjtactile calibrate frame flat/ --sensor my_sensor.toml --out left.json
+
+A grasp measures the same anew each time; `mjtactile reconstruct --calibration` uses what is in the file.
+Writes the part `frame` of each finger's calibration file. JSON (of several fingers: {"fingers": {FINGER: …}}): {"sensor",
+"images", "residual_px" (marker centres, rms), "scale_sd" (scatter of the radii over the images), "radius_mm": [lowest,
+highest], "offset_mm" and "tilt_deg" of the camera against the sensor file, "rest_stiffness_scale" (elastic forces of the
+sensor file times this balance the pressure; null without rest images), "verdict", "reasons", "date", "versions", "file"}.
+Refused (exit code 1): markers missing or of another size than the sensor file says, centres off by more than 1 px.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("source", nargs="?", type=Path, metavar="FLAT",
+                        help="image, folder or video of the flat membrane, valve open")
+    target.add_arguments(parser, "pictures are taken with its valves and cameras")
+    parser.add_argument("--rest", type=Path, metavar="SOURCE", help="images of the inflated membrane, nothing touching")
+    parser.add_argument("--pressure-kPa", dest="pressure", type=float, metavar="P",
+                        help="gauge pressure in the rest images, as its sensor says (default: the sensor's supply pressure)")
+    parser.add_argument("--valve", choices=["closed", "open"], default="closed", help="in use after the rest images")
+
+
+def run(options: argparse.Namespace) -> int:
+    from mjtactile.calibrate.frame import calibrate_frame
+    from mjtactile.calibrate.verdict import stamp
+
+    if options.source is None and options.rig is None:
+        raise InputError("give images (FLAT), or --rig to take some", field="FLAT")
+    targets = target.find_targets(options)
+    if options.source is not None and len(targets) > 1:
+        raise InputError("the images are of one finger: which?", field="--finger")
+    with stdout_to_stderr():
+        taken = _live(options, targets) if options.source is None else [_recorded(options, targets[0].design)]
+    results = {}
+    for goal, (flat, rest, reading, sealed) in zip(targets, taken, strict=True):
+        before = goal.load().used(goal.design)
+        pressure = goal.design.chamber.supply_gauge if reading is None else before.pressure(reading)
+        with stdout_to_stderr():
+            part, report, reasons = calibrate_frame(goal.design, before, flat, rest, pressure, sealed=sealed)
+        goal.write("frame", part, reasons)
+        results[goal.finger] = goal.path, stamp("frame", reasons) | report, _lines(report)
+    return finish_all(options, results)
+
+
+Taken = tuple[list[Image], list[Image], float | None, bool]
+"""Images of the flat membrane, of the inflated one (none: only flat), what its pressure sensor says, Pa (None: there is none),
+and whether the chamber is sealed."""
+
+
+def _recorded(options: argparse.Namespace, design: SensorDesign) -> Taken:
+    rest = [] if options.rest is None else _images(options.rest, design)
+    pressure = None if options.pressure is None else 1e3 * options.pressure
+    return _images(options.source, design), rest, pressure, options.valve == "closed"
+
+
+def _live(options: argparse.Namespace, targets: list[target.Target]) -> list[Taken]:
+    """Open the valves, take pictures, inflate, seal, take pictures; the jaws stand still."""
+    from mjtactile.calibrate.live import live_rig, reference_pictures
+    from mjtactile.devices.rig import build_device_rig
+
+    design = load_sensor(options.sensor)
+    with contextlib.ExitStack() as stack:
+        rig_file, _ = stack.enter_context(live_rig(options.rig, design))
+        rig = build_device_rig(rig_file, design, name=rig_file.name)
+        stack.callback(rig.close)
+        pictures = reference_pictures(rig, say)
+    return [(*pictures[place], True) for place in target.places(targets, rig_file)]
+
+
+def _images(source: Path, design: SensorDesign) -> list[Image]:
+    """All images of a source; one that cannot be used is an error here, since a calibration should not be guesswork."""
+    images = []
+    for frame in read_frames(source):
+        image = to_image(frame, design)
+        if isinstance(image, str):
+            raise InputError(image, source=frame.name, field="image")
+        images.append(image)
+    return images
+
+
+def _lines(report: dict[str, Any]) -> list[str]:
+    lines = [f"{report['sensor']}: {report['images']} images of the flat membrane"]
+    if "offset_mm" in report:
+        offset = ", ".join(f"{v:+.3f}" for v in report["offset_mm"])
+        low, high = report["radius_mm"]
+        lines += [f"  marker centres fit to {report['residual_px']:.3f} px (rms)",
+                  f"  camera is off the sensor file by ({offset}) mm and {report['tilt_deg']:.3f} deg",
+                  f"  marker radii {low:.4f} to {high:.4f} mm, each known to {100 * report['scale_sd']:.2f} % from one image"]
+    if report.get("rest_stiffness_scale") is not None:
+        stiffer = 100 * (report["rest_stiffness_scale"] - 1)
+        lines.append(f"  at rest the membrane is {stiffer:+.1f} % stiffer than the sensor file says")
+    return lines

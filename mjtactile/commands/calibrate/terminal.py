@@ -1,0 +1,71 @@
+"""What the calibrations share at the terminal: guidance, prompts, the result."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from mjtactile.commands.output import print_json
+from mjtactile.core.errors import InputError
+
+
+def say(text: str) -> None:
+    """Tell the person what happens or what to do; stdout is for the result."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def finish(options: argparse.Namespace, path: Path, result: dict, lines: list[str]) -> int:
+    """Print the result; the exit code is 0 for a good calibration and 1 for a refused one."""
+    if options.json:
+        print_json({**result, "file": path})
+    else:
+        print("\n".join(lines))
+        for reason in result["reasons"]:
+            print(f"  REFUSED: {reason}")
+        print(f"  {result['verdict']}; written to {path}")
+    return 0 if result["verdict"] == "good" else 1
+
+
+def finish_all(options: argparse.Namespace, results: Mapping[str, tuple[Path, dict[str, Any], list[str]]]) -> int:
+    """The same of one finger or several: the file, the result and the lines of each; 1 when one of them was refused."""
+    if options.json and len(results) > 1:
+        reasons = [f"{finger}: {reason}" for finger, (_, result, _) in results.items() for reason in result["reasons"]]
+        print_json({"verdict": "refused" if reasons else "good", "reasons": reasons,
+                    "fingers": {finger: {**result, "file": path} for finger, (path, result, _) in results.items()}})
+        return 1 if reasons else 0
+    return max(finish(options, path, result, [f"{finger}:", *lines]) for finger, (path, result, lines) in results.items())
+
+
+def _line(prompt: str) -> str:
+    print(prompt, end="" if sys.stdin.isatty() else "\n", file=sys.stderr, flush=True)
+    line = sys.stdin.readline()
+    if not line:
+        raise InputError("nobody answers on the terminal; give the readings in a CSV file instead (see --help)")
+    return line
+
+
+def confirm(text: str) -> None:
+    """Wait until a person has done what `text` says. Raises InputError when there is nobody."""
+    _line(f"{text}, then press Enter ")
+
+
+def ask(text: str) -> float | None:
+    """Ask for a number on the terminal; an empty line skips. Raises InputError when there is nobody to answer."""
+    while True:
+        line = _line(f"{text} [empty: skip]: ")
+        if not line.strip():
+            return None
+        try:
+            return float(line.replace(",", "."))
+        except ValueError:
+            say(f"{line.strip()!r} is not a number")
+
+
+def check_folder(path: Path, field: str = "--out") -> Path:
+    """Refuse an output file whose folder is not there, before any work is done. Raises InputError."""
+    if not path.parent.is_dir():
+        raise InputError("no such folder", source=path.parent, field=field)
+    return path

@@ -1,0 +1,97 @@
+"""`mjtactile new`: a commented file of your own to start from, copied from one that ships."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from mjtactile.commands.output import print_json
+from mjtactile.core import resources
+from mjtactile.core.errors import InputError
+
+SIMULATES = False
+HELP = "start your own controller, sensor, object or rig from a commented copy"
+DESCRIPTION = """\
+Write a copy of a shipped controller, sensor, object or rig file, with its comments, under your
+own name, and say what to run next. An existing file is never overwritten."""
+EPILOG = """\
+examples:
+  mjtactile new controller firm            firm.py, a copy of `gentle`
+  mjtactile new sensor lab/my_sensor       lab/my_sensor.toml, a copy of `dense`
+  mjtactile new object plum --like strawberry
+  mjtactile new rig my_gripper --like one_xl330_linkage
+  mjtactile new rig my_arm --like sim_arm  my_arm.toml, and the robot in it, my_arm.xml
+"""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Where such files ship, how they end, which one to copy, the page about them, what to run with one, and the text in
+    it that says its name."""
+
+    folder: str
+    suffix: str
+    like: str
+    page: str
+    next: str
+    name: str = ""
+
+
+KINDS = {
+    "controller": Kind("controllers", ".py", "gentle", "controllers", "mjtactile grasp --controller {file}"),
+    "sensor": Kind("models/sensors", ".toml", "dense", "sensors", "mjtactile inflate --sensor {file} --pressure-kPa 1",
+                   r'(?m)^(name = )"[^"]*"'),
+    "object": Kind("models/objects", ".xml", "egg", "objects", "mjtactile grasp --object {file}", r'(<mujoco model=)"[^"]*"'),
+    "rig": Kind("models/rigs", ".toml", "two_xm430", "hardware", "mjtactile doctor --rig {file}", r'(?m)^(name = )"[^"]*"'),
+}
+_MODEL = r'(?m)^(model = )"([^"]+\.xml)"'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("kind", choices=list(KINDS), metavar="KIND", help=", ".join(KINDS))
+    parser.add_argument("name", type=Path, metavar="NAME", help="its name, or the path of the file to write")
+    parser.add_argument("--like", metavar="SHIPPED", help="what to copy (default: "
+                        + ", ".join(f"{kind.like} for a {name}" for name, kind in KINDS.items()) + ")")
+
+
+def run(options: argparse.Namespace) -> int:
+    kind = KINDS[options.kind]
+    source = _shipped(kind, options.like or kind.like)
+    path = options.name if options.name.suffix == kind.suffix else options.name.with_name(options.name.name + kind.suffix)
+    text = source.read_text(encoding="utf-8")
+    if kind.name:
+        text = re.sub(kind.name, rf'\1"{path.stem}"', text, count=1)
+    files, page = {path: text}, kind.page
+    if options.kind == "rig" and (model := re.search(_MODEL, text)):  # its robot comes along, beside it
+        robot = path.with_suffix(".xml")
+        files[path] = re.sub(_MODEL, rf'\1"{robot.name}"', text, count=1)
+        page = "robots"
+        files[robot] = (source.parent / model.group(2)).read_text(encoding="utf-8")
+    for file in files:
+        if file.exists():
+            raise InputError("exists already, and nothing is overwritten; choose another name", source=file)
+    for file, content in files.items():
+        _write(file, content)
+    what_next = kind.next.format(file=path if path.is_absolute() or len(path.parts) > 1 else f"./{path}")
+    if options.json:
+        print_json({"file": path, "files": list(files), "like": source.stem, "next": what_next})
+    else:
+        print(f"{', '.join(map(str, files))}: a copy of {source.stem}; change it, then\n  {what_next}\n  mjtactile docs {page}")
+    return 0
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror}", source=path) from error
+
+
+def _shipped(kind: Kind, like: str) -> Path:
+    """The shipped file of that name; a user's own file can be copied by other means."""
+    if like not in resources.names(kind.folder, kind.suffix):
+        raise InputError(f"{like!r} does not ship", field="--like", choices=resources.names(kind.folder, kind.suffix))
+    return resources.find(like, kind.folder, kind.suffix)

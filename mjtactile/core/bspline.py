@@ -1,0 +1,52 @@
+"""Splines in one dimension: the bases that everything in two is a product of.
+
+`Cubic` are the clamped cubic B-splines that vanish at both ends, `hats` the piecewise linear ones, `interpolating` goes
+through given values.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import BSpline, make_interp_spline
+
+from mjtactile.core.types import Array
+
+_DEGREE = 3
+
+
+class Cubic:
+    """Cubic B-splines on [-length/2, length/2] over `spans` equal intervals, without the two that do not vanish at the
+    ends; there are `count` = spans + 1.
+
+    `breaks` (spans + 1,) are the ends of the intervals; `points`, `weights` (spans * gauss,) Gauss-Legendre quadrature
+    with `gauss` nodes in each, exact up to degree 2 gauss - 1.
+    """
+
+    def __init__(self, length: float, spans: int, gauss: int):
+        self.length, self.spans, self.count = length, spans, spans + _DEGREE - 2
+        self.breaks = np.linspace(-length / 2, length / 2, spans + 1)
+        knots = np.r_[[self.breaks[0]] * _DEGREE, self.breaks, [self.breaks[-1]] * _DEGREE]
+        self._splines = BSpline(knots, np.eye(spans + _DEGREE), _DEGREE)
+        node, weight = np.polynomial.legendre.leggauss(gauss)
+        half = length / spans / 2
+        self.points, self.weights = ((self.breaks[:-1] + half)[:, None] + half * node).ravel(), np.tile(half * weight, spans)
+
+    def at(self, x: ArrayLike, derivative: int = 0) -> Array:
+        """Values (N, count) of the splines or of a derivative at `x` (N,), which is cut to the interval."""
+        x = np.clip(np.asarray(x, dtype=float), -self.length / 2, self.length / 2)
+        return self._splines(x, nu=derivative)[:, 1:-1]
+
+
+def hats(knots: Array, at: Array) -> tuple[Array, Array]:
+    """Values and slopes (len(at), len(knots)) of the piecewise linear hats on evenly spaced `knots`."""
+    step = knots[1] - knots[0]
+    distance = (at[:, None] - knots) / step
+    inside = np.abs(distance) < 1
+    return np.where(inside, 1 - np.abs(distance), 0.0), np.where(inside, -np.sign(distance) / step, 0.0)
+
+
+def interpolating(knots: Array, at: Array) -> tuple[Array, Array]:
+    """Matrices (N, n) that take values at `knots` to values and slopes at `at` of the cubic through them (not-a-knot)."""
+    spline = make_interp_spline(knots, np.eye(len(knots)), k=_DEGREE)
+    return spline(at), spline.derivative()(at)

@@ -1,0 +1,49 @@
+"""One exception tree. Every error carries the process exit code that the command line reports for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+
+class MjtactileError(Exception):
+    """Base of all errors that this package raises on purpose; its text is one line for a person to read."""
+
+    exit_code = 3
+
+
+class InputError(MjtactileError):
+    """Bad configuration or arguments: names the file or argument, the field, and the valid choices."""
+
+    exit_code = 2
+
+    def __init__(self, message: str, *, source: object = None, field: str | None = None,
+                 choices: Iterable[object] | None = None):
+        self.source, self.field = source, field
+        where = ": ".join(str(part) for part in (source, field) if part is not None)
+        text = f"{where}: {message}" if where else message
+        if choices is not None:
+            text += f" (valid: {', '.join(str(choice) for choice in choices)})"
+        super().__init__(text)
+
+
+class ControllerError(InputError):
+    """A user's controller raised, returned nothing, or returned a value that cannot be carried out."""
+
+
+class Interrupted(MjtactileError):
+    """A signal asked the run to end, and it did so in order."""
+
+    def __init__(self) -> None:
+        super().__init__("interrupted")
+
+
+class DeviceError(MjtactileError):
+    """A device is missing, stale or faulted."""
+
+
+class SimulationError(MjtactileError):
+    """The simulation diverged or left the range in which its numbers mean something."""
+
+    def __init__(self, reason: str, *, step: int, time: float):
+        self.reason, self.step, self.time = reason, step, time
+        super().__init__(f"simulation failed at step {step} (t = {time:.4f} s): {reason}")

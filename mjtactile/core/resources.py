@@ -1,0 +1,39 @@
+"""Where the shipped sensors, objects, grippers and controllers are: beside the package in a checkout, inside it in a wheel."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mjtactile.core.errors import InputError
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def folder(name: str) -> Path:
+    """Return the shipped folder `name`, such as "models/sensors" or "controllers"."""
+    for root in (_PACKAGE, _PACKAGE.parent):
+        if (root / name).is_dir():
+            return root / name
+    raise InputError("the installation is incomplete: folder not found", source=_PACKAGE, field=name)
+
+
+def names(kind: str, suffix: str) -> list[str]:
+    """Return the names that a user may give for files shipped in folder `kind`."""
+    return sorted(path.stem for path in folder(kind).glob(f"*{suffix}"))
+
+
+def find(name_or_path: str | Path, kind: str, suffix: str) -> Path:
+    """Resolve a shipped name or a user's path to a file.
+
+    Raises InputError that lists the shipped names when there is no such file.
+    """
+    text, what = str(name_or_path), kind.rsplit("/", 1)[-1].rstrip("s")
+    if text.endswith(suffix) or "/" in text:
+        path = Path(text).expanduser()
+        if path.is_file():
+            return path
+        raise InputError("no such file", source=text, field=what, choices=[*names(kind, suffix), f"FILE{suffix}"])
+    path = folder(kind) / f"{text}{suffix}"
+    if path.is_file():
+        return path
+    raise InputError(f"unknown {what}", source=text, choices=[*names(kind, suffix), f"FILE{suffix}"])

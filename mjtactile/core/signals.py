@@ -1,0 +1,110 @@
+"""Signals that ask a process to end. While devices are connected they are noted, and acted on where the loop allows it.
+
+An exception in the middle of whatever the main thread does, which is Python's own answer to Ctrl-C, could cut a shutdown
+short: torque on, chambers sealed. Blocking a signal in one thread does not help, since any other thread takes it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from types import FrameType
+
+from mjtactile.core.errors import Interrupted
+
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+SECOND_TIME = 1.0  # s; what comes sooner after the first signal means the same: a finger that bounces, a shell that repeats it
+LEAVE_TIME = 1.0  # s for the process to be gone once nothing is connected any more
+EXIT_CODE = Interrupted.exit_code
+
+
+class Stop:
+    """What the signals have asked for so far: `asked` to end in order, `at_once` (a second one) without delay."""
+
+    def __init__(self, *, ends_process: bool = False):
+        self.asked = self.at_once = False
+        self._first = 0.0
+        self._deferrals = 0
+        self._ends_process = ends_process
+
+    def check(self) -> None:
+        """Raise Interrupted when a signal has come."""
+        if self.asked:
+            raise Interrupted
+
+    def hear(self, number: int, frame: FrameType | None) -> None:
+        """The signal handler: note it, and raise KeyboardInterrupt only while nothing is connected."""
+        now = time.monotonic()
+        if self.asked and now - self._first < SECOND_TIME:
+            return
+        self.at_once = self.asked
+        if not self.asked:
+            self.asked, self._first = True, now
+        if not self._deferrals:
+            raise KeyboardInterrupt
+
+    @contextlib.contextmanager
+    def defer(self) -> Iterator[None]:
+        """Raise nothing within this block; Interrupted at its end if a signal came meanwhile."""
+        before = self.asked
+        self._deferrals += 1
+        try:
+            yield
+        finally:
+            self._deferrals -= 1
+            if not self._deferrals and self.asked and self._ends_process:
+                _leave_within(LEAVE_TIME)
+        if not self._deferrals and self.asked and not before:
+            raise Interrupted
+
+
+_heard: Stop | None = None  # signals belong to the process, and so does this
+
+
+@contextlib.contextmanager
+def listening(*, ends_process: bool = False) -> Iterator[Stop]:
+    """Hear the signals in `ENDING`; one that the process was told to ignore (nohup) stays ignored.
+
+    Inside another such block, that one's `Stop` is given. Outside of the main thread, where Python installs no handlers,
+    nothing is heard. `ends_process`: the process ends with this block: afterwards the signals are ignored, and
+    after a deferral in which one came it is gone within LEAVE_TIME, whatever hangs then.
+    """
+    global _heard  # noqa: PLW0603
+    if _heard is not None or threading.current_thread() is not threading.main_thread():
+        yield _heard or Stop()
+        return
+    _heard = stop = Stop(ends_process=ends_process)
+    before = {number: signal.getsignal(number) for number in ENDING}
+    try:
+        for number, handler in before.items():
+            if handler is not signal.SIG_IGN:
+                signal.signal(number, stop.hear)
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, signal.SIG_IGN if ends_process else handler)
+        _heard = None
+
+
+@contextlib.contextmanager
+def deferred() -> Iterator[Stop]:
+    """Note signals within this block instead of raising: for as long as anything is connected. See `Stop.defer`."""
+    with listening() as stop, stop.defer():
+        yield stop
+
+
+def check() -> None:
+    """Raise Interrupted when a signal has come and is deferred: a place where it does no harm."""
+    if _heard is not None:
+        _heard.check()
+
+
+def _leave_within(seconds: float) -> None:
+    """End the process after `seconds` s if it is still there: an output that blocks must not keep it."""
+    timer = threading.Timer(seconds, os._exit, (EXIT_CODE,))
+    timer.daemon = True
+    timer.start()

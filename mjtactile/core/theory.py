@@ -1,0 +1,125 @@
+"""Closed forms of membrane mechanics that the simulator is compared with. Pure functions, SI units.
+
+Rectangle 2a x 2b under pressure p, pre-tension T0 per length, membrane stiffness E h, Poisson ratio nu:
+
+    p = C1(b/a) T0 w0 / a^2 + C2(b/a, nu) E h w0^3 / a^4                                       (Eq. M1)
+
+Each coefficient is exact where the other term vanishes; between, the shapes differ and the sum is good to about 2 %.
+The table was recomputed by Ritz, series and finite elements, which agree to 0.01 %; fits in print are 1-1.6 % low.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
+from scipy.optimize import brentq
+
+from mjtactile.core.design import SensorDesign
+
+_ASPECT = (1.0, 1.25, 4 / 3, 1.5, 2.0, 3.0, 4.0)
+_C1 = (3.3934493, 2.7929932, 2.6675326, 2.4808630, 2.1954508, 2.0377822, 2.0077390)
+_POISSON = (0.3, 0.45, 0.49, 0.5)
+_C2 = ((2.6565755, 3.2229637, 3.4290257, 3.4855694), (1.8907476, 2.2762197, 2.4170213, 2.4556830),
+       (1.7765972, 2.1292712, 2.2584356, 2.2939176), (1.6387461, 1.9459958, 2.0592634, 2.0904129),
+       (1.5087289, 1.7555740, 1.8486688, 1.8743754), (1.4764684, 1.6953797, 1.7807478, 1.8044870),
+       (1.4694049, 1.6811347, 1.7650312, 1.7884530))
+
+
+def rectangle_coefficients(aspect: float, poisson: float) -> tuple[float, float]:
+    """C1, C2 of Eq. M1 for b/a = `aspect` (1 to 4) and nu (0.3 to 0.5); NaN outside of the table."""
+    if not (_ASPECT[0] <= aspect <= _ASPECT[-1] and _POISSON[0] <= poisson <= _POISSON[-1]):
+        return np.nan, np.nan
+    c1 = float(PchipInterpolator(_ASPECT, _C1)(aspect))
+    c2 = float(RegularGridInterpolator((_ASPECT, _POISSON), _C2, method="pchip" if aspect not in _ASPECT else "linear")(
+        (aspect, poisson)))
+    return c1, c2
+
+
+def bulge_height(design: SensorDesign, pressure_gauge: float) -> float:
+    """Height w0, m, of the middle of the inflated rectangle, or circle with C1 = 4 and Hencky's C2, at a gauge pressure, Pa
+    (Eq. M1); NaN outside of the table.
+
+    Seen from the mounted sheet, stretched by l, the stiffness is l^2 E h (docs/equations.md, Eq. F4).
+    """
+    short, long = sorted((design.frame.width, design.frame.length))
+    a, sheet = short / 2, design.membrane
+    if design.frame.shape == "circle":
+        c1, c2 = 4.0, hencky_factor(sheet.poisson) ** -3
+    else:
+        c1, c2 = rectangle_coefficients(long / short, sheet.poisson)
+    linear = c1 * sheet.pretension / a**2
+    cubic = c2 * sheet.young * sheet.thickness * sheet.pre_stretch**2 / a**4
+    if not np.isfinite(linear + cubic) or linear < 0:
+        return np.nan
+    height = abs(pressure_gauge) ** (1 / 3) / cubic ** (1 / 3)  # the membrane without pre-tension: an upper bound
+    if height == 0:
+        return 0.0
+    return float(np.sign(pressure_gauge) * brentq(lambda w: linear * w + cubic * w**3 - abs(pressure_gauge), 0.0, height * 1.01))
+
+
+HENCKY = {0.0: 0.7183192, 0.2: 0.6774353, 0.3: 0.6534433, 1 / 3: 0.6447764, 0.4: 0.6262551, 0.45: 0.6111706,
+          0.49: 0.5982436, 0.5: 0.5948790}
+"""w0 / a (E h / p a)^(1/3) of a flat clamped circle without pre-tension, by Poisson ratio (Hencky's series)."""
+
+
+_POINT_LOAD = {0.0: 0.86098, 0.2: 0.95729, 0.3: 1.02206, 1 / 3: 1.0472, 0.4: 1.10435, 0.5: 1.21334}
+
+
+def hencky_factor(poisson: float) -> float:
+    """w0 / a (E h / p a)^(1/3) of Eq. M2 for nu from 0 to 0.5."""
+    return float(PchipInterpolator(list(HENCKY), list(HENCKY.values()))(poisson))
+
+
+def hencky_height(radius: float, stiffness: float, poisson: float, pressure: float) -> float:
+    """Height, m, of a clamped circular membrane of `radius` m and `stiffness` E h N/m under `pressure` Pa (Eq. M2)."""
+    return radius * hencky_factor(poisson) * (pressure * radius / stiffness) ** (1 / 3)
+
+
+def point_load(radius: float, stiffness: float, poisson: float, depth: float) -> float:
+    """Force, N, that pushes the middle of a clamped circle without pre-tension in by `depth` m (Eq. M6)."""
+    kappa = float(PchipInterpolator(list(_POINT_LOAD), list(_POINT_LOAD.values()))(poisson))
+    return kappa * stiffness * depth**3 / radius**2
+
+
+def sphere_on_circle(radius: float, tension: float, sphere: float, force: float) -> float:
+    """Depth, m, to which a `force` N presses a sphere of radius `sphere` m into a circle under constant `tension` N/m
+    (Eq. M4); for slopes that are small and a contact that is small against the circle."""
+    contact_square = force * sphere / (2 * np.pi * tension)
+    return force / (2 * np.pi * tension) * (np.log(radius / np.sqrt(contact_square)) + 0.5)
+
+
+def stvk_height_error(stretch: float, pre_stretch: float = 1.0) -> float:
+    """By how much, as a share, the bulge of a St. Venant-Kirchhoff sheet is lower than a neo-Hookean one's (Eq. M7).
+
+    `stretch` and `pre_stretch` count from the free sheet. The two tensions part as 4 e with the strain e beyond the
+    mounted state; a height goes with the cube root of stiffness; a pre-tension, which both share, dilutes it.
+    """
+    strain = max(stretch / pre_stretch - 1, 0.0)
+    added, shared = stretch**2 - pre_stretch**2, max(pre_stretch**2 - 1, 0.0)
+    return 4 / 3 * strain * (added / (added + shared) if added > 0 else 0.0)
+
+
+def neo_hookean_young(design: SensorDesign, pressure_gauge: float) -> float:
+    """Young's modulus, Pa, with which a St. Venant-Kirchhoff sheet bulges as high as a neo-Hookean one of the design's
+    modulus does at a gauge pressure, Pa (Eq. M7): the secant at that pressure, first order in the strain beyond mounting.
+    """
+    sheet, half_width = design.membrane, min(design.frame.length, design.frame.width) / 2
+    height = bulge_height(design, abs(pressure_gauge))
+    if not height > 0:
+        return sheet.young
+    stretch = sheet.pre_stretch * (1 + 2 / 3 * (height / half_width) ** 2)
+    wanted = height * (1 + stvk_height_error(stretch, sheet.pre_stretch))
+
+    def too_high(young: float) -> float:
+        return bulge_height(replace(design, membrane=replace(sheet, young=young)), abs(pressure_gauge)) - wanted
+
+    return float(brentq(too_high, 0.1 * sheet.young, sheet.young))  # type: ignore[arg-type]
+
+
+def stvk_stretch_limit(pre_stretch: float, error: float = 0.02) -> float:
+    """The stretch against the free sheet at which `stvk_height_error` reaches `error`."""
+    root: Any = brentq(lambda s: stvk_height_error(s, pre_stretch) - error, pre_stretch, 2 * pre_stretch)
+    return float(root)

@@ -1,0 +1,203 @@
+"""Read TOML and JSON files field by field: each value is checked for kind and range, and what is wrong is one line that
+names the file, the field, the value and the valid choices."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import tomllib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core.errors import InputError
+
+LARGEST = 8 << 20  # bytes; no file that a person writes is larger, and a larger one would only be slow to refuse
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The table in a TOML file. Raises InputError where it cannot be read or is not TOML."""
+    return _parse(path, "TOML", tomllib.loads)
+
+
+def read_json(path: Path) -> Any:
+    """The value in a JSON file. Raises InputError where it cannot be read or is not JSON."""
+    return _parse(path, "JSON", json.loads)
+
+
+def _parse(path: Path, kind: str, parse: Callable[[str], Any]) -> Any:
+    try:
+        if path.stat().st_size > LARGEST:
+            raise InputError(f"larger than {LARGEST >> 20} MiB: not such a file", source=path)
+        return parse(path.read_text(encoding="utf-8-sig"))  # editors on Windows put a byte order mark in front
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", source=path) from error
+    except (ValueError, RecursionError) as error:  # ValueError: the parsers' own errors, and bytes that are not UTF-8
+        raise InputError(f"not valid {kind}: {' '.join(str(error).split())}", source=path) from error
+
+
+class Section:
+    """A table of a file (`source`) that is read once, field by field; `done` complains about what nobody asked for.
+
+    `label` is the table's place in the file ("" for the whole file). A field without `default` is required; a `default`
+    is returned as it is, without scale.
+    """
+
+    def __init__(self, table: Mapping[str, Any], label: str, source: str):
+        self._table, self._label, self._source = table, label, source
+        self._asked: list[str] = []
+
+    def fail(self, key: str, message: str, choices: Iterable[object] | None = None) -> InputError:
+        """The error to raise for field `key`."""
+        return InputError(message, source=self._source, field=self._place(key), choices=choices)
+
+    def number(self, key: str, low: float, high: float, scale: float = 1.0, default: Any = ...) -> Any:
+        """A number within [low, high] (in the file's unit), times `scale`."""
+        value = self._get(key, default)
+        return default if value is None else self._number(key, value, low, high) * scale
+
+    def numbers(self, key: str, names: Sequence[str], low: float, high: float, scale: float = 1.0, default: Any = ...) -> Any:
+        """One number for each of `names`, within [low, high] (in the file's unit), times `scale`, as a tuple of floats."""
+        value = self._get(key, default)
+        if value is None:
+            return default
+        if not isinstance(value, list) or len(value) != len(names):
+            raise self.fail(key, f"{value!r} is not a list of {len(names)} numbers ({', '.join(names)})")
+        return tuple(float(self._number(f"{key}[{i}]", item, low, high) * scale) for i, item in enumerate(value))
+
+    def pairs(self, key: str) -> tuple[tuple[float, float], ...]:
+        """A list of [x, y] pairs of finite numbers."""
+        value = self._get(key, ...)
+        if not isinstance(value, list) or not all(isinstance(pair, list) and len(pair) == 2 for pair in value):
+            raise self.fail(key, f"{value!r} is not a list of [x, y] pairs")
+        return tuple((float(self._number(f"{key}[{i}]", x, -1e9, 1e9)), float(self._number(f"{key}[{i}]", y, -1e9, 1e9)))
+                     for i, (x, y) in enumerate(value))
+
+    def array(self, key: str, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
+        """Nested lists of finite numbers as a read-only array of this shape; None: any length."""
+        try:
+            array = np.array(self._get(key, ...), dtype=float)
+        except (TypeError, ValueError):
+            array = np.full(1, np.nan)
+        fits = array.ndim == len(shape) and all(want in (None, got) for want, got in zip(shape, array.shape, strict=True))
+        if not fits or not np.isfinite(array).all():
+            size = " x ".join("n" if n is None else str(n) for n in shape)
+            raise self.fail(key, f"not {size} finite numbers")
+        array.flags.writeable = False
+        return array
+
+    def whole(self, key: str, low: int, high: int, default: Any = ...) -> Any:
+        """A whole number within [low, high]."""
+        value = self._get(key, default)
+        if value is None:
+            return default
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise self.fail(key, f"{value!r} is not a whole number")
+        return self._number(key, value, low, high)
+
+    def text(self, key: str, choices: Iterable[str] | None = None, default: Any = ...) -> Any:
+        """Text that is not empty, one of `choices` where they are given."""
+        value = self._get(key, default)
+        if value is None:
+            return default
+        if not isinstance(value, str) or not value:
+            raise self.fail(key, f"{value!r} is not text", choices)
+        if choices is not None and value not in (choices := list(choices)):
+            raise self.fail(key, f"{value!r} is unknown", choices)
+        return value
+
+    def has(self, key: str) -> bool:
+        """Whether the table has the field, where several may say the same."""
+        return key in self._table
+
+    def flag(self, key: str, default: bool) -> bool:
+        """True or false."""
+        value = self._get(key, default)
+        if value is None:
+            return default
+        if not isinstance(value, bool):
+            raise self.fail(key, f"{value!r} is not true or false")
+        return value
+
+    def texts(self, key: str) -> tuple[str, ...]:
+        """A list of texts."""
+        value = self._get(key, ...)
+        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+            raise self.fail(key, f"{value!r} is not a list of texts")
+        return tuple(value)
+
+    def table(self, key: str) -> Mapping[str, Any]:
+        """The table `[key]` with whatever is in it."""
+        value = self._get(key, ...)
+        if not isinstance(value, Mapping):
+            raise self.fail(key, "not a table")
+        return value
+
+    def section(self, key: str) -> Section:
+        """The table `[key]`."""
+        if (found := self.optional(key)) is None:
+            raise InputError(f"missing section{self._hint(key)}", source=self._source, field=f"[{self._place(key)}]")
+        return found
+
+    def optional(self, key: str) -> Section | None:
+        """The table `[key]`, or None."""
+        value = self._get(key, None)
+        if value is None:
+            return None
+        if not isinstance(value, Mapping):
+            raise self.fail(key, f"not a section; write [{self._place(key)}]")
+        return Section(value, self._place(key), self._source)
+
+    def sections(self, key: str, low: int = 1, high: int = 2) -> list[Section]:
+        """The tables `[[key]]`, `low` to `high` of them."""
+        value = self._get(key, None if low == 0 else ...)
+        value = [] if value is None else value
+        if not isinstance(value, list) or not all(isinstance(item, Mapping) for item in value):
+            raise self.fail(key, f"not a list of sections; write [[{self._place(key)}]]")
+        if not low <= len(value) <= high:
+            raise self.fail(key, f"{len(value)} of them, expected {low} to {high}")
+        return [Section(item, f"{self._place(key)}[{i}]", self._source) for i, item in enumerate(value)]
+
+    def done(self) -> None:
+        """Raise InputError for a field that is not known."""
+        for key in self._table:
+            if key in self._asked:
+                continue
+            stem = {_stem(known): known for known in self._asked if "_" in known}.get(_stem(key))
+            near = stem or next(iter(difflib.get_close_matches(key, self._asked, 1)), None)
+            hint = f", wrong unit? write it as {stem!r}" if stem else f", did you mean {near!r}?" if near else ""
+            what = "section" if isinstance(self._table[key], Mapping) else "field"
+            raise self.fail(key, f"unknown {what}{hint}", self._asked)
+
+    def _place(self, key: str) -> str:
+        return f"{self._label}.{key}" if self._label else key
+
+    def _get(self, key: str, default: Any) -> Any:
+        """The value, None where it is missing and has a default."""
+        self._asked.append(key)
+        value = self._table.get(key)
+        if value is None and default is ...:
+            raise self.fail(key, f"missing field{self._hint(key)}")
+        return value
+
+    def _hint(self, key: str) -> str:
+        """What stands in the table and may be meant where `key` is missing."""
+        rest = [other for other in self._table if other not in self._asked]
+        unit = next((other for other in rest if "_" in key and _stem(other) == _stem(key)), None)
+        near = unit or next(iter(difflib.get_close_matches(key, rest, 1)), None)
+        return f"; there is {near!r}: wrong {'unit' if unit else 'name'}?" if near else ""
+
+    def _number(self, key: str, value: Any, low: float, high: float) -> Any:
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise self.fail(key, f"{value!r} is not a number")
+        if not low <= value <= high:  # so is NaN
+            raise self.fail(key, f"{value!r} is outside {low:g} to {high:g}")
+        return value
+
+
+def _stem(key: str) -> str:
+    """A key without its unit."""
+    return key.rsplit("_", 1)[0]

@@ -1,0 +1,361 @@
+"""Frozen, validated values that the stages pass to each other; arrays in them are read-only.
+
+SI units throughout, except where a name ends in `_px`. Frames (monogram notation, docs/conventions.md):
+S sensor (origin at the middle of the frame, in the flat membrane's plane, z outward, away from the camera),
+C camera (x right, y down, z forward), M marker. `p_SM` is the position of marker M expressed in S.
+
+This is the only module of the project that a controller may import.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from numbers import Real
+from types import MappingProxyType
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mjtactile.core.errors import InputError
+from mjtactile.core.status import OK, Status
+
+Array = NDArray[Any]  # of float64; numpy's stubs cannot follow dtypes through arithmetic
+FINGERS = ("left", "right")
+"""What the fingers of a pair are called, in this order."""
+
+
+def _keep_status(owner: Any) -> None:
+    """Give the frozen dataclass `owner` a status with a code, whatever text it was made with."""
+    object.__setattr__(owner, "status", Status.of(owner.status))
+
+
+def _freeze(owner: object, name: str, value: ArrayLike, shape: tuple[int | None, ...], dtype: Any = float) -> NDArray:
+    """Store `value` on the frozen dataclass `owner` as a read-only array of the given shape (None: any length)."""
+    array = np.asarray(value, dtype=dtype)
+    if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape, strict=True)):
+        raise InputError(f"shape {array.shape} does not match {shape}", source=type(owner).__name__, field=name)
+    if array.flags.writeable:
+        array = array.copy()
+        array.flags.writeable = False
+    object.__setattr__(owner, name, array)
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """Pixels (H, W) uint8, indexed [v, u]; pixel (0, 0) is the centre of the top-left pixel. `time` of capture, s."""
+
+    pixels: NDArray[np.uint8]
+    time: float = 0.0
+
+    def __post_init__(self) -> None:
+        _freeze(self, "pixels", self.pixels, (None, None), np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class Ellipses:
+    """N ellipses in distorted pixel coordinates: centre (N, 2), semi-axes a >= b (N, 2), angle of a (N,) rad.
+
+    `cov` (N, 5, 5) is the covariance of (u, v, a, b, angle); `status` (N,) strings.
+    """
+
+    center_px: Array
+    semi_axes_px: Array
+    angle: Array
+    cov: Array
+    status: NDArray[np.str_]
+
+    def __post_init__(self) -> None:
+        n = len(np.asarray(self.center_px))
+        _freeze(self, "center_px", self.center_px, (n, 2))
+        _freeze(self, "semi_axes_px", self.semi_axes_px, (n, 2))
+        _freeze(self, "angle", self.angle, (n,))
+        _freeze(self, "cov", self.cov, (n, 5, 5))
+        _freeze(self, "status", self.status, (n,), np.str_)
+
+    def __len__(self) -> int:
+        return len(self.angle)
+
+
+@dataclass(frozen=True, eq=False)
+class CirclePoses:
+    """N circles in the camera frame: centre `p_CM` (N, 3) m, the two candidate unit normals `n_C`, `n_C_alt` (N, 3).
+
+    Normals point towards the camera. `p_CM_alt` is the centre that goes with `n_C_alt`. `uv_px` (N, 2) is the
+    projected *centre* (not the ellipse's) in distorted pixels; `cov_p` (N, 3, 3) m^2; `status` (N,) strings.
+    """
+
+    uv_px: Array
+    p_CM: Array
+    n_C: Array
+    p_CM_alt: Array
+    n_C_alt: Array
+    cov_p: Array
+    status: NDArray[np.str_]
+
+    def __post_init__(self) -> None:
+        n = len(np.asarray(self.uv_px))
+        _freeze(self, "uv_px", self.uv_px, (n, 2))
+        for name in ("p_CM", "n_C", "p_CM_alt", "n_C_alt"):
+            _freeze(self, name, getattr(self, name), (n, 3))
+        _freeze(self, "cov_p", self.cov_p, (n, 3, 3))
+        _freeze(self, "status", self.status, (n,), np.str_)
+
+    def __len__(self) -> int:
+        return len(self.uv_px)
+
+
+@dataclass(frozen=True, eq=False)
+class Markers:
+    """Identified markers in the sensor frame: `ids` (N,) indices into the design's layout, `p_SM`, `n_S` (N, 3)."""
+
+    ids: NDArray[np.int64]
+    p_SM: Array
+    n_S: Array
+    cov_p: Array
+
+    def __post_init__(self) -> None:
+        n = len(np.asarray(self.ids))
+        _freeze(self, "ids", self.ids, (n,), np.int64)
+        _freeze(self, "p_SM", self.p_SM, (n, 3))
+        _freeze(self, "n_S", self.n_S, (n, 3))
+        _freeze(self, "cov_p", self.cov_p, (n, 3, 3))
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """The membrane's shape in S: heights `z` (ny, nx) over the Cartesian grid `x` (nx,), `y` (ny,), zero on the frame.
+
+    `area` m^2 of the curved surface, `volume` m^3 between it and the frame's plane (positive outward).
+    """
+
+    x: Array
+    y: Array
+    z: Array
+    area: float
+    volume: float
+    area_sd: float
+    volume_sd: float
+    status: Status = OK
+
+    def __post_init__(self) -> None:
+        nx, ny = len(_freeze(self, "x", self.x, (None,))), len(_freeze(self, "y", self.y, (None,)))
+        _freeze(self, "z", self.z, (ny, nx))
+        _keep_status(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Traction:
+    """Force that the outside world exerts on the membrane, frame S.
+
+    `force` (ny, nx, 3) N per grid node; `wrench` (6,) the net force, N, and torque about the origin of S, N m, with
+    `wrench_cov` (6, 6). A press has a negative z. `pressure_gauge` Pa of the chamber (estimated), `method` names the
+    estimator.
+    """
+
+    x: Array
+    y: Array
+    force: Array
+    wrench: Array
+    wrench_cov: Array
+    pressure_gauge: float
+    method: str
+    status: Status = OK
+
+    def __post_init__(self) -> None:
+        nx, ny = len(_freeze(self, "x", self.x, (None,))), len(_freeze(self, "y", self.y, (None,)))
+        _freeze(self, "force", self.force, (ny, nx, 3))
+        _freeze(self, "wrench", self.wrench, (6,))
+        _freeze(self, "wrench_cov", self.wrench_cov, (6, 6))
+        _keep_status(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Contact:
+    """What touches: `area` m^2, `centroid` (2,) m in S, `depth` m of the deepest indentation against the rest shape.
+
+    `mask` (ny, nx) marks the traction grid's nodes in contact. With no contact `area` is 0 and `centroid` is NaN. Of a
+    single patch also the `force` (3,) N on it, its `outline` (P, 2) m as a closed polygon, and the ellipse of the same
+    second moments: `semi_axes` (2,) m, larger first, and `angle` rad of the larger from x.
+    """
+
+    touching: bool
+    area: float
+    centroid: Array
+    depth: float
+    mask: NDArray[np.bool_]
+    status: Status = OK
+    force: Array = field(default_factory=lambda: np.full(3, np.nan))
+    outline: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    semi_axes: Array = field(default_factory=lambda: np.full(2, np.nan))
+    angle: float = np.nan
+
+    def __post_init__(self) -> None:
+        _freeze(self, "centroid", self.centroid, (2,))
+        _freeze(self, "mask", self.mask, (None, None), np.bool_)
+        _freeze(self, "force", self.force, (3,))
+        _freeze(self, "outline", self.outline, (None, 2))
+        _freeze(self, "semi_axes", self.semi_axes, (2,))
+        _keep_status(self)
+
+
+SlipState = Literal["none", "sticking", "incipient", "slipping", "unknown"]
+SLIP_STATES: tuple[str, ...] = get_args(SlipState)
+
+
+@dataclass(frozen=True, eq=False)
+class Slip:
+    """Whether the object slips on the membrane. `state` is one of SLIP_STATES; "none": nothing touches.
+
+    `velocity` (2,) m/s of the object over the membrane, S; `distance` m slipped since the touch began; `stick_ratio`
+    the share of the contact whose shear is below what friction can hold there.
+    """
+
+    state: SlipState
+    velocity: Array
+    distance: float
+    stick_ratio: float
+    status: Status = OK
+
+    def __post_init__(self) -> None:
+        _freeze(self, "velocity", self.velocity, (2,))
+        _keep_status(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Touch:
+    """Everything one sensor says about one image. `age` s is now minus capture.
+
+    When `status` is not "ok", `force_normal` is NaN: the force is unknown, not zero. `contact` is all that touches
+    taken together, `patches` each place of it, the strongest first.
+    """
+
+    time: float
+    age: float
+    force_normal: float
+    force_normal_sd: float
+    touching: bool
+    contact: Contact | None = None
+    traction: Traction | None = None
+    surface: Surface | None = None
+    markers: Markers | None = None
+    status: Status = OK
+    patches: tuple[Contact, ...] = ()
+    slip: Slip | None = None
+
+    def __post_init__(self) -> None:
+        _keep_status(self)
+
+
+MATERIALS: tuple[str, ...] = ("solid", "soft", "amorphous")
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """What a probe says an object is made of. What is not known is NaN, an open end of an interval is inf.
+
+    `kind` is one of MATERIALS or "unknown", `probability` has one entry a class. `stiffness` N/m of the whole object, the
+    force over the deformation that it can recover from; `modulus` Pa, the same as stress over strain between flat faces;
+    each with a 68 % interval. `relaxation_time` s (0: none was seen), `deformation` m under `force` N, of which
+    `permanent_set` m stayed, `speed` m/s at which it went on deforming when the fingers had stopped.
+    """
+
+    kind: str
+    probability: Mapping[str, float]
+    force: float = float("nan")
+    deformation: float = float("nan")
+    stiffness: float = float("nan")
+    stiffness_interval: tuple[float, float] = (float("nan"), float("nan"))
+    modulus: float = float("nan")
+    modulus_interval: tuple[float, float] = (float("nan"), float("nan"))
+    relaxation_time: float = float("nan")
+    permanent_set: float = float("nan")
+    permanent_set_sd: float = float("nan")
+    speed: float = float("nan")
+    status: Status = OK
+
+    def __post_init__(self) -> None:
+        if self.kind not in (*MATERIALS, "unknown"):
+            raise InputError(f"{self.kind!r} is not a material", source="Material", field="kind",
+                             choices=(*MATERIALS, "unknown"))
+        object.__setattr__(self, "probability", MappingProxyType(dict(self.probability)))
+        _keep_status(self)
+
+
+@dataclass(frozen=True)
+class GripperState:
+    """What the gripper reports: `opening` m between the two frames, `speed` m/s, `effort` N at the jaw as the servo
+    believes it, `lift_height` m of the hand above where it started. It was so at `time` s on the rig's clock, which was
+    `age` s ago when the state was handed over (NaN: not known)."""
+
+    opening: float
+    speed: float
+    effort: float
+    lift_height: float
+    time: float = float("nan")
+    age: float = float("nan")
+
+
+@dataclass(frozen=True)
+class ValveState:
+    """`is_open`, and the chamber's gauge pressure in Pa where the rig has a pressure sensor (else None), as measured at
+    `time` s on the rig's clock, `age` s before the state was handed over (NaN: not known)."""
+
+    is_open: bool
+    pressure_gauge: float | None = None
+    time: float = float("nan")
+    age: float = float("nan")
+
+
+Phase = Literal["approach", "close", "regulate", "lift", "hold", "lower", "release", "done", "abort"]
+PHASES: tuple[str, ...] = get_args(Phase)
+
+
+@dataclass(frozen=True)
+class Command:
+    """What a controller asks for. The rig limits it and returns what was really sent.
+
+    `opening` m is the gripper's goal, `force_limit` N the most the servo may push, `lift_height` m the hand's goal,
+    `phase` one of PHASES ("done" and "abort" end the run). `memory` is the controller's own notebook: the loop hands
+    it back in the next `Observation.command`, so that `step` can be a pure function.
+    """
+
+    opening: float
+    force_limit: float
+    lift_height: float = 0.0
+    phase: str = "approach"
+    memory: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("opening", "force_limit", "lift_height"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
+                raise InputError(f"{value!r} is not a finite number", source="Command", field=name)
+        if self.phase not in PHASES:
+            raise InputError(f"{self.phase!r} is not a phase", source="Command", field="phase", choices=PHASES)
+        object.__setattr__(self, "memory", MappingProxyType(dict(self.memory)))
+
+    def __reduce__(self):  # a mappingproxy does not pickle
+        return (Command, (self.opening, self.force_limit, self.lift_height, self.phase, dict(self.memory)))
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What a controller sees once per control cycle: never pixels of the truth, only what the sensors say.
+
+    `touch` holds one value per finger, in the order of the rig (left, right), `command` the last command really sent,
+    with the `phase` and `memory` that the controller put into it.
+    """
+
+    time: float
+    period: float
+    touch: tuple[Touch, ...]
+    gripper: GripperState
+    valves: tuple[ValveState, ...]
+    command: Command

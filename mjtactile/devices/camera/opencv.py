@@ -1,0 +1,238 @@
+"""`OpenCvCamera`: a UVC camera through V4L2 (or a network stream), with every setting read back.
+
+Why it is done in this order: size, FOURCC and buffer size reset the stream, and with it the controls; so those come
+first and exposure, gain and white balance last. Drivers clamp what they are given while `set` returns True; so each
+value is read back, and what did not take is refused. An automatic that works on its own makes forces drift; so each is
+switched off. Pictures wait in the driver's buffers; so a thread reads all of them and keeps the newest.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core.errors import DeviceError
+from mjtactile.core.types import Image
+from mjtactile.rig.file import CameraConfig
+
+_log = logging.getLogger(__name__)
+_FIRST_PICTURE_TIME = 4.0  # s; USB cameras take up to 2 s to start their stream
+_STALE_PERIODS = 3.0  # a picture older than this many periods is no observation of now
+_OPEN_TIME_MS, _READ_TIME_MS = 5000, 1000
+_KERNEL_AGE_MAX = 5.0  # s; a kernel time further from now is on another clock
+_AUTO_EXPOSURE_MANUAL, _AUTO_EXPOSURE_AUTO = 1, 3  # V4L2_EXPOSURE_MANUAL, V4L2_EXPOSURE_APERTURE_PRIORITY
+
+
+class Capture(Protocol):
+    """What is used of `cv2.VideoCapture`."""
+
+    def isOpened(self) -> bool: ...
+    def get(self, propId: int) -> float: ...
+    def set(self, propId: int, value: float) -> bool: ...
+    def read(self) -> Any: ...
+    def release(self) -> None: ...
+
+
+@dataclass
+class CameraCounters:
+    """What went by: pictures, pictures that never came (by their time), pictures with the very same pixels twice."""
+
+    pictures: int = 0
+    dropped: int = 0
+    duplicates: int = 0
+    intervals: list[float] = field(default_factory=list)
+
+
+class OpenCvCamera:
+    """One finger's camera, streaming. `capture` stands in for `cv2.VideoCapture` in tests.
+
+    Raises DeviceError naming the camera: it is not there, it gives another size than the file says, or a control does
+    not take.
+    """
+
+    def __init__(self, config: CameraConfig, *, capture: Callable[[], Capture] | None = None,
+                 clock: Callable[[], float] = time.monotonic):
+        self.config, self._clock = config, clock
+        self.name = f"{config.finger} camera {config.source}"
+        self.counters = CameraCounters()
+        self._period = 1.0 / config.rate
+        # Decoding a JPEG straight to grey takes 1.2 ms where FFmpeg's way over its colours takes 1.9 ms.
+        self._is_raw = config.backend == "ffmpeg" and config.fourcc == "MJPG"
+        self._condition = threading.Condition()
+        self._newest: Image | None = None
+        self._fresh_time = -math.inf  # when the picture last changed
+        self._error: str | None = None
+        self._stopping = threading.Event()
+        self._capture = (capture or self._open)()
+        try:
+            if not self._capture.isOpened():
+                raise DeviceError(f"{self.name} cannot be opened: is it plugged in, and may this user read it (group video)?")
+            if config.backend == "v4l2":
+                self._configure()
+            self._thread = threading.Thread(target=self._work, name=self.name, daemon=True)
+            self._thread.start()
+        except BaseException:
+            self._capture.release()
+            raise
+        self._await_first()
+
+    def read(self) -> Image:
+        """The newest picture; its `time` is that of capture, monotonic s. Raises DeviceError when it is stale."""
+        with self._condition:
+            image, fresh, error = self._newest, self._fresh_time, self._error
+        if error is not None:
+            raise DeviceError(f"{self.name}: {error}")
+        assert image is not None
+        now = self._clock()
+        if now - image.time > _STALE_PERIODS * self._period + self.config.delay:
+            raise DeviceError(f"{self.name} is stale: its last picture is {1e3 * (now - image.time):.0f} ms old")
+        if now - fresh > _STALE_PERIODS * self._period + self.config.delay:
+            raise DeviceError(f"{self.name} is frozen: the same picture for {1e3 * (now - fresh):.0f} ms")
+        return image
+
+    def wait_newer(self, than: float, timeout: float) -> bool:
+        """Wait until there is a picture captured after `than` s; False when there is none within `timeout` s."""
+        with self._condition:
+            return self._condition.wait_for(
+                lambda: self._error is not None or self._newest is not None and self._newest.time > than, timeout)
+
+    @property
+    def newest_time(self) -> float:
+        """When the newest picture was captured, monotonic s."""
+        with self._condition:
+            return -math.inf if self._newest is None else self._newest.time
+
+    def close(self) -> None:
+        self._stopping.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        self._capture.release()
+
+    # -- settings ------------------------------------------------------------------------------------------------
+
+    def _open(self) -> Capture:
+        config = self.config
+        if config.backend == "ffmpeg":
+            # One thread: several would each hold a picture back, which is latency. A JPEG is taken as it comes.
+            raw = [cv2.CAP_PROP_FORMAT, -1] if self._is_raw else []
+            return cv2.VideoCapture(config.source, cv2.CAP_FFMPEG, [
+                cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _OPEN_TIME_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _READ_TIME_MS,
+                cv2.CAP_PROP_N_THREADS, 1, *raw])
+        if not Path(config.source).exists():
+            raise DeviceError(f"{self.name} is not there; `mjtactile doctor` lists the cameras that are")
+        return cv2.VideoCapture(config.source, cv2.CAP_V4L2)
+
+    def _configure(self) -> None:
+        config = self.config
+        if config.fourcc:
+            self._set("FOURCC", cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*config.fourcc))
+        self._set("width", cv2.CAP_PROP_FRAME_WIDTH, config.width)
+        self._set("height", cv2.CAP_PROP_FRAME_HEIGHT, config.height)
+        self._set("rate", cv2.CAP_PROP_FPS, config.rate, tolerance=0.02 * config.rate)
+        self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # where it does not take, the thread empties the buffers anyway
+        if config.exposure is not None:
+            # Some drivers ignore "manual" unless the automatic was on before; then the value must follow.
+            self._capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, _AUTO_EXPOSURE_AUTO)
+            self._set("manual exposure", cv2.CAP_PROP_AUTO_EXPOSURE, _AUTO_EXPOSURE_MANUAL)
+            self._set("exposure", cv2.CAP_PROP_EXPOSURE, config.exposure, tolerance=1.0)  # drivers round to their step
+        if config.white_balance is not None:
+            self._set("automatic white balance", cv2.CAP_PROP_AUTO_WB, 0)
+            self._set("white balance", cv2.CAP_PROP_WB_TEMPERATURE, config.white_balance, tolerance=10.0)  # steps of 10 K
+        if config.gain is not None:
+            self._set("gain", cv2.CAP_PROP_GAIN, config.gain, tolerance=0.5)
+
+    def _set(self, what: str, prop: int, value: float, *, tolerance: float = 0.0) -> None:
+        self._capture.set(prop, value)
+        found = self._capture.get(prop)
+        if not math.isfinite(found) or abs(found - value) > tolerance:
+            shown = (_fourcc(value), _fourcc(found)) if what == "FOURCC" else (f"{value:g}", f"{found:g}")
+            raise DeviceError(f"{self.name}: {what} was set to {shown[0]} but is {shown[1]}; `mjtactile doctor` lists what "
+                              "it can do")
+
+    # -- the reader ----------------------------------------------------------------------------------------------
+
+    def _work(self) -> None:
+        failures = 0
+        while not self._stopping.is_set():
+            try:
+                good, pixels = self._capture.read()
+                if good and self._is_raw:
+                    pixels = cv2.imdecode(pixels, cv2.IMREAD_GRAYSCALE)
+            except cv2.error as error:
+                good, pixels = False, None
+                _log.debug("%s: %s", self.name, error)
+            if good and pixels is not None:
+                failures = 0
+                self._take(pixels)
+                continue
+            failures += 1
+            if failures >= 3:  # one broken JPEG is a lost picture; three failures in a row are a lost camera
+                self._fail("it sends no JPEG; leave fourcc = \"MJPG\" out of the rig file" if good and self._is_raw else
+                           "it sends no more pictures: was it unplugged?")
+                return
+
+    def _take(self, pixels: NDArray) -> None:
+        arrival = self._clock()
+        gray = cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY) if pixels.ndim == 3 else pixels
+        if gray.shape != (self.config.height, self.config.width):
+            self._fail(f"it sends {gray.shape[1]} x {gray.shape[0]} pixels, the rig file says {self.config.width} x "
+                       f"{self.config.height}")
+            return
+        captured = self._capture_time(arrival)
+        with self._condition:
+            last = self._newest
+            # Sensor noise makes true pictures differ, but for those that are white or black all over.
+            same = last is not None and np.array_equal(gray, last.pixels) and gray.min() != gray.max()
+            self.counters.pictures += 1
+            if last is not None:
+                self._count(captured - last.time)
+            if same:
+                self.counters.duplicates += 1
+            else:
+                self._fresh_time = captured
+            self._newest = Image(gray, captured)
+            self._condition.notify_all()
+
+    def _count(self, interval: float) -> None:
+        self.counters.dropped += max(0, round(interval / self._period) - 1)
+        self.counters.intervals.append(interval)
+        del self.counters.intervals[:-1000]
+
+    def _capture_time(self, arrival: float) -> float:
+        """Kernel time of the frame (V4L2 stamps on the monotonic clock), or arrival less the stream's known delay."""
+        if self.config.timestamps == "arrival":
+            return arrival - self.config.delay
+        kernel = 1e-3 * self._capture.get(cv2.CAP_PROP_POS_MSEC)
+        if 0 <= arrival - kernel < _KERNEL_AGE_MAX:
+            return kernel
+        self._fail(f"its kernel timestamps ({kernel:.3f} s) are not on the monotonic clock ({arrival:.3f} s); write "
+                   "timestamps = \"arrival\" and the delay into the rig file")
+        return arrival
+
+    def _fail(self, reason: str) -> None:
+        with self._condition:
+            self._error = self._error or reason
+            self._condition.notify_all()
+
+    def _await_first(self) -> None:
+        with self._condition:
+            self._condition.wait_for(lambda: self._newest is not None or self._error is not None, _FIRST_PICTURE_TIME)
+            if self._newest is not None and self._error is None:
+                return
+            reason = self._error or f"no picture within {_FIRST_PICTURE_TIME:g} s"
+        self.close()
+        raise DeviceError(f"{self.name}: {reason}")
+
+
+def _fourcc(value: float) -> str:
+    return "".join(chr(int(value) >> 8 * i & 0xFF) for i in range(4))

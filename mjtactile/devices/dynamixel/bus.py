@@ -1,0 +1,324 @@
+"""One Dynamixel bus: the SDK's classic packet layer with its traps closed.
+
+What the SDK 4.1.0 does, and what is done here instead:
+
+- group reads drop the alert byte: replies are parsed here and keep it;
+- a short reply counts as success and blows up later: the length is checked;
+- an exception leaves `is_using` set, and every later call fails: it is cleared on every way out;
+- two threads on one port spoil each other: one lock around each transaction;
+- a missing reply costs 34 ms (LATENCY_TIMER): the time-out is the wire's time plus what the rig file allows;
+- time-outs on the wall clock: here on the monotonic one; the port is opened exclusively;
+- it waits by spinning: here in `select`, so that the camera's thread gets the processor;
+- byte stuffing of a packet that grows is computed and thrown away: here it is sent.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import termios
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import serial
+from dynamixel_sdk import COMM_RX_CORRUPT, COMM_RX_TIMEOUT, COMM_SUCCESS, PortHandler, Protocol2PacketHandler
+
+from mjtactile.core.errors import DeviceError
+
+_ID, _LENGTH, _ERROR, _PARAMETERS = 4, 5, 8, 9  # places in a status packet
+_OVERHEAD = 11  # bytes of a status packet around its parameters
+ALERT = 0x80
+_BABBLE = 5  # times the time-out
+_DRAIN_MAX = 0.05  # s of babble that are thrown away
+_LOST = (serial.SerialException, OSError, termios.error, TypeError)
+"""What pyserial raises on a port that has gone: termios.error is no OSError, and a closed port is a TypeError."""
+_STATUS_ERRORS = {1: "could not carry it out", 2: "does not know the instruction", 3: "received a wrong CRC",
+                  4: "says the value is out of range", 5: "says the length is wrong",
+                  6: "says the value is beyond its limit", 7: "denies access to that register"}
+
+
+class BusError(DeviceError):
+    """One transaction failed; `servo` is the id, `reason` one of "no reply", "corrupt", "short", "refused", "lost"."""
+
+    def __init__(self, message: str, *, servo: int | None, reason: str):
+        super().__init__(message)
+        self.servo, self.reason = servo, reason
+
+
+@dataclass(frozen=True)
+class Reply:
+    """Data of one servo's reply and whether it raised its alert bit (a hardware error is latched)."""
+
+    data: bytes
+    alert: bool
+
+    def value(self, offset: int, size: int) -> int:
+        """Unsigned little-endian value of `size` bytes at `offset`."""
+        return int.from_bytes(self.data[offset : offset + size], "little")
+
+
+class _Port(PortHandler):
+    """The SDK's port: exclusive, on the monotonic clock, with its own time-out, waiting without spinning."""
+
+    def __init__(self, name: str, reply_timeout: float):
+        super().__init__(name)
+        self._reply_timeout_ms = 1e3 * reply_timeout
+
+    def setupPort(self, cflag_baud: int) -> bool:
+        self.ser = serial.Serial(port=self.port_name, baudrate=cflag_baud, timeout=0, write_timeout=0.1, exclusive=True)
+        with contextlib.suppress(OSError, ValueError, NotImplementedError):
+            self.ser.set_low_latency_mode(True)  # FTDI's 16 ms latency timer to 1 ms; a pty has none
+        self.is_open = True
+        self.ser.reset_input_buffer()
+        self.tx_time_per_byte = 10 * 1e3 / cflag_baud
+        return True
+
+    def readPort(self, length: int) -> Any:
+        data = self.ser.read(length)
+        if not data and length > 0:
+            select.select([self.ser.fileno()], [], [], 5e-4)  # short, so that the time-out is still looked at
+            data = self.ser.read(length)
+        return data
+
+    def getCurrentTime(self) -> float:
+        return 1e3 * time.monotonic()
+
+    def isPacketTimeout(self) -> bool:
+        """Late only when nothing is waiting to be read: it may be this thread that was late. A babbler gets no more time."""
+        passed = self.getTimeSinceStart()
+        return passed > self.packet_timeout and (self.ser.in_waiting == 0 or passed > _BABBLE * self.packet_timeout)
+
+    def setPacketTimeout(self, packet_length: int) -> None:
+        self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + self._reply_timeout_ms)
+
+
+class _PacketHandler(Protocol2PacketHandler):
+    """The SDK's packets, with byte stuffing that works in place and for more than one place in a packet."""
+
+    def addStuffing(self, packet: list[int]) -> list[int]:
+        length = packet[5] | packet[6] << 8
+        head, body = packet[:7], packet[7 : 7 + length - 2]
+        stuffed: list[int] = []
+        last = packet[5:7]
+        for byte in body:
+            stuffed.append(byte)
+            if byte == 0xFD and last[-2:] == [0xFF, 0xFF]:
+                stuffed.append(0xFD)
+            last = [*last[-1:], byte]
+        new_length = len(stuffed) + 2
+        packet[:] = [*head[:5], new_length & 0xFF, new_length >> 8, *stuffed, 0, 0]
+        return packet
+
+    def removeStuffing(self, packet: list[int]) -> list[int]:
+        length = packet[5] | packet[6] << 8
+        body = bytes(packet[7 : 7 + length - 2]).replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
+        new_length = len(body) + 2
+        packet[:] = [*packet[:5], new_length & 0xFF, new_length >> 8, *body, *packet[7 + length - 2 : 7 + length]]
+        return packet
+
+
+class DynamixelBus:
+    """A bus at `port`; safe to use from several threads. Raises DeviceError when the port is not there or taken."""
+
+    def __init__(self, port: str, baud: int = 1_000_000, *, reply_timeout: float = 0.008):
+        """`reply_timeout` s is what a reply may take on top of its time on the wire: USB latency and return delay."""
+        self.name = port
+        self._lock = threading.RLock()
+        self._port, self._packets = _Port(port, reply_timeout), _PacketHandler()
+        self._port.baudrate = baud
+        self._dirty = False
+        self._quiet = reply_timeout  # s to wait for a straggler: as long again as a reply may take
+        try:
+            if not self._port.setBaudRate(baud):
+                raise DeviceError(f"{port}: the SDK knows no baud rate {baud}")
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise DeviceError(f"servo port {port} cannot be opened: {_plain(error)}") from error
+
+    def close(self) -> None:
+        with self._lock:
+            if self._port.is_open:
+                self._port.closePort()
+
+    def ping(self, servo: int) -> tuple[int, int]:
+        """Model number and firmware version of one servo. Raises BusError when it does not answer."""
+        with self._transaction(servo):
+            packet = self._exchange(servo, [1], reply=3)
+            return packet.value(0, 2), packet.value(2, 1)
+
+    def read(self, servo: int, address: int, size: int, *, again: bool = False) -> Reply:
+        """Read `size` bytes of one servo. `again`: the same was asked just before, so that a late answer to that is as
+        good and need not be waited for and thrown away. Raises BusError."""
+        with self._transaction(servo, again=again):
+            return self._exchange(servo, [2, *_word(address), *_word(size)], reply=size)
+
+    def write(self, servo: int, address: int, size: int, value: int) -> bool:
+        """Write one register and wait for the servo's status; returns its alert bit. Raises BusError."""
+        data = (value & ((1 << 8 * size) - 1)).to_bytes(size, "little")
+        with self._transaction(servo):
+            return self._exchange(servo, [3, *_word(address), *data], reply=0).alert
+
+    def reboot(self, servo: int) -> None:
+        """Restart one servo: its torque is off afterwards and its latched hardware error gone. A person must ask for it."""
+        with self._transaction(servo):
+            self._exchange(servo, [8], reply=0)
+
+    def write_many(self, address: int, blocks: Mapping[int, bytes]) -> None:
+        """Sync write: the same registers of several servos in one packet, without a reply."""
+        size = len(next(iter(blocks.values())))
+        parameters = [byte for servo, data in blocks.items() for byte in (servo, *data)]
+        with self._transaction(None):
+            result = self._packets.syncWriteTxOnly(self._port, address, size, parameters, len(parameters))
+            if result != COMM_SUCCESS:
+                raise self._failed(None, result)
+
+    def read_many(self, servos: Sequence[int], address: int, size: int, *, fast: bool = False
+                  ) -> tuple[dict[int, Reply], dict[int, BusError]]:
+        """Sync (or fast sync) read: the same registers of several servos; what came, and what did not and why.
+
+        Raises BusError only when the port itself fails.
+        """
+        self.ask_many(servos, address, size, fast=fast)
+        return self.answers(servos, size, fast=fast)
+
+    def ask_many(self, servos: Sequence[int], address: int, size: int, *, fast: bool = False) -> None:
+        """The question of `read_many`: the servos answer into the port's buffer. Raises BusError when the port fails."""
+        with self._transaction(None):
+            result = self._packets.syncReadTx(self._port, address, size, list(servos), len(servos), fast)
+            if result != COMM_SUCCESS:
+                raise self._failed(None, result)
+            self._port.setPacketTimeout((_OVERHEAD + size) * len(servos))
+            self._dirty = True  # whoever comes in between must let the answers pass first
+
+    def answers(self, servos: Sequence[int], size: int, *, fast: bool = False) -> tuple[dict[int, Reply], dict[int, BusError]]:
+        """What the servos said to `ask_many` of the same arguments; see `read_many`."""
+        with self._transaction(None, again=True):
+            replies, failures = self._receive_fast(servos, size) if fast else self._receive_each(servos, size)
+            self._dirty = bool(failures)
+            return replies, failures
+
+    # -- inside --------------------------------------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def _transaction(self, servo: int | None, *, again: bool = False) -> Iterator[None]:
+        """Hold the bus; whatever happens, leave it usable, and name the port in what is raised."""
+        with self._lock:
+            try:
+                if self._dirty and not again:
+                    self._drain()
+                yield
+            except BusError as error:
+                self._dirty = error.reason != "refused"
+                raise
+            except _LOST as error:
+                raise BusError(f"servo port {self.name} is lost: {_plain(error)}", servo=servo, reason="lost") from error
+            except (IndexError, ValueError, UnboundLocalError) as error:  # the SDK's parser on bad bytes
+                self._dirty = True
+                raise BusError(f"servo port {self.name}: unreadable reply ({type(error).__name__})", servo=servo,
+                               reason="corrupt") from error
+            finally:
+                self._port.is_using = False
+
+    def _drain(self) -> None:
+        """Throw away a late reply, which would otherwise pass for the answer to the next question: listen until it is quiet."""
+        deadline = time.monotonic() + _DRAIN_MAX
+        while time.monotonic() < deadline and select.select([self._port.ser.fileno()], [], [], self._quiet)[0]:
+            if not self._port.ser.read(4096):
+                break
+
+    def _exchange(self, servo: int, body: list[int], *, reply: int) -> Reply:
+        """Send one instruction and return the parameters of its status packet, of which there must be `reply` bytes."""
+        length = len(body) + 2
+        packet = [0, 0, 0, 0, servo, length & 0xFF, length >> 8, *body, 0, 0]
+        result = self._packets.txPacket(self._port, packet)
+        if result != COMM_SUCCESS:
+            raise self._failed(servo, result)
+        self._port.setPacketTimeout(_OVERHEAD + reply)
+        while True:
+            received, result = self._packets.rxPacket(self._port, False)
+            if result != COMM_SUCCESS:
+                raise self._failed(servo, result)
+            if received[_ID] != servo or self._dirty and self._length(received) != reply:
+                continue  # another's, or a late answer to an earlier question
+            answer = self._parse(servo, received, reply)
+            self._dirty = False
+            return answer
+
+    @staticmethod
+    def _length(packet: Sequence[int]) -> int:
+        """Bytes of parameters in a status packet."""
+        return (packet[_LENGTH] | packet[_LENGTH + 1] << 8) - 4
+
+    def _parse(self, servo: int, packet: Sequence[int], expected: int) -> Reply:
+        error = packet[_ERROR]
+        if error & ~ALERT:
+            what = _STATUS_ERRORS.get(error & ~ALERT, f"answered with error {error & ~ALERT}")
+            raise BusError(f"servo {servo} on {self.name} {what}", servo=servo, reason="refused")
+        count = self._length(packet)
+        if count != expected:
+            raise BusError(f"servo {servo} on {self.name} sent {count} bytes instead of {expected}", servo=servo, reason="short")
+        return Reply(bytes(packet[_PARAMETERS : _PARAMETERS + count]), bool(error & ALERT))
+
+    def _receive_each(self, servos: Sequence[int], size: int) -> tuple[dict[int, Reply], dict[int, BusError]]:
+        """One status packet a servo, in any order; the time-out is for all of them."""
+        replies: dict[int, Reply] = {}
+        failures: dict[int, BusError] = {}
+        while len(replies) + len(failures) < len(servos):
+            packet, result = self._packets.rxPacket(self._port, False)
+            if result != COMM_SUCCESS:
+                error = self._failed(None, result)
+                for servo in servos:
+                    if servo not in replies:
+                        failures.setdefault(servo, BusError(f"servo {servo}: {error}", servo=servo, reason=error.reason))
+                break
+            servo = packet[_ID]
+            if servo not in servos or servo in replies:
+                continue
+            self._collect(servo, lambda s=servo, p=packet: self._parse(s, p, size), replies, failures)
+        return replies, failures
+
+    def _receive_fast(self, servos: Sequence[int], size: int) -> tuple[dict[int, Reply], dict[int, BusError]]:
+        """One packet for all: (error, id, data, CRC) for each servo; only the last CRC was checked, and covers all."""
+        packet, result = self._packets.rxPacket(self._port, True)
+        if result == COMM_SUCCESS and len(packet) != 8 + (size + 4) * len(servos):
+            result = COMM_RX_CORRUPT
+        if result != COMM_SUCCESS:
+            error = self._failed(None, result)
+            return {}, {s: BusError(f"servo {s}: {error}", servo=s, reason=error.reason) for s in servos}
+        replies: dict[int, Reply] = {}
+        failures: dict[int, BusError] = {}
+        for place, servo in enumerate(servos):
+            start = 8 + place * (size + 4)
+            error, found = packet[start], packet[start + 1]
+            status = [*packet[:5], (size + 4) & 0xFF, (size + 4) >> 8, 0x55, error, *packet[start + 2 : start + 2 + size]]
+            if found != servo:
+                failures[servo] = BusError(f"servo {found} answered in the place of servo {servo}", servo=servo, reason="corrupt")
+            else:
+                self._collect(servo, lambda s=servo, p=status: self._parse(s, p, size), replies, failures)
+        return replies, failures
+
+    @staticmethod
+    def _collect(servo: int, parse: Callable[[], Reply], replies: dict[int, Reply], failures: dict[int, BusError]) -> None:
+        try:
+            replies[servo] = parse()
+        except BusError as error:
+            failures[servo] = error
+
+    def _failed(self, servo: int | None, result: int) -> BusError:
+        who = f"servo {servo} on {self.name}" if servo is not None else f"bus {self.name}"
+        if result == COMM_RX_TIMEOUT:
+            return BusError(f"{who}: no reply", servo=servo, reason="no reply")
+        if result == COMM_RX_CORRUPT:
+            return BusError(f"{who}: broken reply (wrong CRC or cut off)", servo=servo, reason="corrupt")
+        text = self._packets.getTxRxResult(result).replace("[TxRxResult] ", "").rstrip("!.")
+        return BusError(f"{who}: {text or result}", servo=servo, reason="lost")
+
+
+def _word(value: int) -> tuple[int, int]:
+    return value & 0xFF, value >> 8
+
+
+def _plain(error: BaseException) -> str:
+    return " ".join(str(getattr(error, "strerror", None) or error).split())

@@ -1,0 +1,217 @@
+"""One servo on a bus: its registers, the recipe that makes it ready, what it said last, and its torque off.
+
+Recipe and registers: https://emanual.robotis.com/docs/en/dxl/x/xm430-w350/ and .../xl330-m288/. A servo is never
+rebooted from here: a reboot lets go of what is held.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from mjtactile.core.errors import DeviceError
+from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus, Reply
+from mjtactile.devices.dynamixel.tables import (
+    CURRENT_BASED_POSITION,
+    EEPROM_END,
+    MODEL_BY_NUMBER,
+    NO_CURRENT_CONTROL,
+    VELOCITY_UNIT,
+    WATCHDOG_UNIT,
+    ServoModel,
+    describe_hardware_error,
+    require_model,
+    signed,
+)
+
+STATE_START, STATE_SIZE = 126, 21  # present current, velocity, position, …, voltage, temperature: one block
+WATCHDOG_IDLE = 2.0  # s, before the first command: taking references can hold the interpreter for longer than 0.1 s
+_OFF_ATTEMPTS = _READ_ATTEMPTS = 3
+
+
+class ServoFault(DeviceError):
+    """A servo has latched a hardware error and cut its torque; `servo` is its id."""
+
+    def __init__(self, message: str, servo: int):
+        super().__init__(message)
+        self.servo = servo
+
+
+@dataclass
+class Servo:
+    """One servo as last heard of, and the transactions with it alone."""
+
+    bus: DynamixelBus
+    id: int
+    model: ServoModel
+    ticks: int = 0
+    rad_per_s: float = 0.0
+    current: float = 0.0
+    voltage: float = math.nan
+    temperature: float = math.nan
+    failures: int = 0
+    last_failure: str = ""
+    goal_ticks: int = 0
+    goal_current_units: int = 1
+    faults: list[str] = field(default_factory=list)
+
+    @property
+    def where(self) -> str:
+        return f"servo {self.id} on {self.bus.name}"
+
+    # -- registers -----------------------------------------------------------------------------------------------
+
+    def get(self, name: str) -> int:
+        """Read one register; reading again changes nothing, so a lost reply is asked for again. Raises BusError."""
+        register = self.model.table[name]
+        for attempt in range(_READ_ATTEMPTS):
+            try:
+                return self.bus.read(self.id, register.address, register.size).value(0, register.size)
+            except BusError as error:
+                if attempt == _READ_ATTEMPTS - 1 or error.reason in ("refused", "lost"):
+                    raise
+        raise AssertionError
+
+    def set(self, name: str, value: int) -> None:
+        """Write a register and read it back. EEPROM is spared when it has the value already. Raises DeviceError."""
+        register = self.model.table[name]
+        unsigned = value & ((1 << 8 * register.size) - 1)
+        if register.address < EEPROM_END and self.get(name) == unsigned:
+            return
+        try:
+            self.bus.write(self.id, register.address, register.size, value)
+        except BusError as error:
+            if error.reason not in ("no reply", "corrupt", "short"):
+                raise DeviceError(f"{self.where}: {name} = {value}: {error}") from error
+        found = self.get(name)  # also tells whether a write whose answer was lost has arrived
+        if found != unsigned:
+            raise DeviceError(f"{self.where}: {name} was set to {value} but reads {found}")
+
+    # -- connecting ----------------------------------------------------------------------------------------------
+
+    def check_identity(self, baud: int) -> None:
+        """Refuse another model than the file's, a latched error, or settings that change what numbers mean."""
+        try:
+            number, _ = self.bus.ping(self.id)
+        except BusError as error:
+            raise DeviceError(f"{self.where} does not answer ({error}): is it powered, and are id and baud rate "
+                              f"({baud}) right? `mjtactile doctor` looks for servos") from error
+        model = require_model(number, self.where)
+        if model.name != self.model.name:
+            raise DeviceError(f"{self.where} is a {model.name}, but the rig file says {self.model.name}")
+        bits = self.get("Hardware Error Status")
+        if bits:
+            raise ServoFault(f"{self.where} has latched {describe_hardware_error(bits)}: find the cause, then take its power "
+                             "off and on (it is never rebooted from here)", self.id)
+        for name, wanted, meaning in (("Drive Mode", 0, "reversed or time-based"), ("Status Return Level", 2, "silent")):
+            found = self.get(name)
+            if found != wanted:
+                raise DeviceError(f"{self.where}: {name} is {found} ({meaning}), must be {wanted}; set it with Dynamixel Wizard")
+
+    def prepare(self, find_place: Callable[[int], None], first_current: Callable[[Servo], int], p_gain: int | None) -> None:
+        """Torque on in current-based position mode, standing still. Writing the mode resets gains and goals.
+
+        `find_place` is told the present position (ticks) before the torque is on, `first_current` says the goal current
+        (units) until the first command.
+        """
+        self.set("Bus Watchdog", 0)  # one that has tripped makes the goals read-only
+        self.set("Torque Enable", 0)
+        self.set("Operating Mode", CURRENT_BASED_POSITION)
+        self.set("Current Limit", self.model.current_max_units)
+        self.set("Return Delay Time", 0)
+        find_place(signed(self.get("Present Position"), 4))
+        self.set("Torque Enable", 1)
+        if p_gain is not None:
+            self.set("Position P Gain", p_gain)
+        self.set("Profile Acceleration", 0)
+        self.set("Profile Velocity", 0)  # the control loop limits the speed
+        self.goal_current_units = first_current(self)
+        self.set("Goal Current", self.goal_current_units)
+        self.ticks = self.goal_ticks = signed(self.get("Present Position"), 4)
+        self.set("Goal Position", self.goal_ticks)
+        self.set_watchdog(WATCHDOG_IDLE)
+
+    def set_watchdog(self, seconds: float) -> None:
+        """Silence on the bus after which the servo stops by itself."""
+        self.set("Bus Watchdog", max(1, round(seconds / WATCHDOG_UNIT)))
+
+    # -- every cycle ---------------------------------------------------------------------------------------------
+
+    def take(self, reply: Reply) -> None:
+        """Note one reply to a read of the state block."""
+        self.failures = 0
+        self.current = signed(reply.value(0, 2), 2) * self.model.ampere_per_unit
+        self.rad_per_s = signed(reply.value(2, 4), 4) * VELOCITY_UNIT
+        self.ticks = signed(reply.value(6, 4), 4)
+        self.voltage, self.temperature = 0.1 * reply.value(18, 2), float(reply.value(20, 1))
+        if reply.alert:
+            self.note_alert()
+
+    def note_alert(self) -> None:
+        """The alert bit is set: ask at once which error it is."""
+        try:
+            text = describe_hardware_error(self.get("Hardware Error Status"))
+        except BusError as error:
+            text = f"an alert that could not be read ({error.reason})"
+        if text not in self.faults:
+            self.faults.append(text)
+
+    def poll(self) -> None:
+        """Ask for what the state block does not hold: a brown-out resets a servo in silence. Raises BusError."""
+        block = self.bus.read(self.id, 64, 35)  # 64 torque, 70 hardware error, 98 bus watchdog
+        if block.value(6, 1):
+            self.note_alert()
+        elif block.value(34, 1) == 0xFF:
+            self.faults.append("bus watchdog (the host was silent for too long)")
+        elif not block.value(0, 1):
+            self.faults.append("restart (its torque is off: did its voltage drop?)")
+
+    def raise_trouble(self, failures_max: int) -> None:
+        """Raise ServoFault for a noted fault, DeviceError for `failures_max` lost replies in a row."""
+        if self.faults:
+            raise ServoFault(f"{self.where} reports {' and '.join(self.faults)}", self.id)
+        if self.failures >= failures_max:
+            raise DeviceError(f"{self.where}: {self.last_failure} {self.failures} times in a row")
+
+    # -- ending --------------------------------------------------------------------------------------------------
+
+    def torque_off(self) -> str:
+        """Switch the torque off, trying again on a lost reply; "" when it was confirmed, else what went wrong."""
+        address, reason = self.model.table["Torque Enable"].address, ""
+        for _ in range(_OFF_ATTEMPTS):
+            try:
+                self.bus.write(self.id, address, 1, 0)
+                return ""
+            except BusError as error:
+                reason = str(error)
+                if error.reason in ("refused", "lost"):
+                    break
+            except Exception as error:  # noqa: BLE001  # whatever it is, the next motor must still be switched off
+                reason = f"{type(error).__name__}: {error}"
+        return reason
+
+
+@dataclass(frozen=True)
+class ServoReport:
+    """What a servo says about itself: volt, degrees Celsius, latched errors in words ("" for none)."""
+
+    id: int
+    model: str
+    firmware: int
+    operating_mode: int
+    voltage: float
+    temperature: float
+    hardware_error: str
+    torque_on: bool
+
+
+def read_report(bus: DynamixelBus, servo: int) -> ServoReport:
+    """Ask one servo about itself. Changes nothing. Raises BusError."""
+    number, firmware = bus.ping(servo)
+    name = MODEL_BY_NUMBER[number].name if number in MODEL_BY_NUMBER else NO_CURRENT_CONTROL.get(number, f"model {number}")
+    error = bus.read(servo, 70, 1).value(0, 1)
+    power = bus.read(servo, 144, 3)
+    return ServoReport(servo, name, firmware, bus.read(servo, 11, 1).value(0, 1), 0.1 * power.value(0, 2),
+                       float(power.value(2, 1)), describe_hardware_error(error) if error else "",
+                       bool(bus.read(servo, 64, 1).value(0, 1)))

@@ -1,0 +1,1 @@
+"""Valve boards on a serial port."""

@@ -1,0 +1,85 @@
+"""`BoardValve`: one channel of a valve board as the rig's valve; `connect_valves` connects all boards of a rig."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+from mjtactile.core.errors import DeviceError
+from mjtactile.core.types import ValveState
+from mjtactile.devices.valve.board import ValveBoard, ValveReading
+from mjtactile.rig.file import ValveConfig
+
+__all__ = ["BoardValve", "ValveBoard", "connect_valves"]
+_SETTLE_TIME = 1.5  # s for the chamber to reach the pressure that was set
+_SETTLE_POLL = 0.02  # s between looks at it
+_SETTLE_SHARE, _SETTLE_FLOOR = 0.25, 120.0  # of the pressure, Pa: how far off is a valve that does not move
+
+
+class BoardValve:
+    """One channel of a board as the rig's valve."""
+
+    def __init__(self, board: ValveBoard, config: ValveConfig):
+        self.board, self.config = board, config
+        self._goal: float | None = None
+        self._goal_time = 0.0
+
+    def state(self) -> ValveState:
+        """Whether it is open, and the pressure. Raises DeviceError: silent board, or a pressure that does not follow."""
+        reading = self.board.reading(self.config.channel)
+        self._check_moves(reading)
+        return ValveState(reading.is_open, reading.pressure_gauge, reading.time, time.monotonic() - reading.time)
+
+    def open(self, supply_gauge: float) -> None:
+        """Connect to a supply of `supply_gauge` Pa; 0 vents. Raises DeviceError beyond the rig file's limits."""
+        config, dialect = self.config, self.board.dialect
+        if not 0 <= supply_gauge <= config.pressure_max:
+            raise DeviceError(f"valve {config.finger}: {supply_gauge:g} Pa is outside 0 to {config.pressure_max:g} Pa, the "
+                              "largest that the rig file allows")
+        if supply_gauge == 0:
+            self.board.obey(dialect.vent, config.channel)
+        elif dialect.open:
+            self.board.obey(dialect.open, config.channel, supply_gauge)
+        else:
+            self._connect(supply_gauge)
+        self._goal, self._goal_time = supply_gauge, time.monotonic()
+
+    def close(self) -> None:
+        """Seal the chamber, once its pressure is what was set. Raises DeviceError for a valve that does not move."""
+        while self._goal is not None and not self._has_moved(self.board.measure(self.config.channel)):
+            self._check_moves(self.board.measure(self.config.channel))
+            time.sleep(_SETTLE_POLL)
+        self.board.obey(self.board.dialect.close, self.config.channel)
+        self._goal = None
+
+    def _connect(self, supply_gauge: float) -> None:
+        fixed = self.config.supply_gauge or 0.0
+        if abs(fixed - supply_gauge) > 0.05 * fixed:
+            raise DeviceError(f"valve {self.config.finger}: {supply_gauge:g} Pa was asked for, but its supply gives {fixed:g} Pa "
+                              "and a relay cannot change that")
+        self.board.obey(self.board.dialect.connect, self.config.channel)
+
+    def _has_moved(self, reading: ValveReading) -> bool:
+        """The chamber has the pressure that was set, as far as is known."""
+        if self._goal is None or reading.pressure_gauge is None:
+            return True
+        return abs(reading.pressure_gauge - self._goal) <= max(_SETTLE_SHARE * abs(self._goal), _SETTLE_FLOOR)
+
+    def _check_moves(self, reading: ValveReading) -> None:
+        if time.monotonic() - self._goal_time >= _SETTLE_TIME and not self._has_moved(reading):
+            raise DeviceError(f"valve {self.config.finger} is stuck: {self._goal:g} Pa was set {_SETTLE_TIME:g} s ago, the "
+                              f"chamber has {reading.pressure_gauge:.0f} Pa")
+
+
+def connect_valves(configs: Sequence[ValveConfig]) -> tuple[list[ValveBoard], list[BoardValve]]:
+    """Connect every board once and return the valves in the order of `configs`. Raises DeviceError."""
+    boards: dict[str, ValveBoard] = {}
+    try:
+        for config in configs:
+            if config.port not in boards:
+                boards[config.port] = ValveBoard([c for c in configs if c.port == config.port])
+    except BaseException:
+        for board in boards.values():
+            board.close(quiet=True)
+        raise
+    return list(boards.values()), [BoardValve(boards[config.port], config) for config in configs]

@@ -1,0 +1,1 @@
+"""Known indenters on one simulated sensor: inflate, press, and the paper's own experiments."""

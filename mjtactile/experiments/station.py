@@ -1,0 +1,87 @@
+"""A simulated sensor on a stand, what its camera and its sensing chain see of it (`View`), and a drive with a load cell over it
+(`Station`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.types import Image, Touch
+from mjtactile.sensing.chain import Perception
+from mjtactile.sensing.touch.squeeze import contact_face
+from mjtactile.sim import truth
+from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.sim.scenes.indentation import Indenter, PressWorld
+
+_REFERENCE_IMAGES = 10
+
+
+class View:
+    """Camera and perception of the sensor in `world`; `design` is what its sensing takes it for."""
+
+    def __init__(self, world: PressWorld, design: SensorDesign, *, seed: int = 0, shadows: bool = False):
+        design.require_rectangle("the sensing chain")
+        self.world = world
+        self.renderer, self.perception = Renderer(design, seed=seed, shadows=shadows), Perception.of(design)
+
+    def image(self) -> Image:
+        """What the camera sees now."""
+        return self.renderer.render(*self.world.marker_poses(0), self.world.time)
+
+    def images(self) -> list[Image]:
+        """As many as a reference is taken from."""
+        return [self.image() for _ in range(_REFERENCE_IMAGES)]
+
+    def touch(self) -> Touch:
+        """What perception makes of one image."""
+        return self.perception.perceive(self.image(), self.world.time)
+
+
+def take_references(world: PressWorld, views: Sequence[View], pressure_gauge: float, *, sealed: bool = True) -> None:
+    """Flat with the valve open to the air, then inflated to `pressure_gauge` Pa and settled, sealed or not: what a session
+    does with a rig, in a world that has no clock to wait for."""
+    world.inflate(0.0, seal=False)
+    for view in views:
+        view.perception.take_flat(view.images())
+    world.inflate(pressure_gauge, seal=sealed)
+    for view in views:
+        view.perception.take_rest(view.images(), pressure_gauge, sealed=sealed)
+
+
+class Station:
+    """One press experiment. `placing` goes to `PressWorld` (at, tilt, mesh)."""
+
+    def __init__(self, design: SensorDesign, indenter: Indenter, *, seed: int = 0, **placing: Any):
+        self.design = design
+        self.world = PressWorld(design, indenter, **placing)
+        self._view = View(self.world, design, seed=seed)
+        self._rest_height = 0.0
+
+    def zero(self, *, sealed: bool = True) -> None:
+        """Take both references: flat with the valve open to the air, then inflated to the supply, sealed or not."""
+        take_references(self.world, [self._view], self.design.chamber.supply_gauge, sealed=sealed)
+        surface = self.touch().surface
+        self._rest_height = float(surface.z.max()) if surface is not None else 0.0
+
+    def image(self) -> Image:
+        """What the camera sees now."""
+        return self._view.image()
+
+    def touch(self) -> Touch:
+        """What the sensing chain makes of one image."""
+        return self._view.touch()
+
+    def load_cell(self) -> float:
+        """Normal force, N, that a load cell behind the indenter's face reads, also while the drive moves."""
+        return -float(truth.contact_force(self.world, 0)[2])
+
+    def look(self, images: int = 1) -> dict[str, float]:
+        """Means over some images: normal force, area of the whole membrane, how far the contact is pressed in."""
+        touches = [self.touch() for _ in range(images)]
+        heights = [face[0] for touch in touches if (face := contact_face(touch)) is not None]
+        areas = [touch.surface.area for touch in touches if touch.surface is not None]
+        return {"force_N": float(np.mean([t.force_normal for t in touches])), "membrane_area_mm2": 1e6 * float(np.mean(areas)),
+                "indentation_mm": 1e3 * (self._rest_height - float(np.mean(heights))) if heights else 0.0}

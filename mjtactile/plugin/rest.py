@@ -1,0 +1,66 @@
+"""What a sensor is like at rest, found out on the sensor alone: no scene needs a choreography for it.
+
+A real sensor measures its references while nothing touches it. In somebody else's scene something may touch from the first
+step on, so that the references are taken in a world that holds this one sensor and nothing else, through rendered images and
+the chain that every rig uses. The inflated membrane that it ends with is then put into the user's scene.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import mujoco
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.types import Array, Command, GripperState
+from mjtactile.rig.finger import Finger, Rig
+from mjtactile.rig.limits import Limits
+from mjtactile.run.session import Session
+from mjtactile.sensing.chain import Chain, ChainState, Perception
+from mjtactile.sim.attach import attach, recommend_options
+from mjtactile.sim.camera import SimCamera
+from mjtactile.sim.rig import SimClock, SimValve
+from mjtactile.sim.scenes.world import World
+
+
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """A sensor with its chamber sealed and nothing touching: `displacements` (3 k,) m in S of its mesh's interior vertices,
+    `pressure_gauge` Pa, and its `chain` with the `state` that has measured both references."""
+
+    displacements: Array
+    pressure_gauge: float
+    chain: Chain
+    state: ChainState
+
+
+@lru_cache(maxsize=64)
+def at_rest(design: SensorDesign, mesh: tuple[int, int], effects: frozenset[str], seed: int) -> Rest:
+    """Inflate one sensor alone and take its references; `seed` fixes its camera's noise.
+
+    Raises DeviceError when the sensor cannot measure itself: an image that shows too few markers, for example.
+    """
+    spec = mujoco.MjSpec()
+    recommend_options(spec)
+    spec.option.gravity = [0.0, 0.0, 0.0]
+    world = World(spec, [attach(spec, design, site=spec.worldbody.add_site(), mesh=mesh, effects=effects)])
+    sensor, clock = world.sensors[0], SimClock(world)
+    finger = Finger("alone", design, SimCamera(sensor, seed, effects), SimValve(sensor))
+    perception = Perception.of(design)
+    Session(Rig("alone", (finger,), _NoGripper(), clock, Limits(), clock.close), [perception]).take_references()
+    clock.close()
+    return Rest(sensor.displacements, sensor.pressure_gauge, perception.chain, perception.state)
+
+
+class _NoGripper:
+    """The gripper of a rig that has none: it stays where it is."""
+
+    def ask(self) -> None:
+        pass
+
+    def state(self) -> GripperState:
+        return GripperState(0.0, 0.0, 0.0, 0.0)
+
+    def command(self, command: Command) -> Command:
+        return command

@@ -1,0 +1,164 @@
+"""`SimFinger`: one sensor in the user's own scene that can be asked what it feels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError, SimulationError
+from mjtactile.core.types import Image, Touch
+from mjtactile.plugin.rest import at_rest
+from mjtactile.sensing.chain import Perception
+from mjtactile.sim.attach import Attachment
+from mjtactile.sim.camera import SimCamera
+from mjtactile.sim.sensor.runtime import TactileSensor
+
+OUTPUTS = {"wrench": 6, "pressure": 1, "touching": 1}
+"""MuJoCo sensors of type `user` that `attach` adds, and how many numbers each has."""
+
+
+class SimFinger:
+    """A sensor in a scene that its user steps: membrane, gas, camera and sensing chain in one.
+
+    It is no `mjtactile.Finger`: that one is part of a rig, whose session reads its devices. This one looks at its own images
+    as they fall due, since the loop is the user's. Made by `Mount.bind`, inflated and with its references taken.
+
+    With every step it also writes `data.sensordata`: PREFIXwrench (6 numbers: N and N m about the origin of S, felt, as in
+    `touch.traction.wrench`), PREFIXpressure (Pa, gauge) and PREFIXtouching (0 or 1); NaN where the touch is unknown.
+    """
+
+    def __init__(self, membrane: Attachment, model: mujoco.MjModel, data: mujoco.MjData, seed: int):
+        self._membrane, self._model, self._data = membrane, model, data
+        self._seed = int(np.random.SeedSequence([seed, *membrane.prefix.encode()]).generate_state(1)[0])
+        self._outputs = [_address(model, membrane.prefix + name, size) for name, size in OUTPUTS.items()]
+        self.reset()
+
+    # -- what it says ------------------------------------------------------------------------------------------------
+
+    @property
+    def name(self) -> str:
+        """The prefix that it was attached with, without what separates it."""
+        return self._membrane.prefix.rstrip("/_-.")
+
+    @property
+    def design(self) -> SensorDesign:
+        return self._membrane.design
+
+    @property
+    def touch(self) -> Touch:
+        """What the newest image shows; `age` says how old that is.
+
+        Raises InputError when the scene was stepped or reset without this finger.
+        """
+        self._require_time(slack=1.5 * self._model.opt.timestep)
+        return replace(self._touch, age=float(self._data.time) - self._touch.time)
+
+    @property
+    def image(self) -> Image:
+        """The newest image of the sensor's camera."""
+        return self._image
+
+    @property
+    def pressure_gauge(self) -> float:
+        """Pressure in the chamber, Pa above ambient, at the last step: what a pressure sensor would read."""
+        return self.sensor.pressure_gauge
+
+    # -- what moves it -----------------------------------------------------------------------------------------------
+
+    def reset(self) -> None:
+        """Start again as after `bind`: inflated, at rest, histories forgotten. Call it after `mj_resetData` and the like."""
+        mesh, effects = self._membrane.mesh, self._membrane.effects
+        rest = at_rest(self.design, (mesh.nx, mesh.ny), effects, self._seed)
+        self.sensor: TactileSensor = self._membrane.bind(self._model, self._data)
+        """The membrane, its gas and its valve."""
+        self.sensor.inflate(rest.displacements, rest.pressure_gauge)
+        self._camera = SimCamera(self.sensor, self._seed, effects)
+        self._perception = Perception(rest.chain, rest.state)
+        self._steps, self._time = 0, float(self._data.time)
+        self._look()
+        self._next_image = self._time + self._period
+
+    def belongs_to(self, data: mujoco.MjData) -> bool:
+        """Whether this finger was bound to `data`."""
+        return data is self._data
+
+    def before_step(self) -> None:
+        """Bring the gas up to the present state; for those who call `mj_step` themselves, right before it.
+
+        Raises InputError when the scene was stepped or reset without this finger.
+        """
+        self._require_time()
+        self.sensor.update()
+
+    def after_step(self) -> None:
+        """Check the state, look at an image if one is due; for those who call `mj_step` themselves, right after it.
+
+        Raises SimulationError when the state is no longer to be trusted.
+        """
+        self._steps, self._time = self._steps + 1, float(self._data.time)
+        motion = math.isfinite(self._data.qpos.dot(self._data.qpos) + self._data.qvel.dot(self._data.qvel))
+        reason = self.sensor.failure() if motion else "the state is not finite"
+        if reason:
+            raise SimulationError(reason, step=self._steps, time=self._time)
+        if self._time > self._next_image - self._model.opt.timestep / 2:
+            self._look()
+            self._next_image += self._period * max(1, math.ceil((self._time - self._next_image) / self._period))
+        self._write()
+
+    @property
+    def _period(self) -> float:
+        return 1.0 / self.design.camera.rate
+
+    def _look(self) -> None:
+        self._image = self._camera.read()
+        self._touch = self._perception.perceive(self._image, self._time)
+        self._write()
+
+    def _write(self) -> None:
+        """Bring the MuJoCo sensors up to date."""
+        touch, known = self._touch, self._touch.status == "ok"
+        wrench = touch.traction.wrench if known and touch.traction is not None else math.nan
+        for place, value in zip(self._outputs, (wrench, self.pressure_gauge, touch.touching if known else math.nan), strict=True):
+            self._data.sensordata[place] = value
+
+    def _require_time(self, slack: float = 0.0) -> None:
+        """Raise InputError unless this finger has gone with the scene, up to `slack` s."""
+        now = float(self._data.time)
+        if now < self._time:
+            raise InputError(f"time went back from {self._time:g} to {now:g} s: call reset() of every finger after mj_resetData",
+                             source=f"finger {self.name!r}")
+        if now > self._time + slack:
+            raise InputError(f"it was left at {self._time:g} s and the scene is at {now:g} s: call mjtactile.step(model, data, "
+                             "fingers) with all fingers in place of mj_step, or reset()", source=f"finger {self.name!r}")
+
+
+def step(model: mujoco.MjModel, data: mujoco.MjData, fingers: Sequence[SimFinger], nstep: int = 1) -> None:
+    """Advance the scene by `nstep` time steps as `mj_step` does, with `fingers`: gas, step, images when they are due.
+
+    Raises InputError when one was left behind or is bound to other data,
+    SimulationError when the state is no longer to be trusted.
+    """
+    for finger in fingers:
+        if not finger.belongs_to(data):
+            raise InputError("it was bound to other data", source=f"finger {finger.name!r}")
+    for _ in range(nstep):
+        for finger in fingers:
+            finger.before_step()
+        mujoco.mj_step(model, data)
+        for finger in fingers:
+            finger.after_step()
+
+
+def _address(model: mujoco.MjModel, name: str, size: int) -> slice:
+    """Where a sensor's numbers are in `sensordata`. Raises InputError when the model has no such sensor."""
+    found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
+    if found < 0:
+        raise InputError(f"the model has no sensor {name!r}; was it compiled from the spec that the sensor was attached to?",
+                         source="bind", field="model")
+    start = int(model.sensor_adr[found])
+    return slice(start, start + size)

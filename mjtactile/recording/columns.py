@@ -1,0 +1,119 @@
+"""The columns of a recording's log: one entry of `SENSED` a key, what it is, and where it comes from.
+
+docs/recording.md has the same table; a test compares the two. SI units; one value a finger where that is said. What is not
+known is NaN here and null in the file, in the shape that it would have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from mjtactile.core.types import Command, Contact, GripperState, Image, Touch, ValveState
+
+_NAN2, _NAN6 = [np.nan] * 2, [np.nan] * 6
+
+
+class CycleLike(Protocol):
+    """What one control cycle offers to be recorded; `mjtactile.run.loop.Cycle` is one."""
+
+    @property
+    def time(self) -> float: ...
+    @property
+    def images(self) -> tuple[Image, ...]: ...
+    @property
+    def touch(self) -> tuple[Touch, ...]: ...
+    @property
+    def gripper(self) -> GripperState: ...
+    @property
+    def valves(self) -> tuple[ValveState, ...]: ...
+    @property
+    def sent(self) -> Command: ...
+    @property
+    def perception_ms(self) -> float: ...
+
+
+def _shear(touch: Touch) -> float:
+    return np.nan if touch.traction is None else float(np.hypot(*touch.traction.wrench[:2]))
+
+
+def _patch(patch: Contact) -> dict[str, Any]:
+    return {"area": patch.area, "centroid": patch.centroid, "depth": patch.depth, "force": patch.force,
+            "semi_axes": patch.semi_axes, "angle": patch.angle}
+
+
+def _valves(name: str) -> Callable[[CycleLike], Any]:
+    return lambda cycle: [getattr(valve, name) for valve in cycle.valves]
+
+
+def _of_touch(value: Callable[[Touch], Any]) -> Callable[[CycleLike], Any]:
+    return lambda cycle: [value(touch) for touch in cycle.touch]
+
+
+def _of_part(part: str, name: str, unknown: Any) -> Callable[[CycleLike], Any]:
+    """A value of a part of each touch, such as its slip; `unknown` where the touch has no such part."""
+    return _of_touch(lambda touch: unknown if (found := getattr(touch, part)) is None else getattr(found, name))
+
+
+SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
+    "time": ("s", "the rig's clock", lambda c: c.time),
+    "phase": ("", "of the command sent in this cycle", lambda c: c.sent.phase),
+    "image_time": ("s", "when each camera's image was captured", lambda c: [image.time for image in c.images]),
+    "force_normal": ("N", "felt, positive for a press", _of_touch(lambda t: t.force_normal)),
+    "force_normal_sd": ("N", "its standard deviation", _of_touch(lambda t: t.force_normal_sd)),
+    "force_shear": ("N", "felt along the membrane, its size", _of_touch(_shear)),
+    "wrench": ("N, N m", "felt: force on the membrane (x, y, z) and torque about the middle of the frame, frame S; a press has a "
+               "negative z", _of_part("traction", "wrench", _NAN6)),
+    "wrench_sd": ("N, N m", "its standard deviations", _of_touch(
+        lambda t: _NAN6 if t.traction is None else np.sqrt(np.diag(t.traction.wrench_cov)))),
+    "touching": ("", "whether something presses on the membrane", _of_touch(lambda t: t.touching)),
+    "status": ("", "\"ok\", or why the force is unknown", _of_touch(lambda t: t.status)),
+    "status_code": ("", "the same in a word or two, one of `StatusCode`", _of_touch(lambda t: t.status.code)),
+    "touch_age": ("s", "age of the image when it had been perceived", _of_touch(lambda t: t.age)),
+    "contact_area": ("m^2", "of all that touches; 0 without contact", _of_part("contact", "area", np.nan)),
+    "contact_centroid": ("m", "its middle (x, y), frame S", _of_part("contact", "centroid", _NAN2)),
+    "contact_depth": ("m", "of the deepest indentation", _of_part("contact", "depth", np.nan)),
+    "patches": ("m^2, m, N", "each place that touches, the strongest first: `area`, `centroid`, `depth`, `force` (x, y, z), "
+                "`semi_axes` and `angle` (rad from x) of its ellipse", _of_touch(lambda t: [_patch(p) for p in t.patches])),
+    "slip_state": ("", "none, sticking, incipient, slipping or unknown", _of_part("slip", "state", "unknown")),
+    "slip_velocity": ("m/s", "of the object over the membrane (x, y), frame S", _of_part("slip", "velocity", _NAN2)),
+    "slip_distance": ("m", "slipped since the touch began", _of_part("slip", "distance", np.nan)),
+    "stick_ratio": ("", "share of the contact that still sticks", _of_part("slip", "stick_ratio", np.nan)),
+    "marker_count": ("", "markers found", _of_touch(lambda t: 0 if t.markers is None else len(t.markers))),
+    "opening": ("m", "as the gripper reports", lambda c: c.gripper.opening),
+    "speed": ("m/s", "of the opening", lambda c: c.gripper.speed),
+    "effort": ("N", "at a jaw, as the servo believes it", lambda c: c.gripper.effort),
+    "lift_height": ("m", "of the hand above where it started", lambda c: c.gripper.lift_height),
+    "gripper_time": ("s", "when that was so", lambda c: c.gripper.time),
+    "gripper_age": ("s", "and how long ago when it was handed over", lambda c: c.gripper.age),
+    "valve_open": ("", "of each valve", _valves("is_open")),
+    "pressure_gauge": ("Pa", "null without a pressure sensor", _valves("pressure_gauge")),
+    "valve_time": ("s", "when that was so", _valves("time")),
+    "valve_age": ("s", "and how long ago", _valves("age")),
+    "command_opening": ("m", "as sent, after limits", lambda c: c.sent.opening),
+    "command_force_limit": ("N", "the same", lambda c: c.sent.force_limit),
+    "command_lift_height": ("m", "the same", lambda c: c.sent.lift_height),
+    "memory": ("", "the controller's own notebook", lambda c: dict(c.sent.memory)),
+    "perception_ms": ("ms", "wall time of the sensing chain, all fingers", lambda c: c.perception_ms),
+    "state": ("", "of the supervisor (docs/hardware.md)", lambda c: getattr(c, "state", "running")),
+    "reason": ("", "why, if it is not running", lambda c: getattr(c, "reason", "")),
+}
+"""Key to unit, meaning, and how a cycle says it."""
+
+TRUE: Mapping[str, tuple[str, str]] = {
+    "force_normal_true": ("N", "what scoring saw"),
+    "wrench_true": ("N, N m", "of the contact forces on each membrane, as `wrench`"),
+    "marker_error_true": ("m", "mean distance of the markers found from where they were"),
+    "object_position_true": ("m", "of the object's body (x, y, z), frame W"),
+    "object_quaternion_true": ("", "its rotation (w, x, y, z), frame W"),
+}
+"""The same of the columns that only a simulation has; `mjtactile.run.scoring` gives them."""
+
+KEYS = ("images", *SENSED, *TRUE)
+
+
+def make_row(cycle: CycleLike, names: Sequence[str], truth: Mapping[str, Any]) -> dict[str, Any]:
+    """One line of the log; `names` are the files of the cycle's images, if it has any."""
+    return {"kind": "cycle", "images": list(names), **{key: value(cycle) for key, (_, _, value) in SENSED.items()}, **truth}

@@ -1,0 +1,74 @@
+"""The files of a run: JSON that is always valid and never half there, and what a recording's first line says.
+
+A recording is a folder with `log.jsonl` (one JSON object a line) and `frames/*.png` (camera images, lossless); the format:
+docs/recording.md.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import math
+import platform
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from mjtactile.core import resources
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import FINGERS
+
+FORMAT, VERSION = "mjtactile-recording", 1
+LOG, FRAMES = "log.jsonl", "frames"
+
+
+def finger_names(count: int) -> tuple[str, ...]:
+    """What the fingers are called in files: left, right, finger3, …"""
+    return (*FINGERS, *(f"finger{number}" for number in range(3, count + 1)))[:count]
+
+
+def to_json(value: Any) -> Any:
+    """Make `value` valid JSON: non-finite numbers become null, numpy values plain ones, paths text."""
+    if isinstance(value, Mapping):
+        return {str(key): to_json(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [to_json(item) for item in value]
+    if isinstance(value, np.generic):
+        return to_json(value.item())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    return str(value)
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write `value` to `path` at once or not at all: a reader never sees half a file."""
+    part = path.with_name(path.name + ".part")
+    part.write_text(json.dumps(to_json(value), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    part.replace(path)
+
+
+def versions() -> dict[str, str]:
+    """Versions of what takes part in a measurement."""
+    return {"mjtactile": importlib.metadata.version("mjtactile"), "opencv": cv2.__version__, "numpy": np.__version__,
+            "python": platform.python_version()}
+
+
+def provenance(header: Mapping[str, Any]) -> dict[str, Any]:
+    """Versions, and the text of the sensor and rig files that a header names: with what was recorded can be looked up when
+    those files have long changed."""
+    files = {}
+    for key, folder in (("sensor", "models/sensors"), ("rig", "models/rigs")):
+        name = header.get(key)
+        try:
+            text = resources.find(name, folder, ".toml").read_text(encoding="utf-8") if name else None
+        except (InputError, OSError):  # a rig without a file: sim, replay
+            text = None
+        if text is not None:
+            files[key] = {"name": str(name), "sha256": hashlib.sha256(text.encode()).hexdigest(), "text": text}
+    return {"versions": versions(), "files": files}

@@ -1,0 +1,160 @@
+"""`load_recording` reads a recording back, however the run ended."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array, Image
+from mjtactile.recording.columns import KEYS
+from mjtactile.recording.files import FORMAT, LOG, VERSION, finger_names
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedReference:
+    """The images that a reference was taken from, and the chambers' gauge pressures, Pa (None: not measured)."""
+
+    folder: Path
+    stage: str
+    names: Sequence[Sequence[str]]
+    times: Sequence[Sequence[float]]
+    pressure_gauge: Sequence[float | None]
+
+    def images(self, finger: int) -> Iterator[Image]:
+        """The images of one finger. Raises InputError naming a file that is missing or broken."""
+        for name, time in zip(self.names[finger], self.times[finger], strict=True):
+            yield _read_image(self.folder / name, time)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A recording read back. `columns[key]` has one row a cycle; a JSON null is NaN. `complete`: it was closed properly."""
+
+    folder: Path
+    header: Mapping[str, Any]
+    notes: Mapping[str, Any]
+    columns: Mapping[str, np.ndarray]
+    complete: bool
+    problems: tuple[str, ...]
+    references: tuple[RecordedReference, ...] = ()
+
+    @property
+    def width(self) -> int:
+        """Number of cameras."""
+        return len(self.columns["image_time"][0]) if len(self) else 0
+
+    @property
+    def fingers(self) -> tuple[str, ...]:
+        """Their names, in the order of every list of one value a finger."""
+        return tuple(self.notes.get("fingers") or finger_names(self.width))
+
+    @property
+    def valve_count(self) -> int:
+        return len(self.columns["valve_open"][0]) if len(self) else 0
+
+    def __len__(self) -> int:
+        return len(self.columns["time"])
+
+    def column(self, key: str, width: int | None = None) -> Array:
+        """A numeric column (cycles, width), or (cycles, fingers, parts) of one with several numbers a finger.
+
+        All NaN when this recording has none, as for the truth of a real run. Raises InputError for a key that no recording
+        has, or one of other things than numbers (they are in `columns`).
+        """
+        if key not in self.columns:
+            if key not in KEYS:
+                raise InputError(f"no column {key!r}", source=self.folder, choices=KEYS)
+            return np.full((len(self), width or self.width), np.nan)
+        if not (len(self) and self.columns[key].dtype == object):
+            return self.columns[key].reshape(len(self), *(self.columns[key].shape[1:] or (1,)))
+        raise InputError(f"{key!r} is not a column of numbers; see columns[{key!r}]", source=self.folder)
+
+    def require_images(self) -> None:
+        """Raise InputError, saying why, unless every cycle has its images."""
+        have = sum(len(names) > 0 for names in self.columns["images"])
+        if have < len(self):
+            raise InputError(f"{have} of {len(self)} cycles have their images, and all are needed; record with --frames all",
+                             source=self.folder)
+
+    def phases(self) -> list[tuple[str, float, float]]:
+        """The phases in order: name, start and end time in s."""
+        names, times = self.columns["phase"], self.columns["time"]
+        starts = [i for i in range(len(self)) if i == 0 or names[i] != names[i - 1]]
+        ends = [*starts[1:], len(self) - 1]
+        return [(str(names[a]), float(times[a]), float(times[b])) for a, b in zip(starts, ends, strict=True)]
+
+    def images(self) -> Iterator[tuple[Image, ...]]:
+        """The camera images cycle by cycle, () of one without (`--frames`).
+
+        Raises InputError naming a file that is missing or broken."""
+        for names, times in zip(self.columns["images"], self.columns["image_time"], strict=True):
+            yield tuple(_read_image(self.folder / n, t) for n, t in zip(names, times, strict=False))
+
+
+def _read_image(path: Path, time: float) -> Image:
+    pixels = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if path.is_file() else None
+    if pixels is None:
+        raise InputError("missing or broken image", source=path)
+    return Image(pixels.astype(np.uint8), time)
+
+
+def load_recording(path: str | Path) -> Recording:
+    """Read the recording in `path` (the folder itself, or a run's folder around it).
+
+    A run that was cut off gives what was written until then: a last line cut in half is left out and named in
+    `problems`. Raises InputError when there is no recording or it is of another version.
+    """
+    folder = Path(path)
+    folder = folder / "recording" if (folder / "recording").is_dir() else folder
+    log = folder / LOG
+    if not log.is_file():
+        raise InputError(f"no recording here: there is no {LOG}", source=folder)
+    rows, problems = _parse(log)
+    header = rows[0] if rows else {}
+    if header.get("format") != FORMAT or header.get("version") != VERSION:
+        found = f"{header.get('format')} version {header.get('version')}"
+        raise InputError(f"{found}, expected {FORMAT} version {VERSION}", source=log, field="line 1")
+    notes: dict[str, Any] = {}
+    for row in rows:
+        if row.get("kind") in ("note", "end"):
+            notes |= {key: value for key, value in row.items() if key != "kind"}
+    cycles = [row for row in rows if row.get("kind") == "cycle"]
+    complete = rows[-1].get("kind") == "end"
+    if not complete:
+        problems.append(f"cut off after {len(cycles)} cycles")
+    references = tuple(RecordedReference(folder, row["stage"], row["images"], row["image_time"], row["pressure_gauge"])
+                       for row in rows if row.get("kind") == "reference")
+    return Recording(folder, header, notes, _columns(cycles), complete, tuple(problems), references)
+
+
+def _parse(log: Path) -> tuple[list[dict[str, Any]], list[str]]:
+    """Every line that is whole; the first that is not ends the log."""
+    rows: list[dict[str, Any]] = []
+    with log.open("rb") as lines:
+        for number, line in enumerate(lines, 1):
+            try:
+                row = json.loads(line.decode("utf-8"))
+            except ValueError:
+                return rows, [f"line {number} is cut off or broken; it and what follows was left out"]
+            rows.append(row if isinstance(row, dict) else {})
+    return rows, []
+
+
+def _columns(cycles: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
+    """Rows to columns: numbers as float with null as NaN, all else as objects."""
+    columns: dict[str, np.ndarray] = {}
+    for key in cycles[0] if cycles else ("time", "phase", "images", "image_time"):
+        values = [row.get(key) for row in cycles]
+        try:
+            columns[key] = np.array(values, dtype=float)  # None becomes NaN
+        except (TypeError, ValueError):
+            columns[key] = np.empty(len(values), dtype=object)
+            columns[key][:] = values
+    return columns

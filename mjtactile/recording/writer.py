@@ -1,0 +1,174 @@
+"""`Recorder` writes the recording of a run while it happens, and holds up nothing.
+
+A background thread writes the images of a cycle first and its line last, so what the log names is on disk.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import math
+import queue
+import threading
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TextIO
+
+import cv2
+
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Image
+from mjtactile.recording.columns import CycleLike, make_row
+from mjtactile.recording.files import FORMAT, FRAMES, LOG, VERSION, finger_names, provenance, to_json
+
+# Huffman coding alone, unfiltered: as small as the slow settings on images with sensor noise, three times as fast.
+_PNG = [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY, cv2.IMWRITE_PNG_COMPRESSION, 1,
+        cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE]
+_QUEUE_CYCLES = 64  # that may wait for the disk: 2 s at 30 Hz, 40 MB with two cameras of 640 x 480 pixels
+_FLUSH_TIME = 5.0  # s that the end of a run waits for the disk
+_logger = logging.getLogger(__name__)
+
+
+class Recorder:
+    """Writes a recording into `folder`, which is made if needed. Raises InputError where one is already.
+
+    `header` says what ran (object, sensor, controller, rig, seed); the images of every `frames`-th cycle are kept, with 0 none
+    at all. Nothing here fails or blocks a run: a recording that cannot be written, or whose disk stands still, is given up
+    with a warning, and `problem` says why. Use as a context manager, or call `close` on every exit path.
+    """
+
+    def __init__(self, folder: str | Path, header: Mapping[str, Any], *, frames: int = 1):
+        self.folder = Path(folder)
+        self.snapshot: CycleLike | None = None
+        """The cycle to show: the latest of the hold phase, before that the one with the greatest force."""
+        self.view: Any = None
+        """The scene in that cycle."""
+        self.cycles = self.references = 0
+        self.problem = ""
+        self.patience = 10.0
+        """s that `add` waits for a disk that is 64 cycles behind; 0 where the world does not wait."""
+        self._frames, self._closed = frames, False
+        self._lock = threading.Lock()
+        self._file = self._open()
+        self._queue: queue.Queue[tuple[Mapping[str, Any], list[tuple[str, Image]]] | None] = queue.Queue(_QUEUE_CYCLES)
+        self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
+        self._thread.start()
+        self._put({"kind": "start", "format": FORMAT, "version": VERSION, **provenance(header), "frames": frames, **header})
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if error is not None and self.never_began(error):
+            self.discard()
+        elif error is not None:
+            self.close(outcome="fault", error=" ".join(str(error).split()) or type(error).__name__)
+        self.close()
+
+    def add(self, cycle: CycleLike, view: Any = None, **truth: Any) -> None:
+        """Record one cycle; `truth` are ground-truth columns (`columns.TRUE`) that a scorer knows, `view` the simulated scene
+        at that time, kept (not written) for the picture."""
+        if self.cycles == 0 and (last := getattr(cycle, "last", None)) is not None:
+            self.note(start_opening=last.opening, start_lift_height=last.lift_height)
+        kept = self._frames and self.cycles % self._frames == 0
+        images = [(f"{FRAMES}/{self.cycles:06d}_{finger}.png", image)
+                  for finger, image in zip(finger_names(len(cycle.images)), cycle.images, strict=True)] if kept else []
+        try:
+            row = make_row(cycle, [name for name, _ in images], truth)
+        except Exception as error:  # noqa: BLE001  # whatever a controller put into its notebook
+            self._give_up(error)
+            return
+        self._put(row, images)
+        self.cycles += 1
+        if self.snapshot is None or _worth_showing(cycle) >= _worth_showing(self.snapshot):
+            self.snapshot, self.view = cycle, view
+
+    def add_reference(self, stage: str, images: Sequence[Sequence[Image]], pressure_gauge: Sequence[float | None]) -> None:
+        """Record the images of a reference ("flat", "rest"), one list a finger, and the pressures it was taken at, Pa."""
+        named = [[(f"{FRAMES}/{stage}_{i:02d}_{finger}.png", image) for i, image in enumerate(shots)]
+                 for finger, shots in zip(finger_names(len(images)), images, strict=True)] if self._frames else []
+        self.references += 1
+        self._put({"kind": "reference", "stage": stage, "images": [[name for name, _ in shots] for shots in named],
+                   "image_time": [[image.time for image in shots] for shots in images],
+                   "pressure_gauge": list(pressure_gauge)}, [pair for shots in named for pair in shots])
+
+    def note(self, **values: Any) -> None:
+        """Record facts that are no cycle, such as `break_force_N`."""
+        self._put({"kind": "note", **values})
+
+    def close(self, **outcome: Any) -> None:
+        """Write what is queued and an `end` line with `outcome`; later calls do nothing."""
+        if self._closed:
+            return
+        self._closed, self.patience = True, _FLUSH_TIME
+        self._put({"kind": "end", **outcome})
+        if not self.problem:
+            with contextlib.suppress(queue.Full):
+                self._queue.put(None, timeout=_FLUSH_TIME)
+            self._thread.join(_FLUSH_TIME)
+            if self._thread.is_alive():
+                self._give_up("the disk stands still")
+
+    def never_began(self, error: BaseException) -> bool:
+        """Whether a run that ended with `error` left nothing worth keeping: a device was missing, a name was wrong."""
+        return self.cycles == 0 and (self.references == 0 or isinstance(error, InputError))
+
+    def discard(self) -> None:
+        """Close and remove the recording: for a run that never began."""
+        self.close()
+        with contextlib.suppress(OSError):
+            for path in (*(self.folder / FRAMES).glob("*.png"), self.folder / LOG):
+                path.unlink()
+            (self.folder / FRAMES).rmdir()
+            self.folder.rmdir()
+
+    def _open(self) -> TextIO:
+        """The new log; that it did not exist before makes the folder this recorder's own."""
+        try:
+            (self.folder / FRAMES).mkdir(parents=True, exist_ok=True)
+            return (self.folder / LOG).open("x", encoding="utf-8")
+        except FileExistsError as error:
+            raise InputError("holds a recording already; nothing is overwritten", source=self.folder) from error
+        except OSError as error:
+            raise InputError(f"cannot be written: {error.strerror}", source=self.folder) from error
+
+    def _put(self, line: Mapping[str, Any], images: Sequence[tuple[str, Image]] = ()) -> None:
+        if self.problem:
+            return
+        try:
+            self._queue.put((line, list(images)), block=self.patience > 0, timeout=self.patience)
+        except queue.Full:
+            self._give_up(f"the disk is {_QUEUE_CYCLES} cycles behind")
+
+    def _give_up(self, why: object) -> None:
+        """Record no more, and say so once."""
+        text = f"{type(why).__name__}: {why}" if isinstance(why, Exception) and not isinstance(why, OSError) else str(why)
+        with self._lock:
+            first, self.problem = not self.problem, self.problem or " ".join(text.split())
+        if first:
+            _logger.warning("%s: the recording was given up: %s", self.folder, self.problem)
+
+    def _work(self) -> None:
+        """The background thread: images first, then the line that names them."""
+        while not self.problem and (item := self._queue.get()) is not None:
+            try:
+                line, images = item
+                for name, image in images:
+                    (self.folder / name).write_bytes(cv2.imencode(".png", image.pixels, _PNG)[1].tobytes())
+                self._file.write(json.dumps(to_json(line), allow_nan=False) + "\n")
+                self._file.flush()
+            except Exception as error:  # noqa: BLE001  # a full disk, a removed folder, a notebook that contains itself
+                self._give_up(error)
+        with contextlib.suppress(OSError):  # what could not be written before
+            self._file.close()
+        with contextlib.suppress(queue.Empty):  # so that nobody waits for a place in it
+            while True:
+                self._queue.get_nowait()
+
+
+def _worth_showing(cycle: CycleLike) -> tuple[bool, float]:
+    if cycle.sent.phase == "hold":
+        return True, 0.0
+    forces = [t.force_normal for t in cycle.touch if math.isfinite(t.force_normal)]
+    return False, sum(forces) if forces else -math.inf

@@ -1,0 +1,72 @@
+"""The nouns: a `Finger` is one sensor that can be asked, a `Rig` is what a controller drives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from mjtactile.core.calibration import Calibration
+from mjtactile.core.design import SensorDesign
+from mjtactile.rig.limits import Limits
+from mjtactile.rig.protocols import Camera, Clock, Gripper, Valve
+
+
+@dataclass(frozen=True)
+class Finger:
+    """One specimen of a sensor on one finger: what it was built as (`design`), its devices, and what was measured of it; `valve`
+    None: it has none that obeys, and its chamber is sealed by hand. `calibration` None: there is none to speak of."""
+
+    name: str
+    design: SensorDesign
+    camera: Camera
+    valve: Valve | None = None
+    calibration: Calibration | None = None
+
+    def pressure(self, reading: float | None) -> float:
+        """Gauge pressure, Pa, of the inflated chamber, whose sensor shows `reading` Pa (None: it has none)."""
+        if reading is None:
+            return self.design.chamber.supply_gauge
+        return reading if self.calibration is None else self.calibration.pressure(reading)
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A gripper with one or more fingers, in the order in which an observation has their touch."""
+
+    name: str
+    fingers: tuple[Finger, ...]
+    gripper: Gripper
+    clock: Clock
+    limits: Limits
+    close: Callable[[], None]
+    """Bring everything to its safe state and let go of it; called on every exit path."""
+    host_timeout: float = math.inf
+    """s without a call after which the devices take the loop for dead and stop by themselves; inf: this world waits, as the
+    simulated one and a replay do."""
+    scene: Any = None
+    """The simulated world, for scoring alone; None on a real rig. Sensing and controllers never see a `Rig`."""
+
+    @property
+    def period(self) -> float:
+        """Control period, s: one frame of the slowest camera."""
+        return 1.0 / min(finger.design.camera.rate for finger in self.fingers)
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """The cameras, in the order of their fingers."""
+        return tuple(finger.camera for finger in self.fingers)
+
+    @property
+    def valves(self) -> tuple[Valve, ...]:
+        """The valves that obey, in the order of their fingers."""
+        return tuple(finger.valve for finger in self.fingers if finger.valve is not None)
+
+
+def make_fingers(names: tuple[str, ...], designs: tuple[SensorDesign, ...], cameras: tuple[Camera, ...],
+                 valves: tuple[Valve, ...] = (), calibrations: tuple[Calibration | None, ...] = ()) -> tuple[Finger, ...]:
+    """Fingers from their parts, all in the same order; no valves, or one for each, and so with calibrations."""
+    nothing = (None,) * len(names)
+    parts = zip(names, designs, cameras, valves or nothing, calibrations or nothing, strict=True)
+    return tuple(Finger(*part) for part in parts)

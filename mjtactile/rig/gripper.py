@@ -1,0 +1,59 @@
+"""What `calibrate gripper` measured of a gripper, in place of what its rig file says."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+
+from mjtactile.core.calibration import PartState
+from mjtactile.core.toml import Section, read_json
+from mjtactile.rig.file import GripperConfig, ServoConfig
+
+
+def gripper_fingerprint(config: GripperConfig) -> str:
+    """SHA-256 of what the rig file says of the servos."""
+    return hashlib.sha256(repr(config.servos).encode()).hexdigest()
+
+
+def calibrated_gripper(config: GripperConfig) -> GripperConfig:
+    """The servos as they were measured, where the rig file names a calibration that is there and not older than it.
+
+    Raises InputError for a file that is broken, or of other servos.
+    """
+    table = _read(config)
+    if table is None or table.text("fingerprint") != gripper_fingerprint(config):
+        return config
+    lines = {line.whole("id", 0, 252): line for line in table.sections("servo", 1, 8)}
+    ids = [servo.id for servo in config.servos]
+    if sorted(lines) != sorted(ids):
+        raise table.fail("servo", f"of servos {sorted(lines)}, but the rig file has {sorted(ids)}")
+    return replace(config, servos=tuple(_servo(servo, lines[servo.id]) for servo in config.servos))
+
+
+def gripper_state(config: GripperConfig) -> PartState:
+    """How the gripper's calibration stands, for `mjtactile doctor`."""
+    table = _read(config)
+    path = config.calibration
+    if table is None:
+        where = "names no file" if path is None else f"{path} is not there"
+        return PartState("gripper", "missing", f"never measured ({where}): the rig file's values count")
+    date = table.text("date")[:10]
+    if table.text("fingerprint") != gripper_fingerprint(config):
+        return PartState("gripper", "outdated", f"of {date}, older than the rig file, whose servos have changed since: not used")
+    return PartState("gripper", "good", f"of {date}")
+
+
+def _read(config: GripperConfig) -> Section | None:
+    path = config.calibration
+    if path is None or not path.exists():
+        return None
+    table = read_json(path)
+    section = Section(table if isinstance(table, dict) else {}, "", str(path))
+    section.text("calibration", ["gripper"])
+    return section
+
+
+def _servo(servo: ServoConfig, line: Section) -> ServoConfig:
+    return replace(servo, zero_ticks=line.whole("zero_ticks", -1_048_575, 1_048_575, default=servo.zero_ticks),
+                   per_rad=line.number("mm_per_rad", -500, 500, 1e-3, default=servo.per_rad),
+                   torque_per_A=line.number("torque_Nm_per_A", 1e-3, 100, default=servo.torque_per_A))

@@ -1,0 +1,69 @@
+"""What devices are: a few small Protocols that the simulator, the emulator, real devices and recordings all meet.
+
+The control loop and everything above it know only these.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+from mjtactile.core.types import Command, GripperState, Image, ValveState
+
+
+@runtime_checkable
+class Camera(Protocol):
+    """A sensor's camera."""
+
+    def read(self) -> Image:
+        """The newest image, with its time of capture on the rig's clock. Raises DeviceError when it is stale."""
+        ...
+
+
+@runtime_checkable
+class Gripper(Protocol):
+    """The jaws, however many, and what lifts the hand."""
+
+    def ask(self) -> None:
+        """Begin the measurement that the next `state` returns, so that servos answer while a picture is worked on."""
+        ...
+
+    def state(self) -> GripperState:
+        """Opening, speed, effort, height, with the time of measurement on the rig's clock and its age.
+
+        Measured when `ask` was called, or now if it was not.
+        """
+        ...
+
+    def command(self, command: Command) -> Command:
+        """Send the goals of `command`, limited to what the rig allows; returns what was really sent."""
+        ...
+
+
+@runtime_checkable
+class Valve(Protocol):
+    """The valve of one chamber."""
+
+    def state(self) -> ValveState:
+        """Open or closed, and the pressure, with the time of measurement on the rig's clock and its age."""
+        ...
+
+    def open(self, supply_gauge: float) -> None:
+        """Connect the chamber to a supply at `supply_gauge` Pa (0 vents it to the ambient air)."""
+        ...
+
+    def close(self) -> None:
+        """Seal the chamber: from here on the amount of gas is kept."""
+        ...
+
+
+@runtime_checkable
+class Clock(Protocol):
+    """Monotonic time in s. In simulation, waiting is what makes the world move."""
+
+    def now(self) -> float: ...
+
+    def start(self, time: float) -> None:
+        """Let the world move on towards `time` while the caller computes. Real time needs no telling."""
+        ...
+
+    def wait_until(self, time: float) -> None: ...

@@ -1,0 +1,19 @@
+"""Empty figures for pictures that are written to files; matplotlib is optional, and without it only the pictures are lost."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+
+def new_figure(name: str, size: tuple[float, float], dpi: int = 110) -> Any:
+    """A figure of `size` inches without a window, for the file `name`; None, said on stderr, without matplotlib."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError:
+        sys.stderr.write(f"mjtactile: warning: {name} was not drawn: pip install 'mjtactile[plots]'\n")
+        return None
+    figure = Figure(figsize=size, dpi=dpi, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure

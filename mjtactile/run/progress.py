@@ -1,0 +1,67 @@
+"""Progress of a run on stderr: phase, time, force and real-time factor; on a terminal one line that is rewritten,
+elsewhere (a log file, CI) one line for each phase. It never writes to stdout.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time as wall
+from typing import TextIO
+
+from mjtactile.core.types import PHASES
+
+_BAR = 18
+_REFRESH = 0.1  # s of wall time between two drawings of the line
+_STEPS = PHASES[: PHASES.index("done")]  # the phases of a grasp in order: the bar counts them
+
+
+class Progress:
+    """Call `update` each cycle and `message` for what happens before and after; `close` ends the line."""
+
+    def __init__(self, stream: TextIO | None = None, *, quiet: bool = False):
+        self._stream = sys.stderr if stream is None else stream
+        self._quiet = quiet
+        self._live = not quiet and self._stream.isatty()
+        self._phase, self._line_open = "", False
+        self._start_wall = self._start_time = self._drawn = -math.inf
+
+    def message(self, text: str) -> None:
+        """Say one line."""
+        if not self._quiet:
+            self.close()
+            print(text, file=self._stream, flush=True)
+
+    def update(self, phase: str, time: float, force: float) -> None:
+        """`time` s on the rig's clock (shown: since the first call), `force` N mean felt normal force a finger (NaN: unknown)."""
+        now = wall.perf_counter()
+        if self._start_wall == -math.inf:
+            self._start_wall, self._start_time = now, time
+        changed, self._phase = phase != self._phase, phase
+        if self._quiet or not (changed or (self._live and now - self._drawn > _REFRESH)):
+            return
+        text = self._text(phase, time, force, now)
+        if self._live:
+            self._stream.write(f"\r\x1b[2K{self._bar(phase)} {text}")
+            self._stream.flush()
+            self._line_open, self._drawn = True, now
+        else:
+            print(text, file=self._stream, flush=True)
+
+    def _text(self, phase: str, time: float, force: float, now: float) -> str:
+        felt = f"{force:5.2f} N" if math.isfinite(force) else "unknown"
+        spent = now - self._start_wall
+        factor = f"{(time - self._start_time) / spent:.2f}x real time" if spent > 0.5 else ""
+        return f"{phase:<9} t = {time - self._start_time:6.2f} s   force {felt}   {factor}".rstrip()
+
+    def _bar(self, phase: str) -> str:
+        done = (_STEPS.index(phase) + 1) / len(_STEPS) if phase in _STEPS else 1.0
+        full = round(done * _BAR)
+        return "[" + "#" * full + "-" * (_BAR - full) + "]"
+
+    def close(self) -> None:
+        """End a line that is being rewritten."""
+        if self._line_open:
+            self._stream.write("\n")
+            self._stream.flush()
+            self._line_open = False

@@ -1,0 +1,214 @@
+"""`summary.json` and `summary.png` of a run: what the camera saw, the surface felt, and the forces over time.
+
+matplotlib is an optional dependency (extra `plots`); without it only the picture is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjtactile.core.errors import MjtactileError
+from mjtactile.core.types import Array, Ellipses, Image, Surface, Touch
+from mjtactile.recording.columns import CycleLike
+from mjtactile.recording.reader import Recording
+from mjtactile.run.scene_picture import View, draw_scene
+from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
+from mjtactile.sensing.image.markers import detect
+
+PHASE_COLOURS = {
+    "approach": "#e8eef5", "close": "#d3e3f3", "regulate": "#fdebd0", "lift": "#e3f1dc", "hold": "#c9e7bd",
+    "lower": "#e3f1dc", "release": "#e8eef5", "abort": "#f8d0d0", "done": "#ffffff",
+}  # fmt: skip
+FINGER_COLOURS = ("#1f5fa8", "#d1571b", "#2e8b57", "#8e44ad", "#7f6000")
+_ARROW = "#c0221c"
+_MM = 1e3
+
+
+def write_figure(path: Path, recording: Recording, snapshot: CycleLike | None, summary: Mapping[str, Any],
+                 scene: View | None = None) -> None:
+    """Draw the run's picture into `path` (PNG); `snapshot` is the cycle whose images, surfaces and `scene` are shown.
+
+    Raises MjtactileError when matplotlib is not installed.
+    """
+    figure_class, canvas_class = _matplotlib()
+    fingers = 1 if snapshot is None else len(snapshot.touch)
+    columns = fingers + (scene is not None)
+    figure = figure_class(figsize=(max(4.6 * columns, 9.2), 11.4), dpi=100, layout="constrained")
+    canvas_class(figure)
+    grid = figure.add_gridspec(3, columns, height_ratios=[1, 1.12, 1.12])
+    figure.suptitle(_title(summary), fontsize=14, fontweight="bold")
+    if snapshot is None:
+        axes = figure.add_subplot(grid[:2, :])
+        axes.set_axis_off()
+        axes.text(0.5, 0.5, "the run ended before the first image", ha="center", transform=axes.transAxes)
+    else:
+        if scene is not None:
+            axes = figure.add_subplot(grid[:2, 0])
+            draw_scene(axes, scene, snapshot.touch, FINGER_COLOURS)
+            axes.set_title(f"the scene at t = {snapshot.time:.2f} s, and the forces felt", fontsize=11)
+        unit = arrow_unit(snapshot.touch)
+        for finger, name in enumerate(recording.fingers[:fingers]):
+            image, column = snapshot.images[finger], columns - fingers + finger
+            _draw_image(figure.add_subplot(grid[0, column]), image, detect(image), f"camera of {name}")
+            draw_surface(figure.add_subplot(grid[1, column], projection="3d", computed_zorder=False), snapshot.touch[finger],
+                         unit)
+    _draw_forces(figure.add_subplot(grid[2, :]), recording, snapshot)
+    part = path.with_name(path.name + ".part")
+    figure.savefig(part, format="png")
+    part.replace(path)
+
+
+def _matplotlib() -> tuple[Any, Any]:
+    """The figure and the canvas class; no pyplot, so no display and no global state."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MjtactileError("matplotlib is not installed: pip install 'mjtactile[plots]'") from error
+    return Figure, FigureCanvasAgg
+
+
+def _title(summary: Mapping[str, Any]) -> str:
+    parts = [f"{summary.get('object', '?')}: {summary.get('outcome', '?')}"]
+    for key, label in (("hold_force_N", "hold"), ("hold_force_true_N", "hold (true)"), ("peak_force_true_N", "peak (true)")):
+        if isinstance(summary.get(key), (int, float)) and np.isfinite(summary[key]):
+            parts.append(f"{label} {summary[key]:.2f} N")
+    title = "   ·   ".join([*parts, f"sensor {summary.get('sensor', '?')}", f"seed {summary.get('seed', '?')}"])
+    return "\n".join([title, *([summary["reason"]] if summary.get("reason") else [])])
+
+
+def _draw_image(axes: Any, image: Image, ellipses: Ellipses, title: str) -> None:
+    """The camera image with the fitted ellipses; pixel (0, 0) is the centre of the top-left pixel."""
+    axes.imshow(image.pixels, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+    if len(ellipses):
+        curves, _ = boundary(ellipses.center_px, shape_from_axes(ellipses.semi_axes_px, ellipses.angle), 60)
+        curves = np.concatenate([curves, curves[:, :1]], axis=1)  # closed
+        axes.plot(*curves.transpose(2, 1, 0), color="#39d353", linewidth=1.1)
+        axes.plot(*ellipses.center_px.T, "+", color="#ff5a4f", markersize=4)
+    axes.set_title(f"{title}: {len(ellipses)} ellipses fitted", fontsize=11)
+    axes.set_xlabel("u [px]")
+    axes.set_ylabel("v [px]")
+    height, width = image.pixels.shape
+    axes.set_xlim(-0.5, width - 0.5)
+    axes.set_ylim(height - 0.5, -0.5)
+
+
+def draw_surface(axes: Any, touch: Touch, unit: float | None = None) -> None:
+    """The reconstructed membrane; arrows are the traction on it where it touches, drawn outward (minus sign) like in the
+    paper's Fig. 7. The arrow in the corner is `unit` Pa long (default: what suits this touch)."""
+    surface, unit = touch.surface, arrow_unit([touch]) if unit is None else unit
+    if surface is None:
+        axes.set_axis_off()
+        axes.set_title(f"no surface: {touch.status}", fontsize=11)
+        return
+    x, y = np.meshgrid(surface.x * _MM, surface.y * _MM)
+    z = surface.z * _MM
+    axes.plot_surface(x, y, z, cmap="viridis", linewidth=0.2, edgecolor="#00000030", rcount=40, ccount=40, alpha=0.9,
+                      zorder=1)
+    low, high = min(float(z.min()), 0.0), max(float(z.max()), 1.0)
+    length = 0.5 * (high - low)  # of the unit's arrow
+    top = max(high, _draw_arrows(axes, touch, surface, length / unit))
+    corner = (x.min(), y.min(), low)
+    axes.quiver(*corner, 0, 0, length, color=_ARROW, linewidth=1.6, arrow_length_ratio=0.25, zorder=3)
+    axes.text(*corner[:2], low + 1.1 * length, f"{1e-3 * unit:g} kPa", color=_ARROW, fontsize=9, zorder=3, ha="center")
+    axes.set_xlabel("x [mm]")
+    axes.set_ylabel("y [mm]")
+    axes.set_zlabel("z [mm]")
+    axes.set_zlim(low, top + 0.05 * (high - low))
+    axes.set_box_aspect((float(np.ptp(x)), float(np.ptp(y)), 0.6 * float(np.ptp(y))), zoom=0.93)
+    axes.view_init(elev=38, azim=-62)
+    felt = f"{touch.force_normal:.2f} ± {touch.force_normal_sd:.2f} N"
+    axes.set_title("membrane, and the traction on it with a minus sign\n"
+                   f"normal force {felt if touch.status == 'ok' else f'unknown: {touch.status}'}", fontsize=11)
+
+
+def arrow_unit(touch: Sequence[Touch]) -> float:
+    """The traction, Pa, that the arrow of the scale stands for: round, and a little less than the largest felt."""
+    largest = max((float(np.linalg.norm(_tractions(t), axis=-1).max(initial=0.0)) for t in touch), default=0.0)
+    if largest <= 0:
+        return 1000.0
+    decade = 10.0 ** np.floor(np.log10(largest))
+    return float(max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= largest))
+
+
+def _tractions(touch: Touch) -> Array:
+    """Force per area (ny, nx, 3) Pa at the nodes in contact, zero elsewhere."""
+    traction, contact = touch.traction, touch.contact
+    if traction is None or contact is None or not touch.touching or contact.mask.shape != traction.force.shape[:2]:
+        return np.zeros((1, 1, 3))
+    area = float(np.diff(traction.x).mean() * np.diff(traction.y).mean())
+    return np.where(contact.mask[..., None], np.nan_to_num(traction.force), 0.0) / area
+
+
+def _draw_arrows(axes: Any, touch: Touch, surface: Surface, mm_per_Pa: float) -> float:
+    """Draw the traction where something touches; returns the highest tip, mm."""
+    stress = _tractions(touch)
+    size = np.linalg.norm(stress, axis=-1)
+    keep = np.zeros(size.shape, dtype=bool)
+    step = max(1, round(max(size.shape) / 24))  # no more than about 24 arrows a row
+    keep[::step, ::step] = True
+    keep &= size > 0.03 * size.max(initial=0.0)
+    if touch.traction is None or not keep.any():
+        return float(surface.z.max()) * _MM
+    gx, gy = np.meshgrid(touch.traction.x, touch.traction.y)
+    iy = np.abs(surface.y[:, None] - gy[keep]).argmin(axis=0)
+    ix = np.abs(surface.x[:, None] - gx[keep]).argmin(axis=0)
+    foot_z = surface.z[iy, ix] * _MM
+    arrow = -stress[keep] * mm_per_Pa
+    axes.quiver(gx[keep] * _MM, gy[keep] * _MM, foot_z, *arrow.T, color=_ARROW, linewidth=1.1, arrow_length_ratio=0.22,
+                zorder=2)
+    return float((foot_z + arrow[:, 2]).max())
+
+
+def _draw_forces(axes: Any, recording: Recording, snapshot: CycleLike | None) -> None:
+    """Estimated (line, with a band of two sd) and true (dashed) normal force per finger, phases shaded and named."""
+    time = recording.columns["time"]
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel("normal force on a finger [N]")
+    if len(time) == 0:
+        axes.text(0.5, 0.5, "no cycle was recorded", ha="center", transform=axes.transAxes)
+        return
+    estimated, sd, true = (recording.column(key) for key in ("force_normal", "force_normal_sd", "force_normal_true"))
+    for i, (name, colour) in enumerate(zip(recording.fingers, FINGER_COLOURS, strict=False)):
+        low, high = estimated[:, i] - 2 * sd[:, i], estimated[:, i] + 2 * sd[:, i]
+        axes.fill_between(time, low, high, color=colour, alpha=0.18, linewidth=0)
+        axes.plot(time, estimated[:, i], color=colour, linewidth=1.8, label=f"{name}: felt ± 2 sd")
+        if np.isfinite(true[:, i]).any():
+            axes.plot(time, true[:, i], color=colour, linewidth=1.4, linestyle=(0, (4, 2)), label=f"{name}: true")
+    values = np.concatenate([estimated.ravel(), true.ravel()])
+    top = _draw_break_force(axes, recording.notes.get("break_force_N"), 1.35 * float(np.nanmax(values, initial=0.2)))
+    axes.set_ylim(min(-0.05 * top, 1.1 * float(np.nanmin(values, initial=0.0))), top)
+    axes.set_xlim(time[0], max(time[-1], time[0] + 1e-3))
+    _shade_phases(axes, recording)
+    if snapshot is not None:
+        axes.axvline(snapshot.time, color="#444444", linewidth=0.9, linestyle=":")
+    axes.grid(axis="y", color="#00000018")
+    axes.legend(loc="upper left", ncols=3, fontsize=9, framealpha=0.9)
+
+
+def _draw_break_force(axes: Any, force: Any, top: float) -> float:
+    """A line where the object breaks, or a note when that is so far up that it would flatten the curves; the new top."""
+    if not isinstance(force, (int, float)) or not np.isfinite(force):
+        return top
+    if force > 2.5 * top:
+        axes.text(0.995, 0.97, f"object breaks at {force:g} N  \u2191", transform=axes.transAxes, ha="right", va="top",
+                  color="#b00020", fontsize=10, fontweight="bold")
+        return top
+    axes.axhline(force, color="#b00020", linewidth=1.4, label=f"object breaks at {force:g} N")
+    return max(top, 1.25 * force)
+
+
+def _shade_phases(axes: Any, recording: Recording) -> None:
+    """Colour the time of each phase and write its name above it."""
+    duration = recording.columns["time"][-1] - recording.columns["time"][0]
+    for name, start, end in recording.phases():
+        if name == "done":
+            continue  # it is the one cycle that ends the run
+        axes.axvspan(start, end, color=PHASE_COLOURS.get(name, "#eeeeee"), zorder=0, linewidth=0)
+        turn = 0 if end - start > 0.07 * duration else 40
+        axes.text((start + end) / 2, 1.015, name, transform=axes.get_xaxis_transform(), rotation=turn,
+                  ha="center" if turn == 0 else "left", va="bottom", fontsize=9.5, color="#333333")

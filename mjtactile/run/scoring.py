@@ -1,0 +1,131 @@
+"""What really happened in a simulated grasp, by ground truth: forces, slip, held or dropped or crushed. Never sensed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from mjtactile.core.types import Array, Touch
+from mjtactile.sim import truth
+from mjtactile.sim.scenes.grasp_world import GraspWorld
+from mjtactile.sim.scenes.view import SceneView
+
+_RISEN = 0.01  # m of the hand, from where on it can be told whether the object comes along
+_HELD_SHARE = 0.5  # the object counts as held when it rose by at least this share of what the hand rose,
+_HELD_SLACK = 1e-3  # m, less this: on a rig that does not lift, what it does not drop is held
+
+
+@dataclass
+class GraspScore:
+    """Watches a world at every physics step. A phase counts from the image after the command that began it."""
+
+    world: GraspWorld
+    phase: str = "approach"
+    peak_force: float = 0.0
+    crushed_at: float | None = None
+    _next_phase: str = "approach"
+    _wrenches: list[Array] = field(default_factory=list)
+    _object_pose: dict[str, list[float]] = field(default_factory=dict)
+    _markers: list[Array] = field(default_factory=list)
+    _hold_forces: list[float] = field(default_factory=list)
+    _held: list[bool] = field(default_factory=list)
+    view: SceneView | None = None
+    """The scene as it was when the images were taken."""
+    lost: bool = False
+    """The hand has risen, and the object has not come along."""
+    _carried: float = 0.0
+    _grip_start: Array | None = None
+    _slip: float = 0.0
+
+    def __post_init__(self) -> None:
+        self._bodies = truth.object_bodies(self.world)
+        self._rest_height = self._object_position()[2]
+        self._hand_start = truth.hand_position(self.world)[2]
+
+    def snapshot(self) -> None:
+        """Keep the truth of this moment, at which the images were taken; the world must not be moving."""
+        self.phase = self._next_phase
+        sensors = range(len(self.world.sensors))
+        self._wrenches = [truth.contact_wrench(self.world, i) for i in sensors]
+        self._markers = [self.world.marker_poses(i)[0] for i in sensors]
+        p_WO, q_WO = truth.object_pose(self.world)
+        self._object_pose = {"object_position_true": p_WO.tolist(), "object_quaternion_true": q_WO.tolist()}
+        self.view = SceneView.of(self.world)
+
+    def columns(self, touch: Sequence[Touch], phase: str) -> dict[str, list[Any]]:
+        """The columns of truth beside one cycle's touch (`mjtactile.recording.columns.TRUE`).
+
+        `phase` is that of the command which was sent for it.
+        """
+        self._next_phase = phase
+        errors = []
+        for seen, p_SM in zip(touch, self._markers, strict=True):
+            markers = seen.markers
+            errors.append(math.nan if markers is None or not len(markers) else
+                          float(np.linalg.norm(markers.p_SM - p_SM[markers.ids], axis=1).mean()))
+        return {"force_normal_true": [float(-wrench[2]) for wrench in self._wrenches],
+                "wrench_true": [wrench.tolist() for wrench in self._wrenches], "marker_error_true": errors, **self._object_pose}
+
+    def after_step(self) -> None:
+        """Sample the truth; call after every physics step."""
+        forces = self.forces()
+        self.peak_force = max(self.peak_force, *forces)
+        if max(forces) > self.world.object.break_force and self.crushed_at is None:
+            self.crushed_at = self.world.time
+        if self.phase in ("lift", "hold"):
+            self._track_slip()
+            self._carried = max(self._carried, self.world.design.membrane.friction * sum(forces))
+            self.lost |= self._lifted() > _RISEN and not self._has_risen()
+        if self.phase == "hold":
+            self._hold_forces.append(float(np.mean(forces)))
+            self._held.append(self._has_risen())
+
+    def forces(self) -> list[float]:
+        """Normal force of the object on each membrane, N, positive when pressing."""
+        return [float(-truth.contact_force(self.world, i)[2]) for i in range(len(self.world.sensors))]
+
+    def _object_position(self) -> Array:
+        return truth.object_position(self.world, self._bodies)
+
+    def _track_slip(self) -> None:
+        """Largest motion of the object against the hand since it was lifted, m."""
+        relative = self._object_position() - truth.hand_position(self.world)
+        if self._grip_start is None:
+            self._grip_start = relative
+        self._slip = max(self._slip, float(np.linalg.norm(relative - self._grip_start)))
+
+    def _has_risen(self) -> bool:
+        return self._object_position()[2] - self._rest_height > _HELD_SHARE * self._lifted() - _HELD_SLACK
+
+    def _lifted(self) -> float:
+        """How far the hand really has risen, m."""
+        return float(truth.hand_position(self.world)[2] - self._hand_start)
+
+    def reason(self) -> str:
+        """Why a lifted object was dropped, if it was too heavy for the grip; "" otherwise."""
+        model = self.world.model
+        weight = float(model.body_mass[self._bodies].sum() * np.linalg.norm(model.opt.gravity))
+        if self.outcome() != "dropped" or self._grip_start is None or weight <= self._carried:
+            return ""
+        return (f"too heavy for this grip: it weighs {weight:.2g} N, and with a friction of "
+                f"{self.world.design.membrane.friction:g} the fingers could carry {self._carried:.2g} N at most")
+
+    def outcome(self) -> str:
+        """"crushed" if a finger ever pushed harder than the object stands, "held" if it stayed up, else "dropped"."""
+        if self.crushed_at is not None:
+            return "crushed"
+        return "held" if self._held and all(self._held) else "dropped"
+
+    @property
+    def hold_force(self) -> float:
+        """Mean normal force per finger over the hold phase, N; NaN when it was never reached."""
+        return float(np.mean(self._hold_forces)) if self._hold_forces else float("nan")
+
+    @property
+    def slip(self) -> float:
+        """Slip, m; NaN when the object was never lifted."""
+        return self._slip if self._grip_start is not None else float("nan")

@@ -1,0 +1,1 @@
+"""Markers to the tractions that explain them: inverse membrane statics."""

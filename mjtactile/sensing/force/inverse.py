@@ -1,0 +1,289 @@
+"""Traction on the membrane from its markers by inverse finite elements (level 3; docs/equations.md, Eq. F9-F12).
+
+Unknown are the tractions at the nodes of a grid. They deform the sheet of `mjtactile.sensing.force.sheet` from its
+forward-solved rest shape, so the bulge is not interpolated but computed; markers see the deformation at their places and,
+where they stand far apart, its slopes too.
+Nothing touches almost everywhere: the prior of `mjtactile.sensing.force.prior` follows the tractions found before, so that
+contacts become compact. The amount of gas and the camera's place may have drifted a little since they were measured; they
+are unknowns, too. And next to a sharp edge markers move in ways that the sheet's splines cannot follow: a marker counts
+the less, the worse it was explained.
+
+A frame is one Gauss-Newton step, or a few after a sudden change. Stiffness and gains are kept as long as the shape
+stays near where they were computed; then the step is back-substitutions only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+
+from mjtactile.core.bspline import hats
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.types import Array, Markers, Traction
+from mjtactile.sensing.force.prior import LoadPrior
+from mjtactile.sensing.force.sheet import Gas, Sheet, State
+from mjtactile.sensing.force.slopes import MarkerSlopes
+from mjtactile.sensing.settings import DEFAULTS, InverseSettings, PriorSettings
+
+REWEIGHTED = 2  # from a cold start
+STEPS_MAX, STEP_LIMIT = 8, 2e-3  # m
+SETTLED, NEAR = 1e-4, 2e-4  # m: a step that ends the iteration; a distance over which stiffness and gains are kept
+REFINE = 5  # cells of the fine grid, for outlines, to a cell of the traction grid
+
+
+@dataclass(frozen=True, eq=False)
+class InverseRest:
+    """What the sensor measured of itself with nothing touching: the `gas`, the factor `stiffness_scale` on Young's modulus that
+    makes the model bulge as far as the markers do, coefficients `c` (3, n) m of that model, and what then remains,
+    `offset` (N, 3) m, measured less modelled marker positions."""
+
+    gas: Gas
+    stiffness_scale: float
+    c: Array
+    offset: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Gain:
+    """One linearisation, at `c` (3, n), for markers `ids`: the stiffness's Cholesky factor, the whitened markers' motion
+    (r, 3 n) by generalised forces (r = 3 m positions, and 2 m slopes where they count), their response (r, 3 J) to nodal
+    tractions, and its `half` covariance by the prior; `weights` (m, 3, 3) that whiten positions and `slope_weights` (m,), and
+    the factors `distrust` (2, m) on the sd of both that they contain; the response (r, 4) to
+    one sd of `drift` (gas, camera's x, y, z), the gas's part of it as pressure, Pa, and as a load (3, n), and the share
+    `drift_seen` (4,) of their variances that estimates have; prior sd (3 J,) of the tractions; the factor of the predicted
+    covariance of the whitened markers; and how often it was `reweighted`: tractions had been found before it was made."""
+
+    c: Array
+    ids: NDArray[np.int64]
+    stiffness: tuple[Array, bool]
+    moved: Array
+    response: Array
+    half: Array
+    weights: Array
+    slope_weights: Array
+    distrust: Array
+    drift: Array
+    drift_gas: tuple[float, Array]
+    drift_seen: Array
+    prior: Array
+    innovation: tuple[Array, bool]
+    reweighted: int
+
+    def serves(self, c: Array, markers: Markers) -> bool:
+        """Whether it can be used near `c`, for these markers."""
+        return np.array_equal(self.ids, markers.ids) and bool(np.abs(c - self.c).max() < NEAR)
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """An estimate: coefficients `c` (3, n) m of the deformation, nodal tractions (3, J) Pa, gauge pressure Pa, the mean
+    square `misfit` of the markers over their predicted sd, the gain it came from, and the mean square noise over its sd,
+    `excess` (2, N), of each marker's position and slopes, and the mean square `drift` found, over what is to be expected.
+    Hand it to the next frame."""
+
+    c: Array
+    traction: Array
+    pressure_gauge: float
+    misfit: float
+    gain: Gain
+    steps: int
+    excess: Array
+    drift: float
+
+
+class InverseMembrane:
+    """Traction estimator of one sensor; the inner grid lines of its sheet carry the nodes."""
+
+    def __init__(self, design: SensorDesign, settings: InverseSettings = DEFAULTS.inverse, prior: PriorSettings = DEFAULTS.prior):
+        self.design, self.settings, self.sheet = design, settings, Sheet(design, settings.spans)
+        ax, ay = self.sheet.axes
+        self.x, self.y = ax.breaks, ay.breaks
+        hat_x, hat_y = hats(self.x, ax.points)[0][:, 1:-1], hats(self.y, ay.points)[0][:, 1:-1]
+        load_x, load_y = ((a.at(a.points) * a.weights[:, None]).T @ h for a, h in ((ax, hat_x), (ay, hat_y)))
+        self._hats = (hat_x, hat_y)
+        self._load = np.kron(load_x, load_y)  # (n, J): generalised force of one pascal at each node
+        self._load_single = self._load.astype(np.float32)
+        self.node_area = np.outer(ax.weights @ hat_x, ay.weights @ hat_y).ravel()  # (J,) m^2
+        self.prior = LoadPrior(self.x[1:-1], self.y[1:-1], prior)
+        X, Y = np.meshgrid(self.x[1:-1], self.y[1:-1], indexing="ij")
+        self.nodes = np.column_stack([X.ravel(), Y.ravel()])
+        self._at_nodes = self.sheet.basis(self.nodes)
+        self._fine = [np.linspace(-a.length / 2, a.length / 2, REFINE * a.spans + 1) for a in (ax, ay)]
+        self._at_fine = [a.at(g) for a, g in zip((ax, ay), self._fine, strict=True)]
+        self._material = design.markers.p_SM
+        self._at_markers = self.sheet.basis(self._material[:, :2])
+        sparse = design.markers.pitch_x * design.markers.pitch_y > settings.slopes_cell
+        self._slopes = MarkerSlopes(self.sheet, self._material, design.camera.distance, settings) if sparse else None
+
+    # -- the sensor's own rest -----------------------------------------------------------------------------------------
+
+    def rest_state(self, markers: Markers, pressure_gauge: float, *, sealed: bool = True) -> InverseRest:
+        """Calibrate on a state with nothing touching and a known gauge pressure, Pa: see `InverseRest`."""
+        valve, scale = Gas(pressure_gauge), 1.0
+        c = self.sheet.equilibrium(valve)
+        height = markers.p_SM[:, 2]
+        if pressure_gauge > self.settings.informative_pressure:
+            for _ in range(3):  # the bulge goes with the stiffness to a power between -1 and -1/3
+                modelled = self._at_markers[markers.ids] @ c[2]
+                ratio = max(float(modelled @ height / (modelled @ modelled)), 0.01)  # pressed in below the frame: no bulge
+                scale *= np.clip(1 / ratio**1.6, 0.5, 2.0)
+                c = self.sheet.equilibrium(valve, scale, start=c)
+        state = self.sheet.state(c, scale)
+        gas = self.sheet.seal(state, pressure_gauge) if sealed else valve
+        offset = np.zeros((self.design.markers.count, 3))
+        offset[markers.ids] = markers.p_SM - self.positions(c)[markers.ids]
+        return InverseRest(gas, scale, c, offset)
+
+    def positions(self, c: Array) -> Array:
+        """Marker centres (N, 3) m in S."""
+        return self._material + self._at_markers @ c.T
+
+    # -- one frame -----------------------------------------------------------------------------------------------------
+
+    def estimate(self, markers: Markers, rest: InverseRest, start: Shape | None = None) -> Shape:
+        """Tractions and deformation that explain the markers, starting from the last frame's where there is one."""
+        c, before = (rest.c, None) if start is None else (start.c, start)
+        gain = None if start is None else start.gain
+        for steps in range(1, STEPS_MAX + 1):
+            if gain is None or gain.reweighted < REWEIGHTED or not gain.serves(c, markers):
+                gain = self._gain(c, markers, rest, before)
+            shape = self._step(c, markers, rest, gain, steps)
+            settled = float(np.abs(shape.c - c).max()) < SETTLED
+            c, before = shape.c, shape
+            if settled and gain.reweighted >= REWEIGHTED:
+                return shape
+        return shape  # pyright: ignore[reportPossiblyUnboundVariable] the loop runs at least once
+
+    def _step(self, c: Array, markers: Markers, rest: InverseRest, gain: Gain, count: int) -> Shape:
+        """One Gauss-Newton step from `c`: the sheet relaxes, tractions and drift explain what markers show beyond that."""
+        data = markers.p_SM - rest.offset[markers.ids] - self._material[markers.ids]
+        state = self.sheet.state(c, rest.stiffness_scale)
+        pressure, _ = self.sheet.gas_pressure(state, rest.gas)
+        residual = self.sheet.residual(state, pressure)
+        # against the state without tractions, u - K^-1 r
+        misfit = _whiten(gain.weights, data - self._at_markers[markers.ids] @ c.T)
+        if self._slopes is not None:
+            off = np.where(gain.slope_weights > 0, self._slopes.off(markers, c).T * gain.slope_weights, 0.0)
+            misfit = np.concatenate([misfit, off.T.ravel()])
+        misfit = misfit + gain.moved @ residual.ravel()
+        noise = cho_solve(gain.innovation, misfit, check_finite=False)  # what is left for the whitened markers' noise
+        traction = self.prior.times(noise @ gain.response, gain.prior).reshape(3, -1)
+        drift = noise @ gain.drift  # in sd
+        load = traction @ self._load.T + drift[0] * gain.drift_gas[1]
+        change = cho_solve(gain.stiffness, (load - residual).ravel(), check_finite=False).reshape(3, -1)
+        c = c + min(1.0, STEP_LIMIT / max(float(np.abs(change).max()), 1e-30)) * change
+        pressure += float(drift[0]) * gain.drift_gas[0]
+        count_p = 3 * len(markers)
+        excess = np.zeros((2, len(self._material)))
+        excess[0, markers.ids] = gain.distrust[0] ** 2 * (noise[:count_p].reshape(-1, 3) ** 2).mean(axis=1)
+        if self._slopes is not None:
+            excess[1, markers.ids] = gain.distrust[1] ** 2 * (noise[count_p:].reshape(-1, 2) ** 2).mean(axis=1)
+        return Shape(c, traction, pressure, float(misfit @ noise) / len(misfit), gain, count, excess,
+                     float((drift**2 / gain.drift_seen).mean()))
+
+    def _gain(self, c: Array, markers: Markers, rest: InverseRest, before: Shape | None) -> Gain:
+        state = self.sheet.state(c, rest.stiffness_scale)
+        _, stiffness = self.sheet.linearise(state, rest.gas, rest.stiffness_scale)
+        rows = self._at_markers[markers.ids]
+        excess = np.zeros((2, len(rows))) if before is None else before.excess[:, markers.ids]
+        distrust = np.sqrt(np.maximum(1.0, excess / [[self.settings.excess], [self.settings.slope_excess]]))
+        noise = markers.cov_p + self.settings.marker_floor**2 * np.eye(3)
+        weights = np.linalg.inv(np.linalg.cholesky(noise)) / distrust[0, :, None, None]
+        # unit forces along the whitened axes of each marker, (3 n, 3 m)
+        unit = (weights.transpose(2, 0, 1)[:, None] * rows.T[None, :, :, None]).reshape(3 * self.sheet.count, -1)
+        slope_weights = np.zeros(len(rows))
+        if self._slopes is not None:
+            slope_weights = self._slopes.weights(markers, c) / distrust[1]
+            tilting = self._slopes.rows(c, markers.ids) * slope_weights[:, None, None, None]
+            unit = np.concatenate([unit, tilting.reshape(2 * len(rows), -1).T], axis=1)
+        drift, drift_gas = self._drift(state, rest, stiffness, weights, unit)
+        # in single precision: from a factor in double precision that is good to 1e-4 of a motion, at half the time
+        single = (stiffness[0].astype(np.float32), stiffness[1])
+        moved = cho_solve(single, unit.astype(np.float32), overwrite_b=True, check_finite=False).T
+        response = (moved.reshape(-1, self.sheet.count) @ self._load_single).reshape(len(moved), -1)
+        prior = self.prior.first() if before is None else self.prior.after(before.traction)
+        half = self.prior.half(response, prior)
+        innovation = (half @ half.T).astype(float) + drift @ drift.T
+        innovation[np.diag_indices_from(innovation)] += 1.0
+        innovation = cho_factor(innovation, check_finite=False)
+        seen = np.maximum((drift * cho_solve(innovation, drift, check_finite=False)).sum(axis=0), 1e-6)
+        return Gain(c, markers.ids, stiffness, moved, response, half, weights, slope_weights, distrust, drift, drift_gas, seen,
+                    prior, innovation, 0 if before is None else before.gain.reweighted + 1)
+
+    def _drift(self, state: State, rest: InverseRest, stiffness: tuple[Array, bool], weights: Array,
+               unit: Array) -> tuple[Array, tuple[float, Array]]:
+        """What one sd of drift does: to the whitened markers (r, 4), and, by the gas, as pressure and as a load."""
+        volume = self.design.chamber_volume_flat + state.volume
+        dent = self.sheet.state(rest.c).volume - state.volume
+        pressure = self.sheet.gas_pressure(state, rest.gas)[0] + self.design.chamber.ambient
+        share = float(np.hypot(self.settings.drift_gas, self.settings.dent_share * dent / volume))
+        pressure *= share if rest.gas.constant is not None else 0.0
+        load = pressure * self.sheet.volume_gradient(state)
+        bulge = cho_solve(stiffness, load.ravel(), check_finite=False)
+        drift = np.zeros((unit.shape[1], 4))
+        drift[:, 0] = bulge @ unit
+        drift[: 3 * len(weights), 1:] = self.settings.drift_camera * weights.reshape(-1, 3)  # slopes do not see the camera move
+        return drift, (pressure, load)
+
+    # -- what it means -------------------------------------------------------------------------------------------------
+
+    def traction(self, shape: Shape) -> Traction:
+        """Nodal forces on the grid, net wrench and its covariance."""
+        force = shape.traction * self.node_area
+        moment = self._moments(shape.c)
+        wrench = moment @ force.ravel()
+        nodal = np.zeros((len(self.y), len(self.x), 3))
+        nodal[1:-1, 1:-1] = force.reshape(3, len(self.x) - 2, len(self.y) - 2).transpose(2, 1, 0)
+        return Traction(self.x, self.y, nodal, wrench, self._wrench_cov(shape, moment, wrench), shape.pressure_gauge,
+                        method="inverse")
+
+    def node_positions(self, c: Array) -> Array:
+        """Where the nodes are now, (J, 3) m in S."""
+        return np.column_stack([self.nodes, np.zeros(len(self.nodes))]) + self._at_nodes @ c.T
+
+    def fine_positions(self, c: Array) -> Array:
+        """Where the points of the fine grid are now, (a, b, 3) m in S."""
+        moved = self._at_fine[0] @ c.reshape(3, *self.sheet.shape) @ self._at_fine[1].T
+        moved[0] += self._fine[0][:, None]
+        moved[1] += self._fine[1]
+        return np.moveaxis(moved, 0, -1)
+
+    def pressing_at_points(self, shape: Shape) -> Array:
+        """Force per cell of the sheet's Gauss points (qx, qy) with which the outside presses, N; never negative."""
+        hat_x, hat_y = self._hats
+        pressure = np.maximum(-shape.traction[2], 0.0).reshape(hat_x.shape[1], hat_y.shape[1])
+        return self.sheet.weights * (hat_x @ pressure @ hat_y.T)
+
+    def _moments(self, c: Array) -> Array:
+        """Matrix (6, 3 J) that adds nodal forces (3, J) up to force and torque about the origin of S."""
+        x, y, z = self.node_positions(c).T
+        one, zero = np.ones_like(x), np.zeros_like(x)
+        return np.stack([np.r_[one, zero, zero], np.r_[zero, one, zero], np.r_[zero, zero, one],
+                         np.r_[zero, -z, y], np.r_[z, zero, -x], np.r_[-y, x, zero]])
+
+    def _wrench_cov(self, shape: Shape, moment: Array, wrench: Array) -> Array:
+        """Posterior covariance (6, 6): what the prior leaves open between markers, their noise, and the model's share; see
+        `posterior_share`."""
+        gain = shape.gain
+        L = self.prior.half(moment * np.tile(self.node_area, 3), gain.prior)
+        half = solve_triangular(gain.innovation[0], gain.half @ L.T, trans=1, check_finite=False)
+        scale = np.sqrt(self.posterior_share(shape))
+        cov = (L @ L.T - half.T @ half) * np.outer(scale, scale)
+        sparse = max(1.0, self.design.markers.pitch_x * self.design.markers.pitch_y / self.settings.share_cell)
+        size = np.repeat([np.linalg.norm(wrench[:3]), np.linalg.norm(wrench[3:])], 3)
+        share = self.settings.model_share * np.array([np.sqrt(sparse), np.sqrt(sparse), sparse, 1, 1, 1])
+        cov[np.diag_indices(6)] += (share * size) ** 2
+        return cov
+
+    def posterior_share(self, shape: Shape) -> Array:
+        """Share (6,) of the wrench's predicted variances, before the model's: more where markers misfit or show drift."""
+        shear = self.settings.shear_share
+        share = self.settings.posterior_share * max(1.0, shape.misfit) * np.array([shear, shear, 1, 1, 1, shear])
+        return np.maximum(share, shape.drift - 1)
+
+
+def _whiten(weights: Array, values: Array) -> Array:
+    return np.einsum("mai,mi->ma", weights, values).ravel()

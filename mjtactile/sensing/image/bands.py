@@ -1,0 +1,126 @@
+"""The pixels that a marker's fit looks at: a band along its edge, less what other markers darken. All in ragged arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from mjtactile.core.types import Array
+from mjtactile.sensing.image import ellipse
+
+_CLEAR = 1.5  # px around another marker that are left out of the fit: most of its blurred rim
+_LARGER = 4.0  # times a marker's size: what is larger is no marker that stands beside it
+_FAR = 1e7  # px; beyond any image
+
+
+def band(size: tuple[int, int], center: Array, shape: Array, width: float) -> tuple[NDArray, NDArray, NDArray]:
+    """Pixels within +-`width` of each ellipse: flat lists `u`, `v`, and `counts` (N,) of pixels per ellipse.
+
+    Row by row: each image row cuts the outer and the inner ellipse in at most one interval each.
+    """
+    outer, inner = shape + [width, 0, width], shape - [width, 0, width]
+    hollow = (inner[:, 0] > 0) & (inner[:, 0] * inner[:, 2] > inner[:, 1] ** 2)
+    reach = np.sqrt(outer[:, 1] ** 2 + outer[:, 2] ** 2)
+    top = np.ceil(center[:, 1] - reach).astype(np.int64)
+    rows = int(np.ceil(2 * reach.max())) + 1
+    v = top[:, None] + np.arange(rows)
+    left, right = _chord(outer, v - center[:, 1:], center[:, :1])
+    hole_left, hole_right = _chord(np.where(hollow[:, None], inner, [1e-3, 0, 1e-3]), v - center[:, 1:], center[:, :1])
+    inside_rows = (v >= 0) & (v < size[0])
+    left, right = np.maximum(np.ceil(left), 0), np.minimum(np.floor(right), size[1] - 1)
+    holed = hollow[:, None] & (hole_right > hole_left)
+    middle_left = np.where(holed, np.minimum(np.floor(hole_left), right), right)
+    middle_right = np.where(holed, np.maximum(np.ceil(hole_right), left), right + 1)
+    middle_right = np.maximum(middle_right, middle_left + 1)
+    begin = np.stack([left, middle_right], axis=-1)
+    length = np.stack([middle_left - left + 1, right - middle_right + 1], axis=-1)
+    length = np.where(inside_rows[..., None], np.maximum(length, 0), 0).astype(np.int64)
+    begin = np.where(length > 0, begin, 0).astype(np.int64)
+    counts = length.sum(axis=(1, 2))
+    flat = length.ravel()
+    ends = np.cumsum(flat)
+    total = int(ends[-1]) if len(ends) else 0
+    u = np.arange(total) + np.repeat(begin.ravel() - (ends - flat), flat)
+    return u, np.repeat(np.repeat(v.ravel(), 2), flat), counts
+
+
+def _chord(shape: Array, dy: Array, u0: Array) -> tuple[Array, Array]:
+    """Where rows at `dy` (N, R) from the centre cut the ellipses; an empty interval where they do not."""
+    p, q, s = ellipse.inverse_shape(shape).T[..., None]
+    A, B, C = p * p + q * q, q * (p + s), q * q + s * s
+    under = (B * dy) ** 2 - A * (C * dy * dy - 1)
+    half = np.sqrt(np.maximum(under, 0)) / A
+    middle = u0 - B * dy / A
+    return np.where(under > 0, middle - half, _FAR), np.where(under > 0, middle + half, -_FAR)
+
+
+class Pixels:
+    """The pixels of some markers as flat float32 arrays: `x`, `y` from each marker's origin, `observed`, and the bounds
+    of each marker's stretch."""
+
+    def __init__(self, x: NDArray, y: NDArray, observed: NDArray, counts: NDArray):
+        self.x, self.y, self.observed, self.counts = x, y, observed, counts
+        self.starts = np.cumsum(counts) - counts
+
+    def sums(self, values: NDArray) -> Array:
+        """Per-marker sums (..., n) of `values` (..., P)."""
+        return np.add.reduceat(values, self.starts, axis=-1)
+
+    def spread(self, values: Array) -> NDArray:
+        """Per-marker `values` (..., n) repeated for each of its pixels (..., P)."""
+        return np.repeat(values.astype(np.float32), self.counts, axis=-1)
+
+    def every(self, stride: int) -> Pixels:
+        """Every `stride`-th pixel of each marker."""
+        counts = -(-self.counts // stride)
+        starts = np.cumsum(counts) - counts
+        index = (np.arange(counts.sum()) - np.repeat(starts, counts)) * stride + np.repeat(self.starts, counts)
+        return Pixels(self.x[index], self.y[index], self.observed[index], counts)
+
+
+@dataclass(frozen=True)
+class Around:
+    """Markers of `center` (M, 2) and `shape` (M, 3) that may darken the band of another: `near` (N, k) indices for each
+    of N, -1 where there are fewer than k."""
+
+    center: Array
+    shape: Array
+    near: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, center: Array, shape: Array, count: int, width: float) -> Around:
+        """The neighbours of the first `count` markers whose bands are +-`width` px."""
+        near = np.full((count, 0), -1, dtype=np.int64)
+        if len(center) < 2:
+            return cls(center, shape, near)
+        reach = np.hypot(shape[:, [0, 2]], shape[:, 1:2]).max(axis=1)
+        pairs = KDTree(center).query_pairs(2 * reach.max() + width + _CLEAR, output_type="ndarray")
+        i, j = np.concatenate([pairs, pairs[:, ::-1]]).T
+        apart = np.hypot(*(center[i] - center[j]).T)
+        close = (i < count) & (apart < reach[i] + reach[j] + width + _CLEAR)
+        # no candidate that is the marker itself, or what it lies on, such as a sheet of paper
+        close &= (apart > np.maximum(reach[i], 0.7 * reach[j])) & (reach[j] < _LARGER * reach[i])
+        order = np.flatnonzero(close)[np.argsort(i[close], kind="stable")]
+        i, j = i[order], j[order]
+        counts = np.bincount(i, minlength=count)
+        near = np.full((count, int(counts.max(initial=0))), -1, dtype=np.int64)
+        near[i, np.arange(len(i)) - np.repeat(np.cumsum(counts) - counts, counts)] = j
+        return cls(center, shape, near)
+
+    def part(self, first: int, last: int) -> Around:
+        return Around(self.center, self.shape, self.near[first:last])
+
+    def clear(self, u: NDArray, v: NDArray, counts: NDArray) -> NDArray[np.bool_]:
+        """Which of the bands' pixels (P,) are `_CLEAR` px and more from every neighbour's edge."""
+        clear = np.ones(len(u), dtype=bool)
+        grown = ellipse.inverse_shape(self.shape + [_CLEAR, 0.0, _CLEAR])
+        for column in self.near.T:
+            some = np.flatnonzero(np.repeat(column >= 0, counts))
+            at = np.repeat(column, counts)[some]
+            dx, dy = u[some] - self.center[at, 0], v[some] - self.center[at, 1]
+            p, q, s = grown[at].T
+            clear[some] &= (p * dx + q * dy) ** 2 + (q * dx + s * dy) ** 2 > 1
+        return clear

@@ -1,0 +1,302 @@
+"""Sub-pixel ellipses by least squares on the image itself, for all markers at once (no per-marker call).
+
+The estimator for small or much blurred markers; `profiles` is ten times faster where there is room for it. Model of
+the pixels near one marker's edge, (dx, dy) from its centre:
+
+    I = (1 + g . (dx, dy)) (outside + (inside - outside) F)
+
+F is the filled ellipse blurred by a Gaussian of sd sigma (lens, pixel and the softening below together). For large
+markers F = Phi(-(n + kappa sigma^2/2)/sigma), with n the outward distance and kappa the edge's curvature: blurred, a
+curved edge has its 50 % level further in (41 um of depth in the paper's geometry). For small ones F is integrated.
+Ten parameters a marker: centre, shape, inside, outside, gradient g of the light, sigma. Gauss-Newton, robust weights.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core.types import Array
+from mjtactile.sensing.image import ellipse
+from mjtactile.sensing.image.bands import Around, Pixels, band
+
+PARAMETERS = 10
+# A light softening first: what a camera does to single pixels (sharpening, demosaicing, compression) matters less then.
+SOFTEN = np.array([0.2, 0.6, 0.2])
+SOFTEN_VARIANCE = 0.4  # px^2 per axis
+_COLOURED = 4.3  # softened noise is not white: how much less pixels tell than their scatter says, by Monte Carlo
+_PIXELS_AT_ONCE = 30_000  # a working set that stays in the processor's cache
+_SMALL = 7.0  # px; below this mean radius the edge's curvature is felt beyond the first order
+_PIXELS_FIRST = 170  # pixels per marker for the first steps and for the normal matrix
+_SETTLED = 0.05  # px: the largest last step of a fit that has converged
+_SHARPEST = 0.55  # px: softening and the pixel's own square make 0.69 of no blur at all; below, blur was taken for size
+_UNSETTLED = 1e3  # grey levels added to the residual of any other, so that nobody trusts it
+_HERMITE = ((0.0, 8 / 15), (1.3556262, 0.22207592), (-1.3556262, 0.22207592), (2.8569700, 0.01125741), (-2.8569700, 0.01125741))
+
+
+@dataclass(frozen=True)
+class EdgeFit:
+    """N fits: `center` (N, 2), `shape` (N, 3) px, `cov` (N, 5, 5) of (u, v, p, q, s), `inside`, `outside` levels (N,),
+    `blur` (N,) px, `residual` (N,) rms in grey levels, `pixels` (N,) used, `lost` (N,) share of robust weight lost,
+    `motion` (N,) px: how much of the correction for blur is owed to motion."""
+
+    center: Array
+    shape: Array
+    cov: Array
+    inside: Array
+    outside: Array
+    blur: Array
+    residual: Array
+    pixels: Array
+    lost: Array
+    motion: Array
+
+    def take(self, keep: NDArray[np.bool_]) -> EdgeFit:
+        """The fits selected by `keep` (N,)."""
+        return EdgeFit(*(column[keep] for column in vars(self).values()))
+
+
+def fit(image: NDArray, center: Array, shape: Array, *, blur: float = 0.8, iterations: int = 4,
+        others: tuple[Array, Array] | None = None) -> EdgeFit:
+    """Fit N ellipses starting from `center` (N, 2), `shape` (N, 3), and `blur` px of about the right size.
+
+    Pixels that another of them darkens are left out; `others`: centres and shapes of more markers that may.
+    """
+    width = max(5.0, 3.5 * blur)
+    blur = float(np.hypot(blur, np.sqrt(SOFTEN_VARIANCE)))
+    image = cv2.sepFilter2D(image, cv2.CV_32F, SOFTEN, SOFTEN, borderType=cv2.BORDER_REPLICATE)
+    if others is not None:
+        others = np.concatenate([center, others[0]]), np.concatenate([shape, others[1]])
+    around = Around.of(*(others or (center, shape)), len(center), width)
+    parts, first = [], 0
+    perimeter = 2 * np.pi * np.sqrt((shape[:, 0] ** 2 + shape[:, 2] ** 2) / 2 + shape[:, 1] ** 2)
+    load = np.cumsum(perimeter * 2 * width)
+    while first < len(center):
+        done = load[first - 1] if first else 0.0
+        last = max(first + 1, int(np.searchsorted(load, done + _PIXELS_AT_ONCE)))
+        parts.append(_fit_some(image, center[first:last], shape[first:last], around.part(first, last), width, blur,
+                               iterations))
+        first = last
+    if not parts:
+        none = np.zeros(0)
+        return EdgeFit(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 5, 5)), *[none] * 7)
+    return EdgeFit(*(np.concatenate(column) for column in zip(*(vars(p).values() for p in parts), strict=True)))
+
+
+def merge(first: NDArray[np.bool_], one: EdgeFit, other: EdgeFit) -> EdgeFit:
+    """The fits of `one` where `first`, of `other` elsewhere."""
+    columns = []
+    for a, b in zip(vars(one).values(), vars(other).values(), strict=True):
+        both = np.empty((len(first), *a.shape[1:]))
+        both[first], both[~first] = a, b
+        columns.append(both)
+    return EdgeFit(*columns)
+
+
+def _levels(image: NDArray, center: Array, shape: Array) -> tuple[Array, Array]:
+    """First guess of the levels inside and outside: medians on a ring 1/2 in and on one 4 px out."""
+    height, width = image.shape
+    rings = []
+    for ring in (0.5 * shape, shape + [4.0, 0.0, 4.0]):
+        points = np.rint(ellipse.boundary(center, ring, 8)[0]).astype(np.int64)
+        u, v = np.clip(points[..., 0], 0, width - 1), np.clip(points[..., 1], 0, height - 1)
+        rings.append(np.median(image[v, u].astype(float), axis=1))
+    return rings[0], rings[1]
+
+
+def _fit_some(image: NDArray, center: Array, shape: Array, around: Around, width: float, blur: float,
+              iterations: int) -> EdgeFit:
+    """Gauss-Newton for markers of similar size. The first steps look at some of the pixels only; the last two at all,
+    with one normal matrix between them (the fixed point does not depend on it)."""
+    small = bool((shape[:, 0] * shape[:, 2] - shape[:, 1] ** 2).min() < (_SMALL * max(blur, 1)) ** 2)
+    iterations += 8 if small else 0  # blur, radius and level are harder to tell apart
+    pixels, used, origin = _gather(image, center, shape, around, width)
+    theta = np.zeros((len(center), PARAMETERS))
+    theta[:, :2], theta[:, 2:5] = center - origin, shape
+    theta[:, 5], theta[:, 6] = _levels(image, center, shape)
+    theta[:, 9] = blur
+    stride = int(max(1, pixels.counts.mean() // _PIXELS_FIRST))
+    some = pixels.every(stride)
+    J = np.empty((PARAMETERS, len(some.x)), np.float32)
+    for k in range(iterations - 2):
+        residual = some.observed - _model(some, theta, J, small)
+        weight = _robust(some, residual, theta) if k else np.ones_like(residual)
+        old = theta
+        theta = _step(theta, _normal_matrix(some, J, weight), some.sums(J * (weight * residual)).T)
+        if k and np.abs(theta - old)[:, :5].max() < _SETTLED:
+            break
+    J = np.empty((PARAMETERS, len(pixels.x)), np.float32)
+    H, residual, weight, old = np.zeros(0), pixels.x, pixels.x, theta
+    for _ in range(2):
+        residual = pixels.observed - _model(pixels, theta, J, small)
+        weight = _robust(pixels, residual, theta)
+        H = _normal_matrix(pixels, J, weight)
+        old = theta
+        theta = _step(theta, H, pixels.sums(J * (weight * residual)).T)
+    wrong = (np.abs(theta - old)[:, :5].max(axis=1) > _SETTLED) | (theta[:, 9] < _SHARPEST)
+    residual[np.repeat(wrong, pixels.counts)] += _UNSETTLED
+    return _result(theta, H, residual, weight, pixels, used, origin)
+
+
+def _gather(image: NDArray, center: Array, shape: Array, around: Around,
+            width: float) -> tuple[Pixels, NDArray, Array]:
+    """The band's pixels, less what neighbours darken; how many are real, per marker; each marker's origin (whole px)."""
+    u, v, used = band((image.shape[0], image.shape[1]), center, shape, width)
+    if around.near.size:
+        clear = around.clear(u, v, used)
+        owner = np.repeat(np.arange(len(used)), used)
+        u, v, used = u[clear], v[clear], np.bincount(owner[clear], minlength=len(used))
+    counts = used
+    if (used == 0).any():  # wholly outside of the image: one stand-in pixel, so that every stretch exists
+        at = np.cumsum(used)[used == 0]
+        u, v, counts = np.insert(u, at, 0), np.insert(v, at, 0), np.maximum(used, 1)
+    origin = np.rint(center)
+    x, y = u - np.repeat(origin[:, 0], counts), v - np.repeat(origin[:, 1], counts)
+    observed = image.ravel()[v * image.shape[1] + u]
+    return Pixels(x.astype(np.float32), y.astype(np.float32), observed.astype(np.float32), counts), used, origin
+
+
+def _normal_matrix(pixels: Pixels, J: NDArray, weight: NDArray) -> Array:
+    """Per-marker J^T W J (n, 10, 10)."""
+    H = np.empty((PARAMETERS, PARAMETERS, len(pixels.counts)))
+    WJ = J * weight
+    for i in range(PARAMETERS):
+        H[i, i:] = H[i:, i] = pixels.sums(WJ[i] * J[i:])
+    return H.transpose(2, 0, 1).copy()
+
+
+def _model(pixels: Pixels, theta: Array, J: NDArray, small: bool) -> NDArray:
+    """Model image (P,) for parameters `theta` (n, 10); fills J (10, P) with its derivatives.
+
+    `small`: markers whose curvature is felt beyond the first order, see `_blurred_disc`. To first order, the blur along
+    a curved edge shifts it by kappa sigma^2/2.
+    """
+    cu, cv, p, q, s, inside, outside, gx, gy, sigma = theta.T
+    det = 1 / (p * s - q * q)
+    table = np.stack([cu, cv, s * det, -q * det, p * det, det * det, inside - outside, outside, gx, gy, 1 / sigma, sigma])
+    cu, cv, ip, iq, js, det2, step, outside, gx, gy, sharp, sigma = pixels.spread(table)
+    dx, dy = pixels.x - cu, pixels.y - cv
+    ex, ey = ip * dx + iq * dy, iq * dx + js * dy  # on the unit circle at the edge
+    mx, my = ip * ex + iq * ey, iq * ex + js * ey  # half the gradient of |e|^2
+    B2 = mx * mx + my * my
+    B2 += np.float32(1e-12)
+    inverse = 1 / np.sqrt(B2)
+    mx *= inverse
+    my *= inverse
+    fx, fy = ip * mx + iq * my, iq * mx + js * my
+    A = fx * fx + fy * fy
+    rho2 = ex * ex + ey * ey
+    root = np.sqrt(np.maximum(B2 - A * (rho2 - 1), 0))
+    root += B2 * inverse
+    n = (rho2 - 1) / root  # distance to the edge along the gradient: |e - n f| = 1
+    kappa = det2 * inverse * inverse * inverse * rho2 * np.sqrt(rho2)  # 1/(det(S)^2 |S^-1 e|^3)
+    if small:  # the tangent (-m_y, m_x) in unit-circle coordinates: S^-1 t
+        F, phi = _blurred_disc((ex, ey), (fx, fy), (iq * mx - ip * my, js * mx - iq * my), sigma, sharp)
+    else:
+        F, phi = _normal_tail(n * sharp + 0.5 * kappa * sigma)
+    tail = n * sharp - 0.5 * kappa * sigma  # dF/d(ln sigma) over -dF/dz
+    ex -= n * fx
+    ey -= n * fy
+    light = 1 + gx * dx + gy * dy
+    flat = outside + step * F
+    slope = light * step
+    slope *= phi
+    slope *= sharp
+    np.multiply(slope, mx, out=J[0])
+    np.multiply(slope, my, out=J[1])
+    np.multiply(J[0], ex, out=J[2])
+    np.multiply(J[0], ey, out=J[3])
+    J[3] += J[1] * ex
+    np.multiply(J[1], ey, out=J[4])
+    np.multiply(light, F, out=J[5])
+    np.subtract(light, J[5], out=J[6])
+    np.multiply(flat, dx, out=J[7])
+    np.multiply(flat, dy, out=J[8])
+    np.multiply(slope, tail, out=J[9])
+    return light * flat
+
+
+def _blurred_disc(e: tuple[NDArray, NDArray], f: tuple[NDArray, NDArray], d: tuple[NDArray, NDArray], sigma: NDArray,
+                  sharp: NDArray) -> tuple[NDArray, NDArray]:
+    """The filled ellipse blurred by a Gaussian of sd `sigma`, and its slope across the edge times sigma.
+
+    Pixels are at `e`, moves along the normal and the tangent are `f` and `d`, all in unit-circle coordinates. Across
+    the edge the blur is an integral over a chord, exact: Phi at its near end less Phi at its far end. Along the edge
+    it is the five-point Gauss-Hermite mean of such chords, exact to ninth order in the offset.
+    """
+    A = f[0] * f[0] + f[1] * f[1] + np.float32(1e-9)
+    F, phi = np.zeros_like(A), np.zeros_like(A)
+    for offset, share in _HERMITE:
+        x, y = (e[0] + (np.float32(offset) * sigma) * d[0], e[1] + (np.float32(offset) * sigma) * d[1]) if offset else e
+        B = x * f[0] + y * f[1]
+        under = B * B - A * (x * x + y * y - 1)
+        root = np.sqrt(np.maximum(under, 0))
+        near, slope = _normal_tail((B - root) / A * sharp)
+        hit = np.float32(share) * (under > 0)
+        F = F + hit * (near - _normal_tail((B + root) / A * sharp)[0])
+        phi = phi + hit * slope
+    return F, phi
+
+
+def _normal_tail(z: NDArray) -> tuple[NDArray, NDArray]:
+    """Phi(-z) and the normal density, float32.
+
+    Abramowitz & Stegun 26.2.17, error below 8e-8; it shares the exponential with the density, unlike erf.
+    """
+    z = np.clip(z, -12, 12)
+    size = np.abs(z)
+    density = np.exp(-0.5 * z * z)
+    density *= np.float32(0.3989422804)
+    t = 1 / (1 + np.float32(0.2316419) * size)
+    tail = np.float32(1.330274429) * t
+    for coefficient in (-1.821255978, 1.781477937, -0.356563782, 0.319381530):
+        tail += np.float32(coefficient)
+        tail *= t
+    tail *= density
+    return np.where(z < 0, 1 - tail, tail), density
+
+
+def _robust(pixels: Pixels, residual: NDArray, theta: Array) -> NDArray:
+    """Weights 1/(1 + (r/c)^4): one for the bulk of the pixels, falling fast for glare, specks and neighbours.
+
+    c is four times the marker's rms residual, and no less than a share of its contrast: a lens or a camera's
+    sharpening that the model does not know is no outlier.
+    """
+    scale = np.maximum(4 * np.sqrt(pixels.sums(residual * residual) / pixels.counts), 0.1 * np.abs(theta[:, 5] - theta[:, 6]))
+    t = residual * pixels.spread(1 / np.maximum(scale, 1e-3))
+    t *= t
+    t *= t
+    t += 1
+    return 1 / t
+
+
+def _step(theta: Array, H: Array, gradient: Array) -> Array:
+    """One damped Gauss-Newton step, limited so that a bad start cannot run away."""
+    diagonal = np.arange(PARAMETERS)
+    damped = H.copy()
+    damped[:, diagonal, diagonal] = damped[:, diagonal, diagonal] * (1 + 1e-6) + 1e-9
+    step = np.linalg.solve(damped, gradient[..., None])[..., 0]
+    step[:, :5] = np.clip(step[:, :5], -1.5, 1.5)
+    new = theta + step
+    new[:, 9] = np.clip(new[:, 9], 0.3, 8.0)
+    small = np.linalg.norm(theta[:, 2:5], axis=1) * 0.2
+    bad = ~np.isfinite(new).all(axis=1) | (new[:, 2] * new[:, 4] - new[:, 3] ** 2 <= small**2 * 0.1)
+    bad |= (new[:, 2] <= 0) | (new[:, 4] <= 0)
+    return np.where(bad[:, None], theta, new)
+
+
+def _result(theta: Array, H: Array, residual: NDArray, weight: NDArray, pixels: Pixels, used: NDArray,
+            origin: Array) -> EdgeFit:
+    diagonal = np.arange(PARAMETERS)
+    H[:, diagonal, diagonal] = H[:, diagonal, diagonal] * (1 + 1e-9) + 1e-9
+    kept = pixels.sums(weight)
+    variance = pixels.sums(weight * residual * residual) / np.maximum(kept - PARAMETERS, 1)
+    cov = np.linalg.inv(H)[:, :5, :5] * (_COLOURED * variance)[:, None, None]
+    cov = (cov + cov.transpose(0, 2, 1)) / 2
+    lost = 1 - kept / np.maximum(used, 1)
+    optical = np.sqrt(np.maximum(theta[:, 9] ** 2 - SOFTEN_VARIANCE, 0.09))
+    return EdgeFit(theta[:, :2] + origin, theta[:, 2:5], cov, theta[:, 5], theta[:, 6], optical, np.sqrt(variance),
+                   used.astype(float), lost, np.zeros(len(theta)))

@@ -1,0 +1,179 @@
+"""From an image to ellipses with covariance and status: candidates, sub-pixel fit, and the judgement of each."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array, Ellipses, Image
+from mjtactile.sensing.image import candidates, edges, ellipse, profiles
+from mjtactile.sensing.settings import DEFAULTS, MarkerSettings
+
+Polarity = Literal["dark", "bright"]
+CUT, NOT_ELLIPSE, TOUCHING = "cut by image border", "not an ellipse", "touches another"
+LOW_CONTRAST, GLARE, SMALL = "low contrast", "glare or dirt", "too small"
+MOTION, BLURRED = "motion blur", "too blurred"
+
+
+def detect(image: NDArray | Image, camera: Any = None, *, polarity: Polarity = "dark",
+           min_radius_px: float = 1.5, settings: MarkerSettings = DEFAULTS.markers) -> Ellipses:
+    """Find circular markers in `image` ((H, W) or (H, W, 3) uint8 or uint16, or an `Image`).
+
+    `polarity`: markers "dark" on bright or "bright" on dark. `camera` is accepted so that all stages look alike;
+    ellipses are in distorted pixels, as in the image. `min_radius_px`: smallest semi-minor axis looked for; from 4
+    px on, the search runs at half the resolution (the fit does not).
+
+    Returns `Ellipses` in reading order of detection; those whose status is not "ok" are likely markers that should not
+    be trusted. No marker gives an empty result. Raises InputError for a wrong shape, type or option.
+    """
+    grey = grey_image(image)
+    if polarity not in ("dark", "bright"):
+        raise InputError(f"{polarity!r}", source="detect", field="polarity", choices=("dark", "bright"))
+    eight = grey if grey.dtype == np.uint8 else _eight_bit(grey)
+    found = candidates.find(eight if polarity == "dark" else 255 - eight, min_radius_px)
+    found = _plausible(found, min_radius_px, settings)
+    fit = _fit(grey, found, settings)
+    fit = _sound(fit)
+    status = _judge(fit, found, polarity, grey.shape, min_radius_px, settings)
+    keep = status != ""
+    if not keep.all():
+        fit, status = fit.take(keep), status[keep]
+    axes, angle = ellipse.axes_from_shape(fit.shape)
+    return Ellipses(fit.center, axes, angle, ellipse.covariance_of_axes(fit.cov, axes, angle), status)
+
+
+def grey_image(image: NDArray | Image) -> NDArray:
+    """The grey channel (H, W), uint8 or uint16, of an array or `Image`; colour by the mean of its channels."""
+    pixels = np.asarray(image.pixels if isinstance(image, Image) else image)
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise InputError(f"{pixels.dtype} pixels", source="image", field="dtype", choices=("uint8", "uint16"))
+    if pixels.ndim == 3 and pixels.shape[2] in (1, 3, 4):
+        colour = pixels[..., :3]
+        pixels = np.rint(colour.mean(axis=2)).astype(pixels.dtype) if pixels.shape[2] > 1 else pixels[..., 0]
+    if pixels.ndim != 2 or min(pixels.shape) < 8:
+        raise InputError(f"shape {pixels.shape} is not an image of at least 8 x 8 pixels", source="image",
+                         field="shape", choices=("(H, W)", "(H, W, 3)"))
+    return np.ascontiguousarray(pixels)
+
+
+def _fit(grey: NDArray, found: candidates.Candidates, s: MarkerSettings) -> edges.EdgeFit:
+    """Profiles for what is large enough; the image itself, which costs ten times more per pixel, for the small."""
+    axes, _ = ellipse.axes_from_shape(found.shape)
+    large = axes[:, 1] >= s.room
+    if not large.any():
+        return edges.fit(grey, found.center, found.shape)
+    fit = profiles.fit(grey, found.center[large], found.shape[large])
+    blurred = (fit.blur * s.blurred > axes[large, 1]) & (fit.motion < s.motion)  # `edges` knows of no motion
+    sharpest = fit.blur < 1.01 * profiles.SHARPEST  # a drawing, or a blur that was taken for size
+    if sharpest.any():
+        start = found.take(large).take(sharpest)
+        again = edges.fit(grey, start.center, start.shape, blur=s.wide * float(ellipse.middle(axes[large, 1][sharpest])))
+        fit = edges.merge(sharpest, again, fit.take(~sharpest))
+        blurred &= ~sharpest
+    if blurred.any():
+        again = edges.fit(grey, fit.center[blurred], fit.shape[blurred], blur=float(np.median(fit.blur[blurred])))
+        fit = edges.merge(blurred, again, fit.take(~blurred))
+    if large.all():
+        return fit
+    others = found.center[large], found.shape[large]
+    return edges.merge(large, fit, edges.fit(grey, found.center[~large], found.shape[~large], others=others))
+
+
+def _sound(fit: edges.EdgeFit) -> edges.EdgeFit:
+    """`fit` with a covariance as large as the marker, and no trust, where the numbers are not those of a minimum."""
+    variances = np.diagonal(fit.cov, axis1=1, axis2=2)
+    bad = ~(np.isfinite(fit.cov.sum(axis=(1, 2)) + fit.residual) & (variances.min(axis=1, initial=np.inf) > 0))
+    if not bad.any():
+        return fit
+    size = np.square(fit.shape[bad]).sum(axis=1)
+    cov, residual = fit.cov.copy(), fit.residual.copy()
+    cov[bad], residual[bad] = np.eye(5) * size[:, None, None], 1e9
+    return replace(fit, cov=cov, residual=residual)
+
+
+def _eight_bit(grey: NDArray) -> NDArray[np.uint8]:
+    """Candidates need contrast, not depth: stretch what is really used of 16 bits to 8."""
+    low, high = np.percentile(grey[::4, ::4], [0.1, 99.9])
+    return np.clip((grey - low) * (255 / max(high - low, 1.0)), 0, 255).astype(np.uint8)
+
+
+def _plausible(found: candidates.Candidates, min_radius_px: float, s: MarkerSettings) -> candidates.Candidates:
+    """Drop what cannot be a marker: too small or long, or a border far from its own ellipse (further if cut)."""
+    axes, _ = ellipse.axes_from_shape(found.shape)
+    a, b = axes.T
+    fits = (b >= min_radius_px) & (b > 0.15 * a) & ~_odd(found)
+    if fits.sum() < s.some:
+        return found.take(fits)
+    # a border as large as the others' but of another outline is a marker with glare or dirt on it, to be flagged
+    size = np.sqrt(a * b)
+    alike = np.abs(np.log(size / ellipse.middle(size[fits]))) < s.alike
+    return found.take(fits | (alike & (b > 0.4 * a) & (found.misfit < 0.6 * size)))
+
+
+def _odd(found: candidates.Candidates) -> NDArray[np.bool_]:
+    """Which borders are far from their own ellipses (further if cut)."""
+    b = ellipse.axes_from_shape(found.shape)[0][:, 1]
+    return found.misfit >= 1.2 + np.where(found.cut, 0.4, 0.2) * b
+
+
+def _judge(fit: edges.EdgeFit, found: candidates.Candidates, polarity: str, size: tuple[int, ...],
+           min_radius_px: float, s: MarkerSettings) -> NDArray[np.str_]:
+    """Status of each fit; "" for what is no marker at all."""
+    axes, _ = ellipse.axes_from_shape(fit.shape)
+    a, b = axes.T
+    contrast = (fit.outside - fit.inside) * (1 if polarity == "dark" else -1)
+    noise = np.maximum(fit.residual, 1e-3)
+    doubt = np.sqrt(fit.cov[:, 2, 2] + fit.cov[:, 3, 3] + fit.cov[:, 4, 4]) / b
+    moved = np.hypot(*(fit.center - found.center).T)
+    extent = np.hypot(fit.shape[:, [0, 2]], fit.shape[:, 1:2])
+    out = ((fit.center - extent < s.close) | (fit.center + extent > np.array([size[1], size[0]]) - 1 - s.close)).any(axis=1)
+    status = np.full(len(b), "ok", dtype="<U24")
+    status[(contrast < 5 * noise) | (doubt > 0.1)] = LOW_CONTRAST
+    status[fit.residual > 0.15 * contrast] = NOT_ELLIPSE
+    usual = ellipse.middle(fit.residual) if len(b) else 0.0  # of this image: its noise, its compression
+    covered = (fit.residual > np.maximum(s.covered * contrast, 5 * usual)) & (b > s.room)
+    status[(fit.lost > 0.25) | covered] = GLARE
+    status[fit.motion > s.motion] = MOTION
+    # blur is the image's, and its scatter from marker to marker mostly the fit's
+    common = ellipse.middle(fit.blur[good]) if (good := status == "ok").any() else 0.0
+    status[b < s.too_blurred * np.clip(fit.blur, common / s.blur_spread, common * s.blur_spread)] = BLURRED
+    status[(fit.blur < 0.7 * common) & (common > 1) & (b < s.unsure * common)] = BLURRED  # a fit that took the blur for size
+    changed = np.abs(fit.shape - found.shape).max(axis=1)
+    status[changed > 1.2 + 0.25 * b] = NOT_ELLIPSE
+    status[b < min_radius_px] = SMALL
+    cut = out | found.cut
+    status[cut] = CUT
+    odd = _odd(found) & ~cut
+    status[odd] = GLARE
+    wrong = (contrast < 2 * noise) | (b < 0.5 * min_radius_px) | (b < 0.1 * a) | (doubt > 0.5)
+    status[wrong | ((moved > 1 + 0.3 * b) & ~cut & ~odd)] = ""
+    good = np.flatnonzero(status == "ok")
+    status[good[_crowded(fit.center[good], fit.shape[good], a[good], s.close)]] = TOUCHING
+    return status
+
+
+def _crowded(center: Array, shape: Array, a: Array, close: float) -> NDArray[np.bool_]:
+    """Which ellipses (N,) come within `close` px of another's edge, measured along the line of centres."""
+    if len(center) < 2:
+        return np.zeros(len(center), dtype=bool)
+    near = KDTree(center).query_pairs(2 * a.max() + close, output_type="ndarray")
+    near = near[np.square(np.diff(center[near], axis=1)).sum(axis=(1, 2)) < np.square(a[near].sum(axis=1) + close)]
+    if not len(near):
+        return np.zeros(len(center), dtype=bool)
+    i, j = near.T
+    d = center[j] - center[i]
+    length = np.maximum(np.hypot(*d.T), 1e-9)
+    towards = d / length[:, None]
+    reach = 0.0
+    for k in (i, j):
+        p, q, s = ellipse.inverse_shape(shape[k]).T
+        reach = reach + 1 / np.hypot(p * towards[:, 0] + q * towards[:, 1], q * towards[:, 0] + s * towards[:, 1])
+    touching = near[length < reach + close]
+    crowded = np.zeros(len(center), dtype=bool)
+    crowded[touching.ravel()] = True
+    return crowded

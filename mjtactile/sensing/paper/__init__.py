@@ -1,0 +1,1 @@
+"""The paper's own methods, kept as baselines that benchmarks compare with."""

@@ -1,0 +1,1 @@
+"""Ellipses to circles in space, and which marker each of them is."""

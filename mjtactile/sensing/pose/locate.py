@@ -1,0 +1,159 @@
+"""Circles in image files: read a file, find the circles, say where each is. The pure part of `mjtactile locate`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mjtactile.core import optics
+from mjtactile.core.design import CameraDesign
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import CirclePoses, Ellipses, Image
+from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
+from mjtactile.sensing.image.markers import Polarity, detect, grey_image
+from mjtactile.sensing.pose.circles import estimate_poses
+from mjtactile.sensing.pose.consensus import share_elongation
+from mjtactile.sensing.shape.smoothness import share_depth
+
+Neighbours = Literal["auto", "always", "never"]
+_SMALL = 6.0  # px, median semi-minor axis; below, a camera's processing of edges outweighs its noise
+_ASIDE = 3.0  # px from a dark circle's edge, where the ground is looked at
+_CLIPPED = 0.98  # of the range: one of three averaged channels may not be clipped
+_SIZE_SD = 0.3  # px by which a clipped edge may be off: photographs of known boards show 0.1 to 0.45
+_GREY = np.full((1, 3), 1 / 3)
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
+
+
+def load_image(path: str | Path) -> NDArray:
+    """Read an image file: (H, W) or (H, W, 3) BGR, uint8 or uint16, as stored.
+
+    Raises InputError for a missing, unreadable or corrupt file.
+    """
+    path = Path(path)
+    try:
+        data = np.frombuffer(path.read_bytes(), np.uint8)
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", source=path) from error
+    try:
+        pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
+    except cv2.error:
+        pixels = None
+    if pixels is None:
+        raise InputError("corrupt, or not an image", source=path, choices=IMAGE_SUFFIXES)
+    if pixels.ndim == 3 and pixels.shape[2] == 4:
+        pixels = pixels[..., :3]
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise InputError(f"{pixels.dtype} pixels", source=path, choices=("8 bit", "16 bit"))
+    return pixels
+
+
+@dataclass(frozen=True)
+class Located:
+    """The circles of one image: their `ellipses` and `poses`, what they `shared` with neighbours (of "elongation",
+    "depth"; empty: every circle on its own), and whether their bright side is `overexposed`."""
+
+    ellipses: Ellipses
+    poses: CirclePoses
+    shared: tuple[str, ...]
+    overexposed: bool
+
+
+def find_circles(image: NDArray | Image, camera: optics.Camera | CameraDesign, radius: ArrayLike, *,
+                 polarity: Polarity = "dark", min_radius_px: float = 1.5, neighbours: Neighbours = "auto") -> Located:
+    """Circles of `radius` m in one image.
+
+    `neighbours`: whether 40 and more circles that plainly lie on one smooth surface may help each other: "auto" shares
+    elongation (see `consensus`), and depth (see `smoothness`) where the circles are small and all of one radius;
+    "always" shares depth at any size; "never" estimates each on its own. Circles that do not agree are never made to.
+    Where the bright side of the edges is clipped, all dark circles look smaller by tenths of a pixel that nothing in
+    the image tells; the covariance then allows for it. An error of scale, common to all circles.
+    Raises InputError as `detect` and `estimate_poses`, and for another `neighbours`.
+    """
+    if neighbours not in ("auto", "always", "never"):
+        raise InputError(f"{neighbours!r}", source="locate", field="neighbours", choices=("auto", "always", "never"))
+    grey = _grey(image)
+    ellipses = detect(grey, camera, polarity=polarity, min_radius_px=min_radius_px)
+    poses, ellipses, shared = _together(ellipses, camera, radius, neighbours)
+    overexposed = _overexposed(grey_image(grey), ellipses, polarity)
+    return Located(ellipses, _doubtful_size(poses, ellipses) if overexposed else poses, shared, overexposed)
+
+
+def _together(ellipses: Ellipses, camera: optics.Camera | CameraDesign, radius: ArrayLike,
+              neighbours: Neighbours) -> tuple[CirclePoses, Ellipses, tuple[str, ...]]:
+    poses = estimate_poses(ellipses, camera, radius)
+    if neighbours == "never":
+        return poses, ellipses, ()
+    alike = share_elongation(ellipses)
+    together = poses if alike is ellipses else estimate_poses(alike, camera, radius)
+    shared = () if alike is ellipses else ("elongation",)
+    good = ellipses.status == "ok"
+    small = good.any() and np.median(ellipses.semi_axes_px[good, 1]) < _SMALL
+    if (small or neighbours == "always") and np.ptp(radius) == 0:
+        smooth = share_depth(poses, together)
+        if smooth is not together:
+            return smooth, alike, (*shared, "depth")
+    return together, alike, shared
+
+
+def _overexposed(grey: NDArray, ellipses: Ellipses, polarity: Polarity) -> bool:
+    """Whether the bright side of most edges is at the end of the camera's range (8, 10, 12, 14 or 16 bits)."""
+    top = int(grey.max(initial=0))
+    if not len(ellipses) or top + 1 not in (2**8, 2**10, 2**12, 2**14, 2**16):
+        return False
+    shape = shape_from_axes(ellipses.semi_axes_px, ellipses.angle)
+    aside = shape + [_ASIDE, 0.0, _ASIDE] if polarity == "dark" else 0.4 * shape
+    u, v = np.rint(boundary(ellipses.center_px, aside, 8)[0]).astype(np.int64).transpose(2, 0, 1)
+    inside = (u >= 0) & (v >= 0) & (u < grey.shape[1]) & (v < grey.shape[0])
+    return bool((grey[v[inside], u[inside]] > _CLIPPED * top).mean() > 0.5)
+
+
+def _doubtful_size(poses: CirclePoses, ellipses: Ellipses) -> CirclePoses:
+    """`poses` with a covariance that has `_SIZE_SD` px of unknown size, as depth, in it."""
+    along = poses.p_CM * (_SIZE_SD / ellipses.semi_axes_px[:, :1])
+    return replace(poses, cov_p=poses.cov_p + along[:, :, None] * along[:, None])
+
+
+def locate(image: NDArray | Image, camera: optics.Camera | CameraDesign, radius: ArrayLike, *,
+           polarity: Polarity = "dark", min_radius_px: float = 1.5, neighbours: Neighbours = "auto") -> list[dict[str, Any]]:
+    """`find_circles` as JSON-ready records; see `marker_records`."""
+    found = find_circles(image, camera, radius, polarity=polarity, min_radius_px=min_radius_px, neighbours=neighbours)
+    return marker_records(found.ellipses, found.poses)
+
+
+def _grey(image: NDArray | Image) -> NDArray | Image:
+    """Colour to grey (mean of the channels) in one pass over the image; anything else is left for `detect` to judge."""
+    if isinstance(image, np.ndarray) and image.ndim == 3 and image.shape[2] == 3 and image.dtype in (np.uint8, np.uint16):
+        return cv2.transform(image, _GREY)
+    return image
+
+
+def marker_records(ellipses: Ellipses, poses: CirclePoses) -> list[dict[str, Any]]:
+    """One record per marker: `uv_px`, `ellipse_px`, `center_mm`, `normal`, `normal_alt`, `cov_center_mm2`, `status`.
+
+    Units at this edge: px, mm, degrees; numbers that are not finite become None.
+    """
+    records = []
+    for i in range(len(poses)):
+        records.append({
+            "uv_px": _plain(poses.uv_px[i]),
+            "ellipse_px": {"center": _plain(ellipses.center_px[i]), "semi_axes": _plain(ellipses.semi_axes_px[i]),
+                           "angle_deg": _plain(np.rad2deg(ellipses.angle[i]))},
+            "center_mm": _plain(poses.p_CM[i] * 1e3),
+            "normal": _plain(poses.n_C[i]),
+            "normal_alt": _plain(poses.n_C_alt[i]),
+            "cov_center_mm2": _plain(poses.cov_p[i] * 1e6),
+            "status": str(poses.status[i]),
+        })  # fmt: skip
+    return records
+
+
+def _plain(value: ArrayLike) -> Any:
+    array = np.asarray(value, dtype=float)
+    if array.ndim == 0:
+        return float(array) if np.isfinite(array) else None
+    return [_plain(part) for part in array]

@@ -1,0 +1,1 @@
+"""Circles to the membrane's surface."""

@@ -1,0 +1,131 @@
+"""The membrane's deformation x(X) from marker positions, and its elastic statics in weak form.
+
+Markers are material points, so identified markers give the deformation itself, not only a surface. It is written as a
+tensor-product cubic B-spline u(X) = x - X over the mounted flat sheet (material coordinates X, frame S), with u = 0 on
+the frame. The operators depend on the layout alone and are computed once for each sensor, so a camera frame costs one
+small solve and one matrix product. Elasticity is St. Venant-Kirchhoff in plane stress with the pre-stretch, as in the
+sensor file (docs/equations.md, Eq. F3-F6).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from mjtactile.core.bspline import Cubic
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.types import Array
+
+_GAUSS = 2  # nodes in each interval of the spline: what is integrated varies over markers, several intervals wide
+
+
+@dataclass(frozen=True, eq=False)
+class Fields:
+    """The deformation at Q quadrature points: positions `x` (Q, 3) and gradient `F` (Q, 3, 2) = dx/dX, frame S."""
+
+    x: Array
+    F: Array
+
+    @property
+    def normal_area(self) -> Array:
+        """Outward normal times area ratio, x_,1 cross x_,2, (Q, 3)."""
+        return np.cross(self.F[:, :, 0], self.F[:, :, 1])
+
+
+class MembraneModel:
+    """Precomputed operators of one sensor's membrane: marker positions to deformation, strain and weak-form forces.
+
+    `material` (N, 2) are the markers' positions on the flat membrane, m in S (the design's layout unless measured).
+    The displacement is the smoothest field (least integral of squared second derivatives) that meets the markers up to
+    their noise: a smoothing spline, in its kernel form u(X) = sum_i g(X, X_i) alpha_i, so that one product with a
+    fixed matrix gives all fields, and markers that are not seen just drop out (Eq. F3). `smoothing` is the squared ratio
+    of marker noise to bending amplitude; below 1e-3 the force no longer depends on it.
+    """
+
+    def __init__(self, design: SensorDesign, material: Array | None = None, *, spans: int = 16, smoothing: float = 1e-4):
+        self.design = design
+        self.material = np.asarray(design.markers.p_SM[:, :2] if material is None else material, float)
+        frame = design.frame
+        ax, ay = self._axes = (Cubic(frame.length, spans, _GAUSS), Cubic(frame.width, spans, _GAUSS))
+        self.X = np.column_stack([g.ravel() for g in np.meshgrid(ax.points, ay.points, indexing="ij")])
+        self.weights = np.outer(ax.weights, ay.weights).ravel()
+        self._kernel = np.linalg.solve(self._bending(), self.basis(self.material).T)  # (K, N)
+        self._gram = self.basis(self.material) @ self._kernel
+        self._gram[np.diag_indices_from(self._gram)] += smoothing
+        value, slope = [a.at(a.points) for a in (ax, ay)], [a.at(a.points, 1) for a in (ax, ay)]
+        self._operator = np.concatenate([np.kron(value[0], value[1]) @ self._kernel,
+                                         np.kron(slope[0], value[1]) @ self._kernel,
+                                         np.kron(value[0], slope[1]) @ self._kernel])  # (3 Q, N)
+
+    @property
+    def knots(self) -> tuple[Array, Array]:
+        """Grid lines x, y (m) between which the spline is one polynomial."""
+        ax, ay = self._axes
+        return ax.breaks, ay.breaks
+
+    def basis(self, X: Array) -> Array:
+        """Spline basis (N, K) at material points X (N, 2)."""
+        a, b = (axis.at(x) for axis, x in zip(self._axes, X.T, strict=True))
+        return (a[:, :, None] * b[:, None, :]).reshape(len(X), -1)
+
+    def _bending(self) -> Array:
+        """Integral of u,11^2 + 2 u,12^2 + u,22^2 as a quadratic form (K, K), in units in which a marker counts one."""
+        ax, ay = self._axes
+        gram = [[(a.at(a.points, d).T * a.weights) @ a.at(a.points, d) for d in range(3)] for a in (ax, ay)]
+        form = np.kron(gram[0][2], gram[1][0]) + 2 * np.kron(gram[0][1], gram[1][1]) + np.kron(gram[0][0], gram[1][2])
+        return form * self.design.markers.pitch_x * self.design.markers.pitch_y
+
+    def fit(self, ids: NDArray[np.int64], p_SM: Array) -> Array:
+        """Kernel weights alpha (N, 3) from identified markers at `p_SM` (n, 3) in S; zero for those not seen."""
+        displacement = p_SM.copy()
+        displacement[:, :2] -= self.material[ids]
+        alpha = np.zeros((len(self.material), 3))
+        alpha[ids] = cho_solve(cho_factor(self._gram[np.ix_(ids, ids)]), displacement)
+        return alpha
+
+    def fields(self, alpha: Array) -> Fields:
+        """Positions and deformation gradients at the quadrature points."""
+        x, along_1, along_2 = (self._operator @ alpha).reshape(3, -1, 3)
+        x[:, :2] += self.X
+        F = np.stack([along_1, along_2], axis=2)
+        F[:, 0, 0] += 1
+        F[:, 1, 1] += 1
+        return Fields(x, F)
+
+    def displacement(self, alpha: Array, X: Array) -> Array:
+        """Displacement (n, 3) m of material points X (n, 2)."""
+        return self.basis(X) @ (self._kernel @ alpha)
+
+    def first_piola(self, fields: Fields) -> Array:
+        """Membrane force per mounted length P = h F S, (Q, 3, 2) N/m; StVK, plane stress, pre-stretch included.
+
+        With F0 = lambda I from the free sheet to the mounted one, E = (lambda^2 F^T F - I)/2 and
+        S = E_Y/(1-nu^2) [(1-nu) E + nu tr(E) I]. Per mounted length and free thickness: P = h F S (Eq. F4).
+        """
+        m = self.design.membrane
+        C = np.einsum("qia,qib->qab", fields.F, fields.F)
+        E = (m.pre_stretch**2 * C - np.eye(2)) / 2
+        S = (1 - m.poisson) * E + m.poisson * np.trace(E, axis1=1, axis2=2)[:, None, None] * np.eye(2)
+        return m.thickness * m.young / (1 - m.poisson**2) * np.einsum("qia,qab->qib", fields.F, S)
+
+    def area(self, fields: Fields) -> float:
+        """Area of the deformed membrane, m^2."""
+        return float(self.weights @ np.linalg.norm(fields.normal_area, axis=1))
+
+    def volume(self, fields: Fields) -> float:
+        """Signed volume between the membrane and the frame's plane, m^3: the integral of z N_z (divergence theorem)."""
+        return float(self.weights @ (fields.x[:, 2] * fields.normal_area[:, 2]))
+
+    def plateau(self, taper: float) -> tuple[Array, Array]:
+        """Test function phi (Q,) that is 1 away from the frame and falls to 0 over `taper` m, and its gradient (Q, 2)."""
+        values, slopes = [], []
+        for axis, coordinate in zip(self._axes, self.X.T, strict=True):
+            reach = min(taper, axis.length / 3)
+            s = np.clip((axis.length / 2 - np.abs(coordinate)) / reach, 0, 1)
+            values.append(s * s * (3 - 2 * s))
+            slopes.append(-np.sign(coordinate) * 6 * s * (1 - s) / reach)
+        phi = values[0] * values[1]
+        return phi, np.column_stack([slopes[0] * values[1], values[0] * slopes[1]])

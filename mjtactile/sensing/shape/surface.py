@@ -1,0 +1,300 @@
+"""The membrane's shape from marker poses: a smoothing spline fitted straight to the markers, and the paper's route.
+
+`SurfaceFitter` (default): a tensor-product cubic B-spline z(x, y) over the frame's opening whose boundary coefficients
+are left out, so that it is exactly zero on the frame. Its coefficients c minimise
+
+    sum ((z(x_i, y_i) - z_i) / sd_i)^2 + sum |(grad z - slope_i) / sd_slope_i|^2 + integral (|grad lap z| / g)^2 / A
+                                                                                 + integral (lap z / k)^2 / A
+
+The third term is the membrane's physics: where nothing touches, a sheet of uniform tension under uniform pressure has
+a constant Laplacian (Young-Laplace), so that inflating or pumping costs nothing, and under a ball it is constant again
+(2 / R). `g` is the rms gradient of the Laplacian to expect (contact edges make it), A the opening's area. The fourth
+term only keeps the fit finite where markers are missing. Read as a Gaussian process, the inverse Hessian is the
+coefficients' covariance, from which heights, area and volume get their uncertainties.
+
+`reconstruct_delaunay` (paper, II-B.3): Delaunay triangles of the marker centres and points on the frame, barycentric
+interpolation on a Cartesian grid, B-spline surface through it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import LinearNDInterpolator, RectBivariateSpline
+from scipy.linalg import lapack
+
+from mjtactile.core import geometry
+from mjtactile.core.bspline import Cubic
+from mjtactile.core.design import Frame, SensorDesign
+from mjtactile.core.status import OK, Status, StatusCode
+from mjtactile.core.types import Array, Markers, Surface
+from mjtactile.sensing.settings import DEFAULTS, SurfaceSettings
+
+GRID_STEP = 1e-3
+"""Largest spacing of the height grid, m."""
+_GAUSS = 4  # nodes in each interval: exact for products of two splines' derivatives up to degree 5, of two cubics to 1e-6
+_ASPECT_PER_DEPTH = np.sqrt(8 / 3)
+"""sd of an ellipse's axis ratio over the relative sd of its depth. With independent radial errors along the outline the
+axis ratio, 1 - 2 c / r with c the second harmonic, has sqrt(8) times the mean radius's relative sd, and the depth, whose
+tilt is fitted too, sqrt(3) times. Normals measured on rendered images have 0.8 to 0.9 of the sd that follows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spline:
+    """A fitted surface: `coefficients` (ny, nx) m of z(x, y) = sum B_j(y) c_ji B_i(x), zero on the frame, in S."""
+
+    fitter: SurfaceFitter
+    coefficients: Array
+    cholesky: Array  # lower triangular factor of the coefficients' inverse covariance, before `misfit`
+    misfit: float  # factor on the covariance, at least 1: mean square of the residuals over their sd
+    status: Status
+
+    def evaluate(self, x: ArrayLike, y: ArrayLike, dx: int = 0, dy: int = 0) -> Array:
+        """z or its derivative of order (dx, dy) at points `x`, `y` (N,) m."""
+        across, down = self.fitter.basis_x.at(x, dx), self.fitter.basis_y.at(y, dy)
+        return ((down @ self.coefficients) * across).sum(axis=1)
+
+    def normals(self, x: ArrayLike, y: ArrayLike) -> Array:
+        """Unit normals (N, 3) towards the camera at points `x`, `y` (N,) m."""
+        return geometry.normal_from_slope(self.evaluate(x, y, 1, 0), self.evaluate(x, y, 0, 1))
+
+    def grid(self, dx: int = 0, dy: int = 0) -> Array:
+        """z or its derivative of order (dx, dy) on the fitter's grid, (ny, nx)."""
+        return self.fitter.grid_y[dy] @ self.coefficients @ self.fitter.grid_x[dx].T
+
+    def mean_curvature(self) -> Array:
+        """Mean curvature H (ny, nx) 1/m on the grid; positive where the membrane is hollow seen from outside (+z).
+
+        Do Carmo, Differential Geometry of Curves and Surfaces, 3-3, example 5 (Monge patch).
+        """
+        p, q = self.grid(1, 0), self.grid(0, 1)
+        top = (1 + q * q) * self.grid(2, 0) - 2 * p * q * self.grid(1, 1) + (1 + p * p) * self.grid(0, 2)
+        return top / (2 * (1 + p * p + q * q) ** 1.5)
+
+    def height_sd(self, x: ArrayLike, y: ArrayLike) -> Array:
+        """Standard deviation (N,) m of z at points `x`, `y` (N,) m."""
+        rows = self.fitter.rows(x, y)
+        half, _ = lapack.dtrtrs(self.cholesky, rows.T, lower=True)
+        return np.sqrt(self.misfit * (half**2).sum(axis=0))
+
+    def surface(self) -> Surface:
+        """Heights on the grid, area and volume by Gauss quadrature, and their uncertainties to first order."""
+        f, c = self.fitter, self.coefficients
+        z_x, z_y = f.quad_y[0] @ c @ f.quad_x[1].T, f.quad_y[1] @ c @ f.quad_x[0].T
+        stretch = np.sqrt(1 + z_x * z_x + z_y * z_y)
+        area_c = (f.quad_y[0].T @ (f.weights * z_x / stretch) @ f.quad_x[1]
+                  + f.quad_y[1].T @ (f.weights * z_y / stretch) @ f.quad_x[0])
+        gradients = f.gradients.copy()
+        gradients[:, -2] = area_c.ravel()
+        half, _ = lapack.strtrs(self.cholesky.astype(np.float32), gradients, lower=True, overwrite_b=True)
+        *rough, area_var, volume_var = np.einsum("ij,ij->j", half, half).tolist()
+        # noise makes a flat sheet's area larger, to second order: E = trace(stiffness covariance) / 2
+        rough = sum(rough) / 2
+        area_sd, volume_sd = (float(np.sqrt(self.misfit * v)) for v in (area_var + rough**2, volume_var))
+        return Surface(f.x, f.y, self.grid(), float((f.weights * stretch).sum()), float((f.volume_c * c).sum()),
+                       area_sd, volume_sd, self.status)
+
+
+@dataclass(frozen=True, eq=False)
+class _Terms:
+    """Normal equations of observations in units of their sd: A^T A, A^T b, b^T b, the number of rows, and of heights."""
+
+    normal: Array
+    right: Array
+    square: float
+    rows: int
+    markers: int
+
+    @classmethod
+    def of(cls, A: Array, b: Array, *, heights: bool = True) -> _Terms:
+        return cls(A.T @ A, A.T @ b, float(b @ b), len(b), len(b) if heights else 0)
+
+    def __add__(self, other: _Terms) -> _Terms:
+        return _Terms(self.normal + other.normal, self.right + other.right, self.square + other.square,
+                      self.rows + other.rows, self.markers + other.markers)
+
+
+class SurfaceFitter:
+    """Fits splines for one sensor; keeps the tables that do not depend on the frame of video.
+
+    The settings' `roughness` 1/m^2 and `laplacian` 1/m are the g and k of the module's docstring. The spline has two or three
+    more intervals than there are markers in a row, at least 8, and even: with a knot in the middle, where things are
+    pressed, errors under a ball are half as large.
+    """
+
+    def __init__(self, design: SensorDesign, settings: SurfaceSettings = DEFAULTS.surface):
+        self.settings = settings
+        frame, layout, self.distance = design.frame, design.markers, design.camera.distance
+        nx, ny = (max(8, n + 2 + n % 2) for n in (layout.columns, layout.rows))
+        self.slope_off = settings.laplacian / 4 * max(layout.pitch_x, layout.pitch_y)  # half a pitch of a curvature k / 2
+        self.basis_x, self.basis_y = Cubic(frame.length, nx, _GAUSS), Cubic(frame.width, ny, _GAUSS)
+        self.x, self.y = grid_of(frame)
+        self.grid_x = [self.basis_x.at(self.x, d) for d in range(3)]
+        self.grid_y = [self.basis_y.at(self.y, d) for d in range(3)]
+        self.grid_x[0][[0, -1]] = self.grid_y[0][[0, -1]] = 0.0  # exactly, not only to rounding
+        self.quad_x, self.quad_y = ([a.at(a.points, d) for d in range(4)] for a in (self.basis_x, self.basis_y))
+        wx, wy = self.basis_x.weights, self.basis_y.weights
+        self.weights = wy[:, None] * wx
+        self.volume_c = self.quad_y[0].T @ self.weights @ self.quad_x[0]
+        # what `Spline.surface` wants covariances of (single precision is plenty): slopes everywhere, area, volume
+        stiffness_root = np.linalg.cholesky(self._energy(wx, wy, ((1, 0),), ((0, 1),)))
+        gradients = [stiffness_root, np.zeros(len(stiffness_root)), self.volume_c.ravel()]
+        self.gradients = np.asfortranarray(np.column_stack(gradients), dtype=np.float32)
+        area = frame.length * frame.width
+        self.prior = (self._energy(wx, wy, ((3, 0), (1, 2)), ((2, 1), (0, 3))) / (settings.roughness**2 * area)
+                      + self._energy(wx, wy, ((2, 0), (0, 2))) / (settings.laplacian**2 * area))
+
+    def fit(self, markers: Markers, *, normals: bool = True) -> Surface:
+        """The surface through identified markers; see `fit_spline`."""
+        return self.fit_spline(markers.p_SM, markers.cov_p, markers.n_S if normals else None).surface()
+
+    def fit_spline(self, p_SM: ArrayLike, cov_p: ArrayLike | None = None, n_S: ArrayLike | None = None) -> Spline:
+        """Fit markers at `p_SM` (N, 3) m with covariance `cov_p` (N, 3, 3) m^2 (default: 10 um) in S.
+
+        With normals `n_S` (N, 3) of either sign their slopes count too, where they are known well enough
+        (`slope_sd_of`, at the tilts of a first fit without them: the measured tilts would favour their own errors).
+        A marker that is not finite, or far off the surface of the others, is left out.
+        """
+        p = np.asarray(p_SM, dtype=float).reshape(-1, 3)
+        variance = np.full(len(p), 1e-10) if cov_p is None else np.asarray(cov_p, dtype=float)[:, 2, 2]
+        good = np.isfinite(p).all(axis=1) & (variance > 0)
+        p, variance = p[good], variance[good]
+        x, across = (self.basis_x.at(p[:, 0], d) for d in (0, 1))
+        y, down = (self.basis_y.at(p[:, 1], d) for d in (0, 1))
+        rows = _products(y, x)
+        spline, heights, fits = self._solve_without_outliers(rows, p[:, 2], np.sqrt(variance))
+        if n_S is None:
+            return spline
+        across, down = _products(y, across), _products(down, x)
+        c = spline.coefficients.ravel()
+        predicted = np.column_stack([across @ c, down @ c])
+        sd = self._slope_sd(geometry.normal_from_slope(predicted[:, 0], predicted[:, 1]), p, variance)
+        slope = geometry.slope_from_normal(np.asarray(n_S, dtype=float)[good])
+        # comparisons are False for NaN: an unknown slope is not used
+        use = fits & (sd < self.settings.slope_sd_most) & (np.abs(slope - predicted).max(axis=1) < self.slope_off)
+        if not use.any():
+            return spline
+        over = 1 / sd[use, None]
+        rows, slopes = np.concatenate([across[use] * over, down[use] * over]), (slope[use] * over).T.ravel()
+        return self._solve(heights + _Terms.of(rows, slopes, heights=False))
+
+    def _solve_without_outliers(self, rows: Array, z: Array, sd: Array) -> tuple[Spline, _Terms, NDArray[np.bool_]]:
+        """Fit heights `z` (N,), and again without the worst marker while one is far off what all others predict."""
+        fits = np.ones(len(z), bool)
+        A, b = rows / sd[:, None], z / sd
+        while True:
+            terms = _Terms.of(A, b)
+            spline = self._solve(terms)
+            # leave one out: residual / (1 - leverage), variance / (1 - leverage); Cook & Weisberg 1982, 2.2
+            half, _ = lapack.strtrs(spline.cholesky.astype(np.float32), A.T.astype(np.float32), lower=True, overwrite_b=True)
+            left = np.maximum(1 - np.einsum("ij,ij->j", half, half), 1e-6)
+            off = np.abs(b - A @ spline.coefficients.ravel()) / left  # in sd
+            excess = np.minimum(off * sd[fits] / self.settings.outlier_least, off * np.sqrt(left) / self.settings.outlier_sd)
+            if not len(excess) or excess.max() <= 1 or len(excess) <= self.settings.outliers_leave * len(z):
+                return spline, terms, fits
+            worst = np.argmax(excess)
+            fits[np.flatnonzero(fits)[worst]] = False
+            A, b = np.delete(A, worst, axis=0), np.delete(b, worst)
+
+    def _slope_sd(self, n: Array, p: Array, variance: Array) -> Array:
+        return np.hypot(self.settings.slope_model_sd, slope_sd(n, p + np.array([0.0, 0.0, self.distance]), variance))
+
+    def rows(self, x: ArrayLike, y: ArrayLike, dx: int = 0, dy: int = 0) -> Array:
+        """Design matrix (N, ny * nx): z or its derivative of order (dx, dy) at `x`, `y` (N,) m per coefficient."""
+        return _products(self.basis_y.at(y, dy), self.basis_x.at(x, dx))
+
+    def _solve(self, terms: _Terms) -> Spline:
+        cholesky, fault = lapack.dpotrf(terms.normal + self.prior, lower=True, overwrite_a=True)
+        if fault:  # the prior is positive definite: only absurd weights come here
+            raise np.linalg.LinAlgError("normal equations of the surface are not positive definite")
+        c, _ = lapack.dpotrs(cholesky, terms.right, lower=True)
+        # what the splines cannot follow (the edge of a contact) shows as residuals larger than their noise: Birge 1932
+        squares = c @ terms.normal @ c - 2 * (c @ terms.right) + terms.square
+        misfit = max(1.0, squares / max(terms.rows, 1))
+        status = _enough(terms.markers, self.settings.markers_least)
+        return Spline(self, c.reshape(self.basis_y.count, self.basis_x.count), cholesky, misfit, status)
+
+    def _energy(self, wx: Array, wy: Array, *terms: tuple[tuple[int, int], ...]) -> Array:
+        """Matrix of the integral of sum over `terms` of (d1 z + d2 z + ...)^2, each d an order of derivative (x, y)."""
+        def gram(tables: list[Array], w: Array, a: int, b: int) -> Array:
+            return tables[a].T @ (w[:, None] * tables[b])
+
+        total = np.zeros((self.basis_x.count * self.basis_y.count,) * 2)
+        for pair in terms:
+            for ax, ay in pair:
+                for bx, by in pair:
+                    total += np.kron(gram(self.quad_y, wy, ay, by), gram(self.quad_x, wx, ax, bx))
+        return total
+
+
+def slope_sd(n: Array, p_CM: Array, variance: Array) -> Array:
+    """Standard deviation (N,) of slopes measured at markers with unit normals `n` at `p_CM` (N, 3) m from the camera, whose
+    depths have this `variance` (N,) m^2; see `slope_sd_of`."""
+    far = np.sqrt(np.einsum("ni,ni->n", p_CM, p_CM))
+    return slope_sd_of(n, p_CM / far[:, None], _ASPECT_PER_DEPTH * np.sqrt(variance) / far)
+
+
+def slope_sd_of(n: ArrayLike, view: ArrayLike, aspect_sd: ArrayLike) -> Array:
+    """Standard deviation (N,) of the slopes of markers with unit normals `n`, seen along unit rays `view` (N, 3).
+
+    The tilt t against the line of sight comes from the ellipse's axis ratio cos(t), known to `aspect_sd` (N,):
+    d t = aspect_sd / sin(t), and face-on at most sqrt(aspect_sd). Its direction comes from the ellipse's axes: with the
+    same second harmonic's noise, sin(t) d(angle) = aspect_sd sin(t) / (2 (1 - cos(t))), to 5 % the same up to 35 degrees.
+    A slope is tan of an angle to the axis: d tan = d t / n_z^2.
+    """
+    n, aspect_sd = np.asarray(n, dtype=float), np.asarray(aspect_sd, dtype=float)
+    sine2 = 1 - np.einsum("ni,ni->n", n, np.asarray(view, dtype=float)) ** 2
+    return aspect_sd / np.sqrt(np.maximum(sine2, np.maximum(aspect_sd, 1e-12))) / np.maximum(n[:, 2] ** 2, 1e-6)
+
+
+def grid_of(frame: Frame, step: float = GRID_STEP) -> tuple[Array, Array]:
+    """Grid lines x (nx,), y (ny,) m over the opening, frame included, at most `step` apart."""
+    nx, ny = (int(np.ceil(size / step - 1e-9)) + 1 for size in (frame.length, frame.width))
+    return np.linspace(-frame.length / 2, frame.length / 2, nx), np.linspace(-frame.width / 2, frame.width / 2, ny)
+
+
+def reconstruct_delaunay(design: SensorDesign, p_SM: ArrayLike, *, grid_step: float = GRID_STEP) -> Surface:
+    """The paper's route: triangles, barycentric grid with the frame as boundary, B-spline surface.
+
+    `p_SM` (N, 3) m. The "low resolution" grid that the spline goes through has half the markers' pitch. The paper
+    gives no uncertainty: `area_sd`, `volume_sd` are NaN.
+    """
+    p_SM = np.asarray(p_SM, dtype=float).reshape(-1, 3)
+    p_SM = p_SM[np.isfinite(p_SM).all(axis=1)]
+    frame, layout = design.frame, design.markers
+    rim = _rim_points(frame, layout.columns + 1, layout.rows + 1)
+    heights = LinearNDInterpolator(np.concatenate([p_SM[:, :2], rim]), np.append(p_SM[:, 2], np.zeros(len(rim))))
+    coarse_x = np.linspace(-frame.length / 2, frame.length / 2, 2 * layout.columns + 3)
+    coarse_y = np.linspace(-frame.width / 2, frame.width / 2, 2 * layout.rows + 3)
+    z = np.nan_to_num(heights(*np.meshgrid(coarse_x, coarse_y)))
+    z[[0, -1]] = 0.0
+    z[:, [0, -1]] = 0.0
+    spline = RectBivariateSpline(coarse_y, coarse_x, z)
+    (qx, wx), (qy, wy) = ((axis.points, axis.weights) for axis in (
+        Cubic(frame.length, 2 * layout.columns + 2, _GAUSS), Cubic(frame.width, 2 * layout.rows + 2, _GAUSS)))
+    stretch = np.sqrt(1 + spline(qy, qx, dy=1) ** 2 + spline(qy, qx, dx=1) ** 2)
+    area, volume = float(wy @ stretch @ wx), float(wy @ spline(qy, qx) @ wx)
+    x, y = grid_of(frame, grid_step)
+    return Surface(x, y, spline(y, x), area, volume, np.nan, np.nan, _enough(len(p_SM), DEFAULTS.surface.markers_least))
+
+
+def _enough(markers: int, least: int) -> Status:
+    if markers >= least:
+        return OK
+    return Status(StatusCode.TOO_FEW_MARKERS, f"too few markers: {markers} of at least {least}")
+
+
+def _rim_points(frame: Frame, nx: int, ny: int) -> Array:
+    """Points (M, 2) all round the opening, nx and ny to a side."""
+    t, s = np.linspace(-1, 1, nx, endpoint=False)[:, None], np.linspace(-1, 1, ny, endpoint=False)[:, None]
+    one_t, one_s = np.ones_like(t), np.ones_like(s)
+    square = np.concatenate([np.hstack([t, -one_t]), np.hstack([one_s, s]),
+                             np.hstack([-t, one_t]), np.hstack([-one_s, -s])])
+    return square * [frame.length / 2, frame.width / 2]
+
+
+def _products(down: Array, across: Array) -> Array:
+    """Row-wise Kronecker product (N, ny * nx) of (N, ny) and (N, nx)."""
+    return (down[:, :, None] * across[:, None, :]).reshape(len(down), down.shape[1] * across.shape[1])

@@ -1,0 +1,1 @@
+"""Tractions to what touches: patches, slip, material."""

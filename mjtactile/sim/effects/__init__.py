@@ -1,0 +1,1 @@
+"""Which effects a scene calls for, and what accuracy costs in time."""

@@ -1,0 +1,47 @@
+"""What the sensors of a scene touch: to refuse an object in which the jaws begin, or a gripper that touches itself."""
+
+from __future__ import annotations
+
+from mjtactile.core.errors import InputError
+from mjtactile.sim.scenes.objects import PREFIX, ObjectModel
+from mjtactile.sim.scenes.world import World
+from mjtactile.sim.sensor.runtime import TactileSensor
+
+
+def touched_by_sensors(world: World) -> set[tuple[str, str, str]]:
+    """Prefix of the sensor, name of the other's body ("" for a flex) and of its geom, of whatever touches a sensor now."""
+    found = set()
+    for contact in world.data.contact:
+        if contact.exclude:  # near, but not touching
+            continue
+        sides = list(zip(contact.geom, contact.flex, strict=True))
+        for side, other in (sides, sides[::-1]):
+            owner = next((sensor for sensor in world.sensors if _is_part(world, sensor, *side)), None)
+            if owner is not None and not any(_is_part(world, sensor, *other) for sensor in world.sensors):
+                found.add((owner.prefix, *_names(world, *other)))
+    return found
+
+
+def require_clear(world: World, grasped: ObjectModel, opening: float) -> None:
+    """Refuse an object whose file stands in the way of a sensor before anything moves.
+
+    Call it on a scene at rest, with the membranes flat and the jaws at `opening` m. Raises InputError.
+    """
+    if any(not body or body.startswith(PREFIX) for _, body, _ in touched_by_sensors(world)):
+        raise InputError(f"stands in the way of a sensor before the jaws close: they open to {1e3 * opening:.0f} mm, and it is "
+                         "wider there, or not in the middle", source=grasped.path, field="object")
+
+
+def _is_part(world: World, sensor: TactileSensor, geom: int, flex: int) -> bool:
+    """Whether a side of a contact is the sensor's housing or membrane."""
+    if geom < 0:
+        return flex == sensor.flex_id
+    body = int(world.model.geom_bodyid[geom])
+    return sensor.body_id in (body, int(world.model.body_parentid[body]))
+
+
+def _names(world: World, geom: int, flex: int) -> tuple[str, str]:
+    if geom < 0:
+        return "", f"flex {flex}"
+    body = world.model.body(int(world.model.geom_bodyid[geom])).name
+    return body or "world", world.model.geom(int(geom)).name or f"geom of {body or 'world'}"

@@ -1,0 +1,61 @@
+"""`GraspWorld`: a simulated rig over a table, with an object to grasp between its fingers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+
+from mjtactile.core.design import SensorDesign, load_sensor
+from mjtactile.core.errors import InputError
+from mjtactile.rig.file import load_sim_rig
+from mjtactile.rig.simulated import SimRigFile
+from mjtactile.sim.attach import DEFAULT_MESH
+from mjtactile.sim.scenes.clearance import require_clear
+from mjtactile.sim.scenes.hand_world import DEFAULT_TIMESTEP, HandWorld
+from mjtactile.sim.scenes.objects import ObjectModel, add_object, load_object
+from mjtactile.sim.scenes.start import Start
+from mjtactile.sim.sensor.switches import PHYSICS
+
+
+class GraspWorld(HandWorld):
+    """The fingers of `rig` (the shipped "sim": two, left and right) about an object that stands under the hand.
+
+    The object's file closes along x; it is turned to the direction in which the first finger closes.
+    """
+
+    def __init__(self, sensor: SensorDesign | str | Path = "dense", grasped: ObjectModel | str | Path = "egg", *,
+                 rig: SimRigFile | str | Path = "sim", timestep: float = DEFAULT_TIMESTEP,
+                 mesh: tuple[int, int] = DEFAULT_MESH, object_pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
+                 opening: float | None = None, effects: frozenset[str] = PHYSICS, specimens: Sequence[SensorDesign] = ()):
+        """`timestep` s and `mesh` trade accuracy for speed; `object_pose` is x, y (m) and yaw (rad) of the object's file on
+        the table, seen from the hand; `opening` m is where the jaws start (default: the rig file's), `effects` those of
+        `Effect`; `specimens` are the fingers' own sensors, where they are not as `sensor` says."""
+        self.design, self.object = load_sensor(sensor), grasped if isinstance(grasped, ObjectModel) else load_object(grasped)
+        self.specimens = tuple(specimens)
+        rig = rig if isinstance(rig, SimRigFile) else load_sim_rig(rig)
+        designs = self.specimens or finger_designs(rig, self.design)
+        for design in designs:
+            design.require_rectangle("grasping, which rests on sensing,")
+
+        def furnish(spec: mujoco.MjSpec, start: Start) -> None:
+            x, y, yaw = object_pose
+            cos, sin, centre = math.cos(start.yaw), math.sin(start.yaw), start.centre
+            pose = (centre[0] + (cos * x - sin * y), centre[1] + (sin * x + cos * y), start.yaw + yaw)
+            add_object(spec, self.object, pose, height=rig.table_height)
+
+        super().__init__(rig, designs, self.object.grasp_height, timestep=timestep, mesh=mesh, opening=opening,
+                         effects=effects, furnish=furnish)
+        require_clear(self, self.object, self.opening)
+
+    def _check_clearance(self, tip_height: float, half: float) -> None:
+        if tip_height <= half:
+            raise InputError(f"grasp height {tip_height * 1e3:g} mm is below {half * 1e3:g} mm: the sensors' frames would hit "
+                             "the table; put the object on a stand", source=self.object.path, field="grasp_height_m")
+
+
+def finger_designs(rig: SimRigFile, sensor: SensorDesign) -> tuple[SensorDesign, ...]:
+    """The sensor of each finger: the rig file's own, or `sensor`."""
+    return tuple(sensor if finger.sensor is None else load_sensor(finger.sensor) for finger in rig.fingers)

@@ -1,0 +1,210 @@
+"""`HandWorld`: a simulated rig over its table, before anything is put there to grasp. The rig: docs/robots.md."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import mujoco
+import numpy as np
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array
+from mjtactile.rig.simulated import SimRigFile
+from mjtactile.sim.attach import DEFAULT_MESH, attach, recommend_options
+from mjtactile.sim.scenes.actuators import PositionActuator
+from mjtactile.sim.scenes.jaws import Jaws
+from mjtactile.sim.scenes.lifts import make_lift
+from mjtactile.sim.scenes.posture import solve
+from mjtactile.sim.scenes.start import Start, load_robot, place_jaws, plan_start
+from mjtactile.sim.scenes.world import World
+from mjtactile.sim.sensor.switches import PHYSICS, set_servo
+
+DEFAULT_TIMESTEP = 4e-3
+
+
+class HandWorld(World):
+    """A hand with a sensor on each finger, in the order of the rig file, and what lifts it.
+
+    The jaws are current-limited: they move towards their target opening at no more than the rig's speed and push with no
+    more than their force limit. `rig` is the rig file, `start` where it began.
+    """
+
+    def __init__(self, rig: SimRigFile, designs: Sequence[SensorDesign], tip_height: float, *,
+                 timestep: float = DEFAULT_TIMESTEP, mesh: tuple[int, int] = DEFAULT_MESH, opening: float | None = None,
+                 effects: frozenset[str] = PHYSICS,
+                 furnish: Callable[[mujoco.MjSpec, Start], None] = lambda spec, start: None):
+        """`designs` are the fingers' sensors, `tip_height` m of the fingertips above the table; `timestep` s and `mesh` trade
+        accuracy for speed; `opening` m is where the jaws start (default: the rig file's), `effects` those of
+        `Effect`; `furnish` puts things onto the table."""
+        self.rig, self.effects = rig, effects
+        opening = self._checked(rig.gripper.start if opening is None else opening)
+        spec, coordinates, mocap = load_robot(rig)
+        recommend_options(spec, timestep)
+        attachments = [attach(spec, design, site=finger.site, prefix=f"{finger.name}/", mesh=mesh, effects=effects)
+                       for design, finger in zip(designs, rig.fingers, strict=True)]
+        for jaw in rig.gripper.actuators:
+            set_servo(spec, jaw.name, effects)
+        robot = spec.compile()
+        bodies = [robot.body(f"{finger.name}/sensor").id for finger in rig.fingers]
+
+        def height(rotations: Array) -> float:
+            for design, R_WS in zip(designs, rotations, strict=True):
+                frame = design.frame
+                half = abs(R_WS[2, 0]) * (frame.length / 2 + frame.rim) + abs(R_WS[2, 1]) * (frame.width / 2 + frame.rim)
+                self._check_clearance(tip_height, half)
+            return rig.table_height + tip_height
+
+        self.start = plan_start(robot, rig, bodies, opening, height, coordinates, mocap)
+        self._robot_dofs = _dofs_without(robot, [f"{finger.name}/" for finger in rig.fingers])
+        if rig.lift.kind in ("actuator", "none"):  # nothing else brings the hand to its height
+            _raise(spec, robot, int(robot.body_rootid[self.start.hand]), self.start.raised)
+        if rig.table:
+            _add_table(spec, [*self.start.centre[:2], rig.table_height])
+        furnish(spec, self.start)
+        super().__init__(spec, attachments, self._place)
+        self._jaws, self._lift = Jaws(self.model, self.data, rig), make_lift(self.model, self.data, rig, self.start)
+        self._kinematics = mujoco.MjData(self.model)
+        self._opening_target = self._opening_goal = opening
+        self._lift_target = self._lift_goal = 0.0
+        self._hold_still()
+        mujoco.mj_forward(self.model, self.data)
+
+    # -- commands: what a real gripper takes ---------------------------------------------------------------------
+
+    def set_finger_target(self, opening: float, force_limit: float | None = None) -> None:
+        """Set the goal for the gap between the sensors' frames, m, and the most that each finger may push, N.
+
+        Raises InputError for a value that is not finite, a negative opening or a force limit that is not positive.
+        """
+        if not np.isfinite(opening) or opening < 0:
+            raise InputError(f"{opening!r} m is not a finite opening >= 0", source="gripper", field="opening")
+        self._opening_target = min(float(opening), self.max_opening)
+        if force_limit is not None:
+            if not np.isfinite(force_limit) or force_limit <= 0:
+                raise InputError(f"{force_limit!r} N is not a finite force > 0", source="gripper", field="force_limit")
+            self._jaws.limit_force(force_limit)
+
+    def set_lift_target(self, height: float) -> None:
+        """Set the goal of the lift, m above where the hand started. Raises InputError when it is out of reach."""
+        if not np.isfinite(height) or not 0 <= height <= self.rig.lift.travel:
+            raise InputError(f"{height!r} m is outside 0 to {self.rig.lift.travel:g} m", source="gripper", field="lift_height")
+        self._lift_target = float(height)
+
+    def open_valve(self, sensor: int, supply_gauge: float | None = None) -> None:
+        """Connect one chamber to a supply of `supply_gauge` Pa (default: the design's)."""
+        self.sensors[sensor].open_valve(supply_gauge)
+
+    def close_valve(self, sensor: int) -> None:
+        """Trap the gas that one chamber holds now."""
+        self.sensors[sensor].close_valve()
+
+    # -- state: what a real gripper reports ----------------------------------------------------------------------
+
+    @property
+    def max_opening(self) -> float:
+        return self.rig.gripper.opening[1]
+
+    @property
+    def opening(self) -> float:
+        """Gap between the sensors' frames, m (of more than two fingers: twice their mean distance from the middle)."""
+        return self._jaws.opening()
+
+    @property
+    def opening_speed(self) -> float:
+        """Rate of change of the opening, m/s; negative while closing."""
+        return self._jaws.speed()
+
+    @property
+    def grip_force(self) -> float:
+        """Force with which the servos close each finger, N; what their current would say."""
+        return self._jaws.force()
+
+    @property
+    def grip_force_reached(self) -> float:
+        """The most that the model's actuators can close each finger with, N."""
+        return self._jaws.force_reached()
+
+    @property
+    def lift_height(self) -> float:
+        """Height of the hand above where it started, m."""
+        return self._lift.height()
+
+    def place_hand(self, opening: float, lift: float) -> None:
+        """Put jaws and lift at these coordinates, m, at rest, with their goals there: for experiments, not for control."""
+        scratch = self._kinematics
+        scratch.qpos[:], scratch.mocap_pos[:] = self.data.qpos, self.data.mocap_pos
+        self._lift.place(lift, scratch)
+        solve(self.model, scratch, place_jaws(self.model, scratch, self.rig, opening))
+        self.data.qpos[:], self.data.mocap_pos[:] = scratch.qpos, scratch.mocap_pos
+        self.data.qvel[self._robot_dofs] = 0.0
+        self._opening_target = self._opening_goal = opening
+        self._lift_target = self._lift_goal = lift
+
+    # -- inside --------------------------------------------------------------------------------------------------
+
+    def _before_step(self) -> None:
+        """Move both goals towards their targets at limited speed, the jaws' no further ahead than their force needs."""
+        jaw_step, lift_step = self.rig.gripper.speed * self.timestep, self.rig.lift.speed * self.timestep
+        self._jaws.refresh_force()
+        reach = self._jaws.reach(self.rig.gripper.speed) + 4 * jaw_step
+        goal = self._opening_goal + np.clip(self._opening_target - self._opening_goal, -jaw_step, jaw_step)
+        opening = self.opening
+        self._opening_goal = float(np.clip(goal, opening - reach, opening + reach))
+        self._lift_goal += float(np.clip(self._lift_target - self._lift_goal, -lift_step, lift_step))
+        self._jaws.drive(self._opening_goal)
+        self._lift.drive(self._lift_goal)
+
+    def _check_clearance(self, tip_height: float, half: float) -> None:
+        """Called with each sensor frame's half height, m, before anything is built. For what cannot be grasped there."""
+
+    def _checked(self, opening: float) -> float:
+        low, high = self.rig.gripper.opening
+        if not low <= opening <= high or not opening > 0:
+            raise InputError(f"{opening!r} m is outside {low:g} to {high:g} m", source="gripper", field="opening")
+        return opening
+
+    def _place(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Bring a fresh state to the planned start."""
+        data.qpos[:len(self.start.qpos)] = self.start.qpos
+        data.mocap_pos[:] = self.start.mocap_pos
+
+    def _hold_still(self) -> None:
+        """Set every control so that nothing moves at first: jaws and lift at their goals, other servos where they are."""
+        for number in range(self.model.nu):
+            try:
+                actuator = PositionActuator(self.model, self.data, self.model.actuator(number).name, "")
+            except (InputError, KeyError):
+                continue  # a motor, or a servo without a name: it stays at control 0
+            actuator.set_goal(actuator.length)
+        self._jaws.drive(self._opening_goal)
+        self._lift.drive(0.0)
+        for number in np.flatnonzero(self.model.actuator_actnum == 1):
+            self.data.act[self.model.actuator_actadr[number]] = self.data.ctrl[number]
+
+
+def _dofs_without(model: mujoco.MjModel, prefixes: Sequence[str]) -> Array:
+    """Degrees of freedom of all bodies but the sensors'."""
+    ours = [not model.body(int(body)).name.startswith(tuple(prefixes)) for body in model.dof_bodyid]
+    return np.flatnonzero(ours)
+
+
+def _raise(spec: mujoco.MjSpec, model: mujoco.MjModel, root: int, by: float) -> None:
+    """Put the body `root` of the compiled `model`, a child of the world, higher by so many m."""
+    body = next(body for body in spec.bodies if body.id == root)
+    if body.frame is not None:  # whose axes may be turned: out of it, where it was
+        body.set_frame(spec.worldbody.add_frame())
+        body.alt.type, body.quat = mujoco.mjtOrientation.mjORIENTATION_QUAT, model.body_quat[root]
+    body.pos = model.body_pos[root] + [0.0, 0.0, by]
+
+
+def _add_table(spec: mujoco.MjSpec, top: Sequence[float]) -> None:
+    """A table under the hand, from a model of its own: the user's MJCF may have defaults under which nothing could stand."""
+    x, y, z = (float(value) for value in top)
+    child = mujoco.MjSpec()
+    table = child.worldbody.add_body(name="table")
+    table.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_BOX, pos=[x, y, z - 0.01], size=[0.2, 0.2, 0.01],
+                   friction=[0.3, 0.005, 0.0001],  # an object that is pushed slides rather than tips
+                   rgba=[0.75, 0.7, 0.65, 1.0])
+    child.worldbody.add_light(pos=[x, y - 0.5, z + 1.0], dir=[0, 0.4, -0.9])
+    spec.attach(child, frame=spec.worldbody.add_frame(), prefix="table/")

@@ -1,0 +1,137 @@
+"""Objects to grasp: read a user's MJCF, check it, and merge it into a scene.
+
+Format (docs: "Your own object"): one top-level body named `object` with a free joint; a `<custom>` numeric
+`break_force_N` (normal force per finger above which it counts as crushed) and a text `material`. The table's top is
+z = 0, the fingers close along x, and grasp at the height of the body's origin unless a numeric `grasp_height_m` says
+otherwise; a numeric `turn_deg` keeps it from being turned about z by more than that (a block between flat fingers).
+Whatever else stands in the file's world (a cup, a stand) comes along.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core import resources
+from mjtactile.core.errors import InputError
+
+MATERIALS = ("solid", "soft", "amorphous")
+PREFIX = "object/"
+"""Names of the object's file carry this prefix in the scene."""
+
+
+@dataclass(frozen=True)
+class ObjectModel:
+    """A checked object: `break_force` N per finger, `grasp_height` m above the table, `path` of its MJCF file, `turn` rad
+    about z by which it may be placed at random."""
+
+    name: str
+    path: Path
+    break_force: float
+    material: str
+    grasp_height: float
+    mass: float
+    turn: float = math.pi
+
+
+def load_object(name_or_path: str | Path) -> ObjectModel:
+    """Read and check an object by shipped name or from an MJCF file.
+
+    Raises InputError naming file, field and valid choices for broken MJCF, a missing body or free joint, a missing,
+    non-finite or negative numeric, an unknown material, or an object that nothing can touch.
+    """
+    path = resources.find(name_or_path, "models/objects", ".xml")
+    spec = _parse(path)
+    _check_body(spec, path)
+    break_force = _numeric(spec, path, "break_force_N")
+    body = spec.body("object")
+    height = _numeric(spec, path, "grasp_height_m", default=float(body.pos[2]))
+    turn = min(math.radians(_numeric(spec, path, "turn_deg", default=180.0)), math.pi)
+    mass = _check_compiled(spec, path)
+    return ObjectModel(path.stem, path, break_force, _material(spec, path), height, mass, turn)
+
+
+def add_object(scene: mujoco.MjSpec, model: ObjectModel, pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
+               height: float = 0.0) -> None:
+    """Merge the object, and what stands in its file's world, into `scene` under the name prefix "object/".
+
+    `pose` is x, y in m and yaw in rad of the file's world on the table, whose top is at `height` m. Raises InputError when
+    it is not finite.
+    """
+    x, y, yaw = pose
+    if not all(math.isfinite(value) for value in pose):
+        raise InputError(f"{pose!r} is not three finite numbers", source="add_object", field="pose")
+    frame = scene.worldbody.add_frame(pos=[x, y, height], quat=[math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)])
+    scene.attach(_parse(model.path), frame=frame, prefix=PREFIX)
+
+
+def _parse(path: Path) -> mujoco.MjSpec:
+    try:
+        return mujoco.MjSpec.from_file(str(path))
+    except (ValueError, RuntimeError) as error:
+        raise InputError(f"not valid MJCF: {_one_line(error)}", source=path) from error
+
+
+def _check_body(spec: mujoco.MjSpec, path: Path) -> None:
+    body = spec.body("object")
+    if body is None:
+        raise InputError("missing body named 'object'", source=path, field="worldbody",
+                         choices=[b.name for b in spec.worldbody.bodies if b.name] or None)
+    if not any(child.name == "object" for child in spec.worldbody.bodies):
+        raise InputError("body 'object' must be a direct child of the world", source=path, field="object")
+    if not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints):
+        raise InputError("body 'object' has no free joint", source=path, field="object", choices=["<freejoint/>"])
+
+
+def _numeric(spec: mujoco.MjSpec, path: Path, name: str, default: float | None = None) -> float:
+    found = [numeric for numeric in spec.numerics if numeric.name == name]
+    if not found:
+        if default is None:
+            raise InputError("missing <custom><numeric>, a number > 0", source=path, field=name)
+        value = default
+    else:
+        value = float(found[0].data[0]) if len(found[0].data) else math.nan
+    if not math.isfinite(value) or value <= 0:
+        raise InputError(f"{value:g} is not a finite number > 0", source=path, field=name)
+    return value
+
+
+def _material(spec: mujoco.MjSpec, path: Path) -> str:
+    found = [text.data for text in spec.texts if text.name == "material"]
+    if not found:
+        raise InputError("missing <custom><text>", source=path, field="material", choices=MATERIALS)
+    if found[0] not in MATERIALS:
+        raise InputError(f"{found[0]!r} is not a material", source=path, field="material", choices=MATERIALS)
+    return found[0]
+
+
+def _check_compiled(spec: mujoco.MjSpec, path: Path) -> float:
+    """Compile the object alone, as the scene will run it; return its mass in kg."""
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
+    spec.option.solver = mujoco.mjtSolver.mjSOL_CG
+    try:
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+    except (ValueError, RuntimeError) as error:
+        raise InputError(f"does not compile: {_one_line(error)}", source=path) from error
+    moving = moving_bodies(model)
+    touchable = (model.geom_contype[np.isin(model.geom_bodyid, moving)] & 1).any()
+    if not touchable and not (model.flex_contype & 1).any():
+        raise InputError("has no geom or flex with contype 1: nothing can touch it", source=path, field="object")
+    return float(model.body_mass[moving].sum())
+
+
+def moving_bodies(model: mujoco.MjModel, prefix: str = "") -> NDArray[np.int64]:
+    """Ids of the bodies that make up the object in `model`: all of its file's bodies (by `prefix`) that can move."""
+    return np.array([i for i in range(1, model.nbody)
+                     if model.body_weldid[i] and model.body(i).name.startswith(prefix)], dtype=np.int64)
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())

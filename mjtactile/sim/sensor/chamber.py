@@ -1,0 +1,80 @@
+"""The chamber behind the membrane: its volume, and the tendon through which MuJoCo integrates its gas implicitly.
+
+A trapped gas is far stiffer than the membrane's mass allows any explicit pressure to be. The chamber is therefore a
+fixed tendon whose coefficients are dV/dq: moving it by one unit changes the volume by one cubic metre, its force is a
+pressure, and its stiffness -dp/dV joins the integrator's implicit system. Each step re-linearises it at the current
+state, in the sensor's own frame. The pressure itself acts along all axes; the stiffness needs only dV/dz, since the sheet
+is far stiffer in its plane than the gas.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from mjtactile.core.types import Array
+from mjtactile.sim.sensor.mesh import MembraneMesh
+
+
+class ChamberGeometry:
+    """Volume between the membrane and the glass, and its derivative by the vertex positions."""
+
+    def __init__(self, mesh: MembraneMesh, volume_flat: float):
+        self._corners, self._volume_flat = mesh.triangles.T.ravel(), volume_flat
+        count = len(mesh.triangles)
+        # Each interior vertex takes a third of the area vector of each triangle that it belongs to.
+        scatter = csr_matrix((np.full(3 * count, 1 / 3), (mesh.triangles.ravel(), np.repeat(np.arange(count), 3))),
+                             shape=(len(mesh.p_SV), count))
+        self._scatter = scatter[mesh.interior]
+
+    def volume_and_gradient(self, p_SV: Array) -> tuple[float, Array]:
+        """Return V (m^3) and dV/dp (k, 3) m^2 at the interior vertices, exact for the triangulated surface.
+
+        Divergence theorem: V = V_flat + 1/3 sum of centroid . area vector, since the flat rim lies in z = 0.
+        """
+        a, b, c = p_SV.T[:, self._corners].reshape(3, 3, -1).swapaxes(0, 1)  # each (3, m): rows x, y, z
+        u, w = b - a, c - a
+        area = np.empty_like(u)  # area vectors; written out, since np.cross takes ten times as long
+        area[0] = u[1] * w[2] - u[2] * w[1]
+        area[1] = u[2] * w[0] - u[0] * w[2]
+        area[2] = u[0] * w[1] - u[1] * w[0]
+        area *= 0.5
+        volume = self._volume_flat + float(np.vdot(a + b + c, area)) / 9
+        return volume, self._scatter @ area.T
+
+
+class GasTendon:
+    """Writes pressure and gas stiffness of one chamber into a compiled model, once before every step."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, tendon_id: int, count: int):
+        """`count` vertices hang on the tendon; the model says 0 while a sensor sleeps."""
+        self._model, self._data, self._tendon = model, data, tendon_id
+        start = int(model.tendon_adr[tendon_id])
+        self._wraps, self._count = slice(start, start + count), count
+        first, count = int(model.wrap_objid[start]) - 2, 3 * count  # the vertex joints are one block, x, y, z of each vertex
+        qpos, dof = int(model.jnt_qposadr[first]), int(model.jnt_dofadr[first])
+        self.dofs = slice(dof, dof + count)
+        self.displacements: Array = np.asarray(data.qpos)[qpos:qpos + count]
+        """Live view of the interior vertices' displacements in S, (3 k,) m."""
+
+    def apply(self, pressure_gauge: float, stiffness: float, gradient: Array) -> None:
+        """Push with the pressure, `gradient` (k, 3) = dV/dq, and let the tendon's spring carry its change in the step.
+
+        The spring is relaxed at the current state, so that it holds the *implicit* part only: f = p - k (V' - V).
+        """
+        coefficients = gradient.ravel()
+        normal = coefficients[2::3]
+        self._model.wrap_prm[self._wraps] = normal
+        self._model.tendon_stiffness[self._tendon] = stiffness
+        self._model.tendon_lengthspring[self._tendon] = normal @ self.displacements[2::3]
+        self._data.qfrc_applied[self.dofs] = pressure_gauge * coefficients
+
+    def suspend(self) -> None:
+        """Take the tendon's joints and the pressure out of the model; the vertices are held otherwise."""
+        self._model.tendon_num[self._tendon], self._model.tendon_stiffness[self._tendon] = 0, 0.0
+        self._data.qfrc_applied[self.dofs] = 0.0
+
+    def resume(self) -> None:
+        """Put the joints back; `apply` brings the pressure."""
+        self._model.tendon_num[self._tendon] = self._count

@@ -1,0 +1,161 @@
+"""The gas behind the membrane: amount, temperature and pressure, its valve and its leaks. No MuJoCo in sight.
+
+The chamber is one well-stirred volume of ideal gas. Its state is the amount n R (J/K) and the temperature T (K); the
+pressure follows from p V = n R T. Between two calls of `advance` the volume is taken to change at a constant relative
+rate, for which the equations below are solved exactly, so that any time step is stable (docs/equations.md, G4-G6).
+"""
+
+from __future__ import annotations
+
+import math
+
+from mjtactile.core.design import Chamber
+from mjtactile.core.errors import InputError
+
+_LEVEL, _WARM = 0.01, 1e-4  # Pa and K: both are 0.03 Pa of a gas that weighs on the sheet with 1000
+
+
+class Gas:
+    """Gas of one chamber. Pressures in Pa, volumes in m^3, time in s; "gauge" means above ambient.
+
+    With an ideal valve (infinite conductance, the default) the open chamber is at the supply's pressure at once. With
+    a finite one the gas flows at `conductance` x pressure difference, and the chamber is never quite open.
+    """
+
+    def __init__(self, chamber: Chamber):
+        self._chamber = chamber
+        self.ambient = chamber.ambient
+        self._supply_gauge, self._is_open = 0.0, True
+        self._leak = chamber.leak_conductance
+        self._amount, self._temperature, self._volume = math.nan, chamber.temperature, math.nan
+        self._pressure = chamber.ambient  # absolute
+
+    @property
+    def is_open(self) -> bool:
+        return self._is_open
+
+    @property
+    def supply_gauge(self) -> float:
+        """Pressure that the open valve connects to, Pa above ambient."""
+        return self._supply_gauge
+
+    @property
+    def pressure_gauge(self) -> float:
+        """Pressure in the chamber at the last `advance`, Pa above ambient."""
+        return self._pressure - self.ambient
+
+    @property
+    def temperature(self) -> float:
+        """Temperature of the gas at the last `advance`, K."""
+        return self._temperature
+
+    @property
+    def amount(self) -> float:
+        """n R of the trapped gas, J/K; NaN while an ideal valve is open."""
+        return self._amount
+
+    @property
+    def is_still(self) -> bool:
+        """Whether the pressure stays as it is while the volume does: nothing flows, and the gas is as warm as its walls."""
+        if self._is_ideally_open:
+            return True
+        level = all(abs(far - self._pressure) < _LEVEL for _, far in self._openings())
+        return level and (math.isinf(self._chamber.heat_exchange) or abs(self._temperature - self._chamber.temperature) < _WARM)
+
+    def open(self, supply_gauge: float) -> None:
+        """Connect the chamber to a supply. Raises InputError when the pressure is not a possible one."""
+        if not math.isfinite(supply_gauge) or supply_gauge <= -self.ambient:
+            raise InputError(f"{supply_gauge!r} Pa is not above vacuum (-{self.ambient:g} Pa)", source="valve",
+                             field="supply_gauge")
+        self._supply_gauge, self._is_open = float(supply_gauge), True
+
+    def close(self) -> None:
+        """Trap the gas that is in the chamber now."""
+        self._is_open = False
+        self._fill()
+
+    def seal(self, volume: float, pressure_gauge: float) -> None:
+        """Close the valve on a chamber of `volume` m^3 that holds `pressure_gauge` Pa and is as warm as its walls."""
+        self._is_open, self._volume, self._temperature = False, volume, self._chamber.temperature
+        self._pressure = pressure_gauge + self.ambient
+        self._amount = self._pressure * volume / self._temperature
+
+    def puncture(self, conductance: float) -> None:
+        """Open a hole to ambient of `conductance` m^3/(s Pa), 0 to mend it. Raises InputError when not finite or negative."""
+        if not math.isfinite(conductance) or conductance < 0:
+            raise InputError(f"{conductance!r} m^3/(s Pa) is not a finite conductance >= 0", source="valve",
+                             field="leak_conductance")
+        self._fill()
+        self._leak = conductance
+
+    def advance(self, volume: float, elapsed: float) -> None:
+        """Take the gas to `volume`, `elapsed` s after the last call (0: at once, without heat or flow)."""
+        if math.isnan(self._volume) or volume <= 0:
+            self._volume = volume
+        if self._is_ideally_open:
+            self._amount, self._temperature = math.nan, self._chamber.temperature
+            self._pressure, self._volume = self._supply_gauge + self.ambient, volume
+            return
+        self._fill()
+        if volume > 0:
+            elapsed = max(elapsed, 0.0)
+            self._flow_all(elapsed / 2)  # half before and half after: second order
+            self._compress(volume, elapsed)
+            self._flow_all(elapsed / 2)
+            self._pressure = self._amount * self._temperature / volume
+
+    def stiffness(self, step: float) -> float:
+        """-dp/dV, Pa/m^3, for a change of volume that is spread over the next `step` s.
+
+        gamma p / V for an adiabatic gas; heat that leaves, and gas that flows out, within the step make it softer.
+        """
+        if self._is_ideally_open or self._volume <= 0:
+            return 0.0
+        gamma, pressure = self._chamber.heat_ratio, self._pressure
+        rate = sum(gamma * conductance * max(pressure, far) / self._volume for conductance, far in self._openings())
+        kept_heat = _ramp_share(step / self._chamber.heat_exchange)
+        return pressure / self._volume * (1 + (gamma - 1) * kept_heat) * _ramp_share(rate * step)
+
+    @property
+    def _is_ideally_open(self) -> bool:
+        return self._is_open and math.isinf(self._chamber.valve_conductance)
+
+    def _openings(self) -> list[tuple[float, float]]:
+        """Conductance and far pressure, Pa absolute, of every way that gas can take now."""
+        ways = [(self._leak, self.ambient)] if self._leak else []
+        if self._is_open and not self._is_ideally_open:
+            ways.append((self._chamber.valve_conductance, self._supply_gauge + self.ambient))
+        return ways
+
+    def _fill(self) -> None:
+        """Start to count the gas, if it was not counted yet."""
+        if math.isnan(self._amount):
+            self._amount = self._pressure * self._volume / self._temperature
+
+    def _compress(self, volume: float, elapsed: float) -> None:
+        """dT/dt = -(gamma - 1) T (dV/dt)/V + (T_wall - T)/tau, exact for a constant relative rate (Eq. G4)."""
+        exchange = elapsed / self._chamber.heat_exchange
+        decay = (self._chamber.heat_ratio - 1) * math.log(volume / self._volume) + exchange
+        wall = self._chamber.temperature
+        self._temperature = self._temperature * math.exp(-decay) + wall * exchange * _ramp_share(decay)
+        self._volume = volume
+
+    def _flow_all(self, elapsed: float) -> None:
+        for conductance, far in self._openings():
+            self._flow(conductance, far, elapsed)
+
+    def _flow(self, conductance: float, far: float, elapsed: float) -> None:
+        """Move gas through an opening: amount and enthalpy, exact for a constant volume and small temperature changes
+        (Eq. G5-G6)."""
+        gamma, pressure = self._chamber.heat_ratio, self._amount * self._temperature / self._volume
+        source = self._chamber.temperature if far > pressure else self._temperature
+        rate = gamma * conductance * max(pressure, far) / self._volume
+        energy = (far - pressure) * self._volume * -math.expm1(-rate * elapsed)  # V dp = gamma R T_source dn
+        moved = energy / (gamma * source)
+        temperature = (pressure * self._volume + energy) / (self._amount + moved)
+        self._amount, self._temperature = self._amount + moved, temperature
+
+
+def _ramp_share(x: float) -> float:
+    """(1 - exp(-x)) / x: what is left of a ramp's effect after a decay of x time constants."""
+    return -math.expm1(-x) / x if abs(x) > 1e-12 else 1.0

@@ -1,0 +1,227 @@
+"""Where the method ends: what is refused when a scene is built, flagged while it runs, or stops it.
+
+A refusal (InputError) or a stop (SimulationError) is for numbers that would be wrong; a flag is for numbers that are
+worse than usual, with the reason and the nearest setting that works. Never a wrong number silently.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core import theory
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array
+from mjtactile.sim.sensor import features
+
+if TYPE_CHECKING:
+    from mjtactile.sim.sensor.runtime import TactileSensor
+
+Flags = dict[str, str]
+"""Kind of doubt ("stretch", "wrinkles", "penetration", "mesh", "feature", "edge", "bending", "speed", "solver",
+"unsettled") to its reason."""
+
+STVK_ERROR = 0.02  # share of a height
+WRINKLED = 0.01  # share of the sheet under compression
+PENETRATION = 0.05  # share of the indentation
+_SUNK = 0.5  # share of the indentation at which a force means nothing
+SLACKEST = 0.95
+_FAST, _NEAR = 0.5, 0.05  # of its own size in a step; m from the membrane's middle
+_LEAST_INDENTATION = 3e-4  # m; below it, shares of the indentation say nothing
+_BENDING = 0.05  # share of the bulge's stiffness
+_THICKEST = 0.1  # of the frame's shorter side
+
+
+def check_design(design: SensorDesign, mesh: tuple[int, int]) -> None:
+    """Refuse a membrane that the method cannot carry. Raises InputError naming field, value and nearest good value."""
+    sheet, short = design.membrane, min(design.frame.length, design.frame.width)
+    if sheet.thickness > _THICKEST * short:
+        raise InputError(f"{sheet.thickness * 1e3:g} is a plate, not a membrane, in a frame of {short * 1e3:g} mm: bending is "
+                         f"left out; at most {_THICKEST * short * 1e3:g}", source=design.name, field="membrane.thickness_mm")
+    if sheet.pre_stretch < SLACKEST:
+        raise InputError(f"{sheet.pre_stretch:g} leaves the sheet so slack that it folds; at least {SLACKEST:g}",
+                         source=design.name, field="membrane.pre_stretch")
+    if mesh[0] * mesh[1] < 30:
+        raise InputError(f"{mesh} vertices make heights wrong by more than 10 %; at least (7, 5)", source="attach",
+                         field="mesh")
+
+
+def design_flags(design: SensorDesign, nx: int, ny: int) -> Flags:
+    """What a design's numbers suffer from whatever happens to it."""
+    flags: Flags = {}
+    sheet, frame = design.membrane, design.frame
+    error = 0.01 * 120 / ((nx - 1) * (ny - 1))  # second order; 1 % at 13 x 11 (tests/physics/test_membrane.py)
+    if error > 0.02:
+        flags["mesh"] = f"mesh ({nx}, {ny}): heights and forces may be off by {error:.0%}; (13, 11) has 1-3 %"
+    rigidity = sheet.young * sheet.thickness**3 / (12 * (1 - sheet.poisson**2))
+    wave = np.pi**2 * (1 / frame.length**2 + 1 / frame.width**2)
+    tension = max(sheet.pretension, 0.0) + 1e-3 * sheet.young * sheet.thickness  # a bulge of 0.1 % strain
+    if rigidity * wave > _BENDING * tension:
+        share = rigidity * wave / tension
+        flags["bending"] = (f"bending, which is left out, would add {share:.0%} to the stiffness of this "
+                            f"{sheet.thickness * 1e3:g} mm sheet; a thinner or more stretched sheet is a membrane")
+    return flags
+
+
+def state_flags(sensor: TactileSensor) -> Flags:
+    """What makes the present state of the sheet less good than it looks: large stretch, compression."""
+    flags: Flags = {}
+    sheet = sensor.design.membrane
+    stretches, areas = sensor.stretches()
+    ninth = (9 * len(stretches)) // 10  # a few triangles at an edge do not make the bulge
+    largest = float(np.partition(stretches[:, 1], ninth)[ninth])
+    error = theory.stvk_height_error(largest, sheet.pre_stretch)
+    if error > STVK_ERROR:
+        limit = theory.stvk_stretch_limit(sheet.pre_stretch)
+        flags["stretch"] = (f"stretch {largest:.3f} is beyond {limit:.3f}: real (neo-Hookean) rubber is softer than the model's "
+                            f"St. Venant-Kirchhoff, its bulge about {error:.0%} higher; use less pressure or a thicker sheet")
+    strain = (stretches**2 - 1) / 2
+    least = strain[:, 0] + sheet.poisson * strain[:, 1]  # of the smaller principal stress, over E / (1 - nu^2)
+    share = float(areas[least < -1e-3].sum() / areas.sum())
+    if share > WRINKLED:
+        flags["wrinkles"] = (f"{share:.0%} of the sheet is under compression, where a real one wrinkles: shape and force are "
+                             "those of a sheet that cannot; use pre_stretch above 1 or more pressure")
+    return flags
+
+
+class Monitor:
+    """Looks at a running world now and then: penetration, things that went through, objects too fast for the step."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, sensors: tuple[TactileSensor, ...]):
+        self._model, self._data, self._sensors = model, data, sensors
+        self._geoms = features.touching_geoms(model)
+        self._sizes = np.array([features.feature_radius(model, int(g)) for g in self._geoms])
+        self._index = np.full(model.ngeom + 1, -1)  # of geom ids, and of -1
+        self._index[self._geoms] = np.arange(len(self._geoms))
+        self._faces, self._sides = (np.array([features.edge_half_width(model, int(g), axial) for g in self._geoms])
+                                    for axial in (1.0, 0.0))
+        self._movers = np.setdiff1d(np.arange(model.nv), np.concatenate([np.empty(0, int), *(s.dofs for s in sensors)]))
+        least = _FAST * self._sizes.min(initial=np.inf) / float(model.opt.timestep)
+        self._hurry = least / np.maximum(model.dof_length[self._movers], 1e-9)
+        self._rest = [sensor.p_SV[:, 2] for sensor in sensors]
+        self._deep = np.zeros((len(sensors), 5))  # shares at the last looks
+        self._places = self._geoms_in(sensors)
+
+    def built(self) -> Flags:
+        """Flags of the scene as it was built."""
+        flags: Flags = {}
+        for sensor in self._sensors:
+            flags |= design_flags(sensor.design, sensor.mesh.nx, sensor.mesh.ny)
+        return flags
+
+    def look(self) -> tuple[Flags, str | None]:
+        """Flags of the present state, and the reason to stop, if there is one. Call every 20 ms or so."""
+        flags: Flags = {}
+        stop = None
+        if all(sensor.is_asleep for sensor in self._sensors):
+            return flags, stop
+        places = self._geoms_in(self._sensors)
+        for number, sensor in enumerate(self._sensors):
+            if sensor.is_asleep:
+                continue
+            flags |= sensor.flags()
+            rows = self._contacts(sensor)
+            flags |= self._shapes(sensor, rows) if len(rows) else {}
+            lasting = self._penetration(number, rows)
+            if lasting > PENETRATION:
+                flags["penetration"] = (f"objects sink into the membrane by {lasting:.0%} of what they push in, more than "
+                                        f"{PENETRATION:.0%}; a smaller timestep makes contact stiffer")
+            if lasting > _SUNK:
+                stop = f"sensor {sensor.prefix!r}: {flags['penetration']}"
+            stop = stop or self._passed(number, places[number])
+        self._places = places
+        flags |= self._too_fast(places)
+        return flags, stop
+
+    def _contacts(self, sensor: TactileSensor) -> NDArray[np.int64]:
+        """Rows of MuJoCo's contact list that are the sensor's membrane's."""
+        contact = self._data.contact
+        geom, vertices = contact.geom, sensor.vertex_geom_ids  # one block
+        mine = ((geom >= vertices[0]) & (geom <= vertices[-1])) | (contact.flex == sensor.flex_id)
+        return np.flatnonzero(mine.any(axis=1) & (contact.exclude == 0))  # 1: near, but not touching
+
+    def _shapes(self, sensor: TactileSensor, rows: NDArray[np.int64]) -> Flags:
+        """What is to be said of the geoms that touch in the contacts `rows`: too small for the mesh, edges."""
+        flags: Flags = {}
+        contact = self._data.contact
+        pairs = contact.geom[rows]
+        found = self._index[pairs]  # -1: not one of `_geoms`
+        others = found.max(axis=1)
+        rows, others = rows[others >= 0], others[others >= 0]
+        if not len(rows):
+            return flags
+        smallest = int(others[np.argmin(self._sizes[others])])
+        feature = features.resolution_flag(self._model, int(self._geoms[smallest]), float(self._sizes[smallest]), sensor.mesh)
+        if feature:
+            flags["feature"] = feature
+        axes = self._data.geom_xmat[self._geoms[others]].reshape(-1, 3, 3)[:, :, 2]
+        axial = np.abs(np.einsum("ki,ki->k", contact.frame[rows, :3], axes))
+        edge = features.edge_flag(float(np.where(axial > features.END, self._faces[others], self._sides[others]).min()),
+                                  sensor.mesh)
+        if edge:
+            flags["edge"] = edge
+        return flags
+
+    def _penetration(self, number: int, rows: NDArray[np.int64]) -> float:
+        """Penetration as a share of the indentation, if it lasts for some looks: an impact sinks in for a moment."""
+        heights = self._sensors[number].p_SV[:, 2]
+        if not len(rows):
+            self._rest[number], self._deep[number] = heights, 0.0
+            return 0.0
+        indentation = float((self._rest[number] - heights).max())
+        depth = max(float(self._sensors[number].penetrations(rows).max()), 0.0)
+        self._deep[number] = [*self._deep[number, 1:], depth / max(indentation + depth, _LEAST_INDENTATION)]
+        return float(self._deep[number].min())
+
+    def _geoms_in(self, sensors: tuple[TactileSensor, ...]) -> list[Array]:
+        """Centres (g, 3) m of what may touch, in each sensor's frame."""
+        data = self._data
+        return [(data.geom_xpos[self._geoms] - data.xpos[s.body_id]) @ data.xmat[s.body_id].reshape(3, 3) for s in sensors]
+
+    def _passed(self, number: int, places: Array) -> str | None:
+        """Something whose middle is behind the membrane, or was before it and is now behind the glass, went through it."""
+        sensor = self._sensors[number]
+        frame, p_SV, before = sensor.design.frame, sensor.p_SV, self._places[number]
+        within = (np.abs(places[:, :2]) < (0.45 * frame.length, 0.45 * frame.width)).all(axis=1)
+        top, glass = p_SV[:, 2].max(), -sensor.design.chamber.depth
+        for k in np.flatnonzero(within & (places[:, 2] < top)):
+            nearest = np.argmin(((p_SV[:, :2] - places[k, :2]) ** 2).sum(axis=1))
+            if (places[k, 2] < p_SV[nearest, 2]) if places[k, 2] > glass else (before[k, 2] > top):
+                name = self._model.geom(int(self._geoms[k])).name or f"geom {self._geoms[k]}"
+                return f"sensor {sensor.prefix!r}: {name!r} went through the membrane; use a smaller timestep or finer mesh"
+        return None
+
+    def hurried(self) -> Flags:
+        """The flag of something too fast, which a look now and then could miss; cheap while nothing is, for every step."""
+        hurries = (np.abs(self._data.qvel[self._movers]) > self._hurry).any()
+        return self._too_fast(self._geoms_in(self._sensors)) if hurries else {}
+
+    def _too_fast(self, places: Sequence[Array]) -> Flags:
+        """Objects near a membrane that move by more than half their size in a step may not be seen in time."""
+        flags: Flags = {}
+        if not len(self._geoms):
+            return flags
+        velocities, step = self._velocities(self._model.geom_bodyid[self._geoms]), float(self._model.opt.timestep)
+        for sensor, place in zip(self._sensors, places, strict=True):
+            velocity = velocities - self._velocities([sensor.body_id])
+            speed = np.sqrt(np.einsum("ki,ki->k", velocity, velocity))
+            near = np.einsum("ki,ki->k", place, place) < (_NEAR + self._sizes) ** 2
+            share = speed * near * step / self._sizes
+            k = int(np.argmax(share))
+            if share[k] > _FAST:
+                best = _FAST / 2 * self._sizes[k] / speed[k] * 1e3
+                flags["speed"] = (f"an object approaches at {speed[k]:.2g} m/s, more than half its size in a step; use a "
+                                  f"timestep of at most {best:.2g} ms")
+        return flags
+
+    def _velocities(self, bodies: Sequence[int] | np.ndarray) -> Array:
+        """Velocities (n, 3) m/s of the origins of bodies, frame W."""
+        data, root = self._data, self._model.body_rootid[bodies]
+        turn, arm = data.cvel[bodies, :3], data.xpos[bodies] - data.subtree_com[root]
+        ahead, back = [1, 2, 0], [2, 0, 1]  # np.cross takes five times as long
+        return data.cvel[bodies, 3:] + turn[:, ahead] * arm[:, back] - turn[:, back] * arm[:, ahead]

@@ -1,0 +1,233 @@
+"""`TactileSensor`: one attached sensor at run time. Call `update` before every `mj_step`; read markers and pressure."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array
+from mjtactile.sim.sensor import features, limits
+from mjtactile.sim.sensor.facets import StandOff
+from mjtactile.sim.sensor.membrane import FLEX, ContactStiffness, pre_stretch, touch_with
+from mjtactile.sim.sensor.mesh import MarkerInterpolator, MembraneMesh
+from mjtactile.sim.sensor.sleep import Sleeper
+from mjtactile.sim.sensor.stiction import Stiction
+from mjtactile.sim.sensor.switches import PHYSICS, make_gas, make_geometry, make_load
+from mjtactile.sim.sensor.turning import Turning
+
+GLASS_MARGIN = 0.02
+"""Share of the chamber's depth in front of the glass that the membrane may not enter."""
+
+
+class TactileSensor:
+    """Runtime of one sensor in a compiled model: gas, valve, marker poses.
+
+    Positions are in the sensor's frame S, in m; pressures in Pa above ambient; volumes in m^3. The valve starts open
+    to a supply at 0 Pa, so that the membrane starts, and stays, flat.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, design: SensorDesign, mesh: MembraneMesh,
+                 prefix: str, contact: str = "auto", effects: frozenset[str] = PHYSICS):
+        """`contact`: what of the membrane touches, "vertices", "elements", "both", or "auto" by the scene's smallest feature."""
+        self.design, self.mesh, self.prefix = design, mesh, prefix
+        self._data, self._timestep = data, float(model.opt.timestep)
+        self.flex_id = _require(model, mujoco.mjtObj.mjOBJ_FLEX, prefix + FLEX)
+        self.body_id = _require(model, mujoco.mjtObj.mjOBJ_BODY, prefix + "sensor")
+        names = [f"{prefix}v{v}" for v in mesh.interior]
+        self.vertex_geom_ids = np.array([_require(model, mujoco.mjtObj.mjOBJ_GEOM, name) for name in names])
+        pre_stretch(model, self.flex_id, mesh, design.membrane.pre_stretch)
+        model.flex_damping[self.flex_id] = 0.0  # a trace is needed to compile without a warning, none to simulate
+        self.contact = features.contact_model(model, mesh) if contact == "auto" else contact
+        touch_with(model, self.vertex_geom_ids, self.flex_id, self.contact)
+        self._contact_stiffness = ContactStiffness(model, self.vertex_geom_ids, self.flex_id, mesh, design.membrane,
+                                                   remembers=self.contact == "vertices")
+        self._margins = model.geom_margin[self.vertex_geom_ids[0]:self.vertex_geom_ids[-1] + 1]  # a live view
+        self._stand_off = StandOff(model, data, self.vertex_geom_ids, mesh)
+        self._stiction = Stiction(model, data, self.vertex_geom_ids, self.body_id) if self.contact == "vertices" else None
+        self._turning = Turning(model, data, self.body_id, mesh, design.membrane)
+        self._tendon = make_load(model, data, mesh, prefix, effects)
+        self._geometry = make_geometry(mesh, design.chamber_volume_flat, effects)
+        self._markers = MarkerInterpolator(mesh, design.markers.p_SM)
+        self._gas, self._time = make_gas(design.chamber, effects), float(data.time)
+        self._sleeper = Sleeper(model, data, mesh, self._tendon, self.flex_id, self.body_id, self.vertex_geom_ids)
+        self.sleepy = True
+        """Whether the sensor may fall asleep while nothing is near it and nothing moves (sleep.py)."""
+        self._follow()
+
+    def update(self) -> None:
+        """Bring gas volume, pressure and stiffness up to the present state; call before every `mj_step`.
+
+        Asleep, it only looks whether anything is near.
+        """
+        if self._sleeper.asleep:
+            if self.sleepy and not self._sleeper.wakes():
+                return
+            self.wake()
+        elif self.sleepy and self._sleeper.may_sleep(self._gas.is_still):
+            self._sleeper.sleep()
+            self._turning.stop()
+            return
+        self._follow()
+
+    @property
+    def is_asleep(self) -> bool:
+        return self._sleeper.asleep
+
+    def wake(self) -> None:
+        """Go on from where the sensor fell asleep; needed by hand only after a change of the model's own numbers."""
+        if self._sleeper.asleep:
+            self._sleeper.wake()
+            self._time = float(self._data.time)  # nothing has flowed meanwhile
+            self._follow()
+
+    def _follow(self) -> None:
+        p_SV = self.p_SV
+        self._volume, gradient = self._geometry.volume_and_gradient(p_SV)
+        time = float(self._data.time)
+        self._gas.advance(self._volume, time - self._time)
+        self._time, pressure = time, self._gas.pressure_gauge
+        self._tendon.apply(pressure, self._gas.stiffness(self._timestep), gradient)
+        self._contact_stiffness.set_pressure(pressure)
+        self._turning.update(p_SV)
+        self._stand_off.update()
+        if self._stiction:
+            self._stiction.update(self._stand_off.margins)
+        else:
+            self._margins[:] = self._stand_off.margins  # only vertices remember
+
+    @property
+    def time(self) -> float:
+        """Simulated time now, s."""
+        return float(self._data.time)
+
+    @property
+    def p_SV(self) -> Array:
+        """Vertex positions (n, 3) m in S, rim included, now (not one step old like `flexvert_xpos`)."""
+        p_SV = self.mesh.p_SV.copy()
+        p_SV[self.mesh.interior] += self._tendon.displacements.reshape(-1, 3)
+        return p_SV
+
+    @property
+    def displacements(self) -> Array:
+        """Displacements of the interior vertices from the flat sheet, (3 k,) m in S, now; a copy."""
+        return self._tendon.displacements.copy()
+
+    def penetrations(self, rows: NDArray[np.int64]) -> Array:
+        """How deep (n,) m what touches has sunk in, in the contacts `rows` of MuJoCo's list, which are this sensor's."""
+        contact, first = self._data.contact, int(self.vertex_geom_ids[0])
+        pairs = contact.geom[rows]
+        mine = (pairs >= first) & (pairs <= self.vertex_geom_ids[-1])
+        vertices = np.where(mine[:, 1], pairs[:, 1], pairs[:, 0]) - first
+        on_vertex = mine.any(axis=1)  # else on a triangle
+        margins = np.where(on_vertex, self._stand_off.margins[np.where(on_vertex, vertices, 0)], contact.includemargin[rows])
+        return margins - contact.dist[rows]
+
+    @property
+    def dofs(self) -> NDArray[np.int64]:
+        """The degrees of freedom of the vertices, x, y, z of one after the other."""
+        return np.arange(self._tendon.dofs.start, self._tendon.dofs.stop)
+
+    def marker_poses(self) -> tuple[Array, Array]:
+        """Marker centres `p_SM` (N, 3) m and outward unit normals `n_S` (N, 3), in the order of the design's layout."""
+        return self._markers.marker_poses(self.p_SV)
+
+    def marker_poses_before(self, seconds: float) -> tuple[Array, Array]:
+        """Where the markers were `seconds` ago, if they moved as they do now; for motion blur."""
+        p_SV = self.p_SV
+        velocity = np.asarray(self._data.qvel)[self._tendon.dofs].reshape(-1, 3)
+        p_SV[self.mesh.interior] -= seconds * velocity
+        return self._markers.marker_poses(p_SV)
+
+    def height_at(self, x: float, y: float) -> float:
+        """Height, m, of the material point (x, y) of the flat sheet, from the spline that carries the markers."""
+        return float(MarkerInterpolator(self.mesh, np.array([[x, y, 0.0]])).marker_poses(self.p_SV)[0][0, 2])
+
+    def stretch_and_area(self) -> tuple[float, float]:
+        """Largest principal stretch against the free sheet over all triangles, and the membrane's area, m^2."""
+        stretches, areas = self.stretches()
+        return float(stretches.max()), float(areas.sum())
+
+    def stretches(self) -> tuple[Array, Array]:
+        """Principal stretches (m, 2), small and large, of each triangle against the free sheet, and its area (m,) m^2."""
+        now = self.p_SV[self.mesh.triangles]
+        moved = now[:, 1:] - now[:, :1]
+        F = self.mesh.inverse_edges @ moved  # rows: dx/dX and dx/dY, (m, 2, 3)
+        xx, yy, xy = (np.einsum("ki,ki->k", F[:, i], F[:, j]) for i, j in ((0, 0), (1, 1), (0, 1)))
+        mean, spread = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
+        squares = np.maximum(np.stack([mean - spread, mean + spread], axis=1), 0.0)
+        area = np.sqrt(np.maximum(xx * yy - xy * xy, 0.0)) * self.mesh.triangle_areas
+        return self.design.membrane.pre_stretch * np.sqrt(squares), area
+
+    @property
+    def pressure_gauge(self) -> float:
+        """Gauge pressure in the chamber, Pa, at the last `update`."""
+        return self._gas.pressure_gauge
+
+    @property
+    def volume(self) -> float:
+        """Gas volume, m^3, at the last `update`."""
+        return self._volume
+
+    @property
+    def valve_is_open(self) -> bool:
+        return self._gas.is_open
+
+    def open_valve(self, supply_gauge: float | None = None) -> None:
+        """Connect the chamber to a supply at `supply_gauge` Pa (default: the design's).
+
+        The pressure follows at once, or through the valve's conductance where the design gives one.
+        """
+        self.wake()
+        self._follow()
+        self._gas.open(self.design.chamber.supply_gauge if supply_gauge is None else supply_gauge)
+
+    def close_valve(self) -> None:
+        """Trap the gas that is in the chamber now."""
+        self.wake()
+        self._follow()
+        self._gas.close()
+
+    def inflate(self, displacements: Array, pressure_gauge: float) -> None:
+        """Put the vertices at `displacements` (3 k,) m in S, at rest, and seal the chamber at `pressure_gauge` Pa: the state
+        that another run time of this sensor has settled in."""
+        self.wake()
+        self._tendon.displacements[:] = displacements
+        self._data.qvel[self._tendon.dofs] = 0.0
+        self._gas.seal(self._geometry.volume_and_gradient(self.p_SV)[0], pressure_gauge)
+        self._time = self.time
+        self._follow()
+
+    def puncture(self, conductance: float) -> None:
+        """Make a hole to ambient of `conductance` m^3/(s Pa); 0 mends it."""
+        self.wake()
+        self._gas.puncture(conductance)
+
+    def flags(self) -> limits.Flags:
+        """What makes the present numbers less good than they look; empty when nothing does."""
+        return limits.state_flags(self)
+
+    def failure(self) -> str | None:
+        """Say why this sensor's state is outside what the model describes, or None."""
+        if self.is_asleep:
+            return None
+        moved = self._tendon.displacements
+        depth = self.design.chamber.depth
+        if moved[2::3].min() < -(1 - GLASS_MARGIN) * depth:
+            return f"sensor {self.prefix!r}: the membrane is pushed against the glass ({depth * 1e3:g} mm deep)"
+        if self._volume <= 0:
+            return f"sensor {self.prefix!r}: the chamber has no volume left"
+        reach = 2 * max(self.design.frame.length, self.design.frame.width)
+        if max(moved.max(), -moved.min()) > reach:
+            return f"sensor {self.prefix!r}: the membrane has moved by more than {reach * 1e3:g} mm"
+        return None
+
+
+def _require(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
+    found = mujoco.mj_name2id(model, kind, name)
+    if found < 0:
+        raise InputError(f"the model has no {kind.name.removeprefix('mjOBJ_').lower()} {name!r}; was it compiled from "
+                         "the spec that the sensor was attached to?", source="bind", field="model")
+    return found

@@ -1,0 +1,184 @@
+"""The switches behind the effects: what each adds to, or takes out of, model, run time and camera. No policy; see
+sim/effects/catalog.py.
+
+An effect that is off leaves no element in the model and no call per step. A set of effects is a frozenset of `Effect`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import replace
+from enum import StrEnum
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mjtactile.core import theory
+from mjtactile.core.design import Chamber, SensorDesign
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array
+from mjtactile.sim.sensor.chamber import ChamberGeometry, GasTendon
+from mjtactile.sim.sensor.gas import Gas
+from mjtactile.sim.sensor.membrane import FLEX, TENDON
+from mjtactile.sim.sensor.mesh import MembraneMesh
+
+
+class Effect(StrEnum):
+    """What a simulation can have or leave out; sim/effects/catalog.py says when each is needed. An effect equals its name."""
+
+    GAS = "gas"
+    LARGE_DEFLECTION = "large deflection"
+    BENDING = "bending"
+    FRICTION = "friction"
+    GRAVITY = "gravity"
+    FOLLOWER_PRESSURE = "follower pressure"
+    HYPERELASTIC_CORRECTION = "hyperelastic correction"
+    HEAT_EXCHANGE = "heat exchange"
+    VALVE_FLOW = "valve flow"
+    SERVO_DYNAMICS = "servo dynamics"
+    CAMERA_NOISE = "camera noise"
+    BLUR = "blur"
+    MOTION_BLUR = "motion blur"
+    DISTORTION = "distortion"
+    REFRACTION = "refraction"
+    LED_SHADING = "LED shading"
+    SHADOWS = "shadows"
+    LATENCY = "latency"
+    PLASTICITY = "plasticity"
+    VOLUMETRIC_SOFTNESS = "volumetric softness"
+
+
+PHYSICS = frozenset({Effect.GAS, Effect.FRICTION, Effect.GRAVITY, Effect.FOLLOWER_PRESSURE})
+"""What a membrane does when nobody says otherwise."""
+CAMERA = frozenset({Effect.CAMERA_NOISE, Effect.BLUR, Effect.DISTORTION, Effect.REFRACTION, Effect.LED_SHADING})
+"""What a camera shows when nobody says otherwise."""
+SERVO_LAG = 0.02
+"""Time constant, s, of the current loop and gear of a small servo (docs/effects.md)."""
+_STRETCH, _BOTH = 2, 3  # MuJoCo `elastic2d`
+_WEIGHTLESS = 1e-12  # kg; MuJoCo wants some mass, the inertia itself is kept as armature
+
+
+def effects_named(names: Collection[str]) -> frozenset[Effect]:
+    """The effects of these names. Raises InputError for one that does not exist."""
+    for name in names:
+        if name not in set(Effect):
+            raise InputError(f"{name!r} is not an effect", field="effects", choices=Effect)
+    return frozenset(map(Effect, names))
+
+
+def set_physics(child: mujoco.MjSpec, mesh: MembraneMesh, on: frozenset[str]) -> None:
+    """Bring a fresh membrane (of `add_membrane`) to the effects `on`."""
+    flex = next(flex for flex in child.flexes if flex.name == FLEX)
+    flex.elastic2d = _BOTH if Effect.BENDING in on else _STRETCH
+    if Effect.GAS not in on:
+        child.delete(child.tendon(TENDON))
+    if Effect.FRICTION not in on:
+        flex.condim = 1
+        for v in mesh.interior:
+            child.geom(f"v{v}").condim = 1
+    if Effect.GRAVITY not in on:
+        for v in mesh.interior:
+            _make_weightless(child.body(f"v{v}"))
+
+
+def set_servo(spec: mujoco.MjSpec, actuator: str, on: frozenset[str]) -> None:
+    """Let `actuator` follow its control with the lag of a real servo, if "servo dynamics" is on."""
+    if Effect.SERVO_DYNAMICS in on:
+        servo = spec.actuator(actuator)
+        servo.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
+        servo.dynprm = [SERVO_LAG, *[0.0] * (len(servo.dynprm) - 1)]
+
+
+def set_design(design: SensorDesign, on: frozenset[str]) -> SensorDesign:
+    """The design without what is off in the sheet's law, the chamber and the camera's geometry: for simulator *and* sensing."""
+    membrane, chamber, camera, glass = design.membrane, design.chamber, design.camera, design.glass
+    if Effect.HYPERELASTIC_CORRECTION in on:
+        membrane = replace(membrane, young=theory.neo_hookean_young(design, chamber.supply_gauge))
+    if Effect.HEAT_EXCHANGE not in on:
+        chamber = replace(chamber, heat_exchange=math.inf)
+    if Effect.VALVE_FLOW not in on:
+        chamber = replace(chamber, valve_conductance=math.inf, leak_conductance=0.0)
+    if Effect.DISTORTION not in on:
+        camera = replace(camera, distortion=(0.0,) * 5)
+    if Effect.REFRACTION not in on:
+        glass = replace(glass, refractive_index=1.0)
+    return replace(design, membrane=membrane, chamber=chamber, camera=camera, glass=glass)
+
+
+def set_picture(design: SensorDesign, on: frozenset[str]) -> SensorDesign:
+    """The design as the renderer draws it: without the noise, blur or shading that is off. Sensing keeps its own."""
+    camera, leds = design.camera, design.leds
+    camera = replace(camera, noise_dn=camera.noise_dn if Effect.CAMERA_NOISE in on else 0.0,
+                     blur_px=camera.blur_px if Effect.BLUR in on else 0.0)
+    leds = leds if Effect.LED_SHADING in on else replace(leds, count=0)
+    return replace(design, camera=camera, leds=leds)
+
+
+class FixedLoad:
+    """In place of the gas tendon when "gas" is off: a pressure that does not depend on the volume. Adds no element."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, first_joint: int, count: int):
+        self._data, self._last = data, (math.nan, None)
+        qpos, dof = int(model.jnt_qposadr[first_joint]), int(model.jnt_dofadr[first_joint])
+        self.dofs = slice(dof, dof + count)
+        self.displacements: Array = np.asarray(data.qpos)[qpos:qpos + count]
+
+    def apply(self, pressure_gauge: float, stiffness: float, gradient: Array) -> None:
+        """Write the load, if it changed."""
+        if self._last != (pressure_gauge, id(gradient)):
+            self._last = (pressure_gauge, id(gradient))
+            self._data.qfrc_applied[self.dofs] = pressure_gauge * gradient.ravel()
+
+    def suspend(self) -> None:
+        """Take the load away; the vertices are held otherwise."""
+        self._data.qfrc_applied[self.dofs] = 0.0
+
+    def resume(self) -> None:
+        """Let the next `apply` write it again."""
+        self._last = (math.nan, None)
+
+
+class FixedGas(Gas):
+    """When "gas" is off: the closed valve keeps the pressure that was there, whatever the volume."""
+
+    def advance(self, volume: float, elapsed: float) -> None:
+        if self.is_open:
+            super().advance(volume, elapsed)
+
+    def stiffness(self, step: float) -> float:
+        return 0.0
+
+
+class FlatGeometry:
+    """In place of `ChamberGeometry` when "follower pressure" is off: pressure pushes along z, volume is area x height."""
+
+    def __init__(self, mesh: MembraneMesh, volume_flat: float):
+        self._interior, self._volume_flat = mesh.interior, volume_flat
+        self._volume, self._gradient = ChamberGeometry(mesh, volume_flat).volume_and_gradient(mesh.p_SV)
+
+    def volume_and_gradient(self, p_SV: Array) -> tuple[float, Array]:
+        return self._volume + float(self._gradient[:, 2] @ p_SV[self._interior, 2]), self._gradient
+
+
+def make_geometry(mesh: MembraneMesh, volume_flat: float, on: frozenset[str]) -> Any:
+    return ChamberGeometry(mesh, volume_flat) if Effect.FOLLOWER_PRESSURE in on else FlatGeometry(mesh, volume_flat)
+
+
+def make_gas(chamber: Chamber, on: frozenset[str]) -> Gas:
+    return Gas(chamber) if Effect.GAS in on else FixedGas(chamber)
+
+
+def make_load(model: mujoco.MjModel, data: mujoco.MjData, mesh: MembraneMesh, prefix: str, on: frozenset[str]) -> Any:
+    """What carries the pressure onto the membrane: the implicit gas tendon, or a fixed load."""
+    if Effect.GAS in on:
+        return GasTendon(model, data, model.tendon(prefix + TENDON).id, len(mesh.interior))
+    return FixedLoad(model, data, model.joint(f"{prefix}v{mesh.interior[0]}x").id, 3 * len(mesh.interior))
+
+
+def _make_weightless(vertex: mujoco.MjsBody) -> None:
+    mass, vertex.mass = float(vertex.mass), _WEIGHTLESS
+    vertex.inertia = [1e-14] * 3
+    for joint in vertex.joints:
+        joint.armature += mass

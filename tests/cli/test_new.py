@@ -1,0 +1,81 @@
+"""`mjtactile new` and `mjtactile docs`: the copies work as they are, under their own names."""
+
+import json
+
+import pytest
+
+from mjtactile.commands.new import KINDS
+from mjtactile.core import resources
+from mjtactile.core.design import load_sensor
+from mjtactile.rig.file import read_rig_file
+from mjtactile.rig.registry import build_rig
+from mjtactile.run.controller import load_controller
+from mjtactile.sim.scenes.objects import load_object
+from tests.cli.test_bad_input import assert_one_line
+
+LOAD = {"controller": load_controller, "sensor": load_sensor, "object": load_object, "rig": read_rig_file}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_shipped_file_can_be_copied_and_the_copy_is_good(mjtactile, tmp_path, kind):
+    for like in resources.names(KINDS[kind].folder, KINDS[kind].suffix):
+        report = json.loads(mjtactile("new", kind, f"my_{like}", "--like", like, "--json").stdout)
+        copy = tmp_path / report["file"]
+        assert copy.name == f"my_{like}{KINDS[kind].suffix}" and copy.name in report["next"]
+        loaded = LOAD[kind](copy)
+        assert kind == "controller" or loaded.name == f"my_{like}"
+        assert "#" in copy.read_text() or "<!--" in copy.read_text()  # its comments came along
+
+
+def test_a_copied_simulated_rig_brings_its_robot_along(mjtactile, tmp_path):
+    report = json.loads(mjtactile("new", "rig", "mine", "--like", "sim", "--json").stdout)
+    assert report["files"] == ["mine.toml", "mine.xml"]
+    rig = read_rig_file(tmp_path / "mine.toml")
+    assert mjtactile("docs", "robots").returncode == 0  # which it names as the page to read
+    assert rig.model == tmp_path / "mine.xml" and [finger.design.name for finger in build_rig(
+        str(tmp_path / "mine.toml"), load_sensor("paper16")).fingers] == ["paper16"] * 2
+    assert_one_line(mjtactile("new", "rig", "mine.toml", "--like", "sim_arm"), ["mine.toml", "exists already"])
+    (tmp_path / "other.xml").write_text("precious")
+    assert_one_line(mjtactile("new", "rig", "other", "--like", "sim"), ["other.xml", "exists already"])
+    assert (tmp_path / "other.xml").read_text() == "precious" and not (tmp_path / "other.toml").exists()
+
+
+def test_what_it_says_to_run_next_runs(mjtactile, tmp_path):
+    process = mjtactile("new", "sensor", "mine")
+    assert process.returncode == 0 and process.stderr == ""
+    words = process.stdout.splitlines()[1].split()
+    assert words[0] == "mjtactile" and mjtactile(*words[1:]).returncode == 0
+    words = process.stdout.splitlines()[2].split()
+    assert words == ["mjtactile", "docs", "sensors"] and "Your own sensor" in mjtactile(*words[1:]).stdout
+
+
+def test_a_copied_controller_grasps_a_copied_object(mjtactile, tmp_path):
+    for kind, name in (("object", "plum.xml"), ("controller", "mine.py")):
+        assert mjtactile("new", kind, name).returncode == 0
+    report = json.loads(mjtactile("grasp", "--object", "./plum.xml", "--controller", "./mine.py", "--sensor", "paper16",
+                                  "--out", "result", "--json").stdout)
+    assert (report["outcome"], report["object"], report["controller"]) == ("held", "plum", "mine")
+
+
+def test_nothing_is_overwritten(mjtactile, tmp_path):
+    (tmp_path / "mine.toml").write_text("precious")
+    for name in ("mine", "mine.toml"):
+        assert_one_line(mjtactile("new", "sensor", name), ["mine.toml", "exists already"])
+    assert (tmp_path / "mine.toml").read_text() == "precious"
+
+
+@pytest.mark.parametrize(("args", "words"), [
+    (("new", "gripper", "x"), ["gripper", "controller", "rig"]),
+    (("new", "sensor", "x", "--like", "egg"), ["--like", "egg", "dense", "paper16"]),
+    (("new", "sensor", "no/such/x"), ["no/such/x.toml", "cannot be written"]),
+    (("docs", "nothing"), ["nothing", "sensors", "controllers"]),
+])  # fmt: skip
+def test_bad_usage(mjtactile, args, words):
+    assert_one_line(mjtactile(*args), words)
+
+
+def test_docs_lists_every_page_with_its_title(mjtactile):
+    report = json.loads(mjtactile("docs", "--json").stdout)
+    assert report["pages"]["sensors"] == "Your own sensor" and {"benchmarks", "hardware"} <= set(report["pages"])
+    listed = mjtactile("docs").stdout
+    assert all(title.strip() and title in listed for title in report["pages"].values())

@@ -1,0 +1,187 @@
+"""The whole path of a user with two fingers that are not as their sensor file says: measure, calibrate, measure again.
+
+On the emulated specimens of `models/rigs/emulated_specimen.toml`, over ptys and streams. What the user has: a printed board, a
+load cell, a caliper, a pressure of zero. The test plays the person who reads the instruments, in the emulated world.
+"""
+
+import json
+import sys
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from mjtactile.calibrate import live
+from mjtactile.calibrate.camera import Board
+from mjtactile.cli import main
+from mjtactile.commands.emulate import client_text
+from mjtactile.core import resources
+from mjtactile.core.calibration import load_calibration
+from mjtactile.core.design import load_sensor
+from mjtactile.core.types import FINGERS
+from mjtactile.emulator.process import EmulatorProcess
+from mjtactile.emulator.rig import build_emulated_rig
+from mjtactile.emulator.specimen import true_design
+from mjtactile.rig.file import load_rig_file
+from mjtactile.run.controller import load_controller
+from mjtactile.run.session import Session
+
+pytestmark = pytest.mark.realtime
+
+DESIGN = load_sensor("dense")
+BOARD = Board(9, 7, 5e-3, 3.75e-3)
+ERROR_MAX = 0.02  # N, of the felt force on each finger, after calibration
+PIXELS = 60  # of the drawn board a square
+
+
+def write_rig(folder):
+    """The emulated specimens with a calibration file for each finger and the gripper, patient with a busy computer."""
+    text = resources.find("emulated_specimen", "models/rigs", ".toml").read_text()
+    text = text.replace("[gripper]\n", '[gripper]\ncalibration = "gripper.json"\n')
+    for finger in FINGERS:
+        text = text.replace(f'[[camera]]\nfinger = "{finger}"', f'[[camera]]\ncalibration = "{finger}.json"\nfinger = "{finger}"')
+    for name, value in (("reply_timeout_ms", 100), ("watchdog_ms", 2500), ("host_timeout_ms", 5000), ("heartbeat_ms", 3000),
+                        ("delay_ms", 1000.0)):
+        lines = [f"{name} = {value}" if line.startswith(f"{name} =") else line for line in text.splitlines()]
+        text = "\n".join(lines) + "\n"
+    path = folder / "rig.toml"
+    path.write_text(text)
+    return path
+
+
+# -- the force felt, and the force that is ----------------------------------------------------------------------------------
+
+class Brief:
+    """`gentle`, ended after a while of holding."""
+
+    path = "gentle"
+
+    def __init__(self, cycles):
+        self._gentle, self._left = load_controller("gentle"), cycles
+
+    def step(self, observation):
+        command = self._gentle.step(observation)
+        self._left -= command.phase == "hold"
+        return replace(command, phase="done") if self._left < 0 else command
+
+
+def grasp_error(path):
+    """Mean felt less true force on each finger, N, while an egg is held; what the session said."""
+    rig_file, said, errors = load_rig_file(path), [], []
+    emulator = EmulatorProcess(rig_file, DESIGN, object_name="egg", seed=1)
+
+    def on_cycle(cycle):
+        if cycle.sent.phase == "hold":
+            truth = emulator.truth()
+            errors.append([touch.force_normal - truth[f"contact_{i}"] for i, touch in enumerate(cycle.touch, 1)])
+
+    try:
+        rig = build_emulated_rig(rig_file, DESIGN, object_name="egg", seed=1, emulator=emulator)
+        try:
+            session = Session(rig, say=said.append)
+            session.take_references()
+            session.run(Brief(30), time_limit=60.0, on_cycle=on_cycle)
+        finally:
+            rig.close()
+    finally:
+        emulator.close()
+    return np.nanmean(errors, axis=0), said
+
+
+# -- a person with instruments ------------------------------------------------------------------------------------------
+
+class Person:
+    """Stands for stdin and stderr: reads what is asked, looks at the instrument, types."""
+
+    def __init__(self, emulator):
+        self._emulator, self._asked, self.read = emulator, "", []
+
+    def write(self, text):
+        self.read.append(text)
+        self._asked = text if text.strip() else self._asked
+
+    def flush(self):
+        pass
+
+    def isatty(self):
+        return True
+
+    def fileno(self):
+        return sys.__stderr__.fileno()
+
+    def readline(self):
+        truth = self._emulator.truth()
+        if "squeezed with" in self._asked:
+            return f"{(truth['contact_1'] + truth['contact_2']) / 2:.3f}\n"
+        if "currents say" in self._asked:  # soft membranes, not inflated: their frames carry a part
+            return f"{truth['grip_force']:.3f}\n"
+        if "caliper" in self._asked:
+            return f"{1e3 * truth['opening']:.2f}\n"
+        return "\n"
+
+
+def photograph_board(folder, camera):
+    """Pictures of the board through OpenCV's model of that camera, without membrane and pane, all over the view and tilted."""
+    K, k = camera.K, np.array(camera.distortion)
+    u, v = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
+    points = cv2.undistortPoints(np.stack([u.ravel(), v.ravel()], axis=1), K, k, criteria=criteria)
+    rays = np.concatenate([points.reshape(*u.shape, 2), np.ones((*u.shape, 1))], axis=2)
+    drawn = cv2.GaussianBlur(BOARD.draw(PIXELS), (0, 0), 1.5)
+    rng = np.random.default_rng(5)
+    folder.mkdir()
+    for i in range(12):
+        rotation = np.array([*rng.uniform(-0.5, 0.5, 2), rng.uniform(-0.3, 0.3)])
+        depth, R = rng.uniform(0.045, 0.065), cv2.Rodrigues(rotation)[0]
+        aim = np.array([(-1, 1)[i % 2] * 0.16, (-1, 1)[i // 2 % 2] * 0.13, 1.0]) * depth
+        corner = aim - R @ np.array([BOARD.columns, BOARD.rows, 0]) * BOARD.square / 2
+        at = rays @ np.linalg.inv(np.column_stack([R[:, 0], R[:, 1], corner])).T
+        at = (at[..., :2] / at[..., 2:] * PIXELS / BOARD.square + PIXELS / 2 - 0.5).astype(np.float32)
+        gray = cv2.remap(drawn, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=255)
+        gray = cv2.GaussianBlur(gray, (0, 0), 0.7) * 0.7 + 30 + rng.normal(0, 2.0, gray.shape)
+        cv2.imwrite(str(folder / f"{i:02d}.png"), np.clip(gray, 0, 255).astype(np.uint8))
+
+
+def calibrate_all(path, monkeypatch):
+    """Every `calibrate`, on one emulator, by a person at the terminal; the rig file is that of a client."""
+    folder, rig_file = path.parent, load_rig_file(path)
+    emulator = EmulatorProcess(rig_file, DESIGN, object_name="egg", seed=2)
+    try:
+        client = folder / "client.toml"
+        client.write_text(client_text(path, emulator.endpoints))
+        for finger in FINGERS:
+            photos = folder / f"photos_{finger}"
+            photograph_board(photos, true_design(DESIGN, rig_file.emulator.specimen(finger)).camera)
+            assert main(["calibrate", "camera", str(photos), "--rig", str(client), "--finger", finger]) == 0
+        person = Person(emulator)
+        for name, value in (("_SPEED", 0.05), ("_REST_TIME", 0.4)):  # the emulated jaws have no play to settle
+            monkeypatch.setattr(live, name, value)
+        for what in (["valve", "--seal", "2"], ["frame"], ["force", "--load-cell"], ["gripper"]):
+            with monkeypatch.context() as patch:
+                patch.setattr("sys.stdin", person)
+                patch.setattr("sys.stderr", person)
+                code = main(["calibrate", *what, "--rig", str(client)])
+            assert code == 0, "".join(person.read)
+    finally:
+        emulator.close()
+
+
+def test_two_fingers_that_are_not_as_their_sensor_file_says(tmp_path, monkeypatch):
+    path = write_rig(tmp_path)
+    before, said = grasp_error(path)
+    assert "calibration of left: never measured: lens, frame, valve, force" in said
+    calibrate_all(path, monkeypatch)
+    left, right = (load_calibration(tmp_path / f"{finger}.json") for finger in FINGERS)
+    # each against the specimen: focal length 3 % of 600 px by the camera's own 0.5 %, zero by 5 Pa of noise over 0.7 s
+    assert left.lens.fx == pytest.approx(618, rel=0.005) and right.lens.fx == pytest.approx(582, rel=0.005)
+    assert left.valve.offset == pytest.approx(30, abs=3) and right.valve.offset == pytest.approx(-30, abs=3)
+    assert left.frame.p_SC[0] == pytest.approx(4e-4, abs=1.5e-4)  # a shift and the lens's centre are told apart by the board
+    assert left.frame.scale.mean() == pytest.approx(1.02, abs=2e-3) and left.frame.stiffness == pytest.approx(1.15, abs=0.05)
+    assert left.force.scale == pytest.approx(1.0, abs=0.05)  # with lens and zero right, what is left is the model's
+    servos = json.loads((tmp_path / "gripper.json").read_text())["servo"]
+    assert servos[0]["torque_Nm_per_A"] / 0.354 == pytest.approx(1.08, abs=0.03)  # data sheet of the XL330-M288
+    after, said = grasp_error(path)
+    sys.stdout.write(f"felt less true force, N: before {before.round(4)}, after {after.round(4)}\n")  # pytest -rP shows it
+    assert not [text for text in said if text.startswith("calibration of")]
+    assert np.abs(after).max() < ERROR_MAX

@@ -1,0 +1,136 @@
+"""The command line in a process of its own that drives emulated hardware, and what became of the hardware and the object.
+
+The emulator outlives its hosts and says the truth. Time-outs are generous against a busy computer; none is asserted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from mjtactile.commands.emulate import client_text
+from mjtactile.core import resources
+from mjtactile.emulator.process import EmulatorProcess
+from mjtactile.recording.reader import load_recording
+from mjtactile.rig.file import load_rig_file
+
+WAIT = 60.0  # s for what takes a few on a computer of one's own
+FALLEN = 0.010  # m of the 40 mm that the hand lifts; the two heights are not read at quite the same time
+_TAIL = 40_000  # bytes of the log's end, in which there is a whole line
+_GENEROUS = (("delay_ms", "8.0", "400.0"), ("reply_timeout_ms", "20", "100"), ("watchdog_ms", "200", "1200"),
+             ("heartbeat_ms", "250", "1200"), ("host_timeout_ms", "1000", "2000"))
+_QUICK = (("CLOSING_SPEED = 0.025", "CLOSING_SPEED = 0.045"), ("SETTLE_TIME, HOLD_TIME, GRIP_TIMEOUT = 0.4, 2.0",
+          "SETTLE_TIME, HOLD_TIME, GRIP_TIMEOUT = 0.1, {hold}"))
+
+
+def rig_text(emulator: EmulatorProcess) -> str:
+    """A rig file for the emulated hardware as for any other."""
+    text = client_text(load_rig_file("emulated").path, emulator.endpoints)
+    for name, before, after in _GENEROUS:
+        assert f"{name} = {before}" in text
+        text = text.replace(f"{name} = {before}", f"{name} = {after}")
+    return text
+
+
+def controller_text(hold: float = 60.0) -> str:
+    """The shipped controller, quicker, holding for `hold` s."""
+    text = resources.find("gentle", "controllers", ".py").read_text()
+    for before, after in _QUICK:
+        assert before in text
+        text = text.replace(before, after.format(hold=hold))
+    return text
+
+
+class Host:
+    """A grasp in a process; while it runs, a thread watches the object."""
+
+    def __init__(self, emulator: EmulatorProcess, folder: Path, controller: str, *, stdout: int = subprocess.PIPE,
+                 stderr: int = subprocess.PIPE):
+        self.emulator, self.log = emulator, folder / "out" / "recording" / "log.jsonl"
+        (folder / "rig.toml").write_text(rig_text(emulator))
+        (folder / "mine.py").write_text(controller)
+        self.process = subprocess.Popen(
+            [sys.executable, "-W", "error", "-m", "mjtactile", "grasp", "--rig", "rig.toml", "--sensor", "paper16",
+             "--controller", "mine.py", "--frames", "every:5", "--out", "out", "--json"],
+            cwd=folder, stdout=stdout, stderr=stderr, text=True)
+        self.fallen = 0.0  # m by which the object was below where the hand had lifted it to
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._watch)
+        self._thread.start()
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.communicate()
+        self._over.set()
+        self._thread.join()
+
+    def wait_for_phase(self, *phases: str) -> None:
+        """Wait until the recording's last cycle is in one of `phases`."""
+        deadline = time.monotonic() + WAIT
+        while self.phase() not in phases:
+            assert self.process.poll() is None, self.process.communicate()
+            assert time.monotonic() < deadline, self.phase()
+            time.sleep(0.03)
+
+    def phase(self) -> str | None:
+        with contextlib.suppress(OSError), self.log.open("rb") as log:
+            log.seek(max(0, os.fstat(log.fileno()).st_size - _TAIL))
+            found = re.findall(rb'"phase": "(\w+)"', log.read())
+            return found[-1].decode() if found else None
+        return None
+
+    def children(self) -> list[int]:
+        """Its perception processes."""
+        tasks = Path(f"/proc/{self.process.pid}/task").iterdir()
+        pids = [int(child) for task in tasks for child in (task / "children").read_text().split()]
+        return [pid for pid in pids if b"mjtactile.run.workers" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+
+    def signal(self, number: int) -> None:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(self.process.pid, number)
+
+    def ends(self) -> tuple[str, str]:
+        """Wait until it is gone; stdout and stderr. Torque is off then, the chambers are vented, and nothing has fallen."""
+        output = self.process.communicate(timeout=WAIT)
+        self._over.set()
+        self._thread.join()
+        truth = self.emulator.truth()
+        assert not any(truth["torque"].values()), output
+        assert set(truth["valve"].values()) == {"vent"}, output
+        return output
+
+    def has_set_down(self) -> None:
+        """Check that the object came down with the hand, and stands where it stood."""
+        assert self.fallen < FALLEN
+        assert self.emulator.truth()["object_height"] == pytest.approx(0.031, abs=0.003)  # m, of its middle; less: it lies
+
+    def recording(self):
+        """Readable, closed in order, with the turns of the retreat."""
+        recording = load_recording(self.log.parent)
+        assert recording.complete and not recording.problems
+        return recording
+
+    def _watch(self) -> None:
+        start = self.emulator.truth()
+        while not self._over.wait(0.03):
+            now = self.emulator.truth()
+            below = start["object_height"] + now["lift_height"] - now["object_height"]
+            self.fallen = max(self.fallen, below if now["lift_height"] > 0 else 0.0)
+
+
+@contextlib.contextmanager
+def host(emulator: EmulatorProcess, folder: Path, controller: str | None = None, **streams: int) -> Iterator[Host]:
+    running = Host(emulator, folder, controller or controller_text(), **streams)
+    try:
+        yield running
+    finally:
+        running.close()

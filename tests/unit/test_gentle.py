@@ -1,0 +1,50 @@
+"""The gentle controller notices that the object stays behind, opens where it is, and does not claim to have held it."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mjtactile.core.types import Command, GripperState, Observation, Slip, Touch, ValveState
+from mjtactile.run.controller import load_controller
+
+PERIOD = 1 / 30
+step = load_controller("gentle").step
+
+
+def touch(force, slipped=0.0):
+    return Touch(0.0, 0.01, force, 0.01, force > 0.08, slip=Slip("slipping", np.zeros(2), slipped, 0.0))
+
+
+def run(command, felt, count):
+    """`count` cycles with the touches `felt`, on a gripper that is where it was told to be."""
+    for i in range(count):
+        state = GripperState(command.opening, 0.0, 0.6, command.lift_height)
+        command = step(Observation(i * PERIOD, PERIOD, felt, state, (ValveState(False),) * 2, command))
+    return command
+
+
+@pytest.mark.parametrize("phase", ["lift", "hold", "lower"])
+@pytest.mark.parametrize("felt", [(touch(0.0), touch(0.02)), (touch(0.6, 0.008), touch(0.6, 0.009))],
+                         ids=["nothing is felt", "it slid"])
+def test_what_stays_behind_is_let_go_where_the_hand_is(phase, felt):
+    start = Command(0.04, 4.0, 0.02, phase)
+    command = run(start, felt, 12)  # 0.4 s
+    assert command.phase == "release" and abs(command.lift_height - start.lift_height) < 0.02
+    command = run(command, (touch(0.0),) * 2, 60)
+    assert command.phase == "abort"  # and not "done", which means held
+    assert command.opening == pytest.approx(0.04 + 0.012, abs=0.005)
+
+
+def test_what_is_held_goes_on():
+    for phase, force in (("lift", 0.6), ("hold", 0.3)):
+        assert run(Command(0.04, 4.0, 0.02, phase), (touch(force, 4e-4), touch(force, 0.02)), 12).phase in ("lift", "hold")
+
+
+def test_a_moment_without_touch_or_sight_is_no_loss():
+    command = run(Command(0.04, 4.0, 0.02, "hold"), (touch(0.0),) * 2, 6)
+    assert command.phase == "hold"
+    assert run(command, (touch(0.6),) * 2, 6).memory["lost_time"] == 0.0
+    blind = replace(touch(0.6), force_normal=math.nan)
+    assert run(command, (blind, touch(0.0)), 6).phase == "hold"

@@ -1,0 +1,59 @@
+"""The chain's fitted numbers: each says what it is and where it comes from, and can be overridden, by name, to effect."""
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Traction
+from mjtactile.sensing.chain import Chain
+from mjtactile.sensing.force import zero
+from mjtactile.sensing.settings import DEFAULTS
+
+
+def stages():
+    return [value for value in vars(DEFAULTS).values() if dataclasses.is_dataclass(value)]
+
+
+def test_every_number_says_what_it_is_and_where_it_comes_from():
+    for owner in (DEFAULTS, *stages()):
+        for field in dataclasses.fields(owner):
+            if not dataclasses.is_dataclass(getattr(owner, field.name)):
+                assert field.metadata["meaning"] and field.metadata["source"], field.name
+
+
+def test_overriding_leaves_the_defaults_and_all_others_alone():
+    other = DEFAULTS.override({"zero.touch_least": 0.5, "inverse.spans": (12, 8), "fewest_seen": 0.6})
+    changed = {key for key, value in other.to_dict().items() if DEFAULTS.to_dict()[key] != value}
+    assert changed == {"zero.touch_least", "inverse.spans", "fewest_seen"} and DEFAULTS.zero.touch_least == 0.02
+
+
+def test_a_chain_works_with_what_it_is_given():
+    chain = Chain(load_sensor("paper16"), settings=DEFAULTS.override({"inverse.spans": (10, 8), "surface.laplacian": 200.0}))
+    assert (len(chain.inverse.x), len(chain.inverse.y)) == (11, 9)
+    assert not np.allclose(chain.fitter.prior, Chain(load_sensor("paper16")).fitter.prior)
+    press = Traction(np.zeros(2), np.zeros(2), np.zeros((2, 2, 3)), -np.array([0, 0, 0.3, 0, 0, 0]), 1e-6 * np.eye(6), 0.0, "")
+    deaf = chain.settings.override({"zero.touch_least": 0.5}).zero
+    assert zero.detect_touch(1.0, press, None).touching and not zero.detect_touch(1.0, press, None, deaf).touching
+
+
+@pytest.mark.parametrize(("values", "message"), [
+    ({"zero.tuch_sd": 1.0}, r"zero\.tuch_sd: unknown setting \(valid: zero\.touch_sd, "),
+    ({"nil.touch_sd": 1.0}, r"unknown setting \(valid: fewest_seen, markers"),
+    ({"zero": 1.0}, "unknown setting"),
+    ({"zero.touch_sd": math.nan}, "nan is not like 5.0"),
+    ({"zero.touch_sd": "5"}, "'5' is not like 5.0"),
+    ({"zero.memory_images": 1.5}, "1.5 is not like 30"),
+    ({"inverse.spans": (14,)}, "is not like"),
+])
+def test_a_wrong_name_or_value_is_refused(values, message):
+    with pytest.raises(InputError, match=message):
+        DEFAULTS.override(values)
+
+
+def test_settings_go_into_recordings_as_json():
+    assert json.loads(json.dumps(DEFAULTS.to_dict()))["zero.touch_least"] == 0.02

@@ -1,0 +1,93 @@
+"""Signals that ask a process to end: raised while nothing is connected, noted while something is. By signals to this process."""
+
+import signal
+import threading
+
+import pytest
+
+from mjtactile.core import signals
+from mjtactile.core.errors import Interrupted
+from mjtactile.core.signals import ENDING, deferred, listening
+
+
+@pytest.fixture(autouse=True)
+def _handlers_are_as_before():
+    before = [signal.getsignal(number) for number in ENDING]
+    yield
+    assert [signal.getsignal(number) for number in ENDING] == before
+
+
+@pytest.mark.parametrize("number", ENDING)
+def test_with_nothing_connected_the_first_one_raises_and_its_echo_does_not(number):
+    with listening() as stop:
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(number)
+        signal.raise_signal(number)  # a moment later, in the middle of what the first one led to
+        assert stop.asked and not stop.at_once
+
+
+@pytest.mark.parametrize("number", ENDING)
+def test_with_something_connected_it_is_noted_and_raised_when_that_is_over(number):
+    done = []
+    with pytest.raises(Interrupted), deferred() as stop:
+        for _ in range(6):
+            signal.raise_signal(number)
+        with deferred():  # a driver that closes within it
+            done.append("inner")
+        assert stop.asked and not stop.at_once
+        done.append("outer")
+    assert done == ["inner", "outer"]
+
+
+def test_a_second_one_after_a_while_means_at_once(monkeypatch):
+    with pytest.raises(Interrupted), deferred() as stop:
+        signal.raise_signal(signal.SIGINT)
+        monkeypatch.setattr(signals, "SECOND_TIME", 0.0)
+        signal.raise_signal(signal.SIGTERM)
+        assert stop.at_once
+
+
+def test_what_went_wrong_meanwhile_is_not_hidden():
+    with pytest.raises(ZeroDivisionError), deferred():
+        signal.raise_signal(signal.SIGINT)
+        _ = 1 / 0
+
+
+def test_it_can_be_acted_on_where_that_does_no_harm():
+    signals.check()
+    with pytest.raises(Interrupted), deferred():
+        signals.check()
+        signal.raise_signal(signal.SIGINT)
+        signals.check()
+        pytest.fail("it went on")
+
+
+def test_a_process_that_was_told_to_ignore_hang_ups_does():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with deferred() as stop:
+            signal.raise_signal(signal.SIGHUP)
+            assert not stop.asked
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_another_thread_sees_what_the_main_one_hears():
+    seen = []
+
+    def work():
+        with deferred() as stop:
+            signal.raise_signal(signal.SIGINT)
+            started.set()
+            over.wait(10)
+            seen.append(stop.asked)
+
+    started, over = threading.Event(), threading.Event()
+    with pytest.raises(Interrupted), deferred() as stop:
+        thread = threading.Thread(target=work)
+        thread.start()
+        started.wait(10)
+        seen.append(stop.asked)
+        over.set()
+        thread.join()
+    assert seen == [True, True]

@@ -1,0 +1,58 @@
+"""A file is read or refused in one line, whatever its bytes are; a field is read exactly or named."""
+
+import math
+import re
+
+import pytest
+
+from mjtactile.core.errors import InputError
+from mjtactile.core.toml import LARGEST, Section, read_json, read_toml
+
+
+def test_a_byte_order_mark_is_not_part_of_the_file(tmp_path):
+    (tmp_path / "x.toml").write_bytes(b"\xef\xbb\xbf[bus]\nport = 'a'\n")
+    assert read_toml(tmp_path / "x.toml") == {"bus": {"port": "a"}}
+    (tmp_path / "x.json").write_bytes(b'\xef\xbb\xbf{"a": 1}')
+    assert read_json(tmp_path / "x.json") == {"a": 1}
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe[", b"a = ", b"a = " + b"[" * 100_000, b"a = " + b"9" * 5000, b"\0"],
+                         ids=["bytes", "half", "deep", "digits", "zero"])
+@pytest.mark.parametrize(("read", "kind"), [(read_toml, "TOML"), (read_json, "JSON")])
+def test_what_is_no_such_file_is_refused_in_one_line(tmp_path, content, read, kind):
+    path = tmp_path / "x"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=f"^{re.escape(str(path))}: not valid {kind}") as caught:
+        read(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_cannot_be_read_and_one_that_is_too_large_are_refused(tmp_path):
+    with pytest.raises(InputError, match="cannot be read: Is a directory"):
+        read_toml(tmp_path)
+    with pytest.raises(InputError, match="cannot be read: No such file"):
+        read_json(tmp_path / "none.json")
+    with (tmp_path / "large.toml").open("wb") as file:
+        file.truncate(LARGEST + 1)
+    with pytest.raises(InputError, match="larger than 8 MiB"):
+        read_toml(tmp_path / "large.toml")
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -1, 10**400, True, "1", [1]])
+def test_a_number_is_within_its_range_or_named(value):
+    with pytest.raises(InputError, match=r"^f: bus\.rate_Hz: "):
+        Section({"rate_Hz": value}, "bus", "f").number("rate_Hz", 0, 100)
+
+
+def test_a_missing_field_says_what_stands_there_instead():
+    section = Section({"rate_kHz": 1, "portt": "a"}, "bus", "f")
+    with pytest.raises(InputError, match="rate_Hz: missing field; there is 'rate_kHz': wrong unit"):
+        section.number("rate_Hz", 0, 1)
+    with pytest.raises(InputError, match="port: missing field; there is 'portt': wrong name"):
+        section.text("port")
+
+
+def test_null_is_a_missing_field():
+    with pytest.raises(InputError, match="missing field"):
+        Section({"a": None}, "", "f").number("a", 0, 1)
+    assert Section({"a": None}, "", "f").number("a", 0, 1, default=7) == 7
