@@ -11,7 +11,7 @@ from typing import Any
 
 from mjtactile.commands import effects, ranges
 from mjtactile.commands.output import new_run_folder, output_folder, print_json, stdout_to_stderr
-from mjtactile.core import resources
+from mjtactile.core import resources, signals
 from mjtactile.core.errors import Interrupted, MjtactileError
 from mjtactile.recording.files import write_json
 from mjtactile.recording.reader import load_recording
@@ -105,11 +105,15 @@ def _run_and_report(options: argparse.Namespace, out: Path, progress: Progress) 
     from mjtactile.run.grasp import GraspOptions, run_grasp
 
     header = _header(options)
-    recorder = Recorder(out / "recording", header, frames=options.frames)
+    recorder: Recorder | None = None
     try:
+        with signals.deferred():  # no signal between an open file and who closes it
+            recorder = Recorder(out / "recording", header, frames=options.frames)
         summary = run_grasp(GraspOptions(**header, **_manner(options)), recorder=recorder, progress=progress).summary()
     except (Exception, KeyboardInterrupt) as error:
         progress.close()
+        if recorder is None:
+            raise
         if recorder.never_began(error):
             recorder.discard()
             raise

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from mjtactile.commands import plots, ranges
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
-from mjtactile.core import resources
+from mjtactile.core import resources, signals
 from mjtactile.core.errors import InputError
 from mjtactile.recording.files import write_json
 from mjtactile.recording.reader import load_recording
@@ -79,7 +79,7 @@ def _live(options: argparse.Namespace, out: Path | None) -> ProbeResult:
     say = Progress(quiet=options.json).message
     if out is None:
         return run_probe(ProbeOptions(**names), say=say)
-    with Recorder(out / "recording", names, frames=options.frames) as recorder:
+    with signals.deferred(), Recorder(out / "recording", names, frames=options.frames) as recorder:
         result = run_probe(ProbeOptions(**names), recorder=recorder, say=say)
         recorder.close(outcome=result.material.kind)
     return result

@@ -45,7 +45,8 @@ exit codes: 0 recorded, 2 bad input, 3 a device failed, a fault, or Ctrl-C; what
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rig", required=True, metavar="RIG", help=f"what to record: {', '.join(rig_names())}")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the recording")
-    parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="length after the references (default: 10)")
+    parser.add_argument("--seconds", type=float, default=10.0, metavar="S",
+                        help="length after the references, at most a recording's (default: 10)")
     ranges.add_frames_argument(parser)
     parser.add_argument("--sensor", default="dense", metavar="NAME|FILE.toml", help="on each finger (default: dense)")
     parser.add_argument("--object", default="egg", metavar="NAME|FILE.xml", help="sim and emulated: what stands on the table: "
@@ -108,6 +109,7 @@ def _record(session: Session, recorder: Recorder, seconds: float, progress: Prog
 
     recorder.patience = session.patience
     session.take_references(recorder)
+    seconds = min(seconds, session.rig.length)
     session.run(Monitor(seconds), time_limit=seconds + 60, on_cycle=on_cycle)
     known = np.array(forces)[np.isfinite(forces).all(axis=1)] if forces else np.zeros((0, 1))
     low, high = (float(known.min()), float(known.max())) if known.size else (float("nan"),) * 2

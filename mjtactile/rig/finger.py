@@ -45,6 +45,8 @@ class Rig:
     host_timeout: float = math.inf
     """s without a call after which the devices take the loop for dead and stop by themselves; inf: this world waits, as the
     simulated one and a replay do."""
+    length: float = math.inf
+    """s from its first cycle to its last: a recording ends, a world does not."""
     scene: Any = None
     """The simulated world, for scoring alone; None on a real rig. Sensing and controllers never see a `Rig`."""
 

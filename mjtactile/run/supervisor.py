@@ -42,6 +42,7 @@ class Supervisor:
         self.state, self.reason = "idle", ""
         self.history: list[Transition] = []
         self._blind_since: float | None = None
+        self._blind_why = ""
         self._retreat_goal = self._safe_since = self._opening_before = math.nan
         self._sealed: list[float] | None = None
         self._bulge: list[float] | None = None
@@ -83,9 +84,9 @@ class Supervisor:
     def _hold(self, now: float, wanted: Command, last: Command, why: str) -> Command:
         """Nothing is known: neither close nor lift; what only opens or lowers is let through. Too long: open."""
         if self._blind_since is None:
-            self._blind_since = now
+            self._blind_since, self._blind_why = now, why
         if now - self._blind_since > BLIND_TIME_MAX:
-            self.make_safe(f"no force for {BLIND_TIME_MAX:g} s: {why}", now, last)
+            self.make_safe(f"no force for {BLIND_TIME_MAX:g} s: {self._blind_why}", now, last)
             return self._retreat(now, last)
         if self.state != "holding":
             self._enter("holding", why, now)

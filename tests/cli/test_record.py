@@ -47,10 +47,10 @@ def test_a_replay_gives_the_same_numbers(folder, tmp_path, capsys):
         assert all(np.array_equal(x.pixels, y.pixels) for x, y in zip(a, b, strict=True))
 
 
-def test_longer_than_the_recording_is_a_fault_that_keeps_what_was_there(folder, tmp_path, capsys):
-    code, result = record(capsys, "--rig", f"replay:{folder}", "--seconds", "5", "--out", tmp_path)
-    assert code == 3 and "recording ends" in result["error"]
-    assert load_recording(tmp_path).notes["outcome"] == "fault"
+def test_a_recording_is_over_when_it_is_over(folder, tmp_path, capsys):
+    code, result = record(capsys, "--rig", f"replay:{folder}", "--out", tmp_path)  # 10 s, of 0.3
+    assert code == 0 and result["cycles"] == len(load_recording(folder))
+    assert load_recording(tmp_path).notes["outcome"] == "recorded"
 
 
 @pytest.mark.parametrize(("arguments", "word"), [(("--rig", "nowhere"), "--rig"),
