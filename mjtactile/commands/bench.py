@@ -24,7 +24,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   accuracy    work-precision diagrams: error of force and surface against time, every knob
   speed       two membranes holding an object: against the clock, rigid pads, mesh size
   effects     what each effect costs, and what leaving it out costs
-  numbers     measures nothing: the ten numbers of the README, from the pages of the others"""
+  numbers     measures nothing: the numbers of the README, from the pages of the others"""
 EPILOG = """\
 examples:
   mjtactile bench grasp --quick            one seed instead of ten

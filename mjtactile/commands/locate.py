@@ -43,8 +43,12 @@ JSON: {"frames": [{"source": …, "status": "ok", or why it has no markers,
   "overexposed": whether the bright side is clipped, which hides tenths of a pixel of size, "markers": [{
   "uv_px": projected centre (distorted pixels; (0, 0) is the centre of the top-left pixel),
   "ellipse_px": {"center", "semi_axes", "angle_deg"},
-  "center_mm", "normal" and "normal_alt" (the two solutions, facing the camera),
-  "cov_center_mm2": 3x3, "status": "ok", or why not to trust it}]}]}
+  "center_mm", "cov_center_mm2": 3x3, "normal" (facing the camera),
+  "center_alt_mm", "cov_center_alt_mm2", "normal_alt": the circle's other pose, which looks exactly the same,
+  "preferred_probability": how sure it is that the first pose is the right one, not the other,
+  "status": "ok", or why not to trust it}]}]}
+One image of one circle allows two poses. Which is right is told by the circles around it, where they lie on a smooth
+surface; else only by the one that is less tilted being a little likelier.
 exit codes: 0 done (also when no marker was found), 2 bad input.
 """
 
@@ -112,7 +116,7 @@ def _locate(frame: Frame, camera: Camera, options: argparse.Namespace, out: Path
         name = f"{Path(frame.name).stem}{_index(frame.name)}_overlay.png"
         cv2.imwrite(str(out / name), overlay(frame.pixels, found.ellipses, found.poses))
     return {"source": frame.name, "status": "ok", "shared": list(found.shared), "overexposed": found.overexposed,
-            "markers": marker_records(found.ellipses, found.poses), "ms": spent}
+            "markers": marker_records(found), "ms": spent}
 
 
 def _without_markers(frame: Frame, status: str) -> dict[str, Any]:

@@ -57,7 +57,11 @@ def check(frame):
         assert math.dist(marker["center_mm"], want) < 0.1
         assert marker["normal"][2] < -0.98  # faces the camera
         assert np.all(np.linalg.eigvalsh(marker["cov_center_mm2"]) > 0)
-        assert len(marker["normal_alt"]) == 3 and marker["ellipse_px"]["semi_axes"][0] == pytest.approx(30, abs=0.1)
+        assert len(marker["normal_alt"]) == 3 and 0.5 <= marker["preferred_probability"] <= 1
+        # Eq. V4: the centres are 2 r (r/Z) sin(psi) apart, psi (against the ray) up to 22 degrees in the corners
+        assert math.dist(marker["center_alt_mm"], marker["center_mm"]) < 2 * RADIUS_MM**2 / DEPTH_MM * 0.4
+        assert np.all(np.linalg.eigvalsh(marker["cov_center_alt_mm2"]) > 0)
+        assert marker["ellipse_px"]["semi_axes"][0] == pytest.approx(30, abs=0.1)
 
 
 def test_an_image(mjtactile, folder):

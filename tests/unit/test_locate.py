@@ -10,7 +10,7 @@ from mjtactile.experiments import marker_scenes
 from mjtactile.experiments.marker_methods import cheap_camera
 from mjtactile.sensing.image.markers import detect
 from mjtactile.sensing.pose.locate import find_circles
-from mjtactile.sensing.shape.smoothness import share_depth
+from mjtactile.sensing.shape.smoothness import agree_on_depth
 
 CAMERA = optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
 R, PITCH = 0.0015, 0.006
@@ -28,6 +28,14 @@ def poses(height, seed, sd=4e-4):
     return CirclePoses(optics.project(CAMERA, p), p, n, p, n, cov, np.full(100, "ok")), truth
 
 
+def smoothed(alone):
+    depth = agree_on_depth(alone)
+    assert depth is not None
+    smooth, cov_alt = depth.along_rays(alone, alone.cov_p)
+    np.testing.assert_allclose(cov_alt, smooth.cov_p)  # both poses were the same
+    return smooth
+
+
 def board(height=0.0, depth=37.5, rows=100):
     n = np.array([0.3, -0.2, -1.0]) / np.linalg.norm([0.3, -0.2, -1.0])
     p = np.stack([X, Y, depth + height + 0.3 * X - 0.2 * Y], axis=1)[:rows] * PITCH
@@ -41,8 +49,7 @@ def test_neighbours_make_depth_better_on_any_smooth_surface(name):
     before, after, normalised = [], [], []
     for seed in range(5):
         alone, truth = poses(SURFACES[name], seed)
-        smooth = share_depth(alone, alone)
-        assert smooth is not alone
+        smooth = smoothed(alone)
         before.append((alone.p_CM - truth)[:, 2])
         after.append((smooth.p_CM - truth)[:, 2])
         normalised.append(after[-1] / np.sqrt(smooth.cov_p[:, 2, 2]))
@@ -55,10 +62,10 @@ def test_neighbours_make_depth_better_on_any_smooth_surface(name):
 
 def test_circles_at_depths_of_their_own_are_left_alone():
     alone, _ = poses(np.random.default_rng(1).uniform(-1, 1, 100), 0)
-    assert share_depth(alone, alone) is alone
+    assert agree_on_depth(alone) is None
     few, _ = poses(SURFACES["flat"], 0)
     few = CirclePoses(*(column[:30] for column in vars(few).values()))
-    assert share_depth(few, few) is few
+    assert agree_on_depth(few) is None
 
 
 def test_a_circle_that_does_not_belong_keeps_its_depth():
@@ -66,9 +73,9 @@ def test_a_circle_that_does_not_belong_keeps_its_depth():
     p = alone.p_CM.copy()
     p[0] /= 2  # twice the radius, taken for the same
     odd = CirclePoses(alone.uv_px, p, alone.n_C, p, alone.n_C_alt, alone.cov_p, alone.status)
-    smooth = share_depth(odd, odd)
+    smooth = smoothed(odd)
     np.testing.assert_array_equal(smooth.p_CM[0], p[0])
-    clean = share_depth(alone, alone)
+    clean = smoothed(alone)
     # without its corner the spline may move by about one sd of a marker (0.09 mm) next to it, and not at all further off
     assert np.abs(smooth.p_CM - clean.p_CM)[1:, 2].max() < 1e-4
 

@@ -264,7 +264,8 @@ def test_image_files(tmp_path, circles):
         cv2.imwrite(str(tmp_path / name), pixels)
         again = locate(load_image(tmp_path / name), CAMERA, R)
         assert len(again) == len(records) == 16
-    assert set(records[0]) == {"uv_px", "ellipse_px", "center_mm", "normal", "normal_alt", "cov_center_mm2", "status"}
+    assert set(records[0]) == {"uv_px", "ellipse_px", "center_mm", "cov_center_mm2", "normal", "preferred_probability",
+                               "center_alt_mm", "cov_center_alt_mm2", "normal_alt", "status"}
     whole = (tmp_path / "a.png").read_bytes()
     for name, data in (("empty.png", b""), ("text.png", b"not an image"), ("short.png", whole[:200])):
         (tmp_path / name).write_bytes(data)

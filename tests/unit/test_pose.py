@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mjtactile.core import optics
+from mjtactile.core import geometry, optics
 from mjtactile.core.design import CameraDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Ellipses
@@ -123,13 +123,22 @@ def test_covariance_agrees_with_monte_carlo(camera):
     many = as_ellipses((center + moves[..., :2]).reshape(-1, 2), (shape + moves[..., 2:]).reshape(-1, 3))
     poses = circles.estimate_poses(many, camera, R)
     both = np.stack([poses.p_CM, poses.p_CM_alt]).reshape(2, repeats, 20, 3)
-    same = np.linalg.norm(both - predicted.p_CM, axis=3).argmin(axis=0)
-    samples = np.take_along_axis(both, same[None, ..., None], axis=0)[0]
-    for k in range(20):
-        whiten = np.linalg.cholesky(predicted.cov_p[k])
-        z = np.linalg.solve(whiten, (samples[:, k] - samples[:, k].mean(axis=0)).T)
-        # the sample covariance of 800 draws is good to 5 % (1 sd); 3 x 20 of them, and 5 % for curvature
-        assert np.abs(np.cov(z) - np.eye(3)).max() < 0.25
+    normals = np.stack([poses.n_C, poses.n_C_alt]).reshape(2, repeats, 20, 3)
+    ellipses = as_ellipses(center, shape, np.tile(np.diag(sd**2), (20, 1, 1)))
+    for p_CM, n_C in ((predicted.p_CM, predicted.n_C), (predicted.p_CM_alt, predicted.n_C_alt)):
+        cov_p, cov_n = circles.pose_covariances(ellipses, camera, p_CM, n_C)
+        same = np.linalg.norm(normals - n_C, axis=3).argmin(axis=0)
+        samples, turned = (np.take_along_axis(x, same[None, ..., None], axis=0)[0] for x in (both, normals))
+        for k in range(20):
+            # the sample covariance of 800 draws is good to 5 % (1 sd); 3 x 20 of them, and 5 % for curvature
+            assert np.abs(np.cov(whitened(samples[:, k], cov_p[k])) - np.eye(3)).max() < 0.25
+            across = np.stack(geometry.tangents(n_C[k]))  # a unit vector turns about two axes
+            assert np.abs(np.cov(whitened(turned[:, k] @ across.T, across @ cov_n[k] @ across.T)) - np.eye(2)).max() < 0.25
+    np.testing.assert_allclose(circles.pose_covariances(ellipses, camera, predicted.p_CM, predicted.n_C)[0], predicted.cov_p)
+
+
+def whitened(samples, cov):
+    return np.linalg.solve(np.linalg.cholesky(cov), (samples - samples.mean(axis=0)).T)
 
 
 def test_sine_rule_is_the_closed_form():

@@ -1,7 +1,7 @@
 """The chain from image to surface on the dense sensor: what it costs, and how well a membrane under a ball comes out.
 
 The shape is computed here (projected over-relaxation of a sheet of uniform tension under pressure and over a rigid
-ball), the images by `bench.scenes`: nothing is shared with the detector or the fitted spline.
+ball), the images by `marker_scenes`: nothing is shared with the detector or the fitted spline.
 """
 
 from __future__ import annotations

@@ -16,8 +16,10 @@ from mjtactile.experiments.marker_accuracy import BLUR, NOISE
 from mjtactile.run.progress import Progress
 
 TARGETS: dict[str, tuple[str, float, float]] = {
-    "mean_mm": ("mean centre error, mm", 0.020, 0.010),
-    "worst_mm": ("worst centre error, mm", 0.10, 0.04),
+    "mean_mm": ("mean centre error, nearer of the two poses, mm", 0.020, 0.010),
+    "mean_as_returned_mm": ("mean centre error, as returned, mm", 0.020, 0.010),
+    "worst_mm": ("worst centre error, nearer of the two poses, mm", 0.10, 0.04),
+    "worst_as_returned_mm": ("worst centre error, as returned, mm", 0.10, 0.04),
     "depth_bias_mm": ("depth bias, mm (size)", 0.010, 0.003),
     "cramer_rao_ratio": ("depth error over the Cramer-Rao bound, rms", 2.0, 1.2),
     "detect_to_pose_80_ms": ("detect to pose, 80 markers, ms", 2.5, 1.5),
@@ -58,7 +60,7 @@ def _measured(result: Mapping[str, Any]) -> dict[str, float]:
     """The numbers that have a target."""
     eighty = next(row for row in result["speed"] if row["markers"] == 80)
     chain_ms = np.array(result["surface"]["chain_ms"])
-    return {key: abs(result["accuracy"][key]) for key in ("mean_mm", "worst_mm", "depth_bias_mm", "cramer_rao_ratio")} | {
+    return {key: abs(result["accuracy"][key]) for key in tuple(TARGETS)[:6]} | {
         "chi2_per_dof": result["accuracy"]["chi2_per_dof"], "detect_to_pose_80_ms": eighty["total_ms"],
         "chain_median_ms": float(np.median(chain_ms)), "chain_p99_ms": float(np.percentile(chain_ms, 99)),
         "surface_rms_mm": result["surface"]["spline_rms_mm"],
@@ -81,10 +83,12 @@ def _targets(result: Mapping[str, Any]) -> str:
             for key, (name, least, aim) in TARGETS.items()]
     chi2 = m["chi2_per_dof"]
     inside = [low <= chi2 <= high for low, high in CHI2]
-    rows.insert(4, f"| chi-square per degree of freedom | {chi2:.3g} | {CHI2[0][0]:g}-{CHI2[0][1]:g} "
+    rows.insert(6, f"| chi-square per degree of freedom | {chi2:.3g} | {CHI2[0][0]:g}-{CHI2[0][1]:g} "
                    f"| {CHI2[1][0]:g}-{CHI2[1][1]:g} | {_verdict(*inside)} |")
     head = (f"{a['circles']:.0f} circles of 1.5 mm radius, 30-60 mm away, tilted 0-45 degrees, 640 x 480 pixels, blur "
-            f"{BLUR:g} px, noise {NOISE:g} DN; {a['missed']:.0f} missed. Times are of one core of the machine that ran "
+            f"{BLUR:g} px, noise {NOISE:g} DN; {a['missed']:.0f} missed. One image of one circle allows two poses: the first of "
+            f"them was right in {100 * a['preferred_right']:.0f} %, of which `locate` was {100 * a['preferred_probability']:.0f} "
+            "% sure on average. Times are of one core of the machine that ran "
             "this; compare the ratios below.")
     return head + "\n\n" + _rows("| what | measured | at least | aim | |", rows)
 

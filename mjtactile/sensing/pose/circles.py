@@ -51,9 +51,25 @@ def estimate_poses(ellipses: Ellipses, camera: optics.Camera | CameraDesign, rad
     first = np.where(n[1, :, 2] < n[0, :, 2], 1, 0)
     each = np.arange(len(r))
     p_first, n_first = p[first, each], n[first, each]
-    cov = _covariance(camera, ellipses, xy, affine[:, 0], p_first, n_first)
-    return CirclePoses(optics.project(camera, p_first), p_first, n_first, p[1 - first, each], n[1 - first, each], cov,
-                       ellipses.status)
+    G = _derivative(camera, ellipses, xy, affine[:, 0], p_first, _tilted(n_first, p_first), parts=3)
+    return CirclePoses(optics.project(camera, p_first), p_first, n_first, p[1 - first, each], n[1 - first, each],
+                       G @ ellipses.cov @ G.transpose(0, 2, 1), ellipses.status)
+
+
+def pose_covariances(ellipses: Ellipses, camera: optics.Camera, p_CM: Array, n_C: Array) -> tuple[Array, Array]:
+    """Covariances (N, 3, 3) of the centres `p_CM` (N, 3), m^2, and of the unit normals `n_C` (N, 3) that `ellipses` have
+    been found to have: of either of a circle's two poses."""
+    if not len(ellipses):
+        return np.zeros((0, 3, 3)), np.zeros((0, 3, 3))
+    a, b = ellipses.semi_axes_px.T
+    cos, sin = np.cos(ellipses.angle), np.sin(ellipses.angle)
+    xy, affine, _ = _cones(camera, ellipses.center_px, np.array([[a * cos, -b * sin], [a * sin, b * cos]]))
+    n = _tilted(n_C, p_CM)
+    G = _derivative(camera, ellipses, xy, affine[:, 0], p_CM, n, parts=5)
+    cov = G @ ellipses.cov @ G.transpose(0, 2, 1)
+    # (n_x, n_y) move at fixed n_z; what lies along n is no turn
+    turn = (np.eye(3) - n[:, :, None] * n[:, None])[:, :, :2]
+    return cov[:, :3, :3], turn @ cov[:, 3:, 3:] @ turn.transpose(0, 2, 1)
 
 
 def circles_from_cones(Q: Array, radius: Array) -> tuple[Array, Array]:
@@ -186,14 +202,15 @@ def _through_pane(camera: optics.Camera, xy: Array, p: Array, n: Array, r: Array
     return p, both_n[match]
 
 
-def _covariance(camera: optics.Camera, ellipses: Ellipses, xy: Array, middle: Array, p: Array, n: Array) -> Array:
-    """Covariance (N, 3, 3) m^2 of the centres: the pose's five derivatives of the ellipse's five parameters, inverted.
+def _derivative(camera: optics.Camera, ellipses: Ellipses, xy: Array, middle: Array, p: Array, n: Array,
+                parts: int) -> Array:
+    """Derivatives (N, parts, 5) of the pose (centre m, n_x, n_y at fixed n_z; the first `parts` of these five) by the
+    ellipse's five parameters: those of the ellipse by the pose, inverted.
 
     With e the unit circle's points, R diag(a, b) e the boundary's offsets in distorted pixels, an ellipse's change
     moves the boundary, in units of the local radius, by e . w + e^T V e; so does a change of the pose. `xy` (2, K, N)
     are the ideal boundary points; the lens enters by its derivative at the `middle` (2, N).
     """
-    n = _tilted(n, p)
     x, y = xy
     nx, ny, nz = n.T
     px, py, pz = p.T
@@ -213,9 +230,8 @@ def _covariance(camera: optics.Camera, ellipses: Ellipses, xy: Array, middle: Ar
     lateral[:, :2, 0], lateral[:, :2, 1] = du[0].T, du[1].T
     lateral[:, 2, 2], lateral[:, 3, 3] = 1 / a, 1 / b
     lateral[:, 4, 4] = ellipse.axes_difference(a, b) * (a + b) / (2 * a * b)
-    centre = np.broadcast_to(np.eye(5)[:, :3], (len(a), 5, 3))
-    G = np.linalg.solve(D.transpose(0, 2, 1), centre).transpose(0, 2, 1) @ lateral  # only the centre's rows of D^-1
-    return G @ ellipses.cov @ G.transpose(0, 2, 1)
+    wanted = np.broadcast_to(np.eye(5)[:, :parts], (len(a), 5, parts))
+    return np.linalg.solve(D.transpose(0, 2, 1), wanted).transpose(0, 2, 1) @ lateral  # only these rows of D^-1
 
 
 def _tilted(n: Array, p: Array) -> Array:

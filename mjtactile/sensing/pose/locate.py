@@ -13,12 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from mjtactile.core import optics
 from mjtactile.core.design import CameraDesign
 from mjtactile.core.errors import InputError
-from mjtactile.core.types import CirclePoses, Ellipses, Image
+from mjtactile.core.types import Array, CirclePoses, Ellipses, Image
 from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
 from mjtactile.sensing.image.markers import Polarity, detect, grey_image
-from mjtactile.sensing.pose.circles import estimate_poses
+from mjtactile.sensing.pose.circles import estimate_poses, pose_covariances
 from mjtactile.sensing.pose.consensus import share_elongation
-from mjtactile.sensing.shape.smoothness import share_depth
+from mjtactile.sensing.pose.preference import prefer
+from mjtactile.sensing.shape.smoothness import agree_on_depth
 
 Neighbours = Literal["auto", "always", "never"]
 _SMALL = 6.0  # px, median semi-minor axis; below, a camera's processing of edges outweighs its noise
@@ -54,11 +55,15 @@ def load_image(path: str | Path) -> NDArray:
 
 @dataclass(frozen=True)
 class Located:
-    """The circles of one image: their `ellipses` and `poses`, what they `shared` with neighbours (of "elongation",
-    "depth"; empty: every circle on its own), and whether their bright side is `overexposed`."""
+    """The circles of one image: their `ellipses` and `poses`, the likelier of the two of each circle first, with the
+    covariance `cov_p_alt` (N, 3, 3) m^2 of the other's centre and the probability `sure` (N,) that the first is right;
+    what they `shared` with neighbours (of "elongation", "depth"; empty: every circle on its own), and whether their
+    bright side is `overexposed`."""
 
     ellipses: Ellipses
     poses: CirclePoses
+    cov_p_alt: Array
+    sure: Array
     shared: tuple[str, ...]
     overexposed: bool
 
@@ -78,26 +83,38 @@ def find_circles(image: NDArray | Image, camera: optics.Camera | CameraDesign, r
         raise InputError(f"{neighbours!r}", source="locate", field="neighbours", choices=("auto", "always", "never"))
     grey = _grey(image)
     ellipses = detect(grey, camera, polarity=polarity, min_radius_px=min_radius_px)
-    poses, ellipses, shared = _together(ellipses, camera, radius, neighbours)
-    overexposed = _overexposed(grey_image(grey), ellipses, polarity)
-    return Located(ellipses, _doubtful_size(poses, ellipses) if overexposed else poses, shared, overexposed)
+    found = _together(ellipses, camera, radius, neighbours)
+    if not _overexposed(grey_image(grey), ellipses, polarity):
+        return found
+    doubt = _doubtful_size(found.poses, ellipses)
+    return replace(found, poses=replace(found.poses, cov_p=found.poses.cov_p + doubt), cov_p_alt=found.cov_p_alt + doubt,
+                   overexposed=True)
 
 
-def _together(ellipses: Ellipses, camera: optics.Camera | CameraDesign, radius: ArrayLike,
-              neighbours: Neighbours) -> tuple[CirclePoses, Ellipses, tuple[str, ...]]:
+def _together(ellipses: Ellipses, camera: optics.Camera | CameraDesign, radius: ArrayLike, neighbours: Neighbours) -> Located:
+    """Poses of the circles, with as much help of each other as `neighbours` allows."""
+    camera = camera if isinstance(camera, optics.Camera) else optics.Camera.from_design(camera)
     poses = estimate_poses(ellipses, camera, radius)
     if neighbours == "never":
-        return poses, ellipses, ()
+        return _preferred(ellipses, camera, poses)
     alike = share_elongation(ellipses)
-    together = poses if alike is ellipses else estimate_poses(alike, camera, radius)
     shared = () if alike is ellipses else ("elongation",)
+    found = _preferred(alike, camera, estimate_poses(alike, camera, radius) if shared else poses, shared)
     good = ellipses.status == "ok"
     small = good.any() and np.median(ellipses.semi_axes_px[good, 1]) < _SMALL
-    if (small or neighbours == "always") and np.ptp(radius) == 0:
-        smooth = share_depth(poses, together)
-        if smooth is not together:
-            return smooth, alike, (*shared, "depth")
-    return together, alike, shared
+    depth = agree_on_depth(poses) if (small or neighbours == "always") and np.ptp(radius) == 0 else None
+    if depth is None:
+        return found
+    smooth, cov_p_alt = depth.along_rays(found.poses, found.cov_p_alt)
+    return replace(found, poses=smooth, cov_p_alt=cov_p_alt, shared=(*shared, "depth"))
+
+
+def _preferred(ellipses: Ellipses, camera: optics.Camera, poses: CirclePoses, shared: tuple[str, ...] = ()) -> Located:
+    _, cov_n = pose_covariances(ellipses, camera, poses.p_CM, poses.n_C)
+    cov_p_alt, cov_n_alt = pose_covariances(ellipses, camera, poses.p_CM_alt, poses.n_C_alt)
+    better, cov_p_alt, sure = prefer(poses, cov_p_alt, np.stack([cov_n, cov_n_alt]))
+    better = replace(better, uv_px=optics.project(camera, better.p_CM))
+    return Located(ellipses, better, cov_p_alt, sure, shared, overexposed=False)
 
 
 def _overexposed(grey: NDArray, ellipses: Ellipses, polarity: Polarity) -> bool:
@@ -112,17 +129,17 @@ def _overexposed(grey: NDArray, ellipses: Ellipses, polarity: Polarity) -> bool:
     return bool((grey[v[inside], u[inside]] > _CLIPPED * top).mean() > 0.5)
 
 
-def _doubtful_size(poses: CirclePoses, ellipses: Ellipses) -> CirclePoses:
-    """`poses` with a covariance that has `_SIZE_SD` px of unknown size, as depth, in it."""
+def _doubtful_size(poses: CirclePoses, ellipses: Ellipses) -> Array:
+    """What `_SIZE_SD` px of unknown size, as depth, adds to the covariances (N, 3, 3) m^2 of the centres."""
     along = poses.p_CM * (_SIZE_SD / ellipses.semi_axes_px[:, :1])
-    return replace(poses, cov_p=poses.cov_p + along[:, :, None] * along[:, None])
+    return along[:, :, None] * along[:, None]
 
 
 def locate(image: NDArray | Image, camera: optics.Camera | CameraDesign, radius: ArrayLike, *,
            polarity: Polarity = "dark", min_radius_px: float = 1.5, neighbours: Neighbours = "auto") -> list[dict[str, Any]]:
     """`find_circles` as JSON-ready records; see `marker_records`."""
     found = find_circles(image, camera, radius, polarity=polarity, min_radius_px=min_radius_px, neighbours=neighbours)
-    return marker_records(found.ellipses, found.poses)
+    return marker_records(found)
 
 
 def _grey(image: NDArray | Image) -> NDArray | Image:
@@ -132,24 +149,26 @@ def _grey(image: NDArray | Image) -> NDArray | Image:
     return image
 
 
-def marker_records(ellipses: Ellipses, poses: CirclePoses) -> list[dict[str, Any]]:
-    """One record per marker: `uv_px`, `ellipse_px`, `center_mm`, `normal`, `normal_alt`, `cov_center_mm2`, `status`.
+def marker_records(found: Located) -> list[dict[str, Any]]:
+    """One record per marker: `uv_px`, `ellipse_px`, `center_mm`, `cov_center_mm2`, `normal` of the preferred pose,
+    `preferred_probability`, `center_alt_mm`, `cov_center_alt_mm2`, `normal_alt` of the other, `status`.
 
     Units at this edge: px, mm, degrees; numbers that are not finite become None.
     """
-    records = []
-    for i in range(len(poses)):
-        records.append({
-            "uv_px": _plain(poses.uv_px[i]),
-            "ellipse_px": {"center": _plain(ellipses.center_px[i]), "semi_axes": _plain(ellipses.semi_axes_px[i]),
-                           "angle_deg": _plain(np.rad2deg(ellipses.angle[i]))},
-            "center_mm": _plain(poses.p_CM[i] * 1e3),
-            "normal": _plain(poses.n_C[i]),
-            "normal_alt": _plain(poses.n_C_alt[i]),
-            "cov_center_mm2": _plain(poses.cov_p[i] * 1e6),
-            "status": str(poses.status[i]),
-        })  # fmt: skip
-    return records
+    ellipses, poses = found.ellipses, found.poses
+    return [{
+        "uv_px": _plain(poses.uv_px[i]),
+        "ellipse_px": {"center": _plain(ellipses.center_px[i]), "semi_axes": _plain(ellipses.semi_axes_px[i]),
+                       "angle_deg": _plain(np.rad2deg(ellipses.angle[i]))},
+        "center_mm": _plain(poses.p_CM[i] * 1e3),
+        "cov_center_mm2": _plain(poses.cov_p[i] * 1e6),
+        "normal": _plain(poses.n_C[i]),
+        "preferred_probability": _plain(found.sure[i]),
+        "center_alt_mm": _plain(poses.p_CM_alt[i] * 1e3),
+        "cov_center_alt_mm2": _plain(found.cov_p_alt[i] * 1e6),
+        "normal_alt": _plain(poses.n_C_alt[i]),
+        "status": str(poses.status[i]),
+    } for i in range(len(poses))]  # fmt: skip
 
 
 def _plain(value: ArrayLike) -> Any:

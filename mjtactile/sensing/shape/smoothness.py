@@ -46,37 +46,46 @@ class _Smooth:
     scatter: float
 
 
-def share_depth(alone: CirclePoses, poses: CirclePoses) -> CirclePoses:
-    """`poses` with the depths of `alone` (estimated with no help of neighbours, so that their errors are independent)
-    smoothed along each marker's ray; `poses` itself if the circles do not plainly lie on one smooth surface.
+@dataclass(frozen=True, eq=False)
+class SharedDepth:
+    """Depths `z` m, with `sd` m, that the circles `at` (indices) agree on."""
 
-    Covariances become those of the spline's value; markers that disagree with it keep their own depth.
+    at: NDArray[np.intp]
+    z: Array
+    sd: Array
+
+    def along_rays(self, poses: CirclePoses, cov_p_alt: Array) -> tuple[CirclePoses, Array]:
+        """`poses` with these depths, and the covariance of the second centres, (N, 3, 3) m^2 as given, with them too."""
+        p, alt, cov, cov_alt = poses.p_CM.copy(), poses.p_CM_alt.copy(), poses.cov_p.copy(), cov_p_alt.copy()
+        scale = self.z / p[self.at, 2]
+        for center, matrix in ((p, cov), (alt, cov_alt)):
+            ray = center[self.at] / center[self.at, 2:]
+            # an error e = z d(ray) + ray dz: the first part stays, scaled; dz is the spline's
+            across = np.tile(np.eye(3), (len(ray), 1, 1))
+            across[:, :, 2] -= ray
+            own = across @ matrix[self.at] @ across.transpose(0, 2, 1) * (scale**2)[:, None, None]
+            matrix[self.at] = own + np.einsum("n,ni,nj->nij", self.sd**2, ray, ray)
+            center[self.at] *= scale[:, None]  # both solutions are equally far away
+        return replace(poses, p_CM=p, p_CM_alt=alt, cov_p=cov), cov_alt
+
+
+def agree_on_depth(alone: CirclePoses) -> SharedDepth | None:
+    """The smooth surface that the circles lie on; None if they do not plainly lie on one.
+
+    `alone` was estimated with no help of neighbours, so that its errors are independent. Circles that disagree with the
+    surface are not `at` it.
     """
     ok = np.flatnonzero(alone.status == "ok")
     if not _LEAST <= len(ok) <= _MOST:
-        return poses
+        return None
     z = alone.p_CM[ok, 2]
     sd = np.sqrt(alone.cov_p[ok, 2, 2]) / z**2
     smooth = _fit(alone.p_CM[ok, :2] / z[:, None], 1 / z, sd)
     agree = (smooth.weight > 0.1) & (smooth.value > 0)
     if smooth.scatter > _EXCUSE or agree.mean() < 0.8:
-        return poses
+        return None
     spread = np.hypot(smooth.sd, _COMMON * max(smooth.scatter, 1.0) * sd)
-    return _along_rays(poses, ok[agree], 1 / smooth.value[agree], (spread / smooth.value**2)[agree])
-
-
-def _along_rays(poses: CirclePoses, at: NDArray[np.intp], z: Array, sd: Array) -> CirclePoses:
-    p, alt, cov = poses.p_CM.copy(), poses.p_CM_alt.copy(), poses.cov_p.copy()
-    scale = z / p[at, 2]
-    ray = p[at] / p[at, 2:]
-    # an error e = z d(ray) + ray dz: the first part stays, scaled; dz is the spline's
-    across = np.tile(np.eye(3), (len(at), 1, 1))
-    across[:, :, 2] -= ray
-    cov[at] = across @ cov[at] @ across.transpose(0, 2, 1) * (scale**2)[:, None, None]
-    cov[at] += np.einsum("n,ni,nj->nij", sd**2, ray, ray)
-    p[at] *= scale[:, None]
-    alt[at] *= scale[:, None]  # both solutions are equally far away
-    return replace(poses, p_CM=p, p_CM_alt=alt, cov_p=cov)
+    return SharedDepth(ok[agree], 1 / smooth.value[agree], (spread / smooth.value**2)[agree])
 
 
 def _fit(xy: Array, w: Array, sd: Array) -> _Smooth:
