@@ -18,6 +18,7 @@ from mjtactile.run.controller import load_controller
 from mjtactile.run.loop import Cycle
 from mjtactile.run.session import open_session
 from mjtactile.sensing.chain import Perception
+from mjtactile.sensing.settings import DEFAULTS, Settings
 from mjtactile.sensing.touch.material import judge
 from mjtactile.sensing.touch.squeeze import Squeeze
 
@@ -56,8 +57,9 @@ class _Log:
         self.openings.append(opening)
         self.phases.append(phase)
 
-    def squeeze(self) -> Squeeze:
-        return Squeeze.of(self.touches, self.openings)
+    def result(self, names: dict[str, Any], settings: Settings) -> ProbeResult:
+        squeeze = Squeeze.of(self.touches, self.openings, settings.squeeze)
+        return ProbeResult(names, judge(squeeze, settings.material), squeeze, tuple(self.phases))
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +91,8 @@ class ProbeResult:
 
 
 def run_probe(options: ProbeOptions, *, recorder: RecorderLike | None = None,
-              say: Callable[[str], None] = lambda _: None, watch: Callable[[Any], None] = lambda _: None) -> ProbeResult:
+              say: Callable[[str], None] = lambda _: None, watch: Callable[[Any], None] = lambda _: None,
+              settings: Settings = DEFAULTS) -> ProbeResult:
     """Probe on the rig that `options` names; `watch` is shown the rig's scene (for benchmarks that know the truth).
 
     Raises InputError, ControllerError, DeviceError, SimulationError; the rig is closed on every way out.
@@ -103,16 +106,17 @@ def run_probe(options: ProbeOptions, *, recorder: RecorderLike | None = None,
         if recorder is not None:
             recorder.add(cycle)
 
-    with open_session(options.rig, design, object_name=options.object, seed=options.seed, say=say) as session:
+    with open_session(options.rig, design, object_name=options.object, seed=options.seed, settings=settings,
+                      say=say) as session:
         watch(session.rig.scene)
         if recorder is not None:
             recorder.patience = session.patience
         session.take_references(recorder)
         session.run(controller, time_limit=TIME_LIMIT, on_cycle=on_cycle)
-    return _result({"object": Path(options.object).stem, "sensor": Path(options.sensor).stem, "seed": options.seed}, log)
+    return log.result({"object": Path(options.object).stem, "sensor": Path(options.sensor).stem, "seed": options.seed}, settings)
 
 
-def replay_probe(recording: Recording, sensor: str | None = None) -> ProbeResult:
+def replay_probe(recording: Recording, sensor: str | None = None, *, settings: Settings = DEFAULTS) -> ProbeResult:
     """The verdict on a recording (of a probe, or of any squeeze), from its images again.
 
     Raises InputError when the recording has no references or images are missing.
@@ -123,7 +127,7 @@ def replay_probe(recording: Recording, sensor: str | None = None) -> ProbeResult
     stages = {reference.stage: reference for reference in recording.references}
     if not {"flat", "rest"} <= set(stages) or not recording.width:
         raise InputError("has no reference images (flat and rest): the sensors cannot be zeroed", source=recording.folder)
-    perceptions = [Perception.of(design) for _ in range(recording.width)]
+    perceptions = [Perception.of(design, settings=settings) for _ in range(recording.width)]
     for finger, perception in enumerate(perceptions):
         perception.take_flat(list(stages["flat"].images(finger)))
         gauge = stages["rest"].pressure_gauge[finger]
@@ -134,10 +138,5 @@ def replay_probe(recording: Recording, sensor: str | None = None) -> ProbeResult
         touch = [perception.perceive(image, now) for perception, image in zip(perceptions, images, strict=True)]
         log.add(touch, float(recording.columns["opening"][cycle]), str(recording.columns["phase"][cycle]))
     header = recording.header
-    return _result({"object": Path(str(header.get("object", "unknown"))).stem, "sensor": Path(name).stem,
-                    "seed": header.get("seed")}, log)
-
-
-def _result(names: dict[str, Any], log: _Log) -> ProbeResult:
-    squeeze = log.squeeze()
-    return ProbeResult(names, judge(squeeze), squeeze, tuple(log.phases))
+    return log.result({"object": Path(str(header.get("object", "unknown"))).stem, "sensor": Path(name).stem,
+                       "seed": header.get("seed")}, settings)

@@ -163,7 +163,7 @@ class Chain:
 
     def see(self, state: ChainState, image: Image) -> tuple[Markers, ChainState]:
         """Identified markers in S, and the state in which they are expected where they are now."""
-        ellipses = detect(image, self.camera, min_radius_px=self._smallest_px, settings=self.settings.markers)
+        ellipses = detect(image, self.camera, min_radius_px=self._smallest_px, settings=self.settings)
         poses = estimate_poses(ellipses, self.camera, self.design.markers.radius)
         poses = state.flat.to_nominal(self.design, poses)
         markers = identity.identify(poses, self.design, state.expected, state.flat.scale, self.settings.identity)

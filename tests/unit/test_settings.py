@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 
+import cv2
 import numpy as np
 import pytest
 
@@ -12,7 +13,10 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Traction
 from mjtactile.sensing.chain import Chain
 from mjtactile.sensing.force import zero
+from mjtactile.sensing.image.markers import detect
 from mjtactile.sensing.settings import DEFAULTS
+from mjtactile.sensing.touch.material import judge
+from mjtactile.sensing.touch.squeeze import Squeeze
 
 
 def stages():
@@ -57,3 +61,17 @@ def test_a_wrong_name_or_value_is_refused(values, message):
 
 def test_settings_go_into_recordings_as_json():
     assert json.loads(json.dumps(DEFAULTS.to_dict()))["zero.touch_least"] == 0.02
+
+
+def test_every_stage_works_with_what_it_is_given():
+    """One number of each stage that a grasp does not come to, turned so far that its verdict turns."""
+    sample = np.arange(60) / 30
+    force, width = np.minimum(sample, 0.8), 0.02 - 5e-4 * np.minimum(sample, 0.8)  # 2 kN/m, pressed for 0.8 s, then held
+    squeeze = Squeeze(sample, width, force, np.full(60, 3e-3), width, np.full(60, 2e-5), np.full(60, 3e-4))
+    hard = DEFAULTS.override({"material.solid_compliance": 1e-3}).material
+    assert judge(squeeze).probability["solid"] < 0.1 and judge(squeeze, hard).kind == "solid"
+    image = cv2.GaussianBlur(cv2.circle(np.full((120, 160), 200, np.uint8), (80, 60), 20, 40, -1), (0, 0), 1.0)
+    blind = DEFAULTS.override({"candidates.margins": (250.0, 250.0)})
+    assert (len(detect(image)), len(detect(image, settings=blind))) == (1, 0)
+    sure = DEFAULTS.override({"profiles.unmodelled": 4 * DEFAULTS.profiles.unmodelled})
+    assert 1.5 < np.sqrt(detect(image, settings=sure).cov[0, 2, 2] / detect(image).cov[0, 2, 2]) <= 2  # the levels' part stays

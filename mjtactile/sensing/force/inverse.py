@@ -129,7 +129,7 @@ class InverseMembrane:
             for _ in range(3):  # the bulge goes with the stiffness to a power between -1 and -1/3
                 modelled = self._at_markers[markers.ids] @ c[2]
                 ratio = max(float(modelled @ height / (modelled @ modelled)), 0.01)  # pressed in below the frame: no bulge
-                scale *= np.clip(1 / ratio**1.6, 0.5, 2.0)
+                scale *= np.clip(1 / ratio**self.settings.rest_power, 0.5, 2.0)
                 c = self.sheet.equilibrium(valve, scale, start=c)
         state = self.sheet.state(c, scale)
         gas = self.sheet.seal(state, pressure_gauge) if sealed else valve

@@ -77,5 +77,5 @@ def follow(estimator: InverseMembrane, rest: InverseRest, shape: Shape, markers:
         gas, c = replace(gas, constant=gas.constant * (1 + share)), c + share * bulge
         apart = apart - share * moved
     offset = rest.offset.copy()
-    offset[markers.ids] += 0.1 * blend * apart
+    offset[markers.ids] += s.offset_share * blend * apart
     return replace(rest, gas=gas, c=c, offset=offset)

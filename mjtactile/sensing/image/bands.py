@@ -10,9 +10,8 @@ from scipy.spatial import KDTree
 
 from mjtactile.core.types import Array
 from mjtactile.sensing.image import ellipse
+from mjtactile.sensing.settings import EdgeSettings
 
-_CLEAR = 1.5  # px around another marker that are left out of the fit: most of its blurred rim
-_LARGER = 4.0  # times a marker's size: what is larger is no marker that stands beside it
 _FAR = 1e7  # px; beyond any image
 
 
@@ -84,39 +83,40 @@ class Pixels:
 @dataclass(frozen=True)
 class Around:
     """Markers of `center` (M, 2) and `shape` (M, 3) that may darken the band of another: `near` (N, k) indices for each
-    of N, -1 where there are fewer than k."""
+    of N, -1 where there are fewer than k; `margin` px beside their edges darken it, too."""
 
     center: Array
     shape: Array
     near: NDArray[np.int64]
+    margin: float
 
     @classmethod
-    def of(cls, center: Array, shape: Array, count: int, width: float) -> Around:
+    def of(cls, center: Array, shape: Array, count: int, width: float, s: EdgeSettings) -> Around:
         """The neighbours of the first `count` markers whose bands are +-`width` px."""
         near = np.full((count, 0), -1, dtype=np.int64)
         if len(center) < 2:
-            return cls(center, shape, near)
+            return cls(center, shape, near, s.clear)
         reach = np.hypot(shape[:, [0, 2]], shape[:, 1:2]).max(axis=1)
-        pairs = KDTree(center).query_pairs(2 * reach.max() + width + _CLEAR, output_type="ndarray")
+        pairs = KDTree(center).query_pairs(2 * reach.max() + width + s.clear, output_type="ndarray")
         i, j = np.concatenate([pairs, pairs[:, ::-1]]).T
         apart = np.hypot(*(center[i] - center[j]).T)
-        close = (i < count) & (apart < reach[i] + reach[j] + width + _CLEAR)
+        close = (i < count) & (apart < reach[i] + reach[j] + width + s.clear)
         # no candidate that is the marker itself, or what it lies on, such as a sheet of paper
-        close &= (apart > np.maximum(reach[i], 0.7 * reach[j])) & (reach[j] < _LARGER * reach[i])
+        close &= (apart > np.maximum(reach[i], s.apart * reach[j])) & (reach[j] < s.larger * reach[i])
         order = np.flatnonzero(close)[np.argsort(i[close], kind="stable")]
         i, j = i[order], j[order]
         counts = np.bincount(i, minlength=count)
         near = np.full((count, int(counts.max(initial=0))), -1, dtype=np.int64)
         near[i, np.arange(len(i)) - np.repeat(np.cumsum(counts) - counts, counts)] = j
-        return cls(center, shape, near)
+        return cls(center, shape, near, s.clear)
 
     def part(self, first: int, last: int) -> Around:
-        return Around(self.center, self.shape, self.near[first:last])
+        return Around(self.center, self.shape, self.near[first:last], self.margin)
 
     def clear(self, u: NDArray, v: NDArray, counts: NDArray) -> NDArray[np.bool_]:
-        """Which of the bands' pixels (P,) are `_CLEAR` px and more from every neighbour's edge."""
+        """Which of the bands' pixels (P,) are `margin` px and more from every neighbour's edge."""
         clear = np.ones(len(u), dtype=bool)
-        grown = ellipse.inverse_shape(self.shape + [_CLEAR, 0.0, _CLEAR])
+        grown = ellipse.inverse_shape(self.shape + [self.margin, 0.0, self.margin])
         for column in self.near.T:
             some = np.flatnonzero(np.repeat(column >= 0, counts))
             at = np.repeat(column, counts)[some]

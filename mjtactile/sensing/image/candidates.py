@@ -13,11 +13,9 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 from mjtactile.sensing.image import ellipse
+from mjtactile.sensing.settings import DEFAULTS, CandidateSettings
 
-_CELLS = 60  # the threshold's grid has about this many cells along the image's shorter side
 _DIVISORS = np.array([[2.0], [6.0], [6.0], [12.0], [24.0], [12.0]])  # of the polygon's moments
-_LARGE = 4.0  # px: where nothing smaller counts, half the resolution shows enough, in less than half the time
-_MARGINS = (3.0, 24.0)  # how much darker than its neighbourhood, at 8 bit: least; most that noise can ask for
 
 
 @dataclass(frozen=True)
@@ -40,15 +38,15 @@ class Candidates:
 _NONE = Candidates(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, dtype=bool))
 
 
-def find(dark: NDArray[np.uint8], min_radius_px: float) -> Candidates:
+def find(dark: NDArray[np.uint8], min_radius_px: float, s: CandidateSettings = DEFAULTS.candidates) -> Candidates:
     """Candidates for dark blobs in an 8-bit image (H, W) with semi-axes of at least about `min_radius_px`."""
-    if min_radius_px >= _LARGE and min(dark.shape) >= 4 * _CELLS:
+    if min_radius_px >= s.half_from and min(dark.shape) >= 4 * s.cells:
         height, width = (side // 2 for side in dark.shape)
         half = cv2.resize(dark[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
-        found = find(half, min_radius_px / 2)
+        found = find(half, min_radius_px / 2, s)
         # the middle of the first 2 x 2 pixels is at (0.5, 0.5)
         return Candidates(2 * found.center + 0.5, 2 * found.shape, 2 * found.misfit, found.cut)
-    borders, tree = cv2.findContours(threshold(dark), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+    borders, tree = cv2.findContours(threshold(dark, s), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
     if not borders:
         return _NONE
     # Outer borders only (no parent): a disc larger than the threshold's neighbourhood comes out hollow. Straight runs
@@ -60,29 +58,29 @@ def find(dark: NDArray[np.uint8], min_radius_px: float) -> Candidates:
     if not keep.all():
         borders, counts = [borders[i] for i in np.flatnonzero(keep)], counts[keep]
     found = _moments(np.concatenate(borders), counts, dark.shape)
-    p, q, s = found.shape.T
-    return found.take(p * s - q * q > (0.7 * min_radius_px) ** 2)
+    a, b, c = found.shape.T
+    return found.take(a * c - b * b > (s.smallest * min_radius_px) ** 2)
 
 
-def threshold(dark: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def threshold(dark: NDArray[np.uint8], s: CandidateSettings = DEFAULTS.candidates) -> NDArray[np.uint8]:
     """Binary image: what is darker than the mean of its neighbourhood, by a margin."""
     height, width = dark.shape
     small = dark
-    while min(small.shape) >= 1.5 * _CELLS:  # halving is what cv2 does fastest
+    while min(small.shape) >= 1.5 * s.cells:  # halving is what cv2 does fastest
         small = cv2.resize(small, (small.shape[1] // 2, small.shape[0] // 2), interpolation=cv2.INTER_AREA)
     small = cv2.blur(small, (5, 5))
     soft = cv2.GaussianBlur(dark, (3, 3), 0)
-    margin = cv2.max(small // 24, _margin(soft))
+    margin = cv2.max(small // 24, _margin(soft, s))
     local = cv2.resize(cv2.subtract(small, margin), (width, height), interpolation=cv2.INTER_LINEAR)
     return cv2.compare(soft, local, cv2.CMP_LT)
 
 
-def _margin(soft: NDArray[np.uint8]) -> float:
+def _margin(soft: NDArray[np.uint8], s: CandidateSettings) -> float:
     """Several times the noise left in `soft`, from the median difference of neighbours on some of the rows."""
     rows = soft[:: max(1, soft.shape[0] // 16)]
     histogram = cv2.calcHist([cv2.absdiff(rows[:, 1:], rows[:, :-1])], [0], None, [256], [0, 256]).ravel()
     below = histogram.cumsum()
-    return float(min(max(4 * below.searchsorted(below[-1] / 2), _MARGINS[0]), _MARGINS[1]))
+    return float(min(max(s.noise * below.searchsorted(below[-1] / 2), s.margins[0]), s.margins[1]))
 
 
 def _moments(points: NDArray[np.int32], counts: NDArray[np.int64], size: tuple[int, ...]) -> Candidates:

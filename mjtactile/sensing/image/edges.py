@@ -22,17 +22,15 @@ from numpy.typing import NDArray
 from mjtactile.core.types import Array
 from mjtactile.sensing.image import ellipse
 from mjtactile.sensing.image.bands import Around, Pixels, band
+from mjtactile.sensing.settings import DEFAULTS, EdgeSettings
 
 PARAMETERS = 10
 # A light softening first: what a camera does to single pixels (sharpening, demosaicing, compression) matters less then.
 SOFTEN = np.array([0.2, 0.6, 0.2])
 SOFTEN_VARIANCE = 0.4  # px^2 per axis
-_COLOURED = 4.3  # softened noise is not white: how much less pixels tell than their scatter says, by Monte Carlo
 _PIXELS_AT_ONCE = 30_000  # a working set that stays in the processor's cache
-_SMALL = 7.0  # px; below this mean radius the edge's curvature is felt beyond the first order
 _PIXELS_FIRST = 170  # pixels per marker for the first steps and for the normal matrix
 _SETTLED = 0.05  # px: the largest last step of a fit that has converged
-_SHARPEST = 0.55  # px: softening and the pixel's own square make 0.69 of no blur at all; below, blur was taken for size
 _UNSETTLED = 1e3  # grey levels added to the residual of any other, so that nobody trusts it
 _HERMITE = ((0.0, 8 / 15), (1.3556262, 0.22207592), (-1.3556262, 0.22207592), (2.8569700, 0.01125741), (-2.8569700, 0.01125741))
 
@@ -60,7 +58,7 @@ class EdgeFit:
 
 
 def fit(image: NDArray, center: Array, shape: Array, *, blur: float = 0.8, iterations: int = 4,
-        others: tuple[Array, Array] | None = None) -> EdgeFit:
+        others: tuple[Array, Array] | None = None, s: EdgeSettings = DEFAULTS.edges) -> EdgeFit:
     """Fit N ellipses starting from `center` (N, 2), `shape` (N, 3), and `blur` px of about the right size.
 
     Pixels that another of them darkens are left out; `others`: centres and shapes of more markers that may.
@@ -70,7 +68,7 @@ def fit(image: NDArray, center: Array, shape: Array, *, blur: float = 0.8, itera
     image = cv2.sepFilter2D(image, cv2.CV_32F, SOFTEN, SOFTEN, borderType=cv2.BORDER_REPLICATE)
     if others is not None:
         others = np.concatenate([center, others[0]]), np.concatenate([shape, others[1]])
-    around = Around.of(*(others or (center, shape)), len(center), width)
+    around = Around.of(*(others or (center, shape)), len(center), width, s)
     parts, first = [], 0
     perimeter = 2 * np.pi * np.sqrt((shape[:, 0] ** 2 + shape[:, 2] ** 2) / 2 + shape[:, 1] ** 2)
     load = np.cumsum(perimeter * 2 * width)
@@ -78,7 +76,7 @@ def fit(image: NDArray, center: Array, shape: Array, *, blur: float = 0.8, itera
         done = load[first - 1] if first else 0.0
         last = max(first + 1, int(np.searchsorted(load, done + _PIXELS_AT_ONCE)))
         parts.append(_fit_some(image, center[first:last], shape[first:last], around.part(first, last), width, blur,
-                               iterations))
+                               iterations, s))
         first = last
     if not parts:
         none = np.zeros(0)
@@ -108,10 +106,10 @@ def _levels(image: NDArray, center: Array, shape: Array) -> tuple[Array, Array]:
 
 
 def _fit_some(image: NDArray, center: Array, shape: Array, around: Around, width: float, blur: float,
-              iterations: int) -> EdgeFit:
+              iterations: int, s: EdgeSettings) -> EdgeFit:
     """Gauss-Newton for markers of similar size. The first steps look at some of the pixels only; the last two at all,
     with one normal matrix between them (the fixed point does not depend on it)."""
-    small = bool((shape[:, 0] * shape[:, 2] - shape[:, 1] ** 2).min() < (_SMALL * max(blur, 1)) ** 2)
+    small = bool((shape[:, 0] * shape[:, 2] - shape[:, 1] ** 2).min() < (s.small * max(blur, 1)) ** 2)
     iterations += 8 if small else 0  # blur, radius and level are harder to tell apart
     pixels, used, origin = _gather(image, center, shape, around, width)
     theta = np.zeros((len(center), PARAMETERS))
@@ -123,7 +121,7 @@ def _fit_some(image: NDArray, center: Array, shape: Array, around: Around, width
     J = np.empty((PARAMETERS, len(some.x)), np.float32)
     for k in range(iterations - 2):
         residual = some.observed - _model(some, theta, J, small)
-        weight = _robust(some, residual, theta) if k else np.ones_like(residual)
+        weight = _robust(some, residual, theta, s) if k else np.ones_like(residual)
         old = theta
         theta = _step(theta, _normal_matrix(some, J, weight), some.sums(J * (weight * residual)).T)
         if k and np.abs(theta - old)[:, :5].max() < _SETTLED:
@@ -132,13 +130,13 @@ def _fit_some(image: NDArray, center: Array, shape: Array, around: Around, width
     H, residual, weight, old = np.zeros(0), pixels.x, pixels.x, theta
     for _ in range(2):
         residual = pixels.observed - _model(pixels, theta, J, small)
-        weight = _robust(pixels, residual, theta)
+        weight = _robust(pixels, residual, theta, s)
         H = _normal_matrix(pixels, J, weight)
         old = theta
         theta = _step(theta, H, pixels.sums(J * (weight * residual)).T)
-    wrong = (np.abs(theta - old)[:, :5].max(axis=1) > _SETTLED) | (theta[:, 9] < _SHARPEST)
+    wrong = (np.abs(theta - old)[:, :5].max(axis=1) > _SETTLED) | (theta[:, 9] < s.sharpest)
     residual[np.repeat(wrong, pixels.counts)] += _UNSETTLED
-    return _result(theta, H, residual, weight, pixels, used, origin)
+    return _result(theta, H, residual, weight, pixels, used, origin, s.coloured)
 
 
 def _gather(image: NDArray, center: Array, shape: Array, around: Around,
@@ -259,13 +257,14 @@ def _normal_tail(z: NDArray) -> tuple[NDArray, NDArray]:
     return np.where(z < 0, 1 - tail, tail), density
 
 
-def _robust(pixels: Pixels, residual: NDArray, theta: Array) -> NDArray:
+def _robust(pixels: Pixels, residual: NDArray, theta: Array, s: EdgeSettings) -> NDArray:
     """Weights 1/(1 + (r/c)^4): one for the bulk of the pixels, falling fast for glare, specks and neighbours.
 
-    c is four times the marker's rms residual, and no less than a share of its contrast: a lens or a camera's
+    c is `outlier` times the marker's rms residual, and no less than a share of its contrast: a lens or a camera's
     sharpening that the model does not know is no outlier.
     """
-    scale = np.maximum(4 * np.sqrt(pixels.sums(residual * residual) / pixels.counts), 0.1 * np.abs(theta[:, 5] - theta[:, 6]))
+    scale = np.maximum(s.outlier * np.sqrt(pixels.sums(residual * residual) / pixels.counts),
+                       s.outlier_share * np.abs(theta[:, 5] - theta[:, 6]))
     t = residual * pixels.spread(1 / np.maximum(scale, 1e-3))
     t *= t
     t *= t
@@ -289,12 +288,12 @@ def _step(theta: Array, H: Array, gradient: Array) -> Array:
 
 
 def _result(theta: Array, H: Array, residual: NDArray, weight: NDArray, pixels: Pixels, used: NDArray,
-            origin: Array) -> EdgeFit:
+            origin: Array, coloured: float) -> EdgeFit:
     diagonal = np.arange(PARAMETERS)
     H[:, diagonal, diagonal] = H[:, diagonal, diagonal] * (1 + 1e-9) + 1e-9
     kept = pixels.sums(weight)
     variance = pixels.sums(weight * residual * residual) / np.maximum(kept - PARAMETERS, 1)
-    cov = np.linalg.inv(H)[:, :5, :5] * (_COLOURED * variance)[:, None, None]
+    cov = np.linalg.inv(H)[:, :5, :5] * (coloured * variance)[:, None, None]
     cov = (cov + cov.transpose(0, 2, 1)) / 2
     lost = 1 - kept / np.maximum(used, 1)
     optical = np.sqrt(np.maximum(theta[:, 9] ** 2 - SOFTEN_VARIANCE, 0.09))

@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Ellipses, Image
 from mjtactile.sensing.image import candidates, edges, ellipse, profiles
-from mjtactile.sensing.settings import DEFAULTS, MarkerSettings
+from mjtactile.sensing.settings import DEFAULTS, MarkerSettings, Settings
 
 Polarity = Literal["dark", "bright"]
 CUT, NOT_ELLIPSE, TOUCHING = "cut by image border", "not an ellipse", "touches another"
@@ -21,7 +21,7 @@ MOTION, BLURRED = "motion blur", "too blurred"
 
 
 def detect(image: NDArray | Image, camera: Any = None, *, polarity: Polarity = "dark",
-           min_radius_px: float = 1.5, settings: MarkerSettings = DEFAULTS.markers) -> Ellipses:
+           min_radius_px: float = 1.5, settings: Settings = DEFAULTS) -> Ellipses:
     """Find circular markers in `image` ((H, W) or (H, W, 3) uint8 or uint16, or an `Image`).
 
     `polarity`: markers "dark" on bright or "bright" on dark. `camera` is accepted so that all stages look alike;
@@ -31,15 +31,15 @@ def detect(image: NDArray | Image, camera: Any = None, *, polarity: Polarity = "
     Returns `Ellipses` in reading order of detection; those whose status is not "ok" are likely markers that should not
     be trusted. No marker gives an empty result. Raises InputError for a wrong shape, type or option.
     """
-    grey = grey_image(image)
+    grey, s = grey_image(image), settings.markers
     if polarity not in ("dark", "bright"):
         raise InputError(f"{polarity!r}", source="detect", field="polarity", choices=("dark", "bright"))
     eight = grey if grey.dtype == np.uint8 else _eight_bit(grey)
-    found = candidates.find(eight if polarity == "dark" else 255 - eight, min_radius_px)
-    found = _plausible(found, min_radius_px, settings)
+    found = candidates.find(eight if polarity == "dark" else 255 - eight, min_radius_px, settings.candidates)
+    found = _plausible(found, min_radius_px, s)
     fit = _fit(grey, found, settings)
     fit = _sound(fit)
-    status = _judge(fit, found, polarity, grey.shape, min_radius_px, settings)
+    status = _judge(fit, found, polarity, grey.shape, min_radius_px, s)
     keep = status != ""
     if not keep.all():
         fit, status = fit.take(keep), status[keep]
@@ -61,27 +61,30 @@ def grey_image(image: NDArray | Image) -> NDArray:
     return np.ascontiguousarray(pixels)
 
 
-def _fit(grey: NDArray, found: candidates.Candidates, s: MarkerSettings) -> edges.EdgeFit:
+def _fit(grey: NDArray, found: candidates.Candidates, settings: Settings) -> edges.EdgeFit:
     """Profiles for what is large enough; the image itself, which costs ten times more per pixel, for the small."""
+    s, by_pixels = settings.markers, settings.edges
     axes, _ = ellipse.axes_from_shape(found.shape)
     large = axes[:, 1] >= s.room
     if not large.any():
-        return edges.fit(grey, found.center, found.shape)
-    fit = profiles.fit(grey, found.center[large], found.shape[large])
+        return edges.fit(grey, found.center, found.shape, s=by_pixels)
+    fit = profiles.fit(grey, found.center[large], found.shape[large], settings.profiles)
     blurred = (fit.blur * s.blurred > axes[large, 1]) & (fit.motion < s.motion)  # `edges` knows of no motion
-    sharpest = fit.blur < 1.01 * profiles.SHARPEST  # a drawing, or a blur that was taken for size
+    sharpest = fit.blur < 1.01 * settings.profiles.sharpest  # a drawing, or a blur that was taken for size
     if sharpest.any():
         start = found.take(large).take(sharpest)
-        again = edges.fit(grey, start.center, start.shape, blur=s.wide * float(ellipse.middle(axes[large, 1][sharpest])))
+        wide = s.wide * float(ellipse.middle(axes[large, 1][sharpest]))
+        again = edges.fit(grey, start.center, start.shape, blur=wide, s=by_pixels)
         fit = edges.merge(sharpest, again, fit.take(~sharpest))
         blurred &= ~sharpest
     if blurred.any():
-        again = edges.fit(grey, fit.center[blurred], fit.shape[blurred], blur=float(np.median(fit.blur[blurred])))
+        common = float(np.median(fit.blur[blurred]))
+        again = edges.fit(grey, fit.center[blurred], fit.shape[blurred], blur=common, s=by_pixels)
         fit = edges.merge(blurred, again, fit.take(~blurred))
     if large.all():
         return fit
     others = found.center[large], found.shape[large]
-    return edges.merge(large, fit, edges.fit(grey, found.center[~large], found.shape[~large], others=others))
+    return edges.merge(large, fit, edges.fit(grey, found.center[~large], found.shape[~large], others=others, s=by_pixels))
 
 
 def _sound(fit: edges.EdgeFit) -> edges.EdgeFit:
@@ -106,19 +109,19 @@ def _plausible(found: candidates.Candidates, min_radius_px: float, s: MarkerSett
     """Drop what cannot be a marker: too small or long, or a border far from its own ellipse (further if cut)."""
     axes, _ = ellipse.axes_from_shape(found.shape)
     a, b = axes.T
-    fits = (b >= min_radius_px) & (b > 0.15 * a) & ~_odd(found)
+    fits = (b >= min_radius_px) & (b > s.longest * a) & ~_odd(found, s)
     if fits.sum() < s.some:
         return found.take(fits)
     # a border as large as the others' but of another outline is a marker with glare or dirt on it, to be flagged
     size = np.sqrt(a * b)
     alike = np.abs(np.log(size / ellipse.middle(size[fits]))) < s.alike
-    return found.take(fits | (alike & (b > 0.4 * a) & (found.misfit < 0.6 * size)))
+    return found.take(fits | (alike & (b > s.longest_flawed * a) & (found.misfit < s.flawed * size)))
 
 
-def _odd(found: candidates.Candidates) -> NDArray[np.bool_]:
+def _odd(found: candidates.Candidates, s: MarkerSettings) -> NDArray[np.bool_]:
     """Which borders are far from their own ellipses (further if cut)."""
     b = ellipse.axes_from_shape(found.shape)[0][:, 1]
-    return found.misfit >= 1.2 + np.where(found.cut, 0.4, 0.2) * b
+    return found.misfit >= s.odd + np.where(found.cut, s.odd_share_cut, s.odd_share) * b
 
 
 def _judge(fit: edges.EdgeFit, found: candidates.Candidates, polarity: str, size: tuple[int, ...],
@@ -133,25 +136,26 @@ def _judge(fit: edges.EdgeFit, found: candidates.Candidates, polarity: str, size
     extent = np.hypot(fit.shape[:, [0, 2]], fit.shape[:, 1:2])
     out = ((fit.center - extent < s.close) | (fit.center + extent > np.array([size[1], size[0]]) - 1 - s.close)).any(axis=1)
     status = np.full(len(b), "ok", dtype="<U24")
-    status[(contrast < 5 * noise) | (doubt > 0.1)] = LOW_CONTRAST
-    status[fit.residual > 0.15 * contrast] = NOT_ELLIPSE
+    status[(contrast < s.contrast * noise) | (doubt > s.doubt)] = LOW_CONTRAST
+    status[fit.residual > s.misfit * contrast] = NOT_ELLIPSE
     usual = ellipse.middle(fit.residual) if len(b) else 0.0  # of this image: its noise, its compression
-    covered = (fit.residual > np.maximum(s.covered * contrast, 5 * usual)) & (b > s.room)
-    status[(fit.lost > 0.25) | covered] = GLARE
+    covered = (fit.residual > np.maximum(s.covered * contrast, s.covered_usual * usual)) & (b > s.room)
+    status[(fit.lost > s.lost) | covered] = GLARE
     status[fit.motion > s.motion] = MOTION
     # blur is the image's, and its scatter from marker to marker mostly the fit's
     common = ellipse.middle(fit.blur[good]) if (good := status == "ok").any() else 0.0
     status[b < s.too_blurred * np.clip(fit.blur, common / s.blur_spread, common * s.blur_spread)] = BLURRED
-    status[(fit.blur < 0.7 * common) & (common > 1) & (b < s.unsure * common)] = BLURRED  # a fit that took the blur for size
+    took_blur_for_size = (fit.blur < s.sharper * common) & (common > 1)
+    status[took_blur_for_size & (b < s.unsure * common)] = BLURRED
     changed = np.abs(fit.shape - found.shape).max(axis=1)
-    status[changed > 1.2 + 0.25 * b] = NOT_ELLIPSE
+    status[changed > s.odd + s.changed * b] = NOT_ELLIPSE
     status[b < min_radius_px] = SMALL
     cut = out | found.cut
     status[cut] = CUT
-    odd = _odd(found) & ~cut
+    odd = _odd(found, s) & ~cut
     status[odd] = GLARE
-    wrong = (contrast < 2 * noise) | (b < 0.5 * min_radius_px) | (b < 0.1 * a) | (doubt > 0.5)
-    status[wrong | ((moved > 1 + 0.3 * b) & ~cut & ~odd)] = ""
+    wrong = (contrast < s.contrast_any * noise) | (b < s.shrunk * min_radius_px) | (b < s.flattest * a) | (doubt > s.doubt_any)
+    status[wrong | ((moved > 1 + s.moved * b) & ~cut & ~odd)] = ""
     good = np.flatnonzero(status == "ok")
     status[good[_crowded(fit.center[good], fit.shape[good], a[good], s.close)]] = TOUCHING
     return status

@@ -24,22 +24,16 @@ from mjtactile.core.types import Array
 from mjtactile.sensing.image import ellipse
 from mjtactile.sensing.image.edges import SOFTEN, SOFTEN_VARIANCE, EdgeFit
 from mjtactile.sensing.image.ellipse import middle
+from mjtactile.sensing.settings import DEFAULTS, ProfileSettings
 
 _SAMPLES, _ENDS = 17, 5  # along a profile; of these, at either end, for the levels
 _STEP_MOMENT = -(_SAMPLES**2 - 1) / 8  # of [o < 0]: the sum of the offsets, in samples, on the inside
 _COARSE_STEP, _COARSE_COUNT = 0.9, 24  # px between samples, profiles per marker of the first rounds
-_STEP = 0.75  # px between samples of the last round, for blur up to _SIGMA; more blur stretches it
-_SIGMA = 1.1  # px
 _COARSE_ROUNDS = 4
 _NEAR = 1.5  # px: a coarse move below this ends the coarse rounds; it is right by area within two
-_PER_PIXEL = 2.0  # px of arc between the profiles of the last round
 # Softening before bilinear interpolation makes the image smooth enough for it: without, offsets depend on where the
 # edge lies within a pixel, by 2 um of depth in the paper's geometry.
 _BILINEAR_VARIANCE = 1 / 6  # of linear interpolation, mean over all positions
-# Rounding, interpolation and the blur's own noise, as a share of the variance, by Monte Carlo.
-_UNMODELLED = 1.08
-_MOTION_DOUBT = 0.5  # motion is no Gaussian: the share of its correction that is in doubt
-SHARPEST = 0.3  # px: blur as low as that is the pixel's own square at most
 _NEIGHBOURS = -np.arange(1.0, 5.0)[:, None] ** 2
 _LEVEL_MOVES = np.diag([2.0, 2.0, 1.0, 0.0, 1.0])
 _LEVEL_MOVES[2, 4] = _LEVEL_MOVES[4, 2] = 1.0
@@ -87,39 +81,39 @@ class _Outline:
     det: NDArray  # (N, 1) of S, px^2
 
 
-def fit(image: NDArray, center: Array, shape: Array) -> EdgeFit:
+def fit(image: NDArray, center: Array, shape: Array, s: ProfileSettings = DEFAULTS.profiles) -> EdgeFit:
     """Fit N ellipses starting from `center` (N, 2), `shape` (N, 3) px, right to about two pixels."""
     source = cv2.sepFilter2D(image, cv2.CV_32F, SOFTEN, SOFTEN, borderType=cv2.BORDER_REPLICATE)
-    center, shape, sigma = _approach(source, center, shape)
-    step = _STEP * max(1.0, sigma / _SIGMA)
-    fan = _fan(int(np.clip(8 * np.ceil(middle(_perimeter(shape)) / _PER_PIXEL / 8), 32, 160)))
+    center, shape, sigma = _approach(source, center, shape, s)
+    step = s.step * max(1.0, sigma / s.blur)
+    fan = _fan(int(np.clip(8 * np.ceil(middle(_perimeter(shape)) / s.spacing / 8), 32, 160)))
     line = _outline(shape, fan)
     numbers = _read(source, center, shape, line, fan, step, sigma)
-    inside, outside, spread = _levels(numbers, fan)
+    inside, outside, spread = _levels(numbers, fan, s.level_outlier)
     over = 1 / (inside - outside)
     _, rest, sums = _filters(step, sigma)
     delta = (numbers[EDGE] - sums[EDGE] * outside) * over - rest[0]
     blur = (numbers[BLUR] - sums[BLUR] * outside) * over + (np.float32(sigma) - rest[1])
     blur = np.maximum(blur, np.float32(0.5))
     delta *= 1 / _gain(step, sigma, middle(blur[:, ::4]))
-    blur, retreat, motion = _retreat(blur, line)
+    blur, retreat, motion = _retreat(blur, line, s.blur_most)
     delta = np.minimum(np.maximum(delta, np.float32(-2)), np.float32(2)) + retreat
-    center, shape, inverse, weight, left = _settle(center, shape, delta, line, fan)
+    center, shape, inverse, weight, left = _settle(center, shape, delta, line, fan, s)
     # how the levels' noise moves an offset: d(delta)/d(inside), d(delta)/d(outside), in px per unit of contrast
     gain = np.array([rest[0], sums[EDGE] - rest[0]])
     common = (gain[:, None] ** 2 * spread**2).sum(axis=0) * ((over * over) @ fan.mean)
     levels = inside @ fan.mean, outside @ fan.mean
-    return _result(center, shape, inverse, weight, left, line, levels, common, motion, blur)
+    return _result(center, shape, inverse, weight, left, line, levels, common, motion, blur, s)
 
 
-def _approach(source: NDArray, center: Array, shape: Array) -> tuple[Array, Array, float]:
+def _approach(source: NDArray, center: Array, shape: Array, s: ProfileSettings) -> tuple[Array, Array, float]:
     """Ellipses near the edge by area, and the image's blur; the window grows until it holds the blurred edge."""
     fan = _fan(_COARSE_COUNT)
-    step, sigma = _COARSE_STEP, _SIGMA
+    step, sigma = _COARSE_STEP, s.blur
     for _ in range(_COARSE_ROUNDS):
         line = _outline(shape, fan)
-        numbers = _read(source, center, shape, line, fan, step, _SIGMA)
-        inside, outside, _ = _levels(numbers, fan)
+        numbers = _read(source, center, shape, line, fan, step, s.blur)
+        inside, outside, _ = _levels(numbers, fan, s.level_outlier)
         over = 1 / (inside - outside)
         delta = (numbers[AREA] - _SAMPLES * outside) * over - np.float32(0.5 * _SAMPLES)
         old = shape
@@ -133,7 +127,7 @@ def _approach(source: NDArray, center: Array, shape: Array) -> tuple[Array, Arra
     return center, shape, sigma
 
 
-def _retreat(blur: NDArray, line: _Outline) -> tuple[Array, NDArray, NDArray]:
+def _retreat(blur: NDArray, line: _Outline, most: float) -> tuple[Array, NDArray, NDArray]:
     """Each marker's blur sd (N,) px, how far (N, K) px the blur along the curved edge moves its 50 % level inwards:
     kappa/2 times the blur's variance along the edge's tangent, and the part of it (N,) px that motion adds.
 
@@ -142,7 +136,7 @@ def _retreat(blur: NDArray, line: _Outline) -> tuple[Array, NDArray, NDArray]:
     """
     some = blur[:, ::4]  # enough for three numbers
     variance = some * some
-    bound = np.minimum(variance, 3 * middle(variance))
+    bound = np.minimum(variance, most * middle(variance))
     mx, my = line.m
     mxx, mxy, myy = mx * mx, 2 * mx * my, my * my
     A = np.array([mxx[:, ::4], mxy[:, ::4], myy[:, ::4]])
@@ -231,7 +225,7 @@ def _read(source: NDArray, center: Array, shape: Array, line: _Outline, fan: _Fa
     return (_filters(step, sigma)[0].T @ values).reshape(-1, *line.g.shape)
 
 
-def _levels(numbers: NDArray, fan: _Fan) -> tuple[NDArray, NDArray, NDArray]:
+def _levels(numbers: NDArray, fan: _Fan, outlier: float) -> tuple[NDArray, NDArray, NDArray]:
     """Levels (N, K) inside and outside of each profile: per marker, plus a gradient of the light across it.
 
     Also the sd (2, N) of a single profile's level about them.
@@ -239,7 +233,7 @@ def _levels(numbers: NDArray, fan: _Fan) -> tuple[NDArray, NDArray, NDArray]:
     ends = numbers[[INSIDE, OUTSIDE]]
     middle = (ends @ fan.mean)[..., None]
     spread = ends - middle
-    bound = 2.5 * np.sqrt((spread * spread) @ fan.mean)[..., None] + np.float32(1e-3)
+    bound = outlier * np.sqrt((spread * spread) @ fan.mean)[..., None] + np.float32(1e-3)
     spread = np.minimum(np.maximum(spread, -bound), bound)
     plane = spread @ fan.plane
     plane[..., :1] += middle
@@ -252,7 +246,7 @@ def _levels(numbers: NDArray, fan: _Fan) -> tuple[NDArray, NDArray, NDArray]:
 
 
 def _settle(center: Array, shape: Array, delta: NDArray, line: _Outline,
-            fan: _Fan) -> tuple[Array, Array, Array, NDArray, NDArray]:
+            fan: _Fan, s: ProfileSettings) -> tuple[Array, Array, Array, NDArray, NDArray]:
     """Ellipses moved by robust least squares to the edge's offsets `delta` (N, K) px along the normals.
 
     An offset moves e on the unit circle by delta g = e . w + e^T V e, with w = S^-1 dc and V = sym(S^-1 dS): one basis
@@ -262,7 +256,7 @@ def _settle(center: Array, shape: Array, delta: NDArray, line: _Outline,
     over = 1 / line.g
     scaled = delta * line.g
     left = delta - ((scaled @ fan.solve) @ fan.basis) * over  # unweighted: only to see what does not belong
-    t = left * (1 / np.maximum(6 * (np.abs(left) @ fan.mean), np.float32(0.08)))[:, None]
+    t = left * (1 / np.maximum(s.outlier * (np.abs(left) @ fan.mean), np.float32(s.outlier_least)))[:, None]
     t *= t
     t *= t
     t += 1
@@ -275,7 +269,7 @@ def _settle(center: Array, shape: Array, delta: NDArray, line: _Outline,
 
 
 def _result(center: Array, shape: Array, inverse: Array, weight: NDArray, left: NDArray, line: _Outline,
-            levels: tuple[NDArray, NDArray], common: Array, motion: NDArray, blur: NDArray) -> EdgeFit:
+            levels: tuple[NDArray, NDArray], common: Array, motion: NDArray, blur: NDArray, s: ProfileSettings) -> EdgeFit:
     inside, outside = levels
     count = line.g.shape[1]
     total = weight.sum(axis=1)
@@ -287,14 +281,14 @@ def _result(center: Array, shape: Array, inverse: Array, weight: NDArray, left: 
     reach = 4 * (SOFTEN_VARIANCE + _BILINEAR_VARIANCE)
     shared = 1 + 2 * np.exp(spacing**2 * _NEIGHBOURS / reach).sum(axis=0)
     variance *= (count - 5) / np.maximum(count - 5 * shared, 1)
-    cov = inverse * (_UNMODELLED * variance * shared * spacing)[:, None, None]
+    cov = inverse * (s.unmodelled * variance * shared * spacing)[:, None, None]
     # An error of the levels moves all offsets together, V = I g, and one of their gradient moves the centre, w = g.
     level = common * shared / count * size**2
     cov += level[:, None, None] * _LEVEL_MOVES
-    cov[:, [2, 3, 4], [2, 3, 4]] += ((_MOTION_DOUBT * motion * size) ** 2)[:, None]
+    cov[:, [2, 3, 4], [2, 3, 4]] += ((s.motion_doubt * motion * size) ** 2)[:, None]
     # an offset's rms in px, as grey levels at the edge's slope, to compare with the contrast
     residual = np.sqrt(variance) * np.abs(inside - outside) / (np.sqrt(2 * np.pi) * blur)
     lost = 1 - total / (spacing * count)
-    optical = np.sqrt(np.maximum(blur * blur - SOFTEN_VARIANCE - _BILINEAR_VARIANCE, SHARPEST**2))
+    optical = np.sqrt(np.maximum(blur * blur - SOFTEN_VARIANCE - _BILINEAR_VARIANCE, s.sharpest**2))
     return EdgeFit(center, shape, ellipse.covariance_of_moves(cov, shape), inside, outside, optical, residual,
                    np.full(len(center), float(count)), lost, motion)

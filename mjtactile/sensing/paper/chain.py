@@ -16,16 +16,15 @@ from mjtactile.core.types import Markers, Surface, Touch, Traction
 from mjtactile.sensing.chain import Chain, ChainState
 from mjtactile.sensing.paper.contact import find_contact, resample
 from mjtactile.sensing.paper.levels import AreaCalibration, spring_grid_force
+from mjtactile.sensing.settings import DEFAULTS, Settings
 from mjtactile.sensing.touch import slip
-
-TOUCH_SD, TOUCH_LEAST = 4.0, 0.04  # of the calibration's residual, and N
 
 
 class PaperChain(Chain):
     """A `Chain` whose force is the paper's, with its constant c in `area_calibration`."""
 
-    def __init__(self, design: SensorDesign, area_calibration: AreaCalibration):
-        super().__init__(design)
+    def __init__(self, design: SensorDesign, area_calibration: AreaCalibration, *, settings: Settings = DEFAULTS):
+        super().__init__(design, settings=settings)
         self.area_calibration = area_calibration
 
     def feel(self, state: ChainState, markers: Markers, surface: Surface, time: float) -> tuple[Touch, ChainState]:
@@ -35,8 +34,9 @@ class PaperChain(Chain):
         rest = state.reference.surface
         traction = self._traction(surface, rest)
         force, sd = -float(traction.wrench[2]), float(np.sqrt(traction.wrench_cov[2, 2]))
-        touching = force > max(TOUCH_LEAST, TOUCH_SD * sd)
-        contact = find_contact(surface, rest, traction, touching=touching)
+        s = self.settings.paper
+        touching = force > max(s.touch_least, s.touch_sd * sd)
+        contact = find_contact(surface, rest, traction, touching=touching, s=s)
         return Touch(time, 0.0, force, sd, touching, contact=contact, traction=traction, surface=surface, markers=markers,
                      slip=slip.unknown(StatusCode.NOT_ESTIMATED, "needs membrane statics")), state
 

@@ -6,23 +6,23 @@ import numpy as np
 
 from mjtactile.core.bspline import hats
 from mjtactile.core.types import Array, Contact, Surface, Traction
-
-# A contact presses everywhere inside its outline and not at all outside; smoothed by the marker spacing, the outline
-# lies where the pressure has fallen to about half of its plateau.
-_OUTLINE_SHARE = 0.5
+from mjtactile.sensing.settings import DEFAULTS, PaperSettings
 
 
-def find_contact(surface: Surface, rest: Surface, traction: Traction, *, touching: bool) -> Contact:
+def find_contact(surface: Surface, rest: Surface, traction: Traction, *, touching: bool,
+                 s: PaperSettings = DEFAULTS.paper) -> Contact:
     """Contact patch on the grid of `traction`: where it presses, and the surface is further in than at rest.
 
-    `touching` is the verdict of the net force; without it the patch is empty. Area is that of the curved surface.
+    `touching` is the verdict of the net force; without it the patch is empty. Area is that of the curved surface. A contact
+    presses everywhere inside its outline and not at all outside; smoothed by the marker spacing, the outline lies where the
+    pressure has fallen to about half of its plateau.
     """
     pressing = -traction.force[..., 2]
     height = resample(surface, traction.x, traction.y)
     indentation = resample(rest, traction.x, traction.y) - height
     mask = np.zeros(pressing.shape, bool)
     if touching:
-        mask = (pressing > _OUTLINE_SHARE * np.max(pressing)) & (indentation > 0)
+        mask = (pressing > s.outline_share * np.max(pressing)) & (indentation > 0)
     if not mask.any():
         return Contact(False, 0.0, np.full(2, np.nan), 0.0, mask)
     weight = np.where(mask, pressing, 0.0)

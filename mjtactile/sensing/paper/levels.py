@@ -16,10 +16,8 @@ from scipy.sparse import csr_matrix
 from mjtactile.core.bspline import hats
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Markers, Surface
+from mjtactile.sensing.settings import DEFAULTS, PaperSettings
 from mjtactile.sensing.shape.deformation import Fields, MembraneModel
-
-_TAPER_MARGIN = 1.25  # width of the test function's fall, in marker pitches: at least one marker must see it
-_INFORMATIVE_PRESSURE = 100.0  # Pa; below, the bulge is too small to tell the stiffness
 
 
 @dataclass(frozen=True)
@@ -97,10 +95,10 @@ class MembraneForce:
     the reconstructed volume by p V^gamma = constant.
     """
 
-    def __init__(self, model: MembraneModel):
-        self.model, self.design = model, model.design
+    def __init__(self, model: MembraneModel, settings: PaperSettings = DEFAULTS.paper):
+        self.model, self.design, self.settings = model, model.design, settings
         markers = self.design.markers
-        self._phi, self._grad_phi = model.plateau(_TAPER_MARGIN * max(markers.pitch_x, markers.pitch_y))
+        self._phi, self._grad_phi = model.plateau(settings.taper * max(markers.pitch_x, markers.pitch_y))
 
     def pressure_gauge(self, fields: Fields, rest: RestState) -> float:
         """Gauge pressure, Pa, from the gas volume under the membrane (Eq. G1)."""
@@ -129,7 +127,7 @@ class MembraneForce:
         """
         fields = self._fields(markers.ids, markers.p_SM)
         elastic, push = self._terms(fields)
-        informative = pressure_gauge > _INFORMATIVE_PRESSURE and elastic[2] > 0
+        informative = pressure_gauge > self.settings.informative_pressure and elastic[2] > 0
         scale = float(pressure_gauge * push[2] / elastic[2]) if informative else 1.0
         rest = RestState(self.gas_volume(fields), self.design.chamber.ambient + pressure_gauge, scale,
                          scale * elastic - pressure_gauge * push, np.zeros((6, 0, 3)), sealed)

@@ -22,7 +22,6 @@ from mjtactile.sensing.shape.surface import SurfaceFitter
 
 Ids = NDArray[np.int64]
 
-_NEIGHBOURS = 8
 _ROUNDS = 3  # match, learn how the neighbourhood moved, match again
 
 
@@ -48,7 +47,7 @@ def identify(poses: CirclePoses, design: SensorDesign, expected: ArrayLike | Non
     p, p_alt = ((p_CM[seen] - shift) * factor[:, None] + shift + design.camera.p_SC
                 for p_CM in (poses.p_CM, poses.p_CM_alt))
     n, n_alt = poses.n_C[seen], poses.n_C_alt[seen]
-    second = prefer_second(n, n_alt, expected_normals(design, ids, p[:, 2]))
+    second = prefer_second(n, n_alt, expected_normals(design, ids, p[:, 2], s))
     return Markers(ids, np.where(second[:, None], p_alt, p), np.where(second[:, None], n_alt, n),
                    poses.cov_p[seen] * (factor**2)[:, None, None])
 
@@ -62,9 +61,9 @@ def match(p_SM: ArrayLike, expected: ArrayLike, layout: ArrayLike, s: IdentitySe
     found = np.asarray(p_SM, dtype=float)[:, :2]
     layout = np.asarray(layout, dtype=float)[:, :2]
     expected = np.asarray(expected, dtype=float)[:, :2]
-    pitch, order = _neighbourhood(layout.tobytes())
+    pitch, order = _neighbourhood(layout.tobytes(), s.neighbours)
     known = np.isfinite(expected.sum(axis=1))
-    expected = expected if known.all() else layout + _smooth(np.where(known[:, None], expected - layout, np.nan), order)
+    expected = expected if known.all() else layout + _smooth(np.where(known[:, None], expected - layout, np.nan), order, s)
     ids = np.full(len(found), -1)
     if not np.isfinite(found.sum(axis=1)).any():
         return ids
@@ -72,18 +71,18 @@ def match(p_SM: ArrayLike, expected: ArrayLike, layout: ArrayLike, s: IdentitySe
     shift = np.zeros(2)
     for tried in range(_ROUNDS + 1):
         if tried == 1:
-            shift = _common_shift(found, expected, pitch)
+            shift = _common_shift(found, expected, pitch, s)
         ids = _mutual_nearest(found, expected + shift, s.gate * pitch)
         moved = np.full_like(layout, np.nan)
         moved[ids[ids >= 0]] = found[ids >= 0] - expected[ids[ids >= 0]]
-        common = _smooth(moved, order)
+        common = _smooth(moved, order, s)
         wrong = np.linalg.norm(moved - common, axis=1) > s.inconsistent * pitch
         ids[(ids >= 0) & wrong[ids]] = -1
         matched = (ids >= 0).sum()
         if not wrong.any() and matched == (min(len(found), len(layout)) if tried else max(len(found), len(layout))):
             break
         moved[wrong] = np.nan
-        shift = _smooth(moved, order)
+        shift = _smooth(moved, order, s)
     return ids
 
 
@@ -92,7 +91,7 @@ def prefer_second(n: Array, n_alt: Array, n_expected: Array) -> NDArray[np.bool_
     return ((n_alt - n) * n_expected).sum(axis=1) > 0
 
 
-def expected_normals(design: SensorDesign, ids: Ids, z: ArrayLike) -> Array:
+def expected_normals(design: SensorDesign, ids: Ids, z: ArrayLike, s: IdentitySettings = DEFAULTS.identity) -> Array:
     """Normals (N, 3) towards the camera, at markers `ids` (N,), of the smooth surface through their heights `z` (N,) m.
 
     The surface is a function of the *flat* membrane's coordinates, so that its design matrix is always the same; the
@@ -100,7 +99,7 @@ def expected_normals(design: SensorDesign, ids: Ids, z: ArrayLike) -> Array:
     """
     present = np.zeros(design.markers.count, bool)
     present[ids] = True
-    slope_x, slope_y = _slope_operators(design, present.tobytes())
+    slope_x, slope_y = _slope_operators(design, present.tobytes(), s.height_weight)
     z = np.asarray(z, dtype=float)
     order = np.argsort(ids)
     slopes = np.empty((len(z), 2))
@@ -109,37 +108,37 @@ def expected_normals(design: SensorDesign, ids: Ids, z: ArrayLike) -> Array:
 
 
 @lru_cache(maxsize=32)
-def _slope_operators(design: SensorDesign, present: bytes) -> tuple[Array, Array]:
-    """Matrices that make slopes at the markers present, in order of id, of their heights."""
+def _slope_operators(design: SensorDesign, present: bytes, weight: float) -> tuple[Array, Array]:
+    """Matrices that make slopes at the markers present, in order of id, of their heights, which are known to `weight` 1/m^2."""
     fitter = SurfaceFitter(design)
     x, y = design.markers.p_SM[np.frombuffer(present, bool), :2].T
     B = fitter.rows(x, y)
-    gain = cho_solve(cho_factor(B.T @ B * 1e10 + fitter.prior), B.T * 1e10)  # heights known to 10 um
+    gain = cho_solve(cho_factor(B.T @ B * weight + fitter.prior), B.T * weight)
     return fitter.rows(x, y, 1, 0) @ gain, fitter.rows(x, y, 0, 1) @ gain
 
 
 @lru_cache(maxsize=8)
-def _neighbourhood(layout: bytes) -> tuple[float, Ids]:
+def _neighbourhood(layout: bytes, neighbours: int) -> tuple[float, Ids]:
     """Smallest distance of two markers, m, and each one's nearest markers (M, k), itself not among them."""
     xy = np.frombuffer(layout).reshape(-1, 2)
     distance = np.linalg.norm(xy[:, None] - xy, axis=2)
     np.fill_diagonal(distance, np.inf)
     order = np.argsort(distance, axis=1, kind="stable")
-    return float(distance.min()), order[:, : min(3 * _NEIGHBOURS, len(xy) - 1)]
+    return float(distance.min()), order[:, : min(3 * neighbours, len(xy) - 1)]
 
 
-def _smooth(moved: Array, order: Ids) -> Array:
-    """Median displacement (M, 2) of each marker's nearest `_NEIGHBOURS` with a known one (NaN: unknown) in `moved`.
+def _smooth(moved: Array, order: Ids, s: IdentitySettings) -> Array:
+    """Median displacement (M, 2) of each marker's nearest `neighbours` with a known one (NaN: unknown) in `moved`.
 
     Where there are none, the median of all; zero if nothing is known.
     """
-    near = moved[order[:, :_NEIGHBOURS]]
+    near = moved[order[:, :s.neighbours]]
     if np.isfinite(near.sum()):
         ranked, k = np.sort(near, axis=1), near.shape[1]
         return (ranked[:, (k - 1) // 2] + ranked[:, k // 2]) / 2
     near = moved[order]
     known = np.isfinite(near[..., 0])
-    first = known & (np.cumsum(known, axis=1) <= _NEIGHBOURS)
+    first = known & (np.cumsum(known, axis=1) <= s.neighbours)
     count = first.sum(axis=1)
     ranked = np.sort(np.where(first[..., None], near, np.inf), axis=1)
     each = np.arange(len(moved))
@@ -150,7 +149,7 @@ def _smooth(moved: Array, order: Ids) -> Array:
         return np.where(count[:, None] > 0, (low + high) / 2, common)
 
 
-def _common_shift(found: Array, expected: Array, pitch: float) -> Array:
+def _common_shift(found: Array, expected: Array, pitch: float, s: IdentitySettings) -> Array:
     """Offset (2,) of all circles against where they are expected, up to half a pitch: the densest place among the
     offsets of every circle to its nearest marker."""
     found = found[np.isfinite(found).all(axis=1)]
@@ -158,7 +157,7 @@ def _common_shift(found: Array, expected: Array, pitch: float) -> Array:
     offset = offset[(offset**2).sum(axis=1) < pitch * pitch]
     if not len(offset):
         return np.zeros(2)
-    near = _squared_distances(offset, offset) < (pitch / 5) ** 2
+    near = _squared_distances(offset, offset) < (pitch / s.same_shift) ** 2
     return np.median(offset[near[np.argmax(near.sum(axis=1))]], axis=0)
 
 

@@ -17,23 +17,10 @@ from scipy.special import ndtr
 
 from mjtactile.core.status import OK, Status, StatusCode
 from mjtactile.core.types import MATERIALS, Array, Material
+from mjtactile.sensing.settings import DEFAULTS, MaterialSettings
 from mjtactile.sensing.touch.squeeze import Squeeze
 
-FORCE_LEAST = 0.35  # N that must have been felt before anything is said
-SHRUNK_ENOUGH = 2e-3  # m by which a width must have changed to speak for itself: a paste never pushes back so hard
-FORCE_TRACED = 0.05  # N down to which the width is followed
-FORCE_SEEN = 0.1  # N from which on the contact is wide enough to measure the width
-SOLID_COMPLIANCE = 0.12e-3  # m/N: what gives way less than this is called solid (8 kN/m; an eraser has 5)
-SET_SHARE = 0.35  # of the deformation that stays: more of it is amorphous
-SURE = 0.6  # probability below which no class is named
-_WIDTH_BIAS = 40e-6  # m by which the width of a rigid object seems to change with force: bending at sharp edges
-_SET_SHARE_SD = 0.08  # spread of real materials about the two classes
-_AREA_SHARE_SD = 0.3  # of the contact's area: half of all presses are more than 20 % off (`bench touch`)
-_RELAXED_LEAST = 0.04  # share of the force that must go before a relaxation time is given
-_SAMPLES_LEAST = 5
-_UNSEEN_MOST = 1.5e-3  # m by which an object may have given way before its width was first seen (80 N/m)
 _NO_COV = np.zeros((3, 3))
-_GENTLE_SHARE = 0.6  # of the press's force: from there on its curve is not used for the free width
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,58 +55,58 @@ class _Curve:
         return math.sqrt(max(float(gradient @ self.cov @ gradient), 0.0))
 
 
-def judge(squeeze: Squeeze) -> Material:
+def judge(squeeze: Squeeze, s: MaterialSettings = DEFAULTS.material) -> Material:
     """The verdict on a probe: press, hold, release and (better) a second touch. "unknown" says why in `status`."""
-    seen = np.isfinite(squeeze.width) & np.isfinite(squeeze.force) & (squeeze.force > FORCE_TRACED)
+    seen = np.isfinite(squeeze.width) & np.isfinite(squeeze.force) & (squeeze.force > s.force_traced)
     most = float(np.max(squeeze.force[seen], initial=0.0))
     shrunk = float(np.ptp(squeeze.width[seen])) if seen.any() else 0.0
-    if most < FORCE_LEAST and shrunk < SHRUNK_ENOUGH:
-        return _unknown(StatusCode.TOO_LITTLE_SEEN, f"not enough contact yet: felt {most:.2f} N, needs {FORCE_LEAST:g} N")
-    phases = _phases(squeeze, np.flatnonzero(seen))
-    if len(phases.load) < _SAMPLES_LEAST or len(phases.hold) < _SAMPLES_LEAST:
+    if most < s.force_least and shrunk < s.shrunk_enough:
+        return _unknown(StatusCode.TOO_LITTLE_SEEN, f"not enough contact yet: felt {most:.2f} N, needs {s.force_least:g} N")
+    phases = _phases(squeeze, np.flatnonzero(seen), s)
+    if len(phases.load) < s.samples_least or len(phases.hold) < s.samples_least:
         return _unknown(StatusCode.TOO_LITTLE_SEEN, f"not enough contact yet: {len(phases.load)} images of the press and "
-                                                    f"{len(phases.hold)} of the hold, needs {_SAMPLES_LEAST} of each")
-    return _verdict(squeeze, phases, _fit_press(squeeze, phases.load))
+                                                    f"{len(phases.hold)} of the hold, needs {s.samples_least} of each")
+    return _verdict(squeeze, phases, _fit_press(squeeze, phases.load, s), s)
 
 
 def _unknown(code: StatusCode, reason: str) -> Material:
     return Material("unknown", dict.fromkeys(MATERIALS, 1 / len(MATERIALS)), status=Status(code, reason))
 
 
-def _phases(squeeze: Squeeze, seen: NDArray[np.int64]) -> _Phases:
+def _phases(squeeze: Squeeze, seen: NDArray[np.int64], s: MaterialSettings) -> _Phases:
     """Split the history where contact is lost, and the first squeeze where the jaws stop and where they open."""
-    gap = 4 * float(np.median(np.diff(squeeze.time)))
+    gap = s.gap * float(np.median(np.diff(squeeze.time)))
     runs = np.split(seen, np.flatnonzero(np.diff(squeeze.time[seen]) > gap) + 1)
     peaks = [squeeze.force[run].max() for run in runs]
-    first = next(i for i, peak in enumerate(peaks) if peak >= min(FORCE_LEAST, 0.7 * max(peaks)))
+    first = next(i for i, peak in enumerate(peaks) if peak >= min(s.force_least, s.peak_share * max(peaks)))
     run = runs[first]
     opening, time = squeeze.opening[run], squeeze.time[run]
     speed = -np.gradient(opening, time) if len(run) > 2 else np.zeros(len(run))
-    pressing = speed > 0.4 * np.percentile(speed, 95)
-    opened = opening > np.minimum.accumulate(opening) + 3e-4
+    pressing = speed > s.pressing * np.percentile(speed, 95)
+    opened = opening > np.minimum.accumulate(opening) + s.opened
     end = int(np.argmax(opened)) if opened.any() else len(run)
     stop = int(np.flatnonzero(pressing[:end]).max(initial=-1)) + 1
     second = runs[first + 1] if first + 1 < len(runs) else run[:0]
     return _Phases(run[:stop], run[stop:end], run[end:], second)
 
 
-def _fit_press(squeeze: Squeeze, load: NDArray[np.int64]) -> _Curve:
+def _fit_press(squeeze: Squeeze, load: NDArray[np.int64], s: MaterialSettings) -> _Curve:
     """Least squares for free width, compliance a and stiffening q (Eq. P2), robust against single bad widths.
 
     Up to half the force: what flows has not flowed much by then.
     """
-    gentle = load[(squeeze.force[load] > FORCE_SEEN) & (squeeze.force[load] <= _GENTLE_SHARE * squeeze.force[load].max())]
-    load = gentle if len(gentle) >= _SAMPLES_LEAST else load[:_SAMPLES_LEAST]
+    gentle = load[(squeeze.force[load] > s.force_seen) & (squeeze.force[load] <= s.gentle_share * squeeze.force[load].max())]
+    load = gentle if len(gentle) >= s.samples_least else load[:s.samples_least]
     force, width, sd = squeeze.force[load], squeeze.width[load], squeeze.width_sd[load]
     slope = max(float(-np.polyfit(force, width, 1)[0]), 1e-6)
 
     def residual(p: Array) -> Array:
         curve = _Curve(p[0], p[1] * slope, p[2], _NO_COV)
-        return np.concatenate([(curve.width(force) - width) / sd, [0.3 * p[2]]])  # a prior: mild stiffening
+        return np.concatenate([(curve.width(force) - width) / sd, [s.stiffening_prior * p[2]]])  # a prior: mild stiffening
 
-    first = float(width[:3].max())  # seen at FORCE_SEEN or a little more
-    start = np.array([first + min(slope * force[0], 0.5 * _UNSEEN_MOST), 1.0, 0.1])
-    fit = least_squares(residual, start, bounds=([first - _UNSEEN_MOST, 0, 0], [first + _UNSEEN_MOST, 50, 100]),
+    first = float(width[:3].max())  # seen at `force_seen` or a little more
+    start = np.array([first + min(slope * force[0], 0.5 * s.unseen_most), 1.0, 0.1])
+    fit = least_squares(residual, start, bounds=([first - s.unseen_most, 0, 0], [first + s.unseen_most, 50, 100]),
                         x_scale=[1e-4, 1, 1], loss="soft_l1")
     scatter = max(1.0, math.sqrt(2 * fit.cost / max(len(load) - 3, 1)))
     unit = np.array([1.0, slope, 1.0])
@@ -127,55 +114,57 @@ def _fit_press(squeeze: Squeeze, load: NDArray[np.int64]) -> _Curve:
     return _Curve(float(fit.x[0]), float(fit.x[1]) * slope, float(fit.x[2]), cov)
 
 
-def _verdict(squeeze: Squeeze, phases: _Phases, curve: _Curve) -> Material:
-    last = phases.hold[-max(_SAMPLES_LEAST, len(phases.hold) // 4):]  # where it has come to rest
+def _verdict(squeeze: Squeeze, phases: _Phases, curve: _Curve, s: MaterialSettings) -> Material:
+    last = phases.hold[-max(s.samples_least, len(phases.hold) // 4):]  # where it has come to rest
     force = float(np.mean(squeeze.force[last]))
     deformation = curve.free_width - float(np.mean(squeeze.width[last]))
-    sd = math.hypot(curve.sd(), _WIDTH_BIAS)
-    stayed, stayed_sd = _permanent_set(squeeze, phases, curve)
-    probability = _probabilities(deformation, sd, max(force, FORCE_LEAST), stayed, stayed_sd)
+    sd = math.hypot(curve.sd(), s.width_bias)
+    stayed, stayed_sd = _permanent_set(squeeze, phases, curve, s)
+    probability = _probabilities(deformation, sd, max(force, s.force_least), stayed, stayed_sd, s)
     kind = max(probability, key=lambda name: probability[name])
     # a body that flows has no stiffness of its own, and of one that stays the modulus cannot be seen
     unknown = (math.nan, math.nan, math.nan)
     stiffness = _ratio(force, deformation, sd) if kind != "amorphous" else unknown
-    relaxation_time, at_rest = _relaxation(squeeze, phases, force)
+    relaxation_time, at_rest = _relaxation(squeeze, phases, force, s)
     if kind == "soft" and math.isfinite(at_rest):  # not all has relaxed by the end of the hold
         stiffness = (at_rest, min(at_rest, stiffness[1]), max(at_rest, stiffness[2]))
     area = float(np.median(squeeze.area[last]))
-    modulus = _modulus(stiffness, curve.free_width, area) if kind == "soft" else unknown
+    modulus = _modulus(stiffness, curve.free_width, area, s.area_share_sd) if kind == "soft" else unknown
     status = OK
-    if probability[kind] < SURE:
+    if probability[kind] < s.sure:
         first, other = sorted(probability, key=lambda name: -probability[name])[:2]
         kind, status = "unknown", Status(StatusCode.UNDECIDED, f"undecided between {first} and {other}")
     elif not len(phases.second):
         status = Status(StatusCode.TOO_LITTLE_SEEN, "no second touch: what stayed is judged from the release")
     return Material(kind, probability, force, deformation, stiffness[0], (stiffness[1], stiffness[2]), modulus[0],
                     (modulus[1], modulus[2]),
-                    relaxation_time, stayed, stayed_sd, _flow_speed(squeeze, phases.hold), status)
+                    relaxation_time, stayed, stayed_sd, _flow_speed(squeeze, phases.hold, s.early), status)
 
 
-def _probabilities(deformation: float, sd: float, force: float, stayed: float, stayed_sd: float) -> dict[str, float]:
+def _probabilities(deformation: float, sd: float, force: float, stayed: float, stayed_sd: float,
+                   s: MaterialSettings) -> dict[str, float]:
     """Solid against not by the compliance, soft against amorphous by the share that stayed, each with its error."""
-    solid = float(ndtr((SOLID_COMPLIANCE * force - deformation) / sd))
+    solid = float(ndtr((s.solid_compliance * force - deformation) / sd))
     scale = max(deformation, sd)
-    share_sd = math.hypot(_SET_SHARE_SD, math.hypot(stayed_sd, SET_SHARE * sd) / scale)
-    amorphous = float(ndtr((stayed / scale - SET_SHARE) / share_sd))
+    share_sd = math.hypot(s.set_share_sd, math.hypot(stayed_sd, s.set_share * sd) / scale)
+    amorphous = float(ndtr((stayed / scale - s.set_share) / share_sd))
     return {"solid": solid, "soft": (1 - solid) * (1 - amorphous), "amorphous": (1 - solid) * amorphous}
 
 
-def _permanent_set(squeeze: Squeeze, phases: _Phases, curve: _Curve) -> tuple[float, float]:
+def _permanent_set(squeeze: Squeeze, phases: _Phases, curve: _Curve, s: MaterialSettings) -> tuple[float, float]:
     """How much narrower the object is at the same small force afterwards, m, and its sd."""
-    after = phases.second[squeeze.force[phases.second] > FORCE_SEEN]
+    after = phases.second[squeeze.force[phases.second] > s.force_seen]
     if len(after) < 3:  # a paste yields before it pushes back so hard
         after = phases.second
     if len(after) < 3:  # the end of the release, where the force is small again
-        after = phases.release[squeeze.force[phases.release] < max(0.5 * float(np.max(squeeze.force[phases.load])), 0.15)]
+        small = max(s.released_share * float(np.max(squeeze.force[phases.load])), s.released_force)
+        after = phases.release[squeeze.force[phases.release] < small]
     if not len(after):
         return 0.0, math.inf
     lost = curve.width(squeeze.force[after]) - squeeze.width[after]
     weight = squeeze.width_sd[after] ** -2.0
     force = float(np.average(squeeze.force[after], weights=weight))
-    sd = math.hypot(curve.sd(force), _WIDTH_BIAS, 1 / math.sqrt(float(weight.sum())))
+    sd = math.hypot(curve.sd(force), s.width_bias, 1 / math.sqrt(float(weight.sum())))
     return float(np.average(lost, weights=weight)), sd
 
 
@@ -187,23 +176,23 @@ def _ratio(force: float, deformation: float, sd: float) -> tuple[float, float, f
     return over(deformation), over(deformation + sd), over(deformation - sd)
 
 
-def _modulus(stiffness: tuple[float, float, float], length: float, area: float) -> tuple[float, float, float]:
-    """E = K L / A, Pa, of a body between flat faces, and its 68 % interval (Eq. P4)."""
+def _modulus(stiffness: tuple[float, float, float], length: float, area: float, area_sd: float) -> tuple[float, float, float]:
+    """E = K L / A, Pa, of a body between flat faces, and its 68 % interval (Eq. P4); `area_sd` of `area`."""
     if area <= 0:
         return math.nan, math.nan, math.nan
     best, low, high = (k * length / area for k in stiffness)
-    return best, best - math.hypot(best - low, _AREA_SHARE_SD * best), best + math.hypot(high - best, _AREA_SHARE_SD * best)
+    return best, best - math.hypot(best - low, area_sd * best), best + math.hypot(high - best, area_sd * best)
 
 
-def _flow_speed(squeeze: Squeeze, hold: NDArray[np.int64]) -> float:
-    """Speed, m/s, at which the width shrinks in the first half second after the jaws stopped."""
-    early = hold[squeeze.time[hold] <= squeeze.time[hold[0]] + 0.5]
+def _flow_speed(squeeze: Squeeze, hold: NDArray[np.int64], early_time: float) -> float:
+    """Speed, m/s, at which the width shrinks in the first `early_time` s after the jaws stopped."""
+    early = hold[squeeze.time[hold] <= squeeze.time[hold[0]] + early_time]
     if len(early) < 3:
         return math.nan
     return max(0.0, -float(np.polyfit(squeeze.time[early], squeeze.width[early], 1)[0]))
 
 
-def _relaxation(squeeze: Squeeze, phases: _Phases, force: float) -> tuple[float, float]:
+def _relaxation(squeeze: Squeeze, phases: _Phases, force: float, s: MaterialSettings) -> tuple[float, float]:
     """Time constant, s, of the stress at constant strain, and stiffness at rest, N/m.
 
     Time 0: the force stayed. NaN: it fell, but not as a standard linear solid's. Press and hold of such a solid obey
@@ -215,7 +204,7 @@ def _relaxation(squeeze: Squeeze, phases: _Phases, force: float) -> tuple[float,
     d = squeeze.width[rows[0]] - squeeze.width[rows]
     start = float(np.mean(squeeze.force[phases.load[-3:]]))
     noise = float(np.median(squeeze.force_sd[rows]))
-    if start - force < max(_RELAXED_LEAST * start, 3 * noise):
+    if start - force < max(s.relaxed_least * start, s.relaxed_sd * noise):
         return 0.0, math.nan
 
     def integral(y: Array) -> Array:

@@ -45,7 +45,7 @@ def judge(time: float, estimator: InverseMembrane, shape: Shape, patches: Sequen
     normal, shear = split(patches[0].force, mean_normal(estimator, shape))
     if normal < s.least_force:
         return unknown(StatusCode.TOO_WEAK, f"a force of {normal:.3f} N is too small"), before
-    p = material_centroid(estimator, shape)
+    p = material_centroid(estimator, shape, s.core_share)
     if before is None or time <= before.time:
         now = SlipHistory(time, p, p, np.zeros(2), 0.0, estimator.design.membrane.friction)
     else:
@@ -85,8 +85,8 @@ def mean_normal(estimator: InverseMembrane, shape: Shape) -> Array:
     return n / max(float(np.linalg.norm(n)), 1e-30) if weight.any() else np.array([0.0, 0.0, 1.0])
 
 
-def material_centroid(estimator: InverseMembrane, shape: Shape) -> Array:
-    """Centre of pressure (2,) m in the coordinates of the mounted flat sheet."""
+def material_centroid(estimator: InverseMembrane, shape: Shape, core_share: float = DEFAULTS.slip.core_share) -> Array:
+    """Centre of pressure (2,) m in the coordinates of the mounted flat sheet; less than `core_share` of the peak is no touch."""
     weight = np.maximum(-shape.traction[2], 0.0) * estimator.node_area
-    weight = np.maximum(weight - 0.03 * weight.max(), 0.0)
+    weight = np.maximum(weight - core_share * weight.max(), 0.0)
     return weight @ estimator.nodes / weight.sum()

@@ -16,12 +16,7 @@ from scipy.spatial import ConvexHull
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Touch
-
-_PATCH_SHARE = 0.8  # of the contact's equivalent radius: the fit stays inside the contact, away from where it lifts off
-_PATCH_LEAST, _PATCH_MOST = 0.003, 0.006  # m; at least a marker's pitch, and no more than a parabola describes
-_WIDTH_SD = 20e-6  # m, from image to image; 9 x 9 markers of 1 mm
-_TILT_SHARE = 0.4
-_NODES_LEAST = 8  # of the surface's grid inside the contact
+from mjtactile.sensing.settings import DEFAULTS, SqueezeSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,19 +46,20 @@ class Squeeze:
         return len(self.time)
 
     @classmethod
-    def of(cls, touches: Sequence[Sequence[Touch]], openings: Sequence[float]) -> Squeeze:
+    def of(cls, touches: Sequence[Sequence[Touch]], openings: Sequence[float], s: SqueezeSettings = DEFAULTS.squeeze) -> Squeeze:
         """From what one or two sensors said, cycle by cycle, and the opening."""
-        rows = [_sample(touch, opening) for touch, opening in zip(touches, openings, strict=True)]
+        rows = [_sample(touch, opening, s) for touch, opening in zip(touches, openings, strict=True)]
         return cls(*np.array(rows).reshape(-1, 7).T)
 
 
-def _sample(touch: Sequence[Touch], opening: float) -> tuple[float, ...]:
+def _sample(touch: Sequence[Touch], opening: float, s: SqueezeSettings) -> tuple[float, ...]:
     forces, sds = [t.force_normal for t in touch], [t.force_normal_sd for t in touch]
     area = float(np.mean([covered_area(t) for t in touch]))
-    return (touch[0].time, opening, float(np.mean(forces)), math.hypot(*sds) / len(sds), *object_width(touch, opening), area)
+    width = object_width(touch, opening, s)
+    return (touch[0].time, opening, float(np.mean(forces)), math.hypot(*sds) / len(sds), *width, area)
 
 
-def object_width(touch: Sequence[Touch], opening: float) -> tuple[float, float]:
+def object_width(touch: Sequence[Touch], opening: float, s: SqueezeSettings = DEFAULTS.squeeze) -> tuple[float, float]:
     """Width and its sd, m, of what the sensors hold; NaN when one of them does not touch.
 
     Two sensors face each other, y up: x of the second is -x of the first. Faces that are not parallel to the frames
@@ -71,19 +67,19 @@ def object_width(touch: Sequence[Touch], opening: float) -> tuple[float, float]:
     that touches with an edge only looks less tilted than it is, so that this is uncertain by a share of what it adds.
     Of more than two, which stand around the object, it is twice the mean distance of the faces from the middle.
     """
-    faces = [contact_face(t) for t in touch]
+    faces = [contact_face(t, s) for t in touch]
     if any(face is None for face in faces):
         return math.nan, math.nan
     z, at, slope = (np.array([face[k] for face in faces if face is not None]) for k in range(3))
     if len(faces) > 2:
-        return opening - 2 * float(z.mean()), _WIDTH_SD
+        return opening - 2 * float(z.mean()), s.width_sd
     mirror = np.array([[1.0, 1.0], [-1.0, 1.0]])[: len(faces)]
     at, slope = at * mirror, slope * mirror  # all in the axes of the first
     carried = np.sum(slope * (at.mean(axis=0) - at), axis=1)
-    return opening - float((z + carried).sum()), math.hypot(_WIDTH_SD, _TILT_SHARE * float(np.abs(carried).sum()))
+    return opening - float((z + carried).sum()), math.hypot(s.width_sd, s.tilt_share * float(np.abs(carried).sum()))
 
 
-def contact_face(touch: Touch) -> tuple[float, Array, Array] | None:
+def contact_face(touch: Touch, s: SqueezeSettings = DEFAULTS.squeeze) -> tuple[float, Array, Array] | None:
     """Where the object's face is: height, m, of the membrane at the contact's centroid (2,) m, and its slope (2,) there;
     None when nothing touches.
 
@@ -93,11 +89,11 @@ def contact_face(touch: Touch) -> tuple[float, Array, Array] | None:
     surface, contact = touch.surface, touch.contact
     if not touch.touching or surface is None or contact is None or not np.isfinite(contact.centroid).all():
         return None
-    radius = min(max(_PATCH_SHARE * math.sqrt(contact.area / math.pi), _PATCH_LEAST), _PATCH_MOST)
+    radius = min(max(s.patch_share * math.sqrt(contact.area / math.pi), s.patch_radius[0]), s.patch_radius[1])
     x, y = (a - c for a, c in zip(np.meshgrid(surface.x, surface.y), contact.centroid, strict=True))
     weight = np.clip(1 - (x**2 + y**2) / radius**2, 0.0, None)
     inside = weight > 0
-    if inside.sum() < _NODES_LEAST:
+    if inside.sum() < s.nodes_least:
         return None
     x, y, w = x[inside] / radius, y[inside] / radius, np.sqrt(weight[inside])
     columns = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])

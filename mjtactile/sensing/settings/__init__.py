@@ -1,0 +1,88 @@
+"""The numbers of the sensing chain that were fitted or judged, not derived: what each is, and where it comes from.
+
+One frozen class a stage, one module a room; `Settings` holds one of each, `DEFAULTS` is what everything uses that is not told
+otherwise:
+
+    Chain(design, settings=DEFAULTS.override({"zero.touch_least": 0.03}))
+
+A number's `source` names the benchmark that it was fitted with (`bench touch`: presses with seeds below 1000, which its own
+table leaves out), what bounds it, or "trial": it was chosen by trying, and on what was not written down. Recordings keep the
+settings in their header. Numbers of the numerics alone (steps, tolerances) stay with their code.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from mjtactile.core.errors import InputError
+from mjtactile.sensing.settings.force import InverseSettings, PriorSettings, ZeroSettings
+from mjtactile.sensing.settings.image import CandidateSettings, EdgeSettings, MarkerSettings, ProfileSettings
+from mjtactile.sensing.settings.number import number
+from mjtactile.sensing.settings.paper import PaperSettings
+from mjtactile.sensing.settings.pose import IdentitySettings, ReferenceSettings, SurfaceSettings
+from mjtactile.sensing.settings.touch import MaterialSettings, PatchSettings, SlipSettings, SqueezeSettings
+
+__all__ = ["DEFAULTS", "CandidateSettings", "EdgeSettings", "IdentitySettings", "InverseSettings", "MarkerSettings",
+           "MaterialSettings", "PaperSettings", "PatchSettings", "PriorSettings", "ProfileSettings", "ReferenceSettings",
+           "Settings", "SlipSettings", "SqueezeSettings", "SurfaceSettings", "ZeroSettings"]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """All stages' numbers."""
+
+    fewest_seen: float = number(0.4, "share of the markers below which the shape is a guess", "trial")
+    markers: MarkerSettings = field(default_factory=MarkerSettings)
+    candidates: CandidateSettings = field(default_factory=CandidateSettings)
+    edges: EdgeSettings = field(default_factory=EdgeSettings)
+    profiles: ProfileSettings = field(default_factory=ProfileSettings)
+    identity: IdentitySettings = field(default_factory=IdentitySettings)
+    reference: ReferenceSettings = field(default_factory=ReferenceSettings)
+    surface: SurfaceSettings = field(default_factory=SurfaceSettings)
+    prior: PriorSettings = field(default_factory=PriorSettings)
+    inverse: InverseSettings = field(default_factory=InverseSettings)
+    zero: ZeroSettings = field(default_factory=ZeroSettings)
+    patches: PatchSettings = field(default_factory=PatchSettings)
+    slip: SlipSettings = field(default_factory=SlipSettings)
+    squeeze: SqueezeSettings = field(default_factory=SqueezeSettings)
+    material: MaterialSettings = field(default_factory=MaterialSettings)
+    paper: PaperSettings = field(default_factory=PaperSettings)
+
+    def override(self, values: Mapping[str, Any]) -> Settings:
+        """These settings with others for fields named like "zero.touch_sd". Raises InputError for a name that does not exist,
+        and for a value that is not of the field's kind."""
+        result = self
+        for path, value in values.items():
+            stage, _, name = path.rpartition(".")
+            owner = getattr(result, stage, None) if stage else result
+            known = [f.name for f in dataclasses.fields(owner)] if dataclasses.is_dataclass(owner) else []
+            if name not in known or dataclasses.is_dataclass(getattr(owner, name)):
+                choices = [f"{stage}.{key}" for key in known] if known and stage else [f.name for f in dataclasses.fields(self)]
+                raise InputError("unknown setting", source="settings", field=path, choices=choices)
+            if not _alike(value, getattr(owner, name)):
+                raise InputError(f"{value!r} is not like {getattr(owner, name)!r}", source="settings", field=path)
+            changed = replace(owner, **{name: value})  # type: ignore[type-var]  # it is a dataclass
+            result = replace(result, **{stage: changed}) if stage else changed
+        return result
+
+    def to_dict(self) -> dict[str, Any]:
+        """All numbers by names like "zero.touch_sd"."""
+        flat: dict[str, Any] = {}
+        for name, value in dataclasses.asdict(self).items():
+            flat |= {f"{name}.{key}": item for key, item in value.items()} if isinstance(value, dict) else {name: value}
+        return flat
+
+
+def _alike(value: Any, default: Any) -> bool:
+    """Whether a value may stand for the default: finite, a whole number for one, as many for several."""
+    if isinstance(default, tuple):
+        return isinstance(value, tuple) and len(value) == len(default) and all(map(_alike, value, default))
+    whole = isinstance(value, int) and not isinstance(value, bool)
+    return whole or (isinstance(default, float) and isinstance(value, float) and math.isfinite(value))
+
+
+DEFAULTS = Settings()

@@ -1,0 +1,93 @@
+"""Numbers of sensing/image: pixels to ellipses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mjtactile.sensing.settings.number import number
+
+_MONTE_CARLO = "Monte Carlo: the covariance against the scatter of fits to simulated noise"
+
+
+@dataclass(frozen=True)
+class CandidateSettings:
+    """Where markers may be (sensing/image/candidates.py)."""
+
+    cells: int = number(60, "cells of the threshold's grid along the image's shorter side, about", "trial")
+    half_from: float = number(4.0, "px; where nothing smaller counts, half the resolution is looked at",
+                              "half resolution shows enough there, in less than half the time")
+    margins: tuple[float, float] = number((3.0, 24.0), "grey levels of 256 darker than its neighbourhood: the least, and "
+                                          "the most that noise can ask for", "trial; at first 4, whatever the noise")
+    noise: float = number(4.0, "times the median difference of neighbours: the margin that noise asks for", "trial")
+    smallest: float = number(0.7, "of the smallest radius asked for: what a border may look like before it is fitted", "trial")
+
+
+@dataclass(frozen=True)
+class EdgeSettings:
+    """Ellipses from the image itself, for small or much blurred markers (sensing/image/edges.py, sensing/image/bands.py)."""
+
+    small: float = number(7.0, "px, times a blur of more than 1 px; below this mean radius the edge's curvature is felt beyond "
+                          "the first order", "trial")
+    sharpest: float = number(0.55, "px; a blur fitted below it was taken for size",
+                             "softening and the pixel's own square make 0.69 of no blur at all")
+    outlier: float = number(4.0, "times the marker's rms residual: where a pixel's weight falls off", "trial")
+    outlier_share: float = number(0.1, "of the contrast: no pixel nearer than that is an outlier",
+                                  "a lens or a camera's sharpening that the model does not know; trial")
+    coloured: float = number(4.3, "factor on the covariance: softened noise is not white", _MONTE_CARLO)
+    clear: float = number(1.5, "px around another marker that are left out: most of its blurred rim", "trial")
+    larger: float = number(4.0, "times a marker's size: what is larger is no marker that stands beside it", "trial")
+    apart: float = number(0.7, "of the other's radius; what is nearer is the marker itself, or what it lies on", "trial")
+
+
+@dataclass(frozen=True)
+class ProfileSettings:
+    """Ellipses from profiles across their edges (sensing/image/profiles.py)."""
+
+    step: float = number(0.75, "px between samples along a profile, for blur up to `blur`; more blur stretches it", "trial")
+    blur: float = number(1.1, "px, see `step`; the blur to start from", "trial")
+    spacing: float = number(2.0, "px of arc between profiles", "trial; at first 1")
+    level_outlier: float = number(2.5, "times the spread of a marker's levels, at which a profile's level is bounded", "trial")
+    outlier: float = number(6.0, "times the mean offset: where a profile's weight falls off", "trial")
+    outlier_least: float = number(0.08, "px; no profile nearer than that is an outlier", "trial")
+    blur_most: float = number(3.0, "times the image's middle blur variance, at which a profile's is bounded", "trial")
+    unmodelled: float = number(1.08, "factor on the covariance: rounding, interpolation and the blur's own noise", _MONTE_CARLO)
+    motion_doubt: float = number(0.5, "share of the correction for motion that is in doubt: motion is no Gaussian", "trial")
+    sharpest: float = number(0.3, "px; blur as low as that is the pixel's own square at most", "the square's sd is 0.29 px")
+
+
+@dataclass(frozen=True)
+class MarkerSettings:
+    """Which ellipses are to be trusted (sensing/image/markers.py)."""
+
+    room: float = number(6.0, "px, semi-minor axis from which on profiles have room", "trial")
+    blurred: float = number(7.5, "times the blur, below which profiles have no room either", "trial")
+    too_blurred: float = number(2.8, "times the blur, below which radius, blur and level cannot be told apart", "trial")
+    wide: float = number(0.3, "of a marker's size: the blur to start from where it was taken for size", "trial")
+    unsure: float = number(5.0, "times the blur; a larger marker knows its own", "trial")
+    blur_spread: float = number(1.15, "factor of one marker's blur over the image's", "trial")
+    motion: float = number(0.06, "px of motion that are no noise", "trial")
+    covered: float = number(0.08, "of the contrast: what a fit leaves over where part of the edge is not the marker's",
+                             "trial")
+    some: int = number(5, "markers that say how large markers are", "trial")
+    alike: float = number(0.5, "log of size by which one may differ from their median", "trial")
+    close: float = number(3.0, "px between two edges, or an edge and the image's border, that disturb a fit", "trial")
+    longest: float = number(0.15, "least ratio of a border's axes", "trial")
+    longest_flawed: float = number(0.4, "the same of one with glare or dirt on it", "trial")
+    flawed: float = number(0.6, "of its size: how far such a border may be from its own ellipse", "trial")
+    odd: float = number(1.2, "px that a border may be from its own ellipse, and ...", "trial")
+    odd_share: float = number(0.2, "... of its semi-minor axis beside that", "trial")
+    odd_share_cut: float = number(0.4, "the same where the image's border cuts it", "trial")
+    contrast: float = number(5.0, "times the residual: the least contrast", "trial")
+    contrast_any: float = number(2.0, "times it, below which there is no marker at all", "trial")
+    doubt: float = number(0.1, "of the semi-minor axis: the largest sd of a trusted shape", "trial")
+    doubt_any: float = number(0.5, "of it, above which there is no marker at all", "trial")
+    misfit: float = number(0.15, "of the contrast: a larger residual is no ellipse's", "trial")
+    covered_usual: float = number(5.0, "times the image's middle residual, which `covered` must exceed, too",
+                                  "compressed photographs leave more of every marker")
+    lost: float = number(0.25, "share of the robust weight lost to glare or dirt", "trial")
+    sharper: float = number(0.7, "of the image's blur: a fit that found less may have taken the blur for size", "trial")
+    changed: float = number(0.25, "of the semi-minor axis (beside `odd`): how far the fit may move from its candidate's shape",
+                            "trial")
+    moved: float = number(0.3, "of the semi-minor axis (beside 1 px): how far it may move from its place", "trial")
+    flattest: float = number(0.1, "least ratio of a fit's axes", "trial")
+    shrunk: float = number(0.5, "of the smallest radius asked for, below which there is no marker at all", "trial")

@@ -1,0 +1,87 @@
+"""Numbers of sensing/touch: tractions to what touches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mjtactile.sensing.settings.number import number
+
+
+@dataclass(frozen=True)
+class PatchSettings:
+    """Where something touches (sensing/touch/patches.py)."""
+
+    smoothing: float = number(0.6, "sd of the smoothing, in nodes", "trial")
+    separate_share: float = number(0.8, "of the geometric mean of gas pressure and peak; patches are apart where pressure falls "
+                                    "below it", "trial")
+    area_middle: float = number(50e-6, "m^2 at which an area is that of its uniform disc", "bench touch")
+    area_power: float = number(-0.35, "how their ratio goes with the area", "bench touch")
+    area_cell: float = number(12e-6, "m^2 of sheet to a marker for which that holds", "bench touch")
+    sparse_power: float = number(0.3, "sparser markers blur larger areas", "bench touch")
+    area_factor: tuple[float, float] = number((0.7, 1.7), "least and most of that ratio", "a face pressed at its rim, a ball")
+    core_share: float = number(0.03, "of the peak: pressure below it does not count for the centroid", "trial")
+    least_share: float = number(0.1, "of the whole force: a patch that carries less is no patch", "trial")
+
+
+@dataclass(frozen=True)
+class SlipSettings:
+    """Whether the object slips (sensing/touch/slip.py)."""
+
+    incipient: float = number(0.7, "share of the friction limit from which on slip begins", "trial")
+    slipping: float = number(0.95, "share of it that is slip", "trial")
+    memory: float = number(0.05, "s, over which the patch's velocity is averaged", "trial")
+    moved: float = number(2.5e-4, "m over the material: more than noise makes of a patch that sticks", "trial")
+    speed: float = number(4e-3, "m/s, the same of its velocity", "trial")
+    least_used: float = number(0.4, "share of the friction limit below which a wandering patch is taken for rolling or for a "
+                                "changed load", "trial")
+    least_force: float = number(0.05, "N; below, neither the patch nor its shear are known well enough", "trial")
+    forget: float = number(1.0, "s, in which the point that the patch stuck to is forgotten while shear is low", "trial")
+    core_share: float = number(0.03, "of the peak: pressure below it does not count for the place of the touch", "trial")
+
+
+_PROBED = "bench material: tuned on the shipped objects and on bodies of seeds below 4000, which its table leaves out"
+
+
+@dataclass(frozen=True)
+class SqueezeSettings:
+    """The object's own size between the fingers (sensing/touch/squeeze.py)."""
+
+    patch_share: float = number(0.8, "of the contact's equivalent radius: away from where the sheet lifts off", _PROBED)
+    patch_radius: tuple[float, float] = number((0.003, 0.006), "m, least and most of that radius",
+                                               "a marker's pitch at least, and no more than a parabola describes; " + _PROBED)
+    width_sd: float = number(20e-6, "m, of a width from image to image", "9 x 9 markers of 1 mm")
+    tilt_share: float = number(0.4, "of what the faces' tilt adds to the width: its sd", _PROBED)
+    nodes_least: int = number(8, "nodes of the surface's grid inside the contact", "six are fitted")
+
+
+@dataclass(frozen=True)
+class MaterialSettings:
+    """What an object is made of (sensing/touch/material.py)."""
+
+    force_least: float = number(0.35, "N that must have been felt before anything is said", _PROBED)
+    shrunk_enough: float = number(2e-3, "m by which a width must have changed to speak for itself",
+                                  "a paste never pushes back with `force_least`; " + _PROBED)
+    force_traced: float = number(0.05, "N down to which the width is followed", _PROBED)
+    force_seen: float = number(0.1, "N from which on the contact is wide enough to measure the width", _PROBED)
+    peak_share: float = number(0.7, "of the strongest press: one as strong is the first press", _PROBED)
+    gap: float = number(4.0, "images without contact that part two touches", _PROBED)
+    pressing: float = number(0.4, "of the jaws' fastest closing (95th percentile): slower, they have stopped", _PROBED)
+    opened: float = number(3e-4, "m that the jaws have opened again where the release begins", _PROBED)
+    gentle_share: float = number(0.6, "of the press's force, up to which its curve is fitted",
+                                 "what flows has not flowed much by then; " + _PROBED)
+    samples_least: int = number(5, "images of the press, and of the hold", _PROBED)
+    unseen_most: float = number(1.5e-3, "m by which an object may have given way before its width was first seen", "80 N/m")
+    stiffening_prior: float = number(0.3, "1/N to the residuals: stiffening is mild", _PROBED)
+    solid_compliance: float = number(0.12e-3, "m/N; what gives way less is called solid", "8 kN/m; an eraser has 5")
+    set_share: float = number(0.35, "of the deformation that stays; more of it is amorphous", _PROBED)
+    set_share_sd: float = number(0.08, "spread of real materials about these two", _PROBED)
+    sure: float = number(0.6, "probability below which no class is named", _PROBED)
+    width_bias: float = number(40e-6, "m by which the width of a rigid object seems to change with force",
+                               "bending at sharp edges; " + _PROBED)
+    area_share_sd: float = number(0.3, "of the contact's area: its sd",
+                                  "bench touch: half of all presses are more than 20 % off; at first 0.15, which was too sure")
+    released_share: float = number(0.5, "of the greatest force: below it the release is compared with the press", _PROBED)
+    released_force: float = number(0.15, "N, the same where that is more", _PROBED)
+    relaxed_least: float = number(0.04, "share of the force that must go before a relaxation time is given", _PROBED)
+    relaxed_sd: float = number(3.0, "sd of the force that it must exceed, too", _PROBED)
+    early: float = number(0.5, "s after the jaws stopped, in which the speed of flow is taken", _PROBED)
