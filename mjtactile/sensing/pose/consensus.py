@@ -14,20 +14,19 @@ import numpy as np
 
 from mjtactile.core.types import Array, Ellipses
 from mjtactile.sensing.image import ellipse
+from mjtactile.sensing.settings import DEFAULTS, ConsensusSettings
 
-_LEAST = 40  # markers: a second-order field asks for many
-_EXCUSE = 4.0  # scatter over predicted sd that a real camera (sharpening, demosaicing, compression) may explain
 _ROUNDS = 8
 
 
-def share_elongation(ellipses: Ellipses) -> Ellipses:
+def share_elongation(ellipses: Ellipses, s: ConsensusSettings = DEFAULTS.consensus) -> Ellipses:
     """Ellipses with their elongation replaced by the field that they agree on; the same object if they do not agree.
 
     With S = exp(m I + D), D traceless: m (log of the mean radius) is kept; both entries of D are fitted by polynomials
     of second order in the image, robustly. Covariances are rescaled to the scatter really found.
     """
     ok = np.flatnonzero(ellipses.status == "ok")
-    if len(ok) < _LEAST:
+    if len(ok) < s.least:
         return ellipses
     axes, angle = ellipses.semi_axes_px[ok], ellipses.angle[ok]
     log_ratio = 0.5 * np.log(axes[:, 0] / axes[:, 1])
@@ -37,15 +36,15 @@ def share_elongation(ellipses: Ellipses) -> Ellipses:
     # near a circle S = r (I + D): D = ((p - s)/2, q)/r
     variance = (cov[:, 2, 2] + cov[:, 4, 4] - 2 * cov[:, 2, 4]) / 4 + cov[:, 3, 3]
     sd = np.sqrt(variance / 2) / radius
-    field, leverage, weight, scatter = _field(ellipses.center_px[ok], D, sd)
+    field, leverage, weight, scatter = _field(ellipses.center_px[ok], D, sd, s.outlier)
     # most must agree, and by no more than what a camera may add
-    if scatter > _EXCUSE or np.median(weight) < 0.5:
+    if scatter > s.excuse or np.median(weight) < s.majority:
         return ellipses
-    agree = weight > 0.1  # what does not belong to the surface keeps its own
+    agree = weight > s.agree  # what does not belong to the surface keeps its own
     return _replaced(ellipses, ok[agree], field[agree], radius[agree], cov[agree], (sd * leverage)[agree], max(scatter, 1.0))
 
 
-def _field(uv: Array, D: Array, sd: Array) -> tuple[Array, Array, Array, float]:
+def _field(uv: Array, D: Array, sd: Array, outlier: float) -> tuple[Array, Array, Array, float]:
     """Field (N, 2) of `D`, its sd over that of D (N,), robust weights (N,), and the scatter over the predicted sd."""
     x = (uv - uv.mean(axis=0)) / np.maximum(np.ptp(uv, axis=0), 1e-9)
     A = np.stack([np.ones(len(x)), x[:, 0], x[:, 1], x[:, 0] ** 2, x[:, 0] * x[:, 1], x[:, 1] ** 2], axis=1)
@@ -59,7 +58,7 @@ def _field(uv: Array, D: Array, sd: Array) -> tuple[Array, Array, Array, float]:
         left = b - A @ (normal @ (AtW @ b))
         size = np.hypot(*left.T)
         scatter = float(np.median(size) / 1.1774)  # of a Rayleigh distribution
-        weight = 1 / (1 + (size / (4 * max(scatter, 1e-9))) ** 4)
+        weight = 1 / (1 + (size / (outlier * max(scatter, 1e-9))) ** 4)
     leverage = np.sqrt(np.einsum("ni,ij,nj->n", A, normal, A)) * max(scatter, 1.0)
     return D - left * sd[:, None], leverage, weight, scatter
 

@@ -19,13 +19,10 @@ from mjtactile.sensing.image.markers import Polarity, detect, grey_image
 from mjtactile.sensing.pose.circles import estimate_poses, pose_covariances
 from mjtactile.sensing.pose.consensus import share_elongation
 from mjtactile.sensing.pose.preference import prefer
+from mjtactile.sensing.settings import DEFAULTS, LocateSettings, Settings
 from mjtactile.sensing.shape.smoothness import agree_on_depth
 
 Neighbours = Literal["auto", "always", "never"]
-_SMALL = 6.0  # px, median semi-minor axis; below, a camera's processing of edges outweighs its noise
-_ASIDE = 3.0  # px from a dark circle's edge, where the ground is looked at
-_CLIPPED = 0.98  # of the range: one of three averaged channels may not be clipped
-_SIZE_SD = 0.3  # px by which a clipped edge may be off: photographs of known boards show 0.1 to 0.45
 _GREY = np.full((1, 3), 1 / 3)
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
 
@@ -69,7 +66,8 @@ class Located:
 
 
 def find_circles(image: NDArray | Image, camera: optics.Camera | CameraDesign, radius: ArrayLike, *,
-                 polarity: Polarity = "dark", min_radius_px: float = 1.5, neighbours: Neighbours = "auto") -> Located:
+                 polarity: Polarity = "dark", min_radius_px: float = 1.5, neighbours: Neighbours = "auto",
+                 settings: Settings = DEFAULTS) -> Located:
     """Circles of `radius` m in one image.
 
     `neighbours`: whether 40 and more circles that plainly lie on one smooth surface may help each other: "auto" shares
@@ -82,56 +80,59 @@ def find_circles(image: NDArray | Image, camera: optics.Camera | CameraDesign, r
     if neighbours not in ("auto", "always", "never"):
         raise InputError(f"{neighbours!r}", source="locate", field="neighbours", choices=("auto", "always", "never"))
     grey = _grey(image)
-    ellipses = detect(grey, camera, polarity=polarity, min_radius_px=min_radius_px)
-    found = _together(ellipses, camera, radius, neighbours)
-    if not _overexposed(grey_image(grey), ellipses, polarity):
+    ellipses = detect(grey, camera, polarity=polarity, min_radius_px=min_radius_px, settings=settings)
+    found = _together(ellipses, camera, radius, neighbours, settings)
+    if not _overexposed(grey_image(grey), ellipses, polarity, settings.locate):
         return found
-    doubt = _doubtful_size(found.poses, ellipses)
+    doubt = _doubtful_size(found.poses, ellipses, settings.locate.size_sd)
     return replace(found, poses=replace(found.poses, cov_p=found.poses.cov_p + doubt), cov_p_alt=found.cov_p_alt + doubt,
                    overexposed=True)
 
 
-def _together(ellipses: Ellipses, camera: optics.Camera | CameraDesign, radius: ArrayLike, neighbours: Neighbours) -> Located:
+def _together(ellipses: Ellipses, camera: optics.Camera | CameraDesign, radius: ArrayLike, neighbours: Neighbours,
+              settings: Settings) -> Located:
     """Poses of the circles, with as much help of each other as `neighbours` allows."""
     camera = camera if isinstance(camera, optics.Camera) else optics.Camera.from_design(camera)
     poses = estimate_poses(ellipses, camera, radius)
     if neighbours == "never":
-        return _preferred(ellipses, camera, poses)
-    alike = share_elongation(ellipses)
+        return _preferred(ellipses, camera, poses, settings)
+    alike = share_elongation(ellipses, settings.consensus)
     shared = () if alike is ellipses else ("elongation",)
-    found = _preferred(alike, camera, estimate_poses(alike, camera, radius) if shared else poses, shared)
+    found = _preferred(alike, camera, estimate_poses(alike, camera, radius) if shared else poses, settings, shared)
     good = ellipses.status == "ok"
-    small = good.any() and np.median(ellipses.semi_axes_px[good, 1]) < _SMALL
-    depth = agree_on_depth(poses) if (small or neighbours == "always") and np.ptp(radius) == 0 else None
+    small = good.any() and np.median(ellipses.semi_axes_px[good, 1]) < settings.locate.small
+    asked = (small or neighbours == "always") and np.ptp(radius) == 0
+    depth = agree_on_depth(poses, settings.smoothness) if asked else None
     if depth is None:
         return found
     smooth, cov_p_alt = depth.along_rays(found.poses, found.cov_p_alt)
     return replace(found, poses=smooth, cov_p_alt=cov_p_alt, shared=(*shared, "depth"))
 
 
-def _preferred(ellipses: Ellipses, camera: optics.Camera, poses: CirclePoses, shared: tuple[str, ...] = ()) -> Located:
+def _preferred(ellipses: Ellipses, camera: optics.Camera, poses: CirclePoses, settings: Settings,
+               shared: tuple[str, ...] = ()) -> Located:
     _, cov_n = pose_covariances(ellipses, camera, poses.p_CM, poses.n_C)
     cov_p_alt, cov_n_alt = pose_covariances(ellipses, camera, poses.p_CM_alt, poses.n_C_alt)
-    better, cov_p_alt, sure = prefer(poses, cov_p_alt, np.stack([cov_n, cov_n_alt]))
+    better, cov_p_alt, sure = prefer(poses, cov_p_alt, np.stack([cov_n, cov_n_alt]), settings.preference)
     better = replace(better, uv_px=optics.project(camera, better.p_CM))
     return Located(ellipses, better, cov_p_alt, sure, shared, overexposed=False)
 
 
-def _overexposed(grey: NDArray, ellipses: Ellipses, polarity: Polarity) -> bool:
+def _overexposed(grey: NDArray, ellipses: Ellipses, polarity: Polarity, s: LocateSettings) -> bool:
     """Whether the bright side of most edges is at the end of the camera's range (8, 10, 12, 14 or 16 bits)."""
     top = int(grey.max(initial=0))
     if not len(ellipses) or top + 1 not in (2**8, 2**10, 2**12, 2**14, 2**16):
         return False
     shape = shape_from_axes(ellipses.semi_axes_px, ellipses.angle)
-    aside = shape + [_ASIDE, 0.0, _ASIDE] if polarity == "dark" else 0.4 * shape
+    aside = shape + [s.aside, 0.0, s.aside] if polarity == "dark" else s.inside * shape
     u, v = np.rint(boundary(ellipses.center_px, aside, 8)[0]).astype(np.int64).transpose(2, 0, 1)
     inside = (u >= 0) & (v >= 0) & (u < grey.shape[1]) & (v < grey.shape[0])
-    return bool((grey[v[inside], u[inside]] > _CLIPPED * top).mean() > 0.5)
+    return bool((grey[v[inside], u[inside]] > s.clipped * top).mean() > s.clipped_share)
 
 
-def _doubtful_size(poses: CirclePoses, ellipses: Ellipses) -> Array:
-    """What `_SIZE_SD` px of unknown size, as depth, adds to the covariances (N, 3, 3) m^2 of the centres."""
-    along = poses.p_CM * (_SIZE_SD / ellipses.semi_axes_px[:, :1])
+def _doubtful_size(poses: CirclePoses, ellipses: Ellipses, size_sd: float) -> Array:
+    """What `size_sd` px of unknown size, as depth, adds to the covariances (N, 3, 3) m^2 of the centres."""
+    along = poses.p_CM * (size_sd / ellipses.semi_axes_px[:, :1])
     return along[:, :, None] * along[:, None]
 
 

@@ -25,14 +25,13 @@ from scipy.spatial import KDTree
 
 from mjtactile.core import geometry
 from mjtactile.core.types import Array, CirclePoses
+from mjtactile.sensing.settings import DEFAULTS, PreferenceSettings
 
-_NEAREST, _FEWEST = 9, 6  # circles of a plane, itself among them; three of them are its own degrees of freedom
-_NORMAL_MOST = 0.5  # rad: what a normal's linearised sd may be; face-on it is infinite, and a surface's then says nothing
-_SURFACE_LEAST = 0.035  # rad, 2 degrees: how well a plane through neighbours stands for a bent sheet
 _ROUNDS = 30
 
 
-def prefer(poses: CirclePoses, cov_p_alt: Array, cov_n: Array) -> tuple[CirclePoses, Array, Array]:
+def prefer(poses: CirclePoses, cov_p_alt: Array, cov_n: Array,
+           s: PreferenceSettings = DEFAULTS.preference) -> tuple[CirclePoses, Array, Array]:
     """`poses` with the likelier of each circle's two as the first, the covariance (N, 3, 3) m^2 of the other's centre,
     and the probability (N,) that the first is right.
 
@@ -41,7 +40,7 @@ def prefer(poses: CirclePoses, cov_p_alt: Array, cov_n: Array) -> tuple[CirclePo
     if not len(poses):
         return poses, cov_p_alt, np.zeros(0)
     n = np.stack([poses.n_C, poses.n_C_alt])
-    first = _probability(poses, n, cov_n)
+    first = _probability(poses, n, cov_n, s)
     second = first < 0.5
     swap = second[:, None]
     wide = swap[..., None]
@@ -51,14 +50,14 @@ def prefer(poses: CirclePoses, cov_p_alt: Array, cov_n: Array) -> tuple[CirclePo
     return better, np.where(wide, poses.cov_p, cov_p_alt), np.where(second, 1 - first, first)
 
 
-def _probability(poses: CirclePoses, n: Array, cov_n: Array) -> Array:
+def _probability(poses: CirclePoses, n: Array, cov_n: Array, s: PreferenceSettings) -> Array:
     """P(first) (N,) of the normals `n` (2, N, 3)."""
-    prior = _tilt_prior(n, cov_n)
-    found = _surface_normals(poses)
+    prior = _tilt_prior(n, cov_n, s)
+    found = _surface_normals(poses, s)
     if found is None:
         return prior[0] / prior.sum(axis=0)
     surface, cov, known = found
-    density = np.where(known, _density(n, surface, _bounded(cov_n) + cov), 0.0)
+    density = np.where(known, _density(n, surface, _bounded(cov_n, s) + cov, s.surface_least), 0.0)
     share, ok = 0.5, known & (poses.status == "ok")
     for _ in range(_ROUNDS if ok.any() else 0):
         on = share * density[:, ok].sum(axis=0)
@@ -68,30 +67,31 @@ def _probability(poses: CirclePoses, n: Array, cov_n: Array) -> Array:
     return q[0] / q.sum(axis=0)
 
 
-def _tilt_prior(n: Array, cov_n: Array) -> Array:
+def _tilt_prior(n: Array, cov_n: Array, s: PreferenceSettings) -> Array:
     """Density (2, N) per steradian of the normals for tilts that are all equally likely; blurred by their own sd."""
-    variance = np.trace(_bounded(cov_n), axis1=2, axis2=3) / 2
+    variance = np.trace(_bounded(cov_n, s), axis1=2, axis2=3) / 2
     sine = np.sqrt(n[..., 0] ** 2 + n[..., 1] ** 2 + variance)
     return 1 / (np.pi**2 * sine)
 
 
-def _bounded(cov_n: Array) -> Array:
+def _bounded(cov_n: Array, s: PreferenceSettings) -> Array:
     """Covariances (2, N, 3, 3) of normals, scaled down where they are more than a linear model may say."""
-    return cov_n * np.minimum(1, 2 * _NORMAL_MOST**2 / np.trace(cov_n, axis1=2, axis2=3))[..., None, None]
+    return cov_n * np.minimum(1, 2 * s.normal_most**2 / np.trace(cov_n, axis1=2, axis2=3))[..., None, None]
 
 
-def _density(n: Array, mean: Array, cov: Array) -> Array:
-    """Normal density (2, N) per steradian of unit vectors `n` (2, N, 3) about `mean` (N, 3), by `cov` (2, N, 3, 3)."""
+def _density(n: Array, mean: Array, cov: Array, least: float) -> Array:
+    """Normal density (2, N) per steradian of unit vectors `n` (2, N, 3) about `mean` (N, 3), by `cov` (2, N, 3, 3)
+    and `least` rad more."""
     T = np.stack(geometry.tangents(mean), axis=1)  # (N, 2, 3)
     d = np.einsum("nij,knj->kni", T, n - mean)
     S = T @ cov @ T.transpose(0, 2, 1)
-    S += _SURFACE_LEAST**2 * np.eye(2)
+    S += least**2 * np.eye(2)
     far = np.einsum("kni,kni->kn", d, np.linalg.solve(S, d[..., None])[..., 0])
     behind = np.einsum("kni,ni->kn", n, mean) < 0
     return np.where(behind, 0.0, np.exp(-0.5 * far) / (2 * np.pi * np.sqrt(np.linalg.det(S))))
 
 
-def _surface_normals(poses: CirclePoses) -> tuple[Array, Array, Array] | None:
+def _surface_normals(poses: CirclePoses, s: PreferenceSettings) -> tuple[Array, Array, Array] | None:
     """Normals (N, 3) of the planes through each circle's surroundings, their covariance (N, 3, 3), and where (N,) they
     are of any use; None where there are too few circles.
 
@@ -99,11 +99,11 @@ def _surface_normals(poses: CirclePoses) -> tuple[Array, Array, Array] | None:
     covariance from their scatter, which is taken for no less than the depths' own error bars.
     """
     ok = np.flatnonzero((poses.status == "ok") & (poses.p_CM[:, 2] > 0))
-    if len(ok) < _FEWEST:
+    if len(ok) < s.fewest:
         return None
     ray = np.nan_to_num(poses.p_CM / poses.p_CM[:, 2:])  # unknown: where the lens model cannot be inverted
     w, sd = 1 / poses.p_CM[ok, 2], np.sqrt(poses.cov_p[ok, 2, 2]) / poses.p_CM[ok, 2] ** 2
-    near = KDTree(ray[ok, :2]).query(ray[:, :2], min(_NEAREST, len(ok)))[1]  # (N, k) of ok
+    near = KDTree(ray[ok, :2]).query(ray[:, :2], min(s.nearest, len(ok)))[1]  # (N, k) of ok
     A, b = ray[ok][near], w[near]
     normal = A.transpose(0, 2, 1) @ A
     known = np.linalg.cond(normal) < 1e12  # circles in one row have no plane
@@ -116,4 +116,4 @@ def _surface_normals(poses: CirclePoses) -> tuple[Array, Array, Array] | None:
     n = -plane / length[:, None]
     turn = (np.eye(3) - n[:, :, None] * n[:, None]) / length[:, None, None]
     cov = turn @ inverse @ turn * variance[:, None, None]
-    return n, cov, known & (np.trace(cov, axis1=1, axis2=2) < 2 * _NORMAL_MOST**2)
+    return n, cov, known & (np.trace(cov, axis1=1, axis2=2) < 2 * s.normal_most**2)

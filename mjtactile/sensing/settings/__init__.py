@@ -21,14 +21,16 @@ from typing import Any
 from mjtactile.core.errors import InputError
 from mjtactile.sensing.settings.force import InverseSettings, PriorSettings, ZeroSettings
 from mjtactile.sensing.settings.image import CandidateSettings, EdgeSettings, MarkerSettings, ProfileSettings
+from mjtactile.sensing.settings.locate import ConsensusSettings, LocateSettings, PreferenceSettings, SmoothnessSettings
 from mjtactile.sensing.settings.number import number
 from mjtactile.sensing.settings.paper import PaperSettings
 from mjtactile.sensing.settings.pose import IdentitySettings, ReferenceSettings, SurfaceSettings
 from mjtactile.sensing.settings.touch import MaterialSettings, PatchSettings, SlipSettings, SqueezeSettings
 
-__all__ = ["DEFAULTS", "CandidateSettings", "EdgeSettings", "IdentitySettings", "InverseSettings", "MarkerSettings",
-           "MaterialSettings", "PaperSettings", "PatchSettings", "PriorSettings", "ProfileSettings", "ReferenceSettings",
-           "Settings", "SlipSettings", "SqueezeSettings", "SurfaceSettings", "ZeroSettings"]
+__all__ = ["DEFAULTS", "CandidateSettings", "ConsensusSettings", "EdgeSettings", "IdentitySettings", "InverseSettings",
+           "LocateSettings", "MarkerSettings", "MaterialSettings", "PaperSettings", "PatchSettings", "PreferenceSettings",
+           "PriorSettings", "ProfileSettings", "ReferenceSettings", "Settings", "SlipSettings", "SmoothnessSettings",
+           "SqueezeSettings", "SurfaceSettings", "ZeroSettings"]
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,10 @@ class Settings:
     squeeze: SqueezeSettings = field(default_factory=SqueezeSettings)
     material: MaterialSettings = field(default_factory=MaterialSettings)
     paper: PaperSettings = field(default_factory=PaperSettings)
+    locate: LocateSettings = field(default_factory=LocateSettings)
+    consensus: ConsensusSettings = field(default_factory=ConsensusSettings)
+    smoothness: SmoothnessSettings = field(default_factory=SmoothnessSettings)
+    preference: PreferenceSettings = field(default_factory=PreferenceSettings)
 
     def override(self, values: Mapping[str, Any]) -> Settings:
         """These settings with others for fields named like "zero.touch_sd". Raises InputError for a name that does not exist,

@@ -8,7 +8,7 @@ The prior is a thin-plate spline for the inverse depth over the image, w_i = f(x
 bending energy and s both found by restricted maximum likelihood: what the markers show of bends is kept, what looks
 independent from marker to marker is taken for error. A plane's inverse depth is linear in the image, so that flat
 boards cost nothing, but neither flatness nor any spacing is assumed: the spline keeps at least one degree of freedom
-for every `_PER_FREEDOM` circles, so that no depth is the mean of more than about as many.
+for every `per_freedom` circles, so that no depth is the mean of more than about as many.
 
 This is a prior on the scene, and false for circles that hang each at its own depth. It is refused when the scatter
 about the spline is more than a camera's processing may explain. Touch sensing never uses it: a membrane's small bumps
@@ -25,14 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array, CirclePoses
+from mjtactile.sensing.settings import DEFAULTS, SmoothnessSettings
 
-_LEAST, _MOST = 40, 500  # circles: few say nothing about smoothness; the cost grows with the cube
-_PER_FREEDOM = 8.0
-_EXCUSE = 5.0  # scatter over predicted sd that a real camera may explain
-_COMMON = 0.33  # part of a depth's own sd that all share (a camera's processing, an error of blur), so that it stays
-_HONEST = 0.7  # errors are at least this many of the predicted sd: a noise-free bend and noise can look alike
 _ROUNDS = 3
-_GROSS, _OUTLIER = 5.0, 4.0  # times the scatter: where weights fall off, at first and about the spline
 _RATIOS = np.exp(np.arange(-18.0, 18.5, 0.75))  # of signal to noise tried, relative to the stiffest mode
 
 
@@ -69,42 +64,42 @@ class SharedDepth:
         return replace(poses, p_CM=p, p_CM_alt=alt, cov_p=cov), cov_alt
 
 
-def agree_on_depth(alone: CirclePoses) -> SharedDepth | None:
+def agree_on_depth(alone: CirclePoses, s: SmoothnessSettings = DEFAULTS.smoothness) -> SharedDepth | None:
     """The smooth surface that the circles lie on; None if they do not plainly lie on one.
 
     `alone` was estimated with no help of neighbours, so that its errors are independent. Circles that disagree with the
     surface are not `at` it.
     """
     ok = np.flatnonzero(alone.status == "ok")
-    if not _LEAST <= len(ok) <= _MOST:
+    if not s.circles[0] <= len(ok) <= s.circles[1]:
         return None
     z = alone.p_CM[ok, 2]
     sd = np.sqrt(alone.cov_p[ok, 2, 2]) / z**2
-    smooth = _fit(alone.p_CM[ok, :2] / z[:, None], 1 / z, sd)
-    agree = (smooth.weight > 0.1) & (smooth.value > 0)
-    if smooth.scatter > _EXCUSE or agree.mean() < 0.8:
+    smooth = _fit(alone.p_CM[ok, :2] / z[:, None], 1 / z, sd, s)
+    agree = (smooth.weight > s.agree) & (smooth.value > 0)
+    if smooth.scatter > s.excuse or agree.mean() < s.agree_share:
         return None
-    spread = np.hypot(smooth.sd, _COMMON * max(smooth.scatter, 1.0) * sd)
+    spread = np.hypot(smooth.sd, s.common * max(smooth.scatter, 1.0) * sd)
     return SharedDepth(ok[agree], 1 / smooth.value[agree], (spread / smooth.value**2)[agree])
 
 
-def _fit(xy: Array, w: Array, sd: Array) -> _Smooth:
+def _fit(xy: Array, w: Array, sd: Array, s: SmoothnessSettings) -> _Smooth:
     """Thin-plate spline through `w` (N,) at `xy` (N, 2), with the smoothness that the data ask for; robust."""
     x = (xy - xy.mean(axis=0)) / max(float(np.ptp(xy, axis=0).max()), 1e-12)
     square = ((x[:, None] - x[None]) ** 2).sum(axis=2)
     K = 0.5 * square * np.log(square + 1e-300)
     T = np.column_stack([np.ones(len(x)), x])
-    weight = _not_gross(x, w / sd, sd)
+    weight = _not_gross(x, w / sd, sd, s.gross)
     value, spread, scatter = w, sd, np.inf
     for _ in range(_ROUNDS):
-        value, spread = _spline(K, T, w, sd / np.sqrt(weight))
+        value, spread = _spline(K, T, w, sd / np.sqrt(weight), s)
         left = np.abs(w - value) / sd
         scatter = float(np.median(left) / 0.6745)  # of a normal distribution
-        weight = 1 / (1 + (left / (_OUTLIER * max(scatter, 1e-9))) ** 4)
+        weight = 1 / (1 + (left / (s.outlier * max(scatter, 1e-9))) ** 4)
     return _Smooth(value, spread, np.maximum(weight, 1e-6), scatter)
 
 
-def _not_gross(x: Array, y: Array, sd: Array) -> Array:
+def _not_gross(x: Array, y: Array, sd: Array, gross: float) -> Array:
     """First weights (N,): least absolute deviations from a second-order surface tell a circle of another size."""
     A = np.column_stack([np.ones(len(x)), x, x[:, 0] ** 2, x[:, 0] * x[:, 1], x[:, 1] ** 2]) / sd[:, None]
     weight, left, scale = np.ones(len(x)), y, 1.0
@@ -113,10 +108,10 @@ def _not_gross(x: Array, y: Array, sd: Array) -> Array:
         left = np.abs(y - A @ np.linalg.lstsq(A * root[:, None], y * root, rcond=None)[0])
         scale = max(float(np.median(left)) / 0.6745, 1e-9)
         weight = 1 / np.maximum(left / scale, 0.1)
-    return np.maximum(1 / (1 + (left / (_GROSS * scale)) ** 4), 1e-6)
+    return np.maximum(1 / (1 + (left / (gross * scale)) ** 4), 1e-6)
 
 
-def _spline(K: Array, T: Array, w: Array, sd: Array) -> tuple[Array, Array]:
+def _spline(K: Array, T: Array, w: Array, sd: Array, s: SmoothnessSettings) -> tuple[Array, Array]:
     """The spline's values (N,) and their posterior sd (N,), by the eigenvectors V of the bending energy beyond planes."""
     n = len(w)
     beyond = np.linalg.qr(T / sd[:, None], mode="complete")[0][:, 3:]
@@ -126,9 +121,9 @@ def _spline(K: Array, T: Array, w: Array, sd: Array) -> tuple[Array, Array]:
     gain = 1 + np.outer(_RATIOS / max(k[-1], 1e-300), k)  # (ratios, n - 3)
     freedom = n - (1 / gain).sum(axis=1)
     left = (z2 / gain).mean(axis=1)
-    variance = np.maximum(left, _HONEST**2)
+    variance = np.maximum(left, s.honest**2)
     minus_log = np.log(gain).sum(axis=1) + (n - 3) * (np.log(variance) + left / variance)
-    minus_log[freedom < n / _PER_FREEDOM] = np.inf
+    minus_log[freedom < n / s.per_freedom] = np.inf
     best = int(np.argmin(minus_log))
     shrink = 1 / gain[best]
     value = w - sd * (V @ (shrink * (V.T @ (w / sd))))
