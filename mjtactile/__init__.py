@@ -17,8 +17,10 @@ if TYPE_CHECKING:
     from mjtactile.core.errors import ControllerError as ControllerError
     from mjtactile.core.errors import DeviceError as DeviceError
     from mjtactile.core.errors import InputError as InputError
+    from mjtactile.core.errors import Interrupted as Interrupted
     from mjtactile.core.errors import MjtactileError as MjtactileError
     from mjtactile.core.errors import SimulationError as SimulationError
+    from mjtactile.core.optics import Camera as Camera
     from mjtactile.core.types import Command as Command
     from mjtactile.core.types import GripperState as GripperState
     from mjtactile.core.types import Image as Image
@@ -32,29 +34,37 @@ if TYPE_CHECKING:
     from mjtactile.recording.reader import Recording as Recording
     from mjtactile.recording.reader import load_recording as load_recording
     from mjtactile.recording.writer import Recorder as Recorder
+    from mjtactile.rig.file import load_rig_file as load_rig_file
     from mjtactile.rig.finger import Finger as Finger
     from mjtactile.rig.finger import Rig as Rig
     from mjtactile.rig.registry import build_rig as build_rig
+    from mjtactile.rig.registry import rig_names as rig_names
     from mjtactile.run.controller import load_controller as load_controller
     from mjtactile.run.session import Session as Session
     from mjtactile.run.session import open_session as open_session
+    from mjtactile.sensing.chain import Chain as Chain
     from mjtactile.sensing.chain import Perception as Perception
+    from mjtactile.sensing.pose.locate import find_circles as find_circles
+    from mjtactile.sensing.pose.locate import marker_records as marker_records
     from mjtactile.sim.attach import recommend_options as recommend_options
 
 _HOMES = {
     "core.calibration": ("Calibration", "Lens", "Stamp", "load_calibration"),
     "core.design": ("SensorDesign", "load_sensor"),
-    "core.errors": ("ControllerError", "DeviceError", "InputError", "MjtactileError", "SimulationError"),
+    "core.errors": ("ControllerError", "DeviceError", "InputError", "Interrupted", "MjtactileError", "SimulationError"),
+    "core.optics": ("Camera",),
     "core.types": ("Command", "GripperState", "Image", "Observation", "Touch", "ValveState"),
     "plugin.mount": ("Mount", "attach"),
     "plugin.sim_finger": ("SimFinger", "step"),
     "recording.reader": ("Recording", "load_recording"),
     "recording.writer": ("Recorder",),
+    "rig.file": ("load_rig_file",),
     "rig.finger": ("Finger", "Rig"),
-    "rig.registry": ("build_rig",),
+    "rig.registry": ("build_rig", "rig_names"),
     "run.controller": ("load_controller",),
     "run.session": ("Session", "open_session"),
-    "sensing.chain": ("Perception",),
+    "sensing.chain": ("Chain", "Perception"),
+    "sensing.pose.locate": ("find_circles", "marker_records"),
     "sim.attach": ("recommend_options",),
 }
 _HOME = {name: f"mjtactile.{module}" for module, names in _HOMES.items() for name in names}

@@ -2,6 +2,7 @@
 
 from mjtactile.core.status import Status, StatusCode
 from mjtactile.core.types import (
+    FINGERS,
     MATERIALS,
     PHASES,
     SLIP_STATES,
@@ -21,5 +22,5 @@ from mjtactile.core.types import (
     ValveState,
 )
 
-__all__ = ["MATERIALS", "PHASES", "SLIP_STATES", "Command", "Contact", "GripperState", "Image", "Markers", "Material",
+__all__ = ["FINGERS", "MATERIALS", "PHASES", "SLIP_STATES", "Command", "Contact", "GripperState", "Image", "Markers", "Material",
            "Observation", "Phase", "Slip", "SlipState", "Status", "StatusCode", "Surface", "Touch", "Traction", "ValveState"]

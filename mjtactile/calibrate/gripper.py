@@ -18,6 +18,8 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.devices.dynamixel.jaws import JawGeometry, JawServo
 from mjtactile.devices.dynamixel.tables import TICKS_PER_RAD
+from mjtactile.rig.file import RigFile
+from mjtactile.rig.gripper import gripper_fingerprint
 
 DIRECTIONS = ("closing", "opening")
 SCALE_OFF_MAX = 0.03  # more is a wrong pinion radius or a wrong law, which a number should not hide
@@ -113,6 +115,14 @@ def _judge_force(c: ForceCalibration, largest: float) -> list[str]:
         (c.offset <= 0.1 * largest, f"the load cell shows {c.offset:.2f} N more than the currents explain: its zero?"),
     ]
     return [text for good, text in checks if not good]
+
+
+def report(rig_file: RigFile, opening: OpeningCalibration | None, force: ForceCalibration | None) -> dict[str, Any]:
+    """What goes into the gripper's file beside the verdict: what was found, and what it makes of the servos' numbers."""
+    geometry = JawGeometry(rig_file.gripper, str(rig_file.path))
+    return {"rig": rig_file.name, "fingerprint": gripper_fingerprint(rig_file.gripper),
+            "opening": opening.report() if opening else None, "force": force.report() if force else None,
+            "servo": servo_lines(geometry, opening, force)}
 
 
 def servo_lines(geometry: JawGeometry, opening: OpeningCalibration | None, force: ForceCalibration | None

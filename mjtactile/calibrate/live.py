@@ -17,14 +17,11 @@ from numpy.typing import NDArray
 
 from mjtactile.calibrate.camera import BoardFinder, View
 from mjtactile.calibrate.valve import ValveCalibration, calibrate_valve
-from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.types import Array, Command, Image
 from mjtactile.devices.camera.opencv import OpenCvCamera
 from mjtactile.devices.dynamixel.gripper import DynamixelGripper
 from mjtactile.devices.valve.driver import BoardValve
-from mjtactile.emulator.process import EmulatorProcess
-from mjtactile.rig.file import RigFile, load_rig_file
 from mjtactile.rig.finger import Rig
 from mjtactile.run.session import Session
 
@@ -40,20 +37,6 @@ _STALL_TIME, _CLOSE_TIME_MAX = 0.5, 20.0  # s of standing still; s to reach what
 _STILL, _AHEAD_MIN, _AHEAD_MAX = 1e-4, 8e-3, 30e-3  # m of the opening
 _VALVE_STAGES = (1.0, 2.0, 1.0)  # s of venting, step, venting again
 _SAMPLE = 0.01  # s between pressure samples
-
-
-@contextlib.contextmanager
-def live_rig(name: str, design: SensorDesign, *, object_name: str = "egg") -> Iterator[tuple[RigFile, EmulatorProcess | None]]:
-    """The rig file of `name` with addresses that can be connected to; starts (and ends) the emulator for an emulated one."""
-    rig_file = load_rig_file(name)
-    if rig_file.emulator is None:
-        yield rig_file, None
-        return
-    process = EmulatorProcess(rig_file, design, object_name=object_name)
-    try:
-        yield process.connect(rig_file), process
-    finally:
-        process.close()
 
 
 # -- camera ------------------------------------------------------------------------------------------------------------

@@ -7,8 +7,8 @@ import importlib
 from pathlib import Path
 from typing import Any
 
+from mjtactile import InputError
 from mjtactile.commands.output import output_folder, print_json, stdout_to_stderr
-from mjtactile.core.errors import InputError
 from mjtactile.recording.files import write_json
 
 HELP = "measure accuracy and speed; writes a table, a JSON and plots"

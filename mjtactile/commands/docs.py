@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from mjtactile import InputError
 from mjtactile.commands.output import print_json
 from mjtactile.core import resources
-from mjtactile.core.errors import InputError
 
 SIMULATES = False
 HELP = "the documentation's pages: list them, or print one"

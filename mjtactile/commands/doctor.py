@@ -7,9 +7,7 @@ import sys
 from typing import Any
 
 from mjtactile.commands.output import print_json, stdout_to_stderr
-from mjtactile.rig.file import read_rig_file
-from mjtactile.rig.finding import Finding
-from mjtactile.rig.simulated import SimRigFile
+from mjtactile.doctor import examine_rig
 
 HELP = "check cameras, servos and valves, or a simulated robot, and say how to mend what is wrong"
 DESCRIPTION = """\
@@ -38,21 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--fix", action="store_true", help="mend what software can")
 
 
-def _examine(options: argparse.Namespace) -> list[Finding]:
-    """A simulated rig has no devices to look for, and real devices need no simulator."""
-    rig = None if options.rig is None else read_rig_file(options.rig)
-    if isinstance(rig, SimRigFile):
-        from mjtactile.sim.doctor import examine_simulated
-
-        return examine_simulated(rig)
-    from mjtactile.devices.doctor import examine
-
-    return examine(options.rig, sensor=options.sensor, fix=options.fix)
-
-
 def run(options: argparse.Namespace) -> int:
     with stdout_to_stderr():
-        findings = _examine(options)
+        findings = examine_rig(options.rig, sensor=options.sensor, fix=options.fix)
     if options.json:
         report: dict[str, Any] = {"ok": all(f.level != "bad" for f in findings), "findings": [vars(f) for f in findings]}
         print_json(report)

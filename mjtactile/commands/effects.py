@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 
+from mjtactile import load_sensor
 from mjtactile.commands.output import print_json
 from mjtactile.core import resources
-from mjtactile.core.design import load_sensor
 
 HELP = "list the effects that a sensor and an object call for, and their price"
 DESCRIPTION = """\
@@ -45,19 +45,14 @@ def add_estimate_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.sim.effects.catalog import choose
-    from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR, Fidelity
-    from mjtactile.sim.scenes.objects import load_object
+    from mjtactile.experiments.accuracy import effects_of
 
-    design, grasped = load_sensor(options.sensor), load_object(options.object)
-    fidelity = Fidelity.parse(options.accuracy) if options.accuracy else None
-    wanted = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.asked
-    chosen = choose(design, grasped, force_error=wanted, overrides=options.effects)
-    rows = chosen.summary()
+    design = load_sensor(options.sensor)
+    grasped, wanted, rows = effects_of(design, options.object, options.accuracy, options.effects)
     if options.json:
-        print_json({"sensor": design.name, "object": grasped.name, "force_error_N": wanted, "effects": rows})
+        print_json({"sensor": design.name, "object": grasped, "force_error_N": wanted, "effects": rows})
         return 0
-    print(f"sensor {design.name}, object {grasped.name}, force error {1e3 * wanted:.3g} mN")
+    print(f"sensor {design.name}, object {grasped}, force error {1e3 * wanted:.3g} mN")
     print(f"{'effect':<24}{'':<10}{'costs ms/s':>10}{'else mN':>9}{'else um':>9}  why")
     for row in rows:
         state = ("on" if row["on"] else "off") if row["built"] else ("wanted" if row["on"] else "none")

@@ -6,8 +6,8 @@ import argparse
 import sys
 from pathlib import Path
 
+from mjtactile import InputError
 from mjtactile.core import resources
-from mjtactile.core.errors import InputError
 
 HELP = "start emulated hardware on serial ports and streams, until stopped"
 DESCRIPTION = """\
@@ -37,9 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.core.design import load_sensor
+    from mjtactile import load_rig_file, load_sensor
     from mjtactile.emulator.process import EmulatorProcess
-    from mjtactile.rig.file import load_rig_file
 
     rig_file = load_rig_file(options.rig)
     faults = dict(_fault(text) for text in options.faults)
@@ -74,7 +73,7 @@ def _fault(text: str) -> tuple[str, float]:
 
 def _obey_terminal(emulator) -> None:
     """Switch faults that are typed; when stdin is no terminal and ends, just go on."""
-    from mjtactile.core.errors import MjtactileError
+    from mjtactile import MjtactileError
 
     for line in sys.stdin:
         try:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from mjtactile import InputError
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
-from mjtactile.core.errors import InputError
 from mjtactile.recording.files import write_json
 from mjtactile.run.progress import Progress
 

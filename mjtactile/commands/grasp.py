@@ -9,14 +9,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from mjtactile import Interrupted, MjtactileError, Recorder, load_recording, rig_names
 from mjtactile.commands import effects, ranges
 from mjtactile.commands.output import new_run_folder, output_folder, print_json, stdout_to_stderr
 from mjtactile.core import resources, signals
-from mjtactile.core.errors import Interrupted, MjtactileError
 from mjtactile.recording.files import write_json
-from mjtactile.recording.reader import load_recording
-from mjtactile.recording.writer import Recorder
-from mjtactile.rig.registry import rig_names
 from mjtactile.run import report
 from mjtactile.run.progress import Progress
 

@@ -6,10 +6,9 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from mjtactile import InputError, load_sensor
 from mjtactile.commands import plots, ranges
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
-from mjtactile.core.design import load_sensor
-from mjtactile.core.errors import InputError
 from mjtactile.recording.files import write_json
 from mjtactile.run.progress import Progress
 

@@ -11,17 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
-from numpy.typing import NDArray
 
+from mjtactile import Camera, InputError, find_circles, marker_records
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
-from mjtactile.commands.sources import Frame, read_frames
-from mjtactile.core.errors import InputError
-from mjtactile.core.optics import Camera
-from mjtactile.core.types import CirclePoses, Ellipses
 from mjtactile.recording.files import write_json
-from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
-from mjtactile.sensing.pose.locate import find_circles, marker_records
+from mjtactile.run.pictures import Frame, overlay, read_frames
 
 SIMULATES = False
 HELP = "find circular markers in images and say where they are in 3D"
@@ -126,29 +120,6 @@ def _without_markers(frame: Frame, status: str) -> dict[str, Any]:
 def _index(name: str) -> str:
     """`_000012` for a frame of a video."""
     return "_" + name.rsplit("#", 1)[1] if "#" in name else ""
-
-
-def overlay(pixels: NDArray, ellipses: Ellipses, poses: CirclePoses) -> NDArray[np.uint8]:
-    """The image with each ellipse (green: ok, orange: not to be trusted) and the projected centre."""
-    eight = pixels if pixels.dtype == np.uint8 else cv2.convertScaleAbs(pixels, alpha=255 / max(int(pixels.max()), 1))
-    canvas = cv2.cvtColor(eight, cv2.COLOR_GRAY2BGR) if eight.ndim == 2 else np.ascontiguousarray(eight[..., :3])
-    zoom = max(1, round(1280 / canvas.shape[1]))
-    canvas = cv2.resize(canvas, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_NEAREST)
-    if not len(ellipses):
-        return canvas
-    points, _ = boundary(ellipses.center_px, shape_from_axes(ellipses.semi_axes_px, ellipses.angle), 48)
-    for i, curve in enumerate(points):
-        colour = (80, 220, 60) if poses.status[i] == "ok" else (0, 150, 255)
-        cv2.polylines(canvas, [_fixed(curve, zoom)], True, colour, 1, cv2.LINE_AA, 4)
-        cross = poses.uv_px[i] + np.array([[-2, 0], [2, 0], [0, -2], [0, 2]]) / zoom
-        for line in (cross[:2], cross[2:]):
-            cv2.polylines(canvas, [_fixed(line, zoom)], False, (60, 60, 255), 1, cv2.LINE_AA, 4)
-    return canvas
-
-
-def _fixed(uv: NDArray, zoom: int) -> NDArray[np.int32]:
-    """Pixels of the image to OpenCV's fixed point (4 bits) in the enlarged one; centres stay centres."""
-    return np.rint(((uv + 0.5) * zoom - 0.5) * 16).astype(np.int32)
 
 
 def _print_table(frames: Sequence[dict[str, Any]], out: Path | None) -> None:

@@ -7,9 +7,9 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from mjtactile import InputError
 from mjtactile.commands.output import print_json
 from mjtactile.core import resources
-from mjtactile.core.errors import InputError
 
 SIMULATES = False
 HELP = "start your own controller, sensor, object or rig from a commented copy"

@@ -13,8 +13,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from mjtactile import InputError
 from mjtactile.commands.background import Background
-from mjtactile.core.errors import InputError
 from mjtactile.recording.files import to_json
 
 

@@ -7,10 +7,9 @@ import math
 from pathlib import Path
 from typing import Any
 
+from mjtactile import InputError, SensorDesign, load_sensor
 from mjtactile.commands import effects, plots, ranges
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
-from mjtactile.core.design import SensorDesign, load_sensor
-from mjtactile.core.errors import InputError
 from mjtactile.recording.files import write_json
 from mjtactile.run.progress import Progress
 
@@ -51,19 +50,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.experiments.press import PressPlan, press
-    from mjtactile.sim.scenes.indentation import Indenter
-    from mjtactile.sim.sensor.switches import set_design
+    from mjtactile.experiments.accuracy import simulation_of
+    from mjtactile.experiments.press import Indenter, PressPlan, press
 
     design = load_sensor(options.sensor)
     _check(options, design)
     plan = PressPlan(Indenter.parse(options.indenter), [1e-3 * d for d in options.depths],
                      (1e-3 * options.at[0], 1e-3 * options.at[1]), math.radians(options.tilt_deg), 1e-3 * options.shear_mm,
                      sealed=options.valve == "closed")
-    simulation = _simulation(options, design)
+    design, simulation = simulation_of(design, options.accuracy, options.effects)
     with optional_folder(options.out, "press.json", "press.png") as out:
         with stdout_to_stderr():
-            result = press(set_design(design, simulation["effects"]), plan, seed=options.seed,
+            result = press(design, plan, seed=options.seed,
                            say=Progress(quiet=options.json).message, error_estimate=options.error_estimate, **simulation)
         if out is not None:
             write_json(out / "press.json", result)
@@ -73,17 +71,6 @@ def run(options: argparse.Namespace) -> int:
     else:
         _print_table(result, options.out)
     return 0
-
-
-def _simulation(options: argparse.Namespace, design: SensorDesign) -> dict[str, Any]:
-    """Mesh, time step and effects of the world, from --accuracy and --effects."""
-    from mjtactile.sim.effects.catalog import choose
-    from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR, Fidelity
-
-    fidelity = Fidelity.parse(options.accuracy) if options.accuracy else None
-    wanted = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.asked
-    chosen = choose(design, force_error=wanted, overrides=options.effects)
-    return {"effects": chosen.on} | ({} if fidelity is None else {"mesh": fidelity.mesh, "timestep": fidelity.timestep})
 
 
 def _check(options: argparse.Namespace, design: SensorDesign) -> None:

@@ -7,14 +7,11 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mjtactile import InputError, Recorder, load_recording, rig_names
 from mjtactile.commands import plots, ranges
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
 from mjtactile.core import resources, signals
-from mjtactile.core.errors import InputError
 from mjtactile.recording.files import write_json
-from mjtactile.recording.reader import load_recording
-from mjtactile.recording.writer import Recorder
-from mjtactile.rig.registry import rig_names
 from mjtactile.run.progress import Progress
 
 if TYPE_CHECKING:

@@ -11,20 +11,14 @@ from typing import Any
 import cv2
 import numpy as np
 
+from mjtactile import Chain, InputError, Perception, SensorDesign, load_calibration, load_sensor
 from mjtactile.commands import plots
-from mjtactile.commands.locate import overlay
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
-from mjtactile.commands.sources import Frame, read_frames
-from mjtactile.core.calibration import load_calibration
-from mjtactile.core.design import SensorDesign, load_sensor
-from mjtactile.core.errors import InputError
-from mjtactile.core.types import Image, Markers, Surface, Touch
 from mjtactile.recording.files import write_json
+from mjtactile.run.pictures import Frame, marker_overlay, read_frames, to_image
 from mjtactile.run.progress import Progress
 from mjtactile.run.report import draw_surface
-from mjtactile.sensing.chain import Chain, Perception
-from mjtactile.sensing.image.markers import detect, grey_image
-from mjtactile.sensing.pose.circles import estimate_poses
+from mjtactile.types import Markers, Surface, Touch
 
 SIMULATES = False
 HELP = "reconstruct a membrane's surface and contact from recorded frames"
@@ -88,17 +82,6 @@ def load_perception(design: SensorDesign, path: Path | None) -> Perception:
     return Perception(chain, chain.recall())
 
 
-def to_image(frame: Frame, design: SensorDesign) -> Image | str:
-    """The frame as the sensor's camera would give it, or why it cannot be used."""
-    if frame.pixels is None:
-        return "cannot be read"
-    pixels = grey_image(frame.pixels)
-    want = (design.camera.height, design.camera.width)
-    if pixels.shape != want:
-        return f"{pixels.shape[1]} x {pixels.shape[0]} pixels, the sensor's camera has {want[1]} x {want[0]}"
-    return Image(pixels if pixels.dtype == np.uint8 else (pixels >> 8).astype(np.uint8))
-
-
 def _reconstruct(frame: Frame, perception: Perception, out: Path | None) -> tuple[dict[str, Any], Touch | None]:
     """One frame of the JSON, and its touch."""
     chain, state = perception.chain, perception.state
@@ -113,9 +96,7 @@ def _reconstruct(frame: Frame, perception: Perception, out: Path | None) -> tupl
         surface = chain.fitter.fit(markers) if status == "ok" else None
         touch = Touch(0.0, 0.0, np.nan, np.nan, False, surface=surface, markers=markers, status=status)
     if out is not None:
-        ellipses = detect(image)
-        poses = estimate_poses(ellipses, chain.camera, chain.design.markers.radius)
-        cv2.imwrite(str(out / f"{_stem(frame.name)}_overlay.png"), overlay(image.pixels, ellipses, poses))
+        cv2.imwrite(str(out / f"{_stem(frame.name)}_overlay.png"), marker_overlay(image, chain.camera, chain.design))
     return _row(frame.name, touch.status, touch), touch
 
 

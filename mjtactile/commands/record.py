@@ -8,18 +8,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mjtactile import InputError, Recorder, rig_names
 from mjtactile.commands import ranges
 from mjtactile.commands.output import output_folder, print_json, stdout_to_stderr
 from mjtactile.core import resources
-from mjtactile.core.errors import InputError
-from mjtactile.core.types import Command, Observation
-from mjtactile.recording.writer import Recorder
-from mjtactile.rig.registry import rig_names
 from mjtactile.run.progress import Progress
+from mjtactile.types import Command, Observation
 
 if TYPE_CHECKING:
+    from mjtactile import Session
     from mjtactile.run.loop import Cycle
-    from mjtactile.run.session import Session
 
 HELP = "record a rig that stands still: images, times, pressures, servos, calibration"
 DESCRIPTION = """\
@@ -70,8 +68,7 @@ class Monitor:
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.core.design import load_sensor
-    from mjtactile.run.session import open_session
+    from mjtactile import load_sensor, open_session
 
     if not 0 < options.seconds <= 86400:
         raise InputError(f"{options.seconds:g} is outside 0 to 86400", field="--seconds")

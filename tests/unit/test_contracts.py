@@ -22,6 +22,7 @@ VIOLATIONS = {
     "A controller sees": ("controllers/gentle.py", "import mjtactile.core.design"),
     "A controller sees (no simulator)": ("controllers/gentle.py", "import mujoco"),
     "Examples use": ("examples/touch_in_my_scene.py", "import mjtactile.sim.attach"),
+    "Commands use": ("mjtactile/commands/press.py", "import mjtactile.sim.scenes.indentation"),
     "Ground truth": ("mjtactile/run/loop.py", "import mjtactile.sim.truth"),
 }
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 from pathlib import Path
 from typing import Any
 
+from mjtactile import InputError
 from mjtactile.commands.calibrate import target
 from mjtactile.commands.calibrate.terminal import check_folder, finish, say
 from mjtactile.commands.output import print_json, stdout_to_stderr
-from mjtactile.commands.sources import read_frames
-from mjtactile.core.errors import InputError
+from mjtactile.run.pictures import read_frames
 
 HELP = "lens and focal length from pictures of a printed board (ROS camera_info)"
 DESCRIPTION = """\
@@ -130,14 +129,11 @@ def _print_board(options: argparse.Namespace, board) -> int:
 
 
 def _recorded(source: Path, finder) -> tuple[list, tuple[int, int]]:
-    from mjtactile.sensing.image.markers import grey_image
-
     views, sizes, blind = [], set(), 0
     for frame in read_frames(source):
-        if frame.pixels is None:
+        gray = frame.grey()
+        if gray is None:
             raise InputError("cannot be read as an image", source=source / frame.name)
-        gray = grey_image(frame.pixels)
-        gray = gray if gray.dtype == "uint8" else (gray >> 8).astype("uint8")
         sizes.add((gray.shape[1], gray.shape[0]))
         if len(sizes) > 1:
             raise InputError(f"pictures of different sizes: {sorted(sizes)}", source=source)
@@ -153,20 +149,14 @@ def _recorded(source: Path, finder) -> tuple[list, tuple[int, int]]:
 
 
 def _live(options: argparse.Namespace, finder) -> tuple[list, tuple[int, int]]:
-    from mjtactile.calibrate.live import camera_pictures, collect_views, live_rig
-    from mjtactile.core.design import load_sensor
-    from mjtactile.devices.camera.opencv import OpenCvCamera
+    from mjtactile import load_sensor
+    from mjtactile.calibrate.connect import live_camera, live_rig
+    from mjtactile.calibrate.live import camera_pictures, collect_views
 
-    with contextlib.ExitStack() as stack:
-        rig_file, _ = stack.enter_context(live_rig(options.rig, load_sensor("dense")))
-        config = next((c for c in rig_file.cameras if c.finger == options.finger), None)
-        if config is None:
-            raise InputError(f"the rig has no {options.finger} camera", source=rig_file.path, field="--finger")
-        camera = OpenCvCamera(config)
-        stack.callback(camera.close)
+    with live_rig(options.rig, load_sensor("dense")) as (rig_file, _), live_camera(rig_file, options.finger) as camera:
         say(f"{camera.name}: hold the board into the view, still for a moment; then elsewhere, tilted. Ctrl-C gives up.")
         views = collect_views(camera_pictures(camera, options.seconds), finder, options.views, say)
     if not views:
         raise InputError(f"the board was never seen resting within {options.seconds:g} s: are --board and --dictionary those of "
                          "the print, and is it sharp?", field="--rig")
-    return views, (config.width, config.height)
+    return views, (camera.config.width, camera.config.height)

@@ -9,15 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from mjtactile import Calibration, InputError, SensorDesign, load_sensor
 from mjtactile.commands.calibrate import target
 from mjtactile.commands.calibrate.terminal import ask, confirm, finish_all, say
 from mjtactile.commands.output import stdout_to_stderr
-from mjtactile.commands.reconstruct import to_image
-from mjtactile.commands.sources import read_frames
-from mjtactile.core.calibration import Calibration
-from mjtactile.core.design import SensorDesign, load_sensor
-from mjtactile.core.errors import InputError
-from mjtactile.core.types import Image
+from mjtactile.run.pictures import read_frames, to_image
+from mjtactile.types import Image
 
 HELP = "the force felt, and the paper's constant c, against weights or a load cell"
 DESCRIPTION = """\
@@ -131,8 +128,8 @@ def _recorded(options: argparse.Namespace, goal: target.Target) -> tuple[list[An
 
 def _references(options: argparse.Namespace, goal: target.Target, before: Calibration) -> Any:
     """A chain with references: of --flat and --rest, else of the calibration's own part `frame`."""
+    from mjtactile import Chain, Perception
     from mjtactile.calibrate.force import ready_perception
-    from mjtactile.sensing.chain import Chain, Perception
 
     if options.flat is not None and options.rest is not None:
         reading = None if options.pressure is None else 1e3 * options.pressure
@@ -176,10 +173,10 @@ def _recording(options: argparse.Namespace, goal: target.Target, before: Calibra
                ) -> tuple[Any, Iterator[tuple[str, float, list[Image]]]]:
     import numpy as np
 
+    from mjtactile import load_recording
     from mjtactile.calibrate.force import ready_perception
     from mjtactile.calibrate.verdict import read_columns
-    from mjtactile.core.types import FINGERS
-    from mjtactile.recording.reader import load_recording
+    from mjtactile.types import FINGERS
 
     recording, finger = load_recording(options.recording), FINGERS.index(goal.finger)
     if len(recording.references) != 2 or finger >= recording.width:
@@ -206,9 +203,9 @@ def _recording(options: argparse.Namespace, goal: target.Target, before: Calibra
 
 def _live(options: argparse.Namespace, targets: Sequence[target.Target]) -> tuple[list[Any], Loads]:
     """References and loads of fingers of a rig; only with a load cell do the jaws move."""
+    from mjtactile.calibrate.connect import live_fingers, live_rig
     from mjtactile.calibrate.force import ready_perception
-    from mjtactile.calibrate.live import kept_alive, live_rig, reference_pictures
-    from mjtactile.devices.rig import build_device_rig
+    from mjtactile.calibrate.live import kept_alive, reference_pictures
 
     masses, design = _masses(options), load_sensor(options.sensor)
     with contextlib.ExitStack() as stack:
@@ -216,8 +213,7 @@ def _live(options: argparse.Namespace, targets: Sequence[target.Target]) -> tupl
         most = rig_file.gripper.force_max
         if not 0.2 <= options.force <= most:
             raise InputError(f"{options.force:g} N is outside 0.2 to {most:g} N, the rig file's force_max_N", field="--force-N")
-        rig = build_device_rig(rig_file, design, name=rig_file.name)
-        stack.callback(rig.close)
+        rig = stack.enter_context(live_fingers(rig_file, design))
         stack.enter_context(kept_alive(*rig.valves))
         pictures, places = reference_pictures(rig, say), target.places(targets, rig_file)
         with kept_alive(rig.gripper):
@@ -258,8 +254,8 @@ def _squeezed(rig: Any, most: float, cell: Callable[[str], float | None], by_han
 
 
 def _weighed(rig: Any, masses: Sequence[float], fingers: str) -> Loads:
+    from mjtactile import Session
     from mjtactile.calibrate.force import GRAVITY
-    from mjtactile.run.session import Session
 
     for mass in masses:
         confirm(f"put {mass:g} g on the middle of the {fingers} membrane")

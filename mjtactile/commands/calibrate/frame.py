@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 from pathlib import Path
 from typing import Any
 
+from mjtactile import InputError, SensorDesign, load_sensor
 from mjtactile.commands.calibrate import target
 from mjtactile.commands.calibrate.terminal import finish_all, say
 from mjtactile.commands.output import stdout_to_stderr
-from mjtactile.commands.reconstruct import to_image
-from mjtactile.commands.sources import read_frames
-from mjtactile.core.design import SensorDesign, load_sensor
-from mjtactile.core.errors import InputError
-from mjtactile.core.types import Image
+from mjtactile.run.pictures import read_frames, to_image
+from mjtactile.types import Image
 
 HELP = "camera pose and marker radii from the flat membrane"
 DESCRIPTION = """\
@@ -82,14 +79,11 @@ def _recorded(options: argparse.Namespace, design: SensorDesign) -> Taken:
 
 def _live(options: argparse.Namespace, targets: list[target.Target]) -> list[Taken]:
     """Open the valves, take pictures, inflate, seal, take pictures; the jaws stand still."""
-    from mjtactile.calibrate.live import live_rig, reference_pictures
-    from mjtactile.devices.rig import build_device_rig
+    from mjtactile.calibrate.connect import live_fingers, live_rig
+    from mjtactile.calibrate.live import reference_pictures
 
     design = load_sensor(options.sensor)
-    with contextlib.ExitStack() as stack:
-        rig_file, _ = stack.enter_context(live_rig(options.rig, design))
-        rig = build_device_rig(rig_file, design, name=rig_file.name)
-        stack.callback(rig.close)
+    with live_rig(options.rig, design) as (rig_file, _), live_fingers(rig_file, design) as rig:
         pictures = reference_pictures(rig, say)
     return [(*pictures[place], True) for place in target.places(targets, rig_file)]
 

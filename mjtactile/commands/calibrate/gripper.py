@@ -8,9 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from mjtactile import InputError
 from mjtactile.commands.calibrate.terminal import ask, check_folder, confirm, finish, say
 from mjtactile.commands.output import stdout_to_stderr
-from mjtactile.core.errors import InputError
 
 HELP = "jaw zero, scale, backlash and current to force, against a caliper and a load cell"
 DESCRIPTION = """\
@@ -53,11 +53,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.calibrate.gripper import calibrate_force, calibrate_opening, servo_lines
+    from mjtactile import load_rig_file
+    from mjtactile.calibrate.gripper import calibrate_force, calibrate_opening, report
     from mjtactile.calibrate.verdict import stamp, write
-    from mjtactile.devices.dynamixel.jaws import JawGeometry
-    from mjtactile.rig.file import load_rig_file
-    from mjtactile.rig.gripper import gripper_fingerprint
 
     rig_file = load_rig_file(options.rig)
     out = options.out or rig_file.gripper.calibration
@@ -71,12 +69,8 @@ def run(options: argparse.Namespace) -> int:
     opening = calibrate_opening(*openings) if openings is not None else None
     force = calibrate_force(*forces) if forces is not None else None
     reasons = [f"{name}: {text}" for name, fit in (("opening", opening), ("force", force)) if fit for text in fit.reasons]
-    lines = servo_lines(JawGeometry(rig_file.gripper, str(rig_file.path)), opening, force)
-    result: dict[str, Any] = stamp("gripper", reasons) | {
-        "rig": rig_file.name, "fingerprint": gripper_fingerprint(rig_file.gripper),
-        "opening": opening.report() if opening else None, "force": force.report() if force else None,
-        "servo": lines}
-    return finish(options, write(out, result), result, _lines(opening, force, lines, bool(reasons)))
+    result: dict[str, Any] = stamp("gripper", reasons) | report(rig_file, opening, force)
+    return finish(options, write(out, result), result, _lines(opening, force, result["servo"], bool(reasons)))
 
 
 def _read(options: argparse.Namespace) -> tuple[Any, Any]:
@@ -93,9 +87,9 @@ def _read(options: argparse.Namespace) -> tuple[Any, Any]:
 
 
 def _live(options: argparse.Namespace) -> tuple[Any, Any]:
-    from mjtactile.calibrate.live import live_rig, measure_forces, measure_openings
-    from mjtactile.core.design import load_sensor
-    from mjtactile.devices.dynamixel.gripper import DynamixelGripper
+    from mjtactile import load_sensor
+    from mjtactile.calibrate.connect import live_gripper, live_rig
+    from mjtactile.calibrate.live import measure_forces, measure_openings
 
     with contextlib.ExitStack() as stack:
         rig_file, emulator = stack.enter_context(live_rig(options.rig, load_sensor("dense"), object_name=options.object))
@@ -109,8 +103,7 @@ def _live(options: argparse.Namespace) -> tuple[Any, Any]:
         most = 0.5 * config.force_max if options.force is None else options.force
         if not 0 < most <= config.force_max:
             raise InputError(f"{most:g} N is outside 0 to {config.force_max:g} N, the rig file's force_max_N", field="--force-N")
-        gripper = DynamixelGripper(rig_file.bus, config, rig_file.lift, source=str(rig_file.path))
-        stack.callback(gripper.close)
+        gripper = stack.enter_context(live_gripper(rig_file))
         caliper, load_cell = (ask, ask) if emulator is None else _instruments(emulator)
         say("the jaws move now; keep fingers out, and nothing between them. Ctrl-C stops and switches the torque off.")
         openings = measure_openings(gripper, [low, (low + high) / 2, high], caliper, 0.25 * config.force_max, say)

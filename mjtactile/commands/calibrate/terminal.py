@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from mjtactile import InputError
 from mjtactile.commands.output import print_json
-from mjtactile.core.errors import InputError
 
 
 def say(text: str) -> None:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 from pathlib import Path
 from typing import Any
 
+from mjtactile import InputError, load_sensor
 from mjtactile.commands.calibrate import target
 from mjtactile.commands.calibrate.terminal import finish_all, say
 from mjtactile.commands.output import stdout_to_stderr
-from mjtactile.core.design import load_sensor
-from mjtactile.core.errors import InputError
 
 HELP = "pressure step: sensor zero, rise time, pressure reached, leak"
 DESCRIPTION = """\
@@ -80,17 +78,10 @@ def _recorded(options: argparse.Namespace, goal: target.Target) -> Any:
 
 
 def _live(options: argparse.Namespace, targets: list[target.Target]) -> list[Any]:
-    from mjtactile.calibrate.live import calibrate_live_valve, live_rig
-    from mjtactile.devices.valve.driver import connect_valves
+    from mjtactile.calibrate.connect import live_rig, live_valves
+    from mjtactile.calibrate.live import calibrate_live_valve
 
-    with contextlib.ExitStack() as stack:
-        rig_file, _ = stack.enter_context(live_rig(options.rig, load_sensor(options.sensor)))
-        if not rig_file.valves:
-            raise InputError("the rig has no valve", source=rig_file.path, field="valve")
-        boards, valves = connect_valves(rig_file.valves)
-        for board in boards:
-            stack.callback(board.close)
-        of_finger = {valve.config.finger: valve for valve in valves}
+    with live_rig(options.rig, load_sensor(options.sensor)) as (rig_file, _), live_valves(rig_file) as of_finger:
         return [calibrate_live_valve(of_finger[goal.finger], _pressure(options, goal), options.seal, say) for goal in targets]
 
 

@@ -1,0 +1,67 @@
+"""The devices of a rig, each opened for a calibration and closed after it."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError
+from mjtactile.devices.camera.opencv import OpenCvCamera
+from mjtactile.devices.dynamixel.gripper import DynamixelGripper
+from mjtactile.devices.rig import build_device_rig
+from mjtactile.devices.valve.driver import BoardValve, connect_valves
+from mjtactile.emulator.process import EmulatorProcess
+from mjtactile.rig.file import RigFile, load_rig_file
+from mjtactile.rig.finger import Rig
+
+
+@contextlib.contextmanager
+def live_rig(name: str, design: SensorDesign, *, object_name: str = "egg") -> Iterator[tuple[RigFile, EmulatorProcess | None]]:
+    """The rig file of `name` with addresses that can be connected to; starts (and ends) the emulator for an emulated one."""
+    rig_file = load_rig_file(name)
+    if rig_file.emulator is None:
+        yield rig_file, None
+        return
+    process = EmulatorProcess(rig_file, design, object_name=object_name)
+    try:
+        yield process.connect(rig_file), process
+    finally:
+        process.close()
+
+
+@contextlib.contextmanager
+def live_fingers(rig_file: RigFile, design: SensorDesign) -> Iterator[Rig]:
+    """All of the rig, with `design` on each finger that names no sensor file of its own."""
+    with contextlib.closing(build_device_rig(rig_file, design, name=rig_file.name)) as rig:
+        yield rig
+
+
+@contextlib.contextmanager
+def live_camera(rig_file: RigFile, finger: str) -> Iterator[OpenCvCamera]:
+    """The camera of a finger. Raises InputError when the rig has none."""
+    config = next((c for c in rig_file.cameras if c.finger == finger), None)
+    if config is None:
+        raise InputError(f"the rig has no {finger} camera", source=rig_file.path, field="--finger")
+    with contextlib.closing(OpenCvCamera(config)) as camera:
+        yield camera
+
+
+@contextlib.contextmanager
+def live_gripper(rig_file: RigFile) -> Iterator[DynamixelGripper]:
+    """The jaws and what lifts them."""
+    gripper = DynamixelGripper(rig_file.bus, rig_file.gripper, rig_file.lift, source=str(rig_file.path))
+    with contextlib.closing(gripper):
+        yield gripper
+
+
+@contextlib.contextmanager
+def live_valves(rig_file: RigFile) -> Iterator[dict[str, BoardValve]]:
+    """Each finger's valve. Raises InputError when the rig has none."""
+    if not rig_file.valves:
+        raise InputError("the rig has no valve", source=rig_file.path, field="valve")
+    with contextlib.ExitStack() as stack:
+        boards, valves = connect_valves(rig_file.valves)
+        for board in boards:
+            stack.callback(board.close)
+        yield {valve.config.finger: valve for valve in valves}

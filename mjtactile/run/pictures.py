@@ -1,0 +1,115 @@
+"""Images from what a user names (one file, a folder in file-name order, or a video), and images with what was found in them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError
+from mjtactile.core.optics import Camera
+from mjtactile.core.types import CirclePoses, Ellipses, Image
+from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
+from mjtactile.sensing.image.markers import detect, grey_image
+from mjtactile.sensing.pose.circles import estimate_poses
+from mjtactile.sensing.pose.locate import IMAGE_SUFFIXES, load_image
+
+VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """`name` of the image, its pixels (H, W) or (H, W, 3) as stored, None when it cannot be read."""
+
+    name: str
+    pixels: NDArray | None
+
+    def grey(self) -> NDArray | None:
+        """The grey channel (H, W), uint8; None when it cannot be read."""
+        if self.pixels is None:
+            return None
+        grey = grey_image(self.pixels)
+        return grey if grey.dtype == np.uint8 else (grey >> 8).astype(np.uint8)
+
+
+def read_frames(source: Path) -> Iterator[Frame]:
+    """Yield the images of `source`. Raises InputError when there is none."""
+    if source.is_dir():
+        files = sorted(path for path in source.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
+        if not files:
+            raise InputError("a folder without images", source=source, field="SOURCE", choices=IMAGE_SUFFIXES)
+        yield from (_read(path) for path in files)
+    elif not source.is_file():
+        raise InputError("no such file or folder", source=source, field="SOURCE")
+    elif source.suffix.lower() in VIDEO_SUFFIXES:
+        yield from _read_video(source)
+    else:
+        yield Frame(source.name, load_image(source))
+
+
+def _read(path: Path) -> Frame:
+    try:
+        return Frame(path.name, load_image(path))
+    except InputError:
+        return Frame(path.name, None)
+
+
+def _read_video(path: Path) -> Iterator[Frame]:
+    video = cv2.VideoCapture(str(path))
+    count = 0
+    try:
+        while True:
+            ok, pixels = video.read()
+            if not ok:
+                break
+            yield Frame(f"{path.name}#{count:06d}", pixels)
+            count += 1
+    finally:
+        video.release()
+    if count == 0:
+        raise InputError("a video without a frame that can be read", source=path, field="SOURCE")
+
+
+def to_image(frame: Frame, design: SensorDesign) -> Image | str:
+    """The frame as the sensor's camera would give it, or why it cannot be used."""
+    pixels = frame.grey()
+    if pixels is None:
+        return "cannot be read"
+    want = (design.camera.height, design.camera.width)
+    if pixels.shape != want:
+        return f"{pixels.shape[1]} x {pixels.shape[0]} pixels, the sensor's camera has {want[1]} x {want[0]}"
+    return Image(pixels)
+
+
+def marker_overlay(image: Image, camera: Camera, design: SensorDesign) -> NDArray[np.uint8]:
+    """`overlay` of the markers that are found in an image of a sensor."""
+    ellipses = detect(image)
+    return overlay(image.pixels, ellipses, estimate_poses(ellipses, camera, design.markers.radius))
+
+
+def overlay(pixels: NDArray, ellipses: Ellipses, poses: CirclePoses) -> NDArray[np.uint8]:
+    """The image with each ellipse (green: ok, orange: not to be trusted) and the projected centre."""
+    eight = pixels if pixels.dtype == np.uint8 else cv2.convertScaleAbs(pixels, alpha=255 / max(int(pixels.max()), 1))
+    canvas = cv2.cvtColor(eight, cv2.COLOR_GRAY2BGR) if eight.ndim == 2 else np.ascontiguousarray(eight[..., :3])
+    zoom = max(1, round(1280 / canvas.shape[1]))
+    canvas = cv2.resize(canvas, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_NEAREST)
+    if not len(ellipses):
+        return canvas
+    points, _ = boundary(ellipses.center_px, shape_from_axes(ellipses.semi_axes_px, ellipses.angle), 48)
+    for i, curve in enumerate(points):
+        colour = (80, 220, 60) if poses.status[i] == "ok" else (0, 150, 255)
+        cv2.polylines(canvas, [_fixed(curve, zoom)], True, colour, 1, cv2.LINE_AA, 4)
+        cross = poses.uv_px[i] + np.array([[-2, 0], [2, 0], [0, -2], [0, 2]]) / zoom
+        for line in (cross[:2], cross[2:]):
+            cv2.polylines(canvas, [_fixed(line, zoom)], False, (60, 60, 255), 1, cv2.LINE_AA, 4)
+    return canvas
+
+
+def _fixed(uv: NDArray, zoom: int) -> NDArray[np.int32]:
+    """Pixels of the image to OpenCV's fixed point (4 bits) in the enlarged one; centres stay centres."""
+    return np.rint(((uv + 0.5) * zoom - 0.5) * 16).astype(np.int32)
