@@ -32,7 +32,7 @@ examples:
   mjtactile locate photos/ --camera camera.yaml --radius-mm 6.35 --json > markers.json
   mjtactile locate clip.mp4 --camera camera.yaml --radius-mm 1.5 --bright --out overlays
 
-JSON: {"frames": [{"source": …, "status": "ok", or why it has no markers,
+JSON: {"frames": [{"source": …, "status": "ok", or why it has no marker to trust,
   "shared": [] or what its circles share with neighbours ("elongation", "depth"),
   "overexposed": whether the bright side is clipped, which hides tenths of a pixel of size, "markers": [{
   "uv_px": projected centre (distorted pixels; (0, 0) is the centre of the top-left pixel),
@@ -40,7 +40,8 @@ JSON: {"frames": [{"source": …, "status": "ok", or why it has no markers,
   "center_mm", "cov_center_mm2": 3x3, "normal" (facing the camera),
   "center_alt_mm", "cov_center_alt_mm2", "normal_alt": the circle's other pose, which looks exactly the same,
   "preferred_probability": how sure it is that the first pose is the right one, not the other,
-  "status": "ok", or why not to trust it}]}]}
+  "status": "ok", or why not to trust it}],
+  "rejected": all other candidates, [{"center_px", "semi_axes_px", "status": why it is no circle}]}]}
 One image of one circle allows two poses. Which is right is told by the circles around it, where they lie on a smooth
 surface; else only by the one that is less tilted being a little likelier.
 exit codes: 0 done (also when no marker was found), 2 bad input.
@@ -78,7 +79,7 @@ def run(options: argparse.Namespace) -> int:
     with optional_folder(options.out, "locate.json") as out:
         with stdout_to_stderr():
             frames = [_locate(frame, camera, options, out) for frame in read_frames(options.source)]
-        if not any(frame["status"] == "ok" for frame in frames):
+        if not any(frame["usable"] for frame in frames):
             raise InputError(f"none of its {len(frames)} images can be used; {frames[0]['source']}: {frames[0]['status']}",
                              source=options.source, field="SOURCE")
         if out is not None:
@@ -91,11 +92,11 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _public(frame: dict[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in frame.items() if key != "ms"}
+    return {key: value for key, value in frame.items() if key not in ("ms", "usable")}
 
 
 def _locate(frame: Frame, camera: Camera, options: argparse.Namespace, out: Path | None) -> dict[str, Any]:
-    """One frame of the JSON, with its time `ms` for the table."""
+    """One frame of the JSON, with its time `ms` for the table, and whether it was `usable` at all."""
     if frame.pixels is None:
         return _without_markers(frame, "cannot be read")
     height, width = frame.pixels.shape[:2]
@@ -109,12 +110,13 @@ def _locate(frame: Frame, camera: Camera, options: argparse.Namespace, out: Path
     if out is not None:
         name = f"{Path(frame.name).stem}{_index(frame.name)}_overlay.png"
         cv2.imwrite(str(out / name), overlay(frame.pixels, found.ellipses, found.poses))
-    return {"source": frame.name, "status": "ok", "shared": list(found.shared), "overexposed": found.overexposed,
-            "markers": marker_records(found), "ms": spent}
+    return {"source": frame.name, "status": found.status, "shared": list(found.shared), "overexposed": found.overexposed,
+            "markers": marker_records(found), "rejected": found.rejected.records(), "ms": spent, "usable": True}
 
 
 def _without_markers(frame: Frame, status: str) -> dict[str, Any]:
-    return {"source": frame.name, "status": status, "shared": [], "overexposed": False, "markers": [], "ms": 0.0}
+    return {"source": frame.name, "status": status, "shared": [], "overexposed": False, "markers": [], "rejected": [],
+            "ms": 0.0, "usable": False}
 
 
 def _index(name: str) -> str:
@@ -123,13 +125,13 @@ def _index(name: str) -> str:
 
 
 def _print_table(frames: Sequence[dict[str, Any]], out: Path | None) -> None:
-    print(f"{'source':<40} {'markers':>7} {'ok':>5} {'sd of depth mm':>15} {'ms':>7}")
+    print(f"{'source':<40} {'markers':>7} {'ok':>5} {'rejected':>8} {'sd of depth mm':>15} {'ms':>7}")
     for frame in frames:
         good = [m for m in frame["markers"] if m["status"] == "ok"]
         depth = statistics.median(math.sqrt(m["cov_center_mm2"][2][2] or math.nan) for m in good) if good else math.nan
         note = [] if frame["status"] == "ok" else [frame["status"]]
         note += ["depth shared"] * ("depth" in frame["shared"]) + ["over-exposed"] * frame["overexposed"]
-        print(f"{frame['source'][-40:]:<40} {len(frame['markers']):>7} {len(good):>5} {depth:>15.4f} "
-              f"{frame['ms']:>7.1f}  {', '.join(note)}".rstrip())
+        print(f"{frame['source'][-40:]:<40} {len(frame['markers']):>7} {len(good):>5} {len(frame['rejected']):>8} "
+              f"{depth:>15.4f} {frame['ms']:>7.1f}  {', '.join(note)}".rstrip())
     if out is not None:
         print(f"overlays and locate.json are in {out}")

@@ -67,6 +67,7 @@ def check(frame):
 def test_an_image(mjtactile, folder):
     (frame,) = locate(mjtactile, "dark.png")
     assert frame["source"] == "dark.png"
+    assert all(set(r) == {"center_px", "semi_axes_px", "status"} and r["status"] != "ok" for r in frame["rejected"])
     check(frame)
 
 
@@ -86,7 +87,7 @@ def test_a_folder_in_name_order_with_a_corrupt_file_and_overlays(mjtactile, fold
     assert [frame["source"] for frame in frames] == ["a.png", "b.png", "c.png", "d.png"]
     assert frames[0]["status"] == "cannot be read" and frames[0]["markers"] == []
     check(frames[1])
-    assert frames[2]["status"] == "ok" and frames[2]["markers"] == []
+    assert frames[2]["status"] == "no circle found" and frames[2]["markers"] == []
     assert "64 x 48 pixels" in frames[3]["status"] and frames[3]["markers"] == []
     assert {path.name for path in (folder / "out").iterdir()} == {"b_overlay.png", "c_overlay.png", "locate.json"}
     assert cv2.imread(str(folder / "out" / "b_overlay.png")).shape == (960, 1280, 3)

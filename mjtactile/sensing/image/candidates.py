@@ -34,6 +34,10 @@ class Candidates:
     def take(self, keep: NDArray[np.bool_]) -> Candidates:
         return self if keep.all() else Candidates(self.center[keep], self.shape[keep], self.misfit[keep], self.cut[keep])
 
+    def joined(self, more: Candidates) -> Candidates:
+        """These and then `more`."""
+        return Candidates(*(np.concatenate([a, b]) for a, b in zip(vars(self).values(), vars(more).values(), strict=True)))
+
 
 _NONE = Candidates(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, dtype=bool))
 
@@ -46,7 +50,12 @@ def find(dark: NDArray[np.uint8], min_radius_px: float, s: CandidateSettings = D
         found = find(half, min_radius_px / 2, s)
         # the middle of the first 2 x 2 pixels is at (0.5, 0.5)
         return Candidates(2 * found.center + 0.5, 2 * found.shape, 2 * found.misfit, found.cut)
-    borders, tree = cv2.findContours(threshold(dark, s), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+    return outlines(threshold(dark, s), min_radius_px, s)
+
+
+def outlines(binary: NDArray[np.uint8], min_radius_px: float, s: CandidateSettings) -> Candidates:
+    """The blobs of a binary image (H, W) as candidates."""
+    borders, tree = cv2.findContours(binary, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
     if not borders:
         return _NONE
     # Outer borders only (no parent): a disc larger than the threshold's neighbourhood comes out hollow. Straight runs
@@ -57,7 +66,7 @@ def find(dark: NDArray[np.uint8], min_radius_px: float, s: CandidateSettings = D
         return _NONE
     if not keep.all():
         borders, counts = [borders[i] for i in np.flatnonzero(keep)], counts[keep]
-    found = _moments(np.concatenate(borders), counts, dark.shape)
+    found = _moments(np.concatenate(borders), counts, binary.shape)
     a, b, c = found.shape.T
     return found.take(a * c - b * b > (s.smallest * min_radius_px) ** 2)
 
@@ -70,12 +79,12 @@ def threshold(dark: NDArray[np.uint8], s: CandidateSettings = DEFAULTS.candidate
         small = cv2.resize(small, (small.shape[1] // 2, small.shape[0] // 2), interpolation=cv2.INTER_AREA)
     small = cv2.blur(small, (5, 5))
     soft = cv2.GaussianBlur(dark, (3, 3), 0)
-    margin = cv2.max(small // 24, _margin(soft, s))
+    margin = cv2.max(small // 24, noise_margin(soft, s))
     local = cv2.resize(cv2.subtract(small, margin), (width, height), interpolation=cv2.INTER_LINEAR)
     return cv2.compare(soft, local, cv2.CMP_LT)
 
 
-def _margin(soft: NDArray[np.uint8], s: CandidateSettings) -> float:
+def noise_margin(soft: NDArray[np.uint8], s: CandidateSettings) -> float:
     """Several times the noise left in `soft`, from the median difference of neighbours on some of the rows."""
     rows = soft[:: max(1, soft.shape[0] // 16)]
     histogram = cv2.calcHist([cv2.absdiff(rows[:, 1:], rows[:, :-1])], [0], None, [256], [0, 256]).ravel()

@@ -31,7 +31,7 @@ SOFTEN_VARIANCE = 0.4  # px^2 per axis
 _PIXELS_AT_ONCE = 30_000  # a working set that stays in the processor's cache
 _PIXELS_FIRST = 170  # pixels per marker for the first steps and for the normal matrix
 _SETTLED = 0.05  # px: the largest last step of a fit that has converged
-_UNSETTLED = 1e3  # grey levels added to the residual of any other, so that nobody trusts it
+UNSETTLED = 1e3  # grey levels added to the residual of any other, so that nobody trusts it
 _HERMITE = ((0.0, 8 / 15), (1.3556262, 0.22207592), (-1.3556262, 0.22207592), (2.8569700, 0.01125741), (-2.8569700, 0.01125741))
 
 
@@ -57,14 +57,32 @@ class EdgeFit:
         return EdgeFit(*(column[keep] for column in vars(self).values()))
 
 
-def fit(image: NDArray, center: Array, shape: Array, *, blur: float = 0.8, iterations: int = 4,
+@dataclass(frozen=True)
+class _KnownBlur:
+    """A blur of `sigma` px (softening included) and the `weight` of a prior for it, over the pixels' noise variance."""
+
+    sigma: float
+    weight: float
+
+    def normal(self, pixels: Pixels, theta: Array, J: NDArray, residual: NDArray, weight: NDArray) -> tuple[Array, Array]:
+        """Normal matrix (n, 10, 10) and right side (n, 10) of pixels and prior."""
+        H, right = _normal_matrix(pixels, J, weight), pixels.sums(J * (weight * residual)).T
+        if self.weight:
+            pull = self.weight * pixels.sums(weight * residual * residual) / pixels.counts
+            H[:, -1, -1] += pull
+            right[:, -1] += pull * (self.sigma - theta[:, -1])
+        return H, right
+
+
+def fit(image: NDArray, center: Array, shape: Array, *, blur: float = 0.8, blur_sd: float = np.inf, iterations: int = 4,
         others: tuple[Array, Array] | None = None, s: EdgeSettings = DEFAULTS.edges) -> EdgeFit:
-    """Fit N ellipses starting from `center` (N, 2), `shape` (N, 3), and `blur` px of about the right size.
+    """Fit N ellipses starting from `center` (N, 2), `shape` (N, 3), and `blur` px of about the right size, known to
+    `blur_sd` px from elsewhere.
 
     Pixels that another of them darkens are left out; `others`: centres and shapes of more markers that may.
     """
     width = max(5.0, 3.5 * blur)
-    blur = float(np.hypot(blur, np.sqrt(SOFTEN_VARIANCE)))
+    known = _KnownBlur(float(np.hypot(blur, np.sqrt(SOFTEN_VARIANCE))), s.coloured / blur_sd**2)
     image = cv2.sepFilter2D(image, cv2.CV_32F, SOFTEN, SOFTEN, borderType=cv2.BORDER_REPLICATE)
     if others is not None:
         others = np.concatenate([center, others[0]]), np.concatenate([shape, others[1]])
@@ -75,7 +93,7 @@ def fit(image: NDArray, center: Array, shape: Array, *, blur: float = 0.8, itera
     while first < len(center):
         done = load[first - 1] if first else 0.0
         last = max(first + 1, int(np.searchsorted(load, done + _PIXELS_AT_ONCE)))
-        parts.append(_fit_some(image, center[first:last], shape[first:last], around.part(first, last), width, blur,
+        parts.append(_fit_some(image, center[first:last], shape[first:last], around.part(first, last), width, known,
                                iterations, s))
         first = last
     if not parts:
@@ -105,17 +123,17 @@ def _levels(image: NDArray, center: Array, shape: Array) -> tuple[Array, Array]:
     return rings[0], rings[1]
 
 
-def _fit_some(image: NDArray, center: Array, shape: Array, around: Around, width: float, blur: float,
+def _fit_some(image: NDArray, center: Array, shape: Array, around: Around, width: float, blur: _KnownBlur,
               iterations: int, s: EdgeSettings) -> EdgeFit:
     """Gauss-Newton for markers of similar size. The first steps look at some of the pixels only; the last two at all,
     with one normal matrix between them (the fixed point does not depend on it)."""
-    small = bool((shape[:, 0] * shape[:, 2] - shape[:, 1] ** 2).min() < (s.small * max(blur, 1)) ** 2)
+    small = bool((shape[:, 0] * shape[:, 2] - shape[:, 1] ** 2).min() < (s.small * max(blur.sigma, 1)) ** 2)
     iterations += 8 if small else 0  # blur, radius and level are harder to tell apart
     pixels, used, origin = _gather(image, center, shape, around, width)
     theta = np.zeros((len(center), PARAMETERS))
     theta[:, :2], theta[:, 2:5] = center - origin, shape
     theta[:, 5], theta[:, 6] = _levels(image, center, shape)
-    theta[:, 9] = blur
+    theta[:, 9] = blur.sigma
     stride = int(max(1, pixels.counts.mean() // _PIXELS_FIRST))
     some = pixels.every(stride)
     J = np.empty((PARAMETERS, len(some.x)), np.float32)
@@ -123,7 +141,7 @@ def _fit_some(image: NDArray, center: Array, shape: Array, around: Around, width
         residual = some.observed - _model(some, theta, J, small)
         weight = _robust(some, residual, theta, s) if k else np.ones_like(residual)
         old = theta
-        theta = _step(theta, _normal_matrix(some, J, weight), some.sums(J * (weight * residual)).T)
+        theta = _step(theta, *blur.normal(some, theta, J, residual, weight))
         if k and np.abs(theta - old)[:, :5].max() < _SETTLED:
             break
     J = np.empty((PARAMETERS, len(pixels.x)), np.float32)
@@ -131,11 +149,11 @@ def _fit_some(image: NDArray, center: Array, shape: Array, around: Around, width
     for _ in range(2):
         residual = pixels.observed - _model(pixels, theta, J, small)
         weight = _robust(pixels, residual, theta, s)
-        H = _normal_matrix(pixels, J, weight)
+        H, right = blur.normal(pixels, theta, J, residual, weight)
         old = theta
-        theta = _step(theta, H, pixels.sums(J * (weight * residual)).T)
+        theta = _step(theta, H, right)
     wrong = (np.abs(theta - old)[:, :5].max(axis=1) > _SETTLED) | (theta[:, 9] < s.sharpest)
-    residual[np.repeat(wrong, pixels.counts)] += _UNSETTLED
+    residual[np.repeat(wrong, pixels.counts)] += UNSETTLED
     return _result(theta, H, residual, weight, pixels, used, origin, s.coloured)
 
 

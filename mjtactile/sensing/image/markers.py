@@ -18,6 +18,7 @@ Polarity = Literal["dark", "bright"]
 CUT, NOT_ELLIPSE, TOUCHING = "cut by image border", "not an ellipse", "touches another"
 LOW_CONTRAST, GLARE, SMALL = "low contrast", "glare or dirt", "too small"
 MOTION, BLURRED = "motion blur", "too blurred"
+LONG, NO_FIT, MOVED = "too long", "no fit", "edge lies elsewhere"
 
 
 def detect(image: NDArray | Image, camera: Any = None, *, polarity: Polarity = "dark",
@@ -32,17 +33,25 @@ def detect(image: NDArray | Image, camera: Any = None, *, polarity: Polarity = "
     be trusted. No marker gives an empty result. Raises InputError for a wrong shape, type or option.
     """
     grey, s = grey_image(image), settings.markers
-    if polarity not in ("dark", "bright"):
-        raise InputError(f"{polarity!r}", source="detect", field="polarity", choices=("dark", "bright"))
-    eight = grey if grey.dtype == np.uint8 else _eight_bit(grey)
+    check_polarity(polarity)
+    eight = eight_bit(grey)
     found = candidates.find(eight if polarity == "dark" else 255 - eight, min_radius_px, settings.candidates)
-    found = _plausible(found, min_radius_px, s)
-    fit = _fit(grey, found, settings)
-    fit = _sound(fit)
-    status = _judge(fit, found, polarity, grey.shape, min_radius_px, s)
-    keep = status != ""
+    found = found.take(implausible(found, min_radius_px, s) == "")
+    fit = fit_candidates(grey, found, settings)
+    status, keep = judge(fit, found, polarity, grey.shape, min_radius_px, s)
     if not keep.all():
         fit, status = fit.take(keep), status[keep]
+    return as_ellipses(fit, status)
+
+
+def check_polarity(polarity: str) -> None:
+    """Raises InputError for another than those that there are."""
+    if polarity not in ("dark", "bright"):
+        raise InputError(f"{polarity!r}", source="detect", field="polarity", choices=("dark", "bright"))
+
+
+def as_ellipses(fit: edges.EdgeFit, status: NDArray[np.str_]) -> Ellipses:
+    """Fits as semi-axes and angles."""
     axes, angle = ellipse.axes_from_shape(fit.shape)
     return Ellipses(fit.center, axes, angle, ellipse.covariance_of_axes(fit.cov, axes, angle), status)
 
@@ -59,6 +68,11 @@ def grey_image(image: NDArray | Image) -> NDArray:
         raise InputError(f"shape {pixels.shape} is not an image of at least 8 x 8 pixels", source="image",
                          field="shape", choices=("(H, W)", "(H, W, 3)"))
     return np.ascontiguousarray(pixels)
+
+
+def fit_candidates(grey: NDArray, found: candidates.Candidates, settings: Settings) -> edges.EdgeFit:
+    """An ellipse for each candidate, with a covariance that can be believed or is as large as the marker."""
+    return sound(_fit(grey, found, settings))
 
 
 def _fit(grey: NDArray, found: candidates.Candidates, settings: Settings) -> edges.EdgeFit:
@@ -87,7 +101,7 @@ def _fit(grey: NDArray, found: candidates.Candidates, settings: Settings) -> edg
     return edges.merge(large, fit, edges.fit(grey, found.center[~large], found.shape[~large], others=others, s=by_pixels))
 
 
-def _sound(fit: edges.EdgeFit) -> edges.EdgeFit:
+def sound(fit: edges.EdgeFit) -> edges.EdgeFit:
     """`fit` with a covariance as large as the marker, and no trust, where the numbers are not those of a minimum."""
     variances = np.diagonal(fit.cov, axis1=1, axis2=2)
     bad = ~(np.isfinite(fit.cov.sum(axis=(1, 2)) + fit.residual) & (variances.min(axis=1, initial=np.inf) > 0))
@@ -99,23 +113,29 @@ def _sound(fit: edges.EdgeFit) -> edges.EdgeFit:
     return replace(fit, cov=cov, residual=residual)
 
 
-def _eight_bit(grey: NDArray) -> NDArray[np.uint8]:
+def eight_bit(grey: NDArray) -> NDArray[np.uint8]:
     """Candidates need contrast, not depth: stretch what is really used of 16 bits to 8."""
+    if grey.dtype == np.uint8:
+        return grey
     low, high = np.percentile(grey[::4, ::4], [0.1, 99.9])
     return np.clip((grey - low) * (255 / max(high - low, 1.0)), 0, 255).astype(np.uint8)
 
 
-def _plausible(found: candidates.Candidates, min_radius_px: float, s: MarkerSettings) -> candidates.Candidates:
-    """Drop what cannot be a marker: too small or long, or a border far from its own ellipse (further if cut)."""
+def implausible(found: candidates.Candidates, min_radius_px: float, s: MarkerSettings) -> NDArray[np.str_]:
+    """Why each cannot be a marker: too small or long, or a border far from its own ellipse (further if cut); "" if it can."""
     axes, _ = ellipse.axes_from_shape(found.shape)
     a, b = axes.T
-    fits = (b >= min_radius_px) & (b > s.longest * a) & ~_odd(found, s)
-    if fits.sum() < s.some:
-        return found.take(fits)
-    # a border as large as the others' but of another outline is a marker with glare or dirt on it, to be flagged
-    size = np.sqrt(a * b)
-    alike = np.abs(np.log(size / ellipse.middle(size[fits]))) < s.alike
-    return found.take(fits | (alike & (b > s.longest_flawed * a) & (found.misfit < s.flawed * size)))
+    why = np.full(len(a), "", dtype="<U24")
+    why[_odd(found, s)] = NOT_ELLIPSE
+    why[b <= s.longest * a] = LONG
+    why[b < min_radius_px] = SMALL
+    fits = why == ""
+    if fits.sum() >= s.some:
+        # a border as large as the others' but of another outline is a marker with glare or dirt on it, to be flagged
+        size = np.sqrt(a * b)
+        alike = np.abs(np.log(size / ellipse.middle(size[fits]))) < s.alike
+        why[alike & (b > s.longest_flawed * a) & (found.misfit < s.flawed * size)] = ""
+    return why
 
 
 def _odd(found: candidates.Candidates, s: MarkerSettings) -> NDArray[np.bool_]:
@@ -124,9 +144,9 @@ def _odd(found: candidates.Candidates, s: MarkerSettings) -> NDArray[np.bool_]:
     return found.misfit >= s.odd + np.where(found.cut, s.odd_share_cut, s.odd_share) * b
 
 
-def _judge(fit: edges.EdgeFit, found: candidates.Candidates, polarity: str, size: tuple[int, ...],
-           min_radius_px: float, s: MarkerSettings) -> NDArray[np.str_]:
-    """Status of each fit; "" for what is no marker at all."""
+def judge(fit: edges.EdgeFit, found: candidates.Candidates, polarity: str, size: tuple[int, ...],
+          min_radius_px: float, s: MarkerSettings) -> tuple[NDArray[np.str_], NDArray[np.bool_]]:
+    """Status (N,) of each fit, and whether (N,) it is likely a marker at all, be it to be trusted or not."""
     axes, _ = ellipse.axes_from_shape(fit.shape)
     a, b = axes.T
     contrast = (fit.outside - fit.inside) * (1 if polarity == "dark" else -1)
@@ -154,11 +174,15 @@ def _judge(fit: edges.EdgeFit, found: candidates.Candidates, polarity: str, size
     status[cut] = CUT
     odd = _odd(found, s) & ~cut
     status[odd] = GLARE
-    wrong = (contrast < s.contrast_any * noise) | (b < s.shrunk * min_radius_px) | (b < s.flattest * a) | (doubt > s.doubt_any)
-    status[wrong | ((moved > 1 + s.moved * b) & ~cut & ~odd)] = ""
+    drop = np.zeros(len(b), dtype=bool)
+    for what, why in (((moved > 1 + s.moved * b) & ~cut & ~odd, MOVED), ((contrast < s.contrast_any * noise), LOW_CONTRAST),
+                      ((doubt > s.doubt_any) | (fit.residual >= edges.UNSETTLED), NO_FIT),
+                      (b < s.flattest * a, LONG), (b < s.shrunk * min_radius_px, SMALL)):
+        drop |= what
+        status[what] = why
     good = np.flatnonzero(status == "ok")
     status[good[_crowded(fit.center[good], fit.shape[good], a[good], s.close)]] = TOUCHING
-    return status
+    return status, ~drop
 
 
 def _crowded(center: Array, shape: Array, a: Array, close: float) -> NDArray[np.bool_]:

@@ -15,7 +15,8 @@ from mjtactile.core.design import CameraDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, CirclePoses, Ellipses, Image
 from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
-from mjtactile.sensing.image.markers import Polarity, detect, grey_image
+from mjtactile.sensing.image.markers import Polarity, grey_image
+from mjtactile.sensing.image.thorough import NO_REJECTED, Rejected, detect_thoroughly
 from mjtactile.sensing.pose.circles import estimate_poses, pose_covariances
 from mjtactile.sensing.pose.consensus import share_elongation
 from mjtactile.sensing.pose.preference import prefer
@@ -54,15 +55,23 @@ def load_image(path: str | Path) -> NDArray:
 class Located:
     """The circles of one image: their `ellipses` and `poses`, the likelier of the two of each circle first, with the
     covariance `cov_p_alt` (N, 3, 3) m^2 of the other's centre and the probability `sure` (N,) that the first is right;
-    what they `shared` with neighbours (of "elongation", "depth"; empty: every circle on its own), and whether their
-    bright side is `overexposed`."""
+    what they `shared` with neighbours (of "elongation", "depth"; empty: every circle on its own); candidates that are no
+    circles, `rejected` each with a reason; and whether the circles' bright side is `overexposed`."""
 
     ellipses: Ellipses
     poses: CirclePoses
     cov_p_alt: Array
     sure: Array
     shared: tuple[str, ...]
-    overexposed: bool
+    rejected: Rejected = NO_REJECTED
+    overexposed: bool = False
+
+    @property
+    def status(self) -> str:
+        """"ok", or why the image tells nothing."""
+        if (self.poses.status == "ok").any():
+            return "ok"
+        return f"none of {len(self.poses)} circles can be trusted" if len(self.poses) else "no circle found"
 
 
 def find_circles(image: NDArray | Image, camera: optics.Camera | CameraDesign, radius: ArrayLike, *,
@@ -80,8 +89,8 @@ def find_circles(image: NDArray | Image, camera: optics.Camera | CameraDesign, r
     if neighbours not in ("auto", "always", "never"):
         raise InputError(f"{neighbours!r}", source="locate", field="neighbours", choices=("auto", "always", "never"))
     grey = _grey(image)
-    ellipses = detect(grey, camera, polarity=polarity, min_radius_px=min_radius_px, settings=settings)
-    found = _together(ellipses, camera, radius, neighbours, settings)
+    ellipses, rejected = detect_thoroughly(grey, polarity=polarity, min_radius_px=min_radius_px, settings=settings)
+    found = replace(_together(ellipses, camera, radius, neighbours, settings), rejected=rejected)
     if not _overexposed(grey_image(grey), ellipses, polarity, settings.locate):
         return found
     doubt = _doubtful_size(found.poses, ellipses, settings.locate.size_sd)
@@ -115,17 +124,18 @@ def _preferred(ellipses: Ellipses, camera: optics.Camera, poses: CirclePoses, se
     cov_p_alt, cov_n_alt = pose_covariances(ellipses, camera, poses.p_CM_alt, poses.n_C_alt)
     better, cov_p_alt, sure = prefer(poses, cov_p_alt, np.stack([cov_n, cov_n_alt]), settings.preference)
     better = replace(better, uv_px=optics.project(camera, better.p_CM))
-    return Located(ellipses, better, cov_p_alt, sure, shared, overexposed=False)
+    return Located(ellipses, better, cov_p_alt, sure, shared)
 
 
 def _overexposed(grey: NDArray, ellipses: Ellipses, polarity: Polarity, s: LocateSettings) -> bool:
     """Whether the bright side of most edges is at the end of the camera's range (8, 10, 12, 14 or 16 bits)."""
     top = int(grey.max(initial=0))
-    if not len(ellipses) or top + 1 not in (2**8, 2**10, 2**12, 2**14, 2**16):
+    good = ellipses.status == "ok"
+    if not good.any() or top + 1 not in (2**8, 2**10, 2**12, 2**14, 2**16):
         return False
-    shape = shape_from_axes(ellipses.semi_axes_px, ellipses.angle)
+    shape = shape_from_axes(ellipses.semi_axes_px[good], ellipses.angle[good])
     aside = shape + [s.aside, 0.0, s.aside] if polarity == "dark" else s.inside * shape
-    u, v = np.rint(boundary(ellipses.center_px, aside, 8)[0]).astype(np.int64).transpose(2, 0, 1)
+    u, v = np.rint(boundary(ellipses.center_px[good], aside, 8)[0]).astype(np.int64).transpose(2, 0, 1)
     inside = (u >= 0) & (v >= 0) & (u < grey.shape[1]) & (v < grey.shape[0])
     return bool((grey[v[inside], u[inside]] > s.clipped * top).mean() > s.clipped_share)
 

@@ -20,7 +20,7 @@ from typing import Any
 
 from mjtactile.core.errors import InputError
 from mjtactile.sensing.settings.force import InverseSettings, PriorSettings, ZeroSettings
-from mjtactile.sensing.settings.image import CandidateSettings, EdgeSettings, MarkerSettings, ProfileSettings
+from mjtactile.sensing.settings.image import CandidateSettings, EdgeSettings, MarkerSettings, ProfileSettings, ThoroughSettings
 from mjtactile.sensing.settings.locate import ConsensusSettings, LocateSettings, PreferenceSettings, SmoothnessSettings
 from mjtactile.sensing.settings.number import number
 from mjtactile.sensing.settings.paper import PaperSettings
@@ -30,7 +30,7 @@ from mjtactile.sensing.settings.touch import MaterialSettings, PatchSettings, Sl
 __all__ = ["DEFAULTS", "CandidateSettings", "ConsensusSettings", "EdgeSettings", "IdentitySettings", "InverseSettings",
            "LocateSettings", "MarkerSettings", "MaterialSettings", "PaperSettings", "PatchSettings", "PreferenceSettings",
            "PriorSettings", "ProfileSettings", "ReferenceSettings", "Settings", "SlipSettings", "SmoothnessSettings",
-           "SqueezeSettings", "SurfaceSettings", "ZeroSettings"]
+           "SqueezeSettings", "SurfaceSettings", "ThoroughSettings", "ZeroSettings"]
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,7 @@ class Settings:
     consensus: ConsensusSettings = field(default_factory=ConsensusSettings)
     smoothness: SmoothnessSettings = field(default_factory=SmoothnessSettings)
     preference: PreferenceSettings = field(default_factory=PreferenceSettings)
+    thorough: ThoroughSettings = field(default_factory=ThoroughSettings)
 
     def override(self, values: Mapping[str, Any]) -> Settings:
         """These settings with others for fields named like "zero.touch_sd". Raises InputError for a name that does not exist,

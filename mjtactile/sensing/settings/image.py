@@ -91,3 +91,23 @@ class MarkerSettings:
     moved: float = number(0.3, "of the semi-minor axis (beside 1 px): how far it may move from its place", "trial")
     flattest: float = number(0.1, "least ratio of a fit's axes", "trial")
     shrunk: float = number(0.5, "of the smallest radius asked for, below which there is no marker at all", "trial")
+
+
+@dataclass(frozen=True)
+class ThoroughSettings:
+    """The second look of `mjtactile locate` at photographs (sensing/image/thorough.py)."""
+
+    kernel: int = number(17, "px of the closing: blobs up to a radius of 8 px stand out, on the image and on smaller ones",
+                         "trial")
+    scale: int = number(3, "from one image to the next smaller", "trial")
+    least_side: int = number(60, "px of the smallest one's shorter side", "trial")
+    half: float = number(0.5, "of how dark the darkest place nearby is: what belongs to the blob", "the middle of a blurred edge")
+    alike: float = number(1.5, "ratio of sizes up to which two outlines may be the same circle's", "trial")
+    rim: float = number(1.3, "of its ellipse: how far out a part of a circle may lie, where the kernel's corner did not fit",
+                        "trial")
+    sharp: float = number(0.7, "px: a fit that failed is tried again with at least that much blur", "trial")
+    blur_sd: float = number(0.1, "of the blur: by how much it differs from place to place in a photograph", "trial")
+    grey: tuple[float, float] = number((0.1, 0.9), "levels of an edge that are grey", "trial")
+    grey_share: float = number(0.05, "of an edge's pixels; with fewer grey ones it is black and white only",
+                               "what pixels' areas alone make of a sharp edge is 0.3")
+    soft: float = number(0.5, "px of blur for such a picture", "0.5 to 1 leave the same error; the least has the best error bars")
