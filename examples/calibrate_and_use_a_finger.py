@@ -6,7 +6,7 @@ its true lens is known; it is another than the sensor file says, as every real o
 """
 
 import tempfile
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -46,9 +46,8 @@ with mjtactile.Recorder(work / "squeeze", {"sensor": "paper16"}) as recorder:  #
     true = felt(mjtactile.build_rig("sim", replace(sensor, camera=camera), object_name="vial"), replace(sensor, camera=camera),
                 recorder=recorder)
 
-size, numbers = ("width", "height"), ("fx", "fy", "cx", "cy", "distortion")
 stamp = mjtactile.Stamp("2026-01-31T12:00:00+00:00", "by hand", residuals={"rms_px": 0.2})
-lens = mjtactile.Lens(**{key: asdict(camera)[key] for key in size + numbers}, stamp=stamp)  # or from your own calibration
+lens = mjtactile.Lens(**camera.intrinsics, stamp=stamp)  # or from your own calibration
 mjtactile.Calibration("left", sensor.name).with_part(lens).save(work / "left.json")
 
 known = mjtactile.load_calibration(work / "left.json")

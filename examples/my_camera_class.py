@@ -26,10 +26,10 @@ class NewestFrame:
             raise mjtactile.DeviceError(f"{config.finger} camera {config.source} is not there")
         self._newest = None
         self._closed = threading.Event()
-        self._thread = threading.Thread(target=self._watch, daemon=True)
+        self._thread = threading.Thread(target=self._keep_newest, daemon=True)
         self._thread.start()
 
-    def _watch(self):
+    def _keep_newest(self):
         while not self._closed.is_set():
             arrived, frame = self._capture.read()
             if arrived:  # captured `delay` s before, on the clock that the rig goes by

@@ -64,7 +64,7 @@ class Host:
             cwd=folder, stdout=stdout, stderr=stderr, text=True)
         self.fallen = 0.0  # m by which the object was below where the hand had lifted it to
         self._over = threading.Event()
-        self._thread = threading.Thread(target=self._watch)
+        self._thread = threading.Thread(target=self._follow)
         self._thread.start()
 
     def close(self) -> None:
@@ -119,7 +119,7 @@ class Host:
         assert recording.complete and not recording.problems
         return recording
 
-    def _watch(self) -> None:
+    def _follow(self) -> None:
         start = self.emulator.truth()
         while not self._over.wait(0.03):
             now = self.emulator.truth()

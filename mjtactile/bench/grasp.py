@@ -16,7 +16,7 @@ OBJECTS = ("egg", "strawberry", "vial")  # the others that ship are there to be 
 SEEDS = range(10)
 
 
-class _Watcher:
+class _MarkerErrors:
     """In place of recorder and progress display: keeps the marker errors, writes nothing, so that the loop is timed."""
 
     def __init__(self) -> None:
@@ -54,12 +54,12 @@ def _line(row: Mapping[str, Any]) -> str:
 
 
 def _row(options: GraspOptions) -> dict[str, Any]:
-    watcher = _Watcher()
+    errors_seen = _MarkerErrors()
     try:
-        result: GraspResult = run_grasp(options, recorder=watcher, progress=watcher)
+        result: GraspResult = run_grasp(options, recorder=errors_seen, progress=errors_seen)
     except MjtactileError as error:
         return {"object": options.object, "seed": options.seed, "outcome": "fault", "error": str(error)}
-    errors = [1e3 * error for error in watcher.marker_errors if error == error]
+    errors = [1e3 * error for error in errors_seen.marker_errors if error == error]
     return {**result.summary(), "marker_error_mm_mean": statistics.fmean(errors) if errors else float("nan"),
             "milliseconds": dict(result.milliseconds)}
 

@@ -209,7 +209,7 @@ def camera_info(c: CameraCalibration, name: str) -> dict[str, Any]:
 def lens_part(c: CameraCalibration, stamp: Stamp) -> Lens:
     """What a finger's calibration keeps of it."""
     return Lens(*c.size, float(c.K[0, 0]), float(c.K[1, 1]), float(c.K[0, 2]), float(c.K[1, 2]),
-                tuple(float(k) for k in c.distortion), stamp)
+                tuple(float(k) for k in c.distortion), stamp=stamp)
 
 
 def report(c: CameraCalibration) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from mjtactile.core.design import SensorDesign
+from mjtactile.core.design import Pinhole, SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.toml import Section, read_json
 from mjtactile.core.types import Array, Markers, Traction
@@ -52,8 +52,8 @@ def fingerprint(design: SensorDesign) -> str:
 # -- parts -------------------------------------------------------------------------------------------------------------
 
 @dataclass(frozen=True)
-class Lens:
-    """Camera of `width` x `height` px, focal lengths and centre in px, plumb_bob `distortion` (k1, k2, p1, p2, k3)."""
+class Lens(Pinhole):
+    """The intrinsics of one camera, as measured."""
 
     kind: ClassVar[str] = "lens"
     rests_on: ClassVar[tuple[str, ...]] = ()
@@ -61,14 +61,7 @@ class Lens:
     of_sensor: ClassVar[bool] = False
     """Whether it is outdated when the sensor file has changed."""
 
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, ...]
-    stamp: Stamp
+    stamp: Stamp = field(kw_only=True)
 
     def table(self) -> dict[str, Any]:
         return {"width_px": self.width, "height_px": self.height, "fx_px": self.fx, "fy_px": self.fy, "cx_px": self.cx,
@@ -78,7 +71,7 @@ class Lens:
     def read(cls, s: Section, stamp: Stamp) -> Lens:
         return cls(s.whole("width_px", 16, 8192), s.whole("height_px", 16, 8192), s.number("fx_px", 1, _FAR),
                    s.number("fy_px", 1, _FAR), s.number("cx_px", -_FAR, _FAR), s.number("cy_px", -_FAR, _FAR),
-                   s.numbers("distortion", ("k1", "k2", "p1", "p2", "k3"), -_FAR, _FAR), stamp)
+                   s.numbers("distortion", ("k1", "k2", "p1", "p2", "k3"), -_FAR, _FAR), stamp=stamp)
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,9 +253,7 @@ class Calibration:
         """The sensor file's values, with those that were measured in their place."""
         if self.lens is None:
             return design
-        lens = self.lens
-        camera = replace(design.camera, fx=lens.fx, fy=lens.fy, cx=lens.cx, cy=lens.cy, distortion=lens.distortion)
-        return replace(design, camera=camera)
+        return replace(design, camera=replace(design.camera, **self.lens.intrinsics))
 
     def pressure(self, reading: float) -> float:
         """Gauge pressure, Pa, where the chamber's sensor shows `reading` Pa."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -118,12 +118,9 @@ class Glass:
 
 
 @dataclass(frozen=True)
-class CameraDesign:
-    """Camera behind the glass, looking along +z of S: `distance` m from its centre to the flat membrane, pinhole
-    intrinsics in pixels, plumb_bob `distortion` (k1, k2, p1, p2, k3), `rate` Hz, `blur_px` (Gaussian sd) and
-    `noise_dn` (sd at 8 bit) of its images."""
+class Pinhole:
+    """Intrinsics of a camera: size, focal lengths and centre in pixels, plumb_bob `distortion` (k1, k2, p1, p2, k3)."""
 
-    distance: float
     width: int
     height: int
     fx: float
@@ -131,14 +128,27 @@ class CameraDesign:
     cx: float
     cy: float
     distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    rate: float = 30.0
-    blur_px: float = 0.7
-    noise_dn: float = 2.0
 
     @property
     def K(self) -> Array:
         """Intrinsic matrix (3, 3), pixels."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def intrinsics(self) -> dict[str, Any]:
+        """These values by name: of whatever else a subclass knows, nothing."""
+        return {field.name: getattr(self, field.name) for field in fields(Pinhole)}
+
+
+@dataclass(frozen=True)
+class CameraDesign(Pinhole):
+    """Camera behind the glass, looking along +z of S: `distance` m from its centre to the flat membrane, `rate` Hz,
+    `blur_px` (Gaussian sd) and `noise_dn` (sd at 8 bit) of its images."""
+
+    distance: float = field(kw_only=True)
+    rate: float = 30.0
+    blur_px: float = 0.7
+    noise_dn: float = 2.0
 
     @property
     def p_SC(self) -> Array:

@@ -11,33 +11,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mjtactile.core.design import Glass, Pinhole
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-
-if TYPE_CHECKING:
-    from mjtactile.core.design import CameraDesign, Glass
 
 _NEWTON_STEPS = 30
 _UNDISTORT_NEAR = 1e-7  # normalised image plane: one more Newton step from here is exact to about 1e-13
 
 
 @dataclass(frozen=True)
-class Camera:
-    """Intrinsics in pixels, plumb_bob `distortion` (k1, k2, p1, p2, k3), and the pane in front: `glass_thickness` m
-    (0 = none), `glass_index`, `glass_distance` m from the camera's centre to the near face."""
+class Camera(Pinhole):
+    """A pinhole camera, and the pane in front: `glass_thickness` m (0 = none), `glass_index`, `glass_distance` m from the
+    camera's centre to the near face."""
 
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
     glass_thickness: float = 0.0
     glass_index: float = 1.0
     glass_distance: float = 0.0
@@ -53,16 +44,10 @@ class Camera:
         if self.glass_thickness < 0 or self.glass_index < 1:
             raise InputError("glass needs a thickness >= 0 and a refractive index >= 1", source="Camera")
 
-    @property
-    def K(self) -> Array:
-        """Intrinsic matrix (3, 3), pixels."""
-        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
-
     @classmethod
-    def from_design(cls, camera: CameraDesign, glass: Glass | None = None) -> Camera:
+    def from_design(cls, camera: Pinhole, glass: Glass | None = None) -> Camera:
         """The camera of a sensor design, behind its pane."""
-        return cls(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy,
-                   tuple(camera.distortion)).behind(glass)
+        return cls(**camera.intrinsics).behind(glass)
 
     def behind(self, glass: Glass | None) -> Camera:
         """This camera behind a pane (None: as it is)."""

@@ -25,7 +25,7 @@ from mjtactile.rig.sensors import calibration_findings
 _BAUDS = (57600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115200)
 _ROUND_TRIP_GOOD = 4e-3  # s for three servos at 1 Mbaud with latency_timer = 1; 16 ms is the driver's default timer
 _HOT = 60.0  # degrees C; X series shut down at 70
-_WATCH_TIME = 2.0  # s to watch a camera
+_CAMERA_TIME = 2.0  # s that pictures of a camera are counted
 
 
 def examine(rig: str | None, *, sensor: str = "dense", fix: bool = False) -> list[Finding]:
@@ -231,7 +231,7 @@ def _camera(config: CameraConfig) -> Iterator[Finding]:
         yield Finding("bad", what, str(error), _camera_remedy(config))
         return
     try:
-        ages, end = [], time.monotonic() + _WATCH_TIME
+        ages, end = [], time.monotonic() + _CAMERA_TIME
         last = 0.0
         while time.monotonic() < end:
             if camera.wait_newer(last, 0.5):
@@ -249,7 +249,7 @@ def _camera(config: CameraConfig) -> Iterator[Finding]:
 def _rate(what: str, camera: OpenCvCamera, ages: list[float]) -> Finding:
     counters, config = camera.counters, camera.config
     if len(counters.intervals) < 3:
-        return Finding("bad", what, f"{counters.pictures} pictures in {_WATCH_TIME:g} s", "another cable or USB port")
+        return Finding("bad", what, f"{counters.pictures} pictures in {_CAMERA_TIME:g} s", "another cable or USB port")
     rate = 1 / statistics.mean(counters.intervals)
     jitter = statistics.pstdev(counters.intervals)
     text = (f"{rate:.1f} pictures a second, jitter {1e3 * jitter:.1f} ms, age {1e3 * statistics.median(ages):.1f} ms, "

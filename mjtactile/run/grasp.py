@@ -113,7 +113,7 @@ def run_grasp(options: GraspOptions, *, recorder: RecorderLike, progress: Progre
                       effects=options.effects, workers=options.workers, say=progress.message) as session:
         rig = session.rig
         recorder.patience = session.patience
-        score = _watch(rig, recorder)
+        score = _score(rig, recorder)
         session.take_references(recorder)
         log = _Log()
         estimate = _estimate(options, rig)
@@ -153,14 +153,14 @@ def _estimate(options: GraspOptions, rig: Rig) -> Any:
     return GraspEstimate(rig.scene)
 
 
-def _watch(rig: Rig, recorder: RecorderLike) -> Any:
+def _score(rig: Rig, recorder: RecorderLike) -> Any:
     """A score that looks at the truth after every physics step; None on a rig that has no truth."""
     if rig.scene is None:
         return None
     from mjtactile.run.scoring import GraspScore
 
     score = GraspScore(rig.scene)
-    rig.scene.watch(score.after_step)
+    rig.scene.after_each_step(score.after_step)
     recorder.note(break_force_N=rig.scene.object.break_force)
     return score
 

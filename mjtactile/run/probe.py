@@ -91,9 +91,8 @@ class ProbeResult:
 
 
 def run_probe(options: ProbeOptions, *, recorder: RecorderLike | None = None,
-              say: Callable[[str], None] = lambda _: None, watch: Callable[[Any], None] = lambda _: None,
-              settings: Settings = DEFAULTS) -> ProbeResult:
-    """Probe on the rig that `options` names; `watch` is shown the rig's scene (for benchmarks that know the truth).
+              say: Callable[[str], None] = lambda _: None, settings: Settings = DEFAULTS) -> ProbeResult:
+    """Probe on the rig that `options` names.
 
     Raises InputError, ControllerError, DeviceError, SimulationError; the rig is closed on every way out.
     """
@@ -108,7 +107,6 @@ def run_probe(options: ProbeOptions, *, recorder: RecorderLike | None = None,
 
     with open_session(options.rig, design, object_name=options.object, seed=options.seed, settings=settings,
                       say=say) as session:
-        watch(session.rig.scene)
         if recorder is not None:
             recorder.patience = session.patience
         session.take_references(recorder)

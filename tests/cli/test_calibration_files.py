@@ -13,7 +13,7 @@ from mjtactile.rig.gripper import calibrated_gripper
 
 DESIGN = load_sensor("dense")
 MARK = stamp(DESIGN, {}, {})
-LENS = Lens(640, 480, 618.0, 618.0, 325.0, 235.0, (-0.09, 0.01, 0.0, 0.0, 0.0), MARK)
+LENS = Lens(640, 480, 618.0, 618.0, 325.0, 235.0, (-0.09, 0.01, 0.0, 0.0, 0.0), stamp=MARK)
 
 
 @pytest.fixture

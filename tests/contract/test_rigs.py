@@ -263,7 +263,8 @@ def test_a_replay_gives_the_same_numbers_bit_for_bit(recording_folder, tmp_path)
 
 def test_a_recording_carries_the_calibration_and_its_replay_goes_by_it(tmp_path):
     mark, camera = stamp(DESIGN, {}, {}), DESIGN.camera
-    lens = Lens(camera.width, camera.height, 1.01 * camera.fx, 1.01 * camera.fy, camera.cx, camera.cy, camera.distortion, mark)
+    lens = Lens(camera.width, camera.height, 1.01 * camera.fx, 1.01 * camera.fy, camera.cx, camera.cy, camera.distortion,
+                stamp=mark)
     rig = build_rig("sim", DESIGN, object_name="egg", seed=0)
     known = {f.name: Calibration(f.name, DESIGN.name).with_part(lens).with_part(ForceScale(0.9, 0.01, 1.0, mark))
              for f in rig.fingers}

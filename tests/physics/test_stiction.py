@@ -104,7 +104,7 @@ def test_what_slides_is_dragged_with_mu_times_the_normal_force(timestep, speed):
     def look():
         shares.append(used_share(world))
         forces.append(truth.contact_force(world, 0)[0])
-    world.watch(look)
+    world.after_each_step(look)
     world.drive(2e-3, np.copysign(2e-3, speed), speed=abs(speed))
     late = slice(2 * len(shares) // 3, None)
     np.testing.assert_allclose(shares[late], 1.0, atol=0.01)  # the project's bound is 3 %

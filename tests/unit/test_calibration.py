@@ -29,7 +29,7 @@ def made(kind):
     """A part of that kind, measured now."""
     mark = stamp(DESIGN, {"mjtactile": "1"}, {"rms_px": 0.1})
     rest = RestMarkers(Markers(np.arange(3), np.eye(3) * 1e-3, np.eye(3), np.tile(1e-12 * np.eye(3), (3, 1, 1))), 970.0, True)
-    return {"lens": lambda: Lens(640, 480, 618.0, 617.0, 325.5, 235.5, (-0.09, 0.01, 0.0, 0.0, 0.0), mark),
+    return {"lens": lambda: Lens(640, 480, 618.0, 617.0, 325.5, 235.5, (-0.09, 0.01, 0.0, 0.0, 0.0), stamp=mark),
             "frame": lambda: FrameCalibration(np.eye(3), np.array([4e-4, 0, -0.045]), np.full(COUNT, 1.02), 0.01, 1e-3, mark,
                                               rest, 1.15),
             "valve": lambda: ValveZero(30.0, 5.0, mark),

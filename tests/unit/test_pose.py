@@ -167,7 +167,7 @@ def test_radius_per_marker_scales_its_distance():
     one = circles.estimate_poses(ellipses, CAMERA, R)
     three = circles.estimate_poses(ellipses, CAMERA, np.array([1.0, 2.0, 3.0]) * R)
     np.testing.assert_allclose(three.p_CM, one.p_CM * np.array([[1.0], [2.0], [3.0]]), rtol=1e-12)
-    design = CameraDesign(0.045, 640, 480, 600.0, 610.0, 322.0, 236.0)
+    design = CameraDesign(640, 480, 600.0, 610.0, 322.0, 236.0, distance=0.045)
     np.testing.assert_array_equal(circles.estimate_poses(ellipses, design, R).p_CM, one.p_CM)
 
 

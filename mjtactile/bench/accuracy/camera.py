@@ -115,7 +115,7 @@ def _rates(design: SensorDesign) -> list[dict[str, Any]]:
     world = PressWorld(design, Indenter("sphere", 16e-3), timestep=1e-3)
     world.inflate(1000.0, seal=True)
     forces: list[float] = []
-    world.watch(lambda: forces.append(float(-truth.contact_force(world, 0)[2])))
+    world.after_each_step(lambda: forces.append(float(-truth.contact_force(world, 0)[2])))
     world.press(2.5e-3, speed=_SPEED)
     trace = np.array(forces)[: round(4.5e-3 / _SPEED / 1e-3)]  # clearance and depth
     rows = []

@@ -125,7 +125,7 @@ def measure(case: Case) -> dict[str, Any]:
     design = case.design(load_sensor("paper16"))
     world, expected, settled = {"press": _press, "hold": _press, "drop": _drop, "rest": _drop, "pinch": _pinch}[case.kind](
         case, design)
-    force, energy = _watch(world, case)
+    force, energy = _force_and_energy(world, case)
     normal, problems = float(-force[2]), {}
     depth = truth.penetration(world, 0)
     if not settled and not any(case.shake):
@@ -184,7 +184,7 @@ def _rest(world: World, limit: float = 2.5, speed: float = 2e-3) -> bool:
     return still >= 0.1
 
 
-def _watch(world: World, case: Case) -> tuple[Any, tuple[float, float]]:
+def _force_and_energy(world: World, case: Case) -> tuple[Any, tuple[float, float]]:
     """Mean force over 0.1 s (a shaken one: 0.5 s, whole periods), and the largest kinetic energy in its two halves."""
     count = round((0.5 if any(case.shake) else 0.1) / world.timestep)
     force, energy = np.zeros(3), np.zeros(count)

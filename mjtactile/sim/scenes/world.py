@@ -45,7 +45,7 @@ class World:
         self.flags: Flags = self._monitor.built()
         self._unsolved = [0, 0]  # steps whose solver ran out of iterations, since the last look and in the one before
         self._look_every = max(1, round(_LOOK_EVERY / self.timestep))
-        self._watchers: list[Callable[[], None]] = []
+        self._after_step: list[Callable[[], None]] = []
         self._moves = type(self)._before_step is not World._before_step
 
     @property
@@ -70,7 +70,7 @@ class World:
 
     def step(self, count: int = 1) -> None:
         """Advance by `count` time steps. Raises SimulationError when the state is no longer to be trusted."""
-        if not (self.sensors or self._watchers or self._moves):  # nothing to do between the steps
+        if not (self.sensors or self._after_step or self._moves):  # nothing to do between the steps
             mujoco.mj_step(self.model, self.data, count)
             self.step_count += count
             self._check()
@@ -82,12 +82,12 @@ class World:
             mujoco.mj_step(self.model, self.data)
             self.step_count += 1
             self._check()
-            for watcher in self._watchers:
-                watcher()
+            for call in self._after_step:
+                call()
 
-    def watch(self, watcher: Callable[[], None]) -> None:
-        """Call `watcher()` after every step."""
-        self._watchers.append(watcher)
+    def after_each_step(self, call: Callable[[], None]) -> None:
+        """From now on, `call()` after every step."""
+        self._after_step.append(call)
 
     def marker_poses(self, sensor: int) -> tuple[Array, Array]:
         """True marker centres (N, 3) m and outward normals (N, 3) of one sensor in its frame S: what its camera sees."""

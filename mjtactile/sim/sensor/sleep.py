@@ -40,10 +40,10 @@ class Sleeper:
         self._geoms = slice(self._first, self._last + 1)
         bodies = model.geom_bodyid[vertex_geoms]
         self._bodies = slice(int(bodies[0]), int(bodies[-1]) + 1)
-        watch = np.arange(len(bodies)).reshape(mesh.nx - 2, mesh.ny - 2)[1::3, 1::3].ravel()  # a ninth of the vertices
+        sample = np.arange(len(bodies)).reshape(mesh.nx - 2, mesh.ny - 2)[1::3, 1::3].ravel()  # a ninth of the vertices
         p_SV = mesh.p_SV[mesh.interior]
-        between = np.linalg.norm(p_SV[:, None] - p_SV[watch], axis=2).min(axis=1).max()
-        self._watch, self._reach = self._first + watch, NEAR + _BULGED * float(between)
+        between = np.linalg.norm(p_SV[:, None] - p_SV[sample], axis=2).min(axis=1).max()
+        self._sample, self._reach = self._first + sample, NEAR + _BULGED * float(between)
         self._pushes = data.xfrc_applied[self._bodies]  # a live view: the vertices are one block
         joint = int(model.body_jntadr[bodies[0]])
         self._joints = slice(joint, joint + 3 * len(mesh.interior))
@@ -80,9 +80,9 @@ class Sleeper:
         self._kept = tuple(part.copy() for part in (*self._collision(), self._springs))
         for part in self._collision():
             part[:] = 0
-        bodies = model.geom_bodyid[self._watch]
-        model.geom_gap[self._watch] = model.body_margin[bodies] = self._reach  # contacts are listed, and push nothing yet
-        model.geom_conaffinity[self._watch] = model.body_conaffinity[bodies] = ANYTHING
+        bodies = model.geom_bodyid[self._sample]
+        model.geom_gap[self._sample] = model.body_margin[bodies] = self._reach  # contacts are listed, and push nothing yet
+        model.geom_conaffinity[self._sample] = model.body_conaffinity[bodies] = ANYTHING
         model.flex_rigid[self._flex] = True
         self._springs[:] = self._load.displacements
         model.jnt_stiffness[self._joints, ...] = _STIFFNESS
