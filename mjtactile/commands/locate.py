@@ -30,6 +30,7 @@ EPILOG = """\
 examples:
   mjtactile locate photo.png --camera camera.yaml --radius-mm 6.35
   mjtactile locate photos/ --camera camera.yaml --radius-mm 6.35 --json > markers.json
+  mjtactile locate photo.png --camera camera.yaml --radius-mm 2 --glass-mm 5:1.5:120
   mjtactile locate clip.mp4 --camera camera.yaml --radius-mm 1.5 --bright --out overlays
 
 JSON: {"frames": [{"source": …, "status": "ok", or why it has no marker to trust,
@@ -42,6 +43,8 @@ JSON: {"frames": [{"source": …, "status": "ok", or why it has no marker to tru
   "preferred_probability": how sure it is that the first pose is the right one, not the other,
   "status": "ok", or why not to trust it}],
   "rejected": all other candidates, [{"center_px", "semi_axes_px", "status": why it is no circle}]}]}
+The camera file is a ROS camera_info; it may have one field more, for glass in front of the camera:
+  glass: {thickness_mm: 5, refractive_index: 1.5, distance_mm: 120}
 One image of one circle allows two poses. Which is right is told by the circles around it, where they lie on a smooth
 surface; else only by the one that is less tilted being a little likelier.
 exit codes: 0 done (also when no marker was found), 2 bad input.
@@ -52,6 +55,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", type=Path, metavar="SOURCE", help="an image, a folder of images or a video")
     parser.add_argument("--camera", type=Path, required=True, metavar="CAMERA.yaml",
                         help="calibration of the camera, ROS camera_info YAML (plumb_bob)")
+    parser.add_argument("--glass-mm", metavar="T:N:D",
+                        help="a pane in front of the camera, normal to its axis: thickness in mm, refractive index, distance of "
+                        "its near face from the camera's centre in mm, such as 5:1.5:120 (default: what the camera file says "
+                        "under glass)")
     parser.add_argument("--radius-mm", type=_positive, required=True, metavar="R", help="radius of the markers in mm")
     colour = parser.add_mutually_exclusive_group()
     colour.add_argument("--dark", dest="polarity", action="store_const", const="dark", default="dark",
@@ -76,6 +83,7 @@ def _positive(text: str) -> float:
 
 def run(options: argparse.Namespace) -> int:
     camera = Camera.from_yaml(options.camera)
+    camera = camera if options.glass_mm is None else _behind_glass(camera, options.glass_mm)
     with optional_folder(options.out, "locate.json") as out:
         with stdout_to_stderr():
             frames = [_locate(frame, camera, options, out) for frame in read_frames(options.source)]
@@ -89,6 +97,15 @@ def run(options: argparse.Namespace) -> int:
     else:
         _print_table(frames, options.out)
     return 0
+
+
+def _behind_glass(camera: Camera, text: str) -> Camera:
+    try:
+        thickness, index, distance = map(float, text.split(":"))
+        return camera.behind_pane(1e-3 * thickness, index, 1e-3 * distance)
+    except (ValueError, InputError) as error:
+        raise InputError(f"{text!r} is no pane", field="--glass-mm",
+                         choices=["THICKNESS:INDEX:DISTANCE, such as 5:1.5:120"]) from error
 
 
 def _public(frame: dict[str, Any]) -> dict[str, Any]:

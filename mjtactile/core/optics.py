@@ -41,8 +41,8 @@ class Camera(Pinhole):
                   self.glass_distance)
         if not np.all(np.isfinite(values)) or min(self.fx, self.fy, self.width, self.height) <= 0:
             raise InputError("values must be finite; focal lengths and image size positive", source="Camera")
-        if self.glass_thickness < 0 or self.glass_index < 1:
-            raise InputError("glass needs a thickness >= 0 and a refractive index >= 1", source="Camera")
+        if self.glass_thickness < 0 or self.glass_index < 1 or self.glass_distance < 0:
+            raise InputError("glass needs a thickness >= 0, a refractive index >= 1 and a distance >= 0", source="Camera")
 
     @classmethod
     def from_design(cls, camera: Pinhole, glass: Glass | None = None) -> Camera:
@@ -51,16 +51,19 @@ class Camera(Pinhole):
 
     def behind(self, glass: Glass | None) -> Camera:
         """This camera behind a pane (None: as it is)."""
-        if glass is None:
-            return self
-        return replace(self, glass_thickness=glass.thickness, glass_index=glass.refractive_index,
-                       glass_distance=glass.distance)
+        return self if glass is None else self.behind_pane(glass.thickness, glass.refractive_index, glass.distance)
+
+    def behind_pane(self, thickness: float, refractive_index: float, distance: float) -> Camera:
+        """This camera behind a pane of `thickness` m, `distance` m from the camera's centre to its near face, in place of
+        any other. Raises InputError for what cannot be."""
+        return replace(self, glass_thickness=thickness, glass_index=refractive_index, glass_distance=distance)
 
     @classmethod
     def from_yaml(cls, path: str | Path, glass: Glass | None = None) -> Camera:
         """Read a ROS camera_info file (as the camera_calibration package writes it).
 
-        Raises InputError naming the file, the field and the valid choices.
+        It may have one field more than ROS knows, `glass: {thickness_mm: 5, refractive_index: 1.5, distance_mm: 120}`, a
+        pane in front of the camera; `glass` of the argument takes its place. Raises InputError naming the file, the field and the valid choices.
         """
         return _camera_from_table(_read_yaml(Path(path)), str(path)).behind(glass)
 
@@ -211,6 +214,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     return table
 
 
+_PANE = {"thickness_mm": (0.0, 1000.0, 1e-3), "refractive_index": (1.0, 3.0, 1.0), "distance_mm": (0.0, 1e5, 1e-3)}
 _YAML_FIELDS = ("image_width", "image_height", "camera_matrix", "distortion_model", "distortion_coefficients")
 
 
@@ -232,7 +236,21 @@ def _camera_from_table(table: dict[str, Any], source: str) -> Camera:
         raise InputError(f"{K} is not [fx, 0, cx, 0, fy, cy, 0, 0, 1] with positive focal lengths", source=source,
                          field="camera_matrix.data")
     k = _numbers(table["distortion_coefficients"], "distortion_coefficients", (4, 5), source)
-    return Camera(size["width"], size["height"], fx, fy, cx, cy, tuple((*k, 0.0)[:5]))
+    camera = Camera(size["width"], size["height"], fx, fy, cx, cy, tuple((*k, 0.0)[:5]))
+    return camera if table.get("glass") is None else camera.behind_pane(*_pane(table["glass"], source))
+
+
+def _pane(glass: Any, source: str) -> tuple[float, float, float]:
+    """Thickness m, refractive index and distance m of a camera file's `glass`."""
+    if not isinstance(glass, dict) or set(glass) != set(_PANE):
+        raise InputError(f"{glass!r} has not exactly the fields of a pane", source=source, field="glass", choices=tuple(_PANE))
+    values = []
+    for name, (least, most, unit) in _PANE.items():
+        value = glass[name]
+        if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= most:
+            raise InputError(f"{value!r} is not a number from {least:g} to {most:g}", source=source, field=f"glass.{name}")
+        values.append(value * unit)
+    return values[0], values[1], values[2]
 
 
 def _numbers(value: Any, name: str, lengths: tuple[int, ...], source: str) -> list[float]:

@@ -93,6 +93,19 @@ def test_a_folder_in_name_order_with_a_corrupt_file_and_overlays(mjtactile, fold
     assert cv2.imread(str(folder / "out" / "b_overlay.png")).shape == (960, 1280, 3)
 
 
+def test_glass_in_front_of_the_camera(mjtactile, folder):
+    """5 mm of n = 1.5 bring a point nearer by t (1 - 1/n) = 1.67 mm on the axis, more aside (Eq. V8): the picture without
+    glass, taken for one through it, shows circles that much farther away."""
+    (frame,) = locate(mjtactile, "dark.png", "--glass-mm", "5:1.5:60")
+    further = np.array([m["center_mm"][2] for m in frame["markers"]]) - DEPTH_MM
+    assert (further > 1.6).all() and (further < 2.2).all()
+
+
+def test_bad_glass_is_named(mjtactile, folder):
+    process = mjtactile("locate", "dark.png", "--camera", "camera.yaml", "--radius-mm", 6, "--glass-mm", "5:0.5:100")
+    assert process.returncode == 2 and "5:0.5:100" in process.stderr and "5:1.5:120" in process.stderr
+
+
 @pytest.mark.parametrize(("name", "make", "words"), [
     ("no.png", lambda path: None, ["no.png", "no such file"]),
     ("bad.png", lambda path: path.write_bytes(b""), ["bad.png", "not an image"]),

@@ -146,7 +146,18 @@ def test_ros_camera_info(tmp_path):
     assert camera.distortion == (-0.05, 0.01, 1e-5, 0.0, 0.0)
 
 
+def test_camera_file_with_glass(tmp_path):
+    file = tmp_path / "camera.yaml"
+    file.write_text(YAML + "glass: {thickness_mm: 5, refractive_index: 1.5, distance_mm: 120}\n")
+    camera = Camera.from_yaml(file)
+    assert (camera.glass_thickness, camera.glass_index, camera.glass_distance) == pytest.approx((5e-3, 1.5, 0.12))
+
+
 @pytest.mark.parametrize(("old", "new", "field"), [
+    ("image_width: 640", "image_width: 640\nglass: 5", "glass"),
+    ("image_width: 640", "image_width: 640\nglass: {thickness_mm: 5, refractive_index: 1.5}", "distance_mm"),
+    ("image_width: 640", "image_width: 640\nglass: {thickness_mm: 5, refractive_index: 0.5, distance_mm: 1}",
+     "glass.refractive_index"),
     ("image_width: 640", "image_width: -3", "image_width"),
     ("image_width: 640", "img_width: 640", "image_width"),
     ("plumb_bob", "equidistant", "distortion_model"),

@@ -25,6 +25,7 @@ from mjtactile.sensing.shape.smoothness import agree_on_depth
 
 Neighbours = Literal["auto", "always", "never"]
 _GREY = np.full((1, 3), 1 / 3)
+NOT_BEYOND_GLASS = "nearer than the glass"
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
 
 
@@ -123,7 +124,9 @@ def _preferred(ellipses: Ellipses, camera: optics.Camera, poses: CirclePoses, se
     _, cov_n = pose_covariances(ellipses, camera, poses.p_CM, poses.n_C)
     cov_p_alt, cov_n_alt = pose_covariances(ellipses, camera, poses.p_CM_alt, poses.n_C_alt)
     better, cov_p_alt, sure = prefer(poses, cov_p_alt, np.stack([cov_n, cov_n_alt]), settings.preference)
-    better = replace(better, uv_px=optics.project(camera, better.p_CM))
+    uv_px = optics.project(camera, better.p_CM)  # NaN for a place that the camera cannot see through its glass
+    inside = (better.status == "ok") & ~np.isfinite(uv_px).all(axis=1)
+    better = replace(better, uv_px=uv_px, status=np.where(inside, NOT_BEYOND_GLASS, better.status))
     return Located(ellipses, better, cov_p_alt, sure, shared)
 
 
