@@ -63,7 +63,8 @@ class Camera(Pinhole):
         """Read a ROS camera_info file (as the camera_calibration package writes it).
 
         It may have one field more than ROS knows, `glass: {thickness_mm: 5, refractive_index: 1.5, distance_mm: 120}`, a
-        pane in front of the camera; `glass` of the argument takes its place. Raises InputError naming the file, the field and the valid choices.
+        pane in front of the camera; `glass` of the argument takes its place.
+        Raises InputError naming the file, the field and the valid choices.
         """
         return _camera_from_table(_read_yaml(Path(path)), str(path)).behind(glass)
 
