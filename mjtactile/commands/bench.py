@@ -24,18 +24,21 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   accuracy    work-precision diagrams: error of force and surface against time, every knob
   speed       two membranes holding an object: against the clock, rigid pads, mesh size
   effects     what each effect costs, and what leaving it out costs
+  truth       the simulation and what is felt, against references from outside of the project
   numbers     measures nothing: the numbers of the README, from the pages of the others"""
 EPILOG = """\
 examples:
   mjtactile bench grasp --quick            one seed instead of ten
   mjtactile bench perception --out results
   mjtactile bench grasp --readme docs/benchmarks.md    put the table between that file's bench markers
+  mjtactile bench truth --cases my_cases   a TOML file each; those that come along: models/truth
   mjtactile bench numbers --readme README.md           then take the README's numbers from there
 """
 BENCHMARKS = {"grasp": "mjtactile.bench.grasp", "speed": "mjtactile.bench.speed", "accuracy": "mjtactile.bench.accuracy.run",
               "effects": "mjtactile.bench.effects", "perception": "mjtactile.bench.perception.run",
               "material": "mjtactile.bench.material", "touch": "mjtactile.bench.touch.run",
               "rig": "mjtactile.bench.rig.run", "stability": "mjtactile.bench.stability.run",
+              "truth": "mjtactile.bench.truth.run",
               "numbers": "mjtactile.bench.numbers"}
 """Name to module; each has `run(out, quick) -> dict`, which draws into `out`, and `table(result) -> str` in Markdown."""
 
@@ -47,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="folder for the results (default: bench-results)")
     parser.add_argument("--resume", action="store_true", help="stability, rig: keep what an interrupted run finished")
     parser.add_argument("--parts", metavar="A,B,…", help="rig: only these of loop, bus, fuzz, killed, stuck, outcomes, faults")
+    parser.add_argument("--cases", type=Path, metavar="DIR", help="truth: the cases of this folder")
     parser.add_argument("--soak", type=float, metavar="HOURS", help="rig: also run its loop for so long")
     parser.add_argument("--readme", type=Path, metavar="FILE.md", help="also put the table into this file, between "
                         "<!-- bench:NAME --> and <!-- /bench -->")
@@ -57,7 +61,11 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"{options.name!r} starts anew each time", field="--resume", choices=["stability", "rig"])
     if (options.parts or options.soak) and options.name != "rig":
         raise InputError(f"{options.name!r} has none", field="--parts, --soak", choices=["rig"])
+    if options.cases and options.name != "truth":
+        raise InputError(f"{options.name!r} has none", field="--cases", choices=["truth"])
     more: dict[str, Any] = {"resume": True} if options.resume else {}
+    if options.cases:
+        more["cases"] = options.cases
     if options.parts:
         more["parts"] = tuple(options.parts.split(","))
     if options.soak:

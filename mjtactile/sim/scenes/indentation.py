@@ -16,19 +16,21 @@ from mjtactile.sim.sensor import features
 from mjtactile.sim.sensor.mesh import MarkerInterpolator
 from mjtactile.sim.sensor.switches import PHYSICS
 
-SHAPES = ("sphere:R_mm", "cylinder:R_mm", "box:A_mm", "FILE.stl")
+SHAPES = ("sphere:R_mm", "cylinder:R_mm", "box:A_mm", "FILE.stl", "FILE.xml")
 _LENGTH = 0.03  # m, of a cylinder along its axis
 _CLEARANCE = 0.002  # m above first touch at which the indenter waits
 _AWAY = 0.05  # m above the world's origin of the drive, where no bulge reaches the indenter
 _STILL = 2e-4  # m/s: vertices in contact keep moving this fast by the solver's tolerance; the force by 0.1 %
 _SHEAR_SPEED = 2e-3  # m/s, of a press that shears
+_FILES = {".stl": "mesh", ".xml": "model"}
 _STIFFNESS, _MASS = 2e5, 0.2  # N/m and kg of the drive: gives way by 5 um at 1 N
 
 
 @dataclass(frozen=True)
 class Indenter:
     """A rigid shape. `size` m: radius of a "sphere", radius of a "cylinder" (axis along z, 30 mm long, end face down),
-    edge of a "box" (face down); `path` of a "mesh" in STL, whose unit is taken as mm."""
+    edge of a "box" (face down); `path` of a "mesh" in STL, whose unit is taken as mm, or of a "model" in MJCF, all of whose
+    geoms press, fixed to each other."""
 
     kind: str
     size: float = 0.0
@@ -36,13 +38,13 @@ class Indenter:
 
     @classmethod
     def parse(cls, text: str) -> Indenter:
-        """Read "sphere:8", "cylinder:5", "box:10" or "part.stl". Raises InputError listing the choices."""
+        """Read "sphere:8", "cylinder:5", "box:10", "part.stl" or "shape.xml". Raises InputError listing the choices."""
         kind, _, number = text.partition(":")
-        if text.lower().endswith(".stl"):
-            path = Path(text).expanduser()
+        path = Path(text).expanduser()
+        if path.suffix.lower() in _FILES:
             if not path.is_file():
                 raise InputError("no such file", source=path, field="--indenter", choices=SHAPES)
-            return cls("mesh", path=path)
+            return cls(_FILES[path.suffix.lower()], path=path)
         try:
             size = float(number) * 1e-3
         except ValueError:
@@ -52,7 +54,10 @@ class Indenter:
         return cls(kind, size)
 
     def add_to(self, spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
-        """Add the collision geom "indenter", centred on the body."""
+        """Add the geoms that press, centred on the body. Raises InputError for a model that has none, or is broken."""
+        if self.kind == "model":
+            self._attach(spec, body)
+            return
         geom = body.add_geom(name="indenter", mass=_MASS, rgba=[0.3, 0.45, 0.7, 1.0])
         if self.kind == "mesh":
             mesh = spec.add_mesh(name="indenter", file=str(self.path), scale=[1e-3] * 3)
@@ -61,6 +66,17 @@ class Indenter:
         geom.type = getattr(mujoco.mjtGeom, f"mjGEOM_{self.kind.upper()}")
         half = self.size / 2
         geom.size = {"sphere": [self.size, 0, 0], "cylinder": [self.size, _LENGTH / 2, 0], "box": [half] * 3}[self.kind]
+
+    def _attach(self, spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
+        try:
+            model = mujoco.MjSpec.from_file(str(self.path))
+        except (ValueError, RuntimeError) as error:
+            raise InputError(f"not valid MJCF: {' '.join(str(error).split())}", source=self.path, field="--indenter") from error
+        if model.joints or not model.geoms:
+            raise InputError("an indenter is geoms, at least one, and no joints", source=self.path, field="--indenter")
+        for geom in model.geoms:
+            geom.mass = _MASS / len(model.geoms)
+        spec.attach(model, frame=body.add_frame(), prefix="indenter/")
 
 
 class PressWorld(World):
@@ -91,7 +107,8 @@ class PressWorld(World):
         super().__init__(spec, [attachment])
         self._x, self._z = (self.model.actuator(f"drive_{axis}").id for axis in "xz")
         self._joints = [self.model.joint(f"drive_{axis}").qposadr[0] for axis in "xz"]
-        self._geom, self._touch_height = self.model.geom("indenter").id, 0.0
+        self._geoms = np.flatnonzero(np.isin(self.model.geom_bodyid, _subtree(self.model, self.model.body("indenter").id)))
+        self._touch_height = 0.0
         self._surface = MarkerInterpolator(self.sensors[0].mesh, _sheet_points(self.design, at))
         self._shake, self._carrier = shake, self.model.actuator("carrier").id
 
@@ -189,13 +206,22 @@ class PressWorld(World):
         gaps = []
         for point in points:
             self.data.geom_xpos[probe] = point
-            gaps.append(mujoco.mj_geomDistance(self.model, self.data, probe, self._geom, 0.5, None))
+            gaps += [mujoco.mj_geomDistance(self.model, self.data, probe, int(geom), 0.5, None) for geom in self._geoms]
         return min(gaps)
 
     def _place(self, height: float) -> None:
         self.data.qpos[self._joints[1]] = height
         self.set_control(self._z, height)
         mujoco.mj_forward(self.model, self.data)
+
+
+def _subtree(model: mujoco.MjModel, root: int) -> list[int]:
+    """A body and all that hang on it; parents come first in a model."""
+    bodies = [root]
+    for body in range(root + 1, model.nbody):
+        if model.body_parentid[body] in bodies:
+            bodies.append(body)
+    return bodies
 
 
 def _sheet_points(design: SensorDesign, at: tuple[float, float]) -> np.ndarray:

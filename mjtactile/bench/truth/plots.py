@@ -1,0 +1,43 @@
+"""The picture of `mjtactile bench truth`: every case in a box of its own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from mjtactile.run.figures import new_figure
+
+_COLUMNS = 4
+
+
+def save(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """Draw all cases; without matplotlib say so on stderr."""
+    height = math.ceil(len(rows) / _COLUMNS)
+    if (figure := new_figure(path.name, (4 * _COLUMNS, 3 * height), dpi=80)) is None:
+        return
+    boxes = figure.subplots(height, _COLUMNS, squeeze=False).ravel()
+    for axes, row in zip(boxes, rows, strict=False):
+        _draw(axes, row)
+    for axes in boxes[len(rows):]:
+        axes.set_axis_off()
+    figure.savefig(path)
+
+
+def _draw(axes: Any, row: dict[str, Any]) -> None:
+    numbers = row["numbers"]
+    simulated = [n for n in numbers if n["sd"] is None]
+    felt = [n for n in numbers if n["sd"] is not None]
+    places = list(dict.fromkeys(n["at"] for n in numbers))
+    axes.errorbar([places.index(n["at"]) for n in simulated], [n["reference"] for n in simulated],
+                  [n["allowed"] for n in simulated], fmt="k_", capsize=4, ms=10, label="reference, and what is asked")
+    axes.plot([places.index(n["at"]) for n in simulated], [n["measured"] for n in simulated], "o", ms=5, label="simulated")
+    if felt:
+        axes.errorbar([places.index(n["at"]) + 0.15 for n in felt], [n["measured"] for n in felt], [2 * n["sd"] for n in felt],
+                      fmt="s", ms=4, capsize=2, color="tab:orange", label="felt, 2 sd")
+    axes.set_xticks(range(len(places)), places, fontsize=7, rotation=20 if len(places) > 4 else 0)
+    axes.set_title(row["about"], fontsize=9)
+    axes.set_ylabel(numbers[0]["unit"] if numbers else row.get("failed", ""), fontsize=8)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=6)
