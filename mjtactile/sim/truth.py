@@ -40,6 +40,15 @@ def contact_force(world: World, sensor: int) -> Array:
     return contact_forces(world, sensor)[0].sum(axis=0)
 
 
+def friction_used(world: World, mu: float) -> float:
+    """Sum of all contacts' friction over `mu` times the sum of their normal forces: 1 where everything slides."""
+    data, force, sums = world.data, np.zeros(6), np.zeros(2)
+    for row in np.flatnonzero(data.contact.efc_address >= 0):
+        mujoco.mj_contactForce(world.model, data, row, force)
+        sums += np.hypot(force[1], force[2]), mu * force[0]
+    return float(sums[0] / sums[1])
+
+
 def contact_torque(world: World, sensor: int) -> Array:
     """Total torque (3,) N m of the contact forces on membrane `sensor` about the origin of S."""
     return contact_wrench(world, sensor)[3:]

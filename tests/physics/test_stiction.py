@@ -2,16 +2,13 @@
 
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.sim import truth
-from mjtactile.sim.attach import attach, recommend_options
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
-from mjtactile.sim.scenes.trials import Body, PinchWorld
-from mjtactile.sim.scenes.world import World
+from mjtactile.sim.scenes.trials import Body, FloatWorld, PinchWorld
 
 # An independent membrane solver, converged to 1e-4: 40 x 30 mm, 0.3 mm, 1 MPa, nu 0.45, pre-stretch 1.05, sealed at 1 kPa,
 # a sphere of 8 mm that sticks. Shear, N, after a drag of 0.3 mm at 2 mm depth, and at (7, -4) mm and 4 mm depth.
@@ -35,16 +32,6 @@ def mean_shear(world):
         world.step()
         shears.append(truth.contact_force(world, 0)[0])
     return np.mean(shears)
-
-
-def used_share(world):
-    """Sum of the friction over mu times the sum of the normal forces of all contacts."""
-    data, force = world.data, np.zeros(6)
-    sums = np.zeros(2)
-    for row in np.flatnonzero(data.contact.efc_address >= 0):
-        mujoco.mj_contactForce(world.model, data, row, force)
-        sums += np.hypot(force[1], force[2]), MU * force[0]
-    return sums[0] / sums[1]
 
 
 @pytest.mark.parametrize("timestep", [2e-3, 8e-3])
@@ -102,7 +89,7 @@ def test_what_slides_is_dragged_with_mu_times_the_normal_force(timestep, speed):
     shares, forces = [], []
 
     def look():
-        shares.append(used_share(world))
+        shares.append(truth.friction_used(world, MU))
         forces.append(truth.contact_force(world, 0)[0])
     world.after_each_step(look)
     world.drive(2e-3, np.copysign(2e-3, speed), speed=abs(speed))
@@ -115,7 +102,7 @@ def test_a_stop_keeps_the_friction_of_the_slide():
     world = pressed()
     world.drive(2e-3, 2e-3, speed=20e-3)
     world.step(50)
-    assert used_share(world) == pytest.approx(1.0, abs=0.03)
+    assert truth.friction_used(world, MU) == pytest.approx(1.0, abs=0.03)
 
 
 def test_what_touches_lies_on_the_membrane_however_soft_the_contact(monkeypatch):
@@ -137,38 +124,22 @@ def test_nothing_is_remembered_of_what_is_gone():
     assert not world.model.geom_surfacevel[first:last + 1].any()
 
 
-def floating(timestep, pressure=1000.0):
-    spec = mujoco.MjSpec()
-    recommend_options(spec, timestep)
-    spec.option.gravity = [0, 0, 0]
-    body = spec.worldbody.add_body(name="float")
-    body.add_freejoint()
-    body.add_site(name="mount", quat=[0.8, 0.3, 0.5, 0.1])
-    world = World(spec, [attach(spec, "dense", site="mount", mesh=(11, 9))])
-    world.sensors[0].open_valve(pressure)
-    world.step(round(0.3 / timestep))
-    world.sensors[0].close_valve()
-    return world
-
-
-def angular_momentum(world):
-    mujoco.mj_forward(world.model, world.data)
-    mujoco.mj_subtreeVel(world.model, world.data)
-    return np.linalg.norm(world.data.subtree_angmom[1])
+def floating(timestep):
+    return FloatWorld("dense", pressure_gauge=1000.0, timestep=timestep, mesh=(11, 9))
 
 
 @pytest.mark.parametrize(("timestep", "axis"), [(1e-3, [0, 0, 1]), (4e-3, [0.6, 0, 0.8]), (8e-3, [0, 0, 1])])
 def test_a_spinning_sensor_keeps_its_angular_momentum(timestep, axis):
     world = floating(timestep)
-    world.data.qvel[3:6] = axis
-    before = angular_momentum(world)
+    world.turn(axis)
+    before = world.angular_momentum
     world.step(round(1.0 / timestep))
-    assert angular_momentum(world) == pytest.approx(before, rel=0.01)  # at 4 ms it was gone in 0.4 s
+    assert world.angular_momentum == pytest.approx(before, rel=0.01)  # at 4 ms it was gone in 0.4 s
 
 
 def test_a_sleeping_sensor_gets_no_torque():
     world = floating(4e-3)
-    world.data.qvel[3:6] = [0, 0, 0.05]  # so slowly that it may sleep
+    world.turn([0, 0, 0.05])  # so slowly that it may sleep
     world.step(50)
     assert world.sensors[0].is_asleep
     assert not world.data.xfrc_applied.any()

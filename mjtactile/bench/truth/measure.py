@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 
 from mjtactile.bench.truth.cases import Case
 from mjtactile.experiments.station import View, take_references
 from mjtactile.sim import truth
-from mjtactile.sim.attach import attach, recommend_options
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
-from mjtactile.sim.scenes.trials import Body, PinchWorld
+from mjtactile.sim.scenes.trials import Body, FloatWorld, PinchWorld
 from mjtactile.sim.scenes.world import World
 
 FELT, FELT_SD = 0.04, 3.0  # N, and how many of its own sd: what is asked of a felt force
@@ -157,7 +155,7 @@ def _slide(case: Case) -> list[Number]:
     for step in plan["timestep_ms"]:
         for sign in (1, -1):
             world, shares = _dragged(case, step), []
-            world.watch(lambda world=world, shares=shares: shares.append(_friction_used(world, mu)))
+            world.watch(lambda world=world, shares=shares: shares.append(truth.friction_used(world, mu)))
             world.drive(1e-3 * plan["depth_mm"], sign * 1e-3 * plan["drag_mm"], speed=1e-3 * plan["speed_mm_s"])
             late = shares[2 * len(shares) // 3:]
             numbers.append(Number("friction over mu N", f"{step:g} ms, {'+-'[sign < 0]}x", "", 1.0, float(np.mean(late)),
@@ -165,42 +163,18 @@ def _slide(case: Case) -> list[Number]:
     return numbers
 
 
-def _friction_used(world: World, mu: float) -> float:
-    """Sum of all contacts' friction over mu times the sum of their normal forces."""
-    data, force, sums = world.data, np.zeros(6), np.zeros(2)
-    for row in np.flatnonzero(data.contact.efc_address >= 0):
-        mujoco.mj_contactForce(world.model, data, row, force)
-        sums += np.hypot(force[1], force[2]), mu * force[0]
-    return float(sums[0] / sums[1])
-
-
 def _spin(case: Case) -> list[Number]:
     """Angular momentum of an inflated sensor that turns freely, after and before."""
     plan, numbers = case.plan, []
     axis = np.array(plan["axis"]) / np.linalg.norm(plan["axis"])
     for step in plan["timestep_ms"]:
-        spec = mujoco.MjSpec()
-        recommend_options(spec, 1e-3 * step)
-        spec.option.gravity = [0, 0, 0]
-        body = spec.worldbody.add_body(name="float")
-        body.add_freejoint()
-        body.add_site(name="mount")
-        world = World(spec, [attach(spec, case.design, site="mount")])
-        world.sensors[0].open_valve(case.design.chamber.supply_gauge)
-        world.step(round(0.3 / world.timestep))
-        world.sensors[0].close_valve()
-        world.data.qvel[3:6] = plan["speed_rad_s"] * axis
-        before = _angular_momentum(world)
+        world = FloatWorld(case.design, pressure_gauge=case.design.chamber.supply_gauge, timestep=1e-3 * step)
+        world.turn(plan["speed_rad_s"] * axis)
+        before = world.angular_momentum
         world.step(round(plan["seconds"] / world.timestep))
         numbers.append(Number(f"angular momentum that is left after {plan['seconds']:g} s", f"{step:g} ms", "", 1.0,
-                              _angular_momentum(world) / before, case.allows(1.0)))
+                              world.angular_momentum / before, case.allows(1.0)))
     return numbers
-
-
-def _angular_momentum(world: World) -> float:
-    mujoco.mj_forward(world.model, world.data)
-    mujoco.mj_subtreeVel(world.model, world.data)
-    return float(np.linalg.norm(world.data.subtree_angmom[1]))
 
 
 _MEASURES: dict[str, Callable[[Case], list[Number]]] = {

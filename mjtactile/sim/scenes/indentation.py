@@ -11,26 +11,27 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.sim.attach import DEFAULT_MESH, attach, recommend_options
+from mjtactile.sim.scenes.meshes import SUFFIXES, add_solid, convex_parts, load_solid
 from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor import features
 from mjtactile.sim.sensor.mesh import MarkerInterpolator
 from mjtactile.sim.sensor.switches import PHYSICS
 
-SHAPES = ("sphere:R_mm", "cylinder:R_mm", "box:A_mm", "FILE.stl", "FILE.xml")
+SHAPES = ("sphere:R_mm", "cylinder:R_mm", "box:A_mm", "FILE.stl", "FILE.obj", "FILE.xml")
 _LENGTH = 0.03  # m, of a cylinder along its axis
 _CLEARANCE = 0.002  # m above first touch at which the indenter waits
 _AWAY = 0.05  # m above the world's origin of the drive, where no bulge reaches the indenter
 _STILL = 2e-4  # m/s: vertices in contact keep moving this fast by the solver's tolerance; the force by 0.1 %
 _SHEAR_SPEED = 2e-3  # m/s, of a press that shears
-_FILES = {".stl": "mesh", ".xml": "model"}
+_FILES = {**dict.fromkeys(SUFFIXES, "mesh"), ".xml": "model"}
 _STIFFNESS, _MASS = 2e5, 0.2  # N/m and kg of the drive: gives way by 5 um at 1 N
 
 
 @dataclass(frozen=True)
 class Indenter:
     """A rigid shape. `size` m: radius of a "sphere", radius of a "cylinder" (axis along z, 30 mm long, end face down),
-    edge of a "box" (face down); `path` of a "mesh" in STL, whose unit is taken as mm, or of a "model" in MJCF, all of whose
-    geoms press, fixed to each other."""
+    edge of a "box" (face down); `path` of a "mesh" in STL or OBJ, whose unit is taken as mm, or of a "model" in MJCF, all
+    of whose geoms press, fixed to each other."""
 
     kind: str
     size: float = 0.0
@@ -38,7 +39,7 @@ class Indenter:
 
     @classmethod
     def parse(cls, text: str) -> Indenter:
-        """Read "sphere:8", "cylinder:5", "box:10", "part.stl" or "shape.xml". Raises InputError listing the choices."""
+        """Read "sphere:8", "cylinder:5", "box:10", "part.stl", "part.obj" or "shape.xml". Raises InputError."""
         kind, _, number = text.partition(":")
         path = Path(text).expanduser()
         if path.suffix.lower() in _FILES:
@@ -58,11 +59,12 @@ class Indenter:
         if self.kind == "model":
             self._attach(spec, body)
             return
-        geom = body.add_geom(name="indenter", mass=_MASS, rgba=[0.3, 0.45, 0.7, 1.0])
-        if self.kind == "mesh":
-            mesh = spec.add_mesh(name="indenter", file=str(self.path), scale=[1e-3] * 3)
-            geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, mesh.name
+        if self.kind == "mesh" and self.path is not None:
+            parts = convex_parts(load_solid(self.path))
+            for geom in add_solid(spec, body, "indenter", parts):
+                geom.mass = _MASS / len(parts)
             return
+        geom = body.add_geom(name="indenter", mass=_MASS, rgba=[0.3, 0.45, 0.7, 1.0])
         geom.type = getattr(mujoco.mjtGeom, f"mjGEOM_{self.kind.upper()}")
         half = self.size / 2
         geom.size = {"sphere": [self.size, 0, 0], "cylinder": [self.size, _LENGTH / 2, 0], "box": [half] * 3}[self.kind]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -73,6 +74,34 @@ class DropWorld(World):
     def _hold(self, height: float, speed: float) -> None:
         self.data.qpos[self._height], self.data.qvel[self._velocity] = height, speed
         mujoco.mj_forward(self.model, self.data)
+
+
+class FloatWorld(World):
+    """An inflated and sealed sensor that floats freely, without gravity."""
+
+    def __init__(self, sensor: SensorDesign | str | Path, *, pressure_gauge: float, timestep: float = 4e-3,
+                 mesh: tuple[int, int] = DEFAULT_MESH):
+        spec = mujoco.MjSpec()
+        recommend_options(spec, timestep)
+        spec.option.gravity = [0, 0, 0]
+        body = spec.worldbody.add_body(name="float")
+        body.add_freejoint()
+        body.add_site(name="mount", quat=[0.8, 0.3, 0.5, 0.1])
+        super().__init__(spec, [attach(spec, sensor, site="mount", mesh=mesh)])
+        self.sensors[0].open_valve(pressure_gauge)
+        self.step(round(_FILLING / timestep))
+        self.sensors[0].close_valve()
+
+    def turn(self, velocity: Sequence[float]) -> None:
+        """Let it turn at `velocity` (3,) rad/s."""
+        self.data.qvel[3:6] = velocity
+
+    @property
+    def angular_momentum(self) -> float:
+        """Of everything about its centre of mass, kg m^2/s."""
+        mujoco.mj_forward(self.model, self.data)
+        mujoco.mj_subtreeVel(self.model, self.data)
+        return float(np.linalg.norm(self.data.subtree_angmom[1]))
 
 
 class PinchWorld(World):

@@ -16,6 +16,8 @@ from scipy.sparse import csr_matrix
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
+_OFFSET, _LEAST = 1e-10, 1e-12  # of the changes of volume that add up; m^3
+
 
 class ChamberGeometry:
     """Volume between the membrane and the glass, and its derivative by the vertex positions."""
@@ -61,14 +63,19 @@ class GasTendon:
     def apply(self, pressure_gauge: float, stiffness: float, gradient: Array) -> None:
         """Push with the pressure, `gradient` (k, 3) = dV/dq, and let the tendon's spring carry its change in the step.
 
-        The spring is relaxed at the current state, so that it holds the *implicit* part only: f = p - k (V' - V).
+        The spring is relaxed at the current state, so that it holds the *implicit* part only: f = p - k (V' - V). All but:
+        MuJoCo leaves out the stiffness of a spring whose length is exactly that at rest, as rounding will have it now and
+        then, and the gas of that step is explicit. It is therefore set off by far more than rounding, and its force given back.
         """
         coefficients = gradient.ravel()
         normal = coefficients[2::3]
         self._model.wrap_prm[self._wraps] = normal
         self._model.tendon_stiffness[self._tendon] = stiffness
-        self._model.tendon_lengthspring[self._tendon] = normal @ self.displacements[2::3]
+        terms = normal * self.displacements[2::3]
+        offset = _OFFSET * (np.abs(terms).sum() + _LEAST)
+        self._model.tendon_lengthspring[self._tendon] = terms.sum() - offset
         self._data.qfrc_applied[self.dofs] = pressure_gauge * coefficients
+        self._data.qfrc_applied[self.dofs][2::3] += stiffness * offset * normal
 
     def suspend(self) -> None:
         """Take the tendon's joints and the pressure out of the model; the vertices are held otherwise."""

@@ -11,15 +11,18 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from mjtactile.core.types import Array
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
 CONTACT_MODELS = ("vertices", "elements", "both")
+CONVEX = 0.98
+"""Volume over that of the convex hull from which a mesh counts as convex."""
 END = 0.7
 """Cosine of a normal to a cylinder's axis above which its end face touches."""
 SLIPS = 0.6
 """Radius in vertex spacings below which a feature can slip between vertices."""
 RESOLVED = 2.0
-"""Radius in vertex spacings from which a feature's force is good: 5 % and better (tests/physics/test_features.py)."""
+"""Radius in vertex spacings from which a feature's force is good: 5 % and better (tests/physics/test_contact.py)."""
 
 
 def touching_geoms(model: mujoco.MjModel) -> NDArray[np.int64]:
@@ -47,6 +50,37 @@ def smallest_feature(model: mujoco.MjModel) -> tuple[float, str]:
     """Radius, m, and name of the geom with the smallest feature; infinite when nothing can touch."""
     found = [(feature_radius(model, int(g)), model.geom(int(g)).name or f"geom {g}") for g in touching_geoms(model)]
     return min(found, default=(np.inf, ""))
+
+
+def filled_share(vertices: Array, faces: NDArray[np.int64]) -> float:
+    """Volume of a closed surface of triangles over that of its convex hull: what MuJoCo takes it for. 1 where it has none."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    volume = float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6
+    try:
+        return min(abs(volume) / ConvexHull(vertices).volume, 1.0)
+    except (QhullError, ZeroDivisionError):
+        return 1.0
+
+
+def hull_flag(model: mujoco.MjModel) -> str | None:
+    """Say which meshes that may touch are hollow, and pressed as their hulls all the same."""
+    hollow = {}
+    for geom in touching_geoms(model):
+        mesh = int(model.geom_dataid[geom])
+        if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_MESH or mesh < 0:
+            continue
+        vertices, faces = model.mesh(mesh).vertadr[0], model.mesh(mesh).faceadr[0]
+        share = filled_share(np.asarray(model.mesh_vert[vertices:vertices + model.mesh_vertnum[mesh]], float),
+                             model.mesh_face[faces:faces + model.mesh_facenum[mesh]].astype(np.int64))
+        if share < CONVEX:
+            hollow[model.mesh(mesh).name] = share
+    if not hollow:
+        return None
+    name, share = min(hollow.items(), key=lambda item: item[1])
+    return (f"mesh {name!r} fills {share:.0%} of its convex hull, and the hull is what touches: give its convex parts as geoms, "
+            "or press the file where pip install 'mjtactile[meshes]' cuts it")
 
 
 def contact_model(model: mujoco.MjModel, mesh: MembraneMesh) -> str:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from mjtactile.sim.sensor.runtime import TactileSensor
 
 Flags = dict[str, str]
-"""Kind of doubt ("stretch", "wrinkles", "penetration", "mesh", "feature", "edge", "bending", "speed", "solver",
+"""Kind of doubt ("stretch", "wrinkles", "penetration", "mesh", "feature", "edge", "hull", "bending", "speed", "solver",
 "unsettled") to its reason."""
 
 STVK_ERROR = 0.02  # share of a height
@@ -112,7 +112,8 @@ class Monitor:
         flags: Flags = {}
         for sensor in self._sensors:
             flags |= design_flags(sensor.design, sensor.mesh.nx, sensor.mesh.ny)
-        return flags
+        hull = features.hull_flag(self._model)
+        return flags | ({"hull": hull} if hull else {})
 
     def look(self) -> tuple[Flags, str | None]:
         """Flags of the present state, and the reason to stop, if there is one. Call every 20 ms or so."""
