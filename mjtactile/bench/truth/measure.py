@@ -155,7 +155,7 @@ def _slide(case: Case) -> list[Number]:
     for step in plan["timestep_ms"]:
         for sign in (1, -1):
             world, shares = _dragged(case, step), []
-            world.watch(lambda world=world, shares=shares: shares.append(truth.friction_used(world, mu)))
+            world.after_each_step(lambda world=world, shares=shares: shares.append(truth.friction_used(world, mu)))
             world.drive(1e-3 * plan["depth_mm"], sign * 1e-3 * plan["drag_mm"], speed=1e-3 * plan["speed_mm_s"])
             late = shares[2 * len(shares) // 3:]
             numbers.append(Number("friction over mu N", f"{step:g} ms, {'+-'[sign < 0]}x", "", 1.0, float(np.mean(late)),
