@@ -9,6 +9,8 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import runpy
+import select
 import signal
 import subprocess
 import sys
@@ -21,19 +23,21 @@ from typing import Any
 from mjtactile.core.errors import DeviceError, InputError, MjtactileError
 
 _PARENT = "MJTACTILE_PARENT"  # the environment variable that tells a child whose it is
-_PARENT_TIME = 1.0  # s between two looks whether the parent still lives
+_PARENT_TIME = 1.0  # s between two looks whether the parent still lives, where the kernel does not tell of its end
 _PARENT_GRACE = 5.0  # s for a child to end by itself when its parent is gone
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
-def start(module: str, *args: object, descriptors: Sequence[int] = (), talk: bool = False) -> subprocess.Popen[str]:
+def start(module: str, *args: object, descriptors: Sequence[int] = (), talk: bool = False,
+          grace: float = _PARENT_GRACE) -> subprocess.Popen[str]:
     """Start `python -m MODULE ARGS`, which keeps these file `descriptors`; with `talk`, its stdin and stdout are pipes for
-    `ask`, else there are none."""
+    `ask`, else there are none. It is ended `grace` s after this process, if it does not end by itself."""
     home = str(Path(__file__).resolve().parents[2])
     path = os.pathsep.join(filter(None, [home, os.environ.get("PYTHONPATH")]))
     stream = subprocess.PIPE if talk else subprocess.DEVNULL
+    code = f"from {__name__} import run; run({grace!r})"
     # -P: a file of the user's folder must not stand in for a module
-    return subprocess.Popen([sys.executable, "-P", "-m", module, *map(str, args)], text=True, stdin=stream, stdout=stream,
+    return subprocess.Popen([sys.executable, "-P", "-c", code, module, *map(str, args)], text=True, stdin=stream, stdout=stream,
                             start_new_session=True, pass_fds=descriptors,
                             env={**os.environ, **_ONE_THREAD, "PYTHONPATH": path, _PARENT: str(os.getpid())})
 
@@ -84,16 +88,28 @@ def stop(process: subprocess.Popen[str], patience: float = 0.0) -> None:
         process.stdout.close()
 
 
-def end_with_parent() -> None:
-    """To be called by a child when it starts: it does not outlive its parent, even one that is killed, and no Ctrl-C is for
-    it. (Pipes and sockets alone do not tell: another process may hold the parent's end.)"""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = int(os.environ.get(_PARENT, os.getppid()))
+def run(grace: float) -> None:
+    """What a child does first and last: watch its parent, before anything that takes time, then run its module."""
+    end_with_parent(grace)
+    sys.argv = sys.argv[1:]
+    runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
 
-    def look() -> None:
+
+def end_with_parent(grace: float) -> None:
+    """From now on this process does not outlive its parent by more than `grace` s, however that ends, and no Ctrl-C is for it.
+
+    Pipes and sockets alone do not tell (another process may hold the parent's end), nor to one that is busy importing.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = int(os.environ[_PARENT])
+
+    def outlive() -> None:
+        ends = []
+        with contextlib.suppress(OSError):  # ended already, or a sandbox that forbids it
+            ends.append(os.pidfd_open(parent))
         while os.getppid() == parent:
-            time.sleep(_PARENT_TIME)
-        time.sleep(_PARENT_GRACE)
+            select.select(ends, [], [], _PARENT_TIME)
+        time.sleep(grace)
         os._exit(1)
 
-    threading.Thread(target=look, name="parent", daemon=True).start()
+    threading.Thread(target=outlive, name="parent", daemon=True).start()

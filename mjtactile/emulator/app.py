@@ -113,7 +113,6 @@ def serve(emulator: Emulator, requests: TextIO, answers: TextIO) -> None:
 
 
 def main() -> int:
-    process.end_with_parent()
     try:
         emulator = Emulator(sys.stdin.readline())
     except MjtactileError as error:

@@ -176,7 +176,6 @@ class Cameras:
 def main(descriptor: int) -> int:
     sys.setswitchinterval(1e-3)
     cv2.setNumThreads(1)  # the other core is the host's
-    process.end_with_parent()
     route_warnings()
     shared = SharedState(descriptor)
     try:

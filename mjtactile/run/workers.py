@@ -13,23 +13,20 @@ import math
 import mmap
 import os
 import pickle
-import signal
 import socket
 import struct
-import subprocess
 import sys
 import time
 import traceback
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from multiprocessing.connection import Connection
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Protocol, cast
 
 import numpy as np
 
-from mjtactile.core import signals
+from mjtactile.core import process, signals
 from mjtactile.core.calibration import Calibration
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError
@@ -39,7 +36,6 @@ from mjtactile.sensing.settings import DEFAULTS, Settings
 
 START_TIME = 60  # s for a worker to import everything, on a busy computer
 REPLY_TIME = 10  # s for an answer; a chain needs a hundredth of a second for an image
-_PARENT_TIME = 1.0  # s between two looks whether the parent still lives
 
 
 class Perceiver(Protocol):
@@ -218,7 +214,7 @@ class RemotePerception:
         return DeviceError(f"{self.name} sensor: its perception process did not answer for {patience} s")
 
     def _lost(self) -> DeviceError:
-        return DeviceError(f"{self.name} sensor: its perception process ended ({self._worker.obituary()})")
+        return DeviceError(f"{self.name} sensor: its perception process ended ({self._worker.how_it_ended()})")
 
 
 class _Worker:
@@ -229,36 +225,26 @@ class _Worker:
         # One that hangs does not empty the socket, and images do not fit into it.
         ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", REPLY_TIME, 0))
         self.memory = os.fdopen(os.memfd_create("mjtactile-image"), "r+b")
-        home = str(Path(__file__).resolve().parents[2])
-        path = os.pathsep.join(filter(None, [home, os.environ.get("PYTHONPATH")]))
-        one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         with theirs:
-            # A new interpreter, not a fork: this one may have threads. A session of its own: Ctrl-C is for the parent.
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", __name__, str(theirs.fileno()), str(self.memory.fileno()), str(os.getpid())],
-                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True,
-                pass_fds=(theirs.fileno(), self.memory.fileno()), env={**os.environ, "PYTHONPATH": path, **one_thread})
+            descriptors = theirs.fileno(), self.memory.fileno()
+            self._process = process.start(__name__, *descriptors, descriptors=descriptors, grace=0.0)
         self.connection = Connection(ours.detach())
 
     @property
     def pid(self) -> int:
         return self._process.pid
 
-    def obituary(self) -> str:
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(0.2)  # its socket closes a moment before it can be waited for
-        code = self._process.poll()
-        return "its socket is closed" if code is None else f"by signal {-code}" if code < 0 else f"exit code {code}"
+    def how_it_ended(self) -> str:
+        return process.how_it_ended(self._process)
 
     def close(self) -> None:
         self.connection.close()
         self.memory.close()
-        self._process.kill()
-        self._process.wait()
+        process.stop(self._process)
 
 
-def serve(connection: Connection, memory: int, parent: int) -> None:
-    """Answer requests until the parent is gone: its end of the socket closes, or it is no longer the parent."""
+def serve(connection: Connection, memory: int) -> None:
+    """Answer requests until the parent closes its end of the socket."""
     import cv2
 
     from mjtactile.sensing.chain import Perception
@@ -267,9 +253,6 @@ def serve(connection: Connection, memory: int, parent: int) -> None:
     perception: Perception | None = None
     pixels = np.zeros((0, 0), np.uint8)
     while True:
-        while not connection.poll(_PARENT_TIME):
-            if os.getppid() != parent:
-                return
         name, args, kwargs = connection.recv()
         try:
             if name == "open":
@@ -311,10 +294,9 @@ def _sealed(value: Any) -> Any:
 
 
 def main() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    socket_fd, memory, parent = map(int, sys.argv[1:])
+    socket_fd, memory = map(int, sys.argv[1:])
     with contextlib.suppress(EOFError, OSError):  # the parent has gone
-        serve(Connection(socket_fd), memory, parent)
+        serve(Connection(socket_fd), memory)
     os._exit(0)  # nothing to tidy up, and nobody waits
 
 

@@ -18,7 +18,6 @@ CHILD = """
     import json, os, sys
     from mjtactile.core import process
     from mjtactile.core.errors import DeviceError, InputError
-    process.end_with_parent()
     for line in sys.stdin:
         word = line.strip()
         if word == "fault":
@@ -30,7 +29,7 @@ CHILD = """
         else:
             print(json.dumps([word, sys.argv[1:], os.environ["OMP_NUM_THREADS"]]), flush=True)
 """
-WAIT = 20.0  # s for a process to start or end on a busy computer; the child looks for its parent once a second, then waits 5 s
+WAIT = 20.0  # s for a process to start or end on a busy computer; the child has 5 s when its parent has ended
 
 
 @pytest.fixture
@@ -86,7 +85,7 @@ def test_a_child_ends_with_a_parent_that_is_killed_even_if_another_process_holds
     code = f"""if True:
         import subprocess, sys, time
         from mjtactile.core import process
-        child = process.start("{module}", talk=True)
+        child = process.start("{module}", talk=True, grace=0.2)
         process.ask(child, "hello", "the child")
         holder = subprocess.Popen(["sleep", "300"], pass_fds=[child.stdin.fileno()], stdout=subprocess.DEVNULL)
         print(child.pid, holder.pid, flush=True)
@@ -102,3 +101,23 @@ def test_a_child_ends_with_a_parent_that_is_killed_even_if_another_process_holds
     finally:
         os.kill(holder, signal.SIGKILL)
         parent.communicate()
+
+
+def test_a_child_that_is_still_importing_ends_with_its_parent(tmp_path, monkeypatch):
+    (tmp_path / "a_slow_child.py").write_text("import pathlib, time\n"
+                                              "pathlib.Path(__file__).with_suffix('.here').touch()\ntime.sleep(300)\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    code = """if True:
+        import time
+        from mjtactile.core import process
+        print(process.start("a_slow_child", grace=0.0).pid, flush=True)
+        time.sleep(300)
+    """
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    child = int(parent.stdout.readline())
+    try:
+        assert wait_for((tmp_path / "a_slow_child.here").exists, WAIT)
+    finally:
+        parent.kill()
+        parent.communicate()
+    assert wait_for(lambda: not is_alive(child), WAIT)
