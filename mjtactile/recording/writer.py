@@ -49,6 +49,7 @@ class Recorder:
         self.patience = 10.0
         """s that `add` waits for a disk that is 64 cycles behind; 0 where the world does not wait."""
         self._frames, self._closed = frames, False
+        self._fingers: tuple[str, ...] = ()
         self._lock = threading.Lock()
         self._file = self._open()
         self._queue: queue.Queue[tuple[Mapping[str, Any], list[tuple[str, Image]]] | None] = queue.Queue(_QUEUE_CYCLES)
@@ -73,7 +74,7 @@ class Recorder:
             self.note(start_opening=last.opening, start_lift_height=last.lift_height)
         kept = self._frames and self.cycles % self._frames == 0
         images = [(f"{FRAMES}/{self.cycles:06d}_{finger}.png", image)
-                  for finger, image in zip(finger_names(len(cycle.images)), cycle.images, strict=True)] if kept else []
+                  for finger, image in zip(self._names(len(cycle.images)), cycle.images, strict=True)] if kept else []
         try:
             row = make_row(cycle, [name for name, _ in images], truth)
         except Exception as error:  # noqa: BLE001  # whatever a controller put into its notebook
@@ -87,15 +88,21 @@ class Recorder:
     def add_reference(self, stage: str, images: Sequence[Sequence[Image]], pressure_gauge: Sequence[float | None]) -> None:
         """Record the images of a reference ("flat", "rest"), one list a finger, and the pressures it was taken at, Pa."""
         named = [[(f"{FRAMES}/{stage}_{i:02d}_{finger}.png", image) for i, image in enumerate(shots)]
-                 for finger, shots in zip(finger_names(len(images)), images, strict=True)] if self._frames else []
+                 for finger, shots in zip(self._names(len(images)), images, strict=True)] if self._frames else []
         self.references += 1
         self._put({"kind": "reference", "stage": stage, "images": [[name for name, _ in shots] for shots in named],
                    "image_time": [[image.time for image in shots] for shots in images],
                    "pressure_gauge": list(pressure_gauge)}, [pair for shots in named for pair in shots])
 
     def note(self, **values: Any) -> None:
-        """Record facts that are no cycle, such as `break_force_N`."""
+        """Record facts that are no cycle, such as `break_force_N`; image files are named by the `fingers`."""
+        self._fingers = tuple(values.get("fingers", self._fingers))
         self._put({"kind": "note", **values})
+
+    def _names(self, count: int) -> tuple[str, ...]:
+        """What the fingers are called in the names of files: as was noted, where each name is a file's; else by their place."""
+        noted = {name for name in self._fingers if name and not {"/", "\0"} & set(name)}
+        return self._fingers if len(noted) == len(self._fingers) == count else finger_names(count)
 
     def close(self, **outcome: Any) -> None:
         """Write what is queued and an `end` line with `outcome`; later calls do nothing."""

@@ -36,6 +36,26 @@ def test_what_goes_in_comes_out(tmp_path):
             assert read.time == image.time
 
 
+@pytest.mark.parametrize(("noted", "called"), [
+    (("first", "second", "third"), ("first", "second", "third")),
+    (None, ("left", "right", "finger3")),  # no session said: a recording of before, or somebody else's
+    (("a/b", "b", "c"), ("left", "right", "finger3")), (("a", "a", "b"), ("left", "right", "finger3")),  # no names of files
+])
+def test_image_files_are_named_by_their_finger(tmp_path, noted, called):
+    two = fake_cycle(0)
+    cycle = replace(two, images=(*two.images, two.images[0]), touch=(*two.touch, two.touch[0]))
+    with Recorder(tmp_path, {}) as recorder:
+        if noted:
+            recorder.note(fingers=noted)
+        recorder.add_reference("flat", [[image] for image in cycle.images], [None] * 3)
+        recorder.add(cycle)
+    recording = load_recording(tmp_path)
+    assert recording.columns["images"][0] == [f"frames/000000_{name}.png" for name in called]
+    assert recording.references[0].names == [[f"frames/flat_00_{name}.png"] for name in called]
+    for image, read in zip(cycle.images, next(recording.images()), strict=True):
+        np.testing.assert_array_equal(read.pixels, image.pixels)
+
+
 def test_unknown_force_is_null_in_the_file_and_nan_again_when_read(tmp_path):
     with Recorder(tmp_path, {}) as recorder:
         recorder.add(fake_cycle(0, force=math.nan))
