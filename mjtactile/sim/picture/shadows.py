@@ -25,7 +25,7 @@ from mjtactile.sim.picture.light import BLOCK_PX, Floats, Light, block_slopes
 
 LED_RADIUS = 1.5e-3
 """Radius, m, of an LED's luminous window: of the usual packages 3528 and 5050. It makes the penumbra."""
-_NODE = 1e-3  # m between nodes of the height field; half of it moves shadow edges by 0.1 mm (tests/unit/test_shadows.py)
+_NODE = 1e-3  # m between nodes of the height field; half of it moves shadow edges by 0.1 mm (tests/unit/sim/test_shadows.py)
 _EDGE_PX = 4  # blocks where a shadow falls: 0.3 mm of membrane; edges are soft over 0.1-0.5 mm
 _CAMERA_STEPS = 6  # fixed point: ray against height field; each halves the rest even at the corner and a slope of 45 degrees
 _CARRY_STEPS = 4  # fixed point: which material point lies at a place; displacements change by 0.2 per length
