@@ -8,7 +8,7 @@ import statistics
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 
@@ -35,7 +35,8 @@ examples:
 
 JSON: {"frames": [{"source": …, "status": "ok", or why it has no marker to trust,
   "shared": [] or what its circles share with neighbours ("elongation", "depth"),
-  "overexposed": whether the bright side is clipped, which hides tenths of a pixel of size, "markers": [{
+  "overexposed": whether the bright side is clipped, which hides tenths of a pixel of size,
+  "gamma": {"assumed", "estimate" and "sd" (null: too little to tell), "wrong": whether they plainly differ}, "markers": [{
   "uv_px": projected centre (distorted pixels; (0, 0) is the centre of the top-left pixel),
   "ellipse_px": {"center", "semi_axes", "angle_deg"},
   "center_mm", "cov_center_mm2": 3x3, "normal" (facing the camera),
@@ -68,7 +69,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--neighbours", choices=["auto", "always", "never"], default="auto",
                         help="let many circles on one smooth surface help each other: small ones (auto, the default), "
                         "of any size, or never")
+    parser.add_argument("--gamma", type=_gamma, default=1.0, metavar="G|auto",
+                        help="the camera's gamma, whose grey levels are light to the power of 1/G (default: 1; sRGB: 2.2), or "
+                        "auto: what the circles of each image plainly say")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write an overlay of each image and locate.json there")
+
+
+def _gamma(text: str) -> float | Literal["auto"]:
+    return "auto" if text == "auto" else _positive(text)
 
 
 def _positive(text: str) -> float:
@@ -122,23 +130,28 @@ def _locate(frame: Frame, camera: Camera, options: argparse.Namespace, out: Path
                                 f"{camera.width} x {camera.height}")
     begin = time.perf_counter()
     found = find_circles(frame.pixels, camera, options.radius_mm * 1e-3, polarity=options.polarity,
-                         neighbours=options.neighbours)
+                         neighbours=options.neighbours, gamma=options.gamma)
     spent = 1e3 * (time.perf_counter() - begin)
     if out is not None:
         name = f"{Path(frame.name).stem}{_index(frame.name)}_overlay.png"
         cv2.imwrite(str(out / name), overlay(frame.pixels, found.ellipses, found.poses))
     return {"source": frame.name, "status": found.status, "shared": list(found.shared), "overexposed": found.overexposed,
+            "gamma": {"assumed": found.assumed, "estimate": found.gamma.value, "sd": found.gamma.sd, "wrong": found.nonlinear},
             "markers": marker_records(found), "rejected": found.rejected.records(), "ms": spent, "usable": True}
 
 
 def _without_markers(frame: Frame, status: str) -> dict[str, Any]:
-    return {"source": frame.name, "status": status, "shared": [], "overexposed": False, "markers": [], "rejected": [],
-            "ms": 0.0, "usable": False}
+    return {"source": frame.name, "status": status, "shared": [], "overexposed": False, "gamma": None, "markers": [],
+            "rejected": [], "ms": 0.0, "usable": False}
 
 
 def _index(name: str) -> str:
     """`_000012` for a frame of a video."""
     return "_" + name.rsplit("#", 1)[1] if "#" in name else ""
+
+
+def _gamma_note(gamma: dict[str, Any]) -> str:
+    return f"gamma is not {gamma['assumed']:g} but about {gamma['estimate']:.1f} (sd {gamma['sd']:.1f}): see --gamma"
 
 
 def _print_table(frames: Sequence[dict[str, Any]], out: Path | None) -> None:
@@ -148,6 +161,7 @@ def _print_table(frames: Sequence[dict[str, Any]], out: Path | None) -> None:
         depth = statistics.median(math.sqrt(m["cov_center_mm2"][2][2] or math.nan) for m in good) if good else math.nan
         note = [] if frame["status"] == "ok" else [frame["status"]]
         note += ["depth shared"] * ("depth" in frame["shared"]) + ["over-exposed"] * frame["overexposed"]
+        note += [_gamma_note(frame["gamma"])] if frame["gamma"] and frame["gamma"]["wrong"] else []
         print(f"{frame['source'][-40:]:<40} {len(frame['markers']):>7} {len(good):>5} {len(frame['rejected']):>8} "
               f"{depth:>15.4f} {frame['ms']:>7.1f}  {', '.join(note)}".rstrip())
     if out is not None:

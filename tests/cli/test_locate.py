@@ -73,8 +73,9 @@ def test_an_image(mjtactile, folder):
 
 def test_bright_markers_and_16_bit(mjtactile, folder):
     cv2.imwrite(str(folder / "bright.png"), draw(dark=False).astype(np.uint16) * 200)
-    (frame,) = locate(mjtactile, "bright.png", "--bright")
+    (frame,) = locate(mjtactile, "bright.png", "--bright", "--gamma", "auto")
     check(frame)
+    assert frame["gamma"]["assumed"] == 1 and not frame["gamma"]["wrong"]
 
 
 def test_a_folder_in_name_order_with_a_corrupt_file_and_overlays(mjtactile, folder):

@@ -66,7 +66,7 @@ class _KnownBlur:
 
     def normal(self, pixels: Pixels, theta: Array, J: NDArray, residual: NDArray, weight: NDArray) -> tuple[Array, Array]:
         """Normal matrix (n, 10, 10) and right side (n, 10) of pixels and prior."""
-        H, right = _normal_matrix(pixels, J, weight), pixels.sums(J * (weight * residual)).T
+        H, right = normal_matrix(pixels, J, weight), pixels.sums(J * (weight * residual)).T
         if self.weight:
             pull = self.weight * pixels.sums(weight * residual * residual) / pixels.counts
             H[:, -1, -1] += pull
@@ -129,7 +129,7 @@ def _fit_some(image: NDArray, center: Array, shape: Array, around: Around, width
     with one normal matrix between them (the fixed point does not depend on it)."""
     small = bool((shape[:, 0] * shape[:, 2] - shape[:, 1] ** 2).min() < (s.small * max(blur.sigma, 1)) ** 2)
     iterations += 8 if small else 0  # blur, radius and level are harder to tell apart
-    pixels, used, origin = _gather(image, center, shape, around, width)
+    pixels, used, origin = gather(image, center, shape, around, width)
     theta = np.zeros((len(center), PARAMETERS))
     theta[:, :2], theta[:, 2:5] = center - origin, shape
     theta[:, 5], theta[:, 6] = _levels(image, center, shape)
@@ -138,7 +138,7 @@ def _fit_some(image: NDArray, center: Array, shape: Array, around: Around, width
     some = pixels.every(stride)
     J = np.empty((PARAMETERS, len(some.x)), np.float32)
     for k in range(iterations - 2):
-        residual = some.observed - _model(some, theta, J, small)
+        residual = some.observed - model(some, theta, J, small)
         weight = _robust(some, residual, theta, s) if k else np.ones_like(residual)
         old = theta
         theta = _step(theta, *blur.normal(some, theta, J, residual, weight))
@@ -147,7 +147,7 @@ def _fit_some(image: NDArray, center: Array, shape: Array, around: Around, width
     J = np.empty((PARAMETERS, len(pixels.x)), np.float32)
     H, residual, weight, old = np.zeros(0), pixels.x, pixels.x, theta
     for _ in range(2):
-        residual = pixels.observed - _model(pixels, theta, J, small)
+        residual = pixels.observed - model(pixels, theta, J, small)
         weight = _robust(pixels, residual, theta, s)
         H, right = blur.normal(pixels, theta, J, residual, weight)
         old = theta
@@ -157,7 +157,7 @@ def _fit_some(image: NDArray, center: Array, shape: Array, around: Around, width
     return _result(theta, H, residual, weight, pixels, used, origin, s.coloured)
 
 
-def _gather(image: NDArray, center: Array, shape: Array, around: Around,
+def gather(image: NDArray, center: Array, shape: Array, around: Around,
             width: float) -> tuple[Pixels, NDArray, Array]:
     """The band's pixels, less what neighbours darken; how many are real, per marker; each marker's origin (whole px)."""
     u, v, used = band((image.shape[0], image.shape[1]), center, shape, width)
@@ -175,7 +175,7 @@ def _gather(image: NDArray, center: Array, shape: Array, around: Around,
     return Pixels(x.astype(np.float32), y.astype(np.float32), observed.astype(np.float32), counts), used, origin
 
 
-def _normal_matrix(pixels: Pixels, J: NDArray, weight: NDArray) -> Array:
+def normal_matrix(pixels: Pixels, J: NDArray, weight: NDArray) -> Array:
     """Per-marker J^T W J (n, 10, 10)."""
     H = np.empty((PARAMETERS, PARAMETERS, len(pixels.counts)))
     WJ = J * weight
@@ -184,7 +184,7 @@ def _normal_matrix(pixels: Pixels, J: NDArray, weight: NDArray) -> Array:
     return H.transpose(2, 0, 1).copy()
 
 
-def _model(pixels: Pixels, theta: Array, J: NDArray, small: bool) -> NDArray:
+def model(pixels: Pixels, theta: Array, J: NDArray, small: bool) -> NDArray:
     """Model image (P,) for parameters `theta` (n, 10); fills J (10, P) with its derivatives.
 
     `small`: markers whose curvature is felt beyond the first order, see `_blurred_disc`. To first order, the blur along

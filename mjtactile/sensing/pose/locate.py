@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,6 +16,7 @@ from mjtactile.core.design import CameraDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, CirclePoses, Ellipses, Image
 from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
+from mjtactile.sensing.image.gamma import UNKNOWN, Gamma, estimate_gamma, linear_light
 from mjtactile.sensing.image.markers import Polarity, grey_image
 from mjtactile.sensing.image.thorough import NO_REJECTED, Rejected, detect_thoroughly
 from mjtactile.sensing.pose.circles import estimate_poses, pose_covariances
@@ -25,6 +27,7 @@ from mjtactile.sensing.shape.smoothness import agree_on_depth
 
 Neighbours = Literal["auto", "always", "never"]
 _GREY = np.full((1, 3), 1 / 3)
+GAMMAS = (0.2, 5.0)  # that may be asked for
 NOT_BEYOND_GLASS = "nearer than the glass"
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
 
@@ -57,7 +60,8 @@ class Located:
     """The circles of one image: their `ellipses` and `poses`, the likelier of the two of each circle first, with the
     covariance `cov_p_alt` (N, 3, 3) m^2 of the other's centre and the probability `sure` (N,) that the first is right;
     what they `shared` with neighbours (of "elongation", "depth"; empty: every circle on its own); candidates that are no
-    circles, `rejected` each with a reason; and whether the circles' bright side is `overexposed`."""
+    circles, `rejected` each with a reason; whether the circles' bright side is `overexposed`; the camera's gamma that was
+    `assumed`, what the circles say of it, and whether they plainly say another (`nonlinear`)."""
 
     ellipses: Ellipses
     poses: CirclePoses
@@ -66,6 +70,9 @@ class Located:
     shared: tuple[str, ...]
     rejected: Rejected = NO_REJECTED
     overexposed: bool = False
+    assumed: float = 1.0
+    gamma: Gamma = UNKNOWN
+    nonlinear: bool = False
 
     @property
     def status(self) -> str:
@@ -77,7 +84,7 @@ class Located:
 
 def find_circles(image: NDArray | Image, camera: optics.Camera | CameraDesign, radius: ArrayLike, *,
                  polarity: Polarity = "dark", min_radius_px: float = 1.5, neighbours: Neighbours = "auto",
-                 settings: Settings = DEFAULTS) -> Located:
+                 gamma: float | Literal["auto"] = 1.0, settings: Settings = DEFAULTS) -> Located:
     """Circles of `radius` m in one image.
 
     `neighbours`: whether 40 and more circles that plainly lie on one smooth surface may help each other: "auto" shares
@@ -85,18 +92,34 @@ def find_circles(image: NDArray | Image, camera: optics.Camera | CameraDesign, r
     "always" shares depth at any size; "never" estimates each on its own. Circles that do not agree are never made to.
     Where the bright side of the edges is clipped, all dark circles look smaller by tenths of a pixel that nothing in
     the image tells; the covariance then allows for it. An error of scale, common to all circles.
-    Raises InputError as `detect` and `estimate_poses`, and for another `neighbours`.
+    `gamma`: of a camera whose grey levels are light to the power of 1/gamma; "auto" uses what the circles plainly say.
+    The covariance allows for its error bar then, and for the difference where they plainly say another than was given.
+    Raises InputError as `detect` and `estimate_poses`, and for another `neighbours` or `gamma`.
     """
     if neighbours not in ("auto", "always", "never"):
         raise InputError(f"{neighbours!r}", source="locate", field="neighbours", choices=("auto", "always", "never"))
-    grey = _grey(image)
-    ellipses, rejected = detect_thoroughly(grey, polarity=polarity, min_radius_px=min_radius_px, settings=settings)
-    found = replace(_together(ellipses, camera, radius, neighbours, settings), rejected=rejected)
-    if not _overexposed(grey_image(grey), ellipses, polarity, settings.locate):
+    low, high = GAMMAS
+    if gamma != "auto" and not (isinstance(gamma, int | float) and low <= gamma <= high):
+        raise InputError(f"{gamma!r}", source="locate", field="gamma", choices=("auto", f"{low:g} to {high:g}"))
+    grey = grey_image(_grey(image))
+    assumed = 1.0 if gamma == "auto" else float(gamma)
+    search = partial(detect_thoroughly, polarity=polarity, min_radius_px=min_radius_px, settings=settings)
+    ellipses, rejected = search(linear_light(grey, assumed))
+    overexposed = _overexposed(grey, ellipses, polarity, settings.locate)
+    said = UNKNOWN if overexposed else estimate_gamma(grey, ellipses, settings)
+    if gamma == "auto" and said.contradicts(assumed, settings.gamma):
+        assumed = said.value
+        ellipses, rejected = search(linear_light(grey, assumed))
+    nonlinear = said.contradicts(assumed, settings.gamma)
+    found = replace(_together(ellipses, camera, radius, neighbours, settings), rejected=rejected, overexposed=overexposed,
+                    assumed=assumed, gamma=said, nonlinear=nonlinear)
+    size_sd = settings.locate.size_sd if overexposed else 0.0
+    if nonlinear or assumed == said.value:
+        size_sd = np.hypot(size_sd, said.size_doubt(assumed, settings.gamma))
+    if not size_sd:
         return found
-    doubt = _doubtful_size(found.poses, ellipses, settings.locate.size_sd)
-    return replace(found, poses=replace(found.poses, cov_p=found.poses.cov_p + doubt), cov_p_alt=found.cov_p_alt + doubt,
-                   overexposed=True)
+    doubt = _doubtful_size(found.poses, ellipses, float(size_sd))
+    return replace(found, poses=replace(found.poses, cov_p=found.poses.cov_p + doubt), cov_p_alt=found.cov_p_alt + doubt)
 
 
 def _together(ellipses: Ellipses, camera: optics.Camera | CameraDesign, radius: ArrayLike, neighbours: Neighbours,

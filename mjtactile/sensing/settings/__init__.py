@@ -20,17 +20,24 @@ from typing import Any
 
 from mjtactile.core.errors import InputError
 from mjtactile.sensing.settings.force import InverseSettings, PriorSettings, ZeroSettings
-from mjtactile.sensing.settings.image import CandidateSettings, EdgeSettings, MarkerSettings, ProfileSettings, ThoroughSettings
+from mjtactile.sensing.settings.image import (
+    CandidateSettings,
+    EdgeSettings,
+    GammaSettings,
+    MarkerSettings,
+    ProfileSettings,
+    ThoroughSettings,
+)
 from mjtactile.sensing.settings.locate import ConsensusSettings, LocateSettings, PreferenceSettings, SmoothnessSettings
 from mjtactile.sensing.settings.number import number
 from mjtactile.sensing.settings.paper import PaperSettings
 from mjtactile.sensing.settings.pose import IdentitySettings, ReferenceSettings, SurfaceSettings
 from mjtactile.sensing.settings.touch import MaterialSettings, PatchSettings, SlipSettings, SqueezeSettings
 
-__all__ = ["DEFAULTS", "CandidateSettings", "ConsensusSettings", "EdgeSettings", "IdentitySettings", "InverseSettings",
-           "LocateSettings", "MarkerSettings", "MaterialSettings", "PaperSettings", "PatchSettings", "PreferenceSettings",
-           "PriorSettings", "ProfileSettings", "ReferenceSettings", "Settings", "SlipSettings", "SmoothnessSettings",
-           "SqueezeSettings", "SurfaceSettings", "ThoroughSettings", "ZeroSettings"]
+__all__ = ["DEFAULTS", "CandidateSettings", "ConsensusSettings", "EdgeSettings", "GammaSettings", "IdentitySettings",
+           "InverseSettings", "LocateSettings", "MarkerSettings", "MaterialSettings", "PaperSettings", "PatchSettings",
+           "PreferenceSettings", "PriorSettings", "ProfileSettings", "ReferenceSettings", "Settings", "SlipSettings",
+           "SmoothnessSettings", "SqueezeSettings", "SurfaceSettings", "ThoroughSettings", "ZeroSettings"]
 
 
 @dataclass(frozen=True)
@@ -58,6 +65,7 @@ class Settings:
     smoothness: SmoothnessSettings = field(default_factory=SmoothnessSettings)
     preference: PreferenceSettings = field(default_factory=PreferenceSettings)
     thorough: ThoroughSettings = field(default_factory=ThoroughSettings)
+    gamma: GammaSettings = field(default_factory=GammaSettings)
 
     def override(self, values: Mapping[str, Any]) -> Settings:
         """These settings with others for fields named like "zero.touch_sd". Raises InputError for a name that does not exist,

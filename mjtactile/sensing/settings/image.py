@@ -111,3 +111,23 @@ class ThoroughSettings:
     grey_share: float = number(0.05, "of an edge's pixels; with fewer grey ones it is black and white only",
                                "what pixels' areas alone make of a sharp edge is 0.3")
     soft: float = number(0.5, "px of blur for such a picture", "0.5 to 1 leave the same error; the least has the best error bars")
+
+
+@dataclass(frozen=True)
+class GammaSettings:
+    """What a camera's gamma is told from (sensing/image/gamma.py)."""
+
+    fewest: int = number(6, "circles that must agree", "trial")
+    most: int = number(24, "circles that are looked at", "more cost time and tell no more than what is not modelled hides")
+    least_px: float = number(4.0, "px of the semi-minor axis; below, blur and level are not told apart", "trial")
+    width: float = number(5.0, "px to both sides of an edge that are looked at", "trial")
+    start: float = number(1.5, "to start from", "between 1 and 2.2")
+    blur: float = number(0.8, "px to start from", "trial")
+    least_blur: float = number(0.6, "px, the pixel's own square included; below, its corners are lopsided enough",
+                               "simulated circles: right from 0.65 on, 3.3 for a true 2.2 at 0.42")
+    unmodelled: float = number(0.08, "of it: sd of what is not modelled", "simulated circles of 5 to 20 px")
+    range: tuple[float, float] = number((0.3, 4.0), "beyond it, it is no gamma but sharpening or clipping",
+                                        "cameras have 1 to 2.6")
+    plainly: float = number(3.0, "sd by which it must differ from what was assumed, and ...", "trial")
+    matters: float = number(0.25, "... its logarithm, to be said", "0.05 px of size")
+    size: float = number(0.6, "px of size for a unit of log gamma that is wrong", "simulated circles: 0.4 to 0.6")

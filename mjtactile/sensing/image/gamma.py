@@ -1,0 +1,157 @@
+"""Grey levels to light: undoing a camera's gamma curve, and telling from the circles themselves what it is.
+
+A gamma curve E = c L^(1/gamma) makes a blurred edge lopsided: its half-way level is no longer where half of the light is,
+which moves dark circles' edges inwards by 0.2 px and more at 2.2. That lopsidedness is what tells gamma: one common gamma
+and every circle's ten parameters (`edges`) are fitted to the grey levels as they are, with gamma eliminated by its Schur
+complement. What it takes is blur of about half a pixel and more, a dark level well below the bright one, and nothing that
+is lopsided by itself: no clipping, no sharpening. How well circles agree on it is its error bar.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core.types import Array, Ellipses
+from mjtactile.sensing.image import edges, ellipse
+from mjtactile.sensing.image.bands import Around, Pixels
+from mjtactile.sensing.settings import DEFAULTS, GammaSettings, Settings
+
+_MIDDLE = 128.0  # grey levels, to which levels are relative inside
+_DARKEST = 1e-6  # light of a model's pixel, which may not be negative
+_STEPS = 12
+_MOST_STEP = 0.3  # of log gamma
+_SETTLED = 1e-3
+_WHITE = 65535
+
+
+@dataclass(frozen=True)
+class Gamma:
+    """An estimate of a camera's gamma, with its sd, from `circles` circles; NaN where there is too little to tell."""
+
+    value: float
+    sd: float
+    circles: int
+
+    def contradicts(self, assumed: float, s: GammaSettings) -> bool:
+        """Whether the image plainly has another gamma than `assumed`."""
+        off = abs(np.log(self.value / assumed))
+        return bool(off > s.plainly * self.sd / self.value and off > s.matters)  # never, where it is unknown
+
+    def size_doubt(self, assumed: float, s: GammaSettings) -> float:
+        """Sd in px of circles' size where `assumed` was used."""
+        return s.size * float(np.hypot(np.log(self.value / assumed), self.sd / self.value))
+
+
+UNKNOWN = Gamma(np.nan, np.nan, 0)
+
+
+def linear_light(grey: NDArray, gamma: float) -> NDArray:
+    """Grey levels (H, W) uint8 or uint16 of a camera with E = c L^(1/gamma) as 16 bits of light."""
+    if gamma == 1:
+        return grey
+    top = np.iinfo(grey.dtype).max
+    table = np.rint((np.arange(top + 1) / top) ** gamma * _WHITE).astype(np.uint16)
+    return table[grey]
+
+
+def estimate_gamma(grey: NDArray, ellipses: Ellipses, settings: Settings = DEFAULTS) -> Gamma:
+    """Gamma of the image `grey` (H, W) from the `ellipses` found in it."""
+    s = settings.gamma
+    b = ellipses.semi_axes_px[:, 1]
+    use = np.flatnonzero((ellipses.status == "ok") & (b >= s.least_px))
+    if len(use) < s.fewest:
+        return UNKNOWN
+    use = use[np.argsort(np.abs(b[use] - np.median(b[use])), kind="stable")][: s.most]
+    center, shape = ellipses.center_px[use], ellipse.shape_from_axes(ellipses.semi_axes_px, ellipses.angle)[use]
+    pixels, origin = _pixels(grey, center, shape, settings)
+    return _fit(pixels, _start(pixels, center - origin, shape, s), s)
+
+
+def _pixels(grey: NDArray, center: Array, shape: Array, settings: Settings) -> tuple[Pixels, Array]:
+    """The bands' pixels as they are, not softened."""
+    around = Around.of(center, shape, len(center), settings.gamma.width, settings.edges)
+    pixels, _, origin = edges.gather(grey, center, shape, around, settings.gamma.width)
+    return pixels, origin
+
+
+def _start(pixels: Pixels, center: Array, shape: Array, s: GammaSettings) -> Array:
+    """Parameters (n, 10) to start from, as those of `edges`, but with the levels inside and outside in grey levels."""
+    theta = np.zeros((len(center), edges.PARAMETERS))
+    theta[:, :2], theta[:, 2:5], theta[:, 9] = center, shape, s.blur
+    p, q, r = pixels.spread(ellipse.inverse_shape(shape).T)
+    cu, cv = pixels.spread(center.T)
+    dx, dy = pixels.x - cu, pixels.y - cv
+    inside = np.hypot(p * dx + q * dy, q * dx + r * dy) < 1
+    for column, part in ((5, inside), (6, ~inside)):
+        level = pixels.sums(np.where(part, pixels.observed, 0)) / np.maximum(pixels.sums(part.astype(float)), 1)
+        theta[:, column] = np.maximum(level, 1.0)
+    return theta
+
+
+def _fit(pixels: Pixels, theta: Array, s: GammaSettings) -> Gamma:
+    """Gauss-Newton for log gamma and every circle's parameters at once."""
+    log_gamma, step = float(np.log(s.start)), np.inf
+    own, sd = np.zeros(len(theta)), np.ones(len(theta))
+    for k in range(_STEPS):
+        level, G, by_gamma = _levels(pixels, theta, float(np.exp(log_gamma)))
+        residual = pixels.observed - level
+        scale = 4 * np.sqrt(pixels.sums(residual * residual) / pixels.counts)
+        weight = 1 / (1 + (residual / pixels.spread(scale)) ** 4) if k else np.ones_like(residual)
+        H = edges.normal_matrix(pixels, G, weight) + 1e-6 * np.eye(edges.PARAMETERS)
+        right, mixed = pixels.sums(weight * residual * G).T, pixels.sums(weight * by_gamma * G).T
+        solved = np.linalg.solve(H, np.stack([right, mixed], axis=2))
+        tells = pixels.sums(weight * by_gamma**2) - (mixed * solved[..., 1]).sum(axis=1)
+        pull = pixels.sums(weight * by_gamma * residual) - (mixed * solved[..., 0]).sum(axis=1)
+        variance = pixels.sums(weight * residual**2) / np.maximum(pixels.sums(weight) - edges.PARAMETERS, 1)
+        own, sd = pull / tells, np.sqrt(variance / tells)
+        step = float(np.clip((own / sd**2).sum() / (1 / sd**2).sum(), -_MOST_STEP, _MOST_STEP))
+        theta = _moved(theta, solved[..., 0] - solved[..., 1] * step)
+        log_gamma += step
+        if abs(step) < _SETTLED:
+            break
+    settled = abs(step) < _SETTLED and float(np.median(theta[:, 9])) >= s.least_blur
+    return _judged(log_gamma, own, sd, s) if settled else UNKNOWN
+
+
+def _levels(pixels: Pixels, theta: Array, gamma: float) -> tuple[NDArray, NDArray, NDArray]:
+    """Grey levels (P,) of the model, their derivatives (10, P) by the parameters, and (P,) by log gamma.
+
+    With grey levels relative to `_MIDDLE`, so that light is of order one: L = model(..., I = i^gamma, O = o^gamma, ...),
+    E = L^(1/gamma).
+    """
+    edge = theta[:, 5:7] / _MIDDLE
+    linear = theta.copy()
+    linear[:, 5:7] = edge**gamma
+    J = np.empty((edges.PARAMETERS, len(pixels.x)), np.float32)
+    light = edges.model(pixels, linear, J, small=True)
+    light = np.maximum(light, _DARKEST).astype(np.float32)
+    level = light ** np.float32(1 / gamma)
+    J *= np.float32(_MIDDLE / gamma) * level / light
+    by_gamma = np.float32(-_MIDDLE / gamma) * level * np.log(light)
+    for column, e in ((5, edge[:, 0]), (6, edge[:, 1])):
+        by_gamma += J[column] * pixels.spread(gamma * e**gamma * np.log(e))
+        J[column] *= pixels.spread(gamma * e ** (gamma - 1) / _MIDDLE)
+    return _MIDDLE * level, J, by_gamma
+
+
+def _moved(theta: Array, change: Array) -> Array:
+    """Parameters after a step that is not so long that they make no sense."""
+    change[:, :5] = np.clip(change[:, :5], -0.5, 0.5)
+    new = theta + change
+    new[:, 5:7] = np.clip(new[:, 5:7], 0.5 * theta[:, 5:7], 2 * theta[:, 5:7])
+    new[:, 7:9] = np.clip(new[:, 7:9], -0.02, 0.02)
+    new[:, 9] = np.clip(new[:, 9], 0.25, 4.0)
+    return new
+
+
+def _judged(log_gamma: float, own: Array, sd: Array, s: GammaSettings) -> Gamma:
+    """The common value with an sd that knows how much the circles differ, each `own` from it; unknown if it is no camera's."""
+    good = np.isfinite(own) & np.isfinite(sd)
+    gamma = float(np.exp(log_gamma))
+    if good.sum() < s.fewest or not s.range[0] <= gamma <= s.range[1]:
+        return UNKNOWN
+    scatter = max(float(np.median(np.abs(own[good]) / sd[good])) / 0.6745, 1.0)
+    return Gamma(gamma, gamma * float(np.hypot(scatter / np.sqrt((1 / sd[good] ** 2).sum()), s.unmodelled)), int(good.sum()))

@@ -1,0 +1,72 @@
+"""A camera's gamma: undone where it is known, told from the circles where it is not, and said where it is wrong."""
+
+import functools
+
+import numpy as np
+import pytest
+
+from mjtactile.core import optics
+from mjtactile.core.errors import InputError
+from mjtactile.experiments import marker_scenes
+from mjtactile.sensing.pose.locate import find_circles
+
+CAMERA = optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
+R = 0.0015
+CIRCLES = marker_scenes.random_circles(CAMERA, np.random.default_rng(1), radius=R)
+
+
+@functools.cache
+def encoded(gamma, blur_px=0.8):
+    """The circles through a camera with that gamma, from 40 to 180 grey levels: light is blurred, then encoded."""
+    dark, bright = (40 / 255) ** gamma, (180 / 255) ** gamma
+    light = marker_scenes.exact_image(CAMERA, CIRCLES, blur_px=blur_px, dark_dn=dark, bright_dn=bright)
+    grey = 255 * light ** (1 / gamma) + np.random.default_rng(0).normal(0, 2, light.shape)
+    return np.rint(grey).clip(0, 255).astype(np.uint8)
+
+
+def depth_errors(found):
+    """mm, and in units of the sd; of a circle's two poses that with the nearer depth."""
+    truth = np.array([c.p_C for c in CIRCLES])
+    apart = np.linalg.norm(found.poses.uv_px - optics.project(CAMERA, truth)[:, None], axis=2)
+    which = apart.argmin(axis=1)
+    assert apart.min(axis=1).max() < 2 and (found.poses.status[which] == "ok").all()
+    both = np.stack([found.poses.p_CM[which, 2], found.poses.p_CM_alt[which, 2]]) - truth[:, 2]
+    error = np.take_along_axis(both, np.abs(both).argmin(axis=0)[None], axis=0)[0]
+    return 1e3 * error, error / np.sqrt(found.poses.cov_p[which, 2, 2])
+
+
+@pytest.mark.parametrize("gamma", [1.0, 2.2])
+def test_gamma_is_told_by_the_circles_and_undone(gamma):
+    image = encoded(gamma)
+    known, told = find_circles(image, CAMERA, R, gamma=gamma), find_circles(image, CAMERA, R, gamma="auto")
+    # 16 circles of 20 px: the fit's own sd is 0.05, what is not modelled 0.08 of it
+    assert known.gamma.value == pytest.approx(gamma, abs=0.3) and 0.05 < known.gamma.sd < 0.3
+    assert not known.nonlinear and not told.nonlinear
+    error, normal = depth_errors(known)
+    assert np.abs(error).max() < 0.06 and (normal**2).mean() < 2  # noise: 7-15 um; 16 draws of chi-square 1 in 1000 runs
+    error, normal = depth_errors(told)
+    assert np.abs(error).max() < 0.2 and (normal**2).mean() < 2
+
+
+def test_a_wrong_gamma_is_said_and_in_the_error_bars():
+    found = find_circles(encoded(2.2), CAMERA, R)
+    error, normal = depth_errors(found)
+    assert error.mean() > 0.3  # dark circles look small and far away
+    assert found.nonlinear and found.assumed == 1 and (normal**2).mean() < 3
+    overcorrected = find_circles(encoded(1.0), CAMERA, R, gamma=2.2)
+    assert overcorrected.nonlinear and depth_errors(overcorrected)[0].mean() < -0.3
+
+
+def test_nothing_is_said_where_there_is_too_little_to_tell():
+    """A sharp image has no grey levels between; fewer than six circles do not count; nor does a clipped ground."""
+    assert np.isnan(find_circles(encoded(2.2, blur_px=0.2), CAMERA, R).gamma.value)
+    cut = encoded(2.2).copy()
+    cut[:, 200:] = cut[5, 5]
+    assert np.isnan(find_circles(cut, CAMERA, R).gamma.value)
+    assert np.isnan(find_circles(np.where(encoded(1.0) > 150, 255, encoded(1.0)).astype(np.uint8), CAMERA, R).gamma.value)
+
+
+@pytest.mark.parametrize("gamma", [0.0, "some", np.nan])
+def test_bad_gamma(gamma):
+    with pytest.raises(InputError, match="auto, 0"):
+        find_circles(encoded(1.0), CAMERA, R, gamma=gamma)
