@@ -1,6 +1,11 @@
 """Options and rules of all tests."""
 
+import os
+
 import pytest
+
+# As the command line does it: with more threads, small factorisations fight for the cores. Before anything imports numpy.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 def pytest_addoption(parser):

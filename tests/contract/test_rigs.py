@@ -30,7 +30,7 @@ from mjtactile.sensing.chain import Chain
 from mjtactile.sim import truth
 from mjtactile.sim.rig import build_sim_rig
 
-pytestmark = pytest.mark.realtime
+realtime = pytest.mark.realtime
 
 DESIGN = load_sensor("paper16")
 CYCLES = 12
@@ -84,7 +84,8 @@ def record(rig, folder):
         session.run(Nothing(), time_limit=60.0, on_cycle=recorder.add)
 
 
-@pytest.fixture(params=[*SIMULATED, "emulated", "replay", pytest.param("hardware", marks=pytest.mark.hardware)])
+@pytest.fixture(params=[*SIMULATED, pytest.param("emulated", marks=realtime), "replay",
+                        pytest.param("hardware", marks=pytest.mark.hardware)])
 def rig(request):
     """Each kind of rig; "hardware" is the one of `pytest --hardware RIG.toml`, whose sensor is DESIGN. Clear its jaws."""
     if request.param in SIMULATED:
@@ -217,6 +218,7 @@ def test_gentle_lifts_an_egg(name, tmp_path):
     assert hand > 0.04
 
 
+@realtime
 def test_gentle_grasps_on_the_emulated_rig(emulator, tmp_path):
     heights = []
 
@@ -300,6 +302,7 @@ def test_what_cannot_be_replayed_is_refused(tmp_path):
         build_rig("replay:/nonexistent", DESIGN, object_name="egg", seed=0)
 
 
+@realtime
 def test_torque_is_off_and_valves_are_vented_after_close(emulator):
     rig = build_emulated_rig(patient_rig_file(), DESIGN, object_name="egg", seed=0, emulator=emulator)
     try:
@@ -315,6 +318,7 @@ def test_torque_is_off_and_valves_are_vented_after_close(emulator):
     assert set(truth["valve"].values()) == {"vent"}
 
 
+@realtime
 def test_the_emulator_refuses_an_unknown_fault(emulator):
     with pytest.raises(InputError, match="valid: servo_drop"):
         emulator.fault("meteorite")
