@@ -122,7 +122,8 @@ def _recorded(options: argparse.Namespace, goal: target.Target) -> tuple[list[An
     if options.recording is not None:
         chain, loads = _recording(options, goal, before)
     else:
-        chain, loads = _references(options, goal, before), _table(options.source, goal.design)
+        loads = _table(options.source, goal.design)  # before the references, which take a while: the table may be bad
+        chain = _references(options, goal, before)
     return [chain], ((name, force, [images]) for name, force, images in loads)
 
 
@@ -144,6 +145,7 @@ def _references(options: argparse.Namespace, goal: target.Target, before: Calibr
 
 
 def _table(path: Path, design: SensorDesign) -> Iterator[tuple[str, float, list[Image]]]:
+    """The lines of a table of loads, checked; pictures are read when their turn comes."""
     from mjtactile.calibrate.force import GRAVITY
     from mjtactile.calibrate.verdict import read_columns
 
@@ -155,8 +157,8 @@ def _table(path: Path, design: SensorDesign) -> Iterator[tuple[str, float, list[
             raise
         table = read_columns(path, ("force_N",), ("image",))
         forces = table["force_N"]
-    for image, force in zip(table["image"], forces, strict=True):
-        yield image, float(force), _images(path.parent / image, design)
+    return ((image, float(force), _images(path.parent / image, design))
+            for image, force in zip(table["image"], forces, strict=True))
 
 
 def _images(source: Path, design: SensorDesign) -> list[Image]:
