@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -68,6 +68,14 @@ class View:
     uv: Array
 
 
+class Finder(Protocol):
+    """What finds a target's points in a picture, and knows where they are on the target."""
+
+    def find(self, name: str, gray: NDArray[np.uint8]) -> View | None: ...
+
+    def corners(self, view: View) -> Array: ...
+
+
 class BoardFinder:
     """Finds a board's corners in pictures."""
 
@@ -108,7 +116,7 @@ class CameraCalibration:
     reasons: tuple[str, ...]
 
 
-def calibrate_camera(finder: BoardFinder, views: Sequence[View], size: tuple[int, int], *, k3: bool = False
+def calibrate_camera(finder: Finder, views: Sequence[View], size: tuple[int, int], *, k3: bool = False
                      ) -> CameraCalibration:
     """Fit a camera of `size` (width, height) px. `k3`: fit the sixth-order term too (wide lenses).
 
@@ -117,11 +125,11 @@ def calibrate_camera(finder: BoardFinder, views: Sequence[View], size: tuple[int
     if len(views) < 3:
         raise InputError(f"the board was found in {len(views)} pictures; {VIEWS_MIN} are needed, 15 to 30 are good",
                          field="pictures")
-    fit = _fit(finder, views, size, k3=k3)
+    fit = fit_intrinsics(finder, views, size, k3=k3)
     keep = [view for view, rms in zip(views, fit[5], strict=True) if rms <= max(_OUTLIER * float(np.median(fit[5])), 0.2)]
     dropped = tuple(view.name for view in views if view not in keep)
     if dropped and len(keep) >= 3:
-        views, fit = keep, _fit(finder, keep, size, k3=k3)
+        views, fit = keep, fit_intrinsics(finder, keep, size, k3=k3)
     rms, K, distortion, poses, sd, view_rms = fit
     tilts = np.array([_tilt(rotation) for rotation in poses])
     coverage = _coverage(views, size)
@@ -153,8 +161,8 @@ def _judge(c: CameraCalibration) -> list[str]:
     return [text for good, text in checks if not good]
 
 
-def _fit(finder: BoardFinder, views: Sequence[View], size: tuple[int, int], *, k3: bool) -> tuple[Any, ...]:
-    """rms, K, distortion (5,), poses (rotation vectors), sd (9,), rms of each view."""
+def fit_intrinsics(finder: Finder, views: Sequence[View], size: tuple[int, int], *, k3: bool) -> tuple[Any, ...]:
+    """OpenCV's fit: rms, K, distortion (5,), poses (rotation vectors), sd (9,), rms of each view."""
     objects = [finder.corners(view).astype(np.float32) for view in views]
     images = [view.uv.astype(np.float32) for view in views]
     flags = 0 if k3 else cv2.CALIB_FIX_K3
@@ -177,20 +185,26 @@ def _coverage(views: Sequence[View], size: tuple[int, int]) -> float:
     return float(np.mean(counts > 0))
 
 
-def _holdout(finder: BoardFinder, views: Sequence[View], size: tuple[int, int], *, k3: bool) -> float:
+def _holdout(finder: Finder, views: Sequence[View], size: tuple[int, int], *, k3: bool) -> float:
     """rms px in every other view of a camera fitted to the rest, both ways; only the held-out board's pose is fitted."""
     squares: list[Array] = []
     for first in (0, 1):
         inside, outside = views[first::2], views[1 - first :: 2]
         if len(inside) < 3:
             return float("nan")
-        _, K, distortion, *_ = _fit(finder, inside, size, k3=k3)
+        _, K, distortion, *_ = fit_intrinsics(finder, inside, size, k3=k3)
         for view in outside:
             corners = finder.corners(view)
-            _, rotation, shift = cv2.solvePnP(corners, view.uv, K, distortion)
+            rotation, shift = pose_of(corners, view.uv, K, distortion)
             seen = cv2.projectPoints(corners, rotation, shift, K, distortion)[0].reshape(-1, 2)
             squares.append(np.sum((seen - view.uv) ** 2, axis=1))
     return float(np.sqrt(np.mean(np.concatenate(squares))))
+
+
+def pose_of(corners: Array, uv: Array, K: Array, distortion: Array) -> tuple[Array, Array]:
+    """Rotation vector and shift m of the board whose `corners` (N, 3) m are seen at `uv` (N, 2) px."""
+    _, rotation, shift = cv2.solvePnP(corners, uv, K, distortion)
+    return rotation, shift
 
 
 def camera_info(c: CameraCalibration, name: str) -> dict[str, Any]:

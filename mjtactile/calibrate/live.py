@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.calibrate.camera import BoardFinder, View
+from mjtactile.calibrate.camera import Finder, View
 from mjtactile.calibrate.valve import ValveCalibration, calibrate_valve
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.types import Array, Command, Image
@@ -41,7 +41,7 @@ _SAMPLE = 0.01  # s between pressure samples
 
 # -- camera ------------------------------------------------------------------------------------------------------------
 
-def collect_views(pictures: Iterator[tuple[str, NDArray[np.uint8]]], finder: BoardFinder, count: int, say: Say) -> list[View]:
+def collect_views(pictures: Iterator[tuple[str, NDArray[np.uint8]]], finder: Finder, count: int, say: Say) -> list[View]:
     """Take `count` views of a board that is moved about, each when it rests somewhere new; fewer when the pictures end."""
     taken: list[View] = []
     before: View | None = None

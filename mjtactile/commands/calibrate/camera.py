@@ -1,4 +1,4 @@
-"""`mjtactile calibrate camera`: lens and focal length from pictures of a ChArUco board."""
+"""`mjtactile calibrate camera`: lens and focal length from pictures of a ChArUco board, or of circles on a grid."""
 
 from __future__ import annotations
 
@@ -19,6 +19,10 @@ the board (--print), glue it to something flat, measure a square with a caliper 
 Take 15 to 30 pictures that fill the view between them, with the board tilted by 20 to 40 degrees
 left, right, up and down in most, sharp to the edges, lens and focus as they will be used.
 
+Or of a flat board of equal circles on a square grid, such as `mjtactile locate` finds (--from-circles
+--pitch-mm 25.4 --radius-mm 6.35): how many there are does not matter, and some may be missing. That
+refits a camera whose file has no k3, from the pictures themselves.
+
 From pictures (SOURCE: a folder, an image or a video) or live (--rig FILE --finger left: move the
 board; a picture is taken when it rests somewhere new)."""
 EPILOG = """\
@@ -27,6 +31,7 @@ examples:
   mjtactile calibrate camera --rig my_gripper.toml --finger left
   mjtactile calibrate camera photos/ --square-mm 4.98 --rig my_gripper.toml --finger left
   mjtactile calibrate camera photos/ --out left.yaml
+  mjtactile calibrate camera photos/ --from-circles --pitch-mm 25.4 --radius-mm 6.35 --out left.yaml
   mjtactile locate photo.png --camera left.yaml --radius-mm 1.5
 
 Writes the part `lens` of the finger's calibration file, or with --out FILE.yaml a ROS camera_info (plumb_bob). Both with
@@ -46,17 +51,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--square-mm", type=float, default=5.0, metavar="MM", help="side of a square, as measured (default: 5)")
     parser.add_argument("--marker-mm", type=float, metavar="MM", help="side of a marker (default: 0.75 squares)")
     parser.add_argument("--dictionary", default="4X4_50", metavar="NAME", help="ArUco dictionary (default: 4X4_50)")
-    parser.add_argument("--k3", action="store_true", help="fit the distortion's sixth order too (wide lenses)")
+    parser.add_argument("--from-circles", action="store_true", help="the board is one of equal circles on a square grid")
+    parser.add_argument("--pitch-mm", type=float, metavar="MM", help="from one circle's centre to the next")
+    parser.add_argument("--radius-mm", type=float, metavar="MM", help="radius of the circles")
+    parser.add_argument("--bright", action="store_true", help="circles are bright on a dark ground")
+    parser.add_argument("--k3", action="store_true", help="fit the distortion's sixth order too (wide lenses); from circles it "
+                        "is fitted without being asked for where it is plainly there")
     parser.add_argument("--print", dest="print_to", type=Path, metavar="FILE.png", help="write the board as an image, and end")
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.calibrate.camera import BoardFinder, calibrate_camera, camera_info, lens_part, report
+    from mjtactile.calibrate.camera import camera_info, lens_part, report
     from mjtactile.calibrate.verdict import mark, stamp, write, write_yaml
 
-    board = _board(options)
     if options.print_to is not None:
-        return _print_board(options, board)
+        return _print_board(options, _board(options))
+    finder, calibrate = _method(options)
     if options.source is None and options.rig is None:
         raise InputError("give pictures (SOURCE), or --rig to take some", field="SOURCE")
     out: Path | None = options.out
@@ -66,10 +76,9 @@ def run(options: argparse.Namespace) -> int:
     else:
         goal = target.find_targets(options)[0]
         path = goal.path
-    finder = BoardFinder(board)
     with stdout_to_stderr():
         views, size = _live(options, finder) if options.source is None else _recorded(options.source, finder)
-        fit = calibrate_camera(finder, views, size, k3=options.k3)
+        fit = calibrate(finder, views, size, k3=options.k3)
     reasons = fit.reasons if goal is None else _fits(fit, goal.design)
     verdict, info, residuals = stamp("camera", reasons), camera_info(fit, path.stem), report(fit)
 
@@ -93,6 +102,24 @@ def _fits(fit, design) -> list[str]:
     size = design.camera.width, design.camera.height
     wrong = f"the pictures have {fit.size[0]} x {fit.size[1]} pixels, sensor {design.name!r} has {size[0]} x {size[1]}"
     return [*fit.reasons, *([wrong] if fit.size != size else [])]
+
+
+def _method(options: argparse.Namespace) -> tuple[Any, Any]:
+    """What finds the board, and what makes a camera of its points."""
+    from mjtactile.calibrate.camera import BoardFinder, calibrate_camera
+    from mjtactile.calibrate.circle_board import CircleFinder, calibrate_from_circles
+
+    if not options.from_circles:
+        for name in ("pitch_mm", "radius_mm"):
+            if getattr(options, name) is not None:
+                raise InputError("is for a board of circles: give --from-circles too", field=f"--{name.replace('_', '-')}")
+        return BoardFinder(_board(options)), calibrate_camera
+    for name in ("pitch_mm", "radius_mm"):
+        value = getattr(options, name)
+        if value is None or not 0.01 <= value <= 1000:
+            raise InputError(f"{value} is not from 0.01 to 1000; measure it on the board", field=f"--{name.replace('_', '-')}")
+    return CircleFinder(1e-3 * options.pitch_mm, 1e-3 * options.radius_mm,
+                        "bright" if options.bright else "dark"), calibrate_from_circles
 
 
 def _board(options: argparse.Namespace):
@@ -144,7 +171,8 @@ def _recorded(source: Path, finder) -> tuple[list, tuple[int, int]]:
     if blind:
         say(f"the board was not found in {blind} of {blind + len(views)} pictures")
     if not views:
-        raise InputError("the board is in none of the pictures: are --board and --dictionary those of the print?", source=source)
+        raise InputError("the board is in none of the pictures: are --board and --dictionary those of the print, or is it one of "
+                         "circles (--from-circles)?", source=source)
     return views, sizes.pop()
 
 
