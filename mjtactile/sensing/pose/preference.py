@@ -61,8 +61,8 @@ def _probability(poses: CirclePoses, n: Array, cov_n: Array, s: PreferenceSettin
     share, ok = 0.5, known & (poses.status == "ok")
     for _ in range(_ROUNDS if ok.any() else 0):
         on = share * density[:, ok].sum(axis=0)
-        # one circle each way beforehand, so that a handful cannot make certain of all
-        share = (1 + (on / (on + (1 - share) * prior[:, ok].sum(axis=0))).sum()) / (2 + ok.sum())
+        # so many each way beforehand, so that a handful that agree by chance cannot make certain of all
+        share = (1 + (on / (on + (1 - share) * prior[:, ok].sum(axis=0))).sum()) / (1 + s.alone + ok.sum())
     q = np.where(known, share * density + (1 - share) * prior, prior)
     return q[0] / q.sum(axis=0)
 
@@ -116,4 +116,4 @@ def _surface_normals(poses: CirclePoses, s: PreferenceSettings) -> tuple[Array, 
     n = -plane / length[:, None]
     turn = (np.eye(3) - n[:, :, None] * n[:, None]) / length[:, None, None]
     cov = turn @ inverse @ turn * variance[:, None, None]
-    return n, cov, known & (np.trace(cov, axis1=1, axis2=2) < 2 * s.normal_most**2)
+    return n, cov, known & (np.trace(cov, axis1=1, axis2=2) < 2 * s.surface_most**2)
