@@ -43,6 +43,17 @@ def test_a_press_after_sleep_is_the_press_without_it():
     np.testing.assert_allclose(pressed[1][1], pressed[0][1], atol=2e-5)  # the same: 1 % of 2 mm
 
 
+def test_a_valve_that_opens_keeps_it_awake():
+    """Opened right before the look that lets it sleep, when the valve's pressure has not reached the sheet yet."""
+    world = inflated()
+    sensor = world.sensors[0]
+    while sensor._sleeper._calm < 2 or world.time - sensor._sleeper._time < 0.01:
+        world.step()
+    sensor.open_valve(3000.0)
+    world.step(20)
+    assert sensor.pressure_gauge == 3000.0
+
+
 def test_it_wakes_as_it_fell_asleep_and_the_model_is_as_it_was():
     world = inflated()
     sensor = world.sensors[0]

@@ -78,6 +78,7 @@ class TactileSensor:
 
     def wake(self) -> None:
         """Go on from where the sensor fell asleep; needed by hand only after a change of the model's own numbers."""
+        self._sleeper.stay_awake()
         if self._sleeper.asleep:
             self._sleeper.wake()
             self._time = float(self._data.time)  # nothing has flowed meanwhile

@@ -101,7 +101,12 @@ class Sleeper:
         model.flex_rigid[self._flex] = False
         model.jnt_stiffness[self._joints, ...] = 0.0
         self._load.resume()
-        self._after, self._calm, self.asleep = float(self._data.time) + _HOLD, 0, False
+        self.asleep = False
+        self.stay_awake()
+
+    def stay_awake(self) -> None:
+        """Forget how long the sensor has been still: something is about to change."""
+        self._after, self._calm = float(self._data.time) + _HOLD, 0
 
     def _undo(self) -> None:
         """Take back what another run time's sleep has left in the model, so that a model can be bound again at any time."""
