@@ -20,7 +20,7 @@ model = spec.compile()
 data = mujoco.MjData(model)
 finger = tip.bind(model, data)
 
-data.ctrl[:] = 0.0014  # m that each finger stays open
+data.ctrl[:] = 0.0016  # m that each finger stays open
 while data.time < 1.0:
     mjtactile.step(model, data, [finger])
 print(f"felt: {finger.touch.force_normal:.2f} N, chamber at {finger.pressure_gauge:.0f} Pa")

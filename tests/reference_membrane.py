@@ -1,5 +1,6 @@
-"""An independent membrane: triangles, StVK, gas, given surface loads; static equilibrium by Newton. For tests only.
+"""An independent membrane: triangles, neo-Hookean or StVK rubber, gas, given surface loads; static equilibrium by Newton.
 
+For tests only.
 It shares no code with the package: sensing writes the membrane as B-splines in weak form, MuJoCo as a flex; this is a
 plain total-Lagrangian finite-element code, so that agreement means something.
 """
@@ -12,9 +13,13 @@ import scipy.sparse.linalg as spla
 
 
 class ReferenceMembrane:
-    """Rectangle `length` x `width` m clamped on its rim; equi-biaxial pre-stretch; sealed gas behind it."""
+    """Rectangle `length` x `width` m clamped on its rim; equi-biaxial pre-stretch; sealed gas behind it.
 
-    def __init__(self, length, width, thickness, young, poisson, pre_stretch, chamber_volume, ambient, n=41):
+    `law` is "neo-Hookean", W = mu/2 (I1 - 3 - 2 ln J) + L/2 (ln J)^2 in plane stress, or "StVK".
+    """
+
+    def __init__(self, length, width, thickness, young, poisson, pre_stretch, chamber_volume, ambient, n=41,
+                 law="neo-Hookean"):
         ny = round((n - 1) * width / length) + 1
         x, y = np.linspace(-length / 2, length / 2, n), np.linspace(-width / 2, width / 2, ny)
         gx, gy = np.meshgrid(x, y, indexing="ij")
@@ -31,6 +36,8 @@ class ReferenceMembrane:
         self.shape, self.grid = (n, ny), (x, y)
         self.stretch, self.nu = pre_stretch, poisson
         self.modulus = young * thickness / (1 - poisson**2)
+        self.law, self.mu = law, young * thickness / (2 * (1 + poisson))
+        self.bulk = 2 * self.mu * poisson / (1 - 2 * poisson)  # Lame's L, in N/m
         self.chamber, self.ambient = chamber_volume, ambient
         X = self.X[self.tri]
         D = np.stack([X[:, 1] - X[:, 0], X[:, 2] - X[:, 0]], -1)
@@ -42,8 +49,8 @@ class ReferenceMembrane:
     def _elastic(self, x):
         """Nodal elastic forces (V, 3) (gradient of the energy) and element stiffness (T, 9, 9)."""
         F = np.einsum("tni,tna->tia", x[self.tri], self.G)
-        E = (self.stretch**2 * np.einsum("tia,tib->tab", F, F) - np.eye(2)) / 2
-        S = self.modulus * ((1 - self.nu) * E + self.nu * np.trace(E, axis1=1, axis2=2)[:, None, None] * np.eye(2))
+        S, moduli = (self._neo_hookean if self.law == "neo-Hookean" else self._stvk)(
+            self.stretch**2 * np.einsum("tia,tib->tab", F, F))
         f = np.einsum("t,tia,tab,tnb->tni", self.area0, F, S, self.G)
         nodal = np.zeros_like(x)
         np.add.at(nodal, self.tri, f)
@@ -51,12 +58,33 @@ class ReferenceMembrane:
         # dE/dx_(n,i) as a symmetric 2x2, then C : dE
         dE = np.einsum("tia,tnb->tniab", F, self.G)
         dE = self.stretch**2 * (dE + np.swapaxes(dE, -1, -2)) / 2
-        trace = np.trace(dE, axis1=-2, axis2=-1)
-        CdE = self.modulus * ((1 - self.nu) * dE + self.nu * trace[..., None, None] * np.eye(2))
+        CdE = np.einsum("tabcd,tnicd->tniab", moduli, dE)
         K = np.einsum("t,tniab,tmjab->tnimj", self.area0, dE, CdE) / self.stretch**2
         for i in range(3):
             K[:, :, i, :, i] += geometric
         return nodal, K.reshape(len(K), 9, 9)
+
+    def _stvk(self, C):
+        """Stress (T, 2, 2) and its derivative by Green's strain (T, 2, 2, 2, 2), N/m, of Cauchy-Green tensors C."""
+        E, one = (C - np.eye(2)) / 2, np.eye(2)
+        shear, volume = np.einsum("ac,bd->abcd", one, one), np.einsum("ab,cd->abcd", one, one)
+        moduli = self.modulus * ((1 - self.nu) * shear + self.nu * volume)
+        return np.einsum("abcd,tcd->tab", moduli, E), np.broadcast_to(moduli, (len(C), 2, 2, 2, 2))
+
+    def _neo_hookean(self, C):
+        """The same of W: S = 2 dW/dC at the thickness stretch c^(1/2) at which dW/dc = 0, found by bisection."""
+        inverse, det = np.linalg.inv(C), np.linalg.det(C)
+        low, high = np.full(len(C), 1e-3), np.full(len(C), 1e2)
+        for _ in range(60):
+            c = np.sqrt(low * high)
+            thick = self.mu * (c - 1) + self.bulk / 2 * np.log(c * det) > 0
+            low, high = np.where(thick, low, c), np.where(thick, c, high)
+        # dS = mu (c C^-1 dC C^-1 - dc C^-1) with dC = 2 dE, and dc from the derivative of dW/dc = 0
+        turned = np.einsum("tac,tdb->tabcd", inverse, inverse)
+        moduli = self.mu * c[:, None, None, None, None] * (turned + np.swapaxes(turned, 3, 4))
+        dc = self.bulk / (self.mu + self.bulk / (2 * c))
+        moduli += self.mu * dc[:, None, None, None, None] * np.einsum("tab,tcd->tabcd", inverse, inverse)
+        return self.mu * (np.eye(2) - c[:, None, None] * inverse), moduli
 
     def _volume(self, x):
         """Bulge volume and its gradient (V, 3)."""

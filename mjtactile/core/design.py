@@ -16,6 +16,7 @@ import numpy as np
 
 from mjtactile.core import resources
 from mjtactile.core.errors import InputError
+from mjtactile.core.rubber import Law, equibiaxial_stress
 from mjtactile.core.toml import Section, read_toml
 from mjtactile.core.types import Array
 
@@ -39,7 +40,7 @@ class Frame:
 @dataclass(frozen=True)
 class Membrane:
     """Rubber sheet: `thickness` m before stretching, `young` Pa, `poisson`, `density` kg/m^3, `pre_stretch` (1 = none),
-    `friction` coefficient of its outside."""
+    `friction` coefficient of its outside, `law` of its stress."""
 
     thickness: float
     young: float
@@ -47,16 +48,16 @@ class Membrane:
     density: float
     pre_stretch: float = 1.0
     friction: float = 0.9
+    law: Law = Law.NEO_HOOKEAN
 
     @property
     def pretension(self) -> float:
-        """Tension per length T0, N/m, of the flat mounted sheet: StVK, equi-biaxial, per mounted length.
+        """Tension per length T0, N/m, of the flat mounted sheet, stretched alike in all directions.
 
-        With stretch l, Green strain e = (l^2 - 1)/2, second Piola-Kirchhoff S = E e/(1 - nu); the force per *mounted*
-        length is h S (the factor l of the deformation and the factor 1/l of the mounted length cancel).
+        The force per *mounted* length is h S with the second Piola-Kirchhoff stress S (the factor l of the deformation and
+        the factor 1/l of the mounted length cancel).
         """
-        strain = (self.pre_stretch**2 - 1) / 2
-        return self.young * self.thickness * strain / (1 - self.poisson)
+        return self.thickness * equibiaxial_stress(self.pre_stretch, self.young, self.poisson, self.law)
 
 
 @dataclass(frozen=True)

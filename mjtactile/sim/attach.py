@@ -31,7 +31,7 @@ from mjtactile.sim.sensor import features, limits
 from mjtactile.sim.sensor.membrane import ANYTHING, BODY, FLEX, add_membrane
 from mjtactile.sim.sensor.mesh import MembraneMesh, make_mesh
 from mjtactile.sim.sensor.runtime import TactileSensor
-from mjtactile.sim.sensor.switches import PHYSICS, Effect, effects_named, set_physics
+from mjtactile.sim.sensor.switches import PHYSICS, Effect, effects_named, set_law, set_physics
 
 TIMESTEP_RANGE = (1e-4, 8e-3)
 DEFAULT_MESH = (13, 11)
@@ -87,10 +87,10 @@ def attach(spec: mujoco.MjSpec, sensor: SensorDesign | str | Path, *, site: mujo
     unknown site or effect, a prefix already used, a membrane that the method cannot carry, or options of `spec` that
     cannot (MuJoCo never takes them from an attached child).
     """
-    design = load_sensor(sensor)
+    on = effects_named(effects)
+    design = set_law(load_sensor(sensor), on)
     check_options(spec.option, source="attach")
     limits.check_design(design, mesh)
-    on = effects_named(effects)
     if contact not in ("auto", *features.CONTACT_MODELS):
         raise InputError(f"{contact!r} is not a contact model", source="attach", field="contact",
                          choices=["auto", *features.CONTACT_MODELS])

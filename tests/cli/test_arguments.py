@@ -38,7 +38,7 @@ def test_an_option_takes_a_value_with_a_leading_minus(value):
     (["press", "--indenter", "sphere:8", "--depth-mm", "-0.5:1:0.5"], "depths", [-0.5, 0.0, 0.5, 1.0]),
     (["press", "--indenter", "sphere:8", "--tilt-deg", "-10"], "tilt_deg", -10.0),
     (["grasp", "--effects", "-latency,+shadows"], "effects", "-latency,+shadows"),
-    (["grasp", "--effects", "-hyperelastic correction"], "effects", "-hyperelastic correction"),
+    (["grasp", "--effects", "-follower pressure"], "effects", "-follower pressure"),
 ])  # fmt: skip
 def test_the_value_is_what_was_written(words, name, value):
     assert getattr(PARSER.parse_args(words), name) == value

@@ -25,9 +25,9 @@ def pressed(indenter, depths=DEPTHS, *, pressure=1000.0, **how):
 
 
 # Forces at 33 x 27 vertices without stand-off. By indenter and place, m. Regenerate: `pressed(...)` with facets.SHARE = 0.
-# An independent solver says 0.300-0.304 and 0.578-0.594 (frictionless to sticking) for the first.
-FINE = {("sphere:8", (0.0, 0.0)): (0.3019, 0.5893), ("sphere:15", (0.0, 0.0)): (0.3933, 0.8244),
-        ("sphere:8", (5e-3, 3e-3)): (0.2949, 0.5701), ("sphere:15", (5e-3, 3e-3)): (0.3826, 0.7921)}
+# An independent solver says 0.2562 and 0.4847 (frictionless; 1-3 % more where it sticks) for the first.
+FINE = {("sphere:8", (0.0, 0.0)): (0.2569, 0.4929), ("sphere:15", (0.0, 0.0)): (0.3355, 0.6945),
+        ("sphere:8", (5e-3, 3e-3)): (0.2499, 0.4741), ("sphere:15", (5e-3, 3e-3)): (0.3263, 0.6655)}
 
 
 @pytest.mark.parametrize("case", FINE)
@@ -58,7 +58,7 @@ def test_curvature_of_primitives(geom, size, normal, expected):
     assert found == pytest.approx(expected, rel=1e-9)  # exact
 
 
-@pytest.mark.parametrize(("pressure", "bound"), [(0.0, 0.03), (5e3, 0.03), (20e3, 0.03)])
+@pytest.mark.parametrize(("pressure", "bound"), [(0.0, 0.03), (5e3, 0.03), (8e3, 0.03)])
 def test_penetration_stays_small_at_any_pressure(pressure, bound):
     (_, depth), _ = pressed("sphere:8", pressure=pressure)
     assert (depth < bound * np.array(DEPTHS)).all()
@@ -82,15 +82,15 @@ def test_contact_model_follows_the_smallest_feature():
 
 
 def test_a_pin_between_the_vertices_is_felt_and_its_error_is_stated():
-    """The truth, and the statement: vertices miss a 1 mm pin, triangles feel it, its force is 0.18 N +- 0.02 (bracketed by
-    vertices, 0.168, and triangles, 0.214, at 41 x 33) and the flag owns up to what the default mesh makes of it."""
+    """The truth, and the statement: vertices miss a 1 mm pin, triangles feel it, its force is 0.161 N (an independent solver's;
+    triangles at 41 x 33: 0.181) and the flag owns up to what the default mesh makes of it."""
     place = (1.1e-3, 1.2e-3)
     with pytest.raises(InputError, match="slips between"):
         pressed("cylinder:0.5", at=place, contact="vertices")
     (force, _), world = pressed("cylinder:0.5", (2e-3,), at=place)
     assert "finer than the mesh" in world.flags["feature"] and "off by" in world.flags["feature"]
     stated = float(world.flags["feature"].split("off by ")[1].split("%")[0]) / 100
-    assert 0.1 < force[0] / 0.18 - 1 < stated + 0.1  # 0.14 on the uniform default mesh
+    assert 0.05 < force[0] / 0.161 - 1 < stated  # 0.11 on the uniform default mesh
 
 
 @pytest.mark.parametrize("radius", [0.5, 1, 2, 4])
@@ -105,7 +105,7 @@ def test_a_large_smooth_object_is_not_flagged():
 
 
 # Of flat ends at 33 x 27 vertices, 2 mm deep
-EDGES = {"cylinder:5": 0.611, "box:12": 0.935}
+EDGES = {"cylinder:5": 0.537, "box:12": 0.798}
 
 
 @pytest.mark.parametrize("indenter", EDGES)

@@ -117,7 +117,8 @@ def test_camera_switches_act_on_picture_or_on_both_sides():
     seen, drawn = set_design(DENSE, PHYSICS), set_picture(DENSE, PHYSICS)
     assert seen.glass.refractive_index == 1.0 and not any(seen.camera.distortion)
     assert drawn.camera.noise_dn == drawn.camera.blur_px == drawn.leds.count == 0
-    assert set_picture(set_design(DENSE, CAMERA), CAMERA) == DENSE
+    everything = CAMERA | PHYSICS
+    assert set_picture(set_design(DENSE, everything), everything) == DENSE
 
 
 def test_auto_keeps_what_the_shipped_scene_needs():

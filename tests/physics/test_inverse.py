@@ -201,12 +201,12 @@ def test_slopes_tell_what_sparse_markers_miss(truth):
     estimator = InverseMembrane(load_sensor("paper16"))
     rest = estimator.rest_state(truth.markers(estimator.design, truth.rest), SUPPLY)
     rim = np.exp(-(((np.linalg.norm(truth.fem.X, axis=1) - RIM) / 8e-4) ** 2)) * truth.fem.node_area
-    load = np.outer(rim / rim.sum(), [0.0, 0.0, -1.0])
+    load = np.outer(rim / rim.sum(), [0.0, 0.0, -0.85])
     pressed, _ = truth.fem.solve(load, sealed=truth.sealed, x=truth.rest)
     markers = truth.markers(estimator.design, pressed)
     blind = make_markers(markers.p_SM)
-    seeing, blind = (abs(estimator.traction(estimator.estimate(m, rest)).wrench[2] + 1.0) for m in (markers, blind))
-    # 0.006 N and 0.043 N; triangles of 1.25 mm are stiffer than the sheet by up to 3 % under a patch, 0.5 % under this one
+    seeing, blind = (abs(estimator.traction(estimator.estimate(m, rest)).wrench[2] + 0.85) for m in (markers, blind))
+    # 0.011 N and 0.039 N; triangles of 1.25 mm are stiffer than the sheet by up to 3 % under a patch, 0.5 % under this one
     assert seeing < 0.015 < 0.03 < blind
 
 

@@ -6,19 +6,21 @@ import numpy as np
 import pytest
 
 from mjtactile.core.design import load_sensor
+from mjtactile.core.rubber import Law
 from mjtactile.sim import truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.scenes.trials import Body, FloatWorld, PinchWorld
 
 # An independent membrane solver, converged to 1e-4: 40 x 30 mm, 0.3 mm, 1 MPa, nu 0.45, pre-stretch 1.05, sealed at 1 kPa,
-# a sphere of 8 mm that sticks. Shear, N, after a drag of 0.3 mm at 2 mm depth, and at (7, -4) mm and 4 mm depth.
+# St. Venant-Kirchhoff's law, a sphere of 8 mm that sticks. Shear, N, after a drag of 0.3 mm at 2 mm depth, and at (7, -4) mm
+# and 4 mm depth.
 DRAGGED, OFF_CENTRE = 0.205, (0.129, -0.116)
 MU = 0.9
 
 
 def pressed(depth=2e-3, *, friction=MU, **how):
     design = load_sensor("dense")
-    design = replace(design, membrane=replace(design.membrane, friction=friction))
+    design = replace(design, membrane=replace(design.membrane, friction=friction, law=Law.STVK))
     world = PressWorld(design, Indenter.parse("sphere:8"), **how)
     world.inflate(1000.0, seal=True)
     world.press(depth)
@@ -35,7 +37,7 @@ def mean_shear(world):
 
 
 @pytest.mark.parametrize("timestep", [2e-3, 8e-3])
-@pytest.mark.parametrize(("kind", "size", "squeeze"), [("sphere", 0.01, 1.5e-3), ("box", 0.02, 0.6e-3)])
+@pytest.mark.parametrize(("kind", "size", "squeeze"), [("sphere", 0.01, 1.5e-3), ("box", 0.02, 0.7e-3)])
 def test_a_held_object_does_not_creep(kind, size, squeeze, timestep):
     world = PinchWorld("dense", Body(kind, size, 0.02), pressure_gauge=1000.0, squeeze=squeeze, timestep=timestep)
     world.step(round(0.5 / timestep))

@@ -3,6 +3,7 @@
     about = "a ball on the middle"          what it is, in a line
     sensor = "dense"                        a shipped name, or FILE.toml beside the case
     friction = 0.9                          of the membrane, if not as the sensor file says
+    law = "neo-Hookean"                     of its rubber, which is the default, or "St. Venant-Kirchhoff": the reference's
 
     [press]                                 the motion: one of press, bulge, hold, held_shear, slide, spin
     indenter = "sphere:8"                   as for `mjtactile press`; a FILE.stl or FILE.xml beside the case
@@ -25,6 +26,7 @@ from typing import Any
 from mjtactile.core import resources
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
+from mjtactile.core.rubber import Law
 from mjtactile.core.toml import Section, read_toml
 
 FOLDER = "models/truth"
@@ -104,7 +106,8 @@ def load_case(path: Path) -> Case:
     name = file.text("sensor")
     design = load_sensor(path.parent / name if name.endswith(".toml") else name)
     friction = file.number("friction", 0.0, 10.0, default=design.membrane.friction)
-    design = replace(design, membrane=replace(design.membrane, friction=friction))
+    law = Law(file.text("law", tuple(Law), default=design.membrane.law))
+    design = replace(design, membrane=replace(design.membrane, friction=friction, law=law))
     case = Case(path.stem, file.text("about"), design, motion, plan,
                 reference.text("source"), reference.number("percent", 0.0, 1000.0), reference.number("least", 0.0, _LARGE), path)
     reference.done()

@@ -186,7 +186,7 @@ class InverseMembrane:
 
     def _gain(self, c: Array, markers: Markers, rest: InverseRest, before: Shape | None) -> Gain:
         state = self.sheet.state(c, rest.stiffness_scale)
-        _, stiffness = self.sheet.linearise(state, rest.gas, rest.stiffness_scale)
+        _, stiffness = self.sheet.linearise(state, rest.gas)
         rows = self._at_markers[markers.ids]
         excess = np.zeros((2, len(rows))) if before is None else before.excess[:, markers.ids]
         distrust = np.sqrt(np.maximum(1.0, excess / [[self.settings.excess], [self.settings.slope_excess]]))

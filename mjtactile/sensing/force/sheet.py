@@ -1,7 +1,7 @@
 """The membrane as a spline finite element: forces, tangent stiffness and equilibrium of the sensor file's rubber and gas.
 
 The displacement u(X) of the mounted flat sheet is a tensor-product cubic B-spline, zero on the frame. Its generalised
-forces are those of St. Venant-Kirchhoff membrane stress, of gas at gauge pressure p, and of loads on the surface
+forces are those of membrane stress, of gas at gauge pressure p, and of loads on the surface
 (docs/equations.md, Eq. F3-F5, F9). Coefficients are stored as (3, n): component by component, n = kx * ky splines with
 y fastest. A regular grid makes all integrals products of small matrices.
 """
@@ -18,6 +18,7 @@ from mjtactile.core.bspline import Cubic
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import MjtactileError
 from mjtactile.core.types import Array
+from mjtactile.sensing.law import SheetLaw
 
 _GAUSS = 2  # nodes in each interval of the spline: what is integrated varies over markers, several intervals wide
 _NEWTON_STEPS, _STEP_MAX, _CONVERGED = 80, 1e-3, 1e-9  # m
@@ -45,7 +46,8 @@ class Gas:
 @dataclass(frozen=True, eq=False)
 class State:
     """Deformation at the Gauss points: positions `x` (3, qx, qy) m, tangents `g1`, `g2` = dx/dX, dx/dY, area vector
-    `normal` = g1 cross g2, second Piola-Kirchhoff force `S` (3, qx, qy) = S11, S22, S12 N/m, bulge `volume` m^3."""
+    `normal` = g1 cross g2, second Piola-Kirchhoff force `S` (3, qx, qy) = S11, S22, S12 N/m, bulge `volume` m^3, and the
+    `strain` (3, qx, qy) = C11, C22, C12 against the free sheet, for moduli, which `scale` multiplies."""
 
     x: Array
     g1: Array
@@ -53,6 +55,8 @@ class State:
     normal: Array
     S: Array
     volume: float
+    strain: Array
+    scale: float
 
 
 class Sheet:
@@ -73,8 +77,7 @@ class Sheet:
         row = i + rows_x[:, None] * ay.count + rows_y
         self._places = (row * 3 * self.count + j + columns_x[:, None] * ay.count + columns_y).ravel()
         sheet = design.membrane
-        self._modulus, self._nu = sheet.young * sheet.thickness / (1 - sheet.poisson**2), sheet.poisson
-        self._lambda2 = sheet.pre_stretch**2
+        self._law, self._lambda2 = SheetLaw(sheet), sheet.pre_stretch**2
 
     def basis(self, X: Array) -> Array:
         """Values (N, n) of the splines at material points X (N, 2) m."""
@@ -87,11 +90,8 @@ class Sheet:
         """Everything at the Gauss points for coefficients `c` (3, n) m."""
         x, g1, g2 = self._positions(c)
         normal = _cross(g1, g2)
-        E11, E22 = (self._lambda2 * (g * g).sum(0) / 2 - 0.5 for g in (g1, g2))
-        E12 = self._lambda2 * (g1 * g2).sum(0) / 2
-        m, nu = scale * self._modulus, self._nu
-        S = m * np.stack([E11 + nu * E22, E22 + nu * E11, (1 - nu) * E12])
-        return State(x, g1, g2, normal, S, float((self.weights * x[2] * normal[2]).sum()))
+        C = self._lambda2 * np.stack([(a * b).sum(0) for a, b in ((g1, g1), (g2, g2), (g1, g2))])
+        return State(x, g1, g2, normal, scale * self._law.stress(*C), float((self.weights * x[2] * normal[2]).sum()), C, scale)
 
     def normals(self, c: Array) -> Array:
         """Area vectors (3, qx, qy) at the Gauss points, as in `State`."""
@@ -119,18 +119,19 @@ class Sheet:
         """dV/dc (3, n), m^2."""
         return self._integrate(state.normal, 0, 0)
 
-    def tangent(self, state: State, pressure_gauge: float, scale: float = 1.0) -> Array:
+    def tangent(self, state: State, pressure_gauge: float) -> Array:
         """d(residual)/dc at constant pressure (3 n, 3 n) N/m, its lower triangle of 3 x 3 blocks only (Eq. F10)."""
         g1, g2, (S11, S22, S12), w = state.g1, state.g2, state.S, self.weights
-        m, nu = scale * self._modulus * self._lambda2, self._nu
+        D11, D22, D12, D16, D26, D66 = state.scale * self._lambda2 * self._law.moduli(*state.strain)
         i, j = _LOWER
-        # dP_a,i/dg_b,j = S_ab d_ij + C_acbd g_c,i g_d,j with C_1111 = m, C_1122 = nu m, C_1212 = (1 - nu) m / 2
-        half, same = (1 - nu) / 2, (i == j)[:, None, None]
+        same = (i == j)[:, None, None]
+        # dP_a,i/dg_b,j = S_ab d_ij + D_acbd g_c,i g_d,j
         one, two, mixed, crossed = g1[i] * g1[j], g2[i] * g2[j], g1[i] * g2[j], g2[i] * g1[j]
-        K = self._pairs(w * (m * (one + half * two) + same * S11), (1, 1), (0, 0))
-        K += self._pairs(w * (m * (two + half * one) + same * S22), (0, 0), (1, 1))
-        K += self._pairs(w * (m * (nu * mixed + half * crossed) + same * S12), (1, 0), (0, 1))
-        K += self._pairs(w * (m * (nu * crossed + half * mixed) + same * S12), (0, 1), (1, 0))
+        both, sides = mixed + crossed, D16 * one + D26 * two
+        K = self._pairs(w * (D11 * one + D66 * two + D16 * both + same * S11), (1, 1), (0, 0))
+        K += self._pairs(w * (D22 * two + D66 * one + D26 * both + same * S22), (0, 0), (1, 1))
+        K += self._pairs(w * (D12 * mixed + D66 * crossed + sides + same * S12), (1, 0), (0, 1))
+        K += self._pairs(w * (D12 * crossed + D66 * mixed + sides + same * S12), (0, 1), (1, 0))
         # gas: d(g1 x g2) = du,1 x g2 + g1 x du,2; component k of the tangents stands in block i, j with the sign of ijk
         third = np.array([2, 1, 0])  # of the blocks (1, 0), (2, 0), (2, 1)
         push = pressure_gauge * w * np.array([1.0, -1.0, 1.0])[:, None, None]
@@ -162,10 +163,10 @@ class Sheet:
         chamber, volume = self.design.chamber, self.design.chamber_volume_flat + state.volume
         return Gas(pressure_gauge, (chamber.ambient + pressure_gauge) * volume**chamber.heat_ratio)
 
-    def linearise(self, state: State, gas: Gas, scale: float = 1.0) -> tuple[Array, tuple[Array, bool]]:
+    def linearise(self, state: State, gas: Gas) -> tuple[Array, tuple[Array, bool]]:
         """Residual (3 n,) and the Cholesky factor of its tangent, gas stiffness included."""
         pressure, stiffness = self.gas_pressure(state, gas)
-        K = self.tangent(state, pressure, scale)
+        K = self.tangent(state, pressure)
         if stiffness:
             gradient = self.volume_gradient(state).ravel()
             K += stiffness * gradient[:, None] * gradient
@@ -178,7 +179,7 @@ class Sheet:
         """
         c: Array = np.zeros((3, self.count)) if start is None else start.copy()
         for _ in range(_NEWTON_STEPS):
-            residual, factor = self.linearise(self.state(c, scale), gas, scale)
+            residual, factor = self.linearise(self.state(c, scale), gas)
             step = cho_solve(factor, residual - (0.0 if load is None else load.ravel())).reshape(3, -1)
             largest = float(np.abs(step).max())
             c -= min(1.0, _STEP_MAX / max(largest, 1e-30)) * step

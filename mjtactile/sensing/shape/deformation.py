@@ -3,7 +3,7 @@
 Markers are material points, so identified markers give the deformation itself, not only a surface. It is written as a
 tensor-product cubic B-spline u(X) = x - X over the mounted flat sheet (material coordinates X, frame S), with u = 0 on
 the frame. The operators depend on the layout alone and are computed once for each sensor, so a camera frame costs one
-small solve and one matrix product. Elasticity is St. Venant-Kirchhoff in plane stress with the pre-stretch, as in the
+small solve and one matrix product. Elasticity is that of the sheet's law in plane stress with the pre-stretch, as in the
 sensor file (docs/equations.md, Eq. F3-F6).
 """
 
@@ -18,6 +18,7 @@ from scipy.linalg import cho_factor, cho_solve
 from mjtactile.core.bspline import Cubic
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
+from mjtactile.sensing.law import SheetLaw
 
 _GAUSS = 2  # nodes in each interval of the spline: what is integrated varies over markers, several intervals wide
 
@@ -48,6 +49,7 @@ class MembraneModel:
     def __init__(self, design: SensorDesign, material: Array | None = None, *, spans: int = 16, smoothing: float = 1e-4):
         self.design = design
         self.material = np.asarray(design.markers.p_SM[:, :2] if material is None else material, float)
+        self._law = SheetLaw(design.membrane)
         frame = design.frame
         ax, ay = self._axes = (Cubic(frame.length, spans, _GAUSS), Cubic(frame.width, spans, _GAUSS))
         self.X = np.column_stack([g.ravel() for g in np.meshgrid(ax.points, ay.points, indexing="ij")])
@@ -100,16 +102,15 @@ class MembraneModel:
         return self.basis(X) @ (self._kernel @ alpha)
 
     def first_piola(self, fields: Fields) -> Array:
-        """Membrane force per mounted length P = h F S, (Q, 3, 2) N/m; StVK, plane stress, pre-stretch included.
+        """Membrane force per mounted length P = h F S, (Q, 3, 2) N/m, plane stress, pre-stretch included.
 
-        With F0 = lambda I from the free sheet to the mounted one, E = (lambda^2 F^T F - I)/2 and
-        S = E_Y/(1-nu^2) [(1-nu) E + nu tr(E) I]. Per mounted length and free thickness: P = h F S (Eq. F4).
+        With F0 = lambda I from the free sheet to the mounted one, C = lambda^2 F^T F; S by the sheet's law, per mounted
+        length and free thickness (Eq. F4).
         """
-        m = self.design.membrane
-        C = np.einsum("qia,qib->qab", fields.F, fields.F)
-        E = (m.pre_stretch**2 * C - np.eye(2)) / 2
-        S = (1 - m.poisson) * E + m.poisson * np.trace(E, axis1=1, axis2=2)[:, None, None] * np.eye(2)
-        return m.thickness * m.young / (1 - m.poisson**2) * np.einsum("qia,qab->qib", fields.F, S)
+        C = self.design.membrane.pre_stretch**2 * np.einsum("qia,qib->abq", fields.F, fields.F)
+        S11, S22, S12 = self._law.stress(C[0, 0], C[1, 1], C[0, 1])
+        S = np.stack([np.stack([S11, S12], axis=-1), np.stack([S12, S22], axis=-1)], axis=-2)
+        return np.einsum("qia,qab->qib", fields.F, S)
 
     def area(self, fields: Fields) -> float:
         """Area of the deformed membrane, m^2."""

@@ -6,13 +6,16 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from mjtactile.core import theory
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
+from mjtactile.core.rubber import Law
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor import features, limits
 from mjtactile.sim.sensor.facets import StandOff
 from mjtactile.sim.sensor.membrane import FLEX, ContactStiffness, pre_stretch, touch_with
 from mjtactile.sim.sensor.mesh import MarkerInterpolator, MembraneMesh
+from mjtactile.sim.sensor.rubber import Rubber
 from mjtactile.sim.sensor.sleep import Sleeper
 from mjtactile.sim.sensor.stiction import Stiction
 from mjtactile.sim.sensor.switches import PHYSICS, make_gas, make_geometry, make_load
@@ -47,7 +50,9 @@ class TactileSensor:
         self._margins = model.geom_margin[self.vertex_geom_ids[0]:self.vertex_geom_ids[-1] + 1]  # a live view
         self._stand_off = StandOff(model, data, self.vertex_geom_ids, mesh)
         self._stiction = Stiction(model, data, self.vertex_geom_ids, self.body_id) if self.contact == "vertices" else None
-        self._turning = Turning(model, data, self.body_id, mesh, design.membrane)
+        sheet = design.membrane
+        self._rubber = Rubber(model, self.flex_id, mesh, sheet) if sheet.law is Law.NEO_HOOKEAN else None
+        self._turning = Turning(model, data, self.body_id, self.flex_id, mesh)
         self._tendon = make_load(model, data, mesh, prefix, effects)
         self._geometry = make_geometry(mesh, design.chamber_volume_flat, effects)
         self._markers = MarkerInterpolator(mesh, design.markers.p_SM)
@@ -92,6 +97,8 @@ class TactileSensor:
         self._time, pressure = time, self._gas.pressure_gauge
         self._tendon.apply(pressure, self._gas.stiffness(self._timestep), gradient)
         self._contact_stiffness.set_pressure(pressure)
+        if self._rubber:
+            self._rubber.update(p_SV)
         self._turning.update(p_SV)
         self._stand_off.update()
         if self._stiction:
@@ -222,7 +229,10 @@ class TactileSensor:
             return f"sensor {self.prefix!r}: the chamber has no volume left"
         reach = 2 * max(self.design.frame.length, self.design.frame.width)
         if max(moved.max(), -moved.min()) > reach:
-            return f"sensor {self.prefix!r}: the membrane has moved by more than {reach * 1e3:g} mm"
+            pressure = self.pressure_gauge
+            bursts = self.design.membrane.law is Law.NEO_HOOKEAN and np.isnan(theory.bulge_height(self.design, pressure))
+            return (f"sensor {self.prefix!r}: the membrane has moved by more than {reach * 1e3:g} mm"
+                    f"{f'; rubber like this may not hold {1e-3 * pressure:.3g} kPa' if bursts else ''}")
         return None
 
 

@@ -15,9 +15,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjtactile.core import theory
 from mjtactile.core.design import Chamber, SensorDesign
 from mjtactile.core.errors import InputError
+from mjtactile.core.rubber import Law
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor.chamber import ChamberGeometry, GasTendon
 from mjtactile.sim.sensor.gas import Gas
@@ -34,7 +34,7 @@ class Effect(StrEnum):
     FRICTION = "friction"
     GRAVITY = "gravity"
     FOLLOWER_PRESSURE = "follower pressure"
-    HYPERELASTIC_CORRECTION = "hyperelastic correction"
+    HYPERELASTICITY = "hyperelasticity"
     HEAT_EXCHANGE = "heat exchange"
     VALVE_FLOW = "valve flow"
     SERVO_DYNAMICS = "servo dynamics"
@@ -50,7 +50,7 @@ class Effect(StrEnum):
     VOLUMETRIC_SOFTNESS = "volumetric softness"
 
 
-PHYSICS = frozenset({Effect.GAS, Effect.FRICTION, Effect.GRAVITY, Effect.FOLLOWER_PRESSURE})
+PHYSICS = frozenset({Effect.GAS, Effect.FRICTION, Effect.GRAVITY, Effect.FOLLOWER_PRESSURE, Effect.HYPERELASTICITY})
 """What a membrane does when nobody says otherwise."""
 CAMERA = frozenset({Effect.CAMERA_NOISE, Effect.BLUR, Effect.DISTORTION, Effect.REFRACTION, Effect.LED_SHADING})
 """What a camera shows when nobody says otherwise."""
@@ -93,9 +93,7 @@ def set_servo(spec: mujoco.MjSpec, actuator: str, on: frozenset[str]) -> None:
 
 def set_design(design: SensorDesign, on: frozenset[str]) -> SensorDesign:
     """The design without what is off in the sheet's law, the chamber and the camera's geometry: for simulator *and* sensing."""
-    membrane, chamber, camera, glass = design.membrane, design.chamber, design.camera, design.glass
-    if Effect.HYPERELASTIC_CORRECTION in on:
-        membrane = replace(membrane, young=theory.neo_hookean_young(design, chamber.supply_gauge))
+    chamber, camera, glass = design.chamber, design.camera, design.glass
     if Effect.HEAT_EXCHANGE not in on:
         chamber = replace(chamber, heat_exchange=math.inf)
     if Effect.VALVE_FLOW not in on:
@@ -104,7 +102,14 @@ def set_design(design: SensorDesign, on: frozenset[str]) -> SensorDesign:
         camera = replace(camera, distortion=(0.0,) * 5)
     if Effect.REFRACTION not in on:
         glass = replace(glass, refractive_index=1.0)
-    return replace(design, membrane=membrane, chamber=chamber, camera=camera, glass=glass)
+    return replace(set_law(design, on), chamber=chamber, camera=camera, glass=glass)
+
+
+def set_law(design: SensorDesign, on: frozenset[str]) -> SensorDesign:
+    """The design with a sheet of St. Venant-Kirchhoff rubber where "hyperelasticity" is off."""
+    if Effect.HYPERELASTICITY in on:
+        return design
+    return replace(design, membrane=replace(design.membrane, law=Law.STVK))
 
 
 def set_picture(design: SensorDesign, on: frozenset[str]) -> SensorDesign:

@@ -12,9 +12,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from mjtactile.core.design import Membrane
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor.mesh import MembraneMesh
+from mjtactile.sim.sensor.rubber import EdgeMatrices, stiffness_rows
 
 _SLOW = 1e-4  # rad/s; below, nothing is given back
 
@@ -22,24 +22,17 @@ _SLOW = 1e-4  # rad/s; below, nothing is given back
 class Turning:
     """Gives back the braking torque of one sensor, as an external torque on its body (`xfrc_applied`)."""
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, body_id: int, mesh: MembraneMesh, sheet: Membrane):
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, body_id: int, flex_id: int, mesh: MembraneMesh):
         self._model, self._data, self._body, self._step = model, data, body_id, float(model.opt.timestep)
         self._jacobian = np.zeros((3, model.nv))
-        self._ends = mesh.triangles, np.roll(mesh.triangles, -1, axis=1)  # (m, 3) each: edge k from corner k to the next
-        mounted = (mesh.p_SV[self._ends[1]] - mesh.p_SV[self._ends[0]])[:, :, :2]  # (m, 3, 2)
-        self._free = (mounted**2).sum(axis=2) / sheet.pre_stretch**2
-        # Every symmetric matrix is sum c_k d_k d_k^T of a triangle's edges d_k: so are strain and stress.
-        x, y = mounted[..., 0], mounted[..., 1]
-        by_edges = np.linalg.inv(np.stack([x * x, y * y, x * y], axis=1))  # (m, 3, 3): xx, yy, xy to c
-        nu = sheet.poisson
-        law = sheet.young * sheet.thickness / (1 - nu**2) * np.array([[1, nu, 0], [nu, 1, 0], [0, 0, (1 - nu) / 2]])
-        area = mesh.triangle_areas[:, None, None]
-        # A squared length is (x^2, y^2, 2 x y) . (C_xx, C_yy, C_xy); Green's strain is half the change of C, xy twice.
-        self._stiffness = area * by_edges @ law @ by_edges.transpose(0, 2, 1) * sheet.pre_stretch**2 / 2
+        self._elements = EdgeMatrices(model, flex_id, mesh)
+        free = model.flexedge_length0[model.flex_edgeadr[flex_id]:][self._elements.edges]
+        self._free, self._rows = free**2, stiffness_rows(model, flex_id)
         self._given, self._velocity, self._gives = np.zeros(3), np.zeros(3), False
 
     def update(self, p_SV: Array) -> None:
-        """Give back what the next step will take, with the vertices at `p_SV` (n, 3) m; call before every step."""
+        """Give back what the next step will take, with the vertices at `p_SV` (n, 3) m; call before every step, when the flex's
+        stiffness is that of the step."""
         data = self._data
         turning = data.cvel[self._body, :3]  # at the last step's beginning
         if turning.dot(turning) < _SLOW**2 and not self._gives:
@@ -59,9 +52,11 @@ class Turning:
 
     def resistance(self, p_SV: Array) -> Array:
         """Q (3, 3) N m in S."""
-        edges = p_SV[self._ends[1]] - p_SV[self._ends[0]]  # (m, 3, 3)
+        ends, (xx, xy, xz, yy, yz, zz) = self._elements.ends[self._elements.edges], self._rows.T
+        edges = p_SV[ends[..., 1]] - p_SV[ends[..., 0]]  # (m, 3, 3)
         lengths2 = (edges * edges).sum(axis=2)
-        force = np.maximum((self._stiffness @ (lengths2 - self._free)[..., None])[..., 0], 0.0)  # N/m
+        a, b, c = (lengths2 - self._free).T
+        force = np.maximum(np.stack([xx * a + xy * b + xz * c, xy * a + yy * b + yz * c, xz * a + yz * b + zz * c], axis=1), 0.0)
         flat = edges.reshape(-1, 3)
         return np.vdot(force, lengths2) * np.eye(3) - (flat * force.reshape(-1, 1)).T @ flat
 

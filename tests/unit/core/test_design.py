@@ -2,12 +2,14 @@
 
 import math
 import tomllib
+from dataclasses import replace
 
 import pytest
 
 from mjtactile.core import resources
 from mjtactile.core.design import FIELDS, load_sensor, sensor_from_table
 from mjtactile.core.errors import InputError
+from mjtactile.core.rubber import Law
 
 DENSE = resources.find("dense", "models/sensors", ".toml")
 
@@ -42,8 +44,10 @@ def test_values_are_si():
     design = load_sensor("dense")
     assert design.frame.length == pytest.approx(0.040) and design.membrane.young == pytest.approx(1e6)
     assert design.chamber.supply_gauge == pytest.approx(1000) and design.markers.rows == 9
-    # pre-stretch 1.05: T0 = E h ((1.05^2 - 1)/2) / (1 - nu) = 1e6 x 0.3e-3 x 0.05125 / 0.55
-    assert design.membrane.pretension == pytest.approx(27.9545, rel=1e-4)
+    # pre-stretch 1.05: T0 = mu h (1 - c / 1.05^2), mu = E / 2.9, where (c - 1) + 4.5 ln(c 1.05^4) = 0: c = 0.8504946
+    assert design.membrane.pretension == pytest.approx(1e6 / 2.9 * 3e-4 * (1 - 0.8504946 / 1.05**2), rel=1e-5)
+    plain = replace(design.membrane, law=Law.STVK)  # T0 = E h ((1.05^2 - 1)/2) / (1 - nu) = 1e6 x 0.3e-3 x 0.05125 / 0.55
+    assert plain.pretension == pytest.approx(27.9545, rel=1e-4)
     assert design.pane_thickness_apparent == pytest.approx(0.684e-3, abs=1e-6)  # 2 mm of n = 1.52
 
 
