@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib
 import importlib.metadata
 import json
 import logging
@@ -13,6 +14,7 @@ import traceback
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
+from mjtactile.commands import COMMANDS
 from mjtactile.core import signals
 from mjtactile.core.errors import MjtactileError
 
@@ -52,15 +54,18 @@ class _UsageError(MjtactileError):
     exit_code = EXIT_INPUT
 
 
-def build_parser() -> argparse.ArgumentParser:
-    from mjtactile.commands import COMMANDS  # not before `main` has set the number of threads: this imports numpy
-
+def build_parser(*wanted: str) -> argparse.ArgumentParser:
+    """With the options of the `wanted` commands; what the others need is not imported."""
     parser = _Parser(prog="mjtactile", description=DESCRIPTION, epilog=EPILOG,
                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--version", action="version", version=f"mjtactile {importlib.metadata.version('mjtactile')}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for name, command in COMMANDS.items():
-        sub = commands.add_parser(name, help=command.HELP, description=command.DESCRIPTION, epilog=command.EPILOG,
+    for name, text in COMMANDS.items():
+        if name not in wanted:
+            commands.add_parser(name, help=text, add_help=False)
+            continue
+        command = importlib.import_module(f"mjtactile.commands.{name}")
+        sub = commands.add_parser(name, help=text, description=command.DESCRIPTION, epilog=command.EPILOG,
                                   formatter_class=argparse.RawDescriptionHelpFormatter)
         command.add_arguments(sub)
         sub.add_argument("--json", action="store_true", help="print one JSON object to stdout, all else to stderr; "
@@ -86,7 +91,7 @@ def _main(argv: list[str]) -> int:
     _quieten_libraries(debug="--debug" in argv)
     logging.basicConfig(format="mjtactile: %(levelname)s: %(message)s", level=logging.WARNING, stream=sys.stderr)
     try:
-        options = build_parser().parse_args(argv)
+        options = build_parser(*argv[:1]).parse_args(argv)
         if options.simulates:
             from mjtactile.sim.log import route_warnings  # lazily: half a second that other commands need not wait
 

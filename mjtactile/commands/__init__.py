@@ -1,28 +1,23 @@
-"""The commands of the command line: one module each with HELP, DESCRIPTION, EPILOG, `add_arguments` and `run`.
+"""The commands of the command line: one module each with DESCRIPTION, EPILOG, `add_arguments` and `run`, imported when asked for.
 
 One that needs no simulator says `SIMULATES = False`.
 """
 
-from mjtactile.commands import (
-    bench,
-    calibrate,
-    docs,
-    doctor,
-    effects,
-    emulate,
-    experiments,
-    grasp,
-    inflate,
-    locate,
-    new,
-    press,
-    probe,
-    reconstruct,
-    record,
-)
-
 COMMANDS = {
-    "grasp": grasp, "probe": probe, "experiments": experiments, "inflate": inflate, "press": press, "locate": locate,
-    "reconstruct": reconstruct, "calibrate": calibrate, "bench": bench, "effects": effects, "emulate": emulate, "doctor": doctor,
-    "record": record, "new": new, "docs": docs,
-}  # fmt: skip
+    "grasp": "grasp a fragile object, lift it, hold it, set it down",
+    "probe": "squeeze an object gently and say what it is made of",
+    "experiments": "the paper's experiments again: figures, and our numbers beside its own",
+    "inflate": "inflate a sensor's membrane and compare its height with theory",
+    "press": "drive an indenter into a sensor and compare the felt with the true force",
+    "locate": "find circular markers in images and say where they are in 3D",
+    "reconstruct": "reconstruct a membrane's surface and contact from recorded frames",
+    "calibrate": "calibrate camera, valve, frame, force or gripper, from live devices or recorded input",
+    "bench": "measure accuracy and speed; writes a table, a JSON and plots",
+    "effects": "list the effects that a sensor and an object call for, and their price",
+    "emulate": "start emulated hardware on serial ports and streams, until stopped",
+    "doctor": "check cameras, servos and valves, or a simulated robot, and say how to mend what is wrong",
+    "record": "record a rig that stands still: images, times, pressures, servos, calibration",
+    "new": "start your own controller, sensor, object or rig from a commented copy",
+    "docs": "the documentation's pages: list them, or print one",
+}
+"""Name to what `mjtactile --help` says of it."""

@@ -11,7 +11,6 @@ from mjtactile import InputError
 from mjtactile.commands.output import output_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
 
-HELP = "measure accuracy and speed; writes a table, a JSON and plots"
 DESCRIPTION = """\
 Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   grasp       egg, strawberry and vial with seeds 0-9: outcome, force error, real-time factor

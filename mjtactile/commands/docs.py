@@ -10,7 +10,6 @@ from mjtactile.commands.output import print_json
 from mjtactile.core import resources
 
 SIMULATES = False
-HELP = "the documentation's pages: list them, or print one"
 DESCRIPTION = """\
 List the pages of the documentation with the folder that they are in, or print one of them.
 They come with the package; pictures and links work in that folder."""

@@ -9,7 +9,6 @@ from typing import Any
 from mjtactile.commands.output import print_json, stdout_to_stderr
 from mjtactile.doctor import examine_rig
 
-HELP = "check cameras, servos and valves, or a simulated robot, and say how to mend what is wrong"
 DESCRIPTION = """\
 Look for cameras and serial ports; with --rig FILE, check each device that the file names: that it
 answers, is the model that the file says, keeps its settings, is fast enough and has no error.

@@ -8,7 +8,6 @@ from mjtactile import load_sensor
 from mjtactile.commands.output import print_json
 from mjtactile.core import resources
 
-HELP = "list the effects that a sensor and an object call for, and their price"
 DESCRIPTION = """\
 List every effect the simulator knows: whether it is on for this sensor, object and accuracy,
 why, what it costs (ms of one core per simulated second, two sensors or two cameras) and what

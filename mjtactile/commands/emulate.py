@@ -9,7 +9,6 @@ from pathlib import Path
 from mjtactile import InputError
 from mjtactile.core import resources
 
-HELP = "start emulated hardware on serial ports and streams, until stopped"
 DESCRIPTION = """\
 Start emulated servos, a valve board and cameras around a simulated grasp, in real time, and
 print a rig file for them. Any client may talk to them: this package's drivers (--rig FILE),

@@ -10,7 +10,6 @@ from mjtactile.commands.output import optional_folder, print_json, stdout_to_std
 from mjtactile.recording.files import write_json
 from mjtactile.run.progress import Progress
 
-HELP = "the paper's experiments again: figures, and our numbers beside its own"
 DESCRIPTION = """\
 Repeat the Results of the paper in simulation, from images alone:
   fig5a  load cell against estimate, 1 mm increments, cylinder; ours and dF = c dA

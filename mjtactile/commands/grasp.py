@@ -14,10 +14,8 @@ from mjtactile.commands import effects, ranges
 from mjtactile.commands.output import new_run_folder, output_folder, print_json, stdout_to_stderr
 from mjtactile.core import resources, signals
 from mjtactile.recording.files import write_json
-from mjtactile.run import report
 from mjtactile.run.progress import Progress
 
-HELP = "grasp a fragile object, lift it, hold it, set it down"
 DESCRIPTION = """\
 Close a gripper on an object, feel the touch through the membrane camera of each finger,
 regulate the force, lift, hold for 2 s, set down. Writes a folder with summary.json,
@@ -140,6 +138,8 @@ def _report_fault(error: BaseException, recorder: Recorder, out: Path, header: d
 
 def _write_report(out: Path, recorder: Recorder, summary: dict[str, Any], *, picture: bool = True) -> None:
     """Write summary.json, then the picture; what cannot be written does not change how the run went."""
+    from mjtactile.run import report
+
     try:
         write_json(out / "summary.json", summary)
         if picture:

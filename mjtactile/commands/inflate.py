@@ -12,7 +12,6 @@ from mjtactile.commands.output import optional_folder, print_json, stdout_to_std
 from mjtactile.recording.files import write_json
 from mjtactile.run.progress import Progress
 
-HELP = "inflate a sensor's membrane and compare its height with theory"
 DESCRIPTION = """\
 Connect the chamber to a supply at each pressure, let the simulated membrane settle, and
 report its height, volume, area and stretch beside the closed form for a clamped rectangle."""

@@ -18,7 +18,6 @@ from mjtactile.recording.files import write_json
 from mjtactile.run.pictures import Frame, overlay, read_frames
 
 SIMULATES = False
-HELP = "find circular markers in images and say where they are in 3D"
 DESCRIPTION = """\
 Find circular markers of a known radius in an image, a folder of images or a video, and
 estimate each one's centre and normal in the camera frame (x right, y down, z forward).
@@ -36,7 +35,8 @@ examples:
 JSON: {"frames": [{"source": …, "status": "ok", or why it has no marker to trust,
   "shared": [] or what its circles share with neighbours ("elongation", "depth"),
   "overexposed": whether the bright side is clipped, which hides tenths of a pixel of size,
-  "gamma": {"assumed", "estimate" and "sd" (null: too little to tell), "wrong": whether they plainly differ}, "markers": [{
+  "gamma": {"assumed", "estimate" and "sd" (null: too little to tell), "wrong": whether they plainly differ},
+  "markers": [{
   "uv_px": projected centre (distorted pixels; (0, 0) is the centre of the top-left pixel),
   "ellipse_px": {"center", "semi_axes", "angle_deg"},
   "center_mm", "cov_center_mm2": 3x3, "normal" (facing the camera),

@@ -12,7 +12,6 @@ from mjtactile.commands.output import print_json
 from mjtactile.core import resources
 
 SIMULATES = False
-HELP = "start your own controller, sensor, object or rig from a commented copy"
 DESCRIPTION = """\
 Write a copy of a shipped controller, sensor, object or rig file, with its comments, under your
 own name, and say what to run next. An existing file is never overwritten."""

@@ -13,7 +13,6 @@ from mjtactile.commands.output import optional_folder, print_json, stdout_to_std
 from mjtactile.recording.files import write_json
 from mjtactile.run.progress import Progress
 
-HELP = "drive an indenter into a sensor and compare the felt with the true force"
 DESCRIPTION = """\
 Fix one simulated sensor, let it take its references, then drive a rigid indenter into its
 membrane in steps. Depth counts from first touch. The felt force comes from camera images."""

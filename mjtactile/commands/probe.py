@@ -17,7 +17,6 @@ from mjtactile.run.progress import Progress
 if TYPE_CHECKING:
     from mjtactile.run.probe import ProbeResult
 
-HELP = "squeeze an object gently and say what it is made of"
 DESCRIPTION = """\
 Press to 0.9 N, hold the jaws still for 2 s, let go, wait, touch once more; then say, from
 the cameras alone, whether the object is solid, soft or amorphous, how stiff it is, how fast

@@ -21,7 +21,6 @@ from mjtactile.run.report import draw_surface
 from mjtactile.types import Markers, Surface, Touch
 
 SIMULATES = False
-HELP = "reconstruct a membrane's surface and contact from recorded frames"
 DESCRIPTION = """\
 Run the sensing chain on an image, a folder of images or a video of one sensor: identified
 markers in the sensor frame S, the membrane's surface, its area and volume. With a calibration

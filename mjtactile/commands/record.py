@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from mjtactile import Session
     from mjtactile.run.loop import Cycle
 
-HELP = "record a rig that stands still: images, times, pressures, servos, calibration"
 DESCRIPTION = """\
 Record an episode in which nothing is commanded: the jaws hold where they stand, with the force
 they hold with when a rig is connected; press the membranes by hand, put weights on, shake it.

@@ -6,6 +6,7 @@ import argparse
 import pytest
 
 from mjtactile.cli import _UsageError, build_parser
+from mjtactile.commands import COMMANDS
 
 
 def subparsers(parser, words=()):
@@ -18,7 +19,7 @@ def subparsers(parser, words=()):
             yield from subparsers(sub, (*words, name))
 
 
-PARSER = build_parser()
+PARSER = build_parser(*COMMANDS)
 OPTIONS = [(words, action.option_strings[0], action.nargs or 1) for words, parser in subparsers(PARSER)
            for action in parser._actions if action.option_strings and action.nargs != 0]
 

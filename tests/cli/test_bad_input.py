@@ -63,7 +63,7 @@ def test_bad_file_or_name(mjtactile, tmp_path, case):
     if text is not None:
         (tmp_path / name).write_text(text)
     before = set(tmp_path.iterdir())
-    process = mjtactile("grasp", option, name, "--out", "result")
+    process = mjtactile("grasp", option, name, "--workers", "0", "--out", "result")
     assert_one_line(process, words)
     assert len(process.stderr.strip().splitlines()) == 1
     assert process.stdout == ""
@@ -78,7 +78,8 @@ def test_bad_file_or_name(mjtactile, tmp_path, case):
 ])  # fmt: skip
 def test_a_controller_that_misbehaves_is_named(mjtactile, tmp_path, body, words):
     (tmp_path / "bad.py").write_text(f"def step(observation):\n    {body}\n")
-    process = mjtactile("grasp", "--controller", "bad.py", "--out", "result", "--json")
+    process = mjtactile("grasp", "--controller", "bad.py", "--sensor", "paper16", "--workers", "0", "--out", "result",
+                        "--json")
     assert_one_line(process, ["bad.py", *words])
     assert json.loads(process.stdout)["exit_code"] == 2
 
@@ -90,7 +91,8 @@ def step(observation):
         raise ValueError("tired")
     return observation.command
 """)
-    process = mjtactile("grasp", "--controller", "bad.py", "--out", "result", "--json")
+    process = mjtactile("grasp", "--controller", "bad.py", "--sensor", "paper16", "--workers", "0", "--out", "result",
+                        "--json")
     assert_one_line(process, ["bad.py", "line 4", "tired"])
     report = json.loads(process.stdout)
     assert report["outcome"] == "fault" and report["exit_code"] == 2

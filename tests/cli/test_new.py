@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from mjtactile.cli import main
 from mjtactile.commands.new import KINDS
 from mjtactile.core import resources
 from mjtactile.core.design import load_sensor
@@ -17,9 +18,11 @@ LOAD = {"controller": load_controller, "sensor": load_sensor, "object": load_obj
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_shipped_file_can_be_copied_and_the_copy_is_good(mjtactile, tmp_path, kind):
+def test_every_shipped_file_can_be_copied_and_the_copy_is_good(capsys, monkeypatch, tmp_path, kind):
+    monkeypatch.chdir(tmp_path)
     for like in resources.names(KINDS[kind].folder, KINDS[kind].suffix):
-        report = json.loads(mjtactile("new", kind, f"my_{like}", "--like", like, "--json").stdout)
+        assert main(["new", kind, f"my_{like}", "--like", like, "--json"]) == 0
+        report = json.loads(capsys.readouterr().out)
         copy = tmp_path / report["file"]
         assert copy.name == f"my_{like}{KINDS[kind].suffix}" and copy.name in report["next"]
         loaded = LOAD[kind](copy)
@@ -53,7 +56,7 @@ def test_a_copied_controller_grasps_a_copied_object(mjtactile, tmp_path):
     for kind, name in (("object", "plum.xml"), ("controller", "mine.py")):
         assert mjtactile("new", kind, name).returncode == 0
     report = json.loads(mjtactile("grasp", "--object", "./plum.xml", "--controller", "./mine.py", "--sensor", "paper16",
-                                  "--out", "result", "--json").stdout)
+                                  "--workers", "0", "--out", "result", "--json").stdout)
     assert (report["outcome"], report["object"], report["controller"]) == ("held", "plum", "mine")
 
 

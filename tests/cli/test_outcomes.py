@@ -26,7 +26,8 @@ def step(observation):
 
 def run(mjtactile, tmp_path, opening, force, *args):
     (tmp_path / "blind.py").write_text(BLIND.replace("OPENING", str(opening)).replace("FORCE", str(force)))
-    process = mjtactile("grasp", "--controller", "blind.py", "--sensor", "paper16", "--out", "result", "--json", *args)
+    process = mjtactile("grasp", "--controller", "blind.py", "--sensor", "paper16", "--workers", "0", "--out", "result", "--json",
+                        *args)
     assert "Traceback" not in process.stderr
     assert json.loads((tmp_path / "result" / "summary.json").read_text())["outcome"]
     return process, json.loads(process.stdout)

@@ -25,6 +25,7 @@ from mjtactile.run.workers import RemotePerception, Workers, default_workers, pe
 from mjtactile.sensing.chain import Perception
 from mjtactile.sim.picture.renderer import Renderer
 from tests.emulated import wait_for
+from tests.emulated_host import controller_text
 
 DESIGN = load_sensor("paper16")
 NAMES = ("left", "right")
@@ -96,8 +97,10 @@ def test_touch_is_the_same_bit_for_bit(workers, images):
 def grasps(tmp_path_factory):
     """The same grasp with the chains in this process and in others; then the first one's replay with one in another."""
     folders = [tmp_path_factory.mktemp(name) for name in ("here", "there", "replay")]
+    quick = tmp_path_factory.mktemp("quick") / "gentle.py"
+    quick.write_text(controller_text(hold=0.1))
     for folder, workers, rig in zip(folders, (0, 2, 1), ("sim", "sim", f"replay:{folders[0]}"), strict=True):
-        options = GraspOptions(sensor="paper16", rig=rig, seed=21, workers=workers)
+        options = GraspOptions(sensor="paper16", rig=rig, controller=str(quick), seed=21, workers=workers)
         with Recorder(folder, {"object": "egg"}) as recorder:
             run_grasp(options, recorder=recorder, progress=Silent())
     return folders

@@ -8,7 +8,6 @@ from mjtactile.commands.calibrate import camera, force, frame, gripper, valve
 
 SIMULATES = False
 KINDS = {"camera": camera, "valve": valve, "frame": frame, "force": force, "gripper": gripper}
-HELP = "calibrate camera, valve, frame, force or gripper, from live devices or recorded input"
 DESCRIPTION = """\
 Measure what a sensor's specimen or a gripper really is, and keep it: each command writes its part,
 with residuals, date, versions, into the calibration file of a finger, which the rig file names
