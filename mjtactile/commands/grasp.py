@@ -97,6 +97,7 @@ def _manner(options: argparse.Namespace) -> dict[str, Any]:
 
 def _run_and_report(options: argparse.Namespace, out: Path, progress: Progress) -> dict[str, Any]:
     """Run the grasp and write its report, also of a run that failed half-way; the error then carries its summary."""
+    from mjtactile.run import report  # noqa: F401  # now: when the run ends there may be no descriptors left to import it with
     from mjtactile.run.grasp import GraspOptions, run_grasp
 
     header = _header(options)
