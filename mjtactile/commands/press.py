@@ -34,7 +34,7 @@ a press has a negative z), "wrench_estimated" (force N, torque N m about the mid
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sensor", default="dense", metavar="NAME|FILE.toml", help="the sensor (default: dense)")
     parser.add_argument("--indenter", required=True, metavar="SHAPE",
-                        help="sphere:R_mm, cylinder:R_mm (end face down), box:EDGE_mm, FILE.stl in mm, or FILE.xml: "
+                        help="sphere:R_mm, cylinder:R_mm (end face down), box:EDGE_mm, FILE.stl or FILE.obj in mm, or FILE.xml: "
                         "all geoms of an MJCF file, which come down along -z")
     parser.add_argument("--at", type=ranges.pair, default=(0.0, 0.0), metavar="X_mm,Y_mm", help="where (default: 0,0)")
     parser.add_argument("--depth-mm", dest="depths", type=ranges.numbers, default=[1.0, 2.0, 3.0], metavar="A[:B:STEP]",

@@ -49,6 +49,19 @@ def friction_used(world: World, mu: float) -> float:
     return float(sums[0] / sums[1])
 
 
+def friction_along(world: World, sensor: int, mu: float, direction: Array) -> float:
+    """Friction on membrane `sensor` that pulls along `direction` (3,), frame W, as far as each contact's plane lets it, over
+    `mu` times the normal forces: 1 where all of it is dragged that way, -1 where it is dragged the other way."""
+    data, device, force, sums = world.data, world.sensors[sensor], np.zeros(6), np.zeros(2)
+    on_membrane = np.isin(data.contact.geom, device.vertex_geom_ids)
+    for row in np.flatnonzero(on_membrane.any(axis=1) & (data.contact.efc_address >= 0)):
+        mujoco.mj_contactForce(world.model, data, row, force)
+        axes = data.contact.frame[row].reshape(3, 3)
+        plane = axes[1:] @ direction  # of the force, too; it acts on the contact's second geom
+        sums += (1 if on_membrane[row, 1] else -1) * (force[1:3] @ plane) / np.linalg.norm(plane), mu * force[0]
+    return float(sums[0] / sums[1])
+
+
 def contact_torque(world: World, sensor: int) -> Array:
     """Total torque (3,) N m of the contact forces on membrane `sensor` about the origin of S."""
     return contact_wrench(world, sensor)[3:]

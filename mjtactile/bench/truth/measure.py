@@ -149,18 +149,19 @@ def _held_shear(case: Case) -> list[Number]:
 
 
 def _slide(case: Case) -> list[Number]:
-    """Friction over mu N while an indenter slides, both ways."""
-    plan, numbers = case.plan, []
-    mu = case.design.membrane.friction
-    for step in plan["timestep_ms"]:
-        for sign in (1, -1):
-            world, shares = _dragged(case, step), []
-            world.after_each_step(lambda world=world, shares=shares: shares.append(truth.friction_used(world, mu)))
-            world.drive(1e-3 * plan["depth_mm"], sign * 1e-3 * plan["drag_mm"], speed=1e-3 * plan["speed_mm_s"])
-            late = shares[2 * len(shares) // 3:]
-            numbers.append(Number("friction over mu N", f"{step:g} ms, {'+-'[sign < 0]}x", "", 1.0, float(np.mean(late)),
-                                  case.allows(1.0)))
-    return numbers
+    """Friction along the way that an indenter slides, over mu N, both ways."""
+    return [Number("friction along the slide, over mu N", f"{step:g} ms, {name}", "", 1.0, _slid(case, step, sign),
+                   case.allows(1.0))
+            for step in case.plan["timestep_ms"] for sign, name in ((1.0, "+x"), (-1.0, "-x"))]
+
+
+def _slid(case: Case, step: float, sign: float) -> float:
+    """The mean over the last third of a slide, which has long begun then."""
+    plan, world, shares = case.plan, _dragged(case, step), []
+    mu, way = case.design.membrane.friction, np.array([sign, 0.0, 0.0])
+    world.after_each_step(lambda: shares.append(truth.friction_along(world, 0, mu, way)))
+    world.drive(1e-3 * plan["depth_mm"], sign * 1e-3 * plan["drag_mm"], speed=1e-3 * plan["speed_mm_s"])
+    return float(np.mean(shares[2 * len(shares) // 3:]))
 
 
 def _spin(case: Case) -> list[Number]:

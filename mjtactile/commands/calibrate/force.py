@@ -79,8 +79,6 @@ def run(options: argparse.Namespace) -> int:
     if options.source is None and options.rig is None:
         raise InputError("give a CSV file (SOURCE), or --rig to load its sensors", field="SOURCE")
     targets = target.find_targets(options)
-    if options.source is not None and len(targets) > 1:
-        raise InputError("the images are of one finger: which?", field="--finger")
     with stdout_to_stderr():
         chains, loads = _live(options, targets) if options.source is None else _recorded(options, targets[0])
         true, felt, areas = _feel_all(options, chains, loads)

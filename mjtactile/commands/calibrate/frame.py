@@ -51,8 +51,6 @@ def run(options: argparse.Namespace) -> int:
     if options.source is None and options.rig is None:
         raise InputError("give images (FLAT), or --rig to take some", field="FLAT")
     targets = target.find_targets(options)
-    if options.source is not None and len(targets) > 1:
-        raise InputError("the images are of one finger: which?", field="--finger")
     with stdout_to_stderr():
         taken = _live(options, targets) if options.source is None else [_recorded(options, targets[0].design)]
     results = {}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from mjtactile import InputError
 from mjtactile.calibrate.target import Target, places
 from mjtactile.calibrate.target import find_targets as _find_targets
 from mjtactile.commands.calibrate.terminal import check_folder
@@ -27,6 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser, live: str, *, finger: str | N
 def find_targets(options: argparse.Namespace) -> list[Target]:
     """The files that the options name, each read once to see that it fits. Raises InputError."""
     targets = _find_targets(options.rig, options.finger, options.sensor, options.out)
+    if options.source is not None and len(targets) > 1:
+        raise InputError("what was recorded is of one finger: which?", field="--finger")
     for goal in targets:
         check_folder(goal.path)
         goal.load()

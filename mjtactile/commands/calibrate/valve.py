@@ -51,8 +51,6 @@ def run(options: argparse.Namespace) -> int:
     if options.pressure is not None and not options.pressure > 0 or not options.seal >= 2:
         raise InputError("--pressure-kPa must be above 0 and --seal at least 2 s", field="--pressure-kPa")
     targets = target.find_targets(options)
-    if options.source is not None and len(targets) > 1:
-        raise InputError("a recording is of one finger: which?", field="--finger")
     with stdout_to_stderr():
         fits = _live(options, targets) if options.source is None else [_recorded(options, targets[0])]
     results = {}

@@ -64,23 +64,19 @@ def filled_share(vertices: Array, faces: NDArray[np.int64]) -> float:
         return 1.0
 
 
-def hull_flag(model: mujoco.MjModel) -> str | None:
-    """Say which meshes that may touch are hollow, and pressed as their hulls all the same."""
-    hollow = {}
-    for geom in touching_geoms(model):
-        mesh = int(model.geom_dataid[geom])
-        if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_MESH or mesh < 0:
-            continue
-        vertices, faces = model.mesh(mesh).vertadr[0], model.mesh(mesh).faceadr[0]
-        share = filled_share(np.asarray(model.mesh_vert[vertices:vertices + model.mesh_vertnum[mesh]], float),
-                             model.mesh_face[faces:faces + model.mesh_facenum[mesh]].astype(np.int64))
-        if share < CONVEX:
-            hollow[model.mesh(mesh).name] = share
-    if not hollow:
+def hull_flag(model: mujoco.MjModel, geom: int) -> str | None:
+    """Say when a geom, which touches, is a hollow mesh: its hull presses all the same."""
+    number = int(model.geom_dataid[geom])
+    if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_MESH or number < 0:
         return None
-    name, share = min(hollow.items(), key=lambda item: item[1])
-    return (f"mesh {name!r} fills {share:.0%} of its convex hull, and the hull is what touches: give its convex parts as geoms, "
-            "or press the file where pip install 'mjtactile[meshes]' cuts it")
+    mesh = model.mesh(number)
+    vertices, faces = int(mesh.vertadr[0]), int(mesh.faceadr[0])
+    share = filled_share(np.asarray(model.mesh_vert[vertices:vertices + model.mesh_vertnum[number]], float),
+                         model.mesh_face[faces:faces + model.mesh_facenum[number]].astype(np.int64))
+    if share >= CONVEX:
+        return None
+    return (f"mesh {mesh.name!r} fills {share:.0%} of its convex hull, and the hull is what touches: give its convex parts as "
+            "geoms, or press the file where pip install 'mjtactile[meshes]' cuts it")
 
 
 def contact_model(model: mujoco.MjModel, mesh: MembraneMesh) -> str:

@@ -116,14 +116,14 @@ class Monitor:
         self._rest = [sensor.p_SV[:, 2] for sensor in sensors]
         self._deep = np.zeros((len(sensors), 5))  # shares at the last looks
         self._places = self._geoms_in(sensors)
+        self._hulls: dict[int, str | None] = {}  # of the geoms that have touched
 
     def built(self) -> Flags:
         """Flags of the scene as it was built."""
         flags: Flags = {}
         for sensor in self._sensors:
             flags |= design_flags(sensor.design, sensor.mesh.nx, sensor.mesh.ny)
-        hull = features.hull_flag(self._model)
-        return flags | ({"hull": hull} if hull else {})
+        return flags
 
     def look(self) -> tuple[Flags, str | None]:
         """Flags of the present state, and the reason to stop, if there is one. Call every 20 ms or so."""
@@ -157,7 +157,7 @@ class Monitor:
         return np.flatnonzero(mine.any(axis=1) & (contact.exclude == 0))  # 1: near, but not touching
 
     def _shapes(self, sensor: TactileSensor, rows: NDArray[np.int64]) -> Flags:
-        """What is to be said of the geoms that touch in the contacts `rows`: too small for the mesh, edges."""
+        """What is to be said of the geoms that touch in the contacts `rows`: too small for the mesh, edges, hollows."""
         flags: Flags = {}
         contact = self._data.contact
         pairs = contact.geom[rows]
@@ -176,6 +176,11 @@ class Monitor:
                                   sensor.mesh)
         if edge:
             flags["edge"] = edge
+        for geom in {int(self._geoms[k]) for k in others}:
+            if geom not in self._hulls:
+                self._hulls[geom] = features.hull_flag(self._model, geom)
+            if hull := self._hulls[geom]:
+                flags["hull"] = hull
         return flags
 
     def _penetration(self, number: int, rows: NDArray[np.int64]) -> float:
