@@ -68,6 +68,9 @@ class GraspResult:
     milliseconds: dict[str, float]
     force_error_estimate: float | None = None
     reason: str = ""
+    peak_stress_true: float = math.nan
+    """Pa, von Mises, of a soft object; `peak_energy_true` J/m^3."""
+    peak_energy_true: float = math.nan
 
     def summary(self) -> dict[str, Any]:
         """The JSON object of `mjtactile grasp --json`; what is unknown is NaN here and null there."""
@@ -76,6 +79,8 @@ class GraspResult:
                 "hold_force_N": self.hold_force, "hold_force_true_N": self.hold_force_true,
                 "slip_mm_true": 1e3 * self.slip_true, "real_time_factor": self.real_time_factor, "frames": self.frames,
                 "perception_ms_median": self.milliseconds["perception_median"], **names, "seed": self.options.seed,
+                **({} if math.isnan(self.peak_stress_true) else {"peak_stress_kPa_true": 1e-3 * self.peak_stress_true,
+                                                                  "peak_energy_kJ_m3_true": 1e-3 * self.peak_energy_true}),
                 **({"reason": self.reason} if self.reason else {}),
                 **({} if self.force_error_estimate is None else {"force_error_estimate_N": self.force_error_estimate})}
 
@@ -161,7 +166,8 @@ def _score(rig: Rig, recorder: RecorderLike) -> Any:
 
     score = GraspScore(rig.scene)
     rig.scene.after_each_step(score.after_step)
-    recorder.note(break_force_N=rig.scene.object.break_force)
+    force = rig.scene.object.break_force
+    recorder.note(break_force_N=force if math.isfinite(force) else None)
     return score
 
 
@@ -174,4 +180,5 @@ def _result(options: GraspOptions, log: _Log, score: Any, factor: float, *, comp
     return GraspResult(
         options, outcome, log.peak_force(), score.peak_force if score else math.nan,
         log.hold_force(), score.hold_force if score else math.nan, score.slip if score else math.nan,
-        factor, len(log.phases), parts, reason=score.reason() if score else "")
+        factor, len(log.phases), parts, reason=score.reason() if score else "",
+        peak_stress_true=score.peak_stress if score else math.nan, peak_energy_true=score.peak_energy if score else math.nan)

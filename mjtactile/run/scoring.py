@@ -16,6 +16,7 @@ from mjtactile.sim.scenes.view import SceneView
 
 _RISEN = 0.01  # m of the hand, from where on it can be told whether the object comes along
 _HELD_SHARE = 0.5  # the object counts as held when it rose by at least this share of what the hand rose,
+_STRAIN_EVERY = 0.02  # s between two looks at a soft object's strain, which changes no faster than the fingers
 _HELD_SLACK = 1e-3  # m, less this: on a rig that does not lift, what it does not drop is held
 
 
@@ -26,6 +27,9 @@ class GraspScore:
     world: GraspWorld
     phase: str = "approach"
     peak_force: float = 0.0
+    peak_stress: float = math.nan
+    """Pa, and `peak_energy` J/m^3: what the worst hundredth of a soft object's volume had to stand."""
+    peak_energy: float = math.nan
     crushed_at: float | None = None
     _next_phase: str = "approach"
     _wrenches: list[Array] = field(default_factory=list)
@@ -43,6 +47,8 @@ class GraspScore:
 
     def __post_init__(self) -> None:
         self._bodies = truth.object_bodies(self.world)
+        self._solid = truth.object_solid(self.world)
+        self._next_strain = -math.inf
         self._rest_height = self._object_position()[2]
         self._hand_start = truth.hand_position(self.world)[2]
 
@@ -52,7 +58,7 @@ class GraspScore:
         sensors = range(len(self.world.sensors))
         self._wrenches = [truth.contact_wrench(self.world, i) for i in sensors]
         self._markers = [self.world.marker_poses(i)[0] for i in sensors]
-        p_WO, q_WO = truth.object_pose(self.world)
+        p_WO, q_WO = truth.object_pose(self.world, self._solid)
         self._object_pose = {"object_position_true": p_WO.tolist(), "object_quaternion_true": q_WO.tolist()}
         self.view = SceneView.of(self.world)
 
@@ -74,7 +80,7 @@ class GraspScore:
         """Sample the truth; call after every physics step."""
         forces = self.forces()
         self.peak_force = max(self.peak_force, *forces)
-        if max(forces) > self.world.object.break_force and self.crushed_at is None:
+        if (max(forces) > self.world.object.break_force or self._is_torn()) and self.crushed_at is None:
             self.crushed_at = self.world.time
         if self.phase in ("lift", "hold"):
             self._track_slip()
@@ -83,6 +89,17 @@ class GraspScore:
         if self.phase == "hold":
             self._hold_forces.append(float(np.mean(forces)))
             self._held.append(self._has_risen())
+
+    def _is_torn(self) -> bool:
+        """Whether a soft object is strained beyond what its material stands."""
+        flesh, time = self.world.object.flesh, self.world.time
+        if self._solid is None or flesh is None or time < self._next_strain:
+            return False
+        self._next_strain = time + _STRAIN_EVERY
+        strain = self._solid.strain(self.world.data)
+        self.peak_stress = float(np.fmax(self.peak_stress, strain.stress))
+        self.peak_energy = float(np.fmax(self.peak_energy, strain.energy_density))
+        return strain.stress > flesh.break_stress or strain.energy_density > flesh.break_energy
 
     def forces(self) -> list[float]:
         """Normal force of the object on each membrane, N, positive when pressing."""
@@ -115,7 +132,7 @@ class GraspScore:
                 f"{self.world.design.membrane.friction:g} the fingers could carry {self._carried:.2g} N at most")
 
     def outcome(self) -> str:
-        """"crushed" if a finger ever pushed harder than the object stands, "held" if it stayed up, else "dropped"."""
+        """"crushed" if a finger ever did to it more than it stands, "held" if it stayed up, else "dropped"."""
         if self.crushed_at is not None:
             return "crushed"
         return "held" if self._held and all(self._held) else "dropped"

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 from mjtactile.sim.scenes.objects import PREFIX, moving_bodies
+from mjtactile.sim.scenes.strain import SoftSolid, soft_flex
 
 if TYPE_CHECKING:
+    from mjtactile.sim.scenes.grasp_world import GraspWorld
     from mjtactile.sim.scenes.hand_world import HandWorld
     from mjtactile.sim.scenes.world import World
     from mjtactile.sim.sensor.runtime import TactileSensor
@@ -111,10 +113,27 @@ def object_position(world: World, bodies: NDArray[np.int64] | None = None) -> Ar
     return mass @ world.data.xipos[parts] / mass.sum()
 
 
-def object_pose(world: World) -> tuple[Array, Array]:
-    """Position `p_WO` (3,) m and rotation, a unit quaternion (4,) with its real part first, of the body `object`, frame W."""
+def object_pose(world: World, solid: SoftSolid | None = None) -> tuple[Array, Array]:
+    """Position `p_WO` (3,) m and rotation, a unit quaternion (4,) with its real part first, of the body `object`, frame W.
+
+    The body of a soft object, a `solid`, stays behind: it is put where it is to the solid's best-fitting rigid pose what it
+    was to the initial one.
+    """
     body = world.model.body(PREFIX + "object").id
-    return world.data.xpos[body].copy(), world.data.xquat[body].copy()
+    p_WO, q_WO = world.data.xpos[body].copy(), world.data.xquat[body].copy()
+    if solid is None:
+        return p_WO, q_WO
+    middle, R = solid.pose(world.data)
+    turn, q_now = np.zeros(4), np.zeros(4)
+    mujoco.mju_mat2Quat(turn, R.ravel())
+    mujoco.mju_mulQuat(q_now, turn, q_WO)
+    return middle + R @ (p_WO - solid.rest_middle), q_now
+
+
+def object_solid(world: GraspWorld) -> SoftSolid | None:
+    """Where and how far the grasped object is strained, if it is a soft one: what `object_pose` is asked with."""
+    flesh, flex = world.object.flesh, soft_flex(world.model, PREFIX)
+    return None if flesh is None else SoftSolid(world.model, flex, flesh.young, flesh.poisson)
 
 
 def hand_position(world: HandWorld) -> Array:

@@ -1,7 +1,8 @@
 """Objects to grasp: read a user's MJCF, check it, and merge it into a scene.
 
-Format (docs: "Your own object"): one top-level body named `object` with a free joint; a `<custom>` numeric
-`break_force_N` (normal force per finger above which it counts as crushed) and a text `material`. The table's top is
+Format (docs: "Your own object"): one top-level body named `object` with a free joint, or a volumetric flex in place of the
+joint; a `<custom>` numeric `break_force_N` (normal force per finger above which it counts as crushed; of a flex also
+`break_stress_kPa` or `break_energy_kJ_m3`) and a text `material`. The table's top is
 z = 0, the fingers close along x, and grasp at the height of the body's origin unless a numeric `grasp_height_m` says
 otherwise; a numeric `turn_deg` keeps it from being turned about z by more than that (a block between flat fingers).
 Whatever else stands in the file's world (a cup, a stand) comes along.
@@ -23,12 +24,25 @@ from mjtactile.core.errors import InputError
 MATERIALS = ("solid", "soft", "amorphous")
 PREFIX = "object/"
 """Names of the object's file carry this prefix in the scene."""
+SOFT_ITERATIONS = 2000
+"""Iterations that the solver may need where a membrane and finite elements are solved together; 100 is usual."""
+
+
+@dataclass(frozen=True)
+class Flesh:
+    """What a volumetric flex is made of, `young` Pa and `poisson`, and what the hundredth of its volume that is worst off
+    stands: `break_stress` Pa (von Mises), `break_energy` J/m^3 of strain."""
+
+    young: float
+    poisson: float
+    break_stress: float = math.inf
+    break_energy: float = math.inf
 
 
 @dataclass(frozen=True)
 class ObjectModel:
     """A checked object: `break_force` N per finger, `grasp_height` m above the table, `path` of its MJCF file, `turn` rad
-    about z by which it may be placed at random."""
+    about z by which it may be placed at random; `flesh` of a soft one."""
 
     name: str
     path: Path
@@ -37,6 +51,7 @@ class ObjectModel:
     grasp_height: float
     mass: float
     turn: float = math.pi
+    flesh: Flesh | None = None
 
 
 def load_object(name_or_path: str | Path) -> ObjectModel:
@@ -48,12 +63,14 @@ def load_object(name_or_path: str | Path) -> ObjectModel:
     path = resources.find(name_or_path, "models/objects", ".xml")
     spec = _parse(path)
     _check_body(spec, path)
-    break_force = _numeric(spec, path, "break_force_N")
+    flesh = _flesh(spec, path)
+    stands_strain = flesh is not None and min(flesh.break_stress, flesh.break_energy) < math.inf
+    break_force = _numeric(spec, path, "break_force_N", default=math.inf if stands_strain else None)
     body = spec.body("object")
     height = _numeric(spec, path, "grasp_height_m", default=float(body.pos[2]))
     turn = min(math.radians(_numeric(spec, path, "turn_deg", default=180.0)), math.pi)
     mass = _check_compiled(spec, path)
-    return ObjectModel(path.stem, path, break_force, _material(spec, path), height, mass, turn)
+    return ObjectModel(path.stem, path, break_force, _material(spec, path), height, mass, turn, flesh)
 
 
 def add_object(scene: mujoco.MjSpec, model: ObjectModel, pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
@@ -68,6 +85,8 @@ def add_object(scene: mujoco.MjSpec, model: ObjectModel, pose: tuple[float, floa
         raise InputError(f"{pose!r} is not three finite numbers", source="add_object", field="pose")
     frame = scene.worldbody.add_frame(pos=[x, y, height], quat=[math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)])
     scene.attach(_parse(model.path), frame=frame, prefix=PREFIX)
+    if model.flesh is not None:
+        scene.option.iterations = max(scene.option.iterations, SOFT_ITERATIONS)
 
 
 def _parse(path: Path) -> mujoco.MjSpec:
@@ -84,8 +103,28 @@ def _check_body(spec: mujoco.MjSpec, path: Path) -> None:
                          choices=[b.name for b in spec.worldbody.bodies if b.name] or None)
     if not any(child.name == "object" for child in spec.worldbody.bodies):
         raise InputError("body 'object' must be a direct child of the world", source=path, field="object")
-    if not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints):
-        raise InputError("body 'object' has no free joint", source=path, field="object", choices=["<freejoint/>"])
+    if not _solids(spec) and not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints):
+        raise InputError("body 'object' has no free joint", source=path, field="object",
+                         choices=["<freejoint/>", '<flexcomp dim="3"/>'])
+
+
+def _solids(spec: mujoco.MjSpec) -> list[mujoco.MjsFlex]:
+    return [flex for flex in spec.flexes if flex.dim == 3]
+
+
+def _flesh(spec: mujoco.MjSpec, path: Path) -> Flesh | None:
+    """The volumetric flex that the object consists of; None for a rigid or lumped object."""
+    solids = _solids(spec)
+    if not solids:
+        return None
+    if len(solids) > 1:
+        raise InputError("more than one volumetric flex: an object is one body", source=path, field="flexcomp",
+                         choices=[flex.name for flex in solids])
+    if not solids[0].young > 0:
+        raise InputError(f"{solids[0].young:g} is not a modulus > 0 Pa", source=path, field="young")
+    return Flesh(float(solids[0].young), float(solids[0].poisson),
+                 1e3 * _numeric(spec, path, "break_stress_kPa", default=math.inf),
+                 1e3 * _numeric(spec, path, "break_energy_kJ_m3", default=math.inf))
 
 
 def _numeric(spec: mujoco.MjSpec, path: Path, name: str, default: float | None = None) -> float:
@@ -93,9 +132,8 @@ def _numeric(spec: mujoco.MjSpec, path: Path, name: str, default: float | None =
     if not found:
         if default is None:
             raise InputError("missing <custom><numeric>, a number > 0", source=path, field=name)
-        value = default
-    else:
-        value = float(found[0].data[0]) if len(found[0].data) else math.nan
+        return default
+    value = float(found[0].data[0]) if len(found[0].data) else math.nan
     if not math.isfinite(value) or value <= 0:
         raise InputError(f"{value:g} is not a finite number > 0", source=path, field=name)
     return value

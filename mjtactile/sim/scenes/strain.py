@@ -1,0 +1,93 @@
+"""How far a soft body is strained, and where it is: from the corners of a volumetric flex's tetrahedra. For scoring alone.
+
+MuJoCo's interpolated elements are linear in the stretch that is left when a cell's rotation is taken out (Biot's strain
+U - 1); of a tetrahedron that is given by the singular values of its deformation gradient. `full` flexes are
+St. Venant-Kirchhoff's instead, the same at small strain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core.types import Array
+
+_WORST = 0.01  # share of the volume that a stress must reach to count: that of one corner element depends on the mesh
+_SAFE = 1e-3  # singular values of an element that is turned inside out
+
+
+@dataclass(frozen=True)
+class Strain:
+    """`stress` Pa (von Mises, of Cauchy's stress) and `energy_density` J/m^3 that the worst hundredth of the volume exceeds,
+    `compression` (1 less the smallest stretch) likewise, and the whole strain `energy` J."""
+
+    stress: float
+    energy_density: float
+    compression: float
+    energy: float
+
+
+class SoftSolid:
+    """The volumetric flex numbered `flex` of a model, measured against the model's initial pose. A compiled model does not
+    know the elastic constants, `young` Pa and `poisson`, any more."""
+
+    def __init__(self, model: mujoco.MjModel, flex: int, young: float, poisson: float):
+        first, count = int(model.flex_vertadr[flex]), int(model.flex_vertnum[flex])
+        start, number = int(model.flex_elemdataadr[flex]), int(model.flex_elemnum[flex])
+        self._vertices = slice(first, first + count)
+        self._elements = model.flex_elem[start:start + 4 * number].reshape(-1, 4).astype(np.int64)
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        self._rest = data.flexvert_xpos[self._vertices].copy()
+        edges = _edges(self._rest, self._elements)
+        self._inverse, self._volumes = np.linalg.inv(edges), np.abs(np.linalg.det(edges)) / 6
+        self._mu, self._lame = young / (2 * (1 + poisson)), young * poisson / ((1 + poisson) * (1 - 2 * poisson))
+        weights = np.zeros(count)  # each corner stands for a quarter of its elements
+        np.add.at(weights, self._elements.ravel(), np.repeat(self._volumes / 4, 4))
+        self._weights = weights / weights.sum()
+
+    def strain(self, data: mujoco.MjData) -> Strain:
+        """As of the last step's beginning."""
+        F = _edges(data.flexvert_xpos[self._vertices], self._elements) @ self._inverse
+        squares = np.linalg.eigvalsh(F.transpose(0, 2, 1) @ F)
+        stretches = np.sqrt(np.maximum(squares, _SAFE**2))  # (m, 3), ascending
+        strain = stretches - 1
+        trace = strain.sum(axis=1)
+        energy = self._mu * (strain**2).sum(axis=1) + self._lame / 2 * trace**2
+        biot = 2 * self._mu * strain + self._lame * trace[:, None]
+        cauchy = biot * stretches / stretches.prod(axis=1, keepdims=True)
+        mises = np.sqrt(((cauchy - np.roll(cauchy, 1, axis=1))**2).sum(axis=1) / 2)
+        return Strain(self._worst(mises), self._worst(energy), self._worst(-strain[:, 0]), float(energy @ self._volumes))
+
+    def pose(self, data: mujoco.MjData) -> tuple[Array, Array]:
+        """Middle of the volume (3,) m, and the rotation (3, 3) from the initial pose that fits best, frame W."""
+        now = data.flexvert_xpos[self._vertices]
+        middle, before = self._weights @ now, self._weights @ self._rest
+        U, _, Vt = np.linalg.svd((now - middle).T @ (self._weights[:, None] * (self._rest - before)))
+        turn = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
+        return middle, U @ turn @ Vt
+
+    @property
+    def rest_middle(self) -> Array:
+        """Middle of the volume (3,) m at the initial pose, frame W."""
+        return self._weights @ self._rest
+
+    def _worst(self, values: Array) -> float:
+        order = np.argsort(values)[::-1]
+        beyond = np.cumsum(self._volumes[order])
+        return float(values[order[np.searchsorted(beyond, _WORST * beyond[-1])]])
+
+
+def soft_flex(model: mujoco.MjModel, prefix: str = "") -> int:
+    """Number of the first volumetric flex whose name begins with `prefix`; -1 where there is none."""
+    names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, f) or "" for f in range(model.nflex)]
+    return next((f for f, name in enumerate(names) if model.flex_dim[f] == 3 and name.startswith(prefix)), -1)
+
+
+def _edges(points: Array, elements: NDArray[np.int64]) -> Array:
+    """Edges (m, 3, 3) from each element's first corner, as columns."""
+    corners = points[elements]
+    return (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
