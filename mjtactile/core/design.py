@@ -96,6 +96,7 @@ class Chamber:
     `heat_exchange` s is the time constant with which the gas takes the walls' temperature (infinite: never, so that
     gamma stays; a few mm of air need 0.5-2 s). `valve_conductance` and `leak_conductance`, m^3/(s Pa), are volume flow
     per pressure difference of the open valve (infinite: the pressure follows at once) and of a hole to ambient.
+    `extra_volume` m^3 is gas that is not between opening and glass: a hose's, or less than none where walls slope in.
     """
 
     depth: float
@@ -106,6 +107,7 @@ class Chamber:
     heat_exchange: float = math.inf
     valve_conductance: float = math.inf
     leak_conductance: float = 0.0
+    extra_volume: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -198,11 +200,11 @@ class SensorDesign:
     @property
     def chamber_volume_flat(self) -> float:
         """Gas volume with a flat membrane, m^3."""
-        return self.frame.area * self.chamber.depth
+        return self.frame.area * self.chamber.depth + self.chamber.extra_volume
 
 
 # One row a field: key in the file, attribute, SI units in one unit of the file (0: a whole number), lowest and highest value.
-_MM, _KPA, _ML_S_KPA = 1e-3, 1e3, 1e-9
+_MM, _KPA, _ML, _ML_S_KPA = 1e-3, 1e3, 1e-6, 1e-9
 _Row = tuple[str, str, float, float, float]
 FIELDS: dict[str, tuple[type, tuple[_Row, ...]]] = {
     "frame": (Frame, (
@@ -218,7 +220,8 @@ FIELDS: dict[str, tuple[type, tuple[_Row, ...]]] = {
         ("depth_mm", "depth", _MM, 0.1, 500), ("heat_ratio", "heat_ratio", 1, 1, 1.7),
         ("supply_gauge_kPa", "supply_gauge", _KPA, -50, 100), ("ambient_kPa", "ambient", _KPA, 1, 1000),
         ("temperature_K", "temperature", 1, 200, 400), ("heat_exchange_s", "heat_exchange", 1, 1e-3, 1e6),
-        ("valve_mL_s_kPa", "valve_conductance", _ML_S_KPA, 1e-3, 1e6), ("leak_mL_s_kPa", "leak_conductance", _ML_S_KPA, 0, 1e6))),
+        ("valve_mL_s_kPa", "valve_conductance", _ML_S_KPA, 1e-3, 1e6), ("leak_mL_s_kPa", "leak_conductance", _ML_S_KPA, 0, 1e6),
+        ("extra_volume_mL", "extra_volume", _ML, -1e4, 1e4))),
     "glass": (Glass, (
         ("thickness_mm", "thickness", _MM, 0, 50), ("refractive_index", "refractive_index", 1, 1, 3),
         ("distance_mm", "distance", _MM, 0, 1000))),
@@ -307,5 +310,8 @@ def _check_geometry(design: SensorDesign, source: str) -> None:
     if inner_face + design.chamber.depth > camera.distance + 1e-9:
         raise InputError(f"glass (to {inner_face / _MM:g} mm) and chamber ({design.chamber.depth / _MM:g} mm) do not fit in "
                          f"{camera.distance / _MM:g} mm", source=source, field="camera.distance_mm")
+    if design.chamber_volume_flat <= 0:
+        raise InputError(f"{design.chamber.extra_volume / _ML:g} leaves no gas of the chamber's "
+                         f"{frame.area * design.chamber.depth / _ML:.3g} mL", source=source, field="chamber.extra_volume_mL")
     if design.leds.marker_dn >= design.leds.membrane_dn:
         raise InputError("markers must be darker than the membrane", source=source, field="leds.marker_DN")

@@ -19,6 +19,7 @@ VIOLATIONS = {
     "The default chain imports": ("mjtactile/sensing/chain.py", "import mjtactile.sensing.paper.levels"),
     "Sensing meets": ("mjtactile/sensing/pose/circles.py", "import mjtactile.rig.registry"),
     "Only the simulator": ("mjtactile/run/loop.py", "import mujoco"),
+    "Fitting, from": ("mjtactile/fit/evidence.py", "import mjtactile.fit.run"),
     "A controller sees": ("controllers/gentle.py", "import mjtactile.core.design"),
     "A controller sees (no simulator)": ("controllers/gentle.py", "import mujoco"),
     "Examples use": ("examples/touch_in_my_scene.py", "import mjtactile.sim.attach"),

@@ -1,0 +1,85 @@
+"""Gauss-Newton for models that take seconds: few evaluations, steps of a Jacobian above the model's own noise, an end where a
+step is small against what is not known anyway."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjtactile.core.types import Array
+
+_ENOUGH = 0.1  # of a standard deviation: a last step
+_HALVINGS = 3
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A parameter: `low` and `high` allowed; x = log(value/nominal), or (value - nominal)/`unit` where given; `step` of x for a
+    Jacobian."""
+
+    low: float
+    high: float
+    unit: float = 0.0
+    step: float = 0.02
+
+    def value(self, x: float, nominal: float) -> float:
+        value = nominal + self.unit * x if self.unit else nominal * math.exp(x)
+        return min(max(value, self.low), self.high)
+
+    def scaled(self, value: float, nominal: float) -> float:
+        """x of a value."""
+        return (value - nominal) / self.unit if self.unit else math.log(value / nominal)
+
+    def slope(self, value: float) -> float:
+        """d(value)/dx."""
+        return self.unit or value
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Parameters `x` (n,), the `jacobian` (r, n) near it and the residuals (r,) there, in sd."""
+
+    x: Array
+    jacobian: Array
+    residuals: Array
+
+    @property
+    def information(self) -> Array:
+        """Inverse of the covariance, (n, n)."""
+        return self.jacobian.T @ self.jacobian
+
+
+def gauss_newton(residuals: Callable[[Array], Array], jacobian: Callable[[Array, Array], Array], x: Array, *, low: Array,
+                 high: Array, iterations: int = 6) -> Solution:
+    """Minimise the sum of squares from `x` within `low` and `high`; `jacobian(x, residuals(x))` (r, n)."""
+    now = residuals(x)
+    for _ in range(iterations):
+        J = jacobian(x, now)
+        H = J.T @ J
+        ridge = 1e-9 * np.diag(np.diag(H) + 1e-12)
+        goal, better = np.clip(x - np.linalg.solve(H + ridge, J.T @ now), low, high), None
+        sd = np.sqrt(np.diag(np.linalg.inv(H + ridge)))
+        if np.all(np.abs(goal - x) < _ENOUGH * sd):
+            break
+        for halving in range(_HALVINGS):
+            there = x + (goal - x) / 2**halving
+            found = residuals(there)
+            if found @ found < now @ now:
+                better = there, found
+                break
+        if better is None:
+            break
+        x, now = better
+    return Solution(x, J, now)  # pyright: ignore[reportPossiblyUnboundVariable] the loop runs at least once
+
+
+def differences(residuals: Callable[[Array], Array], steps: Array) -> Callable[[Array, Array], Array]:
+    """A Jacobian by differences of these absolute steps."""
+    def jacobian(x: Array, now: Array) -> Array:
+        return np.column_stack([(residuals(x + step * unit) - now) / step
+                                for step, unit in zip(steps, np.eye(len(x)), strict=True)])
+
+    return jacobian

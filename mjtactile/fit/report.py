@@ -1,0 +1,116 @@
+"""The report of a fit: a text, and a figure of what is left."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from mjtactile.fit.run import FitResult
+from mjtactile.fit.words import NOT_FITTED, SD95, Number, digits
+
+
+def text_of(result: FitResult) -> str:
+    """What was found, what goes together, what could not be found, and how well the rest is predicted."""
+    fitted = [n for n in result.numbers if n.state == "fitted"]
+    lines = [f"{'field':28} {'file':>10} {'found':>10}   95 % interval"]
+    lines += [f"{n.field:28} {n.before:10.5g} {digits(n.value, n.sd):>10}   {_interval(n)}" for n in fitted]
+    lines += [f"{n.field:28} {n.before:10.5g} {n.value:10.5g}   measured by hand" for n in result.numbers if n.state == "known"]
+    lines += ["", "not in these recordings (the file's value stays):"]
+    lines += [f"  {n.field}: {n.comment.partition('; ')[2]}" for n in result.numbers if n.state == "not in these recordings"]
+    lines += [f"  {name}: {why}" for name, why in NOT_FITTED.items()]
+    if result.correlations:
+        lines += ["", *result.correlations]
+    sheet = result.design.membrane
+    lines += ["", f"modulus times thickness: {sheet.young * sheet.thickness:.4g} N/m, which is what forces rest on",
+              f"markers are left by {1e6 * result.sheet.rms:.1f} um (rms)"]
+    if result.gas is not None:
+        lines += [f"pressures of {run.name} are left by {float(np.sqrt(np.mean((p - run.pressure) ** 2))):.1f} Pa (rms)"
+                  for run, p in zip(result.gas.runs, result.gas.fitted, strict=True)]
+    lines += [""] * bool(result.held_out) + [_held(row) for row in result.held_out]
+    return "\n".join([*lines, f"took {result.seconds:.0f} s"]) + "\n"
+
+
+def _interval(number: Number) -> str:
+    low, high = number.interval
+    return f"{digits(low, number.sd)} to {digits(high, number.sd)}"
+
+
+def _held(row: Any) -> str:
+    where = "nothing touches" if math.isnan(row.depth) else f"{1e3 * row.depth:g} mm deep, {1e3 * row.shear:g} mm along x"
+    force = "" if math.isnan(row.force_measured) else f", load cell {row.force_measured:.4f} N"
+    return (f"held out, {row.recording}, {where}, {row.pressure:.0f} Pa: markers off by {1e6 * row.rms:.1f} um (rms), "
+            f"predicted {row.force:.4f} N{force}")
+
+
+def draw(figure: Any, result: FitResult) -> None:
+    """Into an empty matplotlib figure."""
+    boxes = figure.subplots(2, 3)
+    _draw_numbers(boxes[0, 0], result)
+    _draw_markers(boxes[0, 1], result)
+    _draw_map(boxes[0, 2], result)
+    _draw_pressures(boxes[1, 0], result)
+    _draw_light(figure, boxes[1, 1], result)
+    _draw_held(boxes[1, 2], result)
+
+
+def _draw_numbers(axes: Any, result: FitResult) -> None:
+    fitted = [n for n in result.numbers if n.state == "fitted" and n.before]
+    places = range(len(fitted))
+    axes.errorbar([100 * (n.value / n.before - 1) for n in fitted], list(places),
+                  xerr=[100 * SD95 * n.sd / abs(n.before) for n in fitted], fmt="o", ms=4, capsize=3)
+    axes.set_yticks(list(places), [n.field.partition(".")[2] for n in fitted], fontsize=7)
+    axes.axvline(0.0, color="k", lw=0.8)
+    axes.set(xlabel="against the sensor file, %", title="numbers, 95 %")
+    axes.grid(alpha=0.3)
+
+
+def _draw_markers(axes: Any, result: FitResult) -> None:
+    for evidence, holds in zip(result.evidence, result.sheet.holds, strict=True):
+        off = [1e6 * float(np.sqrt(np.nanmean(np.square(found.p_SM - hold.p_SM))))
+               for hold, found in zip((evidence.rest, *evidence.holds), holds, strict=True)]
+        axes.plot(off, "o-", ms=4, label=evidence.name[-24:])
+    axes.set(xlabel="hold", ylabel="markers off, um (rms)", title="markers, simulated less measured", ylim=(0, None))
+    axes.legend(fontsize=6)
+    axes.grid(alpha=0.3)
+
+
+def _draw_map(axes: Any, result: FitResult) -> None:
+    """Height residual of each marker, mean over all holds."""
+    off = [found.p_SM[:, 2] - hold.p_SM[:, 2] for e, holds in zip(result.evidence, result.sheet.holds, strict=True)
+           for hold, found in zip((e.rest, *e.holds), holds, strict=True)]
+    p, most = 1e3 * result.design.markers.p_SM, 1e6 * float(np.nanmax(np.abs(np.nanmean(off, axis=0))))
+    shown = axes.scatter(p[:, 0], p[:, 1], c=1e6 * np.nanmean(off, axis=0), cmap="coolwarm", vmin=-most, vmax=most, s=60)
+    axes.figure.colorbar(shown, ax=axes, label="um")
+    axes.set(xlabel="x, mm", ylabel="y, mm", title="height residual, mean", aspect="equal")
+
+
+def _draw_pressures(axes: Any, result: FitResult) -> None:
+    if result.gas is None:
+        axes.set_axis_off()
+        return
+    for run, fitted in zip(result.gas.runs, result.gas.fitted, strict=True):
+        axes.plot(run.time, fitted - run.pressure, lw=0.7, label=run.name[-24:])
+    axes.set(xlabel="s", ylabel="Pa", title="pressure, simulated less measured")
+    axes.legend(fontsize=6)
+    axes.grid(alpha=0.3)
+
+
+def _draw_light(figure: Any, axes: Any, result: FitResult) -> None:
+    shown = axes.imshow(result.picture.residual, cmap="coolwarm", vmin=-3, vmax=3, interpolation="nearest")
+    figure.colorbar(shown, ax=axes, label="grey levels")
+    axes.set(title="light, measured less fitted", xticks=[], yticks=[])
+
+
+def _draw_held(axes: Any, result: FitResult) -> None:
+    if not result.held_out:
+        axes.set_axis_off()
+        return
+    rows = result.held_out
+    axes.plot([row.force for row in rows], "o", ms=4, label="predicted")
+    if any(math.isfinite(row.force_measured) for row in rows):
+        axes.plot([row.force_measured for row in rows], "k_", ms=10, label="load cell")
+    axes.set(xlabel="hold", ylabel="force, N", title="kept aside")
+    axes.legend(fontsize=7)
+    axes.grid(alpha=0.3)

@@ -1,0 +1,38 @@
+"""A sensor file with other numbers: the text of the one that there was, its comments kept, each changed line with a comment."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from mjtactile.fit.words import Number, digits
+
+
+def rewrite(text: str, numbers: Sequence[Number], head: str) -> str:
+    """`text` of a sensor file with the values and comments of `numbers`, and `head` as a comment on top."""
+    lines = text.splitlines()
+    for number in numbers:
+        section, key = number.field.split(".")
+        value = digits(number.value, number.sd) if number.state == "fitted" else f"{number.value:.10g}"
+        _put(lines, section, key, value if any(c in value for c in ".einf") else f"{value}.0", number)
+    return "\n".join([*(f"# {line}" for line in head.splitlines()), "", *lines]) + "\n"
+
+
+def _put(lines: list[str], section: str, key: str, value: str, number: Number) -> None:
+    """Change or add one line. A value that is not known and was not in the file stays out of it."""
+    begin = next((i for i, line in enumerate(lines) if re.match(rf"\s*\[{section}\]", line)), None)
+    is_known = number.state != "not in these recordings"
+    if begin is None:
+        if is_known:
+            lines += ["", f"[{section}]", f"{key} = {value}  # {number.comment}"]
+        return
+    end = next((i for i in range(begin + 1, len(lines)) if lines[i].lstrip().startswith("[")), len(lines))
+    for i in range(begin + 1, end):
+        found = re.match(rf"(\s*{key}\s*=\s*)([^#]*?)(\s*#.*)?$", lines[i])
+        if found:
+            lines[i] = f"{found[1]}{value if is_known else found[2]}  # {number.comment}"
+            return
+    if is_known:
+        while end > begin + 1 and not lines[end - 1].strip():
+            end -= 1
+        lines.insert(end, f"{key} = {value}  # {number.comment}")

@@ -1,0 +1,118 @@
+"""What was done to a sensor while it was recorded: which indenter stood where, and how far it was driven in, when.
+
+A protocol is a CSV file with one line a move, which a person with a stage follows, and the simulated stage too:
+
+    time_s,depth_mm,shear_mm,speed_mm_s,force_N
+
+`time_s` counts from the recording's first cycle. `depth_mm` is below first touch of the inflated membrane, empty where nothing
+touches; `shear_mm` along x of the sensor (empty: 0), `speed_mm_s` of the way there (empty: 2). `force_N` is what a load cell or
+a weight on the indenter says of the hold that follows (empty: unknown). The recording keeps all of it as the note `stage`.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from mjtactile.core import resources
+from mjtactile.core.errors import InputError
+
+PROTOCOLS = "models/protocols"
+COLUMNS: dict[str, tuple[str, float, float, float]] = {
+    "time_s": ("time", 1.0, 0, 86400), "depth_mm": ("depth", 1e-3, -1, 500), "shear_mm": ("shear", 1e-3, -500, 500),
+    "speed_mm_s": ("speed", 1e-3, 0.01, 1000), "force_N": ("force", 1.0, -1000, 1000)}
+"""Column to field, SI units in one unit of the file, lowest and highest value."""
+
+
+@dataclass(frozen=True)
+class Move:
+    """From `time` s on the indenter goes to `depth` m and `shear` m at `speed` m/s, and stays; there it pushes with `force` N
+    (NaN: not known). A `depth` of NaN: nothing touches."""
+
+    time: float
+    depth: float = math.nan
+    shear: float = 0.0
+    speed: float = 2e-3
+    force: float = math.nan
+
+
+@dataclass(frozen=True)
+class Stage:
+    """An indenter ("sphere:8", as `mjtactile press` has them) over the place `at` (x, y) m in S, and its moves in order."""
+
+    indenter: str
+    at: tuple[float, float]
+    moves: tuple[Move, ...]
+
+    def note(self) -> dict[str, Any]:
+        """As a recording's notes have it; `stage_from_note` reads it."""
+        rows = [{column: getattr(move, name) / scale for column, (name, scale, *_) in COLUMNS.items()} for move in self.moves]
+        return {"indenter": self.indenter, "at_mm": [1e3 * x for x in self.at], "moves": rows}
+
+    def with_forces(self, forces: Sequence[float]) -> Stage:
+        """The same with what a load cell showed during each hold, N."""
+        return replace(self, moves=tuple(replace(m, force=f) for m, f in zip(self.moves, forces, strict=True)))
+
+
+def read_moves(name_or_path: str | Path) -> tuple[Move, ...]:
+    """The moves of a protocol, shipped or a CSV file's. Raises InputError naming file, line and column."""
+    path = resources.find(name_or_path, PROTOCOLS, ".csv")
+    try:
+        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip() and line[0] != "#"]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot be read: {error}", source=path) from error
+    return _moves(list(csv.DictReader(lines)), str(path))
+
+
+def describe(move: Move) -> str:
+    """What a person at a stage does now."""
+    if math.isnan(move.depth):
+        return f"{move.time:g} s: lift off"
+    shear = f", {1e3 * move.shear:g} mm along x" if move.shear else ""
+    return f"{move.time:g} s: to {1e3 * move.depth:g} mm below first touch{shear}, at {1e3 * move.speed:g} mm/s"
+
+
+def stage_from_note(note: Mapping[str, Any], source: object) -> Stage:
+    """What `Stage.note` gave, or a person wrote. Raises InputError naming the field."""
+    try:
+        indenter, at, rows = str(note["indenter"]), tuple(1e-3 * float(x) for x in note["at_mm"]), list(note["moves"])
+        x, y = at
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"not a stage: {error}", source=source, field="stage", choices=("indenter", "at_mm", "moves")) from error
+    return Stage(indenter, (x, y), _moves(rows, str(source)))
+
+
+def _moves(rows: Sequence[Mapping[str, Any]], source: str) -> tuple[Move, ...]:
+    moves = tuple(_move(row, source, number) for number, row in enumerate(rows, 1))
+    if not moves:
+        raise InputError("has no moves", source=source, choices=COLUMNS)
+    late = next((i for i in range(1, len(moves)) if moves[i].time <= moves[i - 1].time), None)
+    if late is not None:
+        raise InputError("is not later than the move before", source=source, field=f"move {late + 1}, time_s")
+    return moves
+
+
+def _move(row: Mapping[str, Any], source: str, number: int) -> Move:
+    unknown = [key for key in row if key not in COLUMNS]
+    if unknown or "time_s" not in row:
+        raise InputError(f"column {unknown[0]!r}" if unknown else "no column time_s", source=source, choices=COLUMNS)
+    values = {}
+    for column, (name, scale, low, high) in COLUMNS.items():
+        text = row.get(column)
+        if text is None or str(text).strip() == "":
+            continue
+        try:
+            value = float(text)
+        except (TypeError, ValueError):
+            value = math.nan
+        if not low <= value <= high:
+            raise InputError(f"{text!r} is not a number from {low:g} to {high:g}", source=source,
+                             field=f"move {number}, {column}")
+        values[name] = value * scale
+    if "time" not in values:
+        raise InputError("is missing", source=source, field=f"move {number}, time_s")
+    return Move(**values)

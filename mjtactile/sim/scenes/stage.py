@@ -1,0 +1,45 @@
+"""`StageDrive`: the indenter of a `PressWorld` on a stage that follows the moves of a protocol, at their times."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from mjtactile.recording.stage import Move
+from mjtactile.sim.scenes.indentation import PressWorld
+
+LIFTED = -2e-3  # m below first touch: where nothing touches
+
+
+def current(moves: Sequence[Move], time: float) -> int | None:
+    """The number of the newest move whose time has come; None before the first."""
+    return max((i for i, move in enumerate(moves) if move.time <= time + 1e-9), default=None)
+
+
+class StageDrive:
+    """Begins when `world` has been inflated and first touch found; `offset` m is added to every depth that touches."""
+
+    def __init__(self, world: PressWorld, moves: Sequence[Move], offset: float = 0.0):
+        self._world, self._moves, self._offset = world, moves, offset
+        self._depth, self._shear, self._first, self._now = LIFTED, 0.0, world.step_count, 0.0
+
+    def advance_to(self, time: float) -> None:
+        """Step the world to `time` s after the beginning, the stage on its way to where the newest move sent it."""
+        end = self._first + round(time / self._world.timestep)
+        number = current(self._moves, self._now)
+        if number is not None:
+            self._follow(self._moves[number], (end - self._world.step_count) * self._world.timestep)
+        if self._world.step_count < end:
+            self._world.step(end - self._world.step_count)
+        self._now = time
+
+    def _follow(self, move: Move, seconds: float) -> None:
+        depth = LIFTED if math.isnan(move.depth) else move.depth + self._offset
+        way = np.array([depth - self._depth, move.shear - self._shear])
+        longest = float(np.abs(way).max())
+        if longest > 0 and seconds > 0:
+            part = min(1.0, move.speed * seconds / longest)
+            self._depth, self._shear = self._depth + part * way[0], self._shear + part * way[1]
+            self._world.drive(self._depth, self._shear, move.speed)

@@ -1,0 +1,60 @@
+"""The sheet from holds: what the simulator did with another sheet is undone."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mjtactile.core.design import load_sensor
+from mjtactile.fit.evidence import Evidence, Hold, Series
+from mjtactile.fit.least import differences, gauss_newton
+from mjtactile.fit.statics import fit_sheet, simulate
+
+DESIGN, MESH = load_sensor("paper16"), (7, 6)  # coarse: of the same mesh both times
+NOTHING = Series(np.empty(0), np.empty(0), np.empty(0))
+
+
+def evidence_of(true, pressure):
+    """The rest at a pressure, as 3 um of noise leave it."""
+    empty = Hold(true.markers.p_SM, np.zeros((true.markers.count, 3, 3)), pressure, None)
+    seen = simulate(true, Evidence("made", None, empty, (), NOTHING, ()), mesh=MESH)[0].p_SM
+    noise = np.random.default_rng(round(pressure)).normal(0, 3e-6, seen.shape)
+    cov = np.broadcast_to(9e-12 * np.eye(3), (len(seen), 3, 3))
+    return Evidence(f"{pressure:g} Pa", None, Hold(seen + noise, cov, pressure, None), (), NOTHING, ())
+
+
+@pytest.fixture(scope="module")
+def true():
+    return replace(DESIGN, membrane=replace(DESIGN.membrane, young=1.2e6, pre_stretch=1.04))
+
+
+def test_two_pressures_tell_modulus_and_pre_stretch(true):
+    """Tension holds the sheet at 0.5 kPa, the modulus at 3 kPa: with heights of 1-4 mm known to a few um each is known to a
+    percent or two, and the covariance covers the error."""
+    found = fit_sheet(DESIGN, [evidence_of(true, p) for p in (500.0, 3000.0)], known={}, touch_sd=5e-5, mesh=MESH)
+    assert found.values["young"] == pytest.approx(1.2e6, rel=0.03)
+    assert found.values["pre_stretch"] == pytest.approx(1.04, abs=0.002)
+    off = np.array([found.values["young"] - 1.2e6, found.values["pre_stretch"] - 1.04])
+    assert off @ np.linalg.solve(found.cov, off) < 9.2  # 99 % of two numbers
+
+
+def test_one_pressure_does_not(true):
+    """One height: only a stiffer sheet that is less stretched can be told from nothing."""
+    found = fit_sheet(DESIGN, [evidence_of(true, 1000.0)], known={}, touch_sd=5e-5, mesh=MESH)
+    sd = np.sqrt(np.diag(found.cov))
+    assert found.cov[0, 1] / (sd[0] * sd[1]) < -0.9
+    assert sd[0] > 0.05e6
+
+
+def test_gauss_newton_is_least_squares_for_a_linear_model():
+    rng = np.random.default_rng(0)
+    A, b = rng.normal(size=(20, 3)), rng.normal(size=20)
+
+    def residuals(x):
+        return A @ x - b
+
+    free = np.full(3, math.inf)
+    found = gauss_newton(residuals, differences(residuals, np.full(3, 1e-3)), np.zeros(3), low=-free, high=free)
+    assert found.x == pytest.approx(np.linalg.lstsq(A, b, rcond=None)[0], abs=1e-7)
+    assert found.information == pytest.approx(A.T @ A, abs=1e-7)
