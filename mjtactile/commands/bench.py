@@ -17,6 +17,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
               and where the time goes
   perception  marker accuracy against the Cramer-Rao bound, and speed, next to OpenCV's tools
   touch       force, shear, torque, patch, smallest touch, slip and error bars, random indenters
+  slip        two hundred random slips and holds: how many are said, how soon, how often falsely
   material    class and modulus of random bodies, probed
   stability   more than 300 hard cases of the simulation, each judged by physics
   rig         the emulated rig: loop rate, latency, reaction to every fault, host killed
@@ -36,6 +37,7 @@ examples:
 BENCHMARKS = {"grasp": "mjtactile.bench.grasp", "speed": "mjtactile.bench.speed", "accuracy": "mjtactile.bench.accuracy.run",
               "effects": "mjtactile.bench.effects", "perception": "mjtactile.bench.perception.run",
               "material": "mjtactile.bench.material", "touch": "mjtactile.bench.touch.run",
+              "slip": "mjtactile.bench.slip.run",
               "rig": "mjtactile.bench.rig.run", "stability": "mjtactile.bench.stability.run",
               "truth": "mjtactile.bench.truth.run",
               "numbers": "mjtactile.bench.numbers"}

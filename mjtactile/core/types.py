@@ -211,10 +211,11 @@ SLIP_STATES: tuple[str, ...] = get_args(SlipState)
 
 @dataclass(frozen=True, eq=False)
 class Slip:
-    """Whether the object slips on the membrane. `state` is one of SLIP_STATES; "none": nothing touches.
+    """Whether the object slips on the membrane. `state` is one of SLIP_STATES; "none": nothing touches; "slipping": all of the
+    contact slides, as seen, whatever the friction; "incipient": most of the friction is used up, as far as it is known.
 
-    `velocity` (2,) m/s of the object over the membrane, S; `distance` m slipped since the touch began; `stick_ratio`
-    the share of the contact whose shear is below what friction can hold there.
+    `velocity` (2,) m/s of the object over the membrane, S (noise while it sticks); `distance` m slipped since the touch began;
+    `stick_ratio` the share of the contact whose shear is below what friction can hold there.
     """
 
     state: SlipState

@@ -64,6 +64,32 @@ def friction_along(world: World, sensor: int, mu: float, direction: Array) -> fl
     return float(sums[0] / sums[1])
 
 
+def sliding(world: World, sensor: int) -> tuple[float, float]:
+    """How membrane `sensor` slides over what touches it: the share of friction's limit that resists the rigid motion, a
+    translation and a turn about the sensor's axis, which describes the sliding best (1: everything slides), and the speed of that
+    motion, m/s, rms over the contact by its force."""
+    data, device = world.data, world.sensors[sensor]
+    mine = np.isin(data.contact.geom, device.vertex_geom_ids)
+    rows = np.flatnonzero(mine.any(axis=1) & (data.contact.efc_address >= 0))
+    if not len(rows):
+        return 0.0, 0.0
+    velocity, first = np.empty(data.nefc), data.contact.efc_address[rows]
+    mujoco.mj_mulJacVec(world.model, data, velocity, data.qvel)
+    sign = np.where(mine[rows, 1], 1.0, -1.0)[:, None]
+    planes = data.contact.frame[rows].reshape(-1, 3, 3)[:, 1:]
+    v_W, f_W = (sign * np.einsum("nk,nkj->nj", np.stack([rate[first + 1], rate[first + 2]], axis=1), planes)
+                for rate in (velocity, data.efc_force))
+    normal = data.efc_force[first]
+    share = normal / max(float(normal.sum()), 1e-9)
+    arm = data.contact.pos[rows] - share @ data.contact.pos[rows]
+    around = np.cross(data.xmat[device.body_id].reshape(3, 3)[:, 2], arm)
+    mean, turn = share @ v_W, float(share @ (around * v_W).sum(axis=1)) / max(float(share @ (around**2).sum(axis=1)), 1e-12)
+    along = np.einsum("nk,nkj->nj", np.einsum("nj,nkj->nk", mean + turn * around, planes), planes)
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    used = -float((along * f_W).sum()) / max(float(data.contact.friction[rows, 0] @ normal), 1e-9)
+    return used, float(np.sqrt(mean @ mean + turn**2 * (share @ (arm**2).sum(axis=1))))
+
+
 def contact_torque(world: World, sensor: int) -> Array:
     """Total torque (3,) N m of the contact forces on membrane `sensor` about the origin of S."""
     return contact_wrench(world, sensor)[3:]

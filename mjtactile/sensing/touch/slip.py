@@ -1,34 +1,49 @@
-"""Does the object slip on the membrane? From the share of friction that shear uses up, and from where the patch is.
+"""Does the object slip on the membrane? From the place of the touch on the rubber, against what the rubber itself does.
 
-Two signs. Coulomb: shear beyond friction times normal force cannot be held; long before, the rim of the contact slips
-while its middle sticks, and the sticking share of the area is (1 - Q / mu N)^(2/3) (Cattaneo 1938, Mindlin 1949).
-Kinematics: markers are material points, so the patch's centroid is known in the membrane's *material* coordinates.
-While the object sticks it stays there, however much the membrane is dragged along; a patch that wanders over the
-material slips (or rolls). The second needs the friction coefficient only to tell slip from rolling (Eq. F14).
+Markers are material points, so that the centre of pressure is known in the membrane's *material* coordinates. While the
+object sticks it stays there, however far the membrane is dragged along; when the object slips it goes along the shear
+force with the object, and the rubber under it no longer follows. Nothing in this needs a coefficient of friction.
+What else moves a centre of pressure is allowed for: partial slip, which goes with how far the rubber is dragged, and an
+object that leans, which goes with the change of shear over normal force and the contact's length squared. Against what is
+then left, a ramp that began a few images ago is tested by its matched filter (Eq. F14). A patch that wanders without shear
+rolls.
+
+The share of friction that is used up, and with it the sticking share (1 - Q / mu N)^(2/3) of the area (Cattaneo 1938, Mindlin
+1949), needs the coefficient: the sensor file's, until a slip or a hold beyond it has shown another.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mjtactile.core.status import Status, StatusCode
-from mjtactile.core.types import Array, Contact, Slip
+from mjtactile.core.types import Array, Contact, Slip, SlipState
 from mjtactile.sensing.force.inverse import InverseMembrane, Shape
 from mjtactile.sensing.settings import DEFAULTS, SlipSettings
 
 
 @dataclass(frozen=True, eq=False)
-class SlipHistory:
-    """What the next frame needs: `time` s, the strongest patch's centroid `p` and the place `stuck` where it stuck
-    (material coordinates, m), its `velocity` m/s, the `distance` m slipped, and the sensor file's `friction`."""
+class SlipSample:
+    """One image: `time` s, centre of pressure `p` (2,) m on the material, the way `dragged` (3,) m of the rubber under it since
+    the touch began, and the shear over the normal force, `ratio` (3,)."""
 
     time: float
     p: Array
-    stuck: Array
-    velocity: Array
+    dragged: Array
+    ratio: Array
+
+
+@dataclass(frozen=True, eq=False)
+class SlipHistory:
+    """What the next image needs: the last `samples`, the nodes' `weight` (J,) and `position` (J, 3) m, the `distance` m slipped,
+    and the coefficient of `friction` as far as it is known."""
+
+    samples: tuple[SlipSample, ...]
+    weight: Array
+    position: Array
     distance: float
     friction: float
 
@@ -39,37 +54,81 @@ def unknown(code: StatusCode, reason: str) -> Slip:
 
 def judge(time: float, estimator: InverseMembrane, shape: Shape, patches: Sequence[Contact],
           before: SlipHistory | None, s: SlipSettings = DEFAULTS.slip) -> tuple[Slip, SlipHistory | None]:
-    """Slip state of the strongest patch at `time` s, and the history for the next frame (None: the touch has ended)."""
+    """Slip state of the strongest patch at `time` s, and the history for the next image (None: the touch has ended)."""
     if not patches:
         return Slip("none", np.zeros(2), 0.0, 1.0), None
     normal, shear = split(patches[0].force, mean_normal(estimator, shape))
     if normal < s.least_force:
         return unknown(StatusCode.TOO_WEAK, f"a force of {normal:.3f} N is too small"), before
-    p = material_centroid(estimator, shape, s.core_share)
-    if before is None or time <= before.time:
-        now = SlipHistory(time, p, p, np.zeros(2), 0.0, estimator.design.membrane.friction)
-    else:
-        now = _advance(before, time, p, used=float(np.linalg.norm(shear)) / (before.friction * normal), s=s)
-    used = float(np.linalg.norm(shear)) / max(now.friction * normal, 1e-12)
-    speed, moved = float(np.linalg.norm(now.velocity)), float(np.linalg.norm(now.p - now.stuck))
-    wandering = used > s.least_used and (speed > s.speed or moved > s.moved)
-    state = "slipping" if used > s.slipping or wandering else "incipient" if used > s.incipient else "sticking"
-    stick = max(0.0, 1 - used) ** (2 / 3)
-    return Slip(state, now.velocity, now.distance, 0.0 if state == "slipping" else stick), now
+    now = _follow(time, estimator, shape, shear / normal, before, s)
+    load = float(np.linalg.norm(shear)) / normal
+    velocity, way = _motion(now.samples, s)
+    slips = load > s.least_load and way > s.least_way and evidence(now, normal, s) > s.evidence
+    slid = max(now.distance, way) if slips and now.distance == 0 else now.distance + slips * _newest_way(now.samples)
+    friction = load if slips else max(now.friction, load)
+    used = load / friction
+    state: SlipState = "slipping" if slips else "incipient" if used > s.incipient else "sticking"
+    stick = 0.0 if slips else max(0.0, 1 - used) ** (2 / 3)
+    return Slip(state, velocity, slid, stick), replace(now, distance=slid, friction=friction)
 
 
-def _advance(before: SlipHistory, time: float, p: Array, used: float, s: SlipSettings) -> SlipHistory:
-    """History after one more frame; `used` is the share of the friction limit."""
-    step = time - before.time
-    blend = step / (step + s.memory)
-    velocity = before.velocity + blend * ((p - before.p) / step - before.velocity)
-    stuck, distance = before.stuck, before.distance
-    if used < s.least_used:  # nothing can slip: what moved the patch was the load
-        stuck = stuck + min(1.0, step / s.forget + (used < s.least_used / 2)) * (p - stuck)
-        distance = 0.0 if used < s.least_used / 2 else distance
-    else:
-        distance = max(distance, float(np.linalg.norm(p - stuck)))
-    return SlipHistory(time, p, stuck, velocity, distance, before.friction)
+def evidence(history: SlipHistory, normal: float, s: SlipSettings = DEFAULTS.slip) -> float:
+    """How many sd the centre of pressure has gone along the shear, as a ramp that began within the last `s.recent` s, beyond what
+    the rubber's own way and leaning explain (Eq. F14); `normal` N presses."""
+    samples = history.samples
+    time = np.array([sample.time for sample in samples])
+    along = samples[-1].ratio / max(float(np.linalg.norm(samples[-1].ratio)), 1e-12)
+    way = np.array([sample.p for sample in samples]) @ along[:2]
+    dragged, ratio = (np.array([getattr(sample, name) for sample in samples]) @ along for name in ("dragged", "ratio"))
+    size, length = _extent(history, along)
+    sd = s.noise * (size / s.noise_size) ** s.noise_size_power * normal**s.noise_force_power
+    lean = s.lean * (length / s.noise_size) ** 2
+    most = 0.0
+    for b in range(s.least_before, len(samples)):  # the first image of the ramp
+        if time[-1] - time[b] > s.recent:
+            continue
+        a = int(np.searchsorted(time, time[b] - s.baseline))
+        excess = [values[b:] - values[a:b].mean() for values in (way, dragged, ratio)]
+        left = excess[0] - s.follows * np.abs(excess[1]) - lean * np.abs(excess[2])
+        if left[-1] > s.least_way:
+            ramp = time[b:] - time[b - 1]
+            most = max(most, float(ramp @ left) / (sd * float(np.sqrt(ramp @ ramp + ramp.sum() ** 2 / (b - a)))))
+    return most
+
+
+def _follow(time: float, estimator: InverseMembrane, shape: Shape, ratio: Array, before: SlipHistory | None,
+            s: SlipSettings) -> SlipHistory:
+    """History with the newest image's sample; begun anew at the touch, and after a gap."""
+    weight, position = _pressed(estimator, shape, s.core_share), estimator.node_positions(shape.c)
+    p = weight @ estimator.nodes
+    if before is None or not 0 < time - before.samples[-1].time < s.gap:
+        friction = estimator.design.membrane.friction if before is None else before.friction
+        return SlipHistory((SlipSample(time, p, np.zeros(3), ratio),), weight, position, 0.0, friction)
+    step = 0.5 * (weight + before.weight) @ (position - before.position)
+    sample = SlipSample(time, p, before.samples[-1].dragged + step, ratio)
+    kept = tuple(old for old in before.samples if time - old.time < s.recent + s.baseline)
+    return SlipHistory((*kept, sample), weight, position, before.distance, before.friction)
+
+
+def _motion(samples: Sequence[SlipSample], s: SlipSettings) -> tuple[Array, float]:
+    """Velocity (2,) m/s of the centre of pressure over the material, and its way along the shear, m, over the last
+    `s.recent` s."""
+    first = next(old for old in samples if samples[-1].time - old.time <= s.recent)
+    way, elapsed = samples[-1].p - first.p, samples[-1].time - first.time
+    along = samples[-1].ratio[:2] / max(float(np.linalg.norm(samples[-1].ratio)), 1e-12)
+    return (way / elapsed if elapsed > 0 else np.zeros(2)), float(way @ along)
+
+
+def _newest_way(samples: Sequence[SlipSample]) -> float:
+    """How far the centre of pressure went in the newest image, m."""
+    return float(np.linalg.norm(samples[-1].p - samples[-2].p)) if len(samples) > 1 else 0.0
+
+
+def _extent(history: SlipHistory, along: Array) -> tuple[float, float]:
+    """Radius of gyration of the pressure, m, and its sd along the direction (3,)."""
+    off = history.position - history.weight @ history.position
+    flat = off[:, :2]
+    return (float(np.sqrt(history.weight @ (off**2).sum(axis=1))), float(np.sqrt(history.weight @ (flat @ along[:2]) ** 2)))
 
 
 def split(force: Array, normal: Array) -> tuple[float, Array]:
@@ -85,8 +144,8 @@ def mean_normal(estimator: InverseMembrane, shape: Shape) -> Array:
     return n / max(float(np.linalg.norm(n)), 1e-30) if weight.any() else np.array([0.0, 0.0, 1.0])
 
 
-def material_centroid(estimator: InverseMembrane, shape: Shape, core_share: float = DEFAULTS.slip.core_share) -> Array:
-    """Centre of pressure (2,) m in the coordinates of the mounted flat sheet; less than `core_share` of the peak is no touch."""
+def _pressed(estimator: InverseMembrane, shape: Shape, core_share: float) -> Array:
+    """Share (J,) of the pressing force at each node; less than `core_share` of the peak is no touch."""
     weight = np.maximum(-shape.traction[2], 0.0) * estimator.node_area
     weight = np.maximum(weight - core_share * weight.max(), 0.0)
-    return weight @ estimator.nodes / weight.sum()
+    return weight / weight.sum()

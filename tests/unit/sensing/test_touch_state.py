@@ -1,4 +1,4 @@
-"""Touch or none, the zero that follows drift, and slip: on made-up frames whose answer is known."""
+"""Touch or none, and the zero that follows drift: on made-up frames whose answer is known."""
 
 from __future__ import annotations
 
@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 from mjtactile.core.design import load_sensor
-from mjtactile.core.types import SLIP_STATES, Markers, Traction
+from mjtactile.core.types import Markers, Traction
 from mjtactile.sensing.chain import Chain
 from mjtactile.sensing.force import zero
 from mjtactile.sensing.force.inverse import InverseMembrane
 from mjtactile.sensing.force.sheet import Gas
-from mjtactile.sensing.touch import slip
-from mjtactile.sensing.touch.patches import find_patches
 
 SUPPLY, FRAME = 1000.0, 1 / 30
 NOISE = np.array([2e-6, 2e-6, 6e-6])  # m, sd of a marker
@@ -122,52 +120,7 @@ def test_zero_is_frozen_in_contact_and_a_lost_zero_is_said():
     assert "pulled" in touch.status and np.isnan(touch.force_normal)
 
 
-# -- slip -------------------------------------------------------------------------------------------------------------
-
-
-def judge_run(sensor, forces, places, start=0.0):
-    """Slip verdicts for a sequence of loads (3,) N and their places (2,) m on the material."""
-    estimator, rest = sensor
-    shape = estimator.estimate(seen(estimator, rest.c), rest)
-    history, verdicts = None, []
-    for k, (force, place) in enumerate(zip(forces, places, strict=True)):
-        now = replace(shape, traction=parabola(estimator, force, place))
-        verdict, history = slip.judge(start + k * FRAME, estimator, now, find_patches(estimator, now, rest), history)
-        verdicts.append(verdict)
-    return verdicts
-
-
 def parabola(estimator, force, place, radius=5e-3):
     """Nodal tractions (3, J) Pa of a parabolic patch with resultant (3,) N at `place` (2,) m of the flat sheet."""
     weight = np.clip(1 - np.sum((estimator.nodes - place) ** 2, axis=1) / radius**2, 0, None)
     return np.outer(force, weight / (weight @ estimator.node_area))
-
-
-def test_slip_states(sensor):
-    mu, still = sensor[0].design.membrane.friction, [(0.0, 0.0)] * 20
-    assert judge_run(sensor, [(0.1, 0, -0.5)] * 20, still)[-1].state == "sticking"
-    assert judge_run(sensor, [(0.8 * mu * 0.5, 0, -0.5)] * 20, still)[-1].state == "incipient"
-    assert judge_run(sensor, [(1.0 * mu * 0.5, 0, -0.5)] * 20, still)[-1].state == "slipping"
-    assert judge_run(sensor, [(0, 0, -0.01)], still[:1])[-1].state == "unknown"
-    none, history = slip.judge(0.0, sensor[0], sensor[0].estimate(seen(sensor[0], sensor[1].c), sensor[1]), (), None)
-    assert none.state == "none" and history is None and {"none", "unknown"} < set(SLIP_STATES)
-
-
-def test_stick_ratio_is_mindlins(sensor):
-    mu = sensor[0].design.membrane.friction
-    for used in (0.2, 0.5, 0.8):
-        verdict = judge_run(sensor, [(used * mu * 0.5, 0, -0.5)], [(0.0, 0.0)])[-1]
-        assert verdict.stick_ratio == pytest.approx((1 - used) ** (2 / 3), abs=0.06)  # the patch's normal is not quite z
-
-
-def test_a_patch_that_wanders_over_the_material_slips_with_its_speed(sensor):
-    """Below the friction limit that the sensor file gives: the object is smoother than thought."""
-    speed, count = 8e-3, 25
-    mu = sensor[0].design.membrane.friction
-    places = [(speed * k * FRAME - 3e-3, 0.0) for k in range(count)]
-    verdicts = judge_run(sensor, [(0.5 * mu * 0.5, 0, -0.5)] * count, places)
-    first = next(k for k, v in enumerate(verdicts) if v.state == "slipping")
-    assert speed * first * FRAME < 5e-4 + speed * FRAME  # within 0.5 mm, to a frame
-    # a parabola of 5 mm on a grid of 3 mm: its centroid moves unevenly, right on average over a grid cell
-    assert np.mean([v.velocity[0] for v in verdicts[8:]]) == pytest.approx(speed, rel=0.25)
-    assert abs(verdicts[-1].velocity[1]) < 1e-3

@@ -1,0 +1,144 @@
+"""Slip-aware grasp: grip as gently as the object lets, and harder as soon as it slips or is about to.
+
+Closes to a quarter of a newton, then lifts; the force that each finger should feel grows with what is said of slip, within a
+limit, and never shrinks while the object is held. The hand waits while it grips harder. `step` is pure: what it must remember
+it writes into `Command.memory` and finds again in `Observation.command.memory`.
+"""
+
+from dataclasses import replace
+from math import isfinite
+
+from mjtactile.types import Command, Observation
+
+FIRST_FORCE, FORCE_MOST = 0.25, 1.6  # N on each finger: what it begins with, and what it never asks for more of
+SLIPPING_SHARE, SLIPPING_STEP = 0.3, 0.1  # of the force felt, and N: how much harder it grips at a slip
+SLIP_PAUSE = 0.15  # s until a slip that goes on counts again: what the grip needs to follow
+INCIPIENT_RATE = 0.6  # N/s while slip is about to begin
+KICK = 0.001  # m that the jaws close at once at a slip: about 0.15 N of two soft membranes
+TOUCH_FORCE = 0.08  # N: several times the noise of the estimate
+SERVO_FORCE_LIMIT = 4.0  # N: the most that the servo may push, whatever is felt
+CLOSING_SPEED, OPENING_SPEED = 0.020, 0.040  # m/s
+REGULATION_GAIN, REGULATION_SPEED_MAX = 0.03, 0.010  # m/s for each N of error, as in gentle.py; m/s
+LIFT_HEIGHT, LIFT_SPEED = 0.040, 0.025  # m, m/s: slow, so that slip is said before much of it
+SETTLE_TIME, HOLD_TIME, GRIP_TIMEOUT = 0.4, 2.0, 6.0
+FORCE_TOLERANCE = 0.06  # N around the target that counts as settled
+BLIND_TIME_MAX = 0.5  # s without a usable image before giving up
+LOST_TIME = 0.3  # s without a touch: the object stays behind
+RELEASE_OPENING = 0.012  # m to open beyond the grip before the run ends
+START = {"phase_time": 0.0, "settled_time": 0.0, "blind_time": 0.0, "lost_time": 0.0, "target": FIRST_FORCE, "since_slip": 1.0,
+         "slips": 0.0}
+
+
+def step(observation: Observation) -> Command:
+    """One control cycle: dispatch on the phase that the last command was in."""
+    period, felt = observation.period, [touch.force_normal for touch in observation.touch]
+    memory = {**START, **observation.command.memory}
+    memory["phase_time"] += period
+    memory["since_slip"] += period
+    command = replace(observation.command, force_limit=SERVO_FORCE_LIMIT, memory=memory)
+    if not all(isfinite(force) for force in felt):  # unknown is not zero: stand still, then give up
+        command = _remember(command, blind_time=memory["blind_time"] + period)
+        return _go(command, "abort") if command.memory["blind_time"] > BLIND_TIME_MAX else command
+    lost_time = 0.0 if max(felt) > TOUCH_FORCE else memory["lost_time"] + period
+    command = _remember(command, blind_time=0.0, lost_time=lost_time)
+    if command.phase in ("lift", "hold", "lower"):
+        if lost_time > LOST_TIME:
+            return _remember(_go(command, "release"), grip_opening=command.opening, lost=1.0)
+        command = _grip_as_needed(observation, command, felt)
+    return _PHASES[command.phase](observation, command, felt)
+
+
+def _go(command: Command, phase: str, **changes) -> Command:
+    """Enter `phase` with its clocks at zero."""
+    return replace(_remember(command, phase_time=0.0, settled_time=0.0), phase=phase, **changes)
+
+
+def _remember(command: Command, **values: float) -> Command:
+    return replace(command, memory={**command.memory, **values})
+
+
+def _grip_as_needed(observation: Observation, command: Command, felt: list[float]) -> Command:
+    """Raise the target for what any finger says of slip; at a slip also close at once."""
+    memory = command.memory
+    states = [touch.slip.state if touch.slip is not None else "unknown" for touch in observation.touch]
+    if "slipping" in states and memory["since_slip"] >= SLIP_PAUSE:
+        target = min(FORCE_MOST, max(memory["target"], *felt) * (1 + SLIPPING_SHARE) + SLIPPING_STEP)
+        kick = KICK if target > memory["target"] else 0.0
+        command = replace(command, opening=command.opening - kick)
+        return _remember(command, target=target, since_slip=0.0, slips=memory["slips"] + 1)
+    if "incipient" in states and max(felt) > memory["target"] - FORCE_TOLERANCE:  # it has what it asked for, and needs more
+        return _remember(command, target=min(FORCE_MOST, memory["target"] + INCIPIENT_RATE * observation.period))
+    return command
+
+
+def _regulated(observation: Observation, command: Command, felt: list[float]) -> Command:
+    """Move the opening so that the mean felt force goes to the target; stay within reach of the real opening."""
+    error = command.memory["target"] - sum(felt) / len(felt)
+    speed = max(-REGULATION_SPEED_MAX, min(REGULATION_SPEED_MAX, REGULATION_GAIN * error))
+    actual, opening = observation.gripper.opening, command.opening - speed * observation.period
+    return replace(command, opening=max(actual - 0.004, min(actual + 0.004, opening)))
+
+
+def _approach(observation: Observation, command: Command, felt: list[float]) -> Command:
+    """Close at a steady speed until either finger feels something, slower until both do."""
+    if min(felt) > TOUCH_FORCE or max(felt) > command.memory["target"]:
+        return _go(command, "regulate")
+    if observation.gripper.opening <= 0.001 or (command.phase == "close" and command.memory["phase_time"] > GRIP_TIMEOUT):
+        return _go(command, "abort")  # closed on nothing, or on what gives way
+    if command.phase == "approach" and max(felt) > TOUCH_FORCE:
+        return _go(command, "close")
+    speed = CLOSING_SPEED if command.phase == "approach" else 0.3 * CLOSING_SPEED
+    return replace(command, opening=command.opening - speed * observation.period)
+
+
+def _regulate(observation: Observation, command: Command, felt: list[float]) -> Command:
+    """Bring the force to the target and wait until it stays there."""
+    command = _regulated(observation, command, felt)
+    settled = abs(sum(felt) / len(felt) - command.memory["target"]) < FORCE_TOLERANCE
+    settled_time = command.memory["settled_time"] + observation.period if settled else 0.0
+    if settled_time >= SETTLE_TIME:
+        return _go(command, "lift")
+    if command.memory["phase_time"] > GRIP_TIMEOUT:
+        return _go(command, "abort")
+    return _remember(command, settled_time=settled_time)
+
+
+def _lift(observation: Observation, command: Command, felt: list[float]) -> Command:
+    command = _regulated(observation, command, felt)
+    if command.memory["since_slip"] < 2 * SLIP_PAUSE or sum(felt) / len(felt) < command.memory["target"] - FORCE_TOLERANCE:
+        return command  # grip first
+    if observation.gripper.lift_height > LIFT_HEIGHT - 0.001:
+        return _go(command, "hold")
+    return replace(command, lift_height=min(LIFT_HEIGHT, command.lift_height + LIFT_SPEED * observation.period))
+
+
+def _hold(observation: Observation, command: Command, felt: list[float]) -> Command:
+    command = _regulated(observation, command, felt)
+    return _go(command, "lower") if command.memory["phase_time"] >= HOLD_TIME else command
+
+
+def _lower(observation: Observation, command: Command, felt: list[float]) -> Command:
+    command = _regulated(observation, command, felt)
+    height = max(0.0, command.lift_height - LIFT_SPEED * observation.period)
+    command = replace(command, lift_height=height)
+    if height == 0.0 and observation.gripper.lift_height < 0.001:
+        return _remember(_go(command, "release"), grip_opening=command.opening)
+    return command
+
+
+def _release(observation: Observation, command: Command, felt: list[float]) -> Command:
+    """Open until the fingers are clear of the object."""
+    goal = command.memory["grip_opening"] + RELEASE_OPENING
+    if observation.gripper.opening > goal - 0.001 and max(felt) < TOUCH_FORCE:
+        return _go(command, "abort" if "lost" in command.memory else "done")
+    if command.memory["phase_time"] > GRIP_TIMEOUT:
+        return _go(command, "abort")
+    return replace(command, opening=min(goal, command.opening + OPENING_SPEED * observation.period))
+
+
+def _end(observation: Observation, command: Command, felt: list[float]) -> Command:
+    return command
+
+
+_PHASES = {"approach": _approach, "close": _approach, "regulate": _regulate, "lift": _lift, "hold": _hold,
+           "lower": _lower, "release": _release, "done": _end, "abort": _end}

@@ -1,0 +1,97 @@
+"""Random cases of slip and of holding, each drawn from its seed: what is held, how hard, and how it is pulled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+BODIES = ("ball", "box", "cylinder", "lying cylinder", "soft block", "soft ball")
+FRICTION = (0.3, 1.2)
+SPEED = (2e-3, 40e-3)  # m/s that a slipping body comes to, where nothing moves it
+_SHEAR_MOST = 1.0  # N that the membrane is sheared by: more wrinkles it
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way to load what is held. `load` is what grows: a "pull", a "torque", a "shake" of the hand, a "drag" past an anchored
+    object, the "grip" that is opened under a pull, "one" finger that moves, "roll": both, against each other, "squeeze" or
+    "tap": none. `share` is the range of its peak, in limits of friction (mm of way for what is moved), `rise` the time to it, s
+    (speed for what is moved, mm/s); `stays` whether the peak is held, else the load goes on growing."""
+
+    load: str
+    share: tuple[float, float]
+    rise: tuple[float, float]
+    stays: bool = True
+
+
+SLIPS = {
+    "pull": Way("pull", (1.3, 2.0), (0.4, 1.8), stays=False),
+    "too heavy": Way("pull", (1.05, 1.4), (0.2, 1.0)),
+    "sudden": Way("pull", (1.2, 2.0), (0.02, 0.06)),
+    "grip opened": Way("grip", (0.4, 0.8), (0.5, 3.0)),
+    "drag": Way("drag", (3.0, 6.0), (1.0, 10.0)),
+    "shaken loose": Way("shake", (1.2, 2.0), (0.2, 0.5)),
+    "torsion": Way("torque", (1.2, 2.0), (0.3, 1.5), stays=False),
+    "one of two": Way("one", (2.5, 4.0), (1.0, 10.0)),
+}
+HOLDS = {
+    "pulled": Way("pull", (0.2, 0.8), (0.2, 1.5)),
+    "lifted": Way("pull", (0.3, 0.8), (0.1, 0.5)),
+    "jerked": Way("pull", (0.2, 0.6), (0.02, 0.06)),
+    "grip eased": Way("grip", (0.2, 0.4), (0.5, 2.0)),
+    "shaken": Way("shake", (0.2, 0.7), (0.2, 0.5)),
+    "twisted": Way("torque", (0.2, 0.5), (0.3, 1.5)),
+    "sheared": Way("one", (0.1, 0.4), (1.0, 5.0)),
+    "rolled": Way("roll", (0.5, 1.5), (1.0, 5.0)),
+    "squeezed": Way("squeeze", (0.1, 0.6), (0.1, 0.5)),
+    "tapped": Way("tap", (0.3, 2.0), (0.05, 0.2)),
+}
+
+
+@dataclass(frozen=True)
+class SlipCase:
+    """One case. `size` m of the body (radius, half an edge), `mass` kg, `friction` of the left and the right membrane against it,
+    `grip` N on each, `offset` (2,) m of the body from the membranes' middles, `angle` rad of
+    the pull in their plane, `speed` m/s that a body that slips
+    comes to."""
+
+    seed: int
+    name: str
+    slips: bool
+    way: Way
+    body: str
+    size: float
+    mass: float
+    friction: tuple[float, float]
+    grip: float
+    offset: tuple[float, float]
+    angle: float
+    share: float
+    rise: float
+    speed: float
+    frequency: float
+
+
+def draw_case(seed: int) -> SlipCase:
+    """Slips and holds take turns, so do their ways; bodies are drawn, like all else."""
+    rng = np.random.default_rng([seed, 12])
+    ways = SLIPS if seed % 2 == 0 else HOLDS
+    name = list(ways)[seed // 2 % len(ways)]
+    way, body = ways[name], BODIES[rng.integers(len(BODIES))]
+    mu = float(rng.uniform(*FRICTION))
+    other = mu
+    if way.load == "one":  # the left one slips or both hold
+        other = min(FRICTION[1], mu * rng.uniform(1.5, 2.5))
+        mu = other / rng.uniform(1.5, 2.5)
+    if way.load == "roll":
+        body = ("ball", "lying cylinder")[rng.integers(2)]
+    friction = (max(mu, FRICTION[0]), max(other, FRICTION[0]))
+    size = rng.uniform(7e-3, 16e-3)
+    mass = rng.uniform(0.08, 0.2) if way.load == "shake" else rng.uniform(0.005, 0.06)
+    return SlipCase(seed, name, way is SLIPS.get(name), way, body, float(size), float(mass), friction,
+                    grip=float(min(rng.uniform(0.25, 1.5), _SHEAR_MOST / max(friction))),
+                    offset=(float(rng.uniform(-4e-3, 4e-3)), float(rng.uniform(-3e-3, 3e-3))),
+                    angle=float(rng.uniform(0, 2 * np.pi)), share=float(rng.uniform(*way.share)),
+                    rise=float(rng.uniform(*way.rise)), speed=float(np.exp(rng.uniform(*np.log(SPEED)))),
+                    frequency=float(rng.uniform(4, 8)))

@@ -1,0 +1,150 @@
+"""Slip on made-up sequences whose answer is known: patches that stick, slide, roll, turn, and shake within their noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mjtactile.core.design import load_sensor
+from mjtactile.core.types import SLIP_STATES, Markers
+from mjtactile.sensing.force.inverse import InverseMembrane, InverseRest
+from mjtactile.sensing.force.sheet import Gas
+from mjtactile.sensing.settings import DEFAULTS
+from mjtactile.sensing.touch import slip
+from mjtactile.sensing.touch.patches import find_patches
+
+RATE, NORMAL = 30.0, 0.6
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    """An estimator, and a flat sheet's shape: its normal is z, so that loads are what they are said to be."""
+    estimator = InverseMembrane(load_sensor("dense"))
+    c = np.zeros((3, estimator.sheet.count))
+    rest = InverseRest(Gas(0.0), 1.0, c, np.zeros((estimator.design.markers.count, 3)))
+    markers_p = estimator.positions(c)
+    count = len(markers_p)
+    markers = Markers(np.arange(count), markers_p, np.full((count, 3), np.nan), np.tile(1e-11 * np.eye(3), (count, 1, 1)))
+    return estimator, rest, estimator.estimate(markers, rest)
+
+
+def patch(estimator, force, place, radius=6e-3):
+    """Nodal tractions (3, J) Pa of a parabolic patch with resultant (3,) N at `place` (2,) m of the flat sheet."""
+    weight = np.clip(1 - np.sum((estimator.nodes - place) ** 2, axis=1) / radius**2, 0, None)
+    return np.outer(force, weight / (weight @ estimator.node_area))
+
+
+def verdicts(sensor, shear, place, dragged=None, turned=None, rate=RATE):
+    """What is said of each image. `shear` (k,) N and `place` (k,) m along x, the sheet `dragged` along x by (k,) m and `turned`
+    about z by (k,) rad."""
+    estimator, rest, flat = sensor
+    count, history, said = len(shear), None, []
+    dragged = np.zeros(count) if dragged is None else dragged
+    turned = np.zeros(count) if turned is None else turned
+    for k in range(count):
+        c = np.zeros_like(flat.c)
+        c[0] = dragged[k]  # splines add up to one
+        if turned[k]:
+            x, y = (np.linalg.lstsq(estimator._at_nodes, axis, rcond=None)[0] for axis in estimator.nodes.T)
+            c[:2] = np.cos(turned[k]) * np.array([x, y]) + np.sin(turned[k]) * np.array([-y, x]) - np.array([x, y])
+        shape = replace(flat, c=c, traction=patch(estimator, (shear[k], 0.0, -NORMAL), (place[k], 0.0)))
+        verdict, history = slip.judge(k / rate, estimator, shape, find_patches(estimator, shape, rest), history)
+        said.append(verdict)
+    return said
+
+
+def states(said):
+    return [verdict.state for verdict in said]
+
+
+def ramp(before, rising, after=0):
+    """0, then a rise to 1, then 1."""
+    return np.r_[np.zeros(before), np.linspace(0, 1, rising + 1)[1:], np.ones(after)]
+
+
+def test_states_that_need_no_history(sensor):
+    mu = sensor[0].design.membrane.friction
+    for share, state in ((0.1, "sticking"), (0.8, "incipient"), (1.1, "incipient")):  # beyond the file's friction, but it holds
+        assert states(verdicts(sensor, np.full(9, share * mu * NORMAL), np.zeros(9)))[-1] == state
+    none, history = slip.judge(0.0, sensor[0], sensor[2], (), None)
+    assert none.state == "none" and history is None and {"none", "unknown"} < set(SLIP_STATES)
+
+
+def test_stick_ratio_is_mindlins(sensor):
+    mu = sensor[0].design.membrane.friction
+    for used in (0.2, 0.5, 0.8):
+        assert verdicts(sensor, [used * mu * NORMAL], [0.0])[0].stick_ratio == pytest.approx((1 - used) ** (2 / 3), abs=1e-6)
+
+
+def test_what_sticks_and_is_dragged_along_does_not_slip(sensor):
+    """Rigid translation by 2 mm: shear grows, the patch stays where it was on the material."""
+    grown = ramp(10, 20, 20)
+    said = verdicts(sensor, 0.8 * NORMAL * grown, np.zeros(50), dragged=2e-3 * grown)
+    assert set(states(said)) <= {"sticking", "incipient"} and said[-1].distance == 0.0
+
+
+@pytest.mark.parametrize(("speed", "rate"), [(2e-3, 30.0), (2e-3, 60.0), (5e-3, 30.0), (-5e-3, 30.0), (20e-3, 60.0)])
+def test_a_patch_that_goes_along_the_shear_while_the_rubber_stays_slips(sensor, speed, rate):
+    """Gross slip at constant shear: said within 0.5 mm, or in the second image; its speed is the patch's."""
+    still, sliding = 12, 24
+    place = np.r_[np.zeros(still), speed * np.arange(1, sliding + 1) / rate] - np.sign(speed) * 2e-3
+    shear = np.full(still + sliding, np.sign(speed) * 0.4 * NORMAL)
+    said = verdicts(sensor, shear, place, rate=rate)
+    assert "slipping" not in states(said)[:still]
+    first = states(said).index("slipping") - still + 1
+    assert abs(speed) * first / rate < max(0.5e-3, 2.01 * abs(speed) / rate)
+    # a parabola on a grid of 3 mm: its centre moves unevenly, right on average over a cell
+    assert np.mean([v.velocity[0] for v in said[still + 8:]]) == pytest.approx(speed, rel=0.3)
+    assert said[-1].distance == pytest.approx(abs(speed) * sliding / rate, rel=0.4)
+    assert said[-1].stick_ratio == 0.0
+
+
+def test_a_slip_that_ends_is_over(sensor):
+    way = 4e-3 * ramp(12, 24, 12)
+    said = verdicts(sensor, np.full(48, 0.4 * NORMAL), way - 2e-3)
+    assert states(said)[30] == "slipping" and states(said)[-1] != "slipping"
+
+
+def test_partial_slip_is_allowed_for_and_gross_slip_after_it_is_not(sensor):
+    """Cattaneo: while its rim slides, the patch goes by a share of the rubber's way; then the rubber stops, and it goes on."""
+    grown = ramp(10, 20, 20)
+    rim = 0.3e-3 * grown
+    holds = verdicts(sensor, 0.5 * NORMAL * grown, rim, dragged=1e-3 * grown)
+    assert "slipping" not in states(holds)
+    goes_on = rim + 4e-3 / RATE * np.r_[np.zeros(30), np.arange(1, 21)]
+    slides = states(verdicts(sensor, 0.5 * NORMAL * grown, goes_on, dragged=1e-3 * grown))
+    assert "slipping" not in slides[:30] and "slipping" in slides[30:34]
+
+
+def test_rolling_and_turning_do_not_slip(sensor):
+    """A patch that wanders without shear rolls; one that turns with the rubber sticks."""
+    place = np.linspace(-2e-3, 2e-3, 40)
+    assert set(states(verdicts(sensor, np.full(40, 0.02 * NORMAL), place))) == {"sticking"}
+    said = verdicts(sensor, np.full(20, 0.4 * NORMAL), np.zeros(20), turned=np.linspace(0, 0.2, 20))
+    assert "slipping" not in states(said)
+
+
+def test_noise_alone_never_slips(sensor):
+    """1000 images whose centre scatters as `SlipSettings.noise` says: 6 sd in 4000 looks is once in 100 000 such runs."""
+    s, rng = DEFAULTS.slip, np.random.default_rng(0)
+    size = 6e-3 / np.sqrt(3)  # of a parabola: its radius of gyration
+    sd = s.noise * (size / s.noise_size) ** s.noise_size_power * NORMAL**s.noise_force_power
+    along = np.array([1.0, 0.0, 0.0]) * 0.4
+    weight = slip._pressed(sensor[0], replace(sensor[2], traction=patch(sensor[0], (0, 0, -NORMAL), (0, 0))), 0.0)
+    places = sd * rng.standard_normal((1000, 2))
+    for k in range(12, 1000):
+        samples = tuple(slip.SlipSample(j / RATE, places[j], np.zeros(3), along) for j in range(k - 12, k))
+        history = slip.SlipHistory(samples, weight, sensor[0].node_positions(sensor[2].c), 0.0, 0.9)
+        assert slip.evidence(history, NORMAL) < s.evidence
+
+
+def test_friction_is_learnt_from_a_slip_and_from_a_hold(sensor):
+    """After a slip at 0.4 N a newton, half of that is half of what holds; before, the file said 0.9."""
+    still, sliding = 12, 12
+    place = np.r_[np.zeros(still), 5e-3 / RATE * np.arange(1, sliding + 1), np.full(20, 5e-3 / RATE * sliding)]
+    shear = NORMAL * np.r_[np.full(still + sliding, 0.4), np.full(20, 0.2)]
+    said = verdicts(sensor, shear, place)
+    assert said[0].stick_ratio == pytest.approx((1 - 0.4 / 0.9) ** (2 / 3), abs=1e-6)
+    assert said[-1].stick_ratio == pytest.approx((1 - 0.5) ** (2 / 3), abs=0.02)
