@@ -24,6 +24,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   accuracy    work-precision diagrams: error of force and surface against time, every knob
   speed       two membranes holding an object: against the clock, rigid pads, mesh size
   effects     what each effect costs, and what leaving it out costs
+  fit         sensors that differ from their file, recorded and fitted: each number's error
   truth       the simulation and what is felt, against references from outside of the project
   numbers     measures nothing: the numbers of the README, from the pages of the others"""
 EPILOG = """\
@@ -39,7 +40,7 @@ BENCHMARKS = {"grasp": "mjtactile.bench.grasp", "speed": "mjtactile.bench.speed"
               "material": "mjtactile.bench.material", "touch": "mjtactile.bench.touch.run",
               "slip": "mjtactile.bench.slip.run",
               "rig": "mjtactile.bench.rig.run", "stability": "mjtactile.bench.stability.run",
-              "truth": "mjtactile.bench.truth.run",
+              "truth": "mjtactile.bench.truth.run", "fit": "mjtactile.bench.fit",
               "numbers": "mjtactile.bench.numbers"}
 """Name to module; each has `run(out, quick) -> dict`, which draws into `out`, and `table(result) -> str` in Markdown."""
 

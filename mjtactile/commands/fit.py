@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--held-out", type=Path, action="append", default=[], metavar="DIR",
                         help="a recording that is not fitted to but predicted, for a check; may be given again")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.toml", help="the sensor file to write")
-    parser.add_argument("--sensor", type=Path, metavar="FILE.toml",
+    parser.add_argument("--sensor", type=Path, metavar="NAME|FILE.toml",
                         help="the sensor file to begin from (default: that of the recordings)")
     parser.add_argument("--finger", default="left", metavar="NAME", help="which finger of the recordings (default: left)")
     parser.add_argument("--known", action="append", default=[], metavar="FIELD=VALUE",
@@ -88,5 +88,3 @@ def _known(text: str) -> tuple[str, float]:
     if not math.isfinite(value):
         raise InputError(f"{text!r} is not FIELD=NUMBER, such as membrane.thickness_mm=0.31", field="--known")
     return field.strip(), value
-
-

@@ -44,8 +44,8 @@ class Hold:
 
     @property
     def force(self) -> float:
-        """What a load cell or weight says, N; NaN: nothing."""
-        return math.nan if self.move is None else self.move.force
+        """What a load cell says, N; NaN: nothing, or a weight, which is where the depth comes from."""
+        return math.nan if self.move is None or self.move.is_weight else self.move.force
 
     @property
     def is_weighed(self) -> bool:
@@ -195,7 +195,6 @@ def _holds(design: SensorDesign, stage: Stage | None, times: Array, shots: Seque
 def _travel(before: Move | None, move: Move) -> float:
     """s that the way takes; from where nothing touches, 3 mm more."""
     lifted = -3e-3
-    start = lifted if before is None or math.isnan(before.depth) else before.depth
-    goal = lifted if math.isnan(move.depth) else move.depth
+    start, goal = (lifted if m is None or math.isnan(m.depth) else m.depth for m in (before, move))
     shear = 0.0 if before is None else before.shear
     return max(abs(goal - start), abs(move.shear - shear)) / move.speed

@@ -118,7 +118,7 @@ class _Problem:
         ends = [(s.scaled(s.low, v), s.scaled(s.high, v)) for s, v in zip(self._scales, self._nominal, strict=True)]
         low, high = np.array([*ends, *[(-np.inf, np.inf)] * len(self.runs)]).reshape(-1, 2).T
         steps = np.array([*(s.step for s in self._scales), *[1.0] * len(self.runs)])
-        n, x, rounds = len(self.names), np.zeros(len(low)), min(2, iterations)
+        n, x, rounds = len(self.names), np.zeros(len(low)), 2 if iterations > 3 else 1
         for _ in range(rounds):  # again when the noise is known
             self._sd = [_noise(p - run.pressure) for p, run in zip(self.pressures(x), self.runs, strict=True)]
             found = gauss_newton(self.residuals, differences(self.residuals, steps), x, low=low, high=high,

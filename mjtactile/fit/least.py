@@ -53,8 +53,9 @@ class Solution:
 
 
 def gauss_newton(residuals: Callable[[Array], Array], jacobian: Callable[[Array, Array], Array], x: Array, *, low: Array,
-                 high: Array, iterations: int = 6) -> Solution:
-    """Minimise the sum of squares from `x` within `low` and `high`; `jacobian(x, residuals(x))` (r, n)."""
+                 high: Array, iterations: int = 6, enough: float = _ENOUGH) -> Solution:
+    """Minimise the sum of squares from `x` within `low` and `high`; `jacobian(x, residuals(x))` (r, n). It ends when no step is
+    longer than `enough` sd."""
     now = residuals(x)
     for _ in range(iterations):
         J = jacobian(x, now)
@@ -62,7 +63,7 @@ def gauss_newton(residuals: Callable[[Array], Array], jacobian: Callable[[Array,
         ridge = 1e-9 * np.diag(np.diag(H) + 1e-12)
         goal, better = np.clip(x - np.linalg.solve(H + ridge, J.T @ now), low, high), None
         sd = np.sqrt(np.diag(np.linalg.inv(H + ridge)))
-        if np.all(np.abs(goal - x) < _ENOUGH * sd):
+        if np.all(np.abs(goal - x) < enough * sd):
             break
         for halving in range(_HALVINGS):
             there = x + (goal - x) / 2**halving

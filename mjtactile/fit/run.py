@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.core.design import FIELDS, SensorDesign, sensor_from_table
+from mjtactile.core import resources
+from mjtactile.core.design import FIELDS, SensorDesign, load_sensor, sensor_from_table
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.fit.evidence import Evidence, read_evidence
@@ -93,10 +94,8 @@ def fit_recordings(recordings: Sequence[Path], *, sensor: Path | None = None, fi
 def _sensor(recordings: Sequence[Path], sensor: Path | None) -> tuple[str, SensorDesign]:
     """The text of the sensor file to begin from, and what it says."""
     if sensor is not None:
-        text, source = sensor.read_text(encoding="utf-8"), str(sensor)
-        return text, sensor_from_table(tomllib.loads(text), name=sensor.stem, source=source)
-    if not recordings:
-        raise InputError("is needed", field="--recording")
+        path = resources.find(sensor, "models/sensors", ".toml")
+        return path.read_text(encoding="utf-8-sig"), load_sensor(path)
     files = [load_recording(path).header.get("files", {}).get("sensor") for path in recordings]
     if files[0] is None or any(file is None or file["text"] != files[0]["text"] for file in files):
         raise InputError("the recordings do not name one sensor file; say which to begin from", field="--sensor")
@@ -126,8 +125,8 @@ def _gas(sheet: SheetFit, evidence: Sequence[Evidence], known: Mapping[str, floa
     found = fit_gas(sheet.design, runs, known=known)
     say(_say_gas(found))
     start = replace(sheet.design, chamber=replace(sheet.design.chamber, **found.values))
-    models = [_replayed(evidence[i], sheet.offsets[i], mesh) if _touches(evidence[i]) else predict for i in with_pressure]
-    found = fit_gas(start, runs, known=known, models=models, iterations=2)
+    models = [_replayed(evidence[i], sheet.offsets[i], mesh) if _can_replay(evidence[i]) else predict for i in with_pressure]
+    found = fit_gas(start, runs, known=known, models=models, iterations=1)
     say(_say_gas(found))
     return found
 
@@ -136,8 +135,10 @@ def _say_gas(found: GasFit) -> str:
     return f"gas: {', '.join(f'{name} {value:.4g}' for name, value in found.values.items())}"
 
 
-def _touches(evidence: Evidence) -> bool:
-    return evidence.stage is not None and any(not math.isnan(move.depth) for move in evidence.stage.moves)
+def _can_replay(evidence: Evidence) -> bool:
+    """Whether something touches, at depths that are known, and is not dragged: that says little of the gas and takes long."""
+    moves = evidence.stage.moves if evidence.stage else ()
+    return any(move.touches for move in moves) and not any(move.is_weight or move.shear for move in moves)
 
 
 def _replayed(evidence: Evidence, offset: float, mesh: tuple[int, int] | None) -> Callable[..., Array]:

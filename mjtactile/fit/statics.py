@@ -22,11 +22,15 @@ from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.scenes.stage import LIFTED, StageDrive
 
 MARKER_FLOOR = 8e-6  # m: what a marker is off by besides its noise; much the same in every hold, so that holds do not average it
+FAST, FAST_FLOOR = 0.02, 5e-5  # m/s, m: how rubber lies after a faster press depends on the way, which a hold does not repeat
 SHIFT_SD = 4e-6  # m: of all heights of a hold together
 LOAD_CELL_SD = 0.01  # N
 PRIOR = 1.0  # 1/sd of the scaled parameters before anything was seen: a factor of e, 0.2 of stretch
 _NOWHERE = "sphere:8"
+_FIRST_DEPTH, _TRIES, _FORCE_REACHED = 2e-3, 12, 0.003  # m; of a weight whose depth nobody knows, and how well it is met
 _LARGEST_STEP = 4e-3  # s
+_SPEED = 0.01  # m/s of the simulated moves: a slower press leaves the markers within 2 um of where this one does
+_ENOUGH = 0.5  # sd, before they are taken to be those of repeats: a tenth of what is said in the end
 
 Say = Callable[[str], None]
 
@@ -99,10 +103,28 @@ def _world(design: SensorDesign, evidence: Evidence, mesh: tuple[int, int] | Non
 
 
 def _go(world: PressWorld, move: Move, offset: float) -> None:
-    if math.isnan(move.depth):
-        world.press(LIFTED, 0.0, move.speed)
+    if not move.touches:
+        world.press(LIFTED, 0.0, _SPEED)
+    elif move.is_weight:
+        _press_with(world, move)
     else:
-        world.press(move.depth + offset, move.shear, move.speed)
+        world.press(move.depth + offset, move.shear, _SPEED)
+
+
+def _press_with(world: PressWorld, move: Move) -> None:
+    """Go to where the stage pushes with the move's force: false position between depths that are too little and too much."""
+    low, high, too_little, too_much = 0.0, _FIRST_DEPTH, -move.force, math.nan
+    for _ in range(_TRIES):
+        depth = high if math.isnan(too_much) else low + max(0.1, min(0.9, too_little / (too_little - too_much))) * (high - low)
+        world.press(depth, move.shear, _SPEED)
+        off = -float(world.drive_force[2]) - move.force
+        if abs(off) < _FORCE_REACHED * move.force:
+            return
+        if off > 0:
+            high, too_much = depth, off
+        else:
+            low, too_little = depth, off
+            high = high if not math.isnan(too_much) else min(1.5 * high, 0.9 * world.design.chamber.depth)
 
 
 def _pressure(design: SensorDesign, evidence: Evidence, hold: Hold) -> float:
@@ -152,7 +174,7 @@ class _Problem:
         scales = [SCALES[name] for name in self.names]
         ends = [(s.scaled(s.low, v), s.scaled(s.high, v)) for s, v in zip(scales, nominal, strict=True)]
         low, high = np.array([*ends, *[(-np.inf, np.inf)] * (self._counts[1] + self._counts[2])]).T
-        found = gauss_newton(self.residuals, self.jacobian, np.zeros(len(low)), low=low, high=high)
+        found = gauss_newton(self.residuals, self.jacobian, np.zeros(len(low)), low=low, high=high, enough=_ENOUGH)
         return self._result(found)
 
     def value(self, name: str, x: Array) -> float:
@@ -240,6 +262,8 @@ class _Problem:
 def _whitener(hold: Hold) -> tuple[Array, Array]:
     """Rows of the markers that were seen, and their whitening (n, 3, 3)."""
     rows = np.flatnonzero(np.isfinite(hold.p_SM).all(axis=1))
-    noise = hold.cov[rows] + MARKER_FLOOR**2 * np.eye(3)
+    move = hold.move
+    fast = move is not None and move.touches and move.speed > FAST
+    noise = hold.cov[rows] + (FAST_FLOOR if fast else MARKER_FLOOR) ** 2 * np.eye(3)
     return rows, np.linalg.inv(np.linalg.cholesky(noise))
 

@@ -4,9 +4,10 @@ A protocol is a CSV file with one line a move, which a person with a stage follo
 
     time_s,depth_mm,shear_mm,speed_mm_s,force_N
 
-`time_s` counts from the recording's first cycle. `depth_mm` is below first touch of the inflated membrane, empty where nothing
-touches; `shear_mm` along x of the sensor (empty: 0), `speed_mm_s` of the way there (empty: 2). `force_N` is what a load cell or
-a weight on the indenter says of the hold that follows (empty: unknown). The recording keeps all of it as the note `stage`.
+`time_s` counts from the recording's first cycle. `depth_mm` is below first touch of the inflated membrane; `shear_mm` along x
+of the sensor (empty: 0), `speed_mm_s` of the way there (empty: 2). `force_N` is what a load cell or a weight on the indenter says
+of the hold that follows (empty: unknown); with a force alone, as of a weight that is put on, the depth is whatever it takes.
+With neither nothing touches. The recording keeps all of it as the note `stage`.
 """
 
 from __future__ import annotations
@@ -30,14 +31,23 @@ COLUMNS: dict[str, tuple[str, float, float, float]] = {
 
 @dataclass(frozen=True)
 class Move:
-    """From `time` s on the indenter goes to `depth` m and `shear` m at `speed` m/s, and stays; there it pushes with `force` N
-    (NaN: not known). A `depth` of NaN: nothing touches."""
+    """From `time` s on the indenter goes to `depth` m and `shear` m at `speed` m/s, and stays; there it pushes with `force` N.
+    What is not known is NaN; with neither depth nor force nothing touches."""
 
     time: float
     depth: float = math.nan
     shear: float = 0.0
     speed: float = 2e-3
     force: float = math.nan
+
+    @property
+    def touches(self) -> bool:
+        return not (math.isnan(self.depth) and math.isnan(self.force))
+
+    @property
+    def is_weight(self) -> bool:
+        """Whether the force is known, and no depth."""
+        return math.isnan(self.depth) and not math.isnan(self.force)
 
 
 @dataclass(frozen=True)
@@ -70,8 +80,10 @@ def read_moves(name_or_path: str | Path) -> tuple[Move, ...]:
 
 def describe(move: Move) -> str:
     """What a person at a stage does now."""
-    if math.isnan(move.depth):
+    if not move.touches:
         return f"{move.time:g} s: lift off"
+    if move.is_weight:
+        return f"{move.time:g} s: put on what weighs {move.force:g} N, indenter and all"
     shear = f", {1e3 * move.shear:g} mm along x" if move.shear else ""
     return f"{move.time:g} s: to {1e3 * move.depth:g} mm below first touch{shear}, at {1e3 * move.speed:g} mm/s"
 

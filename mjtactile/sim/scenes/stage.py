@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mjtactile.core.errors import InputError
 from mjtactile.recording.stage import Move
 from mjtactile.sim.scenes.indentation import PressWorld
 
@@ -19,9 +20,14 @@ def current(moves: Sequence[Move], time: float) -> int | None:
 
 
 class StageDrive:
-    """Begins when `world` has been inflated and first touch found; `offset` m is added to every depth that touches."""
+    """Begins when `world` has been inflated and first touch found; `offset` m is added to every depth that touches.
+
+    Raises InputError for a move whose depth is whatever a force makes it.
+    """
 
     def __init__(self, world: PressWorld, moves: Sequence[Move], offset: float = 0.0):
+        if any(move.is_weight for move in moves):
+            raise InputError("the simulated stage goes to depths; weights are for a real one", field="depth_mm")
         self._world, self._moves, self._offset = world, moves, offset
         self._depth, self._shear, self._first, self._now = LIFTED, 0.0, world.step_count, 0.0
 
