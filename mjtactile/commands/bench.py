@@ -16,7 +16,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   grasp       egg, strawberry and vial with seeds 0-9: outcome, force error, real-time factor
               and where the time goes
   perception  marker accuracy against the Cramer-Rao bound, and speed, next to OpenCV's tools
-  touch       force, shear, torque, patch, smallest touch, slip and error bars, random indenters
+  touch       force, shear, torque, patch, smallest touch and error bars, random indenters
   slip        two hundred random slips and holds: how many are said, how soon, how often falsely
   material    class and modulus of random bodies, probed
   stability   more than 300 hard cases of the simulation, each judged by physics

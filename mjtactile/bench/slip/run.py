@@ -22,7 +22,7 @@ from mjtactile.run.figures import new_figure
 from mjtactile.sensing.chain import Chain, ChainState
 from mjtactile.sim.scenes.slip_cases import SlipCase, draw_case
 
-FIRST_SEED, CASES, CASES_QUICK = 1000, 200, 4
+FIRST_SEED, CASES, CASES_QUICK = 2000, 200, 4
 SENSOR = "dense"
 _FINGERS = ("left", "right")
 _SEEN = 2.5  # images in which the first 0.5 mm pass, for a slip that the camera can follow

@@ -1,4 +1,4 @@
-"""`mjtactile bench touch`: force, shear, torque, patch, smallest touch, slip and honesty, over random indenters.
+"""`mjtactile bench touch`: force, shear, torque, patch, smallest touch and honesty, over random indenters.
 
 One simulated membrane is seen by two cameras with their own markers, `dense` and `paper16`, which share everything but
 the layout. Nothing is calibrated for an object. The truth is the simulator's on a mesh finer than the default's, since a
@@ -32,8 +32,7 @@ __all__ = ["run", "table"]
 SENSORS = ("dense", "paper16")
 MESH, MESH_QUICK = (33, 25), (21, 16)
 FIRST_SEED = 1000
-EPISODES, SLIPS, QUIET_FRAMES = 20, 36, 900
-FRICTIONS = (1.0, 0.75, 0.55)  # of the sensor file's: as it says, and objects that are smoother than it knows
+EPISODES, QUIET_FRAMES = 20, 900
 _REFERENCE_IMAGES, _PERIOD = 10, 1 / 30
 _SIZES = {"sphere": (3e-3, 12e-3), "cylinder": (2.5e-3, 6e-3), "box": (5e-3, 11e-3)}
 _FORCE_MAX = 2.5  # N
@@ -89,16 +88,13 @@ def run(out: Path, *, quick: bool = False, say: Say = lambda _: None) -> dict[st
     """Press, drag and hold; one row for each look of each sensor."""
     mesh = MESH_QUICK if quick else MESH
     calibrations = {name: calibrate_area(load_sensor(name)) for name in SENSORS}
-    rows, slips, milliseconds = [], [], {name: [] for name in SENSORS}
+    rows, milliseconds = [], {name: [] for name in SENSORS}
     for seed in range(FIRST_SEED, FIRST_SEED + (3 if quick else EPISODES)):
         rows += _episode(seed, mesh, calibrations, milliseconds)
         say(f"press {seed}: " + ", ".join(f"{r['force_true_N'][2]:.2f} N ({r['sensor']} {r['error_N'][2]:+.3f})"
                                           for r in rows[-4:]))
-    for seed in range(FIRST_SEED, FIRST_SEED + (2 if quick else SLIPS)):
-        slips += _slip_episode(seed, mesh)
-        say(f"slip {seed}: {slips[-1]}")
     quiet = _quiet(60 if quick else QUIET_FRAMES)
-    result: dict[str, Any] = {"mesh": mesh, "looks": rows, "slips": slips, "quiet": quiet, "off_nominal": _off_nominal()}
+    result: dict[str, Any] = {"mesh": mesh, "looks": rows, "quiet": quiet, "off_nominal": _off_nominal()}
     result["milliseconds"] = {name: float(np.median(ms)) for name, ms in milliseconds.items()}
     result["milliseconds_p95"] = {name: float(np.percentile(ms, 95)) for name, ms in milliseconds.items()}
     result["sensors"] = {name: summary(name, result) for name in SENSORS}
@@ -107,12 +103,9 @@ def run(out: Path, *, quick: bool = False, say: Say = lambda _: None) -> dict[st
 
 
 def _start(indenter: Indenter, at: tuple[float, float], tilt: float, mesh: tuple[int, int],
-           seed: int, names: tuple[str, ...] = SENSORS, friction: float = 1.0) -> tuple[PressWorld, dict[str, LayoutView]]:
-    """An inflated, sealed sensor, its cameras with references taken, and a waiting indenter, whose `friction` is that share
-    of the sensor file's."""
-    design = load_sensor("dense")
-    design = replace(design, membrane=replace(design.membrane, friction=friction * design.membrane.friction))
-    world = PressWorld(design, indenter, at=at, tilt=tilt, mesh=mesh)
+           seed: int, names: tuple[str, ...] = SENSORS) -> tuple[PressWorld, dict[str, LayoutView]]:
+    """An inflated, sealed sensor, its cameras with references taken, and a waiting indenter."""
+    world = PressWorld("dense", indenter, at=at, tilt=tilt, mesh=mesh)
     views = {name: LayoutView(load_sensor(name), world, seed) for name in names}
     supply = world.design.chamber.supply_gauge
     take_references(world, list(views.values()), supply)
@@ -171,46 +164,6 @@ def _compare(world: PressWorld, touch: Touch) -> dict[str, Any]:
 def _angle(a: Array, b: Array) -> float:
     cosine = a @ b / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-12)
     return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
-
-
-def _slip_episode(seed: int, mesh: tuple[int, int], frames: int = 60, speed: float = 5e-3) -> list[dict[str, Any]]:
-    """Press, then drag at `speed` m/s; how far the object had slipped when each sensor first said "slipping". Kinds,
-    frictions and directions take turns; size, place and depth are drawn."""
-    rng = np.random.default_rng([seed, 6])
-    indenter, friction = random_indenter(rng, seed), FRICTIONS[seed // len(_SIZES) % len(FRICTIONS)]
-    way = 1 if seed // (len(_SIZES) * len(FRICTIONS)) % 2 else -1
-    at = (way * rng.uniform(-6e-3, 0), rng.uniform(-4e-3, 4e-3))
-    world, views = _start(indenter, at, 0.0, mesh, seed, friction=friction)
-    depth = rng.uniform(0.6e-3, 3.5e-3)
-    world.press(depth)
-    pressed = -float(truth.contact_force(world, 0)[2])
-    drives = [world.model.actuator(f"drive_{axis}").id for axis in "xz"]
-    start, vertical = world.data.ctrl[drives]
-    _, points, _ = truth.contact_forces(world, 0)
-    p_SV = world.sensors[0].p_SV
-    held = np.unique(np.linalg.norm(points[:, None] - p_SV, axis=2).argmin(axis=1))  # the vertices it rests on
-    stuck = p_SV[held, 0].mean()
-    said: dict[str, float] = {}
-    false_alarm = dict.fromkeys(views, False)
-    slipped, per_frame = 0.0, round(_PERIOD / world.timestep)
-    for frame in range(frames):
-        goal = start + way * speed * frame * _PERIOD
-        for part in range(per_frame):
-            world.set_control(drives[0], goal + way * speed * part * world.timestep)
-            world.set_control(drives[1], vertical)
-            world.step()
-        moved = float(world.data.ctrl[drives[0]] - start)
-        slipped = way * (moved - (world.sensors[0].p_SV[held, 0].mean() - stuck))
-        for name, view in views.items():
-            touch = view.look()
-            if name not in said and touch.slip is not None and touch.slip.state == "slipping":
-                said[name] = slipped
-                false_alarm[name] = slipped < 2e-5
-        if slipped > 1.5e-3:
-            break
-    return [{"sensor": name, "seed": seed, "kind": indenter.kind, "friction": friction, "pressed_N": pressed,
-             "slipped_mm": 1e3 * slipped,
-             "detected_at_mm": 1e3 * said.get(name, np.inf), "false_alarm": false_alarm[name]} for name in views]
 
 
 def _quiet(frames: int) -> dict[str, Any]:

@@ -25,7 +25,6 @@ def summary(name: str, result: Mapping[str, Any]) -> dict[str, Any]:
     felt = [r for r in rows if r["touching"] and -r["force_true_N"][2] > 0.1]
     wide = [r for r in felt if r["area_true_mm2"] > _AREA_LEAST]
     share = np.array([r["area_mm2"] / r["area_true_mm2"] - 1 for r in wide])
-    slips, file_says, smoother = _slips(name, result)
     light = [r["touching"] for r in rows if LIGHT <= -r["force_true_N"][2] < 2 * LIGHT]
     levels = {level: float(np.mean(np.abs([r[level] + r["force_true_N"][2] for r in rows])))
               for level in ("level1_N", "level2_N", "weak_form_N")}
@@ -39,17 +38,7 @@ def summary(name: str, result: Mapping[str, Any]) -> dict[str, Any]:
         "light_touches": len(light), "light_felt": sum(light), **levels,
         "chi_square": ((error / sd[:, :3]) ** 2).mean(axis=0),
         "chi_square_torque": ((1e-3 * torque / sd[:, 3:]) ** 2).mean(axis=0),
-        "slips": file_says, "slips_smoother": smoother, "slip_false_alarms": sum(s["false_alarm"] for s in slips),
         "milliseconds": result["milliseconds"][name], "milliseconds_p95": result["milliseconds_p95"][name]}  # fmt: skip
-
-
-def _slips(name: str, result: Mapping[str, Any]) -> tuple[list[Any], tuple[int, int], tuple[int, int]]:
-    """Slips of one sensor that went beyond 0.5 mm; of objects as rough as the sensor file says, and of smoother ones, how
-    many were said in time, and how many there were."""
-    slips = [s for s in result["slips"] if s["sensor"] == name and s["slipped_mm"] > 0.5]
-    parts = [[s for s in slips if (s["friction"] == 1.0) is known] for known in (True, False)]
-    known, smoother = ((sum(s["detected_at_mm"] < 0.5 and not s["false_alarm"] for s in part), len(part)) for part in parts)
-    return slips, known, smoother
 
 
 def _mean(values: Any) -> float:
@@ -76,11 +65,6 @@ def table(result: Mapping[str, Any]) -> str:
     line("contact area, median relative error (bias), %", "15", "7",
          lambda s: f"{100 * s['area_share']:.0f} ({100 * s['area_bias_share']:+.0f})")
     line("touches of 0.03-0.06 N felt", "all", "", lambda s: f"{s['light_felt']} of {s['light_touches']}")
-    line("slip said before 0.5 mm, friction as the sensor file says", "95 %", "99 %",
-         lambda s: f"{s['slips'][0]} of {s['slips'][1]}")
-    line("… of objects with 0.75 and 0.55 of that friction", "", "",
-         lambda s: f"{s['slips_smoother'][0]} of {s['slips_smoother'][1]}")
-    line("slip said before it slips", "none", "", lambda s: f"{s['slip_false_alarms']}")
     line("chi-square per dof: force x, y, z", ".6-1.6", ".8-1.2", lambda s: ", ".join(f"{v:.2f}" for v in s["chi_square"]))
     line("ms a frame after the surface, median (95 %)", "3", "1.5",
          lambda s: f"{s['milliseconds']:.1f} ({s['milliseconds_p95']:.1f})")

@@ -82,7 +82,7 @@ def evidence(history: SlipHistory, normal: float, s: SlipSettings = DEFAULTS.sli
     dragged, ratio = (np.array([getattr(sample, name) for sample in samples]) @ along for name in ("dragged", "ratio"))
     size, length = _extent(history, along)
     sd = s.noise * (size / s.noise_size) ** s.noise_size_power * normal**s.noise_force_power
-    lean = s.lean * (length / s.noise_size) ** 2
+    lean = s.lean * (length / s.noise_size) ** s.lean_power
     most = 0.0
     for b in range(s.least_before, len(samples)):  # the first image of the ramp
         if time[-1] - time[b] > s.recent:

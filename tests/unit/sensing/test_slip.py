@@ -110,12 +110,11 @@ def test_a_slip_that_ends_is_over(sensor):
 def test_partial_slip_is_allowed_for_and_gross_slip_after_it_is_not(sensor):
     """Cattaneo: while its rim slides, the patch goes by a share of the rubber's way; then the rubber stops, and it goes on."""
     grown = ramp(10, 20, 20)
-    rim = 0.3e-3 * grown
-    holds = verdicts(sensor, 0.5 * NORMAL * grown, rim, dragged=1e-3 * grown)
-    assert "slipping" not in states(holds)
+    rim, shear = 1.2e-3 * grown, NORMAL * (0.3 + 0.1 * grown)
+    assert "slipping" not in states(verdicts(sensor, shear, rim, dragged=4e-3 * grown))
     goes_on = rim + 4e-3 / RATE * np.r_[np.zeros(30), np.arange(1, 21)]
-    slides = states(verdicts(sensor, 0.5 * NORMAL * grown, goes_on, dragged=1e-3 * grown))
-    assert "slipping" not in slides[:30] and "slipping" in slides[30:34]
+    slides = states(verdicts(sensor, shear, goes_on, dragged=4e-3 * grown))
+    assert "slipping" not in slides[:30] and "slipping" in slides[30:36]
 
 
 def test_rolling_and_turning_do_not_slip(sensor):

@@ -1,0 +1,39 @@
+"""A body that is dragged past two sensors: by truth it slides as fast as they move, and the cameras see it in time."""
+
+import numpy as np
+import pytest
+
+from mjtactile.bench.slip.score import Frame, outcome
+from mjtactile.bench.slip.watch import references, watch
+from mjtactile.core.design import load_sensor
+from mjtactile.sensing.chain import Chain
+from mjtactile.sim import truth
+from mjtactile.sim.scenes.slip_cases import draw_case
+from mjtactile.sim.scenes.slip_world import SlipWorld
+
+CASE = draw_case(1000)  # an upright cylinder past which both fingers move
+
+
+def test_truth_slides_at_the_speed_of_the_drag():
+    world = SlipWorld(load_sensor("dense"), CASE)
+    world.inflate(1000.0)
+    for _ in world.grip():
+        pass
+    assert truth.sliding(world, 0)[0] < 0.9
+    used, speeds = [], []
+    for _ in world.load(0.8 * CASE.share / CASE.rise):  # of the fingers' way
+        share, speed = truth.sliding(world, 0)
+        used.append(share)
+        speeds.append(speed)
+    late = slice(-20, None)
+    assert np.mean(used[late]) == pytest.approx(1.0, abs=0.05)  # within friction's accuracy of 3 %, and vertices that stick
+    assert np.mean(speeds[late]) == pytest.approx(1e-3 * CASE.rise, rel=0.15)  # the sheet still stretches a little
+
+
+def test_a_slip_is_said_in_time_from_pixels():
+    design = load_sensor("dense")
+    chain = Chain(design)
+    watched = watch(design, chain, references(design, chain, CASE), CASE)
+    for looks in watched.fingers:
+        frames = [Frame(k.time, k.touch.slip.state, k.used, k.slid, k.onset) for k in looks if k.touch.slip is not None]
+        assert outcome(frames).name == "in time"

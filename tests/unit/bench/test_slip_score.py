@@ -1,0 +1,56 @@
+"""What counts as a slip that was said in time, as one said late, early or falsely; and the interval of a share."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mjtactile.bench.slip.score import Frame, outcome, wilson
+from mjtactile.sim.scenes.slip_cases import BODIES, FRICTION, HOLDS, SLIPS, draw_case
+
+RATE = 30.0
+
+
+def frames(speed, said_at, used=0.5, slides=True):
+    """A second that holds with `used` of the friction, and one that slides at `speed` m/s; "slipping" from `said_at` on."""
+    result = []
+    for time in np.arange(60) / RATE:
+        slid = max(speed * (time - 1.0), 0.0) if slides else 0.0
+        result.append(Frame(time, "slipping" if time >= said_at else "sticking", 1.0 if slid > 0 else used, slid,
+                            1.0 if slid > 0 else np.nan))
+    return result
+
+
+@pytest.mark.parametrize(("speed", "said_at", "name"), [
+    (2e-3, 1.09, "in time"), (2e-3, 1.19, "before 0.5 mm"), (20e-3, 1.09, "within 100 ms"), (20e-3, 1.19, "late"),
+    (2e-3, 9.0, "missed"), (2e-3, 0.79, "early"), (2e-3, 0.91, "in time")])
+def test_slips(speed, said_at, name):
+    found = outcome(frames(speed, said_at))
+    assert found.name == name
+    assert found.speed == pytest.approx(speed, rel=0.2)  # an image after 0.5 mm
+
+
+def test_what_is_said_near_the_limit_is_not_early():
+    assert outcome(frames(2e-3, 0.5, used=0.9)).name == "in time"
+
+
+def test_holds_and_what_lies_between():
+    assert outcome(frames(0.0, 9.0, slides=False)).name == "quiet"
+    assert outcome(frames(0.0, 0.5, slides=False)).name == "false"
+    assert outcome(frames(0.0, 0.5, used=0.9, slides=False)).name == "between"
+    assert outcome(frames(0.2e-3, 0.5)).name == "between"  # it slides by 0.2 mm
+
+
+def test_wilson():
+    """Wilson (1927): 8 of 10, as in any table; the ends stay within 0 and 1."""
+    assert wilson(8, 10) == pytest.approx((0.490, 0.943), abs=1e-3)
+    assert wilson(0, 10)[0] == 0.0 and wilson(10, 10)[1] == 1.0 and wilson(0, 0) == (0.0, 1.0)
+
+
+def test_cases_are_drawn_from_their_seed_and_cover_all_ways():
+    cases = [draw_case(seed) for seed in range(40)]
+    assert {case.name for case in cases} == {*SLIPS, *HOLDS} and cases[3] == draw_case(3)
+    assert {case.body for case in cases} <= set(BODIES)
+    assert all(FRICTION[0] <= mu <= FRICTION[1] for case in cases for mu in case.friction)
+    one = next(case for case in cases if case.name == "one of two")
+    assert one.friction[0] < one.friction[1]
