@@ -28,7 +28,7 @@ class GraspScore:
     phase: str = "approach"
     peak_force: float = 0.0
     peak_stress: float = math.nan
-    """Pa, and `peak_energy` J/m^3: what the worst hundredth of a soft object's volume had to stand."""
+    """Pa, and `peak_energy` J/m^3: what the worst twentieth of a soft object's volume had to stand."""
     peak_energy: float = math.nan
     crushed_at: float | None = None
     _next_phase: str = "approach"
@@ -47,7 +47,6 @@ class GraspScore:
 
     def __post_init__(self) -> None:
         self._bodies = truth.object_bodies(self.world)
-        self._solid = truth.object_solid(self.world)
         self._next_strain = -math.inf
         self._rest_height = self._object_position()[2]
         self._hand_start = truth.hand_position(self.world)[2]
@@ -58,7 +57,7 @@ class GraspScore:
         sensors = range(len(self.world.sensors))
         self._wrenches = [truth.contact_wrench(self.world, i) for i in sensors]
         self._markers = [self.world.marker_poses(i)[0] for i in sensors]
-        p_WO, q_WO = truth.object_pose(self.world, self._solid)
+        p_WO, q_WO = truth.object_pose(self.world, self.world.solid)
         self._object_pose = {"object_position_true": p_WO.tolist(), "object_quaternion_true": q_WO.tolist()}
         self.view = SceneView.of(self.world)
 
@@ -92,11 +91,11 @@ class GraspScore:
 
     def _is_torn(self) -> bool:
         """Whether a soft object is strained beyond what its material stands."""
-        flesh, time = self.world.object.flesh, self.world.time
-        if self._solid is None or flesh is None or time < self._next_strain:
+        flesh, solid, time = self.world.object.flesh, self.world.solid, self.world.time
+        if solid is None or flesh is None or time < self._next_strain:
             return False
         self._next_strain = time + _STRAIN_EVERY
-        strain = self._solid.strain(self.world.data)
+        strain = solid.strain(self.world.data)
         self.peak_stress = float(np.fmax(self.peak_stress, strain.stress))
         self.peak_energy = float(np.fmax(self.peak_energy, strain.energy_density))
         return strain.stress > flesh.break_stress or strain.energy_density > flesh.break_energy

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 from mjtactile.sim.scenes.objects import PREFIX, moving_bodies
-from mjtactile.sim.scenes.strain import SoftSolid, soft_flex
 
 if TYPE_CHECKING:
-    from mjtactile.sim.scenes.grasp_world import GraspWorld
     from mjtactile.sim.scenes.hand_world import HandWorld
+    from mjtactile.sim.scenes.strain import SoftSolid
     from mjtactile.sim.scenes.world import World
     from mjtactile.sim.sensor.runtime import TactileSensor
 
@@ -154,12 +153,6 @@ def object_pose(world: World, solid: SoftSolid | None = None) -> tuple[Array, Ar
     mujoco.mju_mat2Quat(turn, R.ravel())
     mujoco.mju_mulQuat(q_now, turn, q_WO)
     return middle + R @ (p_WO - solid.rest_middle), q_now
-
-
-def object_solid(world: GraspWorld) -> SoftSolid | None:
-    """Where and how far the grasped object is strained, if it is a soft one: what `object_pose` is asked with."""
-    flesh, flex = world.object.flesh, soft_flex(world.model, PREFIX)
-    return None if flesh is None else SoftSolid(world.model, flex, flesh.young, flesh.poisson)
 
 
 def hand_position(world: HandWorld) -> Array:

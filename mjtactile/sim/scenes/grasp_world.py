@@ -15,9 +15,13 @@ from mjtactile.rig.simulated import SimRigFile
 from mjtactile.sim.attach import DEFAULT_MESH
 from mjtactile.sim.scenes.clearance import require_clear
 from mjtactile.sim.scenes.hand_world import DEFAULT_TIMESTEP, HandWorld
-from mjtactile.sim.scenes.objects import ObjectModel, add_object, load_object
+from mjtactile.sim.scenes.objects import PREFIX, ObjectModel, add_object, load_object
 from mjtactile.sim.scenes.start import Start
+from mjtactile.sim.scenes.strain import SoftSolid, soft_flex
 from mjtactile.sim.sensor.switches import PHYSICS
+
+_STRAINED = 0.2
+"""Compression from which rubber (neo-Hookean, incompressible) is stiffer than linear elements by 27 % and more."""
 
 
 class GraspWorld(HandWorld):
@@ -48,7 +52,19 @@ class GraspWorld(HandWorld):
 
         super().__init__(rig, designs, self.object.grasp_height, timestep=timestep, mesh=mesh, opening=opening,
                          effects=effects, furnish=furnish)
+        flesh = self.object.flesh
+        self.solid = None if flesh is None else SoftSolid(self.model, soft_flex(self.model, PREFIX), flesh.young, flesh.poisson)
+        """Where and how far a soft object is strained: its elements, for scoring and for flags."""
         require_clear(self, self.object, self.opening)
+
+    def _look(self) -> None:
+        super()._look()
+        if self.solid is None or "strain" in self.flags:
+            return
+        compression = self.solid.strain(self.data).compression
+        if compression > _STRAINED:
+            self.flags["strain"] = (f"{self.object.name!r} is compressed by {compression:.0%} at its worst: its elements "
+                                    f"are linear, and rubber is stiffer by a quarter from {_STRAINED:.0%} on")
 
     def _check_clearance(self, tip_height: float, half: float) -> None:
         if tip_height <= half:

@@ -30,7 +30,7 @@ SOFT_ITERATIONS = 2000
 
 @dataclass(frozen=True)
 class Flesh:
-    """What a volumetric flex is made of, `young` Pa and `poisson`, and what the hundredth of its volume that is worst off
+    """What a volumetric flex is made of, `young` Pa and `poisson`, and what the twentieth of its volume that is worst off
     stands: `break_stress` Pa (von Mises), `break_energy` J/m^3 of strain."""
 
     young: float

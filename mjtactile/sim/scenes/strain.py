@@ -15,13 +15,15 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 
-_WORST = 0.01  # share of the volume that a stress must reach to count: that of one corner element depends on the mesh
+# Share of the volume that a stress must reach to count. What single elements say at cut corners of the lattice is the
+# lattice's: of a raspberry turned about z the worst hundredth's energy varied sevenfold, the worst twentieth's by a quarter.
+_WORST = 0.05
 _SAFE = 1e-3  # singular values of an element that is turned inside out
 
 
 @dataclass(frozen=True)
 class Strain:
-    """`stress` Pa (von Mises, of Cauchy's stress) and `energy_density` J/m^3 that the worst hundredth of the volume exceeds,
+    """`stress` Pa (von Mises, of Cauchy's stress) and `energy_density` J/m^3 that the worst twentieth of the volume exceeds,
     `compression` (1 less the smallest stretch) likewise, and the whole strain `energy` J."""
 
     stress: float

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 Flags = dict[str, str]
 """Kind of doubt ("stretch", "wrinkles", "penetration", "mesh", "feature", "edge", "hull", "bending", "speed", "solver",
-"unsettled") to its reason."""
+"unsettled", "strain" of a soft object) to its reason."""
 
 STVK_ERROR = 0.02  # share of a height
 STRETCHED = 1.4  # against the free sheet; beyond, real rubber (Treloar 1944) is more than about 10 % off the neo-Hookean law
