@@ -21,11 +21,12 @@ from mjtactile.fit.gas import GasFit, fit_gas, predict, sealed_runs
 from mjtactile.fit.picture import PictureFit, fit_picture
 from mjtactile.fit.statics import SheetFit, fit_sheet, replay, simulate
 from mjtactile.fit.toml import rewrite
-from mjtactile.fit.words import ABOUT, Number, correlations, judge, missing
+from mjtactile.fit.words import ABOUT, GAS_SHARE, Number, correlations, judge, missing
 from mjtactile.recording.reader import load_recording
 
 TOUCH_SD = 5e-5  # m: how well a person finds first touch
 _UNKNOWN_SHARE = 0.3  # of the thickness, before somebody measured it
+_HELD_FIRST = ("friction", "pre_stretch", "young")  # of what cannot be told: what is nearest to what was to be built, first
 _SI = {f"{section}.{row[0]}": (section, row[1], row[2] or 1.0) for section, (_, rows) in FIELDS.items() for row in rows}
 """Field of the sensor file to section, attribute and SI units in its unit."""
 _FIELD = {(section, attribute): field for field, (section, attribute, _) in _SI.items()}
@@ -79,10 +80,10 @@ def fit_recordings(recordings: Sequence[Path], *, sensor: Path | None = None, fi
     design, by_hand = _with_known(nominal, known)
     evidence = [read_evidence(path, design, finger, say) for path in recordings]
     picture = fit_picture(design, evidence[0].flat)
-    sheet = fit_sheet(design, evidence, known=by_hand["membrane"], touch_sd=touch_sd, mesh=mesh, say=say)
+    free, sheet = _sheet(design, evidence, by_hand["membrane"], touch_sd, mesh, say)
     gas = _gas(sheet, evidence, by_hand["chamber"], mesh, say)
     numbers = tuple(_numbers(nominal, known, evidence, sheet, gas, picture))
-    names, cov = _covariance(sheet, gas, "membrane.thickness_mm" in known)
+    names, cov = _covariance(free, gas, "membrane.thickness_mm" in known)
     sentences = correlations(names, cov, {number.field: number.state for number in numbers})
     found = rewrite(text, numbers, f"Fitted by `mjtactile fit` to {', '.join(e.name for e in evidence)}.")
     fitted = sensor_from_table(tomllib.loads(found), name=name, source=name)
@@ -115,6 +116,30 @@ def _with_known(design: SensorDesign, known: Mapping[str, float]) -> tuple[Senso
     return replace(design, **parts), by_section
 
 
+def _sheet(design: SensorDesign, evidence: Sequence[Evidence], known: Mapping[str, float], touch_sd: float,
+           mesh: tuple[int, int] | None, say: Say) -> tuple[SheetFit, SheetFit]:
+    """The fit of all that is not known, and the one in which what cannot be told has the file's value: what goes together with it
+    must be right beside that value."""
+    free = sheet = fit_sheet(design, evidence, known=known, touch_sd=touch_sd, mesh=mesh, say=say)
+    held = dict(known)
+    while (name := _untold(sheet.names, sheet.values, sheet.cov, "membrane", _HELD_FIRST)) is not None:
+        held[name] = getattr(design.membrane, name)
+        say(f"membrane: {name} is not in these recordings and keeps the file's value")
+        sheet = fit_sheet(design, evidence, known=held, touch_sd=touch_sd, mesh=mesh, say=say)
+    return free, sheet
+
+
+def _untold(names: Sequence[str], values: Mapping[str, float], cov: Array, section: str, order: Sequence[str]) -> str | None:
+    """The first of `order` that was fitted and is not known well enough."""
+    for name in order:
+        if name not in values:
+            continue
+        field, sd = _FIELD[section, name], math.sqrt(cov[names.index(name)][names.index(name)])
+        if not ABOUT[field].is_known(values[name] / _SI[field][2], sd / _SI[field][2]):
+            return name
+    return None
+
+
 def _gas(sheet: SheetFit, evidence: Sequence[Evidence], known: Mapping[str, float], mesh: tuple[int, int] | None,
          say: Say) -> GasFit | None:
     """First with the volumes that the markers show, then with the recordings of presses simulated as they went."""
@@ -122,11 +147,17 @@ def _gas(sheet: SheetFit, evidence: Sequence[Evidence], known: Mapping[str, floa
     runs = sealed_runs([evidence[i] for i in with_pressure], [sheet.holds[i] for i in with_pressure])
     if not runs:
         return None
-    found = fit_gas(sheet.design, runs, known=known)
+    found, held = fit_gas(sheet.design, runs, known=known), dict(known)
+    if _untold(found.names, found.values, found.cov, "chamber", ("heat_exchange", "heat_ratio")) is not None:
+        held |= {name: getattr(sheet.design.chamber, name) for name in ("heat_exchange", "heat_ratio") if name not in known}
+        found = fit_gas(sheet.design, runs, known=held)
+    if "extra_volume" in found.names and math.sqrt(found.cov[0][0]) > GAS_SHARE * sheet.design.chamber_volume_flat:
+        held |= {"extra_volume": sheet.design.chamber.extra_volume}
+        found = fit_gas(sheet.design, runs, known=held)
     say(_say_gas(found))
     start = replace(sheet.design, chamber=replace(sheet.design.chamber, **found.values))
     models = [_replayed(evidence[i], sheet.offsets[i], mesh) if _can_replay(evidence[i]) else predict for i in with_pressure]
-    found = fit_gas(start, runs, known=known, models=models, iterations=1)
+    found = fit_gas(start, runs, known=held, models=models, iterations=1)
     say(_say_gas(found))
     return found
 
@@ -158,9 +189,6 @@ def _numbers(nominal: SensorDesign, known: Mapping[str, float], evidence: Sequen
                                gas_mL=nominal.chamber_volume_flat / 1e-6)
     for field, (value, sd) in picture.values.items():
         numbers[field] = judge(field, value, sd, _before(nominal, field), f"{evidence[0].name}, flat")
-    if "chamber.heat_ratio" in numbers and numbers["chamber.heat_ratio"].state == "fitted" \
-            and numbers["chamber.heat_exchange_s"].state != "fitted":
-        numbers["chamber.heat_ratio"] = missing("chamber.heat_ratio", _before(nominal, "chamber.heat_ratio"))
     numbers |= {field: Number(field, value, 0.0, "known", "measured by hand", _before(nominal, field))
                 for field, value in known.items()}
     return [numbers.get(field) or missing(field, _before(nominal, field)) for field in dict.fromkeys([*ABOUT, *known])]

@@ -32,8 +32,8 @@ class About:
 _BULGE = "inflate it to 0.5 kPa, where its tension holds it, and to 3 kPa, where its modulus does"
 _TAP = "press fast and hold (protocol `tap`), with a pressure sensor"
 ABOUT: Mapping[str, About] = {
-    "membrane.young_MPa": About("modulus", _BULGE),
-    "membrane.pre_stretch": About("pre-stretch", _BULGE, 0.0, 0.005),
+    "membrane.young_MPa": About("modulus", _BULGE, 0.05),
+    "membrane.pre_stretch": About("pre-stretch", _BULGE, 0.0, 0.003),
     "membrane.thickness_mm": About("thickness", "no recording tells it from the modulus: measure the sheet, then --known "
                                    "membrane.thickness_mm=…"),
     "membrane.friction": About("friction", "drag a pressed indenter until it slides (protocol `drag`)"),
