@@ -38,6 +38,16 @@ def thickness_over_area(log_det: Array, poisson: float) -> Array:
     return np.exp(x - log_det)
 
 
+def principal_stresses(stretches: Array, young: float, poisson: float, law: Law) -> Array:
+    """Second Piola-Kirchhoff stresses S (m, 2), Pa, along the principal axes, for principal stretches (m, 2)."""
+    squares = stretches**2
+    if law is Law.STVK:
+        strains = (squares - 1) / 2
+        return young / (1 - poisson**2) * (strains + poisson * strains[:, ::-1])
+    ratio = thickness_over_area(np.log(squares[:, 0] * squares[:, 1]), poisson)
+    return shear_modulus(young, poisson) * (1 - ratio[:, None] * squares[:, ::-1])
+
+
 def equibiaxial_stress(stretch: float, young: float, poisson: float, law: Law) -> float:
     """Second Piola-Kirchhoff stress S, Pa, of the sheet stretched by `stretch` in all directions of its plane."""
     if law is Law.STVK:

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core import theory
-from mjtactile.core.design import Membrane, SensorDesign
+from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
-from mjtactile.core.rubber import Law, thickness_over_area
+from mjtactile.core.rubber import Law, principal_stresses
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor import features
 
@@ -84,19 +84,12 @@ def state_flags(sensor: TactileSensor) -> Flags:
     elif largest > STRETCHED:
         flags["stretch"] = (f"stretch {largest:.2f} is beyond {STRETCHED:g}, up to which rubber is neo-Hookean within 10 %; use "
                             "less pressure or a thicker sheet")
-    share = float(areas[_least_stress(stretches, sheet) < -1e-3].sum() / areas.sum())
+    least = principal_stresses(np.maximum(stretches, 0.1), 1.0, sheet.poisson, sheet.law).min(axis=1)  # over a modulus
+    share = float(areas[least < -1e-3].sum() / areas.sum())
     if share > WRINKLED:
         flags["wrinkles"] = (f"{share:.0%} of the sheet is under compression, where a real one wrinkles: shape and force are "
                              "those of a sheet that cannot; use pre_stretch above 1 or more pressure")
     return flags
-
-
-def _least_stress(stretches: Array, sheet: Membrane) -> Array:
-    """The smaller principal stress (m,) over a modulus, for principal stretches (m, 2)."""
-    small, large = np.maximum(stretches.T, 0.1) ** 2
-    if sheet.law is Law.STVK:
-        return (small - 1 + sheet.poisson * (large - 1)) / 2
-    return 1 - thickness_over_area(np.log(small * large), sheet.poisson) * large
 
 
 class Monitor:

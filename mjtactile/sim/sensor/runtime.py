@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 from mjtactile.core import theory
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
-from mjtactile.core.rubber import Law
+from mjtactile.core.rubber import Law, principal_stresses
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor import features, limits
 from mjtactile.sim.sensor.facets import StandOff
 from mjtactile.sim.sensor.membrane import FLEX, ContactStiffness, pre_stretch, touch_with
 from mjtactile.sim.sensor.mesh import MarkerInterpolator, MembraneMesh
+from mjtactile.sim.sensor.points import ContactPoints
 from mjtactile.sim.sensor.rubber import Rubber
 from mjtactile.sim.sensor.sleep import Sleeper
 from mjtactile.sim.sensor.stiction import Stiction
@@ -49,8 +50,10 @@ class TactileSensor:
                                                    remembers=self.contact == "vertices")
         self._margins = model.geom_margin[self.vertex_geom_ids[0]:self.vertex_geom_ids[-1] + 1]  # a live view
         self._stand_off = StandOff(model, data, self.vertex_geom_ids, mesh)
-        self._stiction = Stiction(model, data, self.vertex_geom_ids, self.body_id) if self.contact == "vertices" else None
-        sheet = design.membrane
+        sheet, on_vertices = design.membrane, self.contact == "vertices"
+        self._points = (ContactPoints(model, data, self.vertex_geom_ids, self.body_id, mesh, sheet.young * sheet.thickness)
+                        if on_vertices else None)
+        self._stiction = Stiction(model, data, self.vertex_geom_ids, self.body_id) if on_vertices else None
         self._rubber = Rubber(model, self.flex_id, mesh, sheet) if sheet.law is Law.NEO_HOOKEAN else None
         self._turning = Turning(model, data, self.body_id, self.flex_id, mesh)
         self._tendon = make_load(model, data, mesh, prefix, effects)
@@ -101,6 +104,8 @@ class TactileSensor:
             self._rubber.update(p_SV)
         self._turning.update(p_SV)
         self._stand_off.update()
+        if self._points:
+            self._points.update(p_SV, self.tensions, pressure)
         if self._stiction:
             self._stiction.update(self._stand_off.margins)
         else:
@@ -168,6 +173,16 @@ class TactileSensor:
         squares = np.maximum(np.stack([mean - spread, mean + spread], axis=1), 0.0)
         area = np.sqrt(np.maximum(xx * yy - xy * xy, 0.0)) * self.mesh.triangle_areas
         return self.design.membrane.pre_stretch * np.sqrt(squares), area
+
+    def tensions(self) -> Array:
+        """Tension (n,) N/m of the sheet at its vertices, not negative: the geometric mean of its principal ones."""
+        sheet, triangles = self.design.membrane, self.mesh.triangles.ravel()
+        stretches = np.maximum(self.stretches()[0], 0.1)
+        stresses = principal_stresses(stretches, sheet.young, sheet.poisson, sheet.law)
+        along = sheet.thickness * np.maximum(stresses, 0.0) * stretches**2 / stretches.prod(axis=1, keepdims=True)
+        mean = np.sqrt(along.prod(axis=1))
+        count = len(self.mesh.p_SV)
+        return np.bincount(triangles, np.repeat(mean, 3), count) / np.bincount(triangles, minlength=count)
 
     @property
     def pressure_gauge(self) -> float:

@@ -1,0 +1,198 @@
+"""Contact that follows the shape: where, within the piece of sheet that each vertex stands for, its sphere touches.
+
+Vertices are 2-3 mm apart. Edges, tips and small balls pass between them, and where a tip meets one, the sheet's finest shape
+is a tent of that size: a cone is met 40 % too hard. Near what is small or sharp, therefore,
+
+- a vertex's sphere stands where the object reaches farthest into the vertex's own cell (and a little beyond, so that none
+  falls between two cells), as if the tent's top were there; the force is the vertex's;
+- it stands back by as much as a real sheet would be pushed in further than the mesh's tent: a force F on a disc of radius a
+  under the tension T deepens a sheet by F/(2 pi T) (ln(1/a) + 1/2), the mesh has its own a = 0.198 h (docs/equations.md, C6).
+
+Round objects that are larger than the mesh are left to `facets.StandOff`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core.types import Array
+from mjtactile.sim.sensor import features, shapes
+from mjtactile.sim.sensor.mesh import MembraneMesh
+from mjtactile.sim.sensor.spread import depth_beyond_mesh, depth_of_neighbours, profile
+
+EVERY, SETTLE = 0.01, 0.02
+"""s: how often to look, and the time constant with which the spheres follow."""
+REACH = 0.6
+"""Half width of the cell in which a vertex looks for contact, in cells: a little more than a half."""
+_GRID = np.stack(np.meshgrid(*[np.linspace(-REACH, REACH, 7)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+_AROUND = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+_ZOOMS = (0.11, 0.045, 0.018, 0.007)  # of a cell: the finer grids
+_FOOT = 0.06 * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])  # cells: a sphere stands with all of these on a face
+_CENTRED = 0.1  # cells of height that a detour of one cell costs: of equally high places the nearest to the vertex counts
+_SLACKEST = 0.01  # strain whose tension is the least to reckon with
+_STILL = 1e-5  # m, below which a sphere is back at its vertex
+_NEAR = 0.3  # cells from contact, within which a vertex looks
+_SHARP = tuple(int(kind) for kind in (
+    mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_MESH))
+_RINGS, _ANGLES = (0.15, 0.373), np.arange(8) * np.pi / 4 + 0.2  # where a shape is sampled around a contact, in cells
+
+
+class _Cells(NamedTuple):
+    """Vertices as a shape sees them: `places` (k, 3) m in its frame, `axes` (3, 3) of the sheet, the third its outward normal,
+    and `sizes` (k,) m of the vertices' cells."""
+
+    places: Array
+    axes: Array
+    sizes: Array
+
+    def of(self, rows: NDArray[np.int64]) -> _Cells:
+        return _Cells(self.places[rows], self.axes, self.sizes[rows])
+
+    def gaps(self, entry: shapes.Entry, shifts: Array) -> Array:
+        """Distances (k, s), in cells, outward to the shape at `shifts` (k, s, 2) in cells from the vertices."""
+        points = (self.places[:, None] + self.sizes[:, None, None] * (shifts @ self.axes[:2])).reshape(-1, 3)
+        return entry(points, np.broadcast_to(self.axes[2], points.shape)).reshape(shifts.shape[:2]) / self.sizes[:, None]
+
+
+class ContactPoints:
+    """Places of one sensor's contact spheres. Call `update` before every step; it works every 10 ms, near sharp things."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, vertex_geom_ids: NDArray[np.int64], body_id: int,
+                 mesh: MembraneMesh, stiffness: float):
+        """`stiffness` E h of the sheet, N/m."""
+        self._model, self._data, self._body, self._slackest = model, data, body_id, _SLACKEST * stiffness
+        self._first = int(vertex_geom_ids[0])
+        self._places = model.geom_pos[self._first:self._first + len(vertex_geom_ids)]  # a live view
+        model.geom_sameframe[vertex_geom_ids] = 0  # else MuJoCo takes them for their bodies' origins
+        self._triangles, self._interior = mesh.triangles, mesh.interior
+        self._sizes, self._flat = np.sqrt(mesh.areas[mesh.interior]), mesh.p_SV[mesh.interior, :2]
+        self._shapes = {int(geom): entry for geom in features.touching_geoms(model)
+                        if _is_sharp(model, int(geom), mesh) and (entry := shapes.entry_of(model, int(geom)))}
+        self._time, self._still = float(data.time), True
+        self._upright = self._normals(mesh.p_SV)  # of the sheet when nothing was near: a tent's slopes say nothing of the sheet
+
+    def update(self, p_SV: Array, tensions: Callable[[], Array], pressure_gauge: float) -> None:
+        """Follow what is near the vertices at `p_SV` (n, 3) m; `tensions` tells the sheet's (n,) N/m where they are needed."""
+        time = float(self._data.time)
+        elapsed = time - self._time
+        if not self._shapes or 0 <= elapsed < EVERY:
+            return
+        self._time = time
+        goal, near = self._goals(p_SV, tensions, pressure_gauge)
+        if not near:
+            self._upright = self._normals(p_SV)
+            if self._still:
+                return
+        self._places += min(abs(elapsed) / SETTLE, 1.0) * (goal - self._places)
+        self._still = not near and np.abs(self._places).max() < _STILL
+        if self._still:
+            self._places[:] = 0.0
+
+    def _goals(self, p_SV: Array, tensions: Callable[[], Array], pressure_gauge: float) -> tuple[Array, bool]:
+        """Places (k, 3) m in S of the spheres from their vertices, and whether anything is near."""
+        goal, nearest, loads = np.zeros_like(self._places), np.full(len(self._places), np.inf), None
+        vertices = p_SV[self._interior]
+        for geom, entry in self._shapes.items():
+            middle = self._in_sensor(self._data.geom_xpos[geom])
+            close = np.flatnonzero(np.linalg.norm(vertices - middle, axis=1) - self._model.geom_rbound[geom] < self._sizes)
+            if not len(close):
+                continue
+            normal = self._upright[close].sum(axis=0)
+            axes = _axes(normal / np.linalg.norm(normal))
+            cells = self._seen_from(geom, vertices[close], axes, self._sizes[close])
+            rows, at, gaps = _deepest(cells, entry)
+            better = gaps < nearest[close[rows]]
+            rows, at = rows[better], at[better]
+            touching = close[rows]
+            nearest[touching] = gaps[better]
+            goal[touching] = self._sizes[touching, None] * (at @ axes[:2])
+            if len(rows) and int(self._model.geom_type[geom]) in _SHARP:
+                loads = self._loads(tensions, pressure_gauge) if loads is None else loads
+                pressed = loads[touching] > 0
+                rows, at, touching = rows[pressed], at[pressed], touching[pressed]
+                back = _stand_back(cells.of(rows), entry, at, loads[touching], self._flat[touching])
+                goal[touching] -= (self._sizes[touching] * back)[:, None] * axes[2]
+        return goal, bool(np.isfinite(nearest).any())
+
+    def _in_sensor(self, p_W: Array) -> Array:
+        data = self._data
+        return (p_W - data.xpos[self._body]) @ data.xmat[self._body].reshape(3, 3)
+
+    def _seen_from(self, geom: int, vertices: Array, axes: Array, sizes: Array) -> _Cells:
+        """Cells around `vertices` (k, 3) m in S, of `sizes` (k,) m, with `axes` (3, 3) in S, as the geom sees them."""
+        data = self._data
+        R_WS, R_WG = data.xmat[self._body].reshape(3, 3), data.geom_xmat[geom].reshape(3, 3)
+        turn = R_WS.T @ R_WG  # rows are vectors
+        shift = (data.xpos[self._body] - data.geom_xpos[geom]) @ R_WG
+        return _Cells(vertices @ turn + shift, axes @ turn, sizes)
+
+    def _normals(self, p_SV: Array) -> Array:
+        """Outward unit normals (k, 3) of the sheet at the vertices: of the triangles around each, by their areas."""
+        a, b, c = (p_SV[self._triangles[:, i]] for i in range(3))
+        faces = np.cross(b - a, c - a)
+        sums = np.stack([np.bincount(self._triangles.ravel(), np.repeat(faces[:, i], 3), len(p_SV)) for i in range(3)], axis=1)
+        normals = sums[self._interior]
+        return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+    def _loads(self, tensions: Callable[[], Array], pressure_gauge: float) -> Array:
+        """Contact forces on the vertices beyond what the gas carries, over 2 pi times tension and cell, (k,)."""
+        contact = self._data.contact
+        numbers = contact.geom - self._first
+        mine = (numbers >= 0) & (numbers < len(self._sizes))
+        rows = np.flatnonzero(mine.any(axis=1) & (contact.efc_address >= 0))
+        vertices = np.where(mine[rows, 1], numbers[rows, 1], numbers[rows, 0])
+        forces = np.bincount(vertices, self._data.efc_force[contact.efc_address[rows]], len(self._sizes)) if len(rows) else 0.0
+        tension = np.maximum(tensions()[self._interior], self._slackest)
+        return (forces - pressure_gauge * self._sizes**2) / (2 * np.pi * tension * self._sizes)
+
+
+def _is_sharp(model: mujoco.MjModel, geom: int, mesh: MembraneMesh) -> bool:
+    small = features.feature_radius(model, geom) < features.RESOLVED * mesh.spacing
+    return small or int(model.geom_type[geom]) in _SHARP
+
+
+def _axes(normal: Array) -> Array:
+    """Unit vectors, rows of (3, 3): two in the plane with this `normal` (3,), the first along x as far as it goes; the normal."""
+    first = np.array([normal[2], 0.0, -normal[0]])
+    first /= max(float(np.linalg.norm(first)), 1e-9)
+    return np.stack([first, np.cross(normal, first), normal])
+
+
+def _deepest(cells: _Cells, entry: shapes.Entry) -> tuple[NDArray[np.int64], Array, Array]:
+    """Rows of those cells that are near a shape; shifts (k, 2), in cells, to where it reaches farthest in; gaps (k,) there.
+
+    A shape that reaches farthest in at a cell's border does so in the next cell, too: along that axis the vertex stays.
+    """
+    grid = np.broadcast_to(_GRID, (len(cells.sizes), *_GRID.shape))
+    gaps = cells.gaps(entry, grid)
+    rows = np.flatnonzero(gaps.min(axis=1) < _NEAR)
+    cells, shifts = cells.of(rows), _least(grid[rows], gaps[rows])
+    for step in _ZOOMS:
+        grid = np.clip(shifts[:, None] + step * _AROUND, -REACH, REACH)
+        feet = (grid[:, :, None] + _FOOT).reshape(len(grid), len(_AROUND) * len(_FOOT), 2)
+        shifts = _least(grid, cells.gaps(entry, feet).reshape(len(grid), len(_AROUND), len(_FOOT)).max(axis=2))
+    shifts = np.where(np.abs(shifts) > REACH - 1e-6, 0.0, shifts)
+    return rows, shifts, cells.gaps(entry, shifts[:, None])[:, 0]
+
+
+def _least(grid: Array, gaps: Array) -> Array:
+    """Of the points `grid` (k, s, 2) those (k, 2) with the smallest gaps (k, s), or nearest to the middle of the cell."""
+    chosen = (gaps + _CENTRED * (grid * grid).sum(axis=2)).argmin(axis=1)
+    return grid[np.arange(len(grid)), chosen]
+
+
+def _stand_back(cells: _Cells, entry: shapes.Entry, at: Array, loads: Array, flat: Array) -> Array:
+    """How far (k,), in cells, the spheres at shifts `at` (k, 2) from the vertices `flat` (k, 2) m stand back under `loads`."""
+    circle = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
+    rings = np.concatenate([np.zeros((1, 2)), *(r * circle for r in _RINGS)])
+    gaps = cells.gaps(entry, at[:, None] + rings)
+    near, far = (np.clip(gaps[:, 1 + i * 8:9 + i * 8] - gaps[:, :1], -3 * r, 3 * r) for i, r in enumerate(_RINGS))
+    even = [np.maximum((rise[:, :4] + rise[:, 4:]) / 2, 0.0) for rise in (near, far)]  # without the sheet's own slope
+    own, radii = depth_beyond_mesh(loads, *profile(even[0], even[1], _RINGS))
+    places = flat / cells.sizes[:, None]
+    return np.maximum(own + depth_of_neighbours(loads, radii, places, places + at), 0.0)

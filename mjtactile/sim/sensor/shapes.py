@@ -1,0 +1,123 @@
+"""Where straight lines enter geoms: how high what may touch stands over many points of a sheet, at once.
+
+A geom is a polytope (a box, the hull of a mesh), an ellipsoid (a sphere), a cylinder, or a capsule. MuJoCo's own rays are
+one point a call; tests compare with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+
+from mjtactile.core.types import Array
+
+MOST_FACES = 400
+"""Of a mesh's hull; one with more is smooth where a membrane's vertices are apart, or too dear."""
+MISSED = np.inf
+_TINY = 1e-12
+_BOX, _SPHERE, _ELLIPSOID, _CYLINDER, _CAPSULE, _MESH = (
+    int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}")) for name in ("BOX", "SPHERE", "ELLIPSOID", "CYLINDER", "CAPSULE", "MESH"))
+
+Entry = Callable[[Array, Array], Array]
+"""Of points (n, 3) m and unit directions (n, 3), in the geom's frame: signed distances (n,) m along the lines to where they
+enter the geom, `MISSED` where they do not."""
+
+
+def entry_of(model: mujoco.MjModel, geom: int) -> Entry | None:
+    """How lines enter a geom, or None for a kind that is not known (a plane, a height field) or a hull of too many faces."""
+    kind, size = int(model.geom_type[geom]), np.asarray(model.geom_size[geom], float).copy()
+    if kind == _BOX:
+        return _polytope(np.vstack([np.eye(3), -np.eye(3)]), np.tile(size, 2))
+    if kind in (_SPHERE, _ELLIPSOID):
+        return _ellipsoid(np.full(3, size[0]) if kind == _SPHERE else size)
+    if kind == _CYLINDER:
+        return _cylinder(size[0], size[1])
+    if kind == _CAPSULE:
+        return _capsule(size[0], size[1])
+    if kind == _MESH and model.geom_dataid[geom] >= 0:
+        return _hull(model, int(model.geom_dataid[geom]))
+    return None
+
+
+def _between(enters: Array, leaves: Array) -> Array:
+    return np.where(enters < leaves, enters, MISSED)
+
+
+def _polytope(normals: Array, offsets: Array) -> Entry:
+    """Of all points x with normals (m, 3) x <= offsets (m,) m."""
+
+    def entry(points: Array, directions: Array) -> Array:
+        along = directions @ normals.T
+        room = offsets - points @ normals.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            at = room / along
+        outside = ((np.abs(along) <= _TINY) & (room < 0)).any(axis=1)
+        enters = np.where(along < -_TINY, at, -np.inf).max(axis=1)
+        leaves = np.where(along > _TINY, at, np.inf).min(axis=1)
+        return np.where(outside, MISSED, _between(enters, leaves))
+
+    return entry
+
+
+def _ellipsoid(size: Array) -> Entry:
+    def entry(points: Array, directions: Array) -> Array:
+        return _roots(points / size, directions / size)[0]
+
+    return entry
+
+
+def _roots(points: Array, directions: Array) -> tuple[Array, Array]:
+    """Where lines enter and leave the unit sphere, or the unit circle; `MISSED`, -`MISSED` where they do not."""
+    a, b, c = ((p * q).sum(axis=1) for p, q in ((directions, directions), (points, directions), (points, points)))
+    root = b * b - a * (c - 1)
+    hit = (root > 0) & (a > _TINY)
+    reach = np.sqrt(np.where(hit, root, 0.0))
+    a = np.where(hit, a, 1.0)
+    return np.where(hit, (-b - reach) / a, MISSED), np.where(hit, (-b + reach) / a, -MISSED)
+
+
+def _cylinder(radius: float, half: float) -> Entry:
+    def entry(points: Array, directions: Array) -> Array:
+        plane, slope = points[:, :2] / radius, directions[:, :2] / radius
+        enters, leaves = _roots(plane, slope)
+        axial = (slope * slope).sum(axis=1) <= _TINY  # along the axis: all of the way inside, or none
+        inside = axial & ((plane * plane).sum(axis=1) < 1)
+        enters, leaves = np.where(inside, -np.inf, enters), np.where(inside, np.inf, leaves)
+        first, last = _slab(points[:, 2], directions[:, 2], half)
+        return _between(np.maximum(enters, first), np.minimum(leaves, last))
+
+    return entry
+
+
+def _slab(heights: Array, slopes: Array, half: float) -> tuple[Array, Array]:
+    """Where lines enter and leave the slab of +-`half` m."""
+    level, inside = np.abs(slopes) <= _TINY, np.abs(heights) < half
+    slope = np.where(level, 1.0, slopes)
+    middle, reach = -heights / slope, half / np.abs(slope)
+    enters, leaves = np.where(inside, -np.inf, MISSED), np.where(inside, np.inf, -MISSED)
+    return np.where(level, enters, middle - reach), np.where(level, leaves, middle + reach)
+
+
+def _capsule(radius: float, half: float) -> Entry:
+    side, ball = _cylinder(radius, half), _ellipsoid(np.full(3, radius))
+    shift = np.array([0.0, 0.0, half])
+
+    def entry(points: Array, directions: Array) -> Array:
+        balls = np.minimum(ball(points - shift, directions), ball(points + shift, directions))
+        return np.minimum(side(points, directions), balls)
+
+    return entry
+
+
+def _hull(model: mujoco.MjModel, mesh: int) -> Entry | None:
+    from scipy.spatial import ConvexHull, QhullError
+
+    first = int(model.mesh_vertadr[mesh])
+    vertices = np.asarray(model.mesh_vert[first:first + model.mesh_vertnum[mesh]], float)
+    try:
+        planes = np.unique(ConvexHull(vertices).equations.round(6), axis=0)
+    except QhullError:  # flat
+        return None
+    return _polytope(planes[:, :3], -planes[:, 3]) if len(planes) <= MOST_FACES else None

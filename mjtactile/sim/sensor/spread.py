@@ -1,0 +1,65 @@
+"""How much deeper a small contact pushes a sheet than the sheet's mesh can show (docs/equations.md, C6). Pure functions.
+
+All lengths are in cells of the mesh (the root of the area that a vertex stands for), loads are forces over 2 pi times the
+tension and a cell.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjtactile.core.types import Array
+
+MESH_RADIUS = 0.198
+"""Of the point at which a five-point lattice's response to a force equals ln(1/a): exp(-(gamma + 1.5 ln 2)), gamma Euler's."""
+WIDEST = 0.5
+"""Radius of contact from which neighbours share it."""
+_LINE, _DISC, _TIP = 0.31, 0.5, 1.0  # deepening of contact on a line (1 - ln 2), under even pressure, under that of a cone
+_HALVINGS = 24
+_ONE_PLACE = 0.3  # cells between touches of one feature
+_MUTUAL = 0.39  # of two discs at one place: exp(-1/4) / 2 of the sum of their radii
+_LEAST = 1e-12
+
+
+def profile(near: Array, far: Array, radii: tuple[float, float]) -> tuple[Array, Array]:
+    """Slopes and curvatures, not negative, of the shape that rises by `near` and `far` at distances `radii` along each line:
+    rise = slope r + curvature r^2/4, the curvature being the sum of a ball's two."""
+    first, last = radii
+    curvature = 4 * (far / last - near / first) / (last - first)
+    slope = near / first - curvature * first / 4
+    curvature = np.where(slope < 0, 4 * far / last**2, np.where(curvature < 0, 0.0, curvature))
+    return np.where(slope < 0, 0.0, np.where(curvature > 0, slope, far / last)), curvature
+
+
+def contact_radius(load: Array, slope: Array, curvature: Array) -> Array:
+    """Radius a at which a sheet leaves a shape under `load`: load = a sin(angle of the shape at a), at most `WIDEST`."""
+    low, high = np.zeros(np.broadcast(load, slope).shape), np.full(np.broadcast(load, slope).shape, WIDEST)
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        steep = slope + curvature * middle / 2
+        small = middle * steep / np.sqrt(1 + steep * steep) < load
+        low, high = np.where(small, middle, low), np.where(small, high, middle)
+    return high
+
+
+def depth_beyond_mesh(load: Array, slope: Array, curvature: Array) -> tuple[Array, Array]:
+    """How much deeper (k,) a sheet is under each `load` (k,) than its mesh, and the radii (k,) of contact.
+
+    `slope` and `curvature` (k, d) are the shape's in d directions around the contact, evenly spread over half a turn.
+    """
+    radii = contact_radius(load[:, None], slope, curvature)
+    longest, shortest = radii.max(axis=1), radii.min(axis=1)
+    radius = (longest + shortest) / 2  # an ellipse's, as its potential sees it
+    steep, bent = slope.mean(axis=1), curvature.mean(axis=1)
+    compact = np.clip((steep + bent * radius / 4) / np.maximum(steep + bent * radius / 2, _LEAST), _DISC, _TIP)
+    deepening = _LINE + (compact - _LINE) * shortest / longest
+    return load * (np.log(MESH_RADIUS / radius) + deepening), radius
+
+
+def depth_of_neighbours(load: Array, radius: Array, vertices: Array, touches: Array) -> Array:
+    """The same (k,) for what the other vertices' loads do at each, where several vertices at `vertices` (k, 2) bear on one
+    place: they touch at `touches` (k, 2), closer to each other than the mesh has them."""
+    apart, close = (np.linalg.norm(p[:, None] - p, axis=-1) for p in (vertices, touches))
+    one_place = (close < _ONE_PLACE) & ~np.eye(len(load), dtype=bool)
+    close = np.maximum(close, _MUTUAL * (radius[:, None] + radius))
+    return (np.log(np.where(one_place, apart / close, 1.0)) @ load)
