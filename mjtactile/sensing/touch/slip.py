@@ -24,6 +24,8 @@ from mjtactile.core.types import Array, Contact, Slip, SlipState
 from mjtactile.sensing.force.inverse import InverseMembrane, Shape
 from mjtactile.sensing.settings import DEFAULTS, SlipSettings
 
+_POINT = 1e-4  # m: a patch is not smaller; one of a single node has no extent of its own
+
 
 @dataclass(frozen=True, eq=False)
 class SlipSample:
@@ -81,6 +83,7 @@ def evidence(history: SlipHistory, normal: float, s: SlipSettings = DEFAULTS.sli
     way = np.array([sample.p for sample in samples]) @ along[:2]
     dragged, ratio = (np.array([getattr(sample, name) for sample in samples]) @ along for name in ("dragged", "ratio"))
     size, length = _extent(history, along)
+    size = max(size, _POINT)
     sd = s.noise * (size / s.noise_size) ** s.noise_size_power * normal**s.noise_force_power
     lean = s.lean * (length / s.noise_size) ** s.lean_power
     most = 0.0

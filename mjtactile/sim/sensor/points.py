@@ -26,17 +26,17 @@ from mjtactile.sim.sensor.mesh import MembraneMesh
 from mjtactile.sim.sensor.spread import depth_beyond_mesh, depth_of_neighbours, profile
 
 EVERY, SETTLE = 0.01, 0.02
-"""s: how often to look, and the time constant with which the spheres follow."""
+"""s: how often to look, and the time constant with which they stand back."""
 REACH = 0.6
 """Half width of the cell in which a vertex looks for contact, in cells: a little more than a half."""
 _GRID = np.stack(np.meshgrid(*[np.linspace(-REACH, REACH, 7)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
 _AROUND = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
-_ZOOMS = (0.11, 0.045, 0.018, 0.007)  # of a cell: the finer grids
+_ZOOMS = (0.1, 0.035, 0.012)  # of a cell: the finer grids
 _FOOT = 0.06 * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])  # cells: a sphere stands with all of these on a face
 _CENTRED = 0.1  # cells of height that a detour of one cell costs: of equally high places the nearest to the vertex counts
 _SLACKEST = 0.01  # strain whose tension is the least to reckon with
 _STILL = 1e-5  # m, below which a sphere is back at its vertex
-_NEAR = 0.3  # cells from contact, within which a vertex looks
+_NEAR, _REACHED = 0.3, 0.8  # cells from contact, within which a vertex moves its sphere, and looks
 _SHARP = tuple(int(kind) for kind in (
     mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_MESH))
 _RINGS, _ANGLES = (0.15, 0.373), np.arange(8) * np.pi / 4 + 0.2  # where a shape is sampled around a contact, in cells
@@ -73,6 +73,9 @@ class ContactPoints:
         self._sizes, self._flat = np.sqrt(mesh.areas[mesh.interior]), mesh.p_SV[mesh.interior, :2]
         self._shapes = {int(geom): entry for geom in features.touching_geoms(model)
                         if _is_sharp(model, int(geom), mesh) and (entry := shapes.entry_of(model, int(geom)))}
+        self._round = {geom for geom in self._shapes if model.geom_type[geom] == int(mujoco.mjtGeom.mjGEOM_CYLINDER)
+                       and model.geom_size[geom, 0] >= features.RESOLVED * mesh.spacing}
+        self._back = np.zeros_like(self._places)
         self._time, self._still = float(data.time), True
         self._upright = self._normals(mesh.p_SV)  # of the sheet when nothing was near: a tent's slopes say nothing of the sheet
 
@@ -83,19 +86,21 @@ class ContactPoints:
         if not self._shapes or 0 <= elapsed < EVERY:
             return
         self._time = time
-        goal, near = self._goals(p_SV, tensions, pressure_gauge)
-        if not near:
+        goal, back, near = self._goals(p_SV, tensions, pressure_gauge)
+        if not near and not self._is_touched():
             self._upright = self._normals(p_SV)
             if self._still:
                 return
-        self._places += min(abs(elapsed) / SETTLE, 1.0) * (goal - self._places)
-        self._still = not near and np.abs(self._places).max() < _STILL
+        self._back += min(abs(elapsed) / SETTLE, 1.0) * (back - self._back)
+        self._still = not near and np.abs(self._back).max() < _STILL
         if self._still:
-            self._places[:] = 0.0
+            self._back[:] = 0.0
+        self._places[:] = goal + self._back
 
-    def _goals(self, p_SV: Array, tensions: Callable[[], Array], pressure_gauge: float) -> tuple[Array, bool]:
-        """Places (k, 3) m in S of the spheres from their vertices, and whether anything is near."""
-        goal, nearest, loads = np.zeros_like(self._places), np.full(len(self._places), np.inf), None
+    def _goals(self, p_SV: Array, tensions: Callable[[], Array], pressure_gauge: float) -> tuple[Array, Array, bool]:
+        """Vectors (k, 3) m in S to where the spheres should be, those by which to stand back; is anything near?"""
+        goal, behind = np.zeros_like(self._places), np.zeros_like(self._places)
+        nearest, loads = np.full(len(self._places), np.inf), None
         vertices = p_SV[self._interior]
         for geom, entry in self._shapes.items():
             middle = self._in_sensor(self._data.geom_xpos[geom])
@@ -105,19 +110,26 @@ class ContactPoints:
             normal = self._upright[close].sum(axis=0)
             axes = _axes(normal / np.linalg.norm(normal))
             cells = self._seen_from(geom, vertices[close], axes, self._sizes[close])
+            if geom in self._round:  # but for its ends
+                at_end = np.flatnonzero(np.abs(cells.places[:, 2]) + 2 * cells.sizes > self._model.geom_size[geom, 1])
+                close, cells = close[at_end], cells.of(at_end)
             rows, at, gaps = _deepest(cells, entry)
             better = gaps < nearest[close[rows]]
             rows, at = rows[better], at[better]
             touching = close[rows]
             nearest[touching] = gaps[better]
-            goal[touching] = self._sizes[touching, None] * (at @ axes[:2])
+            goal[touching], behind[touching] = self._sizes[touching, None] * (at @ axes[:2]), 0.0
             if len(rows) and int(self._model.geom_type[geom]) in _SHARP:
                 loads = self._loads(tensions, pressure_gauge) if loads is None else loads
                 pressed = loads[touching] > 0
                 rows, at, touching = rows[pressed], at[pressed], touching[pressed]
                 back = _stand_back(cells.of(rows), entry, at, loads[touching], self._flat[touching])
-                goal[touching] -= (self._sizes[touching] * back)[:, None] * axes[2]
-        return goal, bool(np.isfinite(nearest).any())
+                behind[touching] = -(self._sizes[touching] * back)[:, None] * axes[2]
+        return goal, behind, bool(np.isfinite(nearest).any())
+
+    def _is_touched(self) -> bool:
+        numbers = self._data.contact.geom - self._first
+        return bool(((numbers >= 0) & (numbers < len(self._sizes))).any())
 
     def _in_sensor(self, p_W: Array) -> Array:
         data = self._data
@@ -168,16 +180,30 @@ def _deepest(cells: _Cells, entry: shapes.Entry) -> tuple[NDArray[np.int64], Arr
 
     A shape that reaches farthest in at a cell's border does so in the next cell, too: along that axis the vertex stays.
     """
-    grid = np.broadcast_to(_GRID, (len(cells.sizes), *_GRID.shape))
+    rows = _uneven(cells.gaps(entry, np.broadcast_to(_AROUND, (len(cells.sizes), *_AROUND.shape))))
+    if not len(rows):
+        return rows, np.zeros((0, 2)), np.zeros(0)
+    cells = cells.of(rows)
+    grid = np.broadcast_to(_GRID, (len(rows), *_GRID.shape))
     gaps = cells.gaps(entry, grid)
-    rows = np.flatnonzero(gaps.min(axis=1) < _NEAR)
-    cells, shifts = cells.of(rows), _least(grid[rows], gaps[rows])
+    near = gaps.min(axis=1) < _NEAR
+    rows, cells, shifts = rows[near], cells.of(np.flatnonzero(near)), _least(grid[near], gaps[near])
     for step in _ZOOMS:
         grid = np.clip(shifts[:, None] + step * _AROUND, -REACH, REACH)
         feet = (grid[:, :, None] + _FOOT).reshape(len(grid), len(_AROUND) * len(_FOOT), 2)
         shifts = _least(grid, cells.gaps(entry, feet).reshape(len(grid), len(_AROUND), len(_FOOT)).max(axis=2))
     shifts = np.where(np.abs(shifts) > REACH - 1e-6, 0.0, shifts)
     return rows, shifts, cells.gaps(entry, shifts[:, None])[:, 0]
+
+
+def _uneven(gaps: Array) -> NDArray[np.int64]:
+    """Cells that something near bends in sharply, or does not fill, by the gaps (k, 9) at it and its neighbours."""
+    square = gaps.reshape(-1, 3, 3)
+    with np.errstate(invalid="ignore"):  # misses
+        bends = np.stack([square[:, 0] - 2 * square[:, 1] + square[:, 2],
+                          square[:, :, 0] - 2 * square[:, :, 1] + square[:, :, 2]], axis=1).reshape(-1, 6)
+    smooth = (np.abs(bends) < 1 / features.RESOLVED).all(axis=1)
+    return np.flatnonzero(~smooth & (gaps.min(axis=1) < _REACHED))
 
 
 def _least(grid: Array, gaps: Array) -> Array:
