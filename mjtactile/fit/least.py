@@ -13,6 +13,7 @@ from mjtactile.core.types import Array
 
 _ENOUGH = 0.1  # of a standard deviation: a last step
 _HALVINGS = 3
+_FLAT = 1e-3  # of the sum of squares: what a simulation's own noise makes of it
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class Solution:
 def gauss_newton(residuals: Callable[[Array], Array], jacobian: Callable[[Array, Array], Array], x: Array, *, low: Array,
                  high: Array, iterations: int = 6, enough: float = _ENOUGH) -> Solution:
     """Minimise the sum of squares from `x` within `low` and `high`; `jacobian(x, residuals(x))` (r, n). It ends when no step is
-    longer than `enough` sd."""
+    longer than `enough` sd, or the sum falls no further."""
     now = residuals(x)
     for _ in range(iterations):
         J = jacobian(x, now)
@@ -73,7 +74,10 @@ def gauss_newton(residuals: Callable[[Array], Array], jacobian: Callable[[Array,
                 break
         if better is None:
             break
+        flat = now @ now - better[1] @ better[1] < _FLAT * (now @ now)
         x, now = better
+        if flat:
+            break
     return Solution(x, J, now)  # pyright: ignore[reportPossiblyUnboundVariable] the loop runs at least once
 
 

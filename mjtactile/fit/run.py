@@ -157,7 +157,7 @@ def _gas(sheet: SheetFit, evidence: Sequence[Evidence], known: Mapping[str, floa
     say(_say_gas(found))
     start = replace(sheet.design, chamber=replace(sheet.design.chamber, **found.values))
     models = [_replayed(evidence[i], sheet.offsets[i], mesh) if _can_replay(evidence[i]) else predict for i in with_pressure]
-    found = fit_gas(start, runs, known=held, models=models, iterations=1)
+    found = fit_gas(start, runs, known=held, models=models, iterations=2)
     say(_say_gas(found))
     return found
 
