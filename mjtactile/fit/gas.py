@@ -90,23 +90,28 @@ Model = Callable[[SensorDesign, Sealed], Array]
 
 
 def fit_gas(design: SensorDesign, runs: Sequence[Sealed], *, known: Mapping[str, float], models: Sequence[Model] = (),
-            iterations: int = 8) -> GasFit:
+            modes: Sequence[Array] = (), iterations: int = 8) -> GasFit:
     """Fit what of NAMES is not `known` (SI values by name) from the values of `design` on.
 
-    `models` has another model than `predict` for each run.
+    `models` has another model than `predict` for each run; `modes` (k, time) what else its pressures may be off by, Pa for one sd.
     """
     chamber = replace(design.chamber, **known)
     names = tuple(name for name in NAMES if name not in known and not (name == "heat_exchange" and known.get("heat_ratio") == 1))
     begin = {"heat_ratio": max(chamber.heat_ratio, 1.2), "heat_exchange": min(chamber.heat_exchange, 1.0)}
     chamber = replace(chamber, **{name: value for name, value in begin.items() if name in names})
-    return _Problem(replace(design, chamber=chamber), runs, names, models or [predict] * len(runs)).solve(iterations)
+    modes = modes or [np.empty((0, len(run.time))) for run in runs]
+    return _Problem(replace(design, chamber=chamber), runs, names, models or [predict] * len(runs), modes).solve(iterations)
 
 
 class _Problem:
-    """The unknowns x: the gas's numbers (see `Scale`), then, in sd, what is added to all pressures of a run."""
+    """The unknowns x: the gas's numbers (see `Scale`), then, in sd, how much of its modes is added to the pressures of each run:
+    a constant, and those that are given."""
 
-    def __init__(self, design: SensorDesign, runs: Sequence[Sealed], names: tuple[str, ...], models: Sequence[Model]):
+    def __init__(self, design: SensorDesign, runs: Sequence[Sealed], names: tuple[str, ...], models: Sequence[Model],
+                 modes: Sequence[Array]):
         self.design, self.runs, self.names, self._models = design, runs, names, models
+        self._modes = [np.vstack([np.full(len(run.time), SHIFT_SD), more]) for run, more in zip(runs, modes, strict=True)]
+        self._mode_count = sum(len(mode) for mode in self._modes)
         empty = design.chamber_volume_flat - design.chamber.extra_volume
         scales = {"extra_volume": Scale(-0.95 * empty, 1e3 * empty, 0.1 * empty, 0.1), "heat_ratio": Scale(1.0, 1.7, 0.2, 0.05),
                   "heat_exchange": Scale(0.02, 100.0, step=0.05), "leak_conductance": Scale(0.0, 1e-6, 1e-11, 0.1)}
@@ -116,8 +121,8 @@ class _Problem:
 
     def solve(self, iterations: int) -> GasFit:
         ends = [(s.scaled(s.low, v), s.scaled(s.high, v)) for s, v in zip(self._scales, self._nominal, strict=True)]
-        low, high = np.array([*ends, *[(-np.inf, np.inf)] * len(self.runs)]).reshape(-1, 2).T
-        steps = np.array([*(s.step for s in self._scales), *[1.0] * len(self.runs)])
+        low, high = np.array([*ends, *[(-np.inf, np.inf)] * self._mode_count]).reshape(-1, 2).T
+        steps = np.array([*(s.step for s in self._scales), *[1.0] * self._mode_count])
         n, x, rounds = len(self.names), np.zeros(len(low)), 2 if iterations > 3 else 1
         for _ in range(rounds):  # again when the noise is known
             self._sd = [_noise(p - run.pressure) for p, run in zip(self.pressures(x), self.runs, strict=True)]
@@ -127,8 +132,7 @@ class _Problem:
         values = self.values(x)
         slopes = np.array([s.slope(values[name]) for s, name in zip(self._scales, self.names, strict=True)])
         cov = np.linalg.inv(found.information)[:n, :n] * np.outer(slopes, slopes)  # pyright: ignore[reportPossiblyUnboundVariable]
-        fitted = [p + SHIFT_SD * more for p, more in zip(self.pressures(x), x[n:], strict=True)]
-        return GasFit(values, cov, self.names, tuple(self._sd), tuple(self.runs), tuple(fitted))
+        return GasFit(values, cov, self.names, tuple(self._sd), tuple(self.runs), tuple(self._moved(x)))
 
     def values(self, x: Array) -> dict[str, float]:
         return {name: s.value(float(v), nominal) for name, s, v, nominal
@@ -141,11 +145,15 @@ class _Problem:
             self._last = x[:n].copy(), [model(made, run) for model, run in zip(self._models, self.runs, strict=True)]
         return self._last[1]
 
+    def _moved(self, x: Array) -> list[Array]:
+        """Pressures with the modes' parts."""
+        parts = np.split(x[len(self.names):], np.cumsum([len(mode) for mode in self._modes])[:-1])
+        return [p + part @ mode for p, part, mode in zip(self.pressures(x), parts, self._modes, strict=True)]
+
     def residuals(self, x: Array) -> Array:
         """In sd; far ones count less (Huber). Neighbours share what the model is off by: each counts as SHARED of one."""
         n = len(self.names)
-        z = np.concatenate([(p + SHIFT_SD * more - run.pressure) / sd for p, more, run, sd
-                            in zip(self.pressures(x), x[n:], self.runs, self._sd, strict=True)])
+        z = np.concatenate([(p - run.pressure) / sd for p, run, sd in zip(self._moved(x), self.runs, self._sd, strict=True)])
         z = np.sign(z) * np.sqrt(np.where(np.abs(z) < _OUTLIER, z**2, _OUTLIER * (2 * np.abs(z) - _OUTLIER)))
         return np.concatenate([z / math.sqrt(SHARED), PRIOR * x[:n], x[n:]])
 

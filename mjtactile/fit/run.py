@@ -157,7 +157,8 @@ def _gas(sheet: SheetFit, evidence: Sequence[Evidence], known: Mapping[str, floa
     say(_say_gas(found))
     start = replace(sheet.design, chamber=replace(sheet.design.chamber, **found.values))
     models = [_replayed(evidence[i], sheet.offsets[i], mesh) if _can_replay(evidence[i]) else predict for i in with_pressure]
-    found = fit_gas(start, runs, known=held, models=models, iterations=2)
+    modes = [_touch_mode(start, evidence[i], sheet, sheet.offsets[i], mesh) for i in with_pressure]
+    found = fit_gas(start, runs, known=held, models=models, modes=modes, iterations=2)
     say(_say_gas(found))
     return found
 
@@ -170,6 +171,15 @@ def _can_replay(evidence: Evidence) -> bool:
     """Whether something touches, at depths that are known, and is not dragged: that says little of the gas and takes long."""
     moves = evidence.stage.moves if evidence.stage else ()
     return any(move.touches for move in moves) and not any(move.is_weight or move.shear for move in moves)
+
+
+def _touch_mode(design: SensorDesign, evidence: Evidence, sheet: SheetFit, offset: float, mesh: tuple[int, int] | None) -> Array:
+    """What a sd of a press's first touch does to its pressures, (1, time) Pa; (0, time) of what is not replayed."""
+    if not _can_replay(evidence):
+        return np.empty((0, len(evidence.series.time)))
+    i = sheet.names.index(f"first touch of {evidence.name}")
+    sd = math.sqrt(sheet.cov[i][i])
+    return np.array([replay(design, evidence, offset + sd, mesh) - replay(design, evidence, offset, mesh)])
 
 
 def _replayed(evidence: Evidence, offset: float, mesh: tuple[int, int] | None) -> Callable[..., Array]:
