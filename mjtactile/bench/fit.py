@@ -28,7 +28,7 @@ from mjtactile.run.figures import new_figure
 from mjtactile.run.progress import Progress
 from mjtactile.sim.attach import DEFAULT_MESH
 
-FIRST_SEED, SEEDS = 101, 3
+FIRST_SEED, SEEDS = 201, 3
 FINE_MESH = (17, 13)  # of the last specimen, which is the first one again
 DIFFERS = 0.3  # of each number, at most
 AIR = {"heat_ratio": 1.4, "heat_exchange_s": 1.0, "leak_mL_s_kPa": 0.01}

@@ -16,7 +16,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
 from mjtactile.fit.evidence import Evidence
 from mjtactile.fit.least import Scale, differences, gauss_newton
-from mjtactile.fit.statics import Simulated
+from mjtactile.fit.statics import Simulated, is_fast
 from mjtactile.sim.sensor.gas import Gas
 
 _OUTLIER = 3.0  # sd: from there on a reading counts less
@@ -59,6 +59,8 @@ def sealed_runs(evidence: Sequence[Evidence], simulated: Sequence[Sequence[Simul
     runs, smooth, true = [e for e in evidence if e.has_pressure and len(e.series.time) > 10], [], []
     for e, holds in zip(evidence, simulated, strict=True):
         for hold, sim in zip(e.holds, holds[1:], strict=True):
+            if is_fast(hold):  # simulated as if it had been slow
+                continue
             smooth.append([1.0, float(np.interp(hold.time, e.series.time, e.series.volume)) / _ML, hold.pressure / 1e3])
             true.append(sim.volume)
     rows = np.array([row for row in smooth if math.isfinite(row[2])]).reshape(-1, 3)
@@ -93,7 +95,8 @@ def fit_gas(design: SensorDesign, runs: Sequence[Sealed], *, known: Mapping[str,
             modes: Sequence[Array] = (), iterations: int = 8) -> GasFit:
     """Fit what of NAMES is not `known` (SI values by name) from the values of `design` on.
 
-    `models` has another model than `predict` for each run; `modes` (k, time) what else its pressures may be off by, Pa for one sd.
+    `models` has another model than `predict` for each run; `modes` (k, time) what else its pressures may be off by,
+    Pa for one sd.
     """
     chamber = replace(design.chamber, **known)
     names = tuple(name for name in NAMES if name not in known and not (name == "heat_exchange" and known.get("heat_ratio") == 1))

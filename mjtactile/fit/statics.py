@@ -259,11 +259,14 @@ class _Problem:
                         tuple(self.offset(i, found.x) for i in range(len(self.evidence))))
 
 
+def is_fast(hold: Hold) -> bool:
+    """Whether something touches that came faster than FAST."""
+    return hold.move is not None and hold.move.touches and hold.move.speed > FAST
+
+
 def _whitener(hold: Hold) -> tuple[Array, Array]:
     """Rows of the markers that were seen, and their whitening (n, 3, 3)."""
     rows = np.flatnonzero(np.isfinite(hold.p_SM).all(axis=1))
-    move = hold.move
-    fast = move is not None and move.touches and move.speed > FAST
-    noise = hold.cov[rows] + (FAST_FLOOR if fast else MARKER_FLOOR) ** 2 * np.eye(3)
+    noise = hold.cov[rows] + (FAST_FLOOR if is_fast(hold) else MARKER_FLOOR) ** 2 * np.eye(3)
     return rows, np.linalg.inv(np.linalg.cholesky(noise))
 
