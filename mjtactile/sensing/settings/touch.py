@@ -31,6 +31,7 @@ class SlipSettings:
     """Whether the object slips (sensing/touch/slip.py)."""
 
     evidence: float = number(7.0, "sd of a wandering patch that are slip", _SLID)
+    limit: float = number(0.95, "share of the friction limit, as far as it is known, that is slip", "trial")
     recent: float = number(0.12, "s, in which what is said to be a slip began", "four images at 30 Hz; " + _SLID)
     baseline: float = number(0.28, "s before it, from which it is counted", "eight images at 30 Hz; " + _SLID)
     least_before: int = number(2, "images that a baseline needs", "trial")

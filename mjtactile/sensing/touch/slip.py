@@ -2,14 +2,15 @@
 
 Markers are material points, so that the centre of pressure is known in the membrane's *material* coordinates. While the
 object sticks it stays there, however far the membrane is dragged along; when the object slips it goes along the shear
-force with the object, and the rubber under it no longer follows. Nothing in this needs a coefficient of friction.
+force with the object, and the rubber under it no longer follows. This needs no coefficient of friction.
 What else moves a centre of pressure is allowed for: partial slip, which goes with how far the rubber is dragged, and an
 object that leans, which goes with the change of shear over normal force and the contact's length squared. Against what is
 then left, a ramp that began a few images ago is tested by its matched filter (Eq. F14). A patch that wanders without shear
 rolls.
 
 The share of friction that is used up, and with it the sticking share (1 - Q / mu N)^(2/3) of the area (Cattaneo 1938, Mindlin
-1949), needs the coefficient: the sensor file's, until a slip or a hold beyond it has shown another.
+1949), needs the coefficient: the sensor file's, until a slip or a hold beyond it has shown another. That nearly all
+of it is reached is slip, too: at once where the file is right, and once too often where the object is rougher than that.
 """
 
 from __future__ import annotations
@@ -65,7 +66,9 @@ def judge(time: float, estimator: InverseMembrane, shape: Shape, patches: Sequen
     now = _follow(time, estimator, shape, shear / normal, before, s)
     load = float(np.linalg.norm(shear)) / normal
     velocity, way = _motion(now.samples, s)
-    slips = load > s.least_load and way > s.least_way and evidence(now, normal, s) > s.evidence
+    limit = s.limit * now.friction
+    reaches_limit = load > limit > min(float(np.linalg.norm(sample.ratio)) for sample in now.samples)
+    slips = load > s.least_load and (reaches_limit or (way > s.least_way and evidence(now, normal, s) > s.evidence))
     slid = max(now.distance, way) if slips and now.distance == 0 else now.distance + slips * _newest_way(now.samples)
     friction = load if slips else max(now.friction, load)
     used = load / friction
