@@ -275,6 +275,8 @@ class InverseMembrane:
         sparse = max(1.0, self.design.markers.pitch_x * self.design.markers.pitch_y / self.settings.share_cell)
         size = np.repeat([np.linalg.norm(wrench[:3]), np.linalg.norm(wrench[3:])], 3)
         share = self.settings.model_share * np.array([np.sqrt(sparse), np.sqrt(sparse), sparse, 1, 1, 1])
+        # markers that no smooth pressure explains: something sharper than the sheet's splines
+        share += self.settings.sharp_share * max(0.0, float(shape.excess[0].mean()) - self.settings.sharp_excess)
         cov[np.diag_indices(6)] += (share * size) ** 2
         return cov
 

@@ -42,6 +42,9 @@ class InverseSettings:
                                      "bench touch: chi-square")
     shear_share: float = number(0.1, "of that for shear and its torque, which nearly all markers see", "bench touch: chi-square")
     model_share: float = number(0.006, "of the force: stiffness, discretisation", "bench touch")
+    sharp_excess: float = number(6.0, "mean of all markers' `excess` up to which smooth pressure explains them",
+                                 "bench truth: balls have less")
+    sharp_share: float = number(0.015, "of the force, that its sd grows by for each beyond that", "bench truth: a wedge")
     share_cell: float = number(12e-6, "m^2 of sheet to a marker; where it is more, that share of the normal force grows with it",
                                 "bench touch")
     informative_pressure: float = number(100.0, "Pa; below, the bulge is too small to tell the stiffness", "trial")
