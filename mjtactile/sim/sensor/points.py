@@ -3,12 +3,12 @@
 Vertices are 2-3 mm apart. Edges, tips and small balls pass between them, and where a tip meets one, the sheet's finest shape
 is a tent of that size: a cone is met 40 % too hard. Near what is small or sharp, therefore,
 
-- a vertex's sphere stands where the object reaches farthest into the vertex's own cell (and a little beyond, so that none
-  falls between two cells), as if the tent's top were there; the force is the vertex's;
+- a vertex's sphere stands where the object juts farthest into the vertex's own cell (and a little beyond, so that none falls
+  between two cells), as if the tent's top were there; the force is the vertex's;
 - it stands back by as much as a real sheet would be pushed in further than the mesh's tent: a force F on a disc of radius a
   under the tension T deepens a sheet by F/(2 pi T) (ln(1/a) + 1/2), the mesh has its own a = 0.198 h (docs/equations.md, C6).
 
-Round objects that are larger than the mesh are left to `facets.StandOff`.
+Round objects that are larger than the mesh are left to `facets.StandOff`, faces to the vertices.
 """
 
 from __future__ import annotations
@@ -33,6 +33,9 @@ _GRID = np.stack(np.meshgrid(*[np.linspace(-REACH, REACH, 7)] * 2, indexing="ij"
 _AROUND = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
 _ZOOMS = (0.1, 0.035, 0.012)  # of a cell: the finer grids
 _FOOT = 0.06 * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])  # cells: a sphere stands with all of these on a face
+_BESIDE = 0.3 * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])  # cells: where it is asked
+_JUTS = 0.04  # cells that a shape falls away by there, if it juts out: a ball of two spacings does by 0.03
+_MISSED = 100.0  # cells, in place of infinity
 _CENTRED = 0.1  # cells of height that a detour of one cell costs: of equally high places the nearest to the vertex counts
 _SLACKEST = 0.01  # strain whose tension is the least to reckon with
 _STILL = 1e-5  # m, below which a sphere is back at its vertex
@@ -176,7 +179,7 @@ def _axes(normal: Array) -> Array:
 
 
 def _deepest(cells: _Cells, entry: shapes.Entry) -> tuple[NDArray[np.int64], Array, Array]:
-    """Rows of those cells that are near a shape; shifts (k, 2), in cells, to where it reaches farthest in; gaps (k,) there.
+    """Rows of those cells that a shape juts into; shifts (k, 2), in cells, to where it reaches farthest in; gaps (k,) there.
 
     A shape that reaches farthest in at a cell's border does so in the next cell, too: along that axis the vertex stays.
     """
@@ -193,15 +196,25 @@ def _deepest(cells: _Cells, entry: shapes.Entry) -> tuple[NDArray[np.int64], Arr
         feet = (grid[:, :, None] + _FOOT).reshape(len(grid), len(_AROUND) * len(_FOOT), 2)
         shifts = _least(grid, cells.gaps(entry, feet).reshape(len(grid), len(_AROUND), len(_FOOT)).max(axis=2))
     shifts = np.where(np.abs(shifts) > REACH - 1e-6, 0.0, shifts)
-    return rows, shifts, cells.gaps(entry, shifts[:, None])[:, 0]
+    juts = _juts(cells, entry, shifts)
+    kept = np.flatnonzero(juts.any(axis=1))
+    cells, shifts = cells.of(kept), np.where(juts[kept], shifts[kept], 0.0)
+    return rows[kept], shifts, cells.gaps(entry, shifts[:, None])[:, 0]
+
+
+def _juts(cells: _Cells, entry: shapes.Entry, at: Array) -> NDArray[np.bool_]:
+    """Whether the shape falls away on both sides of `at` (k, 2), along each of the two axes (k, 2): not at the edge of a face,
+    where a sphere would now and then be on one side, now on the other, of what slides over it."""
+    gaps = np.minimum(cells.gaps(entry, at[:, None] + _BESIDE), _MISSED)
+    falls = gaps[:, 1:] - gaps[:, :1]
+    return np.stack([falls[:, :2].min(axis=1), falls[:, 2:].min(axis=1)], axis=1) > _JUTS
 
 
 def _uneven(gaps: Array) -> NDArray[np.int64]:
     """Cells that something near bends in sharply, or does not fill, by the gaps (k, 9) at it and its neighbours."""
-    square = gaps.reshape(-1, 3, 3)
-    with np.errstate(invalid="ignore"):  # misses
-        bends = np.stack([square[:, 0] - 2 * square[:, 1] + square[:, 2],
-                          square[:, :, 0] - 2 * square[:, :, 1] + square[:, :, 2]], axis=1).reshape(-1, 6)
+    square = np.minimum(gaps, _MISSED).reshape(-1, 3, 3)
+    bends = np.stack([square[:, 0] - 2 * square[:, 1] + square[:, 2],
+                      square[:, :, 0] - 2 * square[:, :, 1] + square[:, :, 2]], axis=1).reshape(-1, 6)
     smooth = (np.abs(bends) < 1 / features.RESOLVED).all(axis=1)
     return np.flatnonzero(~smooth & (gaps.min(axis=1) < _REACHED))
 
