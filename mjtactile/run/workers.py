@@ -199,6 +199,8 @@ class RemotePerception:
             raise self._silent(patience)
         try:
             answer = self._worker.connection.recv()
+        except BlockingIOError as error:  # it stopped in the middle of an answer
+            raise self._silent(REPLY_TIME) from error
         except (EOFError, OSError) as error:
             raise self._lost() from error
         self._due, self._is_ready = self._due - 1, True
@@ -223,7 +225,8 @@ class _Worker:
     def __init__(self) -> None:
         ours, theirs = socket.socketpair()
         # One that hangs does not empty the socket, and images do not fit into it.
-        ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", REPLY_TIME, 0))
+        for side in (socket.SO_SNDTIMEO, socket.SO_RCVTIMEO):
+            ours.setsockopt(socket.SOL_SOCKET, side, struct.pack("ll", REPLY_TIME, 0))
         self.memory = os.fdopen(os.memfd_create("mjtactile-image"), "r+b")
         with theirs:
             descriptors = theirs.fileno(), self.memory.fileno()

@@ -7,9 +7,12 @@ import contextlib
 import json
 import os
 import signal
+import socket
+import struct
 import subprocess
 import sys
 import time
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
@@ -203,6 +206,21 @@ def test_a_worker_that_hangs_is_a_fault_of_its_sensor(images, monkeypatch):
         os.kill(workers.pids[0], signal.SIGSTOP)
         with pytest.raises(DeviceError, match="left sensor: its perception process did not answer for 1 s"):
             chain.take_flat(images["flat"])  # while references are taken
+
+
+def test_a_worker_that_stops_in_the_middle_of_an_answer(monkeypatch):
+    monkeypatch.setattr(perception, "REPLY_TIME", 1)
+    with Workers(1) as workers:
+        chain = workers.perceptions({NAMES[0]: DESIGN})[0]
+        chain._settle()
+        ours, theirs = socket.socketpair()
+        ours.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", 1, 0))
+        kept, chain._worker.connection, chain._due = chain._worker.connection, Connection(ours.detach()), 1
+        theirs.send(struct.pack("!i", 100) + b"not a hundred")
+        with pytest.raises(DeviceError, match="did not answer"):
+            chain._settle()
+        kept.close()
+        theirs.close()
 
 
 # -- processes ----------------------------------------------------------------------------------------------------------
