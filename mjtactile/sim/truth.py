@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
+from mjtactile.sim import film
 from mjtactile.sim.scenes.objects import PREFIX, moving_bodies
 
 if TYPE_CHECKING:
@@ -100,14 +101,58 @@ def contact_wrench(world: World, sensor: int) -> Array:
     return np.concatenate([forces.sum(axis=0), np.cross(points, forces).sum(axis=0)])
 
 
-def contact_area(world: World, sensor: int) -> float:
-    """Area of contact, m^2: the sheet that the touching vertices stand for, or a third of each touching triangle."""
-    device, data = world.sensors[sensor], world.data
-    if device.contact == "vertices":
-        touching = np.isin(device.vertex_geom_ids, data.contact.geom[data.contact.exclude == 0])
-        return float(device.mesh.areas[device.mesh.interior][touching].sum())
-    elements = np.unique(data.contact.elem[data.contact.flex == device.flex_id])
-    return float(device.stretches()[1][elements[elements >= 0]].sum() / 3)
+def contact_area(world: World, sensor: int, spacing: float = 4e-4) -> float:
+    """Area, m^2, of the membrane that lies on what touches it; 0 without a touch.
+
+    Of a film with the membrane's tension near the contact, under its pressure, over the object as it is seen along the sensor's
+    axis, that carries the same normal force (`film.py`): vertices are too far apart to tell. A row of edges or points has the
+    area of the cells of `spacing` m, or less, that it crosses.
+    """
+    device = world.sensors[sensor]
+    forces, points, _ = contact_forces(world, sensor)
+    force = -float(forces[:, 2].sum())
+    if force <= 0:
+        return 0.0
+    frame = device.design.frame
+    axes = [np.linspace(-side / 2, side / 2, round(side / spacing) + 1) for side in (frame.length, frame.width)]
+    x, y = np.meshgrid(*axes, indexing="ij")
+    off = np.abs(np.stack([2 * x / frame.length, 2 * y / frame.width]))
+    inside = (np.hypot(*off) if frame.shape == "circle" else off.max(axis=0)) < 1 - 1e-9
+    nearest = np.linalg.norm(points[:, None] - device.p_SV, axis=2).argmin(axis=1)
+    pressing = np.maximum(-forces[:, 2], 0.0)
+    tension = float(pressing @ device.tensions()[nearest] / pressing.sum())
+    contact = film.lie_on(_heights_of(world, device, x, y), inside, spacing, pressure=device.pressure_gauge, tension=tension,
+                          force=force)
+    return contact.area
+
+
+def _heights_of(world: World, device: TactileSensor, x: Array, y: Array) -> Array:
+    """Heights (nx, ny) m in S of what touches the membrane over points `x`, `y` (nx, ny) m, seen from the sensor; inf where
+    there is nothing. All geoms that can touch of a body that does, and each flex."""
+    model, data = world.model, world.data
+    mine = np.isin(data.contact.geom, device.vertex_geom_ids) | (data.contact.flex == device.flex_id)
+    others = mine.any(axis=1)[:, None] & ~mine
+    geoms, flexes = (np.unique(ids[others & (ids >= 0)]) for ids in (data.contact.geom, data.contact.flex))
+    bodies = model.body_weldid[model.geom_bodyid]
+    solid = (model.geom_contype | model.geom_conaffinity) > 0
+    geoms = np.flatnonzero(np.isin(bodies, bodies[geoms]) & solid & ~np.isin(np.arange(model.ngeom), device.vertex_geom_ids))
+    R_WS, p_WS = _pose(world, device)
+    up, below = np.ascontiguousarray(R_WS[:, 2]), -device.design.chamber.depth
+    heights = np.full(x.shape, np.inf)
+    for place in np.ndindex(*x.shape):
+        start = p_WS + R_WS @ (x[place], y[place], below)
+        ways = [_ray(model, data, int(geom), start, up) for geom in geoms]
+        ways += [mujoco.mj_rayFlex(model, data, 0, False, False, True, False, int(flex), start, up) for flex in flexes]
+        heights[place] = below + min((way for way in ways if way >= 0), default=np.inf)
+    return heights
+
+
+def _ray(model: mujoco.MjModel, data: mujoco.MjData, geom: int, start: Array, along: Array) -> float:
+    """Way, m, from `start` to a geom, frame W; -1 where it passes."""
+    kind = model.geom_type[geom]
+    if kind == mujoco.mjtGeom.mjGEOM_MESH:
+        return mujoco.mj_rayMesh(model, data, geom, start, along)
+    return mujoco.mju_rayGeom(data.geom_xpos[geom], data.geom_xmat[geom], model.geom_size[geom], start, along, int(kind))
 
 
 def penetration(world: World, sensor: int) -> float:

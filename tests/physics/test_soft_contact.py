@@ -38,5 +38,5 @@ def test_a_ball_between_membranes_gives_way_as_under_their_even_pressure(tmp_pat
     # A half-space under an even pressure over a circle, both sides: 2 (1 - nu^2) p c / E in the middle, 16/(3 pi) of (...)
     # on the average (Timoshenko & Goodier, sect. 139).
     middle = 2 * 2 * (1 - ball.poisson**2) * force / (np.pi * radius * ball.young)
-    # the lattice is a fifth too stiff against a plate (test_soft_bodies.py), and the radius is known to half a vertex, 15 %
-    assert 0.75 * 8 / (3 * np.pi) * middle < between - opening < 1.2 * middle
+    # the lattice is a fifth too stiff against a plate (test_soft_bodies.py), and a rim that leaves the ball is less than even
+    assert 0.75 * 8 / (3 * np.pi) * middle < between - opening < 1.05 * middle

@@ -2,7 +2,7 @@
 
 One simulated membrane is seen by two cameras with their own markers, `dense` and `paper16`, which share everything but
 the layout. Nothing is calibrated for an object. The truth is the simulator's on a mesh finer than the default's, since a
-coarse mesh is stiffer than rubber; its contact area and centroid are those of the touching vertices, so known to a cell.
+coarse mesh is stiffer than rubber; its contact area is that of a film on the object, the centroid that of the forces.
 Seeds below FIRST_SEED were used in tuning and are not among them.
 """
 
