@@ -17,6 +17,7 @@ from mjtactile.sensing.chain import Perception
 from mjtactile.sim.attach import Attachment
 from mjtactile.sim.camera import SimCamera
 from mjtactile.sim.sensor.runtime import TactileSensor
+from mjtactile.sim.step import advance
 
 OUTPUTS = {"wrench": 6, "pressure": 1, "touching": 1}
 """MuJoCo sensors of type `user` that `attach` adds, and how many numbers each has."""
@@ -149,7 +150,7 @@ def step(model: mujoco.MjModel, data: mujoco.MjData, fingers: Sequence[SimFinger
     for _ in range(nstep):
         for finger in fingers:
             finger.before_step()
-        mujoco.mj_step(model, data)
+        advance(model, data)
         for finger in fingers:
             finger.after_step()
 

@@ -14,6 +14,7 @@ from mjtactile.sim.attach import Attachment
 from mjtactile.sim.log import route_warnings
 from mjtactile.sim.sensor.limits import Flags, Monitor
 from mjtactile.sim.sensor.runtime import TactileSensor
+from mjtactile.sim.step import advance
 
 _LOOK_EVERY = 0.02  # s, between the checks that cost more than a few microseconds
 
@@ -79,7 +80,7 @@ class World:
             self._before_step()
             for sensor in self.sensors:
                 sensor.update()
-            mujoco.mj_step(self.model, self.data)
+            advance(self.model, self.data)
             self.step_count += 1
             self._check()
             for call in self._after_step:
