@@ -65,7 +65,7 @@ $(VENV)/.test-ready: requirements-dev.lock $(VENV)/.run-ready
 
 lock:  ## renew requirements*.lock from pyproject.toml (newest versions that fit)
 	rm -rf build/lock && $(PYTHON) -m venv build/lock
-	build/lock/bin/pip --quiet install 'hatchling>=1.27' --editable '.[plots]'
+	build/lock/bin/pip --quiet install 'hatchling>=1.27' 'ziglang>=0.15' --editable '.[plots]'
 	build/lock/bin/pip freeze --exclude-editable --exclude pip --exclude setuptools > build/run.txt
 	build/lock/bin/pip --quiet install --editable '.[plots,dev]'
 	build/lock/bin/pip freeze --exclude-editable --exclude pip --exclude setuptools > build/all.txt

@@ -89,7 +89,9 @@ def _fit(grey: NDArray, found: candidates.Candidates, settings: Settings) -> edg
         start = found.take(large).take(sharpest)
         wide = s.wide * float(ellipse.middle(axes[large, 1][sharpest]))
         again = edges.fit(grey, start.center, start.shape, blur=wide, s=by_pixels)
-        fit = edges.merge(sharpest, again, fit.take(~sharpest))
+        settled = again.residual < edges.UNSETTLED
+        sharpest[sharpest] = settled
+        fit = edges.merge(sharpest, again.take(settled), fit.take(~sharpest))
         blurred &= ~sharpest
     if blurred.any():
         common = float(np.median(fit.blur[blurred]))

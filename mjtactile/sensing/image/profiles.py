@@ -1,294 +1,36 @@
 """Sub-pixel ellipses from edge profiles, for all markers in one go: what runs at camera rate.
 
-K profiles cross each ellipse along its normals; one `cv2.remap` reads them all, one matrix product turns each into a
-few numbers (levels, area, offset of the edge by a matched filter, width), and one batched 5 x 5 solve moves the
-ellipses. Offsets are first found by area (right even two pixels away), then by the matched filter (near the
-Cramer-Rao bound close to the edge).
+K profiles cross each ellipse along its normals. Filters turn each into a few numbers (levels, area, offset of the edge by
+a matched filter, width), and robust least squares move the ellipses. Offsets are first found by area (right even two pixels
+away), then by the matched filter (near the Cramer-Rao bound close to the edge).
 
 A disc blurred by a Gaussian of sd sigma has its 50 % level further in by kappa sigma^2/2 (kappa: curvature of the
 edge); sigma is measured from the profiles themselves and the bias removed. To first order in kappa sigma: `edges` is
-for the small markers where that is not enough.
+for the small markers where that is not enough. The arithmetic is in mjtactile/kernels/profiles.c.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import astuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from mjtactile.core.types import Array
-from mjtactile.sensing.image import ellipse
-from mjtactile.sensing.image.edges import SOFTEN, SOFTEN_VARIANCE, EdgeFit
-from mjtactile.sensing.image.ellipse import middle
+from mjtactile.kernels import kernel
+from mjtactile.sensing.image.edges import SOFTEN, EdgeFit
 from mjtactile.sensing.settings import DEFAULTS, ProfileSettings
-
-_SAMPLES, _ENDS = 17, 5  # along a profile; of these, at either end, for the levels
-_STEP_MOMENT = -(_SAMPLES**2 - 1) / 8  # of [o < 0]: the sum of the offsets, in samples, on the inside
-_COARSE_STEP, _COARSE_COUNT = 0.9, 24  # px between samples, profiles per marker of the first rounds
-_COARSE_ROUNDS = 4
-_NEAR = 1.5  # px: a coarse move below this ends the coarse rounds; it is right by area within two
-# Softening before bilinear interpolation makes the image smooth enough for it: without, offsets depend on where the
-# edge lies within a pixel, by 2 um of depth in the paper's geometry.
-_BILINEAR_VARIANCE = 1 / 6  # of linear interpolation, mean over all positions
-_NEIGHBOURS = -np.arange(1.0, 5.0)[:, None] ** 2
-_LEVEL_MOVES = np.diag([2.0, 2.0, 1.0, 0.0, 1.0])
-_LEVEL_MOVES[2, 4] = _LEVEL_MOVES[4, 2] = 1.0
-INSIDE, OUTSIDE, AREA, SECOND, EDGE, BLUR = range(6)
-
-
-@dataclass(frozen=True)
-class _Fan:
-    """K directions on the unit circle, and all that hangs on nothing else: points `e` (2, K); functions (5, K) e, e e^T
-    that move an ellipse, their products `pairs` (K, 25), and their pseudo-inverse `solve` (K, 5); `plane` (K, 3) takes
-    from values their mean and their gradient, `one` (3, K) turns these to values; `mean` (K,) is the mean."""
-
-    e: NDArray
-    basis: NDArray
-    pairs: NDArray
-    solve: NDArray
-    plane: NDArray
-    one: NDArray
-    mean: NDArray
-
-    @property
-    def count(self) -> int:
-        return self.e.shape[1]
-
-
-@lru_cache(maxsize=32)
-def _fan(count: int) -> _Fan:
-    t = 2 * np.pi * np.arange(count) / count
-    c, s, one = np.cos(t), np.sin(t), np.ones(count)
-    basis = np.stack([c, s, c * c, 2 * c * s, s * s])
-    pairs = (basis[:, None] * basis).reshape(25, count).T
-    plane = np.stack([one, 2 * c, 2 * s], axis=1) / count
-    arrays = (np.stack([c, s]), basis, pairs, np.linalg.pinv(basis), plane, np.stack([one, c, s]), one / count)
-    return _Fan(*(np.ascontiguousarray(array, dtype=np.float32) for array in arrays))
-
-
-@dataclass(frozen=True)
-class _Outline:
-    """N ellipses at the fan's K parameters: outward normals `m` (2, N, K), `arc` per profile (N, K) px, and
-    g = |S^-1 e| (N, K) 1/px; m = S^-1 e/g, the arc is det(S) g dt, the curvature 1/(det(S)^2 g^3)."""
-
-    m: NDArray
-    arc: NDArray
-    g: NDArray
-    det: NDArray  # (N, 1) of S, px^2
 
 
 def fit(image: NDArray, center: Array, shape: Array, s: ProfileSettings = DEFAULTS.profiles) -> EdgeFit:
     """Fit N ellipses starting from `center` (N, 2), `shape` (N, 3) px, right to about two pixels."""
+    # Softening before bilinear interpolation makes the image smooth enough for it: without, offsets depend on where the
+    # edge lies within a pixel, by 2 um of depth in the paper's geometry.
     source = cv2.sepFilter2D(image, cv2.CV_32F, SOFTEN, SOFTEN, borderType=cv2.BORDER_REPLICATE)
-    center, shape, sigma = _approach(source, center, shape, s)
-    step = s.step * max(1.0, sigma / s.blur)
-    fan = _fan(int(np.clip(8 * np.ceil(middle(_perimeter(shape)) / s.spacing / 8), 32, 160)))
-    line = _outline(shape, fan)
-    numbers = _read(source, center, shape, line, fan, step, sigma)
-    inside, outside, spread = _levels(numbers, fan, s.level_outlier)
-    over = 1 / (inside - outside)
-    _, rest, sums = _filters(step, sigma)
-    delta = (numbers[EDGE] - sums[EDGE] * outside) * over - rest[0]
-    blur = (numbers[BLUR] - sums[BLUR] * outside) * over + (np.float32(sigma) - rest[1])
-    blur = np.maximum(blur, np.float32(0.5))
-    delta *= 1 / _gain(step, sigma, middle(blur[:, ::4]))
-    blur, retreat, motion = _retreat(blur, line, s.blur_most)
-    delta = np.minimum(np.maximum(delta, np.float32(-2)), np.float32(2)) + retreat
-    center, shape, inverse, weight, left = _settle(center, shape, delta, line, fan, s)
-    # how the levels' noise moves an offset: d(delta)/d(inside), d(delta)/d(outside), in px per unit of contrast
-    gain = np.array([rest[0], sums[EDGE] - rest[0]])
-    common = (gain[:, None] ** 2 * spread**2).sum(axis=0) * ((over * over) @ fan.mean)
-    levels = inside @ fan.mean, outside @ fan.mean
-    return _result(center, shape, inverse, weight, left, line, levels, common, motion, blur, s)
-
-
-def _approach(source: NDArray, center: Array, shape: Array, s: ProfileSettings) -> tuple[Array, Array, float]:
-    """Ellipses near the edge by area, and the image's blur; the window grows until it holds the blurred edge."""
-    fan = _fan(_COARSE_COUNT)
-    step, sigma = _COARSE_STEP, s.blur
-    for _ in range(_COARSE_ROUNDS):
-        line = _outline(shape, fan)
-        numbers = _read(source, center, shape, line, fan, step, s.blur)
-        inside, outside, _ = _levels(numbers, fan, s.level_outlier)
-        over = 1 / (inside - outside)
-        delta = (numbers[AREA] - _SAMPLES * outside) * over - np.float32(0.5 * _SAMPLES)
-        old = shape
-        moved = np.minimum(np.maximum(delta * np.float32(step), np.float32(-3)), np.float32(3))
-        center, shape = ellipse.moved(center, shape, (moved * line.g) @ fan.solve)
-        sigma = _common_blur(numbers, over, delta, step, fan)
-        wide = sigma > 0.27 * step * _SAMPLES / 2
-        if np.abs(shape - old).max() < _NEAR and not wide:
-            break
-        step *= 1.6 if wide and step < 3 else 1.0
-    return center, shape, sigma
-
-
-def _retreat(blur: NDArray, line: _Outline, most: float) -> tuple[Array, NDArray, NDArray]:
-    """Each marker's blur sd (N,) px, how far (N, K) px the blur along the curved edge moves its 50 % level inwards:
-    kappa/2 times the blur's variance along the edge's tangent, and the part of it (N,) px that motion adds.
-
-    `blur` (N, K) is the sd across the edge. Motion blurs one direction more: the variance across an edge with normal
-    m is m^T B m, with one tensor B for the image (least squares), and what is left over per marker (defocus).
-    """
-    some = blur[:, ::4]  # enough for three numbers
-    variance = some * some
-    bound = np.minimum(variance, most * middle(variance))
-    mx, my = line.m
-    mxx, mxy, myy = mx * mx, 2 * mx * my, my * my
-    A = np.array([mxx[:, ::4], mxy[:, ::4], myy[:, ::4]])
-    flat = A.reshape(3, -1)
-    b = np.linalg.solve((flat @ flat.T).astype(float) + 1e-9 * np.eye(3), (flat @ bound.ravel()).astype(float))
-    uu, uv, vv = b.astype(np.float32)
-    mean = bound.mean(axis=1)
-    own = mean - A.mean(axis=2).T @ b.astype(np.float32)
-    along = np.maximum(uu * myy - uv * mxy + vv * mxx + own[:, None], np.float32(0.3))
-    half_curvature = np.float32(0.5) / (line.det * line.det * (line.g * line.g * line.g))
-    motion = np.hypot((uu - vv) / 2, uv) * half_curvature.max(axis=1)
-    return np.sqrt(np.maximum(mean, 0.3)), along * half_curvature, motion
-
-
-def _perimeter(shape: Array) -> Array:
-    """Perimeters (N,) px of the ellipses, to a percent."""
-    return 2 * np.pi * np.sqrt((shape[:, 0] ** 2 + shape[:, 2] ** 2) / 2 + shape[:, 1] ** 2)
-
-
-def _common_blur(numbers: NDArray, over: NDArray, delta: NDArray, step: float, fan: _Fan) -> float:
-    """Blur sd (px) common to the image, from the second moment of the profiles' deviation from a step.
-
-    For F = Phi(-(o - d)/sigma): integral of (F - [o < 0]) o do = (sigma^2 + d^2)/2. `over` is 1/contrast.
-    """
-    # the weights' own sum is zero: the outside level drops out
-    second = numbers[SECOND] * over - np.float32(_STEP_MOMENT)
-    # 1/6: what sampling takes off the second moment of a smooth step, in samples squared
-    squared = (middle((2 * second - delta * delta) @ fan.mean) + 1 / 6) * step * step
-    return min(max(squared, 0.75**2), 4.0**2) ** 0.5
-
-
-def _offsets(step: float) -> Array:
-    return (np.arange(_SAMPLES) - (_SAMPLES - 1) / 2) * step
-
-
-@lru_cache(maxsize=64)
-def _filter_bank(step_k: int, sigma_k: int) -> tuple[NDArray, Array, Array]:
-    step, sigma = step_k / 100, sigma_k / 100
-    o = _offsets(step)
-    z = o / sigma
-    phi = np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi) / sigma
-    # matched to what the pixels hold: half of the softening's and interpolation's blur is in the samples' noise already
-    narrow = np.sqrt(max(sigma**2 - 2 * (SOFTEN_VARIANCE + _BILINEAR_VARIANCE), 0.45**2))
-    edge = np.exp(-0.5 * (o / narrow) ** 2)
-    pair = np.stack([edge / (edge @ phi), (phi * z) / ((phi * z) @ (phi * z))])
-    bank = np.zeros((_SAMPLES, 6))
-    bank[:_ENDS, INSIDE] = bank[-_ENDS:, OUTSIDE] = 1 / _ENDS
-    bank[:, AREA], bank[:, SECOND] = 1.0, _offsets(1.0)
-    bank[:, EDGE], bank[:, BLUR] = pair
-    return bank.astype(np.float32), (pair @ ndtr(-z)).astype(np.float32), bank.sum(axis=0).astype(np.float32)
-
-
-def _filters(step: float, sigma: float) -> tuple[NDArray, Array, Array]:
-    """Filter columns (J, 6), what EDGE and BLUR read off a unit step of sd `sigma` at 0, and the columns' sums.
-
-    EDGE and BLUR read delta and dsigma in F(o) + delta phi + dsigma psi, F = Phi(-o/sigma), phi = -dF/do,
-    psi = dF/dsigma; one is even and the other odd, so that each ignores the other.
-    """
-    return _filter_bank(round(step * 100), round(sigma * 100))
-
-
-def _gain(step: float, sigma: float, blur: float) -> float:
-    """What EDGE of the filters for `sigma` reads off an edge at 1 px, for small offsets, if the blur is in fact `blur`."""
-    z = _offsets(round(step * 100) / 100) / blur
-    return float(_filters(step, sigma)[0][:, EDGE] @ np.exp(-0.5 * z * z)) / (np.sqrt(2 * np.pi) * blur)
-
-
-def _outline(shape: Array, fan: _Fan) -> _Outline:
-    p, q, s = shape.astype(np.float32).T
-    det = p * s - q * q
-    m = (np.array([[s, -q], [-q, p]]) / det).transpose(0, 2, 1) @ fan.e
-    g = np.sqrt(m[0] * m[0] + m[1] * m[1])
-    m /= g
-    det = det[:, None]
-    return _Outline(m, g * (np.float32(2 * np.pi / fan.count) * det), g, det)
-
-
-def _read(source: NDArray, center: Array, shape: Array, line: _Outline, fan: _Fan, step: float, sigma: float) -> NDArray:
-    """What the filters read off the profiles across the ellipses, outwards: (6, N, K)."""
-    offsets = _offsets(round(step * 100) / 100)
-    (u, v), (p, q, s) = center.T, shape.T
-    place = np.array([[u, p, q], [v, q, s]], np.float32).transpose(0, 2, 1) @ fan.one
-    rays = np.array([[place[0], line.m[0]], [place[1], line.m[1]]]).reshape(2, 2, -1)
-    maps = np.array([np.ones(_SAMPLES), offsets], np.float32).T @ rays
-    values = cv2.remap(source, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return (_filters(step, sigma)[0].T @ values).reshape(-1, *line.g.shape)
-
-
-def _levels(numbers: NDArray, fan: _Fan, outlier: float) -> tuple[NDArray, NDArray, NDArray]:
-    """Levels (N, K) inside and outside of each profile: per marker, plus a gradient of the light across it.
-
-    Also the sd (2, N) of a single profile's level about them.
-    """
-    ends = numbers[[INSIDE, OUTSIDE]]
-    middle = (ends @ fan.mean)[..., None]
-    spread = ends - middle
-    bound = outlier * np.sqrt((spread * spread) @ fan.mean)[..., None] + np.float32(1e-3)
-    spread = np.minimum(np.maximum(spread, -bound), bound)
-    plane = spread @ fan.plane
-    plane[..., :1] += middle
-    inside, outside = fitted = plane @ fan.one
-    spread -= fitted - middle
-    low = np.abs(inside - outside) < 1.0  # no contrast, no edge; the caller throws such fits away
-    if low.any():
-        inside = np.where(low, outside - 1.0, inside)
-    return inside, outside, np.sqrt((spread * spread) @ fan.mean)
-
-
-def _settle(center: Array, shape: Array, delta: NDArray, line: _Outline,
-            fan: _Fan, s: ProfileSettings) -> tuple[Array, Array, Array, NDArray, NDArray]:
-    """Ellipses moved by robust least squares to the edge's offsets `delta` (N, K) px along the normals.
-
-    An offset moves e on the unit circle by delta g = e . w + e^T V e, with w = S^-1 dc and V = sym(S^-1 dS): one basis
-    for all ellipses, so that all normal matrices are one product. Also returns the inverse normal matrices (N, 5, 5)
-    of (w, V), the weights (N, K), and what is left of `delta`.
-    """
-    over = 1 / line.g
-    scaled = delta * line.g
-    left = delta - ((scaled @ fan.solve) @ fan.basis) * over  # unweighted: only to see what does not belong
-    t = left * (1 / np.maximum(s.outlier * (np.abs(left) @ fan.mean), np.float32(s.outlier_least)))[:, None]
-    t *= t
-    t *= t
-    t += 1
-    weight = line.arc / t
-    w = weight * over * over
-    inverse = np.linalg.inv((w @ fan.pairs).reshape(-1, 5, 5).astype(float))
-    move = (inverse @ ((w * scaled) @ fan.basis.T)[..., None])[..., 0]
-    left = delta - (move.astype(np.float32) @ fan.basis) * over
-    return *ellipse.moved(center, shape, move), inverse, weight, left
-
-
-def _result(center: Array, shape: Array, inverse: Array, weight: NDArray, left: NDArray, line: _Outline,
-            levels: tuple[NDArray, NDArray], common: Array, motion: NDArray, blur: NDArray, s: ProfileSettings) -> EdgeFit:
-    inside, outside = levels
-    count = line.g.shape[1]
-    total = weight.sum(axis=1)
-    spread = (weight * left * left).sum(axis=1)
-    spacing, size = line.arc.mean(axis=1).astype(float), line.g.mean(axis=1).astype(float)
-    variance = spread / total * (count / (count - 5))
-    # Profiles read some of the same pixels: neighbours at distance d correlate as the autocorrelation of softening and
-    # interpolation together, nearly a Gaussian. The factor is the sum over all neighbours.
-    reach = 4 * (SOFTEN_VARIANCE + _BILINEAR_VARIANCE)
-    shared = 1 + 2 * np.exp(spacing**2 * _NEIGHBOURS / reach).sum(axis=0)
-    variance *= (count - 5) / np.maximum(count - 5 * shared, 1)
-    cov = inverse * (s.unmodelled * variance * shared * spacing)[:, None, None]
-    # An error of the levels moves all offsets together, V = I g, and one of their gradient moves the centre, w = g.
-    level = common * shared / count * size**2
-    cov += level[:, None, None] * _LEVEL_MOVES
-    cov[:, [2, 3, 4], [2, 3, 4]] += ((s.motion_doubt * motion * size) ** 2)[:, None]
-    # an offset's rms in px, as grey levels at the edge's slope, to compare with the contrast
-    residual = np.sqrt(variance) * np.abs(inside - outside) / (np.sqrt(2 * np.pi) * blur)
-    lost = 1 - total / (spacing * count)
-    optical = np.sqrt(np.maximum(blur * blur - SOFTEN_VARIANCE - _BILINEAR_VARIANCE, s.sharpest**2))
-    return EdgeFit(center, shape, ellipse.covariance_of_moves(cov, shape), inside, outside, optical, residual,
-                   np.full(len(center), float(count)), lost, motion)
+    n = len(center)
+    center, shape = np.array(center, float, order="C"), np.array(shape, float, order="C")  # moved in place
+    cov, levels, found = np.empty((n, 5, 5)), np.empty((2, n)), np.empty((5, n))
+    kernel("fit_profiles")(source, *source.shape, n, center, shape, np.array(astuple(s)), cov, levels, found)
+    (inside, outside), (blur, residual, count, lost, motion) = levels, found
+    return EdgeFit(center, shape, cov, inside, outside, blur, residual, count, lost, motion)

@@ -1,0 +1,403 @@
+/* Ellipses from profiles across their edges; the equations are those of sensing/image/profiles.py's docstring.
+
+   K profiles cross each ellipse along its normals, 17 samples each. Six filters read a profile: the levels inside and
+   outside, its area, its second moment, and, matched to a blurred edge, the edge's offset and its blur. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "kernels.h"
+#include "small.h"
+
+#define SAMPLES 17
+#define ENDS 5           /* samples at either end, for the levels */
+#define COARSE 24        /* profiles a marker of the first rounds */
+#define COARSE_STEP 0.9  /* px between their samples */
+#define COARSE_ROUNDS 4
+#define NEAR 1.5         /* px: a coarse move below this ends the coarse rounds; it is right by area within two */
+#define MOST 160         /* profiles a marker */
+#define SOFTEN_VARIANCE 0.4
+#define BILINEAR_VARIANCE (1.0 / 6) /* of linear interpolation, mean over all positions */
+
+enum { INSIDE, OUTSIDE, AREA, SECOND, EDGE, BLUR, FILTERS, LANES = 8 };  /* a vector of floats holds them */
+
+typedef struct { double step, blur, spacing, level_outlier, outlier, outlier_least, blur_most, unmodelled, motion_doubt,
+                 sharpest; } Settings;
+
+typedef struct { const float *pixels; long height, width; } Image;
+
+/* K directions on the unit circle. An ellipse is moved by the functions c, s, c^2, 2 c s, s^2 of the direction. */
+typedef struct { int count; double c[MOST], s[MOST], c2[MOST], s2[MOST]; } Fan;
+
+typedef struct { double step, bank[FILTERS][SAMPLES], sums[FILTERS], rest_edge, rest_blur; float by_sample[SAMPLES][LANES]; } Filters;
+
+/* One marker's profiles: outward normals, |S^-1 e| = g, length of arc a profile stands for, and what the filters read. */
+typedef struct { double det, mx[MOST], my[MOST], g[MOST], arc[MOST], read[FILTERS][MOST], inside[MOST], outside[MOST],
+                 spread_in, spread_out; } Lines;
+
+static void make_fan(Fan *fan, int count) {
+    fan->count = count;
+    for (int k = 0; k < count; k++) {
+        double t = 2 * PI * k / count;
+        fan->c[k] = cos(t), fan->s[k] = sin(t), fan->c2[k] = cos(2 * t), fan->s2[k] = sin(2 * t);
+    }
+}
+
+/* EDGE and BLUR read delta and dsigma in F(o) + delta phi + dsigma psi, with F = Phi(-o / sigma), phi = -dF/do and
+   psi = dF/dsigma; one is even and the other odd, so that each ignores the other. */
+static void make_filters(Filters *f, double step, double sigma) {
+    double narrow = sqrt(most(sigma * sigma - 2 * (SOFTEN_VARIANCE + BILINEAR_VARIANCE), 0.45 * 0.45)), along = 0, across = 0;
+    memset(f, 0, sizeof *f);
+    f->step = step;
+    for (int j = 0; j < SAMPLES; j++) {
+        double at = j - (SAMPLES - 1) / 2.0, o = at * step, z = o / sigma;
+        double phi = exp(-0.5 * z * z) / sqrt(2 * PI) / sigma;
+        f->bank[INSIDE][j] = j < ENDS ? 1.0 / ENDS : 0;
+        f->bank[OUTSIDE][j] = j >= SAMPLES - ENDS ? 1.0 / ENDS : 0;
+        f->bank[AREA][j] = 1, f->bank[SECOND][j] = at;
+        f->bank[EDGE][j] = exp(-0.5 * square(o / narrow));
+        f->bank[BLUR][j] = phi * z;
+        along += f->bank[EDGE][j] * phi, across += square(phi * z);
+    }
+    for (int j = 0; j < SAMPLES; j++) {
+        double z = (j - (SAMPLES - 1) / 2.0) * step / sigma, filled = 0.5 * erfc(z / sqrt(2));
+        f->bank[EDGE][j] /= along, f->bank[BLUR][j] /= across;
+        f->rest_edge += f->bank[EDGE][j] * filled, f->rest_blur += f->bank[BLUR][j] * filled;
+        for (int i = 0; i < FILTERS; i++) f->sums[i] += f->bank[i][j], f->by_sample[j][i] = (float)f->bank[i][j];
+    }
+}
+
+/* What EDGE reads off an edge at 1 px, for small offsets, if the blur is in fact `blur`. */
+static double gain(const Filters *f, double blur) {
+    double sum = 0;
+    for (int j = 0; j < SAMPLES; j++) sum += f->bank[EDGE][j] * exp(-0.5 * square((j - (SAMPLES - 1) / 2.0) * f->step / blur));
+    return sum / (sqrt(2 * PI) * blur);
+}
+
+static void outline(Lines *l, const double *shape, const Fan *fan) {
+    double p = shape[0], q = shape[1], s = shape[2], det = p * s - q * q, over = 1 / det;
+    l->det = det;
+    for (int k = 0; k < fan->count; k++) {
+        double x = (s * fan->c[k] - q * fan->s[k]) * over, y = (p * fan->s[k] - q * fan->c[k]) * over;
+        double g = sqrt(x * x + y * y);
+        l->mx[k] = x / g, l->my[k] = y / g, l->g[k] = g, l->arc[k] = g * det * (2 * PI / fan->count);
+    }
+}
+
+/* Bilinear at the profile's samples; beyond the border the border's pixels. */
+static void sample(const Image *image, double u, double v, double du, double dv, float *out) {
+    const long w = image->width, h = image->height;
+    const double reach = (SAMPLES - 1) / 2.0, far_u = fabs(du) * reach, far_v = fabs(dv) * reach;
+    if (u - far_u >= 0 && u + far_u < w - 1 && v - far_v >= 0 && v + far_v < h - 1) {
+        const int left = (int)(u - far_u), top = (int)(v - far_v);
+        const float *pixels = image->pixels + top * w + left;  /* float places from here are good to 1e-6 px */
+        const float x0 = (float)(u - left - reach * du), y0 = (float)(v - top - reach * dv), dx = (float)du, dy = (float)dv;
+        for (int j = 0; j < SAMPLES; j++) {
+            float x = most_float(x0 + j * dx, 0), y = most_float(y0 + j * dy, 0);
+            int i = (int)x, k = (int)y;
+            const float *at = pixels + k * w + i;
+            float a = x - i, b = y - k, upper = at[0] + a * (at[1] - at[0]);
+            out[j] = upper + b * (at[w] + a * (at[w + 1] - at[w]) - upper);
+        }
+        return;
+    }
+    for (int j = 0; j < SAMPLES; j++) {
+        double x = u + (j - reach) * du, y = v + (j - reach) * dv;
+        x = x > 0 ? least(x, w - 1) : 0, y = y > 0 ? least(y, h - 1) : 0;  /* not a number: somewhere */
+        long i = (long)least(x, w - 2), k = (long)least(y, h - 2);
+        const float *at = image->pixels + k * w + i;
+        float a = (float)(x - i), b = (float)(y - k), upper = at[0] + a * (at[1] - at[0]);
+        out[j] = upper + b * (at[w] + a * (at[w + 1] - at[w]) - upper);
+    }
+}
+
+static void read_profiles(Lines *l, const Image *image, const double *center, const double *shape, const Fan *fan,
+                          const Filters *f) {
+    for (int k = 0; k < fan->count; k++) {
+        float value[SAMPLES];
+        double u = center[0] + shape[0] * fan->c[k] + shape[1] * fan->s[k];
+        double v = center[1] + shape[1] * fan->c[k] + shape[2] * fan->s[k];
+        sample(image, u, v, l->mx[k] * f->step, l->my[k] * f->step, value);
+        float sums[LANES] = {0};
+        for (int j = 0; j < SAMPLES; j++)
+            for (int i = 0; i < LANES; i++) sums[i] += f->by_sample[j][i] * value[j];
+        for (int i = 0; i < FILTERS; i++) l->read[i][k] = sums[i];
+    }
+}
+
+/* One level of the marker, plus a gradient of the light across it, robustly; returns the sd of a profile's about them. */
+static double plane(const double *ends, double *fitted, const Fan *fan, double outlier) {
+    int K = fan->count;
+    double middle = 0, squares = 0, p0 = 0, p1 = 0, p2 = 0, left = 0;
+    for (int k = 0; k < K; k++) middle += ends[k];
+    middle /= K;
+    for (int k = 0; k < K; k++) squares += square(ends[k] - middle);
+    double bound = outlier * sqrt(squares / K) + 1e-3;
+    for (int k = 0; k < K; k++) {
+        double off = clip(ends[k] - middle, -bound, bound);
+        p0 += off, p1 += 2 * fan->c[k] * off, p2 += 2 * fan->s[k] * off;
+    }
+    p0 /= K, p1 /= K, p2 /= K;
+    for (int k = 0; k < K; k++) {
+        double about = p0 + p1 * fan->c[k] + p2 * fan->s[k];
+        fitted[k] = middle + about;
+        left += square(clip(ends[k] - middle, -bound, bound) - about);
+    }
+    return sqrt(left / K);
+}
+
+static void levels(Lines *l, const Fan *fan, double outlier) {
+    l->spread_in = plane(l->read[INSIDE], l->inside, fan, outlier);
+    l->spread_out = plane(l->read[OUTSIDE], l->outside, fan, outlier);
+    for (int k = 0; k < fan->count; k++)  /* no contrast, no edge; the caller throws such fits away */
+        if (fabs(l->inside[k] - l->outside[k]) < 1) l->inside[k] = l->outside[k] - 1;
+}
+
+/* The ellipse's move (w, V) that explains offsets `scaled` on the unit circle best; K directions are orthogonal. */
+static void solve_even(const double *scaled, const Fan *fan, double *move) {
+    int K = fan->count;
+    double mean = 0, a = 0, b = 0;
+    move[0] = move[1] = 0;
+    for (int k = 0; k < K; k++) {
+        mean += scaled[k], move[0] += 2 * scaled[k] * fan->c[k], move[1] += 2 * scaled[k] * fan->s[k];
+        a += 2 * scaled[k] * fan->c2[k], b += 2 * scaled[k] * fan->s2[k];
+    }
+    mean /= K, a /= K, b /= K, move[0] /= K, move[1] /= K;
+    move[2] = mean + a, move[3] = b, move[4] = mean - a;
+}
+
+/* Centre c + S w, and the shape whose square is that of S (I + V); `move` in units of the local radius, cut at 0.4. */
+static void apply_move(double *center, double *shape, const double *move) {
+    double m[5], p = shape[0], q = shape[1], s = shape[2];
+    for (int i = 0; i < 5; i++) m[i] = clip(move[i], -0.4, 0.4);
+    double a = 1 + m[2], b = m[3], c = 1 + m[4];
+    double A = p * a + q * b, B = p * b + q * c, C = q * a + s * b, D = q * b + s * c;
+    double xx = A * A + B * B, xy = A * C + B * D, yy = C * C + D * D;
+    double root = sqrt(most(xx * yy - xy * xy, 0)), scale = 1 / sqrt(most(xx + yy + 2 * root, 1e-12));
+    center[0] += p * m[0] + q * m[1], center[1] += q * m[0] + s * m[1];
+    shape[0] = (xx + root) * scale, shape[1] = xy * scale, shape[2] = (yy + root) * scale;
+}
+
+/* Ellipses near the edge by area, and the image's blur (px), while the window grows until it holds the blurred edge.
+
+   The blur from the second moment of the profiles' deviation from a step: the integral of (F - [o < 0]) o do is
+   (sigma^2 + d^2) / 2 for F = Phi(-(o - d) / sigma). */
+static double approach(const Image *image, long n, double *centers, double *shapes, const Settings *s, Lines *l, Fan *fan,
+                       double *work, double *step) {
+    const double step_moment = -(SAMPLES * SAMPLES - 1) / 8.0;  /* of [o < 0], in samples */
+    Filters f;
+    double sigma = s->blur;
+    make_fan(fan, COARSE);
+    *step = COARSE_STEP;
+    for (int round = 0; round < COARSE_ROUNDS; round++) {
+        double farthest = 0;
+        make_filters(&f, *step, s->blur);
+        for (long i = 0; i < n; i++) {
+            double *shape = shapes + 3 * i, before[3], scaled[COARSE], move[5], squared = 0;
+            memcpy(before, shape, sizeof before);
+            outline(l, shape, fan);
+            read_profiles(l, image, centers + 2 * i, shape, fan, &f);
+            levels(l, fan, s->level_outlier);
+            for (int k = 0; k < COARSE; k++) {
+                double over = 1 / (l->inside[k] - l->outside[k]);
+                double delta = (l->read[AREA][k] - SAMPLES * l->outside[k]) * over - 0.5 * SAMPLES;
+                squared += 2 * (l->read[SECOND][k] * over - step_moment) - delta * delta;
+                scaled[k] = clip(delta * *step, -3, 3) * l->g[k];
+            }
+            work[i] = squared / COARSE;
+            solve_even(scaled, fan, move);
+            apply_move(centers + 2 * i, shape, move);
+            for (int j = 0; j < 3; j++) farthest = most(fabs(shape[j] - before[j]), farthest);
+        }
+        /* 1/6: what sampling takes off the second moment of a smooth step, in samples squared */
+        sigma = sqrt(clip((upper_median(work, n) + 1.0 / 6) * square(*step), 0.75 * 0.75, 16));
+        int wide = sigma > 0.27 * *step * SAMPLES / 2;
+        if (farthest < NEAR && !wide) break;
+        if (wide && *step < 3) *step *= 1.6;
+    }
+    return sigma;
+}
+
+/* Covariance of (u, v, p, q, s) from that of (w, V): dc = S w, and S^-1 dS + dS S^-1 = 2 V, of which
+   dS = (det(S) V + S V S) / trace(S) is the solution. */
+static void covariance_of_moves(const double M[5][5], const double *shape, double *cov) {
+    double p = shape[0], q = shape[1], s = shape[2], over = 1 / (p + s), det = p * s - q * q;
+    double qq = q * q * over, pq = p * q * over, qs = q * s * over, half[5][5];
+    double L[5][5] = {{p, q, 0, 0, 0}, {q, s, 0, 0, 0}, {0, 0, (det + p * p) * over, 2 * pq, qq},
+                      {0, 0, pq, (det + p * s) * over + qq, qs}, {0, 0, qq, 2 * qs, (det + s * s) * over}};
+    for (int i = 0; i < 5; i++)
+        for (int j = 0; j < 5; j++) {
+            half[i][j] = 0;
+            for (int k = 0; k < 5; k++) half[i][j] += L[i][k] * M[k][j];
+        }
+    for (int i = 0; i < 5; i++)
+        for (int j = 0; j < 5; j++) {
+            double sum = 0;
+            for (int k = 0; k < 5; k++) sum += half[i][k] * L[j][k];
+            cov[5 * i + j] = sum;
+        }
+}
+
+/* What a move (w, V) makes of the offset of the edge at profile k, px. */
+static double offset_of(const double *move, const Lines *l, const Fan *fan, int k) {
+    double c = fan->c[k], s = fan->s[k];
+    return (move[0] * c + move[1] * s + move[2] * c * c + 2 * move[3] * c * s + move[4] * s * s) / l->g[k];
+}
+
+/* What is common to the image: how much blur, in which directions, and what of the offsets' levels is uncertain. */
+typedef struct { double uu, uv, vv, gain, rest_edge, sum_edge; } Common;
+
+/* Motion blurs one direction more: the variance across an edge with normal m is m^T B m, with one tensor B for the image
+   (least squares over every fourth profile, each variance bounded), and what is left over per marker is defocus. */
+static void blur_tensor(long count, const double *normals, const double *blurs, double bound, Common *common) {
+    double N[3][3] = {{1e-9, 0, 0}, {0, 1e-9, 0}, {0, 0, 1e-9}}, r[3] = {0, 0, 0};
+    for (long i = 0; i < count; i++) {
+        double x = normals[2 * i], y = normals[2 * i + 1], a[3] = {x * x, 2 * x * y, y * y};
+        double variance = least(square(blurs[i]), bound);
+        for (int j = 0; j < 3; j++) {
+            r[j] += a[j] * variance;
+            for (int k = 0; k < 3; k++) N[j][k] += a[j] * a[k];
+        }
+    }
+    for (int j = 0; j < 3; j++)  /* Gauss */
+        for (int i = j + 1; i < 3; i++) {
+            double factor = N[i][j] / N[j][j];
+            for (int k = j; k < 3; k++) N[i][k] -= factor * N[j][k];
+            r[i] -= factor * r[j];
+        }
+    common->vv = r[2] / N[2][2];
+    common->uv = (r[1] - N[1][2] * common->vv) / N[1][1];
+    common->uu = (r[0] - N[0][1] * common->uv - N[0][2] * common->vv) / N[0][0];
+}
+
+/* The ellipse moved by robust least squares to the edge's offsets `delta` (K) px along its normals, and its covariance.
+
+   An offset moves e on the unit circle by delta g = e . w + e^T V e, with w = S^-1 dc and V = sym(S^-1 dS). */
+static void settle(const Lines *l, const Fan *fan, const Settings *s, const double *delta, const Common *common,
+                   double blur_variance, double *center, double *shape, double *cov, double *found, long n) {
+    int K = fan->count;
+    double scaled[MOST], left[MOST], weight[MOST], move[5], mean = 0, A[5][5] = {{0}}, r[5] = {0}, inverse[5][5];
+    for (int k = 0; k < K; k++) scaled[k] = delta[k] * l->g[k];
+    solve_even(scaled, fan, move);  /* unweighted: only to see what does not belong */
+    for (int k = 0; k < K; k++) {
+        left[k] = delta[k] - offset_of(move, l, fan, k);
+        mean += fabs(left[k]);
+    }
+    double bound = most(s->outlier * mean / K, s->outlier_least);
+    for (int k = 0; k < K; k++) {
+        double c = fan->c[k], si = fan->s[k], b[5] = {c, si, c * c, 2 * c * si, si * si};
+        weight[k] = l->arc[k] / (1 + square(square(left[k] / bound)));
+        double w = weight[k] / square(l->g[k]);
+        for (int i = 0; i < 5; i++) {
+            r[i] += w * scaled[k] * b[i];
+            for (int j = 0; j <= i; j++) A[i][j] += w * b[i] * b[j];
+        }
+    }
+    invert_spd5(A, inverse);
+    for (int i = 0; i < 5; i++) {
+        move[i] = 0;
+        for (int j = 0; j < 5; j++) move[i] += inverse[i][j] * r[j];
+    }
+    double total = 0, squares = 0, arc = 0, size = 0, in = 0, out = 0, over2 = 0, kappa = 0;
+    for (int k = 0; k < K; k++) {
+        double over = 1 / (l->inside[k] - l->outside[k]), rest = delta[k] - offset_of(move, l, fan, k);
+        total += weight[k], squares += weight[k] * rest * rest, arc += l->arc[k], size += l->g[k];
+        in += l->inside[k], out += l->outside[k], over2 += over * over;
+        kappa = most(0.5 / (square(l->det) * l->g[k] * l->g[k] * l->g[k]), kappa);
+    }
+    apply_move(center, shape, move);
+    arc /= K, size /= K, in /= K, out /= K, over2 /= K;
+    double motion = hypot((common->uu - common->vv) / 2, common->uv) * kappa;
+    /* Profiles read some of the same pixels: neighbours at distance d correlate as the autocorrelation of softening and
+       interpolation together, nearly a Gaussian. The factor is the sum over all neighbours. */
+    double shared = 1, variance = squares / total * (K / (K - 5.0));
+    for (int j = 1; j < 5; j++) shared += 2 * exp(-square(arc * j) / (4 * (SOFTEN_VARIANCE + BILINEAR_VARIANCE)));
+    variance *= (K - 5) / most(K - 5 * shared, 1);
+    /* how the levels' noise moves an offset: d(delta)/d(inside), d(delta)/d(outside), in px per unit of contrast */
+    double gain_in = common->rest_edge, gain_out = common->sum_edge - common->rest_edge;
+    double level = (square(gain_in * l->spread_in) + square(gain_out * l->spread_out)) * over2 * shared / K * size * size;
+    double doubt = square(s->motion_doubt * motion * size);
+    for (int i = 0; i < 5; i++)
+        for (int j = 0; j < 5; j++) inverse[i][j] *= s->unmodelled * variance * shared * arc;
+    /* an error of the levels moves all offsets together, V = I g, and one of their gradient moves the centre, w = g */
+    inverse[0][0] += 2 * level, inverse[1][1] += 2 * level;
+    inverse[2][2] += level + doubt, inverse[4][4] += level + doubt, inverse[2][4] += level, inverse[4][2] += level;
+    inverse[3][3] += doubt;
+    covariance_of_moves(inverse, shape, cov);
+    double sd = sqrt(most(blur_variance, 0.3));
+    found[0] = sqrt(most(sd * sd - SOFTEN_VARIANCE - BILINEAR_VARIANCE, square(s->sharpest)));
+    found[n] = sqrt(variance) * fabs(in - out) / (sqrt(2 * PI) * sd);  /* as grey levels at the edge's slope */
+    found[2 * n] = K, found[3 * n] = 1 - total / (arc * K), found[4 * n] = motion;
+}
+
+/* The edge's offsets (K) px of one marker, the blur's pull inwards along the curved edge taken out: the 50 % level of an edge
+   of curvature kappa lies further in by kappa / 2 times the blur's variance along its tangent. */
+static void offsets(const Lines *l, const Fan *fan, const Filters *f, const Common *common, double defocus, double *delta) {
+    for (int k = 0; k < fan->count; k++) {
+        double over = 1 / (l->inside[k] - l->outside[k]), x = l->mx[k], y = l->my[k];
+        double off = ((l->read[EDGE][k] - f->sums[EDGE] * l->outside[k]) * over - f->rest_edge) / common->gain;
+        double along = most(common->uu * y * y - common->uv * 2 * x * y + common->vv * x * x + defocus, 0.3);
+        delta[k] = clip(off, -2, 2) + along * 0.5 / (square(l->det) * l->g[k] * l->g[k] * l->g[k]);
+    }
+}
+
+/* Profiles of all markers, and of every fourth one its normal and the blur sd across the edge. */
+static void look(const Image *image, long n, const double *centers, const double *shapes, const Settings *s, const Fan *fan,
+                 const Filters *f, double sigma, Lines *lines, double *normals, double *blurs) {
+    for (long i = 0; i < n; i++) {
+        Lines *l = lines + i;
+        outline(l, shapes + 3 * i, fan);
+        read_profiles(l, image, centers + 2 * i, shapes + 3 * i, fan, f);
+        levels(l, fan, s->level_outlier);
+        for (int k = 0; k < fan->count; k += 4) {
+            double over = 1 / (l->inside[k] - l->outside[k]);
+            *blurs++ = most((l->read[BLUR][k] - f->sums[BLUR] * l->outside[k]) * over + sigma - f->rest_blur, 0.5);
+            *normals++ = l->mx[k], *normals++ = l->my[k];
+        }
+    }
+}
+
+int64_t fit_profiles(const float *image, int64_t height, int64_t width, int64_t n, double *centers, double *shapes,
+                     const double *settings, double *cov, double *levels_, double *found) {
+    Settings s;
+    Fan fan;
+    Filters f;
+    Common common;
+    Image picture = {image, height, width};
+    memcpy(&s, settings, sizeof s);
+    if (n == 0) return 0;
+    Lines *lines = malloc(n * sizeof *lines);
+    double *work = malloc(n * (MOST / 4) * 4 * sizeof *work);
+    if (!lines || !work) {
+        free(lines), free(work);
+        return 1;
+    }
+    double step, sigma = approach(&picture, n, centers, shapes, &s, lines, &fan, work, &step);
+    for (long i = 0; i < n; i++) {  /* perimeters, to a percent */
+        const double *a = shapes + 3 * i;
+        work[i] = 2 * PI * sqrt((a[0] * a[0] + a[2] * a[2]) / 2 + a[1] * a[1]);
+    }
+    make_fan(&fan, (int)clip(8 * ceil(upper_median(work, n) / s.spacing / 8), 32, MOST));
+    make_filters(&f, s.step * most(1, sigma / s.blur), sigma);
+    int per = fan.count / 4;
+    double *blurs = work, *normals = work + n * per, *sorted = work + 3 * n * per;
+    look(&picture, n, centers, shapes, &s, &fan, &f, sigma, lines, normals, blurs);
+    memcpy(sorted, blurs, n * per * sizeof *sorted);
+    double middle = upper_median(sorted, n * per), bound = s.blur_most * middle * middle;
+    common.rest_edge = f.rest_edge, common.sum_edge = f.sums[EDGE], common.gain = gain(&f, middle);
+    blur_tensor(n * per, normals, blurs, bound, &common);
+    for (long i = 0; i < n; i++) {
+        double delta[MOST], variance = 0, shared = 0, in = 0, out = 0;
+        const Lines *l = lines + i;
+        for (int k = 0; k < per; k++) {
+            double x = normals[2 * (i * per + k)], y = normals[2 * (i * per + k) + 1];
+            variance += least(square(blurs[i * per + k]), bound);
+            shared += common.uu * x * x + common.uv * 2 * x * y + common.vv * y * y;
+        }
+        offsets(l, &fan, &f, &common, (variance - shared) / per, delta);
+        settle(l, &fan, &s, delta, &common, variance / per, centers + 2 * i, shapes + 3 * i, cov + 25 * i, found + i, n);
+        for (int k = 0; k < fan.count; k++) in += l->inside[k], out += l->outside[k];
+        levels_[i] = in / fan.count, levels_[n + i] = out / fan.count;
+    }
+    free(lines), free(work);
+    return 0;
+}

@@ -1,0 +1,17 @@
+/* Small things that several kernels need. */
+#ifndef MJTACTILE_SMALL_H
+#define MJTACTILE_SMALL_H
+#include <math.h>
+
+#define PI 3.14159265358979323846
+
+static inline double least(double a, double b) { return a < b ? a : b; }
+static inline double most(double a, double b) { return a > b ? a : b; }
+static inline float most_float(float a, float b) { return a > b ? a : b; }
+static inline double clip(double x, double low, double high) { return x < low ? low : x > high ? high : x; }
+static inline double square(double x) { return x * x; }
+
+double upper_median(double *values, long n);  /* moves them about */
+int invert_spd5(const double A[5][5], double out[5][5]);  /* 1: not positive definite, and `out` is NaN */
+
+#endif

@@ -1,0 +1,64 @@
+"""The kernels' build and their Python face."""
+
+import re
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from mjtactile.kernels import build, kernel
+
+
+def test_every_declared_kernel_exists_and_nothing_else_is_promised():
+    declared = re.findall(r"^\w+ (\w+)\(", (build.FOLDER / "kernels.h").read_text(), re.M)
+    assert declared and len(set(declared)) == len(declared)
+    for name in declared:
+        assert callable(kernel(name))
+    with pytest.raises(KeyError):
+        kernel("no_such_kernel")
+
+
+def test_what_is_written_must_fit_and_what_is_read_is_converted():
+    Q = np.diag([1.0, 1.0, -4.0])[None]
+    poses = np.empty((4, 1, 3))
+    kernel("circles_on_cones")(1, Q.astype(np.float32), [1], poses)  # of radius 1 on x^2 + y^2 = 4 z^2: half a metre away
+    np.testing.assert_allclose(poses[:2, 0], [[0, 0, 0.5]] * 2, atol=1e-12)
+    for wrong in (np.empty((4, 1, 3), np.float32), np.empty((4, 3, 2))[..., :1], np.broadcast_to(0.0, (4, 1, 3))):
+        with pytest.raises(TypeError, match="circles_on_cones: poses must be a writable C-contiguous array of float64"):
+            kernel("circles_on_cones")(1, Q, np.ones(1), wrong)
+
+
+@pytest.fixture
+def copied(tmp_path):
+    """The package's sources elsewhere, as a checkout that was not built has them; no cache of this user's."""
+    shutil.copytree(build.FOLDER, tmp_path / "kernels", ignore=shutil.ignore_patterns(build.MADE, "__pycache__"))
+    return tmp_path / "kernels"
+
+
+def run_build(folder, text, tmp_path):
+    code = f"import sys; sys.path.insert(0, {str(folder)!r}); import build; {text}"
+    environment = {"PATH": "", "HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
+
+
+def test_another_source_is_another_library(copied, tmp_path):
+    names = []
+    for line in ("", "/* changed */\n"):
+        with (copied / "small.c").open("a") as source:
+            source.write(line)
+        names.append(run_build(copied, "print(build._hash())", tmp_path).stdout)
+    assert names[0].strip() in build.library().name and names[1] != names[0]
+
+
+def test_without_a_compiler_it_is_said_what_to_install(copied, tmp_path):
+    done = run_build(copied, "build.importlib.util.find_spec = lambda name: None; build.library()", tmp_path)
+    assert "no C compiler: pip install ziglang" in done.stderr.splitlines()[-1]
+
+
+def test_a_mistake_in_the_source_is_shown(copied, tmp_path):
+    (copied / "small.c").write_text("int wrong(void) { return nothing; }\n")
+    done = run_build(copied, "build.library()", tmp_path)
+    assert "do not compile" in done.stderr and "nothing" in done.stderr
+    assert not list(copied.rglob("*.so"))
