@@ -81,13 +81,17 @@ class GraspScore:
         self.peak_force = max(self.peak_force, *forces)
         if (max(forces) > self.world.object.break_force or self._is_torn()) and self.crushed_at is None:
             self.crushed_at = self.world.time
-        if self.phase in ("lift", "hold"):
-            self._track_slip()
-            self._carried = max(self._carried, self.world.design.membrane.friction * sum(forces))
-            self.lost |= self._lifted() > _RISEN and not self._has_risen()
+        if self.phase not in ("lift", "hold"):
+            return
+        p_WO, p_WH = self._object_position(), truth.hand_position(self.world)
+        self._track_slip(p_WO - p_WH)
+        self._carried = max(self._carried, self.world.design.membrane.friction * sum(forces))
+        lifted = float(p_WH[2] - self._hand_start)
+        risen = bool(p_WO[2] - self._rest_height > _HELD_SHARE * lifted - _HELD_SLACK)
+        self.lost |= lifted > _RISEN and not risen
         if self.phase == "hold":
-            self._hold_forces.append(float(np.mean(forces)))
-            self._held.append(self._has_risen())
+            self._hold_forces.append(sum(forces) / len(forces))
+            self._held.append(risen)
 
     def _is_torn(self) -> bool:
         """Whether a soft object is strained beyond what its material stands."""
@@ -107,19 +111,11 @@ class GraspScore:
     def _object_position(self) -> Array:
         return truth.object_position(self.world, self._bodies)
 
-    def _track_slip(self) -> None:
-        """Largest motion of the object against the hand since it was lifted, m."""
-        relative = self._object_position() - truth.hand_position(self.world)
+    def _track_slip(self, relative: Array) -> None:
+        """Largest motion of the object against the hand since it was lifted, m; `relative` (3,) m is where it is now."""
         if self._grip_start is None:
             self._grip_start = relative
         self._slip = max(self._slip, float(np.linalg.norm(relative - self._grip_start)))
-
-    def _has_risen(self) -> bool:
-        return self._object_position()[2] - self._rest_height > _HELD_SHARE * self._lifted() - _HELD_SLACK
-
-    def _lifted(self) -> float:
-        """How far the hand really has risen, m."""
-        return float(truth.hand_position(self.world)[2] - self._hand_start)
 
     def reason(self) -> str:
         """Why a lifted object was dropped, if it was too heavy for the grip; "" otherwise."""

@@ -25,21 +25,32 @@ if TYPE_CHECKING:
 def contact_forces(world: World, sensor: int) -> tuple[Array, Array, Array]:
     """Forces `f_S` (n, 3) N that the world exerts on membrane `sensor`, their points `p_S` (n, 3) m, and penetration
     depths (n,) m, one row per contact, in the order of MuJoCo's contact list."""
-    model, data, device = world.model, world.data, world.sensors[sensor]
-    on_membrane = np.isin(data.contact.geom, device.vertex_geom_ids) | (data.contact.flex == device.flex_id)  # (ncon, 2)
-    rows = np.flatnonzero(on_membrane.any(axis=1))
-    f_W, buffer = np.zeros((len(rows), 3)), np.zeros(6)
-    for k, row in enumerate(rows):
-        mujoco.mj_contactForce(model, data, row, buffer)
-        # rows of `frame` are the contact's axes in W; the force acts on the contact's second entity
-        f_W[k] = data.contact.frame[row].reshape(3, 3).T @ buffer[:3] * (1 if on_membrane[row, 1] else -1)
+    data, device = world.data, world.sensors[sensor]
+    rows, f_S = _forces(world, device)
     R_WS, p_WS = _pose(world, device)
-    return f_W @ R_WS, (data.contact.pos[rows] - p_WS) @ R_WS, device.penetrations(rows)
+    return f_S, (data.contact.pos[rows] - p_WS) @ R_WS, device.penetrations(rows)
 
 
 def contact_force(world: World, sensor: int) -> Array:
     """Total force (3,) N that the world exerts on membrane `sensor`, frame S; a press has a negative z."""
-    return contact_forces(world, sensor)[0].sum(axis=0)
+    return _forces(world, world.sensors[sensor])[1].sum(axis=0)
+
+
+def _forces(world: World, device: TactileSensor) -> tuple[NDArray[np.int64], Array]:
+    """Rows (n,) of MuJoCo's contact list that are the membrane's, and the forces (n, 3) N on it, in S: `mj_contactForce` with
+    elliptic cones, for all at once."""
+    contact, efc_force = world.data.contact, world.data.efc_force
+    geom, first, last = contact.geom, int(device.vertex_geom_ids[0]), int(device.vertex_geom_ids[-1])  # one block
+    on_membrane = ((geom >= first) & (geom <= last)) | (contact.flex == device.flex_id)  # (ncon, 2)
+    rows = (on_membrane[:, 0] | on_membrane[:, 1]).nonzero()[0]
+    address, dim, force = contact.efc_address[rows], contact.dim[rows], np.zeros((len(rows), 3))
+    for axis in range(3):
+        pushes = (address >= 0) & (dim > axis)
+        force[pushes, axis] = efc_force[address[pushes] + axis]
+    # The rows of `frame` are the contact's axes in W; the force acts on the contact's second entity.
+    f_W = np.einsum("nk,nkj->nj", force, contact.frame[rows].reshape(-1, 3, 3))
+    f_W *= np.where(on_membrane[rows, 1], 1.0, -1.0)[:, None]
+    return rows, f_W @ _pose(world, device)[0]
 
 
 def friction_used(world: World, mu: float) -> float:

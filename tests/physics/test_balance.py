@@ -62,6 +62,20 @@ def test_object_hardly_slips(held):
     assert np.linalg.norm(slip) < 0.5e-3  # the rubber shears by about 0.1-0.3 mm under the weight; creep adds little
 
 
+def test_contact_forces_are_those_that_mujoco_says_one_by_one(held):
+    """In W, on the geoms of each membrane; sums of the same numbers, to rounding."""
+    data, buffer = held.data, np.zeros(6)
+    for i, sensor in enumerate(held.sensors):
+        sums = np.zeros(3)
+        for row in range(data.ncon):
+            side = np.isin(data.contact.geom[row], sensor.vertex_geom_ids)
+            if side.any():
+                mujoco.mj_contactForce(held.model, data, row, buffer)
+                sums += data.contact.frame[row].reshape(3, 3).T @ buffer[:3] * (1 if side[1] else -1)
+        R_WS = data.xmat[sensor.body_id].reshape(3, 3)
+        np.testing.assert_allclose(R_WS @ truth.contact_force(held, i), sums, rtol=1e-9, atol=1e-12)
+
+
 def test_penetration_is_a_small_share_of_the_indentation(held):
     for i, sensor in enumerate(held.sensors):
         points = truth.contact_forces(held, i)[1]

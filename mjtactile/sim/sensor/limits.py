@@ -37,6 +37,7 @@ _FAST, _NEAR = 0.5, 0.05  # of its own size in a step; m from the membrane's mid
 _LEAST_INDENTATION = 3e-4  # m; below it, shares of the indentation say nothing
 _BENDING = 0.05  # share of the bulge's stiffness
 _THICKEST = 0.1  # of the frame's shorter side
+_SHEET_EVERY = 5  # looks: stretch and wrinkles come and go no faster than pressure does
 
 
 def check_design(design: SensorDesign, mesh: tuple[int, int]) -> None:
@@ -108,6 +109,7 @@ class Monitor:
         self._hurry = least / np.maximum(model.dof_length[self._movers], 1e-9)
         self._rest = [sensor.p_SV[:, 2] for sensor in sensors]
         self._deep = np.zeros((len(sensors), 5))  # shares at the last looks
+        self._looks = -1
         self._places = self._geoms_in(sensors)
         self._hulls: dict[int, str | None] = {}  # of the geoms that have touched
 
@@ -125,10 +127,12 @@ class Monitor:
         if all(sensor.is_asleep for sensor in self._sensors):
             return flags, stop
         places = self._geoms_in(self._sensors)
+        self._looks += 1
         for number, sensor in enumerate(self._sensors):
             if sensor.is_asleep:
                 continue
-            flags |= sensor.flags()
+            if self._looks % _SHEET_EVERY == 0:
+                flags |= sensor.flags()
             rows = self._contacts(sensor)
             flags |= self._shapes(sensor, rows) if len(rows) else {}
             lasting = self._penetration(number, rows)
