@@ -217,20 +217,6 @@ static Affine look(const Camera *camera, const Circle *e, const double *center, 
     return m;
 }
 
-/* Covariance (parts, parts) G cov G^T. */
-static void propagate(double G[5][5], const double *cov, int parts, double *out) {
-    for (int i = 0; i < parts; i++) {
-        double half[5] = {0};
-        for (int k = 0; k < 5; k++)
-            for (int l = 0; l < 5; l++) half[l] += G[i][k] * cov[5 * k + l];
-        for (int j = 0; j < parts; j++) {
-            double sum = 0;
-            for (int l = 0; l < 5; l++) sum += half[l] * G[j][l];
-            out[parts * i + j] = sum;
-        }
-    }
-}
-
 int64_t circle_poses(int64_t n, const double *centers, const double *semi_axes, const double *angles, const double *covs,
                      const double *radii, const double *camera_, double *uv, double *poses, double *cov_p) {
     Camera camera;
@@ -251,7 +237,7 @@ int64_t circle_poses(int64_t n, const double *centers, const double *semi_axes, 
             poses[3 * (2 * n + i) + k] = both[1 - first].p[k], poses[3 * (3 * n + i) + k] = both[1 - first].n[k];
         }
         derivative(&camera, &e, &bound, &m, both + first, a, b, angles[i], 3, G);
-        propagate(G, covs + 25 * i, 3, cov_p + 9 * i);
+        sandwich5(G, covs + 25 * i, 3, cov_p + 9 * i);
         project(&camera, both[first].p, uv + 2 * i);
     }
     return 0;
@@ -270,7 +256,7 @@ int64_t circle_covariances(int64_t n, const double *centers, const double *semi_
         memcpy(pose.p, p + 3 * i, sizeof pose.p), memcpy(pose.n, normals + 3 * i, sizeof pose.n);
         Affine m = look(&camera, &e, centers + 2 * i, axes, &bound, Q);
         derivative(&camera, &e, &bound, &m, &pose, a, b, angles[i], 5, G);
-        propagate(G, covs + 25 * i, 5, out + 25 * i);
+        sandwich5(G, covs + 25 * i, 5, out + 25 * i);
     }
     return 0;
 }

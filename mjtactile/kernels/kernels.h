@@ -4,6 +4,21 @@
 #define MJTACTILE_KERNELS_H
 #include <stdint.h>
 
+/* image/candidates.py: area moments of n borders, `counts` (n) points each in `points` (x, y) of an image (height, width); out:
+   `misfit` (n) px, the largest distance of the border from the ellipse with these moments, and whether the image cuts it. */
+int64_t border_moments(int64_t n, const int64_t *counts, const int32_t *points, int64_t height, int64_t width, double *centers,
+                       double *shapes, double *misfit, int64_t *cut);
+/* image/markers.py: out: `status` (n) of borders, of fits, and whether a fit is likely a marker at all; `settings` (29): see
+   candidates.c; `levels` (2, n) and `found` (5, n) as below; `sign`: 1 for dark markers, -1 for bright ones. */
+int64_t judge_borders(int64_t n, const double *shapes, const double *misfit, const int64_t *cut, double min_radius,
+                      const double *settings, int64_t *status);
+int64_t judge_fits(int64_t n, const double *centers, const double *shapes, const double *cov, const double *levels,
+                   const double *found, const double *starts, const double *start_shapes, const double *misfit,
+                   const int64_t *cut, double sign, int64_t height, int64_t width, double min_radius, const double *settings,
+                   int64_t *status, int64_t *keep);
+/* image/ellipse.py: semi-axes (n, 2), angles (n) and the covariance (n, 5, 5) of (u, v, a, b, angle) from those of (u, v, p, q, s) */
+int64_t ellipse_axes(int64_t n, const double *shapes, const double *cov, double *semi_axes, double *angles, double *out);
+
 /* image/profiles.py: ellipses (n) from profiles across their edges in a softened image (height, width). `centers` (n, 2) and
    `shapes` (n, 3) are moved; `settings` (10): see profiles.c; out: `cov` (n, 5, 5) of (u, v, p, q, s), `levels` (2, n) inside and
    outside, `found` (5, n): blur, residual, number of profiles, share lost, motion. */

@@ -221,20 +221,10 @@ static double approach(const Image *image, long n, double *centers, double *shap
    dS = (det(S) V + S V S) / trace(S) is the solution. */
 static void covariance_of_moves(const double M[5][5], const double *shape, double *cov) {
     double p = shape[0], q = shape[1], s = shape[2], over = 1 / (p + s), det = p * s - q * q;
-    double qq = q * q * over, pq = p * q * over, qs = q * s * over, half[5][5];
+    double qq = q * q * over, pq = p * q * over, qs = q * s * over;
     double L[5][5] = {{p, q, 0, 0, 0}, {q, s, 0, 0, 0}, {0, 0, (det + p * p) * over, 2 * pq, qq},
                       {0, 0, pq, (det + p * s) * over + qq, qs}, {0, 0, qq, 2 * qs, (det + s * s) * over}};
-    for (int i = 0; i < 5; i++)
-        for (int j = 0; j < 5; j++) {
-            half[i][j] = 0;
-            for (int k = 0; k < 5; k++) half[i][j] += L[i][k] * M[k][j];
-        }
-    for (int i = 0; i < 5; i++)
-        for (int j = 0; j < 5; j++) {
-            double sum = 0;
-            for (int k = 0; k < 5; k++) sum += half[i][k] * L[j][k];
-            cov[5 * i + j] = sum;
-        }
+    sandwich5(L, &M[0][0], 5, cov);
 }
 
 /* What a move (w, V) makes of the offset of the edge at profile k, px. */

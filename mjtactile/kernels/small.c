@@ -53,3 +53,16 @@ int invert_spd5(const double A[5][5], double out[5][5]) {
         }
     return bad;
 }
+
+void sandwich5(double G[5][5], const double *cov, int parts, double *out) {
+    for (int i = 0; i < parts; i++) {
+        double half[5] = {0};
+        for (int k = 0; k < 5; k++)
+            for (int l = 0; l < 5; l++) half[l] += G[i][k] * cov[5 * k + l];
+        for (int j = 0; j < parts; j++) {
+            double sum = 0;
+            for (int l = 0; l < 5; l++) sum += half[l] * G[j][l];
+            out[parts * i + j] = sum;
+        }
+    }
+}

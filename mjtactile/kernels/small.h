@@ -13,5 +13,6 @@ static inline double square(double x) { return x * x; }
 
 double upper_median(double *values, long n);  /* moves them about */
 int invert_spd5(const double A[5][5], double out[5][5]);  /* 1: not positive definite, and `out` is NaN */
+void sandwich5(double G[5][5], const double *cov, int parts, double *out);  /* (parts, parts) G cov G^T */
 
 #endif

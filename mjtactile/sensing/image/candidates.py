@@ -1,6 +1,6 @@
 """Where markers may be: Suzuki-Abe borders on a local threshold, and the area moments of each border.
 
-All borders are handled in one ragged array; nothing here is more precise than about half a pixel, on purpose.
+Nothing here is more precise than about half a pixel, on purpose.
 """
 
 from __future__ import annotations
@@ -12,10 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
-from mjtactile.sensing.image import ellipse
+from mjtactile.kernels import kernel
 from mjtactile.sensing.settings import DEFAULTS, CandidateSettings
-
-_DIVISORS = np.array([[2.0], [6.0], [6.0], [12.0], [24.0], [12.0]])  # of the polygon's moments
 
 
 @dataclass(frozen=True)
@@ -97,43 +95,7 @@ def _moments(points: NDArray[np.int32], counts: NDArray[np.int64], size: tuple[i
 
     `points` (P, 1, 2) of one border after the other, `counts` (N,) of them.
     """
-    ends = counts.cumsum() - 1
-    starts = ends - counts + 1
-    xy = points[:, 0].T.astype(float)
-    following = np.empty_like(xy)
-    following[:, :-1] = xy[:, 1:]
-    following[:, ends] = xy[:, starts]
-    (x, y), (x2, y2) = xy, following
-    sx, sy = x + x2, y + y2
-    terms = np.empty((6, len(x)))
-    cross = np.subtract(x * y2, x2 * y, out=terms[0])
-    terms[1], terms[2] = cross * sx, cross * sy
-    terms[3], terms[5] = cross * (sx * sx - x * x2), cross * (sy * sy - y * y2)
-    terms[4] = cross * (sx * sy + x * y + x2 * y2)
-    area, mx, my, mxx, mxy, myy = np.add.reduceat(terms, starts, axis=1) / _DIVISORS
-    # A one-pixel-wide border has no area; it is no marker either, so that any non-zero stand-in will do.
-    flat = np.abs(area) < 0.5
-    area[flat] = 1.0
-    cx, cy = mx / area, my / area
-    second = np.array([mxx / area - cx * cx, mxy / area - cx * cy, myy / area - cy * cy]).T
-    second[flat] = [0.01, 0.0, 0.01]
-    shape = ellipse.shape_from_moments(second)
-    # The polygon runs through centres of boundary pixels, half a pixel inside of the blob's outline.
-    shape += [0.5, 0.0, 0.5]
-    center = np.array([cx, cy]).T
-    misfit = np.maximum.reduceat(_distance(xy, center, shape, counts), starts)
-    misfit[flat] = np.inf
-    room = np.minimum(np.minimum(x, y), np.minimum(size[1] - 1 - x, size[0] - 1 - y))
-    return Candidates(center, shape, misfit, np.minimum.reduceat(room, starts) <= 0)
-
-
-def _distance(xy: Array, center: Array, shape: Array, counts: NDArray[np.int64]) -> Array:
-    """First-order distance |(rho - 1)/|S^-1 e|| (P,) of border points `xy` (2, P) from their ellipses; the blob's outline
-    is half a pixel further out than they are."""
-    own = np.concatenate([center.T, ellipse.inverse_shape(shape).T]).repeat(counts, axis=1)
-    dx, dy = xy - own[:2]
-    p, q, s = own[2:]
-    ex, ey = p * dx + q * dy, q * dx + s * dy
-    rho2 = ex * ex + ey * ey
-    mx, my = p * ex + q * ey, q * ex + s * ey
-    return np.abs((rho2 - np.sqrt(rho2)) / np.sqrt(mx * mx + my * my + 1e-18) + 0.5)
+    n = len(counts)
+    center, shape, misfit, cut = np.empty((n, 2)), np.empty((n, 3)), np.empty(n), np.empty(n, np.int64)
+    kernel("border_moments")(n, counts, points, *size, center, shape, misfit, cut)
+    return Candidates(center, shape, misfit, cut != 0)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from mjtactile.core.errors import InputError
-from mjtactile.core.types import Array, Ellipses, Image
+from mjtactile.core.types import Ellipses, Image
+from mjtactile.kernels import kernel
 from mjtactile.sensing.image import candidates, edges, ellipse, profiles
 from mjtactile.sensing.settings import DEFAULTS, MarkerSettings, Settings
 
@@ -19,6 +19,9 @@ CUT, NOT_ELLIPSE, TOUCHING = "cut by image border", "not an ellipse", "touches a
 LOW_CONTRAST, GLARE, SMALL = "low contrast", "glare or dirt", "too small"
 MOTION, BLURRED = "motion blur", "too blurred"
 LONG, NO_FIT, MOVED = "too long", "no fit", "edge lies elsewhere"
+# in the order of the numbers in mjtactile/kernels/candidates.c
+STATUSES = np.array(["ok", CUT, NOT_ELLIPSE, TOUCHING, LOW_CONTRAST, GLARE, SMALL, MOTION, BLURRED, LONG, NO_FIT, MOVED],
+                    dtype="<U24")
 
 
 def detect(image: NDArray | Image, camera: Any = None, *, polarity: Polarity = "dark",
@@ -52,8 +55,10 @@ def check_polarity(polarity: str) -> None:
 
 def as_ellipses(fit: edges.EdgeFit, status: NDArray[np.str_]) -> Ellipses:
     """Fits as semi-axes and angles."""
-    axes, angle = ellipse.axes_from_shape(fit.shape)
-    return Ellipses(fit.center, axes, angle, ellipse.covariance_of_axes(fit.cov, axes, angle), status)
+    n = len(fit.center)
+    axes, angle, cov = np.empty((n, 2)), np.empty(n), np.empty((n, 5, 5))
+    kernel("ellipse_axes")(n, fit.shape, fit.cov, axes, angle, cov)
+    return Ellipses(fit.center, axes, angle, cov, status)
 
 
 def grey_image(image: NDArray | Image) -> NDArray:
@@ -125,85 +130,22 @@ def eight_bit(grey: NDArray) -> NDArray[np.uint8]:
 
 def implausible(found: candidates.Candidates, min_radius_px: float, s: MarkerSettings) -> NDArray[np.str_]:
     """Why each cannot be a marker: too small or long, or a border far from its own ellipse (further if cut); "" if it can."""
-    axes, _ = ellipse.axes_from_shape(found.shape)
-    a, b = axes.T
-    why = np.full(len(a), "", dtype="<U24")
-    why[_odd(found, s)] = NOT_ELLIPSE
-    why[b <= s.longest * a] = LONG
-    why[b < min_radius_px] = SMALL
-    fits = why == ""
-    if fits.sum() >= s.some:
-        # a border as large as the others' but of another outline is a marker with glare or dirt on it, to be flagged
-        size = np.sqrt(a * b)
-        alike = np.abs(np.log(size / ellipse.middle(size[fits]))) < s.alike
-        why[alike & (b > s.longest_flawed * a) & (found.misfit < s.flawed * size)] = ""
-    return why
-
-
-def _odd(found: candidates.Candidates, s: MarkerSettings) -> NDArray[np.bool_]:
-    """Which borders are far from their own ellipses (further if cut)."""
-    b = ellipse.axes_from_shape(found.shape)[0][:, 1]
-    return found.misfit >= s.odd + np.where(found.cut, s.odd_share_cut, s.odd_share) * b
+    codes = np.empty(len(found), np.int64)
+    kernel("judge_borders")(len(found), found.shape, found.misfit, found.cut, min_radius_px, astuple(s), codes)
+    return np.where(codes, STATUSES[codes], "")
 
 
 def judge(fit: edges.EdgeFit, found: candidates.Candidates, polarity: str, size: tuple[int, ...],
           min_radius_px: float, s: MarkerSettings) -> tuple[NDArray[np.str_], NDArray[np.bool_]]:
-    """Status (N,) of each fit, and whether (N,) it is likely a marker at all, be it to be trusted or not."""
-    axes, _ = ellipse.axes_from_shape(fit.shape)
-    a, b = axes.T
-    contrast = (fit.outside - fit.inside) * (1 if polarity == "dark" else -1)
-    noise = np.maximum(fit.residual, 1e-3)
-    doubt = np.sqrt(fit.cov[:, 2, 2] + fit.cov[:, 3, 3] + fit.cov[:, 4, 4]) / b
-    moved = np.hypot(*(fit.center - found.center).T)
-    extent = np.hypot(fit.shape[:, [0, 2]], fit.shape[:, 1:2])
-    out = ((fit.center - extent < s.close) | (fit.center + extent > np.array([size[1], size[0]]) - 1 - s.close)).any(axis=1)
-    status = np.full(len(b), "ok", dtype="<U24")
-    status[(contrast < s.contrast * noise) | (doubt > s.doubt)] = LOW_CONTRAST
-    status[fit.residual > s.misfit * contrast] = NOT_ELLIPSE
-    usual = ellipse.middle(fit.residual) if len(b) else 0.0  # of this image: its noise, its compression
-    covered = (fit.residual > np.maximum(s.covered * contrast, s.covered_usual * usual)) & (b > s.room)
-    status[(fit.lost > s.lost) | covered] = GLARE
-    status[fit.motion > s.motion] = MOTION
-    # blur is the image's, and its scatter from marker to marker mostly the fit's
-    common = ellipse.middle(fit.blur[good]) if (good := status == "ok").any() else 0.0
-    status[b < s.too_blurred * np.clip(fit.blur, common / s.blur_spread, common * s.blur_spread)] = BLURRED
-    took_blur_for_size = (fit.blur < s.sharper * common) & (common > 1)
-    status[took_blur_for_size & (b < s.unsure * common)] = BLURRED
-    changed = np.abs(fit.shape - found.shape).max(axis=1)
-    status[changed > s.odd + s.changed * b] = NOT_ELLIPSE
-    status[b < min_radius_px] = SMALL
-    cut = out | found.cut
-    status[cut] = CUT
-    odd = _odd(found, s) & ~cut
-    status[odd] = GLARE
-    drop = np.zeros(len(b), dtype=bool)
-    for what, why in (((moved > 1 + s.moved * b) & ~cut & ~odd, MOVED), ((contrast < s.contrast_any * noise), LOW_CONTRAST),
-                      ((doubt > s.doubt_any) | (fit.residual >= edges.UNSETTLED), NO_FIT),
-                      (b < s.flattest * a, LONG), (b < s.shrunk * min_radius_px, SMALL)):
-        drop |= what
-        status[what] = why
-    good = np.flatnonzero(status == "ok")
-    status[good[_crowded(fit.center[good], fit.shape[good], a[good], s.close)]] = TOUCHING
-    return status, ~drop
+    """Status (N,) of each fit, and whether (N,) it is likely a marker at all, be it to be trusted or not.
 
-
-def _crowded(center: Array, shape: Array, a: Array, close: float) -> NDArray[np.bool_]:
-    """Which ellipses (N,) come within `close` px of another's edge, measured along the line of centres."""
-    if len(center) < 2:
-        return np.zeros(len(center), dtype=bool)
-    near = KDTree(center).query_pairs(2 * a.max() + close, output_type="ndarray")
-    near = near[np.square(np.diff(center[near], axis=1)).sum(axis=(1, 2)) < np.square(a[near].sum(axis=1) + close)]
-    if not len(near):
-        return np.zeros(len(center), dtype=bool)
-    i, j = near.T
-    d = center[j] - center[i]
-    length = np.maximum(np.hypot(*d.T), 1e-9)
-    towards = d / length[:, None]
-    reach = 0.0
-    for k in (i, j):
-        p, q, s = ellipse.inverse_shape(shape[k]).T
-        reach = reach + 1 / np.hypot(p * towards[:, 0] + q * towards[:, 1], q * towards[:, 0] + s * towards[:, 1])
-    touching = near[length < reach + close]
-    crowded = np.zeros(len(center), dtype=bool)
-    crowded[touching.ravel()] = True
-    return crowded
+    An edge is weak, an outline no ellipse, or part of it covered, by the fit's own numbers and by what is usual in this image;
+    blur is the image's, so that a marker much sharper or more blurred than the others was not understood; and a fit that left
+    its candidate behind found something else.
+    """
+    n, levels = len(fit.center), np.stack([fit.inside, fit.outside])
+    codes, keep = np.empty(n, np.int64), np.empty(n, np.int64)
+    numbers = np.stack([fit.blur, fit.residual, fit.pixels, fit.lost, fit.motion])
+    kernel("judge_fits")(n, fit.center, fit.shape, fit.cov, levels, numbers, found.center, found.shape, found.misfit, found.cut,
+                         1.0 if polarity == "dark" else -1.0, *size, min_radius_px, astuple(s), codes, keep)
+    return STATUSES[codes], keep != 0

@@ -1,0 +1,217 @@
+/* Where markers may be, and which may be trusted: image/candidates.py and image/markers.py. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "kernels.h"
+#include "small.h"
+
+#define UNSETTLED 1e3 /* grey levels in the residual of a fit that did not converge: image/edges.py */
+
+/* As the dataclass MarkerSettings: one number a field, in its order. */
+typedef struct {
+    double room, blurred, too_blurred, wide, unsure, blur_spread, motion, covered, some, alike, close, longest, longest_flawed,
+        flawed, odd, odd_share, odd_share_cut, contrast, contrast_any, doubt, doubt_any, misfit, covered_usual, lost, sharper,
+        changed, moved, flattest, shrunk;
+} MarkerSettings;
+
+/* As markers.STATUSES. */
+enum { OK, CUT, NOT_ELLIPSE, TOUCHING, LOW_CONTRAST, GLARE, SMALL, MOTION, BLURRED, LONG, NO_FIT, MOVED };
+
+static void axes_of(const double *shape, double *a, double *b) {
+    double mean = (shape[0] + shape[2]) / 2, half = hypot((shape[0] - shape[2]) / 2, shape[1]);
+    *a = mean + half, *b = mean - half;
+}
+
+/* First-order distance of a border's point from the ellipse; the blob's outline is half a pixel further out. */
+static double distance(double dx, double dy, const double *inverse) {
+    double p = inverse[0], q = inverse[1], s = inverse[2], ex = p * dx + q * dy, ey = q * dx + s * dy;
+    double mx = p * ex + q * ey, my = q * ex + s * ey, rho2 = ex * ex + ey * ey;
+    return fabs((rho2 - sqrt(rho2)) / sqrt(mx * mx + my * my + 1e-18) + 0.5);
+}
+
+int64_t border_moments(int64_t n, const int64_t *counts, const int32_t *points, int64_t height, int64_t width, double *centers,
+                       double *shapes, double *misfit, int64_t *cut) {
+    for (int64_t i = 0; i < n; points += 2 * counts[i++]) {
+        double area = 0, mx = 0, my = 0, mxx = 0, mxy = 0, myy = 0, room = INFINITY, *shape = shapes + 3 * i;
+        for (int64_t k = 0; k < counts[i]; k++) {  /* Green's theorem on the polygon through the pixels' centres */
+            const int32_t *here = points + 2 * k, *next = k + 1 < counts[i] ? here + 2 : points;
+            double x = here[0], y = here[1], x2 = next[0], y2 = next[1], cross = x * y2 - x2 * y, sx = x + x2, sy = y + y2;
+            area += cross, mx += cross * sx, my += cross * sy;
+            mxx += cross * (sx * sx - x * x2), myy += cross * (sy * sy - y * y2), mxy += cross * (sx * sy + x * y + x2 * y2);
+            room = least(room, least(least(x, y), least(width - 1 - x, height - 1 - y)));
+        }
+        area /= 2, mx /= 6, my /= 6, mxx /= 12, mxy /= 24, myy /= 12;
+        /* a border one pixel wide has no area; it is no marker either, so that any stand-in will do */
+        int flat = fabs(area) < 0.5;
+        if (flat) area = 1;
+        double cx = mx / area, cy = my / area;
+        double xx = flat ? 0.01 : mxx / area - cx * cx, xy = flat ? 0 : mxy / area - cx * cy, yy = flat ? 0.01 : myy / area - cy * cy;
+        double root = sqrt(most(16 * (xx * yy - xy * xy), 0)), scale = 1 / sqrt(most(4 * (xx + yy) + 2 * root, 1e-12));
+        /* half a pixel more: the polygon runs inside of the blob's outline */
+        shape[0] = (4 * xx + root) * scale + 0.5, shape[1] = 4 * xy * scale, shape[2] = (4 * yy + root) * scale + 0.5;
+        double det = shape[0] * shape[2] - shape[1] * shape[1], inverse[3] = {shape[2] / det, -shape[1] / det, shape[0] / det};
+        double farthest = 0;
+        for (int64_t k = 0; k < counts[i]; k++)
+            farthest = most(distance(points[2 * k] - cx, points[2 * k + 1] - cy, inverse), farthest);
+        centers[2 * i] = cx, centers[2 * i + 1] = cy, misfit[i] = flat ? INFINITY : farthest, cut[i] = room <= 0;
+    }
+    return 0;
+}
+
+/* Whether a border is far from its own ellipse (further if cut). */
+static int is_odd(double misfit, int cut, double b, const MarkerSettings *s) {
+    return misfit >= s->odd + (cut ? s->odd_share_cut : s->odd_share) * b;
+}
+
+int64_t judge_borders(int64_t n, const double *shapes, const double *misfit, const int64_t *cut, double min_radius,
+                      const double *settings, int64_t *status) {
+    MarkerSettings s;
+    memcpy(&s, settings, sizeof s);
+    double *size = malloc((n + 1) * sizeof *size);
+    int64_t fits = 0;
+    if (!size) return 1;
+    for (int64_t i = 0; i < n; i++) {
+        double a, b;
+        axes_of(shapes + 3 * i, &a, &b);
+        status[i] = b < min_radius ? SMALL : b <= s.longest * a ? LONG : is_odd(misfit[i], (int)cut[i], b, &s) ? NOT_ELLIPSE : OK;
+        if (status[i] == OK) size[fits++] = sqrt(a * b);
+    }
+    if (fits >= s.some) {
+        /* a border as large as the others' but of another outline is a marker with glare or dirt on it, to be flagged */
+        double usual = upper_median(size, fits);
+        for (int64_t i = 0; i < n; i++) {
+            double a, b, own;
+            axes_of(shapes + 3 * i, &a, &b);
+            own = sqrt(a * b);
+            if (fabs(log(own / usual)) < s.alike && b > s.longest_flawed * a && misfit[i] < s.flawed * own) status[i] = OK;
+        }
+    }
+    free(size);
+    return 0;
+}
+
+/* One fit beside the candidate that it began from. */
+typedef struct {
+    const double *center, *shape, *cov, *start, *start_shape;
+    double a, b, contrast, noise, doubt, residual, blur, lost, motion, misfit;
+    int cut;
+} Fit;
+
+static Fit fit_of(int64_t i, int64_t n, const double *centers, const double *shapes, const double *cov, const double *levels,
+                  const double *found, const double *starts, const double *start_shapes, const double *misfit, const int64_t *cut,
+                  double sign) {
+    const double *c = cov + 25 * i;
+    Fit f = {.center = centers + 2 * i, .shape = shapes + 3 * i, .cov = c, .start = starts + 2 * i,
+             .start_shape = start_shapes + 3 * i, .contrast = sign * (levels[n + i] - levels[i]), .blur = found[i],
+             .residual = found[n + i], .lost = found[3 * n + i], .motion = found[4 * n + i], .misfit = misfit[i],
+             .cut = (int)cut[i]};
+    axes_of(f.shape, &f.a, &f.b);
+    f.noise = f.residual < 1e-3 ? 1e-3 : f.residual;
+    f.doubt = sqrt(c[12] + c[18] + c[24]) / f.b;
+    return f;
+}
+
+static int trust(const Fit *f, double usual, const MarkerSettings *s) {
+    int status = OK;
+    if (f->contrast < s->contrast * f->noise || f->doubt > s->doubt) status = LOW_CONTRAST;
+    if (f->residual > s->misfit * f->contrast) status = NOT_ELLIPSE;
+    int covered = f->residual > most(s->covered * f->contrast, s->covered_usual * usual) && f->b > s->room;
+    if (f->lost > s->lost || covered) status = GLARE;
+    return f->motion > s->motion ? MOTION : status;
+}
+
+static int reaches_border(const Fit *f, int64_t height, int64_t width, double close) {
+    double u = hypot(f->shape[0], f->shape[1]), v = hypot(f->shape[2], f->shape[1]);
+    return f->center[0] - u < close || f->center[1] - v < close || f->center[0] + u > width - 1 - close
+           || f->center[1] + v > height - 1 - close;
+}
+
+/* The judgement that needs the image's `common` blur, and whether it is likely no marker at all. */
+static int judge(const Fit *f, int status, double common, int64_t height, int64_t width, double min_radius,
+                 const MarkerSettings *s, int64_t *keep) {
+    if (f->b < s->too_blurred * clip(f->blur, common / s->blur_spread, common * s->blur_spread)) status = BLURRED;
+    if (f->blur < s->sharper * common && common > 1 && f->b < s->unsure * common) status = BLURRED;
+    double changed = 0, odd_b, odd_a;
+    for (int k = 0; k < 3; k++) changed = most(fabs(f->shape[k] - f->start_shape[k]), changed);
+    if (changed > s->odd + s->changed * f->b) status = NOT_ELLIPSE;
+    if (f->b < min_radius) status = SMALL;
+    int cut = reaches_border(f, height, width, s->close) || f->cut;
+    if (cut) status = CUT;
+    axes_of(f->start_shape, &odd_a, &odd_b);
+    int odd = is_odd(f->misfit, f->cut, odd_b, s) && !cut;
+    if (odd) status = GLARE;
+    double way = hypot(f->center[0] - f->start[0], f->center[1] - f->start[1]);
+    int drop = 0;
+    if (way > 1 + s->moved * f->b && !cut && !odd) status = MOVED, drop = 1;
+    if (f->contrast < s->contrast_any * f->noise) status = LOW_CONTRAST, drop = 1;
+    if (f->doubt > s->doubt_any || f->residual >= UNSETTLED) status = NO_FIT, drop = 1;
+    if (f->b < s->flattest * f->a) status = LONG, drop = 1;
+    if (f->b < s->shrunk * min_radius) status = SMALL, drop = 1;
+    *keep = !drop;
+    return status;
+}
+
+/* How far an ellipse reaches from its centre in the direction (x, y). */
+static double reach(const Fit *f, double x, double y) {
+    double p = f->shape[0], q = f->shape[1], s = f->shape[2], det = p * s - q * q;
+    return det / hypot(s * x - q * y, p * y - q * x);
+}
+
+/* Ellipses that come near another's edge, measured along the line of centres. */
+static void flag_crowded(const Fit *fits, int64_t n, double close, int64_t *status) {
+    for (int64_t i = 0; i < n; i++) {
+        if (status[i] != OK && status[i] != TOUCHING) continue;
+        for (int64_t j = i + 1; j < n; j++) {
+            if (status[j] != OK && status[j] != TOUCHING) continue;
+            double x = fits[j].center[0] - fits[i].center[0], y = fits[j].center[1] - fits[i].center[1];
+            if (!(x * x + y * y < square(fits[i].a + fits[j].a + close))) continue;
+            double length = most(hypot(x, y), 1e-9);
+            x /= length, y /= length;
+            if (length < reach(fits + i, x, y) + reach(fits + j, x, y) + close) status[i] = status[j] = TOUCHING;
+        }
+    }
+}
+
+int64_t judge_fits(int64_t n, const double *centers, const double *shapes, const double *cov, const double *levels,
+                   const double *found, const double *starts, const double *start_shapes, const double *misfit,
+                   const int64_t *cut, double sign, int64_t height, int64_t width, double min_radius, const double *settings,
+                   int64_t *status, int64_t *keep) {
+    MarkerSettings s;
+    memcpy(&s, settings, sizeof s);
+    Fit *fits = malloc((n + 1) * sizeof *fits);
+    double *some = malloc((n + 1) * sizeof *some);
+    if (!fits || !some) {
+        free(fits), free(some);
+        return 1;
+    }
+    for (int64_t i = 0; i < n; i++) {
+        fits[i] = fit_of(i, n, centers, shapes, cov, levels, found, starts, start_shapes, misfit, cut, sign);
+        some[i] = fits[i].residual;
+    }
+    double usual = n ? upper_median(some, n) : 0;  /* of this image: its noise, its compression */
+    int64_t good = 0;
+    for (int64_t i = 0; i < n; i++) {
+        status[i] = trust(fits + i, usual, &s);
+        if (status[i] == OK) some[good++] = fits[i].blur;
+    }
+    double common = good ? upper_median(some, good) : 0;  /* blur is the image's; its scatter mostly the fit's */
+    for (int64_t i = 0; i < n; i++)
+        status[i] = judge(fits + i, (int)status[i], common, height, width, min_radius, &s, keep + i);
+    flag_crowded(fits, n, s.close, status);
+    free(fits), free(some);
+    return 0;
+}
+
+int64_t ellipse_axes(int64_t n, const double *shapes, const double *cov, double *semi_axes, double *angles, double *out) {
+    for (int64_t i = 0; i < n; i++) {
+        const double *shape = shapes + 3 * i;
+        double a, b, angle = 0.5 * atan2(2 * shape[1], shape[0] - shape[2]), c = cos(angle), s = sin(angle);
+        axes_of(shape, &a, &b);
+        double over = 1 / most(a - b, 1e-6 * a);  /* below, the angle is meaningless; the floor keeps its variance finite */
+        double J[5][5] = {{1, 0, 0, 0, 0}, {0, 1, 0, 0, 0}, {0, 0, c * c, 2 * c * s, s * s}, {0, 0, s * s, -2 * c * s, c * c},
+                          {0, 0, -c * s * over, (c * c - s * s) * over, c * s * over}};
+        semi_axes[2 * i] = a, semi_axes[2 * i + 1] = b, angles[i] = angle;
+        sandwich5(J, cov + 25 * i, 5, out + 25 * i);
+    }
+    return 0;
+}
