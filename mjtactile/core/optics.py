@@ -10,6 +10,7 @@ C has its origin at the camera's centre, x right, y down, z forward. The pane is
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +58,12 @@ class Camera(Pinhole):
         """This camera behind a pane of `thickness` m, `distance` m from the camera's centre to its near face, in place of
         any other. Raises InputError for what cannot be."""
         return replace(self, glass_thickness=thickness, glass_index=refractive_index, glass_distance=distance)
+
+    @cached_property
+    def numbers(self) -> Array:
+        """All that a ray's way depends on, (12,): fx, fy, cx, cy, lens, thickness, index and distance of the pane."""
+        return np.array([self.fx, self.fy, self.cx, self.cy, *self.distortion, self.glass_thickness, self.glass_index,
+                         self.glass_distance])
 
     @classmethod
     def from_yaml(cls, path: str | Path, glass: Glass | None = None) -> Camera:

@@ -37,4 +37,11 @@ int64_t cones(int64_t n, const double *centers, const double *shapes, const doub
 /* Out: `poses` (4, n, 3): centres of the first and the second circle on each cone `Q` (n, 3, 3), then their normals. */
 int64_t circles_on_cones(int64_t n, const double *Q, const double *radii, double *poses);
 
+/* pose/identity.py: `ids` (n) of circles `found` (n, 2) m among m markers, -1 for none; `expected`, `layout` (m, 2) m, `order`
+   (m, k) each one's nearest markers; `settings` (5): see identity.c. NaN: not known. */
+int64_t match_markers(int64_t n, int64_t m, int64_t k, const double *found, const double *expected, const double *layout,
+                      const int64_t *order, double pitch, const double *settings, int64_t *ids);
+/* Out: by how much (n) m the pane brings points `p` (n, 3) nearer. */
+int64_t pane_shifts(int64_t n, const double *p, const double *camera, double *out);
+
 #endif

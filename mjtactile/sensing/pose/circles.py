@@ -34,7 +34,7 @@ def estimate_poses(ellipses: Ellipses, camera: optics.Camera | CameraDesign, rad
     camera = camera if isinstance(camera, optics.Camera) else optics.Camera.from_design(camera)
     n, r = len(ellipses), _radii(radius, len(ellipses))
     uv, poses, cov_p = np.empty((n, 2)), np.empty((4, n, 3)), np.empty((n, 3, 3))
-    kernel("circle_poses")(n, *_arrays(ellipses), r, _numbers(camera), uv, poses, cov_p)
+    kernel("circle_poses")(n, *_arrays(ellipses), r, camera.numbers, uv, poses, cov_p)
     first_p, first_n, second_p, second_n = poses
     return CirclePoses(uv, first_p, first_n, second_p, second_n, cov_p, ellipses.status)
 
@@ -47,7 +47,7 @@ def pose_covariances(ellipses: Ellipses, camera: optics.Camera, p_CM: Array, n_C
     a change of either moves the boundary, in units of the local radius, by e . w + e^T V e.
     """
     n, cov = len(ellipses), np.empty((len(ellipses), 5, 5))
-    kernel("circle_covariances")(n, *_arrays(ellipses), p_CM, n_C, _numbers(camera), cov)
+    kernel("circle_covariances")(n, *_arrays(ellipses), p_CM, n_C, camera.numbers, cov)
     normals = _tilted(n_C, p_CM)
     # (n_x, n_y) move at fixed n_z; what lies along n is no turn
     turn = (np.eye(3) - normals[:, :, None] * normals[:, None])[:, :, :2]
@@ -68,18 +68,12 @@ def circles_from_cones(Q: Array, radius: Array) -> tuple[Array, Array]:
 def cones(camera: optics.Camera, center_px: Array, shape: Array) -> Array:
     """Cones Q (N, 3, 3) in ideal normalised coordinates of ellipses in distorted pixels, without the pane."""
     Q = np.empty((len(shape), 3, 3))
-    kernel("cones")(len(shape), center_px, shape, _numbers(camera), Q)
+    kernel("cones")(len(shape), center_px, shape, camera.numbers, Q)
     return Q
 
 
 def _arrays(ellipses: Ellipses) -> tuple[Array, ...]:
     return ellipses.center_px, ellipses.semi_axes_px, ellipses.angle, ellipses.cov
-
-
-def _numbers(camera: optics.Camera) -> Array:
-    """A camera as optics.h has it."""
-    return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion, camera.glass_thickness,
-                     camera.glass_index, camera.glass_distance])
 
 
 def _tilted(n: Array, p: Array) -> Array:

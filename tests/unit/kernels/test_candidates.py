@@ -51,8 +51,9 @@ def drawn(rng, n):
     inside = rng.uniform(10, 60, n)
     fit = EdgeFit(center, shape, root @ root.transpose(0, 2, 1), inside, inside + contrast, rng.uniform(0.4, 3, n), residual,
                   np.full(n, 48.0), rng.uniform(0, 0.35, n), rng.uniform(0, 0.08, n))
-    found = Candidates(center + rng.normal(0, rng.choice([0.2, 5.0], (n, 1), p=[0.8, 0.2]), (n, 2)),
-                       shape * rng.normal(1, rng.choice([0.02, 0.3], (n, 1)), (n, 1)), rng.uniform(0, 8, n) ** 2 / 10, rng.random(n) < 0.1)
+    start = center + rng.normal(0, rng.choice([0.2, 5.0], (n, 1), p=[0.8, 0.2]), (n, 2))
+    found = Candidates(start, shape * rng.normal(1, rng.choice([0.02, 0.3], (n, 1)), (n, 1)),
+                       rng.uniform(0, 8, n) ** 2 / 10, rng.random(n) < 0.1)
     return fit, found
 
 

@@ -8,10 +8,11 @@ import pytest
 from mjtactile.core.design import load_sensor
 from mjtactile.core.optics import Camera
 from mjtactile.sensing.image import candidates, markers, profiles
-from mjtactile.sensing.pose import circles
+from mjtactile.sensing.pose import circles, identity
 from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sim.picture.renderer import Renderer
 from tests.numpy_chain import circles as numpy_circles
+from tests.numpy_chain import identity as numpy_identity
 from tests.numpy_chain import profiles as numpy_profiles
 
 DESIGN = load_sensor("dense")
@@ -58,3 +59,20 @@ def test_poses_from_ellipses(image, camera):
     for a, b in zip(*(module.circles_from_cones(cones[1], np.full(len(shape), 1e-3)) for module in (circles, numpy_circles)),
                     strict=True):
         np.testing.assert_allclose(a, b, atol=1e-11)
+
+
+def test_identity():
+    """Circles that moved together and alone, that are missing, doubled, unknown or shifted by up to more than a pitch: the same
+    ids as numpy's, whatever they are."""
+    layout, rng = DESIGN.markers.p_SM, np.random.default_rng(3)
+    pitch = DESIGN.markers.pitch_x
+    for _ in range(200):
+        expected = layout + rng.normal(0, 0.1 * pitch, layout.shape)
+        together = rng.normal(0, 0.5 * pitch, 3) * rng.integers(2)
+        p = expected + together + rng.normal(0, rng.choice([0.02, 0.3]) * pitch, layout.shape)
+        p = p[rng.permutation(len(p))[: rng.integers(1, len(p) + 1)]]
+        p = np.concatenate([p, p[:3] + 0.3 * pitch])
+        p[rng.random(len(p)) < 0.05] = np.nan
+        expected[rng.random(len(expected)) < rng.choice([0.0, 0.1, 1.0])] = np.nan
+        ours, theirs = (module.match(p, expected, layout) for module in (identity, numpy_identity))
+        np.testing.assert_array_equal(ours, theirs)

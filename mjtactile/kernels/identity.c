@@ -1,0 +1,166 @@
+/* Which detected circle is which marker: pose/identity.py. Unknown places are NaN. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "kernels.h"
+#include "optics.h"
+#include "small.h"
+
+#define ROUNDS 3 /* match, learn how the neighbourhood moved, match again */
+#define NEAREST 64
+
+/* As the dataclass IdentitySettings. */
+typedef struct { double gate, inconsistent, neighbours, height_weight, same_shift; } IdentitySettings;
+
+typedef struct { int64_t n, m, k; const double *found, *expected; const int64_t *order; double pitch; } Scene;
+
+static int known(const double *xy) { return isfinite(xy[0]) && isfinite(xy[1]); }
+
+static double squared_distance(const double *a, const double *b) { return square(a[0] - b[0]) + square(a[1] - b[1]); }
+
+static double median(double *values, int64_t n) { /* of the middle two, their mean; moves them about */
+    double high = upper_median(values, n), low = -INFINITY;
+    if (n % 2) return high;
+    for (int64_t i = 0; i < n / 2; i++) low = most(low, values[i]);
+    return (low + high) / 2;
+}
+
+/* Median displacement (m, 2) of each marker's nearest `neighbours` with a known one in `moved`; where there are none, the
+   median of all; zero if nothing is known. `work` (m). */
+static void smooth(const Scene *scene, const double *moved, int64_t neighbours, double *out, double *work) {
+    double common[2] = {0, 0};
+    for (int axis = 0; axis < 2; axis++) {
+        int64_t count = 0;
+        for (int64_t i = 0; i < scene->m; i++)
+            if (known(moved + 2 * i)) work[count++] = moved[2 * i + axis];
+        if (count) common[axis] = median(work, count);
+    }
+    for (int64_t i = 0; i < scene->m; i++) {
+        double near[2][NEAREST];
+        int64_t count = 0;
+        for (int64_t j = 0; j < scene->k && count < neighbours; j++) {
+            const double *one = moved + 2 * scene->order[i * scene->k + j];
+            if (known(one)) near[0][count] = one[0], near[1][count++] = one[1];
+        }
+        for (int axis = 0; axis < 2; axis++) out[2 * i + axis] = count ? median(near[axis], count) : common[axis];
+    }
+}
+
+/* Pairs that are each other's nearest and closer than `gate`: `ids` (n), -1 for none. `back` (m), `shift` (m, 2) or NULL. */
+static void mutual_nearest(const Scene *scene, const double *shift, double gate, int64_t *ids, int64_t *back, double *nearest) {
+    for (int64_t j = 0; j < scene->m; j++) back[j] = -1, nearest[j] = INFINITY;
+    for (int64_t i = 0; i < scene->n; i++) {
+        double best = INFINITY;
+        ids[i] = -1;
+        if (!known(scene->found + 2 * i)) continue;
+        for (int64_t j = 0; j < scene->m; j++) {
+            double at[2] = {scene->expected[2 * j] + shift[2 * j], scene->expected[2 * j + 1] + shift[2 * j + 1]};
+            double d2 = squared_distance(scene->found + 2 * i, at);
+            if (d2 < best) best = d2, ids[i] = j;
+            if (d2 < nearest[j]) nearest[j] = d2, back[j] = i;
+        }
+        if (!(best < gate * gate)) ids[i] = -1;
+    }
+    for (int64_t i = 0; i < scene->n; i++)
+        if (ids[i] >= 0 && back[ids[i]] != i) ids[i] = -1;
+}
+
+/* Offset of all circles against where they are expected, up to half a pitch: the densest place among the offsets of every circle
+   to its nearest marker. `offsets` (n, 2), `work` (n). */
+static void common_shift(const Scene *scene, double same, double *out, double *offsets, double *work) {
+    int64_t count = 0, densest = -1, most_near = 0;
+    out[0] = out[1] = 0;
+    for (int64_t i = 0; i < scene->n; i++) {
+        double best = INFINITY;
+        const double *here = scene->found + 2 * i;
+        if (!known(here)) continue;
+        for (int64_t j = 0; j < scene->m; j++) {
+            double d2 = squared_distance(here, scene->expected + 2 * j);
+            if (d2 < best) best = d2, offsets[2 * count] = here[0] - scene->expected[2 * j],
+                           offsets[2 * count + 1] = here[1] - scene->expected[2 * j + 1];
+        }
+        if (best < square(scene->pitch)) count++;
+    }
+    for (int64_t i = 0; i < count; i++) {
+        int64_t near = 0;
+        for (int64_t j = 0; j < count; j++) near += squared_distance(offsets + 2 * i, offsets + 2 * j) < square(scene->pitch / same);
+        if (near > most_near) most_near = near, densest = i;
+    }
+    for (int axis = 0; axis < 2 && densest >= 0; axis++) {
+        int64_t near = 0;
+        for (int64_t j = 0; j < count; j++)
+            if (squared_distance(offsets + 2 * densest, offsets + 2 * j) < square(scene->pitch / same)) work[near++] = offsets[2 * j + axis];
+        out[axis] = median(work, near);
+    }
+}
+
+/* Displacements (m, 2) of the markers matched so far; drops matches that do not move with their neighbours. Returns how many. */
+static int64_t drop_inconsistent(const Scene *scene, const IdentitySettings *s, int64_t *ids, double *moved, double *common,
+                                 double *work) {
+    int64_t wrong = 0;
+    for (int64_t j = 0; j < 2 * scene->m; j++) moved[j] = NAN;
+    for (int64_t i = 0; i < scene->n; i++)
+        for (int axis = 0; axis < 2 && ids[i] >= 0; axis++)
+            moved[2 * ids[i] + axis] = scene->found[2 * i + axis] - scene->expected[2 * ids[i] + axis];
+    smooth(scene, moved, (int64_t)s->neighbours, common, work);
+    for (int64_t i = 0; i < scene->n; i++) {
+        int64_t j = ids[i];
+        if (j >= 0 && squared_distance(moved + 2 * j, common + 2 * j) > square(s->inconsistent * scene->pitch))
+            ids[i] = -1, moved[2 * j] = moved[2 * j + 1] = NAN, wrong++;
+    }
+    return wrong;
+}
+
+static void match(const Scene *scene, const IdentitySettings *s, int64_t *ids, double *shift, double *moved, double *work,
+                  int64_t *back, double *offsets) {
+    int64_t m = scene->m, n = scene->n, fewest = n < m ? n : m, all = n > m ? n : m;
+    memset(shift, 0, 2 * m * sizeof *shift);
+    for (int tried = 0; tried <= ROUNDS; tried++) {
+        if (tried == 1) {
+            double common[2];
+            common_shift(scene, s->same_shift, common, offsets, work);
+            for (int64_t j = 0; j < m; j++) shift[2 * j] = common[0], shift[2 * j + 1] = common[1];
+        }
+        mutual_nearest(scene, shift, s->gate * scene->pitch, ids, back, work);
+        int64_t matched = 0, wrong = drop_inconsistent(scene, s, ids, moved, shift, work);
+        for (int64_t i = 0; i < n; i++) matched += ids[i] >= 0;
+        /* all found where they are expected, and none left over, needs no common offset: a whole grid cannot hide a shift */
+        if (!wrong && matched == (tried ? fewest : all)) break;
+        if (wrong) smooth(scene, moved, (int64_t)s->neighbours, shift, work);
+    }
+}
+
+int64_t match_markers(int64_t n, int64_t m, int64_t k, const double *found, const double *expected, const double *layout,
+                      const int64_t *order, double pitch, const double *settings, int64_t *ids) {
+    IdentitySettings s;
+    memcpy(&s, settings, sizeof s);
+    double *own = malloc((10 * m + 3 * n + 1) * sizeof *own), *shift = own + 2 * m, *moved = shift + 2 * m;
+    double *work = moved + 2 * m, *offsets = work + 2 * m + n;
+    int64_t *back = malloc((m + 1) * sizeof *back), places = 0;
+    if (!own || !back || s.neighbours > NEAREST) {
+        free(own), free(back);
+        return 1;
+    }
+    Scene scene = {n, m, k, found, own, order, pitch};
+    for (int64_t j = 0; j < m; j++)
+        for (int axis = 0; axis < 2; axis++) moved[2 * j + axis] = expected[2 * j + axis] - layout[2 * j + axis];
+    smooth(&scene, moved, (int64_t)s.neighbours, shift, work);
+    for (int64_t j = 0; j < m; j++)  /* a marker whose place is not known: from its neighbours' */
+        for (int axis = 0; axis < 2; axis++)
+            own[2 * j + axis] = known(expected + 2 * j) ? expected[2 * j + axis] : layout[2 * j + axis] + shift[2 * j + axis];
+    for (int64_t i = 0; i < n; i++) ids[i] = -1, places += known(found + 2 * i);
+    if (places) match(&scene, &s, ids, shift, moved, work, back, offsets);
+    free(own), free(back);
+    return 0;
+}
+
+int64_t pane_shifts(int64_t n, const double *p, const double *camera_, double *out) {
+    Camera camera;
+    memcpy(&camera, camera_, sizeof camera);
+    for (int64_t i = 0; i < n; i++) {
+        double x, y;
+        refract(&camera, p + 3 * i, &x, &y);
+        out[i] = pane_shift(&camera, x * x + y * y);
+    }
+    return 0;
+}
