@@ -4,6 +4,18 @@
 #define MJTACTILE_KERNELS_H
 #include <stdint.h>
 
+/* sim/picture/renderer.py: blurred discs and a closed curve added to an image `coverage` (height, width). `across` (bins, taps) and
+   `down` (bins, taps + 1): see discs.c; `per_px` nodes to a pixel of a rim. `nodes` (count, 2) px, `weights` (count) dx. */
+int64_t draw_discs(int64_t n, const double *p_CM, const double *n_C, const double *radii, const double *camera, double per_px,
+                   int64_t bins, int64_t taps, const float *across, const float *down, int64_t height, int64_t width,
+                   float *coverage);
+int64_t fill_curve(int64_t count, const double *nodes, const double *weights, int64_t bins, int64_t taps, const float *across,
+                   const float *down, int64_t height, int64_t width, float *coverage);
+/* In place: grey levels of what is covered by markers, from the membrane's `contrast` to them and the relative `light`. */
+void shade(int64_t count, double marker, double gain, const float *contrast, const float *light, float *coverage);
+/* Out: `pixels`, noise added and rounded. */
+void expose(int64_t count, const float *gray, const float *noise, double noise_dn, uint8_t *pixels);
+
 /* image/candidates.py: area moments of n borders, `counts` (n) points each in `points` (x, y) of an image (height, width); out:
    `misfit` (n) px, the largest distance of the border from the ellipse with these moments, and whether the image cuts it. */
 int64_t border_moments(int64_t n, const int64_t *counts, const int32_t *points, int64_t height, int64_t width, double *centers,

@@ -7,6 +7,7 @@
 
 static inline double least(double a, double b) { return a < b ? a : b; }
 static inline double most(double a, double b) { return a > b ? a : b; }
+static inline float least_float(float a, float b) { return a < b ? a : b; }
 static inline float most_float(float a, float b) { return a > b ? a : b; }
 static inline double clip(double x, double low, double high) { return x < low ? low : x > high ? high : x; }
 static inline double square(double x) { return x * x; }

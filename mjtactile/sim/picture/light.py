@@ -47,28 +47,33 @@ class Light:
         self._leds = design.leds.ring_radius * np.column_stack([np.cos(angle), np.sin(angle)])
         self._distance = design.camera.distance
         x, y = design.frame.length / 2, design.frame.width / 2
-        middle, corner = self._irradiance(np.array([[0.0, 0.0], [x, y]]), np.zeros(2))
+        middle, corner = self._irradiance(self._aside(np.array([[0.0, 0.0], [x, y]])), np.zeros(2))
         self._middle, self._loss = middle, 1 - corner / middle
+        self._bubbles, self._asides = self._bubble(self._xy), self._aside(self._xy)  # of the blocks
 
     def field(self, p_SM: Array) -> Floats:
         """Relative light (H, W) on a membrane with markers at `p_SM` (N, 3)."""
         if self._even:
             return np.ones(self._size[::-1], np.float32)
-        share = self._irradiance(self._xy, self._heights(p_SM)) / self._middle
+        share = self._irradiance(self._asides, self._heights(p_SM)) / self._middle
         field = 1 - self._falloff * (1 - share) / self._loss
         return cv2.resize(np.maximum(field, 0.0).astype(np.float32), self._size, interpolation=cv2.INTER_LINEAR)
 
-    def _irradiance(self, xy: Array, z: Array) -> Array:
-        d2 = ((xy[..., None, :] - self._leds) ** 2).sum(axis=-1)
-        h2 = ((self._distance + z) ** 2)[..., None]
-        return (h2 / (d2 + h2) ** 2).sum(axis=-1)
+    def _aside(self, xy: Array) -> Array:
+        """Squared distances (n, ...) m^2 of places (..., 2) from the LEDs, along the membrane."""
+        return ((self._leds.reshape(-1, *(1,) * (xy.ndim - 1), 2) - xy) ** 2).sum(axis=-1)
+
+    def _irradiance(self, aside: Array, z: Array) -> Array:
+        """What the LEDs give where they are so far `aside` (n, ...), on a membrane at the heights `z` (...)."""
+        h2 = (self._distance + z) ** 2
+        return h2 * ((aside + h2) ** -2.0).sum(axis=0)
 
     def _heights(self, p_SM: Array) -> Array:
         p_SM = p_SM[np.isfinite(p_SM).all(axis=1)]
         basis = self._bubble(p_SM[:, :2])
         ridge = 1e-6 * max(len(p_SM), 1) * np.diag([1.0, self._frame.length**2, self._frame.width**2])
         weights = np.linalg.solve(basis.T @ basis + ridge, basis.T @ p_SM[:, 2])
-        return self._bubble(self._xy) @ weights
+        return self._bubbles @ weights
 
     def _bubble(self, xy: Array) -> Array:
         x, y = xy[..., 0], xy[..., 1]

@@ -10,30 +10,28 @@ This module shares no code with `sensing`, so that a mistake cannot cancel.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
-from mjtactile.core import geometry, optics
+from mjtactile.core import optics
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.optics import Camera
 from mjtactile.core.types import Array, Image
+from mjtactile.kernels import kernel
 from mjtactile.sim.picture.light import Light
 from mjtactile.sim.picture.shadows import ShadowedLight
 
-_SAMPLES = 32
-"""Points of a circle sent through pane and lens. The image's Fourier series falls like (radius / depth)^k, so that
-this many give the curve between them to 1e-12 px."""
 _WALL_SHARE = 0.45  # grey level of the frame's inner wall against the membrane's: matte, clearly neither of the two
 BLUR_MIN_PX = 0.2
 """A smaller blur is drawn as this one: no lens has less, and the quadrature needs a smooth edge."""
 _STEP_PER_BLUR = 1.25  # quadrature step along an edge, in sd of the blur: exp(-2 pi^2 / 1.25^2) = 3e-6 of aliasing
+_NODES = 4  # in each panel of a straight side
 _BINS = 512  # places per pixel at which the edge functions are tabulated: at most 1e-3 px off, at random
-_STRIPE_PX = 64
+_TAIL = 5.0  # sd at which the Gaussian ends: 3e-7 of it are beyond
 _POOL_FRAMES = 4  # noise is cut from a pool of this many frames' worth, at a random place
 
 Floats = NDArray[np.float32]
@@ -67,7 +65,7 @@ class Renderer:
         pixels = self.camera.width * self.camera.height
         pool = self._rng.standard_normal(_POOL_FRAMES * pixels, dtype=np.float32)
         self._noise: Floats = (pool - pool.mean()) / pool.std()
-        self._albedo: dict[float, tuple[Floats, Floats]] = {}
+        self._bare: dict[float, Floats] = {}
 
     def render(self, p_SM: ArrayLike, n_S: ArrayLike, time: float = 0.0, *, rng: np.random.Generator | None = None,
                effects: Effects = Effects()) -> Image:
@@ -81,36 +79,32 @@ class Renderer:
                effects: Effects = Effects()) -> Image:
         """The image of grey levels `gray` (H, W): with noise, rounded. For motion blur, give the mean of several."""
         noise_dn = self.design.camera.noise_dn if effects.noise_dn is None else effects.noise_dn
-        if noise_dn <= 0:
-            return Image(cv2.add(gray, 0.0, dtype=cv2.CV_8U), time)
-        rng = self._rng if rng is None else rng
-        start = rng.integers(len(self._noise) - gray.size + 1)
-        noise = self._noise[start : start + gray.size].reshape(gray.shape)
-        # rounds to nearest and saturates in one pass
-        pixels = cv2.scaleAdd(noise, noise_dn if rng.random() < 0.5 else -noise_dn, gray)
-        return Image(cv2.add(pixels, 0.0, dtype=cv2.CV_8U), time)
+        start, sign = 0, 0
+        if noise_dn > 0:
+            rng = self._rng if rng is None else rng
+            start, sign = int(rng.integers(len(self._noise) - gray.size + 1)), 1 if rng.random() < 0.5 else -1
+        pixels = np.empty(gray.shape, np.uint8)
+        kernel("expose")(gray.size, gray, self._noise[start : start + gray.size], sign * noise_dn, pixels)
+        return Image(pixels, time)
 
     def irradiance_image(self, p_SM: ArrayLike, n_S: ArrayLike, *, effects: Effects = Effects()) -> Floats:
         """Grey levels (H, W) float32 before noise and rounding; see `render`."""
         blur = self.design.camera.blur_px if effects.blur_px is None else effects.blur_px
         p_SM = np.asarray(p_SM, dtype=float).reshape(-1, 3)
         n_S = np.asarray(n_S, dtype=float).reshape(-1, 3)
-        coverage = np.zeros((self.camera.height, self.camera.width), np.float32)
-        draw_discs(self.camera, (p_SM - self._p_SC) @ self._R_SC, n_S @ self._R_SC, self.radius, blur, coverage)
-        background, contrast = self._background(blur)
-        gray = cv2.multiply(cv2.min(coverage, 1.0), contrast)
-        return cv2.multiply(cv2.subtract(background, gray), self._light.field(p_SM), scale=effects.gain)
+        gray = np.zeros((self.camera.height, self.camera.width), np.float32)
+        draw_discs(self.camera, (p_SM - self._p_SC) @ self._R_SC, n_S @ self._R_SC, self.radius, blur, gray)
+        kernel("shade")(gray.size, self.design.leds.marker_dn, effects.gain, self._contrast(blur), self._light.field(p_SM), gray)
+        return gray
 
-    def _background(self, blur: float) -> tuple[Floats, Floats]:
-        """Reflected grey level of membrane and wall, and how much darker a marker is there, (H, W) each."""
-        if blur not in self._albedo:
+    def _contrast(self, blur: float) -> Floats:
+        """How much more light (H, W) DN membrane and wall reflect than a marker there."""
+        if blur not in self._bare:
             membrane, marker = self.design.leds.membrane_dn, self.design.leds.marker_dn
             opening = np.zeros((self.camera.height, self.camera.width), np.float32)
-            corners = _opening(self.design)
-            draw_opening(self.camera, (corners - self._p_SC) @ self._R_SC, blur, opening)
-            background = np.float32(membrane) * (_WALL_SHARE + (1 - _WALL_SHARE) * opening)
-            self._albedo[blur] = background.astype(np.float32), (background - np.float32(marker)).astype(np.float32)
-        return self._albedo[blur]
+            draw_opening(self.camera, (_opening(self.design) - self._p_SC) @ self._R_SC, blur, opening)
+            self._bare[blur] = (membrane * (_WALL_SHARE + (1 - _WALL_SHARE) * opening) - marker).astype(np.float32)
+        return self._bare[blur]
 
 
 def draw_discs(camera: Camera, p_CM: Array, n_C: Array, radius: ArrayLike, blur_px: float, coverage: Floats) -> None:
@@ -118,127 +112,49 @@ def draw_discs(camera: Camera, p_CM: Array, n_C: Array, radius: ArrayLike, blur_
 
     `p_CM` (N, 3) m in C, unit normals `n_C` (N, 3) of either sign, `radius` m one or (N,). Discs that are behind the
     camera, not wholly beyond the pane or not finite are left out.
+
+    With the point spread function h(u) h(v), h = pixel * Gaussian, and H its integral, by Green's theorem
+
+        coverage(u, v) = integral over the inside of h(u - x) h(v - y) dx dy = closed integral of h(u - x) H(v - y) dx.
+
+    The integrand is smooth, so that the trapezium rule converges exponentially. A node of it adds h(u - x) (H(v - y) -
+    H(v - 1 - y)) dx to the few pixels around it; the sum of the rows above is the coverage. The sign is the curve's orientation.
     """
     radius = np.broadcast_to(np.asarray(radius, dtype=float), (len(p_CM),))
-    angle = np.arange(_SAMPLES) * (2 * np.pi / _SAMPLES)
-    a, b = geometry.tangents(n_C)
-    rim = np.cos(angle)[:, None] * a[:, None] + np.sin(angle)[:, None] * b[:, None]
-    uv = optics.project(camera, p_CM[:, None] + radius[:, None, None] * rim).transpose(0, 2, 1)
-    margin, blur_px = _margin(blur_px), max(blur_px, BLUR_MIN_PX)
-    low, high = uv.min(axis=2), uv.max(axis=2)
-    seen = np.isfinite(low).all(axis=1) & (high > -margin).all(axis=1)
-    seen &= (low < np.array([camera.width, camera.height]) + margin).all(axis=1)
-    if not seen.any():
-        return
-    low, high = np.floor(low[seen]).astype(int) - margin, np.ceil(high[seen]).astype(int) + margin
-    count = 8 * int(np.ceil((high - low - 2 * margin).max() * np.pi / (_STEP_PER_BLUR * blur_px) / 8)) + 16
-    between, derivative = _resampling(count)
-    curve = (uv[seen] - low[..., None]).reshape(-1, _SAMPLES)
-    shape = len(low), 2, count
-    xy, rise = (curve @ between.T).reshape(shape), (curve[1::2] @ derivative.T).reshape(len(low), count)
-    patches = _coverage(xy, rise, ((high - low).max(axis=0) + 1).tolist(), blur_px)
-    _paste(coverage, patches, low)
+    per_px = 1 / (_STEP_PER_BLUR * max(blur_px, BLUR_MIN_PX))
+    if kernel("draw_discs")(len(p_CM), p_CM, n_C, radius, camera.numbers, per_px, *_brush(blur_px), *coverage.shape, coverage):
+        raise MemoryError("no room for a disc")
 
 
 def draw_opening(camera: Camera, corners_CP: Array, blur_px: float, coverage: Floats) -> None:
     """Add the blurred area coverage of the polygon `corners_CP` (M, 3) m in C, bent by pane and lens, to `coverage`.
 
-    Gauss-Legendre quadrature with four nodes per two pixels along each straight side; a stripe of rows at a time, to
-    which only the nodes near it count.
+    As `draw_discs`, by Gauss-Legendre quadrature along each straight side.
     """
-    node, weight = np.polynomial.legendre.leggauss(4)
-    panels = max(camera.width, camera.height) // 2
+    node, weight = np.polynomial.legendre.leggauss(_NODES)
+    apart = min(_STEP_PER_BLUR / 2 * max(blur_px, BLUR_MIN_PX), 0.5)  # px: closer than a rim's, since nodes are not even
+    panels = int(np.ceil(max(camera.width, camera.height) / (_NODES * apart)))
     t = ((np.arange(panels)[:, None] + (node + 1) / 2) / panels).ravel()[:, None]
     start, side = corners_CP[:, None], (np.roll(corners_CP, -1, axis=0) - corners_CP)[:, None]
     h = 1e-5  # of a side; the curve is smooth: truncation h^2
     uv, ahead, behind = (optics.project(camera, start + side * s).reshape(-1, 2) for s in (t, t + h, t - h))
-    rise = (ahead - behind)[:, 1] / (2 * h) * np.tile(weight, panels * len(corners_CP)) / (2 * panels)
-    reach = _margin(blur_px) + 1
-    for v in range(0, camera.height, _STRIPE_PX):
-        rows = min(_STRIPE_PX, camera.height - v)
-        near = (uv[:, 1] > v - reach) & (uv[:, 1] < v + rows + reach)
-        xy = (uv[near] - np.array([0.0, v])).T[None]
-        coverage[v : v + rows] += _coverage(xy, rise[None, near], (camera.width, rows), max(blur_px, BLUR_MIN_PX))[0]
+    run = (ahead - behind)[:, 0] / (2 * h) * np.tile(weight, panels * len(corners_CP)) / (2 * panels)
+    if kernel("fill_curve")(len(uv), uv, run, *_brush(blur_px), *coverage.shape, coverage):
+        raise MemoryError("no room for the opening")
 
 
-def _margin(blur_px: float) -> int:
-    return int(np.ceil(4.5 * max(blur_px, BLUR_MIN_PX))) + 1  # the Gaussian's tail beyond 4.5 sd is 7e-6
-
-
-def _resampling(count: int) -> tuple[Array, Array]:
-    """Trigonometric interpolation (count, _SAMPLES) from equally spaced samples of a period to `count` points, and
-    the same for the curve's derivative times the period / count."""
-    if count not in _RESAMPLING:
-        angle = np.arange(count)[:, None] * (2 * np.pi / count) - np.arange(_SAMPLES) * (2 * np.pi / _SAMPLES)
-        k = np.arange(1, _SAMPLES // 2)
-        phase = angle[..., None] * k
-        _RESAMPLING[count] = ((1 + 2 * np.cos(phase).sum(axis=-1)) / _SAMPLES,
-                              -2 * (k * np.sin(phase)).sum(axis=-1) / _SAMPLES * (2 * np.pi / count))
-    return _RESAMPLING[count]
-
-
-def _coverage(xy: Array, rise: Array, size: Sequence[int], blur_px: float) -> Floats:
-    """Blurred area coverage (N, size_y, size_x) of the insides of N closed curves, `size` pixels (x, y), by Green's theorem.
-
-    `xy` (N, 2, K) px are quadrature nodes along each curve, `rise` (N, K) the weight times dy. With the point spread
-    function h(x) h(y), h = pixel * Gaussian, and H its integral,
-
-        coverage(u, v) = integral over the inside of h(u - x) h(v - y) dx dy = - closed integral of H(u - x) h(v - y) dy.
-
-    The integrand is smooth, so that the rule converges exponentially for a smooth curve; it is a product of a
-    function of u and one of v, so that the sum over nodes is a matrix product. The sign is the curve's orientation.
-    """
-    width, height = size
-    across = _table(width, blur_px, integral=True)[_table_rows(xy[:, 0], width, blur_px)]
-    down = _table(height, blur_px, integral=False)[_table_rows(xy[:, 1], height, blur_px)]
-    down = down * rise[..., None].astype(np.float32)
-    return np.abs(down.transpose(0, 2, 1) @ across)
-
-
-def _table_rows(x: Array, pixels: int, blur_px: float) -> NDArray[np.int64]:
-    """Rows of `_table` for curve points `x`; beyond its reach the functions are constant."""
-    reach = _margin(blur_px) + 1
-    place = np.rint((np.clip(x, -reach, pixels - 1 + reach) + reach) * _BINS).astype(np.int64)
-    whole, part = place // _BINS, place % _BINS
-    return part * (2 * pixels + 2 * reach) + (pixels + 2 * reach - 1) - whole
-
-
-def _table(pixels: int, blur_px: float, *, integral: bool) -> Floats:
-    """Read-only window view (rows, pixels): row r holds h or H(u - x) at pixels u = 0, 1, ... for the x of row r."""
-    key = pixels, blur_px, integral
-    if key not in _TABLES:
-        if len(_TABLES) > 128:
-            _TABLES.clear()
-        reach, sd = _margin(blur_px) + 1, blur_px
-        u = np.arange(2 * pixels + 2 * reach) - (pixels + reach - 1) - np.arange(_BINS)[:, None] / _BINS
-        edge = np.stack([u + 0.5, u - 0.5])
-        value = ndtr(edge / sd)
-        if integral:
-            value = edge * value + sd * np.exp(-0.5 * (edge / sd) ** 2) / np.sqrt(2 * np.pi)
-        flat = (value[0] - value[1]).astype(np.float32).ravel()
-        flat[np.abs(flat) < _NOTHING] = 0.0
-        _TABLES[key] = np.lib.stride_tricks.sliding_window_view(flat, pixels)
-    return _TABLES[key]
-
-
-_NOTHING = 1e-12
-"""Share of a pixel below which a tail is none. Its denormal numbers make the matrix product up to 20 times slower on some
-processors, and no image differs by a bit without them."""
-_RESAMPLING: dict[int, tuple[Array, Array]] = {}
-_TABLES: dict[tuple[int, float, bool], Floats] = {}
-
-
-def _paste(image: Floats, patches: Floats, corners: NDArray[np.int64]) -> None:
-    """Add patches (N, h, w) to `image` with their first pixels at `corners` (N, 2) (u, v), cut at the image's border."""
-    height, width = patches.shape[1:]
-    v_end, u_end = image.shape
-    for (u, v), patch in zip(corners.tolist(), patches, strict=True):
-        if u >= 0 and v >= 0 and u + width <= u_end and v + height <= v_end:
-            image[v : v + height, u : u + width] += patch
-        else:
-            u0, v0, u1, v1 = max(u, 0), max(v, 0), min(u + width, u_end), min(v + height, v_end)
-            if u0 < u1 and v0 < v1:
-                image[v0:v1, u0:u1] += patch[v0 - v : v1 - v, u0 - u : u1 - u]
+@lru_cache(maxsize=32)
+def _brush(blur_px: float) -> tuple[int, int, Floats, Floats]:
+    """What a node does to the pixels around it, for each of `_BINS` places in a pixel: their number, that of the pixels, h across
+    and H's rise from row to row, (bins, pixels) and (bins, pixels + 1), of which the first is pixels/2 - 1 before the node's."""
+    sd = max(blur_px, BLUR_MIN_PX)
+    taps = 8 * int(np.ceil((_TAIL * sd + 0.5) / 4))  # whole vectors
+    d = np.arange(taps + 1) - (taps // 2 - 1) - np.arange(_BINS)[:, None] / _BINS
+    edge = np.stack([d + 0.5, d - 0.5, d - 1.5])
+    share = ndtr(edge / sd)
+    integral = edge * share + sd * np.exp(-0.5 * (edge / sd) ** 2) / np.sqrt(2 * np.pi)
+    across, down = share[0] - share[1], integral[0] - 2 * integral[1] + integral[2]
+    return _BINS, taps, np.ascontiguousarray(across[:, :taps], np.float32), np.ascontiguousarray(down, np.float32)
 
 
 def _opening(design: SensorDesign) -> Array:

@@ -1,0 +1,56 @@
+"""The compiled drawing of an image against the same in numpy, by another integral."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mjtactile.core.design import load_sensor
+from mjtactile.core.optics import Camera
+from mjtactile.sim.picture import renderer
+from mjtactile.sim.picture.renderer import Effects, Renderer
+from tests.numpy_chain import discs as numpy_discs
+
+DESIGN = load_sensor("dense")
+
+
+@pytest.fixture(scope="module")
+def scene():
+    p = DESIGN.markers.p_SM.copy()
+    bump = np.exp(-((p[:, 0] - 4e-3) ** 2 + (p[:, 1] + 3e-3) ** 2) / 8e-3**2)
+    slope = -2 * bump[:, None] * (p[:, :2] - [4e-3, -3e-3]) / 8e-3**2
+    p[:, 2] -= 3e-3 * bump
+    n = np.column_stack([3e-3 * slope, np.ones(len(p))])
+    return p, n / np.linalg.norm(n, axis=1)[:, None]
+
+
+@pytest.mark.parametrize("blur", [0.45, 0.7, 2.5])
+def test_discs_and_opening(scene, blur):
+    """Both round places of nodes to 1/512 px, each its own coordinate: a pixel of a rim to 1e-3 px over the blur, in units of
+    its coverage, the mean of several nodes. Lens coefficients make the opening bulge; some discs are cut by the border."""
+    camera = replace(Camera.from_design(DESIGN.camera, DESIGN.glass), distortion=(-0.1, 0.02, 1e-3, -2e-3, 0.01))
+    p, n = scene
+    p = np.concatenate([p + [8e-3, 5e-3, 0] - DESIGN.camera.p_SC, [[0, 0, -1], [np.nan, 0, 0.04], [1, 1, 0.05]]])
+    n, radius = np.concatenate([n, [[0.0, 0, 1]] * 3]), np.linspace(0.3e-3, 1.4e-3, len(p))
+    corners = np.array([[-18e-3, -14e-3, 45e-3], [18e-3, -14e-3, 45e-3], [18e-3, 14e-3, 45e-3], [-18e-3, 14e-3, 45e-3]])
+    for draw, what in (("draw_discs", (p, n, radius)), ("draw_opening", (corners,))):
+        ours, theirs = np.zeros((2, camera.height, camera.width), np.float32)
+        for module, image in ((renderer, ours), (numpy_discs, theirs)):
+            getattr(module, draw)(camera, *what, blur, image)
+        assert theirs.max() > 0.99
+        np.testing.assert_allclose(ours, theirs, atol=2e-3 / blur**0.5)
+        assert np.sqrt(np.mean((ours - theirs) ** 2)) < 4e-4
+
+
+def test_light_noise_and_rounding(scene):
+    """What is drawn is (marker + contrast (1 - coverage)) light gain + noise, to single precision, 1e-7 of 255, and rounded."""
+    drawn = Renderer(DESIGN, seed=4)
+    gray = drawn.irradiance_image(*scene)
+    coverage = np.zeros_like(gray)
+    renderer.draw_discs(drawn.camera, scene[0] - DESIGN.camera.p_SC, scene[1], drawn.radius, DESIGN.camera.blur_px, coverage)
+    light, contrast = drawn._light.field(scene[0]), drawn._contrast(DESIGN.camera.blur_px)
+    np.testing.assert_allclose(gray, (DESIGN.leds.marker_dn + contrast * (1 - np.minimum(coverage, 1))) * light, rtol=1e-6)
+    dark = drawn.irradiance_image(*scene, effects=Effects(gain=0.5))
+    np.testing.assert_allclose(dark, gray / 2, rtol=1e-6)
+    for level, pixel in ((-7.0, 0), (0.4, 0), (0.6, 1), (254.4, 254), (300.0, 255)):
+        assert (drawn.expose(np.full_like(gray, level), effects=Effects(noise_dn=0.0)).pixels == pixel).all()
