@@ -55,5 +55,18 @@ int64_t match_markers(int64_t n, int64_t m, int64_t k, const double *found, cons
                       const int64_t *order, double pitch, const double *settings, int64_t *ids);
 /* Out: by how much (n) m the pane brings points `p` (n, 3) nearer. */
 int64_t pane_shifts(int64_t n, const double *p, const double *camera, double *out);
+/* sim/sensor/chamber.py: volume between vertices `p` (n, 3) and the plane z = 0; out: its `gradient` (n, 3). */
+double chamber_volume(int64_t n, const double *p, int64_t m, const int64_t *triangles, double *gradient);
+/* sim/sensor/rubber.py: MuJoCo's stiffness `rows` (m, 21), of which six are written, from the strain of triangles of `edges`
+   (m, 3) between `ends` (e, 2). `metric` (m, 3, 3), `law` (5): mu, Poisson's ratio, lambda', its least and most. */
+void rubber_stiffness(int64_t m, const int64_t *edges, const int64_t *ends, const double *p, const double *metric,
+                      const double *law, const double *by_mu, const double *by_lambda, double *rows);
+/* sim/sensor/stiction.py: number of MuJoCo's contacts with the spheres `first` to `first + count - 1`. `memory` (count, 6) of
+   friction and shift in S, `slides` (count): before; out: both `after`, `goal` (count) of the margins, `surface` (count, 3). */
+int64_t stick(int64_t contacts, const int32_t *geoms, const int32_t *address, const int32_t *dim, const double *dist,
+              const double *margin, const double *frame, const double *friction, const double *force, const double *kbip,
+              const double *softness, const double *velocity, const double *travel, const double *R_WS, int64_t first,
+              int64_t count, const double *settings, double *goal, const double *memory, const uint8_t *slides, double *after,
+              uint8_t *slides_after, double *surface);
 
 #endif

@@ -6,17 +6,18 @@ what they carried before is put into their reference: along the normal by the ve
 surface velocity of its sphere (MuJoCo's conveyor belt), the one that drives the friction which was there. Friction stays
 inside its cone, which the solver sees to, and acts on both bodies, whatever they are. This is the method of multipliers
 (docs/equations.md, C3; decision 10).
+
+The arithmetic is in mjtactile/kernels/membrane.c.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
+from mjtactile.kernels import kernel
 
 # Shares of a step's error that are mended in the next step. Half as much is half as fast; twice as much rings.
 _GIVE_SHARE, _SHIFT_SHARE = 0.3, 0.2
@@ -27,27 +28,15 @@ _KEPT = 0.5  # of a shift that is still to be mended when the contact slides on
 _EXCESS = 0.25
 _WAIT = 5e-3  # s; twice a longer step is too long
 _ON_CONE = 0.999  # of the cone: the solver's tolerance
-_LEAST = 1e-24  # in place of zero in a denominator or under a root
-_TWO = np.array([[1], [2]])  # the rows of friction after that of the normal
-
-
-class _Contacts(NamedTuple):
-    """What the last step's `n` contacts with friction did, as seen by the vertices; vectors by components in their planes."""
-
-    vertices: NDArray[np.int64]
-    axes: Array  # (2, 3, n) the planes' axes in S
-    friction: Array  # (2, n) N on the vertex
-    velocity: Array  # (2, n) m/s of the vertex over what it touches, after the step
-    travel: Array  # (2, n) m, what it has moved by since the last look
-    limit: Array  # (n,) N, of friction
-    excess: Array  # (n,) N beyond it, see `_EXCESS`
-    mass: Array  # (n,) kg: friction changes by this times a change of velocity over a step's length
-    drag: Array  # (n,): the share of a velocity against the surface that a step takes away
 
 
 class Stiction:
     """Memory of one sensor's vertex contacts. Call `update` before every step.
 
+    A row of friction gives f = -mass (v' - (1 - drag) v + drag s) / step, with the velocities v before and v' after the step,
+    and s of the surface. A vertex that sticks should have v' = 0 and a friction that also takes it back to where it began to
+    stick; one that slides, nearly the velocity that it has, with friction on the edge of the cone. One that stops
+    sliding begins with the friction that it slid with: its velocity was foreseen too large, its friction came out too small.
     A vertex that touches two things at once remembers what one of them held.
     """
 
@@ -57,13 +46,16 @@ class Stiction:
         block = slice(self._first, self._first + self._count)
         self._margins, self._surface = model.geom_margin[block], model.geom_surfacevel[block, :3]  # live views
         self._step, self._time = float(model.opt.timestep), np.nan
+        self._settings = np.array([self._step, _SHIFT_SHARE, _KEPT, _EXCESS, _ON_CONE])
         self._empty, self._waits = False, False
         self._may_wait = self._step < _WAIT  # every other step will do while nothing slides, for half the price
         self._travel = np.zeros(model.nv)  # what all coordinates have moved by since the last look, in steps
-        self._give = np.zeros(self._count)  # m that the margin is advanced by
-        self._held = np.zeros((3, self._count))  # N, friction on the vertex, in S
-        self._shift = np.zeros((3, self._count))  # m over what it sticks to, since it began to stick
-        self._slides = np.zeros(self._count, bool)
+        self._give, self._goal = np.zeros(self._count), np.zeros(self._count)  # m that the margin is advanced by
+        # of each vertex: N, friction on it, in S; m that it has moved over what it sticks to since it began to stick
+        self._memory, self._next_memory = np.zeros((self._count, 6)), np.zeros((self._count, 6))
+        self._slides, self._next_slides = np.zeros(self._count, np.uint8), np.zeros(self._count, np.uint8)
+        self._belt = np.zeros((self._count, 3))
+        self._stick = kernel("stick")
         model.flg_surfacevel = True
         self._forget()
 
@@ -79,101 +71,33 @@ class Stiction:
             return
         if time < before:  # somebody has put back the clock
             self._forget()
-        rows, sides, vertices = self._find()
-        if len(rows):
+        if self._data.ncon and self._take():
             self._empty = False
-            self._take_normal(rows, vertices)
-            rough = self._data.contact.dim[rows] >= 3
-            if rough.all():
-                self._take_friction(self._contacts(rows, sides, vertices))
-            elif rough.any():
-                self._take_friction(self._contacts(rows[rough], sides[rough], vertices[rough]))
-            else:
-                self._clear()
         else:
             self._forget()
         np.add(stand_off, self._give, out=self._margins)
         self._travel[:] = 0.0
 
-    def _find(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """Rows of MuJoCo's contact list that push on vertices; which side of each, 0 or 1, the vertex is; the vertices."""
-        contact = self._data.contact
-        numbers = contact.geom - self._first  # of the vertices, or out of range
-        mine = (numbers >= 0) & (numbers < self._count)
-        rows = ((mine[:, 0] | mine[:, 1]) & (contact.efc_address >= 0)).nonzero()[0]
-        sides = mine[rows, 1].astype(np.int64)
-        return rows, sides, numbers[rows, sides]
-
-    def _take_normal(self, rows: NDArray[np.int64], vertices: NDArray[np.int64]) -> None:
-        """Advance the margins by the depths of the contacts, so that vertices come to lie where they should touch."""
-        contact, goal = self._data.contact, np.zeros(self._count)
-        goal[vertices] = np.maximum(contact.includemargin[rows] - contact.dist[rows], 0.0)
-        self._give += _GIVE_SHARE * (goal - self._give)
-
-    def _contacts(self, rows: NDArray[np.int64], sides: NDArray[np.int64], vertices: NDArray[np.int64]) -> _Contacts:
+    def _take(self) -> bool:
+        """Advance the margins by the depths of the contacts, so that vertices come to lie where they should touch, and set the
+        surface velocities with which friction begins the next step as it ended the last one; is anything touched?"""
         data, contact = self._data, self._data.contact
-        normal_rows = contact.efc_address[rows]
-        rows_along = normal_rows + _TWO
         velocity, travel = np.empty(data.nefc), np.empty(data.nefc)
         mujoco.mj_mulJacVec(self._model, data, velocity, data.qvel)
         mujoco.mj_mulJacVec(self._model, data, travel, self._travel)
-        axes = contact.frame[rows, 3:].reshape(-1, 3) @ data.xmat[self._body].reshape(3, 3)
-        axes = axes.reshape(-1, 2, 3).transpose(1, 2, 0) * (2 * sides - 1)  # MuJoCo's signs are those of the second geom
-        force, coefficient = data.efc_force, contact.friction[rows, 0]
-        normal, damping = force[normal_rows], self._step * data.efc_KBIP[normal_rows + 1, 1]
-        return _Contacts(vertices, axes, force[rows_along], velocity[rows_along], self._step * travel[rows_along],
-                         coefficient * normal, _EXCESS * normal / np.maximum(coefficient, _LEAST),
-                         1 / data.efc_R[normal_rows + 1], damping / (1 + damping))
-
-    def _take_friction(self, c: _Contacts) -> None:
-        """Set the surface velocities with which friction begins the next step as it ended the last one.
-
-        A row gives f = -mass (v' - (1 - drag) v + drag s) / step, with the velocities v before and v' after the step, and s
-        of the surface. A vertex that sticks should have v' = 0 and a friction that also takes it back to where it began to
-        stick; one that slides, nearly the velocity that it has, with friction on the edge of the cone.
-        """
-        step = self._step
-        slides = (_dot(c.friction, c.friction) >= (_ON_CONE * c.limit)**2) & (_dot(c.friction, c.velocity) <= 0)
-        stops = self._slides[c.vertices] & ~slides
-        held = c.friction
-        if stops.any():  # what they slid with: the velocity was foreseen too large, friction came out too small
-            held = np.where(stops, _shorten(_in_plane(self._held, c), c.limit), held)
-        shift = _in_plane(self._shift, c)
-        shift = np.where(slides, _KEPT * shift, shift + c.travel)
-        held = _shorten(held - (_SHIFT_SHARE / step**2 * c.mass) * shift, c.limit + c.excess)
-        surface = (1 - c.drag) * c.velocity - (step / c.mass) * held
-        if slides.any():
-            speed = np.sqrt(np.maximum(_dot(c.velocity, c.velocity), _LEAST))
-            surface -= slides * np.maximum(1 - c.excess * step / (c.mass * speed), 0.0) * c.velocity
-        self._clear()
-        self._slides[c.vertices] = slides
-        self._held[:, c.vertices], self._shift[:, c.vertices] = _in_space(held, c), _in_space(shift, c)
-        self._surface[c.vertices] = _in_space(surface / c.drag, c).T
-
-    def _clear(self) -> None:
-        self._held[:], self._shift[:], self._slides[:], self._surface[:] = 0, 0, False, 0
+        found = self._stick(
+            data.ncon, contact.geom, contact.efc_address, contact.dim, contact.dist, contact.includemargin, contact.frame,
+            contact.friction, data.efc_force, data.efc_KBIP, data.efc_R, velocity, travel, data.xmat[self._body], self._first,
+            self._count, self._settings, self._goal, self._memory, self._slides, self._next_memory, self._next_slides, self._belt)
+        if not found:
+            return False
+        self._memory, self._next_memory = self._next_memory, self._memory
+        self._slides, self._next_slides = self._next_slides, self._slides
+        self._give += _GIVE_SHARE * (self._goal - self._give)
+        self._surface[:] = self._belt
+        return True
 
     def _forget(self) -> None:
         if not self._empty:
-            self._give[:] = 0
-            self._clear()
+            self._give[:], self._memory[:], self._slides[:], self._surface[:] = 0, 0, 0, 0
         self._empty = True
-
-
-def _in_plane(memory: Array, c: _Contacts) -> Array:
-    """Components (2, n) in the contacts' planes of the `memory` (3, k) of all vertices, in S."""
-    return (c.axes * memory[:, c.vertices]).sum(axis=1)
-
-
-def _in_space(vectors: Array, c: _Contacts) -> Array:
-    """Components (3, n) in S of `vectors` (2, n) in the contacts' planes."""
-    return c.axes[0] * vectors[0] + c.axes[1] * vectors[1]
-
-
-def _dot(a: Array, b: Array) -> Array:
-    return a[0] * b[0] + a[1] * b[1]
-
-
-def _shorten(vectors: Array, most: Array) -> Array:
-    """The vectors (2, n), none longer than `most` (n,)."""
-    return vectors * np.minimum(most / np.sqrt(np.maximum(_dot(vectors, vectors), _LEAST)), 1.0)

@@ -1,0 +1,118 @@
+/* What a membrane needs before every step: gas volume, rubber, contact that remembers. The equations are in the docstrings of
+   sim/sensor/chamber.py, rubber.py and stiction.py. */
+#include <math.h>
+#include <string.h>
+
+#include "kernels.h"
+
+#define ROW 21          /* of a triangle in MuJoCo's `flex_stiffness` */
+#define FLATTEST 1e-2   /* least det C: a triangle that collapses keeps a finite stress */
+#define UNSTRAINED 1e-6 /* of tr E: below, the moduli are those of no strain */
+#define SMALLEST 1e-24  /* in place of zero in a denominator or under a root */
+
+double chamber_volume(int64_t n, const double *p, int64_t m, const int64_t *triangles, double *gradient) {
+    double volume = 0;
+    memset(gradient, 0, 3 * n * sizeof *gradient);
+    for (const int64_t *t = triangles; t < triangles + 3 * m; t += 3) {
+        const double *a = p + 3 * t[0], *b = p + 3 * t[1], *c = p + 3 * t[2];
+        double u[3], w[3];
+        for (int i = 0; i < 3; i++) u[i] = b[i] - a[i], w[i] = c[i] - a[i];
+        for (int i = 0; i < 3; i++) {
+            int j = (i + 1) % 3, k = (i + 2) % 3;
+            double area = 0.5 * (u[j] * w[k] - u[k] * w[j]);
+            volume += (a[i] + b[i] + c[i]) * area / 9;
+            for (int corner = 0; corner < 3; corner++) gradient[3 * t[corner] + i] += area / 3;
+        }
+    }
+    return volume;
+}
+
+/* ln c, the square of the thickness's stretch, by two Newton steps: core/rubber.py. */
+static double thickness_over_area(double log_det, double poisson) {
+    double half = poisson / (1 - 2 * poisson), x = log_det * (-poisson / (1 - poisson));
+    for (int i = 0; i < 2; i++) {
+        double c = exp(x);
+        x -= (c - 1 + half * (x + log_det)) / (c + half);
+    }
+    return exp(x - log_det);
+}
+
+void rubber_stiffness(int64_t m, const int64_t *edges, const int64_t *ends, const double *p, const double *metric,
+                      const double *law, const double *by_mu, const double *by_lambda, double *rows) {
+    double shear = law[0], poisson = law[1], first = law[2], least = law[3], most = law[4];
+    for (int64_t t = 0; t < m; t++) {
+        double C[3] = {0}, mu, lambda = first;
+        for (int e = 0; e < 3; e++) {
+            const int64_t *end = ends + 2 * edges[3 * t + e];
+            double square = 0;
+            for (int i = 0; i < 3; i++) {
+                double along = p[3 * end[1] + i] - p[3 * end[0] + i];
+                square += along * along;
+            }
+            for (int i = 0; i < 3; i++) C[i] += metric[9 * t + 3 * i + e] * square;
+        }
+        double trace = (C[0] + C[1]) / 2 - 1;
+        mu = shear * thickness_over_area(log(fmax(C[0] * C[1] - C[2] * C[2], FLATTEST)), poisson);
+        if (!(fabs(trace) < UNSTRAINED))
+            lambda = fmin(fmax((shear - mu * (1 + 2 * trace)) / trace, least * mu), most * first);
+        for (int i = 0; i < 6; i++) rows[ROW * t + i] = mu * by_mu[6 * t + i] + lambda * by_lambda[6 * t + i];
+    }
+}
+
+typedef struct { double x, y; } Plane;  /* components in a contact's plane */
+
+static double dot(Plane a, Plane b) { return a.x * b.x + a.y * b.y; }
+
+static Plane add(Plane a, double scale, Plane b) { return (Plane){a.x + scale * b.x, a.y + scale * b.y}; }
+
+static Plane shorten(Plane a, double most) { return add((Plane){0}, fmin(most / sqrt(fmax(dot(a, a), SMALLEST)), 1), a); }
+
+int64_t stick(int64_t contacts, const int32_t *geoms, const int32_t *address, const int32_t *dim, const double *dist,
+              const double *margin, const double *frame, const double *friction, const double *force, const double *kbip,
+              const double *softness, const double *velocity, const double *travel, const double *R_WS, int64_t first,
+              int64_t count, const double *settings, double *goal, const double *memory, const uint8_t *slides, double *after,
+              uint8_t *slides_after, double *surface) {
+    double step = settings[0], mend = settings[1], kept = settings[2], beyond = settings[3], on_cone = settings[4];
+    int64_t found = 0;
+    memset(goal, 0, count * sizeof *goal), memset(after, 0, 6 * count * sizeof *after);
+    memset(slides_after, 0, count), memset(surface, 0, 3 * count * sizeof *surface);
+    for (int64_t k = 0; k < contacts; k++) {
+        int64_t numbers[2] = {geoms[2 * k] - first, geoms[2 * k + 1] - first};
+        int second = numbers[1] >= 0 && numbers[1] < count;
+        int64_t v = numbers[second];
+        if (v < 0 || v >= count || address[k] < 0) continue;
+        found++;
+        goal[v] = fmax(margin[k] - dist[k], 0);
+        if (dim[k] < 3) continue;
+        int64_t row = address[k];
+        double axes[2][3], sign = second ? 1 : -1;  /* in S; MuJoCo's signs are those of the second geom */
+        for (int a = 0; a < 2; a++)
+            for (int i = 0; i < 3; i++) {
+                const double *W = frame + 9 * k + 3 + 3 * a;
+                axes[a][i] = sign * (W[0] * R_WS[i] + W[1] * R_WS[3 + i] + W[2] * R_WS[6 + i]);
+            }
+        Plane held = {force[row + 1], force[row + 2]}, speed = {velocity[row + 1], velocity[row + 2]};
+        Plane moved = {step * travel[row + 1], step * travel[row + 2]}, was = {0}, shift = {0};
+        for (int i = 0; i < 3; i++) {
+            double f = memory[6 * v + i], s = memory[6 * v + 3 + i];
+            was.x += axes[0][i] * f, was.y += axes[1][i] * f, shift.x += axes[0][i] * s, shift.y += axes[1][i] * s;
+        }
+        double coefficient = friction[5 * k], limit = coefficient * force[row];
+        double excess = beyond * force[row] / fmax(coefficient, SMALLEST), mass = 1 / softness[row + 1];
+        double damping = step * kbip[4 * (row + 1) + 1], drag = damping / (1 + damping);
+        int slips = dot(held, held) >= on_cone * on_cone * limit * limit && dot(held, speed) <= 0;
+        if (slides[v] && !slips) held = shorten(was, limit);
+        shift = slips ? add((Plane){0}, kept, shift) : add(shift, 1, moved);
+        held = shorten(add(held, -mend / (step * step) * mass, shift), limit + excess);
+        Plane belt = add(add((Plane){0}, 1 - drag, speed), -step / mass, held);
+        if (slips)
+            belt = add(belt, -fmax(1 - excess * step / (mass * sqrt(fmax(dot(speed, speed), SMALLEST))), 0), speed);
+        slides_after[v] = slips;
+        for (int i = 0; i < 3; i++) {
+            after[6 * v + i] = axes[0][i] * held.x + axes[1][i] * held.y;
+            after[6 * v + 3 + i] = axes[0][i] * shift.x + axes[1][i] * shift.y;
+            surface[3 * v + i] = (axes[0][i] * belt.x + axes[1][i] * belt.y) / drag;
+        }
+    }
+    return found;
+}

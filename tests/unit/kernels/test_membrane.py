@@ -1,0 +1,64 @@
+"""The compiled stages of a membrane's step against the same in numpy: a ball that falls onto a sensor, bounces and rolls."""
+
+import copy
+
+import numpy as np
+import pytest
+
+from mjtactile.sim.sensor.rubber import stiffness_rows
+from mjtactile.sim.step import advance
+from tests.numpy_chain import membrane
+from tests.physics.test_step import scene
+
+ROUNDING = 1e-9  # of sums in another order, some of which cancel by a few digits
+
+
+@pytest.fixture(scope="module")
+def sheet():
+    """A bulge with a strain everywhere, part of it compression."""
+    model, _, sensor = scene()
+    p_SV = sensor.mesh.p_SV.copy()
+    p_SV[sensor.mesh.interior] += 1e-3 * np.random.default_rng(0).standard_normal((len(sensor.mesh.interior), 3))
+    return model, sensor, p_SV
+
+
+def test_volume_and_gradient(sheet):
+    _, sensor, p_SV = sheet
+    volume, gradient = sensor._geometry.volume_and_gradient(p_SV)
+    expected, slope = membrane.volume_and_gradient(sensor.mesh, p_SV)
+    assert volume == pytest.approx(sensor.design.chamber_volume_flat + expected, rel=1e-12)
+    np.testing.assert_allclose(gradient, slope, rtol=ROUNDING, atol=1e-15)
+
+
+def test_rubber(sheet):
+    model, sensor, p_SV = sheet
+    sensor._rubber.update(p_SV)
+    expected = membrane.stiffness(model, sensor.flex_id, sensor.mesh, sensor.design.membrane, p_SV)
+    np.testing.assert_allclose(stiffness_rows(model, sensor.flex_id), expected, rtol=ROUNDING, atol=1e-9 * np.abs(expected).max())
+
+
+def test_unstrained_rubber_has_the_moduli_of_small_strain(sheet):
+    model, sensor, _ = sheet
+    free = sensor.mesh.p_SV / sensor.design.membrane.pre_stretch
+    sensor._rubber.update(free)
+    expected = membrane.stiffness(model, sensor.flex_id, sensor.mesh, sensor.design.membrane, free)
+    np.testing.assert_allclose(stiffness_rows(model, sensor.flex_id), expected, rtol=1e-6)
+
+
+def test_contact_that_remembers():
+    """In numpy beside the run, on the same contacts, with a model of its own to write to."""
+    model, data, sensor = scene()
+    data.qvel[-6:-4] = 0.1, 0.05  # m/s, of the ball, aslant
+    block = slice(int(sensor.vertex_geom_ids[0]), int(sensor.vertex_geom_ids[-1]) + 1)
+    apart = copy.copy(model)
+    beside = membrane.Stiction(apart, data, sensor.vertex_geom_ids, sensor.body_id)
+    slid = stuck = 0
+    for _ in range(150):
+        sensor.update()
+        beside.update(sensor._stand_off.margins)
+        np.testing.assert_allclose(model.geom_margin[block], apart.geom_margin[block], rtol=ROUNDING, atol=1e-15)
+        belt = apart.geom_surfacevel[block]
+        np.testing.assert_allclose(model.geom_surfacevel[block], belt, rtol=ROUNDING, atol=1e-9 * max(np.abs(belt).max(), 1e-9))
+        slid, stuck = slid + beside._slides.sum(), stuck + (beside._held.any(axis=0) & ~beside._slides).sum()
+        advance(model, data)
+    assert slid >= 5 and stuck > 40
