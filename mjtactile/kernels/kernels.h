@@ -16,6 +16,18 @@ void shade(int64_t count, double marker, double gain, const float *contrast, con
 /* Out: `pixels`, noise added and rounded. */
 void expose(int64_t count, const float *gray, const float *noise, double noise_dn, uint8_t *pixels);
 
+/* shape/surface.py: the spline through markers `p_SM` (n, 3) with `variance` (n) of their heights and normals `n_S` (n, 3) or NULL;
+   `settings` (11): see surface.c. Bands, here and below, as in band.h. Out: `c` (ny, nx), the band of the Cholesky `factor` of its
+   inverse covariance, `found` (2): misfit, markers used. */
+int64_t fit_surface(int64_t n, const double *p_SM, const double *variance, const double *n_S, const double *settings,
+                    const double *prior, double *c, double *factor, double *found);
+/* Tables: `grid_x` (nx, grid_nx), `grid_y` (grid_ny, ny), and values and slopes `quad_x` (2, nx, qx), `quad_y` (2, qy, ny). Out: heights
+   `z` (grid_ny, grid_nx), `found` (4): area, volume, and their sd. */
+int64_t measure_surface(int64_t nx, int64_t ny, const double *c, const double *factor, double misfit, int64_t grid_nx, int64_t grid_ny,
+                        const double *grid_x, const double *grid_y, int64_t qx, int64_t qy, const double *quad_x,
+                        const double *quad_y, const double *weights, const double *volume_c, const double *stiffness, double *z,
+                        double *found);
+
 /* image/candidates.py: area moments of n borders, `counts` (n) points each in `points` (x, y) of an image (height, width); out:
    `misfit` (n) px, the largest distance of the border from the ellipse with these moments, and whether the image cuts it. */
 int64_t border_moments(int64_t n, const int64_t *counts, const int32_t *points, int64_t height, int64_t width, double *centers,

@@ -12,6 +12,8 @@ a constant Laplacian (Young-Laplace), so that inflating or pumping costs nothing
 term only keeps the fit finite where markers are missing. Read as a Gaussian process, the inverse Hessian is the
 coefficients' covariance, from which heights, area and volume get their uncertainties.
 
+The arithmetic is in mjtactile/kernels/surface.c. The Hessian is a band, since splines overlap only their neighbours.
+
 `reconstruct_delaunay` (paper, II-B.3): Delaunay triangles of the marker centres and points on the frame, barycentric
 interpolation on a Cartesian grid, B-spline surface through it.
 """
@@ -21,15 +23,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import LinearNDInterpolator, RectBivariateSpline
-from scipy.linalg import lapack
+from scipy.linalg import solve_banded
 
 from mjtactile.core import geometry
 from mjtactile.core.bspline import Cubic
 from mjtactile.core.design import Frame, SensorDesign
 from mjtactile.core.status import OK, Status, StatusCode
 from mjtactile.core.types import Array, Markers, Surface
+from mjtactile.kernels import kernel
 from mjtactile.sensing.settings import DEFAULTS, SurfaceSettings
 
 GRID_STEP = 1e-3
@@ -47,7 +50,7 @@ class Spline:
 
     fitter: SurfaceFitter
     coefficients: Array
-    cholesky: Array  # lower triangular factor of the coefficients' inverse covariance, before `misfit`
+    factor: Array  # lower triangular factor of the coefficients' inverse covariance, before `misfit`: a band, see `banded`
     misfit: float  # factor on the covariance, at least 1: mean square of the residuals over their sd
     status: Status
 
@@ -76,44 +79,17 @@ class Spline:
     def height_sd(self, x: ArrayLike, y: ArrayLike) -> Array:
         """Standard deviation (N,) m of z at points `x`, `y` (N,) m."""
         rows = self.fitter.rows(x, y)
-        half, _ = lapack.dtrtrs(self.cholesky, rows.T, lower=True)
+        width = self.fitter.width
+        half = solve_banded((width, 0), self.factor.T[: width + 1], rows.T)
         return np.sqrt(self.misfit * (half**2).sum(axis=0))
 
     def surface(self) -> Surface:
         """Heights on the grid, area and volume by Gauss quadrature, and their uncertainties to first order."""
-        f, c = self.fitter, self.coefficients
-        z_x, z_y = f.quad_y[0] @ c @ f.quad_x[1].T, f.quad_y[1] @ c @ f.quad_x[0].T
-        stretch = np.sqrt(1 + z_x * z_x + z_y * z_y)
-        area_c = (f.quad_y[0].T @ (f.weights * z_x / stretch) @ f.quad_x[1]
-                  + f.quad_y[1].T @ (f.weights * z_y / stretch) @ f.quad_x[0])
-        gradients = f.gradients.copy()
-        gradients[:, -2] = area_c.ravel()
-        half, _ = lapack.strtrs(self.cholesky.astype(np.float32), gradients, lower=True, overwrite_b=True)
-        *rough, area_var, volume_var = np.einsum("ij,ij->j", half, half).tolist()
-        # noise makes a flat sheet's area larger, to second order: E = trace(stiffness covariance) / 2
-        rough = sum(rough) / 2
-        area_sd, volume_sd = (float(np.sqrt(self.misfit * v)) for v in (area_var + rough**2, volume_var))
-        return Surface(f.x, f.y, self.grid(), float((f.weights * stretch).sum()), float((f.volume_c * c).sum()),
-                       area_sd, volume_sd, self.status)
-
-
-@dataclass(frozen=True, eq=False)
-class _Terms:
-    """Normal equations of observations in units of their sd: A^T A, A^T b, b^T b, the number of rows, and of heights."""
-
-    normal: Array
-    right: Array
-    square: float
-    rows: int
-    markers: int
-
-    @classmethod
-    def of(cls, A: Array, b: Array, *, heights: bool = True) -> _Terms:
-        return cls(A.T @ A, A.T @ b, float(b @ b), len(b), len(b) if heights else 0)
-
-    def __add__(self, other: _Terms) -> _Terms:
-        return _Terms(self.normal + other.normal, self.right + other.right, self.square + other.square,
-                      self.rows + other.rows, self.markers + other.markers)
+        f = self.fitter
+        (ny, nx), z, found = self.coefficients.shape, np.empty((len(f.y), len(f.x))), np.empty(4)
+        kernel("measure_surface")(nx, ny, self.coefficients, self.factor, self.misfit, len(f.x), len(f.y), *f.tables, z, found)
+        area, volume, area_sd, volume_sd = found.tolist()
+        return Surface(f.x, f.y, z, area, volume, area_sd, volume_sd, self.status)
 
 
 class SurfaceFitter:
@@ -126,25 +102,30 @@ class SurfaceFitter:
 
     def __init__(self, design: SensorDesign, settings: SurfaceSettings = DEFAULTS.surface):
         self.settings = settings
-        frame, layout, self.distance = design.frame, design.markers, design.camera.distance
+        frame, layout = design.frame, design.markers
         nx, ny = (max(8, n + 2 + n % 2) for n in (layout.columns, layout.rows))
-        self.slope_off = settings.laplacian / 4 * max(layout.pitch_x, layout.pitch_y)  # half a pitch of a curvature k / 2
+        slope_off = settings.laplacian / 4 * max(layout.pitch_x, layout.pitch_y)  # half a pitch of a curvature k / 2
         self.basis_x, self.basis_y = Cubic(frame.length, nx, _GAUSS), Cubic(frame.width, ny, _GAUSS)
         self.x, self.y = grid_of(frame)
         self.grid_x = [self.basis_x.at(self.x, d) for d in range(3)]
         self.grid_y = [self.basis_y.at(self.y, d) for d in range(3)]
         self.grid_x[0][[0, -1]] = self.grid_y[0][[0, -1]] = 0.0  # exactly, not only to rounding
-        self.quad_x, self.quad_y = ([a.at(a.points, d) for d in range(4)] for a in (self.basis_x, self.basis_y))
+        quad_x, quad_y = ([a.at(a.points, d) for d in range(4)] for a in (self.basis_x, self.basis_y))
+        self._quad = quad_x, quad_y
         wx, wy = self.basis_x.weights, self.basis_y.weights
-        self.weights = wy[:, None] * wx
-        self.volume_c = self.quad_y[0].T @ self.weights @ self.quad_x[0]
-        # what `Spline.surface` wants covariances of (single precision is plenty): slopes everywhere, area, volume
-        stiffness_root = np.linalg.cholesky(self._energy(wx, wy, ((1, 0),), ((0, 1),)))
-        gradients = [stiffness_root, np.zeros(len(stiffness_root)), self.volume_c.ravel()]
-        self.gradients = np.asfortranarray(np.column_stack(gradients), dtype=np.float32)
+        weights = wy[:, None] * wx
+        self.width = 3 * self.basis_x.count + 3
+        stiffness = banded(self._energy(wx, wy, ((1, 0),), ((0, 1),)), self.width)
+        volume_c = quad_y[0].T @ weights @ quad_x[0]  # of the volume by the coefficients
+        self.tables = (np.ascontiguousarray(self.grid_x[0].T), self.grid_y[0], len(wx), len(wy),
+                       np.stack([quad_x[0].T, quad_x[1].T]), np.stack(quad_y[:2]), weights, volume_c, stiffness)
         area = frame.length * frame.width
         self.prior = (self._energy(wx, wy, ((3, 0), (1, 2)), ((2, 1), (0, 3))) / (settings.roughness**2 * area)
                       + self._energy(wx, wy, ((2, 0), (0, 2))) / (settings.laplacian**2 * area))
+        self._prior_band = banded(self.prior, self.width)
+        self._numbers = np.array([frame.length, frame.width, nx, ny, design.camera.distance, settings.slope_model_sd,
+                                  settings.slope_sd_most, slope_off, settings.outlier_sd, settings.outlier_least,
+                                  settings.outliers_leave])
 
     def fit(self, markers: Markers, *, normals: bool = True) -> Surface:
         """The surface through identified markers; see `fit_spline`."""
@@ -159,62 +140,16 @@ class SurfaceFitter:
         """
         p = np.asarray(p_SM, dtype=float).reshape(-1, 3)
         variance = np.full(len(p), 1e-10) if cov_p is None else np.asarray(cov_p, dtype=float)[:, 2, 2]
-        good = np.isfinite(p).all(axis=1) & (variance > 0)
-        p, variance = p[good], variance[good]
-        x, across = (self.basis_x.at(p[:, 0], d) for d in (0, 1))
-        y, down = (self.basis_y.at(p[:, 1], d) for d in (0, 1))
-        rows = _products(y, x)
-        spline, heights, fits = self._solve_without_outliers(rows, p[:, 2], np.sqrt(variance))
-        if n_S is None:
-            return spline
-        across, down = _products(y, across), _products(down, x)
-        c = spline.coefficients.ravel()
-        predicted = np.column_stack([across @ c, down @ c])
-        sd = self._slope_sd(geometry.normal_from_slope(predicted[:, 0], predicted[:, 1]), p, variance)
-        slope = geometry.slope_from_normal(np.asarray(n_S, dtype=float)[good])
-        # comparisons are False for NaN: an unknown slope is not used
-        use = fits & (sd < self.settings.slope_sd_most) & (np.abs(slope - predicted).max(axis=1) < self.slope_off)
-        if not use.any():
-            return spline
-        over = 1 / sd[use, None]
-        rows, slopes = np.concatenate([across[use] * over, down[use] * over]), (slope[use] * over).T.ravel()
-        return self._solve(heights + _Terms.of(rows, slopes, heights=False))
-
-    def _solve_without_outliers(self, rows: Array, z: Array, sd: Array) -> tuple[Spline, _Terms, NDArray[np.bool_]]:
-        """Fit heights `z` (N,), and again without the worst marker while one is far off what all others predict."""
-        fits = np.ones(len(z), bool)
-        A, b = rows / sd[:, None], z / sd
-        while True:
-            terms = _Terms.of(A, b)
-            spline = self._solve(terms)
-            # leave one out: residual / (1 - leverage), variance / (1 - leverage); Cook & Weisberg 1982, 2.2
-            half, _ = lapack.strtrs(spline.cholesky.astype(np.float32), A.T.astype(np.float32), lower=True, overwrite_b=True)
-            left = np.maximum(1 - np.einsum("ij,ij->j", half, half), 1e-6)
-            off = np.abs(b - A @ spline.coefficients.ravel()) / left  # in sd
-            excess = np.minimum(off * sd[fits] / self.settings.outlier_least, off * np.sqrt(left) / self.settings.outlier_sd)
-            if not len(excess) or excess.max() <= 1 or len(excess) <= self.settings.outliers_leave * len(z):
-                return spline, terms, fits
-            worst = np.argmax(excess)
-            fits[np.flatnonzero(fits)[worst]] = False
-            A, b = np.delete(A, worst, axis=0), np.delete(b, worst)
-
-    def _slope_sd(self, n: Array, p: Array, variance: Array) -> Array:
-        return np.hypot(self.settings.slope_model_sd, slope_sd(n, p + np.array([0.0, 0.0, self.distance]), variance))
+        c, factor, found = np.empty((self.basis_y.count, self.basis_x.count)), np.empty_like(self._prior_band), np.empty(2)
+        if kernel("fit_surface")(len(p), p, variance, n_S, self._numbers, self._prior_band, c, factor, found):
+            # the prior is positive definite: only absurd weights come here
+            raise np.linalg.LinAlgError("normal equations of the surface are not positive definite")
+        misfit, markers = found.tolist()
+        return Spline(self, c, factor, misfit, _enough(int(markers), self.settings.markers_least))
 
     def rows(self, x: ArrayLike, y: ArrayLike, dx: int = 0, dy: int = 0) -> Array:
         """Design matrix (N, ny * nx): z or its derivative of order (dx, dy) at `x`, `y` (N,) m per coefficient."""
         return _products(self.basis_y.at(y, dy), self.basis_x.at(x, dx))
-
-    def _solve(self, terms: _Terms) -> Spline:
-        cholesky, fault = lapack.dpotrf(terms.normal + self.prior, lower=True, overwrite_a=True)
-        if fault:  # the prior is positive definite: only absurd weights come here
-            raise np.linalg.LinAlgError("normal equations of the surface are not positive definite")
-        c, _ = lapack.dpotrs(cholesky, terms.right, lower=True)
-        # what the splines cannot follow (the edge of a contact) shows as residuals larger than their noise: Birge 1932
-        squares = c @ terms.normal @ c - 2 * (c @ terms.right) + terms.square
-        misfit = max(1.0, squares / max(terms.rows, 1))
-        status = _enough(terms.markers, self.settings.markers_least)
-        return Spline(self, c.reshape(self.basis_y.count, self.basis_x.count), cholesky, misfit, status)
 
     def _energy(self, wx: Array, wy: Array, *terms: tuple[tuple[int, int], ...]) -> Array:
         """Matrix of the integral of sum over `terms` of (d1 z + d2 z + ...)^2, each d an order of derivative (x, y)."""
@@ -225,8 +160,17 @@ class SurfaceFitter:
         for pair in terms:
             for ax, ay in pair:
                 for bx, by in pair:
-                    total += np.kron(gram(self.quad_y, wy, ay, by), gram(self.quad_x, wx, ax, bx))
+                    total += np.kron(gram(self._quad[1], wy, ay, by), gram(self._quad[0], wx, ax, bx))
         return total
+
+
+def banded(matrix: Array, width: int) -> Array:
+    """The lower triangle of a symmetric `matrix` (n, n) that vanishes beyond `width` from its diagonal, as kernels/band.h has it:
+    (n, stride), row j column j from its diagonal on."""
+    band = np.zeros((len(matrix), (width + 8) // 4 * 4))
+    for below in range(min(width + 1, len(matrix))):
+        band[: len(matrix) - below, below] = np.diagonal(matrix, -below)
+    return band
 
 
 def slope_sd(n: Array, p_CM: Array, variance: Array) -> Array:

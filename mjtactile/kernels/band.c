@@ -1,0 +1,78 @@
+#include "band.h"
+
+#include <math.h>
+#include <string.h>
+
+/* Factors columns j to j + 3 (fewer at the end), which are up to date, as far as they see each other. */
+static int factor_panel(long columns, long stride, long length, double *panel) {
+    for (long p = 0; p < columns; p++) {
+        double *own = panel + p * stride;
+        if (!(own[0] > 0)) return 1;
+        double over = 1 / sqrt(own[0]);
+        for (long i = 0; i < length; i++) own[i] *= over;
+        for (long q = p + 1; q < columns; q++) {
+            double *other = panel + q * stride, factor = own[q - p];
+            for (long i = q - p; i < length; i++) other[i - (q - p)] -= factor * own[i];
+        }
+    }
+    return 0;
+}
+
+int band_cholesky(long n, long width, double *a) {
+    const long stride = BAND_STRIDE(width);
+    for (long j = 0; j < n; j += 4) {
+        double *panel = a + j * stride;
+        if (factor_panel(n - j < 4 ? n - j : 4, stride, width + 1, panel)) return 1;
+        for (long t = j + 4; t < n && t <= j + 3 + width; t++) {
+            const double *restrict l0 = panel + (t - j), *restrict l1 = l0 + stride - 1;
+            const double *restrict l2 = l1 + stride - 1, *restrict l3 = l2 + stride - 1;
+            const double f0 = l0[0], f1 = l1[0], f2 = l2[0], f3 = l3[0];
+            double *restrict column = a + t * stride;
+            for (long i = 0; i <= j + 3 + width - t; i++) column[i] -= f0 * l0[i] + f1 * l1[i] + f2 * l2[i] + f3 * l3[i];
+        }
+    }
+    return 0;
+}
+
+void band_forward(long n, long width, const double *L, double *x) {
+    const long stride = BAND_STRIDE(width);
+    for (long j = 0; j < n; j++) {
+        const double *column = L + j * stride;
+        double value = x[j] /= column[0];
+        long last = j + width < n ? width : n - 1 - j;
+        for (long i = 1; i <= last; i++) x[j + i] -= value * column[i];
+    }
+}
+
+void band_backward(long n, long width, const double *L, double *x) {
+    const long stride = BAND_STRIDE(width);
+    for (long j = n - 1; j >= 0; j--) {
+        const double *column = L + j * stride;
+        double sum = x[j];
+        long last = j + width < n ? width : n - 1 - j;
+        for (long i = 1; i <= last; i++) sum -= x[j + i] * column[i];
+        x[j] = sum / column[0];
+    }
+}
+
+/* Column j of Z L = L^-T below the diagonal, from those behind it (Takahashi; Erisman & Tinney, Comm. ACM 18(3), 1975). */
+void band_inverse(long n, long width, const double *L, double *Z) {
+    const long stride = BAND_STRIDE(width);
+    memset(Z, 0, n * stride * sizeof *Z);
+    for (long j = n - 1; j >= 0; j--) {
+        const double *l = L + j * stride;
+        double *restrict z = Z + j * stride, over = 1 / l[0], sum = over;
+        long last = j + width < n ? width : n - 1 - j;
+        for (long k = 1; k <= last; k++) {
+            const double *restrict other = Z + (j + k) * stride;  /* Z(j + k .., j + k) */
+            double own = other[0] * l[k];
+            for (long i = k + 1; i <= last; i++) {
+                own += other[i - k] * l[i];
+                z[i] -= other[i - k] * l[k];
+            }
+            z[k] -= own;
+        }
+        for (long k = 1; k <= last; k++) z[k] *= over, sum -= z[k] * l[k];
+        z[0] = sum * over;
+    }
+}

@@ -1,0 +1,13 @@
+/* Symmetric positive definite matrices of order n whose entries vanish beyond `width` from the diagonal: lower triangles by
+   columns, A(i, j) at a[j * BAND_STRIDE(width) + i - j]; what lies beyond width or n is zero. */
+#ifndef MJTACTILE_BAND_H
+#define MJTACTILE_BAND_H
+
+#define BAND_STRIDE(width) (((width) + 8) / 4 * 4) /* panels of four columns need three rows more */
+
+int band_cholesky(long n, long width, double *a);                       /* in place; 1: not positive definite */
+void band_forward(long n, long width, const double *L, double *x);      /* x becomes L^-1 x */
+void band_backward(long n, long width, const double *L, double *x);     /* x becomes L^-T x */
+void band_inverse(long n, long width, const double *L, double *Z);      /* Z: the inverse of L L^T within the band */
+
+#endif
