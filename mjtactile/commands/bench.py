@@ -16,6 +16,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   grasp       egg, strawberry and vial with seeds 0-9: outcome, force error, real-time factor
               and where the time goes
   perception  marker accuracy against the Cramer-Rao bound, and speed, next to OpenCV's tools
+  tracking    markers that are followed against a search of every image, a hundred thousand images
   touch       force, shear, torque, patch, smallest touch and error bars, random indenters
   slip        two hundred random slips and holds: how many are said, how soon, how often falsely
   material    class and modulus of random bodies, probed
@@ -38,7 +39,7 @@ examples:
 BENCHMARKS = {"grasp": "mjtactile.bench.grasp", "speed": "mjtactile.bench.speed", "accuracy": "mjtactile.bench.accuracy.run",
               "effects": "mjtactile.bench.effects", "perception": "mjtactile.bench.perception.run",
               "material": "mjtactile.bench.material", "touch": "mjtactile.bench.touch.run",
-              "slip": "mjtactile.bench.slip.run",
+              "slip": "mjtactile.bench.slip.run", "tracking": "mjtactile.bench.tracking",
               "rig": "mjtactile.bench.rig.run", "stability": "mjtactile.bench.stability.run",
               "truth": "mjtactile.bench.truth.run", "fit": "mjtactile.bench.fit",
               "numbers": "mjtactile.bench.numbers"}

@@ -23,7 +23,7 @@ from mjtactile.core.status import OK, Status, StatusCode
 from mjtactile.core.types import Array, Image, Markers, Surface, Touch
 from mjtactile.sensing.force import bulge, zero
 from mjtactile.sensing.force.inverse import InverseMembrane, InverseRest, Shape
-from mjtactile.sensing.image.markers import detect
+from mjtactile.sensing.image import tracking
 from mjtactile.sensing.pose import identity
 from mjtactile.sensing.pose.circles import estimate_poses
 from mjtactile.sensing.pose.reference import FlatReference, measure_flat
@@ -44,7 +44,7 @@ class Reference:
 @dataclass(frozen=True, eq=False)
 class ChainState:
     """What one image leaves for the next: the sensor's own references (`flat`, and `reference` once at rest), the marker
-    positions `expected` (M, 3) m in S, the membrane's `shape`, and the histories of touch and slip."""
+    positions `expected` (M, 3) m in S, the membrane's `shape`, the histories of touch and slip, and the markers' `tracks`."""
 
     flat: FlatReference
     expected: Array
@@ -52,10 +52,11 @@ class ChainState:
     shape: Shape | None = None
     detection: zero.Detection | None = None
     slip: slip.SlipHistory | None = None
+    tracks: tracking.Tracks | None = None
 
     def without_history(self) -> ChainState:
         """The same references, as if no image had been seen since."""
-        return replace(self, shape=None, detection=None, slip=None)
+        return replace(self, shape=None, detection=None, slip=None, tracks=None)
 
 
 class Chain:
@@ -163,11 +164,12 @@ class Chain:
 
     def see(self, state: ChainState, image: Image) -> tuple[Markers, ChainState]:
         """Identified markers in S, and the state in which they are expected where they are now."""
-        ellipses = detect(image, self.camera, min_radius_px=self._smallest_px, settings=self.settings)
+        ellipses, tracks = tracking.follow(image, state.tracks, self.design.markers.count, min_radius_px=self._smallest_px,
+                                           settings=self.settings)
         poses = estimate_poses(ellipses, self.camera, self.design.markers.radius)
         poses = state.flat.to_nominal(self.design, poses)
         markers = identity.identify(poses, self.design, state.expected, state.flat.scale, self.settings.identity)
-        return markers, replace(state, expected=_moved(state.expected, markers))
+        return markers, replace(state, expected=_moved(state.expected, markers), tracks=tracks)
 
     def enough(self, markers: Markers) -> Status:
         """Whether so many were seen that the shape is no guess."""

@@ -35,16 +35,19 @@ def detect(image: NDArray | Image, camera: Any = None, *, polarity: Polarity = "
     Returns `Ellipses` in reading order of detection; those whose status is not "ok" are likely markers that should not
     be trusted. No marker gives an empty result. Raises InputError for a wrong shape, type or option.
     """
-    grey, s = grey_image(image), settings.markers
     check_polarity(polarity)
-    eight = eight_bit(grey)
+    return as_ellipses(*search(grey_image(image), polarity, min_radius_px=min_radius_px, settings=settings))
+
+
+def search(grey: NDArray, polarity: Polarity = "dark", *, min_radius_px: float = 1.5, settings: Settings = DEFAULTS
+           ) -> tuple[edges.EdgeFit, NDArray[np.str_]]:
+    """`detect` in a grey image (H, W): the fits, and the status of each."""
+    eight, s = eight_bit(grey), settings.markers
     found = candidates.find(eight if polarity == "dark" else 255 - eight, min_radius_px, settings.candidates)
     found = found.take(implausible(found, min_radius_px, s) == "")
     fit = fit_candidates(grey, found, settings)
     status, keep = judge(fit, found, polarity, grey.shape, min_radius_px, s)
-    if not keep.all():
-        fit, status = fit.take(keep), status[keep]
-    return as_ellipses(fit, status)
+    return (fit, status) if keep.all() else (fit.take(keep), status[keep])
 
 
 def check_polarity(polarity: str) -> None:

@@ -27,6 +27,7 @@ from mjtactile.sensing.settings.image import (
     MarkerSettings,
     ProfileSettings,
     ThoroughSettings,
+    TrackingSettings,
 )
 from mjtactile.sensing.settings.locate import ConsensusSettings, LocateSettings, PreferenceSettings, SmoothnessSettings
 from mjtactile.sensing.settings.number import number
@@ -37,7 +38,8 @@ from mjtactile.sensing.settings.touch import MaterialSettings, PatchSettings, Sl
 __all__ = ["DEFAULTS", "CandidateSettings", "ConsensusSettings", "EdgeSettings", "GammaSettings", "IdentitySettings",
            "InverseSettings", "LocateSettings", "MarkerSettings", "MaterialSettings", "PaperSettings", "PatchSettings",
            "PreferenceSettings", "PriorSettings", "ProfileSettings", "ReferenceSettings", "Settings", "SlipSettings",
-           "SmoothnessSettings", "SqueezeSettings", "SurfaceSettings", "ThoroughSettings", "ZeroSettings"]
+           "SmoothnessSettings", "SqueezeSettings", "SurfaceSettings", "ThoroughSettings", "TrackingSettings",
+           "ZeroSettings"]
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,7 @@ class Settings:
     fewest_seen: float = number(0.4, "share of the markers below which the shape is a guess", "trial")
     markers: MarkerSettings = field(default_factory=MarkerSettings)
     candidates: CandidateSettings = field(default_factory=CandidateSettings)
+    tracking: TrackingSettings = field(default_factory=TrackingSettings)
     edges: EdgeSettings = field(default_factory=EdgeSettings)
     profiles: ProfileSettings = field(default_factory=ProfileSettings)
     identity: IdentitySettings = field(default_factory=IdentitySettings)

@@ -93,6 +93,22 @@ class MarkerSettings:
     shrunk: float = number(0.5, "of the smallest radius asked for, below which there is no marker at all", "trial")
 
 
+_FOLLOWED = "egg grasps at 15 and 30 Hz, and the first 20 sequences of `bench tracking`"
+
+
+@dataclass(frozen=True)
+class TrackingSettings:
+    """When the last image's markers are believed without a search (sensing/image/tracking.py)."""
+
+    images: int = number(15, "images in a row without a search", "half a second at 30 Hz")
+    gap: float = number(0.15, "s between two images; after a longer one nothing is expected", "two images of 15 Hz")
+    way: float = number(1.2, "px that a marker may be from where it was going; a fit finds its edge from two away", _FOLLOWED)
+    change: float = number(0.7, "px that its shape may have changed by", _FOLLOWED)
+    contrast: float = number(0.15, "of the least contrast: how far a contrast may have changed", _FOLLOWED)
+    residual: float = number(1.7, "times the image's middle residual", _FOLLOWED)
+    lost: float = number(0.02, "share of the robust weight that is lost", _FOLLOWED)
+
+
 @dataclass(frozen=True)
 class ThoroughSettings:
     """The second look of `mjtactile locate` at photographs (sensing/image/thorough.py)."""

@@ -1,0 +1,67 @@
+"""Markers that are followed, against a search of every image, on sequences of `bench tracking` that are cut short."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mjtactile.bench import tracking as bench
+from mjtactile.core.design import load_sensor
+from mjtactile.core.types import Image
+from mjtactile.sensing.image import markers, tracking
+from mjtactile.sensing.settings import DEFAULTS
+
+COUNT = load_sensor("dense").markers.count
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch):
+    monkeypatch.setattr(bench, "LENGTH", 24)
+
+
+@pytest.mark.parametrize("seed", [1008, 1012, 1014], ids=["undisturbed", "hands", "a camera that jumps"])
+def test_nothing_is_wrong_or_missed_for_long(seed):
+    row = bench.sequence_row(seed)
+    assert row["wrong"] == row["missed_twice"] == 0
+    # the ends of a fit differ by where it began: 0.1 sd on a calm membrane
+    assert row["apart_sd"] < (0.3 if row["kind"] == "undisturbed" else 1.0)
+    assert row["searched"] <= (3 if row["kind"] == "undisturbed" else 23)  # of 24: the first and every 16th are
+
+
+def follow(image, before=None, **settings):
+    return tracking.follow(image, before, COUNT, min_radius_px=4.0,
+                           settings=replace(DEFAULTS, tracking=replace(DEFAULTS.tracking, **settings)))
+
+
+def test_when_it_searches(monkeypatch):
+    searches, search = [], markers.search
+    monkeypatch.setattr(markers, "search", lambda *args, **named: searches.append(1) or search(*args, **named))
+    image = next(bench.moments("undisturbed", 3)).image
+
+    def again(pixels, time, tracks, **settings):
+        searches.clear()
+        return bool(follow(Image(pixels, time), tracks, **settings) and searches)
+
+    found, tracks = follow(image)
+    assert len(found) == COUNT and tracks.left == DEFAULTS.tracking.images
+    later = image.time + 0.03
+    assert not again(image.pixels, later, tracks)
+    assert again(image.pixels, image.time + 0.2, tracks)  # a gap
+    assert again(image.pixels, image.time - 0.03, tracks)  # time runs backwards
+    assert again(image.pixels, later, replace(tracks, left=0))  # it was long ago
+    assert again(np.roll(image.pixels, 2, axis=1), later, tracks)  # it moved by 2 px
+    assert again(np.full_like(image.pixels, 128), later, tracks)  # nothing is there any more
+    covered = image.pixels.copy()
+    u, v = found.center_px[0].astype(int)
+    covered[v + 9: v + 16, u - 4: u + 4] = 200
+    _, odd = follow(Image(covered, later), tracks)
+    assert odd.left == 0 and again(image.pixels, later + 0.03, odd)  # something lay on a marker
+    missing = image.pixels.copy()
+    missing[v - 20: v + 20, u - 20: u + 20] = 170
+    _, fewer = follow(Image(missing, later))
+    assert fewer.left == 1 and len(fewer.fit.center) == COUNT - 1
+
+
+def test_no_markers_leave_no_tracks():
+    found, tracks = follow(Image(np.full((480, 640), 128, np.uint8), 0.0))
+    assert len(found) == 0 and tracks is None
