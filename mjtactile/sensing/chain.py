@@ -10,6 +10,7 @@ inflated one with nothing touching. `Perception` keeps a chain and its newest st
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -71,7 +72,7 @@ class Chain:
         self.design = design = self._measured.design(design)
         self.settings = settings
         self.camera = Camera.from_design(design.camera, design.glass)
-        self.inverse = InverseMembrane(design, settings.inverse, settings.prior)
+        self.inverse = InverseMembrane(design, settings.inverse, settings.prior, settings.doubt)
         self.fitter = SurfaceFitter(design, settings.surface)
         # seen 60 degrees aslant and from half as far again
         self._smallest_px = max(1.5, 0.33 * self.camera.fx * design.markers.radius / design.camera.distance)
@@ -185,12 +186,15 @@ class Chain:
         unknown = Touch(time, 0.0, np.nan, np.nan, False, surface=surface, markers=markers)
         rest, before, s = state.reference.rest, state.detection, self.settings
         shape = self.inverse.estimate(markers, rest, state.shape)
-        if not shape.misfit < s.inverse.misfit_most:
+        drifted = shape.drift > s.zero.drift_most  # then all markers are off, and it is said below
+        sharp = float(shape.excess[0].mean()) > s.inverse.excess_most and not drifted
+        if sharp or not shape.misfit < s.inverse.misfit_most:
             status = Status(StatusCode.NO_SHAPE, "the markers fit no membrane shape")
             lost = slip.unknown(status.code, "shape not explained")
             return replace(unknown, slip=lost, status=status), state.without_history()
         force = self._measured.force
-        traction = self.inverse.traction(shape) if force is None else force.apply(self.inverse.traction(shape))
+        traction = self.inverse.traction(shape, state.shape, math.inf if before is None else time - before.time)
+        traction = traction if force is None else force.apply(traction)
         found = zero.detect_touch(time, traction, before, s.zero)
         patches = find_patches(self.inverse, shape, rest, s.patches) if found.touching else ()
         patches = patches if force is None else tuple(replace(patch, force=force.scale * patch.force) for patch in patches)

@@ -156,7 +156,7 @@ def test_covariance_is_that_of_errors_drawn_from_prior_and_noise(sensor, truth):
     seen = gain.response @ root
     S = seen @ seen.T + gain.drift @ gain.drift.T + np.eye(len(seen))
     error = moment @ (root @ (seen.T @ np.linalg.solve(S, y)) - t)
-    predicted = np.sqrt(np.diag(estimator._wrench_cov(shape, estimator._moments(shape.c), np.zeros(6))))
+    predicted = np.sqrt(np.diag(estimator._posterior(shape, estimator._moments(shape.c))))
     share = np.sqrt(estimator.posterior_share(shape))
     np.testing.assert_allclose(error.std(axis=1) * share, predicted, rtol=0.12)  # 400 draws: 3.5 %, six of them
 

@@ -14,6 +14,7 @@ stays near where they were computed; then the step is back-substitutions only.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,10 +24,11 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from mjtactile.core.bspline import hats
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, Markers, Traction
+from mjtactile.sensing.force.doubt import AXES, Doubt, Felt
 from mjtactile.sensing.force.prior import LoadPrior
 from mjtactile.sensing.force.sheet import Gas, Sheet, State
 from mjtactile.sensing.force.slopes import MarkerSlopes
-from mjtactile.sensing.settings import DEFAULTS, InverseSettings, PriorSettings
+from mjtactile.sensing.settings import DEFAULTS, DoubtSettings, InverseSettings, PriorSettings
 
 REWEIGHTED = 2  # from a cold start
 STEPS_MAX, STEP_LIMIT = 8, 2e-3  # m
@@ -97,7 +99,8 @@ class Shape:
 class InverseMembrane:
     """Traction estimator of one sensor; the inner grid lines of its sheet carry the nodes."""
 
-    def __init__(self, design: SensorDesign, settings: InverseSettings = DEFAULTS.inverse, prior: PriorSettings = DEFAULTS.prior):
+    def __init__(self, design: SensorDesign, settings: InverseSettings = DEFAULTS.inverse,
+                 prior: PriorSettings = DEFAULTS.prior, doubt: DoubtSettings = DEFAULTS.doubt):
         self.design, self.settings, self.sheet = design, settings, Sheet(design, settings.spans)
         ax, ay = self.sheet.axes
         self.x, self.y = ax.breaks, ay.breaks
@@ -111,6 +114,7 @@ class InverseMembrane:
         X, Y = np.meshgrid(self.x[1:-1], self.y[1:-1], indexing="ij")
         self.nodes = np.column_stack([X.ravel(), Y.ravel()])
         self._at_nodes = self.sheet.basis(self.nodes)
+        self._doubt = Doubt(design, self.nodes, doubt)
         self._fine = [np.linspace(-a.length / 2, a.length / 2, REFINE * a.spans + 1) for a in (ax, ay)]
         self._at_fine = [a.at(g) for a, g in zip((ax, ay), self._fine, strict=True)]
         self._material = design.markers.p_SM
@@ -230,15 +234,20 @@ class InverseMembrane:
 
     # -- what it means -------------------------------------------------------------------------------------------------
 
-    def traction(self, shape: Shape) -> Traction:
-        """Nodal forces on the grid, net wrench and its covariance."""
+    def traction(self, shape: Shape, before: Shape | None = None, seconds: float = math.inf) -> Traction:
+        """Nodal forces on the grid, net wrench and its covariance, which grows with the motion since `before`, `seconds` ago."""
         force = shape.traction * self.node_area
         moment = self._moments(shape.c)
         wrench = moment @ force.ravel()
         nodal = np.zeros((len(self.y), len(self.x), 3))
         nodal[1:-1, 1:-1] = force.reshape(3, len(self.x) - 2, len(self.y) - 2).transpose(2, 1, 0)
-        return Traction(self.x, self.y, nodal, wrench, self._wrench_cov(shape, moment, wrench), shape.pressure_gauge,
-                        method="inverse")
+        before = shape if before is None else before
+        moved = self._at_nodes @ (shape.c - before.c).T
+        felt = Felt(force, wrench - moment @ (before.traction * self.node_area).ravel(),
+                    self.node_area @ moved / (self.node_area.sum() * max(seconds, 1e-3)), float(shape.excess[0].mean()))
+        cov = self._posterior(shape, moment)
+        cov[np.diag_indices(6)] += self._doubt.variance(felt)
+        return Traction(self.x, self.y, nodal, wrench, cov, shape.pressure_gauge, method="inverse")
 
     def node_positions(self, c: Array) -> Array:
         """Where the nodes are now, (J, 3) m in S."""
@@ -264,26 +273,17 @@ class InverseMembrane:
         return np.stack([np.r_[one, zero, zero], np.r_[zero, one, zero], np.r_[zero, zero, one],
                          np.r_[zero, -z, y], np.r_[z, zero, -x], np.r_[-y, x, zero]])
 
-    def _wrench_cov(self, shape: Shape, moment: Array, wrench: Array) -> Array:
-        """Posterior covariance (6, 6): what the prior leaves open between markers, their noise, and the model's share; see
-        `posterior_share`."""
+    def _posterior(self, shape: Shape, moment: Array) -> Array:
+        """Posterior covariance (6, 6) of the wrench: what the prior leaves open between markers, and their noise."""
         gain = shape.gain
         L = self.prior.half(moment * np.tile(self.node_area, 3), gain.prior)
         half = solve_triangular(gain.innovation[0], gain.half @ L.T, trans=1, check_finite=False)
         scale = np.sqrt(self.posterior_share(shape))
-        cov = (L @ L.T - half.T @ half) * np.outer(scale, scale)
-        sparse = max(1.0, self.design.markers.pitch_x * self.design.markers.pitch_y / self.settings.share_cell)
-        size = np.repeat([np.linalg.norm(wrench[:3]), np.linalg.norm(wrench[3:])], 3)
-        share = self.settings.model_share * np.array([np.sqrt(sparse), np.sqrt(sparse), sparse, 1, 1, 1])
-        # markers that no smooth pressure explains: something sharper than the sheet's splines
-        share += self.settings.sharp_share * max(0.0, float(shape.excess[0].mean()) - self.settings.sharp_excess)
-        cov[np.diag_indices(6)] += (share * size) ** 2
-        return cov
+        return (L @ L.T - half.T @ half) * np.outer(scale, scale)
 
     def posterior_share(self, shape: Shape) -> Array:
-        """Share (6,) of the wrench's predicted variances, before the model's: more where markers misfit or show drift."""
-        shear = self.settings.shear_share
-        share = self.settings.posterior_share * max(1.0, shape.misfit) * np.array([shear, shear, 1, 1, 1, shear])
+        """Share (6,) of the wrench's predicted variances: more where markers misfit or show drift."""
+        share = max(1.0, shape.misfit) * np.array(self.settings.posterior_share)[AXES]
         return np.maximum(share, shape.drift - 1)
 
 

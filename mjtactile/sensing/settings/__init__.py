@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from mjtactile.core.errors import InputError
-from mjtactile.sensing.settings.force import InverseSettings, PriorSettings, ZeroSettings
+from mjtactile.sensing.settings.force import DoubtSettings, InverseSettings, PriorSettings, ZeroSettings
 from mjtactile.sensing.settings.image import (
     CandidateSettings,
     EdgeSettings,
@@ -35,11 +35,11 @@ from mjtactile.sensing.settings.paper import PaperSettings
 from mjtactile.sensing.settings.pose import IdentitySettings, ReferenceSettings, SurfaceSettings
 from mjtactile.sensing.settings.touch import MaterialSettings, PatchSettings, SlipSettings, SqueezeSettings
 
-__all__ = ["DEFAULTS", "CandidateSettings", "ConsensusSettings", "EdgeSettings", "GammaSettings", "IdentitySettings",
-           "InverseSettings", "LocateSettings", "MarkerSettings", "MaterialSettings", "PaperSettings", "PatchSettings",
-           "PreferenceSettings", "PriorSettings", "ProfileSettings", "ReferenceSettings", "Settings", "SlipSettings",
-           "SmoothnessSettings", "SqueezeSettings", "SurfaceSettings", "ThoroughSettings", "TrackingSettings",
-           "ZeroSettings"]
+__all__ = ["DEFAULTS", "CandidateSettings", "ConsensusSettings", "DoubtSettings", "EdgeSettings", "GammaSettings",
+           "IdentitySettings", "InverseSettings", "LocateSettings", "MarkerSettings", "MaterialSettings", "PaperSettings",
+           "PatchSettings", "PreferenceSettings", "PriorSettings", "ProfileSettings", "ReferenceSettings", "Settings",
+           "SlipSettings", "SmoothnessSettings", "SqueezeSettings", "SurfaceSettings", "ThoroughSettings",
+           "TrackingSettings", "ZeroSettings"]
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,7 @@ class Settings:
     surface: SurfaceSettings = field(default_factory=SurfaceSettings)
     prior: PriorSettings = field(default_factory=PriorSettings)
     inverse: InverseSettings = field(default_factory=InverseSettings)
+    doubt: DoubtSettings = field(default_factory=DoubtSettings)
     zero: ZeroSettings = field(default_factory=ZeroSettings)
     patches: PatchSettings = field(default_factory=PatchSettings)
     slip: SlipSettings = field(default_factory=SlipSettings)

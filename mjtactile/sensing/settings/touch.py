@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 from mjtactile.sensing.settings.number import number
 
+_PRESSED = "bench bars: fitted to scenes of seeds below 1000"
+
 
 @dataclass(frozen=True)
 class PatchSettings:
@@ -14,11 +16,10 @@ class PatchSettings:
     smoothing: float = number(0.6, "sd of the smoothing, in nodes", "trial")
     separate_share: float = number(0.8, "of the geometric mean of gas pressure and peak; patches are apart where pressure falls "
                                     "below it", "trial")
-    area_middle: float = number(50e-6, "m^2 at which an area is that of its uniform disc", "bench touch")
-    area_power: float = number(-0.35, "how their ratio goes with the area", "bench touch")
-    area_cell: float = number(12e-6, "m^2 of sheet to a marker for which that holds", "bench touch")
-    sparse_power: float = number(0.3, "sparser markers blur larger areas", "bench touch")
-    area_factor: tuple[float, float] = number((0.7, 1.7), "least and most of that ratio", "a face pressed at its rim, a ball")
+    area_disc: float = number(1e-6, "m^2 at which an area is that of its uniform disc", _PRESSED)
+    area_power: float = number(1.6, "how it goes with the disc's", _PRESSED)
+    area_pressure: float = number(3.5e3, "Pa, of the sheet's tension around a ball of middling size", _PRESSED)
+    area_blend: float = number(0.7, "power of the means by which the smaller of the two areas counts", _PRESSED)
     core_share: float = number(0.03, "of the peak: pressure below it does not count for the centroid", "trial")
     least_share: float = number(0.1, "of the whole force: a patch that carries less is no patch", "trial")
 

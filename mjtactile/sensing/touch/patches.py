@@ -1,8 +1,9 @@
 """Contact patches from the traction field: several at once, each with outline, area, centroid, depth and axes (Eq. F13).
 
 The inverse cannot place pressure more sharply than its grid, but the second moment of a pressure survives such a blur. It
-gives the area of a disc that is pressed uniformly; small round objects press in their middle and large faces at their
-rims, so small areas are larger than that and large ones smaller. The outline encloses the strongest pressure, that much of it.
+gives the area of a disc that is pressed uniformly, which is too large where the blur is larger than the contact; there the
+force tells more, since a sheet on a ball carries its own tension's pressure beside the gas's. The outline encloses the strongest
+pressure, that much of it.
 """
 
 from __future__ import annotations
@@ -45,7 +46,9 @@ def find_patches(estimator: InverseMembrane, shape: Shape, rest: InverseRest,
         if -force[2] >= s.least_share * total:
             core = np.where(mine, np.maximum(pressing - s.core_share * float(pressing.max()), 0), 0)
             field = np.where(owner == k, fine, 0)
-            inside = _strongest(field, cells, _area(core[inner].ravel(), position[::REFINE, ::REFINE][inner], estimator, s))
+            area = _area(core[inner].ravel(), position[::REFINE, ::REFINE][inner], -float(force[2]), shape.pressure_gauge,
+                         estimator, s)
+            inside = _strongest(field, cells, area)
             patches.append(_patch(inside, mine, np.maximum(field - s.core_share * peak, 0), force, position, cells, sink))
     return tuple(sorted(patches, key=lambda patch: float(patch.force[2])))
 
@@ -72,17 +75,18 @@ def _fine_positions(estimator: InverseMembrane, shape: Shape) -> tuple[Array, Ar
     return position, cells
 
 
-def _area(pressure: Array, p: Array, estimator: InverseMembrane, s: PatchSettings) -> float:
-    """Area, m^2, from the second moment of nodal pressures (J,) at `p` (jx, jy, 3); a node's own extent is the least."""
+def _area(pressure: Array, p: Array, force: float, gauge: float, estimator: InverseMembrane, s: PatchSettings) -> float:
+    """Area, m^2, of a patch that carries `force` N over a chamber at `gauge` Pa, from that and from the second moment of nodal
+    pressures (J,) at `p` (jx, jy, 3), of which a node's own extent is the least."""
     p, share = p[..., :2].reshape(-1, 2), pressure * estimator.node_area
     share /= share.sum()
     off = p - share @ p
     variance = float(share @ (off * off).sum(axis=1)) / 2
     least = float(np.diff(estimator.x)[0] ** 2 + np.diff(estimator.y)[0] ** 2) / 24
     disc = 4 * np.pi * max(variance, least)
-    layout = estimator.design.markers
-    middle = s.area_middle * (layout.pitch_x * layout.pitch_y / s.area_cell) ** s.sparse_power
-    return disc * float(np.clip((disc / middle) ** s.area_power, *s.area_factor))
+    seen = s.area_disc * (disc / s.area_disc) ** s.area_power
+    carrying = force / (max(gauge, 0.0) + s.area_pressure)
+    return float((seen**-s.area_blend + carrying**-s.area_blend) ** (-1 / s.area_blend))
 
 
 def _strongest(field: Array, cells: Array, area: float) -> NDArray:
