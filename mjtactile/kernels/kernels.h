@@ -73,12 +73,19 @@ double chamber_volume(int64_t n, const double *p, int64_t m, const int64_t *tria
    (m, 3) between `ends` (e, 2). `metric` (m, 3, 3), `law` (5): mu, Poisson's ratio, lambda', its least and most. */
 void rubber_stiffness(int64_t m, const int64_t *edges, const int64_t *ends, const double *p, const double *metric,
                       const double *law, const double *by_mu, const double *by_lambda, double *rows);
+/* sim/sensor/facets.py: sums of the principal curvatures `out` (n) 1/m of MuJoCo's geoms of `kinds` and `sizes` (n, 3) where their
+   surfaces have the `normals` (n, 3) in their frames; `end`: the least cosine of a normal to a cylinder's end. */
+void curvatures(int64_t n, const int32_t *kinds, const double *sizes, const double *normals, double end, double *out);
+/* The number of contacts with the spheres `first` to `first + count - 1`; out: curvatures (count) of what each of them touches,
+   the mean where it touches nothing. `kinds`, `sizes` (g, 3) and `axes` (g, 3, 3) of all geoms. */
+int64_t touched_curvatures(int64_t contacts, const int32_t *geoms, const double *frame, int64_t first, int64_t count,
+                           const int32_t *kinds, const double *sizes, const double *axes, double end, double *out);
 /* sim/sensor/stiction.py: number of MuJoCo's contacts with the spheres `first` to `first + count - 1`. `memory` (count, 6) of
-   friction and shift in S, `slides` (count): before; out: both `after`, `goal` (count) of the margins, `surface` (count, 3). */
+   friction and shift in S and `slides` (count) become those after this step; out: `goal` (count) of the margins, velocity of the
+   `surface` (count, 3). None touched: all stay. */
 int64_t stick(int64_t contacts, const int32_t *geoms, const int32_t *address, const int32_t *dim, const double *dist,
               const double *margin, const double *frame, const double *friction, const double *force, const double *kbip,
               const double *softness, const double *velocity, const double *travel, const double *R_WS, int64_t first,
-              int64_t count, const double *settings, double *goal, const double *memory, const uint8_t *slides, double *after,
-              uint8_t *slides_after, double *surface);
+              int64_t count, const double *settings, double *goal, double *memory, uint8_t *slides, double *surface);
 
 #endif

@@ -25,17 +25,38 @@ def kernel(name: str) -> Callable[..., Any]:
 
     Other processes and threads run on while it does: it needs no Python.
     """
-    return _library()[name]
+    return _library()[name][0]
+
+
+def bound(name: str, *values: Any) -> Callable[..., Any]:
+    """The C function `name` on these very arrays and numbers, for a call that comes again and again: they are checked now, and
+    kept. For each `...` among them a value is given at every call. Raises TypeError for an array that would have to be converted.
+    """
+    function, convert = _library()[name][1:]
+    kept = [_same(one(value), value, name) if value is not ... else None for one, value in zip(convert, values, strict=True)]
+    given = [(place, convert[place]) for place, value in enumerate(values) if value is ...]
+    addresses = [_address(value) for value in kept]
+
+    def call(*now: Any) -> Any:
+        held = [one(value) for (_, one), value in zip(given, now, strict=True)]
+        arguments = addresses.copy()
+        for (place, _), value in zip(given, held, strict=True):
+            arguments[place] = _address(value)
+        return function(*arguments)
+
+    call.kept = kept  # type: ignore[attr-defined]  # else nobody may
+    return call
 
 
 @cache
-def _library() -> dict[str, Callable[..., Any]]:
+def _library() -> dict[str, tuple[Callable[..., Any], Any, list[Callable[[Any], Any]]]]:
+    """Of each kernel: its Python face, the C function, and what checks or converts each argument."""
     loaded = ctypes.CDLL(str(build.library()))
     return {name: _wrapped(getattr(loaded, name), name, result, arguments)
             for result, name, arguments in _DECLARATION.findall((build.FOLDER / "kernels.h").read_text())}
 
 
-def _wrapped(function: Any, name: str, result: str, arguments: str) -> Callable[..., Any]:
+def _wrapped(function: Any, name: str, result: str, arguments: str) -> tuple[Callable[..., Any], Any, list[Any]]:
     parts = [_ARGUMENT.search(" ".join(part.split())).groups() for part in arguments.split(",")]  # type: ignore[union-attr]
     function.restype = _NUMBERS.get(result)
     function.argtypes = [ctypes.c_void_p if star else _NUMBERS[kind] for _, kind, star, _ in parts]
@@ -44,9 +65,19 @@ def _wrapped(function: Any, name: str, result: str, arguments: str) -> Callable[
 
     def call(*values: Any) -> Any:
         held = [one(value) for one, value in zip(convert, values, strict=True)]
-        return function(*[value.ctypes.data if isinstance(value, np.ndarray) else value for value in held])
+        return function(*[_address(value) for value in held])
 
-    return call
+    return call, function, convert
+
+
+def _address(value: Any) -> Any:
+    return value.ctypes.data if isinstance(value, np.ndarray) else value
+
+
+def _same(converted: Any, value: Any, name: str) -> Any:
+    if isinstance(converted, np.ndarray) and converted is not value:
+        raise TypeError(f"{name}: a {value.dtype} array of shape {value.shape} would have to be copied")
+    return converted
 
 
 def _as_is(value: Any) -> Any:

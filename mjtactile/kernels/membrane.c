@@ -1,6 +1,7 @@
 /* What a membrane needs before every step: gas volume, rubber, contact that remembers. The equations are in the docstrings of
-   sim/sensor/chamber.py, rubber.py and stiction.py. */
+   sim/sensor/chamber.py, rubber.py, facets.py and stiction.py. */
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "kernels.h"
@@ -59,6 +60,51 @@ void rubber_stiffness(int64_t m, const int64_t *edges, const int64_t *ends, cons
     }
 }
 
+enum { SPHERE = 2, CAPSULE = 3, ELLIPSOID = 4, CYLINDER = 5 }; /* MuJoCo's mjtGeom */
+
+/* Sum of the principal curvatures of a geom where its surface has the unit normal n, in its frame. */
+static double curvature(int32_t kind, const double *size, const double *n, double end) {
+    double axial = fabs(n[2]);
+    if (kind == SPHERE) return 2 / size[0];
+    if (kind == CAPSULE) return (axial < 0.1 ? 1 : 2) / size[0];
+    if (kind == CYLINDER) return (axial < end) / size[0];
+    if (kind != ELLIPSOID) return 0;
+    double length2 = 0, over = 0, bent = 0, root = 0;  /* of the gradient of half of sum (x/a)^2 where the normal is this one */
+    for (int i = 0; i < 3; i++) root += size[i] * size[i] * n[i] * n[i];
+    for (int i = 0; i < 3; i++) {
+        double slope2 = n[i] * n[i] / root, square = size[i] * size[i];
+        length2 += slope2, over += 1 / square, bent += slope2 / square;
+    }
+    return (length2 * over - bent) / (length2 * sqrt(length2));
+}
+
+void curvatures(int64_t n, const int32_t *kinds, const double *sizes, const double *normals, double end, double *out) {
+    for (int64_t k = 0; k < n; k++) out[k] = curvature(kinds[k], sizes + 3 * k, normals + 3 * k, end);
+}
+
+int64_t touched_curvatures(int64_t contacts, const int32_t *geoms, const double *frame, int64_t first, int64_t count,
+                           const int32_t *kinds, const double *sizes, const double *axes, double end, double *out) {
+    int64_t found = 0;
+    double sum = 0;
+    for (int64_t v = 0; v < count; v++) out[v] = NAN;
+    for (int64_t k = 0; k < contacts; k++) {
+        int64_t numbers[2] = {geoms[2 * k] - first, geoms[2 * k + 1] - first};
+        int second = numbers[1] >= 0 && numbers[1] < count;
+        int64_t v = numbers[second], other = geoms[2 * k + 1 - second];
+        if (v < 0 || v >= count) continue;
+        double bend = 0, n[3] = {0};
+        if (other >= 0) {  /* else it is a flex */
+            for (int i = 0; i < 3; i++)
+                for (int j = 0; j < 3; j++) n[i] += axes[9 * other + 3 * j + i] * frame[9 * k + j];
+            bend = curvature(kinds[other], sizes + 3 * other, n, end);
+        }
+        found++, sum += bend, out[v] = bend;
+    }
+    for (int64_t v = 0; v < count; v++)
+        if (isnan(out[v])) out[v] = found ? sum / found : 0;
+    return found;
+}
+
 typedef struct { double x, y; } Plane;  /* components in a contact's plane */
 
 static double dot(Plane a, Plane b) { return a.x * b.x + a.y * b.y; }
@@ -70,12 +116,12 @@ static Plane shorten(Plane a, double most) { return add((Plane){0}, fmin(most / 
 int64_t stick(int64_t contacts, const int32_t *geoms, const int32_t *address, const int32_t *dim, const double *dist,
               const double *margin, const double *frame, const double *friction, const double *force, const double *kbip,
               const double *softness, const double *velocity, const double *travel, const double *R_WS, int64_t first,
-              int64_t count, const double *settings, double *goal, const double *memory, const uint8_t *slides, double *after,
-              uint8_t *slides_after, double *surface) {
+              int64_t count, const double *settings, double *goal, double *memory, uint8_t *slides, double *surface) {
     double step = settings[0], mend = settings[1], kept = settings[2], beyond = settings[3], on_cone = settings[4];
     int64_t found = 0;
-    memset(goal, 0, count * sizeof *goal), memset(after, 0, 6 * count * sizeof *after);
-    memset(slides_after, 0, count), memset(surface, 0, 3 * count * sizeof *surface);
+    double *after = calloc(6 * count, sizeof *after);
+    uint8_t *slides_after = calloc(count, 1);
+    memset(goal, 0, count * sizeof *goal), memset(surface, 0, 3 * count * sizeof *surface);
     for (int64_t k = 0; k < contacts; k++) {
         int64_t numbers[2] = {geoms[2 * k] - first, geoms[2 * k + 1] - first};
         int second = numbers[1] >= 0 && numbers[1] < count;
@@ -114,5 +160,7 @@ int64_t stick(int64_t contacts, const int32_t *geoms, const int32_t *address, co
             surface[3 * v + i] = (axes[0][i] * belt.x + axes[1][i] * belt.y) / drag;
         }
     }
+    if (found) memcpy(memory, after, 6 * count * sizeof *after), memcpy(slides, slides_after, count);
+    free(after), free(slides_after);
     return found;
 }

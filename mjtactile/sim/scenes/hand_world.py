@@ -148,10 +148,9 @@ class HandWorld(World):
         jaw_step, lift_step = self.rig.gripper.speed * self.timestep, self.rig.lift.speed * self.timestep
         self._jaws.refresh_force()
         reach = self._jaws.reach(self.rig.gripper.speed) + 4 * jaw_step
-        goal = self._opening_goal + np.clip(self._opening_target - self._opening_goal, -jaw_step, jaw_step)
-        opening = self.opening
-        self._opening_goal = float(np.clip(goal, opening - reach, opening + reach))
-        self._lift_goal += float(np.clip(self._lift_target - self._lift_goal, -lift_step, lift_step))
+        goal = _nearer(self._opening_goal, self._opening_target, jaw_step)
+        self._opening_goal = _nearer(self.opening, goal, reach)
+        self._lift_goal = _nearer(self._lift_goal, self._lift_target, lift_step)
         self._jaws.drive(self._opening_goal)
         self._lift.drive(self._lift_goal)
 
@@ -181,6 +180,11 @@ class HandWorld(World):
         self._lift.drive(0.0)
         for number in np.flatnonzero(self.model.actuator_actnum == 1):
             self.data.act[self.model.actuator_actadr[number]] = self.data.ctrl[number]
+
+
+def _nearer(start: float, goal: float, most: float) -> float:
+    """`goal`, or as far as `most` takes from `start` towards it."""
+    return start + min(max(goal - start, -most), most)
 
 
 def _dofs_without(model: mujoco.MjModel, prefixes: Sequence[str]) -> Array:

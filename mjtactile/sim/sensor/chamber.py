@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.kernels import kernel
+from mjtactile.kernels import bound
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
 _OFFSET, _LEAST = 1e-10, 1e-12  # of the changes of volume that add up; m^3
@@ -23,8 +23,10 @@ class ChamberGeometry:
     """Volume between the membrane and the glass, and its derivative by the vertex positions."""
 
     def __init__(self, mesh: MembraneMesh, volume_flat: float):
-        self._triangles, self._interior, self._volume_flat = np.ascontiguousarray(mesh.triangles), mesh.interior, volume_flat
-        self._kernel = kernel("chamber_volume")
+        self._interior, self._volume_flat = mesh.interior, volume_flat
+        self._p_SV, self._gradient = np.empty_like(mesh.p_SV), np.empty_like(mesh.p_SV)
+        self._above = bound("chamber_volume", len(mesh.p_SV), self._p_SV, len(mesh.triangles),
+                            np.ascontiguousarray(mesh.triangles), self._gradient)
 
     def volume_and_gradient(self, p_SV: Array) -> tuple[float, Array]:
         """Return V (m^3) and dV/dp (k, 3) m^2 at the interior vertices, exact for the triangulated surface.
@@ -32,9 +34,8 @@ class ChamberGeometry:
         Divergence theorem: V = V_flat + 1/3 sum of centroid . area vector, since the flat rim lies in z = 0; each vertex takes a
         third of the area vector of each triangle that it belongs to.
         """
-        gradient = np.empty(p_SV.shape)
-        volume = self._kernel(len(p_SV), p_SV, len(self._triangles), self._triangles, gradient)
-        return self._volume_flat + volume, gradient[self._interior]
+        self._p_SV[:] = p_SV
+        return self._volume_flat + self._above(), self._gradient[self._interior]
 
 
 class GasTendon:
@@ -42,14 +43,16 @@ class GasTendon:
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, tendon_id: int, count: int):
         """`count` vertices hang on the tendon; the model says 0 while a sensor sleeps."""
-        self._model, self._data, self._tendon = model, data, tendon_id
+        self._model, self._tendon = model, tendon_id
         start = int(model.tendon_adr[tendon_id])
-        self._wraps, self._count = slice(start, start + count), count
+        self._coefficients, self._count = model.wrap_prm[start:start + count], count  # live views
+        self._spring, self._rest = model.tendon_stiffness[tendon_id:tendon_id + 1], model.tendon_lengthspring[tendon_id]
         first, count = int(model.wrap_objid[start]) - 2, 3 * count  # the vertex joints are one block, x, y, z of each vertex
         qpos, dof = int(model.jnt_qposadr[first]), int(model.jnt_dofadr[first])
         self.dofs = slice(dof, dof + count)
         self.displacements: Array = np.asarray(data.qpos)[qpos:qpos + count]
         """Live view of the interior vertices' displacements in S, (3 k,) m."""
+        self._forces = np.asarray(data.qfrc_applied)[self.dofs]
 
     def apply(self, pressure_gauge: float, stiffness: float, gradient: Array) -> None:
         """Push with the pressure, `gradient` (k, 3) = dV/dq, and let the tendon's spring carry its change in the step.
@@ -58,20 +61,19 @@ class GasTendon:
         MuJoCo leaves out the stiffness of a spring whose length is exactly that at rest, as rounding will have it now and
         then, and the gas of that step is explicit. It is therefore set off by far more than rounding, and its force given back.
         """
-        coefficients = gradient.ravel()
-        normal = coefficients[2::3]
-        self._model.wrap_prm[self._wraps] = normal
-        self._model.tendon_stiffness[self._tendon] = stiffness
+        normal = gradient[:, 2]
+        self._coefficients[:] = normal
+        self._spring[0] = stiffness
         terms = normal * self.displacements[2::3]
-        offset = _OFFSET * (np.abs(terms).sum() + _LEAST)
-        self._model.tendon_lengthspring[self._tendon] = terms.sum() - offset
-        self._data.qfrc_applied[self.dofs] = pressure_gauge * coefficients
-        self._data.qfrc_applied[self.dofs][2::3] += stiffness * offset * normal
+        offset = _OFFSET * (float(np.abs(terms).sum()) + _LEAST)
+        self._rest[:] = float(terms.sum()) - offset
+        np.multiply(gradient.ravel(), pressure_gauge, out=self._forces)
+        self._forces[2::3] += stiffness * offset * normal
 
     def suspend(self) -> None:
         """Take the tendon's joints and the pressure out of the model; the vertices are held otherwise."""
-        self._model.tendon_num[self._tendon], self._model.tendon_stiffness[self._tendon] = 0, 0.0
-        self._data.qfrc_applied[self.dofs] = 0.0
+        self._model.tendon_num[self._tendon], self._spring[0] = 0, 0.0
+        self._forces[:] = 0.0
 
     def resume(self) -> None:
         """Put the joints back; `apply` brings the pressure."""

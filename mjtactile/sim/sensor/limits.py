@@ -37,7 +37,7 @@ _FAST, _NEAR = 0.5, 0.05  # of its own size in a step; m from the membrane's mid
 _LEAST_INDENTATION = 3e-4  # m; below it, shares of the indentation say nothing
 _BENDING = 0.05  # share of the bulge's stiffness
 _THICKEST = 0.1  # of the frame's shorter side
-_SHEET_EVERY = 5  # looks: stretch and wrinkles come and go no faster than pressure does
+_RARELY = 5  # looks: stretch and wrinkles come and go no faster than pressure does; speed is watched in every step, too
 
 
 def check_design(design: SensorDesign, mesh: tuple[int, int]) -> None:
@@ -131,7 +131,7 @@ class Monitor:
         for number, sensor in enumerate(self._sensors):
             if sensor.is_asleep:
                 continue
-            if self._looks % _SHEET_EVERY == 0:
+            if self._looks % _RARELY == 0:
                 flags |= sensor.flags()
             rows = self._contacts(sensor)
             flags |= self._shapes(sensor, rows) if len(rows) else {}
@@ -143,7 +143,8 @@ class Monitor:
                 stop = f"sensor {sensor.prefix!r}: {flags['penetration']}"
             stop = stop or self._passed(number, places[number])
         self._places = places
-        flags |= self._too_fast(places)
+        if self._looks % _RARELY == 0:
+            flags |= self._too_fast(places)
         return flags, stop
 
     def _contacts(self, sensor: TactileSensor) -> NDArray[np.int64]:

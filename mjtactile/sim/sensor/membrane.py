@@ -28,6 +28,7 @@ IN_PLANE_DAMPING = 3.0
 SOFTEST = 100.0  # N/m; below this stiffness the damping stays, for the gas's sake
 # Inertia against motion relative to the frame, kg/m^2, without weight: about three times the rubber's own mass.
 SURFACE_ARMATURE = 0.8
+GAS_SHARE = 3.0  # pressure under a typical contact beyond the tension's, over the gas's
 # Contact of triangles: the share of the constraint that is rigid at first touch, and where it is whole, and the depth between
 # the two (MuJoCo `solimp`). Without the ramp a vertex that barely touches is switched on and off from step to step; at 13 x 11
 # vertices that doubled the solver's iterations and the noise of a held force.
@@ -104,7 +105,7 @@ def sheet_stiffness(sheet: Membrane) -> float:
 
 def contact_pressure(sheet: Membrane, pressure_gauge: float) -> float:
     """A typical pressure under a contact, Pa: tension over a radius of about 10 mm, and the gas."""
-    return sheet_stiffness(sheet) / 0.04 + 3 * abs(pressure_gauge)
+    return sheet_stiffness(sheet) / 0.04 + GAS_SHARE * abs(pressure_gauge)
 
 
 class ContactStiffness:
@@ -118,9 +119,9 @@ class ContactStiffness:
 
     def __init__(self, model: mujoco.MjModel, vertex_geom_ids: np.ndarray, flex_id: int, mesh: MembraneMesh, sheet: Membrane,
                  *, remembers: bool):
-        self._sheet, step = sheet, float(model.opt.timestep)
+        step, self._sheet_pressure = float(model.opt.timestep), contact_pressure(sheet, 0.0)
         bodies = model.geom_bodyid[vertex_geom_ids]
-        self._weights = np.asarray(model.body_invweight0)[bodies[0]:bodies[-1] + 1]  # one block, in the mesh's order
+        self._weights = np.asarray(model.body_invweight0)[bodies[0]:bodies[-1] + 1, 0]  # one block, in the mesh's order
         if remembers:
             depth, spring, share = max(VERTEX_DEPTH, VERTEX_SPEED * step), VERTEX_SPRING / step**2, VERTEX_IMPEDANCE
             model.geom_solref[vertex_geom_ids] = (-share * spring, -share * VERTEX_DASHPOT / step)
@@ -134,7 +135,7 @@ class ContactStiffness:
         self._soft = share / (1 - share) * slowed * depth * spring / mesh.areas[mesh.interior]
 
     def set_pressure(self, pressure_gauge: float) -> None:
-        self._weights[:, 0] = self._soft / contact_pressure(self._sheet, pressure_gauge)
+        np.divide(self._soft, self._sheet_pressure + GAS_SHARE * abs(pressure_gauge), out=self._weights)
 
 
 def touch_with(model: mujoco.MjModel, vertex_geom_ids: np.ndarray, flex_id: int, mode: str) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from mjtactile.core.design import Membrane
 from mjtactile.core.rubber import shear_modulus
 from mjtactile.core.types import Array
-from mjtactile.kernels import kernel
+from mjtactile.kernels import bound
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
 _ROW = 21
@@ -53,25 +53,25 @@ class Rubber:
     """Keeps one flex's triangles at the moduli of their strain."""
 
     def __init__(self, model: mujoco.MjModel, flex_id: int, mesh: MembraneMesh, sheet: Membrane):
-        self._rows = _all_rows(model, flex_id)
         elements = EdgeMatrices(model, flex_id, mesh)
-        self._edges, self._ends = elements.edges.astype(np.int64), elements.ends.astype(np.int64)
-        self._metric = elements.metric * sheet.pre_stretch**2  # squared lengths to C against the free sheet
         mu = shear_modulus(sheet.young, sheet.poisson)
         unstrained = 2 * mu * sheet.poisson / (1 - sheet.poisson)  # lambda' of no strain
-        self._law = np.array([mu, sheet.poisson, unstrained, _LEAST, _MOST])
         # E = (C - I)/2; the sheet's energy is that of its free volume, but MuJoCo's strain is 1/l^2 of E (see add_membrane).
         volume = mesh.triangle_areas * sheet.thickness * sheet.pre_stretch**2 / 2
         trace = elements.metric[:, 0] + elements.metric[:, 1]
         shear = elements.metric.transpose(0, 2, 1) @ np.diag([2.0, 2.0, 4.0]) @ elements.metric
-        self._by_lambda, self._by_mu = (np.ascontiguousarray(volume[:, None] * full[:, _UPPER[0], _UPPER[1]])
-                                        for full in (trace[:, :, None] * trace[:, None, :], shear))
-        self._kernel = kernel("rubber_stiffness")
+        by_lambda, by_mu = (np.ascontiguousarray(volume[:, None] * full[:, _UPPER[0], _UPPER[1]])
+                            for full in (trace[:, :, None] * trace[:, None, :], shear))
+        self._p_SV = mesh.p_SV.copy()
+        edges, ends = elements.edges.astype(np.int64), elements.ends.astype(np.int64)
+        self._write = bound("rubber_stiffness", len(edges), edges, ends, self._p_SV,
+                            elements.metric * sheet.pre_stretch**2,  # squared lengths to C against the free sheet
+                            np.array([mu, sheet.poisson, unstrained, _LEAST, _MOST]), by_mu, by_lambda, _all_rows(model, flex_id))
 
     def update(self, p_SV: Array) -> None:
         """Write the stiffness of the strain that the vertices at `p_SV` (n, 3) m mean; call before every step.
 
         Of each triangle: secant moduli mu', lambda', times what turns them into MuJoCo's matrix (mjtactile/kernels/membrane.c).
         """
-        self._kernel(len(self._edges), self._edges, self._ends, p_SV, self._metric, self._law, self._by_mu, self._by_lambda,
-                     self._rows)
+        self._p_SV[:] = p_SV
+        self._write()

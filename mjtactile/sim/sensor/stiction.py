@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
-from mjtactile.kernels import kernel
+from mjtactile.kernels import bound
 
 # Shares of a step's error that are mended in the next step. Half as much is half as fast; twice as much rings.
 _GIVE_SHARE, _SHIFT_SHARE = 0.3, 0.2
@@ -46,16 +46,16 @@ class Stiction:
         block = slice(self._first, self._first + self._count)
         self._margins, self._surface = model.geom_margin[block], model.geom_surfacevel[block, :3]  # live views
         self._step, self._time = float(model.opt.timestep), np.nan
-        self._settings = np.array([self._step, _SHIFT_SHARE, _KEPT, _EXCESS, _ON_CONE])
         self._empty, self._waits = False, False
         self._may_wait = self._step < _WAIT  # every other step will do while nothing slides, for half the price
         self._travel = np.zeros(model.nv)  # what all coordinates have moved by since the last look, in steps
         self._give, self._goal = np.zeros(self._count), np.zeros(self._count)  # m that the margin is advanced by
         # of each vertex: N, friction on it, in S; m that it has moved over what it sticks to since it began to stick
-        self._memory, self._next_memory = np.zeros((self._count, 6)), np.zeros((self._count, 6))
-        self._slides, self._next_slides = np.zeros(self._count, np.uint8), np.zeros(self._count, np.uint8)
+        self._memory, self._slides = np.zeros((self._count, 6)), np.zeros(self._count, np.uint8)
         self._belt = np.zeros((self._count, 3))
-        self._stick = kernel("stick")
+        self._stick = bound("stick", *[...] * 13, data.xmat[body_id], self._first, self._count,
+                            np.array([self._step, _SHIFT_SHARE, _KEPT, _EXCESS, _ON_CONE]), self._goal, self._memory,
+                            self._slides, self._belt)
         model.flg_surfacevel = True
         self._forget()
 
@@ -87,12 +87,9 @@ class Stiction:
         mujoco.mj_mulJacVec(self._model, data, travel, self._travel)
         found = self._stick(
             data.ncon, contact.geom, contact.efc_address, contact.dim, contact.dist, contact.includemargin, contact.frame,
-            contact.friction, data.efc_force, data.efc_KBIP, data.efc_R, velocity, travel, data.xmat[self._body], self._first,
-            self._count, self._settings, self._goal, self._memory, self._slides, self._next_memory, self._next_slides, self._belt)
+            contact.friction, data.efc_force, data.efc_KBIP, data.efc_R, velocity, travel)
         if not found:
             return False
-        self._memory, self._next_memory = self._next_memory, self._memory
-        self._slides, self._next_slides = self._next_slides, self._slides
         self._give += _GIVE_SHARE * (self._goal - self._give)
         self._surface[:] = self._belt
         return True

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from mjtactile.kernels import build, kernel
+from mjtactile.kernels import bound, build, kernel
 
 
 def test_every_declared_kernel_exists_and_nothing_else_is_promised():
@@ -28,6 +28,19 @@ def test_what_is_written_must_fit_and_what_is_read_is_converted():
     for wrong in (np.empty((4, 1, 3), np.float32), np.empty((4, 3, 2))[..., :1], np.broadcast_to(0.0, (4, 1, 3))):
         with pytest.raises(TypeError, match="circles_on_cones: poses must be a writable C-contiguous array of float64"):
             kernel("circles_on_cones")(1, Q, np.ones(1), wrong)
+
+
+def test_a_bound_kernel_works_on_the_arrays_that_it_was_given():
+    p, triangles, gradient = np.array([[0.0, 0, 1], [1, 0, 1], [0, 1, 1]]), np.array([[0, 1, 2]]), np.empty((3, 3))
+    volume = bound("chamber_volume", 3, p, 1, triangles, gradient)
+    height = bound("chamber_volume", 3, ..., 1, triangles, gradient)
+    for z in (1.0, 2.0):
+        p[:, 2] = z
+        assert volume() == height(p.tolist()) == pytest.approx(z * (1 / 2) / 3)  # of a pyramid over it, from the origin
+    with pytest.raises(TypeError, match="chamber_volume: a int32 array of shape"):
+        bound("chamber_volume", 3, p, 1, triangles.astype(np.int32), gradient)
+    with pytest.raises(ValueError, match="argument"):
+        volume(p)
 
 
 @pytest.fixture
