@@ -45,7 +45,8 @@ class Reference:
 @dataclass(frozen=True, eq=False)
 class ChainState:
     """What one image leaves for the next: the sensor's own references (`flat`, and `reference` once at rest), the marker
-    positions `expected` (M, 3) m in S, the membrane's `shape`, the histories of touch and slip, and the markers' `tracks`."""
+    positions `expected` (M, 3) m in S, the membrane's `shape`, the histories of touch and slip, the markers' `tracks`, and
+    how far they stand `apart` (M, 3) m from the zero."""
 
     flat: FlatReference
     expected: Array
@@ -54,10 +55,11 @@ class ChainState:
     detection: zero.Detection | None = None
     slip: slip.SlipHistory | None = None
     tracks: tracking.Tracks | None = None
+    apart: Array | None = None
 
     def without_history(self) -> ChainState:
         """The same references, as if no image had been seen since."""
-        return replace(self, shape=None, detection=None, slip=None, tracks=None)
+        return replace(self, shape=None, detection=None, slip=None, tracks=None, apart=None)
 
 
 class Chain:
@@ -202,8 +204,9 @@ class Chain:
         state = replace(state, shape=shape, detection=found, slip=history)
         quiet = before is not None and not found.touching and found.time - found.quiet_since > s.zero.quiet
         if quiet and before is not None and state.reference is not None:
-            rest = zero.follow(self.inverse, rest, shape, markers, found.time - before.time, s.zero)
-            state = replace(state, reference=replace(state.reference, rest=rest))
+            followed = zero.Zero.of(rest) if state.apart is None else zero.Zero(rest, state.apart)
+            followed = zero.follow(self.inverse, followed, shape, markers, found.time - before.time, s.zero)
+            state = replace(state, reference=replace(state.reference, rest=followed.rest), apart=followed.apart)
         sd = float(np.sqrt(traction.wrench_cov[2, 2]))
         if quiet and (found.force < -max(s.zero.pull_most, s.zero.touch_sd * sd) or shape.drift > s.zero.drift_most):
             status = Status(StatusCode.REFERENCE_LOST, "the membrane seems pulled, or shifted: the rest reference is lost "

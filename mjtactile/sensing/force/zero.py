@@ -1,7 +1,8 @@
 """Is there a touch at all, and the zero that follows the weather while there is none (Eq. F15).
 
 A tenth of a kelvin of the chamber's gas, or 0.3 hPa of weather, moves the felt force by as much as a light touch. While
-nothing touches, the amount of gas and the markers' offsets are followed slowly; in contact they are frozen.
+nothing touches, the amount of gas and the markers' offsets are followed slowly; in contact they are frozen. A touch that comes
+slowly is none yet by its force, but it is local, which weather is not.
 """
 
 from __future__ import annotations
@@ -54,28 +55,57 @@ def detect_touch(time: float, traction: Traction, before: Detection | None, s: Z
     return Detection(time, False, quiet_since, float(np.sqrt(variance)), images, force, level)
 
 
-def follow(estimator: InverseMembrane, rest: InverseRest, shape: Shape, markers: Markers, step: float,
-           s: ZeroSettings = DEFAULTS.zero) -> InverseRest:
-    """Rest state after `step` s more without touch: gas and offsets move a little towards what the markers show.
+@dataclass(frozen=True, eq=False)
+class Zero:
+    """The rest state that is followed, and by how much all markers stand apart from it, `apart` (N, 3) m, a mean over about
+    `ZeroSettings.smooth` s."""
 
-    The gas takes the part of the markers' motion that a change of its amount would make; the offsets take what is left.
+    rest: InverseRest
+    apart: Array
+
+    @classmethod
+    def of(cls, rest: InverseRest) -> Zero:
+        return cls(rest, np.zeros_like(rest.offset))
+
+
+def follow(estimator: InverseMembrane, zero: Zero, shape: Shape, markers: Markers, step: float,
+           s: ZeroSettings = DEFAULTS.zero) -> Zero:
+    """The zero after `step` s more without touch: gas and offsets move a little towards what the markers show.
+
+    The gas takes the part of the markers' motion that a change of its amount would make; the offsets take what is left. What
+    neither gas nor a camera that has moved would make is a touch too light to be felt yet: then they move hardly at all.
     """
-    blend = step / (step + s.follow)
-    state = estimator.sheet.state(rest.c, rest.stiffness_scale)
-    c, gas = rest.c, rest.gas
-    seen = estimator.positions(c)[markers.ids] + rest.offset[markers.ids]
-    apart = markers.p_SM - seen
-    if gas.constant is not None:
-        volume = estimator.design.chamber_volume_flat + state.volume
-        gradient = estimator.sheet.volume_gradient(state).ravel()
-        gamma = estimator.design.chamber.heat_ratio
-        per_share = gas.constant / volume**gamma  # Pa of pressure for a whole more of the gas
-        bulge = cho_solve(shape.gain.stiffness, per_share * gradient).reshape(3, -1)
-        moved = estimator.positions(bulge)[markers.ids] - estimator.positions(0 * bulge)[markers.ids]
-        share = float((moved * apart).sum() / (moved * moved).sum())
-        share = float(np.clip(blend * share, -s.drift_rate * step, s.drift_rate * step))
-        gas, c = replace(gas, constant=gas.constant * (1 + share)), c + share * bulge
-        apart = apart - share * moved
-    offset = rest.offset.copy()
-    offset[markers.ids] += s.offset_share * blend * apart
-    return replace(rest, gas=gas, c=c, offset=offset)
+    rest, ids, blend = zero.rest, markers.ids, step / (step + s.smooth)
+    seen = estimator.positions(rest.c)[ids] + rest.offset[ids]
+    apart = zero.apart.copy()
+    apart[ids] += blend * (markers.p_SM - seen - apart[ids])
+    bulge = _of_gas(estimator, rest, shape)
+    moved = estimator.positions(bulge) - estimator.positions(0 * bulge)
+    share, local = _explain(apart[ids], moved[ids], markers.cov_p)
+    pace = step / (step + s.follow) * (s.slowly if local > s.local_most else 1.0)
+    share = float(np.clip(pace * share, -s.drift_rate * step, s.drift_rate * step))
+    gas = rest.gas if rest.gas.constant is None else replace(rest.gas, constant=rest.gas.constant * (1 + share))
+    left = np.zeros_like(apart)
+    left[ids] = s.offset_share * pace * (apart[ids] - share * moved[ids])
+    return Zero(replace(rest, gas=gas, c=rest.c + share * bulge, offset=rest.offset + left), apart - share * moved - left)
+
+
+def _of_gas(estimator: InverseMembrane, rest: InverseRest, shape: Shape) -> Array:
+    """Coefficients (3, n) m by which the sheet bulges further for a whole more of the gas; 0 where a valve keeps the pressure."""
+    if rest.gas.constant is None:
+        return np.zeros_like(rest.c)
+    state, chamber = estimator.sheet.state(rest.c, rest.stiffness_scale), estimator.design.chamber
+    per_share = rest.gas.constant / (estimator.design.chamber_volume_flat + state.volume) ** chamber.heat_ratio  # Pa
+    gradient = estimator.sheet.volume_gradient(state).ravel()
+    return cho_solve(shape.gain.stiffness, per_share * gradient).reshape(3, -1)
+
+
+def _explain(apart: Array, moved: Array, cov: Array) -> tuple[float, float]:
+    """The share of the gas's motion `moved` (m, 3) in `apart` (m, 3), and the mean square, over the markers' variance `cov`
+    (m, 3, 3), of what is left of it by gas and a moved camera."""
+    whiten = np.linalg.inv(np.linalg.cholesky(cov))
+    camera = np.broadcast_to(np.eye(3), (len(apart), 3, 3))
+    columns = np.concatenate([moved[:, :, None], camera], axis=2) if moved.any() else camera
+    A, b = (whiten @ columns).reshape(3 * len(apart), -1), (whiten @ apart[:, :, None]).ravel()
+    found, *_ = np.linalg.lstsq(A, b, rcond=None)
+    return float(found[0]) if moved.any() else 0.0, float(((b - A @ found) ** 2).mean())

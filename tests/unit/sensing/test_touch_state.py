@@ -80,13 +80,14 @@ def test_zero_follows_a_warming_chamber_and_leaves_a_right_force(sensor):
     estimator, rest = sensor
     warm = replace(rest.gas, constant=rest.gas.constant * (1 + 0.3 / 293.15))
     c = estimator.sheet.equilibrium(warm, rest.stiffness_scale, start=rest.c)
-    rng, shape, now = np.random.default_rng(2), None, rest
+    rng, shape, now = np.random.default_rng(2), None, zero.Zero.of(rest)
     before = estimator.traction(estimator.estimate(seen(estimator, c), rest)).wrench[2]
     assert before > 0.015  # N: it looks like a pull
     for _ in range(300):
         markers = seen(estimator, c, rng)
-        shape = estimator.estimate(markers, now, shape)
+        shape = estimator.estimate(markers, now.rest, shape)
         now = zero.follow(estimator, now, shape, markers, 0.2)
+    now = now.rest
     after = estimator.traction(estimator.estimate(seen(estimator, c), now)).wrench[2]
     assert abs(after) < 5e-3
     assert now.gas.constant / rest.gas.constant - 1 == pytest.approx(0.3 / 293.15, rel=0.1)
@@ -95,6 +96,25 @@ def test_zero_follows_a_warming_chamber_and_leaves_a_right_force(sensor):
     c_pressed, _ = pressed(estimator, warm_rest, np.array([0, 0, -0.5]))
     felt = estimator.traction(estimator.estimate(seen(estimator, c_pressed), now)).wrench[2]
     assert felt == pytest.approx(-0.5, abs=0.02)  # 4 x 4 markers, asked 0.04
+
+
+@pytest.mark.parametrize("kelvin", [0.0, 0.1])
+def test_a_touch_that_comes_slowly_is_not_zeroed_away(sensor, kelvin):
+    """0.046 N after nine seconds, which took as long as the zero takes to follow; the gas warms by 0.1 K before it."""
+    estimator, rest = sensor
+    chain, rng = Chain(estimator.design), np.random.default_rng(3)
+    state = chain.set_rest(chain.begin(), seen(estimator, rest.c), SUPPLY)
+    assert state.reference is not None
+    rest, surface, felt = state.reference.rest, state.reference.surface, []
+    for time in np.arange(0.0, 32.0, 0.25):
+        warm = replace(rest.gas, constant=rest.gas.constant * (1 + kelvin * min(time / 10, 1.0) / 293.15))
+        force = 0.046 * np.clip((time - 20) / 9, 0.0, 1.0)
+        c, _ = pressed(estimator, replace(rest, gas=warm), np.array([0.0, 0.0, -force]), (4e-3, 3e-3))
+        touch, state = chain.feel(state, seen(estimator, c, rng), surface, time)
+        felt.append(touch.force_normal)
+    # the noise of a mean of ten images is 2 mN; light touches are felt a seventh too weak; the zero's speed took 30 mN before
+    assert np.mean(felt[-10:]) == pytest.approx(0.046, abs=0.012)
+    assert abs(np.mean(felt[64:80])) < 5e-3  # warmth alone is followed
 
 
 def test_zero_is_frozen_in_contact_and_a_lost_zero_is_said():
