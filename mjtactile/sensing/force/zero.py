@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_solve
 
-from mjtactile.core.types import Markers, Traction
+from mjtactile.core.types import Array, Markers, Traction
 from mjtactile.sensing.force.inverse import InverseMembrane, InverseRest, Shape
 from mjtactile.sensing.settings import DEFAULTS, ZeroSettings
 

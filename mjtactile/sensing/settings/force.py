@@ -89,7 +89,7 @@ class ZeroSettings:
     quiet: float = number(0.5, "s without touch before the zero follows", "trial")
     follow: float = number(4.0, "s, time constant of the zero", "trial")
     smooth: float = number(0.5, "s, over which markers' distance from the zero is averaged for that", "trial")
-    local_most: float = number(0.3, "mean square over the markers' variance of what neither gas nor camera would do to that mean: "
+    local_most: float = number(0.3, "mean square over the markers' variance of what neither gas nor camera does to that mean: "
                                "more is a slow touch", "trial")
     slowly: float = number(0.05, "of that speed at which the zero still follows then", "trial")
     drift_rate: float = number(2e-4, "1/s, fastest change of the gas that is weather and no touch", "0.06 K/s")
