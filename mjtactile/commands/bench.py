@@ -18,6 +18,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   perception  marker accuracy against the Cramer-Rao bound, and speed, next to OpenCV's tools
   tracking    markers that are followed against a search of every image, a hundred thousand images
   touch       force, shear, torque, patch, smallest touch and error bars, random indenters
+  bars        error bars of felt wrenches, 10^4 images of random scenes
   slip        two hundred random slips and holds: how many are said, how soon, how often falsely
   material    class and modulus of random bodies, probed
   stability   more than 300 hard cases of the simulation, each judged by physics
@@ -39,11 +40,13 @@ examples:
 BENCHMARKS = {"grasp": "mjtactile.bench.grasp", "speed": "mjtactile.bench.speed", "accuracy": "mjtactile.bench.accuracy.run",
               "effects": "mjtactile.bench.effects", "perception": "mjtactile.bench.perception.run",
               "material": "mjtactile.bench.material", "touch": "mjtactile.bench.touch.run",
-              "slip": "mjtactile.bench.slip.run", "tracking": "mjtactile.bench.tracking",
+              "bars": "mjtactile.bench.bars.run", "slip": "mjtactile.bench.slip.run", "tracking": "mjtactile.bench.tracking",
               "rig": "mjtactile.bench.rig.run", "stability": "mjtactile.bench.stability.run",
               "truth": "mjtactile.bench.truth.run", "fit": "mjtactile.bench.fit",
               "numbers": "mjtactile.bench.numbers"}
 """Name to module; each has `run(out, quick) -> dict`, which draws into `out`, and `table(result) -> str` in Markdown."""
+
+RESUMED = ("stability", "rig", "bars")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help="a small part of it, to see that it works")
     parser.add_argument("--out", type=Path, default=Path("bench-results"), metavar="DIR",
                         help="folder for the results (default: bench-results)")
-    parser.add_argument("--resume", action="store_true", help="stability, rig: keep what an interrupted run finished")
+    parser.add_argument("--resume", action="store_true", help="stability, rig, bars: keep what an interrupted run finished")
     parser.add_argument("--parts", metavar="A,B,…", help="rig: only these of loop, bus, fuzz, killed, stuck, outcomes, faults")
     parser.add_argument("--cases", type=Path, metavar="DIR", help="truth: the cases of this folder")
     parser.add_argument("--soak", type=float, metavar="HOURS", help="rig: also run its loop for so long")
@@ -60,8 +63,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    if options.resume and options.name not in ("stability", "rig"):
-        raise InputError(f"{options.name!r} starts anew each time", field="--resume", choices=["stability", "rig"])
+    if options.resume and options.name not in RESUMED:
+        raise InputError(f"{options.name!r} starts anew each time", field="--resume", choices=RESUMED)
     if (options.parts or options.soak) and options.name != "rig":
         raise InputError(f"{options.name!r} has none", field="--parts, --soak", choices=["rig"])
     if options.cases and options.name != "truth":

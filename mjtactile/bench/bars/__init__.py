@@ -1,0 +1,1 @@
+"""Felt wrenches and their error bars against truth, over random scenes."""
