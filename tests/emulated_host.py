@@ -88,12 +88,6 @@ class Host:
             return found[-1].decode() if found else None
         return None
 
-    def children(self) -> list[int]:
-        """Its perception processes."""
-        tasks = Path(f"/proc/{self.process.pid}/task").iterdir()
-        pids = [int(child) for task in tasks for child in (task / "children").read_text().split()]
-        return [pid for pid in pids if b"mjtactile.run.workers" in Path(f"/proc/{pid}/cmdline").read_bytes()]
-
     def signal(self, number: int) -> None:
         with contextlib.suppress(ProcessLookupError):
             os.kill(self.process.pid, number)

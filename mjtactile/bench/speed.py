@@ -20,8 +20,7 @@ from mjtactile.core.design import load_sensor
 from mjtactile.run.controller import load_controller
 from mjtactile.run.figures import new_figure
 from mjtactile.run.progress import Progress
-from mjtactile.run.session import Session, open_session
-from mjtactile.run.workers import RemotePerception
+from mjtactile.run.session import open_session
 from mjtactile.sim.scenes import rigid
 
 MESHES = ((9, 7), (11, 9), (13, 11), (17, 13), (21, 17), (25, 21), (31, 25))
@@ -78,11 +77,11 @@ def _loop(accuracy: str, workers: int, say: Callable[[str], None]) -> dict[str, 
     with open_session("sim", design, seed=SEED, accuracy=accuracy, workers=workers) as session:
         clock = session.rig.clock
         session.take_references()
-        start, core = (clock.now(), time.perf_counter()), _core_s(session)
+        start, core = (clock.now(), time.perf_counter()), time.process_time()
         session.run(load_controller("gentle"), time_limit=60.0, on_cycle=lambda cycle: moments.append(
             (cycle.sent.phase in ("lift", "hold", "lower"), cycle.time, time.perf_counter())))
         simulated, wall = clock.now() - start[0], time.perf_counter() - start[1]
-        core = _core_s(session) - core
+        core = time.process_time() - core
     _, first, begin = next(moment for moment in moments if moment[0])
     _, last, end = next(moment for moment in reversed(moments) if moment[0])
     row = {"accuracy": accuracy or "default", "workers": workers, "camera_rate_Hz": CAMERA_RATE,
@@ -92,12 +91,6 @@ def _loop(accuracy: str, workers: int, say: Callable[[str], None]) -> dict[str, 
     say(f"grasp at {CAMERA_RATE:g} Hz, accuracy {row['accuracy']}, {workers} workers: {row['real_time_factor']:.2f} x real time, "
         f"{row['real_time_factor_held']:.2f} while held; load {row['load_average']:.1f}")
     return row
-
-
-def _core_s(session: Session) -> float:
-    """Core time, s, of this process and of its workers (whose clocks' numbers are those of clock_getcpuclockid(3))."""
-    workers = [perception.pid for perception in session.perceptions if isinstance(perception, RemotePerception)]
-    return time.process_time() + sum(time.clock_gettime((~pid << 3) | 2) for pid in workers)
 
 
 def table(result: dict[str, Any]) -> str:

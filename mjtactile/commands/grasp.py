@@ -26,7 +26,7 @@ examples:
   mjtactile grasp --object vial --sensor paper16 --seed 1
   mjtactile grasp --object my_fruit.xml --controller my_controller.py --out runs/fruit
   mjtactile grasp --json > result.json
-  mjtactile grasp --workers 0              all in one process: least memory, the same numbers
+  mjtactile grasp --workers 0              no thread for each camera: the same numbers
 
 The result (--json, summary.json) says: outcome ("held", "dropped", "crushed", "fault"), peak_force_N and
 hold_force_N as felt, peak_force_true_N, hold_force_true_N and slip_mm_true as they were (simulation only),
@@ -54,8 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="seed of the camera noise and of where the object stands (default: 0)")
     effects.add_shared_arguments(parser)
     effects.add_estimate_argument(parser)
-    parser.add_argument("--workers", type=_count, metavar="N", help="processes that look at the camera images beside the control "
-                        "loop, at most one a camera; the result is the same with any number, 0 needs the least memory "
+    parser.add_argument("--workers", type=_count, metavar="N", help="threads that look at the camera images beside the control "
+                        "loop, at most one a camera; the result is the same with any number "
                         "(default: one a camera on a computer with two processors or more, else 0)")
     ranges.add_frames_argument(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default: runs/<time>-<object>)")

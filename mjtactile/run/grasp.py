@@ -23,7 +23,7 @@ TIME_LIMIT = 60.0  # s on the rig's clock; a gentle grasp takes about 10
 
 @dataclass(frozen=True)
 class GraspOptions:
-    """What to grasp, with what: shipped names or files, the rig, and the seed of placement and noise. `workers` processes
+    """What to grasp, with what: shipped names or files, the rig, and the seed of placement and noise. `workers` threads
     look at the images (None: as many as are worth it here); the result is the same with any number of them."""
 
     object: str = "egg"

@@ -17,8 +17,8 @@ from mjtactile.core.types import Command, GripperState, Image, Observation, Touc
 from mjtactile.rig.finger import Rig
 from mjtactile.rig.protocols import Camera
 from mjtactile.run.controller import ControllerThread, Stepper
+from mjtactile.run.perceive import Perceiver, Perceivers, unknown_touch
 from mjtactile.run.supervisor import HEIGHT_TOLERANCE, Supervisor
-from mjtactile.run.workers import Perceiver, perceive, unknown_touch
 
 PATIENCE = 2.0  # s to wait for an image before anything moves
 WAIT_TIME = 10.0  # s that a world which waits gives a perception or a controller; the real one gives a share of its host_timeout:
@@ -60,21 +60,23 @@ def patient_read(rig: Rig, camera: Camera) -> Image:
 
 def run_loop(rig: Rig, perceptions: Sequence[Perceiver], controller: Stepper, *, time_limit: float,
              on_cycle: Callable[[Cycle], None], on_images: Callable[[], None] = lambda: None,
-             supervisor: Supervisor | None = None, stop: Stop | None = None) -> Command:
+             supervisor: Supervisor | None = None, stop: Stop | None = None, threads: int | None = None) -> Command:
     """Run the controller until it says "done" or "abort"; returns the last command sent.
 
     `on_images` is called when a cycle's images were taken and the world still stands at that time, `on_cycle` after
-    its command was sent, in every cycle. Whatever fails, takes longer than `time_limit` s, or ends with the hand in the
-    air: the controller is asked no more, the hand goes down and opens first, and then the error is raised; so also when
-    `stop` was asked for, and without any delay when it shall be at once. Raises ControllerError, DeviceError (also when a
-    fault brought the rig to its safe state), Interrupted, SimulationError; the caller closes the rig.
+    its command was sent, in every cycle; `threads` perceive beside it (None: as many as are worth it here).
+    Whatever fails, takes longer than `time_limit` s, or ends with the hand in the air: the controller is asked no more, the
+    hand goes down and opens first, and then the error is raised; so also when `stop` was asked for, and without any delay
+    when it shall be at once. Raises ControllerError, DeviceError (also when a fault brought the rig to its safe state),
+    Interrupted, SimulationError; the caller closes the rig.
     """
     stop = stop or Stop()
     state = rig.gripper.state()
     command = Command(opening=state.opening, force_limit=0.0, lift_height=state.lift_height)
     start = deadline = rig.clock.now()
-    with ControllerThread(controller, min(STEP_SHARE * rig.host_timeout, WAIT_TIME)) as guarded:
-        loop = _Loop(rig, perceptions, guarded, supervisor or Supervisor(rig.period), on_images, on_cycle, start, command)
+    with (ControllerThread(controller, min(STEP_SHARE * rig.host_timeout, WAIT_TIME)) as guarded,
+          Perceivers(perceptions, [finger.name for finger in rig.fingers], threads) as felt):
+        loop = _Loop(rig, felt, guarded, supervisor or Supervisor(rig.period), on_images, on_cycle, start, command)
         loop.supervisor.arm(start)
         while not loop.supervisor.is_over:
             if stop.at_once:
@@ -104,7 +106,7 @@ class _Loop:
     """What stays the same from cycle to cycle, and what cameras, sensors and devices said last."""
 
     rig: Rig
-    perceptions: Sequence[Perceiver]
+    perceptions: Perceivers
     controller: ControllerThread
     supervisor: Supervisor
     on_images: Callable[[], None]
@@ -183,7 +185,7 @@ class _Loop:
         self.gripper = self.rig.gripper.state()
 
     def _feel(self) -> None:
-        self.touch = perceive(self.perceptions, self.images, self.now, min(FEEL_SHARE * self.rig.host_timeout, WAIT_TIME))
+        self.touch = self.perceptions.perceive(self.images, self.now, min(FEEL_SHARE * self.rig.host_timeout, WAIT_TIME))
 
     def _think(self) -> Command:
         """What the controller wants; once the hand retreats it is not asked any more, and what it last got stands."""

@@ -16,8 +16,8 @@ from mjtactile.rig.finger import Rig
 from mjtactile.rig.registry import build_rig
 from mjtactile.run.controller import Stepper
 from mjtactile.run.loop import WAIT_TIME, Cycle, patient_read, run_loop
+from mjtactile.run.perceive import Perceiver
 from mjtactile.run.supervisor import Supervisor
-from mjtactile.run.workers import Perceiver, Workers, default_workers
 from mjtactile.sensing.chain import Perception
 from mjtactile.sensing.settings import DEFAULTS, Settings
 
@@ -37,14 +37,15 @@ class ReferenceRecorder(Protocol):
 
 
 class Session:
-    """A rig and what its sensors know of themselves; `perceptions` are made here unless workers hold them, with `settings`.
+    """A rig and what its sensors know of themselves; `perceptions` are made here, with `settings`, unless they are given.
+    `threads` of them work beside the loop (None: as many as are worth it here).
 
     Whoever builds the rig closes it: `open_session` does both.
     """
 
     def __init__(self, rig: Rig, perceptions: Sequence[Perceiver] | None = None, *, settings: Settings = DEFAULTS,
-                 say: Say = lambda _: None):
-        self.rig, self.settings, self._say = rig, settings, say
+                 threads: int | None = None, say: Say = lambda _: None):
+        self.rig, self.settings, self._threads, self._say = rig, settings, threads, say
         self.perceptions: Sequence[Perceiver] = (
             [Perception.of(finger.design, finger.calibration, settings=settings) for finger in rig.fingers]
             if perceptions is None else perceptions)
@@ -124,7 +125,7 @@ class Session:
         """Run the controller until it says "done" or "abort"; see `mjtactile.run.loop.run_loop`."""
         with signals.deferred() as stop:
             return run_loop(self.rig, self.perceptions, controller, time_limit=time_limit, on_cycle=on_cycle,
-                            on_images=on_images, supervisor=supervisor, stop=stop)
+                            on_images=on_images, supervisor=supervisor, stop=stop, threads=self._threads)
 
 
 @contextlib.contextmanager
@@ -133,15 +134,12 @@ def open_session(rig: str, design: SensorDesign, *, object_name: str = "egg", se
                  say: Say = lambda _: None) -> Iterator[Session]:
     """Build the rig that the user named, and bring it to its safe state on every way out, which no signal cuts short.
 
-    `workers` processes look at the images (None: as many as are worth it here, 0: this one does).
+    `workers` threads look at the images beside the loop (None: as many as are worth it here, 0: none).
     Raises InputError for bad names or files, DeviceError for a device that is not there, Interrupted.
     """
-    # The workers start while the rig is built.
-    with signals.deferred(), Workers(default_workers() if workers is None else workers) as crew:
+    with signals.deferred():
         built = build_rig(rig, design, object_name=object_name, seed=seed, accuracy=accuracy, effects=effects)
         try:
-            perceptions = crew.perceptions({finger.name: finger.design for finger in built.fingers},
-                                           {finger.name: finger.calibration for finger in built.fingers}, settings)
-            yield Session(built, perceptions, settings=settings, say=say)
+            yield Session(built, settings=settings, threads=workers, say=say)
         finally:
             built.close()

@@ -38,11 +38,11 @@ class SimClock:
 
     def __init__(self, world: World):
         self._world = world
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="physics")
+        self._pool = ThreadPoolExecutor(2, thread_name_prefix="physics")  # both draw; one of them steps
         self._running: Future[None] | None = None
         self._pending: list[Callable[[], None]] = []
         self.on_arrival: list[Callable[[], None]] = []
-        """What to do in the world's thread when a time given to `start` is reached: draw what the cameras see then."""
+        """What to do at the same time when a time given to `start` is reached: draw what the cameras see then."""
 
     def now(self) -> float:
         return self._world.time
@@ -76,8 +76,11 @@ class SimClock:
 
     def _go(self, time: float) -> None:
         self._advance(time)
-        for action in self.on_arrival:
-            action()
+        first, *others = self.on_arrival or [lambda: None]
+        beside = [self._pool.submit(action) for action in others]
+        first()
+        for action in beside:
+            action.result()
 
     def _advance(self, time: float) -> None:
         missing = round((time - self._world.time) / self._world.timestep)

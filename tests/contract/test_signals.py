@@ -119,17 +119,6 @@ def test_a_terminal_that_stands_still_a_full_disk_and_no_descriptors(emulator, t
     os.close(writer)
 
 
-def test_a_perception_process_that_hangs(emulator, tmp_path):
-    with host(emulator, tmp_path) as running:
-        running.wait_for_phase("hold")
-        os.kill(running.children()[0], signal.SIGSTOP)
-        _, errors = running.ends()
-        assert running.process.returncode == 3 and "its perception process does not answer" in errors
-        running.has_set_down()
-        states = list(running.recording().columns["state"])
-        assert states.index("holding") < states.index("safe")  # noticed within a turn, and not worth a retreat at once
-
-
 @pytest.mark.parametrize("fault", FAULTS if ALL else FAULTS[:1])
 def test_a_controller_that_fails(emulator, tmp_path, fault):
     text = controller_text().replace("def _hold(", f"def _hold(*_):\n    {fault}\n\n\ndef _unused(")

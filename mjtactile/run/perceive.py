@@ -1,0 +1,131 @@
+"""Fingers felt at the same time: sensing chains in threads, and none is waited for too long.
+
+The chain's kernels and MuJoCo let go of Python while they compute, so that threads use the processors. What a chain finds
+does not depend on the others: a run gives the same bits with any number of threads (docs/decisions/0017-threads.md).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import queue
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+from mjtactile.core.status import Status, StatusCode
+from mjtactile.core.types import Image, Touch
+
+PATIENCE = 10.0  # s for an answer where nobody says how long; a chain needs a hundredth of a second for an image
+
+
+class Perceiver(Protocol):
+    """One sensor's perception; see `mjtactile.sensing.chain.Perception`."""
+
+    def take_flat(self, images: Sequence[Image]) -> Any: ...
+    def take_rest(self, images: Sequence[Image], pressure_gauge: float, *, sealed: bool = True) -> Any: ...
+    def perceive(self, image: Image, now: float) -> Touch: ...
+
+
+class Perceivers:
+    """The chains of all fingers. The last `threads` of them (None: as many as are worth it here) work in threads of their own,
+    the others in the caller's. Use as a context manager; a chain that hangs is not waited for."""
+
+    def __init__(self, chains: Sequence[Perceiver], names: Sequence[str], threads: int | None = None):
+        threads = default_threads(len(chains)) if threads is None else threads
+        own = max(len(chains) - threads, 0)
+        self._chains = [(chain, name, _Thread(name) if k >= own else None)
+                        for k, (chain, name) in enumerate(zip(chains, names, strict=True))]
+
+    def __enter__(self) -> Perceivers:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for _chain, _name, thread in self._chains:
+            if thread is not None:
+                thread.close()
+
+    def perceive(self, images: Sequence[Image], now: float, patience: float = PATIENCE) -> tuple[Touch, ...]:
+        """What every sensor feels. A thread that does not answer within `patience` s makes its touch unknown, and is given no
+        other image before it has. Raises what a chain raised, when all have ended."""
+        pairs = list(zip(self._chains, images, strict=True))
+        for (chain, _, thread), image in pairs:
+            if thread is not None:
+                thread.begin(chain.perceive, image, now)
+        own = [_outcome(chain.perceive, image, now) if thread is None else None for (chain, _, thread), image in pairs]
+        end = time.monotonic() + patience
+        found = [mine if thread is None else thread.outcome(max(0.0, end - time.monotonic()))
+                 for ((_, _, thread), _), mine in zip(pairs, own, strict=True)]
+        return tuple(_late(name, image, now) if outcome is None else _value(outcome)
+                     for ((_, name, _), image), outcome in zip(pairs, found, strict=True))
+
+
+def unknown_touch(image: Image, now: float, status: Status) -> Touch:
+    """Nothing is known of the touch in `image`; `status` says why."""
+    return Touch(image.time, now - image.time, math.nan, math.nan, False, status=status)
+
+
+def default_threads(cameras: int = 2) -> int:
+    """How many threads are worth having: one a camera, none where there is one processor or one camera."""
+    return cameras if cameras > 1 and len(os.sched_getaffinity(0)) > 1 else 0
+
+
+_Outcome = tuple[bool, Any]  # whether it is good, and the value or the error
+
+
+class _Thread:
+    """Does one thing at a time. A daemon: the process can end while it hangs."""
+
+    def __init__(self, name: str):
+        self._work: queue.SimpleQueue[tuple[Callable[..., Any], tuple[Any, ...]] | None] = queue.SimpleQueue()
+        self._done: queue.SimpleQueue[_Outcome] = queue.SimpleQueue()
+        self._due, self._is_late = 0, False
+        threading.Thread(target=self._run, name=f"perception {name}", daemon=True).start()
+
+    def begin(self, act: Callable[..., Any], *arguments: Any) -> None:
+        """Begin with it, unless what it began with before has not ended yet."""
+        while self._due and not self._done.empty():
+            self._done.get()  # nobody waits for it any more
+            self._due -= 1
+        self._is_late = self._due > 0
+        if not self._is_late:
+            self._work.put((act, arguments))
+            self._due += 1
+
+    def outcome(self, patience: float) -> _Outcome | None:
+        """What came of it; None if it did not end within `patience` s."""
+        if self._is_late:
+            return None
+        try:
+            done = self._done.get(timeout=patience)
+        except queue.Empty:
+            return None
+        self._due -= 1
+        return done
+
+    def close(self) -> None:
+        self._work.put(None)
+
+    def _run(self) -> None:
+        while (work := self._work.get()) is not None:
+            act, arguments = work
+            self._done.put(_outcome(act, *arguments))
+
+
+def _outcome(act: Callable[..., Any], *arguments: Any) -> _Outcome:
+    try:
+        return True, act(*arguments)
+    except Exception as error:  # noqa: BLE001  # every error is for the caller
+        return False, error
+
+
+def _value(outcome: _Outcome) -> Any:
+    good, value = outcome
+    if not good:
+        raise value
+    return value
+
+
+def _late(name: str, image: Image, now: float) -> Touch:
+    return unknown_touch(image, now, Status(StatusCode.NO_ANSWER, f"{name} sensor: its perception does not answer"))

@@ -1,0 +1,127 @@
+"""Sensing chains in threads: the same numbers, the same errors, and nobody waits for one that hangs.
+
+Time-outs are far beyond what anything takes; none is asserted.
+"""
+
+import json
+import os
+import threading
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from mjtactile.core.types import Image
+from mjtactile.recording.writer import Recorder
+from mjtactile.run.grasp import GraspOptions, run_grasp
+from mjtactile.run.perceive import Perceivers, default_threads, unknown_touch
+from tests.emulated_host import controller_text
+
+IMAGE = Image(np.zeros((8, 8), np.uint8), 1.0)
+NAMES = "left", "right"
+
+
+class Silent:
+    def message(self, text):
+        pass
+
+    def update(self, phase, time, force):
+        pass
+
+
+@pytest.fixture(scope="module")
+def grasps(tmp_path_factory):
+    """The same grasp without a thread and with two; then the first one's replay with one."""
+    folders = [tmp_path_factory.mktemp(name) for name in ("none", "two", "replay")]
+    quick = tmp_path_factory.mktemp("quick") / "gentle.py"
+    quick.write_text(controller_text(hold=0.1))
+    for folder, threads, rig in zip(folders, (0, 2, 1), ("sim", "sim", f"replay:{folders[0]}"), strict=True):
+        options = GraspOptions(sensor="paper16", rig=rig, controller=str(quick), seed=21, workers=threads)
+        with Recorder(folder, {"object": "egg"}) as recorder:
+            run_grasp(options, recorder=recorder, progress=Silent())
+    return folders
+
+
+def log(folder, *, without=lambda key: False):
+    lines = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+    # how long it took may differ
+    return [{key: value for key, value in line.items() if key != "perception_ms" and not without(key)} for line in lines]
+
+
+def test_a_grasp_is_the_same_with_and_without_threads(grasps):
+    none, two, _ = grasps
+    first, second = log(none), log(two)
+    assert sum(any(line.get("touching", [])) for line in first) > 50  # it is a grasp
+    assert first == second
+    frames = sorted(path.name for path in (none / "frames").iterdir())
+    assert all((none / "frames" / name).read_bytes() == (two / "frames" / name).read_bytes() for name in frames)
+
+
+def test_a_replay_in_a_thread_is_the_same(grasps):
+    none, _, replay = grasps
+    first, second = (log(folder, without=lambda key: key.endswith("_true")) for folder in (none, replay))  # it has no truth
+    assert [line for line in first if line["kind"] == "cycle"] == [line for line in second if line["kind"] == "cycle"]
+
+
+def chain(act):
+    return SimpleNamespace(perceive=act)
+
+
+def felt(image, now):
+    return unknown_touch(image, now, "ok")
+
+
+def test_both_work_at_the_same_time():
+    meet = threading.Barrier(2, timeout=60)  # each waits for the other
+
+    def act(image, now):
+        meet.wait()
+        return felt(image, now)
+
+    for threads in (1, 2):
+        with Perceivers([chain(act), chain(act)], NAMES, threads) as both:
+            assert [touch.status for touch in both.perceive([IMAGE, IMAGE], 1.0)] == ["ok", "ok"]
+
+
+@pytest.mark.parametrize("threads", [0, 1, 2])
+def test_an_error_arrives_as_itself_and_the_next_image_is_looked_at(threads):
+    calls = []
+
+    def act(image, now):
+        calls.append(now)
+        if now == 1.0:
+            raise ValueError("what it says")
+        return felt(image, now)
+
+    with Perceivers([chain(felt), chain(act)], NAMES, threads) as both:
+        with pytest.raises(ValueError, match="what it says"):
+            both.perceive([IMAGE, IMAGE], 1.0)
+        assert [touch.status for touch in both.perceive([IMAGE, IMAGE], 2.0)] == ["ok", "ok"] and calls == [1.0, 2.0]
+
+
+def test_one_that_hangs_is_unknown_until_it_answers():
+    go, answered, seen = threading.Event(), threading.Event(), []
+
+    def hangs(image, now):
+        seen.append(now)
+        assert go.wait(60)
+        answered.set()
+        return felt(image, now)
+
+    with Perceivers([chain(felt), chain(hangs)], NAMES, 2) as both:
+        for now, patience in ((1.0, 0.01), (2.0, 1e9)):  # the second time it is not waited for at all
+            left, right = both.perceive([IMAGE, IMAGE], now, patience)
+            assert left.status == "ok" and right.status == "right sensor: its perception does not answer"
+            assert right.time == IMAGE.time and np.isnan(right.force_normal) and not right.touching
+        go.set()
+        assert answered.wait(60)
+        while both.perceive([IMAGE, IMAGE], 3.0)[1].status != "ok":
+            pass
+        assert seen[:2] == [1.0, 3.0]  # it was given nothing while it hung, and no late answer was taken for a new one
+
+
+def test_threads_are_for_two_cameras_and_two_processors(monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})
+    assert default_threads() == 0
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    assert default_threads() > 0 and default_threads(cameras=1) == 0
