@@ -76,3 +76,51 @@ void band_inverse(long n, long width, const double *L, double *Z) {
         z[0] = sum * over;
     }
 }
+
+/* Rows j to j + count - 1, which the rows behind them do not concern any more. */
+static void solve_block(long count, long stride, const double *panel, Lanes *x) {
+    for (long p = 0; p < count; p++) {
+        x[p] /= panel[p * stride];
+        for (long q = p + 1; q < count; q++) x[q] -= panel[p * stride + q - p] * x[p];
+    }
+}
+
+static void solve_block_transposed(long count, long stride, const double *panel, Lanes *x) {
+    for (long p = count - 1; p >= 0; p--) {
+        for (long q = p + 1; q < count; q++) x[p] -= panel[p * stride + q - p] * x[q];
+        x[p] /= panel[p * stride];
+    }
+}
+
+static int all_zero(const Lanes *x) {
+    for (int l = 0; l < LANES; l++)
+        if ((*x)[l] != 0) return 0;
+    return 1;
+}
+
+void band_solve_lanes(long n, long width, const double *L, Lanes *x) {
+    const long stride = BAND_STRIDE(width);
+    long first = 0;
+    while (first < n && all_zero(x + first)) first++; /* what is zero stays so */
+    for (long j = first / 4 * 4; j < n; j += 4) {
+        const long end = j + 4 + width < n ? j + 4 + width : n;
+        const double *l0 = L + j * stride, *l1 = l0 + stride - 1, *l2 = l1 + stride - 1, *l3 = l2 + stride - 1;
+        solve_block(n - j < 4 ? n - j : 4, stride, l0, x + j);
+        if (end <= j + 4) break;
+        const Lanes x0 = x[j], x1 = x[j + 1], x2 = x[j + 2], x3 = x[j + 3];
+        for (long i = j + 4; i < end; i++) x[i] -= l0[i - j] * x0 + l1[i - j] * x1 + l2[i - j] * x2 + l3[i - j] * x3;
+    }
+    for (long j = (n - 1) / 4 * 4; j >= 0; j -= 4) {
+        const long end = j + 4 + width < n ? j + 4 + width : n;
+        const double *l0 = L + j * stride, *l1 = l0 + stride - 1, *l2 = l1 + stride - 1, *l3 = l2 + stride - 1;
+        if (end > j + 4) {
+            Lanes s0 = x[j], s1 = x[j + 1], s2 = x[j + 2], s3 = x[j + 3];
+            for (long i = j + 4; i < end; i++) {
+                const Lanes at = x[i];
+                s0 -= l0[i - j] * at, s1 -= l1[i - j] * at, s2 -= l2[i - j] * at, s3 -= l3[i - j] * at;
+            }
+            x[j] = s0, x[j + 1] = s1, x[j + 2] = s2, x[j + 3] = s3;
+        }
+        solve_block_transposed(n - j < 4 ? n - j : 4, stride, l0, x + j);
+    }
+}

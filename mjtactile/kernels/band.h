@@ -5,9 +5,14 @@
 
 #define BAND_STRIDE(width) (((width) + 8) / 4 * 4) /* panels of four columns need three rows more */
 
+/* Eight right-hand sides that are solved together. */
+#define LANES 8
+typedef double Lanes __attribute__((vector_size(64), aligned(8)));
+
 int band_cholesky(long n, long width, double *a);                       /* in place; 1: not positive definite */
 void band_forward(long n, long width, const double *L, double *x);      /* x becomes L^-1 x */
 void band_backward(long n, long width, const double *L, double *x);     /* x becomes L^-T x */
+void band_solve_lanes(long n, long width, const double *L, Lanes *x); /* x becomes (L L^T)^-1 x */
 void band_inverse(long n, long width, const double *L, double *Z);      /* Z: the inverse of L L^T within the band */
 
 #endif

@@ -28,6 +28,34 @@ int64_t measure_surface(int64_t nx, int64_t ny, const double *c, const double *f
                         const double *quad_y, const double *weights, const double *volume_c, const double *stiffness, double *z,
                         double *found);
 
+/* force/sheet.py: `numbers` (11) and `law` of a sheet as in sheet.h; `c`, `gradient` and forces (3, n). Out: `elastic` forces and the
+   bulge's `gradient`; returns the bulge, m^3 (NaN: no memory). */
+double sheet_state(const double *numbers, const double *law, const double *c, double scale, double *elastic, double *gradient);
+/* Out: the band of the stiffness at constant pressure, components of a spline together. */
+int64_t sheet_tangent(const double *numbers, const double *law, const double *c, double scale, double pressure, double *band);
+/* In place: a band's Cholesky factor, pushed towards the identity until it is definite. */
+int64_t factor_definite(int64_t n, int64_t width, double *band);
+/* Out: `softened` (3 n), what a factorised stiffness makes of the gas's `gradient`; returns the share of it in inverses. */
+double soften(const double *numbers, const double *factor, const double *gradient, double gas_stiffness, double *softened);
+/* Out: displacements `out` (3, n) by `forces`. */
+int64_t sheet_solve(const double *numbers, const double *factor, const double *softened, double share, const double *forces,
+                    double *out);
+
+/* force/inverse.py: r rows, the whitened positions of `markers` at `material` (markers, 2) by `weights` (markers, 3, 3) and, where
+   `tilts` (2, markers, 2, 3) is not NULL, two slopes each; J = jx jy nodes. Out: `half` (r, 3 J) and what they see of a `bulge` (3, n). */
+int64_t inverse_gain(const double *numbers, const double *factor, const double *softened, double share, int64_t markers,
+                     const double *material, const double *weights, const double *tilts, int64_t jx, int64_t jy,
+                     const double *load_x, const double *load_y, const double *root_x, const double *root_y, const double *prior,
+                     const double *bulge, double *half, double *bulge_seen);
+/* `innovation` (r, r): its lower factor; `data` (markers, 3) displacements, `slopes_off` (markers, 2) or NULL. Out: `change` (3, n) of
+   c, `traction` (3, J), `misfit` and `noise` (r), `drift_found` (4) in sd. */
+int64_t inverse_step(const double *numbers, const double *factor, const double *softened, double share, int64_t markers,
+                     const double *material, const double *weights, const double *tilts, int64_t jx, int64_t jy,
+                     const double *load_x, const double *load_y, const double *root_x, const double *root_y, const double *prior,
+                     const double *innovation, const double *drift, const double *gas_load, const double *c, const double *residual,
+                     const double *data, const double *slopes_off, double *change, double *traction, double *misfit, double *noise,
+                     double *drift_found);
+
 /* image/candidates.py: area moments of n borders, `counts` (n) points each in `points` (x, y) of an image (height, width); out:
    `misfit` (n) px, the largest distance of the border from the ellipse with these moments, and whether the image cuts it. */
 int64_t border_moments(int64_t n, const int64_t *counts, const int32_t *points, int64_t height, int64_t width, double *centers,

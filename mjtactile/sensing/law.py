@@ -31,6 +31,19 @@ class SheetLaw:
         self._q = c * np.exp(-_LOG_DET)
         self._slope = -self._q * np.exp(-_LOG_DET) * (1 + half / (c + half))  # q'
 
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """Whether it is neo-Hookean, its modulus and Poisson's ratio, and of `table` the first place, places per unit and count,
+        as kernels/sheet.h has them."""
+        neo_hookean = self._law is not Law.STVK
+        per_unit = (len(_LOG_DET) - 1) / (_LOG_DET[-1] - _LOG_DET[0])
+        return (float(neo_hookean), self._mu if neo_hookean else self._plane, self._nu, _LOG_DET[0], per_unit, len(_LOG_DET))
+
+    @property
+    def table(self) -> Array:
+        """q and q' (2, count) over the logarithm of det C."""
+        return np.stack([self._q, self._slope])
+
     def stress(self, C11: Array, C22: Array, C12: Array) -> Array:
         """Second Piola-Kirchhoff stress (3, ...): S11, S22, S12."""
         if self._law is Law.STVK:

@@ -9,7 +9,7 @@ are unknowns, too. And next to a sharp edge markers move in ways that the sheet'
 the less, the worse it was explained.
 
 A frame is one Gauss-Newton step, or a few after a sudden change. Stiffness and gains are kept as long as the shape
-stays near where they were computed; then the step is back-substitutions only.
+stays near where they were computed; then the step is back-substitutions only. The arithmetic is in mjtactile/kernels/inverse.c.
 """
 
 from __future__ import annotations
@@ -19,14 +19,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import cho_solve, solve_triangular
 
 from mjtactile.core.bspline import hats
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, Markers, Traction
+from mjtactile.kernels import kernel
 from mjtactile.sensing.force.doubt import AXES, Doubt, Felt
 from mjtactile.sensing.force.prior import LoadPrior
-from mjtactile.sensing.force.sheet import Gas, Sheet, State
+from mjtactile.sensing.force.sheet import Gas, Sheet, State, Stiffness
 from mjtactile.sensing.force.slopes import MarkerSlopes
 from mjtactile.sensing.settings import DEFAULTS, DoubtSettings, InverseSettings, PriorSettings
 
@@ -50,28 +51,27 @@ class InverseRest:
 
 @dataclass(frozen=True, eq=False)
 class Gain:
-    """One linearisation, at `c` (3, n), for markers `ids`: the stiffness's Cholesky factor, the whitened markers' motion
-    (r, 3 n) by generalised forces (r = 3 m positions, and 2 m slopes where they count), their response (r, 3 J) to nodal
-    tractions, and its `half` covariance by the prior; `weights` (m, 3, 3) that whiten positions and `slope_weights` (m,), and
-    the factors `distrust` (2, m) on the sd of both that they contain; the response (r, 4) to
-    one sd of `drift` (gas, camera's x, y, z), the gas's part of it as pressure, Pa, and as a load (3, n), and the share
-    `drift_seen` (4,) of their variances that estimates have; prior sd (3 J,) of the tractions; the factor of the predicted
-    covariance of the whitened markers; and how often it was `reweighted`: tractions had been found before it was made."""
+    """One linearisation, at `c` (3, n), for markers `ids`: the `stiffness`, the whitened markers' `half` covariance (r, 3 J) by
+    the tractions' prior (r = 3 m positions, and 2 m slopes where they count); `weights` (m, 3, 3) that whiten positions,
+    `slope_weights` (m,) and `tilts` (2, m, 2, 3), the whitened slopes' derivatives by the sheet's tangents, or None, and the
+    factors `distrust` (2, m) on the sd of both that they contain; the response (r, 4) to one sd of `drift` (gas, camera's x, y,
+    z), the gas's part of it as pressure, Pa, and as a load (3, n), and the share `drift_seen` (4,) of their variances that
+    estimates have; prior sd (3 J,) of the tractions; the lower factor of the predicted covariance of the whitened markers; and
+    how often it was `reweighted`: tractions had been found before it was made."""
 
     c: Array
     ids: NDArray[np.int64]
-    stiffness: tuple[Array, bool]
-    moved: Array
-    response: Array
+    stiffness: Stiffness
     half: Array
     weights: Array
     slope_weights: Array
+    tilts: Array | None
     distrust: Array
     drift: Array
     drift_gas: tuple[float, Array]
     drift_seen: Array
     prior: Array
-    innovation: tuple[Array, bool]
+    innovation: Array
     reweighted: int
 
     def serves(self, c: Array, markers: Markers) -> bool:
@@ -107,10 +107,10 @@ class InverseMembrane:
         hat_x, hat_y = hats(self.x, ax.points)[0][:, 1:-1], hats(self.y, ay.points)[0][:, 1:-1]
         load_x, load_y = ((a.at(a.points) * a.weights[:, None]).T @ h for a, h in ((ax, hat_x), (ay, hat_y)))
         self._hats = (hat_x, hat_y)
-        self._load = np.kron(load_x, load_y)  # (n, J): generalised force of one pascal at each node
-        self._load_single = self._load.astype(np.float32)
         self.node_area = np.outer(ax.weights @ hat_x, ay.weights @ hat_y).ravel()  # (J,) m^2
         self.prior = LoadPrior(self.x[1:-1], self.y[1:-1], prior)
+        # nodes in each direction, generalised forces (kx, jx), (ky, jy) of one pascal at each, and the prior's roots
+        self._nodes = (len(self.x) - 2, len(self.y) - 2, *map(np.ascontiguousarray, (load_x, load_y, *self.prior.root)))
         X, Y = np.meshgrid(self.x[1:-1], self.y[1:-1], indexing="ij")
         self.nodes = np.column_stack([X.ravel(), Y.ravel()])
         self._at_nodes = self.sheet.basis(self.nodes)
@@ -163,74 +163,68 @@ class InverseMembrane:
 
     def _step(self, c: Array, markers: Markers, rest: InverseRest, gain: Gain, count: int) -> Shape:
         """One Gauss-Newton step from `c`: the sheet relaxes, tractions and drift explain what markers show beyond that."""
-        data = markers.p_SM - rest.offset[markers.ids] - self._material[markers.ids]
+        ids, m, slopes_off = markers.ids, len(markers), None
+        data = markers.p_SM - rest.offset[ids] - self._material[ids]
         state = self.sheet.state(c, rest.stiffness_scale)
         pressure, _ = self.sheet.gas_pressure(state, rest.gas)
-        residual = self.sheet.residual(state, pressure)
-        # against the state without tractions, u - K^-1 r
-        misfit = _whiten(gain.weights, data - self._at_markers[markers.ids] @ c.T)
         if self._slopes is not None:
-            off = np.where(gain.slope_weights > 0, self._slopes.off(markers, c).T * gain.slope_weights, 0.0)
-            misfit = np.concatenate([misfit, off.T.ravel()])
-        misfit = misfit + gain.moved @ residual.ravel()
-        noise = cho_solve(gain.innovation, misfit, check_finite=False)  # what is left for the whitened markers' noise
-        traction = self.prior.times(noise @ gain.response, gain.prior).reshape(3, -1)
-        drift = noise @ gain.drift  # in sd
-        load = traction @ self._load.T + drift[0] * gain.drift_gas[1]
-        change = cho_solve(gain.stiffness, (load - residual).ravel(), check_finite=False).reshape(3, -1)
+            slopes_off = np.where(gain.slope_weights > 0, self._slopes.off(markers, c).T * gain.slope_weights, 0.0).T
+        change, traction = np.empty_like(c), np.empty((3, len(self.nodes)))
+        (misfit, noise), drift = np.empty((2, len(gain.half))), np.empty(4)
+        if kernel("inverse_step")(*self._sight(gain.stiffness, ids, gain.weights, gain.tilts), *self._nodes, gain.prior,
+                                  gain.innovation, gain.drift, gain.drift_gas[1], c, self.sheet.residual(state, pressure), data,
+                                  slopes_off, change, traction, misfit, noise, drift):
+            raise MemoryError("no room for a step")
         c = c + min(1.0, STEP_LIMIT / max(float(np.abs(change).max()), 1e-30)) * change
         pressure += float(drift[0]) * gain.drift_gas[0]
-        count_p = 3 * len(markers)
         excess = np.zeros((2, len(self._material)))
-        excess[0, markers.ids] = gain.distrust[0] ** 2 * (noise[:count_p].reshape(-1, 3) ** 2).mean(axis=1)
+        excess[0, ids] = gain.distrust[0] ** 2 * (noise[: 3 * m].reshape(-1, 3) ** 2).mean(axis=1)
         if self._slopes is not None:
-            excess[1, markers.ids] = gain.distrust[1] ** 2 * (noise[count_p:].reshape(-1, 2) ** 2).mean(axis=1)
+            excess[1, ids] = gain.distrust[1] ** 2 * (noise[3 * m :].reshape(-1, 2) ** 2).mean(axis=1)
         return Shape(c, traction, pressure, float(misfit @ noise) / len(misfit), gain, count, excess,
                      float((drift**2 / gain.drift_seen).mean()))
 
+    def _sight(self, stiffness: Stiffness, ids: NDArray[np.int64], weights: Array, tilts: Array | None) -> tuple[object, ...]:
+        """What both kernels are told of the sheet and of the markers that see it."""
+        return (self.sheet.numbers, stiffness.factor, stiffness.softened, stiffness.share, len(ids), self._material[ids, :2],
+                weights, tilts)
+
     def _gain(self, c: Array, markers: Markers, rest: InverseRest, before: Shape | None) -> Gain:
-        state = self.sheet.state(c, rest.stiffness_scale)
+        state, ids = self.sheet.state(c, rest.stiffness_scale), markers.ids
         _, stiffness = self.sheet.linearise(state, rest.gas)
-        rows = self._at_markers[markers.ids]
-        excess = np.zeros((2, len(rows))) if before is None else before.excess[:, markers.ids]
+        excess = np.zeros((2, len(ids))) if before is None else before.excess[:, ids]
         distrust = np.sqrt(np.maximum(1.0, excess / [[self.settings.excess], [self.settings.slope_excess]]))
         noise = markers.cov_p + self.settings.marker_floor**2 * np.eye(3)
         weights = np.linalg.inv(np.linalg.cholesky(noise)) / distrust[0, :, None, None]
-        # unit forces along the whitened axes of each marker, (3 n, 3 m)
-        unit = (weights.transpose(2, 0, 1)[:, None] * rows.T[None, :, :, None]).reshape(3 * self.sheet.count, -1)
-        slope_weights = np.zeros(len(rows))
+        slope_weights, tilts = np.zeros(len(ids)), None
         if self._slopes is not None:
             slope_weights = self._slopes.weights(markers, c) / distrust[1]
-            tilting = self._slopes.rows(c, markers.ids) * slope_weights[:, None, None, None]
-            unit = np.concatenate([unit, tilting.reshape(2 * len(rows), -1).T], axis=1)
-        drift, drift_gas = self._drift(state, rest, stiffness, weights, unit)
-        # in single precision: from a factor in double precision that is good to 1e-4 of a motion, at half the time
-        single = (stiffness[0].astype(np.float32), stiffness[1])
-        moved = cho_solve(single, unit.astype(np.float32), overwrite_b=True, check_finite=False).T
-        response = (moved.reshape(-1, self.sheet.count) @ self._load_single).reshape(len(moved), -1)
+            tilts = self._slopes.rows(c, ids) * slope_weights[:, None, None]
         prior = self.prior.first() if before is None else self.prior.after(before.traction)
-        half = self.prior.half(response, prior)
-        innovation = (half @ half.T).astype(float) + drift @ drift.T
+        pressure, load = self._gas_drift(state, rest)
+        rows = (3 if tilts is None else 5) * len(ids)
+        half, drift = np.empty((rows, 3 * len(self.nodes))), np.zeros((rows, 4))
+        drift[: 3 * len(ids), 1:] = self.settings.drift_camera * weights.reshape(-1, 3)  # slopes do not see the camera move
+        bulge_seen = np.empty(rows)
+        if kernel("inverse_gain")(*self._sight(stiffness, ids, weights, tilts), *self._nodes, prior, stiffness.solve(load), half,
+                                  bulge_seen):
+            raise MemoryError("no room for a gain")
+        drift[:, 0] = bulge_seen
+        innovation = half @ half.T + drift @ drift.T
         innovation[np.diag_indices_from(innovation)] += 1.0
-        innovation = cho_factor(innovation, check_finite=False)
-        seen = np.maximum((drift * cho_solve(innovation, drift, check_finite=False)).sum(axis=0), 1e-6)
-        return Gain(c, markers.ids, stiffness, moved, response, half, weights, slope_weights, distrust, drift, drift_gas, seen,
-                    prior, innovation, 0 if before is None else before.gain.reweighted + 1)
+        innovation = np.linalg.cholesky(innovation)
+        seen = np.maximum((drift * cho_solve((innovation, True), drift, check_finite=False)).sum(axis=0), 1e-6)
+        return Gain(c, ids, stiffness, half, weights, slope_weights, tilts, distrust, drift, (pressure, load), seen, prior,
+                    innovation, 0 if before is None else before.gain.reweighted + 1)
 
-    def _drift(self, state: State, rest: InverseRest, stiffness: tuple[Array, bool], weights: Array,
-               unit: Array) -> tuple[Array, tuple[float, Array]]:
-        """What one sd of drift does: to the whitened markers (r, 4), and, by the gas, as pressure and as a load."""
+    def _gas_drift(self, state: State, rest: InverseRest) -> tuple[float, Array]:
+        """One sd of the gas's drift, as pressure, Pa, and as a load (3, n)."""
         volume = self.design.chamber_volume_flat + state.volume
         dent = self.sheet.state(rest.c).volume - state.volume
         pressure = self.sheet.gas_pressure(state, rest.gas)[0] + self.design.chamber.ambient
         share = float(np.hypot(self.settings.drift_gas, self.settings.dent_share * dent / volume))
         pressure *= share if rest.gas.constant is not None else 0.0
-        load = pressure * self.sheet.volume_gradient(state)
-        bulge = cho_solve(stiffness, load.ravel(), check_finite=False)
-        drift = np.zeros((unit.shape[1], 4))
-        drift[:, 0] = bulge @ unit
-        drift[: 3 * len(weights), 1:] = self.settings.drift_camera * weights.reshape(-1, 3)  # slopes do not see the camera move
-        return drift, (pressure, load)
+        return pressure, pressure * state.gradient
 
     # -- what it means -------------------------------------------------------------------------------------------------
 
@@ -277,7 +271,7 @@ class InverseMembrane:
         """Posterior covariance (6, 6) of the wrench: what the prior leaves open between markers, and their noise."""
         gain = shape.gain
         L = self.prior.half(moment * np.tile(self.node_area, 3), gain.prior)
-        half = solve_triangular(gain.innovation[0], gain.half @ L.T, trans=1, check_finite=False)
+        half = solve_triangular(gain.innovation, gain.half @ L.T, lower=True, check_finite=False)
         scale = np.sqrt(self.posterior_share(shape))
         return (L @ L.T - half.T @ half) * np.outer(scale, scale)
 
@@ -285,7 +279,3 @@ class InverseMembrane:
         """Share (6,) of the wrench's predicted variances: more where markers misfit or show drift."""
         share = max(1.0, shape.misfit) * np.array(self.settings.posterior_share)[AXES]
         return np.maximum(share, shape.drift - 1)
-
-
-def _whiten(weights: Array, values: Array) -> Array:
-    return np.einsum("mai,mi->ma", weights, values).ravel()

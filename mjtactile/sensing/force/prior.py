@@ -17,12 +17,12 @@ _JITTER = 1e-6  # keeps the correlation's factor finite
 
 class LoadPrior:
     """Prior covariance S C S of nodal tractions: S the nodes' standard deviations, C Gaussian correlation over the grid
-    lines `x` (jx,), `y` (jy,) m, the same for each component."""
+    lines `x` (jx,), `y` (jy,) m, the same for each component. `root`: the lower factors of C along x and along y."""
 
     def __init__(self, x: Array, y: Array, settings: PriorSettings = DEFAULTS.prior):
         self.settings = settings
         self._shape = (len(x), len(y))
-        self._root = tuple(np.linalg.cholesky(_kernel(v, self.settings.correlation) + _JITTER * np.eye(len(v))) for v in (x, y))
+        self.root = tuple(np.linalg.cholesky(_kernel(v, self.settings.correlation) + _JITTER * np.eye(len(v))) for v in (x, y))
         self._soften = tuple(k / k.sum(axis=1, keepdims=True) for k in (_kernel(v, self.settings.softening) for v in (x, y)))
 
     def first(self) -> Array:
@@ -40,15 +40,9 @@ class LoadPrior:
         return np.concatenate([shear, shear, np.hypot(pressing, background)])
 
     def half(self, rows: Array, sd: Array) -> Array:
-        """`rows` (m, 3 J) times the covariance's root: half half^T is the covariance of what they see. In their precision."""
-        by_x, by_y = (root.astype(rows.dtype) for root in self._root)
+        """`rows` (m, 3 J) times the covariance's root: half half^T is the covariance of what they see."""
+        by_x, by_y = self.root
         return (by_x.T @ (rows * sd.astype(rows.dtype)).reshape(-1, *self._shape) @ by_y).reshape(rows.shape)
-
-    def times(self, vector: Array, sd: Array) -> Array:
-        """The covariance times a vector (3 J,)."""
-        by_x, by_y = self._root
-        half = by_x.T @ (vector * sd).reshape(3, *self._shape) @ by_y
-        return sd * (by_x @ half @ by_y.T).ravel()
 
 
 def _kernel(x: Array, length: float) -> Array:

@@ -44,7 +44,7 @@ class MarkerSlopes:
         return np.where(use, 1 / sd, 0.0)
 
     def rows(self, c: Array, ids: NDArray[np.int64]) -> Array:
-        """Derivatives (m, 2, 3, n) 1/m of the slopes by the coefficients.
+        """Derivatives (2, m, 2, 3) of the slopes by the tangents dx/dX and dx/dY at the markers.
 
         s_k = -N_k / N_z with N = g1 x g2: ds_k = q_k . dN = dg1 . (g2 x q_k) + dg2 . (q_k x g1), q_k = -(e_k + s_k e_z) / N_z.
         """
@@ -54,8 +54,7 @@ class MarkerSlopes:
         q[:, (0, 1), (0, 1)] = 1.0
         q[..., 2] = geometry.slope_from_normal(N)
         q /= -N[:, None, 2:]
-        by_1, by_2 = np.cross(g2[:, None], q), np.cross(q, g1[:, None])
-        return by_1[..., None] * self._along_x[ids, None, None] + by_2[..., None] * self._along_y[ids, None, None]
+        return np.stack([np.cross(g2[:, None], q), np.cross(q, g1[:, None])])
 
     def _tangents(self, c: Array, ids: NDArray[np.int64]) -> tuple[Array, Array]:
         """dx/dX and dx/dY (m, 3) at the markers."""

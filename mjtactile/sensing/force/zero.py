@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_solve
 
 from mjtactile.core.types import Array, Markers, Traction
 from mjtactile.sensing.force.inverse import InverseMembrane, InverseRest, Shape
@@ -96,8 +95,7 @@ def _of_gas(estimator: InverseMembrane, rest: InverseRest, shape: Shape) -> Arra
         return np.zeros_like(rest.c)
     state, chamber = estimator.sheet.state(rest.c, rest.stiffness_scale), estimator.design.chamber
     per_share = rest.gas.constant / (estimator.design.chamber_volume_flat + state.volume) ** chamber.heat_ratio  # Pa
-    gradient = estimator.sheet.volume_gradient(state).ravel()
-    return cho_solve(shape.gain.stiffness, per_share * gradient).reshape(3, -1)
+    return shape.gain.stiffness.solve(per_share * state.gradient)
 
 
 def _explain(apart: Array, moved: Array, cov: Array) -> tuple[float, float]:

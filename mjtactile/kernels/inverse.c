@@ -1,0 +1,243 @@
+/* Tractions from markers: one linearisation, and one step with it. The equations are those of sensing/force/inverse.py. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "band.h"
+#include "kernels.h"
+#include "sheet.h"
+#include "small.h"
+#include "splines.h"
+
+#define PRODUCTS 16 /* splines that do not vanish at a marker */
+#define NO_MEMORY 2
+
+/* Products of splines at a marker, and their slopes. */
+typedef struct { long first; double value[PRODUCTS], by_x[PRODUCTS], by_y[PRODUCTS]; } Seat;
+
+/* What the whitened markers see, r rows: first the positions, three to a marker, then, where `tilts` are, two slopes each. A row is
+   the force on the spline's values, or those on its slopes by x and y. */
+typedef struct { long markers, rows; const double *weights, *tilts; const Seat *seats; } Sight;
+
+/* The nodes of tractions (jx, jy): generalised forces of one pascal at each, (nx, jx) and (ny, jy), and the lower triangular roots of
+   the prior's correlation along x and along y. */
+typedef struct { long jx, jy; const double *load_x, *load_y, *root_x, *root_y; } Nodes;
+
+static void take_seats(const Sheet *s, long markers, const double *material, Seat *seats) {
+    for (long m = 0; m < markers; m++) {
+        Local x = splines_at(s->numbers.length_x, s->nx - 1, material[2 * m]);
+        Local y = splines_at(s->numbers.length_y, s->ny - 1, material[2 * m + 1]);
+        Seat *seat = seats + m;
+        seat->first = x.first * s->ny + y.first;
+        for (int k = 0; k < PRODUCTS; k++) {
+            int a = k / 4, b = k % 4;
+            seat->value[k] = x.value[a] * y.value[b];
+            seat->by_x[k] = x.slope[a] * y.value[b], seat->by_y[k] = x.value[a] * y.slope[b];
+        }
+    }
+}
+
+/* Row r: its 48 entries, and where in (n, 3) the k-th spline's stand. */
+static const Seat *row_of(const Sight *sight, long r, double (*row)[3]) {
+    const long positions = 3 * sight->markers, m = r < positions ? r / 3 : (r - positions) / 2;
+    const Seat *seat = sight->seats + m;
+    for (int k = 0; k < PRODUCTS; k++)
+        for (int i = 0; i < 3; i++) {
+            if (r < positions) row[k][i] = sight->weights[3 * r + i] * seat->value[k];
+            else {
+                const double *by_x = sight->tilts + 3 * (r - positions), *by_y = by_x + 6 * sight->markers;
+                row[k][i] = by_x[i] * seat->by_x[k] + by_y[i] * seat->by_y[k];
+            }
+        }
+    return seat;
+}
+
+static long place(const Sheet *s, const Seat *seat, int k) { return 3 * (seat->first + k / 4 * s->ny + k % 4); }
+
+static double see(const Sheet *s, const Sight *sight, long r, const double *x) {
+    double row[PRODUCTS][3], sum = 0;
+    const Seat *seat = row_of(sight, r, row);
+    for (int k = 0; k < PRODUCTS; k++) {
+        const double *at = x + place(s, seat, k);
+        sum += row[k][0] * at[0] + row[k][1] * at[1] + row[k][2] * at[2];
+    }
+    return sum;
+}
+
+/* out (p, t) = left (p, q) middle (q, r) right^T (t, r); `half` is room for a row (t). */
+static void sandwich(long p, long q, long r, long t, const double *left, const double *middle, const double *right, double *half,
+                     double *out) {
+    memset(out, 0, p * t * sizeof *out);
+    for (long i = 0; i < q; i++) {
+        for (long j = 0; j < t; j++) {
+            double sum = 0;
+            for (long k = 0; k < r; k++) sum += middle[i * r + k] * right[j * r + k];
+            half[j] = sum;
+        }
+        for (long k = 0; k < p; k++)
+            if (left[k * q + i] != 0)
+                for (long j = 0; j < t; j++) out[k * t + j] += left[k * q + i] * half[j];
+    }
+}
+
+/* As `sandwich` with left^T (q, p) and right (r, t). */
+static void sandwich_transposed(long p, long q, long r, long t, const double *left, const double *middle, const double *right,
+                                double *half, double *out) {
+    memset(out, 0, p * t * sizeof *out);
+    for (long i = 0; i < q; i++) {
+        memset(half, 0, t * sizeof *half);
+        for (long k = 0; k < r; k++)
+            for (long j = 0; j < t; j++) half[j] += middle[i * r + k] * right[k * t + j];
+        for (long k = 0; k < p; k++)
+            if (left[i * p + k] != 0)
+                for (long j = 0; j < t; j++) out[k * t + j] += left[i * p + k] * half[j];
+    }
+}
+
+/* -- one linearisation -------------------------------------------------------------------------------------------------- */
+
+/* Eight motions x (n, 3) as what they say of the nodes' tractions: through the loads, and the root of the prior's covariance. */
+static void half_of(const Sheet *s, const Nodes *nodes, const double *prior, const Lanes *x, Lanes *rows, Lanes *out) {
+    const long jx = nodes->jx, jy = nodes->jy, count = jx * jy;
+    for (int k = 0; k < 3; k++) {
+        memset(out, 0, count * sizeof *out);
+        for (long a = 0; a < jx; a++) {
+            memset(rows, 0, s->ny * sizeof *rows);
+            for (long i = 0; i < s->nx; i++)
+                if (nodes->load_x[i * jx + a] != 0)
+                    for (long j = 0; j < s->ny; j++) rows[j] += nodes->load_x[i * jx + a] * x[3 * (i * s->ny + j) + k];
+            for (long j = 0; j < s->ny; j++)
+                for (long b = 0; b < jy; b++)
+                    if (nodes->load_y[j * jy + b] != 0) out[a * jy + b] += nodes->load_y[j * jy + b] * rows[j];
+        }
+        for (long at = 0; at < count; at++) out[at] *= prior[k * count + at];
+        for (long a = 0; a < jx; a++) { /* root_x^T (lower) and root_y (lower): what is behind is not needed any more */
+            memset(rows, 0, jy * sizeof *rows);
+            for (long i = a; i < jx; i++)
+                for (long b = 0; b < jy; b++) rows[b] += nodes->root_x[i * jx + a] * out[i * jy + b];
+            for (long b = 0; b < jy; b++) {
+                Lanes sum = nodes->root_y[b * jy + b] * rows[b];
+                for (long j = b + 1; j < jy; j++) sum += nodes->root_y[j * jy + b] * rows[j];
+                out[a * jy + b] = sum;
+            }
+        }
+        out += count;
+    }
+}
+
+int64_t inverse_gain(const double *numbers, const double *factor, const double *softened, double share, int64_t markers,
+                     const double *material, const double *weights, const double *tilts, int64_t jx, int64_t jy,
+                     const double *load_x, const double *load_y, const double *root_x, const double *root_y, const double *prior,
+                     const double *bulge, double *half, double *bulge_seen) {
+    Sheet s = sheet_of(numbers, NULL);
+    Nodes nodes = {jx, jy, load_x, load_y, root_x, root_y};
+    const long dofs = 3 * s.n, nodal = 3 * jx * jy, longer = s.ny > jy ? s.ny : jy;
+    Seat *seats = malloc(markers * sizeof *seats);
+    double *motion = malloc(dofs * sizeof *motion);
+    Lanes *x = malloc((dofs + longer + nodal) * sizeof *x), *rows = x + dofs, *out = rows + longer;
+    int failed = seats && motion && x ? 0 : NO_MEMORY;
+    Sight sight = {markers, tilts ? 5 * markers : 3 * markers, weights, tilts, seats};
+    if (!failed) take_seats(&s, markers, material, seats), together(&s, bulge, motion);
+    for (long first = 0; first < sight.rows && !failed; first += LANES) {
+        long lanes = sight.rows - first < LANES ? sight.rows - first : LANES;
+        Lanes along = {0};
+        memset(x, 0, dofs * sizeof *x);
+        for (long l = 0; l < lanes; l++) {
+            double row[PRODUCTS][3];
+            const Seat *seat = row_of(&sight, first + l, row);
+            for (int k = 0; k < PRODUCTS; k++)
+                for (int i = 0; i < 3; i++) x[place(&s, seat, k) + i][l] = row[k][i];
+            bulge_seen[first + l] = see(&s, &sight, first + l, motion);
+            along[l] = share * see(&s, &sight, first + l, softened);
+        }
+        band_solve_lanes(dofs, s.width, factor, x);
+        for (long i = 0; i < dofs; i++) x[i] -= softened[i] * along;
+        half_of(&s, &nodes, prior, x, rows, out);
+        for (long l = 0; l < lanes; l++)
+            for (long i = 0; i < nodal; i++) half[(first + l) * nodal + i] = out[i][l];
+    }
+    free(seats), free(motion), free(x);
+    return failed;
+}
+
+/* -- one step ------------------------------------------------------------------------------------------------------------- */
+
+/* Solves L L^T x = b for x in place of b; L (n, n) by rows. */
+static void solve_dense(long n, const double *L, double *x) {
+    for (long i = 0; i < n; i++) {
+        double sum = x[i];
+        for (long j = 0; j < i; j++) sum -= L[i * n + j] * x[j];
+        x[i] = sum / L[i * n + i];
+    }
+    for (long i = n - 1; i >= 0; i--) {
+        double value = x[i] /= L[i * n + i];
+        for (long j = 0; j < i; j++) x[j] -= L[i * n + j] * value;
+    }
+}
+
+/* The prior covariance times what the nodes are told, P Load^T x: tractions (3, jx, jy). */
+static void tractions(const Sheet *s, const Nodes *nodes, const double *prior, const double *x, double *work, double *out) {
+    const long jx = nodes->jx, jy = nodes->jy, count = jx * jy;
+    double *told = work, *half = told + count, *room = half + count;
+    for (int k = 0; k < 3; k++, out += count) {
+        sandwich_transposed(jx, s->nx, s->ny, jy, nodes->load_x, x + k * s->n, nodes->load_y, room, told);
+        for (long i = 0; i < count; i++) told[i] *= prior[k * count + i];
+        sandwich_transposed(jx, jx, jy, jy, nodes->root_x, told, nodes->root_y, room, half);
+        sandwich(jx, jx, jy, jy, nodes->root_x, half, nodes->root_y, room, out);
+        for (long i = 0; i < count; i++) out[i] *= prior[k * count + i];
+    }
+}
+
+int64_t inverse_step(const double *numbers, const double *factor, const double *softened, double share, int64_t markers,
+                     const double *material, const double *weights, const double *tilts, int64_t jx, int64_t jy,
+                     const double *load_x, const double *load_y, const double *root_x, const double *root_y, const double *prior,
+                     const double *innovation, const double *drift, const double *gas_load, const double *c, const double *residual,
+                     const double *data, const double *slopes_off, double *change, double *traction, double *misfit, double *noise,
+                     double *drift_found) {
+    Sheet s = sheet_of(numbers, NULL);
+    Stiffness K = {factor, softened, share};
+    Nodes nodes = {jx, jy, load_x, load_y, root_x, root_y};
+    const long dofs = 3 * s.n, room = 2 * jx * jy + s.nx + s.ny + jx + jy;
+    Seat *seats = malloc(markers * sizeof *seats);
+    double *relaxed = malloc((3 * dofs + room) * sizeof *relaxed), *x = relaxed + dofs, *parts = x + dofs, *work = parts + dofs;
+    Sight sight = {markers, tilts ? 5 * markers : 3 * markers, weights, tilts, seats};
+    if (!seats || !relaxed) {
+        free(seats), free(relaxed);
+        return NO_MEMORY;
+    }
+    take_seats(&s, markers, material, seats);
+    together(&s, residual, relaxed), solve_stiffness(&s, &K, relaxed); /* against the state without tractions, c - K^-1 r */
+    together(&s, c, x);
+    for (long m = 0; m < markers; m++) {
+        double off[3] = {data[3 * m], data[3 * m + 1], data[3 * m + 2]};
+        for (int k = 0; k < PRODUCTS; k++)
+            for (int i = 0; i < 3; i++) {
+                long at = place(&s, seats + m, k) + i;
+                off[i] -= seats[m].value[k] * (x[at] - relaxed[at]);
+            }
+        for (int a = 0; a < 3; a++) {
+            const double *w = weights + 9 * m + 3 * a;
+            misfit[3 * m + a] = w[0] * off[0] + w[1] * off[1] + w[2] * off[2];
+        }
+    }
+    for (long r = 3 * markers; r < sight.rows; r++) misfit[r] = slopes_off[r - 3 * markers] + see(&s, &sight, r, relaxed);
+    memcpy(noise, misfit, sight.rows * sizeof *noise);
+    solve_dense(sight.rows, innovation, noise); /* what is left for the whitened markers' noise */
+    memset(x, 0, dofs * sizeof *x), memset(drift_found, 0, 4 * sizeof *drift_found);
+    for (long r = 0; r < sight.rows; r++) {
+        double row[PRODUCTS][3];
+        const Seat *seat = row_of(&sight, r, row);
+        for (int k = 0; k < PRODUCTS; k++)
+            for (int i = 0; i < 3; i++) x[place(&s, seat, k) + i] += row[k][i] * noise[r];
+        for (int i = 0; i < 4; i++) drift_found[i] += drift[4 * r + i] * noise[r];
+    }
+    solve_stiffness(&s, &K, x), apart(&s, x, parts);
+    tractions(&s, &nodes, prior, parts, work, traction);
+    for (int k = 0; k < 3; k++)
+        sandwich(s.nx, jx, jy, s.ny, load_x, traction + k * jx * jy, load_y, work, parts + k * s.n);
+    for (long i = 0; i < dofs; i++) parts[i] += drift_found[0] * gas_load[i];
+    together(&s, parts, x), solve_stiffness(&s, &K, x);
+    for (long i = 0; i < dofs; i++) x[i] -= relaxed[i];
+    apart(&s, x, change);
+    free(seats), free(relaxed);
+    return 0;
+}

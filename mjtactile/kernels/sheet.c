@@ -1,0 +1,308 @@
+#include "sheet.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+#include "band.h"
+#include "kernels.h"
+#include "small.h"
+#include "splines.h"
+
+#define GAUSS 2    /* points in each interval */
+#define LOCAL 16   /* splines on a cell */
+#define LEAST_DET 1e-3
+#define NUDGE 1e-3 /* of the mean diagonal: how far an indefinite stiffness (wrinkles) is pushed, tenfold until it is definite */
+#define NO_MEMORY 2
+
+typedef struct { double weight; Local at; } Line; /* of Gauss points along the other axis */
+
+typedef struct { double z, g1[3], g2[3], normal[3]; } Point; /* height, tangents, area vector */
+
+typedef struct { double S11, S22, S12; } Stress;
+
+typedef struct { double D11, D22, D12, D16, D26, D66; } Moduli;
+
+/* A deformation at the Gauss points, y fastest. */
+typedef struct { long qx, qy; Line *x, *y; Point *points; } Look;
+
+Sheet sheet_of(const double *numbers, const double *law) {
+    Sheet s = {.law = law};
+    memcpy(&s.numbers, numbers, sizeof s.numbers);
+    s.nx = (long)s.numbers.spans_x + 1, s.ny = (long)s.numbers.spans_y + 1, s.n = s.nx * s.ny;
+    s.width = 3 * (3 * s.ny + 3) + 2;
+    return s;
+}
+
+void together(const Sheet *s, const double *parts, double *x) {
+    for (long i = 0; i < s->n; i++)
+        for (int k = 0; k < 3; k++) x[3 * i + k] = parts[k * s->n + i];
+}
+
+void apart(const Sheet *s, const double *x, double *parts) {
+    for (long i = 0; i < s->n; i++)
+        for (int k = 0; k < 3; k++) parts[k * s->n + i] = x[3 * i + k];
+}
+
+static void make_lines(Line *lines, double length, long spans) {
+    double half = length / spans / 2;
+    for (long i = 0; i < GAUSS * spans; i++) {
+        double middle = (2 * (i / GAUSS) + 1) * half - length / 2;
+        lines[i].weight = half;
+        lines[i].at = splines_at(length, spans, middle + (i % GAUSS ? half : -half) / sqrt(3));
+    }
+}
+
+/* What an x-line sees of a component: the spline's values across it, and its slopes. */
+static void cross_line(const Sheet *s, const Line *line, const double *c, double *value, double *slope) {
+    for (long j = 0; j < s->ny; j++) value[j] = slope[j] = 0;
+    for (int a = 0; a < 4; a++) {
+        const double *row = c + (line->at.first + a) * s->ny;
+        for (long j = 0; j < s->ny; j++) value[j] += line->at.value[a] * row[j], slope[j] += line->at.slope[a] * row[j];
+    }
+}
+
+static void cross(const double *a, const double *b, double *out) {
+    out[0] = a[1] * b[2] - a[2] * b[1], out[1] = a[2] * b[0] - a[0] * b[2], out[2] = a[0] * b[1] - a[1] * b[0];
+}
+
+/* 1: no memory. `c` (3, n). */
+static int look(const Sheet *s, const double *c, Look *l) {
+    l->qx = GAUSS * (s->nx - 1), l->qy = GAUSS * (s->ny - 1);
+    double *value = malloc(6 * s->ny * sizeof *value), *slope = value + 3 * s->ny;
+    l->x = malloc((l->qx + l->qy) * sizeof *l->x), l->y = l->x + l->qx;
+    l->points = malloc(l->qx * l->qy * sizeof *l->points);
+    int failed = !value || !l->x || !l->points;
+    if (!failed) {
+        make_lines(l->x, s->numbers.length_x, s->nx - 1), make_lines(l->y, s->numbers.length_y, s->ny - 1);
+        for (long i = 0; i < l->qx; i++) {
+            for (int k = 0; k < 3; k++) cross_line(s, l->x + i, c + k * s->n, value + k * s->ny, slope + k * s->ny);
+            for (long j = 0; j < l->qy; j++) {
+                const Local *y = &l->y[j].at;
+                Point *p = l->points + i * l->qy + j;
+                *p = (Point){.g1 = {1}, .g2 = {0, 1}};
+                for (int b = 0; b < 4; b++) {
+                    for (int k = 0; k < 3; k++) {
+                        p->g1[k] += y->value[b] * slope[k * s->ny + y->first + b];
+                        p->g2[k] += y->slope[b] * value[k * s->ny + y->first + b];
+                    }
+                    p->z += y->value[b] * value[2 * s->ny + y->first + b];
+                }
+                cross(p->g1, p->g2, p->normal);
+            }
+        }
+    }
+    free(value);
+    return failed;
+}
+
+static void forget(Look *l) { free(l->x), free(l->points); }
+
+static double dot(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+/* Right Cauchy-Green tensor C11, C22, C12 against the free sheet. */
+static void strain(const Sheet *s, const Point *p, double *C) {
+    double by = s->numbers.lambda2;
+    C[0] = by * dot(p->g1, p->g1), C[1] = by * dot(p->g2, p->g2), C[2] = by * dot(p->g1, p->g2);
+}
+
+/* q (row 0) or q' (row 1) of sensing/law.py at this strain, from its table; beyond its ends the ends. */
+static double law(const Sheet *s, const double *C, int row) {
+    const SheetNumbers *o = &s->numbers;
+    double at = (log(most(C[0] * C[1] - C[2] * C[2], LEAST_DET)) - o->table_first) * o->table_per_unit;
+    double place = clip(at, 0, o->table_count - 1);
+    long i = (long)least(place, o->table_count - 2);
+    const double *table = s->law + row * (long)o->table_count;
+    return table[i] + (place - i) * (table[i + 1] - table[i]);
+}
+
+static Stress stress(const Sheet *s, const double *C, double scale) {
+    double by = scale * s->numbers.modulus, nu = s->numbers.poisson;
+    if (s->numbers.neo_hookean == 0) {
+        double E11 = (C[0] - 1) / 2, E22 = (C[1] - 1) / 2;
+        return (Stress){by * (E11 + nu * E22), by * (E22 + nu * E11), by * (1 - nu) * C[2] / 2};
+    }
+    double q = law(s, C, 0);
+    return (Stress){by * (1 - q * C[1]), by * (1 - q * C[0]), by * q * C[2]};
+}
+
+static Moduli moduli(const Sheet *s, const double *C, double scale) {
+    double by = scale * s->numbers.lambda2 * s->numbers.modulus, nu = s->numbers.poisson;
+    if (s->numbers.neo_hookean == 0) return (Moduli){by, by, nu * by, 0, 0, (1 - nu) / 2 * by};
+    double q = 2 * by * law(s, C, 0), slope = 2 * by * law(s, C, 1), A11 = C[1], A22 = C[0], A12 = -C[2];
+    return (Moduli){-slope * A11 * A11, -slope * A22 * A22, -slope * A11 * A22 - q, -slope * A11 * A12, -slope * A22 * A12,
+                    q / 2 - slope * A12 * A12};
+}
+
+/* Adds to `out` (3, n) the integral of `value` times the splines plus `along` times their slopes by x and `across` times those
+   by y; each (3, ny) holds one x-line already summed along y. */
+static void add_line(const Sheet *s, const Line *line, const double *value, const double *along, double *out) {
+    for (int k = 0; k < 3; k++)
+        for (int a = 0; a < 4; a++) {
+            double *row = out + k * s->n + (line->at.first + a) * s->ny;
+            for (long j = 0; j < s->ny; j++) {
+                row[j] += line->at.value[a] * value[k * s->ny + j];
+                if (along) row[j] += line->at.slope[a] * along[k * s->ny + j];
+            }
+        }
+}
+
+double sheet_state(const double *numbers, const double *law_, const double *c, double scale, double *elastic, double *gradient) {
+    Sheet s = sheet_of(numbers, law_);
+    Look l;
+    double volume = 0, *along = malloc(9 * s.ny * sizeof *along), *across = along + 3 * s.ny, *normal = across + 3 * s.ny;
+    int failed = look(&s, c, &l) || !along;
+    memset(elastic, 0, 3 * s.n * sizeof *elastic), memset(gradient, 0, 3 * s.n * sizeof *gradient);
+    for (long i = 0; i < l.qx && !failed; i++) {
+        memset(along, 0, 9 * s.ny * sizeof *along);
+        for (long j = 0; j < l.qy; j++) {
+            const Point *p = l.points + i * l.qy + j;
+            const Local *y = &l.y[j].at;
+            double C[3], w = l.x[i].weight * l.y[j].weight;
+            strain(&s, p, C);
+            Stress S = stress(&s, C, scale);
+            volume += w * p->z * p->normal[2];
+            for (int k = 0; k < 3; k++) {
+                double P1 = w * (S.S11 * p->g1[k] + S.S12 * p->g2[k]), P2 = w * (S.S12 * p->g1[k] + S.S22 * p->g2[k]);
+                double *to = along + k * s.ny + y->first;
+                for (int b = 0; b < 4; b++) {
+                    to[b] += P1 * y->value[b], to[3 * s.ny + b] += P2 * y->slope[b];
+                    to[6 * s.ny + b] += w * p->normal[k] * y->value[b];
+                }
+            }
+        }
+        add_line(&s, l.x + i, across, along, elastic), add_line(&s, l.x + i, normal, NULL, gradient);
+    }
+    free(along), forget(&l);
+    return failed ? NAN : volume;
+}
+
+/* The stiffness of one Gauss point: its row (k, i) is d1B_k T1_i + d2B_k T2_i + B_k U_i, by components j and splines l. */
+typedef double Rows[3][3][LOCAL];
+
+/* dP_a,i / dg_b,j = S_ab d_ij + D_acbd g_c,i g_d,j (Eq. F10), and of the gas d(g1 x g2) = du,1 x g2 + g1 x du,2: component t of the
+   tangents stands where row i and column j leave it, with the sign of ijt. On a closed frame that is symmetric: the rows of the
+   later component tell both. */
+static void point_rows(const Point *p, const Stress *S, const Moduli *D, double w, double push, const double *B, const double *B1,
+                       const double *B2, Rows T1, Rows T2, Rows U) {
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) {
+            double one = p->g1[i] * p->g1[j], two = p->g2[i] * p->g2[j], mixed = p->g1[i] * p->g2[j], crossed = p->g2[i] * p->g1[j];
+            double sides = D->D16 * one + D->D26 * two, same = i == j, sign = j == (i + 2) % 3 ? push : i == j ? 0 : -push;
+            double M11 = w * (D->D11 * one + D->D66 * two + D->D16 * (mixed + crossed) + same * S->S11);
+            double M22 = w * (D->D22 * two + D->D66 * one + D->D26 * (mixed + crossed) + same * S->S22);
+            double M12 = w * (D->D12 * mixed + D->D66 * crossed + sides + same * S->S12);
+            double M21 = w * (D->D12 * crossed + D->D66 * mixed + sides + same * S->S12);
+            const int t = (3 - i - j + 3) % 3;
+            const double by_1 = sign * p->g2[t], by_2 = -sign * p->g1[t];
+            const double later = i > j, earlier = i < j;
+            for (int l = 0; l < LOCAL; l++) {
+                T1[i][j][l] = M11 * B1[l] + M12 * B2[l] - earlier * by_1 * B[l];
+                T2[i][j][l] = M21 * B1[l] + M22 * B2[l] - earlier * by_2 * B[l];
+                U[i][j][l] = later * (by_1 * B1[l] + by_2 * B2[l]);
+            }
+        }
+}
+
+/* Rows are whole vectors: what is above the diagonal is not used. */
+static void add_point(const Rows T1, const Rows T2, const Rows U, const double *B, const double *B1, const double *B2,
+                      double (*cell)[3][LOCAL]) {
+    for (int k = 0; k < LOCAL; k++)
+        for (int i = 0; i < 3; i++)
+            for (int j = 0; j < 3; j++) {
+                double *restrict row = cell[3 * k + i][j];
+                for (int part = 0; part <= k; part += 4)
+                    for (int l = part; l < part + 4; l++) row[l] += B1[k] * T1[i][j][l] + B2[k] * T2[i][j][l] + B[k] * U[i][j][l];
+            }
+}
+
+/* Adds a cell's lower triangle to the band. */
+static void add_cell(const Sheet *s, long first_x, long first_y, double (*cell)[3][LOCAL], double *band) {
+    for (int k = 0; k < LOCAL; k++)
+        for (int l = 0; l <= k; l++) {
+            const long row = 3 * ((first_x + k / 4) * s->ny + first_y + k % 4), column = 3 * ((first_x + l / 4) * s->ny + first_y + l % 4);
+            for (int j = 0; j < 3; j++) {
+                double *to = band + (column + j) * BAND_STRIDE(s->width) + row - column - j;
+                for (int i = l < k ? 0 : j; i < 3; i++) to[i] += cell[3 * k + i][j][l];
+            }
+        }
+}
+
+/* The tangent at constant pressure. */
+static void assemble(const Sheet *s, const Look *l, double scale, double pressure, double *band) {
+    memset(band, 0, 3 * s->n * BAND_STRIDE(s->width) * sizeof *band);
+    for (long cx = 0; cx < s->nx - 1; cx++)
+        for (long cy = 0; cy < s->ny - 1; cy++) {
+            double cell[3 * LOCAL][3][LOCAL] = {{{0}}};
+            for (int g = 0; g < GAUSS * GAUSS; g++) {
+                const Line *x = l->x + GAUSS * cx + g / GAUSS, *y = l->y + GAUSS * cy + g % GAUSS;
+                const Point *p = l->points + (x - l->x) * l->qy + (y - l->y);
+                double B[LOCAL], B1[LOCAL], B2[LOCAL], C[3], w = x->weight * y->weight;
+                Rows T1, T2, U;
+                for (int k = 0; k < LOCAL; k++) {
+                    int a = k / 4, b = k % 4;
+                    B[k] = x->at.value[a] * y->at.value[b];
+                    B1[k] = x->at.slope[a] * y->at.value[b], B2[k] = x->at.value[a] * y->at.slope[b];
+                }
+                strain(s, p, C);
+                Stress S = stress(s, C, scale);
+                Moduli D = moduli(s, C, scale);
+                point_rows(p, &S, &D, w, pressure * w, B, B1, B2, T1, T2, U);
+                add_point(T1, T2, U, B, B1, B2, cell);
+            }
+            add_cell(s, l->x[GAUSS * cx].at.first, l->y[GAUSS * cy].at.first, cell, band);
+        }
+}
+
+int64_t sheet_tangent(const double *numbers, const double *law_, const double *c, double scale, double pressure, double *band) {
+    Sheet s = sheet_of(numbers, law_);
+    Look l;
+    int failed = look(&s, c, &l);
+    if (!failed) assemble(&s, &l, scale, pressure, band);
+    forget(&l);
+    return failed ? NO_MEMORY : 0;
+}
+
+int64_t factor_definite(int64_t n, int64_t width, double *band) {
+    const long stride = BAND_STRIDE(width);
+    double trace = 0, push = 0, *kept = malloc(n * stride * sizeof *kept);
+    if (!kept) return NO_MEMORY;
+    memcpy(kept, band, n * stride * sizeof *kept);
+    for (long i = 0; i < n; i++) trace += band[i * stride];
+    int failed = !isfinite(trace);
+    while (!failed && band_cholesky(n, width, band)) {
+        push = most(10 * push, NUDGE * fabs(trace) / n);
+        failed = !isfinite(push);
+        memcpy(band, kept, n * stride * sizeof *kept);
+        for (long i = 0; i < n; i++) band[i * stride] += push;
+    }
+    free(kept);
+    return failed;
+}
+
+void solve_stiffness(const Sheet *s, const Stiffness *K, double *x) {
+    double along = 0;
+    for (long i = 0; i < 3 * s->n; i++) along += K->softened[i] * x[i];
+    band_forward(3 * s->n, s->width, K->factor, x), band_backward(3 * s->n, s->width, K->factor, x);
+    for (long i = 0; i < 3 * s->n; i++) x[i] -= K->share * along * K->softened[i];
+}
+
+double soften(const double *numbers, const double *factor, const double *gradient, double gas_stiffness, double *softened) {
+    Sheet s = sheet_of(numbers, NULL);
+    double along = 0;
+    together(&s, gradient, softened);
+    band_forward(3 * s.n, s.width, factor, softened);
+    for (long i = 0; i < 3 * s.n; i++) along += softened[i] * softened[i];
+    band_backward(3 * s.n, s.width, factor, softened);
+    return gas_stiffness / (1 + gas_stiffness * along);
+}
+
+int64_t sheet_solve(const double *numbers, const double *factor, const double *softened, double share, const double *forces,
+                    double *out) {
+    Sheet s = sheet_of(numbers, NULL);
+    Stiffness K = {factor, softened, share};
+    double *x = malloc(3 * s.n * sizeof *x);
+    if (!x) return NO_MEMORY;
+    together(&s, forces, x), solve_stiffness(&s, &K, x), apart(&s, x, out);
+    free(x);
+    return 0;
+}
