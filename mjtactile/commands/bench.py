@@ -37,7 +37,7 @@ examples:
   mjtactile bench truth --cases my_cases   a TOML file each; those that come along: models/truth
   mjtactile bench numbers --readme README.md           then take the README's numbers from there
 """
-BENCHMARKS = {"grasp": "mjtactile.bench.grasp", "speed": "mjtactile.bench.speed", "accuracy": "mjtactile.bench.accuracy.run",
+BENCHMARKS = {"grasp": "mjtactile.bench.grasp", "speed": "mjtactile.bench.speed.run", "accuracy": "mjtactile.bench.accuracy.run",
               "effects": "mjtactile.bench.effects", "perception": "mjtactile.bench.perception.run",
               "material": "mjtactile.bench.material", "touch": "mjtactile.bench.touch.run",
               "bars": "mjtactile.bench.bars.run", "slip": "mjtactile.bench.slip.run", "tracking": "mjtactile.bench.tracking",
@@ -46,7 +46,8 @@ BENCHMARKS = {"grasp": "mjtactile.bench.grasp", "speed": "mjtactile.bench.speed"
               "numbers": "mjtactile.bench.numbers"}
 """Name to module; each has `run(out, quick) -> dict`, which draws into `out`, and `table(result) -> str` in Markdown."""
 
-RESUMED = ("stability", "rig", "bars")
+OPTIONS = {"resume": ("stability", "rig", "bars"), "parts": ("rig",), "soak": ("rig",), "cases": ("truth",), "against": ("speed",)}
+"""Options that only some have."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -57,25 +58,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--resume", action="store_true", help="stability, rig, bars: keep what an interrupted run finished")
     parser.add_argument("--parts", metavar="A,B,…", help="rig: only these of loop, bus, fuzz, killed, stuck, outcomes, faults")
     parser.add_argument("--cases", type=Path, metavar="DIR", help="truth: the cases of this folder")
+    parser.add_argument("--against", type=Path, metavar="DIR", help="speed: also compare with another checkout, in turns")
     parser.add_argument("--soak", type=float, metavar="HOURS", help="rig: also run its loop for so long")
     parser.add_argument("--readme", type=Path, metavar="FILE.md", help="also put the table into this file, between "
                         "<!-- bench:NAME --> and <!-- /bench -->")
 
 
 def run(options: argparse.Namespace) -> int:
-    if options.resume and options.name not in RESUMED:
-        raise InputError(f"{options.name!r} starts anew each time", field="--resume", choices=RESUMED)
-    if (options.parts or options.soak) and options.name != "rig":
-        raise InputError(f"{options.name!r} has none", field="--parts, --soak", choices=["rig"])
-    if options.cases and options.name != "truth":
-        raise InputError(f"{options.name!r} has none", field="--cases", choices=["truth"])
-    more: dict[str, Any] = {"resume": True} if options.resume else {}
-    if options.cases:
-        more["cases"] = options.cases
-    if options.parts:
-        more["parts"] = tuple(options.parts.split(","))
-    if options.soak:
-        more["soak"] = options.soak
+    more: dict[str, Any] = {}
+    for option, names in OPTIONS.items():
+        value = getattr(options, option)
+        if value and options.name not in names:
+            raise InputError(f"{options.name!r} has none", field=f"--{option}", choices=names)
+        if value:
+            more[option] = tuple(value.split(",")) if option == "parts" else value
     with output_folder(options.out) as out, stdout_to_stderr():
         module = importlib.import_module(BENCHMARKS[options.name])
         result = module.run(out, quick=options.quick, **more)

@@ -15,7 +15,7 @@ VIOLATIONS = {
     "Core, from the ground up": ("mjtactile/core/types.py", "import mjtactile.core.design"),
     "Sensing, from the image up": ("mjtactile/sensing/image/edges.py", "import mjtactile.sensing.force.sheet"),
     "Simulation, from the sensor up": ("mjtactile/sim/sensor/gas.py", "import mjtactile.sim.scenes.world"),
-    "The product imports no benchmark": ("mjtactile/commands/press.py", "import mjtactile.bench.speed"),
+    "The product imports no benchmark": ("mjtactile/commands/press.py", "import mjtactile.bench.speed.run"),
     "The default chain imports": ("mjtactile/sensing/chain.py", "import mjtactile.sensing.paper.levels"),
     "Sensing meets": ("mjtactile/sensing/pose/circles.py", "import mjtactile.rig.registry"),
     "Only the simulator": ("mjtactile/run/loop.py", "import mujoco"),

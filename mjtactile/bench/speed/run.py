@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.bench.settings import HOLD_FORCE, Setting, attempt, core_ms, cost_and_noise
+from mjtactile.bench.speed import compare
 from mjtactile.core.design import load_sensor
 from mjtactile.run.controller import load_controller
 from mjtactile.run.figures import new_figure
@@ -29,15 +30,16 @@ CAMERA_RATE = 60.0  # Hz
 SEED = 0  # of the grasp
 
 
-def run(out: Path, quick: bool = False) -> dict[str, Any]:
-    """All parts; draws speed.png into `out`."""
+def run(out: Path, quick: bool = False, against: Path | None = None) -> dict[str, Any]:
+    """All parts; draws speed.png into `out`. `against`: another checkout to compare with."""
     say = Progress().message
+    compared = {} if against is None else {"compared": compare.compare(against, quick=quick, say=say)}
     physics = [_physics(Setting(mesh, timestep), say) for mesh in ((11, 9), (13, 11)) for timestep in TIMESTEPS]
     growth = _growth(MESHES[:4] if quick else MESHES, say)
     scenes = [_rigid(name, say) for name in ("rigid pads", "rigid pads, touch_grid")]
     kinds = [("", 0), ("", 2)] if quick else [(accuracy, n) for accuracy in ("", "realtime") for n in (0, 1, 2)]
     loops = [_loop(accuracy, n, say) for accuracy, n in kinds]
-    result = {"physics": physics, "growth": growth, "rigid": scenes, "loops": loops}
+    result = {"physics": physics, "growth": growth, "rigid": scenes, "loops": loops, **compared}
     _plot(result, out)
     return result
 
@@ -88,7 +90,7 @@ def _loop(accuracy: str, workers: int, say: Callable[[str], None]) -> dict[str, 
            "real_time_factor": simulated / wall,
            "real_time_factor_held": (last - first) / (end - begin), "core_ms_per_s": 1e3 * core / simulated,
            "load_average": os.getloadavg()[0]}
-    say(f"grasp at {CAMERA_RATE:g} Hz, accuracy {row['accuracy']}, {workers} workers: {row['real_time_factor']:.2f} x real time, "
+    say(f"grasp at {CAMERA_RATE:g} Hz, accuracy {row['accuracy']}, {workers} threads: {row['real_time_factor']:.2f} x real time, "
         f"{row['real_time_factor_held']:.2f} while held; load {row['load_average']:.1f}")
     return row
 
@@ -108,10 +110,12 @@ def table(result: dict[str, Any]) -> str:
     lines += ["", f"Cost of a step grows with the number of vertices to the power {result['growth']['exponent']:.2f} "
               f"({result['growth']['rows'][0]['vertices']} to {result['growth']['rows'][-1]['vertices']} vertices).", "",
               "A whole grasp of an egg, two cameras at 60 Hz with perception, as the loop runs it: wall time.", "",
-              "| accuracy | processes for perception | x real time | while the object is held | core ms per simulated s | "
+              "| accuracy | threads for perception | x real time | while the object is held | core ms per simulated s | "
               "load average |", "|---|---|---|---|---|---|"]
     lines += [f"| {row['accuracy']} | {row['workers']} | {row['real_time_factor']:.2f} | {row['real_time_factor_held']:.2f} | "
               f"{row['core_ms_per_s']:.0f} | {row['load_average']:.1f} |" for row in result["loops"]]
+    if "compared" in result:
+        lines += ["", compare.table(result["compared"])]
     return "\n".join(lines) + "\n"
 
 

@@ -1,0 +1,83 @@
+"""One grasp of an egg, timed: a script, run under any checkout of mjtactile, that prints a line of JSON.
+
+`PYTHONPATH=CHECKOUT python probe.py RATE core|wall`: with "core", core time of an image, a drawing and a step by phase, perception in
+the loop's thread; with "wall", how the loop as it is keeps up with the clock. It uses only names that old checkouts have, too.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections import defaultdict
+from dataclasses import replace
+from typing import Any
+
+SEED, OBJECT = 0, "egg"
+TOUCHING = ("regulate", "lift", "hold", "lower")  # phases from the first touch to the release
+
+
+def main(rate: float, kind: str) -> dict[str, Any]:
+    begin = time.process_time(), time.perf_counter()
+    from mjtactile.core.design import load_sensor
+    from mjtactile.run.controller import load_controller
+    from mjtactile.run.session import open_session
+    from mjtactile.sensing.chain import Perception
+    from mjtactile.sim.camera import SimCamera
+    from mjtactile.sim.scenes.world import World
+
+    imported = time.perf_counter() - begin[1]
+    design = load_sensor("dense")
+    design = replace(design, camera=replace(design.camera, rate=rate))
+    phase = ["references"]
+    spent: dict[tuple[str, str], list[float]] = defaultdict(list)
+
+    def timed(owner: Any, name: str, what: str) -> None:
+        inner = getattr(owner, name)
+
+        def outer(self: Any, *args: Any) -> Any:
+            start = time.thread_time()
+            try:
+                return inner(self, *args)
+            finally:
+                count = args[0] if what == "a step" and args else 1
+                spent[what, phase[0]].append((time.thread_time() - start) / count)
+
+        setattr(owner, name, outer)
+
+    if kind == "core":
+        timed(Perception, "perceive", "image to touch")
+        timed(SimCamera, "draw", "drawing an image")
+        timed(World, "step", "a step")
+    moments: list[tuple[str, float, float]] = []
+
+    def on_cycle(cycle: Any) -> None:
+        phase[0] = cycle.sent.phase
+        moments.append((cycle.sent.phase, cycle.time, time.perf_counter()))
+
+    with open_session("sim", design, object_name=OBJECT, seed=SEED, workers=0 if kind == "core" else None) as session:
+        start = time.perf_counter()
+        session.take_references()
+        referenced = time.perf_counter() - start
+        core = time.process_time()
+        session.run(load_controller("gentle"), time_limit=60.0, on_cycle=on_cycle)
+        core = time.process_time() - core
+    rows = {what: {name: 1e3 * sorted(values)[len(values) // 2] for (kind_, name), values in spent.items() if kind_ == what}
+            for what in {what for what, _ in spent}}
+    return {"core_ms": rows, "factors": _factors(moments), "import_s": imported, "references_s": referenced,
+            "core_s_per_s": core / (moments[-1][1] - moments[0][1])}
+
+
+def _factors(moments: list[tuple[str, float, float]]) -> dict[str, float]:
+    """Simulated over wall time in each phase, from touch to release, and of all."""
+    simulated: dict[str, float] = defaultdict(float)
+    wall: dict[str, float] = defaultdict(float)
+    for (_, t0, w0), (phase, t1, w1) in zip(moments, moments[1:], strict=False):
+        for name in (phase, *(["touch to release"] if phase in TOUCHING else []), "all"):
+            simulated[name] += t1 - t0
+            wall[name] += w1 - w0
+    return {name: simulated[name] / wall[name] for name in simulated}
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps(main(float(sys.argv[1]), sys.argv[2])) + "\n")
