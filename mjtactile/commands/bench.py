@@ -46,7 +46,8 @@ BENCHMARKS = {"grasp": "mjtactile.bench.grasp", "speed": "mjtactile.bench.speed.
               "numbers": "mjtactile.bench.numbers"}
 """Name to module; each has `run(out, quick) -> dict`, which draws into `out`, and `table(result) -> str` in Markdown."""
 
-OPTIONS = {"resume": ("stability", "rig", "bars"), "parts": ("rig",), "soak": ("rig",), "cases": ("truth",), "against": ("speed",)}
+OPTIONS = {"resume": ("stability", "rig", "bars"), "parts": ("rig",), "soak": ("rig",), "cases": ("truth",),
+           "against": ("speed",)}
 """Options that only some have."""
 
 

@@ -1,7 +1,7 @@
 """One grasp of an egg, timed: a script, run under any checkout of mjtactile, that prints a line of JSON.
 
-`PYTHONPATH=CHECKOUT python probe.py RATE core|wall`: with "core", core time of an image, a drawing and a step by phase, perception in
-the loop's thread; with "wall", how the loop as it is keeps up with the clock. It uses only names that old checkouts have, too.
+`PYTHONPATH=CHECKOUT python probe.py RATE core|wall`: with "core", core time of an image, a drawing and a step by phase; with
+"wall", how the loop as it is keeps up with the clock. It uses only names that old checkouts have, too.
 """
 
 from __future__ import annotations
