@@ -10,7 +10,7 @@
     while True:
         for sensor in sensors:
             sensor.update()                                  # gas: before every mj_step
-        mujoco.mj_step(model, data)
+        mujoco.mj_step(model, data)                          # or mjtactile.sim.step.advance, in half the time
         centres, normals = sensors[0].marker_poses()         # m, in the sensor's frame
 
 The site's frame becomes the sensor's frame S: origin in the middle of the flat membrane, z outward.
