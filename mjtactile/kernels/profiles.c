@@ -91,12 +91,20 @@ static void sample(const Image *image, double u, double v, double du, double dv,
         const int left = (int)(u - far_u), top = (int)(v - far_v);
         const float *pixels = image->pixels + top * w + left;  /* float places from here are good to 1e-6 px */
         const float x0 = (float)(u - left - reach * du), y0 = (float)(v - top - reach * dv), dx = (float)du, dy = (float)dv;
+        int place[SAMPLES];
+        float a[SAMPLES], b[SAMPLES], upper[SAMPLES], lower[SAMPLES], across[SAMPLES], below[SAMPLES];
         for (int j = 0; j < SAMPLES; j++) {
             float x = most_float(x0 + j * dx, 0), y = most_float(y0 + j * dy, 0);
-            int i = (int)x, k = (int)y;
-            const float *at = pixels + k * w + i;
-            float a = x - i, b = y - k, upper = at[0] + a * (at[1] - at[0]);
-            out[j] = upper + b * (at[w] + a * (at[w + 1] - at[w]) - upper);
+            int column = (int)x, row = (int)y;
+            place[j] = row * (int)w + column, a[j] = x - column, b[j] = y - row;
+        }
+        for (int j = 0; j < SAMPLES; j++) {
+            const float *at = pixels + place[j];
+            upper[j] = at[0], across[j] = at[1], lower[j] = at[w], below[j] = at[w + 1];
+        }
+        for (int j = 0; j < SAMPLES; j++) {
+            float high = upper[j] + a[j] * (across[j] - upper[j]), low = lower[j] + a[j] * (below[j] - lower[j]);
+            out[j] = high + b[j] * (low - high);
         }
         return;
     }
