@@ -87,7 +87,8 @@ static void outline(Lines *l, const double *shape, const Fan *fan) {
 static void sample(const Image *image, double u, double v, double du, double dv, float *out) {
     const long w = image->width, h = image->height;
     const double reach = (SAMPLES - 1) / 2.0, far_u = fabs(du) * reach, far_v = fabs(dv) * reach;
-    if (u - far_u >= 0 && u + far_u < w - 1 && v - far_v >= 0 && v + far_v < h - 1) {
+    const double last_u = w - 1.001, last_v = h - 1.001;  /* whatever single precision does to a place */
+    if (u - far_u >= 0 && u + far_u < last_u && v - far_v >= 0 && v + far_v < last_v) {
         const int left = (int)(u - far_u), top = (int)(v - far_v);
         const float *pixels = image->pixels + top * w + left;  /* float places from here are good to 1e-6 px */
         const float x0 = (float)(u - left - reach * du), y0 = (float)(v - top - reach * dv), dx = (float)du, dy = (float)dv;
