@@ -91,7 +91,7 @@ class MaterialSettings:
     width_bias: float = number(40e-6, "m by which the width of a rigid object seems to change with force",
                                "bending at sharp edges; " + _PROBED)
     area_share_sd: float = number(0.3, "of the contact's area: its sd",
-                                  "bench touch: half of all presses are more than 20 % off; at first 0.15, which was too sure")
+                                  "bench bars: half of all presses are more than 20 to 35 % off")
     released_share: float = number(0.5, "of the greatest force: below it the release is compared with the press", _PROBED)
     released_force: float = number(0.15, "N, the same where that is more", _PROBED)
     relaxed_least: float = number(0.04, "share of the force that must go before a relaxation time is given", _PROBED)
