@@ -241,3 +241,62 @@ int64_t inverse_step(const double *numbers, const double *factor, const double *
     free(seats), free(relaxed);
     return 0;
 }
+
+/* -- what it means ------------------------------------------------------------------------------------------------------ */
+
+#define WRENCH 6 /* of the lanes of a row */
+
+/* The tractions' prior root times rows (6, 3 J) that add tractions on `areas` at `p` (J, 3) up to force and torque about the origin;
+   `out` (3 J), `room` (2 count + jx + jy). */
+static void wrench_rows(const Nodes *nodes, const double *prior, const double *p, const double *areas, double *room, Lanes *out) {
+    const long jx = nodes->jx, jy = nodes->jy, count = jx * jy;
+    double *row = room, *half = row + count;
+    for (int a = 0; a < WRENCH; a++)
+        for (int k = 0; k < 3; k++) {
+            const int arm = 6 - a - k; /* of the torque a - 3 that the force k has; a force adds to itself */
+            if (a < 3 ? a != k : a - 3 == k) continue;
+            for (long i = 0; i < count; i++)
+                row[i] = areas[i] * prior[k * count + i] * (a < 3 ? 1 : (a - 2) % 3 == k ? -p[3 * i + arm] : p[3 * i + arm]);
+            sandwich_transposed(jx, jx, jy, jy, nodes->root_x, row, nodes->root_y, half + count, half);
+            for (long i = 0; i < count; i++) out[k * count + i][a] = half[i];
+        }
+}
+
+/* sum += by row x, in chains that need not wait for each other. */
+static void add_product(double by, long n, const double *row, const Lanes *x, Lanes *sum) {
+    Lanes a = {0}, b = {0}, c = {0}, d = {0};
+    long k = 0;
+    for (; k + 3 < n; k += 4) a += row[k] * x[k], b += row[k + 1] * x[k + 1], c += row[k + 2] * x[k + 2], d += row[k + 3] * x[k + 3];
+    for (; k < n; k++) a += row[k] * x[k];
+    *sum += by * (a + b + c + d);
+}
+
+/* seen (r) = L^-1 half own, with L (r, r) and half (r, m) by rows. */
+static void whitened(long r, long m, const double *half, const Lanes *own, const double *L, Lanes *seen) {
+    for (long i = 0; i < r; i++) {
+        Lanes sum = {0};
+        add_product(1, m, half + i * m, own, &sum), add_product(-1, i, L + i * r, seen, &sum);
+        seen[i] = sum / L[i * r + i];
+    }
+}
+
+int64_t wrench_posterior(int64_t r, int64_t jx, int64_t jy, const double *root_x, const double *root_y, const double *prior,
+                         const double *positions, const double *areas, const double *half, const double *innovation,
+                         double *cov) {
+    const Nodes nodes = {jx, jy, NULL, NULL, root_x, root_y};
+    const long nodal = 3 * jx * jy;
+    Lanes *own = calloc(nodal + r, sizeof *own), *seen = own + nodal, sum[WRENCH] = {{0}};
+    double *room = malloc((2 * jx * jy + jx + jy) * sizeof *room);
+    int failed = own && room ? 0 : NO_MEMORY;
+    if (!failed) {
+        wrench_rows(&nodes, prior, positions, areas, room, own);
+        whitened(r, nodal, half, own, innovation, seen);
+        for (int a = 0; a < WRENCH; a++) {
+            for (long k = 0; k < nodal; k++) sum[a] += own[k][a] * own[k];
+            for (long i = 0; i < r; i++) sum[a] -= seen[i][a] * seen[i];
+            for (int b = 0; b < WRENCH; b++) cov[WRENCH * a + b] = sum[a][b];
+        }
+    }
+    free(own), free(room);
+    return failed;
+}

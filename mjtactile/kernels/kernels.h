@@ -56,6 +56,11 @@ int64_t inverse_step(const double *numbers, const double *factor, const double *
                      const double *data, const double *slopes_off, double *change, double *traction, double *misfit, double *noise,
                      double *drift_found);
 
+/* Out: covariance `cov` (6, 6) of the net wrench of tractions on nodes at `positions` (J, 3) with `areas` (J), given what r markers saw. */
+int64_t wrench_posterior(int64_t r, int64_t jx, int64_t jy, const double *root_x, const double *root_y, const double *prior,
+                         const double *positions, const double *areas, const double *half, const double *innovation,
+                         double *cov);
+
 /* image/candidates.py: area moments of n borders, `counts` (n) points each in `points` (x, y) of an image (height, width); out:
    `misfit` (n) px, the largest distance of the border from the ellipse with these moments, and whether the image cuts it. */
 int64_t border_moments(int64_t n, const int64_t *counts, const int32_t *points, int64_t height, int64_t width, double *centers,

@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve
+from scipy.linalg import cho_solve, solve_triangular
 
 from mjtactile.core.bspline import hats
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, Markers
 from mjtactile.sensing.force import inverse
 from mjtactile.sensing.force.inverse import STEP_LIMIT, InverseMembrane, InverseRest, Shape
+from mjtactile.sensing.force.prior import LoadPrior
 from tests.numpy_chain.sheet import Sheet, State
 
 
@@ -64,6 +65,13 @@ class DenseInverse(InverseMembrane):
         half = by_x.T @ (vector * sd).reshape(3, len(by_x), len(by_y)) @ by_y
         return sd * (by_x @ half @ by_y.T).ravel()
 
+    def _posterior(self, shape: Shape, positions: Array) -> Array:
+        gain = shape.gain
+        L = half_of(self.prior, moments(self, shape.c), gain.prior)
+        half = solve_triangular(gain.innovation, gain.half @ L.T, lower=True, check_finite=False)
+        scale = np.sqrt(self.posterior_share(shape))
+        return (L @ L.T - half.T @ half) * np.outer(scale, scale)
+
     def _step(self, c: Array, markers: Markers, rest: InverseRest, gain: _Gain, count: int) -> Shape:
         """One Gauss-Newton step from `c`: the sheet relaxes, tractions and drift explain what markers show beyond that."""
         data = markers.p_SM - rest.offset[markers.ids] - self._material[markers.ids]
@@ -112,7 +120,7 @@ class DenseInverse(InverseMembrane):
         moved = cho_solve(stiffness, unit, check_finite=False).T
         response = (moved.reshape(-1, self.sheet.count) @ self._load).reshape(len(moved), -1)
         prior = self.prior.first() if before is None else self.prior.after(before.traction)
-        half = self.prior.half(response, prior)
+        half = half_of(self.prior, response, prior)
         innovation = half @ half.T + drift @ drift.T
         innovation[np.diag_indices_from(innovation)] += 1.0
         innovation = np.linalg.cholesky(innovation)
@@ -134,6 +142,21 @@ class DenseInverse(InverseMembrane):
         drift[:, 0] = bulge @ unit
         drift[: 3 * len(weights), 1:] = self.settings.drift_camera * weights.reshape(-1, 3)  # slopes do not see the camera move
         return drift, (pressure, load)
+
+
+def half_of(prior: LoadPrior, rows: Array, sd: Array) -> Array:
+    """`rows` (m, 3 J) times the covariance's root: half half^T is the covariance of what they see."""
+    by_x, by_y = prior.root
+    return (by_x.T @ (rows * sd).reshape(-1, len(by_x), len(by_y)) @ by_y).reshape(rows.shape)
+
+
+def moments(estimator: InverseMembrane, c: Array) -> Array:
+    """Matrix (6, 3 J) that adds tractions (3, J) up to force and torque about the origin of S."""
+    x, y, z = estimator.node_positions(c).T
+    one, zero = np.ones_like(x), np.zeros_like(x)
+    rows = np.stack([np.r_[one, zero, zero], np.r_[zero, one, zero], np.r_[zero, zero, one],
+                     np.r_[zero, -z, y], np.r_[z, zero, -x], np.r_[-y, x, zero]])
+    return rows * np.tile(estimator.node_area, 3)
 
 
 def _whiten(weights: Array, values: Array) -> Array:

@@ -14,6 +14,7 @@ from mjtactile.core.types import Markers
 from mjtactile.sensing.force.inverse import InverseMembrane
 from mjtactile.sensing.force.sheet import Gas, Sheet
 from mjtactile.sensing.touch.patches import find_patches, together
+from tests.numpy_chain.inverse import half_of, moments
 
 SUPPLY = 1000.0  # Pa
 OBLIQUE, PLACE = np.array([0.15, -0.05, -0.6]), (0.004, -0.002)
@@ -149,15 +150,15 @@ def test_covariance_is_that_of_errors_drawn_from_prior_and_noise(sensor, truth):
     """Draw tractions from the prior and noise from the markers; the linear estimate must err by the predicted covariance."""
     estimator, rest = sensor
     shape = estimator.estimate(truth.markers(estimator.design, truth.pressed), rest)
-    gain, moment = shape.gain, estimator._moments(shape.c) * np.tile(estimator.node_area, 3)
+    gain, moment = shape.gain, moments(estimator, shape.c)
     rng = np.random.default_rng(1)
-    root = estimator.prior.half(np.eye(len(gain.prior)), gain.prior)  # of the prior's covariance
+    root = half_of(estimator.prior, np.eye(len(gain.prior)), gain.prior)  # of the prior's covariance
     drawn, seen = rng.standard_normal((len(root), 400)), gain.half
     t = root @ drawn
     y = seen @ drawn + gain.drift @ rng.standard_normal((4, 400)) + rng.standard_normal((len(seen), 400))
     S = seen @ seen.T + gain.drift @ gain.drift.T + np.eye(len(seen))
     error = moment @ (root @ (seen.T @ np.linalg.solve(S, y)) - t)
-    predicted = np.sqrt(np.diag(estimator._posterior(shape, estimator._moments(shape.c))))
+    predicted = np.sqrt(np.diag(estimator._posterior(shape, estimator.node_positions(shape.c))))
     share = np.sqrt(estimator.posterior_share(shape))
     np.testing.assert_allclose(error.std(axis=1) * share, predicted, rtol=0.12)  # 400 draws: 3.5 %, six of them
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve, solve_triangular
+from scipy.linalg import cho_solve
 
 from mjtactile.core.bspline import hats
 from mjtactile.core.design import SensorDesign
@@ -231,15 +231,15 @@ class InverseMembrane:
     def traction(self, shape: Shape, before: Shape | None = None, seconds: float = math.inf) -> Traction:
         """Nodal forces on the grid, net wrench and its covariance, which grows with the motion since `before`, `seconds` ago."""
         force = shape.traction * self.node_area
-        moment = self._moments(shape.c)
-        wrench = moment @ force.ravel()
+        positions = self.node_positions(shape.c)
+        wrench = _net(force, positions)
         nodal = np.zeros((len(self.y), len(self.x), 3))
         nodal[1:-1, 1:-1] = force.reshape(3, len(self.x) - 2, len(self.y) - 2).transpose(2, 1, 0)
         before = shape if before is None else before
         moved = self._at_nodes @ (shape.c - before.c).T
-        felt = Felt(force, wrench - moment @ (before.traction * self.node_area).ravel(),
+        felt = Felt(force, wrench - _net(before.traction * self.node_area, positions),
                     self.node_area @ moved / (self.node_area.sum() * max(seconds, 1e-3)), float(shape.excess[0].mean()))
-        cov = self._posterior(shape, moment)
+        cov = self._posterior(shape, positions)
         cov[np.diag_indices(6)] += self._doubt.variance(felt)
         return Traction(self.x, self.y, nodal, wrench, cov, shape.pressure_gauge, method="inverse")
 
@@ -260,22 +260,24 @@ class InverseMembrane:
         pressure = np.maximum(-shape.traction[2], 0.0).reshape(hat_x.shape[1], hat_y.shape[1])
         return self.sheet.weights * (hat_x @ pressure @ hat_y.T)
 
-    def _moments(self, c: Array) -> Array:
-        """Matrix (6, 3 J) that adds nodal forces (3, J) up to force and torque about the origin of S."""
-        x, y, z = self.node_positions(c).T
-        one, zero = np.ones_like(x), np.zeros_like(x)
-        return np.stack([np.r_[one, zero, zero], np.r_[zero, one, zero], np.r_[zero, zero, one],
-                         np.r_[zero, -z, y], np.r_[z, zero, -x], np.r_[-y, x, zero]])
-
-    def _posterior(self, shape: Shape, moment: Array) -> Array:
-        """Posterior covariance (6, 6) of the wrench: what the prior leaves open between markers, and their noise."""
-        gain = shape.gain
-        L = self.prior.half(moment * np.tile(self.node_area, 3), gain.prior)
-        half = solve_triangular(gain.innovation, gain.half @ L.T, lower=True, check_finite=False)
+    def _posterior(self, shape: Shape, positions: Array) -> Array:
+        """Posterior covariance (6, 6) of the wrench of tractions on nodes at `positions` (J, 3) m: what the prior leaves open
+        between markers, and their noise."""
+        gain, cov = shape.gain, np.empty((6, 6))
+        jx, jy, _, _, *roots = self._nodes
+        if kernel("wrench_posterior")(len(gain.half), jx, jy, *roots, gain.prior, positions, self.node_area, gain.half,
+                                      gain.innovation, cov):
+            raise MemoryError("no room for a covariance")
         scale = np.sqrt(self.posterior_share(shape))
-        return (L @ L.T - half.T @ half) * np.outer(scale, scale)
+        return cov * np.outer(scale, scale)
 
     def posterior_share(self, shape: Shape) -> Array:
         """Share (6,) of the wrench's predicted variances: more where markers misfit or show drift."""
         share = max(1.0, shape.misfit) * np.array(self.settings.posterior_share)[AXES]
         return np.maximum(share, shape.drift - 1)
+
+
+def _net(force: Array, positions: Array) -> Array:
+    """Net force and torque (6,) about the origin of forces (3, J) at `positions` (J, 3)."""
+    M = force @ positions
+    return np.array([*force.sum(axis=1), M[2, 1] - M[1, 2], M[0, 2] - M[2, 0], M[1, 0] - M[0, 1]])

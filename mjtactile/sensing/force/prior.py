@@ -39,11 +39,6 @@ class LoadPrior:
         shear = np.hypot(self.settings.friction * pressing, background / 2)
         return np.concatenate([shear, shear, np.hypot(pressing, background)])
 
-    def half(self, rows: Array, sd: Array) -> Array:
-        """`rows` (m, 3 J) times the covariance's root: half half^T is the covariance of what they see."""
-        by_x, by_y = self.root
-        return (by_x.T @ (rows * sd.astype(rows.dtype)).reshape(-1, *self._shape) @ by_y).reshape(rows.shape)
-
 
 def _kernel(x: Array, length: float) -> Array:
     return np.exp(-0.5 * (np.subtract.outer(x, x) / length) ** 2)
