@@ -201,3 +201,17 @@ void expose(int64_t count, const float *gray, const float *noise, double noise_d
         pixels[i] = (uint8_t)(int)(level + 0.5f);
     }
 }
+
+void bilinear(int64_t rows, int64_t columns, int64_t channels, const double *grid, int64_t count, const double *places, double *out) {
+    for (int64_t i = 0; i < count; i++) {
+        const double u = clip(places[2 * i], 0, columns - 1), v = clip(places[2 * i + 1], 0, rows - 1);
+        const int64_t left = (int64_t)least(u, columns - 2), top = (int64_t)least(v, rows - 2);
+        const double right = u - left, down = v - top, *upper = grid + (top * columns + left) * channels;
+        const double *lower = upper + columns * channels;
+        for (int64_t k = 0; k < channels; k++) {
+            const double above = upper[k] * (1 - right) + upper[channels + k] * right;
+            const double below = lower[k] * (1 - right) + lower[channels + k] * right;
+            out[channels * i + k] = above * (1 - down) + below * down;
+        }
+    }
+}

@@ -16,6 +16,10 @@ void shade(int64_t count, double marker, double gain, const float *contrast, con
 /* Out: `pixels`, noise added and rounded. */
 void expose(int64_t count, const float *gray, const float *noise, double noise_dn, uint8_t *pixels);
 
+/* sim/picture/shadows.py: `out` (count, channels) of `grid` (rows, columns, channels) at `places` (count, 2), fractional columns and
+   rows, cut to the grid. */
+void bilinear(int64_t rows, int64_t columns, int64_t channels, const double *grid, int64_t count, const double *places, double *out);
+
 /* shape/surface.py: the spline through markers `p_SM` (n, 3) with `variance` (n) of their heights and normals `n_S` (n, 3) or NULL;
    `settings` (11): see surface.c. Bands, here and below, as in band.h. Out: `c` (ny, nx), the band of the Cholesky `factor` of its
    inverse covariance, `found` (2): misfit, markers used. */

@@ -21,6 +21,7 @@ from mjtactile.core.design import Frame, SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.optics import Camera
 from mjtactile.core.types import Array
+from mjtactile.kernels import kernel
 from mjtactile.sim.picture.light import BLOCK_PX, Floats, Light, block_slopes
 
 LED_RADIUS = 1.5e-3
@@ -221,16 +222,10 @@ def edge_distance(frame: Frame, xy: Array) -> Array:
 
 def bilinear(grid: Array, columns_rows: Array) -> Array:
     """Values of `grid` (ny, nx, ...) at fractional columns and rows (..., 2); beyond its border those of the border."""
-    ny, nx = grid.shape[:2]
-    column, row = np.clip(columns_rows[..., 0], 0, nx - 1), np.clip(columns_rows[..., 1], 0, ny - 1)
-    left, top = np.minimum(column.astype(np.intp), nx - 2), np.minimum(row.astype(np.intp), ny - 2)
-    right, down = column - left, row - top
-    if grid.ndim > 2:
-        right, down = right[..., None], down[..., None]
-    flat, first = grid.reshape(ny * nx, *grid.shape[2:]), top * nx + left
-    upper = flat[first] * (1 - right) + flat[first + 1] * right
-    lower = flat[first + nx] * (1 - right) + flat[first + nx + 1] * right
-    return upper * (1 - down) + lower * down
+    out = np.empty((*columns_rows.shape[:-1], *grid.shape[2:]))
+    count = columns_rows.size // 2
+    kernel("bilinear")(*grid.shape[:2], out.size // max(count, 1), grid, count, columns_rows, out)
+    return out
 
 
 def _towards(xy: Array, z: Array, p_SL: Array) -> tuple[Array, Array, Array]:

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import RegularGridInterpolator
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.optics import Camera
-from mjtactile.sim.picture import renderer
+from mjtactile.sim.picture import renderer, shadows
 from mjtactile.sim.picture.renderer import Effects, Renderer
 from tests.numpy_chain import discs as numpy_discs
 
@@ -54,3 +55,14 @@ def test_light_noise_and_rounding(scene):
     np.testing.assert_allclose(dark, gray / 2, rtol=1e-6)
     for level, pixel in ((-7.0, 0), (0.4, 0), (0.6, 1), (254.4, 254), (300.0, 255)):
         assert (drawn.expose(np.full_like(gray, level), effects=Effects(noise_dn=0.0)).pixels == pixel).all()
+
+
+def test_bilinear():
+    """scipy's, which leaves out what is beyond the grid; to rounding."""
+    rng = np.random.default_rng(5)
+    grid, places = rng.normal(size=(7, 9, 3)), rng.uniform([-1, -2], [9.5, 8], (300, 2))
+    within = np.clip(places, 0, [8, 6])[:, ::-1]
+    expected = RegularGridInterpolator((np.arange(7), np.arange(9)), grid)(within)
+    np.testing.assert_allclose(shadows.bilinear(grid, places), expected, atol=1e-14)
+    flat = shadows.bilinear(grid[..., 1], places.reshape(30, 10, 2))
+    np.testing.assert_allclose(flat, expected[:, 1].reshape(30, 10), atol=1e-14)
