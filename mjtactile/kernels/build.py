@@ -57,10 +57,19 @@ def library(instructions: str | None = None) -> Path:
                 made = Path(work) / name
                 _compile(made, instructions)
                 made.replace(folder / name)
+                _forget_others(folder / name, instructions)
         except PermissionError:  # an installation that belongs to somebody else
             continue
         return folder / name
     raise RuntimeError(f"mjtactile's kernels cannot be written to {' or '.join(map(str, _folders()))}")
+
+
+def _forget_others(library: Path, instructions: str) -> None:
+    """Delete what was made of other sources in a checkout; a process that uses it keeps it."""
+    if library.parent == FOLDER / MADE:
+        for old in library.parent.glob(f"kernels-*-{instructions}.so"):
+            if old != library:
+                old.unlink(missing_ok=True)
 
 
 def _sets() -> list[tuple[str, set[str], list[str]]]:
