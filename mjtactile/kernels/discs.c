@@ -24,7 +24,8 @@ typedef struct { double c[HARMONICS + 1][RIM], s[HARMONICS + 1][RIM]; } Waves;
 
 typedef struct { double x[RIM], y[RIM], x0, x1, y0, y1; } Rim;  /* and its bounds */
 
-typedef struct { double x_cos[HARMONICS + 1], x_sin[HARMONICS + 1], y_cos[HARMONICS + 1], y_sin[HARMONICS + 1]; int last; } Series;
+typedef struct { double x_cos[HARMONICS + 1], x_sin[HARMONICS + 1], y_cos[HARMONICS + 1], y_sin[HARMONICS + 1];
+                 int last; } Series;
 
 /* The whole pixel of a place, and the part of a pixel beyond it, to the nearest of the bins. */
 static long whole(double place, long bins, long *bin) {
@@ -202,7 +203,8 @@ void expose(int64_t count, const float *gray, const float *noise, double noise_d
     }
 }
 
-void bilinear(int64_t rows, int64_t columns, int64_t channels, const double *grid, int64_t count, const double *places, double *out) {
+void bilinear(int64_t rows, int64_t columns, int64_t channels, const double *grid, int64_t count, const double *places,
+              double *out) {
     for (int64_t i = 0; i < count; i++) {
         const double u = clip(places[2 * i], 0, columns - 1), v = clip(places[2 * i + 1], 0, rows - 1);
         const int64_t left = (int64_t)least(u, columns - 2), top = (int64_t)least(v, rows - 2);

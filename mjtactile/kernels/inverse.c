@@ -14,12 +14,12 @@
 /* Products of splines at a marker, and their slopes. */
 typedef struct { long first; double value[PRODUCTS], by_x[PRODUCTS], by_y[PRODUCTS]; } Seat;
 
-/* What the whitened markers see, r rows: first the positions, three to a marker, then, where `tilts` are, two slopes each. A row is
-   the force on the spline's values, or those on its slopes by x and y. */
+/* What the whitened markers see, r rows: first the positions, three to a marker, then, where `tilts` are, two slopes each. A row
+   is the force on the spline's values, or those on its slopes by x and y. */
 typedef struct { long markers, rows; const double *weights, *tilts; const Seat *seats; } Sight;
 
-/* The nodes of tractions (jx, jy): generalised forces of one pascal at each, (nx, jx) and (ny, jy), and the lower triangular roots of
-   the prior's correlation along x and along y. */
+/* The nodes of tractions (jx, jy): generalised forces of one pascal at each, (nx, jx) and (ny, jy), and the lower triangular
+   roots of the prior's correlation along x and along y. */
 typedef struct { long jx, jy; const double *load_x, *load_y, *root_x, *root_y; } Nodes;
 
 static void take_seats(const Sheet *s, long markers, const double *material, Seat *seats) {
@@ -190,9 +190,9 @@ static void tractions(const Sheet *s, const Nodes *nodes, const double *prior, c
 int64_t inverse_step(const double *numbers, const double *factor, const double *softened, double share, int64_t markers,
                      const double *material, const double *weights, const double *tilts, int64_t jx, int64_t jy,
                      const double *load_x, const double *load_y, const double *root_x, const double *root_y, const double *prior,
-                     const double *innovation, const double *drift, const double *gas_load, const double *c, const double *residual,
-                     const double *data, const double *slopes_off, double *change, double *traction, double *misfit, double *noise,
-                     double *drift_found) {
+                     const double *innovation, const double *drift, const double *gas_load, const double *c,
+                     const double *residual, const double *data, const double *slopes_off, double *change, double *traction,
+                     double *misfit, double *noise, double *drift_found) {
     Sheet s = sheet_of(numbers, NULL);
     Stiffness K = {factor, softened, share};
     Nodes nodes = {jx, jy, load_x, load_y, root_x, root_y};
@@ -246,8 +246,8 @@ int64_t inverse_step(const double *numbers, const double *factor, const double *
 
 #define WRENCH 6 /* of the lanes of a row */
 
-/* The tractions' prior root times rows (6, 3 J) that add tractions on `areas` at `p` (J, 3) up to force and torque about the origin;
-   `out` (3 J), `room` (2 count + jx + jy). */
+/* The tractions' prior root times rows (6, 3 J) that add tractions on `areas` at `p` (J, 3) up to force and torque about the
+   origin; `out` (3 J), `room` (2 count + jx + jy). */
 static void wrench_rows(const Nodes *nodes, const double *prior, const double *p, const double *areas, double *room, Lanes *out) {
     const long jx = nodes->jx, jy = nodes->jy, count = jx * jy;
     double *row = room, *half = row + count;
@@ -266,7 +266,10 @@ static void wrench_rows(const Nodes *nodes, const double *prior, const double *p
 static void add_product(double by, long n, const double *row, const Lanes *x, Lanes *sum) {
     Lanes a = {0}, b = {0}, c = {0}, d = {0};
     long k = 0;
-    for (; k + 3 < n; k += 4) a += row[k] * x[k], b += row[k + 1] * x[k + 1], c += row[k + 2] * x[k + 2], d += row[k + 3] * x[k + 3];
+    for (; k + 3 < n; k += 4) {
+        a += row[k] * x[k], b += row[k + 1] * x[k + 1];
+        c += row[k + 2] * x[k + 2], d += row[k + 3] * x[k + 3];
+    }
     for (; k < n; k++) a += row[k] * x[k];
     *sum += by * (a + b + c + d);
 }

@@ -4,8 +4,8 @@
 #define MJTACTILE_KERNELS_H
 #include <stdint.h>
 
-/* sim/picture/renderer.py: blurred discs and a closed curve added to an image `coverage` (height, width). `across` (bins, taps) and
-   `down` (bins, taps + 1): see discs.c; `per_px` nodes to a pixel of a rim. `nodes` (count, 2) px, `weights` (count) dx. */
+/* sim/picture/renderer.py: blurred discs and a closed curve added to an image `coverage` (height, width). `across` (bins, taps)
+   and `down` (bins, taps + 1): see discs.c; `per_px` nodes to a pixel of a rim. `nodes` (count, 2) px, `weights` (count) dx. */
 int64_t draw_discs(int64_t n, const double *p_CM, const double *n_C, const double *radii, const double *camera, double per_px,
                    int64_t bins, int64_t taps, const float *across, const float *down, int64_t height, int64_t width,
                    float *coverage);
@@ -16,24 +16,25 @@ void shade(int64_t count, double marker, double gain, const float *contrast, con
 /* Out: `pixels`, noise added and rounded. */
 void expose(int64_t count, const float *gray, const float *noise, double noise_dn, uint8_t *pixels);
 
-/* sim/picture/shadows.py: `out` (count, channels) of `grid` (rows, columns, channels) at `places` (count, 2), fractional columns and
-   rows, cut to the grid. */
-void bilinear(int64_t rows, int64_t columns, int64_t channels, const double *grid, int64_t count, const double *places, double *out);
+/* sim/picture/shadows.py: `out` (count, channels) of `grid` (rows, columns, channels) at `places` (count, 2), fractional columns
+   and rows, cut to the grid. */
+void bilinear(int64_t rows, int64_t columns, int64_t channels, const double *grid, int64_t count, const double *places,
+              double *out);
 
-/* shape/surface.py: the spline through markers `p_SM` (n, 3) with `variance` (n) of their heights and normals `n_S` (n, 3) or NULL;
-   `settings` (11): see surface.c. Bands, here and below, as in band.h. Out: `c` (ny, nx), the band of the Cholesky `factor` of its
-   inverse covariance, `found` (2): misfit, markers used. */
+/* shape/surface.py: the spline through markers `p_SM` (n, 3) with `variance` (n) of their heights and normals `n_S` (n, 3) or
+   NULL; `settings` (11): see surface.c. Bands, here and below, as in band.h. Out: `c` (ny, nx), the band of the Cholesky `factor`
+   of its inverse covariance, `found` (2): misfit, markers used. */
 int64_t fit_surface(int64_t n, const double *p_SM, const double *variance, const double *n_S, const double *settings,
                     const double *prior, double *c, double *factor, double *found);
-/* Tables: `grid_x` (nx, grid_nx), `grid_y` (grid_ny, ny), and values and slopes `quad_x` (2, nx, qx), `quad_y` (2, qy, ny). Out: heights
-   `z` (grid_ny, grid_nx), `found` (4): area, volume, and their sd. */
-int64_t measure_surface(int64_t nx, int64_t ny, const double *c, const double *factor, double misfit, int64_t grid_nx, int64_t grid_ny,
-                        const double *grid_x, const double *grid_y, int64_t qx, int64_t qy, const double *quad_x,
+/* Tables: `grid_x` (nx, grid_nx), `grid_y` (grid_ny, ny), and values and slopes `quad_x` (2, nx, qx), `quad_y` (2, qy, ny). Out:
+   heights `z` (grid_ny, grid_nx), `found` (4): area, volume, and their sd. */
+int64_t measure_surface(int64_t nx, int64_t ny, const double *c, const double *factor, double misfit, int64_t grid_nx,
+                        int64_t grid_ny, const double *grid_x, const double *grid_y, int64_t qx, int64_t qy, const double *quad_x,
                         const double *quad_y, const double *weights, const double *volume_c, const double *stiffness, double *z,
                         double *found);
 
-/* force/sheet.py: `numbers` (11) and `law` of a sheet as in sheet.h; `c`, `gradient` and forces (3, n). Out: `elastic` forces and the
-   bulge's `gradient`; returns the bulge, m^3 (NaN: no memory). */
+/* force/sheet.py: `numbers` (11) and `law` of a sheet as in sheet.h; `c`, `gradient` and forces (3, n). Out: `elastic` forces
+   and the bulge's `gradient`; returns the bulge, m^3 (NaN: no memory). */
 double sheet_state(const double *numbers, const double *law, const double *c, double scale, double *elastic, double *gradient);
 /* Out: the band of the stiffness at constant pressure, components of a spline together. */
 int64_t sheet_tangent(const double *numbers, const double *law, const double *c, double scale, double pressure, double *band);
@@ -45,22 +46,24 @@ double soften(const double *numbers, const double *factor, const double *gradien
 int64_t sheet_solve(const double *numbers, const double *factor, const double *softened, double share, const double *forces,
                     double *out);
 
-/* force/inverse.py: r rows, the whitened positions of `markers` at `material` (markers, 2) by `weights` (markers, 3, 3) and, where
-   `tilts` (2, markers, 2, 3) is not NULL, two slopes each; J = jx jy nodes. Out: `half` (r, 3 J) and what they see of a `bulge` (3, n). */
+/* force/inverse.py: r rows, the whitened positions of `markers` at `material` (markers, 2) by `weights` (markers, 3, 3) and,
+   where `tilts` (2, markers, 2, 3) is not NULL, two slopes each; J = jx jy nodes. Out: `half` (r, 3 J) and what they see of a
+   `bulge` (3, n). */
 int64_t inverse_gain(const double *numbers, const double *factor, const double *softened, double share, int64_t markers,
                      const double *material, const double *weights, const double *tilts, int64_t jx, int64_t jy,
                      const double *load_x, const double *load_y, const double *root_x, const double *root_y, const double *prior,
                      const double *bulge, double *half, double *bulge_seen);
-/* `innovation` (r, r): its lower factor; `data` (markers, 3) displacements, `slopes_off` (markers, 2) or NULL. Out: `change` (3, n) of
-   c, `traction` (3, J), `misfit` and `noise` (r), `drift_found` (4) in sd. */
+/* `innovation` (r, r): its lower factor; `data` (markers, 3) displacements, `slopes_off` (markers, 2) or NULL. Out: `change`
+   (3, n) of c, `traction` (3, J), `misfit` and `noise` (r), `drift_found` (4) in sd. */
 int64_t inverse_step(const double *numbers, const double *factor, const double *softened, double share, int64_t markers,
                      const double *material, const double *weights, const double *tilts, int64_t jx, int64_t jy,
                      const double *load_x, const double *load_y, const double *root_x, const double *root_y, const double *prior,
-                     const double *innovation, const double *drift, const double *gas_load, const double *c, const double *residual,
-                     const double *data, const double *slopes_off, double *change, double *traction, double *misfit, double *noise,
-                     double *drift_found);
+                     const double *innovation, const double *drift, const double *gas_load, const double *c,
+                     const double *residual, const double *data, const double *slopes_off, double *change, double *traction,
+                     double *misfit, double *noise, double *drift_found);
 
-/* Out: covariance `cov` (6, 6) of the net wrench of tractions on nodes at `positions` (J, 3) with `areas` (J), given what r markers saw. */
+/* Out: covariance `cov` (6, 6) of the net wrench of tractions on nodes at `positions` (J, 3) with `areas` (J), given what r
+   markers saw. */
 int64_t wrench_posterior(int64_t r, int64_t jx, int64_t jy, const double *root_x, const double *root_y, const double *prior,
                          const double *positions, const double *areas, const double *half, const double *innovation,
                          double *cov);

@@ -179,14 +179,15 @@ double sheet_state(const double *numbers, const double *law_, const double *c, d
 /* The stiffness of one Gauss point: its row (k, i) is d1B_k T1_i + d2B_k T2_i + B_k U_i, by components j and splines l. */
 typedef double Rows[3][3][LOCAL];
 
-/* dP_a,i / dg_b,j = S_ab d_ij + D_acbd g_c,i g_d,j (Eq. F10), and of the gas d(g1 x g2) = du,1 x g2 + g1 x du,2: component t of the
-   tangents stands where row i and column j leave it, with the sign of ijt. On a closed frame that is symmetric: the rows of the
-   later component tell both. */
+/* dP_a,i / dg_b,j = S_ab d_ij + D_acbd g_c,i g_d,j (Eq. F10), and of the gas d(g1 x g2) = du,1 x g2 + g1 x du,2: component t of
+   the tangents stands where row i and column j leave it, with the sign of ijt. On a closed frame that is symmetric: the rows of
+   the later component tell both. */
 static void point_rows(const Point *p, const Stress *S, const Moduli *D, double w, double push, const double *B, const double *B1,
                        const double *B2, Rows T1, Rows T2, Rows U) {
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++) {
-            double one = p->g1[i] * p->g1[j], two = p->g2[i] * p->g2[j], mixed = p->g1[i] * p->g2[j], crossed = p->g2[i] * p->g1[j];
+            double one = p->g1[i] * p->g1[j], two = p->g2[i] * p->g2[j];
+            double mixed = p->g1[i] * p->g2[j], crossed = p->g2[i] * p->g1[j];
             double sides = D->D16 * one + D->D26 * two, same = i == j, sign = j == (i + 2) % 3 ? push : i == j ? 0 : -push;
             double M11 = w * (D->D11 * one + D->D66 * two + D->D16 * (mixed + crossed) + same * S->S11);
             double M22 = w * (D->D22 * two + D->D66 * one + D->D26 * (mixed + crossed) + same * S->S22);
@@ -219,7 +220,8 @@ static void add_point(const Rows T1, const Rows T2, const Rows U, const double *
 static void add_cell(const Sheet *s, long first_x, long first_y, double (*cell)[3][LOCAL], double *band) {
     for (int k = 0; k < LOCAL; k++)
         for (int l = 0; l <= k; l++) {
-            const long row = 3 * ((first_x + k / 4) * s->ny + first_y + k % 4), column = 3 * ((first_x + l / 4) * s->ny + first_y + l % 4);
+            const long row = 3 * ((first_x + k / 4) * s->ny + first_y + k % 4);
+            const long column = 3 * ((first_x + l / 4) * s->ny + first_y + l % 4);
             for (int j = 0; j < 3; j++) {
                 double *to = band + (column + j) * BAND_STRIDE(s->width) + row - column - j;
                 for (int i = l < k ? 0 : j; i < 3; i++) to[i] += cell[3 * k + i][j][l];

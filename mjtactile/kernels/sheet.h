@@ -1,5 +1,6 @@
-/* The membrane as a spline finite element: sensing/force/sheet.py has the equations. Displacements and forces are (3, n), component
-   by component, n = nx * ny splines with y fastest; inside, for narrow bands, the three components of a spline stand together. */
+/* The membrane as a spline finite element: sensing/force/sheet.py has the equations. Displacements and forces are (3, n),
+   component by component, n = nx * ny splines with y fastest; inside, for narrow bands, the three components of a spline stand
+   together. */
 #ifndef MJTACTILE_SHEET_H
 #define MJTACTILE_SHEET_H
 

@@ -15,8 +15,8 @@ typedef struct { double length_x, length_y, spans_x, spans_y, distance, slope_mo
                  outlier_least, outliers_leave; } Settings;
 
 /* A marker: where it is, its weight 1/sd, the product splines there and their slopes. */
-typedef struct { double p[3], variance, weight; const double *normal; long first; double z[PRODUCTS], z_x[PRODUCTS], z_y[PRODUCTS];
-                 int used; } Marker;
+typedef struct { double p[3], variance, weight; const double *normal; long first; double z[PRODUCTS], z_x[PRODUCTS],
+                 z_y[PRODUCTS]; int used; } Marker;
 
 /* The normal equations of n coefficients, nx to a row; matrices are bands. */
 typedef struct { long nx, n, width, size; const double *prior; double *heights, *factor, *inverse, *right, *c; } System;
@@ -107,7 +107,8 @@ static long add_slopes(const System *s, long n, const Marker *markers, const Set
         double z_x = dot(s, m, m->z_x, s->c), z_y = dot(s, m, m->z_y, s->c), sd = slope_sd(m, z_x, z_y, o);
         slopes[i][0] = -m->normal[0] / m->normal[2], slopes[i][1] = -m->normal[1] / m->normal[2];
         /* false for what is not a number: an unknown slope is not used */
-        int use = m->used && sd < o->slope_sd_most && fabs(slopes[i][0] - z_x) < o->slope_off && fabs(slopes[i][1] - z_y) < o->slope_off;
+        int near = fabs(slopes[i][0] - z_x) < o->slope_off && fabs(slopes[i][1] - z_y) < o->slope_off;
+        int use = m->used && sd < o->slope_sd_most && near;
         weights[i] = use ? 1 / sd : 0;
         count += use;
     }
@@ -133,8 +134,8 @@ static double squares(const System *s, long n, const Marker *markers, const doub
 }
 
 /* Markers that are finite, with their splines; returns how many. */
-static long read_markers(long n, const double *p, const double *variance, const double *normals, const System *s, const Settings *o,
-                         Marker *markers) {
+static long read_markers(long n, const double *p, const double *variance, const double *normals, const System *s,
+                         const Settings *o, Marker *markers) {
     long count = 0;
     for (long i = 0; i < n; i++) {
         Marker *m = markers + count;
@@ -218,15 +219,16 @@ static double trace_of_product(long n, long width, const double *A, const double
     return diagonal + 2 * sum;
 }
 
-int64_t measure_surface(int64_t nx, int64_t ny, const double *c, const double *factor, double misfit, int64_t grid_nx, int64_t grid_ny,
-                        const double *grid_x, const double *grid_y, int64_t qx, int64_t qy, const double *quad_x,
+int64_t measure_surface(int64_t nx, int64_t ny, const double *c, const double *factor, double misfit, int64_t grid_nx,
+                        int64_t grid_ny, const double *grid_x, const double *grid_y, int64_t qx, int64_t qy, const double *quad_x,
                         const double *quad_y, const double *weights, const double *volume_c, const double *stiffness, double *z,
                         double *found) {
     const long n = nx * ny, width = 3 * nx + 3, points = qx * qy, larger = grid_ny > qy ? grid_ny : qy;
     const double *slope_x = quad_x + nx * qx, *slope_y = quad_y + qy * ny;
     double *half = malloc((larger * nx + 2 * points + n + n * BAND_STRIDE(width)) * sizeof *half);
     if (!half) return NO_MEMORY;
-    double *z_x = half + larger * nx, *z_y = z_x + points, *gradient = z_y + points, *inverse = gradient + n, area = 0, volume = 0;
+    double *z_x = half + larger * nx, *z_y = z_x + points, *gradient = z_y + points, *inverse = gradient + n;
+    double area = 0, volume = 0;
     multiply(grid_ny, ny, nx, grid_y, c, half), multiply(grid_ny, nx, grid_nx, half, grid_x, z);
     multiply(qy, ny, nx, quad_y, c, half), multiply(qy, nx, qx, half, slope_x, z_x);
     multiply(qy, ny, nx, slope_y, c, half), multiply(qy, nx, qx, half, quad_x, z_y);

@@ -2,7 +2,7 @@
 
 Every circle goes through its pose, the pane and the lens exactly; its boundary in the image is then a smooth closed
 curve, whose area under the point spread function (the camera's Gaussian blur and the pixel's square) is integrated
-along that curve, without any sampling of the area: see `_coverage`. What is not in the picture: marker thickness,
+along that curve, without any sampling of the area: see `draw_discs`. What is not in the picture: marker thickness,
 specular reflections, light that bounces off the walls. The light is the LEDs', see light.py and shadows.py.
 
 This module shares no code with `sensing`, so that a mistake cannot cancel.

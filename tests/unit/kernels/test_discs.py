@@ -31,7 +31,8 @@ def test_discs_and_opening(scene, blur):
     its coverage, the mean of several nodes. Lens coefficients make the opening bulge; some discs are cut by the border."""
     camera = replace(Camera.from_design(DESIGN.camera, DESIGN.glass), distortion=(-0.1, 0.02, 1e-3, -2e-3, 0.01))
     p, n = scene
-    p = np.concatenate([p + [8e-3, 5e-3, 0] - DESIGN.camera.p_SC, [[0, 0, -1], [np.nan, 0, 0.04], [1, 1, 0.05]]])
+    aside = np.where(np.arange(len(p)) < 40, -1, 1)[:, None] * [8e-3, 5e-3, 0]
+    p = np.concatenate([p + aside - DESIGN.camera.p_SC, [[0, 0, -1], [np.nan, 0, 0.04], [1, 1, 0.05]]])
     n, radius = np.concatenate([n, [[0.0, 0, 1]] * 3]), np.linspace(0.3e-3, 1.4e-3, len(p))
     corners = np.array([[-18e-3, -14e-3, 45e-3], [18e-3, -14e-3, 45e-3], [18e-3, 14e-3, 45e-3], [-18e-3, 14e-3, 45e-3]])
     for draw, what in (("draw_discs", (p, n, radius)), ("draw_opening", (corners,))):
