@@ -1,0 +1,93 @@
+"""`mjtactile evaluate`: many grasps, and how often they hold."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from mjtactile import InputError
+from mjtactile.commands.output import new_run_folder, print_json, stdout_to_stderr
+from mjtactile.recording.files import write_json
+
+DESCRIPTION = """\
+Grasp many times, with other seeds and objects, and say how often a controller holds what it
+grasps, with 95 % intervals; of several controllers, which is better, and whether that is settled.
+
+Every controller meets the same episodes: the same objects with the same seeds. An episode that
+does not come to its end (the simulation fails, the controller raises or hangs) is an error and
+counts apart. Each ended episode is a line in DIR/episodes.jsonl with the command that runs it
+again alone; a run that was stopped goes on with --resume. The lines do not depend on the number
+of workers."""
+EPILOG = """\
+examples:
+  mjtactile evaluate --episodes 30                                gentle; egg, strawberry and vial in turn
+  mjtactile evaluate --controller gentle --controller mine.py --episodes 100 --out runs/eval
+  mjtactile evaluate --objects egg,my/cup.xml --episodes 200 --out runs/eval --resume
+  mjtactile evaluate --episodes 800 --shard 2/8 --out runs/part2  one of eight machines
+  mjtactile evaluate --merge runs/part1 runs/part2 --out runs/all
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--controller", action="append", metavar="NAME", help="shipped name or FILE.py; again for each one to "
+                        "compare (default: gentle)")
+    parser.add_argument("--objects", default="egg,strawberry,vial", metavar="A,B,…", help="shipped names or FILE.xml, grasped in "
+                        "turn (default: egg,strawberry,vial)")
+    parser.add_argument("--episodes", type=_count, default=30, metavar="N", help="for each controller (default: 30)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the first episode; the others count on (default: 0)")
+    parser.add_argument("--sensor", default="dense", metavar="NAME", help="shipped name or FILE.toml (default: dense)")
+    parser.add_argument("--rig", default="sim", metavar="NAME", help="a simulated rig: shipped name or FILE.toml (default: sim)")
+    parser.add_argument("--effects", default="auto", metavar="LIST", help="as for `grasp` (default: auto)")
+    parser.add_argument("--accuracy", default="", metavar="A", help="as for `grasp`")
+    parser.add_argument("--workers", type=_count, metavar="N", help="processes that grasp at the same time (default: one a "
+                        "processor)")
+    parser.add_argument("--shard", type=_shard, default=(1, 1), metavar="K/N", help="only the K-th of N parts")
+    parser.add_argument("--resume", action="store_true", help="go on with what is in the folder")
+    parser.add_argument("--merge", nargs="+", type=Path, metavar="DIR", help="join parts of one evaluation instead")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default: runs/<time>-evaluate)")
+
+
+def _count(text: str) -> int:
+    if not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
+    return int(text)
+
+
+def _shard(text: str) -> tuple[int, int]:
+    part, _, parts = text.partition("/")
+    if not (part.isdigit() and parts.isdigit() and 1 <= int(part) <= int(parts)):
+        raise argparse.ArgumentTypeError(f"{text!r} is not K/N with K from 1 to N, such as 2/8")
+    return int(part), int(parts)
+
+
+def run(options: argparse.Namespace) -> int:
+    from mjtactile.evaluate.statistics import table
+
+    if options.out is None and options.resume:
+        raise InputError("which folder?", field="--resume", choices=["--resume --out DIR"])
+    if options.out is None:
+        with new_run_folder("evaluate") as out:
+            summary = _evaluate(options, out)
+    else:
+        out, summary = options.out, _evaluate(options, options.out)
+    write_json(out / "summary.json", summary)
+    (out / "summary.md").write_text(table(summary), encoding="utf-8")
+    if options.json:
+        print_json(summary)
+    else:
+        print(f"{table(summary)}\nwritten to {out}")
+    return 0
+
+
+def _evaluate(options: argparse.Namespace, out: Path) -> dict[str, Any]:
+    from mjtactile.evaluate.run import evaluate, merge
+    from mjtactile.run.progress import Progress
+
+    with stdout_to_stderr():
+        if options.merge:
+            return merge(options.merge, out)
+        return evaluate(out, count=options.episodes, controllers=options.controller or ["gentle"],
+                        objects=[name.strip() for name in options.objects.split(",")], first_seed=options.seed,
+                        shard=options.shard, workers=options.workers, resume=options.resume, say=Progress().message,
+                        sensor=options.sensor, rig=options.rig, effects=options.effects, accuracy=options.accuracy)

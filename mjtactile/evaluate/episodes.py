@@ -1,0 +1,89 @@
+"""An episode: one grasp of one object with one seed by one controller, and the line that is kept of it.
+
+A line holds nothing that depends on when, where or beside what it was run: any number of workers gives the same lines.
+"""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mjtactile.core.errors import InputError, MjtactileError
+from mjtactile.run.grasp import GraspOptions, run_grasp
+
+OUTCOMES = ("held", "dropped", "crushed", "error")
+"""An error is an episode that did not come to an end (the simulation failed, the controller raised or hung): no failure."""
+_KEPT = ("outcome", "peak_force_N", "peak_force_true_N", "hold_force_N", "hold_force_true_N", "slip_mm_true", "frames", "reason")
+
+
+@dataclass(frozen=True)
+class Episode:
+    """Number `index` of an evaluation; the same number has the same object and seed for every controller."""
+
+    index: int
+    controller: str
+    object: str
+    seed: int
+    sensor: str = "dense"
+    rig: str = "sim"
+    accuracy: str = ""
+    effects: str = "auto"
+
+    def command(self) -> str:
+        """How to run it again alone."""
+        words = ["mjtactile", "grasp", "--object", self.object, "--controller", self.controller, "--seed", str(self.seed)]
+        for name, default in (("sensor", "dense"), ("rig", "sim"), ("accuracy", ""), ("effects", "auto")):
+            if getattr(self, name) != default:
+                words += [f"--{name}={getattr(self, name)}"]
+        return shlex.join(words)
+
+
+def plan(count: int, controllers: Sequence[str], objects: Sequence[str], first_seed: int, *, shard: tuple[int, int] = (1, 1),
+         **manner: str) -> list[Episode]:
+    """`count` episodes for each controller, objects in turn, seeds from `first_seed` on; of these the part that `shard` (k, n)
+    names, the k-th of n."""
+    part, parts = shard
+    return [Episode(index, controller, objects[index % len(objects)], first_seed + index, **manner)
+            for index in range(count) if index % parts == part - 1 for controller in controllers]
+
+
+def run_episode(episode: Episode) -> dict[str, Any]:
+    """The episode's line. Raises InputError for bad names; whatever else fails is an error of this episode."""
+    line: dict[str, Any] = {"episode": episode.index, "controller": Path(episode.controller).stem,
+                            "object": Path(episode.object).stem, "seed": episode.seed}
+    notes = _Notes()
+    options = GraspOptions(object=episode.object, sensor=episode.sensor, controller=episode.controller, rig=episode.rig,
+                           seed=episode.seed, accuracy=episode.accuracy, effects=episode.effects, workers=0)
+    try:
+        summary = run_grasp(options, recorder=notes, progress=notes).summary()
+    except InputError:
+        raise
+    except MjtactileError as error:
+        summary = {"outcome": "error", "reason": " ".join(str(error).split())}
+    values = {key: _json(summary.get(key)) for key in _KEPT}
+    return line | values | {"break_force_N": notes.break_force, "again": episode.command()}
+
+
+class _Notes:
+    """Stands in for a recorder and a progress: keeps at what force the object breaks."""
+
+    def __init__(self) -> None:
+        self.patience = math.inf
+        self.break_force: float | None = None
+
+    def note(self, **values: Any) -> None:
+        self.break_force = values.get("break_force_N", self.break_force)
+
+    def add_reference(self, stage: str, images: Any, pressure_gauge: Any) -> None: ...
+    def add(self, cycle: Any, **truth: Any) -> None: ...
+    def message(self, text: str) -> None: ...
+    def update(self, phase: str, time: float, force: float) -> None: ...
+
+
+def _json(value: Any) -> Any:
+    """`value` with null for what is not known."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value

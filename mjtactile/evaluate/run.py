@@ -1,0 +1,99 @@
+"""Runs what is missing of an evaluation, in processes, and joins parts of one."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+from mjtactile.core import resources
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import DeviceError, InputError
+from mjtactile.evaluate import store
+from mjtactile.evaluate.episodes import Episode, plan, run_episode
+from mjtactile.evaluate.statistics import summarise
+from mjtactile.run.controller import load_controller
+
+Say = Callable[[str], None]
+
+
+def evaluate(folder: Path, *, count: int, controllers: Sequence[str], objects: Sequence[str], first_seed: int = 0,
+             shard: tuple[int, int] = (1, 1), workers: int | None = None, resume: bool = False, say: Say = lambda _: None,
+             **manner: str) -> dict[str, Any]:
+    """`count` episodes for each controller into `folder`; the summary of all that are there when they have ended.
+
+    Raises InputError for a controller, sensor or object that is not to be had, before anything is run, and for a folder that
+    holds another evaluation; DeviceError when a worker was killed: what had ended is kept, and `resume` goes on.
+    """
+    files = _files(controllers, objects, manner.get("sensor", "dense"))
+    options = {"count": count, "controllers": list(controllers), "objects": list(objects), "first_seed": first_seed,
+               "shard": list(shard), **manner}
+    kept = store.Store(folder, store.manifest(options, files), resume=resume)
+    episodes = plan(count, controllers, objects, first_seed, shard=shard, **manner)
+    done = {(line["controller"], line["episode"]) for line in kept.lines}
+    missing = [episode for episode in episodes if (Path(episode.controller).stem, episode.index) not in done]
+    if done:
+        say(f"{len(episodes) - len(missing)} of {len(episodes)} episodes are there already")
+    _run(missing, kept, default_workers() if workers is None else workers, say)
+    kept.finish()
+    return summarise(kept.lines)
+
+
+def merge(folders: Sequence[Path], out: Path) -> dict[str, Any]:
+    """Join the shards of one evaluation in `folders` into `out`. Raises InputError where they are not of the same one."""
+    parts = [store.read_manifest(folder) for folder in folders]
+    for folder, part in zip(folders[1:], parts[1:], strict=True):
+        for name in ("versions", "files", "options"):
+            first, other = ({key: value for key, value in one[name].items() if key != "shard"} for one in (parts[0], part))
+            if first != other:
+                raise InputError(f"its {name} are not those of {folders[0]}", source=folder, field="--merge")
+    lines = {(line["episode"], line["controller"]): line for folder in folders for line in store.read_lines(folder)}
+    whole = parts[0] | {"options": parts[0]["options"] | {"shard": [1, 1]}}
+    joined = store.Store(out, whole, resume=False)
+    joined.lines = [lines[key] for key in sorted(lines)]
+    joined.finish()
+    return summarise(joined.lines)
+
+
+def default_workers() -> int:
+    """One for each processor."""
+    return len(os.sched_getaffinity(0))
+
+
+def _files(controllers: Sequence[str], objects: Sequence[str], sensor: str) -> list[Path]:
+    """The files that are used, each once. Raises InputError for what is not to be had or cannot be used."""
+    from mjtactile.sim.scenes.objects import load_object
+
+    for name in controllers:
+        load_controller(name)
+    for name in objects:
+        load_object(name)
+    stems = [Path(name).stem for name in controllers]
+    twice = next((stem for stem in stems if stems.count(stem) > 1), None)
+    if twice is not None:
+        raise InputError(f"two of them are called {twice!r}", field="--controller")
+    load_sensor(sensor)
+    found = [resources.find(name, "controllers", ".py") for name in controllers]
+    found += [resources.find(name, "models/objects", ".xml") for name in objects]
+    return list(dict.fromkeys([*found, resources.find(sensor, "models/sensors", ".toml")]))
+
+
+def _run(missing: Sequence[Episode], kept: store.Store, workers: int, say: Say) -> None:
+    from joblib import Parallel, delayed
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+    start = time.monotonic()
+    try:
+        jobs = max(1, min(workers, len(missing) or 1))
+        with Parallel(n_jobs=jobs, return_as="generator_unordered", pre_dispatch="n_jobs") as pool:
+            lines = cast(Iterable[dict[str, Any]], pool(delayed(run_episode)(episode) for episode in missing))
+            for k, line in enumerate(lines, 1):
+                kept.add(line)
+                rate = k / (time.monotonic() - start)
+                left = (len(missing) - k) / rate
+                say(f"{k} of {len(missing)}: {line['controller']}, {line['object']}, seed {line['seed']}: {line['outcome']}; "
+                    f"{3600 * rate:.0f} an hour, {left / 60:.0f} min left")
+    except TerminatedWorkerError as error:
+        raise DeviceError(f"a worker was killed ({' '.join(str(error).split())[:90]}…); --resume goes on") from error

@@ -1,0 +1,94 @@
+"""What an evaluation leaves in its folder: `manifest.json`, what was run; `episodes.jsonl`, a line an episode.
+
+A line is written when its episode ends; the file is put in order when all have. Whatever stops an evaluation loses the
+episodes that were being run, and nothing else.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import platform
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from mjtactile.core.errors import InputError
+
+MANIFEST, EPISODES = "manifest.json", "episodes.jsonl"
+_PACKAGES = ("mjtactile", "mujoco", "numpy", "scipy", "opencv-contrib-python-headless")
+
+
+def manifest(options: Mapping[str, Any], files: Iterable[Path]) -> dict[str, Any]:
+    """What the lines depend on: options, versions, and the files' SHA-256."""
+    return {"options": dict(options), "python": platform.python_version(),
+            "versions": {name: importlib.metadata.version(name) for name in _PACKAGES},
+            "files": {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files}}
+
+
+class Store:
+    """The folder of one evaluation, opened to add to it. With `resume` it must hold the same evaluation, begun before.
+
+    Raises InputError where it holds another one, or one and `resume` is not asked for.
+    """
+
+    def __init__(self, folder: Path, what: Mapping[str, Any], *, resume: bool):
+        self.folder, self.lines = folder, []
+        known = folder / MANIFEST
+        if known.exists() and not resume:
+            raise InputError("holds an evaluation already; --resume goes on with it", source=folder, field="--out")
+        if known.exists():
+            _same(known, what)
+            self.lines = read_lines(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        known.write_text(json.dumps(what, indent=1) + "\n", encoding="utf-8")
+        self._rewrite()  # without a line that was cut off
+
+    def add(self, line: dict[str, Any]) -> None:
+        self.lines.append(line)
+        with (self.folder / EPISODES).open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
+
+    def finish(self) -> None:
+        """Put the lines in order."""
+        self.lines.sort(key=lambda line: (line["episode"], line["controller"]))
+        self._rewrite()
+
+    def _rewrite(self) -> None:
+        write_lines(self.folder, self.lines)
+
+
+def write_lines(folder: Path, lines: Sequence[Mapping[str, Any]]) -> None:
+    """All lines at once, or none."""
+    part = folder / (EPISODES + ".part")
+    part.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
+    part.replace(folder / EPISODES)
+
+
+def read_lines(folder: Path) -> list[dict[str, Any]]:
+    """The lines of an evaluation; a last one that was cut off is left out. Raises InputError where there are none."""
+    try:
+        text = (folder / EPISODES).read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", source=folder / EPISODES) from error
+    whole = text.splitlines() if text.endswith("\n") else text.splitlines()[:-1]
+    return [json.loads(line) for line in whole]
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """Raises InputError where `folder` is no evaluation."""
+    try:
+        return json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError("no evaluation", source=folder) from error
+
+
+def _same(path: Path, what: Mapping[str, Any]) -> None:
+    before = json.loads(path.read_text(encoding="utf-8"))
+    now = json.loads(json.dumps(what))
+    for part in now:
+        if before.get(part) != now[part]:
+            names = [name for name in now[part] if before.get(part, {}).get(name) != now[part][name]] if isinstance(
+                now[part], dict) else [part]
+            raise InputError(f"was begun with another {part}: {', '.join(names) or part}", source=path, field="--resume")

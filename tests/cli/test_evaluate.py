@@ -1,0 +1,47 @@
+"""`mjtactile evaluate`: the same lines with any number of workers, after an interruption, and from shards."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+from tests.emulated_host import controller_text
+
+COMMON = ["--sensor", "paper16", "--controller", "quick.py", "--objects", "vial,egg", "--episodes", "2", "--seed", "7"]
+
+
+def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile):
+    (tmp_path / "quick.py").write_text(controller_text(hold=0.1))
+    host = subprocess.Popen([sys.executable, "-m", "mjtactile", "evaluate", *COMMON, "--workers", "2", "--out", "one"],
+                            cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    episodes, deadline = tmp_path / "one" / "episodes.jsonl", time.monotonic() + 120
+    while not (episodes.exists() and episodes.read_text().count("\n")):
+        assert host.poll() is None and time.monotonic() < deadline
+        time.sleep(0.05)
+    os.killpg(host.pid, signal.SIGKILL)
+    host.wait()
+    kept = episodes.read_text()
+    with episodes.open("a") as file:
+        file.write('{"episode": 1, "contr')  # a line that was cut off
+    refused = mjtactile("evaluate", *COMMON, "--out", "one")
+    assert refused.returncode == 2 and "--out: holds an evaluation already; --resume goes on with it" in refused.stderr
+    summary = json.loads(mjtactile("evaluate", *COMMON, "--workers", "1", "--out", "one", "--resume", "--json").stdout)
+    assert set(kept.splitlines()) <= set(episodes.read_text().splitlines())
+    assert summary["controllers"]["quick"]["episodes"] == 2 and summary["controllers"]["quick"]["held"] == 2
+    assert list(summary["controllers"]["quick"]["objects"]) == ["vial", "egg"]
+    for part in ("1/2", "2/2"):
+        mjtactile("evaluate", *COMMON, "--workers", "2", "--shard", part, "--out", f"part{part[0]}")
+    mjtactile("evaluate", "--merge", "part2", "part1", "--out", "whole")
+    assert (tmp_path / "whole" / "episodes.jsonl").read_bytes() == episodes.read_bytes()
+    changed = mjtactile("evaluate", *COMMON[:-1], "8", "--out", "one", "--resume")
+    assert changed.returncode == 2 and "was begun with another options: first_seed" in changed.stderr
+
+
+def test_bad_words(mjtactile):
+    for words, text in ((["--objects", "egg,stone"], "stone: unknown object"), (["--controller", "no.py"], "no.py"),
+                        (["--shard", "3/2"], "is not K/N"), (["--episodes", "0"], "at least 1"), (["--resume"], "which folder?"),
+                        (["--controller", "gentle", "--controller", "gentle"], "two of them are called 'gentle'")):
+        process = mjtactile("evaluate", *words)
+        assert process.returncode == 2 and text in process.stderr and len(process.stderr.strip().splitlines()) == 1
