@@ -134,7 +134,7 @@ int64_t match_markers(int64_t n, int64_t m, int64_t k, const double *found, cons
                       const int64_t *order, double pitch, const double *settings, int64_t *ids) {
     IdentitySettings s;
     memcpy(&s, settings, sizeof s);
-    double *own = malloc((10 * m + 3 * n + 1) * sizeof *own), *shift = own + 2 * m, *moved = shift + 2 * m;
+    double *own = calloc(10 * m + 3 * n + 1, sizeof *own), *shift = own + 2 * m, *moved = shift + 2 * m;
     double *work = moved + 2 * m, *offsets = work + 2 * m + n;
     int64_t *back = malloc((m + 1) * sizeof *back), places = 0;
     if (!own || !back || s.neighbours > NEAREST) {
