@@ -84,7 +84,7 @@ def table(result: Mapping[str, Any]) -> str:
     def add(name: str, *keys: str | int, unit: str = "s") -> None:
         before, now = (sorted(_at(one[which], keys) for one in rounds)[len(rounds) // 2] for which in ("before", "now"))
         ratio = now / before if unit.startswith("x") else before / now
-        lines.append(f"| {name} | {before:.3g} {unit} | {now:.3g} {unit} | {ratio:.2f} |")
+        lines.append(f"| {name}, {unit} | {before:.3g} | {now:.3g} | {ratio:.2f} |")
 
     first = rounds[0]["now"]
     for what, by_phase in sorted(first["core"]["core_ms"].items()):
