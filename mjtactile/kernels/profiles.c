@@ -34,6 +34,31 @@ typedef struct { double step, bank[FILTERS][SAMPLES], sums[FILTERS], rest_edge, 
 typedef struct { double det, mx[MOST], my[MOST], g[MOST], arc[MOST], read[FILTERS][MOST], inside[MOST], outside[MOST],
                  spread_in, spread_out; } Lines;
 
+/* What is kept of all markers' lines while what they have in common is found: KEPT rows of K numbers each, since whole `Lines`
+   would be a megabyte, whose pages cost more than the work. */
+enum { KEPT = 7 };
+
+static void kept_rows(Lines *l, double *rows[KEPT]) {
+    double *own[KEPT] = {l->mx, l->my, l->g, l->arc, l->inside, l->outside, l->read[EDGE]};
+    memcpy(rows, own, sizeof own);
+}
+
+static void keep(Lines *l, int count, double *kept) {
+    double *rows[KEPT];
+    kept_rows(l, rows);
+    for (int i = 0; i < KEPT; i++) memcpy(kept + i * count, rows[i], count * sizeof(double));
+    kept += KEPT * count;
+    kept[0] = l->det, kept[1] = l->spread_in, kept[2] = l->spread_out;
+}
+
+static void recall(Lines *l, int count, const double *kept) {
+    double *rows[KEPT];
+    kept_rows(l, rows);
+    for (int i = 0; i < KEPT; i++) memcpy(rows[i], kept + i * count, count * sizeof(double));
+    kept += KEPT * count;
+    l->det = kept[0], l->spread_in = kept[1], l->spread_out = kept[2];
+}
+
 static void make_fan(Fan *fan, int count) {
     fan->count = count;
     for (int k = 0; k < count; k++) {
@@ -341,9 +366,8 @@ static void offsets(const Lines *l, const Fan *fan, const Filters *f, const Comm
 
 /* Profiles of all markers, and of every fourth one its normal and the blur sd across the edge. */
 static void look(const Image *image, long n, const double *centers, const double *shapes, const Settings *s, const Fan *fan,
-                 const Filters *f, double sigma, Lines *lines, double *normals, double *blurs) {
+                 const Filters *f, double sigma, Lines *l, double *kept, double *normals, double *blurs) {
     for (long i = 0; i < n; i++) {
-        Lines *l = lines + i;
         outline(l, shapes + 3 * i, fan);
         read_profiles(l, image, centers + 2 * i, shapes + 3 * i, fan, f);
         levels(l, fan, s->level_outlier);
@@ -352,6 +376,7 @@ static void look(const Image *image, long n, const double *centers, const double
             *blurs++ = most((l->read[BLUR][k] - f->sums[BLUR] * l->outside[k]) * over + sigma - f->rest_blur, 0.5);
             *normals++ = l->mx[k], *normals++ = l->my[k];
         }
+        keep(l, fan->count, kept + i * (KEPT * fan->count + 3));
     }
 }
 
@@ -364,39 +389,39 @@ int64_t fit_profiles(const float *image, int64_t height, int64_t width, int64_t 
     Image picture = {image, height, width};
     memcpy(&s, settings, sizeof s);
     if (n == 0) return 0;
-    Lines *lines = malloc(n * sizeof *lines);
-    double *work = malloc(n * (MOST / 4) * 4 * sizeof *work);
-    if (!lines || !work) {
-        free(lines), free(work);
-        return 1;
-    }
-    double step, sigma = approach(&picture, n, centers, shapes, &s, lines, &fan, work, &step);
+    Lines lines;
+    double *work = malloc(n * sizeof *work);
+    if (!work) return 1;
+    double step, sigma = approach(&picture, n, centers, shapes, &s, &lines, &fan, work, &step);
     for (long i = 0; i < n; i++) {  /* perimeters, to a percent */
         const double *a = shapes + 3 * i;
         work[i] = 2 * PI * sqrt((a[0] * a[0] + a[2] * a[2]) / 2 + a[1] * a[1]);
     }
     make_fan(&fan, (int)clip(8 * ceil(upper_median(work, n) / s.spacing / 8), 32, MOST));
     make_filters(&f, s.step * most(1, sigma / s.blur), sigma);
-    int per = fan.count / 4;
-    double *blurs = work, *normals = work + n * per, *sorted = work + 3 * n * per;
-    look(&picture, n, centers, shapes, &s, &fan, &f, sigma, lines, normals, blurs);
+    free(work);
+    int per = fan.count / 4, size = KEPT * fan.count + 3;
+    work = malloc(n * (4 * per + size) * sizeof *work);
+    if (!work) return 1;
+    double *blurs = work, *normals = work + n * per, *sorted = work + 3 * n * per, *kept = work + 4 * n * per;
+    look(&picture, n, centers, shapes, &s, &fan, &f, sigma, &lines, kept, normals, blurs);
     memcpy(sorted, blurs, n * per * sizeof *sorted);
     double middle = upper_median(sorted, n * per), bound = s.blur_most * middle * middle;
     common.rest_edge = f.rest_edge, common.sum_edge = f.sums[EDGE], common.gain = gain(&f, middle);
     blur_tensor(n * per, normals, blurs, bound, &common);
     for (long i = 0; i < n; i++) {
         double delta[MOST], variance = 0, shared = 0, in = 0, out = 0;
-        const Lines *l = lines + i;
+        recall(&lines, fan.count, kept + i * size);
         for (int k = 0; k < per; k++) {
             double x = normals[2 * (i * per + k)], y = normals[2 * (i * per + k) + 1];
             variance += least(square(blurs[i * per + k]), bound);
             shared += common.uu * x * x + common.uv * 2 * x * y + common.vv * y * y;
         }
-        offsets(l, &fan, &f, &common, (variance - shared) / per, delta);
-        settle(l, &fan, &s, delta, &common, variance / per, centers + 2 * i, shapes + 3 * i, cov + 25 * i, found + i, n);
-        for (int k = 0; k < fan.count; k++) in += l->inside[k], out += l->outside[k];
+        offsets(&lines, &fan, &f, &common, (variance - shared) / per, delta);
+        settle(&lines, &fan, &s, delta, &common, variance / per, centers + 2 * i, shapes + 3 * i, cov + 25 * i, found + i, n);
+        for (int k = 0; k < fan.count; k++) in += lines.inside[k], out += lines.outside[k];
         levels_[i] = in / fan.count, levels_[n + i] = out / fan.count;
     }
-    free(lines), free(work);
+    free(work);
     return 0;
 }
