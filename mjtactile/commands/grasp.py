@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     effects.add_estimate_argument(parser)
     parser.add_argument("--workers", type=_count, metavar="N", help="threads that look at the camera images beside the control "
                         "loop, at most one a camera; the result is the same with any number "
-                        "(default: one a camera on a computer with two processors or more, else 0)")
+                        "(default: one a camera where there are processors for them, else 0)")
     ranges.add_frames_argument(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default: runs/<time>-<object>)")
 

@@ -75,7 +75,7 @@ def run_loop(rig: Rig, perceptions: Sequence[Perceiver], controller: Stepper, *,
     command = Command(opening=state.opening, force_limit=0.0, lift_height=state.lift_height)
     start = deadline = rig.clock.now()
     with (ControllerThread(controller, min(STEP_SHARE * rig.host_timeout, WAIT_TIME)) as guarded,
-          Perceivers(perceptions, [finger.name for finger in rig.fingers], threads) as felt):
+          Perceivers(perceptions, [finger.name for finger in rig.fingers], threads, busy=rig.scene is not None) as felt):
         loop = _Loop(rig, felt, guarded, supervisor or Supervisor(rig.period), on_images, on_cycle, start, command)
         loop.supervisor.arm(start)
         while not loop.supervisor.is_over:

@@ -30,10 +30,10 @@ class Perceiver(Protocol):
 
 class Perceivers:
     """The chains of all fingers. The last `threads` of them (None: as many as are worth it here) work in threads of their own,
-    the others in the caller's. Use as a context manager; a chain that hangs is not waited for."""
+    the others in the caller's; `busy` threads are at work anyway. A context manager; a chain that hangs is not waited for."""
 
-    def __init__(self, chains: Sequence[Perceiver], names: Sequence[str], threads: int | None = None):
-        threads = default_threads(len(chains)) if threads is None else threads
+    def __init__(self, chains: Sequence[Perceiver], names: Sequence[str], threads: int | None = None, *, busy: int = 0):
+        threads = default_threads(len(chains), busy) if threads is None else threads
         own = max(len(chains) - threads, 0)
         self._chains = [(chain, name, _Thread(name) if k >= own else None)
                         for k, (chain, name) in enumerate(zip(chains, names, strict=True))]
@@ -66,9 +66,10 @@ def unknown_touch(image: Image, now: float, status: Status) -> Touch:
     return Touch(image.time, now - image.time, math.nan, math.nan, False, status=status)
 
 
-def default_threads(cameras: int = 2) -> int:
-    """How many threads are worth having: one a camera, none where there is one processor or one camera."""
-    return cameras if cameras > 1 and len(os.sched_getaffinity(0)) > 1 else 0
+def default_threads(cameras: int = 2, busy: int = 0) -> int:
+    """How many threads are worth having beside `busy` others, such as a simulated world's: one a camera where there are
+    processors for all of them, else none."""
+    return cameras if cameras > 1 and len(os.sched_getaffinity(0)) >= cameras + busy else 0
 
 
 _Outcome = tuple[bool, Any]  # whether it is good, and the value or the error

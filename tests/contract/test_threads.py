@@ -120,8 +120,11 @@ def test_one_that_hangs_is_unknown_until_it_answers():
         assert seen[:2] == [1.0, 3.0]  # it was given nothing while it hung, and no late answer was taken for a new one
 
 
-def test_threads_are_for_two_cameras_and_two_processors(monkeypatch):
+def test_threads_are_for_several_cameras_and_free_processors(monkeypatch):
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})
     assert default_threads() == 0
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
-    assert default_threads() > 0 and default_threads(cameras=1) == 0
+    assert default_threads() == 2 and default_threads(cameras=1) == 0
+    assert default_threads(busy=1) == 0  # the simulated world has one of them, the loop the other
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2})
+    assert default_threads(busy=1) == 2
