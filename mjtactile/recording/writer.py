@@ -15,16 +15,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
-import cv2
-
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Image
+from mjtactile.recording import png
 from mjtactile.recording.columns import CycleLike, make_row
 from mjtactile.recording.files import FORMAT, FRAMES, LOG, VERSION, finger_names, provenance, to_json
 
-# Huffman coding alone, unfiltered: as small as the slow settings on images with sensor noise, three times as fast.
-_PNG = [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY, cv2.IMWRITE_PNG_COMPRESSION, 1,
-        cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE]
 _QUEUE_CYCLES = 64  # that may wait for the disk: 2 s at 30 Hz, 40 MB with two cameras of 640 x 480 pixels
 _FLUSH_TIME = 5.0  # s that the end of a run waits for the disk
 _logger = logging.getLogger(__name__)
@@ -162,7 +158,7 @@ class Recorder:
             try:
                 line, images = item
                 for name, image in images:
-                    (self.folder / name).write_bytes(cv2.imencode(".png", image.pixels, _PNG)[1].tobytes())
+                    (self.folder / name).write_bytes(png.encode(image.pixels))
                 self._file.write(json.dumps(to_json(line), allow_nan=False) + "\n")
                 self._file.flush()
             except Exception as error:  # noqa: BLE001  # a full disk, a removed folder, a notebook that contains itself

@@ -1,0 +1,32 @@
+"""Grey images as PNG files, fast enough to write two cameras' beside a control loop.
+
+The format: https://www.w3.org/TR/png-3/. Noise hardly compresses, so that little is looked for: ISA-L packs an image in a fifth
+of the time that OpenCV takes to write one, into a tenth more.
+"""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+from isal import isal_zlib
+from numpy.typing import NDArray
+
+_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_LEVEL = 1  # of 0 to 3; 2 takes a quarter longer for files 5 % smaller
+_UNFILTERED = 0  # first byte of each row: prediction from neighbours makes noise larger
+
+
+def encode(pixels: NDArray[np.uint8]) -> bytes:
+    """`pixels` (H, W), 8 bit grey, as a PNG file."""
+    height, width = pixels.shape
+    rows = np.empty((height, width + 1), np.uint8)
+    rows[:, 0], rows[:, 1:] = _UNFILTERED, pixels
+    depth, grey, deflate, filters, progressive = 8, 0, 0, 0, 0
+    header = struct.pack(">2I5B", width, height, depth, grey, deflate, filters, progressive)
+    packed = isal_zlib.compress(rows, _LEVEL)
+    return b"".join([_SIGNATURE, *_chunk(b"IHDR", header), *_chunk(b"IDAT", packed), *_chunk(b"IEND", b"")])
+
+
+def _chunk(kind: bytes, data: bytes) -> tuple[bytes, bytes, bytes, bytes]:
+    return struct.pack(">I", len(data)), kind, data, struct.pack(">I", isal_zlib.crc32(data, isal_zlib.crc32(kind)))
