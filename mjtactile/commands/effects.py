@@ -38,6 +38,12 @@ def add_shared_arguments(parser: argparse.ArgumentParser) -> None:
                         help="what to simulate: derived from the scene (default), or effects forced on and off")
 
 
+def add_vary_argument(parser: argparse.ArgumentParser, default: str) -> None:
+    shipped = ", ".join(resources.names("models/variations", ".toml"))
+    parser.add_argument("--vary", default=default, metavar="NAME|FILE.toml", help="ranges of object, sensor, gas and rig, from "
+                        f"which the seed draws the simulated world: {shipped}, none, or your own file (default: {default})")
+
+
 def add_estimate_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--error-estimate", action="store_true",
                         help="simulate again on a coarser mesh, and report the force error that follows (N)")

@@ -7,14 +7,16 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile import InputError
+from mjtactile.commands.effects import add_vary_argument
 from mjtactile.commands.output import new_run_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
 
 DESCRIPTION = """\
-Grasp many times, with other seeds and objects, and say how often a controller holds what it
-grasps, with 95 % intervals; of several controllers, which is better, and whether that is settled.
+Grasp many times, with other seeds, objects and worlds, and say how often a controller holds what
+it grasps, with 95 % intervals; of several controllers, which is better, and whether that is settled.
 
-Every controller meets the same episodes: the same objects with the same seeds. An episode that
+Every controller meets the same episodes: the same objects with the same seeds. From --vary the
+seed draws how object, sensors and gripper differ from their files, which sensing goes by. An episode that
 does not come to its end (the simulation fails, the controller raises or hangs) is an error and
 counts apart. Each ended episode is a line in DIR/episodes.jsonl with the command that runs it
 again alone; a run that was stopped goes on with --resume. The lines do not depend on the number
@@ -39,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sensor", default="dense", metavar="NAME", help="shipped name or FILE.toml (default: dense)")
     parser.add_argument("--rig", default="sim", metavar="NAME", help="a simulated rig: shipped name or FILE.toml (default: sim)")
     parser.add_argument("--effects", default="auto", metavar="LIST", help="as for `grasp` (default: auto)")
+    add_vary_argument(parser, "default")
     parser.add_argument("--accuracy", default="", metavar="A", help="as for `grasp`")
     parser.add_argument("--workers", type=_count, metavar="N", help="processes that grasp at the same time (default: one a "
                         "processor)")
@@ -90,4 +93,5 @@ def _evaluate(options: argparse.Namespace, out: Path) -> dict[str, Any]:
         return evaluate(out, count=options.episodes, controllers=options.controller or ["gentle"],
                         objects=[name.strip() for name in options.objects.split(",")], first_seed=options.seed,
                         shard=options.shard, workers=options.workers, resume=options.resume, say=Progress().message,
-                        sensor=options.sensor, rig=options.rig, effects=options.effects, accuracy=options.accuracy)
+                        sensor=options.sensor, rig=options.rig, effects=options.effects, accuracy=options.accuracy,
+                        vary=options.vary)

@@ -53,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=_seed, default=0, metavar="N",
                         help="seed of the camera noise and of where the object stands (default: 0)")
     effects.add_shared_arguments(parser)
+    effects.add_vary_argument(parser, "none")
     effects.add_estimate_argument(parser)
     parser.add_argument("--workers", type=_count, metavar="N", help="threads that look at the camera images beside the control "
                         "loop, at most one a camera; the result is the same with any number "
@@ -92,7 +93,7 @@ def _header(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _manner(options: argparse.Namespace) -> dict[str, Any]:
-    return {key: getattr(options, key) for key in ("accuracy", "effects", "error_estimate", "workers")}
+    return {key: getattr(options, key) for key in ("accuracy", "effects", "vary", "error_estimate", "workers")}
 
 
 def _run_and_report(options: argparse.Namespace, out: Path, progress: Progress) -> dict[str, Any]:

@@ -98,6 +98,13 @@ class Section:
             raise self.fail(key, f"{value!r} is not a whole number")
         return self._number(key, value, low, high)
 
+    def wholes(self, key: str, low: int, high: int) -> tuple[int, ...]:
+        """A list of whole numbers within [low, high]."""
+        value = self._get(key, ...)
+        if not isinstance(value, list) or not all(isinstance(item, int) and not isinstance(item, bool) for item in value):
+            raise self.fail(key, f"{value!r} is not a list of whole numbers")
+        return tuple(self._number(f"{key}[{i}]", item, low, high) for i, item in enumerate(value))
+
     def text(self, key: str, choices: Iterable[str] | None = None, default: Any = ...) -> Any:
         """Text that is not empty, one of `choices` where they are given."""
         value = self._get(key, default)
@@ -112,6 +119,10 @@ class Section:
     def has(self, key: str) -> bool:
         """Whether the table has the field, where several may say the same."""
         return key in self._table
+
+    def kind(self, key: str) -> type | None:
+        """Of what kind the field is, where several are good: None where it is missing."""
+        return type(self._table[key]) if key in self._table else None
 
     def flag(self, key: str, default: bool) -> bool:
         """True or false."""

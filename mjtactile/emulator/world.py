@@ -13,6 +13,7 @@ import random
 import sys
 import threading
 import time
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -23,9 +24,10 @@ from mjtactile.core.errors import MjtactileError
 from mjtactile.core.types import FINGERS
 from mjtactile.emulator.options import EmulatorOptions
 from mjtactile.emulator.shared import SharedState
-from mjtactile.emulator.specimen import camera_pose, true_design
 from mjtactile.emulator.stream import StreamServer
-from mjtactile.rig.file import EmulatorConfig
+from mjtactile.rig.file import EmulatorConfig, load_sim_rig
+from mjtactile.rig.specimen import camera_pose, marker_radii, true_design
+from mjtactile.rig.variation import Drawn
 from mjtactile.sim import truth
 from mjtactile.sim.log import route_warnings
 from mjtactile.sim.picture.renderer import Effects, Renderer
@@ -43,9 +45,10 @@ class EmulatedWorld:
 
     def __init__(self, options: EmulatorOptions, shared: SharedState):
         emulator = options.rig_file.emulator or EmulatorConfig()
-        specimens = [true_design(options.finger_design(finger), emulator.specimen(finger)) for finger in FINGERS]
-        self.scene = build_sim_rig(options.design, object_name=options.object_name, seed=options.seed,
-                                   specimens=specimens).scene
+        file = load_sim_rig("sim")
+        file = replace(file, fingers=tuple(replace(one, sensor=options.finger_design(one.name)) for one in file.fingers))
+        self.scene = build_sim_rig(options.design, object_name=options.object_name, seed=options.seed, file=file,
+                                   drawn=Drawn(specimens=emulator.specimens)).scene
         self._shared, self._travel = shared, options.rig_file.lift.travel
         self._cameras = Cameras(options, shared)
         self.streams = self._cameras.streams
@@ -125,7 +128,8 @@ class Cameras:
         self.streams = StreamServer(FINGERS[:count])
         seeds = np.random.default_rng(options.seed).integers(2**31, size=count)
         fingers = [(options.finger_design(finger), emulator.specimen(finger)) for finger in FINGERS[:count]]
-        self._renderers = [Renderer(true_design(design, own), seed=int(s), pose=camera_pose(design, own))
+        self._renderers = [Renderer(true_design(design, own), seed=int(s), pose=camera_pose(design, own),
+                                    radius=marker_radii(true_design(design, own), own))
                            for s, (design, own) in zip(seeds, fingers, strict=True)]
         self._period, self._shared = 1 / options.rig_file.cameras[0].rate, shared
         self._rng = random.Random(options.seed)

@@ -12,7 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mjtactile.core.errors import InputError, MjtactileError
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import MjtactileError
+from mjtactile.rig.file import load_sim_rig
+from mjtactile.rig.variation import draw
 from mjtactile.run.grasp import GraspOptions, run_grasp
 
 OUTCOMES = ("held", "dropped", "crushed", "error")
@@ -32,11 +35,12 @@ class Episode:
     rig: str = "sim"
     accuracy: str = ""
     effects: str = "auto"
+    vary: str = "none"
 
     def command(self) -> str:
         """How to run it again alone."""
         words = ["mjtactile", "grasp", "--object", self.object, "--controller", self.controller, "--seed", str(self.seed)]
-        for name, default in (("sensor", "dense"), ("rig", "sim"), ("accuracy", ""), ("effects", "auto")):
+        for name, default in (("sensor", "dense"), ("rig", "sim"), ("accuracy", ""), ("effects", "auto"), ("vary", "none")):
             if getattr(self, name) != default:
                 words += [f"--{name}={getattr(self, name)}"]
         return shlex.join(words)
@@ -52,20 +56,19 @@ def plan(count: int, controllers: Sequence[str], objects: Sequence[str], first_s
 
 
 def run_episode(episode: Episode) -> dict[str, Any]:
-    """The episode's line. Raises InputError for bad names; whatever else fails is an error of this episode."""
+    """The episode's line; whatever fails is an error of this episode."""
     line: dict[str, Any] = {"episode": episode.index, "controller": Path(episode.controller).stem,
                             "object": Path(episode.object).stem, "seed": episode.seed}
     notes = _Notes()
     options = GraspOptions(object=episode.object, sensor=episode.sensor, controller=episode.controller, rig=episode.rig,
-                           seed=episode.seed, accuracy=episode.accuracy, effects=episode.effects, workers=0)
+                           seed=episode.seed, accuracy=episode.accuracy, effects=episode.effects, vary=episode.vary, workers=0)
     try:
         summary = run_grasp(options, recorder=notes, progress=notes).summary()
-    except InputError:
-        raise
     except MjtactileError as error:
         summary = {"outcome": "error", "reason": " ".join(str(error).split())}
     values = {key: _json(summary.get(key)) for key in _KEPT}
-    return line | values | {"break_force_N": notes.break_force, "again": episode.command()}
+    drawn = draw(episode.vary, episode.seed, load_sensor(episode.sensor), load_sim_rig(episode.rig))
+    return line | values | {"break_force_N": notes.break_force, "varied": dict(drawn.values), "again": episode.command()}
 
 
 class _Notes:

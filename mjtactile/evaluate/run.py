@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,6 +14,8 @@ from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.evaluate import store
 from mjtactile.evaluate.episodes import Episode, plan, run_episode
 from mjtactile.evaluate.statistics import summarise
+from mjtactile.rig.file import load_sim_rig
+from mjtactile.rig.variation import NONE, load_variation
 from mjtactile.run.controller import load_controller
 
 Say = Callable[[str], None]
@@ -27,7 +29,7 @@ def evaluate(folder: Path, *, count: int, controllers: Sequence[str], objects: S
     Raises InputError for a controller, sensor or object that is not to be had, before anything is run, and for a folder that
     holds another evaluation; DeviceError when a worker was killed: what had ended is kept, and `resume` goes on.
     """
-    files = _files(controllers, objects, manner.get("sensor", "dense"))
+    files = _files(controllers, objects, manner)
     options = {"count": count, "controllers": list(controllers), "objects": list(objects), "first_seed": first_seed,
                "shard": list(shard), **manner}
     kept = store.Store(folder, store.manifest(options, files), resume=resume)
@@ -62,8 +64,9 @@ def default_workers() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def _files(controllers: Sequence[str], objects: Sequence[str], sensor: str) -> list[Path]:
+def _files(controllers: Sequence[str], objects: Sequence[str], manner: Mapping[str, str]) -> list[Path]:
     """The files that are used, each once. Raises InputError for what is not to be had or cannot be used."""
+    from mjtactile.sim.effects.catalog import choose
     from mjtactile.sim.scenes.objects import load_object
 
     for name in controllers:
@@ -74,10 +77,13 @@ def _files(controllers: Sequence[str], objects: Sequence[str], sensor: str) -> l
     twice = next((stem for stem in stems if stems.count(stem) > 1), None)
     if twice is not None:
         raise InputError(f"two of them are called {twice!r}", field="--controller")
-    load_sensor(sensor)
+    sensor, rig = manner.get("sensor", "dense"), load_sim_rig(manner.get("rig", "sim"))
+    choose(load_sensor(sensor), overrides=manner.get("effects", "auto"))
+    variation = load_variation(manner.get("vary", NONE))
     found = [resources.find(name, "controllers", ".py") for name in controllers]
     found += [resources.find(name, "models/objects", ".xml") for name in objects]
-    return list(dict.fromkeys([*found, resources.find(sensor, "models/sensors", ".toml")]))
+    found += [resources.find(sensor, "models/sensors", ".toml"), rig.path, rig.model]
+    return list(dict.fromkeys(found + ([variation.path] if variation.path else [])))
 
 
 def _run(missing: Sequence[Episode], kept: store.Store, workers: int, say: Say) -> None:

@@ -16,6 +16,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.toml import Section, read_toml
 from mjtactile.core.types import FINGERS
 from mjtactile.rig.simulated import SimRigFile, sim_rig_from_table
+from mjtactile.rig.specimen import SpecimenConfig, read_specimen
 
 
 @dataclass(frozen=True)
@@ -116,24 +117,6 @@ class ValveConfig:
     heartbeat: float = 0.25
     reply_timeout: float = 0.03
     supply_gauge: float | None = None
-
-
-@dataclass(frozen=True)
-class SpecimenConfig:
-    """How one finger of the emulated hardware really is, against its sensor file: `focal_share` more focal length, `center`
-    (u, v) px off, its own `k1` (None: the file's), the camera with its pane `shift` (x, y, z) m off and turned by `tilt`
-    (rotation vector) rad, `stiffness_share` more Young's modulus, markers larger by `radius` m, and `valve_zero` Pa that its
-    pressure sensor shows too much."""
-
-    finger: str
-    focal_share: float = 0.0
-    center: tuple[float, float] = (0.0, 0.0)
-    k1: float | None = None
-    shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    tilt: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    stiffness_share: float = 0.0
-    radius: float = 0.0
-    valve_zero: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -333,18 +316,4 @@ def _specimens(section: Section | None) -> tuple[SpecimenConfig, ...]:
         return ()
     found = [(finger, section.optional(finger)) for finger in FINGERS]
     section.done()
-    return tuple(_specimen(finger, own) for finger, own in found if own is not None)
-
-
-def _specimen(finger: str, section: Section) -> SpecimenConfig:
-    config = SpecimenConfig(
-        finger, focal_share=section.number("fx_percent", -50, 50, 1e-2, default=0.0),
-        center=section.numbers("center_px", "uv", -500, 500, default=(0.0, 0.0)),
-        k1=section.number("k1", -1, 1, default=None),
-        shift=section.numbers("camera_shift_mm", "xyz", -10, 10, 1e-3, default=(0.0, 0.0, 0.0)),
-        tilt=section.numbers("camera_tilt_deg", "xyz", -20, 20, math.pi / 180, default=(0.0, 0.0, 0.0)),
-        stiffness_share=section.number("stiffness_percent", -90, 400, 1e-2, default=0.0),
-        radius=section.number("marker_radius_um", -500, 500, 1e-6, default=0.0),
-        valve_zero=section.number("valve_zero_Pa", -1000, 1000, default=0.0))
-    section.done()
-    return config
+    return tuple(read_specimen(finger, own) for finger, own in found if own is not None)

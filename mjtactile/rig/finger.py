@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from mjtactile.core.calibration import Calibration
@@ -47,6 +47,8 @@ class Rig:
     simulated one and a replay do."""
     length: float = math.inf
     """s from its first cycle to its last: a recording ends, a world does not."""
+    varied: Mapping[str, Any] = field(default_factory=dict)
+    """In a simulated world that is not as its files say: the values drawn for it, by name, in the files' units."""
     scene: Any = None
     """The simulated world, for scoring alone; None on a real rig. Sensing and controllers never see a `Rig`."""
 

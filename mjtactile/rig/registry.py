@@ -18,6 +18,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.rig.file import RigFile, read_rig_file
 from mjtactile.rig.finger import Rig
 from mjtactile.rig.simulated import SimRigFile
+from mjtactile.rig.variation import NONE
 
 RIGS, CAMERAS = "mjtactile.rigs", "mjtactile.cameras"
 
@@ -25,7 +26,8 @@ RIGS, CAMERAS = "mjtactile.rigs", "mjtactile.cameras"
 @dataclass(frozen=True)
 class RigRequest:
     """What a user asked for: `argument` (the folder of "replay:FOLDER"), or a rig `file`; the sensor on its fingers, the object
-    and the seed, for rigs that place one; `accuracy` and `effects` of a simulation, "" and "auto" where nothing was asked."""
+    and the seed, for rigs that place one; of a simulation `accuracy`, `effects` and what is to `vary` ("", "auto" and "none"
+    where nothing was asked)."""
 
     design: SensorDesign
     object: str = "egg"
@@ -34,10 +36,11 @@ class RigRequest:
     file: RigFile | SimRigFile | None = None
     accuracy: str = ""
     effects: str = "auto"
+    vary: str = NONE
 
 
 def build_rig(name: str, design: SensorDesign, *, object_name: str = "egg", seed: int = 0, accuracy: str = "",
-              effects: str = "auto") -> Rig:
+              effects: str = "auto", vary: str = NONE) -> Rig:
     """Build the rig that the user named: "sim", "replay:FOLDER", a third party's name, or a rig file (shipped or FILE.toml).
 
     Raises InputError for an unknown rig, object or sensor; DeviceError for a device that is not there.
@@ -51,7 +54,9 @@ def build_rig(name: str, design: SensorDesign, *, object_name: str = "egg", seed
         kind = file.backend
     if kind not in SIMULATES and (accuracy, effects) != ("", "auto"):
         raise InputError(f"the rig {name!r} is not simulated here", field="--accuracy or --effects")
-    return load_backend(RIGS, kind)(RigRequest(design, object_name, seed, argument, file, accuracy, effects))
+    if kind not in SIMULATES and vary != NONE:
+        raise InputError(f"the rig {name!r} is not simulated here: its world is what it is", field="--vary", choices=[NONE])
+    return load_backend(RIGS, kind)(RigRequest(design, object_name, seed, argument, file, accuracy, effects, vary))
 
 
 def need_file(request: RigRequest) -> RigFile:

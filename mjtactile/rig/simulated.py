@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mjtactile.core.design import SensorDesign
 from mjtactile.core.toml import Section
 from mjtactile.rig.jaws import CRANK, LINEAR, TABLE, JawLaw, make_law
 
@@ -25,11 +26,11 @@ _PER = {"mm_per_rad": 1e-3, "mm_per_mm": 1.0}
 @dataclass(frozen=True)
 class SimFinger:
     """A finger: the `site` of the MJCF that carries its sensor (z points at the object, out of the sensor), and the
-    `sensor`'s file or shipped name (None: the one that the command names)."""
+    `sensor`: its file, shipped name or design (None: the one that the command names)."""
 
     name: str
     site: str
-    sensor: str | None = None
+    sensor: str | SensorDesign | None = None
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ def _finger(section: Section, path: Path) -> SimFinger:
     if "/" in finger.name:
         raise section.fail("name", f"{finger.name!r} has a slash, which parts names of a simulated scene")
     section.done()
-    if finger.sensor is not None and (path.parent / finger.sensor).is_file():
+    if isinstance(finger.sensor, str) and (path.parent / finger.sensor).is_file():
         return SimFinger(finger.name, finger.site, str(path.parent / finger.sensor))
     return finger
 

@@ -14,6 +14,7 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.core.types import Image
 from mjtactile.rig.finger import Rig
+from mjtactile.rig.variation import NONE
 from mjtactile.run.controller import load_controller
 from mjtactile.run.loop import Cycle
 from mjtactile.run.session import open_session
@@ -23,7 +24,8 @@ TIME_LIMIT = 60.0  # s on the rig's clock; a gentle grasp takes about 10
 
 @dataclass(frozen=True)
 class GraspOptions:
-    """What to grasp, with what: shipped names or files, the rig, and the seed of placement and noise. `workers` threads
+    """What to grasp, with what: shipped names or files, the rig, and the seed of placement and noise, and of what is drawn from
+    the ranges of `vary`. `workers` threads
     look at the images (None: as many as are worth it here); the result is the same with any number of them."""
 
     object: str = "egg"
@@ -33,6 +35,7 @@ class GraspOptions:
     seed: int = 0
     accuracy: str = ""
     effects: str = "auto"
+    vary: str = NONE
     error_estimate: bool = False
     workers: int | None = None
 
@@ -115,7 +118,7 @@ def run_grasp(options: GraspOptions, *, recorder: RecorderLike, progress: Progre
     """
     design, controller = load_sensor(options.sensor), load_controller(options.controller)
     with open_session(options.rig, design, object_name=options.object, seed=options.seed, accuracy=options.accuracy,
-                      effects=options.effects, workers=options.workers, say=progress.message) as session:
+                      effects=options.effects, vary=options.vary, workers=options.workers, say=progress.message) as session:
         rig = session.rig
         recorder.patience = session.patience
         score = _score(rig, recorder)
@@ -167,7 +170,7 @@ def _score(rig: Rig, recorder: RecorderLike) -> Any:
     score = GraspScore(rig.scene)
     rig.scene.after_each_step(score.after_step)
     force = rig.scene.object.break_force
-    recorder.note(break_force_N=force if math.isfinite(force) else None)
+    recorder.note(break_force_N=force if math.isfinite(force) else None, **({"varied": rig.varied} if rig.varied else {}))
     return score
 
 

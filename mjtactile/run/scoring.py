@@ -47,6 +47,7 @@ class GraspScore:
 
     def __post_init__(self) -> None:
         self._bodies = truth.object_bodies(self.world)
+        self._friction = [sensor.design.membrane.friction for sensor in self.world.sensors]
         self._next_strain = -math.inf
         self._rest_height = self._object_position()[2]
         self._hand_start = truth.hand_position(self.world)[2]
@@ -85,7 +86,7 @@ class GraspScore:
             return
         p_WO, p_WH = self._object_position(), truth.hand_position(self.world)
         self._track_slip(p_WO - p_WH)
-        self._carried = max(self._carried, self.world.design.membrane.friction * sum(forces))
+        self._carried = max(self._carried, sum(friction * force for friction, force in zip(self._friction, forces, strict=True)))
         lifted = float(p_WH[2] - self._hand_start)
         risen = bool(p_WO[2] - self._rest_height > _HELD_SHARE * lifted - _HELD_SLACK)
         self.lost |= lifted > _RISEN and not risen
@@ -124,7 +125,7 @@ class GraspScore:
         if self.outcome() != "dropped" or self._grip_start is None or weight <= self._carried:
             return ""
         return (f"too heavy for this grip: it weighs {weight:.2g} N, and with a friction of "
-                f"{self.world.design.membrane.friction:g} the fingers could carry {self._carried:.2g} N at most")
+                f"{min(self._friction):.2g} the fingers could carry {self._carried:.2g} N at most")
 
     def outcome(self) -> str:
         """"crushed" if a finger ever did to it more than it stands, "held" if it stayed up, else "dropped"."""

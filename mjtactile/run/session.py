@@ -14,6 +14,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Command, Image
 from mjtactile.rig.finger import Rig
 from mjtactile.rig.registry import build_rig
+from mjtactile.rig.variation import NONE
 from mjtactile.run.controller import Stepper
 from mjtactile.run.loop import WAIT_TIME, Cycle, patient_read, run_loop
 from mjtactile.run.perceive import Perceiver
@@ -130,7 +131,7 @@ class Session:
 
 @contextlib.contextmanager
 def open_session(rig: str, design: SensorDesign, *, object_name: str = "egg", seed: int = 0, accuracy: str = "",
-                 effects: str = "auto", workers: int | None = None, settings: Settings = DEFAULTS,
+                 effects: str = "auto", vary: str = NONE, workers: int | None = None, settings: Settings = DEFAULTS,
                  say: Say = lambda _: None) -> Iterator[Session]:
     """Build the rig that the user named, and bring it to its safe state on every way out, which no signal cuts short.
 
@@ -138,7 +139,7 @@ def open_session(rig: str, design: SensorDesign, *, object_name: str = "egg", se
     Raises InputError for bad names or files, DeviceError for a device that is not there, Interrupted.
     """
     with signals.deferred():
-        built = build_rig(rig, design, object_name=object_name, seed=seed, accuracy=accuracy, effects=effects)
+        built = build_rig(rig, design, object_name=object_name, seed=seed, accuracy=accuracy, effects=effects, vary=vary)
         try:
             yield Session(built, settings=settings, threads=workers, say=say)
         finally:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mjtactile.core.types import Image
+from mjtactile.rig.specimen import NOMINAL, SpecimenConfig, camera_pose, marker_radii
 from mjtactile.sim.picture.renderer import Renderer
 from mjtactile.sim.sensor.runtime import TactileSensor
 from mjtactile.sim.sensor.switches import CAMERA, Effect, set_picture
@@ -16,10 +17,14 @@ _SHUTTER = (0.0, 0.5, 1.0)  # shares of the exposure at which the moving markers
 class SimCamera:
     """Renders one sensor's image when it is read, or before (`draw`), beside the work on the last one."""
 
-    def __init__(self, sensor: TactileSensor, seed: int, effects: frozenset[str] = CAMERA):
-        """`effects`: what is drawn; LATENCY hands out the image before, MOTION_BLUR keeps the shutter open."""
+    def __init__(self, sensor: TactileSensor, seed: int, effects: frozenset[str] = CAMERA,
+                 specimen: SpecimenConfig = NOMINAL):
+        """`effects`: what is drawn; LATENCY hands out the image before, MOTION_BLUR keeps the shutter open. `specimen` says
+        where the camera really is, and which markers it does not see."""
         self._sensor = sensor
-        self._renderer = Renderer(set_picture(sensor.design, effects), seed=seed, shadows=Effect.SHADOWS in effects)
+        design = set_picture(sensor.design, effects)
+        self._renderer = Renderer(design, seed=seed, shadows=Effect.SHADOWS in effects, pose=camera_pose(design, specimen),
+                                  radius=marker_radii(design, specimen))
         self._moving, self._late = Effect.MOTION_BLUR in effects, Effect.LATENCY in effects
         self._before: Image | None = None
         self._drawn: Image | None = None

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +17,14 @@ from mjtactile.rig.finger import Rig, make_fingers
 from mjtactile.rig.limits import Limits
 from mjtactile.rig.registry import RigRequest
 from mjtactile.rig.simulated import SimRigFile
+from mjtactile.rig.specimen import SpecimenConfig, true_design
+from mjtactile.rig.variation import AS_FILED, FAULTLESS, Drawn, RigChange, draw
 from mjtactile.sim.attach import DEFAULT_MESH
 from mjtactile.sim.camera import SimCamera
 from mjtactile.sim.effects.catalog import choose
 from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR, Fidelity
 from mjtactile.sim.scenes.grasp_world import GraspWorld, finger_designs
-from mjtactile.sim.scenes.objects import load_object
+from mjtactile.sim.scenes.objects import ObjectModel, load_object
 from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor.runtime import TactileSensor
 from mjtactile.sim.sensor.switches import set_design
@@ -105,15 +109,22 @@ class SimValve:
 
 
 class SimGripper:
-    """Jaw servo and lift of the world."""
+    """Jaw servo and lift of the world, with what the gears' play, a slow bus and a noisy current make of them."""
 
-    def __init__(self, world: GraspWorld, clock: SimClock):
-        self._world, self._clock = world, clock
+    def __init__(self, world: GraspWorld, clock: SimClock, change: RigChange = FAULTLESS, seed: int = 0):
+        self._world, self._clock, self._change = world, clock, change
         self._asked: GripperState | None = None
+        self._rng = np.random.default_rng([seed, 1])
+        self._jaw = self._motor = world.opening  # m: where the gears' output and the motor are to be
+        self._late: deque[tuple[float, Command]] = deque()
+        if change.delay or change.jitter:
+            world.after_each_step(self._apply_late)
 
     def ask(self) -> None:
         world = self._world
-        self._asked = GripperState(world.opening, world.opening_speed, world.grip_force, world.lift_height, world.time, 0.0)
+        force = world.grip_force + (self._change.force_noise * self._rng.standard_normal() if self._change.force_noise else 0.0)
+        opening = world.opening + self._motor - self._jaw  # servos say where their motors are
+        self._asked = GripperState(opening, world.opening_speed, force, world.lift_height, world.time, 0.0)
 
     def state(self) -> GripperState:
         if self._asked is None:
@@ -124,51 +135,89 @@ class SimGripper:
 
     def command(self, command: Command) -> Command:
         """Set the goals of jaw and lift; a force limit of 0 leaves the servo's limit as it was."""
-        self._clock.defer(lambda: self._apply(command))
+        self._clock.defer(lambda: self._arrive(command))
         return command
 
+    def _arrive(self, command: Command) -> None:
+        change = self._change
+        if not (change.delay or change.jitter):
+            self._apply(command)
+            return
+        due = self._world.time + change.delay + change.jitter * self._rng.random()
+        self._late.append((max(due, self._late[-1][0]) if self._late else due, command))
+
+    def _apply_late(self) -> None:
+        while self._late and self._late[0][0] <= self._world.time:
+            self._apply(self._late.popleft()[1])
+
     def _apply(self, command: Command) -> None:
-        self._world.set_finger_target(command.opening, command.force_limit if command.force_limit > 0 else None)
+        """The jaw follows the motor when the gears' play is used up."""
+        half = self._change.backlash / 2
+        self._motor = min(command.opening, self._world.max_opening)
+        self._jaw = min(max(self._jaw, self._motor - half, 0.0), self._motor + half)
+        self._world.set_finger_target(self._jaw, command.force_limit if command.force_limit > 0 else None)
         self._world.set_lift_target(command.lift_height)
 
 
 def build_sim_rig(design: SensorDesign, *, object_name: str, seed: int, accuracy: str = "", effects: str = "auto",
-                  file: SimRigFile | str | Path = "sim", specimens: Sequence[SensorDesign] = ()) -> Rig:
+                  file: SimRigFile | str | Path = "sim", drawn: Drawn = AS_FILED) -> Rig:
     """A simulated grasp with the rig of `file`. `seed` places the object by a few millimetres and fixes the cameras' noise.
 
-    `accuracy` is "", "0.02N" or "realtime" (fidelity.py), `effects` "auto" or "+name,-name" (catalog.py); `specimens` as in
-    `GraspWorld`. Sensing knows the fingers' designs, not the specimens.
+    `accuracy` is "", "0.02N" or "realtime" (fidelity.py), `effects` "auto" or "+name,-name" (catalog.py). The world is made of
+    what was `drawn`; sensing knows the fingers' designs, and the limits are the file's.
     """
     rng = np.random.default_rng(seed)
     file = file if isinstance(file, SimRigFile) else load_sim_rig(file)
     fidelity = Fidelity.parse(accuracy) if accuracy else None
     largest = _LARGEST_STEP if fidelity is None else fidelity.timestep * (1 + 1e-9)
-    x, y = rng.uniform(-_SCATTER, _SCATTER, 2)
-    grasped = load_object(object_name)
+    pose = *rng.uniform(-_SCATTER, _SCATTER, 2), rng.uniform(-1, 1)
+    grasped = load_object(object_name).changed(drawn.object)
     wanted = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.asked
     on = choose(design, grasped, force_error=wanted, overrides=effects).on
-    designs = tuple(set_design(own, on) for own in finger_designs(file, design))
+    files = finger_designs(file, design)
+    designs = tuple(set_design(own, on) for own in files)
     rate = min(own.camera.rate for own in designs)
     steps = int(np.ceil(1 / (rate * largest)))  # a whole number of steps per camera frame
-    world = GraspWorld(set_design(design, on), grasped, rig=file, timestep=1 / (rate * steps), effects=on,
+    specimens = [drawn.specimen(finger.name) for finger in file.fingers]
+    true = [set_design(_true_design(own, specimen, drawn), on) for own, specimen in zip(files, specimens, strict=True)]
+    grip = replace(file.gripper, speed=(1 + drawn.rig.speed) * file.gripper.speed)
+    world = GraspWorld(set_design(design, on), grasped, rig=replace(file, gripper=grip), timestep=1 / (rate * steps), effects=on,
                        mesh=DEFAULT_MESH if fidelity is None else fidelity.mesh,
-                       object_pose=(x, y, grasped.turn * rng.uniform(-1, 1)),
-                       specimens=[set_design(own, on) for own in specimens] or designs)
+                       object_pose=_place(grasped, pose), specimens=true)
     if fidelity is not None:
         world.model.opt.tolerance = fidelity.tolerance
     clock = SimClock(world)
     seeds = rng.integers(2**31, size=len(world.sensors))
-    cameras = tuple(SimCamera(sensor, int(s), on) for sensor, s in zip(world.sensors, seeds, strict=True))
+    cameras = tuple(SimCamera(sensor, int(s), on, own) for sensor, s, own in zip(world.sensors, seeds, specimens, strict=True))
+    for sensor, own in zip(world.sensors, specimens, strict=True):
+        if own.leak or own.warming:
+            sensor.puncture(own.leak)
+            sensor.warm(own.warming)
     clock.on_arrival += [camera.draw for camera in cameras]
     valves = tuple(SimValve(sensor) for sensor in world.sensors)
     limits = Limits(file.gripper.opening, file.gripper.speed, file.gripper.force_max, (0.0, file.lift.travel), file.lift.speed)
     return Rig(
         name=file.name, fingers=make_fingers(tuple(finger.name for finger in file.fingers), designs, cameras, valves),
-        gripper=SimGripper(world, clock), clock=clock, limits=limits, close=clock.close, scene=world)
+        gripper=SimGripper(world, clock, drawn.rig, seed), clock=clock, limits=limits, close=clock.close, varied=drawn.values,
+        scene=world)
 
 
 def build(request: RigRequest) -> Rig:
     """The backend "sim" of `mjtactile.rig.registry`; without a file, the shipped "sim"."""
-    file = request.file if isinstance(request.file, SimRigFile) else "sim"
+    file = request.file if isinstance(request.file, SimRigFile) else load_sim_rig("sim")
     return build_sim_rig(request.design, object_name=request.object, seed=request.seed, accuracy=request.accuracy,
-                         effects=request.effects, file=file)
+                         effects=request.effects, file=file,
+                         drawn=draw(request.vary, request.seed, request.design, file))
+
+
+def _place(grasped: ObjectModel, pose: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Where the object stands and how it is turned: as drawn, else by the seed's `pose` (m, m, share of its turn)."""
+    x, y = pose[:2] if grasped.changes.place is None else grasped.changes.place
+    yaw = grasped.turn * pose[2] if grasped.changes.yaw is None else grasped.changes.yaw
+    return x, y, min(max(yaw, -grasped.turn), grasped.turn)
+
+
+def _true_design(design: SensorDesign, specimen: SpecimenConfig, drawn: Drawn) -> SensorDesign:
+    """The sensor as it is; the friction of a pair is the membrane's alone (it has the higher priority)."""
+    true = true_design(design, specimen)
+    return replace(true, membrane=replace(true.membrane, friction=(1 + drawn.object.friction) * true.membrane.friction))

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -9,7 +10,8 @@ import time
 
 from tests.emulated_host import controller_text
 
-COMMON = ["--sensor", "paper16", "--controller", "quick.py", "--objects", "vial,egg", "--episodes", "2", "--seed", "7"]
+COMMON = ["--sensor", "paper16", "--controller", "quick.py", "--objects", "vial,egg", "--episodes", "2", "--vary", "none",
+          "--seed", "7"]
 
 
 def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile):
@@ -42,6 +44,21 @@ def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile):
 def test_bad_words(mjtactile):
     for words, text in ((["--objects", "egg,stone"], "stone: unknown object"), (["--controller", "no.py"], "no.py"),
                         (["--shard", "3/2"], "is not K/N"), (["--episodes", "0"], "at least 1"), (["--resume"], "which folder?"),
+                        (["--vary", "no.toml"], "no.toml: variation: no such file"), (["--vary", "defalt"], "unknown variation"),
+                        (["--effects", "+bendig"], "is not +NAME"), (["--rig", "two_xm430"], "two_xm430"),
                         (["--controller", "gentle", "--controller", "gentle"], "two of them are called 'gentle'")):
         process = mjtactile("evaluate", *words)
         assert process.returncode == 2 and text in process.stderr and len(process.stderr.strip().splitlines()) == 1
+
+
+def test_the_command_of_an_episode_draws_the_same_world(tmp_path, mjtactile):
+    (tmp_path / "quick.py").write_text(controller_text(hold=0.1))
+    (tmp_path / "my.toml").write_text("[object]\nmass_percent = [100, 200]\n[sensor]\nblur_px = [0, 1]\n")
+    words = ["--sensor", "paper16", "--controller", "quick.py", "--objects", "vial", "--seed", "3", "--vary", "my.toml"]
+    mjtactile("evaluate", *words, "--episodes", "1", "--out", "one")
+    line = json.loads((tmp_path / "one" / "episodes.jsonl").read_text())
+    assert line["varied"].keys() == {"object.mass_percent", "left.blur_px", "right.blur_px"} and "--vary=my.toml" in line["again"]
+    again = json.loads(mjtactile(*shlex.split(line["again"])[1:], "--out", "again", "--json").stdout)
+    assert all(again[name] == line[name] for name in ("outcome", "hold_force_true_N", "peak_force_N", "slip_mm_true", "frames"))
+    log = (tmp_path / "again" / "recording" / "log.jsonl").read_text().splitlines()
+    assert any(json.loads(entry).get("varied") == line["varied"] for entry in log)

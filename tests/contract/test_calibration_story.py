@@ -22,8 +22,8 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.types import FINGERS
 from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.emulator.rig import build_emulated_rig
-from mjtactile.emulator.specimen import true_design
 from mjtactile.rig.file import load_rig_file
+from mjtactile.rig.specimen import true_design
 from mjtactile.run.controller import load_controller
 from mjtactile.run.session import Session
 

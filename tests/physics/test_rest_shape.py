@@ -7,9 +7,8 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError
-from mjtactile.emulator.specimen import camera_pose, true_design
-from mjtactile.rig.file import SpecimenConfig
 from mjtactile.rig.registry import build_rig
+from mjtactile.rig.specimen import SpecimenConfig, camera_pose, true_design
 from mjtactile.run.session import Session
 from mjtactile.sensing.chain import Perception
 from mjtactile.sim.picture.renderer import Renderer

@@ -11,7 +11,7 @@ Whatever else stands in the file's world (a cup, a stand) comes along.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 
 from mjtactile.core import resources
 from mjtactile.core.errors import InputError
+from mjtactile.rig.variation import UNCHANGED, ObjectChange
+from mjtactile.sim.scenes.changed import change
 
 MATERIALS = ("solid", "soft", "amorphous")
 PREFIX = "object/"
@@ -42,7 +44,8 @@ class Flesh:
 @dataclass(frozen=True)
 class ObjectModel:
     """A checked object: `break_force` N per finger, `grasp_height` m above the table, `path` of its MJCF file, `turn` rad
-    about z by which it may be placed at random; `flesh` of a soft one."""
+    about z by which it may be placed at random; `flesh` of a soft one. `changes` are those of the thing in the world against
+    its file (`changed`); the height at which it is grasped is the file's."""
 
     name: str
     path: Path
@@ -52,6 +55,16 @@ class ObjectModel:
     mass: float
     turn: float = math.pi
     flesh: Flesh | None = None
+    changes: ObjectChange = UNCHANGED
+
+    def changed(self, changes: ObjectChange) -> ObjectModel:
+        """This object, larger, heavier, weaker as `changes` say."""
+        stands, flesh = 1 + changes.breaking, self.flesh
+        if flesh is not None:
+            flesh = Flesh((1 + changes.stiffness) * flesh.young, flesh.poisson, stands * flesh.break_stress,
+                          stands * flesh.break_energy)
+        return replace(self, break_force=stands * self.break_force, flesh=flesh, changes=changes,
+                       mass=(1 + changes.size) ** 3 * (1 + changes.mass) * self.mass)
 
 
 def load_object(name_or_path: str | Path) -> ObjectModel:
@@ -84,7 +97,9 @@ def add_object(scene: mujoco.MjSpec, model: ObjectModel, pose: tuple[float, floa
     if not all(math.isfinite(value) for value in pose):
         raise InputError(f"{pose!r} is not three finite numbers", source="add_object", field="pose")
     frame = scene.worldbody.add_frame(pos=[x, y, height], quat=[math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)])
-    scene.attach(_parse(model.path), frame=frame, prefix=PREFIX)
+    spec = _parse(model.path)
+    change(spec, model.changes)
+    scene.attach(spec, frame=frame, prefix=PREFIX)
     if model.flesh is not None:
         scene.option.iterations = max(scene.option.iterations, SOFT_ITERATIONS)
 

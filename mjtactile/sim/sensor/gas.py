@@ -28,6 +28,7 @@ class Gas:
         self._supply_gauge, self._is_open = 0.0, True
         self._leak = chamber.leak_conductance
         self._amount, self._temperature, self._volume = math.nan, chamber.temperature, math.nan
+        self._wall, self._warming = chamber.temperature, 0.0  # K, K/s
         self._pressure = chamber.ambient  # absolute
 
     @property
@@ -59,8 +60,10 @@ class Gas:
         """Whether the pressure stays as it is while the volume does: nothing flows, and the gas is as warm as its walls."""
         if self._is_ideally_open:
             return True
+        if self._warming:
+            return False
         level = all(abs(far - self._pressure) < _LEVEL for _, far in self._openings())
-        return level and (math.isinf(self._chamber.heat_exchange) or abs(self._temperature - self._chamber.temperature) < _WARM)
+        return level and (math.isinf(self._chamber.heat_exchange) or abs(self._temperature - self._wall) < _WARM)
 
     def open(self, supply_gauge: float) -> None:
         """Connect the chamber to a supply. Raises InputError when the pressure is not a possible one."""
@@ -76,7 +79,7 @@ class Gas:
 
     def seal(self, volume: float, pressure_gauge: float) -> None:
         """Close the valve on a chamber of `volume` m^3 that holds `pressure_gauge` Pa and is as warm as its walls."""
-        self._is_open, self._volume, self._temperature = False, volume, self._chamber.temperature
+        self._is_open, self._volume, self._temperature = False, volume, self._wall
         self._pressure = pressure_gauge + self.ambient
         self._amount = self._pressure * volume / self._temperature
 
@@ -88,17 +91,24 @@ class Gas:
         self._fill()
         self._leak = conductance
 
+    def warm(self, rate: float) -> None:
+        """From now on, gas and walls get warmer by `rate` K/s."""
+        self._warming = rate
+
     def advance(self, volume: float, elapsed: float) -> None:
         """Take the gas to `volume`, `elapsed` s after the last call (0: at once, without heat or flow)."""
         if math.isnan(self._volume) or volume <= 0:
             self._volume = volume
+        warmer = self._warming * max(elapsed, 0.0)
+        self._wall += warmer
         if self._is_ideally_open:
-            self._amount, self._temperature = math.nan, self._chamber.temperature
+            self._amount, self._temperature = math.nan, self._wall
             self._pressure, self._volume = self._supply_gauge + self.ambient, volume
             return
         self._fill()
         if volume > 0:
             elapsed = max(elapsed, 0.0)
+            self._temperature += warmer
             self._flow_all(elapsed / 2)  # half before and half after: second order
             self._compress(volume, elapsed)
             self._flow_all(elapsed / 2)
@@ -136,8 +146,7 @@ class Gas:
         """dT/dt = -(gamma - 1) T (dV/dt)/V + (T_wall - T)/tau, exact for a constant relative rate (Eq. G4)."""
         exchange = elapsed / self._chamber.heat_exchange
         decay = (self._chamber.heat_ratio - 1) * math.log(volume / self._volume) + exchange
-        wall = self._chamber.temperature
-        self._temperature = self._temperature * math.exp(-decay) + wall * exchange * _ramp_share(decay)
+        self._temperature = self._temperature * math.exp(-decay) + self._wall * exchange * _ramp_share(decay)
         self._volume = volume
 
     def _flow_all(self, elapsed: float) -> None:
@@ -148,7 +157,7 @@ class Gas:
         """Move gas through an opening: amount and enthalpy, exact for a constant volume and small temperature changes
         (Eq. G5-G6)."""
         gamma, pressure = self._chamber.heat_ratio, self._amount * self._temperature / self._volume
-        source = self._chamber.temperature if far > pressure else self._temperature
+        source = self._wall if far > pressure else self._temperature
         rate = gamma * conductance * max(pressure, far) / self._volume
         energy = (far - pressure) * self._volume * -math.expm1(-rate * elapsed)  # V dp = gamma R T_source dn
         moved = energy / (gamma * source)

@@ -228,6 +228,11 @@ class TactileSensor:
         self.wake()
         self._gas.puncture(conductance)
 
+    def warm(self, rate: float) -> None:
+        """From now on, gas and walls get warmer by `rate` K/s."""
+        self.wake()
+        self._gas.warm(rate)
+
     def flags(self) -> limits.Flags:
         """What makes the present numbers less good than they look; empty when nothing does."""
         return limits.state_flags(self)

@@ -14,9 +14,9 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.emulator.faults import Faults
 from mjtactile.emulator.servo import EmulatedServo
-from mjtactile.emulator.specimen import camera_pose, true_design
 from mjtactile.emulator.valve import ValveFirmware
-from mjtactile.rig.file import SpecimenConfig, load_rig_file, rig_from_table
+from mjtactile.rig.file import load_rig_file, rig_from_table
+from mjtactile.rig.specimen import SpecimenConfig, camera_pose, true_design
 from mjtactile.sensing.image.markers import detect
 from mjtactile.sim.picture.renderer import Effects, Renderer
 

@@ -1,0 +1,62 @@
+"""An object's MJCF made larger, heavier, slicker or softer than its file says."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mjtactile.rig.variation import ObjectChange
+
+
+def change(spec: mujoco.MjSpec, changes: ObjectChange) -> None:
+    """Apply `changes` to a parsed file: size, about the file's origin, to all that stands in it; mass and stiffness to what can
+    move. Its mass grows with its volume, given as a mass or as a density; springs keep their stiffness."""
+    _scale(spec, 1 + changes.size)
+    if changes.mass or changes.size:
+        _weigh(spec, (1 + changes.size) ** 3 * (1 + changes.mass), 1 + changes.mass, (1 + changes.size) ** 2)
+    for geom in [*spec.geoms, *spec.flexes]:
+        geom.friction = np.asarray(geom.friction) * [1 + changes.friction, 1.0, 1.0]
+    for joint in spec.joints:
+        joint.stiffness = np.asarray(joint.stiffness) * (1 + changes.stiffness)
+    for flex in spec.flexes:
+        flex.young *= 1 + changes.stiffness
+
+
+def _scale(spec: mujoco.MjSpec, size: float) -> None:
+    if size == 1:
+        return
+    for thing in [*(body for body in spec.bodies if body.name != "world"), *spec.geoms, *spec.sites, *spec.joints, *spec.frames]:
+        thing.pos = size * np.asarray(thing.pos)
+    for thing in [*spec.geoms, *spec.sites]:
+        thing.size, thing.fromto = size * np.asarray(thing.size), size * np.asarray(thing.fromto)
+    for body in spec.bodies:
+        body.ipos = size * np.asarray(body.ipos)
+    for joint in spec.joints:
+        if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
+            joint.range, joint.ref, joint.springref = size * np.asarray(joint.range), size * joint.ref, size * joint.springref
+    for mesh in spec.meshes:
+        mesh.scale = size * np.asarray(mesh.scale)
+    for flex in spec.flexes:
+        flex.vert, flex.node = _times(flex.vert, size), _times(flex.node, size)
+        flex.radius *= size
+
+
+def _weigh(spec: mujoco.MjSpec, mass: float, density: float, square: float) -> None:
+    """Multiply what is given as a mass, and as a density; moments of inertia by mass and length's `square`."""
+    for geom in spec.geoms:
+        if math.isnan(geom.mass):
+            geom.density *= density
+        else:
+            geom.mass *= mass
+    for body in spec.bodies:
+        if body.explicitinertial:
+            body.mass *= mass
+            body.inertia = mass * square * np.asarray(body.inertia)
+            body.fullinertia = mass * square * np.asarray(body.fullinertia)
+
+
+def _times(values: Any, factor: float) -> list[float]:
+    return [factor * value for value in values]
