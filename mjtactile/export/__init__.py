@@ -1,0 +1,1 @@
+"""Recordings as data sets of other formats: LeRobot, MCAP, rosbag2. The formats: docs/export.md."""

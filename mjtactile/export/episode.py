@@ -1,0 +1,204 @@
+"""An episode to export: a recording, the sensors that it names, and what they see in its images again.
+
+A recording keeps what was felt, but no surface and no markers. Where it has all of its images the sensing chain looks at them
+again, as a replay does, and gives these too.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjtactile.core.calibration import Calibration, calibration_from_table
+from mjtactile.core.design import SensorDesign, load_sensor, sensor_from_table
+from mjtactile.core.errors import DeviceError, InputError
+from mjtactile.core.types import Array, Image, Touch
+from mjtactile.recording.columns import SENSED, TRUE
+from mjtactile.recording.files import LOG, to_json
+from mjtactile.recording.reader import Recording, load_recording
+from mjtactile.sensing.chain import Perception
+
+NOT_OF_A_FINGER = ("object_position_true", "object_quaternion_true")
+"""Columns of several numbers that are not one set a finger."""
+LISTS = ("patches",)
+"""Columns of any number of things a finger."""
+_PARTS = {"wrench": ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm"), "contact_centroid": ("x_m", "y_m"),
+          "slip_velocity": ("x_m_s", "y_m_s"), "object_position_true": ("x_m", "y_m", "z_m"),
+          "object_quaternion_true": ("w", "x", "y", "z")}
+_PARTS |= dict.fromkeys(("wrench_sd", "wrench_true"), _PARTS["wrench"])
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """One cycle: its `row` of the log (null: unknown), the images that were kept, with their `files`, and each finger's touch as
+    the chain sees it again, () where it cannot."""
+
+    time: float
+    row: Mapping[str, Any]
+    images: tuple[Image, ...]
+    files: tuple[Path, ...]
+    touch: tuple[Touch, ...]
+
+
+class Episode:
+    """A recording with its sensor's `design` and each finger's calibration (None: none was measured).
+
+    Raises InputError for a recording without cycles.
+    """
+
+    def __init__(self, folder: Path):
+        self.recording: Recording = load_recording(folder)
+        if not len(self.recording):
+            raise InputError("has no cycles to export", source=folder)
+        self.design = _design(self.recording)
+        self.felt_apart = math.nan
+        """The most, N, by which normal forces felt again differ from those recorded, of the cycles that were asked for so far."""
+        tables = self.recording.notes.get("calibration", {})
+        self.calibrations: dict[str, Calibration | None] = {
+            name: calibration_from_table(tables[name], str(folder)) if name in tables else None for name in self.fingers}
+
+    @property
+    def fingers(self) -> tuple[str, ...]:
+        return self.recording.fingers
+
+    @property
+    def felt_again(self) -> bool:
+        """Whether the chain sees this recording's images again."""
+        return bool(self._perceptions)
+
+    @property
+    def rate(self) -> float:
+        """Cycles a second, median."""
+        times = self.recording.columns["time"]
+        return 1.0 / float(np.median(np.diff(times))) if len(times) > 1 else self.design.camera.rate
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The columns that this recording has, but for its images' names."""
+        return tuple(key for key in (*SENSED, *TRUE) if key in self.recording.columns)
+
+    @property
+    def task(self) -> str:
+        """What was to be done, in words."""
+        grasped = self.recording.header.get("object")
+        return f"grasp the {Path(grasped).stem}" if grasped else "record"
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """Everything that the recording says once: header with versions and files, notes with calibrations, problems."""
+        recording = self.recording
+        return to_json({"header": recording.header, "notes": recording.notes, "complete": recording.complete,
+                        "problems": recording.problems, "fingers": self.fingers, "cycles": len(recording),
+                        "felt_again": self.felt_again, "felt_again_difference_N": self.felt_apart, "camera_in_sensor": {
+                            name: {"R_SC": R.tolist(), "p_SC_m": p.tolist()} for name, (R, p) in self.camera_poses.items()}})
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Text of the sensor and rig files and of calibrations, by the name of the file to write."""
+        kept = {f"{kind}.toml": found["text"] for kind, found in self.recording.header.get("files", {}).items()}
+        notes = self.recording.notes.get("calibration", {})
+        return kept | {f"calibration_{name}.json": json.dumps(table, indent=1) for name, table in notes.items()}
+
+    @property
+    def references(self) -> dict[str, Path]:
+        """The images that the references were taken from, by name."""
+        found = [r.folder / name for r in self.recording.references for names in r.names for name in names]
+        return {path.name: path for path in found if path.is_file()}
+
+    def design_of(self, finger: str) -> SensorDesign:
+        """The design with the lens that was measured of this finger."""
+        calibration = self.calibrations[finger]
+        return self.design if calibration is None else calibration.used(self.design).design(self.design)
+
+    @cached_property
+    def camera_poses(self) -> dict[str, tuple[Array, Array]]:
+        """`R_SC` (3, 3) and `p_SC` (3,) m of each finger's camera: as this recording's flat reference shows it, else as it was
+        calibrated, else as the sensor file says."""
+        return {name: self._camera_pose(k, name) for k, name in enumerate(self.fingers)}
+
+    def _camera_pose(self, number: int, finger: str) -> tuple[Array, Array]:
+        calibration = self.calibrations[finger]
+        if self._perceptions:
+            flat = self._perceptions[number].state.flat
+            return flat.R_SC, flat.p_SC
+        if calibration is not None and (frame := calibration.used(self.design).frame) is not None:
+            return frame.R_SC, frame.p_SC
+        return np.eye(3), self.design.camera.p_SC
+
+    @cached_property
+    def _perceptions(self) -> tuple[Perception, ...]:
+        """A chain for each finger with the references of this recording; () where it has not all of its images."""
+        recording = self.recording
+        if len(recording.references) != 2 or not all(recording.columns["images"]):
+            return ()
+        flat, rest = recording.references
+        try:
+            return tuple(self._perception(k, name, flat, rest) for k, name in enumerate(self.fingers))
+        except (DeviceError, InputError):  # a cut-off reference; the log is exported all the same
+            return ()
+
+    def _perception(self, number: int, finger: str, flat: Any, rest: Any) -> Perception:
+        perception = Perception.of(self.design, calibration := self.calibrations[finger])
+        perception.take_flat(list(flat.images(number)))
+        gauge = rest.pressure_gauge[number] if number < len(rest.pressure_gauge) else None
+        if gauge is None or math.isnan(gauge):
+            gauge = self.design.chamber.supply_gauge
+        elif calibration is not None:
+            gauge = calibration.pressure(gauge)
+        perception.take_rest(list(rest.images(number)), gauge)
+        return perception
+
+    def cycles(self) -> Iterator[Seen]:
+        """All cycles in order. Raises InputError naming an image file that is missing or broken."""
+        columns, folder = self.recording.columns, self.recording.folder
+        for k, images in enumerate(self.recording.images()):
+            row = {key: columns[key][k] for key in self.keys}
+            time = float(row["time"])
+            touch = tuple(chain.perceive(image, time) for chain, image in zip(self._perceptions, images, strict=True)
+                          ) if self._perceptions else ()
+            for again, was in zip(touch, row["force_normal"], strict=False):
+                self.felt_apart = float(np.fmax(self.felt_apart, abs(again.force_normal - was)))
+            yield Seen(time, row, images, tuple(folder / name for name in columns["images"][k]), touch)
+
+
+def find_episodes(path: Path) -> list[Episode]:
+    """The recording in `path`, or all those in the folders below it, in order of their names. Raises InputError for none."""
+    found = [path] if (path / LOG).is_file() or (path / "recording" / LOG).is_file() else sorted(
+        log.parent for log in path.rglob(LOG))
+    if not found:
+        raise InputError("no recording here or below", source=path, field="RUN")
+    return [Episode(folder) for folder in found]
+
+
+def part_names(episode: Episode, key: str) -> list[str]:
+    """What the numbers of a column are called, one for each, with units, left to right."""
+    unit = (SENSED[key][0] if key in SENSED else TRUE[key][0]).replace("^", "").replace("/", "_")
+    own = _PARTS.get(key, (unit or key,))
+    column = episode.recording.columns[key]
+    if key in NOT_OF_A_FINGER:
+        return list(own)
+    if column.ndim == 1 and column.dtype != object:
+        return [f"{key}_{unit}" if unit else key]
+    places = episode.fingers if column.shape[1] == len(episode.fingers) else range(column.shape[1])
+    return [f"{place}.{name}" for place in places for name in own]
+
+
+def meanings() -> dict[str, dict[str, str]]:
+    """Unit and meaning of every column."""
+    return {key: {"unit": unit, "meaning": text} for key, (unit, text, *_) in (*SENSED.items(), *TRUE.items())}
+
+
+def _design(recording: Recording) -> SensorDesign:
+    """The sensor as the recording keeps it; of one without, as its file says now."""
+    kept = recording.header.get("files", {}).get("sensor")
+    if kept is None:
+        return load_sensor(recording.header.get("sensor") or "dense")
+    return sensor_from_table(tomllib.loads(kept["text"]), name=Path(kept["name"]).stem, source=str(recording.folder / LOG))
