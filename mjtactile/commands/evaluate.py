@@ -25,7 +25,8 @@ EPILOG = """\
 examples:
   mjtactile evaluate --episodes 30                                gentle; egg, strawberry and vial in turn
   mjtactile evaluate --controller gentle --controller mine.py --episodes 100 --out runs/eval
-  mjtactile evaluate --objects egg,my/cup.xml --episodes 200 --out runs/eval --resume
+  mjtactile evaluate --objects egg,random,my/cup.xml --episodes 200 --out runs/eval --resume
+  mjtactile evaluate --vary my_world.toml                         `mjtactile new variation my_world` writes one
   mjtactile evaluate --episodes 800 --shard 2/8 --out runs/part2  one of eight machines
   mjtactile evaluate --merge runs/part1 runs/part2 --out runs/all
 """
@@ -34,8 +35,8 @@ examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--controller", action="append", metavar="NAME", help="shipped name or FILE.py; again for each one to "
                         "compare (default: gentle)")
-    parser.add_argument("--objects", default="egg,strawberry,vial", metavar="A,B,…", help="shipped names or FILE.xml, grasped in "
-                        "turn (default: egg,strawberry,vial)")
+    parser.add_argument("--objects", default="egg,strawberry,vial", metavar="A,B,…", help="shipped names, FILE.xml, or random "
+                        "(another thing each time), grasped in turn (default: egg,strawberry,vial)")
     parser.add_argument("--episodes", type=_count, default=30, metavar="N", help="for each controller (default: 30)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the first episode; the others count on (default: 0)")
     parser.add_argument("--sensor", default="dense", metavar="NAME", help="shipped name or FILE.toml (default: dense)")

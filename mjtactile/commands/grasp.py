@@ -43,7 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         return ", ".join(resources.names(kind, suffix))
 
     parser.add_argument("--object", default="egg", metavar="NAME|FILE.xml",
-                        help=f"what to grasp: {shipped('models/objects', '.xml')}, or your own MJCF file (default: egg)")
+                        help=f"what to grasp: {shipped('models/objects', '.xml')}, random:N (one of many), "
+                        "or your own MJCF file (default: egg)")
     parser.add_argument("--sensor", default="dense", metavar="NAME|FILE.toml",
                         help=f"on each finger: {shipped('models/sensors', '.toml')}, or your own file (default: dense)")
     parser.add_argument("--controller", default="gentle", metavar="NAME|FILE.py",

@@ -20,6 +20,8 @@ examples:
   mjtactile new controller firm            firm.py, a copy of `gentle`
   mjtactile new sensor lab/my_sensor       lab/my_sensor.toml, a copy of `dense`
   mjtactile new object plum --like strawberry
+  mjtactile new object thing --like random:7
+  mjtactile new variation my_world         what `evaluate --vary my_world.toml` draws from
   mjtactile new rig my_gripper --like one_xl330_linkage
   mjtactile new rig my_arm --like sim_arm  my_arm.toml, and the robot in it, my_arm.xml
 """
@@ -43,6 +45,7 @@ KINDS = {
     "sensor": Kind("models/sensors", ".toml", "dense", "sensors", "mjtactile inflate --sensor {file} --pressure-kPa 1",
                    r'(?m)^(name = )"[^"]*"'),
     "object": Kind("models/objects", ".xml", "egg", "objects", "mjtactile grasp --object {file}", r'(<mujoco model=)"[^"]*"'),
+    "variation": Kind("models/variations", ".toml", "default", "evaluate", "mjtactile evaluate --vary {file}"),
     "rig": Kind("models/rigs", ".toml", "two_xm430", "hardware", "mjtactile doctor --rig {file}", r'(?m)^(name = )"[^"]*"'),
 }
 _MODEL = r'(?m)^(model = )"([^"]+\.xml)"'
@@ -57,9 +60,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     kind = KINDS[options.kind]
-    source = _shipped(kind, options.like or kind.like)
+    like = options.like or kind.like
+    random = _random(like) if options.kind == "object" else None
+    source = Path(like) if random else _shipped(kind, like)
     path = options.name if options.name.suffix == kind.suffix else options.name.with_name(options.name.name + kind.suffix)
-    text = source.read_text(encoding="utf-8")
+    text = random or source.read_text(encoding="utf-8")
     if kind.name:
         text = re.sub(kind.name, rf'\1"{path.stem}"', text, count=1)
     files, page = {path: text}, kind.page
@@ -81,6 +86,12 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
+def _random(like: str) -> str | None:
+    from mjtactile.evaluate.episodes import object_text
+
+    return object_text(like)
+
+
 def _write(path: Path, text: str) -> None:
     try:
         with path.open("x", encoding="utf-8") as file:
@@ -92,5 +103,6 @@ def _write(path: Path, text: str) -> None:
 def _shipped(kind: Kind, like: str) -> Path:
     """The shipped file of that name; a user's own file can be copied by other means."""
     if like not in resources.names(kind.folder, kind.suffix):
-        raise InputError(f"{like!r} does not ship", field="--like", choices=resources.names(kind.folder, kind.suffix))
+        raise InputError(f"{like!r} does not ship", field="--like", choices=[
+            *resources.names(kind.folder, kind.suffix), *(["random:N"] if kind is KINDS["object"] else [])])
     return resources.find(like, kind.folder, kind.suffix)

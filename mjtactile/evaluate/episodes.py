@@ -17,9 +17,13 @@ from mjtactile.core.errors import MjtactileError
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.variation import draw
 from mjtactile.run.grasp import GraspOptions, run_grasp
+from mjtactile.sim.scenes.random_objects import object_text as object_text
+from mjtactile.sim.scenes.random_objects import random_thing, seed_of
 
 OUTCOMES = ("held", "dropped", "crushed", "error")
 """An error is an episode that did not come to an end (the simulation failed, the controller raised or hung): no failure."""
+RANDOM = "random"
+"""In place of an object: another one each time."""
 _KEPT = ("outcome", "peak_force_N", "peak_force_true_N", "hold_force_N", "hold_force_true_N", "slip_mm_true", "frames", "reason")
 
 
@@ -51,14 +55,19 @@ def plan(count: int, controllers: Sequence[str], objects: Sequence[str], first_s
     """`count` episodes for each controller, objects in turn, seeds from `first_seed` on; of these the part that `shard` (k, n)
     names, the k-th of n."""
     part, parts = shard
-    return [Episode(index, controller, objects[index % len(objects)], first_seed + index, **manner)
+    return [Episode(index, controller, _of_seed(objects[index % len(objects)], first_seed + index), first_seed + index, **manner)
             for index in range(count) if index % parts == part - 1 for controller in controllers]
+
+
+def _of_seed(name: str, seed: int) -> str:
+    """The object of an episode: of "random" the one of its seed."""
+    return f"{RANDOM}:{seed}" if name == RANDOM else name
 
 
 def run_episode(episode: Episode) -> dict[str, Any]:
     """The episode's line; whatever fails is an error of this episode."""
     line: dict[str, Any] = {"episode": episode.index, "controller": Path(episode.controller).stem,
-                            "object": Path(episode.object).stem, "seed": episode.seed}
+                            "object": Path(episode.object).stem.partition(":")[0], "seed": episode.seed}
     notes = _Notes()
     options = GraspOptions(object=episode.object, sensor=episode.sensor, controller=episode.controller, rig=episode.rig,
                            seed=episode.seed, accuracy=episode.accuracy, effects=episode.effects, vary=episode.vary, workers=0)
@@ -67,8 +76,10 @@ def run_episode(episode: Episode) -> dict[str, Any]:
     except MjtactileError as error:
         summary = {"outcome": "error", "reason": " ".join(str(error).split())}
     values = {key: _json(summary.get(key)) for key in _KEPT}
-    drawn = draw(episode.vary, episode.seed, load_sensor(episode.sensor), load_sim_rig(episode.rig))
-    return line | values | {"break_force_N": notes.break_force, "varied": dict(drawn.values), "again": episode.command()}
+    varied = draw(episode.vary, episode.seed, load_sensor(episode.sensor), load_sim_rig(episode.rig)).values
+    seed = seed_of(episode.object)
+    thing = {} if seed is None else random_thing(seed).values
+    return line | values | {"break_force_N": notes.break_force, "varied": thing | dict(varied), "again": episode.command()}
 
 
 class _Notes:

@@ -12,7 +12,7 @@ from mjtactile.core import resources
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.evaluate import store
-from mjtactile.evaluate.episodes import Episode, plan, run_episode
+from mjtactile.evaluate.episodes import RANDOM, Episode, plan, run_episode
 from mjtactile.evaluate.statistics import summarise
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.variation import NONE, load_variation
@@ -68,10 +68,12 @@ def _files(controllers: Sequence[str], objects: Sequence[str], manner: Mapping[s
     """The files that are used, each once. Raises InputError for what is not to be had or cannot be used."""
     from mjtactile.sim.effects.catalog import choose
     from mjtactile.sim.scenes.objects import load_object
+    from mjtactile.sim.scenes.random_objects import seed_of
 
     for name in controllers:
         load_controller(name)
-    for name in objects:
+    named = [name for name in objects if name != RANDOM]
+    for name in named:
         load_object(name)
     stems = [Path(name).stem for name in controllers]
     twice = next((stem for stem in stems if stems.count(stem) > 1), None)
@@ -81,7 +83,7 @@ def _files(controllers: Sequence[str], objects: Sequence[str], manner: Mapping[s
     choose(load_sensor(sensor), overrides=manner.get("effects", "auto"))
     variation = load_variation(manner.get("vary", NONE))
     found = [resources.find(name, "controllers", ".py") for name in controllers]
-    found += [resources.find(name, "models/objects", ".xml") for name in objects]
+    found += [resources.find(name, "models/objects", ".xml") for name in named if seed_of(name) is None]
     found += [resources.find(sensor, "models/sensors", ".toml"), rig.path, rig.model]
     return list(dict.fromkeys(found + ([variation.path] if variation.path else [])))
 

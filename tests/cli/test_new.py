@@ -10,11 +10,13 @@ from mjtactile.core import resources
 from mjtactile.core.design import load_sensor
 from mjtactile.rig.file import read_rig_file
 from mjtactile.rig.registry import build_rig
+from mjtactile.rig.variation import load_variation
 from mjtactile.run.controller import load_controller
 from mjtactile.sim.scenes.objects import load_object
 from tests.cli.test_bad_input import assert_one_line
 
-LOAD = {"controller": load_controller, "sensor": load_sensor, "object": load_object, "rig": read_rig_file}
+LOAD = {"controller": load_controller, "sensor": load_sensor, "object": load_object, "rig": read_rig_file,
+        "variation": load_variation}
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -41,6 +43,12 @@ def test_a_copied_simulated_rig_brings_its_robot_along(mjtactile, tmp_path):
     (tmp_path / "other.xml").write_text("precious")
     assert_one_line(mjtactile("new", "rig", "other", "--like", "sim"), ["other.xml", "exists already"])
     assert (tmp_path / "other.xml").read_text() == "precious" and not (tmp_path / "other.toml").exists()
+
+
+def test_a_random_object_is_written_to_be_looked_at(mjtactile, tmp_path):
+    report = json.loads(mjtactile("new", "object", "thing", "--like", "random:7", "--json").stdout)
+    assert report["like"] == "random:7" and load_object(tmp_path / "thing.xml").mass == load_object("random:7").mass
+    assert_one_line(mjtactile("new", "object", "other", "--like", "random"), ["'random' does not ship", "random:N"])
 
 
 def test_what_it_says_to_run_next_runs(mjtactile, tmp_path):

@@ -25,7 +25,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.sim.effects import steepness
 from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR
-from mjtactile.sim.scenes.objects import ObjectModel
+from mjtactile.sim.scenes.objects import ObjectModel, read_spec
 from mjtactile.sim.sensor import features
 from mjtactile.sim.sensor.switches import Effect
 
@@ -277,7 +277,7 @@ def _feature(grasped: ObjectModel | None) -> tuple[float, bool, tuple[float, flo
     """Smallest radius of the object, m, whether it has sharp edges, and half its extents across the fingers' way, m."""
     if grasped is None:
         return math.inf, False, (math.inf, math.inf)
-    model = mujoco.MjModel.from_xml_path(str(grasped.path))
+    model = read_spec(grasped).compile()
     geoms = features.touching_geoms(model)
     kinds = model.geom_type[geoms]
     sharp = np.isin(kinds, (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_MESH)).any()

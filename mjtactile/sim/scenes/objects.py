@@ -22,6 +22,7 @@ from mjtactile.core import resources
 from mjtactile.core.errors import InputError
 from mjtactile.rig.variation import UNCHANGED, ObjectChange
 from mjtactile.sim.scenes.changed import change
+from mjtactile.sim.scenes.random_objects import object_text
 
 MATERIALS = ("solid", "soft", "amorphous")
 PREFIX = "object/"
@@ -45,7 +46,7 @@ class Flesh:
 class ObjectModel:
     """A checked object: `break_force` N per finger, `grasp_height` m above the table, `path` of its MJCF file, `turn` rad
     about z by which it may be placed at random; `flesh` of a soft one. `changes` are those of the thing in the world against
-    its file (`changed`); the height at which it is grasped is the file's."""
+    its file (`changed`); the height at which it is grasped is the file's. `text` is the MJCF of one that has no file."""
 
     name: str
     path: Path
@@ -56,6 +57,7 @@ class ObjectModel:
     turn: float = math.pi
     flesh: Flesh | None = None
     changes: ObjectChange = UNCHANGED
+    text: str = ""
 
     def changed(self, changes: ObjectChange) -> ObjectModel:
         """This object, larger, heavier, weaker as `changes` say."""
@@ -68,13 +70,14 @@ class ObjectModel:
 
 
 def load_object(name_or_path: str | Path) -> ObjectModel:
-    """Read and check an object by shipped name or from an MJCF file.
+    """Read and check an object by shipped name or from an MJCF file; "random:7" is the random one of seed 7.
 
     Raises InputError naming file, field and valid choices for broken MJCF, a missing body or free joint, a missing,
     non-finite or negative numeric, an unknown material, or an object that nothing can touch.
     """
-    path = resources.find(name_or_path, "models/objects", ".xml")
-    spec = _parse(path)
+    text = object_text(str(name_or_path)) or ""
+    path = Path(name_or_path) if text else resources.find(name_or_path, "models/objects", ".xml")
+    spec = _parse(path, text)
     _check_body(spec, path)
     flesh = _flesh(spec, path)
     stands_strain = flesh is not None and min(flesh.break_stress, flesh.break_energy) < math.inf
@@ -83,7 +86,7 @@ def load_object(name_or_path: str | Path) -> ObjectModel:
     height = _numeric(spec, path, "grasp_height_m", default=float(body.pos[2]))
     turn = min(math.radians(_numeric(spec, path, "turn_deg", default=180.0)), math.pi)
     mass = _check_compiled(spec, path)
-    return ObjectModel(path.stem, path, break_force, _material(spec, path), height, mass, turn, flesh)
+    return ObjectModel(path.stem, path, break_force, _material(spec, path), height, mass, turn, flesh, text=text)
 
 
 def add_object(scene: mujoco.MjSpec, model: ObjectModel, pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
@@ -97,16 +100,21 @@ def add_object(scene: mujoco.MjSpec, model: ObjectModel, pose: tuple[float, floa
     if not all(math.isfinite(value) for value in pose):
         raise InputError(f"{pose!r} is not three finite numbers", source="add_object", field="pose")
     frame = scene.worldbody.add_frame(pos=[x, y, height], quat=[math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)])
-    spec = _parse(model.path)
+    spec = read_spec(model)
     change(spec, model.changes)
     scene.attach(spec, frame=frame, prefix=PREFIX)
     if model.flesh is not None:
         scene.option.iterations = max(scene.option.iterations, SOFT_ITERATIONS)
 
 
-def _parse(path: Path) -> mujoco.MjSpec:
+def read_spec(model: ObjectModel) -> mujoco.MjSpec:
+    """What its file says, before any changes."""
+    return _parse(model.path, model.text)
+
+
+def _parse(path: Path, text: str) -> mujoco.MjSpec:
     try:
-        return mujoco.MjSpec.from_file(str(path))
+        return mujoco.MjSpec.from_string(text) if text else mujoco.MjSpec.from_file(str(path))
     except (ValueError, RuntimeError) as error:
         raise InputError(f"not valid MJCF: {_one_line(error)}", source=path) from error
 
