@@ -28,6 +28,7 @@ examples:
   mjtactile evaluate --objects egg,random,my/cup.xml --episodes 200 --out runs/eval --resume
   mjtactile evaluate --vary my_world.toml                         `mjtactile new variation my_world` writes one
   mjtactile evaluate --episodes 800 --shard 2/8 --out runs/part2  one of eight machines
+  mjtactile evaluate --episodes 4000 --backend dask --scheduler tcp://head:8786 --out runs/big
   mjtactile evaluate --merge runs/part1 runs/part2 --out runs/all
 """
 
@@ -46,6 +47,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--accuracy", default="", metavar="A", help="as for `grasp`")
     parser.add_argument("--workers", type=_count, metavar="N", help="processes that grasp at the same time (default: one a "
                         "processor)")
+    parser.add_argument("--backend", default="processes", metavar="B",
+                        help="who runs the episodes: processes (here; the default) or dask (a cluster)")
+    parser.add_argument("--scheduler", default="", metavar="ADDRESS", help="of the dask cluster, such as tcp://host:8786")
     parser.add_argument("--shard", type=_shard, default=(1, 1), metavar="K/N", help="only the K-th of N parts")
     parser.add_argument("--resume", action="store_true", help="go on with what is in the folder")
     parser.add_argument("--merge", nargs="+", type=Path, metavar="DIR", help="join parts of one evaluation instead")
@@ -93,6 +97,7 @@ def _evaluate(options: argparse.Namespace, out: Path) -> dict[str, Any]:
             return merge(options.merge, out)
         return evaluate(out, count=options.episodes, controllers=options.controller or ["gentle"],
                         objects=[name.strip() for name in options.objects.split(",")], first_seed=options.seed,
-                        shard=options.shard, workers=options.workers, resume=options.resume, say=Progress().message,
+                        shard=options.shard, workers=options.workers, backend=options.backend,
+                        scheduler=options.scheduler, resume=options.resume, say=Progress().message,
                         sensor=options.sensor, rig=options.rig, effects=options.effects, accuracy=options.accuracy,
                         vary=options.vary)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import shlex
+import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -75,6 +76,10 @@ def run_episode(episode: Episode) -> dict[str, Any]:
         summary = run_grasp(options, recorder=notes, progress=notes).summary()
     except MjtactileError as error:
         summary = {"outcome": "error", "reason": " ".join(str(error).split())}
+    except Exception as error:  # noqa: BLE001  # a mistake of ours in one episode shall not end the others
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        summary = {"outcome": "error", "reason": f"internal error in {Path(last.filename).name}, line {last.lineno}: "
+                                                 f"{type(error).__name__}: {' '.join(str(error).split())}"}
     values = {key: _json(summary.get(key)) for key in _KEPT}
     varied = draw(episode.vary, episode.seed, load_sensor(episode.sensor), load_sim_rig(episode.rig)).values
     seed = seed_of(episode.object)

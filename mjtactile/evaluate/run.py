@@ -3,28 +3,27 @@
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from mjtactile.core import resources
 from mjtactile.core.design import load_sensor
-from mjtactile.core.errors import DeviceError, InputError
+from mjtactile.core.errors import InputError
 from mjtactile.evaluate import store
-from mjtactile.evaluate.episodes import RANDOM, Episode, plan, run_episode
+from mjtactile.evaluate.episodes import RANDOM, plan
+from mjtactile.evaluate.pool import PROCESSES, Pool, Say, run_all
 from mjtactile.evaluate.statistics import summarise
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.variation import NONE, load_variation
 from mjtactile.run.controller import load_controller
 
-Say = Callable[[str], None]
-
 
 def evaluate(folder: Path, *, count: int, controllers: Sequence[str], objects: Sequence[str], first_seed: int = 0,
-             shard: tuple[int, int] = (1, 1), workers: int | None = None, resume: bool = False, say: Say = lambda _: None,
-             **manner: str) -> dict[str, Any]:
-    """`count` episodes for each controller into `folder`; the summary of all that are there when they have ended.
+             shard: tuple[int, int] = (1, 1), workers: int | None = None, backend: str = PROCESSES, scheduler: str = "",
+             resume: bool = False, say: Say = lambda _: None, **manner: str) -> dict[str, Any]:
+    """`count` episodes for each controller into `folder`; the summary of all that are there when they have ended. `workers`
+    processes of this machine run them, or those of the cluster behind `scheduler` (`mjtactile.evaluate.pool`).
 
     Raises InputError for a controller, sensor or object that is not to be had, before anything is run, and for a folder that
     holds another evaluation; DeviceError when a worker was killed: what had ended is kept, and `resume` goes on.
@@ -38,7 +37,7 @@ def evaluate(folder: Path, *, count: int, controllers: Sequence[str], objects: S
     missing = [episode for episode in episodes if (Path(episode.controller).stem, episode.index) not in done]
     if done:
         say(f"{len(episodes) - len(missing)} of {len(episodes)} episodes are there already")
-    _run(missing, kept, default_workers() if workers is None else workers, say)
+    run_all(missing, kept, Pool(backend, default_workers() if workers is None else workers, scheduler), say)
     kept.finish()
     return summarise(kept.lines)
 
@@ -86,22 +85,3 @@ def _files(controllers: Sequence[str], objects: Sequence[str], manner: Mapping[s
     found += [resources.find(name, "models/objects", ".xml") for name in named if seed_of(name) is None]
     found += [resources.find(sensor, "models/sensors", ".toml"), rig.path, rig.model]
     return list(dict.fromkeys(found + ([variation.path] if variation.path else [])))
-
-
-def _run(missing: Sequence[Episode], kept: store.Store, workers: int, say: Say) -> None:
-    from joblib import Parallel, delayed
-    from joblib.externals.loky.process_executor import TerminatedWorkerError
-
-    start = time.monotonic()
-    try:
-        jobs = max(1, min(workers, len(missing) or 1))
-        with Parallel(n_jobs=jobs, return_as="generator_unordered", pre_dispatch="n_jobs") as pool:
-            lines = cast(Iterable[dict[str, Any]], pool(delayed(run_episode)(episode) for episode in missing))
-            for k, line in enumerate(lines, 1):
-                kept.add(line)
-                rate = k / (time.monotonic() - start)
-                left = (len(missing) - k) / rate
-                say(f"{k} of {len(missing)}: {line['controller']}, {line['object']}, seed {line['seed']}: {line['outcome']}; "
-                    f"{3600 * rate:.0f} an hour, {left / 60:.0f} min left")
-    except TerminatedWorkerError as error:
-        raise DeviceError(f"a worker was killed ({' '.join(str(error).split())[:90]}…); --resume goes on") from error

@@ -6,15 +6,16 @@ episodes that were being run, and nothing else.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib.metadata
 import json
 import platform
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from mjtactile.core.errors import InputError
+from mjtactile.core.errors import DeviceError, InputError
 
 MANIFEST, EPISODES = "manifest.json", "episodes.jsonl"
 _PACKAGES = ("mjtactile", "mujoco", "numpy", "scipy", "opencv-contrib-python-headless")
@@ -41,14 +42,16 @@ class Store:
         if known.exists():
             _same(known, what)
             self.lines = read_lines(folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        known.write_text(json.dumps(what, indent=1) + "\n", encoding="utf-8")
+        with _writing(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            known.write_text(json.dumps(what, indent=1) + "\n", encoding="utf-8")
         self._rewrite()  # without a line that was cut off
 
     def add(self, line: dict[str, Any]) -> None:
-        self.lines.append(line)
-        with (self.folder / EPISODES).open("a", encoding="utf-8") as file:
+        """Keep a line. Raises DeviceError where the disk does not take it."""
+        with _writing(self.folder / EPISODES), (self.folder / EPISODES).open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
+        self.lines.append(line)
 
     def finish(self) -> None:
         """Put the lines in order."""
@@ -62,8 +65,17 @@ class Store:
 def write_lines(folder: Path, lines: Sequence[Mapping[str, Any]]) -> None:
     """All lines at once, or none."""
     part = folder / (EPISODES + ".part")
-    part.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
-    part.replace(folder / EPISODES)
+    with _writing(folder / EPISODES):
+        part.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
+        part.replace(folder / EPISODES)
+
+
+@contextlib.contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise DeviceError(f"{path}: cannot be written: {error.strerror}; what is there is kept, --resume goes on") from error
 
 
 def read_lines(folder: Path) -> list[dict[str, Any]]:

@@ -1,0 +1,87 @@
+"""Who runs the episodes: processes of this machine, or a cluster that the user has, both by joblib (decision 18)."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+from mjtactile.core.errors import DeviceError, InputError
+from mjtactile.evaluate.episodes import Episode, run_episode
+from mjtactile.evaluate.store import Store
+
+PROCESSES, DASK = "processes", "dask"
+BACKENDS = (PROCESSES, DASK)
+_CONNECT_TIME = 10.0  # s for a scheduler to answer
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Pool:
+    """`workers` processes here, or all that the dask cluster of `scheduler` ("tcp://host:8786") has."""
+
+    backend: str = PROCESSES
+    workers: int = 1
+    scheduler: str = ""
+
+    @contextlib.contextmanager
+    def open(self, most: int) -> Iterator[dict[str, Any]]:
+        """joblib's arguments for at most so many jobs. Raises InputError for a cluster that is not there."""
+        if self.backend == DASK:
+            with _dask(self.scheduler) as jobs:
+                yield {"n_jobs": max(1, min(jobs, most)), "pre_dispatch": "2*n_jobs"}
+        elif self.backend == PROCESSES and not self.scheduler:
+            yield {"n_jobs": max(1, min(self.workers, most)), "pre_dispatch": "n_jobs"}
+        elif self.backend == PROCESSES:
+            raise InputError("is for a cluster", field="--scheduler", choices=[f"--backend {DASK}"])
+        else:
+            raise InputError(f"{self.backend!r} is unknown", field="--backend", choices=BACKENDS)
+
+
+@contextlib.contextmanager
+def _dask(scheduler: str) -> Iterator[int]:
+    """Connects joblib to a scheduler; how many tasks its workers take at a time."""
+    from joblib import parallel_config
+
+    if not scheduler:
+        raise InputError("where is the cluster?", field="--backend", choices=[f"--backend {DASK} --scheduler tcp://HOST:8786"])
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise InputError(f"needs pip install 'mjtactile[cluster]' ({error})", field="--backend") from error
+    try:
+        client = Client(scheduler, timeout=_CONNECT_TIME, set_as_default=True)
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(f"no scheduler answers at {scheduler!r}", field="--scheduler") from error
+    with client:
+        threads = sum(client.nthreads().values())
+        if not threads:
+            raise InputError(f"the cluster at {scheduler} has no workers", field="--scheduler")
+        with parallel_config(backend=DASK):
+            yield threads
+
+
+def run_all(missing: Sequence[Episode], kept: Store, pool: Pool, say: Say) -> None:
+    """Run what is `missing`; each line is kept when its episode ends.
+
+    Raises InputError for a cluster that is not there, DeviceError when a worker was killed or the disk is full: what had ended
+    is kept.
+    """
+    from joblib import Parallel, delayed
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+    start = time.monotonic()
+    try:
+        with pool.open(len(missing)) as manner, Parallel(return_as="generator_unordered", **manner) as jobs:
+            lines = cast(Iterable[dict[str, Any]], jobs(delayed(run_episode)(episode) for episode in missing))
+            for k, line in enumerate(lines, 1):
+                kept.add(line)
+                rate = k / (time.monotonic() - start)
+                left = (len(missing) - k) / rate
+                say(f"{k} of {len(missing)}: {line['controller']}, {line['object']}, seed {line['seed']}: {line['outcome']}; "
+                    f"{3600 * rate:.0f} an hour, {left / 60:.0f} min left")
+    except TerminatedWorkerError as error:
+        raise DeviceError(f"a worker was killed ({' '.join(str(error).split())[:90]}…); --resume goes on") from error
