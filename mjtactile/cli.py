@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import gc
 import importlib
 import importlib.metadata
 import json
@@ -85,9 +86,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(argv: list[str]) -> int:
-    # The matrices here are small: a second BLAS thread only waits for the first (the sensing chain is 2-4 times slower).
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    # The matrices here are small: a second BLAS thread only waits for the first (the sensing chain is 2-4 times slower), and
+    # OpenCV's spins beside the simulated world for a twentieth of the loop's time.
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
         os.environ.setdefault(name, "1")
+    gc.set_threshold(100_000)  # imports make much and leave nothing: a tenth of their time
     _quieten_libraries(debug="--debug" in argv)
     logging.basicConfig(format="mjtactile: %(levelname)s: %(message)s", level=logging.WARNING, stream=sys.stderr)
     try:

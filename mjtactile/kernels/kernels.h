@@ -21,6 +21,11 @@ void expose(int64_t count, const float *gray, const float *noise, double noise_d
 void bilinear(int64_t rows, int64_t columns, int64_t channels, const double *grid, int64_t count, const double *places,
               double *out);
 
+/* run/scene_picture.py: triangles `corners` (n, 3, 3), right, up, towards the viewer, in their colours `rgb` (n, 3), painted into
+   `image` (height, width, 3), whose width goes from -1 to 1, where they are nearer than `depth` (height, width). */
+void paint_triangles(int64_t n, const double *corners, const double *rgb, int64_t height, int64_t width, double *depth,
+                     double *image);
+
 /* shape/surface.py: the spline through markers `p_SM` (n, 3) with `variance` (n) of their heights and normals `n_S` (n, 3) or
    NULL; `settings` (11): see surface.c. Bands, here and below, as in band.h. Out: `c` (ny, nx), the band of the Cholesky `factor`
    of its inverse covariance, `found` (2): misfit, markers used. */

@@ -37,17 +37,20 @@ def write_figure(path: Path, recording: Recording, snapshot: CycleLike | None, s
     figure_class, canvas_class = _matplotlib()
     fingers = 1 if snapshot is None else len(snapshot.touch)
     columns = fingers + (scene is not None)
-    figure = figure_class(figsize=(max(4.6 * columns, 9.2), 11.4), dpi=100, layout="constrained")
+    width, title = max(4.6 * columns, 9.2), _title(summary)
+    figure = figure_class(figsize=(width, 11.4), dpi=100)  # inches; no layout engine: it would draw all twice
     canvas_class(figure)
-    grid = figure.add_gridspec(3, columns, height_ratios=[1, 1.12, 1.12])
-    figure.suptitle(_title(summary), fontsize=14, fontweight="bold")
+    sides = {"left": 0.75 / width, "right": 1 - 0.4 / width, "wspace": 0.18}
+    grid = figure.add_gridspec(2, columns, height_ratios=[1, 1.12], top=0.94 - 0.02 * title.count("\n"), bottom=0.345,
+                               hspace=0.36, **sides)
+    figure.suptitle(title, fontsize=14 if columns > 2 else 11, fontweight="bold", y=0.99)
     if snapshot is None:
-        axes = figure.add_subplot(grid[:2, :])
+        axes = figure.add_subplot(grid[:, :])
         axes.set_axis_off()
         axes.text(0.5, 0.5, "the run ended before the first image", ha="center", transform=axes.transAxes)
     else:
         if scene is not None:
-            axes = figure.add_subplot(grid[:2, 0])
+            axes = figure.add_subplot(grid[:, 0])
             draw_scene(axes, scene, snapshot.touch, FINGER_COLOURS)
             axes.set_title(f"the scene at t = {snapshot.time:.2f} s, and the forces felt", fontsize=11)
         unit = arrow_unit(snapshot.touch)
@@ -56,7 +59,8 @@ def write_figure(path: Path, recording: Recording, snapshot: CycleLike | None, s
             _draw_image(figure.add_subplot(grid[0, column]), image, detect(image), f"camera of {name}")
             draw_surface(figure.add_subplot(grid[1, column], projection="3d", computed_zorder=False), snapshot.touch[finger],
                          unit)
-    _draw_forces(figure.add_subplot(grid[2, :]), recording, snapshot)
+    below = figure.add_gridspec(1, 1, top=0.3, bottom=0.045, **sides)
+    _draw_forces(figure.add_subplot(below[0]), recording, snapshot)
     part = path.with_name(path.name + ".part")
     figure.savefig(part, format="png", pil_kwargs={"compress_level": 3})  # a third of the default's time
     part.replace(path)
@@ -86,8 +90,9 @@ def _draw_image(axes: Any, image: Image, ellipses: Ellipses, title: str) -> None
     axes.imshow(image.pixels, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
     if len(ellipses):
         curves, _ = boundary(ellipses.center_px, shape_from_axes(ellipses.semi_axes_px, ellipses.angle), 60)
-        curves = np.concatenate([curves, curves[:, :1]], axis=1)  # closed
-        axes.plot(*curves.transpose(2, 1, 0), color="#39d353", linewidth=1.1)
+        gap = np.full((len(curves), 1, 2), np.nan)
+        curves = np.concatenate([curves, curves[:, :1], gap], axis=1)  # each closed, all of them one line
+        axes.plot(*curves.reshape(-1, 2).T, color="#39d353", linewidth=1.1)
         axes.plot(*ellipses.center_px.T, "+", color="#ff5a4f", markersize=4)
     axes.set_title(f"{title}: {len(ellipses)} ellipses fitted", fontsize=11)
     axes.set_xlabel("u [px]")

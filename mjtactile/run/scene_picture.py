@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from mjtactile.core.types import Array, Touch
+from mjtactile.kernels import kernel
 
 _ELEVATION, _TURN = np.radians(16.0), np.radians(24.0)  # from above, and to the side of the line that joins two fingers
 _LIGHT = np.array([-0.35, 0.55, 0.76])  # to the light: right, up, towards the viewer
@@ -78,21 +79,5 @@ def rasterise(corners: Array, rgb: Array, size: tuple[int, int]) -> Array:
     shade = _AMBIENT + (1 - _AMBIENT) * np.clip(normals @ _LIGHT, 0, 1)
     colours = np.clip(rgb * shade[:, None], 0, 1)
     image, depth = np.tile(_BACKGROUND, (*size, 1)), np.full(size, -np.inf)
-    pixels = np.stack([corners[..., 0], -corners[..., 1]], axis=-1) * size[1] / 2 + (np.array(size[::-1]) - 1) / 2
-    low = np.clip(np.ceil(pixels.min(axis=1)), 0, size[::-1]).astype(int)  # column, row
-    high = np.clip(np.floor(pixels.max(axis=1)) + 1, 0, size[::-1]).astype(int)
-    for t in np.flatnonzero((low < high).all(axis=1)):
-        (c0, r0), (c1, r1) = low[t], high[t]
-        a, b, c = pixels[t]
-        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-        if abs(area) < 1e-9:
-            continue
-        x, y = np.arange(c0, c1)[None, :], np.arange(r0, r1)[:, None]
-        wb = ((x - a[0]) * (c[1] - a[1]) - (y - a[1]) * (c[0] - a[0])) / area
-        wc = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area
-        near = (1 - wb - wc) * corners[t, 0, 2] + wb * corners[t, 1, 2] + wc * corners[t, 2, 2]
-        window = np.s_[r0:r1, c0:c1]
-        seen = (wb >= 0) & (wc >= 0) & (wb + wc <= 1) & (near > depth[window])
-        depth[window][seen] = near[seen]
-        image[window][seen] = colours[t]
+    kernel("paint_triangles")(len(corners), corners, colours, *size, depth, image)
     return image
