@@ -35,11 +35,12 @@ def _keep_status(owner: Any) -> None:
 def _freeze(owner: object, name: str, value: ArrayLike, shape: tuple[int | None, ...], dtype: Any = float) -> NDArray:
     """Store `value` on the frozen dataclass `owner` as a read-only array of the given shape (None: any length)."""
     array = np.asarray(value, dtype=dtype)
-    if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape, strict=True)):
+    if array.shape != shape and (array.ndim != len(shape) or any(
+            want not in (None, got) for want, got in zip(shape, array.shape, strict=True))):
         raise InputError(f"shape {array.shape} does not match {shape}", source=type(owner).__name__, field=name)
     if array.flags.writeable:
         array = array.copy()
-        array.flags.writeable = False
+        array.setflags(write=False)
     object.__setattr__(owner, name, array)
     return array
 

@@ -73,6 +73,15 @@ int64_t wrench_posterior(int64_t r, int64_t jx, int64_t jy, const double *root_x
                          const double *positions, const double *areas, const double *half, const double *innovation,
                          double *cov);
 
+/* touch/patches.py: a patch on nodes (nx, ny), of which the inner ones carry `traction` (3, J) Pa on `node_area` (J) and have `sunk`
+   (J) m, and on a grid (na, nb) `refine` times as fine, of `position` (3, na, nb) m, with the pressure `fine` (na, nb). `owner`
+   (na, nb): the `number` of each point's patch, or NULL for one alone; `settings` (8): see patches.c. Returns 1, or 0 where it
+   carries too little to be one. Out: its cells `inside` (na, nb), zero before, its nodes `mask` (ny, nx), `found` (10): force,
+   centroid, depth, area, semi-axes, angle. */
+int64_t measure_patch(int64_t nx, int64_t ny, int64_t refine, const double *fine, const double *position, const int32_t *owner,
+                      int64_t number, const double *traction, const double *node_area, const double *sunk, double gauge,
+                      double node_variance, const double *settings, uint8_t *inside, uint8_t *mask, double *found);
+
 /* image/candidates.py: area moments of n borders, `counts` (n) points each in `points` (x, y) of an image (height, width); out:
    `misfit` (n) px, the largest distance of the border from the ellipse with these moments, and whether the image cuts it. */
 int64_t border_moments(int64_t n, const int64_t *counts, const int32_t *points, int64_t height, int64_t width, double *centers,

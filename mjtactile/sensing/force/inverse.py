@@ -113,6 +113,7 @@ class InverseMembrane:
         self._nodes = (len(self.x) - 2, len(self.y) - 2, *map(np.ascontiguousarray, (load_x, load_y, *self.prior.root)))
         X, Y = np.meshgrid(self.x[1:-1], self.y[1:-1], indexing="ij")
         self.nodes = np.column_stack([X.ravel(), Y.ravel()])
+        self._flat_nodes = np.column_stack([self.nodes, np.zeros(len(self.nodes))])
         self._at_nodes = self.sheet.basis(self.nodes)
         self._doubt = Doubt(design, self.nodes, doubt)
         self._fine = [np.linspace(-a.length / 2, a.length / 2, REFINE * a.spans + 1) for a in (ax, ay)]
@@ -245,14 +246,14 @@ class InverseMembrane:
 
     def node_positions(self, c: Array) -> Array:
         """Where the nodes are now, (J, 3) m in S."""
-        return np.column_stack([self.nodes, np.zeros(len(self.nodes))]) + self._at_nodes @ c.T
+        return self._flat_nodes + self._at_nodes @ c.T
 
     def fine_positions(self, c: Array) -> Array:
-        """Where the points of the fine grid are now, (a, b, 3) m in S."""
+        """Where the points of the fine grid are now, (3, a, b) m in S."""
         moved = self._at_fine[0] @ c.reshape(3, *self.sheet.shape) @ self._at_fine[1].T
         moved[0] += self._fine[0][:, None]
         moved[1] += self._fine[1]
-        return np.moveaxis(moved, 0, -1)
+        return moved
 
     def pressing_at_points(self, shape: Shape) -> Array:
         """Force per cell of the sheet's Gauss points (qx, qy) with which the outside presses, N; never negative."""

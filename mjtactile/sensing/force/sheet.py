@@ -99,14 +99,15 @@ class Sheet:
         volume = kernel("sheet_state")(self.numbers, self.law, c, scale, elastic, gradient)
         return State(c, scale, volume, gradient, elastic)
 
-    def normals(self, c: Array) -> Array:
-        """Area vectors (3, qx, qy) at the Gauss points: dx/dX cross dx/dY."""
-        qx, qy = self.weights.shape
+    def area_vector(self, c: Array, weight: Array) -> Array:
+        """The sum (3,) of the area vectors dx/dX cross dx/dY at the Gauss points, times `weight` (qx, qy)."""
+        qx, qy = weight.shape
         up = self._up_x @ c.reshape(3, *self.shape) @ self._up_y  # (3, 2 qx, 2 qy): value and slope along x, y
         g1, g2 = up[:, qx:, :qy], up[:, :qx, qy:]
         g1[0] += 1
         g2[1] += 1
-        return np.cross(g1, g2, axis=0)
+        M = (g1 * weight).reshape(3, -1) @ g2.reshape(3, -1).T
+        return np.array([M[1, 2] - M[2, 1], M[2, 0] - M[0, 2], M[0, 1] - M[1, 0]])
 
     @staticmethod
     def residual(state: State, pressure_gauge: float) -> Array:

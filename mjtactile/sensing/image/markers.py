@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, replace
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -12,7 +12,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Ellipses, Image
 from mjtactile.kernels import kernel
 from mjtactile.sensing.image import candidates, edges, ellipse, profiles
-from mjtactile.sensing.settings import DEFAULTS, MarkerSettings, Settings
+from mjtactile.sensing.settings import DEFAULTS, MarkerSettings, Settings, as_numbers
 
 Polarity = Literal["dark", "bright"]
 CUT, NOT_ELLIPSE, TOUCHING = "cut by image border", "not an ellipse", "touches another"
@@ -134,7 +134,7 @@ def eight_bit(grey: NDArray) -> NDArray[np.uint8]:
 def implausible(found: candidates.Candidates, min_radius_px: float, s: MarkerSettings) -> NDArray[np.str_]:
     """Why each cannot be a marker: too small or long, or a border far from its own ellipse (further if cut); "" if it can."""
     codes = np.empty(len(found), np.int64)
-    kernel("judge_borders")(len(found), found.shape, found.misfit, found.cut, min_radius_px, astuple(s), codes)
+    kernel("judge_borders")(len(found), found.shape, found.misfit, found.cut, min_radius_px, as_numbers(s), codes)
     return np.where(codes, STATUSES[codes], "")
 
 
@@ -150,5 +150,5 @@ def judge(fit: edges.EdgeFit, found: candidates.Candidates, polarity: str, size:
     codes, keep = np.empty(n, np.int64), np.empty(n, np.int64)
     numbers = np.stack([fit.blur, fit.residual, fit.pixels, fit.lost, fit.motion])
     kernel("judge_fits")(n, fit.center, fit.shape, fit.cov, levels, numbers, found.center, found.shape, found.misfit, found.cut,
-                         1.0 if polarity == "dark" else -1.0, *size, min_radius_px, astuple(s), codes, keep)
+                         1.0 if polarity == "dark" else -1.0, *size, min_radius_px, as_numbers(s), codes, keep)
     return STATUSES[codes], keep != 0

@@ -11,8 +11,6 @@ for the small markers where that is not enough. The arithmetic is in mjtactile/k
 
 from __future__ import annotations
 
-from dataclasses import astuple
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +18,7 @@ from numpy.typing import NDArray
 from mjtactile.core.types import Array
 from mjtactile.kernels import kernel
 from mjtactile.sensing.image.edges import SOFTEN, EdgeFit
-from mjtactile.sensing.settings import DEFAULTS, ProfileSettings
+from mjtactile.sensing.settings import DEFAULTS, ProfileSettings, as_numbers
 
 
 def fit(image: NDArray, center: Array, shape: Array, s: ProfileSettings = DEFAULTS.profiles) -> EdgeFit:
@@ -31,6 +29,6 @@ def fit(image: NDArray, center: Array, shape: Array, s: ProfileSettings = DEFAUL
     n = len(center)
     center, shape = np.array(center, float, order="C"), np.array(shape, float, order="C")  # moved in place
     cov, levels, found = np.empty((n, 5, 5)), np.empty((2, n)), np.empty((5, n))
-    kernel("fit_profiles")(source, *source.shape, n, center, shape, np.array(astuple(s)), cov, levels, found)
+    kernel("fit_profiles")(source, *source.shape, n, center, shape, as_numbers(s), cov, levels, found)
     (inside, outside), (blur, residual, count, lost, motion) = levels, found
     return EdgeFit(center, shape, cov, inside, outside, blur, residual, count, lost, motion)

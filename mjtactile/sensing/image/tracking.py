@@ -8,6 +8,7 @@ image in which something looked odd.
 
 from __future__ import annotations
 
+import statistics
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,7 +73,7 @@ def _believable(fit: edges.EdgeFit, start: candidates.Candidates, before: edges.
 
 def _calm(fit: edges.EdgeFit, s: TrackingSettings) -> bool:
     """Whether no fit leaves more than its neighbours do: nothing lies on a marker's edge."""
-    return bool((fit.residual < s.residual * np.median(fit.residual)).all() and (fit.lost < s.lost).all())
+    return bool(fit.residual.max() < s.residual * statistics.median(fit.residual.tolist()) and fit.lost.max() < s.lost)
 
 
 def _velocity(center: Array, time: float, before: Tracks | None) -> Array:

@@ -8,7 +8,6 @@ membrane moves together: a marker's displacement is compared with the median of 
 
 from __future__ import annotations
 
-from dataclasses import astuple
 from functools import lru_cache
 
 import numpy as np
@@ -19,7 +18,7 @@ from mjtactile.core import geometry, optics
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, CirclePoses, Markers
 from mjtactile.kernels import kernel
-from mjtactile.sensing.settings import DEFAULTS, IdentitySettings
+from mjtactile.sensing.settings import DEFAULTS, IdentitySettings, as_numbers
 from mjtactile.sensing.shape.surface import SurfaceFitter
 
 Ids = NDArray[np.int64]
@@ -61,7 +60,7 @@ def match(p_SM: ArrayLike, expected: ArrayLike, layout: ArrayLike, s: IdentitySe
     found, expected, layout = (np.asarray(p, dtype=float)[:, :2] for p in (p_SM, expected, layout))
     pitch, order = _neighbourhood(layout.tobytes(), s.neighbours)
     ids = np.empty(len(found), np.int64)
-    kernel("match_markers")(len(found), *order.shape, found, expected, layout, order, pitch, astuple(s), ids)
+    kernel("match_markers")(len(found), *order.shape, found, expected, layout, order, pitch, as_numbers(s), ids)
     return ids
 
 

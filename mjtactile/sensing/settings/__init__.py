@@ -30,7 +30,7 @@ from mjtactile.sensing.settings.image import (
     TrackingSettings,
 )
 from mjtactile.sensing.settings.locate import ConsensusSettings, LocateSettings, PreferenceSettings, SmoothnessSettings
-from mjtactile.sensing.settings.number import number
+from mjtactile.sensing.settings.number import as_numbers, number
 from mjtactile.sensing.settings.paper import PaperSettings
 from mjtactile.sensing.settings.pose import IdentitySettings, ReferenceSettings, SurfaceSettings
 from mjtactile.sensing.settings.touch import MaterialSettings, PatchSettings, SlipSettings, SqueezeSettings
@@ -39,7 +39,7 @@ __all__ = ["DEFAULTS", "CandidateSettings", "ConsensusSettings", "DoubtSettings"
            "IdentitySettings", "InverseSettings", "LocateSettings", "MarkerSettings", "MaterialSettings", "PaperSettings",
            "PatchSettings", "PreferenceSettings", "PriorSettings", "ProfileSettings", "ReferenceSettings", "Settings",
            "SlipSettings", "SmoothnessSettings", "SqueezeSettings", "SurfaceSettings", "ThoroughSettings",
-           "TrackingSettings", "ZeroSettings"]
+           "TrackingSettings", "ZeroSettings", "as_numbers"]
 
 
 @dataclass(frozen=True)

@@ -3,11 +3,12 @@
 The inverse cannot place pressure more sharply than its grid, but the second moment of a pressure survives such a blur. It
 gives the area of a disc that is pressed uniformly, which is too large where the blur is larger than the contact; there the
 force tells more, since a sheet on a ball carries its own tension's pressure beside the gas's. The outline encloses the strongest
-pressure, that much of it.
+pressure, that much of it. The arithmetic is in mjtactile/kernels/patches.c.
 """
 
 from __future__ import annotations
 
+import math
 from functools import cache
 
 import cv2
@@ -15,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array, Contact
+from mjtactile.kernels import kernel
 from mjtactile.sensing.force.inverse import REFINE, InverseMembrane, InverseRest, Shape
-from mjtactile.sensing.settings import DEFAULTS, PatchSettings
+from mjtactile.sensing.settings import DEFAULTS, PatchSettings, as_numbers
 
 
 def find_patches(estimator: InverseMembrane, shape: Shape, rest: InverseRest,
@@ -24,32 +26,25 @@ def find_patches(estimator: InverseMembrane, shape: Shape, rest: InverseRest,
     """Contact patches, the strongest first; empty when nothing presses."""
     nx, ny = len(estimator.x), len(estimator.y)
     pressing = np.zeros((nx, ny))
-    inner = (slice(1, -1), slice(1, -1))
-    pressing[inner] = np.maximum(-shape.traction[2], 0).reshape(nx - 2, ny - 2)
+    pressing[1:-1, 1:-1] = np.maximum(-shape.traction[2], 0).reshape(nx - 2, ny - 2)
     fine = _smoother(nx, s.smoothing) @ pressing @ _smoother(ny, s.smoothing).T
     peak = float(fine.max())
     if peak <= 0:
         return ()
-    above = fine > min(s.separate_share * np.sqrt(max(shape.pressure_gauge, 0.1 * peak) * peak), 0.9 * peak)
+    above = fine > min(s.separate_share * math.sqrt(max(shape.pressure_gauge, 0.1 * peak) * peak), 0.9 * peak)
     count, places = cv2.connectedComponents(above.astype(np.uint8), connectivity=4)
-    position, cells = _fine_positions(estimator, shape)
-    nodal = np.zeros((nx, ny, 3))
-    nodal[inner] = (shape.traction * estimator.node_area).T.reshape(nx - 2, ny - 2, 3)
-    sink = np.zeros((nx, ny))
-    sink[inner] = -(estimator.node_positions(shape.c) - estimator.node_positions(rest.c))[:, 2].reshape(nx - 2, ny - 2)
-    owner = _nearest_place(places)
-    total = max(-float(nodal[..., 2].sum()), 1e-9)
+    owner, position = _nearest_place(places) if count > 2 else None, estimator.fine_positions(shape.c)
+    sunk = (estimator.node_positions(rest.c) - estimator.node_positions(shape.c))[:, 2]
+    step_x, step_y = estimator.x[1] - estimator.x[0], estimator.y[1] - estimator.y[0]
     patches = []
     for k in range(1, count):
-        mine = owner[::REFINE, ::REFINE] == k
-        force = nodal[mine].sum(axis=0)
-        if -force[2] >= s.least_share * total:
-            core = np.where(mine, np.maximum(pressing - s.core_share * float(pressing.max()), 0), 0)
-            field = np.where(owner == k, fine, 0)
-            area = _area(core[inner].ravel(), position[::REFINE, ::REFINE][inner], -float(force[2]), shape.pressure_gauge,
-                         estimator, s)
-            inside = _strongest(field, cells, area)
-            patches.append(_patch(inside, mine, np.maximum(field - s.core_share * peak, 0), force, position, cells, sink))
+        inside, mask, found = np.zeros(fine.shape, np.uint8), np.empty((ny, nx), np.uint8), np.empty(10)
+        carries = kernel("measure_patch")(nx, ny, REFINE, fine, position, owner, k, shape.traction, estimator.node_area, sunk,
+                                          shape.pressure_gauge, (step_x**2 + step_y**2) / 24, as_numbers(s), inside, mask, found)
+        if carries < 0:
+            raise MemoryError("no room for a patch")
+        if carries:
+            patches.append(_patch(inside, mask.view(bool), found, position))
     return tuple(sorted(patches, key=lambda patch: float(patch.force[2])))
 
 
@@ -63,40 +58,6 @@ def together(patches: tuple[Contact, ...], grid_shape: tuple[int, int]) -> Conta
     centroid = weights @ np.array([p.centroid for p in patches]) / weights.sum()
     return Contact(True, sum(p.area for p in patches), centroid, max(p.depth for p in patches),
                    np.logical_or.reduce([p.mask for p in patches]), force=np.sum([p.force for p in patches], axis=0))
-
-
-def _fine_positions(estimator: InverseMembrane, shape: Shape) -> tuple[Array, Array]:
-    """Positions (a, b, 3) m in S of the fine grid's points, and the curved area (a, b) m^2 that each stands for."""
-    position = estimator.fine_positions(shape.c)
-    across, along = position[:, 2:] - position[:, :-2], position[2:] - position[:-2]
-    a, b = np.moveaxis(along[:, 1:-1], -1, 0), np.moveaxis(across[1:-1], -1, 0)
-    cells = np.zeros(position.shape[:2])  # none on the frame itself
-    cells[1:-1, 1:-1] = np.sqrt((a * a).sum(0) * (b * b).sum(0) - (a * b).sum(0) ** 2) / 4
-    return position, cells
-
-
-def _area(pressure: Array, p: Array, force: float, gauge: float, estimator: InverseMembrane, s: PatchSettings) -> float:
-    """Area, m^2, of a patch that carries `force` N over a chamber at `gauge` Pa, from that and from the second moment of nodal
-    pressures (J,) at `p` (jx, jy, 3), of which a node's own extent is the least."""
-    p, share = p[..., :2].reshape(-1, 2), pressure * estimator.node_area
-    share /= share.sum()
-    off = p - share @ p
-    variance = float(share @ (off * off).sum(axis=1)) / 2
-    least = float(np.diff(estimator.x)[0] ** 2 + np.diff(estimator.y)[0] ** 2) / 24
-    disc = 4 * np.pi * max(variance, least)
-    seen = s.area_disc * (disc / s.area_disc) ** s.area_power
-    carrying = force / (max(gauge, 0.0) + s.area_pressure)
-    return float((seen**-s.area_blend + carrying**-s.area_blend) ** (-1 / s.area_blend))
-
-
-def _strongest(field: Array, cells: Array, area: float) -> NDArray:
-    """Where (a, b) the `field` is strongest, as many cells as make up `area` m^2; one at least."""
-    order = np.argsort(field, axis=None)[::-1]
-    filled = np.cumsum(cells.ravel()[order])
-    count = max(1, min(int(np.searchsorted(filled, area)), int(np.count_nonzero(field))))
-    inside = np.zeros(field.size, bool)
-    inside[order[:count]] = True
-    return inside.reshape(field.shape)
 
 
 @cache
@@ -120,26 +81,10 @@ def _nearest_place(places: NDArray) -> NDArray:
     return owner[nearest]
 
 
-def _patch(inside: NDArray, nodes: NDArray, weight: Array, force: Array, position: Array, cells: Array,
-           sink: Array) -> Contact:
-    """One patch from its fine cells `inside` (a, b), its grid nodes (nx, ny) and its pressure `weight` (a, b)."""
-    share = weight / weight.sum()
-    centroid = np.einsum("ab,abi->i", share, position[..., :2])
-    area = float(cells[inside].sum())
-    points = position[inside][:, :2]
-    spread = _spread(points, cells[inside]) if len(points) > 2 else np.zeros((2, 2))
-    values, vectors = np.linalg.eigh(spread)
-    contours, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+def _patch(inside: NDArray[np.uint8], mask: NDArray[np.bool_], found: Array, position: Array) -> Contact:
+    """One patch from its fine cells `inside` (a, b), its grid nodes (ny, nx) and what the kernel found of it."""
+    contours, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     b, a = max(contours, key=len)[:, 0].T
-    mask = nodes & inside[::REFINE, ::REFINE]
-    depth = float(sink[mask].max()) if mask.any() else float(sink[nodes].max())
-    return Contact(True, area, centroid, max(depth, 0.0), mask.T, force=force, outline=position[a, b, :2],
-                   semi_axes=2 * np.sqrt(np.maximum(values[::-1], 0)),
-                   angle=float(np.arctan2(vectors[1, 1], vectors[0, 1])))
-
-
-def _spread(points: Array, weight: Array) -> Array:
-    """Second moments (2, 2) of weighted points (n, 2) about their mean."""
-    share = weight / weight.sum()
-    off = points - share @ points
-    return (off.T * share) @ off
+    x, y, depth, area, long, short, angle = found[3:].tolist()
+    return Contact(True, area, np.array([x, y]), depth, mask, force=found[:3], outline=position[:2, a, b].T,
+                   semi_axes=np.array([long, short]), angle=angle)

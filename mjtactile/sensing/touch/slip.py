@@ -146,7 +146,7 @@ def split(force: Array, normal: Array) -> tuple[float, Array]:
 def mean_normal(estimator: InverseMembrane, shape: Shape) -> Array:
     """Outward unit normal (3,) of the membrane, averaged over where it is pressed."""
     weight = estimator.pressing_at_points(shape)
-    n = np.einsum("iab,ab->i", estimator.sheet.normals(shape.c), weight)
+    n = estimator.sheet.area_vector(shape.c, weight)
     return n / max(float(np.linalg.norm(n)), 1e-30) if weight.any() else np.array([0.0, 0.0, 1.0])
 
 
