@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rig", default="sim", metavar="NAME", help="a simulated rig: shipped name or FILE.toml (default: sim)")
     parser.add_argument("--effects", default="auto", metavar="LIST", help="as for `grasp` (default: auto)")
     add_vary_argument(parser, "default")
-    parser.add_argument("--accuracy", default="", metavar="A", help="as for `grasp`")
+    parser.add_argument("--accuracy", default="", metavar="A", help="as for `grasp`: 0.02N or realtime")
     parser.add_argument("--workers", type=_count, metavar="N", help="processes that grasp at the same time (default: one a "
                         "processor)")
     parser.add_argument("--backend", default="processes", metavar="B",

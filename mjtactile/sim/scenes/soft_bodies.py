@@ -148,7 +148,7 @@ def to_mjcf(body: SoftBody, name: str, comment: str = "") -> str:
     <text name="material" data="soft"/>
   </custom>
   <worldbody>
-{_cup(body) if body.shape == "ball" else _stand(body.centre_height + float(points[:, 2].min()) - body.skin)}
+{_cup(body) if body.shape == "ball" else _stand(body, float(points[:, 2].min()))}
     <body name="object" pos="0 0 {body.centre_height:g}">  <!-- no joint: a flex moves by itself -->
       <flexcomp name="flesh" type="direct" dim="3" dof="trilinear" cellcount="{" ".join(map(str, body.lattice))}"
           mass="{body.density * body.volume:.4g}" radius="{body.skin:g}" rgba="{body.rgba}" {mesh}>
@@ -173,9 +173,11 @@ def _rows(numbers: NDArray[np.int64], columns: int = 110) -> str:
     return "\n          ".join(line.strip() for line in lines)
 
 
-def _stand(height: float) -> str:
+def _stand(body: SoftBody, bottom: float) -> str:
+    """Half as wide as the body: a membrane that has pressed it must come down beside it. `bottom` (negative) m over the body's middle."""
+    height, radius = body.centre_height + bottom - body.skin, 0.5 * min(body.half[:2])
     return f"""    <body name="stand">
-      <geom name="stand" type="cylinder" pos="0 0 {height / 2:.5g}" size="0.008 {height / 2:.5g}" friction="0.3 0.005 0.0001"
+      <geom name="stand" type="cylinder" pos="0 0 {height / 2:.5g}" size="{radius:g} {height / 2:.5g}" friction="0.3 0.005 0.0001"
             rgba="0.6 0.6 0.65 1"/>
     </body>"""
 
