@@ -29,6 +29,8 @@ EVERY, SETTLE = 0.01, 0.02
 """s: how often to look, and the time constant with which they stand back."""
 REACH = 0.6
 """Half width of the cell in which a vertex looks for contact, in cells: a little more than a half."""
+_TAKES = 0.52
+"""The same for a vertex whose sphere is at home: else two would give a ball between them to each other for ever."""
 _GRID = np.stack(np.meshgrid(*[np.linspace(-REACH, REACH, 7)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
 _AROUND = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
 _ZOOMS = (0.1, 0.035, 0.012)  # of a cell: the finer grids
@@ -73,12 +75,13 @@ class ContactPoints:
         self._places = model.geom_pos[self._first:self._first + len(vertex_geom_ids)]  # a live view
         model.geom_sameframe[vertex_geom_ids] = 0  # else MuJoCo takes them for their bodies' origins
         self._triangles, self._interior = mesh.triangles, mesh.interior
-        self._sizes, self._flat = np.sqrt(mesh.areas[mesh.interior]), mesh.p_SV[mesh.interior, :2]
+        self._areas, self._flat = mesh.areas[mesh.interior], mesh.p_SV[mesh.interior, :2]
+        self._sizes = np.full(len(self._areas), np.sqrt(self._areas.mean()))  # as stiff with eight triangles as with four
         self._shapes = {int(geom): entry for geom in features.touching_geoms(model)
                         if _is_sharp(model, int(geom), mesh) and (entry := shapes.entry_of(model, int(geom)))}
         self._round = {geom for geom in self._shapes if model.geom_type[geom] == int(mujoco.mjtGeom.mjGEOM_CYLINDER)
                        and model.geom_size[geom, 0] >= features.RESOLVED * mesh.spacing}
-        self._back = np.zeros_like(self._places)
+        self._back, self._reach = np.zeros_like(self._places), np.full(len(self._places), _TAKES)
         self._time, self._still = float(data.time), True
         self._upright = self._normals(mesh.p_SV)  # of the sheet when nothing was near: a tent's slopes say nothing of the sheet
 
@@ -94,6 +97,7 @@ class ContactPoints:
             self._upright = self._normals(p_SV)
             if self._still:
                 return
+        self._reach = np.where(goal.any(axis=1), REACH, _TAKES)
         self._back += min(abs(elapsed) / SETTLE, 1.0) * (back - self._back)
         self._still = not near and np.abs(self._back).max() < _STILL
         if self._still:
@@ -116,7 +120,7 @@ class ContactPoints:
             if geom in self._round:  # but for its ends
                 at_end = np.flatnonzero(np.abs(cells.places[:, 2]) + 2 * cells.sizes > self._model.geom_size[geom, 1])
                 close, cells = close[at_end], cells.of(at_end)
-            rows, at, gaps = _deepest(cells, entry)
+            rows, at, gaps = _deepest(cells, entry, self._reach[close])
             better = gaps < nearest[close[rows]]
             rows, at = rows[better], at[better]
             touching = close[rows]
@@ -163,7 +167,7 @@ class ContactPoints:
         vertices = np.where(mine[rows, 1], numbers[rows, 1], numbers[rows, 0])
         forces = np.bincount(vertices, self._data.efc_force[contact.efc_address[rows]], len(self._sizes)) if len(rows) else 0.0
         tension = np.maximum(tensions()[self._interior], self._slackest)
-        return (forces - pressure_gauge * self._sizes**2) / (2 * np.pi * tension * self._sizes)
+        return (forces - pressure_gauge * self._areas) / (2 * np.pi * tension * self._sizes)
 
 
 def _is_sharp(model: mujoco.MjModel, geom: int, mesh: MembraneMesh) -> bool:
@@ -178,10 +182,11 @@ def _axes(normal: Array) -> Array:
     return np.stack([first, np.cross(normal, first), normal])
 
 
-def _deepest(cells: _Cells, entry: shapes.Entry) -> tuple[NDArray[np.int64], Array, Array]:
+def _deepest(cells: _Cells, entry: shapes.Entry, reach: Array) -> tuple[NDArray[np.int64], Array, Array]:
     """Rows of those cells that a shape juts into; shifts (k, 2), in cells, to where it reaches farthest in; gaps (k,) there.
 
-    A shape that reaches farthest in at a cell's border does so in the next cell, too: along that axis the vertex stays.
+    A shape that reaches farthest in at a cell's border, or beyond its `reach`, does so in the next cell, too: along that axis
+    the vertex stays.
     """
     rows = _uneven(cells.gaps(entry, np.broadcast_to(_AROUND, (len(cells.sizes), *_AROUND.shape))))
     if not len(rows):
@@ -190,12 +195,13 @@ def _deepest(cells: _Cells, entry: shapes.Entry) -> tuple[NDArray[np.int64], Arr
     grid = np.broadcast_to(_GRID, (len(rows), *_GRID.shape))
     gaps = cells.gaps(entry, grid)
     near = gaps.min(axis=1) < _NEAR
-    rows, cells, shifts = rows[near], cells.of(np.flatnonzero(near)), _least(grid[near], gaps[near])
+    reach, shifts = reach[rows[near]], _least(grid[near], gaps[near])
+    rows, cells = rows[near], cells.of(np.flatnonzero(near))
     for step in _ZOOMS:
         grid = np.clip(shifts[:, None] + step * _AROUND, -REACH, REACH)
         feet = (grid[:, :, None] + _FOOT).reshape(len(grid), len(_AROUND) * len(_FOOT), 2)
         shifts = _least(grid, cells.gaps(entry, feet).reshape(len(grid), len(_AROUND), len(_FOOT)).max(axis=2))
-    shifts = np.where(np.abs(shifts) > REACH - 1e-6, 0.0, shifts)
+    shifts = np.where(np.abs(shifts) > reach[:, None] - 1e-6, 0.0, shifts)
     juts = _juts(cells, entry, shifts)
     kept = np.flatnonzero(juts.any(axis=1))
     cells, shifts = cells.of(kept), np.where(juts[kept], shifts[kept], 0.0)

@@ -14,7 +14,8 @@ MESH_RADIUS = 0.198
 """Of the point at which a five-point lattice's response to a force equals ln(1/a): exp(-(gamma + 1.5 ln 2)), gamma Euler's."""
 WIDEST = 0.5
 """Radius of contact from which neighbours share it."""
-_LINE, _DISC, _TIP = 0.31, 0.5, 1.0  # deepening of contact on a line (1 - ln 2), under even pressure, under that of a cone
+_LINE = 0.31  # deepening of contact on a line: 1 - ln 2
+_TIGHTENING = 2.0  # chosen by the forces on a cone and a cube's corner: 0 of a soap film, 4 to 6 by the mesh's own tension (L5)
 _HALVINGS = 24
 _ONE_PLACE = 0.3  # cells between touches of one feature
 _MUTUAL = 0.39  # of two discs at one place: exp(-1/4) / 2 of the sum of their radii
@@ -51,9 +52,22 @@ def depth_beyond_mesh(load: Array, slope: Array, curvature: Array) -> tuple[Arra
     longest, shortest = radii.max(axis=1), radii.min(axis=1)
     radius = (longest + shortest) / 2  # an ellipse's, as its potential sees it
     steep, bent = slope.mean(axis=1), curvature.mean(axis=1)
-    compact = np.clip((steep + bent * radius / 4) / np.maximum(steep + bent * radius / 2, _LEAST), _DISC, _TIP)
+    compact = _deepening(steep + bent * radius / 4, steep + bent * radius / 2)
     deepening = _LINE + (compact - _LINE) * shortest / longest
     return load * (np.log(MESH_RADIUS / radius) + deepening), radius
+
+
+def _deepening(mean: Array, steep: Array) -> Array:
+    """Beyond ln(mesh/a), of a round contact from whose rim the shape falls to its tip with the slope `mean`, and that the sheet
+    leaves with the slope `steep`: 1/2 of a shallow ball, 1 of a shallow cone.
+
+    Tangents of the sheet's angle, integrated outward from the rim where tension times the sine of the angle times the radius
+    is the load, and the tension is 1 + k (1/cos - 1).
+    """
+    k, c = _TIGHTENING, 1 / np.sqrt(1 + steep * steep)
+    s = np.maximum(steep * c, _LEAST)
+    tight = (-np.log(c) - (k - 1)**2 / (2 * k - 1) * np.log(k + (1 - k) * c)) / k - k / (2 * k - 1) * np.log(2 / (1 + c))
+    return 1 + np.log(2 / (1 + c)) + tight - (steep - mean) / ((1 + k * (1 / c - 1)) * s)
 
 
 def depth_of_neighbours(load: Array, radius: Array, vertices: Array, touches: Array) -> Array:

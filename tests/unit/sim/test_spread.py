@@ -35,12 +35,23 @@ def test_a_small_ball():
     np.testing.assert_allclose(depth, load * (np.log(spread.MESH_RADIUS / a) + 0.5), rtol=1e-2)
 
 
-def test_a_cone():
-    """It is left at a sin(angle) = F/(2 pi T); inside the sheet is the cone: ln(mesh/a) + 1."""
-    load = np.array([0.05])
-    depth, radius = spread.depth_beyond_mesh(load, np.ones((1, DIRECTIONS)), np.zeros((1, DIRECTIONS)))
-    np.testing.assert_allclose(radius, load * np.sqrt(2), rtol=1e-5)
-    np.testing.assert_allclose(depth, load * (np.log(spread.MESH_RADIUS / radius) + 1), rtol=1e-4)
+def test_a_shallow_cone():
+    """It is left at a sin(angle) = F/(2 pi T); inside the sheet is the cone: ln(mesh/a) + 1, and a slope of 0.05 changes 0.05^2."""
+    load = np.array([0.001])
+    depth, radius = spread.depth_beyond_mesh(load, np.full((1, DIRECTIONS), 0.05), np.zeros((1, DIRECTIONS)))
+    np.testing.assert_allclose(radius, load * 20, rtol=2e-3)
+    np.testing.assert_allclose(depth, load * (np.log(spread.MESH_RADIUS / radius) + 1), rtol=2e-3)
+
+
+def test_a_steep_cone():
+    """The sheet around a cone of 90 degrees, integrated: tension 1 + 2 (1/cos - 1) times sine times radius is the load. It falls
+    by this to a radius R, the mesh by load ln(R/mesh)."""
+    load, far = 0.05, 1e-4
+    angle = np.geomspace(far, np.pi / 4, 20000)
+    radius = load / ((1 + 2 * (1 / np.cos(angle) - 1)) * np.sin(angle))
+    falls = -np.trapezoid(np.tan(angle), radius) + radius[-1]  # and the cone itself, inside
+    depth, _ = spread.depth_beyond_mesh(np.array([load]), np.ones((1, DIRECTIONS)), np.zeros((1, DIRECTIONS)))
+    np.testing.assert_allclose(depth, falls - load * np.log(radius[0] / spread.MESH_RADIUS), rtol=1e-4)  # the trapezoids' error
 
 
 def test_a_straight_edge_is_what_a_row_of_vertices_shows():
