@@ -174,7 +174,7 @@ def _rows(numbers: NDArray[np.int64], columns: int = 110) -> str:
 
 
 def _stand(body: SoftBody, bottom: float) -> str:
-    """Half as wide as the body: a membrane that has pressed it must come down beside it. `bottom` (negative) m over the body's middle."""
+    """Half as wide as the body: a membrane that has pressed it must come down beside it. `bottom` m over its middle."""
     height, radius = body.centre_height + bottom - body.skin, 0.5 * min(body.half[:2])
     return f"""    <body name="stand">
       <geom name="stand" type="cylinder" pos="0 0 {height / 2:.5g}" size="{radius:g} {height / 2:.5g}" friction="0.3 0.005 0.0001"

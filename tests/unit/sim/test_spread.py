@@ -36,7 +36,7 @@ def test_a_small_ball():
 
 
 def test_a_shallow_cone():
-    """It is left at a sin(angle) = F/(2 pi T); inside the sheet is the cone: ln(mesh/a) + 1, and a slope of 0.05 changes 0.05^2."""
+    """It is left at a sin(angle) = F/(2 pi T); inside the sheet is the cone: ln(mesh/a) + 1, up to the slope 0.05 squared."""
     load = np.array([0.001])
     depth, radius = spread.depth_beyond_mesh(load, np.full((1, DIRECTIONS), 0.05), np.zeros((1, DIRECTIONS)))
     np.testing.assert_allclose(radius, load * 20, rtol=2e-3)
