@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from mjtactile.core.errors import MjtactileError as MjtactileError
     from mjtactile.core.errors import SimulationError as SimulationError
     from mjtactile.core.optics import Camera as Camera
+    from mjtactile.core.policy import policy_action as policy_action
+    from mjtactile.core.policy import policy_command as policy_command
+    from mjtactile.core.policy import policy_names as policy_names
+    from mjtactile.core.policy import policy_vector as policy_vector
     from mjtactile.core.types import Command as Command
     from mjtactile.core.types import GripperState as GripperState
     from mjtactile.core.types import Image as Image
@@ -53,6 +57,7 @@ _HOMES = {
     "core.design": ("SensorDesign", "load_sensor"),
     "core.errors": ("ControllerError", "DeviceError", "InputError", "Interrupted", "MjtactileError", "SimulationError"),
     "core.optics": ("Camera",),
+    "core.policy": ("policy_action", "policy_command", "policy_names", "policy_vector"),
     "core.types": ("Command", "GripperState", "Image", "Observation", "Touch", "ValveState"),
     "plugin.mount": ("Mount", "attach"),
     "plugin.sim_finger": ("SimFinger", "step"),

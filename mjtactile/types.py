@@ -1,5 +1,6 @@
 """The values that a controller gets and gives back: what a controller file imports. All of them: `mjtactile.core.types`."""
 
+from mjtactile.core.policy import policy_command, policy_vector
 from mjtactile.core.status import Status, StatusCode
 from mjtactile.core.types import (
     FINGERS,
@@ -23,4 +24,5 @@ from mjtactile.core.types import (
 )
 
 __all__ = ["FINGERS", "MATERIALS", "PHASES", "SLIP_STATES", "Command", "Contact", "GripperState", "Image", "Markers", "Material",
-           "Observation", "Phase", "Slip", "SlipState", "Status", "StatusCode", "Surface", "Touch", "Traction", "ValveState"]
+           "Observation", "Phase", "Slip", "SlipState", "Status", "StatusCode", "Surface", "Touch", "Traction",
+           "ValveState", "policy_command", "policy_vector"]

@@ -29,6 +29,11 @@ class SimCamera:
         self._before: Image | None = None
         self._drawn: Image | None = None
 
+    def reseed(self, seed: int) -> None:
+        """Take the noise of the images to come from elsewhere; what was drawn already is drawn again."""
+        self._renderer.reseed(seed)
+        self._drawn = None
+
     def draw(self) -> None:
         """Have the image of the membrane now ready for `read`."""
         self._drawn = self._blurred() if self._moving else self._renderer.render(*self._sensor.marker_poses(), self._sensor.time)

@@ -114,11 +114,15 @@ class SimGripper:
     def __init__(self, world: GraspWorld, clock: SimClock, change: RigChange = FAULTLESS, seed: int = 0):
         self._world, self._clock, self._change = world, clock, change
         self._asked: GripperState | None = None
-        self._rng = np.random.default_rng([seed, 1])
+        self.reseed(seed)
         self._jaw = self._motor = world.opening  # m: where the gears' output and the motor are to be
         self._late: deque[tuple[float, Command]] = deque()
         if change.delay or change.jitter:
             world.after_each_step(self._apply_late)
+
+    def reseed(self, seed: int) -> None:
+        """Draw noise and delays from another generator."""
+        self._rng = np.random.default_rng([seed, 1])
 
     def ask(self) -> None:
         world = self._world
@@ -166,11 +170,10 @@ def build_sim_rig(design: SensorDesign, *, object_name: str, seed: int, accuracy
     `accuracy` is "", "0.02N" or "realtime" (fidelity.py), `effects` "auto" or "+name,-name" (catalog.py). The world is made of
     what was `drawn`; sensing knows the fingers' designs, and the limits are the file's.
     """
-    rng = np.random.default_rng(seed)
+    pose, seeds = start_of(seed)
     file = file if isinstance(file, SimRigFile) else load_sim_rig(file)
     fidelity = Fidelity.parse(accuracy) if accuracy else None
     largest = _LARGEST_STEP if fidelity is None else fidelity.timestep * (1 + 1e-9)
-    pose = *rng.uniform(-_SCATTER, _SCATTER, 2), rng.uniform(-1, 1)
     grasped = load_object(object_name).changed(drawn.object)
     wanted = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.asked
     on = choose(design, grasped, force_error=wanted, overrides=effects).on
@@ -183,12 +186,12 @@ def build_sim_rig(design: SensorDesign, *, object_name: str, seed: int, accuracy
     grip = replace(file.gripper, speed=(1 + drawn.rig.speed) * file.gripper.speed)
     world = GraspWorld(set_design(design, on), grasped, rig=replace(file, gripper=grip), timestep=1 / (rate * steps), effects=on,
                        mesh=DEFAULT_MESH if fidelity is None else fidelity.mesh,
-                       object_pose=_place(grasped, pose), specimens=true)
+                       object_pose=place(grasped, pose), specimens=true)
     if fidelity is not None:
         world.model.opt.tolerance = fidelity.tolerance
     clock = SimClock(world)
-    seeds = rng.integers(2**31, size=len(world.sensors))
-    cameras = tuple(SimCamera(sensor, int(s), on, own) for sensor, s, own in zip(world.sensors, seeds, specimens, strict=True))
+    cameras = tuple(SimCamera(sensor, s, on, own)
+                    for sensor, s, own in zip(world.sensors, seeds(len(world.sensors)), specimens, strict=True))
     for sensor, own in zip(world.sensors, specimens, strict=True):
         if own.leak or own.warming:
             sensor.puncture(own.leak)
@@ -210,7 +213,14 @@ def build(request: RigRequest) -> Rig:
                          drawn=draw(request.vary, request.seed, request.design, file))
 
 
-def _place(grasped: ObjectModel, pose: tuple[float, float, float]) -> tuple[float, float, float]:
+def start_of(seed: int) -> tuple[tuple[float, float, float], Callable[[int], list[int]]]:
+    """What a seed says where nothing else was drawn: the object's pose (m, m, share of its turn), and so many cameras' seeds."""
+    rng = np.random.default_rng(seed)
+    pose = *rng.uniform(-_SCATTER, _SCATTER, 2), rng.uniform(-1, 1)
+    return pose, lambda count: [int(one) for one in rng.integers(2**31, size=count)]
+
+
+def place(grasped: ObjectModel, pose: tuple[float, float, float]) -> tuple[float, float, float]:
     """Where the object stands and how it is turned: as drawn, else by the seed's `pose` (m, m, share of its turn)."""
     x, y = pose[:2] if grasped.changes.place is None else grasped.changes.place
     yaw = grasped.turn * pose[2] if grasped.changes.yaw is None else grasped.changes.yaw

@@ -113,3 +113,14 @@ def test_my_camera_class_is_found_by_its_entry_point_and_drives_a_rig(tmp_path):
     said = set(np.concatenate(list(load_recording(work / "out").columns["status"])))
     assert "ok" in said  # markers were found in what it hands out
     assert all("stale" in status for status in said - {"ok"})  # as it says itself, on a computer with much else to do
+
+
+def test_train_a_policy_finds_what_a_teacher_did():
+    """A teacher that is linear in what is seen is found again; what never changed gets no weight."""
+    example = run("train_a_policy")
+    rng = np.random.default_rng(0)
+    seen, w = rng.standard_normal((500, 6)) * [1, 10, 0.1, 1, 1, 0], rng.standard_normal((3, 6))
+    found, offsets = example.fit(seen, seen @ w.T + [0.1, 0.2, 0.3])
+    np.testing.assert_allclose(found[:, :5], w[:, :5], rtol=2e-3, atol=2e-3)  # the ridge draws by its 1e-4
+    np.testing.assert_allclose(offsets, [0.1, 0.2, 0.3], atol=2e-3)
+    assert not found[:, 5].any()

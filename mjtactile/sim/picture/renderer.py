@@ -67,6 +67,10 @@ class Renderer:
         self._noise: Floats = (pool - pool.mean()) / pool.std()
         self._bare: dict[float, Floats] = {}
 
+    def reseed(self, seed: int) -> None:
+        """Cut the noise of the images to come from other places of the pool."""
+        self._rng = np.random.default_rng(seed)
+
     def render(self, p_SM: ArrayLike, n_S: ArrayLike, time: float = 0.0, *, rng: np.random.Generator | None = None,
                effects: Effects = Effects()) -> Image:
         """The image of markers with centres `p_SM` (N, 3) m and normals `n_S` (N, 3) of either sign, in S.

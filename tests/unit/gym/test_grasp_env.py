@@ -1,0 +1,140 @@
+"""The environment keeps Gymnasium's rules, goes back to where it was bit for bit, and scores as `evaluate` does."""
+
+import subprocess
+import sys
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import mjtactile.gym
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import InputError
+from mjtactile.core.policy import policy_names
+from mjtactile.rig.registry import build_rig
+from mjtactile.sim import truth
+
+CLOSE, GRIP = np.array([-1.0, 0.0, 0.0], np.float32), np.array([-0.05, 0.0, 0.5], np.float32)
+FORCE = policy_names().index("finger1.force_normal_N")
+
+
+def make(**how):
+    return gymnasium.make(mjtactile.gym.ID, **how)
+
+
+@pytest.fixture(scope="module")
+def env():
+    with make() as made:
+        yield made
+
+
+def roll(env, seed, actions):
+    """All that is shown from the beginning on, and the last step's values."""
+    shown, last = [env.reset(seed=seed)[0]], None
+    for action in actions:
+        *last, info = env.step(action)
+        shown.append(last[0])
+        if last[2] or last[3]:
+            break
+    return np.array(shown), last, info
+
+
+@pytest.mark.filterwarnings("ignore:.*A Box observation space:UserWarning")
+@pytest.mark.parametrize("observation", ["wrench", "markers", "image"])
+def test_gymnasiums_own_check_passes(observation):
+    """Spaces, seeds, determinism of reset and step, render."""
+    check_env(make(observation=observation, render_mode="rgb_array").unwrapped)
+
+
+def test_the_name_is_found_by_its_module():
+    """In a process that has not imported it."""
+    code = "import gymnasium; gymnasium.make('mjtactile.gym:mjtactile/Grasp-v0', object='moon')"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "InputError: moon: unknown object" in ended.stderr
+
+
+def test_a_seed_is_the_same_episode_whatever_came_before(env):
+    """Bit for bit up to and through contact: after another episode, and in a new environment with a new model."""
+    actions = [CLOSE] * 29 + [GRIP] * 3
+    first, _, _ = roll(env, 3, actions)
+    assert first[-1, FORCE] > 0.1  # N: it has touched
+    other, _, _ = roll(env, 4, actions[:5])
+    again, _, _ = roll(env, 3, actions)
+    np.testing.assert_array_equal(again, first)
+    assert np.abs(other - first[:6]).max() > 1e-5
+    with make() as fresh:
+        np.testing.assert_array_equal(roll(fresh, 3, actions)[0], first)
+
+
+def test_reset_compiles_nothing(env, monkeypatch):
+    import mujoco
+
+    monkeypatch.setattr(mujoco.MjSpec, "compile", None)  # would raise
+    env.reset(seed=8)
+
+
+def test_an_object_put_back_stands_where_a_new_world_has_it(env):
+    """The moved egg against one that was compiled in its place, both at rest: pose and cup. An egg that rocks in its cup is
+    within microns, not digits."""
+    env.reset(seed=7)
+    moved = env.unwrapped._rig.scene
+    rig = build_rig("sim", load_sensor("dense"), seed=7)
+    rig.clock.wait_until(moved.time)
+    p_old, q_old = truth.object_pose(rig.scene, None)
+    p_new, q_new = truth.object_pose(moved, None)
+    rig.close()
+    np.testing.assert_allclose(p_new, p_old, atol=5e-6)  # m
+    assert abs(np.dot(q_new, q_old)) > 1 - 1e-6
+    for name in ("pos", "quat"):
+        cup = [getattr(world.model.body("object/cup"), name) for world in (moved, rig.scene)]
+        np.testing.assert_allclose(cup[0] * np.sign(cup[0] @ cup[1]), cup[1], atol=1e-12)
+
+
+def test_a_crushed_egg_ends_the_episode(env):
+    _, (_, reward, terminated, truncated), info = roll(env, 0, [CLOSE] * 60)
+    assert terminated and not truncated and reward == -1.0 and info["outcome"] == "crushed"
+    assert info["peak_force_true_N"] > info["break_force_N"] == 2.5
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.unwrapped.step(CLOSE)
+
+
+def test_a_hand_that_rises_alone_has_dropped_it(env):
+    up = np.array([0.0, 0.0, 1.0], np.float32)
+    _, (_, reward, terminated, _), info = roll(env, 0, [up] * 60)
+    assert terminated and reward == -1.0 and info["outcome"] == "dropped" and info["peak_force_true_N"] == 0.0
+
+
+def test_time_runs_out():
+    with make(time_limit=0.3) as short:
+        shown, (_, reward, terminated, truncated), info = roll(short, 0, [np.zeros(3, np.float32)] * 30)
+    assert len(shown) == 1 + 9 and truncated and not terminated and reward == 0.0 and info["outcome"] == "out of time"
+
+
+def test_no_truth_is_shown(env):
+    names = policy_names()
+    assert not [name for name in names if "true" in name] and len(names) == env.observation_space.shape[0] == 30
+
+
+@pytest.mark.parametrize("mode", ["sync", "async"])
+def test_several_at_once_are_each_its_own(env, mode):
+    envs = gymnasium.make_vec(mjtactile.gym.ID, num_envs=2, vectorization_mode=mode)
+    shown, _ = envs.reset(seed=5)
+    for _ in range(3):
+        shown, *_ = envs.step(np.stack([CLOSE, CLOSE]))
+    envs.close()
+    for k in range(2):
+        np.testing.assert_array_equal(shown[k], roll(env, 5 + k, [CLOSE] * 3)[0][-1])
+
+
+def test_a_world_that_varies_is_a_new_one():
+    with make(vary="default") as varied:
+        infos = [varied.reset(seed=seed)[1] for seed in (1, 2, 1)]
+    assert infos[0]["varied"] == infos[2]["varied"] != infos[1]["varied"]
+
+
+@pytest.mark.parametrize(("how", "text"), [({"observation": "pixels"}, "observation: 'pixels' .valid: wrench, markers, image"),
+                                           ({"object": "moon"}, "unknown object"), ({"rig": "nowhere"}, "unknown rig")])
+def test_wrong_names_are_said_in_one_line(how, text):
+    with pytest.raises(InputError, match=text):
+        make(**how)
