@@ -20,6 +20,7 @@ from mjtactile.sim.sensor.mesh import MembraneMesh
 
 SHARE = 0.25  # of the facets' mean sagitta
 _EVERY, _SETTLE = 0.01, 0.02  # s: how often to look at the contacts, and the time constant with which the stand-off follows
+_RELEASE = 0.2  # s, where nothing touches: a contact that is gone for one step must not bounce by its own stand-off
 
 
 class StandOff:
@@ -33,7 +34,7 @@ class StandOff:
         self._first = int(vertex_geom_ids[0])  # one block, in the mesh's order
         self.margins: Array = np.zeros(len(vertex_geom_ids))
         """Distances (k,) m of the vertices' spheres from what they touch."""
-        self._sagitta = SHARE * mesh.areas[mesh.interior] / 12  # m^2, per curvature kx + ky: hx^2 + hy^2 is about 2 hx hy
+        self._sagitta = SHARE * float(mesh.areas[mesh.interior].mean()) / 12  # m^2, per curvature: hx^2 + hy^2 is about 2 hx hy
         self._time = float(data.time)
         self._kernel = kernel("touched_curvatures")
 
@@ -45,7 +46,8 @@ class StandOff:
             return
         self._time = time
         goal = self._sagitta * self._curvatures()
-        self.margins += (goal - self.margins) * min(abs(elapsed) / _SETTLE, 1.0)
+        settle = _SETTLE if goal.any() else _RELEASE
+        self.margins += (goal - self.margins) * min(abs(elapsed) / settle, 1.0)
 
     def _curvatures(self) -> Array:
         """Curvature kx + ky, 1/m, of what each vertex touches, or the others' mean where it touches nothing."""
