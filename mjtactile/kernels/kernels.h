@@ -123,6 +123,10 @@ int64_t match_markers(int64_t n, int64_t m, int64_t k, const double *found, cons
 int64_t pane_shifts(int64_t n, const double *p, const double *camera, double *out);
 /* sim/sensor/chamber.py: volume between vertices `p` (n, 3) and the plane z = 0; out: its `gradient` (n, 3). */
 double chamber_volume(int64_t n, const double *p, int64_t m, const int64_t *triangles, double *gradient);
+/* sim/truth.py: out: total forces `loads` (n, 3) N, frame W, of MuJoCo's contacts on n `membranes` (n, 3): first and last sphere,
+   flex. */
+void membrane_loads(int64_t contacts, const int32_t *geoms, const int32_t *flexes, const int32_t *address, const int32_t *dim,
+                    const double *frame, const double *force, int64_t n, const int64_t *membranes, double *loads);
 /* sim/sensor/rubber.py: MuJoCo's stiffness `rows` (m, 21), of which six are written, from the strain of triangles of `edges`
    (m, 3) between `ends` (e, 2). `metric` (m, 3, 3), `law` (5): mu, Poisson's ratio, lambda', its least and most. */
 void rubber_stiffness(int64_t m, const int64_t *edges, const int64_t *ends, const double *p, const double *metric,

@@ -28,6 +28,22 @@ double chamber_volume(int64_t n, const double *p, int64_t m, const int64_t *tria
     return volume;
 }
 
+void membrane_loads(int64_t contacts, const int32_t *geoms, const int32_t *flexes, const int32_t *address, const int32_t *dim,
+                    const double *frame, const double *force, int64_t n, const int64_t *membranes, double *loads) {
+    memset(loads, 0, 3 * n * sizeof *loads);
+    for (int64_t k = 0; k < contacts; k++)
+        for (int64_t m = 0; m < n && address[k] >= 0; m++) {
+            const int64_t *own = membranes + 3 * m;
+            int side[2];
+            for (int e = 0; e < 2; e++)
+                side[e] = (geoms[2 * k + e] >= own[0] && geoms[2 * k + e] <= own[1]) || flexes[2 * k + e] == own[2];
+            if (!side[0] && !side[1]) continue;
+            double sign = side[1] ? 1 : -1;  /* MuJoCo's force acts on the second; the rows of `frame` are its axes */
+            for (int axis = 0; axis < (dim[k] < 3 ? dim[k] : 3); axis++)
+                for (int i = 0; i < 3; i++) loads[3 * m + i] += sign * force[address[k] + axis] * frame[9 * k + 3 * axis + i];
+        }
+}
+
 /* ln c, the square of the thickness's stretch, by two Newton steps: core/rubber.py. */
 static double thickness_over_area(double log_det, double poisson) {
     double half = poisson / (1 - 2 * poisson), x = log_det * (-poisson / (1 - poisson));

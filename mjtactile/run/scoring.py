@@ -107,7 +107,7 @@ class GraspScore:
 
     def forces(self) -> list[float]:
         """Normal force of the object on each membrane, N, positive when pressing."""
-        return [float(-truth.contact_force(self.world, i)[2]) for i in range(len(self.world.sensors))]
+        return (-truth.contact_loads(self.world, self.world.sensors)[:, 2]).tolist()
 
     def _object_position(self) -> Array:
         return truth.object_position(self.world, self._bodies)

@@ -5,6 +5,7 @@ Forces and positions are in the sensor's frame S unless a name says otherwise; N
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
+from mjtactile.kernels import kernel
 from mjtactile.sim import film
 from mjtactile.sim.scenes.objects import PREFIX, moving_bodies
 
@@ -33,7 +35,15 @@ def contact_forces(world: World, sensor: int) -> tuple[Array, Array, Array]:
 
 def contact_force(world: World, sensor: int) -> Array:
     """Total force (3,) N that the world exerts on membrane `sensor`, frame S; a press has a negative z."""
-    return _forces(world, world.sensors[sensor])[1].sum(axis=0)
+    return contact_loads(world, [world.sensors[sensor]])[0]
+
+
+def contact_loads(world: World, devices: Sequence[TactileSensor]) -> Array:
+    """Total forces (n, 3) N that the world exerts on the membranes of `devices`, each in its frame S."""
+    contact, loads = world.data.contact, np.empty((len(devices), 3))
+    kernel("membrane_loads")(world.data.ncon, contact.geom, contact.flex, contact.efc_address, contact.dim, contact.frame,
+                             world.data.efc_force, len(devices), np.array([device.contact_ids for device in devices]), loads)
+    return np.array([load @ _pose(world, device)[0] for load, device in zip(loads, devices, strict=True)])
 
 
 def _forces(world: World, device: TactileSensor) -> tuple[NDArray[np.int64], Array]:

@@ -74,6 +74,7 @@ def test_contact_forces_are_those_that_mujoco_says_one_by_one(held):
                 sums += data.contact.frame[row].reshape(3, 3).T @ buffer[:3] * (1 if side[1] else -1)
         R_WS = data.xmat[sensor.body_id].reshape(3, 3)
         np.testing.assert_allclose(R_WS @ truth.contact_force(held, i), sums, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(R_WS @ truth.contact_loads(held, held.sensors)[i], sums, rtol=1e-9, atol=1e-12)
 
 
 def test_penetration_is_a_small_share_of_the_indentation(held):

@@ -35,7 +35,8 @@ class ChamberGeometry:
         third of the area vector of each triangle that it belongs to.
         """
         self._p_SV[:] = p_SV
-        return self._volume_flat + self._above(), self._gradient[self._interior]
+        volume = self._volume_flat + self._above()
+        return volume, np.take(self._gradient, self._interior, axis=0)
 
 
 class GasTendon:
@@ -65,8 +66,8 @@ class GasTendon:
         self._coefficients[:] = normal
         self._spring[0] = stiffness
         terms = normal * self.displacements[2::3]
-        offset = _OFFSET * (float(np.abs(terms).sum()) + _LEAST)
-        self._rest[:] = float(terms.sum()) - offset
+        offset = _OFFSET * (float(np.add.reduce(np.abs(terms))) + _LEAST)
+        self._rest[:] = float(np.add.reduce(terms)) - offset
         np.multiply(gradient.ravel(), pressure_gauge, out=self._forces)
         self._forces[2::3] += stiffness * offset * normal
 

@@ -42,6 +42,8 @@ class TactileSensor:
         self.body_id = _require(model, mujoco.mjtObj.mjOBJ_BODY, prefix + "sensor")
         names = [f"{prefix}v{v}" for v in mesh.interior]
         self.vertex_geom_ids = np.array([_require(model, mujoco.mjtObj.mjOBJ_GEOM, name) for name in names])
+        self.contact_ids = np.array([self.vertex_geom_ids[0], self.vertex_geom_ids[-1], self.flex_id])
+        """What is the membrane's in a contact: from the first to the last of its spheres, which are one block, and its flex."""
         pre_stretch(model, self.flex_id, mesh, design.membrane.pre_stretch)
         model.flex_damping[self.flex_id] = 0.0  # a trace is needed to compile without a warning, none to simulate
         self.contact = features.contact_model(model, mesh) if contact == "auto" else contact
@@ -57,6 +59,8 @@ class TactileSensor:
         self._rubber = Rubber(model, self.flex_id, mesh, sheet) if sheet.law is Law.NEO_HOOKEAN else None
         self._turning = Turning(model, data, self.body_id, self.flex_id, mesh)
         self._tendon = make_load(model, data, mesh, prefix, effects)
+        self._p_SV, self._flat = mesh.p_SV.copy(), mesh.p_SV[mesh.interior].ravel()  # rooms for every step
+        self._moved = np.empty_like(self._flat)
         self._geometry = make_geometry(mesh, design.chamber_volume_flat, effects)
         self._markers = MarkerInterpolator(mesh, design.markers.p_SM)
         self._gas, self._time = make_gas(design.chamber, effects), float(data.time)
@@ -93,7 +97,9 @@ class TactileSensor:
             self._follow()
 
     def _follow(self) -> None:
-        p_SV = self.p_SV
+        np.add(self._flat, self._tendon.displacements, out=self._moved)
+        p_SV = self._p_SV
+        p_SV[self.mesh.interior] = self._moved.reshape(-1, 3)
         self._volume, gradient = self._geometry.volume_and_gradient(p_SV)
         time = float(self._data.time)
         self._gas.advance(self._volume, time - self._time)
@@ -120,7 +126,7 @@ class TactileSensor:
     def p_SV(self) -> Array:
         """Vertex positions (n, 3) m in S, rim included, now (not one step old like `flexvert_xpos`)."""
         p_SV = self.mesh.p_SV.copy()
-        p_SV[self.mesh.interior] += self._tendon.displacements.reshape(-1, 3)
+        p_SV[self.mesh.interior] = (self._flat + self._tendon.displacements).reshape(-1, 3)
         return p_SV
 
     @property
