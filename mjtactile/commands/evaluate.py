@@ -53,6 +53,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--shard", type=_shard, default=(1, 1), metavar="K/N", help="only the K-th of N parts")
     parser.add_argument("--resume", action="store_true", help="go on with what is in the folder")
     parser.add_argument("--merge", nargs="+", type=Path, metavar="DIR", help="join parts of one evaluation instead")
+    parser.add_argument("--worst", type=_any_count, default=10, metavar="N", help="episodes that the report shows with pictures: "
+                        "they are run again at the end (default: 10)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default: runs/<time>-evaluate)")
 
 
@@ -60,6 +62,10 @@ def _count(text: str) -> int:
     if not text.isdigit() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
     return int(text)
+
+
+def _any_count(text: str) -> int:
+    return 0 if text == "0" else _count(text)
 
 
 def _shard(text: str) -> tuple[int, int]:
@@ -70,7 +76,9 @@ def _shard(text: str) -> tuple[int, int]:
 
 
 def run(options: argparse.Namespace) -> int:
+    from mjtactile.evaluate.run import write_report
     from mjtactile.evaluate.statistics import table
+    from mjtactile.run.progress import Progress
 
     if options.out is None and options.resume:
         raise InputError("which folder?", field="--resume", choices=["--resume --out DIR"])
@@ -81,10 +89,12 @@ def run(options: argparse.Namespace) -> int:
         out, summary = options.out, _evaluate(options, options.out)
     write_json(out / "summary.json", summary)
     (out / "summary.md").write_text(table(summary), encoding="utf-8")
+    with stdout_to_stderr():
+        write_report(out, options.worst, Progress().message)
     if options.json:
         print_json(summary)
     else:
-        print(f"{table(summary)}\nwritten to {out}")
+        print(f"{table(summary)}\nwritten to {out}; look at {out / 'report.html'}")
     return 0
 
 

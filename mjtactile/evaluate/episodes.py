@@ -5,6 +5,7 @@ A line holds nothing that depends on when, where or beside what it was run: any 
 
 from __future__ import annotations
 
+import gc
 import math
 import shlex
 import traceback
@@ -80,7 +81,8 @@ def run_episode(episode: Episode) -> dict[str, Any]:
         last = traceback.extract_tb(error.__traceback__)[-1]
         summary = {"outcome": "error", "reason": f"internal error in {Path(last.filename).name}, line {last.lineno}: "
                                                  f"{type(error).__name__}: {' '.join(str(error).split())}"}
-    values = {key: _json(summary.get(key)) for key in _KEPT}
+    gc.collect()  # a world is megabytes in a few hundred objects that know each other: Python would keep dozens of them
+    values = {key: _json(summary.get(key)) for key in _KEPT} | {"phases": " > ".join(notes.phases)}
     varied = draw(episode.vary, episode.seed, load_sensor(episode.sensor), load_sim_rig(episode.rig)).values
     seed = seed_of(episode.object)
     thing = {} if seed is None else random_thing(seed).values
@@ -88,11 +90,12 @@ def run_episode(episode: Episode) -> dict[str, Any]:
 
 
 class _Notes:
-    """Stands in for a recorder and a progress: keeps at what force the object breaks."""
+    """Stands in for a recorder and a progress: keeps at what force the object breaks, and which phases were gone through."""
 
     def __init__(self) -> None:
         self.patience = math.inf
         self.break_force: float | None = None
+        self.phases: list[str] = []
 
     def note(self, **values: Any) -> None:
         self.break_force = values.get("break_force_N", self.break_force)
@@ -100,7 +103,10 @@ class _Notes:
     def add_reference(self, stage: str, images: Any, pressure_gauge: Any) -> None: ...
     def add(self, cycle: Any, **truth: Any) -> None: ...
     def message(self, text: str) -> None: ...
-    def update(self, phase: str, time: float, force: float) -> None: ...
+
+    def update(self, phase: str, time: float, force: float) -> None:
+        if self.phases[-1:] != [phase]:
+            self.phases.append(phase)
 
 
 def _json(value: Any) -> Any:

@@ -10,8 +10,8 @@ from typing import Any
 from mjtactile.core import resources
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.evaluate import store
-from mjtactile.evaluate.episodes import RANDOM, plan
+from mjtactile.evaluate import report, store, worst
+from mjtactile.evaluate.episodes import RANDOM, Episode, plan
 from mjtactile.evaluate.pool import PROCESSES, Pool, Say, run_all
 from mjtactile.evaluate.statistics import summarise
 from mjtactile.rig.file import load_sim_rig
@@ -40,6 +40,28 @@ def evaluate(folder: Path, *, count: int, controllers: Sequence[str], objects: S
     run_all(missing, kept, Pool(backend, default_workers() if workers is None else workers, scheduler), say)
     kept.finish()
     return summarise(kept.lines)
+
+
+def write_report(folder: Path, worst_count: int, say: Say = lambda _: None) -> Path:
+    """`report.html` of the evaluation in `folder`; its worst episodes are run again for their pictures."""
+    known, lines = store.read_manifest(folder), store.read_lines(folder)
+    pictures = {}
+    chosen = worst.worst(lines, worst_count)
+    for k, line in enumerate(chosen, 1):
+        say(f"picture {k} of {len(chosen)}: {line['controller']}, {line['object']}, seed {line['seed']}")
+        name = f"{line['controller']}-{line['episode']:06d}"
+        pictures[name] = worst.draw(_episode(known["options"], line), folder / "worst" / name)
+    path = folder / "report.html"
+    with store.writing(path):
+        path.write_text(report.page(known, lines, chosen, pictures), encoding="utf-8")
+    return path
+
+
+def _episode(options: Mapping[str, Any], line: Mapping[str, Any]) -> Episode:
+    """The episode of a line."""
+    controller = next(name for name in options["controllers"] if Path(name).stem == line["controller"])
+    manner = {key: options[key] for key in ("sensor", "rig", "effects", "accuracy", "vary") if key in options}
+    return plan(line["episode"] + 1, [controller], options["objects"], options["first_seed"], **manner)[-1]
 
 
 def merge(folders: Sequence[Path], out: Path) -> dict[str, Any]:

@@ -6,22 +6,11 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from mjtactile.evaluate.episodes import OUTCOMES
-
-_Z = 1.959964  # of a normal distribution: 95 %
-
-Line = Mapping[str, Any]
-
-
-def wilson(count: int, of: int) -> tuple[float, float]:
-    """95 % interval of a share (Wilson, J. Am. Stat. Assoc. 22, 1927)."""
-    if not of:
-        return 0.0, 1.0
-    p, z2 = count / of, _Z * _Z
-    middle, half = p + z2 / (2 * of), _Z * math.sqrt(p * (1 - p) / of + z2 / (4 * of * of))
-    # at 0 and 1 the bound is exact, whatever rounding says
-    return (max((middle - half) / (1 + z2 / of), 0.0) if count else 0.0,
-            min((middle + half) / (1 + z2 / of), 1.0) if count < of else 1.0)
+from mjtactile.evaluate.varied import MEASURES, against, measures
+from mjtactile.evaluate.wilson import Line, Z, wilson
 
 
 def paired(first: Iterable[Line], second: Iterable[Line]) -> dict[str, Any]:
@@ -35,11 +24,11 @@ def paired(first: Iterable[Line], second: Iterable[Line]) -> dict[str, Any]:
     only_first = sum(held[0][k] and not held[1][k] for k in both)
     only_second = sum(held[1][k] and not held[0][k] for k in both)
     b, c, m = only_first + 0.5, only_second + 0.5, n + 2
-    middle, half = (c - b) / m, _Z * math.sqrt(b + c - (c - b) ** 2 / m) / m
+    middle, half = (c - b) / m, Z * math.sqrt(b + c - (c - b) ** 2 / m) / m
     more = None
     if only_first != only_second:
         share, apart = (only_first + only_second) / n, (only_second - only_first) / n
-        more = max(0, math.ceil(_Z * _Z * (share - apart * apart) / (apart * apart)) - n)
+        more = max(0, math.ceil(Z * Z * (share - apart * apart) / (apart * apart)) - n)
     return {"episodes": n, "only_first": only_first, "only_second": only_second,
             "difference": (only_second - only_first) / n if n else 0.0,
             "difference_interval": [max(middle - half, -1.0), min(middle + half, 1.0)], "episodes_to_settle": more}
@@ -53,7 +42,8 @@ def summarise(lines: Sequence[Line]) -> dict[str, Any]:
     for name, mine in own.items():
         objects = list(dict.fromkeys(line["object"] for line in mine))
         result["controllers"][name] = _group(mine) | {
-            "objects": {one: _group([line for line in mine if line["object"] == one]) for one in objects}}
+            "objects": {one: _group([line for line in mine if line["object"] == one]) for one in objects},
+            "varied": against(mine, lines)}
     for k, first in enumerate(controllers):
         result["paired"] += [{"first": first, "second": second, **paired(own[first], own[second])}
                              for second in controllers[k + 1:]]
@@ -65,14 +55,14 @@ def _group(lines: Sequence[Line]) -> dict[str, Any]:
     ended = len(lines) - counts["error"]
     return {"episodes": len(lines), **counts, "success": counts["held"] / ended if ended else math.nan,
             "success_interval": list(wilson(counts["held"], ended)),
-            "slip_mm_true_median": _median(line["slip_mm_true"] for line in lines),
-            "peak_share_of_breaking_most": max((line["peak_force_true_N"] / line["break_force_N"] for line in lines
-                                                if line["peak_force_true_N"] and line["break_force_N"]), default=math.nan)}
+            **{name: _spread(measures(line)[name] for line in lines) for name in MEASURES}}
 
 
-def _median(values: Iterable[float | None]) -> float:
-    known = sorted(value for value in values if value is not None)
-    return known[len(known) // 2] if known else math.nan
+def _spread(values: Iterable[float | None]) -> dict[str, float | None]:
+    """Quantiles of what is known."""
+    known = [value for value in values if value is not None]
+    shares = {"least": 0.0, "p5": 0.05, "median": 0.5, "p95": 0.95, "most": 1.0}
+    return {name: float(np.quantile(known, share)) if known else None for name, share in shares.items()}
 
 
 def table(summary: Mapping[str, Any]) -> str:
@@ -85,10 +75,15 @@ def table(summary: Mapping[str, Any]) -> str:
             lines.append(f"| {name} | {label} | {group['episodes']} | {share} | {100 * low:.0f}-{100 * high:.0f} % | "
                          f"{group['dropped']} | {group['crushed']} | {group['error']} |")
     for pair in summary["paired"]:
-        low, high = pair["difference_interval"]
-        more = pair["episodes_to_settle"]
-        settled = ("as good as each other here" if more is None else "settled" if not more else
-                   f"{more} more episodes like these would settle it")
-        lines += ["", f"{pair['second']} holds {100 * pair['difference']:+.1f} % of {pair['episodes']} episodes more often than "
-                  f"{pair['first']} (95 %: {100 * low:+.1f} to {100 * high:+.1f} %): {settled}."]
+        lines += ["", pair_text(pair)]
     return "\n".join(lines) + "\n"
+
+
+def pair_text(pair: Mapping[str, Any]) -> str:
+    """One difference as a sentence."""
+    low, high = pair["difference_interval"]
+    more = pair["episodes_to_settle"]
+    settled = ("as good as each other here" if more is None else "settled" if not more else
+               f"{more} more episodes like these would settle it")
+    return (f"{pair['second']} holds {100 * pair['difference']:+.1f} % of {pair['episodes']} episodes more often than "
+            f"{pair['first']} (95 %: {100 * low:+.1f} to {100 * high:+.1f} %): {settled}.")

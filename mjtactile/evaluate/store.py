@@ -42,14 +42,14 @@ class Store:
         if known.exists():
             _same(known, what)
             self.lines = read_lines(folder)
-        with _writing(folder):
+        with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
             known.write_text(json.dumps(what, indent=1) + "\n", encoding="utf-8")
         self._rewrite()  # without a line that was cut off
 
     def add(self, line: dict[str, Any]) -> None:
         """Keep a line. Raises DeviceError where the disk does not take it."""
-        with _writing(self.folder / EPISODES), (self.folder / EPISODES).open("a", encoding="utf-8") as file:
+        with writing(self.folder / EPISODES), (self.folder / EPISODES).open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
         self.lines.append(line)
 
@@ -65,13 +65,14 @@ class Store:
 def write_lines(folder: Path, lines: Sequence[Mapping[str, Any]]) -> None:
     """All lines at once, or none."""
     part = folder / (EPISODES + ".part")
-    with _writing(folder / EPISODES):
+    with writing(folder / EPISODES):
         part.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
         part.replace(folder / EPISODES)
 
 
 @contextlib.contextmanager
-def _writing(path: Path) -> Iterator[None]:
+def writing(path: Path) -> Iterator[None]:
+    """What fails to be written raises DeviceError."""
     try:
         yield
     except OSError as error:

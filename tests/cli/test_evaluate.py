@@ -11,7 +11,7 @@ import time
 from tests.emulated_host import controller_text
 
 COMMON = ["--sensor", "paper16", "--controller", "quick.py", "--objects", "vial,egg", "--episodes", "2", "--vary", "none",
-          "--seed", "7"]
+          "--worst", "1", "--seed", "7"]
 
 
 def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile):
@@ -33,9 +33,11 @@ def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile):
     assert set(kept.splitlines()) <= set(episodes.read_text().splitlines())
     assert summary["controllers"]["quick"]["episodes"] == 2 and summary["controllers"]["quick"]["held"] == 2
     assert list(summary["controllers"]["quick"]["objects"]) == ["vial", "egg"]
+    report = (tmp_path / "one" / "report.html").read_text()
+    assert report.count("data:image/png") == 1 and "mjtactile grasp --object" in report
     for part in ("1/2", "2/2"):
-        mjtactile("evaluate", *COMMON, "--workers", "2", "--shard", part, "--out", f"part{part[0]}")
-    mjtactile("evaluate", "--merge", "part2", "part1", "--out", "whole")
+        mjtactile("evaluate", *COMMON, "--workers", "2", "--worst", "0", "--shard", part, "--out", f"part{part[0]}")
+    mjtactile("evaluate", "--merge", "part2", "part1", "--worst", "0", "--out", "whole")
     assert (tmp_path / "whole" / "episodes.jsonl").read_bytes() == episodes.read_bytes()
     changed = mjtactile("evaluate", *COMMON[:-1], "8", "--out", "one", "--resume")
     assert changed.returncode == 2 and "was begun with another options: first_seed" in changed.stderr
@@ -55,7 +57,7 @@ def test_the_command_of_an_episode_draws_the_same_world(tmp_path, mjtactile):
     (tmp_path / "quick.py").write_text(controller_text(hold=0.1))
     (tmp_path / "my.toml").write_text("[object]\nmass_percent = [100, 200]\n[sensor]\nblur_px = [0, 1]\n")
     words = ["--sensor", "paper16", "--controller", "quick.py", "--objects", "vial", "--seed", "3", "--vary", "my.toml"]
-    mjtactile("evaluate", *words, "--episodes", "1", "--out", "one")
+    mjtactile("evaluate", *words, "--episodes", "1", "--worst", "0", "--out", "one")
     line = json.loads((tmp_path / "one" / "episodes.jsonl").read_text())
     assert line["varied"].keys() == {"object.mass_percent", "left.blur_px", "right.blur_px"} and "--vary=my.toml" in line["again"]
     again = json.loads(mjtactile(*shlex.split(line["again"])[1:], "--out", "again", "--json").stdout)

@@ -1,0 +1,65 @@
+"""The worst episodes of an evaluation, and a picture of each: they are run again, which gives the same grasp, and recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from mjtactile.core.errors import MjtactileError
+from mjtactile.evaluate.episodes import Episode
+from mjtactile.evaluate.varied import measures
+from mjtactile.evaluate.wilson import Line
+from mjtactile.recording.reader import load_recording
+from mjtactile.recording.writer import Recorder
+from mjtactile.run import report
+from mjtactile.run.grasp import GraspOptions, run_grasp
+from mjtactile.run.progress import Progress
+
+_RANKS = {"crushed": 2, "dropped": 2, "error": 1, "held": 0}
+_SLIP = 5.0  # mm that are as bad as breaking
+
+
+def worst(lines: Sequence[Line], count: int) -> list[Line]:
+    """`count` lines: failures, then errors, then what came nearest to a failure. Of several kinds (controller, object, outcome)
+    each has its turn, so that one that happens often does not hide the others."""
+    chosen: list[Line] = []
+    for rank in (2, 1, 0):
+        kinds: dict[tuple[str, ...], list[Line]] = {}
+        for line in sorted((line for line in lines if _RANKS[line["outcome"]] == rank), key=_badness, reverse=True):
+            kinds.setdefault((line["controller"], line["object"], line["outcome"]), []).append(line)
+        chosen += _in_turn(list(kinds.values()) if rank else [[line for kind in kinds.values() for line in kind]])
+    return sorted(chosen[:count], key=lambda line: (_RANKS[line["outcome"]], _badness(line)), reverse=True)
+
+
+def _in_turn(kinds: Sequence[Sequence[Line]]) -> Iterator[Line]:
+    for k in range(max(map(len, kinds), default=0)):
+        yield from (kind[k] for kind in kinds if k < len(kind))
+
+
+def _badness(line: Line) -> float:
+    found = measures(line)
+    return max(found["peak_share_of_breaking"] or 0.0, (found["slip_mm"] or 0.0) / _SLIP)
+
+
+def draw(episode: Episode, folder: Path) -> Path | None:
+    """Run the episode again, record it into `folder` and draw its picture there; None where there is none to draw."""
+    picture = folder / "summary.png"
+    if picture.exists():
+        return picture
+    header: dict[str, Any] = {key: getattr(episode, key) for key in ("object", "sensor", "controller", "rig", "seed")}
+    options = GraspOptions(**header, accuracy=episode.accuracy, effects=episode.effects, vary=episode.vary, workers=0)
+    summary: dict[str, Any] = {"object": episode.object, "outcome": "error", "sensor": episode.sensor, "seed": episode.seed}
+    try:
+        with Recorder(folder / "recording", header, frames=0) as recorder:
+            try:
+                summary = run_grasp(options, recorder=recorder, progress=Progress(quiet=True)).summary()
+            except MjtactileError as error:
+                summary["reason"] = " ".join(str(error).split())
+            recorder.close(outcome=summary["outcome"])
+        if not recorder.cycles:
+            return None
+        report.write_figure(picture, load_recording(folder), recorder.snapshot, summary, recorder.view)
+    except (MjtactileError, OSError):
+        return None  # no matplotlib, no room: a report without pictures
+    return picture

@@ -1,0 +1,145 @@
+"""The report: values that make grasps fail are found and others are not, and the page says what the lines say."""
+
+import json
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from scipy.stats import mannwhitneyu
+
+from mjtactile.evaluate import report, store
+from mjtactile.evaluate.episodes import Episode
+from mjtactile.evaluate.run import write_report
+from mjtactile.evaluate.statistics import summarise
+from mjtactile.evaluate.varied import against, flat, measures
+from mjtactile.evaluate.worst import draw, worst
+
+
+def lines(count=300, controller="gentle", seed=0):
+    """Heavy things are dropped; the tilt moves the held force's error; noise does nothing."""
+    rng = np.random.default_rng(seed)
+    mass, tilt, noise = rng.uniform(-50, 50, (3, count))
+    held = mass < 30
+    return [{"episode": k, "controller": controller, "object": ("egg", "vial")[k % 2], "seed": k,
+             "outcome": "held" if held[k] else "dropped", "reason": None if held[k] else f"too heavy: it weighs {mass[k]:.2g} N",
+             "phases": "approach > lift", "peak_force_true_N": 0.7, "break_force_N": 2.0, "hold_force_true_N": 0.6,
+             "hold_force_N": 0.6 + 1e-4 * tilt[k], "slip_mm_true": 0.1, "again": f"mjtactile grasp --seed {k}",
+             "varied": {"object.mass_percent": mass[k], "left.camera_tilt_deg": [tilt[k], 0.0, 0.0],
+                        "left.noise_percent": noise[k], "left.missing_markers": [3] * (k % 3),
+                        "random.shape": ("box", "egg")[k % 2]}} for k in range(count)]
+
+
+def test_what_makes_grasps_fail_stands_out_alone():
+    found = against(lines())
+    by_name = {one["name"]: one for one in found}
+    assert found[0]["name"] == "object.mass_percent" and [one["name"] for one in found if one["stands_out"]] == [found[0]["name"]]
+    heavy = found[0]["bins"]
+    assert [one["success"] for one in heavy[:3]] == [1.0] * 3 and heavy[4]["success"] == 0 and heavy[4]["from"] > 25
+    assert sum(one["episodes"] for one in heavy) == 300
+    assert by_name["left.camera_tilt_deg.x"]["correlation"]["force_error_N"] == pytest.approx(1.0)
+    assert abs(by_name["left.noise_percent"]["correlation"]["force_error_N"]) < 0.15  # 2.6 sd of 300 pairs
+    assert "left.camera_tilt_deg.y" not in by_name  # it did not vary
+    assert [one["value"] for one in by_name["random.shape"]["bins"]] == ["box", "egg"] and by_name["random.shape"]["p"] is None
+    assert [one["value"] for one in by_name["left.missing_markers"]["bins"]] == [0.0, 1.0, 2.0]
+    table = lines()
+    masses = np.array([flat(line)["object.mass_percent"] for line in table])
+    held = np.array([line["outcome"] == "held" for line in table])
+    assert found[0]["p"] == pytest.approx(mannwhitneyu(masses[held], masses[~held]).pvalue)
+
+
+def test_nothing_stands_out_by_accident():
+    """Outcomes that have nothing to do with five values: in 5 % of such reports something stands out."""
+    rng, seen = np.random.default_rng(3), 0
+    for seed in range(100):
+        table = lines(60, seed=seed)
+        for line, held in zip(table, rng.permutation([True] * 50 + [False] * 10), strict=True):
+            line["outcome"] = "held" if held else "dropped"
+        seen += any(one["stands_out"] for one in against(table))
+    assert seen <= 12  # 5 expected; 3 sd more
+
+
+def test_both_controllers_are_binned_alike_and_errors_left_out():
+    first, second = lines(), lines(controller="other")
+    second[0] |= {"outcome": "error", "hold_force_N": None, "peak_force_true_N": None, "slip_mm_true": None}
+    summary = summarise([*first, *second])
+    (a, b) = (summary["controllers"][name]["varied"][0]["bins"] for name in ("gentle", "other"))
+    assert [one["from"] for one in a] == [one["from"] for one in b]
+    assert sum(one["episodes"] for one in b) == 299 and measures(second[0])["force_error_N"] is None
+    assert summary["controllers"]["gentle"]["peak_share_of_breaking"]["most"] == pytest.approx(0.35)
+    json.dumps(summary)
+
+
+def test_the_worst_are_of_every_kind():
+    table = lines(40)
+    for k, line in enumerate(table):
+        line["outcome"] = "dropped" if k < 12 else "held"
+    table[20]["outcome"], table[21]["outcome"], table[30]["slip_mm_true"] = "crushed", "error", 4.0
+    chosen = worst(table, 6)
+    kinds = [(line["object"], line["outcome"]) for line in chosen]
+    assert {("egg", "dropped"), ("vial", "dropped"), ("egg", "crushed")} <= set(kinds) and len(chosen) == 6
+    assert worst(table, 15)[13]["episode"] == 21 and worst(table, 15)[14]["episode"] == 30  # errors, then what nearly failed
+
+
+class Balanced(HTMLParser):
+    """Every tag that is opened is closed, in order; no address is outside of the page."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.text = [], ""
+
+    def handle_starttag(self, tag, attributes):
+        assert not any(key in ("src", "href") and not value.startswith("data:") for key, value in attributes)
+        if tag not in ("meta", "br", "img", "rect", "line", "circle"):
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attributes): ...
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def test_the_page_is_whole_and_says_what_the_lines_say():
+    table = lines() + lines(controller="a<b")
+    manifest = {"options": {"controllers": ["gentle", "a<b"], "count": 300}, "versions": {"mjtactile": "1"}}
+    page = Balanced()
+    page.feed(report.page(manifest, table, worst(table, 2), {}))
+    eggs = sum(line["outcome"] == "dropped" and line["object"] == "egg" for line in table) // 2
+    assert not page.open and "a<b holds +0.0 % of 300 episodes more often than gentle" in page.text
+    assert re.search(rf"too heavy: it weighs [\d.]+ N{eggs}", page.text)  # alike reasons together
+    assert "stands out" in page.text and "object.mass_percent" in page.text and "mjtactile grasp --seed" in page.text
+
+
+def test_pictures_of_the_worst_are_in_the_page(tmp_path, monkeypatch):
+    kept = store.Store(tmp_path, {"options": {"controllers": ["gentle"], "objects": ["egg"], "first_seed": 3, "vary": "none"},
+                                  "versions": {}, "files": {}}, resume=False)
+    table = lines(2)
+    for line in table:
+        kept.add(line)
+    asked = []
+
+    def picture(episode, folder):
+        asked.append(episode)
+        folder.mkdir(parents=True)
+        (folder / "summary.png").write_bytes(b"png")
+        return folder / "summary.png"
+
+    monkeypatch.setattr("mjtactile.evaluate.worst.draw", picture)
+    path = write_report(tmp_path, 1)
+    assert asked == [Episode(asked[0].index, "gentle", "egg", 3 + asked[0].index, vary="none")]
+    assert 'src="data:image/png;base64,cG5n"' in path.read_text()
+
+
+def test_a_worst_episode_is_run_again_and_drawn(tmp_path):
+    from tests.emulated_host import controller_text
+
+    (tmp_path / "quick.py").write_text(controller_text(hold=0.1))
+    episode = Episode(0, str(tmp_path / "quick.py"), "random:3", 3, sensor="paper16", vary="default")
+    picture = draw(episode, tmp_path / "worst")
+    assert picture is not None and picture.read_bytes()[:4] == b"\x89PNG"
+    assert '"varied"' in (tmp_path / "worst" / "recording" / "log.jsonl").read_text()
+    (tmp_path / "bad.py").write_text("def step(observation):\n    return None\n")
+    assert draw(Episode(0, str(tmp_path / "bad.py"), "egg", 3, sensor="paper16"), tmp_path / "other") is not None
