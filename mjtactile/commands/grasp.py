@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from mjtactile import Interrupted, MjtactileError, Recorder, load_recording, rig_names
+from mjtactile import InputError, Interrupted, MjtactileError, Recorder, load_recording, rig_names
 from mjtactile.commands import effects, ranges
 from mjtactile.commands.output import new_run_folder, output_folder, print_json, stdout_to_stderr
 from mjtactile.core import resources, signals
@@ -26,6 +26,7 @@ examples:
   mjtactile grasp --object vial --sensor paper16 --seed 1
   mjtactile grasp --object my_fruit.xml --controller my_controller.py --out runs/fruit
   mjtactile grasp --json > result.json
+  mjtactile grasp --video egg.mp4          scene, cameras and forces, in step with the simulated time
   mjtactile grasp --workers 0              no thread for each camera: the same numbers
 
 The result (--json, summary.json) says: outcome ("held", "dropped", "crushed", "fault"), peak_force_N and
@@ -60,6 +61,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         "loop, at most one a camera; the result is the same with any number "
                         "(default: one a camera where there are processors for them, else 0)")
     ranges.add_frames_argument(parser)
+    parser.add_argument("--video", type=Path, metavar="FILE", help="film it, too: .mp4, .gif or .webp (pip install "
+                        "'mjtactile[video]')")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default: runs/<time>-<object>)")
 
 
@@ -76,6 +79,7 @@ def _count(text: str) -> int:
 
 
 def run(options: argparse.Namespace) -> int:
+    _check_video(options.video, options.frames)
     progress = Progress()  # which looks whether stderr is a terminal
     folder = (output_folder(options.out, "recording", "summary.json", "summary.png") if options.out is not None else
               new_run_folder(Path(options.object).stem))
@@ -107,6 +111,7 @@ def _run_and_report(options: argparse.Namespace, out: Path, progress: Progress) 
     try:
         with signals.deferred():  # no signal between an open file and who closes it
             recorder = Recorder(out / "recording", header, frames=options.frames)
+            recorder.views = [] if options.video else None
         summary = run_grasp(GraspOptions(**header, **_manner(options)), recorder=recorder, progress=progress).summary()
     except (Exception, KeyboardInterrupt) as error:
         progress.close()
@@ -122,7 +127,36 @@ def _run_and_report(options: argparse.Namespace, out: Path, progress: Progress) 
     if recorder.problem:
         summary["recording_problem"] = recorder.problem
     _write_report(out, recorder, summary)
+    if options.video:
+        _film(options.video, out, recorder, progress)
     return summary
+
+
+def _film(path: Path, out: Path, recorder: Recorder, progress: Progress) -> None:
+    """Film the run; where that fails, the run stays what it was."""
+    from mjtactile.run.video import write_video
+
+    try:
+        write_video(path, load_recording(out), recorder.views or (), say=progress.message)
+    except (MjtactileError, OSError) as error:
+        print(f"mjtactile: warning: {path} was not written: {error}", file=sys.stderr)
+
+
+def _check_video(path: Path | None, frames: int) -> None:
+    """Before anything runs. Raises InputError for a film that could not be written."""
+    from importlib.util import find_spec
+
+    if path is None:
+        return
+    if path.suffix not in (".mp4", ".gif", ".webp"):
+        raise InputError(f"{path.suffix or 'no suffix'!r} is no film that can be written", source=path, field="--video",
+                         choices=[".mp4", ".gif", ".webp"])
+    if not path.parent.is_dir():
+        raise InputError("no such folder", source=path.parent, field="--video")
+    if find_spec("av") is None:
+        raise InputError("PyAV is not installed: pip install 'mjtactile[video]'", field="--video")
+    if not frames:
+        raise InputError("a film needs the images", field="--frames")
 
 
 def _report_fault(error: BaseException, recorder: Recorder, out: Path, header: dict[str, Any]) -> None:

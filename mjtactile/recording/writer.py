@@ -40,6 +40,8 @@ class Recorder:
         """The cycle to show: the latest of the hold phase, before that the one with the greatest force."""
         self.view: Any = None
         """The scene in that cycle."""
+        self.views: list[tuple[float, Any]] | None = None
+        """The scene in every cycle and its time, where somebody makes this a list."""
         self.cycles = self.references = 0
         self.problem = ""
         self.patience = 10.0
@@ -78,6 +80,8 @@ class Recorder:
             return
         self._put(row, images)
         self.cycles += 1
+        if self.views is not None and view is not None:
+            self.views.append((cycle.time, view))
         if self.snapshot is None or _worth_showing(cycle) >= _worth_showing(self.snapshot):
             self.snapshot, self.view = cycle, view
 

@@ -32,13 +32,8 @@ class View(Protocol):
 
 def draw_scene(axes: Any, view: View, touch: Sequence[Touch], colours: Sequence[str]) -> None:
     """Draw what is around the sensors, and how each of them that touches feels to push, an arrow in its colour."""
-    middle = view.p_WS.mean(axis=0)
-    half = max(_LEAST, _AROUND * float(np.linalg.norm(view.p_WS - middle, axis=1).max()))
-    axes_PW = picture_axes(view.p_WS)
-    corners, rgba = view.triangles()
-    rows = round(_HEIGHT * _PIXELS)
-    image = rasterise((corners - middle) @ axes_PW.T / half, rgba[:, :3], (rows * _SAMPLES, _PIXELS * _SAMPLES))
-    image = image.reshape(rows, _SAMPLES, _PIXELS, _SAMPLES, 3).mean(axis=(1, 3))
+    middle, half, axes_PW = _framing(view)
+    image = picture_of(view, (round(_HEIGHT * _PIXELS), _PIXELS))
     axes.imshow(image, extent=(-1, 1, -_HEIGHT, _HEIGHT), interpolation="bilinear")
     for felt, p_WS, R_WS, colour in zip(touch, view.p_WS, view.R_WS, colours, strict=False):
         if felt.touching and felt.traction is not None and np.isfinite(felt.traction.wrench[:3]).all():
@@ -50,6 +45,20 @@ def draw_scene(axes: Any, view: View, touch: Sequence[Touch], colours: Sequence[
     axes.text(-0.94, 0.09 - _HEIGHT, f"{1e3 * bar:g} mm", fontsize=9, color="#222222", va="bottom")
     axes.set(xlim=(-1, 1), ylim=(-_HEIGHT, _HEIGHT), aspect="equal")
     axes.set_axis_off()
+
+
+def picture_of(view: View, size: tuple[int, int]) -> Array:
+    """The scene around the sensors, (*size, 3) from 0 to 1."""
+    (middle, half, axes_PW), (corners, rgba), (rows, columns) = _framing(view), view.triangles(), size
+    image = rasterise((corners - middle) @ axes_PW.T / half, rgba[:, :3], (rows * _SAMPLES, columns * _SAMPLES))
+    return image.reshape(rows, _SAMPLES, columns, _SAMPLES, 3).mean(axis=(1, 3))
+
+
+def _framing(view: View) -> tuple[Array, float, Array]:
+    """The picture's middle (3,) m in W, half of its width, m, and its axes."""
+    middle = view.p_WS.mean(axis=0)
+    half = max(_LEAST, _AROUND * float(np.linalg.norm(view.p_WS - middle, axis=1).max()))
+    return middle, half, picture_axes(view.p_WS)
 
 
 def _arrow(axes: Any, start: Array, tip: Array, colour: str, text: str) -> None:

@@ -1,0 +1,70 @@
+"""`mjtactile video`: a film of a recorded run."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+
+from mjtactile import InputError, load_recording
+from mjtactile.commands.output import print_json, stdout_to_stderr
+from mjtactile.run.progress import Progress
+
+SIMULATES = False
+DESCRIPTION = """\
+Film a recorded run: what each camera saw with the ellipses that were fitted (red: not
+trusted), what was felt, and the forces over time, in step with the run's clock.
+`mjtactile grasp --video FILE` also shows the simulated scene."""
+EPILOG = """\
+examples:
+  mjtactile video runs/grasp                        writes runs/grasp/video.mp4
+  mjtactile video runs/grasp --out egg.gif --speed 2
+  mjtactile video runs/grasp --begin 2 --seconds 6 --out egg.webp
+  mjtactile grasp --video egg.mp4                   with the scene
+
+Needs `pip install 'mjtactile[video]'`. exit codes: 0 written, 2 bad input.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("source", type=Path, metavar="RUN", help="a run's folder, or a recording")
+    parser.add_argument("--out", type=Path, metavar="FILE", help=".mp4 (30 images a second), .gif or .webp (10 and 15, half the "
+                        "size) (default: RUN/video.mp4)")
+    parser.add_argument("--speed", type=_positive, default=1.0, metavar="X", help="times as fast as it was (default: 1)")
+    parser.add_argument("--begin", type=_time, default=0.0, metavar="S", help="leave out the first S seconds (default: 0)")
+    parser.add_argument("--seconds", type=_positive, default=math.inf, metavar="S", help="film so much of it (default: all)")
+
+
+def _time(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 0 up")
+    return value
+
+
+def _positive(text: str) -> float:
+    value = _time(text)
+    if value == 0:
+        raise argparse.ArgumentTypeError("0 is not above 0")
+    return value
+
+
+def run(options: argparse.Namespace) -> int:
+    from mjtactile.run.video import write_video
+
+    recording, path = load_recording(options.source), options.out or options.source / "video.mp4"
+    if not path.parent.is_dir():
+        raise InputError("no such folder", source=path.parent, field="--out")
+    with stdout_to_stderr():
+        result = write_video(path, recording, speed=options.speed, begin=options.begin,
+                             seconds=options.seconds, say=Progress(quiet=options.json).message)
+    result |= {"out": str(path)}
+    if options.json:
+        print_json(result)
+    else:
+        print(f"{result['seconds']:.1f} s, {result['frames']} images of {result['width_px']} x {result['height_px']} pixels\n"
+              f"  written to {path}")
+    return 0

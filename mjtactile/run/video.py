@@ -1,0 +1,273 @@
+"""A film of a run: the scene (where there is one), what each camera saw with its ellipses, and the forces over time.
+
+In step with the run's own clock, whatever the cameras' rate. It is made from a recording, so that it holds up no run; scenes
+that were kept beside a simulated one are drawn without OpenGL (`scene_picture`).
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core.errors import InputError, MjtactileError
+from mjtactile.core.types import Array, Image
+from mjtactile.recording.reader import Recording
+from mjtactile.run.report import FINGER_COLOURS, PHASE_COLOURS
+from mjtactile.run.scene_picture import View, picture_of
+from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
+from mjtactile.sensing.image.markers import detect
+
+Pixels = NDArray[np.uint8]
+FORMATS = {".mp4": (30.0, 1.0), ".gif": (10.0, 0.5), ".webp": (15.0, 0.5)}
+"""Suffix to images a second and size."""
+_TOP, _CURVE, _SCENE, _CAMERA = 480, 220, 320, 480  # px: height of the pictures and of the curve, widths of scene and camera
+_MARGIN = 54  # px left of the curve, for its scale
+_INK, _GRID, _PAPER = (40, 40, 40), (225, 225, 225), (255, 255, 255)
+_FLAGGED = (60, 60, 230)
+_GOOD = (83, 211, 57)
+
+
+def write_video(path: Path, recording: Recording, views: Sequence[tuple[float, View]] = (), *, speed: float = 1.0,
+                begin: float = 0.0, seconds: float = math.inf, say: Callable[[str], None] = lambda _: None) -> dict[str, Any]:
+    """Film `recording` into `path` (.mp4, .gif or .webp), `speed` times as fast as it was, `seconds` of it from `begin` s on;
+    `views` are scenes and their times, s. Returns how many images of how many pixels it has.
+
+    Raises InputError for another suffix or a recording without images, MjtactileError without PyAV.
+    """
+    if path.suffix not in FORMATS:
+        raise InputError(f"{path.suffix or 'no suffix'!r} is no film that can be written", source=path, choices=FORMATS)
+    rate, scale = FORMATS[path.suffix]
+    film = _Film(recording, views)
+    times = np.arange(film.start + begin, min(film.end, film.start + begin + seconds) + 1e-9, speed / rate)
+    if not len(times):
+        raise InputError(f"the recording ends after {film.end - film.start:.1f} s", source=recording.folder, field="--begin")
+    part = path.with_name(path.name + ".part")
+    size = (0, 0)
+    with _Writer(part, path.suffix, rate) as write:
+        for k, time in enumerate(times):
+            frame = film.frame(float(time))
+            frame = frame if scale == 1 else cv2.resize(frame, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+            frame = frame[:frame.shape[0] // 2 * 2, :frame.shape[1] // 2 * 2]
+            size = (frame.shape[1], frame.shape[0])
+            write(np.ascontiguousarray(frame))
+            if (k + 1) % 100 == 0:
+                say(f"{k + 1} of {len(times)} images")
+    part.replace(path)
+    return {"frames": len(times), "width_px": size[0], "height_px": size[1], "seconds": len(times) / rate}
+
+
+class _Film:
+    """The frames of one recording."""
+
+    def __init__(self, recording: Recording, views: Sequence[tuple[float, View]]):
+        if not len(recording) or not any(len(names) for names in recording.columns["images"]):
+            raise InputError("no image was recorded; record with --frames 1", source=recording.folder)
+        self._recording, self._views, self._view_times = recording, views, [time for time, _ in views]
+        self._time = recording.column("time")[:, 0]
+        self.start, self.end = float(self._time[0]), float(self._time[-1])
+        self._images = self._shots()
+        self._shown: list[Pixels] = []
+        self._next: tuple[Image, ...] = next(self._images)
+        self._scene: tuple[int, Pixels | None] = (-1, None)
+        self._curve = _Curve(recording, self._width)
+
+    @property
+    def _width(self) -> int:
+        return (_SCENE if self._views else 0) + _CAMERA * self._recording.width
+
+    def _shots(self) -> Iterator[tuple[Image, ...]]:
+        return (images for images in self._recording.images() if images)
+
+    def frame(self, time: float) -> Pixels:
+        """BGR pixels at `time` s, which never goes back."""
+        row = max(bisect.bisect_right(self._time, time + 1e-9) - 1, 0)
+        images: tuple[Image, ...] = ()
+        while self._next and (not self._shown or self._next[0].time <= time + 1e-9):
+            images, self._next = self._next, next(self._images, ())
+            self._shown = self._shown or [self._camera(image) for image in images]
+        if images:
+            self._shown = [self._camera(image) for image in images]
+        panels = [self._finger(k, pixels, row) for k, pixels in enumerate(self._shown)]
+        if self._views:
+            panels.insert(0, self._scene_at(time))
+        return np.vstack([np.hstack(panels), self._curve.at(time)])
+
+    def _camera(self, image: Image) -> Pixels:
+        """The image with its ellipses, in a panel's width: green where they are trusted, red where not."""
+        scale = _CAMERA / image.pixels.shape[1]
+        picture = cv2.cvtColor(cv2.resize(image.pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA),
+                               cv2.COLOR_GRAY2BGR)
+        ellipses = detect(image)
+        if len(ellipses):
+            curves, _ = boundary(ellipses.center_px, shape_from_axes(ellipses.semi_axes_px, ellipses.angle), 40)
+            points = np.round(16 * ((curves + 0.5) * scale - 0.5)).astype(np.int32)
+            for curve, status in zip(points, ellipses.status, strict=True):
+                cv2.polylines(picture, [curve], True, _GOOD if status == "ok" else _FLAGGED, 1, cv2.LINE_AA, shift=4)
+        return picture.astype(np.uint8)
+
+    def _finger(self, finger: int, picture: Pixels, row: int) -> Pixels:
+        """A camera's picture and below it what is felt."""
+        panel = np.full((_TOP, _CAMERA, 3), 255, np.uint8)
+        height = min(picture.shape[0], _TOP - 84)
+        panel[:height] = picture[:height]
+        columns = self._recording.columns
+        force, sd = (float(self._recording.column(name)[row, finger]) for name in ("force_normal", "force_normal_sd"))
+        status = str(columns["status"][row][finger])
+        felt = f"{force:+.2f} N, sd {sd:.2f}" if math.isfinite(force) else f"force unknown: {status}"
+        slip = columns["slip_state"][row][finger] if "slip_state" in columns else "unknown"
+        colour = _bgr(FINGER_COLOURS[finger % len(FINGER_COLOURS)])
+        _write(panel, f"{self._recording.fingers[finger]}: {felt}", (12, height + 32), 0.8, colour, 2)
+        _write(panel, f"{slip}" + ("" if status == "ok" else f"; {status}"), (12, height + 64), 0.6, _INK)
+        return panel
+
+    def _scene_at(self, time: float) -> Pixels:
+        index = max(bisect.bisect_right(self._view_times, time + 1e-9) - 1, 0)
+        if index != self._scene[0] or self._scene[1] is None:
+            rgb = picture_of(self._views[index][1], (_TOP, _SCENE))
+            self._scene = (index, np.round(255 * rgb[:, :, ::-1]).astype(np.uint8))
+        assert self._scene[1] is not None
+        return self._scene[1]
+
+
+class _Curve:
+    """The forces over the whole run, drawn once, and a line where the film is."""
+
+    def __init__(self, recording: Recording, width: int):
+        time = recording.column("time")[:, 0]
+        felt, sd, true = (recording.column(name) for name in ("force_normal", "force_normal_sd", "force_normal_true"))
+        self._start, self._end, self._width = float(time[0]), max(float(time[-1]), float(time[0]) + 1e-3), width
+        most = np.nanmax(np.concatenate([felt.ravel(), true.ravel(), [0.2]]))
+        self._top, self._low = 1.3 * float(most), -0.1 * float(most)
+        self._picture = np.full((_CURVE, width, 3), 255, np.uint8)
+        self._shade(recording)
+        self._scale()
+        for finger, colour in zip(range(felt.shape[1]), map(_bgr, FINGER_COLOURS), strict=False):
+            self._band(time, felt[:, finger], 2 * sd[:, finger], colour)
+            self._line(time, felt[:, finger], colour, 2)
+            self._line(time, true[:, finger], tuple(int(0.55 * c) for c in colour), 1)
+        known = "felt, 2 sd" + ("; true (thin)" if np.isfinite(true).any() else "")
+        _write(self._picture, f"normal force, N: {known}", (_MARGIN + 6, 16), 0.45, _INK)
+
+    def at(self, time: float) -> Pixels:
+        picture = self._picture.copy()
+        x = int(self._x(np.array([time]))[0])
+        cv2.line(picture, (x, 22), (x, _CURVE - 24), _INK, 1)
+        _write(picture, f"{time - self._start:.1f} s", (min(x + 4, self._width - 52), _CURVE - 28), 0.45, _INK)
+        return picture
+
+    def _x(self, time: Array) -> Array:
+        return _MARGIN + (time - self._start) / (self._end - self._start) * (self._width - _MARGIN - 12)
+
+    def _y(self, force: Array) -> Array:
+        return 22 + (self._top - force) / (self._top - self._low) * (_CURVE - 46)
+
+    def _shade(self, recording: Recording) -> None:
+        for name, begin, end in recording.phases():
+            left, right = (int(x) for x in self._x(np.array([begin, end])))
+            cv2.rectangle(self._picture, (left, 22), (right, _CURVE - 24), _bgr(PHASE_COLOURS.get(name, "#eeeeee")), -1)
+            if right - left > 9 * len(name):
+                _write(self._picture, name, (left + 4, _CURVE - 8), 0.45, _INK)
+
+    def _scale(self) -> None:
+        step = next(s for s in (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 1e9) if self._top / s <= 5)
+        for value in np.arange(0.0, self._top, step):
+            y = int(self._y(np.array([value]))[0])
+            cv2.line(self._picture, (_MARGIN, y), (self._width - 12, y), _GRID, 1)
+            _write(self._picture, f"{value:g}", (10, y + 5), 0.45, _INK)
+
+    def _band(self, time: Array, force: Array, half: Array, colour: tuple[int, ...]) -> None:
+        known = np.isfinite(force) & np.isfinite(half)
+        if known.sum() < 2:
+            return
+        x = self._x(time[known])
+        outline = np.concatenate([np.stack([x, self._y((force + half)[known])], axis=1),
+                                  np.stack([x, self._y((force - half)[known])], axis=1)[::-1]])
+        over = self._picture.copy()
+        cv2.fillPoly(over, [np.round(outline).astype(np.int32)], colour)
+        self._picture[:] = cv2.addWeighted(over, 0.2, self._picture, 0.8, 0)
+
+    def _line(self, time: Array, force: Array, colour: tuple[int, ...], width: int) -> None:
+        """A line with gaps where the force is not known."""
+        points = np.round(np.stack([self._x(time), self._y(np.nan_to_num(force))], axis=1)).astype(np.int32)
+        for run in np.split(np.arange(len(force)), np.flatnonzero(np.diff(np.isfinite(force).astype(int))) + 1):
+            if len(run) and np.isfinite(force[run[0]]):
+                cv2.polylines(self._picture, [points[run]], False, colour, width, cv2.LINE_AA)
+
+
+class _Writer:
+    """`with _Writer(path, suffix, rate) as write: write(bgr)`: images through PyAV."""
+
+    _CODECS: Mapping[str, tuple[str, str, str, dict[str, str]]] = {
+        ".mp4": ("libx264", "mp4", "yuv420p", {"crf": "20", "preset": "veryfast"}),
+        ".gif": ("gif", "gif", "pal8", {}),
+        ".webp": ("libwebp_anim", "webp", "yuv420p", {"quality": "70", "loop": "0"})}
+
+    def __init__(self, path: Path, suffix: str, rate: float):
+        try:
+            import av
+        except ImportError as error:
+            raise MjtactileError("PyAV is not installed: pip install 'mjtactile[video]'") from error
+        self._av, self._path, self._suffix, self._rate = av, path, suffix, round(rate)
+        self._frames: list[Any] = []
+        self._stream: Any = None
+
+    def __enter__(self) -> Callable[[Pixels], None]:
+        self._file = self._av.open(str(self._path), "w", format=self._CODECS[self._suffix][1])
+        return self._write
+
+    def _write(self, bgr: Pixels) -> None:
+        frame = self._av.VideoFrame.from_ndarray(bgr, format="bgr24")
+        if self._stream is None:
+            codec, _, pixels, options = self._CODECS[self._suffix]
+            self._stream = self._file.add_stream(codec, rate=self._rate, options=options)
+            self._stream.width, self._stream.height, self._stream.pix_fmt = frame.width, frame.height, pixels
+        if self._suffix == ".gif":
+            self._frames.append(frame)
+        else:
+            self._file.mux(self._stream.encode(frame))
+
+    def __exit__(self, kind: object, *rest: object) -> None:
+        if kind is None:
+            for frame in self._paletted():
+                self._file.mux(self._stream.encode(frame))
+            self._file.mux(self._stream.encode())
+        self._file.close()
+        if kind is not None:
+            self._path.unlink(missing_ok=True)
+
+    def _paletted(self) -> Iterator[Any]:
+        """Frames in 256 colours chosen for all of them."""
+        if not self._frames:
+            return
+        graph, first = self._av.filter.Graph(), self._frames[0]
+        source = graph.add_buffer(width=first.width, height=first.height, format=first.format, time_base=f"1/{self._rate}")
+        split, choose, use = graph.add("split"), graph.add("palettegen", "max_colors=64"), graph.add("paletteuse", "dither=none")
+        sink = graph.add("buffersink")
+        source.link_to(split)
+        split.link_to(use, 0, 0)
+        split.link_to(choose, 1, 0)
+        choose.link_to(use, 0, 1)
+        use.link_to(sink)
+        graph.configure()
+        for k, frame in enumerate(self._frames):
+            frame.pts = k
+            source.push(frame)
+        source.push(None)
+        for _ in self._frames:
+            yield sink.pull()
+
+
+def _write(picture: Pixels, text: str, at: tuple[int, int], size: float, colour: tuple[int, ...], width: int = 1) -> None:
+    cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, size, colour, width, cv2.LINE_AA)
+
+
+def _bgr(colour: str) -> tuple[int, int, int]:
+    red, green, blue = (int(colour[i:i + 2], 16) for i in (1, 3, 5))
+    return blue, green, red

@@ -1,0 +1,73 @@
+"""Films of runs: their length, that each image shows its own time, and what they say where something is missing."""
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from mjtactile.core.errors import InputError
+from mjtactile.recording.reader import load_recording
+from mjtactile.run.video import write_video
+from tests.fake_run import write_fake_recording
+from tests.unit.run.test_report import FakeScene
+
+
+def decoded(path):
+    with av.open(str(path)) as file:
+        return [frame.to_ndarray(format="gray") for frame in file.decode(video=0)]
+
+
+class DarkScene(FakeScene):
+    """The same triangle, black."""
+
+    def triangles(self):
+        return 0.02 * np.eye(3)[None], np.array([[0.0, 0.0, 0.0, 1.0]])
+
+
+@pytest.fixture
+def recording(tmp_path):
+    """60 cycles at 30 Hz whose images are of one grey each, which rises with time."""
+    write_fake_recording(tmp_path, count=60)
+    for k, path in enumerate(sorted((tmp_path / "frames").glob("*_left.png"))):
+        cv2.imwrite(str(path), np.full((480, 640), 40 + 3 * k, np.uint8))
+    return load_recording(tmp_path)
+
+
+def test_every_image_shows_its_time(tmp_path, recording):
+    result = write_video(tmp_path / "film.mp4", recording)
+    frames = decoded(tmp_path / "film.mp4")
+    assert len(frames) == result["frames"] == 60
+    greys = [frame[60:300, 60:400].mean() for frame in frames]
+    np.testing.assert_allclose(greys, 40 + 3 * np.arange(60), atol=1.4)  # less than half of an image's step: H.264's loss
+
+
+def test_twice_as_fast_a_part_of_it(tmp_path, recording):
+    write_video(tmp_path / "film.mp4", recording, speed=2.0, begin=0.5, seconds=1.0)
+    greys = [frame[60:300, 60:400].mean() for frame in decoded(tmp_path / "film.mp4")]
+    np.testing.assert_allclose(greys, 40 + 3 * np.arange(15, 46, 2), atol=1.4)
+
+
+def test_the_scene_is_beside_it(tmp_path, recording):
+    write_video(tmp_path / "film.mp4", recording)
+    write_video(tmp_path / "scene.mp4", recording, [(0.0, FakeScene(2)), (1.0, DarkScene(2))])
+    alone, beside = decoded(tmp_path / "film.mp4"), decoded(tmp_path / "scene.mp4")
+    assert beside[0].shape[1] == alone[0].shape[1] + 320
+    scenes = [frame[:480, :320].astype(float) for frame in beside]
+    assert np.abs(scenes[40] - scenes[2]).max() > 60 and np.abs(scenes[20] - scenes[2]).max() < 30  # it changes after 1 s
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".webp"])
+def test_small_films(tmp_path, recording, suffix):
+    result = write_video(tmp_path / f"film{suffix}", recording)
+    assert (tmp_path / f"film{suffix}").stat().st_size > 1000 and result["frames"] > 15
+    if suffix == ".gif":  # PyAV does not read an animated WebP
+        frames = decoded(tmp_path / "film.gif")
+        assert len(frames) == result["frames"] and frames[0].shape[:2] == (result["height_px"], result["width_px"])
+
+
+def test_bad_input_is_said(tmp_path, recording):
+    with pytest.raises(InputError, match="no film that can be written"):
+        write_video(tmp_path / "film.avi", recording)
+    with pytest.raises(InputError, match="ends after"):
+        write_video(tmp_path / "film.mp4", recording, begin=100.0)
+    assert not list(tmp_path.glob("*.part"))
