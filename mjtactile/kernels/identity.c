@@ -154,13 +154,37 @@ int64_t match_markers(int64_t n, int64_t m, int64_t k, const double *found, cons
     return 0;
 }
 
-int64_t pane_shifts(int64_t n, const double *p, const double *camera_, double *out) {
+/* Where the circle at `p`, C, stands if it is `factor` times as large as assumed: as much farther from where its rays meet. */
+static double farther(const double *p, int axis, double factor, double shift, const double *origin) {
+    double apex = axis == 2 ? shift : 0;
+    return (p[axis] - apex) * factor + apex + origin[axis];
+}
+
+void name_circles(int64_t count, const int64_t *circles, const double *first, const double *first_n, const double *second,
+                  const double *second_n, const double *cov, const double *factors, const double *camera_, const double *origin,
+                  const double *slopes, double *work, double *p, double *normals, double *cov_p) {
     Camera camera;
+    int differ = 0;
+    double *shifts = work, *heights = work + count;
     memcpy(&camera, camera_, sizeof camera);
-    for (int64_t i = 0; i < n; i++) {
+    for (int64_t i = 0; i < count; i++) differ |= factors[i] != 1;
+    for (int64_t i = 0; i < count; i++) {
+        const double *c = first + 3 * circles[i];
         double x, y;
-        refract(&camera, p + 3 * i, &x, &y);
-        out[i] = pane_shift(&camera, x * x + y * y);
+        refract(&camera, c, &x, &y);
+        shifts[i] = differ ? pane_shift(&camera, x * x + y * y) : 0;
+        heights[i] = farther(c, 2, factors[i], shifts[i], origin);
     }
-    return 0;
+    for (int64_t i = 0; i < count; i++, slopes += count) {
+        const double *n = first_n + 3 * circles[i], *other = second_n + 3 * circles[i];
+        double z_x = 0, z_y = 0;
+        for (int64_t j = 0; j < count; j++) z_x += slopes[j] * heights[j], z_y += slopes[count * count + j] * heights[j];
+        int swap = (other[0] - n[0]) * z_x + (other[1] - n[1]) * z_y - (other[2] - n[2]) > 0;
+        const double *c = (swap ? second : first) + 3 * circles[i];
+        for (int k = 0; k < 3; k++) {
+            p[3 * i + k] = farther(c, k, factors[i], shifts[i], origin);
+            normals[3 * i + k] = swap ? other[k] : n[k];
+        }
+        for (int k = 0; k < 9; k++) cov_p[9 * i + k] = cov[9 * circles[i] + k] * square(factors[i]);
+    }
 }

@@ -119,8 +119,12 @@ int64_t circles_on_cones(int64_t n, const double *Q, const double *radii, double
    (m, k) each one's nearest markers; `settings` (5): see identity.c. NaN: not known. */
 int64_t match_markers(int64_t n, int64_t m, int64_t k, const double *found, const double *expected, const double *layout,
                       const int64_t *order, double pitch, const double *settings, int64_t *ids);
-/* Out: by how much (n) m the pane brings points `p` (n, 3) nearer. */
-int64_t pane_shifts(int64_t n, const double *p, const double *camera, double *out);
+/* Circles that were found to be markers, `circles` (count) of N, `factors` (count) times as large as assumed, seen from the
+   `origin` (3): the one of their two poses (N, 3) whose normal fits the surface through all of the first, of which the `slopes`
+   (2, count, count) are by its heights. `work` (2, count). Out: places `p` in S, `normals` (count, 3), `cov_p` (count, 3, 3). */
+void name_circles(int64_t count, const int64_t *circles, const double *first, const double *first_n, const double *second,
+                  const double *second_n, const double *cov, const double *factors, const double *camera, const double *origin,
+                  const double *slopes, double *work, double *p, double *normals, double *cov_p);
 /* sim/sensor/chamber.py: volume between vertices `p` (n, 3) and the plane z = 0; out: its `gradient` (n, 3). */
 double chamber_volume(int64_t n, const double *p, int64_t m, const int64_t *triangles, double *gradient);
 /* sim/truth.py: out: total forces `loads` (n, 3) N, frame W, of MuJoCo's contacts on n `membranes` (n, 3): first and last sphere,

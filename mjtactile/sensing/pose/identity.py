@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from mjtactile.core import geometry, optics
+from mjtactile.core import optics
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, CirclePoses, Markers
 from mjtactile.kernels import kernel
@@ -37,18 +37,16 @@ def identify(poses: CirclePoses, design: SensorDesign, expected: ArrayLike | Non
     p_SM = poses.p_CM + design.camera.p_SC
     p_SM[poses.status != "ok"] = np.nan
     ids = match(p_SM, layout if expected is None else expected, layout, s)
-    seen = np.flatnonzero(ids >= 0)
-    seen = seen[np.argsort(ids[seen])]
-    ids = ids[seen]
-    factor = np.ones(len(ids)) if scale is None else np.asarray(scale, dtype=float)[ids]
-    shift = _pane_shift(design, poses.p_CM[seen]) if (factor != 1).any() else 0.0
-    # a circle `factor` times larger than assumed is as much farther from where its rays meet
-    p, p_alt = ((p_CM[seen] - shift) * factor[:, None] + shift + design.camera.p_SC
-                for p_CM in (poses.p_CM, poses.p_CM_alt))
-    n, n_alt = poses.n_C[seen], poses.n_C_alt[seen]
-    second = prefer_second(n, n_alt, expected_normals(design, ids, p[:, 2], s))
-    return Markers(ids, np.where(second[:, None], p_alt, p), np.where(second[:, None], n_alt, n),
-                   poses.cov_p[seen] * (factor**2)[:, None, None])
+    circle = np.full(len(layout), -1)
+    circle[ids[ids >= 0]] = np.flatnonzero(ids >= 0)
+    ids = np.flatnonzero(circle >= 0)
+    n = len(ids)
+    p, normals, cov_p, work = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((2, n))
+    kernel("name_circles")(n, circle[ids], poses.p_CM, poses.n_C, poses.p_CM_alt, poses.n_C_alt, poses.cov_p,
+                           np.ones(n) if scale is None else np.asarray(scale, dtype=float)[ids], _camera(design).numbers,
+                           design.camera.p_SC, _slope_operators(design, (circle >= 0).tobytes(), s.height_weight), work, p,
+                           normals, cov_p)
+    return Markers(ids, p, normals, cov_p)
 
 
 def match(p_SM: ArrayLike, expected: ArrayLike, layout: ArrayLike, s: IdentitySettings = DEFAULTS.identity) -> Ids:
@@ -64,35 +62,19 @@ def match(p_SM: ArrayLike, expected: ArrayLike, layout: ArrayLike, s: IdentitySe
     return ids
 
 
-def prefer_second(n: Array, n_alt: Array, n_expected: Array) -> NDArray[np.bool_]:
-    """Where (N,) the second of two unit normals (N, 3) is nearer to the expected one."""
-    return ((n_alt - n) * n_expected).sum(axis=1) > 0
-
-
-def expected_normals(design: SensorDesign, ids: Ids, z: ArrayLike, s: IdentitySettings = DEFAULTS.identity) -> Array:
-    """Normals (N, 3) towards the camera, at markers `ids` (N,), of the smooth surface through their heights `z` (N,) m.
+@lru_cache(maxsize=32)
+def _slope_operators(design: SensorDesign, present: bytes, weight: float) -> Array:
+    """Matrices (2, n, n) that make slopes by x and y at the n markers present, in order of id, of the surface through their
+    heights, which are known to `weight` 1/m^2, and which is smooth.
 
     The surface is a function of the *flat* membrane's coordinates, so that its design matrix is always the same; the
     lateral stretch that this neglects changes a slope's size, not its direction.
     """
-    present = np.zeros(design.markers.count, bool)
-    present[ids] = True
-    slope_x, slope_y = _slope_operators(design, present.tobytes(), s.height_weight)
-    z = np.asarray(z, dtype=float)
-    order = np.argsort(ids)
-    slopes = np.empty((len(z), 2))
-    slopes[order] = np.column_stack([slope_x @ z[order], slope_y @ z[order]])
-    return geometry.normal_from_slope(slopes[:, 0], slopes[:, 1])
-
-
-@lru_cache(maxsize=32)
-def _slope_operators(design: SensorDesign, present: bytes, weight: float) -> tuple[Array, Array]:
-    """Matrices that make slopes at the markers present, in order of id, of their heights, which are known to `weight` 1/m^2."""
     fitter = SurfaceFitter(design)
     x, y = design.markers.p_SM[np.frombuffer(present, bool), :2].T
     B = fitter.rows(x, y)
     gain = cho_solve(cho_factor(B.T @ B * weight + fitter.prior), B.T * weight)
-    return fitter.rows(x, y, 1, 0) @ gain, fitter.rows(x, y, 0, 1) @ gain
+    return np.stack([fitter.rows(x, y, 1, 0) @ gain, fitter.rows(x, y, 0, 1) @ gain])
 
 
 @lru_cache(maxsize=8)
@@ -103,13 +85,6 @@ def _neighbourhood(layout: bytes, neighbours: int) -> tuple[float, Ids]:
     np.fill_diagonal(distance, np.inf)
     order = np.argsort(distance, axis=1, kind="stable")
     return float(distance.min()), order[:, : min(3 * neighbours, len(xy) - 1)]
-
-
-def _pane_shift(design: SensorDesign, p_CM: Array) -> Array:
-    """Displacement (N, 3) m by the pane of points `p_CM` (N, 3)."""
-    shift = np.empty(len(p_CM))
-    kernel("pane_shifts")(len(p_CM), p_CM, _camera(design).numbers, shift)
-    return shift[:, None] * [0.0, 0.0, 1.0]
 
 
 @lru_cache(maxsize=8)

@@ -13,7 +13,7 @@ whose other part is the prior of tilts, by expectation-maximisation. With q_i th
 
 The surface's normal is that of a plane (inverse depth linear in the image) through the circle and its nearest
 neighbours, with the covariance that its scatter about them gives; circles each at a depth of their own scatter so much
-that it says nothing. Touch sensing knows its membrane and does not use this (`identity.prefer_second`).
+that it says nothing. Touch sensing knows its membrane and does not use this (`identity.identify`).
 """
 
 from __future__ import annotations
