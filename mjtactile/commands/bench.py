@@ -25,6 +25,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   rig         the emulated rig: loop rate, latency, reaction to every fault, host killed
   accuracy    work-precision diagrams: error of force and surface against time, every knob
   speed       two membranes holding an object: against the clock, rigid pads, mesh size
+  cheap       episodes without images against episodes with them: markers, forces, time
   effects     what each effect costs, and what leaving it out costs
   fit         sensors that differ from their file, recorded and fitted: each number's error
   truth       the simulation and what is felt, against references from outside of the project
@@ -41,13 +42,13 @@ BENCHMARKS = {"grasp": "mjtactile.bench.grasp", "speed": "mjtactile.bench.speed.
               "effects": "mjtactile.bench.effects", "perception": "mjtactile.bench.perception.run",
               "material": "mjtactile.bench.material", "touch": "mjtactile.bench.touch.run",
               "bars": "mjtactile.bench.bars.run", "slip": "mjtactile.bench.slip.run", "tracking": "mjtactile.bench.tracking",
-              "rig": "mjtactile.bench.rig.run", "stability": "mjtactile.bench.stability.run",
+              "cheap": "mjtactile.bench.cheap", "rig": "mjtactile.bench.rig.run", "stability": "mjtactile.bench.stability.run",
               "truth": "mjtactile.bench.truth.run", "fit": "mjtactile.bench.fit",
               "numbers": "mjtactile.bench.numbers"}
 """Name to module; each has `run(out, quick) -> dict`, which draws into `out`, and `table(result) -> str` in Markdown."""
 
 OPTIONS = {"resume": ("stability", "rig", "bars"), "parts": ("rig",), "soak": ("rig",), "cases": ("truth",),
-           "against": ("speed",)}
+           "against": ("speed",), "pairs": ("cheap",)}
 """Options that only some have."""
 
 
@@ -61,6 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cases", type=Path, metavar="DIR", help="truth: the cases of this folder")
     parser.add_argument("--against", type=Path, metavar="DIR", help="speed: also compare with another checkout, in turns")
     parser.add_argument("--soak", type=float, metavar="HOURS", help="rig: also run its loop for so long")
+    parser.add_argument("--pairs", type=int, metavar="N", help="cheap: so many pairs of episodes (default: 200)")
     parser.add_argument("--readme", type=Path, metavar="FILE.md", help="also put the table into this file, between "
                         "<!-- bench:NAME --> and <!-- /bench -->")
 

@@ -195,6 +195,8 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
         print(f"  because   {summary['reason']}")
     print(f"  holding   {newton('hold_force_N')} on each finger (true {newton('hold_force_true_N')})")
     print(f"  at most   {newton('peak_force_N')} (true {newton('peak_force_true_N')})")
+    if not summary.get("images", True):
+        print("  images    none were drawn: markers with errors drawn in their place (--effects -images)")
     if math.isfinite(summary["slip_mm_true"]):
         print(f"  slipped   {summary['slip_mm_true']:.2f} mm (true)")
     if "force_error_estimate_N" in summary:

@@ -82,6 +82,17 @@ class Ellipses:
 
 
 @dataclass(frozen=True, eq=False)
+class Sighting(Image):
+    """In place of an image: the `ellipses` that would be found in it. It has no pixels."""
+
+    ellipses: Ellipses | None = None
+
+    @classmethod
+    def of(cls, ellipses: Ellipses, time: float) -> Sighting:
+        return cls(np.zeros((0, 0), np.uint8), time, ellipses)
+
+
+@dataclass(frozen=True, eq=False)
 class CirclePoses:
     """N circles in the camera frame: centre `p_CM` (N, 3) m, the two candidate unit normals `n_C`, `n_C_alt` (N, 3).
 

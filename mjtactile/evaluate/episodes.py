@@ -83,6 +83,7 @@ def run_episode(episode: Episode) -> dict[str, Any]:
                                                  f"{type(error).__name__}: {' '.join(str(error).split())}"}
     gc.collect()  # a world is megabytes in a few hundred objects that know each other: Python would keep dozens of them
     values = {key: _json(summary.get(key)) for key in _KEPT} | {"phases": " > ".join(notes.phases)}
+    values |= {} if summary.get("images", True) else {"images": False}
     varied = draw(episode.vary, episode.seed, load_sensor(episode.sensor), load_sim_rig(episode.rig)).values
     seed = seed_of(episode.object)
     thing = {} if seed is None else random_thing(seed).values

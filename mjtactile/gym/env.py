@@ -54,6 +54,9 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         self._restart: Restart | None = None
         self._build(0)
         designs = [finger.design for finger in self._rig.fingers]
+        self._pictures = "images" in self._rig.scene.effects
+        if observation == "image" and not self._pictures:
+            raise InputError("no image is drawn", source="Grasp-v0", field="observation", choices=["wrench", "markers"])
         self.observation_space = space_of(observation, designs)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
         self.metadata = {**self.metadata, "render_fps": round(1 / self._rig.period)}
@@ -108,7 +111,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
 
     def render(self) -> Array | None:
         """The cameras' images side by side (h, w, 3) uint8."""
-        if self.render_mode is None or not self._images:
+        if self.render_mode is None or not self._images or not self._pictures:
             return None
         return np.repeat(np.concatenate([image.pixels for image in self._images], axis=1)[..., None], 3, axis=2)
 
@@ -169,4 +172,5 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         varied: Mapping[str, Any] = rig.varied
         return {"seed": self._seed, "time_s": self._seen.time - self._start, "phase": self._command.phase,
                 "force_normal_true_N": np.array(score.forces()), **{k: v for k, v in found.items() if math.isfinite(v)},
+                **({} if self._pictures else {"images": False}),
                 **({"varied": dict(varied)} if varied else {}), **({"problem": self._problem} if self._problem else {})}

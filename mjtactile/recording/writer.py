@@ -70,7 +70,7 @@ class Recorder:
         at that time, kept (not written) for the picture."""
         if self.cycles == 0 and (last := getattr(cycle, "last", None)) is not None:
             self.note(start_opening=last.opening, start_lift_height=last.lift_height)
-        kept = self._frames and self.cycles % self._frames == 0
+        kept = self._frames and self.cycles % self._frames == 0 and all(image.pixels.size for image in cycle.images)
         images = [(f"{FRAMES}/{self.cycles:06d}_{finger}.png", image)
                   for finger, image in zip(self._names(len(cycle.images)), cycle.images, strict=True)] if kept else []
         try:
@@ -88,7 +88,8 @@ class Recorder:
     def add_reference(self, stage: str, images: Sequence[Sequence[Image]], pressure_gauge: Sequence[float | None]) -> None:
         """Record the images of a reference ("flat", "rest"), one list a finger, and the pressures it was taken at, Pa."""
         named = [[(f"{FRAMES}/{stage}_{i:02d}_{finger}.png", image) for i, image in enumerate(shots)]
-                 for finger, shots in zip(self._names(len(images)), images, strict=True)] if self._frames else []
+                 for finger, shots in zip(self._names(len(images)), images, strict=True)
+                 ] if self._frames and _has_pixels(images) else []
         self.references += 1
         self._put({"kind": "reference", "stage": stage, "images": [[name for name, _ in shots] for shots in named],
                    "image_time": [[image.time for image in shots] for shots in images],
@@ -172,6 +173,11 @@ class Recorder:
         with contextlib.suppress(queue.Empty):  # so that nobody waits for a place in it
             while True:
                 self._queue.get_nowait()
+
+
+def _has_pixels(shots: Sequence[Sequence[Image]]) -> bool:
+    """Whether these are images, and not what was simulated in their place."""
+    return all(image.pixels.size for images in shots for image in images)
 
 
 def _worth_showing(cycle: CycleLike) -> tuple[bool, float]:

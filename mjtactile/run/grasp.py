@@ -74,6 +74,8 @@ class GraspResult:
     peak_stress_true: float = math.nan
     """Pa, von Mises, of a soft object; `peak_energy_true` J/m^3."""
     peak_energy_true: float = math.nan
+    images: bool = True
+    """False: no image was drawn (`--effects -images`); markers had errors drawn in place of those of the image stages."""
 
     def summary(self) -> dict[str, Any]:
         """The JSON object of `mjtactile grasp --json`; what is unknown is NaN here and null there."""
@@ -84,7 +86,7 @@ class GraspResult:
                 "perception_ms_median": self.milliseconds["perception_median"], **names, "seed": self.options.seed,
                 **({} if math.isnan(self.peak_stress_true) else {"peak_stress_kPa_true": 1e-3 * self.peak_stress_true,
                                                                   "peak_energy_kJ_m3_true": 1e-3 * self.peak_energy_true}),
-                **({"reason": self.reason} if self.reason else {}),
+                **({"reason": self.reason} if self.reason else {}), **({} if self.images else {"images": False}),
                 **({} if self.force_error_estimate is None else {"force_error_estimate_N": self.force_error_estimate})}
 
 
@@ -184,4 +186,5 @@ def _result(options: GraspOptions, log: _Log, score: Any, factor: float, *, comp
         options, outcome, log.peak_force(), score.peak_force if score else math.nan,
         log.hold_force(), score.hold_force if score else math.nan, score.slip if score else math.nan,
         factor, len(log.phases), parts, reason=score.reason() if score else "",
+        images=score is None or "images" in score.world.effects,
         peak_stress_true=score.peak_stress if score else math.nan, peak_energy_true=score.peak_energy if score else math.nan)

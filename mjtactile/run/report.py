@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.errors import MjtactileError
-from mjtactile.core.types import Array, Ellipses, Image, Surface, Touch
+from mjtactile.core.types import Array, Ellipses, Image, Sighting, Surface, Touch
 from mjtactile.recording.columns import CycleLike
 from mjtactile.recording.reader import Recording
 from mjtactile.run.scene_picture import View, draw_scene
@@ -56,7 +56,8 @@ def write_figure(path: Path, recording: Recording, snapshot: CycleLike | None, s
         unit = arrow_unit(snapshot.touch)
         for finger, name in enumerate(recording.fingers[:fingers]):
             image, column = snapshot.images[finger], columns - fingers + finger
-            _draw_image(figure.add_subplot(grid[0, column]), image, detect(image), f"camera of {name}")
+            found = detect(image) if not isinstance(image, Sighting) or image.ellipses is None else image.ellipses
+            _draw_image(figure.add_subplot(grid[0, column]), image, found, f"camera of {name}")
             draw_surface(figure.add_subplot(grid[1, column], projection="3d", computed_zorder=False), snapshot.touch[finger],
                          unit)
     below = figure.add_gridspec(1, 1, top=0.3, bottom=0.045, **sides)
@@ -87,17 +88,22 @@ def _title(summary: Mapping[str, Any]) -> str:
 
 def _draw_image(axes: Any, image: Image, ellipses: Ellipses, title: str) -> None:
     """The camera image with the fitted ellipses; pixel (0, 0) is the centre of the top-left pixel."""
-    axes.imshow(image.pixels, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+    height, width = image.pixels.shape
+    if image.pixels.size:
+        axes.imshow(image.pixels, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+    elif len(ellipses):  # no image was drawn: as much of it as the markers need
+        width, height = (ellipses.center_px + 2 * ellipses.semi_axes_px[:, :1]).max(axis=0)
+        axes.set_aspect("equal")
     if len(ellipses):
         curves, _ = boundary(ellipses.center_px, shape_from_axes(ellipses.semi_axes_px, ellipses.angle), 60)
         gap = np.full((len(curves), 1, 2), np.nan)
         curves = np.concatenate([curves, curves[:, :1], gap], axis=1)  # each closed, all of them one line
         axes.plot(*curves.reshape(-1, 2).T, color="#39d353", linewidth=1.1)
         axes.plot(*ellipses.center_px.T, "+", color="#ff5a4f", markersize=4)
-    axes.set_title(f"{title}: {len(ellipses)} ellipses fitted", fontsize=11)
+    how = "fitted" if image.pixels.size else "drawn, and no image"
+    axes.set_title(f"{title}: {len(ellipses)} ellipses {how}", fontsize=11)
     axes.set_xlabel("u [px]")
     axes.set_ylabel("v [px]")
-    height, width = image.pixels.shape
     axes.set_xlim(-0.5, width - 0.5)
     axes.set_ylim(height - 0.5, -0.5)
 

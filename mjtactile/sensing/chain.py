@@ -21,7 +21,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.optics import Camera
 from mjtactile.core.status import OK, Status, StatusCode
-from mjtactile.core.types import Array, Image, Markers, Surface, Touch
+from mjtactile.core.types import Array, Image, Markers, Sighting, Surface, Touch
 from mjtactile.sensing.force import bulge, zero
 from mjtactile.sensing.force.inverse import InverseMembrane, InverseRest, Shape
 from mjtactile.sensing.image import tracking
@@ -167,8 +167,11 @@ class Chain:
 
     def see(self, state: ChainState, image: Image) -> tuple[Markers, ChainState]:
         """Identified markers in S, and the state in which they are expected where they are now."""
-        ellipses, tracks = tracking.follow(image, state.tracks, self.design.markers.count, min_radius_px=self._smallest_px,
-                                           settings=self.settings)
+        if isinstance(image, Sighting) and image.ellipses is not None:
+            ellipses, tracks = image.ellipses, None
+        else:
+            ellipses, tracks = tracking.follow(image, state.tracks, self.design.markers.count, min_radius_px=self._smallest_px,
+                                               settings=self.settings)
         poses = estimate_poses(ellipses, self.camera, self.design.markers.radius)
         poses = state.flat.to_nominal(self.design, poses)
         markers = identity.identify(poses, self.design, state.expected, state.flat.scale, self.settings.identity)

@@ -7,6 +7,7 @@ import numpy as np
 from mjtactile.core.types import Image
 from mjtactile.rig.specimen import NOMINAL, SpecimenConfig, camera_pose, marker_radii
 from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.sim.picture.sighting import Sighter
 from mjtactile.sim.sensor.runtime import TactileSensor
 from mjtactile.sim.sensor.switches import CAMERA, Effect, set_picture
 
@@ -19,24 +20,33 @@ class SimCamera:
 
     def __init__(self, sensor: TactileSensor, seed: int, effects: frozenset[str] = CAMERA,
                  specimen: SpecimenConfig = NOMINAL):
-        """`effects`: what is drawn; LATENCY hands out the image before, MOTION_BLUR keeps the shutter open. `specimen` says
-        where the camera really is, and which markers it does not see."""
+        """`effects`: what is drawn (without IMAGES nothing: `read` gives a `Sighting`); LATENCY hands out the image before,
+        MOTION_BLUR keeps the shutter open. `specimen` says where the camera really is, and which markers it does not see."""
         self._sensor = sensor
         design = set_picture(sensor.design, effects)
-        self._renderer = Renderer(design, seed=seed, shadows=Effect.SHADOWS in effects, pose=camera_pose(design, specimen),
-                                  radius=marker_radii(design, specimen))
+        place = {"pose": camera_pose(design, specimen), "radius": marker_radii(design, specimen)}
+        self._sighter = None if Effect.IMAGES in effects else Sighter(design, seed=seed, **place)
+        self._renderer = None if self._sighter else Renderer(design, seed=seed, shadows=Effect.SHADOWS in effects, **place)
         self._moving, self._late = Effect.MOTION_BLUR in effects, Effect.LATENCY in effects
         self._before: Image | None = None
         self._drawn: Image | None = None
 
     def reseed(self, seed: int) -> None:
         """Take the noise of the images to come from elsewhere; what was drawn already is drawn again."""
-        self._renderer.reseed(seed)
+        (self._sighter or self._renderer).reseed(seed)  # pyright: ignore[reportOptionalMemberAccess] one of them is there
         self._drawn = None
 
     def draw(self) -> None:
         """Have the image of the membrane now ready for `read`."""
-        self._drawn = self._blurred() if self._moving else self._renderer.render(*self._sensor.marker_poses(), self._sensor.time)
+        sensor = self._sensor
+        if self._sighter is not None:
+            middle = 0.5 * _EXPOSURE if self._moving else 0.0
+            poses = sensor.marker_poses_before(middle) if middle else sensor.marker_poses()
+            self._drawn = self._sighter.sight(*poses, sensor.time)
+        else:
+            renderer = self._renderer
+            assert renderer is not None
+            self._drawn = self._blurred(renderer) if self._moving else renderer.render(*sensor.marker_poses(), sensor.time)
 
     def read(self) -> Image:
         """The image of the membrane now."""
@@ -47,8 +57,8 @@ class SimCamera:
         before, self._before = self._before, image
         return before if self._late and before is not None else image
 
-    def _blurred(self) -> Image:
+    def _blurred(self, renderer: Renderer) -> Image:
         """The mean of what the sensor sees over the exposure that ends now."""
         poses = [self._sensor.marker_poses_before(share * _EXPOSURE) for share in _SHUTTER]
-        gray = np.asarray(np.mean([self._renderer.irradiance_image(*pose) for pose in poses], axis=0, dtype=np.float32))
-        return self._renderer.expose(gray, self._sensor.time)
+        gray = np.asarray(np.mean([renderer.irradiance_image(*pose) for pose in poses], axis=0, dtype=np.float32))
+        return renderer.expose(gray, self._sensor.time)

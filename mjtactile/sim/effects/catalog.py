@@ -268,6 +268,7 @@ EFFECTS: tuple[Entry, ...] = (
     Entry(Effect.LED_SHADING, "camera", lambda s: _has(s.design.leds.count * s.design.leds.falloff, "LEDs that fall off")),
     Entry(Effect.SHADOWS, "camera", _shadows),
     Entry(Effect.LATENCY, "camera", _latency),
+    Entry(Effect.IMAGES, "camera", lambda s: (True, "without, the markers' ellipses are drawn from their error's bound")),
     Entry(Effect.PLASTICITY, "the object's own file (docs/objects.md)", _material("amorphous"), built=False),
     Entry(Effect.VOLUMETRIC_SOFTNESS, "the object's own file (docs/objects.md)", _material("soft"), built=False),
 )  # fmt: skip

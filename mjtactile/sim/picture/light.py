@@ -59,6 +59,13 @@ class Light:
         field = 1 - self._falloff * (1 - share) / self._loss
         return cv2.resize(np.maximum(field, 0.0).astype(np.float32), self._size, interpolation=cv2.INTER_LINEAR)
 
+    def at(self, p_SM: Array) -> Array:
+        """The same (N,) at the markers themselves."""
+        if self._even:
+            return np.ones(len(p_SM))
+        share = self._irradiance(self._aside(p_SM[:, :2]), p_SM[:, 2]) / self._middle
+        return np.maximum(1 - self._falloff * (1 - share) / self._loss, 0.0)
+
     def _aside(self, xy: Array) -> Array:
         """Squared distances (n, ...) m^2 of places (..., 2) from the LEDs, along the membrane."""
         return ((self._leds.reshape(-1, *(1,) * (xy.ndim - 1), 2) - xy) ** 2).sum(axis=-1)

@@ -46,13 +46,14 @@ class Effect(StrEnum):
     LED_SHADING = "LED shading"
     SHADOWS = "shadows"
     LATENCY = "latency"
+    IMAGES = "images"
     PLASTICITY = "plasticity"
     VOLUMETRIC_SOFTNESS = "volumetric softness"
 
 
 PHYSICS = frozenset({Effect.GAS, Effect.FRICTION, Effect.GRAVITY, Effect.FOLLOWER_PRESSURE, Effect.HYPERELASTICITY})
 """What a membrane does when nobody says otherwise."""
-CAMERA = frozenset({Effect.CAMERA_NOISE, Effect.BLUR, Effect.DISTORTION, Effect.REFRACTION, Effect.LED_SHADING})
+CAMERA = frozenset({Effect.CAMERA_NOISE, Effect.BLUR, Effect.DISTORTION, Effect.REFRACTION, Effect.LED_SHADING, Effect.IMAGES})
 """What a camera shows when nobody says otherwise."""
 SERVO_LAG = 0.02
 """Time constant, s, of the current loop and gear of a small servo (docs/effects.md)."""
