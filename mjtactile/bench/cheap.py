@@ -19,7 +19,7 @@ import numpy as np
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.types import Array, Image
 from mjtactile.evaluate.episodes import Episode, run_episode
-from mjtactile.evaluate.statistics import wilson
+from mjtactile.evaluate.wilson import wilson
 from mjtactile.run.progress import Progress
 from mjtactile.sensing.chain import Chain
 from mjtactile.sim.picture.renderer import Renderer

@@ -40,7 +40,7 @@ _REAL_GAS = {"heat_ratio": 1.4, "heat_exchange": 1.0, "valve_conductance": 1e-7}
 def run(out: Path, quick: bool = False) -> dict[str, Any]:
     """Measure every switch; writes effects_table.json: as models/fidelity/effects.json, it is what `mjtactile effects` reads."""
     say, design = Progress().message, load_sensor(SENSOR)
-    switched = [row.name for row in EFFECTS if row.built and not row.fixed and row.name != Effect.LATENCY]
+    switched = [row.name for row in EFFECTS if row.built and not row.fixed and row.name not in (Effect.LATENCY, Effect.IMAGES)]
     names = [Effect.BENDING, Effect.GAS] if quick else switched
     effects = {}
     for name in names:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.evaluate import svg
-from mjtactile.evaluate.statistics import pair_text, summarise
+from mjtactile.evaluate.statistics import NO_IMAGES, pair_text, summarise
 from mjtactile.evaluate.varied import measures
 from mjtactile.evaluate.wilson import Line
 
@@ -42,7 +42,8 @@ def _head(manifest: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
     return (f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Evaluation: {controllers}'
             f"</title><style>{_STYLE}</style></head><body>"
             f"<h1>{controllers}: {summary['episodes']} episodes</h1>"
-            f"<p>{escape(said)}<br>{escape(versions)}</p>")
+            f"<p>{escape(said)}<br>{escape(versions)}</p>"
+            + ("" if summary.get("images", True) else f"<p>{escape(NO_IMAGES)}</p>"))
 
 
 def _words(value: Any) -> str:

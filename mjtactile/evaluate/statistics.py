@@ -47,7 +47,7 @@ def summarise(lines: Sequence[Line]) -> dict[str, Any]:
     for k, first in enumerate(controllers):
         result["paired"] += [{"first": first, "second": second, **paired(own[first], own[second])}
                              for second in controllers[k + 1:]]
-    return result
+    return result | ({"images": False} if any(line.get("images") is False for line in lines) else {})
 
 
 def _group(lines: Sequence[Line]) -> dict[str, Any]:
@@ -65,6 +65,9 @@ def _spread(values: Iterable[float | None]) -> dict[str, float | None]:
     return {name: float(np.quantile(known, share)) if known else None for name, share in shares.items()}
 
 
+NO_IMAGES = "No images were drawn (`--effects -images`): markers with errors drawn in their place."
+
+
 def table(summary: Mapping[str, Any]) -> str:
     """The summary as Markdown."""
     lines = ["| controller | object | episodes | held | 95 % interval | dropped | crushed | errors |", "|---" * 8 + "|"]
@@ -76,6 +79,8 @@ def table(summary: Mapping[str, Any]) -> str:
                          f"{group['dropped']} | {group['crushed']} | {group['error']} |")
     for pair in summary["paired"]:
         lines += ["", pair_text(pair)]
+    if not summary.get("images", True):
+        lines += ["", NO_IMAGES]
     return "\n".join(lines) + "\n"
 
 

@@ -137,7 +137,7 @@ class Episode:
     def _perceptions(self) -> tuple[Perception, ...]:
         """A chain for each finger with the references of this recording; () where it has not all of its images."""
         recording = self.recording
-        if len(recording.references) != 2 or not all(recording.columns["images"]):
+        if len(recording.references) != 2 or not all(map(len, recording.columns["images"])):
             return ()
         flat, rest = recording.references
         try:

@@ -135,6 +135,15 @@ def test_statistics_are_those_of_all_frames(pair, tmp_path):
     assert episodes[1]["stats/recorded.force_normal/count"] == [9] and episodes[1]["outcome"] == "dropped"
 
 
+@pytest.mark.parametrize("write", [lambda e, out: lerobot.write(e, out, images="none"), mcap.write, rosbag2.write])
+def test_a_recording_without_images_is_exported_without_them(tmp_path, write):
+    with Recorder(tmp_path / "run", {"sensor": "dense"}, frames=0) as recorder:
+        for i in range(3):
+            recorder.add(fake_cycle(i))
+    (tmp_path / "out").mkdir()
+    assert write([Episode(tmp_path / "run")], tmp_path / "out")["frames"] == 3
+
+
 def test_what_is_felt_again_is_what_was_felt(felt, tmp_path):
     episode = Episode(felt)
     lerobot.write([episode], tmp_path, images="none")
