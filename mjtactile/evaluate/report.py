@@ -126,9 +126,9 @@ def _varied(summary: Mapping[str, Any]) -> str:
 
 _HOW_VARIED = """<p>
 As many episodes in each bin, written by its middle, with 95 % intervals. p: how often accident alone would part
-failures from successes in this value as far as they are (Mann and Whitney); what stays below 5 % shared by all values
-stands out. rho: rank correlation with slip, held force's error and share of the breaking force, which grow before
-anything fails. What has most to do with failures comes first.</p>"""
+failures from successes as far as they are, in the value or (both ways) in its distance from the middle (Mann and
+Whitney); what stays below 5 % shared by all values stands out. rho: rank correlation with slip, held force's error and
+share of the breaking force, which grow before anything fails. What has most to do with failures comes first.</p>"""
 
 
 def _grid(figures: Iterable[str]) -> str:
@@ -138,7 +138,7 @@ def _grid(figures: Iterable[str]) -> str:
 def _caption(value: str, mine: Mapping[str, Mapping[str, Any]]) -> str:
     parts = [f"<b>{escape(value)}</b>"]
     for name, one in mine.items():
-        said = [] if one["p"] is None else [f"p = {one['p']:.2g}"]
+        said = [] if one["p"] is None else [f"p = {one['p']:.2g}{' (both ways)' if one['both_ways'] else ''}"]
         said += [f"rho {short} {one['correlation'][measure]:+.2f}" for measure, short in (
             ("slip_mm", "slip"), ("force_error_N", "force"), ("peak_share_of_breaking", "peak"))
             if abs(one["correlation"].get(measure, 0.0)) > 0.2]

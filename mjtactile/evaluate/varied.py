@@ -42,8 +42,9 @@ def flat(line: Line) -> dict[str, float | str]:
 
 def against(lines: Sequence[Line], everybody: Sequence[Line] = ()) -> list[dict[str, Any]]:
     """For each drawn value: `bins` (those of `everybody`'s lines) of the episodes that came to their end; the chance `p` that
-    failures and successes differ in it by accident as much as they do (Mann and Whitney; None where nothing failed or it is a
-    word); whether it `stands_out` (p below 5 % shared by all names, Bonferroni); Spearman's correlation with each of `MEASURES`.
+    failures and successes differ by accident as much as they do, in it or (`both_ways`) in its distance from the middle (Mann
+    and Whitney; None where nothing failed or it is a word); whether it `stands_out` (p below 5 % shared by all names,
+    Bonferroni); Spearman's correlation with each of `MEASURES`.
 
     What stands out first, then by p, then by the strongest correlation.
     """
@@ -65,13 +66,21 @@ def _one(name: str, pairs: Sequence[tuple[float | str, Line]], pool: Sequence[fl
     values = [value for value, _ in pairs]
     held = np.array([line["outcome"] == "held" for _, line in pairs])
     words = any(isinstance(value, str) for value in values)
-    p, correlation = None, {}
+    p, both, correlation = None, False, {}
     if not words:
         numbers = np.array(values, float)
         if held.any() and not held.all() and np.ptp(numbers) > 0:
-            p = float(stats.mannwhitneyu(numbers[held], numbers[~held]).pvalue)
+            p, both = _chance(numbers, held)
         correlation = _correlations(numbers, [measures(line) for _, line in pairs])
-    return {"name": name, "p": p, "correlation": correlation, "bins": _bins(values, held, pool, words=words)}
+    return {"name": name, "p": p, "both_ways": both, "correlation": correlation, "bins": _bins(values, held, pool, words=words)}
+
+
+def _chance(numbers: np.ndarray, held: np.ndarray) -> tuple[float, bool]:
+    """How often accident alone parts failures and successes so far, in the value or in its distance from the middle, and whether
+    it is the distance: what is bad on both sides. Twice the smaller of the two chances."""
+    far = np.abs(numbers - np.median(numbers))
+    plain, distance = (float(stats.mannwhitneyu(one[held], one[~held]).pvalue) for one in (numbers, far))
+    return min(2 * min(plain, distance), 1.0), distance < plain
 
 
 def _correlations(numbers: np.ndarray, rows: Sequence[Mapping[str, float | None]]) -> dict[str, float]:

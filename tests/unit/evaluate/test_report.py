@@ -45,7 +45,15 @@ def test_what_makes_grasps_fail_stands_out_alone():
     table = lines()
     masses = np.array([flat(line)["object.mass_percent"] for line in table])
     held = np.array([line["outcome"] == "held" for line in table])
-    assert found[0]["p"] == pytest.approx(mannwhitneyu(masses[held], masses[~held]).pvalue)
+    assert found[0]["p"] == pytest.approx(2 * mannwhitneyu(masses[held], masses[~held]).pvalue) and not found[0]["both_ways"]
+
+
+def test_what_is_bad_on_both_sides_is_found():
+    table = lines(100)
+    for line in table:
+        line["outcome"] = "dropped" if abs(line["varied"]["left.noise_percent"]) > 40 else "held"
+    first = against(table)[0]
+    assert first["name"] == "left.noise_percent" and first["stands_out"] and first["both_ways"] and first["p"] < 1e-6
 
 
 def test_nothing_stands_out_by_accident():
