@@ -79,7 +79,7 @@ def test_a_wrong_field_is_one_line_that_names_it(section, key, value, message):
 
 
 def test_a_wrong_name_lists_the_choices():
-    with pytest.raises(InputError, match=r"unknown variation 'defalt' \(valid: default, none, FILE.toml\)"):
+    with pytest.raises(InputError, match=r"unknown variation 'defalt' \(valid: default, harsh, none, FILE.toml\)"):
         load_variation("defalt")
     assert not load_variation(NONE).draw(1, fingers=("left",), markers=81).values
 
