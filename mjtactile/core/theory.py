@@ -10,16 +10,16 @@ The table was recomputed by Ritz, series and finite elements, which agree to 0.0
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
-from scipy.optimize import brentq
+from numpy.typing import ArrayLike
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.rubber import Law, equibiaxial_stress
+from mjtactile.core.types import Array
 
 _ASPECT = (1.0, 1.25, 4 / 3, 1.5, 2.0, 3.0, 4.0)
 _C1 = (3.3934493, 2.7929932, 2.6675326, 2.4808630, 2.1954508, 2.0377822, 2.0077390)
@@ -30,15 +30,41 @@ _C2 = ((2.6565755, 3.2229637, 3.4290257, 3.4855694), (1.8907476, 2.2762197, 2.41
        (1.4694049, 1.6811347, 1.7650312, 1.7884530))
 
 
+def _between(x: ArrayLike, y: ArrayLike, at: float) -> Array:
+    """Monotone cubic interpolation along the first axis of `y` (Fritsch and Butland 1984). It is scipy's `pchip`, whose import
+    takes a tenth of a second."""
+    x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+    h = np.diff(x).reshape(-1, *[1] * (y.ndim - 1))
+    m, d = np.diff(y, axis=0) / h, np.zeros_like(y)
+    before, after = 2 * h[1:] + h[:-1], h[1:] + 2 * h[:-1]
+    rises = m[1:] * m[:-1] > 0  # else it is level there
+    d[1:-1][rises] = ((before + after) / (before / np.where(rises, m[:-1], 1) + after / np.where(rises, m[1:], 1)))[rises]
+    for end, step in ((0, 1), (-1, -1)):
+        h0, h1, m0, m1 = h[end], h[end + step], m[end], m[end + step]
+        slope = ((2 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
+        slope = np.where((m0 * m1 < 0) & (np.abs(slope) > 3 * np.abs(m0)), 3 * m0, slope)
+        d[end] = np.where(slope * m0 > 0, slope, 0.0)
+    k = int(np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2))
+    t = (at - x[k]) / h[k]
+    return ((1 + 2 * t) * (1 - t) ** 2 * y[k] + t**2 * (3 - 2 * t) * y[k + 1]
+            + h[k] * (t * (1 - t) ** 2 * d[k] - t**2 * (1 - t) * d[k + 1]))
+
+
+def _root(function: Callable[[float], float], low: float, high: float) -> float:
+    from scipy.optimize import brentq  # lazily: it takes as long
+
+    return float(np.asarray(brentq(function, low, high)))
+
+
 @cache
 def rectangle_coefficients(aspect: float, poisson: float) -> tuple[float, float]:
     """C1, C2 of Eq. M1 for b/a = `aspect` (1 to 4) and nu (0.3 to 0.5); NaN outside of the table."""
     if not (_ASPECT[0] <= aspect <= _ASPECT[-1] and _POISSON[0] <= poisson <= _POISSON[-1]):
         return np.nan, np.nan
-    c1 = float(PchipInterpolator(_ASPECT, _C1)(aspect))
-    c2 = float(RegularGridInterpolator((_ASPECT, _POISSON), _C2, method="pchip" if aspect not in _ASPECT else "linear")(
-        (aspect, poisson)))
-    return c1, c2
+    table = np.array(_C2)  # a row for each aspect
+    c2 = (np.interp(poisson, _POISSON, table[_ASPECT.index(aspect)]) if aspect in _ASPECT else
+          _between(_ASPECT, _between(_POISSON, table.T, poisson), aspect))
+    return float(_between(_ASPECT, _C1, aspect)), float(c2)
 
 
 def bulge_height(design: SensorDesign, pressure_gauge: float) -> float:
@@ -58,7 +84,7 @@ def bulge_height(design: SensorDesign, pressure_gauge: float) -> float:
     least, most = 1e-3 * half_width, 1.5 * half_width
     if not np.isfinite(missing(least)) or missing(most) > 0:
         return np.nan
-    height: Any = brentq(missing, least, most) if missing(least) > 0 else least + missing(least)
+    height = _root(missing, least, most) if missing(least) > 0 else least + missing(least)
     return float(np.copysign(height, pressure_gauge))
 
 
@@ -80,7 +106,7 @@ def _hookean_height(design: SensorDesign, young: float, pressure_gauge: float) -
     height = abs(pressure_gauge) ** (1 / 3) / cubic ** (1 / 3)  # the membrane without pre-tension: an upper bound
     if height == 0:
         return 0.0
-    return float(np.sign(pressure_gauge) * brentq(lambda w: linear * w + cubic * w**3 - abs(pressure_gauge), 0.0, height * 1.01))
+    return float(np.sign(pressure_gauge) * _root(lambda w: linear * w + cubic * w**3 - abs(pressure_gauge), 0.0, height * 1.01))
 
 
 MEAN_STRETCH = 0.6
@@ -98,7 +124,7 @@ _POINT_LOAD = {0.0: 0.86098, 0.2: 0.95729, 0.3: 1.02206, 1 / 3: 1.0472, 0.4: 1.1
 
 def hencky_factor(poisson: float) -> float:
     """w0 / a (E h / p a)^(1/3) of Eq. M2 for nu from 0 to 0.5."""
-    return float(PchipInterpolator(list(HENCKY), list(HENCKY.values()))(poisson))
+    return float(_between(list(HENCKY), list(HENCKY.values()), poisson))
 
 
 def hencky_height(radius: float, stiffness: float, poisson: float, pressure: float) -> float:
@@ -108,7 +134,7 @@ def hencky_height(radius: float, stiffness: float, poisson: float, pressure: flo
 
 def point_load(radius: float, stiffness: float, poisson: float, depth: float) -> float:
     """Force, N, that pushes the middle of a clamped circle without pre-tension in by `depth` m (Eq. M6)."""
-    kappa = float(PchipInterpolator(list(_POINT_LOAD), list(_POINT_LOAD.values()))(poisson))
+    kappa = float(_between(list(_POINT_LOAD), list(_POINT_LOAD.values()), poisson))
     return kappa * stiffness * depth**3 / radius**2
 
 

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 from mjtactile.kernels import kernel
-from mjtactile.sim import film
 from mjtactile.sim.scenes.objects import PREFIX, moving_bodies
 
 if TYPE_CHECKING:
@@ -134,6 +133,8 @@ def contact_area(world: World, sensor: int, spacing: float = 4e-4) -> float:
     force = -float(forces[:, 2].sum())
     if force <= 0:
         return 0.0
+    from mjtactile.sim import film  # lazily: with its solver it takes as long as all of a step's needs
+
     frame = device.design.frame
     axes = [np.linspace(-side / 2, side / 2, round(side / spacing) + 1) for side in (frame.length, frame.width)]
     x, y = np.meshgrid(*axes, indexing="ij")

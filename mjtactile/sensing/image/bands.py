@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from mjtactile.core.types import Array
 from mjtactile.sensing.image import ellipse
@@ -97,6 +96,8 @@ class Around:
         if len(center) < 2:
             return cls(center, shape, near, s.clear)
         reach = np.hypot(shape[:, [0, 2]], shape[:, 1:2]).max(axis=1)
+        from scipy.spatial import KDTree  # lazily: a tenth of a second, and only small markers need it
+
         pairs = KDTree(center).query_pairs(2 * reach.max() + width + s.clear, output_type="ndarray")
         i, j = np.concatenate([pairs, pairs[:, ::-1]]).T
         apart = np.hypot(*(center[i] - center[j]).T)

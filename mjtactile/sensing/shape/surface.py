@@ -24,7 +24,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import LinearNDInterpolator, RectBivariateSpline
 from scipy.linalg import solve_banded
 
 from mjtactile.core import geometry
@@ -205,6 +204,8 @@ def reconstruct_delaunay(design: SensorDesign, p_SM: ArrayLike, *, grid_step: fl
     `p_SM` (N, 3) m. The "low resolution" grid that the spline goes through has half the markers' pitch. The paper
     gives no uncertainty: `area_sd`, `volume_sd` are NaN.
     """
+    from scipy.interpolate import LinearNDInterpolator, RectBivariateSpline  # lazily: only the paper's route needs it
+
     p_SM = np.asarray(p_SM, dtype=float).reshape(-1, 3)
     p_SM = p_SM[np.isfinite(p_SM).all(axis=1)]
     frame, layout = design.frame, design.markers

@@ -7,7 +7,6 @@ import math
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from mjtactile.core.design import SensorDesign
 
@@ -30,7 +29,11 @@ def deepest(design: SensorDesign, half_extents: tuple[float, float], force: floa
         tension = sheet.pretension + stiffness * (1 / math.cos(t) - 1)
         return math.pi * ((a + b) * tension + a * b * pressure) * math.sin(t) ** 2 - force
 
-    return float(np.asarray(brentq(unbalanced, 0.0, 1.5707)))
+    low, high = 0.0, 1.5707  # halved until nothing is left of it; it grows with the angle
+    for _ in range(52):
+        middle = (low + high) / 2
+        low, high = (low, middle) if unbalanced(middle) > 0 else (middle, high)
+    return high
 
 
 def half_extents(model: mujoco.MjModel, geoms: NDArray[np.int64]) -> tuple[float, float]:

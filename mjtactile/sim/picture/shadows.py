@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from scipy.interpolate import RBFInterpolator
 
 from mjtactile.core import optics
 from mjtactile.core.design import Frame, SensorDesign
@@ -130,6 +129,8 @@ class Sheet:
         rim = _rim(frame)
         known = np.concatenate([self._flat[:, :2], rim])
         values = np.eye(len(known))[:, : len(self._flat)]
+        from scipy.interpolate import RBFInterpolator  # lazily: few pictures have shadows
+
         operator = RBFInterpolator(known, values, kernel="thin_plate_spline")(self.xy.reshape(-1, 2))
         operator[edge_distance(frame, self.xy.reshape(-1, 2)) <= 0] = 0.0
         self._operator = operator
