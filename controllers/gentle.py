@@ -22,6 +22,7 @@ SETTLE_TIME, HOLD_TIME, GRIP_TIMEOUT = 0.4, 2.0, 6.0
 FORCE_TOLERANCE = 0.08  # N around the target that counts as settled
 BLIND_TIME_MAX = 0.5  # s without a usable image before giving up
 LOST_TIME, LOST_SLIP = 0.3, 0.005  # s without a touch, or m slipped through every finger: the object stays behind
+BLOCKED = 0.015  # m that the jaws lag behind: something stands between them where no membrane feels it
 RELEASE_OPENING = 0.012  # m to open beyond the grip before the run ends
 
 
@@ -70,6 +71,8 @@ def _approach(observation: Observation, command: Command, felt: list[float]) -> 
         return _go(command, "close")
     if observation.gripper.opening <= 0.001:
         return _go(command, "abort")  # closed on nothing
+    if observation.gripper.opening - command.opening > BLOCKED:
+        return _go(command, "abort", opening=observation.gripper.opening)
     return replace(command, opening=command.opening - CLOSING_SPEED * observation.period)
 
 

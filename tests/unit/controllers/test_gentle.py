@@ -42,6 +42,18 @@ def test_what_is_held_goes_on():
         assert run(Command(0.04, 4.0, 0.02, phase), (touch(force, 4e-4), touch(force, 0.02)), 12).phase in ("lift", "hold")
 
 
+def test_jaws_that_are_blocked_by_what_no_finger_feels_do_not_push_for_ever():
+    """A fallen strawberry between the frames: until now the approach went on until the time was over."""
+    command, nothing = Command(0.08, 4.0, 0.0, "approach"), (touch(0.0),) * 2
+    for i in range(120):  # 4 s at 25 mm/s would be 100 mm
+        state = GripperState(max(command.opening, 0.0354), 0.0, 4.0, 0.0)
+        command = step(Observation(i * PERIOD, PERIOD, nothing, state, (ValveState(False),) * 2, command))
+        if command.phase == "abort":
+            break
+    assert command.phase == "abort" and command.opening == pytest.approx(0.0354)
+    assert run(Command(0.08, 4.0, 0.0, "approach"), nothing, 60).phase == "approach"  # jaws that follow go on
+
+
 def test_a_moment_without_touch_or_sight_is_no_loss():
     command = run(Command(0.04, 4.0, 0.02, "hold"), (touch(0.0),) * 2, 6)
     assert command.phase == "hold"
