@@ -79,16 +79,18 @@ def _felt(touch: Touch) -> list[float]:
 def _progress(observation: Observation) -> tuple[str, Mapping[str, float]]:
     """The phase that the grasp is in now, and how long it has been: by touch and height alone."""
     last, gripper = observation.command, observation.gripper
-    before = last.phase if last.phase in (*PHASES, "done") else PHASES[0]
+    before = last.phase if last.phase in (*PHASES, "done", "abort") else PHASES[0]
     time = last.memory.get("phase_time", 0.0) + observation.period
     grip = last.memory.get("grip_opening", gripper.opening)
     lost = 0.0 if any(touch.touching for touch in observation.touch) else last.memory.get("lost_time", 0.0) + observation.period
     phase = "lower" if before in ("lift", "hold") and lost > _LOST_TIME else _next(before, observation, time, grip)
     if phase != before:
         time = 0.0
-    if phase not in ("release", "done"):
+    if phase not in ("release", "done", "abort"):
         grip = gripper.opening
-    return phase, {"phase_time": time, "lost_time": lost, "grip_opening": grip if math.isfinite(grip) else 0.0}
+    gone = last.memory.get("gone", 0.0) or float(phase == "lower" and lost > _LOST_TIME)
+    phase = "abort" if phase == "done" and gone else phase
+    return phase, {"phase_time": time, "lost_time": lost, "gone": gone, "grip_opening": grip if math.isfinite(grip) else 0.0}
 
 
 def _next(phase: str, observation: Observation, time: float, grip: float) -> str:

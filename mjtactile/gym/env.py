@@ -22,6 +22,7 @@ from mjtactile.gym.observe import show, space_of
 from mjtactile.rig.finger import Rig
 from mjtactile.rig.registry import SIMULATES, build_rig
 from mjtactile.rig.variation import NONE
+from mjtactile.run.loop import ENDS
 from mjtactile.run.scoring import GraspScore
 from mjtactile.run.session import Session
 from mjtactile.run.supervisor import Supervisor
@@ -162,7 +163,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
             return "crushed"
         if self._score.lost:
             return "dropped"
-        return self._score.outcome() if self._command.phase == "done" or self._supervisor.is_over else ""
+        return self._score.outcome() if self._command.phase in ENDS or self._supervisor.is_over else ""
 
     def _info(self) -> dict[str, Any]:
         """What no observation may say: the truth, and the seed. What is not known yet is left out."""

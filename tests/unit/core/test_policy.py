@@ -70,3 +70,6 @@ def test_what_was_lost_is_not_held_on():
     for _ in range(17):
         command = policy_command(seen((0, 0), 0.05, 0.04, command), [0, 0, 0])
     assert command.phase == "lower"
+    for height in (0.0, 0.0):
+        command = policy_command(seen((0, 0), 0.06, height, command), [0, 0, 0])
+    assert command.phase == "abort"  # not "done": nothing was set down
