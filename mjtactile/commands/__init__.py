@@ -19,6 +19,7 @@ COMMANDS = {
     "emulate": "start emulated hardware on serial ports and streams, until stopped",
     "doctor": "check cameras, servos and valves, or a simulated robot, and say how to mend what is wrong",
     "record": "record a rig that stands still: images, times, pressures, servos, calibration",
+    "studio": "watch a grasp live in the browser, and reach in",
     "video": "film a recorded run: images, ellipses, forces over time",
     "export": "write recordings as a LeRobot data set, MCAP files or ROS 2 bags",
     "new": "start your own controller, sensor, object or rig from a commented copy",

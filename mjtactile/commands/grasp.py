@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help=f"grasp controller: {shipped('controllers', '.py')}, or your own file (default: gentle)")
     parser.add_argument("--rig", default="sim", metavar="RIG",
                         help=f"what to run it on: {', '.join(rig_names())} (default: sim)")
-    parser.add_argument("--seed", type=_seed, default=0, metavar="N",
+    parser.add_argument("--seed", type=seed, default=0, metavar="N",
                         help="seed of the camera noise and of where the object stands (default: 0)")
     effects.add_shared_arguments(parser)
     effects.add_vary_argument(parser, "none")
@@ -66,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default: runs/<time>-<object>)")
 
 
-def _seed(text: str) -> int:
+def seed(text: str) -> int:
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 up")
     return int(text)

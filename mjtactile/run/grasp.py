@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time as wall
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -17,7 +18,7 @@ from mjtactile.rig.finger import Rig
 from mjtactile.rig.variation import NONE
 from mjtactile.run.controller import load_controller
 from mjtactile.run.loop import Cycle
-from mjtactile.run.session import open_session
+from mjtactile.run.session import Session, open_session
 
 TIME_LIMIT = 60.0  # s on the rig's clock; a gentle grasp takes about 10
 
@@ -112,8 +113,9 @@ class _Log:
         return float(np.nanmax(self.forces)) if np.isfinite(self.forces).any() else math.nan
 
 
-def run_grasp(options: GraspOptions, *, recorder: RecorderLike, progress: ProgressLike) -> GraspResult:
-    """Run one grasp on the rig that `options` names.
+def run_grasp(options: GraspOptions, *, recorder: RecorderLike, progress: ProgressLike,
+              on_open: Callable[[Session], None] = lambda _: None) -> GraspResult:
+    """Run one grasp on the rig that `options` names; `on_open` is given the session before anything moves.
 
     Raises InputError for bad files or names, ControllerError, DeviceError, SimulationError; the rig is brought to its
     safe state on every way out.
@@ -122,6 +124,7 @@ def run_grasp(options: GraspOptions, *, recorder: RecorderLike, progress: Progre
     with open_session(options.rig, design, object_name=options.object, seed=options.seed, accuracy=options.accuracy,
                       effects=options.effects, vary=options.vary, workers=options.workers, say=progress.message) as session:
         rig = session.rig
+        on_open(session)
         recorder.patience = session.patience
         score = _score(rig, recorder)
         session.take_references(recorder)

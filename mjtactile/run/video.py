@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 from mjtactile.core.errors import InputError, MjtactileError
 from mjtactile.core.types import Array, Image
 from mjtactile.recording.reader import Recording
+from mjtactile.run.overlay import with_ellipses
 from mjtactile.run.report import FINGER_COLOURS, PHASE_COLOURS
 from mjtactile.run.scene_picture import View, picture_of
-from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
-from mjtactile.sensing.image.markers import detect
 
 Pixels = NDArray[np.uint8]
 FORMATS = {".mp4": (30.0, 1.0), ".gif": (10.0, 0.5), ".webp": (15.0, 0.5)}
@@ -30,8 +29,6 @@ FORMATS = {".mp4": (30.0, 1.0), ".gif": (10.0, 0.5), ".webp": (15.0, 0.5)}
 _TOP, _CURVE, _SCENE, _CAMERA = 480, 220, 320, 480  # px: height of the pictures and of the curve, widths of scene and camera
 _MARGIN = 54  # px left of the curve, for its scale
 _INK, _GRID, _PAPER = (40, 40, 40), (225, 225, 225), (255, 255, 255)
-_FLAGGED = (60, 60, 230)
-_GOOD = (83, 211, 57)
 
 
 def write_video(path: Path, recording: Recording, views: Sequence[tuple[float, View]] = (), *, speed: float = 1.0,
@@ -91,26 +88,13 @@ class _Film:
         images: tuple[Image, ...] = ()
         while self._next and (not self._shown or self._next[0].time <= time + 1e-9):
             images, self._next = self._next, next(self._images, ())
-            self._shown = self._shown or [self._camera(image) for image in images]
+            self._shown = self._shown or [with_ellipses(image, _CAMERA) for image in images]
         if images:
-            self._shown = [self._camera(image) for image in images]
+            self._shown = [with_ellipses(image, _CAMERA) for image in images]
         panels = [self._finger(k, pixels, row) for k, pixels in enumerate(self._shown)]
         if self._views:
             panels.insert(0, self._scene_at(time))
         return np.vstack([np.hstack(panels), self._curve.at(time)])
-
-    def _camera(self, image: Image) -> Pixels:
-        """The image with its ellipses, in a panel's width: green where they are trusted, red where not."""
-        scale = _CAMERA / image.pixels.shape[1]
-        picture = cv2.cvtColor(cv2.resize(image.pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA),
-                               cv2.COLOR_GRAY2BGR)
-        ellipses = detect(image)
-        if len(ellipses):
-            curves, _ = boundary(ellipses.center_px, shape_from_axes(ellipses.semi_axes_px, ellipses.angle), 40)
-            points = np.round(16 * ((curves + 0.5) * scale - 0.5)).astype(np.int32)
-            for curve, status in zip(points, ellipses.status, strict=True):
-                cv2.polylines(picture, [curve], True, _GOOD if status == "ok" else _FLAGGED, 1, cv2.LINE_AA, shift=4)
-        return picture.astype(np.uint8)
 
     def _finger(self, finger: int, picture: Pixels, row: int) -> Pixels:
         """A camera's picture and below it what is felt."""

@@ -15,13 +15,14 @@ _SHOWN = 3  # MuJoCo's viewers hide the geoms of this group and above
 _ROUND, _HIGH = 24, 12  # edges around and along a round body
 _SHEET = np.array([0.62, 0.78, 0.95, 1.0])  # a membrane
 _G = mujoco.mjtGeom
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 
 @dataclass(frozen=True, eq=False)
 class SceneView:
     """Where everything was at one moment; cheap to take, the triangles are made when they are asked for.
 
-    `p_WS` (s, 3) m and `R_WS` (s, 3, 3) are the poses of the sensors' frames.
+    `p_WS` (s, 3) m and `R_WS` (s, 3, 3) are the poses of the sensors' frames, `state` (mjSTATE_INTEGRATION) MuJoCo's own.
     """
 
     model: mujoco.MjModel
@@ -31,14 +32,18 @@ class SceneView:
     p_WS: Array
     R_WS: Array
     hidden: frozenset[int]
+    state: Array
 
     @classmethod
     def of(cls, world: World) -> SceneView:
         """The scene as it is now; the world must not be moving."""
         data, bodies = world.data, [sensor.body_id for sensor in world.sensors]
         spheres = frozenset(int(g) for sensor in world.sensors for g in sensor.vertex_geom_ids)  # what a membrane touches with
+        state = np.empty(mujoco.mj_stateSize(world.model, _STATE))
+        mujoco.mj_getState(world.model, data, state, _STATE)
         return cls(world.model, data.geom_xpos.copy(), data.geom_xmat.reshape(-1, 3, 3).copy(), data.flexvert_xpos.copy(),
-                   data.xpos[bodies].copy(), data.xmat[bodies].reshape(-1, 3, 3).copy(), spheres)
+                   data.xpos[bodies].copy(), data.xmat[bodies].reshape(-1, 3, 3).copy(), spheres,
+                   state)
 
     def triangles(self) -> tuple[Array, Array]:
         """Corners (n, 3, 3) m in W and colours (n, 4), red, green, blue, alpha from 0 to 1."""
