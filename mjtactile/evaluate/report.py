@@ -149,7 +149,7 @@ def _caption(value: str, mine: Mapping[str, Mapping[str, Any]]) -> str:
 
 def _bin(one: Mapping[str, Any]) -> str:
     if "value" in one:
-        return f"{one['value']:g}" if isinstance(one["value"], float) else str(one["value"])
+        return f"{one['value']:.3g}" if isinstance(one["value"], float) else str(one["value"])
     return f"{(one['from'] + one['to']) / 2:.2g}"
 
 
