@@ -1,0 +1,30 @@
+"""Denormal numbers are found wherever a chain or a camera keeps them."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mjtactile.bench.speed import denormals
+from mjtactile.core.design import load_sensor
+from mjtactile.sensing.chain import Chain
+from mjtactile.sim.picture.renderer import Renderer, _brush
+
+
+@dataclass
+class Keeper:
+    kept: Any
+
+
+Keeper.__module__ = "mjtactile.keeper"
+
+
+def test_what_counts():
+    tiny = np.array([1e-310, -1e-310, 0.0, 1e-300, np.nan]), np.array([1e-40, 1e-30], np.float32), np.arange(3)
+    assert denormals.count(Keeper({"a": [tiny], "b": Keeper(tiny)})) == 3  # the same arrays count once
+
+
+def test_the_shipped_sensors_have_none():
+    for name in ("dense", "paper16"):
+        design = load_sensor(name)
+        assert denormals.count(Chain(design), Renderer(design), _brush(design.camera.blur_px)) == 0
