@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 from mjtactile.kernels import kernel
-from mjtactile.sim.sensor.features import END
+from mjtactile.sim.sensor.features import END, RESOLVED
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
 SHARE = 0.25  # of the facets' mean sagitta
@@ -35,6 +35,7 @@ class StandOff:
         self.margins: Array = np.zeros(len(vertex_geom_ids))
         """Distances (k,) m of the vertices' spheres from what they touch."""
         self._sagitta = SHARE * float(mesh.areas[mesh.interior].mean()) / 12  # m^2, per curvature: hx^2 + hy^2 is about 2 hx hy
+        self._most = 2 / (RESOLVED * mesh.spacing)  # 1/m: what bends more is met by a vertex, not by facets
         self._time = float(data.time)
         self._kernel = kernel("touched_curvatures")
 
@@ -45,7 +46,8 @@ class StandOff:
         if 0 <= elapsed < _EVERY:
             return
         self._time = time
-        goal = self._sagitta * self._curvatures()
+        bends = self._curvatures()
+        goal = self._sagitta * np.where(bends < self._most, bends, 0.0)
         settle = _SETTLE if goal.any() else _RELEASE
         self.margins += (goal - self.margins) * min(abs(elapsed) / settle, 1.0)
 

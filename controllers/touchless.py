@@ -1,0 +1,50 @@
+"""A gripper without touch, to compare with: close until the servo's current says so, lift, hold, put down, let go.
+
+It looks at no sensor. `EFFORT` is the force at a jaw as the servo believes it, and what `gentle` grips with, so that the two
+differ in what they feel and not in how firmly they mean to hold. In simulation that belief is right up to noise; a real
+servo's gears keep a part of its torque to themselves, which is not in these numbers.
+"""
+
+from dataclasses import replace
+
+from mjtactile.types import Command, Observation
+
+EFFORT = 0.6  # N on each finger
+CLOSING_SPEED, OPENING_SPEED, LIFT_SPEED = 0.025, 0.040, 0.040  # m/s
+LIFT_HEIGHT, HOLD_TIME, SETTLE_TIME = 0.040, 2.0, 0.4  # m, s
+RELEASE_OPENING, RELEASE_TIME = 0.012, 2.0  # m beyond the grip, s
+
+
+def step(observation: Observation) -> Command:
+    """One control cycle."""
+    last, gripper, period = observation.command, observation.gripper, observation.period
+    time = last.memory.get("phase_time", 0.0) + period
+    command = replace(last, force_limit=4.0, memory={**last.memory, "phase_time": time})
+    if last.phase == "approach":
+        if gripper.effort >= EFFORT:
+            return _go(command, "regulate", opening=gripper.opening)
+        if gripper.opening <= 0.001:
+            return _go(command, "abort")  # closed on nothing
+        return replace(command, opening=last.opening - CLOSING_SPEED * period)
+    if last.phase == "regulate":
+        return _go(command, "lift") if time >= SETTLE_TIME else command
+    if last.phase == "lift":
+        command = replace(command, lift_height=min(LIFT_HEIGHT, last.lift_height + LIFT_SPEED * period))
+        return _go(command, "hold") if gripper.lift_height > LIFT_HEIGHT - 0.001 else command
+    if last.phase == "hold":
+        return _go(command, "lower") if time >= HOLD_TIME else command
+    if last.phase == "lower":
+        command = replace(command, lift_height=max(0.0, last.lift_height - LIFT_SPEED * period))
+        return _go(command, "release", grip=command.opening) if gripper.lift_height < 0.001 else command
+    if last.phase == "release":
+        goal = last.memory["grip"] + RELEASE_OPENING
+        if gripper.opening > goal - 0.001 or time > RELEASE_TIME:
+            return _go(command, "done")
+        return replace(command, opening=min(goal, last.opening + OPENING_SPEED * period))
+    return command
+
+
+def _go(command: Command, phase: str, *, opening: float | None = None, **memory: float) -> Command:
+    """Enter `phase` with its clock at zero."""
+    opening = command.opening if opening is None else opening
+    return replace(command, phase=phase, opening=opening, memory={**command.memory, "phase_time": 0.0, **memory})

@@ -1,0 +1,30 @@
+"""The gripper without touch closes by its servo's current alone."""
+
+from dataclasses import replace
+from math import nan
+
+from controllers import touchless
+from mjtactile.types import Command, GripperState, Observation
+
+
+def observe(command: Command, *, opening=0.05, effort=0.0, lift=0.0, time=0.0) -> Observation:
+    return Observation(time, 1 / 30, (), GripperState(opening, 0.0, effort, lift), (), command)
+
+
+def test_it_goes_through_a_grasp_by_effort_and_height():
+    command, seen = Command(0.05, 0.0, 0.0, "approach", {}), []
+    opening, lift = 0.05, 0.0
+    for k in range(600):
+        effort = max(0.0, 0.04 - opening) * 300  # something of 40 mm that gives way by 300 N/m
+        command = touchless.step(observe(command, opening=opening, effort=effort, lift=lift, time=k / 30))
+        opening, lift = command.opening, command.lift_height
+        seen += [command.phase] if not seen or seen[-1] != command.phase else []
+        if command.phase == "done":
+            break
+    assert seen == ["approach", "regulate", "lift", "hold", "lower", "release", "done"]
+    assert lift == 0 and opening > 0.045
+
+
+def test_it_gives_up_where_nothing_stands():
+    command = replace(Command(0.0005, 0.0, 0.0, "approach", {}))
+    assert touchless.step(observe(command, opening=0.0005, effort=nan)).phase == "abort"
