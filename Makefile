@@ -36,7 +36,7 @@ lint: $(VENV)/.test-ready  ## style and likely bugs (ruff)
 	$(BIN)/ruff check .
 
 types: $(VENV)/.test-ready  ## types (pyright)
-	$(BIN)/pyright --warnings --level error
+	$(BIN)/pyright --warnings --level error --threads 2
 
 contracts: $(VENV)/.test-ready  ## who may import whom (import-linter)
 	$(BIN)/lint-imports --no-cache

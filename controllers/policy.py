@@ -18,7 +18,7 @@ POLICY = Path(os.environ.get("MJTACTILE_POLICY", Path(__file__).with_name("polic
 def load(path: Path):
     """The function from a vector to an action."""
     if path.suffix == ".onnx":
-        import onnxruntime
+        import onnxruntime  # pyright: ignore[reportMissingImports]
 
         session = onnxruntime.InferenceSession(path)
         name = session.get_inputs()[0].name
