@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile import InputError
-from mjtactile.commands.output import output_folder, print_json, stdout_to_stderr
+from mjtactile.commands.output import insert_table, output_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
 
 DESCRIPTION = """\
@@ -88,17 +88,3 @@ def run(options: argparse.Namespace) -> int:
     else:
         print(f"{table}\nwritten to {options.out}")
     return 0
-
-
-def insert_table(path: Path, name: str, table: str) -> None:
-    """Replace what stands between the markers of `name` in a Markdown file. Raises InputError when they are missing."""
-    begin, end = f"<!-- bench:{name} -->", "<!-- /bench -->"
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", source=path, field="--readme") from error
-    head, found, rest = text.partition(begin)
-    _, closed, tail = rest.partition(end)
-    if not (found and closed):
-        raise InputError(f"has no {begin} … {end}", source=path, field="--readme")
-    path.write_text(f"{head}{begin}\n{table.strip()}\n{end}{tail}", encoding="utf-8")

@@ -8,7 +8,7 @@ from typing import Any
 
 from mjtactile import InputError
 from mjtactile.commands.effects import add_vary_argument
-from mjtactile.commands.output import new_run_folder, print_json, stdout_to_stderr
+from mjtactile.commands.output import insert_table, new_run_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
 
 DESCRIPTION = """\
@@ -56,6 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--worst", type=_any_count, default=10, metavar="N", help="episodes that the report shows with pictures: "
                         "they are run again at the end (default: 10)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default: runs/<time>-evaluate)")
+    parser.add_argument("--readme", type=Path, metavar="FILE.md", help="also put the table into this file, between "
+                        "<!-- bench:evaluate --> and <!-- /bench -->")
 
 
 def _count(text: str) -> int:
@@ -89,6 +91,8 @@ def run(options: argparse.Namespace) -> int:
         out, summary = options.out, _evaluate(options, options.out)
     write_json(out / "summary.json", summary)
     (out / "summary.md").write_text(table(summary), encoding="utf-8")
+    if options.readme is not None:
+        insert_table(options.readme, "evaluate", table(summary))
     with stdout_to_stderr():
         write_report(out, options.worst, Progress().message)
     if options.json:

@@ -104,3 +104,17 @@ def stdout_to_stderr() -> Iterator[None]:
 def print_json(value: Any) -> None:
     """Print one JSON object to stdout; non-finite numbers are null."""
     print(json.dumps(to_json(value), indent=2, allow_nan=False))
+
+
+def insert_table(path: Path, name: str, table: str) -> None:
+    """Replace what stands between the markers of `name` in a Markdown file. Raises InputError when they are missing."""
+    begin, end = f"<!-- bench:{name} -->", "<!-- /bench -->"
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", source=path, field="--readme") from error
+    head, found, rest = text.partition(begin)
+    _, closed, tail = rest.partition(end)
+    if not (found and closed):
+        raise InputError(f"has no {begin} … {end}", source=path, field="--readme")
+    path.write_text(f"{head}{begin}\n{table.strip()}\n{end}{tail}", encoding="utf-8")

@@ -70,12 +70,12 @@ NO_IMAGES = "No images were drawn (`--effects -images`): markers with errors dra
 
 def table(summary: Mapping[str, Any]) -> str:
     """The summary as Markdown."""
-    lines = ["| controller | object | episodes | held | 95 % interval | dropped | crushed | errors |", "|---" * 8 + "|"]
+    lines = ["| controller | object | held | 95 % interval | dropped | crushed | errors |", "|---" * 7 + "|"]
     for name, mine in summary["controllers"].items():
         for label, group in (("all", mine), *mine["objects"].items()):
             low, high = group["success_interval"]
-            share = f"{100 * group['success']:.0f} %" if group["episodes"] > group["error"] else "-"
-            lines.append(f"| {name} | {label} | {group['episodes']} | {share} | {100 * low:.0f}-{100 * high:.0f} % | "
+            ended = group["episodes"] - group["error"]
+            lines.append(f"| {name} | {label} | {group['held']} of {ended} | {100 * low:.1f}-{100 * high:.1f} % | "
                          f"{group['dropped']} | {group['crushed']} | {group['error']} |")
     for pair in summary["paired"]:
         lines += ["", pair_text(pair)]

@@ -8,13 +8,16 @@ import subprocess
 import sys
 import time
 
+import pytest
+
+from mjtactile.cli import main
 from tests.emulated_host import controller_text
 
 COMMON = ["--sensor", "paper16", "--controller", "quick.py", "--objects", "vial,egg", "--episodes", "2", "--vary", "none",
-          "--worst", "1", "--seed", "7"]
+          "--worst", "1", "--effects=-images", "--seed", "7"]
 
 
-def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile):
+def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile, monkeypatch, capsys):
     (tmp_path / "quick.py").write_text(controller_text(hold=0.1))
     host = subprocess.Popen([sys.executable, "-m", "mjtactile", "evaluate", *COMMON, "--workers", "2", "--out", "one"],
                             cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
@@ -27,8 +30,9 @@ def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile):
     kept = episodes.read_text()
     with episodes.open("a") as file:
         file.write('{"episode": 1, "contr')  # a line that was cut off
-    refused = mjtactile("evaluate", *COMMON, "--out", "one")
-    assert refused.returncode == 2 and "--out: holds an evaluation already; --resume goes on with it" in refused.stderr
+    monkeypatch.chdir(tmp_path)
+    assert main(["evaluate", *COMMON, "--out", "one"]) == 2
+    assert "--out: holds an evaluation already; --resume goes on with it" in capsys.readouterr().err
     summary = json.loads(mjtactile("evaluate", *COMMON, "--workers", "1", "--out", "one", "--resume", "--json").stdout)
     assert set(kept.splitlines()) <= set(episodes.read_text().splitlines())
     assert summary["controllers"]["quick"]["episodes"] == 2 and summary["controllers"]["quick"]["held"] == 2
@@ -37,26 +41,29 @@ def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile):
     assert report.count("data:image/png") == 1 and "mjtactile grasp --object" in report
     for part in ("1/2", "2/2"):
         mjtactile("evaluate", *COMMON, "--workers", "2", "--worst", "0", "--shard", part, "--out", f"part{part[0]}")
-    mjtactile("evaluate", "--merge", "part2", "part1", "--worst", "0", "--out", "whole")
+    assert main(["evaluate", "--merge", "part2", "part1", "--worst", "0", "--out", "whole"]) == 0
     assert (tmp_path / "whole" / "episodes.jsonl").read_bytes() == episodes.read_bytes()
-    changed = mjtactile("evaluate", *COMMON[:-1], "8", "--out", "one", "--resume")
-    assert changed.returncode == 2 and "was begun with another options: first_seed" in changed.stderr
+    capsys.readouterr()
+    assert main(["evaluate", *COMMON[:-1], "8", "--out", "one", "--resume"]) == 2
+    assert "was begun with another options: first_seed" in capsys.readouterr().err
 
 
-def test_bad_words(mjtactile):
-    for words, text in ((["--objects", "egg,stone"], "stone: unknown object"), (["--controller", "no.py"], "no.py"),
-                        (["--shard", "3/2"], "is not K/N"), (["--episodes", "0"], "at least 1"), (["--resume"], "which folder?"),
-                        (["--vary", "no.toml"], "no.toml: variation: no such file"), (["--vary", "defalt"], "unknown variation"),
-                        (["--effects", "+bendig"], "is not +NAME"), (["--rig", "two_xm430"], "two_xm430"),
-                        (["--controller", "gentle", "--controller", "gentle"], "two of them are called 'gentle'")):
-        process = mjtactile("evaluate", *words)
-        assert process.returncode == 2 and text in process.stderr and len(process.stderr.strip().splitlines()) == 1
+@pytest.mark.parametrize(("words", "text"), [
+    (["--objects", "egg,stone"], "stone: unknown object"), (["--controller", "no.py"], "no.py"),
+    (["--shard", "3/2"], "is not K/N"), (["--episodes", "0"], "at least 1"), (["--resume"], "which folder?"),
+    (["--vary", "no.toml"], "no.toml: variation: no such file"), (["--vary", "defalt"], "unknown variation"),
+    (["--effects", "+bendig"], "is not +NAME"), (["--rig", "two_xm430"], "two_xm430"),
+    (["--controller", "gentle", "--controller", "gentle"], "two of them are called 'gentle'")])
+def test_bad_words(capsys, words, text):
+    assert main(["evaluate", *words]) == 2
+    said = capsys.readouterr().err
+    assert text in said and len(said.strip().splitlines()) == 1
 
 
 def test_the_command_of_an_episode_draws_the_same_world(tmp_path, mjtactile):
     (tmp_path / "quick.py").write_text(controller_text(hold=0.1))
     (tmp_path / "my.toml").write_text("[object]\nmass_percent = [100, 200]\n[sensor]\nblur_px = [0, 1]\n")
-    words = ["--sensor", "paper16", "--controller", "quick.py", "--objects", "vial", "--seed", "3", "--vary", "my.toml"]
+    words = ["--sensor", "paper16", "--effects=-images", "--controller", "quick.py", "--objects", "vial", "--seed", "3", "--vary", "my.toml"]
     mjtactile("evaluate", *words, "--episodes", "1", "--worst", "0", "--out", "one")
     line = json.loads((tmp_path / "one" / "episodes.jsonl").read_text())
     assert line["varied"].keys() == {"object.mass_percent", "left.blur_px", "right.blur_px"} and "--vary=my.toml" in line["again"]

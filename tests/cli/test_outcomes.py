@@ -7,6 +7,7 @@ import pytest
 
 from mjtactile.core import resources
 from mjtactile.recording.reader import load_recording
+from tests.emulated_host import controller_text
 
 DENSE = resources.find("paper16", "models/sensors", ".toml").read_text()
 
@@ -26,7 +27,8 @@ def step(observation):
 
 def run(mjtactile, tmp_path, opening, force, *args):
     (tmp_path / "blind.py").write_text(BLIND.replace("OPENING", str(opening)).replace("FORCE", str(force)))
-    process = mjtactile("grasp", "--controller", "blind.py", "--sensor", "paper16", "--workers", "0", "--out", "result", "--json",
+    process = mjtactile("grasp", "--controller", "blind.py", "--sensor", "paper16", "--effects=-images",
+                        "--out", "result", "--json",
                         *args)
     assert "Traceback" not in process.stderr
     assert json.loads((tmp_path / "result" / "summary.json").read_text())["outcome"]
@@ -65,7 +67,8 @@ HEAVY = """<mujoco model="heavy">
 
 def test_an_object_too_heavy_for_the_grip_is_dropped_with_the_reason(mjtactile, tmp_path):
     (tmp_path / "heavy.xml").write_text(HEAVY)
-    process = mjtactile("grasp", "--object", "./heavy.xml", "--sensor", "paper16", "--frames", "none", "--out", "result",
+    (tmp_path / "quick.py").write_text(controller_text())
+    process = mjtactile("grasp", "--object", "./heavy.xml", "--controller", "quick.py", "--sensor", "paper16", "--frames", "none", "--out", "result",
                         "--json")
     report = json.loads(process.stdout)
     assert (process.returncode, report["outcome"]) == (1, "dropped"), process.stderr

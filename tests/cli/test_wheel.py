@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 
 CHECKOUT = Path(__file__).resolve().parents[2]
+BUILD_ONLY = ("hatchling", "pathspec", "trove-classifiers", "ziglang")
+"""What the lock has for building; a wheel brings its compiled chain along."""
 
 
 def run(*command, **options):
@@ -25,7 +27,9 @@ def test_the_wheel_grasps_an_egg_in_a_fresh_environment(tmp_path):
         CHECKOUT)
     run(sys.executable, "-m", "venv", fresh)
     pip = (fresh / "bin" / "python", "-m", "pip", "--quiet", "--disable-pip-version-check", "install")
-    run(*pip, "--no-compile", "--requirement", CHECKOUT / "requirements.lock")
+    locked = [line for line in (CHECKOUT / "requirements.lock").read_text().splitlines()
+              if not line.startswith(("#", *BUILD_ONLY))]
+    run(*pip, "--no-compile", "--no-deps", *locked)
     run(*pip, "--no-deps", *wheels.glob("mjtactile-*.whl"), cwd=work)
     where = run(fresh / "bin" / "python", "-c", "import mjtactile; print(mjtactile.__file__)", cwd=work).strip()
     assert Path(where).is_relative_to(fresh)

@@ -54,10 +54,10 @@ def test_with_the_same_tolerance_it_is_mj_step_bit_for_bit():
     assert data.ncon > 0
 
 
-@pytest.mark.parametrize(("tolerance", "left"), [(1e-7, 3e-4), (1e-10, 3e-6)])
+@pytest.mark.parametrize(("tolerance", "left"), [(1e-7, 6e-4), (1e-10, 1.5e-5)])
 def test_without_the_first_solve_it_is_mj_step_to_the_tolerance(tolerance, left):
-    """Two solutions with other starts differ by what the tolerance leaves, in m/s three times the largest that was measured;
-    the ball strikes with 0.1."""
+    """Two solutions with other starts differ by what the tolerance leaves, in m/s three times the largest that was measured
+    on two makes of processor; the ball strikes with 0.1."""
     model, data, sensor = scene()
     model.opt.tolerance = tolerance
     largest = max(np.abs(ours.qvel - theirs.qvel).max() for ours, theirs in pairs(model, data, sensor))

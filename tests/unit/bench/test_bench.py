@@ -5,7 +5,7 @@ import math
 import pytest
 
 from mjtactile.bench import grasp
-from mjtactile.commands.bench import insert_table
+from mjtactile.commands.output import insert_table
 from mjtactile.core.errors import InputError, SimulationError
 
 MILLISECONDS = {"rest": 12.0, "camera": 5.0, "perception": 10.0, "controller": 0.1, "perception_median": 10.0}

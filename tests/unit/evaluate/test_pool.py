@@ -12,7 +12,7 @@ from mjtactile.evaluate.pool import Pool
 from mjtactile.evaluate.run import evaluate
 from tests.emulated_host import controller_text
 
-COMMON = dict(count=1, objects=["vial"], sensor="paper16", vary="none")
+COMMON = dict(count=1, objects=["vial"], sensor="paper16", vary="none", effects="-images")
 
 
 @pytest.fixture

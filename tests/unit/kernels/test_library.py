@@ -71,6 +71,8 @@ def test_without_a_compiler_it_is_said_what_to_install(copied, tmp_path):
 
 
 def test_a_mistake_in_the_source_is_shown(copied, tmp_path):
+    for path in copied.glob("*.c"):
+        path.unlink()
     (copied / "small.c").write_text("int wrong(void) { return nothing; }\n")
     done = run_build(copied, "build.library()", tmp_path)
     assert "do not compile" in done.stderr and "nothing" in done.stderr
