@@ -63,7 +63,8 @@ def test_bad_words(capsys, words, text):
 def test_the_command_of_an_episode_draws_the_same_world(tmp_path, mjtactile):
     (tmp_path / "quick.py").write_text(controller_text(hold=0.1))
     (tmp_path / "my.toml").write_text("[object]\nmass_percent = [100, 200]\n[sensor]\nblur_px = [0, 1]\n")
-    words = ["--sensor", "paper16", "--effects=-images", "--controller", "quick.py", "--objects", "vial", "--seed", "3", "--vary", "my.toml"]
+    words = ["--sensor", "paper16", "--effects=-images", "--controller", "quick.py", "--objects", "vial", "--seed", "3",
+             "--vary", "my.toml"]
     mjtactile("evaluate", *words, "--episodes", "1", "--worst", "0", "--out", "one")
     line = json.loads((tmp_path / "one" / "episodes.jsonl").read_text())
     assert line["varied"].keys() == {"object.mass_percent", "left.blur_px", "right.blur_px"} and "--vary=my.toml" in line["again"]

@@ -68,8 +68,8 @@ HEAVY = """<mujoco model="heavy">
 def test_an_object_too_heavy_for_the_grip_is_dropped_with_the_reason(mjtactile, tmp_path):
     (tmp_path / "heavy.xml").write_text(HEAVY)
     (tmp_path / "quick.py").write_text(controller_text())
-    process = mjtactile("grasp", "--object", "./heavy.xml", "--controller", "quick.py", "--sensor", "paper16", "--frames", "none", "--out", "result",
-                        "--json")
+    process = mjtactile("grasp", "--object", "./heavy.xml", "--controller", "quick.py", "--sensor", "paper16", "--frames", "none",
+                        "--out", "result", "--json")
     report = json.loads(process.stdout)
     assert (process.returncode, report["outcome"]) == (1, "dropped"), process.stderr
     assert "too heavy" in report["reason"] and "9.8 N" in report["reason"]
