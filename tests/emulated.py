@@ -47,11 +47,11 @@ GRIPPER = GripperConfig((0.0, 0.12), (ServoConfig(1, "XL330-M288", per_rad=0.012
 
 
 @contextlib.contextmanager
-def servo_bench(model: str = "XL330-M288", count: int = 2) -> Iterator[Bench]:
-    """Servos on a pty; interpreter switches are made quick so that their thread answers."""
+def servo_bench(model: str = "XL330-M288", count: int = 2, **kind) -> Iterator[Bench]:
+    """Servos of a `kind` on a pty; interpreter switches are made quick so that their thread answers."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(5e-4)
-    servos = {i: EmulatedServo(i, model, angle=ANGLE) for i in range(1, count + 1)}
+    servos = {i: EmulatedServo(i, model, angle=ANGLE, **kind) for i in range(1, count + 1)}
     faults = Faults()
     log: list[Instruction] = []
     bus = ServoBus(servos, faults, usb_latency=0.0, on_packet=lambda _, packet: log.append(packet))

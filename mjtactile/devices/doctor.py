@@ -16,6 +16,7 @@ from mjtactile.core.errors import DeviceError
 from mjtactile.devices.camera.opencv import OpenCvCamera
 from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus
 from mjtactile.devices.dynamixel.gripper import read_report
+from mjtactile.devices.dynamixel.servo import REQUIRED
 from mjtactile.devices.dynamixel.tables import MODELS, NO_CURRENT_CONTROL
 from mjtactile.devices.valve.driver import connect_valves
 from mjtactile.rig.file import BusConfig, CameraConfig, RigFile, load_rig_file
@@ -148,6 +149,13 @@ def _servo(bus: DynamixelBus, servo: int, model: str) -> Iterator[Finding]:
                       "write the right model into the rig file, or mend the ids")
     else:
         yield Finding("ok", what, text)
+    for name, wanted, meaning in REQUIRED:
+        if report.settings.get(name, wanted) != wanted:
+            yield Finding("bad", what, f"{name} is {report.settings[name]}, must be {wanted}: {meaning}",
+                          "set it with Dynamixel Wizard")
+    if report.model in MODELS and not MODELS[report.model].watchdog_stops(report.firmware):
+        yield Finding("warn", what, f"firmware {report.firmware}: its bus watchdog notes a dead host, and stops nothing",
+                      "update the firmware with Dynamixel Wizard; until then a dead host leaves it at its last goal and force")
     if report.hardware_error:
         yield Finding("bad", what, f"has latched {report.hardware_error}", "find the cause, take its power off and on")
     if report.temperature >= _HOT:

@@ -30,7 +30,7 @@ class Hardware:
         self._lift = self._build_lift()
         shared["goal"] = math.nan
         zeros = {valve.channel: emulator.specimen(valve.finger).valve_zero for valve in rig_file.valves}
-        self.bus = ServoBus(self.servos, faults, baud=rig_file.bus.baud, usb_latency=emulator.usb_latency)
+        self.bus = ServoBus(self.servos, faults, usb_latency=emulator.usb_latency)
         self.firmware = ValveFirmware(emulator.dialect, self, faults, zeros=zeros)
         self.valve = ValvePort(self.firmware) if rig_file.valves else None
         self._stop = threading.Event()
@@ -62,15 +62,20 @@ class Hardware:
 
     # -- inside ---------------------------------------------------------------------------------------------------
 
+    def _build_servo(self, servo_id: int, model: str, angle: float) -> EmulatedServo:
+        emulator = self._rig_file.emulator or EmulatorConfig()
+        servo = EmulatedServo(servo_id, model, angle=angle, baud=self._rig_file.bus.baud, torque_share=emulator.torque_share,
+                              firmware=emulator.servo_firmware, trip=emulator.watchdog)
+        self.servos[servo_id] = servo
+        return servo
+
     def _build_jaws(self) -> Jaws:
         jaws = []
         configs = self._rig_file.gripper.servos
         for config in configs:
             jaw = Jaw(EmulatedServo(config.id, config.model), config, str(self._rig_file.path))
             angle = jaw.angle(self._shared["opening"] / len(configs))
-            jaw.servo = EmulatedServo(config.id, config.model, angle=angle, baud=self._rig_file.bus.baud,
-                                      torque_share=(self._rig_file.emulator or EmulatorConfig()).torque_share)
-            self.servos[config.id] = jaw.servo
+            jaw.servo = self._build_servo(config.id, config.model, angle)
             jaws.append(jaw)
         return Jaws(jaws)
 
@@ -78,8 +83,7 @@ class Hardware:
         lift = self._rig_file.lift
         if lift.kind != "servo":
             return None
-        self.servos[lift.id] = EmulatedServo(lift.id, lift.model, baud=self._rig_file.bus.baud)
-        return self.servos[lift.id]
+        return self._build_servo(lift.id, lift.model, 0.0)
 
     def _run(self) -> None:
         last = time.monotonic()
@@ -98,8 +102,7 @@ class Hardware:
         shared["force"], shared["goal"] = force, math.nan if goal is None else goal
         if self._lift is not None:
             drive = self._lift.drive()
-            if drive.torque_max > 0:
-                shared["lift_goal"] = drive.goal * self._rig_file.lift.per_rad
+            shared["lift_goal"] = drive.goal * self._rig_file.lift.per_rad if drive.torque_max > 0 else math.nan
             self._lift.feel(shared["lift_height"] / self._rig_file.lift.per_rad, 0.0, 0.0, period)
         self._jaws.feel(shared["opening"], shared["speed"], shared["grip_force"], period)
         self.firmware.tick(now, period)

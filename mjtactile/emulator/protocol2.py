@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE
-PING, READ, WRITE, REG_WRITE, ACTION, FACTORY_RESET, REBOOT, CLEAR = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06, 0x08, 0x10
-STATUS, SYNC_READ, SYNC_WRITE, FAST_SYNC_READ, BULK_READ, BULK_WRITE = 0x55, 0x82, 0x83, 0x8A, 0x92, 0x93
+PING, READ, WRITE, REG_WRITE, ACTION, FACTORY_RESET, REBOOT, CLEAR, BACKUP = 1, 2, 3, 4, 5, 6, 8, 0x10, 0x20
+STATUS, SYNC_READ, SYNC_WRITE, FAST_SYNC_READ, BULK_READ, BULK_WRITE, FAST_BULK_READ = 0x55, 0x82, 0x83, 0x8A, 0x92, 0x93, 0x9A
 ALERT = 0x80
 _LONGEST = 1024  # bytes; a longer length is a broken packet
 
@@ -59,9 +59,10 @@ def status(servo: int, error: int, parameters: bytes = b"") -> bytes:
     return encode(servo, STATUS, bytes([error]) + parameters)
 
 
-def fast_status(parts: Sequence[tuple[int, int, bytes]]) -> bytes:
-    """The one reply to a fast sync read: (id, error, data) of each servo, each followed by the CRC of all so far."""
-    length = 1 + sum(len(data) + 4 for _, _, data in parts)
+def fast_status(parts: Sequence[tuple[int, int, bytes]], promised: int | None = None) -> bytes:
+    """The one reply to a fast read: (id, error, data) of each servo, each followed by the CRC of all so far. `promised` bytes
+    are what its head announces: more than come when a servo is not there."""
+    length = 1 + (sum(len(data) + 4 for _, _, data in parts) if promised is None else promised)
     packet = HEADER + bytes([BROADCAST]) + length.to_bytes(2, "little") + bytes([STATUS])
     for servo, error, data in parts:
         packet += bytes([error, servo]) + data

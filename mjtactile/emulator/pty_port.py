@@ -17,11 +17,13 @@ _OPEN_POLL = 0.005  # s between looks at whether a host has opened the port
 class PtyPort:
     """Opens a pty; `handle(data)` is called in a thread with what the host sent, `write` answers. `path` is for the host.
 
-    With `on_open`, it is called whenever a host opens the port (a board that resets then).
+    With `on_open`, it is called whenever a host opens the port (a board that resets then). What a host never reads is lost once
+    the port's buffer is full, as on a wire.
     """
 
     def __init__(self, handle: Callable[[bytes], None], name: str, *, on_open: Callable[[], None] | None = None):
         self._master, slave = os.openpty()
+        os.set_blocking(self._master, False)
         tty.setraw(slave)
         self.path = os.ttyname(slave)
         os.close(slave)

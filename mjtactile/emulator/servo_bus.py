@@ -1,29 +1,35 @@
-"""Servos on one pty: reads instruction packets, lets each servo act, answers after the time that wire and USB take."""
+"""Servos on one pty: reads instruction packets, lets each servo act, answers after the time that wire and USB take.
+
+Instructions after https://emanual.robotis.com/docs/en/dxl/protocol2/, "Instruction Details"; what stands in quotes is from there.
+"""
 
 from __future__ import annotations
 
 import termios
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from mjtactile.emulator import protocol2 as p2
+from mjtactile.emulator.control_table import BAUDS
 from mjtactile.emulator.faults import Faults
 from mjtactile.emulator.pty_port import PtyPort
-from mjtactile.emulator.servo import CRC_ERROR, INSTRUCTION_ERROR, LENGTH_ERROR, EmulatedServo
+from mjtactile.emulator.registers import CRC_ERROR, INSTRUCTION_ERROR, LENGTH_ERROR
+from mjtactile.emulator.servo import EmulatedServo
 
-_BAUDS = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
-_TERMIOS_BAUD = {getattr(termios, f"B{baud}"): baud for baud in _BAUDS}
+_TERMIOS_BAUD = {getattr(termios, f"B{baud}"): baud for baud in BAUDS if hasattr(termios, f"B{baud}")}
+_CLEAR = bytes((0x01, 0x44, 0x58, 0x4C, 0x22))  # "Clear", fixed values
+_BACKUP = bytes((0x43, 0x54, 0x52, 0x4C))  # "Control Table Backup", fixed values
+_SAID_AT = {p2.PING: 0, p2.READ: 1}  # the "Status Return Level" from which an instruction is answered; others: 2
 
 
 class ServoBus:
     """`usb_latency` s of the adapter's latency timer on each answer; `on_packet(time, instruction)` sees every packet."""
 
-    def __init__(self, servos: Mapping[int, EmulatedServo], faults: Faults, *, baud: int = 1_000_000,
+    def __init__(self, servos: Mapping[int, EmulatedServo], faults: Faults, *,
                  usb_latency: float = 1e-3, on_packet: Callable[[float, p2.Instruction], None] | None = None):
-        self._servos, self._faults, self._baud, self._usb_latency = servos, faults, baud, usb_latency
+        self._servos, self._faults, self._usb_latency = servos, faults, usb_latency
         self._on_packet = on_packet
         self._decoder = p2.Decoder()
-        self._pending: dict[int, tuple[int, bytes]] = {}  # reg write, waiting for action
         self._port = PtyPort(self._receive, "servo bus")
         self.path = self._port.path
 
@@ -35,125 +41,118 @@ class ServoBus:
         return self._port.has_input
 
     def _receive(self, data: bytes) -> None:
-        if _TERMIOS_BAUD.get(self._port.baud) != self._baud:
+        baud = _TERMIOS_BAUD.get(self._port.baud)
+        if baud is None or all(servo.baud != baud for servo in self._servos.values()):
             return  # another baud rate: the servos hear noise
         now = time.monotonic()
         for packet in self._decoder.feed(data):
             if self._on_packet is not None:
                 self._on_packet(now, packet)
-            answer = self.answer(packet, now)
+            answer = self.answer(packet, now, baud)
             if answer:
-                self._send(answer, len(data))
+                self._send(answer, len(data), baud)
 
-    def answer(self, packet: p2.Instruction, now: float) -> bytes:
-        """What the servos reply to one packet, b"" for nothing."""
-        awake = {i: s for i, s in self._servos.items() if not s.is_silent(now) and self._faults.get("servo_silent") != i}
-        for servo in awake.values():
+    def answer(self, packet: p2.Instruction, now: float, baud: int | None = None) -> bytes:
+        """What the servos reply to one packet, b"" for nothing. `baud` None: all of them hear it."""
+        mute = int(self._faults.get("servo_silent")) or None
+        awake = [s for s in self._servos.values() if not s.is_silent(now) and s.id != mute and baud in (None, s.baud)]
+        for servo in awake:
             servo.last_packet = now
-        if packet.code == p2.SYNC_READ:
-            return self._sync_read(packet.parameters, awake)
-        if packet.code == p2.FAST_SYNC_READ:
-            return self._fast_sync_read(packet.parameters, awake)
-        if packet.code in (p2.SYNC_WRITE, p2.BULK_WRITE, p2.BULK_READ):
-            return self._group(packet, awake)
+        if packet.code in _GROUPS:
+            return _GROUPS[packet.code](self, packet.parameters, awake) if packet.intact else b""
         if packet.servo == p2.BROADCAST:
-            return self._broadcast(packet, awake, now)
-        servo = awake.get(packet.servo)
-        if servo is None:
-            return b""
-        error, data = self._single(servo, packet, now)
-        return self._status(servo, error, data)
-
-    def _single(self, servo: EmulatedServo, packet: p2.Instruction, now: float) -> tuple[int, bytes]:  # one row an instruction
-        parameters = packet.parameters
-        if not packet.intact:
-            return CRC_ERROR, b""
-        if packet.code == p2.PING:
-            return 0, servo.get("Model Number").to_bytes(2, "little") + bytes([servo.get("Firmware Version")])
-        if packet.code == p2.READ:
-            return servo.read(*_two_words(parameters)) if len(parameters) == 4 else (LENGTH_ERROR, b"")
-        if packet.code == p2.WRITE:
-            if len(parameters) < 3:
-                return LENGTH_ERROR, b""
-            return servo.write(int.from_bytes(parameters[:2], "little"), parameters[2:]), b""
-        if packet.code == p2.REG_WRITE:
-            self._pending[servo.id] = int.from_bytes(parameters[:2], "little"), parameters[2:]
-            return 0, b""
-        if packet.code == p2.ACTION:
-            address, data = self._pending.pop(servo.id, (0, b""))
-            return (servo.write(address, data) if data else 0), b""
-        if packet.code == p2.REBOOT:
-            servo.reboot(now)
-            return 0, b""
-        if packet.code == p2.CLEAR:
-            return 0, b""
-        return INSTRUCTION_ERROR, b""
-
-    def _broadcast(self, packet: p2.Instruction, awake: Mapping[int, EmulatedServo], now: float) -> bytes:
-        answer = b""
-        for servo in awake.values():
-            error, data = self._single(servo, packet, now)
-            if packet.code == p2.PING:
-                answer += self._status(servo, error, data)
+            return self._broadcast(packet, awake, now) if packet.intact else b""
+        answer = b"".join(self._alone(servo, packet, now) for servo in awake if servo.id == packet.servo)
+        for servo in awake:
+            if servo.secondary_id == packet.servo != servo.id and packet.intact and packet.code == p2.WRITE:
+                servo.write(*_write_block(packet.parameters), ram_only=True)  # "the Status Packet will not be returned"
         return answer
 
-    def _sync_read(self, parameters: bytes, awake: Mapping[int, EmulatedServo]) -> bytes:
-        """Each servo answers when the one before it has; the first that is silent ends it."""
-        address, size = _two_words(parameters[:4])
+    def _alone(self, servo: EmulatedServo, packet: p2.Instruction, now: float) -> bytes:
+        """Carry out and answer, from the id that was asked: a new one counts from the next packet on."""
+        asked, level = servo.id, servo.get("Status Return Level")
+        error, data = _do(servo, packet, now) if packet.intact else (CRC_ERROR, b"")
+        if level < _SAID_AT.get(packet.code, 2):
+            return b""
+        return self._status(servo, error, data, asked)
+
+    def _broadcast(self, packet: p2.Instruction, awake: Sequence[EmulatedServo], now: float) -> bytes:
+        """All act, but only a ping is answered, "according to their arranged order". A reset of everything is not obeyed:
+        "Factory Reset Instruction(0x06) will NOT be activated" for all ids at once."""
+        if packet.code == p2.FACTORY_RESET and packet.parameters[:1] == b"\xff":
+            return b""
         answer = b""
-        for servo_id in parameters[4:]:
-            servo = awake.get(servo_id)
-            part = self._status(servo, *servo.read(address, size)) if servo else b""
-            if not part:
-                break
-            answer += part
+        for servo in sorted(awake, key=lambda s: s.id):
+            error, data = _do(servo, packet, now)
+            answer += self._status(servo, error, data) if packet.code == p2.PING else b""
         return answer
 
-    def _fast_sync_read(self, parameters: bytes, awake: Mapping[int, EmulatedServo]) -> bytes:
-        address, size = _two_words(parameters[:4])
-        if self._faults.strikes("servo_drop") or any(i not in awake for i in parameters[4:]):
-            return b""
-        parts = []
-        for servo_id in parameters[4:]:
-            error, data = awake[servo_id].read(address, size)
-            parts.append((servo_id, error | awake[servo_id].alert, data))
-        return p2.fast_status(parts)
+    # -- several servos in one packet; a broken one is ignored as a whole --------------------------------------------
 
-    def _group(self, packet: p2.Instruction, awake: Mapping[int, EmulatedServo]) -> bytes:
-        """Sync write, bulk write (no answer) and bulk read. A broken one is ignored as a whole."""
-        parameters, answer = packet.parameters, b""
-        if not packet.intact:
+    def _sync_read(self, parameters: bytes, awake: Sequence[EmulatedServo]) -> bytes:
+        return self._read_each(_same_block(parameters), awake)
+
+    def _bulk_read(self, parameters: bytes, awake: Sequence[EmulatedServo]) -> bytes:
+        return self._read_each(_own_blocks(parameters), awake)
+
+    def _read_each(self, blocks: Sequence[tuple[int, int, int]], awake: Sequence[EmulatedServo]) -> bytes:
+        """ "Each device individually returns Status Packet"; one that is not there is missing, and no other."""
+        answer = b""
+        for servo_id, address, size in blocks:
+            for servo in awake:
+                if servo.id == servo_id and servo.get("Status Return Level") >= 1:
+                    answer += self._status(servo, *servo.read(address, size))
+        return answer
+
+    def _fast_sync_read(self, parameters: bytes, awake: Sequence[EmulatedServo]) -> bytes:
+        return self._read_fast(_same_block(parameters), awake)
+
+    def _fast_bulk_read(self, parameters: bytes, awake: Sequence[EmulatedServo]) -> bytes:
+        return self._read_fast(_own_blocks(parameters), awake)
+
+    def _read_fast(self, blocks: Sequence[tuple[int, int, int]], awake: Sequence[EmulatedServo]) -> bytes:
+        """One packet to which each adds its part after the one before it: it ends at the first that is not there."""
+        by_id = {servo.id: servo for servo in awake}
+        if self._faults.strikes("servo_drop"):
             return b""
-        if packet.code == p2.SYNC_WRITE:
-            address, size = _two_words(parameters[:4])
-            for start in range(4, len(parameters) - size, size + 1):
-                servo = awake.get(parameters[start])
-                if servo is not None:
+        parts, lengths = [], []
+        for servo_id, address, size in blocks:
+            lengths.append(size)
+            servo = by_id.get(servo_id)
+            if servo is None or len(parts) < len(lengths) - 1:
+                continue
+            error, data = servo.read(address, size)
+            parts.append((servo_id, error | servo.alert, data.ljust(size, b"\0")))
+        return p2.fast_status(parts, sum(lengths) + 4 * len(lengths)) if parts else b""
+
+    def _sync_write(self, parameters: bytes, awake: Sequence[EmulatedServo]) -> bytes:
+        address, size = _two_words(parameters[:4])
+        for start in range(4, len(parameters) - size, size + 1):
+            for servo in awake:
+                if servo.id == parameters[start]:
                     servo.write(address, parameters[start + 1 : start + 1 + size])
-            return b""
+        return b""
+
+    def _bulk_write(self, parameters: bytes, awake: Sequence[EmulatedServo]) -> bytes:
         place = 0
         while place + 5 <= len(parameters):
-            servo = awake.get(parameters[place])
             address, size = _two_words(parameters[place + 1 : place + 5])
-            place += 5
-            if packet.code == p2.BULK_READ:
-                answer += self._status(servo, *servo.read(address, size)) if servo else b""
-            else:
-                if servo is not None:
-                    servo.write(address, parameters[place : place + size])
-                place += size
-        return answer
+            for servo in awake:
+                if servo.id == parameters[place]:
+                    servo.write(address, parameters[place + 5 : place + 5 + size])
+            place += 5 + size
+        return b""
 
-    def _status(self, servo: EmulatedServo, error: int, data: bytes) -> bytes:
+    def _status(self, servo: EmulatedServo, error: int, data: bytes, asked: int | None = None) -> bytes:
         if self._faults.strikes("servo_drop"):
             return b""
         if self._faults.strikes("servo_short"):
             data = data[:-1]
-        return p2.status(servo.id, error | servo.alert, data)
+        return p2.status(servo.id if asked is None else asked, error | servo.alert, data)
 
-    def _send(self, answer: bytes, received: int) -> None:
+    def _send(self, answer: bytes, received: int, baud: int) -> None:
         """Wait as long as wire, return delay and USB take; a pty has none of these."""
-        delay = (received + len(answer)) * 10 / self._baud + self._usb_latency
+        delay = (received + len(answer)) * 10 / baud + self._usb_latency
         delay += 2e-6 * next(iter(self._servos.values())).get("Return Delay Time") + self._faults.get("servo_late")
         if self._faults.strikes("servo_corrupt"):
             place = self._faults.rng.randrange(len(answer))
@@ -161,6 +160,65 @@ class ServoBus:
             answer = answer[:place] + bytes([changed]) + answer[place + 1 :]
         time.sleep(delay)
         self._port.write(answer)
+
+
+_GROUPS: Mapping[int, Callable[[ServoBus, bytes, Sequence[EmulatedServo]], bytes]] = {
+    p2.SYNC_READ: ServoBus._sync_read, p2.FAST_SYNC_READ: ServoBus._fast_sync_read, p2.SYNC_WRITE: ServoBus._sync_write,
+    p2.BULK_READ: ServoBus._bulk_read, p2.FAST_BULK_READ: ServoBus._fast_bulk_read, p2.BULK_WRITE: ServoBus._bulk_write}
+
+
+def _do(servo: EmulatedServo, packet: p2.Instruction, now: float) -> tuple[int, bytes]:
+    """Carry out one instruction; error number and data of its status."""
+    act = _INSTRUCTIONS.get(packet.code)
+    if act is None:
+        return INSTRUCTION_ERROR, b""
+    result = act(servo, packet.parameters, now)
+    return result if isinstance(result, tuple) else (result, b"")
+
+
+def _ping(servo: EmulatedServo, parameters: bytes, now: float) -> tuple[int, bytes]:
+    return 0, servo.get("Model Number").to_bytes(2, "little") + bytes([servo.get("Firmware Version")])
+
+
+def _read(servo: EmulatedServo, parameters: bytes, now: float) -> tuple[int, bytes]:
+    return servo.read(*_two_words(parameters)) if len(parameters) == 4 else (LENGTH_ERROR, b"")
+
+
+def _reboot(servo: EmulatedServo, parameters: bytes, now: float) -> int:
+    servo.reboot(now)
+    return 0
+
+
+def _reset(servo: EmulatedServo, parameters: bytes, now: float) -> int:
+    return servo.factory_reset(parameters[0], now) if len(parameters) == 1 else LENGTH_ERROR
+
+
+def _clear(servo: EmulatedServo, parameters: bytes, now: float) -> int:
+    return servo.clear() if parameters == _CLEAR else INSTRUCTION_ERROR
+
+
+def _back_up(servo: EmulatedServo, parameters: bytes, now: float) -> int:
+    return servo.back_up(parameters[0], now) if parameters[1:] == _BACKUP else INSTRUCTION_ERROR
+
+
+_INSTRUCTIONS: Mapping[int, Callable[[EmulatedServo, bytes, float], tuple[int, bytes] | int]] = {
+    p2.PING: _ping, p2.READ: _read, p2.REBOOT: _reboot, p2.FACTORY_RESET: _reset, p2.CLEAR: _clear, p2.BACKUP: _back_up,
+    p2.WRITE: lambda servo, parameters, now: servo.write(*_write_block(parameters)),
+    p2.REG_WRITE: lambda servo, parameters, now: servo.register(*_write_block(parameters)),
+    p2.ACTION: lambda servo, parameters, now: servo.act()}
+
+
+def _write_block(parameters: bytes) -> tuple[int, bytes]:
+    return int.from_bytes(parameters[:2], "little"), parameters[2:]
+
+
+def _same_block(parameters: bytes) -> list[tuple[int, int, int]]:
+    address, size = _two_words(parameters[:4])
+    return [(servo, address, size) for servo in parameters[4:]]
+
+
+def _own_blocks(parameters: bytes) -> list[tuple[int, int, int]]:
+    return [(parameters[i], *_two_words(parameters[i + 1 : i + 5])) for i in range(0, len(parameters) - 4, 5)]
 
 
 def _two_words(parameters: bytes) -> tuple[int, int]:

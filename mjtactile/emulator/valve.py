@@ -6,6 +6,7 @@ a banner when its port is opened, and vents all channels when it hears nothing f
 
 from __future__ import annotations
 
+import math
 import random
 import threading
 import time
@@ -52,7 +53,8 @@ class ValveFirmware:
         self.heartbeat = 0.0
         self.last_heard = time.monotonic()
         self.vent_time: float | None = None
-        """When the heartbeat vented (monotonic s), None if it did not."""
+        """When the heartbeat vented last (monotonic s), None if it did not."""
+        self._is_silent = False
         self._rng = random.Random(1)
         self._lock = threading.RLock()
 
@@ -65,8 +67,9 @@ class ValveFirmware:
     def tick(self, now: float, period: float) -> None:
         """Advance by `period` s; vents when nothing was heard for the heartbeat time."""
         with self._lock:
-            if self.heartbeat and now - self.last_heard > self.heartbeat:
-                self.heartbeat, self.vent_time = 0.0, now
+            was_silent, self._is_silent = self._is_silent, 0 < self.heartbeat < now - self.last_heard
+            if self._is_silent and not was_silent:  # the heartbeat stays armed: whoever speaks again is watched again
+                self.vent_time = now
                 for channel in self.channels.values():
                     channel.state, channel.goal = "vent", 0.0
             if self._faults.get("valve_stuck"):
@@ -93,6 +96,8 @@ class ValveFirmware:
                 return None
 
     def _set(self, number: int, state: str, goal: float = 0.0) -> None:
+        if not math.isfinite(goal):
+            raise ValueError(goal)
         channel = self.channels[number]
         channel.state = state
         if state != "closed":
@@ -203,5 +208,5 @@ class ValvePort:
             self._buffer = bytearray(rest)
             reply = self.firmware.reply(line.decode("ascii", "replace").strip(), now)
             if reply is not None:
-                self._port.write(reply.encode("latin-1") + b"\n")
+                self._port.write(reply.encode("latin-1", "replace") + b"\n")
         del self._buffer[:-200]

@@ -36,6 +36,7 @@ from mjtactile.sim.rig import build_sim_rig
 _BEHIND_MAX = 0.02  # s; a world that is further behind the clock lets time go rather than race after it
 _BREATH = 3e-4  # s of rest after each step, for the thread that draws the pictures
 _BACKDRIVE_FORCE = 0.05  # N: gear friction of servos without torque
+_FALL_SPEED_MAX = 0.5  # m/s of a lift without torque, whose gears turn with it
 _LEAK_TIME = 0.15  # s: a puncture's time constant
 _DARK, _GLARE = 0.03, 20.0  # gain of the camera's picture: black markers at 13 times white are white too
 
@@ -52,6 +53,7 @@ class EmulatedWorld:
         self._shared, self._travel = shared, options.rig_file.lift.travel
         self._cameras = Cameras(options, shared)
         self.streams = self._cameras.streams
+        self._fall_speed = 0.0
         self._picture_period, self._next_picture = 1 / options.rig_file.cameras[0].rate, 0.0
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
@@ -89,7 +91,7 @@ class EmulatedWorld:
         goal, force = shared["goal"], shared["force"]
         nobody = math.isnan(goal) or force <= 0
         scene.set_finger_target(scene.opening if nobody else max(goal, 0.0), max(force, _BACKDRIVE_FORCE))
-        scene.set_lift_target(min(max(shared["lift_goal"], 0.0), self._travel))
+        self._lift(shared["lift_goal"])
         for number, sensor in enumerate(scene.sensors, 1):
             if shared[f"open_{number}"]:
                 scene.open_valve(number - 1, shared[f"supply_{number}"])
@@ -105,6 +107,15 @@ class EmulatedWorld:
             self._next_picture += self._picture_period
             self._publish_forces()
             self._cameras.expose([scene.marker_poses(i) for i in range(len(scene.sensors))])
+
+    def _lift(self, goal: float) -> None:
+        """To the height that is asked for; a lift without torque falls."""
+        if not math.isnan(goal):
+            self._fall_speed = 0.0
+            self.scene.set_lift_target(min(max(goal, 0.0), self._travel))
+            return
+        self._fall_speed = min(self._fall_speed + 9.81 * self.scene.timestep, _FALL_SPEED_MAX)
+        self.scene.set_lift_target(0.0, max(self._fall_speed, 1e-3))
 
     def _publish(self) -> None:
         scene, shared = self.scene, self._shared

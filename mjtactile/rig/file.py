@@ -122,12 +122,14 @@ class ValveConfig:
 @dataclass(frozen=True)
 class EmulatorConfig:
     """How to start the emulated hardware; the ports of such a file are "emulator". `torque_share`: how much more torque per
-    ampere its servos give than their data sheet says."""
+    ampere its servos give than their data sheet says; `servo_firmware` None: the newest; `watchdog`: what a tripped bus
+    watchdog leaves of a servo, held where it is ("brake") or free ("limp")."""
 
-    servo_model: str = "XL330-M288"
     usb_latency: float = 1e-3
     dialect: str = "ctrlp"
     torque_share: float = 0.0
+    servo_firmware: int | None = None
+    watchdog: str = "brake"
     specimens: tuple[SpecimenConfig, ...] = ()
 
     def specimen(self, finger: str) -> SpecimenConfig:
@@ -301,10 +303,11 @@ def _valve(section: Section) -> ValveConfig:
 
 def _emulator(section: Section) -> EmulatorConfig:
     config = EmulatorConfig(
-        servo_model=section.text("servo_model", default="XL330-M288"),
         usb_latency=section.number("usb_latency_ms", 0, 100, 1e-3, default=1e-3),
         dialect=section.text("dialect", default="ctrlp"),
         torque_share=section.number("torque_percent", -50, 100, 1e-2, default=0.0),
+        servo_firmware=section.whole("servo_firmware", 1, 255, default=None),
+        watchdog=section.text("watchdog", ("brake", "limp"), default="brake"),
         specimens=_specimens(section.optional("specimen")))
     section.done()
     return config

@@ -140,7 +140,7 @@ def test_a_killed_host_leaves_it_to_the_watchdogs(emulator, tmp_path):
     process.send_signal(signal.SIGKILL)
     killed = time.monotonic()
     process.wait()
-    assert wait_for(lambda: not any(emulator.truth()["drive"].values()))  # the jaws push no more
+    assert wait_for(lambda: set(emulator.truth()["watchdog"].values()) == {0xFF})  # the jaws stand still
     assert wait_for(lambda: set(emulator.truth()["valve"].values()) == {"vent"})
     truth = emulator.truth()
     assert all(t is not None and t >= killed for t in truth["servo_stop_time"].values())  # their own bus watchdogs

@@ -1,6 +1,6 @@
 """`DynamixelGripper`: jaw servos (and a lift) in current-based position mode, in SI units.
 
-The bus and its traps: `mjtactile.devices.dynamixel.bus`; one servo's registers and recipe: `dynamixel_servo`.
+The bus and its traps: `mjtactile.devices.dynamixel.bus`; one servo's registers and recipe: `...dynamixel.servo`.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from mjtactile.rig.file import BusConfig, GripperConfig, LiftConfig
 __all__ = ["DynamixelGripper", "ServoFault", "ServoReport", "read_report"]
 _log = logging.getLogger(__name__)
 _GOAL_START = 102  # goal current, velocity, profile acceleration, profile velocity, goal position: one block
+_LEAD_TIME = 0.1  # s at the largest speed: how far a closing jaw's goal is ahead of it at most
 _FAILURES_MAX = 3  # questions in a row without a servo's reply before it counts as lost: one cycle of two, and another
 _SILENCE_IDLE = 30.0  # s without any call, before the first command (references are being taken)
 
@@ -56,7 +57,8 @@ class DynamixelGripper:
             for servo in self._servos.values():
                 servo.check_identity(bus.baud)
             for servo in self._servos.values():
-                servo.prepare(lambda ticks, s=servo: self._find_place(s, ticks), self._first_current, self._p_gain(servo))
+                servo.prepare(lambda ticks, s=servo: self._find_place(s, ticks), self._current_limit(servo), self._first_current,
+                              self._p_gain(servo))
             self._refresh()
         except BaseException:
             self.close(quiet=True)
@@ -94,7 +96,8 @@ class DynamixelGripper:
 
         A servo rounds to its own position unit (0.02 mm here). That is not in what is returned: a controller that steps
         from the last command by less than half a unit would never get anywhere.
-        A force limit of 0 leaves the servos' limits as they were. Raises DeviceError when the port is lost.
+        Closing, no servo's goal is further ahead of it than its jaw moves in 0.1 s: one that goes on to its goal when the host is
+        dead stops there. A force limit of 0 leaves the servos' limits as they were. Raises DeviceError when the port is lost.
         """
         with self._lock:
             self._arm()
@@ -102,12 +105,12 @@ class DynamixelGripper:
             low, high = self.config.opening
             opening = min(max(command.opening, low), high)
             force = min(max(command.force_limit, 0.0), self.config.force_max)
-            goals = self.geometry.goals(opening)
+            goals = self.geometry.goals(opening, {i: s.ticks for i, s in self._jaws.items()}, _LEAD_TIME * self.config.speed_max)
             for jaw in self.geometry.servos:
                 servo = self._jaws[jaw.config.id]
                 servo.goal_ticks = goals[servo.id]
                 if force > 0:
-                    servo.goal_current_units = jaw.current_units(force, servo.ticks)
+                    servo.goal_current_units = min(jaw.current_units(force, servo.ticks), servo.current_limit_units)
             height = self._command_lift(command.lift_height)
             self._send_goals()
             self._commanded, self._sent_time = True, time.monotonic()
@@ -170,13 +173,21 @@ class DynamixelGripper:
             return next(j.config.position_p_gain for j in self.geometry.servos if j.config.id == servo.id)
         return None
 
+    def _current_limit(self, servo: Servo) -> int:
+        """The largest goal current that it will ever be given."""
+        if servo.id in self._jaws:
+            jaw = next(j for j in self.geometry.servos if j.config.id == servo.id)
+            low, high = (limit / len(self._jaws) for limit in self.config.opening)
+            return jaw.current_limit(self.config.force_max, low, high)
+        units = self._lift_config.torque_max / servo.model.torque_per_A / servo.model.ampere_per_unit
+        return int(min(max(1, units), servo.model.current_max_units))
+
     def _first_current(self, servo: Servo) -> int:
         """Enough to hold still until the first command: a lift carries its hand, jaws are gentle."""
         if servo.id in self._jaws:
             jaw = next(j for j in self.geometry.servos if j.config.id == servo.id)
             return jaw.current_units(0.25 * self.config.force_max, servo.ticks)
-        units = self._lift_config.torque_max / servo.model.torque_per_A / servo.model.ampere_per_unit
-        return int(min(max(1, units), servo.model.current_max_units))
+        return servo.current_limit_units
 
     # -- every cycle ---------------------------------------------------------------------------------------------
 

@@ -15,6 +15,7 @@ from mjtactile.rig.file import GripperConfig, ServoConfig
 from mjtactile.rig.jaws import LINEAR, JawLaw, make_law
 
 _TURN_TICKS = 4096
+_LIMIT_SAMPLES = 32
 
 
 class JawServo:
@@ -47,6 +48,11 @@ class JawServo:
         """Goal current, in the model's units, that gives `force` N at the jaw; at least 1, at most the model's limit."""
         ampere = abs(force * self.slope(ticks)) / self.torque_per_A
         return int(min(max(math.floor(ampere / self.model.ampere_per_unit), 1), self.model.current_max_units))
+
+    def current_limit(self, force: float, low: float, high: float) -> int:
+        """The most of `current_units` wherever its jaw is between [`low`, `high`] m."""
+        parts = (low + (high - low) * i / _LIMIT_SAMPLES for i in range(_LIMIT_SAMPLES + 1))
+        return max(self.current_units(force, self.ticks(part)) for part in parts)
 
     def set_turn_offset(self, ticks: int, low: float, high: float) -> None:
         """After power-up a servo knows its angle within one turn only: find the turn in which its jaw is within
@@ -85,10 +91,12 @@ class JawGeometry:
         forces = [servo.closing_force(current[servo.config.id], ticks[servo.config.id]) for servo in self.servos]
         return sum(forces) / len(forces)
 
-    def goals(self, opening: float) -> dict[int, int]:
-        """Goal positions for an opening, shared equally."""
-        share = opening / len(self.servos)
-        return {servo.config.id: servo.ticks(share) for servo in self.servos}
+    def goals(self, opening: float, ticks: dict[int, int] | None = None, lead: float = math.inf) -> dict[int, int]:
+        """Goal positions for an opening, shared equally; closing, no jaw's is further ahead of where it stands (`ticks`) than
+        its share of `lead` m."""
+        share, lead = opening / len(self.servos), lead / len(self.servos)
+        return {servo.config.id: servo.ticks(max(share, servo.part(ticks[servo.config.id]) - lead) if ticks else share)
+                for servo in self.servos}
 
 
 def find_model(name: str, source: str, field: str) -> ServoModel:

@@ -1,13 +1,14 @@
 """One servo on a bus: its registers, the recipe that makes it ready, what it said last, and its torque off.
 
 Recipe and registers: https://emanual.robotis.com/docs/en/dxl/x/xm430-w350/ and .../xl330-m288/. A servo is never
-rebooted from here: a reboot lets go of what is held.
+rebooted from here: a reboot lets go of what is held. What a dead host leaves behind: docs/decisions/0019-a-dead-host.md.
 """
 
 from __future__ import annotations
 
+import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from mjtactile.core.errors import DeviceError
@@ -18,6 +19,7 @@ from mjtactile.devices.dynamixel.tables import (
     MODEL_BY_NUMBER,
     NO_CURRENT_CONTROL,
     VELOCITY_UNIT,
+    WATCHDOG_TRIPPED,
     WATCHDOG_UNIT,
     ServoModel,
     describe_hardware_error,
@@ -28,6 +30,13 @@ from mjtactile.devices.dynamixel.tables import (
 STATE_START, STATE_SIZE = 126, 21  # present current, velocity, position, …, voltage, temperature: one block
 WATCHDOG_IDLE = 2.0  # s, before the first command: taking references can hold the interpreter for longer than 0.1 s
 _OFF_ATTEMPTS = _READ_ATTEMPTS = 3
+REQUIRED = (  # register, what it must be, and what anything else means
+    ("Drive Mode", 0, "reversed, time-based, or switching its torque on by itself"),
+    ("Status Return Level", 2, "silent"),
+    ("Homing Offset", 0, "with one, a tripped watchdog makes the motor turn (DynamixelSDK issue 584); zero_ticks in the rig file "
+     "does the same"),
+    ("Startup Configuration", 0, "torque, or old settings, as soon as it has power"))
+_log = logging.getLogger(__name__)
 
 
 class ServoFault(DeviceError):
@@ -54,6 +63,8 @@ class Servo:
     last_failure: str = ""
     goal_ticks: int = 0
     goal_current_units: int = 1
+    current_limit_units: int = 1
+    watchdog_units: int = 0
     faults: list[str] = field(default_factory=list)
 
     @property
@@ -93,7 +104,7 @@ class Servo:
     def check_identity(self, baud: int) -> None:
         """Refuse another model than the file's, a latched error, or settings that change what numbers mean."""
         try:
-            number, _ = self.bus.ping(self.id)
+            number, firmware = self.bus.ping(self.id)
         except BusError as error:
             raise DeviceError(f"{self.where} does not answer ({error}): is it powered, and are id and baud rate "
                               f"({baud}) right? `mjtactile doctor` looks for servos") from error
@@ -104,29 +115,39 @@ class Servo:
         if bits:
             raise ServoFault(f"{self.where} has latched {describe_hardware_error(bits)}: find the cause, then take its power "
                              "off and on (it is never rebooted from here)", self.id)
-        for name, wanted, meaning in (("Drive Mode", 0, "reversed or time-based"), ("Status Return Level", 2, "silent")):
-            found = self.get(name)
+        for name, wanted, meaning in REQUIRED:
+            found = read_setting(self.bus, self.id, self.model, name)
             if found != wanted:
                 raise DeviceError(f"{self.where}: {name} is {found} ({meaning}), must be {wanted}; set it with Dynamixel Wizard")
+        if not self.model.watchdog_stops(firmware):
+            _log.warning("%s has firmware %d, whose bus watchdog stops nothing: a dead host leaves it at its last goal and "
+                         "force; update it with Dynamixel Wizard", self.where, firmware)
 
-    def prepare(self, find_place: Callable[[int], None], first_current: Callable[[Servo], int], p_gain: int | None) -> None:
-        """Torque on in current-based position mode, standing still. Writing the mode resets gains and goals.
+    def prepare(self, find_place: Callable[[int], None], limit: int, first_current: Callable[[Servo], int], p_gain: int | None
+                ) -> None:
+        """Torque on in current-based position mode, standing still, limits and watchdog first: whenever the host dies, the servo
+        is off or has both. Writing the mode resets gains and goals.
 
-        `find_place` is told the present position (ticks) before the torque is on, `first_current` says the goal current
-        (units) until the first command.
+        `find_place` is told the present position (ticks) before the torque is on; `limit` is the largest goal current (units)
+        that any command may ask for, `first_current` says the one until the first command.
         """
         self.set("Bus Watchdog", 0)  # one that has tripped makes the goals read-only
         self.set("Torque Enable", 0)
         self.set("Operating Mode", CURRENT_BASED_POSITION)
-        self.set("Current Limit", self.model.current_max_units)
+        self.current_limit_units = limit
+        self.set("Current Limit", limit)  # what a goal current is reset to
         self.set("Return Delay Time", 0)
         find_place(signed(self.get("Present Position"), 4))
+        self.goal_current_units = min(first_current(self), limit)
+        self._stand_still(p_gain)
         self.set("Torque Enable", 1)
+        self._stand_still(p_gain)  # once more, should the torque have reset any of it
+
+    def _stand_still(self, p_gain: int | None) -> None:
         if p_gain is not None:
             self.set("Position P Gain", p_gain)
         self.set("Profile Acceleration", 0)
         self.set("Profile Velocity", 0)  # the control loop limits the speed
-        self.goal_current_units = first_current(self)
         self.set("Goal Current", self.goal_current_units)
         self.ticks = self.goal_ticks = signed(self.get("Present Position"), 4)
         self.set("Goal Position", self.goal_ticks)
@@ -134,7 +155,8 @@ class Servo:
 
     def set_watchdog(self, seconds: float) -> None:
         """Silence on the bus after which the servo stops by itself."""
-        self.set("Bus Watchdog", max(1, round(seconds / WATCHDOG_UNIT)))
+        self.watchdog_units = max(1, round(seconds / WATCHDOG_UNIT))
+        self.set("Bus Watchdog", self.watchdog_units)
 
     # -- every cycle ---------------------------------------------------------------------------------------------
 
@@ -154,18 +176,27 @@ class Servo:
             text = describe_hardware_error(self.get("Hardware Error Status"))
         except BusError as error:
             text = f"an alert that could not be read ({error.reason})"
-        if text not in self.faults:
-            self.faults.append(text)
+        self._note(text)
 
     def poll(self) -> None:
-        """Ask for what the state block does not hold: a brown-out resets a servo in silence. Raises BusError."""
-        block = self.bus.read(self.id, 64, 35)  # 64 torque, 70 hardware error, 98 bus watchdog
-        if block.value(6, 1):
+        """Ask for what the state block does not hold: a tripped watchdog, or one that a restart in silence has set back to 0.
+
+        A watchdog that has tripped is cleared: until then no goal is taken, and the hand could not retreat. Raises BusError.
+        """
+        register = self.model.table["Bus Watchdog"]
+        reply = self.bus.read(self.id, register.address, register.size)
+        if reply.alert:
             self.note_alert()
-        elif block.value(34, 1) == 0xFF:
-            self.faults.append("bus watchdog (the host was silent for too long)")
-        elif not block.value(0, 1):
-            self.faults.append("restart (its torque is off: did its voltage drop?)")
+        elif reply.value(0, 1) == WATCHDOG_TRIPPED:
+            self._note("bus watchdog (the host was silent for too long)")
+            for value in (0, self.watchdog_units):
+                self.bus.write(self.id, register.address, register.size, value)
+        elif reply.value(0, 1) != self.watchdog_units:
+            self._note("restart (its watchdog is off: did its voltage drop?)")
+
+    def _note(self, fault: str) -> None:
+        if fault not in self.faults:
+            self.faults.append(fault)
 
     def raise_trouble(self, failures_max: int) -> None:
         """Raise ServoFault for a noted fault, DeviceError for `failures_max` lost replies in a row."""
@@ -194,7 +225,7 @@ class Servo:
 
 @dataclass(frozen=True)
 class ServoReport:
-    """What a servo says about itself: volt, degrees Celsius, latched errors in words ("" for none)."""
+    """What a servo says about itself: volt, degrees Celsius, latched errors in words ("" for none), `settings` of `REQUIRED`."""
 
     id: int
     model: str
@@ -204,6 +235,7 @@ class ServoReport:
     temperature: float
     hardware_error: str
     torque_on: bool
+    settings: Mapping[str, int]
 
 
 def read_report(bus: DynamixelBus, servo: int) -> ServoReport:
@@ -212,6 +244,23 @@ def read_report(bus: DynamixelBus, servo: int) -> ServoReport:
     name = MODEL_BY_NUMBER[number].name if number in MODEL_BY_NUMBER else NO_CURRENT_CONTROL.get(number, f"model {number}")
     error = bus.read(servo, 70, 1).value(0, 1)
     power = bus.read(servo, 144, 3)
+    model = MODEL_BY_NUMBER.get(number)
+    settings = {} if model is None else {name: read_setting(bus, servo, model, name) for name, _, _ in REQUIRED}
     return ServoReport(servo, name, firmware, bus.read(servo, 11, 1).value(0, 1), 0.1 * power.value(0, 2),
                        float(power.value(2, 1)), describe_hardware_error(error) if error else "",
-                       bool(bus.read(servo, 64, 1).value(0, 1)))
+                       bool(bus.read(servo, 64, 1).value(0, 1)), settings)
+
+
+def read_setting(bus: DynamixelBus, servo: int, model: ServoModel, name: str) -> int:
+    """One register, signed where it is wide; 0 for one that this firmware does not have yet. Raises BusError."""
+    register = model.table[name]
+    for attempt in range(_READ_ATTEMPTS):
+        try:
+            value = bus.read(servo, register.address, register.size).value(0, register.size)
+            return signed(value, register.size) if register.size == 4 else value
+        except BusError as error:
+            if error.reason == "refused":
+                return 0
+            if attempt == _READ_ATTEMPTS - 1 or error.reason == "lost":
+                raise
+    raise AssertionError

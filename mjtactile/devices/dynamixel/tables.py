@@ -22,6 +22,10 @@ WATCHDOG_UNIT = 0.020  # s, "Bus Watchdog"
 CURRENT_BASED_POSITION = 5  # "Operating Mode"
 EEPROM_END = 64  # registers below are kept without power and locked while torque is on
 
+WATCHDOG_TRIPPED = 0xFF  # "Bus Watchdog" reads -1
+_STARTUP = ("Startup Configuration", 60, 1)  # of the e-manual's tables; those of the SDK lack it
+_WATCHDOG_STOPS_NOTHING = {51}  # firmware of all 330 sizes: forum.robotis.com, topic 4814
+
 HARDWARE_ERRORS = {0: "input voltage", 2: "overheating", 3: "motor encoder", 4: "electrical shock", 5: "overload"}
 """Bits of "Hardware Error Status" (70)."""
 
@@ -41,6 +45,10 @@ class ServoModel:
     def table(self) -> Mapping[str, Register]:
         return load_table(self.name.lower().replace("-", "_"))
 
+    def watchdog_stops(self, firmware: int) -> bool:
+        """Whether the bus watchdog of this firmware stops the motor: one is known that notes the trip and turns on."""
+        return "330" not in self.name or firmware not in _WATCHDOG_STOPS_NOTHING
+
 
 @dataclass(frozen=True)
 class Register:
@@ -57,8 +65,8 @@ def _rows() -> tuple[ServoModel, ...]:
         ServoModel(1200, "XL330-M288", 1.00e-3, 1750, 0.354),  # 0.52 N m, 1.47 A at 5 V
         ServoModel(1210, "XC330-T181", 1.00e-3, 910, 0.95),  # 0.76 N m, 0.80 A at 11.1 V
         ServoModel(1220, "XC330-T288", 1.00e-3, 910, 1.15),  # 0.92 N m, 0.80 A at 11.1 V
-        ServoModel(1230, "XC330-M181", 1.00e-3, 1800, 0.333),  # 0.60 N m, 1.80 A at 5 V
-        ServoModel(1240, "XC330-M288", 1.00e-3, 1800, 0.517),  # 0.93 N m, 1.80 A at 5 V
+        ServoModel(1230, "XC330-M181", 1.00e-3, 2352, 0.333),  # 0.60 N m, 1.80 A at 5 V
+        ServoModel(1240, "XC330-M288", 1.00e-3, 2352, 0.517),  # 0.93 N m, 1.80 A at 5 V
         ServoModel(1020, "XM430-W350", 2.69e-3, 1193, 1.78),  # 4.1 N m, 2.3 A at 12 V
         ServoModel(1030, "XM430-W210", 2.69e-3, 1193, 1.30),  # 3.0 N m, 2.3 A at 12 V
         ServoModel(1120, "XM540-W270", 2.69e-3, 2047, 2.41),  # 10.6 N m, 4.4 A at 12 V
@@ -100,6 +108,8 @@ def load_table(stem: str) -> Mapping[str, Register]:
             inside = line.strip() == "[control table]"
         elif inside and len(parts := line.split("\t")) == 3 and parts[0].isdigit():
             table[parts[2].strip()] = Register(int(parts[0]), int(parts[1]))
+    name, address, size = _STARTUP
+    table[name] = Register(address, size)
     return table
 
 

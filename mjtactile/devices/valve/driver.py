@@ -23,10 +23,14 @@ class BoardValve:
         self.board, self.config = board, config
         self._goal: float | None = None
         self._goal_time = 0.0
+        self._is_sealed = False
 
     def state(self) -> ValveState:
         """Whether it is open, and the pressure. Raises DeviceError: silent board, or a pressure that does not follow."""
         reading = self.board.reading(self.config.channel)
+        if self._is_sealed and reading.is_open:
+            raise DeviceError(f"valve {self.config.finger} was sealed and is open: the board vented by itself (a silent host, "
+                              "or a fault of its own) or was restarted")
         self._check_moves(reading)
         return ValveState(reading.is_open, reading.pressure_gauge, reading.time, time.monotonic() - reading.time)
 
@@ -36,6 +40,7 @@ class BoardValve:
         if not 0 <= supply_gauge <= config.pressure_max:
             raise DeviceError(f"valve {config.finger}: {supply_gauge:g} Pa is outside 0 to {config.pressure_max:g} Pa, the "
                               "largest that the rig file allows")
+        self._is_sealed = False
         if supply_gauge == 0:
             self.board.obey(dialect.vent, config.channel)
         elif dialect.open:
@@ -50,7 +55,7 @@ class BoardValve:
             self._check_moves(self.board.measure(self.config.channel))
             time.sleep(_SETTLE_POLL)
         self.board.obey(self.board.dialect.close, self.config.channel)
-        self._goal = None
+        self._goal, self._is_sealed = None, True
 
     def _connect(self, supply_gauge: float) -> None:
         fixed = self.config.supply_gauge or 0.0

@@ -67,6 +67,7 @@ class HandWorld(World):
         self._kinematics = mujoco.MjData(self.model)
         self._opening_target = self._opening_goal = opening
         self._lift_target = self._lift_goal = 0.0
+        self._lift_speed = rig.lift.speed
         self._hold_still()
         mujoco.mj_forward(self.model, self.data)
 
@@ -85,11 +86,13 @@ class HandWorld(World):
                 raise InputError(f"{force_limit!r} N is not a finite force > 0", source="gripper", field="force_limit")
             self._jaws.limit_force(force_limit)
 
-    def set_lift_target(self, height: float) -> None:
-        """Set the goal of the lift, m above where the hand started. Raises InputError when it is out of reach."""
+    def set_lift_target(self, height: float, speed: float | None = None) -> None:
+        """Set the goal of the lift, m above where the hand started, and the speed to it, m/s (None: the rig's). Raises InputError
+        when it is out of reach."""
         if not np.isfinite(height) or not 0 <= height <= self.rig.lift.travel:
             raise InputError(f"{height!r} m is outside 0 to {self.rig.lift.travel:g} m", source="gripper", field="lift_height")
         self._lift_target = float(height)
+        self._lift_speed = self.rig.lift.speed if speed is None else speed
 
     def open_valve(self, sensor: int, supply_gauge: float | None = None) -> None:
         """Connect one chamber to a supply of `supply_gauge` Pa (default: the design's)."""
@@ -145,7 +148,7 @@ class HandWorld(World):
 
     def _before_step(self) -> None:
         """Move both goals towards their targets at limited speed, the jaws' no further ahead than their force needs."""
-        jaw_step, lift_step = self.rig.gripper.speed * self.timestep, self.rig.lift.speed * self.timestep
+        jaw_step, lift_step = self.rig.gripper.speed * self.timestep, self._lift_speed * self.timestep
         self._jaws.refresh_force()
         reach = self._jaws.reach(self.rig.gripper.speed) + 4 * jaw_step
         goal = _nearer(self._opening_goal, self._opening_target, jaw_step)

@@ -1,0 +1,55 @@
+"""What an emulated servo's motor does: the path of its profile, and the drive that its mode asks for.
+
+"What is the Profile", "Profile Velocity(112)", "Profile Acceleration(108)" of each model's e-manual page.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+FAR = 2 * math.pi  # rad ahead: where a motor without a position goal pulls to
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What the motor does now: goal angle rad (turns counted), and the most torque it may use, N m (0: no torque)."""
+
+    goal: float
+    torque_max: float
+
+
+@dataclass
+class Path:
+    """The trajectory that a profile makes of a goal: `angle` rad, `speed` rad/s."""
+
+    angle: float
+    speed: float = 0.0
+    origin: float = 0.0  # where it last stood still
+
+    def start(self, angle: float) -> None:
+        """Stand still at `angle`."""
+        self.angle, self.speed, self.origin = angle, 0.0, angle
+
+    def follow(self, goal: float, speed_max: float, acceleration: float, period: float) -> None:
+        """Towards a position; 0 is no limit (`speed_max` 0: a step, whatever the acceleration)."""
+        left = goal - self.angle
+        if speed_max <= 0:
+            self.start(goal)
+            return
+        wanted = math.copysign(speed_max, left) if left else 0.0
+        if acceleration > 0:
+            wanted = math.copysign(min(speed_max, math.sqrt(2 * acceleration * abs(left))), left)
+            change = acceleration * period
+            wanted = self.speed + min(max(wanted - self.speed, -change), change)
+        step = wanted * period
+        if abs(step) >= abs(left) and step * left >= 0:
+            self.start(goal)
+        else:
+            self.angle, self.speed = self.angle + step, wanted
+
+    def turn(self, speed: float, acceleration: float, period: float) -> None:
+        """Towards a speed."""
+        change = acceleration * period if acceleration > 0 else math.inf
+        self.speed += min(max(speed - self.speed, -change), change)
+        self.angle += self.speed * period

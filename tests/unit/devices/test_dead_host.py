@@ -1,0 +1,139 @@
+"""What a dead host leaves of a hand, on servos whose watchdogs do different things (decision 19).
+
+Two jaws on racks close on a spring between them; the host stops in the middle of it. The mechanism is statics: a jaw goes to
+its goal, or as far as its torque presses the spring.
+"""
+
+import contextlib
+import logging
+import math
+import threading
+import time
+
+import pytest
+
+from mjtactile.core.types import Command
+from tests.emulated import ANGLE, servo_bench, wait_for
+
+pytestmark = pytest.mark.realtime
+
+RADIUS = 0.012  # m/rad, GRIPPER's
+START = 2 * RADIUS * ANGLE  # m of opening, 72 mm
+STIFFNESS = 400.0  # N/m of the spring at each finger
+FORCE = 2.0  # N that the host allows
+SPEED = 3.0  # rad/s of the jaws
+LEAD = 0.1 * 0.1  # m: 0.1 s at GRIPPER's largest speed
+KINDS = {"brake": {}, "limp": {"trip": "limp"}, "goes on": {"firmware": 51}}
+
+
+class Jaws:
+    """The mechanism, alive; the spring is touched at `touch` m of opening. `silence` s are added to the watchdogs' clock."""
+
+    def __init__(self, bench, touch):
+        self.bench, self.touch, self.silence = bench, touch / 2, 0.0
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def close(self):
+        self._stop.set()
+        self._thread.join()
+
+    @property
+    def opening(self):
+        return sum(RADIUS * servo.angle for servo in self.bench.servos.values())
+
+    def forces(self):
+        return [STIFFNESS * max(0.0, self.touch - RADIUS * servo.angle) for servo in self.bench.servos.values()]
+
+    def settled(self):
+        """Wait until it moves no more: a servo that goes on needs 0.14 s for 10 mm."""
+        def rests():
+            before = self.opening
+            time.sleep(0.1)
+            return self.opening == before
+
+        assert wait_for(rests)
+
+    def _run(self):
+        last = time.monotonic()
+        while not self._stop.wait(0.004):
+            now = time.monotonic()
+            for servo in self.bench.servos.values():
+                servo.look_at_watchdog(now + self.silence)
+                self._move(servo, min(now - last, 0.02))
+            last = now
+
+    def _move(self, servo, period):
+        drive = servo.drive()
+        pressed = (self.touch - drive.torque_max / RADIUS / STIFFNESS) / RADIUS  # where spring and motor balance
+        goal = max(drive.goal, pressed) if drive.torque_max else max(servo.angle, self.touch / RADIUS)
+        step = min(max(goal - servo.angle, -SPEED * period), SPEED * period)
+        torque = STIFFNESS * max(0.0, self.touch - RADIUS * servo.angle) * RADIUS
+        servo.feel(servo.angle + step, step / max(period, 1e-6), -torque, period)
+
+
+@contextlib.contextmanager
+def hand(kind, touch):
+    with servo_bench(**KINDS[kind]) as bench:
+        jaws, gripper = Jaws(bench, touch), None
+        try:
+            gripper = bench.gripper()
+            yield bench, jaws, gripper
+        finally:
+            if gripper is not None:
+                gripper.close(quiet=True)
+                gripper.bus.close()
+            jaws.close()
+
+
+def close_until(gripper, condition):
+    """Ask for closed jaws, as fast as they go."""
+    deadline = time.monotonic() + 20
+    while not condition():
+        assert time.monotonic() < deadline
+        gripper.state()
+        gripper.command(Command(0.0, FORCE))
+        time.sleep(0.005)
+
+
+def die(bench, jaws, gripper):
+    """The host is dead, and the watchdogs have noticed."""
+    gripper._closed.set()  # nothing keeps the bus alive, nor switches anything off
+    gripper._keeper.join()
+    jaws.silence = 10.0
+    assert wait_for(lambda: all(servo.tripped for servo in bench.servos.values()))
+    jaws.settled()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_hand_that_squeezes_never_squeezes_harder(kind):
+    """Braking or going on, the squeeze is what the host had allowed (a unit of current, 0.03 N, less); limp, it is gone."""
+    with hand(kind, touch=START - 0.008) as (bench, jaws, gripper):
+        close_until(gripper, lambda: min(jaws.forces()) > 0.9 * FORCE)
+        die(bench, jaws, gripper)
+        forces = jaws.forces()
+        if kind == "limp":
+            assert max(forces) == pytest.approx(0.0, abs=0.02)
+        else:
+            assert max(forces) <= FORCE + 0.01
+            assert min(forces) > 0.8 * FORCE  # it is held
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_hand_on_its_way_stops_by_itself(kind):
+    """It had been told to close by 72 mm, and nothing is between the jaws: it comes no further than 10 mm from where the host
+    last knew it to be."""
+    with hand(kind, touch=0.0) as (bench, jaws, gripper):
+        close_until(gripper, lambda: jaws.opening < START - 0.015)
+        known = gripper.geometry.opening({servo: ticks for servo, (ticks, _) in gripper.positions.items()})
+        die(bench, jaws, gripper)
+        assert jaws.opening > known - LEAD - 2 * RADIUS * 2 * math.pi / 4096  # a tick of each
+        if kind == "goes on":
+            assert jaws.opening == pytest.approx(known - LEAD, abs=2 * RADIUS * 2 * math.pi / 4096)  # that is where its goal was
+
+
+def test_firmware_that_stops_nothing_is_said(caplog):
+    with caplog.at_level(logging.WARNING), hand("goes on", touch=0.0):
+        pass
+    assert [r.message for r in caplog.records if "firmware 51, whose bus watchdog stops nothing" in r.message]
