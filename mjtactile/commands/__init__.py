@@ -20,6 +20,7 @@ COMMANDS = {
     "doctor": "check cameras, servos and valves, or a simulated robot, and say how to mend what is wrong",
     "record": "record a rig that stands still: images, times, pressures, servos, calibration",
     "studio": "watch a grasp live in the browser, and reach in",
+    "summary": "the page of a recorded run: curves to zoom, images by a slider, membranes to turn",
     "video": "film a recorded run: images, ellipses, forces over time",
     "export": "write recordings as a LeRobot data set, MCAP files or ROS 2 bags",
     "new": "start your own controller, sensor, object or rig from a commented copy",

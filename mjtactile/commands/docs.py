@@ -17,6 +17,7 @@ EPILOG = """\
 examples:
   mjtactile docs
   mjtactile docs sensors | less
+  mjtactile docs tutorials/sensor
 """
 
 
@@ -26,15 +27,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     folder = resources.folder("docs")
-    pages = {path.stem: path for path in sorted(folder.glob("*.md"))}
+    pages = {path.relative_to(folder).with_suffix("").as_posix(): path for path in
+             sorted([*folder.glob("*.md"), *folder.glob("tutorials/*.md")])}
     if options.page is None:
         titles = {name: _title(path) for name, path in pages.items()}
         if options.json:
             print_json({"folder": folder, "pages": titles})
         else:
-            print(f"in {folder}:", *(f"  {name:<12} {title}" for name, title in titles.items()), sep="\n")
+            print(f"in {folder}:", *(f"  {name:<21} {title}" for name, title in titles.items()), sep="\n")
         return 0
-    name = Path(options.page).stem
+    name = options.page.removeprefix("docs/").removesuffix(".md")
     if name not in pages:
         raise InputError("no such page", source=options.page, choices=pages)
     text = pages[name].read_text(encoding="utf-8")

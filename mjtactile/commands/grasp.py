@@ -14,12 +14,13 @@ from mjtactile.commands import effects, ranges
 from mjtactile.commands.output import new_run_folder, output_folder, print_json, stdout_to_stderr
 from mjtactile.core import resources, signals
 from mjtactile.recording.files import write_json
+from mjtactile.recording.strip import Strip
 from mjtactile.run.progress import Progress
 
 DESCRIPTION = """\
 Close a gripper on an object, feel the touch through the membrane camera of each finger,
 regulate the force, lift, hold for 2 s, set down. Writes a folder with summary.json,
-summary.png and a recording."""
+summary.png, summary.html (to zoom, turn and send; needs no network) and a recording."""
 EPILOG = """\
 examples:
   mjtactile grasp
@@ -81,8 +82,8 @@ def _count(text: str) -> int:
 def run(options: argparse.Namespace) -> int:
     _check_video(options.video, options.frames)
     progress = Progress()  # which looks whether stderr is a terminal
-    folder = (output_folder(options.out, "recording", "summary.json", "summary.png") if options.out is not None else
-              new_run_folder(Path(options.object).stem))
+    folder = (new_run_folder(Path(options.object).stem) if options.out is None else
+              output_folder(options.out, "recording", "summary.json", "summary.png", "summary.html"))
     with folder as out, stdout_to_stderr():
         summary = _run_and_report(options, out, progress)
     with contextlib.suppress(BrokenPipeError):  # the exit code says how it went, read or not
@@ -103,16 +104,18 @@ def _manner(options: argparse.Namespace) -> dict[str, Any]:
 
 def _run_and_report(options: argparse.Namespace, out: Path, progress: Progress) -> dict[str, Any]:
     """Run the grasp and write its report, also of a run that failed half-way; the error then carries its summary."""
-    from mjtactile.run import report  # noqa: F401  # now: when the run ends there may be no descriptors left to import it with
+    from mjtactile.run import summary as _  # noqa: F401  # now: in the end there may be no descriptors left to import it with
     from mjtactile.run.grasp import GraspOptions, run_grasp
 
     header = _header(options)
+    grasp = GraspOptions(**header, **_manner(options))
     recorder: Recorder | None = None
     try:
         with signals.deferred():  # no signal between an open file and who closes it
-            recorder = Recorder(out / "recording", header, frames=options.frames)
+            recorder = Recorder(out / "recording", header | {"command": grasp.command()}, frames=options.frames)
             recorder.views = [] if options.video else None
-        summary = run_grasp(GraspOptions(**header, **_manner(options)), recorder=recorder, progress=progress).summary()
+            recorder.strip = Strip()
+        summary = run_grasp(grasp, recorder=recorder, progress=progress).summary()
     except (Exception, KeyboardInterrupt) as error:
         progress.close()
         if recorder is None:
@@ -174,15 +177,16 @@ def _report_fault(error: BaseException, recorder: Recorder, out: Path, header: d
 
 
 def _write_report(out: Path, recorder: Recorder, summary: dict[str, Any], *, picture: bool = True) -> None:
-    """Write summary.json, then the picture; what cannot be written does not change how the run went."""
-    from mjtactile.run import report
+    """Write summary.json, then picture and page; what cannot be written does not change how the run went."""
+    from mjtactile.run.summary import write_pictures
 
     try:
         write_json(out / "summary.json", summary)
-        if picture:
-            report.write_figure(out / "summary.png", load_recording(out), recorder.snapshot, summary, recorder.view)
+        problems = write_pictures(out, recorder, summary) if picture else []
     except (MjtactileError, OSError) as error:
-        print(f"mjtactile: warning: the report is not complete: {error}", file=sys.stderr)
+        problems = [error]
+    for problem in problems:
+        print(f"mjtactile: warning: the report is not complete: {problem}", file=sys.stderr)
 
 
 def _print_summary(summary: dict[str, Any], out: Path) -> None:
@@ -203,4 +207,4 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
         print(f"  estimate  the simulated force is off by about {1e3 * summary['force_error_estimate_N']:.0f} mN")
     speed, spent = summary["real_time_factor"], summary["perception_ms_median"]
     print(f"  speed     {speed:.2f} x real time; perception takes {spent:.1f} ms a cycle (median)")
-    print(f"  results   {out}/summary.json, summary.png, recording/")
+    print(f"  results   {out}/summary.html, summary.png, summary.json, recording/")

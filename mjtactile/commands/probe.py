@@ -12,6 +12,7 @@ from mjtactile.commands import plots, ranges
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
 from mjtactile.core import resources, signals
 from mjtactile.recording.files import write_json
+from mjtactile.recording.strip import Strip
 from mjtactile.run.progress import Progress
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ it relaxes and what stays of its deformation."""
 EPILOG = """\
 examples:
   mjtactile probe --object clay
-  mjtactile probe --object my_fruit.xml --out runs/fruit    probe.json, probe.png, recording/
+  mjtactile probe --object my_fruit.xml --out runs/fruit    probe.html, probe.png, probe.json, recording/
   mjtactile probe --source runs/fruit --json                the same recording, judged again
 
 "unknown" is a verdict: status then says why (not enough contact yet, or undecided).
@@ -41,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rig", default="sim", metavar="RIG", help=f"{', '.join(rig_names())} (default: sim)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of placement and noise (default: 0)")
     ranges.add_frames_argument(parser)
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write probe.json, probe.png and the recording there")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write probe.json, probe.png, probe.html and the recording there")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -49,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("say either what to probe or which recording to judge", field="--source")
     if options.seed < 0:
         raise InputError(f"{options.seed} is not a whole number from 0 up", field="--seed")
-    with optional_folder(options.out, "probe.json", "probe.png", "recording") as out, stdout_to_stderr():
+    with optional_folder(options.out, "probe.json", "probe.png", "probe.html", "recording") as out, stdout_to_stderr():
         result = _replay(options) if options.source is not None else _live(options, out)
         if out is not None:
             write_json(out / "probe.json", {**result.summary(), "history": result.history()})
@@ -68,6 +69,7 @@ def _replay(options: argparse.Namespace) -> ProbeResult:
 
 
 def _live(options: argparse.Namespace, out: Path | None) -> ProbeResult:
+    from mjtactile.run.page import write_page
     from mjtactile.run.probe import ProbeOptions, run_probe
 
     names = {"object": options.object or "sponge", "sensor": options.sensor or "dense", "controller": options.controller,
@@ -76,8 +78,10 @@ def _live(options: argparse.Namespace, out: Path | None) -> ProbeResult:
     if out is None:
         return run_probe(ProbeOptions(**names), say=say)
     with signals.deferred(), Recorder(out / "recording", names, frames=options.frames) as recorder:
+        recorder.strip = Strip()
         result = run_probe(ProbeOptions(**names), recorder=recorder, say=say)
         recorder.close(outcome=result.material.kind)
+    write_page(out / "probe.html", load_recording(out), recorder.strip.kept, result.summary(), recorder.snapshot)
     return result
 
 
@@ -97,7 +101,7 @@ def _print(result: ProbeResult, out: Path | None) -> None:
     if known(m.speed):
         print(f"  flow         {1e3 * m.speed:.2f} mm/s after the fingers stopped")
     if out is not None:
-        print(f"  results      {out}/probe.json, probe.png")
+        print(f"  results      {out}/probe.html, probe.png, probe.json")
 
 
 def _range(value: float, interval: Any) -> str:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import gc
 import math
-import shlex
 import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -43,13 +42,14 @@ class Episode:
     effects: str = "auto"
     vary: str = "none"
 
+    def options(self) -> GraspOptions:
+        """The grasp that it is."""
+        return GraspOptions(object=self.object, sensor=self.sensor, controller=self.controller, rig=self.rig, seed=self.seed,
+                            accuracy=self.accuracy, effects=self.effects, vary=self.vary, workers=0)
+
     def command(self) -> str:
         """How to run it again alone."""
-        words = ["mjtactile", "grasp", "--object", self.object, "--controller", self.controller, "--seed", str(self.seed)]
-        for name, default in (("sensor", "dense"), ("rig", "sim"), ("accuracy", ""), ("effects", "auto"), ("vary", "none")):
-            if getattr(self, name) != default:
-                words += [f"--{name}={getattr(self, name)}"]
-        return shlex.join(words)
+        return self.options().command()
 
 
 def plan(count: int, controllers: Sequence[str], objects: Sequence[str], first_seed: int, *, shard: tuple[int, int] = (1, 1),
@@ -71,10 +71,8 @@ def run_episode(episode: Episode) -> dict[str, Any]:
     line: dict[str, Any] = {"episode": episode.index, "controller": Path(episode.controller).stem,
                             "object": Path(episode.object).stem.partition(":")[0], "seed": episode.seed}
     notes = _Notes()
-    options = GraspOptions(object=episode.object, sensor=episode.sensor, controller=episode.controller, rig=episode.rig,
-                           seed=episode.seed, accuracy=episode.accuracy, effects=episode.effects, vary=episode.vary, workers=0)
     try:
-        summary = run_grasp(options, recorder=notes, progress=notes).summary()
+        summary = run_grasp(episode.options(), recorder=notes, progress=notes).summary()
     except MjtactileError as error:
         summary = {"outcome": "error", "reason": " ".join(str(error).split())}
     except Exception as error:  # noqa: BLE001  # a mistake of ours in one episode shall not end the others

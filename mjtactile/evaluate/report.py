@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
@@ -15,12 +14,10 @@ from mjtactile.evaluate import svg
 from mjtactile.evaluate.statistics import NO_IMAGES, pair_text, summarise
 from mjtactile.evaluate.varied import measures
 from mjtactile.evaluate.wilson import Line
+from mjtactile.run.html import data_uri, document, table
 
-_STYLE = """body{font:15px/1.45 sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#222}
-table{border-collapse:collapse;margin:.6em 0}td,th{padding:.15em .7em;text-align:right;border-bottom:1px solid #e6e6e6}
-td:first-child,th:first-child,td.t{text-align:left}code{background:#f3f3f3;padding:.1em .3em;user-select:all;font-size:13px}
-.grid{display:flex;flex-wrap:wrap;gap:.8em}.grid figure{margin:0}figcaption{font-size:13px}img{max-width:100%}
-.out{color:#b00020;font-weight:bold}h3{margin-bottom:.2em}"""
+_STYLE = (".grid{display:flex;flex-wrap:wrap;gap:.8em}.grid figure{margin:0}figcaption{font-size:13px}"
+          ".out{color:#b00020;font-weight:bold}h3{margin-bottom:.2em}")
 _SHOWN = 12  # drawings of varied values before the rest is folded away
 _LABELS = {"slip_mm": "slip, mm (true)", "force_error_N": "held force, felt less true, N",
            "peak_share_of_breaking": "peak force over what breaks it (true)"}
@@ -30,8 +27,8 @@ def page(manifest: Mapping[str, Any], lines: Sequence[Line], worst: Sequence[Lin
     """The page. `worst` episodes are shown with their `pictures`, by controller and number of the episode."""
     summary = summarise(lines)
     parts = [_head(manifest, summary), _success(summary), _pairs(summary), _failures(lines), _distributions(lines),
-             _varied(summary), _worst(worst, pictures), "</body></html>"]
-    return "\n".join(parts) + "\n"
+             _varied(summary), _worst(worst, pictures)]
+    return document(f"Evaluation: {_words(manifest['options']['controllers'])}", parts, style=_STYLE)
 
 
 def _head(manifest: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
@@ -39,9 +36,7 @@ def _head(manifest: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
     controllers = escape(_words(options["controllers"]))
     said = ", ".join(f"{key} {_words(value)}" for key, value in options.items() if value not in ("", None))
     versions = ", ".join(f"{name} {version}" for name, version in manifest["versions"].items())
-    return (f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Evaluation: {controllers}'
-            f"</title><style>{_STYLE}</style></head><body>"
-            f"<h1>{controllers}: {summary['episodes']} episodes</h1>"
+    return (f"<h1>{controllers}: {summary['episodes']} episodes</h1>"
             f"<p>{escape(said)}<br>{escape(versions)}</p>"
             + ("" if summary.get("images", True) else f"<p>{escape(NO_IMAGES)}</p>"))
 
@@ -62,7 +57,7 @@ def _success(summary: Mapping[str, Any]) -> str:
                          f"{100 * low:.1f}-{100 * high:.1f} %", svg.interval_bar(low, share, high, colour),
                          group["dropped"], group["crushed"], group["error"]])
     head = ["controller", "object", "episodes", "held", "95 % (Wilson)", "", "dropped", "crushed", "errors"]
-    return "<h2>Success</h2>" + _table(head, rows) + "<p>Errors did not come to an end, and are not in the shares.</p>"
+    return "<h2>Success</h2>" + table(head, rows) + "<p>Errors did not come to an end, and are not in the shares.</p>"
 
 
 def _pairs(summary: Mapping[str, Any]) -> str:
@@ -84,7 +79,7 @@ def _failures(lines: Sequence[Line]) -> str:
         return "<h2>Failures and errors</h2><p>None.</p>"
     rows = [[*map(escape, key[:4]), escape(group[0]["reason"] or ""), len(group), f"<code>{escape(group[0]['again'])}</code>"]
             for key, group in sorted(kinds.items(), key=lambda item: -len(item[1]))]
-    return "<h2>Failures and errors</h2>" + _table(
+    return "<h2>Failures and errors</h2>" + table(
         ["controller", "object", "outcome", "phases", "reason (of the first)", "episodes", "the first again"], rows, text=True)
 
 
@@ -169,8 +164,8 @@ def _worst(worst: Iterable[Line], pictures: Mapping[str, Path | None]) -> str:
                      f"<p>{'; '.join(facts)}<br>{escape(line.get('phases', ''))}<br><code>{escape(line['again'])}</code></p>")
         picture = pictures.get(f"{line['controller']}-{line['episode']:06d}")
         if picture is not None:
-            data = base64.b64encode(picture.read_bytes()).decode("ascii")
-            parts.append(f'<img alt="scene, camera images, surfaces and forces" src="data:image/png;base64,{data}">')
+            uri = data_uri("image/png", picture.read_bytes())
+            parts.append(f'<img alt="scene, camera images, surfaces and forces" src="{uri}">')
         drawn = ", ".join(f"{name} {value}" for name, value in line.get("varied", {}).items())
         parts.append(f"<details><summary>what was drawn</summary><p>{escape(drawn)}</p></details>" if drawn else "")
     return "\n".join(parts)
@@ -185,9 +180,3 @@ def _legend(names: Sequence[str]) -> str:
 
 def _figure(drawing: str, caption: str) -> str:
     return f"<figure>{drawing}<figcaption>{caption}</figcaption></figure>"
-
-
-def _table(head: Sequence[str], rows: Iterable[Sequence[Any]], *, text: bool = False) -> str:
-    cell = '<td class="t">' if text else "<td>"
-    body = "".join("<tr>" + "".join(f"{cell}{value}</td>" for value in row) + "</tr>" for row in rows)
-    return f"<table><tr>{''.join(f'<th>{escape(word)}</th>' for word in head)}</tr>{body}</table>"

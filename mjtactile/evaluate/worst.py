@@ -10,11 +10,11 @@ from mjtactile.core.errors import MjtactileError
 from mjtactile.evaluate.episodes import Episode
 from mjtactile.evaluate.varied import measures
 from mjtactile.evaluate.wilson import Line
-from mjtactile.recording.reader import load_recording
+from mjtactile.recording.strip import Strip
 from mjtactile.recording.writer import Recorder
-from mjtactile.run import report
-from mjtactile.run.grasp import GraspOptions, run_grasp
+from mjtactile.run.grasp import run_grasp
 from mjtactile.run.progress import Progress
+from mjtactile.run.summary import write_pictures
 
 _RANKS = {"crushed": 2, "dropped": 2, "error": 1, "held": 0}
 _SLIP = 5.0  # mm that are as bad as breaking
@@ -48,18 +48,19 @@ def draw(episode: Episode, folder: Path) -> Path | None:
     if picture.exists():
         return picture
     header: dict[str, Any] = {key: getattr(episode, key) for key in ("object", "sensor", "controller", "rig", "seed")}
-    options = GraspOptions(**header, accuracy=episode.accuracy, effects=episode.effects, vary=episode.vary, workers=0)
+    header["command"] = episode.command()
     summary: dict[str, Any] = {"object": episode.object, "outcome": "error", "sensor": episode.sensor, "seed": episode.seed}
     try:
         with Recorder(folder / "recording", header, frames=0) as recorder:
+            recorder.strip = Strip()
             try:
-                summary = run_grasp(options, recorder=recorder, progress=Progress(quiet=True)).summary()
+                summary = run_grasp(episode.options(), recorder=recorder, progress=Progress(quiet=True)).summary()
             except MjtactileError as error:
                 summary["reason"] = " ".join(str(error).split())
             recorder.close(outcome=summary["outcome"])
         if not recorder.cycles:
             return None
-        report.write_figure(picture, load_recording(folder), recorder.snapshot, summary, recorder.view)
+        write_pictures(folder, recorder, summary)
     except (MjtactileError, OSError):
-        return None  # no matplotlib, no room: a report without pictures
-    return picture
+        return None  # no room
+    return picture if picture.exists() else None  # no matplotlib: a report without pictures

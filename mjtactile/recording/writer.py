@@ -20,6 +20,7 @@ from mjtactile.core.types import Image
 from mjtactile.recording import png
 from mjtactile.recording.columns import CycleLike, make_row
 from mjtactile.recording.files import FORMAT, FRAMES, LOG, VERSION, finger_names, provenance, to_json
+from mjtactile.recording.strip import Strip
 
 _QUEUE_CYCLES = 64  # that may wait for the disk: 2 s at 30 Hz, 40 MB with two cameras of 640 x 480 pixels
 _FLUSH_TIME = 5.0  # s that the end of a run waits for the disk
@@ -42,6 +43,8 @@ class Recorder:
         """The scene in that cycle."""
         self.views: list[tuple[float, Any]] | None = None
         """The scene in every cycle and its time, where somebody makes this a list."""
+        self.strip: Strip | None = None
+        """Cycles spread over the run, where somebody gives one."""
         self.cycles = self.references = 0
         self.problem = ""
         self.patience = 10.0
@@ -82,6 +85,8 @@ class Recorder:
         self.cycles += 1
         if self.views is not None and view is not None:
             self.views.append((cycle.time, view))
+        if self.strip is not None:
+            self.strip.add(cycle, view)
         if self.snapshot is None or _worth_showing(cycle) >= _worth_showing(self.snapshot):
             self.snapshot, self.view = cycle, view
 

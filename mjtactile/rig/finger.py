@@ -49,6 +49,8 @@ class Rig:
     """s from its first cycle to its last: a recording ends, a world does not."""
     varied: Mapping[str, Any] = field(default_factory=dict)
     """In a simulated world that is not as its files say: the values drawn for it, by name, in the files' units."""
+    simulated: Mapping[str, Any] = field(default_factory=dict)
+    """How a world is simulated: `mesh`, `timestep_ms`, and each of the `effects`, on or off, why, and its price."""
     scene: Any = None
     """The simulated world, for scoring alone; None on a real rig. Sensing and controllers never see a `Rig`."""
 

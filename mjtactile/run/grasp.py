@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 import time as wall
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -39,6 +40,14 @@ class GraspOptions:
     vary: str = NONE
     error_estimate: bool = False
     workers: int | None = None
+
+    def command(self) -> str:
+        """How to run it again from a shell; the number of workers changes nothing."""
+        words = ["mjtactile", "grasp", "--object", self.object, "--controller", self.controller, "--seed", str(self.seed)]
+        for name, default in (("sensor", "dense"), ("rig", "sim"), ("accuracy", ""), ("effects", "auto"), ("vary", NONE)):
+            if getattr(self, name) != default:
+                words += [f"--{name}={getattr(self, name)}"]
+        return shlex.join(words)
 
 
 class RecorderLike(Protocol):

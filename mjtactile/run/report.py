@@ -155,8 +155,8 @@ def _tractions(touch: Touch) -> Array:
     return np.where(contact.mask[..., None], np.nan_to_num(traction.force), 0.0) / area
 
 
-def _draw_arrows(axes: Any, touch: Touch, surface: Surface, mm_per_Pa: float) -> float:
-    """Draw the traction where something touches; returns the highest tip, mm."""
+def arrows(touch: Touch, surface: Surface) -> tuple[Array, Array]:
+    """Where to draw the traction where something touches, (n, 3) mm on the membrane, and the traction there (n, 3) Pa."""
     stress = _tractions(touch)
     size = np.linalg.norm(stress, axis=-1)
     keep = np.zeros(size.shape, dtype=bool)
@@ -164,15 +164,21 @@ def _draw_arrows(axes: Any, touch: Touch, surface: Surface, mm_per_Pa: float) ->
     keep[::step, ::step] = True
     keep &= size > 0.03 * size.max(initial=0.0)
     if touch.traction is None or not keep.any():
-        return float(surface.z.max()) * _MM
+        return np.zeros((0, 3)), np.zeros((0, 3))
     gx, gy = np.meshgrid(touch.traction.x, touch.traction.y)
     iy = np.abs(surface.y[:, None] - gy[keep]).argmin(axis=0)
     ix = np.abs(surface.x[:, None] - gx[keep]).argmin(axis=0)
-    foot_z = surface.z[iy, ix] * _MM
-    arrow = -stress[keep] * mm_per_Pa
-    axes.quiver(gx[keep] * _MM, gy[keep] * _MM, foot_z, *arrow.T, color=_ARROW, linewidth=1.1, arrow_length_ratio=0.22,
-                zorder=2)
-    return float((foot_z + arrow[:, 2]).max())
+    return _MM * np.column_stack([gx[keep], gy[keep], surface.z[iy, ix]]), stress[keep]
+
+
+def _draw_arrows(axes: Any, touch: Touch, surface: Surface, mm_per_Pa: float) -> float:
+    """Draw the traction where something touches; returns the highest tip, mm."""
+    foot, stress = arrows(touch, surface)
+    if not len(foot):
+        return float(surface.z.max()) * _MM
+    arrow = -stress * mm_per_Pa
+    axes.quiver(*foot.T, *arrow.T, color=_ARROW, linewidth=1.1, arrow_length_ratio=0.22, zorder=2)
+    return float((foot + arrow)[:, 2].max())
 
 
 def _draw_forces(axes: Any, recording: Recording, snapshot: CycleLike | None) -> None:

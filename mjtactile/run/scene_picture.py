@@ -47,11 +47,11 @@ def draw_scene(axes: Any, view: View, touch: Sequence[Touch], colours: Sequence[
     axes.set_axis_off()
 
 
-def picture_of(view: View, size: tuple[int, int]) -> Array:
-    """The scene around the sensors, (*size, 3) from 0 to 1."""
+def picture_of(view: View, size: tuple[int, int], samples: int = _SAMPLES) -> Array:
+    """The scene around the sensors, (*size, 3) from 0 to 1; `samples` along a side of a pixel make edges smooth."""
     (middle, half, axes_PW), (corners, rgba), (rows, columns) = _framing(view), view.triangles(), size
-    image = rasterise((corners - middle) @ axes_PW.T / half, rgba[:, :3], (rows * _SAMPLES, columns * _SAMPLES))
-    return image.reshape(rows, _SAMPLES, columns, _SAMPLES, 3).mean(axis=(1, 3))
+    image = rasterise((corners - middle) @ axes_PW.T / half, rgba[:, :3], (rows * samples, columns * samples))
+    return image.reshape(rows, samples, columns, samples, 3).mean(axis=(1, 3))
 
 
 def _framing(view: View) -> tuple[Array, float, Array]:

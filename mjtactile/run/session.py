@@ -65,7 +65,8 @@ class Session:
         """
         rig = self.rig
         if recorder is not None:
-            recorder.note(fingers=[finger.name for finger in rig.fingers], settings=self.settings.to_dict())
+            recorder.note(fingers=[finger.name for finger in rig.fingers], settings=self.settings.to_dict(),
+                          **({"simulated": rig.simulated} if rig.simulated else {}))
         self._say_what_was_measured(recorder)
         self._say("reference: flat, valve open")
         for valve in rig.valves:

@@ -176,7 +176,8 @@ def build_sim_rig(design: SensorDesign, *, object_name: str, seed: int, accuracy
     largest = _LARGEST_STEP if fidelity is None else fidelity.timestep * (1 + 1e-9)
     grasped = load_object(object_name).changed(drawn.object)
     wanted = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.asked
-    on = choose(design, grasped, force_error=wanted, overrides=effects).on
+    chosen = choose(design, grasped, force_error=wanted, overrides=effects)
+    on = chosen.on
     files = finger_designs(file, design)
     designs = tuple(set_design(own, on) for own in files)
     rate = min(own.camera.rate for own in designs)
@@ -184,8 +185,9 @@ def build_sim_rig(design: SensorDesign, *, object_name: str, seed: int, accuracy
     specimens = [drawn.specimen(finger.name) for finger in file.fingers]
     true = [set_design(_true_design(own, specimen, drawn), on) for own, specimen in zip(files, specimens, strict=True)]
     grip = replace(file.gripper, speed=(1 + drawn.rig.speed) * file.gripper.speed)
+    mesh = DEFAULT_MESH if fidelity is None else fidelity.mesh
     world = GraspWorld(set_design(design, on), grasped, rig=replace(file, gripper=grip), timestep=1 / (rate * steps), effects=on,
-                       mesh=DEFAULT_MESH if fidelity is None else fidelity.mesh,
+                       mesh=mesh,
                        object_pose=place(grasped, pose), specimens=true)
     if fidelity is not None:
         world.model.opt.tolerance = fidelity.tolerance
@@ -202,7 +204,7 @@ def build_sim_rig(design: SensorDesign, *, object_name: str, seed: int, accuracy
     return Rig(
         name=file.name, fingers=make_fingers(tuple(finger.name for finger in file.fingers), designs, cameras, valves),
         gripper=SimGripper(world, clock, drawn.rig, seed), clock=clock, limits=limits, close=clock.close, varied=drawn.values,
-        scene=world)
+        scene=world, simulated={"mesh": mesh, "timestep_ms": 1e3 / (rate * steps), "effects": chosen.summary()})
 
 
 def build(request: RigRequest) -> Rig:

@@ -31,10 +31,27 @@ class Page:
             pass
         return answer["result"]
 
+    def run(self, script):
+        """What an expression in JavaScript gives there."""
+        answer = self._ask("Runtime.evaluate", expression=script, returnByValue=True)
+        assert "exceptionDetails" not in answer, answer
+        return answer["result"].get("value")
+
+    def wait_for(self, script, limit=60):
+        """Until an expression is true there."""
+        end = time.monotonic() + limit
+        while not self.run(script):
+            assert time.monotonic() < end, f"never: {script}"
+            time.sleep(0.1)
+
     def picture(self):
         """Blue, green, red (h, w, 3)."""
         png = base64.b64decode(self._ask("Page.captureScreenshot", format="png")["data"])
         return cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+
+    def mouse(self, kind, x, y, **more):
+        """One event of the mouse, such as mouseMoved with buttons=1, or mouseWheel with deltaY px."""
+        self._ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, **{"button": "left", "clickCount": 1} | more)
 
     def click(self, x, y):
         """Come to (x, y) px, press, and let go, each for as long as a hand would."""

@@ -7,6 +7,7 @@ import pytest
 
 from mjtactile.cli import main
 from mjtactile.recording.reader import load_recording
+from tests.pages import Balanced
 
 
 def record(capsys, *arguments):
@@ -45,6 +46,17 @@ def test_a_replay_gives_the_same_numbers(folder, tmp_path, capsys):
         assert np.array_equal(first.column(key), second.column(key), equal_nan=True), key  # bit for bit
     for a, b in zip(first.images(), second.images(), strict=True):
         assert all(np.array_equal(x.pixels, y.pixels) for x, y in zip(a, b, strict=True))
+
+
+def test_its_page_feels_it_again(folder, tmp_path, capsys):
+    assert main(["summary", str(folder), "--out", str(tmp_path / "page.html"), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    page = Balanced((tmp_path / "page.html").read_text())
+    felt = [shot["felt"][0]["text"] for shot in json.loads(page.scripts[0])["shots"]]
+    assert result["felt_again"] and result["shown"] == result["cycles"] == len(felt)
+    said = load_recording(folder).column("force_normal")[:, 0]
+    assert [float(text.split()[0]) for text in felt] == pytest.approx(said, abs=0.0051)  # as written, two digits
+    assert "hyperelasticity" in page.text  # what was simulated
 
 
 def test_a_recording_is_over_when_it_is_over(folder, tmp_path, capsys):

@@ -37,5 +37,5 @@ def test_the_wheel_grasps_an_egg_in_a_fresh_environment(tmp_path):
     assert Path(pages["folder"]).is_relative_to(fresh) and "sensors" in pages["pages"]
     summary = json.loads(run(fresh / "bin" / "mjtactile", "grasp", "--sensor", "paper16", "--json", "--out", "egg", cwd=work))
     assert summary["outcome"] == "held"
-    assert {path.name for path in (work / "egg").iterdir()} == {"summary.json", "summary.png", "recording"}
+    assert {path.name for path in (work / "egg").iterdir()} == {"summary.json", "summary.png", "summary.html", "recording"}
     assert [path.name for path in work.iterdir()] == ["egg"]

@@ -47,7 +47,7 @@ def test_a_sponge_is_soft_and_its_modulus_is_felt(capsys, tmp_path, sensor):
     # the area of the contact comes in besides, from markers 3 to 4 mm apart on a face of 18 x 16 mm
     assert found["modulus_kPa"] == pytest.approx(1e-3 * specimen.modulus(found["force_N"]), rel=0.4)
     assert found["relaxation_time_s"] == 0 and abs(found["permanent_set_mm"]) < 0.15
-    assert {"probe.json", "probe.png", "recording"} <= {path.name for path in (tmp_path / "live").iterdir()}
+    assert {"probe.json", "probe.png", "probe.html", "recording"} <= {path.name for path in (tmp_path / "live").iterdir()}
     again, replayed = probe(capsys, "--source", tmp_path / "live", "--sensor", sensor)
     assert again == 0 and replayed == found  # lossless images, the same code: the same numbers
 

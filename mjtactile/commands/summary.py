@@ -1,0 +1,63 @@
+"""`mjtactile summary`: the page of a recorded run."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from mjtactile import InputError, Recording, load_recording
+from mjtactile.commands.output import print_json, stdout_to_stderr
+from mjtactile.recording.strip import Strip
+from mjtactile.run.progress import Progress
+
+SIMULATES = False
+DESCRIPTION = """\
+Write the page of a recorded run, one file to look at or to send: forces and more over time,
+to zoom and read off; camera images by a slider; the membranes' surfaces, to turn. They are
+felt again from the images, where all of them were kept."""
+EPILOG = """\
+examples:
+  mjtactile summary runs/still                     writes runs/still/summary.html
+  mjtactile summary runs/egg --out egg.html
+
+`mjtactile grasp` and `mjtactile probe --out` write it by themselves. exit codes: 0 written, 2 bad input.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("source", type=Path, metavar="RUN", help="a run's folder, or a recording")
+    parser.add_argument("--out", type=Path, metavar="FILE.html", help="(default: RUN/summary.html)")
+
+
+def run(options: argparse.Namespace) -> int:
+    from mjtactile.run.page import write_page
+    from mjtactile.run.summary import see_again
+
+    recording, path = load_recording(options.source), options.out or options.source / "summary.html"
+    if not path.parent.is_dir():
+        raise InputError("no such folder", source=path.parent, field="--out")
+    strip = Strip()
+    with stdout_to_stderr():
+        Progress(quiet=options.json).message(f"{len(recording)} cycles")
+        felt = see_again(recording, strip.add)
+        write_page(path, recording, strip.kept, _summary(options.source, recording))
+    result = {"out": str(path), "cycles": len(recording), "shown": len(strip.kept), "felt_again": felt}
+    if options.json:
+        print_json(result)
+    else:
+        print(f"{result['cycles']} cycles, {result['shown']} of them shown" +
+              ("" if felt else "; no surfaces: that takes the images of all cycles and of the references"))
+        print(f"  written to {path}")
+    return 0
+
+
+def _summary(folder: Path, recording: Recording) -> dict[str, Any]:
+    """What the run's command said of it, as far as that is there."""
+    known = {key: Path(str(recording.header[key])).stem for key in ("object", "sensor") if key in recording.header}
+    known |= {key: recording.notes[key] for key in ("outcome", "error") if key in recording.notes}
+    for name in ("summary.json", "probe.json"):
+        if (folder / name).is_file():
+            known |= json.loads((folder / name).read_text(encoding="utf-8"))
+    return known

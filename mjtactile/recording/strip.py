@@ -1,0 +1,43 @@
+"""`Strip` keeps some cycles of a run, evenly spread over it however long it gets, for what shows the run afterwards."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from mjtactile.core.types import Image, Touch
+
+_MOST = 32  # cycles
+_ROOM = 96e6  # bytes of images
+
+
+class Seen(Protocol):
+    """What is shown of a cycle; every `CycleLike` is one."""
+
+    @property
+    def time(self) -> float: ...
+    @property
+    def images(self) -> tuple[Image, ...]: ...
+    @property
+    def touch(self) -> tuple[Touch, ...]: ...
+
+
+class Strip:
+    """Between half of `most` cycles and all of them, with the scene at each; fewer where images are large. When it is full,
+    every second one goes, and from then on every second one is not taken."""
+
+    def __init__(self, most: int = _MOST):
+        self.kept: list[tuple[Seen, Any]] = []
+        """Cycles, and what was given as the scene at each."""
+        self._most, self._every, self._seen = most - most % 2, 1, 0
+
+    def add(self, cycle: Seen, view: Any = None) -> None:
+        """Take a cycle, or pass it over."""
+        if not self._seen:
+            size = sum(image.pixels.nbytes for image in cycle.images)
+            self._most = max(4, min(self._most, 2 * int(_ROOM / 2 / max(size, 1))))
+        if self._seen % self._every == 0:
+            self.kept.append((cycle, view))
+        if len(self.kept) > self._most:
+            del self.kept[1::2]
+            self._every *= 2
+        self._seen += 1

@@ -1,0 +1,31 @@
+"""Pages of one file, to look at or to send: what reports share. They ask for nothing over a network."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterable, Sequence
+from html import escape
+from typing import Any
+
+_STYLE = """body{font:15px/1.45 sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#222}
+table{border-collapse:collapse;margin:.6em 0}td,th{padding:.15em .7em;text-align:right;border-bottom:1px solid #e6e6e6}
+td:first-child,th:first-child,table.text *{text-align:left}
+code{background:#f3f3f3;padding:.1em .3em;user-select:all;font-size:13px}img{max-width:100%}"""
+
+
+def document(title: str, body: Iterable[str], *, style: str = "") -> str:
+    """The page; `body` and `style` are HTML and CSS, `title` is text."""
+    return (f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
+            f"<style>{_STYLE}{style}</style></head><body>" + "\n".join([*body, "</body></html>"]) + "\n")
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[Any]], *, text: bool = False) -> str:
+    """Cells are HTML, the words of `head` are text; all cells of a table of `text` stand left."""
+    body = "".join("<tr>" + "".join(f"<td>{value}</td>" for value in row) + "</tr>" for row in rows)
+    first = f"<tr>{''.join(f'<th>{escape(word)}</th>' for word in head)}</tr>" if head else ""
+    return f"<table{' class=text' if text else ''}>{first}{body}</table>"
+
+
+def data_uri(kind: str, content: bytes) -> str:
+    """`content` as an address of the MIME type `kind`."""
+    return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"

@@ -1,0 +1,64 @@
+"""The pictures of a run, written side by side: `summary.png` by matplotlib, `summary.html` in a thread beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import MjtactileError
+from mjtactile.core.types import Image, Touch
+from mjtactile.recording.reader import Recording, load_recording
+from mjtactile.recording.strip import Seen
+from mjtactile.recording.writer import Recorder
+from mjtactile.rig.registry import build_rig
+from mjtactile.run.page import write_page
+from mjtactile.run.report import write_figure
+from mjtactile.run.session import Session
+
+PICTURES = ("summary.png", "summary.html")
+
+
+def write_pictures(folder: Path, recorder: Recorder, summary: Mapping[str, Any]) -> list[MjtactileError | OSError]:
+    """Draw the run that `recorder` wrote into `folder`; returns what went wrong, such as a missing matplotlib."""
+    recording, strip = load_recording(folder), [] if recorder.strip is None else recorder.strip.kept
+    problems: list[MjtactileError | OSError] = []
+    with ThreadPoolExecutor(1, thread_name_prefix="page") as beside:
+        page = beside.submit(write_page, folder / "summary.html", recording, strip, summary, recorder.snapshot)
+        for write in (lambda: write_figure(folder / "summary.png", recording, recorder.snapshot, summary, recorder.view),
+                      page.result):
+            try:
+                write()
+            except (MjtactileError, OSError) as error:
+                problems.append(error)
+    return problems
+
+
+@dataclass(frozen=True, eq=False)
+class _Again:
+    time: float
+    images: tuple[Image, ...]
+    touch: tuple[Touch, ...]
+
+
+def see_again(recording: Recording, on_cycle: Callable[[Seen], None]) -> bool:
+    """Give `on_cycle` what was seen and felt in each cycle that has its images; whether anything could be felt again.
+
+    That takes the images of the references and those of all cycles. Raises InputError for a missing image or sensor file.
+    """
+    felt = bool(len(recording.references) > 1 and all(len(names) for names in recording.columns["images"]))
+    perceptions = []
+    if felt:
+        design = load_sensor(str(recording.header.get("sensor", "dense")))
+        rig = build_rig(f"replay:{recording.folder}", design)
+        session = Session(rig)
+        session.take_references()
+        perceptions = session.perceptions
+    for time, images in zip(recording.column("time")[:, 0], recording.images(), strict=True):
+        touch = [perception.perceive(image, float(time)) for perception, image in zip(perceptions, images, strict=False)]
+        if images:
+            on_cycle(_Again(float(time), images, tuple(touch)))
+    return felt
