@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import errno
 import gc
 import importlib
 import importlib.metadata
@@ -110,6 +111,8 @@ def _main(argv: list[str]) -> int:
 
 def _quieten_libraries(*, debug: bool) -> None:
     """What OpenCV, FFmpeg and MuJoCo print of their own ends as one line of ours: an error, or a doubt of the run."""
+    # a file of 2 MB may hold a thousand times as many pixels (core/images.py)
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 26))
     if not debug:
         os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # read when cv2 is imported, in child processes too
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
@@ -123,6 +126,8 @@ def _fail(error: BaseException, argv: Sequence[str]) -> int:
         code = error.exit_code
     elif isinstance(error, KeyboardInterrupt):
         text = "interrupted"
+    elif isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+        text = f"{error.filename or 'the output'}: cannot be written: {error.strerror}"
     else:
         text = f"internal error: {type(error).__name__}: {text} (--debug shows where)"
     with contextlib.suppress(OSError):  # nobody is there to be told

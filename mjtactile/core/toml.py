@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -18,9 +19,19 @@ from mjtactile.core.errors import InputError
 LARGEST = 8 << 20  # bytes; no file that a person writes is larger, and a larger one would only be slow to refuse
 
 
+DEEPEST = 32  # names in a dotted key; tomllib's time and memory go with their number's square
+
+
 def read_toml(path: Path) -> dict[str, Any]:
     """The table in a TOML file. Raises InputError where it cannot be read or is not TOML."""
-    return _parse(path, "TOML", tomllib.loads)
+    return _parse(path, "TOML", _toml)
+
+
+def _toml(text: str) -> dict[str, Any]:
+    for piece in re.split(r"[,=\[\]{}#\n]", text):
+        if piece.count(".") >= DEEPEST and len(re.findall(r"[\w\"'-]\.(?=[\w\"'-])", re.sub(r"\s", "", piece))) >= DEEPEST:
+            raise ValueError(f"a key of more than {DEEPEST} names")
+    return tomllib.loads(text)
 
 
 def read_json(path: Path) -> Any:

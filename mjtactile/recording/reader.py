@@ -12,7 +12,9 @@ import cv2
 import numpy as np
 
 from mjtactile.core.errors import InputError
+from mjtactile.core.images import decode
 from mjtactile.core.types import Array, Image
+from mjtactile.recording.check import wrong_column, wrong_note
 from mjtactile.recording.columns import KEYS
 from mjtactile.recording.files import FORMAT, LOG, VERSION, finger_names
 
@@ -99,7 +101,8 @@ class Recording:
 
 
 def _read_image(path: Path, time: float) -> Image:
-    pixels = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if path.is_file() else None
+    data = path.read_bytes() if path.is_file() else b""
+    pixels = decode(data, cv2.IMREAD_GRAYSCALE)
     if pixels is None:
         raise InputError("missing or broken image", source=path)
     return Image(pixels.astype(np.uint8), time)
@@ -108,15 +111,18 @@ def _read_image(path: Path, time: float) -> Image:
 def load_recording(path: str | Path) -> Recording:
     """Read the recording in `path` (the folder itself, or a run's folder around it).
 
-    A run that was cut off gives what was written until then: a last line cut in half is left out and named in
-    `problems`. Raises InputError when there is no recording or it is of another version.
+    A run that was cut off gives what was written until then: a line that is cut in half or damaged is left out with all that
+    follows, and named in `problems`. Raises InputError when there is no recording or it is of another version.
     """
     folder = Path(path)
     folder = folder / "recording" if (folder / "recording").is_dir() else folder
     log = folder / LOG
     if not log.is_file():
         raise InputError(f"no recording here: there is no {LOG}", source=folder)
-    rows, problems = _parse(log)
+    try:
+        rows, problems = _parse(log)
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", source=log) from error
     header = rows[0] if rows else {}
     if header.get("format") != FORMAT or header.get("version") != VERSION:
         found = f"{header.get('format')} version {header.get('version')}"
@@ -137,13 +143,20 @@ def load_recording(path: str | Path) -> Recording:
 def _parse(log: Path) -> tuple[list[dict[str, Any]], list[str]]:
     """Every line that is whole; the first that is not ends the log."""
     rows: list[dict[str, Any]] = []
+    first: dict[str, Any] = {}
     with log.open("rb") as lines:
         for number, line in enumerate(lines, 1):
             try:
                 row = json.loads(line.decode("utf-8"))
-            except ValueError:
+            except (ValueError, RecursionError):
+                row = None
+            if not isinstance(row, dict):
                 return rows, [f"line {number} is cut off or broken; it and what follows was left out"]
-            rows.append(row if isinstance(row, dict) else {})
+            is_cycle = row.get("kind") == "cycle"
+            first = first or (row if is_cycle else {})
+            if wrong := wrong_column(row, first) if is_cycle else wrong_note(row):
+                return rows, [f"line {number} is broken: {wrong}; it and what follows was left out"]
+            rows.append(row)
     return rows, []
 
 

@@ -20,6 +20,7 @@ from mjtactile.sim.attach import recommend_options
 from mjtactile.sim.scenes.clearance import touched_by_sensors
 from mjtactile.sim.scenes.grasp_world import finger_designs
 from mjtactile.sim.scenes.hand_world import HandWorld
+from mjtactile.sim.scenes.mjcf import read_mjcf
 from mjtactile.sim.scenes.start import arm_actuators, arm_joints, missing_names
 
 _ABOVE_TABLE = 5e-3  # m of the sensors' frames, where the rig is tried
@@ -37,9 +38,9 @@ def examine_simulated(rig: SimRigFile, sensor: str = "dense") -> list[Finding]:
     """All findings; `sensor` is on the fingers for which the rig file names none. Raises InputError for a broken sensor."""
     designs = finger_designs(rig, load_sensor(sensor))
     try:
-        spec = mujoco.MjSpec.from_file(str(rig.model))
-    except (ValueError, RuntimeError) as error:
-        return [Finding("bad", "model", " ".join(str(error).split()), "mend the MJCF; `python -m mujoco.viewer` shows it")]
+        spec = read_mjcf(rig.model)
+    except InputError as error:
+        return [Finding("bad", "model", str(error), "mend the MJCF; `python -m mujoco.viewer` shows it")]
     missing = [Finding("bad", error.field or "name", str(error).split(": ", 2)[-1], "mend the name in the rig file")
                for error in missing_names(spec, rig)]
     if missing:

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from mjtactile.core import optics
 from mjtactile.core.design import CameraDesign
 from mjtactile.core.errors import InputError
+from mjtactile.core.images import decode
 from mjtactile.core.types import Array, CirclePoses, Ellipses, Image
 from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
 from mjtactile.sensing.image.gamma import UNKNOWN, Gamma, estimate_gamma, linear_light
@@ -39,15 +40,12 @@ def load_image(path: str | Path) -> NDArray:
     """
     path = Path(path)
     try:
-        data = np.frombuffer(path.read_bytes(), np.uint8)
+        data = path.read_bytes()
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", source=path) from error
-    try:
-        pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
-    except cv2.error:
-        pixels = None
+    pixels = decode(data, cv2.IMREAD_UNCHANGED)
     if pixels is None:
-        raise InputError("corrupt, or not an image", source=path, choices=IMAGE_SUFFIXES)
+        raise InputError("corrupt, too large, or not an image", source=path, choices=IMAGE_SUFFIXES)
     if pixels.ndim == 3 and pixels.shape[2] == 4:
         pixels = pixels[..., :3]
     if pixels.dtype not in (np.uint8, np.uint16):

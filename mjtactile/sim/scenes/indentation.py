@@ -12,6 +12,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.sim.attach import DEFAULT_MESH, attach, recommend_options
 from mjtactile.sim.scenes.meshes import SUFFIXES, add_solid, convex_parts, load_solid
+from mjtactile.sim.scenes.mjcf import read_mjcf
 from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor import features
 from mjtactile.sim.sensor.mesh import MarkerInterpolator
@@ -70,10 +71,7 @@ class Indenter:
         geom.size = {"sphere": [self.size, 0, 0], "cylinder": [self.size, _LENGTH / 2, 0], "box": [half] * 3}[self.kind]
 
     def _attach(self, spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
-        try:
-            model = mujoco.MjSpec.from_file(str(self.path))
-        except (ValueError, RuntimeError) as error:
-            raise InputError(f"not valid MJCF: {' '.join(str(error).split())}", source=self.path, field="--indenter") from error
+        model = read_mjcf(Path(str(self.path)), field="--indenter")
         if model.joints or not model.geoms:
             raise InputError("an indenter is geoms, at least one, and no joints", source=self.path, field="--indenter")
         for geom in model.geoms:

@@ -22,6 +22,7 @@ from mjtactile.core import resources
 from mjtactile.core.errors import InputError
 from mjtactile.rig.variation import UNCHANGED, ObjectChange
 from mjtactile.sim.scenes.changed import change
+from mjtactile.sim.scenes.mjcf import read_mjcf
 from mjtactile.sim.scenes.random_objects import object_text
 
 MATERIALS = ("solid", "soft", "amorphous")
@@ -77,7 +78,7 @@ def load_object(name_or_path: str | Path) -> ObjectModel:
     """
     text = object_text(str(name_or_path)) or ""
     path = Path(name_or_path) if text else resources.find(name_or_path, "models/objects", ".xml")
-    spec = _parse(path, text)
+    spec = read_mjcf(path, text)
     _check_body(spec, path)
     flesh = _flesh(spec, path)
     stands_strain = flesh is not None and min(flesh.break_stress, flesh.break_energy) < math.inf
@@ -109,14 +110,7 @@ def add_object(scene: mujoco.MjSpec, model: ObjectModel, pose: tuple[float, floa
 
 def read_spec(model: ObjectModel) -> mujoco.MjSpec:
     """What its file says, before any changes."""
-    return _parse(model.path, model.text)
-
-
-def _parse(path: Path, text: str) -> mujoco.MjSpec:
-    try:
-        return mujoco.MjSpec.from_string(text) if text else mujoco.MjSpec.from_file(str(path))
-    except (ValueError, RuntimeError) as error:
-        raise InputError(f"not valid MJCF: {_one_line(error)}", source=path) from error
+    return read_mjcf(model.path, model.text)
 
 
 def _check_body(spec: mujoco.MjSpec, path: Path) -> None:

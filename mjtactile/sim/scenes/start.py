@@ -17,6 +17,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.rig.simulated import SimRigFile
 from mjtactile.sim.scenes.actuators import PositionActuator
+from mjtactile.sim.scenes.mjcf import read_mjcf
 from mjtactile.sim.scenes.posture import Condition, actuator_at, hand_at, solve
 
 _GOOD = 1e-4  # m and rad: a posture that is nearer is reached
@@ -89,8 +90,8 @@ def load_robot(rig: SimRigFile) -> tuple[mujoco.MjSpec, dict[str, Array], Array 
     Keyframes are taken out: they would not fit the model with sensors. Joints without a name get one. Raises InputError for
     a broken file or a name that is not there.
     """
+    spec = read_mjcf(rig.model)
     try:
-        spec = mujoco.MjSpec.from_file(str(rig.model))
         for error in missing_names(spec, rig):
             raise error
         for number, joint in enumerate(spec.joints):

@@ -1,0 +1,51 @@
+"""MJCF files that may come from anywhere, read."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import mujoco
+
+from mjtactile.core.errors import InputError
+
+LARGEST = 32 << 20  # bytes
+MOST = 20_000
+"""Copies that a file may have made of what is in it: MuJoCo would work on 10^7 of them for a minute before it says anything."""
+_COPIES = ("replicate", "composite", "flexcomp")
+
+
+def read_mjcf(path: Path, text: str = "", field: str | None = None) -> mujoco.MjSpec:
+    """The file's specification, or that of `text`, which has no file. Raises InputError, which names `field`, where it is no
+    MJCF or would unfold into too much."""
+    try:
+        if not text and path.stat().st_size > LARGEST:
+            raise InputError(f"larger than {LARGEST >> 20} MiB: not such a file", source=path, field=field)
+        _check_copies(path, text or path.read_text(encoding="utf-8-sig", errors="replace"), field)
+        return mujoco.MjSpec.from_string(text) if text else mujoco.MjSpec.from_file(str(path))
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", source=path, field=field) from error
+    except (ValueError, RuntimeError) as error:
+        raise InputError(f"not valid MJCF: {' '.join(str(error).split())}", source=path, field=field) from error
+
+
+def _check_copies(path: Path, text: str, field: str | None) -> None:
+    with contextlib.suppress(ElementTree.ParseError):  # which MuJoCo reports better
+        waiting = [(ElementTree.fromstring(text), 1)]
+        while waiting:
+            element, copies = waiting.pop()
+            if element.tag in _COPIES:
+                copies *= _count(element.get("count", "1"))
+                if copies > MOST:
+                    raise InputError(f"makes {copies} copies, of {MOST} at most", source=path, field=field or element.tag)
+            waiting += [(child, copies) for child in element]
+
+
+def _count(text: str) -> int:
+    """The product of the whole numbers in it; 1 where that is not what it is."""
+    try:
+        return math.prod(max(int(word), 1) for word in text.split())
+    except ValueError:
+        return 1
