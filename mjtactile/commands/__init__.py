@@ -14,6 +14,7 @@ COMMANDS = {
     "reconstruct": "reconstruct a membrane's surface and contact from recorded frames",
     "calibrate": "calibrate camera, valve, frame, force or gripper, from live devices or recorded input",
     "fit": "fit the simulator to recordings of a sensor: modulus, pre-stretch, friction, gas, light",
+    "make": "from a sensor file to a sensor on the bench: patterns, CAD, bill of materials, assembly",
     "bench": "measure accuracy and speed; writes a table, a JSON and plots",
     "effects": "list the effects that a sensor and an object call for, and their price",
     "emulate": "start emulated hardware on serial ports and streams, until stopped",

@@ -1,0 +1,245 @@
+"""`Layout`: every dimension of the housing, from the sensor file's and the hardware's, what cannot be built refused. mm, frame S.
+
+From the front: membrane at z = 0 over the rim, clamping ring behind it, frame, gasket, pane in its seat, mount with LED ring and
+camera. One set of bolts goes through all; the mount's tube lies inside of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.make import hardware as hw
+from mjtactile.make.hardware import BOLTS, PORTS, Bolt, Hardware, Port
+from mjtactile.make.limits import MM, Limit, check_all, limits_of
+
+_SMALL = 25.0  # mm: openings below it get the smaller bolts
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Half sizes `*_x`, `*_y` and heights `z_*` mm; see the module. Make one with `of`, which checks it."""
+
+    design: SensorDesign
+    hardware: Hardware
+
+    @classmethod
+    def of(cls, design: SensorDesign, hardware: Hardware, source: str) -> Layout:
+        """Raises InputError naming the number that cannot be built and its limit."""
+        design.require_rectangle("`mjtactile make`")
+        check_all(limits_of(design, hardware), source)
+        layout = cls(design, hardware)
+        check_all(layout.limits(), source)
+        return layout
+
+    def limits(self) -> Iterator[Limit]:
+        """What depends on where things came to be."""
+        chamber, near, need = self.design.chamber, MM * self.design.glass.distance, 2 * (PORTS[-1].radius + PORTS[-1].wall)
+        yield Limit("chamber.depth_mm", MM * chamber.depth, "leaves too little wall for the air to come in",
+                    MM * chamber.depth - self.wall + need)
+        yield Limit("glass.distance_mm", near, "leaves no room for the nuts between the mount's flange and the camera's plate",
+                    near + self.z_plate + 0.5 - (self.z_ring[1] - self.bolt_length))
+        yield Limit("chamber.supply_gauge_kPa", 1e-3 * abs(chamber.supply_gauge),
+                    f"pulls at each of {len(self.bolts)} bolts with more than {hw.BOLT_LOAD:g} N",
+                    high=1e-3 * hw.BOLT_LOAD * len(self.bolts) / self.design.frame.area)
+
+    @property
+    def open_x(self) -> float:
+        return MM * self.design.frame.length / 2
+
+    @property
+    def open_y(self) -> float:
+        return MM * self.design.frame.width / 2
+
+    @property
+    def rim(self) -> float:
+        return MM * self.design.frame.rim
+
+    @property
+    def sheet(self) -> float:
+        """Thickness of the rubber."""
+        return MM * self.design.membrane.thickness
+
+    @property
+    def bolt(self) -> Bolt:
+        return BOLTS[0] if 2 * min(self.open_x, self.open_y) >= _SMALL else BOLTS[1]
+
+    @property
+    def wall(self) -> float:
+        """Height of the frame's wall behind its flange."""
+        return self.z_flange - self.z_block
+
+    @property
+    def port(self) -> Port:
+        """The largest that fits into the wall."""
+        return next((port for port in PORTS if self.wall >= 2 * (port.radius + port.wall)), PORTS[-1])
+
+    @property
+    def ring(self) -> float:
+        """From the opening to the clamping ring, which leaves room for rim and rubber."""
+        return self.rim + self.sheet + hw.CLEARANCE
+
+    @property
+    def hold(self) -> float:
+        """Width on which the pane lies on the frame."""
+        return min(max(self.rim, hw.GLASS_HOLD), 2 * hw.GLASS_HOLD)
+
+    @property
+    def ring_x(self) -> float:
+        return self.open_x + self.ring
+
+    @property
+    def ring_y(self) -> float:
+        return self.open_y + self.ring
+
+    @property
+    def glass_x(self) -> float:
+        return self.open_x + self.hold
+
+    @property
+    def glass_y(self) -> float:
+        return self.open_y + self.hold
+
+    @property
+    def led_inner(self) -> float:
+        lens = self.hardware.lens / 2 + 0.5
+        return max(lens, MM * self.design.leds.ring_radius - hw.LED_BODY[0] / 2 - hw.LED_EDGE)
+
+    @property
+    def led_outer(self) -> float:
+        return MM * self.design.leds.ring_radius + hw.LED_BODY[0] / 2 + hw.LED_EDGE
+
+    @property
+    def tube_x(self) -> float:
+        """Inside of the mount's tube."""
+        return self._tube(self.open_x)
+
+    @property
+    def tube_y(self) -> float:
+        return self._tube(self.open_y)
+
+    def _tube(self, half: float) -> float:
+        return _clear_of(self.hardware.holes / 2, max(half + self.hold - hw.GLASS_HOLD, self.led_outer + 0.5))
+
+    @property
+    def line_x(self) -> float:
+        """Where the bolts are: outside of the ring's inner edge, of the pane's seat and of the tube."""
+        return self._line(self.open_x, self.tube_x)
+
+    @property
+    def line_y(self) -> float:
+        return self._line(self.open_y, self.tube_y)
+
+    def _line(self, half: float, tube: float) -> float:
+        seat = half + self.hold + hw.GLASS_PLAY + hw.PRINT_WALL
+        return max(half + self.ring + self.bolt.head + 0.5, seat + self.bolt.hole, tube + hw.TUBE_WALL + self.bolt.nut + 0.3)
+
+    @property
+    def outer_x(self) -> float:
+        """Outside of all that is bolted together."""
+        return self.line_x + self.bolt.head + 1
+
+    @property
+    def outer_y(self) -> float:
+        return self.line_y + self.bolt.head + 1
+
+    @property
+    def z_flange(self) -> float:
+        """Of the frame, where the clamping ring presses."""
+        return -(hw.RING + self.sheet + self.bolt.head_height + hw.RECESS)
+
+    @property
+    def z_glass(self) -> float:
+        """Of the pane's front."""
+        return -MM * self.design.chamber.depth
+
+    @property
+    def z_block(self) -> float:
+        """Of the frame's back."""
+        return self.z_glass + hw.GASKET
+
+    @property
+    def z_pane(self) -> float:
+        """Of the pane's back."""
+        return self.z_glass - MM * self.design.glass.thickness
+
+    @property
+    def z_seat(self) -> float:
+        """Of the glass seat's back."""
+        return self.z_pane - hw.SEAT
+
+    @property
+    def z_mount(self) -> float:
+        """Of the back of the mount's flange."""
+        return self.z_seat - hw.FLANGE
+
+    @property
+    def z_camera(self) -> float:
+        """Of the camera's centre, and of the LEDs' faces."""
+        return -MM * self.design.camera.distance
+
+    @property
+    def z_leds(self) -> float:
+        """Of the front of the LEDs' circuit board."""
+        return self.z_camera - hw.LED_BODY[2]
+
+    @property
+    def z_plate(self) -> float:
+        """Of the front of the mount's back plate."""
+        return self.z_leds - hw.LED_BOARD
+
+    @property
+    def z_back(self) -> float:
+        """Of its back."""
+        return self.z_camera - self.hardware.pupil + hw.SPACER
+
+    @property
+    def bolts(self) -> list[tuple[float, float]]:
+        """Where the bolts go, around the frame; none at y = 0, where the air comes in from +x."""
+        across, along = (math.ceil(2 * line / hw.BOLT_SPACING) for line in (self.line_x, self.line_y))
+        along += 1 - along % 2
+        xs = [self.line_x * (2 * k / across - 1) for k in range(across + 1)]
+        ys = [self.line_y * (2 * k / along - 1) for k in range(1, along)]
+        return [(x, s * self.line_y) for s in (-1, 1) for x in xs] + [(s * self.line_x, y) for s in (-1, 1) for y in ys]
+
+    @property
+    def z_port(self) -> float:
+        return (self.z_flange + self.z_block) / 2
+
+    @property
+    def z_ring(self) -> tuple[float, float]:
+        """Heights of the clamping ring."""
+        return self.z_flange + self.sheet, self.z_flange + self.sheet + hw.RING
+
+    @property
+    def bolt_length(self) -> int:
+        """The shortest standard bolt that reaches through everything, a washer and its nut."""
+        need = self.z_ring[1] - self.z_mount + 0.5 + self.bolt.nut_height
+        return next((length for length in self.bolt.lengths if length >= need), math.ceil(need))
+
+    @property
+    def plate_x(self) -> float:
+        """Half width of the mount's back plate, which the camera and a gripper's jaw are screwed to."""
+        return max(self.tube_x + hw.TUBE_WALL, self.hardware.holes / 2 + 3) + 8
+
+    @property
+    def plate_y(self) -> float:
+        return max(self.tube_y + 4, self.hardware.holes / 2 + 3)
+
+    @property
+    def opening_view(self) -> tuple[float, float]:
+        """Half sizes of the window in the glass seat."""
+        return self.glass_x - hw.GLASS_HOLD, self.glass_y - hw.GLASS_HOLD
+
+    @property
+    def volume_extra(self) -> float:
+        """Gas in the port, mL, that the chamber's depth does not count."""
+        return 1e-3 * math.pi * self.port.radius**2 * (self.outer_x - self.open_x)
+
+
+def _clear_of(holes: float, tube: float) -> float:
+    """Half size of a tube, from `tube` on, whose wall is not where the camera's screws are."""
+    clear = 1.6
+    return holes + clear if holes - clear - hw.TUBE_WALL < tube < holes + clear else tube

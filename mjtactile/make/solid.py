@@ -1,0 +1,189 @@
+"""Solids as stacks of plates: each layer is bounded by rounded rectangles and circles, which may be nested but never cross.
+
+That is all that a milled, printed or laser-cut housing needs, and it keeps the exact shape: `step` writes its planes and
+cylinders, `mesh` its triangles, and its volume is a closed form. mm, frame S of the sensor: z outward, flat membrane at z = 0.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+
+from mjtactile.core.types import Array
+
+_APART = 1e-3  # mm
+
+
+@dataclass(frozen=True)
+class Contour:
+    """A rectangle about (x, y) with half sizes `hx`, `hy` and corners rounded with radius `r`; a circle where r = hx = hy."""
+
+    hx: float
+    hy: float
+    r: float = 0.0
+    x: float = 0.0
+    y: float = 0.0
+
+    @property
+    def area(self) -> float:
+        return 4 * self.hx * self.hy - (4 - math.pi) * self.r**2
+
+    @property
+    def is_circle(self) -> bool:
+        return self.r == self.hx == self.hy
+
+    def grown(self, by: float) -> Contour:
+        """The contour `by` mm farther out; a sharp corner stays sharp."""
+        return Contour(self.hx + by, self.hy + by, self.r + by if self.r else 0.0, self.x, self.y)
+
+    def distance(self, x: float, y: float) -> float:
+        """Signed distance of a point: negative inside."""
+        qx, qy = abs(x - self.x) - self.hx + self.r, abs(y - self.y) - self.hy + self.r
+        return math.hypot(max(qx, 0.0), max(qy, 0.0)) + min(max(qx, qy), 0.0) - self.r
+
+    def edges(self) -> list[tuple[Array, Array, Array | None]]:
+        """Start (2,), end (2,) and centre (2,) of each edge, counter-clockwise; straight where there is no centre."""
+        middle = np.array([self.x, self.y])
+        if self.is_circle:
+            east = middle + (self.r, 0.0)
+            west = middle - (self.r, 0.0)
+            return [(east, west, middle), (west, east, middle)]
+        found: list[tuple[Array, Array, Array | None]] = []
+        signs = [(1, -1), (1, 1), (-1, 1), (-1, -1)]  # corners, from below right
+        turns = [np.array(p) for p in ((0.0, -1.0), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))]
+        centres = [middle + (sx * (self.hx - self.r), sy * (self.hy - self.r)) for sx, sy in signs]
+        for k, centre in enumerate(centres):
+            if self.r:
+                found.append((centre + self.r * turns[k], centre + self.r * turns[k + 1], centre))
+            found.append((centre + self.r * turns[k + 1], centres[(k + 1) % 4] + self.r * turns[k + 1], None))
+        return found
+
+    def polygon(self, per_quarter: int) -> Array:
+        """Points (n, 2) on the contour, counter-clockwise; arcs by `per_quarter` chords a quarter turn."""
+        points = []
+        for start, _end, centre in self.edges():
+            points.append(start)
+            if centre is None:
+                continue
+            first = math.atan2(*(start - centre)[::-1])
+            steps = per_quarter * (2 if self.is_circle else 1)
+            angles = first + 0.5 * math.pi / per_quarter * np.arange(1, steps)
+            points.extend(centre + self.r * np.column_stack([np.cos(angles), np.sin(angles)]))
+        return np.array(points)
+
+
+def circle(radius: float, x: float = 0.0, y: float = 0.0) -> Contour:
+    """A circle of `radius` about (x, y)."""
+    return Contour(radius, radius, radius, x, y)
+
+
+@dataclass(frozen=True)
+class Region:
+    """What is inside `outer` and outside of every one of `holes`."""
+
+    outer: Contour
+    holes: tuple[Contour, ...] = ()
+
+    @property
+    def area(self) -> float:
+        return self.outer.area - sum(hole.area for hole in self.holes)
+
+    def holds(self, x: float, y: float) -> bool:
+        return self.outer.distance(x, y) < 0 and all(hole.distance(x, y) > 0 for hole in self.holes)
+
+
+@dataclass(frozen=True)
+class Layer:
+    """Plates between the heights `low` and `high`."""
+
+    low: float
+    high: float
+    regions: tuple[Region, ...]
+
+    @property
+    def volume(self) -> float:
+        return (self.high - self.low) * sum(region.area for region in self.regions)
+
+    def holds(self, x: float, y: float) -> bool:
+        return any(region.holds(x, y) for region in self.regions)
+
+
+@dataclass(frozen=True)
+class Bore:
+    """A hole of `radius` along x at (y, z) from the +x side of the contour `inner` to that of `outer`."""
+
+    inner: Contour
+    outer: Contour
+    radius: float
+    y: float
+    z: float
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        return self.inner.x + self.inner.hx, self.outer.x + self.outer.hx
+
+    @property
+    def volume(self) -> float:
+        start, end = self.ends
+        return math.pi * self.radius**2 * (end - start)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A solid: contiguous `layers` from behind to the front, and at most one `bore`; `make`: it is to be made, and has files."""
+
+    name: str
+    layers: tuple[Layer, ...]
+    colour: tuple[float, float, float] = (0.6, 0.62, 0.66)
+    bore: Bore | None = None
+    make: bool = True
+    what: str = field(default="", compare=False)
+
+    @property
+    def volume(self) -> float:
+        """Closed form, mm^3."""
+        return sum(layer.volume for layer in self.layers) - (self.bore.volume if self.bore else 0.0)
+
+    @property
+    def low(self) -> float:
+        return self.layers[0].low
+
+    @property
+    def high(self) -> float:
+        return self.layers[-1].high
+
+    @property
+    def size(self) -> tuple[float, float, float]:
+        """Extent along x, y and z, mm."""
+        outers = [region.outer for layer in self.layers for region in layer.regions]
+        x = max(o.x + o.hx for o in outers) - min(o.x - o.hx for o in outers)
+        y = max(o.y + o.hy for o in outers) - min(o.y - o.hy for o in outers)
+        return x, y, self.high - self.low
+
+
+def crossing(part: Part) -> tuple[Contour, Contour] | None:
+    """Two contours of the same layer, or of neighbouring ones, that cross or touch; None where all are nested or apart."""
+    found = [[c for region in layer.regions for c in (region.outer, *region.holes)] for layer in part.layers]
+    for here, there in zip(found, [*found[1:], []], strict=True):
+        for one, other in combinations(dict.fromkeys([*here, *there]), 2):
+            if not _near(one, other):
+                continue
+            of_one = [other.distance(x, y) for x, y in one.polygon(8)]
+            of_other = [one.distance(x, y) for x, y in other.polygon(8)]
+            apart = min(of_one) > _APART and min(of_other) > _APART
+            if not (apart or max(of_one) < -_APART or max(of_other) < -_APART):
+                return one, other
+    return None
+
+
+def _near(one: Contour, other: Contour) -> bool:
+    return abs(one.x - other.x) < one.hx + other.hx + _APART and abs(one.y - other.y) < one.hy + other.hy + _APART
+
+
+def plate(low: float, high: float, outer: Contour, holes: Sequence[Contour] = ()) -> Layer:
+    """One plate."""
+    return Layer(low, high, (Region(outer, tuple(holes)),))

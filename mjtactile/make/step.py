@@ -1,0 +1,245 @@
+"""STEP files (ISO 10303-21, AP214) of a `Part`: its exact planes and cylinders as one closed boundary representation.
+
+A side face spans the layers that share its contour; where neighbouring layers differ, a horizontal face closes what one has and
+the other has not. Each edge belongs to two faces, once each way, each loop is counter-clockwise seen from outside (ISO 10303-42).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from mjtactile.core.types import Array
+from mjtactile.make.solid import Bore, Contour, Layer, Part
+
+_NUDGE = 1e-4  # mm off a contour, to ask what is on either side of it
+_X, _Y, _Z = np.eye(3)
+Loop = list[tuple[int, bool]]
+"""Edges and whether each is gone along from its start to its end."""
+
+
+class _File:
+    """Numbered lines, each written once."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self._known: dict[str, int] = {}
+
+    def add(self, text: str) -> int:
+        """The number of the entity `text`."""
+        if text not in self._known:
+            self.lines.append(text)
+            self._known[text] = len(self.lines)
+        return self._known[text]
+
+    def point(self, p: Array) -> int:
+        return self.add(f"CARTESIAN_POINT('',({_numbers(p)}))")
+
+    def direction(self, d: Array) -> int:
+        return self.add(f"DIRECTION('',({_numbers(d)}))")
+
+    def placement(self, origin: Array, axis: Array, along: Array) -> int:
+        return self.add(f"AXIS2_PLACEMENT_3D('',#{self.point(origin)},#{self.direction(axis)},#{self.direction(along)})")
+
+    def vertex(self, p: Array) -> int:
+        return self.add(f"VERTEX_POINT('',#{self.point(p)})")
+
+    def line(self, start: Array, end: Array) -> int:
+        """A straight edge."""
+        length = float(np.linalg.norm(end - start))
+        vector = self.add(f"VECTOR('',#{self.direction((end - start) / length)},1.)")
+        curve = self.add(f"LINE('',#{self.point(start)},#{vector})")
+        return self.add(f"EDGE_CURVE('',#{self.vertex(start)},#{self.vertex(end)},#{curve},.T.)")
+
+    def arc(self, start: Array, end: Array, centre: Array, axis: Array, along: Array) -> int:
+        """An edge along a circle, counter-clockwise about `axis`."""
+        radius = _number(float(np.linalg.norm(start - centre)))
+        curve = self.add(f"CIRCLE('',#{self.placement(centre, axis, along)},{radius})")
+        return self.add(f"EDGE_CURVE('',#{self.vertex(start)},#{self.vertex(end)},#{curve},.T.)")
+
+    def face(self, surface: int, loops: Sequence[Loop], *, same_sense: bool = True) -> int:
+        """A face; the first of `loops` is its outer bound."""
+        bounds = []
+        for number, loop in enumerate(loops):
+            edges = [self.add(f"ORIENTED_EDGE('',*,*,#{edge},{_flag(forward)})") for edge, forward in loop]
+            closed = self.add(f"EDGE_LOOP('',({_references(edges)}))")
+            bounds.append(self.add(f"FACE_{'OUTER_' if number == 0 else ''}BOUND('',#{closed},.T.)"))
+        return self.add(f"ADVANCED_FACE('',({_references(bounds)}),#{surface},{_flag(same_sense)})")
+
+    def plane(self, origin: Array, normal: Array, along: Array) -> int:
+        return self.add(f"PLANE('',#{self.placement(origin, normal, along)})")
+
+    def cylinder(self, centre: Array, axis: Array, along: Array, radius: float) -> int:
+        return self.add(f"CYLINDRICAL_SURFACE('',#{self.placement(centre, axis, along)},{_number(radius)})")
+
+
+def write_step(part: Part) -> str:
+    """The text of a STEP file of `part`, in mm."""
+    file = _File()
+    faces = [*_sides(file, part), *_levels(file, part)]
+    if part.bore:
+        faces += _bore_faces(file, part.bore)
+    shell = file.add(f"CLOSED_SHELL('',({_references(faces)}))")
+    solid = file.add(f"MANIFOLD_SOLID_BREP('{part.name}',#{shell})")
+    _product(file, part.name, solid)
+    body = "\n".join(f"#{number}={line};" for number, line in enumerate(file.lines, 1))
+    return (f"ISO-10303-21;\nHEADER;\nFILE_DESCRIPTION(('{part.name}'),'2;1');\n"
+            f"FILE_NAME('{part.name}.step','',(''),(''),'mjtactile','mjtactile','');\n"
+            "FILE_SCHEMA(('AUTOMOTIVE_DESIGN { 1 0 10303 214 1 1 1 1 }'));\nENDSEC;\nDATA;\n"
+            f"{body}\nENDSEC;\nEND-ISO-10303-21;\n")
+
+
+def _spans(part: Part) -> list[tuple[Contour, bool, float, float]]:
+    """Each side wall: contour, whether material is inside of it, from which height to which."""
+    open_walls: dict[tuple[Contour, bool], float] = {}
+    spans = []
+    for layer in part.layers:
+        here = _roles(layer)
+        for key in [key for key in open_walls if key not in here]:
+            spans.append((*key, open_walls.pop(key), layer.low))
+        for key in here:
+            open_walls.setdefault(key, layer.low)
+    return spans + [(*key, low, part.high) for key, low in open_walls.items()]
+
+
+def _roles(layer: Layer | None) -> dict[tuple[Contour, bool], None]:
+    """The contours of a layer, in order, with True for outer ones."""
+    if layer is None:
+        return {}
+    return {key: None for region in layer.regions for key in ((region.outer, True), *((hole, False) for hole in region.holes))}
+
+
+def _ring(file: _File, contour: Contour, z: float) -> list[int]:
+    """The edges of a contour at a height, counter-clockwise."""
+    edges = []
+    for start, end, centre in contour.edges():
+        a, b = np.append(start, z), np.append(end, z)
+        edges.append(file.line(a, b) if centre is None else file.arc(a, b, np.append(centre, z), _Z, _X))
+    return edges
+
+
+def _sides(file: _File, part: Part) -> Iterable[int]:
+    for contour, outer, low, high in _spans(part):
+        bottom, top = _ring(file, contour, low), _ring(file, contour, high)
+        for k, (start, end, centre) in enumerate(contour.edges()):
+            p, q = start, end
+            rise_p, rise_q = (file.line(np.append(e, low), np.append(e, high)) for e in (p, q))
+            loop = [(bottom[k], True), (rise_q, True), (top[k], False), (rise_p, False)]
+            loop = loop if outer else [(edge, not forward) for edge, forward in reversed(loop)]
+            if centre is not None:
+                yield file.face(file.cylinder(np.append(centre, low), _Z, _X, contour.r), [loop], same_sense=outer)
+                continue
+            along = np.append(q - p, 0) / np.linalg.norm(q - p)
+            normal = np.cross(along, _Z) * (1 if outer else -1)
+            mouths = _mouths(file, part.bore, contour, normal, low, high, outer=outer)
+            yield file.face(file.plane(np.append(p, low), normal, along), [loop, *mouths])
+
+
+def _levels(file: _File, part: Part) -> Iterable[int]:
+    """Horizontal faces: what the layer below has and the one above has not, and the other way round."""
+    below = [None, *part.layers]
+    above = [*part.layers, None]
+    for under, over in zip(below, above, strict=True):
+        z = over.low if over is not None else part.high
+        for solid, free, up in ((under, over, True), (over, under, False)):
+            for outer, holes in _differences(solid, free):
+                loops = [_level_loop(file, outer, z, forward=up)] + [_level_loop(file, hole, z, forward=not up) for hole in holes]
+                yield file.face(file.plane(np.array([0, 0, z]), _Z if up else -_Z, _X), loops)
+
+
+def _level_loop(file: _File, contour: Contour, z: float, *, forward: bool) -> Loop:
+    ring = _ring(file, contour, z)
+    return [(edge, True) for edge in ring] if forward else [(edge, False) for edge in reversed(ring)]
+
+
+def _differences(solid: Layer | None, free: Layer | None) -> list[tuple[Contour, list[Contour]]]:
+    """The faces of what `solid` covers and `free` does not: outer contour and holes of each."""
+    if solid is None:
+        return []
+    mine, theirs = _roles(solid), _roles(free)
+    bounds = {contour: None for contour, _ in [*(k for k in mine if k not in theirs), *(k for k in theirs if k not in mine)]}
+
+    def covered(contour: Contour, inward: float) -> bool:
+        x, y = contour.x + contour.hx - inward, contour.y
+        return solid.holds(x, y) and not (free is not None and free.holds(x, y))
+
+    sides = {contour: (covered(contour, _NUDGE), covered(contour, -_NUDGE)) for contour in bounds}
+    outers = [contour for contour, (inside, outside) in sides.items() if inside and not outside]
+    faces: dict[Contour, list[Contour]] = {outer: [] for outer in outers}
+    for hole in (contour for contour, (inside, outside) in sides.items() if outside and not inside):
+        around = [outer for outer in outers if outer.distance(hole.x + hole.hx, hole.y) < 0]
+        faces[min(around, key=lambda outer: outer.area)].append(hole)
+    return list(faces.items())
+
+
+def _mouths(file: _File, bore: Bore | None, contour: Contour, normal: Array, low: float, high: float, *, outer: bool
+            ) -> list[Loop]:
+    """The bound that a bore makes in a face on the +x side of a contour, if it ends there."""
+    if bore is None or contour != (bore.outer if outer else bore.inner) or not low < bore.z < high:
+        return []
+    if normal[0] * (1 if outer else -1) < 0.5:
+        return []
+    first, second = _bore_ring(file, bore, bore.ends[1 if outer else 0])
+    return [[(second, False), (first, False)] if outer else [(first, True), (second, True)]]
+
+
+def _bore_points(bore: Bore, x: float) -> tuple[Array, Array, Array]:
+    """Centre of an end of the bore, and where its two seams begin."""
+    centre = np.array([x, bore.y, bore.z])
+    return centre, centre + bore.radius * _Y, centre - bore.radius * _Y
+
+
+def _bore_ring(file: _File, bore: Bore, x: float) -> list[int]:
+    centre, east, west = _bore_points(bore, x)
+    return [file.arc(east, west, centre, _X, _Y), file.arc(west, east, centre, _X, _Y)]
+
+
+def _bore_faces(file: _File, bore: Bore) -> list[int]:
+    start, end = bore.ends
+    near, far = _bore_ring(file, bore, start), _bore_ring(file, bore, end)
+    seams = [file.line(a, b) for a, b in zip(_bore_points(bore, start)[1:], _bore_points(bore, end)[1:], strict=True)]
+    surface = file.cylinder(np.array([start, bore.y, bore.z]), _X, _Y, bore.radius)
+    return [file.face(surface, [[(far[k], True), (seams[1 - k], False), (near[k], False), (seams[k], True)]], same_sense=False)
+            for k in (0, 1)]
+
+
+def _product(file: _File, name: str, solid: int) -> None:
+    """What makes a solid a product of its own, and its unit mm."""
+    add = file.add
+    length = add("(LENGTH_UNIT()NAMED_UNIT(*)SI_UNIT(.MILLI.,.METRE.))")
+    angle = add("(NAMED_UNIT(*)PLANE_ANGLE_UNIT()SI_UNIT($,.RADIAN.))")
+    solid_angle = add("(NAMED_UNIT(*)SI_UNIT($,.STERADIAN.)SOLID_ANGLE_UNIT())")
+    close = add(f"UNCERTAINTY_MEASURE_WITH_UNIT(LENGTH_MEASURE(1.E-6),#{length},'distance_accuracy_value','')")
+    context = add(f"(GEOMETRIC_REPRESENTATION_CONTEXT(3)GLOBAL_UNCERTAINTY_ASSIGNED_CONTEXT((#{close}))"
+                  f"GLOBAL_UNIT_ASSIGNED_CONTEXT((#{length},#{angle},#{solid_angle}))REPRESENTATION_CONTEXT('',''))")
+    axes = file.placement(np.zeros(3), _Z, _X)
+    shape = add(f"ADVANCED_BREP_SHAPE_REPRESENTATION('',(#{axes},#{solid}),#{context})")
+    application = add("APPLICATION_CONTEXT('automotive design')")
+    add(f"APPLICATION_PROTOCOL_DEFINITION('international standard','automotive_design',2000,#{application})")
+    mechanical = add(f"PRODUCT_CONTEXT('',#{application},'mechanical')")
+    product = add(f"PRODUCT('{name}','{name}','',(#{mechanical}))")
+    add(f"PRODUCT_RELATED_PRODUCT_CATEGORY('part',$,(#{product}))")
+    formation = add(f"PRODUCT_DEFINITION_FORMATION('','',#{product})")
+    view = add(f"PRODUCT_DEFINITION_CONTEXT('part definition',#{application},'design')")
+    definition = add(f"PRODUCT_DEFINITION('design','',#{formation},#{view})")
+    meaning = add(f"PRODUCT_DEFINITION_SHAPE('','',#{definition})")
+    add(f"SHAPE_DEFINITION_REPRESENTATION(#{meaning},#{shape})")
+
+
+def _number(value: float) -> str:
+    """A STEP real: with a point, nothing below 1e-9 mm."""
+    text = f"{round(value, 9) + 0.0:.9f}".rstrip("0")
+    return text if text.endswith(".") or "." in text else text + "."
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return ",".join(_number(float(v)) for v in values)
+
+
+def _references(numbers: Iterable[int]) -> str:
+    return ",".join(f"#{n}" for n in numbers)
+
+
+def _flag(value: bool) -> str:
+    return ".T." if value else ".F."

@@ -1,0 +1,64 @@
+"""`mjtactile make` as a user meets it: a folder that explains itself, or one line and no folder."""
+
+import functools
+import json
+import re
+
+import numpy as np
+import pytest
+
+from mjtactile.cli import main
+from mjtactile.make import build as room
+from mjtactile.make import manual
+from mjtactile.make.states import State
+
+
+def flat(design, *_):
+    """In place of the simulation, which tests/unit/make has."""
+    p = design.markers.p_SM
+    return [State("flat", p, np.tile([0.0, 0, 1], (len(p), 1)), 1.0, 0.0)]
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    monkeypatch.setattr(room, "build", functools.partial(room.build, states_of=flat))
+    monkeypatch.setattr(manual, "STEPS", manual.STEPS[:1])  # one picture of parts
+
+
+def test_the_folder_says_what_is_in_it(quick, capsys, tmp_path):
+    out = tmp_path / "build"
+    assert main(["make", "paper16", "--out", str(out), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    written = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
+    assert written == {*report["files"], "checks.json"} and json.loads((out / "checks.json").read_text())["sensor"] == "paper16"
+    for page in ("README.md", "assembly.md"):
+        for link in re.findall(r"\]\(([^)]+)\)", (out / page).read_text()):
+            assert (out / link).exists(), link
+    named = " ".join(re.findall(r"[`(]([\w./*]+)[`)]", (out / "README.md").read_text()))
+    assert all(name.split("/")[0].split(".")[0] in named for name in written - {"README.md"} if "pictures" not in name)
+    for part in report["parts"]:
+        assert {f"cad/{part}.stl", f"cad/{part}.step"} <= written
+    assert (out / "pictures/exploded.png").read_bytes().startswith(b"\x89PNG")
+    assert main(["make", str(out / "sensor.toml"), "--out", str(out)]) == 2  # the copy is a sensor file; nothing is overwritten
+    assert "nothing is overwritten" in capsys.readouterr().err
+
+
+def test_what_cannot_be_built_leaves_one_line_and_no_folder(capsys, tmp_path):
+    assert main(["new", "sensor", str(tmp_path / "mine")]) == 0
+    path = tmp_path / "mine.toml"
+    path.write_text(path.read_text().replace("rim_mm = 3.0", "rim_mm = 0.5"))
+    capsys.readouterr()
+    for arguments, words in (([path], "mine.toml: frame.rim_mm: 0.5 is too thin a wall; at least 1.2"),
+                             (["dense", "--pixel-um", "0"], "--pixel-um: 0 is outside 0.5 to 50"),
+                             (["dense", "--press-mm", "25"], "--press-mm: 25 "),
+                             (["dens"], "valid: dense, paper16")):
+        assert main(["make", *map(str, arguments), "--out", str(tmp_path / "a" / "b")]) == 2
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1 and words in said
+    assert not (tmp_path / "a").exists()
+
+
+def test_what_is_missing_is_named(monkeypatch, capsys, tmp_path):
+    monkeypatch.setitem(__import__("sys").modules, "manifold3d", None)
+    assert main(["make", "dense", "--out", str(tmp_path / "a")]) == 2
+    assert "pip install 'mjtactile[make]'" in capsys.readouterr().err and not (tmp_path / "a").exists()
