@@ -80,10 +80,10 @@ class Chambers:
 
 
 @contextlib.contextmanager
-def valve_bench(dialect: str) -> Iterator[tuple[ValvePort, ValveFirmware, Faults, Chambers]]:
+def valve_bench(sensors: bool = True) -> Iterator[tuple[ValvePort, ValveFirmware, Faults, Chambers]]:
     """A valve board on a pty with its pneumatics alive."""
     faults, chambers = Faults(), Chambers()
-    firmware = ValveFirmware(dialect, chambers, faults)
+    firmware = ValveFirmware(chambers, faults, sensors=sensors)
     port, stop = ValvePort(firmware), threading.Event()
 
     def live() -> None:
@@ -100,8 +100,8 @@ def valve_bench(dialect: str) -> Iterator[tuple[ValvePort, ValveFirmware, Faults
         port.close()
 
 
-def valve_configs(port: ValvePort, dialect: str) -> list[ValveConfig]:
-    return [ValveConfig(finger, port.path, dialect, channel, heartbeat=2.0, supply_gauge=1000.0)
+def valve_configs(path: str) -> list[ValveConfig]:
+    return [ValveConfig(finger, path, channel, heartbeat=2.0, reply_timeout=0.1, supply_gauge=1000.0)
             for channel, finger in enumerate(("left", "right"), 1)]
 
 

@@ -237,7 +237,7 @@ def step_valve(valve: BoardValve, pressure: float, seal_time: float, say: Say) -
     vent, rise, fall = _VALVE_STAGES
 
     def seal() -> None:  # also a valve that did not move: that is for the verdict
-        valve.board.obey(valve.board.dialect.close, valve.config.channel)
+        valve.board.seal(valve.config.channel)
 
     for stage, act, seconds in (("vent", lambda: valve.open(0.0), vent), ("open", lambda: valve.open(pressure), rise),
                                 ("closed", seal, seal_time), ("vent", lambda: valve.open(0.0), fall)):
@@ -250,7 +250,7 @@ def step_valve(valve: BoardValve, pressure: float, seal_time: float, say: Say) -
         while (now := time.monotonic()) < end:
             reading = valve.board.measure(valve.config.channel)
             if reading.pressure_gauge is None:
-                raise InputError(f"the {valve.board.dialect.name} board has no pressure sensor: nothing to calibrate",
+                raise InputError("the board has no pressure sensor: nothing to calibrate",
                                  field=f"valve.{valve.config.finger}")
             if not rows or reading.time > rows[-1][0]:
                 rows.append((reading.time, reading.pressure_gauge, stage))

@@ -211,7 +211,8 @@ def _valves(rig_file: RigFile) -> Iterator[Finding]:
     try:
         boards, valves = connect_valves(rig_file.valves)
     except DeviceError as error:
-        yield Finding("bad", "valve board", str(error), "port, baud and dialect in the rig file; another program on the port?")
+        yield Finding("bad", "valve board", str(error),
+                      "port and baud in the rig file; is firmware/valve on the board? another program on the port?")
         return
     try:
         for valve in valves:
@@ -222,7 +223,7 @@ def _valves(rig_file: RigFile) -> Iterator[Finding]:
                 yield Finding("bad", what, str(error))
                 continue
             pressure = "no pressure sensor" if state.pressure_gauge is None else f"{state.pressure_gauge:.0f} Pa"
-            board = f"{valve.board.dialect.name} {valve.board.firmware}"
+            board = f"firmware {valve.board.firmware}"
             yield Finding("ok", what, f"{board}, channel {valve.config.channel}, {pressure}")
     finally:
         for board in boards:

@@ -21,6 +21,8 @@ KINDS: dict[str, str] = {
     "servo_unplug": "1: the servos' USB adapter is unplugged",
     "valve_unplug": "1: the valves' USB adapter is unplugged",
     "valve_stuck": "1: the valves do not move any more, but answer as if they did",
+    "valve_sensor": "1: the valve board's pressure sensors fail",
+    "valve_restart": "1: the valve board restarts by itself",
     "valve_silent": "1: the valve board does not answer",
     "valve_garbage": "1: the valve board answers nonsense",
     "puncture": "1: the left membrane leaks to the air",

@@ -31,7 +31,7 @@ class Hardware:
         shared["goal"] = math.nan
         zeros = {valve.channel: emulator.specimen(valve.finger).valve_zero for valve in rig_file.valves}
         self.bus = ServoBus(self.servos, faults, usb_latency=emulator.usb_latency)
-        self.firmware = ValveFirmware(emulator.dialect, self, faults, zeros=zeros)
+        self.firmware = ValveFirmware(self, faults, zeros=zeros, sensors=emulator.valve_sensors)
         self.valve = ValvePort(self.firmware) if rig_file.valves else None
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="hardware", daemon=True)

@@ -1,16 +1,17 @@
-"""Firmware of an emulated valve board, in any of the three dialects, with a chamber behind each channel.
+"""An emulated valve board: the language and the rules of firmware/valve/README.md, with a chamber behind each channel.
 
-The supply reaches the chamber through a hose: its pressure follows the goal with a first-order lag. The board boots with
-a banner when its port is opened, and vents all channels when it hears nothing for the heartbeat time.
+Written apart from that firmware and from the driver, its CRC too, so that a mistake in one of them shows. The supply reaches
+the chamber through a hose: its pressure follows the goal with a first-order lag. The board boots with a banner when its port
+is opened, as many do.
 """
 
 from __future__ import annotations
 
-import math
 import random
+import re
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Protocol
@@ -20,8 +21,44 @@ from mjtactile.emulator.pty_port import PtyPort
 
 _BOOT_TIME = 0.15  # s from opening the port to the banner; commands before are lost
 _LAG = 0.05  # s, time constant of hose and valve
-_RELAY_SUPPLY = 1000.0  # Pa; what the emulated relay board's hose carries
+_SUPPLY = 1000.0  # Pa; what the hose of a board without sensors carries
 _SENSOR_NOISE = 5.0  # Pa, sd
+_MAX = 6000  # Pa that the board never exceeds
+_BEAT = (20, 60000)  # ms
+_STRIKES = 3  # samples in a row that make a fault
+_SAMPLE = 0.005  # s between two
+_LONGEST = 80  # bytes of a line
+
+
+def _divide(crc: int) -> int:
+    for _ in range(8):
+        crc = crc >> 1 ^ (0xEDB88320 if crc & 1 else 0)
+    return crc
+
+
+_TABLE = [_divide(byte) for byte in range(256)]
+
+
+def crc32(data: bytes) -> int:
+    """CRC-32 of IEEE 802.3: polynomial 0x04C11DB7, reflected, start and final complement."""
+    crc = 0xFFFFFFFF
+    for byte in data:
+        crc = crc >> 8 ^ _TABLE[(crc ^ byte) & 0xFF]
+    return crc ^ 0xFFFFFFFF
+
+
+def framed(body: str) -> bytes:
+    """A line as it is sent."""
+    data = body.encode("ascii")
+    return data + f"*{crc32(data):08X}\n".encode("ascii")
+
+
+def unframed(line: bytes) -> str | None:
+    """The body of a line without its end, None for a damaged one."""
+    body, star, crc = line.rpartition(b"*")
+    if not star or len(line) > _LONGEST or re.fullmatch(rb"[0-9A-F]{8}", crc) is None or crc32(body) != int(crc, 16):
+        return None
+    return body.decode("ascii") if all(0x20 <= byte <= 0x7E for byte in body) else None
 
 
 class Chambers(Protocol):
@@ -34,147 +71,153 @@ class Chambers(Protocol):
 
 @dataclass
 class _Channel:
-    state: str = "vent"  # open, closed, vent
+    state: str = "vent"  # vent, set, sealed
+    fault: str = "start"  # ok, start, silent, sensor, pressure
     goal: float = 0.0
     supply: float = 0.0  # what the hose carries now
-    limit: float = 5000.0
+    limit: int = 0
+    sensor_strikes: int = 0
+    pressure_strikes: int = 0
+
+    def trip(self, fault: str) -> None:
+        """Vent, and take no pressure until the host has vented, too."""
+        self.state, self.goal, self.fault = "vent", 0.0, fault
+
+    def vent(self) -> None:
+        self.trip("ok")
+        self.sensor_strikes = self.pressure_strikes = 0
 
 
 class ValveFirmware:
-    """Understands one dialect. `tick` moves the pneumatics, `reply` answers a command line."""
+    """`tick` moves the pneumatics, `reply` answers a line. `zeros` Pa: what each sensor shows at ambient pressure; `sensors`
+    False: a board of relays on a supply of 1 kPa."""
 
-    def __init__(self, dialect: str, chambers: Chambers, faults: Faults, channels: int = 2,
-                 zeros: Mapping[int, float] = MappingProxyType({})):
-        """`zeros` Pa: what each channel's pressure sensor shows at ambient pressure."""
-        self._replies: Callable[[str], str] = {"ctrlp": self._ctrlp, "relay": self._relay, "regulator": self._regulator}[dialect]
-        self._chambers, self._faults, self._zeros = chambers, faults, zeros
-        self._regulates = dialect != "relay"  # by its own sensor, whose zero is then in the chamber
+    def __init__(self, chambers: Chambers, faults: Faults, channels: int = 2, *,
+                 zeros: Mapping[int, float] = MappingProxyType({}), sensors: bool = True):
+        self._chambers, self._faults, self._zeros, self._sensors = chambers, faults, zeros, sensors
         self.channels = {number: _Channel() for number in range(1, channels + 1)}
         self.heartbeat = 0.0
         self.last_heard = time.monotonic()
         self.vent_time: float | None = None
         """When the heartbeat vented last (monotonic s), None if it did not."""
-        self._is_silent = False
+        self._since_sample = 0.0
         self._rng = random.Random(1)
         self._lock = threading.RLock()
 
     def reset(self) -> None:
+        """Restart: everything vented, nothing known."""
         with self._lock:
-            for channel in self.channels.values():
-                channel.state, channel.goal, channel.limit = "vent", 0.0, 5000.0
+            for number, channel in self.channels.items():
+                self.channels[number] = _Channel(supply=channel.supply)
             self.heartbeat = 0.0
 
     def tick(self, now: float, period: float) -> None:
-        """Advance by `period` s; vents when nothing was heard for the heartbeat time."""
+        """Advance by `period` s; vents when nothing was heard for the heartbeat time, and what is out of order."""
         with self._lock:
-            was_silent, self._is_silent = self._is_silent, 0 < self.heartbeat < now - self.last_heard
-            if self._is_silent and not was_silent:  # the heartbeat stays armed: whoever speaks again is watched again
-                self.vent_time = now
+            if self._faults.get("valve_restart"):
+                self._faults.set("valve_restart", 0)
+                self.reset()
+            if 0 < self.heartbeat < now - self.last_heard:  # it stays armed: whoever speaks again is watched again
                 for channel in self.channels.values():
-                    channel.state, channel.goal = "vent", 0.0
-            if self._faults.get("valve_stuck"):
-                return
-            for number, channel in self.channels.items():
-                if channel.state == "closed":
-                    self._chambers.seal(number)
-                else:
-                    zero = self._zeros.get(number, 0.0) if self._regulates and channel.state == "open" else 0.0
-                    channel.supply += (channel.goal - zero - channel.supply) * min(1.0, period / _LAG)
-                    self._chambers.connect(number, channel.supply)
+                    if channel.state != "vent":
+                        channel.trip("silent")
+                        self.vent_time = now
+            self._since_sample += period
+            if self._since_sample >= _SAMPLE:
+                self._since_sample = 0.0
+                self._look()
+            if not self._faults.get("valve_stuck"):
+                self._move(period)
 
-    def reply(self, line: str, now: float) -> str | None:
-        """The answer to one line, None for none."""
+    def _look(self) -> None:
+        """Faults of sensors and pressures."""
+        for number, channel in self.channels.items() if self._sensors else ():
+            failed = bool(self._faults.get("valve_sensor"))
+            high = channel.state != "vent" and self._pressure(number) > channel.limit * 1.25 + 200
+            channel.sensor_strikes = channel.sensor_strikes + 1 if failed else 0
+            channel.pressure_strikes = channel.pressure_strikes + 1 if high and not failed else 0
+            if channel.sensor_strikes >= _STRIKES:
+                channel.trip("sensor")
+            elif channel.pressure_strikes >= _STRIKES:
+                channel.trip("pressure")
+
+    def _move(self, period: float) -> None:
+        for number, channel in self.channels.items():
+            if channel.state == "sealed":
+                self._chambers.seal(number)
+                continue
+            goal = channel.goal
+            if channel.state == "set":  # it regulates by its own sensor, whose zero is then in the chamber
+                goal = goal - self._zeros.get(number, 0.0) if self._sensors else _SUPPLY
+            channel.supply += (goal - channel.supply) * min(1.0, period / _LAG)
+            self._chambers.connect(number, channel.supply)
+
+    def reply(self, line: bytes, now: float) -> bytes | None:
+        """The answer to one line without its end, None for none."""
         with self._lock:
+            body = unframed(line)
+            if body is None or self._faults.get("valve_silent"):
+                return None
+            sequence, _, command = body.partition(" ")
+            if re.fullmatch(r"\d{1,6}", sequence) is None or not command:
+                return None
             self.last_heard = now
-            if self._faults.get("valve_silent"):
-                return None
             if self._faults.get("valve_garbage"):
-                return "".join(chr(self._rng.randrange(33, 255)) for _ in range(12))
-            try:
-                return self._replies(line)
-            except (KeyError, ValueError, IndexError):
-                return None
+                return self._rng.randbytes(12).replace(b"\n", b"?") + b"\n"
+            return framed(f"{sequence} {self._obey(command)}")
 
-    def _set(self, number: int, state: str, goal: float = 0.0) -> None:
-        if not math.isfinite(goal):
-            raise ValueError(goal)
-        channel = self.channels[number]
-        channel.state = state
-        if state != "closed":
-            channel.goal = goal
+    def _obey(self, command: str) -> str:
+        """The command again, or an error."""
+        word, *arguments = command.split()
+        if any(re.fullmatch(r"\d{1,6}", argument) is None for argument in arguments):
+            return "error number"
+        numbers = [int(argument) for argument in arguments]
+        if word == "id" and not numbers:
+            return f"id mjvalve 1.0 {len(self.channels)} {int(self._sensors)} {_MAX}"
+        if word == "beat" and len(numbers) == 1:
+            if not _BEAT[0] <= numbers[0] <= _BEAT[1]:
+                return "error range"
+            self.heartbeat = 1e-3 * numbers[0]
+            return f"beat {numbers[0]}"
+        wanted = {"limit": 2, "set": 2, "seal": 1, "vent": 1, "state": 1}.get(word)
+        if not numbers or wanted != len(numbers):
+            return "error unknown"
+        if numbers[0] not in self.channels:
+            return "error channel"
+        return self._obey_channel(word, self.channels[numbers[0]], *numbers) or f"{word} {' '.join(map(str, numbers))}"
+
+    def _obey_channel(self, word: str, channel: _Channel, number: int, value: int = 0) -> str | None:
+        """An answer of its own, None for the command again."""
+        if word == "state":
+            is_known = self._sensors and not self._faults.get("valve_sensor")
+            pressure = str(round(self._pressure(number))) if is_known else "-"
+            return f"state {number} {channel.state} {pressure} {channel.fault}"
+        if word == "vent":
+            channel.vent()
+            return None
+        if word == "limit":
+            if not 1 <= value <= _MAX:
+                return "error limit"
+            channel.limit = value
+            return None
+        if not self.heartbeat:
+            return "error beat"
+        if channel.fault != "ok":
+            return "error fault"
+        if word == "set" and value > channel.limit:
+            return "error limit"
+        channel.state = "set" if word == "set" else "sealed"
+        channel.goal = float(value) if word == "set" else channel.goal
+        return None
 
     def _pressure(self, number: int) -> float:
         return self._chambers.pressure(number) + self._zeros.get(number, 0.0) + self._rng.gauss(0.0, _SENSOR_NOISE)
-
-    def _ctrlp(self, line: str) -> str:
-        word, *arguments = line.split(";")
-        number = int(arguments[0]) if arguments and arguments[0].isdigit() else 0
-        if word == "version":
-            return "version;ctrl-p;2.4"
-        if word == "units":
-            return line if arguments == ["kPa"] else "error;unknown unit"
-        if word == "heartbeat":
-            self.heartbeat = float(arguments[0]) * 1e-3
-            return line
-        if word == "maxp":
-            self.channels[number].limit = 1e3 * float(arguments[1])
-            return line
-        if word == "set":
-            goal = 1e3 * float(arguments[1])
-            if goal > self.channels[number].limit:
-                return "error;above maxp"
-            self._set(number, "open", goal)
-            return line
-        if word in ("close", "vent"):
-            self._set(number, {"close": "closed", "vent": "vent"}[word])
-            return line
-        if word == "read":
-            return f"read;{number};{1e-3 * self._pressure(number):.3f};{self.channels[number].state}"
-        return "error;unknown command"
-
-    def _relay(self, line: str) -> str:
-        if line == "V":
-            return "V relay 1.2"
-        if line.startswith("H "):
-            self.heartbeat = float(line[2:]) * 1e-3
-            return line
-        number = int(line[1:].split()[0])
-        if " " in line:
-            state = {"S": "open", "C": "closed", "V": "vent"}[line[-1]]
-            self._set(number, state, _RELAY_SUPPLY if state == "open" else 0.0)
-            return line
-        return f"{line} {dict(open='S', closed='C', vent='V')[self.channels[number].state]}"
-
-    def _regulator(self, line: str) -> str:
-        word, *arguments = line.split()
-        if word == "ID?":
-            return "ID regulator 3.1"
-        if word == "UNIT":
-            return line if arguments == ["mbar"] else "ERR unit"
-        if word == "WD":
-            self.heartbeat = float(arguments[0]) * 1e-3
-            return line
-        number = int(arguments[0])
-        if word == "MAX":
-            self.channels[number].limit = 100 * float(arguments[1])
-        elif word == "SP":
-            if 100 * float(arguments[1]) > self.channels[number].limit:
-                return "ERR above MAX"
-            self._set(number, "open", 100 * float(arguments[1]))
-        elif word in ("CL", "VT"):
-            self._set(number, {"CL": "closed", "VT": "vent"}[word])
-        elif word == "PV":
-            state = dict(open="O", closed="C", vent="V")[self.channels[number].state]
-            return f"PV {number} {1e-2 * self._pressure(number):.2f} {state}"
-        else:
-            return "ERR unknown command"
-        return line
 
 
 class ValvePort:
     """The board's firmware on a pty: resets and boots when the port is opened."""
 
-    _BANNERS = ("\r\nboot v1\r\n", "ready\r\n")
+    _BANNER = b"\r\nboot v1\r\nready\r\n"
 
     def __init__(self, firmware: ValveFirmware):
         self.firmware = firmware
@@ -194,7 +237,7 @@ class ValvePort:
         self.firmware.reset()
         self._buffer.clear()
         self._boot_end = time.monotonic() + _BOOT_TIME
-        self._timer = threading.Timer(_BOOT_TIME, lambda: self._port.write("".join(self._BANNERS).encode()))
+        self._timer = threading.Timer(_BOOT_TIME, lambda: self._port.write(self._BANNER))
         self._timer.daemon = True
         self._timer.start()
 
@@ -206,7 +249,7 @@ class ValvePort:
         while b"\n" in self._buffer:
             line, _, rest = self._buffer.partition(b"\n")
             self._buffer = bytearray(rest)
-            reply = self.firmware.reply(line.decode("ascii", "replace").strip(), now)
+            reply = self.firmware.reply(bytes(line), now)
             if reply is not None:
-                self._port.write(reply.encode("latin-1", "replace") + b"\n")
+                self._port.write(reply)
         del self._buffer[:-200]

@@ -18,6 +18,8 @@ from mjtactile.core.types import FINGERS
 from mjtactile.rig.simulated import SimRigFile, sim_rig_from_table
 from mjtactile.rig.specimen import SpecimenConfig, read_specimen
 
+_PORT_SCHEMES = ("socket", "rfc2217")
+
 
 @dataclass(frozen=True)
 class BusConfig:
@@ -104,13 +106,12 @@ class CameraConfig:
 
 @dataclass(frozen=True)
 class ValveConfig:
-    """Valve of one finger's chamber: `channel` on the board at `port` which speaks `dialect`; `pressure_max` Pa gauge is
-    set in the board, `heartbeat` s is the silence after which the board vents, `reply_timeout` s what an answer to the
-    heartbeat's questions may take, `supply_gauge` Pa of a board that cannot regulate."""
+    """Valve of one finger's chamber: `channel` on the board at `port` (firmware/valve); `pressure_max` Pa gauge is set in the
+    board, `heartbeat` s is the silence after which the board vents, `reply_timeout` s what an answer to the heartbeat's
+    questions may take, `supply_gauge` Pa of a board without a sensor."""
 
     finger: str
     port: str
-    dialect: str = "ctrlp"
     channel: int = 1
     baud: int = 115200
     pressure_max: float = 3000.0
@@ -126,7 +127,7 @@ class EmulatorConfig:
     watchdog leaves of a servo, held where it is ("brake") or free ("limp")."""
 
     usb_latency: float = 1e-3
-    dialect: str = "ctrlp"
+    valve_sensors: bool = True
     torque_share: float = 0.0
     servo_firmware: int | None = None
     watchdog: str = "brake"
@@ -291,7 +292,7 @@ def _camera(section: Section, folder: Path) -> CameraConfig:
 
 def _valve(section: Section) -> ValveConfig:
     config = ValveConfig(
-        finger=section.text("finger", FINGERS), port=section.text("port"), dialect=section.text("dialect", default="ctrlp"),
+        finger=section.text("finger", FINGERS), port=_valve_port(section),
         channel=section.whole("channel", 1, 99, default=1), baud=section.whole("baud", 300, 4_000_000, default=115200),
         pressure_max=section.number("pressure_max_kPa", 0.01, 1000, 1e3),
         heartbeat=section.number("heartbeat_ms", 20, 60000, 1e-3, default=0.25),
@@ -301,10 +302,19 @@ def _valve(section: Section) -> ValveConfig:
     return config
 
 
+def _valve_port(section: Section) -> str:
+    """A device file, or one of two of pyserial's URLs: others of them write to files that a rig file names."""
+    port = section.text("port")
+    scheme, separator, _ = port.partition("://")
+    if separator and scheme not in _PORT_SCHEMES:
+        raise section.fail("port", f"{port!r} is neither a device nor {' or '.join(s + '://' for s in _PORT_SCHEMES)}")
+    return port
+
+
 def _emulator(section: Section) -> EmulatorConfig:
     config = EmulatorConfig(
         usb_latency=section.number("usb_latency_ms", 0, 100, 1e-3, default=1e-3),
-        dialect=section.text("dialect", default="ctrlp"),
+        valve_sensors=section.flag("valve_sensors", True),
         torque_share=section.number("torque_percent", -50, 100, 1e-2, default=0.0),
         servo_firmware=section.whole("servo_firmware", 1, 255, default=None),
         watchdog=section.text("watchdog", ("brake", "limp"), default="brake"),

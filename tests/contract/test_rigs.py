@@ -310,7 +310,7 @@ def test_torque_is_off_and_valves_are_vented_after_close(emulator):
         rig.gripper.command(Command(0.07, 2.0))
         truth = emulator.truth()
         assert all(truth["torque"].values())
-        assert truth["valve"]["1"] == "open"
+        assert truth["valve"]["1"] == "set"
     finally:
         rig.close()
     truth = emulator.truth()

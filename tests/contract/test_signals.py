@@ -49,7 +49,7 @@ def wait_until(running, phase):
     if phase == "connecting":
         assert wait_for(running.log.exists, WAIT)
     elif phase == "references":
-        assert wait_for(lambda: "closed" in emulator_valves(running) or "open" in emulator_valves(running), WAIT)
+        assert wait_for(lambda: "sealed" in emulator_valves(running) or "set" in emulator_valves(running), WAIT)
     else:
         running.wait_for_phase(phase)
 

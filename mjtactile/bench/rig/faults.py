@@ -22,7 +22,7 @@ from mjtactile.run.supervisor import Supervisor
 FAULTS: dict[str, float] = {
     "frames_stopped": 1, "frames_frozen": 1, "frames_late": 0.4, "frames_dark": 1, "frames_saturated": 1, "servo_overload": 1,
     "servo_overheat": 2, "servo_brown_out": 1, "servo_silent": 2, "servo_unplug": 1, "valve_unplug": 1, "valve_silent": 1,
-    "valve_garbage": 1, "puncture": 1}
+    "valve_garbage": 1, "valve_sensor": 1, "valve_restart": 1, "puncture": 1}
 """Kind and value of each fault that is injected while the loop runs; a stuck valve is injected before the references."""
 _LASTING = ("servo_overload", "servo_overheat", "servo_brown_out", "servo_unplug", "valve_unplug")
 """What an emulator does not recover from without its power being switched."""

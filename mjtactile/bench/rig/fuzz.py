@@ -1,8 +1,8 @@
 """Bad bytes for the servo's and the valve's drivers, through their real ports: an adversary sits at the other end of a pty.
 
 It answers each question with noise, with headers in noise, or with a true answer that was damaged; now and then with the
-true one. What a driver accepts is compared with the truth. The servo protocol has a CRC; the valve's lines have none, so
-that there a reading counts as wrong when it is off by more than the driver says it can tell (5 % of the largest pressure).
+true one. What a driver accepts is compared with the truth. Of frames of noise a servo's CRC-16 lets 1 in 65536 pass, a valve's
+CRC-32 1 in 4 10^9.
 """
 
 from __future__ import annotations
@@ -16,12 +16,14 @@ from mjtactile.core.errors import DeviceError
 from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus
 from mjtactile.devices.valve.driver import ValveBoard
 from mjtactile.emulator import protocol2 as p2
+from mjtactile.emulator import valve
 from mjtactile.emulator.pty_port import PtyPort
 from mjtactile.rig.file import ValveConfig
 
 SERVOS, START, SIZE = (1, 2), 126, 21
 _TRUE_SHARE = 0.05  # of the answers: a driver that accepted nothing at all would be no use
-_PRESSURE, _MAX = 1000.0, 3000.0
+_PRESSURE, _MAX = 1000, 3000.0
+_PATIENCE = 0.004  # s for an answer: most of them are none
 
 
 class Adversary:
@@ -107,28 +109,29 @@ def fuzz_servos(count: int, seed: int = 0) -> dict[str, Any]:
 
 
 class ValveAdversary:
-    """A ctrlp board that is honest until `bad` is set."""
+    """A valve board that is honest until `bad` is set."""
 
     def __init__(self) -> None:
         self.bad = False
 
     def __call__(self, rng: random.Random, question: bytes) -> tuple[bytes, bool]:
-        line = question.decode("ascii", "replace").strip()
-        honest = {"version": "version;ctrl-p;2.4"}.get(line, line)
-        if line.startswith("read"):
-            honest = f"read;1;{1e-3 * _PRESSURE:.3f};closed"
-        true = honest.encode() + b"\n"
+        number, _, text = question.partition(b"*")[0].decode("ascii", "replace").partition(" ")
+        honest = {"id": "id mjvalve 1.0 2 1 6000", "state 1": f"state 1 sealed {_PRESSURE} ok"}.get(text, text)
+        true = valve.framed(f"{number} {honest}")
         if not self.bad or rng.random() < _TRUE_SHARE:
             return true, False
-        kind = rng.randrange(4)
+        kind = rng.randrange(5)
         if kind == 0:
             return rng.randbytes(rng.randrange(1, 2000)) + b"\n", True
         if kind == 1:
-            alphabet = b"read;1.0239-openclosdvt\n"
+            alphabet = b"state 1023479*ABCDEF-sealdok\n"
             return bytes(rng.choice(alphabet) for _ in range(rng.randrange(1, 120))) + b"\n", True
         if kind == 2:  # a line without end, or only an end
-            return rng.choice((b"r" * 400, b"\n\n\n\n", b"read;1;")) + b"\n", True
-        return damage(rng, true), True
+            return rng.choice((b"r" * 400, b"\n\n\n\n", b"1 state 1 ")) + b"\n", True
+        if kind == 3:  # intact, but the answer to another command
+            return valve.framed(f"{(int(number) + rng.randrange(1, 65536)) % 65536} state 1 set {rng.randrange(6000)} ok"), True
+        bad = damage(rng, true)
+        return (bad, True) if true.strip() not in bad else self(rng, question)
 
 
 def fuzz_valve(count: int, seed: int = 0) -> dict[str, Any]:
@@ -143,14 +146,13 @@ def fuzz_valve(count: int, seed: int = 0) -> dict[str, Any]:
             begin = time.monotonic()
             tally["calls"] += 1
             try:
-                reading = board.measure(1)
+                reading = board.measure(1, _PATIENCE)
             except DeviceError:
                 tally["refused"] += 1
                 continue
             finally:
                 tally["longest_s"] = max(tally["longest_s"], time.monotonic() - begin)
-            off = abs((reading.pressure_gauge or 0.0) - _PRESSURE)
-            tally["wrong" if reading.is_open or off > 0.05 * _MAX else "true"] += 1
+            tally["wrong" if reading.is_open or reading.fault or reading.pressure_gauge != _PRESSURE else "true"] += 1
     finally:
         answers.bad = False
         board.close(quiet=True)

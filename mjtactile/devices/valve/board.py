@@ -1,4 +1,4 @@
-"""`ValveBoard`: a board on a serial port: handshake, units, limits, read-back, heartbeat, and a vent on every way out.
+"""`ValveBoard`: a board on a serial port: handshake, limits, heartbeat, and a vent on every way out.
 
 A board that hears nothing for its heartbeat time vents by itself. The heartbeat is a thread of this process that reads
 the pressures, but only while the control loop calls: a loop that hangs lets the board vent.
@@ -12,36 +12,36 @@ import re
 import termios
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import serial
 
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.signals import deferred
-from mjtactile.devices.valve.dialects import DIALECTS
+from mjtactile.devices.valve import protocol
 from mjtactile.rig.file import ValveConfig
 
 _log = logging.getLogger(__name__)
 _HANDSHAKE_TIME = 4.0  # s; opening the port resets many boards, whose boot loader waits up to 2 s
-_COMMAND_TIME = 0.15  # s for the answer to a command; USB adds 16 ms each way, a board's own loop up to 50 ms
+_COMMAND_TIME = 0.15  # s at least for the answer to a command; USB adds 16 ms each way, a board's own loop up to 50 ms
+_COMMAND_SHARE = 5  # of the rig file's reply time-out, where that is longer
+_ATTEMPTS = 2
 _RETRY_TIME = 0.008  # s from a failed reading to the next try: longer than a burst of noise
-_LATE_TIME = 0.05  # s to wait for the answer to a command that was given up
-_LINE_LONGEST = 200  # bytes; a longer line is noise
 _SILENCE = 5.0  # s without a call from the loop before the heartbeat is let die; references take 2 s between calls
 _FAILURES_MAX = 3
-_SURPRISE_SHARE = 0.05  # of the largest pressure: a change since the last reading that is asked for again
-_CONFIRMATIONS_MAX = 8  # a chamber that fills in 50 ms may surprise several times in a row
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
 class ValveReading:
-    """One answer of the board, with the monotonic time of the question, s."""
+    """One answer of the board, with the monotonic time of the question, s; `fault`: why it vented by itself, "" if not."""
 
     is_open: bool
     pressure_gauge: float | None
     time: float
+    fault: str = ""
 
 
 class ValveBoard:
@@ -49,20 +49,19 @@ class ValveBoard:
 
     def __init__(self, configs: Sequence[ValveConfig]):
         first = configs[0]
-        if first.dialect not in DIALECTS:
-            raise InputError(f"{first.dialect!r} is unknown", field="valve.dialect", choices=DIALECTS)
-        self.name, self.dialect = first.port, DIALECTS[first.dialect]
-        self.firmware = ""
+        self.name = first.port
+        self.firmware, self.has_sensors = "", True
         self._configs = {config.channel: config for config in configs}
         self._lock = threading.RLock()
         self._closed = threading.Event()
         self._readings: dict[int, ValveReading] = {}
+        self._sequence, self._received = 0, bytearray()
         self._failures, self._last_error = 0, ""
-        self._unanswered = False  # the last command: its answer may still come
         self._last_call = time.monotonic()
         self._serial = _open_port(first.port, first.baud)
         self._interval = min(config.heartbeat for config in configs) / 8
         self._reply_time = max(config.reply_timeout for config in configs)
+        self._command_time = max(_COMMAND_TIME, _COMMAND_SHARE * self._reply_time)
         self._thread = threading.Thread(target=self._beat, name="valve", daemon=True)
         try:
             self._handshake()
@@ -74,16 +73,17 @@ class ValveBoard:
 
     # -- what the valves use -------------------------------------------------------------------------------------
 
-    def obey(self, template: str | None, channel: int, pressure: float | None = None) -> None:
-        """Send a command and check that the board repeats it. Raises DeviceError when it does not."""
-        assert template is not None
-        text = self._fill(template, channel, pressure)
-        with self._lock:
-            self._last_call = time.monotonic()
-            reply = self._ask(text)
-            if reply != text:
-                raise DeviceError(f"valve board {self.name}: {text!r} was answered with {reply!r}")
-            self._read(channel)
+    def set(self, channel: int, pressure: float) -> None:
+        """Regulate to `pressure` Pa (without a sensor: open to the supply). Raises DeviceError when the board does not obey."""
+        self._obey(f"set {channel} {round(pressure)}", channel)
+
+    def seal(self, channel: int) -> None:
+        """Close both valves. Raises DeviceError when the board does not obey."""
+        self._obey(f"seal {channel}", channel)
+
+    def vent(self, channel: int) -> None:
+        """Open to the air, which also acknowledges a fault. Raises DeviceError when the board does not obey."""
+        self._obey(f"vent {channel}", channel)
 
     def reading(self, channel: int) -> ValveReading:
         """The heartbeat's newest reading, without waiting for the board. Raises DeviceError when it has been silent."""
@@ -96,11 +96,11 @@ class ValveBoard:
             raise DeviceError(f"valve board {self.name} is silent or broken: {why}")
         return reading
 
-    def measure(self, channel: int) -> ValveReading:
-        """Ask the board now. Raises DeviceError."""
+    def measure(self, channel: int, patience: float | None = None) -> ValveReading:
+        """Ask the board now, for at most `patience` s (None: a command's). Raises DeviceError."""
         with self._lock:
             self._last_call = time.monotonic()
-            return self._read(channel)
+            return self._again(lambda: self._read(channel, patience))
 
     def close(self, *, quiet: bool = False) -> None:
         """Vent every channel, also after one failed, then let go of the port. Raises DeviceError for what did not vent."""
@@ -113,7 +113,7 @@ class ValveBoard:
     def _finish(self, quiet: bool) -> None:
         if self._thread.is_alive():
             self._thread.join()
-        failed = [channel for channel in self._configs if not self._vent(channel)]
+        failed = [channel for channel in self._configs if not self._vented(channel)]
         with self._lock:
             self._serial.close()
         if failed:
@@ -130,113 +130,105 @@ class ValveBoard:
         deadline, heard = time.monotonic() + _HANDSHAKE_TIME, ""
         while time.monotonic() < deadline:
             with contextlib.suppress(DeviceError):
-                heard = self._ask(self.dialect.identify)
-            match = re.fullmatch(self.dialect.identity, heard)
+                heard = self._ask("id")
+            match = re.fullmatch(rf"id {protocol.NAME} (\d+\.\d+) (\d+) ([01]) (\d+)", heard)
             if match:
-                self._check_version(match["version"])
+                self._check(match[1], int(match[2]), float(match[4]))
+                self.has_sensors = match[3] == "1"
                 return
             time.sleep(0.02)
-        what = f"it said {heard!r}" if heard else "it said nothing"
-        raise DeviceError(f"valve board {self.name} does not answer as a {self.dialect.name} board within "
-                          f"{_HANDSHAKE_TIME:g} s: {what}; are port, baud rate and dialect right?")
+        what = f"it said {heard!r}" if heard else "it said nothing that could be read"
+        raise DeviceError(f"valve board {self.name} does not answer as {protocol.NAME} within {_HANDSHAKE_TIME:g} s: {what}; are "
+                          "port and baud rate right, is firmware/valve on it?")
 
-    def _check_version(self, version: str) -> None:
+    def _check(self, version: str, channels: int, most: float) -> None:
         self.firmware = version
-        if tuple(int(part) for part in version.split(".")) < self.dialect.version_min:
-            oldest = ".".join(map(str, self.dialect.version_min))
+        if tuple(int(part) for part in version.split(".")) < protocol.VERSION_MIN:
+            oldest = ".".join(map(str, protocol.VERSION_MIN))
             raise DeviceError(f"valve board {self.name} has firmware {version}, needs {oldest} or newer")
+        for channel, config in self._configs.items():
+            if channel > channels:
+                raise InputError(f"{channel}: the board has {channels} channels", field="valve.channel")
+            if config.pressure_max > most:
+                raise InputError(f"{config.pressure_max / 1e3:g}: the board goes up to {most / 1e3:g}",
+                                 field="valve.pressure_max_kPa")
 
     def _set_up(self) -> None:
-        """Units, largest pressure of each channel, heartbeat; each is repeated by the board, or it is refused."""
-        dialect = self.dialect
-        if dialect.units:
-            self._demand(dialect.units)
+        """Vent, largest pressure of each channel, heartbeat; each is repeated by the board, or it is refused."""
         for channel, config in self._configs.items():
-            if dialect.limit:
-                self._demand(self._fill(dialect.limit, channel, config.pressure_max))
-            elif config.supply_gauge is None:
-                raise InputError("missing: this board cannot regulate, so the file must say what its supply gives",
+            if not self.has_sensors and config.supply_gauge is None:
+                raise InputError("missing: this board has no sensors, so the file must say what its supply gives",
                                  field="valve.supply_kPa")
-        heartbeat = min(config.heartbeat for config in self._configs.values())
-        self._demand(dialect.heartbeat.format(ms=round(1e3 * heartbeat)))
+            self._demand(f"vent {channel}")  # also says that what was before is known
+            self._demand(f"limit {channel} {round(config.pressure_max)}")
+        self._demand(f"beat {round(1e3 * min(config.heartbeat for config in self._configs.values()))}")
         for channel in self._configs:
             self._read(channel)
 
-    def _demand(self, text: str) -> None:
-        reply = self._ask(text)
-        if reply != text:
-            raise DeviceError(f"valve board {self.name} did not take {text!r}: it answered {reply!r}")
-
-    def _fill(self, template: str, channel: int, pressure: float | None) -> str:
-        value = "" if pressure is None else f"{pressure / self.dialect.unit:.{self.dialect.decimals}f}"
-        return template.format(channel=channel, pressure=value)
-
     # -- talking -------------------------------------------------------------------------------------------------
 
-    def _ask(self, text: str, patience: float = _COMMAND_TIME) -> str:
-        """One command, one reply line within `patience` s. Raises DeviceError."""
+    def _obey(self, text: str, channel: int) -> None:
         with self._lock:
+            self._last_call = time.monotonic()
+            self._demand(text)
+            self._read(channel)
+
+    def _demand(self, text: str) -> None:
+        """Send a command and check that the board repeats it. Raises DeviceError."""
+        reply = self._again(lambda: self._ask(text))
+        if reply != text:
+            raise DeviceError(f"valve board {self.name}: {text!r} was answered with {reply!r}")
+
+    @staticmethod
+    def _again(act: Callable[[], _T]) -> _T:
+        """Once more when nothing comes: a command that is heard twice does the same."""
+        for _ in range(_ATTEMPTS - 1):
+            with contextlib.suppress(_Unanswered):
+                return act()
+        return act()
+
+    def _ask(self, text: str, patience: float | None = None) -> str:
+        """The text of the answer to one command, within `patience` s (None: a command's). Raises DeviceError."""
+        with self._lock:
+            self._sequence = (self._sequence + 1) % protocol.SEQUENCES
             try:
-                if self._unanswered:  # a late answer would pass for the one to this
-                    with contextlib.suppress(DeviceError):
-                        self._line(_LATE_TIME)
-                self._serial.reset_input_buffer()
-                self._unanswered = True
-                self._serial.write(text.encode("ascii") + b"\n")
-                line = self._line(patience)
-                self._unanswered = False
+                self._serial.write(protocol.encode(self._sequence, text))
+                reply = self._answer(self._command_time if patience is None else patience)
             except (serial.SerialException, OSError, termios.error, TypeError) as error:  # TypeError: a closed port
                 raise DeviceError(f"valve port {self.name} is lost: {error}") from error
-        reason = re.fullmatch(self.dialect.error, line)
-        if reason:
-            raise DeviceError(f"valve board {self.name} refuses {text!r}: {reason['reason']}")
-        return line
+        if reply.startswith("error "):
+            raise DeviceError(f"valve board {self.name} refuses {text!r}: {reply.removeprefix('error ')}")
+        return reply
 
-    def _line(self, patience: float) -> str:
-        data, asked = bytearray(), time.monotonic()
-        while not data.endswith(b"\n"):
-            byte = self._serial.read(1)  # the port's time-out is short; a line has 20 bytes
-            data += byte
+    def _answer(self, patience: float) -> str:
+        """The line that bears the number of the last command; damaged ones and late answers to others are passed over."""
+        asked, damaged = time.monotonic(), 0
+        while True:
+            while (end := self._received.find(b"\n")) >= 0:
+                line = bytes(self._received[:end]).rstrip(b"\r")
+                del self._received[: end + 1]
+                found = protocol.decode(line)
+                if found is not None and found[0] == self._sequence:
+                    return found[1]
+                damaged += found is None and bool(line)
+            del self._received[: -2 * protocol.LONGEST]  # noise without an end
+            data = self._serial.read(max(1, self._serial.in_waiting))  # the port's time-out is short
+            self._received += data
             waited = time.monotonic() - asked
-            if waited > patience and (not byte or waited > 2 * patience):  # what has come is read: this thread may be late
-                raise DeviceError(f"valve board {self.name}: no reply" if not data else f"valve board {self.name}: reply cut off")
-            if len(data) > _LINE_LONGEST:
-                raise DeviceError(f"valve board {self.name}: noise instead of a reply")
-        try:
-            return data.decode("ascii").strip()
-        except UnicodeDecodeError as error:
-            raise DeviceError(f"valve board {self.name}: noise instead of a reply") from error
+            if waited > patience and (not data or waited > 2 * patience):  # what has come is read: this thread may be late
+                raise _Unanswered(f"valve board {self.name}: {'only noise' if damaged or self._received else 'no reply'}")
 
-    def _read(self, channel: int, patience: float = _COMMAND_TIME) -> ValveReading:
-        """One reading. These lines have no checksum: what surprises must be said twice. Raises DeviceError."""
-        before, reading = self._readings.get(channel), self._ask_reading(channel, patience)
-        for _ in range(_CONFIRMATIONS_MAX):
-            if before is not None and self._agree(channel, before, reading):
-                break
-            before, reading = reading, self._ask_reading(channel, patience)
-        else:
-            raise DeviceError(f"valve board {self.name}: answers that contradict each other")
+    def _read(self, channel: int, patience: float | None = None) -> ValveReading:
+        asked = time.monotonic()  # the board measures after this, so that a reading is never thought younger than it is
+        reply = self._ask(f"state {channel}", patience)
+        match = re.fullmatch(rf"state {channel} ({'|'.join(protocol.STATES)}) (-?\d+|-) ({'|'.join(protocol.FAULTS)})", reply)
+        if match is None:
+            raise DeviceError(f"valve board {self.name}: unreadable answer {reply[:60]!r}")
+        gauge = None if match[2] == "-" or not self.has_sensors else float(match[2])
+        reading = ValveReading(protocol.STATES[match[1]], gauge, asked, protocol.FAULTS[match[3]])
         self._readings[channel] = reading
         self._failures = 0
         return reading
-
-    def _agree(self, channel: int, before: ValveReading, reading: ValveReading) -> bool:
-        if reading.is_open != before.is_open:
-            return False
-        if reading.pressure_gauge is None or before.pressure_gauge is None:
-            return reading.pressure_gauge == before.pressure_gauge
-        most = _SURPRISE_SHARE * self._configs[channel].pressure_max
-        return abs(reading.pressure_gauge - before.pressure_gauge) <= most
-
-    def _ask_reading(self, channel: int, patience: float) -> ValveReading:
-        asked = time.monotonic()  # the board measures after this, so that a reading is never thought younger than it is
-        line = self._ask(self.dialect.read.format(channel=channel), patience)
-        match = re.fullmatch(self.dialect.reading.replace("{channel}", str(channel)), line)
-        if match is None:
-            raise DeviceError(f"valve board {self.name}: unreadable answer {line[:60]!r}")
-        pressure = match.groupdict().get("pressure")
-        gauge = None if pressure is None else float(pressure) * self.dialect.unit
-        return ValveReading(self.dialect.states[match["state"]], gauge, asked)
 
     def _beat(self) -> None:
         """The heartbeat: read all channels while the loop lives."""
@@ -250,19 +242,22 @@ class ValveBoard:
                 except DeviceError as error:
                     self._failures, self._last_error = self._failures + 1, str(error)
 
-    def _vent(self, channel: int) -> bool:
-        text = self.dialect.vent.format(channel=channel)
-        for _ in range(3):
+    def _vented(self, channel: int) -> bool:
+        for _ in range(_ATTEMPTS):
             try:
-                if self._ask(text) == text:
-                    return True
+                self._demand(f"vent {channel}")
+                return True
             except Exception:  # noqa: BLE001  # whatever it is, the next channel must still be vented
                 _log.debug("vent failed", exc_info=True)
         return False
 
 
+class _Unanswered(DeviceError):
+    """Nothing readable came in time: the command may or may not have been heard."""
+
+
 def _open_port(port: str, baud: int) -> serial.SerialBase:
-    """Open a device or a pyserial URL (`socket://`, `rfc2217://`, `spy://`), alone where that can be had."""
+    """Open a device or a pyserial URL (`socket://`, `rfc2217://`), alone where that can be had."""
     options: dict[str, Any] = {} if "://" in port else {"exclusive": True}
     try:
         return serial.serial_for_url(port, baudrate=baud, timeout=0.01, write_timeout=0.2, **options)

@@ -23,30 +23,27 @@ class BoardValve:
         self.board, self.config = board, config
         self._goal: float | None = None
         self._goal_time = 0.0
-        self._is_sealed = False
 
     def state(self) -> ValveState:
         """Whether it is open, and the pressure. Raises DeviceError: silent board, or a pressure that does not follow."""
         reading = self.board.reading(self.config.channel)
-        if self._is_sealed and reading.is_open:
-            raise DeviceError(f"valve {self.config.finger} was sealed and is open: the board vented by itself (a silent host, "
-                              "or a fault of its own) or was restarted")
+        if reading.fault:
+            raise DeviceError(f"valve {self.config.finger} vented by itself: {reading.fault}")
         self._check_moves(reading)
         return ValveState(reading.is_open, reading.pressure_gauge, reading.time, time.monotonic() - reading.time)
 
     def open(self, supply_gauge: float) -> None:
         """Connect to a supply of `supply_gauge` Pa; 0 vents. Raises DeviceError beyond the rig file's limits."""
-        config, dialect = self.config, self.board.dialect
+        config = self.config
         if not 0 <= supply_gauge <= config.pressure_max:
             raise DeviceError(f"valve {config.finger}: {supply_gauge:g} Pa is outside 0 to {config.pressure_max:g} Pa, the "
                               "largest that the rig file allows")
-        self._is_sealed = False
         if supply_gauge == 0:
-            self.board.obey(dialect.vent, config.channel)
-        elif dialect.open:
-            self.board.obey(dialect.open, config.channel, supply_gauge)
+            self.board.vent(config.channel)
         else:
-            self._connect(supply_gauge)
+            if not self.board.has_sensors:
+                self._check_supply(supply_gauge)
+            self.board.set(config.channel, supply_gauge)
         self._goal, self._goal_time = supply_gauge, time.monotonic()
 
     def close(self) -> None:
@@ -54,15 +51,14 @@ class BoardValve:
         while self._goal is not None and not self._has_moved(self.board.measure(self.config.channel)):
             self._check_moves(self.board.measure(self.config.channel))
             time.sleep(_SETTLE_POLL)
-        self.board.obey(self.board.dialect.close, self.config.channel)
-        self._goal, self._is_sealed = None, True
+        self.board.seal(self.config.channel)
+        self._goal = None
 
-    def _connect(self, supply_gauge: float) -> None:
+    def _check_supply(self, supply_gauge: float) -> None:
         fixed = self.config.supply_gauge or 0.0
         if abs(fixed - supply_gauge) > 0.05 * fixed:
             raise DeviceError(f"valve {self.config.finger}: {supply_gauge:g} Pa was asked for, but its supply gives {fixed:g} Pa "
-                              "and a relay cannot change that")
-        self.board.obey(self.board.dialect.connect, self.config.channel)
+                              "and a board without a sensor cannot change that")
 
     def _has_moved(self, reading: ValveReading) -> bool:
         """The chamber has the pressure that was set, as far as is known."""

@@ -208,12 +208,12 @@ def test_recorded_step_through_the_command(tmp_path, capsys):
 
 
 def test_a_valve_on_a_pty(hurry):
-    with valve_bench("ctrlp") as (port, _, _, chambers):
-        boards, valves = connect_valves(valve_configs(port, "ctrlp"))
+    with valve_bench() as (port, _, _, chambers):
+        boards, valves = connect_valves(valve_configs(port.path))
         begin = time.monotonic()
         chambers.leak = 0.1  # Pa every 5 ms
         try:
-            fit = live.calibrate_live_valve(valves[0], 1000.0, 1.6, lambda _: None)
+            fit = live.calibrate_live_valve(valves[0], 1000.0, 2.0, lambda _: None)
         finally:
             boards[0].close()
         passed = time.monotonic() - begin
@@ -225,8 +225,8 @@ def test_a_valve_on_a_pty(hurry):
 
 
 def test_a_board_without_a_sensor_cannot_be_calibrated(hurry):
-    with valve_bench("relay") as (port, *_):
-        boards, valves = connect_valves(valve_configs(port, "relay"))
+    with valve_bench(sensors=False) as (port, *_):
+        boards, valves = connect_valves(valve_configs(port.path))
         try:
             with pytest.raises(InputError, match="no pressure sensor"):
                 live.step_valve(valves[0], 1000.0, 1.0, lambda _: None)

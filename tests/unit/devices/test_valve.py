@@ -1,23 +1,24 @@
-"""The valve driver against emulated boards in all three dialects."""
+"""The valve driver against emulated boards, with and without pressure sensors. The real firmware: test_valve_firmware.py."""
 
+import random
 import time
+import zlib
 
 import pytest
 
-from mjtactile.bench.rig.fuzz import fuzz_valve
+from mjtactile.bench.rig.fuzz import damage, fuzz_valve
 from mjtactile.core.errors import DeviceError, InputError
+from mjtactile.devices.valve import protocol
 from mjtactile.devices.valve.driver import ValveBoard, connect_valves
-from mjtactile.emulator.valve import ValveFirmware
+from mjtactile.emulator import valve as emulated
 from mjtactile.rig.file import ValveConfig
 from tests.emulated import valve_bench, valve_configs, wait_for
 
-DIALECTS = ["ctrlp", "relay", "regulator"]
 
-
-@pytest.fixture(params=DIALECTS)
+@pytest.fixture(params=[True, False], ids=["sensors", "no sensors"])
 def rig(request):
     with valve_bench(request.param) as (port, firmware, faults, chambers):
-        boards, valves = connect_valves(valve_configs(port, request.param))
+        boards, valves = connect_valves(valve_configs(port.path))
         try:
             yield boards[0], valves, firmware, faults, chambers
         finally:
@@ -25,9 +26,47 @@ def rig(request):
                 board.close(quiet=True)
 
 
+# -- lines -------------------------------------------------------------------------------------------------------------
+
+def test_the_crc_is_the_one_of_ethernet():
+    """Its check value, and two implementations."""
+    assert emulated.crc32(b"123456789") == zlib.crc32(b"123456789") == 0xCBF43926
+    line = b"7 set 1 1000*%08X\n" % zlib.crc32(b"7 set 1 1000")
+    assert protocol.encode(7, "set 1 1000") == emulated.framed("7 set 1 1000") == line
+
+
+@pytest.mark.parametrize("line", [b"", b"1 id", b"1 id*00000000", b"1 id*" + b"%08x" % zlib.crc32(b"1 id"), b"x id*",
+                                  b"1 i\xffd*1", b"1  *" + b"%08X" % zlib.crc32(b"2 ")])
+def test_damaged_lines_are_no_lines(line):
+    assert protocol.decode(line) is None
+    assert emulated.unframed(line) is None
+
+
+def test_no_damaged_line_is_read():
+    """30 000 here; one in 4 10^9 could pass."""
+    rng = random.Random(0)
+    whole = [protocol.encode(n, f"state 1 sealed {n % 4000} ok").rstrip() for n in range(100)]
+    accepted = 0
+    for i in range(30_000):
+        line = whole[i % 100]
+        accepted += protocol.decode(damage(rng, line)) is not None
+    assert accepted == 0
+    assert all(protocol.decode(line) == (n, f"state 1 sealed {n} ok") for n, line in enumerate(whole))
+
+
+def test_bad_lines_are_no_readings():
+    """A seeded 40 kB through a port; `mjtactile bench rig` feeds 10^7 bytes."""
+    result = fuzz_valve(40_000)
+    assert result["wrong"] == 0 and result["refused"] > 30
+    assert result["true"] > 0  # the true answers among them were taken
+    assert result["longest_s"] < 10.0  # nothing hangs
+
+
+# -- what a board does -------------------------------------------------------------------------------------------------
+
 def test_handshake_waits_for_the_boot_and_sets_the_heartbeat(rig):
     board, _, firmware, _, _ = rig
-    assert board.firmware
+    assert board.firmware == "1.0"
     assert firmware.heartbeat == pytest.approx(2.0)
 
 
@@ -35,10 +74,9 @@ def test_open_close_and_vent_reach_each_chamber(rig):
     _, valves, firmware, _, chambers = rig
     for channel, valve in enumerate(valves, 1):
         valve.open(1000.0)
-        assert firmware.channels[channel].state == "open"
+        assert firmware.channels[channel].state == "set"
         assert wait_for(lambda channel=channel: abs(chambers.pressures[channel] - 1000.0) < 20)
-        state = valve.state()
-        assert state.is_open
+        assert valve.state().is_open
         valve.close()
         assert not valve.state().is_open
         valve.open(0.0)
@@ -49,22 +87,21 @@ def test_pressure_is_in_pascal_or_unknown(rig):
     board, valves, _, _, chambers = rig
     valves[0].open(1000.0)
     assert wait_for(lambda: abs(chambers.pressures[1] - 1000.0) < 1)
-    board.obey(board.dialect.close, 1)
+    board.seal(1)
     pressure = valves[0].state().pressure_gauge
-    if board.dialect.name == "relay":
-        assert pressure is None  # a board without a sensor says nothing, not zero
-    else:
+    if board.has_sensors:
         assert pressure == pytest.approx(1000.0, abs=30)  # the emulated sensor has 5 Pa of noise
+    else:
+        assert pressure is None  # a board without a sensor says nothing, not zero
 
 
 def test_the_largest_pressure_is_kept_by_host_and_board(rig):
     board, valves, firmware, _, _ = rig
     with pytest.raises(DeviceError, match="outside 0 to 3000 Pa"):
         valves[0].open(3001.0)
-    if board.dialect.limit:
-        assert firmware.channels[1].limit == pytest.approx(3000.0)
-        with pytest.raises(DeviceError, match="refuses"):
-            board.obey(board.dialect.open, 1, 4000.0)
+    assert firmware.channels[1].limit == 3000
+    with pytest.raises(DeviceError, match="refuses 'set 1 4000': limit"):
+        board.set(1, 4000.0)
 
 
 def test_closing_vents_every_channel(rig):
@@ -75,12 +112,46 @@ def test_closing_vents_every_channel(rig):
     assert [channel.state for channel in firmware.channels.values()] == ["vent", "vent"]
 
 
-def test_the_board_vents_by_itself_when_the_host_is_gone(rig):
+def test_the_board_vents_by_itself_when_the_host_is_gone_and_again_when_it_is_gone_again(rig):
     _, valves, firmware, _, _ = rig
-    valves[0].open(1000.0)
-    firmware.tick(time.monotonic() + 10.0, 0.005)
-    assert firmware.vent_time is not None
-    assert firmware.channels[1].state == "vent"
+    for _ in range(2):
+        valves[0].open(1000.0)
+        firmware.tick(time.monotonic() + 10.0, 0.005)
+        assert firmware.vent_time is not None
+        assert (firmware.channels[1].state, firmware.channels[1].fault) == ("vent", "silent")
+        with pytest.raises(DeviceError, match="refuses 'set 1 1000': fault"):
+            valves[0].open(1000.0)
+        assert wait_for(lambda: valves[0].board._readings[1].fault)
+        with pytest.raises(DeviceError, match="valve left vented by itself: the board heard nothing"):
+            valves[0].state()
+        valves[0].open(0.0)  # the host knows
+
+
+@pytest.mark.parametrize(("fault", "why"), [("valve_sensor", "its pressure sensor fails"), ("valve_restart", "has restarted")])
+def test_a_board_with_a_fault_of_its_own_vents_and_says_why(fault, why):
+    with valve_bench() as (port, firmware, faults, _):
+        boards, valves = connect_valves(valve_configs(port.path))
+        try:
+            valves[0].open(1000.0)
+            faults.set(fault, 1)
+            assert wait_for(lambda: boards[0]._readings[1].fault)
+            assert firmware.channels[1].state == "vent"
+            with pytest.raises(DeviceError, match=why):
+                valves[0].state()
+        finally:
+            boards[0].close()
+
+
+def test_too_much_pressure_is_let_out():
+    with valve_bench() as (port, firmware, _, chambers):
+        boards, valves = connect_valves(valve_configs(port.path))
+        try:
+            valves[0].open(3000.0)
+            boards[0].seal(1)
+            chambers.pressures[1] = 4000.0  # 25 % and 200 Pa above the limit is 3950
+            assert wait_for(lambda: firmware.channels[1].fault == "pressure")
+        finally:
+            boards[0].close()
 
 
 @pytest.mark.parametrize("fault", ["valve_silent", "valve_garbage"])
@@ -94,54 +165,45 @@ def test_a_silent_or_babbling_board_is_an_error(rig, fault):
             time.sleep(0.01)
     with pytest.raises(DeviceError):
         valves[0].open(1000.0)
+    faults.set(fault, 0)
 
 
-def test_a_stuck_valve_is_an_error_where_a_sensor_can_tell(rig):
+def test_a_stuck_valve_is_an_error_where_a_sensor_can_tell_and_is_not_sealed(rig):
     board, valves, _, faults, _ = rig
     faults.set("valve_stuck", 1)
     valves[0].open(1000.0)
     valves[0]._goal_time -= 10.0  # the settling time has passed
-    if board.dialect.name == "relay":
+    if not board.has_sensors:
         assert valves[0].state().is_open
-    else:
-        with pytest.raises(DeviceError, match="stuck"):
-            valves[0].state()
-
-
-def test_a_valve_that_never_reached_its_pressure_is_not_sealed(rig):
-    board, valves, _, faults, _ = rig
-    faults.set("valve_stuck", 1)
-    valves[0].open(1000.0)
-    valves[0]._goal_time -= 10.0
-    if board.dialect.name == "relay":
         valves[0].close()
-    else:
+        return
+    for act in (valves[0].state, valves[0].close):
         with pytest.raises(DeviceError, match="stuck"):
-            valves[0].close()
+            act()
 
 
-def test_a_relays_supply_cannot_be_changed():
-    with valve_bench("relay") as (port, *_):
-        boards, valves = connect_valves(valve_configs(port, "relay"))
+def test_without_a_sensor_the_supply_is_what_the_file_says():
+    with valve_bench(sensors=False) as (port, *_):
+        boards, valves = connect_valves(valve_configs(port.path))
         try:
             with pytest.raises(DeviceError, match="its supply gives 1000 Pa"):
                 valves[0].open(500.0)
         finally:
             boards[0].close()
+    with valve_bench(sensors=False) as (port, *_), pytest.raises(InputError, match=r"valve\.supply_kPa"):
+        ValveBoard([ValveConfig("left", port.path)])
 
 
-def test_a_relay_needs_its_supply_in_the_file():
-    with valve_bench("relay") as (port, *_), pytest.raises(InputError, match=r"valve\.supply_kPa"):
-        ValveBoard([ValveConfig("left", port.path, "relay")])
-
-
-def test_another_dialect_and_old_firmware_are_refused(monkeypatch):
-    monkeypatch.setattr("mjtactile.devices.valve.board._HANDSHAKE_TIME", 0.5)
-    with valve_bench("relay") as (port, *_), pytest.raises(DeviceError, match="does not answer as a ctrlp board"):
-        ValveBoard([ValveConfig("left", port.path, "ctrlp")])
-    monkeypatch.setattr(ValveFirmware, "_ctrlp", lambda *_: "version;ctrl-p;1.9")
-    with valve_bench("ctrlp") as (port, *_), pytest.raises(DeviceError, match=r"firmware 1\.9, needs 2\.0"):
-        ValveBoard([ValveConfig("left", port.path, "ctrlp")])
+@pytest.mark.parametrize(("answer", "error", "message"), [
+    ("id mjvalve 0.9 2 1 6000", DeviceError, r"firmware 0\.9, needs 1\.0"),
+    ("id mjvalve 1.0 0 1 6000", InputError, "the board has 0 channels"),
+    ("id mjvalve 1.0 2 1 2000", InputError, r"pressure_max_kPa: 3: the board goes up to 2"),
+    ("id regulator 3.1", DeviceError, "does not answer as mjvalve"), ("error unknown", DeviceError, "it said nothing")])
+def test_another_board_is_refused(monkeypatch, answer, error, message):
+    monkeypatch.setattr("mjtactile.devices.valve.board._HANDSHAKE_TIME", 1.0)
+    monkeypatch.setattr(emulated.ValveFirmware, "_obey", lambda *_: answer)
+    with valve_bench() as (port, *_), pytest.raises(error, match=message):
+        ValveBoard([ValveConfig("left", port.path)])
 
 
 def test_a_missing_port_is_named():
@@ -150,8 +212,8 @@ def test_a_missing_port_is_named():
 
 
 def test_an_unplugged_board_is_an_error():
-    with valve_bench("ctrlp") as (port, *_):
-        boards, valves = connect_valves(valve_configs(port, "ctrlp"))
+    with valve_bench() as (port, *_):
+        boards, valves = connect_valves(valve_configs(port.path))
         port.close()
         with pytest.raises(DeviceError, match="lost"):
             for _ in range(300):  # 3 s, as above
@@ -161,29 +223,38 @@ def test_an_unplugged_board_is_an_error():
             boards[0].close()
 
 
-def test_a_surprising_reading_must_be_said_twice():
-    """A line without a checksum: one damaged digit is no pressure."""
-    with valve_bench("ctrlp") as (port, *_):
-        board = ValveBoard(valve_configs(port, "ctrlp"))
-        ask = board._ask
+def test_a_late_answer_is_not_taken_for_the_next_one():
+    """It is intact, and says what was asked before: only its number tells."""
+    with valve_bench() as (port, *_):
+        boards, _ = connect_valves(valve_configs(port.path))
         try:
-            before = board.measure(1)
-            with board._lock:  # the heartbeat's questions must not take the lines
-                lines = iter(["read;1;9.003;vent", "read;1;0.001;vent", "read;1;0.002;vent"])
-                board._ask = lambda text, patience: next(lines)
-                assert board.measure(1).pressure_gauge == pytest.approx(before.pressure_gauge, abs=40)  # 5 Pa of noise; not 9 kPa
-                lines = iter([f"read;1;{i}.500;vent" for i in range(20)])
-                with pytest.raises(DeviceError, match="contradict"):
-                    board.measure(1)
-                board._ask = ask
+            with boards[0]._lock:
+                boards[0]._received += protocol.encode(boards[0]._sequence, "state 1 set 2000 ok")
+                assert boards[0].measure(1).pressure_gauge == pytest.approx(0.0, abs=40)
         finally:
-            board._ask = ask
-            board.close()
+            boards[0].close()
 
 
-def test_bad_lines_are_no_readings():
-    """A seeded 40 kB here; `mjtactile bench rig` feeds 10^6 bytes."""
-    result = fuzz_valve(40_000)
-    assert result["wrong"] == 0 and result["refused"] > 30
-    assert result["true"] > 0  # the true answers among them were taken
-    assert result["longest_s"] < 10 * 0.15 + 1.0  # each question waits 0.15 s at most; nothing hangs
+@pytest.mark.parametrize("line", ["set 1 nan", "set 1 -5", "set 1 1e3", "seal", "set 1", "seal 3", "limit 1 0", "beat 5",
+                                  "close 1"])
+def test_what_the_board_does_not_understand_is_an_error_and_stops_nothing(line):
+    firmware = emulated.ValveFirmware({}, emulated.Faults())
+    for text in ("vent 1", "beat 1000"):
+        firmware.reply(emulated.framed(f"1 {text}").rstrip(), 0.0)
+    assert b"error" in firmware.reply(emulated.framed(f"2 {line}").rstrip(), 0.0)
+    assert firmware.reply(b"close;1;\xff", 0.0) is None
+
+
+def test_nothing_is_inflated_for_a_host_without_a_heartbeat_or_that_does_not_know_of_a_fault():
+    firmware = emulated.ValveFirmware({}, emulated.Faults())
+
+    def ask(text):
+        return emulated.unframed(firmware.reply(emulated.framed(f"1 {text}").rstrip(), 0.0).rstrip())
+
+    assert ask("set 1 100") == "1 error beat"
+    ask("beat 1000")
+    assert ask("set 1 100") == "1 error fault"  # it has just started
+    ask("vent 1")
+    assert ask("set 1 100") == "1 error limit"
+    ask("limit 1 100")
+    assert ask("set 1 100") == "1 set 1 100"

@@ -2,6 +2,7 @@
 
 import copy
 import math
+import time
 import tomllib
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.emulator.faults import Faults
 from mjtactile.emulator.servo import EmulatedServo
-from mjtactile.emulator.valve import ValveFirmware
+from mjtactile.emulator.valve import ValveFirmware, framed, unframed
 from mjtactile.rig.file import load_rig_file, rig_from_table
 from mjtactile.rig.specimen import SpecimenConfig, camera_pose, true_design
 from mjtactile.sensing.image.markers import detect
@@ -77,18 +78,22 @@ def test_a_camera_that_sits_elsewhere_sees_what_projection_says():
 
 def test_the_valve_board_regulates_by_its_own_sensor():
     chambers = Chambers()
-    firmware = ValveFirmware("ctrlp", chambers, Faults(), zeros={1: 30.0})
+    firmware = ValveFirmware(chambers, Faults(), zeros={1: 30.0})
 
     def settle():
         for _ in range(200):  # 4 s of a 50 ms lag
-            firmware.tick(0.0, 0.02)
+            firmware.tick(time.monotonic(), 0.02)
 
-    firmware.reply("set;1;1.0", 0.0)
+    def ask(text):
+        return unframed(firmware.reply(framed(f"1 {text}").rstrip(), time.monotonic()).rstrip())
+
+    for text in ("vent 1", "limit 1 3000", "beat 60000", "set 1 1000"):
+        assert ask(text) == f"1 {text}"
     settle()
     assert chambers.pressures[1] == pytest.approx(970.0, abs=0.1)
-    readings = [float(firmware.reply("read;1", 0.0).split(";")[2]) for _ in range(50)]
-    assert np.mean(readings) == pytest.approx(1.0, abs=4 * 0.005 / math.sqrt(50))  # kPa: 5 Pa of noise
-    firmware.reply("vent;1", 0.0)
+    readings = [float(ask("state 1").split()[4]) for _ in range(50)]
+    assert np.mean(readings) == pytest.approx(1000.0, abs=4 * 5 / math.sqrt(50))  # 5 Pa of noise
+    ask("vent 1")
     settle()
     assert chambers.pressures[1] == pytest.approx(0.0, abs=0.1)
 

@@ -18,7 +18,7 @@ def bench():
 
 def test_the_sdks_sync_read_write_example(bench):
     port, packets = sdk.PortHandler(bench.bus.path), sdk.PacketHandler(2.0)
-    port.setPacketTimeout = lambda length: port.setPacketTimeoutMillis(250)  # of the SDK's 34 ms: tests share their processors
+    port.setPacketTimeout = lambda length: port.setPacketTimeoutMillis(1500)  # of the SDK's 34 ms: tests share their processors
     assert port.openPort()
     assert port.setBaudRate(1_000_000)
     try:

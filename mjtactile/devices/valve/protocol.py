@@ -1,0 +1,36 @@
+"""Lines of "mjvalve", which the board in firmware/valve/ speaks: `SEQUENCE WORD ARGUMENTS*CRC`, ended by a newline.
+
+CRC is the CRC-32 of what stands before the `*`, as zlib's, in eight hexadecimal digits. An answer bears the sequence number of
+its command and repeats it, or says `error REASON`. The whole language: firmware/valve/README.md.
+"""
+
+from __future__ import annotations
+
+import re
+import zlib
+
+NAME, VERSION_MIN = "mjvalve", (1, 0)
+SEQUENCES = 65536
+LONGEST = 80  # bytes of a line without its end
+STATES = {"vent": True, "set": True, "sealed": False}
+"""States of a channel, and whether its chamber is then open to a supply or the air."""
+FAULTS = {"ok": "", "start": "the board has restarted", "silent": "the board heard nothing for its heartbeat's time",
+          "sensor": "its pressure sensor fails", "pressure": "its pressure was too high"}
+"""Why a channel vented by itself."""
+_LINE = re.compile(rb"([0-9]{1,5}) ([ -)+-~]+)\*([0-9A-F]{8})")
+_HEAD = re.compile(rb"[0-9]{1,5} [ -)+-~]+")
+
+
+def encode(sequence: int, text: str) -> bytes:
+    """A whole line."""
+    body = f"{sequence} {text}".encode("ascii")
+    assert _HEAD.fullmatch(body) and len(body) + 9 <= LONGEST, body
+    return body + b"*%08X\n" % zlib.crc32(body)
+
+
+def decode(line: bytes) -> tuple[int, str] | None:
+    """Sequence number and text of a line without its end; None for one that is damaged."""
+    match = _LINE.fullmatch(line)
+    if match is None or len(line) > LONGEST or zlib.crc32(line[:-9]) != int(match[3], 16):
+        return None
+    return int(match[1]), match[2].decode("ascii")
