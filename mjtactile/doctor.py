@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+from typing import Any
+
 from mjtactile.rig.file import read_rig_file
 from mjtactile.rig.finding import Finding
 from mjtactile.rig.simulated import SimRigFile
@@ -21,3 +24,12 @@ def examine_rig(name: str | None, *, sensor: str = "dense", fix: bool = False) -
     from mjtactile.devices.doctor import examine
 
     return examine(name, sensor=sensor, fix=fix)
+
+
+def plugged_in(more: Iterable[str] = (), *, ask: bool = True,
+               say: Callable[[str], None] = lambda _: None) -> tuple[list[Any], list[Any]]:
+    """Cameras (`VideoDevice`) and serial ports (`SerialPort`), those of `more` too; `ask` who answers on the ports."""
+    from mjtactile.devices.camera.v4l2 import video_devices
+    from mjtactile.devices.listing import serial_ports
+
+    return video_devices(), serial_ports(more, ask=ask, say=say)

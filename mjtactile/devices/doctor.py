@@ -18,12 +18,12 @@ from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus
 from mjtactile.devices.dynamixel.gripper import read_report
 from mjtactile.devices.dynamixel.servo import REQUIRED
 from mjtactile.devices.dynamixel.tables import MODELS, NO_CURRENT_CONTROL
+from mjtactile.devices.listing import BAUDS, servos_at
 from mjtactile.devices.valve.driver import connect_valves
 from mjtactile.rig.file import BusConfig, CameraConfig, RigFile, load_rig_file
 from mjtactile.rig.finding import Finding
 from mjtactile.rig.sensors import calibration_findings
 
-_BAUDS = (57600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115200)
 _ROUND_TRIP_GOOD = 4e-3  # s for three servos at 1 Mbaud with latency_timer = 1; 16 ms is the driver's default timer
 _HOT = 60.0  # degrees C; X series shut down at 70
 _CAMERA_TIME = 2.0  # s that pictures of a camera are counted
@@ -180,28 +180,14 @@ def _round_trip(bus: DynamixelBus, servos: list[int], config: BusConfig) -> Find
 
 def _search(config: BusConfig) -> Iterator[Finding]:
     """Nobody answered: look for servos with other ids and baud rates. Takes some seconds; pings change nothing."""
-    for baud in (config.baud, *(b for b in _BAUDS if b != config.baud)):
-        with contextlib.suppress(DeviceError):
-            bus = DynamixelBus(config.port, baud, reply_timeout=config.reply_timeout)
-            try:
-                found = [servo for servo in range(21) if _pings(bus, servo)]
-            finally:
-                bus.close()
-            if found:
-                yield Finding("warn", "servo bus", f"servos {found} answer at {baud} baud",
-                              "write these into the rig file, or change the servos with Dynamixel Wizard")
-                return
+    bauds = (config.baud, *(baud for baud in BAUDS if baud != config.baud))
+    with contextlib.suppress(DeviceError):
+        baud, found = servos_at(config.port, bauds, reply_time=config.reply_timeout)
+        if found:
+            yield Finding("warn", "servo bus", f"servos {list(found)} answer at {baud} baud",
+                          "write these into the rig file, or change the servos with Dynamixel Wizard")
+            return
     yield Finding("bad", "servo bus", "no servo answers at any baud rate (ids 0 to 20)", "is their power on? USB powers none")
-
-
-def _pings(bus: DynamixelBus, servo: int) -> bool:
-    try:
-        bus.ping(servo)
-    except BusError as error:
-        if error.reason == "lost":
-            raise
-        return False
-    return True
 
 
 def _valves(rig_file: RigFile) -> Iterator[Finding]:

@@ -58,7 +58,7 @@ class ValveBoard:
         self._sequence, self._received = 0, bytearray()
         self._failures, self._last_error = 0, ""
         self._last_call = time.monotonic()
-        self._serial = _open_port(first.port, first.baud)
+        self._serial = open_port(first.port, first.baud)
         self._interval = min(config.heartbeat for config in configs) / 8
         self._reply_time = max(config.reply_timeout for config in configs)
         self._command_time = max(_COMMAND_TIME, _COMMAND_SHARE * self._reply_time)
@@ -256,7 +256,7 @@ class _Unanswered(DeviceError):
     """Nothing readable came in time: the command may or may not have been heard."""
 
 
-def _open_port(port: str, baud: int) -> serial.SerialBase:
+def open_port(port: str, baud: int) -> serial.SerialBase:
     """Open a device or a pyserial URL (`socket://`, `rfc2217://`), alone where that can be had."""
     options: dict[str, Any] = {} if "://" in port else {"exclusive": True}
     try:

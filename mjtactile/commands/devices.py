@@ -1,0 +1,58 @@
+"""`mjtactile devices`: what is plugged in, under which name, and what answers."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from typing import Any
+
+from mjtactile.commands.output import print_json, stdout_to_stderr
+from mjtactile.doctor import plugged_in
+
+DESCRIPTION = """\
+List cameras with what they can send, and serial ports with who answers there: Dynamixel servos by
+ping, valve boards by their name. The names printed are those to write into a rig file: they stay
+when a cable is plugged in again. Nothing is set and nothing moves; but opening a port restarts
+many boards, and a device that is neither may take a ping for something else (--no-ask)."""
+EPILOG = """\
+examples:
+  mjtactile devices
+  mjtactile devices --no-ask                   names only
+  mjtactile devices --port socket://host:7000  a port that no computer lists, too
+"""
+SIMULATES = False
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--no-ask", action="store_true", help="open no serial port")
+    parser.add_argument("--port", action="append", default=[], metavar="PATH", help="also ask this port; again for each one")
+
+
+def run(options: argparse.Namespace) -> int:
+    from mjtactile.run.progress import Progress
+
+    with stdout_to_stderr():
+        cameras, ports = plugged_in(options.port, ask=not options.no_ask, say=Progress().message)
+    if options.json:
+        print_json({"cameras": [asdict(camera) for camera in cameras], "serial_ports": [asdict(port) for port in ports]})
+        return 0
+    for camera in cameras:
+        print(f"camera       {camera.path}\n             {_of(camera)}")
+        for fourcc, width, height, rate in camera.formats:
+            print(f"               {fourcc} {width} x {height}, up to {rate:g} Hz")
+    for port in ports:
+        print(f"serial port  {port.path}\n             {_of(port)}")
+        nobody = port.problem or ("not asked" if options.no_ask else "nobody that we know answers")
+        for answer in port.answers or (nobody,):
+            print(f"               {answer}")
+    missing = [name for name, found in (("cameras", cameras), ("serial ports", ports)) if not found]
+    if missing:
+        print(f"no {' and no '.join(missing)}: are they plugged in? In a container, pass their devices through")
+    return 0
+
+
+def _of(found: Any) -> str:
+    """What else is known of it, without what it has not."""
+    about = getattr(found, "name", "") or getattr(found, "description", "")
+    return ", ".join(part for part in (about, found.device if found.device != found.path else "",
+                                       f"serial number {found.serial}" if found.serial else "") if part) or "no name"

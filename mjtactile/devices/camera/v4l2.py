@@ -1,0 +1,108 @@
+"""Video devices of a Linux computer: their names and what they can send, asked of the kernel without starting them.
+
+Structures and request numbers: linux/videodev2.h, https://docs.kernel.org/userspace-api/media/v4l/.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+_ENUM_FMT, _ENUM_FRAMESIZES, _ENUM_FRAMEINTERVALS = 0xC0405602, 0xC02C564A, 0xC034564B
+_CAPTURE, _DISCRETE = 1, 1  # V4L2_BUF_TYPE_VIDEO_CAPTURE; V4L2_FRMSIZE_TYPE_DISCRETE, which is V4L2_FRMIVAL_TYPE_DISCRETE
+_MOST = 64  # entries of a list; a driver that never ends its list would hold us up for ever
+
+Ioctl = Callable[[int, int, bytearray], object]
+
+
+@dataclass(frozen=True)
+class VideoDevice:
+    """A camera: `path` to open it by, the stablest there is; what the kernel calls it (`device`, /dev/videoN), its maker (`name`)
+    and its `serial` number ("" if none); `formats`: (fourcc, width, height, largest rate in Hz)."""
+
+    path: str
+    device: str
+    name: str
+    serial: str
+    formats: tuple[tuple[str, int, int, float], ...]
+
+
+def video_devices(root: Path = Path("/")) -> list[VideoDevice]:
+    """All that send pictures; `root`: of the file system."""
+    found = []
+    for folder in sorted((root / "sys/class/video4linux").glob("video*"), key=lambda path: (len(path.name), path.name)):
+        if _text(folder / "index") != "0":  # a second node of the same camera, for its metadata
+            continue
+        device = root / "dev" / folder.name
+        formats = tuple(formats_of(device))
+        found.append(VideoDevice(_stable(root, device), str(device), _text(folder / "name"),
+                                 _text((folder / "device").resolve().parent / "serial"), formats))
+    return found
+
+
+def formats_of(device: Path, ioctl: Ioctl = fcntl.ioctl) -> Iterator[tuple[str, int, int, float]]:
+    """What it can send; nothing for one that may not be opened or is no camera."""
+    with contextlib.suppress(OSError):
+        number = os.open(device, os.O_RDWR | os.O_NONBLOCK)
+        try:
+            for code in _codes(number, ioctl):
+                name = code.to_bytes(4, "little").decode("ascii", "replace").strip()
+                for width, height in _sizes(number, code, ioctl):
+                    yield name, width, height, _largest_rate(number, code, width, height, ioctl)
+        finally:
+            os.close(number)
+
+
+def _entries(number: int, request: int, size: int, head: tuple[int, ...], ioctl: Ioctl) -> Iterator[bytes]:
+    """The kernel's answers for index 0, 1, … until it says that there are no more; `head` follows the index."""
+    for index in range(_MOST):
+        data = bytearray(struct.pack(f"{1 + len(head)}I", index, *head).ljust(size, b"\0"))
+        try:
+            ioctl(number, request, data)
+        except OSError:
+            return
+        yield bytes(data)
+
+
+def _codes(number: int, ioctl: Ioctl) -> Iterator[int]:
+    for data in _entries(number, _ENUM_FMT, 64, (_CAPTURE,), ioctl):
+        yield struct.unpack_from("I", data, 44)[0]
+
+
+def _sizes(number: int, code: int, ioctl: Ioctl) -> Iterator[tuple[int, int]]:
+    for data in _entries(number, _ENUM_FRAMESIZES, 44, (code,), ioctl):
+        kind, width, height = struct.unpack_from("3I", data, 8)
+        if kind != _DISCRETE:  # a range (least, largest and step of the width, then of the height): its largest
+            _, width, _, _, height = struct.unpack_from("5I", data, 12)
+        yield width, height
+        if kind != _DISCRETE:
+            return
+
+
+def _largest_rate(number: int, code: int, width: int, height: int, ioctl: Ioctl) -> float:
+    rates = [0.0]
+    for data in _entries(number, _ENUM_FRAMEINTERVALS, 52, (code, width, height), ioctl):
+        numerator, denominator = struct.unpack_from("2I", data, 20)  # of the interval, or of the least of a range
+        rates.append(denominator / numerator if numerator else 0.0)
+    return max(rates)
+
+
+def _stable(root: Path, device: Path) -> str:
+    """A name that stays when it is plugged in again; two of the same kind without serial numbers differ by their sockets."""
+    for folder in ("by-id", "by-path"):
+        names = [link for link in sorted((root / "dev/v4l" / folder).glob("*")) if link.resolve() == device.resolve()]
+        if names:
+            return str(names[0])
+    return str(device)
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace").strip()
+    except OSError:
+        return ""

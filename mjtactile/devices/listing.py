@@ -1,0 +1,117 @@
+"""What is plugged in, and what answers on it: for `mjtactile devices`. Questions only: nothing is set, nothing moves."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import serial
+from serial.tools import list_ports
+
+from mjtactile.core.errors import DeviceError
+from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus
+from mjtactile.devices.dynamixel.tables import MODEL_BY_NUMBER, NO_CURRENT_CONTROL
+from mjtactile.devices.valve import protocol
+from mjtactile.devices.valve.board import open_port
+
+BAUDS = (57600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115200)
+"""Of Dynamixel servos: as they are sold, then as people set them."""
+VALVE_BAUD = 115200
+IDS = range(21)
+_BOOT_TIME = 2.5  # s; opening the port resets many boards
+_REPLY_TIME = 0.02  # s for a servo's answer, behind an adapter whose latency timer nobody has set
+
+
+@dataclass(frozen=True)
+class SerialPort:
+    """A serial port: `path` to open it by, the stablest there is; what the computer says of it; `answers`: who is there, in
+    words; `problem`: why nobody could be asked."""
+
+    path: str
+    device: str
+    description: str
+    serial: str
+    answers: tuple[str, ...] = ()
+    problem: str = ""
+
+
+def serial_ports(more: Iterable[str] = (), *, ask: bool = True, say: Callable[[str], None] = lambda _: None) -> list[SerialPort]:
+    """All USB serial ports, and those of `more`; `ask` who is on them, which takes some seconds each."""
+    known = [SerialPort(_stable(port.device), port.device, port.description or "", port.serial_number or "")
+             for port in sorted(list_ports.comports(), key=lambda port: port.device) if port.vid is not None]
+    known += [SerialPort(path, path, "named", "") for path in more if path not in {port.device for port in known}]
+    return [_asked(port, say) if ask else port for port in known]
+
+
+def servos_at(port: str, bauds: Iterable[int] = BAUDS, *, reply_time: float = _REPLY_TIME) -> tuple[int, Mapping[int, str]]:
+    """The first baud rate at which servos answer, and their models by id; none at (0, {}).
+
+    Raises DeviceError for a port that cannot be opened or goes away."""
+    for baud in bauds:
+        bus = DynamixelBus(port, baud, reply_timeout=reply_time)
+        try:
+            found = {servo: model for servo in IDS if (model := _model(bus, servo))}
+        finally:
+            bus.close()
+        if found:
+            return baud, found
+    return 0, {}
+
+
+def valve_board_at(port: str) -> str:
+    """What the valve board there says of itself; "" where none answers. Raises DeviceError for a port that cannot be opened."""
+    line, heard = open_port(port, VALVE_BAUD), bytearray()
+    try:
+        deadline = time.monotonic() + _BOOT_TIME
+        while time.monotonic() < deadline:
+            line.write(protocol.encode(0, "id"))
+            heard += line.read(64)
+            *lines, rest = heard.split(b"\n")
+            heard = bytearray(rest[-protocol.LONGEST:])
+            for answer in (protocol.decode(bytes(each).rstrip(b"\r")) for each in lines):
+                words = answer[1].split() if answer else []
+                if words[:2] == ["id", protocol.NAME] and len(words) == 6:
+                    sensors = "with" if words[4] == "1" else "without"
+                    return f"{words[1]} {words[2]}, {words[3]} channels, {sensors} pressure sensors"
+            time.sleep(0.02)
+        return ""
+    except (serial.SerialException, OSError) as error:
+        raise DeviceError(f"{port} went away: {' '.join(str(error).split())}") from error
+    finally:
+        line.close()
+
+
+def _asked(port: SerialPort, say: Callable[[str], None]) -> SerialPort:
+    say(f"{port.path}: servos? a valve board?")
+    answers: list[str] = []
+    try:
+        baud, servos = servos_at(port.path) if "://" not in port.path else (0, {})
+        answers = [f"servo {number}: {model}, {baud} baud" for number, model in servos.items()]
+        if not answers and (board := valve_board_at(port.path)):
+            answers = [f"valve board: {board}"]
+    except DeviceError as error:
+        return SerialPort(port.path, port.device, port.description, port.serial, problem=str(error))
+    return SerialPort(port.path, port.device, port.description, port.serial, tuple(answers))
+
+
+def _model(bus: DynamixelBus, servo: int) -> str:
+    """The model's name; "" of one that does not answer."""
+    try:
+        number, _ = bus.ping(servo)
+    except BusError as error:
+        if error.reason == "lost":
+            raise
+        return ""
+    known = MODEL_BY_NUMBER.get(number)
+    return known.name if known else NO_CURRENT_CONTROL.get(number, f"model {number}")
+
+
+def _stable(device: str) -> str:
+    with contextlib.suppress(OSError):
+        for link in sorted(Path("/dev/serial/by-id").glob("*")):
+            if link.resolve() == Path(device).resolve():
+                return str(link)
+    return device
