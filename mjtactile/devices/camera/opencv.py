@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -178,7 +179,7 @@ class OpenCvCamera:
             failures += 1
             if failures >= 3:  # one broken JPEG is a lost picture; three failures in a row are a lost camera
                 self._fail("it sends no JPEG; leave fourcc = \"MJPG\" out of the rig file" if good and self._is_raw else
-                           "it sends no more pictures: was it unplugged?")
+                           self._why_nothing_comes())
                 return
 
     def _take(self, pixels: NDArray) -> None:
@@ -218,6 +219,12 @@ class OpenCvCamera:
         self._fail(f"its kernel timestamps ({kernel:.3f} s) are not on the monotonic clock ({arrival:.3f} s); write "
                    "timestamps = \"arrival\" and the delay into the rig file")
         return arrival
+
+    def _why_nothing_comes(self) -> str:
+        silent, load, processors = self._clock() - self.newest_time, os.getloadavg()[0], os.cpu_count() or 1
+        since = f" for {1e3 * silent:.0f} ms" if math.isfinite(silent) else ""
+        busy = f" Or are they late? {load:.0f} programs want this computer's {processors} processors" if load > processors else ""
+        return f"it has sent no pictures{since}: was it unplugged?{busy}"
 
     def _fail(self, reason: str) -> None:
         with self._condition:
