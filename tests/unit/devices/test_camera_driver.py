@@ -150,7 +150,7 @@ def test_on_a_busy_computer_pictures_may_be_late(camera, device, monkeypatch):
     monkeypatch.setattr("os.cpu_count", lambda: 2)
     device.mode = "gone"
     assert wait_for(lambda: camera._error is not None)
-    with pytest.raises(DeviceError, match="unplugged.* Or are they late. 40 programs want this computer's 2 processors"):
+    with pytest.raises(DeviceError, match=r"unplugged.* Or are they late. 40 programs want this computer's 2 processors"):
         camera.read()
 
 
