@@ -4,7 +4,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help venv grasp bench film test lint types contracts pytest lock clean
+.PHONY: help venv grasp bench film docs test lint types contracts pytest lock clean
 
 # The first of these that is Python 3.11 or newer; override with `make PYTHON=/path/to/python`.
 PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 python; do \
@@ -29,6 +29,10 @@ bench: $(VENV)/.run-ready  ## measure the grasp and the perception; results in b
 
 film: $(VENV)/.test-ready  ## the film that opens the README: an egg grasp, docs/images/grasp.webp
 	rm -rf runs/film && $(BIN)/mjtactile grasp --out runs/film --video docs/images/grasp.webp $(ARGS)
+
+docs: $(VENV)/.docs-ready  ## the documentation as a site, build/site/index.html; a warning is an error
+	[ -f build/docs/egg/summary.html ] || $(BIN)/mjtactile grasp --frames none --out build/docs/egg
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 test: lint types contracts pytest  ## lint, types, import contracts, tests: all that CI runs
 
@@ -66,15 +70,24 @@ $(VENV)/.test-ready: requirements-dev.lock $(VENV)/.run-ready
 	@$(PIP) install -r requirements-dev.lock
 	@touch $@
 
+$(VENV)/.docs-ready: requirements-docs.lock $(VENV)/.test-ready
+	@echo "make: installing the locked tools of the documentation into $(VENV)"
+	@$(PIP) install -r requirements-docs.lock
+	@touch $@
+
 lock:  ## renew requirements*.lock from pyproject.toml (newest versions that fit)
 	rm -rf build/lock && $(PYTHON) -m venv build/lock
 	build/lock/bin/pip --quiet install 'hatchling>=1.27' 'ziglang>=0.15' --editable '.[plots]'
 	build/lock/bin/pip freeze --exclude-editable --exclude pip --exclude setuptools > build/run.txt
 	build/lock/bin/pip --quiet install --editable '.[plots,dev]'
 	build/lock/bin/pip freeze --exclude-editable --exclude pip --exclude setuptools > build/all.txt
+	build/lock/bin/pip --quiet install --editable '.[plots,dev,docs]'
+	build/lock/bin/pip freeze --exclude-editable --exclude pip --exclude setuptools > build/docs.txt
 	(echo '# What a run needs. Made by `make lock`; do not edit.'; cat build/run.txt) > requirements.lock
 	(echo '# What `make test` needs on top. Made by `make lock`; do not edit.'; \
 	 echo '-r requirements.lock'; grep -vxFf build/run.txt build/all.txt) > requirements-dev.lock
+	(echo '# What `make docs` needs on top of requirements-dev.lock. Made by `make lock`; do not edit.'; \
+	 grep -vxFf build/all.txt build/docs.txt) > requirements-docs.lock
 
 clean:  ## remove the environment, caches and build leftovers (results in runs/ stay)
 	rm -rf $(VENV) build dist .pytest_cache .ruff_cache .import_linter_cache

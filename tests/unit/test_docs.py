@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import mjtactile
+import mkdocs_hooks
 from mjtactile.bench import numbers
 from mjtactile.core.design import FIELDS, load_sensor
 from mjtactile.core.errors import InputError
@@ -72,6 +74,22 @@ def test_slip_controller_example(tmp_path):
     assert step(touch, replace(touch, force_normal=np.nan)).opening == 0.05
 
 
+def test_controller_of_the_tutorial(tmp_path):
+    (tmp_path / "mine.py").write_text(block("docs/tutorials/controller.md", "python"))
+    controller = load_controller(tmp_path / "mine.py")
+    state, valves = GripperState(0.05, 0, 0, 0), (ValveState(False),) * 2
+    command, openings, phases = Command(0.05, 3.0), [], []
+    for k in range(40):  # felt from 0.3 s on
+        touch = Touch(k / 30, 0.0, 0.4 * (k > 9), 0.01, k > 9)
+        command = controller.step(Observation(k / 30, 1 / 30, (touch, touch), state, valves, command))
+        openings.append(command.opening)
+        phases.append(command.phase)
+        if command.phase == "done":
+            break
+    assert phases == ["close"] * 10 + ["hold"] * 16 + ["done"]  # half a second is 15 cycles, and the first
+    assert openings[9] == pytest.approx(0.05 - 10 * 0.01 / 30) and openings[-1] == pytest.approx(openings[9] + 0.01)
+
+
 def test_the_page_of_controllers_has_every_field_of_touch():
     page = (CHECKOUT / "docs/controllers.md").read_text()
     table = re.search(r"What a `Touch` holds.*?\n\n(.*?)\n\n", page, re.DOTALL).group(1)
@@ -90,10 +108,37 @@ def test_the_page_of_recordings_has_every_column(heading, columns):
         assert (unit, meaning) == columns[key.strip("`")][:2]
 
 
+def anchors(page):
+    """What can follow a # in a link to the page: its headings, as GitHub and the site write them."""
+    text = re.sub(r"(?s)^```.*?^```$", "", page.read_text(), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in re.findall(r"(?m)^#+ (.*)$", text)}
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_lead_somewhere(page):
-    for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text()):
-        assert (page.parent / target).exists(), target
+    for target, anchor in re.findall(r"\]\((?!https?:)([^)#]*)#?([^)]*)\)", page.read_text()):
+        path = page.parent / target if target else page
+        assert path.exists(), target
+        assert not anchor or anchor in anchors(path), f"{target}#{anchor}"
+
+
+def test_the_gallery_shows_every_picture_of_the_pages():
+    shown = set(re.findall(r"\]\((images/[^)]+)\)", (CHECKOUT / "docs/gallery.md").read_text()))
+    there = {path.relative_to(CHECKOUT / "docs").as_posix() for path in (CHECKOUT / "docs/images").rglob("*.*")}
+    assert there - shown == {"images/shadows.png"}  # which no command draws
+
+
+def test_the_site_has_the_readme_the_decisions_and_the_whole_front_door():
+    """What `make docs` adds to the pages; that they build without a warning is said by `make docs` itself."""
+    pages = mkdocs_hooks.pages()
+    assert "](your_scene.md)" in pages["index.md"] and "](images/grasp.png)" in pages["index.md"]
+    assert "](decisions/index.md)" in pages["index.md"] and "](0013-contact-points.md)" in pages["decisions/index.md"]
+    assert set(re.findall(r"(?m)^::: mjtactile\.(\w+)$", pages["api.md"])) == set(mjtactile.__all__)
+    assert "def step(observation" in pages["files/controllers/slip_aware.py.md"]
+    nav = (CHECKOUT / "mkdocs.yml").read_text().partition("\nnav:")[2]
+    there = {path.relative_to(CHECKOUT / "docs").as_posix() for path in (CHECKOUT / "docs").rglob("*.md")
+             if path.parent.name not in ("decisions", "upstream")}
+    assert set(re.findall(r"(\S+\.md)", nav)) == there | {"index.md", "api.md"}  # no page is forgotten
 
 
 @pytest.mark.parametrize("page", sorted((CHECKOUT / "docs").rglob("*.md")), ids=lambda page: page.name)

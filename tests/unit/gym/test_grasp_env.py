@@ -1,7 +1,9 @@
 """The environment keeps Gymnasium's rules, goes back to where it was bit for bit, and scores as `evaluate` does."""
 
+import functools
 import subprocess
 import sys
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -27,6 +29,14 @@ def make(**how):
 def env():
     with make() as made:
         yield made
+
+
+def test_the_example_of_the_page(monkeypatch, capsys):
+    """As it stands, but for a second of time in place of twenty."""
+    page = (Path(__file__).resolve().parents[3] / "docs/gym.md").read_text()
+    monkeypatch.setattr(gymnasium, "make", functools.partial(gymnasium.make, time_limit=1.0))
+    exec(page.partition("```python\n")[2].partition("```")[0], {})
+    assert capsys.readouterr().out.startswith("out of time 0")  # N, and more: nothing was touched
 
 
 def roll(env, seed, actions):

@@ -1,0 +1,104 @@
+"""What `make docs` adds to the pages in docs/: the README as the start, the decisions, the changelog, files that pages link to,
+the front door's API, and the page of a grasp beside the gallery. Links that leave docs/ are led to these."""
+
+from __future__ import annotations
+
+import posixpath
+import re
+from pathlib import Path
+from typing import Any
+
+import mjtactile
+
+ROOT = Path(__file__).parent
+GRASP = ROOT / "build" / "docs" / "egg" / "summary.html"
+"""The page of a grasp, which `make docs` makes before."""
+LINK = re.compile(r"(\]\()(?!https?:|#|data:)([^)#\s]+)(#[^)\s]*)?(\))")
+_FENCE = "````"
+_LANGUAGES = {".py": "python", ".toml": "toml", ".xml": "xml"}
+_DOORS = {
+    "Touch in a MuJoCo scene": ("sim.attach", "plugin.mount", "plugin.sim_finger"),
+    "Rigs and sessions": ("rig.finger", "rig.registry", "rig.file", "run.session", "run.controller"),
+    "What a controller sees and says": ("core.types",),
+    "Sensing": ("sensing.chain", "sensing.pose.locate", "core.optics"),
+    "Sensors and their calibration": ("core.design", "core.calibration"),
+    "Recordings": ("recording.reader", "recording.writer"),
+    "Policies": ("core.policy",),
+    "Errors": ("core.errors",),
+}
+"""Headings of the API's page, and the modules whose public names stand below each."""
+
+
+def pages() -> dict[str, str]:
+    """Pages that are no files in docs/: their address in the site, and their text."""
+    decisions = sorted((ROOT / "docs" / "decisions").glob("*.md"))
+    made = {"index.md": _moved((ROOT / "README.md").read_text("utf-8"), "", "index.md"),
+            "changelog.md": _moved((ROOT / "CHANGELOG.md").read_text("utf-8"), "", "changelog.md"),
+            "decisions/index.md": "# Decisions\n\n" + "\n".join(f"- [{_title(path)}]({path.name})" for path in decisions) + "\n",
+            "api.md": _api()}
+    for path in linked_files():
+        made[f"files/{path}.md"] = (f"# {path}\n\n{_FENCE}{_LANGUAGES.get(Path(path).suffix, '')}\n"
+                                    f"{(ROOT / path).read_text('utf-8')}{_FENCE}\n")
+    return made
+
+
+def linked_files() -> list[str]:
+    """Files outside of docs/ that the pages, README and changelog link to."""
+    found = set()
+    for page in (ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")):
+        for target in (match[2] for match in LINK.finditer(page.read_text("utf-8"))):
+            path = (page.parent / target).resolve().relative_to(ROOT)
+            if path.parts[0] != "docs" and (ROOT / path).is_file():
+                found.add(path.as_posix())
+    return sorted(found)
+
+
+def _title(path: Path) -> str:
+    return path.read_text("utf-8").splitlines()[0].removeprefix("# ")
+
+
+def _moved(text: str, folder: str, page: str) -> str:
+    """The `text` of a file in `folder` of the repository, its links as they must be on the `page` of the site."""
+    def lead(match: re.Match[str]) -> str:
+        target = posixpath.normpath(posixpath.join(folder, match[2]))
+        if target == "docs/decisions":
+            target = "docs/decisions/index.md"
+        inside = target.removeprefix("docs/") if target.startswith("docs/") else f"files/{target}.md"
+        return f"{match[1]}{posixpath.relpath(inside, posixpath.dirname(page) or '.')}{match[3] or ''}{match[4]}"
+
+    text = LINK.sub(lead, text).replace("<details>", '<details markdown="1">')
+    return re.sub(r"(?m)^(<!-- .* -->)$", r"\n\1\n", text)  # Markdown's tables want an empty line before them
+
+
+def _api() -> str:
+    homes: dict[str, list[str]] = {}
+    for name in mjtactile.__all__:
+        homes.setdefault(mjtactile._HOME[name].removeprefix("mjtactile."), []).append(name)
+    if left := set(homes) - {module for modules in _DOORS.values() for module in modules}:
+        raise ValueError(f"mkdocs_hooks.py: no heading for {sorted(left)}")
+    parts = ["# API\n\n`import mjtactile` is the whole import. Everything else is private."]
+    for heading, modules in _DOORS.items():
+        parts += [f"## {heading}", *(f"::: mjtactile.{name}" for module in modules for name in homes.get(module, ()))]
+    return "\n\n".join(parts) + "\n"
+
+
+# -- MkDocs calls these -------------------------------------------------------------------------------------------------
+
+
+def on_files(files: Any, config: Any) -> Any:
+    from mkdocs.structure.files import File
+
+    for address, text in pages().items():
+        files.append(File.generated(config, address, content=text))
+    if GRASP.is_file():
+        files.append(File.generated(config, "egg.html", abs_src_path=str(GRASP)))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
+    address = page.file.src_uri
+    if page.file.generated_by:
+        return markdown
+    if address == "gallery.md" and GRASP.is_file():
+        markdown += "\n## A grasp to turn and zoom\n\n[The page that `mjtactile grasp` writes beside its recording](egg.html).\n"
+    return _moved(markdown, posixpath.join("docs", posixpath.dirname(address)), address)
