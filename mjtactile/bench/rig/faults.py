@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import logging
+import math
 import pickle
 import signal
 import subprocess
@@ -101,14 +102,22 @@ def stuck() -> dict[str, Any]:
     return {"safe": False, "outcome": "not noticed"}
 
 
-def killed() -> dict[str, float | None]:
-    """SIGKILL for a host that holds; s until the servos stopped and the valves were vented by their own watchdogs."""
-    bench = Bench("emulated", design_at(30.0))
+DEAD: dict[str, dict[str, object]] = {"brake": {}, "limp": {"watchdog": "limp"}, "goes on": {"servo_firmware": 51}}
+"""What the servos of a killed host do when their watchdogs trip (decision 19), and the emulator's setting for it."""
+_SQUEEZE, _SQUEEZE_SPEED = 1.0, 0.02  # N by the servos' current at which the host holds; m/s of closing
+
+
+def killed(kind: str) -> dict[str, Any]:
+    """SIGKILL for a host that squeezes an egg; s until its servos' watchdogs tripped and its valves were vented, and what each
+    membrane feels, before and a second after, N."""
+    bench = Bench("emulated", design_at(30.0), emulator=DEAD[kind])
     try:
         code = base64.b64encode(pickle.dumps(bench.process.connect(bench.rig_file))).decode()
         host = subprocess.Popen([sys.executable, "-m", "mjtactile.bench.rig.faults", code], stdout=subprocess.PIPE)
         assert host.stdout
-        host.stdout.readline()  # it holds now
+        if not host.stdout.readline():
+            raise DeviceError("the host that was to be killed ended by itself: what it printed to stderr says why")
+        before = bench.process.truth()
         host.send_signal(signal.SIGKILL)
         at = time.monotonic()
         host.wait()
@@ -118,12 +127,15 @@ def killed() -> dict[str, float | None]:
     finally:
         bench.close()
     stops = [t for t in truth["servo_stop_time"].values() if t is not None]
-    return {"servos_stopped_s": max(stops) - at if len(stops) == len(truth["servo_stop_time"]) else None,
-            "valves_vented_s": truth["valve_vent_time"] - at if truth["valve_vent_time"] else None}
+    return {"kind": kind, "servos_stopped_s": max(stops) - at if len(stops) == len(truth["servo_stop_time"]) else None,
+            "valves_vented_s": truth["valve_vent_time"] - at if truth["valve_vent_time"] else None,
+            "squeeze_before_N": max(before["contact_1"], before["contact_2"]),
+            "squeeze_after_N": max(truth["contact_1"], truth["contact_2"]),
+            "closed_by_mm": 1e3 * (before["opening"] - truth["opening"])}
 
 
 def _hold(code: str) -> None:
-    """The host that gets killed: hold at 50 Hz, valves open."""
+    """The host that gets killed: inflate, close on what is there, hold at 50 Hz."""
     from mjtactile.devices.dynamixel.gripper import DynamixelGripper
     from mjtactile.devices.valve.driver import connect_valves
 
@@ -132,16 +144,21 @@ def _hold(code: str) -> None:
     gripper = DynamixelGripper(rig_file.bus, rig_file.gripper, rig_file.lift)
     for valve in valves:
         valve.open(1000.0)
-    start = time.monotonic()
+    for valve in valves:
+        valve.close()
+    opening, squeezed = gripper.state().opening, 0.0
     while True:
         state = gripper.state()
-        gripper.command(Command(state.opening, 2.0))
         for valve in valves:
             valve.state()
-        if start and time.monotonic() - start > 0.5:
-            start = 0.0
+        if not squeezed:
+            opening -= 0.02 * _SQUEEZE_SPEED
+            squeezed = time.monotonic() if state.effort > _SQUEEZE else 0.0
+        elif time.monotonic() - squeezed > 1.0:
+            squeezed = math.inf
             sys.stdout.write("holding\n")
             sys.stdout.flush()
+        gripper.command(Command(opening, 4.0))
         time.sleep(0.02)
 
 

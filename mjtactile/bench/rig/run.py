@@ -33,7 +33,7 @@ def run(out: Path, *, quick: bool, resume: bool = False, parts: tuple[str, ...] 
         "loop": lambda: store.once("loop", lambda: loop.measure_loop(seconds, store.say_loop)),
         "bus": lambda: store.once("bus", loop.measure_bus),
         "fuzz": lambda: store.once("fuzz", lambda: {"servos": fuzz.fuzz_servos(count), "valve": fuzz.fuzz_valve(count)}),
-        "killed": lambda: store.repeat("killed", min(times, 5), lambda _: faults.killed()),
+        "killed": lambda: store.repeat("killed", 3 * min(times, 3), lambda i: faults.killed(list(faults.DEAD)[i % 3])),
         "stuck": lambda: store.repeat("stuck", min(times, 5), lambda _: faults.stuck()),
         "outcomes": lambda: store.repeat("outcomes", seeds, faults.outcome),
         "faults": lambda: _faults(store, times)}
@@ -153,12 +153,22 @@ def _bus_rows(bus: dict[str, Any]) -> list[tuple[str, str, str]]:
 
 
 def _killed_rows(runs: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
-    def worst(key: str) -> str:
-        values = [run[key] for run in runs]
-        return "never" if None in values else f"{1e3 * max(values):.0f} ms"
+    """A row for each kind of servo, the worst of its runs."""
+    def worst(kind: str, key: str) -> float | None:
+        values = [run[key] for run in runs if run["kind"] == kind]
+        return None if None in values else max(values)
 
-    return [(f"host killed while holding ({len(runs)} times), worst", "300 ms",
-             f"servos stopped after {worst('servos_stopped_s')}, valves vented after {worst('valves_vented_s')}")]
+    def time(kind: str, key: str) -> str:
+        value = worst(kind, key)
+        return "never" if value is None else f"after {1e3 * value:.0f} ms"
+
+    def amount(kind: str, key: str) -> str:
+        return f"{worst(kind, key):.2f}"
+
+    return [(f"host killed while squeezing an egg, on servos that then: {kind}", "300 ms, a safe hand",
+             f"watchdogs tripped {time(kind, 'servos_stopped_s')}, valves vented {time(kind, 'valves_vented_s')}; squeeze "
+             f"{amount(kind, 'squeeze_before_N')} N before, {amount(kind, 'squeeze_after_N')} N a second later; jaws closed by "
+             f"{amount(kind, 'closed_by_mm')} mm") for kind in dict.fromkeys(run["kind"] for run in runs)]
 
 
 def _outcome_rows(runs: list[dict[str, Any]]) -> list[tuple[str, str, str]]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from mjtactile.core.design import SensorDesign, load_sensor
@@ -47,8 +48,12 @@ class EndOfRun(BaseException):
 class Bench:
     """An emulator that outlives rigs connected to it: to start one takes longer than most faults."""
 
-    def __init__(self, name: str, design: SensorDesign, *, object_name: str = OBJECT, seed: int = 0):
-        self.rig_file: RigFile = load_rig_file(name)
+    def __init__(self, name: str, design: SensorDesign, *, object_name: str = OBJECT, seed: int = 0,
+                 emulator: Mapping[str, object] = MappingProxyType({})):
+        """`emulator`: what of the rig file's [emulator] is otherwise."""
+        file = load_rig_file(name)
+        assert file.emulator is not None
+        self.rig_file: RigFile = replace(file, emulator=replace(file.emulator, **emulator))
         self.design, self.object_name, self.seed = design, object_name, seed
         self.process = EmulatorProcess(self.rig_file, design, object_name=object_name, seed=seed)
         self._states: list[ChainState] = []

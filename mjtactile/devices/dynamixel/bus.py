@@ -68,7 +68,8 @@ class _Port(PortHandler):
         self._reply_timeout_ms = 1e3 * reply_timeout
 
     def setupPort(self, cflag_baud: int) -> bool:
-        self.ser = serial.Serial(port=self.port_name, baudrate=cflag_baud, timeout=0, write_timeout=0.1, exclusive=True)
+        write_timeout = max(0.1, 1e-3 * self._reply_timeout_ms)  # a computer that is too busy to answer is too busy to write
+        self.ser = serial.Serial(port=self.port_name, baudrate=cflag_baud, timeout=0, write_timeout=write_timeout, exclusive=True)
         with contextlib.suppress(OSError, ValueError, NotImplementedError):
             self.ser.set_low_latency_mode(True)  # FTDI's 16 ms latency timer to 1 ms; a pty has none
         self.is_open = True

@@ -72,7 +72,9 @@ def test_the_rigs_table_counts_what_was_late_and_what_was_not_safe():
     row = {"state": "latched", "outcome": "leak"}
     result = {"fault:puncture": [{"safe": True, "reaction_s": 0.1} | row, {"safe": True, "reaction_s": 0.3} | row,
                                  {"safe": False, "reaction_s": None} | row],
-              "killed": [{"servos_stopped_s": 0.2, "valves_vented_s": None}]}
+              "killed": [{"kind": "brake", "servos_stopped_s": 0.2, "valves_vented_s": None, "squeeze_before_N": 0.9,
+                          "squeeze_after_N": after, "closed_by_mm": 0.3} for after in (0.1, 0.15)]}
     table = run.table(result)
-    assert "2 of 3, 1 later than 200 ms, worst 300 ms" in table and "valves vented after never" in table
+    assert "2 of 3, 1 later than 200 ms, worst 300 ms" in table and "valves vented never" in table
+    assert "0.90 N before, 0.15 N a second later" in table
     assert "| puncture | 2 of 3 | 200 / 300 | leak |" in table
