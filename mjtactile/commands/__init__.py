@@ -19,6 +19,7 @@ COMMANDS = {
     "effects": "list the effects that a sensor and an object call for, and their price",
     "emulate": "start emulated hardware on serial ports and streams, until stopped",
     "devices": "list cameras and serial ports, and who answers there",
+    "setup": "make the rig file of a new gripper, by questions",
     "doctor": "check cameras, servos and valves, or a simulated robot, and say how to mend what is wrong",
     "record": "record a rig that stands still: images, times, pressures, servos, calibration",
     "studio": "watch a grasp live in the browser, and reach in",

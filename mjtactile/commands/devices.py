@@ -34,7 +34,8 @@ def run(options: argparse.Namespace) -> int:
     with stdout_to_stderr():
         cameras, ports = plugged_in(options.port, ask=not options.no_ask, say=Progress().message)
     if options.json:
-        print_json({"cameras": [asdict(camera) for camera in cameras], "serial_ports": [asdict(port) for port in ports]})
+        print_json({"cameras": [asdict(camera) for camera in cameras],
+                    "serial_ports": [asdict(port) | {"answers": port.answers} for port in ports]})
         return 0
     for camera in cameras:
         print(f"camera       {camera.path}\n             {_of(camera)}")

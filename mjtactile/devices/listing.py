@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import serial
@@ -27,15 +27,23 @@ _REPLY_TIME = 0.02  # s for a servo's answer, behind an adapter whose latency ti
 
 @dataclass(frozen=True)
 class SerialPort:
-    """A serial port: `path` to open it by, the stablest there is; what the computer says of it; `answers`: who is there, in
-    words; `problem`: why nobody could be asked."""
+    """A serial port: `path` to open it by, the stablest there is; what the computer says of it. Who is there: `servos`, models by
+    id, at `baud`, or a valve `board`; `problem`: why nobody could be asked."""
 
     path: str
     device: str
     description: str
     serial: str
-    answers: tuple[str, ...] = ()
+    baud: int = 0
+    servos: Mapping[int, str] = field(default_factory=dict)
+    board: str = ""
     problem: str = ""
+
+    @property
+    def answers(self) -> tuple[str, ...]:
+        """Who is there, in words."""
+        servos = (f"servo {number}: {model}, {self.baud} baud" for number, model in self.servos.items())
+        return (*servos, *([f"valve board: {self.board}"] if self.board else []))
 
 
 def serial_ports(more: Iterable[str] = (), *, ask: bool = True, say: Callable[[str], None] = lambda _: None) -> list[SerialPort]:
@@ -46,18 +54,20 @@ def serial_ports(more: Iterable[str] = (), *, ask: bool = True, say: Callable[[s
     return [_asked(port, say) if ask else port for port in known]
 
 
-def servos_at(port: str, bauds: Iterable[int] = BAUDS, *, reply_time: float = _REPLY_TIME) -> tuple[int, Mapping[int, str]]:
+def servos_at(port: str, bauds: Iterable[int] | None = None, *, reply_time: float | None = None
+              ) -> tuple[int, Mapping[int, str]]:
     """The first baud rate at which servos answer, and their models by id; none at (0, {}).
 
     Raises DeviceError for a port that cannot be opened or goes away."""
-    for baud in bauds:
-        bus = DynamixelBus(port, baud, reply_timeout=reply_time)
+    for baud in bauds or BAUDS:
+        bus = DynamixelBus(port, baud, reply_timeout=reply_time or _REPLY_TIME)
         try:
             found = {servo: model for servo in IDS if (model := _model(bus, servo))}
+            if found:  # an answer may have got lost
+                found |= {servo: model for servo in IDS if servo not in found and (model := _model(bus, servo))}
+                return baud, dict(sorted(found.items()))
         finally:
             bus.close()
-        if found:
-            return baud, found
     return 0, {}
 
 
@@ -86,15 +96,11 @@ def valve_board_at(port: str) -> str:
 
 def _asked(port: SerialPort, say: Callable[[str], None]) -> SerialPort:
     say(f"{port.path}: servos? a valve board?")
-    answers: list[str] = []
     try:
         baud, servos = servos_at(port.path) if "://" not in port.path else (0, {})
-        answers = [f"servo {number}: {model}, {baud} baud" for number, model in servos.items()]
-        if not answers and (board := valve_board_at(port.path)):
-            answers = [f"valve board: {board}"]
+        return replace(port, baud=baud, servos=servos, board="" if servos else valve_board_at(port.path))
     except DeviceError as error:
-        return SerialPort(port.path, port.device, port.description, port.serial, problem=str(error))
-    return SerialPort(port.path, port.device, port.description, port.serial, tuple(answers))
+        return replace(port, problem=str(error))
 
 
 def _model(bus: DynamixelBus, servo: int) -> str:

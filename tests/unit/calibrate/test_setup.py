@@ -1,0 +1,70 @@
+"""`mjtactile setup` with emulated hardware: everything is found by asking the devices, and what answers is kept."""
+
+import re
+
+import pytest
+
+from mjtactile.calibrate.setup import edited, setup
+from mjtactile.commands.emulate import client_text
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import InputError
+from mjtactile.devices.valve.driver import connect_valves
+from mjtactile.emulator.process import EmulatorProcess
+from mjtactile.rig.file import load_rig_file
+
+
+@pytest.fixture
+def emulator():
+    process = EmulatorProcess(load_rig_file("emulated"), load_sensor("paper16"), object_name="egg")
+    yield process
+    process.close()
+
+
+def test_a_new_rig_from_nothing_but_ports_and_streams(tmp_path, emulator, monkeypatch):
+    for name, value in (("BAUDS", (1_000_000,)), ("IDS", range(1, 4)), ("_REPLY_TIME", 0.3)):  # sooner, on a busy computer
+        monkeypatch.setattr(f"mjtactile.devices.listing.{name}", value)
+    ends = emulator.endpoints
+    nowhere = {"servo": "/dev/none", "valve": "/dev/none",
+               "cameras": {"left": "http://127.0.0.1:9/1", "right": "http://127.0.0.1:9/2"}}
+    like = tmp_path / "like.toml"
+    like.write_text(client_text(load_rig_file("emulated").path, nowhere))
+    path, asked, said = tmp_path / "mine.toml", [], []
+    pressed = []
+
+    def ask(question):
+        asked.append(question)
+        finger = re.search(r"of the (\w+) finger", question)
+        if finger:  # its chamber is filled: its picture changes as if somebody pressed
+            while pressed:
+                pressed.pop().close(quiet=True)
+            boards, valves = connect_valves(load_rig_file(path).valves)
+            valves[["left", "right"].index(finger[1])].open(1000.0)
+            pressed.extend(boards)
+        if "which one" in question:
+            return "2" if "jaw 1" in question else "1"
+        return {"largest force": "4", "largest opening": "-5" if "largest opening" not in " ".join(asked[:-1]) else ""}.get(
+            question.split(" on ")[0].split(",")[0], "")
+
+    streams = [ends["cameras"]["right"], ends["cameras"]["left"]]
+    try:
+        with pytest.raises(InputError, match="1 cameras are there, and the rig has 2 fingers"):
+            setup(path, like=like, ports=[ends["valve"], ends["servo"]], cameras=streams[:1], ask=ask, say=said.append)
+        assert load_rig_file(path).bus.port == ends["servo"]  # what was found until then is kept
+        asked.clear()
+        rig = setup(path, like=like, ports=[], cameras=streams, ask=ask, say=said.append)
+    finally:
+        for board in pressed:
+            board.close(quiet=True)
+    assert any("servos [2, 1, 3] answer" in line and "kept" in line for line in said)
+    assert [servo.id for servo in rig.gripper.servos] == [2, 1] and (rig.lift.id, rig.lift.model) == (3, "XM430-W350")
+    assert [camera.source for camera in rig.cameras] == [ends["cameras"]["left"], ends["cameras"]["right"]]
+    assert {valve.port for valve in rig.valves} == {ends["valve"]}
+    assert rig.gripper.force_max == 4.0 and rig.gripper.opening[1] == pytest.approx(0.12)
+    assert any("-5" in line and "opening_max_mm" in line for line in said)  # refused, and asked again
+    assert "# on each finger" in path.read_text()  # comments stay
+
+
+def test_values_change_where_they_stand():
+    text = '[a]\nx = 1  # one\nname = "b # c"\n\n[[b.c]]\nx = 2\n[[b.c]]\nx = 3\n'
+    new = edited(text, {("a", 0, "x"): 5.0, ("b.c", 1, "x"): 7, ("a", 0, "name"): "d", ("b.c", 0, "y"): 1})
+    assert new == '[a]\nx = 5.0  # one\nname = "d"\n\n[[b.c]]\ny = 1\nx = 2\n[[b.c]]\nx = 7\n'
