@@ -17,7 +17,7 @@ from mjtactile.make.camera import Optics, plan_camera
 from mjtactile.make.hardware import Hardware
 from mjtactile.make.layout import Layout
 from mjtactile.make.parts import PEG, make_parts, pegs
-from mjtactile.make.sheets import write_pdf, write_svg
+from mjtactile.make.sheets import write_pdf, write_png, write_svg
 from mjtactile.make.solid import Contour, Part, circle, crossing, plate
 from mjtactile.make.states import State, press_depth, simulate
 from mjtactile.make.step import write_step
@@ -39,7 +39,7 @@ class Build:
 def build(design: SensorDesign, hardware: Hardware, source: str, text: str, say: Callable[[str], None] = lambda _: None,
           states_of: Callable[..., list[State]] = simulate) -> Build:
     """All files for `design`, read from `source` with the given `text`. Raises InputError for what cannot be built."""
-    mesh.need_manifold()
+    mesh.need_libraries()
     layout = Layout.of(design, hardware, source)
     parts = make_parts(layout)
     solids = {name: mesh.solid_of(part) for name, part in parts.items()}
@@ -48,7 +48,7 @@ def build(design: SensorDesign, hardware: Hardware, source: str, text: str, say:
     optics = plan_camera(design, hardware, states, source)
     say("drawing")
     gap = min(solids[a].min_gap(solids[b], 5.0) for a, b in _APART)
-    checked = manual.checks(layout, optics, press_depth(design, hardware), len(states), gap)
+    checked = manual.checks(layout, optics, press_depth(design, hardware), states, gap)
     drawn = _pictures(layout, optics, parts)
     files = {"README.md": manual.readme(layout, optics, parts, checked, source).encode(),
              "assembly.md": manual.assembly(layout, optics, list(drawn)).encode(),
@@ -104,6 +104,8 @@ def _pictures(layout: Layout, optics: Optics, parts: dict[str, Part]) -> dict[st
             bodies = pictures.bodies_of(parts, solids, shifts)
             found[step.picture] = pictures.save_png(bodies, f"{step.picture}.png", **step.view)
     found["camera_view"] = _camera_view(layout.design, optics)
+    half = patterns.sheet_size(layout)
+    found["print"] = write_png(patterns.marker_pages(layout)[0], half[0] + 2, half[1] + 2)
     return {name: png for name, png in found.items() if png is not None}
 
 

@@ -14,6 +14,8 @@ from mjtactile.make.limits import MM, glass_stress, opening_margins
 from mjtactile.make.patterns import board_of, sheet_size
 from mjtactile.make.pictures import FRONT, SIDE
 from mjtactile.make.solid import Part
+from mjtactile.make.states import State, growth
+from mjtactile.sim.sensor.limits import STRETCHED
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,7 @@ STEPS = (
          "exposure to {exposure:.0f} us and fix gain and white balance. Print [board.pdf](board.pdf), glue it to something "
          "flat, and calibrate before the pane is in the way:\n\n    mjtactile calibrate camera --rig my_gripper.toml "
          "--finger left --square-mm {square:g}"),
-    Step("Markers on the rubber", "", (),
+    Step("Markers on the rubber", "print", (),
          "Measure the scale bars of [markers.pdf](markers.pdf), both ways: {bar}. Cut the rubber to {sheet}. Lay it flat, "
          "**not stretched**. {ink} Punch the pegs' holes (crosses along the edge, 2.5 mm)."),
     Step("Stretch", "stretch", ("sheet", "stretch_jig"),
@@ -159,12 +161,18 @@ is in [bill.md](bill.md).
 """
 
 
-def checks(layout: Layout, optics: Optics, press: float, states: int, gap: float) -> dict[str, str]:
+def checks(layout: Layout, optics: Optics, press: float, states: Sequence[State], gap: float) -> dict[str, str]:
     """What was checked, for people."""
-    design, hardware = layout.design, layout.hardware
+    design, hardware, grown = layout.design, layout.hardware, growth(layout.design, states)
+    seems = MM * grown * design.camera.distance
+    size = (f"ink grows with the rubber, by up to {100 * grown:.1f} % (mean of all), and then seems {seems:.2g} mm nearer; "
+            "discs do not" if hardware.markers == "ink" else "discs keep their size")
     return {
+        "rubber": f"stretched up to {max(state.stretch for state in states):.2f} of its free length; the simulator's law holds "
+                  f"to {STRETCHED:g}",
+        "markers' size": size,
         "markers to the edge of the opening": f"{min(opening_margins(design)):.2f} mm at least",
-        f"markers in the picture, {states} simulated states to {MM * press:.2g} mm of press and "
+        f"markers in the picture, {len(states)} simulated states to {MM * press:.2g} mm of press and "
         f"{1e-3 * design.chamber.supply_gauge:g} kPa":
             f"{optics.margin:.0f} px to spare ({optics.worst})",
         "sharpness": f"blur {optics.blur:.2f} px (sd) from {optics.near:.1f} to {optics.far:.1f} mm at f/{optics.stop:g}; the "

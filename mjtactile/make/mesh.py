@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib.util import find_spec
 from itertools import combinations
 from typing import Any
 
@@ -16,19 +17,18 @@ PER_QUARTER, COARSE = 16, 6  # chords of a quarter circle, of files (0.12 % of a
 _TOUCH = 1e-3  # mm^3 that rounding may make of faces that touch
 
 
-def need_manifold() -> Any:
-    """The module. Raises InputError that says how to get it."""
-    try:
-        import manifold3d
-    except ImportError:
-        raise InputError("needs manifold3d: pip install 'mjtactile[make]'", source="make") from None
-    return manifold3d
+def need_libraries() -> None:
+    """Raises InputError that says how to get what solids and pages are made with, where it is not there."""
+    missing = [name for name in ("manifold3d", "matplotlib") if find_spec(name) is None]
+    if missing:
+        raise InputError(f"needs {' and '.join(missing)}: pip install 'mjtactile[make]'", source="make")
 
 
 def solid_of(part: Part, per_quarter: int = PER_QUARTER) -> Any:
     """The part as a `manifold3d.Manifold`, mm."""
-    m3 = need_manifold()
-    solid = m3.Manifold.batch_boolean([_extrude(m3, layer, per_quarter) for layer in part.layers], m3.OpType.Add)
+    import manifold3d as m3
+
+    solid = m3.Manifold.batch_boolean([_extrude(layer, per_quarter) for layer in part.layers], m3.OpType.Add)
     if part.bore:
         start, end = part.bore.ends
         tool = m3.Manifold.cylinder(end - start + 2, part.bore.radius, circular_segments=4 * per_quarter)
@@ -36,7 +36,9 @@ def solid_of(part: Part, per_quarter: int = PER_QUARTER) -> Any:
     return solid
 
 
-def _extrude(m3: Any, layer: Layer, per_quarter: int) -> Any:
+def _extrude(layer: Layer, per_quarter: int) -> Any:
+    import manifold3d as m3
+
     polygons = [points for region in layer.regions for points in
                 (region.outer.polygon(per_quarter), *(hole.polygon(per_quarter)[::-1] for hole in region.holes))]
     solid = m3.CrossSection(polygons, m3.FillRule.Positive).extrude(layer.high - layer.low)

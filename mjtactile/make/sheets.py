@@ -9,8 +9,8 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
+from typing import Any
 
-from mjtactile.core.errors import InputError
 from mjtactile.make.solid import Contour
 
 _PAPERS = ((210.0, 297.0), (297.0, 210.0), (297.0, 420.0), (420.0, 297.0))  # A4, A3, upright and across
@@ -116,28 +116,39 @@ def _n(value: float) -> str:
 
 
 def write_pdf(sheets: Sequence[Sheet]) -> bytes:
-    """The pages as a PDF, vectors at 1:1. Raises InputError where matplotlib, which writes it, is not installed."""
-    try:
-        from matplotlib import rc_context
-        from matplotlib.backends.backend_pdf import PdfPages
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise InputError("needs matplotlib: pip install 'mjtactile[make]'", source="make") from None
+    """The pages as a PDF, vectors at 1:1."""
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_pdf import PdfPages
+
     out = io.BytesIO()
     with rc_context({"pdf.fonttype": 42, "pdf.compression": 0}), PdfPages(out, metadata={"CreationDate": None, "Creator":
                                                                                          "mjtactile"}) as pages:
         for sheet in sheets:
-            figure = Figure(figsize=(sheet.width / 25.4, sheet.height / 25.4))
-            axes = figure.add_axes((0, 0, 1, 1))
-            axes.set(xlim=(-sheet.width / 2, sheet.width / 2), ylim=(sheet.height / 2, -sheet.height / 2))
-            axes.set_axis_off()
-            for shape in sheet.shapes:
-                _draw(axes, shape)
-            pages.savefig(figure)
+            pages.savefig(_figure(sheet))
     return out.getvalue()
 
 
-def _draw(axes: object, shape: Shape) -> None:
+def write_png(sheet: Sheet, half_x: float, half_y: float, dots_per_mm: float = 10.0) -> bytes:
+    """What is within the half sizes, mm, about the page's middle, as a picture."""
+    out = io.BytesIO()
+    figure = _figure(Sheet(sheet.title, 2 * half_x, 2 * half_y, sheet.shapes))
+    figure.savefig(out, format="png", dpi=25.4 * dots_per_mm, metadata={"Software": None})
+    return out.getvalue()
+
+
+def _figure(sheet: Sheet) -> Any:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(sheet.width / 25.4, sheet.height / 25.4))
+    axes = figure.add_axes((0, 0, 1, 1))
+    axes.set(xlim=(-sheet.width / 2, sheet.width / 2), ylim=(sheet.height / 2, -sheet.height / 2))
+    axes.set_axis_off()
+    for shape in sheet.shapes:
+        _draw(axes, shape)
+    return figure
+
+
+def _draw(axes: Any, shape: Shape) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Circle, FancyBboxPatch, Rectangle
 
@@ -146,13 +157,13 @@ def _draw(axes: object, shape: Shape) -> None:
     c = shape.contour
     if shape.text:
         (x, y), = shape.points
-        axes.text(x, y, shape.text, fontsize=shape.size * 72 / 25.4, parse_math=False)  # pyright: ignore
+        axes.text(x, y, shape.text, fontsize=shape.size * 72 / 25.4, parse_math=False, clip_on=True)
     elif c is None:
-        axes.add_artist(Line2D(*zip(*shape.points, strict=True), color=stroke, linewidth=width * 72 / 25.4))  # pyright: ignore
+        axes.add_artist(Line2D(*zip(*shape.points, strict=True), color=stroke, linewidth=width * 72 / 25.4))
     elif c.is_circle:
-        axes.add_artist(Circle((c.x, c.y), c.r, **paint))  # pyright: ignore
+        axes.add_artist(Circle((c.x, c.y), c.r, **paint))
     elif c.r:
         box = FancyBboxPatch((c.x - c.hx, c.y - c.hy), 2 * c.hx, 2 * c.hy, boxstyle=f"round,pad=0,rounding_size={c.r}", **paint)
-        axes.add_artist(box)  # pyright: ignore
+        axes.add_artist(box)
     else:
-        axes.add_artist(Rectangle((c.x - c.hx, c.y - c.hy), 2 * c.hx, 2 * c.hy, **paint))  # pyright: ignore
+        axes.add_artist(Rectangle((c.x - c.hx, c.y - c.hy), 2 * c.hx, 2 * c.hy, **paint))

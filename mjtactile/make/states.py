@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +29,17 @@ class State:
     n_S: Array
     stretch: float
     height: float
+
+
+def growth(design: SensorDesign, states: Sequence[State]) -> float:
+    """Largest mean growth, over the states, of the distances between neighbouring markers: what elastic markers grow by."""
+    rows, columns = design.markers.rows, design.markers.columns
+    found = []
+    for state in states:
+        grid = state.p_SM.reshape(rows, columns, 3)
+        along, across = (np.linalg.norm(np.diff(grid, axis=axis), axis=2).mean() for axis in (1, 0))
+        found.append((along / design.markers.pitch_x + across / design.markers.pitch_y) / 2 - 1)
+    return float(max(found))
 
 
 def press_depth(design: SensorDesign, hardware: Hardware) -> float:

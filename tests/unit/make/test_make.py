@@ -20,7 +20,7 @@ from mjtactile.make.hardware import Hardware
 from mjtactile.make.layout import Layout
 from mjtactile.make.parts import make_parts
 from mjtactile.make.solid import Bore, Contour, Part, circle, crossing, plate
-from mjtactile.make.states import State, simulate
+from mjtactile.make.states import State, growth, simulate
 
 SVG = {"svg": "http://www.w3.org/2000/svg"}
 DENSE = load_sensor("dense")
@@ -336,6 +336,13 @@ def test_the_simulated_states_bulge_and_are_pressed():
     assert inflated.height == pytest.approx(theory.bulge_height(DENSE, 1000.0), rel=0.02)  # the default mesh has 1.4 %
     middle = pressed.p_SM[40, 2]
     assert middle == pytest.approx(-0.004, abs=1e-4) and both.p_SM[40, 2] == pytest.approx(inflated.height - 0.004, abs=1e-4)
+
+
+def test_elastic_markers_grow_with_the_sheet():
+    """By the sheet's own stretch where that is the same everywhere; turned and shifted it is no larger."""
+    turn = np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]])
+    stretched = State("x", 1.03 * DENSE.markers.p_SM @ turn.T + [0, 0, 0.004], np.zeros((81, 3)), 1.1, 0.0)
+    assert growth(DENSE, [STATES[0], stretched]) == pytest.approx(0.03)
 
 
 def test_a_supply_that_the_sheet_does_not_hold_is_refused():
