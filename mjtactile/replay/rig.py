@@ -156,7 +156,8 @@ def build_replay_rig(folder: str, design: SensorDesign) -> Rig:
     calibrations = tuple(calibration_from_table(tables[name], folder) if name in tables else None for name in recording.fingers)
     return Rig(name="replay", fingers=make_fingers(recording.fingers, (design,) * width, cameras, valves, calibrations),
                gripper=ReplayGripper(tape), clock=ReplayClock(tape), limits=limits, close=lambda: None,
-               length=float(recording.columns["time"][-1] - recording.columns["time"][0]))
+               length=float(recording.columns["time"][-1] - recording.columns["time"][0]),
+               simulated=recording.notes.get("simulated", {}))
 
 
 def build(request: RigRequest) -> Rig:

@@ -44,6 +44,7 @@ def test_a_replay_gives_the_same_numbers(folder, tmp_path, capsys):
     assert code == 0 and result["cycles"] == len(first) == len(second)
     for key in ("time", "image_time", "force_normal", "force_normal_sd", "opening", "effort", "gripper_time", "valve_time"):
         assert np.array_equal(first.column(key), second.column(key), equal_nan=True), key  # bit for bit
+    assert second.notes["simulated"] == first.notes["simulated"]  # the images are of that world
     for a, b in zip(first.images(), second.images(), strict=True):
         assert all(np.array_equal(x.pixels, y.pixels) for x, y in zip(a, b, strict=True))
 
