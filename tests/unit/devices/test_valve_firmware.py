@@ -31,14 +31,41 @@ def compiler():
     pytest.skip("no C++ compiler")
 
 
-def build(folder, *flags):
-    out = folder / "valve_host"
-    command = [*compiler(), "-std=c++17", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-O1", "-fno-exceptions", "-fno-rtti",
-               *flags, f"-I{SOURCE / 'lib/valve'}", "-o", str(out), *map(str, sorted((SOURCE / "lib/valve").glob("*.cpp"))),
-               str(SOURCE / "host/main.cpp")]
+def compile_files(folder, *arguments):
+    command = [*compiler(), "-std=c++17", "-Wall", "-Wextra", "-Werror", "-O1", "-fno-exceptions", "-fno-rtti",
+               f"-I{SOURCE / 'lib/valve'}", *map(str, arguments)]
     caches = {"ZIG_GLOBAL_CACHE_DIR": str(folder), "ZIG_LOCAL_CACHE_DIR": str(folder)}
     subprocess.run(command, check=True, env={**os.environ, **caches})
+
+
+def build(folder, *flags):
+    out = folder / "valve_host"
+    sources = [*sorted((SOURCE / "lib/valve").glob("*.cpp")), SOURCE / "host/main.cpp"]
+    compile_files(folder, "-Wconversion", *flags, "-o", out, *sources)
     return out
+
+
+ARDUINO = """
+#pragma once
+#include <stddef.h>
+#include <stdint.h>
+enum { OUTPUT, LOW = 0, HIGH };
+void pinMode(int, int); void digitalWrite(int, int); void analogReadResolution(int); int analogRead(int);
+void delay(int); unsigned long millis(); unsigned long micros();
+struct Port { void begin(long); int available(); int read(); int availableForWrite(); size_t write(const char*, size_t); };
+struct Pico { void wdt_begin(uint32_t); void wdt_reset(); };
+struct Bus { void setSDA(int); void setSCL(int); void begin(); void beginTransmission(int); size_t write(int);
+             int endTransmission(); size_t requestFrom(int, int); int read(); };
+extern Port Serial; extern Pico rp2040; extern Bus Wire;
+"""
+
+
+@pytest.mark.parametrize("flags", [(), ("-DVALVE_I2C_ADDRESS=0x18",)], ids=["analog", "I2C"])
+def test_the_file_with_the_pins_is_at_least_cpp(tmp_path, flags):
+    """Against what it uses of Arduino's functions: no board's toolchain is here."""
+    for name in ("Arduino.h", "Wire.h"):
+        (tmp_path / name).write_text(ARDUINO)
+    compile_files(tmp_path, "-fsyntax-only", f"-I{tmp_path}", *flags, SOURCE / "src/main.cpp")
 
 
 @pytest.fixture(scope="module")

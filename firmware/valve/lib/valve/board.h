@@ -1,7 +1,7 @@
 // The valve board's state machine: what a host may ask for, and when the board vents by itself. No hardware in here.
 #pragma once
-#include <cstddef>
-#include <cstdint>
+#include <stddef.h>
+#include <stdint.h>
 
 #include "protocol.h"
 

@@ -1,7 +1,7 @@
 #include "protocol.h"
 
-#include <cstdio>
-#include <cstring>
+#include <stdio.h>
+#include <string.h>
 
 namespace valve {
 

@@ -1,7 +1,7 @@
 // Lines of "mjvalve": SEQUENCE WORD ARGUMENTS*CRC, an end of line. See ../../README.md.
 #pragma once
-#include <cstddef>
-#include <cstdint>
+#include <stddef.h>
+#include <stdint.h>
 
 namespace valve {
 
