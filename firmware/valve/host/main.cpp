@@ -51,7 +51,7 @@ void flow(double seconds) {
   }
 }
 
-void command(const char* line, valve::Board** board) {
+void command(const char* line, valve::Board& board) {
   char word[16] = "";
   int n = 0;
   double value = 0;
@@ -64,26 +64,25 @@ void command(const char* line, valve::Board** board) {
   if (!strcmp(word, "stuck")) stuck = n != 0;
   if (!strcmp(word, "hang")) hangs = n != 0;
   if (!strcmp(word, "reset")) {  // what the hardware watchdog does
-    delete *board;
-    *board = new valve::Board(send_pty, nullptr);
+    board = valve::Board(send_pty, nullptr);
     for (valve::Output& out : outputs) out = valve::Output();
   }
   printf("{");
   for (int i = 0; i < kChannels; ++i)
     printf("\"pa_%d\": %.3f, \"state_%d\": %d, \"fault_%d\": %d, ", i + 1, chambers[i].pa, i + 1,
-           static_cast<int>((*board)->channel(i).state), i + 1, static_cast<int>((*board)->channel(i).fault));
-  printf("\"damaged\": %lu, \"accepted\": %lu}\n", static_cast<unsigned long>((*board)->damaged()),
-         static_cast<unsigned long>((*board)->accepted()));
+           static_cast<int>(board.channel(i).state), i + 1, static_cast<int>(board.channel(i).fault));
+  printf("\"damaged\": %lu, \"accepted\": %lu}\n", static_cast<unsigned long>(board.damaged()),
+         static_cast<unsigned long>(board.accepted()));
   fflush(stdout);
 }
 
-void step(valve::Board* board) {
+void step(valve::Board& board) {
   valve::Sample samples[kChannels];
   for (int i = 0; i < kChannels; ++i) {
     samples[i].valid = !chambers[i].sensor_failed;
     samples[i].pa = static_cast<int32_t>(chambers[i].pa + (outputs[i].outlet ? 0.0 : chambers[i].push));
   }
-  board->tick(now_ms(), samples, outputs);
+  board.tick(now_ms(), samples, outputs);
 }
 
 int serve() {
@@ -97,7 +96,7 @@ int serve() {
   tcsetattr(slave, TCSANOW, &raw);
   printf("%s\n", path);
   fflush(stdout);
-  valve::Board* board = new valve::Board(send_pty, nullptr);
+  valve::Board board(send_pty, nullptr);
   char line[128];
   for (uint32_t last = now_ms();;) {
     pollfd waits[2] = {{0, POLLIN, 0}, {master, POLLIN, 0}};
@@ -108,11 +107,11 @@ int serve() {
       while (size < sizeof line - 1 && read(0, &c, 1) == 1 && c != '\n') line[size++] = c;
       if (c != '\n') return 0;
       line[size] = 0;
-      command(line, &board);
+      command(line, board);
     }
     char bytes[256];
     const ssize_t count = read(master, bytes, sizeof bytes);
-    for (ssize_t i = 0; !hangs && i < count; ++i) board->receive(static_cast<uint8_t>(bytes[i]), now_ms());
+    for (ssize_t i = 0; !hangs && i < count; ++i) board.receive(static_cast<uint8_t>(bytes[i]), now_ms());
     const uint32_t now = now_ms();
     if (now - last >= 2) {
       flow((now - last) * 1e-3);

@@ -65,11 +65,10 @@ const char* Board::command_channel(const char* word, Channel& channel, const int
   const bool is_set = !strcmp(word, "set") && count == 2, is_limit = !strcmp(word, "limit") && count == 2;
   const bool is_seal = !strcmp(word, "seal") && count == 1, is_vent = !strcmp(word, "vent") && count == 1;
   if (!strcmp(word, "state") && count == 1) {
-    int size = snprintf(text_, sizeof text_, "state %ld %s ", static_cast<long>(numbers[0]),
-                        kStates[static_cast<int>(channel.state)]);
-    if (channel.sample.valid) size += snprintf(text_ + size, sizeof text_ - size, "%ld", static_cast<long>(channel.sample.pa));
-    else size += snprintf(text_ + size, sizeof text_ - size, "-");
-    snprintf(text_ + size, sizeof text_ - size, " %s", kFaults[static_cast<int>(channel.fault)]);
+    char pressure[12] = "-";
+    if (channel.sample.valid) snprintf(pressure, sizeof pressure, "%ld", static_cast<long>(channel.sample.pa));
+    snprintf(text_, sizeof text_, "state %ld %s %s %s", static_cast<long>(numbers[0]), kStates[static_cast<int>(channel.state)],
+             pressure, kFaults[static_cast<int>(channel.fault)]);
     return text_;
   }
   if (is_vent) {  // always obeyed, and says that the host knows of the fault
@@ -89,8 +88,9 @@ const char* Board::command_channel(const char* word, Channel& channel, const int
   } else {
     return "error unknown";
   }
-  int size = snprintf(text_, sizeof text_, "%s %ld", word, static_cast<long>(numbers[0]));
-  if (count == 2) snprintf(text_ + size, sizeof text_ - size, " %ld", static_cast<long>(numbers[1]));
+  const long first = numbers[0], second = numbers[1];
+  if (count == 2) snprintf(text_, sizeof text_, "%s %ld %ld", word, first, second);
+  else snprintf(text_, sizeof text_, "%s %ld", word, first);
   return text_;
 }
 
