@@ -62,7 +62,10 @@ def test_the_page_says_what_the_recording_says(tmp_path):
 
 
 def test_pictures_and_membranes_are_those_of_their_time(tmp_path):
-    cycles = [replace(cycle, images=(Image(np.full((120, 160), 2 * k, np.uint8)), cycle.images[1]))
+    lopsided = 1 + 0.05 * np.arange(17)[:, None] + 0.02 * np.arange(21)  # not the same from any two sides
+    cycles = [replace(cycle, images=(Image(np.full((120, 160), 2 * k, np.uint8)), cycle.images[1]),
+                      touch=tuple(replace(touch, surface=replace(touch.surface, z=lopsided * touch.surface.z))
+                                  for touch in cycle.touch))
               for k, cycle in enumerate(write_fake_recording(tmp_path, count=60))]
     _, data = write(tmp_path, cycles, view=FakeScene(2))
     for shot in data["shots"]:
