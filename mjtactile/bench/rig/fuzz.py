@@ -87,6 +87,7 @@ def fuzz_servos(count: int, seed: int = 0) -> dict[str, Any]:
     """`count` bad bytes to the servo bus; how many replies were accepted, how many of them wrong, the longest call in s."""
     adversary = Adversary(servo_answer, seed)
     bus = DynamixelBus(adversary.port.path, reply_timeout=0.002)
+    bus._port.ser.write_timeout = 10.0  # bad bytes are to be refused, not a computer that is busy for 0.1 s
     tally: dict[str, Any] = {"bytes": 0, "calls": 0, "true": 0, "wrong": 0, "refused": 0, "longest_s": 0.0}
     try:
         while adversary.fed < count:
