@@ -301,6 +301,24 @@ def test_what_cannot_be_built_is_refused_with_a_limit_that_can(field, value):
             check.check("mine.toml")
 
 
+def test_at_the_limit_the_stencils_webs_are_what_a_film_can_be_cut_to():
+    with pytest.raises(InputError) as error:
+        Layout.of(with_field(DENSE, "markers.pitch_y_mm", 2.2), Hardware(), "mine.toml")
+    pitch = float(str(error.value).split()[-1])
+    discs = patterns.markers(Layout.of(with_field(DENSE, "markers.pitch_y_mm", pitch), Hardware(), "mine.toml"))
+    assert discs[9].y - discs[0].y - 2 * discs[0].r == pytest.approx(0.3, abs=1e-3)  # as printed, unstretched
+
+
+def test_a_limit_is_rounded_to_what_is_allowed():
+    for value, field in ((1.23456, "low"), (98.7654, "high"), (1.23441, "low"), (98.7651, "high")):
+        limit = limits.Limit("f", {"low": 1.0, "high": 99.0}[field], "is bad", **{field: value})
+        with pytest.raises(InputError) as error:
+            limit.check("x")
+        named = float(str(error.value).split()[-1])
+        assert named != value and named == pytest.approx(value, rel=1e-3)
+        replace(limit, value=named).check("x")
+
+
 @pytest.mark.parametrize(("option", "tools"), [("--camera-holes-mm", Hardware(holes=12.0)), ("--pupil-mm", Hardware(pupil=5.0))])
 def test_options_that_cannot_be_built_are_named(option, tools):
     with pytest.raises(InputError, match=f"^{option}: .*; at least"):
