@@ -18,6 +18,7 @@ OPENING_SPEED = 0.040
 REGULATION_GAIN = 0.03  # m/s of opening for each N of error: with 160 N/m of grip, settles in 0.2 s, six times the delay
 REGULATION_SPEED_MAX = 0.010
 LIFT_HEIGHT, LIFT_SPEED = 0.040, 0.040
+LOWER_TIME_MAX = LIFT_HEIGHT / LIFT_SPEED + 1.0  # s, then what is held stands already, tilted, and keeps the hand up
 SETTLE_TIME, HOLD_TIME, GRIP_TIMEOUT = 0.4, 2.0, 6.0
 FORCE_TOLERANCE = 0.08  # N around the target that counts as settled
 BLIND_TIME_MAX = 0.5  # s without a usable image before giving up
@@ -122,7 +123,7 @@ def _lower(observation: Observation, command: Command, felt: list[float]) -> Com
     command = _regulated(observation, command, felt)
     height = max(0.0, command.lift_height - LIFT_SPEED * observation.period)
     command = replace(command, lift_height=height)
-    if height == 0.0 and observation.gripper.lift_height < 0.001:
+    if height == 0.0 and (observation.gripper.lift_height < 0.001 or command.memory["phase_time"] > LOWER_TIME_MAX):
         return _remember(_go(command, "release"), grip_opening=command.opening)
     return command
 

@@ -20,6 +20,7 @@ SERVO_FORCE_LIMIT = 4.0  # N: the most that the servo may push, whatever is felt
 CLOSING_SPEED, OPENING_SPEED = 0.020, 0.040  # m/s
 REGULATION_GAIN, REGULATION_SPEED_MAX = 0.03, 0.010  # m/s for each N of error, as in gentle.py; m/s
 LIFT_HEIGHT, LIFT_SPEED = 0.040, 0.025  # m, m/s: slow, so that slip is said before much of it
+LOWER_TIME_MAX = LIFT_HEIGHT / LIFT_SPEED + 1.0  # s, then what is held stands already, tilted, and keeps the hand up
 SETTLE_TIME, HOLD_TIME, GRIP_TIMEOUT = 0.4, 2.0, 6.0
 FORCE_TOLERANCE = 0.06  # N around the target that counts as settled
 BLIND_TIME_MAX = 0.5  # s without a usable image before giving up
@@ -121,7 +122,7 @@ def _lower(observation: Observation, command: Command, felt: list[float]) -> Com
     command = _regulated(observation, command, felt)
     height = max(0.0, command.lift_height - LIFT_SPEED * observation.period)
     command = replace(command, lift_height=height)
-    if height == 0.0 and observation.gripper.lift_height < 0.001:
+    if height == 0.0 and (observation.gripper.lift_height < 0.001 or command.memory["phase_time"] > LOWER_TIME_MAX):
         return _remember(_go(command, "release"), grip_opening=command.opening)
     return command
 

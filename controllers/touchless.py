@@ -12,6 +12,7 @@ from mjtactile.types import Command, Observation
 EFFORT = 0.6  # N on each finger
 CLOSING_SPEED, OPENING_SPEED, LIFT_SPEED = 0.025, 0.040, 0.040  # m/s
 LIFT_HEIGHT, HOLD_TIME, SETTLE_TIME = 0.040, 2.0, 0.4  # m, s
+LOWER_TIME_MAX = LIFT_HEIGHT / LIFT_SPEED + 1.0  # s, then what is held stands already, tilted, and keeps the hand up
 RELEASE_OPENING, RELEASE_TIME = 0.012, 2.0  # m beyond the grip, s
 
 
@@ -35,7 +36,8 @@ def step(observation: Observation) -> Command:
         return _go(command, "lower") if time >= HOLD_TIME else command
     if last.phase == "lower":
         command = replace(command, lift_height=max(0.0, last.lift_height - LIFT_SPEED * period))
-        return _go(command, "release", grip=command.opening) if gripper.lift_height < 0.001 else command
+        stands = gripper.lift_height < 0.001 or time > LOWER_TIME_MAX
+        return _go(command, "release", grip=command.opening) if stands else command
     if last.phase == "release":
         goal = last.memory["grip"] + RELEASE_OPENING
         if gripper.opening > goal - 0.001 or time > RELEASE_TIME:

@@ -60,3 +60,16 @@ def test_a_moment_without_touch_or_sight_is_no_loss():
     assert run(command, (touch(0.6),) * 2, 6).memory["lost_time"] == 0.0
     blind = replace(touch(0.6), force_normal=math.nan)
     assert run(command, (blind, touch(0.0)), 6).phase == "hold"
+
+
+@pytest.mark.parametrize("controller", ["gentle", "slip_aware", "touchless"])
+def test_what_stands_before_the_hand_is_down_is_let_go(controller):
+    """A strawberry that tilted in the grip held the hand 3 mm up: until now it was pressed down until the time was over."""
+    its_step = load_controller(controller).step
+    command, held = Command(0.04, 4.0, 0.04, "lower"), (touch(0.6),) * 2
+    for i in range(150):  # 5 s; coming down takes 1.0 to 1.6
+        state = GripperState(command.opening, 0.0, 0.6, max(command.lift_height, 0.003))
+        command = its_step(Observation(i * PERIOD, PERIOD, held, state, (ValveState(False),) * 2, command))
+        if command.phase != "lower":
+            break
+    assert command.phase == "release" and 1.0 < i * PERIOD < 3.0
