@@ -1,7 +1,7 @@
 """mjtactile: a vision-based membrane touch sensor for MuJoCo, and a gripper that holds fragile things with it.
 
-What a user needs is here, and nothing else is public. Names are imported when they are first used: a rig without a simulator
-needs no mujoco, and one without a camera no OpenCV.
+What a user needs is here and, for MuJoCo Studio, in `mjtactile.studio`; nothing else is public. Names are imported when they
+are first used: a rig without a simulator needs no mujoco, and one without a camera no OpenCV.
 """
 
 from importlib import import_module

@@ -5,21 +5,25 @@ from __future__ import annotations
 import argparse
 import sys
 
-from mjtactile import rig_names
+from mjtactile import load_recording, rig_names
 from mjtactile.commands import effects
 from mjtactile.commands.grasp import seed
 
 DESCRIPTION = """\
-Watch a grasp live in MuJoCo Studio, in the browser: the scene with the membranes and the
-forces that are felt, what each camera sees with its ellipses, force, shear, area and slip of
-each finger, forces over time beside the true ones. Pause it, go on cycle by cycle, open and
-close the valves, pull at the object with the mouse (double-click it, then Ctrl and drag), and
-run it again with the next seed. The page is served on this computer alone (loopback)."""
+Watch a grasp live in MuJoCo Studio, in the browser: the scene, the membranes coloured by
+indentation or traction, the forces that are felt, what each camera sees with its ellipses,
+force, shear, area, slip and gas of each finger, forces over time beside the true ones. Pause
+it, go on cycle by cycle, take over from the controller and move jaws and lift by hand, squeeze
+as hard as you say, open and close the valves, prick a membrane, pull at the object with the
+mouse (double-click it, then Ctrl and drag), and run it again with another object, seed,
+accuracy or other effects. A recording can be scrubbed. The page is served on this computer
+alone (loopback)."""
 EPILOG = """\
 examples:
   mjtactile studio                             prints an address to open
   mjtactile studio --object raspberry --controller my_controller.py --port 8080
   mjtactile studio --rig emulated              on a rig that is not simulated: the fingers, no scene
+  mjtactile studio --rig replay:runs/egg       a recording, with a slider for the time
   ssh -L 8080:localhost:8080 HOST              then open http://localhost:8080 here for one that runs there
 
 exit codes: 0 ended by closing it, 2 bad input, 3 a device or the simulation failed, or Ctrl-C.
@@ -34,6 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=seed, default=0, metavar="N", help="of the first run; the next has the next (default: 0)")
     effects.add_shared_arguments(parser)
     parser.add_argument("--port", type=_port, default=0, metavar="N", help="of the page (default: the first free one from 8080)")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--web", action="store_true", help="in the browser (this is the default)")
+    where.add_argument("--native", action="store_true", help="in a window of MuJoCo's own, where there is a display")
     parser.add_argument("--no-browser", action="store_true", help="do not open a browser")
     parser.add_argument("--fast", action="store_true", help="as fast as the simulation goes, not by the clock")
 
@@ -48,10 +55,15 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile.run.grasp import GraspOptions
     from mjtactile.studio.serve import watch
     from mjtactile.studio.show import Show
+    from mjtactile.studio.tape import Tape
 
-    show = Show(say=lambda text: print(text, file=sys.stderr, flush=True))
-    show.fastest = float("inf") if options.fast else 1.0
+    def say(text: str) -> None:
+        print(text, file=sys.stderr, flush=True)
+
     names = ("object", "sensor", "controller", "rig", "seed", "accuracy", "effects")
-    watch(GraspOptions(**{name: getattr(options, name) for name in names}), show, port=options.port,
-          browser=not options.no_browser)
+    wanted = GraspOptions(**{name: getattr(options, name) for name in names})
+    backend, _, folder = options.rig.partition(":")
+    show = Tape(wanted, load_recording(folder), say) if backend == "replay" and folder else Show(wanted, say)
+    show.fastest = float("inf") if options.fast else 1.0
+    watch(show, port=options.port, browser=not options.no_browser, native=options.native)
     return 0

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError, SimulationError
-from mjtactile.core.types import Image, Touch
+from mjtactile.core.types import Image, Surface, Touch
 from mjtactile.plugin.rest import at_rest
 from mjtactile.sensing.chain import Perception
 from mjtactile.sim.attach import Attachment
@@ -21,6 +21,18 @@ from mjtactile.sim.step import advance
 
 OUTPUTS = {"wrench": 6, "pressure": 1, "touching": 1}
 """MuJoCo sensors of type `user` that `attach` adds, and how many numbers each has."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What one image of a finger's camera said: `touch` as old as it was then, the membrane at `rest`, and `pressure_gauge` Pa
+    and `temperature` K in the chamber when it was taken."""
+
+    image: Image
+    touch: Touch
+    rest: Surface | None
+    pressure_gauge: float
+    temperature: float
 
 
 class SimFinger:
@@ -63,6 +75,11 @@ class SimFinger:
     def image(self) -> Image:
         """The newest image of the sensor's camera."""
         return self._image
+
+    @property
+    def seen(self) -> Seen:
+        """All that the newest image said, in one piece: for other threads than the one that steps."""
+        return self._seen
 
     @property
     def pressure_gauge(self) -> float:
@@ -118,6 +135,9 @@ class SimFinger:
     def _look(self) -> None:
         self._image = self._camera.read()
         self._touch = self._perception.perceive(self._image, self._time)
+        reference = self._perception.state.reference
+        self._seen = Seen(self._image, self._touch, None if reference is None else reference.surface, self.pressure_gauge,
+                          self.sensor.temperature)
         self._write()
 
     def _write(self) -> None:

@@ -96,8 +96,12 @@ class Recording:
         """The camera images cycle by cycle, () of one without (`--frames`).
 
         Raises InputError naming a file that is missing or broken."""
-        for names, times in zip(self.columns["images"], self.columns["image_time"], strict=True):
-            yield tuple(_read_image(self.folder / n, t) for n, t in zip(names, times, strict=False))
+        return map(self.images_of, range(len(self)))
+
+    def images_of(self, cycle: int) -> tuple[Image, ...]:
+        """The same of one cycle."""
+        names, times = self.columns["images"][cycle], self.columns["image_time"][cycle]
+        return tuple(_read_image(self.folder / n, t) for n, t in zip(names, times, strict=False))
 
 
 def _read_image(path: Path, time: float) -> Image:

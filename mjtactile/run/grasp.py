@@ -17,7 +17,7 @@ from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.core.types import Image
 from mjtactile.rig.finger import Rig
 from mjtactile.rig.variation import NONE
-from mjtactile.run.controller import load_controller
+from mjtactile.run.controller import Stepper, load_controller
 from mjtactile.run.loop import Cycle
 from mjtactile.run.session import Session, open_session
 
@@ -123,13 +123,16 @@ class _Log:
 
 
 def run_grasp(options: GraspOptions, *, recorder: RecorderLike, progress: ProgressLike,
-              on_open: Callable[[Session], None] = lambda _: None) -> GraspResult:
-    """Run one grasp on the rig that `options` names; `on_open` is given the session before anything moves.
+              on_open: Callable[[Session], None] = lambda _: None, on_still: Callable[[], None] = lambda: None,
+              wrap: Callable[[Stepper], Stepper] = lambda it: it, time_limit: float = TIME_LIMIT) -> GraspResult:
+    """Run one grasp on the rig that `options` names, within `time_limit` s; `on_open` is given the session before anything
+    moves, `wrap` the controller, and `on_still` is called in every cycle when its images were taken and a simulated world
+    stands still.
 
     Raises InputError for bad files or names, ControllerError, DeviceError, SimulationError; the rig is brought to its
     safe state on every way out.
     """
-    design, controller = load_sensor(options.sensor), load_controller(options.controller)
+    design, controller = load_sensor(options.sensor), wrap(load_controller(options.controller))
     with open_session(options.rig, design, object_name=options.object, seed=options.seed, accuracy=options.accuracy,
                       effects=options.effects, vary=options.vary, workers=options.workers, say=progress.message) as session:
         rig = session.rig
@@ -145,6 +148,7 @@ def run_grasp(options: GraspOptions, *, recorder: RecorderLike, progress: Progre
                 score.snapshot()
             if estimate is not None and log.phases and log.phases[-1] == "hold":
                 estimate.keep()
+            on_still()
 
         def on_cycle(cycle: Cycle) -> None:
             log.add(cycle)
@@ -154,7 +158,7 @@ def run_grasp(options: GraspOptions, *, recorder: RecorderLike, progress: Progre
         begin, start = wall.perf_counter(), rig.clock.now()
         completed = False
         try:
-            last = session.run(controller, time_limit=TIME_LIMIT, on_cycle=on_cycle, on_images=on_images)
+            last = session.run(controller, time_limit=time_limit, on_cycle=on_cycle, on_images=on_images)
             completed = last.phase == "done"
         except SimulationError:
             if score is None or not score.lost:

@@ -6,19 +6,27 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.core.types import Image
+from mjtactile.core.types import Ellipses, Image, Sighting
 from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
 from mjtactile.sensing.image.markers import detect
 
 TRUSTED, FLAGGED = (83, 211, 57), (60, 60, 230)  # blue, green, red
+_PAPER = 190  # grey level where there is no image
+_NO_PIXELS = (480, 640)
 
 
-def with_ellipses(image: Image, width: int) -> NDArray[np.uint8]:
+def find_ellipses(image: Image) -> Ellipses:
+    """Those in the image, or those that stand for it."""
+    return image.ellipses if isinstance(image, Sighting) and image.ellipses is not None else detect(image)
+
+
+def with_ellipses(image: Image, width: int, ellipses: Ellipses | None = None) -> NDArray[np.uint8]:
     """The image `width` pixels wide, blue, green, red (h, w, 3); ellipses green where they are trusted, red where not."""
-    scale = width / image.pixels.shape[1]
-    small = cv2.resize(image.pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    ellipses = find_ellipses(image) if ellipses is None else ellipses
+    pixels = image.pixels if image.pixels.size else np.full(_NO_PIXELS, _PAPER, np.uint8)
+    scale = width / pixels.shape[1]
+    small = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     picture = cv2.cvtColor(small, cv2.COLOR_GRAY2BGR).astype(np.uint8)
-    ellipses = detect(image)
     if len(ellipses):
         curves, _ = boundary(ellipses.center_px, shape_from_axes(ellipses.semi_axes_px, ellipses.angle), 40)
         points = np.round(16 * ((curves + 0.5) * scale - 0.5)).astype(np.int32)

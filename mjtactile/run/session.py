@@ -47,6 +47,7 @@ class Session:
     def __init__(self, rig: Rig, perceptions: Sequence[Perceiver] | None = None, *, settings: Settings = DEFAULTS,
                  threads: int | None = None, say: Say = lambda _: None):
         self.rig, self.settings, self._threads, self._say = rig, settings, threads, say
+        self._supervisor = Supervisor(rig.period)
         self.perceptions: Sequence[Perceiver] = (
             [Perception.of(finger.design, finger.calibration, settings=settings) for finger in rig.fingers]
             if perceptions is None else perceptions)
@@ -125,9 +126,14 @@ class Session:
     def run(self, controller: Stepper, *, time_limit: float, on_cycle: Callable[[Cycle], None],
             on_images: Callable[[], None] = lambda: None, supervisor: Supervisor | None = None) -> Command:
         """Run the controller until it says "done" or "abort"; see `mjtactile.run.loop.run_loop`."""
+        self._supervisor = Supervisor(self.rig.period) if supervisor is None else supervisor
         with signals.deferred() as stop:
             return run_loop(self.rig, self.perceptions, controller, time_limit=time_limit, on_cycle=on_cycle,
-                            on_images=on_images, supervisor=supervisor, stop=stop, threads=self._threads)
+                            on_images=on_images, supervisor=self._supervisor, stop=stop, threads=self._threads)
+
+    def make_safe(self, reason: str) -> None:
+        """From the next cycle of `run` on, the hand goes down and opens, whatever the controller says. For any thread."""
+        self._supervisor.want_safe(reason)
 
 
 @contextlib.contextmanager

@@ -47,6 +47,7 @@ class Supervisor:
         self._sealed: list[float] | None = None
         self._bulge: list[float] | None = None
         self._sink_cycles = 0
+        self._wanted_safe = ""
 
     @property
     def is_over(self) -> bool:
@@ -57,6 +58,8 @@ class Supervisor:
 
     def decide(self, now: float, wanted: Command, last: Command, touch: Sequence[Touch], valves: Sequence[ValveState]) -> Command:
         """The command to pass on. `last` is the one before."""
+        if self._wanted_safe:
+            self.make_safe(self._wanted_safe, now, last)
         if self.state in ("safe", "latched"):
             return self._retreat(now, last)
         leak = self._leak(touch, valves)
@@ -76,6 +79,10 @@ class Supervisor:
         if self.state not in ("safe", "latched"):
             self._retreat_goal, self._safe_since = last.opening + RETREAT_OPENING, now
             self._enter("safe", reason, now)
+
+    def want_safe(self, reason: str) -> None:
+        """The same from the next `decide` on; for other threads, such as a person's red button."""
+        self._wanted_safe = reason
 
     def latch(self, reason: str, now: float) -> None:
         """The end: nothing is sent any more."""

@@ -1,87 +1,95 @@
-"""Studio in the browser, on loopback only, and the runs that it shows."""
+"""Runs, one after the other, and Studio in which they are watched: in the browser, or in a window of its own."""
 
 from __future__ import annotations
 
+import importlib
+import math
+import os
 import threading
 import time
-from dataclasses import replace
 from typing import Any
 
-from mujoco.studio import app, endpoints, launch_thread, plugin, viewer_handle, viewer_protocol, web_viewer
+from mujoco.studio import app, viewer_handle, viewer_protocol
 
 from mjtactile.core.errors import MjtactileError
-from mjtactile.run.grasp import GraspOptions, run_grasp
-from mjtactile.studio.plugins import Mirror, Panel
+from mjtactile.run.grasp import run_grasp
+from mjtactile.studio.desk import Desk
+from mjtactile.studio.loopback import launch
+from mjtactile.studio.mirror import Mirror
+from mjtactile.studio.panel import Panel
 from mjtactile.studio.show import Restart, Show, Voice
+from mjtactile.studio.tape import Deck, Tape
 
-LOOPBACK = "127.0.0.1"
-_PERIOD = 0.005  # s between two looks at the session
-
-
-class LoopbackViewer(web_viewer.WebViewer):
-    """MuJoCo's web viewer, which binds every interface and has no option for it, on loopback."""
-
-    _host = property(lambda self: LOOPBACK, lambda self, _: None)
+_PERIOD = 0.005  # s between two looks at the session,
+_EVERY = 0.05  # s between two states that are sent though nothing is new
 
 
-def launch(config: viewer_protocol.ViewerConfig, plugins: list[Any]) -> viewer_handle.ViewerHandle:
-    """`launch_web.launch` on loopback."""
-    viewers, sims = plugin.split_plugins(plugins)
+def launch_window(config: viewer_protocol.ViewerConfig, plugins: list[Any]) -> viewer_handle.ViewerHandle:
+    """`launch_native.launch`. Raises MjtactileError, saying what to do, where there is no display or no graphics for it."""
+    instead = "leave --native away, and open the address that is printed"
+    if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise MjtactileError(f"--native: there is no display here (DISPLAY, WAYLAND_DISPLAY): {instead}")
+    try:
+        importlib.import_module("mujoco.studio.native_viewer")  # what it needs is found out now, not in a thread
+        from mujoco.studio import launch_native
+    except (ImportError, OSError) as error:
+        raise MjtactileError(f"--native: MuJoCo's own window does not work here ({error}): {instead}") from error
+    return launch_native.launch(config, plugins=plugins)
 
-    def serve(endpoint: endpoints.ViewerEndpoint) -> None:
-        viewer_protocol.run_viewer_loop(LoopbackViewer(config, endpoint, plugins=viewers))
 
-    return launch_thread.launch_thread(serve, sim_plugins=sims)
-
-
-def watch(options: GraspOptions, show: Show, *, port: int = 0, browser: bool = True, runs: int = 0) -> None:
+def watch(show: Show, *, port: int = 0, browser: bool = True, native: bool = False, runs: int = 0) -> None:
     """Run grasp after grasp, each watched, until the viewer is closed or Ctrl-C; `runs`: at most so many.
 
     Raises what `run_grasp` raises of the first run; later ones are said in the panel, which goes on.
     """
-    config = viewer_protocol.ViewerConfig(title=f"mjtactile: {options.object}", http_port=port, open_browser=browser, gfx="web")
+    config = viewer_protocol.ViewerConfig(title=f"mjtactile: {show.options.object}", http_port=port, open_browser=browser,
+                                          gfx="" if native else "web")
     mirror = Mirror(show)
-    handle = launch(config, [app.App(), Panel(show), mirror])
+    studio_app = app.App(app.Config(show_options=False, show_inspector=False))
+    desk = Deck(show) if isinstance(show, Tape) else Desk(show)
+    plugins = [studio_app, desk, Panel(show), mirror]
+    handle = launch_window(config, plugins) if native else launch(config, plugins=plugins)
     studio = threading.Thread(target=_sync, args=(handle, mirror, show), name="studio", daemon=True)
     studio.start()
     try:
         while not show.closed.is_set():
             show.restart.clear()
-            _run(options, show)
+            _run(show)
             if runs and show.runs >= runs:
                 return
             while not (show.restart.wait(0.1) or show.closed.is_set()):
                 pass
-            options = replace(options, seed=options.seed + 1)
     finally:
         show.closed.set()
         studio.join(5.0)
 
 
-def _run(options: GraspOptions, show: Show) -> None:
+def _run(show: Show) -> None:
     """One grasp; what fails is shown, and raised where nothing has been shown yet."""
+    before = show.runs
     try:
-        result = run_grasp(options, recorder=show, progress=Voice(show), on_open=show.open)
+        result = run_grasp(show.options, recorder=show, progress=Voice(show), on_open=show.open, on_still=show.still,
+                           wrap=show.wrap, time_limit=math.inf)
         show.outcome = f"{result.outcome}" + (f": {result.reason}" if result.reason else "")
     except Restart:
         show.outcome = "again"
     except MjtactileError as error:
-        if show.latest is None:
+        if before == 0 and show.latest is None:
             raise
         show.outcome = str(error)
 
 
 def _sync(handle: viewer_handle.ViewerHandle, mirror: Mirror, show: Show) -> None:
-    """Studio's simulation loop."""
+    """Studio's simulation loop. A state is sent when it is new, and now and then: the viewer computes a frame of each."""
     try:
+        sent = 0.0
         with handle:
             while handle.is_running() and not show.closed.is_set():
-                mirror.follow()
-                handle.sync()
+                if mirror.follow() or time.monotonic() - sent > _EVERY:
+                    handle.sync()
+                    sent = time.monotonic()
                 time.sleep(_PERIOD)
     except Exception as error:  # noqa: BLE001  # the viewer ended; the session is told
         show.message_(f"{type(error).__name__}: {error}")
     finally:
         show.closed.set()
-
-

@@ -1,7 +1,7 @@
 """`Show`: what a session shows and what is asked of it. The session's thread writes, the viewer's reads, neither waits.
 
 It takes the place of a recorder and of a progress. What is asked of the world (a valve, a pull) is done by the session's own
-thread between two cycles, as a command of a controller would be.
+thread when a cycle's images were taken and the world stands still, as a command of a controller would be.
 """
 
 from __future__ import annotations
@@ -10,20 +10,25 @@ import math
 import queue
 import threading
 import time as wall
-from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from mjtactile.core.errors import SimulationError
-from mjtactile.core.types import Array, Image
+from mjtactile.core.errors import DeviceError, SimulationError
+from mjtactile.core.types import Array, Image, Surface
+from mjtactile.run.controller import Stepper
+from mjtactile.run.grasp import GraspOptions
 from mjtactile.run.loop import Cycle
 from mjtactile.run.session import Session
+from mjtactile.studio.hand import ByHand, Wish
+from mjtactile.studio.moment import Felt, History, Moment, Pose, SessionState
 
-HISTORY = 20.0  # s that the plots show
+RED_BUTTON = "somebody pressed the red button"
 _PAUSED = 0.02  # s between two looks at whether it still is
+
+Task = Callable[[Session], None]
 
 
 class Restart(SimulationError):
@@ -33,38 +38,24 @@ class Restart(SimulationError):
         super().__init__("another run was asked for", step=0, time=0.0)
 
 
-@dataclass(frozen=True, eq=False)
-class Shown:
-    """One cycle: what was felt, the scene then, and by truth, where there is one, the normal forces (n,) N."""
-
-    number: int
-    cycle: Cycle
-    view: Any
-    true: Array
-
-
 @dataclass(frozen=True)
-class Row:
-    """One cycle in the plots: `time` s, forces (n,) N felt, their sd, and true, gauge pressures (n,) Pa, `opening` m."""
+class Gas:
+    """What is in the chambers of a simulated rig: gauge pressures, Pa, and temperatures, K, one a finger."""
 
-    time: float
-    felt: tuple[float, ...]
-    sd: tuple[float, ...]
-    true: tuple[float, ...]
-    pressure: tuple[float, ...]
-    opening: float
-    phase: str
+    pressure: tuple[float, ...] = ()
+    temperature: tuple[float, ...] = ()
 
 
 class Show:
-    """Give it to `run_grasp` as recorder, progress and `on_open`."""
+    """Give it to `run_grasp` as recorder, progress, `on_open`, `on_still` and `wrap`. `options` are the next run's."""
 
     patience = math.inf
 
-    def __init__(self, say: Callable[[str], None] = lambda _: None):
+    def __init__(self, options: GraspOptions | None = None, say: Callable[[str], None] = lambda _: None):
+        self.options = GraspOptions() if options is None else options
         self.session: Session | None = None
-        self.latest: Shown | None = None
-        self.rows: deque[Row] = deque(maxlen=2000)
+        self.latest: Moment | None = None
+        self.history = History()
         self.message, self.outcome = "", ""
         self.runs = 0
         self.paused = False
@@ -72,23 +63,38 @@ class Show:
         """Times as fast as the clock, at most (inf: as fast as it goes)."""
         self.restart = threading.Event()
         self.closed = threading.Event()
+        self.pull: Array | None = None
+        """What the mouse pulls at (bodies, 6), N and N m, from now on."""
+        self._wish: Wish | None = None
+        self._hand: ByHand | None = None
         self._single = False
+        self._halted = False
+        self._gas = Gas()
         self._say = say
-        self._tasks: queue.SimpleQueue[Callable[[Session], None]] = queue.SimpleQueue()
+        self._tasks: queue.SimpleQueue[Task] = queue.SimpleQueue()
         self._pace: tuple[float, float] | None = None
 
     # what the session's thread calls
 
     def open(self, session: Session) -> None:
         """A session begins."""
-        self.session, self.latest, self.outcome, self._pace = session, None, "", None
-        self.rows.clear()
+        self.session, self.latest, self.outcome, self._pace, self._halted = session, None, "", None, False
+        self.history.clear()
         self.runs += 1
+
+    def wrap(self, controller: Stepper) -> Stepper:
+        """The controller, with a hand that can take over from it."""
+        self._hand = ByHand(controller)
+        self._hand.wish = self._wish
+        return self._hand
 
     def note(self, **values: Any) -> None: ...
 
     def add_reference(self, stage: str, images: list[list[Image]], pressure_gauge: list[float | None]) -> None:
-        self._leave()
+        if self._halted:  # nothing moves yet that the supervisor could retreat
+            raise DeviceError(RED_BUTTON)
+        if self.restart.is_set() or self.closed.is_set():
+            raise Restart
 
     def message_(self, text: str) -> None:
         self.message = text
@@ -96,13 +102,8 @@ class Show:
 
     def update(self, phase: str, time: float, force: float) -> None: ...
 
-    def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
-        """Show a cycle, do what was asked for, keep to the clock, wait while paused. Raises Restart when that was asked for."""
-        true = np.array(truth.get("force_normal_true", [math.nan] * len(cycle.touch)), dtype=float)
-        self.latest = Shown(0 if self.latest is None else self.latest.number + 1, cycle, view, true)
-        self.rows.append(_row(cycle, true))
-        while self.rows[-1].time - self.rows[0].time > HISTORY:
-            self.rows.popleft()
+    def still(self) -> None:
+        """The world stands: do what was asked for, wait while paused. Raises Restart when that was asked for."""
         self._work()
         while self.paused and not self._single:
             self._leave()
@@ -111,31 +112,81 @@ class Show:
             self._pace = None
         self._single = False
         self._leave()
+        scene = None if self.session is None else self.session.rig.scene
+        if scene is not None:
+            self._gas = Gas(tuple(s.pressure_gauge for s in scene.sensors), tuple(s.temperature for s in scene.sensors))
+
+    def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
+        """Show a cycle, and keep to the clock. Raises Restart when another run was asked for."""
+        number = 0 if self.latest is None else self.latest.number + 1
+        moment = moment_of(cycle, self.session, view, truth, self._gas, number)
+        self.history.add(moment)
+        self.latest = moment
+        self._leave()
         self._wait(cycle.time)
 
     # what the viewer's thread calls
 
-    def ask(self, task: Callable[[Session], None]) -> None:
-        """Have the session's thread do `task` after its next cycle."""
+    def moment(self) -> Moment | None:
+        """What is to be shown now."""
+        return self.latest
+
+    def ask(self, task: Task) -> None:
+        """Have the session's thread do `task` when the world stands still next."""
         self._tasks.put(task)
 
     def step(self) -> None:
         """One cycle more, and pause."""
         self.paused, self._single = True, True
 
+    @property
+    def may_pause(self) -> bool:
+        """A simulated world waits; a real one's devices would take the loop for dead."""
+        return self.session is None or not math.isfinite(self.session.rig.host_timeout)
+
+    @property
+    def wish(self) -> Wish | None:
+        """What is wished for by hand in place of the controller's commands; None: the controller is asked."""
+        return self._wish
+
+    @wish.setter
+    def wish(self, wish: Wish | None) -> None:
+        self._wish = wish
+        if self._hand is not None:
+            self._hand.wish = wish
+
+    def halt(self) -> None:
+        """The red button: the hand goes down and opens, by the supervisor's own way."""
+        self._halted, self.paused = True, False
+        if self.session is not None:
+            self.session.make_safe(RED_BUTTON)
+
+    def again(self, options: GraspOptions) -> None:
+        """End this run as it is, and begin another."""
+        self.options = options
+        self.restart.set()
+
     def _work(self) -> None:
         if (session := self.session) is None:
             return
         for _ in range(self._tasks.qsize()):
-            task = self._tasks.get()
-            try:
-                task(session)
-            except Exception as error:  # noqa: BLE001  # the run goes on; the panel says it
-                self.message_(f"{type(error).__name__}: {error}")
+            self._try(self._tasks.get(), session)
+        if (pull := self.pull) is not None:
+            self._try(lambda it: _pull(it, pull), session)
+
+    def _try(self, task: Task, session: Session) -> None:
+        try:
+            task(session)
+        except Exception as error:  # noqa: BLE001  # the run goes on; the panel says it
+            self.message_(f"{type(error).__name__}: {error}")
 
     def _leave(self) -> None:
-        if self.restart.is_set() or self.closed.is_set():
+        """Give a world up that waits; a real hand goes down and opens first, by the supervisor's own way."""
+        if not (self.restart.is_set() or self.closed.is_set()):
+            return
+        if self.session is None or self.may_pause:
             raise Restart
+        self.session.make_safe("Studio was closed" if self.closed.is_set() else "another run was asked for")
 
     def _wait(self, time: float) -> None:
         """Until the clock has come as far as the rig's, where that is simulated and ahead."""
@@ -154,7 +205,42 @@ class Voice:
         self.message, self.update = show.message_, show.update
 
 
-def _row(cycle: Cycle, true: Array) -> Row:
-    pressures = tuple(math.nan if valve.pressure_gauge is None else valve.pressure_gauge for valve in cycle.valves)
-    return Row(cycle.time, tuple(t.force_normal for t in cycle.touch), tuple(t.force_normal_sd for t in cycle.touch),
-               tuple(true.tolist()), pressures, cycle.gripper.opening, cycle.sent.phase)
+def moment_of(cycle: Cycle, session: Session | None, view: Any, truth: Mapping[str, Any], gas: Gas, number: int) -> Moment:
+    """What a cycle shows, with what is true of it, where that is known."""
+    fingers, count = [], len(cycle.touch)
+    true = truth.get("force_normal_true", [math.nan] * count)
+    poses = _poses(cycle, view)
+    for k, (touch, image) in enumerate(zip(cycle.touch, cycle.images, strict=True)):
+        finger = None if session is None else session.rig.fingers[k]
+        fingers.append(Felt(
+            str(k) if finger is None else finger.name, image, touch, None if finger is None else finger.design,
+            None if session is None else _rest(session, k), poses[k], cycle.valves[k] if k < len(cycle.valves) else None, true[k],
+            gas.pressure[k] if gas.pressure else math.nan, gas.temperature[k] if gas.temperature else math.nan))
+    state = SessionState(cycle.sent.phase, getattr(cycle, "state", "running"), getattr(cycle, "reason", ""),
+                         cycle.gripper.opening, cycle.gripper.lift_height, cycle.perception_ms)
+    return Moment(number, cycle.time, tuple(fingers), state, None if view is None else (view.model, view.state))
+
+
+def _rest(session: Session, finger: int) -> Surface | None:
+    """The finger's membrane with nothing touching, as its sensing chain measured it."""
+    reference = getattr(getattr(session.perceptions[finger], "state", None), "reference", None)
+    return None if reference is None else reference.surface
+
+
+def _poses(cycle: Cycle, view: Any) -> list[Pose]:
+    """Where the fingers are; without a scene, as many about the middle as far apart as the gripper says, closing on it."""
+    if view is not None:
+        return [Pose(p, R) for p, R in zip(view.p_WS, view.R_WS, strict=True)]
+    opening, height = np.nan_to_num([cycle.gripper.opening, cycle.gripper.lift_height]).tolist()
+    poses = []
+    for k in range(len(cycle.touch)):
+        angle = 2 * math.pi * k / len(cycle.touch)
+        inwards, up = np.array([math.cos(angle), math.sin(angle), 0.0]), np.array([0.0, 0.0, 1.0])
+        axes = np.column_stack([up, np.cross(inwards, up), inwards])
+        poses.append(Pose(height * up - opening / 2 * inwards, axes))
+    return poses
+
+
+def _pull(session: Session, force: Array) -> None:
+    if session.rig.scene is not None and session.rig.scene.data.xfrc_applied.shape == force.shape:
+        session.rig.scene.data.xfrc_applied[:] = force

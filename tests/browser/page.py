@@ -49,21 +49,26 @@ class Page:
         png = base64.b64decode(self._ask("Page.captureScreenshot", format="png")["data"])
         return cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
 
+    def go(self, url):
+        """Load another page in place of this one."""
+        self._ask("Page.navigate", url=url)
+
+    def leave(self):
+        """Close the page, and leave the browser open."""
+        self.go("about:blank")
+
     def mouse(self, kind, x, y, **more):
         """One event of the mouse, such as mouseMoved with buttons=1, or mouseWheel with deltaY px."""
         self._ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, **{"button": "left", "clickCount": 1} | more)
 
-    def click(self, x, y):
-        """Come to (x, y) px, press, and let go, each for as long as a hand would."""
-        for kind, buttons in (("mouseMoved", 0), ("mousePressed", 1), ("mouseReleased", 0)):
-            self._ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left" if kind != "mouseMoved" else "none",
-                      buttons=buttons, clickCount=1)
-            time.sleep(0.5)
-
 
 @contextlib.contextmanager
-def open_page(url, folder):
-    """A `Page` with `url`, in a browser of its own."""
+def open_page(url, folder, until=None):
+    """A `Page` with `url`, in a browser of its own, once the server has written that it is there into the file `until`."""
+    end = time.monotonic() + 90
+    while until is not None and "inflated" not in until.read_text():
+        assert time.monotonic() < end, until.read_text()
+        time.sleep(0.1)
     command = [CHROMIUM, *_FLAGS, f"--user-data-dir={folder}", url]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:

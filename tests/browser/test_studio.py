@@ -1,5 +1,9 @@
-"""`mjtactile studio` in a real browser: headless Chromium, real physics, the page that a user sees."""
+"""`mjtactile studio` in a real browser: headless Chromium, real physics, the page that a user sees.
 
+One session and one page serve all tests, in the order in which they stand here.
+"""
+
+import json
 import os
 import re
 import signal
@@ -12,81 +16,188 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
 
 from tests.browser.page import CHROMIUM, open_page
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("browser"),
               pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")]
-SCENE = np.s_[200:390, 510:750]  # px: the middle of the picture, where no window lies
-TABLE = np.s_[410:440, 735:760]
-AGAIN = (356, 127)  # px: the panel's button
-PANEL = np.s_[60:210, 770:970]  # the left finger's camera
+PATIENCE = 120  # s; without a graphics card, beside other tests, a frame may take some
+SCENE = np.s_[40:330, 300:890]  # px: where no window lies
 
 
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+class Studio:
+    """The command, and the page that looks at it."""
+
+    def __init__(self, folder):
+        self.folder, self.page = folder, None
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.port = probe.getsockname()[1]
+        self.log = folder / "log"
+        command = [sys.executable, "-m", "tests.browser.host", "--no-browser", "--fast", "--port", str(self.port)]
+        with self.log.open("w") as log:
+            self.process = subprocess.Popen(command, cwd=CHECKOUT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+                                            stderr=log, env={**os.environ, "HOME": str(folder)})
+
+    @property
+    def url(self):
+        return f"http://localhost:{self.port}/"
+
+    def ask(self, line="say"):
+        """What the last frame of the windows was."""
+        self.process.stdin.write(line + "\n")
+        self.process.stdin.flush()
+        while not (answer := self.process.stdout.readline()).startswith("{"):
+            assert answer, self.log.read_text()
+        return json.loads(answer)
+
+    def until(self, condition, what):
+        end = time.monotonic() + PATIENCE
+        while not condition(found := self.ask()):
+            assert time.monotonic() < end, f"waited in vain until {what}: {found}"
+            time.sleep(0.05)
+        return found
+
+    def press(self, label, share=0.5):
+        """Come to the widget, press, and let go, each when the last was seen; `share` of its width is where."""
+        left, top, right, bottom = self.until(lambda f: label in f["places"], f"there is {label!r}")["places"][label]
+        x, y = left + share * (right - left), (top + bottom) / 2
+        end = time.monotonic() + PATIENCE
+        while self.ask()["hovered"] != label:  # a page that has just come up does not listen yet
+            assert time.monotonic() < end, f"the mouse never came to {label!r}"
+            for place in (x - 1, x):
+                self.page.mouse("mouseMoved", place, y, button="none", clickCount=0)
+            time.sleep(0.2)
+        self.page.mouse("mousePressed", x, y, buttons=1)
+        self.until(lambda f: f["active"] == label, f"{label!r} is pressed")
+        self.page.mouse("mouseReleased", x, y)
+        self.until(lambda f: f["active"] != label, f"{label!r} is let go of")
+
+    def is_up(self):
+        """Whether somebody looks and a cycle is shown."""
+        before = self.ask()["frames"]
+        return self.until(lambda f: f["frames"] > before + 1 and f["number"] >= 0 and f["places"], "the page is up")
+
+    def picture(self, good):
+        """The page as soon as it is `good`, and the pictures in it: left camera, left membrane, right camera, right membrane. The
+        scene is drawn some time after the windows."""
+        end = time.monotonic() + PATIENCE
+        while True:
+            shot, places = self.page.picture(), self.ask()["places"]
+            parts = [shot[round(top):round(bottom), round(left):round(right)]
+                     for name, (left, top, right, bottom) in places.items() if name.isdecimal()]  # textures have numbers
+            if good(shot, parts):
+                return shot, parts
+            assert time.monotonic() < end, "the page never showed it"
+            time.sleep(0.5)
 
 
-@pytest.fixture
-def studio(tmp_path):
-    """The command, running in a home of its own; yields its port and process."""
-    port = free_port()
-    command = [sys.executable, "-m", "mjtactile", "studio", "--no-browser", "--fast", "--port", str(port)]
-    with (tmp_path / "log").open("w") as log:
-        process = subprocess.Popen(command, cwd=CHECKOUT, stdout=log, stderr=subprocess.STDOUT,
-                                   env={**os.environ, "HOME": str(tmp_path)})
-    end = time.monotonic() + 90
-    while "inflated" not in (tmp_path / "log").read_text():
-        assert process.poll() is None and time.monotonic() < end, (tmp_path / "log").read_text()
-        time.sleep(0.2)
-    yield port, process
-    process.kill()
-    process.wait()
+@pytest.fixture(scope="module")
+def studio(tmp_path_factory):
+    studio = Studio(tmp_path_factory.mktemp("studio"))
+    try:
+        with open_page(studio.url, studio.folder / "one", until=studio.log) as studio.page:
+            yield studio
+    finally:
+        studio.process.kill()
+        studio.process.communicate()
 
 
-def changed(before, after, where):
-    """Share of the pixels in `where` that differ by more than the picture's compression."""
-    return float((np.abs(before[where].astype(int) - after[where]).max(axis=2) > 24).mean())
+def is_dark(bgr):
+    """Where the colours begin: violet, nothing is pushed in."""
+    return bgr[:, :, 1] < 60
 
 
-def picture_until(page, condition, limit=120):
-    end = time.monotonic() + limit
-    while not condition(shot := page.picture()):
-        assert time.monotonic() < end, "the page never showed it"
-        time.sleep(1)
-    return shot
+def test_a_membrane_deforms_under_a_grasp_and_the_panels_numbers_are_the_sessions(studio):
+    studio.is_up()
+    first, _ = studio.picture(lambda shot, parts: shot[SCENE].std() > 10 and len(parts) == 4 and parts[0].std() > 20 and
+                              is_dark(parts[1]).mean() > 0.98)  # a scene that is not black, markers, and nothing touches
+    studio.press("go on")
+    studio.until(lambda f: f["phase"] == "hold", "it holds")
+    studio.press("pause")
+    studio.until(lambda f: f["paused"], "it pauses")
+    now = studio.ask()
+    held = studio.until(lambda f: f["frames"] > now["frames"] + 3, "some frames go by")
+    assert held["number"] == now["number"]  # a pause is one
+    for felt in held["felt"]:
+        for text in (f"normal {felt['force']:+.3f} N, 2 sd {2 * felt['sd']:.3f}", f"true   {felt['true']:+.3f} N"):
+            assert text in held["said"]
+        assert abs(felt["force"] - felt["true"]) < 5 * felt["sd"]
+    later, (_, membrane, *_) = studio.picture(lambda shot, parts: (parts[1][:, :, 1] > 180).mean() > 0.005)
+    if out := os.environ.get("MJTACTILE_PICTURE"):
+        cv2.imwrite(out, later)
+    assert (np.abs(first[SCENE].astype(int) - later[SCENE]).max(axis=2) > 24).mean() > 0.02  # what moves in it has moved
+    height, width = membrane.shape[:2]
+    assert is_dark(membrane[:height // 6]).mean() > 0.9  # the frame's edge stays
+    x, y = (np.mean(where) for where in np.nonzero(membrane[:, :, 1] > 180)[::-1])  # green: the deepest
+    centroid = np.array(held["felt"][0]["centroid"]) / [0.040, 0.030]  # shares of the frame's opening
+    np.testing.assert_allclose([x / width - 0.5, y / height - 0.5], centroid, atol=0.06)
 
 
-def test_a_grasp_in_the_browser(studio, tmp_path):
-    """The page comes up with scene and panel; a button begins another run, and what moves in it moves in the picture while the
-    table stays as it is; the page can be closed and opened again; only this computer is served; Ctrl-C leaves nothing behind."""
-    port, process = studio
-    url = f"http://localhost:{port}/"
-    with open_page(url, tmp_path / "one") as page:
-        def is_up(shot):
-            return shot[PANEL].std() > 20 and shot[SCENE].std() > 10  # a camera's markers, and a scene that is not black
+def test_the_supply_slider_changes_the_pressure(studio):
+    studio.press("supply, kPa", 0.2)
+    supply = studio.ask()["values"]["supply, kPa"]
+    assert 0.4 < supply < 0.8  # kPa; it was 1
+    studio.press("open valves")
+    number = studio.ask()["number"]
+    studio.press("one cycle")
+    studio.until(lambda f: f["number"] == number + 1, "one cycle goes by")
+    studio.press("one cycle")
+    studio.until(lambda f: f["felt"][0]["pressure"] == pytest.approx(1e3 * supply, abs=1), "the pressure is the supply's")
 
-        first = picture_until(page, is_up)
-        if out := os.environ.get("MJTACTILE_PICTURE"):
-            cv2.imwrite(out, first)
-        page.click(*AGAIN)
-        later = picture_until(page, lambda shot: changed(first, shot, SCENE) > 0.02)
-        assert changed(first, later, TABLE) == 0
-    with open_page(url, tmp_path / "two") as page:  # closed, and opened again
-        picture_until(page, is_up)
 
-    listening = Path("/proc/net/tcp").read_text() + Path("/proc/net/tcp6").read_text()
-    here = re.findall(rf"\s([0-9A-F]+):{port:04X}\s+0+:0000 0A", listening)
-    assert here == ["0100007F"]  # 127.0.0.1, and nothing else
-    with socket.create_connection(("127.0.0.1", port)) as stranger:
+def test_a_handler_that_raises_is_shown_and_the_session_goes_on(studio):
+    studio.ask("break")
+    studio.until(lambda f: any("ZeroDivisionError" in text for text in f["said"]), "the error is shown")
+    number = studio.ask()["number"]
+    studio.press("one cycle")
+    studio.until(lambda f: f["number"] > number, "it goes on")
+    studio.ask("mend")
+    studio.until(lambda f: any(text.startswith("normal") for text in f["said"]), "the finger is shown again")
+
+
+def test_a_second_page_watches_and_strangers_change_nothing(studio):
+    """Studio gives the windows to one page at a time and the scene to all; other web sites, and what speaks no HTTP, get none."""
+    address = f"ws://localhost:{studio.port}"
+    with connect(f"{address}/state?sid=second", origin="http://localhost:1") as second:  # through a tunnel: another port
+        roster = next(text for text in second if isinstance(text, str) and text.startswith("viewers="))
+        assert roster.startswith("viewers=2;role=spectator")
+        payload = next(part for part in second if isinstance(part, bytes))
+        assert len(payload) > 1000
+        with connect(f"{address}/ui?sid=second") as windows:
+            assert windows.protocol.state.name != "CLOSED"
+            with pytest.raises(Exception, match="4001"):
+                windows.recv(timeout=PATIENCE)
+    before = studio.ask()
+    for path in ("ui", "state", "drop"):
+        with pytest.raises(InvalidStatus, match="403"), connect(f"{address}/{path}?sid=evil", origin="https://evil.example"):
+            pass
+    with socket.create_connection(("127.0.0.1", studio.port)) as stranger:
         stranger.sendall(b"\x00\xff garbage \r\n\r\n" * 1000)
-    assert process.poll() is None
+    after = studio.until(lambda f: f["frames"] > before["frames"] + 2, "it goes on")
+    assert (after["number"], after["paused"], after["runs"]) == (before["number"], True, 1)
+    listening = Path("/proc/net/tcp").read_text() + Path("/proc/net/tcp6").read_text()
+    assert re.findall(rf"\s([0-9A-F]+):{studio.port:04X}\s+0+:0000 0A", listening) == ["0100007F"]  # 127.0.0.1 alone
 
-    process.send_signal(signal.SIGINT)
-    process.wait(30)
+
+def test_a_page_that_was_closed_and_opened_again_goes_on(studio):
+    number = studio.ask()["number"]
+    studio.page.leave()
+    frames = studio.ask()["frames"]
+    time.sleep(1)
+    assert studio.ask()["frames"] <= frames + 5  # nobody looks
+    studio.page.go(studio.url)
+    studio.is_up()
+    studio.press("go on")
+    studio.until(lambda f: f["number"] > number, "it goes on")
+
+
+def test_ctrl_c_leaves_nothing_behind(studio):
+    studio.process.send_signal(signal.SIGINT)
+    studio.process.wait(60)
     with pytest.raises(ConnectionRefusedError):
-        socket.create_connection(("127.0.0.1", port), timeout=5).close()
-    assert "Traceback" not in (tmp_path / "log").read_text()
+        socket.create_connection(("127.0.0.1", studio.port), timeout=5).close()
+    assert "Traceback" not in studio.log.read_text()

@@ -196,6 +196,11 @@ class TactileSensor:
         return self._gas.pressure_gauge
 
     @property
+    def temperature(self) -> float:
+        """Temperature of the gas in the chamber, K, at the last `update`."""
+        return self._gas.temperature
+
+    @property
     def volume(self) -> float:
         """Gas volume, m^3, at the last `update`."""
         return self._volume

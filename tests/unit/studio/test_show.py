@@ -1,21 +1,28 @@
 """What a session shows and what is asked of it, without a viewer."""
 
+import math
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from mjtactile.core.errors import DeviceError
 from mjtactile.run.grasp import GraspOptions, run_grasp
-from mjtactile.studio.plugins import finger_lines
-from mjtactile.studio.show import Restart, Show, Voice
+from mjtactile.studio.hand import Wish
+from mjtactile.studio.moment import finger_lines
+from mjtactile.studio.show import RED_BUTTON, Restart, Show, Voice
 from tests.fake_run import fake_cycle
 
 
-class FakeWorld:
-    """A rig's stand-in: only whether it is simulated is asked."""
-
-    scene = None
+def fake_session(host_timeout=math.inf):
+    """A session's stand-in on a rig without a scene; keeps why it was to be made safe."""
+    fingers = [SimpleNamespace(name=name, design=None) for name in ("left", "right")]
+    rig = SimpleNamespace(scene=None, host_timeout=host_timeout, fingers=fingers)
+    session = SimpleNamespace(rig=rig, perceptions=[None, None], reasons=[])
+    session.make_safe = session.reasons.append
+    return session
 
 
 def until(condition, limit=60.0):
@@ -27,15 +34,17 @@ def until(condition, limit=60.0):
 
 def shown(show, count=1):
     for i in range(count):
+        show.still()
         show.add(fake_cycle(i), force_normal_true=[0.1, 0.2])
 
 
 def test_a_cycle_is_shown_with_what_was_true():
     show = Show()
     shown(show, 3)
-    assert show.latest.number == 2 and show.rows[-1].true == (0.1, 0.2)
-    lines = finger_lines(show.latest, 1)
-    assert lines[0].startswith(f"normal {show.latest.cycle.touch[1].force_normal:+.3f} N")
+    moment = show.moment()
+    assert moment.number == 2 and show.history.rows[-1].true == (0.1, 0.2)
+    lines = finger_lines(moment.fingers[1])
+    assert lines[0].startswith(f"normal {moment.fingers[1].touch.force_normal:+.3f} N")
     assert "true   +0.200 N" in lines
 
 
@@ -43,7 +52,11 @@ def test_the_plots_show_the_last_seconds_only():
     show = Show()
     for i in range(0, 3000, 10):  # 100 s
         show.add(fake_cycle(i, 3001))
-    assert show.rows[-1].time - show.rows[0].time == pytest.approx(20, abs=0.4)  # a cycle of 0.33 s
+    rows = show.history.rows
+    assert rows[-1].time - rows[0].time == pytest.approx(20, abs=0.4)  # a cycle of 0.33 s
+    curves = show.history.curves()
+    assert curves.time[-1] == rows[-1].time and len(curves.time) <= 300
+    assert curves is show.history.curves()  # made once a cycle, not once a frame
 
 
 def test_a_pause_holds_the_session_until_it_goes_on():
@@ -51,6 +64,7 @@ def test_a_pause_holds_the_session_until_it_goes_on():
     show.paused = True
     thread = threading.Thread(target=shown, args=(show, 3))
     thread.start()
+    show.step()
     until(lambda: show.latest is not None)
     time.sleep(0.1)
     assert show.latest.number == 0
@@ -65,8 +79,7 @@ def test_a_pause_holds_the_session_until_it_goes_on():
 
 def test_what_is_asked_for_is_done_by_the_sessions_thread_and_what_raises_is_said():
     show, done = Show(), []
-    show.session = object()
-    show.session = type("S", (), {"rig": FakeWorld()})()
+    show.session = fake_session()
     show.ask(lambda session: done.append(threading.current_thread().name))
     show.ask(lambda session: 1 / 0)
     show.ask(lambda session: done.append("after"))
@@ -76,32 +89,62 @@ def test_what_is_asked_for_is_done_by_the_sessions_thread_and_what_raises_is_sai
     assert done == ["session", "after"] and show.message == "ZeroDivisionError: division by zero"
 
 
-def test_another_run_and_a_closed_viewer_end_this_one():
-    for name in ("restart", "closed"):
-        show = Show()
-        getattr(show, name).set()
-        with pytest.raises(Restart):
-            show.add(fake_cycle(0))
+@pytest.mark.parametrize("name", ["restart", "closed"])
+def test_another_run_and_a_closed_viewer_end_a_world_that_waits_and_retreat_from_a_real_one(name):
+    show = Show()
+    getattr(show, name).set()
+    with pytest.raises(Restart):
+        show.add(fake_cycle(0))
+    show.session = fake_session(host_timeout=0.25)
+    show.add(fake_cycle(0))  # goes on: the supervisor opens the hand first
+    assert len(show.session.reasons) == 1
+    with pytest.raises(Restart):  # nothing moves yet
+        show.add_reference("flat", [], [])
 
 
-def test_a_grasp_shows_its_scene_and_its_valves_obey():
-    """Real physics: the scene's state is the world's, and a valve that is opened from outside changes what is felt."""
+def test_the_red_button_makes_it_safe_and_ends_a_pause():
+    show = Show()
+    show.session, show.paused = fake_session(), True
+    show.halt()
+    assert show.session.reasons == [RED_BUTTON] and not show.paused
+    with pytest.raises(DeviceError, match="red button"):  # nothing moves yet, which could retreat
+        show.add_reference("rest", [], [])
+
+
+def test_only_a_world_that_waits_may_be_paused():
+    show = Show()
+    assert show.may_pause
+    show.session = fake_session(host_timeout=0.25)
+    assert not show.may_pause
+
+
+def test_a_grasp_shows_its_scene_and_obeys():
+    """Real physics: the scene's state is the world's, a valve that is opened from outside changes the pressure, the hand goes
+    where it is wished to and squeezes as hard, and the red button opens it."""
     show = Show()
     show.fastest = np.inf
-    states = []
+    moments = []
 
-    def look(session):
-        states.append((show.latest.view.state.copy(), [valve.state().is_open for valve in session.rig.valves]))
-        if len(states) == 2:
-            for valve in session.rig.valves:
-                valve.open(500.0)
-        if len(states) < 6:
-            show.ask(look)
-        else:
-            show.restart.set()
+    def look():
+        show.still()
+        moments.append(show.moment())
+        act = actions.get(len(moments))
+        if act is not None:
+            act()
 
-    show.ask(look)
-    with pytest.raises(Restart):
-        run_grasp(GraspOptions(workers=0), recorder=show, progress=Voice(show), on_open=show.open)
-    assert [opened[0] for _, opened in states] == [False, False, True, True, True, True]
-    assert len({state.shape for state, _ in states}) == 1 and np.ptp([state[0] for state, _ in states]) > 0.1  # its time
+    def supply():
+        for valve in show.session.rig.valves:
+            valve.open(500.0)
+
+    actions = {3: lambda: setattr(show, "wish", Wish(0.075, 0.01)), 10: supply, 20: show.halt}
+    with pytest.raises(DeviceError, match=f"stopped safely: {RED_BUTTON}"):
+        run_grasp(GraspOptions(workers=0), recorder=show, progress=Voice(show), on_open=show.open, on_still=look, wrap=show.wrap)
+    moments = [moment for moment in moments if moment is not None]
+    times = [moment.scene[1][0] for moment in moments]  # MuJoCo's state begins with its time
+    np.testing.assert_allclose(np.diff(times), 1 / 30, atol=1e-9)
+    pressure = [moment.fingers[0].pressure_gauge for moment in moments]
+    assert pressure[5] == pytest.approx(1000, abs=20) and pressure[14] == pytest.approx(500, abs=1)  # Pa; an ideal valve
+    assert moments[5].fingers[0].temperature == pytest.approx(293.15, abs=5)
+    state = [moment.session for moment in moments]
+    assert state[18].lift_height > 0.004 and state[18].phase == "approach"  # 40 mm/s for half a second, less its start
+    assert state[-1].state == "safe" and state[-1].lift_height < 1e-3 and state[-1].opening > state[21].opening + 0.005

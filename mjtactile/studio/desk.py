@@ -1,0 +1,229 @@
+"""`Desk`: the window from which a session is asked for things: pause, again, valves, by hand, a puncture, the red button."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from mujoco.studio import messages, plugin
+from mujoco.studio.dear_imgui import dear_imgui as imgui
+
+from mjtactile.core import resources
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import MjtactileError
+from mjtactile.experiments.accuracy import effects_of
+from mjtactile.run.session import Session
+from mjtactile.studio.guard import guarded
+from mjtactile.studio.hand import Wish
+from mjtactile.studio.layout import ABOVE_LOOK, LEFT, RED, Layout
+from mjtactile.studio.moment import Moment
+from mjtactile.studio.show import Show
+
+_OPEN = int(imgui.TreeNodeFlags.DefaultOpen)
+_WHITE = imgui.Vec4(1.0, 1.0, 1.0, 1.0)
+_HOLE = 1e-8  # m^3/(s Pa): a prick; half of the pressure is gone within a second or so
+_ACCURACIES = ("", "0.005N", "0.02N", "0.05N", "realtime")
+_SQUEEZE = (0.0, 3.0)  # N
+_SUPPLY = (0.0, 3.0)  # kPa
+
+
+class Desk(plugin.ViewerPlugin):
+    """What can be done to the session that `show` shows."""
+
+    def __init__(self, show: Show):
+        self.show = show
+        self.complain = show.message_
+        self._layout = Layout()
+        self._supply: float | None = None
+        self._pierced: set[int] = set()
+        self._session: Session | None = None
+        self._next = show.options
+
+    @messages.handler
+    @guarded
+    def on_build_gui(self, _: messages.BuildGuiEvent) -> None:
+        show, moment = self.show, self.show.moment()
+        if show.session is not self._session:  # another world
+            self._session, self._pierced, self._next = show.session, set(), show.options
+        self._layout.begin(imgui.GetIO().DisplaySize)
+        self._layout.place(8, 0, LEFT, ABOVE_LOOK)
+        if imgui.Begin("Session")[0]:
+            self._build_state(moment)
+            self._build_buttons()
+            if show.session is not None:
+                self._build_valves(show.session)
+                if moment is not None and moment.session is not None:
+                    self._build_hand(show.session, moment)
+            self._build_next()
+        imgui.End()
+
+    def _build_state(self, moment: Moment | None) -> None:
+        show = self.show
+        if moment is None or moment.session is None:
+            imgui.TextUnformatted("references are being taken" if not show.outcome else "")
+        else:
+            state = moment.session
+            imgui.TextUnformatted(f"t = {moment.time:.2f} s   {state.phase}   {state.state}")
+            imgui.TextUnformatted(f"opening {1e3 * state.opening:.1f} mm   lift {1e3 * state.lift_height:.1f} mm")
+            if state.reason and state.state not in ("armed", "running"):
+                imgui.TextWrapped(state.reason)
+        imgui.TextWrapped(show.outcome or show.message)
+
+    def _build_buttons(self) -> None:
+        show = self.show
+        imgui.PushStyleColor(int(imgui.Col.Button), RED)
+        imgui.PushStyleColor(int(imgui.Col.Text), _WHITE)
+        if imgui.Button("make it safe", imgui.Vec2(-1, 30)):
+            show.halt()
+        imgui.PopStyleColor(2)
+        if show.may_pause:
+            if imgui.Button("go on###pause" if show.paused else "pause###pause"):
+                show.paused = not show.paused
+            imgui.SameLine()
+            if imgui.Button("one cycle"):
+                show.step()
+            imgui.SameLine()
+        if imgui.Button("again"):
+            show.again(replace(show.options, seed=show.options.seed + 1))
+
+    def _build_valves(self, session: Session) -> None:
+        if not session.rig.valves or not imgui.CollapsingHeader("valves", _OPEN):
+            return
+        if self._supply is None:
+            self._supply = 1e-3 * session.rig.fingers[0].design.chamber.supply_gauge
+        changed, supply = imgui.SliderFloat("supply, kPa", self._supply, *_SUPPLY, "%.2f")
+        self._supply = float(supply)
+        if changed:
+            self._ask(_supply_open_valves, 1e3 * self._supply)
+        if imgui.Button("open valves"):
+            self._ask(_open_valves, 1e3 * self._supply)
+        imgui.SameLine()
+        if imgui.Button("close valves"):
+            self._ask(_close_valves)
+        if session.rig.scene is not None:
+            self._build_holes(session)
+
+    def _build_holes(self, session: Session) -> None:
+        for k, finger in enumerate(session.rig.fingers):
+            if k:
+                imgui.SameLine()
+            changed, pierced = imgui.Checkbox(f"puncture {finger.name}", k in self._pierced)
+            if changed:
+                self._pierced ^= {k}
+                self._ask(_puncture, k, _HOLE if pierced else 0.0)
+
+    def _build_hand(self, session: Session, moment: Moment) -> None:
+        """Jaws and lift by hand: sliders in place of the controller."""
+        if not imgui.CollapsingHeader("by hand"):
+            return
+        show, state, limits = self.show, moment.session, session.rig.limits
+        assert state is not None
+        wish = show.wish
+        changed, on = imgui.Checkbox("in place of the controller", wish is not None)
+        if changed:
+            show.wish = Wish(state.opening, state.lift_height) if on else None
+        if wish is None or not on:
+            return
+        most = min(limits.opening[1], 0.1), min(limits.lift[1], 0.1)
+        squeezes = math.isfinite(wish.force)
+        imgui.BeginDisabled(squeezes)
+        _, opening = imgui.SliderFloat("opening, mm", 1e3 * wish.opening, 1e3 * limits.opening[0], 1e3 * most[0], "%.1f")
+        imgui.EndDisabled()
+        _, lift = imgui.SliderFloat("lift, mm", 1e3 * wish.lift_height, 0.0, 1e3 * most[1], "%.1f")
+        changed, squeezes = imgui.Checkbox("squeeze as hard as", squeezes)
+        force = (0.5 if changed else wish.force) if squeezes else math.nan
+        if squeezes:
+            _, force = imgui.SliderFloat("felt, N", force, *_SQUEEZE, "%.2f")
+        if changed and not squeezes:
+            opening = 1e3 * state.opening
+        now = Wish(1e-3 * opening, 1e-3 * lift, force)
+        if now != wish:
+            show.wish = now
+
+    def _build_next(self) -> None:
+        """Another object, seed, accuracy, and other effects: a world is built anew for them."""
+        if not imgui.CollapsingHeader("another run"):
+            return
+        now = self._next
+        if self.show.session is None or self.show.session.rig.scene is not None:
+            now = replace(now, object=_choice("object", now.object, resources.names("models/objects", ".xml")),
+                          accuracy=_choice("accuracy", now.accuracy, _ACCURACIES, "as usual"))
+        _, number = imgui.InputInt("seed", now.seed)
+        self._next = replace(now, seed=max(int(number), 0))
+        if imgui.Button("start"):
+            self.show.again(self._next)
+        if now.rig == "sim" and imgui.TreeNode("effects"):
+            self._build_effects()
+            imgui.TreePop()
+
+    def _build_effects(self) -> None:
+        """Which are on for that object and accuracy, and what each costs; a click forces it to be otherwise."""
+        now = self._next
+        for name, on, text, why in _effects(now.sensor, now.object, now.accuracy, now.effects):
+            changed, _ = imgui.Checkbox(f"{name}###{name}", on)
+            imgui.SetItemTooltip(why)
+            imgui.SameLine()
+            imgui.TextDisabled(text)
+            if changed:
+                wanted = toggled(now.effects, name, not on)
+                try:
+                    _effects(now.sensor, now.object, now.accuracy, wanted)
+                except MjtactileError as error:
+                    self.complain(str(error))
+                else:
+                    self._next = replace(now, effects=wanted)
+
+    def _ask(self, task: Callable[..., None], *arguments: Any) -> None:
+        self.show.ask(lambda session: task(session, *arguments))
+
+
+def toggled(overrides: str, name: str, on: bool) -> str:
+    """`overrides` ("auto" or "+a,-b") with an effect forced, or no longer forced where it was to the contrary."""
+    parts = {part.strip()[1:]: part.strip()[0] for part in overrides.split(",") if overrides.strip() not in ("", "auto")}
+    if name in parts:
+        del parts[name]
+    else:
+        parts[name] = "+" if on else "-"
+    return ",".join(sign + effect for effect, sign in parts.items()) or "auto"
+
+
+@functools.lru_cache(maxsize=32)
+def _effects(sensor: str, object_name: str, accuracy: str, overrides: str) -> tuple[tuple[str, bool, str, str], ...]:
+    """Name, whether it is on, its price and what leaving it out costs, and why, of each that can be switched."""
+    _, _, rows = effects_of(load_sensor(sensor), object_name, accuracy, overrides)
+    return tuple((str(row["effect"]), bool(row["on"]), _price(row), str(row["why"])) for row in rows if row["built"])
+
+
+def _price(row: dict[str, Any]) -> str:
+    cost, force = row["cost_ms_per_s"], 1e3 * row["left_out_N"]
+    return "" if math.isnan(cost) else f"{cost:.0f} ms/s" + ("" if math.isnan(force) else f", else {force:.2g} mN")
+
+
+def _choice(label: str, now: str, choices: Any, nothing: str = "") -> str:
+    """One of `choices`, or what it is now."""
+    all_ = [*choices] if now in choices else [now, *choices]
+    _, chosen = imgui.Combo(label, all_.index(now), [text or nothing for text in all_])
+    return all_[chosen]
+
+
+def _open_valves(session: Session, gauge: float) -> None:
+    for valve in session.rig.valves:
+        valve.open(gauge)
+
+
+def _supply_open_valves(session: Session, gauge: float) -> None:
+    for valve in session.rig.valves:
+        if valve.state().is_open:
+            valve.open(gauge)
+
+
+def _close_valves(session: Session) -> None:
+    for valve in session.rig.valves:
+        valve.close()
+
+
+def _puncture(session: Session, finger: int, conductance: float) -> None:
+    session.rig.scene.sensors[finger].puncture(conductance)

@@ -1,0 +1,83 @@
+"""`Mirror`, on Studio's simulation thread: Studio's scene is the session's, and what the mouse pulls at is pulled there."""
+
+from __future__ import annotations
+
+import copy
+import time as wall
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco.studio import messages, plugin
+
+from mjtactile.studio.guard import guarded
+from mjtactile.studio.moment import Felt, Moment
+from mjtactile.studio.show import Show
+
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+_STILL = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT
+_AROUND, _BELOW = 0.2, 0.25  # m that are shown, and the share of them that the fingers are above the middle
+_HELD = 0.5  # s; a page that says nothing for so long pulls no longer
+_STAGE = """
+<mujoco model="no scene"><statistic center="0 0 0.01" extent="0.09"/>
+  <visual><headlight diffuse="0.7 0.7 0.7" ambient="0.3 0.3 0.3"/></visual>
+  <worldbody><light pos="0 -0.5 1"/></worldbody></mujoco>"""
+
+
+def shown_model(model: mujoco.MjModel, fingers: Sequence[Felt]) -> mujoco.MjModel:
+    """A copy for pictures: where things are is in the state, so that the viewer, which computes each of its frames anew, need
+    find no contacts; what they would push with is not theirs to know, since our contacts' numbers change from step to step."""
+    shown = copy.copy(model)
+    shown.opt.disableflags |= int(_STILL)
+    middle = np.mean([felt.pose.p_WS for felt in fingers if felt.pose is not None], axis=0)
+    shown.stat.center, shown.stat.extent = middle - [0.0, 0.0, _BELOW * _AROUND], _AROUND  # where the camera looks at first
+    return shown
+
+
+class Mirror(plugin.SimPlugin):
+    """Takes the session's state over. Where there is no scene, Studio's is empty but for the membranes that are felt."""
+
+    def __init__(self, show: Show):
+        self.show = show
+        self.complain = show.message_
+        self._moment: Moment | None = None
+        self._model: Any = None
+        self._pulled = 0.0
+
+    def follow(self) -> bool:
+        """Publish the session's model where it is a new one; Studio steps nothing without a model. For the loop around `sync`.
+        Returns whether there is something new to be shown."""
+        moment = self.show.moment()
+        if moment is None:
+            return False
+        model = None if moment.scene is None else moment.scene[0]
+        if self.handle.model is None or model is not self._model:
+            self._model = model
+            self.handle.set_model(mujoco.MjModel.from_xml_string(_STAGE) if model is None else
+                                  shown_model(model, moment.fingers))
+        return moment is not self._moment
+
+    @messages.handler(priority=messages.Priority.USER)
+    def on_load(self, _: messages.LoadModelEvent) -> bool:
+        """A model that is dropped on the page, or "Reload": the scene is the session's."""
+        self.complain("the scene is the session's: choose an object under \"another run\"")
+        return True
+
+    @messages.handler(priority=messages.Priority.USER)
+    def on_pull(self, _: messages.PerturbSnapshot) -> None:
+        self._pulled = wall.monotonic()
+
+    @messages.handler(priority=messages.Priority.USER)
+    @guarded
+    def on_step(self, _: messages.StepEvent) -> bool:
+        moment = self.show.moment()
+        model, data = self.handle.model, self.handle.data
+        if moment is not None and moment is not self._moment and moment.scene is not None and moment.scene[0] is self._model:
+            assert model is not None and data is not None  # it was published
+            pull = data.xfrc_applied.copy() if wall.monotonic() - self._pulled < _HELD else np.zeros_like(data.xfrc_applied)
+            mujoco.mj_setState(model, data, moment.scene[1], _STATE)
+            data.xfrc_applied[:] = pull
+            self.show.pull = pull
+        self._moment = moment
+        return True

@@ -1,0 +1,125 @@
+"""Sensors in somebody's own scene, for their own Studio: `OwnFingers` reads them, `Sensors` puts them there and steps them."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time as wall
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import mujoco
+from mujoco.studio import messages, plugin
+
+from mjtactile.plugin.mount import Mount, attach
+from mjtactile.plugin.sim_finger import SimFinger, step
+from mjtactile.sim.attach import recommend_options
+from mjtactile.studio.guard import guarded
+from mjtactile.studio.moment import Felt, History, Moment
+
+_BEHIND = 0.1  # s; more than this is not made up for
+_IDLE = 1e-3  # s of sleep, so that the viewer's thread gets its turn
+
+
+class OwnFingers:
+    """A source of moments: the newest image and touch of each finger, which another thread steps."""
+
+    def __init__(self, fingers: Sequence[SimFinger]):
+        self._fingers = fingers
+        self.history = History()
+        self._latest: Moment | None = None
+        self._seen: tuple[object, ...] = ()
+
+    def moment(self) -> Moment | None:
+        fingers = tuple(self._fingers)
+        seen = tuple(finger.seen for finger in fingers)
+        if not seen:
+            return None
+        if any(a is not b for a, b in zip(seen, self._seen, strict=False)) or len(seen) != len(self._seen):
+            number = 0 if self._latest is None else self._latest.number + 1
+            self._seen = seen
+            self._latest = Moment(number, max(one.image.time for one in seen), tuple(
+                Felt(finger.name, one.image, one.touch, finger.design, one.rest, pressure_gauge=one.pressure_gauge,
+                     temperature=one.temperature, body=finger.sensor.body_id) for finger, one in zip(fingers, seen, strict=True)))
+            self.history.add(self._latest)
+        return self._latest
+
+
+class Sensors(plugin.SimPlugin):
+    """Sensors at sites of whatever model Studio loads, stepped by the clock. Derive from it, and say which:
+
+        class Tips(mjtactile.studio.Sensors):
+            sites = {"left_tip": "dense", "right_tip": "dense"}
+
+    It steps in place of Studio's own `StepControl`, whose pause and single steps it heeds.
+    """
+
+    sites: ClassVar[Mapping[str, str]] = {}
+    """Name of a site to sensor (a shipped name or a file)."""
+    fingers: ClassVar[list[SimFinger]]
+
+    def __init_subclass__(cls) -> None:
+        cls.fingers = []
+
+    def __init__(self) -> None:
+        self._paused, self._single = False, False
+        self._pace: tuple[float, float] | None = None
+        self._time = 0.0
+
+    def complain(self, text: str) -> None:
+        """Into Studio's console; and time stands."""
+        logging.getLogger("mjtactile").error(text)
+        self._paused = True
+
+    @messages.handler(priority=messages.Priority.USER)
+    @guarded
+    def on_load_model(self, event: messages.LoadModelEvent) -> bool:
+        """Load it, attach the sensors, and let them take their references."""
+        if not event.path:
+            return False
+        spec = mujoco.MjSpec.from_file(event.path)
+        recommend_options(spec)
+        mounts: list[Mount] = [attach(spec, sensor, site=site, prefix=f"{site}/") for site, sensor in self.sites.items()]
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        self.fingers[:] = [mount.bind(model, data) for mount in mounts]
+        self._pace = None
+        self.handle.set_model(model, path=event.path, data=data)
+        return True
+
+    @messages.handler(priority=messages.Priority.USER)
+    def on_step_control(self, event: messages.StepControlSnapshot) -> None:
+        self._paused = event.pause_state != type(event.pause_state).UNPAUSED
+
+    @messages.handler(priority=messages.Priority.USER)
+    def on_single_step(self, _: messages.SingleStepEvent) -> None:
+        self._single = True
+
+    @messages.handler(priority=messages.Priority.USER)
+    @guarded
+    def on_step(self, event: messages.StepEvent) -> bool:
+        """As many steps as the clock asks for."""
+        wall.sleep(_IDLE)
+        model, data = event.model, event.data
+        if not self.fingers or not self.fingers[0].belongs_to(data):
+            return False
+        if data.time < self._time:  # reset, or an older state was loaded
+            for finger in self.fingers:
+                finger.reset()
+            self._pace = None
+        if self._paused and not self._single:
+            self._pace = None
+            return True
+        now, count = wall.monotonic(), 1
+        if self._pace is None or self._single:
+            self._pace = (now, float(data.time))
+        else:
+            ahead = self._pace[1] + (now - self._pace[0]) - float(data.time)
+            if ahead > _BEHIND:
+                self._pace = (now, float(data.time))
+            count = math.floor(min(ahead, _BEHIND) / model.opt.timestep)
+        self._single = False
+        step(model, data, self.fingers, max(count, 0))
+        self._time = float(data.time)
+        return True

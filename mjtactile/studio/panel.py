@@ -1,0 +1,193 @@
+"""`Panel`: what is felt, in Studio's window. For any source of moments: a session, or sensors in somebody's own scene."""
+
+from __future__ import annotations
+
+import time as wall
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+from mujoco.studio import messages, plugin
+from mujoco.studio.dear_imgui import dear_imgui as imgui
+from numpy.typing import NDArray
+
+from mjtactile.core.types import Ellipses
+from mjtactile.run.overlay import find_ellipses, with_ellipses
+from mjtactile.studio import marks, plots, surface
+from mjtactile.studio.guard import guarded
+from mjtactile.studio.layout import LEFT, LOOK, RED, Layout
+from mjtactile.studio.moment import Felt, History, Moment, Pose, finger_lines
+from mjtactile.studio.own import OwnFingers
+
+_GEOMS = 1024  # that travel to the browser at most (mujoco.studio.web.state_payload.MAX_EXTRA_GEOMS)
+_LEAST = 0.04  # of the colours' scale
+_RATE = 15.0  # pictures a second: textures travel to the browser
+_IMAGE, _DETAIL = (320, 240), 2  # px that travel; drawn so many times larger, so that ellipses are smooth
+_WIDTH = 170.0  # px of a picture as it is shown
+_NEAR = 12.0  # px of the image around an ellipse, within which the mouse is on it
+_FINGER = (364, 294)  # px, a finger's window
+_CURVES = 250  # px, the height of the curves
+
+
+class Source(Protocol):
+    """Where moments come from."""
+
+    history: History
+
+    def moment(self) -> Moment | None: ...
+
+
+class Panel(plugin.ViewerPlugin):
+    """A window a finger, one with plots, one with what is drawn into the scene.
+
+    `fingers` are sensors in a scene of yours (`mjtactile.attach(...).bind(...)`), in a list that may be filled later, or
+    another source of moments.
+    """
+
+    def __init__(self, fingers: Sequence[Any] | Source):
+        self.source: Source = OwnFingers(fingers) if isinstance(fingers, Sequence) else fingers
+        self.look = marks.Look()
+        self._layout = Layout()
+        self.error = ""
+        self._brush, self._mine = marks.Brush(), []
+        self._marked: tuple[Any, ...] = ()
+        self._textures: dict[tuple[int, str], int] = {}
+        self._shapes: dict[tuple[int, str], float] = {}  # height over width
+        self._ellipses: dict[int, Ellipses] = {}
+        self._pictured: tuple[Any, ...] = ()
+        self._when, self._scale = 0.0, ""
+
+    def complain(self, text: str) -> None:
+        """Show what a handler raised."""
+        self.error = text
+
+    @messages.handler
+    @guarded
+    def on_update(self, _: messages.UpdateEvent) -> None:
+        moment = self.source.moment()
+        if moment is None:
+            return
+        fingers = self._placed(moment.fingers)
+        if (moment, self.look) != self._marked or not self._mine:
+            self._marked, before = (moment, self.look), self._mine
+            marks.draw(self._brush, fingers, self.look, least=_LEAST if self._has_membranes(moment) else 0.0)
+            self._mine = self._brush.drawn
+            marks.keep(self.viewer.extra_geoms, before, self._mine, _GEOMS)
+        if (moment, self.look.surface) != self._pictured and wall.monotonic() - self._when > 1 / _RATE:
+            self._pictured, self._when = (moment, self.look.surface), wall.monotonic()
+            self._make_pictures(fingers)
+
+    @messages.handler
+    def on_model(self, _: messages.PostModelEvent) -> None:
+        self._mine, self._marked = [], ()  # the viewer has forgotten them
+
+    @staticmethod
+    def _has_membranes(moment: Moment) -> bool:
+        """Whether the scene has them itself: then only what is pushed in is coloured."""
+        return moment.scene is not None or any(felt.body is not None for felt in moment.fingers)
+
+    def _placed(self, fingers: Sequence[Felt]) -> tuple[Felt, ...]:
+        """With their poses in the viewer's scene, where only the body is known."""
+        data = self.viewer.data
+        return tuple(felt if felt.body is None or felt.body >= len(data.xpos) else
+                     replace(felt, pose=Pose(data.xpos[felt.body].copy(), data.xmat[felt.body].reshape(3, 3).copy()))
+                     for felt in fingers)
+
+    def _make_pictures(self, fingers: Sequence[Felt]) -> None:
+        """Each camera's image with its ellipses, and each membrane."""
+        kind = "indentation" if self.look.surface == "none" else self.look.surface
+        fields = [surface.field_of(felt, kind) for felt in fingers]
+        scale = surface.scale_of(fields)
+        self._scale = surface.scale_text(kind, scale)
+        for k, (felt, field) in enumerate(zip(fingers, fields, strict=True)):
+            self._ellipses[k] = find_ellipses(felt.image)
+            seen = with_ellipses(felt.image, _DETAIL * _IMAGE[0], self._ellipses[k])
+            height = round(seen.shape[0] / _DETAIL)
+            self._upload(k, "image", cv2.cvtColor(cv2.resize(seen, (_IMAGE[0], height), interpolation=cv2.INTER_AREA),
+                                                  cv2.COLOR_BGR2RGB))
+            if field is not None:
+                ratio = (field.y[-1] - field.y[0]) / (field.x[-1] - field.x[0])
+                self._upload(k, "membrane", surface.picture(felt, field, scale, (_IMAGE[0], round(ratio * _IMAGE[0]))))
+
+    def _upload(self, k: int, what: str, rgb: NDArray[np.uint8]) -> None:
+        height, width = rgb.shape[:2]
+        self._textures[k, what] = self.viewer.upload_image(self._textures.get((k, what), 0), rgb.tobytes(), width, height, 3)
+        self._shapes[k, what] = height / width
+
+    @messages.handler
+    @guarded
+    def on_build_gui(self, _: messages.BuildGuiEvent) -> None:
+        moment = self.source.moment()
+        self._layout.begin(imgui.GetIO().DisplaySize)
+        self._build_look()
+        if moment is None:
+            return
+        for k, felt in enumerate(moment.fingers):
+            self._build_finger(felt, k, float("nan") if moment.session is None else moment.session.perception_ms)
+        self._layout.place(LEFT + 14, -_CURVES, -(LEFT + _FINGER[0] + 32), _CURVES)
+        if imgui.Begin("Curves")[0]:
+            plots.build(self.source.history.curves(), [felt.name for felt in moment.fingers])
+        imgui.End()
+
+    def _build_look(self) -> None:
+        """What is drawn into the scene."""
+        self._layout.place(8, -LOOK, LEFT, LOOK)
+        if imgui.Begin("Touch in the scene")[0]:
+            look = self.look
+            choices = ["none", *surface.KINDS]
+            _, chosen = imgui.Combo("membranes", choices.index(look.surface), choices)
+            forces, contacts, field, camera = (
+                imgui.Checkbox(text, value)[1] for text, value in (
+                    ("net force", look.forces), ("outlines, centre of pressure", look.contacts),
+                    ("forces by place", look.field), ("what the cameras see", look.camera)))
+            self.look = marks.Look(choices[chosen], forces, field, contacts, camera)
+            imgui.TextUnformatted(self._scale)
+            if self.error:
+                imgui.TextColored(RED, self.error)
+        imgui.End()
+
+    def _build_finger(self, felt: Felt, k: int, perception_ms: float) -> None:
+        self._layout.place(-_FINGER[0] - 8, (_FINGER[1] + 4) * k, *_FINGER)
+        if imgui.Begin(f"Finger {felt.name}")[0]:
+            self._build_picture(k, "image")
+            self._tell_of_ellipse(k, felt)
+            imgui.SameLine()
+            self._build_picture(k, "membrane")
+            for line in finger_lines(felt, perception_ms):
+                imgui.TextUnformatted(line)
+            if flagged := flagged_text(self._ellipses.get(k)):
+                imgui.TextUnformatted(flagged)
+            if felt.touch.status != "ok":
+                imgui.TextColored(RED, str(felt.touch.status))
+        imgui.End()
+
+    def _build_picture(self, k: int, what: str) -> None:
+        if (k, what) in self._textures:
+            imgui.Image(self._textures[k, what], imgui.Vec2(_WIDTH, _WIDTH * self._shapes[k, what]))
+
+    def _tell_of_ellipse(self, k: int, felt: Felt) -> None:
+        """A tooltip: what is said of the ellipse under the mouse."""
+        ellipses = self._ellipses.get(k)
+        if ellipses is None or not len(ellipses) or not imgui.IsItemHovered():
+            return
+        corner, mouse = imgui.GetItemRectMin(), imgui.GetMousePos()
+        scale = (felt.image.pixels.shape[1] or 640) / _WIDTH
+        at = scale * np.array([mouse.x - corner.x, mouse.y - corner.y])
+        away = np.linalg.norm(ellipses.center_px - at, axis=1) - ellipses.semi_axes_px[:, 0]
+        near = int(away.argmin())
+        if away[near] < _NEAR:
+            a, b = ellipses.semi_axes_px[near]
+            imgui.SetTooltip(f"{ellipses.status[near]}\nsemi-axes {a:.1f} x {b:.1f} px")
+
+
+def flagged_text(ellipses: Ellipses | None) -> str:
+    """How many ellipses are not trusted, and why; "" for none."""
+    if ellipses is None or not len(ellipses):
+        return ""
+    reasons, counts = np.unique(ellipses.status[ellipses.status != "ok"], return_counts=True)
+    if not len(reasons):
+        return ""
+    return f"{counts.sum()} of {len(ellipses)} not trusted: " + ", ".join(
+        f"{reason}" if count == 1 else f"{reason} ({count})" for reason, count in zip(reasons, counts, strict=True))

@@ -1,0 +1,145 @@
+"""The felt membrane: how far each place of it is pushed in, or how hard, as colours: in a picture, and on triangles."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core.types import Array, Touch
+from mjtactile.studio.moment import Felt
+
+KINDS = ("indentation", "traction")
+_LEAST = {"indentation": 1e-3, "traction": 1e3}  # m, Pa: the scale's end while less is felt
+_UNITS = {"indentation": (1e3, "mm"), "traction": (1e-3, "kPa")}
+_MAP = cv2.COLORMAP_VIRIDIS
+_WHITE, _RED, _INK = (255, 255, 255), (235, 60, 50), (30, 30, 30)
+_GRID = (13, 11)  # nodes of the surface in the scene along x and y: 240 triangles
+_PER_NEWTON = 90.0  # px of the picture's shear arrow
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """A value at each node (ny, nx) of a membrane: `kind` is one of KINDS, in m or Pa; `x` (nx,), `y` (ny,) m in S."""
+
+    kind: str
+    x: Array
+    y: Array
+    values: Array
+
+
+def field_of(felt: Felt, kind: str) -> Field | None:
+    """None where it is not known: no rest shape, no surface."""
+    touch, rest = felt.touch, felt.rest
+    if kind == "indentation":
+        if touch.surface is None or rest is None or rest.z.shape != touch.surface.z.shape:
+            return None
+        return Field(kind, rest.x, rest.y, rest.z - touch.surface.z)
+    if touch.traction is None:
+        return None
+    t = touch.traction
+    return Field(kind, t.x, t.y, -t.force[:, :, 2] / np.outer(_widths(t.y), _widths(t.x)))
+
+
+def _widths(x: Array) -> Array:
+    """What each node stands for, m."""
+    return np.convolve(np.diff(x), [0.5, 0.5]) if len(x) > 1 else np.ones(1)
+
+
+def scale_of(fields: Sequence[Field | None]) -> float:
+    """Where the colours end: the same for all fingers, so that they can be compared."""
+    known = [float(np.nanmax(f.values)) for f in fields if f is not None and np.isfinite(f.values).any()]
+    return max([_LEAST[f.kind] for f in fields if f is not None] + known, default=1.0)
+
+
+def scale_text(kind: str, scale: float) -> str:
+    factor, unit = _UNITS[kind]
+    return f"{kind}: 0 (dark) to {factor * scale:.2g} {unit} (yellow)"
+
+
+def centre_of_pressure(touch: Touch) -> Array | None:
+    """Where (2,) m in S the normal force has its middle; None without one."""
+    if touch.traction is None or not touch.touching:
+        return None
+    weight = np.maximum(-touch.traction.force[:, :, 2], 0.0)
+    total = float(weight.sum())
+    if not total > 0:
+        return None
+    return np.array([weight.sum(axis=0) @ touch.traction.x, weight.sum(axis=1) @ touch.traction.y]) / total
+
+
+def at(field: Field, x: Array, y: Array) -> Array:
+    """The field at other nodes, (len(y), len(x)), linear between its own."""
+    columns = np.interp(x, field.x, np.arange(len(field.x)), left=0.0)
+    rows = np.interp(y, field.y, np.arange(len(field.y)), left=0.0)
+    over_x, over_y = np.meshgrid(columns.astype(np.float32), rows.astype(np.float32))
+    return cv2.remap(np.nan_to_num(field.values).astype(np.float32), over_x, over_y, cv2.INTER_LINEAR).astype(float)
+
+
+def colours(values: Array, scale: float) -> NDArray[np.uint8]:
+    """Red, green, blue (..., 3)."""
+    if not values.size:
+        return np.zeros((*values.shape, 3), np.uint8)
+    levels = np.clip(255 * np.maximum(values, 0.0) / scale, 0, 255).astype(np.uint8)
+    flat = cv2.applyColorMap(levels.reshape(-1, 1), _MAP)[:, 0, ::-1]
+    return np.ascontiguousarray(flat).reshape(*levels.shape, 3)
+
+
+def picture(felt: Felt, field: Field, scale: float, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """The membrane as its camera sees it (x right, y down), red, green, blue (h, w, 3): colours, outlines of what touches, the
+    centre of pressure, and how it is dragged."""
+    width, height = size
+    x, y = np.linspace(field.x[0], field.x[-1], width), np.linspace(field.y[0], field.y[-1], height)
+    rgb = colours(at(field, x, y), scale)
+
+    def pixels(p: Array) -> NDArray[np.int32]:
+        share = (p - [field.x[0], field.y[0]]) / [field.x[-1] - field.x[0], field.y[-1] - field.y[0]]
+        return np.round(16 * share * [width - 1, height - 1]).astype(np.int32)
+
+    for patch in felt.touch.patches:
+        if len(patch.outline):
+            cv2.polylines(rgb, [pixels(patch.outline)], True, _WHITE, 1, cv2.LINE_AA, shift=4)
+    centre = centre_of_pressure(felt.touch)
+    if centre is not None and felt.touch.traction is not None:
+        middle = pixels(centre)
+        drag = np.round(middle + 16 * _PER_NEWTON * felt.touch.traction.wrench[:2]).astype(np.int32)
+        cv2.circle(rgb, tuple(map(int, middle)), 16 * 3, _RED, -1, cv2.LINE_AA, shift=4)
+        if math.hypot(*(drag - middle)) > 16 * 4:
+            cv2.arrowedLine(rgb, tuple(map(int, middle)), tuple(map(int, drag)), _RED, 2, cv2.LINE_AA, 4, 0.25)
+    return rgb
+
+
+def sheet(felt: Felt, field: Field, scale: float, *, least: float = 0.0) -> tuple[Array, Array] | None:
+    """Triangles of the felt surface: corners (m, 3, 3) m in S, and colours (m, 3) from 0 to 1; None without a surface. Only
+    those where the field is `least` of its scale, if that is not 0."""
+    surface = felt.touch.surface
+    if surface is None:
+        return None
+    nx, ny = _GRID
+    x, y = np.linspace(surface.x[0], surface.x[-1], nx), np.linspace(surface.y[0], surface.y[-1], ny)
+    z, values = at(Field("", surface.x, surface.y, surface.z), x, y), at(field, x, y)
+    corners = triangles(np.dstack([*np.meshgrid(x, y), z]))
+    level = triangles(values[:, :, None])[:, :, 0].mean(axis=1)
+    some = level > least * scale if least else np.ones(len(level), bool)
+    return corners[some], colours(level[some], scale) / 255
+
+
+def triangles(nodes: Array) -> Array:
+    """(ny, nx, d) at the nodes of a grid to (m, 3, d) at the corners of its triangles, counter-clockwise seen from +z."""
+    a, b, c, d = nodes[:-1, :-1], nodes[:-1, 1:], nodes[1:, 1:], nodes[1:, :-1]
+    return np.stack([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)], axis=2).reshape(-1, 3, nodes.shape[-1])
+
+
+def height_at(touch: Touch, p_S: Array) -> Array:
+    """Points (k, 3) m in S on the felt surface over `p_S` (k, 2)."""
+    if touch.surface is None:
+        return np.column_stack([p_S, np.zeros(len(p_S))])
+    s = touch.surface
+    columns = np.interp(p_S[:, 0], s.x, np.arange(len(s.x))).astype(np.float32)
+    rows = np.interp(p_S[:, 1], s.y, np.arange(len(s.y))).astype(np.float32)
+    z = cv2.remap(s.z.astype(np.float32), columns[:, None], rows[:, None], cv2.INTER_LINEAR)[:, 0]
+    return np.column_stack([p_S, z])

@@ -1,0 +1,140 @@
+"""A recording in Studio: felt again as fast as it goes, and looked at where one likes."""
+
+from __future__ import annotations
+
+import bisect
+import math
+import threading
+import time as wall
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from mujoco.studio import messages, plugin
+from mujoco.studio.dear_imgui import dear_imgui as imgui
+
+from mjtactile.core.types import Image
+from mjtactile.recording.reader import Recording
+from mjtactile.run.grasp import GraspOptions
+from mjtactile.run.loop import Cycle
+from mjtactile.studio.guard import guarded
+from mjtactile.studio.layout import ABOVE_LOOK, LEFT, Layout
+from mjtactile.studio.moment import Curves, History, Moment
+from mjtactile.studio.show import Gas, Show, moment_of
+
+
+class Tape(Show):
+    """Shows what was felt at the time `at`, s from the first cycle, which goes with the clock while `playing`."""
+
+    def __init__(self, options: GraspOptions, recording: Recording, say: Callable[[str], None] = lambda _: None):
+        super().__init__(options, say)
+        self.recording = recording
+        self.history = TapeHistory(self)
+        self._moments: list[Moment] = []
+        self._times: list[float] = []
+        self._true = recording.column("force_normal_true")
+        self._lock = threading.Lock()
+        self._from, self._since = 0.0, wall.monotonic()
+        self._playing = True
+        self._shown: Moment | None = None
+
+    # what the session's thread calls
+
+    def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
+        """Keep a cycle without its images: the recording has them."""
+        number = len(self._moments)
+        true = {"force_normal_true": self._true[number].tolist()} if number < len(self._true) else {}
+        moment = moment_of(cycle, self.session, view, true, Gas(), number)
+        self.history.add(moment)
+        if not self._times:
+            self.at = 0.0
+        self._moments.append(replace(moment, fingers=tuple(replace(felt, image=_NOTHING) for felt in moment.fingers)))
+        self._times.append(moment.time)
+        self.latest = moment
+        self._leave()
+
+    # what the viewer's thread calls
+
+    @property
+    def length(self) -> float:
+        """s that have been felt so far."""
+        return self._times[-1] - self._times[0] if self._times else 0.0
+
+    @property
+    def at(self) -> float:
+        """s from the first cycle."""
+        gone = wall.monotonic() - self._since if self._playing else 0.0
+        return min(self._from + gone, self.length)
+
+    @at.setter
+    def at(self, time: float) -> None:
+        self._from, self._since = time, wall.monotonic()
+
+    @property
+    def playing(self) -> bool:
+        return self._playing
+
+    @playing.setter
+    def playing(self, playing: bool) -> None:
+        self.at = 0.0 if playing and self.at >= self.length else self.at
+        self._playing = playing
+
+    def moment(self) -> Moment | None:
+        """What was felt then, with its images from the disk."""
+        with self._lock:
+            if not self._times:
+                return None
+            number = max(bisect.bisect_right(self._times, self._times[0] + self.at + 1e-9) - 1, 0)
+            if self._shown is None or self._shown.number != number:
+                moment, images = self._moments[number], self.recording.images_of(number)
+                fingers = (replace(felt, image=image) for felt, image in zip(moment.fingers, images, strict=True))
+                self._shown = replace(moment, fingers=tuple(fingers))
+            return self._shown
+
+
+class TapeHistory(History):
+    """All of a recording, and where it is looked at."""
+
+    def __init__(self, tape: Tape):
+        super().__init__(seconds=math.inf)
+        self._tape = tape
+
+    def curves(self) -> Curves | None:
+        found = super().curves()
+        return None if found is None else replace(found, now=found.time[0] + self._tape.at)
+
+
+class Deck(plugin.ViewerPlugin):
+    """The window from which a recording is played."""
+
+    def __init__(self, tape: Tape):
+        self.tape = tape
+        self.complain = tape.message_
+        self._layout = Layout()
+
+    @messages.handler
+    @guarded
+    def on_build_gui(self, _: messages.BuildGuiEvent) -> None:
+        tape = self.tape
+        self._layout.begin(imgui.GetIO().DisplaySize)
+        self._layout.place(8, 0, LEFT, ABOVE_LOOK)
+        if imgui.Begin("Recording")[0]:
+            imgui.TextWrapped(str(tape.recording.folder))
+            moment = tape.moment()
+            if moment is not None and moment.session is not None:
+                imgui.TextUnformatted(f"t = {moment.time:.2f} s   {moment.session.phase}   {moment.session.state}")
+            if imgui.Button("stop###play" if tape.playing else "play###play"):
+                tape.playing = not tape.playing
+            imgui.SameLine()
+            imgui.SetNextItemWidth(-1)
+            changed, at = imgui.SliderFloat("##at", tape.at, 0.0, max(tape.length, 1e-3), "%.2f s")
+            if changed:
+                tape.playing = False
+                tape.at = at
+            felt = f"{len(tape.history.rows)} of {len(tape.recording)} cycles felt"
+            imgui.TextUnformatted(felt if len(tape.history.rows) < len(tape.recording) else "")
+            imgui.TextWrapped(tape.outcome or tape.message)
+        imgui.End()
+
+
+_NOTHING = Image([[0]])  # pyright: ignore[reportArgumentType]

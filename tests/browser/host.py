@@ -1,0 +1,99 @@
+"""`mjtactile studio`, watched from within: for each line that it is sent it prints one of JSON, which says where each widget
+was in the last frame (px), what was written, under which the mouse was, and what the session has."""
+
+import json
+import sys
+import threading
+
+import mujoco
+from mujoco.studio import messages, plugin
+
+from mjtactile import cli
+from mjtactile.studio import desk, panel, serve, tape
+
+_TEXTS = {"TextUnformatted": 0, "TextColored": 1, "TextWrapped": 0}
+_WIDGETS = {"Button", "Checkbox", "Combo", "Image", "SliderFloat", "InputInt", "CollapsingHeader"}
+_WHOLE = panel.finger_lines
+MODULES = (panel, desk, tape)
+frame = {"places": {}, "values": {}, "said": [], "felt": [], "number": -1, "hovered": "", "active": "", "frames": 0}
+
+
+class Noting:
+    """Dear ImGui, with a note of each widget."""
+
+    def __init__(self, real):
+        self._real = real
+        self.begin()
+
+    def begin(self):
+        self.notes = {"places": {}, "values": {}, "said": [], "hovered": "", "active": ""}
+
+    def __getattr__(self, name):
+        real = getattr(self._real, name)
+        if name in _TEXTS:
+            return lambda *args: (self.notes["said"].append(str(args[_TEXTS[name]])), real(*args))[1]
+        return (lambda *args: self._note(real, args)) if name in _WIDGETS else real
+
+    def _note(self, real, args):
+        value, label = real(*args), str(args[0]).split("###")[0]
+        low, high = self._real.GetItemRectMin(), self._real.GetItemRectMax()
+        self.notes["places"][label] = [low.x, low.y, high.x, high.y]
+        self.notes["values"][label] = value[1] if isinstance(value, tuple) else None
+        self.notes["hovered"] = label if self._real.IsItemHovered() else self.notes["hovered"]
+        self.notes["active"] = label if self._real.IsItemActive() else self.notes["active"]
+        return value
+
+
+class Clerk(plugin.ViewerPlugin):
+    """Keeps what the windows said in each frame."""
+
+    def __init__(self, show, shown):
+        self.show, self._panel = show, shown
+
+    @messages.handler
+    def on_init(self, event: plugin.ViewerInitEvent) -> None:
+        """No shadows and reflections: without a graphics card they take seconds a frame."""
+        flags = list(event.viewer.render_flags.flags)
+        flags[int(mujoco.mjtRndFlag.mjRND_SHADOW)] = flags[int(mujoco.mjtRndFlag.mjRND_REFLECTION)] = 0
+        event.viewer.render_flags.flags = flags
+
+    @messages.handler(priority=messages.Priority.INTERNAL)
+    def on_build_gui(self, _: messages.BuildGuiEvent) -> None:
+        moment, show = self.show.moment(), self.show
+        found = {"number": -1 if moment is None else moment.number, "phase": "" if moment is None else moment.session.phase,
+                 "felt": [] if moment is None else [describe(felt) for felt in moment.fingers], "paused": show.paused,
+                 "geoms": len(self.viewer.extra_geoms), "outcome": show.outcome, "runs": show.runs, "error": self._panel.error,
+                 "frames": frame["frames"] + 1, "places": {}, "values": {}, "said": [], "hovered": "", "active": ""}
+        for module in MODULES:
+            for name, value in module.imgui.notes.items():
+                found[name] = {**found[name], **value} if isinstance(value, dict) else found[name] + value
+            module.imgui.begin()
+        frame.update(found)
+
+
+def describe(felt):
+    centroid = felt.touch.contact.centroid.tolist() if felt.touch.contact is not None else None
+    return {"force": felt.touch.force_normal, "sd": felt.touch.force_normal_sd, "true": felt.true, "centroid": centroid,
+            "pressure": felt.pressure_gauge}
+
+
+def answer():
+    for line in sys.stdin:
+        panel.finger_lines = {"break": lambda *_: 1 / 0, "mend": _WHOLE}.get(line.strip(), panel.finger_lines)
+        sys.stdout.write(json.dumps(frame) + "\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    for module in MODULES:
+        module.imgui = Noting(module.imgui)
+    launch = serve.launch
+
+    def launch_with_clerk(config, *, plugins):
+        shown = next(one for one in plugins if isinstance(one, panel.Panel))
+        shown.source.step()  # the first cycle, and a pause: a browser may take its time to come up
+        return launch(config, plugins=[*plugins, Clerk(shown.source, shown)])
+
+    serve.launch = launch_with_clerk
+    threading.Thread(target=answer, daemon=True).start()
+    sys.exit(cli.main(["studio", *sys.argv[1:]]))

@@ -1,0 +1,52 @@
+"""A recording that is looked at where one likes."""
+
+import numpy as np
+import pytest
+
+from mjtactile.recording.reader import load_recording
+from mjtactile.run.grasp import GraspOptions
+from mjtactile.studio.tape import Tape
+from tests.fake_run import write_fake_recording
+
+COUNT = 12
+
+
+@pytest.fixture
+def tape(tmp_path):
+    cycles = write_fake_recording(tmp_path, COUNT)
+    tape = Tape(GraspOptions(rig=f"replay:{tmp_path}"), load_recording(tmp_path))
+    for cycle in cycles:
+        tape.add(cycle)
+    tape.playing = False
+    return tape
+
+
+def test_image_touch_truth_and_curves_follow_the_time(tape):
+    for number in (7, 2, COUNT - 1):
+        tape.at = number / 30 + 0.01  # 30 cycles a second
+        moment = tape.moment()
+        assert moment.number == number and moment.time == pytest.approx(number / 30)
+        for felt, image, true in zip(moment.fingers, tape.recording.images_of(number),
+                                     tape.recording.column("force_normal_true")[number], strict=True):
+            np.testing.assert_array_equal(felt.image.pixels, image.pixels)
+            assert felt.true == pytest.approx(true) and felt.touch.force_normal == pytest.approx(true / 0.97, abs=0.02)
+        curves = tape.history.curves()
+        assert len(curves.time) == COUNT and curves.now == pytest.approx(tape.at)
+
+
+def test_it_plays_by_the_clock_to_its_end_and_from_the_start_again(tape, monkeypatch):
+    clock = [100.0]
+    monkeypatch.setattr("mjtactile.studio.tape.wall.monotonic", lambda: clock[0])
+    tape.at = 0.0
+    tape.playing = True
+    clock[0] += 0.2
+    assert tape.at == pytest.approx(0.2)
+    clock[0] += 10
+    assert tape.at == tape.length == pytest.approx((COUNT - 1) / 30)
+    tape.playing = False
+    tape.playing = True
+    assert tape.at == 0.0
+
+
+def test_a_tape_keeps_no_images(tape):
+    assert all(felt.image.pixels.size == 1 for moment in tape._moments for felt in moment.fingers)
