@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.core.errors import DeviceError, SimulationError
+from mjtactile.core import signals
+from mjtactile.core.errors import DeviceError, Interrupted, SimulationError
 from mjtactile.core.types import Array, Image, Surface
 from mjtactile.run.controller import Stepper
 from mjtactile.run.grasp import GraspOptions
@@ -110,6 +111,8 @@ class Show:
             wall.sleep(_PAUSED)
             self._work()
             self._pace = None
+            if interrupted():  # the loop ends the run in order, and a pause would hold it up
+                self.paused = False
         self._single = False
         self._leave()
         scene = None if self.session is None else self.session.rig.scene
@@ -196,6 +199,15 @@ class Show:
         if self._pace is None or (time - self._pace[1]) / self.fastest < now - self._pace[0]:
             self._pace = (now, time)
         wall.sleep(max(0.0, self._pace[0] + (time - self._pace[1]) / self.fastest - now))
+
+
+def interrupted() -> bool:
+    """Whether a signal asked the process to end."""
+    try:
+        signals.check()
+    except Interrupted:
+        return True
+    return False
 
 
 class Voice:

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mjtactile.core.errors import DeviceError
+from mjtactile.core.errors import DeviceError, Interrupted
 from mjtactile.run.grasp import GraspOptions, run_grasp
 from mjtactile.studio.hand import Wish
 from mjtactile.studio.moment import finger_lines
@@ -75,6 +75,19 @@ def test_a_pause_holds_the_session_until_it_goes_on():
     show.paused = False
     thread.join(10)
     assert show.latest.number == 2
+
+
+def test_a_signal_ends_a_pause(monkeypatch):
+    """Ctrl-C: the loop sets down what is held, for which the world must go on."""
+    show = Show()
+    show.paused = True
+
+    def check():
+        raise Interrupted
+
+    monkeypatch.setattr("mjtactile.studio.show.signals.check", check)
+    show.still()
+    assert not show.paused
 
 
 def test_what_is_asked_for_is_done_by_the_sessions_thread_and_what_raises_is_said():

@@ -1,0 +1,25 @@
+"""Where Studio opens."""
+
+import pytest
+
+from mjtactile.core.errors import MjtactileError
+from mjtactile.studio import serve
+
+
+def test_a_window_without_a_display_is_one_line_that_says_what_to_do(monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(MjtactileError, match=r"--native: there is no display here .*: leave --native away") as error:
+        serve.launch_window(None, [])
+    assert "\n" not in str(error.value)
+
+
+def test_what_mujocos_window_lacks_is_named(monkeypatch):
+    monkeypatch.setenv("DISPLAY", ":9")
+
+    def lacking(name):
+        raise ImportError("no library of that name")
+
+    monkeypatch.setattr(serve.importlib, "import_module", lacking)
+    with pytest.raises(MjtactileError, match=r"does not work here \(no library of that name\): leave --native away"):
+        serve.launch_window(None, [])
