@@ -49,14 +49,6 @@ class Page:
         png = base64.b64decode(self._ask("Page.captureScreenshot", format="png")["data"])
         return cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
 
-    def go(self, url):
-        """Load another page in place of this one."""
-        self._ask("Page.navigate", url=url)
-
-    def leave(self):
-        """Close the page, and leave the browser open."""
-        self.go("about:blank")
-
     def mouse(self, kind, x, y, **more):
         """One event of the mouse, such as mouseMoved with buttons=1, or mouseWheel with deltaY px."""
         self._ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, **{"button": "left", "clickCount": 1} | more)

@@ -3,6 +3,7 @@
 One session and one page serve all tests, in the order in which they stand here.
 """
 
+import contextlib
 import json
 import os
 import re
@@ -33,7 +34,7 @@ class Studio:
     """The command, and the page that looks at it."""
 
     def __init__(self, folder):
-        self.folder, self.page = folder, None
+        self.folder, self.page, self._open = folder, None, contextlib.ExitStack()
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             self.port = probe.getsockname()[1]
@@ -46,6 +47,13 @@ class Studio:
     @property
     def url(self):
         return f"http://localhost:{self.port}/"
+
+    def open(self, name):
+        """Look at it with a browser of its own."""
+        self.page = self._open.enter_context(open_page(self.url, self.folder / name, until=self.log))
+
+    def close(self):
+        self._open.close()
 
     def ask(self, line="say"):
         """What the last frame of the windows was."""
@@ -108,11 +116,12 @@ class Studio:
 def studio(tmp_path_factory):
     studio = Studio(tmp_path_factory.mktemp("studio"))
     try:
-        with open_page(studio.url, studio.folder / "one", until=studio.log) as studio.page:
-            if not studio.draws_in(SLOWEST):
-                pytest.skip(f"without a graphics card the page takes more than {SLOWEST:g} s to come up here")
-            yield studio
+        studio.open("one")
+        if not studio.draws_in(SLOWEST):
+            pytest.skip(f"without a graphics card the page takes more than {SLOWEST:g} s to come up here")
+        yield studio
     finally:
+        studio.close()
         studio.process.kill()
         studio.process.communicate()
 
@@ -196,9 +205,8 @@ def test_a_second_page_watches_and_strangers_change_nothing(studio):
 
 def test_a_page_that_was_closed_and_opened_again_goes_on(studio):
     number = studio.ask()["number"]
-    studio.page.leave()
-    time.sleep(1)
-    studio.page.go(studio.url)
+    studio.close()
+    studio.open("two")
     assert studio.draws_in(PATIENCE)
     studio.press("go on")
     studio.until(lambda f: f["number"] > number, "it goes on")
