@@ -11,7 +11,7 @@ from typing import Any
 
 from mujoco.studio import app, viewer_handle, viewer_protocol
 
-from mjtactile.core.errors import MjtactileError
+from mjtactile.core.errors import Interrupted, MjtactileError
 from mjtactile.run.grasp import run_grasp
 from mjtactile.studio.desk import Desk
 from mjtactile.studio.loopback import launch
@@ -73,6 +73,8 @@ def _run(show: Show) -> None:
         show.outcome = f"{result.outcome}" + (f": {result.reason}" if result.reason else "")
     except Restart:
         show.outcome = "again"
+    except Interrupted:
+        raise
     except MjtactileError as error:
         if before == 0 and show.latest is None:
             raise

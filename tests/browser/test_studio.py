@@ -216,7 +216,7 @@ def test_ctrl_c_leaves_nothing_behind_in_a_pause_too(studio):
     studio.press("pause")
     studio.until(lambda f: f["paused"], "it pauses")
     studio.process.send_signal(signal.SIGINT)
-    studio.process.wait(60)
+    studio.process.wait(2 * PATIENCE)  # the hand goes down and opens first
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.1", studio.port), timeout=5).close()
     assert "Traceback" not in studio.log.read_text()

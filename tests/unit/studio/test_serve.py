@@ -2,8 +2,27 @@
 
 import pytest
 
-from mjtactile.core.errors import MjtactileError
+from mjtactile.core.errors import DeviceError, Interrupted, MjtactileError
 from mjtactile.studio import serve
+from mjtactile.studio.show import Show
+from tests.fake_run import fake_cycle
+
+
+@pytest.mark.parametrize(("error", "ends"), [(Interrupted(), True), (DeviceError("a wire"), False)])
+def test_ctrl_c_ends_it_and_what_fails_in_a_run_is_shown(monkeypatch, error, ends):
+    show = Show()
+
+    def fail(*_, **__):
+        show.add(fake_cycle(0))
+        raise error
+
+    monkeypatch.setattr(serve, "run_grasp", fail)
+    if ends:
+        with pytest.raises(Interrupted):
+            serve._run(show)
+    else:
+        serve._run(show)
+        assert show.outcome == "a wire"
 
 
 def test_a_window_without_a_display_is_one_line_that_says_what_to_do(monkeypatch):
