@@ -9,7 +9,7 @@ import mujoco
 from mujoco.studio import messages, plugin
 
 from mjtactile import cli
-from mjtactile.studio import desk, panel, serve, tape
+from mjtactile.studio import desk, panel, serve, show, tape
 
 _TEXTS = {"TextUnformatted": 0, "TextColored": 1, "TextWrapped": 0}
 _WIDGETS = {"Button", "Checkbox", "Combo", "Image", "SliderFloat", "InputInt", "CollapsingHeader"}
@@ -47,8 +47,8 @@ class Noting:
 class Clerk(plugin.ViewerPlugin):
     """Keeps what the windows said in each frame."""
 
-    def __init__(self, show, shown):
-        self.show, self._panel = show, shown
+    def __init__(self, source, shown):
+        self.show, self._panel = source, shown
 
     @messages.handler
     def on_init(self, event: plugin.ViewerInitEvent) -> None:
@@ -59,10 +59,10 @@ class Clerk(plugin.ViewerPlugin):
 
     @messages.handler(priority=messages.Priority.INTERNAL)
     def on_build_gui(self, _: messages.BuildGuiEvent) -> None:
-        moment, show = self.show.moment(), self.show
+        moment, now = self.show.moment(), self.show
         found = {"number": -1 if moment is None else moment.number, "phase": "" if moment is None else moment.session.phase,
-                 "felt": [] if moment is None else [describe(felt) for felt in moment.fingers], "paused": show.paused,
-                 "geoms": len(self.viewer.extra_geoms), "outcome": show.outcome, "runs": show.runs, "error": self._panel.error,
+                 "felt": [] if moment is None else [describe(felt) for felt in moment.fingers], "paused": now.paused,
+                 "geoms": len(self.viewer.extra_geoms), "outcome": now.outcome, "runs": now.runs, "error": self._panel.error,
                  "frames": frame["frames"] + 1, "places": {}, "values": {}, "said": [], "hovered": "", "active": ""}
         for module in MODULES:
             for name, value in module.imgui.notes.items():
@@ -94,6 +94,14 @@ if __name__ == "__main__":
         shown.source.step()  # the first cycle, and a pause: a browser may take its time to come up
         return launch(config, plugins=[*plugins, Clerk(shown.source, shown)])
 
+    add = show.Show.add
+
+    def add_and_pause(self, cycle, *args, **truth):
+        add(self, cycle, *args, **truth)
+        if cycle.sent.phase == "hold" and not frame.get("held"):  # once: a page may be too slow to press it in time
+            frame["held"] = self.paused = True
+
+    show.Show.add = add_and_pause
     serve.launch = launch_with_clerk
     threading.Thread(target=answer, daemon=True).start()
     sys.exit(cli.main(["studio", *sys.argv[1:]]))
