@@ -46,8 +46,8 @@ contracts: $(VENV)/.test-ready  ## who may import whom (import-linter)
 	$(BIN)/lint-imports --no-cache
 
 pytest: $(VENV)/.test-ready  ## the tests alone (ARGS="-k name" and so on)
-	$(BIN)/pytest -n 2 --dist loadgroup -m 'not realtime' $(ARGS)
-	$(BIN)/pytest -m realtime $(ARGS)
+	$(BIN)/pytest -n 2 --dist loadgroup -m 'not realtime and not browser' $(ARGS)
+	$(BIN)/pytest -m 'realtime or browser' $(ARGS)
 
 venv: $(VENV)/.test-ready  ## the virtual environment with everything, for development
 
