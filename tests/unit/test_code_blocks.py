@@ -35,6 +35,7 @@ TESTED = {
     ("docs/controllers.md", 0): "test_docs.py::test_controller_example",
     ("docs/controllers.md", 1): "test_docs.py::test_slip_controller_example",
     ("docs/tutorials/controller.md", 0): "test_docs.py::test_controller_of_the_tutorial",
+    ("docs/studio.md", 0): "studio/test_own.py::test_the_loop_of_the_documents_serves_this_computer_alone_and_no_other_web_site",
     ("docs/gym.md", 0): "gym/test_grasp_env.py::test_the_example_of_the_page",
 }
 PARSED = {("docs/upstream/first-solve-has-no-tolerance-of-its-own.md", 0), ("docs/upstream/tendon-exactly-at-rest.md", 0)}
