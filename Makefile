@@ -47,7 +47,10 @@ contracts: $(VENV)/.test-ready  ## who may import whom (import-linter)
 
 pytest: $(VENV)/.test-ready  ## the tests alone (ARGS="-k name" and so on)
 	$(BIN)/pytest -n 2 --dist loadgroup -m 'not realtime and not browser' $(ARGS)
-	$(BIN)/pytest -m 'realtime or browser' $(ARGS)
+	$(BIN)/pytest -m realtime $(ARGS)
+
+browser: $(VENV)/.test-ready  ## the tests in a browser, alone on a calm computer: without a graphics card a frame takes seconds
+	$(BIN)/pytest -m browser $(ARGS)
 
 venv: $(VENV)/.test-ready  ## the virtual environment with everything, for development
 
