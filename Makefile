@@ -46,10 +46,7 @@ contracts: $(VENV)/.test-ready  ## who may import whom (import-linter)
 	$(BIN)/lint-imports --no-cache
 
 pytest: $(VENV)/.test-ready  ## the tests alone (ARGS="-k name" and so on)
-	$(BIN)/pytest -n 2 --dist loadgroup -m 'not realtime and not browser' $(ARGS)
-
-realtime: $(VENV)/.test-ready  ## the tests of emulated devices by the clock, alone on a computer that keeps up with them
-	$(BIN)/pytest -m realtime $(ARGS)
+	$(BIN)/pytest -n 2 --dist loadgroup -m 'not browser' $(ARGS)
 
 browser: $(VENV)/.test-ready  ## the tests in a browser, alone on a calm computer: without a graphics card a frame takes seconds
 	$(BIN)/pytest -m browser $(ARGS)

@@ -9,7 +9,6 @@ Then `mjtactile doctor`, `record` and `grasp` use it like the shipped ones. This
 """
 
 import threading
-import time
 
 import cv2
 
@@ -34,12 +33,12 @@ class NewestFrame:
             arrived, frame = self._capture.read()
             if arrived:  # captured `delay` s before, on the clock that the rig goes by
                 gray = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
-                self._newest = mjtactile.Image(gray, time.monotonic() - self._config.delay)
+                self._newest = mjtactile.Image(gray, mjtactile.monotonic() - self._config.delay)
 
     def read(self):
         """The newest image; an old one is an error, so that nobody takes old news for new."""
         image = self._newest
-        if image is None or time.monotonic() - image.time > 0.15:
+        if image is None or mjtactile.monotonic() - image.time > 0.15:
             raise mjtactile.DeviceError(f"{self._config.finger} camera {self._config.source} is stale")
         return image
 

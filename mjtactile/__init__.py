@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from mjtactile.core.errors import MjtactileError as MjtactileError
     from mjtactile.core.errors import SimulationError as SimulationError
     from mjtactile.core.optics import Camera as Camera
+    from mjtactile.core.pace import monotonic as monotonic
     from mjtactile.core.policy import policy_action as policy_action
     from mjtactile.core.policy import policy_command as policy_command
     from mjtactile.core.policy import policy_names as policy_names
@@ -57,6 +58,7 @@ _HOMES = {
     "core.design": ("SensorDesign", "load_sensor"),
     "core.errors": ("ControllerError", "DeviceError", "InputError", "Interrupted", "MjtactileError", "SimulationError"),
     "core.optics": ("Camera",),
+    "core.pace": ("monotonic",),
     "core.policy": ("policy_action", "policy_command", "policy_names", "policy_vector"),
     "core.types": ("Command", "GripperState", "Image", "Observation", "Touch", "ValveState"),
     "plugin.mount": ("Mount", "attach"),

@@ -1,11 +1,17 @@
 """Options and rules of all tests."""
 
 import os
+import signal
 
 import pytest
 
 # As the command line does it: with more threads, small factorisations fight for the cores. Before anything imports numpy.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Emulated devices, their watchdogs and whoever talks to them: tests share their computer with each other, and a rented one
+# may stand still for half a second. Before anything imports mjtactile.
+os.environ.setdefault("MJTACTILE_SLOW", "3")
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell's job in the background; the tests interrupt their children
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_addoption(parser):

@@ -8,10 +8,10 @@ from __future__ import annotations
 import contextlib
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from mjtactile.core import pace
 from mjtactile.devices.dynamixel.gripper import DynamixelGripper
 from mjtactile.emulator.faults import Faults
 from mjtactile.emulator.protocol2 import Instruction
@@ -84,11 +84,11 @@ def valve_bench(sensors: bool = True) -> Iterator[tuple[ValvePort, ValveFirmware
     """A valve board on a pty with its pneumatics alive."""
     faults, chambers = Faults(), Chambers()
     firmware = ValveFirmware(chambers, faults, sensors=sensors)
-    port, stop = ValvePort(firmware), threading.Event()
+    port, stop = ValvePort(firmware), pace.Event()
 
     def live() -> None:
         while not stop.wait(0.005):
-            firmware.tick(time.monotonic(), 0.005)
+            firmware.tick(pace.monotonic(), 0.005)
 
     thread = threading.Thread(target=live)
     thread.start()
@@ -105,11 +105,22 @@ def valve_configs(path: str) -> list[ValveConfig]:
             for channel, finger in enumerate(("left", "right"), 1)]
 
 
+@contextlib.contextmanager
+def at_pace(slow: float) -> Iterator[None]:
+    """What is started inside runs at 1/`slow` of the speed."""
+    before = pace.slow()
+    pace.set_slow(slow)
+    try:
+        yield
+    finally:
+        pace.set_slow(before)
+
+
 def wait_for(condition, timeout: float = 5.0) -> bool:
     """Wait until `condition()`; five seconds is far beyond what any of it takes."""
-    deadline = time.monotonic() + timeout
-    while time.monotonic() < deadline:
+    deadline = pace.monotonic() + timeout
+    while pace.monotonic() < deadline:
         if condition():
             return True
-        time.sleep(0.005)
+        pace.sleep(0.005)
     return False

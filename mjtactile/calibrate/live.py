@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from mjtactile.calibrate.camera import Finder, View
 from mjtactile.calibrate.valve import ValveCalibration, calibrate_valve
+from mjtactile.core import pace
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.types import Array, Command, Image
 from mjtactile.devices.camera.opencv import OpenCvCamera
@@ -58,8 +58,8 @@ def collect_views(pictures: Iterator[tuple[str, NDArray[np.uint8]]], finder: Fin
 
 def camera_pictures(camera: OpenCvCamera, seconds: float) -> Iterator[tuple[str, NDArray[np.uint8]]]:
     """Each new picture of a camera, for `seconds` s. Raises DeviceError when it fails."""
-    end, last, number = time.monotonic() + seconds, 0.0, 0
-    while time.monotonic() < end:
+    end, last, number = pace.monotonic() + seconds, 0.0, 0
+    while pace.monotonic() < end:
         if camera.wait_newer(last, 0.5):
             image = camera.read()
             last, number = image.time, number + 1
@@ -172,7 +172,7 @@ def measure_forces(gripper: DynamixelGripper, forces: Sequence[float], ask: Ask,
 
 
 def _pause(gripper: DynamixelGripper, seconds: float):
-    time.sleep(seconds)
+    pace.sleep(seconds)
     return gripper.state()
 
 
@@ -180,7 +180,7 @@ def _pause(gripper: DynamixelGripper, seconds: float):
 def kept_alive(*devices: Any) -> Iterator[None]:
     """Ask grippers or valves for their state while a person reads an instrument, or the pictures are worked on: the servos'
     watchdog, or the valve board's heartbeat, would take a host that is silent for one that hangs."""
-    done = threading.Event()
+    done = pace.Event()
 
     def call() -> None:
         while not done.wait(0.05):
@@ -212,17 +212,17 @@ def _move(gripper: DynamixelGripper, opening: float, force: float) -> None:
 def _squeeze(gripper: DynamixelGripper, force: float) -> None:
     """Close until the jaws have stood still for a while. Raises DeviceError when there is nothing between them."""
     low = gripper.config.opening[0]
-    start = still_since = time.monotonic()
+    start = still_since = pace.monotonic()
     goal = stood = gripper.state().opening
-    while time.monotonic() - still_since < _STALL_TIME:
+    while pace.monotonic() - still_since < _STALL_TIME:
         opening = gripper.state().opening
         # The goal runs ahead of the jaws, far enough that the servo asks for all the force it may use.
         goal = max(low, goal - _SPEED * _PERIOD, opening - _AHEAD_MAX)
         gripper.command(Command(goal, force))
         _pause(gripper, _PERIOD)
         if abs(opening - stood) > _STILL or opening - goal < _AHEAD_MIN:
-            stood, still_since = opening, time.monotonic()
-        if opening <= low + 1e-4 or time.monotonic() - start > _CLOSE_TIME_MAX:
+            stood, still_since = opening, pace.monotonic()
+        if opening <= low + 1e-4 or pace.monotonic() - start > _CLOSE_TIME_MAX:
             raise DeviceError("the jaws met nothing: put the load cell between them, or `--forces FILE.csv`")
 
 
@@ -244,17 +244,17 @@ def step_valve(valve: BoardValve, pressure: float, seal_time: float, say: Say) -
         say(f"{valve.config.finger}: {stage} for {seconds:g} s")
         if not rows:
             act()
-            time.sleep(vent)  # what was in the chamber before is no step
+            pace.sleep(vent)  # what was in the chamber before is no step
         act()
-        end = time.monotonic() + seconds
-        while (now := time.monotonic()) < end:
+        end = pace.monotonic() + seconds
+        while (now := pace.monotonic()) < end:
             reading = valve.board.measure(valve.config.channel)
             if reading.pressure_gauge is None:
                 raise InputError("the board has no pressure sensor: nothing to calibrate",
                                  field=f"valve.{valve.config.finger}")
             if not rows or reading.time > rows[-1][0]:
                 rows.append((reading.time, reading.pressure_gauge, stage))
-            time.sleep(max(0.0, now + _SAMPLE - time.monotonic()))
+            pace.sleep(max(0.0, now + _SAMPLE - pace.monotonic()))
     times, pressures, stages = zip(*rows, strict=True)
     return np.array(times), np.array(pressures), list(stages)
 

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from mjtactile import InputError
+from mjtactile.commands import slow
 from mjtactile.core import resources
 
 DESCRIPTION = """\
@@ -31,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rig", default="emulated", metavar="NAME|FILE.toml",
                         help="rig file whose servos, valves and cameras to emulate (default: emulated)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="placement and noise (default: 0)")
+    slow.add_argument(parser)
     parser.add_argument("--faults", action="append", default=[], metavar="KIND=VALUE", help="a fault from the start; repeatable")
     parser.add_argument("--out", type=Path, metavar="FILE.toml", help="write the rig file here too")
 
@@ -39,6 +41,7 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile import load_rig_file, load_sensor
     from mjtactile.emulator.process import EmulatorProcess
 
+    slow.apply(options.slow, options.rig)
     rig_file = load_rig_file(options.rig)
     faults = dict(_fault(text) for text in options.faults)
     emulator = EmulatorProcess(rig_file, load_sensor(options.sensor), object_name=options.object, seed=options.seed,

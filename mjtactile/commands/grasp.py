@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile import InputError, Interrupted, MjtactileError, Recorder, load_recording, rig_names
-from mjtactile.commands import effects, ranges
+from mjtactile.commands import effects, ranges, slow
 from mjtactile.commands.output import new_run_folder, output_folder, print_json, stdout_to_stderr
 from mjtactile.core import resources, signals
 from mjtactile.recording.files import write_json
@@ -55,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help=f"what to run it on: {', '.join(rig_names())} (default: sim)")
     parser.add_argument("--seed", type=seed, default=0, metavar="N",
                         help="seed of the camera noise and of where the object stands (default: 0)")
+    slow.add_argument(parser)
     effects.add_shared_arguments(parser)
     effects.add_vary_argument(parser, "none")
     effects.add_estimate_argument(parser)
@@ -81,6 +82,7 @@ def _count(text: str) -> int:
 
 def run(options: argparse.Namespace) -> int:
     _check_video(options.video, options.frames)
+    slow.apply(options.slow, options.rig)
     progress = Progress()  # which looks whether stderr is a terminal
     folder = (new_run_folder(Path(options.object).stem) if options.out is None else
               output_folder(options.out, "recording", "summary.json", "summary.png", "summary.html"))

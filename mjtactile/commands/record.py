@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mjtactile import InputError, Recorder, rig_names
-from mjtactile.commands import ranges
+from mjtactile.commands import ranges, slow
 from mjtactile.commands.output import output_folder, print_json, stdout_to_stderr
 from mjtactile.core import resources
 from mjtactile.run.progress import Progress
@@ -66,6 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--specimen", type=Path, metavar="FILE.toml",
                         help="stage: the sensor that is really there; the recording names only --sensor")
     parser.add_argument("--load-cell", action="store_true", help="stage: record what a load cell shows in each hold, too")
+    slow.add_argument(parser)
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="sim and emulated: placement and noise (default: 0)")
 
 
@@ -89,6 +90,7 @@ def run(options: argparse.Namespace) -> int:
 
     if not 0 < options.seconds <= 86400:
         raise InputError(f"{options.seconds:g} is outside 0 to 86400", field="--seconds")
+    slow.apply(options.slow, options.rig)
     stage = _stage(options)
     design = _at_pressure(load_sensor(options.sensor), options.pressure)
     progress = Progress()

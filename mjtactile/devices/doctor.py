@@ -11,6 +11,7 @@ from pathlib import Path
 
 from serial.tools import list_ports
 
+from mjtactile.core import pace
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError
 from mjtactile.devices.camera.opencv import OpenCvCamera
@@ -226,13 +227,13 @@ def _camera(config: CameraConfig) -> Iterator[Finding]:
         yield Finding("bad", what, str(error), _camera_remedy(config))
         return
     try:
-        ages, end = [], time.monotonic() + _CAMERA_TIME
+        ages, end = [], pace.monotonic() + _CAMERA_TIME
         last = 0.0
-        while time.monotonic() < end:
+        while pace.monotonic() < end:
             if camera.wait_newer(last, 0.5):
                 image = camera.read()
                 last = image.time
-                ages.append(time.monotonic() - last)
+                ages.append(pace.monotonic() - last)
         yield _rate(what, camera, ages)
         yield _light(what, camera)
     except DeviceError as error:

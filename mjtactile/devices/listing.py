@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 import serial
 from serial.tools import list_ports
 
+from mjtactile.core import pace
 from mjtactile.core.errors import DeviceError
 from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus
 from mjtactile.devices.dynamixel.tables import MODEL_BY_NUMBER, NO_CURRENT_CONTROL
@@ -75,8 +75,8 @@ def valve_board_at(port: str) -> str:
     """What the valve board there says of itself; "" where none answers. Raises DeviceError for a port that cannot be opened."""
     line, heard = open_port(port, VALVE_BAUD), bytearray()
     try:
-        deadline = time.monotonic() + _BOOT_TIME
-        while time.monotonic() < deadline:
+        deadline = pace.monotonic() + _BOOT_TIME
+        while pace.monotonic() < deadline:
             line.write(protocol.encode(0, "id"))
             heard += line.read(64)
             *lines, rest = heard.split(b"\n")
@@ -86,7 +86,7 @@ def valve_board_at(port: str) -> str:
                 if words[:2] == ["id", protocol.NAME] and len(words) == 6:
                     sensors = "with" if words[4] == "1" else "without"
                     return f"{words[1]} {words[2]}, {words[3]} channels, {sensors} pressure sensors"
-            time.sleep(0.02)
+            pace.sleep(0.02)
         return ""
     except (serial.SerialException, OSError) as error:
         raise DeviceError(f"{port} went away: {' '.join(str(error).split())}") from error

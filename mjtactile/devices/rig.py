@@ -5,11 +5,10 @@ from __future__ import annotations
 import contextlib
 import math
 import sys
-import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from mjtactile.core import signals
+from mjtactile.core import pace, signals
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.devices.dynamixel.gripper import DynamixelGripper
@@ -23,6 +22,7 @@ from mjtactile.rig.protocols import Camera
 from mjtactile.rig.registry import CAMERAS, RigRequest, load_backend, need_file
 from mjtactile.rig.sensors import finger_calibration, finger_design
 
+_EMULATED = "/dev/pts/"  # where pseudo-terminals are; no servo is on one
 _SWITCH_INTERVAL = 5e-4  # s a thread keeps Python's interpreter: at the default of 5 ms a picture waits that long for its time
 
 
@@ -30,7 +30,7 @@ class MonotonicClock:
     """The computer's monotonic clock; a change of the wall clock does not touch it."""
 
     def now(self) -> float:
-        return time.monotonic()
+        return pace.monotonic()
 
     def start(self, time: float) -> None:
         """The real world moves by itself."""
@@ -63,9 +63,9 @@ class FrameClock(MonotonicClock):
 
 
 def _sleep_until(deadline: float) -> None:
-    remaining = deadline - time.monotonic()
+    remaining = deadline - pace.monotonic()
     if remaining > 0:
-        time.sleep(remaining)
+        pace.sleep(remaining)
 
 
 def build_device_rig(rig_file: RigFile, design: SensorDesign, *, name: str = "real",
@@ -74,6 +74,8 @@ def build_device_rig(rig_file: RigFile, design: SensorDesign, *, name: str = "re
 
     Raises InputError when the file does not fit the sensor design, DeviceError naming the device that is missing.
     """
+    if pace.slow() != 1 and not rig_file.bus.port.startswith(_EMULATED):
+        raise InputError(f"{rig_file.bus.port}: only emulated devices can be slow", source=rig_file.path, field="--slow")
     before = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_INTERVAL)
     closers: list[Callable[[], None]] = [lambda: sys.setswitchinterval(before), also_close]

@@ -11,10 +11,9 @@ from __future__ import annotations
 import json
 import os
 import sys
-import time
 from typing import Any, TextIO
 
-from mjtactile.core import process
+from mjtactile.core import pace, process
 from mjtactile.core.errors import InputError, MjtactileError
 from mjtactile.emulator.faults import KINDS, Faults
 from mjtactile.emulator.hardware import Hardware
@@ -82,12 +81,12 @@ class Emulator:
             self._hardware.bus.close()
         if kind == "valve_unplug" and value and self._hardware.valve:
             self._hardware.valve.close()
-        return {"ok": True, "time": time.monotonic()}
+        return {"ok": True, "time": pace.monotonic()}
 
     def _truth(self) -> dict[str, Any]:
         """What really is; for tests and benchmarks."""
         servos, firmware = self._hardware.servos, self._hardware.firmware
-        return {**{name: self._world.shared[name] for name in FROM_WORLD}, "now": time.monotonic(),
+        return {**{name: self._world.shared[name] for name in FROM_WORLD}, "now": pace.monotonic(),
                 "torque": {str(i): bool(s.get("Torque Enable")) for i, s in servos.items()},
                 "drive": {str(i): s.drive().torque_max for i, s in servos.items()},
                 "watchdog": {str(i): s.get("Bus Watchdog") for i, s in servos.items()},

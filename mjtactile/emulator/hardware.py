@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 
+from mjtactile.core import pace
 from mjtactile.emulator.faults import Faults
 from mjtactile.emulator.mechanism import Jaw, Jaws
 from mjtactile.emulator.servo import EmulatedServo
@@ -33,7 +33,7 @@ class Hardware:
         self.bus = ServoBus(self.servos, faults, usb_latency=emulator.usb_latency)
         self.firmware = ValveFirmware(self, faults, zeros=zeros, sensors=emulator.valve_sensors)
         self.valve = ValvePort(self.firmware) if rig_file.valves else None
-        self._stop = threading.Event()
+        self._stop = pace.Event()
         self._thread = threading.Thread(target=self._run, name="hardware", daemon=True)
         self._thread.start()
 
@@ -86,9 +86,9 @@ class Hardware:
         return self._build_servo(lift.id, lift.model, 0.0)
 
     def _run(self) -> None:
-        last = time.monotonic()
+        last = pace.monotonic()
         while not self._stop.wait(_TICK):
-            now = time.monotonic()
+            now = pace.monotonic()
             self._tick(now, now - last)
             last = now
 

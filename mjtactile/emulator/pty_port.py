@@ -7,9 +7,10 @@ import os
 import select
 import termios
 import threading
-import time
 import tty
 from collections.abc import Callable
+
+from mjtactile.core import pace
 
 _OPEN_POLL = 0.005  # s between looks at whether a host has opened the port
 
@@ -79,7 +80,7 @@ class PtyPort:
             event = events.get(self._master, 0)
             if event & select.POLLHUP and not event & select.POLLIN:
                 host_is_there = False
-                time.sleep(_OPEN_POLL)
+                pace.sleep(_OPEN_POLL)
                 if not self._host_opened(poll):
                     continue
             if not host_is_there:

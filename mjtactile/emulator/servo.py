@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 
+from mjtactile.core import pace
 from mjtactile.devices.dynamixel.tables import MODELS
 from mjtactile.emulator import control_table as ct
 from mjtactile.emulator.motion import FAR, Drive, Path
@@ -51,7 +51,7 @@ class EmulatedServo(Registers):
         self.angle, self.speed, self.current = angle, 0.0, 0.0
         self._path = Path(angle)
         self._registered: tuple[int, bytes] | None = None
-        self.last_packet = time.monotonic()
+        self.last_packet = pace.monotonic()
         self.stop_time: float | None = None
         """When the bus watchdog tripped (monotonic s), None if it did not."""
         self._defaults(True)
@@ -98,7 +98,7 @@ class EmulatedServo(Registers):
         elif name in ct.GOALS and self.get("Drive Mode") & 0x08 and not self.get("Torque Enable"):
             self.set("Torque Enable", 1)  # "Torque On by Goal Update", Drive Mode(10)
         elif name == "Bus Watchdog":
-            self.last_packet = time.monotonic()
+            self.last_packet = pace.monotonic()
 
     def _torque_on(self) -> None:
         if self.get("Operating Mode") == 3:
@@ -347,4 +347,4 @@ class EmulatedServo(Registers):
         self.set("Moving", int(ongoing or abs(velocity) > self.get("Moving Threshold")))  # Moving(122)
         profile = (0x30 if self.get("Profile Acceleration") else 0x10) if self.get("Profile Velocity") else 0
         self.set("Moving Status", profile | ongoing << 1 | (arrived and in_position_mode))
-        self.set("Realtime Tick", int(time.monotonic() * 1e3) % 32768)
+        self.set("Realtime Tick", int(pace.monotonic() * 1e3) % 32768)

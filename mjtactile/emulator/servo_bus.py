@@ -6,9 +6,9 @@ Instructions after https://emanual.robotis.com/docs/en/dxl/protocol2/, "Instruct
 from __future__ import annotations
 
 import termios
-import time
 from collections.abc import Callable, Mapping, Sequence
 
+from mjtactile.core import pace
 from mjtactile.emulator import protocol2 as p2
 from mjtactile.emulator.control_table import BAUDS
 from mjtactile.emulator.faults import Faults
@@ -44,7 +44,7 @@ class ServoBus:
         baud = _TERMIOS_BAUD.get(self._port.baud)
         if baud is None or all(servo.baud != baud for servo in self._servos.values()):
             return  # another baud rate: the servos hear noise
-        now = time.monotonic()
+        now = pace.monotonic()
         for packet in self._decoder.feed(data):
             if self._on_packet is not None:
                 self._on_packet(now, packet)
@@ -158,7 +158,7 @@ class ServoBus:
             place = self._faults.rng.randrange(len(answer))
             changed = answer[place] ^ (1 << self._faults.rng.randrange(8))
             answer = answer[:place] + bytes([changed]) + answer[place + 1 :]
-        time.sleep(delay)
+        pace.sleep(delay)
         self._port.write(answer)
 
 

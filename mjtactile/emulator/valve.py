@@ -10,12 +10,12 @@ from __future__ import annotations
 import random
 import re
 import threading
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Protocol
 
+from mjtactile.core import pace
 from mjtactile.emulator.faults import Faults
 from mjtactile.emulator.pty_port import PtyPort
 
@@ -97,7 +97,7 @@ class ValveFirmware:
         self._chambers, self._faults, self._zeros, self._sensors = chambers, faults, zeros, sensors
         self.channels = {number: _Channel() for number in range(1, channels + 1)}
         self.heartbeat = 0.0
-        self.last_heard = time.monotonic()
+        self.last_heard = pace.monotonic()
         self.vent_time: float | None = None
         """When the heartbeat vented last (monotonic s), None if it did not."""
         self._since_sample = 0.0
@@ -236,13 +236,13 @@ class ValvePort:
     def _reset(self) -> None:
         self.firmware.reset()
         self._buffer.clear()
-        self._boot_end = time.monotonic() + _BOOT_TIME
-        self._timer = threading.Timer(_BOOT_TIME, lambda: self._port.write(self._BANNER))
+        self._boot_end = pace.monotonic() + _BOOT_TIME
+        self._timer = threading.Timer(pace.wall(_BOOT_TIME), lambda: self._port.write(self._BANNER))
         self._timer.daemon = True
         self._timer.start()
 
     def _receive(self, data: bytes) -> None:
-        now = time.monotonic()
+        now = pace.monotonic()
         if now < self._boot_end:
             return
         self._buffer += data

@@ -12,14 +12,13 @@ import queue
 import random
 import sys
 import threading
-import time
 from dataclasses import replace
 from typing import Any
 
 import cv2
 import numpy as np
 
-from mjtactile.core import process
+from mjtactile.core import pace, process
 from mjtactile.core.errors import MjtactileError
 from mjtactile.core.types import FINGERS
 from mjtactile.emulator.options import EmulatorOptions
@@ -55,7 +54,7 @@ class EmulatedWorld:
         self.streams = self._cameras.streams
         self._fall_speed = 0.0
         self._picture_period, self._next_picture = 1 / options.rig_file.cameras[0].rate, 0.0
-        self._stop = threading.Event()
+        self._stop = pace.Event()
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
         self._publish()
 
@@ -70,10 +69,10 @@ class EmulatedWorld:
 
     def _run(self) -> None:
         """Step when the clock says so."""
-        begin = time.monotonic()
+        begin = pace.monotonic()
         try:
             while not self._stop.is_set():
-                behind = time.monotonic() - begin - self.scene.time
+                behind = pace.monotonic() - begin - self.scene.time
                 if behind < self.scene.timestep:
                     self._stop.wait(self.scene.timestep - behind)
                     continue
@@ -146,14 +145,14 @@ class Cameras:
         self._rng = random.Random(options.seed)
         self._queue: queue.Queue[Any] = queue.Queue(2)
         self._last: dict[str, Any] = {}
-        self._stop = threading.Event()
+        self._stop = pace.Event()
         self._thread = threading.Thread(target=self._run, name="pictures", daemon=True)
         self._thread.start()
 
     def expose(self, poses: list[Any]) -> None:
         """Hand over the poses of this moment."""
         try:
-            self._queue.put_nowait((time.monotonic(), poses))
+            self._queue.put_nowait((pace.monotonic(), poses))
         except queue.Full:
             return
 
@@ -170,7 +169,7 @@ class Cameras:
                 continue
             for name, renderer, (p_SM, n_S) in zip(self.streams.names, self._renderers, poses, strict=False):
                 self._send(name, renderer, p_SM, n_S)
-            self._shared["picture_delay"] += 0.1 * (time.monotonic() - exposed - self._shared["picture_delay"])
+            self._shared["picture_delay"] += 0.1 * (pace.monotonic() - exposed - self._shared["picture_delay"])
             self._shared["pictures"] += 1
 
     def _send(self, name: str, renderer: Renderer, p_SM: Any, n_S: Any) -> None:

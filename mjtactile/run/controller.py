@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from mjtactile.core import resources
+from mjtactile.core import pace, resources
 from mjtactile.core.errors import ControllerError, InputError
 from mjtactile.core.types import Command, Observation
 
@@ -81,7 +81,7 @@ class ControllerThread:
         controller must not be asked again."""
         self._questions.put(observation)
         try:
-            answer = self._answers.get(timeout=self._patience)
+            answer = self._answers.get(timeout=pace.wall(self._patience))
         except queue.Empty:
             raise self._late(observation.time) from None
         self._patience = self._limit

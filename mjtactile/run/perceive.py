@@ -10,10 +10,10 @@ import math
 import os
 import queue
 import threading
-import time
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
+from mjtactile.core import pace
 from mjtactile.core.status import Status, StatusCode
 from mjtactile.core.types import Image, Touch
 
@@ -54,8 +54,8 @@ class Perceivers:
             if thread is not None:
                 thread.begin(chain.perceive, image, now)
         own = [_outcome(chain.perceive, image, now) if thread is None else None for (chain, _, thread), image in pairs]
-        end = time.monotonic() + patience
-        found = [mine if thread is None else thread.outcome(max(0.0, end - time.monotonic()))
+        end = pace.monotonic() + patience
+        found = [mine if thread is None else thread.outcome(max(0.0, end - pace.monotonic()))
                  for ((_, _, thread), _), mine in zip(pairs, own, strict=True)]
         return tuple(_late(name, image, now) if outcome is None else _value(outcome)
                      for ((_, name, _), image), outcome in zip(pairs, found, strict=True))
@@ -99,7 +99,7 @@ class _Thread:
         if self._is_late:
             return None
         try:
-            done = self._done.get(timeout=patience)
+            done = self._done.get(timeout=pace.wall(patience))
         except queue.Empty:
             return None
         self._due -= 1

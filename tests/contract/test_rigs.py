@@ -24,13 +24,12 @@ from mjtactile.rig.file import load_rig_file, load_sim_rig
 from mjtactile.rig.protocols import Camera, Clock, Gripper, Valve
 from mjtactile.rig.registry import build_rig
 from mjtactile.run.controller import load_controller
+from mjtactile.run.loop import patient_read
 from mjtactile.run.scoring import GraspScore
 from mjtactile.run.session import Session
 from mjtactile.sensing.chain import Chain
 from mjtactile.sim import truth
 from mjtactile.sim.rig import build_sim_rig
-
-realtime = pytest.mark.realtime
 
 DESIGN = load_sensor("paper16")
 CYCLES = 12
@@ -59,7 +58,7 @@ def patient_rig_file():
 
 
 @pytest.fixture(scope="module")
-def emulator():
+def emulator(half_speed):
     process = EmulatorProcess(patient_rig_file(), DESIGN, object_name="egg", seed=0)
     yield process
     process.close()
@@ -84,7 +83,7 @@ def record(rig, folder):
         session.run(Nothing(), time_limit=60.0, on_cycle=recorder.add)
 
 
-@pytest.fixture(params=[*SIMULATED, pytest.param("emulated", marks=realtime), "replay",
+@pytest.fixture(params=[*SIMULATED, "emulated", "replay",
                         pytest.param("hardware", marks=pytest.mark.hardware)])
 def rig(request):
     """Each kind of rig; "hardware" is the one of `pytest --hardware RIG.toml`, whose sensor is DESIGN. Clear its jaws."""
@@ -132,7 +131,7 @@ def test_the_loop_runs_on_it(rig, tmp_path):
 
 def test_images_have_the_designs_size_and_see_the_markers(rig):
     for camera in rig.cameras:
-        image = camera.read()
+        image = patient_read(rig, camera)
         assert image.pixels.shape == (DESIGN.camera.height, DESIGN.camera.width)
         chain = Chain(DESIGN)
         assert len(chain.see(chain.begin(), image)[0]) == DESIGN.markers.count
@@ -140,7 +139,7 @@ def test_images_have_the_designs_size_and_see_the_markers(rig):
 
 def test_state_is_finite_and_within_the_limits(rig):
     for camera in rig.cameras:
-        camera.read()
+        patient_read(rig, camera)
     state = rig.gripper.state()
     assert all(math.isfinite(value) for value in (state.opening, state.speed, state.effort, state.lift_height))
     low, high = rig.limits.opening
@@ -149,10 +148,10 @@ def test_state_is_finite_and_within_the_limits(rig):
 
 
 def test_every_reading_says_when_it_was_taken(rig):
-    images = [camera.read() for camera in rig.cameras]
+    images = [patient_read(rig, camera) for camera in rig.cameras]
     for _ in range(2):  # a replay's first image begins its first cycle only after the references' images
         for camera in rig.cameras:
-            images.append(camera.read())
+            images.append(patient_read(rig, camera))
     before = rig.clock.now()
     readings = [rig.gripper.state(), *(valve.state() for valve in rig.valves)]
     after = rig.clock.now()
@@ -218,7 +217,6 @@ def test_gentle_lifts_an_egg(name, tmp_path):
     assert hand > 0.04
 
 
-@realtime
 def test_gentle_grasps_on_the_emulated_rig(emulator, tmp_path):
     heights = []
 
@@ -302,7 +300,6 @@ def test_what_cannot_be_replayed_is_refused(tmp_path):
         build_rig("replay:/nonexistent", DESIGN, object_name="egg", seed=0)
 
 
-@realtime
 def test_torque_is_off_and_valves_are_vented_after_close(emulator):
     rig = build_emulated_rig(patient_rig_file(), DESIGN, object_name="egg", seed=0, emulator=emulator)
     try:
@@ -318,7 +315,6 @@ def test_torque_is_off_and_valves_are_vented_after_close(emulator):
     assert set(truth["valve"].values()) == {"vent"}
 
 
-@realtime
 def test_the_emulator_refuses_an_unknown_fault(emulator):
     with pytest.raises(InputError, match="valid: servo_drop"):
         emulator.fault("meteorite")

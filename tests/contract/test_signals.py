@@ -14,17 +14,15 @@ import signal
 import subprocess
 import sys
 import termios
-import time
 
 import pytest
 
+from mjtactile.core import pace
 from mjtactile.core.design import load_sensor
 from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.rig.file import load_rig_file
 from tests.emulated import wait_for
 from tests.emulated_host import WAIT, controller_text, host, rig_text
-
-pytestmark = pytest.mark.realtime
 
 INT, TERM, HUP, QUIT = signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT
 TIMES = {"once": (), "twice, 1 ms": (0.001,), "twice, 30 ms": (0.03,), "twice, 50 ms": (0.05,),
@@ -64,7 +62,7 @@ def test_signals(emulator, tmp_path, number, times, phase):
         wait_until(running, phase)
         running.signal(number)
         for pause in TIMES[times]:
-            time.sleep(pause)
+            pace.sleep(pause)
             running.signal(number)
         output, errors = running.ends()
         assert running.process.returncode == 3 and "Traceback" not in errors
@@ -80,7 +78,7 @@ def test_a_second_signal_a_second_later_lets_go_at_once(emulator, tmp_path):
     with host(emulator, tmp_path) as running:
         running.wait_for_phase("hold")
         running.signal(INT)
-        time.sleep(1.05)
+        pace.sleep(1.05)
         running.signal(INT)
         _, errors = running.ends()
         assert running.process.returncode == 3 and errors.splitlines()[-1] == "mjtactile: interrupted"
@@ -138,7 +136,7 @@ def test_a_killed_host_leaves_it_to_the_watchdogs(emulator, tmp_path):
     log = tmp_path / "out" / "recording" / "log.jsonl"
     assert wait_for(lambda: log.exists() and log.read_text().count('"kind": "cycle"') >= 5, WAIT), process.poll()
     process.send_signal(signal.SIGKILL)
-    killed = time.monotonic()
+    killed = pace.monotonic()
     process.wait()
     assert wait_for(lambda: set(emulator.truth()["watchdog"].values()) == {0xFF})  # the jaws stand still
     assert wait_for(lambda: set(emulator.truth()["valve"].values()) == {"vent"})

@@ -12,7 +12,6 @@ import logging
 import math
 import os
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,6 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from mjtactile.core import pace
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Image
 from mjtactile.rig.file import CameraConfig
@@ -62,7 +62,7 @@ class OpenCvCamera:
     """
 
     def __init__(self, config: CameraConfig, *, capture: Callable[[], Capture] | None = None,
-                 clock: Callable[[], float] = time.monotonic):
+                 clock: Callable[[], float] = pace.monotonic):
         self.config, self._clock = config, clock
         self.name = f"{config.finger} camera {config.source}"
         self.counters = CameraCounters()
@@ -73,7 +73,7 @@ class OpenCvCamera:
         self._newest: Image | None = None
         self._fresh_time = -math.inf  # when the picture last changed
         self._error: str | None = None
-        self._stopping = threading.Event()
+        self._stopping = pace.Event()
         self._capture = (capture or self._open)()
         try:
             if not self._capture.isOpened():
@@ -105,7 +105,7 @@ class OpenCvCamera:
         """Wait until there is a picture captured after `than` s; False when there is none within `timeout` s."""
         with self._condition:
             return self._condition.wait_for(
-                lambda: self._error is not None or self._newest is not None and self._newest.time > than, timeout)
+                lambda: self._error is not None or self._newest is not None and self._newest.time > than, pace.wall(timeout))
 
     @property
     def newest_time(self) -> float:
@@ -127,7 +127,8 @@ class OpenCvCamera:
             # One thread: several would each hold a picture back, which is latency. A JPEG is taken as it comes.
             raw = [cv2.CAP_PROP_FORMAT, -1] if self._is_raw else []
             return cv2.VideoCapture(config.source, cv2.CAP_FFMPEG, [
-                cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _OPEN_TIME_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _READ_TIME_MS,
+                cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, round(pace.wall(_OPEN_TIME_MS)),
+                cv2.CAP_PROP_READ_TIMEOUT_MSEC, round(pace.wall(_READ_TIME_MS)),
                 cv2.CAP_PROP_N_THREADS, 1, *raw])
         if not Path(config.source).exists():
             raise DeviceError(f"{self.name} is not there; `mjtactile doctor` lists the cameras that are")
@@ -233,7 +234,7 @@ class OpenCvCamera:
 
     def _await_first(self) -> None:
         with self._condition:
-            self._condition.wait_for(lambda: self._newest is not None or self._error is not None, _FIRST_PICTURE_TIME)
+            self._condition.wait_for(lambda: self._newest is not None or self._error is not None, pace.wall(_FIRST_PICTURE_TIME))
             if self._newest is not None and self._error is None:
                 return
             reason = self._error or f"no picture within {_FIRST_PICTURE_TIME:g} s"

@@ -18,7 +18,6 @@ import contextlib
 import select
 import termios
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -26,6 +25,7 @@ from typing import Any
 import serial
 from dynamixel_sdk import COMM_RX_CORRUPT, COMM_RX_TIMEOUT, COMM_SUCCESS, PortHandler, Protocol2PacketHandler
 
+from mjtactile.core import pace
 from mjtactile.core.errors import DeviceError
 
 _ID, _LENGTH, _ERROR, _PARAMETERS = 4, 5, 8, 9  # places in a status packet
@@ -68,7 +68,8 @@ class _Port(PortHandler):
         self._reply_timeout_ms = 1e3 * reply_timeout
 
     def setupPort(self, cflag_baud: int) -> bool:
-        write_timeout = max(0.1, 1e-3 * self._reply_timeout_ms)  # a computer that is too busy to answer is too busy to write
+        # A computer that is too busy to answer is too busy to write.
+        write_timeout = pace.wall(max(0.1, 1e-3 * self._reply_timeout_ms))
         self.ser = serial.Serial(port=self.port_name, baudrate=cflag_baud, timeout=0, write_timeout=write_timeout, exclusive=True)
         with contextlib.suppress(OSError, ValueError, NotImplementedError):
             self.ser.set_low_latency_mode(True)  # FTDI's 16 ms latency timer to 1 ms; a pty has none
@@ -85,7 +86,7 @@ class _Port(PortHandler):
         return data
 
     def getCurrentTime(self) -> float:
-        return 1e3 * time.monotonic()
+        return 1e3 * pace.monotonic()
 
     def isPacketTimeout(self) -> bool:
         """Late only when nothing is waiting to be read: it may be this thread that was late. A babbler gets no more time."""
@@ -224,8 +225,8 @@ class DynamixelBus:
 
     def _drain(self) -> None:
         """Throw away a late reply, which would otherwise pass for the answer to the next question: listen until it is quiet."""
-        deadline = time.monotonic() + _DRAIN_MAX
-        while time.monotonic() < deadline and select.select([self._port.ser.fileno()], [], [], self._quiet)[0]:
+        deadline = pace.monotonic() + _DRAIN_MAX
+        while pace.monotonic() < deadline and select.select([self._port.ser.fileno()], [], [], pace.wall(self._quiet))[0]:
             if not self._port.ser.read(4096):
                 break
 

@@ -9,8 +9,8 @@ import contextlib
 import logging
 import math
 import threading
-import time
 
+from mjtactile.core import pace
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.signals import deferred
 from mjtactile.core.types import Command, GripperState
@@ -41,9 +41,9 @@ class DynamixelGripper:
         lift_model = find_model(lift.model, source, "lift.model") if lift.kind == "servo" else None
         self._lift_zero_ticks = 0
         self._lift_goal = 0.0
-        self._closed = threading.Event()
+        self._closed = pace.Event()
         self._lock = threading.RLock()
-        self._last_call, self._silence = time.monotonic(), _SILENCE_IDLE
+        self._last_call, self._silence = pace.monotonic(), _SILENCE_IDLE
         self._state_time = self._bus_time = self._sent_time = -math.inf
         self._asked: float | None = None  # when; the answers wait in the port's buffer
         self._poll_turn, self._commanded = 0, False
@@ -70,14 +70,14 @@ class DynamixelGripper:
     def ask(self) -> None:
         """Ask all servos now; `state` collects what they say. Raises DeviceError when the port is lost."""
         with self._lock:
-            self._last_call = time.monotonic()
+            self._last_call = pace.monotonic()
             self._ask_all()
 
     def state(self) -> GripperState:
         """What the servos said to `ask`, which is done now if it was not. Raises DeviceError when one is lost, ServoFault
         when one reports a hardware error."""
         with self._lock:
-            self._last_call = time.monotonic()
+            self._last_call = pace.monotonic()
             self._refresh()
             if not self._commanded:
                 self._poll_one()
@@ -89,7 +89,7 @@ class DynamixelGripper:
                 opening=self.geometry.opening(ticks),
                 speed=self.geometry.speed(ticks, {i: s.rad_per_s for i, s in self._jaws.items()}),
                 effort=self.geometry.effort(ticks, {i: s.current for i, s in self._jaws.items()}),
-                lift_height=self._lift_height(), time=self._state_time, age=time.monotonic() - self._state_time)
+                lift_height=self._lift_height(), time=self._state_time, age=pace.monotonic() - self._state_time)
 
     def command(self, command: Command) -> Command:
         """Send goals to all servos in one packet; returns what was sent, after limits.
@@ -101,7 +101,7 @@ class DynamixelGripper:
         """
         with self._lock:
             self._arm()
-            self._last_call = time.monotonic()
+            self._last_call = pace.monotonic()
             low, high = self.config.opening
             opening = min(max(command.opening, low), high)
             force = min(max(command.force_limit, 0.0), self.config.force_max)
@@ -113,7 +113,7 @@ class DynamixelGripper:
                     servo.goal_current_units = min(jaw.current_units(force, servo.ticks), servo.current_limit_units)
             height = self._command_lift(command.lift_height)
             self._send_goals()
-            self._commanded, self._sent_time = True, time.monotonic()
+            self._commanded, self._sent_time = True, pace.monotonic()
             self._poll_one()  # here, where the cycle's picture waits for nothing any more
             return Command(opening, force, height, command.phase, command.memory)
 
@@ -194,7 +194,7 @@ class DynamixelGripper:
     def _ask_all(self) -> None:
         """Ask all servos in one transaction, unless they have been asked and not been heard."""
         if self._asked is None:
-            self._bus_time = asked = time.monotonic()
+            self._bus_time = asked = pace.monotonic()
             self.bus.ask_many(list(self._servos), STATE_START, STATE_SIZE, fast=self._bus_config.fast_sync)
             self._asked = asked
 
@@ -233,7 +233,7 @@ class DynamixelGripper:
 
     def _send_goals(self) -> None:
         """One sync write of goal current, velocity, profile and position; goals are never written partly."""
-        self._bus_time = time.monotonic()
+        self._bus_time = pace.monotonic()
         blocks = {s.id: s.goal_current_units.to_bytes(2, "little") + bytes(12) + s.goal_ticks.to_bytes(4, "little", signed=True)
                   for s in self._servos.values()}
         self.bus.write_many(_GOAL_START, blocks)
@@ -270,7 +270,7 @@ class DynamixelGripper:
         interval = self._bus_config.watchdog / 4
         while not self._closed.wait(interval):
             with self._lock:
-                now = time.monotonic()
+                now = pace.monotonic()
                 if self._closed.is_set() or now - self._last_call > self._silence or now - self._bus_time < interval:
                     continue
                 with contextlib.suppress(DeviceError):  # the loop's next call meets the same trouble and raises it

@@ -11,13 +11,13 @@ import logging
 import re
 import termios
 import threading
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import serial
 
+from mjtactile.core import pace
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.signals import deferred
 from mjtactile.devices.valve import protocol
@@ -53,11 +53,11 @@ class ValveBoard:
         self.firmware, self.has_sensors = "", True
         self._configs = {config.channel: config for config in configs}
         self._lock = threading.RLock()
-        self._closed = threading.Event()
+        self._closed = pace.Event()
         self._readings: dict[int, ValveReading] = {}
         self._sequence, self._received = 0, bytearray()
         self._failures, self._last_error = 0, ""
-        self._last_call = time.monotonic()
+        self._last_call = pace.monotonic()
         self._serial = open_port(first.port, first.baud)
         self._interval = min(config.heartbeat for config in configs) / 8
         self._reply_time = max(config.reply_timeout for config in configs)
@@ -87,7 +87,7 @@ class ValveBoard:
 
     def reading(self, channel: int) -> ValveReading:
         """The heartbeat's newest reading, without waiting for the board. Raises DeviceError when it has been silent."""
-        now, before = time.monotonic(), self._last_call
+        now, before = pace.monotonic(), self._last_call
         if now - before > _SILENCE:  # the heartbeat had been let die
             return self.measure(channel)
         self._last_call, reading = now, self._readings[channel]
@@ -99,7 +99,7 @@ class ValveBoard:
     def measure(self, channel: int, patience: float | None = None) -> ValveReading:
         """Ask the board now, for at most `patience` s (None: a command's). Raises DeviceError."""
         with self._lock:
-            self._last_call = time.monotonic()
+            self._last_call = pace.monotonic()
             return self._again(lambda: self._read(channel, patience))
 
     def close(self, *, quiet: bool = False) -> None:
@@ -127,8 +127,8 @@ class ValveBoard:
 
     def _handshake(self) -> None:
         """Ask who it is until it says so or the deadline passes; its boot banner and a cut line are skipped."""
-        deadline, heard = time.monotonic() + _HANDSHAKE_TIME, ""
-        while time.monotonic() < deadline:
+        deadline, heard = pace.monotonic() + _HANDSHAKE_TIME, ""
+        while pace.monotonic() < deadline:
             with contextlib.suppress(DeviceError):
                 heard = self._ask("id")
             match = re.fullmatch(rf"id {protocol.NAME} (\d+\.\d+) (\d+) ([01]) (\d+)", heard)
@@ -136,7 +136,7 @@ class ValveBoard:
                 self._check(match[1], int(match[2]), float(match[4]))
                 self.has_sensors = match[3] == "1"
                 return
-            time.sleep(0.02)
+            pace.sleep(0.02)
         what = f"it said {heard!r}" if heard else "it said nothing that could be read"
         raise DeviceError(f"valve board {self.name} does not answer as {protocol.NAME} within {_HANDSHAKE_TIME:g} s: {what}; are "
                           "port and baud rate right, is firmware/valve on it?")
@@ -169,7 +169,7 @@ class ValveBoard:
 
     def _obey(self, text: str, channel: int) -> None:
         with self._lock:
-            self._last_call = time.monotonic()
+            self._last_call = pace.monotonic()
             self._demand(text)
             self._read(channel)
 
@@ -202,7 +202,7 @@ class ValveBoard:
 
     def _answer(self, patience: float) -> str:
         """The line that bears the number of the last command; damaged ones and late answers to others are passed over."""
-        asked, damaged = time.monotonic(), 0
+        asked, damaged = pace.monotonic(), 0
         while True:
             while (end := self._received.find(b"\n")) >= 0:
                 line = bytes(self._received[:end]).rstrip(b"\r")
@@ -214,12 +214,12 @@ class ValveBoard:
             del self._received[: -2 * protocol.LONGEST]  # noise without an end
             data = self._serial.read(max(1, self._serial.in_waiting))  # the port's time-out is short
             self._received += data
-            waited = time.monotonic() - asked
+            waited = pace.monotonic() - asked
             if waited > patience and (not data or waited > 2 * patience):  # what has come is read: this thread may be late
                 raise _Unanswered(f"valve board {self.name}: {'only noise' if damaged or self._received else 'no reply'}")
 
     def _read(self, channel: int, patience: float | None = None) -> ValveReading:
-        asked = time.monotonic()  # the board measures after this, so that a reading is never thought younger than it is
+        asked = pace.monotonic()  # the board measures after this, so that a reading is never thought younger than it is
         reply = self._ask(f"state {channel}", patience)
         match = re.fullmatch(rf"state {channel} ({'|'.join(protocol.STATES)}) (-?\d+|-) ({'|'.join(protocol.FAULTS)})", reply)
         if match is None:
@@ -233,7 +233,7 @@ class ValveBoard:
     def _beat(self) -> None:
         """The heartbeat: read all channels while the loop lives."""
         while not self._closed.wait(_RETRY_TIME if 0 < self._failures < _FAILURES_MAX else self._interval):
-            if time.monotonic() - self._last_call > _SILENCE:
+            if pace.monotonic() - self._last_call > _SILENCE:
                 continue
             for channel in self._configs:
                 try:
@@ -260,6 +260,6 @@ def open_port(port: str, baud: int) -> serial.SerialBase:
     """Open a device or a pyserial URL (`socket://`, `rfc2217://`), alone where that can be had."""
     options: dict[str, Any] = {} if "://" in port else {"exclusive": True}
     try:
-        return serial.serial_for_url(port, baudrate=baud, timeout=0.01, write_timeout=0.2, **options)
+        return serial.serial_for_url(port, baudrate=baud, timeout=0.01, write_timeout=pace.wall(0.2), **options)
     except (serial.SerialException, OSError, ValueError) as error:
         raise DeviceError(f"valve port {port} cannot be opened: {' '.join(str(error).split())}") from error

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 
+from mjtactile.core import pace
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import ValveState
 from mjtactile.devices.valve.board import ValveBoard, ValveReading
@@ -30,7 +30,7 @@ class BoardValve:
         if reading.fault:
             raise DeviceError(f"valve {self.config.finger} vented by itself: {reading.fault}")
         self._check_moves(reading)
-        return ValveState(reading.is_open, reading.pressure_gauge, reading.time, time.monotonic() - reading.time)
+        return ValveState(reading.is_open, reading.pressure_gauge, reading.time, pace.monotonic() - reading.time)
 
     def open(self, supply_gauge: float) -> None:
         """Connect to a supply of `supply_gauge` Pa; 0 vents. Raises DeviceError beyond the rig file's limits."""
@@ -44,13 +44,13 @@ class BoardValve:
             if not self.board.has_sensors:
                 self._check_supply(supply_gauge)
             self.board.set(config.channel, supply_gauge)
-        self._goal, self._goal_time = supply_gauge, time.monotonic()
+        self._goal, self._goal_time = supply_gauge, pace.monotonic()
 
     def close(self) -> None:
         """Seal the chamber, once its pressure is what was set. Raises DeviceError for a valve that does not move."""
         while self._goal is not None and not self._has_moved(self.board.measure(self.config.channel)):
             self._check_moves(self.board.measure(self.config.channel))
-            time.sleep(_SETTLE_POLL)
+            pace.sleep(_SETTLE_POLL)
         self.board.seal(self.config.channel)
         self._goal = None
 
@@ -67,7 +67,7 @@ class BoardValve:
         return abs(reading.pressure_gauge - self._goal) <= max(_SETTLE_SHARE * abs(self._goal), _SETTLE_FLOOR)
 
     def _check_moves(self, reading: ValveReading) -> None:
-        if time.monotonic() - self._goal_time >= _SETTLE_TIME and not self._has_moved(reading):
+        if pace.monotonic() - self._goal_time >= _SETTLE_TIME and not self._has_moved(reading):
             raise DeviceError(f"valve {self.config.finger} is stuck: {self._goal:g} Pa was set {_SETTLE_TIME:g} s ago, the "
                               f"chamber has {reading.pressure_gauge:.0f} Pa")
 

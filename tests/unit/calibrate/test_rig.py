@@ -9,7 +9,6 @@ import io
 import json
 import math
 import threading
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +19,7 @@ from mjtactile.calibrate.gripper import calibrate_force, calibrate_opening, serv
 from mjtactile.calibrate.valve import calibrate_valve
 from mjtactile.cli import main
 from mjtactile.commands.calibrate.terminal import ask
+from mjtactile.core import pace
 from mjtactile.core.calibration import load_calibration
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.devices.dynamixel.jaws import JawGeometry
@@ -104,7 +104,7 @@ class Mechanism:
     def __init__(self, servos, *, play=0.0, block=0.0, stiffness=4e3, torque_share=1.0):
         self.servos, self.play, self.block, self.stiffness, self.share = servos, play, block, stiffness, torque_share
         self.motor = self.jaw = RADIUS * ANGLE  # m, of each jaw
-        self.force, self._stop = 0.0, threading.Event()
+        self.force, self._stop = 0.0, pace.Event()
         self._thread = threading.Thread(target=self._run)
 
     def __enter__(self):
@@ -210,13 +210,13 @@ def test_recorded_step_through_the_command(tmp_path, capsys):
 def test_a_valve_on_a_pty(hurry):
     with valve_bench() as (port, _, _, chambers):
         boards, valves = connect_valves(valve_configs(port.path))
-        begin = time.monotonic()
+        begin = pace.monotonic()
         chambers.leak = 0.1  # Pa every 5 ms
         try:
             fit = live.calibrate_live_valve(valves[0], 1000.0, 2.0, lambda _: None)
         finally:
             boards[0].close()
-        passed = time.monotonic() - begin
+        passed = pace.monotonic() - begin
     assert fit.offset == pytest.approx(0, abs=5)  # 5 Pa of noise, some 20 samples
     # The board's lag of 50 ms gives 0.11 s; its clock stands still while a busy computer does not let it tick.
     assert 0.05 < fit.rise_time < 0.6

@@ -1,12 +1,12 @@
 """The camera driver with a capture object that behaves like V4L2: controls reset, clamped values, kernel times."""
 
 import threading
-import time
 
 import cv2
 import numpy as np
 import pytest
 
+from mjtactile.core import pace
 from mjtactile.core.errors import DeviceError
 from mjtactile.devices.camera.opencv import OpenCvCamera
 from mjtactile.devices.rig import FrameClock
@@ -28,8 +28,8 @@ class V4l2:
         self.rng, self.number = np.random.default_rng(0), 0
         self.mode, self.released = "live", False
         self.pixels = self.picture()
-        self.time = time.monotonic()
-        self.gate = threading.Event()
+        self.time = pace.monotonic()
+        self.gate = pace.Event()
 
     def picture(self):
         return self.rng.integers(0, 255, (48, 64, 3), dtype=np.uint8)
@@ -52,7 +52,7 @@ class V4l2:
         return True
 
     def read(self):
-        time.sleep(0.01)
+        pace.sleep(0.01)
         if self.mode in ("gone", "absent"):
             return False, None
         if self.mode == "stopped":
@@ -60,7 +60,7 @@ class V4l2:
             return False, None
         if self.mode == "live":
             self.pixels = self.picture()
-        self.time = time.monotonic() - 0.004
+        self.time = pace.monotonic() - 0.004
         self.number += 1
         return True, self.pixels
 
@@ -107,7 +107,7 @@ def test_what_did_not_take_is_refused(prop, largest, name):
 
 def test_time_is_the_kernels(camera):
     image = camera.read()
-    assert 0.004 <= time.monotonic() - image.time < 5.0  # captured 4 ms before it arrived
+    assert 0.004 <= pace.monotonic() - image.time < 5.0  # captured 4 ms before it arrived
 
 
 def test_a_kernel_clock_that_is_not_the_monotonic_one_is_refused():
@@ -132,7 +132,7 @@ def test_a_frozen_camera_is_an_error(camera, device):
 
 def test_a_camera_that_stops_is_stale(camera, device):
     device.mode = "stopped"
-    time.sleep(0.1)  # ten periods
+    pace.sleep(0.1)  # ten periods
     with pytest.raises(DeviceError, match="stale"):
         camera.read()
 
@@ -177,7 +177,7 @@ def test_another_size_than_asked_for_is_an_error():
 @pytest.mark.parametrize("fourcc", ["MJPG", None])
 def test_a_stream_over_http_is_read(fourcc):
     """The path of the emulated rig: MJPEG on loopback, decoded here or by FFmpeg."""
-    server, stop = StreamServer(("left",)), threading.Event()
+    server, stop = StreamServer(("left",)), pace.Event()
     rng = np.random.default_rng(0)
     base = cv2.GaussianBlur(rng.integers(60, 200, (48, 64)).astype(np.float32), (0, 0), 3)
 

@@ -8,14 +8,12 @@ import contextlib
 import logging
 import math
 import threading
-import time
 
 import pytest
 
+from mjtactile.core import pace
 from mjtactile.core.types import Command
 from tests.emulated import ANGLE, servo_bench, wait_for
-
-pytestmark = pytest.mark.realtime
 
 RADIUS = 0.012  # m/rad, GRIPPER's
 START = 2 * RADIUS * ANGLE  # m of opening, 72 mm
@@ -31,7 +29,7 @@ class Jaws:
 
     def __init__(self, bench, touch):
         self.bench, self.touch, self.silence = bench, touch / 2, 0.0
-        self._stop = threading.Event()
+        self._stop = pace.Event()
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 
@@ -50,15 +48,15 @@ class Jaws:
         """Wait until it moves no more: a servo that goes on needs 0.14 s for 10 mm."""
         def rests():
             before = self.opening
-            time.sleep(0.1)
+            pace.sleep(0.1)
             return self.opening == before
 
         assert wait_for(rests)
 
     def _run(self):
-        last = time.monotonic()
+        last = pace.monotonic()
         while not self._stop.wait(0.004):
-            now = time.monotonic()
+            now = pace.monotonic()
             for servo in self.bench.servos.values():
                 servo.look_at_watchdog(now + self.silence)
                 self._move(servo, min(now - last, 0.02))
@@ -89,12 +87,12 @@ def hand(kind, touch):
 
 def close_until(gripper, condition):
     """Ask for closed jaws, as fast as they go."""
-    deadline = time.monotonic() + 20
+    deadline = pace.monotonic() + 20
     while not condition():
-        assert time.monotonic() < deadline
+        assert pace.monotonic() < deadline
         gripper.state()
         gripper.command(Command(0.0, FORCE))
-        time.sleep(0.005)
+        pace.sleep(0.005)
 
 
 def die(bench, jaws, gripper):

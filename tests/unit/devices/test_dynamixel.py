@@ -1,11 +1,11 @@
 """The gripper driver against emulated servos: recipe, units, faults, and torque off on every way out."""
 
 import math
-import time
 from dataclasses import replace
 
 import pytest
 
+from mjtactile.core import pace
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.types import Command
 from mjtactile.devices.dynamixel.gripper import DynamixelGripper, ServoFault
@@ -252,7 +252,7 @@ def test_a_state_is_of_the_time_it_was_asked_for(bench):
     try:
         before = gripper.state()
         gripper.ask()
-        asked = time.monotonic()
+        asked = pace.monotonic()
         wait_for(lambda: gripper.bus._port.ser.in_waiting >= 2 * 32)  # both have answered
         bench.servos[2].feel(ANGLE + 0.5, 0.0, 0.0, 0.01)
         state = gripper.state()
@@ -328,7 +328,7 @@ def test_a_silent_host_trips_the_watchdog_and_the_driver_says_so(bench):
     gripper = bench.gripper()
     try:
         gripper.command(Command(0.07, 2.0))
-        bench.servos[1].look_at_watchdog(time.monotonic() + 10)
+        bench.servos[1].look_at_watchdog(pace.monotonic() + 10)
         assert bench.servos[1].drive().goal == pytest.approx(ANGLE, abs=TICK)  # held where it is
         with pytest.raises(ServoFault, match="bus watchdog"):
             for _ in range(12):
@@ -353,7 +353,7 @@ def test_keep_alive_rests_when_the_host_is_silent(bench):
     gripper = bench.gripper(watchdog=0.1)
     try:
         gripper.command(Command(0.07, 2.0))
-        assert wait_for(lambda: time.monotonic() - bench.servos[1].last_packet > 0.5)
+        assert wait_for(lambda: pace.monotonic() - bench.servos[1].last_packet > 0.5)
     finally:
         gripper.close()
 

@@ -1,12 +1,12 @@
 """Each trap of the SDK's packet layer (docs/hardware.md), through the bus and emulated servos on a pty."""
 
 import threading
-import time
 
 import pytest
 from dynamixel_sdk import PortHandler, Protocol2PacketHandler
 
 from mjtactile.bench.rig.fuzz import fuzz_servos
+from mjtactile.core import pace
 from mjtactile.core.errors import DeviceError
 from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus
 from mjtactile.emulator import protocol2
@@ -101,7 +101,7 @@ def test_time_outs_are_the_files_and_not_the_sdks(bench):
         assert bus._port.packet_timeout == pytest.approx(5 + 21 * 0.01)  # ms; 10 bits a byte at 1 Mbaud
         sdk.setPacketTimeout(21)
         assert sdk.packet_timeout > 30
-        assert abs(bus._port.getCurrentTime() - 1e3 * time.monotonic()) < 1e3  # not the wall clock's 1.7e12
+        assert abs(bus._port.getCurrentTime() - 1e3 * pace.monotonic()) < 1e3  # not the wall clock's 1.7e12
     finally:
         bus.close()
 

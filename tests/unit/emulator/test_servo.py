@@ -4,19 +4,17 @@ The shaft is turned by hand (`turn`), so that nothing here depends on the comput
 """
 
 import math
-import time
 
 import dynamixel_sdk as sdk
 import pytest
 
+from mjtactile.core import pace
 from mjtactile.devices.dynamixel.bus import DynamixelBus
 from mjtactile.devices.dynamixel.tables import MODELS, load_table
 from mjtactile.emulator import protocol2 as p2
 from mjtactile.emulator.control_table import control_table
 from mjtactile.emulator.servo import EmulatedServo
 from tests.emulated import ANGLE, servo_bench
-
-pytestmark = pytest.mark.realtime
 
 TICKS = round(ANGLE / (2 * math.pi) * 4096)
 PATIENCE, SILENCE = 1500.0, 60.0  # ms for a reply, where the SDK has 34 (tests share their processors), and for none
@@ -363,7 +361,7 @@ def tripped(mode=5, **how):
     for address, size, value in ((11, 1, mode), (98, 1, 5), (64, 1, 1), goal):
         assert servo.write(address, value.to_bytes(size, "little")) == 0
     turn(servo, 0.05)
-    servo.look_at_watchdog(time.monotonic() + 1)
+    servo.look_at_watchdog(pace.monotonic() + 1)
     return servo, servo.angle
 
 
@@ -396,7 +394,7 @@ def test_with_a_homing_offset_a_trip_moves_the_motor():
     for address, size, value in ((20, 4, 300), (11, 1, 4), (98, 1, 5), (64, 1, 1)):
         assert servo.write(address, value.to_bytes(size, "little")) == 0
     for i in range(100):
-        servo.look_at_watchdog(time.monotonic() + 1 + i)
+        servo.look_at_watchdog(pace.monotonic() + 1 + i)
         servo.turn(0.01)
     assert servo.angle < -1.0  # and on
 
@@ -404,5 +402,5 @@ def test_with_a_homing_offset_a_trip_moves_the_motor():
 def test_without_torque_it_does_not_trip():
     servo = EmulatedServo(1, "XL330-M288")
     assert servo.write(98, b"\x05") == 0
-    servo.look_at_watchdog(time.monotonic() + 10)
+    servo.look_at_watchdog(pace.monotonic() + 10)
     assert servo.get("Bus Watchdog") == 5

@@ -2,7 +2,6 @@
 
 import copy
 import math
-import time
 import tomllib
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 from emulated import Chambers
 
-from mjtactile.core import geometry, optics, resources
+from mjtactile.core import geometry, optics, pace, resources
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.emulator.faults import Faults
@@ -82,10 +81,10 @@ def test_the_valve_board_regulates_by_its_own_sensor():
 
     def settle():
         for _ in range(200):  # 4 s of a 50 ms lag
-            firmware.tick(time.monotonic(), 0.02)
+            firmware.tick(pace.monotonic(), 0.02)
 
     def ask(text):
-        return unframed(firmware.reply(framed(f"1 {text}").rstrip(), time.monotonic()).rstrip())
+        return unframed(firmware.reply(framed(f"1 {text}").rstrip(), pace.monotonic()).rstrip())
 
     for text in ("vent 1", "limit 1 3000", "beat 60000", "set 1 1000"):
         assert ask(text) == f"1 {text}"

@@ -5,8 +5,6 @@ import pytest
 
 from tests.emulated import ANGLE, servo_bench
 
-pytestmark = pytest.mark.realtime
-
 TICKS = round(ANGLE / (2 * 3.141592653589793) * 4096)
 
 

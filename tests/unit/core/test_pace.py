@@ -1,0 +1,55 @@
+"""Seconds that last longer."""
+
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+from mjtactile.core import pace
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import InputError
+from mjtactile.devices.rig import build_device_rig
+from mjtactile.rig.file import load_rig_file
+from tests.emulated import at_pace
+
+
+@pytest.fixture
+def five():
+    with at_pace(5.0):
+        yield
+
+
+@pytest.mark.parametrize("wait", [pace.sleep, lambda seconds: pace.Event().wait(seconds)], ids=["sleep", "Event"])
+def test_a_fifth_of_the_speed(five, wait):
+    wall, slow = time.monotonic(), pace.monotonic()
+    wait(0.02)
+    wall, slow = time.monotonic() - wall, pace.monotonic() - slow
+    assert wall > 0.0999  # s; a clock's resolution below 5 x 0.02
+    assert slow == pytest.approx(wall / 5, abs=2e-3)  # s: what lies between the two readings of the clocks on a busy computer
+    assert pace.wall(0.02) == pytest.approx(0.1)
+
+
+def test_processes_that_are_started_inherit_it(five):
+    code = "from mjtactile.core import pace; print(pace.slow())"
+    assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.strip() == "5.0"
+
+
+@pytest.mark.parametrize("text", ["fast", "0.5", "nan", "inf", ""])
+def test_what_is_no_pace(text):
+    done = subprocess.run([sys.executable, "-m", "mjtactile", "emulate", "--faults", "meteorite"], check=False, text=True,
+                          capture_output=True, env={**os.environ, "MJTACTILE_SLOW": text})
+    assert done.returncode == 2 and "MJTACTILE_SLOW" in done.stderr and len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize("arguments", [("--rig", "sim"), ("--rig", "replay:somewhere"), ("--rig", "emulated", "--slow", "0.1")])
+def test_only_the_emulated_rig_is_slow(arguments):
+    done = subprocess.run([sys.executable, "-m", "mjtactile", "grasp", "--slow", "3", *arguments], check=False, text=True,
+                          capture_output=True)
+    assert done.returncode == 2 and "--slow" in done.stderr
+
+
+def test_real_servos_have_a_clock_of_their_own(five):
+    with pytest.raises(InputError, match="ttyACM0: only emulated devices can be slow"):
+        build_device_rig(load_rig_file("one_xl330_linkage"), load_sensor("dense"))
