@@ -14,6 +14,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell's job in the ba
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+pytest_plugins = ["tests.stolen", "pytester"]
+
+
 def pytest_addoption(parser):
     parser.addoption("--hardware", metavar="RIG.toml", help="also run the contract suite on this real rig; clear its jaws first")
 

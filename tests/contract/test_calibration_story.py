@@ -28,6 +28,8 @@ from mjtactile.run.controller import load_controller
 from mjtactile.run.session import Session
 from tests.emulated import at_pace
 
+pytestmark = pytest.mark.clock
+
 RATE = 15.0  # Hz; half of what the emulated cameras give: two processors draw and look at them
 BOARD = Board(9, 7, 5e-3, 3.75e-3)
 ERROR_MAX = 0.02  # N, of the felt force on each finger, after calibration
@@ -174,7 +176,7 @@ def test_two_fingers_that_are_not_as_their_sensor_file_says(tmp_path, monkeypatc
     path = write_rig(tmp_path)
     before, said = grasp_error(path)
     assert "calibration of left: never measured: lens, frame, valve, force" in said
-    with at_pace(1.5):  # most of it is three minutes of jaws that move and rest
+    with at_pace(2.0):  # most of it is three minutes of jaws that move and rest
         calibrate_all(path, monkeypatch)
     left, right = (load_calibration(tmp_path / f"{finger}.json") for finger in FINGERS)
     # each against the specimen: focal length 3 % of 600 px by the camera's own 0.5 %, zero by 5 Pa of noise over 0.7 s

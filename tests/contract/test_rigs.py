@@ -83,7 +83,7 @@ def record(rig, folder):
         session.run(Nothing(), time_limit=60.0, on_cycle=recorder.add)
 
 
-@pytest.fixture(params=[*SIMULATED, "emulated", "replay",
+@pytest.fixture(params=[*SIMULATED, pytest.param("emulated", marks=pytest.mark.clock), "replay",
                         pytest.param("hardware", marks=pytest.mark.hardware)])
 def rig(request):
     """Each kind of rig; "hardware" is the one of `pytest --hardware RIG.toml`, whose sensor is DESIGN. Clear its jaws."""
@@ -217,6 +217,7 @@ def test_gentle_lifts_an_egg(name, tmp_path):
     assert hand > 0.04
 
 
+@pytest.mark.clock
 def test_gentle_grasps_on_the_emulated_rig(emulator, tmp_path):
     heights = []
 
@@ -300,6 +301,7 @@ def test_what_cannot_be_replayed_is_refused(tmp_path):
         build_rig("replay:/nonexistent", DESIGN, object_name="egg", seed=0)
 
 
+@pytest.mark.clock
 def test_torque_is_off_and_valves_are_vented_after_close(emulator):
     rig = build_emulated_rig(patient_rig_file(), DESIGN, object_name="egg", seed=0, emulator=emulator)
     try:

@@ -24,6 +24,8 @@ from mjtactile.rig.file import load_rig_file
 from tests.emulated import wait_for
 from tests.emulated_host import WAIT, controller_text, host, rig_text
 
+pytestmark = pytest.mark.clock
+
 INT, TERM, HUP, QUIT = signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT
 TIMES = {"once": (), "twice, 1 ms": (0.001,), "twice, 30 ms": (0.03,), "twice, 50 ms": (0.05,),
          "six": (0.001, 0.05, 0.01, 0.1, 0.03)}

@@ -16,6 +16,8 @@ from mjtactile.core.optics import Camera
 from mjtactile.emulator.stream import StreamServer
 from mjtactile.rig.file import load_rig_file
 
+pytestmark = pytest.mark.clock
+
 SIZE = (640, 480)
 K = np.array([[610.0, 0, 325.3], [0, 606.0, 236.1], [0, 0, 1]])
 DISTORTION = np.array([-0.21, 0.09, 8e-4, -6e-4, 0.0])

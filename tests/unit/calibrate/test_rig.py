@@ -27,6 +27,8 @@ from mjtactile.devices.valve.driver import connect_valves
 from mjtactile.rig.file import load_rig_file
 from tests.emulated import ANGLE, GRIPPER, servo_bench, valve_bench, valve_configs
 
+pytestmark = pytest.mark.clock
+
 RADIUS, TICK = 0.012, 2 * math.pi / 4096
 
 

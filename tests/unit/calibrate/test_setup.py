@@ -12,6 +12,8 @@ from mjtactile.devices.valve.driver import connect_valves
 from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.rig.file import load_rig_file
 
+pytestmark = pytest.mark.clock
+
 
 @pytest.fixture
 def emulator():

@@ -14,6 +14,8 @@ from mjtactile.emulator.stream import StreamServer
 from mjtactile.rig.file import CameraConfig
 from tests.emulated import wait_for
 
+pytestmark = pytest.mark.clock
+
 CONFIG = CameraConfig("left", "/dev/video9", 64, 48, 100.0, exposure=100.0, gain=10.0, white_balance=4600.0)
 STREAM_PROPS = {cv2.CAP_PROP_FOURCC, cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_BUFFERSIZE,
                 cv2.CAP_PROP_FPS}

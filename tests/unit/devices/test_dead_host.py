@@ -15,6 +15,8 @@ from mjtactile.core import pace
 from mjtactile.core.types import Command
 from tests.emulated import ANGLE, servo_bench, wait_for
 
+pytestmark = pytest.mark.clock
+
 RADIUS = 0.012  # m/rad, GRIPPER's
 START = 2 * RADIUS * ANGLE  # m of opening, 72 mm
 STIFFNESS = 400.0  # N/m of the spring at each finger

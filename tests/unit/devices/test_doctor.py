@@ -2,9 +2,13 @@
 
 import contextlib
 
+import pytest
+
 from mjtactile.devices.doctor import _servo
 from mjtactile.devices.dynamixel.bus import DynamixelBus
 from tests.emulated import servo_bench
+
+pytestmark = pytest.mark.clock
 
 
 def findings(**kind):

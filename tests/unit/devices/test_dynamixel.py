@@ -16,6 +16,8 @@ from mjtactile.emulator.servo import EmulatedServo
 from mjtactile.rig.file import GripperConfig, LiftConfig, ServoConfig
 from tests.emulated import ANGLE, GRIPPER, servo_bench, wait_for
 
+pytestmark = pytest.mark.clock
+
 TICK = 2 * math.pi / 4096
 
 

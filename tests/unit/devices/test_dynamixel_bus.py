@@ -12,6 +12,8 @@ from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus
 from mjtactile.emulator import protocol2
 from tests.emulated import REPLY_TIMEOUT, servo_bench
 
+pytestmark = pytest.mark.clock
+
 POSITION = 132
 
 

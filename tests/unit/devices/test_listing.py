@@ -15,6 +15,8 @@ from mjtactile.devices.camera.v4l2 import formats_of, video_devices
 from mjtactile.devices.listing import serial_ports, servos_at, valve_board_at
 from tests.emulated import REPLY_TIMEOUT, servo_bench, valve_bench
 
+pytestmark = pytest.mark.clock
+
 MODES = {"MJPG": [(640, 480, [(1, 30), (1, 60)]), (1280, 720, [(1, 30)])], "YUYV": [(640, 480, [(1, 15)])]}
 
 

@@ -14,6 +14,8 @@ from mjtactile.emulator import valve as emulated
 from mjtactile.rig.file import ValveConfig
 from tests.emulated import valve_bench, valve_configs, wait_for
 
+pytestmark = pytest.mark.clock
+
 
 @pytest.fixture(params=[True, False], ids=["sensors", "no sensors"])
 def rig(request):

@@ -18,7 +18,7 @@ from mjtactile.rig.file import ValveConfig
 from tests.emulated import valve_configs, wait_for
 
 SOURCE = Path(__file__).resolve().parents[3] / "firmware" / "valve"
-pytestmark = pytest.mark.skipif(not SOURCE.is_dir(), reason="the firmware is in the repository only")
+pytestmark = [pytest.mark.clock, pytest.mark.skipif(not SOURCE.is_dir(), reason="the firmware is in the repository only")]
 STATES, FAULTS = ("vent", "set", "sealed"), ("ok", "start", "silent", "sensor", "pressure")
 
 

@@ -15,6 +15,8 @@ from mjtactile.emulator.world import _FALL_SPEED_MAX, EmulatedWorld
 from mjtactile.rig.file import load_rig_file
 from tests.emulated import servo_bench, wait_for
 
+pytestmark = pytest.mark.clock
+
 
 def test_a_lift_without_torque_has_no_goal():
     descriptor = os.memfd_create("test")

@@ -16,6 +16,8 @@ from mjtactile.emulator.control_table import control_table
 from mjtactile.emulator.servo import EmulatedServo
 from tests.emulated import ANGLE, servo_bench
 
+pytestmark = pytest.mark.clock
+
 TICKS = round(ANGLE / (2 * math.pi) * 4096)
 PATIENCE, SILENCE = 1500.0, 60.0  # ms for a reply, where the SDK has 34 (tests share their processors), and for none
 OK = sdk.COMM_SUCCESS

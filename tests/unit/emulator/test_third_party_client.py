@@ -5,6 +5,8 @@ import pytest
 
 from tests.emulated import ANGLE, servo_bench
 
+pytestmark = pytest.mark.clock
+
 TICKS = round(ANGLE / (2 * 3.141592653589793) * 4096)
 
 

@@ -1,0 +1,51 @@
+"""What becomes of a test by the clock on a computer that stands still."""
+
+import itertools
+
+import pytest
+
+from tests import stolen
+
+TESTS = """
+import pytest
+
+tries = []
+
+@pytest.mark.clock
+def test_passes():
+    pass
+
+@pytest.mark.clock
+def test_fails():
+    tries.append(1)
+    assert 0, "too late"
+
+@pytest.mark.clock
+def test_fails_once():
+    tries.append(1)
+    assert len(tries) > 3
+
+def test_by_no_clock():
+    assert 0
+"""
+
+
+@pytest.fixture
+def outcomes(pytester, monkeypatch):
+    def run(stolen_each_time):
+        clock = itertools.count(0, stolen_each_time)
+        monkeypatch.setattr(stolen, "stolen_seconds", lambda: next(clock))
+        pytester.makeini("[pytest]\nmarkers = clock")
+        pytester.makepyfile(TESTS)
+        return pytester.runpytest_inprocess("-p", "tests.stolen", "-p", "no:cacheprovider", "-p", "no:xdist")
+    return run
+
+
+def test_failures_on_a_computer_that_stands_still_are_undecided_and_said(outcomes):
+    result = outcomes(1e3)  # s a try
+    result.assert_outcomes(passed=2, skipped=1, failed=1)  # twice test_fails; test_fails_once at its second try
+    result.stdout.fnmatch_lines(["UNDECIDED *test_fails: undecided, * taken away: AssertionError: too late*"])
+
+
+def test_on_ones_own_computer_a_failure_is_one(outcomes):
+    outcomes(0).assert_outcomes(passed=1, failed=3)
