@@ -16,8 +16,8 @@ from mjtactile.core.types import Command, Contact, GripperState, Image, Touch, V
 _NAN2, _NAN6 = [np.nan] * 2, [np.nan] * 6
 
 
-class CycleLike(Protocol):
-    """What one control cycle offers to be recorded; `mjtactile.run.loop.Cycle` is one."""
+class Seen(Protocol):
+    """What is shown of a control cycle."""
 
     @property
     def time(self) -> float: ...
@@ -25,6 +25,11 @@ class CycleLike(Protocol):
     def images(self) -> tuple[Image, ...]: ...
     @property
     def touch(self) -> tuple[Touch, ...]: ...
+
+
+class CycleLike(Seen, Protocol):
+    """What one control cycle offers to be recorded; `mjtactile.run.loop.Cycle` is one."""
+
     @property
     def gripper(self) -> GripperState: ...
     @property

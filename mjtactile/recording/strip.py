@@ -2,23 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
-from mjtactile.core.types import Image, Touch
+from mjtactile.recording.columns import Seen
 
 _MOST = 32  # cycles
 _ROOM = 96e6  # bytes of images
-
-
-class Seen(Protocol):
-    """What is shown of a cycle; every `CycleLike` is one."""
-
-    @property
-    def time(self) -> float: ...
-    @property
-    def images(self) -> tuple[Image, ...]: ...
-    @property
-    def touch(self) -> tuple[Touch, ...]: ...
 
 
 class Strip:

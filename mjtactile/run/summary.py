@@ -11,8 +11,8 @@ from typing import Any
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import MjtactileError
 from mjtactile.core.types import Image, Touch
+from mjtactile.recording.columns import Seen
 from mjtactile.recording.reader import Recording, load_recording
-from mjtactile.recording.strip import Seen
 from mjtactile.recording.writer import Recorder
 from mjtactile.rig.registry import build_rig
 from mjtactile.run.page import write_page

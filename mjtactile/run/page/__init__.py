@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from mjtactile.recording.columns import Seen
 from mjtactile.recording.files import to_json
 from mjtactile.recording.reader import Recording
-from mjtactile.recording.strip import Seen
 from mjtactile.run.html import document, table
 from mjtactile.run.page.data import page_data
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array, Image, Touch
+from mjtactile.recording.columns import Seen
 from mjtactile.recording.reader import Recording
-from mjtactile.recording.strip import Seen
 from mjtactile.run.html import data_uri
 from mjtactile.run.overlay import with_ellipses
 from mjtactile.run.report import FINGER_COLOURS, PHASE_COLOURS, arrow_unit, arrows

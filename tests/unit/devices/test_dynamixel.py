@@ -1,11 +1,10 @@
-"""The gripper driver against emulated servos: recipe, units, faults, and torque off on every way out."""
+"""The gripper driver against emulated servos: recipe, units, lift."""
 
 import math
 from dataclasses import replace
 
 import pytest
 
-from mjtactile.core import pace
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.types import Command
 from mjtactile.devices.dynamixel.gripper import DynamixelGripper, ServoFault
@@ -232,166 +231,6 @@ def test_a_table_that_cannot_be_inverted_is_refused():
     config = ServoConfig(1, "XM430-W350", "table", table=((0.0, 0.01), (0.1, 0.02), (0.2, 0.015)))
     with pytest.raises(InputError, match="table_deg_mm"):
         JawServo(config, "test")
-
-
-# -- faults ------------------------------------------------------------------------------------------------------------
-
-@pytest.mark.parametrize("fast", [False, True])
-def test_a_hardware_error_is_seen_in_the_next_cycle(bench, fast):
-    gripper = bench.gripper(fast_sync=fast)
-    try:
-        gripper.state()
-        bench.servos[2].raise_error(0x20)
-        with pytest.raises(ServoFault, match=r"servo 2 .* overload"):
-            gripper.state()
-    finally:
-        gripper.close()
-
-
-def test_a_state_is_of_the_time_it_was_asked_for(bench):
-    """The servos answer while the loop works on its picture; what happens after the question is not in the answer."""
-    gripper = bench.gripper()
-    try:
-        before = gripper.state()
-        gripper.ask()
-        asked = pace.monotonic()
-        wait_for(lambda: gripper.bus._port.ser.in_waiting >= 2 * 32)  # both have answered
-        bench.servos[2].feel(ANGLE + 0.5, 0.0, 0.0, 0.01)
-        state = gripper.state()
-        assert state.opening == before.opening and before.time < state.time <= asked
-        assert gripper.state().opening > before.opening + 0.005  # of the 6 mm that the jaw has moved
-    finally:
-        gripper.close()
-
-
-def test_what_comes_between_question_and_state_spoils_neither(bench):
-    gripper = bench.gripper(reply_timeout=0.05)
-    try:
-        before = gripper.state()
-        gripper.ask()
-        gripper.command(Command(before.opening, 1.0))
-        bench.servos[2].feel(ANGLE + 0.5, 0.0, 0.0, 0.01)
-        for _ in range(2):  # the answers were thrown away, so that the servos are asked again
-            assert gripper.state().opening > before.opening + 0.005
-    finally:
-        gripper.close()
-
-
-def test_two_lost_replies_are_tolerated_and_two_cycles_are_not(bench):
-    gripper = bench.gripper(reply_timeout=0.05)
-    gripper._closed.set()  # ends the keep-alive thread, so that this test counts the readings
-    gripper._keeper.join()
-    gripper._closed.clear()
-    try:
-        before = gripper.state()
-        bench.faults.set("servo_silent", 2)
-        blind = gripper.state()  # asked, and asked again
-        assert blind.opening == before.opening and blind.time == before.time  # it says how old it is
-        with pytest.raises(DeviceError, match=r"servo 2 .* no reply 3 times"):
-            gripper.state()
-    finally:
-        bench.faults.set("servo_silent", 0)
-        gripper.close()
-
-
-def test_a_damaged_reply_is_asked_for_again_in_the_same_cycle(bench):
-    gripper = bench.gripper(reply_timeout=0.05)
-    try:
-        before = gripper.state()
-        bench.servos[2].feel(ANGLE + 0.5, 0.0, 0.0, 0.01)
-        reply, dropped = bench.bus._status, []
-
-        def once_lost(servo, *rest):
-            if servo.id == 2 and not dropped:
-                dropped.append(1)
-                return b""
-            return reply(servo, *rest)
-
-        bench.bus._status = once_lost
-        after = gripper.state()
-        assert dropped
-        assert after.opening - before.opening == pytest.approx(0.012 * 0.5, abs=2 * 0.012 * TICK)
-    finally:
-        gripper.close()
-
-
-def test_a_brown_out_is_noticed(bench):
-    gripper = bench.gripper()
-    try:
-        bench.servos[1].brown_out()
-        with pytest.raises(ServoFault, match="restart"):
-            for _ in range(2):  # each of two servos is asked every other reading
-                gripper.state()
-    finally:
-        gripper.close()
-
-
-def test_a_silent_host_trips_the_watchdog_and_the_driver_says_so(bench):
-    gripper = bench.gripper()
-    try:
-        gripper.command(Command(0.07, 2.0))
-        bench.servos[1].look_at_watchdog(pace.monotonic() + 10)
-        assert bench.servos[1].drive().goal == pytest.approx(ANGLE, abs=TICK)  # held where it is
-        with pytest.raises(ServoFault, match="bus watchdog"):
-            for _ in range(12):
-                gripper.state()
-        gripper.command(Command(0.08, 2.0))  # a host that was only late can still retreat
-        goal = round(0.08 / 2 / 0.012 / TICK)
-        assert wait_for(lambda: bench.servos[1].get("Goal Position") == goal)
-        assert bench.servos[1].get("Bus Watchdog") == 100  # and is watched again
-    finally:
-        gripper.close()
-
-
-def test_a_host_that_vanished_is_silence_for_the_watchdog(bench):
-    """A closed pty looks readable; the emulated watchdog must not take that for traffic."""
-    gripper = bench.gripper()
-    gripper.close()
-    assert wait_for(lambda: not bench.bus.is_busy())
-
-
-def test_keep_alive_rests_when_the_host_is_silent(bench):
-    """The watchdog must be able to trip: 0.25 s after the last call of a running loop nothing is sent any more."""
-    gripper = bench.gripper(watchdog=0.1)
-    try:
-        gripper.command(Command(0.07, 2.0))
-        assert wait_for(lambda: pace.monotonic() - bench.servos[1].last_packet > 0.5)
-    finally:
-        gripper.close()
-
-
-# -- ending ------------------------------------------------------------------------------------------------------------
-
-def test_torque_is_off_after_close(bench):
-    with_gripper(bench, lambda gripper: gripper.command(Command(0.05, 2.0)))
-    assert [servo.get("Torque Enable") for servo in bench.servos.values()] == [0, 0]
-
-
-def test_torque_goes_off_on_the_others_when_one_motor_fails(bench):
-    gripper = bench.gripper(reply_timeout=0.05)
-    bench.faults.set("servo_silent", 1)
-    with pytest.raises(DeviceError, match=r"torque of servo 1 .* could not be switched off"):
-        gripper.close()
-    assert bench.servos[2].get("Torque Enable") == 0
-    gripper.close()  # a second time does nothing
-
-
-def test_torque_is_off_when_connecting_fails_half_way(bench):
-    bench.servos[2].angle = 20.0  # out of the gripper's range
-    bench.servos[2]._lost_turns = 0.0
-    bench.servos[2].feel(20.0, 0.0, 0.0, 0.01)
-    with pytest.raises(DeviceError, match=r"stands at .* ticks"):
-        bench.gripper()
-    assert bench.servos[1].get("Torque Enable") == 0
-
-
-def test_an_unplugged_bus_is_an_error_and_closing_still_returns(bench):
-    gripper = bench.gripper()
-    bench.bus.close()
-    with pytest.raises(DeviceError, match="is lost"):
-        gripper.state()
-    with pytest.raises(DeviceError, match="could not be switched off"):
-        gripper.close()
 
 
 def test_lift_moves_from_where_it_stood():
