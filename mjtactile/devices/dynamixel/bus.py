@@ -32,6 +32,7 @@ _ID, _LENGTH, _ERROR, _PARAMETERS = 4, 5, 8, 9  # places in a status packet
 _OVERHEAD = 11  # bytes of a status packet around its parameters
 ALERT = 0x80
 _BABBLE = 5  # times the time-out
+_WRITE_TIME = 0.5  # s: pySerial counts what the computer stood still, also when all was written
 _DRAIN_MAX = 0.05  # s of babble that are thrown away
 _LOST = (serial.SerialException, OSError, termios.error, TypeError)
 """What pyserial raises on a port that has gone: termios.error is no OSError, and a closed port is a TypeError."""
@@ -68,9 +69,8 @@ class _Port(PortHandler):
         self._reply_timeout_ms = 1e3 * reply_timeout
 
     def setupPort(self, cflag_baud: int) -> bool:
-        # A computer that is too busy to answer is too busy to write.
-        write_timeout = pace.wall(max(0.1, 1e-3 * self._reply_timeout_ms))
-        self.ser = serial.Serial(port=self.port_name, baudrate=cflag_baud, timeout=0, write_timeout=write_timeout, exclusive=True)
+        self.ser = serial.Serial(port=self.port_name, baudrate=cflag_baud, timeout=0, write_timeout=pace.wall(_WRITE_TIME),
+                                 exclusive=True)
         with contextlib.suppress(OSError, ValueError, NotImplementedError):
             self.ser.set_low_latency_mode(True)  # FTDI's 16 ms latency timer to 1 ms; a pty has none
         self.is_open = True

@@ -29,6 +29,7 @@ _COMMAND_TIME = 0.15  # s at least for the answer to a command; USB adds 16 ms e
 _COMMAND_SHARE = 5  # of the rig file's reply time-out, where that is longer
 _ATTEMPTS = 2
 _RETRY_TIME = 0.008  # s from a failed reading to the next try: longer than a burst of noise
+_WRITE_TIME = 0.5  # s: pySerial counts what the computer stood still, also when all was written
 _SILENCE = 5.0  # s without a call from the loop before the heartbeat is let die; references take 2 s between calls
 _FAILURES_MAX = 3
 _T = TypeVar("_T")
@@ -260,6 +261,6 @@ def open_port(port: str, baud: int) -> serial.SerialBase:
     """Open a device or a pyserial URL (`socket://`, `rfc2217://`), alone where that can be had."""
     options: dict[str, Any] = {} if "://" in port else {"exclusive": True}
     try:
-        return serial.serial_for_url(port, baudrate=baud, timeout=0.01, write_timeout=pace.wall(0.2), **options)
+        return serial.serial_for_url(port, baudrate=baud, timeout=0.01, write_timeout=pace.wall(_WRITE_TIME), **options)
     except (serial.SerialException, OSError, ValueError) as error:
         raise DeviceError(f"valve port {port} cannot be opened: {' '.join(str(error).split())}") from error
