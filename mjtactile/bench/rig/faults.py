@@ -10,10 +10,10 @@ import pickle
 import signal
 import subprocess
 import sys
-import time
 from typing import Any
 
 from mjtactile.bench.rig.session import OBJECT, Bench, Closing, EndOfRun, design_at, drive
+from mjtactile.core import pace
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Command
 from mjtactile.run.loop import Cycle
@@ -39,7 +39,7 @@ class _Stopwatch(Supervisor):
 
     def _enter(self, state: str, reason: str, now: float) -> None:
         super()._enter(state, reason, now)
-        self.entered.append((time.monotonic(), state))
+        self.entered.append((pace.monotonic(), state))
 
 
 class FaultBench:
@@ -66,9 +66,9 @@ class FaultBench:
         def on_cycle(cycle: Cycle) -> None:
             cycles[0] += cycle.state == "running" or injected[0] > 0
             if cycles[0] == _FAULT_CYCLE and not injected[0]:
-                injected[0] = time.monotonic()
+                injected[0] = pace.monotonic()
                 bench.process.fault(kind, value)
-            if injected[0] and time.monotonic() - injected[0] > _WATCH:
+            if injected[0] and pace.monotonic() - injected[0] > _WATCH:
                 raise EndOfRun
 
         outcome = drive(bench, Closing(), on_cycle, supervisor=supervisor)
@@ -77,7 +77,7 @@ class FaultBench:
             self.close()
         else:
             bench.process.fault(kind, 0)
-            time.sleep(0.3)
+            pace.sleep(0.3)
         safe = bool(left) and injected[0] > 0
         return {"safe": safe, "reaction_s": left[0] - injected[0] if safe else None, "state": supervisor.state,
                 "outcome": outcome or supervisor.reason}
@@ -119,10 +119,10 @@ def killed(kind: str) -> dict[str, Any]:
             raise DeviceError("the host that was to be killed ended by itself: what it printed to stderr says why")
         before = bench.process.truth()
         host.send_signal(signal.SIGKILL)
-        at = time.monotonic()
+        at = pace.monotonic()
         host.wait()
         host.stdout.close()
-        time.sleep(1.0)
+        pace.sleep(1.0)
         truth = bench.process.truth()
     finally:
         bench.close()
@@ -153,13 +153,13 @@ def _hold(code: str) -> None:
             valve.state()
         if not squeezed:
             opening -= 0.02 * _SQUEEZE_SPEED
-            squeezed = time.monotonic() if state.effort > _SQUEEZE else 0.0
-        elif time.monotonic() - squeezed > 1.0:
+            squeezed = pace.monotonic() if state.effort > _SQUEEZE else 0.0
+        elif pace.monotonic() - squeezed > 1.0:
             squeezed = math.inf
             sys.stdout.write("holding\n")
             sys.stdout.flush()
         gripper.command(Command(opening, 4.0))
-        time.sleep(0.02)
+        pace.sleep(0.02)
 
 
 def outcome(seed: int) -> dict[str, Any]:

@@ -8,10 +8,10 @@ CRC-32 1 in 4 10^9.
 from __future__ import annotations
 
 import random
-import time
 from collections.abc import Callable
 from typing import Any
 
+from mjtactile.core import pace
 from mjtactile.core.errors import DeviceError
 from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus
 from mjtactile.devices.valve.driver import ValveBoard
@@ -91,14 +91,14 @@ def fuzz_servos(count: int, seed: int = 0) -> dict[str, Any]:
     tally: dict[str, Any] = {"bytes": 0, "calls": 0, "true": 0, "wrong": 0, "refused": 0, "longest_s": 0.0}
     try:
         while adversary.fed < count:
-            begin = time.monotonic()
+            begin = pace.monotonic()
             try:
                 replies, failures = bus.read_many(SERVOS, START, SIZE)
             except BusError as error:
                 if error.reason == "lost":
                     raise
                 replies, failures = {}, dict.fromkeys(SERVOS, error)
-            tally["longest_s"] = max(tally["longest_s"], time.monotonic() - begin)
+            tally["longest_s"] = max(tally["longest_s"], pace.monotonic() - begin)
             tally["calls"] += 1
             tally["refused"] += len(failures)
             for servo, reply in replies.items():
@@ -144,7 +144,7 @@ def fuzz_valve(count: int, seed: int = 0) -> dict[str, Any]:
     answers.bad = True
     try:
         while adversary.fed < count:
-            begin = time.monotonic()
+            begin = pace.monotonic()
             tally["calls"] += 1
             try:
                 reading = board.measure(1, _PATIENCE)
@@ -152,7 +152,7 @@ def fuzz_valve(count: int, seed: int = 0) -> dict[str, Any]:
                 tally["refused"] += 1
                 continue
             finally:
-                tally["longest_s"] = max(tally["longest_s"], time.monotonic() - begin)
+                tally["longest_s"] = max(tally["longest_s"], pace.monotonic() - begin)
             tally["wrong" if reading.is_open or reading.fault or reading.pressure_gauge != _PRESSURE else "true"] += 1
     finally:
         answers.bad = False

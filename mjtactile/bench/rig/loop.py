@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.bench.rig.session import Bench, Closing, EndOfRun, design_at, drive
+from mjtactile.core import pace
 from mjtactile.devices.dynamixel.bus import DynamixelBus
 from mjtactile.rig.finger import Rig
 from mjtactile.run.loop import Cycle
@@ -25,7 +26,7 @@ def measure_loop(seconds: float, report: Callable[[dict[str, Any]], None] = lamb
     bench = Bench(RIG, design_at(RATE))
     rows = np.full((int(1.1 * RATE * seconds) + 100, 7), np.nan)  # at once: what grows later is the loop's
     rigs: list[Rig] = []
-    count, memory, reported = 0, [_memory()], time.monotonic()
+    count, memory, reported = 0, [_memory()], pace.monotonic()
 
     def so_far(outcome: str) -> dict[str, Any]:
         return _loop_result(rows[:count], outcome) | {"memory_growth_MB": memory[-1] - memory[0]}
@@ -38,9 +39,9 @@ def measure_loop(seconds: float, report: Callable[[dict[str, Any]], None] = lamb
         count += 1
         if cycle.time - rows[0, 0] > seconds or count == len(rows):
             raise EndOfRun
-        if time.monotonic() - reported > _REPORT:
+        if pace.monotonic() - reported > _REPORT:
             memory[:] = [memory[0] if len(memory) > 1 else _memory(), _memory()]  # from the first minute on: caches are warm
-            reported = time.monotonic()
+            reported = pace.monotonic()
             report(so_far("still running"))
 
     try:

@@ -1,7 +1,7 @@
 """`mjtactile bench rig`: the emulated rig's loop, latency, reaction to every fault, host killed, bad bytes, grasps.
 
 The host and the emulator share this computer's processors: with other work beside them the numbers are worse, and the
-load average is kept with them. Each part is written when it is done; `resume` goes on with what is missing.
+load average is kept with them; `MJTACTILE_SLOW=4` is for a computer that does not keep up. Each part is written when it is done; `resume` goes on with what is missing.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile.bench.rig import faults, fuzz, loop
+from mjtactile.core import pace
 from mjtactile.core.errors import InputError
 from mjtactile.recording.files import to_json, write_json
 from mjtactile.run.progress import Progress
@@ -42,7 +43,7 @@ def run(out: Path, *, quick: bool, resume: bool = False, parts: tuple[str, ...] 
             work[part]()
     if soak is not None:
         _soak(store, soak)
-    store.result["load_average"] = os.getloadavg()[0]
+    store.result |= {"load_average": os.getloadavg()[0], "slow": pace.slow()}
     return store.result
 
 
@@ -99,6 +100,8 @@ def table(result: dict[str, Any]) -> str:
     """The result in Markdown, what was asked for beside it."""
     lines = ["| what | at least | measured |", "|---|---|---|", *(f"| {a} | {b} | {c} |" for a, b, c in _rows(result))]
     lines += ["", f"Load average of this computer (2 processors) meanwhile: {result.get('load_average', float('nan')):.1f}.", ""]
+    if (slow := result.get("slow", 1.0)) != 1:
+        lines += [f"Devices, world and host ran at 1/{slow:g} of the speed, on a clock that slow: its ms are {slow:g} of the wall's.", ""]
     faults = {key.removeprefix("fault:"): rows for key, rows in result.items() if key.startswith("fault:")}
     if faults:
         lines += ["| fault | safe | reaction, median / worst, ms | ends as |", "|---|---|---|---|"]
