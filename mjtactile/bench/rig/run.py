@@ -1,7 +1,8 @@
 """`mjtactile bench rig`: the emulated rig's loop, latency, reaction to every fault, host killed, bad bytes, grasps.
 
 The host and the emulator share this computer's processors: with other work beside them the numbers are worse, and the
-load average is kept with them; `MJTACTILE_SLOW=4` is for a computer that does not keep up. Each part is written when it is done; `resume` goes on with what is missing.
+load average is kept with them; `MJTACTILE_SLOW=4` is for a computer that does not keep up. Each part is written when it is
+done; `resume` goes on with what is missing.
 """
 
 from __future__ import annotations
@@ -101,7 +102,8 @@ def table(result: dict[str, Any]) -> str:
     lines = ["| what | at least | measured |", "|---|---|---|", *(f"| {a} | {b} | {c} |" for a, b, c in _rows(result))]
     lines += ["", f"Load average of this computer (2 processors) meanwhile: {result.get('load_average', float('nan')):.1f}.", ""]
     if (slow := result.get("slow", 1.0)) != 1:
-        lines += [f"Devices, world and host ran at 1/{slow:g} of the speed, on a clock that slow: its ms are {slow:g} of the wall's.", ""]
+        lines += [f"Devices and host ran at 1/{slow:g} of the speed, by a clock as slow: 1 ms is {slow:g} of the wall's.",
+                  ""]
     faults = {key.removeprefix("fault:"): rows for key, rows in result.items() if key.startswith("fault:")}
     if faults:
         lines += ["| fault | safe | reaction, median / worst, ms | ends as |", "|---|---|---|---|"]
