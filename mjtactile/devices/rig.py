@@ -74,8 +74,6 @@ def build_device_rig(rig_file: RigFile, design: SensorDesign, *, name: str = "re
 
     Raises InputError when the file does not fit the sensor design, DeviceError naming the device that is missing.
     """
-    if pace.slow() != 1 and not rig_file.bus.port.startswith(_EMULATED):
-        raise InputError(f"{rig_file.bus.port}: only emulated devices can be slow", source=rig_file.path, field="--slow")
     before = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_INTERVAL)
     closers: list[Callable[[], None]] = [lambda: sys.setswitchinterval(before), also_close]
@@ -84,6 +82,8 @@ def build_device_rig(rig_file: RigFile, design: SensorDesign, *, name: str = "re
         calibrations = tuple(finger_calibration(*pair) for pair in zip(rig_file.cameras, designs, strict=True))
         for camera, own in zip(rig_file.cameras, designs, strict=True):
             _check_picture(camera, own, rig_file)
+        if pace.slow() != 1 and not rig_file.bus.port.startswith(_EMULATED):
+            raise InputError(f"{rig_file.bus.port}: only emulated devices can be slow", source=rig_file.path, field="--slow")
         cameras: list[Camera] = []
         for camera in rig_file.cameras:
             signals.check()
