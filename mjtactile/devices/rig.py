@@ -82,14 +82,14 @@ def build_device_rig(rig_file: RigFile, design: SensorDesign, *, name: str = "re
         calibrations = tuple(finger_calibration(*pair) for pair in zip(rig_file.cameras, designs, strict=True))
         for camera, own in zip(rig_file.cameras, designs, strict=True):
             _check_picture(camera, own, rig_file)
-        if pace.slow() != 1 and not rig_file.bus.port.startswith(_EMULATED):
-            raise InputError(f"{rig_file.bus.port}: only emulated devices can be slow", source=rig_file.path, field="--slow")
         cameras: list[Camera] = []
         for camera in rig_file.cameras:
             signals.check()
             cameras.append(load_backend(CAMERAS, camera.backend)(camera))
             closers.append(getattr(cameras[-1], "close", lambda: None))
         signals.check()
+        if pace.slow() != 1 and not rig_file.bus.port.startswith(_EMULATED):
+            raise InputError(f"{rig_file.bus.port}: only emulated devices can be slow", source=rig_file.path, field="--slow")
         boards, valves = connect_valves(rig_file.valves)
         closers.extend(board.close for board in boards)
         signals.check()
