@@ -23,7 +23,7 @@ from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.recording.reader import load_recording
 from mjtactile.rig.file import load_rig_file
 
-WAIT = 60.0  # s for what takes a few on a computer of one's own
+WAIT = 300.0  # s for what takes a few on a computer of one's own
 FALLEN = 0.010  # m of the 40 mm that the hand lifts; the two heights are not read at quite the same time
 _TAIL = 40_000  # bytes of the log's end, in which there is a whole line
 _GENEROUS = (("delay_ms", "8.0", "400.0"), ("reply_timeout_ms", "20", "100"), ("watchdog_ms", "200", "1200"),

@@ -21,7 +21,7 @@ def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile, monkeypatch, cap
     (tmp_path / "quick.py").write_text(controller_text(hold=0.1))
     host = subprocess.Popen([sys.executable, "-m", "mjtactile", "evaluate", *COMMON, "--workers", "2", "--out", "one"],
                             cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
-    episodes, deadline = tmp_path / "one" / "episodes.jsonl", time.monotonic() + 120
+    episodes, deadline = tmp_path / "one" / "episodes.jsonl", time.monotonic() + 600
     while not (episodes.exists() and episodes.read_text().count("\n")):
         assert host.poll() is None and time.monotonic() < deadline
         time.sleep(0.05)

@@ -11,7 +11,7 @@ import pytest
 
 from mjtactile.recording.reader import load_recording
 
-WAIT = 120  # s for the run to get going on a busy machine
+WAIT = 600  # s for the run to get going, on a computer that is robbed of most of its time
 
 
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])

@@ -13,7 +13,7 @@ import pytest
 from mjtactile.cli import main
 from mjtactile.recording.reader import load_recording
 
-WAIT = 60  # s on a busy computer
+WAIT = 300  # s on a busy computer
 
 # Writes far more than a pipe or a terminal takes in, then says that it came to its end.
 CHATTER = """

@@ -14,7 +14,7 @@ BUILD_ONLY = ("hatchling", "pathspec", "trove-classifiers", "ziglang")
 def run(*command, **options):
     """Run a command without anything of this checkout or environment on Python's path."""
     environment = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")}
-    result = subprocess.run([str(part) for part in command], env=environment, capture_output=True, text=True, timeout=400,
+    result = subprocess.run([str(part) for part in command], env=environment, capture_output=True, text=True, timeout=1200,
                             check=False, **options)
     assert result.returncode == 0, f"{result.stdout}\n{result.stderr}"
     return result.stdout

@@ -110,7 +110,7 @@ def test_my_camera_class_is_found_by_its_entry_point_and_drives_a_rig(tmp_path):
                                 "PYTHONPATH": os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")])}
     process = subprocess.run([sys.executable, "-m", "mjtactile", "record", "--rig", "rig.toml", "--seconds", "1", "--sensor",
                               "paper16", "--out", "out", "--json"], cwd=work, env=environment, capture_output=True, text=True,
-                             check=False, timeout=120)
+                             check=False, timeout=600)
     assert process.returncode == 0, process.stderr
     said = set(np.concatenate(list(load_recording(work / "out").columns["status"])))
     assert "ok" in said  # markers were found in what it hands out

@@ -143,7 +143,7 @@ def test_a_block_of_a_shell_runs(page, tmp_path):
     command = f"mjtactile() {{ {shlex.quote(sys.executable)} -m mjtactile \"$@\"; }}\nset -e\n"
     for number in sorted(number for there, number in SHELL if there == page):
         text = next(text for there, which, text in fenced("bash", "sh") if (there, which) == (page, number))
-        subprocess.run(["bash", "-c", command + text], cwd=tmp_path, check=True, capture_output=True, timeout=60)
+        subprocess.run(["bash", "-c", command + text], cwd=tmp_path, check=True, capture_output=True, timeout=300)
     if page.endswith("sensor.md"):  # what was changed is a sensor, and was changed
         design = load_sensor(tmp_path / "my_sensor.toml")
         assert (design.markers.count, design.membrane.thickness, design.chamber.supply_gauge) == (49, 0.4e-3, 1500.0)

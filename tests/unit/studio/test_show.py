@@ -25,7 +25,7 @@ def fake_session(host_timeout=math.inf):
     return session
 
 
-def until(condition, limit=60.0):
+def until(condition, limit=300.0):
     end = time.monotonic() + limit
     while not condition():
         assert time.monotonic() < end, "waited in vain"
