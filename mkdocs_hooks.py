@@ -18,7 +18,7 @@ _FENCE = "````"
 _LANGUAGES = {".py": "python", ".toml": "toml", ".xml": "xml"}
 _DOORS = {
     "Touch in a MuJoCo scene": ("sim.attach", "plugin.mount", "plugin.sim_finger"),
-    "Rigs and sessions": ("rig.finger", "rig.registry", "rig.file", "run.session", "run.controller"),
+    "Rigs and sessions": ("rig.finger", "rig.registry", "core.pace", "rig.file", "run.session", "run.controller"),
     "What a controller sees and says": ("core.types",),
     "Sensing": ("sensing.chain", "sensing.pose.locate", "core.optics"),
     "Sensors and their calibration": ("core.design", "core.calibration"),
