@@ -118,6 +118,13 @@ class _Log:
         held = [force for force, phase in zip(self.forces, self.phases, strict=True) if phase == "hold"]
         return float(np.nanmean(held)) if np.isfinite(held).any() else math.nan
 
+    def gave_up(self, period: float) -> str:
+        """When and at what the controller gave up, "" if it did not."""
+        before = [phase for phase in self.phases if phase != "abort"]
+        if len(before) in (0, len(self.phases)):
+            return ""
+        return f"the controller gave up in phase {before[-1]!r}, {len(before) * period:.1f} s after it began"
+
     def peak_force(self) -> float:
         return float(np.nanmax(self.forces)) if np.isfinite(self.forces).any() else math.nan
 
@@ -201,6 +208,6 @@ def _result(options: GraspOptions, log: _Log, score: Any, factor: float, *, comp
     return GraspResult(
         options, outcome, log.peak_force(), score.peak_force if score else math.nan,
         log.hold_force(), score.hold_force if score else math.nan, score.slip if score else math.nan,
-        factor, len(log.phases), parts, reason=score.reason() if score else "",
+        factor, len(log.phases), parts, reason=(score.reason() if score else "") or log.gave_up(period),
         images=score is None or "images" in score.world.effects,
         peak_stress_true=score.peak_stress if score else math.nan, peak_energy_true=score.peak_energy if score else math.nan)

@@ -45,6 +45,16 @@ def test_an_object_that_is_not_gripped_is_dropped(mjtactile, tmp_path):
     process, report = run(mjtactile, tmp_path, 0.045, 4.0)  # the fingers stay clear of the egg, 32 mm across
     assert (process.returncode, report["outcome"]) == (1, "dropped")
     assert report["peak_force_true_N"] == pytest.approx(0.0, abs=1e-9) and report["hold_force_true_N"] == 0.0
+    assert "reason" not in report  # it went through to its end
+
+
+def test_a_controller_that_gives_up_says_when(mjtactile, tmp_path):
+    (tmp_path / "shy.py").write_text(BLIND.replace("OPENING", "0.045").replace("FORCE", "4.0").replace('"lift"', '"abort"'))
+    process = mjtactile("grasp", "--controller", "shy.py", "--sensor", "paper16", "--effects=-images", "--out", "result",
+                        "--json")
+    report = json.loads(process.stdout)
+    assert (process.returncode, report["outcome"]) == (1, "dropped")
+    assert report["reason"] == "the controller gave up in phase 'close', 1.6 s after it began"
 
 
 def test_a_membrane_pushed_to_the_glass_is_a_fault_with_step_and_reason(mjtactile, tmp_path):
