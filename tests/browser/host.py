@@ -2,8 +2,10 @@
 was in the last frame (px), what was written, under which the mouse was, and what the session has."""
 
 import json
+import os
 import sys
 import threading
+import time
 
 import mujoco
 from mujoco.studio import messages, plugin
@@ -14,6 +16,7 @@ from mjtactile.studio import desk, panel, serve, show, tape
 _TEXTS = {"TextUnformatted": 0, "TextColored": 1, "TextWrapped": 0}
 _WIDGETS = {"Button", "Checkbox", "Combo", "Image", "SliderFloat", "InputInt", "CollapsingHeader"}
 _WHOLE = panel.finger_lines
+_PERIOD = 0.05  # s
 MODULES = (panel, desk, tape)
 frame = {"places": {}, "values": {}, "said": [], "felt": [], "number": -1, "hovered": "", "active": "", "frames": 0}
 
@@ -52,10 +55,14 @@ class Clerk(plugin.ViewerPlugin):
 
     @messages.handler
     def on_init(self, event: plugin.ViewerInitEvent) -> None:
-        """No shadows and reflections: without a graphics card they take seconds a frame."""
-        flags = list(event.viewer.render_flags.flags)
-        flags[int(mujoco.mjtRndFlag.mjRND_SHADOW)] = flags[int(mujoco.mjtRndFlag.mjRND_REFLECTION)] = 0
-        event.viewer.render_flags.flags = flags
+        """Nothing but what is there, unless for a picture to look at: without a graphics card it takes seconds a frame."""
+        if "MJTACTILE_PICTURE" not in os.environ:
+            event.viewer.render_flags.flags = [0] * len(event.viewer.render_flags.flags)
+
+    @messages.handler
+    def on_update(self, _: messages.UpdateEvent) -> None:
+        """Not as many frames as a person wants: the session and the browser need the time."""
+        time.sleep(_PERIOD)
 
     @messages.handler(priority=messages.Priority.INTERNAL)
     def on_build_gui(self, _: messages.BuildGuiEvent) -> None:

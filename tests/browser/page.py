@@ -1,4 +1,8 @@
-"""Headless Chromium by its DevTools protocol: a page, its pictures, and nothing else."""
+"""Headless Chromium by its DevTools protocol: a page, its pictures, and nothing else.
+
+Without a graphics card a frame of a 3-D scene takes seconds of all processors, and a page would draw one after the other while
+everything else waits. So a page that is `sparing` draws when a picture is taken, and is as it is otherwise.
+"""
 
 import base64
 import contextlib
@@ -15,19 +19,42 @@ from websockets.sync.client import connect
 
 CHROMIUM = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None)
 _FLAGS = ["--headless=new", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox",
-          "--window-size=1280,800", "--remote-allow-origins=*", "--remote-debugging-port=0"]
+          "--window-size=1280,800", "--remote-allow-origins=*", "--remote-debugging-port=0", "--no-first-run", "--disable-sync",
+          "--disable-background-networking", "--disable-component-update", "--disable-default-apps", "--disable-extensions"]
+LIMIT = 180  # s; for whatever is waited for, on a computer that does other things, too
+_SPARING = """(() => {
+    let drawing = false;
+    window.toDraw = 0;
+    for (const name of ["clear", "clearBufferfi", "clearBufferfv", "clearBufferiv", "clearBufferuiv", "drawArrays",
+                        "drawArraysInstanced", "drawElements", "drawElementsInstanced", "drawRangeElements", "blitFramebuffer",
+                        "invalidateFramebuffer"]) {
+        const real = WebGL2RenderingContext.prototype[name];
+        WebGL2RenderingContext.prototype[name] = function (...all) { if (drawing) return real.apply(this, all); };
+    }
+    const soon = window.requestAnimationFrame.bind(window);
+    window.requestAnimationFrame = one => setTimeout(() => soon(time => {
+        drawing = window.toDraw > 0;
+        try { return one(time); } finally { window.toDraw -= drawing; drawing = false; }
+    }), 60);
+})()"""
 
 
 class Page:
     """What can be seen and done on a page."""
 
-    def __init__(self, socket):
-        self._socket, self._numbers = socket, itertools.count(1)
+    def __init__(self, socket, *, sparing=False):
+        self._socket, self._numbers, self._sparing = socket, itertools.count(1), sparing
+
+    def open(self, url):
+        if self._sparing:
+            self._ask("Page.enable")
+            self._ask("Page.addScriptToEvaluateOnNewDocument", source=_SPARING)
+        assert not self._ask("Page.navigate", url=url).get("errorText"), url
 
     def _ask(self, method, **params):
         number = next(self._numbers)
         self._socket.send(json.dumps({"id": number, "method": method, "params": params}))
-        while (answer := json.loads(self._socket.recv(timeout=120))).get("id") != number:
+        while (answer := json.loads(self._socket.recv(timeout=LIMIT))).get("id") != number:
             pass
         return answer["result"]
 
@@ -37,7 +64,7 @@ class Page:
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
 
-    def wait_for(self, script, limit=60):
+    def wait_for(self, script, limit=LIMIT):
         """Until an expression is true there."""
         end = time.monotonic() + limit
         while not self.run(script):
@@ -45,9 +72,14 @@ class Page:
             time.sleep(0.1)
 
     def picture(self):
-        """Blue, green, red (h, w, 3)."""
+        """Blue, green, red (h, w, 3), as many px as the page thinks that it has."""
+        if self._sparing:
+            self.run("window.toDraw = 1")
+            self.wait_for("window.toDraw === 0")
         png = base64.b64decode(self._ask("Page.captureScreenshot", format="png")["data"])
-        return cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+        size = self.run("[window.innerWidth, window.innerHeight]")
+        shot = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+        return shot if [shot.shape[1], shot.shape[0]] == size else cv2.resize(shot, size, interpolation=cv2.INTER_NEAREST)
 
     def mouse(self, kind, x, y, **more):
         """One event of the mouse, such as mouseMoved with buttons=1, or mouseWheel with deltaY px."""
@@ -55,17 +87,20 @@ class Page:
 
 
 @contextlib.contextmanager
-def open_page(url, folder, until=None):
-    """A `Page` with `url`, in a browser of its own, once the server has written that it is there into the file `until`."""
-    end = time.monotonic() + 90
+def open_page(url, folder, until=None, *, sparing=False, scale=1.0):
+    """A `Page` with `url`, in a browser of its own, once the server has written that it is there into the file `until`. `scale`
+    px are drawn, along each side, for each that the page thinks that it has."""
+    end = time.monotonic() + LIMIT
     while until is not None and "inflated" not in until.read_text():
         assert time.monotonic() < end, until.read_text()
         time.sleep(0.1)
-    command = [CHROMIUM, *_FLAGS, f"--user-data-dir={folder}", url]
+    command = [CHROMIUM, *_FLAGS, f"--force-device-scale-factor={scale}", f"--user-data-dir={folder}", "about:blank"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         with connect(_socket(folder), max_size=None) as socket:
-            yield Page(socket)
+            page = Page(socket, sparing=sparing)
+            page.open(url)
+            yield page
     finally:
         process.kill()
         process.wait()
@@ -73,7 +108,7 @@ def open_page(url, folder, until=None):
 
 def _socket(folder):
     """The address of the page's own socket; waits for the browser."""
-    end = time.monotonic() + 60
+    end = time.monotonic() + LIMIT
     while True:
         try:
             port = (folder / "DevToolsActivePort").read_text().splitlines()[0]
