@@ -45,11 +45,10 @@ types: $(VENV)/.test-ready  ## types (pyright)
 contracts: $(VENV)/.test-ready  ## who may import whom (import-linter)
 	$(BIN)/lint-imports --no-cache
 
-pytest: $(VENV)/.test-ready  ## the tests alone (ARGS="-k name" and so on)
+# A browser without a graphics card wants both processors of a small computer: those tests run alone, after the others.
+pytest: $(VENV)/.test-ready  ## the tests alone (ARGS="-k name" and so on: all but those in a browser)
 	$(BIN)/pytest -n 2 --dist loadgroup -m 'not browser' $(ARGS)
-
-browser: $(VENV)/.test-ready  ## the tests in a browser, alone on a calm computer: without a graphics card a frame takes seconds
-	$(BIN)/pytest -m browser $(ARGS)
+	$(if $(ARGS),,$(BIN)/pytest -n 0 -m browser)
 
 venv: $(VENV)/.test-ready  ## the virtual environment with everything, for development
 

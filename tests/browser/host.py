@@ -7,7 +7,6 @@ import sys
 import threading
 import time
 
-import mujoco
 from mujoco.studio import messages, plugin
 
 from mjtactile import cli

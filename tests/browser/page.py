@@ -20,7 +20,8 @@ from websockets.sync.client import connect
 CHROMIUM = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None)
 _FLAGS = ["--headless=new", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox",
           "--window-size=1280,800", "--remote-allow-origins=*", "--remote-debugging-port=0", "--no-first-run", "--disable-sync",
-          "--disable-background-networking", "--disable-component-update", "--disable-default-apps", "--disable-extensions"]
+          "--disable-background-networking", "--disable-component-update", "--disable-default-apps", "--disable-extensions",
+          "--disable-gpu-rasterization"]
 LIMIT = 180  # s; for whatever is waited for, on a computer that does other things, too
 _SPARING = """(() => {
     let drawing = false;
@@ -90,14 +91,14 @@ class Page:
 def open_page(url, folder, until=None, *, sparing=False, scale=1.0):
     """A `Page` with `url`, in a browser of its own, once the server has written that it is there into the file `until`. `scale`
     px are drawn, along each side, for each that the page thinks that it has."""
-    end = time.monotonic() + LIMIT
-    while until is not None and "inflated" not in until.read_text():
-        assert time.monotonic() < end, until.read_text()
-        time.sleep(0.1)
     command = [CHROMIUM, *_FLAGS, f"--force-device-scale-factor={scale}", f"--user-data-dir={folder}", "about:blank"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         with connect(_socket(folder), max_size=None) as socket:
+            end = time.monotonic() + LIMIT
+            while until is not None and "inflated" not in until.read_text():
+                assert time.monotonic() < end, until.read_text()
+                time.sleep(0.1)
             page = Page(socket, sparing=sparing)
             page.open(url)
             yield page
