@@ -14,6 +14,7 @@ from _pytest.runner import runtestprotocol
 
 TRIES = 2
 STOLEN_MAX = 0.03  # of all processors' time: less than that is a few ms now and then
+_undecided: set[Path] = set()  # files with such a test: their others are tried once
 _STEAL = 8  # column of /proc/stat's first line
 
 
@@ -38,12 +39,13 @@ def pytest_runtest_protocol(item, nextitem):
     if item.get_closest_marker("clock") is None:
         return None
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
-    for _ in range(TRIES):
+    for _ in range(1 if item.path in _undecided else TRIES):
         reports, share = attempt(item, nextitem)
         failed = [report for report in reports if report.failed]
         if not failed or share < STOLEN_MAX:
             break
     else:
+        _undecided.add(item.path)
         for report in failed:
             crash = getattr(report.longrepr, "reprcrash", None)
             last = (crash.message if crash else str(report.longrepr)).strip().splitlines()[0]

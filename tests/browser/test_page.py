@@ -11,7 +11,7 @@ from tests.browser.page import CHROMIUM, open_page
 from tests.fake_run import write_fake_recording
 from tests.unit.run.test_report import SUMMARY, FakeScene
 
-pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("browser"),
+pytestmark = [pytest.mark.browser, pytest.mark.clock, pytest.mark.xdist_group("browser"),
               pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")]
 
 

@@ -23,7 +23,7 @@ from websockets.sync.client import connect
 from tests.browser.page import CHROMIUM, LIMIT, open_page
 
 CHECKOUT = Path(__file__).resolve().parents[2]
-pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("browser"),
+pytestmark = [pytest.mark.browser, pytest.mark.clock, pytest.mark.xdist_group("browser"),
               pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")]
 PICTURE = os.environ.get("MJTACTILE_PICTURE")  # where the page is kept while it holds, for the documentation
 SCENE = np.s_[40:330, 300:890]  # px: where no window lies
