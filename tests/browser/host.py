@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 
-from mujoco.studio import messages, plugin
+from mujoco.studio import messages, plugin, ux
 
 from mjtactile import cli
 from mjtactile.studio import desk, panel, serve, show, tape
@@ -16,6 +16,7 @@ _TEXTS = {"TextUnformatted": 0, "TextColored": 1, "TextWrapped": 0}
 _WIDGETS = {"Button", "Checkbox", "Combo", "Image", "SliderFloat", "InputInt", "CollapsingHeader"}
 _WHOLE = panel.finger_lines
 _PERIOD = 0.05  # s
+_PICTURE = "MJTACTILE_PICTURE" in os.environ  # one to look at
 MODULES = (panel, desk, tape)
 frame = {"places": {}, "values": {}, "said": [], "felt": [], "number": -1, "hovered": "", "active": "", "frames": 0}
 
@@ -49,19 +50,25 @@ class Noting:
 class Clerk(plugin.ViewerPlugin):
     """Keeps what the windows said in each frame."""
 
-    def __init__(self, source, shown):
-        self.show, self._panel = source, shown
+    def __init__(self, source, shown, app):
+        self.show, self._panel, self._app = source, shown, app
 
     @messages.handler
     def on_init(self, event: plugin.ViewerInitEvent) -> None:
         """Nothing but what is there, unless for a picture to look at: without a graphics card it takes seconds a frame."""
-        if "MJTACTILE_PICTURE" not in os.environ:
+        if not _PICTURE:
             event.viewer.render_flags.flags = [0] * len(event.viewer.render_flags.flags)
 
     @messages.handler
     def on_update(self, _: messages.UpdateEvent) -> None:
         """Not as many frames as a person wants: the session and the browser need the time."""
         time.sleep(_PERIOD)
+        if _PICTURE:
+            self._app.theme = ux.GuiTheme.DARK
+        if _PICTURE and frame.pop("turn", False):  # so that a membrane is seen
+            camera = self.viewer.camera
+            camera.azimuth, camera.elevation, camera.distance = camera.azimuth + 25, -25, 0.75 * camera.distance
+            camera.lookat = [*camera.lookat[:2], camera.lookat[2] + self.show.latest.session.lift_height]
 
     @messages.handler(priority=messages.Priority.INTERNAL)
     def on_build_gui(self, _: messages.BuildGuiEvent) -> None:
@@ -98,14 +105,14 @@ if __name__ == "__main__":
     def launch_with_clerk(config, *, plugins):
         shown = next(one for one in plugins if isinstance(one, panel.Panel))
         shown.source.step()  # the first cycle, and a pause: a browser may take its time to come up
-        return launch(config, plugins=[*plugins, Clerk(shown.source, shown)])
+        return launch(config, plugins=[*plugins, Clerk(shown.source, shown, plugins[0])])
 
     add = show.Show.add
 
     def add_and_pause(self, cycle, *args, **truth):
         add(self, cycle, *args, **truth)
         if cycle.sent.phase == "hold" and not frame.get("held"):  # once: a page may be too slow to press it in time
-            frame["held"] = self.paused = True
+            frame["held"] = frame["turn"] = self.paused = True
 
     show.Show.add = add_and_pause
     serve.launch = launch_with_clerk
