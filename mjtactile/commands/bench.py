@@ -29,6 +29,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   effects     what each effect costs, and what leaving it out costs
   fit         sensors that differ from their file, recorded and fitted: each number's error
   truth       the simulation and what is felt, against references from outside of the project
+  studio      what watching costs: an egg grasp in Studio, a page looking on, against it alone
   numbers     measures nothing: the numbers of the README, from the pages of the others"""
 EPILOG = """\
 examples:
@@ -44,7 +45,7 @@ BENCHMARKS = {"grasp": "mjtactile.bench.grasp", "speed": "mjtactile.bench.speed.
               "bars": "mjtactile.bench.bars.run", "slip": "mjtactile.bench.slip.run", "tracking": "mjtactile.bench.tracking",
               "cheap": "mjtactile.bench.cheap", "rig": "mjtactile.bench.rig.run", "stability": "mjtactile.bench.stability.run",
               "truth": "mjtactile.bench.truth.run", "fit": "mjtactile.bench.fit",
-              "numbers": "mjtactile.bench.numbers"}
+              "studio": "mjtactile.bench.studio.run", "numbers": "mjtactile.bench.numbers"}
 """Name to module; each has `run(out, quick) -> dict`, which draws into `out`, and `table(result) -> str` in Markdown."""
 
 OPTIONS = {"resume": ("stability", "rig", "bars"), "parts": ("rig",), "soak": ("rig",), "cases": ("truth",),

@@ -6,7 +6,7 @@ import argparse
 import sys
 
 from mjtactile import load_recording, rig_names
-from mjtactile.commands import effects
+from mjtactile.commands import effects, slow
 from mjtactile.commands.grasp import seed
 
 DESCRIPTION = """\
@@ -37,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rig", default="sim", metavar="RIG", help=f"{', '.join(rig_names())} (default: sim)")
     parser.add_argument("--seed", type=seed, default=0, metavar="N", help="of the first run; the next has the next (default: 0)")
     effects.add_shared_arguments(parser)
+    slow.add_argument(parser)
     parser.add_argument("--port", type=_port, default=0, metavar="N", help="of the page (default: the first free one from 8080)")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--web", action="store_true", help="in the browser (this is the default)")
@@ -60,6 +61,7 @@ def run(options: argparse.Namespace) -> int:
     def say(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
 
+    slow.apply(options.slow, options.rig)
     names = ("object", "sensor", "controller", "rig", "seed", "accuracy", "effects")
     wanted = GraspOptions(**{name: getattr(options, name) for name in names})
     backend, _, folder = options.rig.partition(":")

@@ -1,0 +1,1 @@
+"""What watching costs: a grasp in Studio against the same grasp without it."""
