@@ -1,0 +1,50 @@
+"""Studio's red button on the emulated rig, without a page: pressed while an egg is held in the air, the hand sets it down, torque
+goes off, the chambers are vented."""
+
+import math
+
+import pytest
+
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import DeviceError
+from mjtactile.emulator.process import EmulatorProcess
+from mjtactile.rig.file import load_rig_file
+from mjtactile.run.grasp import GraspOptions, run_grasp
+from mjtactile.studio.show import RED_BUTTON, Show, Voice
+from tests.emulated_host import controller_text, rig_text
+
+
+class Pressed(Show):
+    """Somebody presses it as soon as the egg is held."""
+
+    def __init__(self):
+        super().__init__()
+        self.states = []
+
+    def add(self, cycle, view=None, **truth):
+        super().add(cycle, view, **truth)
+        self.states.append((self.latest.session.state, self.latest.session.lift_height))
+        if cycle.sent.phase == "hold" and not self._halted:
+            self.halt()
+
+
+@pytest.fixture
+def emulator(half_speed):
+    process = EmulatorProcess(load_rig_file("emulated"), load_sensor("paper16"), object_name="egg", seed=0)
+    yield process
+    process.close()
+
+
+def test_the_red_button_while_holding_sets_down_lets_go_and_vents(emulator, tmp_path):
+    (tmp_path / "rig.toml").write_text(rig_text(emulator))
+    (tmp_path / "mine.py").write_text(controller_text())
+    show = Pressed()
+    options = GraspOptions(sensor="paper16", controller=str(tmp_path / "mine.py"), rig=str(tmp_path / "rig.toml"))
+    with pytest.raises(DeviceError, match=RED_BUTTON):
+        run_grasp(options, recorder=show, progress=Voice(show), on_open=show.open, on_still=show.still, wrap=show.wrap,
+                  time_limit=math.inf)
+    truth = emulator.truth()
+    assert not any(truth["torque"].values()) and set(truth["valve"].values()) == {"vent"}
+    assert truth["object_height"] == pytest.approx(0.031, abs=0.003)  # m, of its middle: it stands where it stood
+    assert max(lift for _, lift in show.states) > 0.03  # m; it had been in the air
+    assert show.states[-1][0] in ("safe", "latched") and show.states[-1][1] < 2e-3
