@@ -13,12 +13,14 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
+from websockets.typing import Origin
 
 from tests.browser.page import CHROMIUM, LIMIT, open_page
 
@@ -33,14 +35,15 @@ class Studio:
     """The command, and the page that looks at it."""
 
     def __init__(self, folder):
-        self.folder, self.page, self._open = folder, None, contextlib.ExitStack()
+        self.folder, self._open = folder, contextlib.ExitStack()
+        self.page: Any = None
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             self.port = probe.getsockname()[1]
         self.log = folder / "log"
         command = [sys.executable, "-m", "tests.browser.host", "--no-browser", "--fast", "--port", str(self.port)]
         with self.log.open("w") as log:
-            self.process = subprocess.Popen(command, cwd=CHECKOUT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+            self.process: Any = subprocess.Popen(command, cwd=CHECKOUT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
                                             stderr=log, env={**os.environ, "HOME": str(folder)})
 
     @property
@@ -172,7 +175,7 @@ def test_a_handler_that_raises_is_shown_and_the_session_goes_on(studio):
 def test_a_second_page_watches_and_strangers_change_nothing(studio):
     """Studio gives the windows to one page at a time and the scene to all; other web sites, and what speaks no HTTP, get none."""
     address = f"ws://localhost:{studio.port}"
-    with connect(f"{address}/state?sid=second", origin="http://localhost:1") as second:  # through a tunnel: another port
+    with connect(f"{address}/state?sid=second", origin=Origin("http://localhost:1")) as second:  # through a tunnel: another port
         roster = next(text for text in second if isinstance(text, str) and text.startswith("viewers="))
         assert roster.startswith("viewers=2;role=spectator")
         payload = next(part for part in second if isinstance(part, bytes))
@@ -181,7 +184,7 @@ def test_a_second_page_watches_and_strangers_change_nothing(studio):
             windows.recv(timeout=LIMIT)
     before = studio.ask()
     for path in ("ui", "state", "drop"):
-        with pytest.raises(InvalidStatus, match="403"), connect(f"{address}/{path}?sid=evil", origin="https://evil.example"):
+        with pytest.raises(InvalidStatus, match="403"), connect(f"{address}/{path}?sid=evil", origin=Origin("https://evil.example")):
             pass
     with socket.create_connection(("127.0.0.1", studio.port)) as stranger:
         stranger.sendall(b"\x00\xff garbage \r\n\r\n" * 1000)
