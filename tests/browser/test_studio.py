@@ -44,7 +44,7 @@ class Studio:
         command = [sys.executable, "-m", "tests.browser.host", "--no-browser", "--fast", "--port", str(self.port)]
         with self.log.open("w") as log:
             self.process: Any = subprocess.Popen(command, cwd=CHECKOUT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-                                            stderr=log, env={**os.environ, "HOME": str(folder)})
+                                                 stderr=log, env={**os.environ, "HOME": str(folder)})
 
     @property
     def url(self):
@@ -53,7 +53,7 @@ class Studio:
     def open(self, name):
         """Look at it with a browser of its own."""
         self.page = self._open.enter_context(open_page(self.url, self.folder / name, until=self.log, sparing=True,
-                                                        scale=1.0 if PICTURE else 0.5))
+                                                       scale=1.0 if PICTURE else 0.5))
 
     def close(self):
         self._open.close()
