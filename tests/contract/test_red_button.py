@@ -13,6 +13,8 @@ from mjtactile.run.grasp import GraspOptions, run_grasp
 from mjtactile.studio.show import RED_BUTTON, Show, Voice
 from tests.emulated_host import controller_text, rig_text
 
+pytestmark = pytest.mark.clock
+
 
 class Pressed(Show):
     """Somebody presses it as soon as the egg is held."""
