@@ -10,8 +10,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Emulated devices, their watchdogs and whoever talks to them: tests share their computer with each other, and a rented one
 # may stand still for half a second. Before anything imports mjtactile.
 os.environ.setdefault("MJTACTILE_SLOW", "3")
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell's job in the background; the tests interrupt their children
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+for number, handler in {signal.SIGINT: signal.default_int_handler, signal.SIGQUIT: signal.SIG_DFL,
+                        signal.SIGHUP: signal.SIG_DFL}.items():
+    if signal.getsignal(number) is signal.SIG_IGN:  # a shell's job in the background; tests send these to their children
+        signal.signal(number, handler)
 
 
 pytest_plugins = ["tests.stolen", "pytester"]

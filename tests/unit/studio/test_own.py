@@ -2,6 +2,7 @@
 
 import os
 import re
+import socket
 import subprocess
 import sys
 import time
@@ -15,6 +16,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from mjtactile.studio.own import OwnFingers
+from tests.emulated import wait_for
 from tests.fake_run import fake_image, fake_touch
 
 CHECKOUT = Path(__file__).resolve().parents[3]
@@ -88,6 +90,11 @@ def test_fingers_are_shown_anew_when_there_is_a_new_image():
     assert own.moment().number == first.number + 1 and len(own.history.rows) == 2
 
 
+def is_open(port):
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
 def test_the_loop_of_the_documents_serves_this_computer_alone_and_no_other_web_site(tmp_path):
     """The code of docs/studio.md, with a model and an end; in a process of its own, since MuJoCo's viewer may crash a process
     that opens a second one."""
@@ -101,6 +108,7 @@ def test_the_loop_of_the_documents_serves_this_computer_alone_and_no_other_web_s
     try:
         port = next(int(found[1]) for line in process.stdout if (found := re.search(r"http://localhost:(\d+)/", line)))
         address = f"ws://127.0.0.1:{port}/state"
+        assert wait_for(lambda: is_open(port), 60.0)  # it says its address a moment before it listens
         with connect(address, origin="http://localhost:1"):  # through a tunnel: another port
             pass
         with pytest.raises(InvalidStatus, match="403"), connect(address, origin="https://evil.example"):
