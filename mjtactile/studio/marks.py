@@ -46,14 +46,15 @@ class Brush:
         """A new picture; the geoms of the last are used again."""
         self._used, self.drawn = {}, []
 
-    def triangle(self, corners: Array, rgb: Array) -> None:
-        """`corners` (3, 3) m in W."""
-        along, aside = corners[1] - corners[0], corners[2] - corners[0]
+    def triangles(self, corners: Array, rgb: Array) -> None:
+        """`corners` (m, 3, 3) m in W, `rgb` (m, 3) from 0 to 1."""
+        along, aside = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
         normal = np.cross(along, aside)
-        geom = self._next(_G.mjGEOM_TRIANGLE)
-        geom.pos = corners[0]
-        geom.mat = np.column_stack([along, aside, normal / max(float(np.linalg.norm(normal)), 1e-15)])
-        geom.rgba = np.array([*rgb, 1.0], dtype=np.float32)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-15)
+        rgba = np.column_stack([rgb, np.ones(len(rgb))]).astype(np.float32)
+        for corner, axes, shade in zip(corners[:, 0], np.stack([along, aside, normal], axis=2), rgba, strict=True):
+            geom = self._next(_G.mjGEOM_TRIANGLE)
+            geom.pos, geom.mat, geom.rgba = corner, axes, shade
 
     def connect(self, kind: mujoco.mjtGeom, width: float, start: Array, end: Array, rgba: Sequence[float]) -> None:
         """An arrow (`width` m) or a line (`width` px) between two points, m in W."""
@@ -86,8 +87,7 @@ def draw(brush: Brush, fingers: Sequence[Felt], look: Look, *, least: float = 0.
             continue
         if field is not None and (found := surface.sheet(felt, field, scale, least=least)) is not None:
             corners, rgb = found
-            for corner, shade in zip(felt.pose.place(corners + [0.0, 0.0, _ABOVE]), rgb, strict=True):
-                brush.triangle(corner, shade)
+            brush.triangles(felt.pose.place(corners + [0.0, 0.0, _ABOVE]), rgb)
         if felt.touch.touching:
             _touches(brush, felt, felt.pose, look, [*(int(colour[i:i + 2], 16) / 255 for i in (1, 3, 5)), 1.0])
         if look.camera and felt.design is not None:

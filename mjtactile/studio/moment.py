@@ -33,7 +33,7 @@ class Pose:
 class Felt:
     """One finger: its camera's `image` and the `touch` in it. `rest` is its membrane with nothing touching, `design` its
     sensor, `true` N what really presses, `pressure_gauge` Pa and `temperature` K of the chamber: NaN where nobody knows. It is at
-    `pose`, or where the scene's `body` is."""
+    `pose`, or where the scene's `body` is. `tracks`: what its sensing follows from image to image, with this one's ellipses."""
 
     name: str
     image: Image
@@ -46,6 +46,7 @@ class Felt:
     pressure_gauge: float = math.nan
     temperature: float = math.nan
     body: int | None = None
+    tracks: Any = None
 
 
 @dataclass(frozen=True, eq=False)

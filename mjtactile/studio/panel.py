@@ -14,7 +14,7 @@ from mujoco.studio.dear_imgui import dear_imgui as imgui
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Ellipses
-from mjtactile.run.overlay import find_ellipses, with_ellipses
+from mjtactile.run.overlay import find_ellipses, followed, with_ellipses
 from mjtactile.studio import marks, plots, surface
 from mjtactile.studio.guard import guarded
 from mjtactile.studio.layout import LEFT, LOOK, RED, Layout
@@ -39,6 +39,13 @@ class Source(Protocol):
     def moment(self) -> Moment | None: ...
 
 
+def ellipses_of(felt: Felt) -> Ellipses:
+    """Those in its image: as sensing followed them, if all of them were there, else found anew, with what is wrong with each."""
+    ellipses = followed(felt.image, felt.tracks)
+    return find_ellipses(felt.image) if ellipses is None else ellipses
+
+
+
 class Panel(plugin.ViewerPlugin):
     """A window a finger, one with plots, one with what is drawn into the scene.
 
@@ -57,7 +64,7 @@ class Panel(plugin.ViewerPlugin):
         self._shapes: dict[tuple[int, str], float] = {}  # height over width
         self._ellipses: dict[int, Ellipses] = {}
         self._pictured: tuple[Any, ...] = ()
-        self._when, self._scale = 0.0, ""
+        self._when, self._drawn, self._scale = 0.0, 0.0, ""
 
     def complain(self, text: str) -> None:
         """Show what a handler raised."""
@@ -70,13 +77,14 @@ class Panel(plugin.ViewerPlugin):
         if moment is None:
             return
         fingers = self._placed(moment.fingers)
-        if (moment, self.look) != self._marked or not self._mine:
-            self._marked, before = (moment, self.look), self._mine
+        now = wall.monotonic()
+        if ((moment, self.look) != self._marked and now - self._drawn > 1 / _RATE) or not self._mine:
+            self._marked, self._drawn, before = (moment, self.look), now, self._mine
             marks.draw(self._brush, fingers, self.look, least=_LEAST if self._has_membranes(moment) else 0.0)
             self._mine = self._brush.drawn
             marks.keep(self.viewer.extra_geoms, before, self._mine, _GEOMS)
-        if (moment, self.look.surface) != self._pictured and wall.monotonic() - self._when > 1 / _RATE:
-            self._pictured, self._when = (moment, self.look.surface), wall.monotonic()
+        if (moment, self.look.surface) != self._pictured and now - self._when > 1 / _RATE:
+            self._pictured, self._when = (moment, self.look.surface), now
             self._make_pictures(fingers)
 
     @messages.handler
@@ -102,7 +110,7 @@ class Panel(plugin.ViewerPlugin):
         scale = surface.scale_of(fields)
         self._scale = surface.scale_text(kind, scale)
         for k, (felt, field) in enumerate(zip(fingers, fields, strict=True)):
-            self._ellipses[k] = find_ellipses(felt.image)
+            self._ellipses[k] = ellipses_of(felt)
             seen = with_ellipses(felt.image, _DETAIL * _IMAGE[0], self._ellipses[k])
             height = round(seen.shape[0] / _DETAIL)
             self._upload(k, "image", cv2.cvtColor(cv2.resize(seen, (_IMAGE[0], height), interpolation=cv2.INTER_AREA),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import math
 import os
+import sys
 import threading
 import time
 from typing import Any
@@ -21,6 +22,7 @@ from mjtactile.studio.show import Restart, Show, Voice
 from mjtactile.studio.tape import Deck, Tape
 
 _PERIOD = 0.005  # s between two looks at the session,
+_SWITCH_INTERVAL = 1e-4  # s: sensing lets go of the interpreter for each kernel, and waited up to 5 ms for the windows each time
 _EVERY = 0.05  # s between two states that are sent though nothing is new
 
 
@@ -51,6 +53,8 @@ def watch(show: Show, *, port: int = 0, browser: bool = True, native: bool = Fal
     handle = launch_window(config, plugins) if native else launch(config, plugins=plugins)
     studio = threading.Thread(target=_sync, args=(handle, mirror, show), name="studio", daemon=True)
     studio.start()
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCH_INTERVAL)
     try:
         while not show.closed.is_set():
             show.restart.clear()
@@ -62,6 +66,7 @@ def watch(show: Show, *, port: int = 0, browser: bool = True, native: bool = Fal
     finally:
         show.closed.set()
         studio.join(5.0)
+        sys.setswitchinterval(before)
 
 
 def _run(show: Show) -> None:

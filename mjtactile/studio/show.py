@@ -227,7 +227,8 @@ def moment_of(cycle: Cycle, session: Session | None, view: Any, truth: Mapping[s
         fingers.append(Felt(
             str(k) if finger is None else finger.name, image, touch, None if finger is None else finger.design,
             None if session is None else _rest(session, k), poses[k], cycle.valves[k] if k < len(cycle.valves) else None, true[k],
-            gas.pressure[k] if gas.pressure else math.nan, gas.temperature[k] if gas.temperature else math.nan))
+            gas.pressure[k] if gas.pressure else math.nan, gas.temperature[k] if gas.temperature else math.nan,
+            tracks=None if session is None else getattr(getattr(session.perceptions[k], "state", None), "tracks", None)))
     state = SessionState(cycle.sent.phase, getattr(cycle, "state", "running"), getattr(cycle, "reason", ""),
                          cycle.gripper.opening, cycle.gripper.lift_height, cycle.perception_ms)
     return Moment(number, cycle.time, tuple(fingers), state, None if view is None else (view.model, view.state))

@@ -154,7 +154,7 @@ def test_a_triangle_and_an_arrow_are_where_they_belong():
     brush, corners = marks.Brush(), np.array([[1.0, 2, 3], [2, 2, 3], [1, 4, 5]])
     for _ in range(2):  # the second time with the same geoms
         brush.begin()
-        brush.triangle(corners, np.array([1.0, 0.5, 0.0]))
+        brush.triangles(corners[None], np.array([[1.0, 0.5, 0.0]]))
     [geom] = brush.drawn
     unit = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])  # what MuJoCo draws
     np.testing.assert_allclose(geom.pos + unit @ np.asarray(geom.mat).T, corners, atol=1e-6)

@@ -10,6 +10,7 @@ import pytest
 
 from mjtactile.core.errors import DeviceError, Interrupted
 from mjtactile.run.grasp import GraspOptions, run_grasp
+from mjtactile.run.overlay import find_ellipses, followed
 from mjtactile.studio.hand import Wish
 from mjtactile.studio.moment import finger_lines
 from mjtactile.studio.show import RED_BUTTON, Restart, Show, Voice
@@ -158,6 +159,12 @@ def test_a_grasp_shows_its_scene_and_obeys():
     pressure = [moment.fingers[0].pressure_gauge for moment in moments]
     assert pressure[5] == pytest.approx(1000, abs=20) and pressure[14] == pytest.approx(500, abs=1)  # Pa; an ideal valve
     assert moments[5].fingers[0].temperature == pytest.approx(293.15, abs=5)
+    felt = moments[5].fingers[0]
+    known, found = followed(felt.image, felt.tracks), find_ellipses(felt.image)  # what sensing has, and a search of its own
+    order = [int(np.argmin(np.linalg.norm(found.center_px - center, axis=1))) for center in known.center_px]
+    assert sorted(order) == list(range(len(found)))
+    np.testing.assert_allclose(known.center_px, found.center_px[order], atol=0.02)  # px: where a fit began is a tenth of its sd
+    assert followed(moments[6].fingers[0].image, felt.tracks) is None  # another image's
     state = [moment.session for moment in moments]
     assert state[18].lift_height > 0.004 and state[18].phase == "approach"  # 40 mm/s for half a second, less its start
     assert state[-1].state == "safe" and state[-1].lift_height < 1e-3 and state[-1].opening > state[21].opening + 0.005
