@@ -2,7 +2,8 @@
 
 A rented computer's processors are taken away for as long as a second ("steal" in /proc/stat): devices fall silent then, and
 a driver that says so is right. A test marked `clock` that fails while that happens is tried again; if it fails each time it is
-undecided, which is said at the end, and never counts as passed. Where nobody steals, it fails as any other.
+undecided, which is said at the end, and never counts as passed. Where nobody steals, it fails as any other; and where more
+than `MOST` are undecided, the run fails: what is broken fails every time, and breaks many.
 """
 
 import os
@@ -12,7 +13,7 @@ from pathlib import Path
 import pytest
 from _pytest.runner import runtestprotocol
 
-TRIES = 2
+TRIES, MOST = 2, 20
 STOLEN_MAX = 0.03  # of all processors' time: less than that is a few ms now and then
 _undecided: set[Path] = set()  # files with such a test: their others are tried once
 _STEAL = 8  # column of /proc/stat's first line
@@ -58,7 +59,17 @@ def pytest_runtest_protocol(item, nextitem):
     return True
 
 
+def undecided_of(terminalreporter):
+    skipped = terminalreporter.stats.get("skipped", []) if terminalreporter else []
+    return [report for report in skipped if "undecided" in str(report.longrepr)]
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session):
+    if len(undecided_of(session.config.pluginmanager.get_plugin("terminalreporter"))) > MOST and not session.exitstatus:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
 def pytest_terminal_summary(terminalreporter):
-    undecided = [report for report in terminalreporter.stats.get("skipped", []) if "undecided" in str(report.longrepr)]
-    for report in undecided:
+    for report in undecided_of(terminalreporter):
         terminalreporter.write_line(f"UNDECIDED {report.nodeid}: {report.longrepr[2]}")

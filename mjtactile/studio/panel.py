@@ -45,7 +45,6 @@ def ellipses_of(felt: Felt) -> Ellipses:
     return find_ellipses(felt.image) if ellipses is None else ellipses
 
 
-
 class Panel(plugin.ViewerPlugin):
     """A window a finger, one with plots, one with what is drawn into the scene.
 

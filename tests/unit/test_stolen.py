@@ -47,5 +47,16 @@ def test_failures_on_a_computer_that_stands_still_are_undecided_and_said(outcome
     result.stdout.fnmatch_lines(["UNDECIDED *test_fails: undecided, * taken away: AssertionError: too late*"])
 
 
+def test_too_many_undecided_are_a_failure(pytester, monkeypatch):
+    monkeypatch.setattr(stolen, "stolen_seconds", itertools.count(0, 1e3).__next__)
+    pytester.makeini("[pytest]\nmarkers = clock")
+    for count, code in ((stolen.MOST, 0), (stolen.MOST + 1, 1)):
+        pytester.makepyfile(f"import pytest\n@pytest.mark.clock\n@pytest.mark.parametrize('k', range({count}))\n"
+                            "def test_fails(k):\n    assert 0\n")
+        result = pytester.runpytest_inprocess("-p", "tests.stolen", "-p", "no:cacheprovider", "-p", "no:xdist")
+        result.assert_outcomes(skipped=count)
+        assert result.ret == code
+
+
 def test_on_ones_own_computer_a_failure_is_one(outcomes):
     outcomes(0).assert_outcomes(passed=1, failed=3)

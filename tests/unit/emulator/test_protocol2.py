@@ -6,8 +6,6 @@ import pytest
 
 from mjtactile.emulator import protocol2 as p2
 
-pytestmark = pytest.mark.clock
-
 PRINTED = {
     "ping": "FF FF FD 00 01 03 00 01 19 4E",
     "ping's status": "FF FF FD 00 01 07 00 55 00 06 04 26 65 5D",
