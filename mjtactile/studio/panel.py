@@ -58,7 +58,7 @@ class Panel(plugin.ViewerPlugin):
         self._layout = Layout()
         self.error = ""
         self._brush, self._mine = marks.Brush(), []
-        self._marked: tuple[Any, ...] = ()
+        self._marked: tuple[Any, ...] = (None, None)
         self._textures: dict[tuple[int, str], int] = {}
         self._shapes: dict[tuple[int, str], float] = {}  # height over width
         self._ellipses: dict[int, Ellipses] = {}
@@ -77,7 +77,8 @@ class Panel(plugin.ViewerPlugin):
             return
         fingers = self._placed(moment.fingers)
         now = wall.monotonic()
-        if ((moment, self.look) != self._marked and now - self._drawn > 1 / _RATE) or not self._mine:
+        is_due = now - self._drawn > 1 / _RATE or self.look != self._marked[-1]  # what was chosen is seen at once
+        if ((moment, self.look) != self._marked and is_due) or not self._mine:
             self._marked, self._drawn, before = (moment, self.look), now, self._mine
             marks.draw(self._brush, fingers, self.look, least=_LEAST if self._has_membranes(moment) else 0.0)
             self._mine = self._brush.drawn
@@ -88,7 +89,7 @@ class Panel(plugin.ViewerPlugin):
 
     @messages.handler
     def on_model(self, _: messages.PostModelEvent) -> None:
-        self._mine, self._marked = [], ()  # the viewer has forgotten them
+        self._mine, self._marked = [], (None, None)  # the viewer has forgotten them
 
     @staticmethod
     def _has_membranes(moment: Moment) -> bool:
