@@ -14,7 +14,7 @@ def observe(command: Command, *, opening=0.05, effort=0.0, lift=0.0, time=0.0) -
 def test_it_goes_through_a_grasp_by_effort_and_height():
     command, seen = Command(0.05, 0.0, 0.0, "approach", {}), []
     opening, lift = 0.05, 0.0
-    for k in range(600):
+    for k in range(900):
         effort = max(0.0, 0.04 - opening) * 300  # something of 40 mm that gives way by 300 N/m
         command = touchless.step(observe(command, opening=opening, effort=effort, lift=lift, time=k / 30))
         opening, lift = command.opening, command.lift_height
@@ -28,3 +28,11 @@ def test_it_goes_through_a_grasp_by_effort_and_height():
 def test_it_gives_up_where_nothing_stands():
     command = replace(Command(0.0005, 0.0, 0.0, "approach", {}))
     assert touchless.step(observe(command, opening=0.0005, effort=nan)).phase == "abort"
+
+
+def test_one_noisy_reading_does_not_stop_the_jaws():
+    """A single reading of twice the effort, of which the average takes a third."""
+    command = Command(0.05, 0.0, 0.0, "approach", {})
+    for k in range(30):
+        command = touchless.step(observe(command, opening=command.opening, effort=1.2 if k == 10 else 0.0, time=k / 30))
+    assert command.phase == "approach" and command.opening < 0.041
