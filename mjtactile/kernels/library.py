@@ -71,7 +71,11 @@ def _wrapped(function: Any, name: str, result: str, arguments: str) -> tuple[Cal
 
 
 def _address(value: Any) -> Any:
-    return value.ctypes.data if isinstance(value, np.ndarray) else value
+    if not isinstance(value, np.ndarray):
+        return value
+    if value.size and value.flags.writeable:  # a third of the time of `ctypes.data`, two hundred times an image
+        return ctypes.addressof(ctypes.c_char.from_buffer(value))
+    return value.ctypes.data
 
 
 def _same(converted: Any, value: Any, name: str) -> Any:

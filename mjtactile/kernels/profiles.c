@@ -18,7 +18,11 @@
 #define SOFTEN_VARIANCE 0.4
 #define BILINEAR_VARIANCE (1.0 / 6) /* of linear interpolation, mean over all positions */
 
-enum { INSIDE, OUTSIDE, AREA, SECOND, EDGE, BLUR, FILTERS, LANES = 8 };  /* a vector of floats holds them */
+enum { INSIDE, OUTSIDE, AREA, SECOND, EDGE, BLUR, FILTERS };
+#define WHOLE 24         /* samples in whole vectors of eight */
+
+typedef float Eight __attribute__((vector_size(32)));  /* all filters of a sample */
+typedef float Two __attribute__((vector_size(8)));     /* neighbours in a row */
 
 typedef struct { double step, blur, spacing, level_outlier, outlier, outlier_least, blur_most, unmodelled, motion_doubt,
                  sharpest; } Settings;
@@ -28,7 +32,7 @@ typedef struct { const float *pixels; long height, width; } Image;
 /* K directions on the unit circle. An ellipse is moved by the functions c, s, c^2, 2 c s, s^2 of the direction. */
 typedef struct { int count; double c[MOST], s[MOST], c2[MOST], s2[MOST]; } Fan;
 
-typedef struct { double step, bank[FILTERS][SAMPLES], sums[FILTERS], rest_edge, rest_blur; float by_sample[SAMPLES][LANES]; } Filters;
+typedef struct { double step, bank[FILTERS][SAMPLES], sums[FILTERS], rest_edge, rest_blur; Eight by_sample[SAMPLES]; } Filters;
 
 /* One marker's profiles: outward normals, |S^-1 e| = g, length of arc a profile stands for, and what the filters read. */
 typedef struct { double det, mx[MOST], my[MOST], g[MOST], arc[MOST], read[FILTERS][MOST], inside[MOST], outside[MOST],
@@ -87,7 +91,10 @@ static void make_filters(Filters *f, double step, double sigma) {
         double z = (j - (SAMPLES - 1) / 2.0) * step / sigma, filled = 0.5 * erfc(z / sqrt(2));
         f->bank[EDGE][j] /= along, f->bank[BLUR][j] /= across;
         f->rest_edge += f->bank[EDGE][j] * filled, f->rest_blur += f->bank[BLUR][j] * filled;
-        for (int i = 0; i < FILTERS; i++) f->sums[i] += f->bank[i][j], f->by_sample[j][i] = (float)f->bank[i][j];
+        for (int i = 0; i < FILTERS; i++) {
+            if (fabs(f->bank[i][j]) < 1e-12) f->bank[i][j] = 0;  /* else denormal as a float: a hundred cycles each on some processors */
+            f->sums[i] += f->bank[i][j], f->by_sample[j][i] = (float)f->bank[i][j];
+        }
     }
 }
 
@@ -108,52 +115,57 @@ static void outline(Lines *l, const double *shape, const Fan *fan) {
     }
 }
 
-/* Bilinear at the profile's samples; beyond the border the border's pixels. */
-static void sample(const Image *image, double u, double v, double du, double dv, float *out) {
-    const long w = image->width, h = image->height;
-    const double reach = (SAMPLES - 1) / 2.0, far_u = fabs(du) * reach, far_v = fabs(dv) * reach;
-    const double last_u = w - 1.001, last_v = h - 1.001;  /* whatever single precision does to a place */
-    if (u - far_u >= 0 && u + far_u < last_u && v - far_v >= 0 && v + far_v < last_v) {
-        const int left = (int)(u - far_u), top = (int)(v - far_v);
-        const float *pixels = image->pixels + top * w + left;  /* float places from here are good to 1e-6 px */
-        const float x0 = (float)(u - left - reach * du), y0 = (float)(v - top - reach * dv), dx = (float)du, dy = (float)dv;
-        int place[SAMPLES];
-        float a[SAMPLES], b[SAMPLES], upper[SAMPLES], lower[SAMPLES], across[SAMPLES], below[SAMPLES];
-        for (int j = 0; j < SAMPLES; j++) {
-            float x = most_float(x0 + j * dx, 0), y = most_float(y0 + j * dy, 0);
-            int column = (int)x, row = (int)y;
-            place[j] = row * (int)w + column, a[j] = x - column, b[j] = y - row;
-        }
-        for (int j = 0; j < SAMPLES; j++) {
-            const float *at = pixels + place[j];
-            upper[j] = at[0], across[j] = at[1], lower[j] = at[w], below[j] = at[w + 1];
-        }
-        for (int j = 0; j < SAMPLES; j++) {
-            float high = upper[j] + a[j] * (across[j] - upper[j]), low = lower[j] + a[j] * (below[j] - lower[j]);
-            out[j] = high + b[j] * (low - high);
-        }
-        return;
+/* What the filters read of a profile about (u, v), samples (du, dv) apart, bilinear between the pixels. In one pass, each sample
+   from two pairs of pixels straight into all filters' sums, which stay in a register: in memory each waits for the last. */
+static void read_within(const Image *image, double u, double v, double du, double dv, const Filters *f, Eight *out) {
+    const double reach = (SAMPLES - 1) / 2.0;
+    const int left = (int)(u - fabs(du) * reach), top = (int)(v - fabs(dv) * reach), w = (int)image->width;
+    const float *pixels = image->pixels + (long)top * w + left;  /* float places from here are good to 1e-6 px */
+    const float x0 = (float)(u - left - reach * du), y0 = (float)(v - top - reach * dv), dx = (float)du, dy = (float)dv;
+    int place[WHOLE];
+    float across[WHOLE], down[WHOLE];
+    for (int j = 0; j < WHOLE; j++) {
+        float x = most_float(x0 + j * dx, 0), y = most_float(y0 + j * dy, 0);
+        int column = (int)x, row = (int)y;
+        place[j] = row * w + column, across[j] = x - column, down[j] = y - row;
     }
+    Eight sums = {0};
     for (int j = 0; j < SAMPLES; j++) {
-        double x = u + (j - reach) * du, y = v + (j - reach) * dv;
+        Two upper, lower;
+        memcpy(&upper, pixels + place[j], sizeof upper);
+        memcpy(&lower, pixels + place[j] + w, sizeof lower);
+        upper += down[j] * (lower - upper);
+        sums += (upper[0] + across[j] * (upper[1] - upper[0])) * f->by_sample[j];
+    }
+    *out = sums;
+}
+
+/* The same beyond the border, where the border's pixels go on. */
+static void read_beyond(const Image *image, double u, double v, double du, double dv, const Filters *f, Eight *out) {
+    const long w = image->width, h = image->height;
+    *out = (Eight){0};
+    for (int j = 0; j < SAMPLES; j++) {
+        double x = u + (j - (SAMPLES - 1) / 2.0) * du, y = v + (j - (SAMPLES - 1) / 2.0) * dv;
         x = x > 0 ? least(x, w - 1) : 0, y = y > 0 ? least(y, h - 1) : 0;  /* not a number: somewhere */
         long i = (long)least(x, w - 2), k = (long)least(y, h - 2);
         const float *at = image->pixels + k * w + i;
         float a = (float)(x - i), b = (float)(y - k), upper = at[0] + a * (at[1] - at[0]);
-        out[j] = upper + b * (at[w] + a * (at[w + 1] - at[w]) - upper);
+        *out += (upper + b * (at[w] + a * (at[w + 1] - at[w]) - upper)) * f->by_sample[j];
     }
 }
 
 static void read_profiles(Lines *l, const Image *image, const double *center, const double *shape, const Fan *fan,
                           const Filters *f) {
+    const double reach = f->step * (SAMPLES - 1) / 2.0;
+    const double last_u = image->width - 1.001, last_v = image->height - 1.001;  /* whatever single precision does to a place */
     for (int k = 0; k < fan->count; k++) {
-        float value[SAMPLES];
-        double u = center[0] + shape[0] * fan->c[k] + shape[1] * fan->s[k];
-        double v = center[1] + shape[1] * fan->c[k] + shape[2] * fan->s[k];
-        sample(image, u, v, l->mx[k] * f->step, l->my[k] * f->step, value);
-        float sums[LANES] = {0};
-        for (int j = 0; j < SAMPLES; j++)
-            for (int i = 0; i < LANES; i++) sums[i] += f->by_sample[j][i] * value[j];
+        double u = center[0] + shape[0] * fan->c[k] + shape[1] * fan->s[k], far_u = fabs(l->mx[k]) * reach;
+        double v = center[1] + shape[1] * fan->c[k] + shape[2] * fan->s[k], far_v = fabs(l->my[k]) * reach;
+        Eight sums;
+        if (u - far_u >= 0 && u + far_u < last_u && v - far_v >= 0 && v + far_v < last_v)
+            read_within(image, u, v, l->mx[k] * f->step, l->my[k] * f->step, f, &sums);
+        else
+            read_beyond(image, u, v, l->mx[k] * f->step, l->my[k] * f->step, f, &sums);
         for (int i = 0; i < FILTERS; i++) l->read[i][k] = sums[i];
     }
 }
