@@ -16,7 +16,9 @@ from mjtactile.studio.moment import Felt, Moment
 from mjtactile.studio.show import Show
 
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-_STILL = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT
+_OFF = mujoco.mjtDisableBit
+_STILL = (_OFF.mjDSBL_CONSTRAINT | _OFF.mjDSBL_CONTACT | _OFF.mjDSBL_SPRING | _OFF.mjDSBL_DAMPER | _OFF.mjDSBL_GRAVITY
+          | _OFF.mjDSBL_ACTUATION | _OFF.mjDSBL_SENSOR)
 _AROUND, _BELOW = 0.2, 0.25  # m that are shown, and the share of them that the fingers are above the middle
 _HELD = 0.5  # s; a page that says nothing for so long pulls no longer
 _STAGE = """
@@ -26,8 +28,8 @@ _STAGE = """
 
 
 def shown_model(model: mujoco.MjModel, fingers: Sequence[Felt]) -> mujoco.MjModel:
-    """A copy for pictures: where things are is in the state, so that the viewer, which computes each of its frames anew, need
-    find no contacts; what they would push with is not theirs to know, since our contacts' numbers change from step to step."""
+    """A copy for pictures: where things are is in the state, so that the viewer and the page, which compute each of their frames
+    anew, need find no forces (an eighth of the time); they would not be ours, whose contacts change from step to step."""
     shown = copy.copy(model)
     shown.opt.disableflags |= int(_STILL)
     middle = np.mean([felt.pose.p_WS for felt in fingers if felt.pose is not None], axis=0)
