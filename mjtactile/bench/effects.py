@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.bench.accuracy.run import stamp
-from mjtactile.bench.settings import HOLD_FORCE, SENSOR, attempt, core_ms, hold
+from mjtactile.bench.settings import HOLD_FORCE, SENSOR, attempt, core_ms, hold, in_turns
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.recording.files import write_json
 from mjtactile.run.progress import Progress
@@ -64,14 +64,15 @@ def _measure(name: Effect, design: SensorDesign) -> dict[str, float]:
     if name == Effect.SHADOWS:
         return _shadows(design)
     if name in CAMERA or name == Effect.MOTION_BLUR:
-        cost = 2 * design.camera.rate * (_image_ms(design, on) - _image_ms(design, off))
-        return {"cost_ms_per_s": cost, "force_N": float("nan"), "surface_um": _shift(design, on, off)}
-    costs = np.array([[_hold_ms(design, effects) for effects in (on, off)] for _ in range(3)])
+        with_it, without = in_turns([_drawer(design, on), _drawer(design, off)], 5)
+        return {"cost_ms_per_s": 2 * design.camera.rate * (with_it - without), "force_N": float("nan"),
+                "surface_um": _shift(design, on, off)}
+    with_it, without = in_turns([_held(design, on).step, _held(design, off).step], 20)
     pressed = [_press(design, effects) for effects in (on, off)]
     moved = np.linalg.norm(pressed[0][1] - pressed[1][1], axis=1)
     if name == Effect.SERVO_DYNAMICS:  # a press has no jaw: nothing to compare
         moved, pressed = moved * np.nan, [(np.nan, *pressed[0][1:])] * 2
-    return {"cost_ms_per_s": float(np.median(costs[:, 0] - costs[:, 1])), "force_N": abs(pressed[0][0] - pressed[1][0]),
+    return {"cost_ms_per_s": (with_it - without) / _STEP, "force_N": abs(pressed[0][0] - pressed[1][0]),
             "surface_um": 1e6 * float(np.sqrt(np.mean(moved**2)))}
 
 
@@ -113,12 +114,12 @@ def _felt(design: SensorDesign, poses: list[tuple[np.ndarray, np.ndarray]],
     return core_ms(lambda: renderer.render(*poses[-1]), 50), forces, places
 
 
-def _hold_ms(design: SensorDesign, effects: frozenset[str]) -> float:
-    """Core ms per simulated second, held; an object that friction does not carry stays on the table: the hand stays too."""
+def _held(design: SensorDesign, effects: frozenset[str]) -> GraspWorld:
+    """Holding an egg; what friction does not carry stays on the table: the hand stays too."""
     world = GraspWorld(set_design(design, effects), "egg", timestep=_STEP, effects=effects, opening=0.05)
     if Effect.FRICTION not in effects:
         world.set_lift_target = lambda height: None  # type: ignore[method-assign]
-    return core_ms(hold(world, settle=0.2).step, 60) / _STEP
+    return hold(world, settle=0.2)
 
 
 def _press(design: SensorDesign, effects: frozenset[str]) -> tuple[float, np.ndarray]:
@@ -128,11 +129,6 @@ def _press(design: SensorDesign, effects: frozenset[str]) -> tuple[float, np.nda
     world.inflate(1000.0, seal=True)
     world.press(2.5e-3)
     return float(-truth.contact_force(world, 0)[2]), world.marker_poses(0)[0]
-
-
-def _image_ms(design: SensorDesign, effects: frozenset[str]) -> float:
-    draw = _drawer(design, effects)
-    return core_ms(draw, 25)
 
 
 def _shift(design: SensorDesign, on: frozenset[str], off: frozenset[str]) -> float:

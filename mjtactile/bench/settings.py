@@ -7,8 +7,9 @@ on the machine disturbs them little; compare ratios of one run only.
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -110,14 +111,20 @@ def hold(world: GraspWorld, settle: float = 0.8) -> GraspWorld:
 
 
 def core_ms(action: Callable[[], Any], count: int) -> float:
-    """Core time of one `action()`, ms: the median of five bursts, since a neighbour's cache misses come in bursts."""
-    bursts = []
-    for _ in range(5):
-        begin = time.thread_time()
-        for _ in range(max(count // 5, 1)):
-            action()
-        bursts.append((time.thread_time() - begin) / max(count // 5, 1))
-    return 1e3 * float(np.median(bursts))
+    """Core time of one `action()`, ms: the least of five bursts, since all that a machine does besides only adds."""
+    return in_turns([action], max(count // 5, 1), rounds=5)[0]
+
+
+def in_turns(actions: Sequence[Callable[[], Any]], count: int, rounds: int = 12) -> list[float]:
+    """Core time of each action, ms: the least of its bursts of `count`, which take turns with the others' bursts."""
+    least = [math.inf] * len(actions)
+    for _ in range(rounds):
+        for k, action in enumerate(actions):
+            begin = time.thread_time()
+            for _ in range(count):
+                action()
+            least[k] = min(least[k], 1e3 * (time.thread_time() - begin) / count)
+    return least
 
 
 def cost_and_noise(setting: Setting, seconds: float = 0.6) -> dict[str, float]:
