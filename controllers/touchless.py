@@ -1,7 +1,8 @@
 """A gripper without touch, to compare with: close until the servo's current says so, lift, hold, put down, let go.
 
 It looks at no sensor. A current is noisy, so that it is averaged over `AVERAGE_TIME`, and the jaws close slowly enough for
-what comes in that time, at 160 N/m of grip, to be some 0.1 N. `EFFORT` is the force at a jaw as the servo believes it, and what `gentle` grips with, so that the two
+what comes in that time, at 160 N/m of grip, to be some 0.1 N; and it moves the jaws, too, so that what that takes is measured
+before they meet anything. `EFFORT` is the force at a jaw as the servo believes it, and what `gentle` grips with, so that the two
 differ in what they feel and not in how firmly they mean to hold. In simulation that belief is right up to noise; a real
 servo's gears keep a part of its torque to themselves, which is not in these numbers.
 """
@@ -12,7 +13,7 @@ from math import isfinite
 from mjtactile.types import Command, Observation
 
 EFFORT = 0.6  # N on each finger
-AVERAGE_TIME = 0.1  # s
+AVERAGE_TIME, FREE_TIME = 0.1, 0.5  # s; in the second nothing is met
 CLOSING_SPEED, OPENING_SPEED, LIFT_SPEED = 0.010, 0.040, 0.040  # m/s
 LIFT_HEIGHT, HOLD_TIME, SETTLE_TIME = 0.040, 2.0, 0.4  # m, s
 LOWER_TIME_MAX = LIFT_HEIGHT / LIFT_SPEED + 1.0  # s, then what is held stands already, tilted, and keeps the hand up
@@ -28,11 +29,7 @@ def step(observation: Observation) -> Command:
         effort += min(1.0, period / AVERAGE_TIME) * (gripper.effort - effort)
     command = replace(last, force_limit=4.0, memory={**last.memory, "phase_time": time, "effort": effort})
     if last.phase == "approach":
-        if effort >= EFFORT:
-            return _go(command, "regulate", opening=gripper.opening)
-        if gripper.opening <= 0.001:
-            return _go(command, "abort")  # closed on nothing
-        return replace(command, opening=last.opening - CLOSING_SPEED * period)
+        return _approach(observation, command, time, effort)
     if last.phase == "regulate":
         return _go(command, "lift") if time >= SETTLE_TIME else command
     if last.phase == "lift":
@@ -50,6 +47,18 @@ def step(observation: Observation) -> Command:
             return _go(command, "done")
         return replace(command, opening=min(goal, last.opening + OPENING_SPEED * period))
     return command
+
+
+def _approach(observation: Observation, command: Command, time: float, effort: float) -> Command:
+    """Close until the servos push with more than moving takes."""
+    opening = observation.gripper.opening
+    if time < FREE_TIME:
+        command = replace(command, memory={**command.memory, "free": effort})
+    elif effort - command.memory.get("free", 0.0) >= EFFORT:
+        return _go(command, "regulate", opening=opening)
+    if opening <= 0.001:
+        return _go(command, "abort")  # closed on nothing
+    return replace(command, opening=command.opening - CLOSING_SPEED * observation.period)
 
 
 def _go(command: Command, phase: str, *, opening: float | None = None, **memory: float) -> Command:

@@ -36,3 +36,14 @@ def test_one_noisy_reading_does_not_stop_the_jaws():
     for k in range(30):
         command = touchless.step(observe(command, opening=command.opening, effort=1.2 if k == 10 else 0.0, time=k / 30))
     assert command.phase == "approach" and command.opening < 0.041
+
+
+def test_what_moving_takes_is_no_grip():
+    """40 mm, 300 N/m, 0.5 N for the motion alone: the jaws stop at 0.6 N of grip, and what comes in the time of the average."""
+    command = Command(0.05, 0.0, 0.0, "approach", {})
+    for k in range(200):
+        effort = 0.5 + max(0.0, 0.04 - command.opening) * 300
+        command = touchless.step(observe(command, opening=command.opening, effort=effort, time=k / 30))
+        if command.phase != "approach":
+            break
+    assert command.phase == "regulate" and 0.6 < (0.04 - command.opening) * 300 < 1.1
