@@ -73,20 +73,20 @@ def centre_of_pressure(touch: Touch) -> Array | None:
 
 
 def at(field: Field, x: Array, y: Array) -> Array:
-    """The field at other nodes, (len(y), len(x)), linear between its own."""
+    """The field at other nodes, (len(y), len(x)) float32, linear between its own."""
     columns = np.interp(x, field.x, np.arange(len(field.x)), left=0.0)
     rows = np.interp(y, field.y, np.arange(len(field.y)), left=0.0)
     over_x, over_y = np.meshgrid(columns.astype(np.float32), rows.astype(np.float32))
-    return cv2.remap(np.nan_to_num(field.values).astype(np.float32), over_x, over_y, cv2.INTER_LINEAR).astype(float)
+    return cv2.remap(np.nan_to_num(field.values).astype(np.float32), over_x, over_y, cv2.INTER_LINEAR)
 
 
 def colours(values: Array, scale: float) -> NDArray[np.uint8]:
     """Red, green, blue (..., 3)."""
     if not values.size:
         return np.zeros((*values.shape, 3), np.uint8)
-    levels = np.clip(255 * np.maximum(values, 0.0) / scale, 0, 255).astype(np.uint8)
-    flat = cv2.applyColorMap(levels.reshape(-1, 1), _MAP)[:, 0, ::-1]
-    return np.ascontiguousarray(flat).reshape(*levels.shape, 3)
+    positive = np.maximum(values, 0.0, dtype=np.float32).reshape(-1, values.shape[-1])
+    levels = cv2.convertScaleAbs(positive, alpha=255 / scale)
+    return cv2.cvtColor(cv2.applyColorMap(levels, _MAP), cv2.COLOR_BGR2RGB).reshape(*values.shape, 3)
 
 
 def picture(felt: Felt, field: Field, scale: float, size: tuple[int, int]) -> NDArray[np.uint8]:
