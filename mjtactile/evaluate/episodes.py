@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile.core.design import load_sensor
-from mjtactile.core.errors import MjtactileError
+from mjtactile.core.errors import Interrupted, MjtactileError
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.variation import draw
 from mjtactile.run.grasp import GraspOptions, run_grasp
@@ -67,12 +67,15 @@ def _of_seed(name: str, seed: int) -> str:
 
 
 def run_episode(episode: Episode) -> dict[str, Any]:
-    """The episode's line; whatever fails is an error of this episode."""
+    """The episode's line; whatever fails is an error of this episode. Raises Interrupted where it was told to end: then it has no
+    line, and is run when the evaluation goes on."""
     line: dict[str, Any] = {"episode": episode.index, "controller": Path(episode.controller).stem,
                             "object": Path(episode.object).stem.partition(":")[0], "seed": episode.seed}
     notes = _Notes()
     try:
         summary = run_grasp(episode.options(), recorder=notes, progress=notes).summary()
+    except Interrupted:
+        raise
     except MjtactileError as error:
         summary = {"outcome": "error", "reason": " ".join(str(error).split())}
     except Exception as error:  # noqa: BLE001  # a mistake of ours in one episode shall not end the others

@@ -5,8 +5,8 @@ import resource
 
 import pytest
 
-from mjtactile.core.errors import DeviceError, InputError
-from mjtactile.evaluate import store
+from mjtactile.core.errors import DeviceError, InputError, Interrupted
+from mjtactile.evaluate import episodes, store
 from mjtactile.evaluate.episodes import Episode, run_episode
 from mjtactile.evaluate.pool import Pool
 from mjtactile.evaluate.run import evaluate
@@ -80,3 +80,13 @@ def test_a_full_disk_loses_nothing_that_was_kept(tmp_path):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert [line["episode"] for line in store.Store(tmp_path / "out", {"options": {}}, resume=True).lines] == [0]
+
+
+def test_an_episode_that_was_told_to_end_has_no_line(monkeypatch):
+    """A worker that a cluster takes away: what it ran is run again by --resume."""
+    def told(*_, **__):
+        raise Interrupted
+
+    monkeypatch.setattr(episodes, "run_grasp", told)
+    with pytest.raises(Interrupted):
+        run_episode(Episode(0, "gentle", "egg", 0))
