@@ -12,6 +12,9 @@ from mjtactile.evaluate.episodes import OUTCOMES
 from mjtactile.evaluate.varied import MEASURES, against, measures
 from mjtactile.evaluate.wilson import Line, Z, wilson
 
+FORCES = {"peak_N": "peak_force_true_N", "hold_N": "hold_force_true_N"}
+"""On a finger, the largest and while holding, N: what a controller's touch is judged by where everything is held."""
+
 
 def paired(first: Iterable[Line], second: Iterable[Line]) -> dict[str, Any]:
     """The share that `second` holds more often than `first`, of the episodes that both came to the end of, with its 95 % interval
@@ -55,7 +58,8 @@ def _group(lines: Sequence[Line]) -> dict[str, Any]:
     ended = len(lines) - counts["error"]
     return {"episodes": len(lines), **counts, "success": counts["held"] / ended if ended else math.nan,
             "success_interval": list(wilson(counts["held"], ended)),
-            **{name: _spread(measures(line)[name] for line in lines) for name in MEASURES}}
+            **{name: _spread(measures(line)[name] for line in lines) for name in MEASURES},
+            **{name: _spread(line.get(key) for line in lines) for name, key in FORCES.items()}}
 
 
 def _spread(values: Iterable[float | None]) -> dict[str, float | None]:
@@ -70,18 +74,25 @@ NO_IMAGES = "No images were drawn (`--effects -images`): markers with errors dra
 
 def table(summary: Mapping[str, Any]) -> str:
     """The summary as Markdown."""
-    lines = ["| controller | object | held | 95 % interval | dropped | crushed | errors |", "|---" * 7 + "|"]
+    lines = ["| controller | object | held | 95 % interval | dropped | crushed | errors | largest force, N: median (worst) | "
+             "held with, N: 5-95 % |", "|---" * 9 + "|"]
     for name, mine in summary["controllers"].items():
         for label, group in (("all", mine), *mine["objects"].items()):
             low, high = group["success_interval"]
             ended = group["episodes"] - group["error"]
             lines.append(f"| {name} | {label} | {group['held']} of {ended} | {100 * low:.1f}-{100 * high:.1f} % | "
-                         f"{group['dropped']} | {group['crushed']} | {group['error']} |")
+                         f"{group['dropped']} | {group['crushed']} | {group['error']} | "
+                         f"{_texts(group['peak_N'], '{median:.2f} ({most:.2f})')} | "
+                         f"{_texts(group['hold_N'], '{p5:.2f}-{p95:.2f}')} |")
     for pair in summary["paired"]:
         lines += ["", pair_text(pair)]
     if not summary.get("images", True):
         lines += ["", NO_IMAGES]
     return "\n".join(lines) + "\n"
+
+
+def _texts(spread: Mapping[str, float | None], words: str) -> str:
+    return "" if spread["median"] is None else words.format(**spread)
 
 
 def pair_text(pair: Mapping[str, Any]) -> str:

@@ -21,7 +21,7 @@ def test_ten_of_ten_is_not_certain():
 
 def lines(outcomes, name="a"):
     return [{"episode": k, "controller": name, "object": "egg", "outcome": outcome, "slip_mm_true": 0.1 * k,
-             "peak_force_true_N": 1.0, "break_force_N": 2.0} for k, outcome in enumerate(outcomes)]
+             "peak_force_true_N": 1.0 + 0.1 * k, "break_force_N": 2.6} for k, outcome in enumerate(outcomes)]
 
 
 def test_the_interval_of_a_paired_difference_covers_the_truth():
@@ -52,7 +52,8 @@ def test_errors_count_apart():
     a, b = summary["controllers"]["a"], summary["controllers"]["b"]
     assert (a["held"], a["dropped"], a["crushed"], a["error"]) == (1, 1, 1, 1) and a["success"] == pytest.approx(1 / 3)
     assert b["success"] == 1.0 and a["peak_share_of_breaking"]["most"] == 0.5
+    assert a["peak_N"]["median"] == pytest.approx(1.15) and a["hold_N"]["median"] is None
     (pair,) = summary["paired"]
     assert pair["episodes"] == 2 and pair["only_second"] == 1  # an error of either leaves the episode out
     text = table(summary)
-    assert "| a | all | 1 of 3 | 6.1-79.2 % | 1 | 1 | 1 |" in text and "b holds +50.0 % of 2 episodes more often than a" in text
+    assert "| a | all | 1 of 3 | 6.1-79.2 % | 1 | 1 | 1 | 1.15 (1.30) |  |" in text and "b holds +50.0 % of 2 episodes more often than a" in text
