@@ -3,12 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 
 class MjtactileError(Exception):
     """Base of all errors that this package raises on purpose; its text is one line for a person to read."""
 
     exit_code = 3
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Errors cross processes, and their constructors take more, or less, than the text that they make."""
+        return _again, (type(self), self.args, self.__dict__)
+
+
+def _again(kind: type[MjtactileError], args: tuple[Any, ...], state: dict[str, Any]) -> MjtactileError:
+    error = kind.__new__(kind, *args)
+    error.__dict__.update(state)
+    return error
 
 
 class InputError(MjtactileError):

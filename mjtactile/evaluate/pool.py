@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import warnings
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
-from mjtactile.core.errors import DeviceError, InputError
+from mjtactile.core.errors import DeviceError, InputError, Interrupted
 from mjtactile.evaluate.episodes import Episode, run_episode
 from mjtactile.evaluate.store import Store
 
@@ -64,24 +65,39 @@ def _dask(scheduler: str) -> Iterator[int]:
             yield threads
 
 
+def _line(episode: Episode) -> dict[str, Any] | None:
+    """Of one episode; None where its worker was told to end."""
+    try:
+        return run_episode(episode)
+    except Interrupted:
+        return None
+
+
+def _progress(line: dict[str, Any], done: int, of: int, rate: float) -> str:
+    return (f"{done} of {of}: {line['controller']}, {line['object']}, seed {line['seed']}: {line['outcome']}; "
+            f"{3600 * rate:.0f} an hour, {(of - done) / rate / 60:.0f} min left")
+
+
 def run_all(missing: Sequence[Episode], kept: Store, pool: Pool, say: Say) -> None:
     """Run what is `missing`; each line is kept when its episode ends.
 
-    Raises InputError for a cluster that is not there, DeviceError when a worker was killed or the disk is full: what had ended
-    is kept.
+    Raises InputError for a cluster that is not there, DeviceError when a worker was killed or told to end, or the disk is full:
+    what had ended is kept.
     """
     from joblib import Parallel, delayed
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     start = time.monotonic()
     try:
-        with pool.open(len(missing)) as manner, Parallel(return_as="generator_unordered", **manner) as jobs:
-            lines = cast(Iterable[dict[str, Any]], jobs(delayed(run_episode)(episode) for episode in missing))
-            for k, line in enumerate(lines, 1):
-                kept.add(line)
-                rate = k / (time.monotonic() - start)
-                left = (len(missing) - k) / rate
-                say(f"{k} of {len(missing)}: {line['controller']}, {line['object']}, seed {line['seed']}: {line['outcome']}; "
-                    f"{3600 * rate:.0f} an hour, {left / 60:.0f} min left")
+        with (warnings.catch_warnings(), pool.open(len(missing)) as manner,
+              Parallel(return_as="generator_unordered", **manner) as jobs):
+            warnings.filterwarnings("ignore", ".*could benefit from adjusting", UserWarning)  # joblib's, where we end early
+            lines = cast(Generator[dict[str, Any] | None, None, None], jobs(delayed(_line)(episode) for episode in missing))
+            with contextlib.closing(lines):
+                for k, line in enumerate(lines, 1):
+                    if line is None:
+                        raise DeviceError("a worker was told to end; --resume goes on")
+                    kept.add(line)
+                    say(_progress(line, k, len(missing), k / (time.monotonic() - start)))
     except TerminatedWorkerError as error:
         raise DeviceError(f"a worker was killed ({' '.join(str(error).split())[:90]}…); --resume goes on") from error

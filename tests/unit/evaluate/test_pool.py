@@ -82,7 +82,7 @@ def test_a_full_disk_loses_nothing_that_was_kept(tmp_path):
     assert [line["episode"] for line in store.Store(tmp_path / "out", {"options": {}}, resume=True).lines] == [0]
 
 
-def test_an_episode_that_was_told_to_end_has_no_line(monkeypatch):
+def test_an_episode_that_was_told_to_end_has_no_line(tmp_path, monkeypatch, quick):
     """A worker that a cluster takes away: what it ran is run again by --resume."""
     def told(*_, **__):
         raise Interrupted
@@ -90,3 +90,6 @@ def test_an_episode_that_was_told_to_end_has_no_line(monkeypatch):
     monkeypatch.setattr(episodes, "run_grasp", told)
     with pytest.raises(Interrupted):
         run_episode(Episode(0, "gentle", "egg", 0))
+    with pytest.raises(DeviceError, match="a worker was told to end; --resume goes on"):
+        evaluate(tmp_path / "out", controllers=quick, workers=1, **COMMON)
+    assert store.read_lines(tmp_path / "out") == []
