@@ -10,6 +10,7 @@ import logging
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 from mjtactile.core.errors import DeviceError
 from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus, Reply
@@ -37,6 +38,7 @@ REQUIRED = (  # register, what it must be, and what anything else means
      "does the same"),
     ("Startup Configuration", 0, "torque, or old settings, as soon as it has power"))
 _log = logging.getLogger(__name__)
+_Answer = TypeVar("_Answer")
 
 
 class ServoFault(DeviceError):
@@ -74,11 +76,15 @@ class Servo:
     # -- registers -----------------------------------------------------------------------------------------------
 
     def get(self, name: str) -> int:
-        """Read one register; reading again changes nothing, so a lost reply is asked for again. Raises BusError."""
+        """Read one register. Raises BusError."""
         register = self.model.table[name]
+        return self._ask(lambda: self.bus.read(self.id, register.address, register.size).value(0, register.size))
+
+    def _ask(self, question: Callable[[], _Answer]) -> _Answer:
+        """The answer to what changes nothing, so that it is asked again where the reply is lost. Raises BusError."""
         for attempt in range(_READ_ATTEMPTS):
             try:
-                return self.bus.read(self.id, register.address, register.size).value(0, register.size)
+                return question()
             except BusError as error:
                 if attempt == _READ_ATTEMPTS - 1 or error.reason in ("refused", "lost"):
                     raise
@@ -104,7 +110,7 @@ class Servo:
     def check_identity(self, baud: int) -> None:
         """Refuse another model than the file's, a latched error, or settings that change what numbers mean."""
         try:
-            number, firmware = self.bus.ping(self.id)
+            number, firmware = self._ask(lambda: self.bus.ping(self.id))
         except BusError as error:
             raise DeviceError(f"{self.where} does not answer ({error}): is it powered, and are id and baud rate "
                               f"({baud}) right? `mjtactile doctor` looks for servos") from error
