@@ -59,10 +59,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, default=Path("bench-results"), metavar="DIR",
                         help="folder for the results (default: bench-results)")
     parser.add_argument("--resume", action="store_true", help="stability, rig, bars: keep what an interrupted run finished")
-    parser.add_argument("--parts", metavar="A,B,…", help="rig: only these of loop, bus, fuzz, killed, stuck, outcomes, faults")
+    parser.add_argument("--parts", metavar="A,B,…", help="rig: only these of loop, bus, fuzz, killed, stuck, outcomes, faults, "
+                        "soak")
     parser.add_argument("--cases", type=Path, metavar="DIR", help="truth: the cases of this folder")
     parser.add_argument("--against", type=Path, metavar="DIR", help="speed: also compare with another checkout, in turns")
-    parser.add_argument("--soak", type=float, metavar="HOURS", help="rig: also run its loop for so long")
+    parser.add_argument("--soak", type=float, metavar="HOURS", help="rig: also so much of the long run: a grip every 20 s, a "
+                        "fault every 5 min, all of it recorded (--parts soak: only that, two hours)")
     parser.add_argument("--pairs", type=int, metavar="N", help="cheap: so many pairs of episodes (default: 200)")
     parser.add_argument("--readme", type=Path, metavar="FILE.md", help="also put the table into this file, between "
                         "<!-- bench:NAME --> and <!-- /bench -->")

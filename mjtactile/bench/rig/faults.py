@@ -25,12 +25,12 @@ FAULTS: dict[str, float] = {
     "servo_overheat": 2, "servo_brown_out": 1, "servo_silent": 2, "servo_unplug": 1, "valve_unplug": 1, "valve_silent": 1,
     "valve_garbage": 1, "valve_sensor": 1, "valve_restart": 1, "puncture": 1}
 """Kind and value of each fault that is injected while the loop runs; a stuck valve is injected before the references."""
-_LASTING = ("servo_overload", "servo_overheat", "servo_brown_out", "servo_unplug", "valve_unplug")
+LASTING = ("servo_overload", "servo_overheat", "servo_brown_out", "servo_unplug", "valve_unplug")
 """What an emulator does not recover from without its power being switched."""
 _FAULT_CYCLE, _WATCH = 12, 3.0  # s after the fault in which the loop must react
 
 
-class _Stopwatch(Supervisor):
+class Stopwatch(Supervisor):
     """Notes when it really changed its state: a transition bears the time at which its cycle began."""
 
     def __init__(self, period: float):
@@ -61,7 +61,7 @@ class FaultBench:
     def react(self, kind: str, value: float) -> dict[str, Any]:
         """One fault; s from its injection until the loop had left `running`, and what became of it."""
         self._bench = bench = self._bench or Bench("emulated", design_at(30.0))
-        supervisor, injected, cycles = _Stopwatch(1 / 30), [0.0], [0]
+        supervisor, injected, cycles = Stopwatch(1 / 30), [0.0], [0]
 
         def on_cycle(cycle: Cycle) -> None:
             cycles[0] += cycle.state == "running" or injected[0] > 0
@@ -73,7 +73,7 @@ class FaultBench:
 
         outcome = drive(bench, Closing(), on_cycle, supervisor=supervisor)
         left = [at for at, state in supervisor.entered if state in ("holding", "safe", "latched") and at >= injected[0]]
-        if kind in _LASTING:
+        if kind in LASTING:
             self.close()
         else:
             bench.process.fault(kind, 0)

@@ -1,48 +1,38 @@
-"""Loop rate, jitter, and the time from a picture's capture to the command on the wire; long soaks."""
+"""Loop rate, jitter, and the time from a picture's capture to the command on the wire."""
 
 from __future__ import annotations
 
 import os
 import statistics
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mjtactile.bench.rig.session import Bench, Closing, EndOfRun, design_at, drive
-from mjtactile.core import pace
 from mjtactile.devices.dynamixel.bus import DynamixelBus
 from mjtactile.rig.finger import Rig
 from mjtactile.run.loop import Cycle
 
 RIG, RATE = "emulated_60", 60.0
-_REPORT = 60.0  # s
 
 
-def measure_loop(seconds: float, report: Callable[[dict[str, Any]], None] = lambda _: None) -> dict[str, Any]:
-    """The loop of one 60 Hz camera, two servos and a valve, holding still. `report` gets the result so far each minute."""
+def measure_loop(seconds: float) -> dict[str, Any]:
+    """The loop of one 60 Hz camera, two servos and a valve, holding still."""
     bench = Bench(RIG, design_at(RATE))
     rows = np.full((int(1.1 * RATE * seconds) + 100, 7), np.nan)  # at once: what grows later is the loop's
     rigs: list[Rig] = []
-    count, memory, reported = 0, [_memory()], pace.monotonic()
-
-    def so_far(outcome: str) -> dict[str, Any]:
-        return _loop_result(rows[:count], outcome) | {"memory_growth_MB": memory[-1] - memory[0]}
+    count = 0
 
     def on_cycle(cycle: Cycle) -> None:
-        nonlocal count, reported
+        nonlocal count
         captured, sent = cycle.images[0].time, rigs[0].gripper.sent_time  # type: ignore[attr-defined]  # the driver's own
         rows[count] = (cycle.time, sent - captured, cycle.time - captured, 1e-3 * cycle.perception_ms, sent - cycle.time,
                        cycle.gripper.age, cycle.state == "running")
         count += 1
         if cycle.time - rows[0, 0] > seconds or count == len(rows):
             raise EndOfRun
-        if pace.monotonic() - reported > _REPORT:
-            memory[:] = [memory[0] if len(memory) > 1 else _memory(), _memory()]  # from the first minute on: caches are warm
-            reported = pace.monotonic()
-            report(so_far("still running"))
 
     try:
         usage = _Usage(bench.process.pid)
@@ -55,7 +45,7 @@ def measure_loop(seconds: float, report: Callable[[dict[str, Any]], None] = lamb
         truth, share = bench.process.truth(), usage.shares()
     finally:
         bench.close()
-    return so_far(outcome) | {
+    return _loop_result(rows[:count], outcome) | {
         "world_lost_s": truth["lost"], "picture_delay_ms": 1e3 * truth["picture_delay"], "cpu": share}
 
 
@@ -116,11 +106,6 @@ def measure_bus() -> dict[str, float]:
             "read_2_servos_p99_ms": float(1e3 * np.percentile(durations, 99))}
 
 
-def soak(hours: float, report: Callable[[dict[str, Any]], None] = lambda _: None) -> dict[str, Any]:
-    """The loop for hours: rate, missed cycles, growth of memory after the first minute, what ended it."""
-    return measure_loop(3600 * hours, report) | {"hours": hours}
-
-
-def _memory() -> float:
+def memory_MB() -> float:
     """MB that this process holds."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20

@@ -15,24 +15,26 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile.bench.rig import faults, fuzz, loop
+from mjtactile.bench.rig import soak as long
 from mjtactile.core import pace
 from mjtactile.core.errors import InputError
 from mjtactile.recording.files import to_json, write_json
 from mjtactile.run.progress import Progress
 
 PARTS = ("loop", "bus", "fuzz", "killed", "stuck", "outcomes", "faults")
+SOAK, HOURS = "soak", 2.0  # only where it is asked for
 
 
 def run(out: Path, *, quick: bool, resume: bool = False, parts: tuple[str, ...] = PARTS, soak: float | None = None
         ) -> dict[str, Any]:
-    """All `parts`; `quick` injects each fault twice instead of 20 times and so on. `soak`: also run the loop for hours."""
-    unknown = [part for part in parts if part not in PARTS]
+    """All `parts`; `quick` injects each fault twice instead of 20 times and so on. `soak`: hours of the long run, too."""
+    unknown = [part for part in parts if part not in (*PARTS, SOAK)]
     if unknown:
-        raise InputError(f"unknown part {unknown[0]!r}", field="--parts", choices=PARTS)
+        raise InputError(f"unknown part {unknown[0]!r}", field="--parts", choices=(*PARTS, SOAK))
     store = _Store(out / "rig.json", resume)
     times, seconds, count, seeds = (2, 10.0, 10**5, 1) if quick else (20, 300.0, 10**7, 3)
     work: dict[str, Callable[[], None]] = {
-        "loop": lambda: store.once("loop", lambda: loop.measure_loop(seconds, store.say_loop)),
+        "loop": lambda: store.once("loop", lambda: loop.measure_loop(seconds)),
         "bus": lambda: store.once("bus", loop.measure_bus),
         "fuzz": lambda: store.once("fuzz", lambda: {"servos": fuzz.fuzz_servos(count), "valve": fuzz.fuzz_valve(count)}),
         "killed": lambda: store.repeat("killed", 3 * min(times, 3), lambda i: faults.killed(list(faults.DEAD)[i % 3])),
@@ -42,8 +44,8 @@ def run(out: Path, *, quick: bool, resume: bool = False, parts: tuple[str, ...] 
     for part in PARTS:
         if part in parts:
             work[part]()
-    if soak is not None:
-        _soak(store, soak)
+    if soak is not None or SOAK in parts:
+        _soak(store, long.SoakBench(out / SOAK, leg=30.0 if quick else long.LEG), HOURS if soak is None else soak)
     store.result |= {"load_average": os.getloadavg()[0], "slow": pace.slow()}
     return store.result
 
@@ -67,23 +69,16 @@ class _Store:
             self._say(f"rig: {part}, {len(done) + 1} of {times}")
             self.keep(part, [*done, measure(len(done))])
 
-    def say_loop(self, so_far: dict[str, Any]) -> None:
-        """One line on a loop that runs."""
-        self._say(f"rig: {so_far['seconds'] / 60:.0f} min, {so_far['cycles']} cycles, {so_far['missed_percent']:.2f} % missed, "
-                  f"{so_far['memory_growth_MB']:+.1f} MB")
-
     def keep(self, part: str, value: Any) -> None:
         self.result[part] = to_json(value)
         write_json(self._path, self.result)
 
 
-def _soak(store: _Store, hours: float) -> None:
-    """The loop for hours; what it has so far is kept each minute."""
-    def report(so_far: dict[str, Any]) -> None:
-        store.say_loop(so_far)
-        store.keep("soak", so_far | {"hours": so_far["seconds"] / 3600})
-
-    store.keep("soak", loop.soak(hours, report))
+def _soak(store: _Store, bench: long.SoakBench, hours: float) -> None:
+    try:
+        store.repeat(SOAK, max(1, round(3600 * hours / bench.leg)), bench.run)
+    finally:
+        bench.end()
 
 
 def _faults(store: _Store, times: int) -> None:
@@ -121,7 +116,7 @@ def _reactions(rows: list[dict[str, Any]]) -> tuple[float, float]:
 
 def _rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     rows: list[tuple[str, str, str]] = []
-    for part, make in (("loop", _loop_rows), ("soak", _soak_rows), ("bus", _bus_rows), ("killed", _killed_rows),
+    for part, make in (("loop", _loop_rows), (SOAK, long.rows), ("bus", _bus_rows), ("killed", _killed_rows),
                        ("outcomes", _outcome_rows), ("fuzz", _fuzz_rows), ("stuck", _stuck_rows)):
         if part in result:
             rows += make(result[part])
@@ -145,12 +140,6 @@ def _loop_rows(loop: dict[str, Any]) -> list[tuple[str, str, str]]:
             ("missed cycles", "< 0.5 %", f"{loop['missed_percent']:.2f} % of {loop['cycles']} in {loop['seconds']:.0f} s"),
             ("processors used", "", f"host {cpu['host']:.2f}, emulated world {cpu['world']:.2f}, emulated devices "
              f"{cpu['devices']:.2f}; load average {cpu['load_average']:.1f}")]
-
-
-def _soak_rows(soak: dict[str, Any]) -> list[tuple[str, str, str]]:
-    return [(f"soak of {soak['hours']:g} h", "",
-             f"{soak['cycles']} cycles, {soak['missed_percent']:.2f} % missed, memory grew by "
-             f"{soak['memory_growth_MB']:.1f} MB, {soak['outcome'] or 'no fault'}")]
 
 
 def _bus_rows(bus: dict[str, Any]) -> list[tuple[str, str, str]]:

@@ -80,7 +80,10 @@ class Bench:
 def drive(bench: Bench, controller: Any, on_cycle: Callable[[Cycle], None], *, supervisor: Supervisor | None = None,
           time_limit: float = 60.0, on_ready: Callable[[Rig], None] = lambda _: None) -> str:
     """Connect, take references, run until `on_cycle` raises EndOfRun or a fault ends it; what ended it ("" for EndOfRun)."""
-    rig = bench.connect()
+    try:
+        rig = bench.connect()
+    except DeviceError as error:
+        return str(error)
     try:
         session = bench.session(rig)
         on_ready(rig)

@@ -1,0 +1,39 @@
+"""The long run: a real leg on the emulated rig, and what its table says."""
+
+import pytest
+
+from mjtactile.bench.rig import soak
+from mjtactile.bench.rig.faults import FAULTS
+
+LEG = {"fault": "puncture", "seconds": 300.0, "cycles": 18000, "missed": 9, "not_running": 0, "grips": 15, "injected": True,
+       "safe": True, "reaction_s": 0.05, "outcome": "leak", "recording": "", "process": 7, "memory_MB": 100.0}
+
+
+@pytest.mark.clock
+def test_a_leg_grips_breaks_and_is_read_back(tmp_path):
+    bench = soak.SoakBench(tmp_path, leg=10.0, grip=6.0)
+    try:
+        found = bench.run(0)
+    finally:
+        bench.end()
+    assert found["injected"] and found["safe"] and found["reaction_s"] < 0.2, found  # asked: 200 ms
+    assert 4.0 < found["seconds"] < 10.1 and found["grips"] >= 1 and found["recording"] == ""
+    assert list(tmp_path.iterdir()) == []  # only what went wrong is kept
+
+
+def test_every_kind_of_fault_comes_once_before_any_comes_again(tmp_path):
+    drawn = [soak.drawn(number, soak.LEG, soak.GRIP) for number in range(2 * len(FAULTS))]
+    kinds = [kind for kind, _ in drawn]
+    assert set(kinds[:len(FAULTS)]) == set(kinds[len(FAULTS):]) == set(FAULTS) and kinds[:16] != kinds[16:]
+    assert all(soak.LEG - soak.GRIP <= at <= soak.LEG for _, at in drawn) and len({at for _, at in drawn}) == len(drawn)
+
+
+def test_the_table_says_what_went_wrong():
+    late = LEG | {"reaction_s": 0.3, "missed": 171, "memory_MB": 101.5}
+    early = LEG | {"injected": False, "safe": False, "reaction_s": None, "outcome": "left camera is stale", "recording": "torn"}
+    said = {what: value for what, _, value in soak.rows([LEG, LEG, late, early])}
+    assert said["long run: 0.33 h, 60 grips of an egg, cycles missed"] == "0.28 % of 72000"
+    assert said["long run: safe state after a fault at any moment"] == "3 of 3, 1 later than 200 ms, worst 300 ms"
+    assert said["long run: ended without a fault"] == "1 of 4 legs; left camera is stale"
+    assert said["long run: memory"] == "+0.0 MB from the 2nd to the 4th leg"
+    assert said["long run: recordings that cannot be read"] == "1 of 4"
