@@ -25,7 +25,7 @@ EPILOG = """\
 examples:
   mjtactile evaluate --episodes 30                                gentle; egg, strawberry and vial in turn
   mjtactile evaluate --controller gentle --controller mine.py --episodes 100 --out runs/eval
-  mjtactile evaluate --objects egg,random,my/cup.xml --episodes 200 --out runs/eval --resume
+  mjtactile evaluate --objects 'egg,random,my/*.xml' --episodes 200 --out runs/eval --resume
   mjtactile evaluate --vary my_world.toml                         `mjtactile new variation my_world` writes one
   mjtactile evaluate --episodes 800 --shard 2/8 --out runs/part2  one of eight machines
   mjtactile evaluate --episodes 4000 --backend dask --scheduler tcp://head:8786 --out runs/big
@@ -36,8 +36,8 @@ examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--controller", action="append", metavar="NAME", help="shipped name or FILE.py; again for each one to "
                         "compare (default: gentle)")
-    parser.add_argument("--objects", default="egg,strawberry,vial", metavar="A,B,…", help="shipped names, FILE.xml, or random "
-                        "(another thing each time), grasped in turn (default: egg,strawberry,vial)")
+    parser.add_argument("--objects", default="egg,strawberry,vial", metavar="A,B,…", help="shipped names, FILE.xml, "
+                        "'my/*.xml', random (another thing each time), grasped in turn (default: egg,strawberry,vial)")
     parser.add_argument("--episodes", type=_count, default=30, metavar="N", help="for each controller (default: 30)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the first episode; the others count on (default: 0)")
     parser.add_argument("--sensor", default="dense", metavar="NAME", help="shipped name or FILE.toml (default: dense)")
@@ -77,6 +77,18 @@ def _shard(text: str) -> tuple[int, int]:
     return int(part), int(parts)
 
 
+def _objects(text: str) -> list[str]:
+    """Names and files; a pattern, which a shell leaves as it is behind a comma, stands for the files that it fits."""
+    found = []
+    for name in (part.strip() for part in text.split(",")):
+        anchor = Path(name).anchor
+        files = sorted(map(str, Path(anchor).glob(name[len(anchor):]))) if set("*?[") & set(name) else [name]
+        if not files:
+            raise InputError("no file is called like that", source=name, field="--objects")
+        found += files
+    return found
+
+
 def run(options: argparse.Namespace) -> int:
     from mjtactile.evaluate.run import write_report
     from mjtactile.evaluate.statistics import table
@@ -110,7 +122,7 @@ def _evaluate(options: argparse.Namespace, out: Path) -> dict[str, Any]:
         if options.merge:
             return merge(options.merge, out)
         return evaluate(out, count=options.episodes, controllers=options.controller or ["gentle"],
-                        objects=[name.strip() for name in options.objects.split(",")], first_seed=options.seed,
+                        objects=_objects(options.objects), first_seed=options.seed,
                         shard=options.shard, workers=options.workers, backend=options.backend,
                         scheduler=options.scheduler, resume=options.resume, say=Progress().message,
                         sensor=options.sensor, rig=options.rig, effects=options.effects, accuracy=options.accuracy,

@@ -11,6 +11,7 @@ import time
 import pytest
 
 from mjtactile.cli import main
+from mjtactile.commands.evaluate import _objects
 from tests.emulated_host import controller_text
 
 COMMON = ["--sensor", "paper16", "--controller", "quick.py", "--objects", "vial,egg", "--episodes", "2", "--vary", "none",
@@ -49,7 +50,8 @@ def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile, monkeypatch, cap
 
 
 @pytest.mark.parametrize(("words", "text"), [
-    (["--objects", "egg,stone"], "stone: unknown object"), (["--controller", "no.py"], "no.py"),
+    (["--objects", "egg,stone"], "stone: unknown object"),
+    (["--objects", "egg,my/*.xml"], "my/*.xml: --objects: no file"), (["--controller", "no.py"], "no.py"),
     (["--shard", "3/2"], "is not K/N"), (["--episodes", "0"], "at least 1"), (["--resume"], "which folder?"),
     (["--vary", "no.toml"], "no.toml: variation: no such file"), (["--vary", "defalt"], "unknown variation"),
     (["--effects", "+bendig"], "is not +NAME"), (["--rig", "two_xm430"], "two_xm430"),
@@ -58,6 +60,14 @@ def test_bad_words(capsys, words, text):
     assert main(["evaluate", *words]) == 2
     said = capsys.readouterr().err
     assert text in said and len(said.strip().splitlines()) == 1
+
+
+def test_a_pattern_among_the_objects_stands_for_its_files(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("b.xml", "a.xml", "a.toml"):
+        (tmp_path / name).write_text("")
+    assert _objects("egg, *.xml,random") == ["egg", "a.xml", "b.xml", "random"]
+    assert _objects(f"{tmp_path}/[a].*") == [str(tmp_path / "a.toml"), str(tmp_path / "a.xml")]
 
 
 def test_the_command_of_an_episode_draws_the_same_world(tmp_path, mjtactile):
