@@ -53,6 +53,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--shard", type=_shard, default=(1, 1), metavar="K/N", help="only the K-th of N parts")
     parser.add_argument("--resume", action="store_true", help="go on with what is in the folder")
     parser.add_argument("--merge", nargs="+", type=Path, metavar="DIR", help="join parts of one evaluation instead")
+    parser.add_argument("--record", action="store_true", help="keep each episode's recording in DIR/recordings, for `export` "
+                        "(100 MB an episode; 1 without images)")
     parser.add_argument("--worst", type=_any_count, default=10, metavar="N", help="episodes that the report shows with pictures: "
                         "they are run again at the end (default: 10)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default: runs/<time>-evaluate)")
@@ -124,6 +126,6 @@ def _evaluate(options: argparse.Namespace, out: Path) -> dict[str, Any]:
         return evaluate(out, count=options.episodes, controllers=options.controller or ["gentle"],
                         objects=_objects(options.objects), first_seed=options.seed,
                         shard=options.shard, workers=options.workers, backend=options.backend,
-                        scheduler=options.scheduler, resume=options.resume, say=Progress().message,
+                        scheduler=options.scheduler, resume=options.resume, record=options.record, say=Progress().message,
                         sensor=options.sensor, rig=options.rig, effects=options.effects, accuracy=options.accuracy,
                         vary=options.vary)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,10 @@ from mjtactile.core import resources
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.evaluate import report, store, worst
-from mjtactile.evaluate.episodes import RANDOM, Episode, plan
+from mjtactile.evaluate.episodes import RANDOM, Episode, name_of, plan
 from mjtactile.evaluate.pool import PROCESSES, Pool, Say, run_all
 from mjtactile.evaluate.statistics import summarise
+from mjtactile.recording.files import RECORDINGS
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.variation import NONE, load_variation
 from mjtactile.run.controller import load_controller
@@ -21,9 +23,10 @@ from mjtactile.run.controller import load_controller
 
 def evaluate(folder: Path, *, count: int, controllers: Sequence[str], objects: Sequence[str], first_seed: int = 0,
              shard: tuple[int, int] = (1, 1), workers: int | None = None, backend: str = PROCESSES, scheduler: str = "",
-             resume: bool = False, say: Say = lambda _: None, **manner: str) -> dict[str, Any]:
+             resume: bool = False, record: bool = False, say: Say = lambda _: None, **manner: str) -> dict[str, Any]:
     """`count` episodes for each controller into `folder`; the summary of all that are there when they have ended. `workers`
-    processes of this machine run them, or those of the cluster behind `scheduler` (`mjtactile.evaluate.pool`).
+    processes of this machine run them, or those of the cluster behind `scheduler` (`mjtactile.evaluate.pool`). `record` keeps
+    each one's recording in `folder`/recordings.
 
     Raises InputError for a controller, sensor or object that is not to be had, before anything is run, and for a folder that
     holds another evaluation; DeviceError when a worker was killed: what had ended is kept, and `resume` goes on.
@@ -34,6 +37,8 @@ def evaluate(folder: Path, *, count: int, controllers: Sequence[str], objects: S
     kept = store.Store(folder, store.manifest(options, files), resume=resume)
     episodes = plan(count, controllers, objects, first_seed, shard=shard, **manner)
     done = {(line["controller"], line["episode"]) for line in kept.lines}
+    if record:
+        episodes = [replace(episode, recording=str((folder / RECORDINGS / episode.name).absolute())) for episode in episodes]
     missing = [episode for episode in episodes if (Path(episode.controller).stem, episode.index) not in done]
     if done:
         say(f"{len(episodes) - len(missing)} of {len(episodes)} episodes are there already")
@@ -49,7 +54,7 @@ def write_report(folder: Path, worst_count: int, say: Say = lambda _: None) -> P
     chosen = worst.worst(lines, worst_count)
     for k, line in enumerate(chosen, 1):
         say(f"picture {k} of {len(chosen)}: {line['controller']}, {line['object']}, seed {line['seed']}")
-        name = f"{line['controller']}-{line['episode']:06d}"
+        name = name_of(line["controller"], line["episode"])
         pictures[name] = worst.draw(_episode(known["options"], line), folder / "worst" / name)
     path = folder / "report.html"
     with store.writing(path):

@@ -22,7 +22,7 @@ from mjtactile.core.design import SensorDesign, load_sensor, sensor_from_table
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.types import Array, Image, Touch
 from mjtactile.recording.columns import SENSED, TRUE
-from mjtactile.recording.files import LOG, to_json
+from mjtactile.recording.files import LOG, RECORDINGS, to_json
 from mjtactile.recording.reader import Recording, load_recording
 from mjtactile.sensing.chain import Perception
 
@@ -170,11 +170,13 @@ class Episode:
 
 
 def find_episodes(path: Path) -> list[Episode]:
-    """The recording in `path`, or all those in the folders below it, in order of their names. Raises InputError for none."""
+    """The recording in `path`, or all those in the folders below it, in order of their names; of an evaluation those of its
+    episodes, not those that were run again for pictures. Raises InputError for none."""
+    within = path / RECORDINGS if (path / RECORDINGS).is_dir() else path
     found = [path] if (path / LOG).is_file() or (path / "recording" / LOG).is_file() else sorted(
-        log.parent for log in path.rglob(LOG))
+        log.parent for log in within.rglob(LOG))
     if not found:
-        raise InputError("no recording here or below", source=path, field="RUN")
+        raise InputError("no recording here or below; an evaluation keeps them with --record", source=path, field="RUN")
     return [Episode(folder) for folder in found]
 
 

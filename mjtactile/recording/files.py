@@ -24,6 +24,8 @@ from mjtactile.core.types import FINGERS
 
 FORMAT, VERSION = "mjtactile-recording", 1
 LOG, FRAMES = "log.jsonl", "frames"
+RECORDINGS = "recordings"
+"""In the folder of an evaluation: a recording an episode."""
 
 
 def finger_names(count: int) -> tuple[str, ...]:

@@ -8,10 +8,13 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 
 from mjtactile.cli import main
 from mjtactile.commands.evaluate import _objects
+from mjtactile.export.episode import find_episodes
+from mjtactile.recording.reader import load_recording
 from tests.emulated_host import controller_text
 
 COMMON = ["--sensor", "paper16", "--controller", "quick.py", "--objects", "vial,egg", "--episodes", "2", "--vary", "none",
@@ -75,10 +78,15 @@ def test_the_command_of_an_episode_draws_the_same_world(tmp_path, mjtactile):
     (tmp_path / "my.toml").write_text("[object]\nmass_percent = [100, 200]\n[sensor]\nblur_px = [0, 1]\n")
     words = ["--sensor", "paper16", "--effects=-images", "--controller", "quick.py", "--objects", "vial", "--seed", "3",
              "--vary", "my.toml"]
-    mjtactile("evaluate", *words, "--episodes", "1", "--worst", "0", "--out", "one")
+    mjtactile("evaluate", *words, "--episodes", "1", "--worst", "0", "--record", "--out", "one")
     line = json.loads((tmp_path / "one" / "episodes.jsonl").read_text())
     assert line["varied"].keys() == {"object.mass_percent", "left.blur_px", "right.blur_px"} and "--vary=my.toml" in line["again"]
     again = json.loads(mjtactile(*shlex.split(line["again"])[1:], "--out", "again", "--json").stdout)
     assert all(again[name] == line[name] for name in ("outcome", "hold_force_true_N", "peak_force_N", "slip_mm_true", "frames"))
+    (kept,) = find_episodes(tmp_path / "one")  # what --record kept, and `export` takes
+    first, second = kept.recording, load_recording(tmp_path / "again" / "recording")
+    assert first.folder == tmp_path / "one" / "recordings" / "quick-000000" and first.notes["outcome"] == line["outcome"]
+    assert (first.column("force_normal") == second.column("force_normal")).all() and first.header["command"] == line["again"]
+    assert line["time_s"] == pytest.approx(np.ptp(first.column("time")))
     log = (tmp_path / "again" / "recording" / "log.jsonl").read_text().splitlines()
     assert any(json.loads(entry).get("varied") == line["varied"] for entry in log)

@@ -60,7 +60,9 @@ def test_a_controller_that_hangs_or_raises_is_an_error_of_its_episode(tmp_path, 
 
 def test_what_cannot_be_built_or_breaks_inside_is_an_error_too(tmp_path, monkeypatch, quick):
     (tmp_path / "huge.toml").write_text("[object]\nsize_percent = 100\nplace_mm = 30\n")
-    wide = run_episode(Episode(0, quick[0], "random:3", 3, sensor="paper16", vary=str(tmp_path / "huge.toml")))
+    wide = run_episode(Episode(0, quick[0], "random:3", 3, sensor="paper16", vary=str(tmp_path / "huge.toml"),
+                               recording=str(tmp_path / "recordings" / "a")))
+    assert not (tmp_path / "recordings" / "a").exists()  # it never began
     assert wide["outcome"] == "error" and "stands in the way of a sensor" in wide["reason"]
     assert wide["object"] == "random" and wide["varied"]["random.shape"] == "cylinder"
     monkeypatch.setattr("mjtactile.evaluate.episodes.run_grasp", lambda *_, **__: 1 / 0)
