@@ -78,7 +78,8 @@ def merge(folders: Sequence[Path], out: Path) -> dict[str, Any]:
             if first != other:
                 raise InputError(f"its {name} are not those of {folders[0]}", source=folder, field="--merge")
     lines = {(line["episode"], line["controller"]): line for folder in folders for line in store.read_lines(folder)}
-    whole = parts[0] | {"options": parts[0]["options"] | {"shard": [1, 1]}}
+    options = parts[0]["options"] | {"shard": [1, 1]}
+    whole = parts[0] | {"options": options, "command": store.command(options)}
     joined = store.Store(out, whole, resume=False)
     joined.lines = [lines[key] for key in sorted(lines)]
     joined.finish()

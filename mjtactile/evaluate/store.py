@@ -11,6 +11,7 @@ import hashlib
 import importlib.metadata
 import json
 import platform
+import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,14 +19,28 @@ from typing import Any
 from mjtactile.core.errors import DeviceError, InputError
 
 MANIFEST, EPISODES = "manifest.json", "episodes.jsonl"
+_MANNER = ("sensor", "rig", "effects", "accuracy", "vary")
 _PACKAGES = ("mjtactile", "mujoco", "numpy", "scipy", "opencv-contrib-python-headless")
 
 
 def manifest(options: Mapping[str, Any], files: Iterable[Path]) -> dict[str, Any]:
-    """What the lines depend on: options, versions, and the files' SHA-256."""
-    return {"options": dict(options), "python": platform.python_version(),
+    """What the lines depend on: options, versions, and the files' SHA-256; and how to run it again from a shell."""
+    paths = list(files)
+    names = [path.name for path in paths]
+    return {"command": command(options), "options": dict(options), "python": platform.python_version(),
             "versions": {name: importlib.metadata.version(name) for name in _PACKAGES},
-            "files": {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files}}
+            "files": {path.name if names.count(path.name) == 1 else str(path): hashlib.sha256(path.read_bytes()).hexdigest()
+                      for path in paths}}
+
+
+def command(options: Mapping[str, Any]) -> str:
+    """The shell's line for `options`."""
+    part, parts = options["shard"]
+    words = ["mjtactile", "evaluate", *(f"--controller={name}" for name in options["controllers"]),
+             f"--objects={','.join(options['objects'])}", f"--episodes={options['count']}", f"--seed={options['first_seed']}",
+             *(f"--{name}={options[name]}" for name in _MANNER if options.get(name)),
+             *([f"--shard={part}/{parts}"] if parts > 1 else [])]
+    return shlex.join(words)
 
 
 class Store:

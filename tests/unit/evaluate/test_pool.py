@@ -1,10 +1,13 @@
 """Who runs the episodes: a cluster writes the lines that processes write; what fails in an episode is an error of it alone."""
 
+import argparse
 import json
 import resource
+import shlex
 
 import pytest
 
+from mjtactile.commands.evaluate import add_arguments
 from mjtactile.core.errors import DeviceError, InputError, Interrupted
 from mjtactile.evaluate import episodes, store
 from mjtactile.evaluate.episodes import Episode, run_episode
@@ -95,3 +98,20 @@ def test_an_episode_that_was_told_to_end_has_no_line(tmp_path, monkeypatch, quic
     with pytest.raises(DeviceError, match="a worker was told to end; --resume goes on"):
         evaluate(tmp_path / "out", controllers=quick, workers=1, **COMMON)
     assert store.read_lines(tmp_path / "out") == []
+
+
+def test_the_manifest_says_how_to_run_it_again(tmp_path):
+    (tmp_path / "a").mkdir()
+    for path in (tmp_path / "cup.xml", tmp_path / "a" / "cup.xml"):  # two of one name
+        path.write_text(path.parent.name)
+    options = {"count": 40, "controllers": ["gentle", "my own.py"], "objects": ["egg", "cup.xml"], "first_seed": 7,
+               "shard": [2, 8], "sensor": "paper16", "rig": "sim", "effects": "-images", "accuracy": "", "vary": "none"}
+    found = store.manifest(options, [tmp_path / "cup.xml", tmp_path / "a" / "cup.xml"])
+    assert len(found["files"]) == 2
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    program, name, *words = shlex.split(found["command"])
+    read = vars(parser.parse_args(words))
+    assert (program, name, read["episodes"], read["seed"], read["shard"]) == ("mjtactile", "evaluate", 40, 7, (2, 8))
+    assert read["controller"] == options["controllers"] and read["objects"] == "egg,cup.xml"
+    assert all(read[key] == options[key] for key in ("sensor", "rig", "effects", "accuracy", "vary"))
