@@ -20,12 +20,6 @@ pytestmark = pytest.mark.clock
 TICK = 2 * math.pi / 4096
 
 
-@pytest.fixture
-def bench():
-    with servo_bench() as bench:
-        yield bench
-
-
 def names_written(bench, servo=1):
     """Names of the registers written to one servo, in order."""
     table = {register.address: name for name, register in load_table("xl330_m288").items()}

@@ -10,17 +10,11 @@ from mjtactile.core import pace
 from mjtactile.core.errors import DeviceError
 from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus
 from mjtactile.emulator import protocol2
-from tests.emulated import REPLY_TIMEOUT, servo_bench
+from tests.emulated import REPLY_TIMEOUT
 
 pytestmark = pytest.mark.clock
 
 POSITION = 132
-
-
-@pytest.fixture
-def bench():
-    with servo_bench() as bench:
-        yield bench
 
 
 @pytest.fixture

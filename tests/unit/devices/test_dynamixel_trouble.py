@@ -9,17 +9,11 @@ from mjtactile.core import pace
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Command
 from mjtactile.devices.dynamixel.gripper import ServoFault
-from tests.emulated import ANGLE, servo_bench, wait_for
+from tests.emulated import ANGLE, wait_for
 
 pytestmark = pytest.mark.clock
 
 TICK = 2 * math.pi / 4096
-
-
-@pytest.fixture
-def bench():
-    with servo_bench() as bench:
-        yield bench
 
 
 @pytest.mark.parametrize("fast", [False, True])

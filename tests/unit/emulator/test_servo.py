@@ -1,6 +1,5 @@
-"""An emulated servo as the SDK's own calls find it, against what the e-manual says of XL330 and XM430.
-
-The shaft is turned by hand (`turn`), so that nothing here depends on the computer's pace.
+"""An emulated servo as the SDK's own calls find it, against what the e-manual says of XL330 and XM430: its table, and the
+instructions that it obeys.
 """
 
 import math
@@ -8,82 +7,29 @@ import math
 import dynamixel_sdk as sdk
 import pytest
 
-from mjtactile.core import pace
 from mjtactile.devices.dynamixel.bus import DynamixelBus
 from mjtactile.devices.dynamixel.tables import MODELS, load_table
 from mjtactile.emulator import protocol2 as p2
 from mjtactile.emulator.control_table import control_table
 from mjtactile.emulator.servo import EmulatedServo
-from tests.emulated import ANGLE, servo_bench
+from tests.emulated import ANGLE
+from tests.sdk_client import OK, sdk_client
 
 pytestmark = pytest.mark.clock
 
 TICKS = round(ANGLE / (2 * math.pi) * 4096)
-PATIENCE, SILENCE = 1500.0, 60.0  # ms for a reply, where the SDK has 34 (tests share their processors), and for none
-OK = sdk.COMM_SUCCESS
-RPM = 0.229 * 2 * math.pi / 60  # rad/s of a velocity unit
-
-
-class Client:
-    """The SDK's port and packets on a bench, with its register names."""
-
-    def __init__(self, bench, model):
-        self.bench, self.table = bench, control_table(model).fields
-        self.port, self.packets = sdk.PortHandler(bench.bus.path), sdk.PacketHandler(2.0)
-        self.patience = PATIENCE
-        self.port.setPacketTimeout = lambda length: self.port.setPacketTimeoutMillis(self.patience)
-        assert self.port.openPort() and self.port.setBaudRate(1_000_000)
-
-    def read(self, name, servo=1):
-        field = self.table[name]
-        data, result, error = self.packets.readTxRx(self.port, servo, field.address, field.size)
-        assert (result, error) == (OK, 0), (name, result, error)
-        return int.from_bytes(bytes(data), "little")
-
-    def write(self, name, value, servo=1):
-        """The error of the status packet."""
-        field = self.table[name]
-        data = list((value & ((1 << 8 * field.size) - 1)).to_bytes(field.size, "little"))
-        result, error = self.packets.writeTxRx(self.port, servo, field.address, field.size, data)
-        assert result == OK, (name, self.packets.getTxRxResult(result))
-        return error
-
-    def ping(self, servo=1):
-        return self.packets.ping(self.port, servo)[1] == OK
-
-    def is_silent(self, ask, *arguments):
-        """Whether nothing comes back from a call of the SDK."""
-        self.patience = SILENCE
-        result = [part for part in ask(self.port, *arguments) if part == sdk.COMM_RX_TIMEOUT]
-        self.patience = PATIENCE
-        return bool(result)
-
-    def is_absent(self, servo):
-        return self.is_silent(self.packets.ping, servo)
-
-
-def client(model="XL330-M288"):
-    with servo_bench(model) as bench:
-        client = Client(bench, model)
-        try:
-            yield client
-        finally:
-            client.port.closePort()
 
 
 @pytest.fixture
 def xl():
-    yield from client()
+    with sdk_client() as client:
+        yield client
 
 
 @pytest.fixture
 def xm():
-    yield from client("XM430-W350")
-
-
-def turn(servo, seconds):
-    for _ in range(round(seconds / 0.01)):
-        servo.turn(0.01)
+    with sdk_client("XM430-W350") as client:
+        yield client
 
 
 # -- the table ---------------------------------------------------------------------------------------------------------
@@ -278,131 +224,3 @@ def test_backup_and_restore(xl):
     assert xl.write("Moving Threshold", 5) == 0
     assert servo.back_up(2, -1.0) == 0  # the time is long ago: it has restarted
     assert xl.read("Moving Threshold") == 77
-
-
-# -- motion ------------------------------------------------------------------------------------------------------------
-
-def on(one, mode, **registers):
-    assert one.write("Operating Mode", mode) == 0
-    for name, value in registers.items():
-        assert one.write(name.replace("_", " "), value) == 0
-    assert one.write("Torque Enable", 1) == 0
-
-
-@pytest.mark.parametrize(("mode", "goal", "value"), [
-    (0, "Goal Current", -100), (1, "Goal Velocity", -50), (16, "Goal PWM", -200)])
-def test_modes_without_a_position_move(xl, mode, goal, value):
-    on(xl, mode)
-    assert xl.write(goal, value) == 0
-    turn(xl.bench.servos[1], 0.5)
-    assert xl.bench.servos[1].angle < ANGLE - 0.4
-    if mode == 1:
-        assert xl.bench.servos[1].angle == pytest.approx(ANGLE - 0.5 * 50 * RPM, abs=50 * RPM * 0.011)  # a tick
-        assert xl.read("Present Velocity") == (1 << 32) - 50
-    assert xl.read("Moving") == 1
-
-
-def test_the_profile_takes_its_time_and_says_so(xl):
-    on(xl, 4)
-    assert xl.write("Profile Velocity", 20) == 0  # 0.48 rad/s
-    assert xl.write("Goal Position", TICKS + 1000) == 0  # 1.534 rad: 3.2 s
-    turn(xl.bench.servos[1], 1.0)
-    assert xl.bench.servos[1].angle == pytest.approx(ANGLE + 20 * RPM, abs=20 * RPM * 0.011)  # a tick behind its path
-    assert (xl.read("Moving"), xl.read("Velocity Trajectory"), xl.read("Moving Status")) == (1, 20, 0x12)
-    assert xl.read("Position Trajectory") == pytest.approx(TICKS + 20 * RPM * 4096 / (2 * math.pi), abs=1)
-    turn(xl.bench.servos[1], 3.0)
-    assert xl.read("Present Position") == TICKS + 1000
-    assert (xl.read("Moving"), xl.read("Velocity Trajectory"), xl.read("Moving Status")) == (0, 0, 0x11)
-
-
-def test_a_trapezoid_reaches_its_goal_without_overshoot():
-    servo = EmulatedServo(1, "XL330-M288")
-    for address, size, value in ((11, 1, 4), (64, 1, 1), (108, 4, 5), (112, 4, 50), (116, 4, 800)):
-        assert servo.write(address, value.to_bytes(size, "little")) == 0
-    speeds = []
-    for _ in range(300):
-        servo.turn(0.01)
-        speeds.append(servo.speed)
-        assert servo.angle <= 800 * 2 * math.pi / 4096 + 1e-9
-    assert servo.angle == pytest.approx(800 * 2 * math.pi / 4096)
-    assert max(speeds) == pytest.approx(50 * RPM, rel=1e-6)
-    assert max(b - a for a, b in zip(speeds, speeds[1:], strict=False)) <= 5 * 214.577 * 2 * math.pi / 3600 * 0.01 + 1e-9
-
-
-def test_homing_offset_is_added_to_the_position(xl):
-    """What lerobot's calibration writes."""
-    assert xl.write("Homing Offset", 500) == 0
-    assert xl.read("Present Position") == TICKS + 500
-    on(xl, 4)
-    assert xl.write("Goal Position", TICKS + 600) == 0
-    turn(xl.bench.servos[1], 1.0)
-    assert xl.bench.servos[1].angle == pytest.approx(ANGLE + 100 * 2 * math.pi / 4096, abs=2 * math.pi / 4096)
-    assert xl.write("Torque Enable", 0) == 0
-    assert xl.write("Homing Offset", 2000) == 0
-    assert xl.write("Operating Mode", 3) == 0
-    assert xl.read("Present Position") == TICKS + 100  # beyond 1024 it is ignored in mode 3
-
-
-def test_clear_forgets_whole_turns_of_a_shaft_at_rest(xl):
-    servo = xl.bench.servos[1]
-    on(xl, 4)
-    assert xl.write("Goal Position", TICKS + 8192) == 0
-    servo.turn(0.01)
-    assert xl.packets.clearMultiTurn(xl.port, 1) == (OK, 1)  # it moves
-    turn(servo, 4.0)
-    assert xl.packets.clearMultiTurn(xl.port, 1) == (OK, 0)
-    assert xl.read("Present Position") == TICKS
-
-
-# -- the bus watchdog --------------------------------------------------------------------------------------------------
-
-def tripped(mode=5, **how):
-    """A servo on its way, whose host has died: from 1 rad to 2 rad, or with 0.1 A or 1 rad/s."""
-    servo = EmulatedServo(1, "XL330-M288", angle=1.0, **how)
-    goal = {0: (102, 2, 100), 1: (104, 4, 42), 16: (100, 2, 200)}.get(mode, (116, 4, 1304))
-    for address, size, value in ((11, 1, mode), (98, 1, 5), (64, 1, 1), goal):
-        assert servo.write(address, value.to_bytes(size, "little")) == 0
-    turn(servo, 0.05)
-    servo.look_at_watchdog(pace.monotonic() + 1)
-    return servo, servo.angle
-
-
-@pytest.mark.parametrize("mode", [0, 1, 3, 4, 5, 16])
-def test_a_trip_stops_the_servo_and_makes_its_goals_read_only(mode):
-    servo, at = tripped(mode)
-    turn(servo, 0.5)
-    assert servo.angle == pytest.approx(at, abs=2 * math.pi / 4096)
-    assert servo.get("Bus Watchdog") == 0xFF
-    assert (servo.drive().torque_max > 0) == (mode not in (0, 16))  # held where it is, or free
-    assert servo.write(116, (1).to_bytes(4, "little")) == 4
-    assert servo.write(98, b"\0") == 0
-    assert servo.write(116, (1000).to_bytes(4, "little")) == 0
-
-
-def test_a_limp_servo_lets_go():
-    assert tripped(trip="limp")[0].drive().torque_max == 0
-
-
-def test_firmware_51_of_a_330_notes_the_trip_and_goes_on():
-    servo, at = tripped(firmware=51)
-    turn(servo, 0.5)
-    assert servo.get("Bus Watchdog") == 0xFF
-    assert servo.angle == pytest.approx(1304 * 2 * math.pi / 4096) and servo.angle > at + 0.5
-    assert EmulatedServo(1, "XM430-W350", firmware=51)._goes_on is False
-
-
-def test_with_a_homing_offset_a_trip_moves_the_motor():
-    servo = EmulatedServo(1, "XL330-M288", angle=1.0)
-    for address, size, value in ((20, 4, 300), (11, 1, 4), (98, 1, 5), (64, 1, 1)):
-        assert servo.write(address, value.to_bytes(size, "little")) == 0
-    for i in range(100):
-        servo.look_at_watchdog(pace.monotonic() + 1 + i)
-        servo.turn(0.01)
-    assert servo.angle < -1.0  # and on
-
-
-def test_without_torque_it_does_not_trip():
-    servo = EmulatedServo(1, "XL330-M288")
-    assert servo.write(98, b"\x05") == 0
-    servo.look_at_watchdog(pace.monotonic() + 10)
-    assert servo.get("Bus Watchdog") == 5
