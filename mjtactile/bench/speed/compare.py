@@ -18,7 +18,7 @@ from mjtactile.core.errors import InputError
 
 ROUNDS = 3
 RATES = (30.0, 60.0)  # Hz
-PHASES = ("approach", *probe.TOUCHING, "release")
+PHASES = ("approach", *probe.TOUCHING, "release", probe.ALONE)
 _HOME = Path(__file__).resolve().parents[3]
 
 Say = Callable[[str], None]

@@ -1,7 +1,8 @@
 """One grasp of an egg, timed: a script, run under any checkout of mjtactile, that prints a line of JSON.
 
-`PYTHONPATH=CHECKOUT python probe.py RATE core|wall`: with "core", core time of an image, a drawing and a step by phase; with
-"wall", how the loop as it is keeps up with the clock. It uses only names that old checkouts have, too.
+`PYTHONPATH=CHECKOUT python probe.py RATE core|wall`: with "core", core time of an image, a drawing and a step by phase, and of
+the first two alone, again and again with the last image of the hold; with "wall", how the loop as it is keeps up with the
+clock. It uses only names that old checkouts have, too.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import replace
 from typing import Any
 
 SEED, OBJECT = 0, "egg"
+ALONE = "alone, held"
 TOUCHING = ("regulate", "lift", "hold", "lower")  # phases from the first touch to the release
 
 
@@ -31,11 +33,14 @@ def main(rate: float, kind: str) -> dict[str, Any]:
     design = replace(design, camera=replace(design.camera, rate=rate))
     phase = ["references"]
     spent: dict[tuple[str, str], list[float]] = defaultdict(list)
+    last: dict[str, tuple[Any, ...]] = {}  # of each kind of call: what was called in the hold, with what
 
     def timed(owner: Any, name: str, what: str) -> None:
         inner = getattr(owner, name)
 
         def outer(self: Any, *args: Any) -> Any:
+            if phase[0] == "hold":
+                last[what] = (inner, self, *args)
             start = time.thread_time()
             try:
                 return inner(self, *args)
@@ -62,10 +67,23 @@ def main(rate: float, kind: str) -> dict[str, Any]:
         core = time.process_time()
         session.run(load_controller("gentle"), time_limit=60.0, on_cycle=on_cycle)
         core = time.process_time() - core
+        for what in last.keys() - {"a step"}:  # the world has moved on
+            spent[what, ALONE] = _alone(*last[what])
     rows = {what: {name: 1e3 * sorted(values)[len(values) // 2] for (kind_, name), values in spent.items() if kind_ == what}
             for what in {what for what, _ in spent}}
     return {"core_ms": rows, "factors": _factors(moments), "import_s": imported, "references_s": referenced,
             "core_s_per_s": core / (moments[-1][1] - moments[0][1])}
+
+
+def _alone(call: Any, *args: Any) -> list[float]:
+    """s of core time: the least of five bursts of ten."""
+    bursts = []
+    for _ in range(5):
+        start = time.thread_time()
+        for _ in range(10):
+            call(*args)
+        bursts.append((time.thread_time() - start) / 10)
+    return [min(bursts)]
 
 
 def _factors(moments: list[tuple[str, float, float]]) -> dict[str, float]:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.bench.settings import HOLD_FORCE, Setting, attempt, core_ms, cost_and_noise
-from mjtactile.bench.speed import compare, denormals
+from mjtactile.bench.speed import compare, denormals, sensors
 from mjtactile.core.design import load_sensor
 from mjtactile.run.controller import load_controller
 from mjtactile.run.figures import new_figure
@@ -37,9 +37,10 @@ def run(out: Path, quick: bool = False, against: Path | None = None) -> dict[str
     physics = [_physics(Setting(mesh, timestep), say) for mesh in ((11, 9), (13, 11)) for timestep in TIMESTEPS]
     growth = _growth(MESHES[:4] if quick else MESHES, say)
     scenes = [_rigid(name, say) for name in ("rigid pads", "rigid pads, touch_grid")]
+    many = sensors.measure(sensors.COUNTS[:2] if quick else sensors.COUNTS, say)
     kinds = [("", 0), ("", 2)] if quick else [(accuracy, n) for accuracy in ("", "realtime") for n in (0, 1, 2)]
     loops = [_loop(accuracy, n, say) for accuracy, n in kinds]
-    result = {"physics": physics, "growth": growth, "rigid": scenes, "loops": loops, **compared}
+    result = {"physics": physics, "growth": growth, "rigid": scenes, "many": many, "loops": loops, **compared}
     _plot(result, out)
     return result
 
@@ -110,6 +111,7 @@ def table(result: dict[str, Any]) -> str:
               f"{row['ms_per_s'] / reference:.1f} |" for row in result["rigid"]]
     lines += ["", f"Cost of a step grows with the number of vertices to the power {result['growth']['exponent']:.2f} "
               f"({result['growth']['rows'][0]['vertices']} to {result['growth']['rows'][-1]['vertices']} vertices).", "",
+              sensors.table(result["many"]), "",
               "A whole grasp of an egg, two cameras at 60 Hz with perception, as the loop runs it: wall time.", "",
               "| accuracy | threads for perception | x real time | while the object is held | core ms per simulated s | "
               "load average |", "|---|---|---|---|---|---|"]
