@@ -12,7 +12,9 @@ from typing import Any
 from mjtactile.core import resources
 from mjtactile.core.errors import InputError
 
-# what to say, page, how the first cell of the row begins, heading of the column, by which command
+_LARGEST = "largest force, N: median (worst)"
+
+# what to say, page, how the row begins (of several, one after the other), heading of the column, by which command
 NUMBERS = (
     ("normal force felt: mean absolute error (worst), N", "benchmarks", "normal force, mean absolute", "dense", "bench touch"),
     ("shear force felt: mean absolute error, N", "benchmarks", "shear force error", "dense", "bench touch"),
@@ -22,6 +24,8 @@ NUMBERS = (
     ("eggs held, of ten seeds", "benchmarks", "egg", "held", "bench grasp"),
     ("grasps held in worlds that vary, egg, strawberry, vial and random things", "evaluate", "gentle", "held", "evaluate"),
     ("with what 95 % interval", "evaluate", "gentle", "95 % interval", "evaluate"),
+    *((f"largest force on a finger with touch / by the servos' current alone, {name}, N: median (worst)", "evaluate",
+       f"gentle | {name} / touchless | {name}", _LARGEST, "evaluate") for name in ("egg", "strawberry", "vial", "random")),
     ("force while holding an egg: error, mean / worst, N", "benchmarks", "egg", "its error, N: mean / worst", "bench grasp"),
     ("centres of circles in space: mean error, nearer of two poses, mm", "benchmarks", "mean centre error, nearer", "measured",
      "bench perception"),
@@ -51,7 +55,10 @@ def table(result: Mapping[str, Any]) -> str:
 
 
 def cell(page: str, row: str, column: str, *, source: str) -> str:
-    """The cell under the heading `column` in the first row that begins with `row`, of the tables that have that column."""
+    """The cell under the heading `column` in the first row that begins with `row`, of the tables that have that column; of rows
+    "a / b" both."""
+    if " / " in row:
+        return " / ".join(cell(page, one, column, source=source) for one in row.split(" / "))
     heading: list[str] = []
     for line in page.splitlines():
         cells = [text.strip() for text in line.strip().strip("|").split(" | ")] if line.startswith("|") else []
@@ -59,6 +66,6 @@ def cell(page: str, row: str, column: str, *, source: str) -> str:
             heading = []
         elif not heading:
             heading = cells
-        elif cells[0].startswith(row) and column in heading:
+        elif " | ".join(cells).startswith(row) and column in heading:
             return cells[heading.index(column)]
     raise InputError(f"has no table with a row {row!r} and a column {column!r}", source=f"docs/{source}.md")

@@ -21,6 +21,8 @@ from mjtactile.recording.writer import Recorder
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.variation import draw
 from mjtactile.run.grasp import GraspOptions, run_grasp
+from mjtactile.run.session import Session
+from mjtactile.sim.rig import SimClock
 from mjtactile.sim.scenes.random_objects import object_text as object_text
 from mjtactile.sim.scenes.random_objects import random_thing, seed_of
 
@@ -104,7 +106,7 @@ def run_episode(episode: Episode) -> dict[str, Any]:
 def _run(episode: Episode, notes: _Notes) -> dict[str, Any]:
     """The grasp's summary, or that of an error. Raises Interrupted."""
     try:
-        return run_grasp(episode.options(), recorder=notes, progress=notes).summary()
+        return run_grasp(episode.options(), recorder=notes, progress=notes, on_open=_alone).summary()
     except Interrupted:
         raise
     except MjtactileError as error:
@@ -113,6 +115,12 @@ def _run(episode: Episode, notes: _Notes) -> dict[str, Any]:
         last = traceback.extract_tb(error.__traceback__)[-1]
         return {"outcome": "error", "reason": f"internal error in {Path(last.filename).name}, line {last.lineno}: "
                                               f"{type(error).__name__}: {' '.join(str(error).split())}"}
+
+
+def _alone(session: Session) -> None:
+    """Episodes have a process each, and these fill the processors."""
+    if isinstance(session.rig.clock, SimClock):
+        session.rig.clock.step_in_turn()
 
 
 @contextlib.contextmanager

@@ -33,6 +33,13 @@ _SCATTER = 2e-3  # m, to each side
 _LARGEST_STEP = 6.7e-3  # s; against 1 ms, forces change by 1 mN (docs/accuracy.md)
 
 
+class _Later:
+    """Stands in for a Future: what is done when its result is asked for."""
+
+    def __init__(self, do: Callable[[], None]):
+        self.result = do
+
+
 class SimClock:
     """Simulated time. Between `start` and `wait_until` the world steps in a thread of its own.
 
@@ -42,8 +49,8 @@ class SimClock:
 
     def __init__(self, world: World):
         self._world = world
-        self._pool = ThreadPoolExecutor(2, thread_name_prefix="physics")  # both draw; one of them steps
-        self._running: Future[None] | None = None
+        self._pool: ThreadPoolExecutor | None = ThreadPoolExecutor(2, thread_name_prefix="physics")  # both draw, one steps
+        self._running: Future[None] | _Later | None = None
         self._pending: list[Callable[[], None]] = []
         self.on_arrival: list[Callable[[], None]] = []
         """What to do at the same time when a time given to `start` is reached: draw what the cameras see then."""
@@ -53,7 +60,7 @@ class SimClock:
 
     def start(self, time: float) -> None:
         if self._running is None:
-            self._running = self._pool.submit(self._go, time)
+            self._running = self._begin(lambda: self._go(time))
 
     def wait_until(self, time: float) -> None:
         """Step the world until `time`, then do what was deferred; a time in the past only does the latter.
@@ -76,12 +83,22 @@ class SimClock:
             self._pending.append(action)
 
     def close(self) -> None:
-        self._pool.shutdown(wait=True, cancel_futures=True)
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def step_in_turn(self) -> None:
+        """From now on, step and draw in the thread that waits, with the same result: a sixth less work, for whoever has a process
+        for each processor."""
+        self.close()
+        self._pool = None
+
+    def _begin(self, do: Callable[[], None]) -> Future[None] | _Later:
+        return _Later(do) if self._pool is None else self._pool.submit(do)
 
     def _go(self, time: float) -> None:
         self._advance(time)
         first, *others = self.on_arrival or [lambda: None]
-        beside = [self._pool.submit(action) for action in others]
+        beside = [self._begin(action) for action in others]
         first()
         for action in beside:
             action.result()

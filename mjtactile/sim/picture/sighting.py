@@ -75,6 +75,7 @@ class Sighter:
         x, y = np.moveaxis(uv - middle[:, None], 2, 0)
         dy = y @ _DERIVATIVE.T
         area = (x * dy).sum(axis=1)
+        area[area == 0] = np.nan  # a marker that is missing
         cx, cy = (x * x * dy).sum(axis=1) / (2 * area), (x * y * dy).sum(axis=1) / area
         x, y = x - cx[:, None], y - cy[:, None]
         xx, yy, xy = ((one * dy).sum(axis=1) / area for one in (x**3 / 3, x * y * y, x * x * y / 2))
