@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import mujoco
-
 from mjtactile.bench.settings import core_ms
 from mjtactile.core.design import load_sensor
-from mjtactile.sim.attach import attach, recommend_options
+from mjtactile.sim.scenes.row import row_of
 from mjtactile.sim.scenes.world import World
 
 COUNTS = (1, 2, 4, 8)
@@ -22,7 +20,7 @@ def measure(counts: tuple[int, ...], say: Callable[[str], None]) -> list[dict[st
     """Of each number of sensors, ms a step: `loaded` with a ball on each, `asleep` with none."""
     rows = []
     for count in counts:
-        loaded, asleep = row_of(count, loaded=True), row_of(count, loaded=False)
+        loaded, asleep = scene(count, loaded=True), scene(count, loaded=False)
         if not all(sensor.is_asleep for sensor in asleep.sensors):
             raise AssertionError("a sensor that touches nothing is awake")
         ms = {name: core_ms(world.step, 5 * _STEPS) for name, world in (("loaded_ms", loaded), ("asleep_ms", asleep))}
@@ -31,29 +29,10 @@ def measure(counts: tuple[int, ...], say: Callable[[str], None]) -> list[dict[st
     return rows
 
 
-def row_of(count: int, *, loaded: bool) -> World:
-    """So many inflated, sealed sensors in a row that look up, settled; on each a ball, or nothing."""
-    design = load_sensor("dense")
-    pitch = design.frame.length + 0.03
-    spec = mujoco.MjSpec()
-    recommend_options(spec, _TIMESTEP)
-    attachments = []
-    for k in range(count):
-        base = spec.worldbody.add_body(name=f"base{k}", pos=[k * pitch, 0, 0])
-        base.add_site(name=f"site{k}")
-        attachments.append(attach(spec, design, site=f"site{k}", prefix=f"s{k}/"))
-        if loaded:
-            ball = spec.worldbody.add_body(name=f"ball{k}", pos=[k * pitch, 0, _BALL + 6e-3])
-            ball.add_joint(name=f"ball{k}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1])
-            ball.add_geom(size=[_BALL, 0, 0], mass=_MASS)
-    world = World(spec, attachments)
-    for sensor in world.sensors:
-        sensor.open_valve(_GAUGE)
-    world.step(round(_SETTLE / _TIMESTEP))
-    for sensor in world.sensors:
-        sensor.close_valve()
-    world.step(round(_SETTLE / _TIMESTEP))
-    return world
+def scene(count: int, *, loaded: bool) -> World:
+    """So many sensors, settled; on each a ball, or nothing."""
+    return row_of(load_sensor("dense"), count, ball=(_BALL, _MASS) if loaded else None, gauge=_GAUGE, timestep=_TIMESTEP,
+                  settle=_SETTLE)
 
 
 def table(rows: list[Mapping[str, Any]]) -> str:

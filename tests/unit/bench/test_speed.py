@@ -7,10 +7,10 @@ from mjtactile.bench.speed import compare, sensors
 
 def test_balls_lie_on_their_sensors_and_the_others_sleep():
     """A ball at rest is held by its membrane: what the drive of its slide joint leaves over is its weight."""
-    world = sensors.row_of(2, loaded=True)
+    world = sensors.scene(2, loaded=True)
     assert world.kinetic_energy < 1e-9 and not any(sensor.is_asleep for sensor in world.sensors)
     assert world.data.qfrc_constraint[world.model.joint("ball1").dofadr[0]] == pytest.approx(0.03 * 9.81, rel=1e-3)  # at rest
-    assert all(sensor.is_asleep for sensor in sensors.row_of(2, loaded=False).sensors)
+    assert all(sensor.is_asleep for sensor in sensors.scene(2, loaded=False).sensors)
 
 
 def test_tables():
