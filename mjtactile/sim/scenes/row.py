@@ -13,8 +13,8 @@ _GAP, _ABOVE = 0.03, 6e-3  # m between two sensors, and of a ball above the fram
 
 def row_of(design: SensorDesign, count: int, *, ball: tuple[float, float] | None, gauge: float, timestep: float, settle: float
            ) -> World:
-    """So many sensors that look up, inflated to `gauge` Pa and sealed; on each a `ball` (radius m, mass kg), or nothing. `settle` s
-    before the valves close, and after."""
+    """So many sensors that look up, inflated to `gauge` Pa and sealed; on each a `ball` (radius m, mass kg), or nothing. `settle`
+    is the time before the valves close, and after, s."""
     spec = mujoco.MjSpec()
     recommend_options(spec, timestep)
     attachments = []
