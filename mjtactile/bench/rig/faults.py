@@ -41,13 +41,31 @@ class Stopwatch(Supervisor):
         super()._enter(state, reason, now)
         self.entered.append((pace.monotonic(), state))
 
+    def reaction(self, injected: float) -> float | None:
+        """s from a fault at `injected` until the loop had left "running"; None where it did not, or there was none (0)."""
+        left = [at for at, state in self.entered if state in ("holding", "safe", "latched") and at >= injected > 0]
+        return left[0] - injected if left else None
 
-class FaultBench:
-    """Injects faults one after the other, into the same emulator as long as it lasts."""
 
-    def __init__(self) -> None:
+class KeptBench:
+    """An emulator that is kept from one fault to the next, as long as it lasts."""
+
+    def __init__(self, name: str, rate: float) -> None:
+        self._name, self._rate = name, rate
         self._bench: Bench | None = None
         logging.getLogger("mjtactile").setLevel(logging.CRITICAL)  # what is unplugged cannot be switched off: said 100 times
+
+    def bench(self) -> Bench:
+        self._bench = self._bench or Bench(self._name, design_at(self._rate))
+        return self._bench
+
+    def recover(self, kind: str) -> None:
+        """After a fault of that kind: it ends, or the emulator does, which the next call of `bench` starts anew."""
+        if kind in LASTING:
+            self.close()
+        else:
+            self.bench().process.fault(kind, 0)
+            pace.sleep(0.3)
 
     def close(self) -> None:
         if self._bench is not None:
@@ -58,9 +76,16 @@ class FaultBench:
         self.close()
         logging.getLogger("mjtactile").setLevel(logging.NOTSET)
 
+
+class FaultBench(KeptBench):
+    """Injects faults one after the other."""
+
+    def __init__(self) -> None:
+        super().__init__("emulated", 30.0)
+
     def react(self, kind: str, value: float) -> dict[str, Any]:
         """One fault; s from its injection until the loop had left `running`, and what became of it."""
-        self._bench = bench = self._bench or Bench("emulated", design_at(30.0))
+        bench = self.bench()
         supervisor, injected, cycles = Stopwatch(1 / 30), [0.0], [0]
 
         def on_cycle(cycle: Cycle) -> None:
@@ -72,14 +97,9 @@ class FaultBench:
                 raise EndOfRun
 
         outcome = drive(bench, Closing(), on_cycle, supervisor=supervisor)
-        left = [at for at, state in supervisor.entered if state in ("holding", "safe", "latched") and at >= injected[0]]
-        if kind in LASTING:
-            self.close()
-        else:
-            bench.process.fault(kind, 0)
-            pace.sleep(0.3)
-        safe = bool(left) and injected[0] > 0
-        return {"safe": safe, "reaction_s": left[0] - injected[0] if safe else None, "state": supervisor.state,
+        self.recover(kind)
+        reaction = supervisor.reaction(injected[0])
+        return {"safe": reaction is not None, "reaction_s": reaction, "state": supervisor.state,
                 "outcome": outcome or supervisor.reason}
 
 

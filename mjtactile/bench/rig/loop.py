@@ -104,8 +104,3 @@ def measure_bus() -> dict[str, float]:
         bench.close()
     return {"read_2_servos_median_ms": 1e3 * statistics.median(durations),
             "read_2_servos_p99_ms": float(1e3 * np.percentile(durations, 99))}
-
-
-def memory_MB() -> float:
-    """MB that this process holds."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20

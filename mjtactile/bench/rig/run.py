@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile.bench.rig import faults, fuzz, loop
-from mjtactile.bench.rig import soak as long
+from mjtactile.bench.rig.soak import LEG, SoakBench, soak_rows
 from mjtactile.core import pace
 from mjtactile.core.errors import InputError
 from mjtactile.recording.files import to_json, write_json
@@ -45,7 +45,7 @@ def run(out: Path, *, quick: bool, resume: bool = False, parts: tuple[str, ...] 
         if part in parts:
             work[part]()
     if soak is not None or SOAK in parts:
-        _soak(store, long.SoakBench(out / SOAK, leg=30.0 if quick else long.LEG), HOURS if soak is None else soak)
+        _soak(store, SoakBench(out / SOAK, leg=30.0 if quick else LEG), HOURS if soak is None else soak)
     store.result |= {"load_average": os.getloadavg()[0], "slow": pace.slow()}
     return store.result
 
@@ -74,7 +74,7 @@ class _Store:
         write_json(self._path, self.result)
 
 
-def _soak(store: _Store, bench: long.SoakBench, hours: float) -> None:
+def _soak(store: _Store, bench: SoakBench, hours: float) -> None:
     try:
         store.repeat(SOAK, max(1, round(3600 * hours / bench.leg)), bench.run)
     finally:
@@ -116,7 +116,7 @@ def _reactions(rows: list[dict[str, Any]]) -> tuple[float, float]:
 
 def _rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     rows: list[tuple[str, str, str]] = []
-    for part, make in (("loop", _loop_rows), (SOAK, long.rows), ("bus", _bus_rows), ("killed", _killed_rows),
+    for part, make in (("loop", _loop_rows), (SOAK, soak_rows), ("bus", _bus_rows), ("killed", _killed_rows),
                        ("outcomes", _outcome_rows), ("fuzz", _fuzz_rows), ("stuck", _stuck_rows)):
         if part in result:
             rows += make(result[part])

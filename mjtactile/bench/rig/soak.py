@@ -6,7 +6,6 @@ interrupted run goes on with its next leg.
 
 from __future__ import annotations
 
-import logging
 import math
 import os
 import shutil
@@ -16,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.bench.rig.faults import FAULTS, LASTING, Stopwatch
-from mjtactile.bench.rig.loop import RATE, RIG, memory_MB
-from mjtactile.bench.rig.session import OBJECT, Bench, EndOfRun, design_at, drive
+from mjtactile.bench.rig.faults import FAULTS, KeptBench, Stopwatch
+from mjtactile.bench.rig.loop import RATE, RIG
+from mjtactile.bench.rig.session import Bench, EndOfRun, drive
 from mjtactile.core import pace
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Command, Observation
@@ -66,18 +65,17 @@ def drawn(number: int, leg: float, grip: float) -> tuple[str, float]:
     return kind, leg - grip * np.random.default_rng(number).random()
 
 
-class SoakBench:
-    """Legs one after the other, on the same emulator as long as it lasts; recordings of those that went wrong stay in `out`."""
+class SoakBench(KeptBench):
+    """Legs one after the other; recordings of those that went wrong stay in `out`."""
 
     def __init__(self, out: Path, *, leg: float = LEG, grip: float = GRIP) -> None:
+        super().__init__(RIG, RATE)
         self.leg, self._out, self._grip = leg, out, grip
-        self._bench: Bench | None = None
-        logging.getLogger("mjtactile").setLevel(logging.CRITICAL)  # what is unplugged cannot be switched off: said 100 times
 
     def run(self, number: int) -> dict[str, Any]:
         """Leg `number`, whose fault and its moment are drawn from that."""
         kind, at = drawn(number, self.leg, self._grip)
-        self._bench = bench = self._bench or Bench(RIG, design_at(RATE), object_name=OBJECT)
+        bench = self.bench()
         folder = self._out / f"leg-{number:03d}"
         shutil.rmtree(folder, ignore_errors=True)  # of an interrupted run
         leg = _Leg(bench, kind, at, self._grip)
@@ -89,25 +87,8 @@ class SoakBench:
                                         "memory_MB": memory_MB()}
         if result["safe"] and not result["recording"]:
             shutil.rmtree(folder)
-        self._recover(kind)
+        self.recover(kind)
         return result
-
-    def _recover(self, kind: str) -> None:
-        assert self._bench is not None
-        if kind in LASTING:
-            self.close()
-        else:
-            self._bench.process.fault(kind, 0)
-            pace.sleep(0.3)
-
-    def close(self) -> None:
-        if self._bench is not None:
-            self._bench.close()
-            self._bench = None
-
-    def end(self) -> None:
-        self.close()
-        logging.getLogger("mjtactile").setLevel(logging.NOTSET)
 
 
 class _Leg:
@@ -139,12 +120,11 @@ class _Leg:
         rows = self._rows[np.isfinite(self._rows[:, 0])]
         intervals = np.diff(rows[:, 0])
         felt = rows[rows[:, 1] > 0.5 * Gripping.force, 0] - rows[:1, 0]
-        left = [at for at, state in self.supervisor.entered if state in ("holding", "safe", "latched")
-                and at >= self._injected > 0]
+        reaction = self.supervisor.reaction(self._injected)
         return {"fault": self._kind, "seconds": float(np.ptp(rows[:, 0])) if len(rows) else 0.0, "cycles": len(rows),
                 "missed": int((intervals > 1.5 / RATE).sum()), "not_running": int((rows[:, 2] == 0).sum()),
-                "grips": len(np.unique(felt // self._grip)), "injected": self._injected > 0, "safe": bool(left),
-                "reaction_s": left[0] - self._injected if left else None, "outcome": outcome or self.supervisor.reason}
+                "grips": len(np.unique(felt // self._grip)), "injected": self._injected > 0, "safe": reaction is not None,
+                "reaction_s": reaction, "outcome": outcome or self.supervisor.reason}
 
 
 def _read_back(folder: Path, cycles: int) -> str:
@@ -156,7 +136,7 @@ def _read_back(folder: Path, cycles: int) -> str:
     return "" if found == cycles else f"{found} of {cycles} cycles"
 
 
-def rows(legs: list[dict[str, Any]], late: float = 0.2) -> list[tuple[str, str, str]]:
+def soak_rows(legs: list[dict[str, Any]], late: float = 0.2) -> list[tuple[str, str, str]]:
     """Of the table of `mjtactile bench rig`."""
     hours = sum(leg["seconds"] for leg in legs) / 3600
     cycles, missed = sum(leg["cycles"] for leg in legs), sum(leg["missed"] for leg in legs)
@@ -183,3 +163,8 @@ def growth(legs: list[dict[str, Any]]) -> str:
     return (f"{longest[-1] - longest[1]:+.1f} MB from the 2nd to the {len(longest)}th leg" if len(longest) > 2 else
             f"{longest[-1]:.0f} MB; too few legs to say")
 
+
+
+def memory_MB() -> float:
+    """MB that this process holds."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20

@@ -31,7 +31,7 @@ def test_every_kind_of_fault_comes_once_before_any_comes_again(tmp_path):
 def test_the_table_says_what_went_wrong():
     late = LEG | {"reaction_s": 0.3, "missed": 171, "memory_MB": 101.5}
     early = LEG | {"injected": False, "safe": False, "reaction_s": None, "outcome": "left camera is stale", "recording": "torn"}
-    said = {what: value for what, _, value in soak.rows([LEG, LEG, late, early])}
+    said = {what: value for what, _, value in soak.soak_rows([LEG, LEG, late, early])}
     assert said["long run: 0.33 h, 60 grips of an egg, cycles missed"] == "0.28 % of 72000"
     assert said["long run: safe state after a fault at any moment"] == "3 of 3, 1 later than 200 ms, worst 300 ms"
     assert said["long run: ended without a fault"] == "1 of 4 legs; left camera is stale"
