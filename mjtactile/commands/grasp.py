@@ -28,7 +28,7 @@ examples:
   mjtactile grasp --object my_fruit.xml --controller my_controller.py --out runs/fruit
   mjtactile grasp --json > result.json
   mjtactile grasp --video egg.mp4          scene, cameras and forces, in step with the simulated time
-  mjtactile grasp --workers 0              no thread for each camera: the same numbers
+  mjtactile grasp --workers 0              all in one process: the same numbers
 
 The result (--json, summary.json) says: outcome ("held", "dropped", "crushed", "fault"), peak_force_N and
 hold_force_N as felt, peak_force_true_N, hold_force_true_N and slip_mm_true as they were (simulation only),
@@ -59,9 +59,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     effects.add_shared_arguments(parser)
     effects.add_vary_argument(parser, "none")
     effects.add_estimate_argument(parser)
-    parser.add_argument("--workers", type=_count, metavar="N", help="threads that look at the camera images beside the control "
-                        "loop, at most one a camera; the result is the same with any number "
-                        "(default: one a camera where there are processors for them, else 0)")
+    parser.add_argument("--workers", type=_count, metavar="N", help="what looks at the camera images beside the control loop: "
+                        "processes beside a simulated world, threads on a real rig; at most one a camera, the same result "
+                        "with any number (default: one a camera as far as there are processors for them)")
     ranges.add_frames_argument(parser)
     parser.add_argument("--video", type=Path, metavar="FILE", help="film it, too: .mp4, .gif or .webp (pip install "
                         "'mjtactile[video]')")

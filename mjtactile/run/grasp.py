@@ -27,8 +27,8 @@ TIME_LIMIT = 60.0  # s on the rig's clock; a gentle grasp takes about 10
 @dataclass(frozen=True)
 class GraspOptions:
     """What to grasp, with what: shipped names or files, the rig, and the seed of placement and noise, and of what is drawn from
-    the ranges of `vary`. `workers` threads
-    look at the images (None: as many as are worth it here); the result is the same with any number of them."""
+    the ranges of `vary`. `workers` processes beside a simulated world, or threads on a real rig, look at the images (None: as
+    many as are worth it here); the result is the same with any number of them."""
 
     object: str = "egg"
     sensor: str = "dense"

@@ -17,6 +17,7 @@ from mjtactile.core.types import Command, GripperState, Image, Observation, Touc
 from mjtactile.rig.finger import Rig
 from mjtactile.rig.protocols import Camera
 from mjtactile.run.controller import ControllerThread, Stepper
+from mjtactile.run.feelers import Feelers
 from mjtactile.run.perceive import Perceiver, Perceivers, unknown_touch
 from mjtactile.run.supervisor import HEIGHT_TOLERANCE, Supervisor
 
@@ -60,11 +61,12 @@ def patient_read(rig: Rig, camera: Camera) -> Image:
 
 def run_loop(rig: Rig, perceptions: Sequence[Perceiver], controller: Stepper, *, time_limit: float,
              on_cycle: Callable[[Cycle], None], on_images: Callable[[], None] = lambda: None,
-             supervisor: Supervisor | None = None, stop: Stop | None = None, threads: int | None = None) -> Command:
+             supervisor: Supervisor | None = None, stop: Stop | None = None, threads: int | None = None,
+             feelers: Feelers | None = None) -> Command:
     """Run the controller until it says "done" or "abort"; returns the last command sent.
 
     `on_images` is called when a cycle's images were taken and the world still stands at that time, `on_cycle` after
-    its command was sent, in every cycle; `threads` perceive beside it (None: as many as are worth it here).
+    its command was sent, in every cycle; `feelers` perceive, else `threads` beside it (None: as many as are worth it here).
     Whatever fails, takes longer than `time_limit` s, or ends with the hand in the air: the controller is asked no more, the
     hand goes down and opens first, and then the error is raised; so also when `stop` was asked for, and without any delay
     when it shall be at once. Raises ControllerError, DeviceError (also when a fault brought the rig to its safe state),
@@ -74,8 +76,10 @@ def run_loop(rig: Rig, perceptions: Sequence[Perceiver], controller: Stepper, *,
     state = rig.gripper.state()
     command = Command(opening=state.opening, force_limit=0.0, lift_height=state.lift_height)
     start = deadline = rig.clock.now()
-    with (ControllerThread(controller, min(STEP_SHARE * rig.host_timeout, WAIT_TIME)) as guarded,
-          Perceivers(perceptions, [finger.name for finger in rig.fingers], threads, busy=rig.scene is not None) as felt):
+    names = [finger.name for finger in rig.fingers]
+    perceivers = (Perceivers(perceptions, names, threads, busy=rig.scene is not None) if feelers is None else
+                  feelers.at_work(perceptions, names))
+    with ControllerThread(controller, min(STEP_SHARE * rig.host_timeout, WAIT_TIME)) as guarded, perceivers as felt:
         loop = _Loop(rig, felt, guarded, supervisor or Supervisor(rig.period), on_images, on_cycle, start, command)
         loop.supervisor.arm(start)
         while not loop.supervisor.is_over:
@@ -106,7 +110,7 @@ class _Loop:
     """What stays the same from cycle to cycle, and what cameras, sensors and devices said last."""
 
     rig: Rig
-    perceptions: Perceivers
+    perceptions: Perceivers | Feelers
     controller: ControllerThread
     supervisor: Supervisor
     on_images: Callable[[], None]

@@ -53,11 +53,11 @@ class Perceivers:
         for (chain, _, thread), image in pairs:
             if thread is not None:
                 thread.begin(chain.perceive, image, now)
-        own = [_outcome(chain.perceive, image, now) if thread is None else None for (chain, _, thread), image in pairs]
+        own = [outcome_of(chain.perceive, image, now) if thread is None else None for (chain, _, thread), image in pairs]
         end = pace.monotonic() + patience
         found = [mine if thread is None else thread.outcome(max(0.0, end - pace.monotonic()))
                  for ((_, _, thread), _), mine in zip(pairs, own, strict=True)]
-        return tuple(_late(name, image, now) if outcome is None else _value(outcome)
+        return tuple(late_touch(name, image, now) if outcome is None else value_of(outcome)
                      for ((_, name, _), image), outcome in zip(pairs, found, strict=True))
 
 
@@ -72,7 +72,8 @@ def default_threads(cameras: int = 2, busy: int = 0) -> int:
     return cameras if cameras > 1 and len(os.sched_getaffinity(0)) >= cameras + busy else 0
 
 
-_Outcome = tuple[bool, Any]  # whether it is good, and the value or the error
+Outcome = tuple[bool, Any]
+"""Whether it is good, and the value or the error."""
 
 
 class _Thread:
@@ -80,7 +81,7 @@ class _Thread:
 
     def __init__(self, name: str):
         self._work: queue.SimpleQueue[tuple[Callable[..., Any], tuple[Any, ...]] | None] = queue.SimpleQueue()
-        self._done: queue.SimpleQueue[_Outcome] = queue.SimpleQueue()
+        self._done: queue.SimpleQueue[Outcome] = queue.SimpleQueue()
         self._due, self._is_late = 0, False
         threading.Thread(target=self._run, name=f"perception {name}", daemon=True).start()
 
@@ -94,7 +95,7 @@ class _Thread:
             self._work.put((act, arguments))
             self._due += 1
 
-    def outcome(self, patience: float) -> _Outcome | None:
+    def outcome(self, patience: float) -> Outcome | None:
         """What came of it; None if it did not end within `patience` s."""
         if self._is_late:
             return None
@@ -111,22 +112,22 @@ class _Thread:
     def _run(self) -> None:
         while (work := self._work.get()) is not None:
             act, arguments = work
-            self._done.put(_outcome(act, *arguments))
+            self._done.put(outcome_of(act, *arguments))
 
 
-def _outcome(act: Callable[..., Any], *arguments: Any) -> _Outcome:
+def outcome_of(act: Callable[..., Any], *arguments: Any) -> Outcome:
     try:
         return True, act(*arguments)
     except Exception as error:  # noqa: BLE001  # every error is for the caller
         return False, error
 
 
-def _value(outcome: _Outcome) -> Any:
+def value_of(outcome: Outcome) -> Any:
     good, value = outcome
     if not good:
         raise value
     return value
 
 
-def _late(name: str, image: Image, now: float) -> Touch:
+def late_touch(name: str, image: Image, now: float) -> Touch:
     return unknown_touch(image, now, Status(StatusCode.NO_ANSWER, f"{name} sensor: its perception does not answer"))

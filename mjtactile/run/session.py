@@ -16,6 +16,7 @@ from mjtactile.rig.finger import Rig
 from mjtactile.rig.registry import build_rig
 from mjtactile.rig.variation import NONE
 from mjtactile.run.controller import Stepper
+from mjtactile.run.feelers import Feelers, default_count
 from mjtactile.run.loop import WAIT_TIME, Cycle, patient_read, run_loop
 from mjtactile.run.perceive import Perceiver
 from mjtactile.run.supervisor import Supervisor
@@ -39,14 +40,14 @@ class ReferenceRecorder(Protocol):
 
 class Session:
     """A rig and what its sensors know of themselves; `perceptions` are made here, with `settings`, unless they are given.
-    `threads` of them work beside the loop (None: as many as are worth it here).
+    They work in `feelers`, where there are any, else `threads` of them beside the loop (None: as many as are worth it here).
 
     Whoever builds the rig closes it: `open_session` does both.
     """
 
     def __init__(self, rig: Rig, perceptions: Sequence[Perceiver] | None = None, *, settings: Settings = DEFAULTS,
-                 threads: int | None = None, say: Say = lambda _: None):
-        self.rig, self.settings, self._threads, self._say = rig, settings, threads, say
+                 threads: int | None = None, feelers: Feelers | None = None, say: Say = lambda _: None):
+        self.rig, self.settings, self._threads, self._feelers, self._say = rig, settings, threads, feelers, say
         self._supervisor = Supervisor(rig.period)
         self.perceptions: Sequence[Perceiver] = (
             [Perception.of(finger.design, finger.calibration, settings=settings) for finger in rig.fingers]
@@ -128,8 +129,8 @@ class Session:
         """Run the controller until it says "done" or "abort"; see `mjtactile.run.loop.run_loop`."""
         self._supervisor = Supervisor(self.rig.period) if supervisor is None else supervisor
         with signals.deferred() as stop:
-            return run_loop(self.rig, self.perceptions, controller, time_limit=time_limit, on_cycle=on_cycle,
-                            on_images=on_images, supervisor=self._supervisor, stop=stop, threads=self._threads)
+            return run_loop(self.rig, self.perceptions, controller, time_limit=time_limit, on_cycle=on_cycle, on_images=on_images,
+                            supervisor=self._supervisor, stop=stop, threads=self._threads, feelers=self._feelers)
 
     def make_safe(self, reason: str) -> None:
         """From the next cycle of `run` on, the hand goes down and opens, whatever the controller says. For any thread."""
@@ -142,12 +143,22 @@ def open_session(rig: str, design: SensorDesign, *, object_name: str = "egg", se
                  say: Say = lambda _: None) -> Iterator[Session]:
     """Build the rig that the user named, and bring it to its safe state on every way out, which no signal cuts short.
 
-    `workers` threads look at the images beside the loop (None: as many as are worth it here, 0: none).
+    `workers` look at the images beside the loop (None: as many as are worth it here, 0: none): threads on a real rig, processes
+    beside a simulated world.
     Raises InputError for bad names or files, DeviceError for a device that is not there, Interrupted.
     """
     with signals.deferred():
         built = build_rig(rig, design, object_name=object_name, seed=seed, accuracy=accuracy, effects=effects, vary=vary)
+        feelers = _feelers(built, workers)
         try:
-            yield Session(built, settings=settings, threads=workers, say=say)
+            yield Session(built, settings=settings, threads=workers, feelers=feelers, say=say)
         finally:
+            if feelers is not None:
+                feelers.close()
             built.close()
+
+
+def _feelers(rig: Rig, workers: int | None) -> Feelers | None:
+    """Processes for a simulated rig's fingers; they start while the references are taken."""
+    count = 0 if rig.scene is None else default_count(len(rig.fingers)) if workers is None else min(workers, len(rig.fingers))
+    return Feelers(count) if count > 0 else None

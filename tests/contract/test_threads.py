@@ -1,4 +1,4 @@
-"""Sensing chains in threads: the same numbers, the same errors, and nobody waits for one that hangs.
+"""Sensing chains in threads and processes: the same numbers, the same errors, and nobody waits for one that hangs.
 
 Time-outs are far beyond what anything takes; none is asserted.
 """
@@ -31,12 +31,12 @@ class Silent:
 
 @pytest.fixture(scope="module")
 def grasps(tmp_path_factory):
-    """The same grasp without a thread and with two; then the first one's replay with one."""
+    """The same grasp in the loop and in two processes; then the first one's replay with a thread."""
     folders = [tmp_path_factory.mktemp(name) for name in ("none", "two", "replay")]
     quick = tmp_path_factory.mktemp("quick") / "gentle.py"
     quick.write_text(controller_text(hold=0.1))
-    for folder, threads, rig in zip(folders, (0, 2, 1), ("sim", "sim", f"replay:{folders[0]}"), strict=True):
-        options = GraspOptions(sensor="paper16", rig=rig, controller=str(quick), seed=21, workers=threads)
+    for folder, workers, rig in zip(folders, (0, 2, 1), ("sim", "sim", f"replay:{folders[0]}"), strict=True):
+        options = GraspOptions(sensor="paper16", rig=rig, controller=str(quick), seed=21, workers=workers)
         with Recorder(folder, {"object": "egg"}) as recorder:
             run_grasp(options, recorder=recorder, progress=Silent())
     return folders
@@ -48,7 +48,7 @@ def log(folder, *, without=lambda key: False):
     return [{key: value for key, value in line.items() if key != "perception_ms" and not without(key)} for line in lines]
 
 
-def test_a_grasp_is_the_same_with_and_without_threads(grasps):
+def test_a_grasp_is_the_same_with_and_without_processes(grasps):
     none, two, _ = grasps
     first, second = log(none), log(two)
     assert sum(any(line.get("touching", [])) for line in first) > 50  # it is a grasp

@@ -1,0 +1,153 @@
+"""Chains in processes beside a simulated world: the same errors, nobody waits for one that hangs, and one that is gone is said.
+
+Time-outs are far beyond what anything takes; none is asserted.
+"""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mjtactile.core.errors import DeviceError
+from mjtactile.core.types import Image, Markers, Touch
+from mjtactile.recording.writer import Recorder
+from mjtactile.run.feelers import Feelers, default_count
+from mjtactile.run.grasp import GraspOptions, run_grasp
+
+IMAGE = Image(np.arange(64, dtype=np.uint8).reshape(8, 8), 1.0)
+NAMES = "left", "right"
+
+
+class Feels:
+    """In place of a chain: one that counts, and says what it got."""
+
+    def __init__(self):
+        self.state = 0
+
+    def perceive(self, image, now):
+        self.state += 1
+        p = np.full((1, 3), float(image.pixels.sum()))
+        markers = Markers(np.array([self.state]), p, p, np.ones((1, 3, 3)))
+        return Touch(image.time, now - image.time, 0.5, 0.01, True, markers=markers)
+
+
+class Raises(Feels):
+    def perceive(self, image, now):
+        if now == 1.0:
+            raise ValueError("what it says")
+        return super().perceive(image, now)
+
+
+class Hangs(Feels):
+    def __init__(self, until):
+        super().__init__()
+        self.until = until
+
+    def perceive(self, image, now):
+        while not self.until.exists():
+            time.sleep(0.01)
+        return super().perceive(image, now)
+
+
+@pytest.fixture(params=[1, 2])
+def feelers(request):
+    made = Feelers(request.param)
+    yield made
+    made.close()
+
+
+def children():
+    return [int(pid) for task in Path("/proc/self/task").iterdir() for pid in (task / "children").read_text().split()]
+
+
+def test_what_is_felt_arrives_whole_and_read_only_and_so_do_the_states(feelers):
+    chains = [Feels(), Feels()]
+    for now in (1.5, 2.5):  # two runs: the second goes on where the first one ended
+        with feelers.at_work(chains, NAMES) as both:
+            left, right = both.perceive([IMAGE, Image(IMAGE.pixels + np.uint8(1), 1.0)], now)
+        assert (left.age, left.force_normal, left.status) == (now - 1, 0.5, "ok")
+        assert left.markers.p_SM.tolist() == [[2016.0] * 3] and right.markers.p_SM.tolist() == [[2080.0] * 3]
+        assert not any(array.flags.writeable for array in vars(left.markers).values())
+    assert [chain.state for chain in chains] == [2, 2]
+
+
+def test_an_error_arrives_as_itself_and_the_next_image_is_looked_at(feelers):
+    with feelers.at_work([Feels(), Raises()], NAMES) as both:
+        with pytest.raises(ValueError, match="what it says"):
+            both.perceive([IMAGE, IMAGE], 1.0)
+        left, right = both.perceive([IMAGE, IMAGE], 2.0)
+        assert (left.markers.ids, right.markers.ids) == (2, 1)
+
+
+def test_one_that_hangs_is_unknown_until_it_answers(tmp_path):
+    until, feelers = tmp_path / "go", Feelers(2)
+    try:
+        with feelers.at_work([Feels(), Hangs(until)], NAMES) as both:
+            for now, patience in ((1.0, 3.0), (2.0, 1e9)):  # the second time it is not waited for at all
+                left, right = both.perceive([IMAGE, IMAGE], now, patience)
+                assert left.status == "ok" and right.status == "right sensor: its perception does not answer"
+                assert np.isnan(right.force_normal)
+            until.touch()
+            while (right := both.perceive([IMAGE, IMAGE], 3.0)[1]).status != "ok":
+                pass
+            assert right.markers.ids == 2 and right.age == 2.0  # no late answer was taken for a new one
+    finally:
+        feelers.close()
+
+
+def test_one_that_stands_still_in_the_middle_is_not_waited_for_and_goes_on(feelers):
+    with feelers.at_work([Feels(), Feels()], NAMES) as both:
+        pids = children()
+        for pid in pids:
+            os.kill(pid, signal.SIGSTOP)
+        assert all(np.isnan(touch.force_normal) for touch in both.perceive([IMAGE, IMAGE], 1.0, 0.1))
+        for pid in pids:
+            os.kill(pid, signal.SIGCONT)
+        while any(np.isnan(touch.force_normal) for touch in both.perceive([IMAGE, IMAGE], 2.0)):
+            pass
+
+
+def test_one_that_is_killed_is_said_and_leaves_its_chains_as_they_were(feelers):
+    chains = [Feels(), Feels()]
+    with feelers.at_work(chains, NAMES) as both:
+        both.perceive([IMAGE, IMAGE], 1.0)
+        for pid in children():
+            os.kill(pid, signal.SIGKILL)
+        with pytest.raises(DeviceError, match="a process that feels for the loop has ended \\(by signal 9\\)"):
+            both.perceive([IMAGE, IMAGE], 2.0)
+    assert [chain.state for chain in chains] == [0, 0]
+
+
+class Killing:
+    """A progress that kills what this process has started, in the first cycle that holds the object in the air."""
+
+    def __init__(self):
+        self.phases = []
+
+    def message(self, text): ...
+
+    def update(self, phase, time, force):
+        if phase == "hold" and "hold" not in self.phases:
+            for pid in children():
+                os.kill(pid, signal.SIGKILL)
+        self.phases.append(phase)
+
+
+def test_a_grasp_whose_process_is_killed_sets_down_and_says_why(tmp_path):
+    options, killing = GraspOptions(sensor="paper16", seed=21, workers=1), Killing()
+    with (Recorder(tmp_path, {"object": "egg"}) as recorder,
+          pytest.raises(DeviceError, match="stopped safely: a process that feels for the loop has ended \\(by signal 9\\)")):
+        run_grasp(options, recorder=recorder, progress=killing)
+    assert killing.phases.count("hold") > 1  # the loop went on: it set down and opened
+    assert children() == []
+
+
+def test_one_a_camera_as_far_as_there_are_processors_for_them(monkeypatch):
+    for processors, expected in ((1, 0), (2, 1), (3, 2), (8, 2)):
+        monkeypatch.setattr(os, "sched_getaffinity", lambda _, n=processors: set(range(n)))
+        assert default_count(2) == expected
+
+
