@@ -127,10 +127,15 @@ void name_circles(int64_t count, const int64_t *circles, const double *first, co
                   const double *slopes, double *work, double *p, double *normals, double *cov_p);
 /* sim/sensor/chamber.py: volume between vertices `p` (n, 3) and the plane z = 0; out: its `gradient` (n, 3). */
 double chamber_volume(int64_t n, const double *p, int64_t m, const int64_t *triangles, double *gradient);
-/* sim/truth.py: out: total forces `loads` (n, 3) N, frame W, of MuJoCo's contacts on n `membranes` (n, 3): first and last sphere,
-   flex. */
-void membrane_loads(int64_t contacts, const int32_t *geoms, const int32_t *flexes, const int32_t *address, const int32_t *dim,
-                    const double *frame, const double *force, int64_t n, const int64_t *membranes, double *loads);
+/* What a gas of this pressure and stiffness does to k vertices that have `moved` (k, 3): the tendon's `coefficients` (k), its
+   `spring` (1) and length at `rest` (2), off by `offset_share` of what adds up to it; and `forces` (k, 3). */
+void push(int64_t k, const double *gradient, const double *moved, double offset_share, double least, double pressure,
+          double stiffness, double *coefficients, double *spring, double *rest, double *forces);
+/* Here and below, MuJoCo's `contacts`: how many, the address of the first one's `dist`, and the `layout` (9) of the `list`, see
+   sim/sensor/contacts.py. */
+/* sim/truth.py: out: total forces `loads` (n, 3) N, frame W, on n `membranes` (n, 3): first and last sphere, flex. */
+void membrane_loads(int64_t contacts, int64_t list, const int64_t *layout, const double *force, int64_t n,
+                    const int64_t *membranes, double *loads);
 /* sim/sensor/rubber.py: MuJoCo's stiffness `rows` (m, 21), of which six are written, from the strain of triangles of `edges`
    (m, 3) between `ends` (e, 2). `metric` (m, 3, 3), `law` (5): mu, Poisson's ratio, lambda', its least and most. */
 void rubber_stiffness(int64_t m, const int64_t *edges, const int64_t *ends, const double *p, const double *metric,
@@ -140,13 +145,12 @@ void rubber_stiffness(int64_t m, const int64_t *edges, const int64_t *ends, cons
 void curvatures(int64_t n, const int32_t *kinds, const double *sizes, const double *normals, double end, double *out);
 /* The number of contacts with the spheres `first` to `first + count - 1`; out: curvatures (count) of what each of them touches,
    the mean where it touches nothing. `kinds`, `sizes` (g, 3) and `axes` (g, 3, 3) of all geoms. */
-int64_t touched_curvatures(int64_t contacts, const int32_t *geoms, const double *frame, int64_t first, int64_t count,
+int64_t touched_curvatures(int64_t contacts, int64_t list, const int64_t *layout, int64_t first, int64_t count,
                            const int32_t *kinds, const double *sizes, const double *axes, double end, double *out);
 /* sim/sensor/stiction.py: number of MuJoCo's contacts with the spheres `first` to `first + count - 1`. `memory` (count, 6) of
    friction and shift in S and `slides` (count) become those after this step; out: `goal` (count) of the margins, velocity of the
    `surface` (count, 3). None touched: all stay. */
-int64_t stick(int64_t contacts, const int32_t *geoms, const int32_t *address, const int32_t *dim, const double *dist,
-              const double *margin, const double *frame, const double *friction, const double *force, const double *kbip,
+int64_t stick(int64_t contacts, int64_t list, const int64_t *layout, const double *force, const double *kbip,
               const double *softness, const double *velocity, const double *travel, const double *R_WS, int64_t first,
               int64_t count, const double *settings, double *goal, double *memory, uint8_t *slides, double *surface);
 

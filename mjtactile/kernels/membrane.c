@@ -28,20 +28,47 @@ double chamber_volume(int64_t n, const double *p, int64_t m, const int64_t *tria
     return volume;
 }
 
-void membrane_loads(int64_t contacts, const int32_t *geoms, const int32_t *flexes, const int32_t *address, const int32_t *dim,
-                    const double *frame, const double *force, int64_t n, const int64_t *membranes, double *loads) {
+void push(int64_t k, const double *gradient, const double *moved, double offset_share, double least, double pressure,
+          double stiffness, double *coefficients, double *spring, double *rest, double *forces) {
+    double length = 0, size = 0;
+    for (int64_t v = 0; v < k; v++) {
+        double normal = gradient[3 * v + 2], term = normal * moved[3 * v + 2];
+        coefficients[v] = normal, length += term, size += fabs(term);
+        for (int i = 0; i < 3; i++) forces[3 * v + i] = pressure * gradient[3 * v + i];
+    }
+    double offset = offset_share * (size + least);
+    for (int64_t v = 0; v < k; v++) forces[3 * v + 2] += stiffness * offset * coefficients[v];
+    spring[0] = stiffness, rest[0] = rest[1] = length - offset;
+}
+
+/* MuJoCo's contacts where they lie: sim/sensor/contacts.py. In the order of its `layout`. */
+enum { STRIDE, DIST, MARGIN, FRAME, FRICTION, DIM, GEOMS, FLEXES, FIRST_ROW };
+
+typedef struct { double dist, margin; const double *frame, *friction; const int32_t *geoms, *flexes; int32_t dim, row; } Contact;
+
+static Contact contact_of(int64_t k, int64_t list, const int64_t *layout) {
+    const char *at = (const char *)(intptr_t)list + k * layout[STRIDE];
+#define FIELD(type, name) ((const type *)(at + layout[name]))
+    return (Contact){*FIELD(double, DIST), *FIELD(double, MARGIN), FIELD(double, FRAME), FIELD(double, FRICTION),
+                     FIELD(int32_t, GEOMS), FIELD(int32_t, FLEXES), *FIELD(int32_t, DIM), *FIELD(int32_t, FIRST_ROW)};
+#undef FIELD
+}
+
+void membrane_loads(int64_t contacts, int64_t list, const int64_t *layout, const double *force, int64_t n,
+                    const int64_t *membranes, double *loads) {
     memset(loads, 0, 3 * n * sizeof *loads);
-    for (int64_t k = 0; k < contacts; k++)
-        for (int64_t m = 0; m < n && address[k] >= 0; m++) {
+    for (int64_t k = 0; k < contacts; k++) {
+        const Contact c = contact_of(k, list, layout);
+        for (int64_t m = 0; m < n && c.row >= 0; m++) {
             const int64_t *own = membranes + 3 * m;
             int side[2];
-            for (int e = 0; e < 2; e++)
-                side[e] = (geoms[2 * k + e] >= own[0] && geoms[2 * k + e] <= own[1]) || flexes[2 * k + e] == own[2];
+            for (int e = 0; e < 2; e++) side[e] = (c.geoms[e] >= own[0] && c.geoms[e] <= own[1]) || c.flexes[e] == own[2];
             if (!side[0] && !side[1]) continue;
             double sign = side[1] ? 1 : -1;  /* MuJoCo's force acts on the second; the rows of `frame` are its axes */
-            for (int axis = 0; axis < (dim[k] < 3 ? dim[k] : 3); axis++)
-                for (int i = 0; i < 3; i++) loads[3 * m + i] += sign * force[address[k] + axis] * frame[9 * k + 3 * axis + i];
+            for (int axis = 0; axis < (c.dim < 3 ? c.dim : 3); axis++)
+                for (int i = 0; i < 3; i++) loads[3 * m + i] += sign * force[c.row + axis] * c.frame[3 * axis + i];
         }
+    }
 }
 
 /* ln c, the square of the thickness's stretch, by two Newton steps: core/rubber.py. */
@@ -98,20 +125,21 @@ void curvatures(int64_t n, const int32_t *kinds, const double *sizes, const doub
     for (int64_t k = 0; k < n; k++) out[k] = curvature(kinds[k], sizes + 3 * k, normals + 3 * k, end);
 }
 
-int64_t touched_curvatures(int64_t contacts, const int32_t *geoms, const double *frame, int64_t first, int64_t count,
+int64_t touched_curvatures(int64_t contacts, int64_t list, const int64_t *layout, int64_t first, int64_t count,
                            const int32_t *kinds, const double *sizes, const double *axes, double end, double *out) {
     int64_t found = 0;
     double sum = 0;
     for (int64_t v = 0; v < count; v++) out[v] = NAN;
     for (int64_t k = 0; k < contacts; k++) {
-        int64_t numbers[2] = {geoms[2 * k] - first, geoms[2 * k + 1] - first};
+        const Contact c = contact_of(k, list, layout);
+        int64_t numbers[2] = {c.geoms[0] - first, c.geoms[1] - first};
         int second = numbers[1] >= 0 && numbers[1] < count;
-        int64_t v = numbers[second], other = geoms[2 * k + 1 - second];
+        int64_t v = numbers[second], other = c.geoms[1 - second];
         if (v < 0 || v >= count) continue;
         double bend = 0, n[3] = {0};
         if (other >= 0) {  /* else it is a flex */
             for (int i = 0; i < 3; i++)
-                for (int j = 0; j < 3; j++) n[i] += axes[9 * other + 3 * j + i] * frame[9 * k + j];
+                for (int j = 0; j < 3; j++) n[i] += axes[9 * other + 3 * j + i] * c.frame[j];
             bend = curvature(kinds[other], sizes + 3 * other, n, end);
         }
         found++, sum += bend, out[v] = bend;
@@ -129,8 +157,7 @@ static Plane add(Plane a, double scale, Plane b) { return (Plane){a.x + scale * 
 
 static Plane shorten(Plane a, double most) { return add((Plane){0}, fmin(most / sqrt(fmax(dot(a, a), SMALLEST)), 1), a); }
 
-int64_t stick(int64_t contacts, const int32_t *geoms, const int32_t *address, const int32_t *dim, const double *dist,
-              const double *margin, const double *frame, const double *friction, const double *force, const double *kbip,
+int64_t stick(int64_t contacts, int64_t list, const int64_t *layout, const double *force, const double *kbip,
               const double *softness, const double *velocity, const double *travel, const double *R_WS, int64_t first,
               int64_t count, const double *settings, double *goal, double *memory, uint8_t *slides, double *surface) {
     double step = settings[0], mend = settings[1], kept = settings[2], beyond = settings[3], on_cone = settings[4];
@@ -139,18 +166,18 @@ int64_t stick(int64_t contacts, const int32_t *geoms, const int32_t *address, co
     uint8_t *slides_after = calloc(count, 1);
     memset(goal, 0, count * sizeof *goal), memset(surface, 0, 3 * count * sizeof *surface);
     for (int64_t k = 0; k < contacts; k++) {
-        int64_t numbers[2] = {geoms[2 * k] - first, geoms[2 * k + 1] - first};
+        const Contact c = contact_of(k, list, layout);
+        int64_t numbers[2] = {c.geoms[0] - first, c.geoms[1] - first}, row = c.row;
         int second = numbers[1] >= 0 && numbers[1] < count;
         int64_t v = numbers[second];
-        if (v < 0 || v >= count || address[k] < 0) continue;
+        if (v < 0 || v >= count || row < 0) continue;
         found++;
-        goal[v] = fmax(margin[k] - dist[k], 0);
-        if (dim[k] < 3) continue;
-        int64_t row = address[k];
+        goal[v] = fmax(c.margin - c.dist, 0);
+        if (c.dim < 3) continue;
         double axes[2][3], sign = second ? 1 : -1;  /* in S; MuJoCo's signs are those of the second geom */
         for (int a = 0; a < 2; a++)
             for (int i = 0; i < 3; i++) {
-                const double *W = frame + 9 * k + 3 + 3 * a;
+                const double *W = c.frame + 3 + 3 * a;
                 axes[a][i] = sign * (W[0] * R_WS[i] + W[1] * R_WS[3 + i] + W[2] * R_WS[6 + i]);
             }
         Plane held = {force[row + 1], force[row + 2]}, speed = {velocity[row + 1], velocity[row + 2]};
@@ -159,7 +186,7 @@ int64_t stick(int64_t contacts, const int32_t *geoms, const int32_t *address, co
             double f = memory[6 * v + i], s = memory[6 * v + 3 + i];
             was.x += axes[0][i] * f, was.y += axes[1][i] * f, shift.x += axes[0][i] * s, shift.y += axes[1][i] * s;
         }
-        double coefficient = friction[5 * k], limit = coefficient * force[row];
+        double coefficient = c.friction[0], limit = coefficient * force[row];
         double excess = beyond * force[row] / fmax(coefficient, SMALLEST), mass = 1 / softness[row + 1];
         double damping = step * kbip[4 * (row + 1) + 1], drag = damping / (1 + damping);
         int slips = dot(held, held) >= on_cone * on_cone * limit * limit && dot(held, speed) <= 0;

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from mjtactile.core.types import Array
 from mjtactile.kernels import kernel
 from mjtactile.sim.scenes.objects import PREFIX, moving_bodies
+from mjtactile.sim.sensor.contacts import listed
 
 if TYPE_CHECKING:
     from mjtactile.sim.scenes.hand_world import HandWorld
@@ -39,9 +40,9 @@ def contact_force(world: World, sensor: int) -> Array:
 
 def contact_loads(world: World, devices: Sequence[TactileSensor]) -> Array:
     """Total forces (n, 3) N that the world exerts on the membranes of `devices`, each in its frame S."""
-    contact, loads = world.data.contact, np.empty((len(devices), 3))
-    kernel("membrane_loads")(world.data.ncon, contact.geom, contact.flex, contact.efc_address, contact.dim, contact.frame,
-                             world.data.efc_force, len(devices), np.array([device.contact_ids for device in devices]), loads)
+    loads = np.empty((len(devices), 3))
+    kernel("membrane_loads")(*listed(world.data), world.data.efc_force, len(devices),
+                             np.array([device.contact_ids for device in devices]), loads)
     return np.array([load @ _pose(world, device)[0] for load, device in zip(loads, devices, strict=True)])
 
 

@@ -46,14 +46,16 @@ class GasTendon:
         """`count` vertices hang on the tendon; the model says 0 while a sensor sleeps."""
         self._model, self._tendon = model, tendon_id
         start = int(model.tendon_adr[tendon_id])
-        self._coefficients, self._count = model.wrap_prm[start:start + count], count  # live views
-        self._spring, self._rest = model.tendon_stiffness[tendon_id:tendon_id + 1], model.tendon_lengthspring[tendon_id]
+        coefficients, self._count = model.wrap_prm[start:start + count], count  # live views
+        self._spring, rest = model.tendon_stiffness[tendon_id:tendon_id + 1], model.tendon_lengthspring[tendon_id]
         first, count = int(model.wrap_objid[start]) - 2, 3 * count  # the vertex joints are one block, x, y, z of each vertex
         qpos, dof = int(model.jnt_qposadr[first]), int(model.jnt_dofadr[first])
         self.dofs = slice(dof, dof + count)
         self.displacements: Array = np.asarray(data.qpos)[qpos:qpos + count]
         """Live view of the interior vertices' displacements in S, (3 k,) m."""
         self._forces = np.asarray(data.qfrc_applied)[self.dofs]
+        self._push = bound("push", self._count, ..., self.displacements, _OFFSET, _LEAST, ..., ..., coefficients, self._spring,
+                           rest, self._forces)
 
     def apply(self, pressure_gauge: float, stiffness: float, gradient: Array) -> None:
         """Push with the pressure, `gradient` (k, 3) = dV/dq, and let the tendon's spring carry its change in the step.
@@ -62,14 +64,7 @@ class GasTendon:
         MuJoCo leaves out the stiffness of a spring whose length is exactly that at rest, as rounding will have it now and
         then, and the gas of that step is explicit. It is therefore set off by far more than rounding, and its force given back.
         """
-        normal = gradient[:, 2]
-        self._coefficients[:] = normal
-        self._spring[0] = stiffness
-        terms = normal * self.displacements[2::3]
-        offset = _OFFSET * (float(np.add.reduce(np.abs(terms))) + _LEAST)
-        self._rest[:] = float(np.add.reduce(terms)) - offset
-        np.multiply(gradient.ravel(), pressure_gauge, out=self._forces)
-        self._forces[2::3] += stiffness * offset * normal
+        self._push(gradient, pressure_gauge, stiffness)
 
     def suspend(self) -> None:
         """Take the tendon's joints and the pressure out of the model; the vertices are held otherwise."""

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
-from mjtactile.kernels import kernel
+from mjtactile.kernels import bound, kernel
+from mjtactile.sim.sensor.contacts import listed
 from mjtactile.sim.sensor.features import END, RESOLVED
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
@@ -37,7 +38,8 @@ class StandOff:
         self._sagitta = SHARE * float(mesh.areas[mesh.interior].mean()) / 12  # m^2, per curvature: hx^2 + hy^2 is about 2 hx hy
         self._most = 2 / (RESOLVED * mesh.spacing)  # 1/m: what bends more is met by a vertex, not by facets
         self._time = float(data.time)
-        self._kernel = kernel("touched_curvatures")
+        self._kernel = bound("touched_curvatures", ..., ..., ..., self._first, len(self.margins), model.geom_type,
+                             model.geom_size, data.geom_xmat, END, ...)
 
     def update(self) -> None:
         """Follow the contacts of the last step; call every step, it works every 10 ms."""
@@ -53,9 +55,8 @@ class StandOff:
 
     def _curvatures(self) -> Array:
         """Curvature kx + ky, 1/m, of what each vertex touches, or the others' mean where it touches nothing."""
-        contact, found = self._data.contact, np.empty(len(self.margins))
-        self._kernel(len(contact.dist), contact.geom, contact.frame, self._first, len(found), self._model.geom_type,
-                     self._model.geom_size, self._data.geom_xmat, END, found)
+        found = np.empty(len(self.margins))
+        self._kernel(*listed(self._data), found)
         return found
 
 

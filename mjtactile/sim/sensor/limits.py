@@ -104,14 +104,15 @@ class Monitor:
         self._index[self._geoms] = np.arange(len(self._geoms))
         self._faces, self._sides = (np.array([features.edge_half_width(model, int(g), axial) for g in self._geoms])
                                     for axial in (1.0, 0.0))
+        self._has_edges = np.isfinite(np.minimum(self._faces, self._sides)).tolist()
         self._movers = np.setdiff1d(np.arange(model.nv), np.concatenate([np.empty(0, int), *(s.dofs for s in sensors)]))
         least = _FAST * self._sizes.min(initial=np.inf) / float(model.opt.timestep)
         self._hurry = least / np.maximum(model.dof_length[self._movers], 1e-9)
-        self._rest = [sensor.p_SV[:, 2] for sensor in sensors]
+        self._rest = [sensor.heights for sensor in sensors]
         self._deep = np.zeros((len(sensors), 5))  # shares at the last looks
         self._looks = -1
         self._places = self._geoms_in(sensors)
-        self._hulls: dict[int, str | None] = {}  # of the geoms that have touched
+        self._hulls: dict[int, str | None] = {}  # of those of `_geoms` that have touched
 
     def built(self) -> Flags:
         """Flags of the scene as it was built."""
@@ -158,36 +159,37 @@ class Monitor:
         """What is to be said of the geoms that touch in the contacts `rows`: too small for the mesh, edges, hollows."""
         flags: Flags = {}
         contact = self._data.contact
-        pairs = contact.geom[rows]
-        found = self._index[pairs]  # -1: not one of `_geoms`
-        others = found.max(axis=1)
-        rows, others = rows[others >= 0], others[others >= 0]
-        if not len(rows):
+        others = self._index[contact.geom[rows]].max(axis=1)  # -1: not one of `_geoms`
+        touching = set(others.tolist()) - {-1}
+        if not touching:
             return flags
-        smallest = int(others[np.argmin(self._sizes[others])])
+        smallest = min(touching, key=lambda k: self._sizes[k])
         feature = features.resolution_flag(self._model, int(self._geoms[smallest]), float(self._sizes[smallest]), sensor.mesh)
         if feature:
             flags["feature"] = feature
-        axes = self._data.geom_xmat[self._geoms[others]].reshape(-1, 3, 3)[:, :, 2]
-        axial = np.abs(np.einsum("ki,ki->k", contact.frame[rows, :3], axes))
-        edge = features.edge_flag(float(np.where(axial > features.END, self._faces[others], self._sides[others]).min()),
-                                  sensor.mesh)
-        if edge:
-            flags["edge"] = edge
-        for geom in {int(self._geoms[k]) for k in others}:
-            if geom not in self._hulls:
-                self._hulls[geom] = features.hull_flag(self._model, geom)
-            if hull := self._hulls[geom]:
+        if any(self._has_edges[k] for k in touching):
+            edge = features.edge_flag(self._nearest_edge(rows[others >= 0], others[others >= 0]), sensor.mesh)
+            flags |= {"edge": edge} if edge else {}
+        for k in touching:
+            if k not in self._hulls:
+                self._hulls[k] = features.hull_flag(self._model, int(self._geoms[k]))
+            if hull := self._hulls[k]:
                 flags["hull"] = hull
         return flags
 
+    def _nearest_edge(self, rows: NDArray[np.int64], others: NDArray[np.int64]) -> float:
+        """Least half width, m, of the faces with edges that touch in the contacts `rows`, of the geoms `others` in `_geoms`."""
+        axes = self._data.geom_xmat[self._geoms[others]].reshape(-1, 3, 3)[:, :, 2]
+        axial = np.abs(np.einsum("ki,ki->k", self._data.contact.frame[rows, :3], axes))
+        return float(np.where(axial > features.END, self._faces[others], self._sides[others]).min())
+
     def _penetration(self, number: int, rows: NDArray[np.int64]) -> float:
         """Penetration as a share of the indentation, if it lasts for some looks: an impact sinks in for a moment."""
-        heights = self._sensors[number].p_SV[:, 2]
+        heights = self._sensors[number].heights
         if not len(rows):
             self._rest[number], self._deep[number] = heights, 0.0
             return 0.0
-        indentation = float((self._rest[number] - heights).max())
+        indentation = max(float((self._rest[number] - heights).max()), 0.0)
         depth = max(float(self._sensors[number].penetrations(rows).max()), 0.0)
         self._deep[number] = [*self._deep[number, 1:], depth / max(indentation + depth, _LEAST_INDENTATION)]
         return float(self._deep[number].min())
@@ -200,10 +202,13 @@ class Monitor:
     def _passed(self, number: int, places: Array) -> str | None:
         """Something whose middle is behind the membrane, or was before it and is now behind the glass, went through it."""
         sensor = self._sensors[number]
-        frame, p_SV, before = sensor.design.frame, sensor.p_SV, self._places[number]
-        within = (np.abs(places[:, :2]) < (0.45 * frame.length, 0.45 * frame.width)).all(axis=1)
-        top, glass = p_SV[:, 2].max(), -sensor.design.chamber.depth
-        for k in np.flatnonzero(within & (places[:, 2] < top)):
+        frame, before = sensor.design.frame, self._places[number]
+        top, glass = max(float(sensor.heights.max()), 0.0), -sensor.design.chamber.depth
+        low = np.flatnonzero(places[:, 2] < top)
+        if not len(low):
+            return None
+        p_SV = sensor.p_SV
+        for k in low[(np.abs(places[low, :2]) < (0.45 * frame.length, 0.45 * frame.width)).all(axis=1)]:
             nearest = np.argmin(((p_SV[:, :2] - places[k, :2]) ** 2).sum(axis=1))
             if (places[k, 2] < p_SV[nearest, 2]) if places[k, 2] > glass else (before[k, 2] > top):
                 name = self._model.geom(int(self._geoms[k])).name or f"geom {self._geoms[k]}"

@@ -130,6 +130,11 @@ class TactileSensor:
         return p_SV
 
     @property
+    def heights(self) -> Array:
+        """Heights (k,) m in S of the interior vertices now; a copy."""
+        return self._flat[2::3] + self._tendon.displacements[2::3]
+
+    @property
     def displacements(self) -> Array:
         """Displacements of the interior vertices from the flat sheet, (3 k,) m in S, now; a copy."""
         return self._tendon.displacements.copy()
@@ -253,13 +258,13 @@ class TactileSensor:
         if self.is_asleep:
             return None
         moved = self._tendon.displacements
-        depth = self.design.chamber.depth
-        if moved[2::3].min() < -(1 - GLASS_MARGIN) * depth:
+        depth, most = self.design.chamber.depth, max(moved.max(), -moved.min())
+        if most > (1 - GLASS_MARGIN) * depth and moved[2::3].min() < -(1 - GLASS_MARGIN) * depth:
             return f"sensor {self.prefix!r}: the membrane is pushed against the glass ({depth * 1e3:g} mm deep)"
         if self._volume <= 0:
             return f"sensor {self.prefix!r}: the chamber has no volume left"
         reach = 2 * max(self.design.frame.length, self.design.frame.width)
-        if max(moved.max(), -moved.min()) > reach:
+        if most > reach:
             pressure = self.pressure_gauge
             bursts = self.design.membrane.law is Law.NEO_HOOKEAN and np.isnan(theory.bulge_height(self.design, pressure))
             return (f"sensor {self.prefix!r}: the membrane has moved by more than {reach * 1e3:g} mm"

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 from mjtactile.kernels import bound
+from mjtactile.sim.sensor.contacts import listed
 
 # Shares of a step's error that are mended in the next step. Half as much is half as fast; twice as much rings.
 _GIVE_SHARE, _SHIFT_SHARE = 0.3, 0.2
@@ -53,7 +54,7 @@ class Stiction:
         # of each vertex: N, friction on it, in S; m that it has moved over what it sticks to since it began to stick
         self._memory, self._slides = np.zeros((self._count, 6)), np.zeros(self._count, np.uint8)
         self._belt = np.zeros((self._count, 3))
-        self._stick = bound("stick", *[...] * 13, data.xmat[body_id], self._first, self._count,
+        self._stick = bound("stick", *[...] * 8, data.xmat[body_id], self._first, self._count,
                             np.array([self._step, _SHIFT_SHARE, _KEPT, _EXCESS, _ON_CONE]), self._goal, self._memory,
                             self._slides, self._belt)
         model.flg_surfacevel = True
@@ -81,13 +82,11 @@ class Stiction:
     def _take(self) -> bool:
         """Advance the margins by the depths of the contacts, so that vertices come to lie where they should touch, and set the
         surface velocities with which friction begins the next step as it ended the last one; is anything touched?"""
-        data, contact = self._data, self._data.contact
+        data = self._data
         velocity, travel = np.empty(data.nefc), np.empty(data.nefc)
         mujoco.mj_mulJacVec(self._model, data, velocity, data.qvel)
         mujoco.mj_mulJacVec(self._model, data, travel, self._travel)
-        found = self._stick(
-            data.ncon, contact.geom, contact.efc_address, contact.dim, contact.dist, contact.includemargin, contact.frame,
-            contact.friction, data.efc_force, data.efc_KBIP, data.efc_R, velocity, travel)
+        found = self._stick(*listed(data), data.efc_force, data.efc_KBIP, data.efc_R, velocity, travel)
         if not found:
             return False
         self._give += _GIVE_SHARE * (self._goal - self._give)
