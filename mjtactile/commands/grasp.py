@@ -7,7 +7,7 @@ import contextlib
 import math
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mjtactile import InputError, Interrupted, MjtactileError, Recorder, load_recording, rig_names
 from mjtactile.commands import effects, ranges, slow
@@ -16,6 +16,9 @@ from mjtactile.core import resources, signals
 from mjtactile.recording.files import write_json
 from mjtactile.recording.strip import Strip
 from mjtactile.run.progress import Progress
+
+if TYPE_CHECKING:
+    from mjtactile.run.drawing import Drawing
 
 DESCRIPTION = """\
 Close a gripper on an object, feel the touch through the membrane camera of each finger,
@@ -81,13 +84,15 @@ def _count(text: str) -> int:
 
 
 def run(options: argparse.Namespace) -> int:
+    from mjtactile.run.drawing import drawing_beside
+
     _check_video(options.video, options.frames)
     slow.apply(options.slow, options.rig)
     progress = Progress()  # which looks whether stderr is a terminal
     folder = (new_run_folder(Path(options.object).stem) if options.out is None else
               output_folder(options.out, "recording", "summary.json", "summary.png", "summary.html"))
-    with folder as out, stdout_to_stderr():
-        summary = _run_and_report(options, out, progress)
+    with folder as out, stdout_to_stderr(), drawing_beside() as figure:
+        summary = _run_and_report(options, out, progress, figure)
     with contextlib.suppress(BrokenPipeError):  # the exit code says how it went, read or not
         if options.json:
             print_json(summary)
@@ -104,7 +109,7 @@ def _manner(options: argparse.Namespace) -> dict[str, Any]:
     return {key: getattr(options, key) for key in ("accuracy", "effects", "vary", "error_estimate", "workers")}
 
 
-def _run_and_report(options: argparse.Namespace, out: Path, progress: Progress) -> dict[str, Any]:
+def _run_and_report(options: argparse.Namespace, out: Path, progress: Progress, figure: Drawing) -> dict[str, Any]:
     """Run the grasp and write its report, also of a run that failed half-way; the error then carries its summary."""
     from mjtactile.run import summary as _  # noqa: F401  # now: in the end there may be no descriptors left to import it with
     from mjtactile.run.grasp import GraspOptions, run_grasp
@@ -125,13 +130,13 @@ def _run_and_report(options: argparse.Namespace, out: Path, progress: Progress) 
         if recorder.never_began(error):
             recorder.discard()
             raise
-        _report_fault(error, recorder, out, header)
+        _report_fault(error, recorder, out, header, figure)
         raise
     progress.close()
     recorder.close(outcome=summary["outcome"])
     if recorder.problem:
         summary["recording_problem"] = recorder.problem
-    _write_report(out, recorder, summary)
+    _write_report(out, recorder, summary, figure)
     if options.video:
         _film(options.video, out, recorder, progress)
     return summary
@@ -164,7 +169,7 @@ def _check_video(path: Path | None, frames: int) -> None:
         raise InputError("a film needs the images", field="--frames")
 
 
-def _report_fault(error: BaseException, recorder: Recorder, out: Path, header: dict[str, Any]) -> None:
+def _report_fault(error: BaseException, recorder: Recorder, out: Path, header: dict[str, Any], figure: Drawing) -> None:
     """Keep what a failed run recorded and say where it is."""
     stopped = isinstance(error, (Interrupted, KeyboardInterrupt))
     reason = "interrupted" if stopped else " ".join(str(error).split())
@@ -173,18 +178,18 @@ def _report_fault(error: BaseException, recorder: Recorder, out: Path, header: d
                "error": reason}
     error.summary = summary  # type: ignore[attr-defined]  # cli prints it with --json
     recorder.close(outcome="fault", error=reason)
-    _write_report(out, recorder, summary, picture=not stopped)  # which takes longer than who stops a run will wait
+    _write_report(out, recorder, summary, None if stopped else figure)  # which takes longer than who stops a run will wait
     if recorder.cycles:
         print(f"mjtactile: {recorder.cycles} cycles were recorded and are kept in {out}", file=sys.stderr)
 
 
-def _write_report(out: Path, recorder: Recorder, summary: dict[str, Any], *, picture: bool = True) -> None:
-    """Write summary.json, then picture and page; what cannot be written does not change how the run went."""
+def _write_report(out: Path, recorder: Recorder, summary: dict[str, Any], figure: Drawing | None) -> None:
+    """Write summary.json, then with a `figure` picture and page; what cannot be written does not change how the run went."""
     from mjtactile.run.summary import write_pictures
 
     try:
         write_json(out / "summary.json", summary)
-        problems = write_pictures(out, recorder, summary) if picture else []
+        problems = [] if figure is None else write_pictures(out, recorder, summary, figure)
     except (MjtactileError, OSError) as error:
         problems = [error]
     for problem in problems:

@@ -34,7 +34,7 @@ def write_figure(path: Path, recording: Recording, snapshot: CycleLike | None, s
 
     Raises MjtactileError when matplotlib is not installed.
     """
-    figure_class, canvas_class = _matplotlib()
+    figure_class, canvas_class = import_matplotlib()
     fingers = 1 if snapshot is None else len(snapshot.touch)
     columns = fingers + (scene is not None)
     width, title = max(4.6 * columns, 9.2), _title(summary)
@@ -67,8 +67,11 @@ def write_figure(path: Path, recording: Recording, snapshot: CycleLike | None, s
     part.replace(path)
 
 
-def _matplotlib() -> tuple[Any, Any]:
-    """The figure and the canvas class; no pyplot, so no display and no global state."""
+def import_matplotlib() -> tuple[Any, Any]:
+    """The figure and the canvas class; no pyplot, so no display and no global state.
+
+    Raises MjtactileError where it is not installed.
+    """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure

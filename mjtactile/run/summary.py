@@ -22,13 +22,15 @@ from mjtactile.run.session import Session
 PICTURES = ("summary.png", "summary.html")
 
 
-def write_pictures(folder: Path, recorder: Recorder, summary: Mapping[str, Any]) -> list[MjtactileError | OSError]:
-    """Draw the run that `recorder` wrote into `folder`; returns what went wrong, such as a missing matplotlib."""
+def write_pictures(folder: Path, recorder: Recorder, summary: Mapping[str, Any],
+                   figure: Callable[..., None] = write_figure) -> list[MjtactileError | OSError]:
+    """Draw the run that `recorder` wrote into `folder`, the `figure` in `drawing_beside`'s way where there is one; returns what
+    went wrong, such as a missing matplotlib."""
     recording, strip = load_recording(folder), [] if recorder.strip is None else recorder.strip.kept
     problems: list[MjtactileError | OSError] = []
     with ThreadPoolExecutor(1, thread_name_prefix="page") as beside:
         page = beside.submit(write_page, folder / "summary.html", recording, strip, summary, recorder.snapshot)
-        for write in (lambda: write_figure(folder / "summary.png", recording, recorder.snapshot, summary, recorder.view),
+        for write in (lambda: figure(folder / "summary.png", recording, recorder.snapshot, summary, recorder.view),
                       page.result):
             try:
                 write()

@@ -12,6 +12,7 @@ from mjtactile.core.errors import MjtactileError
 from mjtactile.recording.reader import load_recording
 from mjtactile.recording.writer import Recorder
 from mjtactile.run import report
+from mjtactile.run.drawing import drawing_beside
 from mjtactile.run.progress import Progress
 from tests.fake_run import fake_cycle, fake_touch, write_fake_recording
 
@@ -57,6 +58,26 @@ def test_a_run_with_its_scene_and_any_number_of_fingers(tmp_path, fingers):
 def test_a_run_without_a_cycle(tmp_path):
     Recorder(tmp_path, {}).close()
     draw(tmp_path, None)
+
+
+@pytest.mark.parametrize("alive", [True, False])
+def test_a_process_beside_the_run_draws_the_same_and_one_that_ended_is_not_missed(tmp_path, alive):
+    cycles = write_fake_recording(tmp_path, count=20)
+    pictures = []
+    with drawing_beside() as beside:
+        if not alive:
+            beside._apart._process.kill()
+        for write in (report.write_figure, beside):
+            write(tmp_path / "summary.png", load_recording(tmp_path), cycles[10], SUMMARY, FakeScene(1))
+            pictures.append((tmp_path / "summary.png").read_bytes())
+            (tmp_path / "summary.png").unlink()
+    assert pictures[0] == pictures[1]
+
+
+def test_what_the_process_fails_with_is_said_here(tmp_path):
+    write_fake_recording(tmp_path, count=3)
+    with drawing_beside() as beside, pytest.raises(FileNotFoundError, match="no/such"):
+        beside(tmp_path / "no/such/summary.png", load_recording(tmp_path), None, SUMMARY)
 
 
 def test_arrows_stand_only_where_something_touches_and_their_scale_is_round():

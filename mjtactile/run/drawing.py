@@ -1,0 +1,77 @@
+"""The figure of a run, drawn by a process that has imported matplotlib while the run went on."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mjtactile.core.errors import DeviceError, MjtactileError
+from mjtactile.core.types import Array
+from mjtactile.recording.columns import CycleLike
+from mjtactile.recording.reader import Recording
+from mjtactile.run.apart import Apart, Wire
+from mjtactile.run.perceive import outcome_of, value_of
+from mjtactile.run.report import import_matplotlib, write_figure
+from mjtactile.run.scene_picture import View
+
+_PATIENCE = 60.0  # s; a busy computer draws for some
+
+
+@dataclass(frozen=True, eq=False)
+class _Still:
+    """A `View` without the model that it was taken of."""
+
+    p_WS: Array
+    R_WS: Array
+    corners: Array
+    rgba: Array
+
+    def triangles(self) -> tuple[Array, Array]:
+        return self.corners, self.rgba
+
+
+class Drawing:
+    """As `mjtactile.run.report.write_figure`, in a process; where that has ended, here."""
+
+    def __init__(self, apart: Apart):
+        self._apart = apart
+
+    def __call__(self, path: Path, recording: Recording, snapshot: CycleLike | None, summary: Mapping[str, Any],
+                 scene: View | None = None) -> None:
+        still = None if scene is None else _Still(scene.p_WS, scene.R_WS, *scene.triangles())
+        try:
+            self._apart.begin(path, recording, snapshot, dict(summary), still)
+            answer = self._apart.outcome(_PATIENCE)
+        except DeviceError:
+            write_figure(path, recording, snapshot, summary, scene)
+            return
+        if answer is None:
+            raise MjtactileError(f"the figure took longer than {_PATIENCE:g} s")
+        value_of((bool(answer[0]), answer[1]))
+
+
+@contextlib.contextmanager
+def drawing_beside() -> Iterator[Drawing]:
+    """What draws the figure of a run that goes on meanwhile."""
+    apart = Apart(__name__, "draws the figure")
+    try:
+        yield Drawing(apart)
+    finally:
+        apart.close()
+
+
+def serve(wire: Wire) -> None:
+    """Draw what comes, until the parent hangs up."""
+    with contextlib.suppress(MjtactileError):
+        import_matplotlib()  # now: it takes as long as a figure
+    with contextlib.suppress(OSError):
+        while True:
+            wire.send(*outcome_of(write_figure, *(wire.receive(None) or ())))
+
+
+if __name__ == "__main__":
+    serve(Wire.of(sys.argv[1]))
