@@ -10,6 +10,7 @@ import contextlib
 import os
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 from mjtactile.core import pace
@@ -55,9 +56,12 @@ class Feelers:
         for feeler, own in self._shares(images):
             feeler.begin("feel", own, now)
         end, felt = pace.monotonic() + patience, list[Outcome | None]([None] * len(images))
-        for first, (feeler, own) in enumerate(self._shares(images)):
-            answer = feeler.outcome(max(0.0, end - pace.monotonic()))
-            felt[first::len(self._feelers)] = [None] * len(own) if answer is None else answer
+        for first, (feeler, own) in enumerate(self._shares(self._perceptions)):
+            answer: Sequence[Any] = feeler.outcome(max(0.0, end - pace.monotonic())) or ()
+            for finger, (perception, (outcome, tracks)) in enumerate(zip(own, answer, strict=False)):
+                felt[first + finger * len(self._feelers)] = outcome
+                if tracks is not None:  # for whoever draws them; the rest of a state is large, and not needed here
+                    perception.state = replace(perception.state, tracks=tracks)
         return tuple(late_touch(name, image, now) if outcome is None else value_of(outcome)
                      for outcome, name, image in zip(felt, self._names, images, strict=True))
 
@@ -94,7 +98,7 @@ def serve(wire: Wire) -> None:
                     perceptions = own
                     wire.send()
                 case "feel", images, now:
-                    wire.send(*[outcome_of(perception.perceive, image, now)
+                    wire.send(*[(outcome_of(perception.perceive, image, now), getattr(perception.state, "tracks", None))
                                 for perception, image in zip(perceptions, images, strict=True)])
                 case ("give",):
                     wire.send(*[perception.state for perception in perceptions])

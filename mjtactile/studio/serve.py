@@ -8,7 +8,6 @@ import os
 import sys
 import threading
 import time
-from dataclasses import replace
 from typing import Any
 
 from mujoco.studio import app, viewer_handle, viewer_protocol
@@ -74,8 +73,7 @@ def _run(show: Show) -> None:
     """One grasp; what fails is shown, and raised where nothing has been shown yet."""
     before = show.runs
     try:
-        options = replace(show.options, workers=0)  # the panel draws what the chains follow
-        result = run_grasp(options, recorder=show, progress=Voice(show), on_open=show.open, on_still=show.still,
+        result = run_grasp(show.options, recorder=show, progress=Voice(show), on_open=show.open, on_still=show.still,
                            wrap=show.wrap, time_limit=math.inf)
         show.outcome = f"{result.outcome}" + (f": {result.reason}" if result.reason else "")
     except Restart:
