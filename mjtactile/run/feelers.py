@@ -57,7 +57,7 @@ class Feelers:
             feeler.begin("feel", own, now)
         end, felt = pace.monotonic() + patience, list[Outcome | None]([None] * len(images))
         for first, (feeler, own) in enumerate(self._shares(self._perceptions)):
-            answer: Sequence[Any] = feeler.outcome(max(0.0, end - pace.monotonic())) or ()
+            answer = list[tuple[Outcome, Any]](feeler.outcome(max(0.0, end - pace.monotonic())) or [])
             for finger, (perception, (outcome, tracks)) in enumerate(zip(own, answer, strict=False)):
                 felt[first + finger * len(self._feelers)] = outcome
                 if tracks is not None:  # for whoever draws them; the rest of a state is large, and not needed here
