@@ -12,7 +12,7 @@ from typing import Any
 from mjtactile.core import pace, process
 from mjtactile.core.errors import DeviceError
 
-_TAKES = 10.0  # s in which the other end takes what it is sent
+_TAKES = 10.0  # s in which a process takes a question
 _NUMBER = struct.Struct("<Q")
 
 
@@ -24,7 +24,7 @@ class Apart:
         ours, its = socket.socketpair()
         self._process, self._does = process.start(module, its.fileno(), descriptors=(its.fileno(),)), does
         its.close()
-        self._wire, self._due, self._is_late = Wire(ours), 0, False
+        self._wire, self._due, self._is_late = Wire(ours, _TAKES), 0, False
 
     def begin(self, *question: Any) -> None:
         """Raises DeviceError when it has ended, or takes nothing."""
@@ -36,6 +36,7 @@ class Apart:
                 self._wire.send(*question)
                 self._due += 1
         except OSError as error:
+            self._wire.close()  # who has taken half of a question can be asked no other
             raise self._ended() from error
 
     def outcome(self, patience: float) -> tuple[Any, ...] | None:
@@ -58,10 +59,11 @@ class Apart:
 
 
 class Wire:
-    """Values over a socket. Arrays are not pickled but follow as they are, and arrive read-only."""
+    """Values over a socket. Arrays are not pickled but follow as they are, and arrive read-only. The other end takes what it is
+    sent within `takes` s (None: when it likes)."""
 
-    def __init__(self, end: socket.socket) -> None:
-        self._end, self._filled = end, 0
+    def __init__(self, end: socket.socket, takes: float | None = None) -> None:
+        self._end, self._takes, self._filled = end, takes, 0
         self._room = bytearray(_NUMBER.size)  # for the size of a message, then for all the rest of it
         self._sized = False
 
@@ -71,13 +73,13 @@ class Wire:
         return cls(socket.socket(fileno=int(descriptor)))
 
     def send(self, *value: Any) -> None:
-        """Raises OSError, also when the other end takes nothing for `_TAKES` s."""
+        """Raises OSError, also when the other end does not take it."""
         arrays: list[pickle.PickleBuffer] = []
         parts: list[Any] = [pickle.dumps(value, protocol=5, buffer_callback=arrays.append)]
         parts += [array.raw() for array in arrays]
         sizes = [memoryview(part).nbytes for part in parts]
         head = struct.pack(f"<{1 + len(sizes)}Q", len(sizes), *sizes)
-        self._end.settimeout(pace.wall(_TAKES))
+        self._end.settimeout(None if self._takes is None else pace.wall(self._takes))
         for part in (_NUMBER.pack(len(head) + sum(sizes)), head, *parts):
             self._end.sendall(part)
 
