@@ -80,8 +80,7 @@ class Wire:
         sizes = [memoryview(part).nbytes for part in parts]
         head = struct.pack(f"<{1 + len(sizes)}Q", len(sizes), *sizes)
         self._end.settimeout(None if self._takes is None else pace.wall(self._takes))
-        for part in (_NUMBER.pack(len(head) + sum(sizes)), head, *parts):
-            self._end.sendall(part)
+        self._end.sendall(b"".join([_NUMBER.pack(len(head) + sum(sizes)), head, *parts]))
 
     def receive(self, patience: float | None) -> tuple[Any, ...] | None:
         """What was sent; None if it is not all there within `patience` s (None: wait), and then it is received on the next time.
