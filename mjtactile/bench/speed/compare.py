@@ -79,7 +79,8 @@ def table(result: Mapping[str, Any]) -> str:
     """Markdown."""
     rounds = result["rounds"]
     lines = [f"Before and now in turns, median of {len(rounds)}; {result['processor']}, load average "
-             f"{result['load_average']:.1f}. Core time at 30 Hz:", "", "| | before | now | ratio |", "|---|---|---|---|"]
+             f"{result['load_average']:.1f}. Core time at 30 Hz, in one thread:", "",
+             "| | before | now | ratio |", "|---|---|---|---|"]
 
     def add(name: str, *keys: str | int, unit: str = "s") -> None:
         before, now = (sorted(_at(one[which], keys) for one in rounds)[len(rounds) // 2] for which in ("before", "now"))
