@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import pickle
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -39,7 +40,7 @@ class Feelers:
         """
         self._perceptions, self._names = perceptions, names
         for feeler, own in self._shares(perceptions):
-            feeler.begin("take", own)
+            feeler.begin("take", pickle.dumps(own))  # whole: arrays that may be written to have their address read faster
         for feeler, _ in self._shares(perceptions):
             if feeler.outcome(_START) is None:
                 raise DeviceError(f"a process that feels for the loop has not started within {_START:g} s")
@@ -95,7 +96,7 @@ def serve(wire: Wire) -> None:
         while True:
             match wire.receive(None):
                 case "take", own:
-                    perceptions = own
+                    perceptions = pickle.loads(own)
                     wire.send()
                 case "feel", images, now:
                     wire.send(*[(outcome_of(perception.perceive, image, now), getattr(perception.state, "tracks", None))

@@ -33,7 +33,8 @@ class Doubt:
 
     def __init__(self, design: SensorDesign, nodes: Array, settings: DoubtSettings = DEFAULTS.doubt):
         layout, sheet, frame = design.markers, design.membrane, design.frame
-        self._settings = settings
+        self._sharp_most, s = settings.sharp_most, settings
+        self._shares = np.array([s.share, s.lateral, s.sharp, s.outside, s.change], float)[:, AXES]
         self._outside = (np.abs(nodes) > np.abs(layout.p_SM[:, :2]).max(axis=0) + 1e-9).any(axis=1)
         self._sparse = max(1.0, layout.pitch_x * layout.pitch_y / settings.cell)
         self._resistance = settings.drag * frame.length * frame.width * sheet.young * sheet.thickness
@@ -41,10 +42,9 @@ class Doubt:
 
     def variance(self, felt: Felt) -> Array:
         """Of force, N^2, and torque, (N m)^2, about the origin of S, (6,)."""
-        s, size = self._settings, np.linalg.norm(felt.force.sum(axis=1))
-        shares = ((s.share, size * self._sparse), (s.lateral, np.abs(felt.force[:2]).sum()),
-                  (s.sharp, size * min(felt.excess, s.sharp_most)), (s.outside, np.abs(felt.force[:, self._outside]).sum()),
-                  (s.change, np.abs(felt.change) / self._unit))
-        variance = np.sum([(np.array(share)[AXES] * load) ** 2 for share, load in shares], axis=0)
+        size, sums = float(np.linalg.norm(felt.force.sum(axis=1))), np.abs(felt.force)
+        loads = np.array([[size * self._sparse], [float(sums[:2].sum())], [size * min(felt.excess, self._sharp_most)],
+                          [float(sums[:, self._outside].sum())]])
+        variance = np.square(self._shares[:4] * loads).sum(axis=0) + np.square(self._shares[4] * felt.change / self._unit)
         variance[:2] += (self._resistance * felt.velocity[:2]) ** 2
         return self._unit**2 * variance

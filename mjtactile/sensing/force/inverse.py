@@ -115,7 +115,7 @@ class InverseMembrane:
         self.nodes = np.column_stack([X.ravel(), Y.ravel()])
         self._flat_nodes = np.column_stack([self.nodes, np.zeros(len(self.nodes))])
         self._at_nodes = self.sheet.basis(self.nodes)
-        self._doubt = Doubt(design, self.nodes, doubt)
+        self._doubt, self._posterior_share = Doubt(design, self.nodes, doubt), np.array(settings.posterior_share)[AXES]
         self._fine = [np.linspace(-a.length / 2, a.length / 2, REFINE * a.spans + 1) for a in (ax, ay)]
         self._at_fine = [a.at(g) for a, g in zip((ax, ay), self._fine, strict=True)]
         self._material = design.markers.p_SM
@@ -274,8 +274,7 @@ class InverseMembrane:
 
     def posterior_share(self, shape: Shape) -> Array:
         """Share (6,) of the wrench's predicted variances: more where markers misfit or show drift."""
-        share = max(1.0, shape.misfit) * np.array(self.settings.posterior_share)[AXES]
-        return np.maximum(share, shape.drift - 1)
+        return np.maximum(max(1.0, shape.misfit) * self._posterior_share, shape.drift - 1)
 
 
 def _net(force: Array, positions: Array) -> Array:
