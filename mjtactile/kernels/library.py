@@ -33,23 +33,22 @@ def bound(name: str, *values: Any) -> Callable[..., Any]:
     kept. For each `...` among them a value is given at every call. Raises TypeError for an array that would have to be converted.
     """
     function, convert = _library()[name][1:]
-    kept = [_same(one(value), value, name) if value is not ... else None for one, value in zip(convert, values, strict=True)]
+    addresses = [None if value is ... else _same(one, value, name) for one, value in zip(convert, values, strict=True)]
     given = [(place, convert[place]) for place, value in enumerate(values) if value is ...]
-    addresses = [_address(value) for value in kept]
 
     def call(*now: Any) -> Any:
-        held = [one(value) for (_, one), value in zip(given, now, strict=True)]
+        held: list[Any] = []
         arguments = addresses.copy()
-        for (place, _), value in zip(given, held, strict=True):
-            arguments[place] = _address(value)
+        for (place, one), value in zip(given, now, strict=True):
+            arguments[place] = one(value, held)
         return function(*arguments)
 
-    call.kept = kept  # type: ignore[attr-defined]  # else nobody may
+    call.kept = values  # type: ignore[attr-defined]  # else nobody may
     return call
 
 
 @cache
-def _library() -> dict[str, tuple[Callable[..., Any], Any, list[Callable[[Any], Any]]]]:
+def _library() -> dict[str, tuple[Callable[..., Any], Any, list[_Convert]]]:
     """Of each kernel: its Python face, the C function, and what checks or converts each argument."""
     loaded = ctypes.CDLL(str(build.library()))
     return {name: _wrapped(getattr(loaded, name), name, result, arguments)
@@ -60,42 +59,56 @@ def _wrapped(function: Any, name: str, result: str, arguments: str) -> tuple[Cal
     parts = [_ARGUMENT.search(" ".join(part.split())).groups() for part in arguments.split(",")]  # type: ignore[union-attr]
     function.restype = _NUMBERS.get(result)
     function.argtypes = [ctypes.c_void_p if star else _NUMBERS[kind] for _, kind, star, _ in parts]
-    convert = [(_read if const else _written)(f"{name}: {what}", _ARRAYS[kind]) if star else _as_is
+    convert = [(_read(_ARRAYS[kind]) if const else _written(f"{name}: {what}", _ARRAYS[kind])) if star else _as_is
                for const, kind, star, what in parts]
 
     def call(*values: Any) -> Any:
-        held = [one(value) for one, value in zip(convert, values, strict=True)]
-        return function(*[_address(value) for value in held])
+        held: list[Any] = []
+        return function(*[one(value, held) for one, value in zip(convert, values, strict=True)])
 
     return call, function, convert
 
 
-def _address(value: Any) -> Any:
-    if not isinstance(value, np.ndarray):
-        return value
-    if value.size and value.flags.writeable:  # in a third of the time of `ctypes.data`, two hundred times an image
-        return ctypes.addressof(ctypes.c_char.from_buffer(value))  # type: ignore[arg-type]  # an array is a buffer
-    return value.ctypes.data
+# What is handed over for a value: itself, or an array's address. What had to be made for it is put into `held`, to outlive the
+# call. Two hundred times an image: an array of numpy's own is asked for its buffer, and nothing else, where that will do.
+_Convert = Callable[[Any, list[Any]], Any]
 
 
-def _same(converted: Any, value: Any, name: str) -> Any:
-    if isinstance(converted, np.ndarray) and converted is not value:
+def _same(convert: _Convert, value: Any, name: str) -> Any:
+    copies: list[Any] = []
+    address = convert(value, copies)
+    if copies:
         raise TypeError(f"{name}: a {value.dtype} array of shape {value.shape} would have to be copied")
-    return converted
+    return address
 
 
-def _as_is(value: Any) -> Any:
+def _as_is(value: Any, _: list[Any]) -> Any:
     return value
 
 
-def _read(_: str, dtype: np.dtype) -> Callable[[Any], Any]:
-    return lambda value: None if value is None else np.ascontiguousarray(value, dtype)
+def _read(dtype: np.dtype) -> _Convert:
+    def address(value: Any, held: list[Any]) -> Any:
+        if value is None:
+            return None
+        try:
+            if value.dtype == dtype:
+                return ctypes.addressof(ctypes.c_char.from_buffer(value))
+        except (AttributeError, TypeError, ValueError):  # a list, or an array that is read-only, empty or with gaps
+            pass
+        whole = np.ascontiguousarray(value, dtype)
+        if whole is not value:
+            held.append(whole)
+        return whole.ctypes.data
+
+    return address
 
 
-def _written(what: str, dtype: np.dtype) -> Callable[[Any], Any]:
-    def check(value: np.ndarray | None) -> np.ndarray | None:
-        if value is None or (value.dtype == dtype and value.flags.c_contiguous and value.flags.writeable):
-            return value
+def _written(what: str, dtype: np.dtype) -> _Convert:
+    def address(value: Any, _: list[Any]) -> Any:
+        if value is None:
+            return None
+        if isinstance(value, np.ndarray) and value.dtype == dtype and value.flags.c_contiguous and value.flags.writeable:
+            return ctypes.addressof(ctypes.c_char.from_buffer(value)) if value.size else value.ctypes.data  # type: ignore[arg-type]
         raise TypeError(f"{what} must be a writable C-contiguous array of {dtype}")
 
-    return check
+    return address
