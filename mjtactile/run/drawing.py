@@ -7,16 +7,16 @@ import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mjtactile.core.errors import DeviceError, MjtactileError
-from mjtactile.core.types import Array
-from mjtactile.recording.columns import CycleLike
-from mjtactile.recording.reader import Recording
 from mjtactile.run.apart import Apart, Wire
-from mjtactile.run.perceive import outcome_of, value_of
-from mjtactile.run.report import import_matplotlib, write_figure
-from mjtactile.run.scene_picture import View
+
+if TYPE_CHECKING:  # what a run needs is imported while this process starts
+    from mjtactile.core.types import Array
+    from mjtactile.recording.columns import CycleLike
+    from mjtactile.recording.reader import Recording
+    from mjtactile.run.scene_picture import View
 
 _PATIENCE = 60.0  # s; a busy computer draws for some
 
@@ -42,6 +42,9 @@ class Drawing:
 
     def __call__(self, path: Path, recording: Recording, snapshot: CycleLike | None, summary: Mapping[str, Any],
                  scene: View | None = None) -> None:
+        from mjtactile.run.perceive import value_of
+        from mjtactile.run.report import write_figure
+
         still = None if scene is None else _Still(scene.p_WS, scene.R_WS, *scene.triangles())
         try:
             self._apart.begin(path, recording, snapshot, dict(summary), still)
@@ -66,6 +69,9 @@ def drawing_beside() -> Iterator[Drawing]:
 
 def serve(wire: Wire) -> None:
     """Draw what comes, until the parent hangs up."""
+    from mjtactile.run.perceive import outcome_of
+    from mjtactile.run.report import import_matplotlib, write_figure
+
     with contextlib.suppress(MjtactileError):
         import_matplotlib()  # now: it takes as long as a figure
     with contextlib.suppress(OSError):

@@ -121,7 +121,7 @@ def draw_surface(axes: Any, touch: Touch, unit: float | None = None) -> None:
         return
     x, y = np.meshgrid(surface.x * _MM, surface.y * _MM)
     z = surface.z * _MM
-    axes.plot_surface(x, y, z, cmap="viridis", linewidth=0.2, edgecolor="#00000030", rcount=40, ccount=40, alpha=0.9,
+    axes.plot_surface(x, y, z, cmap="viridis", linewidth=0.2, edgecolor="#00000030", rcount=30, ccount=30, alpha=0.9,
                       zorder=1)
     low, high = min(float(z.min()), 0.0), max(float(z.max()), 1.0)
     length = 0.5 * (high - low)  # of the unit's arrow
