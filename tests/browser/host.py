@@ -93,7 +93,7 @@ def describe(felt):
 def answer():
     for line in sys.stdin:
         panel.finger_lines = {"break": lambda *_: 1 / 0, "mend": _WHOLE}.get(line.strip(), panel.finger_lines)
-        sys.stdout.write(json.dumps(frame) + "\n")
+        sys.stdout.write("\n" + json.dumps(frame) + "\n")  # whatever another thread has begun to write: a line of its own
         sys.stdout.flush()
 
 
