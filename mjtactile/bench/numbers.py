@@ -56,16 +56,21 @@ def table(result: Mapping[str, Any]) -> str:
 
 def cell(page: str, row: str, column: str, *, source: str) -> str:
     """The cell under the heading `column` in the first row that begins with `row`, of the tables that have that column; of rows
-    "a / b" both."""
-    if " / " in row:
-        return " / ".join(cell(page, one, column, source=source) for one in row.split(" / "))
-    heading: list[str] = []
-    for line in page.splitlines():
-        cells = [text.strip() for text in line.strip().strip("|").split(" | ")] if line.startswith("|") else []
-        if not cells:
-            heading = []
-        elif not heading:
-            heading = cells
-        elif " | ".join(cells).startswith(row) and column in heading:
-            return cells[heading.index(column)]
+    "a / b" both, of the first table that has both."""
+    for heading, *rows in _tables(page):
+        texts = [" | ".join(cells) for cells in rows]
+        found = [next((k for k, text in enumerate(texts) if text.startswith(one)), None) for one in row.split(" / ")]
+        if column in heading and None not in found:
+            return " / ".join(rows[k][heading.index(column)] for k in found if k is not None)
     raise InputError(f"has no table with a row {row!r} and a column {column!r}", source=f"docs/{source}.md")
+
+
+def _tables(page: str) -> list[list[list[str]]]:
+    """The cells of each row of each table, its heading first."""
+    tables: list[list[list[str]]] = [[]]
+    for line in page.splitlines():
+        if line.startswith("|"):
+            tables[-1].append([text.strip() for text in line.strip().strip("|").split(" | ")])
+        elif tables[-1]:
+            tables.append([])
+    return [table for table in tables if table]

@@ -158,9 +158,11 @@ def test_the_readmes_numbers_are_those_of_the_pages_that_the_benchmarks_wrote():
 def test_a_number_that_a_page_lacks_is_named():
     page = "| what | dense |\n|---|---|\n| force | 1 |\n\n| what | paper16 |\n|---|---|\n| force | 2 |\n"
     assert numbers.cell(page, "for", "paper16", source="x") == "2"  # of the table that has the column
-    assert numbers.cell(page, "force | 1 / force | 2", "what", source="x") == "force / force"  # rows by more than one cell
-    with pytest.raises(InputError, match=r"x\.md.*'shear'"):
-        numbers.cell(page, "shear", "dense", source="x")
+    page += "\n| what | dense |\n|---|---|\n| force | 3 |\n| shear | 4 |\n"
+    assert numbers.cell(page, "force", "dense", source="x") == "1"
+    assert numbers.cell(page, "force | / shear", "dense", source="x") == "3 / 4"  # both of one table
+    with pytest.raises(InputError, match=r"x\.md.*'torque'"):
+        numbers.cell(page, "torque", "dense", source="x")
 
 
 @pytest.mark.parametrize("section", FIELDS)
