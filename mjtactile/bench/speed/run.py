@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from mjtactile.bench.core_time import core_time
 from mjtactile.bench.settings import HOLD_FORCE, Setting, attempt, core_ms, cost_and_noise
 from mjtactile.bench.speed import compare, denormals, sensors
 from mjtactile.core.design import load_sensor
@@ -80,11 +81,11 @@ def _loop(accuracy: str, workers: int, say: Callable[[str], None]) -> dict[str, 
     with open_session("sim", design, seed=SEED, accuracy=accuracy, workers=workers) as session:
         clock = session.rig.clock
         session.take_references()
-        start, core = (clock.now(), time.perf_counter()), _core_time()
+        start, core = (clock.now(), time.perf_counter()), core_time()
         session.run(load_controller("gentle"), time_limit=60.0, on_cycle=lambda cycle: moments.append(
             (cycle.sent.phase in ("lift", "hold", "lower"), cycle.time, time.perf_counter())))
         simulated, wall = clock.now() - start[0], time.perf_counter() - start[1]
-        core = _core_time() - core
+        core = core_time() - core
         slow = denormals.count(*session.perceptions, *session.rig.cameras)
     _, first, begin = next(moment for moment in moments if moment[0])
     _, last, end = next(moment for moment in reversed(moments) if moment[0])
@@ -95,16 +96,6 @@ def _loop(accuracy: str, workers: int, say: Callable[[str], None]) -> dict[str, 
     say(f"grasp at {CAMERA_RATE:g} Hz, accuracy {row['accuracy']}, {workers} processes: {row['real_time_factor']:.2f} x real "
         f"time, {row['real_time_factor_held']:.2f} while held; load {row['load_average']:.1f}")
     return row
-
-
-def _core_time() -> float:
-    """s that this process and those that it has started, and that still run, have computed."""
-    tick, total = os.sysconf("SC_CLK_TCK"), time.process_time()
-    for children in Path("/proc/self/task").glob("*/children"):
-        for pid in children.read_text().split():
-            fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
-            total += (int(fields[11]) + int(fields[12])) / tick
-    return total
 
 
 def table(result: dict[str, Any]) -> str:

@@ -10,6 +10,7 @@ import threading
 import time
 from typing import Any
 
+from mjtactile.bench.core_time import core_time
 from mjtactile.run.grasp import GraspOptions, run_grasp
 from mjtactile.run.loop import Cycle
 from mjtactile.studio import panel
@@ -17,7 +18,7 @@ from mjtactile.studio.serve import watch
 from mjtactile.studio.show import Show, Voice
 
 MARK = 171  # in the third byte of a picture that says in its first two which cycle's it is
-Moments = tuple[float, float, float]  # of a cycle, s: of the simulation, on the clock, and of core time of this process
+Moments = tuple[float, float, float]  # of a cycle, s: of the simulation, on the clock, and of core time with its processes
 _FRAMES = 60  # that are drawn before it begins: the page has its model and its textures
 
 
@@ -42,7 +43,7 @@ class Watched(Show):
         begin = time.perf_counter()
         super().add(cycle, view, **truth)
         now = time.perf_counter()
-        self.cycles.append((cycle.time, now, time.process_time()))
+        self.cycles.append((cycle.time, now, core_time()))
         self.spent[-1] += now - begin
 
     def moment(self) -> Any:
@@ -89,7 +90,7 @@ class Plain:
     def add_reference(self, stage: str, images: Any, pressure_gauge: Any) -> None: ...
 
     def add(self, cycle: Cycle, **truth: Any) -> None:
-        self.cycles.append((cycle.time, time.perf_counter(), time.process_time()))
+        self.cycles.append((cycle.time, time.perf_counter(), core_time()))
 
 
 def plain() -> dict[str, Any]:
