@@ -5,6 +5,7 @@ import copy
 import numpy as np
 import pytest
 
+from mjtactile.kernels import kernel
 from mjtactile.sim.sensor.rubber import stiffness_rows
 from mjtactile.sim.step import advance
 from tests.numpy_chain import membrane
@@ -28,6 +29,24 @@ def test_volume_and_gradient(sheet):
     expected, slope = membrane.volume_and_gradient(sensor.mesh, p_SV)
     assert volume == pytest.approx(sensor.design.chamber_volume_flat + expected, rel=1e-12)
     np.testing.assert_allclose(gradient, slope, rtol=ROUNDING, atol=1e-15)
+
+
+def test_what_the_gas_pushes(sheet):
+    """In numpy: forces p dV/dq, and a spring along dV/dz that is off its rest by a share of what adds up,
+    with its force given back."""
+    _, sensor, p_SV = sheet
+    k = len(sensor.mesh.interior)
+    gradient = sensor._geometry.volume_and_gradient(p_SV)[1]
+    moved = (p_SV - sensor.mesh.p_SV)[sensor.mesh.interior]
+    coefficients, spring, rest, forces = np.empty(k), np.empty(1), np.empty(2), np.empty((k, 3))
+    kernel("push")(k, gradient, moved, 1e-3, 1e-12, 900.0, 2e9, coefficients, spring, rest, forces)
+    terms = gradient[:, 2] * moved[:, 2]
+    offset = 1e-3 * (np.abs(terms).sum() + 1e-12)
+    expected = 900.0 * gradient
+    expected[:, 2] += 2e9 * offset * gradient[:, 2]
+    np.testing.assert_array_equal(coefficients, gradient[:, 2])
+    np.testing.assert_allclose([*spring, *rest], [2e9, *[terms.sum() - offset] * 2], rtol=ROUNDING)
+    np.testing.assert_allclose(forces, expected, rtol=ROUNDING)
 
 
 def test_rubber(sheet):
