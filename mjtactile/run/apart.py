@@ -3,6 +3,7 @@ longer than he wants to."""
 
 from __future__ import annotations
 
+import contextlib
 import math
 import pickle
 import socket
@@ -18,13 +19,18 @@ _NUMBER = struct.Struct("<Q")
 
 class Apart:
     """A process that runs `module`, which answers on `Wire.of(sys.argv[1])`; `does` says what for, in an error. It starts
-    at once, and is given no other question before it has answered the last one. Close it."""
+    at once, and is given no other question before it has answered the last one. Close it.
+
+    Raises OSError where there is no room for another process.
+    """
 
     def __init__(self, module: str, does: str) -> None:
         ours, its = socket.socketpair()
-        self._process, self._does = process.start(module, its.fileno(), descriptors=(its.fileno(),)), does
-        its.close()
-        self._wire, self._due, self._is_late = Wire(ours, _TAKES), 0, False
+        self._wire, self._does, self._due, self._is_late = Wire(ours, _TAKES), does, 0, False
+        with its, contextlib.ExitStack() as unless_it_starts:
+            unless_it_starts.callback(ours.close)
+            self._process = process.start(module, its.fileno(), descriptors=(its.fileno(),))
+            unless_it_starts.pop_all()
 
     def begin(self, *question: Any) -> None:
         """Raises DeviceError when it has ended, or takes nothing."""

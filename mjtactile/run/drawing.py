@@ -35,9 +35,9 @@ class _Still:
 
 
 class Drawing:
-    """As `mjtactile.run.report.write_figure`, in a process; where that has ended, here."""
+    """As `mjtactile.run.report.write_figure`, in a process; where there is none, or none any more, here."""
 
-    def __init__(self, apart: Apart):
+    def __init__(self, apart: Apart | None):
         self._apart = apart
 
     def __call__(self, path: Path, recording: Recording, snapshot: CycleLike | None, summary: Mapping[str, Any],
@@ -45,6 +45,9 @@ class Drawing:
         from mjtactile.run.perceive import value_of
         from mjtactile.run.report import write_figure
 
+        if self._apart is None:
+            write_figure(path, recording, snapshot, summary, scene)
+            return
         still = None if scene is None else _Still(scene.p_WS, scene.R_WS, *scene.triangles())
         try:
             self._apart.begin(path, recording, snapshot, dict(summary), still)
@@ -60,11 +63,12 @@ class Drawing:
 @contextlib.contextmanager
 def drawing_beside() -> Iterator[Drawing]:
     """What draws the figure of a run that goes on meanwhile."""
-    apart = Apart(__name__, "draws the figure")
-    try:
+    with contextlib.ExitStack() as stack:
+        apart = None
+        with contextlib.suppress(OSError):  # a computer that has no room for another process
+            apart = Apart(__name__, "draws the figure")
+            stack.callback(apart.close)
         yield Drawing(apart)
-    finally:
-        apart.close()
 
 
 def serve(wire: Wire) -> None:

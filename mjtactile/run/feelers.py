@@ -25,10 +25,16 @@ _START = 120.0  # s; a busy computer takes 10 to import what a chain needs
 
 
 class Feelers:
-    """`count` processes, which start at once; each feels every `count`-th finger. Close them."""
+    """`count` processes, which start at once; each feels every `count`-th finger. Close them.
+
+    Raises OSError where there is no room for so many.
+    """
 
     def __init__(self, count: int) -> None:
-        self._feelers = [Apart(__name__, "feels for the loop") for _ in range(count)]
+        with contextlib.ExitStack() as unless_all_start:
+            self._feelers = [unless_all_start.enter_context(contextlib.closing(Apart(__name__, "feels for the loop")))
+                             for _ in range(count)]
+            self._started = unless_all_start.pop_all()
         self._perceptions: Sequence[Any] = ()
         self._names: Sequence[str] = ()
 
@@ -75,8 +81,7 @@ class Feelers:
                     perception.state = state
 
     def close(self) -> None:
-        for feeler in self._feelers:
-            feeler.close()
+        self._started.close()
 
     def _shares(self, values: Sequence[Any]) -> list[tuple[Apart, list[Any]]]:
         """Each process that has something to do, and what of `values` is its own."""

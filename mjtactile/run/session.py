@@ -149,16 +149,17 @@ def open_session(rig: str, design: SensorDesign, *, object_name: str = "egg", se
     """
     with signals.deferred():
         built = build_rig(rig, design, object_name=object_name, seed=seed, accuracy=accuracy, effects=effects, vary=vary)
-        feelers = _feelers(built, workers)
-        try:
-            yield Session(built, settings=settings, threads=workers, feelers=feelers, say=say)
-        finally:
+        with contextlib.ExitStack() as stack:
+            stack.callback(built.close)
+            feelers = _feelers(built, workers)
             if feelers is not None:
-                feelers.close()
-            built.close()
+                stack.callback(feelers.close)
+            yield Session(built, settings=settings, threads=workers, feelers=feelers, say=say)
 
 
 def _feelers(rig: Rig, workers: int | None) -> Feelers | None:
-    """Processes for a simulated rig's fingers; they start while the references are taken."""
+    """Processes for a simulated rig's fingers; they start while the references are taken. None: no use, or no room, for them."""
     count = 0 if rig.scene is None else default_count(len(rig.fingers)) if workers is None else min(workers, len(rig.fingers))
-    return Feelers(count) if count > 0 else None
+    with contextlib.suppress(OSError):
+        return Feelers(count) if count > 0 else None
+    return None

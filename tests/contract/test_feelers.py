@@ -11,11 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mjtactile.core import process
+from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Image, Markers, Touch
 from mjtactile.recording.writer import Recorder
 from mjtactile.run.feelers import Feelers, default_count
 from mjtactile.run.grasp import GraspOptions, run_grasp
+from mjtactile.run.session import open_session
 
 IMAGE = Image(np.arange(64, dtype=np.uint8).reshape(8, 8), 1.0)
 NAMES = "left", "right"
@@ -143,6 +146,23 @@ def test_a_grasp_whose_process_is_killed_sets_down_and_says_why(tmp_path):
         run_grasp(options, recorder=recorder, progress=killing)
     assert killing.phases.count("hold") > 1  # the loop went on: it set down and opened
     assert children() == []
+
+
+def test_without_room_for_the_second_process_the_first_is_ended_too_and_a_session_does_without(monkeypatch):
+    started, start = [], process.start
+
+    def refuse_the_second(*args, **kwargs):
+        if started:
+            raise BlockingIOError("no more processes")
+        started.append(start(*args, **kwargs))
+        return started[0]
+
+    monkeypatch.setattr(process, "start", refuse_the_second)
+    with pytest.raises(BlockingIOError):
+        Feelers(2)
+    assert started[0].poll() is not None
+    with open_session("sim", load_sensor("paper16"), workers=2) as session:
+        assert children() == [] and len(session.perceptions) == 2
 
 
 def test_one_a_camera_as_far_as_there_are_processors_for_them(monkeypatch):

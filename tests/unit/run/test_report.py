@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from mjtactile.core import process
 from mjtactile.core.errors import MjtactileError
 from mjtactile.recording.reader import load_recording
 from mjtactile.recording.writer import Recorder
@@ -72,6 +73,17 @@ def test_a_process_beside_the_run_draws_the_same_and_one_that_ended_is_not_misse
             pictures.append((tmp_path / "summary.png").read_bytes())
             (tmp_path / "summary.png").unlink()
     assert pictures[0] == pictures[1]
+
+
+def test_without_room_for_a_process_it_is_drawn_here(tmp_path, monkeypatch):
+    def refuse(*_, **__):
+        raise BlockingIOError("no more processes")
+
+    write_fake_recording(tmp_path, count=3)
+    monkeypatch.setattr(process, "start", refuse)
+    with drawing_beside() as beside:
+        beside(tmp_path / "summary.png", load_recording(tmp_path), None, SUMMARY)
+    assert (tmp_path / "summary.png").exists()
 
 
 def test_what_the_process_fails_with_is_said_here(tmp_path):
