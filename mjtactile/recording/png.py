@@ -1,7 +1,7 @@
 """Grey images as PNG files, fast enough to write two cameras' beside a control loop.
 
-The format: https://www.w3.org/TR/png-3/. Noise hardly compresses, so that little is looked for: ISA-L packs an image in a fifth
-of the time that OpenCV takes to write one, into a tenth more.
+The format: https://www.w3.org/TR/png-3/. Noise hardly compresses, so that little is looked for: ISA-L packs an image in a
+third of the time that OpenCV takes to write one, into a tenth more.
 """
 
 from __future__ import annotations
@@ -14,14 +14,15 @@ from numpy.typing import NDArray
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _LEVEL = 1  # of 0 to 3; 2 takes a quarter longer for files 5 % smaller
-_UNFILTERED = 0  # first byte of each row: prediction from neighbours makes noise larger
+_UP = 2  # first byte of each row: less the row above, which saves a sixth of the file
 
 
 def encode(pixels: NDArray[np.uint8]) -> bytes:
     """`pixels` (H, W), 8 bit grey, as a PNG file."""
     height, width = pixels.shape
     rows = np.empty((height, width + 1), np.uint8)
-    rows[:, 0], rows[:, 1:] = _UNFILTERED, pixels
+    rows[:, 0], rows[:1, 1:] = _UP, pixels[:1]
+    np.subtract(pixels[1:], pixels[:-1], out=rows[1:, 1:])  # modulo 256, as the format has it
     depth, grey, deflate, filters, progressive = 8, 0, 0, 0, 0
     header = struct.pack(">2I5B", width, height, depth, grey, deflate, filters, progressive)
     packed = isal_zlib.compress(rows, _LEVEL)

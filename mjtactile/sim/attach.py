@@ -46,7 +46,7 @@ _REQUIRED = {
 _RECOMMENDED = {
     **_REQUIRED,
     "jacobian": (mujoco.mjtJacobian.mjJAC_SPARSE, "a membrane has hundreds of degrees of freedom"),
-    "tolerance": (1e-7, "1e-6 leaves 6 mN of noise in a held force, 1e-7 1 mN"),
+    "tolerance": (1e-7, "1e-5 leaves 2 mN of noise in a held force, 1e-4 6 mN"),
     "iterations": (300, "so many may be needed at first touch"),
     "noslip_iterations": (0, "they treat membrane stiffness explicitly")}
 _NEEDED = {mujoco.mjtDisableBit.mjDSBL_CONTACT: "the membrane would touch nothing",

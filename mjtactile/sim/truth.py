@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from mjtactile.core import geometry
 from mjtactile.core.types import Array
 from mjtactile.kernels import kernel
 from mjtactile.sim.scenes.objects import PREFIX, moving_bodies
@@ -119,7 +120,7 @@ def contact_torque(world: World, sensor: int) -> Array:
 def contact_wrench(world: World, sensor: int) -> Array:
     """Total force, N, and torque about the origin of S, N m, (6,) that the world exerts on membrane `sensor`, frame S."""
     forces, points, _ = contact_forces(world, sensor)
-    return np.concatenate([forces.sum(axis=0), np.cross(points, forces).sum(axis=0)])
+    return np.concatenate([forces.sum(axis=0), geometry.cross(points, forces).sum(axis=0)])
 
 
 def contact_area(world: World, sensor: int, spacing: float = 4e-4) -> float:

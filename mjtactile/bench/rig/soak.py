@@ -156,14 +156,15 @@ def soak_rows(legs: list[dict[str, Any]], late: float = 0.2) -> list[tuple[str, 
 
 
 def growth(legs: list[dict[str, Any]]) -> str:
-    """From the second leg to the last of the process that ran most of them."""
+    """What the process that ran most of the legs held after its second one, half of them, and the last."""
     by_process: dict[int, list[float]] = {}
     for leg in legs:
         by_process.setdefault(leg["process"], []).append(leg["memory_MB"])
     longest = max(by_process.values(), key=len)
-    return (f"{longest[-1] - longest[1]:+.1f} MB from the 2nd to the {len(longest)}th leg" if len(longest) > 2 else
-            f"{longest[-1]:.0f} MB; too few legs to say")
-
+    if len(longest) < 3:
+        return f"{longest[-1]:.0f} MB; too few legs to say"
+    counts = sorted({2, max(2, len(longest) // 2), len(longest)})
+    return ", ".join(f"{longest[count - 1]:.1f} MB after {count} legs" for count in counts)
 
 
 def memory_MB() -> float:

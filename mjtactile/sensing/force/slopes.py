@@ -35,7 +35,7 @@ class MarkerSlopes:
 
     def weights(self, markers: Markers, c: Array) -> Array:
         """One over the sd (m,) of measured slopes; 0 for those that say nothing."""
-        N = np.cross(*self._tangents(c, markers.ids))
+        N = geometry.cross(*self._tangents(c, markers.ids))
         n = N / np.linalg.norm(N, axis=1)[:, None]
         p_CM = markers.p_SM + self._behind
         s = self._settings
@@ -49,12 +49,12 @@ class MarkerSlopes:
         s_k = -N_k / N_z with N = g1 x g2: ds_k = q_k . dN = dg1 . (g2 x q_k) + dg2 . (q_k x g1), q_k = -(e_k + s_k e_z) / N_z.
         """
         g1, g2 = self._tangents(c, ids)
-        N = np.cross(g1, g2)
+        N = geometry.cross(g1, g2)
         q = np.zeros((len(ids), 2, 3))
         q[:, (0, 1), (0, 1)] = 1.0
         q[..., 2] = geometry.slope_from_normal(N)
         q /= -N[:, None, 2:]
-        return np.stack([np.cross(g2[:, None], q), np.cross(q, g1[:, None])])
+        return np.stack([geometry.cross(g2[:, None], q), geometry.cross(q, g1[:, None])])
 
     def _tangents(self, c: Array, ids: NDArray[np.int64]) -> tuple[Array, Array]:
         """dx/dX and dx/dY (m, 3) at the markers."""

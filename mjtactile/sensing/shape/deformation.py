@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from mjtactile.core import geometry
 from mjtactile.core.bspline import Cubic
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
@@ -33,7 +34,7 @@ class Fields:
     @property
     def normal_area(self) -> Array:
         """Outward normal times area ratio, x_,1 cross x_,2, (Q, 3)."""
-        return np.cross(self.F[:, :, 0], self.F[:, :, 1])
+        return geometry.cross(self.F[:, :, 0], self.F[:, :, 1])
 
 
 class MembraneModel:

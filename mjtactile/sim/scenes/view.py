@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 from mjtactile.sim.scenes.world import World
@@ -31,14 +32,14 @@ class SceneView:
     vertex_p_W: Array
     p_WS: Array
     R_WS: Array
-    hidden: frozenset[int]
+    hidden: tuple[NDArray[np.int64], ...]
     state: Array
 
     @classmethod
     def of(cls, world: World) -> SceneView:
         """The scene as it is now; the world must not be moving."""
         data, bodies = world.data, [sensor.body_id for sensor in world.sensors]
-        spheres = frozenset(int(g) for sensor in world.sensors for g in sensor.vertex_geom_ids)  # what a membrane touches with
+        spheres = tuple(sensor.vertex_geom_ids for sensor in world.sensors)  # what a membrane touches with
         state = np.empty(mujoco.mj_stateSize(world.model, _STATE))
         mujoco.mj_getState(world.model, data, state, _STATE)
         return cls(world.model, data.geom_xpos.copy(), data.geom_xmat.reshape(-1, 3, 3).copy(), data.flexvert_xpos.copy(),
@@ -52,10 +53,10 @@ class SceneView:
         return corners, np.concatenate([np.tile(rgba, (len(faces), 1)) for _, faces, rgba in parts])
 
     def _geoms(self) -> Iterator[tuple[Array, Array, Array]]:
-        model = self.model
+        model, hidden = self.model, {geom for ids in self.hidden for geom in ids.tolist()}
         for geom in range(model.ngeom):
             rgba = model.geom_rgba[geom] if model.geom_matid[geom] < 0 else model.mat_rgba[model.geom_matid[geom]]
-            if geom in self.hidden or model.geom_group[geom] >= _SHOWN or rgba[3] == 0:
+            if geom in hidden or model.geom_group[geom] >= _SHOWN or rgba[3] == 0:
                 continue
             points, faces = _shape(model, geom)
             yield points @ self.geom_R_W[geom].T + self.geom_p_W[geom], faces, rgba

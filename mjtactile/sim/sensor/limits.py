@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.core import theory
+from mjtactile.core import geometry, theory
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.rubber import Law, principal_stresses
@@ -242,5 +242,4 @@ class Monitor:
         """Velocities (n, 3) m/s of the origins of bodies, frame W."""
         data, root = self._data, self._model.body_rootid[bodies]
         turn, arm = data.cvel[bodies, :3], data.xpos[bodies] - data.subtree_com[root]
-        ahead, back = [1, 2, 0], [2, 0, 1]  # np.cross takes five times as long
-        return data.cvel[bodies, 3:] + turn[:, ahead] * arm[:, back] - turn[:, back] * arm[:, ahead]
+        return data.cvel[bodies, 3:] + geometry.cross(turn, arm)

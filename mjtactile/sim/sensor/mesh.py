@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from mjtactile.core import geometry
 from mjtactile.core.bspline import interpolating
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
@@ -151,5 +152,5 @@ class MarkerInterpolator:
     def marker_poses(self, p_SV: Array) -> tuple[Array, Array]:
         """Return centres `p_SM` (N, 3) m and outward unit normals `n_S` (N, 3) for vertex positions `p_SV` (n, 3)."""
         p_SM, along_x, along_y = (self._operator @ p_SV).reshape(3, -1, 3)
-        normal = np.cross(along_x, along_y)
+        normal = geometry.cross(along_x, along_y)
         return p_SM, normal / np.linalg.norm(normal, axis=1, keepdims=True)

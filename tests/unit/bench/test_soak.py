@@ -32,8 +32,10 @@ def test_the_table_says_what_went_wrong():
     late = LEG | {"reaction_s": 0.3, "missed": 171, "memory_MB": 101.5}
     early = LEG | {"injected": False, "safe": False, "reaction_s": None, "outcome": "left camera is stale", "recording": "torn"}
     said = {what: value for what, _, value in soak.soak_rows([LEG, LEG, late, early])}
+    longer = [LEG | {"memory_MB": 100.0 + count} for count in range(1, 9)]
     assert said["long run: 0.33 h, 60 grips of an egg, cycles missed"] == "0.28 % of 72000"
     assert said["long run: safe state after a fault at any moment"] == "3 of 3, 1 later than 200 ms, worst 300 ms"
     assert said["long run: ended without a fault"] == "1 of 4 legs; left camera is stale"
-    assert said["long run: memory"] == "+0.0 MB from the 2nd to the 4th leg"
+    assert said["long run: memory"] == "100.0 MB after 2 legs, 100.0 MB after 4 legs"
+    assert soak.growth(longer) == "102.0 MB after 2 legs, 104.0 MB after 4 legs, 108.0 MB after 8 legs"
     assert said["long run: recordings that cannot be read"] == "1 of 4"
