@@ -22,7 +22,7 @@ def unit(v: ArrayLike) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """a x b for vectors (..., 3), which are broadcast: the bits of `numpy.cross` in a fifth of its time."""
+    """a x b for vectors (..., 3), which are broadcast: the bits of `numpy.cross` in a fifth to a half of its time."""
     return a.take(_AHEAD, -1) * b.take(_BACK, -1) - a.take(_BACK, -1) * b.take(_AHEAD, -1)
 
 
