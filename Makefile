@@ -38,6 +38,7 @@ test: lint types contracts pytest  ## lint, types, import contracts, tests: all 
 
 lint: $(VENV)/.test-ready  ## style and likely bugs (ruff)
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check --quiet . || { $(BIN)/ruff format --diff . | head -50; exit 1; }
 
 types: $(VENV)/.test-ready  ## types (pyright)
 	$(BIN)/pyright --warnings --level error --threads 2

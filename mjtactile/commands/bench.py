@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 from pathlib import Path
 from typing import Any
 
 from mjtactile import InputError
+from mjtactile.commands.checkout import of_checkout
 from mjtactile.commands.output import insert_table, output_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
 
@@ -39,14 +39,27 @@ examples:
   mjtactile bench truth --cases my_cases   a TOML file each; those that come along: models/truth
   mjtactile bench numbers --readme README.md           then take the README's numbers from there
 """
-BENCHMARKS = {"grasp": "mjtactile.bench.grasp", "speed": "mjtactile.bench.speed.run", "accuracy": "mjtactile.bench.accuracy.run",
-              "effects": "mjtactile.bench.effects", "perception": "mjtactile.bench.perception.run",
-              "material": "mjtactile.bench.material", "touch": "mjtactile.bench.touch.run",
-              "bars": "mjtactile.bench.bars.run", "slip": "mjtactile.bench.slip.run", "tracking": "mjtactile.bench.tracking",
-              "cheap": "mjtactile.bench.cheap", "rig": "mjtactile.bench.rig.run", "stability": "mjtactile.bench.stability.run",
-              "truth": "mjtactile.bench.truth.run", "fit": "mjtactile.bench.fit",
-              "studio": "mjtactile.bench.studio.run", "numbers": "mjtactile.bench.numbers"}
-"""Name to module; each has `run(out, quick) -> dict`, which draws into `out`, and `table(result) -> str` in Markdown."""
+BENCHMARKS = {
+    "grasp": "grasp",
+    "speed": "speed.run",
+    "accuracy": "accuracy.run",
+    "effects": "effects",
+    "perception": "perception.run",
+    "material": "material",
+    "touch": "touch.run",
+    "bars": "bars.run",
+    "slip": "slip.run",
+    "tracking": "tracking",
+    "cheap": "cheap",
+    "rig": "rig.run",
+    "stability": "stability.run",
+    "truth": "truth.run",
+    "fit": "fit",
+    "studio": "studio.run",
+    "numbers": "numbers",
+}
+"""Name to module of the checkout's folder `benchmarks`; each has `run(out, quick) -> dict`, which draws into `out`, and
+`table(result) -> str` in Markdown."""
 
 OPTIONS = {"resume": ("stability", "rig", "bars"), "parts": ("rig",), "soak": ("rig",), "cases": ("truth",),
            "against": ("speed",), "pairs": ("cheap",)}
@@ -75,11 +88,11 @@ def run(options: argparse.Namespace) -> int:
     for option, names in OPTIONS.items():
         value = getattr(options, option)
         if value and options.name not in names:
-            raise InputError(f"{options.name!r} has none", field=f"--{option}", choices=names)
+            raise InputError(f"not an option of 'bench {options.name}'", field=f"--{option}", choices=names)
         if value:
             more[option] = tuple(value.split(",")) if option == "parts" else value
     with output_folder(options.out) as out, stdout_to_stderr():
-        module = importlib.import_module(BENCHMARKS[options.name])
+        module = of_checkout(BENCHMARKS[options.name])
         result = module.run(out, quick=options.quick, **more)
         table = module.table(result)
         write_json(out / f"{options.name}.json", result)

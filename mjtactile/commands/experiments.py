@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from mjtactile import InputError
+from mjtactile.commands.checkout import of_checkout
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
 from mjtactile.run.progress import Progress
@@ -48,21 +49,20 @@ def run(options: argparse.Namespace) -> int:
     page_images = None if options.page is None else options.page.parent / "images" / "experiments"
     with (optional_folder(options.out, "experiments.json", "experiments.md") as out, optional_folder(page_images) as images,
           stdout_to_stderr()):
-        from mjtactile.experiments import figures
-        from mjtactile.experiments.findings import page, table
-        from mjtactile.experiments.run import run as run_experiments
-        from mjtactile.experiments.run import without_arrays
+        figures = of_checkout("paper.figures")
+        findings = of_checkout("paper.findings")
+        experiments = of_checkout("paper.run")
 
-        results = run_experiments(options.only, out, quick=options.quick, say=Progress(quiet=options.json).message)
+        results = experiments.run(options.only, out, quick=options.quick, say=Progress(quiet=options.json).message)
         if out is not None:
-            write_json(out / "experiments.json", without_arrays(results))
-            (out / "experiments.md").write_text(table(results), encoding="utf-8")
+            write_json(out / "experiments.json", experiments.without_arrays(results))
+            (out / "experiments.md").write_text(findings.table(results), encoding="utf-8")
         if images is not None and options.page is not None:
             for name, result in results.items():
                 figures.save(name, result, images)
-            Path(options.page).write_text(page(results, "images/experiments"), encoding="utf-8")
+            Path(options.page).write_text(findings.page(results, "images/experiments"), encoding="utf-8")
     if options.json:
-        print_json(without_arrays(results))
+        print_json(experiments.without_arrays(results))
     else:
-        print(table(results) + (f"\nfigures are in {out}" if out is not None else ""))
+        print(findings.table(results) + (f"\nfigures are in {out}" if out is not None else ""))
     return 0

@@ -212,7 +212,7 @@ def test_no_energy_is_gained_with_the_valve_closed_and_nothing_moving():
 
 
 def test_two_membranes_hold_a_sheet_by_friction():
-    from mjtactile.sim.scenes.trials import Body, PinchWorld
+    from benchmarks.worlds.trials import Body, PinchWorld
 
     world = PinchWorld("paper16", Body("plate", 1e-3, 2e-3), pressure_gauge=1000.0, squeeze=1e-3, timestep=2e-3, mesh=MESH)
     world.step(150)
@@ -228,7 +228,7 @@ def test_two_membranes_hold_a_sheet_by_friction():
 
 
 def test_an_object_rests_on_nothing_but_a_membrane():
-    from mjtactile.sim.scenes.trials import Body, DropWorld
+    from benchmarks.worlds.trials import Body, DropWorld
 
     world = DropWorld("paper16", Body("box", 0.015, 0.03), pressure_gauge=500.0, mesh=MESH)
     world.step(400)
@@ -243,7 +243,7 @@ def test_an_object_rests_on_nothing_but_a_membrane():
 @pytest.mark.parametrize("speed", [0.5, 2.0])
 def test_a_weight_that_strikes_the_membrane_ends_up_carried(speed):
     """Up to 2 m/s: the blow is felt, the energy goes, and the force at rest is the weight."""
-    from mjtactile.sim.scenes.trials import Body, DropWorld
+    from benchmarks.worlds.trials import Body, DropWorld
 
     world = DropWorld("paper16", Body("sphere", 0.01, 0.02), pressure_gauge=1000.0, speed=speed, timestep=1e-3, mesh=MESH,
                       guided=True)

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from mjtactile.bench.touch.area import calibrate_area
+from benchmarks.paper.chain import PaperChain
+from benchmarks.touch.area import calibrate_area
+from mjtactile.calibrate.area import AreaCalibration
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.sensing.chain import Perception
-from mjtactile.sensing.paper.chain import PaperChain
-from mjtactile.sensing.paper.levels import AreaCalibration
 from mjtactile.sim.picture.renderer import Renderer
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 

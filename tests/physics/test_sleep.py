@@ -4,10 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjtactile.bench.settings import HOLD_FORCE
+from benchmarks.settings import HOLD_FORCE
+from benchmarks.worlds import rigid
 from mjtactile.core.design import load_sensor
 from mjtactile.sim import truth
-from mjtactile.sim.scenes import rigid
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.sensor.sleep import NEAR
 

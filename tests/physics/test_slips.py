@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from mjtactile.bench.slip.score import Frame, outcome
-from mjtactile.bench.slip.watch import references, watch
+from benchmarks.slip.score import Frame, outcome
+from benchmarks.slip.watch import references, watch
+from benchmarks.worlds.slip_cases import draw_case
+from benchmarks.worlds.slip_world import SlipWorld
 from mjtactile.core.design import load_sensor
 from mjtactile.sensing.chain import Chain
 from mjtactile.sim import truth
-from mjtactile.sim.scenes.slip_cases import draw_case
-from mjtactile.sim.scenes.slip_world import SlipWorld
 
 CASE = draw_case(1000)  # an upright cylinder past which both fingers move
 

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import pytest
 
-from mjtactile.bench.stability import run
-from mjtactile.bench.stability.cases import matrix, pruned
+from benchmarks.stability import run
+from benchmarks.stability.cases import matrix, pruned
+from benchmarks.worlds.trials import Body, DropWorld
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
-from mjtactile.sim.scenes.trials import Body, DropWorld
 from mjtactile.sim.sensor import limits
 
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.worlds.trials import Body, FloatWorld, PinchWorld
 from mjtactile.core.design import load_sensor
 from mjtactile.core.rubber import Law
 from mjtactile.sim import truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
-from mjtactile.sim.scenes.trials import Body, FloatWorld, PinchWorld
 
 # An independent membrane solver, converged to 1e-4: 40 x 30 mm, 0.3 mm, 1 MPa, nu 0.45, pre-stretch 1.05, sealed at 1 kPa,
 # St. Venant-Kirchhoff's law, a sphere of 8 mm that sticks. Shear, N, after a drag of 0.3 mm at 2 mm depth, and at (7, -4) mm

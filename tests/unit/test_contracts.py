@@ -15,8 +15,7 @@ VIOLATIONS = {
     "Core, from the ground up": ("mjtactile/core/types.py", "import mjtactile.core.design"),
     "Sensing, from the image up": ("mjtactile/sensing/image/edges.py", "import mjtactile.sensing.force.sheet"),
     "Simulation, from the sensor up": ("mjtactile/sim/sensor/gas.py", "import mjtactile.sim.scenes.world"),
-    "The product imports no benchmark": ("mjtactile/commands/press.py", "import mjtactile.bench.speed.run"),
-    "The default chain imports": ("mjtactile/sensing/chain.py", "import mjtactile.sensing.paper.levels"),
+    "The product imports no benchmark": ("mjtactile/commands/press.py", "import benchmarks.speed.run"),
     "Sensing meets": ("mjtactile/sensing/pose/circles.py", "import mjtactile.rig.registry"),
     "Only the simulator": ("mjtactile/run/loop.py", "import mujoco"),
     "Fitting, from": ("mjtactile/fit/evidence.py", "import mjtactile.fit.run"),
@@ -31,7 +30,7 @@ VIOLATIONS = {
 @pytest.fixture(scope="module")
 def copy(tmp_path_factory):
     folder = tmp_path_factory.mktemp("contracts")
-    for name in ("mjtactile", "controllers", "examples"):
+    for name in ("mjtactile", "benchmarks", "controllers", "examples"):
         shutil.copytree(CHECKOUT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(CHECKOUT / "pyproject.toml", folder)
     return folder

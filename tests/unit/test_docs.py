@@ -10,7 +10,7 @@ import pytest
 
 import mjtactile
 import mkdocs_hooks
-from mjtactile.bench import numbers
+from benchmarks import numbers
 from mjtactile.core.design import FIELDS, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Command, GripperState, Observation, Slip, Touch, ValveState

@@ -31,12 +31,11 @@ from mjtactile.sensing.settings.image import (
 )
 from mjtactile.sensing.settings.locate import ConsensusSettings, LocateSettings, PreferenceSettings, SmoothnessSettings
 from mjtactile.sensing.settings.number import as_numbers, number
-from mjtactile.sensing.settings.paper import PaperSettings
 from mjtactile.sensing.settings.pose import IdentitySettings, ReferenceSettings, SurfaceSettings
 from mjtactile.sensing.settings.touch import MaterialSettings, PatchSettings, SlipSettings, SqueezeSettings
 
 __all__ = ["DEFAULTS", "CandidateSettings", "ConsensusSettings", "DoubtSettings", "EdgeSettings", "GammaSettings",
-           "IdentitySettings", "InverseSettings", "LocateSettings", "MarkerSettings", "MaterialSettings", "PaperSettings",
+           "IdentitySettings", "InverseSettings", "LocateSettings", "MarkerSettings", "MaterialSettings",
            "PatchSettings", "PreferenceSettings", "PriorSettings", "ProfileSettings", "ReferenceSettings", "Settings",
            "SlipSettings", "SmoothnessSettings", "SqueezeSettings", "SurfaceSettings", "ThoroughSettings",
            "TrackingSettings", "ZeroSettings", "as_numbers"]
@@ -63,7 +62,6 @@ class Settings:
     slip: SlipSettings = field(default_factory=SlipSettings)
     squeeze: SqueezeSettings = field(default_factory=SqueezeSettings)
     material: MaterialSettings = field(default_factory=MaterialSettings)
-    paper: PaperSettings = field(default_factory=PaperSettings)
     locate: LocateSettings = field(default_factory=LocateSettings)
     consensus: ConsensusSettings = field(default_factory=ConsensusSettings)
     smoothness: SmoothnessSettings = field(default_factory=SmoothnessSettings)

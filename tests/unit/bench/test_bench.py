@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from mjtactile.bench import grasp
+from benchmarks import grasp
 from mjtactile.commands.output import insert_table
 from mjtactile.core.errors import InputError, SimulationError
 
@@ -53,7 +53,7 @@ def test_a_table_replaces_what_stood_between_its_markers(tmp_path):
 
 
 def test_the_rigs_bench_goes_on_where_it_was_interrupted(tmp_path):
-    from mjtactile.bench.rig.run import _Store
+    from benchmarks.rig.run import _Store
 
     calls = []
     store = _Store(tmp_path / "rig.json", resume=False)
@@ -67,7 +67,7 @@ def test_the_rigs_bench_goes_on_where_it_was_interrupted(tmp_path):
 
 
 def test_the_rigs_table_counts_what_was_late_and_what_was_not_safe():
-    from mjtactile.bench.rig import run
+    from benchmarks.rig import run
 
     row = {"state": "latched", "outcome": "leak"}
     result = {"fault:puncture": [{"safe": True, "reaction_s": 0.1} | row, {"safe": True, "reaction_s": 0.3} | row,

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.bench.speed import denormals
+from benchmarks.speed import denormals
 from mjtactile.core.design import load_sensor
 from mjtactile.sensing.chain import Chain
 from mjtactile.sim.picture.renderer import Renderer, _brush

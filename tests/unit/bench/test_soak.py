@@ -2,8 +2,8 @@
 
 import pytest
 
-from mjtactile.bench.rig import soak
-from mjtactile.bench.rig.faults import FAULTS
+from benchmarks.rig import soak
+from benchmarks.rig.faults import FAULTS
 
 LEG = {"fault": "puncture", "seconds": 300.0, "cycles": 18000, "missed": 9, "not_running": 0, "grips": 15, "injected": True,
        "safe": True, "reaction_s": 0.05, "outcome": "leak", "recording": "", "process": 7, "memory_MB": 100.0}

@@ -2,7 +2,7 @@
 
 import pytest
 
-from mjtactile.bench.speed import compare, sensors
+from benchmarks.speed import compare, sensors
 
 
 def test_balls_lie_on_their_sensors_and_the_others_sleep():

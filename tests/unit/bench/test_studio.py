@@ -2,7 +2,7 @@
 
 import pytest
 
-from mjtactile.bench.studio import run
+from benchmarks.studio import run
 from mjtactile.core.errors import InputError
 
 ROUND = {"without": 1.0, "factor": 0.9, "ratio": 0.9, "spent_ms": 0.2, "late_ms": 70.0, "late_90_ms": 110.0, "pictures": 60,

@@ -2,9 +2,9 @@
 
 import pytest
 
-from mjtactile.bench.truth import run
-from mjtactile.bench.truth.cases import MOTIONS, load_case, load_cases
-from mjtactile.bench.truth.measure import measure
+from benchmarks.truth import run
+from benchmarks.truth.cases import MOTIONS, load_case, load_cases
+from benchmarks.truth.measure import measure
 from mjtactile.core.errors import InputError
 
 BULGE = """about = "a bulge"

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import yaml
 
+from benchmarks.paper import marker_scenes
 from mjtactile.calibrate.camera import View, calibrate_camera
 from mjtactile.calibrate.circle_board import CircleFinder, calibrate_from_circles, number_grid
 from mjtactile.cli import main
 from mjtactile.core import optics
 from mjtactile.core.errors import InputError
-from mjtactile.experiments import marker_scenes
 
 SIZE = (640, 480)
 CAMERA = optics.Camera(*SIZE, 610.0, 606.0, 325.3, 236.1, (-0.21, 0.09, 8e-4, -6e-4, 0.15))

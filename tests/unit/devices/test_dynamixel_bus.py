@@ -5,7 +5,7 @@ import threading
 import pytest
 from dynamixel_sdk import PortHandler, Protocol2PacketHandler
 
-from mjtactile.bench.rig.fuzz import fuzz_servos
+from benchmarks.rig.fuzz import fuzz_servos
 from mjtactile.core import pace
 from mjtactile.core.errors import DeviceError
 from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus

@@ -5,7 +5,7 @@ import zlib
 
 import pytest
 
-from mjtactile.bench.rig.fuzz import damage, fuzz_valve
+from benchmarks.rig.fuzz import damage, fuzz_valve
 from mjtactile.core import pace
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.devices.valve import protocol

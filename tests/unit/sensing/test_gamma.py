@@ -5,9 +5,9 @@ import functools
 import numpy as np
 import pytest
 
+from benchmarks.paper import marker_scenes
 from mjtactile.core import optics
 from mjtactile.core.errors import InputError
-from mjtactile.experiments import marker_scenes
 from mjtactile.sensing.pose.locate import find_circles
 
 CAMERA = optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5)

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from benchmarks.paper import marker_scenes
+from benchmarks.paper.marker_accuracy import match
+from benchmarks.paper.marker_methods import cheap_camera
 from mjtactile.core import optics
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import CirclePoses
-from mjtactile.experiments import marker_scenes
-from mjtactile.experiments.marker_accuracy import match
-from mjtactile.experiments.marker_methods import cheap_camera
 from mjtactile.sensing.image.markers import detect
 from mjtactile.sensing.pose.locate import find_circles
 from mjtactile.sensing.shape.smoothness import agree_on_depth

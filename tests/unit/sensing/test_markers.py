@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.paper import marker_accuracy, marker_scenes
 from mjtactile.core import optics
 from mjtactile.core.errors import InputError
-from mjtactile.experiments import marker_accuracy, marker_scenes
 from mjtactile.sensing.image import edges, ellipse, markers
 from mjtactile.sensing.pose.circles import estimate_poses
 from mjtactile.sensing.pose.consensus import share_elongation

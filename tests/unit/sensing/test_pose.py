@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from benchmarks.paper import sine_rule
 from mjtactile.core import geometry, optics
 from mjtactile.core.design import CameraDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Ellipses
 from mjtactile.sensing.image import ellipse
-from mjtactile.sensing.paper import sine_rule
 from mjtactile.sensing.pose import circles
 
 CAMERA = optics.Camera(640, 480, 600.0, 610.0, 322.0, 236.0)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from benchmarks.paper import marker_scenes
 from mjtactile.core import optics
-from mjtactile.experiments import marker_scenes
 from mjtactile.sensing.pose.locate import find_circles
 
 CAMERA = optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5)

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.paper import marker_scenes
+from benchmarks.paper.marker_accuracy import match
 from mjtactile.core import optics
-from mjtactile.experiments import marker_scenes
-from mjtactile.experiments.marker_accuracy import match
 from mjtactile.sensing.image.markers import detect
 from mjtactile.sensing.image.thorough import detect_thoroughly
 from mjtactile.sensing.pose.circles import estimate_poses

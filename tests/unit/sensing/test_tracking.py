@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mjtactile.bench import tracking as bench
+from benchmarks import tracking as bench
 from mjtactile.core.design import load_sensor
 from mjtactile.core.types import Image
 from mjtactile.sensing.image import markers, tracking

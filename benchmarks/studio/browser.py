@@ -1,0 +1,87 @@
+"""A page of headless Chromium that does all but draw: without a graphics card that takes seconds a frame, which says nothing
+about Studio. It keeps to 30 frames a second, since it shares the processors with the session, and notes when a frame of it got
+which cycle's picture."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import shutil
+import subprocess
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from websockets.sync.client import connect
+
+from benchmarks.studio.probe import MARK
+
+CHROMIUM = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None)
+_FLAGS = ("--headless=new", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox",
+          "--window-size=1280,800", "--remote-allow-origins=*", "--remote-debugging-port=0", "--no-first-run", "--disable-sync",
+          "--disable-background-networking", "--disable-component-update", "--disable-extensions")
+_LIMIT = 60.0  # s that it may take to come up
+_SCRIPT = """(() => {
+    const context = WebGL2RenderingContext.prototype;
+    for (const name of ["clear", "clearBufferfi", "clearBufferfv", "clearBufferiv", "clearBufferuiv", "drawArrays",
+                        "drawArraysInstanced", "drawElements", "drawElementsInstanced", "drawRangeElements", "blitFramebuffer",
+                        "invalidateFramebuffer"]) context[name] = () => {};
+    const soon = window.requestAnimationFrame.bind(window);
+    let last = 0;
+    window.requestAnimationFrame = one => setTimeout(() => soon(time => { last = performance.now(); one(time); }),
+                                                     Math.max(0, last + 25 - performance.now()));
+    window.seen = [];
+    for (const name of ["texImage2D", "texSubImage2D"]) {
+        const real = context[name];
+        context[name] = function (...all) {
+            const k = all.findIndex(ArrayBuffer.isView), at = all[k + 1] || 0;
+            if (k >= 0 && all.includes(320) && all.includes(240) && all[k][at + 2] === MARK)
+                window.seen.push([all[k][at] + 256 * all[k][at + 1], Date.now()]);
+            return real.apply(this, all);
+        };
+    }
+})()""".replace("MARK", str(MARK))
+
+
+@contextlib.contextmanager
+def look_at(url: str, folder: Path) -> Iterator[Callable[[], list[tuple[int, float]]]]:
+    """A page with `url`. Gives what says which cycles' pictures it got, and when, s of the clock."""
+    assert CHROMIUM is not None
+    process = subprocess.Popen([CHROMIUM, *_FLAGS, f"--user-data-dir={folder}", "about:blank"],
+                               stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        with connect(_address(folder), max_size=None) as socket:
+            numbers = itertools.count(1)
+
+            def ask(method: str, **params: Any) -> Any:
+                number = next(numbers)
+                socket.send(json.dumps({"id": number, "method": method, "params": params}))
+                while (answer := json.loads(socket.recv())).get("id") != number:
+                    pass
+                return answer["result"]
+
+            ask("Page.enable")
+            ask("Page.addScriptToEvaluateOnNewDocument", source=_SCRIPT)
+            ask("Page.navigate", url=url)
+            yield lambda: [(int(n), 1e-3 * ms) for n, ms in ask(
+                "Runtime.evaluate", expression="window.seen", returnByValue=True)["result"]["value"]]
+    finally:
+        process.kill()
+        process.wait()
+
+
+def _address(folder: Path) -> str:
+    """The page's own socket; waits for the browser."""
+    end = time.monotonic() + _LIMIT
+    while True:
+        try:
+            port = (folder / "DevToolsActivePort").read_text(encoding="utf-8").splitlines()[0]
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}/json", timeout=5) as answer:
+                return next(page["webSocketDebuggerUrl"] for page in json.load(answer) if page["type"] == "page")
+        except (OSError, StopIteration, IndexError):
+            if time.monotonic() > end:
+                raise
+            time.sleep(0.2)

@@ -1,0 +1,111 @@
+"""One grasp of an egg, timed, in a process of its own: `python -m benchmarks.studio.probe plain|studio` prints a line of
+JSON. With "studio" it prints Studio's address first, and begins when somebody looks."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import threading
+import time
+from typing import Any
+
+from benchmarks.core_time import core_time
+from mjtactile.run.grasp import GraspOptions, run_grasp
+from mjtactile.run.loop import Cycle
+from mjtactile.studio import panel
+from mjtactile.studio.serve import watch
+from mjtactile.studio.show import Show, Voice
+
+MARK = 171  # in the third byte of a picture that says in its first two which cycle's it is
+Moments = tuple[float, float, float]  # of a cycle, s: of the simulation, on the clock, and of core time with its processes
+_FRAMES = 60  # that are drawn before it begins: the page has its model and its textures
+
+
+class Watched(Show):
+    """A show that takes its own time."""
+
+    def __init__(self) -> None:
+        super().__init__(GraspOptions())
+        self.fastest = math.inf
+        self.cycles: list[Moments] = []
+        self.taken: list[float] = []  # s of the clock that the page has, too: when each cycle's images were there
+        self.spent: list[float] = []  # s of the session's thread, each cycle
+        self.looks = 0
+
+    def still(self) -> None:
+        begin = time.perf_counter()
+        super().still()
+        self.taken.append(time.time())
+        self.spent.append(time.perf_counter() - begin)
+
+    def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
+        begin = time.perf_counter()
+        super().add(cycle, view, **truth)
+        now = time.perf_counter()
+        self.cycles.append((cycle.time, now, core_time()))
+        self.spent[-1] += now - begin
+
+    def moment(self) -> Any:
+        if threading.current_thread().name != "studio":
+            self.looks += 1
+        return super().moment()
+
+
+def studio() -> dict[str, Any]:
+    """With Studio: how fast, what it takes of the session's thread, and when each cycle's images were there."""
+    show, upload = Watched(), panel.Panel._upload
+
+    def marked(self: Any, k: int, what: str, rgb: Any) -> None:
+        if (k, what) == (0, "image"):
+            high, low = divmod(self._pictured[0].number, 256)
+            rgb[0, 0] = low, high, MARK
+        upload(self, k, what, rgb)
+
+    panel.Panel._upload = marked
+    show.step()
+    threading.Thread(target=_begin, args=(show,), daemon=True).start()
+    watch(show, browser=False, runs=1)
+    return {**_speed(show.cycles), "spent_ms": 1e3 * sorted(show.spent[2:])[len(show.spent) // 2],
+            "taken": show.taken}
+
+
+def _begin(show: Watched) -> None:
+    """Go on when the page is up."""
+    while show.looks < 3 * _FRAMES:  # three windows ask in each frame
+        time.sleep(0.05)
+    show.paused = False
+
+
+class Plain:
+    """A recorder that keeps nothing but the time."""
+
+    patience = math.inf
+
+    def __init__(self) -> None:
+        self.cycles: list[Moments] = []
+
+    def note(self, **values: Any) -> None: ...
+
+    def add_reference(self, stage: str, images: Any, pressure_gauge: Any) -> None: ...
+
+    def add(self, cycle: Cycle, **truth: Any) -> None:
+        self.cycles.append((cycle.time, time.perf_counter(), core_time()))
+
+
+def plain() -> dict[str, Any]:
+    """Without."""
+    recorder = Plain()
+    run_grasp(GraspOptions(), recorder=recorder, progress=Voice(Show()))
+    return _speed(recorder.cycles)
+
+
+def _speed(cycles: list[Moments]) -> dict[str, float]:
+    """Simulated over wall time, and core time of a simulated second, from the third cycle on: with Studio the first waits for
+    the page."""
+    simulated, wall, core = (end - begin for begin, end in zip(cycles[2], cycles[-1], strict=True))
+    return {"factor": simulated / wall, "core_s": core / simulated}
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps({"plain": plain, "studio": studio}[sys.argv[1]]()) + "\n")

@@ -1,0 +1,183 @@
+"""What the simulation, and where asked the sensing chain, makes of a case: numbers next to their references."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.truth.cases import Case
+from benchmarks.worlds.trials import Body, FloatWorld, PinchWorld
+from mjtactile.experiments.station import View, take_references
+from mjtactile.sim import truth
+from mjtactile.sim.scenes.indentation import Indenter, PressWorld
+from mjtactile.sim.scenes.world import World
+
+FELT, FELT_SD = 0.04, 3.0  # N, and how many of its own sd: what is asked of a felt force
+_LOOKS = 3  # a camera that runs: bars are wide in the image in which the force has just changed
+_REST = 20  # steps over which a force at rest is averaged: the solver's tolerance rocks it by 0.3-0.5 %
+
+
+@dataclass(frozen=True)
+class Number:
+    """One `measured` number and its `reference`, in `unit`, `at` a depth, pressure or time step; `allowed` is how far apart
+    they may be. A felt force has its own `sd`."""
+
+    what: str
+    at: str
+    unit: str
+    reference: float
+    measured: float
+    allowed: float
+    sd: float | None = None
+    flags: tuple[str, ...] = ()
+
+    @property
+    def error(self) -> float:
+        return self.measured - self.reference
+
+    @property
+    def is_met(self) -> bool:
+        return abs(self.error) <= self.allowed
+
+
+def measure(case: Case) -> list[Number]:
+    """Run a case. Raises SimulationError, and InputError for an indenter that does not exist."""
+    return _MEASURES[case.motion](case)
+
+
+def _indenter(case: Case) -> Indenter:
+    """As the case names it; files are beside it."""
+    text = case.plan["indenter"]
+    return Indenter.parse(str(case.path.parent / text) if text.lower().endswith((".stl", ".xml")) else text)
+
+
+def _press(case: Case) -> list[Number]:
+    plan, numbers = case.plan, []
+    x, y = plan["at_mm"]
+    world = PressWorld(case.design, _indenter(case), at=(1e-3 * x, 1e-3 * y))
+    gauge = case.design.chamber.supply_gauge
+    view = View(world, case.design) if plan["felt"] and plan["force"] else None
+    take_references(world, [view] if view else [], gauge)
+    for depth, reference in plan["force"]:
+        world.press(1e-3 * depth)
+        at = f"{depth:g} mm"
+        force = -float(_at_rest(world)[2])
+        numbers.append(Number("normal force", at, "N", reference, force, case.allows(reference), flags=tuple(world.flags)))
+        if view is not None:
+            touch = [view.touch() for _ in range(_LOOKS)][-1]
+            numbers.append(Number("felt, against simulated truth", at, "N", force, touch.force_normal,
+                                  max(FELT, FELT_SD * touch.force_normal_sd), touch.force_normal_sd))
+    if plan["shear"] is not None:
+        numbers += _shear(case, world)
+    return numbers
+
+
+def _shear(case: Case, world: PressWorld) -> list[Number]:
+    """Shear at `depth_mm` after the drag: how far its vector is from the reference's."""
+    plan = case.plan
+    depth, drag = (1e-3 * float(plan[key]) for key in ("depth_mm", "drag_mm"))
+    world.press(depth)
+    if drag:
+        world.press(depth, drag)
+    goal, found = np.array(plan["shear"]), _at_rest(world)[:2]
+    size = float(np.linalg.norm(goal))
+    direction = goal / size if size else np.zeros(2)
+    at = f"{plan['depth_mm']:g} mm deep, dragged {plan['drag_mm']:g} mm"
+    along, across = float(found @ direction), float(np.linalg.norm(found - (found @ direction) * direction))
+    return [Number("shear", at, "N", size, along, case.allows(size)),
+            Number("shear across it", at, "N", 0.0, across, case.allows(size))]
+
+
+def _at_rest(world: World, steps: int = _REST) -> np.ndarray:
+    forces = []
+    for _ in range(steps):
+        world.step()
+        forces.append(truth.contact_force(world, 0))
+    return np.mean(forces, axis=0)
+
+
+def _bulge(case: Case) -> list[Number]:
+    world, numbers = PressWorld(case.design, Indenter("sphere", 5e-3)), []
+    for gauge, reference in case.plan["height"]:
+        world.inflate(1e3 * gauge, seal=False)
+        numbers.append(Number("height", f"{gauge:g} kPa", "mm", reference, 1e3 * world.sensors[0].height_at(0.0, 0.0),
+                              case.allows(reference), flags=tuple(world.flags)))
+    return numbers
+
+
+def _hold(case: Case) -> list[Number]:
+    """Speed at which a held object sinks, from a line through where it was, um/s."""
+    plan, numbers = case.plan, []
+    for step in plan["timestep_ms"]:
+        body = Body(plan["body"], 1e-3 * plan["size_mm"], 1e-3 * plan["mass_g"])
+        world = PinchWorld(case.design, body, pressure_gauge=case.design.chamber.supply_gauge, squeeze=1e-3 * plan["squeeze_mm"],
+                           timestep=1e-3 * step)
+        world.step(round(0.5 / world.timestep))
+        grip = -sum(float(truth.contact_force(world, sensor)[2]) for sensor in range(2))
+        margin = case.design.membrane.friction * grip / world.weight
+        times, drops = [], []
+        for _ in range(40):
+            world.step(round(plan["seconds"] / 40 / world.timestep))
+            times.append(world.time)
+            drops.append(world.drop)
+        creep = 1e6 * float(np.polyfit(times, drops, 1)[0])
+        numbers.append(Number(f"creep with {margin:.1f} times the friction that it needs", f"{step:g} ms", "um/s", 0.0, creep,
+                              case.allows(0.0)))
+    return numbers
+
+
+def _dragged(case: Case, step: float) -> PressWorld:
+    world = PressWorld(case.design, _indenter(case), timestep=1e-3 * step)
+    world.inflate(case.design.chamber.supply_gauge, seal=True)
+    world.press(1e-3 * case.plan["depth_mm"])
+    return world
+
+
+def _held_shear(case: Case) -> list[Number]:
+    plan, numbers = case.plan, []
+    for step in plan["timestep_ms"]:
+        world = _dragged(case, step)
+        world.press(1e-3 * plan["depth_mm"], 1e-3 * plan["drag_mm"])
+        world.step(round(0.5 / world.timestep))
+        before = _at_rest(world, 50)[0]
+        world.step(round(plan["seconds"] / world.timestep))
+        share = float(_at_rest(world, 50)[0] / before)
+        numbers.append(Number(f"shear that is left after {plan['seconds']:g} s", f"{step:g} ms", "", 1.0, share,
+                              case.allows(1.0)))
+    return numbers
+
+
+def _slide(case: Case) -> list[Number]:
+    """Friction along the way that an indenter slides, over mu N, both ways."""
+    return [Number("friction along the slide, over mu N", f"{step:g} ms, {name}", "", 1.0, _slid(case, step, sign),
+                   case.allows(1.0))
+            for step in case.plan["timestep_ms"] for sign, name in ((1.0, "+x"), (-1.0, "-x"))]
+
+
+def _slid(case: Case, step: float, sign: float) -> float:
+    """The mean over the last third of a slide, which has long begun then."""
+    plan, world, shares = case.plan, _dragged(case, step), []
+    mu, way = case.design.membrane.friction, np.array([sign, 0.0, 0.0])
+    world.after_each_step(lambda: shares.append(truth.friction_along(world, 0, mu, way)))
+    world.drive(1e-3 * plan["depth_mm"], sign * 1e-3 * plan["drag_mm"], speed=1e-3 * plan["speed_mm_s"])
+    return float(np.mean(shares[2 * len(shares) // 3:]))
+
+
+def _spin(case: Case) -> list[Number]:
+    """Angular momentum of an inflated sensor that turns freely, after and before."""
+    plan, numbers = case.plan, []
+    axis = np.array(plan["axis"]) / np.linalg.norm(plan["axis"])
+    for step in plan["timestep_ms"]:
+        world = FloatWorld(case.design, pressure_gauge=case.design.chamber.supply_gauge, timestep=1e-3 * step)
+        world.turn(plan["speed_rad_s"] * axis)
+        before = world.angular_momentum
+        world.step(round(plan["seconds"] / world.timestep))
+        numbers.append(Number(f"angular momentum that is left after {plan['seconds']:g} s", f"{step:g} ms", "", 1.0,
+                              world.angular_momentum / before, case.allows(1.0)))
+    return numbers
+
+
+_MEASURES: dict[str, Callable[[Case], list[Number]]] = {
+    "press": _press, "bulge": _bulge, "hold": _hold, "held_shear": _held_shear, "slide": _slide, "spin": _spin}

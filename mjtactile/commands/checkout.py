@@ -1,0 +1,25 @@
+"""What a checkout has and an installed package lacks: the folder `benchmarks`."""
+
+from __future__ import annotations
+
+import importlib
+from types import ModuleType
+
+from mjtactile import InputError
+
+
+def of_checkout(module: str) -> ModuleType:
+    """The module of this name in the folder `benchmarks`.
+
+    Raises:
+        InputError: this is an installed package, which has no benchmarks.
+    """
+    try:
+        return importlib.import_module(f"benchmarks.{module}")
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"benchmarks.{module}".startswith(error.name):
+            raise
+    raise InputError(
+        "benchmarks are not in the installed package: they are the folder 'benchmarks' of the project's source, "
+        "and run from a checkout of it (pip install --editable .)"
+    )
