@@ -1,5 +1,6 @@
-"""What `make docs` adds to the pages in docs/: the README as the start, the decisions, the changelog, files that pages link to,
-the front door's API, and the page of a grasp beside the gallery. Links that leave docs/ are led to these."""
+"""What `make docs` adds to the pages in docs/: the README as the start, the decisions, the
+changelog, files that pages link to, the front door's API, and the page of a grasp beside the
+gallery. Links that leave docs/ are led to these."""
 
 from __future__ import annotations
 
@@ -18,7 +19,14 @@ _FENCE = "````"
 _LANGUAGES = {".py": "python", ".toml": "toml", ".xml": "xml"}
 _DOORS = {
     "Touch in a MuJoCo scene": ("sim.attach", "plugin.mount", "plugin.sim_finger"),
-    "Rigs and sessions": ("rig.finger", "rig.registry", "core.pace", "rig.file", "run.session", "run.controller"),
+    "Rigs and sessions": (
+        "rig.finger",
+        "rig.registry",
+        "core.pace",
+        "rig.file",
+        "run.session",
+        "run.controller",
+    ),
     "What a controller sees and says": ("core.types",),
     "Sensing": ("sensing.chain", "sensing.pose.locate", "core.optics"),
     "Sensors and their calibration": ("core.design", "core.calibration"),
@@ -32,13 +40,19 @@ _DOORS = {
 def pages() -> dict[str, str]:
     """Pages that are no files in docs/: their address in the site, and their text."""
     decisions = sorted((ROOT / "docs" / "decisions").glob("*.md"))
-    made = {"index.md": _moved((ROOT / "README.md").read_text("utf-8"), "", "index.md"),
-            "changelog.md": _moved((ROOT / "CHANGELOG.md").read_text("utf-8"), "", "changelog.md"),
-            "decisions/index.md": "# Decisions\n\n" + "\n".join(f"- [{_title(path)}]({path.name})" for path in decisions) + "\n",
-            "api.md": _api()}
+    made = {
+        "index.md": _moved((ROOT / "README.md").read_text("utf-8"), "", "index.md"),
+        "changelog.md": _moved((ROOT / "CHANGELOG.md").read_text("utf-8"), "", "changelog.md"),
+        "decisions/index.md": "# Decisions\n\n"
+        + "\n".join(f"- [{_title(path)}]({path.name})" for path in decisions)
+        + "\n",
+        "api.md": _api(),
+    }
     for path in linked_files():
-        made[f"files/{path}.md"] = (f"# {path}\n\n{_FENCE}{_LANGUAGES.get(Path(path).suffix, '')}\n"
-                                    f"{(ROOT / path).read_text('utf-8')}{_FENCE}\n")
+        made[f"files/{path}.md"] = (
+            f"# {path}\n\n{_FENCE}{_LANGUAGES.get(Path(path).suffix, '')}\n"
+            f"{(ROOT / path).read_text('utf-8')}{_FENCE}\n"
+        )
     return made
 
 
@@ -58,16 +72,21 @@ def _title(path: Path) -> str:
 
 
 def _moved(text: str, folder: str, page: str) -> str:
-    """The `text` of a file in `folder` of the repository, its links as they must be on the `page` of the site."""
+    """The `text` of a file in `folder` of the repository, its links as they must be on the `page`
+    of the site."""
+
     def lead(match: re.Match[str]) -> str:
         target = posixpath.normpath(posixpath.join(folder, match[2]))
         if target == "docs/decisions":
             target = "docs/decisions/index.md"
-        inside = target.removeprefix("docs/") if target.startswith("docs/") else f"files/{target}.md"
+        inside = (
+            target.removeprefix("docs/") if target.startswith("docs/") else f"files/{target}.md"
+        )
         return f"{match[1]}{posixpath.relpath(inside, posixpath.dirname(page) or '.')}{match[3] or ''}{match[4]}"
 
     text = LINK.sub(lead, text).replace("<details>", '<details markdown="1">')
-    return re.sub(r"(?m)^(<!-- .* -->)$", r"\n\1\n", text)  # Markdown's tables want an empty line before them
+    # Markdown's tables want an empty line before them
+    return re.sub(r"(?m)^(<!-- .* -->)$", r"\n\1\n", text)
 
 
 def _api() -> str:
@@ -78,11 +97,15 @@ def _api() -> str:
         raise ValueError(f"mkdocs_hooks.py: no heading for {sorted(left)}")
     parts = ["# API\n\n`import mjtactile` is the whole import. Everything else is private."]
     for heading, modules in _DOORS.items():
-        parts += [f"## {heading}", *(f"::: mjtactile.{name}" for module in modules for name in homes.get(module, ()))]
+        parts += [
+            f"## {heading}",
+            *(f"::: mjtactile.{name}" for module in modules for name in homes.get(module, ())),
+        ]
     return "\n\n".join(parts) + "\n"
 
 
-# -- MkDocs calls these -------------------------------------------------------------------------------------------------
+# -- MkDocs calls these
+# --------------------------------------------------------------------------------
 
 
 def on_files(files: Any, config: Any) -> Any:
@@ -100,5 +123,8 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     if page.file.generated_by:
         return markdown
     if address == "gallery.md" and GRASP.is_file():
-        markdown += "\n## A grasp to turn and zoom\n\n[The page that `mjtactile grasp` writes beside its recording](egg.html).\n"
+        markdown += (
+            "\n## A grasp to turn and zoom\n\n[The page that `mjtactile grasp` writes beside "
+            "its recording](egg.html).\n"
+        )
     return _moved(markdown, posixpath.join("docs", posixpath.dirname(address)), address)

@@ -1,8 +1,9 @@
 """`mjtactile bench cheap`: episodes without images against episodes with them.
 
-Markers: the same membranes seen by the image stages and by `--effects -images`, with references taken in the same way; errors of
-their places by mean, spread, outliers and dropouts. Grasps: the same episodes (object, seed, variation) both ways, in turns in
-one process; outcomes, true held forces, and episodes in an hour of one core.
+Markers: the same membranes seen by the image stages and by `--effects -images`, with references
+taken in the same way; errors of their places by mean, spread, outliers and dropouts. Grasps: the
+same episodes (object, seed, variation) both ways, in turns in one process; outcomes, true held
+forces, and episodes in an hour of one core.
 """
 
 from __future__ import annotations
@@ -26,8 +27,10 @@ from mjtactile.sim.picture.renderer import Renderer
 from mjtactile.sim.picture.sighting import Sighter
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
-IMAGES, IMAGES_QUICK = 100, 8
-PAIRS, PAIRS_QUICK = 200, 1
+IMAGES = 100
+IMAGES_QUICK = 8
+PAIRS = 200
+PAIRS_QUICK = 1
 OBJECTS = ("egg", "strawberry", "vial")
 _REFERENCES = 10  # images, as a session takes
 _PER_REFERENCE = 5  # images that are seen with the same references
@@ -49,12 +52,19 @@ class Scene:
     noise: float = 2.0
 
 
-SCENES = {"at rest, sharp": Scene(depth=0.0), "pressed, sharp": Scene(), "pressed, blurred (2 px)": Scene(blur=2.0),
-          "pressed, noisy (6 DN)": Scene(noise=6.0), "steep (39 degrees), sharp": Scene(4e-3, (14e-3, 0.4e-3), 5e-3),
-          "steep, blurred (2 px)": Scene(4e-3, (14e-3, 0.4e-3), 5e-3, 2.0)}
+SCENES = {
+    "at rest, sharp": Scene(depth=0.0),
+    "pressed, sharp": Scene(),
+    "pressed, blurred (2 px)": Scene(blur=2.0),
+    "pressed, noisy (6 DN)": Scene(noise=6.0),
+    "steep (39 degrees), sharp": Scene(4e-3, (14e-3, 0.4e-3), 5e-3),
+    "steep, blurred (2 px)": Scene(4e-3, (14e-3, 0.4e-3), 5e-3, 2.0),
+}
 
 
-def run(out: Path, *, quick: bool = False, pairs: int | None = None, say: Say | None = None) -> dict[str, Any]:
+def run(
+    out: Path, *, quick: bool = False, pairs: int | None = None, say: Say | None = None
+) -> dict[str, Any]:
     """Errors of markers in every scene, and `pairs` of episodes."""
     say = say or Progress().message
     rows = []
@@ -65,16 +75,23 @@ def run(out: Path, *, quick: bool = False, pairs: int | None = None, say: Say | 
     return {"markers": rows, "grasps": _grasps(list(_pairs(count, say)))}
 
 
-# -- markers -----------------------------------------------------------------------------------------------------------
+# -- markers
+# --------------------------------------------------------------------------------
+
 
 def marker_errors(scene: Scene, count: int) -> dict[str, Any]:
     """Of `count` images: both ways' errors of marker places, um."""
     design = load_sensor("dense")
-    design = replace(design, camera=replace(design.camera, blur_px=scene.blur, noise_dn=scene.noise))
+    design = replace(
+        design, camera=replace(design.camera, blur_px=scene.blur, noise_dn=scene.noise)
+    )
     flat, rest, pressed = _poses(design, scene)
-    renderer, sighter = Renderer(design, seed=1), Sighter(design, seed=1)
-    ways: dict[str, Callable[[Pose], Image]] = {"images": lambda pose: renderer.render(*pose),
-                                                "none": lambda pose: sighter.sight(*pose)}
+    renderer = Renderer(design, seed=1)
+    sighter = Sighter(design, seed=1)
+    ways: dict[str, Callable[[Pose], Image]] = {
+        "images": lambda pose: renderer.render(*pose),
+        "none": lambda pose: sighter.sight(*pose),
+    }
     return {way: _errors(design, look, (flat, rest, pressed), count) for way, look in ways.items()}
 
 
@@ -90,78 +107,137 @@ def _poses(design: SensorDesign, scene: Scene) -> tuple[Pose, Pose, Pose]:
     return poses[0], poses[1], world.marker_poses(0)
 
 
-def _errors(design: SensorDesign, look: Callable[[Pose], Image], poses: Sequence[Pose], count: int) -> dict[str, Any]:
-    chain, state = Chain(design), None
-    p_SM, errors, sds, outliers = poses[2][0], [], [], 0
+def _errors(
+    design: SensorDesign, look: Callable[[Pose], Image], poses: Sequence[Pose], count: int
+) -> dict[str, Any]:
+    chain = Chain(design)
+    state = None
+    p_SM = poses[2][0]
+    errors = []
+    sds = []
+    outliers = 0
     for k in range(count):
         if state is None or k % _PER_REFERENCE == 0:
             state = chain.take_flat(chain.begin(), [look(poses[0]) for _ in range(_REFERENCES)])
             state = chain.take_rest(state, [look(poses[1]) for _ in range(_REFERENCES)], 1000.0)
         markers, state = chain.see(state, look(poses[2]))
-        error, sd = np.full_like(p_SM, np.nan), np.full_like(p_SM, np.nan)
+        error = np.full_like(p_SM, np.nan)
+        sd = np.full_like(p_SM, np.nan)
         error[markers.ids] = markers.p_SM - p_SM[markers.ids]
         sd[markers.ids] = np.sqrt(np.diagonal(markers.cov_p, axis1=1, axis2=2))
-        spread = np.einsum("ni,nij,nj->n", error[markers.ids], np.linalg.inv(markers.cov_p), error[markers.ids])
+        spread = np.einsum(
+            "ni,nij,nj->n", error[markers.ids], np.linalg.inv(markers.cov_p), error[markers.ids]
+        )
         outliers += int((spread > _OUTLIER**2).sum())
         errors.append(error)
         sds.append(sd)
-    error, said = np.array(errors), np.array(sds)
+    error = np.array(errors)
+    said = np.array(sds)
     seen = int(np.isfinite(error[..., 0]).sum())
     mean = np.nanmean(error, axis=0)
-    return {"mean_um": (1e6 * np.sqrt(np.nanmean(mean**2, axis=0))).tolist(),
-            "sd_um": (1e6 * np.nanmedian(np.nanstd(error, axis=0), axis=0)).tolist(),
-            "said_sd_um": (1e6 * np.nanmedian(said, axis=(0, 1))).tolist(),
-            "outliers_percent": 100 * outliers / max(seen, 1), "missed_percent": 100 * (1 - seen / error[..., 0].size)}
+    return {
+        "mean_um": (1e6 * np.sqrt(np.nanmean(mean**2, axis=0))).tolist(),
+        "sd_um": (1e6 * np.nanmedian(np.nanstd(error, axis=0), axis=0)).tolist(),
+        "said_sd_um": (1e6 * np.nanmedian(said, axis=(0, 1))).tolist(),
+        "outliers_percent": 100 * outliers / max(seen, 1),
+        "missed_percent": 100 * (1 - seen / error[..., 0].size),
+    }
 
 
-# -- grasps ------------------------------------------------------------------------------------------------------------
+# -- grasps
+# --------------------------------------------------------------------------------
+
 
 def _pairs(count: int, say: Say) -> Iterator[dict[str, Any]]:
-    """The lines of each episode, with and without images, and the processor time that they took, s."""
+    """The lines of each episode, with and without images, and the processor time that they took,
+    s."""
     for k in range(count):
         pair: dict[str, Any] = {"seed": k, "object": OBJECTS[k % len(OBJECTS)]}
         for way, effects in (("images", "auto"), ("none", "-images"))[:: 1 if k % 2 else -1]:
             begin = time.process_time()
-            line = run_episode(Episode(k, "gentle", pair["object"], k, effects=effects, vary="default"))
-            pair[way] = {key: line[key] for key in ("outcome", "hold_force_N", "hold_force_true_N", "peak_force_true_N")}
+            line = run_episode(
+                Episode(k, "gentle", pair["object"], k, effects=effects, vary="default")
+            )
+            pair[way] = {
+                key: line[key]
+                for key in ("outcome", "hold_force_N", "hold_force_true_N", "peak_force_true_N")
+            }
             pair[way]["core_s"] = time.process_time() - begin
-        say(f"grasps: {k + 1} of {count}: {pair['object']}, {pair['images']['outcome']}, {pair['none']['outcome']}")
+        say(
+            f"grasps: {k + 1} of {count}: {pair['object']}, {pair['images']['outcome']}, "
+            f"{pair['none']['outcome']}"
+        )
         yield pair
 
 
 def _grasps(pairs: list[dict[str, Any]]) -> dict[str, Any]:
     """Sums of the pairs. Forces of those that were held both ways."""
-    held = {way: sum(pair[way]["outcome"] == "held" for pair in pairs) for way in ("images", "none")}
-    both = [pair for pair in pairs if pair["images"]["outcome"] == pair["none"]["outcome"] == "held"]
-    apart = np.array([pair["none"]["hold_force_true_N"] - pair["images"]["hold_force_true_N"] for pair in both])
+    held = {
+        way: sum(pair[way]["outcome"] == "held" for pair in pairs) for way in ("images", "none")
+    }
+    both = [
+        pair for pair in pairs if pair["images"]["outcome"] == pair["none"]["outcome"] == "held"
+    ]
+    apart = np.array(
+        [pair["none"]["hold_force_true_N"] - pair["images"]["hold_force_true_N"] for pair in both]
+    )
     mean = float(apart.mean()) if len(apart) else math.nan
-    return {"pairs": len(pairs), "same_outcome": sum(p["images"]["outcome"] == p["none"]["outcome"] for p in pairs),
-            "held": held, "held_interval": {way: list(wilson(held[way], len(pairs))) for way in held},
-            "force_mN": 1e3 * mean, "force_interval_mN": 1e3 * 1.96 * float(apart.std(ddof=1)) / math.sqrt(len(apart))
-            if len(apart) > 1 else math.nan, "force_sd_mN": 1e3 * float(apart.std()) if len(apart) else math.nan,
-            "an_hour": {way: 3600 * len(pairs) / sum(pair[way]["core_s"] for pair in pairs) if pairs else math.nan
-                        for way in ("images", "none")}, "rows": pairs}
+    return {
+        "pairs": len(pairs),
+        "same_outcome": sum(p["images"]["outcome"] == p["none"]["outcome"] for p in pairs),
+        "held": held,
+        "held_interval": {way: list(wilson(held[way], len(pairs))) for way in held},
+        "force_mN": 1e3 * mean,
+        "force_interval_mN": 1e3 * 1.96 * float(apart.std(ddof=1)) / math.sqrt(len(apart))
+        if len(apart) > 1
+        else math.nan,
+        "force_sd_mN": 1e3 * float(apart.std()) if len(apart) else math.nan,
+        "an_hour": {
+            way: 3600 * len(pairs) / sum(pair[way]["core_s"] for pair in pairs)
+            if pairs
+            else math.nan
+            for way in ("images", "none")
+        },
+        "rows": pairs,
+    }
 
 
-# -- table -------------------------------------------------------------------------------------------------------------
+# -- table
+# --------------------------------------------------------------------------------
+
 
 def table(result: dict[str, Any]) -> str:
     """Both comparisons as Markdown."""
-    lines = ["| markers, um (with images / without) | mean error, rms (x, y, z) | sd (x, y, z) | said sd (x, y, z) | beyond "
-             "5 sd, % | missed, % |", "|---" * 6 + "|"]
+    lines = [
+        "| markers, um (with images / without) | mean error, rms (x, y, z) | sd (x, y, z) | "
+        "said sd (x, y, z) | beyond "
+        "5 sd, % | missed, % |",
+        "|---" * 6 + "|",
+    ]
     for row in result["markers"]:
+
         def cell(key: str, row: dict[str, Any] = row) -> str:
             values = (row["images"][key], row["none"][key])
-            return " / ".join(", ".join(f"{v:.1f}" for v in one) if isinstance(one, list) else f"{one:.2f}" for one in values)
+            return " / ".join(
+                ", ".join(f"{v:.1f}" for v in one) if isinstance(one, list) else f"{one:.2f}"
+                for one in values
+            )
 
         cells = map(cell, ("mean_um", "sd_um", "said_sd_um", "outliers_percent", "missed_percent"))
         lines.append(f"| {row['scene']} | {' | '.join(cells)} |")
     g = result["grasps"]
     low, high = (100 * value for value in g["held_interval"]["none"])
-    lines += ["", f"The same {g['pairs']} episodes both ways (`gentle`; {', '.join(OBJECTS)}; `--vary default`): the same "
-              f"outcome in {g['same_outcome']}; held {g['held']['images']} with images, {g['held']['none']} without "
-              f"(95 %: {low:.0f}-{high:.0f} %). "
-              f"The true held force differs by {g['force_mN']:+.2f} +- {g['force_interval_mN']:.2f} mN in the mean (95 %), "
-              f"{g['force_sd_mN']:.1f} mN from episode to episode. Episodes in an hour of one core: {g['an_hour']['images']:.0f} "
-              f"with images, {g['an_hour']['none']:.0f} without."]
+    lines += [
+        "",
+        f"The same {g['pairs']} episodes both ways (`gentle`; {', '.join(OBJECTS)}; `--vary "
+        "default`): the same "
+        f"outcome in {g['same_outcome']}; held {g['held']['images']} with images, "
+        f"{g['held']['none']} without "
+        f"(95 %: {low:.0f}-{high:.0f} %). "
+        f"The true held force differs by {g['force_mN']:+.2f} +- "
+        f"{g['force_interval_mN']:.2f} mN in the mean (95 %), "
+        f"{g['force_sd_mN']:.1f} mN from episode to episode. Episodes in an hour of "
+        f"one core: {g['an_hour']['images']:.0f} "
+        f"with images, {g['an_hour']['none']:.0f} without.",
+    ]
     return "\n".join(lines) + "\n"

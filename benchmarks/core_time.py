@@ -10,7 +10,8 @@ from pathlib import Path
 
 def core_time() -> float:
     """s that this process and those that it has started, and that still run, have computed."""
-    tick, total = os.sysconf("SC_CLK_TCK"), time.process_time()
+    tick = os.sysconf("SC_CLK_TCK")
+    total = time.process_time()
     for children in Path("/proc/self/task").glob("*/children"):
         with contextlib.suppress(OSError):  # a thread or a process that has just ended
             for pid in children.read_text().split():

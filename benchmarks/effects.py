@@ -1,9 +1,11 @@
-"""`mjtactile bench effects`: what each effect costs, and what leaving it out costs; and that all-off leaves nothing behind.
+"""`mjtactile bench effects`: what each effect costs, and what leaving it out costs; and that
+all-off leaves nothing behind.
 
-Each switch alone, against everything on: ms per simulated second of two sensors holding an egg, force and surface of a
-pressed sphere. Camera effects: ms an image; shadows: where there are some, and how differently force and marker places are
-felt then. "Nothing behind": a scene with no sensor stepped by `World` and by MuJoCo alone; and a membrane with every effect
-off against one that was never offered any.
+Each switch alone, against everything on: ms per simulated second of two sensors holding an egg,
+force and surface of a pressed sphere. Camera effects: ms an image; shadows: where there are some,
+and how differently force and marker places are felt then. "Nothing behind": a scene with no sensor
+stepped by `World` and by MuJoCo alone; and a membrane with every effect off against one that was
+never offered any.
 """
 
 from __future__ import annotations
@@ -38,16 +40,26 @@ _REAL_GAS = {"heat_ratio": 1.4, "heat_exchange": 1.0, "valve_conductance": 1e-7}
 
 
 def run(out: Path, quick: bool = False) -> dict[str, Any]:
-    """Measure every switch; writes effects_table.json: as models/fidelity/effects.json, it is what `mjtactile effects` reads."""
-    say, design = Progress().message, load_sensor(SENSOR)
-    switched = [row.name for row in EFFECTS if row.built and not row.fixed and row.name not in (Effect.LATENCY, Effect.IMAGES)]
+    """Measure every switch; writes effects_table.json: as models/fidelity/effects.json, it is what
+    `mjtactile effects` reads."""
+    say = Progress().message
+    design = load_sensor(SENSOR)
+    switched = [
+        row.name
+        for row in EFFECTS
+        if row.built and not row.fixed and row.name not in (Effect.LATENCY, Effect.IMAGES)
+    ]
     names = [Effect.BENDING, Effect.GAS] if quick else switched
     effects = {}
     for name in names:
         effects[name] = attempt(lambda name=name: _measure(name, design))
         say(f"{name}: {effects[name]}")
-    result = {"stamp": stamp(), "effects": effects, "nothing_left": _nothing_left(design),
-              "date": f"{datetime.date.today():%Y-%m-%d}"}
+    result = {
+        "stamp": stamp(),
+        "effects": effects,
+        "nothing_left": _nothing_left(design),
+        "date": f"{datetime.date.today():%Y-%m-%d}",
+    }
     good = {name: row for name, row in effects.items() if "failed" not in row}
     write_json(out / "effects_table.json", {"stamp": result["stamp"], "effects": good})
     return result
@@ -60,26 +72,35 @@ def _measure(name: Effect, design: SensorDesign) -> dict[str, float]:
         base = _ALL | {Effect.HEAT_EXCHANGE, Effect.VALVE_FLOW}
     else:
         base = _ALL
-    on, off = base | {name}, base - {name}
+    on = base | {name}
+    off = base - {name}
     if name == Effect.SHADOWS:
         return _shadows(design)
     if name in CAMERA or name == Effect.MOTION_BLUR:
         with_it, without = in_turns([_drawer(design, on), _drawer(design, off)], 5)
-        return {"cost_ms_per_s": 2 * design.camera.rate * (with_it - without), "force_N": float("nan"),
-                "surface_um": _shift(design, on, off)}
+        return {
+            "cost_ms_per_s": 2 * design.camera.rate * (with_it - without),
+            "force_N": float("nan"),
+            "surface_um": _shift(design, on, off),
+        }
     with_it, without = in_turns([_held(design, on).step, _held(design, off).step], 20)
     pressed = [_press(design, effects) for effects in (on, off)]
     moved = np.linalg.norm(pressed[0][1] - pressed[1][1], axis=1)
     if name == Effect.SERVO_DYNAMICS:  # a press has no jaw: nothing to compare
-        moved, pressed = moved * np.nan, [(np.nan, *pressed[0][1:])] * 2
-    return {"cost_ms_per_s": (with_it - without) / _STEP, "force_N": abs(pressed[0][0] - pressed[1][0]),
-            "surface_um": 1e6 * float(np.sqrt(np.mean(moved**2)))}
+        moved = moved * np.nan
+        pressed = [(np.nan, *pressed[0][1:])] * 2
+    return {
+        "cost_ms_per_s": (with_it - without) / _STEP,
+        "force_N": abs(pressed[0][0] - pressed[1][0]),
+        "surface_um": 1e6 * float(np.sqrt(np.mean(moved**2))),
+    }
 
 
 def _shadows(design: SensorDesign) -> dict[str, float]:
-    """A small sphere beside the frame, 5 mm deep (39 degrees steep: the slopes are shaded) and 7.5 mm (59 degrees: they throw
-    shadows), drawn with and without. Cost of two cameras' images of the deeper; by how much the sensing chain's normal force
-    and markers (rms) differ at the depth where they do more."""
+    """A small sphere beside the frame, 5 mm deep (39 degrees steep: the slopes are shaded) and 7.5
+    mm (59 degrees: they throw shadows), drawn with and without. Cost of two cameras' images of the
+    deeper; by how much the sensing chain's normal force and markers (rms) differ at the depth where
+    they do more."""
     world = PressWorld(design, Indenter("sphere", 4e-3), at=(14e-3, 0.4e-3), timestep=_STEP)
     poses = []
     for gauge in (0.0, 1000.0):
@@ -89,20 +110,29 @@ def _shadows(design: SensorDesign) -> dict[str, float]:
         world.press(depth)
         poses.append(world.marker_poses(0))
     (dear, *drawn), (cheap, *plain) = (_felt(design, poses, shadows) for shadows in (True, False))
-    force, moved = (np.array(one) - np.array(other) for one, other in zip(drawn, plain, strict=True))
+    force, moved = (
+        np.array(one) - np.array(other) for one, other in zip(drawn, plain, strict=True)
+    )
     rms = np.sqrt(np.nanmean((moved**2).sum(axis=2), axis=1))
-    return {"cost_ms_per_s": 2 * design.camera.rate * (dear - cheap), "force_N": float(np.abs(force[1:]).max()),
-            "surface_um": 1e6 * float(rms[1:].max())}
+    return {
+        "cost_ms_per_s": 2 * design.camera.rate * (dear - cheap),
+        "force_N": float(np.abs(force[1:]).max()),
+        "surface_um": 1e6 * float(rms[1:].max()),
+    }
 
 
-def _felt(design: SensorDesign, poses: list[tuple[np.ndarray, np.ndarray]],
-          shadows: bool) -> tuple[float, list[float], list[np.ndarray]]:
-    """ms an image of the last of `poses` (flat, at rest, then pressed deeper and deeper); of each press the mean force felt,
-    N, and marker places (N, 3) m, NaN where one was not seen in every image."""
-    renderer, perception = Renderer(design, seed=1, shadows=shadows), Perception.of(design)
+def _felt(
+    design: SensorDesign, poses: list[tuple[np.ndarray, np.ndarray]], shadows: bool
+) -> tuple[float, list[float], list[np.ndarray]]:
+    """ms an image of the last of `poses` (flat, at rest, then pressed deeper and deeper); of each
+    press the mean force felt, N, and marker places (N, 3) m, NaN where one was not seen in every
+    image."""
+    renderer = Renderer(design, seed=1, shadows=shadows)
+    perception = Perception.of(design)
     perception.take_flat([renderer.render(*poses[0]) for _ in range(_IMAGES)])
     perception.take_rest([renderer.render(*poses[1]) for _ in range(_IMAGES)], 1000.0)
-    forces, places = [], []
+    forces = []
+    places = []
     for pose in poses[2:]:
         touches = [perception.perceive(renderer.render(*pose), 0.0) for _ in range(_IMAGES)]
         seen = np.full((_IMAGES, design.markers.count, 3), np.nan)
@@ -116,7 +146,9 @@ def _felt(design: SensorDesign, poses: list[tuple[np.ndarray, np.ndarray]],
 
 def _held(design: SensorDesign, effects: frozenset[str]) -> GraspWorld:
     """Holding an egg; what friction does not carry stays on the table: the hand stays too."""
-    world = GraspWorld(set_design(design, effects), "egg", timestep=_STEP, effects=effects, opening=0.05)
+    world = GraspWorld(
+        set_design(design, effects), "egg", timestep=_STEP, effects=effects, opening=0.05
+    )
     if Effect.FRICTION not in effects:
         world.set_lift_target = lambda height: None  # type: ignore[method-assign]
     return hold(world, settle=0.2)
@@ -124,49 +156,82 @@ def _held(design: SensorDesign, effects: frozenset[str]) -> GraspWorld:
 
 def _press(design: SensorDesign, effects: frozenset[str]) -> tuple[float, np.ndarray]:
     """Normal force, N, and marker positions (N, 3) m."""
-    world = PressWorld(set_design(design, effects), Indenter("sphere", 16e-3), at=(0.7e-3, 0.4e-3), effects=effects,
-                       timestep=_STEP)
+    world = PressWorld(
+        set_design(design, effects),
+        Indenter("sphere", 16e-3),
+        at=(0.7e-3, 0.4e-3),
+        effects=effects,
+        timestep=_STEP,
+    )
     world.inflate(1000.0, seal=True)
     world.press(2.5e-3)
     return float(-truth.contact_force(world, 0)[2]), world.marker_poses(0)[0]
 
 
 def _shift(design: SensorDesign, on: frozenset[str], off: frozenset[str]) -> float:
-    """How far markers would be misplaced if the pictured effect were not there but sensing believed it: geometry only."""
+    """How far markers would be misplaced if the pictured effect were not there but sensing believed
+    it: geometry only."""
     from mjtactile.core import optics
 
     if not {Effect.DISTORTION, Effect.REFRACTION} & (on - off):
         return float("nan")
-    cameras = [optics.Camera.from_design(d.camera, d.glass) for d in (set_design(design, on), set_design(design, off))]
+    cameras = [
+        optics.Camera.from_design(d.camera, d.glass)
+        for d in (set_design(design, on), set_design(design, off))
+    ]
     p_CM = design.markers.p_SM - design.camera.p_SC
-    pixels = np.linalg.norm(optics.project(cameras[0], p_CM) - optics.project(cameras[1], p_CM), axis=1)
+    pixels = np.linalg.norm(
+        optics.project(cameras[0], p_CM) - optics.project(cameras[1], p_CM), axis=1
+    )
     return float(1e6 * np.sqrt(np.mean(pixels**2)) * design.camera.distance / design.camera.fx)
 
 
 def _drawer(design: SensorDesign, effects: frozenset[str]) -> Callable[[], Any]:
     seen = set_picture(set_design(design, effects), effects)
     renderer = Renderer(seen, seed=0)
-    p_SM, n_S = design.markers.p_SM, np.tile([0.0, 0.0, 1.0], (design.markers.count, 1))
+    p_SM = design.markers.p_SM
+    n_S = np.tile([0.0, 0.0, 1.0], (design.markers.count, 1))
     if Effect.MOTION_BLUR in effects:
         return lambda: renderer.expose(
-            np.asarray(np.mean([renderer.irradiance_image(p_SM, n_S) for _ in range(3)], axis=0, dtype=np.float32)))
+            np.asarray(
+                np.mean(
+                    [renderer.irradiance_image(p_SM, n_S) for _ in range(3)],
+                    axis=0,
+                    dtype=np.float32,
+                )
+            )
+        )
     return lambda: renderer.render(p_SM, n_S)
 
 
 def _nothing_left(design: SensorDesign) -> dict[str, Any]:
-    """Bare MuJoCo against `World` without sensors, interleaved; the model's elements with all effects off; a sensor that
-    sleeps against one that is kept awake, and against the same scene without it."""
+    """Bare MuJoCo against `World` without sensors, interleaved; the model's elements with all
+    effects off; a sensor that sleeps against one that is kept awake, and against the same scene
+    without it."""
     world = rigid.hold(design, "egg", _STEP, HOLD_FORCE)
 
     def bare() -> None:
         for _ in range(_BLOCK):
             rigid.bare_step(world)
 
-    pairs = np.array([[core_ms(action, 100) for action in (bare, lambda: world.step(_BLOCK))] for _ in range(9)]) / _BLOCK
+    pairs = (
+        np.array(
+            [
+                [core_ms(action, 100) for action in (bare, lambda: world.step(_BLOCK))]
+                for _ in range(9)
+            ]
+        )
+        / _BLOCK
+    )
     off = GraspWorld(design, "egg", effects=frozenset())
-    return {"mujoco_us": 1e3 * float(np.min(pairs[:, 0])), "world_us": 1e3 * float(np.min(pairs[:, 1])),
-            "tendons_all_off": int(off.model.ntendon), "gas_tendons": 0 if off.model.ntendon == 1 else off.model.ntendon - 1,
-            "activations_all_off": int(off.model.na), **_sleep(design)}
+    return {
+        "mujoco_us": 1e3 * float(np.min(pairs[:, 0])),
+        "world_us": 1e3 * float(np.min(pairs[:, 1])),
+        "tendons_all_off": int(off.model.ntendon),
+        "gas_tendons": 0 if off.model.ntendon == 1 else off.model.ntendon - 1,
+        "activations_all_off": int(off.model.na),
+        **_sleep(design),
+    }
 
 
 def _sleep(design: SensorDesign) -> dict[str, float]:
@@ -174,7 +239,8 @@ def _sleep(design: SensorDesign) -> dict[str, float]:
     world = PressWorld(design, Indenter("sphere", 16e-3), timestep=_STEP)
     world.inflate(1000.0, seal=True)
     world.lift_off()
-    sensor, times = world.sensors[0], {True: [], False: []}
+    sensor = world.sensors[0]
+    times = {True: [], False: []}
     for _ in range(5):
         for sleepy in times:
             sensor.sleepy = sleepy
@@ -185,17 +251,30 @@ def _sleep(design: SensorDesign) -> dict[str, float]:
 
 def table(result: dict[str, Any]) -> str:
     """Markdown."""
-    lines = ["| effect | costs, ms per simulated s | leaving it out costs, mN | um |", "|---|---|---|---|"]
+    lines = [
+        "| effect | costs, ms per simulated s | leaving it out costs, mN | um |",
+        "|---|---|---|---|",
+    ]
     for name, row in result["effects"].items():
-        cells = f"failed: {row['failed']} | |" if "failed" in row else (
-            f"{_cell(row['cost_ms_per_s'], '+.0f')} | {_cell(1e3 * row['force_N'])} | {_cell(row['surface_um'])}")
+        cells = (
+            f"failed: {row['failed']} | |"
+            if "failed" in row
+            else (
+                f"{_cell(row['cost_ms_per_s'], '+.0f')} | {_cell(1e3 * row['force_N'])} | "
+                f"{_cell(row['surface_um'])}"
+            )
+        )
         lines.append(f"| {name} | {cells} |")
     bare = result["nothing_left"]
     return "\n".join(lines) + (
-        f"\n\nA scene without sensors: {bare['mujoco_us']:.1f} us a step by MuJoCo alone, {bare['world_us']:.1f} us by `World`, "
-        f"which also checks the state. With every effect off the model has {bare['gas_tendons']} gas tendons. A step with one "
-        f"inflated sensor that touches nothing takes {bare['awake_us']:.0f} us while it is awake, {bare['asleep_us']:.0f} us "
-        "asleep.\n")
+        f"\n\nA scene without sensors: {bare['mujoco_us']:.1f} us a step by MuJoCo alone, "
+        f"{bare['world_us']:.1f} us by `World`, "
+        "which also checks the state. With every effect off the model has "
+        f"{bare['gas_tendons']} gas tendons. A step with one "
+        f"inflated sensor that touches nothing takes {bare['awake_us']:.0f} us while it is "
+        f"awake, {bare['asleep_us']:.0f} us "
+        "asleep.\n"
+    )
 
 
 def _cell(value: float, form: str = ".1f") -> str:

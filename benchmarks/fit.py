@@ -1,9 +1,9 @@
-"""`mjtactile bench fit`: sensors that differ from their file, recorded on the simulated stage, and fitted; what is found against
-what they are.
+"""`mjtactile bench fit`: sensors that differ from their file, recorded on the simulated stage, and
+fitted; what is found against what they are.
 
-Seeds below FIRST_SEED were used to make the fit and are not among them. What a specimen truly is enters here only: its recordings
-name the nominal file. One seed is recorded with a finer membrane than the fit has, so that not all of the error is kept out by
-the same mesh on both sides.
+Seeds below FIRST_SEED were used to make the fit and are not among them. What a specimen truly is
+enters here only: its recordings name the nominal file. One seed is recorded with a finer membrane
+than the fit has, so that not all of the error is kept out by the same mesh on both sides.
 """
 
 from __future__ import annotations
@@ -28,15 +28,22 @@ from mjtactile.run.figures import new_figure
 from mjtactile.run.progress import Progress
 from mjtactile.sim.attach import DEFAULT_MESH
 
-FIRST_SEED, SEEDS = 201, 3
+FIRST_SEED = 201
+SEEDS = 3
 FINE_MESH = (17, 13)  # of the last specimen, which is the first one again
 DIFFERS = 0.3  # of each number, at most
 AIR = {"heat_ratio": 1.4, "heat_exchange_s": 1.0, "leak_mL_s_kPa": 0.01}
 """What the nominal file of these specimens has besides that of `dense`."""
-FORCE_ASKED, SHARE_ASKED, SHARE_AIM = 0.02, 0.05, 0.02
-FITTED = (("press_05", "press", "sphere:8", 500.0, 9.0), ("press_3", "press", "sphere:8", 3000.0, 9.0),
-          ("drag", "drag", "sphere:8", 1000.0, 10.0), ("tap", "tap", "sphere:15", 1000.0, 13.0),
-          ("still", None, "", 2000.0, 12.0))
+FORCE_ASKED = 0.02
+SHARE_ASKED = 0.05
+SHARE_AIM = 0.02
+FITTED = (
+    ("press_05", "press", "sphere:8", 500.0, 9.0),
+    ("press_3", "press", "sphere:8", 3000.0, 9.0),
+    ("drag", "drag", "sphere:8", 1000.0, 10.0),
+    ("tap", "tap", "sphere:15", 1000.0, 13.0),
+    ("still", None, "", 2000.0, 12.0),
+)
 HELD_OUT = ("other", "press", "sphere:12", 1500.0, 9.0)
 """Name, protocol, indenter, Pa and s of each recording."""
 
@@ -48,7 +55,12 @@ def nominal_text() -> str:
     text = resources.find("dense", "models/sensors", ".toml").read_text(encoding="utf-8")
     lines = [line for line in text.splitlines() if not line.startswith("heat_ratio")]
     place = lines.index("[chamber]") + 1
-    return "\n".join([*lines[:place], *(f"{key} = {value}" for key, value in AIR.items()), *lines[place:]]) + "\n"
+    return (
+        "\n".join(
+            [*lines[:place], *(f"{key} = {value}" for key, value in AIR.items()), *lines[place:]]
+        )
+        + "\n"
+    )
 
 
 def specimen(nominal: SensorDesign, seed: int) -> SensorDesign:
@@ -58,93 +70,216 @@ def specimen(nominal: SensorDesign, seed: int) -> SensorDesign:
     def off(value: float) -> float:
         return value * (1 + float(rng.uniform(-DIFFERS, DIFFERS)))
 
-    sheet, chamber, camera, leds = nominal.membrane, nominal.chamber, nominal.camera, nominal.leds
-    sheet = replace(sheet, young=off(sheet.young), thickness=off(sheet.thickness), friction=off(sheet.friction),
-                    pre_stretch=1 + off(sheet.pre_stretch - 1))
-    chamber = replace(chamber, extra_volume=off(nominal.chamber_volume_flat) - nominal.chamber_volume_flat,
-                      leak_conductance=off(chamber.leak_conductance), heat_exchange=off(chamber.heat_exchange))
+    sheet = nominal.membrane
+    chamber = nominal.chamber
+    camera = nominal.camera
+    leds = nominal.leds
+    sheet = replace(
+        sheet,
+        young=off(sheet.young),
+        thickness=off(sheet.thickness),
+        friction=off(sheet.friction),
+        pre_stretch=1 + off(sheet.pre_stretch - 1),
+    )
+    chamber = replace(
+        chamber,
+        extra_volume=off(nominal.chamber_volume_flat) - nominal.chamber_volume_flat,
+        leak_conductance=off(chamber.leak_conductance),
+        heat_exchange=off(chamber.heat_exchange),
+    )
     camera = replace(camera, blur_px=off(camera.blur_px), noise_dn=off(camera.noise_dn))
-    leds = replace(leds, membrane_dn=min(off(leds.membrane_dn), 235.0), marker_dn=off(leds.marker_dn), falloff=off(leds.falloff))
+    leds = replace(
+        leds,
+        membrane_dn=min(off(leds.membrane_dn), 235.0),
+        marker_dn=off(leds.marker_dn),
+        falloff=off(leds.falloff),
+    )
     return replace(nominal, membrane=sheet, chamber=chamber, camera=camera, leds=leds)
 
 
-def run(out: Path, *, quick: bool = False, say: Callable[[str], None] | None = None) -> dict[str, Any]:
-    """Record and fit the specimens; one row each. What was measured so far is kept in `out`/fit.json."""
+def run(
+    out: Path, *, quick: bool = False, say: Callable[[str], None] | None = None
+) -> dict[str, Any]:
+    """Record and fit the specimens; one row each. What was measured so far is kept in
+    `out`/fit.json."""
     say = Progress().message if say is None else say
-    cases: list[tuple[int, tuple[int, int] | None]] = [(seed, None) for seed in range(FIRST_SEED, FIRST_SEED + SEEDS)]
+    cases: list[tuple[int, tuple[int, int] | None]] = [
+        (seed, None) for seed in range(FIRST_SEED, FIRST_SEED + SEEDS)
+    ]
     rows: list[dict[str, Any]] = []
     for seed, mesh in cases[:1] if quick else [*cases, (FIRST_SEED, FINE_MESH)]:
         with tempfile.TemporaryDirectory() as folder:
             rows.append(_row(Path(folder), seed, mesh, say))
         write_json(Path(out) / "fit.json", {"specimens": rows})
-        say(f"seed {seed}: worst number {100 * max(abs(n['error']) for n in rows[-1]['numbers'] if n['is_fitted']):.1f} % off, "
-            f"worst force {1e3 * max(abs(f['error_N']) for f in rows[-1]['forces']):.1f} mN")
+        say(
+            f"seed {seed}: worst number "
+            f"{100 * max(abs(n['error']) for n in rows[-1]['numbers'] if n['is_fitted']):.1f} % "
+            "off, "
+            f"worst force {1e3 * max(abs(f['error_N']) for f in rows[-1]['forces']):.1f} mN"
+        )
     _plot(Path(out), rows)
     return {"specimens": rows}
 
 
-def _row(folder: Path, seed: int, mesh: tuple[int, int] | None, say: Callable[[str], None]) -> dict[str, Any]:
+def _row(
+    folder: Path, seed: int, mesh: tuple[int, int] | None, say: Callable[[str], None]
+) -> dict[str, Any]:
     (folder / "nominal.toml").write_text(nominal_text(), encoding="utf-8")
     nominal = load_sensor(folder / "nominal.toml")
     true = specimen(nominal, seed)
     for number, recording in enumerate((*FITTED, HELD_OUT)):
         _record(folder, true, recording, 1000 * seed + number, mesh)
     say(f"seed {seed}: recorded")
-    wall, core = time.monotonic(), time.process_time()
-    result = fit_recordings([folder / name for name, *_ in FITTED], sensor=folder / "nominal.toml",
-                            held_out=[folder / HELD_OUT[0]], say=say)
-    forces = [{"depth_mm": 1e3 * h.depth, "predicted_N": h.force, "load_cell_N": h.force_measured,
-               "error_N": h.force - h.force_measured} for h in result.held_out if not math.isnan(h.depth)]
-    return {"seed": seed, "mesh": mesh, "seconds": time.monotonic() - wall, "core_s": time.process_time() - core,
-            "numbers": scores(result, nominal, true), "forces": forces, "correlations": result.correlations}
+    wall = time.monotonic()
+    core = time.process_time()
+    result = fit_recordings(
+        [folder / name for name, *_ in FITTED],
+        sensor=folder / "nominal.toml",
+        held_out=[folder / HELD_OUT[0]],
+        say=say,
+    )
+    forces = [
+        {
+            "depth_mm": 1e3 * h.depth,
+            "predicted_N": h.force,
+            "load_cell_N": h.force_measured,
+            "error_N": h.force - h.force_measured,
+        }
+        for h in result.held_out
+        if not math.isnan(h.depth)
+    ]
+    return {
+        "seed": seed,
+        "mesh": mesh,
+        "seconds": time.monotonic() - wall,
+        "core_s": time.process_time() - core,
+        "numbers": scores(result, nominal, true),
+        "forces": forces,
+        "correlations": result.correlations,
+    }
 
 
-def _record(folder: Path, true: SensorDesign, recording: tuple[str, str | None, str, float, float], seed: int,
-            mesh: tuple[int, int] | None) -> None:
+def _record(
+    folder: Path,
+    true: SensorDesign,
+    recording: tuple[str, str | None, str, float, float],
+    seed: int,
+    mesh: tuple[int, int] | None,
+) -> None:
     name, protocol, indenter, pressure, seconds = recording
     stage = NOTHING if protocol is None else Stage(indenter, (0.0, 0.0), read_moves(protocol))
     design = replace(true, chamber=replace(true.chamber, supply_gauge=pressure))
     header = {"sensor": "dense", "rig": "stage", "design": "nominal", "seed": seed}
     with Recorder(folder / name / "recording", header) as recorder:
-        record_stage(design, stage, recorder, seconds=seconds, seed=seed, load_cell=name == HELD_OUT[0],
-                     mesh=mesh or DEFAULT_MESH)
+        record_stage(
+            design,
+            stage,
+            recorder,
+            seconds=seconds,
+            seed=seed,
+            load_cell=name == HELD_OUT[0],
+            mesh=mesh or DEFAULT_MESH,
+        )
 
 
 def scores(result: FitResult, nominal: SensorDesign, true: SensorDesign) -> list[dict[str, Any]]:
-    """Of each number: what it is, what was found, and the error as a share of what it is. Thickness times modulus is one number,
-    pre-stretch counts less 1, gas volume as all that is behind the flat sheet."""
-    found, flat = result.design, nominal.chamber_volume_flat - nominal.chamber.extra_volume
-    sheet, volume = found.membrane, found.chamber_volume_flat
+    """Of each number: what it is, what was found, and the error as a share of what it is. Thickness
+    times modulus is one number, pre-stretch counts less 1, gas volume as all that is behind the
+    flat sheet."""
+    found = result.design
+    flat = nominal.chamber_volume_flat - nominal.chamber.extra_volume
+    sheet = found.membrane
+    volume = found.chamber_volume_flat
     rows = [
-        ("modulus times thickness, N/m", "membrane.young_MPa", true.membrane.young * true.membrane.thickness,
-         sheet.young * sheet.thickness, 1e6 * sheet.thickness),
-        ("pre-stretch less 1", "membrane.pre_stretch", true.membrane.pre_stretch - 1, sheet.pre_stretch - 1, 1.0),
+        (
+            "modulus times thickness, N/m",
+            "membrane.young_MPa",
+            true.membrane.young * true.membrane.thickness,
+            sheet.young * sheet.thickness,
+            1e6 * sheet.thickness,
+        ),
+        (
+            "pre-stretch less 1",
+            "membrane.pre_stretch",
+            true.membrane.pre_stretch - 1,
+            sheet.pre_stretch - 1,
+            1.0,
+        ),
         ("friction", "membrane.friction", true.membrane.friction, sheet.friction, 1.0),
-        ("gas volume, mL", "chamber.extra_volume_mL", 1e6 * (flat + true.chamber.extra_volume), 1e6 * volume, 1.0),
-        ("leak, mL/(s kPa)", "chamber.leak_mL_s_kPa", 1e9 * true.chamber.leak_conductance, 1e9 * found.chamber.leak_conductance,
-         1.0),
-        ("heat ratio less 1", "chamber.heat_ratio", true.chamber.heat_ratio - 1, found.chamber.heat_ratio - 1, 1.0),
-        ("heat exchange, s", "chamber.heat_exchange_s", true.chamber.heat_exchange, found.chamber.heat_exchange, 1.0),
+        (
+            "gas volume, mL",
+            "chamber.extra_volume_mL",
+            1e6 * (flat + true.chamber.extra_volume),
+            1e6 * volume,
+            1.0,
+        ),
+        (
+            "leak, mL/(s kPa)",
+            "chamber.leak_mL_s_kPa",
+            1e9 * true.chamber.leak_conductance,
+            1e9 * found.chamber.leak_conductance,
+            1.0,
+        ),
+        (
+            "heat ratio less 1",
+            "chamber.heat_ratio",
+            true.chamber.heat_ratio - 1,
+            found.chamber.heat_ratio - 1,
+            1.0,
+        ),
+        (
+            "heat exchange, s",
+            "chamber.heat_exchange_s",
+            true.chamber.heat_exchange,
+            found.chamber.heat_exchange,
+            1.0,
+        ),
         ("blur, px", "camera.blur_px", true.camera.blur_px, found.camera.blur_px, 1.0),
         ("noise, DN", "camera.noise_DN", true.camera.noise_dn, found.camera.noise_dn, 1.0),
         ("membrane, DN", "leds.membrane_DN", true.leds.membrane_dn, found.leds.membrane_dn, 1.0),
         ("markers, DN", "leds.marker_DN", true.leds.marker_dn, found.leds.marker_dn, 1.0),
-        ("falloff", "leds.falloff", true.leds.falloff, found.leds.falloff, 1.0)]
-    return [{"what": what, "true": t, "found": f, "error": f / t - 1, "sd": result.number(field).sd * scale / t,
-             "is_fitted": result.number(field).state == "fitted"} for what, field, t, f, scale in rows]
+        ("falloff", "leds.falloff", true.leds.falloff, found.leds.falloff, 1.0),
+    ]
+    return [
+        {
+            "what": what,
+            "true": t,
+            "found": f,
+            "error": f / t - 1,
+            "sd": result.number(field).sd * scale / t,
+            "is_fitted": result.number(field).state == "fitted",
+        }
+        for what, field, t, f, scale in rows
+    ]
 
 
 def table(result: Mapping[str, Any]) -> str:
     """Markdown: errors of each number, specimen by specimen."""
     rows = result["specimens"]
-    names = [f"seed {row['seed']}" + (f", {row['mesh'][0]} x {row['mesh'][1]} vertices" if row["mesh"] else "") for row in rows]
-    lines = [f"| error, % (its 95 % interval) | at least | aim | {' | '.join(names)} |", f"|---|---|---|{'---|' * len(rows)}"]
+    names = [
+        f"seed {row['seed']}"
+        + (f", {row['mesh'][0]} x {row['mesh'][1]} vertices" if row["mesh"] else "")
+        for row in rows
+    ]
+    lines = [
+        f"| error, % (its 95 % interval) | at least | aim | {' | '.join(names)} |",
+        f"|---|---|---|{'---|' * len(rows)}",
+    ]
     for i, number in enumerate(rows[0]["numbers"]):
         cells = [_cell(row["numbers"][i]) for row in rows]
-        lines.append(f"| {number['what']} | {100 * SHARE_ASKED:g} | {100 * SHARE_AIM:g} | {' | '.join(cells)} |")
-    worst = [f"{1e3 * max(abs(f['error_N']) for f in row['forces']):.1f} of {max(f['load_cell_N'] for f in row['forces']):.2f} N"
-             for row in rows]
-    lines.append(f"| worst predicted force of presses kept aside, mN | {1e3 * FORCE_ASKED:g} | | {' | '.join(worst)} |")
+        lines.append(
+            f"| {number['what']} | {100 * SHARE_ASKED:g} | {100 * SHARE_AIM:g} | "
+            f"{' | '.join(cells)} |"
+        )
+    worst = [
+        f"{1e3 * max(abs(f['error_N']) for f in row['forces']):.1f} of "
+        f"{max(f['load_cell_N'] for f in row['forces']):.2f} N"
+        for row in rows
+    ]
+    lines.append(
+        f"| worst predicted force of presses kept aside, mN | {1e3 * FORCE_ASKED:g} | | "
+        f"{' | '.join(worst)} |"
+    )
     times = [f"{row['seconds']:.0f} ({row['core_s']:.0f})" for row in rows]
     lines.append(f"| time of the fit, s (of one core) | 600 | | {' | '.join(times)} |")
     return "\n".join(lines) + "\n"
@@ -165,15 +300,30 @@ def _plot(out: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     for k, row in enumerate(rows):
         label = f"seed {row['seed']}" + (", finer mesh" if row["mesh"] else "")
         shown = [(i, n) for i, n in enumerate(row["numbers"]) if n["is_fitted"]]
-        left.errorbar([100 * n["error"] for _, n in shown], [i + 0.15 * k for i, _ in shown],
-                      xerr=[196 * n["sd"] for _, n in shown], fmt="o", ms=4, capsize=2, label=label)
+        left.errorbar(
+            [100 * n["error"] for _, n in shown],
+            [i + 0.15 * k for i, _ in shown],
+            xerr=[196 * n["sd"] for _, n in shown],
+            fmt="o",
+            ms=4,
+            capsize=2,
+            label=label,
+        )
         forces = row["forces"]
-        right.plot([f["load_cell_N"] for f in forces], [1e3 * f["error_N"] for f in forces], "o-", ms=4, label=label)
+        right.plot(
+            [f["load_cell_N"] for f in forces],
+            [1e3 * f["error_N"] for f in forces],
+            "o-",
+            ms=4,
+            label=label,
+        )
     left.set_yticks(range(len(names)), names, fontsize=8)
     left.axvspan(-100 * SHARE_ASKED, 100 * SHARE_ASKED, color="k", alpha=0.07)
     left.set(xlabel="error, %, with its 95 % interval", xlim=(-12, 12))
     right.axhspan(-1e3 * FORCE_ASKED, 1e3 * FORCE_ASKED, color="k", alpha=0.07)
-    right.set(xlabel="force of a press that was kept aside, N", ylabel="predicted less load cell, mN")
+    right.set(
+        xlabel="force of a press that was kept aside, N", ylabel="predicted less load cell, mN"
+    )
     for axes in (left, right):
         axes.grid(alpha=0.3)
         axes.legend(fontsize=7)

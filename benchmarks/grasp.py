@@ -1,4 +1,5 @@
-"""`mjtactile bench grasp`: three fragile objects with ten seeds; outcome, force error, speed, and where the time goes."""
+"""`mjtactile bench grasp`: three fragile objects with ten seeds; outcome, force error, speed, and
+where the time goes."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ SEEDS = range(10)
 
 
 class _MarkerErrors:
-    """In place of recorder and progress display: keeps the marker errors, writes nothing, so that the loop is timed."""
+    """In place of recorder and progress display: keeps the marker errors, writes nothing, so that
+    the loop is timed."""
 
     def __init__(self) -> None:
         self.marker_errors: list[float] = []
@@ -34,7 +36,8 @@ class _MarkerErrors:
 
 def run(out: Path, quick: bool = False) -> dict[str, Any]:
     """Grasp each of OBJECTS with the dense sensor; one row a run. A run that fails is a row too."""
-    rows, say = [], Progress().message
+    rows = []
+    say = Progress().message
     for name in OBJECTS:
         for seed in SEEDS[:1] if quick else SEEDS:
             row = _row(GraspOptions(object=name, sensor="dense", seed=seed))
@@ -49,8 +52,10 @@ def _line(row: Mapping[str, Any]) -> str:
     start = f"{row['object']} seed {row['seed']}: {row['outcome']}"
     if "error" in row:
         return f"{start}: {row['error']}"
-    return (f"{start}, hold {row['hold_force_N']:.2f} N (true {row['hold_force_true_N']:.2f} N), "
-            f"{row['real_time_factor']:.2f} x real time")
+    return (
+        f"{start}, hold {row['hold_force_N']:.2f} N (true {row['hold_force_true_N']:.2f} N), "
+        f"{row['real_time_factor']:.2f} x real time"
+    )
 
 
 def _row(options: GraspOptions) -> dict[str, Any]:
@@ -58,20 +63,34 @@ def _row(options: GraspOptions) -> dict[str, Any]:
     try:
         result: GraspResult = run_grasp(options, recorder=errors_seen, progress=errors_seen)
     except MjtactileError as error:
-        return {"object": options.object, "seed": options.seed, "outcome": "fault", "error": str(error)}
+        return {
+            "object": options.object,
+            "seed": options.seed,
+            "outcome": "fault",
+            "error": str(error),
+        }
     errors = [1e3 * error for error in errors_seen.marker_errors if error == error]
-    return {**result.summary(), "marker_error_mm_mean": statistics.fmean(errors) if errors else float("nan"),
-            "milliseconds": dict(result.milliseconds)}
+    return {
+        **result.summary(),
+        "marker_error_mm_mean": statistics.fmean(errors) if errors else float("nan"),
+        "milliseconds": dict(result.milliseconds),
+    }
 
 
 def _by_object(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
-    return {name: [row for row in rows if row["object"] == name] for name in dict.fromkeys(row["object"] for row in rows)}
+    return {
+        name: [row for row in rows if row["object"] == name]
+        for name in dict.fromkeys(row["object"] for row in rows)
+    }
 
 
 def _summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     done = [row for row in rows if "milliseconds" in row]
-    result: dict[str, Any] = {"runs": len(rows), "held": sum(row["outcome"] == "held" for row in rows),
-                              "crushed": sum(row["outcome"] == "crushed" for row in rows)}
+    result: dict[str, Any] = {
+        "runs": len(rows),
+        "held": sum(row["outcome"] == "held" for row in rows),
+        "crushed": sum(row["outcome"] == "crushed" for row in rows),
+    }
     if not done:
         return result
 
@@ -81,40 +100,63 @@ def _summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     errors = [row["hold_force_N"] - row["hold_force_true_N"] for row in done]
     return result | {
         "hold_force_true_N": median("hold_force_true_N"),
-        "hold_force_error_N_mean": statistics.fmean(errors), "hold_force_error_N_worst": max(errors, key=abs),
-        "peak_force_true_N": max(row["peak_force_true_N"] for row in done), "slip_mm_true": median("slip_mm_true"),
-        "marker_error_mm_mean": median("marker_error_mm_mean"), "real_time_factor": median("real_time_factor"),
-        "milliseconds": {part: statistics.median(row["milliseconds"][part] for row in done)
-                         for part in done[0]["milliseconds"]},
-    }  # fmt: skip
+        "hold_force_error_N_mean": statistics.fmean(errors),
+        "hold_force_error_N_worst": max(errors, key=abs),
+        "peak_force_true_N": max(row["peak_force_true_N"] for row in done),
+        "slip_mm_true": median("slip_mm_true"),
+        "marker_error_mm_mean": median("marker_error_mm_mean"),
+        "real_time_factor": median("real_time_factor"),
+        "milliseconds": {
+            part: statistics.median(row["milliseconds"][part] for row in done)
+            for part in done[0]["milliseconds"]
+        },
+    }
 
 
 def table(result: Mapping[str, Any]) -> str:
     """The result as Markdown."""
-    lines = ["| object | held | crushed | hold force, N (true) | its error, N: mean / worst | peak, N (true) "
-             "| slip, mm (true) | marker error, mm | x real time |", "|---" * 9 + "|"]
+    lines = [
+        "| object | held | crushed | hold force, N (true) | its error, N: mean / worst | peak, "
+        "N (true) "
+        "| slip, mm (true) | marker error, mm | x real time |",
+        "|---" * 9 + "|",
+    ]
     for name, s in result["objects"].items():
         if "milliseconds" not in s:
             lines.append(f"| {name} | {s['held']} of {s['runs']} | {s['crushed']} |" + " |" * 6)
             continue
-        lines.append(f"| {name} | {s['held']} of {s['runs']} | {s['crushed']} | {s['hold_force_true_N']:.2f} "
-                     f"| {s['hold_force_error_N_mean']:+.3f} / {s['hold_force_error_N_worst']:+.3f} "
-                     f"| {s['peak_force_true_N']:.2f} | {s['slip_mm_true']:.2f} | {s['marker_error_mm_mean']:.3f} "
-                     f"| {s['real_time_factor']:.2f} |")
+        lines.append(
+            f"| {name} | {s['held']} of {s['runs']} | {s['crushed']} | "
+            f"{s['hold_force_true_N']:.2f} "
+            f"| {s['hold_force_error_N_mean']:+.3f} / "
+            f"{s['hold_force_error_N_worst']:+.3f} "
+            f"| {s['peak_force_true_N']:.2f} | {s['slip_mm_true']:.2f} | "
+            f"{s['marker_error_mm_mean']:.3f} "
+            f"| {s['real_time_factor']:.2f} |"
+        )
     return "\n".join([*lines, "", _time_table(result)]) + "\n"
 
 
-_PARTS = {"rest": "waiting for physics, drawing, truth", "camera": "reading images", "perception": "perception",
-          "controller": "controller"}
+_PARTS = {
+    "rest": "waiting for physics, drawing, truth",
+    "camera": "reading images",
+    "perception": "perception",
+    "controller": "controller",
+}
 
 
 def _time_table(result: Mapping[str, Any]) -> str:
     """Where the wall time of a control cycle goes, both fingers together."""
-    lines = [f"| ms a control cycle, mean | {' | '.join(_PARTS.values())} | whole |", "|---" * (len(_PARTS) + 2) + "|"]
+    lines = [
+        f"| ms a control cycle, mean | {' | '.join(_PARTS.values())} | whole |",
+        "|---" * (len(_PARTS) + 2) + "|",
+    ]
     for name, s in result["objects"].items():
         if "milliseconds" in s:
             parts = [s["milliseconds"][part] for part in _PARTS]
-            lines.append(f"| {name} | {' | '.join(f'{ms:.1f}' for ms in parts)} | {sum(parts):.1f} |")
+            lines.append(
+                f"| {name} | {' | '.join(f'{ms:.1f}' for ms in parts)} | {sum(parts):.1f} |"
+            )
     return "\n".join(lines)
 
 
@@ -127,7 +169,12 @@ def _plot(rows: Sequence[Mapping[str, Any]], out: Path) -> None:
     axes.axhline(0, color="black", linewidth=0.8)
     done = [row for row in rows if "milliseconds" in row]
     for name, group in _by_object(done).items():
-        axes.plot([r["seed"] for r in group], [r["hold_force_N"] - r["hold_force_true_N"] for r in group], "o-", label=name)
+        axes.plot(
+            [r["seed"] for r in group],
+            [r["hold_force_N"] - r["hold_force_true_N"] for r in group],
+            "o-",
+            label=name,
+        )
     axes.set_xlabel("seed")
     axes.set_xticks(sorted({row["seed"] for row in rows}))
     axes.set_ylabel("felt less true normal force [N]")

@@ -1,7 +1,9 @@
-"""`mjtactile bench material`: probe random bodies that nothing was tuned on, and compare the verdicts with the truth.
+"""`mjtactile bench material`: probe random bodies that nothing was tuned on, and compare the
+verdicts with the truth.
 
-Bodies are drawn from seeds: sizes, stiffnesses, relaxation times, yield forces and where they stand. The shipped objects
-and the seeds below FIRST_SEED were used in tuning and are not among them.
+Bodies are drawn from seeds: sizes, stiffnesses, relaxation times, yield forces and where they
+stand. The shipped objects and the seeds below FIRST_SEED were used in tuning and are not among
+them.
 """
 
 from __future__ import annotations
@@ -23,7 +25,8 @@ from mjtactile.sim.scenes.specimens import Kind, Specimen, to_mjcf
 
 FIRST_SEED = 4000
 KINDS: tuple[Kind, ...] = ("rigid", "elastic", "viscoelastic", "plastic")
-BODIES, BODIES_QUICK = 48, 4
+BODIES = 48
+BODIES_QUICK = 4
 TARGETS = {"class_right": (0.93, 0.98), "modulus_within_2": (0.85, 0.95)}
 
 
@@ -35,24 +38,47 @@ def random_specimen(seed: int) -> Specimen:
         return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
     kind = KINDS[seed % len(KINDS)]
-    length, width, height = (float(rng.uniform(*limits)) for limits in ((0.018, 0.032), (0.014, 0.022), (0.013, 0.020)))
+    length, width, height = (
+        float(rng.uniform(*limits)) for limits in ((0.018, 0.032), (0.014, 0.022), (0.013, 0.020))
+    )
     if kind == "rigid":
         shape = ("box", "cylinder", "sphere")[int(rng.integers(3))]
         return Specimen(kind, length, length if shape == "cylinder" else width, height, shape=shape)
     if kind == "elastic":
         stiffness = spread(120, 4000)
-        return Specimen(kind, length, width, height, stiffness=stiffness,
-                        stiffening=float(rng.uniform(0, 0.5)) * stiffness**2)
+        return Specimen(
+            kind,
+            length,
+            width,
+            height,
+            stiffness=stiffness,
+            stiffening=float(rng.uniform(0, 0.5)) * stiffness**2,
+        )
     if kind == "viscoelastic":
         stiffness = spread(150, 1500)
-        return Specimen(kind, length, width, height, stiffness=stiffness,
-                        arm_stiffness=stiffness * float(rng.uniform(0.5, 2.5)),
-                        relaxation_time=spread(0.15, 1.0))
-    return Specimen(kind, length, width, height, stiffness=spread(800, 5000),
-                    yield_force=spread(0.02, 0.5), viscosity=spread(10, 300))
+        return Specimen(
+            kind,
+            length,
+            width,
+            height,
+            stiffness=stiffness,
+            arm_stiffness=stiffness * float(rng.uniform(0.5, 2.5)),
+            relaxation_time=spread(0.15, 1.0),
+        )
+    return Specimen(
+        kind,
+        length,
+        width,
+        height,
+        stiffness=spread(800, 5000),
+        yield_force=spread(0.02, 0.5),
+        viscosity=spread(10, 300),
+    )
 
 
-def run(out: Path, *, quick: bool = False, say: Callable[[str], None] = lambda _: None) -> dict[str, Any]:
+def run(
+    out: Path, *, quick: bool = False, say: Callable[[str], None] = lambda _: None
+) -> dict[str, Any]:
     """Probe the bodies; one row each. What was measured so far is kept in `out`/material.json."""
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
@@ -79,42 +105,83 @@ def _row(seed: int, folder: Path) -> dict[str, Any]:
 def _compare(specimen: Specimen, result: ProbeResult) -> dict[str, Any]:
     """The verdict and the truth in one row; stiffness and modulus at the force of the hold."""
     found = result.summary()
-    row = {key: found[key] for key in ("material", "probability", "status", "force_N", "deformation_mm", "stiffness_N_m",
-                                       "modulus_kPa", "modulus_interval_kPa", "relaxation_time_s", "permanent_set_mm")}
+    row = {
+        key: found[key]
+        for key in (
+            "material",
+            "probability",
+            "status",
+            "force_N",
+            "deformation_mm",
+            "stiffness_N_m",
+            "modulus_kPa",
+            "modulus_interval_kPa",
+            "relaxation_time_s",
+            "permanent_set_mm",
+        )
+    }
     if specimen.material == "soft":
         force = row["force_N"] if math.isfinite(row["force_N"]) else 0.9
-        row |= {"stiffness_true_N_m": specimen.secant_stiffness(force), "modulus_true_kPa": 1e-3 * specimen.modulus(force),
-                "relaxation_time_true_s": specimen.relaxation_time}
+        row |= {
+            "stiffness_true_N_m": specimen.secant_stiffness(force),
+            "modulus_true_kPa": 1e-3 * specimen.modulus(force),
+            "relaxation_time_true_s": specimen.relaxation_time,
+        }
     return row
 
 
 def _line(row: Mapping[str, Any]) -> str:
     true = f"{row['modulus_true_kPa']:.0f} kPa" if "modulus_true_kPa" in row else ""
-    felt = f"{row['modulus_kPa']:.0f} kPa" if math.isfinite(row.get("modulus_kPa", math.nan)) else ""
-    return f"{row['seed']} {row['kind']} {true}: {row['material']} {felt} {row.get('error', row.get('status', ''))}"
+    felt = (
+        f"{row['modulus_kPa']:.0f} kPa" if math.isfinite(row.get("modulus_kPa", math.nan)) else ""
+    )
+    return (
+        f"{row['seed']} {row['kind']} {true}: {row['material']} {felt} "
+        f"{row.get('error', row.get('status', ''))}"
+    )
 
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Shares and medians over the rows."""
     right = [row["material"] == row["material_true"] for row in rows]
     soft = [row for row in rows if row["material_true"] == "soft"]
-    ratios = [row["modulus_kPa"] / row["modulus_true_kPa"] if math.isfinite(row.get("modulus_kPa", math.nan)) else math.inf
-              for row in soft if "modulus_true_kPa" in row]
-    inside = [row["modulus_interval_kPa"][0] <= row["modulus_true_kPa"] <= row["modulus_interval_kPa"][1]
-              for row in soft if math.isfinite(row.get("modulus_kPa", math.nan))]
-    relaxed = [row["relaxation_time_s"] / row["relaxation_time_true_s"] for row in soft
-               if row.get("relaxation_time_true_s", 0) > 0 and row.get("relaxation_time_s", math.nan) > 0]
-    stiff = [row["stiffness_N_m"] / row["stiffness_true_N_m"] for row in soft if row.get("stiffness_N_m", math.nan) > 0]
+    ratios = [
+        row["modulus_kPa"] / row["modulus_true_kPa"]
+        if math.isfinite(row.get("modulus_kPa", math.nan))
+        else math.inf
+        for row in soft
+        if "modulus_true_kPa" in row
+    ]
+    inside = [
+        row["modulus_interval_kPa"][0] <= row["modulus_true_kPa"] <= row["modulus_interval_kPa"][1]
+        for row in soft
+        if math.isfinite(row.get("modulus_kPa", math.nan))
+    ]
+    relaxed = [
+        row["relaxation_time_s"] / row["relaxation_time_true_s"]
+        for row in soft
+        if row.get("relaxation_time_true_s", 0) > 0 and row.get("relaxation_time_s", math.nan) > 0
+    ]
+    stiff = [
+        row["stiffness_N_m"] / row["stiffness_true_N_m"]
+        for row in soft
+        if row.get("stiffness_N_m", math.nan) > 0
+    ]
     return {
-        "bodies": len(rows), "class_right": float(np.mean(right)) if right else math.nan,
-        "wrong_class": sum(row["material"] not in (row["material_true"], "unknown") for row in rows),
+        "bodies": len(rows),
+        "class_right": float(np.mean(right)) if right else math.nan,
+        "wrong_class": sum(
+            row["material"] not in (row["material_true"], "unknown") for row in rows
+        ),
         "unknown": sum(row["material"] == "unknown" for row in rows),
-        "soft": len(soft), "modulus_within_2": float(np.mean([0.5 <= r <= 2 for r in ratios])) if ratios else math.nan,
+        "soft": len(soft),
+        "modulus_within_2": float(np.mean([0.5 <= r <= 2 for r in ratios])) if ratios else math.nan,
         "modulus_ratio_median": statistics.median(ratios) if ratios else math.nan,
         "modulus_in_interval": float(np.mean(inside)) if inside else math.nan,
         "stiffness_ratio_median": statistics.median(stiff) if stiff else math.nan,
-        "relaxation_seen": len(relaxed), "relaxation_ratio_median": statistics.median(relaxed) if relaxed else math.nan,
-    }  # fmt: skip
+        "relaxation_seen": len(relaxed),
+        "relaxation_ratio_median": statistics.median(relaxed) if relaxed else math.nan,
+    }
 
 
 def table(result: Mapping[str, Any]) -> str:
@@ -123,13 +190,27 @@ def table(result: Mapping[str, Any]) -> str:
         ("bodies (unseen in tuning)", result["bodies"], "", ""),
         ("material class right", f"{100 * result['class_right']:.0f} %", "93 %", "98 %"),
         ("named a wrong class / unknown", f"{result['wrong_class']} / {result['unknown']}", "", ""),
-        (f"modulus within a factor 2 ({result['soft']} soft bodies)", f"{100 * result['modulus_within_2']:.0f} %",
-         "85 %", "95 %"),
+        (
+            f"modulus within a factor 2 ({result['soft']} soft bodies)",
+            f"{100 * result['modulus_within_2']:.0f} %",
+            "85 %",
+            "95 %",
+        ),
         ("modulus over true, median", f"{result['modulus_ratio_median']:.2f}", "", ""),
-        ("true modulus inside the 68 % interval", f"{100 * result['modulus_in_interval']:.0f} %", "", ""),
+        (
+            "true modulus inside the 68 % interval",
+            f"{100 * result['modulus_in_interval']:.0f} %",
+            "",
+            "",
+        ),
         ("stiffness over true, median", f"{result['stiffness_ratio_median']:.2f}", "", ""),
-        (f"relaxation time over true, median ({result['relaxation_seen']} bodies)",
-         f"{result['relaxation_ratio_median']:.2f}", "", "")]
+        (
+            f"relaxation time over true, median ({result['relaxation_seen']} bodies)",
+            f"{result['relaxation_ratio_median']:.2f}",
+            "",
+            "",
+        ),
+    ]
     lines = ["| what | measured | at least | aim |", "|---|---|---|---|"]
     return "\n".join([*lines, *(f"| {a} | {b} | {c} | {d} |" for a, b, c, d in rows)]) + "\n"
 
@@ -140,12 +221,25 @@ def _plot(out: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         return
     axes = figure.add_subplot()
     for kind, mark in (("elastic", "o"), ("viscoelastic", "s")):
-        group = [r for r in rows if r["kind"] == kind and math.isfinite(r.get("modulus_kPa", math.nan))]
-        axes.plot([r["modulus_true_kPa"] for r in group], [r["modulus_kPa"] for r in group], mark, ms=5, label=kind)
+        group = [
+            r for r in rows if r["kind"] == kind and math.isfinite(r.get("modulus_kPa", math.nan))
+        ]
+        axes.plot(
+            [r["modulus_true_kPa"] for r in group],
+            [r["modulus_kPa"] for r in group],
+            mark,
+            ms=5,
+            label=kind,
+        )
     line = np.array([5.0, 1000.0])
     axes.plot(line, line, "k-", lw=1)
     for factor in (0.5, 2.0):
         axes.plot(line, factor * line, "k:", lw=1)
-    axes.set(xscale="log", yscale="log", xlabel="true modulus at the probing force, kPa", ylabel="estimated, kPa")
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlabel="true modulus at the probing force, kPa",
+        ylabel="estimated, kPa",
+    )
     axes.legend()
     figure.savefig(out / "material.png")

@@ -1,8 +1,10 @@
-"""Settings of the simulator as the benchmarks vary them, and the two experiments in which each is measured.
+"""Settings of the simulator as the benchmarks vary them, and the two experiments in which each is
+measured.
 
-Accuracy is measured on one sensor into which spheres are driven to a given depth (the force is an outcome), cost and
-noise on two sensors that hold an egg (the work the simulator is made for). Times are core time, so that what else runs
-on the machine disturbs them little; compare ratios of one run only.
+Accuracy is measured on one sensor into which spheres are driven to a given depth (the force is an
+outcome), cost and noise on two sensors that hold an egg (the work the simulator is made for). Times
+are core time, so that what else runs on the machine disturbs them little; compare ratios of one run
+only.
 """
 
 from __future__ import annotations
@@ -29,8 +31,8 @@ SENSOR = "dense"
 
 @dataclass(frozen=True)
 class Setting:
-    """`mesh` vertices along x, y; `timestep` s; CG `tolerance` and `iterations`; `softness` scales the depth to which
-    objects sink into the membrane."""
+    """`mesh` vertices along x, y; `timestep` s; CG `tolerance` and `iterations`; `softness` scales
+    the depth to which objects sink into the membrane."""
 
     mesh: tuple[int, int] = DEFAULT_MESH
     timestep: float = 1 / 240
@@ -40,13 +42,19 @@ class Setting:
 
     def apply(self, world: Any) -> None:
         option = world.model.opt
-        option.tolerance, option.iterations = self.tolerance, self.iterations
+        option.tolerance = self.tolerance
+        option.iterations = self.iterations
         for sensor in world.sensors:
             world.model.geom_solref[sensor.vertex_geom_ids, 0] *= np.sqrt(self.softness)
 
     def summary(self) -> dict[str, Any]:
-        return {"mesh": list(self.mesh), "timestep_ms": 1e3 * self.timestep, "tolerance": self.tolerance,
-                "iterations": self.iterations, "softness": self.softness}
+        return {
+            "mesh": list(self.mesh),
+            "timestep_ms": 1e3 * self.timestep,
+            "tolerance": self.tolerance,
+            "iterations": self.iterations,
+            "softness": self.softness,
+        }
 
 
 @dataclass(frozen=True)
@@ -58,9 +66,14 @@ class Case:
     at: tuple[float, float]
 
 
-# The places are no symmetry points of any mesh: the error of a coarse mesh depends on where the vertices are.
-CASES = (Case(16e-3, 2.5e-3, (0.7e-3, 0.4e-3)), Case(16e-3, 2.0e-3, (-3.1e-3, 2.3e-3)), Case(8e-3, 2.0e-3, (1.9e-3, -1.2e-3)),
-         Case(8e-3, 1.0e-3, (-4.7e-3, 3.1e-3)))
+# The places are no symmetry points of any mesh: the error of a coarse mesh depends on where the
+# vertices are.
+CASES = (
+    Case(16e-3, 2.5e-3, (0.7e-3, 0.4e-3)),
+    Case(16e-3, 2.0e-3, (-3.1e-3, 2.3e-3)),
+    Case(8e-3, 2.0e-3, (1.9e-3, -1.2e-3)),
+    Case(8e-3, 1.0e-3, (-4.7e-3, 3.1e-3)),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,11 +87,18 @@ class Pressed:
 
 def press(setting: Setting, case: Case, design: SensorDesign | str = SENSOR) -> Pressed:
     """Inflate to 1 kPa, seal, press, settle, and average over 20 steps. Raises SimulationError."""
-    world = PressWorld(design, Indenter("sphere", case.radius), at=case.at, timestep=setting.timestep, mesh=setting.mesh)
+    world = PressWorld(
+        design,
+        Indenter("sphere", case.radius),
+        at=case.at,
+        timestep=setting.timestep,
+        mesh=setting.mesh,
+    )
     setting.apply(world)
     world.inflate(1000.0, seal=True)
     world.press(case.depth)
-    forces, places = [], []
+    forces = []
+    places = []
     for _ in range(20):
         world.step()
         forces.append(-truth.contact_force(world, 0)[2])
@@ -86,7 +106,13 @@ def press(setting: Setting, case: Case, design: SensorDesign | str = SENSOR) -> 
     return Pressed(float(np.mean(forces)), np.mean(places, axis=0), truth.penetration(world, 0))
 
 
-def held(setting: Setting, *, grasped: str = "egg", design: SensorDesign | str = SENSOR, settle: float = 0.8) -> GraspWorld:
+def held(
+    setting: Setting,
+    *,
+    grasped: str = "egg",
+    design: SensorDesign | str = SENSOR,
+    settle: float = 0.8,
+) -> GraspWorld:
     """Two sealed sensors that hold `grasped` in the air, at rest. Raises SimulationError."""
     world = GraspWorld(design, grasped, timestep=setting.timestep, mesh=setting.mesh, opening=0.05)
     setting.apply(world)
@@ -95,6 +121,7 @@ def held(setting: Setting, *, grasped: str = "egg", design: SensorDesign | str =
 
 def hold(world: GraspWorld, settle: float = 0.8) -> GraspWorld:
     """Inflate, seal, close on the object, lift it by 10 mm, and wait."""
+
     def run(seconds: float) -> None:
         world.step(max(1, round(seconds / world.timestep)))
 
@@ -111,12 +138,14 @@ def hold(world: GraspWorld, settle: float = 0.8) -> GraspWorld:
 
 
 def core_ms(action: Callable[[], Any], count: int) -> float:
-    """Core time of one `action()`, ms: the least of five bursts, since all that a machine does besides only adds."""
+    """Core time of one `action()`, ms: the least of five bursts, since all that a machine does
+    besides only adds."""
     return in_turns([action], max(count // 5, 1), rounds=5)[0]
 
 
 def in_turns(actions: Sequence[Callable[[], Any]], count: int, rounds: int = 12) -> list[float]:
-    """Core time of each action, ms: the least of its bursts of `count`, which take turns with the others' bursts."""
+    """Core time of each action, ms: the least of its bursts of `count`, which take turns with the
+    others' bursts."""
     least = [math.inf] * len(actions)
     for _ in range(rounds):
         for k, action in enumerate(actions):
@@ -128,17 +157,23 @@ def in_turns(actions: Sequence[Callable[[], Any]], count: int, rounds: int = 12)
 
 
 def cost_and_noise(setting: Setting, seconds: float = 0.6) -> dict[str, float]:
-    """Cost in ms per simulated second, noise of the contact force (sd, N), and solver iterations a step, while holding."""
+    """Cost in ms per simulated second, noise of the contact force (sd, N), and solver iterations a
+    step, while holding."""
     world = held(setting)
     ms = core_ms(world.step, round(seconds / setting.timestep))
-    forces, iterations = [], []
+    forces = []
+    iterations = []
     for _ in range(round(0.2 / setting.timestep)):
         world.step()
         forces.append([truth.contact_force(world, i)[2] for i in range(len(world.sensors))])
         iterations.append(int(world.data.solver_niter[0]))
-    return {"ms_per_s": ms / setting.timestep, "ms_per_step": ms, "force_noise_N": float(np.std(forces, axis=0).mean()),
-            "iterations_mean": float(np.mean(iterations)),
-            "penetration_um": 1e6 * max(truth.penetration(world, i) for i in range(len(world.sensors)))}
+    return {
+        "ms_per_s": ms / setting.timestep,
+        "ms_per_step": ms,
+        "force_noise_N": float(np.std(forces, axis=0).mean()),
+        "iterations_mean": float(np.mean(iterations)),
+        "penetration_um": 1e6 * max(truth.penetration(world, i) for i in range(len(world.sensors))),
+    }
 
 
 def attempt(measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:

@@ -1,9 +1,12 @@
-"""`mjtactile bench tracking`: markers that are followed from image to image, against a search of every image.
+"""`mjtactile bench tracking`: markers that are followed from image to image, against a search of
+every image.
 
-Sequences of a moving membrane, each disturbed in one way: hands and glare in front of the markers, a camera that jumps, images
-that are lost, 15 Hz, taps, markers that fade. Each image is looked at twice, by `tracking.follow` and by `markers.search`, and
-both are compared with where the markers were drawn. Wrong is a marker that is followed, trusted, and further from the truth than
-its error allows, where the search was right or flagged it; and a marker that the search finds and that was missed twice in a row.
+Sequences of a moving membrane, each disturbed in one way: hands and glare in front of the markers,
+a camera that jumps, images that are lost, 15 Hz, taps, markers that fade. Each image is looked at
+twice, by `tracking.follow` and by `markers.search`, and both are compared with where the markers
+were drawn. Wrong is a marker that is followed, trusted, and further from the truth than its error
+allows, where the search was right or flagged it; and a marker that the search finds and that was
+missed twice in a row.
 """
 
 from __future__ import annotations
@@ -27,9 +30,12 @@ from mjtactile.sensing.image import markers, tracking
 from mjtactile.sim.picture.renderer import Renderer
 
 LENGTH = 100  # images of a sequence
-SEQUENCES, SEQUENCES_QUICK = 1000, 8
+SEQUENCES = 1000
+SEQUENCES_QUICK = 8
 SENSOR = "dense"
-_SD, _FLOOR = 6.0, 0.05  # an error beyond so many sd and px is wrong
+# an error beyond so many sd and px is wrong
+_SD = 6.0
+_FLOOR = 0.05
 _SAME = 3.0  # px, within which two centres are of the same marker
 
 Floats = Array
@@ -64,14 +70,30 @@ def sequence_row(seed: int) -> dict[str, Any]:
     camera = Camera.from_design(design.camera, design.glass)
     least = max(1.5, 0.33 * camera.fx * design.markers.radius / design.camera.distance)
     kind = list(KINDS)[seed % len(KINDS)]
-    row = {"seed": seed, "kind": kind, "images": 0, "searched": 0, "markers": 0, "wrong": 0, "missed_twice": 0, "missed": 0,
-           "apart_sd": 0.0}
-    tracks, missing = None, np.zeros(design.markers.count, bool)
+    row = {
+        "seed": seed,
+        "kind": kind,
+        "images": 0,
+        "searched": 0,
+        "markers": 0,
+        "wrong": 0,
+        "missed_twice": 0,
+        "missed": 0,
+        "apart_sd": 0.0,
+    }
+    tracks = None
+    missing = np.zeros(design.markers.count, bool)
     for moment in moments(kind, seed):
         before = tracks
-        followed, tracks = tracking.follow(moment.image, before, design.markers.count, min_radius_px=least)
-        searched = markers.as_ellipses(*markers.search(markers.grey_image(moment.image), min_radius_px=least))
-        (mine, off, sd), (theirs, theirs_off, theirs_sd) = (_errors(found, moment.centers) for found in (followed, searched))
+        followed, tracks = tracking.follow(
+            moment.image, before, design.markers.count, min_radius_px=least
+        )
+        searched = markers.as_ellipses(
+            *markers.search(markers.grey_image(moment.image), min_radius_px=least)
+        )
+        (mine, off, sd), (theirs, theirs_off, theirs_sd) = (
+            _errors(found, moment.centers) for found in (followed, searched)
+        )
         wrong = mine & _is_wrong(off, sd) & ~(theirs & (off < theirs_off + theirs_sd))
         missed = theirs & ~mine
         both = mine & theirs
@@ -82,7 +104,9 @@ def sequence_row(seed: int) -> dict[str, Any]:
         row["missed"] += int(missed.sum())
         row["missed_twice"] += int((missed & missing).sum())
         if both.any():
-            row["apart_sd"] = max(row["apart_sd"], float((np.abs(off - theirs_off) / theirs_sd)[both].max()))
+            row["apart_sd"] = max(
+                row["apart_sd"], float((np.abs(off - theirs_off) / theirs_sd)[both].max())
+            )
         missing = missed
     return row
 
@@ -92,9 +116,12 @@ def _is_wrong(off: Array, sd: Array) -> Array:
 
 
 def _errors(found: Ellipses, truth: Array) -> tuple[Array, Array, Array]:
-    """For each true centre: whether a trusted ellipse is there, how far it is off, px, and the sd that it says of itself."""
+    """For each true centre: whether a trusted ellipse is there, how far it is off, px, and the sd
+    that it says of itself."""
     good = np.flatnonzero(found.status == "ok")
-    has, off, sd = np.zeros(len(truth), bool), np.full(len(truth), np.inf), np.ones(len(truth))
+    has = np.zeros(len(truth), bool)
+    off = np.full(len(truth), np.inf)
+    sd = np.ones(len(truth))
     if not len(good):
         return has, off, sd
     distance = np.linalg.norm(truth[:, None] - found.center_px[good], axis=2)
@@ -104,7 +131,8 @@ def _errors(found: Ellipses, truth: Array) -> tuple[Array, Array, Array]:
     return off < _SAME, off, np.sqrt(variance[:, 0, 0] + variance[:, 1, 1])
 
 
-# -- the sequences -----------------------------------------------------------------------------------------------------
+# -- the sequences
+# --------------------------------------------------------------------------------
 
 
 def moments(kind: str, seed: int) -> Iterator[Moment]:
@@ -118,7 +146,9 @@ def moments(kind: str, seed: int) -> Iterator[Moment]:
     dents = [_dent(rng, rate, kind) for _ in range(3)]
     time = 0.0
     for k in range(LENGTH):
-        time += (1 + (rng.integers(1, 4) if kind == "lost images" and rng.random() < 0.2 else 0)) / rate
+        time += (
+            1 + (rng.integers(1, 4) if kind == "lost images" and rng.random() < 0.2 else 0)
+        ) / rate
         p_SM, n_S = _membrane(design.markers.p_SM, [dent(time) for dent in dents])
         grey = renderer.irradiance_image(p_SM, n_S)
         truth = _centers(camera, p_SM - design.camera.p_SC, n_S, design.markers.radius)
@@ -126,10 +156,16 @@ def moments(kind: str, seed: int) -> Iterator[Moment]:
         yield Moment(renderer.expose(grey.astype(np.float32, copy=False), time, rng=rng), truth)
 
 
-def _dent(rng: np.random.Generator, rate: float, kind: str) -> Callable[[float], tuple[Array, float, float]]:
-    """Place (2,) m, depth m and width m of a dent at a time; of a tap one that is there within one image or two."""
-    start, way = rng.uniform(-10e-3, 10e-3, 2), rng.uniform(-6e-3, 6e-3, 2)
-    depth, width, period = rng.uniform(-3e-3, 1e-3), rng.uniform(5e-3, 12e-3), rng.uniform(0.5, 2.0)
+def _dent(
+    rng: np.random.Generator, rate: float, kind: str
+) -> Callable[[float], tuple[Array, float, float]]:
+    """Place (2,) m, depth m and width m of a dent at a time; of a tap one that is there within one
+    image or two."""
+    start = rng.uniform(-10e-3, 10e-3, 2)
+    way = rng.uniform(-6e-3, 6e-3, 2)
+    depth = rng.uniform(-3e-3, 1e-3)
+    width = rng.uniform(5e-3, 12e-3)
+    period = rng.uniform(0.5, 2.0)
     taps = np.sort(rng.uniform(0, LENGTH / rate, 6))
 
     def at(time: float) -> tuple[Array, float, float]:
@@ -143,9 +179,11 @@ def _dent(rng: np.random.Generator, rate: float, kind: str) -> Callable[[float],
 
 
 def _membrane(flat: Array, dents: list[tuple[Array, float, float]]) -> tuple[Array, Array]:
-    """Positions and unit normals (M, 3) of markers on a bulge with dents; the sheet slides a little with them."""
+    """Positions and unit normals (M, 3) of markers on a bulge with dents; the sheet slides a little
+    with them."""
     x, y = flat[:, :2].T / np.abs(flat[:, :2]).max(axis=0)[:, None] / 1.3
-    p, slope = flat.copy(), np.zeros((len(flat), 2))
+    p = flat.copy()
+    slope = np.zeros((len(flat), 2))
     p[:, 2] += 3e-3 * (1 - x**2) * (1 - y**2)
     for place, depth, width in dents:
         off = flat[:, :2] - place
@@ -158,86 +196,146 @@ def _membrane(flat: Array, dents: list[tuple[Array, float, float]]) -> tuple[Arr
 
 
 def _centers(camera: Camera, p_CM: Array, n: Array, radius: float) -> Array:
-    """Centres (M, 2) px of the ellipses as which circles appear: centroids of their projected areas."""
+    """Centres (M, 2) px of the ellipses as which circles appear: centroids of their projected
+    areas."""
     t = np.linspace(0, 2 * np.pi, 64, endpoint=False)
     a, b = geometry.tangents(n)
-    rim = p_CM[:, None] + radius * (np.cos(t)[:, None] * a[:, None] + np.sin(t)[:, None] * b[:, None])
+    rim = p_CM[:, None] + radius * (
+        np.cos(t)[:, None] * a[:, None] + np.sin(t)[:, None] * b[:, None]
+    )
     x, y = np.moveaxis(optics.project(camera, rim), -1, 0)
-    x2, y2 = np.roll(x, -1, axis=1), np.roll(y, -1, axis=1)
+    x2 = np.roll(x, -1, axis=1)
+    y2 = np.roll(y, -1, axis=1)
     cross = x * y2 - x2 * y
-    return np.stack([((x + x2) * cross).sum(axis=1), ((y + y2) * cross).sum(axis=1)], axis=1) / (3 * cross.sum(axis=1))[:, None]
+    return (
+        np.stack([((x + x2) * cross).sum(axis=1), ((y + y2) * cross).sum(axis=1)], axis=1)
+        / (3 * cross.sum(axis=1))[:, None]
+    )
 
 
-def _nothing(grey: Floats, truth: Array, _: int, __: dict, ___: np.random.Generator) -> tuple[Floats, Array]:
+def _nothing(
+    grey: Floats, truth: Array, _: int, __: dict, ___: np.random.Generator
+) -> tuple[Floats, Array]:
     return grey, truth
 
 
-def _hand(grey: Floats, truth: Array, k: int, state: dict, rng: np.random.Generator) -> tuple[Floats, Array]:
+def _hand(
+    grey: Floats, truth: Array, k: int, state: dict, rng: np.random.Generator
+) -> tuple[Floats, Array]:
     """Something grey and long goes across the picture and away again."""
     if k % 30 == 0:
-        state["hand"] = rng.uniform([0, 0], [640, 480]), rng.normal(0, 25, 2), rng.uniform(20, 90, 2), rng.uniform(20, 190)
+        state["hand"] = (
+            rng.uniform([0, 0], [640, 480]),
+            rng.normal(0, 25, 2),
+            rng.uniform(20, 90, 2),
+            rng.uniform(20, 190),
+        )
     place, way, size, level = state["hand"]
     at = place + way * (k % 30 - 10)
     grey = grey.copy()
-    cv2.ellipse(grey, at.astype(int).tolist(), size.astype(int).tolist(), 10.0 * (k % 30), 0, 360, float(level), -1, cv2.LINE_AA)
+    cv2.ellipse(
+        grey,
+        at.astype(int).tolist(),
+        size.astype(int).tolist(),
+        10.0 * (k % 30),
+        0,
+        360,
+        float(level),
+        -1,
+        cv2.LINE_AA,
+    )
     return grey, truth
 
 
-def _glare(grey: Floats, truth: Array, k: int, state: dict, rng: np.random.Generator) -> tuple[Floats, Array]:
+def _glare(
+    grey: Floats, truth: Array, k: int, state: dict, rng: np.random.Generator
+) -> tuple[Floats, Array]:
     """Soft bright spots that wander."""
     if k == 0:
-        state["glare"] = (rng.uniform([0, 0], [640, 480], (4, 2)), rng.normal(0, 3, (4, 2)), rng.uniform(4, 25, 4),
-                          rng.uniform(40, 200, 4))
+        state["glare"] = (
+            rng.uniform([0, 0], [640, 480], (4, 2)),
+            rng.normal(0, 3, (4, 2)),
+            rng.uniform(4, 25, 4),
+            rng.uniform(40, 200, 4),
+        )
     places, ways, sizes, levels = state["glare"]
     v, u = np.mgrid[: grey.shape[0], : grey.shape[1]].astype(np.float32)
     for place, size, level in zip(places + k * ways, sizes, levels, strict=True):
-        grey = grey + level * np.exp(-((u - place[0]) ** 2 + (v - place[1]) ** 2) / (2 * size**2)).astype(np.float32)
+        grey = grey + level * np.exp(
+            -((u - place[0]) ** 2 + (v - place[1]) ** 2) / (2 * size**2)
+        ).astype(np.float32)
     return grey, truth
 
 
-def _jump(grey: Floats, truth: Array, k: int, state: dict, rng: np.random.Generator) -> tuple[Floats, Array]:
-    """The camera is knocked now and then: the picture is elsewhere from one image to the next, by up to two pitches."""
+def _jump(
+    grey: Floats, truth: Array, k: int, state: dict, rng: np.random.Generator
+) -> tuple[Floats, Array]:
+    """The camera is knocked now and then: the picture is elsewhere from one image to the next, by
+    up to two pitches."""
     if k == 0 or rng.random() < 0.08:
         state["shift"] = rng.uniform(-60, 60, 2) * rng.choice([0.05, 1.0])
     du, dv = state["shift"]
-    moved = cv2.warpAffine(grey, np.array([[1, 0, du], [0, 1, dv]]), grey.shape[::-1], flags=cv2.INTER_CUBIC,
-                           borderMode=cv2.BORDER_REPLICATE)
+    moved = cv2.warpAffine(
+        grey,
+        np.array([[1, 0, du], [0, 1, dv]]),
+        grey.shape[::-1],
+        flags=cv2.INTER_CUBIC,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
     return moved, truth + state["shift"]
 
 
-def _fade(grey: Floats, truth: Array, k: int, state: dict, rng: np.random.Generator) -> tuple[Floats, Array]:
+def _fade(
+    grey: Floats, truth: Array, k: int, state: dict, rng: np.random.Generator
+) -> tuple[Floats, Array]:
     """Some markers wear off or are wiped over, and come back."""
     if k % 20 == 0:
         state["gone"] = rng.choice(len(truth), 5, replace=False)
     grey = grey.copy()
     share = min(1.0, (k % 20) / 10)
     for u, v in truth[state["gone"]].tolist():
-        cut = grey[max(int(v) - 16, 0): int(v) + 17, max(int(u) - 16, 0): int(u) + 17]
+        cut = grey[max(int(v) - 16, 0) : int(v) + 17, max(int(u) - 16, 0) : int(u) + 17]
         cut += share * (np.percentile(cut, 90) - cut)
     return grey, truth
 
 
 KINDS: dict[str, tuple[float, Callable]] = {
-    "undisturbed": (30.0, _nothing), "15 Hz": (15.0, _nothing), "taps": (30.0, _nothing), "lost images": (30.0, _nothing),
-    "hands": (30.0, _hand), "glare": (30.0, _glare), "a camera that jumps": (30.0, _jump), "markers that fade": (30.0, _fade),
+    "undisturbed": (30.0, _nothing),
+    "15 Hz": (15.0, _nothing),
+    "taps": (30.0, _nothing),
+    "lost images": (30.0, _nothing),
+    "hands": (30.0, _hand),
+    "glare": (30.0, _glare),
+    "a camera that jumps": (30.0, _jump),
+    "markers that fade": (30.0, _fade),
 }
 """Kind of sequence: images a second, and what disturbs."""
 
 
-# -- the table ---------------------------------------------------------------------------------------------------------
+# -- the table
+# --------------------------------------------------------------------------------
 
 
 def _sums(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    total = {key: sum(row[key] for row in rows) for key in ("images", "searched", "markers", "wrong", "missed", "missed_twice")}
+    total = {
+        key: sum(row[key] for row in rows)
+        for key in ("images", "searched", "markers", "wrong", "missed", "missed_twice")
+    }
     return total | {"apart_sd": max((row["apart_sd"] for row in rows), default=0.0)}
 
 
 def table(result: Mapping[str, Any]) -> str:
     """The result as Markdown."""
-    lines = ["| sequences | images | searched | markers | wrong | missed once | missed twice in a row | most apart, sd |",
-             "|---" * 8 + "|"]
+    lines = [
+        "| sequences | images | searched | markers | wrong | missed once | missed twice in a "
+        "row | most apart, sd |",
+        "|---" * 8 + "|",
+    ]
     for name, g in result["groups"].items():
         numbers = [g["markers"], g["wrong"], g["missed"] - g["missed_twice"], g["missed_twice"]]
-        lines.append(f"| {name} | {g['images']} | {100 * g['searched'] / max(g['images'], 1):.0f} % | "
-                     + " | ".join(map(str, numbers)) + f" | {g['apart_sd']:.1f} |")
+        lines.append(
+            f"| {name} | {g['images']} | "
+            f"{100 * g['searched'] / max(g['images'], 1):.0f} "
+            "% | " + " | ".join(map(str, numbers)) + f" | {g['apart_sd']:.1f} |"
+        )
     return "\n".join(lines) + "\n"

@@ -1,8 +1,10 @@
-"""Gentle grasp: close until something is felt, regulate the felt force, lift, hold, put down, let go.
+"""Gentle grasp: close until something is felt, regulate the felt force, lift, hold, put down, let
+go.
 
-`step` is pure: what it must remember it writes into `Command.memory` and finds again in `Observation.command.memory`.
-It knows no clock, simulator or device, so the same file drives the simulated, the emulated and the real gripper.
-Copy it to make your own: any file with a function `step(observation) -> command` will do.
+`step` is pure: what it must remember it writes into `Command.memory` and finds again in
+`Observation.command.memory`. It knows no clock, simulator or device, so the same file drives the
+simulated, the emulated and the real gripper. Copy it to make your own: any file with a function
+`step(observation) -> command` will do.
 """
 
 from dataclasses import replace
@@ -10,37 +12,56 @@ from math import isfinite
 
 from mjtactile.types import Command, Observation
 
-TARGET_FORCE = 0.6  # N on each finger: enough friction for 60 g at a coefficient of 0.5, well below what an egg stands
+# N on each finger: enough friction for 60 g at a coefficient of 0.5, well below what an egg stands
+TARGET_FORCE = 0.6
 TOUCH_FORCE = 0.08  # N: several times the noise of the estimate
 SERVO_FORCE_LIMIT = 4.0  # N: the most that the servo may push, whatever is felt
-CLOSING_SPEED = 0.025  # m/s while nothing is felt: 0.8 mm a cycle at 30 Hz, about 0.1 N past the first touch
+# m/s while nothing is felt: 0.8 mm a cycle at 30 Hz, about 0.1 N past the first touch
+CLOSING_SPEED = 0.025
 OPENING_SPEED = 0.040
-REGULATION_GAIN = 0.03  # m/s of opening for each N of error: with 160 N/m of grip, settles in 0.2 s, six times the delay
+# m/s of opening for each N of error: with 160 N/m of grip, settles in 0.2 s, six times the delay
+REGULATION_GAIN = 0.03
 REGULATION_SPEED_MAX = 0.010
-LIFT_HEIGHT, LIFT_SPEED = 0.040, 0.040
-LOWER_TIME_MAX = LIFT_HEIGHT / LIFT_SPEED + 1.0  # s, then what is held stands already, tilted, and keeps the hand up
-SETTLE_TIME, HOLD_TIME, GRIP_TIMEOUT = 0.4, 2.0, 6.0
+LIFT_HEIGHT = 0.040
+LIFT_SPEED = 0.040
+# s, then what is held stands already, tilted, and keeps the hand up
+LOWER_TIME_MAX = LIFT_HEIGHT / LIFT_SPEED + 1.0
+SETTLE_TIME = 0.4
+HOLD_TIME = 2.0
+GRIP_TIMEOUT = 6.0
 FORCE_TOLERANCE = 0.08  # N around the target that counts as settled
 BLIND_TIME_MAX = 0.5  # s without a usable image before giving up
-LOST_TIME, LOST_SLIP = 0.3, 0.005  # s without a touch, or m slipped through every finger: the object stays behind
-BLOCKED = 0.015  # m that the jaws lag behind: something stands between them where no membrane feels it
+# s without a touch, or m slipped through every finger: the object stays behind
+LOST_TIME = 0.3
+LOST_SLIP = 0.005
+# m that the jaws lag behind: something stands between them where no membrane feels it
+BLOCKED = 0.015
 RELEASE_OPENING = 0.012  # m to open beyond the grip before the run ends
 
 
 def step(observation: Observation) -> Command:
     """One control cycle: dispatch on the phase that the last command was in."""
-    memory = {"phase_time": 0.0, "settled_time": 0.0, "blind_time": 0.0, "lost_time": 0.0, **observation.command.memory}
+    memory = {
+        "phase_time": 0.0,
+        "settled_time": 0.0,
+        "blind_time": 0.0,
+        "lost_time": 0.0,
+        **observation.command.memory,
+    }
     memory["phase_time"] += observation.period
     felt = [touch.force_normal for touch in observation.touch]
     known = all(isfinite(force) for force in felt)
     if known:
         memory["blind_time"] = 0.0
-        memory["lost_time"] = 0.0 if max(felt) > TOUCH_FORCE else memory["lost_time"] + observation.period
+        memory["lost_time"] = (
+            0.0 if max(felt) > TOUCH_FORCE else memory["lost_time"] + observation.period
+        )
     command = replace(observation.command, force_limit=SERVO_FORCE_LIMIT, memory=memory)
     if not known:  # unknown is not zero: stand still, then open gently
         return _blind(observation, command)
     if command.phase in ("lift", "hold", "lower") and _is_lost(observation, memory["lost_time"]):
-        return _remember(_go(command, "release"), grip_opening=command.opening, lost=1.0)  # here, not down onto what fell
+        # here, not down onto what fell
+        return _remember(_go(command, "release"), grip_opening=command.opening, lost=1.0)
     return _PHASES[command.phase](observation, command, felt)
 
 
@@ -78,7 +99,8 @@ def _approach(observation: Observation, command: Command, felt: list[float]) -> 
 
 
 def _close(observation: Observation, command: Command, felt: list[float]) -> Command:
-    """One finger has touched: go on slowly until both do, so that neither pushes the object over."""
+    """One finger has touched: go on slowly until both do, so that neither pushes the object
+    over."""
     if min(felt) > TOUCH_FORCE or max(felt) > TARGET_FORCE:
         return _go(command, "regulate")
     if command.memory["phase_time"] > GRIP_TIMEOUT:
@@ -87,7 +109,8 @@ def _close(observation: Observation, command: Command, felt: list[float]) -> Com
 
 
 def _regulated(observation: Observation, command: Command, felt: list[float]) -> Command:
-    """Move the opening so that the mean felt force goes to the target; stay within reach of the real opening."""
+    """Move the opening so that the mean felt force goes to the target; stay within reach of the
+    real opening."""
     error = TARGET_FORCE - sum(felt) / len(felt)
     speed = max(-REGULATION_SPEED_MAX, min(REGULATION_SPEED_MAX, REGULATION_GAIN * error))
     opening = command.opening - speed * observation.period
@@ -111,7 +134,9 @@ def _lift(observation: Observation, command: Command, felt: list[float]) -> Comm
     command = _regulated(observation, command, felt)
     height = min(LIFT_HEIGHT, command.lift_height + LIFT_SPEED * observation.period)
     command = replace(command, lift_height=height)
-    return _go(command, "hold") if observation.gripper.lift_height > LIFT_HEIGHT - 0.001 else command
+    return (
+        _go(command, "hold") if observation.gripper.lift_height > LIFT_HEIGHT - 0.001 else command
+    )
 
 
 def _hold(observation: Observation, command: Command, felt: list[float]) -> Command:
@@ -123,7 +148,9 @@ def _lower(observation: Observation, command: Command, felt: list[float]) -> Com
     command = _regulated(observation, command, felt)
     height = max(0.0, command.lift_height - LIFT_SPEED * observation.period)
     command = replace(command, lift_height=height)
-    if height == 0.0 and (observation.gripper.lift_height < 0.001 or command.memory["phase_time"] > LOWER_TIME_MAX):
+    if height == 0.0 and (
+        observation.gripper.lift_height < 0.001 or command.memory["phase_time"] > LOWER_TIME_MAX
+    ):
         return _remember(_go(command, "release"), grip_opening=command.opening)
     return command
 
@@ -142,5 +169,14 @@ def _end(observation: Observation, command: Command, felt: list[float]) -> Comma
     return command
 
 
-_PHASES = {"approach": _approach, "close": _close, "regulate": _regulate, "lift": _lift, "hold": _hold,
-           "lower": _lower, "release": _release, "done": _end, "abort": _end}
+_PHASES = {
+    "approach": _approach,
+    "close": _close,
+    "regulate": _regulate,
+    "lift": _lift,
+    "hold": _hold,
+    "lower": _lower,
+    "release": _release,
+    "done": _end,
+    "abort": _end,
+}

@@ -1,6 +1,8 @@
-"""A learned policy as a controller: `MJTACTILE_POLICY=policy.npz mjtactile grasp --controller policy` (docs/gym.md).
+"""A learned policy as a controller: `MJTACTILE_POLICY=policy.npz mjtactile grasp --controller
+policy` (docs/gym.md).
 
-A numpy archive with w0, b0, w1, b1, … is a network with tanh between its layers; a file.onnx needs onnxruntime.
+A numpy archive with w0, b0, w1, b1, … is a network with tanh between its layers; a file.onnx needs
+onnxruntime.
 """
 
 import os

@@ -1,7 +1,8 @@
-"""Probe: press to a small force, hold the jaws still, let go, wait, and touch once more to see what stayed.
+"""Probe: press to a small force, hold the jaws still, let go, wait, and touch once more to see what
+stayed.
 
-Pure like `gentle.py`: what it must remember is in `Command.memory`. What the object is made of is judged from what was
-felt meanwhile (`mjtactile probe`); this file only moves.
+Pure like `gentle.py`: what it must remember is in `Command.memory`. What the object is made of is
+judged from what was felt meanwhile (`mjtactile probe`); this file only moves.
 """
 
 from dataclasses import replace
@@ -10,12 +11,17 @@ from math import isfinite
 from mjtactile.types import Command, Observation
 
 PROBE_FORCE = 0.9  # N on each finger: a strawberry bruises at 1.2
-SECOND_FORCE = 0.35  # N of the second touch: enough to see the surface, too little to press it further
+# N of the second touch: enough to see the surface, too little to press it further
+SECOND_FORCE = 0.35
 TOUCH_FORCE = 0.08  # N: several times the noise of the estimate
 SERVO_FORCE_LIMIT = 4.0  # N: the most that the servo may push, whatever is felt
-APPROACH_SPEED, PRESS_SPEED = 0.025, 0.003  # m/s of opening; slow against the relaxation that is looked for
+# m/s of opening; slow against the relaxation that is looked for
+APPROACH_SPEED = 0.025
+PRESS_SPEED = 0.003
 OPENING_SPEED = 0.015
-HOLD_TIME, REST_TIME = 2.0, 1.5  # s with the jaws still; s without touch before the second look
+# s with the jaws still; s without touch before the second look
+HOLD_TIME = 2.0
+REST_TIME = 1.5
 PRESS_TRAVEL_MAX = 0.010  # m to close after the first touch: what gives way that far is held there
 CLEARANCE = 0.003  # m to open beyond the first touch
 PHASE_TIME_MAX = 8.0  # s in one phase before giving up
@@ -24,7 +30,13 @@ BLIND_TIME_MAX = 0.5  # s without a usable image before giving up
 
 def step(observation: Observation) -> Command:
     """One control cycle: dispatch on the phase that the last command was in."""
-    memory = {"phase_time": 0.0, "blind_time": 0.0, "presses": 0.0, "touch_opening": 0.0, **observation.command.memory}
+    memory = {
+        "phase_time": 0.0,
+        "blind_time": 0.0,
+        "presses": 0.0,
+        "touch_opening": 0.0,
+        **observation.command.memory,
+    }
     memory["phase_time"] += observation.period
     command = replace(observation.command, force_limit=SERVO_FORCE_LIMIT, memory=memory)
     felt = [touch.force_normal for touch in observation.touch]
@@ -59,7 +71,11 @@ def _close(observation: Observation, command: Command, felt: list[float]) -> Com
     """Press at a steady speed up to the force, or as far as it may go."""
     second = command.memory["presses"] > 0
     enough = sum(felt) / len(felt) >= (SECOND_FORCE if second else PROBE_FORCE)
-    if enough or command.opening < command.memory["touch_opening"] - PRESS_TRAVEL_MAX or command.opening <= 0.001:
+    if (
+        enough
+        or command.opening < command.memory["touch_opening"] - PRESS_TRAVEL_MAX
+        or command.opening <= 0.001
+    ):
         return _go(command, "release" if second else "hold", presses=command.memory["presses"] + 1)
     return replace(command, opening=command.opening - PRESS_SPEED * observation.period)
 
@@ -86,4 +102,11 @@ def _end(observation: Observation, command: Command, felt: list[float]) -> Comma
     return command
 
 
-_PHASES = {"approach": _approach, "close": _close, "hold": _hold, "release": _release, "done": _end, "abort": _end}
+_PHASES = {
+    "approach": _approach,
+    "close": _close,
+    "hold": _hold,
+    "release": _release,
+    "done": _end,
+    "abort": _end,
+}

@@ -1,8 +1,10 @@
-"""Slip-aware grasp: grip as gently as the object lets, and harder as soon as it slips or is about to.
+"""Slip-aware grasp: grip as gently as the object lets, and harder as soon as it slips or is about
+to.
 
-Closes to a quarter of a newton, then lifts; the force that each finger should feel grows with what is said of slip, within a
-limit, and never shrinks while the object is held. The hand waits while it grips harder. `step` is pure: what it must remember
-it writes into `Command.memory` and finds again in `Observation.command.memory`.
+Closes to a quarter of a newton, then lifts; the force that each finger should feel grows with what
+is said of slip, within a limit, and never shrinks while the object is held. The hand waits while it
+grips harder. `step` is pure: what it must remember it writes into `Command.memory` and finds again
+in `Observation.command.memory`.
 """
 
 from dataclasses import replace
@@ -10,29 +12,50 @@ from math import isfinite
 
 from mjtactile.types import Command, Observation
 
-FIRST_FORCE, FORCE_MOST = 0.25, 1.6  # N on each finger: what it begins with, and what it never asks for more of
-SLIPPING_SHARE, SLIPPING_STEP = 0.3, 0.1  # of the force felt, and N: how much harder it grips at a slip
+# N on each finger: what it begins with, and what it never asks for more of
+FIRST_FORCE = 0.25
+FORCE_MOST = 1.6
+# of the force felt, and N: how much harder it grips at a slip
+SLIPPING_SHARE = 0.3
+SLIPPING_STEP = 0.1
 SLIP_PAUSE = 0.15  # s until a slip that goes on counts again: what the grip needs to follow
 INCIPIENT_RATE = 0.6  # N/s while slip is about to begin
 KICK = 0.001  # m that the jaws close at once at a slip: about 0.15 N of two soft membranes
 TOUCH_FORCE = 0.08  # N: several times the noise of the estimate
 SERVO_FORCE_LIMIT = 4.0  # N: the most that the servo may push, whatever is felt
-CLOSING_SPEED, OPENING_SPEED = 0.020, 0.040  # m/s
-REGULATION_GAIN, REGULATION_SPEED_MAX = 0.03, 0.010  # m/s for each N of error, as in gentle.py; m/s
-LIFT_HEIGHT, LIFT_SPEED = 0.040, 0.025  # m, m/s: slow, so that slip is said before much of it
-LOWER_TIME_MAX = LIFT_HEIGHT / LIFT_SPEED + 1.0  # s, then what is held stands already, tilted, and keeps the hand up
-SETTLE_TIME, HOLD_TIME, GRIP_TIMEOUT = 0.4, 2.0, 6.0
+# m/s
+CLOSING_SPEED = 0.020
+OPENING_SPEED = 0.040
+# m/s for each N of error, as in gentle.py; m/s
+REGULATION_GAIN = 0.03
+REGULATION_SPEED_MAX = 0.010
+# m, m/s: slow, so that slip is said before much of it
+LIFT_HEIGHT = 0.040
+LIFT_SPEED = 0.025
+# s, then what is held stands already, tilted, and keeps the hand up
+LOWER_TIME_MAX = LIFT_HEIGHT / LIFT_SPEED + 1.0
+SETTLE_TIME = 0.4
+HOLD_TIME = 2.0
+GRIP_TIMEOUT = 6.0
 FORCE_TOLERANCE = 0.06  # N around the target that counts as settled
 BLIND_TIME_MAX = 0.5  # s without a usable image before giving up
 LOST_TIME = 0.3  # s without a touch: the object stays behind
 RELEASE_OPENING = 0.012  # m to open beyond the grip before the run ends
-START = {"phase_time": 0.0, "settled_time": 0.0, "blind_time": 0.0, "lost_time": 0.0, "target": FIRST_FORCE, "since_slip": 1.0,
-         "slips": 0.0}
+START = {
+    "phase_time": 0.0,
+    "settled_time": 0.0,
+    "blind_time": 0.0,
+    "lost_time": 0.0,
+    "target": FIRST_FORCE,
+    "since_slip": 1.0,
+    "slips": 0.0,
+}
 
 
 def step(observation: Observation) -> Command:
     """One control cycle: dispatch on the phase that the last command was in."""
-    period, felt = observation.period, [touch.force_normal for touch in observation.touch]
+    period = observation.period
+    felt = [touch.force_normal for touch in observation.touch]
     memory = {**START, **observation.command.memory}
     memory["phase_time"] += period
     memory["since_slip"] += period
@@ -61,22 +84,31 @@ def _remember(command: Command, **values: float) -> Command:
 def _grip_as_needed(observation: Observation, command: Command, felt: list[float]) -> Command:
     """Raise the target for what any finger says of slip; at a slip also close at once."""
     memory = command.memory
-    states = [touch.slip.state if touch.slip is not None else "unknown" for touch in observation.touch]
+    states = [
+        touch.slip.state if touch.slip is not None else "unknown" for touch in observation.touch
+    ]
     if "slipping" in states and memory["since_slip"] >= SLIP_PAUSE:
-        target = min(FORCE_MOST, max(memory["target"], *felt) * (1 + SLIPPING_SHARE) + SLIPPING_STEP)
+        target = min(
+            FORCE_MOST, max(memory["target"], *felt) * (1 + SLIPPING_SHARE) + SLIPPING_STEP
+        )
         kick = KICK if target > memory["target"] else 0.0
         command = replace(command, opening=command.opening - kick)
         return _remember(command, target=target, since_slip=0.0, slips=memory["slips"] + 1)
-    if "incipient" in states and max(felt) > memory["target"] - FORCE_TOLERANCE:  # it has what it asked for, and needs more
-        return _remember(command, target=min(FORCE_MOST, memory["target"] + INCIPIENT_RATE * observation.period))
+    # it has what it asked for, and needs more
+    if "incipient" in states and max(felt) > memory["target"] - FORCE_TOLERANCE:
+        return _remember(
+            command, target=min(FORCE_MOST, memory["target"] + INCIPIENT_RATE * observation.period)
+        )
     return command
 
 
 def _regulated(observation: Observation, command: Command, felt: list[float]) -> Command:
-    """Move the opening so that the mean felt force goes to the target; stay within reach of the real opening."""
+    """Move the opening so that the mean felt force goes to the target; stay within reach of the
+    real opening."""
     error = command.memory["target"] - sum(felt) / len(felt)
     speed = max(-REGULATION_SPEED_MAX, min(REGULATION_SPEED_MAX, REGULATION_GAIN * error))
-    actual, opening = observation.gripper.opening, command.opening - speed * observation.period
+    actual = observation.gripper.opening
+    opening = command.opening - speed * observation.period
     return replace(command, opening=max(actual - 0.004, min(actual + 0.004, opening)))
 
 
@@ -84,7 +116,9 @@ def _approach(observation: Observation, command: Command, felt: list[float]) -> 
     """Close at a steady speed until either finger feels something, slower until both do."""
     if min(felt) > TOUCH_FORCE or max(felt) > command.memory["target"]:
         return _go(command, "regulate")
-    if observation.gripper.opening <= 0.001 or (command.phase == "close" and command.memory["phase_time"] > GRIP_TIMEOUT):
+    if observation.gripper.opening <= 0.001 or (
+        command.phase == "close" and command.memory["phase_time"] > GRIP_TIMEOUT
+    ):
         return _go(command, "abort")  # closed on nothing, or on what gives way
     if command.phase == "approach" and max(felt) > TOUCH_FORCE:
         return _go(command, "close")
@@ -106,11 +140,16 @@ def _regulate(observation: Observation, command: Command, felt: list[float]) -> 
 
 def _lift(observation: Observation, command: Command, felt: list[float]) -> Command:
     command = _regulated(observation, command, felt)
-    if command.memory["since_slip"] < 2 * SLIP_PAUSE or sum(felt) / len(felt) < command.memory["target"] - FORCE_TOLERANCE:
+    if (
+        command.memory["since_slip"] < 2 * SLIP_PAUSE
+        or sum(felt) / len(felt) < command.memory["target"] - FORCE_TOLERANCE
+    ):
         return command  # grip first
     if observation.gripper.lift_height > LIFT_HEIGHT - 0.001:
         return _go(command, "hold")
-    return replace(command, lift_height=min(LIFT_HEIGHT, command.lift_height + LIFT_SPEED * observation.period))
+    return replace(
+        command, lift_height=min(LIFT_HEIGHT, command.lift_height + LIFT_SPEED * observation.period)
+    )
 
 
 def _hold(observation: Observation, command: Command, felt: list[float]) -> Command:
@@ -122,7 +161,9 @@ def _lower(observation: Observation, command: Command, felt: list[float]) -> Com
     command = _regulated(observation, command, felt)
     height = max(0.0, command.lift_height - LIFT_SPEED * observation.period)
     command = replace(command, lift_height=height)
-    if height == 0.0 and (observation.gripper.lift_height < 0.001 or command.memory["phase_time"] > LOWER_TIME_MAX):
+    if height == 0.0 and (
+        observation.gripper.lift_height < 0.001 or command.memory["phase_time"] > LOWER_TIME_MAX
+    ):
         return _remember(_go(command, "release"), grip_opening=command.opening)
     return command
 
@@ -141,5 +182,14 @@ def _end(observation: Observation, command: Command, felt: list[float]) -> Comma
     return command
 
 
-_PHASES = {"approach": _approach, "close": _approach, "regulate": _regulate, "lift": _lift, "hold": _hold,
-           "lower": _lower, "release": _release, "done": _end, "abort": _end}
+_PHASES = {
+    "approach": _approach,
+    "close": _approach,
+    "regulate": _regulate,
+    "lift": _lift,
+    "hold": _hold,
+    "lower": _lower,
+    "release": _release,
+    "done": _end,
+    "abort": _end,
+}

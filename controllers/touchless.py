@@ -1,9 +1,11 @@
-"""A gripper without touch, to compare with: close until the servo's current says so, lift, hold, put down, let go.
+"""A gripper without touch, to compare with: close until the servo's current says so, lift, hold,
+put down, let go.
 
-It looks at no sensor. A current is noisy, so that it is averaged over `AVERAGE_TIME`, and the jaws close slowly enough for
-what comes in that time, at 160 N/m of grip, to be some 0.1 N; and it moves the jaws, too, so that what that takes is measured
-before they meet anything. `EFFORT` is the force at a jaw as the servo believes it, and what `gentle` grips with, so that the two
-differ in what they feel and not in how firmly they mean to hold. In simulation that belief is right up to noise; a real
+It looks at no sensor. A current is noisy, so that it is averaged over `AVERAGE_TIME`, and the jaws
+close slowly enough for what comes in that time, at 160 N/m of grip, to be some 0.1 N; and it moves
+the jaws, too, so that what that takes is measured before they meet anything. `EFFORT` is the force
+at a jaw as the servo believes it, and what `gentle` grips with, so that the two differ in what they
+feel and not in how firmly they mean to hold. In simulation that belief is right up to noise; a real
 servo's gears keep a part of its torque to themselves, which is not in these numbers.
 """
 
@@ -13,27 +15,44 @@ from math import isfinite
 from mjtactile.types import Command, Observation
 
 EFFORT = 0.6  # N on each finger
-AVERAGE_TIME, FREE_TIME = 0.1, 0.5  # s; in the second nothing is met
-CLOSING_SPEED, OPENING_SPEED, LIFT_SPEED = 0.010, 0.040, 0.040  # m/s
-LIFT_HEIGHT, HOLD_TIME, SETTLE_TIME = 0.040, 2.0, 0.4  # m, s
-LOWER_TIME_MAX = LIFT_HEIGHT / LIFT_SPEED + 1.0  # s, then what is held stands already, tilted, and keeps the hand up
-RELEASE_OPENING, RELEASE_TIME = 0.012, 2.0  # m beyond the grip, s
+# s; in the second nothing is met
+AVERAGE_TIME = 0.1
+FREE_TIME = 0.5
+# m/s
+CLOSING_SPEED = 0.010
+OPENING_SPEED = 0.040
+LIFT_SPEED = 0.040
+# m, s
+LIFT_HEIGHT = 0.040
+HOLD_TIME = 2.0
+SETTLE_TIME = 0.4
+# s, then what is held stands already, tilted, and keeps the hand up
+LOWER_TIME_MAX = LIFT_HEIGHT / LIFT_SPEED + 1.0
+# m beyond the grip, s
+RELEASE_OPENING = 0.012
+RELEASE_TIME = 2.0
 
 
 def step(observation: Observation) -> Command:
     """One control cycle."""
-    last, gripper, period = observation.command, observation.gripper, observation.period
+    last = observation.command
+    gripper = observation.gripper
+    period = observation.period
     time = last.memory.get("phase_time", 0.0) + period
     effort = last.memory.get("effort", 0.0)
     if isfinite(gripper.effort):
         effort += min(1.0, period / AVERAGE_TIME) * (gripper.effort - effort)
-    command = replace(last, force_limit=4.0, memory={**last.memory, "phase_time": time, "effort": effort})
+    command = replace(
+        last, force_limit=4.0, memory={**last.memory, "phase_time": time, "effort": effort}
+    )
     if last.phase == "approach":
         return _approach(observation, command, time, effort)
     if last.phase == "regulate":
         return _go(command, "lift") if time >= SETTLE_TIME else command
     if last.phase == "lift":
-        command = replace(command, lift_height=min(LIFT_HEIGHT, last.lift_height + LIFT_SPEED * period))
+        command = replace(
+            command, lift_height=min(LIFT_HEIGHT, last.lift_height + LIFT_SPEED * period)
+        )
         return _go(command, "hold") if gripper.lift_height > LIFT_HEIGHT - 0.001 else command
     if last.phase == "hold":
         return _go(command, "lower") if time >= HOLD_TIME else command
@@ -64,4 +83,9 @@ def _approach(observation: Observation, command: Command, time: float, effort: f
 def _go(command: Command, phase: str, *, opening: float | None = None, **memory: float) -> Command:
     """Enter `phase` with its clock at zero."""
     opening = command.opening if opening is None else opening
-    return replace(command, phase=phase, opening=opening, memory={**command.memory, "phase_time": 0.0, **memory})
+    return replace(
+        command,
+        phase=phase,
+        opening=opening,
+        memory={**command.memory, "phase_time": 0.0, **memory},
+    )

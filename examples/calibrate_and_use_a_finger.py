@@ -1,8 +1,10 @@
-"""What was measured of one finger counts: the lens of its own camera, from a calibration file, in place of the sensor file's.
+"""What was measured of one finger counts: the lens of its own camera, from a calibration file, in
+place of the sensor file's.
 
-`mjtactile calibrate camera|frame|valve|force --rig my_gripper.toml --finger left` measures the parts and writes them into the
-file that the rig file names (docs/hardware.md); `grasp`, `probe` and `record` then go by it. Here the finger is simulated, so
-its true lens is known; it is another than the sensor file says, as every real one is.
+`mjtactile calibrate camera|frame|valve|force --rig my_gripper.toml --finger left` measures the
+parts and writes them into the file that the rig file names (docs/hardware.md); `grasp`, `probe` and
+`record` then go by it. Here the finger is simulated, so its true lens is known; it is another than
+the sensor file says, as every real one is.
 """
 
 import tempfile
@@ -15,7 +17,9 @@ import mjtactile
 
 work = Path(tempfile.mkdtemp())
 sensor = mjtactile.load_sensor("paper16")
-camera = replace(sensor.camera, fx=1.03 * sensor.camera.fx, fy=1.03 * sensor.camera.fy, cx=sensor.camera.cx + 6)
+camera = replace(
+    sensor.camera, fx=1.03 * sensor.camera.fx, fy=1.03 * sensor.camera.fy, cx=sensor.camera.cx + 6
+)
 
 
 class Squeeze:
@@ -26,31 +30,52 @@ class Squeeze:
     def step(self, observation):
         command = observation.command
         opening = command.opening - 0.02 * observation.period
-        return replace(command, opening=opening, force_limit=3.0, phase="done" if opening < 0.02 else "close")
+        return replace(
+            command, opening=opening, force_limit=3.0, phase="done" if opening < 0.02 else "close"
+        )
 
 
 def felt(rig, design, calibrations=(None, None), recorder=None):
-    """Normal forces, N, (cycles, fingers) of a squeeze on `rig` by sensors of which `calibrations` are known."""
+    """Normal forces, N, (cycles, fingers) of a squeeze on `rig` by sensors of which `calibrations`
+    are known."""
     forces = []
     try:
-        session = mjtactile.Session(rig, [mjtactile.Perception.of(design, known) for known in calibrations])
+        session = mjtactile.Session(
+            rig, [mjtactile.Perception.of(design, known) for known in calibrations]
+        )
         session.take_references(recorder)
-        session.run(Squeeze(), time_limit=20, on_cycle=lambda cycle: (
-            recorder and recorder.add(cycle), forces.append([touch.force_normal for touch in cycle.touch])))
+        session.run(
+            Squeeze(),
+            time_limit=20,
+            on_cycle=lambda cycle: (
+                recorder and recorder.add(cycle),
+                forces.append([touch.force_normal for touch in cycle.touch]),
+            ),
+        )
     finally:
         rig.close()
     return np.array(forces)
 
 
-with mjtactile.Recorder(work / "squeeze", {"sensor": "paper16"}) as recorder:  # by chains that know the true lens
-    true = felt(mjtactile.build_rig("sim", replace(sensor, camera=camera), object_name="vial"), replace(sensor, camera=camera),
-                recorder=recorder)
+# by chains that know the true lens
+with mjtactile.Recorder(work / "squeeze", {"sensor": "paper16"}) as recorder:
+    true = felt(
+        mjtactile.build_rig("sim", replace(sensor, camera=camera), object_name="vial"),
+        replace(sensor, camera=camera),
+        recorder=recorder,
+    )
 
 stamp = mjtactile.Stamp("2026-01-31T12:00:00+00:00", "by hand", residuals={"rms_px": 0.2})
 lens = mjtactile.Lens(**camera.intrinsics, stamp=stamp)  # or from your own calibration
 mjtactile.Calibration("left", sensor.name).with_part(lens).save(work / "left.json")
 
 known = mjtactile.load_calibration(work / "left.json")
-for name, calibrations in (("as the sensor file says", (None, None)), ("left finger calibrated", (known, None))):
+for name, calibrations in (
+    ("as the sensor file says", (None, None)),
+    ("left finger calibrated", (known, None)),
+):
     forces = felt(mjtactile.build_rig(f"replay:{work / 'squeeze'}", sensor), sensor, calibrations)
-    print(f"{name}: off by {np.nanmax(np.abs(forces - true[:len(forces)]), axis=0).round(3)} N (left, right)")
+    print(
+        f"{name}: off by {np.nanmax(np.abs(forces - true[: len(forces)]), axis=0).round(3)} N "
+        "(left, right)"
+    )

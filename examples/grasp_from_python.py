@@ -1,6 +1,8 @@
-"""A grasp from Python: references, control loop and supervision by a session, the controller that ships, your own eyes.
+"""A grasp from Python: references, control loop and supervision by a session, the controller that
+ships, your own eyes.
 
-`open_session` takes what `--rig` takes: "sim", "emulated", a recording, or the rig file of your own gripper.
+`open_session` takes what `--rig` takes: "sim", "emulated", a recording, or the rig file of your own
+gripper.
 """
 
 import mjtactile
@@ -14,13 +16,18 @@ def look(cycle):
     felt = [touch.force_normal for touch in cycle.touch]
     slips = [touch.slip.state if touch.slip else "unknown" for touch in cycle.touch]
     if not seen or seen[-1][0] != cycle.sent.phase:
-        print(f"{cycle.time:5.2f} s  {cycle.sent.phase:<9} {felt[0]:5.2f} {felt[1]:5.2f} N  {slips}")
+        print(
+            f"{cycle.time:5.2f} s  {cycle.sent.phase:<9} {felt[0]:5.2f} {felt[1]:5.2f} N  {slips}"
+        )
     seen.append((cycle.sent.phase, felt, slips))
 
 
 with mjtactile.open_session("sim", design, object_name="strawberry", seed=3) as session:
-    session.take_references()  # each sensor measures itself, flat and inflated; nothing may touch it
+    # each sensor measures itself, flat and inflated; nothing may touch it
+    session.take_references()
     last = session.run(controller, time_limit=60, on_cycle=look)
 
 held = [felt for phase, felt, _ in seen if phase == "hold"]
-print(f"ended as {last.phase!r}; held with {sum(map(sum, held)) / 2 / len(held):.3f} N on each finger")
+print(
+    f"ended as {last.phase!r}; held with {sum(map(sum, held)) / 2 / len(held):.3f} N on each finger"
+)

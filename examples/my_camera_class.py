@@ -1,11 +1,13 @@
-"""A camera of your own on a finger: any class with `read`, named in the rig file and found by an entry point.
+"""A camera of your own on a finger: any class with `read`, named in the rig file and found by an
+entry point.
 
 Your package's pyproject.toml:          the finger's part of the rig file:
 
     [project.entry-points."mjtactile.cameras"]      [[camera]]
     newest = "my_camera_class:NewestFrame"          backend = "newest"
 
-Then `mjtactile doctor`, `record` and `grasp` use it like the shipped ones. This one reads a network stream with OpenCV.
+Then `mjtactile doctor`, `record` and `grasp` use it like the shipped ones. This one reads a network
+stream with OpenCV.
 """
 
 import threading
@@ -16,7 +18,8 @@ import mjtactile
 
 
 class NewestFrame:
-    """`config` has what the rig file says of this camera: finger, source, width, height, rate, delay and more."""
+    """`config` has what the rig file says of this camera: finger, source, width, height, rate,
+    delay and more."""
 
     def __init__(self, config):
         self._config = config
@@ -39,7 +42,9 @@ class NewestFrame:
         """The newest image; an old one is an error, so that nobody takes old news for new."""
         image = self._newest
         if image is None or mjtactile.monotonic() - image.time > 0.15:
-            raise mjtactile.DeviceError(f"{self._config.finger} camera {self._config.source} is stale")
+            raise mjtactile.DeviceError(
+                f"{self._config.finger} camera {self._config.source} is stale"
+            )
         return image
 
     def close(self):

@@ -1,4 +1,5 @@
-"""A run's log in pandas: what was felt in each phase of a grasp. `mjtactile grasp --frames none --out runs/egg` writes one.
+"""A run's log in pandas: what was felt in each phase of a grasp. `mjtactile grasp --frames none
+--out runs/egg` writes one.
 
 Every column with its unit: docs/recording.md.
 """
@@ -8,7 +9,11 @@ import sys
 import numpy as np
 import pandas as pd
 
-rows = pd.read_json(sys.argv[1] if len(sys.argv) > 1 else "runs/egg/recording/log.jsonl", lines=True)
+rows = pd.read_json(
+    sys.argv[1] if len(sys.argv) > 1 else "runs/egg/recording/log.jsonl", lines=True
+)
 cycles = rows[rows.kind == "cycle"].set_index("time")
-felt = cycles.groupby("phase", sort=False).force_normal.agg(lambda force: np.round(np.mean(force.tolist(), axis=0), 3))
+felt = cycles.groupby("phase", sort=False).force_normal.agg(
+    lambda force: np.round(np.mean(force.tolist(), axis=0), 3)
+)
 print(felt)

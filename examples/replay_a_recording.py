@@ -1,6 +1,8 @@
-"""Record a short squeeze, then replay it: the same images through the same chain give the same numbers, bit for bit.
+"""Record a short squeeze, then replay it: the same images through the same chain give the same
+numbers, bit for bit.
 
-A folder may be given: `python replay_a_recording.py runs/egg` replays what `mjtactile grasp --out runs/egg` wrote.
+A folder may be given: `python replay_a_recording.py runs/egg` replays what `mjtactile grasp --out
+runs/egg` wrote.
 """
 
 import sys
@@ -22,14 +24,22 @@ class Squeeze:
         command = observation.command
         if min(touch.force_normal for touch in observation.touch) > 0.2:
             return replace(command, phase="done")
-        return replace(command, opening=command.opening - 0.02 * observation.period, force_limit=3.0, phase="close")
+        return replace(
+            command,
+            opening=command.opening - 0.02 * observation.period,
+            force_limit=3.0,
+            phase="close",
+        )
 
 
 def run(rig, sensor, folder):
     """Squeeze on `rig`, and keep what happens in `folder`."""
     design = mjtactile.load_sensor(sensor)
     header = {"sensor": sensor, "rig": rig, "object": "vial"}
-    with mjtactile.Recorder(folder, header) as recorder, mjtactile.open_session(rig, design, object_name="vial") as session:
+    with (
+        mjtactile.Recorder(folder, header) as recorder,
+        mjtactile.open_session(rig, design, object_name="vial") as session,
+    ):
         session.take_references(recorder)
         session.run(Squeeze(), time_limit=20, on_cycle=recorder.add)
 
@@ -43,6 +53,8 @@ run(f"replay:{first.folder}", str(first.header["sensor"]), work / "again")
 again = mjtactile.load_recording(work / "again")
 
 count = min(len(first), len(again))
-same = {key: np.array_equal(first.column(key)[:count], again.column(key)[:count], equal_nan=True)
-        for key in ("force_normal", "wrench", "contact_area")}
+same = {
+    key: np.array_equal(first.column(key)[:count], again.column(key)[:count], equal_nan=True)
+    for key in ("force_normal", "wrench", "contact_area")
+}
 print(f"{count} cycles, the last felt {again.column('force_normal')[-1]} N; the same bits: {same}")

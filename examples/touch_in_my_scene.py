@@ -1,6 +1,8 @@
-"""Touch in a scene that somebody else wrote: the Fetch arm of gymnasium-robotics closes its gripper on nothing.
+"""Touch in a scene that somebody else wrote: the Fetch arm of gymnasium-robotics closes its gripper
+on nothing.
 
-One fingertip gets a sensor, which then feels the other finger. Needs `pip install 'mjtactile[examples]'`.
+One fingertip gets a sensor, which then feels the other finger. Needs `pip install
+'mjtactile[examples]'`.
 """
 
 from importlib.util import find_spec
@@ -13,8 +15,11 @@ package = find_spec("gymnasium_robotics").submodule_search_locations[0]
 spec = mujoco.MjSpec.from_file(f"{package}/envs/assets/fetch/pick_and_place.xml")
 print(*mjtactile.recommend_options(spec), sep="\n")  # what a membrane needs, and why
 
-# The site's z points out of the sensor, its x along the longer side; 2 mm before the finger's own pad.
-spec.body("robot0:r_gripper_finger_link").add_site(name="tip", pos=[0.01, -0.017, 0], quat=[1, 1, 0, 0])
+# The site's z points out of the sensor, its x along the longer side; 2 mm before the finger's own
+# pad.
+spec.body("robot0:r_gripper_finger_link").add_site(
+    name="tip", pos=[0.01, -0.017, 0], quat=[1, 1, 0, 0]
+)
 tip = mjtactile.attach(spec, "dense", site="tip", prefix="tip/")
 model = spec.compile()
 data = mujoco.MjData(model)

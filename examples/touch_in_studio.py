@@ -9,7 +9,8 @@ import mjtactile.studio
 class Tips(mjtactile.studio.Sensors):
     """The sensors, and who steps them."""
 
-    sites = {"fingertip": "dense"}  # of your model, and the sensor that is put there: a shipped name or a file
+    # of your model, and the sensor that is put there: a shipped name or a file
+    sites = {"fingertip": "dense"}
 
 
 class TipsPanel(mjtactile.studio.Panel):

@@ -1,4 +1,5 @@
-"""A policy learned from recorded grasps, without a training framework: what `gentle` did, by linear regression.
+"""A policy learned from recorded grasps, without a training framework: what `gentle` did, by linear
+regression.
 
     python examples/train_a_policy.py policy.npz 16          # from sixteen grasps with other seeds
     MJTACTILE_POLICY=policy.npz mjtactile grasp --controller policy
@@ -11,20 +12,29 @@ import numpy as np
 
 import mjtactile
 
-DESIGN, TEACHER = mjtactile.load_sensor("dense"), mjtactile.load_controller("gentle")
+DESIGN = mjtactile.load_sensor("dense")
+TEACHER = mjtactile.load_controller("gentle")
 RIDGE = 1e-4
 # A real servo's are another's: its current goes into its gears, too, and it is behind its goal.
-NOT_SEEN = np.isin(mjtactile.policy_names(), ["speed_m_s", "effort_N", "goal_ahead_m", "force_limit_N"])
+NOT_SEEN = np.isin(
+    mjtactile.policy_names(), ["speed_m_s", "effort_N", "goal_ahead_m", "force_limit_N"]
+)
 
 
 def watch(seed):
     """What the policy would have seen (n, k) and the teacher did (n, 3) in one grasp of the egg."""
-    seen, done, own = [], [], []
+    seen = []
+    done = []
+    own = []
     with mjtactile.open_session("sim", DESIGN, object_name="egg", seed=seed) as session:
+
         def look(cycle):
             last = own[-1] if own else cycle.last
-            last = replace(cycle.last, phase=last.phase, memory=last.memory)  # the policy's phases, not the teacher's
-            observation = mjtactile.Observation(cycle.time, session.rig.period, cycle.touch, cycle.gripper, cycle.valves, last)
+            # the policy's phases, not the teacher's
+            last = replace(cycle.last, phase=last.phase, memory=last.memory)
+            observation = mjtactile.Observation(
+                cycle.time, session.rig.period, cycle.touch, cycle.gripper, cycle.valves, last
+            )
             action = mjtactile.policy_action(cycle.last, cycle.sent, session.rig.period)
             own.append(mjtactile.policy_command(observation, action))
             seen.append(np.where(NOT_SEEN, 0.0, mjtactile.policy_vector(observation)))
@@ -36,11 +46,18 @@ def watch(seed):
 
 
 def fit(seen, done):
-    """Weights (3, k) and offsets (3,) that explain the actions best, a little drawn towards zero."""
-    scale = np.where(seen.std(axis=0) > 1e-9, seen.std(axis=0), np.inf)  # what never changed says nothing
+    """Weights (3, k) and offsets (3,) that explain the actions best, a little drawn towards
+    zero."""
+    # what never changed says nothing
+    scale = np.where(seen.std(axis=0) > 1e-9, seen.std(axis=0), np.inf)
     middle = seen.mean(axis=0)
     x = (seen - middle) / scale
-    w = np.linalg.solve(x.T @ x + RIDGE * len(x) * np.eye(x.shape[1]), x.T @ (done - done.mean(axis=0))).T / scale
+    w = (
+        np.linalg.solve(
+            x.T @ x + RIDGE * len(x) * np.eye(x.shape[1]), x.T @ (done - done.mean(axis=0))
+        ).T
+        / scale
+    )
     return w, done.mean(axis=0) - w @ middle
 
 
@@ -49,7 +66,10 @@ def main(path="policy.npz", grasps="16", first="1000"):
     seen, done = (np.concatenate(parts) for parts in zip(*recorded, strict=True))
     w, b = fit(seen, done)
     np.savez(path, w0=w, b0=b)
-    print(f"{len(seen)} cycles of {grasps} grasps: actions explained within {np.sqrt(np.mean((seen @ w.T + b - done) ** 2)):.3f}")
+    print(
+        f"{len(seen)} cycles of {grasps} grasps: actions explained within "
+        f"{np.sqrt(np.mean((seen @ w.T + b - done) ** 2)):.3f}"
+    )
 
 
 if __name__ == "__main__":

@@ -1,7 +1,9 @@
-"""Two sensors on the fingertips of somebody else's arm: close on an object, lift it, and say what each finger feels.
+"""Two sensors on the fingertips of somebody else's arm: close on an object, lift it, and say what
+each finger feels.
 
-The scene is the Fetch arm of gymnasium-robotics with its table and its block, here made an egg. The hand follows a mocap
-body, the fingers their position servos. Needs `pip install 'mjtactile[examples]'`.
+The scene is the Fetch arm of gymnasium-robotics with its table and its block, here made an egg. The
+hand follows a mocap body, the fingers their position servos. Needs `pip install
+'mjtactile[examples]'`.
 """
 
 from importlib.util import find_spec
@@ -17,25 +19,39 @@ mjtactile.recommend_options(spec)
 tips = []
 for side, inwards in (("r", -1), ("l", 1)):
     body = spec.body(f"robot0:{side}_gripper_finger_link")
-    body.add_site(name=side, pos=[0.02, 0.017 * inwards, 0], quat=[1, -inwards, 0, 0])  # z out of the sensor
+    # z out of the sensor
+    body.add_site(name=side, pos=[0.02, 0.017 * inwards, 0], quat=[1, -inwards, 0, 0])
     tips.append(mjtactile.attach(spec, "dense", site=side, prefix=f"{side}/"))
 egg = spec.geom("object0")
-egg.type, egg.size, egg.mass = mujoco.mjtGeom.mjGEOM_ELLIPSOID, [0.022, 0.022, 0.028], 0.05
+egg.type = mujoco.mjtGeom.mjGEOM_ELLIPSOID
+egg.size = [0.022, 0.022, 0.028]
+egg.mass = 0.05
 
 model = spec.compile()
 data = mujoco.MjData(model)
 fingers = [tip.bind(model, data) for tip in tips]
-model.eq_data[0, :11] = [*[0] * 6, *[1, 0, 0, 0], 1]  # the weld: hand on mocap body, as that package's own scripts set it
-for joint, place in {"robot0:slide0": 0.405, "robot0:slide1": 0.48, "object0:joint": [1.25, 0.75, 0.428, 1, 0, 0, 0]}.items():
+# the weld: hand on mocap body, as that package's own scripts set it
+model.eq_data[0, :11] = [*[0] * 6, *[1, 0, 0, 0], 1]
+for joint, place in {
+    "robot0:slide0": 0.405,
+    "robot0:slide1": 0.48,
+    "object0:joint": [1.25, 0.75, 0.428, 1, 0, 0, 0],
+}.items():
     data.joint(joint).qpos = place
-data.mocap_pos[0], data.mocap_quat[0] = [1.25, 0.75, 0.55], [0.5**0.5, 0, 0.5**0.5, 0]  # above the egg, pointing down
+# above the egg, pointing down
+data.mocap_pos[0] = [1.25, 0.75, 0.55]
+data.mocap_quat[0] = [0.5**0.5, 0, 0.5**0.5, 0]
 data.ctrl[:] = 0.05
 
 
 def go(seconds, *, height=None, fingers_at=None):
     """Move hand and fingers evenly, m, and say what is felt at the end."""
-    before, steps = (data.mocap_pos[0, 2], data.ctrl[0]), round(seconds / model.opt.timestep)
-    goals = [new if new is not None else old for new, old in zip((height, fingers_at), before, strict=True)]
+    before = (data.mocap_pos[0, 2], data.ctrl[0])
+    steps = round(seconds / model.opt.timestep)
+    goals = [
+        new if new is not None else old
+        for new, old in zip((height, fingers_at), before, strict=True)
+    ]
     for share in np.linspace(0, 1, steps):
         data.mocap_pos[0, 2], data.ctrl[:] = before + share * (np.array(goals) - before)
         mjtactile.step(model, data, fingers)

@@ -1,7 +1,9 @@
-"""mjtactile: a vision-based membrane touch sensor for MuJoCo, and a gripper that holds fragile things with it.
+"""mjtactile: a vision-based membrane touch sensor for MuJoCo, and a gripper that holds fragile
+things with it.
 
-What a user needs is here and, for MuJoCo Studio, in `mjtactile.studio`; nothing else is public. Names are imported when they
-are first used: a rig without a simulator needs no mujoco, and one without a camera no OpenCV.
+What a user needs is here and, for MuJoCo Studio, in `mjtactile.studio`; nothing else is public.
+Names are imported when they are first used: a rig without a simulator needs no mujoco, and one
+without a camera no OpenCV.
 """
 
 from importlib import import_module
@@ -56,7 +58,14 @@ if TYPE_CHECKING:
 _HOMES = {
     "core.calibration": ("Calibration", "Lens", "Stamp", "load_calibration"),
     "core.design": ("SensorDesign", "load_sensor"),
-    "core.errors": ("ControllerError", "DeviceError", "InputError", "Interrupted", "MjtactileError", "SimulationError"),
+    "core.errors": (
+        "ControllerError",
+        "DeviceError",
+        "InputError",
+        "Interrupted",
+        "MjtactileError",
+        "SimulationError",
+    ),
     "core.optics": ("Camera",),
     "core.pace": ("monotonic",),
     "core.policy": ("policy_action", "policy_command", "policy_names", "policy_vector"),

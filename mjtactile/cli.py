@@ -1,4 +1,5 @@
-"""The command line: `mjtactile COMMAND …`. Parses, runs the command, turns errors into one line and an exit code."""
+"""The command line: `mjtactile COMMAND …`. Parses, runs the command, turns errors into one line and
+an exit code."""
 
 from __future__ import annotations
 
@@ -37,15 +38,21 @@ exit codes:
   2  bad usage or bad input: the message names the file, the field and the valid choices
   3  a device or the simulation failed, or the run was interrupted; what was recorded is kept
 """
-EXIT_INPUT, EXIT_FAULT = 2, 3
+EXIT_INPUT = 2
+EXIT_FAULT = 3
 
 
 class _Parser(argparse.ArgumentParser):
     """Reports a usage error in one line and where to read on; takes values with a leading minus."""
 
     def _parse_optional(self, arg_string: str) -> Any:
-        """Every option here has two dashes: a word with one is a value (`--at -3.2,1.7`, `--effects -latency`)."""
-        is_value = arg_string.startswith("-") and not arg_string.startswith("--") and arg_string not in ("-", "-h")
+        """Every option here has two dashes: a word with one is a value (`--at -3.2,1.7`, `--effects
+        -latency`)."""
+        is_value = (
+            arg_string.startswith("-")
+            and not arg_string.startswith("--")
+            and arg_string not in ("-", "-h")
+        )
         return None if is_value else super()._parse_optional(arg_string)
 
     def error(self, message: str) -> NoReturn:
@@ -58,27 +65,46 @@ class _UsageError(MjtactileError):
 
 def build_parser(*wanted: str) -> argparse.ArgumentParser:
     """With the options of the `wanted` commands; what the others need is not imported."""
-    parser = _Parser(prog="mjtactile", description=DESCRIPTION, epilog=EPILOG,
-                     formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--version", action="version", version=f"mjtactile {importlib.metadata.version('mjtactile')}")
+    parser = _Parser(
+        prog="mjtactile",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "--version",
+        action="version",
+        version=f"mjtactile {importlib.metadata.version('mjtactile')}",
+    )
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name, text in COMMANDS.items():
         if name not in wanted:
             commands.add_parser(name, help=text, add_help=False)
             continue
         command = importlib.import_module(f"mjtactile.commands.{name}")
-        sub = commands.add_parser(name, help=text, description=command.DESCRIPTION, epilog=command.EPILOG,
-                                  formatter_class=argparse.RawDescriptionHelpFormatter)
+        sub = commands.add_parser(
+            name,
+            help=text,
+            description=command.DESCRIPTION,
+            epilog=command.EPILOG,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
         command.add_arguments(sub)
-        sub.add_argument("--json", action="store_true", help="print one JSON object to stdout, all else to stderr; "
-                         'after an error it has the keys "error" and "exit_code"')
+        sub.add_argument(
+            "--json",
+            action="store_true",
+            help="print one JSON object to stdout, all "
+            "else to stderr; "
+            'after an error it has the keys "error" and "exit_code"',
+        )
         sub.add_argument("--debug", action="store_true", help="show the traceback of an error")
         sub.set_defaults(run=command.run, simulates=getattr(command, "SIMULATES", True))
     return parser
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line `argv` (default: the process's own, which ends with it) and return the exit code."""
+    """Run the command line `argv` (default: the process's own, which ends with it) and return the
+    exit code."""
     _open_streams()
     with signals.listening(ends_process=argv is None):
         code = _main(sys.argv[1:] if argv is None else list(argv))
@@ -87,17 +113,26 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _main(argv: list[str]) -> int:
-    # The matrices here are small: a second BLAS thread only waits for the first (the sensing chain is 2-4 times slower), and
-    # OpenCV's spins beside the simulated world for a twentieth of the loop's time.
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
+    # The matrices here are small: a second BLAS thread only waits for the first (the sensing chain
+    # is 2-4 times slower), and OpenCV's spins beside the simulated world for a twentieth of the
+    # loop's time.
+    for name in (
+        "OPENBLAS_NUM_THREADS",
+        "OMP_NUM_THREADS",
+        "MKL_NUM_THREADS",
+        "OPENCV_FOR_THREADS_NUM",
+    ):
         os.environ.setdefault(name, "1")
     gc.set_threshold(100_000)  # imports make much and leave nothing: a tenth of their time
     _quieten_libraries(debug="--debug" in argv)
-    logging.basicConfig(format="mjtactile: %(levelname)s: %(message)s", level=logging.WARNING, stream=sys.stderr)
+    logging.basicConfig(
+        format="mjtactile: %(levelname)s: %(message)s", level=logging.WARNING, stream=sys.stderr
+    )
     try:
         options = build_parser(*argv[:1]).parse_args(argv)
         if options.simulates:
-            from mjtactile.sim.log import route_warnings  # lazily: half a second that other commands need not wait
+            # lazily: half a second that other commands need not wait
+            from mjtactile.sim.log import route_warnings
 
             route_warnings()
         return options.run(options)
@@ -110,18 +145,21 @@ def _main(argv: list[str]) -> int:
 
 
 def _quieten_libraries(*, debug: bool) -> None:
-    """What OpenCV, FFmpeg and MuJoCo print of their own ends as one line of ours: an error, or a doubt of the run."""
+    """What OpenCV, FFmpeg and MuJoCo print of their own ends as one line of ours: an error, or a
+    doubt of the run."""
     # a file of 2 MB may hold a thousand times as many pixels (core/images.py)
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 26))
     if not debug:
-        os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # read when cv2 is imported, in child processes too
+        # read when cv2 is imported, in child processes too
+        os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     logging.getLogger("mjtactile.mujoco").setLevel(logging.WARNING if debug else logging.ERROR)
 
 
 def _fail(error: BaseException, argv: Sequence[str]) -> int:
     """Report `error` in one line (in JSON too, if asked for) and return its exit code."""
-    code, text = EXIT_FAULT, " ".join(str(error).split())
+    code = EXIT_FAULT
+    text = " ".join(str(error).split())
     if isinstance(error, MjtactileError):
         code = error.exit_code
     elif isinstance(error, KeyboardInterrupt):
@@ -135,13 +173,19 @@ def _fail(error: BaseException, argv: Sequence[str]) -> int:
             traceback.print_exception(error)
         print(f"mjtactile: {text}", file=sys.stderr)
         if "--json" in argv:
-            print(json.dumps(getattr(error, "summary", {}) | {"error": text, "exit_code": code}, indent=2, allow_nan=False))
+            print(
+                json.dumps(
+                    getattr(error, "summary", {}) | {"error": text, "exit_code": code},
+                    indent=2,
+                    allow_nan=False,
+                )
+            )
     return code
 
 
 def _open_streams() -> None:
-    """Give a process that was started without stdin, stdout or stderr /dev/null: else a device could get their numbers,
-    and what is written to stderr."""
+    """Give a process that was started without stdin, stdout or stderr /dev/null: else a device
+    could get their numbers, and what is written to stderr."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)
@@ -151,7 +195,8 @@ def _open_streams() -> None:
 
 
 def _flush_streams() -> None:
-    """Write what is still buffered; where that fails, Python must not try again at its end and change the exit code."""
+    """Write what is still buffered; where that fails, Python must not try again at its end and
+    change the exit code."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()

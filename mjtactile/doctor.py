@@ -11,8 +11,8 @@ from mjtactile.rig.simulated import SimRigFile
 
 
 def examine_rig(name: str | None, *, sensor: str = "dense", fix: bool = False) -> list[Finding]:
-    """What is found of the rig `name`, or of what is plugged in (None); `sensor` where the rig file does not say it. `fix`: mend
-    what software can. Raises InputError for a bad rig file.
+    """What is found of the rig `name`, or of what is plugged in (None); `sensor` where the rig file
+    does not say it. `fix`: mend what software can. Raises InputError for a bad rig file.
 
     A simulated rig has no devices to look for, and real devices need no simulator.
     """
@@ -26,9 +26,11 @@ def examine_rig(name: str | None, *, sensor: str = "dense", fix: bool = False) -
     return examine(name, sensor=sensor, fix=fix)
 
 
-def plugged_in(more: Iterable[str] = (), *, ask: bool = True,
-               say: Callable[[str], None] = lambda _: None) -> tuple[list[Any], list[Any]]:
-    """Cameras (`VideoDevice`) and serial ports (`SerialPort`), those of `more` too; `ask` who answers on the ports."""
+def plugged_in(
+    more: Iterable[str] = (), *, ask: bool = True, say: Callable[[str], None] = lambda _: None
+) -> tuple[list[Any], list[Any]]:
+    """Cameras (`VideoDevice`) and serial ports (`SerialPort`), those of `more` too; `ask` who
+    answers on the ports."""
     from mjtactile.devices.camera.v4l2 import video_devices
     from mjtactile.devices.listing import serial_ports
 

@@ -1,4 +1,5 @@
-"""The values that a controller gets and gives back: what a controller file imports. All of them: `mjtactile.core.types`."""
+"""The values that a controller gets and gives back: what a controller file imports. All of them:
+`mjtactile.core.types`."""
 
 from mjtactile.core.policy import policy_command, policy_vector
 from mjtactile.core.status import Status, StatusCode
@@ -23,6 +24,27 @@ from mjtactile.core.types import (
     ValveState,
 )
 
-__all__ = ["FINGERS", "MATERIALS", "PHASES", "SLIP_STATES", "Command", "Contact", "GripperState", "Image", "Markers", "Material",
-           "Observation", "Phase", "Slip", "SlipState", "Status", "StatusCode", "Surface", "Touch", "Traction",
-           "ValveState", "policy_command", "policy_vector"]
+__all__ = [
+    "FINGERS",
+    "MATERIALS",
+    "PHASES",
+    "SLIP_STATES",
+    "Command",
+    "Contact",
+    "GripperState",
+    "Image",
+    "Markers",
+    "Material",
+    "Observation",
+    "Phase",
+    "Slip",
+    "SlipState",
+    "Status",
+    "StatusCode",
+    "Surface",
+    "Touch",
+    "Traction",
+    "ValveState",
+    "policy_command",
+    "policy_vector",
+]

@@ -1,6 +1,8 @@
-"""Emulated servos and valves inside the test's own process, for tests of the drivers. Nothing here needs MuJoCo.
+"""Emulated servos and valves inside the test's own process, for tests of the drivers. Nothing here
+needs MuJoCo.
 
-Time-outs are generous (0.2 s where a real bus needs 8 ms) since tests share their processors; none is asserted.
+Time-outs are generous (0.2 s where a real bus needs 8 ms) since tests share their processors; none
+is asserted.
 """
 
 from __future__ import annotations
@@ -38,17 +40,25 @@ class Bench:
         return BusConfig(self.bus.path, reply_timeout=REPLY_TIMEOUT, watchdog=2.0)
 
     def gripper(self, **changes) -> DynamixelGripper:
-        config = BusConfig(self.bus.path, **{"reply_timeout": REPLY_TIMEOUT, "watchdog": 2.0, **changes})
+        config = BusConfig(
+            self.bus.path, **{"reply_timeout": REPLY_TIMEOUT, "watchdog": 2.0, **changes}
+        )
         return DynamixelGripper(config, GRIPPER, LiftConfig())
 
 
-GRIPPER = GripperConfig((0.0, 0.12), (ServoConfig(1, "XL330-M288", per_rad=0.012, zero_ticks=0),
-                                      ServoConfig(2, "XL330-M288", per_rad=0.012, zero_ticks=0)))
+GRIPPER = GripperConfig(
+    (0.0, 0.12),
+    (
+        ServoConfig(1, "XL330-M288", per_rad=0.012, zero_ticks=0),
+        ServoConfig(2, "XL330-M288", per_rad=0.012, zero_ticks=0),
+    ),
+)
 
 
 @contextlib.contextmanager
 def servo_bench(model: str = "XL330-M288", count: int = 2, **kind) -> Iterator[Bench]:
-    """Servos of a `kind` on a pty; interpreter switches are made quick so that their thread answers."""
+    """Servos of a `kind` on a pty; interpreter switches are made quick so that their thread
+    answers."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(5e-4)
     servos = {i: EmulatedServo(i, model, angle=ANGLE, **kind) for i in range(1, count + 1)}
@@ -63,7 +73,8 @@ def servo_bench(model: str = "XL330-M288", count: int = 2, **kind) -> Iterator[B
 
 
 class Chambers:
-    """Chambers without a world: at the pressure that they are connected to. Sealed, they lose `leak` Pa each tick."""
+    """Chambers without a world: at the pressure that they are connected to. Sealed, they lose
+    `leak` Pa each tick."""
 
     def __init__(self) -> None:
         self.pressures = {1: 0.0, 2: 0.0}
@@ -80,11 +91,15 @@ class Chambers:
 
 
 @contextlib.contextmanager
-def valve_bench(sensors: bool = True) -> Iterator[tuple[ValvePort, ValveFirmware, Faults, Chambers]]:
+def valve_bench(
+    sensors: bool = True,
+) -> Iterator[tuple[ValvePort, ValveFirmware, Faults, Chambers]]:
     """A valve board on a pty with its pneumatics alive."""
-    faults, chambers = Faults(), Chambers()
+    faults = Faults()
+    chambers = Chambers()
     firmware = ValveFirmware(chambers, faults, sensors=sensors)
-    port, stop = ValvePort(firmware), pace.Event()
+    port = ValvePort(firmware)
+    stop = pace.Event()
 
     def live() -> None:
         while not stop.wait(0.005):
@@ -101,8 +116,10 @@ def valve_bench(sensors: bool = True) -> Iterator[tuple[ValvePort, ValveFirmware
 
 
 def valve_configs(path: str) -> list[ValveConfig]:
-    return [ValveConfig(finger, path, channel, heartbeat=2.0, reply_timeout=0.1, supply_gauge=1000.0)
-            for channel, finger in enumerate(("left", "right"), 1)]
+    return [
+        ValveConfig(finger, path, channel, heartbeat=2.0, reply_timeout=0.1, supply_gauge=1000.0)
+        for channel, finger in enumerate(("left", "right"), 1)
+    ]
 
 
 @contextlib.contextmanager

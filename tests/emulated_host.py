@@ -1,6 +1,8 @@
-"""The command line in a process of its own that drives emulated hardware, and what became of the hardware and the object.
+"""The command line in a process of its own that drives emulated hardware, and what became of the
+hardware and the object.
 
-The emulator outlives its hosts and says the truth. Time-outs are generous against a busy computer; none is asserted.
+The emulator outlives its hosts and says the truth. Time-outs are generous against a busy computer;
+none is asserted.
 """
 
 from __future__ import annotations
@@ -24,12 +26,23 @@ from mjtactile.recording.reader import load_recording
 from mjtactile.rig.file import load_rig_file
 
 WAIT = 300.0  # s for what takes a few on a computer of one's own
-FALLEN = 0.010  # m of the 40 mm that the hand lifts; the two heights are not read at quite the same time
+# m of the 40 mm that the hand lifts; the two heights are not read at quite the same time
+FALLEN = 0.010
 _TAIL = 40_000  # bytes of the log's end, in which there is a whole line
-_GENEROUS = (("delay_ms", "8.0", "400.0"), ("reply_timeout_ms", "20", "100"), ("watchdog_ms", "200", "1200"),
-             ("heartbeat_ms", "250", "1200"), ("host_timeout_ms", "1000", "2000"))
-_QUICK = (("CLOSING_SPEED = 0.025", "CLOSING_SPEED = 0.045"), ("SETTLE_TIME, HOLD_TIME, GRIP_TIMEOUT = 0.4, 2.0",
-          "SETTLE_TIME, HOLD_TIME, GRIP_TIMEOUT = 0.1, {hold}"))
+_GENEROUS = (
+    ("delay_ms", "8.0", "400.0"),
+    ("reply_timeout_ms", "20", "100"),
+    ("watchdog_ms", "200", "1200"),
+    ("heartbeat_ms", "250", "1200"),
+    ("host_timeout_ms", "1000", "2000"),
+)
+_QUICK = (
+    ("CLOSING_SPEED = 0.025", "CLOSING_SPEED = 0.045"),
+    (
+        "SETTLE_TIME, HOLD_TIME, GRIP_TIMEOUT = 0.4, 2.0",
+        "SETTLE_TIME, HOLD_TIME, GRIP_TIMEOUT = 0.1, {hold}",
+    ),
+)
 
 
 def rig_text(emulator: EmulatorProcess) -> str:
@@ -53,15 +66,44 @@ def controller_text(hold: float = 60.0) -> str:
 class Host:
     """A grasp in a process; while it runs, a thread watches the object."""
 
-    def __init__(self, emulator: EmulatorProcess, folder: Path, controller: str, *, stdout: int = subprocess.PIPE,
-                 stderr: int = subprocess.PIPE):
-        self.emulator, self.log = emulator, folder / "out" / "recording" / "log.jsonl"
+    def __init__(
+        self,
+        emulator: EmulatorProcess,
+        folder: Path,
+        controller: str,
+        *,
+        stdout: int = subprocess.PIPE,
+        stderr: int = subprocess.PIPE,
+    ):
+        self.emulator = emulator
+        self.log = folder / "out" / "recording" / "log.jsonl"
         (folder / "rig.toml").write_text(rig_text(emulator))
         (folder / "mine.py").write_text(controller)
         self.process = subprocess.Popen(
-            [sys.executable, "-W", "error", "-m", "mjtactile", "grasp", "--rig", "rig.toml", "--sensor", "paper16",
-             "--controller", "mine.py", "--frames", "every:5", "--out", "out", "--json"],
-            cwd=folder, stdout=stdout, stderr=stderr, text=True)
+            [
+                sys.executable,
+                "-W",
+                "error",
+                "-m",
+                "mjtactile",
+                "grasp",
+                "--rig",
+                "rig.toml",
+                "--sensor",
+                "paper16",
+                "--controller",
+                "mine.py",
+                "--frames",
+                "every:5",
+                "--out",
+                "out",
+                "--json",
+            ],
+            cwd=folder,
+            stdout=stdout,
+            stderr=stderr,
+            text=True,
+        )
         self.fallen = 0.0  # m by which the object was below where the hand had lifted it to
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._follow)
@@ -93,7 +135,8 @@ class Host:
             os.kill(self.process.pid, number)
 
     def ends(self) -> tuple[str, str]:
-        """Wait until it is gone; stdout and stderr. Torque is off then, the chambers are vented, and nothing has fallen."""
+        """Wait until it is gone; stdout and stderr. Torque is off then, the chambers are vented,
+        and nothing has fallen."""
         output = self.process.communicate(timeout=WAIT)
         self._over.set()
         self._thread.join()
@@ -105,7 +148,8 @@ class Host:
     def has_set_down(self) -> None:
         """Check that the object came down with the hand, and stands where it stood."""
         assert self.fallen < FALLEN
-        assert self.emulator.truth()["object_height"] == pytest.approx(0.031, abs=0.003)  # m, of its middle; less: it lies
+        # m, of its middle; less: it lies
+        assert self.emulator.truth()["object_height"] == pytest.approx(0.031, abs=0.003)
 
     def recording(self):
         """Readable, closed in order, with the turns of the retreat."""
@@ -122,7 +166,9 @@ class Host:
 
 
 @contextlib.contextmanager
-def host(emulator: EmulatorProcess, folder: Path, controller: str | None = None, **streams: int) -> Iterator[Host]:
+def host(
+    emulator: EmulatorProcess, folder: Path, controller: str | None = None, **streams: int
+) -> Iterator[Host]:
     running = Host(emulator, folder, controller or controller_text(), **streams)
     try:
         yield running

@@ -5,11 +5,28 @@ from pathlib import Path
 
 import numpy as np
 
-from mjtactile.core.types import Command, Contact, GripperState, Image, Markers, Surface, Touch, Traction, ValveState
+from mjtactile.core.types import (
+    Command,
+    Contact,
+    GripperState,
+    Image,
+    Markers,
+    Surface,
+    Touch,
+    Traction,
+    ValveState,
+)
 from mjtactile.recording.writer import Recorder
 
-_SCHEDULE = (("approach", 0.15), ("close", 0.2), ("regulate", 0.4), ("lift", 0.5), ("hold", 0.8), ("lower", 0.92),
-             ("release", 1.0))
+_SCHEDULE = (
+    ("approach", 0.15),
+    ("close", 0.2),
+    ("regulate", 0.4),
+    ("lift", 0.5),
+    ("hold", 0.8),
+    ("lower", 0.92),
+    ("release", 1.0),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +42,8 @@ class FakeCycle:
 
 def fake_touch(force: float, time: float) -> Touch:
     """A bulge of 4 mm, flattened in the middle by an amount that goes with `force` N."""
-    x, y = np.linspace(-0.02, 0.02, 21), np.linspace(-0.015, 0.015, 17)
+    x = np.linspace(-0.02, 0.02, 21)
+    y = np.linspace(-0.015, 0.015, 17)
     gx, gy = np.meshgrid(x, y)
     rest = 0.004 * np.cos(np.pi * gx / 0.04) * np.cos(np.pi * gy / 0.03)
     press = np.exp(-(gx**2 + gy**2) / 0.006**2)
@@ -47,20 +65,29 @@ def fake_image(seed: int, width: int = 160, height: int = 120) -> Image:
 
 
 def fake_cycle(i: int, count: int = 60, force: float | None = None) -> FakeCycle:
-    part, time = i / count, i / 30
+    part = i / count
+    time = i / 30
     phase = next(name for name, end in _SCHEDULE if part < end)
     rise = np.clip((part - 0.15) / 0.15, 0, 1) * np.clip((1 - part) / 0.06, 0, 1)
     force = 0.6 * rise + 0.01 * np.sin(i) if force is None else force
     touch = (fake_touch(force, time), fake_touch(force * 1.02, time))
     gripper = GripperState(0.05, 0.0, force, 0.04 * np.clip((part - 0.4) / 0.1, 0, 1))
     valves = (ValveState(False, 1000.0), ValveState(False))
-    return FakeCycle(time, (fake_image(i), fake_image(i + 1000)), touch, gripper, valves,
-                     Command(0.05, 4.0, 0.0, phase, {"phase_time": time}))
+    return FakeCycle(
+        time,
+        (fake_image(i), fake_image(i + 1000)),
+        touch,
+        gripper,
+        valves,
+        Command(0.05, 4.0, 0.0, phase, {"phase_time": time}),
+    )
 
 
 def write_fake_recording(folder: Path, count: int = 60) -> list[FakeCycle]:
     cycles = [fake_cycle(i, count) for i in range(count)]
-    with Recorder(folder, {"object": "egg", "sensor": "dense", "controller": "gentle", "seed": 0}) as recorder:
+    with Recorder(
+        folder, {"object": "egg", "sensor": "dense", "controller": "gentle", "seed": 0}
+    ) as recorder:
         recorder.note(break_force_N=2.5)
         for cycle in cycles:
             force = cycle.touch[0].force_normal

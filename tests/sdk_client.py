@@ -10,7 +10,9 @@ import dynamixel_sdk as sdk
 from mjtactile.emulator.control_table import control_table
 from tests.emulated import servo_bench
 
-PATIENCE, SILENCE = 1500.0, 60.0  # ms for a reply, where the SDK has 34 (tests share their processors), and for none
+# ms for a reply, where the SDK has 34 (tests share their processors), and for none
+PATIENCE = 1500.0
+SILENCE = 60.0
 OK = sdk.COMM_SUCCESS
 
 
@@ -18,8 +20,10 @@ class SdkClient:
     """The SDK's port and packets on a bench, with its register names."""
 
     def __init__(self, bench, model):
-        self.bench, self.table = bench, control_table(model).fields
-        self.port, self.packets = sdk.PortHandler(bench.bus.path), sdk.PacketHandler(2.0)
+        self.bench = bench
+        self.table = control_table(model).fields
+        self.port = sdk.PortHandler(bench.bus.path)
+        self.packets = sdk.PacketHandler(2.0)
         self.patience = PATIENCE
         self.port.setPacketTimeout = lambda length: self.port.setPacketTimeoutMillis(self.patience)
         assert self.port.openPort() and self.port.setBaudRate(1_000_000)

@@ -1,9 +1,10 @@
 """Tests by the clock on a computer that somebody else uses, too.
 
-A rented computer's processors are taken away for as long as a second ("steal" in /proc/stat): devices fall silent then, and
-a driver that says so is right. A test marked `clock` that fails while that happens is tried again; if it fails each time it is
-undecided, which is said at the end, and never counts as passed. Where nobody steals, it fails as any other; and where more
-than `MOST` are undecided, the run fails: what is broken fails every time, and breaks many.
+A rented computer's processors are taken away for as long as a second ("steal" in /proc/stat):
+devices fall silent then, and a driver that says so is right. A test marked `clock` that fails while
+that happens is tried again; if it fails each time it is undecided, which is said at the end, and
+never counts as passed. Where nobody steals, it fails as any other; and where more than `MOST` are
+undecided, the run fails: what is broken fails every time, and breaks many.
 """
 
 import os
@@ -13,14 +14,16 @@ from pathlib import Path
 import pytest
 from _pytest.runner import runtestprotocol
 
-TRIES, MOST = 2, 20
+TRIES = 2
+MOST = 20
 STOLEN_MAX = 0.03  # of all processors' time: less than that is a few ms now and then
 _undecided: set[Path] = set()  # files with such a test: their others are tried once
 _STEAL = 8  # column of /proc/stat's first line
 
 
 def stolen_seconds():
-    """What the computer's host has taken from its processors since it was started, s; 0 where it does not say."""
+    """What the computer's host has taken from its processors since it was started, s; 0 where it
+    does not say."""
     try:
         columns = Path("/proc/stat").read_text().split("\n", 1)[0].split()
     except OSError:
@@ -30,7 +33,8 @@ def stolen_seconds():
 
 def attempt(item, nextitem):
     """Reports of one try, and the share of the processors' time that was taken from it."""
-    stolen, begin = stolen_seconds(), time.monotonic()
+    stolen = stolen_seconds()
+    begin = time.monotonic()
     reports = runtestprotocol(item, nextitem=nextitem, log=False)
     return reports, (stolen_seconds() - stolen) / (time.monotonic() - begin) / (os.cpu_count() or 1)
 
@@ -66,7 +70,10 @@ def undecided_of(terminalreporter):
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session):
-    if len(undecided_of(session.config.pluginmanager.get_plugin("terminalreporter"))) > MOST and not session.exitstatus:
+    if (
+        len(undecided_of(session.config.pluginmanager.get_plugin("terminalreporter"))) > MOST
+        and not session.exitstatus
+    ):
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
 

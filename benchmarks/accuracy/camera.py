@@ -1,4 +1,5 @@
-"""The camera's part of `bench accuracy`: resolution, rate, markers, and what the renderer draws, against simulated truth.
+"""The camera's part of `bench accuracy`: resolution, rate, markers, and what the renderer draws,
+against simulated truth.
 
 The world is pressed once per set of markers; every camera then looks at the same states.
 """
@@ -25,9 +26,19 @@ _FRAMES = 6
 _SPEED = 0.02  # m/s, of the press over which a rate is judged
 RESOLUTIONS = (0.4, 0.6, 0.8, 1.0, 1.5, 2.0)
 RATES = (15.0, 30.0, 60.0, 120.0)
-MARKERS = {"4x4": (4, 4, 1.5e-3), "6x6": (6, 6, 1.3e-3), "9x9": (9, 9, 1.0e-3), "11x11": (11, 11, 0.8e-3)}
-DRAWN = {"as designed": Effects(), "no noise": Effects(noise_dn=0.0), "noise x 3": Effects(noise_dn=6.0),
-         "no blur": Effects(blur_px=0.0), "blur x 3": Effects(blur_px=2.1)}
+MARKERS = {
+    "4x4": (4, 4, 1.5e-3),
+    "6x6": (6, 6, 1.3e-3),
+    "9x9": (9, 9, 1.0e-3),
+    "11x11": (11, 11, 0.8e-3),
+}
+DRAWN = {
+    "as designed": Effects(),
+    "no noise": Effects(noise_dn=0.0),
+    "noise x 3": Effects(noise_dn=6.0),
+    "no blur": Effects(blur_px=0.0),
+    "blur x 3": Effects(blur_px=2.1),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,11 +51,14 @@ class State:
 
 
 def run(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
-    """Rows of each sweep: rms force error, N, rms marker error, um, and ms of rendering and of perception an image."""
+    """Rows of each sweep: rms force error, N, rms marker error, um, and ms of rendering and of
+    perception an image."""
     design = load_sensor(SENSOR)
     states = _states(design)
 
-    def row(name: str, seen: SensorDesign, moments: list[State], effects: Effects = DRAWN["as designed"]) -> dict[str, Any]:
+    def row(
+        name: str, seen: SensorDesign, moments: list[State], effects: Effects = DRAWN["as designed"]
+    ) -> dict[str, Any]:
         result = {"name": name} | attempt(lambda: _look(seen, moments, effects))
         say(f"camera, {name}: {result.get('failed') or result['force_error_N']}")
         return result
@@ -52,22 +66,50 @@ def run(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
     scales = (0.6, 1.0) if quick else RESOLUTIONS
     markers = {k: v for k, v in MARKERS.items() if not quick or k == "9x9"}
     return {
-        "resolution": [row(f"{round(640 * s)}x{round(480 * s)}", replace(design, camera=_scaled(design.camera, s)), states)
-                       for s in scales],
-        "markers": [row(name, (other := _with_markers(design, *layout)), _states(other)) for name, layout in markers.items()],
-        "renderer": [row(name, design, states, effects) for name, effects in list(DRAWN.items())[: 2 if quick else None]],
-        "rate": _rates(design)}
+        "resolution": [
+            row(
+                f"{round(640 * s)}x{round(480 * s)}",
+                replace(design, camera=_scaled(design.camera, s)),
+                states,
+            )
+            for s in scales
+        ],
+        "markers": [
+            row(name, (other := _with_markers(design, *layout)), _states(other))
+            for name, layout in markers.items()
+        ],
+        "renderer": [
+            row(name, design, states, effects)
+            for name, effects in list(DRAWN.items())[: 2 if quick else None]
+        ],
+        "rate": _rates(design),
+    }
 
 
 def _scaled(camera: CameraDesign, s: float) -> CameraDesign:
-    """The same view with `s` times the pixels; the blur is the lens's, so it grows in pixels, the noise a pixel's."""
-    return replace(camera, width=round(camera.width * s), height=round(camera.height * s), fx=camera.fx * s, fy=camera.fy * s,
-                   cx=(camera.cx + 0.5) * s - 0.5, cy=(camera.cy + 0.5) * s - 0.5, blur_px=camera.blur_px * s)
+    """The same view with `s` times the pixels; the blur is the lens's, so it grows in pixels, the
+    noise a pixel's."""
+    return replace(
+        camera,
+        width=round(camera.width * s),
+        height=round(camera.height * s),
+        fx=camera.fx * s,
+        fy=camera.fy * s,
+        cx=(camera.cx + 0.5) * s - 0.5,
+        cy=(camera.cy + 0.5) * s - 0.5,
+        blur_px=camera.blur_px * s,
+    )
 
 
 def _with_markers(design: SensorDesign, rows: int, columns: int, radius: float) -> SensorDesign:
-    extent_x, extent_y = 32e-3, 24e-3
-    return replace(design, markers=MarkerLayout(rows, columns, extent_x / (columns - 1), extent_y / (rows - 1), radius))
+    extent_x = 32e-3
+    extent_y = 24e-3
+    return replace(
+        design,
+        markers=MarkerLayout(
+            rows, columns, extent_x / (columns - 1), extent_y / (rows - 1), radius
+        ),
+    )
 
 
 def _states(design: SensorDesign) -> list[State]:
@@ -88,11 +130,18 @@ def _state(world: PressWorld) -> State:
 
 
 def _look(design: SensorDesign, states: list[State], effects: Effects) -> dict[str, Any]:
-    renderer, perception = Renderer(design, seed=1), Perception.of(design)
+    renderer = Renderer(design, seed=1)
+    perception = Perception.of(design)
     flat, rest, *pressed = states
-    perception.take_flat([renderer.render(flat.p_SM, flat.n_S, effects=effects) for _ in range(_FRAMES)])
-    perception.take_rest([renderer.render(rest.p_SM, rest.n_S, effects=effects) for _ in range(_FRAMES)], 1000.0)
-    errors, distances, spent = [], [], np.zeros(2)
+    perception.take_flat(
+        [renderer.render(flat.p_SM, flat.n_S, effects=effects) for _ in range(_FRAMES)]
+    )
+    perception.take_rest(
+        [renderer.render(rest.p_SM, rest.n_S, effects=effects) for _ in range(_FRAMES)], 1000.0
+    )
+    errors = []
+    distances = []
+    spent = np.zeros(2)
     for state in pressed:
         for _ in range(_FRAMES):
             begin = time.thread_time()
@@ -102,16 +151,24 @@ def _look(design: SensorDesign, states: list[State], effects: Effects) -> dict[s
             spent += (seen - begin, time.thread_time() - seen)
             errors.append(touch.force_normal - state.force)
             if touch.markers is not None:
-                distances.append(np.linalg.norm(touch.markers.p_SM - state.p_SM[touch.markers.ids], axis=1))
+                distances.append(
+                    np.linalg.norm(touch.markers.p_SM - state.p_SM[touch.markers.ids], axis=1)
+                )
     count = len(errors)
-    return {"force_error_N": float(np.sqrt(np.mean(np.square(errors)))),
-            "marker_error_um": 1e6 * float(np.sqrt(np.mean(np.square(np.concatenate(distances))))) if distances else float("nan"),
-            "unknown": int(np.count_nonzero(~np.isfinite(errors))), "camera_ms": 1e3 * spent[0] / count,
-            "perception_ms": 1e3 * spent[1] / count}
+    return {
+        "force_error_N": float(np.sqrt(np.mean(np.square(errors)))),
+        "marker_error_um": 1e6 * float(np.sqrt(np.mean(np.square(np.concatenate(distances)))))
+        if distances
+        else float("nan"),
+        "unknown": int(np.count_nonzero(~np.isfinite(errors))),
+        "camera_ms": 1e3 * spent[0] / count,
+        "perception_ms": 1e3 * spent[1] / count,
+    }
 
 
 def _rates(design: SensorDesign) -> list[dict[str, Any]]:
-    """What a perfect sensor's last reading is off by, while a 16 mm sphere is pressed in at 20 mm/s."""
+    """What a perfect sensor's last reading is off by, while a 16 mm sphere is pressed in at 20
+    mm/s."""
     world = PressWorld(design, Indenter("sphere", 16e-3), timestep=1e-3)
     world.inflate(1000.0, seal=True)
     forces: list[float] = []
@@ -130,14 +187,30 @@ def table(result: dict[str, Any]) -> str:
     """Markdown."""
     lines = []
     for sweep in ("resolution", "markers", "renderer"):
-        lines += [f"### Camera: {sweep}", "",
-                  "| | force error mN | marker error um | images without a force | camera ms | perception ms |",
-                  "|---|---|---|---|---|---|"]
-        lines += [f"| {r['name']} | failed: {r['failed']} | | | | |" if "failed" in r else
-                  f"| {r['name']} | {1e3 * r['force_error_N']:.1f} | {r['marker_error_um']:.1f} | {r['unknown']} | "
-                  f"{r['camera_ms']:.1f} | {r['perception_ms']:.1f} |" for r in result[sweep]] + [""]
-    lines += ["### Camera: rate", "",
-              "Error of a perfect reading that is held until the next image, while the force rises at 20 mm/s.", "",
-              "| | force error mN |", "|---|---|"]
+        lines += [
+            f"### Camera: {sweep}",
+            "",
+            "| | force error mN | marker error um | images without a force | camera "
+            "ms | perception ms |",
+            "|---|---|---|---|---|---|",
+        ]
+        lines += [
+            f"| {r['name']} | failed: {r['failed']} | | | | |"
+            if "failed" in r
+            else f"| {r['name']} | {1e3 * r['force_error_N']:.1f} | "
+            f"{r['marker_error_um']:.1f} | {r['unknown']} | "
+            f"{r['camera_ms']:.1f} | "
+            f"{r['perception_ms']:.1f} |"
+            for r in result[sweep]
+        ] + [""]
+    lines += [
+        "### Camera: rate",
+        "",
+        "Error of a perfect reading that is held until the next image, while the "
+        "force rises at 20 mm/s.",
+        "",
+        "| | force error mN |",
+        "|---|---|",
+    ]
     lines += [f"| {r['name']} | {1e3 * r['force_error_N']:.1f} |" for r in result["rate"]]
     return "\n".join(lines) + "\n"

@@ -1,9 +1,10 @@
 """`mjtactile bench accuracy`: work-precision diagrams, and the table that `Fidelity` chooses from.
 
-One knob at a time around the default, and all together: error of force and surface against a converged reference,
-against the cost. Physics: spheres pressed to a given depth (bench/settings.py); the reference is the finest mesh with
-contact ten times stiffer, its own uncertainty the step from the next coarser mesh. The bulge is also held against its
-closed form. Perception: what the sensing chain makes of rendered images, against the simulated truth.
+One knob at a time around the default, and all together: error of force and surface against a
+converged reference, against the cost. Physics: spheres pressed to a given depth
+(bench/settings.py); the reference is the finest mesh with contact ten times stiffer, its own
+uncertainty the step from the next coarser mesh. The bulge is also held against its closed form.
+Perception: what the sensing chain makes of rendered images, against the simulated truth.
 """
 
 from __future__ import annotations
@@ -19,7 +20,16 @@ from typing import Any
 import numpy as np
 
 from benchmarks.accuracy import camera, plots
-from benchmarks.settings import CASES, SENSOR, Case, Pressed, Setting, attempt, cost_and_noise, press
+from benchmarks.settings import (
+    CASES,
+    SENSOR,
+    Case,
+    Pressed,
+    Setting,
+    attempt,
+    cost_and_noise,
+    press,
+)
 from mjtactile.core import theory
 from mjtactile.core.design import load_sensor
 from mjtactile.recording.files import write_json
@@ -27,42 +37,69 @@ from mjtactile.run.progress import Progress
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 DEFAULT = Setting()
-COARSEST = 9  # vertices along x: with 7 the bulge is so unlike a membrane's that sensing refuses it at rest
+# vertices along x: with 7 the bulge is so unlike a membrane's that sensing refuses it at rest
+COARSEST = 9
 SWEEPS: dict[str, tuple[Setting, ...]] = {
-    "mesh": tuple(replace(DEFAULT, mesh=m) for m in ((7, 5), (9, 7), (11, 9), (13, 11), (15, 11), (17, 13), (21, 17), (25, 21))),
-    "time step": tuple(replace(DEFAULT, timestep=t) for t in (1e-3, 2e-3, 1 / 240, 1 / 180, 1 / 150, 8e-3)),
+    "mesh": tuple(
+        replace(DEFAULT, mesh=m)
+        for m in ((7, 5), (9, 7), (11, 9), (13, 11), (15, 11), (17, 13), (21, 17), (25, 21))
+    ),
+    "time step": tuple(
+        replace(DEFAULT, timestep=t) for t in (1e-3, 2e-3, 1 / 240, 1 / 180, 1 / 150, 8e-3)
+    ),
     "tolerance": tuple(replace(DEFAULT, tolerance=t) for t in (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4)),
     "iterations": tuple(replace(DEFAULT, iterations=n) for n in (300, 100, 60, 30, 15)),
-    "contact softness": tuple(replace(DEFAULT, softness=s) for s in (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)),
+    "contact softness": tuple(
+        replace(DEFAULT, softness=s) for s in (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
+    ),
 }
-TOGETHER = tuple(Setting(mesh, step, tolerance)
-                 for mesh in ((9, 7), (11, 9), (13, 11), (17, 13)) for step in (1 / 240, 1 / 150) for tolerance in (1e-7, 1e-6)
-                 if not (step == 1 / 240 and tolerance == 1e-6)) + (Setting((21, 17)), Setting((25, 21)))
-_HEAD = ("| mesh | step ms | tolerance | iterations at most | contact softness | force error mN | surface error um | "
-         "noise mN | penetration um | ms per simulated s |")
+TOGETHER = tuple(
+    Setting(mesh, step, tolerance)
+    for mesh in ((9, 7), (11, 9), (13, 11), (17, 13))
+    for step in (1 / 240, 1 / 150)
+    for tolerance in (1e-7, 1e-6)
+    if not (step == 1 / 240 and tolerance == 1e-6)
+) + (Setting((21, 17)), Setting((25, 21)))
+_HEAD = (
+    "| mesh | step ms | tolerance | iterations at most | contact softness | force error mN | "
+    "surface error um | "
+    "noise mN | penetration um | ms per simulated s |"
+)
 _REFERENCE = (Setting((25, 21), softness=0.1), Setting((37, 31), softness=0.1))
 _QUICK_REFERENCE = (Setting((17, 13), softness=0.1), Setting((21, 17), softness=0.1))
 
 
 def run(out: Path, quick: bool = False, say: Callable[[str], None] | None = None) -> dict[str, Any]:
-    """Measure everything; about 10 minutes, with `quick` about one. Draws into `out` and writes fidelity.json there."""
+    """Measure everything; about 10 minutes, with `quick` about one. Draws into `out` and writes
+    fidelity.json there."""
     say = Progress().message if say is None else say
     cases = CASES[:2] if quick else CASES
     reference, uncertainty = _reference(_QUICK_REFERENCE if quick else _REFERENCE, cases)
-    say(f"reference: {[round(r.force, 4) for r in reference]} N, uncertain by {uncertainty['force_N']:.4f} N")
+    say(
+        f"reference: {[round(r.force, 4) for r in reference]} N, uncertain by "
+        f"{uncertainty['force_N']:.4f} N"
+    )
     measured: dict[Setting, dict[str, Any]] = {}
 
     def rows(settings: Sequence[Setting]) -> list[dict[str, Any]]:
         for setting in settings[1:4] if quick else settings:
             if setting not in measured:
-                measured[setting] = setting.summary() | attempt(lambda s=setting: _measure(s, cases, reference))
+                measured[setting] = setting.summary() | attempt(
+                    lambda s=setting: _measure(s, cases, reference)
+                )
                 say(_line(measured[setting]))
         return [measured[s] for s in settings if s in measured]
 
     sweeps = {name: rows(settings) for name, settings in SWEEPS.items()}
     together = rows(TOGETHER)
-    result = {"stamp": stamp(), "reference": {"forces_N": [r.force for r in reference], **uncertainty}, "sweeps": sweeps,
-              "together": together, "pareto": _pareto([*measured.values()]), "closed_form": _closed_form(quick)}
+    result = {
+        "stamp": stamp(),
+        "reference": {"forces_N": [r.force for r in reference], **uncertainty},
+        "sweeps": sweeps,
+        "together": together,
+        "pareto": _pareto([*measured.values()]),
+        "closed_form": _closed_form(quick),
+    }
     write_json(out / "fidelity.json", fidelity_table(result))  # before the cameras: it needs none
     result["camera"] = camera.run(quick, say)
     plots.draw(result, out, say)
@@ -72,52 +109,93 @@ def run(out: Path, quick: bool = False, say: Callable[[str], None] | None = None
 def stamp() -> dict[str, str]:
     """Machine and versions."""
     version = importlib.metadata.version
-    return {"machine": f"{_processor()}, {platform.system()}", "python": platform.python_version(), "mujoco": version("mujoco"),
-            "numpy": version("numpy"), "mjtactile": version("mjtactile"), "date": f"{datetime.date.today():%Y-%m-%d}"}
+    return {
+        "machine": f"{_processor()}, {platform.system()}",
+        "python": platform.python_version(),
+        "mujoco": version("mujoco"),
+        "numpy": version("numpy"),
+        "mjtactile": version("mjtactile"),
+        "date": f"{datetime.date.today():%Y-%m-%d}",
+    }
 
 
 def fidelity_table(result: dict[str, Any]) -> dict[str, Any]:
-    """What `Fidelity` reads: every setting that ran, with the default contact and enough iterations, on a mesh that sensing
-    takes for a membrane."""
-    rows = [row for row in [*result["together"], *result["sweeps"]["mesh"], *result["sweeps"]["time step"]]
-            if "failed" not in row and row["softness"] == 1.0 and row["iterations"] == DEFAULT.iterations
-            and row["mesh"][0] >= COARSEST]
-    keys = ("mesh", "timestep_ms", "tolerance", "force_error_N", "surface_error_um", "force_noise_N", "ms_per_s")
-    unique = {(*row["mesh"], row["timestep_ms"], row["tolerance"]): {key: row[key] for key in keys} for row in rows}
-    return {"stamp": result["stamp"], "reference": result["reference"],
-            "rows": sorted(unique.values(), key=lambda row: row["ms_per_s"])}
+    """What `Fidelity` reads: every setting that ran, with the default contact and enough
+    iterations, on a mesh that sensing takes for a membrane."""
+    rows = [
+        row
+        for row in [*result["together"], *result["sweeps"]["mesh"], *result["sweeps"]["time step"]]
+        if "failed" not in row
+        and row["softness"] == 1.0
+        and row["iterations"] == DEFAULT.iterations
+        and row["mesh"][0] >= COARSEST
+    ]
+    keys = (
+        "mesh",
+        "timestep_ms",
+        "tolerance",
+        "force_error_N",
+        "surface_error_um",
+        "force_noise_N",
+        "ms_per_s",
+    )
+    unique = {
+        (*row["mesh"], row["timestep_ms"], row["tolerance"]): {key: row[key] for key in keys}
+        for row in rows
+    }
+    return {
+        "stamp": result["stamp"],
+        "reference": result["reference"],
+        "rows": sorted(unique.values(), key=lambda row: row["ms_per_s"]),
+    }
 
 
-def _reference(settings: Sequence[Setting], cases: Sequence[Case]) -> tuple[list[Pressed], dict[str, float]]:
+def _reference(
+    settings: Sequence[Setting], cases: Sequence[Case]
+) -> tuple[list[Pressed], dict[str, float]]:
     coarse, fine = ([press(setting, case) for case in cases] for setting in settings)
     force, surface = _errors(coarse, fine)
     return fine, {"force_N": force, "surface_um": 1e6 * surface}
 
 
-def _measure(setting: Setting, cases: Sequence[Case], reference: Sequence[Pressed]) -> dict[str, Any]:
+def _measure(
+    setting: Setting, cases: Sequence[Case], reference: Sequence[Pressed]
+) -> dict[str, Any]:
     pressed = [press(setting, case) for case in cases]
     force, surface = _errors(pressed, reference)
     cost = cost_and_noise(setting)
-    return {"force_error_N": float(np.hypot(force, cost["force_noise_N"])), "force_bias_N": force,
-            "surface_error_um": 1e6 * surface, **cost}
+    return {
+        "force_error_N": float(np.hypot(force, cost["force_noise_N"])),
+        "force_bias_N": force,
+        "surface_error_um": 1e6 * surface,
+        **cost,
+    }
 
 
 def _errors(pressed: Sequence[Pressed], reference: Sequence[Pressed]) -> tuple[float, float]:
     """Root mean squares over the cases: of the force, N, and of the markers' distances, m."""
     force = [a.force - b.force for a, b in zip(pressed, reference, strict=True)]
-    surface = [np.linalg.norm(a.p_SM - b.p_SM, axis=1) for a, b in zip(pressed, reference, strict=True)]
+    surface = [
+        np.linalg.norm(a.p_SM - b.p_SM, axis=1) for a, b in zip(pressed, reference, strict=True)
+    ]
     return float(np.sqrt(np.mean(np.square(force)))), float(np.sqrt(np.mean(np.square(surface))))
 
 
 def _closed_form(quick: bool) -> list[dict[str, Any]]:
     """Height of the free bulge at 1 kPa against Eq. M7, which is 0.4 % low for this sheet."""
-    design, rows = load_sensor(SENSOR), []
+    design = load_sensor(SENSOR)
+    rows = []
     for setting in SWEEPS["mesh"][2:4] if quick else SWEEPS["mesh"]:
+
         def height(s: Setting = setting) -> dict[str, Any]:
             world = PressWorld(design, Indenter("sphere", 5e-3), timestep=s.timestep, mesh=s.mesh)
             world.inflate(1000.0, seal=False)
             measured = world.sensors[0].height_at(0.0, 0.0)
-            return {"height_mm": 1e3 * measured, "theory_mm": 1e3 * theory.bulge_height(design, 1000.0)}
+            return {
+                "height_mm": 1e3 * measured,
+                "theory_mm": 1e3 * theory.bulge_height(design, 1000.0),
+            }
+
         rows.append({"mesh": list(setting.mesh)} | attempt(height))
     return rows
 
@@ -132,42 +210,73 @@ def _pareto(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _line(row: dict[str, Any]) -> str:
-    name = f"{row['mesh']}, {row['timestep_ms']:.2f} ms, tol {row['tolerance']:g}, soft {row['softness']:g}"
+    name = (
+        f"{row['mesh']}, {row['timestep_ms']:.2f} ms, tol {row['tolerance']:g}, soft "
+        f"{row['softness']:g}"
+    )
     if "failed" in row:
         return f"{name}: failed: {row['failed']}"
-    return f"{name}: {row['force_error_N']:.4f} N, {row['surface_error_um']:.0f} um, {row['ms_per_s']:.0f} ms/s"
+    return (
+        f"{name}: {row['force_error_N']:.4f} N, {row['surface_error_um']:.0f} um, "
+        f"{row['ms_per_s']:.0f} ms/s"
+    )
 
 
 def _processor() -> str:
     try:
         text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
-        return next(line.split(":", 1)[1].strip() for line in text.splitlines() if line.startswith("model name"))
+        return next(
+            line.split(":", 1)[1].strip()
+            for line in text.splitlines()
+            if line.startswith("model name")
+        )
     except (OSError, StopIteration):
         return platform.processor() or platform.machine()
 
 
 def table(result: dict[str, Any]) -> str:
     """Markdown."""
-    about, limit = result["stamp"], result["reference"]
-    lines = [f"Measured on {about['machine']}, Python {about['python']}, MuJoCo {about['mujoco']}, {about['date']}. The "
-             f"reference is itself uncertain by {1e3 * limit['force_N']:.1f} mN and {limit['surface_um']:.0f} um.", ""]
-    for name, rows in {**result["sweeps"], "all together: the Pareto front": result["pareto"]}.items():
+    about = result["stamp"]
+    limit = result["reference"]
+    lines = [
+        f"Measured on {about['machine']}, Python {about['python']}, MuJoCo {about['mujoco']}, "
+        f"{about['date']}. The "
+        f"reference is itself uncertain by {1e3 * limit['force_N']:.1f} mN and "
+        f"{limit['surface_um']:.0f} um.",
+        "",
+    ]
+    for name, rows in {
+        **result["sweeps"],
+        "all together: the Pareto front": result["pareto"],
+    }.items():
         title = f"### {name[0].upper()}{name[1:]}"
         lines += [title, "", _HEAD, "|" + "---|" * 10, *map(_row, rows), ""]
-    lines += ["### Free bulge at 1 kPa against the closed form", "", "| mesh | height mm | Eq. M7 mm | difference |",
-              "|---|---|---|---|"]
-    lines += [f"| {r['mesh'][0]}x{r['mesh'][1]} | failed: {r['failed']} | | |" if "failed" in r else
-              f"| {r['mesh'][0]}x{r['mesh'][1]} | {r['height_mm']:.4f} | {r['theory_mm']:.4f} | "
-              f"{r['height_mm'] / r['theory_mm'] - 1:+.2%} |" for r in result["closed_form"]]
+    lines += [
+        "### Free bulge at 1 kPa against the closed form",
+        "",
+        "| mesh | height mm | Eq. M7 mm | difference |",
+        "|---|---|---|---|",
+    ]
+    lines += [
+        f"| {r['mesh'][0]}x{r['mesh'][1]} | failed: {r['failed']} | | |"
+        if "failed" in r
+        else f"| {r['mesh'][0]}x{r['mesh'][1]} | {r['height_mm']:.4f} | {r['theory_mm']:.4f} | "
+        f"{r['height_mm'] / r['theory_mm'] - 1:+.2%} |"
+        for r in result["closed_form"]
+    ]
     return "\n".join(lines) + "\n\n" + camera.table(result["camera"])
 
 
 def _row(row: dict[str, Any]) -> str:
-    start = (f"| {row['mesh'][0]}x{row['mesh'][1]} | {row['timestep_ms']:.2f} | {row['tolerance']:g} | {row['iterations']} | "
-             f"{row['softness']:g} | ")
+    start = (
+        f"| {row['mesh'][0]}x{row['mesh'][1]} | {row['timestep_ms']:.2f} | {row['tolerance']:g} "
+        f"| {row['iterations']} | "
+        f"{row['softness']:g} | "
+    )
     if "failed" in row:
         return f"{start}failed: {row['failed']} | | | | |"
-    return (f"{start}{1e3 * row['force_error_N']:.1f} | {row['surface_error_um']:.0f} | {1e3 * row['force_noise_N']:.1f} | "
-            f"{row['penetration_um']:.0f} | {row['ms_per_s']:.0f} |")
-
-
+    return (
+        f"{start}{1e3 * row['force_error_N']:.1f} | {row['surface_error_um']:.0f} | "
+        f"{1e3 * row['force_noise_N']:.1f} | "
+        f"{row['penetration_um']:.0f} | {row['ms_per_s']:.0f} |"
+    )

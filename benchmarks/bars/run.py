@@ -1,7 +1,9 @@
-"""`mjtactile bench bars`: 10^4 images of random scenes: felt wrenches against true ones, in their own standard deviations.
+"""`mjtactile bench bars`: 10^4 images of random scenes: felt wrenches against true ones, in their
+own standard deviations.
 
-Presses, drags, taps, holds, near the frame, shaken, of two layouts at two resolutions and three meshes. Seeds below FIRST_SEED
-were used in tuning and are not among them. Each scene's rows are kept in a file of its own; `--resume` goes on from there.
+Presses, drags, taps, holds, near the frame, shaken, of two layouts at two resolutions and three
+meshes. Seeds below FIRST_SEED were used in tuning and are not among them. Each scene's rows are
+kept in a file of its own; `--resume` goes on from there.
 """
 
 from __future__ import annotations
@@ -23,12 +25,16 @@ from mjtactile.core.status import OK
 from mjtactile.recording.files import write_json
 
 __all__ = ["run", "table"]
-FIRST_SEED, SCENES, SCENES_QUICK = 1000, 200, 4
+FIRST_SEED = 1000
+SCENES = 200
+SCENES_QUICK = 4
 
 Say = Callable[[str], None]
 
 
-def run(out: Path, *, quick: bool = False, resume: bool = False, say: Say = lambda _: None) -> dict[str, Any]:
+def run(
+    out: Path, *, quick: bool = False, resume: bool = False, say: Say = lambda _: None
+) -> dict[str, Any]:
     """Watch the scenes; the JSON has no rows, which are in `out`/scenes."""
     folder = out / "scenes"
     folder.mkdir(parents=True, exist_ok=True)
@@ -38,27 +44,51 @@ def run(out: Path, *, quick: bool = False, resume: bool = False, say: Say = lamb
         waiting = [seed for seed in seeds if not (resume and files[seed].is_file())]
         for found in pool.map(scene_rows, waiting):
             write_json(files[found["seed"]], found)
-            say(f"{found['seed']} {found['kind']} of a {found['shape']}, {found['sensor']}: "
-                + (found["error"] or f"{len(found['rows'])} images"))
+            say(
+                f"{found['seed']} {found['kind']} of a {found['shape']}, {found['sensor']}: "
+                + (found["error"] or f"{len(found['rows'])} images")
+            )
     return summary([json.loads(file.read_text(encoding="utf-8")) for file in files.values()])
 
 
 def scene_rows(seed: int) -> dict[str, Any]:
     """One scene: what it is, and a row for each image."""
     scene = draw_scene(seed)
-    about = {"seed": seed, "kind": scene.kind, "shape": scene.shape, "sensor": scene.sensor, "mesh": list(scene.mesh)}
+    about = {
+        "seed": seed,
+        "kind": scene.kind,
+        "shape": scene.shape,
+        "sensor": scene.sensor,
+        "mesh": list(scene.mesh),
+    }
     try:
         watched = watch(scene)
     except SimulationError as error:
         return about | {"rows": [], "flags": [], "error": " ".join(str(error).split())}
-    return about | {"rows": [_row(look) for look in watched.looks], "flags": sorted(watched.flags), "error": ""}
+    return about | {
+        "rows": [_row(look) for look in watched.looks],
+        "flags": sorted(watched.flags),
+        "error": "",
+    }
 
 
 def _row(look: Look) -> dict[str, Any]:
-    touch, traction = look.touch, look.touch.traction
+    touch = look.touch
+    traction = look.touch.traction
     known = touch.status == OK
-    felt = touch.contact.area if known and touch.contact is not None and len(touch.patches) == 1 else None
-    return {"time": touch.time, "status": str(touch.status.code), "touching": touch.touching, "rattles": look.rattles,
-            "wrench_true": look.wrench.tolist(), "wrench": traction.wrench.tolist() if known and traction else None,
-            "sd": np.sqrt(np.diag(traction.wrench_cov)).tolist() if known and traction else None, "area_true": look.area,
-            "area": felt}
+    felt = (
+        touch.contact.area
+        if known and touch.contact is not None and len(touch.patches) == 1
+        else None
+    )
+    return {
+        "time": touch.time,
+        "status": str(touch.status.code),
+        "touching": touch.touching,
+        "rattles": look.rattles,
+        "wrench_true": look.wrench.tolist(),
+        "wrench": traction.wrench.tolist() if known and traction else None,
+        "sd": np.sqrt(np.diag(traction.wrench_cov)).tolist() if known and traction else None,
+        "area_true": look.area,
+        "area": felt,
+    }

@@ -1,4 +1,5 @@
-"""Random scenes of `mjtactile bench bars`, each drawn from its seed: which sensor, what touches it, where, and how it moves."""
+"""Random scenes of `mjtactile bench bars`, each drawn from its seed: which sensor, what touches it,
+where, and how it moves."""
 
 from __future__ import annotations
 
@@ -12,21 +13,24 @@ from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.sim.scenes.indentation import Indenter
 
 KINDS = ("press", "edge", "press", "tap", "hold", "press", "edge", "rhythm", "press", "shaken")
-"""What happens, in turn: presses and drags anywhere, near the frame, taps, a body between two sensors, a press that goes up and
-down several times a second, a press of a sensor that hangs somehow and is shaken."""
+"""What happens, in turn: presses and drags anywhere, near the frame, taps, a body between two
+sensors, a press that goes up and down several times a second, a press of a sensor that hangs
+somehow and is shaken."""
 SENSORS = ("dense", "paper16", "dense at half resolution", "paper16 at half resolution")
 MESHES = ((13, 11), (13, 11), (17, 13), (21, 17))
 SIZES = {"sphere": (3e-3, 16e-3), "cylinder": (2.5e-3, 8e-3), "box": (5e-3, 14e-3)}
 MODELS = ("wedge", "corner", "spheres")
 _BODIES = {"sphere": (6e-3, 16e-3), "box": (8e-3, 16e-3), "rod": (3e-3, 10e-3)}
-_MARGIN = 1.5e-3  # m from the frame that an indenter keeps; a rim that is hit is no touch of the membrane
+# m from the frame that an indenter keeps; a rim that is hit is no touch of the membrane
+_MARGIN = 1.5e-3
 
 
 @dataclass(frozen=True)
 class Scene:
-    """One scene. `supply` Pa of the chamber, an `indenter` at `at` m with `tilt` rad, or a `body` that is held; it goes to the
-    `forces` N one after the other at `speed` m/s, is dragged by `shear` m, taps to `depth` m, goes up and down to it at
-    `frequency` Hz; the sensor is turned by `mount` rad and shaken by `shake` m, Hz."""
+    """One scene. `supply` Pa of the chamber, an `indenter` at `at` m with `tilt` rad, or a `body`
+    that is held; it goes to the `forces` N one after the other at `speed` m/s, is dragged by
+    `shear` m, taps to `depth` m, goes up and down to it at `frequency` Hz; the sensor is turned by
+    `mount` rad and shaken by `shake` m, Hz."""
 
     seed: int
     kind: str
@@ -50,11 +54,22 @@ class Scene:
         """The sensor, with its supply."""
         name, _, coarse = self.sensor.partition(" ")
         design = load_sensor(name)
-        camera, c = design.camera, 0.5
+        camera = design.camera
+        c = 0.5
         if coarse:  # the same lens before half as many pixels a side; its blur is the lens's
-            camera = replace(camera, width=camera.width // 2, height=camera.height // 2, fx=c * camera.fx, fy=c * camera.fy,
-                             cx=c * (camera.cx + 0.5) - 0.5, cy=c * (camera.cy + 0.5) - 0.5, blur_px=c * camera.blur_px)
-        return replace(design, camera=camera, chamber=replace(design.chamber, supply_gauge=self.supply))
+            camera = replace(
+                camera,
+                width=camera.width // 2,
+                height=camera.height // 2,
+                fx=c * camera.fx,
+                fy=c * camera.fy,
+                cx=c * (camera.cx + 0.5) - 0.5,
+                cy=c * (camera.cy + 0.5) - 0.5,
+                blur_px=c * camera.blur_px,
+            )
+        return replace(
+            design, camera=camera, chamber=replace(design.chamber, supply_gauge=self.supply)
+        )
 
     @property
     def shape(self) -> str:
@@ -67,7 +82,8 @@ class Scene:
 def draw_scene(seed: int) -> Scene:
     """The kinds and the sensors take turns, all else is drawn."""
     rng = np.random.default_rng([seed, 23])
-    kind, sensor = KINDS[seed % len(KINDS)], SENSORS[seed // len(KINDS) % len(SENSORS)]
+    kind = KINDS[seed % len(KINDS)]
+    sensor = SENSORS[seed // len(KINDS) % len(SENSORS)]
     indenter = _indenter(rng)
     half = np.array([20e-3, 15e-3]) - _MARGIN - _reach(indenter)
     at = rng.uniform(-0.6, 0.6, 2) * half
@@ -81,24 +97,45 @@ def draw_scene(seed: int) -> Scene:
     turned *= np.pi * rng.uniform() / np.linalg.norm(turned)
     shaken = kind == "shaken"
     return Scene(
-        seed, kind, sensor, mesh=MESHES[rng.integers(len(MESHES))], supply=float(rng.uniform(600, 2000)), indenter=indenter,
-        body=Body(body, float(rng.uniform(*_BODIES[body])), float(rng.uniform(5e-3, 30e-3))), at=(float(at[0]), float(at[1])),
-        tilt=float(rng.uniform(-0.15, 0.15)), forces=(float(forces[0]), float(forces[1])),
-        speed=float(np.exp(rng.uniform(np.log(0.05), np.log(0.5)))) if kind == "tap" else float(rng.uniform(5e-3, 30e-3)),
-        shear=float(rng.uniform(-1e-3, 1e-3)), depth=float(rng.uniform(0.5e-3, 3e-3)), frequency=frequency,
+        seed,
+        kind,
+        sensor,
+        mesh=MESHES[rng.integers(len(MESHES))],
+        supply=float(rng.uniform(600, 2000)),
+        indenter=indenter,
+        body=Body(body, float(rng.uniform(*_BODIES[body])), float(rng.uniform(5e-3, 30e-3))),
+        at=(float(at[0]), float(at[1])),
+        tilt=float(rng.uniform(-0.15, 0.15)),
+        forces=(float(forces[0]), float(forces[1])),
+        speed=float(np.exp(rng.uniform(np.log(0.05), np.log(0.5))))
+        if kind == "tap"
+        else float(rng.uniform(5e-3, 30e-3)),
+        shear=float(rng.uniform(-1e-3, 1e-3)),
+        depth=float(rng.uniform(0.5e-3, 3e-3)),
+        frequency=frequency,
         mount=(float(turned[0]), float(turned[1]), float(turned[2])) if shaken else (0.0, 0.0, 0.0),
-        shake=(float(rng.uniform(0.2, 1.0) * 9.81 / (2 * np.pi * frequency) ** 2), frequency) if shaken else (0.0, 0.0))
+        shake=(float(rng.uniform(0.2, 1.0) * 9.81 / (2 * np.pi * frequency) ** 2), frequency)
+        if shaken
+        else (0.0, 0.0),
+    )
 
 
 def _indenter(rng: np.random.Generator) -> Indenter:
     """One in eight is sharp or double: a model; else balls, faces of cylinders and of boxes."""
     if rng.uniform() < 1 / 8:
-        return Indenter("model", path=resources.folder("models/truth") / f"{MODELS[rng.integers(len(MODELS))]}.xml")
+        return Indenter(
+            "model",
+            path=resources.folder("models/truth") / f"{MODELS[rng.integers(len(MODELS))]}.xml",
+        )
     kind = list(SIZES)[rng.integers(len(SIZES))]
     return Indenter(kind, float(rng.uniform(*SIZES[kind])))
 
 
 def _reach(indenter: Indenter) -> float:
     """How far it goes sideways, m, where it may touch."""
-    sizes = {"sphere": min(indenter.size, 7e-3), "cylinder": indenter.size, "box": indenter.size / np.sqrt(2)}
+    sizes = {
+        "sphere": min(indenter.size, 7e-3),
+        "cylinder": indenter.size,
+        "box": indenter.size / np.sqrt(2),
+    }
     return sizes.get(indenter.kind, 10e-3)

@@ -8,34 +8,54 @@ from typing import Any
 import numpy as np
 
 COMPONENTS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
-LEAST, NOTHING = 0.02, 1e-3  # N by truth: from which on it is a touch, up to which there is none
+# N by truth: from which on it is a touch, up to which there is none
+LEAST = 0.02
+NOTHING = 1e-3
 FAR = 5.0  # standard deviations that none may be off
 UNSURE = ("penetration", "wrinkles")
-"""What the simulation says of itself where its contact is not right: these scenes' touches are counted apart."""
-_LIGHT, _STRONG = 0.06, 0.5  # N, of areas
+"""What the simulation says of itself where its contact is not right: these scenes' touches are
+counted apart."""
+# N, of areas
+_LIGHT = 0.06
+_STRONG = 0.5
 
 Row = dict[str, Any]
 
 
 def summary(scenes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Of all images whose status is ok, by what there was to feel."""
-    rows = [row | {key: scene[key] for key in ("seed", "kind", "shape", "sensor", "flags")}
-            for scene in scenes for row in scene["rows"]]
+    rows = [
+        row | {key: scene[key] for key in ("seed", "kind", "shape", "sensor", "flags")}
+        for scene in scenes
+        for row in scene["rows"]
+    ]
     known = [row for row in rows if row["wrench"] is not None]
     steady = [row for row in known if not row["rattles"]]
     touches = [row for row in steady if _force(row) > LEAST]
     sure = [row for row in touches if not set(UNSURE) & set(row["flags"])]
-    groups = {"everything that is ok": known, "nothing touches": [row for row in steady if abs(_force(row)) < NOTHING],
-              "touches": sure}
+    groups = {
+        "everything that is ok": known,
+        "nothing touches": [row for row in steady if abs(_force(row)) < NOTHING],
+        "touches": sure,
+    }
     for key in ("kind", "sensor", "shape"):
         for value in sorted({row[key] for row in sure}):
             groups[f"{key}: {value}"] = [row for row in sure if row[key] == value]
-    groups["touches that the simulation flags"] = [row for row in touches if set(UNSURE) & set(row["flags"])]
-    groups["touches at rest whose true force rattles"] = [row for row in known if row["rattles"] and _force(row) > LEAST]
+    groups["touches that the simulation flags"] = [
+        row for row in touches if set(UNSURE) & set(row["flags"])
+    ]
+    groups["touches at rest whose true force rattles"] = [
+        row for row in known if row["rattles"] and _force(row) > LEAST
+    ]
     said = [row["status"] for row in rows]
-    return {"scenes": len(scenes), "failed": [scene["error"] for scene in scenes if scene["error"]], "images": len(rows),
-            "status": {status: said.count(status) for status in sorted(set(said))},
-            "groups": {name: _judge(group) for name, group in groups.items() if group}, "areas": _areas(known)}
+    return {
+        "scenes": len(scenes),
+        "failed": [scene["error"] for scene in scenes if scene["error"]],
+        "images": len(rows),
+        "status": {status: said.count(status) for status in sorted(set(said))},
+        "groups": {name: _judge(group) for name, group in groups.items() if group},
+        "areas": _areas(known),
+    }
 
 
 def _force(row: Row) -> float:
@@ -46,41 +66,83 @@ def _judge(rows: Sequence[Row]) -> dict[str, Any]:
     error = np.array([row["wrench"] for row in rows]) - [row["wrench_true"] for row in rows]
     sd = np.array([row["sd"] for row in rows])
     z = error / sd
-    far, seeds = np.abs(z) > FAR, np.array([row["seed"] for row in rows])
-    return {"images": len(rows), "scenes": len(set(seeds)), "chi_square": (z**2).mean(axis=0), "far": far.sum(axis=0),
-            "far_any": int(far.any(axis=1).sum()), "far_scenes": len(set(seeds[far.any(axis=1)])), "worst": np.abs(z).max(axis=0),
-            "error_N": np.abs(error[:, :3]).mean(axis=0), "sd_N": np.median(sd[:, :3], axis=0)}
+    far = np.abs(z) > FAR
+    seeds = np.array([row["seed"] for row in rows])
+    return {
+        "images": len(rows),
+        "scenes": len(set(seeds)),
+        "chi_square": (z**2).mean(axis=0),
+        "far": far.sum(axis=0),
+        "far_any": int(far.any(axis=1).sum()),
+        "far_scenes": len(set(seeds[far.any(axis=1)])),
+        "worst": np.abs(z).max(axis=0),
+        "error_N": np.abs(error[:, :3]).mean(axis=0),
+        "sd_N": np.median(sd[:, :3], axis=0),
+    }
 
 
 def _areas(rows: Sequence[Row]) -> dict[str, Any]:
     """Felt over true area, single patches."""
     seen = [row for row in rows if row["area"] and row["area_true"] and row["touching"]]
-    groups = {"all": seen, f"below {_LIGHT:g} N": [row for row in seen if _force(row) < _LIGHT],
-              f"{_LIGHT:g} to {_STRONG:g} N": [row for row in seen if _LIGHT <= _force(row) < _STRONG],
-              f"from {_STRONG:g} N on": [row for row in seen if _force(row) >= _STRONG]}
-    groups |= {shape: [row for row in seen if row["shape"] == shape] for shape in sorted({row["shape"] for row in seen})}
-    return {name: _shares(np.array([row["area"] / row["area_true"] for row in group])) for name, group in groups.items() if group}
+    groups = {
+        "all": seen,
+        f"below {_LIGHT:g} N": [row for row in seen if _force(row) < _LIGHT],
+        f"{_LIGHT:g} to {_STRONG:g} N": [row for row in seen if _LIGHT <= _force(row) < _STRONG],
+        f"from {_STRONG:g} N on": [row for row in seen if _force(row) >= _STRONG],
+    }
+    groups |= {
+        shape: [row for row in seen if row["shape"] == shape]
+        for shape in sorted({row["shape"] for row in seen})
+    }
+    return {
+        name: _shares(np.array([row["area"] / row["area_true"] for row in group]))
+        for name, group in groups.items()
+        if group
+    }
 
 
 def _shares(ratio: np.ndarray) -> dict[str, Any]:
-    return {"images": len(ratio), "median_error": float(np.median(np.abs(ratio - 1))), "median": float(np.median(ratio)),
-            "within_10_percent": float((np.abs(ratio - 1) < 0.1).mean()), "range": np.percentile(ratio, [10, 90])}
+    return {
+        "images": len(ratio),
+        "median_error": float(np.median(np.abs(ratio - 1))),
+        "median": float(np.median(ratio)),
+        "within_10_percent": float((np.abs(ratio - 1) < 0.1).mean()),
+        "range": np.percentile(ratio, [10, 90]),
+    }
 
 
 def table(result: Mapping[str, Any]) -> str:
     """The result as Markdown."""
     status = ", ".join(f"{count} {name}" for name, count in result["status"].items())
-    lines = [f"{result['images']} images of {result['scenes']} scenes: {status}; {len(result['failed'])} scenes could not be "
-             "simulated.", "",
-             "| chi-square | images | scenes | " + " | ".join(COMPONENTS) + f" | beyond {FAR:g} sd: Fz | any of six (in scenes) "
-             "| worst Fz, sd |", "|" + "---|" * 12]
+    lines = [
+        f"{result['images']} images of {result['scenes']} scenes: {status}; "
+        f"{len(result['failed'])} scenes could not be "
+        "simulated.",
+        "",
+        "| chi-square | images | scenes | "
+        + " | ".join(COMPONENTS)
+        + f" | beyond {FAR:g} sd: Fz | any of six "
+        "(in scenes) "
+        "| worst Fz, sd |",
+        "|" + "---|" * 12,
+    ]
     for name, g in result["groups"].items():
         chi = " | ".join(f"{value:.2f}" for value in g["chi_square"])
-        lines.append(f"| {name} | {g['images']} | {g['scenes']} | {chi} | {g['far'][2]} | {g['far_any']} ({g['far_scenes']}) "
-                     f"| {g['worst'][2]:.1f} |")
-    lines += ["", "| felt contact area, one patch | images | median error | felt over true: median (10-90 %) | within 10 % |",
-              "|---|---|---|---|---|"]
+        lines.append(
+            f"| {name} | {g['images']} | {g['scenes']} | {chi} | {g['far'][2]} | {g['far_any']} "
+            f"({g['far_scenes']}) "
+            f"| {g['worst'][2]:.1f} |"
+        )
+    lines += [
+        "",
+        "| felt contact area, one patch | images | median error | felt over true: median "
+        "(10-90 %) | within 10 % |",
+        "|---|---|---|---|---|",
+    ]
     for name, a in result["areas"].items():
-        lines.append(f"| {name} | {a['images']} | {100 * a['median_error']:.0f} % | {a['median']:.2f} ({a['range'][0]:.2f}-"
-                     f"{a['range'][1]:.2f}) | {100 * a['within_10_percent']:.0f} % |")
+        lines.append(
+            f"| {name} | {a['images']} | {100 * a['median_error']:.0f} % | {a['median']:.2f} "
+            f"({a['range'][0]:.2f}-"
+            f"{a['range'][1]:.2f}) | {100 * a['within_10_percent']:.0f} % |"
+        )
     return "\n".join([*lines, ""])

@@ -17,18 +17,34 @@ from mjtactile.sim.scenes.indentation import PressWorld
 from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor.limits import Flags
 
-_DEEPEST, _STRONGEST, _ABOVE = 6e-3, 2.5, 1e-3  # m, N, m over first touch where an indenter waits
-_QUIET, _HOLD = 0.2, 0.3  # s without a touch, s that a force is held
-_TAPS, _TAP_HOLD, _RHYTHM = 3, 0.1, 1.2  # taps, s of a tap's rest, s of going up and down
-_SLOW, _FAST, _SQUEEZE = 5e-3, 0.02, (0.5e-3, 4e-3)  # m/s of a drag and of a retreat; m that bodies are squeezed by
-_JUMP, _JUMP_SHARE = 0.02, 0.05  # N and share of the force by which a force at rest does not change in a step
-_AREA_EVERY, _LEAST = 5, 0.02  # images between two looks at the area; N from which on there is one
+# m, N, m over first touch where an indenter waits
+_DEEPEST = 6e-3
+_STRONGEST = 2.5
+_ABOVE = 1e-3
+# s without a touch, s that a force is held
+_QUIET = 0.2
+_HOLD = 0.3
+# taps, s of a tap's rest, s of going up and down
+_TAPS = 3
+_TAP_HOLD = 0.1
+_RHYTHM = 1.2
+# m/s of a drag and of a retreat; m that bodies are squeezed by
+_SLOW = 5e-3
+_FAST = 0.02
+_SQUEEZE = (0.5e-3, 4e-3)
+# N and share of the force by which a force at rest does not change in a step
+_JUMP = 0.02
+_JUMP_SHARE = 0.05
+# images between two looks at the area; N from which on there is one
+_AREA_EVERY = 5
+_LEAST = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """One image of one sensor: its `touch`, the `wrench` (6,) N, N m and the contact's `area`, m^2, by truth (NaN: not looked
-    at), and whether that wrench jumps from step to step though nothing drives it: `rattles`."""
+    """One image of one sensor: its `touch`, the `wrench` (6,) N, N m and the contact's `area`, m^2,
+    by truth (NaN: not looked at), and whether that wrench jumps from step to step though nothing
+    drives it: `rattles`."""
 
     touch: Touch
     wrench: Array
@@ -45,20 +61,34 @@ class Watched:
 
 
 def watch(scene: Scene) -> Watched:
-    """Take references, then move; every image. Raises SimulationError where that cannot be simulated."""
-    design, looks = scene.design, []
-    world: World = PressWorld(design, scene.indenter, at=scene.at, tilt=scene.tilt, mesh=scene.mesh, mount=scene.mount,
-                              shake=scene.shake)
+    """Take references, then move; every image. Raises SimulationError where that cannot be
+    simulated."""
+    design = scene.design
+    looks = []
+    world: World = PressWorld(
+        design,
+        scene.indenter,
+        at=scene.at,
+        tilt=scene.tilt,
+        mesh=scene.mesh,
+        mount=scene.mount,
+        shake=scene.shake,
+    )
     view = View(world, design, seed=scene.seed)
     take_references(world, [view], scene.supply)
-    chain, rest = view.perception.chain, view.perception.state
+    chain = view.perception.chain
+    rest = view.perception.state
     if scene.kind == "hold":
         squeeze = float(np.interp(scene.forces[1], (0.04, 1.8), _SQUEEZE))
-        world = PinchWorld(design, scene.body, pressure_gauge=scene.supply, squeeze=squeeze, mesh=scene.mesh)
+        world = PinchWorld(
+            design, scene.body, pressure_gauge=scene.supply, squeeze=squeeze, mesh=scene.mesh
+        )
     fingers = range(len(world.sensors))
-    renderers, states = [Renderer(design, seed=2 * scene.seed + k) for k in fingers], [rest for _ in fingers]
+    renderers = [Renderer(design, seed=2 * scene.seed + k) for k in fingers]
+    states = [rest for _ in fingers]
     period = round(1 / (design.camera.rate * world.timestep))
-    before, driven = [np.zeros(6) for _ in fingers], np.zeros(world.model.nu)
+    before = [np.zeros(6) for _ in fingers]
+    driven = np.zeros(world.model.nu)
 
     def look() -> None:
         wrenches = [truth.contact_wrench(world, k) for k in fingers]
@@ -66,12 +96,21 @@ def watch(scene: Scene) -> Watched:
         if world.step_count % period == 0:
             with_area = world.step_count // period % _AREA_EVERY == 0 and scene.kind != "shaken"
             for k in fingers:
-                touch, states[k] = chain.step(states[k], renderers[k].render(*world.marker_poses(k), world.time), world.time)
-                area = truth.contact_area(world, k) if with_area and -wrenches[k][2] > _LEAST else np.nan
+                touch, states[k] = chain.step(
+                    states[k], renderers[k].render(*world.marker_poses(k), world.time), world.time
+                )
+                area = (
+                    truth.contact_area(world, k)
+                    if with_area and -wrenches[k][2] > _LEAST
+                    else np.nan
+                )
                 jump = float(np.abs(wrenches[k] - before[k])[:3].max())
-                rattles = rests and jump > _JUMP + _JUMP_SHARE * float(np.linalg.norm(wrenches[k][:3]))
+                rattles = rests and jump > _JUMP + _JUMP_SHARE * float(
+                    np.linalg.norm(wrenches[k][:3])
+                )
                 looks.append(Look(touch, wrenches[k], area, rattles))
-        before[:], driven[:] = wrenches, world.data.ctrl
+        before[:] = wrenches
+        driven[:] = world.data.ctrl
 
     world.after_each_step(look)
     for seconds in _moves(scene, world):
@@ -114,7 +153,8 @@ def _press_until(scene: Scene, world: PressWorld, force: float) -> None:
 
 
 def _tap(scene: Scene, world: PressWorld) -> Iterator[float]:
-    """Down at the scene's speed to its depth, or until it is too strong, a short rest, and up again."""
+    """Down at the scene's speed to its depth, or until it is too strong, a short rest, and up
+    again."""
     depth = -_ABOVE
     while depth < scene.depth and _force(world) < _STRONGEST:
         depth = min(depth + scene.speed * world.timestep, scene.depth)
@@ -126,7 +166,8 @@ def _tap(scene: Scene, world: PressWorld) -> Iterator[float]:
 
 def _beat(scene: Scene, world: PressWorld) -> None:
     """Up and down between a little above first touch and the scene's depth."""
-    top, begin = -0.3e-3, world.time
+    top = -0.3e-3
+    begin = world.time
     world.drive(top, 0.0, _FAST)
     while world.time < begin + _RHYTHM:
         share = (1 - np.cos(2 * np.pi * scene.frequency * (world.time - begin))) / 2

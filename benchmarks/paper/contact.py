@@ -1,21 +1,30 @@
-"""Where the object touches: from the traction field, with the indentation against the rest shape as a check."""
+"""Where the object touches: from the traction field, with the indentation against the rest shape as
+a check."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from benchmarks.paper.settings import DEFAULTS, PaperSettings
 from mjtactile.core.bspline import hats
 from mjtactile.core.types import Array, Contact, Surface, Traction
-from benchmarks.paper.settings import DEFAULTS, PaperSettings
 
 
-def find_contact(surface: Surface, rest: Surface, traction: Traction, *, touching: bool,
-                 s: PaperSettings = DEFAULTS) -> Contact:
-    """Contact patch on the grid of `traction`: where it presses, and the surface is further in than at rest.
+def find_contact(
+    surface: Surface,
+    rest: Surface,
+    traction: Traction,
+    *,
+    touching: bool,
+    s: PaperSettings = DEFAULTS,
+) -> Contact:
+    """Contact patch on the grid of `traction`: where it presses, and the surface is further in than
+    at rest.
 
-    `touching` is the verdict of the net force; without it the patch is empty. Area is that of the curved surface. A contact
-    presses everywhere inside its outline and not at all outside; smoothed by the marker spacing, the outline lies where the
-    pressure has fallen to about half of its plateau.
+    `touching` is the verdict of the net force; without it the patch is empty. Area is that of the
+    curved surface. A contact presses everywhere inside its outline and not at all outside; smoothed
+    by the marker spacing, the outline lies where the pressure has fallen to about half of its
+    plateau.
     """
     pressing = -traction.force[..., 2]
     height = resample(surface, traction.x, traction.y)

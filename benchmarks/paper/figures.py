@@ -1,4 +1,5 @@
-"""Figures of the experiments; each `draw_*` fills a matplotlib figure from the data of its experiment."""
+"""Figures of the experiments; each `draw_*` fills a matplotlib figure from the data of its
+experiment."""
 
 from __future__ import annotations
 
@@ -29,11 +30,24 @@ def draw_fig5a(figure: Any, result: Mapping[str, Any]) -> None:
         cell = [s["cell_N"] for s in run["steps"]]
         top, bottom = axes[:, column]
         top.plot([0, max(cell)], [0, max(cell)], "k-", lw=0.8)
-        top.plot(cell, [s["ours_N"] for s in run["steps"]], "o", label=f"ours, {run['error_ours_N']:.3f} N")
-        top.plot(cell, [s["paper_N"] for s in run["steps"]], "s", mfc="none", label=f"dF = c dA, {run['error_paper_N']:.3f} N")
+        top.plot(
+            cell,
+            [s["ours_N"] for s in run["steps"]],
+            "o",
+            label=f"ours, {run['error_ours_N']:.3f} N",
+        )
+        top.plot(
+            cell,
+            [s["paper_N"] for s in run["steps"]],
+            "s",
+            mfc="none",
+            label=f"dF = c dA, {run['error_paper_N']:.3f} N",
+        )
         top.set(title=f"{run['sensor']}, valve {run['valve']}")
         top.legend(fontsize=8)
-        bottom.plot(cell, [s["area_change_mm2"] for s in run["steps"]], "s-", mfc="none", color="tab:orange")
+        bottom.plot(
+            cell, [s["area_change_mm2"] for s in run["steps"]], "s-", mfc="none", color="tab:orange"
+        )
         bottom.axhline(0, color="k", lw=0.8)
         bottom.set(xlabel="load cell, N")
     axes[0, 0].set(ylabel="estimate, N")
@@ -45,7 +59,8 @@ def draw_fig5b(figure: Any, result: Mapping[str, Any]) -> None:
     whole, own = figure.subplots(1, 2)
     for name, colour in _COLOURS.items():
         curve = result[name]
-        depth, force = np.asarray(curve["depth_mm"]), np.asarray(curve["force_N"])
+        depth = np.asarray(curve["depth_mm"])
+        force = np.asarray(curve["force_N"])
         whole.plot(depth, force, ".", color=colour, label=name)
         own.plot(curve["own_deformation_mm"], force, ".", color=colour, label=name)
         for power, style in ((1, ":"), (2, "-")):
@@ -54,9 +69,18 @@ def draw_fig5b(figure: Any, result: Mapping[str, Any]) -> None:
             whole.plot(depth, columns @ fit, style, color=colour, lw=1)
     law = result["sponge_law"]
     d = np.linspace(0, max(result["sponge"]["own_deformation_mm"]), 50)
-    own.plot(d, 1e-3 * d * (law["stiffness_true_N_m"] + law["stiffening_true_N_m2"] * 1e-3 * d), "k-", lw=0.8,
-             label="the sponge's true law")
-    whole.set(xlabel="driven in, mm", ylabel="felt force, N", title="as the paper plots it (dotted: line, full: parabola)")
+    own.plot(
+        d,
+        1e-3 * d * (law["stiffness_true_N_m"] + law["stiffening_true_N_m2"] * 1e-3 * d),
+        "k-",
+        lw=0.8,
+        label="the sponge's true law",
+    )
+    whole.set(
+        xlabel="driven in, mm",
+        ylabel="felt force, N",
+        title="as the paper plots it (dotted: line, full: parabola)",
+    )
     own.set(xlabel="the object's own deformation, mm", title="without the membrane's share")
     whole.legend()
     own.legend()
@@ -66,8 +90,22 @@ def draw_fig5c(figure: Any, result: Mapping[str, Any]) -> None:
     """Force over time."""
     axes = figure.subplots()
     for name, colour in _COLOURS.items():
-        axes.plot(result[name]["time_s"], result[name]["force_N"], ".", ms=4, color=colour, label=f"{name}, felt")
-        axes.plot(result[name]["time_s"], result[name]["cell_N"], "-", lw=1, color=colour, label=f"{name}, load cell")
+        axes.plot(
+            result[name]["time_s"],
+            result[name]["force_N"],
+            ".",
+            ms=4,
+            color=colour,
+            label=f"{name}, felt",
+        )
+        axes.plot(
+            result[name]["time_s"],
+            result[name]["cell_N"],
+            "-",
+            lw=1,
+            color=colour,
+            label=f"{name}, load cell",
+        )
     axes.set(xlabel="time, s", ylabel="normal force, N")
     axes.legend()
 
@@ -86,7 +124,8 @@ def draw_fig6(figure: Any, result: Mapping[str, Any]) -> None:
 
 
 def draw_fig7(figure: Any, result: Mapping[str, Any]) -> None:
-    """Image, reconstruction with forces (drawn with a minus sign, as in the paper), force field from above."""
+    """Image, reconstruction with forces (drawn with a minus sign, as in the paper), force field
+    from above."""
     for row, (name, data) in enumerate(result.items()):
         image = figure.add_subplot(len(result), 3, 3 * row + 1)
         image.imshow(data["image"], cmap="gray")
@@ -98,9 +137,17 @@ def draw_fig7(figure: Any, result: Mapping[str, Any]) -> None:
         shape.set_zlabel("mm")
         field = figure.add_subplot(len(result), 3, 3 * row + 3)
         pressing = -1e3 * data["force"][..., 2]
-        drawn = field.pcolormesh(1e3 * data["grid_x"], 1e3 * data["grid_y"], pressing, cmap="magma", shading="nearest")
-        field.quiver(1e3 * data["grid_x"], 1e3 * data["grid_y"], -data["force"][..., 0], -data["force"][..., 1], color="w",
-                     scale=0.4)
+        drawn = field.pcolormesh(
+            1e3 * data["grid_x"], 1e3 * data["grid_y"], pressing, cmap="magma", shading="nearest"
+        )
+        field.quiver(
+            1e3 * data["grid_x"],
+            1e3 * data["grid_y"],
+            -data["force"][..., 0],
+            -data["force"][..., 1],
+            color="w",
+            scale=0.4,
+        )
         field.set_title(f"felt {data['force_N']:.2f} N, load cell {data['cell_N']:.2f} N")
         field.set_aspect("equal")
         figure.colorbar(drawn, ax=field, label="mN a node")
@@ -113,15 +160,26 @@ def draw_air(figure: Any, result: Mapping[str, Any]) -> None:
     axes = figure.subplots(1, 2)
     by_pressure = [r for r in runs if r["air_mL"] > 0.9 * np.median(airs)]
     by_air = [r for r in runs if abs(r["supply_kPa"] - 1) < 1e-6]
-    for panel, rows, key, label in ((axes[0], by_pressure, "supply_kPa", "supply, kPa"), (axes[1], by_air, "air_mL", "air, mL")):
+    for panel, rows, key, label in (
+        (axes[0], by_pressure, "supply_kPa", "supply, kPa"),
+        (axes[1], by_air, "air_mL", "air, mL"),
+    ):
         rows = sorted(rows, key=lambda r: r[key])
         panel.plot([r[key] for r in rows], [r["stiffness_N_mm"] for r in rows], "o-")
         panel.set(xscale="log", xlabel=label, ylabel="N for the first mm")
         noise = panel.twinx()
-        noise.plot([r[key] for r in rows], [1e3 * r["noise_N"] for r in rows], "s--", color="tab:orange")
+        noise.plot(
+            [r[key] for r in rows], [1e3 * r["noise_N"] for r in rows], "s--", color="tab:orange"
+        )
         noise.set_ylabel("noise-equivalent force, mN", color="tab:orange")
         noise.set_ylim(0, None)
 
 
-_DRAW = {"fig5a": (draw_fig5a, (11.0, 5.4)), "fig5b": (draw_fig5b, (9.5, 4.2)), "fig5c": (draw_fig5c, (6.4, 4.2)),
-         "fig6": (draw_fig6, (9.0, 3.8)), "fig7": (draw_fig7, (10.0, 8.5)), "air": (draw_air, (9.5, 3.8))}
+_DRAW = {
+    "fig5a": (draw_fig5a, (11.0, 5.4)),
+    "fig5b": (draw_fig5b, (9.5, 4.2)),
+    "fig5c": (draw_fig5c, (6.4, 4.2)),
+    "fig6": (draw_fig6, (9.0, 3.8)),
+    "fig7": (draw_fig7, (10.0, 8.5)),
+    "air": (draw_air, (9.5, 3.8)),
+}

@@ -1,8 +1,9 @@
 """Force from the membrane's shape, at the paper's two levels and by membrane statics.
 
-Level 1 (`mjtactile.calibrate.area.AreaCalibration`): dF = c dA (paper Eq. 11), c calibrated once for each sensor.
-Level 2 (`spring_grid_force`): the surface as a grid of springs; the force on a node is the sum of its four springs.
-Statics (`MembraneForce`): the net force that equilibrium demands, from the sensor file and the gas law alone.
+Level 1 (`mjtactile.calibrate.area.AreaCalibration`): dF = c dA (paper Eq. 11), c calibrated once
+for each sensor. Level 2 (`spring_grid_force`): the surface as a grid of springs; the force on a
+node is the sum of its four springs. Statics (`MembraneForce`): the net force that equilibrium
+demands, from the sensor file and the gas law alone.
 """
 
 from __future__ import annotations
@@ -20,10 +21,12 @@ from mjtactile.sensing.shape.deformation import Fields, MembraneModel
 
 
 def spring_grid_force(surface: Surface, rest: Surface, tension: float) -> Array:
-    """Force of the world on each grid node (ny, nx, 3) N: the paper's grid of springs (its Fig. 4), against rest.
+    """Force of the world on each grid node (ny, nx, 3) N: the paper's grid of springs (its Fig. 4),
+    against rest.
 
-    A uniformly stretched sheet of `tension` N/m pulls a node along each of its four springs with the tension times
-    the spacing across it. What the springs pull in excess of the rest state must be held by the outside.
+    A uniformly stretched sheet of `tension` N/m pulls a node along each of its four springs with
+    the tension times the spacing across it. What the springs pull in excess of the rest state must
+    be held by the outside.
     """
     pull = _spring_pull(surface, tension) - _spring_pull(rest, tension)
     return -pull
@@ -31,27 +34,33 @@ def spring_grid_force(surface: Surface, rest: Surface, tension: float) -> Array:
 
 def _spring_pull(surface: Surface, tension: float) -> Array:
     """Sum of the four spring forces on every inner node, zeros on the rim, (ny, nx, 3) N."""
-    x, y, z = surface.x, surface.y, surface.z
+    x = surface.x
+    y = surface.y
+    z = surface.z
     pull = np.zeros((*z.shape, 3))
-    across = {0: x[1] - x[0], 1: y[1] - y[0]}  # springs along y (axis 0) stand for a strip of width dx, and so on
+    # springs along y (axis 0) stand for a strip of width dx, and so on
+    across = {0: x[1] - x[0], 1: y[1] - y[0]}
     for axis in (0, 1):
         step = np.zeros((*np.diff(z, axis=axis).shape, 3))
         step[..., 1 - axis] = across[1 - axis]
         step[..., 2] = np.diff(z, axis=axis)
         force = tension * across[axis] * step / np.linalg.norm(step, axis=-1, keepdims=True)
         inner = [slice(1, -1), slice(1, -1)]
-        ahead, behind = list(inner), list(inner)
-        ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
+        ahead = list(inner)
+        behind = list(inner)
+        ahead[axis] = slice(1, None)
+        behind[axis] = slice(None, -1)
         pull[1:-1, 1:-1] += force[tuple(ahead)] - force[tuple(behind)]
     return pull
 
 
 @dataclass(frozen=True, eq=False)
 class RestState:
-    """What the sensor measured of itself with nothing touching: gas `volume` m^3 (chamber and bulge), absolute
-    `pressure` Pa, the factor `stiffness_scale` that makes its elastic forces balance the pressure, the remaining
-    wrench `offset` (6,), and the sensitivities `jacobian` (6, N, 3) of the wrench to marker positions. `sealed`: the gas
-    is kept; otherwise the valve keeps the pressure."""
+    """What the sensor measured of itself with nothing touching: gas `volume` m^3 (chamber and
+    bulge), absolute `pressure` Pa, the factor `stiffness_scale` that makes its elastic forces
+    balance the pressure, the remaining wrench `offset` (6,), and the sensitivities `jacobian` (6,
+    N, 3) of the wrench to marker positions. `sealed`: the gas is kept; otherwise the valve keeps
+    the pressure."""
 
     volume: float
     pressure: float
@@ -71,9 +80,13 @@ class MembraneForce:
     """
 
     def __init__(self, model: MembraneModel, settings: PaperSettings = DEFAULTS):
-        self.model, self.design, self.settings = model, model.design, settings
+        self.model = model
+        self.design = model.design
+        self.settings = settings
         markers = self.design.markers
-        self._phi, self._grad_phi = model.plateau(settings.taper * max(markers.pitch_x, markers.pitch_y))
+        self._phi, self._grad_phi = model.plateau(
+            settings.taper * max(markers.pitch_x, markers.pitch_y)
+        )
 
     def pressure_gauge(self, fields: Fields, rest: RestState) -> float:
         """Gauge pressure, Pa, from the gas volume under the membrane (Eq. G1)."""
@@ -91,31 +104,46 @@ class MembraneForce:
         w = self.model.weights
         stress = np.einsum("qia,qa->qi", self.model.first_piola(fields), self._grad_phi)
         area = self._phi[:, None] * fields.normal_area
-        return (np.concatenate([w @ stress, w @ np.cross(fields.x, stress)]),
-                np.concatenate([w @ area, w @ np.cross(fields.x, area)]))
+        return (
+            np.concatenate([w @ stress, w @ np.cross(fields.x, stress)]),
+            np.concatenate([w @ area, w @ np.cross(fields.x, area)]),
+        )
 
-    def rest_state(self, markers: Markers, pressure_gauge: float, *, sealed: bool = True) -> RestState:
+    def rest_state(
+        self, markers: Markers, pressure_gauge: float, *, sealed: bool = True
+    ) -> RestState:
         """Calibrate on a state with nothing touching and a known gauge pressure, Pa.
 
-        The ratio of pressure force to elastic force absorbs an error of Young's modulus, thickness or pre-stretch. A
-        flat membrane (no pressure) carries no information on stiffness: then the design's value stands.
+        The ratio of pressure force to elastic force absorbs an error of Young's modulus, thickness
+        or pre-stretch. A flat membrane (no pressure) carries no information on stiffness: then the
+        design's value stands.
         """
         fields = self._fields(markers.ids, markers.p_SM)
         elastic, push = self._terms(fields)
         informative = pressure_gauge > self.settings.informative_pressure and elastic[2] > 0
         scale = float(pressure_gauge * push[2] / elastic[2]) if informative else 1.0
-        rest = RestState(self.gas_volume(fields), self.design.chamber.ambient + pressure_gauge, scale,
-                         scale * elastic - pressure_gauge * push, np.zeros((6, 0, 3)), sealed)
+        rest = RestState(
+            self.gas_volume(fields),
+            self.design.chamber.ambient + pressure_gauge,
+            scale,
+            scale * elastic - pressure_gauge * push,
+            np.zeros((6, 0, 3)),
+            sealed,
+        )
         return replace(rest, jacobian=self._jacobian(markers, rest))
 
     def _jacobian(self, markers: Markers, rest: RestState) -> Array:
-        """d(wrench)/d(p_SM) at rest by central differences, (6, N, 3) over all the layout's markers."""
-        step, jacobian = 1e-5, np.zeros((6, self.design.markers.count, 3))
+        """d(wrench)/d(p_SM) at rest by central differences, (6, N, 3) over all the layout's
+        markers."""
+        step = 1e-5
+        jacobian = np.zeros((6, self.design.markers.count, 3))
         for row, marker in enumerate(markers.ids):
             for axis in range(3):
                 shift = np.zeros_like(markers.p_SM)
                 shift[row, axis] = step
-                plus, minus = (self.wrench(markers.ids, markers.p_SM + s * shift, rest)[0] for s in (1, -1))
+                plus, minus = (
+                    self.wrench(markers.ids, markers.p_SM + s * shift, rest)[0] for s in (1, -1)
+                )
                 jacobian[:, marker, axis] = (plus - minus) / (2 * step)
         return jacobian
 
@@ -123,7 +151,8 @@ class MembraneForce:
         return self.model.fields(self.model.fit(ids, p_SM))
 
     def wrench(self, ids: NDArray[np.int64], p_SM: Array, rest: RestState) -> tuple[Array, float]:
-        """Net contact wrench (6,) on the membrane in S (N, N m), and the gauge pressure, Pa, from marker positions."""
+        """Net contact wrench (6,) on the membrane in S (N, N m), and the gauge pressure, Pa, from
+        marker positions."""
         return self.wrench_of(self._fields(ids, p_SM), rest)
 
     def wrench_of(self, fields: Fields, rest: RestState) -> tuple[Array, float]:
@@ -139,10 +168,11 @@ class MembraneForce:
 
 
 class GridForce:
-    """Contact force on each node of the spline's knot grid: the same weak form, tested with the grid's bilinear hats.
+    """Contact force on each node of the spline's knot grid: the same weak form, tested with the
+    grid's bilinear hats.
 
-    The hats of the inner nodes sum to one away from the frame, so the nodal forces add up to the net force of a
-    contact that does not reach the outermost ring of cells.
+    The hats of the inner nodes sum to one away from the frame, so the nodal forces add up to the
+    net force of a contact that does not reach the outermost ring of cells.
     """
 
     def __init__(self, estimator: MembraneForce):
@@ -154,12 +184,18 @@ class GridForce:
         w = model.weights[:, None]
         self._hat, self._hat_1, self._hat_2 = (
             csr_matrix((w * (b[:, :, None] * a[:, None, :]).reshape(len(w), -1)).T)
-            for a, b in ((hx, hy), (sx, hy), (hx, sy)))
+            for a, b in ((hx, hy), (sx, hy), (hx, sy))
+        )
 
     def forces(self, fields: Fields, gauge: float, rest: RestState) -> Array:
-        """Nodal forces (ny, nx, 3) N of the outside on the membrane, S; zero on the frame's own nodes."""
+        """Nodal forces (ny, nx, 3) N of the outside on the membrane, S; zero on the frame's own
+        nodes."""
         P = rest.stiffness_scale * self._estimator.model.first_piola(fields)
-        nodal = self._hat_1 @ P[:, :, 0] + self._hat_2 @ P[:, :, 1] - gauge * (self._hat @ fields.normal_area)
+        nodal = (
+            self._hat_1 @ P[:, :, 0]
+            + self._hat_2 @ P[:, :, 1]
+            - gauge * (self._hat @ fields.normal_area)
+        )
         nodal = nodal.reshape(len(self.y), len(self.x), 3)
         nodal[[0, -1]] = 0.0
         nodal[:, [0, -1]] = 0.0

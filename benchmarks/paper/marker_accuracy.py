@@ -1,7 +1,8 @@
 """How far from the physical limit the poses of single circles are, and how honest their covariance.
 
-Images come from `marker_scenes`, which shares nothing with the detector. "centre error" takes the nearer of the two
-solutions of the circle's pose (one image cannot tell them apart; the surface does), "as returned" the preferred one.
+Images come from `marker_scenes`, which shares nothing with the detector. "centre error" takes the
+nearer of the two solutions of the circle's pose (one image cannot tell them apart; the surface
+does), "as returned" the preferred one.
 """
 
 from __future__ import annotations
@@ -19,18 +20,32 @@ from mjtactile.sensing.pose.locate import find_circles
 
 CAMERA = optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
 _STEP = np.array([1e-6, 1e-6, 1e-6, 1e-3, 1e-3])  # m and rad: numeric derivatives of the image
-RADIUS, BLUR, NOISE, DARK, BRIGHT = 0.0015, 0.7, 2.0, 40.0, 180.0
+RADIUS = 0.0015
+BLUR = 0.7
+NOISE = 2.0
+DARK = 40.0
+BRIGHT = 180.0
 
 
 def paper_like(images: int, seed: int = 0) -> tuple[dict[str, float], dict[str, Array]]:
-    """The paper's Fig. 6: `images` x 16 circles in random poses. Summary, and the errors it is made of."""
+    """The paper's Fig. 6: `images` x 16 circles in random poses. Summary, and the errors it is made
+    of."""
     rng = np.random.default_rng(seed)
-    rows: dict[str, list[Array]] = {name: [] for name in ("error", "preferred", "first", "sure", "chi2", "sd_z", "bound_z")}
+    rows: dict[str, list[Array]] = {
+        name: [] for name in ("error", "preferred", "first", "sure", "chi2", "sd_z", "bound_z")
+    }
     missed = 0
     for _ in range(images):
         circles = marker_scenes.random_circles(CAMERA, rng)
-        image = marker_scenes.image(CAMERA, circles, blur_px=BLUR, noise_dn=NOISE, dark_dn=DARK, bright_dn=BRIGHT,
-                             seed=int(rng.integers(2**31)))
+        image = marker_scenes.image(
+            CAMERA,
+            circles,
+            blur_px=BLUR,
+            noise_dn=NOISE,
+            dark_dn=DARK,
+            bright_dn=BRIGHT,
+            seed=int(rng.integers(2**31)),
+        )
         located = find_circles(image, CAMERA, RADIUS)
         poses = located.poses
         which, nearer, found = match(poses, circles)
@@ -38,33 +53,50 @@ def paper_like(images: int, seed: int = 0) -> tuple[dict[str, float], dict[str, 
         truth = np.array([c.p_C for c in circles])[found]
         error = nearer[found] - truth
         first = np.all(nearer[found] == poses.p_CM[which[found]], axis=1)
-        cov = np.where(first[:, None, None], poses.cov_p[which[found]], located.cov_p_alt[which[found]])
+        cov = np.where(
+            first[:, None, None], poses.cov_p[which[found]], located.cov_p_alt[which[found]]
+        )
         rows["error"].append(error)
         rows["preferred"].append(poses.p_CM[which[found]] - truth)
         rows["first"].append(first)
         rows["sure"].append(located.sure[which[found]])
         rows["chi2"].append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(cov), error) / 3)
         rows["sd_z"].append(np.sqrt(cov[:, 2, 2]))
-        rows["bound_z"].append(np.array([np.sqrt(cramer_rao(CAMERA, c)[2, 2])
-                                         for c, f in zip(circles, found, strict=True) if f]))
+        rows["bound_z"].append(
+            np.array(
+                [
+                    np.sqrt(cramer_rao(CAMERA, c)[2, 2])
+                    for c, f in zip(circles, found, strict=True)
+                    if f
+                ]
+            )
+        )
     e = {name: np.concatenate(parts) for name, parts in rows.items()}
     size = np.linalg.norm(e["error"], axis=1) * 1e3
     summary = {
-        "circles": int(images * 16), "missed": missed, "mean_mm": size.mean(), "median_mm": np.median(size),
-        "worst_mm": size.max(), "depth_bias_mm": e["error"][:, 2].mean() * 1e3,
+        "circles": int(images * 16),
+        "missed": missed,
+        "mean_mm": size.mean(),
+        "median_mm": np.median(size),
+        "worst_mm": size.max(),
+        "depth_bias_mm": e["error"][:, 2].mean() * 1e3,
         "depth_bias_sd_mm": e["error"][:, 2].std() * 1e3 / np.sqrt(len(size)),
         "cramer_rao_ratio": np.sqrt(np.mean((e["error"][:, 2] / e["bound_z"]) ** 2)),
-        "cramer_rao_depth_um": np.median(e["bound_z"]) * 1e6, "chi2_per_dof": e["chi2"].mean(),
+        "cramer_rao_depth_um": np.median(e["bound_z"]) * 1e6,
+        "chi2_per_dof": e["chi2"].mean(),
         "mean_as_returned_mm": np.linalg.norm(e["preferred"], axis=1).mean() * 1e3,
         "worst_as_returned_mm": np.linalg.norm(e["preferred"], axis=1).max() * 1e3,
-        "preferred_right": e["first"].mean(), "preferred_probability": e["sure"].mean(),
-    }  # fmt: skip
+        "preferred_right": e["first"].mean(),
+        "preferred_probability": e["sure"].mean(),
+    }
     return {key: float(value) for key, value in summary.items()}, e
 
 
-def match(poses: CirclePoses, circles: Sequence[marker_scenes.Circle]) -> tuple[Array, Array, Array]:
-    """For each circle: the index (n,) of the nearest trusted pose, the nearer of its two centres (n, 3), and whether
-    one is within a marker's radius (n,)."""
+def match(
+    poses: CirclePoses, circles: Sequence[marker_scenes.Circle]
+) -> tuple[Array, Array, Array]:
+    """For each circle: the index (n,) of the nearest trusted pose, the nearer of its two centres
+    (n, 3), and whether one is within a marker's radius (n,)."""
     truth = np.array([c.p_C for c in circles])
     trusted = np.flatnonzero(poses.status == "ok")
     if not len(trusted):
@@ -74,49 +106,87 @@ def match(poses: CirclePoses, circles: Sequence[marker_scenes.Circle]) -> tuple[
     which = distance.min(axis=0).argmin(axis=1)
     each = np.arange(len(truth))
     solution = distance[:, each, which].argmin(axis=0)
-    return trusted[which], both[solution, which], distance.min(axis=(0, 2)) < [c.radius for c in circles]
+    return (
+        trusted[which],
+        both[solution, which],
+        distance.min(axis=(0, 2)) < [c.radius for c in circles],
+    )
 
 
-def cramer_rao(camera: optics.Camera, circle: marker_scenes.Circle, *, blur_px: float = BLUR, noise_dn: float = NOISE,
-               contrast: float = BRIGHT - DARK) -> Array:
-    """Lowest possible covariance (5, 5) of centre (m) and tilt about two axes (rad), levels and blur known.
+def cramer_rao(
+    camera: optics.Camera,
+    circle: marker_scenes.Circle,
+    *,
+    blur_px: float = BLUR,
+    noise_dn: float = NOISE,
+    contrast: float = BRIGHT - DARK,
+) -> Array:
+    """Lowest possible covariance (5, 5) of centre (m) and tilt about two axes (rad), levels and
+    blur known.
 
-    From the Fisher information of the rendered image, by central differences of the renderer itself.
+    From the Fisher information of the rendered image, by central differences of the renderer
+    itself.
     """
     n = circle.n_C / np.linalg.norm(circle.n_C)
     first = np.cross(n, [0.0, 1.0, 0.0])
     first /= np.linalg.norm(first)
     axes = (first, np.cross(n, first))
     rim = marker_scenes.rim_px(camera, circle, 64)
-    low, high = np.floor(rim.min(axis=0)) - 6, np.ceil(rim.max(axis=0)) + 6
-    window = optics.Camera(int(high[0] - low[0]), int(high[1] - low[1]), camera.fx, camera.fy, camera.cx - low[0],
-                           camera.cy - low[1], camera.distortion, camera.glass_thickness, camera.glass_index,
-                           camera.glass_distance)
+    low = np.floor(rim.min(axis=0)) - 6
+    high = np.ceil(rim.max(axis=0)) + 6
+    window = optics.Camera(
+        int(high[0] - low[0]),
+        int(high[1] - low[1]),
+        camera.fx,
+        camera.fy,
+        camera.cx - low[0],
+        camera.cy - low[1],
+        camera.distortion,
+        camera.glass_thickness,
+        camera.glass_index,
+        camera.glass_distance,
+    )
 
     def render(move: Array) -> Array:
         tilted = n + move[3] * axes[0] + move[4] * axes[1]
         moved = marker_scenes.Circle(circle.p_C + move[:3], tilted, circle.radius)
         return contrast * marker_scenes.coverage(window, [moved], blur_px).ravel()
 
-    J = np.stack([(render(step) - render(-step)) / (2 * step.sum()) for step in np.diag(_STEP)], axis=1)
+    J = np.stack(
+        [(render(step) - render(-step)) / (2 * step.sum()) for step in np.diag(_STEP)], axis=1
+    )
     scale = 1 / np.linalg.norm(J, axis=0)
-    return np.linalg.inv((J * scale).T @ (J * scale)) * np.outer(scale, scale) * (noise_dn**2 + 1 / 12)
+    return (
+        np.linalg.inv((J * scale).T @ (J * scale)) * np.outer(scale, scale) * (noise_dn**2 + 1 / 12)
+    )
 
 
 def bias_against_blur(repeats: int) -> list[dict[str, float]]:
-    """Depth bias and spread of circles 40 mm away at 20 deg tilt, for several blurs; the classical bias beside it."""
+    """Depth bias and spread of circles 40 mm away at 20 deg tilt, for several blurs; the classical
+    bias beside it."""
     rows = []
     rng = np.random.default_rng(2)
     circles = marker_scenes.random_circles(CAMERA, rng, depth=(0.04, 0.04), tilt_deg=(20, 20))
     for blur in (0.0, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0):
-        exact = marker_scenes.exact_image(CAMERA, circles, blur_px=blur, dark_dn=DARK, bright_dn=BRIGHT)
+        exact = marker_scenes.exact_image(
+            CAMERA, circles, blur_px=blur, dark_dn=DARK, bright_dn=BRIGHT
+        )
         errors = []
         for _ in range(repeats):
-            image = np.clip(np.rint(exact + rng.normal(0, NOISE, exact.shape)), 0, 255).astype(np.uint8)
+            image = np.clip(np.rint(exact + rng.normal(0, NOISE, exact.shape)), 0, 255).astype(
+                np.uint8
+            )
             _, nearer, found = match(estimate_poses(detect(image, CAMERA), CAMERA, RADIUS), circles)
             errors.append((nearer[:, 2] - 0.04)[found])
         e = np.concatenate(errors) * 1e6
         a = CAMERA.fx * RADIUS / 0.04
-        rows.append({"blur_px": blur, "bias_um": float(e.mean()), "sd_um": float(e.std()),
-                     "uncorrected_um": float(0.04e6 * (blur**2 + 1 / 12) / (2 * a * a)), "found": len(e)})
+        rows.append(
+            {
+                "blur_px": blur,
+                "bias_um": float(e.mean()),
+                "sd_um": float(e.std()),
+                "uncorrected_um": float(0.04e6 * (blur**2 + 1 / 12) / (2 * a * a)),
+                "found": len(e),
+            }
+        )
     return rows

@@ -18,32 +18,50 @@ from mjtactile.sensing.pose.locate import Neighbours, find_circles
 
 
 def compare_methods(images: int, seed: int = 1) -> dict[str, dict[str, float]]:
-    """The same images by this package, the paper's sine rule on the same ellipses, and what OpenCV offers."""
+    """The same images by this package, the paper's sine rule on the same ellipses, and what OpenCV
+    offers."""
     methods: dict[str, Callable[[Any], Array]] = {
-        "closed form, sub-pixel (default)": lambda im: _both(estimate_poses(detect(im, CAMERA), CAMERA, RADIUS)),
-        "sine rule on major axis, same ellipses": lambda im: sine_rule.centres_by_sine_rule(detect(im, CAMERA), CAMERA, RADIUS),
-        "sine rule on minor axis, same ellipses":
-            lambda im: sine_rule.centres_by_sine_rule(detect(im, CAMERA), CAMERA, RADIUS, "minor"),
-        "findContours + fitEllipse + closed form": lambda im: _both(estimate_poses(opencv_ellipses(im), CAMERA, RADIUS)),
-        "findContours + fitEllipse + sine rule": lambda im: sine_rule.centres_by_sine_rule(opencv_ellipses(im), CAMERA, RADIUS),
+        "closed form, sub-pixel (default)": lambda im: _both(
+            estimate_poses(detect(im, CAMERA), CAMERA, RADIUS)
+        ),
+        "sine rule on major axis, same ellipses": lambda im: sine_rule.centres_by_sine_rule(
+            detect(im, CAMERA), CAMERA, RADIUS
+        ),
+        "sine rule on minor axis, same ellipses": lambda im: sine_rule.centres_by_sine_rule(
+            detect(im, CAMERA), CAMERA, RADIUS, "minor"
+        ),
+        "findContours + fitEllipse + closed form": lambda im: _both(
+            estimate_poses(opencv_ellipses(im), CAMERA, RADIUS)
+        ),
+        "findContours + fitEllipse + sine rule": lambda im: sine_rule.centres_by_sine_rule(
+            opencv_ellipses(im), CAMERA, RADIUS
+        ),
         "SimpleBlobDetector + diameter": blob_centres,
     }
     rng = np.random.default_rng(seed)
     errors: dict[str, list[Array]] = {name: [] for name in methods}
     for _ in range(images):
         circles = marker_scenes.random_circles(CAMERA, rng)
-        image = marker_scenes.image(CAMERA, circles, blur_px=BLUR, noise_dn=NOISE, seed=int(rng.integers(2**31)))
+        image = marker_scenes.image(
+            CAMERA, circles, blur_px=BLUR, noise_dn=NOISE, seed=int(rng.integers(2**31))
+        )
         truth = np.array([c.p_C for c in circles])
         for name, method in methods.items():
             both = method(image)
             nearest = np.argmin(np.linalg.norm(both[0][None] - truth[:, None], axis=2), axis=1)
             candidates = both[:, nearest] - truth
-            errors[name].append(candidates[np.linalg.norm(candidates, axis=2).argmin(axis=0), np.arange(len(truth))])
+            errors[name].append(
+                candidates[np.linalg.norm(candidates, axis=2).argmin(axis=0), np.arange(len(truth))]
+            )
     summary = {}
     for name, parts in errors.items():
         e = np.concatenate(parts) * 1e3
         size = np.linalg.norm(e, axis=1)
-        summary[name] = {"mean_mm": float(size.mean()), "worst_mm": float(size.max()), "depth_bias_mm": float(e[:, 2].mean())}
+        summary[name] = {
+            "mean_mm": float(size.mean()),
+            "worst_mm": float(size.max()),
+            "depth_bias_mm": float(e[:, 2].mean()),
+        }
     return summary
 
 
@@ -60,17 +78,28 @@ def opencv_ellipses(image: Array) -> Ellipses:
     axes = np.array([f[1] for f in fits]) / 2
     angle = np.deg2rad([f[2] for f in fits])
     swap = axes[:, 0] < axes[:, 1]
-    return Ellipses(center, np.where(swap[:, None], axes[:, ::-1], axes), np.where(swap, angle + np.pi / 2, angle),
-                    np.tile(np.eye(5) * 0.01, (len(fits), 1, 1)), np.full(len(fits), "ok"))
+    return Ellipses(
+        center,
+        np.where(swap[:, None], axes[:, ::-1], axes),
+        np.where(swap, angle + np.pi / 2, angle),
+        np.tile(np.eye(5) * 0.01, (len(fits), 1, 1)),
+        np.full(len(fits), "ok"),
+    )
 
 
 def blob_centres(image: Array) -> Array:
-    """`cv2.SimpleBlobDetector`: a blob's middle and mean diameter as if every circle were face-on."""
+    """`cv2.SimpleBlobDetector`: a blob's middle and mean diameter as if every circle were
+    face-on."""
     parameters = cv2.SimpleBlobDetector_Params()
-    parameters.filterByArea, parameters.minArea, parameters.maxArea = True, 30.0, 5e4
-    parameters.filterByInertia = parameters.filterByConvexity = parameters.filterByCircularity = False
+    parameters.filterByArea = True
+    parameters.minArea = 30.0
+    parameters.maxArea = 5e4
+    parameters.filterByInertia = parameters.filterByConvexity = parameters.filterByCircularity = (
+        False
+    )
     found = cv2.SimpleBlobDetector_create(parameters).detect(image)
-    uv, size = np.array([k.pt for k in found]), np.array([k.size for k in found])
+    uv = np.array([k.pt for k in found])
+    size = np.array([k.size for k in found])
     rays = optics.unproject(CAMERA, uv)
     p = rays / rays[:, 2:] * (CAMERA.fx * RADIUS / (size / 2))[:, None]
     return np.stack([p, p])
@@ -80,8 +109,9 @@ CHORD_END_PX = 0.05  # px: a good sub-pixel edge
 
 
 def chord_noise(images: int, seed: int = 3) -> dict[str, dict[str, float]]:
-    """What an error of 0.05 px in edge points costs: the sine rule with its two chord ends, and the closed form from a
-    conic through 64 such points. True ellipses, so that nothing else is off; the nearer of both solutions."""
+    """What an error of 0.05 px in edge points costs: the sine rule with its two chord ends, and the
+    closed form from a conic through 64 such points. True ellipses, so that nothing else is off; the
+    nearer of both solutions."""
     rng = np.random.default_rng(seed)
     errors: dict[str, list[Array]] = {}
     for _ in range(images):
@@ -93,12 +123,22 @@ def chord_noise(images: int, seed: int = 3) -> dict[str, dict[str, float]]:
         noisy = _ellipses(rims + rng.normal(scale=CHORD_END_PX, size=rims.shape))
         for name, both in (
             ("closed form, conic through 64 points", _both(estimate_poses(noisy, CAMERA, RADIUS))),
-            ("sine rule, ends of the major chord", sine_rule.centres_by_sine_rule(exact, CAMERA, RADIUS, "major", ends)),
-            ("sine rule, ends of the minor chord", sine_rule.centres_by_sine_rule(exact, CAMERA, RADIUS, "minor", ends)),
+            (
+                "sine rule, ends of the major chord",
+                sine_rule.centres_by_sine_rule(exact, CAMERA, RADIUS, "major", ends),
+            ),
+            (
+                "sine rule, ends of the minor chord",
+                sine_rule.centres_by_sine_rule(exact, CAMERA, RADIUS, "minor", ends),
+            ),
         ):
-            errors.setdefault(name, []).append(np.linalg.norm(both - truth, axis=2).min(axis=0) * 1e3)
+            errors.setdefault(name, []).append(
+                np.linalg.norm(both - truth, axis=2).min(axis=0) * 1e3
+            )
     joined = {name: np.concatenate(parts) for name, parts in errors.items()}
-    return {name: {"mean_mm": float(e.mean()), "worst_mm": float(e.max())} for name, e in joined.items()}
+    return {
+        name: {"mean_mm": float(e.mean()), "worst_mm": float(e.max())} for name, e in joined.items()
+    }
 
 
 def _ellipses(rims: Array) -> Ellipses:
@@ -110,14 +150,21 @@ def _ellipses(rims: Array) -> Ellipses:
     a, b, c, d, e = np.linalg.solve(A.transpose(0, 2, 1) @ A, A.sum(axis=1)[..., None])[..., 0].T
     M = np.stack([np.stack([a, b], axis=1), np.stack([b, c], axis=1)], axis=1)
     center = -0.5 * np.linalg.solve(M, np.stack([d, e], axis=1)[..., None])[..., 0]
-    values, vectors = np.linalg.eigh(M / (1 + np.einsum("ni,nij,nj->n", center, M, center))[:, None, None])
-    return Ellipses(center * size + middle[:, 0], size / np.sqrt(values), np.arctan2(vectors[:, 1, 0], vectors[:, 0, 0]),
-                    np.tile(1e-3 * np.eye(5), (len(rims), 1, 1)), np.full(len(rims), "ok"))
+    values, vectors = np.linalg.eigh(
+        M / (1 + np.einsum("ni,nij,nj->n", center, M, center))[:, None, None]
+    )
+    return Ellipses(
+        center * size + middle[:, 0],
+        size / np.sqrt(values),
+        np.arctan2(vectors[:, 1, 0], vectors[:, 0, 0]),
+        np.tile(1e-3 * np.eye(5), (len(rims), 1, 1)),
+        np.full(len(rims), "ok"),
+    )
 
 
 def known_board(images: int, seed: int = 4) -> dict[str, dict[str, float]]:
-    """A flat board of 16 circles: each circle by itself, and `cv2.solvePnP`, which must be told where on the board each
-    is, from the ellipses' centres and from the projected centres."""
+    """A flat board of 16 circles: each circle by itself, and `cv2.solvePnP`, which must be told
+    where on the board each is, from the ellipses' centres and from the projected centres."""
     rng = np.random.default_rng(seed)
     x, y = (c.ravel() * 0.005 for c in np.meshgrid(np.arange(4) - 1.5, np.arange(4) - 1.5))
     layout = np.stack([x, y, np.zeros(16)], axis=1)
@@ -126,20 +173,30 @@ def known_board(images: int, seed: int = 4) -> dict[str, dict[str, float]]:
         turn = cv2.Rodrigues(np.deg2rad(rng.uniform(-30, 30, 3)))[0]
         truth = layout @ turn.T + [0.0, 0.0, rng.uniform(0.04, 0.055)]
         circles = [marker_scenes.Circle(p, turn @ [0.0, 0.0, -1.0], RADIUS) for p in truth]
-        ellipses = detect(marker_scenes.image(CAMERA, circles, seed=int(rng.integers(2**31))), CAMERA)
+        ellipses = detect(
+            marker_scenes.image(CAMERA, circles, seed=int(rng.integers(2**31))), CAMERA
+        )
         poses = estimate_poses(ellipses, CAMERA, RADIUS)
         which, nearer, found = match(poses, circles)
         errors.setdefault("each circle by itself", []).append((nearer - truth)[found])
         board, turned = _solve_board(layout[found], ellipses.center_px[which[found]])
-        errors.setdefault("solvePnP, layout known, ellipse centres", []).append(board - truth[found])
+        errors.setdefault("solvePnP, layout known, ellipse centres", []).append(
+            board - truth[found]
+        )
         # the board's normal tells which of a circle's two solutions is right
         n = turned @ [0.0, 0.0, -1.0]
         second = (poses.n_C_alt @ n > poses.n_C @ n)[:, None]
         uv = optics.project(CAMERA, np.where(second, poses.p_CM_alt, poses.p_CM))
         board, _ = _solve_board(layout[found], uv[which[found]])
-        errors.setdefault("solvePnP, layout known, projected centres", []).append(board - truth[found])
-    joined = {name: np.linalg.norm(np.concatenate(parts), axis=1) * 1e3 for name, parts in errors.items()}
-    return {name: {"mean_mm": float(e.mean()), "worst_mm": float(e.max())} for name, e in joined.items()}
+        errors.setdefault("solvePnP, layout known, projected centres", []).append(
+            board - truth[found]
+        )
+    joined = {
+        name: np.linalg.norm(np.concatenate(parts), axis=1) * 1e3 for name, parts in errors.items()
+    }
+    return {
+        name: {"mean_mm": float(e.mean()), "worst_mm": float(e.max())} for name, e in joined.items()
+    }
 
 
 def _solve_board(layout: Array, uv: Array) -> tuple[Array, Array]:
@@ -150,16 +207,21 @@ def _solve_board(layout: Array, uv: Array) -> tuple[Array, Array]:
 
 
 def small_circles(images: int, seed: int = 5) -> list[dict[str, Any]]:
-    """Boards of 100 circles 4 px in radius through what a cheap camera does to them, with and without neighbours' help.
+    """Boards of 100 circles 4 px in radius through what a cheap camera does to them, with and
+    without neighbours' help.
 
-    Scatter of the relative error of depth (truth known), in percent. An error that is linear over the board is taken
-    out: processing moves all edges alike, which scales and tilts the whole. Flat, on a cylinder, rippled, and with a
-    depth for each: the last must be left alone.
+    Scatter of the relative error of depth (truth known), in percent. An error that is linear over
+    the board is taken out: processing moves all edges alike, which scales and tilts the whole.
+    Flat, on a cylinder, rippled, and with a depth for each: the last must be left alone.
     """
     rng = np.random.default_rng(seed)
     x, y = (c.ravel() for c in np.meshgrid(np.arange(10) - 4.5, np.arange(10) - 4.5))
-    shapes = {"flat": 0 * x, "on a cylinder": 0.6 - np.sqrt(np.maximum(144 - x * x, 0)) + 12,
-              "rippled": 0.25 * np.sin(x * 2 * np.pi / 6), "each at its own depth": rng.uniform(-1.5, 1.5, 100)}
+    shapes = {
+        "flat": 0 * x,
+        "on a cylinder": 0.6 - np.sqrt(np.maximum(144 - x * x, 0)) + 12,
+        "rippled": 0.25 * np.sin(x * 2 * np.pi / 6),
+        "each at its own depth": rng.uniform(-1.5, 1.5, 100),
+    }
     rows = []
     for name, height in shapes.items():
         scatter: dict[Neighbours, list[Array]] = {"never": [], "auto": []}
@@ -169,24 +231,35 @@ def small_circles(images: int, seed: int = 5) -> list[dict[str, Any]]:
             turn = cv2.Rodrigues(np.deg2rad(rng.uniform(-25, 25, 3) * [1, 1, 0.2]))[0]
             truth = 0.006 * (np.stack([x, y, height], axis=1) @ turn.T + [0.0, 0.0, 37.5])
             circles = [marker_scenes.Circle(p, turn @ [0.0, 0.0, -1.0], RADIUS) for p in truth]
-            image = cheap_camera(marker_scenes.coverage(CAMERA, circles, 0.6), int(rng.integers(2**31)))
+            image = cheap_camera(
+                marker_scenes.coverage(CAMERA, circles, 0.6), int(rng.integers(2**31))
+            )
             for neighbours in scatter:
                 located = find_circles(image, CAMERA, RADIUS, neighbours=neighbours)
                 shared += "depth" in located.shared
                 good = located.poses.status == "ok"
-                away = np.linalg.norm(located.poses.uv_px[good] - optics.project(CAMERA, truth)[:, None], axis=2)
+                away = np.linalg.norm(
+                    located.poses.uv_px[good] - optics.project(CAMERA, truth)[:, None], axis=2
+                )
                 found = away.min(axis=1) < 1.5  # px
                 relative = located.poses.p_CM[good][away.argmin(axis=1), 2][found] / truth[found, 2]
                 A = np.column_stack([x, y, np.ones(100)])[found]
-                scatter[neighbours].append(relative - A @ np.linalg.lstsq(A, relative, rcond=None)[0])
-        rows.append({"surface": name, "depth_shared": f"{shared} of {images}"}
-                    | {f"scatter_{k}_percent": float(100 * np.std(np.concatenate(v))) for k, v in scatter.items()})
+                scatter[neighbours].append(
+                    relative - A @ np.linalg.lstsq(A, relative, rcond=None)[0]
+                )
+        rows.append(
+            {"surface": name, "depth_shared": f"{shared} of {images}"}
+            | {
+                f"scatter_{k}_percent": float(100 * np.std(np.concatenate(v)))
+                for k, v in scatter.items()
+            }
+        )
     return rows
 
 
 def cheap_camera(coverage: Array, seed: int) -> Array:
-    """Colour image (H, W, 3): paper over-exposed by a fifth, noise, a Bayer mosaic, gamma, OpenCV's edge-aware
-    demosaicing, sharpening, and both ends clipped."""
+    """Colour image (H, W, 3): paper over-exposed by a fifth, noise, a Bayer mosaic, gamma, OpenCV's
+    edge-aware demosaicing, sharpening, and both ends clipped."""
     light = 1.2 - 1.1 * coverage + np.random.default_rng(seed).normal(0, 0.01, coverage.shape)
     raw = np.rint(255 * np.clip(light, 0, 1) ** (1 / 2.2)).astype(np.uint8)
     colour = cv2.cvtColor(raw, cv2.COLOR_BayerBG2BGR_EA).astype(np.float32)

@@ -1,8 +1,9 @@
-"""Test images with known circle poses, independent of what sensing assumes: no ellipse, conic or edge model in sight.
+"""Test images with known circle poses, independent of what sensing assumes: no ellipse, conic or
+edge model in sight.
 
-Each circle's rim is projected point by point through pane and lens; the polygon is filled by scan lines with exact
-coverage along them, on a grid `SUPER` times finer than the pixels; the optics' blur acts on the fine grid, the
-pixel's area integrates it; then light, noise and rounding.
+Each circle's rim is projected point by point through pane and lens; the polygon is filled by scan
+lines with exact coverage along them, on a grid `SUPER` times finer than the pixels; the optics'
+blur acts on the fine grid, the pixel's area integrates it; then light, noise and rounding.
 """
 
 from __future__ import annotations
@@ -37,22 +38,29 @@ def rim_px(camera: optics.Camera, circle: Circle, count: int = _RIM) -> Array:
     first = np.cross(n, [0.0, 1.0, 0.0] if abs(n[1]) < 0.9 else [1.0, 0.0, 0.0])
     first /= np.linalg.norm(first)
     t = 2 * np.pi * np.arange(count)[:, None] / count
-    return optics.project(camera, circle.p_C + circle.radius * (np.cos(t) * first + np.sin(t) * np.cross(n, first)))
+    return optics.project(
+        camera, circle.p_C + circle.radius * (np.cos(t) * first + np.sin(t) * np.cross(n, first))
+    )
 
 
 def coverage(camera: optics.Camera, circles: Sequence[Circle], blur_px: float) -> Array:
-    """Share (H, W) in 0..1 of each pixel that the circles cover, after blur by a Gaussian of sd `blur_px`."""
+    """Share (H, W) in 0..1 of each pixel that the circles cover, after blur by a Gaussian of sd
+    `blur_px`."""
     total = np.zeros((camera.height, camera.width))
     margin = int(np.ceil(5 * blur_px)) + 2
     for circle in circles:
         rim = rim_px(camera, circle)
-        low, high = np.floor(rim.min(axis=0)).astype(int) - margin, np.ceil(rim.max(axis=0)).astype(int) + margin
+        low = np.floor(rim.min(axis=0)).astype(int) - margin
+        high = np.ceil(rim.max(axis=0)).astype(int) + margin
         fine = _fill((rim - low + 0.5) * SUPER, (high - low + 1) * SUPER)
         if blur_px > 0:
             fine = cv2.GaussianBlur(fine, (0, 0), blur_px * SUPER, borderType=cv2.BORDER_REPLICATE)
         height, width = (high - low + 1)[::-1]
         patch = fine.reshape(height, SUPER, width, SUPER).mean(axis=(1, 3))
-        v0, v1, u0, u1 = max(low[1], 0), min(high[1] + 1, camera.height), max(low[0], 0), min(high[0] + 1, camera.width)
+        v0 = max(low[1], 0)
+        v1 = min(high[1] + 1, camera.height)
+        u0 = max(low[0], 0)
+        u1 = min(high[0] + 1, camera.width)
         if v1 > v0 and u1 > u0:
             total[v0:v1, u0:u1] += patch[v0 - low[1] : v1 - low[1], u0 - low[0] : u1 - low[0]]
     return np.minimum(total, 1.0)
@@ -60,11 +68,14 @@ def coverage(camera: optics.Camera, circles: Sequence[Circle], blur_px: float) -
 
 def _fill(polygon: Array, size: NDArray) -> Array:
     """Coverage of the cells of a (size[1], size[0]) grid by a convex polygon in cell units."""
-    width, height = int(size[0]), int(size[1])
-    top, bottom = int(polygon[:, 1].argmin()), int(polygon[:, 1].argmax())
+    width = int(size[0])
+    height = int(size[1])
+    top = int(polygon[:, 1].argmin())
+    bottom = int(polygon[:, 1].argmax())
     rolled = np.roll(polygon, -top, axis=0)
     turn = (bottom - top) % len(polygon)
-    one, other = rolled[: turn + 1], np.concatenate([rolled[turn:], rolled[:1]])[::-1]
+    one = rolled[: turn + 1]
+    other = np.concatenate([rolled[turn:], rolled[:1]])[::-1]
     lines = (np.arange(height * _LINES) + 0.5) / _LINES
     x = np.sort([np.interp(lines, chain[:, 1], chain[:, 0]) for chain in (one, other)], axis=0)
     inside = (lines > polygon[top, 1]) & (lines < polygon[bottom, 1])
@@ -73,18 +84,36 @@ def _fill(polygon: Array, size: NDArray) -> Array:
     return (spans * inside[:, None]).reshape(height, _LINES, width).mean(axis=1)
 
 
-def image(camera: optics.Camera, circles: Sequence[Circle], *, blur_px: float = 0.7, noise_dn: float = 2.0,
-          dark_dn: float = 40.0, bright_dn: float = 180.0, seed: int | None = 0,
-          light: Callable[[Array, Array], Array] | None = None) -> NDArray[np.uint8]:
-    """8-bit image of dark circles on a bright ground; `light(u, v)` multiplies the scene, `seed` None: no noise."""
-    scene = exact_image(camera, circles, blur_px=blur_px, dark_dn=dark_dn, bright_dn=bright_dn, light=light)
+def image(
+    camera: optics.Camera,
+    circles: Sequence[Circle],
+    *,
+    blur_px: float = 0.7,
+    noise_dn: float = 2.0,
+    dark_dn: float = 40.0,
+    bright_dn: float = 180.0,
+    seed: int | None = 0,
+    light: Callable[[Array, Array], Array] | None = None,
+) -> NDArray[np.uint8]:
+    """8-bit image of dark circles on a bright ground; `light(u, v)` multiplies the scene, `seed`
+    None: no noise."""
+    scene = exact_image(
+        camera, circles, blur_px=blur_px, dark_dn=dark_dn, bright_dn=bright_dn, light=light
+    )
     if seed is not None:
         scene = scene + np.random.default_rng(seed).normal(0, noise_dn, scene.shape)
     return np.clip(np.rint(scene), 0, 255).astype(np.uint8)
 
 
-def exact_image(camera: optics.Camera, circles: Sequence[Circle], *, blur_px: float = 0.7, dark_dn: float = 40.0,
-                bright_dn: float = 180.0, light: Callable[[Array, Array], Array] | None = None) -> Array:
+def exact_image(
+    camera: optics.Camera,
+    circles: Sequence[Circle],
+    *,
+    blur_px: float = 0.7,
+    dark_dn: float = 40.0,
+    bright_dn: float = 180.0,
+    light: Callable[[Array, Array], Array] | None = None,
+) -> Array:
     """The image (H, W) before noise and rounding, in grey levels."""
     scene = bright_dn + (dark_dn - bright_dn) * coverage(camera, circles, blur_px)
     if light is not None:
@@ -93,19 +122,34 @@ def exact_image(camera: optics.Camera, circles: Sequence[Circle], *, blur_px: fl
     return scene
 
 
-def random_circles(camera: optics.Camera, rng: np.random.Generator, *, rows: int = 4, columns: int = 4,
-                   radius: float = 0.0015, depth: tuple[float, float] = (0.03, 0.06),
-                   tilt_deg: tuple[float, float] = (0.0, 45.0)) -> list[Circle]:
-    """Circles on a jittered grid in the image, each at a random depth and tilt, like the paper's Fig. 6."""
+def random_circles(
+    camera: optics.Camera,
+    rng: np.random.Generator,
+    *,
+    rows: int = 4,
+    columns: int = 4,
+    radius: float = 0.0015,
+    depth: tuple[float, float] = (0.03, 0.06),
+    tilt_deg: tuple[float, float] = (0.0, 45.0),
+) -> list[Circle]:
+    """Circles on a jittered grid in the image, each at a random depth and tilt, like the paper's
+    Fig. 6."""
     circles = []
     cell = np.array([camera.width / columns, camera.height / rows])
     for row in range(rows):
         for column in range(columns):
             z = rng.uniform(*depth)
             free = np.maximum(cell / 2 - 1.15 * camera.fx * radius / z - 6, 0)
-            uv = (np.array([column, row]) + 0.5) * cell - 0.5 + rng.uniform(-1, 1, 2) * np.minimum(free, 15)
-            tilt, turn = np.deg2rad(rng.uniform(*tilt_deg)), rng.uniform(0, 2 * np.pi)
+            uv = (
+                (np.array([column, row]) + 0.5) * cell
+                - 0.5
+                + rng.uniform(-1, 1, 2) * np.minimum(free, 15)
+            )
+            tilt = np.deg2rad(rng.uniform(*tilt_deg))
+            turn = rng.uniform(0, 2 * np.pi)
             ray = optics.unproject(camera, uv)
-            normal = np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), -np.cos(tilt)])
+            normal = np.array(
+                [np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), -np.cos(tilt)]
+            )
             circles.append(Circle(ray / ray[2] * z, normal, radius))
     return circles

@@ -1,7 +1,9 @@
-"""`mjtactile experiments`: the Results of the paper, done again in simulation, each number beside the paper's.
+"""`mjtactile experiments`: the Results of the paper, done again in simulation, each number beside
+the paper's.
 
-Figures by the paper's names (5a, 5b, 5c, 6, 7) and "air", its claim that the amount of air sets the sensitivity. The load
-cell reads the true contact force; estimates come from rendered images alone. Drawing is in `bench.figures`.
+Figures by the paper's names (5a, 5b, 5c, 6, 7) and "air", its claim that the amount of air sets the
+sensitivity. The load cell reads the true contact force; estimates come from rendered images alone.
+Drawing is in `bench.figures`.
 """
 
 from __future__ import annotations
@@ -25,26 +27,44 @@ from mjtactile.sim.scenes.specimens import Pad
 
 CYLINDER = Indenter("cylinder", 6e-3)
 SPONGE = Pad("pad", 6e-3, stiffness=250.0, stiffening=2.5e5)
-MESH = (33, 25)  # of Figs. 5a and 5c: on the default's vertices, 3.3 mm apart, the cylinder's face is no circle
+# of Figs. 5a and 5c: on the default's vertices, 3.3 mm apart, the cylinder's face is no circle
+MESH = (33, 25)
 DEPTHS = (1e-3, 2e-3, 3e-3, 4e-3, 5e-3)  # the paper's 1 mm increments, up to about its 2.5 N
-DRIVE_SPEED, DRIVE_DEPTH = 2e-3, 4e-3  # m/s and m of Fig. 5c
-PAPER_FORCE_ERROR, PAPER_CIRCLE_ERROR = 0.04, 0.39e-3  # N, m
+# m/s and m of Fig. 5c
+DRIVE_SPEED = 2e-3
+DRIVE_DEPTH = 4e-3
+# N, m
+PAPER_FORCE_ERROR = 0.04
+PAPER_CIRCLE_ERROR = 0.39e-3
 
 Say = Callable[[str], None]
 
 
 def fig5a(say: Say, quick: bool = False) -> dict[str, Any]:
-    """Load cell against estimate in 1 mm increments, valve closed and open: statics, and the paper's dF = c dA."""
+    """Load cell against estimate in 1 mm increments, valve closed and open: statics, and the
+    paper's dF = c dA."""
     rows = []
     for name in ("dense",) if quick else ("dense", "paper16"):
         for sealed in (True, False):
-            rows.append(_increments(load_sensor(name), CYLINDER, sealed=sealed, depths=DEPTHS[:3] if quick else DEPTHS))
-            say(f"5a {name}, valve {'closed' if sealed else 'open'}: ours off by {rows[-1]['error_ours_N']:.3f} N, "
-                f"dF = c dA by {rows[-1]['error_paper_N']:.3f} N")
+            rows.append(
+                _increments(
+                    load_sensor(name),
+                    CYLINDER,
+                    sealed=sealed,
+                    depths=DEPTHS[:3] if quick else DEPTHS,
+                )
+            )
+            say(
+                f"5a {name}, valve {'closed' if sealed else 'open'}: ours off by "
+                f"{rows[-1]['error_ours_N']:.3f} N, "
+                f"dF = c dA by {rows[-1]['error_paper_N']:.3f} N"
+            )
     return {"runs": rows}
 
 
-def _increments(design: SensorDesign, indenter: Indenter, *, sealed: bool, depths: Sequence[float]) -> dict[str, Any]:
+def _increments(
+    design: SensorDesign, indenter: Indenter, *, sealed: bool, depths: Sequence[float]
+) -> dict[str, Any]:
     """One press in steps. c is fitted to the same points, the best case for the paper's method."""
     station = Station(design, indenter, mesh=MESH)
     station.zero(sealed=sealed)
@@ -53,9 +73,16 @@ def _increments(design: SensorDesign, indenter: Indenter, *, sealed: bool, depth
     for depth in depths:
         station.world.press(depth)
         seen = station.look(5)
-        steps.append({"depth_mm": 1e3 * depth, "cell_N": station.load_cell(), "ours_N": seen["force_N"],
-                      "area_change_mm2": seen["membrane_area_mm2"] - rest["membrane_area_mm2"]})
-    cell, area = np.array([s["cell_N"] for s in steps]), 1e-6 * np.array([s["area_change_mm2"] for s in steps])
+        steps.append(
+            {
+                "depth_mm": 1e3 * depth,
+                "cell_N": station.load_cell(),
+                "ours_N": seen["force_N"],
+                "area_change_mm2": seen["membrane_area_mm2"] - rest["membrane_area_mm2"],
+            }
+        )
+    cell = np.array([s["cell_N"] for s in steps])
+    area = 1e-6 * np.array([s["area_change_mm2"] for s in steps])
     try:
         constant = AreaCalibration.fit(area, cell).constant
     except InputError:  # the area shrank under load
@@ -63,77 +90,124 @@ def _increments(design: SensorDesign, indenter: Indenter, *, sealed: bool, depth
     for step, felt in zip(steps, constant * area, strict=True):
         step["paper_N"] = felt
     ours = np.array([s["ours_N"] for s in steps])
-    return {"sensor": design.name, "valve": "closed" if sealed else "open", "constant_N_m2": constant, "steps": steps,
-            "error_ours_N": float(np.nanmean(np.abs(ours - cell))),
-            "unknown": int(np.isnan(ours).sum()), "error_paper_N": float(np.abs(constant * area - cell).mean())}
+    return {
+        "sensor": design.name,
+        "valve": "closed" if sealed else "open",
+        "constant_N_m2": constant,
+        "steps": steps,
+        "error_ours_N": float(np.nanmean(np.abs(ours - cell))),
+        "unknown": int(np.isnan(ours).sum()),
+        "error_paper_N": float(np.abs(constant * area - cell).mean()),
+    }
 
 
 def fig5b(say: Say, quick: bool = False) -> dict[str, Any]:
-    """Force against deformation, solid cylinder and sponge of the same face: linear and parabolic fits."""
+    """Force against deformation, solid cylinder and sponge of the same face: linear and parabolic
+    fits."""
     depths = np.arange(5e-4, 4.01e-3, 1e-3 if quick else 2.5e-4)
     curves = {}
     for name, indenter in (("solid", CYLINDER), ("sponge", SPONGE)):
         station = Station(load_sensor("dense"), indenter)
         station.zero()
-        felt, given = [], []
+        felt = []
+        given = []
         for depth in depths:
             station.world.press(float(depth))
             seen = station.look(2)
             felt.append(seen["force_N"])
             given.append(float(depth) - seen["indentation_mm"] * 1e-3)
-        curves[name] = {"depth_mm": 1e3 * depths, "force_N": felt, "own_deformation_mm": 1e3 * np.array(given),
-                        **_fits(depths, np.array(felt))}
-        say(f"5b {name}: linear fit leaves {1e3 * curves[name]['linear_rms_N']:.0f} mN, parabola "
-            f"{1e3 * curves[name]['parabola_rms_N']:.0f} mN")
+        curves[name] = {
+            "depth_mm": 1e3 * depths,
+            "force_N": felt,
+            "own_deformation_mm": 1e3 * np.array(given),
+            **_fits(depths, np.array(felt)),
+        }
+        say(
+            f"5b {name}: linear fit leaves {1e3 * curves[name]['linear_rms_N']:.0f} mN, parabola "
+            f"{1e3 * curves[name]['parabola_rms_N']:.0f} mN"
+        )
     sponge = curves["sponge"]
-    square, linear, offset = np.polyfit(1e-3 * np.array(sponge["own_deformation_mm"]), sponge["force_N"], 2)
-    at_rest = float(np.sqrt(max(linear**2 - 4 * square * offset, 0.0)))  # the slope where the force is nothing
-    curves["sponge_law"] = {"stiffness_N_m": at_rest, "stiffening_N_m2": float(square),
-                            "stiffness_true_N_m": SPONGE.stiffness, "stiffening_true_N_m2": SPONGE.stiffening}
+    square, linear, offset = np.polyfit(
+        1e-3 * np.array(sponge["own_deformation_mm"]), sponge["force_N"], 2
+    )
+    # the slope where the force is nothing
+    at_rest = float(np.sqrt(max(linear**2 - 4 * square * offset, 0.0)))
+    curves["sponge_law"] = {
+        "stiffness_N_m": at_rest,
+        "stiffening_N_m2": float(square),
+        "stiffness_true_N_m": SPONGE.stiffness,
+        "stiffening_true_N_m2": SPONGE.stiffening,
+    }
     return curves
 
 
 def _fits(depth: Array, force: Array) -> dict[str, float]:
-    """What a line and a parabola, both through the origin, leave, rms N; and their share of the force's variance."""
-    d, f = depth, force
+    """What a line and a parabola, both through the origin, leave, rms N; and their share of the
+    force's variance."""
+    d = depth
+    f = force
     left = []
     for columns in (np.column_stack([d]), np.column_stack([d, d * d])):
         coefficients = np.linalg.lstsq(columns, f, rcond=None)[0]
         left.append(float(np.sqrt(np.mean((f - columns @ coefficients) ** 2))))
-    return {"linear_rms_N": left[0], "parabola_rms_N": left[1], "linear_r2": 1 - left[0] ** 2 / float(np.var(f)),
-            "parabola_r2": 1 - left[1] ** 2 / float(np.var(f))}
+    return {
+        "linear_rms_N": left[0],
+        "parabola_rms_N": left[1],
+        "linear_r2": 1 - left[0] ** 2 / float(np.var(f)),
+        "parabola_r2": 1 - left[1] ** 2 / float(np.var(f)),
+    }
 
 
 def fig5c(say: Say, quick: bool = False) -> dict[str, Any]:
-    """Force over time while the sensor is driven into both at a steady speed, one image each 1/30 s, then held."""
+    """Force over time while the sensor is driven into both at a steady speed, one image each 1/30
+    s, then held."""
     curves = {}
     for name, indenter in (("solid", CYLINDER), ("sponge", SPONGE)):
         station = Station(load_sensor("dense"), indenter, mesh=MESH)
         station.zero()
         station.world.press(-2e-4)
-        start, period, rows = station.world.time, 1 / 30, []
+        start = station.world.time
+        period = 1 / 30
+        rows = []
         for step in range(round((DRIVE_DEPTH / DRIVE_SPEED + 0.5) / period)):
             depth = min(-2e-4 + DRIVE_SPEED * period * (step + 1), DRIVE_DEPTH)
-            station.world.drive(depth, speed=DRIVE_SPEED) if depth < DRIVE_DEPTH else station.world.step(8)
+            station.world.drive(
+                depth, speed=DRIVE_SPEED
+            ) if depth < DRIVE_DEPTH else station.world.step(8)
             if not (quick and step % 5):
-                rows.append((station.world.time - start, station.look()["force_N"], station.load_cell()))
+                rows.append(
+                    (station.world.time - start, station.look()["force_N"], station.load_cell())
+                )
         time, felt, cell = np.array(rows).T
-        curves[name] = {"time_s": time, "force_N": felt, "cell_N": cell, "error_N": float(np.abs(felt - cell).mean())}
+        curves[name] = {
+            "time_s": time,
+            "force_N": felt,
+            "cell_N": cell,
+            "error_N": float(np.abs(felt - cell).mean()),
+        }
         say(f"5c {name}: {felt[-1]:.2f} N at the end, mean error {curves[name]['error_N']:.3f} N")
     return curves
 
 
 def fig6(say: Say, quick: bool = False) -> dict[str, Any]:
-    """15 images of 16 circles in known poses: mean error of the centre, and of the paper's own method on such images."""
+    """15 images of 16 circles in known poses: mean error of the centre, and of the paper's own
+    method on such images."""
     summary, errors = paper_like(images=3 if quick else 15)
     methods = compare_methods(images=1 if quick else 5)
     say(f"6: mean error {summary['mean_mm']:.4f} mm (paper {1e3 * PAPER_CIRCLE_ERROR:.2f} mm)")
-    return {"summary": summary, "methods": methods, "distance_error_mm": 1e3 * np.linalg.norm(errors["error"], axis=1),
-            "depth_error_mm": 1e3 * errors["error"][:, 2]}
+    return {
+        "summary": summary,
+        "methods": methods,
+        "distance_error_mm": 1e3 * np.linalg.norm(errors["error"], axis=1),
+        "depth_error_mm": 1e3 * errors["error"][:, 2],
+    }
 
 
-OBJECTS = {"sphere, 8 mm": (Indenter("sphere", 8e-3), {}), "cylinder, 4 mm": (Indenter("cylinder", 4e-3), {"at": (5e-3, -2e-3)}),
-           "box, 12 mm, tilted": (Indenter("box", 12e-3), {"tilt": np.deg2rad(8.0)})}
+OBJECTS = {
+    "sphere, 8 mm": (Indenter("sphere", 8e-3), {}),
+    "cylinder, 4 mm": (Indenter("cylinder", 4e-3), {"at": (5e-3, -2e-3)}),
+    "box, 12 mm, tilted": (Indenter("box", 12e-3), {"tilt": np.deg2rad(8.0)}),
+}
 
 
 def fig7(say: Say, quick: bool = False) -> dict[str, Any]:
@@ -143,48 +217,83 @@ def fig7(say: Say, quick: bool = False) -> dict[str, Any]:
         station = Station(load_sensor("dense"), indenter, **placing)
         station.zero()
         station.world.press(2.5e-3)
-        touch, image = station.touch(), station.image()
+        touch = station.touch()
+        image = station.image()
         if touch.surface is None or touch.traction is None:
             continue
-        surface, traction = touch.surface, touch.traction
-        found[name] = {"image": image.pixels, "x": surface.x, "y": surface.y, "z": surface.z, "grid_x": traction.x,
-                       "grid_y": traction.y, "force": traction.force, "force_N": touch.force_normal,
-                       "cell_N": station.load_cell()}
+        surface = touch.surface
+        traction = touch.traction
+        found[name] = {
+            "image": image.pixels,
+            "x": surface.x,
+            "y": surface.y,
+            "z": surface.z,
+            "grid_x": traction.x,
+            "grid_y": traction.y,
+            "force": traction.force,
+            "force_N": touch.force_normal,
+            "cell_N": station.load_cell(),
+        }
         say(f"7 {name}: felt {touch.force_normal:.3f} N, load cell {station.load_cell():.3f} N")
     return found
 
 
 def air(say: Say, quick: bool = False) -> dict[str, Any]:
-    """Sensitivity by supply pressure (1 mm press, valve closed) and by the amount of air behind the membrane."""
+    """Sensitivity by supply pressure (1 mm press, valve closed) and by the amount of air behind the
+    membrane."""
     base = load_sensor("dense")
     pressures = (500.0, 2000.0) if quick else (250.0, 500.0, 1000.0, 2000.0, 4000.0)
     depths = (5e-3, 20e-3) if quick else (2.5e-3, 5e-3, 10e-3, 20e-3)
-    rows = [_sensitivity(replace(base, chamber=replace(base.chamber, supply_gauge=p)), sealed=True) for p in pressures]
-    rows += [_sensitivity(replace(base, chamber=replace(base.chamber, depth=d)), sealed=True) for d in depths]
+    rows = [
+        _sensitivity(replace(base, chamber=replace(base.chamber, supply_gauge=p)), sealed=True)
+        for p in pressures
+    ]
+    rows += [
+        _sensitivity(replace(base, chamber=replace(base.chamber, depth=d)), sealed=True)
+        for d in depths
+    ]
     rows.append(_sensitivity(base, sealed=False))
     for row in rows:
-        say(f"air {row['supply_kPa']:.2f} kPa, {row['air_mL']:.1f} mL, valve {row['valve']}: {row['stiffness_N_mm']:.3f} N/mm, "
-            f"noise {1e3 * row['noise_N']:.2f} mN")
+        say(
+            f"air {row['supply_kPa']:.2f} kPa, {row['air_mL']:.1f} mL, valve {row['valve']}: "
+            f"{row['stiffness_N_mm']:.3f} N/mm, "
+            f"noise {1e3 * row['noise_N']:.2f} mN"
+        )
     return {"runs": rows}
 
 
 def _sensitivity(design: SensorDesign, *, sealed: bool) -> dict[str, Any]:
-    """N/mm of a 6 mm cylinder at the first mm, and the sd of the felt force over 20 images with nothing touching."""
+    """N/mm of a 6 mm cylinder at the first mm, and the sd of the felt force over 20 images with
+    nothing touching."""
     station = Station(design, CYLINDER)
     station.zero(sealed=sealed)
     noise = float(np.std([station.touch().force_normal for _ in range(20)], ddof=1))
     station.world.press(1e-3)
     seen = station.look(5)
-    return {"supply_kPa": 1e-3 * design.chamber.supply_gauge, "air_mL": 1e6 * station.world.sensors[0].volume,
-            "valve": "closed" if sealed else "open", "stiffness_N_mm": station.load_cell(), "felt_N": seen["force_N"],
-            "noise_N": noise, "noise_um": 1e3 * noise / station.load_cell()}
+    return {
+        "supply_kPa": 1e-3 * design.chamber.supply_gauge,
+        "air_mL": 1e6 * station.world.sensors[0].volume,
+        "valve": "closed" if sealed else "open",
+        "stiffness_N_mm": station.load_cell(),
+        "felt_N": seen["force_N"],
+        "noise_N": noise,
+        "noise_um": 1e3 * noise / station.load_cell(),
+    }
 
 
 EXPERIMENTS: dict[str, Callable[..., dict[str, Any]]] = {
-    "fig5a": fig5a, "fig5b": fig5b, "fig5c": fig5c, "fig6": fig6, "fig7": fig7, "air": air}
+    "fig5a": fig5a,
+    "fig5b": fig5b,
+    "fig5c": fig5c,
+    "fig6": fig6,
+    "fig7": fig7,
+    "air": air,
+}
 
 
-def run(names: Sequence[str], out: Path | None, *, quick: bool = False, say: Say = lambda _: None) -> dict[str, Any]:
+def run(
+    names: Sequence[str], out: Path | None, *, quick: bool = False, say: Say = lambda _: None
+) -> dict[str, Any]:
     """Run the experiments by name; their data, and where `out` is given also their figures."""
     from benchmarks.paper import figures  # lazily: matplotlib is optional
 
@@ -198,6 +307,12 @@ def run(names: Sequence[str], out: Path | None, *, quick: bool = False, say: Say
 
 def without_arrays(results: Mapping[str, Any]) -> dict[str, Any]:
     """The same without images and fields, for JSON."""
-    return {key: [without_arrays(v) if isinstance(v, Mapping) else v for v in value] if isinstance(value, list)
-            else without_arrays(value) if isinstance(value, Mapping) else value
-            for key, value in results.items() if not (isinstance(value, np.ndarray) and value.ndim > 1)}
+    return {
+        key: [without_arrays(v) if isinstance(v, Mapping) else v for v in value]
+        if isinstance(value, list)
+        else without_arrays(value)
+        if isinstance(value, Mapping)
+        else value
+        for key, value in results.items()
+        if not (isinstance(value, np.ndarray) and value.ndim > 1)
+    }

@@ -1,10 +1,11 @@
-"""The paper's own route from an ellipse to a circle's centre (Eq. 4-10), kept as published to measure what it costs.
+"""The paper's own route from an ellipse to a circle's centre (Eq. 4-10), kept as published to
+measure what it costs.
 
-`mjtactile.sensing.pose.circles` is what the sensor uses. Here: the image of the centre by Eq. 4-5 (with the two corrections
-that make it a projection: Q = K^T M K instead of M, and the sign on the sine term alone), a chord of the ellipse
-through it, and the distance by the sine rule. The rule is exact, and redundant: the same eigenvalues already give the
-distance. It takes it from two short arcs instead, so that an error of the chord's ends is magnified, most of all
-along the minor axis.
+`mjtactile.sensing.pose.circles` is what the sensor uses. Here: the image of the centre by Eq. 4-5
+(with the two corrections that make it a projection: Q = K^T M K instead of M, and the sign on the
+sine term alone), a chord of the ellipse through it, and the distance by the sine rule. The rule is
+exact, and redundant: the same eigenvalues already give the distance. It takes it from two short
+arcs instead, so that an error of the chord's ends is magnified, most of all along the minor axis.
 """
 
 from __future__ import annotations
@@ -20,40 +21,59 @@ from mjtactile.sensing.pose import circles
 
 
 def centre_distance(radius: Array, phi: Array, omega: Array) -> Array:
-    """Distance CD (N,) m of the middle D of a chord AB of length 2 `radius` that C sees under the angles
-    `phi` = ACD and `omega` = DCB, rad (Eq. 6-10 without the detour through nu and its cotangents):
+    """Distance CD (N,) m of the middle D of a chord AB of length 2 `radius` that C sees under the
+    angles `phi` = ACD and `omega` = DCB, rad (Eq. 6-10 without the detour through nu and its
+    cotangents):
 
         CD = r sin(phi + omega)/sqrt(sin^2 phi + sin^2 omega - 2 sin phi sin omega cos(phi + omega))
 
-    Derivation: by Eq. 6-7 CA/CB = sin(omega)/sin(phi), so that the triangle ABC is similar to one with sides
-    sin(omega), sin(phi) and the angle phi + omega between them; the law of cosines gives its third side, and the
-    median's length follows.
+    Derivation: by Eq. 6-7 CA/CB = sin(omega)/sin(phi), so that the triangle ABC is similar to one
+    with sides sin(omega), sin(phi) and the angle phi + omega between them; the law of cosines gives
+    its third side, and the median's length follows.
     """
-    a, b = np.sin(phi), np.sin(omega)
+    a = np.sin(phi)
+    b = np.sin(omega)
     both = phi + omega
-    return radius * np.sin(both) / np.sqrt(np.maximum(a * a + b * b - 2 * a * b * np.cos(both), 1e-300))
+    return (
+        radius
+        * np.sin(both)
+        / np.sqrt(np.maximum(a * a + b * b - 2 * a * b * np.cos(both), 1e-300))
+    )
 
 
 def centre_distance_as_printed(radius: Array, phi: Array, omega: Array) -> Array:
-    """Eq. 9 and 10 literally: cot nu = sin(phi)/(sin(omega) sin(rho)) + cot(rho), rho = pi - phi - omega."""
+    """Eq. 9 and 10 literally: cot nu = sin(phi)/(sin(omega) sin(rho)) + cot(rho), rho = pi - phi -
+    omega."""
     rho = np.pi - phi - omega
     cot_nu = np.sin(phi) / (np.sin(omega) * np.sin(rho)) + 1 / np.tan(rho)
     return radius * np.sin(np.arctan2(1.0, cot_nu)) / np.sin(omega)
 
 
-def centres_by_sine_rule(ellipses: Ellipses, camera: optics.Camera, radius: float | Array,
-                         chord: Literal["major", "minor"] = "major", end_error_px: Array | None = None) -> Array:
-    """Centres (2, N, 3) m of both solutions by Eq. 4-10, the chord parallel to the major axis as the paper suggests.
+def centres_by_sine_rule(
+    ellipses: Ellipses,
+    camera: optics.Camera,
+    radius: float | Array,
+    chord: Literal["major", "minor"] = "major",
+    end_error_px: Array | None = None,
+) -> Array:
+    """Centres (2, N, 3) m of both solutions by Eq. 4-10, the chord parallel to the major axis as
+    the paper suggests.
 
-    `end_error_px` (2, N): how far px each of the chord's ends is off along the chord, to see what that costs. No pane.
-    A lens is handled as in `circles.cones`.
+    `end_error_px` (2, N): how far px each of the chord's ends is off along the chord, to see what
+    that costs. No pane. A lens is handled as in `circles.cones`.
     """
     shape = ellipse.shape_from_axes(ellipses.semi_axes_px, ellipses.angle)
     Q = circles.cones(camera, ellipses.center_px, shape)
     r = np.broadcast_to(np.asarray(radius, dtype=float), (len(ellipses),))
-    along = np.stack([np.cos(ellipses.angle), np.sin(ellipses.angle)], axis=1) / (camera.fx, camera.fy)
+    along = np.stack([np.cos(ellipses.angle), np.sin(ellipses.angle)], axis=1) / (
+        camera.fx,
+        camera.fy,
+    )
     if chord == "minor":
-        along = np.stack([-np.sin(ellipses.angle), np.cos(ellipses.angle)], axis=1) / (camera.fx, camera.fy)
+        along = np.stack([-np.sin(ellipses.angle), np.cos(ellipses.angle)], axis=1) / (
+            camera.fx,
+            camera.fy,
+        )
     centres = []
     for d in _centre_images(Q):
         # d + t along lies on the cone: (along Q along) t^2 + 2 (along Q d) t + d Q d = 0
@@ -61,17 +81,24 @@ def centres_by_sine_rule(ellipses: Ellipses, camera: optics.Camera, radius: floa
         A, B, C = (np.einsum("ni,nij,nj->n", x, Q, y) for x, y in ((step, step), (step, d), (d, d)))
         root = np.sqrt(np.maximum(B * B - A * C, 0))
         off = np.zeros((2, len(d))) if end_error_px is None else end_error_px
-        ends = [d + ((-B + sign * root) / A + error)[:, None] * step for sign, error in zip((1, -1), off, strict=True)]
+        ends = [
+            d + ((-B + sign * root) / A + error)[:, None] * step
+            for sign, error in zip((1, -1), off, strict=True)
+        ]
         phi, omega = (_angle(end, d) for end in ends)
-        centres.append(d / np.linalg.norm(d, axis=1)[:, None] * centre_distance(r, phi, omega)[:, None])
+        centres.append(
+            d / np.linalg.norm(d, axis=1)[:, None] * centre_distance(r, phi, omega)[:, None]
+        )
     return np.stack(centres)
 
 
 def _centre_images(Q: Array) -> tuple[Array, Array]:
-    """Eq. 4-5: both images (N, 3) of the centre, in normalised homogeneous coordinates with third entry 1."""
+    """Eq. 4-5: both images (N, 3) of the centre, in normalised homogeneous coordinates with third
+    entry 1."""
     values, vectors = np.linalg.eigh(Q)
     l3, l2, l1 = values.T
-    v3, v1 = vectors[:, :, 0], vectors[:, :, 2]
+    v3 = vectors[:, :, 0]
+    v1 = vectors[:, :, 2]
     psi = np.arccos(np.sqrt(np.clip((l2 - l3) / (l1 - l3), 0, 1)))
     axial = (np.sqrt(-l1 / l3) * np.cos(psi))[:, None] * v3
     lateral = (np.sqrt(-l3 / l1) * np.sin(psi))[:, None] * v1
@@ -81,5 +108,6 @@ def _centre_images(Q: Array) -> tuple[Array, Array]:
 
 
 def _angle(a: Array, b: Array) -> Array:
-    """Angle (N,) between vectors, by atan2: arccos of a product of unit vectors loses half of the digits."""
+    """Angle (N,) between vectors, by atan2: arccos of a product of unit vectors loses half of the
+    digits."""
     return np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.einsum("ni,ni->n", a, b))

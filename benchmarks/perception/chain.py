@@ -1,7 +1,9 @@
-"""The chain from image to surface on the dense sensor: what it costs, and how well a membrane under a ball comes out.
+"""The chain from image to surface on the dense sensor: what it costs, and how well a membrane under
+a ball comes out.
 
-The shape is computed here (projected over-relaxation of a sheet of uniform tension under pressure and over a rigid
-ball), the images by `marker_scenes`: nothing is shared with the detector or the fitted spline.
+The shape is computed here (projected over-relaxation of a sheet of uniform tension under pressure
+and over a rigid ball), the images by `marker_scenes`: nothing is shared with the detector or the
+fitted spline.
 """
 
 from __future__ import annotations
@@ -26,28 +28,39 @@ from mjtactile.sensing.image.markers import detect
 from mjtactile.sensing.pose.circles import estimate_poses
 from mjtactile.sensing.shape.surface import Spline, grid_of, reconstruct_delaunay
 
-_BALL, _DEEP, _PRESSURE_OVER_TENSION = 0.010, 0.003, 20.0  # radius m, indentation m, 1/m
+# radius m, indentation m, 1/m
+_BALL = 0.010
+_DEEP = 0.003
+_PRESSURE_OVER_TENSION = 20.0
 _CELLS = 96  # of the relaxation, along the length
 _LEAST_PX = 4.0  # nothing smaller is looked for; the blob detector is told an area, too
-_LAYOUTS = ((4, 4, 0.0015), (8, 10, 0.0010), (11, 14, 0.0007), (14, 18, 0.0006))  # rows, columns, radius m
+# rows, columns, radius m
+_LAYOUTS = ((4, 4, 0.0015), (8, 10, 0.0010), (11, 14, 0.0007), (14, 18, 0.0006))
 
 
 class PressedSheet:
-    """Height z(x, y) m of a sheet of uniform tension over the frame's opening, sagging under pressure towards -z or
-    bulging to +z, and pushed to -z by a ball at (x, y) m."""
+    """Height z(x, y) m of a sheet of uniform tension over the frame's opening, sagging under
+    pressure towards -z or bulging to +z, and pushed to -z by a ball at (x, y) m."""
 
     def __init__(self, design: SensorDesign, x: float = 0.0, y: float = 0.0, deep: float = _DEEP):
-        length, width = design.frame.length, design.frame.width
-        gx, gy = (np.linspace(-w / 2, w / 2, round(_CELLS * w / length) + 1) for w in (length, width))
+        length = design.frame.length
+        width = design.frame.width
+        gx, gy = (
+            np.linspace(-w / 2, w / 2, round(_CELLS * w / length) + 1) for w in (length, width)
+        )
         far2 = (gx - x) ** 2 + (gy[:, None] - y) ** 2
-        ball = np.where(far2 < 0.98 * _BALL**2, _BALL - deep - np.sqrt(np.maximum(_BALL**2 - far2, 0)), 1.0)
-        dx2, dy2 = (gx[1] - gx[0]) ** 2, (gy[1] - gy[0]) ** 2
+        ball = np.where(
+            far2 < 0.98 * _BALL**2, _BALL - deep - np.sqrt(np.maximum(_BALL**2 - far2, 0)), 1.0
+        )
+        dx2 = (gx[1] - gx[0]) ** 2
+        dy2 = (gy[1] - gy[0]) ** 2
         z = np.zeros((len(gy), len(gx)))
         red = (np.add.outer(np.arange(len(gy)), np.arange(len(gx))) % 2).astype(bool)[1:-1, 1:-1]
         inner = (slice(1, -1), slice(1, -1))
         for _ in range(600):
             for half in (red, ~red):
-                along, across = z[1:-1, 2:] + z[1:-1, :-2], z[2:, 1:-1] + z[:-2, 1:-1]
+                along = z[1:-1, 2:] + z[1:-1, :-2]
+                across = z[2:, 1:-1] + z[:-2, 1:-1]
                 mean = (along / dx2 + across / dy2 + _PRESSURE_OVER_TENSION) / (2 / dx2 + 2 / dy2)
                 relaxed = z[inner] + 1.93 * (mean - z[inner])
                 z[inner] = np.where(half, np.minimum(relaxed, ball[inner]), z[inner])
@@ -59,21 +72,28 @@ class PressedSheet:
 
 def picture(design: SensorDesign, sheet: Callable[..., Array], seed: int) -> Image:
     """What the design's camera sees of its markers on `sheet`."""
-    x, y = design.markers.p_SM[:, 0], design.markers.p_SM[:, 1]
+    x = design.markers.p_SM[:, 0]
+    y = design.markers.p_SM[:, 1]
     p = np.column_stack([x, y, sheet(x, y)]) - design.camera.p_SC
     n = normal_from_slope(sheet(x, y, 1, 0), sheet(x, y, 0, 1))
     n = np.where((np.einsum("ni,ni->n", n, p) > 0)[:, None], -n, n)
     radius = np.broadcast_to(design.markers.radius, (len(p),))
     circles = [marker_scenes.Circle(p[i], n[i], float(radius[i])) for i in range(len(p))]
-    return Image(marker_scenes.image(Camera.from_design(design.camera, design.glass), circles, seed=seed), 0.0)
+    return Image(
+        marker_scenes.image(Camera.from_design(design.camera, design.glass), circles, seed=seed),
+        0.0,
+    )
 
 
 def pressed(frames: int, repeats: int) -> dict[str, Any]:
-    """Balls pressed at several places and depths into the dense sensor: surface errors of both routes, and the time of
-    the whole chain from image to surface."""
+    """Balls pressed at several places and depths into the dense sensor: surface errors of both
+    routes, and the time of the whole chain from image to surface."""
     design = load_sensor("dense")
     rng = np.random.default_rng(6)
-    sheets = [PressedSheet(design, *rng.uniform(-0.004, 0.004, 2), deep=rng.uniform(0.0015, 0.0035)) for _ in range(frames)]
+    sheets = [
+        PressedSheet(design, *rng.uniform(-0.004, 0.004, 2), deep=rng.uniform(0.0015, 0.0035))
+        for _ in range(frames)
+    ]
     images = [picture(design, sheet, seed) for seed, sheet in enumerate(sheets)]
     errors: dict[str, list[Array]] = {"spline": [], "delaunay": []}
     seen = []
@@ -87,7 +107,11 @@ def pressed(frames: int, repeats: int) -> dict[str, Any]:
         errors["spline"].append(spline.evaluate(x.ravel(), y.ravel()).reshape(x.shape) - truth)
         flat = reconstruct_delaunay(design, markers.p_SM)
         errors["delaunay"].append(flat.z - sheet(*np.meshgrid(flat.x, flat.y)))
-    result: dict[str, Any] = {"frames": frames, "markers": design.markers.count, "fewest_seen": min(seen)}
+    result: dict[str, Any] = {
+        "frames": frames,
+        "markers": design.markers.count,
+        "fewest_seen": min(seen),
+    }
     for name, parts in errors.items():
         result[f"{name}_rms_mm"] = float(np.sqrt(np.mean([np.mean(e**2) for e in parts])) * 1e3)
         result[f"{name}_worst_mm"] = float(max(np.abs(e).max() for e in parts) * 1e3)
@@ -95,7 +119,8 @@ def pressed(frames: int, repeats: int) -> dict[str, Any]:
 
 
 def _chain_ms(design: SensorDesign, images: list[Image], repeats: int) -> list[float]:
-    """Processor time of each run from image to surface, ms, in turn through `images` as in a recording."""
+    """Processor time of each run from image to surface, ms, in turn through `images` as in a
+    recording."""
     chain = Chain(design)
     markers, state = chain.see(chain.begin(), images[0])
     chain.fitter.fit(markers)
@@ -109,23 +134,44 @@ def _chain_ms(design: SensorDesign, images: list[Image], repeats: int) -> list[f
 
 
 def speed(repeats: int) -> list[dict[str, float]]:
-    """Milliseconds of processor time from image to poses, one thread, against the number of markers; beside it
-    `cv2.SimpleBlobDetector`, and `cv2.findContours` with `cv2.fitEllipse` and the paper's sine rule."""
+    """Milliseconds of processor time from image to poses, one thread, against the number of
+    markers; beside it `cv2.SimpleBlobDetector`, and `cv2.findContours` with `cv2.fitEllipse` and
+    the paper's sine rule."""
     cv2.setNumThreads(1)
     rows = []
     for nv, nu, radius in _LAYOUTS:
-        circles = marker_scenes.random_circles(CAMERA, np.random.default_rng(0), rows=nv, columns=nu, radius=radius,
-                                        depth=(0.043, 0.047), tilt_deg=(0, 25))
+        circles = marker_scenes.random_circles(
+            CAMERA,
+            np.random.default_rng(0),
+            rows=nv,
+            columns=nu,
+            radius=radius,
+            depth=(0.043, 0.047),
+            tilt_deg=(0, 25),
+        )
         image = marker_scenes.image(CAMERA, circles)
         ellipses = detect(image, CAMERA, min_radius_px=_LEAST_PX)
-        rows.append({
-            "markers": nv * nu, "found_ok": int((ellipses.status == "ok").sum()),
-            "detect_ms": _median_ms(lambda im=image: detect(im, CAMERA, min_radius_px=_LEAST_PX), repeats),
-            "pose_ms": _median_ms(lambda e=ellipses, r=radius: estimate_poses(e, CAMERA, r), repeats),
-            "blob_detector_ms": _median_ms(lambda im=image: blob_centres(im), max(3, repeats // 10)),
-            "opencv_sine_ms": _median_ms(lambda im=image, r=radius: sine_rule.centres_by_sine_rule(
-                opencv_ellipses(im), CAMERA, r), max(3, repeats // 4)),
-        })  # fmt: skip
+        rows.append(
+            {
+                "markers": nv * nu,
+                "found_ok": int((ellipses.status == "ok").sum()),
+                "detect_ms": _median_ms(
+                    lambda im=image: detect(im, CAMERA, min_radius_px=_LEAST_PX), repeats
+                ),
+                "pose_ms": _median_ms(
+                    lambda e=ellipses, r=radius: estimate_poses(e, CAMERA, r), repeats
+                ),
+                "blob_detector_ms": _median_ms(
+                    lambda im=image: blob_centres(im), max(3, repeats // 10)
+                ),
+                "opencv_sine_ms": _median_ms(
+                    lambda im=image, r=radius: sine_rule.centres_by_sine_rule(
+                        opencv_ellipses(im), CAMERA, r
+                    ),
+                    max(3, repeats // 4),
+                ),
+            }
+        )
         rows[-1]["total_ms"] = rows[-1]["detect_ms"] + rows[-1]["pose_ms"]
     return rows
 

@@ -1,4 +1,5 @@
-"""`mjtactile bench perception`: how far from the physical limit markers and surfaces are, how honest, how fast."""
+"""`mjtactile bench perception`: how far from the physical limit markers and surfaces are, how
+honest, how fast."""
 
 from __future__ import annotations
 
@@ -31,7 +32,9 @@ TARGETS: dict[str, tuple[str, float, float]] = {
 CHI2 = (0.7, 1.4), (0.9, 1.1)
 
 
-def run(out: Path, *, quick: bool = False, say: Callable[[str], None] | None = None) -> dict[str, Any]:
+def run(
+    out: Path, *, quick: bool = False, say: Callable[[str], None] | None = None
+) -> dict[str, Any]:
     """All parts; draws `perception.png` and `perception_methods.png` into `out`."""
     say = say or Progress().message
     cv2.setNumThreads(1)
@@ -61,16 +64,31 @@ def _measured(result: Mapping[str, Any]) -> dict[str, float]:
     eighty = next(row for row in result["speed"] if row["markers"] == 80)
     chain_ms = np.array(result["surface"]["chain_ms"])
     return {key: abs(result["accuracy"][key]) for key in tuple(TARGETS)[:6]} | {
-        "chi2_per_dof": result["accuracy"]["chi2_per_dof"], "detect_to_pose_80_ms": eighty["total_ms"],
-        "chain_median_ms": float(np.median(chain_ms)), "chain_p99_ms": float(np.percentile(chain_ms, 99)),
+        "chi2_per_dof": result["accuracy"]["chi2_per_dof"],
+        "detect_to_pose_80_ms": eighty["total_ms"],
+        "chain_median_ms": float(np.median(chain_ms)),
+        "chain_p99_ms": float(np.percentile(chain_ms, 99)),
         "surface_rms_mm": result["surface"]["spline_rms_mm"],
-    }  # fmt: skip
+    }
 
 
 def table(result: Mapping[str, Any]) -> str:
     """The results as Markdown."""
-    return "\n\n".join([_targets(result), _methods(result), _chord_noise(result), _known_board(result), _surface(result),
-                        _speed(result), _blur(result), _small(result)]) + "\n"
+    return (
+        "\n\n".join(
+            [
+                _targets(result),
+                _methods(result),
+                _chord_noise(result),
+                _known_board(result),
+                _surface(result),
+                _speed(result),
+                _blur(result),
+                _small(result),
+            ]
+        )
+        + "\n"
+    )
 
 
 def _rows(head: str, rows: list[str]) -> str:
@@ -78,18 +96,31 @@ def _rows(head: str, rows: list[str]) -> str:
 
 
 def _targets(result: Mapping[str, Any]) -> str:
-    a, m = result["accuracy"], result["measured"]
-    rows = [f"| {name} | {m[key]:.3g} | {least:g} | {aim:g} | {_verdict(m[key] <= least, m[key] <= aim)} |"
-            for key, (name, least, aim) in TARGETS.items()]
+    a = result["accuracy"]
+    m = result["measured"]
+    rows = [
+        f"| {name} | {m[key]:.3g} | {least:g} | {aim:g} | "
+        f"{_verdict(m[key] <= least, m[key] <= aim)} |"
+        for key, (name, least, aim) in TARGETS.items()
+    ]
     chi2 = m["chi2_per_dof"]
     inside = [low <= chi2 <= high for low, high in CHI2]
-    rows.insert(6, f"| chi-square per degree of freedom | {chi2:.3g} | {CHI2[0][0]:g}-{CHI2[0][1]:g} "
-                   f"| {CHI2[1][0]:g}-{CHI2[1][1]:g} | {_verdict(*inside)} |")
-    head = (f"{a['circles']:.0f} circles of 1.5 mm radius, 30-60 mm away, tilted 0-45 degrees, 640 x 480 pixels, blur "
-            f"{BLUR:g} px, noise {NOISE:g} DN; {a['missed']:.0f} missed. One image of one circle allows two poses: the first of "
-            f"them was right in {100 * a['preferred_right']:.0f} %, of which `locate` was {100 * a['preferred_probability']:.0f} "
-            "% sure on average. Times are of one core of the machine that ran "
-            "this; compare the ratios below.")
+    rows.insert(
+        6,
+        f"| chi-square per degree of freedom | {chi2:.3g} "
+        f"| {CHI2[0][0]:g}-{CHI2[0][1]:g} "
+        f"| {CHI2[1][0]:g}-{CHI2[1][1]:g} | {_verdict(*inside)} |",
+    )
+    head = (
+        f"{a['circles']:.0f} circles of 1.5 mm radius, 30-60 mm away, tilted 0-45 degrees, 640 "
+        "x 480 pixels, blur "
+        f"{BLUR:g} px, noise {NOISE:g} DN; {a['missed']:.0f} missed. One image of one "
+        "circle allows two poses: the first of "
+        f"them was right in {100 * a['preferred_right']:.0f} %, of which `locate` was "
+        f"{100 * a['preferred_probability']:.0f} "
+        "% sure on average. Times are of one core of the machine that ran "
+        "this; compare the ratios below."
+    )
     return head + "\n\n" + _rows("| what | measured | at least | aim | |", rows)
 
 
@@ -99,47 +130,86 @@ def _verdict(least: bool, aim: bool) -> str:
 
 def _methods(result: Mapping[str, Any]) -> str:
     best = next(iter(result["methods"].values()))["mean_mm"]
-    rows = [f"| {name} | {m['mean_mm']:.4f} | {m['mean_mm'] / best:.1f} | {m['worst_mm']:.3f} | {m['depth_bias_mm']:+.4f} |"
-            for name, m in result["methods"].items()]
-    return _rows("| method, same images | mean error, mm | ratio | worst, mm | depth bias, mm |", rows)
+    rows = [
+        f"| {name} | {m['mean_mm']:.4f} | {m['mean_mm'] / best:.1f} | {m['worst_mm']:.3f} | "
+        f"{m['depth_bias_mm']:+.4f} |"
+        for name, m in result["methods"].items()
+    ]
+    return _rows(
+        "| method, same images | mean error, mm | ratio | worst, mm | depth bias, mm |", rows
+    )
 
 
 def _chord_noise(result: Mapping[str, Any]) -> str:
     best = next(iter(result["chord_noise"].values()))["mean_mm"]
-    rows = [f"| {name} | {m['mean_mm']:.4f} | {m['mean_mm'] / best:.1f} | {m['worst_mm']:.3f} |"
-            for name, m in result["chord_noise"].items()]
-    return _rows(f"| edge points {marker_methods.CHORD_END_PX:g} px off | mean error, mm | ratio | worst, mm |", rows)
+    rows = [
+        f"| {name} | {m['mean_mm']:.4f} | {m['mean_mm'] / best:.1f} | {m['worst_mm']:.3f} |"
+        for name, m in result["chord_noise"].items()
+    ]
+    return _rows(
+        f"| edge points {marker_methods.CHORD_END_PX:g} px off | mean error, mm | ratio | "
+        "worst, mm |",
+        rows,
+    )
 
 
 def _known_board(result: Mapping[str, Any]) -> str:
-    rows = [f"| {name} | {m['mean_mm']:.4f} | {m['worst_mm']:.4f} |" for name, m in result["known_board"].items()]
+    rows = [
+        f"| {name} | {m['mean_mm']:.4f} | {m['worst_mm']:.4f} |"
+        for name, m in result["known_board"].items()
+    ]
     return _rows("| flat board of 16 circles | mean error, mm | worst, mm |", rows)
 
 
 def _surface(result: Mapping[str, Any]) -> str:
     s = result["surface"]
-    rows = [f"| {name} | {s[key + '_rms_mm']:.4f} | {s[key + '_rms_mm'] / s['spline_rms_mm']:.1f} | {s[key + '_worst_mm']:.3f} |"
-            for name, key in (("smoothing spline (default)", "spline"), ("the paper's: Delaunay, grid, B-spline", "delaunay"))]
-    return _rows(f"| membrane under a ball, {s['markers']} markers, {s['frames']} frames | RMS error, mm | ratio | worst, mm |",
-                 rows)
+    rows = [
+        f"| {name} | {s[key + '_rms_mm']:.4f} | {s[key + '_rms_mm'] / s['spline_rms_mm']:.1f} | "
+        f"{s[key + '_worst_mm']:.3f} |"
+        for name, key in (
+            ("smoothing spline (default)", "spline"),
+            ("the paper's: Delaunay, grid, B-spline", "delaunay"),
+        )
+    ]
+    return _rows(
+        f"| membrane under a ball, {s['markers']} markers, {s['frames']} frames | RMS error, mm "
+        "| ratio | worst, mm |",
+        rows,
+    )
 
 
 def _speed(result: Mapping[str, Any]) -> str:
-    rows = [f"| {r['markers']} | {r['detect_ms']:.2f} | {r['pose_ms']:.2f} | {r['total_ms']:.2f} "
-            f"| {1e3 * r['total_ms'] / r['markers']:.0f} | {r['blob_detector_ms']:.1f} "
-            f"| {r['blob_detector_ms'] / r['total_ms']:.1f} | {r['opencv_sine_ms']:.1f} |" for r in result["speed"]]
-    return _rows("| markers | detect, ms | pose, ms | total, ms | us a marker | SimpleBlobDetector, ms | its ratio "
-                 "| findContours + fitEllipse + sine rule, ms |", rows)
+    rows = [
+        f"| {r['markers']} | {r['detect_ms']:.2f} | {r['pose_ms']:.2f} | {r['total_ms']:.2f} "
+        f"| {1e3 * r['total_ms'] / r['markers']:.0f} | {r['blob_detector_ms']:.1f} "
+        f"| {r['blob_detector_ms'] / r['total_ms']:.1f} "
+        f"| {r['opencv_sine_ms']:.1f} |"
+        for r in result["speed"]
+    ]
+    return _rows(
+        "| markers | detect, ms | pose, ms | total, ms | us a marker | SimpleBlobDetector, ms "
+        "| its ratio "
+        "| findContours + fitEllipse + sine rule, ms |",
+        rows,
+    )
 
 
 def _blur(result: Mapping[str, Any]) -> str:
-    rows = [f"| {r['blur_px']:g} | {r['bias_um']:+.2f} | {r['sd_um']:.2f} | {r['uncorrected_um']:.1f} |"
-            for r in result["bias_against_blur"]]
+    rows = [
+        f"| {r['blur_px']:g} | {r['bias_um']:+.2f} | {r['sd_um']:.2f} | {r['uncorrected_um']:.1f} |"
+        for r in result["bias_against_blur"]
+    ]
     return _rows("| blur, px | depth bias, um | sd, um | bias without the correction, um |", rows)
 
 
 def _small(result: Mapping[str, Any]) -> str:
-    rows = [f"| {r['surface']} | {r['depth_shared']} | {r['scatter_never_percent']:.2f} | {r['scatter_auto_percent']:.2f} |"
-            for r in result["small_circles"]]
-    return _rows("| 100 circles of 4 px, cheap camera | depth shared in | scatter of depth alone, % | as `locate` gives it, % |",
-                 rows)
+    rows = [
+        f"| {r['surface']} | {r['depth_shared']} | {r['scatter_never_percent']:.2f} | "
+        f"{r['scatter_auto_percent']:.2f} |"
+        for r in result["small_circles"]
+    ]
+    return _rows(
+        "| 100 circles of 4 px, cheap camera | depth shared in | scatter of depth alone, % | "
+        "as `locate` gives it, % |",
+        rows,
+    )

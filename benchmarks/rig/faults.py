@@ -1,4 +1,5 @@
-"""Every fault of docs/hardware.md, injected into a running loop; a host that is killed; sim against emulated."""
+"""Every fault of docs/hardware.md, injected into a running loop; a host that is killed; sim against
+emulated."""
 
 from __future__ import annotations
 
@@ -21,17 +22,35 @@ from mjtactile.run.session import Session
 from mjtactile.run.supervisor import Supervisor
 
 FAULTS: dict[str, float] = {
-    "frames_stopped": 1, "frames_frozen": 1, "frames_late": 0.4, "frames_dark": 1, "frames_saturated": 1, "servo_overload": 1,
-    "servo_overheat": 2, "servo_brown_out": 1, "servo_silent": 2, "servo_unplug": 1, "valve_unplug": 1, "valve_silent": 1,
-    "valve_garbage": 1, "valve_sensor": 1, "valve_restart": 1, "puncture": 1}
-"""Kind and value of each fault that is injected while the loop runs; a stuck valve is injected before the references."""
+    "frames_stopped": 1,
+    "frames_frozen": 1,
+    "frames_late": 0.4,
+    "frames_dark": 1,
+    "frames_saturated": 1,
+    "servo_overload": 1,
+    "servo_overheat": 2,
+    "servo_brown_out": 1,
+    "servo_silent": 2,
+    "servo_unplug": 1,
+    "valve_unplug": 1,
+    "valve_silent": 1,
+    "valve_garbage": 1,
+    "valve_sensor": 1,
+    "valve_restart": 1,
+    "puncture": 1,
+}
+"""Kind and value of each fault that is injected while the loop runs; a stuck valve is injected
+before the references."""
 LASTING = ("servo_overload", "servo_overheat", "servo_brown_out", "servo_unplug", "valve_unplug")
 """What an emulator does not recover from without its power being switched."""
-_FAULT_CYCLE, _WATCH = 12, 3.0  # s after the fault in which the loop must react
+# s after the fault in which the loop must react
+_FAULT_CYCLE = 12
+_WATCH = 3.0
 
 
 class Stopwatch(Supervisor):
-    """Notes when it really changed its state: a transition bears the time at which its cycle began."""
+    """Notes when it really changed its state: a transition bears the time at which its cycle
+    began."""
 
     def __init__(self, period: float):
         super().__init__(period)
@@ -42,8 +61,13 @@ class Stopwatch(Supervisor):
         self.entered.append((pace.monotonic(), state))
 
     def reaction(self, injected: float) -> float | None:
-        """s from a fault at `injected` until the loop had left "running"; None where it did not, or there was none (0)."""
-        left = [at for at, state in self.entered if state in ("holding", "safe", "latched") and at >= injected > 0]
+        """s from a fault at `injected` until the loop had left "running"; None where it did not, or
+        there was none (0)."""
+        left = [
+            at
+            for at, state in self.entered
+            if state in ("holding", "safe", "latched") and at >= injected > 0
+        ]
         return left[0] - injected if left else None
 
 
@@ -51,16 +75,19 @@ class KeptBench:
     """An emulator that is kept from one fault to the next, as long as it lasts."""
 
     def __init__(self, name: str, rate: float) -> None:
-        self._name, self._rate = name, rate
+        self._name = name
+        self._rate = rate
         self._bench: Bench | None = None
-        logging.getLogger("mjtactile").setLevel(logging.CRITICAL)  # what is unplugged cannot be switched off: said 100 times
+        # what is unplugged cannot be switched off: said 100 times
+        logging.getLogger("mjtactile").setLevel(logging.CRITICAL)
 
     def bench(self) -> Bench:
         self._bench = self._bench or Bench(self._name, design_at(self._rate))
         return self._bench
 
     def recover(self, kind: str) -> None:
-        """After a fault of that kind: it ends, or the emulator does, which the next call of `bench` starts anew."""
+        """After a fault of that kind: it ends, or the emulator does, which the next call of `bench`
+        starts anew."""
         if kind in LASTING:
             self.close()
         else:
@@ -84,9 +111,12 @@ class FaultBench(KeptBench):
         super().__init__("emulated", 30.0)
 
     def react(self, kind: str, value: float) -> dict[str, Any]:
-        """One fault; s from its injection until the loop had left `running`, and what became of it."""
+        """One fault; s from its injection until the loop had left `running`, and what became of
+        it."""
         bench = self.bench()
-        supervisor, injected, cycles = Stopwatch(1 / 30), [0.0], [0]
+        supervisor = Stopwatch(1 / 30)
+        injected = [0.0]
+        cycles = [0]
 
         def on_cycle(cycle: Cycle) -> None:
             cycles[0] += cycle.state == "running" or injected[0] > 0
@@ -99,8 +129,12 @@ class FaultBench(KeptBench):
         outcome = drive(bench, Closing(), on_cycle, supervisor=supervisor)
         self.recover(kind)
         reaction = supervisor.reaction(injected[0])
-        return {"safe": reaction is not None, "reaction_s": reaction, "state": supervisor.state,
-                "outcome": outcome or supervisor.reason}
+        return {
+            "safe": reaction is not None,
+            "reaction_s": reaction,
+            "state": supervisor.state,
+            "outcome": outcome or supervisor.reason,
+        }
 
 
 def stuck() -> dict[str, Any]:
@@ -122,21 +156,32 @@ def stuck() -> dict[str, Any]:
     return {"safe": False, "outcome": "not noticed"}
 
 
-DEAD: dict[str, dict[str, object]] = {"brake": {}, "limp": {"watchdog": "limp"}, "goes on": {"servo_firmware": 51}}
-"""What the servos of a killed host do when their watchdogs trip (decision 19), and the emulator's setting for it."""
-_SQUEEZE, _SQUEEZE_SPEED = 1.0, 0.02  # N by the servos' current at which the host holds; m/s of closing
+DEAD: dict[str, dict[str, object]] = {
+    "brake": {},
+    "limp": {"watchdog": "limp"},
+    "goes on": {"servo_firmware": 51},
+}
+"""What the servos of a killed host do when their watchdogs trip (decision 19), and the emulator's
+setting for it."""
+# N by the servos' current at which the host holds; m/s of closing
+_SQUEEZE = 1.0
+_SQUEEZE_SPEED = 0.02
 
 
 def killed(kind: str) -> dict[str, Any]:
-    """SIGKILL for a host that squeezes an egg; s until its servos' watchdogs tripped and its valves were vented, and what each
-    membrane feels, before and a second after, N."""
+    """SIGKILL for a host that squeezes an egg; s until its servos' watchdogs tripped and its valves
+    were vented, and what each membrane feels, before and a second after, N."""
     bench = Bench("emulated", design_at(30.0), emulator=DEAD[kind])
     try:
         code = base64.b64encode(pickle.dumps(bench.process.connect(bench.rig_file))).decode()
-        host = subprocess.Popen([sys.executable, "-m", "benchmarks.rig.faults", code], stdout=subprocess.PIPE)
+        host = subprocess.Popen(
+            [sys.executable, "-m", "benchmarks.rig.faults", code], stdout=subprocess.PIPE
+        )
         assert host.stdout
         if not host.stdout.readline():
-            raise DeviceError("the host that was to be killed ended by itself: what it printed to stderr says why")
+            raise DeviceError(
+                "the host that was to be killed ended by itself: what it printed to stderr says why"
+            )
         before = bench.process.truth()
         host.send_signal(signal.SIGKILL)
         at = pace.monotonic()
@@ -147,11 +192,16 @@ def killed(kind: str) -> dict[str, Any]:
     finally:
         bench.close()
     stops = [t for t in truth["servo_stop_time"].values() if t is not None]
-    return {"kind": kind, "servos_stopped_s": max(stops) - at if len(stops) == len(truth["servo_stop_time"]) else None,
-            "valves_vented_s": truth["valve_vent_time"] - at if truth["valve_vent_time"] else None,
-            "squeeze_before_N": max(before["contact_1"], before["contact_2"]),
-            "squeeze_after_N": max(truth["contact_1"], truth["contact_2"]),
-            "closed_by_mm": 1e3 * (before["opening"] - truth["opening"])}
+    return {
+        "kind": kind,
+        "servos_stopped_s": max(stops) - at
+        if len(stops) == len(truth["servo_stop_time"])
+        else None,
+        "valves_vented_s": truth["valve_vent_time"] - at if truth["valve_vent_time"] else None,
+        "squeeze_before_N": max(before["contact_1"], before["contact_2"]),
+        "squeeze_after_N": max(truth["contact_1"], truth["contact_2"]),
+        "closed_by_mm": 1e3 * (before["opening"] - truth["opening"]),
+    }
 
 
 def _hold(code: str) -> None:
@@ -166,7 +216,8 @@ def _hold(code: str) -> None:
         valve.open(1000.0)
     for valve in valves:
         valve.close()
-    opening, squeezed = gripper.state().opening, 0.0
+    opening = gripper.state().opening
+    squeezed = 0.0
     while True:
         state = gripper.state()
         for valve in valves:
@@ -183,8 +234,8 @@ def _hold(code: str) -> None:
 
 
 def outcome(seed: int) -> dict[str, Any]:
-    """The same grasp on both rigs: outcome, held force as felt, and as the jaws' drive gives it (simulated: the joint's
-    force; emulated: the servos' current), N."""
+    """The same grasp on both rigs: outcome, held force as felt, and as the jaws' drive gives it
+    (simulated: the joint's force; emulated: the servos' current), N."""
     import tempfile
 
     import numpy as np
@@ -197,14 +248,22 @@ def outcome(seed: int) -> dict[str, Any]:
     result: dict[str, Any] = {"seed": seed}
     for rig in ("sim", "emulated"):
         try:
-            options = GraspOptions(object=OBJECT, sensor="dense", controller="gentle", rig=rig, seed=seed)
+            options = GraspOptions(
+                object=OBJECT, sensor="dense", controller="gentle", rig=rig, seed=seed
+            )
             with tempfile.TemporaryDirectory() as folder:
                 with Recorder(folder, {}, frames=False) as recorder:
-                    summary = run_grasp(options, recorder=recorder, progress=Progress(quiet=True)).summary()
+                    summary = run_grasp(
+                        options, recorder=recorder, progress=Progress(quiet=True)
+                    ).summary()
                 recording = load_recording(folder)
             holding = recording.columns["phase"] == "hold"
-            drive = float(np.mean(recording.column("effort", 1)[holding])) if holding.any() else None
-            result[rig] = {key: summary[key] for key in ("outcome", "hold_force_N", "peak_force_N")} | {"hold_drive_N": drive}
+            drive = (
+                float(np.mean(recording.column("effort", 1)[holding])) if holding.any() else None
+            )
+            result[rig] = {
+                key: summary[key] for key in ("outcome", "hold_force_N", "peak_force_N")
+            } | {"hold_drive_N": drive}
         except DeviceError as error:
             unknown = dict.fromkeys(("hold_force_N", "peak_force_N", "hold_drive_N"))
             result[rig] = {"outcome": "fault", "error": str(error)} | unknown

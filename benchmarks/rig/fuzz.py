@@ -1,8 +1,9 @@
-"""Bad bytes for the servo's and the valve's drivers, through their real ports: an adversary sits at the other end of a pty.
+"""Bad bytes for the servo's and the valve's drivers, through their real ports: an adversary sits at
+the other end of a pty.
 
-It answers each question with noise, with headers in noise, or with a true answer that was damaged; now and then with the
-true one. What a driver accepts is compared with the truth. Of frames of noise a servo's CRC-16 lets 1 in 65536 pass, a valve's
-CRC-32 1 in 4 10^9.
+It answers each question with noise, with headers in noise, or with a true answer that was damaged;
+now and then with the true one. What a driver accepts is compared with the truth. Of frames of noise
+a servo's CRC-16 lets 1 in 65536 pass, a valve's CRC-32 1 in 4 10^9.
 """
 
 from __future__ import annotations
@@ -20,17 +21,23 @@ from mjtactile.emulator import valve
 from mjtactile.emulator.pty_port import PtyPort
 from mjtactile.rig.file import ValveConfig
 
-SERVOS, START, SIZE = (1, 2), 126, 21
+SERVOS = (1, 2)
+START = 126
+SIZE = 21
 _TRUE_SHARE = 0.05  # of the answers: a driver that accepted nothing at all would be no use
-_PRESSURE, _MAX = 1000, 3000.0
+_PRESSURE = 1000
+_MAX = 3000.0
 _PATIENCE = 0.004  # s for an answer: most of them are none
 
 
 class Adversary:
-    """Answers on a pty; `fed` counts the bad bytes. `answer(rng, data)` gives the bytes and whether they are bad."""
+    """Answers on a pty; `fed` counts the bad bytes. `answer(rng, data)` gives the bytes and whether
+    they are bad."""
 
     def __init__(self, answer: Callable[[random.Random, bytes], tuple[bytes, bool]], seed: int):
-        self._rng, self._answer, self.fed = random.Random(seed), answer, 0
+        self._rng = random.Random(seed)
+        self._answer = answer
+        self.fed = 0
         self.port = PtyPort(self._reply, "adversary")
 
     def _reply(self, data: bytes) -> None:
@@ -40,10 +47,12 @@ class Adversary:
 
 
 def damage(rng: random.Random, data: bytes) -> bytes:
-    """Flip bits, lose, repeat, insert or cut bytes: one to three of these. Never returns `data` itself."""
+    """Flip bits, lose, repeat, insert or cut bytes: one to three of these. Never returns `data`
+    itself."""
     result = bytearray(data)
     for _ in range(rng.randrange(1, 4)):
-        place, kind = rng.randrange(len(result)), rng.randrange(5)
+        place = rng.randrange(len(result))
+        kind = rng.randrange(5)
         if kind == 0:
             result[place] ^= 1 << rng.randrange(8)
         elif kind == 1 and len(result) > 1:
@@ -71,12 +80,16 @@ def servo_answer(rng: random.Random, question: bytes) -> tuple[bytes, bool]:
     if kind == 0:
         return bytes(rng.randrange(256) for _ in range(rng.randrange(1, 400))), True
     if kind == 1:  # what looks like headers
-        return bytes(rng.choice((0xFF, 0xFF, 0xFD, 0x00, 0x01, 0x55, rng.randrange(256))) for _ in range(200)), True
+        return bytes(
+            rng.choice((0xFF, 0xFF, 0xFD, 0x00, 0x01, 0x55, rng.randrange(256))) for _ in range(200)
+        ), True
     if kind == 2:  # an intact packet of the wrong length, servo or instruction
         data = payload(rng.choice(SERVOS))[: rng.randrange(SIZE)]
         return p2.status(rng.choice((*SERVOS, 7, 253)), rng.randrange(128), data), True
     if kind == 3:  # a header that promises more than comes
-        return p2.HEADER + bytes([rng.choice(SERVOS)]) + rng.randrange(1, 1 << 16).to_bytes(2, "little") + rng.randbytes(60), True
+        return p2.HEADER + bytes([rng.choice(SERVOS)]) + rng.randrange(1, 1 << 16).to_bytes(
+            2, "little"
+        ) + rng.randbytes(60), True
     if kind == 4:  # packets cut into each other
         cut = rng.randrange(1, len(packets[0]))
         return packets[0][:cut] + packets[1][cut // 2 :] + packets[0][cut:], True
@@ -84,11 +97,20 @@ def servo_answer(rng: random.Random, question: bytes) -> tuple[bytes, bool]:
 
 
 def fuzz_servos(count: int, seed: int = 0) -> dict[str, Any]:
-    """`count` bad bytes to the servo bus; how many replies were accepted, how many of them wrong, the longest call in s."""
+    """`count` bad bytes to the servo bus; how many replies were accepted, how many of them wrong,
+    the longest call in s."""
     adversary = Adversary(servo_answer, seed)
     bus = DynamixelBus(adversary.port.path, reply_timeout=0.002)
-    bus._port.ser.write_timeout = 10.0  # bad bytes are to be refused, not a computer that is busy for 0.1 s
-    tally: dict[str, Any] = {"bytes": 0, "calls": 0, "true": 0, "wrong": 0, "refused": 0, "longest_s": 0.0}
+    # bad bytes are to be refused, not a computer that is busy for 0.1 s
+    bus._port.ser.write_timeout = 10.0
+    tally: dict[str, Any] = {
+        "bytes": 0,
+        "calls": 0,
+        "true": 0,
+        "wrong": 0,
+        "refused": 0,
+        "longest_s": 0.0,
+    }
     try:
         while adversary.fed < count:
             begin = pace.monotonic()
@@ -97,7 +119,8 @@ def fuzz_servos(count: int, seed: int = 0) -> dict[str, Any]:
             except BusError as error:
                 if error.reason == "lost":
                     raise
-                replies, failures = {}, dict.fromkeys(SERVOS, error)
+                replies = {}
+                failures = dict.fromkeys(SERVOS, error)
             tally["longest_s"] = max(tally["longest_s"], pace.monotonic() - begin)
             tally["calls"] += 1
             tally["refused"] += len(failures)
@@ -117,7 +140,9 @@ class ValveAdversary:
 
     def __call__(self, rng: random.Random, question: bytes) -> tuple[bytes, bool]:
         number, _, text = question.partition(b"*")[0].decode("ascii", "replace").partition(" ")
-        honest = {"id": "id mjvalve 1.0 2 1 6000", "state 1": f"state 1 sealed {_PRESSURE} ok"}.get(text, text)
+        honest = {"id": "id mjvalve 1.0 2 1 6000", "state 1": f"state 1 sealed {_PRESSURE} ok"}.get(
+            text, text
+        )
         true = valve.framed(f"{number} {honest}")
         if not self.bad or rng.random() < _TRUE_SHARE:
             return true, False
@@ -130,7 +155,10 @@ class ValveAdversary:
         if kind == 2:  # a line without end, or only an end
             return rng.choice((b"r" * 400, b"\n\n\n\n", b"1 state 1 ")) + b"\n", True
         if kind == 3:  # intact, but the answer to another command
-            return valve.framed(f"{(int(number) + rng.randrange(1, 65536)) % 65536} state 1 set {rng.randrange(6000)} ok"), True
+            return valve.framed(
+                f"{(int(number) + rng.randrange(1, 65536)) % 65536} state 1 set "
+                f"{rng.randrange(6000)} ok"
+            ), True
         bad = damage(rng, true)
         return (bad, True) if true.strip() not in bad else self(rng, question)
 
@@ -139,8 +167,17 @@ def fuzz_valve(count: int, seed: int = 0) -> dict[str, Any]:
     """The same to a valve board's driver."""
     answers = ValveAdversary()
     adversary = Adversary(answers, seed)
-    board = ValveBoard([ValveConfig("left", adversary.port.path, heartbeat=30.0, pressure_max=_MAX)])
-    tally: dict[str, Any] = {"bytes": 0, "calls": 0, "true": 0, "wrong": 0, "refused": 0, "longest_s": 0.0}
+    board = ValveBoard(
+        [ValveConfig("left", adversary.port.path, heartbeat=30.0, pressure_max=_MAX)]
+    )
+    tally: dict[str, Any] = {
+        "bytes": 0,
+        "calls": 0,
+        "true": 0,
+        "wrong": 0,
+        "refused": 0,
+        "longest_s": 0.0,
+    }
     answers.bad = True
     try:
         while adversary.fed < count:
@@ -153,7 +190,11 @@ def fuzz_valve(count: int, seed: int = 0) -> dict[str, Any]:
                 continue
             finally:
                 tally["longest_s"] = max(tally["longest_s"], pace.monotonic() - begin)
-            tally["wrong" if reading.is_open or reading.fault or reading.pressure_gauge != _PRESSURE else "true"] += 1
+            tally[
+                "wrong"
+                if reading.is_open or reading.fault or reading.pressure_gauge != _PRESSURE
+                else "true"
+            ] += 1
     finally:
         answers.bad = False
         board.close(quiet=True)

@@ -1,8 +1,9 @@
-"""`mjtactile bench rig`: the emulated rig's loop, latency, reaction to every fault, host killed, bad bytes, grasps.
+"""`mjtactile bench rig`: the emulated rig's loop, latency, reaction to every fault, host killed,
+bad bytes, grasps.
 
-The host and the emulator share this computer's processors: with other work beside them the numbers are worse, and the
-load average is kept with them; `MJTACTILE_SLOW=4` is for a computer that does not keep up. Each part is written when it is
-done; `resume` goes on with what is missing.
+The host and the emulator share this computer's processors: with other work beside them the numbers
+are worse, and the load average is kept with them; `MJTACTILE_SLOW=4` is for a computer that does
+not keep up. Each part is written when it is done; `resume` goes on with what is missing.
 """
 
 from __future__ import annotations
@@ -22,12 +23,21 @@ from mjtactile.recording.files import to_json, write_json
 from mjtactile.run.progress import Progress
 
 PARTS = ("loop", "bus", "fuzz", "killed", "stuck", "outcomes", "faults")
-SOAK, HOURS = "soak", 2.0  # only where it is asked for
+# only where it is asked for
+SOAK = "soak"
+HOURS = 2.0
 
 
-def run(out: Path, *, quick: bool, resume: bool = False, parts: tuple[str, ...] = PARTS, soak: float | None = None
-        ) -> dict[str, Any]:
-    """All `parts`; `quick` injects each fault twice instead of 20 times and so on. `soak`: hours of the long run, too."""
+def run(
+    out: Path,
+    *,
+    quick: bool,
+    resume: bool = False,
+    parts: tuple[str, ...] = PARTS,
+    soak: float | None = None,
+) -> dict[str, Any]:
+    """All `parts`; `quick` injects each fault twice instead of 20 times and so on. `soak`: hours of
+    the long run, too."""
     unknown = [part for part in parts if part not in (*PARTS, SOAK)]
     if unknown:
         raise InputError(f"unknown part {unknown[0]!r}", field="--parts", choices=(*PARTS, SOAK))
@@ -36,16 +46,25 @@ def run(out: Path, *, quick: bool, resume: bool = False, parts: tuple[str, ...] 
     work: dict[str, Callable[[], None]] = {
         "loop": lambda: store.once("loop", lambda: loop.measure_loop(seconds)),
         "bus": lambda: store.once("bus", loop.measure_bus),
-        "fuzz": lambda: store.once("fuzz", lambda: {"servos": fuzz.fuzz_servos(count), "valve": fuzz.fuzz_valve(count)}),
-        "killed": lambda: store.repeat("killed", 3 * min(times, 3), lambda i: faults.killed(list(faults.DEAD)[i % 3])),
+        "fuzz": lambda: store.once(
+            "fuzz", lambda: {"servos": fuzz.fuzz_servos(count), "valve": fuzz.fuzz_valve(count)}
+        ),
+        "killed": lambda: store.repeat(
+            "killed", 3 * min(times, 3), lambda i: faults.killed(list(faults.DEAD)[i % 3])
+        ),
         "stuck": lambda: store.repeat("stuck", min(times, 5), lambda _: faults.stuck()),
         "outcomes": lambda: store.repeat("outcomes", seeds, faults.outcome),
-        "faults": lambda: _faults(store, times)}
+        "faults": lambda: _faults(store, times),
+    }
     for part in PARTS:
         if part in parts:
             work[part]()
     if soak is not None or SOAK in parts:
-        _soak(store, SoakBench(out / SOAK, leg=30.0 if quick else LEG), HOURS if soak is None else soak)
+        _soak(
+            store,
+            SoakBench(out / SOAK, leg=30.0 if quick else LEG),
+            HOURS if soak is None else soak,
+        )
     store.result |= {"load_average": os.getloadavg()[0], "slow": pace.slow()}
     return store.result
 
@@ -55,7 +74,9 @@ class _Store:
 
     def __init__(self, path: Path, resume: bool):
         self._path = path
-        self.result: dict[str, Any] = json.loads(path.read_text()) if resume and path.is_file() else {}
+        self.result: dict[str, Any] = (
+            json.loads(path.read_text()) if resume and path.is_file() else {}
+        )
         self._say = Progress().message
 
     def once(self, part: str, measure: Callable[[], Any]) -> None:
@@ -82,30 +103,52 @@ def _soak(store: _Store, bench: SoakBench, hours: float) -> None:
 
 
 def _faults(store: _Store, times: int) -> None:
-    """Each kind in turn, again and again, so that an interrupted run has all kinds about as often."""
+    """Each kind in turn, again and again, so that an interrupted run has all kinds about as
+    often."""
     bench = faults.FaultBench()
     try:
         for count in range(1, times + 1):
             for kind, value in faults.FAULTS.items():
-                store.repeat(f"fault:{kind}", count, lambda _, kind=kind, value=value: bench.react(kind, value))
+                store.repeat(
+                    f"fault:{kind}",
+                    count,
+                    lambda _, kind=kind, value=value: bench.react(kind, value),
+                )
     finally:
         bench.end()
 
 
 def table(result: dict[str, Any]) -> str:
     """The result in Markdown, what was asked for beside it."""
-    lines = ["| what | at least | measured |", "|---|---|---|", *(f"| {a} | {b} | {c} |" for a, b, c in _rows(result))]
-    lines += ["", f"Load average of this computer (2 processors) meanwhile: {result.get('load_average', float('nan')):.1f}.", ""]
+    lines = [
+        "| what | at least | measured |",
+        "|---|---|---|",
+        *(f"| {a} | {b} | {c} |" for a, b, c in _rows(result)),
+    ]
+    lines += [
+        "",
+        "Load average of this computer (2 processors) meanwhile: "
+        f"{result.get('load_average', float('nan')):.1f}.",
+        "",
+    ]
     if (slow := result.get("slow", 1.0)) != 1:
-        lines += [f"Devices and host ran at 1/{slow:g} of the speed, by a clock as slow: 1 ms is {slow:g} of the wall's.",
-                  ""]
-    faults = {key.removeprefix("fault:"): rows for key, rows in result.items() if key.startswith("fault:")}
+        lines += [
+            f"Devices and host ran at 1/{slow:g} of the speed, by a clock as slow: 1 ms is "
+            f"{slow:g} of the wall's.",
+            "",
+        ]
+    faults = {
+        key.removeprefix("fault:"): rows for key, rows in result.items() if key.startswith("fault:")
+    }
     if faults:
         lines += ["| fault | safe | reaction, median / worst, ms | ends as |", "|---|---|---|---|"]
     for kind, rows in faults.items():
         median, worst = _reactions(rows)
-        lines.append(f"| {kind} | {sum(r['safe'] for r in rows)} of {len(rows)} | {median:.0f} / {worst:.0f} | "
-                     f"{rows[0]['outcome'][:110]} |")
+        lines.append(
+            f"| {kind} | {sum(r['safe'] for r in rows)} of {len(rows)} | {median:.0f} / "
+            f"{worst:.0f} | "
+            f"{rows[0]['outcome'][:110]} |"
+        )
     return "\n".join(lines) + "\n"
 
 
@@ -116,38 +159,81 @@ def _reactions(rows: list[dict[str, Any]]) -> tuple[float, float]:
 
 def _rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
     rows: list[tuple[str, str, str]] = []
-    for part, make in (("loop", _loop_rows), (SOAK, soak_rows), ("bus", _bus_rows), ("killed", _killed_rows),
-                       ("outcomes", _outcome_rows), ("fuzz", _fuzz_rows), ("stuck", _stuck_rows)):
+    for part, make in (
+        ("loop", _loop_rows),
+        (SOAK, soak_rows),
+        ("bus", _bus_rows),
+        ("killed", _killed_rows),
+        ("outcomes", _outcome_rows),
+        ("fuzz", _fuzz_rows),
+        ("stuck", _stuck_rows),
+    ):
         if part in result:
             rows += make(result[part])
     faults = [row for key, found in result.items() if key.startswith("fault:") for row in found]
     if faults:
         _, worst = _reactions(faults)
         late = sum((r["reaction_s"] or 0) > 0.2 for r in faults)
-        rows.append(("safe state after a fault, from its injection", "every time, 200 ms", f"{sum(r['safe'] for r in faults)} of "
-                     f"{len(faults)}, {late} later than 200 ms, worst {worst:.0f} ms"))
+        rows.append(
+            (
+                "safe state after a fault, from its injection",
+                "every time, 200 ms",
+                f"{sum(r['safe'] for r in faults)} of "
+                f"{len(faults)}, {late} later than 200 ms, worst {worst:.0f} ms",
+            )
+        )
     return rows
 
 
 def _loop_rows(loop: dict[str, Any]) -> list[tuple[str, str, str]]:
-    cpu, parts = loop["cpu"], loop["parts_median_ms"]
-    return [("loop of a 60 Hz camera, two servos, valve", "60 Hz",
-             f"{loop['rate_Hz']:.1f} Hz, jitter {loop['jitter_ms']:.1f} ms"),
-            ("capture to command, median / p99", "25 / 45 ms",
-             f"{loop['capture_to_command_median_ms']:.1f} / {loop['capture_to_command_p99_ms']:.1f} ms "
-             f"(p10 {loop['capture_to_command_p10_ms']:.1f})"),
-            ("of it, median", "", ", ".join(f"{name} {value:.1f}" for name, value in parts.items()) + " ms"),
-            ("missed cycles", "< 0.5 %", f"{loop['missed_percent']:.2f} % of {loop['cycles']} in {loop['seconds']:.0f} s"),
-            ("processors used", "", f"host {cpu['host']:.2f}, emulated world {cpu['world']:.2f}, emulated devices "
-             f"{cpu['devices']:.2f}; load average {cpu['load_average']:.1f}")]
+    cpu = loop["cpu"]
+    parts = loop["parts_median_ms"]
+    return [
+        (
+            "loop of a 60 Hz camera, two servos, valve",
+            "60 Hz",
+            f"{loop['rate_Hz']:.1f} Hz, jitter {loop['jitter_ms']:.1f} ms",
+        ),
+        (
+            "capture to command, median / p99",
+            "25 / 45 ms",
+            f"{loop['capture_to_command_median_ms']:.1f} / "
+            f"{loop['capture_to_command_p99_ms']:.1f} ms "
+            f"(p10 {loop['capture_to_command_p10_ms']:.1f})",
+        ),
+        (
+            "of it, median",
+            "",
+            ", ".join(f"{name} {value:.1f}" for name, value in parts.items()) + " ms",
+        ),
+        (
+            "missed cycles",
+            "< 0.5 %",
+            f"{loop['missed_percent']:.2f} % of {loop['cycles']} in {loop['seconds']:.0f} s",
+        ),
+        (
+            "processors used",
+            "",
+            f"host {cpu['host']:.2f}, emulated world "
+            f"{cpu['world']:.2f}, emulated devices "
+            f"{cpu['devices']:.2f}; load average {cpu['load_average']:.1f}",
+        ),
+    ]
 
 
 def _bus_rows(bus: dict[str, Any]) -> list[tuple[str, str, str]]:
-    return [("two servos read, median / p99", "", f"{bus['read_2_servos_median_ms']:.2f} / {bus['read_2_servos_p99_ms']:.2f} ms")]
+    return [
+        (
+            "two servos read, median / p99",
+            "",
+            f"{bus['read_2_servos_median_ms']:.2f} / {bus['read_2_servos_p99_ms']:.2f} ms",
+        )
+    ]
 
 
 def _killed_rows(runs: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
     """A row for each kind of servo, the worst of its runs."""
+
     def worst(kind: str, key: str) -> float | None:
         values = [run[key] for run in runs if run["kind"] == kind]
         return None if None in values else max(values)
@@ -159,29 +245,54 @@ def _killed_rows(runs: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
     def amount(kind: str, key: str) -> str:
         return f"{worst(kind, key):.2f}"
 
-    return [(f"host killed while squeezing an egg, on servos that then: {kind}", "300 ms, a safe hand",
-             f"watchdogs tripped {time(kind, 'servos_stopped_s')}, valves vented {time(kind, 'valves_vented_s')}; squeeze "
-             f"{amount(kind, 'squeeze_before_N')} N before, {amount(kind, 'squeeze_after_N')} N a second later; jaws closed by "
-             f"{amount(kind, 'closed_by_mm')} mm") for kind in dict.fromkeys(run["kind"] for run in runs)]
+    return [
+        (
+            f"host killed while squeezing an egg, on servos that then: {kind}",
+            "300 ms, a safe hand",
+            f"watchdogs tripped {time(kind, 'servos_stopped_s')}, valves vented "
+            f"{time(kind, 'valves_vented_s')}; squeeze "
+            f"{amount(kind, 'squeeze_before_N')} N before, "
+            f"{amount(kind, 'squeeze_after_N')} N a second later; jaws closed by "
+            f"{amount(kind, 'closed_by_mm')} mm",
+        )
+        for kind in dict.fromkeys(run["kind"] for run in runs)
+    ]
 
 
 def _outcome_rows(runs: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
     rows = []
     for run in runs:
-        sim, emulated = run["sim"], run["emulated"]
+        sim = run["sim"]
+        emulated = run["emulated"]
         text = f"sim {sim['outcome']}, emulated {emulated['outcome']}"
         for key, name in (("hold_force_N", "felt"), ("hold_drive_N", "by the drive")):
-            a, b = sim[key], emulated[key]
-            text += f"; {name} {a:.3f} and {b:.3f} N ({100 * (b / a - 1):+.1f} %)" if a and b else ""
+            a = sim[key]
+            b = emulated[key]
+            text += (
+                (f"; {name} {a:.3f} and {b:.3f} N ({100 * (b / a - 1):+.1f} %)") if a and b else ""
+            )
         rows.append((f"grasp of an egg, seed {run['seed']}: held force", "within 10 %", text))
     return rows
 
 
 def _fuzz_rows(fuzz: dict[str, Any]) -> list[tuple[str, str, str]]:
-    return [(f"bad bytes to the {name} driver", "10^7, none beyond what the CRC allows",
-             f"{r['bytes']} in {r['calls']} calls: {r['wrong']} wrong "
-             f"accepted, {r['true']} true accepted, longest call {1e3 * r['longest_s']:.0f} ms") for name, r in fuzz.items()]
+    return [
+        (
+            f"bad bytes to the {name} driver",
+            "10^7, none beyond what the CRC allows",
+            f"{r['bytes']} in {r['calls']} calls: {r['wrong']} wrong "
+            f"accepted, {r['true']} true accepted, longest call {1e3 * r['longest_s']:.0f} "
+            "ms",
+        )
+        for name, r in fuzz.items()
+    ]
 
 
 def _stuck_rows(runs: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
-    return [("stuck valve refused", "every time", f"{sum(r['safe'] for r in runs)} of {len(runs)}: {runs[0]['outcome'][:80]}")]
+    return [
+        (
+            "stuck valve refused",
+            "every time",
+            f"{sum(r['safe'] for r in runs)} of {len(runs)}: {runs[0]['outcome'][:80]}",
+        )
+    ]

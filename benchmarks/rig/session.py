@@ -1,4 +1,5 @@
-"""A session of the emulated rig for `mjtactile bench rig`: emulator, rig, and sensing chains with references."""
+"""A session of the emulated rig for `mjtactile bench rig`: emulator, rig, and sensing chains with
+references."""
 
 from __future__ import annotations
 
@@ -21,7 +22,8 @@ from mjtactile.run.session import Session
 from mjtactile.run.supervisor import Supervisor
 from mjtactile.sensing.chain import Chain, ChainState, Perception
 
-SENSOR, OBJECT = "paper16", "egg"
+SENSOR = "paper16"
+OBJECT = "egg"
 
 
 def design_at(rate: float) -> SensorDesign:
@@ -38,35 +40,58 @@ class Closing:
     path: Path = Path("bench")
 
     def step(self, observation: Observation) -> Command:
-        return replace(observation.command, opening=observation.command.opening - self.speed, force_limit=2.0)
+        return replace(
+            observation.command, opening=observation.command.opening - self.speed, force_limit=2.0
+        )
 
 
 class EndOfRun(BaseException):
-    """Ends a run from within `on_cycle`, at once: any Exception would make the hand retreat first."""
+    """Ends a run from within `on_cycle`, at once: any Exception would make the hand retreat
+    first."""
 
 
 class Bench:
-    """An emulator that outlives rigs connected to it: to start one takes longer than most faults."""
+    """An emulator that outlives rigs connected to it: to start one takes longer than most
+    faults."""
 
-    def __init__(self, name: str, design: SensorDesign, *, object_name: str = OBJECT, seed: int = 0,
-                 emulator: Mapping[str, object] = MappingProxyType({})):
+    def __init__(
+        self,
+        name: str,
+        design: SensorDesign,
+        *,
+        object_name: str = OBJECT,
+        seed: int = 0,
+        emulator: Mapping[str, object] = MappingProxyType({}),
+    ):
         """`emulator`: what of the rig file's [emulator] is otherwise."""
         file = load_rig_file(name)
         assert file.emulator is not None
         self.rig_file: RigFile = replace(file, emulator=replace(file.emulator, **emulator))
-        self.design, self.object_name, self.seed = design, object_name, seed
+        self.design = design
+        self.object_name = object_name
+        self.seed = seed
         self.process = EmulatorProcess(self.rig_file, design, object_name=object_name, seed=seed)
         self._states: list[ChainState] = []
 
     def connect(self) -> Rig:
-        return build_emulated_rig(self.rig_file, self.design, object_name=self.object_name, seed=self.seed, emulator=self.process)
+        return build_emulated_rig(
+            self.rig_file,
+            self.design,
+            object_name=self.object_name,
+            seed=self.seed,
+            emulator=self.process,
+        )
 
     def session(self, rig: Rig) -> Session:
         """A session with references; those of the first rig are used again, as a calibration is."""
         if not self._states:
             session = Session(rig)
             session.take_references()
-            self._states = [perception.state for perception in session.perceptions if isinstance(perception, Perception)]
+            self._states = [
+                perception.state
+                for perception in session.perceptions
+                if isinstance(perception, Perception)
+            ]
             return session
         chain = Chain(self.design)
         session = Session(rig, [Perception(chain, state) for state in self._states])
@@ -77,9 +102,17 @@ class Bench:
         self.process.close()
 
 
-def drive(bench: Bench, controller: Any, on_cycle: Callable[[Cycle], None], *, supervisor: Supervisor | None = None,
-          time_limit: float = 60.0, on_ready: Callable[[Rig], None] = lambda _: None) -> str:
-    """Connect, take references, run until `on_cycle` raises EndOfRun or a fault ends it; what ended it ("" for EndOfRun)."""
+def drive(
+    bench: Bench,
+    controller: Any,
+    on_cycle: Callable[[Cycle], None],
+    *,
+    supervisor: Supervisor | None = None,
+    time_limit: float = 60.0,
+    on_ready: Callable[[Rig], None] = lambda _: None,
+) -> str:
+    """Connect, take references, run until `on_cycle` raises EndOfRun or a fault ends it; what ended
+    it ("" for EndOfRun)."""
     try:
         rig = bench.connect()
     except DeviceError as error:
@@ -96,5 +129,3 @@ def drive(bench: Bench, controller: Any, on_cycle: Callable[[Cycle], None], *, s
         with contextlib.suppress(DeviceError):  # what was unplugged cannot be switched off
             rig.close()
     return "the controller ended"
-
-

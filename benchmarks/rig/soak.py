@@ -1,7 +1,8 @@
-"""Hours of the 60 Hz loop: an egg is gripped again and again, every five minutes something breaks, and all is recorded.
+"""Hours of the 60 Hz loop: an egg is gripped again and again, every five minutes something breaks,
+and all is recorded.
 
-A leg is what lies between two faults: a connection, its grips, a fault at a moment that nobody chose, the safe state. An
-interrupted run goes on with its next leg.
+A leg is what lies between two faults: a connection, its grips, a fault at a moment that nobody
+chose, the safe state. An interrupted run goes on with its next leg.
 """
 
 from __future__ import annotations
@@ -27,14 +28,17 @@ from mjtactile.recording.writer import Recorder
 from mjtactile.rig.finger import Rig
 from mjtactile.run.loop import Cycle
 
-LEG, GRIP = 300.0, 20.0  # s from fault to fault, and from grip to grip
+# s from fault to fault, and from grip to grip
+LEG = 300.0
+GRIP = 20.0
 _WATCH = 3.0  # s after a fault in which the loop must react
 _PICTURES = 60  # cycles from one recorded image to the next: one a second
 
 
 @dataclass
 class Gripping:
-    """Grips what is there to `force` N as the membrane feels it for the first 0.6 of each `period` s, then lets go: for ever."""
+    """Grips what is there to `force` N as the membrane feels it for the first 0.6 of each `period`
+    s, then lets go: for ever."""
 
     period: float = GRIP
     force: float = 0.4
@@ -44,7 +48,8 @@ class Gripping:
     path: Path = Path("soak")
 
     def step(self, observation: Observation) -> Command:
-        last, felt = observation.command, observation.touch[0].force_normal
+        last = observation.command
+        felt = observation.touch[0].force_normal
         memory = {"begin": observation.time, "open": last.opening, **last.memory}
         into = (observation.time - memory["begin"]) % self.period
         if not math.isfinite(felt):
@@ -60,7 +65,8 @@ class Gripping:
 
 
 def drawn(number: int, leg: float, grip: float) -> tuple[str, float]:
-    """The fault of a leg, every kind once before any comes again, and when within the last `grip` s of its `leg` it happens."""
+    """The fault of a leg, every kind once before any comes again, and when within the last `grip` s
+    of its `leg` it happens."""
     around, place = divmod(number, len(FAULTS))
     kind = list(FAULTS)[np.random.default_rng(around).permutation(len(FAULTS))[place]]
     return kind, leg - grip * np.random.default_rng(number).random()
@@ -71,7 +77,9 @@ class SoakBench(KeptBench):
 
     def __init__(self, out: Path, *, leg: float = LEG, grip: float = GRIP) -> None:
         super().__init__(RIG, RATE)
-        self.leg, self._out, self._grip = leg, out, grip
+        self.leg = leg
+        self._out = out
+        self._grip = grip
 
     def run(self, number: int) -> dict[str, Any]:
         """Leg `number`, whose fault and its moment are drawn from that."""
@@ -81,11 +89,20 @@ class SoakBench(KeptBench):
         shutil.rmtree(folder, ignore_errors=True)  # of an interrupted run
         leg = _Leg(bench, kind, at, self._grip)
         with Recorder(folder, {"controller": "soak", "fault": kind}, frames=_PICTURES) as recorder:
-            outcome = drive(bench, Gripping(self._grip), lambda cycle: leg.add(cycle, recorder), supervisor=leg.supervisor,
-                            time_limit=self.leg + 60, on_ready=leg.begin)
+            outcome = drive(
+                bench,
+                Gripping(self._grip),
+                lambda cycle: leg.add(cycle, recorder),
+                supervisor=leg.supervisor,
+                time_limit=self.leg + 60,
+                on_ready=leg.begin,
+            )
             recorder.close(outcome=outcome)
-        result = leg.result(outcome) | {"recording": _read_back(folder, leg.cycles), "process": os.getpid(),
-                                        "memory_MB": memory_MB()}
+        result = leg.result(outcome) | {
+            "recording": _read_back(folder, leg.cycles),
+            "process": os.getpid(),
+            "memory_MB": memory_MB(),
+        }
         if result["safe"] and not result["recording"]:
             shutil.rmtree(folder)
         self.recover(kind)
@@ -93,13 +110,18 @@ class SoakBench(KeptBench):
 
 
 class _Leg:
-    """What happens in one leg. Each cycle only adds to arrays that are there from the beginning: what grows is the loop's."""
+    """What happens in one leg. Each cycle only adds to arrays that are there from the beginning:
+    what grows is the loop's."""
 
     def __init__(self, bench: Bench, kind: str, at: float, grip: float):
-        self._bench, self._kind, self._at, self._grip = bench, kind, at, grip
+        self._bench = bench
+        self._kind = kind
+        self._at = at
+        self._grip = grip
         self.supervisor = Stopwatch(1 / RATE)
         self._rows = np.full((int(1.1 * RATE * (at + 60)), 3), np.nan)  # s, N felt, whether it ran
-        self.cycles, self._injected = 0, 0.0
+        self.cycles = 0
+        self._injected = 0.0
         self._rig: Rig | None = None
 
     def begin(self, rig: Rig) -> None:
@@ -108,7 +130,11 @@ class _Leg:
     def add(self, cycle: Cycle, recorder: Recorder) -> None:
         recorder.add(cycle)
         if not self._injected and self.cycles < len(self._rows):
-            self._rows[self.cycles] = cycle.time, cycle.touch[0].force_normal, cycle.state == "running"
+            self._rows[self.cycles] = (
+                cycle.time,
+                cycle.touch[0].force_normal,
+                cycle.state == "running",
+            )
         self.cycles += 1
         if not self._injected and cycle.time - self._rows[0, 0] > self._at:
             self._injected = pace.monotonic()
@@ -117,21 +143,32 @@ class _Leg:
             raise EndOfRun
 
     def result(self, outcome: str) -> dict[str, Any]:
-        """Of the time before the fault, and what became of it: `safe` where the loop left "running" within `_WATCH` of it."""
+        """Of the time before the fault, and what became of it: `safe` where the loop left "running"
+        within `_WATCH` of it."""
         rows = self._rows[np.isfinite(self._rows[:, 0])]
         intervals = np.diff(rows[:, 0])
         felt = rows[rows[:, 1] > 0.5 * Gripping.force, 0] - rows[:1, 0]
         reaction = self.supervisor.reaction(self._injected)
-        return {"fault": self._kind, "seconds": float(np.ptp(rows[:, 0])) if len(rows) else 0.0, "cycles": len(rows),
-                "missed": int((intervals > 1.5 / RATE).sum()), "not_running": int((rows[:, 2] == 0).sum()),
-                "grips": len(np.unique(felt // self._grip)), "injected": self._injected > 0, "safe": reaction is not None,
-                "reaction_s": reaction, "outcome": outcome or self.supervisor.reason}
+        return {
+            "fault": self._kind,
+            "seconds": float(np.ptp(rows[:, 0])) if len(rows) else 0.0,
+            "cycles": len(rows),
+            "missed": int((intervals > 1.5 / RATE).sum()),
+            "not_running": int((rows[:, 2] == 0).sum()),
+            "grips": len(np.unique(felt // self._grip)),
+            "injected": self._injected > 0,
+            "safe": reaction is not None,
+            "reaction_s": reaction,
+            "outcome": outcome or self.supervisor.reason,
+        }
 
 
 def _read_back(folder: Path, cycles: int) -> str:
-    """What is wrong with the recording of a leg ("": nothing). Read by a process of its own: the memory of this one is the
-    loop's."""
-    done = subprocess.run([sys.executable, "-m", __name__, str(folder)], capture_output=True, text=True, check=False)
+    """What is wrong with the recording of a leg ("": nothing). Read by a process of its own: the
+    memory of this one is the loop's."""
+    done = subprocess.run(
+        [sys.executable, "-m", __name__, str(folder)], capture_output=True, text=True, check=False
+    )
     if done.returncode:
         return done.stderr.strip().splitlines()[-1]
     return "" if int(done.stdout) == cycles else f"{done.stdout.strip()} of {cycles} cycles"
@@ -140,23 +177,39 @@ def _read_back(folder: Path, cycles: int) -> str:
 def soak_rows(legs: list[dict[str, Any]], late: float = 0.2) -> list[tuple[str, str, str]]:
     """Of the table of `mjtactile bench rig`."""
     hours = sum(leg["seconds"] for leg in legs) / 3600
-    cycles, missed = sum(leg["cycles"] for leg in legs), sum(leg["missed"] for leg in legs)
+    cycles = sum(leg["cycles"] for leg in legs)
+    missed = sum(leg["missed"] for leg in legs)
     times = [leg["reaction_s"] for leg in legs if leg["reaction_s"] is not None]
     unasked = [leg for leg in legs if not leg["injected"]]
     unread = sum(bool(leg["recording"]) for leg in legs)
-    return [(f"long run: {hours:.2f} h, {sum(leg['grips'] for leg in legs)} grips of an egg, cycles missed", "< 0.5 %",
-             f"{100 * missed / max(cycles, 1):.2f} % of {cycles}"),
-            ("long run: safe state after a fault at any moment", "every time, 200 ms",
-             f"{sum(leg['safe'] for leg in legs)} of {len(legs) - len(unasked)}, {sum(t > late for t in times)} later than "
-             f"{1e3 * late:.0f} ms, worst {1e3 * max(times, default=math.nan):.0f} ms"),
-            ("long run: ended without a fault", "never", f"{len(unasked)} of {len(legs)} legs"
-             + "".join(f"; {leg['outcome'][:80]}" for leg in unasked[:1])),
-            ("long run: memory", "flat", growth(legs)),
-            ("long run: recordings that cannot be read", "none", f"{unread} of {len(legs)}")]
+    return [
+        (
+            f"long run: {hours:.2f} h, {sum(leg['grips'] for leg in legs)} grips of an egg, cycles "
+            "missed",
+            "< 0.5 %",
+            f"{100 * missed / max(cycles, 1):.2f} % of {cycles}",
+        ),
+        (
+            "long run: safe state after a fault at any moment",
+            "every time, 200 ms",
+            f"{sum(leg['safe'] for leg in legs)} of {len(legs) - len(unasked)}, "
+            f"{sum(t > late for t in times)} later than "
+            f"{1e3 * late:.0f} ms, worst {1e3 * max(times, default=math.nan):.0f} ms",
+        ),
+        (
+            "long run: ended without a fault",
+            "never",
+            f"{len(unasked)} of {len(legs)} legs"
+            + "".join(f"; {leg['outcome'][:80]}" for leg in unasked[:1]),
+        ),
+        ("long run: memory", "flat", growth(legs)),
+        ("long run: recordings that cannot be read", "none", f"{unread} of {len(legs)}"),
+    ]
 
 
 def growth(legs: list[dict[str, Any]]) -> str:
-    """What the process that ran most of the legs held after its second one, half of them, and the last."""
+    """What the process that ran most of the legs held after its second one, half of them, and the
+    last."""
     by_process: dict[int, list[float]] = {}
     for leg in legs:
         by_process.setdefault(leg["process"], []).append(leg["memory_MB"])

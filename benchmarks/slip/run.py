@@ -1,6 +1,8 @@
-"""`mjtactile bench slip`: random slips and holds between two sensors, from pixels: how many are said, how soon, how many wrong.
+"""`mjtactile bench slip`: random slips and holds between two sensors, from pixels: how many are
+said, how soon, how many wrong.
 
-Seeds below FIRST_SEED were used in tuning and are not among them. What a slip is, and what in time, says `score`.
+Seeds below FIRST_SEED were used in tuning and are not among them. What a slip is, and what in time,
+says `score`.
 """
 
 from __future__ import annotations
@@ -22,7 +24,9 @@ from mjtactile.core.errors import SimulationError
 from mjtactile.run.figures import new_figure
 from mjtactile.sensing.chain import Chain, ChainState
 
-FIRST_SEED, CASES, CASES_QUICK = 2000, 200, 4
+FIRST_SEED = 2000
+CASES = 200
+CASES_QUICK = 4
 SENSOR = "dense"
 _FINGERS = ("left", "right")
 _SEEN = 2.5  # images in which the first 0.5 mm pass, for a slip that the camera can follow
@@ -38,7 +42,10 @@ def run(out: Path, *, quick: bool = False, say: Say = lambda _: None) -> dict[st
     with ProcessPoolExecutor(max_workers=1 if quick else os.cpu_count()) as pool:
         for found in pool.map(case_rows, seeds):
             rows += found
-            say(f"{found[0]['seed']} {found[0]['case']}: " + ", ".join(row["outcome"] for row in found))
+            say(
+                f"{found[0]['seed']} {found[0]['case']}: "
+                + ", ".join(row["outcome"] for row in found)
+            )
     result = summary(rows)
     draw(rows, Path(out) / "slip.png")
     return result
@@ -50,7 +57,15 @@ def case_rows(seed: int) -> list[Row]:
     try:
         return rows_of(case, watch(design, chain, rest, case))
     except SimulationError as error:
-        return [{"seed": seed, "case": case.name, "body": case.body, "outcome": "not simulated", "error": str(error)}]
+        return [
+            {
+                "seed": seed,
+                "case": case.name,
+                "body": case.body,
+                "outcome": "not simulated",
+                "error": str(error),
+            }
+        ]
 
 
 def rows_of(case: SlipCase, watched: Watched) -> list[Row]:
@@ -58,10 +73,27 @@ def rows_of(case: SlipCase, watched: Watched) -> list[Row]:
     rows = []
     for name, friction, looks in zip(_FINGERS, case.friction, watched.fingers, strict=True):
         said = (look.touch.slip.state if look.touch.slip else "unknown" for look in looks)
-        found = outcome([Frame(k.time, state, k.used, k.slid, k.onset) for k, state in zip(looks, said, strict=True)])
-        rows.append({"seed": case.seed, "case": case.name, "body": case.body, "finger": name, "friction": friction,
-                     "force_N": looks[0].force, "outcome": found.name, "latency_ms": 1e3 * found.latency,
-                     "slid_mm": 1e3 * found.slid, "speed_mm_s": 1e3 * found.speed, "flags": sorted(watched.flags)})
+        found = outcome(
+            [
+                Frame(k.time, state, k.used, k.slid, k.onset)
+                for k, state in zip(looks, said, strict=True)
+            ]
+        )
+        rows.append(
+            {
+                "seed": case.seed,
+                "case": case.name,
+                "body": case.body,
+                "finger": name,
+                "friction": friction,
+                "force_N": looks[0].force,
+                "outcome": found.name,
+                "latency_ms": 1e3 * found.latency,
+                "slid_mm": 1e3 * found.slid,
+                "speed_mm_s": 1e3 * found.speed,
+                "flags": sorted(watched.flags),
+            }
+        )
     return rows
 
 
@@ -78,7 +110,9 @@ def summary(rows: Sequence[Row]) -> dict[str, Any]:
     judged = [row for row in rows if row["outcome"] in OUTCOMES]
     slow = 0.5 * load_sensor(SENSOR).camera.rate / _SEEN  # mm/s
     groups = {"all slips": [row for row in judged if row["outcome"] in SLIPS]}
-    groups[f"up to {slow:.0f} mm/s"] = [row for row in groups["all slips"] if row["speed_mm_s"] <= slow]
+    groups[f"up to {slow:.0f} mm/s"] = [
+        row for row in groups["all slips"] if row["speed_mm_s"] <= slow
+    ]
     groups["faster"] = [row for row in groups["all slips"] if row["speed_mm_s"] > slow]
     for key in ("case", "body"):
         for value in sorted({row[key] for row in groups["all slips"]}):
@@ -86,22 +120,35 @@ def summary(rows: Sequence[Row]) -> dict[str, Any]:
     holds = [row["outcome"] for row in judged if row["outcome"] in ("quiet", "false")]
     said = [row for row in groups["all slips"] if row["outcome"] not in ("missed", "early")]
     false = holds.count("false") + sum(row["outcome"] == "early" for row in groups["all slips"])
-    return {"rows": rows, "cases": len({row["seed"] for row in rows}),
-            "not_simulated": sum(row["outcome"] == "not simulated" for row in rows),
-            "between": sum(row["outcome"] == "between" for row in judged),
-            "groups": {name: _group(group) for name, group in groups.items()},
-            "holds": len(holds), "false": holds.count("false"), "false_interval": wilson(holds.count("false"), len(holds)),
-            "precision": len(said) / max(len(said) + false, 1), "precision_interval": wilson(len(said), len(said) + false),
-            **{key: _quantiles([row[key] for row in said]) for key in ("latency_ms", "slid_mm")}}
+    return {
+        "rows": rows,
+        "cases": len({row["seed"] for row in rows}),
+        "not_simulated": sum(row["outcome"] == "not simulated" for row in rows),
+        "between": sum(row["outcome"] == "between" for row in judged),
+        "groups": {name: _group(group) for name, group in groups.items()},
+        "holds": len(holds),
+        "false": holds.count("false"),
+        "false_interval": wilson(holds.count("false"), len(holds)),
+        "precision": len(said) / max(len(said) + false, 1),
+        "precision_interval": wilson(len(said), len(said) + false),
+        **{key: _quantiles([row[key] for row in said]) for key in ("latency_ms", "slid_mm")},
+    }
 
 
 def _group(rows: Sequence[Row]) -> dict[str, Any]:
     """How many slips; how many said in time, before 0.5 mm, within 100 ms, at all."""
     names = [row["outcome"] for row in rows]
-    counts = {"in_time": names.count("in time"), "before": names.count("in time") + names.count("before 0.5 mm"),
-              "soon": names.count("in time") + names.count("within 100 ms"),
-              "said": len(names) - names.count("missed") - names.count("early")}
-    return {"slips": len(names), **counts, "in_time_interval": wilson(counts["in_time"], len(names))}
+    counts = {
+        "in_time": names.count("in time"),
+        "before": names.count("in time") + names.count("before 0.5 mm"),
+        "soon": names.count("in time") + names.count("within 100 ms"),
+        "said": len(names) - names.count("missed") - names.count("early"),
+    }
+    return {
+        "slips": len(names),
+        **counts,
+        "in_time_interval": wilson(counts["in_time"], len(names)),
+    }
 
 
 def _quantiles(values: Sequence[float]) -> list[float]:
@@ -110,6 +157,7 @@ def _quantiles(values: Sequence[float]) -> list[float]:
 
 def table(result: Mapping[str, Any]) -> str:
     """The result as Markdown, next to what was asked for."""
+
     def share(count: int, of: int) -> str:
         return f"{100 * count / of:.0f} % ({count} of {of})" if of else "none"
 
@@ -117,40 +165,76 @@ def table(result: Mapping[str, Any]) -> str:
         return f"{100 * bounds[0]:.0f}-{100 * bounds[1]:.0f} %"
 
     every = result["groups"]["all slips"]
-    lines = ["| what | asked | measured | 95 % interval |", "|---|---|---|---|",
-             f"| slips said before 0.5 mm and within 100 ms | 95 % | {share(every['in_time'], every['slips'])} "
-             f"| {interval(every['in_time_interval'])} |",
-             f"| holds in which a slip was said | 1 % | {share(result['false'], result['holds'])} "
-             f"| {interval(result['false_interval'])} |",
-             f"| precision: slips among what was said |  | {100 * result['precision']:.0f} % "
-             f"| {interval(result['precision_interval'])} |",
-             f"| latency, median (90 %), ms | 100 | {result['latency_ms'][0]:.0f} ({result['latency_ms'][1]:.0f}) |  |",
-             f"| slid by then, median (90 %), mm | 0.5 | {result['slid_mm'][0]:.2f} ({result['slid_mm'][1]:.2f}) |  |", "",
-             f"{result['cases']} cases, two fingers each; {result['between']} fingers neither slipped by 0.5 mm nor held with "
-             f"a margin; {result['not_simulated']} cases could not be simulated.", "",
-             "| slips | fingers | both | before 0.5 mm | within 100 ms | said at all |", "|---" * 6 + "|"]
+    lines = [
+        "| what | asked | measured | 95 % interval |",
+        "|---|---|---|---|",
+        "| slips said before 0.5 mm and within 100 ms | 95 % | "
+        f"{share(every['in_time'], every['slips'])} "
+        f"| {interval(every['in_time_interval'])} |",
+        f"| holds in which a slip was said | 1 % | {share(result['false'], result['holds'])} "
+        f"| {interval(result['false_interval'])} |",
+        f"| precision: slips among what was said |  | {100 * result['precision']:.0f} % "
+        f"| {interval(result['precision_interval'])} |",
+        f"| latency, median (90 %), ms | 100 | {result['latency_ms'][0]:.0f} "
+        f"({result['latency_ms'][1]:.0f}) |  |",
+        f"| slid by then, median (90 %), mm | 0.5 | {result['slid_mm'][0]:.2f} "
+        f"({result['slid_mm'][1]:.2f}) |  |",
+        "",
+        f"{result['cases']} cases, two fingers each; {result['between']} fingers "
+        "neither slipped by 0.5 mm nor held with "
+        f"a margin; {result['not_simulated']} cases could not be simulated.",
+        "",
+        "| slips | fingers | both | before 0.5 mm | within 100 ms | said at all |",
+        "|---" * 6 + "|",
+    ]
     for name, group in result["groups"].items():
-        counts = " | ".join(str(group[key]) for key in ("slips", "in_time", "before", "soon", "said"))
+        counts = " | ".join(
+            str(group[key]) for key in ("slips", "in_time", "before", "soon", "said")
+        )
         lines.append(f"| {name} | {counts} |")
     return "\n".join(lines) + "\n"
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:
-    """Latency of each slip that was said, over its speed, and what became of all by kind of case."""
+    """Latency of each slip that was said, over its speed, and what became of all by kind of
+    case."""
     if (figure := new_figure(path.name, (9.6, 4.2))) is None:
         return
     left, right = figure.subplots(1, 2)
     slips = [row for row in rows if row["outcome"] in SLIPS]
-    for name, color in (("in time", "#1f5fa8"), ("before 0.5 mm", "#5fa05f"), ("within 100 ms", "#d08020"), ("late", "#c0221c")):
+    for name, color in (
+        ("in time", "#1f5fa8"),
+        ("before 0.5 mm", "#5fa05f"),
+        ("within 100 ms", "#d08020"),
+        ("late", "#c0221c"),
+    ):
         mine = [row for row in slips if row["outcome"] == name]
-        left.plot([row["speed_mm_s"] for row in mine], [row["latency_ms"] for row in mine], "o", ms=4, color=color, label=name)
+        left.plot(
+            [row["speed_mm_s"] for row in mine],
+            [row["latency_ms"] for row in mine],
+            "o",
+            ms=4,
+            color=color,
+            label=name,
+        )
     left.axhline(100, color="black", linewidth=0.6)
-    left.set(xscale="log", xlabel="speed over the first 0.5 mm [mm/s]", ylabel="said after the slip began [ms]")
+    left.set(
+        xscale="log",
+        xlabel="speed over the first 0.5 mm [mm/s]",
+        ylabel="said after the slip began [ms]",
+    )
     left.legend()
     names = sorted({row["case"] for row in slips})
     before = np.zeros(len(names))
-    for outcome_name, color in zip(SLIPS, ("#1f5fa8", "#5fa05f", "#d08020", "#c0221c", "#888888", "#000000"), strict=True):
-        count = np.array([sum(r["case"] == name and r["outcome"] == outcome_name for r in slips) for name in names])
+    for outcome_name, color in zip(
+        SLIPS, ("#1f5fa8", "#5fa05f", "#d08020", "#c0221c", "#888888", "#000000"), strict=True
+    ):
+        count = np.array(
+            [
+                sum(r["case"] == name and r["outcome"] == outcome_name for r in slips)
+                for name in names
+            ]
+        )
         right.barh(names, count, left=before, color=color, label=outcome_name)
         before += count
     right.set_xlabel("fingers that slipped")

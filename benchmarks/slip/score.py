@@ -1,10 +1,12 @@
 """What was said of a finger's case, against what really slid.
 
-A *slip* is a finger over which the body slides by 0.5 mm in all while everything in the contact slides (95 % of the friction that
-there can be resists the motion; it ends where less than 85 % does). It begins, at `onset`, when that is first so, and is said in
-time when the first "slipping" comes before 0.5 mm and within 100 ms of it, by the times of the images. What comes more than
-100 ms before it, while a fifth of the friction is left, is early. A *hold* never slides and never uses more than 85 % of the
-friction; "slipping" is false there. What lies between (creeping at the limit, slides of less than 0.5 mm) is counted, not judged.
+A *slip* is a finger over which the body slides by 0.5 mm in all while everything in the contact
+slides (95 % of the friction that there can be resists the motion; it ends where less than 85 %
+does). It begins, at `onset`, when that is first so, and is said in time when the first "slipping"
+comes before 0.5 mm and within 100 ms of it, by the times of the images. What comes more than 100 ms
+before it, while a fifth of the friction is left, is early. A *hold* never slides and never uses
+more than 85 % of the friction; "slipping" is false there. What lies between (creeping at the limit,
+slides of less than 0.5 mm) is counted, not judged.
 """
 
 from __future__ import annotations
@@ -14,8 +16,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-SLIP, IN_TIME, LEFT, NEAR, STILL = 0.5e-3, 0.1, 0.8, 0.85, 5e-5  # m, s, shares of friction, m
-OUTCOMES = ("in time", "before 0.5 mm", "within 100 ms", "late", "missed", "early", "quiet", "false", "between")
+# m, s, shares of friction, m
+SLIP = 0.5e-3
+IN_TIME = 0.1
+LEFT = 0.8
+NEAR = 0.85
+STILL = 5e-5
+OUTCOMES = (
+    "in time",
+    "before 0.5 mm",
+    "within 100 ms",
+    "late",
+    "missed",
+    "early",
+    "quiet",
+    "false",
+    "between",
+)
 SLIPS = OUTCOMES[:6]
 _ROUNDING = 1e-6  # s
 _Z = 1.96
@@ -23,8 +40,8 @@ _Z = 1.96
 
 @dataclass(frozen=True)
 class Frame:
-    """One image of one finger: what was `said` of it, and by truth the share of friction `used`, the way `slid`, m, and its
-    `onset`, s (NaN: not yet)."""
+    """One image of one finger: what was `said` of it, and by truth the share of friction `used`,
+    the way `slid`, m, and its `onset`, s (NaN: not yet)."""
 
     time: float
     said: str
@@ -35,8 +52,8 @@ class Frame:
 
 @dataclass(frozen=True)
 class Outcome:
-    """`name` of OUTCOMES; of slips that were said, the `latency` s (negative: before it) and the way `slid` m by then; the
-    `speed` m/s of the first 0.5 mm."""
+    """`name` of OUTCOMES; of slips that were said, the `latency` s (negative: before it) and the
+    way `slid` m by then; the `speed` m/s of the first 0.5 mm."""
 
     name: str
     latency: float = float("nan")
@@ -59,8 +76,14 @@ def outcome(frames: Sequence[Frame]) -> Outcome:
     latency = said.time - last.onset
     if latency < -IN_TIME and said.used < LEFT:
         return Outcome("early", latency, said.slid, speed)
-    way, soon = said.slid < SLIP, latency <= IN_TIME + _ROUNDING
-    name = {(True, True): "in time", (True, False): "before 0.5 mm", (False, True): "within 100 ms", (False, False): "late"}
+    way = said.slid < SLIP
+    soon = latency <= IN_TIME + _ROUNDING
+    name = {
+        (True, True): "in time",
+        (True, False): "before 0.5 mm",
+        (False, True): "within 100 ms",
+        (False, False): "late",
+    }
     return Outcome(name[way, soon], latency, said.slid, speed)
 
 
@@ -68,6 +91,8 @@ def wilson(count: int, of: int) -> tuple[float, float]:
     """95 % interval of a share (Wilson 1927)."""
     if not of:
         return 0.0, 1.0
-    p, z2 = count / of, _Z**2
-    middle, half = p + z2 / (2 * of), _Z * float(np.sqrt(p * (1 - p) / of + z2 / (4 * of**2)))
+    p = count / of
+    z2 = _Z**2
+    middle = p + z2 / (2 * of)
+    half = _Z * float(np.sqrt(p * (1 - p) / of + z2 / (4 * of**2)))
     return max((middle - half) / (1 + z2 / of), 0.0), min((middle + half) / (1 + z2 / of), 1.0)

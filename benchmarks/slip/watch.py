@@ -16,14 +16,20 @@ from mjtactile.sim.attach import DEFAULT_MESH
 from mjtactile.sim.picture.renderer import Renderer
 from mjtactile.sim.sensor.limits import Flags
 
-_IMAGES, _SECONDS, _ENOUGH = 10, 1.5, 2e-3  # a reference is the mean of so many; s of load; m slid that end a case
-_GROSS, _STILL = 0.95, 0.85  # shares of the limit of friction: above, everything slides; below, something sticks again
+# a reference is the mean of so many; s of load; m slid that end a case
+_IMAGES = 10
+_SECONDS = 1.5
+_ENOUGH = 2e-3
+# shares of the limit of friction: above, everything slides; below, something sticks again
+_GROSS = 0.95
+_STILL = 0.85
 
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """One image of one finger: its `touch`, and by truth the `force` N, the share `used` of friction's limit and the way `slid`,
-    m, since everything began to slide (0 before), at `onset` s (NaN: not yet)."""
+    """One image of one finger: its `touch`, and by truth the `force` N, the share `used` of
+    friction's limit and the way `slid`, m, since everything began to slide (0 before), at `onset` s
+    (NaN: not yet)."""
 
     time: float
     touch: Touch
@@ -35,7 +41,8 @@ class Look:
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """The looks of the left and the right finger, from the beginning of the load on, and the simulation's `flags`."""
+    """The looks of the left and the right finger, from the beginning of the load on, and the
+    simulation's `flags`."""
 
     fingers: tuple[list[Look], list[Look]]
     flags: Flags
@@ -45,7 +52,9 @@ class _Slider:
     """How far a membrane has slid over the body since it began to slide as a whole."""
 
     def __init__(self) -> None:
-        self.slid, self.onset, self.sliding = 0.0, np.nan, False
+        self.slid = 0.0
+        self.onset = np.nan
+        self.sliding = False
 
     def update(self, time: float, step: float, used: float, speed: float) -> None:
         if not self.sliding and used >= _GROSS:
@@ -57,22 +66,37 @@ class _Slider:
         self.slid += step * speed if self.sliding else 0.0
 
 
-def references(design: SensorDesign, chain: Chain, case: SlipCase, mesh: tuple[int, int] = DEFAULT_MESH) -> ChainState:
+def references(
+    design: SensorDesign, chain: Chain, case: SlipCase, mesh: tuple[int, int] = DEFAULT_MESH
+) -> ChainState:
     """The sensor's own references, from images of it flat and inflated."""
-    world, renderer, state = SlipWorld(design, case, mesh=mesh), Renderer(design, seed=case.seed), chain.begin()
+    world = SlipWorld(design, case, mesh=mesh)
+    renderer = Renderer(design, seed=case.seed)
+    state = chain.begin()
     world.inflate(0.0)
-    state = chain.take_flat(state, [renderer.render(*world.marker_poses(0), world.time) for _ in range(_IMAGES)])
+    state = chain.take_flat(
+        state, [renderer.render(*world.marker_poses(0), world.time) for _ in range(_IMAGES)]
+    )
     supply = design.chamber.supply_gauge
     world.inflate(supply)
-    return chain.take_rest(state, [renderer.render(*world.marker_poses(0), world.time) for _ in range(_IMAGES)], supply)
+    return chain.take_rest(
+        state, [renderer.render(*world.marker_poses(0), world.time) for _ in range(_IMAGES)], supply
+    )
 
 
-def watch(design: SensorDesign, chain: Chain, rest: ChainState, case: SlipCase, mesh: tuple[int, int] = DEFAULT_MESH) -> Watched:
+def watch(
+    design: SensorDesign,
+    chain: Chain,
+    rest: ChainState,
+    case: SlipCase,
+    mesh: tuple[int, int] = DEFAULT_MESH,
+) -> Watched:
     """Grip and load the case's body. Raises SimulationError where that cannot be simulated."""
     world = SlipWorld(design, case, mesh=mesh)
     world.inflate(design.chamber.supply_gauge)
     renderers = [Renderer(design, seed=2 * case.seed + k) for k in range(2)]
-    states, sliders = [rest, rest], (_Slider(), _Slider())
+    states = [rest, rest]
+    sliders = (_Slider(), _Slider())
     fingers: tuple[list[Look], list[Look]] = ([], [])
     period = round(1 / (design.camera.rate * world.timestep))
 
@@ -84,7 +108,9 @@ def watch(design: SensorDesign, chain: Chain, rest: ChainState, case: SlipCase, 
             touch, states[k] = chain.step(states[k], image, world.time)
             if keep:
                 used, _ = truth.sliding(world, k)
-                fingers[k].append(Look(world.time, touch, world.press(k), used, slider.slid, slider.onset))
+                fingers[k].append(
+                    Look(world.time, touch, world.press(k), used, slider.slid, slider.onset)
+                )
 
     for _ in world.grip():
         see(keep=False)

@@ -1,4 +1,5 @@
-"""This checkout against another one in turns: the loop at 30 and 60 Hz by phase, stages, start-up, the whole command."""
+"""This checkout against another one in turns: the loop at 30 and 60 Hz by phase, stages, start-up,
+the whole command."""
 
 from __future__ import annotations
 
@@ -25,20 +26,34 @@ Say = Callable[[str], None]
 
 
 def compare(other: Path, *, quick: bool, say: Say) -> dict[str, Any]:
-    """Both, `ROUNDS` times in turns; of each number the median. Raises InputError where `other` is no checkout that runs."""
+    """Both, `ROUNDS` times in turns; of each number the median. Raises InputError where `other` is
+    no checkout that runs."""
     if not (other / "mjtactile" / "__init__.py").exists():
         raise InputError("no checkout of mjtactile", source=other, field="--against")
     rounds: list[dict[str, Any]] = []
     for k in range(1 if quick else ROUNDS):
-        rounds.append({name: _measure(home, quick) for name, home in (("before", other.resolve()), ("now", _HOME))})
-        say(f"round {k + 1}: {rounds[-1]['now']['loop'][0]['factors']['all']:.2f} x real time at 30 Hz, before "
-            f"{rounds[-1]['before']['loop'][0]['factors']['all']:.2f}; load {os.getloadavg()[0]:.1f}")
+        rounds.append(
+            {
+                name: _measure(home, quick)
+                for name, home in (("before", other.resolve()), ("now", _HOME))
+            }
+        )
+        say(
+            f"round {k + 1}: {rounds[-1]['now']['loop'][0]['factors']['all']:.2f} x real time "
+            "at 30 Hz, before "
+            f"{rounds[-1]['before']['loop'][0]['factors']['all']:.2f}; load "
+            f"{os.getloadavg()[0]:.1f}"
+        )
     return {"rounds": rounds, "processor": _processor(), "load_average": os.getloadavg()[0]}
 
 
 def _measure(home: Path, quick: bool) -> dict[str, Any]:
     rates = RATES[:1] if quick else RATES
-    return {"core": _probe(home, RATES[0], "core"), "loop": [_probe(home, rate, "wall") for rate in rates], **_command(home)}
+    return {
+        "core": _probe(home, RATES[0], "core"),
+        "loop": [_probe(home, rate, "wall") for rate in rates],
+        **_command(home),
+    }
 
 
 def _environment(home: Path) -> dict[str, str]:
@@ -48,20 +63,34 @@ def _environment(home: Path) -> dict[str, str]:
 def _probe(home: Path, rate: float, kind: str) -> dict[str, Any]:
     command = [sys.executable, str(Path(probe.__file__).resolve()), str(rate), kind]
     with tempfile.TemporaryDirectory() as folder:  # nothing of this folder on Python's path
-        done = subprocess.run(command, capture_output=True, text=True, check=False, env=_environment(home), cwd=folder)
+        done = subprocess.run(
+            command, capture_output=True, text=True, check=False, env=_environment(home), cwd=folder
+        )
     if done.returncode:
-        raise InputError(f"does not run: {done.stderr.strip().splitlines()[-1]}", source=home, field="--against")
+        raise InputError(
+            f"does not run: {done.stderr.strip().splitlines()[-1]}", source=home, field="--against"
+        )
     return json.loads(done.stdout)
 
 
 def _command(home: Path) -> dict[str, float]:
-    """Wall time, s, of `mjtactile --help` and of a whole `mjtactile grasp`, with recording, scoring and figure."""
+    """Wall time, s, of `mjtactile --help` and of a whole `mjtactile grasp`, with recording, scoring
+    and figure."""
     seconds = {}
     with tempfile.TemporaryDirectory() as folder:
-        for name, words in (("help_s", ["--help"]), ("grasp_s", ["grasp", "--object", probe.OBJECT, "--out", "out"])):
+        for name, words in (
+            ("help_s", ["--help"]),
+            ("grasp_s", ["grasp", "--object", probe.OBJECT, "--out", "out"]),
+        ):
             start = time.perf_counter()
-            subprocess.run([sys.executable, "-m", "mjtactile", *words], env=_environment(home), cwd=folder, check=True,
-                           stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            subprocess.run(
+                [sys.executable, "-m", "mjtactile", *words],
+                env=_environment(home),
+                cwd=folder,
+                check=True,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
             seconds[name] = time.perf_counter() - start
     return seconds
 
@@ -71,19 +100,30 @@ def _processor() -> str:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
         lines = []
-    name = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.processor())
+    name = next(
+        (line.partition(":")[2].strip() for line in lines if line.startswith("model name")),
+        platform.processor(),
+    )
     return f"{name}, {len(os.sched_getaffinity(0))} processors"
 
 
 def table(result: Mapping[str, Any]) -> str:
     """Markdown."""
     rounds = result["rounds"]
-    lines = [f"Before and now in turns, median of {len(rounds)}; {result['processor']}, load average "
-             f"{result['load_average']:.1f}. Core time at 30 Hz, in one thread:", "",
-             "| | before | now | ratio |", "|---|---|---|---|"]
+    lines = [
+        f"Before and now in turns, median of {len(rounds)}; "
+        f"{result['processor']}, load average "
+        f"{result['load_average']:.1f}. Core time at 30 Hz, in one thread:",
+        "",
+        "| | before | now | ratio |",
+        "|---|---|---|---|",
+    ]
 
     def add(name: str, *keys: str | int, unit: str = "s") -> None:
-        before, now = (sorted(_at(one[which], keys) for one in rounds)[len(rounds) // 2] for which in ("before", "now"))
+        before, now = (
+            sorted(_at(one[which], keys) for one in rounds)[len(rounds) // 2]
+            for which in ("before", "now")
+        )
         ratio = now / before if unit.startswith("x") else before / now
         lines.append(f"| {name}, {unit} | {before:.3g} | {now:.3g} | {ratio:.2f} |")
 

@@ -1,7 +1,9 @@
-"""Numbers too small for a processor's quick path, in what a sensor's chain and camera keep from image to image.
+"""Numbers too small for a processor's quick path, in what a sensor's chain and camera keep from
+image to image.
 
-A product of matrices with many of them takes up to twenty times as long on some processors (on others it does not, so that
-no time shows them); there were some in the renderer's tables and in the prior.
+A product of matrices with many of them takes up to twenty times as long on some processors (on
+others it does not, so that no time shows them); there were some in the renderer's tables and in the
+prior.
 """
 
 from __future__ import annotations
@@ -13,9 +15,11 @@ import numpy as np
 
 
 def count(*roots: Any) -> int:
-    """Denormal numbers other than zero in all arrays of floats that `roots` refer to, themselves or by way of others of this
-    package's objects."""
-    found, seen, waiting = 0, set(), list(roots)
+    """Denormal numbers other than zero in all arrays of floats that `roots` refer to, themselves or
+    by way of others of this package's objects."""
+    found = 0
+    seen = set()
+    waiting = list(roots)
     while waiting:
         thing = waiting.pop()
         if id(thing) in seen:
@@ -23,7 +27,9 @@ def count(*roots: Any) -> int:
         seen.add(id(thing))
         if isinstance(thing, np.ndarray):
             found += _denormal(thing)
-        elif isinstance(thing, (list, tuple, dict)) or type(thing).__module__.startswith("mjtactile."):
+        elif isinstance(thing, (list, tuple, dict)) or type(thing).__module__.startswith(
+            "mjtactile."
+        ):
             waiting += gc.get_referents(thing)
     return found
 

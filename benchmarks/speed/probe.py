@@ -1,9 +1,11 @@
-"""One grasp of an egg, timed: a script, run under any checkout of mjtactile, that prints a line of JSON.
+"""One grasp of an egg, timed: a script, run under any checkout of mjtactile, that prints a line of
+JSON.
 
-`PYTHONPATH=CHECKOUT python probe.py RATE core|wall`: with "core", core time of an image, a drawing and a step by phase, all in
-one thread (in the loop, world and perception have processes of their own and do not wait for each other's interpreter), and of
-the first two alone, again and again with the last image of the hold; with "wall", how the loop as it is keeps up with the clock.
-It uses only names that old checkouts have, too.
+`PYTHONPATH=CHECKOUT python probe.py RATE core|wall`: with "core", core time of an image, a drawing
+and a step by phase, all in one thread (in the loop, world and perception have processes of their
+own and do not wait for each other's interpreter), and of the first two alone, again and again with
+the last image of the hold; with "wall", how the loop as it is keeps up with the clock. It uses only
+names that old checkouts have, too.
 """
 
 from __future__ import annotations
@@ -16,7 +18,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
-SEED, OBJECT = 0, "egg"
+SEED = 0
+OBJECT = "egg"
 ALONE = "alone, held"
 TOUCHING = ("regulate", "lift", "hold", "lower")  # phases from the first touch to the release
 
@@ -36,7 +39,8 @@ def main(rate: float, kind: str) -> dict[str, Any]:
     design = replace(design, camera=replace(design.camera, rate=rate))
     phase = ["references"]
     spent: dict[tuple[str, str], list[float]] = defaultdict(list)
-    last: dict[str, tuple[Any, ...]] = {}  # of each kind of call: what was called in the hold, with what
+    # of each kind of call: what was called in the hold, with what
+    last: dict[str, tuple[Any, ...]] = {}
 
     def timed(owner: Any, name: str, what: str) -> None:
         inner = getattr(owner, name)
@@ -64,7 +68,9 @@ def main(rate: float, kind: str) -> dict[str, Any]:
         phase[0] = cycle.sent.phase
         moments.append((cycle.sent.phase, cycle.time, time.perf_counter()))
 
-    with open_session("sim", design, object_name=OBJECT, seed=SEED, workers=0 if kind == "core" else None) as session:
+    with open_session(
+        "sim", design, object_name=OBJECT, seed=SEED, workers=0 if kind == "core" else None
+    ) as session:
         start = time.perf_counter()
         session.take_references()
         referenced = time.perf_counter() - start
@@ -73,10 +79,21 @@ def main(rate: float, kind: str) -> dict[str, Any]:
         core = time.process_time() - core
         for what in last.keys() - {"a step"}:  # the world has moved on
             spent[what, ALONE] = _alone(*last[what])
-    rows = {what: {name: 1e3 * sorted(values)[len(values) // 2] for (kind_, name), values in spent.items() if kind_ == what}
-            for what in {what for what, _ in spent}}
-    return {"core_ms": rows, "factors": _factors(moments), "import_s": imported, "references_s": referenced,
-            "core_s_per_s": core / (moments[-1][1] - moments[0][1])}
+    rows = {
+        what: {
+            name: 1e3 * sorted(values)[len(values) // 2]
+            for (kind_, name), values in spent.items()
+            if kind_ == what
+        }
+        for what in {what for what, _ in spent}
+    }
+    return {
+        "core_ms": rows,
+        "factors": _factors(moments),
+        "import_s": imported,
+        "references_s": referenced,
+        "core_s_per_s": core / (moments[-1][1] - moments[0][1]),
+    }
 
 
 class _AtOnce(ThreadPoolExecutor):

@@ -1,7 +1,9 @@
-"""`mjtactile bench speed`: how fast two membranes hold an object, with and without cameras, and against rigid pads.
+"""`mjtactile bench speed`: how fast two membranes hold an object, with and without cameras, and
+against rigid pads.
 
-Physics in core time, ratios of one run: a shared machine gives no better number. The loop with cameras and perception in
-wall time, since that is what keeping up with the clock means, with the machine's load beside it.
+Physics in core time, ratios of one run: a shared machine gives no better number. The loop with
+cameras and perception in wall time, since that is what keeping up with the clock means, with the
+machine's load beside it.
 """
 
 from __future__ import annotations
@@ -34,14 +36,31 @@ SEED = 0  # of the grasp
 def run(out: Path, quick: bool = False, against: Path | None = None) -> dict[str, Any]:
     """All parts; draws speed.png into `out`. `against`: another checkout to compare with."""
     say = Progress().message
-    compared = {} if against is None else {"compared": compare.compare(against, quick=quick, say=say)}
-    physics = [_physics(Setting(mesh, timestep), say) for mesh in ((11, 9), (13, 11)) for timestep in TIMESTEPS]
+    compared = (
+        {} if against is None else {"compared": compare.compare(against, quick=quick, say=say)}
+    )
+    physics = [
+        _physics(Setting(mesh, timestep), say)
+        for mesh in ((11, 9), (13, 11))
+        for timestep in TIMESTEPS
+    ]
     growth = _growth(MESHES[:4] if quick else MESHES, say)
     scenes = [_rigid(name, say) for name in ("rigid pads", "rigid pads, touch_grid")]
     many = sensors.measure(sensors.COUNTS[:2] if quick else sensors.COUNTS, say)
-    kinds = [("", 0), ("", 2)] if quick else [(accuracy, n) for accuracy in ("", "realtime") for n in (0, 1, 2)]
+    kinds = (
+        [("", 0), ("", 2)]
+        if quick
+        else [(accuracy, n) for accuracy in ("", "realtime") for n in (0, 1, 2)]
+    )
     loops = [_loop(accuracy, n, say) for accuracy, n in kinds]
-    result = {"physics": physics, "growth": growth, "rigid": scenes, "many": many, "loops": loops, **compared}
+    result = {
+        "physics": physics,
+        "growth": growth,
+        "rigid": scenes,
+        "many": many,
+        "loops": loops,
+        **compared,
+    }
     _plot(result, out)
     return result
 
@@ -50,15 +69,25 @@ def _physics(setting: Setting, say: Callable[[str], None]) -> dict[str, Any]:
     row = setting.summary() | attempt(lambda: cost_and_noise(setting))
     if "failed" not in row:
         row["real_time_factor"] = 1000 / row["ms_per_s"]
-        say(f"{setting.mesh} at {1e3 * setting.timestep:.2f} ms: {row['real_time_factor']:.2f} x real time")
+        say(
+            f"{setting.mesh} at {1e3 * setting.timestep:.2f} ms: {row['real_time_factor']:.2f} "
+            "x real time"
+        )
     return row
 
 
 def _growth(meshes: tuple[tuple[int, int], ...], say: Callable[[str], None]) -> dict[str, Any]:
     """Core time of a step against the number of vertices; the slope in log-log axes."""
-    rows = [_physics(Setting(mesh, 1 / 150), say) | {"vertices": 2 * mesh[0] * mesh[1]} for mesh in meshes]
+    rows = [
+        _physics(Setting(mesh, 1 / 150), say) | {"vertices": 2 * mesh[0] * mesh[1]}
+        for mesh in meshes
+    ]
     good = [row for row in rows if "failed" not in row]
-    slope = float(np.polyfit(np.log([r["vertices"] for r in good]), np.log([r["ms_per_step"] for r in good]), 1)[0])
+    slope = float(
+        np.polyfit(
+            np.log([r["vertices"] for r in good]), np.log([r["ms_per_step"] for r in good]), 1
+        )[0]
+    )
     say(f"cost grows with vertices ^ {slope:.2f}")
     return {"rows": rows, "exponent": slope}
 
@@ -67,13 +96,20 @@ def _rigid(name: str, say: Callable[[str], None]) -> dict[str, Any]:
     world = rigid.hold(load_sensor("dense"), "egg", 1 / 240, HOLD_FORCE, touch_grid="grid" in name)
     ms = core_ms(world.step, 500)
     say(f"{name}: {1e3 * ms:.0f} us a step")
-    return {"scene": name, "ms_per_step": ms, "ms_per_s": ms * 240, "real_time_factor": 1000 / (ms * 240)}
+    return {
+        "scene": name,
+        "ms_per_step": ms,
+        "ms_per_s": ms * 240,
+        "real_time_factor": 1000 / (ms * 240),
+    }
 
 
 def _loop(accuracy: str, workers: int, say: Callable[[str], None]) -> dict[str, Any]:
-    """A whole grasp at CAMERA_RATE, as `mjtactile grasp` runs it but without scoring and recording: wall and core time.
+    """A whole grasp at CAMERA_RATE, as `mjtactile grasp` runs it but without scoring and recording:
+    wall and core time.
 
-    "held" counts from lifting to setting down: two sensors with sealed gas, friction, the object in the air.
+    "held" counts from lifting to setting down: two sensors with sealed gas, friction, the object in
+    the air.
     """
     design = load_sensor("dense")
     design = replace(design, camera=replace(design.camera, rate=CAMERA_RATE))
@@ -81,46 +117,95 @@ def _loop(accuracy: str, workers: int, say: Callable[[str], None]) -> dict[str, 
     with open_session("sim", design, seed=SEED, accuracy=accuracy, workers=workers) as session:
         clock = session.rig.clock
         session.take_references()
-        start, core = (clock.now(), time.perf_counter()), core_time()
-        session.run(load_controller("gentle"), time_limit=60.0, on_cycle=lambda cycle: moments.append(
-            (cycle.sent.phase in ("lift", "hold", "lower"), cycle.time, time.perf_counter())))
-        simulated, wall = clock.now() - start[0], time.perf_counter() - start[1]
+        start = (clock.now(), time.perf_counter())
+        core = core_time()
+        session.run(
+            load_controller("gentle"),
+            time_limit=60.0,
+            on_cycle=lambda cycle: moments.append(
+                (cycle.sent.phase in ("lift", "hold", "lower"), cycle.time, time.perf_counter())
+            ),
+        )
+        simulated = clock.now() - start[0]
+        wall = time.perf_counter() - start[1]
         core = core_time() - core
         slow = denormals.count(*session.perceptions, *session.rig.cameras)
     _, first, begin = next(moment for moment in moments if moment[0])
     _, last, end = next(moment for moment in reversed(moments) if moment[0])
-    row = {"accuracy": accuracy or "default", "workers": workers, "camera_rate_Hz": CAMERA_RATE,
-           "real_time_factor": simulated / wall,
-           "real_time_factor_held": (last - first) / (end - begin), "core_ms_per_s": 1e3 * core / simulated,
-           "load_average": os.getloadavg()[0], "denormals": slow}
-    say(f"grasp at {CAMERA_RATE:g} Hz, accuracy {row['accuracy']}, {workers} processes: {row['real_time_factor']:.2f} x real "
-        f"time, {row['real_time_factor_held']:.2f} while held; load {row['load_average']:.1f}")
+    row = {
+        "accuracy": accuracy or "default",
+        "workers": workers,
+        "camera_rate_Hz": CAMERA_RATE,
+        "real_time_factor": simulated / wall,
+        "real_time_factor_held": (last - first) / (end - begin),
+        "core_ms_per_s": 1e3 * core / simulated,
+        "load_average": os.getloadavg()[0],
+        "denormals": slow,
+    }
+    say(
+        f"grasp at {CAMERA_RATE:g} Hz, accuracy {row['accuracy']}, {workers} processes: "
+        f"{row['real_time_factor']:.2f} x real "
+        f"time, {row['real_time_factor_held']:.2f} while held; load {row['load_average']:.1f}"
+    )
     return row
 
 
 def table(result: dict[str, Any]) -> str:
     """Markdown."""
     reference = result["rigid"][0]["ms_per_s"]
-    lines = ["Two sensors with sealed gas and friction hold an egg. Core time; compare the rows of one run.", "",
-             "| scene | step ms | ms per simulated s | x real time | against rigid pads |", "|---|---|---|---|---|"]
+    lines = [
+        "Two sensors with sealed gas and friction hold an egg. Core time; compare the rows of "
+        "one run.",
+        "",
+        "| scene | step ms | ms per simulated s | x real time | against rigid pads |",
+        "|---|---|---|---|---|",
+    ]
     for row in result["physics"]:
         name = f"membranes {row['mesh'][0]}x{row['mesh'][1]}"
-        lines.append(f"| {name} at {row['timestep_ms']:.2f} ms | failed: {row['failed']} | | | |" if "failed" in row else
-                     f"| {name} at {row['timestep_ms']:.2f} ms | {row['ms_per_step']:.2f} | {row['ms_per_s']:.0f} | "
-                     f"{row['real_time_factor']:.2f} | {row['ms_per_s'] / reference:.1f} |")
-    lines += [f"| {row['scene']} at 4.17 ms | {row['ms_per_step']:.3f} | {row['ms_per_s']:.1f} | {row['real_time_factor']:.0f} | "
-              f"{row['ms_per_s'] / reference:.1f} |" for row in result["rigid"]]
-    lines += ["", f"Cost of a step grows with the number of vertices to the power {result['growth']['exponent']:.2f} "
-              f"({result['growth']['rows'][0]['vertices']} to {result['growth']['rows'][-1]['vertices']} vertices).", "",
-              sensors.table(result["many"]), "",
-              "A whole grasp of an egg, two cameras at 60 Hz with perception, as the loop runs it: wall time.", "",
-              "| accuracy | processes for perception | x real time | while the object is held | core ms per simulated s | "
-              "load average |", "|---|---|---|---|---|---|"]
-    lines += [f"| {row['accuracy']} | {row['workers']} | {row['real_time_factor']:.2f} | {row['real_time_factor_held']:.2f} | "
-              f"{row['core_ms_per_s']:.0f} | {row['load_average']:.1f} |" for row in result["loops"]]
+        lines.append(
+            f"| {name} at {row['timestep_ms']:.2f} ms | failed: {row['failed']} | | | |"
+            if "failed" in row
+            else f"| {name} at {row['timestep_ms']:.2f} ms | {row['ms_per_step']:.2f} | "
+            f"{row['ms_per_s']:.0f} | "
+            f"{row['real_time_factor']:.2f} | {row['ms_per_s'] / reference:.1f} |"
+        )
+    lines += [
+        f"| {row['scene']} at 4.17 ms | {row['ms_per_step']:.3f} | {row['ms_per_s']:.1f} | "
+        f"{row['real_time_factor']:.0f} | "
+        f"{row['ms_per_s'] / reference:.1f} |"
+        for row in result["rigid"]
+    ]
+    lines += [
+        "",
+        "Cost of a step grows with the number of vertices to the power "
+        f"{result['growth']['exponent']:.2f} "
+        f"({result['growth']['rows'][0]['vertices']} to "
+        f"{result['growth']['rows'][-1]['vertices']} vertices).",
+        "",
+        sensors.table(result["many"]),
+        "",
+        "A whole grasp of an egg, two cameras at 60 Hz with perception, as the loop "
+        "runs it: wall time.",
+        "",
+        "| accuracy | processes for perception | x real time | while the object is "
+        "held | core ms per simulated s | "
+        "load average |",
+        "|---|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| {row['accuracy']} | {row['workers']} | {row['real_time_factor']:.2f} | "
+        f"{row['real_time_factor_held']:.2f} | "
+        f"{row['core_ms_per_s']:.0f} | "
+        f"{row['load_average']:.1f} |"
+        for row in result["loops"]
+    ]
     slow = sum(row["denormals"] for row in result["loops"])
-    lines += ["", f"Denormal numbers in what chains and cameras keep, after these grasps: {slow}. They make products up to 20 "
-              "times slower on some processors."]
+    lines += [
+        "",
+        f"Denormal numbers in what chains and cameras keep, after these grasps: {slow}. They "
+        "make products up to 20 "
+        "times slower on some processors.",
+    ]
     if "compared" in result:
         lines += ["", compare.table(result["compared"])]
     return "\n".join(lines) + "\n"
@@ -131,11 +216,15 @@ def _plot(result: dict[str, Any], out: Path) -> None:
         return
     axes = figure.add_subplot()
     good = [row for row in result["growth"]["rows"] if "failed" not in row]
-    count, ms = np.array([r["vertices"] for r in good]), np.array([r["ms_per_step"] for r in good])
+    count = np.array([r["vertices"] for r in good])
+    ms = np.array([r["ms_per_step"] for r in good])
     axes.loglog(count, ms, "o-", label=f"measured, slope {result['growth']['exponent']:.2f}")
     axes.loglog(count, ms[0] * (count / count[0]) ** 1.2, "k--", lw=0.8, label="slope 1.2")
-    axes.set(xlabel="vertices of both membranes", ylabel="core time of a step [ms]",
-             title="two sensors holding an egg, 6.7 ms steps")
+    axes.set(
+        xlabel="vertices of both membranes",
+        ylabel="core time of a step [ms]",
+        title="two sensors holding an egg, 6.7 ms steps",
+    )
     axes.legend()
     axes.grid(alpha=0.3, which="both")
     figure.savefig(out / "speed.png")

@@ -1,4 +1,5 @@
-"""Many sensors in one scene: core time of a step with a ball resting on each of them, and with nothing on any (asleep)."""
+"""Many sensors in one scene: core time of a step with a ball resting on each of them, and with
+nothing on any (asleep)."""
 
 from __future__ import annotations
 
@@ -11,35 +12,61 @@ from mjtactile.core.design import load_sensor
 from mjtactile.sim.scenes.world import World
 
 COUNTS = (1, 2, 4, 8)
-_TIMESTEP, _GAUGE = 4e-3, 1000.0  # s, Pa
-_BALL, _MASS = 8e-3, 0.03  # m, kg: pressed with 0.3 N
-_SETTLE, _STEPS = 1.2, 100  # s, and steps in each of the bursts
+# s, Pa
+_TIMESTEP = 4e-3
+_GAUGE = 1000.0
+# m, kg: pressed with 0.3 N
+_BALL = 8e-3
+_MASS = 0.03
+# s, and steps in each of the bursts
+_SETTLE = 1.2
+_STEPS = 100
 
 
 def measure(counts: tuple[int, ...], say: Callable[[str], None]) -> list[dict[str, Any]]:
     """Of each number of sensors, ms a step: `loaded` with a ball on each, `asleep` with none."""
     rows = []
     for count in counts:
-        loaded, asleep = scene(count, loaded=True), scene(count, loaded=False)
+        loaded = scene(count, loaded=True)
+        asleep = scene(count, loaded=False)
         if not all(sensor.is_asleep for sensor in asleep.sensors):
             raise AssertionError("a sensor that touches nothing is awake")
-        ms = {name: core_ms(world.step, 5 * _STEPS) for name, world in (("loaded_ms", loaded), ("asleep_ms", asleep))}
+        ms = {
+            name: core_ms(world.step, 5 * _STEPS)
+            for name, world in (("loaded_ms", loaded), ("asleep_ms", asleep))
+        }
         rows.append({"sensors": count, **ms})
-        say(f"{count} sensors: {ms['loaded_ms']:.2f} ms a step with a ball on each, {ms['asleep_ms']:.2f} ms asleep")
+        say(
+            f"{count} sensors: {ms['loaded_ms']:.2f} ms a step with a ball on each, "
+            f"{ms['asleep_ms']:.2f} ms asleep"
+        )
     return rows
 
 
 def scene(count: int, *, loaded: bool) -> World:
     """So many sensors, settled; on each a ball, or nothing."""
-    return row_of(load_sensor("dense"), count, ball=(_BALL, _MASS) if loaded else None, gauge=_GAUGE, timestep=_TIMESTEP,
-                  settle=_SETTLE)
+    return row_of(
+        load_sensor("dense"),
+        count,
+        ball=(_BALL, _MASS) if loaded else None,
+        gauge=_GAUGE,
+        timestep=_TIMESTEP,
+        settle=_SETTLE,
+    )
 
 
 def table(rows: list[Mapping[str, Any]]) -> str:
     """Markdown."""
     one = rows[0]
-    lines = [f"| sensors in a scene | a step, {1e3 * _MASS:.0f} g on each, ms | over one's, each | a step, asleep, ms |",
-             "|---|---|---|---|"]
-    lines += [f"| {row['sensors']} | {row['loaded_ms']:.2f} | {row['loaded_ms'] / row['sensors'] / one['loaded_ms']:.2f} | "
-              f"{row['asleep_ms']:.3f} |" for row in rows]
+    lines = [
+        f"| sensors in a scene | a step, {1e3 * _MASS:.0f} g on each, ms | over one's, each | a "
+        "step, asleep, ms |",
+        "|---|---|---|---|",
+    ]
+    lines += [
+        f"| {row['sensors']} | {row['loaded_ms']:.2f} | "
+        f"{row['loaded_ms'] / row['sensors'] / one['loaded_ms']:.2f} | "
+        f"{row['asleep_ms']:.3f} |"
+        for row in rows
+    ]
     return "\n".join(lines)

@@ -35,42 +35,67 @@ from mjtactile.sim.scenes.world import World
 
 OUTCOMES = ("ok", "flagged", "refused", "FAILED")
 _COLOURS = {"ok": "#4c9f70", "flagged": "#e8b84a", "refused": "#8a94a6", "FAILED": "#c0392b"}
-FORCE_ERROR, FORCE_FLOOR = 0.10, 0.005  # share of the force; N below which a share says nothing
+# share of the force; N below which a share says nothing
+FORCE_ERROR = 0.10
+FORCE_FLOOR = 0.005
 PENETRATION = 0.10  # m per m of indentation
 _NUMERICAL = ("not finite", "MuJoCo warned")
-_EXCUSES = {"force": {"penetration", "speed", "unsettled", "feature", "edge", "solver"}, "settled": {"unsettled", "solver"},
-            "penetration": {"penetration", "solver"}, "energy": {"unsettled", "solver"},
-            "weight": {"unsettled", "penetration", "solver"}}
+_EXCUSES = {
+    "force": {"penetration", "speed", "unsettled", "feature", "edge", "solver"},
+    "settled": {"unsettled", "solver"},
+    "penetration": {"penetration", "solver"},
+    "energy": {"unsettled", "solver"},
+    "weight": {"unsettled", "penetration", "solver"},
+}
 """Which flags own up to which failed check; nothing excuses a number that is not finite."""
 
 
-def run(out: Path, quick: bool = False, say: Callable[[str], None] | None = None, *, resume: bool = False) -> dict[str, Any]:
-    """Run the matrix (`quick`: the pruned set) in two processes; draw `stability.png` into `out`; return the JSON.
+def run(
+    out: Path,
+    quick: bool = False,
+    say: Callable[[str], None] | None = None,
+    *,
+    resume: bool = False,
+) -> dict[str, Any]:
+    """Run the matrix (`quick`: the pruned set) in two processes; draw `stability.png` into `out`;
+    return the JSON.
 
-    Every case that ends is appended to `stability.jsonl`; `resume` keeps those that an interrupted run left there.
+    Every case that ends is appended to `stability.jsonl`; `resume` keeps those that an interrupted
+    run left there.
     """
     say = Progress().message if say is None else say
-    cases, log = pruned() if quick else matrix(), out / "stability.jsonl"
+    cases = pruned() if quick else matrix()
+    log = out / "stability.jsonl"
     place = {(c.axis, c.label): i for i, c in enumerate(cases)}
     rows = _kept(log, place) if resume else []
     log.write_text("".join(f"{json.dumps(row)}\n" for row in rows), encoding="utf-8")
     done = {(row["axis"], row["label"]) for row in rows}
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    with multiprocessing.get_context("spawn").Pool(min(2, len(os.sched_getaffinity(0)))) as pool, log.open("a") as file:
+    with (
+        multiprocessing.get_context("spawn").Pool(min(2, len(os.sched_getaffinity(0)))) as pool,
+        log.open("a") as file,
+    ):
         for row in pool.imap_unordered(judge, [c for c in cases if (c.axis, c.label) not in done]):
             rows.append(row)
             print(json.dumps(row), file=file, flush=True)
             if row["outcome"] == "FAILED" or len(rows) % 25 == 0:
-                say(f"{len(rows)}/{len(cases)} {row['axis']}, {row['label']}: {row['outcome']} {row['reason']}")
+                say(
+                    f"{len(rows)}/{len(cases)} {row['axis']}, {row['label']}: {row['outcome']} "
+                    f"{row['reason']}"
+                )
     rows.sort(key=lambda row: place[row["axis"], row["label"]])
-    result = {"cases": rows, "counts": {o: sum(r["outcome"] == o for r in rows) for o in OUTCOMES},
-              "core_s": sum(row["wall_s"] for row in rows)}
+    result = {
+        "cases": rows,
+        "counts": {o: sum(r["outcome"] == o for r in rows) for o in OUTCOMES},
+        "core_s": sum(row["wall_s"] for row in rows),
+    }
     _save(out / "stability.png", rows)
     return result
 
 
 def _kept(log: Path, place: Mapping[tuple[str, str], int]) -> list[dict[str, Any]]:
-    """The cases of `place` that an earlier run finished; a line that it did not finish is left out."""
+    """The cases of `place` that an earlier run finished; a line that it did not finish is left
+    out."""
     rows = {}
     for line in log.read_text(encoding="utf-8").splitlines() if log.is_file() else ():
         with contextlib.suppress(ValueError):
@@ -81,8 +106,18 @@ def _kept(log: Path, place: Mapping[tuple[str, str], int]) -> list[dict[str, Any
 
 def judge(case: Case) -> dict[str, Any]:
     """Run one case and say how it went."""
-    row: dict[str, Any] = {"axis": case.axis, "label": case.label, "kind": case.kind, "reason": "", "flags": {}}
-    row["setting"] = {k: v for k, v in asdict(case).items() if v != getattr(_DEFAULT, k) and k not in ("axis", "label", "kind")}
+    row: dict[str, Any] = {
+        "axis": case.axis,
+        "label": case.label,
+        "kind": case.kind,
+        "reason": "",
+        "flags": {},
+    }
+    row["setting"] = {
+        k: v
+        for k, v in asdict(case).items()
+        if v != getattr(_DEFAULT, k) and k not in ("axis", "label", "kind")
+    }
     started = time.perf_counter()
     try:
         row |= _compare(case)
@@ -111,22 +146,35 @@ def _compare(case: Case) -> dict[str, Any]:
         full["force_quarter_N"] = quarter["force_N"]
         difference = abs(full["force_N"] - quarter["force_N"])
         if difference > FORCE_ERROR * max(abs(quarter["force_N"]), FORCE_FLOOR):
-            problems["force"] = f"force {full['force_N']:.4g} N, {quarter['force_N']:.4g} N at a quarter of the step"
+            problems["force"] = (
+                f"force {full['force_N']:.4g} N, {quarter['force_N']:.4g} N at a quarter of the "
+                "step"
+            )
     flags = full["flags"]
     full["problems"] = list(problems.values())
     unsaid = [text for kind, text in problems.items() if not _EXCUSES.get(kind, set()) & set(flags)]
     if unsaid:
         return {**full, "outcome": "FAILED", "reason": "; ".join(unsaid)}
-    return {**full, "outcome": "flagged" if flags else "ok", "reason": "; ".join([*problems.values(), *flags.values()])}
+    return {
+        **full,
+        "outcome": "flagged" if flags else "ok",
+        "reason": "; ".join([*problems.values(), *flags.values()]),
+    }
 
 
 def measure(case: Case) -> dict[str, Any]:
     """Run one case once: its force, its flags, and what is wrong with it by kind of check."""
     design = case.design(load_sensor("paper16"))
-    world, expected, settled = {"press": _press, "hold": _press, "drop": _drop, "rest": _drop, "pinch": _pinch}[case.kind](
-        case, design)
+    world, expected, settled = {
+        "press": _press,
+        "hold": _press,
+        "drop": _drop,
+        "rest": _drop,
+        "pinch": _pinch,
+    }[case.kind](case, design)
     force, energy = _force_and_energy(world, case)
-    normal, problems = float(-force[2]), {}
+    normal = float(-force[2])
+    problems = {}
     depth = truth.penetration(world, 0)
     if not settled and not any(case.shake):
         problems["settled"] = "does not settle"
@@ -136,12 +184,24 @@ def measure(case: Case) -> dict[str, Any]:
         problems["penetration"] = f"penetration {depth * 1e3:.2g} mm of {case.pressed * 1e3:.2g} mm"
     if expected is not None and abs(normal - expected) > FORCE_ERROR * expected + 1e-4:
         problems["weight"] = f"force {normal:.4g} N, should be {expected:.4g} N"
-    return {"force_N": normal, "penetration_mm": 1e3 * depth, "flags": dict(world.flags), "problems": problems}
+    return {
+        "force_N": normal,
+        "penetration_mm": 1e3 * depth,
+        "flags": dict(world.flags),
+        "problems": problems,
+    }
 
 
 def _press(case: Case, design: SensorDesign) -> tuple[World, float | None, bool]:
-    world = PressWorld(design, Indenter.parse(case.indenter), at=case.at, timestep=case.timestep, mesh=case.mesh,
-                       mount=case.mount, shake=case.shake)
+    world = PressWorld(
+        design,
+        Indenter.parse(case.indenter),
+        at=case.at,
+        timestep=case.timestep,
+        mesh=case.mesh,
+        mount=case.mount,
+        shake=case.shake,
+    )
     limit = 0.4 if any(case.shake) else 1.0
     world.inflate(case.pressure, seal=True)
     settled = world.press(case.pressed, speed=0.04)
@@ -149,9 +209,13 @@ def _press(case: Case, design: SensorDesign) -> tuple[World, float | None, bool]
         settled = world.press(case.pressed, case.shear, speed=0.04)
     if case.valve:
         sensor = world.sensors[0]
-        {"open": lambda: sensor.open_valve(case.pressure), "vent": lambda: sensor.open_valve(0.0),
-         "to 3 kPa": lambda: sensor.open_valve(3000.0), "puncture": lambda: sensor.puncture(1e-8),
-         "pump": lambda: sensor.open_valve(-500.0)}[case.valve]()
+        {
+            "open": lambda: sensor.open_valve(case.pressure),
+            "vent": lambda: sensor.open_valve(0.0),
+            "to 3 kPa": lambda: sensor.open_valve(3000.0),
+            "puncture": lambda: sensor.puncture(1e-8),
+            "pump": lambda: sensor.open_valve(-500.0),
+        }[case.valve]()
         settled = world.settle(limit, speed=2e-4)
     if case.steps:
         world.step(case.steps)
@@ -159,14 +223,27 @@ def _press(case: Case, design: SensorDesign) -> tuple[World, float | None, bool]
 
 
 def _drop(case: Case, design: SensorDesign) -> tuple[World, float | None, bool]:
-    world = DropWorld(design, Body(case.body, case.size, case.mass), pressure_gauge=case.pressure, speed=case.speed,
-                      timestep=case.timestep, mesh=case.mesh, guided=case.kind == "drop")
+    world = DropWorld(
+        design,
+        Body(case.body, case.size, case.mass),
+        pressure_gauge=case.pressure,
+        speed=case.speed,
+        timestep=case.timestep,
+        mesh=case.mesh,
+        guided=case.kind == "drop",
+    )
     return world, world.weight, _rest(world)
 
 
 def _pinch(case: Case, design: SensorDesign) -> tuple[World, float | None, bool]:
-    world = PinchWorld(design, Body(case.body, case.size, case.mass), pressure_gauge=case.pressure, squeeze=case.depth,
-                       timestep=case.timestep, mesh=case.mesh)
+    world = PinchWorld(
+        design,
+        Body(case.body, case.size, case.mass),
+        pressure_gauge=case.pressure,
+        squeeze=case.depth,
+        timestep=case.timestep,
+        mesh=case.mesh,
+    )
     settled = _rest(world)
     if isinstance(world, PinchWorld) and world.drop > 5e-3:
         world.flags["unsettled"] = "the sheet slips out"
@@ -185,33 +262,48 @@ def _rest(world: World, limit: float = 2.5, speed: float = 2e-3) -> bool:
 
 
 def _force_and_energy(world: World, case: Case) -> tuple[Any, tuple[float, float]]:
-    """Mean force over 0.1 s (a shaken one: 0.5 s, whole periods), and the largest kinetic energy in its two halves."""
+    """Mean force over 0.1 s (a shaken one: 0.5 s, whole periods), and the largest kinetic energy in
+    its two halves."""
     count = round((0.5 if any(case.shake) else 0.1) / world.timestep)
-    force, energy = np.zeros(3), np.zeros(count)
+    force = np.zeros(3)
+    energy = np.zeros(count)
     for k in range(count):
         world.step()
         force += truth.contact_force(world, 0) / count
         energy[k] = world.kinetic_energy
-    return force, (float(energy[: count // 2].max()), float(energy[count // 2:].max()))
+    return force, (float(energy[: count // 2].max()), float(energy[count // 2 :].max()))
 
 
 def table(result: dict[str, Any]) -> str:
     """Markdown: outcomes by axis, then every case that is not plainly ok with its reason."""
     rows = result["cases"]
-    lines = [f"{len(rows)} cases: " + ", ".join(f"{n} {o}" for o, n in result["counts"].items()) + ".", "",
-             "| axis | " + " | ".join(OUTCOMES) + " |", "|---" * (len(OUTCOMES) + 1) + "|"]
+    lines = [
+        f"{len(rows)} cases: " + ", ".join(f"{n} {o}" for o, n in result["counts"].items()) + ".",
+        "",
+        "| axis | " + " | ".join(OUTCOMES) + " |",
+        "|---" * (len(OUTCOMES) + 1) + "|",
+    ]
     for axis in dict.fromkeys(row["axis"] for row in rows):
         counts = Counter(row["outcome"] for row in rows if row["axis"] == axis)
         lines.append(f"| {axis} | " + " | ".join(str(counts[o] or "") for o in OUTCOMES) + " |")
-    lines += ["", "<details><summary>Every case that is not plainly ok</summary>", "",
-              "| case | outcome | flags | what the judge found, or why it stopped |", "|---|---|---|---|"]
-    lines += [f"| {r['axis']}: {r['label']} | {r['outcome']} | {', '.join(r['flags'])} | {_found(r)} |"
-              for r in rows if r["outcome"] != "ok"]
+    lines += [
+        "",
+        "<details><summary>Every case that is not plainly ok</summary>",
+        "",
+        "| case | outcome | flags | what the judge found, or why it stopped |",
+        "|---|---|---|---|",
+    ]
+    lines += [
+        f"| {r['axis']}: {r['label']} | {r['outcome']} | {', '.join(r['flags'])} | {_found(r)} |"
+        for r in rows
+        if r["outcome"] != "ok"
+    ]
     return "\n".join(lines) + "\n\n</details>\n"
 
 
 def _found(row: dict[str, Any]) -> str:
-    """What failed and a flag owns up to; a case without flags was refused or stopped, for its reason."""
+    """What failed and a flag owns up to; a case without flags was refused or stopped, for its
+    reason."""
     return "; ".join(row.get("problems", ())) if row["flags"] else row["reason"]
 
 
@@ -224,12 +316,21 @@ def _save(path: Path, rows: Sequence[dict[str, Any]]) -> None:
 
 def draw(figure: Any, rows: Sequence[dict[str, Any]]) -> None:
     """The map: a row of cells an axis, coloured by outcome."""
-    axes, names = figure.subplots(), list(dict.fromkeys(row["axis"] for row in rows))
+    axes = figure.subplots()
+    names = list(dict.fromkeys(row["axis"] for row in rows))
     for number, name in enumerate(names):
         for column, row in enumerate(r for r in rows if r["axis"] == name):
             axes.barh(number, 0.92, left=column, height=0.8, color=_COLOURS[row["outcome"]])
     axes.set_yticks(range(len(names)), names)
     axes.invert_yaxis()
-    axes.set(xlabel="cases, in the order of the table", title="stability: " + ", ".join(
-        f"{sum(r['outcome'] == o for r in rows)} {o}" for o in OUTCOMES))
-    axes.legend([axes.barh(0, 0, color=colour) for colour in _COLOURS.values()], list(_COLOURS), ncols=4, loc="lower right")
+    axes.set(
+        xlabel="cases, in the order of the table",
+        title="stability: "
+        + ", ".join(f"{sum(r['outcome'] == o for r in rows)} {o}" for o in OUTCOMES),
+    )
+    axes.legend(
+        [axes.barh(0, 0, color=colour) for colour in _COLOURS.values()],
+        list(_COLOURS),
+        ncols=4,
+        loc="lower right",
+    )

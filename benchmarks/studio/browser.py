@@ -1,6 +1,6 @@
-"""A page of headless Chromium that does all but draw: without a graphics card that takes seconds a frame, which says nothing
-about Studio. It keeps to 30 frames a second, since it shares the processors with the session, and notes when a frame of it got
-which cycle's picture."""
+"""A page of headless Chromium that does all but draw: without a graphics card that takes seconds a
+frame, which says nothing about Studio. It keeps to 30 frames a second, since it shares the
+processors with the session, and notes when a frame of it got which cycle's picture."""
 
 from __future__ import annotations
 
@@ -19,10 +19,29 @@ from websockets.sync.client import connect
 
 from benchmarks.studio.probe import MARK
 
-CHROMIUM = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None)
-_FLAGS = ("--headless=new", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox",
-          "--window-size=1280,800", "--remote-allow-origins=*", "--remote-debugging-port=0", "--no-first-run", "--disable-sync",
-          "--disable-background-networking", "--disable-component-update", "--disable-extensions")
+CHROMIUM = next(
+    (
+        path
+        for name in ("chromium", "chromium-browser", "google-chrome")
+        if (path := shutil.which(name))
+    ),
+    None,
+)
+_FLAGS = (
+    "--headless=new",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--no-sandbox",
+    "--window-size=1280,800",
+    "--remote-allow-origins=*",
+    "--remote-debugging-port=0",
+    "--no-first-run",
+    "--disable-sync",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-extensions",
+)
 _LIMIT = 60.0  # s that it may take to come up
 _SCRIPT = """(() => {
     const context = WebGL2RenderingContext.prototype;
@@ -48,10 +67,14 @@ _SCRIPT = """(() => {
 
 @contextlib.contextmanager
 def look_at(url: str, folder: Path) -> Iterator[Callable[[], list[tuple[int, float]]]]:
-    """A page with `url`. Gives what says which cycles' pictures it got, and when, s of the clock."""
+    """A page with `url`. Gives what says which cycles' pictures it got, and when, s of the
+    clock."""
     assert CHROMIUM is not None
-    process = subprocess.Popen([CHROMIUM, *_FLAGS, f"--user-data-dir={folder}", "about:blank"],
-                               stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    process = subprocess.Popen(
+        [CHROMIUM, *_FLAGS, f"--user-data-dir={folder}", "about:blank"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     try:
         with connect(_address(folder), max_size=None) as socket:
             numbers = itertools.count(1)
@@ -66,8 +89,12 @@ def look_at(url: str, folder: Path) -> Iterator[Callable[[], list[tuple[int, flo
             ask("Page.enable")
             ask("Page.addScriptToEvaluateOnNewDocument", source=_SCRIPT)
             ask("Page.navigate", url=url)
-            yield lambda: [(int(n), 1e-3 * ms) for n, ms in ask(
-                "Runtime.evaluate", expression="window.seen", returnByValue=True)["result"]["value"]]
+            yield lambda: [
+                (int(n), 1e-3 * ms)
+                for n, ms in ask("Runtime.evaluate", expression="window.seen", returnByValue=True)[
+                    "result"
+                ]["value"]
+            ]
     finally:
         process.kill()
         process.wait()
@@ -80,7 +107,11 @@ def _address(folder: Path) -> str:
         try:
             port = (folder / "DevToolsActivePort").read_text(encoding="utf-8").splitlines()[0]
             with urllib.request.urlopen(f"http://127.0.0.1:{port}/json", timeout=5) as answer:
-                return next(page["webSocketDebuggerUrl"] for page in json.load(answer) if page["type"] == "page")
+                return next(
+                    page["webSocketDebuggerUrl"]
+                    for page in json.load(answer)
+                    if page["type"] == "page"
+                )
         except (OSError, StopIteration, IndexError):
             if time.monotonic() > end:
                 raise

@@ -1,5 +1,6 @@
-"""One grasp of an egg, timed, in a process of its own: `python -m benchmarks.studio.probe plain|studio` prints a line of
-JSON. With "studio" it prints Studio's address first, and begins when somebody looks."""
+"""One grasp of an egg, timed, in a process of its own: `python -m benchmarks.studio.probe
+plain|studio` prints a line of JSON. With "studio" it prints Studio's address first, and begins when
+somebody looks."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ from mjtactile.studio.serve import watch
 from mjtactile.studio.show import Show, Voice
 
 MARK = 171  # in the third byte of a picture that says in its first two which cycle's it is
-Moments = tuple[float, float, float]  # of a cycle, s: of the simulation, on the clock, and of core time with its processes
+# of a cycle, s: of the simulation, on the clock, and of core time with its processes
+Moments = tuple[float, float, float]
 _FRAMES = 60  # that are drawn before it begins: the page has its model and its textures
 
 
@@ -29,7 +31,8 @@ class Watched(Show):
         super().__init__(GraspOptions())
         self.fastest = math.inf
         self.cycles: list[Moments] = []
-        self.taken: list[float] = []  # s of the clock that the page has, too: when each cycle's images were there
+        # s of the clock that the page has, too: when each cycle's images were there
+        self.taken: list[float] = []
         self.spent: list[float] = []  # s of the session's thread, each cycle
         self.looks = 0
 
@@ -53,8 +56,10 @@ class Watched(Show):
 
 
 def studio() -> dict[str, Any]:
-    """With Studio: how fast, what it takes of the session's thread, and when each cycle's images were there."""
-    show, upload = Watched(), panel.Panel._upload
+    """With Studio: how fast, what it takes of the session's thread, and when each cycle's images
+    were there."""
+    show = Watched()
+    upload = panel.Panel._upload
 
     def marked(self: Any, k: int, what: str, rgb: Any) -> None:
         if (k, what) == (0, "image"):
@@ -66,8 +71,11 @@ def studio() -> dict[str, Any]:
     show.step()
     threading.Thread(target=_begin, args=(show,), daemon=True).start()
     watch(show, browser=False, runs=1)
-    return {**_speed(show.cycles), "spent_ms": 1e3 * sorted(show.spent[2:])[len(show.spent) // 2],
-            "taken": show.taken}
+    return {
+        **_speed(show.cycles),
+        "spent_ms": 1e3 * sorted(show.spent[2:])[len(show.spent) // 2],
+        "taken": show.taken,
+    }
 
 
 def _begin(show: Watched) -> None:
@@ -101,8 +109,8 @@ def plain() -> dict[str, Any]:
 
 
 def _speed(cycles: list[Moments]) -> dict[str, float]:
-    """Simulated over wall time, and core time of a simulated second, from the third cycle on: with Studio the first waits for
-    the page."""
+    """Simulated over wall time, and core time of a simulated second, from the third cycle on: with
+    Studio the first waits for the page."""
     simulated, wall, core = (end - begin for begin, end in zip(cycles[2], cycles[-1], strict=True))
     return {"factor": simulated / wall, "core_s": core / simulated}
 

@@ -29,29 +29,52 @@ Say = Callable[[str], None]
 
 
 def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, Any]:
-    """Speeds, ms of the session's thread a cycle, and ages of images in ms when the page's frame got them; of each round.
+    """Speeds, ms of the session's thread a cycle, and ages of images in ms when the page's frame
+    got them; of each round.
 
     Raises InputError where there is no Chromium.
     """
     say = say or Progress().message
     if CHROMIUM is None:
-        raise InputError("no Chromium here to look at it: apt-get install chromium", field="bench studio")
+        raise InputError(
+            "no Chromium here to look at it: apt-get install chromium", field="bench studio"
+        )
     rounds = []
     for k in range(1 if quick else ROUNDS):
-        without, watched = _probe("plain"), _probe("studio")
-        rounds.append({"without": without["factor"], "core_without_s": without["core_s"], **watched,
-                       "ratio": watched["factor"] / without["factor"], "load": os.getloadavg()[0]})
-        say(f"round {k + 1}: {watched['factor']:.2f} x real time, without Studio {without['factor']:.2f}")
+        without = _probe("plain")
+        watched = _probe("studio")
+        rounds.append(
+            {
+                "without": without["factor"],
+                "core_without_s": without["core_s"],
+                **watched,
+                "ratio": watched["factor"] / without["factor"],
+                "load": os.getloadavg()[0],
+            }
+        )
+        say(
+            f"round {k + 1}: {watched['factor']:.2f} x real time, without Studio "
+            f"{without['factor']:.2f}"
+        )
     return {"rounds": rounds, "processors": len(os.sched_getaffinity(0))}
 
 
 def _probe(kind: str) -> dict[str, Any]:
     """One grasp in a process of its own; Studio's is looked at."""
     command = [sys.executable, "-m", "benchmarks.studio.probe", kind]
-    seen, last = None, ""
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as home, contextlib.ExitStack() as stack:
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
-                                   env={**os.environ, "HOME": home, "OPENBLAS_NUM_THREADS": "1"})
+    seen = None
+    last = ""
+    with (
+        tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as home,
+        contextlib.ExitStack() as stack,
+    ):
+        process = subprocess.Popen(
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            env={**os.environ, "HOME": home, "OPENBLAS_NUM_THREADS": "1"},
+        )
         stack.callback(process.wait)
         stack.callback(process.kill)
         assert process.stdout is not None
@@ -66,14 +89,23 @@ def _probe(kind: str) -> dict[str, Any]:
 
 
 def ages(taken: list[float], seen: list[tuple[int, float]]) -> dict[str, Any]:
-    """How old images were when the page first had them, ms: of `taken` s and pairs of cycle and s."""
+    """How old images were when the page first had them, ms: of `taken` s and pairs of cycle and
+    s."""
     first: dict[int, float] = {}
     for number, when in seen:
         first.setdefault(number, when)
-    late = sorted(1e3 * (when - taken[number]) for number, when in first.items() if _FIRST <= number < len(taken))
+    late = sorted(
+        1e3 * (when - taken[number])
+        for number, when in first.items()
+        if _FIRST <= number < len(taken)
+    )
     if not late:
         raise InputError("the page got no picture", field="bench studio")
-    return {"pictures": len(late), "late_ms": statistics.median(late), "late_90_ms": late[int(0.9 * (len(late) - 1))]}
+    return {
+        "pictures": len(late),
+        "late_ms": statistics.median(late),
+        "late_90_ms": late[int(0.9 * (len(late) - 1))],
+    }
 
 
 def table(result: Mapping[str, Any]) -> str:
@@ -83,15 +115,28 @@ def table(result: Mapping[str, Any]) -> str:
     def median(name: str) -> float:
         return statistics.median(one[name] for one in rounds)
 
-    return "\n".join([
-        "| what | asked | aim | measured |", "|---|---|---|---|",
-        f"| speed in Studio over speed without | at least 0.7 | 0.9 | {median('ratio'):.2f} ({median('factor'):.2f} and "
-        f"{median('without'):.2f} x real time) |",
-        "| core time of a simulated second, s: in Studio (without the page's own), and without |  |  | "
-        f"{median('core_s'):.2f}, {median('core_without_s'):.2f} |",
-        f"| Studio's time on the session's thread, ms a cycle | less than 1 |  | {median('spent_ms'):.2f} |",
-        f"| age of an image in the page's frame that has it, ms (9 of 10) | less than 150 | 80 | {median('late_ms'):.0f} "
-        f"({median('late_90_ms'):.0f}) |", "",
-        f"Medians of {len(rounds)} egg grasps each way, in turns, {result['processors']} processors, load average "
-        f"{median('load'):.1f}, {min(one['pictures'] for one in rounds)} pictures and more. The page is headless Chromium's on "
-        "the same processors, 30 frames a second at most; it does all but draw, since there is no graphics card.", ""])
+    return "\n".join(
+        [
+            "| what | asked | aim | measured |",
+            "|---|---|---|---|",
+            f"| speed in Studio over speed without | at least 0.7 | 0.9 | {median('ratio'):.2f} "
+            f"({median('factor'):.2f} and "
+            f"{median('without'):.2f} x real time) |",
+            "| core time of a simulated second, s: in Studio (without the page's own), and "
+            "without |  |  | "
+            f"{median('core_s'):.2f}, {median('core_without_s'):.2f} |",
+            "| Studio's time on the session's thread, ms a cycle | less than 1 |  | "
+            f"{median('spent_ms'):.2f} |",
+            "| age of an image in the page's frame that has it, ms (9 of 10) | less than 150 | "
+            f"80 | {median('late_ms'):.0f} "
+            f"({median('late_90_ms'):.0f}) |",
+            "",
+            f"Medians of {len(rounds)} egg grasps each way, in turns, {result['processors']} "
+            "processors, load average "
+            f"{median('load'):.1f}, {min(one['pictures'] for one in rounds)} pictures and more. "
+            "The page is headless Chromium's on "
+            "the same processors, 30 frames a second at most; it does all but draw, since "
+            "there is no graphics card.",
+            "",
+        ]
+    )

@@ -1,4 +1,5 @@
-"""The paper's force constant c (dF = c dA): press with a load cell behind the indenter, in 1 mm increments."""
+"""The paper's force constant c (dF = c dA): press with a load cell behind the indenter, in 1 mm
+increments."""
 
 from __future__ import annotations
 
@@ -13,13 +14,20 @@ CYLINDER = Indenter("cylinder", 5e-3)
 DEPTHS = (1e-3, 2e-3, 3e-3, 4e-3)
 
 
-def calibrate_area(design: SensorDesign, indenter: Indenter = CYLINDER, depths: tuple[float, ...] = DEPTHS, *,
-                   seed: int = 0) -> AreaCalibration:
-    """Run the paper's experiment on the simulated sensor and fit c. The force is the load cell's, the area the camera's."""
+def calibrate_area(
+    design: SensorDesign,
+    indenter: Indenter = CYLINDER,
+    depths: tuple[float, ...] = DEPTHS,
+    *,
+    seed: int = 0,
+) -> AreaCalibration:
+    """Run the paper's experiment on the simulated sensor and fit c. The force is the load cell's,
+    the area the camera's."""
     world = PressWorld(design, indenter)
     view = View(world, design, seed=seed)
     take_references(world, [view], design.chamber.supply_gauge)
-    areas, forces = [], []
+    areas = []
+    forces = []
     for depth in (0.0, *depths):
         world.press(depth)
         seen = [view.perception.perceive(image, world.time).surface for image in view.images()]

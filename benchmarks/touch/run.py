@@ -1,9 +1,11 @@
-"""`mjtactile bench touch`: force, shear, torque, patch, smallest touch and honesty, over random indenters.
+"""`mjtactile bench touch`: force, shear, torque, patch, smallest touch and honesty, over random
+indenters.
 
-One simulated membrane is seen by two cameras with their own markers, `dense` and `paper16`, which share everything but
-the layout. Nothing is calibrated for an object. The truth is the simulator's on a mesh finer than the default's, since a
-coarse mesh is stiffer than rubber; its contact area is that of a film on the object, the centroid that of the forces.
-Seeds below FIRST_SEED were used in tuning and are not among them.
+One simulated membrane is seen by two cameras with their own markers, `dense` and `paper16`, which
+share everything but the layout. Nothing is calibrated for an object. The truth is the simulator's
+on a mesh finer than the default's, since a coarse mesh is stiffer than rubber; its contact area is
+that of a film on the object, the centroid that of the forces. Seeds below FIRST_SEED were used in
+tuning and are not among them.
 """
 
 from __future__ import annotations
@@ -31,10 +33,13 @@ from mjtactile.sim.sensor.mesh import MarkerInterpolator
 
 __all__ = ["run", "table"]
 SENSORS = ("dense", "paper16")
-MESH, MESH_QUICK = (33, 25), (21, 16)
+MESH = (33, 25)
+MESH_QUICK = (21, 16)
 FIRST_SEED = 1000
-EPISODES, QUIET_FRAMES = 20, 900
-_REFERENCE_IMAGES, _PERIOD = 10, 1 / 30
+EPISODES = 20
+QUIET_FRAMES = 900
+_REFERENCE_IMAGES = 10
+_PERIOD = 1 / 30
 _SIZES = {"sphere": (3e-3, 12e-3), "cylinder": (2.5e-3, 6e-3), "box": (5e-3, 11e-3)}
 _FORCE_MAX = 2.5  # N
 _OFF_NOMINAL_FRAMES = 20
@@ -58,53 +63,85 @@ class LayoutView(View):
 
     def image(self) -> Image:
         self._clock += _PERIOD
-        return self.renderer.render(*self._markers.marker_poses(self.world.sensors[0].p_SV), self._clock)
+        return self.renderer.render(
+            *self._markers.marker_poses(self.world.sensors[0].p_SV), self._clock
+        )
 
     def take_rest(self, pressure: float) -> None:
         """The rest state of the weak form, which the other levels are compared with."""
-        chain, state = self.perception.chain, self.perception.state
+        chain = self.perception.chain
+        state = self.perception.state
         self._weak_rest = self._weak.rest_state(chain.rest_markers(state, self.images()), pressure)
 
     def look(self, image: Image | None = None) -> Touch:
         image = self.image() if image is None else image
         touch = self.perception.perceive(image, image.time)
-        if touch.surface is not None and touch.markers is not None:  # once more from the surface on: time on one core
+        # once more from the surface on: time on one core
+        if touch.surface is not None and touch.markers is not None:
             start = time.thread_time()
-            chain, state = self.perception.chain, self.perception.state
-            _, self.perception.state = chain.feel(state, touch.markers, touch.surface, image.time + 1e-4)
+            chain = self.perception.chain
+            state = self.perception.state
+            _, self.perception.state = chain.feel(
+                state, touch.markers, touch.surface, image.time + 1e-4
+            )
             self.milliseconds.append(1e3 * (time.thread_time() - start))
         return touch
 
     def other_levels(self, touch: Touch, calibration: AreaCalibration) -> dict[str, Any]:
-        """Normal force, N, by the paper's levels 1 and 2 and by the weak form on interpolated markers."""
-        reference, surface, markers = self.perception.state.reference, touch.surface, touch.markers
+        """Normal force, N, by the paper's levels 1 and 2 and by the weak form on interpolated
+        markers."""
+        reference = self.perception.state.reference
+        surface = touch.surface
+        markers = touch.markers
         assert reference is not None and surface is not None and markers is not None
         springs = spring_grid_force(surface, reference.surface, self.design.membrane.pretension)
         weak = self._weak.wrench(markers.ids, markers.p_SM, self._weak_rest)[0]
-        return {"level1_N": calibration.force(surface.area - reference.surface.area),
-                "level2_N": -float(springs[..., 2].sum()), "weak_form_N": -float(weak[2])}
+        return {
+            "level1_N": calibration.force(surface.area - reference.surface.area),
+            "level2_N": -float(springs[..., 2].sum()),
+            "weak_form_N": -float(weak[2]),
+        }
 
 
 def run(out: Path, *, quick: bool = False, say: Say = lambda _: None) -> dict[str, Any]:
     """Press, drag and hold; one row for each look of each sensor."""
     mesh = MESH_QUICK if quick else MESH
     calibrations = {name: calibrate_area(load_sensor(name)) for name in SENSORS}
-    rows, milliseconds = [], {name: [] for name in SENSORS}
+    rows = []
+    milliseconds = {name: [] for name in SENSORS}
     for seed in range(FIRST_SEED, FIRST_SEED + (3 if quick else EPISODES)):
         rows += _episode(seed, mesh, calibrations, milliseconds)
-        say(f"press {seed}: " + ", ".join(f"{r['force_true_N'][2]:.2f} N ({r['sensor']} {r['error_N'][2]:+.3f})"
-                                          for r in rows[-4:]))
+        say(
+            f"press {seed}: "
+            + ", ".join(
+                f"{r['force_true_N'][2]:.2f} N ({r['sensor']} {r['error_N'][2]:+.3f})"
+                for r in rows[-4:]
+            )
+        )
     quiet = _quiet(60 if quick else QUIET_FRAMES)
-    result: dict[str, Any] = {"mesh": mesh, "looks": rows, "quiet": quiet, "off_nominal": _off_nominal()}
+    result: dict[str, Any] = {
+        "mesh": mesh,
+        "looks": rows,
+        "quiet": quiet,
+        "off_nominal": _off_nominal(),
+    }
     result["milliseconds"] = {name: float(np.median(ms)) for name, ms in milliseconds.items()}
-    result["milliseconds_p95"] = {name: float(np.percentile(ms, 95)) for name, ms in milliseconds.items()}
+    result["milliseconds_p95"] = {
+        name: float(np.percentile(ms, 95)) for name, ms in milliseconds.items()
+    }
     result["sensors"] = {name: summary(name, result) for name in SENSORS}
     draw(rows, out / "touch.png")
     return result
 
 
-def _start(indenter: Indenter, at: tuple[float, float], tilt: float, mesh: tuple[int, int],
-           seed: int, names: tuple[str, ...] = SENSORS) -> tuple[PressWorld, dict[str, LayoutView]]:
+def _start(
+    indenter: Indenter,
+    at: tuple[float, float],
+    tilt: float,
+    mesh: tuple[int, int],
+    seed: int,
+    names: tuple[str, ...] = SENSORS,
+) -> tuple[PressWorld, dict[str, LayoutView]]:
     """An inflated, sealed sensor, its cameras with references taken, and a waiting indenter."""
     world = PressWorld("dense", indenter, at=at, tilt=tilt, mesh=mesh)
     views = {name: LayoutView(load_sensor(name), world, seed) for name in names}
@@ -122,12 +159,22 @@ def random_indenter(rng: np.random.Generator, seed: int) -> Indenter:
     return Indenter(kind, rng.uniform(smallest, largest))
 
 
-def _episode(seed: int, mesh: tuple[int, int], calibrations: Mapping[str, AreaCalibration],
-             milliseconds: dict[str, list[float]]) -> list[dict[str, Any]]:
+def _episode(
+    seed: int,
+    mesh: tuple[int, int],
+    calibrations: Mapping[str, AreaCalibration],
+    milliseconds: dict[str, list[float]],
+) -> list[dict[str, Any]]:
     """A light touch, a press, a deeper press, and a drag along x, of one random indenter."""
     rng = np.random.default_rng([seed, 5])
     indenter = random_indenter(rng, seed)
-    world, views = _start(indenter, (rng.uniform(-8e-3, 8e-3), rng.uniform(-5.5e-3, 5.5e-3)), rng.uniform(-0.1, 0.1), mesh, seed)
+    world, views = _start(
+        indenter,
+        (rng.uniform(-8e-3, 8e-3), rng.uniform(-5.5e-3, 5.5e-3)),
+        rng.uniform(-0.1, 0.1),
+        mesh,
+        seed,
+    )
     rows = []
     depths = [rng.uniform(0.15e-3, 0.4e-3), rng.uniform(0.5e-3, 2e-3), rng.uniform(2e-3, 6e-3)]
     for stage, shear in ((0, 0.0), (1, 0.0), (2, 0.0), (2, rng.uniform(-1e-3, 1e-3))):
@@ -139,8 +186,15 @@ def _episode(seed: int, mesh: tuple[int, int], calibrations: Mapping[str, AreaCa
         depths[stage] = depth
         for name, view in views.items():
             touches = [view.look() for _ in range(_FRAMES)]
-            rows.append({"sensor": name, "seed": seed, "kind": indenter.kind, **_compare(world, touches[-1]),
-                         **view.other_levels(touches[-1], calibrations[name])})
+            rows.append(
+                {
+                    "sensor": name,
+                    "seed": seed,
+                    "kind": indenter.kind,
+                    **_compare(world, touches[-1]),
+                    **view.other_levels(touches[-1], calibrations[name]),
+                }
+            )
     for name, view in views.items():
         milliseconds[name] += view.milliseconds
     return rows
@@ -151,15 +205,24 @@ def _compare(world: PressWorld, touch: Touch) -> dict[str, Any]:
     forces, points, _ = truth.contact_forces(world, 0)
     wrench_true = np.r_[forces.sum(axis=0), np.cross(points, forces).sum(axis=0)]
     assert touch.traction is not None and touch.contact is not None
-    wrench, cov = touch.traction.wrench, touch.traction.wrench_cov
+    wrench = touch.traction.wrench
+    cov = touch.traction.wrench_cov
     centroid = -forces[:, 2] @ points[:, :2] / max(-wrench_true[2], 1e-9)
-    return {"force_true_N": wrench_true[:3], "force_N": wrench[:3], "error_N": (wrench - wrench_true)[:3],
-            "torque_error_Nmm": 1e3 * (wrench - wrench_true)[3:], "sd": np.sqrt(np.diag(cov)),
-            "direction_error_deg": _angle(wrench[:3], wrench_true[:3]), "touching": touch.touching,
-            "patches": len(touch.patches), "area_true_mm2": 1e6 * truth.contact_area(world, 0),
-            "area_mm2": 1e6 * touch.contact.area, "penetration_mm": 1e3 * truth.penetration(world, 0),
-            "centroid_error_mm": 1e3 * float(np.linalg.norm(touch.contact.centroid - centroid)),
-            "pressure_error_Pa": touch.traction.pressure_gauge - world.sensors[0].pressure_gauge}
+    return {
+        "force_true_N": wrench_true[:3],
+        "force_N": wrench[:3],
+        "error_N": (wrench - wrench_true)[:3],
+        "torque_error_Nmm": 1e3 * (wrench - wrench_true)[3:],
+        "sd": np.sqrt(np.diag(cov)),
+        "direction_error_deg": _angle(wrench[:3], wrench_true[:3]),
+        "touching": touch.touching,
+        "patches": len(touch.patches),
+        "area_true_mm2": 1e6 * truth.contact_area(world, 0),
+        "area_mm2": 1e6 * touch.contact.area,
+        "penetration_mm": 1e3 * truth.penetration(world, 0),
+        "centroid_error_mm": 1e3 * float(np.linalg.norm(touch.contact.centroid - centroid)),
+        "pressure_error_Pa": touch.traction.pressure_gauge - world.sensors[0].pressure_gauge,
+    }
 
 
 def _angle(a: Array, b: Array) -> float:
@@ -172,41 +235,86 @@ def _quiet(frames: int) -> dict[str, Any]:
     _, views = _start(Indenter("sphere", 5e-3), (0.0, 0.0), 0.0, MESH_QUICK, 99)
     result = {}
     for name, view in views.items():
-        touches = [view.perception.perceive(image, image.time) for image in (view.image() for _ in range(frames))]
+        touches = [
+            view.perception.perceive(image, image.time)
+            for image in (view.image() for _ in range(frames))
+        ]
         force = np.array([t.force_normal for t in touches])
-        result[name] = {"frames": frames, "false_alarms": sum(t.touching for t in touches), "mean_N": float(force.mean()),
-                        "sd_N": float(force.std()), "largest_N": float(force.max()),
-                        "predicted_sd_N": float(np.mean([t.force_normal_sd for t in touches]))}
+        result[name] = {
+            "frames": frames,
+            "false_alarms": sum(t.touching for t in touches),
+            "mean_N": float(force.mean()),
+            "sd_N": float(force.std()),
+            "largest_N": float(force.max()),
+            "predicted_sd_N": float(np.mean([t.force_normal_sd for t in touches])),
+        }
     return result
 
 
 def _off_nominal(mesh: tuple[int, int] = MESH_QUICK) -> list[dict[str, Any]]:
-    """One press, with one thing at a time not as the sensor file says: shift of the force, and the error bar."""
+    """One press, with one thing at a time not as the sensor file says: shift of the force, and the
+    error bar."""
     rows = []
     for name in SENSORS:
         nominal = load_sensor(name)
-        camera = replace(nominal, camera=replace(nominal.camera, distance=nominal.camera.distance + 1e-4))
-        stiff = replace(nominal, membrane=replace(nominal.membrane, young=1.1 * nominal.membrane.young))
-        for case, in_world in (("nominal", nominal), ("E +10 %", stiff), ("gas +3 K after rest", nominal),
-                               ("camera moved 0.1 mm after rest", nominal), ("20 % of the markers gone", nominal)):
+        camera = replace(
+            nominal, camera=replace(nominal.camera, distance=nominal.camera.distance + 1e-4)
+        )
+        stiff = replace(
+            nominal, membrane=replace(nominal.membrane, young=1.1 * nominal.membrane.young)
+        )
+        for case, in_world in (
+            ("nominal", nominal),
+            ("E +10 %", stiff),
+            ("gas +3 K after rest", nominal),
+            ("camera moved 0.1 mm after rest", nominal),
+            ("20 % of the markers gone", nominal),
+        ):
             world = PressWorld(in_world, Indenter("sphere", 8e-3), at=(3e-3, 2e-3), mesh=mesh)
             view = LayoutView(nominal, world, 7)
             take_references(world, [view], nominal.chamber.supply_gauge)
             world.press(3e-3)
-            gone = np.random.default_rng(3).permutation(nominal.markers.count)[: nominal.markers.count // 5]
-            p, n = MarkerInterpolator(world.sensors[0].mesh, nominal.markers.p_SM).marker_poses(world.sensors[0].p_SV)
-            keep = np.setdiff1d(np.arange(len(p)), gone) if case.startswith("20") else np.arange(len(p))
+            gone = np.random.default_rng(3).permutation(nominal.markers.count)[
+                : nominal.markers.count // 5
+            ]
+            p, n = MarkerInterpolator(world.sensors[0].mesh, nominal.markers.p_SM).marker_poses(
+                world.sensors[0].p_SV
+            )
+            keep = (
+                np.setdiff1d(np.arange(len(p)), gone)
+                if case.startswith("20")
+                else np.arange(len(p))
+            )
             renderer = Renderer(camera if case.startswith("camera") else nominal, seed=8)
             state = view.perception.state
             reference = state.reference
-            if case.startswith("gas") and reference is not None and reference.rest.gas.constant is not None:
+            if (
+                case.startswith("gas")
+                and reference is not None
+                and reference.rest.gas.constant is not None
+            ):
                 # a chamber 3 K warmer holds (1 + 3/T) of the p V that the sensor believes in
-                gas = replace(reference.rest.gas, constant=reference.rest.gas.constant / (1 + 3 / nominal.chamber.temperature))
-                view.perception.state = replace(state, reference=replace(reference, rest=replace(reference.rest, gas=gas)))
-            images = (renderer.render(p[keep], n[keep], 10.0 + k * _PERIOD) for k in range(_OFF_NOMINAL_FRAMES))
+                gas = replace(
+                    reference.rest.gas,
+                    constant=reference.rest.gas.constant / (1 + 3 / nominal.chamber.temperature),
+                )
+                view.perception.state = replace(
+                    state, reference=replace(reference, rest=replace(reference.rest, gas=gas))
+                )
+            images = (
+                renderer.render(p[keep], n[keep], 10.0 + k * _PERIOD)
+                for k in range(_OFF_NOMINAL_FRAMES)
+            )
             touch = [view.look(image) for image in images][-1]
             assert touch.traction is not None
-            rows.append({"sensor": name, "case": case, "force_true_N": -float(truth.contact_force(world, 0)[2]),
-                         "force_N": -float(touch.traction.wrench[2]), "status": touch.status,
-                         "sd_N": float(np.sqrt(touch.traction.wrench_cov[2, 2]))})
+            rows.append(
+                {
+                    "sensor": name,
+                    "case": case,
+                    "force_true_N": -float(truth.contact_force(world, 0)[2]),
+                    "force_N": -float(touch.traction.wrench[2]),
+                    "status": touch.status,
+                    "sd_N": float(np.sqrt(touch.traction.wrench_cov[2, 2])),
+                }
+            )
     return rows

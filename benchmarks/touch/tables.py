@@ -17,26 +17,44 @@ _DIRECTION_LEAST = 0.3  # N
 def summary(name: str, result: Mapping[str, Any]) -> dict[str, Any]:
     """One sensor's numbers."""
     rows = [row for row in result["looks"] if row["sensor"] == name]
-    error, true = np.array([r["error_N"] for r in rows]), np.array([r["force_true_N"] for r in rows])
+    error = np.array([r["error_N"] for r in rows])
+    true = np.array([r["force_true_N"] for r in rows])
     torque = np.array([r["torque_error_Nmm"] for r in rows])
     sd = np.array([r["sd"] for r in rows])
     full = np.linalg.norm(true, axis=1)
     felt = [r for r in rows if r["touching"] and -r["force_true_N"][2] > 0.1]
     share = np.array([r["area_mm2"] / r["area_true_mm2"] - 1 for r in felt])
     light = [r["touching"] for r in rows if LIGHT <= -r["force_true_N"][2] < 2 * LIGHT]
-    levels = {level: float(np.mean(np.abs([r[level] + r["force_true_N"][2] for r in rows])))
-              for level in ("level1_N", "level2_N", "weak_form_N")}
+    levels = {
+        level: float(np.mean(np.abs([r[level] + r["force_true_N"][2] for r in rows])))
+        for level in ("level1_N", "level2_N", "weak_form_N")
+    }
+
     return {
-        "looks": len(rows), "normal_mae_N": _mean(np.abs(error[:, 2])), "normal_bias_N": _mean(error[:, 2]),
-        "normal_worst_N": float(np.abs(error[:, 2]).max()), "shear_mae_N": _mean(np.hypot(error[:, 0], error[:, 1])),
-        "direction_deg": _mean([r["direction_error_deg"] for r, f in zip(rows, full, strict=True) if f > _DIRECTION_LEAST]),
-        "torque_Nmm": _mean(np.linalg.norm(torque, axis=1)), "centroid_mm": _mean([r["centroid_error_mm"] for r in felt]),
+        "looks": len(rows),
+        "normal_mae_N": _mean(np.abs(error[:, 2])),
+        "normal_bias_N": _mean(error[:, 2]),
+        "normal_worst_N": float(np.abs(error[:, 2]).max()),
+        "shear_mae_N": _mean(np.hypot(error[:, 0], error[:, 1])),
+        "direction_deg": _mean(
+            [
+                r["direction_error_deg"]
+                for r, f in zip(rows, full, strict=True)
+                if f > _DIRECTION_LEAST
+            ]
+        ),
+        "torque_Nmm": _mean(np.linalg.norm(torque, axis=1)),
+        "centroid_mm": _mean([r["centroid_error_mm"] for r in felt]),
         "area_share": float(np.median(np.abs(share))) if len(share) else float("nan"),
         "area_bias_share": float(np.median(share)) if len(share) else float("nan"),
-        "light_touches": len(light), "light_felt": sum(light), **levels,
+        "light_touches": len(light),
+        "light_felt": sum(light),
+        **levels,
         "chi_square": ((error / sd[:, :3]) ** 2).mean(axis=0),
         "chi_square_torque": ((1e-3 * torque / sd[:, 3:]) ** 2).mean(axis=0),
-        "milliseconds": result["milliseconds"][name], "milliseconds_p95": result["milliseconds_p95"][name]}  # fmt: skip
+        "milliseconds": result["milliseconds"][name],
+        "milliseconds_p95": result["milliseconds_p95"][name],
+    }
 
 
 def _mean(values: Any) -> float:
@@ -46,58 +64,113 @@ def _mean(values: Any) -> float:
 def table(result: Mapping[str, Any]) -> str:
     """The result as Markdown, next to what was asked for."""
     sensors = result["sensors"]
-    lines = ["| what | asked | aim | " + " | ".join(sensors) + " |", "|---" * (3 + len(sensors)) + "|"]
+    lines = [
+        "| what | asked | aim | " + " | ".join(sensors) + " |",
+        "|---" * (3 + len(sensors)) + "|",
+    ]
 
     def line(what: str, asked: str, aim: str, show: Callable[[Mapping[str, Any]], str]) -> None:
-        lines.append(f"| {what} | {asked} | {aim} | " + " | ".join(show(s) for s in sensors.values()) + " |")
+        lines.append(
+            f"| {what} | {asked} | {aim} | " + " | ".join(show(s) for s in sensors.values()) + " |"
+        )
 
-    line("normal force, mean absolute error (worst), N", ".02 / .04", ".01 / .02",
-         lambda s: f"{s['normal_mae_N']:.4f} ({s['normal_worst_N']:.3f})")
+    line(
+        "normal force, mean absolute error (worst), N",
+        ".02 / .04",
+        ".01 / .02",
+        lambda s: f"{s['normal_mae_N']:.4f} ({s['normal_worst_N']:.3f})",
+    )
     line("… by the weak form on interpolated markers", "", "", lambda s: f"{s['weak_form_N']:.4f}")
-    line("… by level 1, dF = c dA, c calibrated on a cylinder", "", "", lambda s: f"{s['level1_N']:.4f}")
+    line(
+        "… by level 1, dF = c dA, c calibrated on a cylinder",
+        "",
+        "",
+        lambda s: f"{s['level1_N']:.4f}",
+    )
     line("… by level 2, grid of springs", "", "", lambda s: f"{s['level2_N']:.4f}")
     line("shear force error, N", ".03", ".015", lambda s: f"{s['shear_mae_N']:.4f}")
     line("direction above 0.3 N, deg", "3", "1.5", lambda s: f"{s['direction_deg']:.2f}")
     line("torque about the frame's middle, N mm", "", "", lambda s: f"{s['torque_Nmm']:.3f}")
     line("contact centroid, mm", ".3", ".15", lambda s: f"{s['centroid_mm']:.3f}")
-    line("contact area, median relative error (bias), %", "10", "7",
-         lambda s: f"{100 * s['area_share']:.0f} ({100 * s['area_bias_share']:+.0f})")
-    line("touches of 0.03-0.06 N felt", "all", "", lambda s: f"{s['light_felt']} of {s['light_touches']}")
-    line("chi-square per dof: force x, y, z", ".6-1.6", ".8-1.2", lambda s: ", ".join(f"{v:.2f}" for v in s["chi_square"]))
-    line("ms a frame after the surface, median (95 %)", "3", "1.5",
-         lambda s: f"{s['milliseconds']:.1f} ({s['milliseconds_p95']:.1f})")
+    line(
+        "contact area, median relative error (bias), %",
+        "10",
+        "7",
+        lambda s: f"{100 * s['area_share']:.0f} ({100 * s['area_bias_share']:+.0f})",
+    )
+    line(
+        "touches of 0.03-0.06 N felt",
+        "all",
+        "",
+        lambda s: f"{s['light_felt']} of {s['light_touches']}",
+    )
+    line(
+        "chi-square per dof: force x, y, z",
+        ".6-1.6",
+        ".8-1.2",
+        lambda s: ", ".join(f"{v:.2f}" for v in s["chi_square"]),
+    )
+    line(
+        "ms a frame after the surface, median (95 %)",
+        "3",
+        "1.5",
+        lambda s: f"{s['milliseconds']:.1f} ({s['milliseconds_p95']:.1f})",
+    )
     return "\n".join([*lines, "", *_quiet(result), "", *_off_nominal(result)]) + "\n"
 
 
 def _quiet(result: Mapping[str, Any]) -> Sequence[str]:
-    lines = ["| nothing touches | frames | false alarms | mean, N | sd, N (predicted) | largest, N |", "|---" * 6 + "|"]
+    lines = [
+        "| nothing touches | frames | false alarms | mean, N | sd, N (predicted) | largest, N |",
+        "|---" * 6 + "|",
+    ]
     for name, q in result["quiet"].items():
-        lines.append(f"| {name} | {q['frames']} | {q['false_alarms']} | {q['mean_N']:+.4f} | {q['sd_N']:.4f} "
-                     f"({q['predicted_sd_N']:.4f}) | {q['largest_N']:.4f} |")
+        lines.append(
+            f"| {name} | {q['frames']} | {q['false_alarms']} | {q['mean_N']:+.4f} | "
+            f"{q['sd_N']:.4f} "
+            f"({q['predicted_sd_N']:.4f}) | {q['largest_N']:.4f} |"
+        )
     return lines
 
 
 def _off_nominal(result: Mapping[str, Any]) -> Sequence[str]:
-    lines = ["| off-nominal, sphere pressed 3 mm | sensor | true, N | felt, N | error, N | error bar (1 sd), N | status |",
-             "|---" * 7 + "|"]
+    lines = [
+        "| off-nominal, sphere pressed 3 mm | sensor | true, N | felt, N | error, N | error "
+        "bar (1 sd), N | status |",
+        "|---" * 7 + "|",
+    ]
     for row in result["off_nominal"]:
         error = row["force_N"] - row["force_true_N"]
-        lines.append(f"| {row['case']} | {row['sensor']} | {row['force_true_N']:.3f} | {row['force_N']:.3f} | {error:+.3f} "
-                     f"| {row['sd_N']:.3f} | {row['status']} |")
+        lines.append(
+            f"| {row['case']} | {row['sensor']} | {row['force_true_N']:.3f} | "
+            f"{row['force_N']:.3f} | {error:+.3f} "
+            f"| {row['sd_N']:.3f} | {row['status']} |"
+        )
     return lines
 
 
 def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Felt against true normal force, and the errors of normal and shear force with their error bars."""
+    """Felt against true normal force, and the errors of normal and shear force with their error
+    bars."""
     if (figure := new_figure(path.name, (9.6, 4.2))) is None:
         return
     left, right = figure.subplots(1, 2)
     for name, color in (("dense", "#1f5fa8"), ("paper16", "#c0221c")):
         mine = [r for r in rows if r["sensor"] == name]
-        true, error = -np.array([r["force_true_N"][2] for r in mine]), -np.array([r["error_N"][2] for r in mine])
-        left.errorbar(true, error, [r["sd"][2] for r in mine], fmt="o", ms=3, lw=0.8, color=color, label=name)
+        true = -np.array([r["force_true_N"][2] for r in mine])
+        error = -np.array([r["error_N"][2] for r in mine])
+        left.errorbar(
+            true, error, [r["sd"][2] for r in mine], fmt="o", ms=3, lw=0.8, color=color, label=name
+        )
         shear = [float(np.hypot(*r["force_true_N"][:2])) for r in mine]
-        right.plot(shear, [float(np.hypot(*r["error_N"][:2])) for r in mine], "o", ms=3, color=color, label=name)
+        right.plot(
+            shear,
+            [float(np.hypot(*r["error_N"][:2])) for r in mine],
+            "o",
+            ms=3,
+            color=color,
+            label=name,
+        )
     for axes, force in ((left, "normal"), (right, "shear")):
         axes.set_xlabel(f"true {force} force [N]")
         axes.set_ylabel(f"error of the {force} force [N]")

@@ -1,4 +1,5 @@
-"""Cases of `mjtactile bench truth`: a TOML file each, with a sensor, one motion, and a reference with its source.
+"""Cases of `mjtactile bench truth`: a TOML file each, with a sensor, one motion, and a reference
+with its source.
 
     about = "a ball on the middle"          what it is, in a line
     sensor = "dense"                        a shipped name, or FILE.toml beside the case
@@ -35,8 +36,9 @@ _LARGE = 1e9
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One case. `motion` names its kind, `plan` holds what that kind reads in `MOTIONS`, in the file's units; asked is that each
-    number is within `percent` of its reference or within `least` of it."""
+    """One case. `motion` names its kind, `plan` holds what that kind reads in `MOTIONS`, in the
+    file's units; asked is that each number is within `percent` of its reference or within `least`
+    of it."""
 
     name: str
     about: str
@@ -54,10 +56,15 @@ class Case:
 
 
 def _press(s: Section) -> dict[str, Any]:
-    return {"indenter": s.text("indenter"), "at_mm": s.numbers("at_mm", "xy", -100, 100, default=(0.0, 0.0)),
-            "force": s.pairs("force") if s.has("force") else (), "drag_mm": s.number("drag_mm", -20, 20, default=0.0),
-            "depth_mm": s.number("depth_mm", 0, 50, default=None),
-            "shear": s.numbers("shear", ("Fx", "Fy"), -_LARGE, _LARGE, default=None), "felt": s.flag("felt", True)}
+    return {
+        "indenter": s.text("indenter"),
+        "at_mm": s.numbers("at_mm", "xy", -100, 100, default=(0.0, 0.0)),
+        "force": s.pairs("force") if s.has("force") else (),
+        "drag_mm": s.number("drag_mm", -20, 20, default=0.0),
+        "depth_mm": s.number("depth_mm", 0, 50, default=None),
+        "shear": s.numbers("shear", ("Fx", "Fy"), -_LARGE, _LARGE, default=None),
+        "felt": s.flag("felt", True),
+    }
 
 
 def _bulge(s: Section) -> dict[str, Any]:
@@ -65,20 +72,34 @@ def _bulge(s: Section) -> dict[str, Any]:
 
 
 def _pinch(s: Section) -> dict[str, Any]:
-    return {"body": s.text("body", ("sphere", "box", "plate", "rod")), "size_mm": s.number("size_mm", 0.1, 100),
-            "mass_g": s.number("mass_g", 0.01, 1e4), "squeeze_mm": s.number("squeeze_mm", 0, 20),
-            "seconds": s.number("seconds", 0.1, 100, default=2.0), "timestep_ms": _steps(s)}
+    return {
+        "body": s.text("body", ("sphere", "box", "plate", "rod")),
+        "size_mm": s.number("size_mm", 0.1, 100),
+        "mass_g": s.number("mass_g", 0.01, 1e4),
+        "squeeze_mm": s.number("squeeze_mm", 0, 20),
+        "seconds": s.number("seconds", 0.1, 100, default=2.0),
+        "timestep_ms": _steps(s),
+    }
 
 
 def _drag(s: Section) -> dict[str, Any]:
-    return {"indenter": s.text("indenter"), "depth_mm": s.number("depth_mm", 0, 50), "drag_mm": s.number("drag_mm", -20, 20),
-            "speed_mm_s": s.number("speed_mm_s", 0.01, 1000, default=20.0),
-            "seconds": s.number("seconds", 0.1, 100, default=10.0), "timestep_ms": _steps(s)}
+    return {
+        "indenter": s.text("indenter"),
+        "depth_mm": s.number("depth_mm", 0, 50),
+        "drag_mm": s.number("drag_mm", -20, 20),
+        "speed_mm_s": s.number("speed_mm_s", 0.01, 1000, default=20.0),
+        "seconds": s.number("seconds", 0.1, 100, default=10.0),
+        "timestep_ms": _steps(s),
+    }
 
 
 def _spin(s: Section) -> dict[str, Any]:
-    return {"axis": s.numbers("axis", "xyz", -1, 1), "speed_rad_s": s.number("speed_rad_s", 0.01, 100, default=1.0),
-            "seconds": s.number("seconds", 0.1, 100, default=1.0), "timestep_ms": _steps(s)}
+    return {
+        "axis": s.numbers("axis", "xyz", -1, 1),
+        "speed_rad_s": s.number("speed_rad_s", 0.01, 100, default=1.0),
+        "seconds": s.number("seconds", 0.1, 100, default=1.0),
+        "timestep_ms": _steps(s),
+    }
 
 
 def _steps(s: Section) -> tuple[float, ...]:
@@ -89,7 +110,13 @@ def _steps(s: Section) -> tuple[float, ...]:
 
 
 MOTIONS: dict[str, Callable[[Section], dict[str, Any]]] = {
-    "press": _press, "bulge": _bulge, "hold": _pinch, "held_shear": _drag, "slide": _drag, "spin": _spin}
+    "press": _press,
+    "bulge": _bulge,
+    "hold": _pinch,
+    "held_shear": _drag,
+    "slide": _drag,
+    "spin": _spin,
+}
 """Name of a motion to what reads its section."""
 
 
@@ -98,8 +125,13 @@ def load_case(path: Path) -> Case:
     file = Section(read_toml(path), "", str(path))
     sections = {name: section for name in MOTIONS if (section := file.optional(name)) is not None}
     if len(sections) != 1:
-        raise InputError(f"{len(sections)} motions, expected one", source=path, field="[motion]", choices=list(MOTIONS))
-    (motion, section), = sections.items()
+        raise InputError(
+            f"{len(sections)} motions, expected one",
+            source=path,
+            field="[motion]",
+            choices=list(MOTIONS),
+        )
+    ((motion, section),) = sections.items()
     plan = MOTIONS[motion](section)
     section.done()
     reference = file.section("reference")
@@ -108,18 +140,34 @@ def load_case(path: Path) -> Case:
     friction = file.number("friction", 0.0, 10.0, default=design.membrane.friction)
     law = Law(file.text("law", tuple(Law), default=design.membrane.law))
     design = replace(design, membrane=replace(design.membrane, friction=friction, law=law))
-    case = Case(path.stem, file.text("about"), design, motion, plan,
-                reference.text("source"), reference.number("percent", 0.0, 1000.0), reference.number("least", 0.0, _LARGE), path)
+    case = Case(
+        path.stem,
+        file.text("about"),
+        design,
+        motion,
+        plan,
+        reference.text("source"),
+        reference.number("percent", 0.0, 1000.0),
+        reference.number("least", 0.0, _LARGE),
+        path,
+    )
     reference.done()
     file.done()
     return case
 
 
 def load_cases(folder: Path | None = None) -> list[Case]:
-    """All cases of a folder, by default those that come along. Raises InputError where there is none."""
+    """All cases of a folder, by default those that come along. Raises InputError where there is
+    none."""
     folder = resources.folder(FOLDER) if folder is None else folder
     paths = sorted(folder.glob("*.toml"))
-    paths = [path for path in paths if any(key in read_toml(path) for key in MOTIONS)]  # the others are sensors
+    # the others are sensors
+    paths = [path for path in paths if any(key in read_toml(path) for key in MOTIONS)]
     if not paths:
-        raise InputError("no case (a TOML file with a motion)", source=folder, field="--cases", choices=list(MOTIONS))
+        raise InputError(
+            "no case (a TOML file with a motion)",
+            source=folder,
+            field="--cases",
+            choices=list(MOTIONS),
+        )
     return [load_case(path) for path in paths]

@@ -1,4 +1,5 @@
-"""What the simulation, and where asked the sensing chain, makes of a case: numbers next to their references."""
+"""What the simulation, and where asked the sensing chain, makes of a case: numbers next to their
+references."""
 
 from __future__ import annotations
 
@@ -14,15 +15,18 @@ from mjtactile.sim import truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.scenes.world import World
 
-FELT, FELT_SD = 0.04, 3.0  # N, and how many of its own sd: what is asked of a felt force
+# N, and how many of its own sd: what is asked of a felt force
+FELT = 0.04
+FELT_SD = 3.0
 _LOOKS = 3  # a camera that runs: bars are wide in the image in which the force has just changed
-_REST = 20  # steps over which a force at rest is averaged: the solver's tolerance rocks it by 0.3-0.5 %
+# steps over which a force at rest is averaged: the solver's tolerance rocks it by 0.3-0.5 %
+_REST = 20
 
 
 @dataclass(frozen=True)
 class Number:
-    """One `measured` number and its `reference`, in `unit`, `at` a depth, pressure or time step; `allowed` is how far apart
-    they may be. A felt force has its own `sd`."""
+    """One `measured` number and its `reference`, in `unit`, `at` a depth, pressure or time step;
+    `allowed` is how far apart they may be. A felt force has its own `sd`."""
 
     what: str
     at: str
@@ -50,11 +54,14 @@ def measure(case: Case) -> list[Number]:
 def _indenter(case: Case) -> Indenter:
     """As the case names it; files are beside it."""
     text = case.plan["indenter"]
-    return Indenter.parse(str(case.path.parent / text) if text.lower().endswith((".stl", ".xml")) else text)
+    return Indenter.parse(
+        str(case.path.parent / text) if text.lower().endswith((".stl", ".xml")) else text
+    )
 
 
 def _press(case: Case) -> list[Number]:
-    plan, numbers = case.plan, []
+    plan = case.plan
+    numbers = []
     x, y = plan["at_mm"]
     world = PressWorld(case.design, _indenter(case), at=(1e-3 * x, 1e-3 * y))
     gauge = case.design.chamber.supply_gauge
@@ -64,11 +71,30 @@ def _press(case: Case) -> list[Number]:
         world.press(1e-3 * depth)
         at = f"{depth:g} mm"
         force = -float(_at_rest(world)[2])
-        numbers.append(Number("normal force", at, "N", reference, force, case.allows(reference), flags=tuple(world.flags)))
+        numbers.append(
+            Number(
+                "normal force",
+                at,
+                "N",
+                reference,
+                force,
+                case.allows(reference),
+                flags=tuple(world.flags),
+            )
+        )
         if view is not None:
             touch = [view.touch() for _ in range(_LOOKS)][-1]
-            numbers.append(Number("felt, against simulated truth", at, "N", force, touch.force_normal,
-                                  max(FELT, FELT_SD * touch.force_normal_sd), touch.force_normal_sd))
+            numbers.append(
+                Number(
+                    "felt, against simulated truth",
+                    at,
+                    "N",
+                    force,
+                    touch.force_normal,
+                    max(FELT, FELT_SD * touch.force_normal_sd),
+                    touch.force_normal_sd,
+                )
+            )
     if plan["shear"] is not None:
         numbers += _shear(case, world)
     return numbers
@@ -81,13 +107,17 @@ def _shear(case: Case, world: PressWorld) -> list[Number]:
     world.press(depth)
     if drag:
         world.press(depth, drag)
-    goal, found = np.array(plan["shear"]), _at_rest(world)[:2]
+    goal = np.array(plan["shear"])
+    found = _at_rest(world)[:2]
     size = float(np.linalg.norm(goal))
     direction = goal / size if size else np.zeros(2)
     at = f"{plan['depth_mm']:g} mm deep, dragged {plan['drag_mm']:g} mm"
-    along, across = float(found @ direction), float(np.linalg.norm(found - (found @ direction) * direction))
-    return [Number("shear", at, "N", size, along, case.allows(size)),
-            Number("shear across it", at, "N", 0.0, across, case.allows(size))]
+    along = float(found @ direction)
+    across = float(np.linalg.norm(found - (found @ direction) * direction))
+    return [
+        Number("shear", at, "N", size, along, case.allows(size)),
+        Number("shear across it", at, "N", 0.0, across, case.allows(size)),
+    ]
 
 
 def _at_rest(world: World, steps: int = _REST) -> np.ndarray:
@@ -99,32 +129,57 @@ def _at_rest(world: World, steps: int = _REST) -> np.ndarray:
 
 
 def _bulge(case: Case) -> list[Number]:
-    world, numbers = PressWorld(case.design, Indenter("sphere", 5e-3)), []
+    world = PressWorld(case.design, Indenter("sphere", 5e-3))
+    numbers = []
     for gauge, reference in case.plan["height"]:
         world.inflate(1e3 * gauge, seal=False)
-        numbers.append(Number("height", f"{gauge:g} kPa", "mm", reference, 1e3 * world.sensors[0].height_at(0.0, 0.0),
-                              case.allows(reference), flags=tuple(world.flags)))
+        numbers.append(
+            Number(
+                "height",
+                f"{gauge:g} kPa",
+                "mm",
+                reference,
+                1e3 * world.sensors[0].height_at(0.0, 0.0),
+                case.allows(reference),
+                flags=tuple(world.flags),
+            )
+        )
     return numbers
 
 
 def _hold(case: Case) -> list[Number]:
     """Speed at which a held object sinks, from a line through where it was, um/s."""
-    plan, numbers = case.plan, []
+    plan = case.plan
+    numbers = []
     for step in plan["timestep_ms"]:
         body = Body(plan["body"], 1e-3 * plan["size_mm"], 1e-3 * plan["mass_g"])
-        world = PinchWorld(case.design, body, pressure_gauge=case.design.chamber.supply_gauge, squeeze=1e-3 * plan["squeeze_mm"],
-                           timestep=1e-3 * step)
+        world = PinchWorld(
+            case.design,
+            body,
+            pressure_gauge=case.design.chamber.supply_gauge,
+            squeeze=1e-3 * plan["squeeze_mm"],
+            timestep=1e-3 * step,
+        )
         world.step(round(0.5 / world.timestep))
         grip = -sum(float(truth.contact_force(world, sensor)[2]) for sensor in range(2))
         margin = case.design.membrane.friction * grip / world.weight
-        times, drops = [], []
+        times = []
+        drops = []
         for _ in range(40):
             world.step(round(plan["seconds"] / 40 / world.timestep))
             times.append(world.time)
             drops.append(world.drop)
         creep = 1e6 * float(np.polyfit(times, drops, 1)[0])
-        numbers.append(Number(f"creep with {margin:.1f} times the friction that it needs", f"{step:g} ms", "um/s", 0.0, creep,
-                              case.allows(0.0)))
+        numbers.append(
+            Number(
+                f"creep with {margin:.1f} times the friction that it needs",
+                f"{step:g} ms",
+                "um/s",
+                0.0,
+                creep,
+                case.allows(0.0),
+            )
+        )
     return numbers
 
 
@@ -136,7 +191,8 @@ def _dragged(case: Case, step: float) -> PressWorld:
 
 
 def _held_shear(case: Case) -> list[Number]:
-    plan, numbers = case.plan, []
+    plan = case.plan
+    numbers = []
     for step in plan["timestep_ms"]:
         world = _dragged(case, step)
         world.press(1e-3 * plan["depth_mm"], 1e-3 * plan["drag_mm"])
@@ -144,40 +200,79 @@ def _held_shear(case: Case) -> list[Number]:
         before = _at_rest(world, 50)[0]
         world.step(round(plan["seconds"] / world.timestep))
         share = float(_at_rest(world, 50)[0] / before)
-        numbers.append(Number(f"shear that is left after {plan['seconds']:g} s", f"{step:g} ms", "", 1.0, share,
-                              case.allows(1.0)))
+        numbers.append(
+            Number(
+                f"shear that is left after {plan['seconds']:g} s",
+                f"{step:g} ms",
+                "",
+                1.0,
+                share,
+                case.allows(1.0),
+            )
+        )
     return numbers
 
 
 def _slide(case: Case) -> list[Number]:
     """Friction along the way that an indenter slides, over mu N, both ways."""
-    return [Number("friction along the slide, over mu N", f"{step:g} ms, {name}", "", 1.0, _slid(case, step, sign),
-                   case.allows(1.0))
-            for step in case.plan["timestep_ms"] for sign, name in ((1.0, "+x"), (-1.0, "-x"))]
+    return [
+        Number(
+            "friction along the slide, over mu N",
+            f"{step:g} ms, {name}",
+            "",
+            1.0,
+            _slid(case, step, sign),
+            case.allows(1.0),
+        )
+        for step in case.plan["timestep_ms"]
+        for sign, name in ((1.0, "+x"), (-1.0, "-x"))
+    ]
 
 
 def _slid(case: Case, step: float, sign: float) -> float:
     """The mean over the last third of a slide, which has long begun then."""
-    plan, world, shares = case.plan, _dragged(case, step), []
-    mu, way = case.design.membrane.friction, np.array([sign, 0.0, 0.0])
+    plan = case.plan
+    world = _dragged(case, step)
+    shares = []
+    mu = case.design.membrane.friction
+    way = np.array([sign, 0.0, 0.0])
     world.after_each_step(lambda: shares.append(truth.friction_along(world, 0, mu, way)))
-    world.drive(1e-3 * plan["depth_mm"], sign * 1e-3 * plan["drag_mm"], speed=1e-3 * plan["speed_mm_s"])
-    return float(np.mean(shares[2 * len(shares) // 3:]))
+    world.drive(
+        1e-3 * plan["depth_mm"], sign * 1e-3 * plan["drag_mm"], speed=1e-3 * plan["speed_mm_s"]
+    )
+    return float(np.mean(shares[2 * len(shares) // 3 :]))
 
 
 def _spin(case: Case) -> list[Number]:
     """Angular momentum of an inflated sensor that turns freely, after and before."""
-    plan, numbers = case.plan, []
+    plan = case.plan
+    numbers = []
     axis = np.array(plan["axis"]) / np.linalg.norm(plan["axis"])
     for step in plan["timestep_ms"]:
-        world = FloatWorld(case.design, pressure_gauge=case.design.chamber.supply_gauge, timestep=1e-3 * step)
+        world = FloatWorld(
+            case.design, pressure_gauge=case.design.chamber.supply_gauge, timestep=1e-3 * step
+        )
         world.turn(plan["speed_rad_s"] * axis)
         before = world.angular_momentum
         world.step(round(plan["seconds"] / world.timestep))
-        numbers.append(Number(f"angular momentum that is left after {plan['seconds']:g} s", f"{step:g} ms", "", 1.0,
-                              world.angular_momentum / before, case.allows(1.0)))
+        numbers.append(
+            Number(
+                f"angular momentum that is left after {plan['seconds']:g} s",
+                f"{step:g} ms",
+                "",
+                1.0,
+                world.angular_momentum / before,
+                case.allows(1.0),
+            )
+        )
     return numbers
 
 
 _MEASURES: dict[str, Callable[[Case], list[Number]]] = {
-    "press": _press, "bulge": _bulge, "hold": _hold, "held_shear": _held_shear, "slide": _slide, "spin": _spin}
+    "press": _press,
+    "bulge": _bulge,
+    "hold": _hold,
+    "held_shear": _held_shear,
+    "slide": _slide,
+    "spin": _spin,
+}

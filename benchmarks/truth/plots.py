@@ -20,7 +20,7 @@ def save(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     boxes = figure.subplots(height, _COLUMNS, squeeze=False).ravel()
     for axes, row in zip(boxes, rows, strict=False):
         _draw(axes, row)
-    for axes in boxes[len(rows):]:
+    for axes in boxes[len(rows) :]:
         axes.set_axis_off()
     figure.savefig(path)
 
@@ -30,12 +30,33 @@ def _draw(axes: Any, row: dict[str, Any]) -> None:
     simulated = [n for n in numbers if n["sd"] is None]
     felt = [n for n in numbers if n["sd"] is not None]
     places = list(dict.fromkeys(n["at"] for n in numbers))
-    axes.errorbar([places.index(n["at"]) for n in simulated], [n["reference"] for n in simulated],
-                  [n["allowed"] for n in simulated], fmt="k_", capsize=4, ms=10, label="reference, and what is asked")
-    axes.plot([places.index(n["at"]) for n in simulated], [n["measured"] for n in simulated], "o", ms=5, label="simulated")
+    axes.errorbar(
+        [places.index(n["at"]) for n in simulated],
+        [n["reference"] for n in simulated],
+        [n["allowed"] for n in simulated],
+        fmt="k_",
+        capsize=4,
+        ms=10,
+        label="reference, and what is asked",
+    )
+    axes.plot(
+        [places.index(n["at"]) for n in simulated],
+        [n["measured"] for n in simulated],
+        "o",
+        ms=5,
+        label="simulated",
+    )
     if felt:
-        axes.errorbar([places.index(n["at"]) + 0.15 for n in felt], [n["measured"] for n in felt], [2 * n["sd"] for n in felt],
-                      fmt="s", ms=4, capsize=2, color="tab:orange", label="felt, 2 sd")
+        axes.errorbar(
+            [places.index(n["at"]) + 0.15 for n in felt],
+            [n["measured"] for n in felt],
+            [2 * n["sd"] for n in felt],
+            fmt="s",
+            ms=4,
+            capsize=2,
+            color="tab:orange",
+            label="felt, 2 sd",
+        )
     axes.set_xticks(range(len(places)), places, fontsize=7, rotation=20 if len(places) > 4 else 0)
     axes.set_title(row["about"], fontsize=9)
     axes.set_ylabel(numbers[0]["unit"] if numbers else row.get("failed", ""), fontsize=8)

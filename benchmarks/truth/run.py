@@ -1,4 +1,5 @@
-"""`mjtactile bench truth`: the simulation, and what is felt, against references from outside of the project, on one page."""
+"""`mjtactile bench truth`: the simulation, and what is felt, against references from outside of the
+project, on one page."""
 
 from __future__ import annotations
 
@@ -16,23 +17,40 @@ from mjtactile.run.progress import Progress
 QUICK = 4  # cases
 
 
-def run(out: Path, quick: bool = False, say: Callable[[str], None] | None = None, *, cases: Path | None = None) -> dict[str, Any]:
-    """Measure every case of the folder `cases` (default: those that come along); `truth.png` into `out`; the JSON."""
+def run(
+    out: Path,
+    quick: bool = False,
+    say: Callable[[str], None] | None = None,
+    *,
+    cases: Path | None = None,
+) -> dict[str, Any]:
+    """Measure every case of the folder `cases` (default: those that come along); `truth.png` into
+    `out`; the JSON."""
     say = Progress().message if say is None else say
     known = load_cases(cases)
     rows = []
     for case in known[:QUICK] if quick else known:
         rows.append(_row(case))
         say(f"{case.name}: {_verdict(rows[-1])}")
-    result = {"cases": rows, "numbers": sum(len(row["numbers"]) for row in rows),
-              "met": sum(n["is_met"] for row in rows for n in row["numbers"])}
+    result = {
+        "cases": rows,
+        "numbers": sum(len(row["numbers"]) for row in rows),
+        "met": sum(n["is_met"] for row in rows for n in row["numbers"]),
+    }
     plots.save(out / "truth.png", rows)
     return result
 
 
 def _row(case: Case) -> dict[str, Any]:
-    about = {"name": case.name, "about": case.about, "motion": case.motion, "sensor": case.design.name, "source": case.source,
-             "asked_percent": case.percent, "asked_least": case.least}
+    about = {
+        "name": case.name,
+        "about": case.about,
+        "motion": case.motion,
+        "sensor": case.design.name,
+        "source": case.source,
+        "asked_percent": case.percent,
+        "asked_least": case.least,
+    }
     try:
         numbers = measure(case)
     except SimulationError as error:
@@ -51,10 +69,16 @@ def _verdict(row: dict[str, Any]) -> str:
 
 
 def table(result: dict[str, Any]) -> str:
-    """Markdown: in each case the number of each kind that is worst against what is asked; then where references come from."""
-    lines = [f"{result['met']} of {result['numbers']} numbers are as good as asked. Each row shows the one that is worst against "
-             "what is asked.", "",
-             "| case | what | at | reference | measured | error | asked | as good |", "|---|---|---|---|---|---|---|---|"]
+    """Markdown: in each case the number of each kind that is worst against what is asked; then
+    where references come from."""
+    lines = [
+        f"{result['met']} of {result['numbers']} numbers are as good as asked. Each row shows "
+        "the one that is worst against "
+        "what is asked.",
+        "",
+        "| case | what | at | reference | measured | error | asked | as good |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
     for row in result["cases"]:
         if "failed" in row:
             lines.append(f"| {row['about']} | failed: {row['failed']} | | | | | | 0 |")
@@ -68,7 +92,15 @@ def _line(about: str, numbers: Sequence[dict[str, Any]]) -> str:
     worst = max(numbers, key=lambda n: abs(n["error"]) / (n["allowed"] or 1e-300))
     unit = f" {worst['unit']}" if worst["unit"] else ""
     sd = f", {abs(worst['error']) / worst['sd']:.1f} of its sd" if worst["sd"] else ""
-    share = f" ({100 * worst['error'] / worst['reference']:+.1f} %)" if worst["reference"] and not sd else ""
+    share = (
+        (f" ({100 * worst['error'] / worst['reference']:+.1f} %)")
+        if worst["reference"] and not sd
+        else ""
+    )
     met = sum(n["is_met"] for n in numbers)
-    return (f"| {about} | {worst['what']} | {worst['at']} | {worst['reference']:.4g}{unit} | {worst['measured']:.4g} | "
-            f"{worst['error']:+.2g}{share}{sd} | {worst['allowed']:.2g} | {met} of {len(numbers)} |")
+    return (
+        f"| {about} | {worst['what']} | {worst['at']} | {worst['reference']:.4g}{unit} | "
+        f"{worst['measured']:.4g} | "
+        f"{worst['error']:+.2g}{share}{sd} | {worst['allowed']:.2g} | {met} of "
+        f"{len(numbers)} |"
+    )

@@ -1,4 +1,5 @@
-"""The same grasp with rigid pads in place of membranes, with and without MuJoCo's `touch_grid`: the price of softness."""
+"""The same grasp with rigid pads in place of membranes, with and without MuJoCo's `touch_grid`: the
+price of softness."""
 
 from __future__ import annotations
 
@@ -16,8 +17,11 @@ _GRID = (9, 9)  # taxels, as many as the dense sensor has markers
 TOUCH_GRID = "mujoco.sensor.touch_grid"
 
 
-def scene(design: SensorDesign, grasped: str, timestep: float, *, touch_grid: bool) -> mujoco.MjSpec:
-    """Gripper, table and object of a grasp with a rigid pad, as large as the membrane, on each finger.
+def scene(
+    design: SensorDesign, grasped: str, timestep: float, *, touch_grid: bool
+) -> mujoco.MjSpec:
+    """Gripper, table and object of a grasp with a rigid pad, as large as the membrane, on each
+    finger.
 
     Newton with an elliptic cone: what MuJoCo's manual recommends for grasping rigid things.
     """
@@ -30,13 +34,20 @@ def scene(design: SensorDesign, grasped: str, timestep: float, *, touch_grid: bo
     for name in SITES:
         _add_pad(spec, name, design)
     table = spec.worldbody.add_body(name="table")
-    table.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_BOX, pos=[0, 0, -0.01], size=[0.2, 0.2, 0.01],
-                   friction=[0.3, 0.005, 0.0001])
+    table.add_geom(
+        name="table",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=[0, 0, -0.01],
+        size=[0.2, 0.2, 0.01],
+        friction=[0.3, 0.005, 0.0001],
+    )
     add_object(spec, item)
     return _with_touch_grids(spec) if touch_grid else spec
 
 
-def hold(design: SensorDesign, grasped: str, timestep: float, force: float, *, touch_grid: bool = False) -> World:
+def hold(
+    design: SensorDesign, grasped: str, timestep: float, force: float, *, touch_grid: bool = False
+) -> World:
     """The object between rigid pads that press with `force` N, lifted by 10 mm."""
     world = World(scene(design, grasped, timestep, touch_grid=touch_grid), [])
     jaw, lift = (world.model.actuator(name).id for name in ("jaw", "lift"))
@@ -55,21 +66,36 @@ def _add_pad(spec: mujoco.MjSpec, site_name: str, design: SensorDesign) -> None:
     half = (design.frame.length / 2, design.frame.width / 2, 0.002)
     child = mujoco.MjSpec()
     pad = child.worldbody.add_body(name="pad")
-    pad.add_geom(name="pad", type=mujoco.mjtGeom.mjGEOM_BOX, pos=[0, 0, -half[2]], size=half, mass=0.05, priority=1,
-                 friction=[design.membrane.friction, 0.005, 0.0001], contype=0, conaffinity=1)
-    pad.add_site(name="viewpoint", pos=[0, 0, -0.02], quat=[0, 1, 0, 0])  # touch_grid looks along -z of its site
+    pad.add_geom(
+        name="pad",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=[0, 0, -half[2]],
+        size=half,
+        mass=0.05,
+        priority=1,
+        friction=[design.membrane.friction, 0.005, 0.0001],
+        contype=0,
+        conaffinity=1,
+    )
+    # touch_grid looks along -z of its site
+    pad.add_site(name="viewpoint", pos=[0, 0, -0.02], quat=[0, 1, 0, 0])
     spec.attach(child, site=site_name, prefix=f"{site_name}/")
 
 
 def _with_touch_grids(spec: mujoco.MjSpec) -> mujoco.MjSpec:
-    """The scene with a `touch_grid` sensor at each fingertip. By way of XML: set on a spec, the plugin crashes MuJoCo 4.0."""
+    """The scene with a `touch_grid` sensor at each fingertip. By way of XML: set on a spec, the
+    plugin crashes MuJoCo 4.0."""
     sensors = "".join(
         f'''<plugin name="{name}_touch" plugin="{TOUCH_GRID}" objtype="site" objname="{name}/viewpoint">
         <config key="size" value="{_GRID[0]} {_GRID[1]}"/><config key="fov" value="45 45"/>
-        <config key="gamma" value="0"/><config key="nchannel" value="3"/></plugin>''' for name in SITES)
+        <config key="gamma" value="0"/><config key="nchannel" value="3"/></plugin>'''
+        for name in SITES
+    )
     head, _, body = spec.to_xml().partition("<worldbody>")
     body = body.replace("</mujoco>", f"<sensor>{sensors}</sensor></mujoco>")
-    return mujoco.MjSpec.from_string(f'{head}<extension><plugin plugin="{TOUCH_GRID}"/></extension><worldbody>{body}')
+    return mujoco.MjSpec.from_string(
+        f'{head}<extension><plugin plugin="{TOUCH_GRID}"/></extension><worldbody>{body}'
+    )
 
 
 def bare_step(world: World) -> None:

@@ -8,13 +8,22 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.sim.attach import attach, recommend_options
 from mjtactile.sim.scenes.world import World
 
-_GAP, _ABOVE = 0.03, 6e-3  # m between two sensors, and of a ball above the frame before it falls
+# m between two sensors, and of a ball above the frame before it falls
+_GAP = 0.03
+_ABOVE = 6e-3
 
 
-def row_of(design: SensorDesign, count: int, *, ball: tuple[float, float] | None, gauge: float, timestep: float, settle: float
-           ) -> World:
-    """So many sensors that look up, inflated to `gauge` Pa and sealed; on each a `ball` (radius m, mass kg), or nothing. `settle`
-    is the time before the valves close, and after, s."""
+def row_of(
+    design: SensorDesign,
+    count: int,
+    *,
+    ball: tuple[float, float] | None,
+    gauge: float,
+    timestep: float,
+    settle: float,
+) -> World:
+    """So many sensors that look up, inflated to `gauge` Pa and sealed; on each a `ball` (radius m,
+    mass kg), or nothing. `settle` is the time before the valves close, and after, s."""
     spec = mujoco.MjSpec()
     recommend_options(spec, timestep)
     attachments = []

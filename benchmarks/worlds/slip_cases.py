@@ -1,4 +1,5 @@
-"""Random cases of slip and of holding, each drawn from its seed: what is held, how hard, and how it is pulled."""
+"""Random cases of slip and of holding, each drawn from its seed: what is held, how hard, and how it
+is pulled."""
 
 from __future__ import annotations
 
@@ -14,10 +15,11 @@ _SHEAR_MOST = 1.0  # N that the membrane is sheared by: more wrinkles it
 
 @dataclass(frozen=True)
 class Way:
-    """A way to load what is held. `load` is what grows: a "pull", a "torque", a "shake" of the hand, a "drag" past an anchored
-    object, the "grip" that is opened under a pull, "one" finger that moves, "roll": both, against each other, "squeeze" or
-    "tap": none. `share` is the range of its peak, in limits of friction (mm of way for what is moved), `rise` the time to it, s
-    (speed for what is moved, mm/s); `stays` whether the peak is held, else the load goes on growing."""
+    """A way to load what is held. `load` is what grows: a "pull", a "torque", a "shake" of the
+    hand, a "drag" past an anchored object, the "grip" that is opened under a pull, "one" finger
+    that moves, "roll": both, against each other, "squeeze" or "tap": none. `share` is the range of
+    its peak, in limits of friction (mm of way for what is moved), `rise` the time to it, s (speed
+    for what is moved, mm/s); `stays` whether the peak is held, else the load goes on growing."""
 
     load: str
     share: tuple[float, float]
@@ -51,10 +53,9 @@ HOLDS = {
 
 @dataclass(frozen=True)
 class SlipCase:
-    """One case. `size` m of the body (radius, half an edge), `mass` kg, `friction` of the left and the right membrane against it,
-    `grip` N on each, `offset` (2,) m of the body from the membranes' middles, `angle` rad of
-    the pull in their plane, `speed` m/s that a body that slips
-    comes to."""
+    """One case. `size` m of the body (radius, half an edge), `mass` kg, `friction` of the left and
+    the right membrane against it, `grip` N on each, `offset` (2,) m of the body from the membranes'
+    middles, `angle` rad of the pull in their plane, `speed` m/s that a body that slips comes to."""
 
     seed: int
     name: str
@@ -78,7 +79,8 @@ def draw_case(seed: int) -> SlipCase:
     rng = np.random.default_rng([seed, 12])
     ways = SLIPS if seed % 2 == 0 else HOLDS
     name = list(ways)[seed // 2 % len(ways)]
-    way, body = ways[name], BODIES[rng.integers(len(BODIES))]
+    way = ways[name]
+    body = BODIES[rng.integers(len(BODIES))]
     mu = float(rng.uniform(*FRICTION))
     other = mu
     if way.load == "one":  # the left one slips or both hold
@@ -89,9 +91,20 @@ def draw_case(seed: int) -> SlipCase:
     friction = (max(mu, FRICTION[0]), max(other, FRICTION[0]))
     size = rng.uniform(7e-3, 16e-3)
     mass = rng.uniform(0.08, 0.2) if way.load == "shake" else rng.uniform(0.005, 0.06)
-    return SlipCase(seed, name, way is SLIPS.get(name), way, body, float(size), float(mass), friction,
-                    grip=float(min(rng.uniform(0.25, 1.5), _SHEAR_MOST / max(friction))),
-                    offset=(float(rng.uniform(-4e-3, 4e-3)), float(rng.uniform(-3e-3, 3e-3))),
-                    angle=float(rng.uniform(0, 2 * np.pi)), share=float(rng.uniform(*way.share)),
-                    rise=float(rng.uniform(*way.rise)), speed=float(np.exp(rng.uniform(*np.log(SPEED)))),
-                    frequency=float(rng.uniform(4, 8)))
+    return SlipCase(
+        seed,
+        name,
+        way is SLIPS.get(name),
+        way,
+        body,
+        float(size),
+        float(mass),
+        friction,
+        grip=float(min(rng.uniform(0.25, 1.5), _SHEAR_MOST / max(friction))),
+        offset=(float(rng.uniform(-4e-3, 4e-3)), float(rng.uniform(-3e-3, 3e-3))),
+        angle=float(rng.uniform(0, 2 * np.pi)),
+        share=float(rng.uniform(*way.share)),
+        rise=float(rng.uniform(*way.rise)),
+        speed=float(np.exp(rng.uniform(*np.log(SPEED)))),
+        frequency=float(rng.uniform(4, 8)),
+    )

@@ -13,19 +13,40 @@ from mjtactile.sim.attach import DEFAULT_MESH, Attachment, attach, recommend_opt
 from mjtactile.sim.scenes.world import World
 
 MESH = DEFAULT_MESH
-_APART, _FILLING, _AWAY = 0.05, 0.3, 0.06  # m, s, m
-_STIFFNESS, _MASS = 2e4, 0.1  # N/m and kg of a jaw
-_SOFT, _SOFT_DAMPING = (400.0, 4000.0), 1.0  # N/m of half a soft body, N s/m
+# m, s, m
+_APART = 0.05
+_FILLING = 0.3
+_AWAY = 0.06
+# N/m and kg of a jaw
+_STIFFNESS = 2e4
+_MASS = 0.1
+# N/m of half a soft body, N s/m
+_SOFT = (400.0, 4000.0)
+_SOFT_DAMPING = 1.0
 _ANCHOR = 1e4  # N s/m that hold a body that is dragged past
 _TURNING = 3e-3  # m, of a contact: the arm of a torque
-_QUATS = {"left/": [np.sqrt(0.5), 0, np.sqrt(0.5), 0], "right/": [np.sqrt(0.5), 0, -np.sqrt(0.5), 0]}
-_SETTLE, _CLOSING, _CLEARANCE = 0.25, 0.02, 1e-3  # s that the grip is given, m/s, m
+_QUATS = {
+    "left/": [np.sqrt(0.5), 0, np.sqrt(0.5), 0],
+    "right/": [np.sqrt(0.5), 0, -np.sqrt(0.5), 0],
+}
+# s that the grip is given, m/s, m
+_SETTLE = 0.25
+_CLOSING = 0.02
+_CLEARANCE = 1e-3
 
 
 class SlipWorld(World):
-    """A case at work: `run` yields once a step. Jaws close along x; the pull is in the plane y, z."""
+    """A case at work: `run` yields once a step. Jaws close along x; the pull is in the plane y,
+    z."""
 
-    def __init__(self, design: SensorDesign, case: SlipCase, *, mesh: tuple[int, int] = MESH, timestep: float = 1 / 240):
+    def __init__(
+        self,
+        design: SensorDesign,
+        case: SlipCase,
+        *,
+        mesh: tuple[int, int] = MESH,
+        timestep: float = 1 / 240,
+    ):
         spec = mujoco.MjSpec()
         recommend_options(spec, timestep)
         spec.option.gravity = [0, 0, 0]
@@ -36,31 +57,47 @@ class SlipWorld(World):
         body.add_freejoint(name="thing")
         reach = _add_body(body, case)
         super().__init__(spec, attachments)
-        self._drives = {name: self.model.actuator(name).id for name in ("left/x", "right/x", "left/y", "right/y")}
-        self._body, self._dofs = self.model.body("thing").id, self.model.joint("thing").dofadr[0] + np.arange(6)
+        self._drives = {
+            name: self.model.actuator(name).id
+            for name in ("left/x", "right/x", "left/y", "right/y")
+        }
+        self._body, self._dofs = (
+            self.model.body("thing").id,
+            self.model.joint("thing").dofadr[0] + np.arange(6),
+        )
         self._place = int(self.model.joint("thing").qposadr[0])
         for sensor, friction in zip(self.sensors, case.friction, strict=True):
             self.model.geom_friction[sensor.vertex_geom_ids, 0] = friction
         self._reach = reach
 
-    def _add_jaw(self, spec: mujoco.MjSpec, design: SensorDesign, prefix: str, mesh: tuple[int, int]) -> Attachment:
+    def _add_jaw(
+        self, spec: mujoco.MjSpec, design: SensorDesign, prefix: str, mesh: tuple[int, int]
+    ) -> Attachment:
         sign = -1 if prefix == "left/" else 1
         jaw = spec.worldbody.add_body(name=prefix + "jaw", pos=[sign * _APART, 0, 0])
-        jaw.mass, jaw.inertia, jaw.explicitinertial = _MASS, [1e-4] * 3, True
+        jaw.mass = _MASS
+        jaw.inertia = [1e-4] * 3
+        jaw.explicitinertial = True
         for name, axis in (("x", [-sign, 0, 0]), ("y", self.direction)):
             jaw.add_joint(name=prefix + name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
-            drive = spec.add_actuator(name=prefix + name, target=prefix + name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            drive = spec.add_actuator(
+                name=prefix + name, target=prefix + name, trntype=mujoco.mjtTrn.mjTRN_JOINT
+            )
             drive.set_to_position(kp=_STIFFNESS, kv=2 * np.sqrt(_STIFFNESS * (_MASS + 0.05)))
         site = jaw.add_site(name=prefix + "tip", quat=_QUATS[prefix])
         return attach(spec, design, site=site, prefix=prefix, mesh=mesh)
 
     def press(self, sensor: int) -> float:
-        """Sum of the forces, N, along the normals of what touches membrane `sensor`: what the case's loads are measured by."""
+        """Sum of the forces, N, along the normals of what touches membrane `sensor`: what the
+        case's loads are measured by."""
         contact = self.data.contact
-        touching = np.isin(contact.geom, self.sensors[sensor].vertex_geom_ids).any(axis=1) & (contact.efc_address >= 0)
+        touching = np.isin(contact.geom, self.sensors[sensor].vertex_geom_ids).any(axis=1) & (
+            contact.efc_address >= 0
+        )
         return float(self.data.efc_force[contact.efc_address[touching]].sum())
 
-    # -- what happens ------------------------------------------------------------------------------------------------
+    # -- what happens
+    # --------------------------------------------------------------------------------
 
     def inflate(self, pressure_gauge: float) -> None:
         """Fill both chambers, with the body out of the way; seals them."""
@@ -75,7 +112,9 @@ class SlipWorld(World):
     def grip(self) -> Iterator[None]:
         """Close on the body, which is held until both fingers press."""
         top = max(sensor.height_at(0.0, 0.0) for sensor in self.sensors)
-        goal = _APART - top - self.sensors[0].design.membrane.thickness / 2 - self._reach - _CLEARANCE
+        goal = (
+            _APART - top - self.sensors[0].design.membrane.thickness / 2 - self._reach - _CLEARANCE
+        )
         self._close(0.0, goal, 0.15)
         while np.mean([self.press(k) for k in range(2)]) < self.case.grip and goal < _APART:
             goal += _CLOSING * self.timestep
@@ -89,10 +128,15 @@ class SlipWorld(World):
 
     def load(self, seconds: float) -> Iterator[None]:
         """Do what the case does to what is held, for so long."""
-        case, way = self.case, self.case.way
+        case = self.case
+        way = self.case.way
         normal = np.array([self.press(k) for k in range(2)])
         limit = float(np.dot(case.friction, normal))
-        drag = _ANCHOR if way.load in ("drag", "one") else max(case.share - 1, 0.2) * limit / case.speed
+        drag = (
+            _ANCHOR
+            if way.load in ("drag", "one")
+            else max(case.share - 1, 0.2) * limit / case.speed
+        )
         self.model.dof_damping[self._dofs[:3]] = drag
         self.model.dof_damping[self._dofs[3:]] = drag * _TURNING**2
         begin = self.time
@@ -102,7 +146,8 @@ class SlipWorld(World):
             yield
 
     def _apply(self, t: float, limit: float, seconds: float) -> None:
-        case, way = self.case, self.case.way
+        case = self.case
+        way = self.case.way
         part = t / case.rise
         grown = case.share * (part if not way.stays else min(part, 1.0))
         if way.load == "pull":
@@ -121,7 +166,9 @@ class SlipWorld(World):
             moved = min(1e-3 * case.rise * t, 1e-3 * case.share)
             self._move(moved, {"drag": moved, "one": 0.0, "roll": -moved}[way.load])
         elif way.load == "squeeze":
-            self._squeeze(self._travel + 1e-3 * case.share * np.sin(2 * np.pi * t / (4 * case.rise)))
+            self._squeeze(
+                self._travel + 1e-3 * case.share * np.sin(2 * np.pi * t / (4 * case.rise))
+            )
         else:  # taps: open and close again
             up = 0.5 - 0.5 * np.cos(np.pi * t / case.rise)
             self._squeeze(self._travel - up * 1e-3 * case.share)
@@ -150,36 +197,63 @@ class SlipWorld(World):
 
     def _hold_body(self, *, away: bool = False) -> None:
         place = [0.0, *self.case.offset]
-        self.data.qpos[self._place:self._place + 7] = [place[0], place[1], place[2] + (_AWAY if away else 0), 1, 0, 0, 0]
+        self.data.qpos[self._place : self._place + 7] = [
+            place[0],
+            place[1],
+            place[2] + (_AWAY if away else 0),
+            1,
+            0,
+            0,
+            0,
+        ]
         self.data.qvel[self._dofs] = 0
 
 
 def _add_body(body: mujoco.MjsBody, case: SlipCase) -> float:
     """Add the body's geoms; returns its half width along x, m."""
-    kinds, size, turn = mujoco.mjtGeom, case.size, [np.sqrt(0.5), np.sqrt(0.5), 0, 0]
+    kinds = mujoco.mjtGeom
+    size = case.size
+    turn = [np.sqrt(0.5), np.sqrt(0.5), 0, 0]
     if case.body.startswith("soft"):
         return _add_soft(body, case)
     kind, sizes, quat = {
         "ball": (kinds.mjGEOM_SPHERE, [size, 0, 0], [1, 0, 0, 0]),
         "box": (kinds.mjGEOM_BOX, [size, 0.7 * size, 0.8 * size], [1, 0, 0, 0]),
         "cylinder": (kinds.mjGEOM_CYLINDER, [size, 1.2 * size, 0], [1, 0, 0, 0]),
-        "lying cylinder": (kinds.mjGEOM_CYLINDER, [size, 1.2 * size, 0], turn)}[case.body]
+        "lying cylinder": (kinds.mjGEOM_CYLINDER, [size, 1.2 * size, 0], turn),
+    }[case.body]
     body.add_geom(type=kind, size=sizes, quat=quat, mass=case.mass)
     return size
 
 
 def _add_soft(body: mujoco.MjsBody, case: SlipCase) -> float:
     """Two faces on springs along x, flat or round."""
-    size, stiffness = case.size, float(np.random.default_rng([case.seed, 13]).uniform(*_SOFT))
-    body.mass, body.inertia, body.explicitinertial = 0.8 * case.mass, [0.8 * case.mass * 0.4 * size**2] * 3, True
+    size = case.size
+    stiffness = float(np.random.default_rng([case.seed, 13]).uniform(*_SOFT))
+    body.mass = 0.8 * case.mass
+    body.inertia = [0.8 * case.mass * 0.4 * size**2] * 3
+    body.explicitinertial = True
     for side, sign in (("left", -1), ("right", 1)):
         face = body.add_body(name=side, pos=[sign * size, 0, 0])
-        face.add_joint(name=side, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[-sign, 0, 0], stiffness=[stiffness, 0, 0],
-                       damping=[_SOFT_DAMPING, 0, 0])
+        face.add_joint(
+            name=side,
+            type=mujoco.mjtJoint.mjJNT_SLIDE,
+            axis=[-sign, 0, 0],
+            stiffness=[stiffness, 0, 0],
+            damping=[_SOFT_DAMPING, 0, 0],
+        )
         if case.body == "soft block":
-            face.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=[-sign * 3e-3, 0, 0], size=[3e-3, 0.7 * size, 0.8 * size],
-                          mass=0.1 * case.mass)
+            face.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                pos=[-sign * 3e-3, 0, 0],
+                size=[3e-3, 0.7 * size, 0.8 * size],
+                mass=0.1 * case.mass,
+            )
         else:
-            face.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, pos=[-sign * size / 2, 0, 0], size=[size / 2, 0, 0],
-                          mass=0.1 * case.mass)
+            face.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_SPHERE,
+                pos=[-sign * size / 2, 0, 0],
+                size=[size / 2, 0, 0],
+                mass=0.1 * case.mass,
+            )
     return size

@@ -1,4 +1,5 @@
-"""Scenes that try a membrane hard: things that fall on it, rest on it, or are pinched between two. For benchmarks and tests."""
+"""Scenes that try a membrane hard: things that fall on it, rest on it, or are pinched between two.
+For benchmarks and tests."""
 
 from __future__ import annotations
 
@@ -13,13 +14,15 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.sim.attach import DEFAULT_MESH, attach, recommend_options
 from mjtactile.sim.scenes.world import World
 
-_STIFFNESS, _MASS = 2e4, 0.1  # N/m and kg of the jaw that pinches
+# N/m and kg of the jaw that pinches
+_STIFFNESS = 2e4
+_MASS = 0.1
 
 
 @dataclass(frozen=True)
 class Body:
-    """A free rigid body: "sphere" (radius), "box" (edge), "plate" (2 x 2 cm, thickness) or "rod" (radius, 2 cm long), by
-    `size` m, and `mass` kg."""
+    """A free rigid body: "sphere" (radius), "box" (edge), "plate" (2 x 2 cm, thickness) or "rod"
+    (radius, 2 cm long), by `size` m, and `mass` kg."""
 
     kind: str
     size: float
@@ -27,21 +30,40 @@ class Body:
 
     def add_to(self, body: mujoco.MjsBody) -> float:
         """Add the geom; return the height of its middle over its lowest point, m."""
-        half, kinds = self.size / 2, mujoco.mjtGeom
-        kind, size = {"sphere": (kinds.mjGEOM_SPHERE, [self.size, 0, 0]), "box": (kinds.mjGEOM_BOX, [half] * 3),
-                      "plate": (kinds.mjGEOM_BOX, [0.01, 0.01, half]),
-                      "rod": (kinds.mjGEOM_CAPSULE, [self.size, 0.01, 0])}[self.kind]
+        half = self.size / 2
+        kinds = mujoco.mjtGeom
+        kind, size = {
+            "sphere": (kinds.mjGEOM_SPHERE, [self.size, 0, 0]),
+            "box": (kinds.mjGEOM_BOX, [half] * 3),
+            "plate": (kinds.mjGEOM_BOX, [0.01, 0.01, half]),
+            "rod": (kinds.mjGEOM_CAPSULE, [self.size, 0.01, 0]),
+        }[self.kind]
         lying = self.kind == "rod"
-        body.add_geom(name="thing", type=kind, size=size, mass=self.mass,
-                      quat=[np.sqrt(0.5), 0, np.sqrt(0.5), 0] if lying else [1, 0, 0, 0])
+        body.add_geom(
+            name="thing",
+            type=kind,
+            size=size,
+            mass=self.mass,
+            quat=[np.sqrt(0.5), 0, np.sqrt(0.5), 0] if lying else [1, 0, 0, 0],
+        )
         return self.size if self.kind in ("sphere", "rod") else half
 
 
 class DropWorld(World):
-    """A sensor that faces up, inflated and sealed, and a free body that falls on it at `speed` m/s, then rests there."""
+    """A sensor that faces up, inflated and sealed, and a free body that falls on it at `speed` m/s,
+    then rests there."""
 
-    def __init__(self, sensor: SensorDesign | str | Path, thing: Body, *, pressure_gauge: float, speed: float = 0.0,
-                 timestep: float = 4e-3, mesh: tuple[int, int] = DEFAULT_MESH, guided: bool = False):
+    def __init__(
+        self,
+        sensor: SensorDesign | str | Path,
+        thing: Body,
+        *,
+        pressure_gauge: float,
+        speed: float = 0.0,
+        timestep: float = 4e-3,
+        mesh: tuple[int, int] = DEFAULT_MESH,
+        guided: bool = False,
+    ):
         """A `guided` body moves up and down only: a weight on a rail; else it is free."""
         spec = mujoco.MjSpec()
         recommend_options(spec, timestep)
@@ -57,7 +79,8 @@ class DropWorld(World):
         super().__init__(spec, [attachment])
         joint = self.model.joint("thing")
         skip = 0 if guided else 2
-        self._height, self._velocity = int(joint.qposadr[0]) + skip, int(joint.dofadr[0]) + skip
+        self._height = int(joint.qposadr[0]) + skip
+        self._velocity = int(joint.dofadr[0]) + skip
         self.weight = thing.mass * 9.81
         self._fill(pressure_gauge)
         top = self.sensors[0].height_at(0.0, 0.0) + attachment.design.membrane.thickness / 2
@@ -72,15 +95,22 @@ class DropWorld(World):
         sensor.close_valve()
 
     def _hold(self, height: float, speed: float) -> None:
-        self.data.qpos[self._height], self.data.qvel[self._velocity] = height, speed
+        self.data.qpos[self._height] = height
+        self.data.qvel[self._velocity] = speed
         mujoco.mj_forward(self.model, self.data)
 
 
 class FloatWorld(World):
     """An inflated and sealed sensor that floats freely, without gravity."""
 
-    def __init__(self, sensor: SensorDesign | str | Path, *, pressure_gauge: float, timestep: float = 4e-3,
-                 mesh: tuple[int, int] = DEFAULT_MESH):
+    def __init__(
+        self,
+        sensor: SensorDesign | str | Path,
+        *,
+        pressure_gauge: float,
+        timestep: float = 4e-3,
+        mesh: tuple[int, int] = DEFAULT_MESH,
+    ):
         spec = mujoco.MjSpec()
         recommend_options(spec, timestep)
         spec.option.gravity = [0, 0, 0]
@@ -105,20 +135,38 @@ class FloatWorld(World):
 
 
 class PinchWorld(World):
-    """Two sensors face each other along x and squeeze a free body by `squeeze` m each, against gravity."""
+    """Two sensors face each other along x and squeeze a free body by `squeeze` m each, against
+    gravity."""
 
-    def __init__(self, sensor: SensorDesign | str | Path, thing: Body, *, pressure_gauge: float, squeeze: float,
-                 timestep: float = 4e-3, mesh: tuple[int, int] = DEFAULT_MESH):
+    def __init__(
+        self,
+        sensor: SensorDesign | str | Path,
+        thing: Body,
+        *,
+        pressure_gauge: float,
+        squeeze: float,
+        timestep: float = 4e-3,
+        mesh: tuple[int, int] = DEFAULT_MESH,
+    ):
         spec = mujoco.MjSpec()
         recommend_options(spec, timestep)
-        quats = {"left/": [np.sqrt(0.5), 0, np.sqrt(0.5), 0], "right/": [np.sqrt(0.5), 0, -np.sqrt(0.5), 0]}
+        quats = {
+            "left/": [np.sqrt(0.5), 0, np.sqrt(0.5), 0],
+            "right/": [np.sqrt(0.5), 0, -np.sqrt(0.5), 0],
+        }
         attachments = []
         for prefix, sign in (("left/", -1), ("right/", 1)):
-            jaw = spec.worldbody.add_body(name=prefix + "jaw", pos=[sign * _APART, 0, 0], gravcomp=1.0)
-            jaw.mass, jaw.inertia, jaw.explicitinertial = _MASS, [1e-4] * 3, True
+            jaw = spec.worldbody.add_body(
+                name=prefix + "jaw", pos=[sign * _APART, 0, 0], gravcomp=1.0
+            )
+            jaw.mass = _MASS
+            jaw.inertia = [1e-4] * 3
+            jaw.explicitinertial = True
             jaw.add_joint(name=prefix + "jaw", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[-sign, 0, 0])
             site = jaw.add_site(name=prefix + "tip", quat=quats[prefix])
-            drive = spec.add_actuator(name=prefix + "jaw", target=prefix + "jaw", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            drive = spec.add_actuator(
+                name=prefix + "jaw", target=prefix + "jaw", trntype=mujoco.mjtTrn.mjTRN_JOINT
+            )
             drive.set_to_position(kp=_STIFFNESS, kv=2 * np.sqrt(_STIFFNESS * (_MASS + 0.05)))
             attachments.append(attach(spec, sensor, site=site, prefix=prefix, mesh=mesh))
         body = spec.worldbody.add_body(name="thing", quat=[np.sqrt(0.5), 0, np.sqrt(0.5), 0])
@@ -130,7 +178,8 @@ class PinchWorld(World):
         self.weight = thing.mass * 9.81
         for device in self.sensors:
             device.open_valve(pressure_gauge)
-        gravity, self.model.opt.gravity = self.model.opt.gravity.copy(), 0.0
+        gravity = self.model.opt.gravity.copy()
+        self.model.opt.gravity = 0.0
         self.step(round(_FILLING / timestep))
         for device in self.sensors:
             device.close_valve()
@@ -154,4 +203,7 @@ class PinchWorld(World):
         self.step(round(0.1 / self.timestep))
 
 
-_HIGH, _APART, _FILLING = 0.5, 0.04, 0.3  # m, m, s
+# m, m, s
+_HIGH = 0.5
+_APART = 0.04
+_FILLING = 0.3

@@ -1,6 +1,8 @@
-"""Touch in ROS 2: a grasp as topics: wrenches, membranes, images, jaws. The frames are those of `export --format rosbag2`.
+"""Touch in ROS 2: a grasp as topics: wrenches, membranes, images, jaws. The frames are those of
+`export --format rosbag2`.
 
-In a Python that has both ROS 2 and mjtactile: `python3 touch_node.py --ros-args -p rig:=my_gripper.toml -p controller:=gentle`
+In a Python that has both ROS 2 and mjtactile: `python3 touch_node.py --ros-args -p
+rig:=my_gripper.toml -p controller:=gentle`
 """
 
 from array import array
@@ -20,7 +22,9 @@ DEFAULTS = {"rig": "sim", "sensor": "dense", "controller": "gentle", "object": "
 class TouchNode(Node):
     def __init__(self):
         super().__init__("mjtactile")
-        self.wanted = {name: self.declare_parameter(name, value).value for name, value in DEFAULTS.items()}
+        self.wanted = {
+            name: self.declare_parameter(name, value).value for name, value in DEFAULTS.items()
+        }
         self.topics = {}
 
     def send(self, topic, message, frame, age=0.0):
@@ -32,33 +36,67 @@ class TouchNode(Node):
 
     def publish(self, names, cycle):
         jaws = cycle.gripper
-        self.send("joint_states", JointState(name=["opening", "lift"], position=[jaws.opening, jaws.lift_height],
-                                             velocity=[jaws.speed, 0.0], effort=[jaws.effort, 0.0]), "gripper")
+        self.send(
+            "joint_states",
+            JointState(
+                name=["opening", "lift"],
+                position=[jaws.opening, jaws.lift_height],
+                velocity=[jaws.speed, 0.0],
+                effort=[jaws.effort, 0.0],
+            ),
+            "gripper",
+        )
         for name, touch, image in zip(names, cycle.touch, cycle.images, strict=True):
             height, width = image.pixels.shape
-            self.send(f"{name}/image", Image(height=height, width=width, encoding="mono8", step=width,
-                                             data=array("B", image.pixels.tobytes())), f"{name}_camera", touch.age)
+            self.send(
+                f"{name}/image",
+                Image(
+                    height=height,
+                    width=width,
+                    encoding="mono8",
+                    step=width,
+                    data=array("B", image.pixels.tobytes()),
+                ),
+                f"{name}_camera",
+                touch.age,
+            )
             if touch.traction is not None:  # else the force is not known, and touch.status says why
-                felt, values = WrenchStamped(), iter(map(float, touch.traction.wrench))
+                felt = WrenchStamped()
+                values = iter(map(float, touch.traction.wrench))
                 for part in (felt.wrench.force, felt.wrench.torque):
-                    part.x, part.y, part.z = next(values), next(values), next(values)
+                    part.x = next(values)
+                    part.y = next(values)
+                    part.z = next(values)
                 self.send(f"{name}/wrench", felt, f"{name}_sensor", touch.age)
             if touch.surface is not None:
                 x, y = np.meshgrid(touch.surface.x, touch.surface.y)
                 points = np.stack([x, y, touch.surface.z], axis=-1).reshape(-1, 3).astype("<f4")
-                cloud = PointCloud2(height=1, width=len(points), point_step=12, row_step=points.nbytes, is_dense=True)
-                cloud.fields = [PointField(name=axis, offset=4 * k, datatype=PointField.FLOAT32, count=1)
-                                for k, axis in enumerate("xyz")]
+                cloud = PointCloud2(
+                    height=1,
+                    width=len(points),
+                    point_step=12,
+                    row_step=points.nbytes,
+                    is_dense=True,
+                )
+                cloud.fields = [
+                    PointField(name=axis, offset=4 * k, datatype=PointField.FLOAT32, count=1)
+                    for k, axis in enumerate("xyz")
+                ]
                 cloud.data = array("B", points.tobytes())
                 self.send(f"{name}/membrane", cloud, f"{name}_sensor", touch.age)
 
     def grasp(self):
         design = mjtactile.load_sensor(self.wanted["sensor"])
-        with mjtactile.open_session(self.wanted["rig"], design, object_name=self.wanted["object"]) as session:
+        with mjtactile.open_session(
+            self.wanted["rig"], design, object_name=self.wanted["object"]
+        ) as session:
             session.take_references()
             names = [finger.name for finger in session.rig.fingers]
-            return session.run(mjtactile.load_controller(self.wanted["controller"]), time_limit=60.0,
-                               on_cycle=lambda cycle: self.publish(names, cycle))
+            return session.run(
+                mjtactile.load_controller(self.wanted["controller"]),
+                time_limit=60.0,
+                on_cycle=lambda cycle: self.publish(names, cycle),
+            )
 
 
 if __name__ == "__main__":

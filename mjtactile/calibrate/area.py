@@ -12,20 +12,28 @@ from mjtactile.core.errors import InputError
 
 @dataclass(frozen=True)
 class AreaCalibration:
-    """The paper's calibration: `constant` c, N/m^2, of dF = c dA, and the rms `residual`, N, that it left."""
+    """The paper's calibration: `constant` c, N/m^2, of dF = c dA, and the rms `residual`, N, that
+    it left."""
 
     constant: float
     residual: float
 
     @classmethod
     def fit(cls, area_change: ArrayLike, force: ArrayLike) -> AreaCalibration:
-        """Least squares through the origin for area changes, m^2, at known normal forces, N (a load cell, weights).
+        """Least squares through the origin for area changes, m^2, at known normal forces, N (a load
+        cell, weights).
 
-        Raises InputError when the area did not change, or shrank under load: then no such constant exists.
+        Raises InputError when the area did not change, or shrank under load: then no such constant
+        exists.
         """
-        dA, F = np.asarray(area_change, dtype=float), np.asarray(force, dtype=float)
+        dA = np.asarray(area_change, dtype=float)
+        F = np.asarray(force, dtype=float)
         if not np.isfinite(dA).all() or float(dA @ F) <= 0:
-            raise InputError("the membrane's area does not grow with the force", source="calibration", field="area_change")
+            raise InputError(
+                "the membrane's area does not grow with the force",
+                source="calibration",
+                field="area_change",
+            )
         constant = float(dA @ F / (dA @ dA))
         return cls(constant, float(np.sqrt(np.mean((F - constant * dA) ** 2))))
 

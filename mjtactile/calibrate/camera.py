@@ -1,8 +1,10 @@
-"""Intrinsics of a camera from pictures of a ChArUco board, with what tells a good calibration from a bad one.
+"""Intrinsics of a camera from pictures of a ChArUco board, with what tells a good calibration from
+a bad one.
 
-The fit is OpenCV's (pinhole and plumb_bob, pixel centres at integers as in docs/conventions.md). What is added: views that
-do not belong are left out, the camera is checked on views that it was not fitted to, and a result that the pictures cannot
-support (no tilt, corners of the picture never seen, few views) is refused with the reason.
+The fit is OpenCV's (pinhole and plumb_bob, pixel centres at integers as in docs/conventions.md).
+What is added: views that do not belong are left out, the camera is checked on views that it was not
+fitted to, and a result that the pictures cannot support (no tilt, corners of the picture never
+seen, few views) is refused with the reason.
 """
 
 from __future__ import annotations
@@ -21,9 +23,14 @@ from mjtactile.core.types import Array
 
 VIEWS_MIN = 8  # each adds 6 unknowns (its pose) to the camera's 8, and gives some 50 to 100 numbers
 CORNERS_MIN = 12
-RMS_MAX_PX, HOLDOUT_MAX_PX = 0.5, 0.7  # sub-pixel corners of a flat board in focus leave 0.05 to 0.3 px
-FOCAL_SD_MAX = 0.005  # of the focal length: forces go with the depth, and that with the focal length
-TILT_MIN_DEG, TILTED_MIN = 15.0, 3  # a board seen squarely tells focal length from distance only by perspective
+# sub-pixel corners of a flat board in focus leave 0.05 to 0.3 px
+RMS_MAX_PX = 0.5
+HOLDOUT_MAX_PX = 0.7
+# of the focal length: forces go with the depth, and that with the focal length
+FOCAL_SD_MAX = 0.005
+# a board seen squarely tells focal length from distance only by perspective
+TILT_MIN_DEG = 15.0
+TILTED_MIN = 3
 COVERAGE_MIN = 0.6  # of the picture's 8 x 6 cells: elsewhere the distortion is a guess
 _CELLS = (8, 6)
 _OUTLIER = 3.0  # times the median view's residual
@@ -31,7 +38,8 @@ _OUTLIER = 3.0  # times the median view's residual
 
 @dataclass(frozen=True)
 class Board:
-    """A ChArUco board: squares in x and y, side of a square and of the marker in it, m, and the markers' dictionary."""
+    """A ChArUco board: squares in x and y, side of a square and of the marker in it, m, and the
+    markers' dictionary."""
 
     columns: int = 9
     rows: int = 7
@@ -41,17 +49,30 @@ class Board:
 
     def make(self) -> Any:
         """OpenCV's board. Raises InputError for one that cannot be."""
-        names = sorted(name.removeprefix("DICT_") for name in dir(cv2.aruco) if name.startswith("DICT_"))
+        names = sorted(
+            name.removeprefix("DICT_") for name in dir(cv2.aruco) if name.startswith("DICT_")
+        )
         if self.dictionary not in names:
-            raise InputError(f"unknown dictionary {self.dictionary!r}", field="--dictionary", choices=names)
-        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{self.dictionary}"))
+            raise InputError(
+                f"unknown dictionary {self.dictionary!r}", field="--dictionary", choices=names
+            )
+        dictionary = cv2.aruco.getPredefinedDictionary(
+            getattr(cv2.aruco, f"DICT_{self.dictionary}")
+        )
         if not 0 < self.marker < self.square:
-            raise InputError(f"markers of {1e3 * self.marker:g} mm do not fit in squares of {1e3 * self.square:g} mm",
-                             field="--marker-mm")
+            raise InputError(
+                f"markers of {1e3 * self.marker:g} mm do not fit in squares of "
+                f"{1e3 * self.square:g} mm",
+                field="--marker-mm",
+            )
         if self.columns * self.rows // 2 > len(dictionary.bytesList):
-            raise InputError(f"{self.columns} x {self.rows} squares need more markers than the dictionary has",
-                             field="--board")
-        return cv2.aruco.CharucoBoard((self.columns, self.rows), self.square, self.marker, dictionary)
+            raise InputError(
+                f"{self.columns} x {self.rows} squares need more markers than the dictionary has",
+                field="--board",
+            )
+        return cv2.aruco.CharucoBoard(
+            (self.columns, self.rows), self.square, self.marker, dictionary
+        )
 
     def draw(self, pixels_per_square: int = 120) -> NDArray[np.uint8]:
         """The board as an image to print, with a quiet zone of half a square."""
@@ -97,10 +118,12 @@ class BoardFinder:
 
 @dataclass(frozen=True, eq=False)
 class CameraCalibration:
-    """`K` (3, 3), `distortion` (5,) plumb_bob, `sd` (9,) of fx, fy, cx, cy, k1, k2, p1, p2, k3; residuals in px.
+    """`K` (3, 3), `distortion` (5,) plumb_bob, `sd` (9,) of fx, fy, cx, cy, k1, k2, p1, p2, k3;
+    residuals in px.
 
-    `view_rms` by picture, `dropped` pictures that did not belong, `holdout_px` rms in pictures that were not fitted,
-    `coverage` share of the picture where corners were, `tilts` deg of the board in each view; `reasons` to refuse it.
+    `view_rms` by picture, `dropped` pictures that did not belong, `holdout_px` rms in pictures that
+    were not fitted, `coverage` share of the picture where corners were, `tilts` deg of the board in
+    each view; `reasons` to refuse it.
     """
 
     size: tuple[int, int]
@@ -116,26 +139,46 @@ class CameraCalibration:
     reasons: tuple[str, ...]
 
 
-def calibrate_camera(finder: Finder, views: Sequence[View], size: tuple[int, int], *, k3: bool = False
-                     ) -> CameraCalibration:
+def calibrate_camera(
+    finder: Finder, views: Sequence[View], size: tuple[int, int], *, k3: bool = False
+) -> CameraCalibration:
     """Fit a camera of `size` (width, height) px. `k3`: fit the sixth-order term too (wide lenses).
 
     Raises InputError when there are too few views to fit anything at all.
     """
     if len(views) < 3:
-        raise InputError(f"the board was found in {len(views)} pictures; {VIEWS_MIN} are needed, 15 to 30 are good",
-                         field="pictures")
+        raise InputError(
+            f"the board was found in {len(views)} pictures; {VIEWS_MIN} are needed, 15 to 30 "
+            "are good",
+            field="pictures",
+        )
     fit = fit_intrinsics(finder, views, size, k3=k3)
-    keep = [view for view, rms in zip(views, fit[5], strict=True) if rms <= max(_OUTLIER * float(np.median(fit[5])), 0.2)]
+    keep = [
+        view
+        for view, rms in zip(views, fit[5], strict=True)
+        if rms <= max(_OUTLIER * float(np.median(fit[5])), 0.2)
+    ]
     dropped = tuple(view.name for view in views if view not in keep)
     if dropped and len(keep) >= 3:
-        views, fit = keep, fit_intrinsics(finder, keep, size, k3=k3)
+        views = keep
+        fit = fit_intrinsics(finder, keep, size, k3=k3)
     rms, K, distortion, poses, sd, view_rms = fit
     tilts = np.array([_tilt(rotation) for rotation in poses])
     coverage = _coverage(views, size)
     holdout = _holdout(finder, views, size, k3=k3)
-    result = CameraCalibration(size, K, distortion, sd, rms, {v.name: float(r) for v, r in zip(views, view_rms, strict=True)},
-                               dropped, holdout, coverage, tilts, ())
+    result = CameraCalibration(
+        size,
+        K,
+        distortion,
+        sd,
+        rms,
+        {v.name: float(r) for v, r in zip(views, view_rms, strict=True)},
+        dropped,
+        holdout,
+        coverage,
+        tilts,
+        (),
+    )
     return CameraCalibration(**{**result.__dict__, "reasons": tuple(_judge(result))})
 
 
@@ -144,31 +187,62 @@ def _judge(c: CameraCalibration) -> list[str]:
     focal_sd = float(np.max(c.sd[:2] / np.diag(c.K)[:2]))
     tilted = int(np.sum(c.tilts > TILT_MIN_DEG))
     checks = [
-        (len(c.view_rms) >= VIEWS_MIN, f"{len(c.view_rms)} usable pictures, {VIEWS_MIN} are needed: take more"),
-        (len(c.dropped) <= len(c.view_rms) / 4, f"{len(c.dropped)} pictures do not agree with the others: is the board flat, "
-         "the lens fixed, --square-mm right?"),
-        (c.rms <= RMS_MAX_PX, f"the corners are off by {c.rms:.2f} px (rms), at most {RMS_MAX_PX:g} is good: focus, motion "
-         "blur, a board that is not flat"),
-        (c.holdout_px <= HOLDOUT_MAX_PX, f"in pictures that it was not fitted to it is off by {c.holdout_px:.2f} px, at most "
-         f"{HOLDOUT_MAX_PX:g} is good: take more pictures, all over the view"),
-        (focal_sd <= FOCAL_SD_MAX, f"the focal length is known to {100 * focal_sd:.1f} % only, {100 * FOCAL_SD_MAX:g} % is "
-         "needed: tilt the board more"),
-        (tilted >= TILTED_MIN, f"the board is tilted by more than {TILT_MIN_DEG:g} degrees in {tilted} pictures, in "
-         f"{TILTED_MIN} it must be: tilt it left, right, up and down"),
-        (c.coverage >= COVERAGE_MIN, f"corners were seen in {100 * c.coverage:.0f} % of the picture, {100 * COVERAGE_MIN:.0f} % "
-         "are needed: bring the board to the edges and corners too"),
+        (
+            len(c.view_rms) >= VIEWS_MIN,
+            f"{len(c.view_rms)} usable pictures, {VIEWS_MIN} are needed: take more",
+        ),
+        (
+            len(c.dropped) <= len(c.view_rms) / 4,
+            f"{len(c.dropped)} pictures do not agree with "
+            "the others: is the board flat, "
+            "the lens fixed, --square-mm right?",
+        ),
+        (
+            c.rms <= RMS_MAX_PX,
+            f"the corners are off by {c.rms:.2f} px (rms), at most {RMS_MAX_PX:g} is good: "
+            "focus, motion "
+            "blur, a board that is not flat",
+        ),
+        (
+            c.holdout_px <= HOLDOUT_MAX_PX,
+            "in pictures that it was not fitted to it is off "
+            f"by {c.holdout_px:.2f} px, at most "
+            f"{HOLDOUT_MAX_PX:g} is good: take more pictures, all over the view",
+        ),
+        (
+            focal_sd <= FOCAL_SD_MAX,
+            f"the focal length is known to {100 * focal_sd:.1f} % only, {100 * FOCAL_SD_MAX:g} "
+            "% is "
+            "needed: tilt the board more",
+        ),
+        (
+            tilted >= TILTED_MIN,
+            f"the board is tilted by more than {TILT_MIN_DEG:g} degrees in {tilted} pictures, "
+            "in "
+            f"{TILTED_MIN} it must be: tilt it left, right, up and down",
+        ),
+        (
+            c.coverage >= COVERAGE_MIN,
+            f"corners were seen in {100 * c.coverage:.0f} % of the picture, "
+            f"{100 * COVERAGE_MIN:.0f} % "
+            "are needed: bring the board to the edges and corners too",
+        ),
     ]
     return [text for good, text in checks if not good]
 
 
-def fit_intrinsics(finder: Finder, views: Sequence[View], size: tuple[int, int], *, k3: bool) -> tuple[Any, ...]:
-    """OpenCV's fit: rms, K, distortion (5,), poses (rotation vectors), sd (9,), rms of each view."""
+def fit_intrinsics(
+    finder: Finder, views: Sequence[View], size: tuple[int, int], *, k3: bool
+) -> tuple[Any, ...]:
+    """OpenCV's fit: rms, K, distortion (5,), poses (rotation vectors), sd (9,), rms of each
+    view."""
     objects = [finder.corners(view).astype(np.float32) for view in views]
     images = [view.uv.astype(np.float32) for view in views]
     flags = 0 if k3 else cv2.CALIB_FIX_K3
     try:
         rms, K, distortion, rotations, _, sd, _, view_rms = cv2.calibrateCameraExtended(
-            objects, images, size, np.eye(3), np.zeros(5), flags=flags)
+            objects, images, size, np.eye(3), np.zeros(5), flags=flags
+        )
     except cv2.error as error:
         raise InputError(f"no camera fits these pictures: {error.err}", field="pictures") from error
     return float(rms), K, np.ravel(distortion)[:5], rotations, np.ravel(sd)[:9], np.ravel(view_rms)
@@ -181,15 +255,19 @@ def _tilt(rotation: Array) -> float:
 
 def _coverage(views: Sequence[View], size: tuple[int, int]) -> float:
     uv = np.concatenate([view.uv for view in views])
-    counts, _, _ = np.histogram2d(uv[:, 0], uv[:, 1], bins=_CELLS, range=((0, size[0]), (0, size[1])))
+    counts, _, _ = np.histogram2d(
+        uv[:, 0], uv[:, 1], bins=_CELLS, range=((0, size[0]), (0, size[1]))
+    )
     return float(np.mean(counts > 0))
 
 
 def _holdout(finder: Finder, views: Sequence[View], size: tuple[int, int], *, k3: bool) -> float:
-    """rms px in every other view of a camera fitted to the rest, both ways; only the held-out board's pose is fitted."""
+    """rms px in every other view of a camera fitted to the rest, both ways; only the held-out
+    board's pose is fitted."""
     squares: list[Array] = []
     for first in (0, 1):
-        inside, outside = views[first::2], views[1 - first :: 2]
+        inside = views[first::2]
+        outside = views[1 - first :: 2]
         if len(inside) < 3:
             return float("nan")
         _, K, distortion, *_ = fit_intrinsics(finder, inside, size, k3=k3)
@@ -202,7 +280,8 @@ def _holdout(finder: Finder, views: Sequence[View], size: tuple[int, int], *, k3
 
 
 def pose_of(corners: Array, uv: Array, K: Array, distortion: Array) -> tuple[Array, Array]:
-    """Rotation vector and shift m of the board whose `corners` (N, 3) m are seen at `uv` (N, 2) px."""
+    """Rotation vector and shift m of the board whose `corners` (N, 3) m are seen at `uv` (N, 2)
+    px."""
     _, rotation, shift = cv2.solvePnP(corners, uv, K, distortion)
     return rotation, shift
 
@@ -215,20 +294,41 @@ def camera_info(c: CameraCalibration, name: str) -> dict[str, Any]:
         flat = np.ravel(value)
         return {"rows": rows, "cols": len(flat) // rows, "data": [float(x) for x in flat]}
 
-    return {"image_width": c.size[0], "image_height": c.size[1], "camera_name": name, "camera_matrix": matrix(c.K, 3),
-            "distortion_model": "plumb_bob", "distortion_coefficients": matrix(c.distortion, 1),
-            "rectification_matrix": matrix(np.eye(3), 3), "projection_matrix": matrix(projection, 3)}
+    return {
+        "image_width": c.size[0],
+        "image_height": c.size[1],
+        "camera_name": name,
+        "camera_matrix": matrix(c.K, 3),
+        "distortion_model": "plumb_bob",
+        "distortion_coefficients": matrix(c.distortion, 1),
+        "rectification_matrix": matrix(np.eye(3), 3),
+        "projection_matrix": matrix(projection, 3),
+    }
 
 
 def lens_part(c: CameraCalibration, stamp: Stamp) -> Lens:
     """What a finger's calibration keeps of it."""
-    return Lens(*c.size, float(c.K[0, 0]), float(c.K[1, 1]), float(c.K[0, 2]), float(c.K[1, 2]),
-                tuple(float(k) for k in c.distortion), stamp=stamp)
+    return Lens(
+        *c.size,
+        float(c.K[0, 0]),
+        float(c.K[1, 1]),
+        float(c.K[0, 2]),
+        float(c.K[1, 2]),
+        tuple(float(k) for k in c.distortion),
+        stamp=stamp,
+    )
 
 
 def report(c: CameraCalibration) -> dict[str, Any]:
     """Residuals and what they rest on."""
     names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-    return {"views": len(c.view_rms), "dropped": list(c.dropped), "rms_px": c.rms, "holdout_px": c.holdout_px,
-            "view_rms_px": c.view_rms, "sd": {n: float(s) for n, s in zip(names, c.sd, strict=True)},
-            "coverage": c.coverage, "tilt_deg": [float(t) for t in c.tilts]}
+    return {
+        "views": len(c.view_rms),
+        "dropped": list(c.dropped),
+        "rms_px": c.rms,
+        "holdout_px": c.holdout_px,
+        "view_rms_px": c.view_rms,
+        "sd": {n: float(s) for n, s in zip(names, c.sd, strict=True)},
+        "coverage": c.coverage,
+        "tilt_deg": [float(t) for t in c.tilts],
+    }

@@ -1,12 +1,14 @@
-"""A flat board of equal circles on a square grid as a target for `calibrate.camera`: any number of them, some may be missing.
+"""A flat board of equal circles on a square grid as a target for `calibrate.camera`: any number of
+them, some may be missing.
 
-A camera's intrinsics need no more of a board than that its circles stand on a square grid: each picture has a pose of its own,
-so that which circle is called (0, 0), and how far apart they are, does not matter. Circles are therefore numbered from one in
-the middle outwards, from neighbour to neighbour.
+A camera's intrinsics need no more of a board than that its circles stand on a square grid: each
+picture has a pose of its own, so that which circle is called (0, 0), and how far apart they are,
+does not matter. Circles are therefore numbered from one in the middle outwards, from neighbour to
+neighbour.
 
-The centre of a circle's image, which is an ellipse's, is not the image of the circle's centre (off by
-f r^2 sin(t) cos(t)/Z^2 at a tilt t). The difference is computed from the camera and the board's pose, taken off, and both are
-fitted again.
+The centre of a circle's image, which is an ellipse's, is not the image of the circle's centre (off
+by f r^2 sin(t) cos(t)/Z^2 at a tilt t). The difference is computed from the camera and the board's
+pose, taken off, and both are fitted again.
 """
 
 from __future__ import annotations
@@ -20,7 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from mjtactile.calibrate.camera import CORNERS_MIN, CameraCalibration, View, calibrate_camera, fit_intrinsics, pose_of
+from mjtactile.calibrate.camera import (
+    CORNERS_MIN,
+    CameraCalibration,
+    View,
+    calibrate_camera,
+    fit_intrinsics,
+    pose_of,
+)
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.sensing.image.markers import Polarity
@@ -30,7 +39,8 @@ _HALF = 500  # of the grid's numbers: ids are (i + half) 2 half + j + half
 _NEAR = 0.25  # of the step: how far from where it is expected a neighbour may be
 _ALIKE = 1.6  # ratio of sizes of circles of one board in one picture
 _SEEDS = 5
-_ROUNDS = 3  # of fitting and taking the ellipses' centres back; each leaves a hundredth of the one before
+# of fitting and taking the ellipses' centres back; each leaves a hundredth of the one before
+_ROUNDS = 3
 _RIM = 64
 _PLAIN = 4.0  # sd that k3 must be off zero: without need it bends the picture's corners
 
@@ -45,8 +55,11 @@ class CircleFinder:
 
     def __post_init__(self) -> None:
         if not 0 < self.radius < self.pitch / 2:
-            raise InputError(f"circles of {1e3 * self.radius:g} mm radius touch each other at a pitch of {1e3 * self.pitch:g} mm",
-                             field="--radius-mm")
+            raise InputError(
+                f"circles of {1e3 * self.radius:g} mm radius touch each other at a pitch of "
+                f"{1e3 * self.pitch:g} mm",
+                field="--radius-mm",
+            )
 
     def find(self, name: str, gray: NDArray[np.uint8]) -> View | None:
         """The circles' ellipses' centres, None when fewer than CORNERS_MIN are seen on one grid."""
@@ -66,20 +79,26 @@ class CircleFinder:
         return self.pitch * np.stack([i - _HALF, j - _HALF, np.zeros(len(i))], axis=1).astype(float)
 
     def centred(self, view: View, K: Array, distortion: Array) -> View:
-        """The view with the circles' centres' images in place of the ellipses' centres, for a camera that is nearly right."""
+        """The view with the circles' centres' images in place of the ellipses' centres, for a
+        camera that is nearly right."""
         centres = self.corners(view)
         rotation, shift = pose_of(centres, view.uv, K, distortion)
         t = 2 * np.pi * np.arange(_RIM) / _RIM
-        rim = centres[:, None] + self.radius * np.stack([np.cos(t), np.sin(t), np.zeros(_RIM)], axis=1)
-        seen = cv2.projectPoints(rim.reshape(-1, 3), rotation, shift, K, distortion)[0].reshape(-1, _RIM, 2)
+        rim = centres[:, None] + self.radius * np.stack(
+            [np.cos(t), np.sin(t), np.zeros(_RIM)], axis=1
+        )
+        seen = cv2.projectPoints(rim.reshape(-1, 3), rotation, shift, K, distortion)[0].reshape(
+            -1, _RIM, 2
+        )
         middle = cv2.projectPoints(centres, rotation, shift, K, distortion)[0].reshape(-1, 2)
         return replace(view, uv=view.uv - (_centroid(seen) - middle))
 
 
-def calibrate_from_circles(finder: CircleFinder, views: Sequence[View], size: tuple[int, int], *, k3: bool = False
-                           ) -> CameraCalibration:
-    """`calibrate_camera` from ellipses' centres. With k3 where it is asked for, or where it is plainly not zero and
-    makes pictures that were not fitted no worse."""
+def calibrate_from_circles(
+    finder: CircleFinder, views: Sequence[View], size: tuple[int, int], *, k3: bool = False
+) -> CameraCalibration:
+    """`calibrate_camera` from ellipses' centres. With k3 where it is asked for, or where it is
+    plainly not zero and makes pictures that were not fitted no worse."""
     raw = list(views)
     for _ in range(_ROUNDS if len(raw) >= 3 else 0):
         _, K, distortion, *_ = fit_intrinsics(finder, views, size, k3=True)
@@ -93,8 +112,10 @@ def calibrate_from_circles(finder: CircleFinder, views: Sequence[View], size: tu
 
 
 def number_grid(uv: Array) -> dict[int, tuple[int, int]]:
-    """Places (i, j) on a square grid of those points `uv` (N, 2) px, by index, that stand on one with the point in the middle."""
-    tree, best = KDTree(uv), {}
+    """Places (i, j) on a square grid of those points `uv` (N, 2) px, by index, that stand on one
+    with the point in the middle."""
+    tree = KDTree(uv)
+    best = {}
     for seed in np.argsort(((uv - uv.mean(axis=0)) ** 2).sum(axis=1))[:_SEEDS]:
         found = _grown(uv, tree, int(seed))
         best = found if len(found) > len(best) else best
@@ -102,18 +123,25 @@ def number_grid(uv: Array) -> dict[int, tuple[int, int]]:
 
 
 def _grown(uv: Array, tree: KDTree, seed: int) -> dict[int, tuple[int, int]]:
-    """From neighbour to neighbour, each step being expected to be as the last one in that direction was."""
+    """From neighbour to neighbour, each step being expected to be as the last one in that direction
+    was."""
     basis = _basis(uv, tree, seed)
     if basis is None:
         return {}
-    places, taken, queue = {seed: (0, 0)}, {(0, 0)}, deque([(seed, basis)])
+    places = {seed: (0, 0)}
+    taken = {(0, 0)}
+    queue = deque([(seed, basis)])
     while queue:
         at, steps = queue.popleft()
         for axis in (0, 1):
             for sign in (1, -1):
                 place = places[at][0] + sign * (axis == 0), places[at][1] + sign * (axis == 1)
                 distance, near = tree.query(uv[at] + sign * steps[axis])
-                if near in places or place in taken or distance > _NEAR * np.linalg.norm(steps[axis]):
+                if (
+                    near in places
+                    or place in taken
+                    or distance > _NEAR * np.linalg.norm(steps[axis])
+                ):
                     continue
                 places[int(near)] = place
                 taken.add(place)
@@ -142,7 +170,10 @@ def _centroid(polygon: Array) -> Array:
     """Centroids (N, 2) of the areas of closed polygons (N, K, 2)."""
     origin = polygon.mean(axis=1, keepdims=True)
     x, y = np.moveaxis(polygon - origin, -1, 0)
-    x2, y2 = np.roll(x, -1, axis=1), np.roll(y, -1, axis=1)
+    x2 = np.roll(x, -1, axis=1)
+    y2 = np.roll(y, -1, axis=1)
     cross = x * y2 - x2 * y
     area = cross.sum(axis=1)
-    return origin[:, 0] + np.stack([((x + x2) * cross).sum(axis=1), ((y + y2) * cross).sum(axis=1)], axis=1) / (3 * area[:, None])
+    return origin[:, 0] + np.stack(
+        [((x + x2) * cross).sum(axis=1), ((y + y2) * cross).sum(axis=1)], axis=1
+    ) / (3 * area[:, None])

@@ -17,8 +17,11 @@ from mjtactile.rig.finger import Rig
 
 
 @contextlib.contextmanager
-def live_rig(name: str, design: SensorDesign, *, object_name: str = "egg") -> Iterator[tuple[RigFile, EmulatorProcess | None]]:
-    """The rig file of `name` with addresses that can be connected to; starts (and ends) the emulator for an emulated one."""
+def live_rig(
+    name: str, design: SensorDesign, *, object_name: str = "egg"
+) -> Iterator[tuple[RigFile, EmulatorProcess | None]]:
+    """The rig file of `name` with addresses that can be connected to; starts (and ends) the
+    emulator for an emulated one."""
     rig_file = load_rig_file(name)
     if rig_file.emulator is None:
         yield rig_file, None
@@ -50,7 +53,9 @@ def live_camera(rig_file: RigFile, finger: str) -> Iterator[OpenCvCamera]:
 @contextlib.contextmanager
 def live_gripper(rig_file: RigFile) -> Iterator[DynamixelGripper]:
     """The jaws and what lifts them."""
-    gripper = DynamixelGripper(rig_file.bus, rig_file.gripper, rig_file.lift, source=str(rig_file.path))
+    gripper = DynamixelGripper(
+        rig_file.bus, rig_file.gripper, rig_file.lift, source=str(rig_file.path)
+    )
     with contextlib.closing(gripper):
         yield gripper
 

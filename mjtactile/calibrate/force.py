@@ -1,4 +1,5 @@
-"""A sensor's force against known loads: the paper's constant c (dF = c dA), and the scale of the inverse finite elements."""
+"""A sensor's force against known loads: the paper's constant c (dF = c dA), and the scale of the
+inverse finite elements."""
 
 from __future__ import annotations
 
@@ -20,15 +21,16 @@ LOADS_MIN = 4
 FORCE_MIN = 0.2  # N; the largest load, below it noise is what would be calibrated
 SCALE_OFF_MAX = 0.25  # the sensor file's thickness and modulus explain no more than that
 RMS_SHARE = 0.10  # of the largest load
-AREA_RMS_SHARE = 0.30  # dF = c dA is no better than that for a sealed membrane (tests/physics/test_paper_force.py)
+# dF = c dA is no better than that for a sealed membrane (tests/physics/test_paper_force.py)
+AREA_RMS_SHARE = 0.30
 GRAVITY = 9.80665  # m/s^2, standard
 
 
 @dataclass(frozen=True, eq=False)
 class ForceCalibration:
-    """`area` the paper's c with its rms residual (None: the area does not follow the load); the load is `scale` times what
-    the inverse finite elements feel plus `offset` N, `rms` N left; tables of each load's true and felt force, N, and
-    area change, m^2; `reasons` to refuse it."""
+    """`area` the paper's c with its rms residual (None: the area does not follow the load); the
+    load is `scale` times what the inverse finite elements feel plus `offset` N, `rms` N left;
+    tables of each load's true and felt force, N, and area change, m^2; `reasons` to refuse it."""
 
     area: AreaCalibration | None
     scale: float
@@ -42,77 +44,144 @@ class ForceCalibration:
     reasons: tuple[str, ...]
 
     def report(self) -> dict[str, Any]:
-        return {"area_constant_N_per_m2": self.area.constant if self.area else None,
-                "area_residual_N": self.area.residual if self.area else None, "scale": self.scale, "scale_sd": self.scale_sd,
-                "offset_N": self.offset, "offset_sd_N": self.offset_sd, "residual_N": self.rms,
-                "loads": [{"force_N": t, "felt_N": f, "area_change_mm2": 1e6 * a}
-                          for t, f, a in zip(self.true, self.felt, self.area_change, strict=True)]}
+        return {
+            "area_constant_N_per_m2": self.area.constant if self.area else None,
+            "area_residual_N": self.area.residual if self.area else None,
+            "scale": self.scale,
+            "scale_sd": self.scale_sd,
+            "offset_N": self.offset,
+            "offset_sd_N": self.offset_sd,
+            "residual_N": self.rms,
+            "loads": [
+                {"force_N": t, "felt_N": f, "area_change_mm2": 1e6 * a}
+                for t, f, a in zip(self.true, self.felt, self.area_change, strict=True)
+            ],
+        }
 
 
-def ready_perception(design: SensorDesign, calibration: Calibration, flat: Sequence[Image], rest: Sequence[Image],
-                     reading: float | None) -> Perception:
-    """Perception with references from these pictures, at what its pressure sensor says, Pa (None: there is none), without the
-    scale that is to be found. Raises DeviceError when they do not agree with the sensor file."""
+def ready_perception(
+    design: SensorDesign,
+    calibration: Calibration,
+    flat: Sequence[Image],
+    rest: Sequence[Image],
+    reading: float | None,
+) -> Perception:
+    """Perception with references from these pictures, at what its pressure sensor says, Pa (None:
+    there is none), without the scale that is to be found. Raises DeviceError when they do not agree
+    with the sensor file."""
     perception = Perception.of(design, replace(calibration, force=None))
     perception.take_flat(flat)
-    perception.take_rest(rest, design.chamber.supply_gauge if reading is None else calibration.pressure(reading))
+    perception.take_rest(
+        rest, design.chamber.supply_gauge if reading is None else calibration.pressure(reading)
+    )
     return perception
 
 
 def feel(perception: Perception, images: Sequence[Image]) -> tuple[float, float]:
-    """Mean normal force, N, and area, m^2, that a sensor with references sees in images of one load.
+    """Mean normal force, N, and area, m^2, that a sensor with references sees in images of one
+    load.
 
     Raises InputError with the reason when it sees nothing usable.
     """
     touches = [perception.perceive(image, image.time) for image in images]
-    good = [t for t in touches if np.isfinite(t.force_normal) and t.surface is not None and t.traction is not None]
+    good = [
+        t
+        for t in touches
+        if np.isfinite(t.force_normal) and t.surface is not None and t.traction is not None
+    ]
     if not good:
         raise InputError(f"cannot be used: {touches[0].status if touches else 'no image'}")
-    # The raw wrench: what the pipeline reports below its threshold of touch is zero, which would bend the line.
+    # The raw wrench: what the pipeline reports below its threshold of touch is zero, which would
+    # bend the line.
     force = float(np.mean([-t.traction.wrench[2] for t in good if t.traction is not None]))
     return force, float(np.mean([t.surface.area for t in good if t.surface is not None]))
 
 
 def calibrate_force(true: Array, felt: Array, area: Array, area_rest: float) -> ForceCalibration:
-    """From known normal loads N, the forces felt N and membrane areas m^2, and the area with no load.
+    """From known normal loads N, the forces felt N and membrane areas m^2, and the area with no
+    load.
 
     Raises InputError for too few loads.
     """
     if len(true) < LOADS_MIN or len(np.unique(true)) < 3:
-        raise InputError(f"{len(np.unique(true))} different loads, at least {LOADS_MIN} rows and 3 different loads are needed",
-                         field="force_N")
+        raise InputError(
+            f"{len(np.unique(true))} different loads, at least {LOADS_MIN} rows and 3 different "
+            "loads are needed",
+            field="force_N",
+        )
     change = area - area_rest
     try:
         constant = AreaCalibration.fit(change, true)
     except InputError:
         constant = None
-    (offset, scale), (offset_sd, scale_sd), rms = fit_line(felt, true) if np.ptp(felt) > 0 else ((np.nan,) * 2,) * 2 + (np.nan,)
+    (offset, scale), (offset_sd, scale_sd), rms = (
+        fit_line(felt, true) if np.ptp(felt) > 0 else ((np.nan,) * 2,) * 2 + (np.nan,)
+    )
     reasons = _judge(true, felt, constant, float(scale), float(offset), rms)
-    return ForceCalibration(constant, float(scale), float(scale_sd), float(offset), float(offset_sd), rms, true, felt, change,
-                            tuple(reasons))
+    return ForceCalibration(
+        constant,
+        float(scale),
+        float(scale_sd),
+        float(offset),
+        float(offset_sd),
+        rms,
+        true,
+        felt,
+        change,
+        tuple(reasons),
+    )
 
 
 def force_part(c: ForceCalibration, stamp: Stamp) -> ForceScale:
-    """What a finger's calibration keeps of it: the slope. At rest a sensor feels nothing; the offset is what held the load cell,
-    or its zero."""
+    """What a finger's calibration keeps of it: the slope. At rest a sensor feels nothing; the
+    offset is what held the load cell, or its zero."""
     return ForceScale(c.scale, c.scale_sd, float(np.max(c.true)), stamp)
 
 
-def _judge(true: Array, felt: Array, constant: AreaCalibration | None, scale: float, offset: float, rms: float) -> list[str]:
+def _judge(
+    true: Array,
+    felt: Array,
+    constant: AreaCalibration | None,
+    scale: float,
+    offset: float,
+    rms: float,
+) -> list[str]:
     largest = float(np.max(true))
     if largest < FORCE_MIN:
         return [f"the largest load is {largest:.2f} N, at least {FORCE_MIN:g} is needed"]
     if np.ptp(felt) < 0.1 * np.ptp(true):
-        return [f"the sensor feels {np.min(felt):.2f} to {np.max(felt):.2f} N while the load goes from {np.min(true):.2f} to "
-                f"{largest:.2f} N: was it put on the membrane, and are the images in the order of the loads?"]
+        return [
+            f"the sensor feels {np.min(felt):.2f} to {np.max(felt):.2f} N while the load goes "
+            f"from {np.min(true):.2f} to "
+            f"{largest:.2f} N: was it put on the membrane, and are the images in the "
+            "order of the loads?"
+        ]
     checks = [
-        (abs(scale - 1) <= SCALE_OFF_MAX, f"the load is {scale:.2f} times the force felt, {1 - SCALE_OFF_MAX:g} to "
-         f"{1 + SCALE_OFF_MAX:g} is plausible: thickness, modulus or pressure in the sensor file"),
-        (rms <= RMS_SHARE * largest, f"the loads are off a line by {rms:.2f} N of {largest:.2f}: loads slid, load cell tilted"),
-        (abs(offset) <= RMS_SHARE * largest, f"without a load it would feel {-offset / scale:.2f} N: the rest images were not "
-         "free of touch, or the load cell's zero is off"),
+        (
+            abs(scale - 1) <= SCALE_OFF_MAX,
+            f"the load is {scale:.2f} times the force "
+            f"felt, {1 - SCALE_OFF_MAX:g} to "
+            f"{1 + SCALE_OFF_MAX:g} is plausible: thickness, modulus or pressure in the "
+            "sensor file",
+        ),
+        (
+            rms <= RMS_SHARE * largest,
+            f"the loads are off a line by {rms:.2f} N of {largest:.2f}: loads slid, load cell "
+            "tilted",
+        ),
+        (
+            abs(offset) <= RMS_SHARE * largest,
+            "without a load it would feel "
+            f"{-offset / scale:.2f} N: the rest images were "
+            "not "
+            "free of touch, or the load cell's zero is off",
+        ),
         (constant is not None, "the membrane's area does not grow with the load: no constant c"),
-        (constant is None or constant.residual <= AREA_RMS_SHARE * largest, "dF = c dA leaves "
-         f"{constant.residual if constant else np.nan:.2f} N of {largest:.2f}: too few or too small loads"),
+        (
+            constant is None or constant.residual <= AREA_RMS_SHARE * largest,
+            "dF = c dA leaves "
+            f"{constant.residual if constant else np.nan:.2f} N of {largest:.2f}: too few or "
+            "too small loads",
+        ),
     ]
     return [text for good, text in checks if not good]

@@ -1,4 +1,5 @@
-"""Where the camera sits in the frame, how large the markers are, and how the membrane rests: from its own pictures."""
+"""Where the camera sits in the frame, how large the markers are, and how the membrane rests: from
+its own pictures."""
 
 from __future__ import annotations
 
@@ -14,14 +15,24 @@ from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Image
 from mjtactile.sensing.chain import Perception
 
-RESIDUAL_MAX_PX = 1.0  # centres of markers in focus are found to 0.05 px; a bent frame or a wrong lens shows as more
+# centres of markers in focus are found to 0.05 px; a bent frame or a wrong lens shows as more
+RESIDUAL_MAX_PX = 1.0
 
 
-def calibrate_frame(design: SensorDesign, calibration: Calibration, flat: Sequence[Image], rest: Sequence[Image],
-                    pressure_gauge: float, *, sealed: bool = True) -> tuple[FrameCalibration | None, dict[str, Any], list[str]]:
-    """The part (None where nothing could be measured), what to tell of it, and the reasons to refuse it.
+def calibrate_frame(
+    design: SensorDesign,
+    calibration: Calibration,
+    flat: Sequence[Image],
+    rest: Sequence[Image],
+    pressure_gauge: float,
+    *,
+    sealed: bool = True,
+) -> tuple[FrameCalibration | None, dict[str, Any], list[str]]:
+    """The part (None where nothing could be measured), what to tell of it, and the reasons to
+    refuse it.
 
-    `flat` and `rest` (may be empty) are images of the membrane with the valve open, and inflated to `pressure_gauge` Pa.
+    `flat` and `rest` (may be empty) are images of the membrane with the valve open, and inflated to
+    `pressure_gauge` Pa.
     """
     perception = Perception.of(design, calibration)
     try:
@@ -33,11 +44,30 @@ def calibrate_frame(design: SensorDesign, calibration: Calibration, flat: Sequen
     stiffness = None if reference is None else reference.rest.stiffness_scale
     tilt = np.degrees(np.arccos(np.clip((np.trace(found.R_SC) - 1) / 2, -1, 1)))
     radii = 1e3 * design.markers.radius * np.array([found.scale.min(), found.scale.max()])
-    report = {"sensor": design.name, "images": len(flat), "residual_px": found.residual_px, "scale_sd": found.scale_sd,
-              "radius_mm": radii, "offset_mm": 1e3 * (found.p_SC - design.camera.p_SC), "tilt_deg": tilt,
-              "rest_stiffness_scale": stiffness}
-    part = FrameCalibration(found.R_SC, found.p_SC, found.scale, found.residual_px, found.scale_sd, mark(design, report),
-                            None if markers is None else RestMarkers(markers, pressure_gauge, sealed), stiffness)
-    reasons = [f"the marker centres are off by {found.residual_px:.2f} px (rms), at most {RESIDUAL_MAX_PX:g} is good: camera "
-               "calibration, marker positions in the sensor file, something that touches"] * (found.residual_px > RESIDUAL_MAX_PX)
+    report = {
+        "sensor": design.name,
+        "images": len(flat),
+        "residual_px": found.residual_px,
+        "scale_sd": found.scale_sd,
+        "radius_mm": radii,
+        "offset_mm": 1e3 * (found.p_SC - design.camera.p_SC),
+        "tilt_deg": tilt,
+        "rest_stiffness_scale": stiffness,
+    }
+    part = FrameCalibration(
+        found.R_SC,
+        found.p_SC,
+        found.scale,
+        found.residual_px,
+        found.scale_sd,
+        mark(design, report),
+        None if markers is None else RestMarkers(markers, pressure_gauge, sealed),
+        stiffness,
+    )
+    reasons = [
+        f"the marker centres are off by {found.residual_px:.2f} px (rms), at most "
+        f"{RESIDUAL_MAX_PX:g} is good: camera "
+        "calibration, marker positions in the sensor "
+        "file, something that touches"
+    ] * (found.residual_px > RESIDUAL_MAX_PX)
     return part, report, reasons

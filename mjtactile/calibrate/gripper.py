@@ -1,8 +1,10 @@
-"""A gripper against a caliper and a load cell: zero and scale of the opening, backlash, current to force.
+"""A gripper against a caliper and a load cell: zero and scale of the opening, backlash, current to
+force.
 
-Model of the opening: what a caliper measures is offset + scale * reported - backlash / 2 * direction, with direction +1
-while opening and -1 while closing: the jaws lag behind the servo by half the play either way. Model of the force on each
-finger: load cell = friction offset + factor * reported, the factor correcting the torque per ampere of the data sheet.
+Model of the opening: what a caliper measures is offset + scale * reported - backlash / 2 *
+direction, with direction +1 while opening and -1 while closing: the jaws lag behind the servo by
+half the play either way. Model of the force on each finger: load cell = friction offset + factor *
+reported, the factor correcting the torque per ampere of the data sheet.
 """
 
 from __future__ import annotations
@@ -31,7 +33,8 @@ FORCE_RMS_SHARE = 0.10  # of the largest force
 
 @dataclass(frozen=True)
 class OpeningCalibration:
-    """`offset` m, `scale`, `backlash` m with their standard deviations, `rms` m of what is left; `reasons` to refuse it."""
+    """`offset` m, `scale`, `backlash` m with their standard deviations, `rms` m of what is left;
+    `reasons` to refuse it."""
 
     offset: float
     offset_sd: float
@@ -43,13 +46,17 @@ class OpeningCalibration:
     reasons: tuple[str, ...]
 
     def report(self) -> dict[str, Any]:
-        mm = {f"{name}_mm": 1e3 * getattr(self, name) for name in ("offset", "offset_sd", "backlash", "backlash_sd", "rms")}
+        mm = {
+            f"{name}_mm": 1e3 * getattr(self, name)
+            for name in ("offset", "offset_sd", "backlash", "backlash_sd", "rms")
+        }
         return {"scale": self.scale, "scale_sd": self.scale_sd, **mm}
 
 
 @dataclass(frozen=True)
 class ForceCalibration:
-    """`factor` on the reported force and `offset` N (negative: friction) with standard deviations, `rms` N left."""
+    """`factor` on the reported force and `offset` N (negative: friction) with standard deviations,
+    `rms` N left."""
 
     factor: float
     factor_sd: float
@@ -59,12 +66,20 @@ class ForceCalibration:
     reasons: tuple[str, ...]
 
     def report(self) -> dict[str, Any]:
-        return {"factor": self.factor, "factor_sd": self.factor_sd, "offset_N": self.offset, "offset_sd_N": self.offset_sd,
-                "rms_N": self.rms}
+        return {
+            "factor": self.factor,
+            "factor_sd": self.factor_sd,
+            "offset_N": self.offset,
+            "offset_sd_N": self.offset_sd,
+            "rms_N": self.rms,
+        }
 
 
-def calibrate_opening(reported: Array, direction: Sequence[str], measured: Array) -> OpeningCalibration:
-    """From openings m as the servos report them, the direction they were reached in, and a caliper's readings m.
+def calibrate_opening(
+    reported: Array, direction: Sequence[str], measured: Array
+) -> OpeningCalibration:
+    """From openings m as the servos report them, the direction they were reached in, and a
+    caliper's readings m.
 
     Raises InputError when the readings cannot tell offset, scale and backlash apart.
     """
@@ -73,81 +88,144 @@ def calibrate_opening(reported: Array, direction: Sequence[str], measured: Array
         raise InputError(f"{bad!r} is no direction", field="direction", choices=DIRECTIONS)
     sign = np.array([1.0 if text == "opening" else -1.0 for text in direction])
     if len(reported) < 4 or np.ptp(reported) < 5e-3 or not (sign > 0).any() or not (sign < 0).any():
-        raise InputError("needs at least two openings, 5 mm or more apart, each reached closing and opening", field="openings")
+        raise InputError(
+            "needs at least two openings, 5 mm or more apart, each reached closing and opening",
+            field="openings",
+        )
     A = np.column_stack([np.ones_like(reported), reported, -0.5 * sign])
     inverse = np.linalg.inv(A.T @ A)
     x = inverse @ A.T @ measured
     left = measured - A @ x
     sd = np.sqrt(float(left @ left) / max(len(left) - 3, 1) * np.diag(inverse))
-    result = OpeningCalibration(float(x[0]), float(sd[0]), float(x[1]), float(sd[1]), float(x[2]), float(sd[2]),
-                                float(np.sqrt(np.mean(left**2))), ())
+    result = OpeningCalibration(
+        float(x[0]),
+        float(sd[0]),
+        float(x[1]),
+        float(sd[1]),
+        float(x[2]),
+        float(sd[2]),
+        float(np.sqrt(np.mean(left**2))),
+        (),
+    )
     return OpeningCalibration(**{**asdict(result), "reasons": tuple(_judge_opening(result))})
 
 
 def _judge_opening(c: OpeningCalibration) -> list[str]:
     checks = [
-        (abs(c.scale - 1) <= SCALE_OFF_MAX, f"the jaws move {c.scale:.3f} times as far as the rig file says: mm_per_rad or law "
-         "is wrong"),
-        (c.rms <= OPENING_RMS_MAX, f"the caliper is off the fit by {1e3 * c.rms:.2f} mm (rms), at most "
-         f"{1e3 * OPENING_RMS_MAX:g} is good: a slipped reading, or law \"rack\" for a crank"),
-        (c.backlash <= BACKLASH_MAX, f"{1e3 * c.backlash:.2f} mm of backlash: loose horn, worn gear"),
-        (c.backlash >= -3 * max(c.backlash_sd, 1e-5), f"a backlash of {1e3 * c.backlash:.2f} mm: directions mixed up?"),
+        (
+            abs(c.scale - 1) <= SCALE_OFF_MAX,
+            f"the jaws move {c.scale:.3f} times as far as the "
+            "rig file says: mm_per_rad or law "
+            "is wrong",
+        ),
+        (
+            c.rms <= OPENING_RMS_MAX,
+            "the caliper is off the fit by "
+            f"{1e3 * c.rms:.2f} mm (rms), at most "
+            f'{1e3 * OPENING_RMS_MAX:g} is good: a slipped reading, or law "rack" for a crank',
+        ),
+        (
+            c.backlash <= BACKLASH_MAX,
+            f"{1e3 * c.backlash:.2f} mm of backlash: loose horn, worn gear",
+        ),
+        (
+            c.backlash >= -3 * max(c.backlash_sd, 1e-5),
+            f"a backlash of {1e3 * c.backlash:.2f} mm: directions mixed up?",
+        ),
     ]
     return [text for good, text in checks if not good]
 
 
 def calibrate_force(reported: Array, measured: Array) -> ForceCalibration:
-    """From closing forces N as the currents say, and a load cell's readings N. Raises InputError for fewer than 4."""
+    """From closing forces N as the currents say, and a load cell's readings N. Raises InputError
+    for fewer than 4."""
     if len(reported) < 4 or np.ptp(reported) < 0.2 * np.max(np.abs(reported)):
         raise InputError("needs at least 4 forces that differ", field="forces")
     (offset, factor), (offset_sd, factor_sd), rms = fit_line(reported, measured)
-    result = ForceCalibration(float(factor), float(factor_sd), float(offset), float(offset_sd), rms, ())
-    return ForceCalibration(**{**asdict(result), "reasons": tuple(_judge_force(result, float(np.max(measured))))})
+    result = ForceCalibration(
+        float(factor), float(factor_sd), float(offset), float(offset_sd), rms, ()
+    )
+    return ForceCalibration(
+        **{**asdict(result), "reasons": tuple(_judge_force(result, float(np.max(measured))))}
+    )
 
 
 def _judge_force(c: ForceCalibration, largest: float) -> list[str]:
     low, high = FACTOR_RANGE
     checks = [
-        (low <= c.factor <= high, f"the force is {c.factor:.2f} times what the currents say, {low:g} to {high:g} is plausible: "
-         "wrong servo model, mm_per_rad or load cell range"),
-        (c.rms <= FORCE_RMS_SHARE * largest, f"the forces are off a line by {c.rms:.2f} N of {largest:.2f}: stick-slip, a jaw "
-         "that touches something else"),
-        (c.offset <= 0.1 * largest, f"the load cell shows {c.offset:.2f} N more than the currents explain: its zero?"),
+        (
+            low <= c.factor <= high,
+            f"the force is {c.factor:.2f} times what the currents say, {low:g} to {high:g} is "
+            "plausible: "
+            "wrong servo model, mm_per_rad or load cell range",
+        ),
+        (
+            c.rms <= FORCE_RMS_SHARE * largest,
+            f"the forces are off a line by {c.rms:.2f} N of "
+            f"{largest:.2f}: stick-slip, a jaw "
+            "that touches something else",
+        ),
+        (
+            c.offset <= 0.1 * largest,
+            f"the load cell shows {c.offset:.2f} N more than the currents explain: its zero?",
+        ),
     ]
     return [text for good, text in checks if not good]
 
 
-def report(rig_file: RigFile, opening: OpeningCalibration | None, force: ForceCalibration | None) -> dict[str, Any]:
-    """What goes into the gripper's file beside the verdict: what was found, and what it makes of the servos' numbers."""
+def report(
+    rig_file: RigFile, opening: OpeningCalibration | None, force: ForceCalibration | None
+) -> dict[str, Any]:
+    """What goes into the gripper's file beside the verdict: what was found, and what it makes of
+    the servos' numbers."""
     geometry = JawGeometry(rig_file.gripper, str(rig_file.path))
-    return {"rig": rig_file.name, "fingerprint": gripper_fingerprint(rig_file.gripper),
-            "opening": opening.report() if opening else None, "force": force.report() if force else None,
-            "servo": servo_lines(geometry, opening, force)}
+    return {
+        "rig": rig_file.name,
+        "fingerprint": gripper_fingerprint(rig_file.gripper),
+        "opening": opening.report() if opening else None,
+        "force": force.report() if force else None,
+        "servo": servo_lines(geometry, opening, force),
+    }
 
 
-def servo_lines(geometry: JawGeometry, opening: OpeningCalibration | None, force: ForceCalibration | None
-                ) -> list[dict[str, Any]]:
-    """What to write into each `[[gripper.servo]]` of the rig file: id, zero_ticks, mm_per_rad (racks), torque_Nm_per_A.
+def servo_lines(
+    geometry: JawGeometry, opening: OpeningCalibration | None, force: ForceCalibration | None
+) -> list[dict[str, Any]]:
+    """What to write into each `[[gripper.servo]]` of the rig file: id, zero_ticks, mm_per_rad
+    (racks), torque_Nm_per_A.
 
-    The opening's offset is shared by the servos alike; a servo's zero moves by the angle that makes its share. On a rack
-    the scale goes into the pinion's radius; another law keeps its own, and is right in the middle of the range.
+    The opening's offset is shared by the servos alike; a servo's zero moves by the angle that makes
+    its share. On a rack the scale goes into the pinion's radius; another law keeps its own, and is
+    right in the middle of the range.
     """
-    return [_servo_line(jaw, len(geometry.servos), sum(geometry.config.opening) / 2, opening, force) for jaw in geometry.servos]
+    return [
+        _servo_line(jaw, len(geometry.servos), sum(geometry.config.opening) / 2, opening, force)
+        for jaw in geometry.servos
+    ]
 
 
-def _servo_line(jaw: JawServo, count: int, middle: float, opening: OpeningCalibration | None, force: ForceCalibration | None
-                ) -> dict[str, Any]:
+def _servo_line(
+    jaw: JawServo,
+    count: int,
+    middle: float,
+    opening: OpeningCalibration | None,
+    force: ForceCalibration | None,
+) -> dict[str, Any]:
     line: dict[str, Any] = {"id": jaw.config.id}
     scale = 1.0
     if opening is not None and jaw.config.law == "rack":
-        scale, share = opening.scale, opening.offset / count
+        scale = opening.scale
+        share = opening.offset / count
         per_rad = scale * jaw.config.per_rad
         shift = (share + (scale - 1) * jaw.config.opening_part) / per_rad
         line["mm_per_rad"] = round(1e3 * per_rad, 4)
         line["zero_ticks"] = round(jaw.config.zero_ticks - shift * TICKS_PER_RAD)
     elif opening is not None:
         share = (opening.offset + (opening.scale - 1) * middle) / count
-        line["zero_ticks"] = round(jaw.config.zero_ticks - share / jaw.slope(jaw.ticks(middle / count)) * TICKS_PER_RAD)
+        line["zero_ticks"] = round(
+            jaw.config.zero_ticks - share / jaw.slope(jaw.ticks(middle / count)) * TICKS_PER_RAD
+        )
     if force is not None:
-        line["torque_Nm_per_A"] = round(jaw.torque_per_A * force.factor * scale, 4)  # force = torque over radius
+        # force = torque over radius
+        line["torque_Nm_per_A"] = round(jaw.torque_per_A * force.factor * scale, 4)
     return line

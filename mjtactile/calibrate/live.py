@@ -1,7 +1,8 @@
-"""Calibration on live devices: what to do in which order, with prompts for a person who reads a caliper or a load cell.
+"""Calibration on live devices: what to do in which order, with prompts for a person who reads a
+caliper or a load cell.
 
-On the emulated rig the emulator's own world is the caliper and the load cell: instruments outside the device, which a
-person would read on a real one.
+On the emulated rig the emulator's own world is the caliper and the load cell: instruments outside
+the device, which a person would read on a real one.
 """
 
 from __future__ import annotations
@@ -29,47 +30,73 @@ Say = Callable[[str], None]
 Ask = Callable[[str], float | None]
 """Asks a person for a number; None: skip this one."""
 
-_STILL_PX, _NEW_VIEW_SHARE = 2.0, 0.06  # a view counts when the board rests, and is elsewhere than in all others
+# a view counts when the board rests, and is elsewhere than in all others
+_STILL_PX = 2.0
+_NEW_VIEW_SHARE = 0.06
 _SPEED = 0.010  # m/s of the opening while calibrating
 _PERIOD = 0.02  # s between two commands
 _REST_TIME = 0.6  # s at each opening
-_STALL_TIME, _CLOSE_TIME_MAX = 0.5, 20.0  # s of standing still; s to reach what is between the jaws
-_STILL, _AHEAD_MIN, _AHEAD_MAX = 1e-4, 8e-3, 30e-3  # m of the opening
+# s of standing still; s to reach what is between the jaws
+_STALL_TIME = 0.5
+_CLOSE_TIME_MAX = 20.0
+# m of the opening
+_STILL = 1e-4
+_AHEAD_MIN = 8e-3
+_AHEAD_MAX = 30e-3
 _VALVE_STAGES = (1.0, 2.0, 1.0)  # s of venting, step, venting again
 _SAMPLE = 0.01  # s between pressure samples
 
 
-# -- camera ------------------------------------------------------------------------------------------------------------
+# -- camera
+# --------------------------------------------------------------------------------
 
-def collect_views(pictures: Iterator[tuple[str, NDArray[np.uint8]]], finder: Finder, count: int, say: Say) -> list[View]:
-    """Take `count` views of a board that is moved about, each when it rests somewhere new; fewer when the pictures end."""
+
+def collect_views(
+    pictures: Iterator[tuple[str, NDArray[np.uint8]]], finder: Finder, count: int, say: Say
+) -> list[View]:
+    """Take `count` views of a board that is moved about, each when it rests somewhere new; fewer
+    when the pictures end."""
     taken: list[View] = []
     before: View | None = None
     for name, gray in pictures:
         view = finder.find(name, gray)
-        if view is not None and before is not None and _moved(view, before) < _STILL_PX and _is_new(view, taken, gray.shape[1]):
+        if (
+            view is not None
+            and before is not None
+            and _moved(view, before) < _STILL_PX
+            and _is_new(view, taken, gray.shape[1])
+        ):
             taken.append(view)
-            say(f"view {len(taken)} of {count}: {len(view.ids)} corners. {_hint(taken, gray.shape)}")
+            say(
+                f"view {len(taken)} of {count}: {len(view.ids)} corners. {_hint(taken, gray.shape)}"
+            )
             if len(taken) == count:
                 break
         before = view
     return taken
 
 
-def camera_pictures(camera: OpenCvCamera, seconds: float) -> Iterator[tuple[str, NDArray[np.uint8]]]:
+def camera_pictures(
+    camera: OpenCvCamera, seconds: float
+) -> Iterator[tuple[str, NDArray[np.uint8]]]:
     """Each new picture of a camera, for `seconds` s. Raises DeviceError when it fails."""
-    end, last, number = pace.monotonic() + seconds, 0.0, 0
+    end = pace.monotonic() + seconds
+    last = 0.0
+    number = 0
     while pace.monotonic() < end:
         if camera.wait_newer(last, 0.5):
             image = camera.read()
-            last, number = image.time, number + 1
+            last = image.time
+            number = number + 1
             yield f"picture {number}", image.pixels
 
 
 def _moved(view: View, other: View) -> float:
     """Largest movement in px of the corners that both have; infinite when they share none."""
     shared, a, b = np.intersect1d(view.ids, other.ids, return_indices=True)
-    return float(np.max(np.linalg.norm(view.uv[a] - other.uv[b], axis=1))) if len(shared) else np.inf
+    return (
+        float(np.max(np.linalg.norm(view.uv[a] - other.uv[b], axis=1))) if len(shared) else np.inf
+    )
 
 
 def _is_new(view: View, taken: Sequence[View], width: int) -> bool:
@@ -80,18 +107,24 @@ def _hint(taken: Sequence[View], shape: tuple[int, ...]) -> str:
     """Where in the picture no corner was seen yet."""
     uv = np.concatenate([view.uv for view in taken])
     names = np.array([["upper left", "upper right"], ["lower left", "lower right"]])
-    quarter = np.histogram2d(uv[:, 1] / shape[0], uv[:, 0] / shape[1], bins=4, range=((0, 1), (0, 1)))[0]
+    quarter = np.histogram2d(
+        uv[:, 1] / shape[0], uv[:, 0] / shape[1], bins=4, range=((0, 1), (0, 1))
+    )[0]
     empty = [str(names[i, j]) for i in (0, 1) for j in (0, 1) if quarter[3 * i, 3 * j] == 0]
     return f"Now to the {empty[0]}, tilted." if empty else "Tilt it another way, or come closer."
 
 
-# -- frame and force ---------------------------------------------------------------------------------------------------
+# -- frame and force
+# --------------------------------------------------------------------------------
+
 
 class _Bystander:
     """Stands where perception is asked for: the pictures are judged afterwards."""
 
     def take_flat(self, images: Sequence[Image]) -> None: ...
-    def take_rest(self, images: Sequence[Image], pressure_gauge: float, *, sealed: bool = True) -> None: ...
+    def take_rest(
+        self, images: Sequence[Image], pressure_gauge: float, *, sealed: bool = True
+    ) -> None: ...
     def perceive(self, image: Image, now: float) -> Any: ...
 
 
@@ -102,24 +135,38 @@ class _Album:
         self.shots: dict[str, list[list[Image]]] = {}
         self.pressures: list[float | None] = []
 
-    def add_reference(self, stage: str, images: list[list[Image]], pressure_gauge: list[float | None]) -> None:
-        self.shots[stage], self.pressures = images, pressure_gauge
+    def add_reference(
+        self, stage: str, images: list[list[Image]], pressure_gauge: list[float | None]
+    ) -> None:
+        self.shots[stage] = images
+        self.pressures = pressure_gauge
 
     def note(self, **_: Any) -> None: ...
 
 
 def reference_pictures(rig: Rig, say: Say) -> list[tuple[list[Image], list[Image], float | None]]:
-    """Of each finger: pictures of the flat and of the inflated membrane, and what its pressure sensor says then, Pa."""
+    """Of each finger: pictures of the flat and of the inflated membrane, and what its pressure
+    sensor says then, Pa."""
     album = _Album()
     Session(rig, [_Bystander() for _ in rig.fingers], say=say).take_references(album)
-    return list(zip(album.shots["flat"], album.shots["rest"], album.pressures or [None] * len(rig.fingers), strict=True))
+    return list(
+        zip(
+            album.shots["flat"],
+            album.shots["rest"],
+            album.pressures or [None] * len(rig.fingers),
+            strict=True,
+        )
+    )
 
 
-def squeezed_pictures(rig: Rig, forces: Sequence[float], load_cell: Ask, say: Say
-                      ) -> Iterator[tuple[str, float, list[list[Image]]]]:
-    """Squeeze a load cell between the jaws with rising force limits (N): a name, what it shows (N), pictures of each finger.
+def squeezed_pictures(
+    rig: Rig, forces: Sequence[float], load_cell: Ask, say: Say
+) -> Iterator[tuple[str, float, list[list[Image]]]]:
+    """Squeeze a load cell between the jaws with rising force limits (N): a name, what it shows (N),
+    pictures of each finger.
 
-    The jaws open again at the end. Whatever holds the load cell takes a little of the force: the same of each, but of none.
+    The jaws open again at the end. Whatever holds the load cell takes a little of the force: the
+    same of each, but of none.
     """
     gripper: Any = rig.gripper
     for force in sorted(forces):
@@ -133,13 +180,20 @@ def squeezed_pictures(rig: Rig, forces: Sequence[float], load_cell: Ask, say: Sa
     _move(gripper, min(gripper.state().opening + 0.02, gripper.config.opening[1]), max(forces))
 
 
-# -- gripper -----------------------------------------------------------------------------------------------------------
+# -- gripper
+# --------------------------------------------------------------------------------
 
-def measure_openings(gripper: DynamixelGripper, openings: Sequence[float], ask: Ask, force: float, say: Say
-                     ) -> tuple[Array, list[str], Array]:
-    """Reach each opening (m) from both sides and ask for the caliper's reading: reported m, directions, measured m."""
+
+def measure_openings(
+    gripper: DynamixelGripper, openings: Sequence[float], ask: Ask, force: float, say: Say
+) -> tuple[Array, list[str], Array]:
+    """Reach each opening (m) from both sides and ask for the caliper's reading: reported m,
+    directions, measured m."""
     rows: list[tuple[float, str, float]] = []
-    path = [*((o, "closing") for o in sorted(openings, reverse=True)), *((o, "opening") for o in sorted(openings))]
+    path = [
+        *((o, "closing") for o in sorted(openings, reverse=True)),
+        *((o, "opening") for o in sorted(openings)),
+    ]
     low, high = gripper.config.opening
     for opening, direction in path:
         away = 4e-3 if direction == "closing" else -4e-3
@@ -148,15 +202,20 @@ def measure_openings(gripper: DynamixelGripper, openings: Sequence[float], ask: 
         _move(gripper, opening, force)
         reported = gripper.state().opening
         with kept_alive(gripper):
-            measured = ask(f"caliper between the sensors' frames, mm (jaws at {1e3 * reported:.2f})")
+            measured = ask(
+                f"caliper between the sensors' frames, mm (jaws at {1e3 * reported:.2f})"
+            )
         if measured is not None:
             rows.append((reported, direction, 1e-3 * measured))
     reported_all, directions, measured_all = zip(*rows, strict=True) if rows else ((), (), ())
     return np.array(reported_all), list(directions), np.array(measured_all)
 
 
-def measure_forces(gripper: DynamixelGripper, forces: Sequence[float], ask: Ask, say: Say) -> tuple[Array, Array]:
-    """Squeeze what is between the jaws with rising force limits (N) and ask for the load cell's reading: reported N, true N."""
+def measure_forces(
+    gripper: DynamixelGripper, forces: Sequence[float], ask: Ask, say: Say
+) -> tuple[Array, Array]:
+    """Squeeze what is between the jaws with rising force limits (N) and ask for the load cell's
+    reading: reported N, true N."""
     rows = []
     for force in sorted(forces):
         say(f"squeezing with up to {force:.2f} N")
@@ -178,8 +237,9 @@ def _pause(gripper: DynamixelGripper, seconds: float):
 
 @contextlib.contextmanager
 def kept_alive(*devices: Any) -> Iterator[None]:
-    """Ask grippers or valves for their state while a person reads an instrument, or the pictures are worked on: the servos'
-    watchdog, or the valve board's heartbeat, would take a host that is silent for one that hangs."""
+    """Ask grippers or valves for their state while a person reads an instrument, or the pictures
+    are worked on: the servos' watchdog, or the valve board's heartbeat, would take a host that is
+    silent for one that hangs."""
     done = pace.Event()
 
     def call() -> None:
@@ -210,26 +270,36 @@ def _move(gripper: DynamixelGripper, opening: float, force: float) -> None:
 
 
 def _squeeze(gripper: DynamixelGripper, force: float) -> None:
-    """Close until the jaws have stood still for a while. Raises DeviceError when there is nothing between them."""
+    """Close until the jaws have stood still for a while. Raises DeviceError when there is nothing
+    between them."""
     low = gripper.config.opening[0]
     start = still_since = pace.monotonic()
     goal = stood = gripper.state().opening
     while pace.monotonic() - still_since < _STALL_TIME:
         opening = gripper.state().opening
-        # The goal runs ahead of the jaws, far enough that the servo asks for all the force it may use.
+        # The goal runs ahead of the jaws, far enough that the servo asks for all the force it may
+        # use.
         goal = max(low, goal - _SPEED * _PERIOD, opening - _AHEAD_MAX)
         gripper.command(Command(goal, force))
         _pause(gripper, _PERIOD)
         if abs(opening - stood) > _STILL or opening - goal < _AHEAD_MIN:
-            stood, still_since = opening, pace.monotonic()
+            stood = opening
+            still_since = pace.monotonic()
         if opening <= low + 1e-4 or pace.monotonic() - start > _CLOSE_TIME_MAX:
-            raise DeviceError("the jaws met nothing: put the load cell between them, or `--forces FILE.csv`")
+            raise DeviceError(
+                "the jaws met nothing: put the load cell between them, or `--forces FILE.csv`"
+            )
 
 
-# -- valve -------------------------------------------------------------------------------------------------------------
+# -- valve
+# --------------------------------------------------------------------------------
 
-def step_valve(valve: BoardValve, pressure: float, seal_time: float, say: Say) -> tuple[Array, Array, list[str]]:
-    """Vent, open at `pressure` Pa, seal for `seal_time` s, vent: times s, gauge pressures Pa, stages.
+
+def step_valve(
+    valve: BoardValve, pressure: float, seal_time: float, say: Say
+) -> tuple[Array, Array, list[str]]:
+    """Vent, open at `pressure` Pa, seal for `seal_time` s, vent: times s, gauge pressures Pa,
+    stages.
 
     Raises InputError for a board without a pressure sensor, DeviceError when it does not obey.
     """
@@ -239,8 +309,12 @@ def step_valve(valve: BoardValve, pressure: float, seal_time: float, say: Say) -
     def seal() -> None:  # also a valve that did not move: that is for the verdict
         valve.board.seal(valve.config.channel)
 
-    for stage, act, seconds in (("vent", lambda: valve.open(0.0), vent), ("open", lambda: valve.open(pressure), rise),
-                                ("closed", seal, seal_time), ("vent", lambda: valve.open(0.0), fall)):
+    for stage, act, seconds in (
+        ("vent", lambda: valve.open(0.0), vent),
+        ("open", lambda: valve.open(pressure), rise),
+        ("closed", seal, seal_time),
+        ("vent", lambda: valve.open(0.0), fall),
+    ):
         say(f"{valve.config.finger}: {stage} for {seconds:g} s")
         if not rows:
             act()
@@ -250,8 +324,10 @@ def step_valve(valve: BoardValve, pressure: float, seal_time: float, say: Say) -
         while (now := pace.monotonic()) < end:
             reading = valve.board.measure(valve.config.channel)
             if reading.pressure_gauge is None:
-                raise InputError("the board has no pressure sensor: nothing to calibrate",
-                                 field=f"valve.{valve.config.finger}")
+                raise InputError(
+                    "the board has no pressure sensor: nothing to calibrate",
+                    field=f"valve.{valve.config.finger}",
+                )
             if not rows or reading.time > rows[-1][0]:
                 rows.append((reading.time, reading.pressure_gauge, stage))
             pace.sleep(max(0.0, now + _SAMPLE - pace.monotonic()))
@@ -259,6 +335,8 @@ def step_valve(valve: BoardValve, pressure: float, seal_time: float, say: Say) -
     return np.array(times), np.array(pressures), list(stages)
 
 
-def calibrate_live_valve(valve: BoardValve, pressure: float, seal_time: float, say: Say) -> ValveCalibration:
+def calibrate_live_valve(
+    valve: BoardValve, pressure: float, seal_time: float, say: Say
+) -> ValveCalibration:
     """`step_valve` and what it means."""
     return calibrate_valve(*step_valve(valve, pressure, seal_time, say), pressure)

@@ -1,5 +1,6 @@
-"""A rig file for devices that are plugged in, asked for step by step: which port, which camera is in which finger, how far, how
-hard. What is in the file and answers is kept, so that a setup that was broken off goes on, and can be done again.
+"""A rig file for devices that are plugged in, asked for step by step: which port, which camera is
+in which finger, how far, how hard. What is in the file and answers is kept, so that a setup that
+was broken off goes on, and can be done again.
 """
 
 from __future__ import annotations
@@ -25,20 +26,33 @@ Ask = Callable[[str], str]
 Say = Callable[[str], None]
 Place = tuple[str, int, str]
 """Section, which of the sections of that name, and field."""
-_LIMITS = (("gripper", "opening_min_mm", "least opening between the two sensors' frames, mm"),
-           ("gripper", "opening_max_mm", "largest opening, mm"),
-           ("gripper", "speed_max_mm_s", "largest speed of the opening, mm/s"),
-           ("gripper", "force_max_N", "largest force on each finger, N; no controller can exceed it"))
-_IMAGES, _ATTEMPTS = 5, 3
+_LIMITS = (
+    ("gripper", "opening_min_mm", "least opening between the two sensors' frames, mm"),
+    ("gripper", "opening_max_mm", "largest opening, mm"),
+    ("gripper", "speed_max_mm_s", "largest speed of the opening, mm/s"),
+    ("gripper", "force_max_N", "largest force on each finger, N; no controller can exceed it"),
+)
+_IMAGES = 5
+_ATTEMPTS = 3
 _CLEARER = 2.0  # times as much change in the finger's own picture as in any other
 _T = TypeVar("_T")
 
 
-def setup(path: Path, *, like: Path, ports: Sequence[str] = (), cameras: Sequence[str] = (), ask: Ask, say: Say) -> RigFile:
-    """Make or go on with the rig file `path`, from a copy of `like`; `ports` and `cameras` (streams) are offered, too. `ask` puts
-    a question to the user and returns what they typed; "" takes what the question offers.
+def setup(
+    path: Path,
+    *,
+    like: Path,
+    ports: Sequence[str] = (),
+    cameras: Sequence[str] = (),
+    ask: Ask,
+    say: Say,
+) -> RigFile:
+    """Make or go on with the rig file `path`, from a copy of `like`; `ports` and `cameras`
+    (streams) are offered, too. `ask` puts a question to the user and returns what they typed; ""
+    takes what the question offers.
 
-    Raises InputError where something is missing or the answers end; what was found until then is in the file."""
+    Raises InputError where something is missing or the answers end; what was found until then is in
+    the file."""
     if not path.exists():
         path.write_text(like.read_text(encoding="utf-8"), encoding="utf-8")
         say(f"{path}: a copy of {like.stem}")
@@ -54,36 +68,58 @@ class _Offered:
     """The serial ports, asked once, when somebody wants to know."""
 
     def __init__(self, more: Sequence[str], say: Say):
-        self._more, self._say, self._ports = more, say, None
+        self._more = more
+        self._say = say
+        self._ports = None
 
     def with_(self, what: str, has: Callable[[SerialPort], bool]) -> list[SerialPort]:
         if self._ports is None:
             self._ports = serial_ports(self._more, say=self._say)
         if found := [port for port in self._ports if has(port)]:
             return found
-        seen = [f"{port.path} ({port.problem or '; '.join(port.answers) or 'nobody answers'})" for port in self._ports]
-        raise InputError(f"no port has {what}: is its power on, its cable in? Seen: {', '.join(seen) or 'no port at all'}",
-                         field="setup", choices=["run it again when it is", "--port PATH"])
+        seen = [
+            f"{port.path} ({port.problem or '; '.join(port.answers) or 'nobody answers'})"
+            for port in self._ports
+        ]
+        raise InputError(
+            f"no port has {what}: is its power on, its cable in? Seen: "
+            f"{', '.join(seen) or 'no port at all'}",
+            field="setup",
+            choices=["run it again when it is", "--port PATH"],
+        )
 
 
 def _bus(rig: RigFile, offered: _Offered, ask: Ask, say: Say) -> Mapping[Place, object]:
     lift = [rig.lift.id] if rig.lift.kind == "servo" else []
     wanted = [servo.id for servo in rig.gripper.servos] + lift
     with contextlib.suppress(DeviceError):
-        if rig.bus.port.startswith("/") and {*wanted} <= servos_at(rig.bus.port, (rig.bus.baud,))[1].keys():
+        if (
+            rig.bus.port.startswith("/")
+            and {*wanted} <= servos_at(rig.bus.port, (rig.bus.baud,))[1].keys()
+        ):
             say(f"servos {wanted} answer at {rig.bus.port}: kept")
             return {}
     ports = offered.with_("Dynamixel servos", lambda port: bool(port.servos))
     port = _choose("servo bus", ports, lambda port: port.path, ask, say)
     if len(port.servos) < len(wanted):
-        raise InputError(f"servos {list(port.servos)} answer at {port.path}, and this gripper has {len(wanted)}",
-                         source=rig.path, field="gripper.servo", choices=["connect the others", "begin with another --like"])
+        raise InputError(
+            f"servos {list(port.servos)} answer at {port.path}, and this gripper has {len(wanted)}",
+            source=rig.path,
+            field="gripper.servo",
+            choices=["connect the others", "begin with another --like"],
+        )
     changes: dict[Place, object] = {("bus", 0, "port"): port.path, ("bus", 0, "baud"): port.baud}
     free = sorted(port.servos)
     for number in range(len(wanted)):
         is_lift = number >= len(rig.gripper.servos)
-        name = "the lift" if is_lift else f"jaw {number + 1} ({rig.gripper.servos[number].per_rad * 1e3:+g} mm/rad)"
-        chosen = _choose(f"servo of {name}", free, lambda servo: f"{servo}, {port.servos[servo]}", ask, say)
+        name = (
+            "the lift"
+            if is_lift
+            else (f"jaw {number + 1} ({rig.gripper.servos[number].per_rad * 1e3:+g} mm/rad)")
+        )
+        chosen = _choose(
+            f"servo of {name}", free, lambda servo: f"{servo}, {port.servos[servo]}", ask, say
+        )
         free.remove(chosen)
         section, index = ("lift", 0) if is_lift else ("gripper.servo", number)
         changes |= {(section, index, "id"): chosen, (section, index, "model"): port.servos[chosen]}
@@ -111,15 +147,23 @@ def _cameras(rig: RigFile, more: Sequence[str], ask: Ask, say: Say) -> Mapping[P
         return {}
     sources = [*more, *(camera.path for camera in video_devices() if camera.formats)]
     if len(sources) < len(rig.cameras):
-        raise InputError(f"{len(sources)} cameras are there, and the rig has {len(rig.cameras)} fingers", source=rig.path,
-                         field="camera", choices=["plug the others in and run it again", "--camera URL"])
+        raise InputError(
+            f"{len(sources)} cameras are there, and the rig has {len(rig.cameras)} fingers",
+            source=rig.path,
+            field="camera",
+            choices=["plug the others in and run it again", "--camera URL"],
+        )
     found = _assigned(rig, [_with_source(rig.cameras[0], source) for source in sources], ask, say)
     return {("camera", number, "source"): source for number, source in enumerate(found)}
 
 
 def _with_source(config: CameraConfig, source: str) -> CameraConfig:
     """The camera as the file has it, at another place; a stream is no V4L2 device."""
-    return replace(config, source=source, **({"backend": "ffmpeg", "timestamps": "arrival"} if "://" in source else {}))
+    return replace(
+        config,
+        source=source,
+        **({"backend": "ffmpeg", "timestamps": "arrival"} if "://" in source else {}),
+    )
 
 
 def _assigned(rig: RigFile, cameras: Sequence[CameraConfig], ask: Ask, say: Say) -> list[str]:
@@ -130,8 +174,11 @@ def _assigned(rig: RigFile, cameras: Sequence[CameraConfig], ask: Ask, say: Say)
     while len(found) < len(rig.cameras):
         finger = rig.cameras[len(found)].finger
         ask(f"Press the membrane of the {finger} finger with a thumb, hold it, and press Enter: ")
-        changes = {camera.source: float(np.abs(_mean_image(camera) - flat[camera.source]).mean()) for camera in cameras
-                   if camera.source not in found}
+        changes = {
+            camera.source: float(np.abs(_mean_image(camera) - flat[camera.source]).mean())
+            for camera in cameras
+            if camera.source not in found
+        }
         first, *others = sorted(changes, key=lambda source: -changes[source])
         if all(changes[first] > _CLEARER * changes[other] for other in others):
             say(f"{finger}: {first}")
@@ -168,7 +215,11 @@ def _limits(path: Path, ask: Ask, say: Say) -> None:
                 _write(path, {(section, 0, key): float(answer)} if answer else {})
                 break
             except (ValueError, InputError) as error:
-                say(f"{answer}: {error}" if isinstance(error, InputError) else f"{answer!r} is not a number")
+                say(
+                    f"{answer}: {error}"
+                    if isinstance(error, InputError)
+                    else f"{answer!r} is not a number"
+                )
 
 
 def _choose(what: str, things: Sequence[_T], name: Callable[[_T], str], ask: Ask, say: Say) -> _T:
@@ -186,7 +237,8 @@ def _choose(what: str, things: Sequence[_T], name: Callable[[_T], str], ask: Ask
 
 
 def _write(path: Path, changes: Mapping[Place, object]) -> None:
-    """Put values into the file, whose comments stay, if it is then still a good one. Raises InputError."""
+    """Put values into the file, whose comments stay, if it is then still a good one. Raises
+    InputError."""
     text = edited(path.read_text(encoding="utf-8"), changes)
     rig_from_table(tomllib.loads(text), path)
     part = path.with_name(f"{path.name}.part")
@@ -195,14 +247,25 @@ def _write(path: Path, changes: Mapping[Place, object]) -> None:
 
 
 def edited(text: str, changes: Mapping[Place, object]) -> str:
-    """TOML text with other values in lines that are there already, or at the ends of their sections."""
+    """TOML text with other values in lines that are there already, or at the ends of their
+    sections."""
     lines = text.splitlines()
     for (section, number, key), value in changes.items():
-        heads = [i for i, line in enumerate(lines) if re.match(rf"\s*\[+\s*{re.escape(section)}\s*\]+", line)]
+        heads = [
+            i
+            for i, line in enumerate(lines)
+            if re.match(rf"\s*\[+\s*{re.escape(section)}\s*\]+", line)
+        ]
         begin = heads[number]
-        end = next((i for i in range(begin + 1, len(lines)) if lines[i].lstrip().startswith("[")), len(lines))
+        end = next(
+            (i for i in range(begin + 1, len(lines)) if lines[i].lstrip().startswith("[")),
+            len(lines),
+        )
         shown = f'"{value}"' if isinstance(value, str) else f"{value!r}"
-        found = next((i for i in range(begin + 1, end) if re.match(rf"\s*{re.escape(key)}\s*=", lines[i])), None)
+        found = next(
+            (i for i in range(begin + 1, end) if re.match(rf"\s*{re.escape(key)}\s*=", lines[i])),
+            None,
+        )
         if found is not None:
             head, _, rest = lines[found].partition("=")
             comment = re.search(r"\s+#[^\"']*$", rest)

@@ -1,4 +1,5 @@
-"""Where a measured part goes: into the calibration file of a finger, which the rig file names, or a file of its own."""
+"""Where a measured part goes: into the calibration file of a finger, which the rig file names, or a
+file of its own."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ class Target:
     design: SensorDesign
 
     def load(self) -> Calibration:
-        """What is in the file; nothing where it is not there yet. Raises InputError for one of something else."""
+        """What is in the file; nothing where it is not there yet. Raises InputError for one of
+        something else."""
         if not self.path.exists():
             return Calibration(self.finger, self.design.name)
         calibration = load_calibration(self.path)
@@ -33,17 +35,27 @@ class Target:
     def write(self, kind: str, part: Part | None, reasons: Sequence[str]) -> None:
         """Put the part into the file; where there are reasons to refuse it, only them."""
         before = self.load()
-        (before.with_refusal(kind, reasons) if part is None or reasons else before.with_part(part)).save(self.path)
+        (
+            before.with_refusal(kind, reasons)
+            if part is None or reasons
+            else before.with_part(part)
+        ).save(self.path)
 
 
-def find_targets(rig: str | None, finger: str | None, sensor: str, out: Path | None) -> list[Target]:
-    """The files of the fingers of `rig` (all, or one `finger`), or the one file `out`; `sensor` is for fingers without a sensor
-    file of their own. Raises InputError, which names what the options of `mjtactile calibrate` are called."""
+def find_targets(
+    rig: str | None, finger: str | None, sensor: str, out: Path | None
+) -> list[Target]:
+    """The files of the fingers of `rig` (all, or one `finger`), or the one file `out`; `sensor` is
+    for fingers without a sensor file of their own. Raises InputError, which names what the options
+    of `mjtactile calibrate` are called."""
     if rig is None:
         targets = [_at(out, finger or FINGERS[0], load_sensor(sensor))]
     else:
         rig_file = load_rig_file(rig)
-        targets = [_target(out, rig_file, camera, load_sensor(sensor)) for camera in _fingers_of(finger, rig_file)]
+        targets = [
+            _target(out, rig_file, camera, load_sensor(sensor))
+            for camera in _fingers_of(finger, rig_file)
+        ]
     if out is not None and len(targets) > 1:
         raise InputError("one file for several fingers: give --finger too", field="--out")
     return targets
@@ -53,8 +65,12 @@ def _fingers_of(finger: str | None, rig_file: RigFile) -> list[CameraConfig]:
     """The fingers of the rig that are meant. Raises InputError when it has no such finger."""
     found = [camera for camera in rig_file.cameras if finger in (None, camera.finger)]
     if not found:
-        raise InputError(f"the rig has no {finger} finger", source=rig_file.path, field="--finger",
-                         choices=[camera.finger for camera in rig_file.cameras])
+        raise InputError(
+            f"the rig has no {finger} finger",
+            source=rig_file.path,
+            field="--finger",
+            choices=[camera.finger for camera in rig_file.cameras],
+        )
     return found
 
 
@@ -63,20 +79,30 @@ def places(targets: Sequence[Target], rig_file: RigFile) -> list[int]:
     return [[camera.finger for camera in rig_file.cameras].index(goal.finger) for goal in targets]
 
 
-def _target(out: Path | None, rig_file: RigFile, camera: CameraConfig, default: SensorDesign) -> Target:
+def _target(
+    out: Path | None, rig_file: RigFile, camera: CameraConfig, default: SensorDesign
+) -> Target:
     design = finger_design(camera, default)
     if out is not None:
         return _at(out, camera.finger, design)
     path = camera.calibration or design.calibration
     if path is None:
         number = rig_file.cameras.index(camera)
-        raise InputError(f'names no file for the {camera.finger} finger: write calibration = "{camera.finger}.json" into this '
-                         "[[camera]] (of a copy, if the rig is a shipped one), or give --out", source=rig_file.path,
-                         field=f"camera[{number}].calibration")
+        raise InputError(
+            f"names no file for the {camera.finger} finger: write calibration = "
+            f'"{camera.finger}.json" into this '
+            "[[camera]] (of a copy, if the rig is a shipped one), or give "
+            "--out",
+            source=rig_file.path,
+            field=f"camera[{number}].calibration",
+        )
     return Target(camera.finger, path, design)
 
 
 def _at(out: Path | None, finger: str, design: SensorDesign) -> Target:
     if out is None:
-        raise InputError("whose calibration is it? Give --rig FILE.toml with --finger, or --out FILE.json", field="--rig")
+        raise InputError(
+            "whose calibration is it? Give --rig FILE.toml with --finger, or --out FILE.json",
+            field="--rig",
+        )
     return Target(finger, out, design)

@@ -1,4 +1,5 @@
-"""A valve's step response: zero of its pressure sensor, rise time, reached pressure, leak of the sealed chamber."""
+"""A valve's step response: zero of its pressure sensor, rise time, reached pressure, leak of the
+sealed chamber."""
 
 from __future__ import annotations
 
@@ -20,14 +21,17 @@ ERROR_MAX_SHARE = 0.10
 NOISE_MAX_SHARE = 0.05
 RISE_MAX = 1.0  # s; the driver takes a valve for stuck after 1.5 s
 LEAK_MAX = 0.10  # of the step a minute: the force's zero follows slower changes than this
-_SETTLED, _SEALED_AFTER = 0.75, 0.5  # the last quarter of a stage counts as settled; s after sealing that are left out
+# the last quarter of a stage counts as settled; s after sealing that are left out
+_SETTLED = 0.75
+_SEALED_AFTER = 0.5
 
 
 @dataclass(frozen=True)
 class ValveCalibration:
-    """`offset` Pa that the sensor shows at ambient pressure, `noise_sd` Pa, `step` Pa reached above the offset, `asked` Pa,
-    `rise_time` s from 10 to 90 %, `time_constant` s (63 %), `leak` Pa/s of the sealed chamber (positive: loses) with its
-    `leak_sd`, `fall_time` s from 90 to 10 % when vented (NaN: not recorded)."""
+    """`offset` Pa that the sensor shows at ambient pressure, `noise_sd` Pa, `step` Pa reached above
+    the offset, `asked` Pa, `rise_time` s from 10 to 90 %, `time_constant` s (63 %), `leak` Pa/s of
+    the sealed chamber (positive: loses) with its `leak_sd`, `fall_time` s from 90 to 10 % when
+    vented (NaN: not recorded)."""
 
     asked: float
     offset: float
@@ -41,9 +45,17 @@ class ValveCalibration:
     reasons: tuple[str, ...]
 
     def report(self) -> dict[str, Any]:
-        return {"asked_Pa": self.asked, "offset_Pa": self.offset, "noise_sd_Pa": self.noise_sd, "step_Pa": self.step,
-                "rise_time_s": self.rise_time, "time_constant_s": self.time_constant, "leak_Pa_per_s": self.leak,
-                "leak_sd_Pa_per_s": self.leak_sd, "fall_time_s": self.fall_time}
+        return {
+            "asked_Pa": self.asked,
+            "offset_Pa": self.offset,
+            "noise_sd_Pa": self.noise_sd,
+            "step_Pa": self.step,
+            "rise_time_s": self.rise_time,
+            "time_constant_s": self.time_constant,
+            "leak_Pa_per_s": self.leak,
+            "leak_sd_Pa_per_s": self.leak_sd,
+            "fall_time_s": self.fall_time,
+        }
 
 
 def valve_part(c: ValveCalibration, stamp: Stamp) -> ValveZero:
@@ -51,43 +63,73 @@ def valve_part(c: ValveCalibration, stamp: Stamp) -> ValveZero:
     return ValveZero(c.offset, c.noise_sd, stamp)
 
 
-def calibrate_valve(time: Array, pressure: Array, state: Sequence[str], asked: float) -> ValveCalibration:
-    """From samples at `time` s of the gauge `pressure` Pa in the stages vent, open (`asked` Pa were set), closed, and perhaps
-    vent again. Raises InputError when a stage is missing or too short to say anything."""
+def calibrate_valve(
+    time: Array, pressure: Array, state: Sequence[str], asked: float
+) -> ValveCalibration:
+    """From samples at `time` s of the gauge `pressure` Pa in the stages vent, open (`asked` Pa were
+    set), closed, and perhaps vent again. Raises InputError when a stage is missing or too short to
+    say anything."""
     stages = _stages(time, state)
-    vent, rise, sealed = (_stage(stages, i, name) for i, name in enumerate(("vent", "open", "closed")))
+    vent, rise, sealed = (
+        _stage(stages, i, name) for i, name in enumerate(("vent", "open", "closed"))
+    )
     calm = vent[len(vent) // 3 :]
-    offset, noise = float(np.mean(pressure[calm])), float(np.std(pressure[calm], ddof=1))
+    offset = float(np.mean(pressure[calm]))
+    noise = float(np.std(pressure[calm], ddof=1))
     settled = rise[int(_SETTLED * len(rise)) :]
     step = float(np.mean(pressure[settled])) - offset
     start = time[rise[0]]
     share = (pressure[rise] - offset) / step if step else np.full(len(rise), np.nan)
-    at = {level: _crossing(time[rise] - start, share, level) for level in (0.1, 1 - math.exp(-1), 0.9)}
+    at = {
+        level: _crossing(time[rise] - start, share, level) for level in (0.1, 1 - math.exp(-1), 0.9)
+    }
     low, tau, high = at.values()
     tight = sealed[time[sealed] > time[sealed[0]] + _SEALED_AFTER]
     if len(tight) < 5:
-        raise InputError(f"the sealed stage is shorter than {_SEALED_AFTER + 1:g} s", field="state closed")
+        raise InputError(
+            f"the sealed stage is shorter than {_SEALED_AFTER + 1:g} s", field="state closed"
+        )
     (_, slope), (_, slope_sd), _ = fit_line(time[tight] - time[tight[0]], pressure[tight])
     fall = math.nan
     if len(stages) > 3 and stages[3][0] == "vent":
         down = stages[3][1]
         left = 1 - (pressure[down] - offset) / (pressure[sealed[-1]] - offset)
         fall = _crossing(time[down], left, 0.9) - _crossing(time[down], left, 0.1)
-    result = ValveCalibration(asked, offset, noise, step, high - low, tau, -slope, float(slope_sd), fall, ())
+    result = ValveCalibration(
+        asked, offset, noise, step, high - low, tau, -slope, float(slope_sd), fall, ()
+    )
     return ValveCalibration(**{**asdict(result), "reasons": tuple(_judge(result))})
 
 
 def _judge(c: ValveCalibration) -> list[str]:
     size = abs(c.asked)
     checks = [
-        (abs(c.offset) <= OFFSET_MAX_SHARE * size, f"vented, the sensor shows {c.offset:.0f} Pa: set its zero, or see that the "
-         "valve really vents"),
-        (c.noise_sd <= NOISE_MAX_SHARE * size, f"the sensor's noise is {c.noise_sd:.0f} Pa of {size:.0f}: cable, ground, range"),
-        (abs(c.step - c.asked) <= ERROR_MAX_SHARE * size, f"{c.step:.0f} Pa were reached instead of {c.asked:.0f}: supply, valve "
-         "stuck, a leak as large as the flow"),
-        (c.rise_time <= RISE_MAX, f"it takes {c.rise_time:.2f} s from 10 to 90 %, at most {RISE_MAX:g} is good: narrow hose?"),
-        (c.leak <= LEAK_MAX * size / 60 + 2 * c.leak_sd, f"sealed, it loses {c.leak:.1f} Pa/s "
-         f"({6000 * c.leak / size:.0f} % a minute): membrane's rim, hose, valve seat"),
+        (
+            abs(c.offset) <= OFFSET_MAX_SHARE * size,
+            f"vented, the sensor shows {c.offset:.0f} Pa: "
+            "set its zero, or see that the "
+            "valve really vents",
+        ),
+        (
+            c.noise_sd <= NOISE_MAX_SHARE * size,
+            f"the sensor's noise is {c.noise_sd:.0f} Pa of {size:.0f}: cable, ground, range",
+        ),
+        (
+            abs(c.step - c.asked) <= ERROR_MAX_SHARE * size,
+            f"{c.step:.0f} Pa were reached instead of "
+            f"{c.asked:.0f}: supply, valve "
+            "stuck, a leak as large as the flow",
+        ),
+        (
+            c.rise_time <= RISE_MAX,
+            f"it takes {c.rise_time:.2f} s from 10 to 90 %, at most {RISE_MAX:g} is good: "
+            "narrow hose?",
+        ),
+        (
+            c.leak <= LEAK_MAX * size / 60 + 2 * c.leak_sd,
+            f"sealed, it loses {c.leak:.1f} Pa/s "
+            f"({6000 * c.leak / size:.0f} % a minute): membrane's rim, hose, valve seat",
+        ),
     ]
     return [text for good, text in checks if not good]
 
@@ -106,7 +148,10 @@ def _stages(time: Array, state: Sequence[str]) -> list[tuple[str, Array]]:
 def _stage(stages: list[tuple[str, Array]], place: int, name: str) -> Array:
     if place >= len(stages) or stages[place][0] != name or len(stages[place][1]) < 5:
         found = ", ".join(f"{text} ({len(part)})" for text, part in stages) or "nothing"
-        raise InputError(f"expected at least 5 samples each of vent, open, closed in this order, found {found}", field="state")
+        raise InputError(
+            f"expected at least 5 samples each of vent, open, closed in this order, found {found}",
+            field="state",
+        )
     return stages[place][1]
 
 

@@ -1,4 +1,5 @@
-"""What all calibrations share: what a file of theirs says besides its numbers, and where a refused one goes."""
+"""What all calibrations share: what a file of theirs says besides its numbers, and where a refused
+one goes."""
 
 from __future__ import annotations
 
@@ -25,20 +26,31 @@ def mark(design: SensorDesign, residuals: Mapping[str, Any]) -> Stamp:
 
 
 def stamp(kind: str, reasons: Sequence[str]) -> dict[str, Any]:
-    """`calibration` (its kind), `verdict` "good" or "refused", `reasons` of a refusal, `date`, `versions`."""
+    """`calibration` (its kind), `verdict` "good" or "refused", `reasons` of a refusal, `date`,
+    `versions`."""
     now = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
-    return {"calibration": kind, "verdict": "refused" if reasons else "good", "reasons": list(reasons), "date": now,
-            "versions": versions()}
+    return {
+        "calibration": kind,
+        "verdict": "refused" if reasons else "good",
+        "reasons": list(reasons),
+        "date": now,
+        "versions": versions(),
+    }
 
 
-def write(path: Path, result: Mapping[str, Any], writer: Callable[[Path, Any], None] = write_json) -> Path:
-    """Write a result; a refused one goes beside `path`, as NAME.refused.SUFFIX, so that a good file is never replaced."""
+def write(
+    path: Path, result: Mapping[str, Any], writer: Callable[[Path, Any], None] = write_json
+) -> Path:
+    """Write a result; a refused one goes beside `path`, as NAME.refused.SUFFIX, so that a good file
+    is never replaced."""
     if result["verdict"] == "refused":
         path = path.with_name(f"{path.stem}.refused{path.suffix}")
     try:
         writer(path, result)
     except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror}", source=path, field="--out") from error
+        raise InputError(
+            f"cannot be written: {error.strerror}", source=path, field="--out"
+        ) from error
     return path
 
 
@@ -47,18 +59,27 @@ def write_yaml(path: Path, value: Mapping[str, Any]) -> None:
     import yaml  # only this function needs it
 
     part = path.with_name(path.name + ".part")
-    part.write_text(yaml.safe_dump(to_json(value), sort_keys=False, default_flow_style=None), encoding="utf-8")
+    part.write_text(
+        yaml.safe_dump(to_json(value), sort_keys=False, default_flow_style=None), encoding="utf-8"
+    )
     part.replace(path)
 
 
-def read_columns(path: Path, numbers: Sequence[str], texts: Sequence[str] = (), *, fewest: int = 1) -> dict[str, Any]:
-    """Columns of a CSV file with a header line: arrays of finite numbers, lists of texts; other columns are ignored.
+def read_columns(
+    path: Path, numbers: Sequence[str], texts: Sequence[str] = (), *, fewest: int = 1
+) -> dict[str, Any]:
+    """Columns of a CSV file with a header line: arrays of finite numbers, lists of texts; other
+    columns are ignored.
 
     Raises InputError naming file, line and column.
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as lines:
-            rows = list(csv.DictReader(row for row in lines if row.strip() and not row.lstrip().startswith("#")))
+            rows = list(
+                csv.DictReader(
+                    row for row in lines if row.strip() and not row.lstrip().startswith("#")
+                )
+            )
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", source=path) from error
     except (UnicodeDecodeError, csv.Error) as error:
@@ -66,7 +87,9 @@ def read_columns(path: Path, numbers: Sequence[str], texts: Sequence[str] = (), 
     names = list(rows[0]) if rows else []
     missing = [name for name in (*numbers, *texts) if name not in names]
     if missing:
-        raise InputError("missing column", source=path, field=missing[0], choices=(*numbers, *texts))
+        raise InputError(
+            "missing column", source=path, field=missing[0], choices=(*numbers, *texts)
+        )
     if len(rows) < fewest:
         raise InputError(f"{len(rows)} rows, at least {fewest} are needed", source=path)
     result: dict[str, Any] = {name: _numbers(path, name, rows) for name in numbers}
@@ -81,7 +104,11 @@ def _numbers(path: Path, name: str, rows: Sequence[Mapping[str, str | None]]) ->
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            raise InputError(f"{row[name]!r} is not a finite number", source=path, field=f"line {line}, column {name}")
+            raise InputError(
+                f"{row[name]!r} is not a finite number",
+                source=path,
+                field=f"line {line}, column {name}",
+            )
         values.append(value)
     return np.array(values)
 

@@ -1,4 +1,5 @@
-"""The commands of the command line: one module each with DESCRIPTION, EPILOG, `add_arguments` and `run`, imported when asked for.
+"""The commands of the command line: one module each with DESCRIPTION, EPILOG, `add_arguments` and
+`run`, imported when asked for.
 
 One that needs no simulator says `SIMULATES = False`.
 """
@@ -6,21 +7,27 @@ One that needs no simulator says `SIMULATES = False`.
 COMMANDS = {
     "grasp": "grasp a fragile object, lift it, hold it, set it down",
     "probe": "squeeze an object gently and say what it is made of",
-    "evaluate": "many grasps with other seeds and objects: how often a controller holds, and which is better",
+    "evaluate": "many grasps with other seeds and objects: how "
+    "often a controller holds, and which is "
+    "better",
     "experiments": "the paper's experiments again: figures, and our numbers beside its own",
     "inflate": "inflate a sensor's membrane and compare its height with theory",
     "press": "drive an indenter into a sensor and compare the felt with the true force",
     "locate": "find circular markers in images and say where they are in 3D",
     "reconstruct": "reconstruct a membrane's surface and contact from recorded frames",
-    "calibrate": "calibrate camera, valve, frame, force or gripper, from live devices or recorded input",
-    "fit": "fit the simulator to recordings of a sensor: modulus, pre-stretch, friction, gas, light",
-    "make": "from a sensor file to a sensor on the bench: patterns, CAD, bill of materials, assembly",
+    "calibrate": "calibrate camera, valve, frame, force or gripper, "
+    "from live devices or recorded input",
+    "fit": "fit the simulator to recordings of a sensor: modulus, pre-stretch, friction, gas, "
+    "light",
+    "make": "from a sensor file to a sensor on the bench: patterns, CAD, bill of materials, "
+    "assembly",
     "bench": "measure accuracy and speed; writes a table, a JSON and plots",
     "effects": "list the effects that a sensor and an object call for, and their price",
     "emulate": "start emulated hardware on serial ports and streams, until stopped",
     "devices": "list cameras and serial ports, and who answers there",
     "setup": "make the rig file of a new gripper, by questions",
-    "doctor": "check cameras, servos and valves, or a simulated robot, and say how to mend what is wrong",
+    "doctor": "check cameras, servos and valves, or a simulated robot, and say how to mend what is "
+    "wrong",
     "record": "record a rig that stands still: images, times, pressures, servos, calibration",
     "studio": "watch a grasp live in the browser, and reach in",
     "summary": "the page of a recorded run: curves to zoom, images by a slider, membranes to turn",

@@ -1,4 +1,5 @@
-"""Output that is never waited for: a terminal may stand still (Ctrl-S), a reader may have left, a disk may be full."""
+"""Output that is never waited for: a terminal may stand still (Ctrl-S), a reader may have left, a
+disk may be full."""
 
 from __future__ import annotations
 
@@ -15,26 +16,37 @@ _POLL_MS = 100
 
 
 class Background:
-    """A pipe whose content goes to file descriptor `target`. Enter it to get the descriptor to write to.
+    """A pipe whose content goes to file descriptor `target`. Enter it to get the descriptor to
+    write to.
 
-    One thread empties the pipe, so that writing to it neither blocks nor fails, another writes to the target. Whoever
-    wrote last flushes; a target that is gone is replaced by /dev/null, so that later output fails as little.
+    One thread empties the pipe, so that writing to it neither blocks nor fails, another writes to
+    the target. Whoever wrote last flushes; a target that is gone is replaced by /dev/null, so that
+    later output fails as little.
     """
 
     def __init__(self, target: int):
-        self._number, self._target = target, os.dup(target)
+        self._number = target
+        self._target = os.dup(target)
         self._out, self._in = os.pipe()
         self._waiting: collections.deque[bytes] = collections.deque()
         self._change = threading.Condition()
         self._ending = self._ended = self._broken = False
-        self._threads = [threading.Thread(target=work, name="output", daemon=True) for work in (self._empty, self._write)]
+        self._threads = [
+            threading.Thread(target=work, name="output", daemon=True)
+            for work in (self._empty, self._write)
+        ]
 
     def __enter__(self) -> int:
         for thread in self._threads:
             thread.start()
         return self._in
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         os.close(self._in)
         self._ending = True
         for thread in self._threads:
@@ -46,7 +58,8 @@ class Background:
                 os.close(null)
 
     def _empty(self) -> None:
-        """Take what is written, until the end; a child process may keep the pipe open for longer."""
+        """Take what is written, until the end; a child process may keep the pipe open for
+        longer."""
         poll = select.poll()
         poll.register(self._out, select.POLLIN)
         while True:
@@ -75,7 +88,7 @@ class Background:
                 data = self._waiting.popleft()
             while data and not self._broken:
                 try:
-                    data = data[os.write(self._target, data):]
+                    data = data[os.write(self._target, data) :]
                 except OSError:  # nobody is there to be told
                     self._broken = True
         os.close(self._target)

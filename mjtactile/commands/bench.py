@@ -35,7 +35,8 @@ EPILOG = """\
 examples:
   mjtactile bench grasp --quick            one seed instead of ten
   mjtactile bench perception --out results
-  mjtactile bench grasp --readme docs/benchmarks.md    put the table between that file's bench markers
+  mjtactile bench grasp --readme docs/benchmarks.md
+      put the table between that file's bench markers
   mjtactile bench truth --cases my_cases   a TOML file each; those that come along: models/truth
   mjtactile bench numbers --readme README.md           then take the README's numbers from there
 """
@@ -58,29 +59,72 @@ BENCHMARKS = {
     "studio": "studio.run",
     "numbers": "numbers",
 }
-"""Name to module of the checkout's folder `benchmarks`; each has `run(out, quick) -> dict`, which draws into `out`, and
-`table(result) -> str` in Markdown."""
+"""Name to module of the checkout's folder `benchmarks`; each has `run(out, quick) -> dict`, which
+draws into `out`, and `table(result) -> str` in Markdown."""
 
-OPTIONS = {"resume": ("stability", "rig", "bars"), "parts": ("rig",), "soak": ("rig",), "cases": ("truth",),
-           "against": ("speed",), "pairs": ("cheap",)}
+OPTIONS = {
+    "resume": ("stability", "rig", "bars"),
+    "parts": ("rig",),
+    "soak": ("rig",),
+    "cases": ("truth",),
+    "against": ("speed",),
+    "pairs": ("cheap",),
+}
 """Options that only some have."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("name", choices=list(BENCHMARKS), metavar="NAME", help=f"what to measure: {', '.join(BENCHMARKS)}")
-    parser.add_argument("--quick", action="store_true", help="a small part of it, to see that it works")
-    parser.add_argument("--out", type=Path, default=Path("bench-results"), metavar="DIR",
-                        help="folder for the results (default: bench-results)")
-    parser.add_argument("--resume", action="store_true", help="stability, rig, bars: keep what an interrupted run finished")
-    parser.add_argument("--parts", metavar="A,B,…", help="rig: only these of loop, bus, fuzz, killed, stuck, outcomes, faults, "
-                        "soak")
+    parser.add_argument(
+        "name",
+        choices=list(BENCHMARKS),
+        metavar="NAME",
+        help=f"what to measure: {', '.join(BENCHMARKS)}",
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="a small part of it, to see that it works"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("bench-results"),
+        metavar="DIR",
+        help="folder for the results (default: bench-results)",
+    )
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help="stability, rig, bars: keep what an interrupted run finished",
+    )
+    parser.add_argument(
+        "--parts",
+        metavar="A,B,…",
+        help="rig: only these of loop, bus, fuzz, killed, stuck, outcomes, faults, soak",
+    )
     parser.add_argument("--cases", type=Path, metavar="DIR", help="truth: the cases of this folder")
-    parser.add_argument("--against", type=Path, metavar="DIR", help="speed: also compare with another checkout, in turns")
-    parser.add_argument("--soak", type=float, metavar="HOURS", help="rig: also so much of the long run: a grip every 20 s, a "
-                        "fault every 5 min, all of it recorded (--parts soak: only that, two hours)")
-    parser.add_argument("--pairs", type=int, metavar="N", help="cheap: so many pairs of episodes (default: 200)")
-    parser.add_argument("--readme", type=Path, metavar="FILE.md", help="also put the table into this file, between "
-                        "<!-- bench:NAME --> and <!-- /bench -->")
+    parser.add_argument(
+        "--against",
+        type=Path,
+        metavar="DIR",
+        help="speed: also compare with another checkout, in turns",
+    )
+    parser.add_argument(
+        "--soak",
+        type=float,
+        metavar="HOURS",
+        help="rig: also so much of the long run: a "
+        "grip every 20 s, a "
+        "fault every 5 min, all of it recorded (--parts soak: only that, "
+        "two hours)",
+    )
+    parser.add_argument(
+        "--pairs", type=int, metavar="N", help="cheap: so many pairs of episodes (default: 200)"
+    )
+    parser.add_argument(
+        "--readme",
+        type=Path,
+        metavar="FILE.md",
+        help="also put the table into this file, between <!-- bench:NAME --> and <!-- /bench -->",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -88,7 +132,9 @@ def run(options: argparse.Namespace) -> int:
     for option, names in OPTIONS.items():
         value = getattr(options, option)
         if value and options.name not in names:
-            raise InputError(f"not an option of 'bench {options.name}'", field=f"--{option}", choices=names)
+            raise InputError(
+                f"not an option of 'bench {options.name}'", field=f"--{option}", choices=names
+            )
         if value:
             more[option] = tuple(value.split(",")) if option == "parts" else value
     with output_folder(options.out) as out, stdout_to_stderr():

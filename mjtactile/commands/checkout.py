@@ -20,6 +20,7 @@ def of_checkout(module: str) -> ModuleType:
         if error.name is None or not f"benchmarks.{module}".startswith(error.name):
             raise
     raise InputError(
-        "benchmarks are not in the installed package: they are the folder 'benchmarks' of the project's source, "
+        "benchmarks are not in the installed package: they are the folder 'benchmarks' of "
+        "the project's source, "
         "and run from a checkout of it (pip install --editable .)"
     )

@@ -25,7 +25,13 @@ SIMULATES = False
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-ask", action="store_true", help="open no serial port")
-    parser.add_argument("--port", action="append", default=[], metavar="PATH", help="also ask this port; again for each one")
+    parser.add_argument(
+        "--port",
+        action="append",
+        default=[],
+        metavar="PATH",
+        help="also ask this port; again for each one",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -34,8 +40,12 @@ def run(options: argparse.Namespace) -> int:
     with stdout_to_stderr():
         cameras, ports = plugged_in(options.port, ask=not options.no_ask, say=Progress().message)
     if options.json:
-        print_json({"cameras": [asdict(camera) for camera in cameras],
-                    "serial_ports": [asdict(port) | {"answers": port.answers} for port in ports]})
+        print_json(
+            {
+                "cameras": [asdict(camera) for camera in cameras],
+                "serial_ports": [asdict(port) | {"answers": port.answers} for port in ports],
+            }
+        )
         return 0
     for camera in cameras:
         print(f"camera       {camera.path}\n             {_of(camera)}")
@@ -48,12 +58,25 @@ def run(options: argparse.Namespace) -> int:
             print(f"               {answer}")
     missing = [name for name, found in (("cameras", cameras), ("serial ports", ports)) if not found]
     if missing:
-        print(f"no {' and no '.join(missing)}: are they plugged in? In a container, pass their devices through")
+        print(
+            f"no {' and no '.join(missing)}: are they plugged in? In a container, pass their "
+            "devices through"
+        )
     return 0
 
 
 def _of(found: Any) -> str:
     """What else is known of it, without what it has not."""
     about = getattr(found, "name", "") or getattr(found, "description", "")
-    return ", ".join(part for part in (about, found.device if found.device != found.path else "",
-                                       f"serial number {found.serial}" if found.serial else "") if part) or "no name"
+    return (
+        ", ".join(
+            part
+            for part in (
+                about,
+                found.device if found.device != found.path else "",
+                f"serial number {found.serial}" if found.serial else "",
+            )
+            if part
+        )
+        or "no name"
+    )

@@ -27,14 +27,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     folder = resources.folder("docs")
-    pages = {path.relative_to(folder).with_suffix("").as_posix(): path for path in
-             sorted([*folder.glob("*.md"), *folder.glob("tutorials/*.md")])}
+    pages = {
+        path.relative_to(folder).with_suffix("").as_posix(): path
+        for path in sorted([*folder.glob("*.md"), *folder.glob("tutorials/*.md")])
+    }
     if options.page is None:
         titles = {name: _title(path) for name, path in pages.items()}
         if options.json:
             print_json({"folder": folder, "pages": titles})
         else:
-            print(f"in {folder}:", *(f"  {name:<21} {title}" for name, title in titles.items()), sep="\n")
+            print(
+                f"in {folder}:",
+                *(f"  {name:<21} {title}" for name, title in titles.items()),
+                sep="\n",
+            )
         return 0
     name = options.page.removeprefix("docs/").removesuffix(".md")
     if name not in pages:

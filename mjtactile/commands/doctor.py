@@ -1,4 +1,5 @@
-"""`mjtactile doctor`: look at the devices of a rig, one by one, and say in plain words what is wrong and how to mend it."""
+"""`mjtactile doctor`: look at the devices of a rig, one by one, and say in plain words what is
+wrong and how to mend it."""
 
 from __future__ import annotations
 
@@ -15,8 +16,9 @@ answers, is the model that the file says, keeps its settings, is fast enough and
 Nothing is changed and nothing moves; --fix mends what software can (FTDI latency timer). Of the
 calibrations that it names: which parts are missing, refused, or older than what they rest on.
 
-Of a simulated rig it checks the names in the file, which way the fingertips look, whether the
-jaws go where their laws say and the hand rises, that no sensor touches its own gripper, and the force."""
+Of a simulated rig it checks the names in the file, which way the fingertips look, whether
+the jaws go where their laws say and the hand rises, that no sensor touches its own gripper,
+and the force."""
 EPILOG = """\
 examples:
   mjtactile doctor                        what is plugged in
@@ -29,9 +31,17 @@ _MARKS = {"ok": "ok  ", "warn": "warn", "bad": "BAD "}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--rig", metavar="NAME|FILE.toml", help="rig file to check (default: only look what is plugged in)")
-    parser.add_argument("--sensor", default="dense", metavar="NAME|FILE.toml",
-                        help="the sensor, where the rig file does not say it (default: dense)")
+    parser.add_argument(
+        "--rig",
+        metavar="NAME|FILE.toml",
+        help="rig file to check (default: only look what is plugged in)",
+    )
+    parser.add_argument(
+        "--sensor",
+        default="dense",
+        metavar="NAME|FILE.toml",
+        help="the sensor, where the rig file does not say it (default: dense)",
+    )
     parser.add_argument("--fix", action="store_true", help="mend what software can")
 
 
@@ -39,7 +49,10 @@ def run(options: argparse.Namespace) -> int:
     with stdout_to_stderr():
         findings = examine_rig(options.rig, sensor=options.sensor, fix=options.fix)
     if options.json:
-        report: dict[str, Any] = {"ok": all(f.level != "bad" for f in findings), "findings": [vars(f) for f in findings]}
+        report: dict[str, Any] = {
+            "ok": all(f.level != "bad" for f in findings),
+            "findings": [vars(f) for f in findings],
+        }
         print_json(report)
     else:
         for finding in findings:

@@ -1,4 +1,5 @@
-"""`mjtactile effects`: which effects a scene calls for, why, what each costs, and what leaving it out would cost."""
+"""`mjtactile effects`: which effects a scene calls for, why, what each costs, and what leaving it
+out would cost."""
 
 from __future__ import annotations
 
@@ -18,35 +19,64 @@ examples:
   mjtactile effects --object vial --accuracy 0.005N
   mjtactile effects --effects +bending,-friction
 
-JSON: {"sensor", "object", "effects": [{"effect", "kind", "on", "built", "why", "cost_ms_per_s", "left_out_N", "left_out_um"}]}
+JSON: {"sensor", "object", "effects": [{"effect", "kind", "on", "built", "why",
+"cost_ms_per_s", "left_out_N", "left_out_um"}]}
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--sensor", default="dense", metavar="NAME|FILE.toml",
-                        help=f"{', '.join(resources.names('models/sensors', '.toml'))}, or your own (default: dense)")
-    parser.add_argument("--object", default="egg", metavar="NAME|FILE.xml",
-                        help=f"{', '.join(resources.names('models/objects', '.xml'))}, or your own (default: egg)")
+    parser.add_argument(
+        "--sensor",
+        default="dense",
+        metavar="NAME|FILE.toml",
+        help=f"{', '.join(resources.names('models/sensors', '.toml'))}, or your "
+        "own (default: dense)",
+    )
+    parser.add_argument(
+        "--object",
+        default="egg",
+        metavar="NAME|FILE.xml",
+        help=f"{', '.join(resources.names('models/objects', '.xml'))}, or your own (default: egg)",
+    )
     add_shared_arguments(parser)
 
 
 def add_shared_arguments(parser: argparse.ArgumentParser) -> None:
     """--accuracy and --effects, the same for every command that simulates."""
-    parser.add_argument("--accuracy", default="", metavar="0.02N|realtime",
-                        help="simulate as coarsely as this force error or real time allows (default: a mesh of 13 x 11)")
-    parser.add_argument("--effects", default="auto", metavar="auto|+NAME,-NAME",
-                        help="what to simulate: derived from the scene (default), or effects forced on and off")
+    parser.add_argument(
+        "--accuracy",
+        default="",
+        metavar="0.02N|realtime",
+        help="simulate as coarsely as this force error or real time allows "
+        "(default: a mesh of 13 x 11)",
+    )
+    parser.add_argument(
+        "--effects",
+        default="auto",
+        metavar="auto|+NAME,-NAME",
+        help="what to simulate: derived from the scene (default), or effects forced on and off",
+    )
 
 
 def add_vary_argument(parser: argparse.ArgumentParser, default: str) -> None:
     shipped = ", ".join(resources.names("models/variations", ".toml"))
-    parser.add_argument("--vary", default=default, metavar="NAME|FILE.toml", help="ranges of object, sensor, gas and rig, from "
-                        f"which the seed draws the simulated world: {shipped}, none, or your own file (default: {default})")
+    parser.add_argument(
+        "--vary",
+        default=default,
+        metavar="NAME|FILE.toml",
+        help="ranges of object, sensor, gas and rig, "
+        "from "
+        f"which the seed draws the simulated world: {shipped}, none, or "
+        f"your own file (default: {default})",
+    )
 
 
 def add_estimate_argument(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--error-estimate", action="store_true",
-                        help="simulate again on a coarser mesh, and report the force error that follows (N)")
+    parser.add_argument(
+        "--error-estimate",
+        action="store_true",
+        help="simulate again on a coarser mesh, and report the force error that follows (N)",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -55,15 +85,21 @@ def run(options: argparse.Namespace) -> int:
     design = load_sensor(options.sensor)
     grasped, wanted, rows = effects_of(design, options.object, options.accuracy, options.effects)
     if options.json:
-        print_json({"sensor": design.name, "object": grasped, "force_error_N": wanted, "effects": rows})
+        print_json(
+            {"sensor": design.name, "object": grasped, "force_error_N": wanted, "effects": rows}
+        )
         return 0
     print(f"sensor {design.name}, object {grasped}, force error {1e3 * wanted:.3g} mN")
     print(f"{'effect':<24}{'':<10}{'costs ms/s':>10}{'else mN':>9}{'else um':>9}  why")
     for row in rows:
-        state = ("on" if row["on"] else "off") if row["built"] else ("wanted" if row["on"] else "none")
+        state = (
+            ("on" if row["on"] else "off") if row["built"] else ("wanted" if row["on"] else "none")
+        )
         why = row["why"] if row["built"] else f"{row['why']}; not built in: {row['kind']}"
-        print(f"{row['effect']:<24}{state:<10}{_cell(row['cost_ms_per_s']):>10}{_cell(1e3 * row['left_out_N']):>9}"
-              f"{_cell(row['left_out_um']):>9}  {why}")
+        print(
+            f"{row['effect']:<24}{state:<10}{_cell(row['cost_ms_per_s']):>10}{_cell(1e3 * row['left_out_N']):>9}"
+            f"{_cell(row['left_out_um']):>9}  {why}"
+        )
     return 0
 
 

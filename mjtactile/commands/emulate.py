@@ -20,20 +20,46 @@ examples:
   mjtactile grasp --rig rig.toml                  in another terminal
   mjtactile emulate --faults servo_drop=0.01 --faults frames_dark=1
 
-faults can also be switched while it runs: type `servo_overload 1` and Enter; `servo_overload 0` ends it.
+faults can also be switched while it runs: type `servo_overload 1` and Enter;
+`servo_overload 0` ends it.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--scene", "--object", dest="object", default="egg", metavar="NAME|FILE.xml",
-                        help=f"what stands on the table: {', '.join(resources.names('models/objects', '.xml'))}, or your own "
-                             "MJCF file (default: egg)")
-    parser.add_argument("--sensor", default="dense", metavar="NAME|FILE.toml", help="sensor on each finger (default: dense)")
-    parser.add_argument("--rig", default="emulated", metavar="NAME|FILE.toml",
-                        help="rig file whose servos, valves and cameras to emulate (default: emulated)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="placement and noise (default: 0)")
+    parser.add_argument(
+        "--scene",
+        "--object",
+        dest="object",
+        default="egg",
+        metavar="NAME|FILE.xml",
+        help="what stands on the table: "
+        f"{', '.join(resources.names('models/objects', '.xml'))}, or your "
+        "own "
+        "MJCF file (default: egg)",
+    )
+    parser.add_argument(
+        "--sensor",
+        default="dense",
+        metavar="NAME|FILE.toml",
+        help="sensor on each finger (default: dense)",
+    )
+    parser.add_argument(
+        "--rig",
+        default="emulated",
+        metavar="NAME|FILE.toml",
+        help="rig file whose servos, valves and cameras to emulate (default: emulated)",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="placement and noise (default: 0)"
+    )
     slow.add_argument(parser)
-    parser.add_argument("--faults", action="append", default=[], metavar="KIND=VALUE", help="a fault from the start; repeatable")
+    parser.add_argument(
+        "--faults",
+        action="append",
+        default=[],
+        metavar="KIND=VALUE",
+        help="a fault from the start; repeatable",
+    )
     parser.add_argument("--out", type=Path, metavar="FILE.toml", help="write the rig file here too")
 
 
@@ -44,8 +70,13 @@ def run(options: argparse.Namespace) -> int:
     slow.apply(options.slow, options.rig)
     rig_file = load_rig_file(options.rig)
     faults = dict(_fault(text) for text in options.faults)
-    emulator = EmulatorProcess(rig_file, load_sensor(options.sensor), object_name=options.object, seed=options.seed,
-                               faults=faults)
+    emulator = EmulatorProcess(
+        rig_file,
+        load_sensor(options.sensor),
+        object_name=options.object,
+        seed=options.seed,
+        faults=faults,
+    )
     try:
         text = client_text(rig_file.path, emulator.endpoints)
         if options.out is not None:
@@ -91,8 +122,11 @@ def _obey_terminal(emulator) -> None:
 
 
 def client_text(path: Path, endpoints: dict) -> str:
-    """The rig file with real addresses, and without [emulator]: a client's file, which may stand elsewhere."""
-    lines, section, camera = [], "", iter(endpoints["cameras"].values())
+    """The rig file with real addresses, and without [emulator]: a client's file, which may stand
+    elsewhere."""
+    lines = []
+    section = ""
+    camera = iter(endpoints["cameras"].values())
     for line in path.read_text(encoding="utf-8").splitlines():
         if line.startswith("["):
             section = line.split("#")[0].strip("[] ")
@@ -113,4 +147,6 @@ def _write(path: Path, text: str) -> None:
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror}", source=path, field="--out") from error
+        raise InputError(
+            f"cannot be written: {error.strerror}", source=path, field="--out"
+        ) from error

@@ -12,21 +12,24 @@ from mjtactile.commands.output import insert_table, new_run_folder, print_json, 
 from mjtactile.recording.files import write_json
 
 DESCRIPTION = """\
-Grasp many times, with other seeds, objects and worlds, and say how often a controller holds what
-it grasps, with 95 % intervals; of several controllers, which is better, and whether that is settled.
+Grasp many times, with other seeds, objects and worlds, and say how often a controller holds
+what it grasps, with 95 % intervals; of several controllers, which is better, and whether
+that is settled.
 
-Every controller meets the same episodes: the same objects with the same seeds. From --vary the
-seed draws how object, sensors and gripper differ from their files, which sensing goes by. An episode that
-does not come to its end (the simulation fails, the controller raises or hangs) is an error and
-counts apart. Each ended episode is a line in DIR/episodes.jsonl with the command that runs it
-again alone; a run that was stopped goes on with --resume. The lines do not depend on the number
-of workers."""
+Every controller meets the same episodes: the same objects with the same seeds. From --vary
+the seed draws how object, sensors and gripper differ from their files, which sensing goes
+by. An episode that does not come to its end (the simulation fails, the controller raises or
+hangs) is an error and counts apart. Each ended episode is a line in DIR/episodes.jsonl with
+the command that runs it again alone; a run that was stopped goes on with --resume. The
+lines do not depend on the number of workers."""
 EPILOG = """\
 examples:
-  mjtactile evaluate --episodes 30                                gentle; egg, strawberry and vial in turn
+  mjtactile evaluate --episodes 30
+      gentle; egg, strawberry and vial in turn
   mjtactile evaluate --controller gentle --controller mine.py --episodes 100 --out runs/eval
   mjtactile evaluate --objects 'egg,random,my/*.xml' --episodes 200 --out runs/eval --resume
-  mjtactile evaluate --vary my_world.toml                         `mjtactile new variation my_world` writes one
+  mjtactile evaluate --vary my_world.toml
+      `mjtactile new variation my_world` writes one
   mjtactile evaluate --episodes 800 --shard 2/8 --out runs/part2  one of eight machines
   mjtactile evaluate --episodes 4000 --backend dask --scheduler tcp://head:8786 --out runs/big
   mjtactile evaluate --merge runs/part1 runs/part2 --out runs/all
@@ -34,32 +37,104 @@ examples:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--controller", action="append", metavar="NAME", help="shipped name or FILE.py; again for each one to "
-                        "compare (default: gentle)")
-    parser.add_argument("--objects", default="egg,strawberry,vial", metavar="A,B,…", help="shipped names, FILE.xml, "
-                        "'my/*.xml', random (another thing each time), grasped in turn (default: egg,strawberry,vial)")
-    parser.add_argument("--episodes", type=_count, default=30, metavar="N", help="for each controller (default: 30)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the first episode; the others count on (default: 0)")
-    parser.add_argument("--sensor", default="dense", metavar="NAME", help="shipped name or FILE.toml (default: dense)")
-    parser.add_argument("--rig", default="sim", metavar="NAME", help="a simulated rig: shipped name or FILE.toml (default: sim)")
-    parser.add_argument("--effects", default="auto", metavar="LIST", help="as for `grasp` (default: auto)")
+    parser.add_argument(
+        "--controller",
+        action="append",
+        metavar="NAME",
+        help="shipped name or FILE.py; again for each one to compare (default: gentle)",
+    )
+    parser.add_argument(
+        "--objects",
+        default="egg,strawberry,vial",
+        metavar="A,B,…",
+        help="shipped names, FILE.xml, "
+        "'my/*.xml', random (another thing each time), grasped in turn "
+        "(default: egg,strawberry,vial)",
+    )
+    parser.add_argument(
+        "--episodes", type=_count, default=30, metavar="N", help="for each controller (default: 30)"
+    )
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=0,
+        metavar="N",
+        help="of the first episode; the others count on (default: 0)",
+    )
+    parser.add_argument(
+        "--sensor",
+        default="dense",
+        metavar="NAME",
+        help="shipped name or FILE.toml (default: dense)",
+    )
+    parser.add_argument(
+        "--rig",
+        default="sim",
+        metavar="NAME",
+        help="a simulated rig: shipped name or FILE.toml (default: sim)",
+    )
+    parser.add_argument(
+        "--effects", default="auto", metavar="LIST", help="as for `grasp` (default: auto)"
+    )
     add_vary_argument(parser, "default")
-    parser.add_argument("--accuracy", default="", metavar="A", help="as for `grasp`: 0.02N or realtime")
-    parser.add_argument("--workers", type=_count, metavar="N", help="processes that grasp at the same time (default: one a "
-                        "processor)")
-    parser.add_argument("--backend", default="processes", metavar="B",
-                        help="who runs the episodes: processes (here; the default) or dask (a cluster)")
-    parser.add_argument("--scheduler", default="", metavar="ADDRESS", help="of the dask cluster, such as tcp://host:8786")
-    parser.add_argument("--shard", type=_shard, default=(1, 1), metavar="K/N", help="only the K-th of N parts")
+    parser.add_argument(
+        "--accuracy", default="", metavar="A", help="as for `grasp`: 0.02N or realtime"
+    )
+    parser.add_argument(
+        "--workers",
+        type=_count,
+        metavar="N",
+        help="processes that grasp at the same time (default: one a processor)",
+    )
+    parser.add_argument(
+        "--backend",
+        default="processes",
+        metavar="B",
+        help="who runs the episodes: processes (here; the default) or dask (a cluster)",
+    )
+    parser.add_argument(
+        "--scheduler",
+        default="",
+        metavar="ADDRESS",
+        help="of the dask cluster, such as tcp://host:8786",
+    )
+    parser.add_argument(
+        "--shard", type=_shard, default=(1, 1), metavar="K/N", help="only the K-th of N parts"
+    )
     parser.add_argument("--resume", action="store_true", help="go on with what is in the folder")
-    parser.add_argument("--merge", nargs="+", type=Path, metavar="DIR", help="join parts of one evaluation instead")
-    parser.add_argument("--record", action="store_true", help="keep each episode's recording in DIR/recordings, for `export` "
-                        "(100 MB an episode; 1 without images)")
-    parser.add_argument("--worst", type=_any_count, default=10, metavar="N", help="episodes that the report shows with pictures: "
-                        "they are run again at the end (default: 10)")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default: runs/<time>-evaluate)")
-    parser.add_argument("--readme", type=Path, metavar="FILE.md", help="also put the table into this file, between "
-                        "<!-- bench:evaluate --> and <!-- /bench -->")
+    parser.add_argument(
+        "--merge", nargs="+", type=Path, metavar="DIR", help="join parts of one evaluation instead"
+    )
+    parser.add_argument(
+        "--record",
+        action="store_true",
+        help="keep each episode's recording in "
+        "DIR/recordings, for `export` "
+        "(100 MB an episode; 1 without images)",
+    )
+    parser.add_argument(
+        "--worst",
+        type=_any_count,
+        default=10,
+        metavar="N",
+        help="episodes that the report shows with "
+        "pictures: "
+        "they are run again at the end (default: 10)",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder for the results (default: runs/<time>-evaluate)",
+    )
+    parser.add_argument(
+        "--readme",
+        type=Path,
+        metavar="FILE.md",
+        help="also put the table into this file, "
+        "between "
+        "<!-- bench:evaluate --> and <!-- /bench -->",
+    )
 
 
 def _count(text: str) -> int:
@@ -80,11 +155,16 @@ def _shard(text: str) -> tuple[int, int]:
 
 
 def _objects(text: str) -> list[str]:
-    """Names and files; a pattern, which a shell leaves as it is behind a comma, stands for the files that it fits."""
+    """Names and files; a pattern, which a shell leaves as it is behind a comma, stands for the
+    files that it fits."""
     found = []
     for name in (part.strip() for part in text.split(",")):
         anchor = Path(name).anchor
-        files = sorted(map(str, Path(anchor).glob(name[len(anchor):]))) if set("*?[") & set(name) else [name]
+        files = (
+            sorted(map(str, Path(anchor).glob(name[len(anchor) :])))
+            if set("*?[") & set(name)
+            else [name]
+        )
         if not files:
             raise InputError("no file is called like that", source=name, field="--objects")
         found += files
@@ -102,7 +182,8 @@ def run(options: argparse.Namespace) -> int:
         with new_run_folder("evaluate") as out:
             summary = _evaluate(options, out)
     else:
-        out, summary = options.out, _evaluate(options, options.out)
+        out = options.out
+        summary = _evaluate(options, options.out)
     write_json(out / "summary.json", summary)
     (out / "summary.md").write_text(table(summary), encoding="utf-8")
     if options.readme is not None:
@@ -123,9 +204,22 @@ def _evaluate(options: argparse.Namespace, out: Path) -> dict[str, Any]:
     with stdout_to_stderr():
         if options.merge:
             return merge(options.merge, out)
-        return evaluate(out, count=options.episodes, controllers=options.controller or ["gentle"],
-                        objects=_objects(options.objects), first_seed=options.seed,
-                        shard=options.shard, workers=options.workers, backend=options.backend,
-                        scheduler=options.scheduler, resume=options.resume, record=options.record, say=Progress().message,
-                        sensor=options.sensor, rig=options.rig, effects=options.effects, accuracy=options.accuracy,
-                        vary=options.vary)
+        return evaluate(
+            out,
+            count=options.episodes,
+            controllers=options.controller or ["gentle"],
+            objects=_objects(options.objects),
+            first_seed=options.seed,
+            shard=options.shard,
+            workers=options.workers,
+            backend=options.backend,
+            scheduler=options.scheduler,
+            resume=options.resume,
+            record=options.record,
+            say=Progress().message,
+            sensor=options.sensor,
+            rig=options.rig,
+            effects=options.effects,
+            accuracy=options.accuracy,
+            vary=options.vary,
+        )

@@ -23,16 +23,33 @@ EPILOG = """\
 examples:
   mjtactile experiments --out runs/paper
   mjtactile experiments --only fig6,air --json
-  mjtactile experiments --page docs/experiments.md     the page of the documentation, with its figures
+  mjtactile experiments --page docs/experiments.md
+      the page of the documentation, with its figures
 """
 NAMES = ("fig5a", "fig5b", "fig5c", "fig6", "fig7", "air")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--only", type=_names, default=list(NAMES), metavar="NAME,…", help=f"which (default: {','.join(NAMES)})")
+    parser.add_argument(
+        "--only",
+        type=_names,
+        default=list(NAMES),
+        metavar="NAME,…",
+        help=f"which (default: {','.join(NAMES)})",
+    )
     parser.add_argument("--quick", action="store_true", help="fewer points, to see that it works")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write experiments.json, experiments.md and a figure each there")
-    parser.add_argument("--page", type=Path, metavar="FILE.md", help="also write a page about them, with its figures in images/")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="write experiments.json, experiments.md and a figure each there",
+    )
+    parser.add_argument(
+        "--page",
+        type=Path,
+        metavar="FILE.md",
+        help="also write a page about them, with its figures in images/",
+    )
 
 
 def _names(text: str) -> list[str]:
@@ -47,20 +64,27 @@ def run(options: argparse.Namespace) -> int:
     if options.page is not None and options.page.suffix != ".md":
         raise InputError("not a Markdown file", source=options.page, field="--page")
     page_images = None if options.page is None else options.page.parent / "images" / "experiments"
-    with (optional_folder(options.out, "experiments.json", "experiments.md") as out, optional_folder(page_images) as images,
-          stdout_to_stderr()):
+    with (
+        optional_folder(options.out, "experiments.json", "experiments.md") as out,
+        optional_folder(page_images) as images,
+        stdout_to_stderr(),
+    ):
         figures = of_checkout("paper.figures")
         findings = of_checkout("paper.findings")
         experiments = of_checkout("paper.run")
 
-        results = experiments.run(options.only, out, quick=options.quick, say=Progress(quiet=options.json).message)
+        results = experiments.run(
+            options.only, out, quick=options.quick, say=Progress(quiet=options.json).message
+        )
         if out is not None:
             write_json(out / "experiments.json", experiments.without_arrays(results))
             (out / "experiments.md").write_text(findings.table(results), encoding="utf-8")
         if images is not None and options.page is not None:
             for name, result in results.items():
                 figures.save(name, result, images)
-            Path(options.page).write_text(findings.page(results, "images/experiments"), encoding="utf-8")
+            Path(options.page).write_text(
+                findings.page(results, "images/experiments"), encoding="utf-8"
+            )
     if options.json:
         print_json(experiments.without_arrays(results))
     else:

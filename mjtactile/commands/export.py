@@ -20,9 +20,11 @@ its markers are worked out again from them."""
 EPILOG = """\
 examples:
   mjtactile grasp --out runs/egg && mjtactile export runs/egg --format lerobot --out data/egg
-  mjtactile export runs/many --format lerobot --images png --out data/many   each recording below is an episode
+  mjtactile export runs/many --format lerobot --images png --out data/many
+      each recording below is an episode
   mjtactile export runs/egg --format mcap --out data/egg_mcap                a file an episode
-  mjtactile export runs/egg --format rosbag2 --out data/egg_bag              ros2 bag play data/egg_bag/episode_000000
+  mjtactile export runs/egg --format rosbag2 --out data/egg_bag
+      ros2 bag play data/egg_bag/episode_000000
 
 Needs `pip install 'mjtactile[data]'`. What is where: docs/export.md.
 exit codes: 0 written, 2 bad input.
@@ -32,14 +34,36 @@ FORMATS = {"lerobot": ("pyarrow", "av"), "mcap": ("foxglove",), "rosbag2": ("ros
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", type=Path, metavar="RUN", help="a recording, a run, or a folder of these, each an episode")
+    parser.add_argument(
+        "source",
+        type=Path,
+        metavar="RUN",
+        help="a recording, a run, or a folder of these, each an episode",
+    )
     parser.add_argument("--format", required=True, choices=FORMATS, help="what to write")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the data set; nothing is overwritten")
-    parser.add_argument("--images", choices=("video", "png", "none"), default="video",
-                        help="lerobot: every pixel in H.264 (default), PNG in the parquet files, or no images")
-    parser.add_argument("--crf", type=int, default=0, metavar="N",
-                        help="lerobot: H.264's loss: 0 none (default), 18-30 small files")
-    parser.add_argument("--task", metavar="TEXT", help='lerobot: what was to be done (default: "grasp the OBJECT")')
+    parser.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="folder for the data set; nothing is overwritten",
+    )
+    parser.add_argument(
+        "--images",
+        choices=("video", "png", "none"),
+        default="video",
+        help="lerobot: every pixel in H.264 (default), PNG in the parquet files, or no images",
+    )
+    parser.add_argument(
+        "--crf",
+        type=int,
+        default=0,
+        metavar="N",
+        help="lerobot: H.264's loss: 0 none (default), 18-30 small files",
+    )
+    parser.add_argument(
+        "--task", metavar="TEXT", help='lerobot: what was to be done (default: "grasp the OBJECT")'
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -50,21 +74,35 @@ def run(options: argparse.Namespace) -> int:
 
     progress = Progress(quiet=options.json)
     episodes = find_episodes(options.source)
-    with output_folder(options.out, "meta", "data", "episode_000000", "episode_000000.mcap") as out, stdout_to_stderr():
+    with (
+        output_folder(options.out, "meta", "data", "episode_000000", "episode_000000.mcap") as out,
+        stdout_to_stderr(),
+    ):
         result = _write(options, episodes, out, progress)
     result |= {"format": options.format, "out": str(options.out)}
     if options.json:
         print_json(result)
     else:
-        print(f"{result['episodes']} episodes, {result['frames']} frames\n  written to {options.out}")
+        print(
+            f"{result['episodes']} episodes, {result['frames']} frames\n  written to {options.out}"
+        )
     return 0
 
 
-def _write(options: argparse.Namespace, episodes: list[Any], out: Path, progress: Progress) -> dict[str, Any]:
+def _write(
+    options: argparse.Namespace, episodes: list[Any], out: Path, progress: Progress
+) -> dict[str, Any]:
     if options.format == "lerobot":
         from mjtactile.export.lerobot import dataset
 
-        return dataset.write(episodes, out, images=options.images, crf=options.crf, task=options.task, say=progress.message)
+        return dataset.write(
+            episodes,
+            out,
+            images=options.images,
+            crf=options.crf,
+            task=options.task,
+            say=progress.message,
+        )
     if options.format == "mcap":
         from mjtactile.export import mcap
 
@@ -80,4 +118,6 @@ def _need(name: str) -> None:
 
     missing = [module for module in FORMATS[name] if importlib.util.find_spec(module) is None]
     if missing:
-        raise InputError(f"{name!r} needs {', '.join(missing)}: pip install 'mjtactile[data]'", field="--format")
+        raise InputError(
+            f"{name!r} needs {', '.join(missing)}: pip install 'mjtactile[data]'", field="--format"
+        )

@@ -13,40 +13,81 @@ from mjtactile.recording.files import write_json
 from mjtactile.run.progress import Progress
 
 DESCRIPTION = """\
-Find what a sensor is made of from recordings of it: modulus and pre-stretch of its sheet, friction,
-gas volume, leak, heat exchange, blur, noise and light. The simulator does again what was done in the
-recordings, until its markers and pressures are where the recorded ones are. Each number comes with
-its interval; what the recordings do not tell stays as the file has it, with what to record for it."""
+Find what a sensor is made of from recordings of it: modulus and pre-stretch of its sheet,
+friction, gas volume, leak, heat exchange, blur, noise and light. The simulator does again
+what was done in the recordings, until its markers and pressures are where the recorded ones
+are. Each number comes with its interval; what the recordings do not tell stays as the file
+has it, with what to record for it."""
 EPILOG = """\
 examples, of a sensor on a bench (`--rig stage` is a simulated one, for practice):
-  mjtactile record --rig my_gripper.toml --pressure-kPa 0.5 --steps press --indenter sphere:8 --seconds 11 --out runs/press_05
-  mjtactile record --rig my_gripper.toml --pressure-kPa 3 --steps press --indenter sphere:8 --seconds 11 --out runs/press_3
-  mjtactile record --rig my_gripper.toml --steps drag --indenter sphere:8 --seconds 11 --out runs/drag
-  mjtactile record --rig my_gripper.toml --steps tap --indenter sphere:15 --seconds 17 --out runs/tap
+  mjtactile record --rig my_gripper.toml --pressure-kPa 0.5 --steps press --indenter sphere:8 \\
+      --seconds 11 --out runs/press_05
+  mjtactile record --rig my_gripper.toml --pressure-kPa 3 --steps press --indenter sphere:8 \\
+      --seconds 11 --out runs/press_3
+  mjtactile record --rig my_gripper.toml --steps drag --indenter sphere:8 --seconds 11 --out \\
+      runs/drag
+  mjtactile record --rig my_gripper.toml --steps tap --indenter sphere:15 --seconds 17 --out \\
+      runs/tap
   mjtactile record --rig my_gripper.toml --pressure-kPa 2 --seconds 60 --out runs/still
-  mjtactile fit --recording runs/press_05 --recording runs/press_3 --recording runs/drag --recording runs/tap \\
+  mjtactile fit --recording runs/press_05 --recording runs/press_3 --recording runs/drag \\
+      --recording runs/tap \\
       --recording runs/still --held-out runs/other --out my_sensor.toml
   mjtactile fit --recording runs/press_3 --known membrane.thickness_mm=0.31 --out my_sensor.toml
 
-Writes FILE.toml, which loads everywhere a sensor file does, and beside it FILE.fit.json, FILE.fit.txt and FILE.fit.png. It sees
-images, pressures, times, and what the recording says was done (docs/fit.md); neither forces felt nor any truth.
-exit codes: 0 fitted, 2 bad input, 3 the simulation failed.
+Writes FILE.toml, which loads everywhere a sensor file does, and beside it FILE.fit.json,
+FILE.fit.txt and FILE.fit.png. It sees images, pressures, times, and what the recording says
+was done (docs/fit.md); neither forces felt nor any truth. exit codes: 0 fitted, 2 bad
+input, 3 the simulation failed.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--recording", type=Path, action="append", required=True, metavar="DIR",
-                        help="of `mjtactile record`; give it again for each")
-    parser.add_argument("--held-out", type=Path, action="append", default=[], metavar="DIR",
-                        help="a recording that is not fitted to but predicted, for a check; may be given again")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE.toml", help="the sensor file to write")
-    parser.add_argument("--sensor", type=Path, metavar="NAME|FILE.toml",
-                        help="the sensor file to begin from (default: that of the recordings)")
-    parser.add_argument("--finger", default="left", metavar="NAME", help="which finger of the recordings (default: left)")
-    parser.add_argument("--known", action="append", default=[], metavar="FIELD=VALUE",
-                        help="measured by hand, such as membrane.thickness_mm=0.31; may be given again")
-    parser.add_argument("--touch-mm", dest="touch", type=float, default=0.05, metavar="D",
-                        help="how well the mark of first touch is known, sd (default: 0.05)")
+    parser.add_argument(
+        "--recording",
+        type=Path,
+        action="append",
+        required=True,
+        metavar="DIR",
+        help="of `mjtactile record`; give it again for each",
+    )
+    parser.add_argument(
+        "--held-out",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="DIR",
+        help="a recording that is not fitted to but predicted, for a check; may be given again",
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="FILE.toml", help="the sensor file to write"
+    )
+    parser.add_argument(
+        "--sensor",
+        type=Path,
+        metavar="NAME|FILE.toml",
+        help="the sensor file to begin from (default: that of the recordings)",
+    )
+    parser.add_argument(
+        "--finger",
+        default="left",
+        metavar="NAME",
+        help="which finger of the recordings (default: left)",
+    )
+    parser.add_argument(
+        "--known",
+        action="append",
+        default=[],
+        metavar="FIELD=VALUE",
+        help="measured by hand, such as membrane.thickness_mm=0.31; may be given again",
+    )
+    parser.add_argument(
+        "--touch-mm",
+        dest="touch",
+        type=float,
+        default=0.05,
+        metavar="D",
+        help="how well the mark of first touch is known, sd (default: 0.05)",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -61,13 +102,24 @@ def run(options: argparse.Namespace) -> int:
     files = {kind: options.out.with_suffix(f".fit.{kind}") for kind in ("json", "txt", "png")}
     for path in (options.out, *files.values()):
         if path.exists():
-            raise InputError("exists already, and nothing is overwritten; choose another name", source=path, field="--out")
+            raise InputError(
+                "exists already, and nothing is overwritten; choose another name",
+                source=path,
+                field="--out",
+            )
     if not options.out.parent.is_dir():
         raise InputError("no such folder", source=options.out.parent, field="--out")
     with stdout_to_stderr():
-        result = fit_recordings(options.recording, sensor=options.sensor, finger=options.finger, known=known,
-                                held_out=options.held_out, touch_sd=1e-3 * options.touch, name=options.out.stem,
-                                say=Progress(quiet=options.json).message)
+        result = fit_recordings(
+            options.recording,
+            sensor=options.sensor,
+            finger=options.finger,
+            known=known,
+            held_out=options.held_out,
+            touch_sd=1e-3 * options.touch,
+            name=options.out.stem,
+            say=Progress(quiet=options.json).message,
+        )
         options.out.write_text(result.text, encoding="utf-8")
         write_json(files["json"], to_table(result))
         files["txt"].write_text(text_of(result), encoding="utf-8")
@@ -75,7 +127,10 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_json(to_table(result))
     else:
-        print(f"{text_of(result)}\nwritten: {options.out}, and {', '.join(path.name for path in files.values())}")
+        print(
+            f"{text_of(result)}\nwritten: {options.out}, and "
+            f"{', '.join(path.name for path in files.values())}"
+        )
     return 0
 
 
@@ -86,5 +141,7 @@ def _known(text: str) -> tuple[str, float]:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise InputError(f"{text!r} is not FIELD=NUMBER, such as membrane.thickness_mm=0.31", field="--known")
+        raise InputError(
+            f"{text!r} is not FIELD=NUMBER, such as membrane.thickness_mm=0.31", field="--known"
+        )
     return field.strip(), value

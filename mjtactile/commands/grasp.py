@@ -30,45 +30,96 @@ examples:
   mjtactile grasp --object vial --sensor paper16 --seed 1
   mjtactile grasp --object my_fruit.xml --controller my_controller.py --out runs/fruit
   mjtactile grasp --json > result.json
-  mjtactile grasp --video egg.mp4          scene, cameras and forces, in step with the simulated time
+  mjtactile grasp --video egg.mp4
+      scene, cameras and forces, in step with the simulated time
   mjtactile grasp --workers 0              all in one process: the same numbers
 
-The result (--json, summary.json) says: outcome ("held", "dropped", "crushed", "fault"), peak_force_N and
-hold_force_N as felt, peak_force_true_N, hold_force_true_N and slip_mm_true as they were (simulation only),
-real_time_factor, frames, perception_ms_median, object, sensor, controller, seed; a "reason" where it is known.
-exit codes: 0 held, 1 dropped or crushed, 2 bad input, 3 a device or the simulation failed, or Ctrl-C.
+The result (--json, summary.json) says: outcome ("held", "dropped", "crushed", "fault"),
+peak_force_N and hold_force_N as felt, peak_force_true_N, hold_force_true_N and slip_mm_true
+as they were (simulation only), real_time_factor, frames, perception_ms_median, object,
+sensor, controller, seed; a "reason" where it is known. exit codes: 0 held, 1 dropped or
+crushed, 2 bad input, 3 a device or the simulation failed, or Ctrl-C.
 """
 EXIT_CODES = {"held": 0, "dropped": 1, "crushed": 1, "fault": 3}
-_MEASURED = ("peak_force_N", "peak_force_true_N", "hold_force_N", "hold_force_true_N", "slip_mm_true", "real_time_factor",
-             "frames", "perception_ms_median")
+_MEASURED = (
+    "peak_force_N",
+    "peak_force_true_N",
+    "hold_force_N",
+    "hold_force_true_N",
+    "slip_mm_true",
+    "real_time_factor",
+    "frames",
+    "perception_ms_median",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     def shipped(kind: str, suffix: str) -> str:
         return ", ".join(resources.names(kind, suffix))
 
-    parser.add_argument("--object", default="egg", metavar="NAME|FILE.xml",
-                        help=f"what to grasp: {shipped('models/objects', '.xml')}, random:N (one of many), "
-                        "or your own MJCF file (default: egg)")
-    parser.add_argument("--sensor", default="dense", metavar="NAME|FILE.toml",
-                        help=f"on each finger: {shipped('models/sensors', '.toml')}, or your own file (default: dense)")
-    parser.add_argument("--controller", default="gentle", metavar="NAME|FILE.py",
-                        help=f"grasp controller: {shipped('controllers', '.py')}, or your own file (default: gentle)")
-    parser.add_argument("--rig", default="sim", metavar="RIG",
-                        help=f"what to run it on: {', '.join(rig_names())} (default: sim)")
-    parser.add_argument("--seed", type=seed, default=0, metavar="N",
-                        help="seed of the camera noise and of where the object stands (default: 0)")
+    parser.add_argument(
+        "--object",
+        default="egg",
+        metavar="NAME|FILE.xml",
+        help=f"what to grasp: {shipped('models/objects', '.xml')}, random:N (one "
+        "of many), "
+        "or your own MJCF file (default: egg)",
+    )
+    parser.add_argument(
+        "--sensor",
+        default="dense",
+        metavar="NAME|FILE.toml",
+        help=f"on each finger: {shipped('models/sensors', '.toml')}, or your own "
+        "file (default: dense)",
+    )
+    parser.add_argument(
+        "--controller",
+        default="gentle",
+        metavar="NAME|FILE.py",
+        help=f"grasp controller: {shipped('controllers', '.py')}, or your own "
+        "file (default: gentle)",
+    )
+    parser.add_argument(
+        "--rig",
+        default="sim",
+        metavar="RIG",
+        help=f"what to run it on: {', '.join(rig_names())} (default: sim)",
+    )
+    parser.add_argument(
+        "--seed",
+        type=seed,
+        default=0,
+        metavar="N",
+        help="seed of the camera noise and of where the object stands (default: 0)",
+    )
     slow.add_argument(parser)
     effects.add_shared_arguments(parser)
     effects.add_vary_argument(parser, "none")
     effects.add_estimate_argument(parser)
-    parser.add_argument("--workers", type=_count, metavar="N", help="what looks at the camera images beside the control loop: "
-                        "processes beside a simulated world, threads on a real rig; at most one a camera, the same result "
-                        "with any number (default: one a camera as far as there are processors for them)")
+    parser.add_argument(
+        "--workers",
+        type=_count,
+        metavar="N",
+        help="what looks at the camera images beside "
+        "the control loop: "
+        "processes beside a simulated world, threads on a real rig; at "
+        "most one a camera, the same result "
+        "with any number (default: one a camera as far as there are "
+        "processors for them)",
+    )
     ranges.add_frames_argument(parser)
-    parser.add_argument("--video", type=Path, metavar="FILE", help="film it, too: .mp4, .gif or .webp (pip install "
-                        "'mjtactile[video]')")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default: runs/<time>-<object>)")
+    parser.add_argument(
+        "--video",
+        type=Path,
+        metavar="FILE",
+        help="film it, too: .mp4, .gif or .webp (pip install 'mjtactile[video]')",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder for the results (default: runs/<time>-<object>)",
+    )
 
 
 def seed(text: str) -> int:
@@ -89,8 +140,11 @@ def run(options: argparse.Namespace) -> int:
     _check_video(options.video, options.frames)
     slow.apply(options.slow, options.rig)
     progress = Progress()  # which looks whether stderr is a terminal
-    folder = (new_run_folder(Path(options.object).stem) if options.out is None else
-              output_folder(options.out, "recording", "summary.json", "summary.png", "summary.html"))
+    folder = (
+        new_run_folder(Path(options.object).stem)
+        if options.out is None
+        else output_folder(options.out, "recording", "summary.json", "summary.png", "summary.html")
+    )
     with folder as out, stdout_to_stderr(), drawing_beside() as figure:
         summary = _run_and_report(options, out, progress, figure)
     with contextlib.suppress(BrokenPipeError):  # the exit code says how it went, read or not
@@ -106,12 +160,19 @@ def _header(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _manner(options: argparse.Namespace) -> dict[str, Any]:
-    return {key: getattr(options, key) for key in ("accuracy", "effects", "vary", "error_estimate", "workers")}
+    return {
+        key: getattr(options, key)
+        for key in ("accuracy", "effects", "vary", "error_estimate", "workers")
+    }
 
 
-def _run_and_report(options: argparse.Namespace, out: Path, progress: Progress, figure: Drawing) -> dict[str, Any]:
-    """Run the grasp and write its report, also of a run that failed half-way; the error then carries its summary."""
-    from mjtactile.run import summary as _  # noqa: F401  # now: in the end there may be no descriptors left to import it with
+def _run_and_report(
+    options: argparse.Namespace, out: Path, progress: Progress, figure: Drawing
+) -> dict[str, Any]:
+    """Run the grasp and write its report, also of a run that failed half-way; the error then
+    carries its summary."""
+    # now: in the end there may be no descriptors left to import it with
+    from mjtactile.run import summary as _  # noqa: F401
     from mjtactile.run.grasp import GraspOptions, run_grasp
 
     header = _header(options)
@@ -119,7 +180,9 @@ def _run_and_report(options: argparse.Namespace, out: Path, progress: Progress, 
     recorder: Recorder | None = None
     try:
         with signals.deferred():  # no signal between an open file and who closes it
-            recorder = Recorder(out / "recording", header | {"command": grasp.command()}, frames=options.frames)
+            recorder = Recorder(
+                out / "recording", header | {"command": grasp.command()}, frames=options.frames
+            )
             recorder.views = [] if options.video else None
             recorder.strip = Strip()
         summary = run_grasp(grasp, recorder=recorder, progress=progress).summary()
@@ -159,8 +222,12 @@ def _check_video(path: Path | None, frames: int) -> None:
     if path is None:
         return
     if path.suffix not in (".mp4", ".gif", ".webp"):
-        raise InputError(f"{path.suffix or 'no suffix'!r} is no film that can be written", source=path, field="--video",
-                         choices=[".mp4", ".gif", ".webp"])
+        raise InputError(
+            f"{path.suffix or 'no suffix'!r} is no film that can be written",
+            source=path,
+            field="--video",
+            choices=[".mp4", ".gif", ".webp"],
+        )
     if not path.parent.is_dir():
         raise InputError("no such folder", source=path.parent, field="--video")
     if find_spec("av") is None:
@@ -169,22 +236,37 @@ def _check_video(path: Path | None, frames: int) -> None:
         raise InputError("a film needs the images", field="--frames")
 
 
-def _report_fault(error: BaseException, recorder: Recorder, out: Path, header: dict[str, Any], figure: Drawing) -> None:
+def _report_fault(
+    error: BaseException, recorder: Recorder, out: Path, header: dict[str, Any], figure: Drawing
+) -> None:
     """Keep what a failed run recorded and say where it is."""
     stopped = isinstance(error, (Interrupted, KeyboardInterrupt))
     reason = "interrupted" if stopped else " ".join(str(error).split())
     names = {key: Path(header[key]).stem for key in ("object", "sensor", "controller")}
-    summary = {"outcome": "fault", **dict.fromkeys(_MEASURED), "frames": recorder.cycles, **names, "seed": header["seed"],
-               "error": reason}
+    summary = {
+        "outcome": "fault",
+        **dict.fromkeys(_MEASURED),
+        "frames": recorder.cycles,
+        **names,
+        "seed": header["seed"],
+        "error": reason,
+    }
     error.summary = summary  # type: ignore[attr-defined]  # cli prints it with --json
     recorder.close(outcome="fault", error=reason)
-    _write_report(out, recorder, summary, None if stopped else figure)  # which takes longer than who stops a run will wait
+    # which takes longer than who stops a run will wait
+    _write_report(out, recorder, summary, None if stopped else figure)
     if recorder.cycles:
-        print(f"mjtactile: {recorder.cycles} cycles were recorded and are kept in {out}", file=sys.stderr)
+        print(
+            f"mjtactile: {recorder.cycles} cycles were recorded and are kept in {out}",
+            file=sys.stderr,
+        )
 
 
-def _write_report(out: Path, recorder: Recorder, summary: dict[str, Any], figure: Drawing | None) -> None:
-    """Write summary.json, then with a `figure` picture and page; what cannot be written does not change how the run went."""
+def _write_report(
+    out: Path, recorder: Recorder, summary: dict[str, Any], figure: Drawing | None
+) -> None:
+    """Write summary.json, then with a `figure` picture and page; what cannot be written does not
+    change how the run went."""
     from mjtactile.run.summary import write_pictures
 
     try:
@@ -204,14 +286,23 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
     print(f"{summary['object']}: {summary['outcome']}")
     if summary.get("reason"):
         print(f"  because   {summary['reason']}")
-    print(f"  holding   {newton('hold_force_N')} on each finger (true {newton('hold_force_true_N')})")
+    print(
+        f"  holding   {newton('hold_force_N')} on each finger (true {newton('hold_force_true_N')})"
+    )
     print(f"  at most   {newton('peak_force_N')} (true {newton('peak_force_true_N')})")
     if not summary.get("images", True):
-        print("  images    none were drawn: markers with errors drawn in their place (--effects -images)")
+        print(
+            "  images    none were drawn: markers with errors drawn in their place (--effects "
+            "-images)"
+        )
     if math.isfinite(summary["slip_mm_true"]):
         print(f"  slipped   {summary['slip_mm_true']:.2f} mm (true)")
     if "force_error_estimate_N" in summary:
-        print(f"  estimate  the simulated force is off by about {1e3 * summary['force_error_estimate_N']:.0f} mN")
-    speed, spent = summary["real_time_factor"], summary["perception_ms_median"]
+        print(
+            "  estimate  the simulated force is off by about "
+            f"{1e3 * summary['force_error_estimate_N']:.0f} mN"
+        )
+    speed = summary["real_time_factor"]
+    spent = summary["perception_ms_median"]
     print(f"  speed     {speed:.2f} x real time; perception takes {spent:.1f} ms a cycle (median)")
     print(f"  results   {out}/summary.html, summary.png, summary.json, recording/")

@@ -20,17 +20,28 @@ examples:
   mjtactile inflate --sensor dense --pressure-kPa 1
   mjtactile inflate --sensor my_sensor.toml --pressure-kPa 0:4:0.5 --out runs/bulge
 
-JSON: {"sensor": …, "steps": [{"pressure_kPa", "centre_height_mm", "volume_mL" (gas in chamber and bulge), "area_mm2",
-"max_stretch" (against the free sheet), "theory_height_mm" (null outside of the table of closed forms), "converged"}],
-"flags": {kind of doubt: reason}}
+JSON: {"sensor": …, "steps": [{"pressure_kPa", "centre_height_mm", "volume_mL" (gas in
+chamber and bulge), "area_mm2", "max_stretch" (against the free sheet), "theory_height_mm"
+(null outside of the table of closed forms), "converged"}], "flags": {kind of doubt:
+reason}}
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--sensor", default="dense", metavar="NAME|FILE.toml", help="the sensor (default: dense)")
-    parser.add_argument("--pressure-kPa", dest="pressures", type=ranges.numbers, required=True, metavar="P[:P2:STEP]",
-                        help="gauge pressure in kPa, or a range, both ends included")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write inflate.json and inflate.png there")
+    parser.add_argument(
+        "--sensor", default="dense", metavar="NAME|FILE.toml", help="the sensor (default: dense)"
+    )
+    parser.add_argument(
+        "--pressure-kPa",
+        dest="pressures",
+        type=ranges.numbers,
+        required=True,
+        metavar="P[:P2:STEP]",
+        help="gauge pressure in kPa, or a range, both ends included",
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="write inflate.json and inflate.png there"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -39,10 +50,17 @@ def run(options: argparse.Namespace) -> int:
     design = load_sensor(options.sensor)
     lowest = -1e-3 * design.chamber.ambient
     if min(options.pressures) <= lowest:
-        raise InputError(f"{min(options.pressures):g} kPa is not above vacuum ({lowest:g} kPa)", field="--pressure-kPa")
+        raise InputError(
+            f"{min(options.pressures):g} kPa is not above vacuum ({lowest:g} kPa)",
+            field="--pressure-kPa",
+        )
     with optional_folder(options.out, "inflate.json", "inflate.png") as out:
         with stdout_to_stderr():
-            result = inflate(design, [1e3 * p for p in options.pressures], say=Progress(quiet=options.json).message)
+            result = inflate(
+                design,
+                [1e3 * p for p in options.pressures],
+                say=Progress(quiet=options.json).message,
+            )
         if out is not None:
             write_json(out / "inflate.json", result)
             plots.save(out / "inflate.png", lambda figure: _draw(figure, result))
@@ -56,8 +74,12 @@ def run(options: argparse.Namespace) -> int:
 def _print_table(result: dict[str, Any], out: Path | None) -> None:
     print("pressure kPa  height mm  theory mm  volume mL   area mm2  max stretch")
     for s in result["steps"]:
-        print(f"{s['pressure_kPa']:12.3f} {s['centre_height_mm']:10.4f} {s['theory_height_mm']:10.4f} {s['volume_mL']:10.4f} "
-              f"{s['area_mm2']:10.2f} {s['max_stretch']:12.4f}{'' if s['converged'] else '  not settled'}")
+        print(
+            f"{s['pressure_kPa']:12.3f} {s['centre_height_mm']:10.4f} "
+            f"{s['theory_height_mm']:10.4f} {s['volume_mL']:10.4f} "
+            f"{s['area_mm2']:10.2f} "
+            f"{s['max_stretch']:12.4f}{'' if s['converged'] else '  not settled'}"
+        )
     for kind, reason in result["flags"].items():
         print(f"doubt ({kind}): {reason}")
     if out is not None:
@@ -70,6 +92,10 @@ def _draw(figure: Any, result: dict[str, Any]) -> None:
     pressures = [s["pressure_kPa"] for s in steps]
     axes.plot(pressures, [s["theory_height_mm"] for s in steps], "k-", lw=1, label="closed form")
     axes.plot(pressures, [s["centre_height_mm"] for s in steps], "o", ms=5, label="simulated")
-    axes.set(xlabel="gauge pressure, kPa", ylabel="height of the middle, mm", title=f"bulge test, sensor {result['sensor']}")
+    axes.set(
+        xlabel="gauge pressure, kPa",
+        ylabel="height of the middle, mm",
+        title=f"bulge test, sensor {result['sensor']}",
+    )
     axes.legend()
     axes.grid(alpha=0.3)

@@ -1,4 +1,5 @@
-"""`mjtactile locate`: where each circular marker of an image is, with covariance. Needs no sensor and no simulator."""
+"""`mjtactile locate`: where each circular marker of an image is, with covariance. Needs no sensor
+and no simulator."""
 
 from __future__ import annotations
 
@@ -22,9 +23,10 @@ DESCRIPTION = """\
 Find circular markers of a known radius in an image, a folder of images or a video, and
 estimate each one's centre and normal in the camera frame (x right, y down, z forward).
 
-Forty and more small circles (below 6 px) that plainly lie on one smooth surface, such as a board's dots, help each
-other: the depth of each is smoothed by a spline over the image, whose stiffness the circles themselves decide. Neither
-flatness nor any spacing is assumed, but the depths are no longer independent; --neighbours never turns it off."""
+Forty and more small circles (below 6 px) that plainly lie on one smooth surface, such as a
+board's dots, help each other: the depth of each is smoothed by a spline over the image,
+whose stiffness the circles themselves decide. Neither flatness nor any spacing is assumed,
+but the depths are no longer independent; --neighbours never turns it off."""
 EPILOG = """\
 examples:
   mjtactile locate photo.png --camera camera.yaml --radius-mm 6.35
@@ -35,44 +37,91 @@ examples:
 JSON: {"frames": [{"source": …, "status": "ok", or why it has no marker to trust,
   "shared": [] or what its circles share with neighbours ("elongation", "depth"),
   "overexposed": whether the bright side is clipped, which hides tenths of a pixel of size,
-  "gamma": {"assumed", "estimate" and "sd" (null: too little to tell), "wrong": whether they plainly differ},
-  "markers": [{
+  "gamma": {"assumed", "estimate" and "sd" (null: too little to tell), "wrong": whether they
+  plainly differ}, "markers": [{
   "uv_px": projected centre (distorted pixels; (0, 0) is the centre of the top-left pixel),
   "ellipse_px": {"center", "semi_axes", "angle_deg"},
   "center_mm", "cov_center_mm2": 3x3, "normal" (facing the camera),
-  "center_alt_mm", "cov_center_alt_mm2", "normal_alt": the circle's other pose, which looks exactly the same,
-  "preferred_probability": how sure it is that the first pose is the right one, not the other,
-  "status": "ok", or why not to trust it}],
-  "rejected": all other candidates, [{"center_px", "semi_axes_px", "status": why it is no circle}]}]}
+  "center_alt_mm", "cov_center_alt_mm2", "normal_alt": the circle's other pose, which looks
+  exactly the same, "preferred_probability": how sure it is that the first pose is the right
+  one, not the other, "status": "ok", or why not to trust it}],
+  "rejected": all other candidates, [{"center_px", "semi_axes_px", "status": why it is no
+  circle}]}]}
 The camera file is a ROS camera_info; it may have one field more, for glass in front of the camera:
   glass: {thickness_mm: 5, refractive_index: 1.5, distance_mm: 120}
-One image of one circle allows two poses. Which is right is told by the circles around it, where they lie on a smooth
-surface; else only by the one that is less tilted being a little likelier.
+One image of one circle allows two poses. Which is right is told by the circles around it,
+where they lie on a smooth surface; else only by the one that is less tilted being a little
+likelier.
 exit codes: 0 done (also when no marker was found), 2 bad input.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", type=Path, metavar="SOURCE", help="an image, a folder of images or a video")
-    parser.add_argument("--camera", type=Path, required=True, metavar="CAMERA.yaml",
-                        help="calibration of the camera, ROS camera_info YAML (plumb_bob)")
-    parser.add_argument("--glass-mm", metavar="T:N:D",
-                        help="a pane in front of the camera, normal to its axis: thickness in mm, refractive index, distance of "
-                        "its near face from the camera's centre in mm, such as 5:1.5:120 (default: what the camera file says "
-                        "under glass)")
-    parser.add_argument("--radius-mm", type=_positive, required=True, metavar="R", help="radius of the markers in mm")
+    parser.add_argument(
+        "source", type=Path, metavar="SOURCE", help="an image, a folder of images or a video"
+    )
+    parser.add_argument(
+        "--camera",
+        type=Path,
+        required=True,
+        metavar="CAMERA.yaml",
+        help="calibration of the camera, ROS camera_info YAML (plumb_bob)",
+    )
+    parser.add_argument(
+        "--glass-mm",
+        metavar="T:N:D",
+        help="a pane in front of the camera, normal to its axis: thickness in "
+        "mm, refractive index, distance of "
+        "its near face from the camera's centre in mm, such as 5:1.5:120 "
+        "(default: what the camera file says "
+        "under glass)",
+    )
+    parser.add_argument(
+        "--radius-mm",
+        type=_positive,
+        required=True,
+        metavar="R",
+        help="radius of the markers in mm",
+    )
     colour = parser.add_mutually_exclusive_group()
-    colour.add_argument("--dark", dest="polarity", action="store_const", const="dark", default="dark",
-                        help="dark markers on a bright ground (default)")
-    colour.add_argument("--bright", dest="polarity", action="store_const", const="bright",
-                        help="bright markers on a dark ground")
-    parser.add_argument("--neighbours", choices=["auto", "always", "never"], default="auto",
-                        help="let many circles on one smooth surface help each other: small ones (auto, the default), "
-                        "of any size, or never")
-    parser.add_argument("--gamma", type=_gamma, default=1.0, metavar="G|auto",
-                        help="the camera's gamma, whose grey levels are light to the power of 1/G (default: 1; sRGB: 2.2), or "
-                        "auto: what the circles of each image plainly say")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write an overlay of each image and locate.json there")
+    colour.add_argument(
+        "--dark",
+        dest="polarity",
+        action="store_const",
+        const="dark",
+        default="dark",
+        help="dark markers on a bright ground (default)",
+    )
+    colour.add_argument(
+        "--bright",
+        dest="polarity",
+        action="store_const",
+        const="bright",
+        help="bright markers on a dark ground",
+    )
+    parser.add_argument(
+        "--neighbours",
+        choices=["auto", "always", "never"],
+        default="auto",
+        help="let many circles on one smooth surface help each other: small "
+        "ones (auto, the default), "
+        "of any size, or never",
+    )
+    parser.add_argument(
+        "--gamma",
+        type=_gamma,
+        default=1.0,
+        metavar="G|auto",
+        help="the camera's gamma, whose grey levels are light to the power of "
+        "1/G (default: 1; sRGB: 2.2), or "
+        "auto: what the circles of each image plainly say",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="write an overlay of each image and locate.json there",
+    )
 
 
 def _gamma(text: str) -> float | Literal["auto"]:
@@ -96,8 +145,12 @@ def run(options: argparse.Namespace) -> int:
         with stdout_to_stderr():
             frames = [_locate(frame, camera, options, out) for frame in read_frames(options.source)]
         if not any(frame["usable"] for frame in frames):
-            raise InputError(f"none of its {len(frames)} images can be used; {frames[0]['source']}: {frames[0]['status']}",
-                             source=options.source, field="SOURCE")
+            raise InputError(
+                f"none of its {len(frames)} images can be used; {frames[0]['source']}: "
+                f"{frames[0]['status']}",
+                source=options.source,
+                field="SOURCE",
+            )
         if out is not None:
             write_json(out / "locate.json", {"frames": [_public(frame) for frame in frames]})
     if options.json:
@@ -112,37 +165,74 @@ def _behind_glass(camera: Camera, text: str) -> Camera:
         thickness, index, distance = map(float, text.split(":"))
         return camera.behind_pane(1e-3 * thickness, index, 1e-3 * distance)
     except (ValueError, InputError) as error:
-        raise InputError(f"{text!r} is no pane", field="--glass-mm",
-                         choices=["THICKNESS:INDEX:DISTANCE, such as 5:1.5:120"]) from error
+        raise InputError(
+            f"{text!r} is no pane",
+            field="--glass-mm",
+            choices=["THICKNESS:INDEX:DISTANCE, such as 5:1.5:120"],
+        ) from error
 
 
 def _public(frame: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in frame.items() if key not in ("ms", "usable")}
 
 
-def _locate(frame: Frame, camera: Camera, options: argparse.Namespace, out: Path | None) -> dict[str, Any]:
-    """One frame of the JSON, with its time `ms` for the table, and whether it was `usable` at all."""
+def _locate(
+    frame: Frame, camera: Camera, options: argparse.Namespace, out: Path | None
+) -> dict[str, Any]:
+    """One frame of the JSON, with its time `ms` for the table, and whether it was `usable` at
+    all."""
     if frame.pixels is None:
         return _without_markers(frame, "cannot be read")
     height, width = frame.pixels.shape[:2]
     if (width, height) != (camera.width, camera.height):
-        return _without_markers(frame, f"{width} x {height} pixels, but the camera file is for "
-                                f"{camera.width} x {camera.height}")
+        return _without_markers(
+            frame,
+            f"{width} x {height} pixels, but the camera file is for "
+            f"{camera.width} x {camera.height}",
+        )
     begin = time.perf_counter()
-    found = find_circles(frame.pixels, camera, options.radius_mm * 1e-3, polarity=options.polarity,
-                         neighbours=options.neighbours, gamma=options.gamma)
+    found = find_circles(
+        frame.pixels,
+        camera,
+        options.radius_mm * 1e-3,
+        polarity=options.polarity,
+        neighbours=options.neighbours,
+        gamma=options.gamma,
+    )
     spent = 1e3 * (time.perf_counter() - begin)
     if out is not None:
         name = f"{Path(frame.name).stem}{_index(frame.name)}_overlay.png"
         cv2.imwrite(str(out / name), overlay(frame.pixels, found.ellipses, found.poses))
-    return {"source": frame.name, "status": found.status, "shared": list(found.shared), "overexposed": found.overexposed,
-            "gamma": {"assumed": found.assumed, "estimate": found.gamma.value, "sd": found.gamma.sd, "wrong": found.nonlinear},
-            "markers": marker_records(found), "rejected": found.rejected.records(), "ms": spent, "usable": True}
+    return {
+        "source": frame.name,
+        "status": found.status,
+        "shared": list(found.shared),
+        "overexposed": found.overexposed,
+        "gamma": {
+            "assumed": found.assumed,
+            "estimate": found.gamma.value,
+            "sd": found.gamma.sd,
+            "wrong": found.nonlinear,
+        },
+        "markers": marker_records(found),
+        "rejected": found.rejected.records(),
+        "ms": spent,
+        "usable": True,
+    }
 
 
 def _without_markers(frame: Frame, status: str) -> dict[str, Any]:
-    return {"source": frame.name, "status": status, "shared": [], "overexposed": False, "gamma": None, "markers": [],
-            "rejected": [], "ms": 0.0, "usable": False}
+    return {
+        "source": frame.name,
+        "status": status,
+        "shared": [],
+        "overexposed": False,
+        "gamma": None,
+        "markers": [],
+        "rejected": [],
+        "ms": 0.0,
+        "usable": False,
+    }
 
 
 def _index(name: str) -> str:
@@ -151,18 +241,32 @@ def _index(name: str) -> str:
 
 
 def _gamma_note(gamma: dict[str, Any]) -> str:
-    return f"gamma is not {gamma['assumed']:g} but about {gamma['estimate']:.1f} (sd {gamma['sd']:.1f}): see --gamma"
+    return (
+        f"gamma is not {gamma['assumed']:g} but about {gamma['estimate']:.1f} (sd "
+        f"{gamma['sd']:.1f}): see --gamma"
+    )
 
 
 def _print_table(frames: Sequence[dict[str, Any]], out: Path | None) -> None:
-    print(f"{'source':<40} {'markers':>7} {'ok':>5} {'rejected':>8} {'sd of depth mm':>15} {'ms':>7}")
+    print(
+        f"{'source':<40} {'markers':>7} {'ok':>5} {'rejected':>8} {'sd of depth mm':>15} {'ms':>7}"
+    )
     for frame in frames:
         good = [m for m in frame["markers"] if m["status"] == "ok"]
-        depth = statistics.median(math.sqrt(m["cov_center_mm2"][2][2] or math.nan) for m in good) if good else math.nan
+        depth = (
+            statistics.median(math.sqrt(m["cov_center_mm2"][2][2] or math.nan) for m in good)
+            if good
+            else math.nan
+        )
         note = [] if frame["status"] == "ok" else [frame["status"]]
-        note += ["depth shared"] * ("depth" in frame["shared"]) + ["over-exposed"] * frame["overexposed"]
+        note += ["depth shared"] * ("depth" in frame["shared"]) + ["over-exposed"] * frame[
+            "overexposed"
+        ]
         note += [_gamma_note(frame["gamma"])] if frame["gamma"] and frame["gamma"]["wrong"] else []
-        print(f"{frame['source'][-40:]:<40} {len(frame['markers']):>7} {len(good):>5} {len(frame['rejected']):>8} "
-              f"{depth:>15.4f} {frame['ms']:>7.1f}  {', '.join(note)}".rstrip())
+        print(
+            f"{frame['source'][-40:]:<40} {len(frame['markers']):>7} {len(good):>5} "
+            f"{len(frame['rejected']):>8} "
+            f"{depth:>15.4f} {frame['ms']:>7.1f}  {', '.join(note)}".rstrip()
+        )
     if out is not None:
         print(f"overlays and locate.json are in {out}")

@@ -26,54 +26,128 @@ examples:
   mjtactile make dense --out build
   mjtactile new sensor my_sensor && mjtactile make my_sensor.toml --out build/my_sensor
   mjtactile make dense --out build --pixel-um 3.45 --camera-holes-mm 32 --lens-mm 16
-  mjtactile make dense --out build --markers discs      stiff discs, which keep their size when the rubber is stretched
+  mjtactile make dense --out build --markers discs
+      stiff discs, which keep their size when the rubber is stretched
   mjtactile make dense --out build --speed-mm-s 100     a shorter exposure, and more light
 
-Begin with README.md in the folder. Lengths in it are mm; parts are in the sensor's frame (z outward, membrane at 0).
-Needs `pip install 'mjtactile[make]'`. More: `mjtactile docs make`.
-JSON: {"sensor": …, "out": …, "files": [...], "checks": {what: result}, "optics": {…}, "parts": {name: {"size_mm", "volume_mm3"}}}
-exit codes: 0 written, 2 cannot be built, or bad input
+Begin with README.md in the folder. Lengths in it are mm; parts are in the sensor's frame (z
+outward, membrane at 0). Needs `pip install 'mjtactile[make]'`. More: `mjtactile docs make`.
+JSON: {"sensor": …, "out": …, "files": [...], "checks": {what: result}, "optics": {…},
+"parts": {name: {"size_mm", "volume_mm3"}}} exit codes: 0 written, 2 cannot be built, or bad
+input
 """
-_RANGES = {"pixel_um": (0.5, 50), "f_number": (0.7, 32), "camera_holes_mm": (8, 100), "lens_mm": (3, 50), "pupil_mm": (4, 60),
-           "speed_mm_s": (0.1, 5000), "press_mm": (0, 100)}
+_RANGES = {
+    "pixel_um": (0.5, 50),
+    "f_number": (0.7, 32),
+    "camera_holes_mm": (8, 100),
+    "lens_mm": (3, 50),
+    "pupil_mm": (4, 60),
+    "speed_mm_s": (0.1, 5000),
+    "press_mm": (0, 100),
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("sensor", metavar="NAME|FILE.toml", help="the sensor: a shipped name or a file")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for everything; nothing is overwritten")
-    parser.add_argument("--markers", choices=("ink", "discs"), default="ink", help="elastic ink, stretched with the rubber "
-                                                                                   "(default), or "
-                        "discs that keep their size")
-    parser.add_argument("--press-mm", type=float, metavar="D", help="deepest press that the camera must see (default: 4, or a "
-                                                                    "quarter of "
-                        "chamber or frame where that is less)")
-    parser.add_argument("--speed-mm-s", type=float, default=25.0, metavar="V", help="speed of a marker that smears by 0.05 px "
-                                                                                    "(default: 25, "
-                        "as controllers/gentle.py closes)")
-    parser.add_argument("--pixel-um", type=float, default=3.0, metavar="P", help="of the camera (default: 3)")
-    parser.add_argument("--f-number", type=float, metavar="N", help="of the lens (default: the widest that is sharp enough)")
-    parser.add_argument("--camera-holes-mm", type=float, default=28.0, metavar="A", help="between the camera board's M2 holes "
-                                                                                         "(default: 28)")
-    parser.add_argument("--lens-mm", type=float, default=14.0, metavar="D", help="diameter of the lens's barrel or holder "
-                                                                                 "(default: 14)")
-    parser.add_argument("--pupil-mm", type=float, default=12.0, metavar="B", help="camera board's front to the lens's entrance "
-                                                                                  "pupil (default: 12)")
+    parser.add_argument(
+        "sensor", metavar="NAME|FILE.toml", help="the sensor: a shipped name or a file"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="folder for everything; nothing is overwritten",
+    )
+    parser.add_argument(
+        "--markers",
+        choices=("ink", "discs"),
+        default="ink",
+        help="elastic ink, stretched with the rubber (default), or discs that keep their size",
+    )
+    parser.add_argument(
+        "--press-mm",
+        type=float,
+        metavar="D",
+        help="deepest press that the camera must see "
+        "(default: 4, or a "
+        "quarter of "
+        "chamber or frame where that is less)",
+    )
+    parser.add_argument(
+        "--speed-mm-s",
+        type=float,
+        default=25.0,
+        metavar="V",
+        help="speed of a marker that smears by 0.05 "
+        "px "
+        "(default: 25, "
+        "as controllers/gentle.py closes)",
+    )
+    parser.add_argument(
+        "--pixel-um", type=float, default=3.0, metavar="P", help="of the camera (default: 3)"
+    )
+    parser.add_argument(
+        "--f-number",
+        type=float,
+        metavar="N",
+        help="of the lens (default: the widest that is sharp enough)",
+    )
+    parser.add_argument(
+        "--camera-holes-mm",
+        type=float,
+        default=28.0,
+        metavar="A",
+        help="between the camera board's M2 holes (default: 28)",
+    )
+    parser.add_argument(
+        "--lens-mm",
+        type=float,
+        default=14.0,
+        metavar="D",
+        help="diameter of the lens's barrel or holder (default: 14)",
+    )
+    parser.add_argument(
+        "--pupil-mm",
+        type=float,
+        default=12.0,
+        metavar="B",
+        help="camera board's front to the lens's entrance pupil (default: 12)",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
     for name, (low, high) in _RANGES.items():
         value = getattr(options, name)
         if value is not None and not low <= value <= high:
-            raise InputError(f"{value:g} is outside {low:g} to {high:g}", field=f"--{name.replace('_', '-')}")
+            raise InputError(
+                f"{value:g} is outside {low:g} to {high:g}", field=f"--{name.replace('_', '-')}"
+            )
     from mjtactile.make.build import build, write
     from mjtactile.make.hardware import Hardware
 
-    design, path = load_sensor(options.sensor), resources.find(options.sensor, "models/sensors", ".toml")
-    hardware = Hardware(pixel=1e-3 * options.pixel_um, f_number=options.f_number, holes=options.camera_holes_mm,
-                        lens=options.lens_mm, pupil=options.pupil_mm, speed=options.speed_mm_s, press=options.press_mm,
-                        markers=options.markers)
-    with output_folder(options.out, "README.md", "assembly.md", "cad", "pictures") as out, stdout_to_stderr():
-        made = build(design, hardware, path.name, path.read_text(encoding="utf-8"), Progress(quiet=options.json).message)
+    design = load_sensor(options.sensor)
+    path = resources.find(options.sensor, "models/sensors", ".toml")
+    hardware = Hardware(
+        pixel=1e-3 * options.pixel_um,
+        f_number=options.f_number,
+        holes=options.camera_holes_mm,
+        lens=options.lens_mm,
+        pupil=options.pupil_mm,
+        speed=options.speed_mm_s,
+        press=options.press_mm,
+        markers=options.markers,
+    )
+    with (
+        output_folder(options.out, "README.md", "assembly.md", "cad", "pictures") as out,
+        stdout_to_stderr(),
+    ):
+        made = build(
+            design,
+            hardware,
+            path.name,
+            path.read_text(encoding="utf-8"),
+            Progress(quiet=options.json).message,
+        )
         write(made.files, out)
         write_json(out / "checks.json", made.report)
     if options.json:

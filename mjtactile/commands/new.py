@@ -29,8 +29,8 @@ examples:
 
 @dataclass(frozen=True)
 class Kind:
-    """Where such files ship, how they end, which one to copy, the page about them, what to run with one, and the text in
-    it that says its name."""
+    """Where such files ship, how they end, which one to copy, the page about them, what to run with
+    one, and the text in it that says its name."""
 
     folder: str
     suffix: str
@@ -41,21 +41,52 @@ class Kind:
 
 
 KINDS = {
-    "controller": Kind("controllers", ".py", "gentle", "controllers", "mjtactile grasp --controller {file}"),
-    "sensor": Kind("models/sensors", ".toml", "dense", "sensors", "mjtactile inflate --sensor {file} --pressure-kPa 1",
-                   r'(?m)^(name = )"[^"]*"'),
-    "object": Kind("models/objects", ".xml", "egg", "objects", "mjtactile grasp --object {file}", r'(<mujoco model=)"[^"]*"'),
-    "variation": Kind("models/variations", ".toml", "default", "evaluate", "mjtactile evaluate --vary {file}"),
-    "rig": Kind("models/rigs", ".toml", "two_xm430", "hardware", "mjtactile doctor --rig {file}", r'(?m)^(name = )"[^"]*"'),
+    "controller": Kind(
+        "controllers", ".py", "gentle", "controllers", "mjtactile grasp --controller {file}"
+    ),
+    "sensor": Kind(
+        "models/sensors",
+        ".toml",
+        "dense",
+        "sensors",
+        "mjtactile inflate --sensor {file} --pressure-kPa 1",
+        r'(?m)^(name = )"[^"]*"',
+    ),
+    "object": Kind(
+        "models/objects",
+        ".xml",
+        "egg",
+        "objects",
+        "mjtactile grasp --object {file}",
+        r'(<mujoco model=)"[^"]*"',
+    ),
+    "variation": Kind(
+        "models/variations", ".toml", "default", "evaluate", "mjtactile evaluate --vary {file}"
+    ),
+    "rig": Kind(
+        "models/rigs",
+        ".toml",
+        "two_xm430",
+        "hardware",
+        "mjtactile doctor --rig {file}",
+        r'(?m)^(name = )"[^"]*"',
+    ),
 }
 _MODEL = r'(?m)^(model = )"([^"]+\.xml)"'
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("kind", choices=list(KINDS), metavar="KIND", help=", ".join(KINDS))
-    parser.add_argument("name", type=Path, metavar="NAME", help="its name, or the path of the file to write")
-    parser.add_argument("--like", metavar="SHIPPED", help="what to copy (default: "
-                        + ", ".join(f"{kind.like} for a {name}" for name, kind in KINDS.items()) + ")")
+    parser.add_argument(
+        "name", type=Path, metavar="NAME", help="its name, or the path of the file to write"
+    )
+    parser.add_argument(
+        "--like",
+        metavar="SHIPPED",
+        help="what to copy (default: "
+        + ", ".join(f"{kind.like} for a {name}" for name, kind in KINDS.items())
+        + ")",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -63,26 +94,39 @@ def run(options: argparse.Namespace) -> int:
     like = options.like or kind.like
     random = _random(like) if options.kind == "object" else None
     source = Path(like) if random else _shipped(kind, like)
-    path = options.name if options.name.suffix == kind.suffix else options.name.with_name(options.name.name + kind.suffix)
+    path = (
+        options.name
+        if options.name.suffix == kind.suffix
+        else options.name.with_name(options.name.name + kind.suffix)
+    )
     text = random or source.read_text(encoding="utf-8")
     if kind.name:
         text = re.sub(kind.name, rf'\1"{path.stem}"', text, count=1)
-    files, page = {path: text}, kind.page
-    if options.kind == "rig" and (model := re.search(_MODEL, text)):  # its robot comes along, beside it
+    files = {path: text}
+    page = kind.page
+    # its robot comes along, beside it
+    if options.kind == "rig" and (model := re.search(_MODEL, text)):
         robot = path.with_suffix(".xml")
         files[path] = re.sub(_MODEL, rf'\1"{robot.name}"', text, count=1)
         page = "robots"
         files[robot] = (source.parent / model.group(2)).read_text(encoding="utf-8")
     for file in files:
         if file.exists():
-            raise InputError("exists already, and nothing is overwritten; choose another name", source=file)
+            raise InputError(
+                "exists already, and nothing is overwritten; choose another name", source=file
+            )
     for file, content in files.items():
         _write(file, content)
-    what_next = kind.next.format(file=path if path.is_absolute() or len(path.parts) > 1 else f"./{path}")
+    what_next = kind.next.format(
+        file=path if path.is_absolute() or len(path.parts) > 1 else f"./{path}"
+    )
     if options.json:
         print_json({"file": path, "files": list(files), "like": source.stem, "next": what_next})
     else:
-        print(f"{', '.join(map(str, files))}: a copy of {source.stem}; change it, then\n  {what_next}\n  mjtactile docs {page}")
+        print(
+            f"{', '.join(map(str, files))}: a copy of {source.stem}; change it, then\n  "
+            f"{what_next}\n  mjtactile docs {page}"
+        )
     return 0
 
 
@@ -103,6 +147,12 @@ def _write(path: Path, text: str) -> None:
 def _shipped(kind: Kind, like: str) -> Path:
     """The shipped file of that name; a user's own file can be copied by other means."""
     if like not in resources.names(kind.folder, kind.suffix):
-        raise InputError(f"{like!r} does not ship", field="--like", choices=[
-            *resources.names(kind.folder, kind.suffix), *(["random:N"] if kind is KINDS["object"] else [])])
+        raise InputError(
+            f"{like!r} does not ship",
+            field="--like",
+            choices=[
+                *resources.names(kind.folder, kind.suffix),
+                *(["random:N"] if kind is KINDS["object"] else []),
+            ],
+        )
     return resources.find(like, kind.folder, kind.suffix)

@@ -1,4 +1,5 @@
-"""What the commands share: an output folder that destroys nothing, a stdout that stays clean, JSON."""
+"""What the commands share: an output folder that destroys nothing, a stdout that stays clean,
+JSON."""
 
 from __future__ import annotations
 
@@ -22,20 +23,25 @@ from mjtactile.recording.files import to_json
 def output_folder(path: Path, *results: str) -> Iterator[Path]:
     """Make the output folder and prove that it can be written, before any work is done.
 
-    Raises InputError when it cannot, or when one of `results`, the files and folders that will be written, is there
-    already. Leaves no empty folder behind when the work failed.
+    Raises InputError when it cannot, or when one of `results`, the files and folders that will be
+    written, is there already. Leaves no empty folder behind when the work failed.
     """
     taken = [name for name in results if (path / name).exists()]
     if taken:
-        raise InputError(f"holds {taken[0]} already, and nothing is overwritten; name another folder", source=path,
-                         field="--out")
+        raise InputError(
+            f"holds {taken[0]} already, and nothing is overwritten; name another folder",
+            source=path,
+            field="--out",
+        )
     with _removed_if_empty(path):
         try:
             path.mkdir(parents=True, exist_ok=True)
             with tempfile.NamedTemporaryFile(dir=path, prefix=".writable-"):
                 pass
         except OSError as error:
-            raise InputError(f"cannot be written: {error.strerror}", source=path, field="--out") from error
+            raise InputError(
+                f"cannot be written: {error.strerror}", source=path, field="--out"
+            ) from error
         yield path
 
 
@@ -51,7 +57,8 @@ def optional_folder(path: Path | None, *results: str) -> Iterator[Path | None]:
 
 @contextlib.contextmanager
 def new_run_folder(name: str) -> Iterator[Path]:
-    """A new folder `runs/<time>-<name>`, with a number behind it where another run of the same second has that.
+    """A new folder `runs/<time>-<name>`, with a number behind it where another run of the same
+    second has that.
 
     Raises InputError when it cannot be made. Leaves no empty folder behind when the work failed.
     """
@@ -71,7 +78,8 @@ def new_run_folder(name: str) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def _removed_if_empty(path: Path) -> Iterator[None]:
-    """Remove in the end what was not there in the beginning and holds nothing: `path`, and the folders around it."""
+    """Remove in the end what was not there in the beginning and holds nothing: `path`, and the
+    folders around it."""
     made = [folder for folder in (path, *path.parents) if not folder.exists()]
     try:
         yield
@@ -83,8 +91,8 @@ def _removed_if_empty(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def stdout_to_stderr() -> Iterator[None]:
-    """Send everything written to stdout, by Python or by a C library, to stderr meanwhile; in the background, so that a
-    terminal that stands still or a reader that has left holds up nothing."""
+    """Send everything written to stdout, by Python or by a C library, to stderr meanwhile; in the
+    background, so that a terminal that stands still or a reader that has left holds up nothing."""
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
     with Background(2) as entry:
@@ -107,12 +115,16 @@ def print_json(value: Any) -> None:
 
 
 def insert_table(path: Path, name: str, table: str) -> None:
-    """Replace what stands between the markers of `name` in a Markdown file. Raises InputError when they are missing."""
-    begin, end = f"<!-- bench:{name} -->", "<!-- /bench -->"
+    """Replace what stands between the markers of `name` in a Markdown file. Raises InputError when
+    they are missing."""
+    begin = f"<!-- bench:{name} -->"
+    end = "<!-- /bench -->"
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", source=path, field="--readme") from error
+        raise InputError(
+            f"cannot be read: {error.strerror}", source=path, field="--readme"
+        ) from error
     head, found, rest = text.partition(begin)
     _, closed, tail = rest.partition(end)
     if not (found and closed):

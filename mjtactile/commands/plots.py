@@ -1,4 +1,5 @@
-"""Pictures that the commands write; matplotlib is an optional dependency and only its pictures are lost without it."""
+"""Pictures that the commands write; matplotlib is an optional dependency and only its pictures are
+lost without it."""
 
 from __future__ import annotations
 
@@ -10,7 +11,8 @@ from mjtactile.run.figures import new_figure
 
 
 def save(path: Path, draw: Callable[[Any], None], size: tuple[float, float] = (7.0, 4.6)) -> None:
-    """Let `draw` fill a figure of `size` inches and write it to `path`; without matplotlib say so on stderr."""
+    """Let `draw` fill a figure of `size` inches and write it to `path`; without matplotlib say so
+    on stderr."""
     if (figure := new_figure(path.name, size)) is not None:
         draw(figure)
         figure.savefig(path)

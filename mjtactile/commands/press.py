@@ -22,31 +22,70 @@ examples:
   mjtactile press --indenter sphere:8 --at -5,3 --depth-mm 2 --shear-mm 1 --valve open
   mjtactile press --indenter part.stl --tilt-deg 10 --depth-mm 0.5:3:0.5 --out runs/part
 
-JSON: {"sensor": …, "steps": [{"depth_mm", "force_true_N" and "force_estimated_N" ([x, y, z] on the membrane, frame S:
-a press has a negative z), "wrench_estimated" (force N, torque N m about the middle of the frame),
-"force_estimated_sd_N", "drive_force_N" (what a load cell on the drive reads), "contact_area_mm2",
-"contact_area_true_mm2", "penetration_mm" (how far the simulated bodies overlap: its error), "pressure_kPa",
-"volume_mL", "converged", "status"}],
+JSON: {"sensor": …, "steps": [{"depth_mm", "force_true_N" and "force_estimated_N" ([x, y, z]
+on the membrane, frame S: a press has a negative z), "wrench_estimated" (force N, torque N m
+about the middle of the frame), "force_estimated_sd_N", "drive_force_N" (what a load cell on
+the drive reads), "contact_area_mm2", "contact_area_true_mm2", "penetration_mm" (how far the
+simulated bodies overlap: its error), "pressure_kPa", "volume_mL", "converged", "status"}],
 "flags": {kind of doubt: reason}}
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--sensor", default="dense", metavar="NAME|FILE.toml", help="the sensor (default: dense)")
-    parser.add_argument("--indenter", required=True, metavar="SHAPE",
-                        help="sphere:R_mm, cylinder:R_mm (end face down), box:EDGE_mm, FILE.stl or FILE.obj in mm, or FILE.xml: "
-                        "all geoms of an MJCF file, which come down along -z")
-    parser.add_argument("--at", type=ranges.pair, default=(0.0, 0.0), metavar="X_mm,Y_mm", help="where (default: 0,0)")
-    parser.add_argument("--depth-mm", dest="depths", type=ranges.numbers, default=[1.0, 2.0, 3.0], metavar="A[:B:STEP]",
-                        help="depth below first touch, or a range, both ends included (default: 1:3:1)")
-    parser.add_argument("--tilt-deg", type=ranges.finite, default=0.0, metavar="T", help="turn of the indenter about y")
-    parser.add_argument("--shear-mm", type=ranges.finite, default=0.0, metavar="S", help="drag along x at each depth")
-    parser.add_argument("--valve", choices=["closed", "open"], default="closed",
-                        help="closed: the chamber keeps its gas (default); open: it keeps its pressure")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the camera's noise (default: 0)")
+    parser.add_argument(
+        "--sensor", default="dense", metavar="NAME|FILE.toml", help="the sensor (default: dense)"
+    )
+    parser.add_argument(
+        "--indenter",
+        required=True,
+        metavar="SHAPE",
+        help="sphere:R_mm, cylinder:R_mm (end face down), box:EDGE_mm, FILE.stl "
+        "or FILE.obj in mm, or FILE.xml: "
+        "all geoms of an MJCF file, which come down along -z",
+    )
+    parser.add_argument(
+        "--at",
+        type=ranges.pair,
+        default=(0.0, 0.0),
+        metavar="X_mm,Y_mm",
+        help="where (default: 0,0)",
+    )
+    parser.add_argument(
+        "--depth-mm",
+        dest="depths",
+        type=ranges.numbers,
+        default=[1.0, 2.0, 3.0],
+        metavar="A[:B:STEP]",
+        help="depth below first touch, or a range, both ends included (default: 1:3:1)",
+    )
+    parser.add_argument(
+        "--tilt-deg",
+        type=ranges.finite,
+        default=0.0,
+        metavar="T",
+        help="turn of the indenter about y",
+    )
+    parser.add_argument(
+        "--shear-mm",
+        type=ranges.finite,
+        default=0.0,
+        metavar="S",
+        help="drag along x at each depth",
+    )
+    parser.add_argument(
+        "--valve",
+        choices=["closed", "open"],
+        default="closed",
+        help="closed: the chamber keeps its gas (default); open: it keeps its pressure",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="seed of the camera's noise (default: 0)"
+    )
     effects.add_shared_arguments(parser)
     effects.add_estimate_argument(parser)
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write press.json and press.png there")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="write press.json and press.png there"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -55,14 +94,25 @@ def run(options: argparse.Namespace) -> int:
 
     design = load_sensor(options.sensor)
     _check(options, design)
-    plan = PressPlan(Indenter.parse(options.indenter), [1e-3 * d for d in options.depths],
-                     (1e-3 * options.at[0], 1e-3 * options.at[1]), math.radians(options.tilt_deg), 1e-3 * options.shear_mm,
-                     sealed=options.valve == "closed")
+    plan = PressPlan(
+        Indenter.parse(options.indenter),
+        [1e-3 * d for d in options.depths],
+        (1e-3 * options.at[0], 1e-3 * options.at[1]),
+        math.radians(options.tilt_deg),
+        1e-3 * options.shear_mm,
+        sealed=options.valve == "closed",
+    )
     design, simulation = simulation_of(design, options.accuracy, options.effects)
     with optional_folder(options.out, "press.json", "press.png") as out:
         with stdout_to_stderr():
-            result = press(design, plan, seed=options.seed,
-                           say=Progress(quiet=options.json).message, error_estimate=options.error_estimate, **simulation)
+            result = press(
+                design,
+                plan,
+                seed=options.seed,
+                say=Progress(quiet=options.json).message,
+                error_estimate=options.error_estimate,
+                **simulation,
+            )
         if out is not None:
             write_json(out / "press.json", result)
             plots.save(out / "press.png", lambda figure: _draw(figure, result))
@@ -75,25 +125,43 @@ def run(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace, design: SensorDesign) -> None:
     """Refuse what cannot be: a place outside of the frame, depths beyond the glass."""
-    for value, size, axis in zip(options.at, (design.frame.length, design.frame.width), "xy", strict=True):
+    for value, size, axis in zip(
+        options.at, (design.frame.length, design.frame.width), "xy", strict=True
+    ):
         if abs(value) * 1e-3 >= size / 2:
-            raise InputError(f"{axis} = {value:g} mm is outside of the frame (+-{500 * size:g} mm)", field="--at")
+            raise InputError(
+                f"{axis} = {value:g} mm is outside of the frame (+-{500 * size:g} mm)", field="--at"
+            )
     if max(options.depths) * 1e-3 >= design.chamber.depth:
-        raise InputError(f"{max(options.depths):g} mm is not less than the chamber's depth of "
-                         f"{1e3 * design.chamber.depth:g} mm", field="--depth-mm")
+        raise InputError(
+            f"{max(options.depths):g} mm is not less than the chamber's depth of "
+            f"{1e3 * design.chamber.depth:g} mm",
+            field="--depth-mm",
+        )
     if min(options.depths) < -1:
-        raise InputError(f"{min(options.depths):g} mm is more than 1 mm above first touch", field="--depth-mm")
+        raise InputError(
+            f"{min(options.depths):g} mm is more than 1 mm above first touch", field="--depth-mm"
+        )
     if abs(options.tilt_deg) > 60:
         raise InputError(f"{options.tilt_deg:g} is not within +-60", field="--tilt-deg")
 
 
 def _print_table(result: dict[str, Any], out: Path | None) -> None:
-    print("depth mm   true N [x, y, z]           felt N [x, y, z]           area mm2: felt  true   overlap mm  gauge kPa")
+    print(
+        "depth mm   true N [x, y, z]           felt N [x, y, z]           area mm2: felt  true "
+        "  overlap mm  gauge kPa"
+    )
     for s in result["steps"]:
-        true, felt = (" ".join(f"{v:8.4f}" for v in s[key]) for key in ("force_true_N", "force_estimated_N"))
-        print(f"{s['depth_mm']:8.3f} {true} {felt} {s['contact_area_mm2']:16.1f} {s['contact_area_true_mm2']:6.1f} "
-              f"{s['penetration_mm']:11.4f} {s['pressure_kPa']:10.4f}{'' if s['converged'] else '  not settled'}"
-              f"{'' if s['status'] == 'ok' else '  ' + s['status']}")
+        true, felt = (
+            " ".join(f"{v:8.4f}" for v in s[key]) for key in ("force_true_N", "force_estimated_N")
+        )
+        print(
+            f"{s['depth_mm']:8.3f} {true} {felt} {s['contact_area_mm2']:16.1f} "
+            f"{s['contact_area_true_mm2']:6.1f} "
+            f"{s['penetration_mm']:11.4f} "
+            f"{s['pressure_kPa']:10.4f}{'' if s['converged'] else '  not settled'}"
+            f"{'' if s['status'] == 'ok' else '  ' + s['status']}"
+        )
     for kind, reason in result["flags"].items():
         print(f"doubt ({kind}): {reason}")
     if out is not None:
@@ -105,9 +173,20 @@ def _draw(figure: Any, result: dict[str, Any]) -> None:
     force, gas = figure.subplots(1, 2)
     depths = [s["depth_mm"] for s in steps]
     force.plot(depths, [-s["force_true_N"][2] for s in steps], "k-o", ms=4, label="true")
-    force.errorbar(depths, [-s["force_estimated_N"][2] for s in steps], [2 * s["force_estimated_sd_N"] for s in steps],
-                   fmt="s", ms=5, capsize=3, label="felt, 2 sd")
-    force.set(xlabel="depth below first touch, mm", ylabel="normal force, N", title=f"sensor {result['sensor']}")
+    force.errorbar(
+        depths,
+        [-s["force_estimated_N"][2] for s in steps],
+        [2 * s["force_estimated_sd_N"] for s in steps],
+        fmt="s",
+        ms=5,
+        capsize=3,
+        label="felt, 2 sd",
+    )
+    force.set(
+        xlabel="depth below first touch, mm",
+        ylabel="normal force, N",
+        title=f"sensor {result['sensor']}",
+    )
     force.legend()
     gas.plot(depths, [s["pressure_kPa"] for s in steps], "o-", ms=4)
     gas.set(xlabel="depth below first touch, mm", ylabel="gauge pressure, kPa")

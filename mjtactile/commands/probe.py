@@ -25,7 +25,8 @@ it relaxes and what stays of its deformation."""
 EPILOG = """\
 examples:
   mjtactile probe --object clay
-  mjtactile probe --object my_fruit.xml --out runs/fruit    probe.html, probe.png, probe.json, recording/
+  mjtactile probe --object my_fruit.xml --out runs/fruit
+      probe.html, probe.png, probe.json, recording/
   mjtactile probe --source runs/fruit --json                the same recording, judged again
 
 "unknown" is a verdict: status then says why (not enough contact yet, or undecided).
@@ -35,14 +36,38 @@ exit codes: 0 a class was named, 1 unknown, 2 bad input, 3 a device or the simul
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     names = ", ".join(resources.names("models/objects", ".xml"))
-    parser.add_argument("--object", metavar="NAME|FILE.xml", help=f"what to probe: {names}, or your own (default: sponge)")
-    parser.add_argument("--source", type=Path, metavar="RECORDING", help="judge the images of a recorded run instead")
-    parser.add_argument("--sensor", metavar="NAME|FILE.toml", help="on each finger (default: dense, or the recording's)")
-    parser.add_argument("--controller", default="probe", metavar="NAME|FILE.py", help="what moves (default: probe)")
-    parser.add_argument("--rig", default="sim", metavar="RIG", help=f"{', '.join(rig_names())} (default: sim)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of placement and noise (default: 0)")
+    parser.add_argument(
+        "--object",
+        metavar="NAME|FILE.xml",
+        help=f"what to probe: {names}, or your own (default: sponge)",
+    )
+    parser.add_argument(
+        "--source",
+        type=Path,
+        metavar="RECORDING",
+        help="judge the images of a recorded run instead",
+    )
+    parser.add_argument(
+        "--sensor",
+        metavar="NAME|FILE.toml",
+        help="on each finger (default: dense, or the recording's)",
+    )
+    parser.add_argument(
+        "--controller", default="probe", metavar="NAME|FILE.py", help="what moves (default: probe)"
+    )
+    parser.add_argument(
+        "--rig", default="sim", metavar="RIG", help=f"{', '.join(rig_names())} (default: sim)"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="seed of placement and noise (default: 0)"
+    )
     ranges.add_frames_argument(parser)
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write probe.json, probe.png, probe.html and the recording there")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="write probe.json, probe.png, probe.html and the recording there",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -50,7 +75,10 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("say either what to probe or which recording to judge", field="--source")
     if options.seed < 0:
         raise InputError(f"{options.seed} is not a whole number from 0 up", field="--seed")
-    with optional_folder(options.out, "probe.json", "probe.png", "probe.html", "recording") as out, stdout_to_stderr():
+    with (
+        optional_folder(options.out, "probe.json", "probe.png", "probe.html", "recording") as out,
+        stdout_to_stderr(),
+    ):
         result = _replay(options) if options.source is not None else _live(options, out)
         if out is not None:
             write_json(out / "probe.json", {**result.summary(), "history": result.history()})
@@ -72,8 +100,13 @@ def _live(options: argparse.Namespace, out: Path | None) -> ProbeResult:
     from mjtactile.run.page import write_page
     from mjtactile.run.probe import ProbeOptions, run_probe
 
-    names = {"object": options.object or "sponge", "sensor": options.sensor or "dense", "controller": options.controller,
-             "rig": options.rig, "seed": options.seed}
+    names = {
+        "object": options.object or "sponge",
+        "sensor": options.sensor or "dense",
+        "controller": options.controller,
+        "rig": options.rig,
+        "seed": options.seed,
+    }
     say = Progress(quiet=options.json).message
     if out is None:
         return run_probe(ProbeOptions(**names), say=say)
@@ -81,23 +114,46 @@ def _live(options: argparse.Namespace, out: Path | None) -> ProbeResult:
         recorder.strip = Strip()
         result = run_probe(ProbeOptions(**names), recorder=recorder, say=say)
         recorder.close(outcome=result.material.kind)
-    write_page(out / "probe.html", load_recording(out), recorder.strip.kept, result.summary(), recorder.snapshot)
+    write_page(
+        out / "probe.html",
+        load_recording(out),
+        recorder.strip.kept,
+        result.summary(),
+        recorder.snapshot,
+    )
     return result
 
 
 def _print(result: ProbeResult, out: Path | None) -> None:
-    m, known = result.material, math.isfinite
+    m = result.material
+    known = math.isfinite
     chances = ", ".join(f"{name} {100 * p:.0f} %" for name, p in m.probability.items())
-    print(f"{result.names['object']}: {m.kind} ({chances})" + ("" if m.status == "ok" else f"; {m.status}"))
+    print(
+        f"{result.names['object']}: {m.kind} "
+        f"({chances})" + ("" if m.status == "ok" else f"; {m.status}")
+    )
     if known(m.deformation):
         print(f"  gave way     {1e3 * m.deformation:.2f} mm under {m.force:.2f} N on each finger")
-        print(f"  came back    all but {1e3 * m.permanent_set:.2f} mm (sd {1e3 * m.permanent_set_sd:.2f})")
+        print(
+            f"  came back    all but {1e3 * m.permanent_set:.2f} mm (sd "
+            f"{1e3 * m.permanent_set_sd:.2f})"
+        )
     if known(m.stiffness):
         print(f"  stiffness    {_range(m.stiffness, m.stiffness_interval)} N/m")
     if known(m.modulus):
-        print(f"  modulus      {_range(1e-3 * m.modulus, [1e-3 * v for v in m.modulus_interval])} kPa, as between flat faces")
+        print(
+            f"  modulus      {_range(1e-3 * m.modulus, [1e-3 * v for v in m.modulus_interval])} "
+            "kPa, as between flat faces"
+        )
     if m.relaxation_time:
-        print("  relaxation   " + (f"in {m.relaxation_time:.2f} s" if known(m.relaxation_time) else "yes, no single time"))
+        print(
+            "  relaxation   "
+            + (
+                f"in {m.relaxation_time:.2f} s"
+                if known(m.relaxation_time)
+                else "yes, no single time"
+            )
+        )
     if known(m.speed):
         print(f"  flow         {1e3 * m.speed:.2f} mm/s after the fingers stopped")
     if out is not None:
@@ -109,8 +165,10 @@ def _range(value: float, interval: Any) -> str:
 
 
 def draw(figure: Any, result: ProbeResult) -> None:
-    """Force against deformation and against membrane-and-object indentation; force and width over time."""
-    s, phases = result.squeeze, result.phases
+    """Force against deformation and against membrane-and-object indentation; force and width over
+    time."""
+    s = result.squeeze
+    phases = result.phases
     free = s.width[(s.force > 0.1) & (s.width == s.width)]
     width0 = max(free[:3]) if len(free) else math.nan
     curve, over_time, width, travel = figure.subplots(2, 2).ravel()
@@ -119,13 +177,19 @@ def draw(figure: Any, result: ProbeResult) -> None:
         if rows:
             curve.plot(1e3 * (width0 - s.width[rows]), s.force[rows], ".", ms=4, label=phase)
             travel.plot(1e3 * (s.opening[rows[0]] - s.opening[rows]), s.force[rows], ".", ms=4)
-    curve.set(xlabel="the object's own deformation, mm", ylabel="force on a finger, N",
-              title=f"{result.names['object']}: {result.material.kind}")
+    curve.set(
+        xlabel="the object's own deformation, mm",
+        ylabel="force on a finger, N",
+        title=f"{result.names['object']}: {result.material.kind}",
+    )
     curve.legend()
     over_time.plot(s.time, s.force)
     over_time.set(xlabel="time, s", ylabel="force on a finger, N")
     width.plot(s.time, 1e3 * s.width, ".", ms=3)
     width.set(xlabel="time, s", ylabel="width of the object, mm")
-    travel.set(xlabel="closed since the phase began, mm (object and membranes)", ylabel="force on a finger, N")
+    travel.set(
+        xlabel="closed since the phase began, mm (object and membranes)",
+        ylabel="force on a finger, N",
+    )
     for axes in (curve, over_time, width, travel):
         axes.grid(alpha=0.3)

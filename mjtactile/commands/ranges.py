@@ -9,7 +9,8 @@ MAX_STEPS = 10_000
 
 
 def numbers(text: str) -> list[float]:
-    """Read "2", or "0:4:0.5" (both ends included). For argparse; raises its error naming the form."""
+    """Read "2", or "0:4:0.5" (both ends included). For argparse; raises its error naming the
+    form."""
     parts = text.split(":")
     try:
         values = [float(part) for part in parts]
@@ -21,7 +22,9 @@ def numbers(text: str) -> list[float]:
         return values
     start, stop, step = values
     if step == 0 or (stop - start) / step < 0:
-        raise argparse.ArgumentTypeError(f"{text!r}: the step {step:g} does not lead from {start:g} to {stop:g}")
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: the step {step:g} does not lead from {start:g} to {stop:g}"
+        )
     count = math.floor((stop - start) / step + 1e-9) + 1
     if count > MAX_STEPS:
         raise argparse.ArgumentTypeError(f"{text!r} has {count} steps, at most {MAX_STEPS}")
@@ -51,9 +54,15 @@ def finite(text: str) -> float:
 
 
 def add_frames_argument(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--frames", type=frames, default=1, metavar="none|every:N|all",
-                        help="camera images to keep in the recording: of no cycle, of every N-th, of all (default). Without all "
-                        "of them it cannot be replayed; two cameras take 9 MB a second")
+    parser.add_argument(
+        "--frames",
+        type=frames,
+        default=1,
+        metavar="none|every:N|all",
+        help="camera images to keep in the recording: of no cycle, of every "
+        "N-th, of all (default). Without all "
+        "of them it cannot be replayed; two cameras take 9 MB a second",
+    )
 
 
 def frames(text: str) -> int:

@@ -1,4 +1,5 @@
-"""`mjtactile reconstruct`: the whole sensing chain on recorded frames of one sensor: markers, surface, contact."""
+"""`mjtactile reconstruct`: the whole sensing chain on recorded frames of one sensor: markers,
+surface, contact."""
 
 from __future__ import annotations
 
@@ -30,20 +31,36 @@ examples:
   mjtactile reconstruct frames/ --sensor dense --out shapes
   mjtactile reconstruct press.png --sensor my_sensor.toml --calibration left.json --json
 
-JSON: {"sensor": …, "frames": [{"source", "status", "markers": [{"id", "p_SM_mm", "normal", "sd_mm"}],
-  "surface": {"x_mm", "y_mm", "z_mm" (rows along y)}, "area_mm2", "area_sd_mm2", "volume_mL" (under the bulge),
-  "volume_sd_mL", "contact_area_mm2", "contact_centroid_mm", "depth_mm", "force_N" ([x, y, z] on the membrane),
-  "force_sd_N"}]}. What needs a calibration that was not given, and what is unknown, is null.
+JSON: {"sensor": …, "frames": [{"source", "status", "markers": [{"id", "p_SM_mm", "normal",
+"sd_mm"}],
+  "surface": {"x_mm", "y_mm", "z_mm" (rows along y)}, "area_mm2", "area_sd_mm2", "volume_mL"
+  (under the bulge), "volume_sd_mL", "contact_area_mm2", "contact_centroid_mm", "depth_mm",
+  "force_N" ([x, y, z] on the membrane), "force_sd_N"}]}. What needs a calibration that was
+  not given, and what is unknown, is null.
 """
 FIGURES_MAX = 40
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", type=Path, metavar="SOURCE", help="an image, a folder of images or a video")
-    parser.add_argument("--sensor", default="dense", metavar="NAME|FILE.toml", help="the sensor (default: dense)")
-    parser.add_argument("--calibration", type=Path, metavar="FILE.json", help="of this sensor, by `mjtactile calibrate`")
-    parser.add_argument("--out", type=Path, metavar="DIR",
-                        help=f"write reconstruct.json, overlays, and 3D figures (of at most {FIGURES_MAX} frames) there")
+    parser.add_argument(
+        "source", type=Path, metavar="SOURCE", help="an image, a folder of images or a video"
+    )
+    parser.add_argument(
+        "--sensor", default="dense", metavar="NAME|FILE.toml", help="the sensor (default: dense)"
+    )
+    parser.add_argument(
+        "--calibration",
+        type=Path,
+        metavar="FILE.json",
+        help="of this sensor, by `mjtactile calibrate`",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="write reconstruct.json, overlays, and 3D figures (of at most "
+        f"{FIGURES_MAX} frames) there",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -58,8 +75,11 @@ def run(options: argparse.Namespace) -> int:
                 if len(seen) % 50 == 0:
                     progress.message(f"{len(seen)} frames")
         if not any(touch is not None for _, _, touch in seen):
-            raise InputError(f"none of its {len(seen)} images can be used: {seen[0][1]['status']}", source=options.source,
-                             field="SOURCE")
+            raise InputError(
+                f"none of its {len(seen)} images can be used: {seen[0][1]['status']}",
+                source=options.source,
+                field="SOURCE",
+            )
         result = {"sensor": design.name, "frames": [row for _, row, _ in seen]}
         if out is not None:
             write_json(out / "reconstruct.json", result)
@@ -72,7 +92,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 def load_perception(design: SensorDesign, path: Path | None) -> Perception:
-    """The chain of a sensor, with what its calibration file says, if there is one. Raises InputError for a file of another."""
+    """The chain of a sensor, with what its calibration file says, if there is one. Raises
+    InputError for a file of another."""
     if path is None:
         return Perception.of(design)
     calibration = load_calibration(path)
@@ -81,9 +102,12 @@ def load_perception(design: SensorDesign, path: Path | None) -> Perception:
     return Perception(chain, chain.recall())
 
 
-def _reconstruct(frame: Frame, perception: Perception, out: Path | None) -> tuple[dict[str, Any], Touch | None]:
+def _reconstruct(
+    frame: Frame, perception: Perception, out: Path | None
+) -> tuple[dict[str, Any], Touch | None]:
     """One frame of the JSON, and its touch."""
-    chain, state = perception.chain, perception.state
+    chain = perception.chain
+    state = perception.state
     image = to_image(frame, chain.design)
     if isinstance(image, str):
         return _row(frame.name, image, None), None
@@ -93,61 +117,101 @@ def _reconstruct(frame: Frame, perception: Perception, out: Path | None) -> tupl
         markers, perception.state = chain.see(state, image)
         status = chain.enough(markers)
         surface = chain.fitter.fit(markers) if status == "ok" else None
-        touch = Touch(0.0, 0.0, np.nan, np.nan, False, surface=surface, markers=markers, status=status)
+        touch = Touch(
+            0.0, 0.0, np.nan, np.nan, False, surface=surface, markers=markers, status=status
+        )
     if out is not None:
-        cv2.imwrite(str(out / f"{_stem(frame.name)}_overlay.png"), marker_overlay(image, chain.camera, chain.design))
+        cv2.imwrite(
+            str(out / f"{_stem(frame.name)}_overlay.png"),
+            marker_overlay(image, chain.camera, chain.design),
+        )
     return _row(frame.name, touch.status, touch), touch
 
 
 def _stem(name: str) -> str:
-    return Path(name.replace("#", "_")).stem if "#" not in name else name.replace("#", "_").replace(".", "_")
+    return (
+        Path(name.replace("#", "_")).stem
+        if "#" not in name
+        else name.replace("#", "_").replace(".", "_")
+    )
 
 
 def _row(name: str, status: str, touch: Touch | None) -> dict[str, Any]:
     contact = touch.contact if touch is not None else None
     traction = touch.traction if touch is not None else None
+
     return {
-        "source": name, "status": status, **_shape(touch.surface if touch is not None else None),
+        "source": name,
+        "status": status,
+        **_shape(touch.surface if touch is not None else None),
         "markers": [] if touch is None or touch.markers is None else _markers(touch.markers),
         "contact_area_mm2": None if contact is None else 1e6 * contact.area,
         "contact_centroid_mm": None if contact is None else 1e3 * contact.centroid,
         "depth_mm": None if contact is None else 1e3 * contact.depth,
         "force_N": None if traction is None else traction.wrench[:3],
-        "force_sd_N": None if traction is None else np.sqrt(np.diag(traction.wrench_cov)[:3])}  # fmt: skip
+        "force_sd_N": None if traction is None else np.sqrt(np.diag(traction.wrench_cov)[:3]),
+    }
 
 
 def _shape(surface: Surface | None) -> dict[str, Any]:
     if surface is None:
         return dict.fromkeys(("surface", "area_mm2", "area_sd_mm2", "volume_mL", "volume_sd_mL"))
-    return {"surface": {"x_mm": 1e3 * surface.x, "y_mm": 1e3 * surface.y, "z_mm": 1e3 * surface.z},
-            "area_mm2": 1e6 * surface.area, "area_sd_mm2": 1e6 * surface.area_sd,
-            "volume_mL": 1e6 * surface.volume, "volume_sd_mL": 1e6 * surface.volume_sd}
+    return {
+        "surface": {"x_mm": 1e3 * surface.x, "y_mm": 1e3 * surface.y, "z_mm": 1e3 * surface.z},
+        "area_mm2": 1e6 * surface.area,
+        "area_sd_mm2": 1e6 * surface.area_sd,
+        "volume_mL": 1e6 * surface.volume,
+        "volume_sd_mL": 1e6 * surface.volume_sd,
+    }
 
 
 def _markers(markers: Markers) -> list[dict[str, Any]]:
     sd = 1e3 * np.sqrt(np.einsum("nii->ni", markers.cov_p))
-    return [{"id": markers.ids[i], "p_SM_mm": 1e3 * markers.p_SM[i], "normal": markers.n_S[i], "sd_mm": sd[i]}
-            for i in range(len(markers))]
+    return [
+        {
+            "id": markers.ids[i],
+            "p_SM_mm": 1e3 * markers.p_SM[i],
+            "normal": markers.n_S[i],
+            "sd_mm": sd[i],
+        }
+        for i in range(len(markers))
+    ]
 
 
 def _figures(seen: Sequence[tuple[str, dict[str, Any], Touch | None]], out: Path) -> None:
     """3D figures of up to FIGURES_MAX frames, evenly spread over the source."""
-    shown = [(name, touch) for name, _, touch in seen if touch is not None and touch.surface is not None]
-    for i in np.unique(np.linspace(0, len(shown) - 1, min(FIGURES_MAX, len(shown))).astype(int)) if shown else []:
+    shown = [
+        (name, touch) for name, _, touch in seen if touch is not None and touch.surface is not None
+    ]
+    for i in (
+        np.unique(np.linspace(0, len(shown) - 1, min(FIGURES_MAX, len(shown))).astype(int))
+        if shown
+        else []
+    ):
         name, touch = shown[i]
-        plots.save(out / f"{_stem(name)}_surface.png",
-                   lambda figure, touch=touch: draw_surface(figure.add_subplot(projection="3d"), touch), size=(7, 5))
+        plots.save(
+            out / f"{_stem(name)}_surface.png",
+            lambda figure, touch=touch: draw_surface(figure.add_subplot(projection="3d"), touch),
+            size=(7, 5),
+        )
 
 
 def _print_table(rows: Sequence[dict[str, Any]], out: Path | None) -> None:
     def number(value: Any, width: int, digits: int) -> str:
         return f"{value:{width}.{digits}f}" if value is not None else " " * (width - 1) + "-"
 
-    print(f"{'source':<32} {'markers':>7} {'area mm2':>10} {'volume mL':>10} {'contact mm2':>11} {'depth mm':>9} {'force N':>8}")
+    print(
+        f"{'source':<32} {'markers':>7} {'area mm2':>10} {'volume mL':>10} {'contact mm2':>11} "
+        f"{'depth mm':>9} {'force N':>8}"
+    )
     for row in rows:
         force = None if row["force_N"] is None else -row["force_N"][2]
-        print(f"{row['source'][-32:]:<32} {len(row['markers']):>7} {number(row['area_mm2'], 10, 2)} "
-              f"{number(row['volume_mL'], 10, 4)} {number(row['contact_area_mm2'], 11, 1)} {number(row['depth_mm'], 9, 3)} "
-              f"{number(force, 8, 3)}{'' if row['status'] == 'ok' else '  ' + row['status']}")
+        print(
+            f"{row['source'][-32:]:<32} {len(row['markers']):>7} "
+            f"{number(row['area_mm2'], 10, 2)} "
+            f"{number(row['volume_mL'], 10, 4)} {number(row['contact_area_mm2'], 11, 1)} "
+            f"{number(row['depth_mm'], 9, 3)} "
+            f"{number(force, 8, 3)}{'' if row['status'] == 'ok' else '  ' + row['status']}"
+        )
     if out is not None:
         print(f"reconstruct.json, overlays and figures are in {out}")

@@ -27,47 +27,109 @@ First every sensor measures itself (valve open, then inflated and sealed): nothi
 then. Every image is kept losslessly, with its time of capture, pressures, servo states, forces
 felt, versions, and the text of the sensor and rig files.
 
-With --steps somebody (or a stage) presses an indenter in as a protocol says, each move is called out when
-its time has come, and the recording keeps what was done: what `mjtactile fit` needs. The rig "stage" is
-one simulated sensor on a stand under a simulated stage, which does it by itself.
+With --steps somebody (or a stage) presses an indenter in as a protocol says, each move is
+called out when its time has come, and the recording keeps what was done: what `mjtactile
+fit` needs. The rig "stage" is one simulated sensor on a stand under a simulated stage,
+which does it by itself.
 
 The recording replays through the same chain to the same numbers, bit for bit (--rig replay:DIR)."""
 EPILOG = """\
 examples:
   mjtactile record --rig my_gripper.toml --seconds 30 --out runs/by_hand
   mjtactile record --rig emulated --out runs/idle
-  mjtactile record --rig my_gripper.toml --steps press --indenter sphere:8 --pressure-kPa 0.5 --seconds 11 --out runs/press_05
-  mjtactile record --rig stage --specimen odd.toml --steps press --indenter sphere:8 --seconds 11 --out runs/press
+  mjtactile record --rig my_gripper.toml --steps press --indenter sphere:8 --pressure-kPa 0.5 \\
+      --seconds 11 --out runs/press_05
+  mjtactile record --rig stage --specimen odd.toml --steps press --indenter sphere:8 --seconds \\
+      11 --out runs/press
   mjtactile record --rig replay:runs/idle --out runs/again           the same numbers again
   mjtactile grasp --rig replay:runs/idle --controller my_controller.py    what would it have wanted?
 
-A protocol is a CSV file with the columns time_s,depth_mm,shear_mm,speed_mm_s,force_N (docs/fit.md).
-The format of recordings: docs/recording.md. Two cameras of 640 x 480 pixels at 30 Hz take 9 MB a second.
-exit codes: 0 recorded, 2 bad input, 3 a device failed, a fault, or Ctrl-C; what was recorded until then is kept.
+A protocol is a CSV file with the columns time_s,depth_mm,shear_mm,speed_mm_s,force_N
+(docs/fit.md). The format of recordings: docs/recording.md. Two cameras of 640 x 480 pixels
+at 30 Hz take 9 MB a second. exit codes: 0 recorded, 2 bad input, 3 a device failed, a
+fault, or Ctrl-C; what was recorded until then is kept.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--rig", required=True, metavar="RIG", help=f"what to record: {', '.join(rig_names())}, stage")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the recording")
-    parser.add_argument("--seconds", type=float, default=10.0, metavar="S",
-                        help="length after the references, at most a recording's (default: 10)")
+    parser.add_argument(
+        "--rig",
+        required=True,
+        metavar="RIG",
+        help=f"what to record: {', '.join(rig_names())}, stage",
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder for the recording"
+    )
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=10.0,
+        metavar="S",
+        help="length after the references, at most a recording's (default: 10)",
+    )
     ranges.add_frames_argument(parser)
-    parser.add_argument("--sensor", default="dense", metavar="NAME|FILE.toml", help="on each finger (default: dense)")
-    parser.add_argument("--object", default="egg", metavar="NAME|FILE.xml", help="sim and emulated: what stands on the table: "
-                        f"{', '.join(resources.names('models/objects', '.xml'))} (default: egg)")
-    parser.add_argument("--pressure-kPa", dest="pressure", type=ranges.finite, metavar="P",
-                        help="working pressure of this recording (default: the sensor file's supply)")
-    parser.add_argument("--steps", metavar="NAME|FILE.csv", help="what is done meanwhile: "
-                        f"{', '.join(resources.names('models/protocols', '.csv'))}, or your own")
-    parser.add_argument("--indenter", metavar="SHAPE", help="what presses, as `mjtactile press` has it: sphere:8, part.stl, …")
-    parser.add_argument("--at", type=ranges.pair, default=(0.0, 0.0), metavar="X_mm,Y_mm", help="where (default: 0,0)")
-    parser.add_argument("--finger", default="left", metavar="NAME", help="on which finger (default: left)")
-    parser.add_argument("--specimen", type=Path, metavar="FILE.toml",
-                        help="stage: the sensor that is really there; the recording names only --sensor")
-    parser.add_argument("--load-cell", action="store_true", help="stage: record what a load cell shows in each hold, too")
+    parser.add_argument(
+        "--sensor",
+        default="dense",
+        metavar="NAME|FILE.toml",
+        help="on each finger (default: dense)",
+    )
+    parser.add_argument(
+        "--object",
+        default="egg",
+        metavar="NAME|FILE.xml",
+        help="sim and emulated: what stands on the "
+        "table: "
+        f"{', '.join(resources.names('models/objects', '.xml'))} (default: egg)",
+    )
+    parser.add_argument(
+        "--pressure-kPa",
+        dest="pressure",
+        type=ranges.finite,
+        metavar="P",
+        help="working pressure of this recording (default: the sensor file's supply)",
+    )
+    parser.add_argument(
+        "--steps",
+        metavar="NAME|FILE.csv",
+        help="what is done meanwhile: "
+        f"{', '.join(resources.names('models/protocols', '.csv'))}, or your own",
+    )
+    parser.add_argument(
+        "--indenter",
+        metavar="SHAPE",
+        help="what presses, as `mjtactile press` has it: sphere:8, part.stl, …",
+    )
+    parser.add_argument(
+        "--at",
+        type=ranges.pair,
+        default=(0.0, 0.0),
+        metavar="X_mm,Y_mm",
+        help="where (default: 0,0)",
+    )
+    parser.add_argument(
+        "--finger", default="left", metavar="NAME", help="on which finger (default: left)"
+    )
+    parser.add_argument(
+        "--specimen",
+        type=Path,
+        metavar="FILE.toml",
+        help="stage: the sensor that is really there; the recording names only --sensor",
+    )
+    parser.add_argument(
+        "--load-cell",
+        action="store_true",
+        help="stage: record what a load cell shows in each hold, too",
+    )
     slow.add_argument(parser)
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="sim and emulated: placement and noise (default: 0)")
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=0,
+        metavar="N",
+        help="sim and emulated: placement and noise (default: 0)",
+    )
 
 
 @dataclass
@@ -94,8 +156,12 @@ def run(options: argparse.Namespace) -> int:
     stage = _stage(options)
     design = _at_pressure(load_sensor(options.sensor), options.pressure)
     progress = Progress()
-    with (output_folder(options.out, "recording") as folder, stdout_to_stderr(), contextlib.closing(progress),
-          contextlib.ExitStack() as later):  # what is left when the rig is switched off
+    with (
+        output_folder(options.out, "recording") as folder,
+        stdout_to_stderr(),
+        contextlib.closing(progress),
+        contextlib.ExitStack() as later,
+    ):  # what is left when the rig is switched off
         recording = folder / "recording"
         if options.rig == "stage":
             result = _on_stage(options, design, stage, recording, progress)
@@ -107,8 +173,12 @@ def run(options: argparse.Namespace) -> int:
     elif "unknown" not in result:
         print(f"{result['cycles']} cycles\n  recorded in {options.out}/recording")
     else:
-        print(f"{result['cycles']} cycles in {result['seconds']:.2f} s, {result['unknown']} with an unknown force; felt "
-              f"{result['force_min_N']:.3f} to {result['force_max_N']:.3f} N\n  recorded in {options.out}/recording")
+        print(
+            f"{result['cycles']} cycles in {result['seconds']:.2f} s, {result['unknown']} with "
+            "an unknown force; felt "
+            f"{result['force_min_N']:.3f} to {result['force_max_N']:.3f} N\n  recorded in "
+            f"{options.out}/recording"
+        )
     return 0
 
 
@@ -117,7 +187,9 @@ def _stage(options: argparse.Namespace) -> Stage | None:
     from mjtactile.recording.stage import Stage, read_moves
 
     if (options.specimen or options.load_cell) and options.rig != "stage":
-        raise InputError("only of the simulated stage", field="--specimen, --load-cell", choices=["--rig stage"])
+        raise InputError(
+            "only of the simulated stage", field="--specimen, --load-cell", choices=["--rig stage"]
+        )
     if (options.steps is None) != (options.indenter is None):
         raise InputError("goes with the other", field="--steps, --indenter")
     if options.steps is None:
@@ -134,33 +206,75 @@ def _at_pressure(design: SensorDesign, pressure_kPa: float | None) -> SensorDesi
     return replace(design, chamber=replace(design.chamber, supply_gauge=1e3 * pressure_kPa))
 
 
-def _on_stage(options: argparse.Namespace, design: SensorDesign, stage: Stage | None, folder: Path, progress: Progress
-              ) -> dict[str, Any]:
+def _on_stage(
+    options: argparse.Namespace,
+    design: SensorDesign,
+    stage: Stage | None,
+    folder: Path,
+    progress: Progress,
+) -> dict[str, Any]:
     from mjtactile import load_sensor
     from mjtactile.experiments.stage import NOTHING, record_stage
 
-    true = design if options.specimen is None else _at_pressure(load_sensor(options.specimen), options.pressure)
-    header = {"object": None, "sensor": options.sensor, "controller": "stage", "rig": "stage", "seed": options.seed,
-              "design": design.name}
+    true = (
+        design
+        if options.specimen is None
+        else _at_pressure(load_sensor(options.specimen), options.pressure)
+    )
+    header = {
+        "object": None,
+        "sensor": options.sensor,
+        "controller": "stage",
+        "rig": "stage",
+        "seed": options.seed,
+        "design": design.name,
+    }
     with Recorder(folder, header, frames=options.frames) as recorder:
-        cycles = record_stage(true, stage or NOTHING, recorder, seconds=options.seconds, seed=options.seed,
-                              load_cell=options.load_cell, say=progress.message)
+        cycles = record_stage(
+            true,
+            stage or NOTHING,
+            recorder,
+            seconds=options.seconds,
+            seed=options.seed,
+            load_cell=options.load_cell,
+            say=progress.message,
+        )
         recorder.close(outcome="recorded")
     return {"cycles": cycles, "seconds": options.seconds}
 
 
-def _on_rig(options: argparse.Namespace, design: SensorDesign, stage: Stage | None, folder: Path, progress: Progress,
-            later: contextlib.ExitStack) -> dict[str, Any]:
+def _on_rig(
+    options: argparse.Namespace,
+    design: SensorDesign,
+    stage: Stage | None,
+    folder: Path,
+    progress: Progress,
+    later: contextlib.ExitStack,
+) -> dict[str, Any]:
     from mjtactile import open_session
 
-    with open_session(options.rig, design, object_name=options.object, seed=options.seed, workers=0,
-                      say=progress.message) as session:
-        header = {"object": options.object if session.rig.scene is not None else None, "sensor": options.sensor,
-                  "controller": "monitor", "rig": options.rig, "seed": options.seed, "design": design.name}
+    with open_session(
+        options.rig,
+        design,
+        object_name=options.object,
+        seed=options.seed,
+        workers=0,
+        say=progress.message,
+    ) as session:
+        header = {
+            "object": options.object if session.rig.scene is not None else None,
+            "sensor": options.sensor,
+            "controller": "monitor",
+            "rig": options.rig,
+            "seed": options.seed,
+            "design": design.name,
+        }
         for finger in session.rig.fingers if options.pressure is not None else ():
             if finger.design.chamber.supply_gauge != design.chamber.supply_gauge:
-                raise InputError(f"finger {finger.name!r} has a sensor file of its own, which says its pressure",
-                                 field="--pressure-kPa")
+                raise InputError(
+                    f"finger {finger.name!r} has a sensor file of its own, which says its pressure",
+                    field="--pressure-kPa",
+                )
         recorder = later.enter_context(Recorder(folder, header, frames=options.frames))
         if stage is not None:
             recorder.note(stage=stage.note() | {"finger": options.finger})
@@ -169,13 +283,17 @@ def _on_rig(options: argparse.Namespace, design: SensorDesign, stage: Stage | No
     return result
 
 
-def _record(session: Session, recorder: Recorder, seconds: float, progress: Progress, stage: Stage | None) -> dict[str, Any]:
+def _record(
+    session: Session, recorder: Recorder, seconds: float, progress: Progress, stage: Stage | None
+) -> dict[str, Any]:
     """References, then the watch; moves are called out when their time has come."""
     import numpy as np
 
     from mjtactile.recording.stage import describe
 
-    forces, times, left = [], [], list(stage.moves if stage else ())
+    forces = []
+    times = []
+    left = list(stage.moves if stage else ())
 
     def on_cycle(cycle: Cycle) -> None:
         recorder.add(cycle)
@@ -191,5 +309,10 @@ def _record(session: Session, recorder: Recorder, seconds: float, progress: Prog
     session.run(Monitor(seconds), time_limit=seconds + 60, on_cycle=on_cycle)
     known = np.array(forces)[np.isfinite(forces).all(axis=1)] if forces else np.zeros((0, 1))
     low, high = (float(known.min()), float(known.max())) if known.size else (float("nan"),) * 2
-    return {"cycles": len(forces), "seconds": times[-1] - times[0] if times else 0.0, "unknown": len(forces) - len(known),
-            "force_min_N": low, "force_max_N": high}
+    return {
+        "cycles": len(forces),
+        "seconds": times[-1] - times[0] if times else 0.0,
+        "unknown": len(forces) - len(known),
+        "force_min_N": low,
+        "force_max_N": high,
+    }

@@ -26,11 +26,29 @@ SIMULATES = False
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", type=Path, metavar="FILE.toml", help="the rig file to make, or to go on with")
-    parser.add_argument("--like", default="two_xm430", metavar="NAME|FILE.toml",
-                        help="the rig file that it begins as (default: two_xm430)")
-    parser.add_argument("--port", action="append", default=[], metavar="PATH", help="also look at this port; again for more")
-    parser.add_argument("--camera", action="append", default=[], metavar="URL", help="also look at this stream; again for more")
+    parser.add_argument(
+        "file", type=Path, metavar="FILE.toml", help="the rig file to make, or to go on with"
+    )
+    parser.add_argument(
+        "--like",
+        default="two_xm430",
+        metavar="NAME|FILE.toml",
+        help="the rig file that it begins as (default: two_xm430)",
+    )
+    parser.add_argument(
+        "--port",
+        action="append",
+        default=[],
+        metavar="PATH",
+        help="also look at this port; again for more",
+    )
+    parser.add_argument(
+        "--camera",
+        action="append",
+        default=[],
+        metavar="URL",
+        help="also look at this stream; again for more",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -40,14 +58,28 @@ def run(options: argparse.Namespace) -> int:
         try:
             return input(question)
         except EOFError as error:
-            raise InputError(f"no more answers; what was found until now is in {options.file}: run it again to go on",
-                             field="stdin") from error
+            raise InputError(
+                f"no more answers; what was found until now is in {options.file}: run it again "
+                "to go on",
+                field="stdin",
+            ) from error
 
     with stdout_to_stderr():
-        rig = setup(options.file, like=resources.find(options.like, "models/rigs", ".toml"), ports=options.port,
-                    cameras=options.camera, ask=ask, say=print)
-    following = [f"mjtactile doctor --rig {options.file}", *(f"mjtactile calibrate {part} --rig {options.file}"
-                                                              for part in ("camera", "valve", "frame", "force", "gripper"))]
+        rig = setup(
+            options.file,
+            like=resources.find(options.like, "models/rigs", ".toml"),
+            ports=options.port,
+            cameras=options.camera,
+            ask=ask,
+            say=print,
+        )
+    following = [
+        f"mjtactile doctor --rig {options.file}",
+        *(
+            f"mjtactile calibrate {part} --rig {options.file}"
+            for part in ("camera", "valve", "frame", "force", "gripper")
+        ),
+    ]
     if options.json:
         print_json({"file": options.file, "name": rig.name, "next": following})
     else:

@@ -1,4 +1,5 @@
-"""`--slow N`: emulated rigs at a part of the speed, for a computer that does not keep up with them."""
+"""`--slow N`: emulated rigs at a part of the speed, for a computer that does not keep up with
+them."""
 
 from __future__ import annotations
 
@@ -11,8 +12,15 @@ _MOST = 100.0
 
 
 def add_argument(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--slow", type=_times, metavar="N", help="emulated rig: its world, watchdogs and heartbeats, and this "
-                        "program's time-outs, run at 1/N of the speed, for a computer that does not keep up (default: 1)")
+    parser.add_argument(
+        "--slow",
+        type=_times,
+        metavar="N",
+        help="emulated rig: its world, watchdogs and "
+        "heartbeats, and this "
+        "program's time-outs, run at 1/N of the speed, for a computer that "
+        "does not keep up (default: 1)",
+    )
 
 
 def apply(slow: float | None, rig: str) -> None:
@@ -20,7 +28,9 @@ def apply(slow: float | None, rig: str) -> None:
     if slow is None:
         return
     if rig == "sim" or rig.startswith("replay:"):
-        raise InputError(f"the rig {rig!r} keeps no clock; only emulated devices can be slow", field="--slow")
+        raise InputError(
+            f"the rig {rig!r} keeps no clock; only emulated devices can be slow", field="--slow"
+        )
     pace.set_slow(slow)
 
 

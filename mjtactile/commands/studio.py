@@ -24,26 +24,59 @@ examples:
   mjtactile studio --object raspberry --controller my_controller.py --port 8080
   mjtactile studio --rig emulated              on a rig that is not simulated: the fingers, no scene
   mjtactile studio --rig replay:runs/egg       a recording, with a slider for the time
-  ssh -L 8080:localhost:8080 HOST              then open http://localhost:8080 here for one that runs there
+  ssh -L 8080:localhost:8080 HOST
+      then open http://localhost:8080 here for one that runs there
 
 exit codes: 0 ended by closing it, 2 bad input, 3 a device or the simulation failed, or Ctrl-C.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--object", default="egg", metavar="NAME|FILE.xml", help="as for `grasp` (default: egg)")
-    parser.add_argument("--sensor", default="dense", metavar="NAME|FILE.toml", help="as for `grasp` (default: dense)")
-    parser.add_argument("--controller", default="gentle", metavar="NAME|FILE.py", help="as for `grasp` (default: gentle)")
-    parser.add_argument("--rig", default="sim", metavar="RIG", help=f"{', '.join(rig_names())} (default: sim)")
-    parser.add_argument("--seed", type=seed, default=0, metavar="N", help="of the first run; the next has the next (default: 0)")
+    parser.add_argument(
+        "--object", default="egg", metavar="NAME|FILE.xml", help="as for `grasp` (default: egg)"
+    )
+    parser.add_argument(
+        "--sensor",
+        default="dense",
+        metavar="NAME|FILE.toml",
+        help="as for `grasp` (default: dense)",
+    )
+    parser.add_argument(
+        "--controller",
+        default="gentle",
+        metavar="NAME|FILE.py",
+        help="as for `grasp` (default: gentle)",
+    )
+    parser.add_argument(
+        "--rig", default="sim", metavar="RIG", help=f"{', '.join(rig_names())} (default: sim)"
+    )
+    parser.add_argument(
+        "--seed",
+        type=seed,
+        default=0,
+        metavar="N",
+        help="of the first run; the next has the next (default: 0)",
+    )
     effects.add_shared_arguments(parser)
     slow.add_argument(parser)
-    parser.add_argument("--port", type=_port, default=0, metavar="N", help="of the page (default: the first free one from 8080)")
+    parser.add_argument(
+        "--port",
+        type=_port,
+        default=0,
+        metavar="N",
+        help="of the page (default: the first free one from 8080)",
+    )
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--web", action="store_true", help="in the browser (this is the default)")
-    where.add_argument("--native", action="store_true", help="in a window of MuJoCo's own, where there is a display")
+    where.add_argument(
+        "--native",
+        action="store_true",
+        help="in a window of MuJoCo's own, where there is a display",
+    )
     parser.add_argument("--no-browser", action="store_true", help="do not open a browser")
-    parser.add_argument("--fast", action="store_true", help="as fast as the simulation goes, not by the clock")
+    parser.add_argument(
+        "--fast", action="store_true", help="as fast as the simulation goes, not by the clock"
+    )
 
 
 def _port(text: str) -> int:
@@ -65,7 +98,11 @@ def run(options: argparse.Namespace) -> int:
     names = ("object", "sensor", "controller", "rig", "seed", "accuracy", "effects")
     wanted = GraspOptions(**{name: getattr(options, name) for name in names})
     backend, _, folder = options.rig.partition(":")
-    show = Tape(wanted, load_recording(folder), say) if backend == "replay" and folder else Show(wanted, say)
+    show = (
+        Tape(wanted, load_recording(folder), say)
+        if backend == "replay" and folder
+        else Show(wanted, say)
+    )
     show.fastest = float("inf") if options.fast else 1.0
     watch(show, port=options.port, browser=not options.no_browser, native=options.native)
     return 0

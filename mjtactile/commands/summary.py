@@ -22,7 +22,8 @@ examples:
   mjtactile summary runs/still                     writes runs/still/summary.html
   mjtactile summary runs/egg --out egg.html
 
-`mjtactile grasp` and `mjtactile probe --out` write it by themselves. exit codes: 0 written, 2 bad input.
+`mjtactile grasp` and `mjtactile probe --out` write it by themselves. exit codes: 0 written,
+2 bad input.
 """
 
 
@@ -35,7 +36,8 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile.run.page import write_page
     from mjtactile.run.summary import see_again
 
-    recording, path = load_recording(options.source), options.out or options.source / "summary.html"
+    recording = load_recording(options.source)
+    path = options.out or options.source / "summary.html"
     if not path.parent.is_dir():
         raise InputError("no such folder", source=path.parent, field="--out")
     strip = Strip()
@@ -43,19 +45,34 @@ def run(options: argparse.Namespace) -> int:
         Progress(quiet=options.json).message(f"{len(recording)} cycles")
         felt = see_again(recording, strip.add)
         write_page(path, recording, strip.kept, _summary(options.source, recording))
-    result = {"out": str(path), "cycles": len(recording), "shown": len(strip.kept), "felt_again": felt}
+    result = {
+        "out": str(path),
+        "cycles": len(recording),
+        "shown": len(strip.kept),
+        "felt_again": felt,
+    }
     if options.json:
         print_json(result)
     else:
-        print(f"{result['cycles']} cycles, {result['shown']} of them shown" +
-              ("" if felt else "; no surfaces: that takes the images of all cycles and of the references"))
+        print(
+            f"{result['cycles']} cycles, {result['shown']} of them shown"
+            + (
+                ""
+                if felt
+                else "; no surfaces: that takes the images of all cycles and of the references"
+            )
+        )
         print(f"  written to {path}")
     return 0
 
 
 def _summary(folder: Path, recording: Recording) -> dict[str, Any]:
     """What the run's command said of it, as far as that is there."""
-    known = {key: Path(str(recording.header[key])).stem for key in ("object", "sensor") if key in recording.header}
+    known = {
+        key: Path(str(recording.header[key])).stem
+        for key in ("object", "sensor")
+        if key in recording.header
+    }
     known |= {key: recording.notes[key] for key in ("outcome", "error") if key in recording.notes}
     for name in ("summary.json", "probe.json"):
         if (folder / name).is_file():

@@ -28,11 +28,35 @@ Needs `pip install 'mjtactile[video]'`. exit codes: 0 written, 2 bad input.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", type=Path, metavar="RUN", help="a run's folder, or a recording")
-    parser.add_argument("--out", type=Path, metavar="FILE", help=".mp4 (30 images a second), .gif or .webp (10 and 15, half the "
-                        "size) (default: RUN/video.mp4)")
-    parser.add_argument("--speed", type=_positive, default=1.0, metavar="X", help="times as fast as it was (default: 1)")
-    parser.add_argument("--begin", type=_time, default=0.0, metavar="S", help="leave out the first S seconds (default: 0)")
-    parser.add_argument("--seconds", type=_positive, default=math.inf, metavar="S", help="film so much of it (default: all)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help=".mp4 (30 images a second), .gif or "
+        ".webp (10 and 15, half the "
+        "size) (default: RUN/video.mp4)",
+    )
+    parser.add_argument(
+        "--speed",
+        type=_positive,
+        default=1.0,
+        metavar="X",
+        help="times as fast as it was (default: 1)",
+    )
+    parser.add_argument(
+        "--begin",
+        type=_time,
+        default=0.0,
+        metavar="S",
+        help="leave out the first S seconds (default: 0)",
+    )
+    parser.add_argument(
+        "--seconds",
+        type=_positive,
+        default=math.inf,
+        metavar="S",
+        help="film so much of it (default: all)",
+    )
 
 
 def _time(text: str) -> float:
@@ -55,16 +79,26 @@ def _positive(text: str) -> float:
 def run(options: argparse.Namespace) -> int:
     from mjtactile.run.video import write_video
 
-    recording, path = load_recording(options.source), options.out or options.source / "video.mp4"
+    recording = load_recording(options.source)
+    path = options.out or options.source / "video.mp4"
     if not path.parent.is_dir():
         raise InputError("no such folder", source=path.parent, field="--out")
     with stdout_to_stderr():
-        result = write_video(path, recording, speed=options.speed, begin=options.begin,
-                             seconds=options.seconds, say=Progress(quiet=options.json).message)
+        result = write_video(
+            path,
+            recording,
+            speed=options.speed,
+            begin=options.begin,
+            seconds=options.seconds,
+            say=Progress(quiet=options.json).message,
+        )
     result |= {"out": str(path)}
     if options.json:
         print_json(result)
     else:
-        print(f"{result['seconds']:.1f} s, {result['frames']} images of {result['width_px']} x {result['height_px']} pixels\n"
-              f"  written to {path}")
+        print(
+            f"{result['seconds']:.1f} s, {result['frames']} images of {result['width_px']} x "
+            f"{result['height_px']} pixels\n"
+            f"  written to {path}"
+        )
     return 0

@@ -1,1 +1,2 @@
-"""What everything rests on: values, errors, geometry, optics, sensor designs. Imports nothing of the other rooms."""
+"""What everything rests on: values, errors, geometry, optics, sensor designs. Imports nothing of
+the other rooms."""

@@ -1,7 +1,7 @@
 """Splines in one dimension: the bases that everything in two is a product of.
 
-`Cubic` are the clamped cubic B-splines that vanish at both ends, `hats` the piecewise linear ones, `interpolating` goes
-through given values.
+`Cubic` are the clamped cubic B-splines that vanish at both ends, `hats` the piecewise linear ones,
+`interpolating` goes through given values.
 """
 
 from __future__ import annotations
@@ -15,54 +15,66 @@ _DEGREE = 3
 
 
 class Cubic:
-    """Cubic B-splines on [-length/2, length/2] over `spans` equal intervals, without the two that do not vanish at the
-    ends; there are `count` = spans + 1.
+    """Cubic B-splines on [-length/2, length/2] over `spans` equal intervals, without the two that
+    do not vanish at the ends; there are `count` = spans + 1.
 
-    `breaks` (spans + 1,) are the ends of the intervals; `points`, `weights` (spans * gauss,) Gauss-Legendre quadrature
-    with `gauss` nodes in each, exact up to degree 2 gauss - 1.
+    `breaks` (spans + 1,) are the ends of the intervals; `points`, `weights` (spans * gauss,)
+    Gauss-Legendre quadrature with `gauss` nodes in each, exact up to degree 2 gauss - 1.
     """
 
     def __init__(self, length: float, spans: int, gauss: int):
-        self.length, self.spans, self.count = length, spans, spans + _DEGREE - 2
+        self.length = length
+        self.spans = spans
+        self.count = spans + _DEGREE - 2
         self.breaks = np.linspace(-length / 2, length / 2, spans + 1)
         self._knots = np.r_[[self.breaks[0]] * _DEGREE, self.breaks, [self.breaks[-1]] * _DEGREE]
         node, weight = np.polynomial.legendre.leggauss(gauss)
         half = length / spans / 2
-        self.points, self.weights = ((self.breaks[:-1] + half)[:, None] + half * node).ravel(), np.tile(half * weight, spans)
+        self.points = ((self.breaks[:-1] + half)[:, None] + half * node).ravel()
+        self.weights = np.tile(half * weight, spans)
 
     def at(self, x: ArrayLike, derivative: int = 0) -> Array:
-        """Values (N, count) of the splines or of a derivative at `x` (N,), which is cut to the interval."""
+        """Values (N, count) of the splines or of a derivative at `x` (N,), which is cut to the
+        interval."""
         x = np.clip(np.asarray(x, dtype=float), -self.length / 2, self.length / 2)
         return _basis(self._knots, x, derivative)[:, 1:-1]
 
 
 def hats(knots: Array, at: Array) -> tuple[Array, Array]:
-    """Values and slopes (len(at), len(knots)) of the piecewise linear hats on evenly spaced `knots`."""
+    """Values and slopes (len(at), len(knots)) of the piecewise linear hats on evenly spaced
+    `knots`."""
     step = knots[1] - knots[0]
     distance = (at[:, None] - knots) / step
     inside = np.abs(distance) < 1
-    return np.where(inside, 1 - np.abs(distance), 0.0), np.where(inside, -np.sign(distance) / step, 0.0)
+    return np.where(inside, 1 - np.abs(distance), 0.0), np.where(
+        inside, -np.sign(distance) / step, 0.0
+    )
 
 
 def interpolating(knots: Array, at: Array) -> tuple[Array, Array]:
-    """Matrices (N, n) that take values at `knots` to values and slopes at `at` of the cubic through them (not-a-knot)."""
+    """Matrices (N, n) that take values at `knots` to values and slopes at `at` of the cubic through
+    them (not-a-knot)."""
     own = np.r_[[knots[0]] * (_DEGREE + 1), knots[2:-2], [knots[-1]] * (_DEGREE + 1)]
     coefficients = np.linalg.inv(_basis(own, knots))
     return _basis(own, at) @ coefficients, _basis(own, at, 1) @ coefficients
 
 
 def _basis(knots: Array, x: Array, derivative: int = 0) -> Array:
-    """Values (N, n) of the n cubic B-splines on `knots` (n + 4,), or of a derivative, at `x` (N,): de Boor's recursion (A
-    Practical Guide to Splines, IX (14) and X (15)). scipy has them, too, but takes a tenth of a second to import."""
+    """Values (N, n) of the n cubic B-splines on `knots` (n + 4,), or of a derivative, at `x` (N,):
+    de Boor's recursion (A Practical Guide to Splines, IX (14) and X (15)). scipy has them, too, but
+    takes a tenth of a second to import."""
     inside = np.clip(np.searchsorted(knots, x, side="right") - 1, _DEGREE, len(knots) - _DEGREE - 2)
     values = np.zeros((len(x), len(knots) - 1))
     values[np.arange(len(x)), inside] = 1.0
     for degree in range(1, _DEGREE + 1):
         width = knots[degree:] - knots[:-degree]
         over = np.divide(1.0, width, out=np.zeros_like(width), where=width > 0)
-        up, down = over[:-1] * values[:, :-1], over[1:] * values[:, 1:]
+        up = over[:-1] * values[:, :-1]
+        down = over[1:] * values[:, 1:]
         if degree <= _DEGREE - derivative:
-            values = (x[:, None] - knots[: -degree - 1]) * up + (knots[degree + 1:] - x[:, None]) * down
+            values = (x[:, None] - knots[: -degree - 1]) * up + (
+                knots[degree + 1 :] - x[:, None]
+            ) * down
         else:
             values = degree * (up - down)
     return values

@@ -1,8 +1,10 @@
-"""`Calibration`: what was measured of one finger's sensor, part by part, and where it stands in for the sensor file.
+"""`Calibration`: what was measured of one finger's sensor, part by part, and where it stands in for
+the sensor file.
 
-One JSON file a finger. Every `mjtactile calibrate` adds its part to it: the lens, the camera's place in the frame with the
-markers' sizes, the zero of the pressure sensor, the scale of the force. A part says with what sensor file, when and by which
-versions it was measured, and its residuals. A part that was refused is noted with its reasons and replaces nothing.
+One JSON file a finger. Every `mjtactile calibrate` adds its part to it: the lens, the camera's
+place in the frame with the markers' sizes, the zero of the pressure sensor, the scale of the force.
+A part says with what sensor file, when and by which versions it was measured, and its residuals. A
+part that was refused is noted with its reasons and replaces nothing.
 """
 
 from __future__ import annotations
@@ -22,15 +24,17 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.toml import Section, read_json
 from mjtactile.core.types import Array, Markers, Traction
 
-FORMAT, VERSION = "mjtactile-calibration", 1
-_MM, _KPA = 1e-3, 1e3
+FORMAT = "mjtactile-calibration"
+VERSION = 1
+_MM = 1e-3
+_KPA = 1e3
 _FAR = 1e9  # no number of a calibration is larger
 
 
 @dataclass(frozen=True)
 class Stamp:
-    """Where a part comes from: `date` (ISO 8601, UTC), `fingerprint` of the sensor file then, `versions` of the software, and
-    `residuals`, whatever the measurement says of itself."""
+    """Where a part comes from: `date` (ISO 8601, UTC), `fingerprint` of the sensor file then,
+    `versions` of the software, and `residuals`, whatever the measurement says of itself."""
 
     date: str
     fingerprint: str
@@ -49,7 +53,9 @@ def fingerprint(design: SensorDesign) -> str:
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
-# -- parts -------------------------------------------------------------------------------------------------------------
+# -- parts
+# --------------------------------------------------------------------------------
+
 
 @dataclass(frozen=True)
 class Lens(Pinhole):
@@ -64,19 +70,34 @@ class Lens(Pinhole):
     stamp: Stamp = field(kw_only=True)
 
     def table(self) -> dict[str, Any]:
-        return {"width_px": self.width, "height_px": self.height, "fx_px": self.fx, "fy_px": self.fy, "cx_px": self.cx,
-                "cy_px": self.cy, "distortion": list(self.distortion)}
+        return {
+            "width_px": self.width,
+            "height_px": self.height,
+            "fx_px": self.fx,
+            "fy_px": self.fy,
+            "cx_px": self.cx,
+            "cy_px": self.cy,
+            "distortion": list(self.distortion),
+        }
 
     @classmethod
     def read(cls, s: Section, stamp: Stamp) -> Lens:
-        return cls(s.whole("width_px", 16, 8192), s.whole("height_px", 16, 8192), s.number("fx_px", 1, _FAR),
-                   s.number("fy_px", 1, _FAR), s.number("cx_px", -_FAR, _FAR), s.number("cy_px", -_FAR, _FAR),
-                   s.numbers("distortion", ("k1", "k2", "p1", "p2", "k3"), -_FAR, _FAR), stamp=stamp)
+        return cls(
+            s.whole("width_px", 16, 8192),
+            s.whole("height_px", 16, 8192),
+            s.number("fx_px", 1, _FAR),
+            s.number("fy_px", 1, _FAR),
+            s.number("cx_px", -_FAR, _FAR),
+            s.number("cy_px", -_FAR, _FAR),
+            s.numbers("distortion", ("k1", "k2", "p1", "p2", "k3"), -_FAR, _FAR),
+            stamp=stamp,
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class RestMarkers:
-    """The membrane at rest: `markers` in S, the chamber's `pressure_gauge` Pa, and whether it was `sealed`."""
+    """The membrane at rest: `markers` in S, the chamber's `pressure_gauge` Pa, and whether it was
+    `sealed`."""
 
     markers: Markers
     pressure_gauge: float
@@ -84,23 +105,33 @@ class RestMarkers:
 
     def table(self) -> dict[str, Any]:
         m = self.markers
-        return {"pressure_kPa": self.pressure_gauge / _KPA, "sealed": self.sealed, "ids": m.ids.tolist(),
-                "p_SM_mm": (m.p_SM / _MM).tolist(), "n_S": m.n_S.tolist(), "cov_p_mm2": (m.cov_p / _MM**2).tolist()}
+        return {
+            "pressure_kPa": self.pressure_gauge / _KPA,
+            "sealed": self.sealed,
+            "ids": m.ids.tolist(),
+            "p_SM_mm": (m.p_SM / _MM).tolist(),
+            "n_S": m.n_S.tolist(),
+            "cov_p_mm2": (m.cov_p / _MM**2).tolist(),
+        }
 
     @classmethod
     def read(cls, s: Section) -> RestMarkers:
         ids = s.array("ids", (None,))
         n = len(ids)
-        markers = Markers(ids.astype(np.int64), s.array("p_SM_mm", (n, 3)) * _MM, s.array("n_S", (n, 3)),
-                          s.array("cov_p_mm2", (n, 3, 3)) * _MM**2)
+        markers = Markers(
+            ids.astype(np.int64),
+            s.array("p_SM_mm", (n, 3)) * _MM,
+            s.array("n_S", (n, 3)),
+            s.array("cov_p_mm2", (n, 3, 3)) * _MM**2,
+        )
         return cls(markers, s.number("pressure_kPa", -_FAR, _FAR, _KPA), s.flag("sealed", True))
 
 
 @dataclass(frozen=True, eq=False)
 class FrameCalibration:
-    """Camera pose `R_SC` (3, 3), `p_SC` (3,) m in the sensor's frame, true over nominal radius of each marker, `scale` (N,);
-    of the flat membrane `residual_px` and `scale_sd`, and where it was measured the membrane at `rest` with the
-    `stiffness` it shows over the sensor file's."""
+    """Camera pose `R_SC` (3, 3), `p_SC` (3,) m in the sensor's frame, true over nominal radius of
+    each marker, `scale` (N,); of the flat membrane `residual_px` and `scale_sd`, and where it was
+    measured the membrane at `rest` with the `stiffness` it shows over the sensor file's."""
 
     kind: ClassVar[str] = "frame"
     rests_on: ClassVar[tuple[str, ...]] = ("lens",)
@@ -116,21 +147,35 @@ class FrameCalibration:
     stiffness: float | None = None
 
     def table(self) -> dict[str, Any]:
-        return {"R_SC": self.R_SC.tolist(), "p_SC_mm": (self.p_SC / _MM).tolist(), "scale": self.scale.tolist(),
-                "residual_px": self.residual_px, "scale_sd": self.scale_sd, "stiffness": self.stiffness,
-                "rest": None if self.rest is None else self.rest.table()}
+        return {
+            "R_SC": self.R_SC.tolist(),
+            "p_SC_mm": (self.p_SC / _MM).tolist(),
+            "scale": self.scale.tolist(),
+            "residual_px": self.residual_px,
+            "scale_sd": self.scale_sd,
+            "stiffness": self.stiffness,
+            "rest": None if self.rest is None else self.rest.table(),
+        }
 
     @classmethod
     def read(cls, s: Section, stamp: Stamp) -> FrameCalibration:
         rest = s.optional("rest")
-        return cls(s.array("R_SC", (3, 3)), s.array("p_SC_mm", (3,)) * _MM, s.array("scale", (None,)),
-                   s.number("residual_px", 0, _FAR), s.number("scale_sd", 0, _FAR), stamp,
-                   None if rest is None else RestMarkers.read(rest), s.number("stiffness", 0, _FAR, default=None))
+        return cls(
+            s.array("R_SC", (3, 3)),
+            s.array("p_SC_mm", (3,)) * _MM,
+            s.array("scale", (None,)),
+            s.number("residual_px", 0, _FAR),
+            s.number("scale_sd", 0, _FAR),
+            stamp,
+            None if rest is None else RestMarkers.read(rest),
+            s.number("stiffness", 0, _FAR, default=None),
+        )
 
 
 @dataclass(frozen=True)
 class ValveZero:
-    """What the chamber's pressure sensor shows at ambient pressure, `offset` Pa, with its noise, `noise_sd` Pa."""
+    """What the chamber's pressure sensor shows at ambient pressure, `offset` Pa, with its noise,
+    `noise_sd` Pa."""
 
     kind: ClassVar[str] = "valve"
     rests_on: ClassVar[tuple[str, ...]] = ()
@@ -150,7 +195,8 @@ class ValveZero:
 
 @dataclass(frozen=True)
 class ForceScale:
-    """True over felt force, `scale` with its standard deviation `sd`, from loads up to `largest` N."""
+    """True over felt force, `scale` with its standard deviation `sd`, from loads up to `largest`
+    N."""
 
     kind: ClassVar[str] = "force"
     rests_on: ClassVar[tuple[str, ...]] = ("lens", "valve")
@@ -166,17 +212,26 @@ class ForceScale:
 
     @classmethod
     def read(cls, s: Section, stamp: Stamp) -> ForceScale:
-        return cls(s.number("scale", 0.1, 10), s.number("scale_sd", 0, 10), s.number("largest_N", 0, _FAR), stamp)
+        return cls(
+            s.number("scale", 0.1, 10),
+            s.number("scale_sd", 0, 10),
+            s.number("largest_N", 0, _FAR),
+            stamp,
+        )
 
     def apply(self, traction: Traction) -> Traction:
-        """The traction times the scale, whose own uncertainty adds to the wrench's: cov' = k^2 cov + sd^2 w w^T."""
-        wrench, k = traction.wrench, self.scale
+        """The traction times the scale, whose own uncertainty adds to the wrench's: cov' = k^2 cov
+        + sd^2 w w^T."""
+        wrench = traction.wrench
+        k = self.scale
         cov = k**2 * traction.wrench_cov + self.sd**2 * np.outer(wrench, wrench)
         return replace(traction, force=k * traction.force, wrench=k * wrench, wrench_cov=cov)
 
 
 Part = Lens | FrameCalibration | ValveZero | ForceScale
-KINDS: dict[str, type[Part]] = {part.kind: part for part in (Lens, FrameCalibration, ValveZero, ForceScale)}
+KINDS: dict[str, type[Part]] = {
+    part.kind: part for part in (Lens, FrameCalibration, ValveZero, ForceScale)
+}
 """The parts by name, in the order in which they are measured."""
 
 
@@ -190,19 +245,23 @@ class Refusal:
 
 @dataclass(frozen=True)
 class PartState:
-    """How one part stands: `state` "good", "missing", "outdated" or "refused", and why, in a sentence."""
+    """How one part stands: `state` "good", "missing", "outdated" or "refused", and why, in a
+    sentence."""
 
     kind: str
     state: str
     text: str
 
 
-# -- the whole ---------------------------------------------------------------------------------------------------------
+# -- the whole
+# --------------------------------------------------------------------------------
+
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What was measured of the finger `finger` with the sensor `sensor`. Parts that are None count as the sensor file says;
-    `refused` holds the newest refusal of each part since its last success."""
+    """What was measured of the finger `finger` with the sensor `sensor`. Parts that are None count
+    as the sensor file says; `refused` holds the newest refusal of each part since its last
+    success."""
 
     finger: str
     sensor: str
@@ -226,7 +285,8 @@ class Calibration:
         return replace(self, refused={**self.refused, kind: Refusal(_now(), tuple(reasons))})
 
     def used(self, design: SensorDesign) -> Calibration:
-        """The same without the parts that are outdated for this sensor file: what a sensing chain should go by."""
+        """The same without the parts that are outdated for this sensor file: what a sensing chain
+        should go by."""
         old = [state.kind for state in self.states(design) if state.state == "outdated"]
         return replace(self, **dict.fromkeys(old)) if old else self
 
@@ -235,18 +295,41 @@ class Calibration:
         return [self._state(kind, design) for kind in KINDS]
 
     def _state(self, kind: str, design: SensorDesign) -> PartState:
-        part, refusal = self.part(kind), self.refused.get(kind)
+        part = self.part(kind)
+        refusal = self.refused.get(kind)
         if part is None:
             if refusal is not None:
-                return PartState(kind, "refused", f"refused on {_day(refusal.date)}: {'; '.join(refusal.reasons)}")
+                return PartState(
+                    kind,
+                    "refused",
+                    f"refused on {_day(refusal.date)}: {'; '.join(refusal.reasons)}",
+                )
             return PartState(kind, "missing", "never measured: the sensor file's values count")
-        newer = [other for other in part.rests_on if (found := self.part(other)) and found.stamp.date > part.stamp.date]
+        newer = [
+            other
+            for other in part.rests_on
+            if (found := self.part(other)) and found.stamp.date > part.stamp.date
+        ]
         if newer:
-            return PartState(kind, "outdated", f"older than the {newer[0]}, with which it was measured: not used")
+            return PartState(
+                kind, "outdated", f"older than the {newer[0]}, with which it was measured: not used"
+            )
         if part.of_sensor and part.stamp.fingerprint != fingerprint(design):
-            return PartState(kind, "outdated", f"of {_day(part.stamp.date)}, older than the sensor file, whose values have "
-                             "changed since: not used")
-        again = "" if refusal is None else f"; measured again on {_day(refusal.date)} and refused: {'; '.join(refusal.reasons)}"
+            return PartState(
+                kind,
+                "outdated",
+                f"of {_day(part.stamp.date)}, older than the "
+                "sensor file, whose values have "
+                "changed since: not used",
+            )
+        again = (
+            ""
+            if refusal is None
+            else (
+                f"; measured again on {_day(refusal.date)} and "
+                f"refused: {'; '.join(refusal.reasons)}"
+            )
+        )
         return PartState(kind, "good", f"of {_day(part.stamp.date)}{again}")
 
     def design(self, design: SensorDesign) -> SensorDesign:
@@ -260,22 +343,44 @@ class Calibration:
         return reading if self.valve is None else reading - self.valve.offset
 
     def check(self, design: SensorDesign, finger: str, source: object) -> None:
-        """Raise InputError when this is not a calibration of the finger `finger` with this sensor."""
+        """Raise InputError when this is not a calibration of the finger `finger` with this
+        sensor."""
         if self.finger != finger:
-            raise InputError(f"is of the finger {self.finger!r}, not {finger!r}", source=source, field="finger")
+            raise InputError(
+                f"is of the finger {self.finger!r}, not {finger!r}", source=source, field="finger"
+            )
         if self.sensor != design.name:
-            raise InputError(f"is of a sensor {self.sensor!r}, but the {finger} finger has {design.name!r}", source=source,
-                             field="sensor")
+            raise InputError(
+                f"is of a sensor {self.sensor!r}, but the {finger} finger has {design.name!r}",
+                source=source,
+                field="sensor",
+            )
         size = design.camera.width, design.camera.height
         if self.lens is not None and (self.lens.width, self.lens.height) != size:
-            raise InputError(f"{self.lens.width} x {self.lens.height} pixels, but sensor {design.name!r} has {size[0]} x "
-                             f"{size[1]}", source=source, field="lens.width_px")
+            raise InputError(
+                f"{self.lens.width} x {self.lens.height} pixels, but sensor {design.name!r} has "
+                f"{size[0]} x "
+                f"{size[1]}",
+                source=source,
+                field="lens.width_px",
+            )
 
     def table(self) -> dict[str, Any]:
         """As it is written to a file, or to the header of a recording."""
-        parts = {kind: None if (part := self.part(kind)) is None else {**part.table(), **asdict(part.stamp)} for kind in KINDS}
-        return {"format": FORMAT, "version": VERSION, "finger": self.finger, "sensor": self.sensor, **parts,
-                "refused": {kind: asdict(refusal) for kind, refusal in self.refused.items()}}
+        parts = {
+            kind: None
+            if (part := self.part(kind)) is None
+            else {**part.table(), **asdict(part.stamp)}
+            for kind in KINDS
+        }
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "finger": self.finger,
+            "sensor": self.sensor,
+            **parts,
+            "refused": {kind: asdict(refusal) for kind, refusal in self.refused.items()},
+        }
 
     def save(self, path: Path) -> None:
         """Write the file, whole or not at all. Raises InputError when it cannot be written."""
@@ -284,7 +389,9 @@ class Calibration:
             part.write_text(json.dumps(self.table(), indent=1) + "\n", encoding="utf-8")
             part.replace(path)
         except OSError as error:
-            raise InputError(f"cannot be written: {error.strerror}", source=path, field="calibration") from error
+            raise InputError(
+                f"cannot be written: {error.strerror}", source=path, field="calibration"
+            ) from error
 
 
 def load_calibration(path: Path) -> Calibration:
@@ -293,15 +400,33 @@ def load_calibration(path: Path) -> Calibration:
 
 
 def calibration_from_table(table: Any, source: str) -> Calibration:
-    """What `Calibration.table` wrote; `source` names where it stood. Raises InputError naming the field."""
-    if not isinstance(table, Mapping) or table.get("format") != FORMAT or table.get("version") != VERSION:
-        raise InputError("not a calibration file", source=source, field="format", choices=[f"{FORMAT} version {VERSION}"])
+    """What `Calibration.table` wrote; `source` names where it stood. Raises InputError naming the
+    field."""
+    if (
+        not isinstance(table, Mapping)
+        or table.get("format") != FORMAT
+        or table.get("version") != VERSION
+    ):
+        raise InputError(
+            "not a calibration file",
+            source=source,
+            field="format",
+            choices=[f"{FORMAT} version {VERSION}"],
+        )
     root = Section(table, "", source)
-    finger, sensor = root.text("finger"), root.text("sensor")
-    parts: dict[str, Any] = {kind: part.read(s, _read_stamp(s)) for kind, part in KINDS.items()
-                             if (s := root.optional(kind)) is not None}
+    finger = root.text("finger")
+    sensor = root.text("sensor")
+    parts: dict[str, Any] = {
+        kind: part.read(s, _read_stamp(s))
+        for kind, part in KINDS.items()
+        if (s := root.optional(kind)) is not None
+    }
     notes = root.section("refused")
-    refused = {kind: Refusal(s.text("date"), s.texts("reasons")) for kind in KINDS if (s := notes.optional(kind)) is not None}
+    refused = {
+        kind: Refusal(s.text("date"), s.texts("reasons"))
+        for kind in KINDS
+        if (s := notes.optional(kind)) is not None
+    }
     return Calibration(finger, sensor, **parts, refused=refused)
 
 

@@ -1,4 +1,5 @@
-"""One exception tree. Every error carries the process exit code that the command line reports for it."""
+"""One exception tree. Every error carries the process exit code that the command line reports for
+it."""
 
 from __future__ import annotations
 
@@ -7,29 +8,41 @@ from typing import Any
 
 
 class MjtactileError(Exception):
-    """Base of all errors that this package raises on purpose; its text is one line for a person to read."""
+    """Base of all errors that this package raises on purpose; its text is one line for a person to
+    read."""
 
     exit_code = 3
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Errors cross processes, and their constructors take more, or less, than the text that they make."""
+        """Errors cross processes, and their constructors take more, or less, than the text that
+        they make."""
         return _again, (type(self), self.args, self.__dict__)
 
 
-def _again(kind: type[MjtactileError], args: tuple[Any, ...], state: dict[str, Any]) -> MjtactileError:
+def _again(
+    kind: type[MjtactileError], args: tuple[Any, ...], state: dict[str, Any]
+) -> MjtactileError:
     error = kind.__new__(kind, *args)
     error.__dict__.update(state)
     return error
 
 
 class InputError(MjtactileError):
-    """Bad configuration or arguments: names the file or argument, the field, and the valid choices."""
+    """Bad configuration or arguments: names the file or argument, the field, and the valid
+    choices."""
 
     exit_code = 2
 
-    def __init__(self, message: str, *, source: object = None, field: str | None = None,
-                 choices: Iterable[object] | None = None):
-        self.source, self.field = source, field
+    def __init__(
+        self,
+        message: str,
+        *,
+        source: object = None,
+        field: str | None = None,
+        choices: Iterable[object] | None = None,
+    ):
+        self.source = source
+        self.field = field
         where = ": ".join(str(part) for part in (source, field) if part is not None)
         text = f"{where}: {message}" if where else message
         if choices is not None:
@@ -38,7 +51,8 @@ class InputError(MjtactileError):
 
 
 class ControllerError(InputError):
-    """A user's controller raised, returned nothing, or returned a value that cannot be carried out."""
+    """A user's controller raised, returned nothing, or returned a value that cannot be carried
+    out."""
 
 
 class Interrupted(MjtactileError):
@@ -56,5 +70,7 @@ class SimulationError(MjtactileError):
     """The simulation diverged or left the range in which its numbers mean something."""
 
     def __init__(self, reason: str, *, step: int, time: float):
-        self.reason, self.step, self.time = reason, step, time
+        self.reason = reason
+        self.step = step
+        self.time = time
         super().__init__(f"simulation failed at step {step} (t = {time:.4f} s): {reason}")

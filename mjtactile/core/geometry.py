@@ -1,6 +1,8 @@
-"""Rotations, rigid transforms and unit normals as small functions on arrays; the last axis holds x, y, z.
+"""Rotations, rigid transforms and unit normals as small functions on arrays; the last axis holds x,
+y, z.
 
-Monogram notation (docs/conventions.md): `X_AB` = (`R_AB`, `p_AB`) is B's pose in A and maps `p_BP` to `p_AP`.
+Monogram notation (docs/conventions.md): `X_AB` = (`R_AB`, `p_AB`) is B's pose in A and maps `p_BP`
+to `p_AP`.
 """
 
 from __future__ import annotations
@@ -10,7 +12,8 @@ from numpy.typing import ArrayLike
 
 from mjtactile.core.types import Array
 
-_AHEAD, _BACK = np.array([1, 2, 0]), np.array([2, 0, 1])
+_AHEAD = np.array([1, 2, 0])
+_BACK = np.array([2, 0, 1])
 
 
 def unit(v: ArrayLike) -> Array:
@@ -22,7 +25,8 @@ def unit(v: ArrayLike) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """a x b for vectors (..., 3), which are broadcast: the bits of `numpy.cross` in a fifth to a half of its time."""
+    """a x b for vectors (..., 3), which are broadcast: the bits of `numpy.cross` in a fifth to a
+    half of its time."""
     return a.take(_AHEAD, -1) * b.take(_BACK, -1) - a.take(_BACK, -1) * b.take(_AHEAD, -1)
 
 
@@ -34,42 +38,56 @@ def normal_from_slope(z_x: ArrayLike, z_y: ArrayLike) -> Array:
     z_x, z_y = np.broadcast_arrays(np.asarray(z_x, dtype=float), np.asarray(z_y, dtype=float))
     scale = 1 / np.sqrt(1 + z_x * z_x + z_y * z_y)
     n = np.empty((*scale.shape, 3))
-    n[..., 0], n[..., 1], n[..., 2] = z_x * scale, z_y * scale, -scale
+    n[..., 0] = z_x * scale
+    n[..., 1] = z_y * scale
+    n[..., 2] = -scale
     return n
 
 
 def slope_from_normal(n: ArrayLike) -> Array:
-    """Slopes (dz/dx, dz/dy) (..., 2) of the plane with normals `n` (..., 3); NaN where the plane is vertical."""
+    """Slopes (dz/dx, dz/dy) (..., 2) of the plane with normals `n` (..., 3); NaN where the plane is
+    vertical."""
     n = np.asarray(n, dtype=float)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(n[..., 2:] != 0, -n[..., :2] / n[..., 2:], np.nan)
 
 
 def tangents(n: ArrayLike) -> tuple[Array, Array]:
-    """Two unit vectors (..., 3) that with the unit normals `n` (..., 3) make right-handed orthonormal triads (a, b, n).
+    """Two unit vectors (..., 3) that with the unit normals `n` (..., 3) make right-handed
+    orthonormal triads (a, b, n).
 
-    Source: Duff et al., "Building an Orthonormal Basis, Revisited", J. Computer Graphics Techniques 6(1), 2017;
-    continuous everywhere but at n_z = 0.
+    Source: Duff et al., "Building an Orthonormal Basis, Revisited", J. Computer Graphics Techniques
+    6(1), 2017; continuous everywhere but at n_z = 0.
     """
     x, y, z = np.moveaxis(np.asarray(n, dtype=float), -1, 0)
     sign = np.copysign(1.0, z)
     a = -1 / (sign + z)
     b = x * y * a
-    return (np.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=-1),
-            np.stack([b, sign + y * y * a, -y], axis=-1))
+    return (
+        np.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=-1),
+        np.stack([b, sign + y * y * a, -y], axis=-1),
+    )
 
 
 def rotation_from_vector(w: ArrayLike) -> Array:
-    """Rotation matrices (..., 3, 3) that turn by |w| rad about the axes `w` (..., 3) (Rodrigues' formula)."""
+    """Rotation matrices (..., 3, 3) that turn by |w| rad about the axes `w` (..., 3) (Rodrigues'
+    formula)."""
     w = np.asarray(w, dtype=float)
     angle = np.sqrt(np.einsum("...i,...i->...", w, w))[..., None, None]
     W = np.zeros((*w.shape, 3))
-    W[..., 0, 1], W[..., 0, 2], W[..., 1, 2] = -w[..., 2], w[..., 1], -w[..., 0]
+    W[..., 0, 1] = -w[..., 2]
+    W[..., 0, 2] = w[..., 1]
+    W[..., 1, 2] = -w[..., 0]
     W -= np.swapaxes(W, -1, -2)
-    # sinc(x) = sin(pi x)/(pi x) is exact at 0; (1 - cos a)/a^2 = sinc^2(a / 2 pi)/2 has no cancellation
-    return np.eye(3) + np.sinc(angle / np.pi) * W + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (W @ W)
+    # sinc(x) = sin(pi x)/(pi x) is exact at 0; (1 - cos a)/a^2 = sinc^2(a / 2 pi)/2 has no
+    # cancellation
+    return (
+        np.eye(3) + np.sinc(angle / np.pi) * W + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (W @ W)
+    )
 
 
 def transform(R_AB: ArrayLike, p_AB: ArrayLike, p_BP: ArrayLike) -> Array:
     """Points `p_AP` (..., 3) = R_AB p_BP + p_AB."""
-    return np.asarray(p_BP, dtype=float) @ np.swapaxes(np.asarray(R_AB, dtype=float), -1, -2) + np.asarray(p_AB)
+    return np.asarray(p_BP, dtype=float) @ np.swapaxes(
+        np.asarray(R_AB, dtype=float), -1, -2
+    ) + np.asarray(p_AB)

@@ -15,7 +15,8 @@ _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
 def decode(data: bytes, flags: int) -> NDArray | None:
-    """The pixels of an image file (`flags`: cv2.IMREAD_*); None where it is damaged, too large, or no image at all."""
+    """The pixels of an image file (`flags`: cv2.IMREAD_*); None where it is damaged, too large, or
+    no image at all."""
     if data.startswith(_SIGNATURE) and not _is_sound_png(data):
         return None
     try:
@@ -25,14 +26,18 @@ def decode(data: bytes, flags: int) -> NDArray | None:
 
 
 def _is_sound_png(data: bytes) -> bool:
-    """Whether each part is there with its checksum, and not too much in it. libpng prints what is wrong, and goes on."""
+    """Whether each part is there with its checksum, and not too much in it. libpng prints what is
+    wrong, and goes on."""
     start = len(_SIGNATURE)
     while len(data) >= start + 12:
         size, kind = struct.unpack_from(">I4s", data, start)
         end = start + 12 + size
-        if data[end - 4:end] != struct.pack(">I", zlib.crc32(data[start + 4:end - 4])):
+        if data[end - 4 : end] != struct.pack(">I", zlib.crc32(data[start + 4 : end - 4])):
             return False
-        if kind == b"IHDR" and (size != 13 or np.prod(struct.unpack_from(">2I", data, start + 8), dtype=np.uint64) > LARGEST):
+        if kind == b"IHDR" and (
+            size != 13
+            or np.prod(struct.unpack_from(">2I", data, start + 8), dtype=np.uint64) > LARGEST
+        ):
             return False
         if kind == b"IEND":
             return True

@@ -1,8 +1,9 @@
-"""Lens and glass: from points in the camera frame C to pixels and back. Batched over points; no image in sight.
+"""Lens and glass: from points in the camera frame C to pixels and back. Batched over points; no
+image in sight.
 
-The chain for a point P beyond the pane: refraction at the pane, which leaves a ray through the camera's centre in
-the air before it; pinhole; plumb_bob lens distortion (OpenCV's definition, `cv2.projectPoints`); pixels, where (0, 0)
-is the *centre* of the top-left pixel.
+The chain for a point P beyond the pane: refraction at the pane, which leaves a ray through the
+camera's centre in the air before it; pinhole; plumb_bob lens distortion (OpenCV's definition,
+`cv2.projectPoints`); pixels, where (0, 0) is the *centre* of the top-left pixel.
 
 C has its origin at the camera's centre, x right, y down, z forward. The pane is normal to z.
 """
@@ -22,13 +23,14 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 
 _NEWTON_STEPS = 30
-_UNDISTORT_NEAR = 1e-7  # normalised image plane: one more Newton step from here is exact to about 1e-13
+# normalised image plane: one more Newton step from here is exact to about 1e-13
+_UNDISTORT_NEAR = 1e-7
 
 
 @dataclass(frozen=True)
 class Camera(Pinhole):
-    """A pinhole camera, and the pane in front: `glass_thickness` m (0 = none), `glass_index`, `glass_distance` m from the
-    camera's centre to the near face."""
+    """A pinhole camera, and the pane in front: `glass_thickness` m (0 = none), `glass_index`,
+    `glass_distance` m from the camera's centre to the near face."""
 
     glass_thickness: float = 0.0
     glass_index: float = 1.0
@@ -36,14 +38,31 @@ class Camera(Pinhole):
 
     def __post_init__(self) -> None:
         if len(self.distortion) != 5:
-            raise InputError(f"{len(self.distortion)} coefficients", source="Camera", field="distortion",
-                             choices=["5 numbers: k1, k2, p1, p2, k3"])
-        values = (self.fx, self.fy, self.cx, self.cy, *self.distortion, self.glass_thickness, self.glass_index,
-                  self.glass_distance)
+            raise InputError(
+                f"{len(self.distortion)} coefficients",
+                source="Camera",
+                field="distortion",
+                choices=["5 numbers: k1, k2, p1, p2, k3"],
+            )
+        values = (
+            self.fx,
+            self.fy,
+            self.cx,
+            self.cy,
+            *self.distortion,
+            self.glass_thickness,
+            self.glass_index,
+            self.glass_distance,
+        )
         if not np.all(np.isfinite(values)) or min(self.fx, self.fy, self.width, self.height) <= 0:
-            raise InputError("values must be finite; focal lengths and image size positive", source="Camera")
+            raise InputError(
+                "values must be finite; focal lengths and image size positive", source="Camera"
+            )
         if self.glass_thickness < 0 or self.glass_index < 1 or self.glass_distance < 0:
-            raise InputError("glass needs a thickness >= 0, a refractive index >= 1 and a distance >= 0", source="Camera")
+            raise InputError(
+                "glass needs a thickness >= 0, a refractive index >= 1 and a distance >= 0",
+                source="Camera",
+            )
 
     @classmethod
     def from_design(cls, camera: Pinhole, glass: Glass | None = None) -> Camera:
@@ -52,25 +71,42 @@ class Camera(Pinhole):
 
     def behind(self, glass: Glass | None) -> Camera:
         """This camera behind a pane (None: as it is)."""
-        return self if glass is None else self.behind_pane(glass.thickness, glass.refractive_index, glass.distance)
+        return (
+            self
+            if glass is None
+            else self.behind_pane(glass.thickness, glass.refractive_index, glass.distance)
+        )
 
     def behind_pane(self, thickness: float, refractive_index: float, distance: float) -> Camera:
-        """This camera behind a pane of `thickness` m, `distance` m from the camera's centre to its near face, in place of
-        any other. Raises InputError for what cannot be."""
-        return replace(self, glass_thickness=thickness, glass_index=refractive_index, glass_distance=distance)
+        """This camera behind a pane of `thickness` m, `distance` m from the camera's centre to its
+        near face, in place of any other. Raises InputError for what cannot be."""
+        return replace(
+            self, glass_thickness=thickness, glass_index=refractive_index, glass_distance=distance
+        )
 
     @cached_property
     def numbers(self) -> Array:
-        """All that a ray's way depends on, (12,): fx, fy, cx, cy, lens, thickness, index and distance of the pane."""
-        return np.array([self.fx, self.fy, self.cx, self.cy, *self.distortion, self.glass_thickness, self.glass_index,
-                         self.glass_distance])
+        """All that a ray's way depends on, (12,): fx, fy, cx, cy, lens, thickness, index and
+        distance of the pane."""
+        return np.array(
+            [
+                self.fx,
+                self.fy,
+                self.cx,
+                self.cy,
+                *self.distortion,
+                self.glass_thickness,
+                self.glass_index,
+                self.glass_distance,
+            ]
+        )
 
     @classmethod
     def from_yaml(cls, path: str | Path, glass: Glass | None = None) -> Camera:
         """Read a ROS camera_info file (as the camera_calibration package writes it).
 
-        It may have one field more than ROS knows, `glass: {thickness_mm: 5, refractive_index: 1.5, distance_mm: 120}`, a
-        pane in front of the camera; `glass` of the argument takes its place.
+        It may have one field more than ROS knows, `glass: {thickness_mm: 5, refractive_index: 1.5,
+        distance_mm: 120}`, a pane in front of the camera; `glass` of the argument takes its place.
         Raises InputError naming the file, the field and the valid choices.
         """
         return _camera_from_table(_read_yaml(Path(path)), str(path)).behind(glass)
@@ -88,7 +124,8 @@ def project(camera: Camera, p_CP: ArrayLike) -> Array:
 def unproject(camera: Camera, uv_px: ArrayLike) -> Array:
     """Unit rays (..., 3) in C, in the air before the pane, that pixels `uv_px` (..., 2) see.
 
-    NaN where the lens model cannot be inverted (far outside of the image, where plumb_bob folds over).
+    NaN where the lens model cannot be inverted (far outside of the image, where plumb_bob folds
+    over).
     """
     xy = undistort(camera, normalized_from_pixel(camera, uv_px))
     ray = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
@@ -96,17 +133,21 @@ def unproject(camera: Camera, uv_px: ArrayLike) -> Array:
 
 
 def refract(camera: Camera, p_CP: ArrayLike) -> Array:
-    """Normalised coordinates x/z, y/z (..., 2) of the ray that leaves the pane for points `p_CP` (..., 3) beyond it.
+    """Normalised coordinates x/z, y/z (..., 2) of the ray that leaves the pane for points `p_CP`
+    (..., 3) beyond it.
 
-    With x = tan(theta) of the ray in air, a point at depth Z and distance rho from the axis obeys (Snell's law;
-    n sin(theta_glass) = sin(theta))
+    With x = tan(theta) of the ray in air, a point at depth Z and distance rho from the axis obeys
+    (Snell's law; n sin(theta_glass) = sin(theta))
 
         rho = (Z - t) x + t x / sqrt(n^2 + (n^2 - 1) x^2),
 
-    solved by Newton; the right side is increasing and almost straight in x, so that three steps reach 1e-16.
+    solved by Newton; the right side is increasing and almost straight in x, so that three steps
+    reach 1e-16.
     """
     p = np.asarray(p_CP, dtype=float)
-    z, t, n2 = p[..., 2], camera.glass_thickness, camera.glass_index**2
+    z = p[..., 2]
+    t = camera.glass_thickness
+    n2 = camera.glass_index**2
     nearest = camera.glass_distance + t if t > 0 else 0.0
     z = np.where(z > nearest, z, np.nan)
     if t == 0 or n2 == 1:
@@ -125,22 +166,28 @@ def refract(camera: Camera, p_CP: ArrayLike) -> Array:
 
 
 def glass_shift(camera: Camera, rays: ArrayLike) -> Array:
-    """Depth (...) m by which the pane brings a point nearer along z, for `rays` (..., 3) in air (any length).
+    """Depth (...) m by which the pane brings a point nearer along z, for `rays` (..., 3) in air
+    (any length).
 
     A pose found without the pane in the model becomes p_true = p_apparent + (0, 0, shift).
     """
     ray = np.asarray(rays, dtype=float)
-    x, y, z = ray[..., 0], ray[..., 1], ray[..., 2]
+    x = ray[..., 0]
+    y = ray[..., 1]
+    z = ray[..., 2]
     return pane_shift(camera, (x * x + y * y) / (z * z))
 
 
 def pane_shift(camera: Camera, tan2: ArrayLike) -> Array:
-    """`glass_shift` (...) m for rays at an angle theta to the axis with tan(theta)^2 = `tan2` (...).
+    """`glass_shift` (...) m for rays at an angle theta to the axis with tan(theta)^2 = `tan2`
+    (...).
 
     t (1 - cos(theta) / sqrt(n^2 - sin^2(theta))) for a pane normal to the axis.
     """
     slower = camera.glass_index**2 - 1
-    return camera.glass_thickness * (1 - 1 / np.sqrt(slower * np.asarray(tan2, dtype=float) + (slower + 1)))
+    return camera.glass_thickness * (
+        1 - 1 / np.sqrt(slower * np.asarray(tan2, dtype=float) + (slower + 1))
+    )
 
 
 def distort(camera: Camera, xy: ArrayLike) -> Array:
@@ -152,7 +199,8 @@ def distort(camera: Camera, xy: ArrayLike) -> Array:
 
 
 def undistort(camera: Camera, xy_distorted: ArrayLike) -> Array:
-    """Ideal from distorted normalised coordinates (..., 2), by Newton with the exact Jacobian, to about 1e-13.
+    """Ideal from distorted normalised coordinates (..., 2), by Newton with the exact Jacobian, to
+    about 1e-13.
 
     NaN where it does not converge to a point on the near side of the fold.
     """
@@ -162,11 +210,16 @@ def undistort(camera: Camera, xy_distorted: ArrayLike) -> Array:
     x_d, y_d = np.moveaxis(target, -1, 0).copy()
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         x, y, *_ = _lens(camera, x_d, y_d)
-        x, y = 2 * x_d - x, 2 * y_d - y  # one step of the fixed-point iteration, without derivatives
+        # one step of the fixed-point iteration, without derivatives
+        x = 2 * x_d - x
+        y = 2 * y_d - y
         for _ in range(_NEWTON_STEPS):
             x_now, y_now, xx, xy, yy = _lens(camera, x, y)
-            x_off, y_off, det = x_now - x_d, y_now - y_d, xx * yy - xy * xy
-            x, y = x - (yy * x_off - xy * y_off) / det, y - (xx * y_off - xy * x_off) / det
+            x_off = x_now - x_d
+            y_off = y_now - y_d
+            det = xx * yy - xy * xy
+            x = x - (yy * x_off - xy * y_off) / det
+            y = y - (xx * y_off - xy * x_off) / det
             residual = np.maximum(np.abs(x_off), np.abs(y_off))
             if not np.any(residual > _UNDISTORT_NEAR):  # the step just made squares it
                 break
@@ -175,7 +228,8 @@ def undistort(camera: Camera, xy_distorted: ArrayLike) -> Array:
 
 
 def distortion_jacobian(camera: Camera, xy: ArrayLike) -> Array:
-    """Derivative (..., 2, 2) of `distort` with respect to the ideal normalised coordinates (..., 2)."""
+    """Derivative (..., 2, 2) of `distort` with respect to the ideal normalised coordinates (...,
+    2)."""
     xy = np.asarray(xy, dtype=float)
     J = np.empty((*xy.shape, 2))
     _, _, J[..., 0, 0], J[..., 0, 1], J[..., 1, 1] = _lens(camera, xy[..., 0], xy[..., 1])
@@ -194,16 +248,26 @@ def normalized_from_pixel(camera: Camera, uv_px: ArrayLike) -> Array:
 
 
 def _lens(camera: Camera, x: Array, y: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """plumb_bob of ideal coordinates x, y (...), and its derivatives dx/dx, dx/dy = dy/dx, dy/dy."""
+    """plumb_bob of ideal coordinates x, y (...), and its derivatives dx/dx, dx/dy = dy/dx,
+    dy/dy."""
     k1, k2, p1, p2, k3 = camera.distortion
-    x2, y2, xy = x * x, y * y, x * y
+    x2 = x * x
+    y2 = y * y
+    xy = x * y
     r2 = x2 + y2
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
     slope = 2 * k1 + r2 * (4 * k2 + 6 * k3 * r2)  # d(radial)/dx = slope x
-    x_d, y_d, xx, xy_, yy = x * radial, y * radial, radial + slope * x2, slope * xy, radial + slope * y2
+    x_d = x * radial
+    y_d = y * radial
+    xx = radial + slope * x2
+    xy_ = slope * xy
+    yy = radial + slope * y2
     if p1 or p2:
-        x_d, y_d = x_d + 2 * p1 * xy + p2 * (r2 + 2 * x2), y_d + p1 * (r2 + 2 * y2) + 2 * p2 * xy
-        xx, xy_, yy = xx + 2 * p1 * y + 6 * p2 * x, xy_ + 2 * p1 * x + 2 * p2 * y, yy + 6 * p1 * y + 2 * p2 * x
+        x_d = x_d + 2 * p1 * xy + p2 * (r2 + 2 * x2)
+        y_d = y_d + p1 * (r2 + 2 * y2) + 2 * p2 * xy
+        xx = xx + 2 * p1 * y + 6 * p2 * x
+        xy_ = xy_ + 2 * p1 * x + 2 * p2 * y
+        yy = yy + 6 * p1 * y + 2 * p2 * x
     return x_d, y_d, xx, xy_, yy
 
 
@@ -213,7 +277,9 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     try:
         table = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", source=path, field="camera") from error
+        raise InputError(
+            f"cannot be read: {error.strerror}", source=path, field="camera"
+        ) from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         text = " ".join(str(error).split())
         raise InputError(f"not valid YAML: {text}", source=path) from error
@@ -222,8 +288,18 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     return table
 
 
-_PANE = {"thickness_mm": (0.0, 1000.0, 1e-3), "refractive_index": (1.0, 3.0, 1.0), "distance_mm": (0.0, 1e5, 1e-3)}
-_YAML_FIELDS = ("image_width", "image_height", "camera_matrix", "distortion_model", "distortion_coefficients")
+_PANE = {
+    "thickness_mm": (0.0, 1000.0, 1e-3),
+    "refractive_index": (1.0, 3.0, 1.0),
+    "distance_mm": (0.0, 1e5, 1e-3),
+}
+_YAML_FIELDS = (
+    "image_width",
+    "image_height",
+    "camera_matrix",
+    "distortion_model",
+    "distortion_coefficients",
+)
 
 
 def _camera_from_table(table: dict[str, Any], source: str) -> Camera:
@@ -233,30 +309,54 @@ def _camera_from_table(table: dict[str, Any], source: str) -> Camera:
     size = {}
     for name in ("image_width", "image_height"):
         if isinstance(table[name], bool) or not isinstance(table[name], int) or table[name] < 1:
-            raise InputError(f"{table[name]!r} is not a positive whole number", source=source, field=name)
+            raise InputError(
+                f"{table[name]!r} is not a positive whole number", source=source, field=name
+            )
         size[name.removeprefix("image_")] = table[name]
     if table["distortion_model"] != "plumb_bob":
-        raise InputError(f"{table['distortion_model']!r} is not supported", source=source, field="distortion_model",
-                         choices=["plumb_bob"])
+        raise InputError(
+            f"{table['distortion_model']!r} is not supported",
+            source=source,
+            field="distortion_model",
+            choices=["plumb_bob"],
+        )
     K = _numbers(table["camera_matrix"], "camera_matrix", (9,), source)
     fx, skew, cx, below, fy, cy, *last = K
     if fx <= 0 or fy <= 0 or skew or below or last != [0, 0, 1]:
-        raise InputError(f"{K} is not [fx, 0, cx, 0, fy, cy, 0, 0, 1] with positive focal lengths", source=source,
-                         field="camera_matrix.data")
+        raise InputError(
+            f"{K} is not [fx, 0, cx, 0, fy, cy, 0, 0, 1] with positive focal lengths",
+            source=source,
+            field="camera_matrix.data",
+        )
     k = _numbers(table["distortion_coefficients"], "distortion_coefficients", (4, 5), source)
     camera = Camera(size["width"], size["height"], fx, fy, cx, cy, tuple((*k, 0.0)[:5]))
-    return camera if table.get("glass") is None else camera.behind_pane(*_pane(table["glass"], source))
+    return (
+        camera if table.get("glass") is None else camera.behind_pane(*_pane(table["glass"], source))
+    )
 
 
 def _pane(glass: Any, source: str) -> tuple[float, float, float]:
     """Thickness m, refractive index and distance m of a camera file's `glass`."""
     if not isinstance(glass, dict) or set(glass) != set(_PANE):
-        raise InputError(f"{glass!r} has not exactly the fields of a pane", source=source, field="glass", choices=tuple(_PANE))
+        raise InputError(
+            f"{glass!r} has not exactly the fields of a pane",
+            source=source,
+            field="glass",
+            choices=tuple(_PANE),
+        )
     values = []
     for name, (least, most, unit) in _PANE.items():
         value = glass[name]
-        if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= most:
-            raise InputError(f"{value!r} is not a number from {least:g} to {most:g}", source=source, field=f"glass.{name}")
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not least <= value <= most
+        ):
+            raise InputError(
+                f"{value!r} is not a number from {least:g} to {most:g}",
+                source=source,
+                field=f"glass.{name}",
+            )
         values.append(value * unit)
     return values[0], values[1], values[2]
 
@@ -266,7 +366,9 @@ def _numbers(value: Any, name: str, lengths: tuple[int, ...], source: str) -> li
     data = value.get("data") if isinstance(value, dict) else value
     count = " or ".join(map(str, lengths))
     if not isinstance(data, list) or len(data) not in lengths:
-        raise InputError(f"{data!r} is not a list of {count} numbers", source=source, field=f"{name}.data")
+        raise InputError(
+            f"{data!r} is not a list of {count} numbers", source=source, field=f"{name}.data"
+        )
     numbers = []
     for i, x in enumerate(data):
         try:  # YAML 1.1 reads 1e-5 (no point) as text
@@ -274,6 +376,8 @@ def _numbers(value: Any, name: str, lengths: tuple[int, ...], source: str) -> li
         except (TypeError, ValueError):
             number = float("nan")
         if not np.isfinite(number):
-            raise InputError(f"{x!r} is not a finite number", source=source, field=f"{name}.data[{i}]")
+            raise InputError(
+                f"{x!r} is not a finite number", source=source, field=f"{name}.data[{i}]"
+            )
         numbers.append(number)
     return numbers

@@ -1,8 +1,9 @@
 """The clock of devices, emulator and loop, in seconds that may last longer than the wall's.
 
-`MJTACTILE_SLOW=3` (the command line's `--slow 3`) makes each of them last three: emulated world, servos' watchdogs, the
-board's heartbeat, cameras, host and all their time-outs run at a third of the speed, so that a busy computer keeps up with
-them. Child processes inherit it. Real devices have a clock of their own: only emulated ones can be slow.
+`MJTACTILE_SLOW=3` (the command line's `--slow 3`) makes each of them last three: emulated world,
+servos' watchdogs, the board's heartbeat, cameras, host and all their time-outs run at a third of
+the speed, so that a busy computer keeps up with them. Child processes inherit it. Real devices have
+a clock of their own: only emulated ones can be slow.
 """
 
 from __future__ import annotations

@@ -1,8 +1,10 @@
-"""What a learned policy sees and does: the same numbers in a Gymnasium environment, in training, and in a controller on a rig.
+"""What a learned policy sees and does: the same numbers in a Gymnasium environment, in training,
+and in a controller on a rig.
 
-A policy is a function of one vector (`policy_vector`) that gives an action (3,) in [-1, 1]: speed of opening, force limit and
-speed of lifting (`policy_command`). Where a grasp is, from approach to release, follows from what is felt and reached, and is
-part of what the policy sees; so a policy without memory can lift, hold and set down.
+A policy is a function of one vector (`policy_vector`) that gives an action (3,) in [-1, 1]: speed
+of opening, force limit and speed of lifting (`policy_command`). Where a grasp is, from approach to
+release, follows from what is felt and reached, and is part of what the policy sees; so a policy
+without memory can lift, hold and set down.
 """
 
 from __future__ import annotations
@@ -16,90 +18,173 @@ from numpy.typing import ArrayLike
 
 from mjtactile.core.types import Array, Command, Observation, Touch
 
-OPENING_SPEED, FORCE_LIMIT, LIFT_SPEED = 0.05, 8.0, 0.05  # m/s, N, m/s at the ends of an action's range
-LIFT_HEIGHT, HOLD_TIME = 0.040, 2.0  # m, s: how high a grasp lifts, and how long it holds there
+# m/s, N, m/s at the ends of an action's range
+OPENING_SPEED = 0.05
+FORCE_LIMIT = 8.0
+LIFT_SPEED = 0.05
+# m, s: how high a grasp lifts, and how long it holds there
+LIFT_HEIGHT = 0.040
+HOLD_TIME = 2.0
 PHASES = ("approach", "close", "regulate", "lift", "hold", "lower", "release")
-_RISEN, _NEAR, _DOWN = 0.002, 0.001, 0.001  # m: from where on the hand is lifted; off its goal; above the table
+# m: from where on the hand is lifted; off its goal; above the table
+_RISEN = 0.002
+_NEAR = 0.001
+_DOWN = 0.001
 _CLEAR = 0.008  # m of opening beyond the grip at which what was held is let go of
 _LEAD = 0.004  # m that the goal of the opening may be ahead of the jaws
 _TIME_MAX = 3.0  # s in a phase, as a policy sees it
 _LOST_TIME = 0.5  # s without a touch after which the hand goes down again
-_FINGER = (("known", 1.0), ("touching", 1.0), ("force_normal_N", 50.0), ("fx_N", 50.0), ("fy_N", 50.0), ("tx_Nm", 1.0),
-           ("ty_Nm", 1.0), ("tz_Nm", 1.0))
-_RIG = (("opening_m", 1.0), ("speed_m_s", 1.0), ("effort_N", 100.0), ("lift_height_m", 1.0), ("goal_ahead_m", 1.0),
-        ("force_limit_N", 100.0), ("phase_time_s", _TIME_MAX), *((phase, 1.0) for phase in PHASES))
+_FINGER = (
+    ("known", 1.0),
+    ("touching", 1.0),
+    ("force_normal_N", 50.0),
+    ("fx_N", 50.0),
+    ("fy_N", 50.0),
+    ("tx_Nm", 1.0),
+    ("ty_Nm", 1.0),
+    ("tz_Nm", 1.0),
+)
+_RIG = (
+    ("opening_m", 1.0),
+    ("speed_m_s", 1.0),
+    ("effort_N", 100.0),
+    ("lift_height_m", 1.0),
+    ("goal_ahead_m", 1.0),
+    ("force_limit_N", 100.0),
+    ("phase_time_s", _TIME_MAX),
+    *((phase, 1.0) for phase in PHASES),
+)
 
 
 def policy_names(fingers: int = 2) -> list[str]:
     """What the numbers of a vector are called, with their units."""
-    return [f"finger{k}.{name}" for k in range(1, fingers + 1) for name, _ in _FINGER] + [name for name, _ in _RIG]
+    return [f"finger{k}.{name}" for k in range(1, fingers + 1) for name, _ in _FINGER] + [
+        name for name, _ in _RIG
+    ]
 
 
 def policy_bounds(fingers: int = 2) -> Array:
     """The largest size of each number of a vector; what is beyond is cut."""
-    return np.array([most for _ in range(fingers) for _, most in _FINGER] + [most for _, most in _RIG])
+    return np.array(
+        [most for _ in range(fingers) for _, most in _FINGER] + [most for _, most in _RIG]
+    )
 
 
 def policy_vector(observation: Observation) -> Array:
-    """The numbers (8 fingers + 14,) that a policy sees, float32. A force that is unknown is 0 with `known` 0: look at both."""
-    command, gripper = observation.command, observation.gripper
+    """The numbers (8 fingers + 14,) that a policy sees, float32. A force that is unknown is 0 with
+    `known` 0: look at both."""
+    command = observation.command
+    gripper = observation.gripper
     phase = command.phase if command.phase in PHASES else PHASES[0]
-    rig = [gripper.opening, gripper.speed, gripper.effort, gripper.lift_height, command.opening - gripper.opening,
-           command.force_limit, min(command.memory.get("phase_time", 0.0), _TIME_MAX), *(float(phase == one) for one in PHASES)]
+    rig = [
+        gripper.opening,
+        gripper.speed,
+        gripper.effort,
+        gripper.lift_height,
+        command.opening - gripper.opening,
+        command.force_limit,
+        min(command.memory.get("phase_time", 0.0), _TIME_MAX),
+        *(float(phase == one) for one in PHASES),
+    ]
     values = np.array([value for touch in observation.touch for value in _felt(touch)] + rig, float)
     most = policy_bounds(len(observation.touch))
     return np.clip(np.nan_to_num(values, posinf=0.0, neginf=0.0), -most, most).astype(np.float32)
 
 
 def policy_command(observation: Observation, action: ArrayLike) -> Command:
-    """The command of an action (3,), which is cut to [-1, 1]; with the phase that the grasp is in now."""
-    rate, limit, lift = (float(value) for value in np.clip(np.nan_to_num(np.asarray(action, float)), -1.0, 1.0))
-    last, period, gripper = observation.command, observation.period, observation.gripper
+    """The command of an action (3,), which is cut to [-1, 1]; with the phase that the grasp is in
+    now."""
+    rate, limit, lift = (
+        float(value) for value in np.clip(np.nan_to_num(np.asarray(action, float)), -1.0, 1.0)
+    )
+    last = observation.command
+    period = observation.period
+    gripper = observation.gripper
     opening = last.opening + OPENING_SPEED * rate * period
     if math.isfinite(gripper.opening):
         opening = min(max(opening, gripper.opening - _LEAD), gripper.opening + _LEAD)
     height = min(max(last.lift_height + LIFT_SPEED * lift * period, 0.0), LIFT_HEIGHT)
     phase, memory = _progress(observation)
-    return replace(last, opening=max(opening, 0.0), force_limit=FORCE_LIMIT * (limit + 1) / 2, lift_height=height, phase=phase,
-                   memory=memory)
+    return replace(
+        last,
+        opening=max(opening, 0.0),
+        force_limit=FORCE_LIMIT * (limit + 1) / 2,
+        lift_height=height,
+        phase=phase,
+        memory=memory,
+    )
 
 
 def policy_action(before: Command, after: Command, period: float) -> Array:
-    """The action (3,) that takes one command to the next, `period` s later: what a teacher did, for a policy to learn."""
-    return np.clip([(after.opening - before.opening) / (OPENING_SPEED * period), 2 * after.force_limit / FORCE_LIMIT - 1,
-                    (after.lift_height - before.lift_height) / (LIFT_SPEED * period)], -1.0, 1.0)
+    """The action (3,) that takes one command to the next, `period` s later: what a teacher did, for
+    a policy to learn."""
+    return np.clip(
+        [
+            (after.opening - before.opening) / (OPENING_SPEED * period),
+            2 * after.force_limit / FORCE_LIMIT - 1,
+            (after.lift_height - before.lift_height) / (LIFT_SPEED * period),
+        ],
+        -1.0,
+        1.0,
+    )
 
 
 def _felt(touch: Touch) -> list[float]:
     known = math.isfinite(touch.force_normal)
     wrench = touch.traction.wrench if known and touch.traction is not None else np.zeros(6)
-    return [float(known), float(touch.touching), touch.force_normal, wrench[0], wrench[1], *wrench[3:]]
+    return [
+        float(known),
+        float(touch.touching),
+        touch.force_normal,
+        wrench[0],
+        wrench[1],
+        *wrench[3:],
+    ]
 
 
 def _progress(observation: Observation) -> tuple[str, Mapping[str, float]]:
     """The phase that the grasp is in now, and how long it has been: by touch and height alone."""
-    last, gripper = observation.command, observation.gripper
+    last = observation.command
+    gripper = observation.gripper
     before = last.phase if last.phase in (*PHASES, "done", "abort") else PHASES[0]
     time = last.memory.get("phase_time", 0.0) + observation.period
     grip = last.memory.get("grip_opening", gripper.opening)
-    lost = 0.0 if any(touch.touching for touch in observation.touch) else last.memory.get("lost_time", 0.0) + observation.period
-    phase = "lower" if before in ("lift", "hold") and lost > _LOST_TIME else _next(before, observation, time, grip)
+    lost = (
+        0.0
+        if any(touch.touching for touch in observation.touch)
+        else last.memory.get("lost_time", 0.0) + observation.period
+    )
+    phase = (
+        "lower"
+        if before in ("lift", "hold") and lost > _LOST_TIME
+        else _next(before, observation, time, grip)
+    )
     if phase != before:
         time = 0.0
     if phase not in ("release", "done", "abort"):
         grip = gripper.opening
     gone = last.memory.get("gone", 0.0) or float(phase == "lower" and lost > _LOST_TIME)
     phase = "abort" if phase == "done" and gone else phase
-    return phase, {"phase_time": time, "lost_time": lost, "gone": gone, "grip_opening": grip if math.isfinite(grip) else 0.0}
+    return phase, {
+        "phase_time": time,
+        "lost_time": lost,
+        "gone": gone,
+        "grip_opening": grip if math.isfinite(grip) else 0.0,
+    }
 
 
 def _next(phase: str, observation: Observation, time: float, grip: float) -> str:
-    touching, gripper = [touch.touching for touch in observation.touch], observation.gripper
+    touching = [touch.touching for touch in observation.touch]
+    gripper = observation.gripper
     height = gripper.lift_height
     if phase in ("approach", "close", "regulate"):
         felt = "regulate" if all(touching) else "close" if any(touching) else "approach"
         return "lift" if height > _RISEN else felt
-    ends = {"lift": height > LIFT_HEIGHT - _NEAR, "hold": time >= HOLD_TIME, "lower": height < _DOWN,
-            "release": not any(touching) and gripper.opening > grip + _CLEAR}
+    ends = {
+        "lift": height > LIFT_HEIGHT - _NEAR,
+        "hold": time >= HOLD_TIME,
+        "lower": height < _DOWN,
+        "release": not any(touching) and gripper.opening > grip + _CLEAR,
+    }
     after = {"lift": "hold", "hold": "lower", "lower": "release", "release": "done"}
     return after[phase] if ends.get(phase, False) else phase

@@ -1,7 +1,9 @@
-"""Child processes of this package: started alike, spoken to by lines of JSON, and gone when their parent is.
+"""Child processes of this package: started alike, spoken to by lines of JSON, and gone when their
+parent is.
 
-A child is a new interpreter, not a fork (this one may have threads), with one BLAS thread, in a session of its own:
-Ctrl-C in the terminal is for the parent, which ends its children when it has shut down.
+A child is a new interpreter, not a fork (this one may have threads), with one BLAS thread, in a
+session of its own: Ctrl-C in the terminal is for the parent, which ends its children when it has
+shut down.
 """
 
 from __future__ import annotations
@@ -23,23 +25,36 @@ from typing import Any
 from mjtactile.core.errors import DeviceError, InputError, MjtactileError
 
 _PARENT = "MJTACTILE_PARENT"  # the environment variable that tells a child whose it is
-_PARENT_TIME = 1.0  # s between two looks whether the parent still lives, where the kernel does not tell of its end
+# s between two looks whether the parent still lives, where the kernel does not tell of its end
+_PARENT_TIME = 1.0
 _PARENT_GRACE = 5.0  # s for a child to end by itself when its parent is gone
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
-def start(module: str, *args: object, descriptors: Sequence[int] = (), talk: bool = False,
-          grace: float = _PARENT_GRACE) -> subprocess.Popen[str]:
-    """Start `python -m MODULE ARGS`, which keeps these file `descriptors`; with `talk`, its stdin and stdout are pipes for
-    `ask`, else there are none. It is ended `grace` s after this process, if it does not end by itself."""
+def start(
+    module: str,
+    *args: object,
+    descriptors: Sequence[int] = (),
+    talk: bool = False,
+    grace: float = _PARENT_GRACE,
+) -> subprocess.Popen[str]:
+    """Start `python -m MODULE ARGS`, which keeps these file `descriptors`; with `talk`, its stdin
+    and stdout are pipes for `ask`, else there are none. It is ended `grace` s after this process,
+    if it does not end by itself."""
     home = str(Path(__file__).resolve().parents[2])
     path = os.pathsep.join(filter(None, [home, os.environ.get("PYTHONPATH")]))
     stream = subprocess.PIPE if talk else subprocess.DEVNULL
     code = f"from {__name__} import run; run({grace!r})"
     # -P: a file of the user's folder must not stand in for a module
-    return subprocess.Popen([sys.executable, "-P", "-c", code, module, *map(str, args)], text=True, stdin=stream, stdout=stream,
-                            start_new_session=True, pass_fds=descriptors,
-                            env={**os.environ, **_ONE_THREAD, "PYTHONPATH": path, _PARENT: str(os.getpid())})
+    return subprocess.Popen(
+        [sys.executable, "-P", "-c", code, module, *map(str, args)],
+        text=True,
+        stdin=stream,
+        stdout=stream,
+        start_new_session=True,
+        pass_fds=descriptors,
+        env={**os.environ, **_ONE_THREAD, "PYTHONPATH": path, _PARENT: str(os.getpid())},
+    )
 
 
 def ask(process: subprocess.Popen[str], request: str, name: str) -> Any:
@@ -54,10 +69,14 @@ def ask(process: subprocess.Popen[str], request: str, name: str) -> Any:
         process.stdin.flush()
         line = process.stdout.readline()
     if not line:
-        raise DeviceError(f"{name} has ended ({how_it_ended(process)}); what it printed to stderr says why")
+        raise DeviceError(
+            f"{name} has ended ({how_it_ended(process)}); what it printed to stderr says why"
+        )
     answer = json.loads(line)
     if isinstance(answer, dict) and "error" in answer:
-        raise (InputError if answer["exit_code"] == InputError.exit_code else DeviceError)(answer["error"])
+        raise (InputError if answer["exit_code"] == InputError.exit_code else DeviceError)(
+            answer["error"]
+        )
     return answer
 
 
@@ -71,7 +90,13 @@ def how_it_ended(process: subprocess.Popen[str]) -> str:
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(0.2)  # its pipes and sockets close a moment before it can be waited for
     code = process.poll()
-    return "it runs, but is not connected" if code is None else f"by signal {-code}" if code < 0 else f"exit code {code}"
+    return (
+        "it runs, but is not connected"
+        if code is None
+        else f"by signal {-code}"
+        if code < 0
+        else f"exit code {code}"
+    )
 
 
 def stop(process: subprocess.Popen[str], patience: float = 0.0) -> None:
@@ -89,16 +114,19 @@ def stop(process: subprocess.Popen[str], patience: float = 0.0) -> None:
 
 
 def run(grace: float) -> None:
-    """What a child does first and last: watch its parent, before anything that takes time, then run its module."""
+    """What a child does first and last: watch its parent, before anything that takes time, then run
+    its module."""
     end_with_parent(grace)
     sys.argv = sys.argv[1:]
     runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
 
 
 def end_with_parent(grace: float) -> None:
-    """From now on this process does not outlive its parent by more than `grace` s, however that ends, and no Ctrl-C is for it.
+    """From now on this process does not outlive its parent by more than `grace` s, however that
+    ends, and no Ctrl-C is for it.
 
-    Pipes and sockets alone do not tell (another process may hold the parent's end), nor to one that is busy importing.
+    Pipes and sockets alone do not tell (another process may hold the parent's end), nor to one that
+    is busy importing.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = int(os.environ[_PARENT])

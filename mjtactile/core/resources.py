@@ -1,4 +1,5 @@
-"""Where the shipped sensors, objects, grippers and controllers are: beside the package in a checkout, inside it in a wheel."""
+"""Where the shipped sensors, objects, grippers and controllers are: beside the package in a
+checkout, inside it in a wheel."""
 
 from __future__ import annotations
 
@@ -14,7 +15,9 @@ def folder(name: str) -> Path:
     for root in (_PACKAGE, _PACKAGE.parent):
         if (root / name).is_dir():
             return root / name
-    raise InputError("the installation is incomplete: folder not found", source=_PACKAGE, field=name)
+    raise InputError(
+        "the installation is incomplete: folder not found", source=_PACKAGE, field=name
+    )
 
 
 def names(kind: str, suffix: str) -> list[str]:
@@ -27,13 +30,18 @@ def find(name_or_path: str | Path, kind: str, suffix: str) -> Path:
 
     Raises InputError that lists the shipped names when there is no such file.
     """
-    text, what = str(name_or_path), kind.rsplit("/", 1)[-1].rstrip("s")
+    text = str(name_or_path)
+    what = kind.rsplit("/", 1)[-1].rstrip("s")
     if text.endswith(suffix) or "/" in text:
         path = Path(text).expanduser()
         if path.is_file():
             return path
-        raise InputError("no such file", source=text, field=what, choices=[*names(kind, suffix), f"FILE{suffix}"])
+        raise InputError(
+            "no such file", source=text, field=what, choices=[*names(kind, suffix), f"FILE{suffix}"]
+        )
     path = folder(kind) / f"{text}{suffix}"
     if path.is_file():
         return path
-    raise InputError(f"unknown {what}", source=text, choices=[*names(kind, suffix), f"FILE{suffix}"])
+    raise InputError(
+        f"unknown {what}", source=text, choices=[*names(kind, suffix), f"FILE{suffix}"]
+    )

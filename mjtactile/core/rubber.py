@@ -1,10 +1,12 @@
-"""The law of the rubber sheet: neo-Hookean in plane stress (docs/equations.md, Eq. F4). Pure functions, SI units.
+"""The law of the rubber sheet: neo-Hookean in plane stress (docs/equations.md, Eq. F4). Pure
+functions, SI units.
 
     W = mu/2 (I1 - 3 - 2 ln J) + lambda/2 (ln J)^2,    S = mu (I - c C^-1)
 
-C is the in-plane right Cauchy-Green tensor against the free sheet and c the square of the thickness's stretch, which no
-stress across the sheet fixes: mu (c - 1) + lambda/2 ln(c det C) = 0. In two dimensions det(C) C^-1 = tr(C) I - C, so that
-S is linear in I and C with coefficients of tr C and det C.
+C is the in-plane right Cauchy-Green tensor against the free sheet and c the square of the
+thickness's stretch, which no stress across the sheet fixes: mu (c - 1) + lambda/2 ln(c det C) = 0.
+In two dimensions det(C) C^-1 = tr(C) I - C, so that S is linear in I and C with coefficients of tr
+C and det C.
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ from mjtactile.core.types import Array
 
 
 class Law(StrEnum):
-    """Stress of the sheet against its strain. Both have Young's modulus and Poisson's ratio at small strain."""
+    """Stress of the sheet against its strain. Both have Young's modulus and Poisson's ratio at
+    small strain."""
 
     NEO_HOOKEAN = "neo-Hookean"
     STVK = "St. Venant-Kirchhoff"
@@ -29,7 +32,8 @@ def shear_modulus(young: float, poisson: float) -> float:
 
 
 def thickness_over_area(log_det: Array, poisson: float) -> Array:
-    """c / det C for ln det C = `log_det` (any shape); two Newton steps leave 1e-6 up to stretches of 1.4."""
+    """c / det C for ln det C = `log_det` (any shape); two Newton steps leave 1e-6 up to stretches
+    of 1.4."""
     half = poisson / (1 - 2 * poisson)  # lambda / 2 mu
     x = log_det * (-poisson / (1 - poisson))  # ln c, first order
     for _ in range(2):
@@ -39,7 +43,8 @@ def thickness_over_area(log_det: Array, poisson: float) -> Array:
 
 
 def principal_stresses(stretches: Array, young: float, poisson: float, law: Law) -> Array:
-    """Second Piola-Kirchhoff stresses S (m, 2), Pa, along the principal axes, for principal stretches (m, 2)."""
+    """Second Piola-Kirchhoff stresses S (m, 2), Pa, along the principal axes, for principal
+    stretches (m, 2)."""
     squares = stretches**2
     if law is Law.STVK:
         strains = (squares - 1) / 2
@@ -49,7 +54,8 @@ def principal_stresses(stretches: Array, young: float, poisson: float, law: Law)
 
 
 def equibiaxial_stress(stretch: float, young: float, poisson: float, law: Law) -> float:
-    """Second Piola-Kirchhoff stress S, Pa, of the sheet stretched by `stretch` in all directions of its plane."""
+    """Second Piola-Kirchhoff stress S, Pa, of the sheet stretched by `stretch` in all directions of
+    its plane."""
     if law is Law.STVK:
         return young / (1 - poisson) * (stretch**2 - 1) / 2
     ratio = float(thickness_over_area(np.asarray(4 * np.log(stretch)), poisson))

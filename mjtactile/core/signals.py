@@ -1,7 +1,9 @@
-"""Signals that ask a process to end. While devices are connected they are noted, and acted on where the loop allows it.
+"""Signals that ask a process to end. While devices are connected they are noted, and acted on where
+the loop allows it.
 
-An exception in the middle of whatever the main thread does, which is Python's own answer to Ctrl-C, could cut a shutdown
-short: torque on, chambers sealed. Blocking a signal in one thread does not help, since any other thread takes it.
+An exception in the middle of whatever the main thread does, which is Python's own answer to Ctrl-C,
+could cut a shutdown short: torque on, chambers sealed. Blocking a signal in one thread does not
+help, since any other thread takes it.
 """
 
 from __future__ import annotations
@@ -17,13 +19,16 @@ from types import FrameType
 from mjtactile.core.errors import Interrupted
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
-SECOND_TIME = 1.0  # s; what comes sooner after the first signal means the same: a finger that bounces, a shell that repeats it
+# s; what comes sooner after the first signal means the same: a finger that bounces, a shell that
+# repeats it
+SECOND_TIME = 1.0
 LEAVE_TIME = 1.0  # s for the process to be gone once nothing is connected any more
 EXIT_CODE = Interrupted.exit_code
 
 
 class Stop:
-    """What the signals have asked for so far: `asked` to end in order, `at_once` (a second one) without delay."""
+    """What the signals have asked for so far: `asked` to end in order, `at_once` (a second one)
+    without delay."""
 
     def __init__(self, *, ends_process: bool = False):
         self.asked = self.at_once = False
@@ -37,13 +42,15 @@ class Stop:
             raise Interrupted
 
     def hear(self, number: int, frame: FrameType | None) -> None:
-        """The signal handler: note it, and raise KeyboardInterrupt only while nothing is connected."""
+        """The signal handler: note it, and raise KeyboardInterrupt only while nothing is
+        connected."""
         now = time.monotonic()
         if self.asked and now - self._first < SECOND_TIME:
             return
         self.at_once = self.asked
         if not self.asked:
-            self.asked, self._first = True, now
+            self.asked = True
+            self._first = now
         if not self._deferrals:
             raise KeyboardInterrupt
 
@@ -69,9 +76,10 @@ _heard: Stop | None = None  # signals belong to the process, and so does this
 def listening(*, ends_process: bool = False) -> Iterator[Stop]:
     """Hear the signals in `ENDING`; one that the process was told to ignore (nohup) stays ignored.
 
-    Inside another such block, that one's `Stop` is given. Outside of the main thread, where Python installs no handlers,
-    nothing is heard. `ends_process`: the process ends with this block: afterwards the signals are ignored, and
-    after a deferral in which one came it is gone within LEAVE_TIME, whatever hangs then.
+    Inside another such block, that one's `Stop` is given. Outside of the main thread, where Python
+    installs no handlers, nothing is heard. `ends_process`: the process ends with this block:
+    afterwards the signals are ignored, and after a deferral in which one came it is gone within
+    LEAVE_TIME, whatever hangs then.
     """
     global _heard  # noqa: PLW0603
     if _heard is not None or threading.current_thread() is not threading.main_thread():
@@ -92,7 +100,8 @@ def listening(*, ends_process: bool = False) -> Iterator[Stop]:
 
 @contextlib.contextmanager
 def deferred() -> Iterator[Stop]:
-    """Note signals within this block instead of raising: for as long as anything is connected. See `Stop.defer`."""
+    """Note signals within this block instead of raising: for as long as anything is connected. See
+    `Stop.defer`."""
     with listening() as stop, stop.defer():
         yield stop
 
@@ -104,7 +113,8 @@ def check() -> None:
 
 
 def _leave_within(seconds: float) -> None:
-    """End the process after `seconds` s if it is still there: an output that blocks must not keep it."""
+    """End the process after `seconds` s if it is still there: an output that blocks must not keep
+    it."""
     timer = threading.Timer(seconds, os._exit, (EXIT_CODE,))
     timer.daemon = True
     timer.start()

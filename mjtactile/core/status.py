@@ -1,4 +1,5 @@
-"""Whether a value is to be trusted: a code that programs branch on, and the sentence that people read."""
+"""Whether a value is to be trusted: a code that programs branch on, and the sentence that people
+read."""
 
 from __future__ import annotations
 
@@ -13,7 +14,8 @@ class StatusCode(StrEnum):
     NO_ANSWER = "no answer"  # what looks at the images does not answer, or failed
     TOO_FEW_MARKERS = "too few markers"
     NO_SHAPE = "no shape"  # the markers fit no shape that the membrane can have
-    REFERENCE_LOST = "reference lost"  # the rest is not what it was: temperature, a camera that moved
+    # the rest is not what it was: temperature, a camera that moved
+    REFERENCE_LOST = "reference lost"
     TOO_WEAK = "too weak"  # too small a force to say it by
     TOO_LITTLE_SEEN = "too little seen"  # the probe was not finished
     UNDECIDED = "undecided"  # the evidence fits two answers
@@ -24,8 +26,8 @@ class StatusCode(StrEnum):
 class Status(str):
     """`"ok"`, or a short reason why a value should not be trusted; `code` is the same for programs.
 
-    It is text, so that `status == "ok"`, arrays of statuses and recordings (which hold the text) need no conversion, and a
-    message may carry numbers. "unknown" is an answer; zero is not.
+    It is text, so that `status == "ok"`, arrays of statuses and recordings (which hold the text)
+    need no conversion, and a message may carry numbers. "unknown" is an answer; zero is not.
     """
 
     __slots__ = ("code",)

@@ -1,11 +1,13 @@
 """Closed forms of membrane mechanics that the simulator is compared with. Pure functions, SI units.
 
-Rectangle 2a x 2b under pressure p, pre-tension T0 per length, membrane stiffness E h, Poisson ratio nu:
+Rectangle 2a x 2b under pressure p, pre-tension T0 per length, membrane stiffness E h, Poisson ratio
+nu:
 
     p = C1(b/a) T0 w0 / a^2 + C2(b/a, nu) E h w0^3 / a^4                                       (Eq. M1)
 
-Each coefficient is exact where the other term vanishes; between, the shapes differ and the sum is up to 4 % low.
-The table was recomputed by Ritz, series and finite elements, which agree to 0.01 %; fits in print are 1-1.6 % low.
+Each coefficient is exact where the other term vanishes; between, the shapes differ and the sum is
+up to 4 % low. The table was recomputed by Ritz, series and finite elements, which agree to 0.01 %;
+fits in print are 1-1.6 % low.
 """
 
 from __future__ import annotations
@@ -24,35 +26,51 @@ from mjtactile.core.types import Array
 _ASPECT = (1.0, 1.25, 4 / 3, 1.5, 2.0, 3.0, 4.0)
 _C1 = (3.3934493, 2.7929932, 2.6675326, 2.4808630, 2.1954508, 2.0377822, 2.0077390)
 _POISSON = (0.3, 0.45, 0.49, 0.5)
-_C2 = ((2.6565755, 3.2229637, 3.4290257, 3.4855694), (1.8907476, 2.2762197, 2.4170213, 2.4556830),
-       (1.7765972, 2.1292712, 2.2584356, 2.2939176), (1.6387461, 1.9459958, 2.0592634, 2.0904129),
-       (1.5087289, 1.7555740, 1.8486688, 1.8743754), (1.4764684, 1.6953797, 1.7807478, 1.8044870),
-       (1.4694049, 1.6811347, 1.7650312, 1.7884530))
+_C2 = (
+    (2.6565755, 3.2229637, 3.4290257, 3.4855694),
+    (1.8907476, 2.2762197, 2.4170213, 2.4556830),
+    (1.7765972, 2.1292712, 2.2584356, 2.2939176),
+    (1.6387461, 1.9459958, 2.0592634, 2.0904129),
+    (1.5087289, 1.7555740, 1.8486688, 1.8743754),
+    (1.4764684, 1.6953797, 1.7807478, 1.8044870),
+    (1.4694049, 1.6811347, 1.7650312, 1.7884530),
+)
 
 
 def _between(x: ArrayLike, y: ArrayLike, at: float) -> Array:
-    """Monotone cubic interpolation along the first axis of `y` (Fritsch and Butland 1984). It is scipy's `pchip`, whose import
-    takes a tenth of a second."""
-    x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+    """Monotone cubic interpolation along the first axis of `y` (Fritsch and Butland 1984). It is
+    scipy's `pchip`, whose import takes a tenth of a second."""
+    x = np.asarray(x, dtype=float)
+    y = np.asarray(y, dtype=float)
     h = np.diff(x).reshape(-1, *[1] * (y.ndim - 1))
-    m, d = np.diff(y, axis=0) / h, np.zeros_like(y)
-    before, after = 2 * h[1:] + h[:-1], h[1:] + 2 * h[:-1]
+    m = np.diff(y, axis=0) / h
+    d = np.zeros_like(y)
+    before = 2 * h[1:] + h[:-1]
+    after = h[1:] + 2 * h[:-1]
     rises = m[1:] * m[:-1] > 0  # else it is level there
-    d[1:-1][rises] = ((before + after) / (before / np.where(rises, m[:-1], 1) + after / np.where(rises, m[1:], 1)))[rises]
+    d[1:-1][rises] = (
+        (before + after) / (before / np.where(rises, m[:-1], 1) + after / np.where(rises, m[1:], 1))
+    )[rises]
     for end, step in ((0, 1), (-1, -1)):
-        h0, h1, m0, m1 = h[end], h[end + step], m[end], m[end + step]
+        h0 = h[end]
+        h1 = h[end + step]
+        m0 = m[end]
+        m1 = m[end + step]
         slope = ((2 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
         slope = np.where((m0 * m1 < 0) & (np.abs(slope) > 3 * np.abs(m0)), 3 * m0, slope)
         d[end] = np.where(slope * m0 > 0, slope, 0.0)
     k = int(np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2))
     t = (at - x[k]) / h[k]
-    return ((1 + 2 * t) * (1 - t) ** 2 * y[k] + t**2 * (3 - 2 * t) * y[k + 1]
-            + h[k] * (t * (1 - t) ** 2 * d[k] - t**2 * (1 - t) * d[k + 1]))
+    return (
+        (1 + 2 * t) * (1 - t) ** 2 * y[k]
+        + t**2 * (3 - 2 * t) * y[k + 1]
+        + h[k] * (t * (1 - t) ** 2 * d[k] - t**2 * (1 - t) * d[k + 1])
+    )
 
 
 def _root(function: Callable[[float], float], low: float, high: float) -> float:
-    """Where a `function` that falls from `low` to `high` vanishes, by halving to the last bit: scipy's takes a quarter of a
-    second to import."""
+    """Where a `function` that falls from `low` to `high` vanishes, by halving to the last bit:
+    scipy's takes a quarter of a second to import."""
     while low < (middle := (low + high) / 2) < high:
         low, high = (middle, high) if function(middle) > 0 else (low, middle)
     return middle
@@ -60,18 +78,23 @@ def _root(function: Callable[[float], float], low: float, high: float) -> float:
 
 @cache
 def rectangle_coefficients(aspect: float, poisson: float) -> tuple[float, float]:
-    """C1, C2 of Eq. M1 for b/a = `aspect` (1 to 4) and nu (0.3 to 0.5); NaN outside of the table."""
+    """C1, C2 of Eq. M1 for b/a = `aspect` (1 to 4) and nu (0.3 to 0.5); NaN outside of the
+    table."""
     if not (_ASPECT[0] <= aspect <= _ASPECT[-1] and _POISSON[0] <= poisson <= _POISSON[-1]):
         return np.nan, np.nan
     table = np.array(_C2)  # a row for each aspect
-    c2 = (np.interp(poisson, _POISSON, table[_ASPECT.index(aspect)]) if aspect in _ASPECT else
-          _between(_ASPECT, _between(_POISSON, table.T, poisson), aspect))
+    c2 = (
+        np.interp(poisson, _POISSON, table[_ASPECT.index(aspect)])
+        if aspect in _ASPECT
+        else _between(_ASPECT, _between(_POISSON, table.T, poisson), aspect)
+    )
     return float(_between(_ASPECT, _C1, aspect)), float(c2)
 
 
 def bulge_height(design: SensorDesign, pressure_gauge: float) -> float:
-    """Height w0, m, of the middle of the inflated rectangle, or circle with C1 = 4 and Hencky's C2, at a gauge pressure, Pa
-    (Eq. M1; Eq. M7 for neo-Hookean rubber); NaN outside of the table, and where the rubber cannot hold the pressure.
+    """Height w0, m, of the middle of the inflated rectangle, or circle with C1 = 4 and Hencky's C2,
+    at a gauge pressure, Pa (Eq. M1; Eq. M7 for neo-Hookean rubber); NaN outside of the table, and
+    where the rubber cannot hold the pressure.
     """
     sheet = design.membrane
     if sheet.law is Law.STVK:
@@ -80,10 +103,14 @@ def bulge_height(design: SensorDesign, pressure_gauge: float) -> float:
 
     def missing(height: float) -> float:
         stretch = sheet.pre_stretch * (1 + MEAN_STRETCH * (height / half_width) ** 2)
-        rubber, plain = (equibiaxial_stress(stretch, sheet.young, sheet.poisson, law) for law in (Law.NEO_HOOKEAN, Law.STVK))
+        rubber, plain = (
+            equibiaxial_stress(stretch, sheet.young, sheet.poisson, law)
+            for law in (Law.NEO_HOOKEAN, Law.STVK)
+        )
         return _hookean_height(design, sheet.young * rubber / plain, abs(pressure_gauge)) - height
 
-    least, most = 1e-3 * half_width, 1.5 * half_width
+    least = 1e-3 * half_width
+    most = 1.5 * half_width
     if not np.isfinite(missing(least)) or missing(most) > 0:
         return np.nan
     height = _root(missing, least, most) if missing(least) > 0 else least + missing(least)
@@ -93,30 +120,51 @@ def bulge_height(design: SensorDesign, pressure_gauge: float) -> float:
 def _hookean_height(design: SensorDesign, young: float, pressure_gauge: float) -> float:
     """Eq. M1 for a modulus of `young` Pa.
 
-    Seen from the mounted sheet, stretched by l, the stiffness is l^2 E h (docs/equations.md, Eq. F4).
+    Seen from the mounted sheet, stretched by l, the stiffness is l^2 E h (docs/equations.md, Eq.
+    F4).
     """
     short, long = sorted((design.frame.width, design.frame.length))
-    a, sheet = short / 2, design.membrane
+    a = short / 2
+    sheet = design.membrane
     if design.frame.shape == "circle":
-        c1, c2 = 4.0, hencky_factor(sheet.poisson) ** -3
+        c1 = 4.0
+        c2 = hencky_factor(sheet.poisson) ** -3
     else:
         c1, c2 = rectangle_coefficients(long / short, sheet.poisson)
-    linear = c1 * sheet.thickness * equibiaxial_stress(sheet.pre_stretch, young, sheet.poisson, Law.STVK) / a**2
+    linear = (
+        c1
+        * sheet.thickness
+        * equibiaxial_stress(sheet.pre_stretch, young, sheet.poisson, Law.STVK)
+        / a**2
+    )
     cubic = c2 * young * sheet.thickness * sheet.pre_stretch**2 / a**4
     if not np.isfinite(linear + cubic) or linear < 0:
         return np.nan
     bound = (abs(pressure_gauge) / cubic) ** (1 / 3)  # the height without pre-tension
-    return float(np.sign(pressure_gauge) * _root(lambda w: abs(pressure_gauge) - linear * w - cubic * w**3, 0.0, 1.01 * bound))
+    return float(
+        np.sign(pressure_gauge)
+        * _root(lambda w: abs(pressure_gauge) - linear * w - cubic * w**3, 0.0, 1.01 * bound)
+    )
 
 
 MEAN_STRETCH = 0.6
-"""Stretch of a bulge beyond its mounted sheet's, over (w0 / a)^2, at which its secant modulus is taken (Eq. M7): fitted to the
-reference's heights (tests/physics/test_rubber.py), M1's own error with it."""
+"""Stretch of a bulge beyond its mounted sheet's, over (w0 / a)^2, at which its secant modulus is
+taken (Eq. M7): fitted to the reference's heights (tests/physics/test_rubber.py), M1's own error
+with it."""
 
 
-HENCKY = {0.0: 0.7183192, 0.2: 0.6774353, 0.3: 0.6534433, 1 / 3: 0.6447764, 0.4: 0.6262551, 0.45: 0.6111706,
-          0.49: 0.5982436, 0.5: 0.5948790}
-"""w0 / a (E h / p a)^(1/3) of a flat clamped circle without pre-tension, by Poisson ratio (Hencky's series)."""
+HENCKY = {
+    0.0: 0.7183192,
+    0.2: 0.6774353,
+    0.3: 0.6534433,
+    1 / 3: 0.6447764,
+    0.4: 0.6262551,
+    0.45: 0.6111706,
+    0.49: 0.5982436,
+    0.5: 0.5948790,
+}
+"""w0 / a (E h / p a)^(1/3) of a flat clamped circle without pre-tension, by Poisson ratio (Hencky's
+series)."""
 
 
 _POINT_LOAD = {0.0: 0.86098, 0.2: 0.95729, 0.3: 1.02206, 1 / 3: 1.0472, 0.4: 1.10435, 0.5: 1.21334}
@@ -128,26 +176,34 @@ def hencky_factor(poisson: float) -> float:
 
 
 def hencky_height(radius: float, stiffness: float, poisson: float, pressure: float) -> float:
-    """Height, m, of a clamped circular membrane of `radius` m and `stiffness` E h N/m under `pressure` Pa (Eq. M2)."""
+    """Height, m, of a clamped circular membrane of `radius` m and `stiffness` E h N/m under
+    `pressure` Pa (Eq. M2)."""
     return radius * hencky_factor(poisson) * (pressure * radius / stiffness) ** (1 / 3)
 
 
 def point_load(radius: float, stiffness: float, poisson: float, depth: float) -> float:
-    """Force, N, that pushes the middle of a clamped circle without pre-tension in by `depth` m (Eq. M6)."""
+    """Force, N, that pushes the middle of a clamped circle without pre-tension in by `depth` m (Eq.
+    M6)."""
     kappa = float(_between(list(_POINT_LOAD), list(_POINT_LOAD.values()), poisson))
     return kappa * stiffness * depth**3 / radius**2
 
 
 def sphere_on_circle(radius: float, tension: float, sphere: float, force: float) -> float:
-    """Depth, m, to which a `force` N presses a sphere of radius `sphere` m into a circle under constant `tension` N/m
-    (Eq. M4); for slopes that are small and a contact that is small against the circle."""
+    """Depth, m, to which a `force` N presses a sphere of radius `sphere` m into a circle under
+    constant `tension` N/m (Eq. M4); for slopes that are small and a contact that is small against
+    the circle."""
     contact_square = force * sphere / (2 * np.pi * tension)
     return force / (2 * np.pi * tension) * (np.log(radius / np.sqrt(contact_square)) + 0.5)
 
 
 def stvk_height_error(design: SensorDesign, pressure_gauge: float) -> float:
-    """By how much, as a share, a neo-Hookean sheet bulges higher at a gauge pressure, Pa, than a St. Venant-Kirchhoff one of the
-    same modulus, Poisson's ratio and pre-stretch (Eq. M7); NaN where one of the two is unknown."""
-    rubber, plain = (bulge_height(replace(design, membrane=replace(design.membrane, law=law)), abs(pressure_gauge))
-                     for law in (Law.NEO_HOOKEAN, Law.STVK))
+    """By how much, as a share, a neo-Hookean sheet bulges higher at a gauge pressure, Pa, than a
+    St. Venant-Kirchhoff one of the same modulus, Poisson's ratio and pre-stretch (Eq. M7); NaN
+    where one of the two is unknown."""
+    rubber, plain = (
+        bulge_height(
+            replace(design, membrane=replace(design.membrane, law=law)), abs(pressure_gauge)
+        )
+        for law in (Law.NEO_HOOKEAN, Law.STVK)
+    )
     return rubber / plain - 1 if plain else 0.0

@@ -1,5 +1,5 @@
-"""Read TOML and JSON files field by field: each value is checked for kind and range, and what is wrong is one line that
-names the file, the field, the value and the valid choices."""
+"""Read TOML and JSON files field by field: each value is checked for kind and range, and what is
+wrong is one line that names the file, the field, the value and the valid choices."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from mjtactile.core.errors import InputError
 
-LARGEST = 8 << 20  # bytes; no file that a person writes is larger, and a larger one would only be slow to refuse
+# bytes; no file that a person writes is larger, and a larger one would only be slow to refuse
+LARGEST = 8 << 20
 
 
 DEEPEST = 32  # names in a dotted key; tomllib's time and memory go with their number's square
@@ -29,7 +30,10 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 def _toml(text: str) -> dict[str, Any]:
     for piece in re.split(r"[,=\[\]{}#\n]", text):
-        if piece.count(".") >= DEEPEST and len(re.findall(r"[\w\"'-]\.(?=[\w\"'-])", re.sub(r"\s", "", piece))) >= DEEPEST:
+        if (
+            piece.count(".") >= DEEPEST
+            and len(re.findall(r"[\w\"'-]\.(?=[\w\"'-])", re.sub(r"\s", "", piece))) >= DEEPEST
+        ):
             raise ValueError(f"a key of more than {DEEPEST} names")
     return tomllib.loads(text)
 
@@ -43,49 +47,79 @@ def _parse(path: Path, kind: str, parse: Callable[[str], Any]) -> Any:
     try:
         if path.stat().st_size > LARGEST:
             raise InputError(f"larger than {LARGEST >> 20} MiB: not such a file", source=path)
-        return parse(path.read_text(encoding="utf-8-sig"))  # editors on Windows put a byte order mark in front
+        # editors on Windows put a byte order mark in front
+        return parse(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", source=path) from error
-    except (ValueError, RecursionError) as error:  # ValueError: the parsers' own errors, and bytes that are not UTF-8
-        raise InputError(f"not valid {kind}: {' '.join(str(error).split())}", source=path) from error
+    except (ValueError, RecursionError) as error:
+        # ValueError: the parsers' own errors, and bytes that are not UTF-8
+        raise InputError(
+            f"not valid {kind}: {' '.join(str(error).split())}", source=path
+        ) from error
 
 
 class Section:
-    """A table of a file (`source`) that is read once, field by field; `done` complains about what nobody asked for.
+    """A table of a file (`source`) that is read once, field by field; `done` complains about what
+    nobody asked for.
 
-    `label` is the table's place in the file ("" for the whole file). A field without `default` is required; a `default`
-    is returned as it is, without scale.
+    `label` is the table's place in the file ("" for the whole file). A field without `default` is
+    required; a `default` is returned as it is, without scale.
     """
 
     def __init__(self, table: Mapping[str, Any], label: str, source: str):
-        self._table, self._label, self._source = table, label, source
+        self._table = table
+        self._label = label
+        self._source = source
         self._asked: list[str] = []
 
     def fail(self, key: str, message: str, choices: Iterable[object] | None = None) -> InputError:
         """The error to raise for field `key`."""
         return InputError(message, source=self._source, field=self._place(key), choices=choices)
 
-    def number(self, key: str, low: float, high: float, scale: float = 1.0, default: Any = ...) -> Any:
+    def number(
+        self, key: str, low: float, high: float, scale: float = 1.0, default: Any = ...
+    ) -> Any:
         """A number within [low, high] (in the file's unit), times `scale`."""
         value = self._get(key, default)
         return default if value is None else self._number(key, value, low, high) * scale
 
-    def numbers(self, key: str, names: Sequence[str], low: float, high: float, scale: float = 1.0, default: Any = ...) -> Any:
-        """One number for each of `names`, within [low, high] (in the file's unit), times `scale`, as a tuple of floats."""
+    def numbers(
+        self,
+        key: str,
+        names: Sequence[str],
+        low: float,
+        high: float,
+        scale: float = 1.0,
+        default: Any = ...,
+    ) -> Any:
+        """One number for each of `names`, within [low, high] (in the file's unit), times `scale`,
+        as a tuple of floats."""
         value = self._get(key, default)
         if value is None:
             return default
         if not isinstance(value, list) or len(value) != len(names):
-            raise self.fail(key, f"{value!r} is not a list of {len(names)} numbers ({', '.join(names)})")
-        return tuple(float(self._number(f"{key}[{i}]", item, low, high) * scale) for i, item in enumerate(value))
+            raise self.fail(
+                key, f"{value!r} is not a list of {len(names)} numbers ({', '.join(names)})"
+            )
+        return tuple(
+            float(self._number(f"{key}[{i}]", item, low, high) * scale)
+            for i, item in enumerate(value)
+        )
 
     def pairs(self, key: str) -> tuple[tuple[float, float], ...]:
         """A list of [x, y] pairs of finite numbers."""
         value = self._get(key, ...)
-        if not isinstance(value, list) or not all(isinstance(pair, list) and len(pair) == 2 for pair in value):
+        if not isinstance(value, list) or not all(
+            isinstance(pair, list) and len(pair) == 2 for pair in value
+        ):
             raise self.fail(key, f"{value!r} is not a list of [x, y] pairs")
-        return tuple((float(self._number(f"{key}[{i}]", x, -1e9, 1e9)), float(self._number(f"{key}[{i}]", y, -1e9, 1e9)))
-                     for i, (x, y) in enumerate(value))
+        return tuple(
+            (
+                float(self._number(f"{key}[{i}]", x, -1e9, 1e9)),
+                float(self._number(f"{key}[{i}]", y, -1e9, 1e9)),
+            )
+            for i, (x, y) in enumerate(value)
+        )
 
     def array(self, key: str, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
         """Nested lists of finite numbers as a read-only array of this shape; None: any length."""
@@ -93,7 +127,9 @@ class Section:
             array = np.array(self._get(key, ...), dtype=float)
         except (TypeError, ValueError):
             array = np.full(1, np.nan)
-        fits = array.ndim == len(shape) and all(want in (None, got) for want, got in zip(shape, array.shape, strict=True))
+        fits = array.ndim == len(shape) and all(
+            want in (None, got) for want, got in zip(shape, array.shape, strict=True)
+        )
         if not fits or not np.isfinite(array).all():
             size = " x ".join("n" if n is None else str(n) for n in shape)
             raise self.fail(key, f"not {size} finite numbers")
@@ -112,7 +148,9 @@ class Section:
     def wholes(self, key: str, low: int, high: int) -> tuple[int, ...]:
         """A list of whole numbers within [low, high]."""
         value = self._get(key, ...)
-        if not isinstance(value, list) or not all(isinstance(item, int) and not isinstance(item, bool) for item in value):
+        if not isinstance(value, list) or not all(
+            isinstance(item, int) and not isinstance(item, bool) for item in value
+        ):
             raise self.fail(key, f"{value!r} is not a list of whole numbers")
         return tuple(self._number(f"{key}[{i}]", item, low, high) for i, item in enumerate(value))
 
@@ -161,7 +199,11 @@ class Section:
     def section(self, key: str) -> Section:
         """The table `[key]`."""
         if (found := self.optional(key)) is None:
-            raise InputError(f"missing section{self._hint(key)}", source=self._source, field=f"[{self._place(key)}]")
+            raise InputError(
+                f"missing section{self._hint(key)}",
+                source=self._source,
+                field=f"[{self._place(key)}]",
+            )
         return found
 
     def optional(self, key: str) -> Section | None:
@@ -181,7 +223,9 @@ class Section:
             raise self.fail(key, f"not a list of sections; write [[{self._place(key)}]]")
         if not low <= len(value) <= high:
             raise self.fail(key, f"{len(value)} of them, expected {low} to {high}")
-        return [Section(item, f"{self._place(key)}[{i}]", self._source) for i, item in enumerate(value)]
+        return [
+            Section(item, f"{self._place(key)}[{i}]", self._source) for i, item in enumerate(value)
+        ]
 
     def done(self) -> None:
         """Raise InputError for a field that is not known."""
@@ -190,7 +234,13 @@ class Section:
                 continue
             stem = {_stem(known): known for known in self._asked if "_" in known}.get(_stem(key))
             near = stem or next(iter(difflib.get_close_matches(key, self._asked, 1)), None)
-            hint = f", wrong unit? write it as {stem!r}" if stem else f", did you mean {near!r}?" if near else ""
+            hint = (
+                f", wrong unit? write it as {stem!r}"
+                if stem
+                else f", did you mean {near!r}?"
+                if near
+                else ""
+            )
             what = "section" if isinstance(self._table[key], Mapping) else "field"
             raise self.fail(key, f"unknown {what}{hint}", self._asked)
 

@@ -1,8 +1,9 @@
 """Frozen, validated values that the stages pass to each other; arrays in them are read-only.
 
-SI units throughout, except where a name ends in `_px`. Frames (monogram notation, docs/conventions.md):
-S sensor (origin at the middle of the frame, in the flat membrane's plane, z outward, away from the camera),
-C camera (x right, y down, z forward), M marker. `p_SM` is the position of marker M expressed in S.
+SI units throughout, except where a name ends in `_px`. Frames (monogram notation,
+docs/conventions.md): S sensor (origin at the middle of the frame, in the flat membrane's plane, z
+outward, away from the camera), C camera (x right, y down, z forward), M marker. `p_SM` is the
+position of marker M expressed in S.
 
 This is the only module of the project that a controller may import.
 """
@@ -32,12 +33,19 @@ def _keep_status(owner: Any) -> None:
     object.__setattr__(owner, "status", Status.of(owner.status))
 
 
-def _freeze(owner: object, name: str, value: ArrayLike, shape: tuple[int | None, ...], dtype: Any = float) -> NDArray:
-    """Store `value` on the frozen dataclass `owner` as a read-only array of the given shape (None: any length)."""
+def _freeze(
+    owner: object, name: str, value: ArrayLike, shape: tuple[int | None, ...], dtype: Any = float
+) -> NDArray:
+    """Store `value` on the frozen dataclass `owner` as a read-only array of the given shape (None:
+    any length)."""
     array = np.asarray(value, dtype=dtype)
-    if array.shape != shape and (array.ndim != len(shape) or any(
-            want not in (None, got) for want, got in zip(shape, array.shape, strict=True))):
-        raise InputError(f"shape {array.shape} does not match {shape}", source=type(owner).__name__, field=name)
+    if array.shape != shape and (
+        array.ndim != len(shape)
+        or any(want not in (None, got) for want, got in zip(shape, array.shape, strict=True))
+    ):
+        raise InputError(
+            f"shape {array.shape} does not match {shape}", source=type(owner).__name__, field=name
+        )
     if array.flags.writeable:
         array = array.copy()
         array.setflags(write=False)
@@ -47,7 +55,8 @@ def _freeze(owner: object, name: str, value: ArrayLike, shape: tuple[int | None,
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """Pixels (H, W) uint8, indexed [v, u]; pixel (0, 0) is the centre of the top-left pixel. `time` of capture, s."""
+    """Pixels (H, W) uint8, indexed [v, u]; pixel (0, 0) is the centre of the top-left pixel. `time`
+    of capture, s."""
 
     pixels: NDArray[np.uint8]
     time: float = 0.0
@@ -58,7 +67,8 @@ class Image:
 
 @dataclass(frozen=True, eq=False)
 class Ellipses:
-    """N ellipses in distorted pixel coordinates: centre (N, 2), semi-axes a >= b (N, 2), angle of a (N,) rad.
+    """N ellipses in distorted pixel coordinates: centre (N, 2), semi-axes a >= b (N, 2), angle of a
+    (N,) rad.
 
     `cov` (N, 5, 5) is the covariance of (u, v, a, b, angle); `status` (N,) strings.
     """
@@ -94,10 +104,12 @@ class Sighting(Image):
 
 @dataclass(frozen=True, eq=False)
 class CirclePoses:
-    """N circles in the camera frame: centre `p_CM` (N, 3) m, the two candidate unit normals `n_C`, `n_C_alt` (N, 3).
+    """N circles in the camera frame: centre `p_CM` (N, 3) m, the two candidate unit normals `n_C`,
+    `n_C_alt` (N, 3).
 
-    Normals point towards the camera. `p_CM_alt` is the centre that goes with `n_C_alt`. `uv_px` (N, 2) is the
-    projected *centre* (not the ellipse's) in distorted pixels; `cov_p` (N, 3, 3) m^2; `status` (N,) strings.
+    Normals point towards the camera. `p_CM_alt` is the centre that goes with `n_C_alt`. `uv_px` (N,
+    2) is the projected *centre* (not the ellipse's) in distorted pixels; `cov_p` (N, 3, 3) m^2;
+    `status` (N,) strings.
     """
 
     uv_px: Array
@@ -122,7 +134,8 @@ class CirclePoses:
 
 @dataclass(frozen=True, eq=False)
 class Markers:
-    """Identified markers in the sensor frame: `ids` (N,) indices into the design's layout, `p_SM`, `n_S` (N, 3)."""
+    """Identified markers in the sensor frame: `ids` (N,) indices into the design's layout, `p_SM`,
+    `n_S` (N, 3)."""
 
     ids: NDArray[np.int64]
     p_SM: Array
@@ -142,9 +155,11 @@ class Markers:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """The membrane's shape in S: heights `z` (ny, nx) over the Cartesian grid `x` (nx,), `y` (ny,), zero on the frame.
+    """The membrane's shape in S: heights `z` (ny, nx) over the Cartesian grid `x` (nx,), `y` (ny,),
+    zero on the frame.
 
-    `area` m^2 of the curved surface, `volume` m^3 between it and the frame's plane (positive outward).
+    `area` m^2 of the curved surface, `volume` m^3 between it and the frame's plane (positive
+    outward).
     """
 
     x: Array
@@ -157,7 +172,8 @@ class Surface:
     status: Status = OK
 
     def __post_init__(self) -> None:
-        nx, ny = len(_freeze(self, "x", self.x, (None,))), len(_freeze(self, "y", self.y, (None,)))
+        nx = len(_freeze(self, "x", self.x, (None,)))
+        ny = len(_freeze(self, "y", self.y, (None,)))
         _freeze(self, "z", self.z, (ny, nx))
         _keep_status(self)
 
@@ -166,9 +182,9 @@ class Surface:
 class Traction:
     """Force that the outside world exerts on the membrane, frame S.
 
-    `force` (ny, nx, 3) N per grid node; `wrench` (6,) the net force, N, and torque about the origin of S, N m, with
-    `wrench_cov` (6, 6). A press has a negative z. `pressure_gauge` Pa of the chamber (estimated), `method` names the
-    estimator.
+    `force` (ny, nx, 3) N per grid node; `wrench` (6,) the net force, N, and torque about the origin
+    of S, N m, with `wrench_cov` (6, 6). A press has a negative z. `pressure_gauge` Pa of the
+    chamber (estimated), `method` names the estimator.
     """
 
     x: Array
@@ -181,7 +197,8 @@ class Traction:
     status: Status = OK
 
     def __post_init__(self) -> None:
-        nx, ny = len(_freeze(self, "x", self.x, (None,))), len(_freeze(self, "y", self.y, (None,)))
+        nx = len(_freeze(self, "x", self.x, (None,)))
+        ny = len(_freeze(self, "y", self.y, (None,)))
         _freeze(self, "force", self.force, (ny, nx, 3))
         _freeze(self, "wrench", self.wrench, (6,))
         _freeze(self, "wrench_cov", self.wrench_cov, (6, 6))
@@ -190,11 +207,13 @@ class Traction:
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """What touches: `area` m^2, `centroid` (2,) m in S, `depth` m of the deepest indentation against the rest shape.
+    """What touches: `area` m^2, `centroid` (2,) m in S, `depth` m of the deepest indentation
+    against the rest shape.
 
-    `mask` (ny, nx) marks the traction grid's nodes in contact. With no contact `area` is 0 and `centroid` is NaN. Of a
-    single patch also the `force` (3,) N on it, its `outline` (P, 2) m as a closed polygon, and the ellipse of the same
-    second moments: `semi_axes` (2,) m, larger first, and `angle` rad of the larger from x.
+    `mask` (ny, nx) marks the traction grid's nodes in contact. With no contact `area` is 0 and
+    `centroid` is NaN. Of a single patch also the `force` (3,) N on it, its `outline` (P, 2) m as a
+    closed polygon, and the ellipse of the same second moments: `semi_axes` (2,) m, larger first,
+    and `angle` rad of the larger from x.
     """
 
     touching: bool
@@ -223,11 +242,13 @@ SLIP_STATES: tuple[str, ...] = get_args(SlipState)
 
 @dataclass(frozen=True, eq=False)
 class Slip:
-    """Whether the object slips on the membrane. `state` is one of SLIP_STATES; "none": nothing touches; "slipping": all of the
-    contact slides, as seen, whatever the friction; "incipient": most of the friction is used up, as far as it is known.
+    """Whether the object slips on the membrane. `state` is one of SLIP_STATES; "none": nothing
+    touches; "slipping": all of the contact slides, as seen, whatever the friction; "incipient":
+    most of the friction is used up, as far as it is known.
 
-    `velocity` (2,) m/s of the object over the membrane, S (noise while it sticks); `distance` m slipped since the touch began;
-    `stick_ratio` the share of the contact whose shear is below what friction can hold there.
+    `velocity` (2,) m/s of the object over the membrane, S (noise while it sticks); `distance` m
+    slipped since the touch began; `stick_ratio` the share of the contact whose shear is below what
+    friction can hold there.
     """
 
     state: SlipState
@@ -245,8 +266,8 @@ class Slip:
 class Touch:
     """Everything one sensor says about one image. `age` s is now minus capture.
 
-    When `status` is not "ok", `force_normal` is NaN: the force is unknown, not zero. `contact` is all that touches
-    taken together, `patches` each place of it, the strongest first.
+    When `status` is not "ok", `force_normal` is NaN: the force is unknown, not zero. `contact` is
+    all that touches taken together, `patches` each place of it, the strongest first.
     """
 
     time: float
@@ -271,12 +292,14 @@ MATERIALS: tuple[str, ...] = ("solid", "soft", "amorphous")
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """What a probe says an object is made of. What is not known is NaN, an open end of an interval is inf.
+    """What a probe says an object is made of. What is not known is NaN, an open end of an interval
+    is inf.
 
-    `kind` is one of MATERIALS or "unknown", `probability` has one entry a class. `stiffness` N/m of the whole object, the
-    force over the deformation that it can recover from; `modulus` Pa, the same as stress over strain between flat faces;
-    each with a 68 % interval. `relaxation_time` s (0: none was seen), `deformation` m under `force` N, of which
-    `permanent_set` m stayed, `speed` m/s at which it went on deforming when the fingers had stopped.
+    `kind` is one of MATERIALS or "unknown", `probability` has one entry a class. `stiffness` N/m of
+    the whole object, the force over the deformation that it can recover from; `modulus` Pa, the
+    same as stress over strain between flat faces; each with a 68 % interval. `relaxation_time` s
+    (0: none was seen), `deformation` m under `force` N, of which `permanent_set` m stayed, `speed`
+    m/s at which it went on deforming when the fingers had stopped.
     """
 
     kind: str
@@ -295,17 +318,22 @@ class Material:
 
     def __post_init__(self) -> None:
         if self.kind not in (*MATERIALS, "unknown"):
-            raise InputError(f"{self.kind!r} is not a material", source="Material", field="kind",
-                             choices=(*MATERIALS, "unknown"))
+            raise InputError(
+                f"{self.kind!r} is not a material",
+                source="Material",
+                field="kind",
+                choices=(*MATERIALS, "unknown"),
+            )
         object.__setattr__(self, "probability", MappingProxyType(dict(self.probability)))
         _keep_status(self)
 
 
 @dataclass(frozen=True)
 class GripperState:
-    """What the gripper reports: `opening` m between the two frames, `speed` m/s, `effort` N at the jaw as the servo
-    believes it, `lift_height` m of the hand above where it started. It was so at `time` s on the rig's clock, which was
-    `age` s ago when the state was handed over (NaN: not known)."""
+    """What the gripper reports: `opening` m between the two frames, `speed` m/s, `effort` N at the
+    jaw as the servo believes it, `lift_height` m of the hand above where it started. It was so at
+    `time` s on the rig's clock, which was `age` s ago when the state was handed over (NaN: not
+    known)."""
 
     opening: float
     speed: float
@@ -317,8 +345,9 @@ class GripperState:
 
 @dataclass(frozen=True)
 class ValveState:
-    """`is_open`, and the chamber's gauge pressure in Pa where the rig has a pressure sensor (else None), as measured at
-    `time` s on the rig's clock, `age` s before the state was handed over (NaN: not known)."""
+    """`is_open`, and the chamber's gauge pressure in Pa where the rig has a pressure sensor (else
+    None), as measured at `time` s on the rig's clock, `age` s before the state was handed over
+    (NaN: not known)."""
 
     is_open: bool
     pressure_gauge: float | None = None
@@ -326,7 +355,9 @@ class ValveState:
     age: float = float("nan")
 
 
-Phase = Literal["approach", "close", "regulate", "lift", "hold", "lower", "release", "done", "abort"]
+Phase = Literal[
+    "approach", "close", "regulate", "lift", "hold", "lower", "release", "done", "abort"
+]
 PHASES: tuple[str, ...] = get_args(Phase)
 
 
@@ -334,9 +365,10 @@ PHASES: tuple[str, ...] = get_args(Phase)
 class Command:
     """What a controller asks for. The rig limits it and returns what was really sent.
 
-    `opening` m is the gripper's goal, `force_limit` N the most the servo may push, `lift_height` m the hand's goal,
-    `phase` one of PHASES ("done" and "abort" end the run). `memory` is the controller's own notebook: the loop hands
-    it back in the next `Observation.command`, so that `step` can be a pure function.
+    `opening` m is the gripper's goal, `force_limit` N the most the servo may push, `lift_height` m
+    the hand's goal, `phase` one of PHASES ("done" and "abort" end the run). `memory` is the
+    controller's own notebook: the loop hands it back in the next `Observation.command`, so that
+    `step` can be a pure function.
     """
 
     opening: float
@@ -351,19 +383,25 @@ class Command:
             if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
                 raise InputError(f"{value!r} is not a finite number", source="Command", field=name)
         if self.phase not in PHASES:
-            raise InputError(f"{self.phase!r} is not a phase", source="Command", field="phase", choices=PHASES)
+            raise InputError(
+                f"{self.phase!r} is not a phase", source="Command", field="phase", choices=PHASES
+            )
         object.__setattr__(self, "memory", MappingProxyType(dict(self.memory)))
 
     def __reduce__(self):  # a mappingproxy does not pickle
-        return (Command, (self.opening, self.force_limit, self.lift_height, self.phase, dict(self.memory)))
+        return (
+            Command,
+            (self.opening, self.force_limit, self.lift_height, self.phase, dict(self.memory)),
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What a controller sees once per control cycle: never pixels of the truth, only what the sensors say.
+    """What a controller sees once per control cycle: never pixels of the truth, only what the
+    sensors say.
 
-    `touch` holds one value per finger, in the order of the rig (left, right), `command` the last command really sent,
-    with the `phase` and `memory` that the controller put into it.
+    `touch` holds one value per finger, in the order of the rig (left, right), `command` the last
+    command really sent, with the `phase` and `memory` that the controller put into it.
     """
 
     time: float

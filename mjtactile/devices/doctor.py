@@ -1,4 +1,5 @@
-"""What `mjtactile doctor` looks at. Each check returns findings in plain words with a remedy; none moves anything."""
+"""What `mjtactile doctor` looks at. Each check returns findings in plain words with a remedy; none
+moves anything."""
 
 from __future__ import annotations
 
@@ -25,25 +26,38 @@ from mjtactile.rig.file import BusConfig, CameraConfig, RigFile, load_rig_file
 from mjtactile.rig.finding import Finding
 from mjtactile.rig.sensors import calibration_findings
 
-_ROUND_TRIP_GOOD = 4e-3  # s for three servos at 1 Mbaud with latency_timer = 1; 16 ms is the driver's default timer
+# s for three servos at 1 Mbaud with latency_timer = 1; 16 ms is the driver's default timer
+_ROUND_TRIP_GOOD = 4e-3
 _HOT = 60.0  # degrees C; X series shut down at 70
 _CAMERA_TIME = 2.0  # s that pictures of a camera are counted
 
 
 def examine(rig: str | None, *, sensor: str = "dense", fix: bool = False) -> list[Finding]:
-    """All findings; `sensor` is on fingers of which the rig file does not say it. Raises InputError for a rig file that is wrong
-    itself."""
+    """All findings; `sensor` is on fingers of which the rig file does not say it. Raises InputError
+    for a rig file that is wrong itself."""
     findings = [*_plugged_in()]
     if rig is None:
         return findings
     rig_file = load_rig_file(rig)
     findings += calibration_findings(rig_file, load_sensor(sensor))
     if rig_file.emulator is not None:
-        return [*findings, Finding("ok", rig_file.name, "is emulated: nothing to be plugged in",
-                                   "`mjtactile emulate --out FILE.toml` starts it; then `mjtactile doctor --rig FILE.toml`")]
+        return [
+            *findings,
+            Finding(
+                "ok",
+                rig_file.name,
+                "is emulated: nothing to be plugged in",
+                "`mjtactile emulate --out FILE.toml` starts it; then "
+                "`mjtactile doctor --rig FILE.toml`",
+            ),
+        ]
     ports = [*_port("servo bus", rig_file.bus.port, fix=fix)]
     findings += ports if _bad(ports) else [*ports, *_servos(rig_file)]
-    ports = [f for port in dict.fromkeys(valve.port for valve in rig_file.valves) for f in _port("valve board", port, fix=fix)]
+    ports = [
+        f
+        for port in dict.fromkeys(valve.port for valve in rig_file.valves)
+        for f in _port("valve board", port, fix=fix)
+    ]
     findings += ports if _bad(ports) else [*ports, *_valves(rig_file)]
     for camera in rig_file.cameras:
         findings += _camera(camera)
@@ -62,22 +76,44 @@ def _plugged_in() -> Iterator[Finding]:
     for camera in cameras:
         yield Finding("ok", "camera", str(camera))
     if not ports:
-        yield Finding("warn", "serial ports", "none found", "plug the adapters in; in a container, pass their devices through")
+        yield Finding(
+            "warn",
+            "serial ports",
+            "none found",
+            "plug the adapters in; in a container, pass their devices through",
+        )
     if not cameras:
-        yield Finding("warn", "cameras", "none found in /dev/v4l/by-id", "plug them in; `ls /dev/video*` shows those without id")
+        yield Finding(
+            "warn",
+            "cameras",
+            "none found in /dev/v4l/by-id",
+            "plug them in; `ls /dev/video*` shows those without id",
+        )
 
 
 def _port(what: str, path: str, *, fix: bool) -> Iterator[Finding]:
-    """That the port is there, may be used, and does not wait 16 ms to hand over what it received."""
+    """That the port is there, may be used, and does not wait 16 ms to hand over what it
+    received."""
     if "://" in path:
         return
     if not Path(path).exists():
-        yield Finding("bad", what, f"{path} is not there", "is it plugged in? `ls -l /dev/serial/by-id` shows the names that "
-                      "stay the same; write one of them into the rig file")
+        yield Finding(
+            "bad",
+            what,
+            f"{path} is not there",
+            "is it plugged in? `ls -l "
+            "/dev/serial/by-id` shows the names that "
+            "stay the same; write one of them into the rig file",
+        )
         return
     if not os.access(path, os.R_OK | os.W_OK):
         group = _group(path)
-        yield Finding("bad", what, f"{path} may not be used by this user", f"sudo usermod -aG {group} $USER, then log in again")
+        yield Finding(
+            "bad",
+            what,
+            f"{path} may not be used by this user",
+            f"sudo usermod -aG {group} $USER, then log in again",
+        )
         return
     timer = Path("/sys/bus/usb-serial/devices") / Path(path).resolve().name / "latency_timer"
     if timer.is_file():
@@ -92,11 +128,19 @@ def _latency(what: str, timer: Path, *, fix: bool) -> Iterator[Finding]:
     if fix:
         with contextlib.suppress(OSError):
             timer.write_text("1")
-            yield Finding("ok", what, f"latency timer was {value} ms, is 1 ms until it is unplugged")
+            yield Finding(
+                "ok", what, f"latency timer was {value} ms, is 1 ms until it is unplugged"
+            )
             return
-    yield Finding("warn", what, f"latency timer is {value} ms: each reading takes that long",
-                  "for good: a udev rule ACTION==\"add\", SUBSYSTEM==\"usb-serial\", DRIVER==\"ftdi_sio\", "
-                  "ATTR{latency_timer}=\"1\" in /etc/udev/rules.d/99-latency.rules; for now: --fix as root")
+    yield Finding(
+        "warn",
+        what,
+        f"latency timer is {value} ms: each reading takes that long",
+        'for good: a udev rule ACTION=="add", SUBSYSTEM=="usb-serial", '
+        'DRIVER=="ftdi_sio", '
+        'ATTR{latency_timer}="1" in /etc/udev/rules.d/99-latency.rules; for '
+        "now: --fix as root",
+    )
 
 
 def _group(path: str) -> str:
@@ -112,7 +156,12 @@ def _servos(rig_file: RigFile) -> Iterator[Finding]:
     try:
         bus = DynamixelBus(config.port, config.baud, reply_timeout=config.reply_timeout)
     except DeviceError as error:
-        yield Finding("bad", "servo bus", str(error), "close the program that uses it (Dynamixel Wizard, another run)")
+        yield Finding(
+            "bad",
+            "servo bus",
+            str(error),
+            "close the program that uses it (Dynamixel Wizard, another run)",
+        )
         return
     wanted = {servo.id: servo.model for servo in rig_file.gripper.servos}
     if rig_file.lift.kind == "servo":
@@ -139,67 +188,125 @@ def _servo(bus: DynamixelBus, servo: int, model: str) -> Iterator[Finding]:
         number, _ = bus.ping(servo)
         report = read_report(bus, servo)
     except BusError as error:
-        yield Finding("bad", what, f"does not answer ({error.reason})", "power, cable, id and baud rate: see the search below")
+        yield Finding(
+            "bad",
+            what,
+            f"does not answer ({error.reason})",
+            "power, cable, id and baud rate: see the search below",
+        )
         return
-    text = (f"{report.model}, firmware {report.firmware}, mode {report.operating_mode}, {report.voltage:.1f} V, "
-            f"{report.temperature:.0f} C, torque {'on' if report.torque_on else 'off'}")
+    text = (
+        f"{report.model}, firmware {report.firmware}, mode {report.operating_mode}, "
+        f"{report.voltage:.1f} V, "
+        f"{report.temperature:.0f} C, torque {'on' if report.torque_on else 'off'}"
+    )
     if number in NO_CURRENT_CONTROL:
-        yield Finding("bad", what, f"{text}: it cannot limit its force", f"use one of {', '.join(MODELS)}")
+        yield Finding(
+            "bad", what, f"{text}: it cannot limit its force", f"use one of {', '.join(MODELS)}"
+        )
     elif report.model != model:
-        yield Finding("bad", what, f"{text}: the rig file says {model}",
-                      "write the right model into the rig file, or mend the ids")
+        yield Finding(
+            "bad",
+            what,
+            f"{text}: the rig file says {model}",
+            "write the right model into the rig file, or mend the ids",
+        )
     else:
         yield Finding("ok", what, text)
     for name, wanted, meaning in REQUIRED:
         if report.settings.get(name, wanted) != wanted:
-            yield Finding("bad", what, f"{name} is {report.settings[name]}, must be {wanted}: {meaning}",
-                          "set it with Dynamixel Wizard")
+            yield Finding(
+                "bad",
+                what,
+                f"{name} is {report.settings[name]}, must be {wanted}: {meaning}",
+                "set it with Dynamixel Wizard",
+            )
     if report.model in MODELS and not MODELS[report.model].watchdog_stops(report.firmware):
-        yield Finding("warn", what, f"firmware {report.firmware}: its bus watchdog notes a dead host, and stops nothing",
-                      "update the firmware with Dynamixel Wizard; until then a dead host leaves it at its last goal and force")
+        yield Finding(
+            "warn",
+            what,
+            f"firmware {report.firmware}: its bus watchdog notes a dead host, and stops nothing",
+            "update the firmware with Dynamixel Wizard; until then a dead host "
+            "leaves it at its last goal and force",
+        )
     if report.hardware_error:
-        yield Finding("bad", what, f"has latched {report.hardware_error}", "find the cause, take its power off and on")
+        yield Finding(
+            "bad",
+            what,
+            f"has latched {report.hardware_error}",
+            "find the cause, take its power off and on",
+        )
     if report.temperature >= _HOT:
-        yield Finding("warn", what, f"is hot: {report.temperature:.0f} C", "let it cool; lower force_max_N")
+        yield Finding(
+            "warn", what, f"is hot: {report.temperature:.0f} C", "let it cool; lower force_max_N"
+        )
 
 
 def _round_trip(bus: DynamixelBus, servos: list[int], config: BusConfig) -> Finding:
-    times, lost = [], 0
+    times = []
+    lost = 0
     for _ in range(100):
         start = time.perf_counter()
         _, failures = bus.read_many(servos, 126, 21, fast=config.fast_sync)
         times.append(time.perf_counter() - start)
         lost += bool(failures)
-    median, worst = statistics.median(times), max(times)
-    text = f"reading {len(servos)} servos takes {1e3 * median:.1f} ms (worst {1e3 * worst:.1f} ms), {lost} of 100 replies lost"
+    median = statistics.median(times)
+    worst = max(times)
+    text = (
+        f"reading {len(servos)} servos takes {1e3 * median:.1f} ms (worst {1e3 * worst:.1f} "
+        f"ms), {lost} of 100 replies lost"
+    )
     if lost:
-        return Finding("warn", "servo bus", text, "shorter cable, termination, a good ground; or a longer reply_timeout_ms")
+        return Finding(
+            "warn",
+            "servo bus",
+            text,
+            "shorter cable, termination, a good ground; or a longer reply_timeout_ms",
+        )
     if median > _ROUND_TRIP_GOOD:
-        return Finding("warn", "servo bus", text, "baud 1000000 and latency timer 1 ms make it 1 to 3 ms")
+        return Finding(
+            "warn", "servo bus", text, "baud 1000000 and latency timer 1 ms make it 1 to 3 ms"
+        )
     return Finding("ok", "servo bus", text)
 
 
 def _search(config: BusConfig) -> Iterator[Finding]:
-    """Nobody answered: look for servos with other ids and baud rates. Takes some seconds; pings change nothing."""
+    """Nobody answered: look for servos with other ids and baud rates. Takes some seconds; pings
+    change nothing."""
     bauds = (config.baud, *(baud for baud in BAUDS if baud != config.baud))
     with contextlib.suppress(DeviceError):
         baud, found = servos_at(config.port, bauds, reply_time=config.reply_timeout)
         if found:
-            yield Finding("warn", "servo bus", f"servos {list(found)} answer at {baud} baud",
-                          "write these into the rig file, or change the servos with Dynamixel Wizard")
+            yield Finding(
+                "warn",
+                "servo bus",
+                f"servos {list(found)} answer at {baud} baud",
+                "write these into the rig file, or change the servos with Dynamixel Wizard",
+            )
             return
-    yield Finding("bad", "servo bus", "no servo answers at any baud rate (ids 0 to 20)", "is their power on? USB powers none")
+    yield Finding(
+        "bad",
+        "servo bus",
+        "no servo answers at any baud rate (ids 0 to 20)",
+        "is their power on? USB powers none",
+    )
 
 
 def _valves(rig_file: RigFile) -> Iterator[Finding]:
-    """Handshake, limits and a reading of each; connecting sets limits and heartbeat, and leaves every valve vented."""
+    """Handshake, limits and a reading of each; connecting sets limits and heartbeat, and leaves
+    every valve vented."""
     if not rig_file.valves:
         return
     try:
         boards, valves = connect_valves(rig_file.valves)
     except DeviceError as error:
-        yield Finding("bad", "valve board", str(error),
-                      "port and baud in the rig file; is firmware/valve on the board? another program on the port?")
+        yield Finding(
+            "bad",
+            "valve board",
+            str(error),
+            "port and baud in the rig file; is firmware/valve on the board? "
+            "another program on the port?",
+        )
         return
     try:
         for valve in valves:
@@ -209,7 +316,11 @@ def _valves(rig_file: RigFile) -> Iterator[Finding]:
             except DeviceError as error:
                 yield Finding("bad", what, str(error))
                 continue
-            pressure = "no pressure sensor" if state.pressure_gauge is None else f"{state.pressure_gauge:.0f} Pa"
+            pressure = (
+                "no pressure sensor"
+                if state.pressure_gauge is None
+                else f"{state.pressure_gauge:.0f} Pa"
+            )
             board = f"firmware {valve.board.firmware}"
             yield Finding("ok", what, f"{board}, channel {valve.config.channel}, {pressure}")
     finally:
@@ -227,7 +338,8 @@ def _camera(config: CameraConfig) -> Iterator[Finding]:
         yield Finding("bad", what, str(error), _camera_remedy(config))
         return
     try:
-        ages, end = [], pace.monotonic() + _CAMERA_TIME
+        ages = []
+        end = pace.monotonic() + _CAMERA_TIME
         last = 0.0
         while pace.monotonic() < end:
             if camera.wait_newer(last, 0.5):
@@ -243,32 +355,59 @@ def _camera(config: CameraConfig) -> Iterator[Finding]:
 
 
 def _rate(what: str, camera: OpenCvCamera, ages: list[float]) -> Finding:
-    counters, config = camera.counters, camera.config
+    counters = camera.counters
+    config = camera.config
     if len(counters.intervals) < 3:
-        return Finding("bad", what, f"{counters.pictures} pictures in {_CAMERA_TIME:g} s", "another cable or USB port")
+        return Finding(
+            "bad",
+            what,
+            f"{counters.pictures} pictures in {_CAMERA_TIME:g} s",
+            "another cable or USB port",
+        )
     rate = 1 / statistics.mean(counters.intervals)
     jitter = statistics.pstdev(counters.intervals)
-    text = (f"{rate:.1f} pictures a second, jitter {1e3 * jitter:.1f} ms, age {1e3 * statistics.median(ages):.1f} ms, "
-            f"{counters.dropped} lost, {counters.duplicates} twice")
+    text = (
+        f"{rate:.1f} pictures a second, jitter {1e3 * jitter:.1f} ms, age "
+        f"{1e3 * statistics.median(ages):.1f} ms, "
+        f"{counters.dropped} lost, {counters.duplicates} twice"
+    )
     if rate < 0.9 * config.rate:
-        return Finding("bad", what, f"{text}: the rig file says {config.rate:g}",
-                       "a shorter exposure (it must fit into the period), MJPG, or its own USB controller")
+        return Finding(
+            "bad",
+            what,
+            f"{text}: the rig file says {config.rate:g}",
+            "a shorter exposure (it must fit into the period), MJPG, or its own USB controller",
+        )
     return Finding("warn" if counters.duplicates else "ok", what, text)
 
 
 def _light(what: str, camera: OpenCvCamera) -> Finding:
     pixels = camera.read().pixels
-    mean, white = float(pixels.mean()), float((pixels >= 254).mean())
+    mean = float(pixels.mean())
+    white = float((pixels >= 254).mean())
     if mean < 20:
-        return Finding("bad", what, f"dark: mean grey level {mean:.0f}", "are the LEDs on? raise exposure_100us")
+        return Finding(
+            "bad",
+            what,
+            f"dark: mean grey level {mean:.0f}",
+            "are the LEDs on? raise exposure_100us",
+        )
     if white > 0.05:
-        return Finding("bad", what, f"{100 * white:.0f} % of the picture is saturated", "lower exposure_100us or gain")
+        return Finding(
+            "bad",
+            what,
+            f"{100 * white:.0f} % of the picture is saturated",
+            "lower exposure_100us or gain",
+        )
     return Finding("ok", what, f"mean grey level {mean:.0f}, {100 * white:.1f} % saturated")
 
 
 def _camera_remedy(config: CameraConfig) -> str:
     if config.source.startswith("/dev") and not Path(config.source).exists():
-        return "`ls -l /dev/v4l/by-id` shows the names that stay the same; write one of them into the rig file"
+        return (
+            "`ls -l /dev/v4l/by-id` shows the names that stay the same; write one of them into "
+            "the rig file"
+        )
     if config.source.startswith("/dev") and not os.access(config.source, os.R_OK | os.W_OK):
         return f"sudo usermod -aG {_group(config.source)} $USER, then log in again"
     return "`v4l2-ctl -d DEVICE --list-formats-ext --list-ctrls` shows what it can do"

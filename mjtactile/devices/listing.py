@@ -1,4 +1,5 @@
-"""What is plugged in, and what answers on it: for `mjtactile devices`. Questions only: nothing is set, nothing moves."""
+"""What is plugged in, and what answers on it: for `mjtactile devices`. Questions only: nothing is
+set, nothing moves."""
 
 from __future__ import annotations
 
@@ -27,8 +28,9 @@ _REPLY_TIME = 0.02  # s for a servo's answer, behind an adapter whose latency ti
 
 @dataclass(frozen=True)
 class SerialPort:
-    """A serial port: `path` to open it by, the stablest there is; what the computer says of it. Who is there: `servos`, models by
-    id, at `baud`, or a valve `board`; `problem`: why nobody could be asked."""
+    """A serial port: `path` to open it by, the stablest there is; what the computer says of it. Who
+    is there: `servos`, models by id, at `baud`, or a valve `board`; `problem`: why nobody could be
+    asked."""
 
     path: str
     device: str
@@ -42,20 +44,35 @@ class SerialPort:
     @property
     def answers(self) -> tuple[str, ...]:
         """Who is there, in words."""
-        servos = (f"servo {number}: {model}, {self.baud} baud" for number, model in self.servos.items())
+        servos = (
+            f"servo {number}: {model}, {self.baud} baud" for number, model in self.servos.items()
+        )
         return (*servos, *([f"valve board: {self.board}"] if self.board else []))
 
 
-def serial_ports(more: Iterable[str] = (), *, ask: bool = True, say: Callable[[str], None] = lambda _: None) -> list[SerialPort]:
-    """All USB serial ports, and those of `more`; `ask` who is on them, which takes some seconds each."""
-    known = [SerialPort(_stable(port.device), port.device, port.description or "", port.serial_number or "")
-             for port in sorted(list_ports.comports(), key=lambda port: port.device) if port.vid is not None]
-    known += [SerialPort(path, path, "named", "") for path in more if path not in {port.device for port in known}]
+def serial_ports(
+    more: Iterable[str] = (), *, ask: bool = True, say: Callable[[str], None] = lambda _: None
+) -> list[SerialPort]:
+    """All USB serial ports, and those of `more`; `ask` who is on them, which takes some seconds
+    each."""
+    known = [
+        SerialPort(
+            _stable(port.device), port.device, port.description or "", port.serial_number or ""
+        )
+        for port in sorted(list_ports.comports(), key=lambda port: port.device)
+        if port.vid is not None
+    ]
+    known += [
+        SerialPort(path, path, "named", "")
+        for path in more
+        if path not in {port.device for port in known}
+    ]
     return [_asked(port, say) if ask else port for port in known]
 
 
-def servos_at(port: str, bauds: Iterable[int] | None = None, *, reply_time: float | None = None
-              ) -> tuple[int, Mapping[int, str]]:
+def servos_at(
+    port: str, bauds: Iterable[int] | None = None, *, reply_time: float | None = None
+) -> tuple[int, Mapping[int, str]]:
     """The first baud rate at which servos answer, and their models by id; none at (0, {}).
 
     Raises DeviceError for a port that cannot be opened or goes away."""
@@ -64,7 +81,11 @@ def servos_at(port: str, bauds: Iterable[int] | None = None, *, reply_time: floa
         try:
             found = {servo: model for servo in IDS if (model := _model(bus, servo))}
             if found:  # an answer may have got lost
-                found |= {servo: model for servo in IDS if servo not in found and (model := _model(bus, servo))}
+                found |= {
+                    servo: model
+                    for servo in IDS
+                    if servo not in found and (model := _model(bus, servo))
+                }
                 return baud, dict(sorted(found.items()))
         finally:
             bus.close()
@@ -72,15 +93,17 @@ def servos_at(port: str, bauds: Iterable[int] | None = None, *, reply_time: floa
 
 
 def valve_board_at(port: str) -> str:
-    """What the valve board there says of itself; "" where none answers. Raises DeviceError for a port that cannot be opened."""
-    line, heard = open_port(port, VALVE_BAUD), bytearray()
+    """What the valve board there says of itself; "" where none answers. Raises DeviceError for a
+    port that cannot be opened."""
+    line = open_port(port, VALVE_BAUD)
+    heard = bytearray()
     try:
         deadline = pace.monotonic() + _BOOT_TIME
         while pace.monotonic() < deadline:
             line.write(protocol.encode(0, "id"))
             heard += line.read(64)
             *lines, rest = heard.split(b"\n")
-            heard = bytearray(rest[-protocol.LONGEST:])
+            heard = bytearray(rest[-protocol.LONGEST :])
             for answer in (protocol.decode(bytes(each).rstrip(b"\r")) for each in lines):
                 words = answer[1].split() if answer else []
                 if words[:2] == ["id", protocol.NAME] and len(words) == 6:
@@ -98,7 +121,9 @@ def _asked(port: SerialPort, say: Callable[[str], None]) -> SerialPort:
     say(f"{port.path}: servos? a valve board?")
     try:
         baud, servos = servos_at(port.path) if "://" not in port.path else (0, {})
-        return replace(port, baud=baud, servos=servos, board="" if servos else valve_board_at(port.path))
+        return replace(
+            port, baud=baud, servos=servos, board="" if servos else valve_board_at(port.path)
+        )
     except DeviceError as error:
         return replace(port, problem=str(error))
 

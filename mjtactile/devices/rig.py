@@ -1,4 +1,5 @@
-"""Build a rig of real devices from a rig file. The emulated rig is the same, at the emulator's addresses."""
+"""Build a rig of real devices from a rig file. The emulated rig is the same, at the emulator's
+addresses."""
 
 from __future__ import annotations
 
@@ -23,7 +24,9 @@ from mjtactile.rig.registry import CAMERAS, RigRequest, load_backend, need_file
 from mjtactile.rig.sensors import finger_calibration, finger_design
 
 _EMULATED = "/dev/pts/"  # where pseudo-terminals are; no servo is on one
-_SWITCH_INTERVAL = 5e-4  # s a thread keeps Python's interpreter: at the default of 5 ms a picture waits that long for its time
+# s a thread keeps Python's interpreter: at the default of 5 ms a picture waits that long for its
+# time
+_SWITCH_INTERVAL = 5e-4
 
 
 class MonotonicClock:
@@ -40,16 +43,19 @@ class MonotonicClock:
 
 
 class FrameClock(MonotonicClock):
-    """The same, waking up with the cameras: a cycle begins when a picture has come, not up to a period later.
+    """The same, waking up with the cameras: a cycle begins when a picture has come, not up to a
+    period later.
 
-    It wakes from half a period before the time asked for to half a period after it, or after a period from its last
-    waking: so the loop falls into step with its cameras. Whatever they do, it wakes: their faults are found by `Camera.read`.
-    A camera that cannot be waited for (a third party's, without `wait_newer` and `newest_time`) is not.
+    It wakes from half a period before the time asked for to half a period after it, or after a
+    period from its last waking: so the loop falls into step with its cameras. Whatever they do, it
+    wakes: their faults are found by `Camera.read`. A camera that cannot be waited for (a third
+    party's, without `wait_newer` and `newest_time`) is not.
     """
 
     def __init__(self, cameras: Sequence[Camera], period: float):
         self._cameras: list[Any] = [camera for camera in cameras if hasattr(camera, "wait_newer")]
-        self._period, self._seen = period, [0.0 for _ in self._cameras]
+        self._period = period
+        self._seen = [0.0 for _ in self._cameras]
         self._woke = -math.inf
 
     def wait_until(self, time: float) -> None:
@@ -68,18 +74,27 @@ def _sleep_until(deadline: float) -> None:
         pace.sleep(remaining)
 
 
-def build_device_rig(rig_file: RigFile, design: SensorDesign, *, name: str = "real",
-                     also_close: Callable[[], None] = lambda: None) -> Rig:
-    """Connect every device of `rig_file`, all or none. `also_close` is called last when the rig is closed.
+def build_device_rig(
+    rig_file: RigFile,
+    design: SensorDesign,
+    *,
+    name: str = "real",
+    also_close: Callable[[], None] = lambda: None,
+) -> Rig:
+    """Connect every device of `rig_file`, all or none. `also_close` is called last when the rig is
+    closed.
 
-    Raises InputError when the file does not fit the sensor design, DeviceError naming the device that is missing.
+    Raises InputError when the file does not fit the sensor design, DeviceError naming the device
+    that is missing.
     """
     before = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_INTERVAL)
     closers: list[Callable[[], None]] = [lambda: sys.setswitchinterval(before), also_close]
     try:
         designs = tuple(finger_design(camera, design) for camera in rig_file.cameras)
-        calibrations = tuple(finger_calibration(*pair) for pair in zip(rig_file.cameras, designs, strict=True))
+        calibrations = tuple(
+            finger_calibration(*pair) for pair in zip(rig_file.cameras, designs, strict=True)
+        )
         for camera, own in zip(rig_file.cameras, designs, strict=True):
             _check_picture(camera, own, rig_file)
         cameras: list[Camera] = []
@@ -89,7 +104,11 @@ def build_device_rig(rig_file: RigFile, design: SensorDesign, *, name: str = "re
             closers.append(getattr(cameras[-1], "close", lambda: None))
         signals.check()
         if pace.slow() != 1 and not rig_file.bus.port.startswith(_EMULATED):
-            raise InputError(f"{rig_file.bus.port}: only emulated devices can be slow", source=rig_file.path, field="--slow")
+            raise InputError(
+                f"{rig_file.bus.port}: only emulated devices can be slow",
+                source=rig_file.path,
+                field="--slow",
+            )
         boards, valves = connect_valves(rig_file.valves)
         closers.extend(board.close for board in boards)
         signals.check()
@@ -100,12 +119,23 @@ def build_device_rig(rig_file: RigFile, design: SensorDesign, *, name: str = "re
         with contextlib.suppress(DeviceError):  # the first trouble is the one to report
             close_all(closers)
         raise
-    limits = Limits(opening=config.opening, speed=config.speed_max, force=config.force_max,
-                    lift=(0.0, rig_file.lift.travel), lift_speed=rig_file.lift.speed)
+    limits = Limits(
+        opening=config.opening,
+        speed=config.speed_max,
+        force=config.force_max,
+        lift=(0.0, rig_file.lift.travel),
+        lift_speed=rig_file.lift.speed,
+    )
     names = tuple(camera.finger for camera in rig_file.cameras)
-    return Rig(name=name, fingers=make_fingers(names, designs, tuple(cameras), tuple(valves), calibrations), gripper=gripper,
-               clock=FrameClock(cameras, 1 / design.camera.rate), limits=limits, close=lambda: close_all(closers),
-               host_timeout=rig_file.bus.host_timeout)
+    return Rig(
+        name=name,
+        fingers=make_fingers(names, designs, tuple(cameras), tuple(valves), calibrations),
+        gripper=gripper,
+        clock=FrameClock(cameras, 1 / design.camera.rate),
+        limits=limits,
+        close=lambda: close_all(closers),
+        host_timeout=rig_file.bus.host_timeout,
+    )
 
 
 def build(request: RigRequest) -> Rig:
@@ -116,5 +146,10 @@ def build(request: RigRequest) -> Rig:
 
 def _check_picture(camera: CameraConfig, design: SensorDesign, rig_file: RigFile) -> None:
     if (camera.width, camera.height) != (design.camera.width, design.camera.height):
-        raise InputError(f"{camera.width} x {camera.height} pixels, but sensor {design.name!r} has {design.camera.width} x "
-                         f"{design.camera.height}", source=rig_file.path, field=f"camera.{camera.finger}.width_px")
+        raise InputError(
+            f"{camera.width} x {camera.height} pixels, but sensor {design.name!r} has "
+            f"{design.camera.width} x "
+            f"{design.camera.height}",
+            source=rig_file.path,
+            field=f"camera.{camera.finger}.width_px",
+        )

@@ -13,7 +13,8 @@ _log = logging.getLogger(__name__)
 
 
 def close_all(closers: list[Callable[[], None]]) -> None:
-    """Call every closer, last one first, whatever the others do; then raise DeviceError with all that failed.
+    """Call every closer, last one first, whatever the others do; then raise DeviceError with all
+    that failed.
 
     When another exception is on its way out already, the failures are only logged.
     """

@@ -1,9 +1,10 @@
-"""The emulator's own process: `python -m mjtactile.emulator.app`, started by `mjtactile.emulator.process`.
+"""The emulator's own process: `python -m mjtactile.emulator.app`, started by
+`mjtactile.emulator.process`.
 
-It reads its options from the first line of stdin, prints one JSON line when it is ready (`servo`, `valve`: pty paths;
-`cameras`: addresses; `pid`), then obeys JSON lines on stdin, one JSON line in answer to each:
-`{"fault": KIND, "value": X}`, `{"ask": "truth"}`, `{"stop": true}`. It ends when its stdin does, so that it never
-outlives whoever started it.
+It reads its options from the first line of stdin, prints one JSON line when it is ready (`servo`,
+`valve`: pty paths; `cameras`: addresses; `pid`), then obeys JSON lines on stdin, one JSON line in
+answer to each: `{"fault": KIND, "value": X}`, `{"ask": "truth"}`, `{"stop": true}`. It ends when
+its stdin does, so that it never outlives whoever started it.
 """
 
 from __future__ import annotations
@@ -24,15 +25,20 @@ _STOP_TIME = 3.0  # s for the world's process to end in order
 
 
 class WorldProcess:
-    """The process of `mjtactile.emulator.world`. Raises InputError or DeviceError when it does not start."""
+    """The process of `mjtactile.emulator.world`. Raises InputError or DeviceError when it does not
+    start."""
 
     def __init__(self, options: str):
         descriptor = os.memfd_create("mjtactile-emulator")
         self.shared = SharedState(descriptor)
-        self._process = process.start("mjtactile.emulator.world", descriptor, descriptors=[descriptor], talk=True)
+        self._process = process.start(
+            "mjtactile.emulator.world", descriptor, descriptors=[descriptor], talk=True
+        )
         os.close(descriptor)
         try:
-            self.cameras: dict[str, str] = process.ask(self._process, options, "the emulated world")["cameras"]
+            self.cameras: dict[str, str] = process.ask(
+                self._process, options, "the emulated world"
+            )["cameras"]
         except BaseException:
             self.close()
             raise
@@ -58,8 +64,13 @@ class Emulator:
 
     def endpoints(self) -> dict[str, Any]:
         valve = self._hardware.valve
-        return {"ready": True, "pid": os.getpid(), "servo": self._hardware.bus.path, "valve": valve.path if valve else None,
-                "cameras": self._world.cameras}
+        return {
+            "ready": True,
+            "pid": os.getpid(),
+            "servo": self._hardware.bus.path,
+            "valve": valve.path if valve else None,
+            "cameras": self._world.cameras,
+        }
 
     def obey(self, request: dict[str, Any]) -> dict[str, Any]:
         """Answer one request."""
@@ -85,13 +96,18 @@ class Emulator:
 
     def _truth(self) -> dict[str, Any]:
         """What really is; for tests and benchmarks."""
-        servos, firmware = self._hardware.servos, self._hardware.firmware
-        return {**{name: self._world.shared[name] for name in FROM_WORLD}, "now": pace.monotonic(),
-                "torque": {str(i): bool(s.get("Torque Enable")) for i, s in servos.items()},
-                "drive": {str(i): s.drive().torque_max for i, s in servos.items()},
-                "watchdog": {str(i): s.get("Bus Watchdog") for i, s in servos.items()},
-                "servo_stop_time": {str(i): s.stop_time for i, s in servos.items()},
-                "valve": {str(n): c.state for n, c in firmware.channels.items()}, "valve_vent_time": firmware.vent_time}
+        servos = self._hardware.servos
+        firmware = self._hardware.firmware
+        return {
+            **{name: self._world.shared[name] for name in FROM_WORLD},
+            "now": pace.monotonic(),
+            "torque": {str(i): bool(s.get("Torque Enable")) for i, s in servos.items()},
+            "drive": {str(i): s.drive().torque_max for i, s in servos.items()},
+            "watchdog": {str(i): s.get("Bus Watchdog") for i, s in servos.items()},
+            "servo_stop_time": {str(i): s.stop_time for i, s in servos.items()},
+            "valve": {str(n): c.state for n, c in firmware.channels.items()},
+            "valve_vent_time": firmware.vent_time,
+        }
 
 
 def serve(emulator: Emulator, requests: TextIO, answers: TextIO) -> None:

@@ -1,8 +1,10 @@
-"""Control tables of the emulated servos, typed in from the pages of ROBOTIS's e-manual, and from nothing that the driver reads.
+"""Control tables of the emulated servos, typed in from the pages of ROBOTIS's e-manual, and from
+nothing that the driver reads.
 
-Addresses, sizes, access, initial values and ranges: "Control Table of EEPROM Area" and "... of RAM Area" of each model's page,
-https://emanual.robotis.com/docs/en/dxl/x/MODEL/ (sources: github.com/ROBOTIS-GIT/emanual, docs/en/dxl/x/MODEL.md), read in
-November 2026. A test compares the addresses with those that the SDK ships.
+Addresses, sizes, access, initial values and ranges: "Control Table of EEPROM Area" and "... of RAM
+Area" of each model's page, https://emanual.robotis.com/docs/en/dxl/x/MODEL/ (sources:
+github.com/ROBOTIS-GIT/emanual, docs/en/dxl/x/MODEL.md), read in November 2026. A test compares the
+addresses with those that the SDK ships.
 """
 
 from __future__ import annotations
@@ -16,19 +18,33 @@ from mjtactile.core.errors import InputError
 EEPROM_END = 64
 TURNS_MAX = 1_048_575  # ticks: "Goal Position", modes 4 and 5, -256 to 256 turns
 HOMING_JOINT_MAX = 1024  # ticks: "Homing Offset", a larger one is ignored in mode 3
-BAUDS = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)  # by the value of "Baud Rate"
-POSITION_MODES, MODES = (3, 4, 5), (0, 1, 3, 4, 5, 16)  # "Operating Mode"
+# by the value of "Baud Rate"
+BAUDS = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
+# "Operating Mode"
+POSITION_MODES = (3, 4, 5)
+MODES = (0, 1, 3, 4, 5, 16)
 GOALS = ("Goal PWM", "Goal Current", "Goal Velocity", "Goal Position")
-BACKED_UP = ("Velocity I Gain", "Velocity P Gain", "Position D Gain", "Position I Gain", "Position P Gain",
-             "Feedforward 2nd Gain", "Feedforward 1st Gain", "Profile Acceleration", "Profile Velocity")
-"""What of the RAM "Control Table Backup" keeps beside the EEPROM and the indirect addresses (Protocol 2.0, 0x20)."""
+BACKED_UP = (
+    "Velocity I Gain",
+    "Velocity P Gain",
+    "Position D Gain",
+    "Position I Gain",
+    "Position P Gain",
+    "Feedforward 2nd Gain",
+    "Feedforward 1st Gain",
+    "Profile Acceleration",
+    "Profile Velocity",
+)
+"""What of the RAM "Control Table Backup" keeps beside the EEPROM and the indirect addresses
+(Protocol 2.0, 0x20)."""
 
 Bound = int | str  # a number, or the register that holds it ("-PWM Limit": its negative)
 
 
 @dataclass(frozen=True)
 class Field:
-    """One register. `low` to `high` may be written, or one of `choices`; neither: it is read-only."""
+    """One register. `low` to `high` may be written, or one of `choices`; neither: it is
+    read-only."""
 
     address: int
     size: int
@@ -44,14 +60,18 @@ class Field:
 
     @property
     def signed(self) -> bool:
-        return self.low is not None and (str(self.low).startswith("-") or self.name == "Goal Position")
+        return self.low is not None and (
+            str(self.low).startswith("-") or self.name == "Goal Position"
+        )
 
 
 @dataclass(frozen=True)
 class _Model:
-    """What of a page differs from the others'. Initial values in the page's units; `volts` is the recommended supply.
+    """What of a page differs from the others'. Initial values in the page's units; `volts` is the
+    recommended supply.
 
-    `size` 330, 430 or 540; voltage limits in 0.1 V; `gains` velocity I and P, position D, I and P; `slope` is "PWM Slope".
+    `size` 330, 430 or 540; voltage limits in 0.1 V; `gains` velocity I and P, position D, I and P;
+    `slope` is "PWM Slope".
     """
 
     size: int
@@ -80,69 +100,119 @@ _MODELS: Mapping[str, _Model] = {
     "XM540-W270": _Model(540, 12.0, 80, 160, 95, 95, 2047, 128, 52, _XM),
     "XM540-W150": _Model(540, 12.0, 80, 160, 95, 95, 2047, 230, 52, _XM),
 }
-_DRIVE_BITS = {330: 0b1101, 430: 0b1101, 540: 0b1111}  # "Drive Mode": reverse, (slave,) time-based profile, torque on by goal
-_PROTOCOLS = {330: frozenset((2, 20, 21, 22)), 430: frozenset((1, 2)), 540: frozenset((1, 2))}  # "Protocol Type"
+# "Drive Mode": reverse, (slave,) time-based profile, torque on by goal
+_DRIVE_BITS = {330: 0b1101, 430: 0b1101, 540: 0b1111}
+# "Protocol Type"
+_PROTOCOLS = {330: frozenset((2, 20, 21, 22)), 430: frozenset((1, 2)), 540: frozenset((1, 2))}
 _INDIRECT = {  # first indirect address, first indirect data, how many
-    330: ((168, 208, 20),), 430: ((168, 224, 28), (578, 634, 28)), 540: ((168, 224, 28), (578, 634, 28))}
+    330: ((168, 208, 20),),
+    430: ((168, 224, 28), (578, 634, 28)),
+    540: ((168, 224, 28), (578, 634, 28)),
+}
 _SHUTDOWN_BITS = 0b111101  # "Shutdown": bits 1, 6 and 7 are unused
 WATCHDOG_GOES_ON = {(330, 51)}
-"""Size and firmware of servos that note a trip of the watchdog and keep turning: a member of ROBOTIS's staff reproduced it "with
-all models of 330 sized DYNAMIXEL servos" (https://forum.robotis.com/t/watchdog-of-xc330-t288-t-does-not-stop-motor/4814)."""
+"""Size and firmware of servos that note a trip of the watchdog and keep turning: a member of
+ROBOTIS's staff reproduced it "with all models of 330 sized DYNAMIXEL servos"
+(https://forum.robotis.com/t/watchdog-of-xc330-t288-t-does-not-stop-motor/4814)."""
 
 _FIELDS = (
-    Field(0, 2, "Model Number"), Field(2, 4, "Model Information"), Field(6, 1, "Firmware Version"),
-    Field(7, 1, "ID", 1, 0, 252), Field(8, 1, "Baud Rate", 1, 0, 7), Field(9, 1, "Return Delay Time", 250, 0, 254),
-    Field(10, 1, "Drive Mode"), Field(11, 1, "Operating Mode", 3, choices=frozenset(MODES)),
-    Field(12, 1, "Secondary(Shadow) ID", 255, 0, 255), Field(13, 1, "Protocol Type", 2),
-    Field(20, 4, "Homing Offset", 0, -1_044_479, 1_044_479), Field(24, 4, "Moving Threshold", 10, 0, 1023),
-    Field(31, 1, "Temperature Limit", 0, 0, 100), Field(32, 2, "Max Voltage Limit"), Field(34, 2, "Min Voltage Limit"),
-    Field(36, 2, "PWM Limit", 885, 0, 885), Field(38, 2, "Current Limit"), Field(44, 4, "Velocity Limit"),
-    Field(48, 4, "Max Position Limit", 4095, 0, 4095), Field(52, 4, "Min Position Limit", 0, 0, 4095),
-    Field(60, 1, "Startup Configuration", 0, 0, 3), Field(63, 1, "Shutdown"),
-    Field(64, 1, "Torque Enable", 0, 0, 1), Field(65, 1, "LED", 0, 0, 1), Field(68, 1, "Status Return Level", 2, 0, 2),
-    Field(69, 1, "Registered Instruction"), Field(70, 1, "Hardware Error Status"),
-    Field(76, 2, "Velocity I Gain", 0, 0, 16383), Field(78, 2, "Velocity P Gain", 0, 0, 16383),
-    Field(80, 2, "Position D Gain", 0, 0, 16383), Field(82, 2, "Position I Gain", 0, 0, 16383),
-    Field(84, 2, "Position P Gain", 0, 0, 16383), Field(88, 2, "Feedforward 2nd Gain", 0, 0, 16383),
-    Field(90, 2, "Feedforward 1st Gain", 0, 0, 16383), Field(98, 1, "Bus Watchdog", 0, 0, 127),
-    Field(100, 2, "Goal PWM", 0, "-PWM Limit", "PWM Limit"), Field(102, 2, "Goal Current", 0, "-Current Limit", "Current Limit"),
+    Field(0, 2, "Model Number"),
+    Field(2, 4, "Model Information"),
+    Field(6, 1, "Firmware Version"),
+    Field(7, 1, "ID", 1, 0, 252),
+    Field(8, 1, "Baud Rate", 1, 0, 7),
+    Field(9, 1, "Return Delay Time", 250, 0, 254),
+    Field(10, 1, "Drive Mode"),
+    Field(11, 1, "Operating Mode", 3, choices=frozenset(MODES)),
+    Field(12, 1, "Secondary(Shadow) ID", 255, 0, 255),
+    Field(13, 1, "Protocol Type", 2),
+    Field(20, 4, "Homing Offset", 0, -1_044_479, 1_044_479),
+    Field(24, 4, "Moving Threshold", 10, 0, 1023),
+    Field(31, 1, "Temperature Limit", 0, 0, 100),
+    Field(32, 2, "Max Voltage Limit"),
+    Field(34, 2, "Min Voltage Limit"),
+    Field(36, 2, "PWM Limit", 885, 0, 885),
+    Field(38, 2, "Current Limit"),
+    Field(44, 4, "Velocity Limit"),
+    Field(48, 4, "Max Position Limit", 4095, 0, 4095),
+    Field(52, 4, "Min Position Limit", 0, 0, 4095),
+    Field(60, 1, "Startup Configuration", 0, 0, 3),
+    Field(63, 1, "Shutdown"),
+    Field(64, 1, "Torque Enable", 0, 0, 1),
+    Field(65, 1, "LED", 0, 0, 1),
+    Field(68, 1, "Status Return Level", 2, 0, 2),
+    Field(69, 1, "Registered Instruction"),
+    Field(70, 1, "Hardware Error Status"),
+    Field(76, 2, "Velocity I Gain", 0, 0, 16383),
+    Field(78, 2, "Velocity P Gain", 0, 0, 16383),
+    Field(80, 2, "Position D Gain", 0, 0, 16383),
+    Field(82, 2, "Position I Gain", 0, 0, 16383),
+    Field(84, 2, "Position P Gain", 0, 0, 16383),
+    Field(88, 2, "Feedforward 2nd Gain", 0, 0, 16383),
+    Field(90, 2, "Feedforward 1st Gain", 0, 0, 16383),
+    Field(98, 1, "Bus Watchdog", 0, 0, 127),
+    Field(100, 2, "Goal PWM", 0, "-PWM Limit", "PWM Limit"),
+    Field(102, 2, "Goal Current", 0, "-Current Limit", "Current Limit"),
     Field(104, 4, "Goal Velocity", 0, "-Velocity Limit", "Velocity Limit"),
-    Field(108, 4, "Profile Acceleration", 0, 0, 32767), Field(112, 4, "Profile Velocity", 0, 0, 32767),
-    Field(116, 4, "Goal Position", 0, "Min Position Limit", "Max Position Limit"),  # in modes 4 and 5: TURNS_MAX
-    Field(120, 2, "Realtime Tick"), Field(122, 1, "Moving"), Field(123, 1, "Moving Status"), Field(124, 2, "Present PWM"),
-    Field(126, 2, "Present Current"), Field(128, 4, "Present Velocity"), Field(132, 4, "Present Position"),
-    Field(136, 4, "Velocity Trajectory"), Field(140, 4, "Position Trajectory"), Field(144, 2, "Present Input Voltage"),
-    Field(146, 1, "Present Temperature"), Field(147, 1, "Backup Ready"),
+    Field(108, 4, "Profile Acceleration", 0, 0, 32767),
+    Field(112, 4, "Profile Velocity", 0, 0, 32767),
+    # in modes 4 and 5: TURNS_MAX
+    Field(116, 4, "Goal Position", 0, "Min Position Limit", "Max Position Limit"),
+    Field(120, 2, "Realtime Tick"),
+    Field(122, 1, "Moving"),
+    Field(123, 1, "Moving Status"),
+    Field(124, 2, "Present PWM"),
+    Field(126, 2, "Present Current"),
+    Field(128, 4, "Present Velocity"),
+    Field(132, 4, "Present Position"),
+    Field(136, 4, "Velocity Trajectory"),
+    Field(140, 4, "Position Trajectory"),
+    Field(144, 2, "Present Input Voltage"),
+    Field(146, 1, "Present Temperature"),
+    Field(147, 1, "Backup Ready"),
 )
 
 
 class ControlTable:
-    """All registers of one model: `fields` by name, `at` by first address, `indirect` from an indirect datum's address to its
-    indirect address'."""
+    """All registers of one model: `fields` by name, `at` by first address, `indirect` from an
+    indirect datum's address to its indirect address'."""
 
     def __init__(self, model: str):
         if model not in _MODELS:
-            raise InputError(f"the emulator knows no servo {model!r}", field="model", choices=_MODELS)
+            raise InputError(
+                f"the emulator knows no servo {model!r}", field="model", choices=_MODELS
+            )
         row = _MODELS[model]
-        self.size, self.volts = row.size, row.volts
+        self.size = row.size
+        self.volts = row.volts
         own = _own(row)
-        fields = [replace(field, **own[field.name]) if field.name in own else field for field in _FIELDS]
+        fields = [
+            replace(field, **own[field.name]) if field.name in own else field for field in _FIELDS
+        ]
         if row.slope is not None:
             fields.append(Field(62, 1, "PWM Slope", row.slope, 1, 255))
         if row.size == 540:
             fields += [Field(55 + i, 1, f"External Port Mode {i}", 3, 0, 3) for i in (1, 2, 3)]
-            fields += [Field(150 + 2 * i, 2, f"External Port Data {i}", 0, 0, 65535) for i in (1, 2, 3)]
+            fields += [
+                Field(150 + 2 * i, 2, f"External Port Data {i}", 0, 0, 65535) for i in (1, 2, 3)
+            ]
         self.indirect: dict[int, int] = {}
         last = max(data + count for _, data, count in _INDIRECT[row.size]) - 1
         for block, (address, data, count) in enumerate(_INDIRECT[row.size]):
             for i in range(count):
                 number = i + 1 + 28 * block
-                fields.append(Field(address + 2 * i, 2, f"Indirect Address {number}", data + i, EEPROM_END, last))
+                fields.append(
+                    Field(
+                        address + 2 * i, 2, f"Indirect Address {number}", data + i, EEPROM_END, last
+                    )
+                )
                 fields.append(Field(data + i, 1, f"Indirect Data {number}", 0, 0, 255))
                 self.indirect[data + i] = address + 2 * i
         self.fields = {field.name: field for field in fields}
         self.at = {field.address: field for field in fields}
-        self.defined = frozenset(a for field in fields for a in range(field.address, field.address + field.size))
+        self.defined = frozenset(
+            a for field in fields for a in range(field.address, field.address + field.size)
+        )
 
 
 def _own(row: _Model) -> dict[str, dict[str, object]]:
@@ -155,12 +225,23 @@ def _own(row: _Model) -> dict[str, dict[str, object]]:
         "Drive Mode": {"choices": frozenset(v for v in range(16) if v & ~bits == 0)},
         "Protocol Type": {"choices": _PROTOCOLS[row.size]},
         "Temperature Limit": {"default": row.temperature},
-        "Max Voltage Limit": {"default": row.volt_max, **volts}, "Min Voltage Limit": {"default": row.volt_min, **volts},
+        "Max Voltage Limit": {"default": row.volt_max, **volts},
+        "Min Voltage Limit": {"default": row.volt_min, **volts},
         "Current Limit": {"default": row.current, "low": 0, "high": row.current},
-        "Velocity Limit": {"default": row.velocity, "low": 0, "high": 2047 if row.size == 330 else 1023},
-        "Shutdown": {"default": row.shutdown, "choices": frozenset(v for v in range(64) if v & ~_SHUTDOWN_BITS == 0)},
-        "Velocity I Gain": {"default": velocity_i}, "Velocity P Gain": {"default": velocity_p},
-        "Position D Gain": {"default": d}, "Position I Gain": {"default": i}, "Position P Gain": {"default": p},
+        "Velocity Limit": {
+            "default": row.velocity,
+            "low": 0,
+            "high": 2047 if row.size == 330 else 1023,
+        },
+        "Shutdown": {
+            "default": row.shutdown,
+            "choices": frozenset(v for v in range(64) if v & ~_SHUTDOWN_BITS == 0),
+        },
+        "Velocity I Gain": {"default": velocity_i},
+        "Velocity P Gain": {"default": velocity_p},
+        "Position D Gain": {"default": d},
+        "Position I Gain": {"default": i},
+        "Position P Gain": {"default": p},
     }
 
 

@@ -1,7 +1,7 @@
 """Faults on request. `Faults` is a notebook of what is wrong now; the emulated devices look at it.
 
-A fault is set by a command such as `{"fault": "servo_drop", "value": 0.1}`; its value is a probability, a number or a
-switch as its row says. `value` 0 ends it.
+A fault is set by a command such as `{"fault": "servo_drop", "value": 0.1}`; its value is a
+probability, a number or a switch as its row says. `value` 0 ends it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""The emulated devices and what joins them to the world: servos to jaws and lift, valve channels to chambers."""
+"""The emulated devices and what joins them to the world: servos to jaws and lift, valve channels to
+chambers."""
 
 from __future__ import annotations
 
@@ -15,21 +16,33 @@ from mjtactile.emulator.valve import ValveFirmware, ValvePort
 from mjtactile.rig.file import EmulatorConfig, RigFile
 
 _TICK = 0.003  # s between two looks at the world
-_SHARED_FAULTS = ("puncture", "frames_frozen", "frames_dark", "frames_saturated", "frames_stopped", "frames_late",
-                  "frames_duplicated")
+_SHARED_FAULTS = (
+    "puncture",
+    "frames_frozen",
+    "frames_dark",
+    "frames_saturated",
+    "frames_stopped",
+    "frames_late",
+    "frames_duplicated",
+)
 
 
 class Hardware:
-    """Servo bus and valve board of `rig_file`, alive until `close`. They also work with no world behind `shared`."""
+    """Servo bus and valve board of `rig_file`, alive until `close`. They also work with no world
+    behind `shared`."""
 
     def __init__(self, rig_file: RigFile, shared: SharedState, faults: Faults):
         emulator = rig_file.emulator or EmulatorConfig()
-        self._rig_file, self._shared, self.faults = rig_file, shared, faults
+        self._rig_file = rig_file
+        self._shared = shared
+        self.faults = faults
         self.servos: dict[int, EmulatedServo] = {}
         self._jaws = self._build_jaws()
         self._lift = self._build_lift()
         shared["goal"] = math.nan
-        zeros = {valve.channel: emulator.specimen(valve.finger).valve_zero for valve in rig_file.valves}
+        zeros = {
+            valve.channel: emulator.specimen(valve.finger).valve_zero for valve in rig_file.valves
+        }
         self.bus = ServoBus(self.servos, faults, usb_latency=emulator.usb_latency)
         self.firmware = ValveFirmware(self, faults, zeros=zeros, sensors=emulator.valve_sensors)
         self.valve = ValvePort(self.firmware) if rig_file.valves else None
@@ -48,7 +61,8 @@ class Hardware:
         if self.valve is not None:
             self.valve.close()
 
-    # -- chambers, as the valve board moves them ------------------------------------------------------------------
+    # -- chambers, as the valve board moves them
+    # ------------------------------------------------------------------
 
     def connect(self, channel: int, supply_gauge: float) -> None:
         self._shared[f"supply_{channel}"] = supply_gauge
@@ -60,12 +74,20 @@ class Hardware:
     def pressure(self, channel: int) -> float:
         return self._shared[f"pressure_{channel}"]
 
-    # -- inside ---------------------------------------------------------------------------------------------------
+    # -- inside
+    # --------------------------------------------------------------------------------
 
     def _build_servo(self, servo_id: int, model: str, angle: float) -> EmulatedServo:
         emulator = self._rig_file.emulator or EmulatorConfig()
-        servo = EmulatedServo(servo_id, model, angle=angle, baud=self._rig_file.bus.baud, torque_share=emulator.torque_share,
-                              firmware=emulator.servo_firmware, trip=emulator.watchdog)
+        servo = EmulatedServo(
+            servo_id,
+            model,
+            angle=angle,
+            baud=self._rig_file.bus.baud,
+            torque_share=emulator.torque_share,
+            firmware=emulator.servo_firmware,
+            trip=emulator.watchdog,
+        )
         self.servos[servo_id] = servo
         return servo
 
@@ -99,18 +121,24 @@ class Hardware:
             for servo in self.servos.values():
                 servo.look_at_watchdog(now)
         goal, force = self._jaws.drive()
-        shared["force"], shared["goal"] = force, math.nan if goal is None else goal
+        shared["force"] = force
+        shared["goal"] = math.nan if goal is None else goal
         if self._lift is not None:
             drive = self._lift.drive()
-            shared["lift_goal"] = drive.goal * self._rig_file.lift.per_rad if drive.torque_max > 0 else math.nan
+            shared["lift_goal"] = (
+                drive.goal * self._rig_file.lift.per_rad if drive.torque_max > 0 else math.nan
+            )
             self._lift.feel(shared["lift_height"] / self._rig_file.lift.per_rad, 0.0, 0.0, period)
         self._jaws.feel(shared["opening"], shared["speed"], shared["grip_force"], period)
         self.firmware.tick(now, period)
 
     def _strike(self) -> None:
         """Carry out the faults that happen to a servo or to the world, rather than to a reply."""
-        for kind, act in (("servo_overload", lambda s: s.raise_error(0x20)), ("servo_overheat", lambda s: s.heat(95.0)),
-                          ("servo_brown_out", lambda s: s.brown_out())):
+        for kind, act in (
+            ("servo_overload", lambda s: s.raise_error(0x20)),
+            ("servo_overheat", lambda s: s.heat(95.0)),
+            ("servo_brown_out", lambda s: s.brown_out()),
+        ):
             servo = self.servos.get(int(self.faults.get(kind)))
             if servo is not None:
                 self.faults.set(kind, 0)

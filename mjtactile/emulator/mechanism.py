@@ -1,6 +1,7 @@
 """How the emulated servos' shafts are joined to the jaws: the mechanics side of a rig file's `law`.
 
-Written apart from the driver's geometry, so that a wrong sign or factor there shows as a wrong opening or force.
+Written apart from the driver's geometry, so that a wrong sign or factor there shows as a wrong
+opening or force.
 """
 
 from __future__ import annotations
@@ -16,13 +17,19 @@ _TICK = 2 * math.pi / 4096  # rad
 
 
 class Jaw:
-    """One servo's shaft and its part x (m) of the opening: x = x0 + r a on a rack, x0 + r sin a on a crank."""
+    """One servo's shaft and its part x (m) of the opening: x = x0 + r a on a rack, x0 + r sin a on
+    a crank."""
 
     def __init__(self, servo: EmulatedServo, config: ServoConfig, source: str):
         if config.law not in ("rack", "crank"):
-            raise InputError("the emulator has no such mechanism", source=source, field="gripper.servo.law",
-                             choices=("rack", "crank"))
-        self.servo, self._config = servo, config
+            raise InputError(
+                "the emulator has no such mechanism",
+                source=source,
+                field="gripper.servo.law",
+                choices=("rack", "crank"),
+            )
+        self.servo = servo
+        self._config = config
         self._zero = config.zero_ticks * _TICK
 
     def angle(self, part: float) -> float:
@@ -51,7 +58,8 @@ class Jaws:
         self._jaws = tuple(jaws)
 
     def drive(self) -> tuple[float | None, float]:
-        """Goal opening m (None: nobody drives), and the most force N on each finger that the servos may use together."""
+        """Goal opening m (None: nobody drives), and the most force N on each finger that the servos
+        may use together."""
         drives = [(jaw, jaw.servo.drive()) for jaw in self._jaws]
         on = [(jaw, drive) for jaw, drive in drives if drive.torque_max > 0]
         if not on:
@@ -61,7 +69,8 @@ class Jaws:
         return sum(parts) / len(on) * len(self._jaws), sum(forces) / len(self._jaws)
 
     def feel(self, opening: float, speed: float, force: float, period: float) -> None:
-        """Turn the shafts to where the jaws are; those that drive share the closing `force` N on each finger."""
+        """Turn the shafts to where the jaws are; those that drive share the closing `force` N on
+        each finger."""
         on = [jaw for jaw in self._jaws if jaw.servo.drive().torque_max > 0]
         count = len(self._jaws)
         for jaw in self._jaws:

@@ -1,6 +1,8 @@
-"""What an emulated servo's motor does: the path of its profile, and the drive that its mode asks for.
+"""What an emulated servo's motor does: the path of its profile, and the drive that its mode asks
+for.
 
-"What is the Profile", "Profile Velocity(112)", "Profile Acceleration(108)" of each model's e-manual page.
+"What is the Profile", "Profile Velocity(112)", "Profile Acceleration(108)" of each model's e-manual
+page.
 """
 
 from __future__ import annotations
@@ -13,7 +15,8 @@ FAR = 2 * math.pi  # rad ahead: where a motor without a position goal pulls to
 
 @dataclass(frozen=True)
 class Drive:
-    """What the motor does now: goal angle rad (turns counted), and the most torque it may use, N m (0: no torque)."""
+    """What the motor does now: goal angle rad (turns counted), and the most torque it may use, N m
+    (0: no torque)."""
 
     goal: float
     torque_max: float
@@ -29,7 +32,9 @@ class Path:
 
     def start(self, angle: float) -> None:
         """Stand still at `angle`."""
-        self.angle, self.speed, self.origin = angle, 0.0, angle
+        self.angle = angle
+        self.speed = 0.0
+        self.origin = angle
 
     def follow(self, goal: float, speed_max: float, acceleration: float, period: float) -> None:
         """Towards a position; 0 is no limit (`speed_max` 0: a step, whatever the acceleration)."""
@@ -46,7 +51,8 @@ class Path:
         if abs(step) >= abs(left) and step * left >= 0:
             self.start(goal)
         else:
-            self.angle, self.speed = self.angle + step, wanted
+            self.angle = self.angle + step
+            self.speed = wanted
 
     def turn(self, speed: float, acceleration: float, period: float) -> None:
         """Towards a speed."""

@@ -13,7 +13,8 @@ from mjtactile.rig.sensors import finger_design
 
 @dataclass(frozen=True)
 class EmulatorOptions:
-    """The rig, the sensor on each finger, the object on the table, the seed of placement and noise, faults from the start."""
+    """The rig, the sensor on each finger, the object on the table, the seed of placement and noise,
+    faults from the start."""
 
     rig_file: RigFile
     design: SensorDesign
@@ -23,7 +24,10 @@ class EmulatorOptions:
 
     def finger_design(self, finger: str) -> SensorDesign:
         """What the sensor file of that finger says."""
-        return next((finger_design(c, self.design) for c in self.rig_file.cameras if c.finger == finger), self.design)
+        return next(
+            (finger_design(c, self.design) for c in self.rig_file.cameras if c.finger == finger),
+            self.design,
+        )
 
     def encode(self) -> str:
         """One line of text, for the process's stdin: both ends are this program."""

@@ -17,10 +17,18 @@ _STOP_TIME = 5.0  # s to end in order
 
 
 class EmulatorProcess:
-    """The emulated hardware of `rig_file`, running. Raises InputError for bad options, DeviceError if it does not start."""
+    """The emulated hardware of `rig_file`, running. Raises InputError for bad options, DeviceError
+    if it does not start."""
 
-    def __init__(self, rig_file: RigFile, design: SensorDesign, *, object_name: str, seed: int = 0,
-                 faults: Mapping[str, float] | None = None):
+    def __init__(
+        self,
+        rig_file: RigFile,
+        design: SensorDesign,
+        *,
+        object_name: str,
+        seed: int = 0,
+        faults: Mapping[str, float] | None = None,
+    ):
         options = EmulatorOptions(rig_file, design, object_name, seed, dict(faults or {}))
         self._lock = threading.Lock()
         self._process = process.start("mjtactile.emulator.app", talk=True)
@@ -46,9 +54,13 @@ class EmulatorProcess:
         """The rig file with the emulator's addresses in it."""
         valve = self.endpoints["valve"] or ""
         return replace(
-            rig_file, bus=replace(rig_file.bus, port=self.endpoints["servo"]),
-            cameras=tuple(replace(c, source=self.endpoints["cameras"][c.finger]) for c in rig_file.cameras),
-            valves=tuple(replace(v, port=valve) for v in rig_file.valves))
+            rig_file,
+            bus=replace(rig_file.bus, port=self.endpoints["servo"]),
+            cameras=tuple(
+                replace(c, source=self.endpoints["cameras"][c.finger]) for c in rig_file.cameras
+            ),
+            valves=tuple(replace(v, port=valve) for v in rig_file.valves),
+        )
 
     def close(self) -> None:
         """End the process, by force if it does not listen."""
@@ -56,4 +68,8 @@ class EmulatorProcess:
 
     def _request(self, request: Mapping[str, Any] | str) -> dict[str, Any]:
         with self._lock:
-            return process.ask(self._process, request if isinstance(request, str) else json.dumps(request), "the emulator")
+            return process.ask(
+                self._process,
+                request if isinstance(request, str) else json.dumps(request),
+                "the emulator",
+            )

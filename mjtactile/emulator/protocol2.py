@@ -1,7 +1,8 @@
-"""Dynamixel Protocol 2.0 as a servo speaks it, written from https://emanual.robotis.com/docs/en/dxl/protocol2/.
+"""Dynamixel Protocol 2.0 as a servo speaks it, written from
+https://emanual.robotis.com/docs/en/dxl/protocol2/.
 
-The CRC is this module's own (bit by bit, no table) and is tested against packets printed in that manual, so that a
-mistake in the SDK's would show.
+The CRC is this module's own (bit by bit, no table) and is tested against packets printed in that
+manual, so that a mistake in the SDK's would show.
 """
 
 from __future__ import annotations
@@ -11,14 +12,29 @@ from dataclasses import dataclass
 
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE
-PING, READ, WRITE, REG_WRITE, ACTION, FACTORY_RESET, REBOOT, CLEAR, BACKUP = 1, 2, 3, 4, 5, 6, 8, 0x10, 0x20
-STATUS, SYNC_READ, SYNC_WRITE, FAST_SYNC_READ, BULK_READ, BULK_WRITE, FAST_BULK_READ = 0x55, 0x82, 0x83, 0x8A, 0x92, 0x93, 0x9A
+PING = 1
+READ = 2
+WRITE = 3
+REG_WRITE = 4
+ACTION = 5
+FACTORY_RESET = 6
+REBOOT = 8
+CLEAR = 0x10
+BACKUP = 0x20
+STATUS = 0x55
+SYNC_READ = 0x82
+SYNC_WRITE = 0x83
+FAST_SYNC_READ = 0x8A
+BULK_READ = 0x92
+BULK_WRITE = 0x93
+FAST_BULK_READ = 0x9A
 ALERT = 0x80
 _LONGEST = 1024  # bytes; a longer length is a broken packet
 
 
 def crc16(data: bytes) -> int:
-    """CRC-16 of polynomial x^16 + x^15 + x^2 + 1 (0x8005), initial value 0, most significant bit first."""
+    """CRC-16 of polynomial x^16 + x^15 + x^2 + 1 (0x8005), initial value 0, most significant bit
+    first."""
     crc = 0
     for byte in data:
         crc ^= byte << 8
@@ -38,7 +54,8 @@ def fast_crc16(data: bytes, crc: int = 0) -> int:
 
 
 def stuff(body: bytes) -> bytes:
-    """Instruction and parameters with FD added after each FF FF FD, so that no header appears inside a packet."""
+    """Instruction and parameters with FD added after each FF FF FD, so that no header appears
+    inside a packet."""
     return body.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
 
 
@@ -60,8 +77,9 @@ def status(servo: int, error: int, parameters: bytes = b"") -> bytes:
 
 
 def fast_status(parts: Sequence[tuple[int, int, bytes]], promised: int | None = None) -> bytes:
-    """The one reply to a fast read: (id, error, data) of each servo, each followed by the CRC of all so far. `promised` bytes
-    are what its head announces: more than come when a servo is not there."""
+    """The one reply to a fast read: (id, error, data) of each servo, each followed by the CRC of
+    all so far. `promised` bytes are what its head announces: more than come when a servo is not
+    there."""
     length = 1 + (sum(len(data) + 4 for _, _, data in parts) if promised is None else promised)
     packet = HEADER + bytes([BROADCAST]) + length.to_bytes(2, "little") + bytes([STATUS])
     for servo, error, data in parts:

@@ -16,19 +16,27 @@ _OPEN_POLL = 0.005  # s between looks at whether a host has opened the port
 
 
 class PtyPort:
-    """Opens a pty; `handle(data)` is called in a thread with what the host sent, `write` answers. `path` is for the host.
+    """Opens a pty; `handle(data)` is called in a thread with what the host sent, `write` answers.
+    `path` is for the host.
 
-    With `on_open`, it is called whenever a host opens the port (a board that resets then). What a host never reads is lost once
-    the port's buffer is full, as on a wire.
+    With `on_open`, it is called whenever a host opens the port (a board that resets then). What a
+    host never reads is lost once the port's buffer is full, as on a wire.
     """
 
-    def __init__(self, handle: Callable[[bytes], None], name: str, *, on_open: Callable[[], None] | None = None):
+    def __init__(
+        self,
+        handle: Callable[[bytes], None],
+        name: str,
+        *,
+        on_open: Callable[[], None] | None = None,
+    ):
         self._master, slave = os.openpty()
         os.set_blocking(self._master, False)
         tty.setraw(slave)
         self.path = os.ttyname(slave)
         os.close(slave)
-        self._handle, self._on_open = handle, on_open
+        self._handle = handle
+        self._on_open = on_open
         self._wake_read, self._wake_write = os.pipe()
         self._lock = threading.Lock()
         self._is_open = True
@@ -42,13 +50,16 @@ class PtyPort:
 
     @property
     def has_input(self) -> bool:
-        """Bytes wait to be read. (`select` would also call a port readable that the host has closed.)"""
+        """Bytes wait to be read. (`select` would also call a port readable that the host has
+        closed.)"""
         poll = select.poll()
         with self._lock:
             if not self._is_open:
                 return False
             poll.register(self._master, select.POLLIN)
-            return any(event & select.POLLIN and not event & select.POLLHUP for _, event in poll.poll(0))
+            return any(
+                event & select.POLLIN and not event & select.POLLHUP for _, event in poll.poll(0)
+            )
 
     def write(self, data: bytes) -> None:
         """Send to the host; nothing happens when the port is gone."""
@@ -57,7 +68,8 @@ class PtyPort:
                 os.write(self._master, data)
 
     def close(self) -> None:
-        """Pull the plug: the host's next read or write fails as with a USB adapter that was unplugged."""
+        """Pull the plug: the host's next read or write fails as with a USB adapter that was
+        unplugged."""
         with self._lock:
             if not self._is_open:
                 return

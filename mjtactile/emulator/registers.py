@@ -1,4 +1,5 @@
-"""The registers of an emulated servo: memory laid out as a control table says, and the rules of reading and writing it.
+"""The registers of an emulated servo: memory laid out as a control table says, and the rules of
+reading and writing it.
 
 Each rule names the heading of the e-manual under which it stands, as in `mjtactile.emulator.servo`.
 """
@@ -7,13 +8,16 @@ from __future__ import annotations
 
 from mjtactile.emulator import control_table as ct
 
-RESULT_FAIL, INSTRUCTION_ERROR, CRC_ERROR, RANGE_ERROR, LENGTH_ERROR, LIMIT_ERROR, ACCESS_ERROR = range(1, 8)
+RESULT_FAIL, INSTRUCTION_ERROR, CRC_ERROR, RANGE_ERROR, LENGTH_ERROR, LIMIT_ERROR, ACCESS_ERROR = (
+    range(1, 8)
+)
 """Errors of a status packet (Protocol 2.0, "Error")."""
 TRIPPED = 0xFF  # "Bus Watchdog"
 
 
 class Registers:
-    """All registers of one model. What a write sets in motion, and what is measured before a read, is the subclass's."""
+    """All registers of one model. What a write sets in motion, and what is measured before a read,
+    is the subclass's."""
 
     def __init__(self, model: str):
         self._table = ct.control_table(model)
@@ -26,7 +30,8 @@ class Registers:
 
     def get_signed(self, name: str) -> int:
         """A register as two's complement."""
-        value, bits = self.get(name), 8 * self._table.fields[name].size
+        value = self.get(name)
+        bits = 8 * self._table.fields[name].size
         return value - (1 << bits) if value >> (bits - 1) else value
 
     def set(self, name: str, value: int) -> None:
@@ -56,8 +61,8 @@ class Registers:
         return self.get("Bus Watchdog") == TRIPPED
 
     def read(self, address: int, size: int) -> tuple[int, bytes]:
-        """Error number and data, as a status packet says them. "Attempt to read a value in an Address that … has not been
-        defined" is an access error (Protocol 2.0, "Error")."""
+        """Error number and data, as a status packet says them. "Attempt to read a value in an
+        Address that … has not been defined" is an access error (Protocol 2.0, "Error")."""
         if size == 0:
             return LENGTH_ERROR, b""
         if not self._table.defined.issuperset(range(address, address + size)):
@@ -65,7 +70,8 @@ class Registers:
         return 0, bytes(self._memory[self._where(a)] for a in range(address, address + size))
 
     def write(self, address: int, data: bytes, *, ram_only: bool = False) -> int:
-        """Write one or several registers in a row, all or none; returns the error number of the status packet."""
+        """Write one or several registers in a row, all or none; returns the error number of the
+        status packet."""
         fields, error = self._checked(address, data)
         if ram_only and any(field.address < ct.EEPROM_END for field, _ in fields):
             error = ACCESS_ERROR  # "Only the RAM area can be modified", Secondary(Shadow) ID(12)
@@ -78,21 +84,26 @@ class Registers:
         self.set(name, value)
 
     def _checked(self, address: int, data: bytes) -> tuple[list[tuple[ct.Field, int]], int]:
-        """The registers that a write would change, with their values, and the error that it would get."""
+        """The registers that a write would change, with their values, and the error that it would
+        get."""
         fields, error = self._parse(address, data)
         for field, value in fields:
             error = error or self._check(field, value)
         return fields, error
 
     def _where(self, address: int) -> int:
-        """The address that an indirect datum stands for ("Indirect Address", "Indirect Data"), else the same."""
+        """The address that an indirect datum stands for ("Indirect Address", "Indirect Data"), else
+        the same."""
         place = self._table.indirect.get(address)
-        return address if place is None else int.from_bytes(self._memory[place : place + 2], "little")
+        return (
+            address if place is None else int.from_bytes(self._memory[place : place + 2], "little")
+        )
 
     def _parse(self, address: int, data: bytes) -> tuple[list[tuple[ct.Field, int]], int]:
         """The registers that `data` covers, with their new values; or an error."""
         places = [self._where(a) for a in range(address, address + len(data))]
-        fields, start = [], 0
+        fields = []
+        start = 0
         while start < len(data):
             field = self._table.at.get(places[start])
             if field is None:
@@ -110,8 +121,14 @@ class Registers:
         if field.address < ct.EEPROM_END and self.get("Torque Enable"):
             return ACCESS_ERROR  # "ROM Lock"
         if field.name in ct.GOALS and self.tripped:
-            return RANGE_ERROR  # "Goal Value … will be changed to read-only-access … Data Range Error", Bus Watchdog(98)
-        if field.name == "Torque Enable" and value and self.get("Hardware Error Status") & self.get("Shutdown"):
+            # "Goal Value … will be changed to read-only-access … Data Range Error", Bus
+            # Watchdog(98)
+            return RANGE_ERROR
+        if (
+            field.name == "Torque Enable"
+            and value
+            and self.get("Hardware Error Status") & self.get("Shutdown")
+        ):
             return RESULT_FAIL  # "REBOOT is the only method to reset", Shutdown(63)
         if field.choices:
             return 0 if value in field.choices else RANGE_ERROR

@@ -10,17 +10,27 @@ from mjtactile.rig.finger import Rig
 from mjtactile.rig.registry import RigRequest, need_file
 
 
-def build_emulated_rig(rig_file: RigFile, design: SensorDesign, *, object_name: str, seed: int,
-                       emulator: EmulatorProcess | None = None) -> Rig:
+def build_emulated_rig(
+    rig_file: RigFile,
+    design: SensorDesign,
+    *,
+    object_name: str,
+    seed: int,
+    emulator: EmulatorProcess | None = None,
+) -> Rig:
     """Start the emulator (or use the one given, which stays running) and connect to it.
 
     Raises InputError for bad names or files, DeviceError when a device does not answer.
     """
     process = emulator or EmulatorProcess(rig_file, design, object_name=object_name, seed=seed)
     also_close = process.close if emulator is None else lambda: None
-    return build_device_rig(process.connect(rig_file), design, name=rig_file.name, also_close=also_close)
+    return build_device_rig(
+        process.connect(rig_file), design, name=rig_file.name, also_close=also_close
+    )
 
 
 def build(request: RigRequest) -> Rig:
     """The backend "emulator" of `mjtactile.rig.registry`."""
-    return build_emulated_rig(need_file(request), request.design, object_name=request.object, seed=request.seed)
+    return build_emulated_rig(
+        need_file(request), request.design, object_name=request.object, seed=request.seed
+    )

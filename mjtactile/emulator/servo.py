@@ -1,7 +1,8 @@
 """One emulated X-series servo: its registers, its rules, and the drive that its registers ask for.
 
-Each rule names the heading of the e-manual under which it stands (https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/ and
-.../xm430-w350/), or where else it was reported. The tables: `mjtactile.emulator.control_table`.
+Each rule names the heading of the e-manual under which it stands
+(https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/ and .../xm430-w350/), or where else it was
+reported. The tables: `mjtactile.emulator.control_table`.
 """
 
 from __future__ import annotations
@@ -13,30 +14,53 @@ from mjtactile.core import pace
 from mjtactile.devices.dynamixel.tables import MODELS
 from mjtactile.emulator import control_table as ct
 from mjtactile.emulator.motion import FAR, Drive, Path
-from mjtactile.emulator.registers import INSTRUCTION_ERROR, RANGE_ERROR, RESULT_FAIL, TRIPPED, Registers
+from mjtactile.emulator.registers import (
+    INSTRUCTION_ERROR,
+    RANGE_ERROR,
+    RESULT_FAIL,
+    TRIPPED,
+    Registers,
+)
 
 _TICKS_PER_RAD = 4096 / (2 * math.pi)
 _RPM_UNIT = 0.229 * 2 * math.pi / 60  # rad/s
 _ACCELERATION_UNIT = 214.577 * 2 * math.pi / 3600  # rad/s^2: "Profile Acceleration(108)", rev/min^2
 _PWM_FULL = 885
-_VOLTAGE, _OVERHEATING, _OVERLOAD = 0x01, 0x04, 0x20
+_VOLTAGE = 0x01
+_OVERHEATING = 0x04
+_OVERLOAD = 0x20
 _FIRMWARE = {330: 52, 430: 46, 540: 46}
 _REBOOT_TIME = 0.3  # s of silence
 _NO_LOAD_SPEED = 6.0  # rad/s of a shaft that nothing holds, about 60 rev/min
-_AMBIENT, _HEATING, _COOLING_TIME = 25.0, 45.0, 60.0  # C; K of final rise at the largest current; s
-_OVERLOAD_SHARE, _OVERLOAD_TIME = 0.6, 3.0  # of the largest current, for so long: latches
+# C; K of final rise at the largest current; s
+_AMBIENT = 25.0
+_HEATING = 45.0
+_COOLING_TIME = 60.0
+# of the largest current, for so long: latches
+_OVERLOAD_SHARE = 0.6
+_OVERLOAD_TIME = 3.0
 TRIPS = ("brake", "limp")
-"""What a tripped watchdog does. The manual says that the servo "will stop" (Bus Watchdog(98)); users found it free in modes 0
-and 16, and held where it was in the others ("brake"); "limp" is a servo that is free in all of them."""
+"""What a tripped watchdog does. The manual says that the servo "will stop" (Bus Watchdog(98));
+users found it free in modes 0 and 16, and held where it was in the others ("brake"); "limp" is a
+servo that is free in all of them."""
 _FREE_MODES = (0, 16)
 
 
 class EmulatedServo(Registers):
-    """`angle` rad it wakes up at; `torque_share` more torque per ampere than the data sheet says; `firmware` None: the newest;
-    `trip` one of `TRIPS`. Times are monotonic s. Thread-safe."""
+    """`angle` rad it wakes up at; `torque_share` more torque per ampere than the data sheet says;
+    `firmware` None: the newest; `trip` one of `TRIPS`. Times are monotonic s. Thread-safe."""
 
-    def __init__(self, servo_id: int, model: str, *, angle: float = 0.0, baud: int = 1_000_000, torque_share: float = 0.0,
-                 firmware: int | None = None, trip: str = "brake"):
+    def __init__(
+        self,
+        servo_id: int,
+        model: str,
+        *,
+        angle: float = 0.0,
+        baud: int = 1_000_000,
+        torque_share: float = 0.0,
+        firmware: int | None = None,
+        trip: str = "brake",
+    ):
         super().__init__(model)
         self.model = MODELS[model]
         self._current_max = self._table.fields["Current Limit"].default * self.model.ampere_per_unit
@@ -46,9 +70,12 @@ class EmulatedServo(Registers):
         self._backup: dict[str, int] = {}
         self._lock = threading.RLock()
         self._lost_turns = 0.0  # rad that the encoder forgot at power-up
-        self._temperature, self._overload_time = _AMBIENT, 0.0
+        self._temperature = _AMBIENT
+        self._overload_time = 0.0
         self._silent_until = 0.0
-        self.angle, self.speed, self.current = angle, 0.0, 0.0
+        self.angle = angle
+        self.speed = 0.0
+        self.current = 0.0
         self._path = Path(angle)
         self._registered: tuple[int, bytes] | None = None
         self.last_packet = pace.monotonic()
@@ -59,7 +86,8 @@ class EmulatedServo(Registers):
         self.set("Baud Rate", ct.BAUDS.index(baud))
         self._power_up()
 
-    # -- registers -----------------------------------------------------------------------------------------------
+    # -- registers
+    # --------------------------------------------------------------------------------
 
     def read(self, address: int, size: int) -> tuple[int, bytes]:
         with self._lock:
@@ -80,7 +108,8 @@ class EmulatedServo(Registers):
             return error
 
     def act(self) -> int:
-        """Carry out what was registered; "Action has been used without Reg Write" is an instruction error."""
+        """Carry out what was registered; "Action has been used without Reg Write" is an instruction
+        error."""
         with self._lock:
             if self._registered is None:
                 return INSTRUCTION_ERROR
@@ -102,11 +131,13 @@ class EmulatedServo(Registers):
 
     def _torque_on(self) -> None:
         if self.get("Operating Mode") == 3:
-            self._forget_turns()  # "When torque is turned on in Position Control Mode", Present Position(132)
+            # "When torque is turned on in Position Control Mode", Present Position(132)
+            self._forget_turns()
         self._path.start(self.angle)
         self.set("Goal Position", self._ticks())
 
-    # -- values ---------------------------------------------------------------------------------------------------
+    # -- values
+    # --------------------------------------------------------------------------------
 
     def _defaults(self, eeprom: bool, keep: tuple[str, ...] = ()) -> None:
         for field in self._table.fields.values():
@@ -117,7 +148,8 @@ class EmulatedServo(Registers):
             self.set("Firmware Version", self._firmware)
 
     def _power_up(self) -> None:
-        """RAM to its defaults, turns forgotten, torque off; unless "Startup Configuration(60)" says otherwise."""
+        """RAM to its defaults, turns forgotten, torque off; unless "Startup Configuration(60)" says
+        otherwise."""
         self._defaults(False)
         self._registered = None
         self.set("Present Input Voltage", round(10 * self._table.volts))
@@ -133,7 +165,8 @@ class EmulatedServo(Registers):
         self._publish()
 
     def _mode_defaults(self) -> None:
-        """ "Switching Operating Mode will reset gains … profile generator and limits will also be reset", Operating Mode(11)."""
+        """ "Switching Operating Mode will reset gains … profile generator and limits will also be
+        reset", Operating Mode(11)."""
         for name in ct.BACKED_UP:
             self.set(name, self._table.fields[name].default)
         self.set("Goal PWM", self.get("PWM Limit"))
@@ -145,7 +178,9 @@ class EmulatedServo(Registers):
         self.set("Goal Position", self._ticks())
 
     def _forget_turns(self) -> None:
-        self._lost_turns = math.floor(self._direction * self.angle * _TICKS_PER_RAD / 4096) * 2 * math.pi
+        self._lost_turns = (
+            math.floor(self._direction * self.angle * _TICKS_PER_RAD / 4096) * 2 * math.pi
+        )
 
     @property
     def _direction(self) -> int:
@@ -154,9 +189,12 @@ class EmulatedServo(Registers):
 
     @property
     def _homing(self) -> int:
-        """ticks that are added to the actual position (Homing Offset(20)); too large ones count for nothing in mode 3."""
+        """ticks that are added to the actual position (Homing Offset(20)); too large ones count for
+        nothing in mode 3."""
         offset = self.get_signed("Homing Offset")
-        return 0 if self.get("Operating Mode") == 3 and abs(offset) > ct.HOMING_JOINT_MAX else offset
+        return (
+            0 if self.get("Operating Mode") == 3 and abs(offset) > ct.HOMING_JOINT_MAX else offset
+        )
 
     def _ticks(self, angle: float | None = None) -> int:
         """Position of the shaft as its registers say it."""
@@ -166,7 +204,8 @@ class EmulatedServo(Registers):
     def _angle(self, ticks: int) -> float:
         return self._direction * ((ticks - self._homing) / _TICKS_PER_RAD + self._lost_turns)
 
-    # -- instructions ---------------------------------------------------------------------------------------------
+    # -- instructions
+    # --------------------------------------------------------------------------------
 
     def is_silent(self, now: float) -> bool:
         return now < self._silent_until
@@ -199,12 +238,22 @@ class EmulatedServo(Registers):
             return 0
 
     def back_up(self, option: int, now: float) -> int:
-        """ "Control Table Backup": 1 stores, 2 restores and reboots; "works properly only if Torque Enable … is set as '0'"."""
+        """ "Control Table Backup": 1 stores, 2 restores and reboots; "works properly only if Torque
+        Enable … is set as '0'"."""
         with self._lock:
-            if self.get("Torque Enable") or option not in (1, 2) or option == 2 and not self._backup:
+            if (
+                self.get("Torque Enable")
+                or option not in (1, 2)
+                or option == 2
+                and not self._backup
+            ):
                 return RESULT_FAIL
             if option == 1:
-                self._backup = {f.name: self.get(f.name) for f in self._table.fields.values() if self._is_backed_up(f)}
+                self._backup = {
+                    f.name: self.get(f.name)
+                    for f in self._table.fields.values()
+                    if self._is_backed_up(f)
+                }
                 self.set("Backup Ready", 1)
             else:
                 self._restore(ram=False)
@@ -212,15 +261,20 @@ class EmulatedServo(Registers):
             return 0
 
     def _is_backed_up(self, field: ct.Field) -> bool:
-        return (field.writable and field.address < ct.EEPROM_END or field.name in ct.BACKED_UP
-                or field.name.startswith("Indirect Address"))
+        return (
+            field.writable
+            and field.address < ct.EEPROM_END
+            or field.name in ct.BACKED_UP
+            or field.name.startswith("Indirect Address")
+        )
 
     def _restore(self, *, ram: bool) -> None:
         for name, value in self._backup.items():
             if (self._table.fields[name].address >= ct.EEPROM_END) == ram:
                 self.set(name, value)
 
-    # -- life ----------------------------------------------------------------------------------------------------
+    # -- life
+    # --------------------------------------------------------------------------------
 
     def raise_error(self, bits: int) -> None:
         """Latch a hardware error; torque goes off if the Shutdown register names it."""
@@ -235,15 +289,19 @@ class EmulatedServo(Registers):
             self._power_up()
 
     def look_at_watchdog(self, now: float) -> None:
-        """Trip if nothing was heard for the bus watchdog's time; it "monitors … when Torque Enable(64) is '1'"."""
+        """Trip if nothing was heard for the bus watchdog's time; it "monitors … when Torque
+        Enable(64) is '1'"."""
         with self._lock:
             watchdog = self.get("Bus Watchdog")
             if self.tripped:
                 self._drift()
-            elif watchdog and self.get("Torque Enable") and now - self.last_packet > 0.020 * watchdog:
+            elif (
+                watchdog and self.get("Torque Enable") and now - self.last_packet > 0.020 * watchdog
+            ):
                 self.set("Bus Watchdog", TRIPPED)
                 self.stop_time = now
-                self.set("Profile Acceleration", 0)  # "When it stops, the Profile Acceleration(108) and
+                # "When it stops, the Profile Acceleration(108) and
+                self.set("Profile Acceleration", 0)
                 self.set("Profile Velocity", 0)  # Profile Velocity(112) are applied as '0'."
                 if not self._goes_on:
                     self.set("Goal Velocity", 0)
@@ -251,8 +309,9 @@ class EmulatedServo(Registers):
                     self._path.start(self.angle)
 
     def _drift(self) -> None:
-        """With a homing offset "the goal position gets updated to a value that is not the current position … This will keep
-        happening indefinitely" (github.com/ROBOTIS-GIT/DynamixelSDK/issues/584, modes with positions)."""
+        """With a homing offset "the goal position gets updated to a value that is not the current
+        position … This will keep happening indefinitely"
+        (github.com/ROBOTIS-GIT/DynamixelSDK/issues/584, modes with positions)."""
         if self._homing and not self._goes_on and self.get("Operating Mode") in ct.POSITION_MODES:
             self.set("Goal Position", self._ticks() - self._homing)
 
@@ -269,12 +328,17 @@ class EmulatedServo(Registers):
             if self.tripped and not self._goes_on and (self._trip == "limp" or mode in _FREE_MODES):
                 return Drive(self.angle, 0.0)
             full = self._current_max * self._torque_per_A
-            if mode in _FREE_MODES:  # "directly controls" current or PWM: pulls with that, wherever it gets to
+            # "directly controls" current or PWM: pulls with that, wherever it gets to
+            if mode in _FREE_MODES:
                 goal = self.get_signed("Goal Current" if mode == 0 else "Goal PWM")
                 torque = abs(goal) * (self._torque_per_unit if mode == 0 else full / _PWM_FULL)
                 return Drive(self.angle + math.copysign(FAR, self._direction * goal), torque)
-            name = "Goal Current" if mode == 5 else "Current Limit"  # "sets a limit to current in Current-based … mode"
-            torque = min(abs(self.get_signed(name)) * self._torque_per_unit, abs(self.get_signed("Goal PWM")) / _PWM_FULL * full)
+            # "sets a limit to current in Current-based … mode"
+            name = "Goal Current" if mode == 5 else "Current Limit"
+            torque = min(
+                abs(self.get_signed(name)) * self._torque_per_unit,
+                abs(self.get_signed("Goal PWM")) / _PWM_FULL * full,
+            )
             return Drive(self._path.angle if mode == 1 else self._planned(), torque)
 
     @property
@@ -282,32 +346,46 @@ class EmulatedServo(Registers):
         return self.model.ampere_per_unit * self._torque_per_A
 
     def _planned(self) -> float:
-        """Where the profile has got to; without one the goal itself ("Profile not used (Step Instruction)")."""
-        return self._path.angle if self.get("Profile Velocity") else self._angle(self.get_signed("Goal Position"))
+        """Where the profile has got to; without one the goal itself ("Profile not used (Step
+        Instruction)")."""
+        return (
+            self._path.angle
+            if self.get("Profile Velocity")
+            else self._angle(self.get_signed("Goal Position"))
+        )
 
     def _plan(self, period: float) -> None:
         """Move along the trajectory of the profile."""
         acceleration = self.get("Profile Acceleration") * _ACCELERATION_UNIT
         if self.get("Operating Mode") == 1:
-            self._path.turn(self._direction * self.get_signed("Goal Velocity") * _RPM_UNIT, acceleration, period)
+            self._path.turn(
+                self._direction * self.get_signed("Goal Velocity") * _RPM_UNIT, acceleration, period
+            )
             return
-        goal, velocity = self._angle(self.get_signed("Goal Position")), self.get("Profile Velocity")
-        if self.get("Drive Mode") & 0x04 and velocity:  # "Time-based Profile": from start to goal in so many ms
-            self._path.follow(goal, max(abs(goal - self._path.origin), 1e-9) / (1e-3 * velocity), 0.0, period)
+        goal = self._angle(self.get_signed("Goal Position"))
+        velocity = self.get("Profile Velocity")
+        # "Time-based Profile": from start to goal in so many ms
+        if self.get("Drive Mode") & 0x04 and velocity:
+            self._path.follow(
+                goal, max(abs(goal - self._path.origin), 1e-9) / (1e-3 * velocity), 0.0, period
+            )
         else:
             self._path.follow(goal, velocity * _RPM_UNIT, acceleration, period)
 
     def turn(self, period: float) -> None:
-        """The shaft without any mechanism: it goes where it is driven, at most as fast as without load."""
+        """The shaft without any mechanism: it goes where it is driven, at most as fast as without
+        load."""
         drive = self.drive()
         most = _NO_LOAD_SPEED * period if drive.torque_max > 0 else 0.0
         step = min(max(drive.goal - self.angle, -most), most)
         self.feel(self.angle + step, step / period, 0.0, period)
 
     def feel(self, angle: float, speed: float, torque: float, period: float) -> None:
-        """What the mechanism does to the shaft: angle rad, speed rad/s, and the torque N m that the motor gives now."""
+        """What the mechanism does to the shaft: angle rad, speed rad/s, and the torque N m that the
+        motor gives now."""
         with self._lock:
-            self.angle, self.speed = angle, speed
+            self.angle = angle
+            self.speed = speed
             self.current = torque / self._torque_per_A
             if self.get("Torque Enable"):
                 self._plan(period)
@@ -339,12 +417,21 @@ class EmulatedServo(Registers):
         arrived = abs(self._ticks() - self.get_signed("Goal Position")) <= 10
         self.set("Present Position", self._ticks())
         self.set("Present Velocity", velocity)
-        self.set("Present Current", round(self._direction * self.current / self.model.ampere_per_unit))
-        self.set("Present PWM", round(_PWM_FULL * self._direction * self.current / self._current_max))
+        self.set(
+            "Present Current", round(self._direction * self.current / self.model.ampere_per_unit)
+        )
+        self.set(
+            "Present PWM", round(_PWM_FULL * self._direction * self.current / self._current_max)
+        )
         self.set("Present Temperature", round(self._temperature))
         self.set("Velocity Trajectory", round(self._direction * self._path.speed / _RPM_UNIT))
         self.set("Position Trajectory", self._ticks(self._path.angle))
-        self.set("Moving", int(ongoing or abs(velocity) > self.get("Moving Threshold")))  # Moving(122)
-        profile = (0x30 if self.get("Profile Acceleration") else 0x10) if self.get("Profile Velocity") else 0
+        # Moving(122)
+        self.set("Moving", int(ongoing or abs(velocity) > self.get("Moving Threshold")))
+        profile = (
+            (0x30 if self.get("Profile Acceleration") else 0x10)
+            if self.get("Profile Velocity")
+            else 0
+        )
         self.set("Moving Status", profile | ongoing << 1 | (arrived and in_position_mode))
         self.set("Realtime Tick", int(pace.monotonic() * 1e3) % 32768)

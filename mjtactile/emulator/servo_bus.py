@@ -1,6 +1,8 @@
-"""Servos on one pty: reads instruction packets, lets each servo act, answers after the time that wire and USB take.
+"""Servos on one pty: reads instruction packets, lets each servo act, answers after the time that
+wire and USB take.
 
-Instructions after https://emanual.robotis.com/docs/en/dxl/protocol2/, "Instruction Details"; what stands in quotes is from there.
+Instructions after https://emanual.robotis.com/docs/en/dxl/protocol2/, "Instruction Details"; what
+stands in quotes is from there.
 """
 
 from __future__ import annotations
@@ -16,18 +18,30 @@ from mjtactile.emulator.pty_port import PtyPort
 from mjtactile.emulator.registers import CRC_ERROR, INSTRUCTION_ERROR, LENGTH_ERROR
 from mjtactile.emulator.servo import EmulatedServo
 
-_TERMIOS_BAUD = {getattr(termios, f"B{baud}"): baud for baud in BAUDS if hasattr(termios, f"B{baud}")}
+_TERMIOS_BAUD = {
+    getattr(termios, f"B{baud}"): baud for baud in BAUDS if hasattr(termios, f"B{baud}")
+}
 _CLEAR = bytes((0x01, 0x44, 0x58, 0x4C, 0x22))  # "Clear", fixed values
 _BACKUP = bytes((0x43, 0x54, 0x52, 0x4C))  # "Control Table Backup", fixed values
-_SAID_AT = {p2.PING: 0, p2.READ: 1}  # the "Status Return Level" from which an instruction is answered; others: 2
+# the "Status Return Level" from which an instruction is answered; others: 2
+_SAID_AT = {p2.PING: 0, p2.READ: 1}
 
 
 class ServoBus:
-    """`usb_latency` s of the adapter's latency timer on each answer; `on_packet(time, instruction)` sees every packet."""
+    """`usb_latency` s of the adapter's latency timer on each answer; `on_packet(time, instruction)`
+    sees every packet."""
 
-    def __init__(self, servos: Mapping[int, EmulatedServo], faults: Faults, *,
-                 usb_latency: float = 1e-3, on_packet: Callable[[float, p2.Instruction], None] | None = None):
-        self._servos, self._faults, self._usb_latency = servos, faults, usb_latency
+    def __init__(
+        self,
+        servos: Mapping[int, EmulatedServo],
+        faults: Faults,
+        *,
+        usb_latency: float = 1e-3,
+        on_packet: Callable[[float, p2.Instruction], None] | None = None,
+    ):
+        self._servos = servos
+        self._faults = faults
+        self._usb_latency = usb_latency
         self._on_packet = on_packet
         self._decoder = p2.Decoder()
         self._port = PtyPort(self._receive, "servo bus")
@@ -37,7 +51,8 @@ class ServoBus:
         self._port.close()
 
     def is_busy(self) -> bool:
-        """Bytes have arrived that nobody has looked at yet: that this process is slow is no silence of the host."""
+        """Bytes have arrived that nobody has looked at yet: that this process is slow is no silence
+        of the host."""
         return self._port.has_input
 
     def _receive(self, data: bytes) -> None:
@@ -53,32 +68,49 @@ class ServoBus:
                 self._send(answer, len(data), baud)
 
     def answer(self, packet: p2.Instruction, now: float, baud: int | None = None) -> bytes:
-        """What the servos reply to one packet, b"" for nothing. `baud` None: all of them hear it."""
+        """What the servos reply to one packet, b"" for nothing. `baud` None: all of them hear
+        it."""
         mute = int(self._faults.get("servo_silent")) or None
-        awake = [s for s in self._servos.values() if not s.is_silent(now) and s.id != mute and baud in (None, s.baud)]
+        awake = [
+            s
+            for s in self._servos.values()
+            if not s.is_silent(now) and s.id != mute and baud in (None, s.baud)
+        ]
         for servo in awake:
             servo.last_packet = now
         if packet.code in _GROUPS:
             return _GROUPS[packet.code](self, packet.parameters, awake) if packet.intact else b""
         if packet.servo == p2.BROADCAST:
             return self._broadcast(packet, awake, now) if packet.intact else b""
-        answer = b"".join(self._alone(servo, packet, now) for servo in awake if servo.id == packet.servo)
+        answer = b"".join(
+            self._alone(servo, packet, now) for servo in awake if servo.id == packet.servo
+        )
         for servo in awake:
-            if servo.secondary_id == packet.servo != servo.id and packet.intact and packet.code == p2.WRITE:
-                servo.write(*_write_block(packet.parameters), ram_only=True)  # "the Status Packet will not be returned"
+            if (
+                servo.secondary_id == packet.servo != servo.id
+                and packet.intact
+                and packet.code == p2.WRITE
+            ):
+                # "the Status Packet will not be returned"
+                servo.write(*_write_block(packet.parameters), ram_only=True)
         return answer
 
     def _alone(self, servo: EmulatedServo, packet: p2.Instruction, now: float) -> bytes:
-        """Carry out and answer, from the id that was asked: a new one counts from the next packet on."""
-        asked, level = servo.id, servo.get("Status Return Level")
+        """Carry out and answer, from the id that was asked: a new one counts from the next packet
+        on."""
+        asked = servo.id
+        level = servo.get("Status Return Level")
         error, data = _do(servo, packet, now) if packet.intact else (CRC_ERROR, b"")
         if level < _SAID_AT.get(packet.code, 2):
             return b""
         return self._status(servo, error, data, asked)
 
-    def _broadcast(self, packet: p2.Instruction, awake: Sequence[EmulatedServo], now: float) -> bytes:
-        """All act, but only a ping is answered, "according to their arranged order". A reset of everything is not obeyed:
-        "Factory Reset Instruction(0x06) will NOT be activated" for all ids at once."""
+    def _broadcast(
+        self, packet: p2.Instruction, awake: Sequence[EmulatedServo], now: float
+    ) -> bytes:
+        """All act, but only a ping is answered, "according to their arranged order". A reset of
+        everything is not obeyed: "Factory Reset Instruction(0x06) will NOT be activated" for all
+        ids at once."""
         if packet.code == p2.FACTORY_RESET and packet.parameters[:1] == b"\xff":
             return b""
         answer = b""
@@ -87,7 +119,8 @@ class ServoBus:
             answer += self._status(servo, error, data) if packet.code == p2.PING else b""
         return answer
 
-    # -- several servos in one packet; a broken one is ignored as a whole --------------------------------------------
+    # -- several servos in one packet; a broken one is ignored as a whole
+    # --------------------------------------------
 
     def _sync_read(self, parameters: bytes, awake: Sequence[EmulatedServo]) -> bytes:
         return self._read_each(_same_block(parameters), awake)
@@ -95,8 +128,11 @@ class ServoBus:
     def _bulk_read(self, parameters: bytes, awake: Sequence[EmulatedServo]) -> bytes:
         return self._read_each(_own_blocks(parameters), awake)
 
-    def _read_each(self, blocks: Sequence[tuple[int, int, int]], awake: Sequence[EmulatedServo]) -> bytes:
-        """ "Each device individually returns Status Packet"; one that is not there is missing, and no other."""
+    def _read_each(
+        self, blocks: Sequence[tuple[int, int, int]], awake: Sequence[EmulatedServo]
+    ) -> bytes:
+        """ "Each device individually returns Status Packet"; one that is not there is missing, and
+        no other."""
         answer = b""
         for servo_id, address, size in blocks:
             for servo in awake:
@@ -110,12 +146,16 @@ class ServoBus:
     def _fast_bulk_read(self, parameters: bytes, awake: Sequence[EmulatedServo]) -> bytes:
         return self._read_fast(_own_blocks(parameters), awake)
 
-    def _read_fast(self, blocks: Sequence[tuple[int, int, int]], awake: Sequence[EmulatedServo]) -> bytes:
-        """One packet to which each adds its part after the one before it: it ends at the first that is not there."""
+    def _read_fast(
+        self, blocks: Sequence[tuple[int, int, int]], awake: Sequence[EmulatedServo]
+    ) -> bytes:
+        """One packet to which each adds its part after the one before it: it ends at the first that
+        is not there."""
         by_id = {servo.id: servo for servo in awake}
         if self._faults.strikes("servo_drop"):
             return b""
-        parts, lengths = [], []
+        parts = []
+        lengths = []
         for servo_id, address, size in blocks:
             lengths.append(size)
             servo = by_id.get(servo_id)
@@ -143,7 +183,9 @@ class ServoBus:
             place += 5 + size
         return b""
 
-    def _status(self, servo: EmulatedServo, error: int, data: bytes, asked: int | None = None) -> bytes:
+    def _status(
+        self, servo: EmulatedServo, error: int, data: bytes, asked: int | None = None
+    ) -> bytes:
         if self._faults.strikes("servo_drop"):
             return b""
         if self._faults.strikes("servo_short"):
@@ -153,7 +195,9 @@ class ServoBus:
     def _send(self, answer: bytes, received: int, baud: int) -> None:
         """Wait as long as wire, return delay and USB take; a pty has none of these."""
         delay = (received + len(answer)) * 10 / baud + self._usb_latency
-        delay += 2e-6 * next(iter(self._servos.values())).get("Return Delay Time") + self._faults.get("servo_late")
+        delay += 2e-6 * next(iter(self._servos.values())).get(
+            "Return Delay Time"
+        ) + self._faults.get("servo_late")
         if self._faults.strikes("servo_corrupt"):
             place = self._faults.rng.randrange(len(answer))
             changed = answer[place] ^ (1 << self._faults.rng.randrange(8))
@@ -163,8 +207,13 @@ class ServoBus:
 
 
 _GROUPS: Mapping[int, Callable[[ServoBus, bytes, Sequence[EmulatedServo]], bytes]] = {
-    p2.SYNC_READ: ServoBus._sync_read, p2.FAST_SYNC_READ: ServoBus._fast_sync_read, p2.SYNC_WRITE: ServoBus._sync_write,
-    p2.BULK_READ: ServoBus._bulk_read, p2.FAST_BULK_READ: ServoBus._fast_bulk_read, p2.BULK_WRITE: ServoBus._bulk_write}
+    p2.SYNC_READ: ServoBus._sync_read,
+    p2.FAST_SYNC_READ: ServoBus._fast_sync_read,
+    p2.SYNC_WRITE: ServoBus._sync_write,
+    p2.BULK_READ: ServoBus._bulk_read,
+    p2.FAST_BULK_READ: ServoBus._fast_bulk_read,
+    p2.BULK_WRITE: ServoBus._bulk_write,
+}
 
 
 def _do(servo: EmulatedServo, packet: p2.Instruction, now: float) -> tuple[int, bytes]:
@@ -177,7 +226,9 @@ def _do(servo: EmulatedServo, packet: p2.Instruction, now: float) -> tuple[int, 
 
 
 def _ping(servo: EmulatedServo, parameters: bytes, now: float) -> tuple[int, bytes]:
-    return 0, servo.get("Model Number").to_bytes(2, "little") + bytes([servo.get("Firmware Version")])
+    return 0, servo.get("Model Number").to_bytes(2, "little") + bytes(
+        [servo.get("Firmware Version")]
+    )
 
 
 def _read(servo: EmulatedServo, parameters: bytes, now: float) -> tuple[int, bytes]:
@@ -202,10 +253,16 @@ def _back_up(servo: EmulatedServo, parameters: bytes, now: float) -> int:
 
 
 _INSTRUCTIONS: Mapping[int, Callable[[EmulatedServo, bytes, float], tuple[int, bytes] | int]] = {
-    p2.PING: _ping, p2.READ: _read, p2.REBOOT: _reboot, p2.FACTORY_RESET: _reset, p2.CLEAR: _clear, p2.BACKUP: _back_up,
+    p2.PING: _ping,
+    p2.READ: _read,
+    p2.REBOOT: _reboot,
+    p2.FACTORY_RESET: _reset,
+    p2.CLEAR: _clear,
+    p2.BACKUP: _back_up,
     p2.WRITE: lambda servo, parameters, now: servo.write(*_write_block(parameters)),
     p2.REG_WRITE: lambda servo, parameters, now: servo.register(*_write_block(parameters)),
-    p2.ACTION: lambda servo, parameters, now: servo.act()}
+    p2.ACTION: lambda servo, parameters, now: servo.act(),
+}
 
 
 def _write_block(parameters: bytes) -> tuple[int, bytes]:
@@ -218,7 +275,10 @@ def _same_block(parameters: bytes) -> list[tuple[int, int, int]]:
 
 
 def _own_blocks(parameters: bytes) -> list[tuple[int, int, int]]:
-    return [(parameters[i], *_two_words(parameters[i + 1 : i + 5])) for i in range(0, len(parameters) - 4, 5)]
+    return [
+        (parameters[i], *_two_words(parameters[i + 1 : i + 5]))
+        for i in range(0, len(parameters) - 4, 5)
+    ]
 
 
 def _two_words(parameters: bytes) -> tuple[int, int]:

@@ -1,7 +1,9 @@
-"""A page of memory that the emulator's two processes share: what the devices ask of the world, and what it does to them.
+"""A page of memory that the emulator's two processes share: what the devices ask of the world, and
+what it does to them.
 
-Two processes, because a servo must answer within a millisecond and a physics step holds Python's interpreter for longer.
-Each value has one writer; a double is written at once, and each is only ever "the newest".
+Two processes, because a servo must answer within a millisecond and a physics step holds Python's
+interpreter for longer. Each value has one writer; a double is written at once, and each is only
+ever "the newest".
 """
 
 from __future__ import annotations
@@ -12,14 +14,43 @@ from collections.abc import Sequence
 
 import numpy as np
 
-FROM_WORLD = ("time", "lost", "opening", "speed", "grip_force", "lift_height", "object_height", "pressure_1", "pressure_2",
-              "contact_1", "contact_2", "picture_delay", "failed", "pictures")
-TO_WORLD = ("goal", "force", "lift_goal", "open_1", "supply_1", "open_2", "supply_2", "puncture", "frames_frozen",
-            "frames_dark", "frames_saturated", "frames_stopped", "frames_late", "frames_duplicated")
+FROM_WORLD = (
+    "time",
+    "lost",
+    "opening",
+    "speed",
+    "grip_force",
+    "lift_height",
+    "object_height",
+    "pressure_1",
+    "pressure_2",
+    "contact_1",
+    "contact_2",
+    "picture_delay",
+    "failed",
+    "pictures",
+)
+TO_WORLD = (
+    "goal",
+    "force",
+    "lift_goal",
+    "open_1",
+    "supply_1",
+    "open_2",
+    "supply_2",
+    "puncture",
+    "frames_frozen",
+    "frames_dark",
+    "frames_saturated",
+    "frames_stopped",
+    "frames_late",
+    "frames_duplicated",
+)
 
 
 class SharedState:
-    """Named numbers in a file descriptor (`os.memfd_create`); `state["opening"]` reads and writes."""
+    """Named numbers in a file descriptor (`os.memfd_create`); `state["opening"]` reads and
+    writes."""
 
     def __init__(self, descriptor: int, names: Sequence[str] = (*FROM_WORLD, *TO_WORLD)):
         os.ftruncate(descriptor, mmap.PAGESIZE)

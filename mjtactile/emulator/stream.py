@@ -19,7 +19,8 @@ class _Channel:
 
     def __init__(self) -> None:
         self.bell = threading.Condition()
-        self.jpeg, self.number = b"", 0
+        self.jpeg = b""
+        self.number = 0
 
 
 class StreamServer:
@@ -46,7 +47,9 @@ class StreamServer:
             block_on_close = True
 
         self._server = Server(("127.0.0.1", 0), Handler)
-        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.05,), name="streams", daemon=True)
+        self._thread = threading.Thread(
+            target=self._server.serve_forever, args=(0.05,), name="streams", daemon=True
+        )
         self._thread.start()
 
     @property
@@ -61,7 +64,8 @@ class StreamServer:
         jpeg = cv2.imencode(".jpg", pixels, _JPEG)[1].tobytes()
         channel = self._channels[name]
         with channel.bell:
-            channel.jpeg, channel.number = jpeg, channel.number + 1
+            channel.jpeg = jpeg
+            channel.number = channel.number + 1
             channel.bell.notify_all()
 
     def close(self) -> None:
@@ -96,8 +100,11 @@ class StreamServer:
             with channel.bell:
                 while not self._closing and channel.number <= number:
                     channel.bell.wait()
-                jpeg, number = channel.jpeg, channel.number
+                jpeg = channel.jpeg
+                number = channel.number
             if self._closing:
                 return
-            head = f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n".encode()
+            head = (
+                f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+            ).encode()
             handler.wfile.write(head + jpeg + b"\r\n")

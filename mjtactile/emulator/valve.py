@@ -1,8 +1,9 @@
-"""An emulated valve board: the language and the rules of firmware/valve/README.md, with a chamber behind each channel.
+"""An emulated valve board: the language and the rules of firmware/valve/README.md, with a chamber
+behind each channel.
 
-Written apart from that firmware and from the driver, its CRC too, so that a mistake in one of them shows. The supply reaches
-the chamber through a hose: its pressure follows the goal with a first-order lag. The board boots with a banner when its port
-is opened, as many do.
+Written apart from that firmware and from the driver, its CRC too, so that a mistake in one of them
+shows. The supply reaches the chamber through a hose: its pressure follows the goal with a
+first-order lag. The board boots with a banner when its port is opened, as many do.
 """
 
 from __future__ import annotations
@@ -56,13 +57,19 @@ def framed(body: str) -> bytes:
 def unframed(line: bytes) -> str | None:
     """The body of a line without its end, None for a damaged one."""
     body, star, crc = line.rpartition(b"*")
-    if not star or len(line) > _LONGEST or re.fullmatch(rb"[0-9A-F]{8}", crc) is None or crc32(body) != int(crc, 16):
+    if (
+        not star
+        or len(line) > _LONGEST
+        or re.fullmatch(rb"[0-9A-F]{8}", crc) is None
+        or crc32(body) != int(crc, 16)
+    ):
         return None
     return body.decode("ascii") if all(0x20 <= byte <= 0x7E for byte in body) else None
 
 
 class Chambers(Protocol):
-    """What the board moves: `connect` joins a chamber to a supply (Pa), `seal` closes it, `pressure` reads it."""
+    """What the board moves: `connect` joins a chamber to a supply (Pa), `seal` closes it,
+    `pressure` reads it."""
 
     def connect(self, channel: int, supply_gauge: float) -> None: ...
     def seal(self, channel: int) -> None: ...
@@ -81,7 +88,9 @@ class _Channel:
 
     def trip(self, fault: str) -> None:
         """Vent, and take no pressure until the host has vented, too."""
-        self.state, self.goal, self.fault = "vent", 0.0, fault
+        self.state = "vent"
+        self.goal = 0.0
+        self.fault = fault
 
     def vent(self) -> None:
         self.trip("ok")
@@ -89,12 +98,22 @@ class _Channel:
 
 
 class ValveFirmware:
-    """`tick` moves the pneumatics, `reply` answers a line. `zeros` Pa: what each sensor shows at ambient pressure; `sensors`
-    False: a board of relays on a supply of 1 kPa."""
+    """`tick` moves the pneumatics, `reply` answers a line. `zeros` Pa: what each sensor shows at
+    ambient pressure; `sensors` False: a board of relays on a supply of 1 kPa."""
 
-    def __init__(self, chambers: Chambers, faults: Faults, channels: int = 2, *,
-                 zeros: Mapping[int, float] = MappingProxyType({}), sensors: bool = True):
-        self._chambers, self._faults, self._zeros, self._sensors = chambers, faults, zeros, sensors
+    def __init__(
+        self,
+        chambers: Chambers,
+        faults: Faults,
+        channels: int = 2,
+        *,
+        zeros: Mapping[int, float] = MappingProxyType({}),
+        sensors: bool = True,
+    ):
+        self._chambers = chambers
+        self._faults = faults
+        self._zeros = zeros
+        self._sensors = sensors
         self.channels = {number: _Channel() for number in range(1, channels + 1)}
         self.heartbeat = 0.0
         self.last_heard = pace.monotonic()
@@ -112,12 +131,14 @@ class ValveFirmware:
             self.heartbeat = 0.0
 
     def tick(self, now: float, period: float) -> None:
-        """Advance by `period` s; vents when nothing was heard for the heartbeat time, and what is out of order."""
+        """Advance by `period` s; vents when nothing was heard for the heartbeat time, and what is
+        out of order."""
         with self._lock:
             if self._faults.get("valve_restart"):
                 self._faults.set("valve_restart", 0)
                 self.reset()
-            if 0 < self.heartbeat < now - self.last_heard:  # it stays armed: whoever speaks again is watched again
+            # it stays armed: whoever speaks again is watched again
+            if 0 < self.heartbeat < now - self.last_heard:
                 for channel in self.channels.values():
                     if channel.state != "vent":
                         channel.trip("silent")
@@ -147,7 +168,8 @@ class ValveFirmware:
                 self._chambers.seal(number)
                 continue
             goal = channel.goal
-            if channel.state == "set":  # it regulates by its own sensor, whose zero is then in the chamber
+            # it regulates by its own sensor, whose zero is then in the chamber
+            if channel.state == "set":
                 goal = goal - self._zeros.get(number, 0.0) if self._sensors else _SUPPLY
             channel.supply += (goal - channel.supply) * min(1.0, period / _LAG)
             self._chambers.connect(number, channel.supply)
@@ -184,9 +206,14 @@ class ValveFirmware:
             return "error unknown"
         if numbers[0] not in self.channels:
             return "error channel"
-        return self._obey_channel(word, self.channels[numbers[0]], *numbers) or f"{word} {' '.join(map(str, numbers))}"
+        return (
+            self._obey_channel(word, self.channels[numbers[0]], *numbers)
+            or f"{word} {' '.join(map(str, numbers))}"
+        )
 
-    def _obey_channel(self, word: str, channel: _Channel, number: int, value: int = 0) -> str | None:
+    def _obey_channel(
+        self, word: str, channel: _Channel, number: int, value: int = 0
+    ) -> str | None:
         """An answer of its own, None for the command again."""
         if word == "state":
             is_known = self._sensors and not self._faults.get("valve_sensor")
@@ -211,7 +238,11 @@ class ValveFirmware:
         return None
 
     def _pressure(self, number: int) -> float:
-        return self._chambers.pressure(number) + self._zeros.get(number, 0.0) + self._rng.gauss(0.0, _SENSOR_NOISE)
+        return (
+            self._chambers.pressure(number)
+            + self._zeros.get(number, 0.0)
+            + self._rng.gauss(0.0, _SENSOR_NOISE)
+        )
 
 
 class ValvePort:

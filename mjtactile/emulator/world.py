@@ -1,7 +1,9 @@
-"""The process behind the emulated hardware: one simulated grasp stepped in real time, and its cameras.
+"""The process behind the emulated hardware: one simulated grasp stepped in real time, and its
+cameras.
 
-`python -m mjtactile.emulator.world DESCRIPTOR`, started by `mjtactile.emulator.app`: options on stdin's first line, one
-JSON line on stdout when it is ready; it ends when its stdin does. All else goes through `SharedState`.
+`python -m mjtactile.emulator.world DESCRIPTOR`, started by `mjtactile.emulator.app`: options on
+stdin's first line, one JSON line on stdout when it is ready; it ends when its stdin does. All else
+goes through `SharedState`.
 """
 
 from __future__ import annotations
@@ -32,12 +34,15 @@ from mjtactile.sim.log import route_warnings
 from mjtactile.sim.picture.renderer import Effects, Renderer
 from mjtactile.sim.rig import build_sim_rig
 
-_BEHIND_MAX = 0.02  # s; a world that is further behind the clock lets time go rather than race after it
+# s; a world that is further behind the clock lets time go rather than race after it
+_BEHIND_MAX = 0.02
 _BREATH = 3e-4  # s of rest after each step, for the thread that draws the pictures
 _BACKDRIVE_FORCE = 0.05  # N: gear friction of servos without torque
 _FALL_SPEED_MAX = 0.5  # m/s of a lift without torque, whose gears turn with it
 _LEAK_TIME = 0.15  # s: a puncture's time constant
-_DARK, _GLARE = 0.03, 20.0  # gain of the camera's picture: black markers at 13 times white are white too
+# gain of the camera's picture: black markers at 13 times white are white too
+_DARK = 0.03
+_GLARE = 20.0
 
 
 class EmulatedWorld:
@@ -46,14 +51,26 @@ class EmulatedWorld:
     def __init__(self, options: EmulatorOptions, shared: SharedState):
         emulator = options.rig_file.emulator or EmulatorConfig()
         file = load_sim_rig("sim")
-        file = replace(file, fingers=tuple(replace(one, sensor=options.finger_design(one.name)) for one in file.fingers))
-        self.scene = build_sim_rig(options.design, object_name=options.object_name, seed=options.seed, file=file,
-                                   drawn=Drawn(specimens=emulator.specimens)).scene
-        self._shared, self._travel = shared, options.rig_file.lift.travel
+        file = replace(
+            file,
+            fingers=tuple(
+                replace(one, sensor=options.finger_design(one.name)) for one in file.fingers
+            ),
+        )
+        self.scene = build_sim_rig(
+            options.design,
+            object_name=options.object_name,
+            seed=options.seed,
+            file=file,
+            drawn=Drawn(specimens=emulator.specimens),
+        ).scene
+        self._shared = shared
+        self._travel = options.rig_file.lift.travel
         self._cameras = Cameras(options, shared)
         self.streams = self._cameras.streams
         self._fall_speed = 0.0
-        self._picture_period, self._next_picture = 1 / options.rig_file.cameras[0].rate, 0.0
+        self._picture_period = 1 / options.rig_file.cameras[0].rate
+        self._next_picture = 0.0
         self._stop = pace.Event()
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
         self._publish()
@@ -86,10 +103,14 @@ class EmulatedWorld:
             self._shared["failed"] = 1
 
     def _step(self) -> None:
-        scene, shared = self.scene, self._shared
-        goal, force = shared["goal"], shared["force"]
+        scene = self.scene
+        shared = self._shared
+        goal = shared["goal"]
+        force = shared["force"]
         nobody = math.isnan(goal) or force <= 0
-        scene.set_finger_target(scene.opening if nobody else max(goal, 0.0), max(force, _BACKDRIVE_FORCE))
+        scene.set_finger_target(
+            scene.opening if nobody else max(goal, 0.0), max(force, _BACKDRIVE_FORCE)
+        )
         self._lift(shared["lift_goal"])
         for number, sensor in enumerate(scene.sensors, 1):
             if shared[f"open_{number}"]:
@@ -117,9 +138,13 @@ class EmulatedWorld:
         self.scene.set_lift_target(0.0, max(self._fall_speed, 1e-3))
 
     def _publish(self) -> None:
-        scene, shared = self.scene, self._shared
-        shared["time"], shared["opening"], shared["speed"] = scene.time, scene.opening, scene.opening_speed
-        shared["grip_force"], shared["lift_height"] = scene.grip_force, scene.lift_height
+        scene = self.scene
+        shared = self._shared
+        shared["time"] = scene.time
+        shared["opening"] = scene.opening
+        shared["speed"] = scene.opening_speed
+        shared["grip_force"] = scene.grip_force
+        shared["lift_height"] = scene.lift_height
         shared["object_height"] = scene.data.body("object/object").xpos[2]
         for number, sensor in enumerate(scene.sensors, 1):
             shared[f"pressure_{number}"] = sensor.pressure_gauge
@@ -131,17 +156,28 @@ class EmulatedWorld:
 
 
 class Cameras:
-    """Draws the markers' poses and streams the pictures, in a thread of its own; a picture is dropped when it is behind."""
+    """Draws the markers' poses and streams the pictures, in a thread of its own; a picture is
+    dropped when it is behind."""
 
     def __init__(self, options: EmulatorOptions, shared: SharedState):
-        emulator, count = options.rig_file.emulator or EmulatorConfig(), len(options.rig_file.cameras)
+        emulator = options.rig_file.emulator or EmulatorConfig()
+        count = len(options.rig_file.cameras)
         self.streams = StreamServer(FINGERS[:count])
         seeds = np.random.default_rng(options.seed).integers(2**31, size=count)
-        fingers = [(options.finger_design(finger), emulator.specimen(finger)) for finger in FINGERS[:count]]
-        self._renderers = [Renderer(true_design(design, own), seed=int(s), pose=camera_pose(design, own),
-                                    radius=marker_radii(true_design(design, own), own))
-                           for s, (design, own) in zip(seeds, fingers, strict=True)]
-        self._period, self._shared = 1 / options.rig_file.cameras[0].rate, shared
+        fingers = [
+            (options.finger_design(finger), emulator.specimen(finger)) for finger in FINGERS[:count]
+        ]
+        self._renderers = [
+            Renderer(
+                true_design(design, own),
+                seed=int(s),
+                pose=camera_pose(design, own),
+                radius=marker_radii(true_design(design, own), own),
+            )
+            for s, (design, own) in zip(seeds, fingers, strict=True)
+        ]
+        self._period = 1 / options.rig_file.cameras[0].rate
+        self._shared = shared
         self._rng = random.Random(options.seed)
         self._queue: queue.Queue[Any] = queue.Queue(2)
         self._last: dict[str, Any] = {}
@@ -167,9 +203,13 @@ class Cameras:
                 exposed, poses = self._queue.get(timeout=0.1)
             except queue.Empty:
                 continue
-            for name, renderer, (p_SM, n_S) in zip(self.streams.names, self._renderers, poses, strict=False):
+            for name, renderer, (p_SM, n_S) in zip(
+                self.streams.names, self._renderers, poses, strict=False
+            ):
                 self._send(name, renderer, p_SM, n_S)
-            self._shared["picture_delay"] += 0.1 * (pace.monotonic() - exposed - self._shared["picture_delay"])
+            self._shared["picture_delay"] += 0.1 * (
+                pace.monotonic() - exposed - self._shared["picture_delay"]
+            )
             self._shared["pictures"] += 1
 
     def _send(self, name: str, renderer: Renderer, p_SM: Any, n_S: Any) -> None:

@@ -1,1 +1,2 @@
-"""Many grasps with many seeds: does a controller hold what it grasps, how often, and which of two is better?"""
+"""Many grasps with many seeds: does a controller hold what it grasps, how often, and which of two
+is better?"""

@@ -1,4 +1,5 @@
-"""Who runs the episodes: processes of this machine, or a cluster that the user has, both by joblib (decision 18)."""
+"""Who runs the episodes: processes of this machine, or a cluster that the user has, both by joblib
+(decision 18)."""
 
 from __future__ import annotations
 
@@ -13,7 +14,8 @@ from mjtactile.core.errors import DeviceError, InputError, Interrupted
 from mjtactile.evaluate.episodes import Episode, run_episode
 from mjtactile.evaluate.store import Store
 
-PROCESSES, DASK = "processes", "dask"
+PROCESSES = "processes"
+DASK = "dask"
 BACKENDS = (PROCESSES, DASK)
 _CONNECT_TIME = 10.0  # s for a scheduler to answer
 
@@ -22,7 +24,8 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Pool:
-    """`workers` processes here, or all that the dask cluster of `scheduler` ("tcp://host:8786") has."""
+    """`workers` processes here, or all that the dask cluster of `scheduler` ("tcp://host:8786")
+    has."""
 
     backend: str = PROCESSES
     workers: int = 1
@@ -30,7 +33,8 @@ class Pool:
 
     @contextlib.contextmanager
     def open(self, most: int) -> Iterator[dict[str, Any]]:
-        """joblib's arguments for at most so many jobs. Raises InputError for a cluster that is not there."""
+        """joblib's arguments for at most so many jobs. Raises InputError for a cluster that is not
+        there."""
         if self.backend == DASK:
             with _dask(self.scheduler) as jobs:
                 yield {"n_jobs": max(1, min(jobs, most)), "pre_dispatch": "2*n_jobs"}
@@ -48,11 +52,17 @@ def _dask(scheduler: str) -> Iterator[int]:
     from joblib import parallel_config
 
     if not scheduler:
-        raise InputError("where is the cluster?", field="--backend", choices=[f"--backend {DASK} --scheduler tcp://HOST:8786"])
+        raise InputError(
+            "where is the cluster?",
+            field="--backend",
+            choices=[f"--backend {DASK} --scheduler tcp://HOST:8786"],
+        )
     try:
         from distributed import Client
     except ImportError as error:
-        raise InputError(f"needs pip install 'mjtactile[cluster]' ({error})", field="--backend") from error
+        raise InputError(
+            f"needs pip install 'mjtactile[cluster]' ({error})", field="--backend"
+        ) from error
     try:
         client = Client(scheduler, timeout=_CONNECT_TIME, set_as_default=True)
     except (OSError, ValueError, TypeError) as error:
@@ -74,25 +84,35 @@ def _line(episode: Episode) -> dict[str, Any] | None:
 
 
 def _progress(line: dict[str, Any], done: int, of: int, rate: float) -> str:
-    return (f"{done} of {of}: {line['controller']}, {line['object']}, seed {line['seed']}: {line['outcome']}; "
-            f"{3600 * rate:.0f} an hour, {(of - done) / rate / 60:.0f} min left")
+    return (
+        f"{done} of {of}: {line['controller']}, {line['object']}, seed {line['seed']}: "
+        f"{line['outcome']}; "
+        f"{3600 * rate:.0f} an hour, {(of - done) / rate / 60:.0f} min left"
+    )
 
 
 def run_all(missing: Sequence[Episode], kept: Store, pool: Pool, say: Say) -> None:
     """Run what is `missing`; each line is kept when its episode ends.
 
-    Raises InputError for a cluster that is not there, DeviceError when a worker was killed or told to end, or the disk is full:
-    what had ended is kept.
+    Raises InputError for a cluster that is not there, DeviceError when a worker was killed or told
+    to end, or the disk is full: what had ended is kept.
     """
     from joblib import Parallel, delayed
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     start = time.monotonic()
     try:
-        with (warnings.catch_warnings(), pool.open(len(missing)) as manner,
-              Parallel(return_as="generator_unordered", **manner) as jobs):
-            warnings.filterwarnings("ignore", ".*could benefit from adjusting", UserWarning)  # joblib's, where we end early
-            lines = cast(Generator[dict[str, Any] | None, None, None], jobs(delayed(_line)(episode) for episode in missing))
+        with (
+            warnings.catch_warnings(),
+            pool.open(len(missing)) as manner,
+            Parallel(return_as="generator_unordered", **manner) as jobs,
+        ):
+            # joblib's, where we end early
+            warnings.filterwarnings("ignore", ".*could benefit from adjusting", UserWarning)
+            lines = cast(
+                Generator[dict[str, Any] | None, None, None],
+                jobs(delayed(_line)(episode) for episode in missing),
+            )
             with contextlib.closing(lines):
                 for k, line in enumerate(lines, 1):
                     if line is None:
@@ -100,4 +120,6 @@ def run_all(missing: Sequence[Episode], kept: Store, pool: Pool, say: Say) -> No
                     kept.add(line)
                     say(_progress(line, k, len(missing), k / (time.monotonic() - start)))
     except TerminatedWorkerError as error:
-        raise DeviceError(f"a worker was killed ({' '.join(str(error).split())[:90]}…); --resume goes on") from error
+        raise DeviceError(
+            f"a worker was killed ({' '.join(str(error).split())[:90]}…); --resume goes on"
+        ) from error

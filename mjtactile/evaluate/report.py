@@ -1,4 +1,5 @@
-"""`report.html`: one file that says how often each controller holds, where it begins to fail, and shows the worst episodes."""
+"""`report.html`: one file that says how often each controller holds, where it begins to fail, and
+shows the worst episodes."""
 
 from __future__ import annotations
 
@@ -16,29 +17,54 @@ from mjtactile.evaluate.varied import measures
 from mjtactile.evaluate.wilson import Line
 from mjtactile.run.html import data_uri, document, table
 
-_STYLE = (".grid{display:flex;flex-wrap:wrap;gap:.8em}.grid figure{margin:0}figcaption{font-size:13px}"
-          ".out{color:#b00020;font-weight:bold}h3{margin-bottom:.2em}")
+_STYLE = (
+    ".grid{display:flex;flex-wrap:wrap;gap:.8em}.grid "
+    "figure{margin:0}figcaption{font-size:13px}"
+    ".out{color:#b00020;font-weight:bold}h3{margin-bottom:.2em}"
+)
 _SHOWN = 12  # drawings of varied values before the rest is folded away
-_LABELS = {"slip_mm": "slip, mm (true)", "force_error_N": "held force, felt less true, N",
-           "peak_share_of_breaking": "peak force over what breaks it (true)"}
+_LABELS = {
+    "slip_mm": "slip, mm (true)",
+    "force_error_N": "held force, felt less true, N",
+    "peak_share_of_breaking": "peak force over what breaks it (true)",
+}
 
 
-def page(manifest: Mapping[str, Any], lines: Sequence[Line], worst: Sequence[Line], pictures: Mapping[str, Path | None]) -> str:
-    """The page. `worst` episodes are shown with their `pictures`, by controller and number of the episode."""
+def page(
+    manifest: Mapping[str, Any],
+    lines: Sequence[Line],
+    worst: Sequence[Line],
+    pictures: Mapping[str, Path | None],
+) -> str:
+    """The page. `worst` episodes are shown with their `pictures`, by controller and number of the
+    episode."""
     summary = summarise(lines)
-    parts = [_head(manifest, summary), _success(summary), _pairs(summary), _failures(lines), _distributions(lines),
-             _varied(summary), _worst(worst, pictures)]
-    return document(f"Evaluation: {_words(manifest['options']['controllers'])}", parts, style=_STYLE)
+    parts = [
+        _head(manifest, summary),
+        _success(summary),
+        _pairs(summary),
+        _failures(lines),
+        _distributions(lines),
+        _varied(summary),
+        _worst(worst, pictures),
+    ]
+    return document(
+        f"Evaluation: {_words(manifest['options']['controllers'])}", parts, style=_STYLE
+    )
 
 
 def _head(manifest: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
     options = manifest["options"]
     controllers = escape(_words(options["controllers"]))
-    said = ", ".join(f"{key} {_words(value)}" for key, value in options.items() if value not in ("", None))
+    said = ", ".join(
+        f"{key} {_words(value)}" for key, value in options.items() if value not in ("", None)
+    )
     versions = ", ".join(f"{name} {version}" for name, version in manifest["versions"].items())
-    return (f"<h1>{controllers}: {summary['episodes']} episodes</h1>"
-            f"<p>{escape(said)}<br>{escape(versions)}</p>"
-            + ("" if summary.get("images", True) else f"<p>{escape(NO_IMAGES)}</p>"))
+    return (
+        f"<h1>{controllers}: {summary['episodes']} episodes</h1>"
+        f"<p>{escape(said)}<br>{escape(versions)}</p>"
+        + ("" if summary.get("images", True) else f"<p>{escape(NO_IMAGES)}</p>")
+    )
 
 
 def _words(value: Any) -> str:
@@ -53,18 +79,45 @@ def _success(summary: Mapping[str, Any]) -> str:
             ended = group["episodes"] > group["error"]
             share = group["success"] if ended else 0.0
             colour = svg.COLOURS[s % len(svg.COLOURS)]
-            rows.append([escape(name), escape(label), group["episodes"], f"{100 * share:.1f} %" if ended else "-",
-                         f"{100 * low:.1f}-{100 * high:.1f} %", svg.interval_bar(low, share, high, colour),
-                         group["dropped"], group["crushed"], group["error"]])
-    head = ["controller", "object", "episodes", "held", "95 % (Wilson)", "", "dropped", "crushed", "errors"]
-    return "<h2>Success</h2>" + table(head, rows) + "<p>Errors did not come to an end, and are not in the shares.</p>"
+            rows.append(
+                [
+                    escape(name),
+                    escape(label),
+                    group["episodes"],
+                    f"{100 * share:.1f} %" if ended else "-",
+                    f"{100 * low:.1f}-{100 * high:.1f} %",
+                    svg.interval_bar(low, share, high, colour),
+                    group["dropped"],
+                    group["crushed"],
+                    group["error"],
+                ]
+            )
+    head = [
+        "controller",
+        "object",
+        "episodes",
+        "held",
+        "95 % (Wilson)",
+        "",
+        "dropped",
+        "crushed",
+        "errors",
+    ]
+    return (
+        "<h2>Success</h2>"
+        + table(head, rows)
+        + ("<p>Errors did not come to an end, and are not in the shares.</p>")
+    )
 
 
 def _pairs(summary: Mapping[str, Any]) -> str:
     if not summary["paired"]:
         return ""
-    return "<h2>Compared on the same episodes</h2><ul>" + "".join(
-        f"<li>{escape(pair_text(pair))}</li>" for pair in summary["paired"]) + "</ul>"
+    return (
+        "<h2>Compared on the same episodes</h2><ul>"
+        + "".join(f"<li>{escape(pair_text(pair))}</li>" for pair in summary["paired"])
+        + "</ul>"
+    )
 
 
 def _failures(lines: Sequence[Line]) -> str:
@@ -73,24 +126,59 @@ def _failures(lines: Sequence[Line]) -> str:
     for line in lines:
         if line["outcome"] != "held":
             reason = re.sub(r"-?\d[\d.e+-]*", "#", line["reason"] or "")
-            kind = line["controller"], line["object"], line["outcome"], line.get("phases", ""), reason
+            kind = (
+                line["controller"],
+                line["object"],
+                line["outcome"],
+                line.get("phases", ""),
+                reason,
+            )
             kinds.setdefault(kind, []).append(line)
     if not kinds:
         return "<h2>Failures and errors</h2><p>None.</p>"
-    rows = [[*map(escape, key[:4]), escape(group[0]["reason"] or ""), len(group), f"<code>{escape(group[0]['again'])}</code>"]
-            for key, group in sorted(kinds.items(), key=lambda item: -len(item[1]))]
+    rows = [
+        [
+            *map(escape, key[:4]),
+            escape(group[0]["reason"] or ""),
+            len(group),
+            f"<code>{escape(group[0]['again'])}</code>",
+        ]
+        for key, group in sorted(kinds.items(), key=lambda item: -len(item[1]))
+    ]
     return "<h2>Failures and errors</h2>" + table(
-        ["controller", "object", "outcome", "phases", "reason (of the first)", "episodes", "the first again"], rows, text=True)
+        [
+            "controller",
+            "object",
+            "outcome",
+            "phases",
+            "reason (of the first)",
+            "episodes",
+            "the first again",
+        ],
+        rows,
+        text=True,
+    )
 
 
 def _distributions(lines: Sequence[Line]) -> str:
     names = list(dict.fromkeys(line["controller"] for line in lines))
     figures = []
     for measure, label in _LABELS.items():
-        series = {name: [value for line in lines if line["controller"] == name and (value := measures(line)[measure]) is not None]
-                  for name in names}
+        series = {
+            name: [
+                value
+                for line in lines
+                if line["controller"] == name and (value := measures(line)[measure]) is not None
+            ]
+            for name in names
+        }
         marks = [(1.0, "breaks")] if measure == "peak_share_of_breaking" else []
-        figures.append(_figure(svg.histogram(series, label, marks), "<br>".join(_quantiles(*one) for one in series.items())))
+        figures.append(
+            _figure(
+                svg.histogram(series, label, marks),
+                "<br>".join(_quantiles(*one) for one in series.items()),
+            )
+        )
     return "<h2>Distributions</h2>" + _legend(names) + _grid(figures)
 
 
@@ -105,7 +193,9 @@ def _varied(summary: Mapping[str, Any]) -> str:
     """Success against each varied value; the order is that of the first controller."""
     controllers = summary["controllers"]
     order = [one["name"] for mine in controllers.values() for one in mine["varied"]]
-    found = {name: {one["name"]: one for one in mine["varied"]} for name, mine in controllers.items()}
+    found = {
+        name: {one["name"]: one for one in mine["varied"]} for name, mine in controllers.items()
+    }
     figures = []
     for value in dict.fromkeys(order):
         mine = {name: own[value] for name, own in found.items() if value in own}
@@ -114,9 +204,16 @@ def _varied(summary: Mapping[str, Any]) -> str:
         figures.append(_figure(svg.shares(labels, series), _caption(value, mine)))
     if not figures:
         return "<h2>Success against what varies</h2><p>Nothing varied.</p>"
-    rest = (f"<details><summary>{len(figures) - _SHOWN} more</summary>{_grid(figures[_SHOWN:])}</details>"
-            if len(figures) > _SHOWN else "")
-    return f"<h2>Success against what varies</h2>{_HOW_VARIED}{_legend(list(controllers))}{_grid(figures[:_SHOWN])}{rest}"
+    rest = (
+        f"<details><summary>{len(figures) - _SHOWN} "
+        f"more</summary>{_grid(figures[_SHOWN:])}</details>"
+        if len(figures) > _SHOWN
+        else ""
+    )
+    return (
+        "<h2>Success against what "
+        f"varies</h2>{_HOW_VARIED}{_legend(list(controllers))}{_grid(figures[:_SHOWN])}{rest}"
+    )
 
 
 _HOW_VARIED = """<p>
@@ -133,10 +230,20 @@ def _grid(figures: Iterable[str]) -> str:
 def _caption(value: str, mine: Mapping[str, Mapping[str, Any]]) -> str:
     parts = [f"<b>{escape(value)}</b>"]
     for name, one in mine.items():
-        said = [] if one["p"] is None else [f"p = {one['p']:.2g}{' (both ways)' if one['both_ways'] else ''}"]
-        said += [f"rho {short} {one['correlation'][measure]:+.2f}" for measure, short in (
-            ("slip_mm", "slip"), ("force_error_N", "force"), ("peak_share_of_breaking", "peak"))
-            if abs(one["correlation"].get(measure, 0.0)) > 0.2]
+        said = (
+            []
+            if one["p"] is None
+            else [f"p = {one['p']:.2g}{' (both ways)' if one['both_ways'] else ''}"]
+        )
+        said += [
+            f"rho {short} {one['correlation'][measure]:+.2f}"
+            for measure, short in (
+                ("slip_mm", "slip"),
+                ("force_error_N", "force"),
+                ("peak_share_of_breaking", "peak"),
+            )
+            if abs(one["correlation"].get(measure, 0.0)) > 0.2
+        ]
         text = (f"{escape(name)}: " if len(mine) > 1 else "") + ", ".join(said)
         parts.append(f'<span class="out">{text}: stands out</span>' if one["stands_out"] else text)
     return "<br>".join(part for part in parts if part)
@@ -150,32 +257,56 @@ def _bin(one: Mapping[str, Any]) -> str:
 
 def _point(own: Mapping[str, Any], label: str) -> tuple[float, float, float] | None:
     one = next((one for one in own["bins"] if _bin(one) == label), None)
-    return None if one is None else (one["success_interval"][0], one["success"], one["success_interval"][1])
+    return (
+        None
+        if one is None
+        else (one["success_interval"][0], one["success"], one["success_interval"][1])
+    )
 
 
 def _worst(worst: Iterable[Line], pictures: Mapping[str, Path | None]) -> str:
-    parts = ["<h2>The worst episodes</h2><p>Failures first (of several kinds each in turn), then errors, then what came nearest "
-             "to a failure by force or slip.</p>"]
+    parts = [
+        "<h2>The worst episodes</h2><p>Failures first (of several kinds each in turn), then "
+        "errors, then what came nearest "
+        "to a failure by force or slip.</p>"
+    ]
     for line in worst:
         found = measures(line)
-        facts = [f"{label} {value:.3g}" for measure, label in _LABELS.items() if (value := found[measure]) is not None]
+        facts = [
+            f"{label} {value:.3g}"
+            for measure, label in _LABELS.items()
+            if (value := found[measure]) is not None
+        ]
         facts += [escape(line["reason"])] if line["reason"] else []
-        parts.append(f"<h3>{escape(line['controller'])}, {escape(line['object'])}, seed {line['seed']}: {line['outcome']}</h3>"
-                     f"<p>{'; '.join(facts)}<br>{escape(line.get('phases', ''))}<br><code>{escape(line['again'])}</code></p>")
+        parts.append(
+            f"<h3>{escape(line['controller'])}, {escape(line['object'])}, seed {line['seed']}: "
+            f"{line['outcome']}</h3>"
+            f"<p>{'; '.join(facts)}<br>{escape(line.get('phases', ''))}<br><code>{escape(line['again'])}</code></p>"
+        )
         picture = pictures.get(f"{line['controller']}-{line['episode']:06d}")
         if picture is not None:
             uri = data_uri("image/png", picture.read_bytes())
             parts.append(f'<img alt="scene, camera images, surfaces and forces" src="{uri}">')
         drawn = ", ".join(f"{name} {value}" for name, value in line.get("varied", {}).items())
-        parts.append(f"<details><summary>what was drawn</summary><p>{escape(drawn)}</p></details>" if drawn else "")
+        parts.append(
+            f"<details><summary>what was drawn</summary><p>{escape(drawn)}</p></details>"
+            if drawn
+            else ""
+        )
     return "\n".join(parts)
 
 
 def _legend(names: Sequence[str]) -> str:
     if len(names) < 2:
         return ""
-    return "<p>" + " ".join(f'<span style="color:{svg.COLOURS[k % len(svg.COLOURS)]}">&#9632; {escape(name)}</span>'
-                            for k, name in enumerate(names)) + "</p>"
+    return (
+        "<p>"
+        + " ".join(
+            f'<span style="color:{svg.COLOURS[k % len(svg.COLOURS)]}">&#9632; {escape(name)}</span>'
+            for k, name in enumerate(names)
+        )
+        + "</p>"
+    )
 
 
 def _figure(drawing: str, caption: str) -> str:

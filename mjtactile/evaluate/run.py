@@ -21,39 +21,77 @@ from mjtactile.rig.variation import NONE, load_variation
 from mjtactile.run.controller import load_controller
 
 
-def evaluate(folder: Path, *, count: int, controllers: Sequence[str], objects: Sequence[str], first_seed: int = 0,
-             shard: tuple[int, int] = (1, 1), workers: int | None = None, backend: str = PROCESSES, scheduler: str = "",
-             resume: bool = False, record: bool = False, say: Say = lambda _: None, **manner: str) -> dict[str, Any]:
-    """`count` episodes for each controller into `folder`; the summary of all that are there when they have ended. `workers`
-    processes of this machine run them, or those of the cluster behind `scheduler` (`mjtactile.evaluate.pool`). `record` keeps
-    each one's recording in `folder`/recordings.
+def evaluate(
+    folder: Path,
+    *,
+    count: int,
+    controllers: Sequence[str],
+    objects: Sequence[str],
+    first_seed: int = 0,
+    shard: tuple[int, int] = (1, 1),
+    workers: int | None = None,
+    backend: str = PROCESSES,
+    scheduler: str = "",
+    resume: bool = False,
+    record: bool = False,
+    say: Say = lambda _: None,
+    **manner: str,
+) -> dict[str, Any]:
+    """`count` episodes for each controller into `folder`; the summary of all that are there when
+    they have ended. `workers` processes of this machine run them, or those of the cluster behind
+    `scheduler` (`mjtactile.evaluate.pool`). `record` keeps each one's recording in
+    `folder`/recordings.
 
-    Raises InputError for a controller, sensor or object that is not to be had, before anything is run, and for a folder that
-    holds another evaluation; DeviceError when a worker was killed: what had ended is kept, and `resume` goes on.
+    Raises InputError for a controller, sensor or object that is not to be had, before anything is
+    run, and for a folder that holds another evaluation; DeviceError when a worker was killed: what
+    had ended is kept, and `resume` goes on.
     """
     files = _files(controllers, objects, manner)
-    options = {"count": count, "controllers": list(controllers), "objects": list(objects), "first_seed": first_seed,
-               "shard": list(shard), **manner}
+    options = {
+        "count": count,
+        "controllers": list(controllers),
+        "objects": list(objects),
+        "first_seed": first_seed,
+        "shard": list(shard),
+        **manner,
+    }
     kept = store.Store(folder, store.manifest(options, files), resume=resume)
     episodes = plan(count, controllers, objects, first_seed, shard=shard, **manner)
     done = {(line["controller"], line["episode"]) for line in kept.lines}
     if record:
-        episodes = [replace(episode, recording=str((folder / RECORDINGS / episode.name).absolute())) for episode in episodes]
-    missing = [episode for episode in episodes if (Path(episode.controller).stem, episode.index) not in done]
+        episodes = [
+            replace(episode, recording=str((folder / RECORDINGS / episode.name).absolute()))
+            for episode in episodes
+        ]
+    missing = [
+        episode
+        for episode in episodes
+        if (Path(episode.controller).stem, episode.index) not in done
+    ]
     if done:
         say(f"{len(episodes) - len(missing)} of {len(episodes)} episodes are there already")
-    run_all(missing, kept, Pool(backend, default_workers() if workers is None else workers, scheduler), say)
+    run_all(
+        missing,
+        kept,
+        Pool(backend, default_workers() if workers is None else workers, scheduler),
+        say,
+    )
     kept.finish()
     return summarise(kept.lines)
 
 
 def write_report(folder: Path, worst_count: int, say: Say = lambda _: None) -> Path:
-    """`report.html` of the evaluation in `folder`; its worst episodes are run again for their pictures."""
-    known, lines = store.read_manifest(folder), store.read_lines(folder)
+    """`report.html` of the evaluation in `folder`; its worst episodes are run again for their
+    pictures."""
+    known = store.read_manifest(folder)
+    lines = store.read_lines(folder)
     pictures = {}
     chosen = worst.worst(lines, worst_count)
     for k, line in enumerate(chosen, 1):
-        say(f"picture {k} of {len(chosen)}: {line['controller']}, {line['object']}, seed {line['seed']}")
+        say(
+            f"picture {k} of {len(chosen)}: {line['controller']}, {line['object']}, seed "
+            f"{line['seed']}"
+        )
         name = name_of(line["controller"], line["episode"])
         pictures[name] = worst.draw(_episode(known["options"], line), folder / "worst" / name)
     path = folder / "report.html"
@@ -64,20 +102,38 @@ def write_report(folder: Path, worst_count: int, say: Say = lambda _: None) -> P
 
 def _episode(options: Mapping[str, Any], line: Mapping[str, Any]) -> Episode:
     """The episode of a line."""
-    controller = next(name for name in options["controllers"] if Path(name).stem == line["controller"])
-    manner = {key: options[key] for key in ("sensor", "rig", "effects", "accuracy", "vary") if key in options}
-    return plan(line["episode"] + 1, [controller], options["objects"], options["first_seed"], **manner)[-1]
+    controller = next(
+        name for name in options["controllers"] if Path(name).stem == line["controller"]
+    )
+    manner = {
+        key: options[key]
+        for key in ("sensor", "rig", "effects", "accuracy", "vary")
+        if key in options
+    }
+    return plan(
+        line["episode"] + 1, [controller], options["objects"], options["first_seed"], **manner
+    )[-1]
 
 
 def merge(folders: Sequence[Path], out: Path) -> dict[str, Any]:
-    """Join the shards of one evaluation in `folders` into `out`. Raises InputError where they are not of the same one."""
+    """Join the shards of one evaluation in `folders` into `out`. Raises InputError where they are
+    not of the same one."""
     parts = [store.read_manifest(folder) for folder in folders]
     for folder, part in zip(folders[1:], parts[1:], strict=True):
         for name in ("versions", "files", "options"):
-            first, other = ({key: value for key, value in one[name].items() if key != "shard"} for one in (parts[0], part))
+            first, other = (
+                {key: value for key, value in one[name].items() if key != "shard"}
+                for one in (parts[0], part)
+            )
             if first != other:
-                raise InputError(f"its {name} are not those of {folders[0]}", source=folder, field="--merge")
-    lines = {(line["episode"], line["controller"]): line for folder in folders for line in store.read_lines(folder)}
+                raise InputError(
+                    f"its {name} are not those of {folders[0]}", source=folder, field="--merge"
+                )
+    lines = {
+        (line["episode"], line["controller"]): line
+        for folder in folders
+        for line in store.read_lines(folder)
+    }
     options = parts[0]["options"] | {"shard": [1, 1]}
     whole = parts[0] | {"options": options, "command": store.command(options)}
     joined = store.Store(out, whole, resume=False)
@@ -91,8 +147,11 @@ def default_workers() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def _files(controllers: Sequence[str], objects: Sequence[str], manner: Mapping[str, str]) -> list[Path]:
-    """The files that are used, each once. Raises InputError for what is not to be had or cannot be used."""
+def _files(
+    controllers: Sequence[str], objects: Sequence[str], manner: Mapping[str, str]
+) -> list[Path]:
+    """The files that are used, each once. Raises InputError for what is not to be had or cannot be
+    used."""
     from mjtactile.sim.effects.catalog import choose
     from mjtactile.sim.scenes.objects import load_object
     from mjtactile.sim.scenes.random_objects import seed_of
@@ -106,10 +165,13 @@ def _files(controllers: Sequence[str], objects: Sequence[str], manner: Mapping[s
     twice = next((stem for stem in stems if stems.count(stem) > 1), None)
     if twice is not None:
         raise InputError(f"two of them are called {twice!r}", field="--controller")
-    sensor, rig = manner.get("sensor", "dense"), load_sim_rig(manner.get("rig", "sim"))
+    sensor = manner.get("sensor", "dense")
+    rig = load_sim_rig(manner.get("rig", "sim"))
     choose(load_sensor(sensor), overrides=manner.get("effects", "auto"))
     variation = load_variation(manner.get("vary", NONE))
     found = [resources.find(name, "controllers", ".py") for name in controllers]
-    found += [resources.find(name, "models/objects", ".xml") for name in named if seed_of(name) is None]
+    found += [
+        resources.find(name, "models/objects", ".xml") for name in named if seed_of(name) is None
+    ]
     found += [resources.find(sensor, "models/sensors", ".toml"), rig.path, rig.model]
     return list(dict.fromkeys(found + ([variation.path] if variation.path else [])))

@@ -13,60 +13,87 @@ from mjtactile.evaluate.varied import MEASURES, against, measures
 from mjtactile.evaluate.wilson import Line, Z, wilson
 
 FORCES = {"peak_N": "peak_force_true_N", "hold_N": "hold_force_true_N"}
-"""On a finger, the largest and while holding, N: what a controller's touch is judged by where everything is held."""
+"""On a finger, the largest and while holding, N: what a controller's touch is judged by where
+everything is held."""
 
 
 def paired(first: Iterable[Line], second: Iterable[Line]) -> dict[str, Any]:
-    """The share that `second` holds more often than `first`, of the episodes that both came to the end of, with its 95 % interval
-    (Agresti & Min, Statistics in Medicine 24, 2005: half an episode added to each cell), and how many more episodes like these
-    would put the interval to one side of zero (None: there is no difference to settle)."""
-    held = [{line["episode"]: line["outcome"] == "held" for line in lines if line["outcome"] != "error"}
-            for lines in (first, second)]
+    """The share that `second` holds more often than `first`, of the episodes that both came to the
+    end of, with its 95 % interval (Agresti & Min, Statistics in Medicine 24, 2005: half an episode
+    added to each cell), and how many more episodes like these would put the interval to one side of
+    zero (None: there is no difference to settle)."""
+    held = [
+        {line["episode"]: line["outcome"] == "held" for line in lines if line["outcome"] != "error"}
+        for lines in (first, second)
+    ]
     both = sorted(held[0].keys() & held[1].keys())
     n = len(both)
     only_first = sum(held[0][k] and not held[1][k] for k in both)
     only_second = sum(held[1][k] and not held[0][k] for k in both)
-    b, c, m = only_first + 0.5, only_second + 0.5, n + 2
-    middle, half = (c - b) / m, Z * math.sqrt(b + c - (c - b) ** 2 / m) / m
+    b = only_first + 0.5
+    c = only_second + 0.5
+    m = n + 2
+    middle = (c - b) / m
+    half = Z * math.sqrt(b + c - (c - b) ** 2 / m) / m
     more = None
     if only_first != only_second:
-        share, apart = (only_first + only_second) / n, (only_second - only_first) / n
+        share = (only_first + only_second) / n
+        apart = (only_second - only_first) / n
         more = max(0, math.ceil(Z * Z * (share - apart * apart) / (apart * apart)) - n)
-    return {"episodes": n, "only_first": only_first, "only_second": only_second,
-            "difference": (only_second - only_first) / n if n else 0.0,
-            "difference_interval": [max(middle - half, -1.0), min(middle + half, 1.0)], "episodes_to_settle": more}
+    return {
+        "episodes": n,
+        "only_first": only_first,
+        "only_second": only_second,
+        "difference": (only_second - only_first) / n if n else 0.0,
+        "difference_interval": [max(middle - half, -1.0), min(middle + half, 1.0)],
+        "episodes_to_settle": more,
+    }
 
 
 def summarise(lines: Sequence[Line]) -> dict[str, Any]:
-    """Of each controller its success, overall and by object; of each pair of controllers the difference."""
+    """Of each controller its success, overall and by object; of each pair of controllers the
+    difference."""
     controllers = list(dict.fromkeys(line["controller"] for line in lines))
     own = {name: [line for line in lines if line["controller"] == name] for name in controllers}
     result: dict[str, Any] = {"episodes": len(lines), "controllers": {}, "paired": []}
     for name, mine in own.items():
         objects = list(dict.fromkeys(line["object"] for line in mine))
         result["controllers"][name] = _group(mine) | {
-            "objects": {one: _group([line for line in mine if line["object"] == one]) for one in objects},
-            "varied": against(mine, lines)}
+            "objects": {
+                one: _group([line for line in mine if line["object"] == one]) for one in objects
+            },
+            "varied": against(mine, lines),
+        }
     for k, first in enumerate(controllers):
-        result["paired"] += [{"first": first, "second": second, **paired(own[first], own[second])}
-                             for second in controllers[k + 1:]]
-    return result | ({"images": False} if any(line.get("images") is False for line in lines) else {})
+        result["paired"] += [
+            {"first": first, "second": second, **paired(own[first], own[second])}
+            for second in controllers[k + 1 :]
+        ]
+    return result | (
+        {"images": False} if any(line.get("images") is False for line in lines) else {}
+    )
 
 
 def _group(lines: Sequence[Line]) -> dict[str, Any]:
     counts = {outcome: sum(line["outcome"] == outcome for line in lines) for outcome in OUTCOMES}
     ended = len(lines) - counts["error"]
-    return {"episodes": len(lines), **counts, "success": counts["held"] / ended if ended else math.nan,
-            "success_interval": list(wilson(counts["held"], ended)),
-            **{name: _spread(measures(line)[name] for line in lines) for name in MEASURES},
-            **{name: _spread(line.get(key) for line in lines) for name, key in FORCES.items()}}
+    return {
+        "episodes": len(lines),
+        **counts,
+        "success": counts["held"] / ended if ended else math.nan,
+        "success_interval": list(wilson(counts["held"], ended)),
+        **{name: _spread(measures(line)[name] for line in lines) for name in MEASURES},
+        **{name: _spread(line.get(key) for line in lines) for name, key in FORCES.items()},
+    }
 
 
 def _spread(values: Iterable[float | None]) -> dict[str, float | None]:
     """Quantiles of what is known."""
     known = [value for value in values if value is not None]
     shares = {"least": 0.0, "p5": 0.05, "median": 0.5, "p95": 0.95, "most": 1.0}
-    return {name: float(np.quantile(known, share)) if known else None for name, share in shares.items()}
+    return {
+        name: float(np.quantile(known, share)) if known else None for name, share in shares.items()
+    }
 
 
 NO_IMAGES = "No images were drawn (`--effects -images`): markers with errors drawn in their place."
@@ -74,16 +101,23 @@ NO_IMAGES = "No images were drawn (`--effects -images`): markers with errors dra
 
 def table(summary: Mapping[str, Any]) -> str:
     """The summary as Markdown."""
-    lines = ["| controller | object | held | 95 % interval | dropped | crushed | errors | largest force, N: median (worst) | "
-             "held with, N: 5-95 % |", "|---" * 9 + "|"]
+    lines = [
+        "| controller | object | held | 95 % interval | dropped | crushed | errors | largest "
+        "force, N: median (worst) | "
+        "held with, N: 5-95 % |",
+        "|---" * 9 + "|",
+    ]
     for name, mine in summary["controllers"].items():
         for label, group in (("all", mine), *mine["objects"].items()):
             low, high = group["success_interval"]
             ended = group["episodes"] - group["error"]
-            lines.append(f"| {name} | {label} | {group['held']} of {ended} | {100 * low:.1f}-{100 * high:.1f} % | "
-                         f"{group['dropped']} | {group['crushed']} | {group['error']} | "
-                         f"{_texts(group['peak_N'], '{median:.2f} ({most:.2f})')} | "
-                         f"{_texts(group['hold_N'], '{p5:.2f}-{p95:.2f}')} |")
+            lines.append(
+                f"| {name} | {label} | {group['held']} of {ended} | "
+                f"{100 * low:.1f}-{100 * high:.1f} % | "
+                f"{group['dropped']} | {group['crushed']} | {group['error']} | "
+                f"{_texts(group['peak_N'], '{median:.2f} ({most:.2f})')} | "
+                f"{_texts(group['hold_N'], '{p5:.2f}-{p95:.2f}')} |"
+            )
     for pair in summary["paired"]:
         lines += ["", pair_text(pair)]
     if not summary.get("images", True):
@@ -99,7 +133,15 @@ def pair_text(pair: Mapping[str, Any]) -> str:
     """One difference as a sentence."""
     low, high = pair["difference_interval"]
     more = pair["episodes_to_settle"]
-    settled = ("as good as each other here" if more is None else "settled" if not more else
-               f"{more} more episodes like these would settle it")
-    return (f"{pair['second']} holds {100 * pair['difference']:+.1f} % of {pair['episodes']} episodes more often than "
-            f"{pair['first']} (95 %: {100 * low:+.1f} to {100 * high:+.1f} %): {settled}.")
+    settled = (
+        "as good as each other here"
+        if more is None
+        else "settled"
+        if not more
+        else f"{more} more episodes like these would settle it"
+    )
+    return (
+        f"{pair['second']} holds {100 * pair['difference']:+.1f} % of {pair['episodes']} "
+        "episodes more often than "
+        f"{pair['first']} (95 %: {100 * low:+.1f} to {100 * high:+.1f} %): {settled}."
+    )

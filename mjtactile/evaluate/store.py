@@ -1,7 +1,8 @@
-"""What an evaluation leaves in its folder: `manifest.json`, what was run; `episodes.jsonl`, a line an episode.
+"""What an evaluation leaves in its folder: `manifest.json`, what was run; `episodes.jsonl`, a line
+an episode.
 
-A line is written when its episode ends; the file is put in order when all have. Whatever stops an evaluation loses the
-episodes that were being run, and nothing else.
+A line is written when its episode ends; the file is put in order when all have. Whatever stops an
+evaluation loses the episodes that were being run, and nothing else.
 """
 
 from __future__ import annotations
@@ -18,42 +19,64 @@ from typing import Any
 
 from mjtactile.core.errors import DeviceError, InputError
 
-MANIFEST, EPISODES = "manifest.json", "episodes.jsonl"
+MANIFEST = "manifest.json"
+EPISODES = "episodes.jsonl"
 _MANNER = ("sensor", "rig", "effects", "accuracy", "vary")
 _PACKAGES = ("mjtactile", "mujoco", "numpy", "scipy", "opencv-contrib-python-headless")
 
 
 def manifest(options: Mapping[str, Any], files: Iterable[Path]) -> dict[str, Any]:
-    """What the lines depend on: options, versions, and the files' SHA-256; and how to run it again from a shell."""
+    """What the lines depend on: options, versions, and the files' SHA-256; and how to run it again
+    from a shell."""
     paths = list(files)
     names = [path.name for path in paths]
-    return {"command": command(options), "options": dict(options), "python": platform.python_version(),
-            "versions": {name: importlib.metadata.version(name) for name in _PACKAGES},
-            "files": {path.name if names.count(path.name) == 1 else str(path): hashlib.sha256(path.read_bytes()).hexdigest()
-                      for path in paths}}
+    return {
+        "command": command(options),
+        "options": dict(options),
+        "python": platform.python_version(),
+        "versions": {name: importlib.metadata.version(name) for name in _PACKAGES},
+        "files": {
+            path.name if names.count(path.name) == 1 else str(path): hashlib.sha256(
+                path.read_bytes()
+            ).hexdigest()
+            for path in paths
+        },
+    }
 
 
 def command(options: Mapping[str, Any]) -> str:
     """The shell's line for `options`."""
     part, parts = options["shard"]
-    words = ["mjtactile", "evaluate", *(f"--controller={name}" for name in options["controllers"]),
-             f"--objects={','.join(options['objects'])}", f"--episodes={options['count']}", f"--seed={options['first_seed']}",
-             *(f"--{name}={options[name]}" for name in _MANNER if options.get(name)),
-             *([f"--shard={part}/{parts}"] if parts > 1 else [])]
+    words = [
+        "mjtactile",
+        "evaluate",
+        *(f"--controller={name}" for name in options["controllers"]),
+        f"--objects={','.join(options['objects'])}",
+        f"--episodes={options['count']}",
+        f"--seed={options['first_seed']}",
+        *(f"--{name}={options[name]}" for name in _MANNER if options.get(name)),
+        *([f"--shard={part}/{parts}"] if parts > 1 else []),
+    ]
     return shlex.join(words)
 
 
 class Store:
-    """The folder of one evaluation, opened to add to it. With `resume` it must hold the same evaluation, begun before.
+    """The folder of one evaluation, opened to add to it. With `resume` it must hold the same
+    evaluation, begun before.
 
     Raises InputError where it holds another one, or one and `resume` is not asked for.
     """
 
     def __init__(self, folder: Path, what: Mapping[str, Any], *, resume: bool):
-        self.folder, self.lines = folder, []
+        self.folder = folder
+        self.lines = []
         known = folder / MANIFEST
         if known.exists() and not resume:
-            raise InputError("holds an evaluation already; --resume goes on with it", source=folder, field="--out")
+            raise InputError(
+                "holds an evaluation already; --resume goes on with it",
+                source=folder,
+                field="--out",
+            )
         if known.exists():
             _same(known, what)
             self.lines = read_lines(folder)
@@ -64,7 +87,10 @@ class Store:
 
     def add(self, line: dict[str, Any]) -> None:
         """Keep a line. Raises DeviceError where the disk does not take it."""
-        with writing(self.folder / EPISODES), (self.folder / EPISODES).open("a", encoding="utf-8") as file:
+        with (
+            writing(self.folder / EPISODES),
+            (self.folder / EPISODES).open("a", encoding="utf-8") as file,
+        ):
             file.write(json.dumps(line) + "\n")
         self.lines.append(line)
 
@@ -91,11 +117,14 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise DeviceError(f"{path}: cannot be written: {error.strerror}; what is there is kept, --resume goes on") from error
+        raise DeviceError(
+            f"{path}: cannot be written: {error.strerror}; what is there is kept, --resume goes on"
+        ) from error
 
 
 def read_lines(folder: Path) -> list[dict[str, Any]]:
-    """The lines of an evaluation; a last one that was cut off is left out. Raises InputError where there are none."""
+    """The lines of an evaluation; a last one that was cut off is left out. Raises InputError where
+    there are none."""
     try:
         text = (folder / EPISODES).read_text(encoding="utf-8")
     except OSError as error:
@@ -117,6 +146,13 @@ def _same(path: Path, what: Mapping[str, Any]) -> None:
     now = json.loads(json.dumps(what))
     for part in (name for name in now if name != "command"):  # the options say it, one by one
         if before.get(part) != now[part]:
-            names = [name for name in now[part] if before.get(part, {}).get(name) != now[part][name]] if isinstance(
-                now[part], dict) else [part]
-            raise InputError(f"was begun with another {part}: {', '.join(names) or part}", source=path, field="--resume")
+            names = (
+                [name for name in now[part] if before.get(part, {}).get(name) != now[part][name]]
+                if isinstance(now[part], dict)
+                else [part]
+            )
+            raise InputError(
+                f"was begun with another {part}: {', '.join(names) or part}",
+                source=path,
+                field="--resume",
+            )

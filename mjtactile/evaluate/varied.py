@@ -1,4 +1,5 @@
-"""Success against each value that was drawn: in bins with intervals, and which values have to do with failures at all."""
+"""Success against each value that was drawn: in bins with intervals, and which values have to do
+with failures at all."""
 
 from __future__ import annotations
 
@@ -10,25 +11,33 @@ from scipy import stats
 
 from mjtactile.evaluate.wilson import Line, wilson
 
-_BINS, _CATEGORIES = 5, 6
+_BINS = 5
+_CATEGORIES = 6
 _LEVEL = 0.05
 MEASURES = ("slip_mm", "force_error_N", "peak_share_of_breaking")
 """What goes on growing where nothing fails yet."""
 
 
 def measures(line: Line) -> dict[str, float | None]:
-    """`MEASURES` of one episode: true slip, felt less true force of the hold, true peak over what breaks the object."""
+    """`MEASURES` of one episode: true slip, felt less true force of the hold, true peak over what
+    breaks the object."""
+
     def of(*keys: str) -> list[Any] | None:
         values = [line.get(key) for key in keys]
         return None if any(value is None for value in values) else values
 
-    force, peak = of("hold_force_N", "hold_force_true_N"), of("peak_force_true_N", "break_force_N")
-    return {"slip_mm": line.get("slip_mm_true"), "force_error_N": None if force is None else force[0] - force[1],
-            "peak_share_of_breaking": None if peak is None else peak[0] / peak[1]}
+    force = of("hold_force_N", "hold_force_true_N")
+    peak = of("peak_force_true_N", "break_force_N")
+    return {
+        "slip_mm": line.get("slip_mm_true"),
+        "force_error_N": None if force is None else force[0] - force[1],
+        "peak_share_of_breaking": None if peak is None else peak[0] / peak[1],
+    }
 
 
 def flat(line: Line) -> dict[str, float | str]:
-    """The drawn values of one episode, one number or word a name: components of vectors by themselves, of lists how many."""
+    """The drawn values of one episode, one number or word a name: components of vectors by
+    themselves, of lists how many."""
     values: dict[str, float | str] = {}
     for name, value in line.get("varied", {}).items():
         if name.endswith("missing_markers"):
@@ -41,10 +50,11 @@ def flat(line: Line) -> dict[str, float | str]:
 
 
 def against(lines: Sequence[Line], everybody: Sequence[Line] = ()) -> list[dict[str, Any]]:
-    """For each drawn value: `bins` (those of `everybody`'s lines) of the episodes that came to their end; the chance `p` that
-    failures and successes differ by accident as much as they do, in it or (`both_ways`) in its distance from the middle (Mann
-    and Whitney; None where nothing failed or it is a word); whether it `stands_out` (p below 5 % shared by all names,
-    Bonferroni); Spearman's correlation with each of `MEASURES`.
+    """For each drawn value: `bins` (those of `everybody`'s lines) of the episodes that came to
+    their end; the chance `p` that failures and successes differ by accident as much as they do, in
+    it or (`both_ways`) in its distance from the middle (Mann and Whitney; None where nothing failed
+    or it is a word); whether it `stands_out` (p below 5 % shared by all names, Bonferroni);
+    Spearman's correlation with each of `MEASURES`.
 
     What stands out first, then by p, then by the strongest correlation.
     """
@@ -52,38 +62,64 @@ def against(lines: Sequence[Line], everybody: Sequence[Line] = ()) -> list[dict[
     table = [flat(line) for line in ended]
     pool = [flat(line) for line in everybody or lines]
     names = list(dict.fromkeys(name for row in table for name in row))
-    found = [_one(name, [(row[name], line) for row, line in zip(table, ended, strict=True) if name in row],
-                  [row[name] for row in pool if name in row]) for name in names]
+    found = [
+        _one(
+            name,
+            [(row[name], line) for row, line in zip(table, ended, strict=True) if name in row],
+            [row[name] for row in pool if name in row],
+        )
+        for name in names
+    ]
     found = [one for one in found if len(one["bins"]) > 1]
     tested = sum(one["p"] is not None for one in found)
     for one in found:
         one["stands_out"] = one["p"] is not None and one["p"] < _LEVEL / tested
-    return sorted(found, key=lambda one: (1.0 if one["p"] is None else one["p"],
-                                          -max((abs(rho) for rho in one["correlation"].values()), default=0.0)))
+    return sorted(
+        found,
+        key=lambda one: (
+            1.0 if one["p"] is None else one["p"],
+            -max((abs(rho) for rho in one["correlation"].values()), default=0.0),
+        ),
+    )
 
 
-def _one(name: str, pairs: Sequence[tuple[float | str, Line]], pool: Sequence[float | str]) -> dict[str, Any]:
+def _one(
+    name: str, pairs: Sequence[tuple[float | str, Line]], pool: Sequence[float | str]
+) -> dict[str, Any]:
     values = [value for value, _ in pairs]
     held = np.array([line["outcome"] == "held" for _, line in pairs])
     words = any(isinstance(value, str) for value in values)
-    p, both, correlation = None, False, {}
+    p = None
+    both = False
+    correlation = {}
     if not words:
         numbers = np.array(values, float)
         if held.any() and not held.all() and np.ptp(numbers) > 0:
             p, both = _chance(numbers, held)
         correlation = _correlations(numbers, [measures(line) for _, line in pairs])
-    return {"name": name, "p": p, "both_ways": both, "correlation": correlation, "bins": _bins(values, held, pool, words=words)}
+    return {
+        "name": name,
+        "p": p,
+        "both_ways": both,
+        "correlation": correlation,
+        "bins": _bins(values, held, pool, words=words),
+    }
 
 
 def _chance(numbers: np.ndarray, held: np.ndarray) -> tuple[float, bool]:
-    """How often accident alone parts failures and successes so far, in the value or in its distance from the middle, and whether
-    it is the distance: what is bad on both sides. Twice the smaller of the two chances."""
+    """How often accident alone parts failures and successes so far, in the value or in its distance
+    from the middle, and whether it is the distance: what is bad on both sides. Twice the smaller of
+    the two chances."""
     far = np.abs(numbers - np.median(numbers))
-    plain, distance = (float(stats.mannwhitneyu(one[held], one[~held]).pvalue) for one in (numbers, far))
+    plain, distance = (
+        float(stats.mannwhitneyu(one[held], one[~held]).pvalue) for one in (numbers, far)
+    )
     return min(2 * min(plain, distance), 1.0), distance < plain
 
 
-def _correlations(numbers: np.ndarray, rows: Sequence[Mapping[str, float | None]]) -> dict[str, float]:
+def _correlations(
+    numbers: np.ndarray, rows: Sequence[Mapping[str, float | None]]
+) -> dict[str, float]:
     found = {}
     for measure in MEASURES:
         measured = np.array([row[measure] for row in rows], float)  # None: NaN
@@ -94,19 +130,34 @@ def _correlations(numbers: np.ndarray, rows: Sequence[Mapping[str, float | None]
     return found
 
 
-def _bins(values: Sequence[float | str], held: np.ndarray, pool: Sequence[float | str], *, words: bool) -> list[dict[str, Any]]:
+def _bins(
+    values: Sequence[float | str], held: np.ndarray, pool: Sequence[float | str], *, words: bool
+) -> list[dict[str, Any]]:
     """Each value by itself where they are few, else as many of the `pool` in each bin."""
     kinds = sorted(set(pool), key=str if words else float)  # type: ignore[arg-type]
     if words or len(kinds) <= _CATEGORIES:
-        return [{"value": kind} | _share(held[[value == kind for value in values]]) for kind in kinds
-                if kind in values]
+        return [
+            {"value": kind} | _share(held[[value == kind for value in values]])
+            for kind in kinds
+            if kind in values
+        ]
     numbers = np.array(values, float)
     edges = np.unique(np.quantile(np.array(pool, float), np.linspace(0, 1, _BINS + 1)))
     number = np.clip(np.searchsorted(edges, numbers, side="right") - 1, 0, len(edges) - 2)
-    return [{"from": float(f"{edges[k]:.4g}"), "to": float(f"{edges[k + 1]:.4g}")} | _share(held[number == k])
-            for k in range(len(edges) - 1) if (number == k).any()]
+    return [
+        {"from": float(f"{edges[k]:.4g}"), "to": float(f"{edges[k + 1]:.4g}")}
+        | _share(held[number == k])
+        for k in range(len(edges) - 1)
+        if (number == k).any()
+    ]
 
 
 def _share(held: np.ndarray) -> dict[str, Any]:
-    count, of = int(held.sum()), len(held)
-    return {"episodes": of, "held": count, "success": count / of, "success_interval": list(wilson(count, of))}
+    count = int(held.sum())
+    of = len(held)
+    return {
+        "episodes": of,
+        "held": count,
+        "success": count / of,
+        "success_interval": list(wilson(count, of)),
+    }

@@ -16,8 +16,12 @@ def wilson(count: int, of: int) -> tuple[float, float]:
     """95 % interval of a share (Wilson, J. Am. Stat. Assoc. 22, 1927)."""
     if not of:
         return 0.0, 1.0
-    p, z2 = count / of, Z * Z
-    middle, half = p + z2 / (2 * of), Z * math.sqrt(p * (1 - p) / of + z2 / (4 * of * of))
+    p = count / of
+    z2 = Z * Z
+    middle = p + z2 / (2 * of)
+    half = Z * math.sqrt(p * (1 - p) / of + z2 / (4 * of * of))
     # at 0 and 1 the bound is exact, whatever rounding says
-    return (max((middle - half) / (1 + z2 / of), 0.0) if count else 0.0,
-            min((middle + half) / (1 + z2 / of), 1.0) if count < of else 1.0)
+    return (
+        max((middle - half) / (1 + z2 / of), 0.0) if count else 0.0,
+        min((middle + half) / (1 + z2 / of), 1.0) if count < of else 1.0,
+    )

@@ -1,4 +1,5 @@
-"""The worst episodes of an evaluation, and a picture of each: they are run again, which gives the same grasp, and recorded."""
+"""The worst episodes of an evaluation, and a picture of each: they are run again, which gives the
+same grasp, and recorded."""
 
 from __future__ import annotations
 
@@ -21,15 +22,22 @@ _SLIP = 5.0  # mm that are as bad as breaking
 
 
 def worst(lines: Sequence[Line], count: int) -> list[Line]:
-    """`count` lines: failures, then errors, then what came nearest to a failure. Of several kinds (controller, object, outcome)
-    each has its turn, so that one that happens often does not hide the others."""
+    """`count` lines: failures, then errors, then what came nearest to a failure. Of several kinds
+    (controller, object, outcome) each has its turn, so that one that happens often does not hide
+    the others."""
     chosen: list[Line] = []
     for rank in (2, 1, 0):
         kinds: dict[tuple[str, ...], list[Line]] = {}
-        for line in sorted((line for line in lines if _RANKS[line["outcome"]] == rank), key=_badness, reverse=True):
+        for line in sorted(
+            (line for line in lines if _RANKS[line["outcome"]] == rank), key=_badness, reverse=True
+        ):
             kinds.setdefault((line["controller"], line["object"], line["outcome"]), []).append(line)
-        chosen += _in_turn(list(kinds.values()) if rank else [[line for kind in kinds.values() for line in kind]])
-    return sorted(chosen[:count], key=lambda line: (_RANKS[line["outcome"]], _badness(line)), reverse=True)
+        chosen += _in_turn(
+            list(kinds.values()) if rank else [[line for kind in kinds.values() for line in kind]]
+        )
+    return sorted(
+        chosen[:count], key=lambda line: (_RANKS[line["outcome"]], _badness(line)), reverse=True
+    )
 
 
 def _in_turn(kinds: Sequence[Sequence[Line]]) -> Iterator[Line]:
@@ -43,18 +51,28 @@ def _badness(line: Line) -> float:
 
 
 def draw(episode: Episode, folder: Path) -> Path | None:
-    """Run the episode again, record it into `folder` and draw its picture there; None where there is none to draw."""
+    """Run the episode again, record it into `folder` and draw its picture there; None where there
+    is none to draw."""
     picture = folder / "summary.png"
     if picture.exists():
         return picture
-    header: dict[str, Any] = {key: getattr(episode, key) for key in ("object", "sensor", "controller", "rig", "seed")}
+    header: dict[str, Any] = {
+        key: getattr(episode, key) for key in ("object", "sensor", "controller", "rig", "seed")
+    }
     header["command"] = episode.command()
-    summary: dict[str, Any] = {"object": episode.object, "outcome": "error", "sensor": episode.sensor, "seed": episode.seed}
+    summary: dict[str, Any] = {
+        "object": episode.object,
+        "outcome": "error",
+        "sensor": episode.sensor,
+        "seed": episode.seed,
+    }
     try:
         with Recorder(folder / "recording", header, frames=0) as recorder:
             recorder.strip = Strip()
             try:
-                summary = run_grasp(episode.options(), recorder=recorder, progress=Progress(quiet=True)).summary()
+                summary = run_grasp(
+                    episode.options(), recorder=recorder, progress=Progress(quiet=True)
+                ).summary()
             except MjtactileError as error:
                 summary["reason"] = " ".join(str(error).split())
             recorder.close(outcome=summary["outcome"])

@@ -1,4 +1,5 @@
-"""What `--accuracy` and `--effects` mean for a scene: which effects are on, which mesh and time step."""
+"""What `--accuracy` and `--effects` mean for a scene: which effects are on, which mesh and time
+step."""
 
 from __future__ import annotations
 
@@ -11,15 +12,26 @@ from mjtactile.sim.scenes.objects import load_object
 from mjtactile.sim.sensor.switches import set_design
 
 
-def effects_of(design: SensorDesign, object_name: str, accuracy: str, overrides: str) -> tuple[str, float, list[dict[str, Any]]]:
-    """The object's name, the force error asked for, N, and a row for each effect. Raises InputError."""
-    grasped, fidelity = load_object(object_name), _fidelity(accuracy)
+def effects_of(
+    design: SensorDesign, object_name: str, accuracy: str, overrides: str
+) -> tuple[str, float, list[dict[str, Any]]]:
+    """The object's name, the force error asked for, N, and a row for each effect. Raises
+    InputError."""
+    grasped = load_object(object_name)
+    fidelity = _fidelity(accuracy)
     wanted = _force_error(fidelity)
-    return grasped.name, wanted, choose(design, grasped, force_error=wanted, overrides=overrides).summary()
+    return (
+        grasped.name,
+        wanted,
+        choose(design, grasped, force_error=wanted, overrides=overrides).summary(),
+    )
 
 
-def simulation_of(design: SensorDesign, accuracy: str, overrides: str) -> tuple[SensorDesign, dict[str, Any]]:
-    """The sensor with its effects switched; and effects, mesh and time step of a world without an object. Raises InputError."""
+def simulation_of(
+    design: SensorDesign, accuracy: str, overrides: str
+) -> tuple[SensorDesign, dict[str, Any]]:
+    """The sensor with its effects switched; and effects, mesh and time step of a world without an
+    object. Raises InputError."""
     fidelity = _fidelity(accuracy)
     effects = choose(design, force_error=_force_error(fidelity), overrides=overrides).on
     how = {} if fidelity is None else {"mesh": fidelity.mesh, "timestep": fidelity.timestep}

@@ -1,7 +1,9 @@
-"""A simulated sensor on a stand, an indenter on a stage that follows a protocol, and a recording of it.
+"""A simulated sensor on a stand, an indenter on a stage that follows a protocol, and a recording of
+it.
 
-The recording is what `mjtactile record` writes of a real rig: images, pressures, times, and what was done. Nothing in it says
-what the sensor truly is: `specimen` may differ from the sensor file that the recording names.
+The recording is what `mjtactile record` writes of a real rig: images, pressures, times, and what
+was done. Nothing in it says what the sensor truly is: `specimen` may differ from the sensor file
+that the recording names.
 """
 
 from __future__ import annotations
@@ -25,9 +27,12 @@ from mjtactile.sim.scenes.stage import StageDrive, current
 PRESSURE_NOISE = 5.0  # Pa, sd; of the emulated valve board, too
 LOAD_CELL_NOISE = 2e-3  # N, sd of a reading
 _LARGEST_STEP = 4e-3  # s
-_REFERENCE_IMAGES, _LOADS = 10, 10  # readings of the load cell at the end of a hold
+# readings of the load cell at the end of a hold
+_REFERENCE_IMAGES = 10
+_LOADS = 10
 _NOT_FELT = Status(StatusCode.NOT_ESTIMATED, "recorded on a stage without a sensing chain")
-_NO_GRIPPER, _NO_COMMAND = GripperState(math.nan, math.nan, math.nan, math.nan), Command(0.0, 0.0)
+_NO_GRIPPER = GripperState(math.nan, math.nan, math.nan, math.nan)
+_NO_COMMAND = Command(0.0, 0.0)
 
 NOTHING = Stage("sphere:8", (0.0, 0.0), (Move(0.0),))
 """Nothing touches."""
@@ -49,14 +54,18 @@ class _Cycle:
 
 
 class StageWorld:
-    """The specimen on its stand: what its camera, its pressure sensor and a load cell on the stage say."""
+    """The specimen on its stand: what its camera, its pressure sensor and a load cell on the stage
+    say."""
 
     def __init__(self, specimen: SensorDesign, stage: Stage, *, seed: int = 0, **world: Any):
         """`world` goes to `PressWorld`, such as the mesh."""
         self.period = 1 / specimen.camera.rate
         timestep = self.period / math.ceil(self.period / _LARGEST_STEP)
-        self.world = PressWorld(specimen, Indenter.parse(stage.indenter), at=stage.at, timestep=timestep, **world)
-        self._renderer, self._rng = Renderer(specimen, seed=seed), np.random.default_rng(seed)
+        self.world = PressWorld(
+            specimen, Indenter.parse(stage.indenter), at=stage.at, timestep=timestep, **world
+        )
+        self._renderer = Renderer(specimen, seed=seed)
+        self._rng = np.random.default_rng(seed)
 
     def inflate(self, pressure_gauge: float, *, seal: bool) -> None:
         self.world.inflate(pressure_gauge, seal=seal)
@@ -74,16 +83,26 @@ class StageWorld:
 
     def cycle(self) -> _Cycle:
         """What the devices say now."""
-        image, time = self.image(), self.world.time
+        image = self.image()
+        time = self.world.time
         valve = ValveState(self.world.sensors[0].valve_is_open, self.pressure(), time, 0.0)
         touch = Touch(time, 0.0, math.nan, math.nan, False, status=_NOT_FELT)
         return _Cycle(time, (image,), (valve,), (touch,))
 
 
-def record_stage(specimen: SensorDesign, stage: Stage, recorder: Recorder, *, seconds: float, seed: int = 0,
-                 load_cell: bool = False, say: Say = lambda _: None, **world: Any) -> int:
-    """Record references and `seconds` s of the stage's moves; the number of cycles. With a `load_cell` the recording says what
-    it showed at the end of each hold."""
+def record_stage(
+    specimen: SensorDesign,
+    stage: Stage,
+    recorder: Recorder,
+    *,
+    seconds: float,
+    seed: int = 0,
+    load_cell: bool = False,
+    say: Say = lambda _: None,
+    **world: Any,
+) -> int:
+    """Record references and `seconds` s of the stage's moves; the number of cycles. With a
+    `load_cell` the recording says what it showed at the end of each hold."""
     bench = StageWorld(specimen, stage, seed=seed, **world)
     recorder.note(fingers=["left"], stage=stage.note())
     say("reference: flat, valve open")
@@ -92,8 +111,11 @@ def record_stage(specimen: SensorDesign, stage: Stage, recorder: Recorder, *, se
     say("reference: inflated, nothing touching")
     bench.inflate(specimen.chamber.supply_gauge, seal=True)
     readings = [bench.pressure() for _ in range(_REFERENCE_IMAGES)]
-    recorder.add_reference("rest", [[bench.image() for _ in range(_REFERENCE_IMAGES)]], [float(np.mean(readings))])
-    cycles, loads = round(seconds / bench.period), [[] for _ in stage.moves]
+    recorder.add_reference(
+        "rest", [[bench.image() for _ in range(_REFERENCE_IMAGES)]], [float(np.mean(readings))]
+    )
+    cycles = round(seconds / bench.period)
+    loads = [[] for _ in stage.moves]
     drive = StageDrive(bench.world, stage.moves)
     for cycle in range(cycles):
         number = current(stage.moves, cycle * bench.period)
@@ -104,5 +126,9 @@ def record_stage(specimen: SensorDesign, stage: Stage, recorder: Recorder, *, se
         recorder.add(bench.cycle())
         drive.advance_to((cycle + 1) * bench.period)
     if load_cell:
-        recorder.note(stage=stage.with_forces([float(np.mean(shown[-_LOADS:])) if shown else math.nan for shown in loads]).note())
+        recorder.note(
+            stage=stage.with_forces(
+                [float(np.mean(shown[-_LOADS:])) if shown else math.nan for shown in loads]
+            ).note()
+        )
     return cycles

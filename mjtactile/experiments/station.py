@@ -1,5 +1,5 @@
-"""A simulated sensor on a stand, what its camera and its sensing chain see of it (`View`), and a drive with a load cell over it
-(`Station`)."""
+"""A simulated sensor on a stand, what its camera and its sensing chain see of it (`View`), and a
+drive with a load cell over it (`Station`)."""
 
 from __future__ import annotations
 
@@ -22,10 +22,13 @@ _REFERENCE_IMAGES = 10
 class View:
     """Camera and perception of the sensor in `world`; `design` is what its sensing takes it for."""
 
-    def __init__(self, world: PressWorld, design: SensorDesign, *, seed: int = 0, shadows: bool = False):
+    def __init__(
+        self, world: PressWorld, design: SensorDesign, *, seed: int = 0, shadows: bool = False
+    ):
         design.require_rectangle("the sensing chain")
         self.world = world
-        self.renderer, self.perception = Renderer(design, seed=seed, shadows=shadows), Perception.of(design)
+        self.renderer = Renderer(design, seed=seed, shadows=shadows)
+        self.perception = Perception.of(design)
 
     def image(self) -> Image:
         """What the camera sees now."""
@@ -40,9 +43,11 @@ class View:
         return self.perception.perceive(self.image(), self.world.time)
 
 
-def take_references(world: PressWorld, views: Sequence[View], pressure_gauge: float, *, sealed: bool = True) -> None:
-    """Flat with the valve open to the air, then inflated to `pressure_gauge` Pa and settled, sealed or not: what a session
-    does with a rig, in a world that has no clock to wait for."""
+def take_references(
+    world: PressWorld, views: Sequence[View], pressure_gauge: float, *, sealed: bool = True
+) -> None:
+    """Flat with the valve open to the air, then inflated to `pressure_gauge` Pa and settled, sealed
+    or not: what a session does with a rig, in a world that has no clock to wait for."""
     world.inflate(0.0, seal=False)
     for view in views:
         view.perception.take_flat(view.images())
@@ -61,7 +66,8 @@ class Station:
         self._rest_height = 0.0
 
     def zero(self, *, sealed: bool = True) -> None:
-        """Take both references: flat with the valve open to the air, then inflated to the supply, sealed or not."""
+        """Take both references: flat with the valve open to the air, then inflated to the supply,
+        sealed or not."""
         take_references(self.world, [self._view], self.design.chamber.supply_gauge, sealed=sealed)
         surface = self.touch().surface
         self._rest_height = float(surface.z.max()) if surface is not None else 0.0
@@ -75,13 +81,20 @@ class Station:
         return self._view.touch()
 
     def load_cell(self) -> float:
-        """Normal force, N, that a load cell behind the indenter's face reads, also while the drive moves."""
+        """Normal force, N, that a load cell behind the indenter's face reads, also while the drive
+        moves."""
         return -float(truth.contact_force(self.world, 0)[2])
 
     def look(self, images: int = 1) -> dict[str, float]:
-        """Means over some images: normal force, area of the whole membrane, how far the contact is pressed in."""
+        """Means over some images: normal force, area of the whole membrane, how far the contact is
+        pressed in."""
         touches = [self.touch() for _ in range(images)]
         heights = [face[0] for touch in touches if (face := contact_face(touch)) is not None]
         areas = [touch.surface.area for touch in touches if touch.surface is not None]
-        return {"force_N": float(np.mean([t.force_normal for t in touches])), "membrane_area_mm2": 1e6 * float(np.mean(areas)),
-                "indentation_mm": 1e3 * (self._rest_height - float(np.mean(heights))) if heights else 0.0}
+        return {
+            "force_N": float(np.mean([t.force_normal for t in touches])),
+            "membrane_area_mm2": 1e6 * float(np.mean(areas)),
+            "indentation_mm": 1e3 * (self._rest_height - float(np.mean(heights)))
+            if heights
+            else 0.0,
+        }

@@ -1,7 +1,8 @@
-"""An episode to export: a recording, the sensors that it names, and what they see in its images again.
+"""An episode to export: a recording, the sensors that it names, and what they see in its images
+again.
 
-A recording keeps what was felt, but no surface and no markers. Where it has all of its images the sensing chain looks at them
-again, as a replay does, and gives these too.
+A recording keeps what was felt, but no surface and no markers. Where it has all of its images the
+sensing chain looks at them again, as a replay does, and gives these too.
 """
 
 from __future__ import annotations
@@ -30,16 +31,20 @@ NOT_OF_A_FINGER = ("object_position_true", "object_quaternion_true")
 """Columns of several numbers that are not one set a finger."""
 LISTS = ("patches",)
 """Columns of any number of things a finger."""
-_PARTS = {"wrench": ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm"), "contact_centroid": ("x_m", "y_m"),
-          "slip_velocity": ("x_m_s", "y_m_s"), "object_position_true": ("x_m", "y_m", "z_m"),
-          "object_quaternion_true": ("w", "x", "y", "z")}
+_PARTS = {
+    "wrench": ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm"),
+    "contact_centroid": ("x_m", "y_m"),
+    "slip_velocity": ("x_m_s", "y_m_s"),
+    "object_position_true": ("x_m", "y_m", "z_m"),
+    "object_quaternion_true": ("w", "x", "y", "z"),
+}
 _PARTS |= dict.fromkeys(("wrench_sd", "wrench_true"), _PARTS["wrench"])
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """One cycle: its `row` of the log (null: unknown), the images that were kept, with their `files`, and each finger's touch as
-    the chain sees it again, () where it cannot."""
+    """One cycle: its `row` of the log (null: unknown), the images that were kept, with their
+    `files`, and each finger's touch as the chain sees it again, () where it cannot."""
 
     time: float
     row: Mapping[str, Any]
@@ -49,7 +54,8 @@ class Seen:
 
 
 class Episode:
-    """A recording with its sensor's `design` and each finger's calibration (None: none was measured).
+    """A recording with its sensor's `design` and each finger's calibration (None: none was
+    measured).
 
     Raises InputError for a recording without cycles.
     """
@@ -60,10 +66,13 @@ class Episode:
             raise InputError("has no cycles to export", source=folder)
         self.design = _design(self.recording)
         self.felt_apart = math.nan
-        """The most, N, by which normal forces felt again differ from those recorded, of the cycles that were asked for so far."""
+        """The most, N, by which normal forces felt again differ from those recorded, of the cycles
+        that were asked for so far."""
         tables = self.recording.notes.get("calibration", {})
         self.calibrations: dict[str, Calibration | None] = {
-            name: calibration_from_table(tables[name], str(folder)) if name in tables else None for name in self.fingers}
+            name: calibration_from_table(tables[name], str(folder)) if name in tables else None
+            for name in self.fingers
+        }
 
     @property
     def fingers(self) -> tuple[str, ...]:
@@ -93,35 +102,63 @@ class Episode:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Everything that the recording says once: header with versions and files, notes with calibrations, problems."""
+        """Everything that the recording says once: header with versions and files, notes with
+        calibrations, problems."""
         recording = self.recording
-        return to_json({"header": recording.header, "notes": recording.notes, "complete": recording.complete,
-                        "problems": recording.problems, "fingers": self.fingers, "cycles": len(recording),
-                        "felt_again": self.felt_again, "felt_again_difference_N": self.felt_apart, "camera_in_sensor": {
-                            name: {"R_SC": R.tolist(), "p_SC_m": p.tolist()} for name, (R, p) in self.camera_poses.items()}})
+        return to_json(
+            {
+                "header": recording.header,
+                "notes": recording.notes,
+                "complete": recording.complete,
+                "problems": recording.problems,
+                "fingers": self.fingers,
+                "cycles": len(recording),
+                "felt_again": self.felt_again,
+                "felt_again_difference_N": self.felt_apart,
+                "camera_in_sensor": {
+                    name: {"R_SC": R.tolist(), "p_SC_m": p.tolist()}
+                    for name, (R, p) in self.camera_poses.items()
+                },
+            }
+        )
 
     @property
     def files(self) -> dict[str, str]:
-        """Text of the sensor and rig files and of calibrations, by the name of the file to write."""
-        kept = {f"{kind}.toml": found["text"] for kind, found in self.recording.header.get("files", {}).items()}
+        """Text of the sensor and rig files and of calibrations, by the name of the file to
+        write."""
+        kept = {
+            f"{kind}.toml": found["text"]
+            for kind, found in self.recording.header.get("files", {}).items()
+        }
         notes = self.recording.notes.get("calibration", {})
-        return kept | {f"calibration_{name}.json": json.dumps(table, indent=1) for name, table in notes.items()}
+        return kept | {
+            f"calibration_{name}.json": json.dumps(table, indent=1) for name, table in notes.items()
+        }
 
     @property
     def references(self) -> dict[str, Path]:
         """The images that the references were taken from, by name."""
-        found = [r.folder / name for r in self.recording.references for names in r.names for name in names]
+        found = [
+            r.folder / name
+            for r in self.recording.references
+            for names in r.names
+            for name in names
+        ]
         return {path.name: path for path in found if path.is_file()}
 
     def design_of(self, finger: str) -> SensorDesign:
         """The design with the lens that was measured of this finger."""
         calibration = self.calibrations[finger]
-        return self.design if calibration is None else calibration.used(self.design).design(self.design)
+        return (
+            self.design
+            if calibration is None
+            else calibration.used(self.design).design(self.design)
+        )
 
     @cached_property
     def camera_poses(self) -> dict[str, tuple[Array, Array]]:
-        """`R_SC` (3, 3) and `p_SC` (3,) m of each finger's camera: as this recording's flat reference shows it, else as it was
-        calibrated, else as the sensor file says."""
+        """`R_SC` (3, 3) and `p_SC` (3,) m of each finger's camera: as this recording's flat
+        reference shows it, else as it was calibrated, else as the sensor file says."""
         return {name: self._camera_pose(k, name) for k, name in enumerate(self.fingers)}
 
     def _camera_pose(self, number: int, finger: str) -> tuple[Array, Array]:
@@ -135,13 +172,16 @@ class Episode:
 
     @cached_property
     def _perceptions(self) -> tuple[Perception, ...]:
-        """A chain for each finger with the references of this recording; () where it has not all of its images."""
+        """A chain for each finger with the references of this recording; () where it has not all of
+        its images."""
         recording = self.recording
         if len(recording.references) != 2 or not all(map(len, recording.columns["images"])):
             return ()
         flat, rest = recording.references
         try:
-            return tuple(self._perception(k, name, flat, rest) for k, name in enumerate(self.fingers))
+            return tuple(
+                self._perception(k, name, flat, rest) for k, name in enumerate(self.fingers)
+            )
         except (DeviceError, InputError):  # a cut-off reference; the log is exported all the same
             return ()
 
@@ -158,25 +198,42 @@ class Episode:
 
     def cycles(self) -> Iterator[Seen]:
         """All cycles in order. Raises InputError naming an image file that is missing or broken."""
-        columns, folder = self.recording.columns, self.recording.folder
+        columns = self.recording.columns
+        folder = self.recording.folder
         for k, images in enumerate(self.recording.images()):
             row = {key: columns[key][k] for key in self.keys}
             time = float(row["time"])
-            touch = tuple(chain.perceive(image, time) for chain, image in zip(self._perceptions, images, strict=True)
-                          ) if self._perceptions else ()
+            touch = (
+                tuple(
+                    chain.perceive(image, time)
+                    for chain, image in zip(self._perceptions, images, strict=True)
+                )
+                if self._perceptions
+                else ()
+            )
             for again, was in zip(touch, row["force_normal"], strict=False):
                 self.felt_apart = float(np.fmax(self.felt_apart, abs(again.force_normal - was)))
-            yield Seen(time, row, images, tuple(folder / name for name in columns["images"][k]), touch)
+            yield Seen(
+                time, row, images, tuple(folder / name for name in columns["images"][k]), touch
+            )
 
 
 def find_episodes(path: Path) -> list[Episode]:
-    """The recording in `path`, or all those in the folders below it, in order of their names; of an evaluation those of its
-    episodes, not those that were run again for pictures. Raises InputError for none."""
+    """The recording in `path`, or all those in the folders below it, in order of their names; of an
+    evaluation those of its episodes, not those that were run again for pictures. Raises InputError
+    for none."""
     within = path / RECORDINGS if (path / RECORDINGS).is_dir() else path
-    found = [path] if (path / LOG).is_file() or (path / "recording" / LOG).is_file() else sorted(
-        log.parent for log in within.rglob(LOG))
+    found = (
+        [path]
+        if (path / LOG).is_file() or (path / "recording" / LOG).is_file()
+        else sorted(log.parent for log in within.rglob(LOG))
+    )
     if not found:
-        raise InputError("no recording here or below; an evaluation keeps them with --record", source=path, field="RUN")
+        raise InputError(
+            "no recording here or below; an evaluation keeps them with --record",
+            source=path,
+            field="RUN",
+        )
     return [Episode(folder) for folder in found]
 
 
@@ -195,7 +252,10 @@ def part_names(episode: Episode, key: str) -> list[str]:
 
 def meanings() -> dict[str, dict[str, str]]:
     """Unit and meaning of every column."""
-    return {key: {"unit": unit, "meaning": text} for key, (unit, text, *_) in (*SENSED.items(), *TRUE.items())}
+    return {
+        key: {"unit": unit, "meaning": text}
+        for key, (unit, text, *_) in (*SENSED.items(), *TRUE.items())
+    }
 
 
 def _design(recording: Recording) -> SensorDesign:
@@ -203,4 +263,8 @@ def _design(recording: Recording) -> SensorDesign:
     kept = recording.header.get("files", {}).get("sensor")
     if kept is None:
         return load_sensor(recording.header.get("sensor") or "dense")
-    return sensor_from_table(tomllib.loads(kept["text"]), name=Path(kept["name"]).stem, source=str(recording.folder / LOG))
+    return sensor_from_table(
+        tomllib.loads(kept["text"]),
+        name=Path(kept["name"]).stem,
+        source=str(recording.folder / LOG),
+    )

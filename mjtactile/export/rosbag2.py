@@ -1,5 +1,5 @@
-"""ROS 2 bags, an episode a bag: standard messages for what they can say, `mjtactile_msgs` for a touch and a command, and each
-line of the log as JSON text.
+"""ROS 2 bags, an episode a bag: standard messages for what they can say, `mjtactile_msgs` for a
+touch and a command, and each line of the log as JSON text.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from mjtactile.export.episode import Episode
 from mjtactile.recording.files import to_json
 
 PACKAGE = "mjtactile_msgs"
-MESSAGES = {"Touch": """\
+MESSAGES = {
+    "Touch": """\
 # What one sensor felt in one image. NaN: unknown; status says why. Frame: header.frame_id, z out of the sensor.
 std_msgs/Header header
 float64 force_normal        # N, positive for a press
@@ -38,14 +39,16 @@ float64 stick_ratio
 float64 marker_count
 bool valve_open             # false where the finger has none
 float64 pressure_gauge      # Pa
-""", "Command": """\
+""",
+    "Command": """\
 # What was sent to the gripper.
 std_msgs/Header header
 float64 opening             # m
 float64 force_limit         # N
 float64 lift_height         # m
 string phase
-"""}
+""",
+}
 _TEXT = ("status", "status_code", "slip_state")
 _RENAMED = {"age": "touch_age"}
 _PACKAGE_XML = f"""\
@@ -64,13 +67,16 @@ project({PACKAGE})
 find_package(ament_cmake REQUIRED)
 find_package(std_msgs REQUIRED)
 find_package(rosidl_default_generators REQUIRED)
-rosidl_generate_interfaces(${{PROJECT_NAME}} {' '.join(f'"msg/{name}.msg"' for name in MESSAGES)} DEPENDENCIES std_msgs)
+rosidl_generate_interfaces(${{PROJECT_NAME}} {" ".join(f'"msg/{name}.msg"' for name in MESSAGES)} DEPENDENCIES std_msgs)
 ament_package()
 """
 
 
-def write(episodes: Sequence[Episode], out: Path, *, say: Callable[[str], None] = lambda _: None) -> dict[str, Any]:
-    """Write the bags `episode_000000` and so on, and the message package's source, into `out`; returns how many frames."""
+def write(
+    episodes: Sequence[Episode], out: Path, *, say: Callable[[str], None] = lambda _: None
+) -> dict[str, Any]:
+    """Write the bags `episode_000000` and so on, and the message package's source, into `out`;
+    returns how many frames."""
     _write_package(out / PACKAGE)
     frames = 0
     for k, episode in enumerate(episodes):
@@ -94,13 +100,20 @@ class _Bag:
     """Makes messages of one episode's items."""
 
     def __init__(self, episode: Episode):
-        self._episode, self._store = episode, typestore()
+        self._episode = episode
+        self._store = typestore()
         self._make: dict[str, tuple[str, Callable[[stream.Item], Any]]] = {
-            "image": ("sensor_msgs/msg/Image", self._image), "camera": ("sensor_msgs/msg/CameraInfo", self._camera),
-            "wrench": ("geometry_msgs/msg/WrenchStamped", self._wrench), "touch": (f"{PACKAGE}/msg/Touch", self._touch),
-            "cloud": ("sensor_msgs/msg/PointCloud2", self._cloud), "joints": ("sensor_msgs/msg/JointState", self._joints),
-            "frames": ("tf2_msgs/msg/TFMessage", self._frames), "static": ("tf2_msgs/msg/TFMessage", self._frames),
-            "command": (f"{PACKAGE}/msg/Command", self._command), "cycle": ("std_msgs/msg/String", self._line)}
+            "image": ("sensor_msgs/msg/Image", self._image),
+            "camera": ("sensor_msgs/msg/CameraInfo", self._camera),
+            "wrench": ("geometry_msgs/msg/WrenchStamped", self._wrench),
+            "touch": (f"{PACKAGE}/msg/Touch", self._touch),
+            "cloud": ("sensor_msgs/msg/PointCloud2", self._cloud),
+            "joints": ("sensor_msgs/msg/JointState", self._joints),
+            "frames": ("tf2_msgs/msg/TFMessage", self._frames),
+            "static": ("tf2_msgs/msg/TFMessage", self._frames),
+            "command": (f"{PACKAGE}/msg/Command", self._command),
+            "cycle": ("std_msgs/msg/String", self._line),
+        }
 
     def write(self, path: Path) -> None:
         from rosbags.rosbag2 import Writer
@@ -110,9 +123,17 @@ class _Bag:
             for item in self._items():
                 kind, make = self._make[item.kind]
                 if item.topic not in connections:
-                    connections[item.topic] = bag.add_connection(item.topic, kind, typestore=self._store,
-                                                                 offered_qos_profiles=_quality(item.kind))
-                bag.write(connections[item.topic], stream.nanoseconds(item.time), self._store.serialize_cdr(make(item), kind))
+                    connections[item.topic] = bag.add_connection(
+                        item.topic,
+                        kind,
+                        typestore=self._store,
+                        offered_qos_profiles=_quality(item.kind),
+                    )
+                bag.write(
+                    connections[item.topic],
+                    stream.nanoseconds(item.time),
+                    self._store.serialize_cdr(make(item), kind),
+                )
             for name, value in self._episode.facts.items():
                 bag.set_custom_data(name, value if isinstance(value, str) else json.dumps(value))
         for name, text in self._episode.files.items():
@@ -124,7 +145,13 @@ class _Bag:
         for reference in recording.references:
             for k, finger in enumerate(self._episode.fingers):
                 for image in reference.images(k) if reference.names else ():
-                    yield stream.Item(f"/{finger}/reference/{reference.stage}", "image", image.time, f"{finger}_camera", (image,))
+                    yield stream.Item(
+                        f"/{finger}/reference/{reference.stage}",
+                        "image",
+                        image.time,
+                        f"{finger}_camera",
+                        (image,),
+                    )
         for item in stream.items(self._episode):
             yield item
             if item.kind == "cycle":
@@ -135,62 +162,141 @@ class _Bag:
 
     def _header(self, item: stream.Item, frame: str | None = None) -> Any:
         sec, nanosec = divmod(stream.nanoseconds(item.time), 10**9)
-        return self._of("std_msgs/msg/Header", stamp=self._of("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec),
-                        frame_id=item.frame if frame is None else frame)
+        return self._of(
+            "std_msgs/msg/Header",
+            stamp=self._of("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec),
+            frame_id=item.frame if frame is None else frame,
+        )
 
     def _image(self, item: stream.Item) -> Any:
         pixels = item.value[0].pixels
         height, width = pixels.shape
-        return self._of("sensor_msgs/msg/Image", header=self._header(item), height=height, width=width, encoding="mono8",
-                        is_bigendian=0, step=width, data=np.ascontiguousarray(pixels).ravel())
+        return self._of(
+            "sensor_msgs/msg/Image",
+            header=self._header(item),
+            height=height,
+            width=width,
+            encoding="mono8",
+            is_bigendian=0,
+            step=width,
+            data=np.ascontiguousarray(pixels).ravel(),
+        )
 
     def _camera(self, item: stream.Item) -> Any:
         c = item.value
-        whole = self._of("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
-        return self._of("sensor_msgs/msg/CameraInfo", header=self._header(item), height=c.height, width=c.width,
-                        distortion_model="plumb_bob", d=np.array(c.distortion), k=c.K.ravel(), r=np.eye(3).ravel(),
-                        p=np.column_stack([c.K, np.zeros(3)]).ravel(), binning_x=0, binning_y=0, roi=whole)
+        whole = self._of(
+            "sensor_msgs/msg/RegionOfInterest",
+            x_offset=0,
+            y_offset=0,
+            height=0,
+            width=0,
+            do_rectify=False,
+        )
+        return self._of(
+            "sensor_msgs/msg/CameraInfo",
+            header=self._header(item),
+            height=c.height,
+            width=c.width,
+            distortion_model="plumb_bob",
+            d=np.array(c.distortion),
+            k=c.K.ravel(),
+            r=np.eye(3).ravel(),
+            p=np.column_stack([c.K, np.zeros(3)]).ravel(),
+            binning_x=0,
+            binning_y=0,
+            roi=whole,
+        )
 
     def _vector(self, values: Any) -> Any:
-        return self._of("geometry_msgs/msg/Vector3", **{name: float(v) for name, v in zip("xyz", values, strict=True)})
+        return self._of(
+            "geometry_msgs/msg/Vector3",
+            **{name: float(v) for name, v in zip("xyz", values, strict=True)},
+        )
 
     def _wrench(self, item: stream.Item) -> Any:
-        wrench = self._of("geometry_msgs/msg/Wrench", force=self._vector(item.value[:3]), torque=self._vector(item.value[3:]))
+        wrench = self._of(
+            "geometry_msgs/msg/Wrench",
+            force=self._vector(item.value[:3]),
+            torque=self._vector(item.value[3:]),
+        )
         return self._of("geometry_msgs/msg/WrenchStamped", header=self._header(item), wrench=wrench)
 
     def _touch(self, item: stream.Item) -> Any:
         name = f"{PACKAGE}/msg/Touch"
-        fields = [(field, kind) for field, kind in self._store.fielddefs[name][1] if field != "header"]
-        return self._of(name, header=self._header(item), **{
-            field: _value(item.value.get(_RENAMED.get(field, field)), field, kind) for field, kind in fields})
+        fields = [
+            (field, kind) for field, kind in self._store.fielddefs[name][1] if field != "header"
+        ]
+        return self._of(
+            name,
+            header=self._header(item),
+            **{
+                field: _value(item.value.get(_RENAMED.get(field, field)), field, kind)
+                for field, kind in fields
+            },
+        )
 
     def _cloud(self, item: stream.Item) -> Any:
         cloud: stream.Cloud = item.value
-        fields = [self._of("sensor_msgs/msg/PointField", name=name, offset=4 * k, datatype=7, count=1)
-                  for k, name in enumerate(cloud.names)]
+        fields = [
+            self._of("sensor_msgs/msg/PointField", name=name, offset=4 * k, datatype=7, count=1)
+            for k, name in enumerate(cloud.names)
+        ]
         data = np.ascontiguousarray(cloud.values, "<f4")
-        return self._of("sensor_msgs/msg/PointCloud2", header=self._header(item), height=1, width=len(data), fields=fields,
-                        is_bigendian=False, point_step=4 * len(fields), row_step=data.nbytes,
-                        data=np.frombuffer(data.tobytes(), np.uint8), is_dense=bool(np.isfinite(data).all()))
+        return self._of(
+            "sensor_msgs/msg/PointCloud2",
+            header=self._header(item),
+            height=1,
+            width=len(data),
+            fields=fields,
+            is_bigendian=False,
+            point_step=4 * len(fields),
+            row_step=data.nbytes,
+            data=np.frombuffer(data.tobytes(), np.uint8),
+            is_dense=bool(np.isfinite(data).all()),
+        )
 
     def _joints(self, item: stream.Item) -> Any:
-        position, velocity, effort = np.ascontiguousarray(np.array(list(item.value.values()), float).T)
-        return self._of("sensor_msgs/msg/JointState", header=self._header(item), name=list(item.value),
-                        position=position, velocity=velocity, effort=effort)
+        position, velocity, effort = np.ascontiguousarray(
+            np.array(list(item.value.values()), float).T
+        )
+        return self._of(
+            "sensor_msgs/msg/JointState",
+            header=self._header(item),
+            name=list(item.value),
+            position=position,
+            velocity=velocity,
+            effort=effort,
+        )
 
     def _frames(self, item: stream.Item) -> Any:
         def one(t: stream.Transform) -> Any:
-            q = self._of("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", map(float, stream.quaternion(t.R)), strict=True)))
-            transform = self._of("geometry_msgs/msg/Transform", translation=self._vector(t.p), rotation=q)
-            return self._of("geometry_msgs/msg/TransformStamped", header=self._header(item, t.parent), child_frame_id=t.child,
-                            transform=transform)
+            q = self._of(
+                "geometry_msgs/msg/Quaternion",
+                **dict(zip("xyzw", map(float, stream.quaternion(t.R)), strict=True)),
+            )
+            transform = self._of(
+                "geometry_msgs/msg/Transform", translation=self._vector(t.p), rotation=q
+            )
+            return self._of(
+                "geometry_msgs/msg/TransformStamped",
+                header=self._header(item, t.parent),
+                child_frame_id=t.child,
+                transform=transform,
+            )
 
         return self._of("tf2_msgs/msg/TFMessage", transforms=[one(t) for t in item.value])
 
     def _command(self, item: stream.Item) -> Any:
         row: Mapping[str, Any] = item.value
-        return self._of(f"{PACKAGE}/msg/Command", header=self._header(item), phase=str(row["phase"]), **{
-            name: float(row[f"command_{name}"]) for name in ("opening", "force_limit", "lift_height")})
+        return self._of(
+            f"{PACKAGE}/msg/Command",
+            header=self._header(item),
+            phase=str(row["phase"]),
+            **{
+                name: float(row[f"command_{name}"])
+                for name in ("opening", "force_limit", "lift_height")
+            },
+        )
 
     def _line(self, item: stream.Item) -> Any:
         return self._of("std_msgs/msg/String", data=json.dumps(to_json(item.value)))
@@ -209,13 +315,31 @@ def _value(value: Any, field: str, kind: Any) -> Any:
 
 def _quality(kind: str) -> Sequence[Any]:
     """Static frames are handed to who comes late."""
-    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+    from rosbags.interfaces import (
+        Qos,
+        QosDurability,
+        QosHistory,
+        QosLiveliness,
+        QosReliability,
+        QosTime,
+    )
 
     if kind != "static":
         return ()
     forever = QosTime(sec=2147483647, nsec=4294967295)
-    return (Qos(QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL, forever, forever,
-                QosLiveliness.AUTOMATIC, forever, avoid_ros_namespace_conventions=False),)
+    return (
+        Qos(
+            QosHistory.KEEP_LAST,
+            1,
+            QosReliability.RELIABLE,
+            QosDurability.TRANSIENT_LOCAL,
+            forever,
+            forever,
+            QosLiveliness.AUTOMATIC,
+            forever,
+            avoid_ros_namespace_conventions=False,
+        ),
+    )
 
 
 def _write_package(folder: Path) -> None:

@@ -1,7 +1,8 @@
-"""What recordings say of one sensor: its markers while nothing moves, pressure and volume over time, and its pictures.
+"""What recordings say of one sensor: its markers while nothing moves, pressure and volume over
+time, and its pictures.
 
-Images go through the product's own chain as far as the markers (`Chain.see`). What a recording may say of forces felt, and any
-ground truth in it, is not looked at.
+Images go through the product's own chain as far as the markers (`Chain.see`). What a recording may
+say of forces felt, and any ground truth in it, is not looked at.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ from mjtactile.sensing.chain import Chain, ChainState
 _SETTLING = 0.3  # s after a move before its hold counts
 _HOLD_MOST = 0.7  # s at the end of a hold that are averaged
 _FEWEST = 5  # images of a hold
-_LENS_SHARE, _LENS_SHARE_PER_PX = 0.003, 0.1  # of heights: a lens that is right; more by the flat membrane's residual, 1/px
+# of heights: a lens that is right; more by the flat membrane's residual, 1/px
+_LENS_SHARE = 0.003
+_LENS_SHARE_PER_PX = 0.1
 _MOVES_MOST = 5e-5  # m, mean over the markers between the two halves of a hold: else it is none
 
 Say = Callable[[str], None]
@@ -32,9 +35,10 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class Hold:
-    """The sensor while nothing moves: mean marker positions `p_SM` (N, 3) m in S (NaN: not seen) with the covariance `cov`
-    (N, 3, 3) of that mean, gauge pressure, Pa (NaN: not measured), the `move` that led there, None for the rest that the
-    references were taken at, and when, `time` s after the first cycle."""
+    """The sensor while nothing moves: mean marker positions `p_SM` (N, 3) m in S (NaN: not seen)
+    with the covariance `cov` (N, 3, 3) of that mean, gauge pressure, Pa (NaN: not measured), the
+    `move` that led there, None for the rest that the references were taken at, and when, `time` s
+    after the first cycle."""
 
     p_SM: Array
     cov: Array
@@ -44,7 +48,8 @@ class Hold:
 
     @property
     def force(self) -> float:
-        """What a load cell says, N; NaN: nothing, or a weight, which is where the depth comes from."""
+        """What a load cell says, N; NaN: nothing, or a weight, which is where the depth comes
+        from."""
         return math.nan if self.move is None or self.move.is_weight else self.move.force
 
     @property
@@ -54,8 +59,8 @@ class Hold:
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Of every image with markers enough: `time` s, gauge `pressure` Pa (NaN: not measured), `volume` m^3 under the membrane as
-    its smoothed surface has it."""
+    """Of every image with markers enough: `time` s, gauge `pressure` Pa (NaN: not measured),
+    `volume` m^3 under the membrane as its smoothed surface has it."""
 
     time: Array
     pressure: Array
@@ -64,8 +69,9 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """One recording of one finger. `stage` None: nothing is known to have touched. `flat` are the reference's images;
-    `height_share` the sd of what all heights may be wrong by, as a share: a wrong lens shows on the flat membrane."""
+    """One recording of one finger. `stage` None: nothing is known to have touched. `flat` are the
+    reference's images; `height_share` the sd of what all heights may be wrong by, as a share: a
+    wrong lens shows on the flat membrane."""
 
     name: str
     stage: Stage | None
@@ -80,12 +86,19 @@ class Evidence:
         return math.isfinite(self.rest.pressure)
 
 
-def read_evidence(path: Path, design: SensorDesign, finger: str, say: Say = lambda _: None) -> Evidence:
-    """What the recording in `path` says of `finger`. Raises InputError where it has no references, images or such a finger."""
+def read_evidence(
+    path: Path, design: SensorDesign, finger: str, say: Say = lambda _: None
+) -> Evidence:
+    """What the recording in `path` says of `finger`. Raises InputError where it has no references,
+    images or such a finger."""
     recording = load_recording(path)
     if finger not in recording.fingers or len(recording.references) != 2:
-        raise InputError(f"has no references of a finger {finger!r}", source=path, field="--recording",
-                         choices=recording.fingers if len(recording.references) == 2 else None)
+        raise InputError(
+            f"has no references of a finger {finger!r}",
+            source=path,
+            field="--recording",
+            choices=recording.fingers if len(recording.references) == 2 else None,
+        )
     recording.require_images()
     number = recording.fingers.index(finger)
     calibration = _calibration(recording, design, finger)
@@ -107,21 +120,31 @@ def read_evidence(path: Path, design: SensorDesign, finger: str, say: Say = lamb
     at_rest = _hold(design, seen, gauge, None, math.nan)
     if at_rest is None:
         raise InputError("too few markers are seen at rest", source=path, field="--recording")
-    return Evidence(str(path), stage, at_rest, tuple(_holds(design, stage, times, shots, pressure)),
-                    Series(times, pressure, volumes), flat_images,
-                    max(_LENS_SHARE, _LENS_SHARE_PER_PX * state.flat.residual_px))
+    return Evidence(
+        str(path),
+        stage,
+        at_rest,
+        tuple(_holds(design, stage, times, shots, pressure)),
+        Series(times, pressure, volumes),
+        flat_images,
+        max(_LENS_SHARE, _LENS_SHARE_PER_PX * state.flat.residual_px),
+    )
 
 
 def _calibration(recording: Recording, design: SensorDesign, finger: str) -> Calibration:
-    """The lens and the valve's zero that were measured; the camera's place is measured on the flat membrane anew."""
+    """The lens and the valve's zero that were measured; the camera's place is measured on the flat
+    membrane anew."""
     table = recording.notes.get("calibration", {}).get(finger)
     if table is None:
         return Calibration(finger, design.name)
     return replace(calibration_from_table(table, str(recording.folder)), frame=None, force=None)
 
 
-def _see(chain: Chain, state: ChainState, images: Iterator[Image]) -> Iterator[tuple[Image, Markers]]:
-    """The images that show enough markers, and these; each is expected where the last image had it."""
+def _see(
+    chain: Chain, state: ChainState, images: Iterator[Image]
+) -> Iterator[tuple[Image, Markers]]:
+    """The images that show enough markers, and these; each is expected where the last image had
+    it."""
     for image in images:
         markers, after = chain.see(state, image)
         if chain.enough(markers) == "ok":
@@ -129,7 +152,9 @@ def _see(chain: Chain, state: ChainState, images: Iterator[Image]) -> Iterator[t
             yield image, markers
 
 
-def _follow(recording: Recording, number: int, chain: Chain, state: ChainState) -> tuple[Array, list[Markers]]:
+def _follow(
+    recording: Recording, number: int, chain: Chain, state: ChainState
+) -> tuple[Array, list[Markers]]:
     """Times after the first cycle, s, and markers of the cycles' images."""
     found = list(_see(chain, state, (images[number] for images in recording.images())))
     start = float(recording.columns["time"][0]) if len(recording) else 0.0
@@ -138,7 +163,8 @@ def _follow(recording: Recording, number: int, chain: Chain, state: ChainState) 
 
 def _pressures(recording: Recording, number: int, calibration: Calibration, times: Array) -> Array:
     """Gauge pressure at `times`, Pa, between the readings of the valve's board; NaN without any."""
-    readings, when = recording.column("pressure_gauge"), recording.column("valve_time")
+    readings = recording.column("pressure_gauge")
+    when = recording.column("valve_time")
     if not len(recording) or number >= recording.valve_count:
         return np.full(len(times), np.nan)
     start = float(recording.columns["time"][0])
@@ -156,25 +182,41 @@ def _latest(design: SensorDesign, seen: Sequence[Markers]) -> Array:
     return expected
 
 
-def _hold(design: SensorDesign, seen: Sequence[Markers], pressure: float, move: Move | None, time: float) -> Hold | None:
+def _hold(
+    design: SensorDesign, seen: Sequence[Markers], pressure: float, move: Move | None, time: float
+) -> Hold | None:
     """The mean of what was seen; None where that is too little, or moved."""
     if len(seen) < _FEWEST:
         return None
     positions = np.full((len(seen), design.markers.count, 3), np.nan)
-    total, count = np.zeros((design.markers.count, 3, 3)), np.zeros(design.markers.count)
+    total = np.zeros((design.markers.count, 3, 3))
+    count = np.zeros(design.markers.count)
     for row, markers in zip(positions, seen, strict=True):
         row[markers.ids] = markers.p_SM
         total[markers.ids] += markers.cov_p
         count[markers.ids] += 1
     often = count >= len(seen) / 2
-    mean, cov = np.full((design.markers.count, 3), np.nan), np.full((design.markers.count, 3, 3), np.nan)
-    mean[often], cov[often] = np.nanmean(positions[:, often], axis=0), total[often] / count[often, None, None] ** 2
+    mean = np.full((design.markers.count, 3), np.nan)
+    cov = np.full((design.markers.count, 3, 3), np.nan)
+    mean[often] = np.nanmean(positions[:, often], axis=0)
+    cov[often] = total[often] / count[often, None, None] ** 2
     half = len(seen) // 2
-    apart = np.nanmean(np.abs(np.nanmean(positions[:half, often], axis=0) - np.nanmean(positions[half:, often], axis=0)))
+    apart = np.nanmean(
+        np.abs(
+            np.nanmean(positions[:half, often], axis=0)
+            - np.nanmean(positions[half:, often], axis=0)
+        )
+    )
     return None if apart > _MOVES_MOST else Hold(mean, cov, pressure, move, time)
 
 
-def _holds(design: SensorDesign, stage: Stage | None, times: Array, shots: Sequence[Markers], pressure: Array) -> Iterator[Hold]:
+def _holds(
+    design: SensorDesign,
+    stage: Stage | None,
+    times: Array,
+    shots: Sequence[Markers],
+    pressure: Array,
+) -> Iterator[Hold]:
     """The ends of the holds between the moves, and of the time before the first."""
     moves: tuple[Move | None, ...] = (None, *(stage.moves if stage else ()))
     last = float(times[-1]) if len(times) else 0.0
@@ -186,7 +228,13 @@ def _holds(design: SensorDesign, stage: Stage | None, times: Array, shots: Seque
         begin = 0.0 if move is None else move.time + _travel(before, move) + _SETTLING
         rows = np.flatnonzero((times >= max(begin, end - _HOLD_MOST)) & (times < end - 1e-6))
         gauge = float(np.mean(pressure[rows])) if len(rows) else math.nan
-        hold = _hold(design, [shots[i] for i in rows.tolist()], gauge, move, float(times[rows].mean()) if len(rows) else math.nan)
+        hold = _hold(
+            design,
+            [shots[i] for i in rows.tolist()],
+            gauge,
+            move,
+            float(times[rows].mean()) if len(rows) else math.nan,
+        )
         if hold is not None:
             yield hold
         before = move

@@ -1,7 +1,9 @@
-"""The gas: how much of it there is, what leaks, and how it warms and cools, from pressure and volume over time.
+"""The gas: how much of it there is, what leaks, and how it warms and cools, from pressure and
+volume over time.
 
-The amount and temperature of the closed chamber's gas are the simulator's own (`mjtactile.sim.sensor.gas.Gas`, docs/equations.md,
-G1 and G4-G6), driven with the volume that the markers show. Its pressures are fitted to those of the pressure sensor.
+The amount and temperature of the closed chamber's gas are the simulator's own
+(`mjtactile.sim.sensor.gas.Gas`, docs/equations.md, G1 and G4-G6), driven with the volume that the
+markers show. Its pressures are fitted to those of the pressure sensor.
 """
 
 from __future__ import annotations
@@ -29,7 +31,8 @@ NAMES = ("extra_volume", "heat_ratio", "heat_exchange", "leak_conductance")
 
 @dataclass(frozen=True, eq=False)
 class Sealed:
-    """A chamber with its valve closed: `time` s, gauge `pressure` Pa, `volume` m^3 under the membrane."""
+    """A chamber with its valve closed: `time` s, gauge `pressure` Pa, `volume` m^3 under the
+    membrane."""
 
     name: str
     time: Array
@@ -39,8 +42,8 @@ class Sealed:
 
 @dataclass(frozen=True, eq=False)
 class GasFit:
-    """`values` by name in SI, `cov` of them in the order of `names`, what is left of each run's pressures, `noise_sd` Pa, and the
-    gauge pressures, Pa, that they give."""
+    """`values` by name in SI, `cov` of them in the order of `names`, what is left of each run's
+    pressures, `noise_sd` Pa, and the gauge pressures, Pa, that they give."""
 
     values: Mapping[str, float]
     cov: Array
@@ -50,36 +53,56 @@ class GasFit:
     fitted: tuple[Array, ...]
 
 
-def sealed_runs(evidence: Sequence[Evidence], simulated: Sequence[Sequence[Simulated]]) -> list[Sealed]:
+def sealed_runs(
+    evidence: Sequence[Evidence], simulated: Sequence[Sequence[Simulated]]
+) -> list[Sealed]:
     """Pressure and volume of each recording that has a pressure sensor.
 
-    The volume under the smoothed surface leaves out a little between the outermost markers, the frame and a dent's edge. What
-    the simulator has in the holds says how much, as a function of that volume and, deeper dents going with it, the pressure.
+    The volume under the smoothed surface leaves out a little between the outermost markers, the
+    frame and a dent's edge. What the simulator has in the holds says how much, as a function of
+    that volume and, deeper dents going with it, the pressure.
     """
-    runs, smooth, true = [e for e in evidence if e.has_pressure and len(e.series.time) > 10], [], []
+    runs = [e for e in evidence if e.has_pressure and len(e.series.time) > 10]
+    smooth = []
+    true = []
     for e, holds in zip(evidence, simulated, strict=True):
         for hold, sim in zip(e.holds, holds[1:], strict=True):
             if is_fast(hold):  # simulated as if it had been slow
                 continue
-            smooth.append([1.0, float(np.interp(hold.time, e.series.time, e.series.volume)) / _ML, hold.pressure / 1e3])
+            smooth.append(
+                [
+                    1.0,
+                    float(np.interp(hold.time, e.series.time, e.series.volume)) / _ML,
+                    hold.pressure / 1e3,
+                ]
+            )
             true.append(sim.volume)
     rows = np.array([row for row in smooth if math.isfinite(row[2])]).reshape(-1, 3)
     wanted = np.array([v for v, row in zip(true, smooth, strict=True) if math.isfinite(row[2])])
-    prior = np.diag(np.sqrt(len(rows) + 1) * 1e-2 * np.array([0.0, 1.0, 1.0]))  # few holds: the smooth volume as it is
-    weights = np.linalg.lstsq(np.vstack([rows, prior]), np.concatenate([wanted / _ML - rows[:, 1], np.zeros(3)]), rcond=None)[0]
+    # few holds: the smooth volume as it is
+    prior = np.diag(np.sqrt(len(rows) + 1) * 1e-2 * np.array([0.0, 1.0, 1.0]))
+    weights = np.linalg.lstsq(
+        np.vstack([rows, prior]),
+        np.concatenate([wanted / _ML - rows[:, 1], np.zeros(3)]),
+        rcond=None,
+    )[0]
 
     def corrected(e: Evidence) -> Array:
-        p, v = e.series.pressure / 1e3, e.series.volume / _ML
+        p = e.series.pressure / 1e3
+        v = e.series.volume / _ML
         return _ML * (v + weights[0] + weights[1] * v + weights[2] * p)
 
     return [Sealed(e.name, e.series.time, e.series.pressure, corrected(e)) for e in runs]
 
 
 def predict(design: SensorDesign, run: Sealed) -> Array:
-    """Gauge pressures, Pa, of the sealed gas that has the run's first pressure with its first volume, as warm as its walls."""
-    gas, flat = Gas(design.chamber), design.chamber_volume_flat
+    """Gauge pressures, Pa, of the sealed gas that has the run's first pressure with its first
+    volume, as warm as its walls."""
+    gas = Gas(design.chamber)
+    flat = design.chamber_volume_flat
     gas.seal(flat + float(run.volume[0]), float(np.median(run.pressure[:10])))
-    pressures, before = [gas.pressure_gauge], float(run.time[0])
+    pressures = [gas.pressure_gauge]
+    before = float(run.time[0])
     for time, volume in zip(run.time[1:].tolist(), run.volume[1:].tolist(), strict=True):
         gas.advance(flat + volume, time - before)
         pressures.append(gas.pressure_gauge)
@@ -91,77 +114,145 @@ Model = Callable[[SensorDesign, Sealed], Array]
 """Gauge pressures, Pa, of a sensor in a run."""
 
 
-def fit_gas(design: SensorDesign, runs: Sequence[Sealed], *, known: Mapping[str, float], models: Sequence[Model] = (),
-            modes: Sequence[Array] = (), iterations: int = 8) -> GasFit:
+def fit_gas(
+    design: SensorDesign,
+    runs: Sequence[Sealed],
+    *,
+    known: Mapping[str, float],
+    models: Sequence[Model] = (),
+    modes: Sequence[Array] = (),
+    iterations: int = 8,
+) -> GasFit:
     """Fit what of NAMES is not `known` (SI values by name) from the values of `design` on.
 
-    `models` has another model than `predict` for each run; `modes` (k, time) what else its pressures may be off by,
-    Pa for one sd.
+    `models` has another model than `predict` for each run; `modes` (k, time) what else its
+    pressures may be off by, Pa for one sd.
     """
     chamber = replace(design.chamber, **known)
-    names = tuple(name for name in NAMES if name not in known and not (name == "heat_exchange" and known.get("heat_ratio") == 1))
-    begin = {"heat_ratio": max(chamber.heat_ratio, 1.2), "heat_exchange": min(chamber.heat_exchange, 1.0)}
+    names = tuple(
+        name
+        for name in NAMES
+        if name not in known and not (name == "heat_exchange" and known.get("heat_ratio") == 1)
+    )
+    begin = {
+        "heat_ratio": max(chamber.heat_ratio, 1.2),
+        "heat_exchange": min(chamber.heat_exchange, 1.0),
+    }
     chamber = replace(chamber, **{name: value for name, value in begin.items() if name in names})
     modes = modes or [np.empty((0, len(run.time))) for run in runs]
-    return _Problem(replace(design, chamber=chamber), runs, names, models or [predict] * len(runs), modes).solve(iterations)
+    return _Problem(
+        replace(design, chamber=chamber), runs, names, models or [predict] * len(runs), modes
+    ).solve(iterations)
 
 
 class _Problem:
-    """The unknowns x: the gas's numbers (see `Scale`), then, in sd, how much of its modes is added to the pressures of each run:
-    a constant, and those that are given."""
+    """The unknowns x: the gas's numbers (see `Scale`), then, in sd, how much of its modes is added
+    to the pressures of each run: a constant, and those that are given."""
 
-    def __init__(self, design: SensorDesign, runs: Sequence[Sealed], names: tuple[str, ...], models: Sequence[Model],
-                 modes: Sequence[Array]):
-        self.design, self.runs, self.names, self._models = design, runs, names, models
-        self._modes = [np.vstack([np.full(len(run.time), SHIFT_SD), more]) for run, more in zip(runs, modes, strict=True)]
+    def __init__(
+        self,
+        design: SensorDesign,
+        runs: Sequence[Sealed],
+        names: tuple[str, ...],
+        models: Sequence[Model],
+        modes: Sequence[Array],
+    ):
+        self.design = design
+        self.runs = runs
+        self.names = names
+        self._models = models
+        self._modes = [
+            np.vstack([np.full(len(run.time), SHIFT_SD), more])
+            for run, more in zip(runs, modes, strict=True)
+        ]
         self._mode_count = sum(len(mode) for mode in self._modes)
         empty = design.chamber_volume_flat - design.chamber.extra_volume
-        scales = {"extra_volume": Scale(-0.95 * empty, 1e3 * empty, 0.1 * empty, 0.1), "heat_ratio": Scale(1.0, 1.7, 0.2, 0.05),
-                  "heat_exchange": Scale(0.02, 100.0, step=0.05), "leak_conductance": Scale(0.0, 1e-6, 1e-11, 0.1)}
+        scales = {
+            "extra_volume": Scale(-0.95 * empty, 1e3 * empty, 0.1 * empty, 0.1),
+            "heat_ratio": Scale(1.0, 1.7, 0.2, 0.05),
+            "heat_exchange": Scale(0.02, 100.0, step=0.05),
+            "leak_conductance": Scale(0.0, 1e-6, 1e-11, 0.1),
+        }
         self._scales = [scales[name] for name in names]
         self._nominal = [getattr(design.chamber, name) for name in names]
-        self._sd, self._last = [1.0] * len(runs), (np.empty(0), [np.empty(0)])
+        self._sd = [1.0] * len(runs)
+        self._last = (np.empty(0), [np.empty(0)])
 
     def solve(self, iterations: int) -> GasFit:
-        ends = [(s.scaled(s.low, v), s.scaled(s.high, v)) for s, v in zip(self._scales, self._nominal, strict=True)]
+        ends = [
+            (s.scaled(s.low, v), s.scaled(s.high, v))
+            for s, v in zip(self._scales, self._nominal, strict=True)
+        ]
         low, high = np.array([*ends, *[(-np.inf, np.inf)] * self._mode_count]).reshape(-1, 2).T
         steps = np.array([*(s.step for s in self._scales), *[1.0] * self._mode_count])
-        n, x, rounds = len(self.names), np.zeros(len(low)), 2 if iterations > 3 else 1
+        n = len(self.names)
+        x = np.zeros(len(low))
+        rounds = 2 if iterations > 3 else 1
         for _ in range(rounds):  # again when the noise is known
-            self._sd = [_noise(p - run.pressure) for p, run in zip(self.pressures(x), self.runs, strict=True)]
-            found = gauss_newton(self.residuals, differences(self.residuals, steps), x, low=low, high=high,
-                                 iterations=iterations // rounds)
+            self._sd = [
+                _noise(p - run.pressure)
+                for p, run in zip(self.pressures(x), self.runs, strict=True)
+            ]
+            found = gauss_newton(
+                self.residuals,
+                differences(self.residuals, steps),
+                x,
+                low=low,
+                high=high,
+                iterations=iterations // rounds,
+            )
             x = found.x
         values = self.values(x)
-        slopes = np.array([s.slope(values[name]) for s, name in zip(self._scales, self.names, strict=True)])
+        slopes = np.array(
+            [s.slope(values[name]) for s, name in zip(self._scales, self.names, strict=True)]
+        )
         cov = np.linalg.inv(found.information)[:n, :n] * np.outer(slopes, slopes)  # pyright: ignore[reportPossiblyUnboundVariable]
-        return GasFit(values, cov, self.names, tuple(self._sd), tuple(self.runs), tuple(self._moved(x)))
+        return GasFit(
+            values, cov, self.names, tuple(self._sd), tuple(self.runs), tuple(self._moved(x))
+        )
 
     def values(self, x: Array) -> dict[str, float]:
-        return {name: s.value(float(v), nominal) for name, s, v, nominal
-                in zip(self.names, self._scales, x, self._nominal, strict=False)}
+        return {
+            name: s.value(float(v), nominal)
+            for name, s, v, nominal in zip(self.names, self._scales, x, self._nominal, strict=False)
+        }
 
     def pressures(self, x: Array) -> list[Array]:
         n = len(self.names)
         if not np.array_equal(self._last[0], x[:n]) or not len(self._last[1]):
             made = replace(self.design, chamber=replace(self.design.chamber, **self.values(x)))
-            self._last = x[:n].copy(), [model(made, run) for model, run in zip(self._models, self.runs, strict=True)]
+            self._last = (
+                x[:n].copy(),
+                [model(made, run) for model, run in zip(self._models, self.runs, strict=True)],
+            )
         return self._last[1]
 
     def _moved(self, x: Array) -> list[Array]:
         """Pressures with the modes' parts."""
-        parts = np.split(x[len(self.names):], np.cumsum([len(mode) for mode in self._modes])[:-1])
-        return [p + part @ mode for p, part, mode in zip(self.pressures(x), parts, self._modes, strict=True)]
+        parts = np.split(x[len(self.names) :], np.cumsum([len(mode) for mode in self._modes])[:-1])
+        return [
+            p + part @ mode
+            for p, part, mode in zip(self.pressures(x), parts, self._modes, strict=True)
+        ]
 
     def residuals(self, x: Array) -> Array:
-        """In sd; far ones count less (Huber). Neighbours share what the model is off by: each counts as SHARED of one."""
+        """In sd; far ones count less (Huber). Neighbours share what the model is off by: each
+        counts as SHARED of one."""
         n = len(self.names)
-        z = np.concatenate([(p - run.pressure) / sd for p, run, sd in zip(self._moved(x), self.runs, self._sd, strict=True)])
-        z = np.sign(z) * np.sqrt(np.where(np.abs(z) < _OUTLIER, z**2, _OUTLIER * (2 * np.abs(z) - _OUTLIER)))
+        z = np.concatenate(
+            [
+                (p - run.pressure) / sd
+                for p, run, sd in zip(self._moved(x), self.runs, self._sd, strict=True)
+            ]
+        )
+        z = np.sign(z) * np.sqrt(
+            np.where(np.abs(z) < _OUTLIER, z**2, _OUTLIER * (2 * np.abs(z) - _OUTLIER))
+        )
         return np.concatenate([z / math.sqrt(SHARED), PRIOR * x[:n], x[n:]])
 
 
 def _noise(left: Array) -> float:
     """sd of residuals without their mean, robust; at least 1 Pa."""
     left = left - np.median(left)
-    return max(1.0, float(np.sqrt(np.median(left**2) / 0.4549)))  # the median of a squared normal number
+    # the median of a squared normal number
+    return max(1.0, float(np.sqrt(np.median(left**2) / 0.4549)))

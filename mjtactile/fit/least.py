@@ -1,5 +1,5 @@
-"""Gauss-Newton for models that take seconds: few evaluations, steps of a Jacobian above the model's own noise, an end where a
-step is small against what is not known anyway."""
+"""Gauss-Newton for models that take seconds: few evaluations, steps of a Jacobian above the model's
+own noise, an end where a step is small against what is not known anyway."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _FLAT = 1e-3  # of the sum of squares: what a simulation's own noise makes of it
 
 @dataclass(frozen=True)
 class Scale:
-    """A parameter: `low` and `high` allowed; x = log(value/nominal), or (value - nominal)/`unit` where given; `step` of x for a
-    Jacobian."""
+    """A parameter: `low` and `high` allowed; x = log(value/nominal), or (value - nominal)/`unit`
+    where given; `step` of x for a Jacobian."""
 
     low: float
     high: float
@@ -53,16 +53,25 @@ class Solution:
         return self.jacobian.T @ self.jacobian
 
 
-def gauss_newton(residuals: Callable[[Array], Array], jacobian: Callable[[Array, Array], Array], x: Array, *, low: Array,
-                 high: Array, iterations: int = 6, enough: float = _ENOUGH) -> Solution:
-    """Minimise the sum of squares from `x` within `low` and `high`; `jacobian(x, residuals(x))` (r, n). It ends when no step is
-    longer than `enough` sd, or the sum falls no further."""
+def gauss_newton(
+    residuals: Callable[[Array], Array],
+    jacobian: Callable[[Array, Array], Array],
+    x: Array,
+    *,
+    low: Array,
+    high: Array,
+    iterations: int = 6,
+    enough: float = _ENOUGH,
+) -> Solution:
+    """Minimise the sum of squares from `x` within `low` and `high`; `jacobian(x, residuals(x))` (r,
+    n). It ends when no step is longer than `enough` sd, or the sum falls no further."""
     now = residuals(x)
     for _ in range(iterations):
         J = jacobian(x, now)
         H = J.T @ J
         ridge = 1e-9 * np.diag(np.diag(H) + 1e-12)
-        goal, better = np.clip(x - np.linalg.solve(H + ridge, J.T @ now), low, high), None
+        goal = np.clip(x - np.linalg.solve(H + ridge, J.T @ now), low, high)
+        better = None
         sd = np.sqrt(np.diag(np.linalg.inv(H + ridge)))
         if np.all(np.abs(goal - x) < enough * sd):
             break
@@ -78,13 +87,21 @@ def gauss_newton(residuals: Callable[[Array], Array], jacobian: Callable[[Array,
         x, now = better
         if flat:
             break
-    return Solution(x, J, now)  # pyright: ignore[reportPossiblyUnboundVariable] the loop runs at least once
+    # the loop runs at least once
+    return Solution(x, J, now)  # pyright: ignore[reportPossiblyUnboundVariable]
 
 
-def differences(residuals: Callable[[Array], Array], steps: Array) -> Callable[[Array, Array], Array]:
+def differences(
+    residuals: Callable[[Array], Array], steps: Array
+) -> Callable[[Array, Array], Array]:
     """A Jacobian by differences of these absolute steps."""
+
     def jacobian(x: Array, now: Array) -> Array:
-        return np.column_stack([(residuals(x + step * unit) - now) / step
-                                for step, unit in zip(steps, np.eye(len(x)), strict=True)])
+        return np.column_stack(
+            [
+                (residuals(x + step * unit) - now) / step
+                for step, unit in zip(steps, np.eye(len(x)), strict=True)
+            ]
+        )
 
     return jacobian

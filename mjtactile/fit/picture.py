@@ -1,8 +1,9 @@
 """Light, noise and blur of a camera, straight from its images of the flat membrane.
 
-Light: grey = membrane_DN (1 - falloff s), s the shape of the LEDs' loss towards the corners (docs/equations.md, L1), which is
-linear in membrane_DN and membrane_DN falloff; inside of the markers the same with marker_DN. Noise: the sd of each pixel over
-images of the same scene, less that of rounding. Blur: the width of the markers' edges.
+Light: grey = membrane_DN (1 - falloff s), s the shape of the LEDs' loss towards the corners
+(docs/equations.md, L1), which is linear in membrane_DN and membrane_DN falloff; inside of the
+markers the same with marker_DN. Noise: the sd of each pixel over images of the same scene, less
+that of rounding. Blur: the width of the markers' edges.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from mjtactile.sensing.image.markers import fit_candidates
 from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sim.picture.light import Light
 
-_ROUNDING = 1 / 12  # variance of rounding to whole grey levels; and, in px^2, of a pixel's own width
+# variance of rounding to whole grey levels; and, in px^2, of a pixel's own width
+_ROUNDING = 1 / 12
 _SATURATED = 250  # DN
 _EDGE_PX = 5.0  # from a marker's edge: nothing of it is seen there
 _BORDER = 1e-3  # m inside the opening
@@ -30,8 +32,9 @@ _LEVEL_SD = 0.5  # DN, by which grey levels of any scene are off this law
 
 @dataclass(frozen=True, eq=False)
 class PictureFit:
-    """Values by field of the sensor file with their sd: `camera.blur_px`, `camera.noise_DN`, `leds.membrane_DN`,
-    `leds.marker_DN`, `leds.falloff`; and the mean picture (H, W) with what is left of it, DN (NaN: not looked at)."""
+    """Values by field of the sensor file with their sd: `camera.blur_px`, `camera.noise_DN`,
+    `leds.membrane_DN`, `leds.marker_DN`, `leds.falloff`; and the mean picture (H, W) with what is
+    left of it, DN (NaN: not looked at)."""
 
     values: dict[str, tuple[float, float]]
     residual: Array
@@ -43,7 +46,10 @@ def fit_picture(design: SensorDesign, images: Sequence[Image]) -> PictureFit:
     mean = stack.mean(axis=0)
     values = _noise(stack, mean)
     blurs = np.array([_blur(image) for image in images])
-    values["camera.blur_px"] = float(np.median(blurs)), float(max(0.01, blurs.std() / np.sqrt(len(blurs))))
+    values["camera.blur_px"] = (
+        float(np.median(blurs)),
+        float(max(0.01, blurs.std() / np.sqrt(len(blurs)))),
+    )
     light, residual = _light(design, mean)
     return PictureFit(values | light, residual)
 
@@ -55,11 +61,17 @@ def _noise(stack: Array, mean: Array) -> dict[str, tuple[float, float]]:
     change = np.diff(stack, axis=0)[:, (mean > 2) & (mean < _SATURATED)]
     change = change - np.median(change, axis=1, keepdims=True)
     variance = float(np.mean(change**2)) / 2
-    return {"camera.noise_DN": (float(np.sqrt(max(variance - _ROUNDING, 0.0))), float(0.01 * np.sqrt(variance)))}
+    return {
+        "camera.noise_DN": (
+            float(np.sqrt(max(variance - _ROUNDING, 0.0))),
+            float(0.01 * np.sqrt(variance)),
+        )
+    }
 
 
 def _blur(image: Image) -> float:
-    """Gaussian sd, px, of the optics: of what the edges show less the pixel's own width; median of the markers."""
+    """Gaussian sd, px, of the optics: of what the edges show less the pixel's own width; median of
+    the markers."""
     fit = fit_candidates(image.pixels, find(image.pixels, 3.0), DEFAULTS)
     return float(np.sqrt(max(np.median(fit.blur) ** 2 - _ROUNDING, 0.0)))
 
@@ -70,7 +82,8 @@ def _light(design: SensorDesign, mean: Array) -> tuple[dict[str, tuple[float, fl
     shape = 1 - Light(replace(design, leds=replace(design.leds, falloff=1.0)), camera).field(flat)
     away, inside = _areas(design, camera, mean.shape)
     good = mean < _SATURATED
-    bright, dark = away & good, inside & good
+    bright = away & good
+    dark = inside & good
     if bright.sum() < 100 or dark.sum() < 100:
         return {}, np.full(mean.shape, np.nan)
     A = np.column_stack([np.ones(bright.sum()), -shape[bright]])
@@ -79,11 +92,16 @@ def _light(design: SensorDesign, mean: Array) -> tuple[dict[str, tuple[float, fl
     field = 1 - falloff * shape
     marker = float(np.mean(mean[dark] / field[dark]))
     residual = np.full(mean.shape, np.nan)
-    residual[bright], residual[dark] = mean[bright] - level * field[bright], mean[dark] - marker * field[dark]
+    residual[bright] = mean[bright] - level * field[bright]
+    residual[dark] = mean[dark] - marker * field[dark]
     spread = float(np.ptp(shape[bright]))
-    doubt = max(_LEVEL_SD, float(np.nanstd(residual[bright])) / 3)  # what is left is no noise: it does not average out
-    return {"leds.membrane_DN": (float(level), doubt), "leds.marker_DN": (marker, doubt),
-            "leds.falloff": (falloff, doubt / (float(level) * spread))}, residual
+    # what is left is no noise: it does not average out
+    doubt = max(_LEVEL_SD, float(np.nanstd(residual[bright])) / 3)
+    return {
+        "leds.membrane_DN": (float(level), doubt),
+        "leds.marker_DN": (marker, doubt),
+        "leds.falloff": (falloff, doubt / (float(level) * spread)),
+    }, residual
 
 
 def _areas(design: SensorDesign, camera: Camera, size: tuple[int, ...]) -> tuple[Array, Array]:

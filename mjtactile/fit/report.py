@@ -12,22 +12,41 @@ from mjtactile.fit.words import NOT_FITTED, SD95, Number, digits
 
 
 def text_of(result: FitResult) -> str:
-    """What was found, what goes together, what could not be found, and how well the rest is predicted."""
+    """What was found, what goes together, what could not be found, and how well the rest is
+    predicted."""
     fitted = [n for n in result.numbers if n.state == "fitted"]
     lines = [f"{'field':28} {'file':>10} {'found':>10}   95 % interval"]
-    lines += [f"{n.field:28} {n.before:10.5g} {digits(n.value, n.sd):>10}   {_interval(n)}" for n in fitted]
-    lines += [f"{n.field:28} {n.before:10.5g} {n.value:10.5g}   measured by hand" for n in result.numbers if n.state == "known"]
+    lines += [
+        f"{n.field:28} {n.before:10.5g} {digits(n.value, n.sd):>10}   {_interval(n)}"
+        for n in fitted
+    ]
+    lines += [
+        f"{n.field:28} {n.before:10.5g} {n.value:10.5g}   measured by hand"
+        for n in result.numbers
+        if n.state == "known"
+    ]
     lines += ["", "not in these recordings (the file's value stays):"]
-    lines += [f"  {n.field}: {n.comment.partition('; ')[2]}" for n in result.numbers if n.state == "not in these recordings"]
+    lines += [
+        f"  {n.field}: {n.comment.partition('; ')[2]}"
+        for n in result.numbers
+        if n.state == "not in these recordings"
+    ]
     lines += [f"  {name}: {why}" for name, why in NOT_FITTED.items()]
     if result.correlations:
         lines += ["", *result.correlations]
     sheet = result.design.membrane
-    lines += ["", f"modulus times thickness: {sheet.young * sheet.thickness:.4g} N/m, which is what forces rest on",
-              f"markers are left by {1e6 * result.sheet.rms:.1f} um (rms)"]
+    lines += [
+        "",
+        f"modulus times thickness: {sheet.young * sheet.thickness:.4g} N/m, which is what "
+        "forces rest on",
+        f"markers are left by {1e6 * result.sheet.rms:.1f} um (rms)",
+    ]
     if result.gas is not None:
-        lines += [f"pressures of {run.name} are left by {float(np.sqrt(np.mean((p - run.pressure) ** 2))):.1f} Pa (rms)"
-                  for run, p in zip(result.gas.runs, result.gas.fitted, strict=True)]
+        lines += [
+            f"pressures of {run.name} are left by "
+            f"{float(np.sqrt(np.mean((p - run.pressure) ** 2))):.1f} Pa (rms)"
+            for run, p in zip(result.gas.runs, result.gas.fitted, strict=True)
+        ]
     lines += [""] * bool(result.held_out) + [_held(row) for row in result.held_out]
     return "\n".join([*lines, f"took {result.seconds:.0f} s"]) + "\n"
 
@@ -38,10 +57,17 @@ def _interval(number: Number) -> str:
 
 
 def _held(row: Any) -> str:
-    where = "no depth" if math.isnan(row.depth) else f"{1e3 * row.depth:g} mm deep, {1e3 * row.shear:g} mm along x"
+    where = (
+        "no depth"
+        if math.isnan(row.depth)
+        else (f"{1e3 * row.depth:g} mm deep, {1e3 * row.shear:g} mm along x")
+    )
     force = "" if math.isnan(row.force_measured) else f", load cell {row.force_measured:.4f} N"
-    return (f"held out, {row.recording}, {where}, {row.pressure:.0f} Pa: markers off by {1e6 * row.rms:.1f} um (rms), "
-            f"predicted {row.force:.4f} N{force}")
+    return (
+        f"held out, {row.recording}, {where}, {row.pressure:.0f} Pa: markers off by "
+        f"{1e6 * row.rms:.1f} um (rms), "
+        f"predicted {row.force:.4f} N{force}"
+    )
 
 
 def draw(figure: Any, result: FitResult) -> None:
@@ -58,8 +84,14 @@ def draw(figure: Any, result: FitResult) -> None:
 def _draw_numbers(axes: Any, result: FitResult) -> None:
     fitted = [n for n in result.numbers if n.state == "fitted" and n.before]
     places = range(len(fitted))
-    axes.errorbar([100 * (n.value / n.before - 1) for n in fitted], list(places),
-                  xerr=[100 * SD95 * n.sd / abs(n.before) for n in fitted], fmt="o", ms=4, capsize=3)
+    axes.errorbar(
+        [100 * (n.value / n.before - 1) for n in fitted],
+        list(places),
+        xerr=[100 * SD95 * n.sd / abs(n.before) for n in fitted],
+        fmt="o",
+        ms=4,
+        capsize=3,
+    )
     axes.set_yticks(list(places), [n.field.partition(".")[2] for n in fitted], fontsize=7)
     axes.axvline(0.0, color="k", lw=0.8)
     axes.set(xlabel="against the sensor file, %", title="numbers, 95 %")
@@ -68,20 +100,39 @@ def _draw_numbers(axes: Any, result: FitResult) -> None:
 
 def _draw_markers(axes: Any, result: FitResult) -> None:
     for evidence, holds in zip(result.evidence, result.sheet.holds, strict=True):
-        off = [1e6 * float(np.sqrt(np.nanmean(np.square(found.p_SM - hold.p_SM))))
-               for hold, found in zip((evidence.rest, *evidence.holds), holds, strict=True)]
+        off = [
+            1e6 * float(np.sqrt(np.nanmean(np.square(found.p_SM - hold.p_SM))))
+            for hold, found in zip((evidence.rest, *evidence.holds), holds, strict=True)
+        ]
         axes.plot(off, "o-", ms=4, label=evidence.name[-24:])
-    axes.set(xlabel="hold", ylabel="markers off, um (rms)", title="markers, simulated less measured", ylim=(0, None))
+    axes.set(
+        xlabel="hold",
+        ylabel="markers off, um (rms)",
+        title="markers, simulated less measured",
+        ylim=(0, None),
+    )
     axes.legend(fontsize=6)
     axes.grid(alpha=0.3)
 
 
 def _draw_map(axes: Any, result: FitResult) -> None:
     """Height residual of each marker, mean over all holds."""
-    off = [found.p_SM[:, 2] - hold.p_SM[:, 2] for e, holds in zip(result.evidence, result.sheet.holds, strict=True)
-           for hold, found in zip((e.rest, *e.holds), holds, strict=True)]
-    p, most = 1e3 * result.design.markers.p_SM, 1e6 * float(np.nanmax(np.abs(np.nanmean(off, axis=0))))
-    shown = axes.scatter(p[:, 0], p[:, 1], c=1e6 * np.nanmean(off, axis=0), cmap="coolwarm", vmin=-most, vmax=most, s=60)
+    off = [
+        found.p_SM[:, 2] - hold.p_SM[:, 2]
+        for e, holds in zip(result.evidence, result.sheet.holds, strict=True)
+        for hold, found in zip((e.rest, *e.holds), holds, strict=True)
+    ]
+    p = 1e3 * result.design.markers.p_SM
+    most = 1e6 * float(np.nanmax(np.abs(np.nanmean(off, axis=0))))
+    shown = axes.scatter(
+        p[:, 0],
+        p[:, 1],
+        c=1e6 * np.nanmean(off, axis=0),
+        cmap="coolwarm",
+        vmin=-most,
+        vmax=most,
+        s=60,
+    )
     axes.figure.colorbar(shown, ax=axes, label="um")
     axes.set(xlabel="x, mm", ylabel="y, mm", title="height residual, mean", aspect="equal")
 
@@ -98,7 +149,9 @@ def _draw_pressures(axes: Any, result: FitResult) -> None:
 
 
 def _draw_light(figure: Any, axes: Any, result: FitResult) -> None:
-    shown = axes.imshow(result.picture.residual, cmap="coolwarm", vmin=-3, vmax=3, interpolation="nearest")
+    shown = axes.imshow(
+        result.picture.residual, cmap="coolwarm", vmin=-3, vmax=3, interpolation="nearest"
+    )
     figure.colorbar(shown, ax=axes, label="grey levels")
     axes.set(title="light, measured less fitted", xticks=[], yticks=[])
 

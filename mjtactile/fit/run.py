@@ -1,4 +1,5 @@
-"""From recordings to a sensor file: read them, fit membrane, gas and pictures, check on what was kept aside."""
+"""From recordings to a sensor file: read them, fit membrane, gas and pictures, check on what was
+kept aside."""
 
 from __future__ import annotations
 
@@ -26,8 +27,13 @@ from mjtactile.recording.reader import load_recording
 
 TOUCH_SD = 5e-5  # m: how well a person finds first touch
 _UNKNOWN_SHARE = 0.3  # of the thickness, before somebody measured it
-_HELD_FIRST = ("friction", "pre_stretch", "young")  # of what cannot be told: what is nearest to what was to be built, first
-_SI = {f"{section}.{row[0]}": (section, row[1], row[2] or 1.0) for section, (_, rows) in FIELDS.items() for row in rows}
+# of what cannot be told: what is nearest to what was to be built, first
+_HELD_FIRST = ("friction", "pre_stretch", "young")
+_SI = {
+    f"{section}.{row[0]}": (section, row[1], row[2] or 1.0)
+    for section, (_, rows) in FIELDS.items()
+    for row in rows
+}
 """Field of the sensor file to section, attribute and SI units in its unit."""
 _FIELD = {(section, attribute): field for field, (section, attribute, _) in _SI.items()}
 
@@ -36,8 +42,8 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """A hold of a recording that was kept aside: how far its markers are from the simulated ones, `rms` m; the stage's force as
-    simulated and as a load cell showed it, N (NaN: it had none)."""
+    """A hold of a recording that was kept aside: how far its markers are from the simulated ones,
+    `rms` m; the stage's force as simulated and as a load cell showed it, N (NaN: it had none)."""
 
     recording: str
     depth: float
@@ -67,15 +73,27 @@ class FitResult:
         return next(number for number in self.numbers if number.field == field)
 
 
-def fit_recordings(recordings: Sequence[Path], *, sensor: Path | None = None, finger: str = "left",
-                   known: Mapping[str, float] | None = None, held_out: Sequence[Path] = (), touch_sd: float = TOUCH_SD,
-                   mesh: tuple[int, int] | None = None, name: str = "fitted", say: Say = lambda _: None) -> FitResult:
-    """Fit the sensor of `recordings`, whose own sensor file is where it begins, or the file `sensor`.
+def fit_recordings(
+    recordings: Sequence[Path],
+    *,
+    sensor: Path | None = None,
+    finger: str = "left",
+    known: Mapping[str, float] | None = None,
+    held_out: Sequence[Path] = (),
+    touch_sd: float = TOUCH_SD,
+    mesh: tuple[int, int] | None = None,
+    name: str = "fitted",
+    say: Say = lambda _: None,
+) -> FitResult:
+    """Fit the sensor of `recordings`, whose own sensor file is where it begins, or the file
+    `sensor`.
 
-    `known` has values that were measured by hand, by field of the sensor file in its unit; `touch_sd` m is how well the marks
-    of first touch are known; `mesh` of the simulated membrane. Raises InputError for what cannot be used.
+    `known` has values that were measured by hand, by field of the sensor file in its unit;
+    `touch_sd` m is how well the marks of first touch are known; `mesh` of the simulated membrane.
+    Raises InputError for what cannot be used.
     """
-    begin, known = wall.monotonic(), dict(known or {})
+    begin = wall.monotonic()
+    known = dict(known or {})
     text, nominal = _sensor(recordings, sensor)
     design, by_hand = _with_known(nominal, known)
     evidence = [read_evidence(path, design, finger, say) for path in recordings]
@@ -85,11 +103,27 @@ def fit_recordings(recordings: Sequence[Path], *, sensor: Path | None = None, fi
     numbers = tuple(_numbers(nominal, known, evidence, sheet, gas, picture))
     names, cov = _covariance(free, gas, "membrane.thickness_mm" in known)
     sentences = correlations(names, cov, {number.field: number.state for number in numbers})
-    found = rewrite(text, numbers, f"Fitted by `mjtactile fit` to {', '.join(e.name for e in evidence)}.")
+    found = rewrite(
+        text, numbers, f"Fitted by `mjtactile fit` to {', '.join(e.name for e in evidence)}."
+    )
     fitted = sensor_from_table(tomllib.loads(found), name=name, source=name)
-    checks = tuple(check for path in held_out for check in _check(fitted, read_evidence(path, design, finger, say), mesh))
-    return FitResult(fitted, found, numbers, tuple(sentences), tuple(evidence), sheet, gas, picture, checks,
-                     wall.monotonic() - begin)
+    checks = tuple(
+        check
+        for path in held_out
+        for check in _check(fitted, read_evidence(path, design, finger, say), mesh)
+    )
+    return FitResult(
+        fitted,
+        found,
+        numbers,
+        tuple(sentences),
+        tuple(evidence),
+        sheet,
+        gas,
+        picture,
+        checks,
+        wall.monotonic() - begin,
+    )
 
 
 def _sensor(recordings: Sequence[Path], sensor: Path | None) -> tuple[str, SensorDesign]:
@@ -99,64 +133,115 @@ def _sensor(recordings: Sequence[Path], sensor: Path | None) -> tuple[str, Senso
         return path.read_text(encoding="utf-8-sig"), load_sensor(path)
     files = [load_recording(path).header.get("files", {}).get("sensor") for path in recordings]
     if files[0] is None or any(file is None or file["text"] != files[0]["text"] for file in files):
-        raise InputError("the recordings do not name one sensor file; say which to begin from", field="--sensor")
+        raise InputError(
+            "the recordings do not name one sensor file; say which to begin from", field="--sensor"
+        )
     text = files[0]["text"]
-    return text, sensor_from_table(tomllib.loads(text), name=Path(files[0]["name"]).stem, source=files[0]["name"])
+    return text, sensor_from_table(
+        tomllib.loads(text), name=Path(files[0]["name"]).stem, source=files[0]["name"]
+    )
 
 
-def _with_known(design: SensorDesign, known: Mapping[str, float]) -> tuple[SensorDesign, dict[str, dict[str, float]]]:
+def _with_known(
+    design: SensorDesign, known: Mapping[str, float]
+) -> tuple[SensorDesign, dict[str, dict[str, float]]]:
     """The design with the values that are known, and these by section and attribute, SI."""
     by_section: dict[str, dict[str, float]] = {section: {} for section in FIELDS}
     for field, value in known.items():
         if field not in _SI:
-            raise InputError(f"{field!r} is no field of a sensor file", field="--known", choices=sorted(_SI))
+            raise InputError(
+                f"{field!r} is no field of a sensor file", field="--known", choices=sorted(_SI)
+            )
         section, attribute, scale = _SI[field]
         by_section[section][attribute] = value * scale
-    parts = {section: replace(getattr(design, section), **values) for section, values in by_section.items() if values}
+    parts = {
+        section: replace(getattr(design, section), **values)
+        for section, values in by_section.items()
+        if values
+    }
     return replace(design, **parts), by_section
 
 
-def _sheet(design: SensorDesign, evidence: Sequence[Evidence], known: Mapping[str, float], touch_sd: float,
-           mesh: tuple[int, int] | None, say: Say) -> tuple[SheetFit, SheetFit]:
-    """The fit of all that is not known, and the one in which what cannot be told has the file's value: what goes together with it
-    must be right beside that value."""
+def _sheet(
+    design: SensorDesign,
+    evidence: Sequence[Evidence],
+    known: Mapping[str, float],
+    touch_sd: float,
+    mesh: tuple[int, int] | None,
+    say: Say,
+) -> tuple[SheetFit, SheetFit]:
+    """The fit of all that is not known, and the one in which what cannot be told has the file's
+    value: what goes together with it must be right beside that value."""
     free = sheet = fit_sheet(design, evidence, known=known, touch_sd=touch_sd, mesh=mesh, say=say)
     held = dict(known)
-    while (name := _untold(sheet.names, sheet.values, sheet.cov, "membrane", _HELD_FIRST)) is not None:
+    while (
+        name := _untold(sheet.names, sheet.values, sheet.cov, "membrane", _HELD_FIRST)
+    ) is not None:
         held[name] = getattr(design.membrane, name)
         say(f"membrane: {name} is not in these recordings and keeps the file's value")
         sheet = fit_sheet(design, evidence, known=held, touch_sd=touch_sd, mesh=mesh, say=say)
     return free, sheet
 
 
-def _untold(names: Sequence[str], values: Mapping[str, float], cov: Array, section: str, order: Sequence[str]) -> str | None:
+def _untold(
+    names: Sequence[str],
+    values: Mapping[str, float],
+    cov: Array,
+    section: str,
+    order: Sequence[str],
+) -> str | None:
     """The first of `order` that was fitted and is not known well enough."""
     for name in order:
         if name not in values:
             continue
-        field, sd = _FIELD[section, name], math.sqrt(cov[names.index(name)][names.index(name)])
+        field = _FIELD[section, name]
+        sd = math.sqrt(cov[names.index(name)][names.index(name)])
         if not ABOUT[field].is_known(values[name] / _SI[field][2], sd / _SI[field][2]):
             return name
     return None
 
 
-def _gas(sheet: SheetFit, evidence: Sequence[Evidence], known: Mapping[str, float], mesh: tuple[int, int] | None,
-         say: Say) -> GasFit | None:
-    """First with the volumes that the markers show, then with the recordings of presses simulated as they went."""
-    with_pressure = [i for i, e in enumerate(evidence) if e.has_pressure and np.isfinite(e.series.pressure).all()]
-    runs = sealed_runs([evidence[i] for i in with_pressure], [sheet.holds[i] for i in with_pressure])
+def _gas(
+    sheet: SheetFit,
+    evidence: Sequence[Evidence],
+    known: Mapping[str, float],
+    mesh: tuple[int, int] | None,
+    say: Say,
+) -> GasFit | None:
+    """First with the volumes that the markers show, then with the recordings of presses simulated
+    as they went."""
+    with_pressure = [
+        i for i, e in enumerate(evidence) if e.has_pressure and np.isfinite(e.series.pressure).all()
+    ]
+    runs = sealed_runs(
+        [evidence[i] for i in with_pressure], [sheet.holds[i] for i in with_pressure]
+    )
     if not runs:
         return None
-    found, held = fit_gas(sheet.design, runs, known=known), dict(known)
-    if _untold(found.names, found.values, found.cov, "chamber", ("heat_exchange", "heat_ratio")) is not None:
-        held |= {name: getattr(sheet.design.chamber, name) for name in ("heat_exchange", "heat_ratio") if name not in known}
+    found = fit_gas(sheet.design, runs, known=known)
+    held = dict(known)
+    if (
+        _untold(found.names, found.values, found.cov, "chamber", ("heat_exchange", "heat_ratio"))
+        is not None
+    ):
+        held |= {
+            name: getattr(sheet.design.chamber, name)
+            for name in ("heat_exchange", "heat_ratio")
+            if name not in known
+        }
         found = fit_gas(sheet.design, runs, known=held)
-    if "extra_volume" in found.names and math.sqrt(found.cov[0][0]) > GAS_SHARE * sheet.design.chamber_volume_flat:
+    if (
+        "extra_volume" in found.names
+        and math.sqrt(found.cov[0][0]) > GAS_SHARE * sheet.design.chamber_volume_flat
+    ):
         held |= {"extra_volume": sheet.design.chamber.extra_volume}
         found = fit_gas(sheet.design, runs, known=held)
     say(_say_gas(found))
     start = replace(sheet.design, chamber=replace(sheet.design.chamber, **found.values))
-    models = [_replayed(evidence[i], sheet.offsets[i], mesh) if _can_replay(evidence[i]) else predict for i in with_pressure]
+    models = [
+        _replayed(evidence[i], sheet.offsets[i], mesh) if _can_replay(evidence[i]) else predict
+        for i in with_pressure
+    ]
     modes = [_touch_mode(start, evidence[i], sheet, sheet.offsets[i], mesh) for i in with_pressure]
     found = fit_gas(start, runs, known=held, models=models, modes=modes, iterations=2)
     say(_say_gas(found))
@@ -168,40 +253,82 @@ def _say_gas(found: GasFit) -> str:
 
 
 def _can_replay(evidence: Evidence) -> bool:
-    """Whether something touches, at depths that are known, and is not dragged: that says little of the gas and takes long."""
+    """Whether something touches, at depths that are known, and is not dragged: that says little of
+    the gas and takes long."""
     moves = evidence.stage.moves if evidence.stage else ()
-    return any(move.touches for move in moves) and not any(move.is_weight or move.shear for move in moves)
+    return any(move.touches for move in moves) and not any(
+        move.is_weight or move.shear for move in moves
+    )
 
 
-def _touch_mode(design: SensorDesign, evidence: Evidence, sheet: SheetFit, offset: float, mesh: tuple[int, int] | None) -> Array:
-    """What a sd of a press's first touch does to its pressures, (1, time) Pa; (0, time) of what is not replayed."""
+def _touch_mode(
+    design: SensorDesign,
+    evidence: Evidence,
+    sheet: SheetFit,
+    offset: float,
+    mesh: tuple[int, int] | None,
+) -> Array:
+    """What a sd of a press's first touch does to its pressures, (1, time) Pa; (0, time) of what is
+    not replayed."""
     if not _can_replay(evidence):
         return np.empty((0, len(evidence.series.time)))
     i = sheet.names.index(f"first touch of {evidence.name}")
     sd = math.sqrt(sheet.cov[i][i])
-    return np.array([replay(design, evidence, offset + sd, mesh) - replay(design, evidence, offset, mesh)])
+    return np.array(
+        [replay(design, evidence, offset + sd, mesh) - replay(design, evidence, offset, mesh)]
+    )
 
 
-def _replayed(evidence: Evidence, offset: float, mesh: tuple[int, int] | None) -> Callable[..., Array]:
+def _replayed(
+    evidence: Evidence, offset: float, mesh: tuple[int, int] | None
+) -> Callable[..., Array]:
     return lambda design, run: replay(design, evidence, offset, mesh)
 
 
-def _numbers(nominal: SensorDesign, known: Mapping[str, float], evidence: Sequence[Evidence], sheet: SheetFit,
-             gas: GasFit | None, picture: PictureFit) -> list[Number]:
-    source, numbers = ", ".join(e.name for e in evidence), {}
-    pressed = [("membrane", name, value, sheet.cov[sheet.names.index(name)][sheet.names.index(name)])
-               for name, value in sheet.values.items()]
-    filled = [] if gas is None else [("chamber", name, gas.values[name], gas.cov[i][i]) for i, name in enumerate(gas.names)]
+def _numbers(
+    nominal: SensorDesign,
+    known: Mapping[str, float],
+    evidence: Sequence[Evidence],
+    sheet: SheetFit,
+    gas: GasFit | None,
+    picture: PictureFit,
+) -> list[Number]:
+    source = ", ".join(e.name for e in evidence)
+    numbers = {}
+    pressed = [
+        ("membrane", name, value, sheet.cov[sheet.names.index(name)][sheet.names.index(name)])
+        for name, value in sheet.values.items()
+    ]
+    filled = (
+        []
+        if gas is None
+        else [
+            ("chamber", name, gas.values[name], gas.cov[i][i]) for i, name in enumerate(gas.names)
+        ]
+    )
     for section, attribute, value, variance in [*pressed, *filled]:
         field = _FIELD[section, attribute]
         scale = _SI[field][2]
-        numbers[field] = judge(field, value / scale, math.sqrt(variance) / scale, _before(nominal, field), source,
-                               gas_mL=nominal.chamber_volume_flat / 1e-6)
+        numbers[field] = judge(
+            field,
+            value / scale,
+            math.sqrt(variance) / scale,
+            _before(nominal, field),
+            source,
+            gas_mL=nominal.chamber_volume_flat / 1e-6,
+        )
     for field, (value, sd) in picture.values.items():
-        numbers[field] = judge(field, value, sd, _before(nominal, field), f"{evidence[0].name}, flat")
-    numbers |= {field: Number(field, value, 0.0, "known", "measured by hand", _before(nominal, field))
-                for field, value in known.items()}
-    return [numbers.get(field) or missing(field, _before(nominal, field)) for field in dict.fromkeys([*ABOUT, *known])]
+        numbers[field] = judge(
+            field, value, sd, _before(nominal, field), f"{evidence[0].name}, flat"
+        )
+    numbers |= {
+        field: Number(field, value, 0.0, "known", "measured by hand", _before(nominal, field))
+        for field, value in known.items()
+    }
+    return [
+        numbers.get(field) or missing(field, _before(nominal, field))
+        for field in dict.fromkeys([*ABOUT, *known])
+    ]
 
 
 def _before(design: SensorDesign, field: str) -> float:
@@ -209,31 +336,46 @@ def _before(design: SensorDesign, field: str) -> float:
     return getattr(getattr(design, section), attribute) / scale
 
 
-def _covariance(sheet: SheetFit, gas: GasFit | None, thickness_known: bool) -> tuple[list[str], Array]:
-    """Of membrane and gas together, by field. Statics knows of the sheet's thickness times its modulus alone: what nobody knows
-    of the one nobody knows of the other."""
+def _covariance(
+    sheet: SheetFit, gas: GasFit | None, thickness_known: bool
+) -> tuple[list[str], Array]:
+    """Of membrane and gas together, by field. Statics knows of the sheet's thickness times its
+    modulus alone: what nobody knows of the one nobody knows of the other."""
     names = [_FIELD.get(("membrane", name), name) for name in sheet.names]
-    n, m = len(names), 0 if gas is None else len(gas.names)
+    n = len(names)
+    m = 0 if gas is None else len(gas.names)
     cov = np.zeros((n + m + 1, n + m + 1))
     cov[:n, :n] = sheet.cov
     if gas is not None:
-        cov[n:n + m, n:n + m] = gas.cov
+        cov[n : n + m, n : n + m] = gas.cov
         names += [_FIELD["chamber", name] for name in gas.names]
     if "young" not in sheet.names or thickness_known:
         return names, cov[:-1, :-1]
-    i, sheet_design = sheet.names.index("young"), sheet.design.membrane
+    i = sheet.names.index("young")
+    sheet_design = sheet.design.membrane
     slope = np.zeros(len(cov))
-    slope[i], slope[-1] = -sheet_design.young, sheet_design.thickness
+    slope[i] = -sheet_design.young
+    slope[-1] = sheet_design.thickness
     return [*names, "membrane.thickness_mm"], cov + _UNKNOWN_SHARE**2 * np.outer(slope, slope)
 
 
 def _check(design: SensorDesign, evidence: Evidence, mesh: tuple[int, int] | None) -> list[HeldOut]:
     rows = []
-    for hold, found in zip((evidence.rest, *evidence.holds), simulate(design, evidence, 0.0, mesh), strict=True):
+    for hold, found in zip(
+        (evidence.rest, *evidence.holds), simulate(design, evidence, 0.0, mesh), strict=True
+    ):
         move = hold.move
-        rows.append(HeldOut(evidence.name, math.nan if move is None else move.depth, 0.0 if move is None else move.shear,
-                            hold.pressure, float(np.sqrt(np.nanmean(np.square(found.p_SM - hold.p_SM)))),
-                            -float(found.force[2]), hold.force))
+        rows.append(
+            HeldOut(
+                evidence.name,
+                math.nan if move is None else move.depth,
+                0.0 if move is None else move.shear,
+                hold.pressure,
+                float(np.sqrt(np.nanmean(np.square(found.p_SM - hold.p_SM)))),
+                -float(found.force[2]),
+                hold.force,
+            )
+        )
     return rows
 
 
@@ -241,13 +383,41 @@ def to_table(result: FitResult) -> dict[str, Any]:
     """The JSON of `mjtactile fit`."""
     gas = result.gas
     return {
-        "sensor": result.design.name, "seconds": result.seconds, "recordings": [e.name for e in result.evidence],
-        "numbers": [{"field": n.field, "value": n.value, "sd": n.sd, "interval_95": n.interval, "state": n.state,
-                     "before": n.before, "source": n.source, "comment": n.comment} for n in result.numbers],
-        "correlations": result.correlations, "markers_rms_um": 1e6 * result.sheet.rms,
+        "sensor": result.design.name,
+        "seconds": result.seconds,
+        "recordings": [e.name for e in result.evidence],
+        "numbers": [
+            {
+                "field": n.field,
+                "value": n.value,
+                "sd": n.sd,
+                "interval_95": n.interval,
+                "state": n.state,
+                "before": n.before,
+                "source": n.source,
+                "comment": n.comment,
+            }
+            for n in result.numbers
+        ],
+        "correlations": result.correlations,
+        "markers_rms_um": 1e6 * result.sheet.rms,
         "first_touch_um": [1e6 * x for x in result.sheet.offsets],
-        "pressure_rms_Pa": {} if gas is None else {run.name: float(np.sqrt(np.mean((p - run.pressure) ** 2)))
-                                                   for run, p in zip(gas.runs, gas.fitted, strict=True)},
-        "held_out": [{"recording": h.recording, "depth_mm": 1e3 * h.depth, "shear_mm": 1e3 * h.shear,
-                      "pressure_kPa": 1e-3 * h.pressure, "markers_rms_um": 1e6 * h.rms, "force_N": h.force,
-                      "force_measured_N": h.force_measured} for h in result.held_out]}  # fmt: skip
+        "pressure_rms_Pa": {}
+        if gas is None
+        else {
+            run.name: float(np.sqrt(np.mean((p - run.pressure) ** 2)))
+            for run, p in zip(gas.runs, gas.fitted, strict=True)
+        },
+        "held_out": [
+            {
+                "recording": h.recording,
+                "depth_mm": 1e3 * h.depth,
+                "shear_mm": 1e3 * h.shear,
+                "pressure_kPa": 1e-3 * h.pressure,
+                "markers_rms_um": 1e6 * h.rms,
+                "force_N": h.force,
+                "force_measured_N": h.force_measured,
+            }
+            for h in result.held_out
+        ],
+    }

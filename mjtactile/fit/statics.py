@@ -1,7 +1,8 @@
 """The membrane: simulated holds of the recordings' moves, fitted to the markers by Gauss-Newton.
 
-The chamber is held at the pressure that was measured in each hold, so that the gas does not enter: what is left is the sheet's
-modulus, its pre-stretch, its friction, and how far above or below its mark each recording's first touch was.
+The chamber is held at the pressure that was measured in each hold, so that the gas does not enter:
+what is left is the sheet's modulus, its pre-stretch, its friction, and how far above or below its
+mark each recording's first touch was.
 """
 
 from __future__ import annotations
@@ -21,27 +22,42 @@ from mjtactile.sim.attach import DEFAULT_MESH
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.scenes.stage import LIFTED, StageDrive
 
-MARKER_FLOOR = 8e-6  # m: what a marker is off by besides its noise; much the same in every hold, so that holds do not average it
-FAST, FAST_FLOOR = 0.02, 5e-5  # m/s, m: how rubber lies after a faster press depends on the way, which a hold does not repeat
+# m: what a marker is off by besides its noise; much the same in every hold, so that holds do not
+# average it
+MARKER_FLOOR = 8e-6
+# m/s, m: how rubber lies after a faster press depends on the way, which a hold does not repeat
+FAST = 0.02
+FAST_FLOOR = 5e-5
 SHIFT_SD = 4e-6  # m: of all heights of a hold together
 LOAD_CELL_SD = 0.01  # N
 PRIOR = 1.0  # 1/sd of the scaled parameters before anything was seen: a factor of e, 0.2 of stretch
 _NOWHERE = "sphere:8"
-_FIRST_DEPTH, _TRIES, _FORCE_REACHED = 2e-3, 12, 0.003  # m; of a weight whose depth nobody knows, and how well it is met
+# m; of a weight whose depth nobody knows, and how well it is met
+_FIRST_DEPTH = 2e-3
+_TRIES = 12
+_FORCE_REACHED = 0.003
 _LARGEST_STEP = 4e-3  # s
-_SPEED = 0.01  # m/s of the simulated moves: a slower press leaves the markers within 2 um of where this one does
-_ENOUGH = 0.5  # sd, before they are taken to be those of repeats: a tenth of what is said in the end
+# m/s of the simulated moves: a slower press leaves the markers within 2 um of where this one does
+_SPEED = 0.01
+# sd, before they are taken to be those of repeats: a tenth of what is said in the end
+_ENOUGH = 0.5
 
 Say = Callable[[str], None]
 
 
-SCALES = {"young": Scale(1e4, 1e9), "pre_stretch": Scale(0.96, 1.9, 0.2), "friction": Scale(0.02, 5.0)}
-"""What of `Membrane` is fitted. Thickness and modulus enter as their product: see `mjtactile.fit.words`."""
+SCALES = {
+    "young": Scale(1e4, 1e9),
+    "pre_stretch": Scale(0.96, 1.9, 0.2),
+    "friction": Scale(0.02, 5.0),
+}
+"""What of `Membrane` is fitted. Thickness and modulus enter as their product: see
+`mjtactile.fit.words`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
-    """A hold as the simulator has it: markers (N, 3) m in S, volume under the membrane m^3, force of the stage (3,) N."""
+    """A hold as the simulator has it: markers (N, 3) m in S, volume under the membrane m^3, force
+    of the stage (3,) N."""
 
     p_SM: Array
     volume: float
@@ -50,9 +66,9 @@ class Simulated:
 
 @dataclass(frozen=True, eq=False)
 class SheetFit:
-    """`values` by name of SCALES; `cov` of them, SI, with each pressed recording's first touch behind them, by `names`; `design`
-    with the values in it; rest and holds as simulated, a tuple a recording; what is left of the
-    markers, `rms` m, and `offsets` m of first touch by recording."""
+    """`values` by name of SCALES; `cov` of them, SI, with each pressed recording's first touch
+    behind them, by `names`; `design` with the values in it; rest and holds as simulated, a tuple a
+    recording; what is left of the markers, `rms` m, and `offsets` m of first touch by recording."""
 
     values: Mapping[str, float]
     cov: Array
@@ -63,9 +79,14 @@ class SheetFit:
     offsets: tuple[float, ...]
 
 
-def simulate(design: SensorDesign, evidence: Evidence, offset: float = 0.0, mesh: tuple[int, int] | None = None
-             ) -> tuple[Simulated, ...]:
-    """The rest and the holds of a recording, in their order, first touch `offset` m deeper than its mark."""
+def simulate(
+    design: SensorDesign,
+    evidence: Evidence,
+    offset: float = 0.0,
+    mesh: tuple[int, int] | None = None,
+) -> tuple[Simulated, ...]:
+    """The rest and the holds of a recording, in their order, first touch `offset` m deeper than its
+    mark."""
     stage = evidence.stage
     world = _world(design, evidence, mesh)
     world.inflate(_pressure(design, evidence, evidence.rest), seal=False)
@@ -84,12 +105,20 @@ def simulate(design: SensorDesign, evidence: Evidence, offset: float = 0.0, mesh
     return tuple(found)
 
 
-def replay(design: SensorDesign, evidence: Evidence, offset: float = 0.0, mesh: tuple[int, int] | None = None) -> Array:
-    """Gauge pressures, Pa, of the sealed chamber at the times of the recording's series, simulated as it went."""
-    stage, times = evidence.stage, evidence.series.time
+def replay(
+    design: SensorDesign,
+    evidence: Evidence,
+    offset: float = 0.0,
+    mesh: tuple[int, int] | None = None,
+) -> Array:
+    """Gauge pressures, Pa, of the sealed chamber at the times of the recording's series, simulated
+    as it went."""
+    stage = evidence.stage
+    times = evidence.series.time
     world = _world(design, evidence, mesh)
     world.inflate(evidence.rest.pressure, seal=True)
-    drive, pressures = StageDrive(world, stage.moves if stage else (), offset), []
+    drive = StageDrive(world, stage.moves if stage else (), offset)
+    pressures = []
     for time in times.tolist():
         drive.advance_to(time)
         pressures.append(world.sensors[0].pressure_gauge)
@@ -97,9 +126,15 @@ def replay(design: SensorDesign, evidence: Evidence, offset: float = 0.0, mesh: 
 
 
 def _world(design: SensorDesign, evidence: Evidence, mesh: tuple[int, int] | None) -> PressWorld:
-    stage, period = evidence.stage, 1 / design.camera.rate
-    return PressWorld(design, Indenter.parse(stage.indenter if stage else _NOWHERE), at=stage.at if stage else (0.0, 0.0),
-                      timestep=period / math.ceil(period / _LARGEST_STEP), mesh=mesh or DEFAULT_MESH)
+    stage = evidence.stage
+    period = 1 / design.camera.rate
+    return PressWorld(
+        design,
+        Indenter.parse(stage.indenter if stage else _NOWHERE),
+        at=stage.at if stage else (0.0, 0.0),
+        timestep=period / math.ceil(period / _LARGEST_STEP),
+        mesh=mesh or DEFAULT_MESH,
+    )
 
 
 def _go(world: PressWorld, move: Move, offset: float) -> None:
@@ -112,23 +147,38 @@ def _go(world: PressWorld, move: Move, offset: float) -> None:
 
 
 def _press_with(world: PressWorld, move: Move) -> None:
-    """Go to where the stage pushes with the move's force: false position between depths that are too little and too much."""
-    low, high, too_little, too_much = 0.0, _FIRST_DEPTH, -move.force, math.nan
+    """Go to where the stage pushes with the move's force: false position between depths that are
+    too little and too much."""
+    low = 0.0
+    high = _FIRST_DEPTH
+    too_little = -move.force
+    too_much = math.nan
     for _ in range(_TRIES):
-        depth = high if math.isnan(too_much) else low + max(0.1, min(0.9, too_little / (too_little - too_much))) * (high - low)
+        depth = (
+            high
+            if math.isnan(too_much)
+            else low + max(0.1, min(0.9, too_little / (too_little - too_much))) * (high - low)
+        )
         world.press(depth, move.shear, _SPEED)
         off = -float(world.drive_force[2]) - move.force
         if abs(off) < _FORCE_REACHED * move.force:
             return
         if off > 0:
-            high, too_much = depth, off
+            high = depth
+            too_much = off
         else:
-            low, too_little = depth, off
-            high = high if not math.isnan(too_much) else min(1.5 * high, 0.9 * world.design.chamber.depth)
+            low = depth
+            too_little = off
+            high = (
+                high
+                if not math.isnan(too_much)
+                else min(1.5 * high, 0.9 * world.design.chamber.depth)
+            )
 
 
 def _pressure(design: SensorDesign, evidence: Evidence, hold: Hold) -> float:
-    """As measured; the supply's where there is no pressure sensor, which a closed valve does not keep."""
+    """As measured; the supply's where there is no pressure sensor, which a closed valve does not
+    keep."""
     if math.isfinite(hold.pressure):
         return hold.pressure
     return evidence.rest.pressure if evidence.has_pressure else design.chamber.supply_gauge
@@ -140,9 +190,17 @@ def _look(world: PressWorld) -> Simulated:
     return Simulated(world.marker_poses(0)[0], volume, world.drive_force)
 
 
-def fit_sheet(design: SensorDesign, evidence: Sequence[Evidence], *, known: Mapping[str, float], touch_sd: float,
-              mesh: tuple[int, int] | None = None, say: Say = lambda _: None) -> SheetFit:
-    """Fit what of SCALES is not `known` (values by name) and each pressed recording's first touch, known to `touch_sd` m.
+def fit_sheet(
+    design: SensorDesign,
+    evidence: Sequence[Evidence],
+    *,
+    known: Mapping[str, float],
+    touch_sd: float,
+    mesh: tuple[int, int] | None = None,
+    say: Say = lambda _: None,
+) -> SheetFit:
+    """Fit what of SCALES is not `known` (values by name) and each pressed recording's first touch,
+    known to `touch_sd` m.
 
     Friction only enters where something is dragged.
     """
@@ -153,17 +211,33 @@ def fit_sheet(design: SensorDesign, evidence: Sequence[Evidence], *, known: Mapp
 
 
 class _Problem:
-    """The unknowns x: a parameter each (see `Scale`), first touch of each pressed recording, and, all in sd, what is wrong of the
-    markers together: every height by one share, and all heights of a hold by as much.
+    """The unknowns x: a parameter each (see `Scale`), first touch of each pressed recording, and,
+    all in sd, what is wrong of the markers together: every height by one share, and all heights of
+    a hold by as much.
 
     Recordings that a parameter does not enter are not simulated again for its column.
     """
 
-    def __init__(self, design: SensorDesign, evidence: Sequence[Evidence], names: tuple[str, ...], touch_sd: float,
-                 mesh: tuple[int, int] | None, say: Say):
-        self.design, self.evidence, self.names = design, evidence, names
-        self.pressed = [i for i, e in enumerate(evidence) if e.stage and any(not math.isnan(m.depth) for m in e.stage.moves)]
-        self.touch_sd, self._mesh, self._say = touch_sd, mesh, say
+    def __init__(
+        self,
+        design: SensorDesign,
+        evidence: Sequence[Evidence],
+        names: tuple[str, ...],
+        touch_sd: float,
+        mesh: tuple[int, int] | None,
+        say: Say,
+    ):
+        self.design = design
+        self.evidence = evidence
+        self.names = names
+        self.pressed = [
+            i
+            for i, e in enumerate(evidence)
+            if e.stage and any(not math.isnan(m.depth) for m in e.stage.moves)
+        ]
+        self.touch_sd = touch_sd
+        self._mesh = mesh
+        self._say = say
         self._whiten = [[_whitener(hold) for hold in (e.rest, *e.holds)] for e in evidence]
         self._common = self._common_modes()
         self._counts = len(names), len(self.pressed), self._common.shape[1]
@@ -172,20 +246,33 @@ class _Problem:
     def solve(self) -> SheetFit:
         nominal = [getattr(self.design.membrane, name) for name in self.names]
         scales = [SCALES[name] for name in self.names]
-        ends = [(s.scaled(s.low, v), s.scaled(s.high, v)) for s, v in zip(scales, nominal, strict=True)]
+        ends = [
+            (s.scaled(s.low, v), s.scaled(s.high, v)) for s, v in zip(scales, nominal, strict=True)
+        ]
         low, high = np.array([*ends, *[(-np.inf, np.inf)] * (self._counts[1] + self._counts[2])]).T
-        found = gauss_newton(self.residuals, self.jacobian, np.zeros(len(low)), low=low, high=high, enough=_ENOUGH)
+        found = gauss_newton(
+            self.residuals, self.jacobian, np.zeros(len(low)), low=low, high=high, enough=_ENOUGH
+        )
         return self._result(found)
 
     def value(self, name: str, x: Array) -> float:
-        return SCALES[name].value(float(x[self.names.index(name)]), getattr(self.design.membrane, name))
+        return SCALES[name].value(
+            float(x[self.names.index(name)]), getattr(self.design.membrane, name)
+        )
 
     def made(self, x: Array) -> SensorDesign:
-        return replace(self.design, membrane=replace(self.design.membrane, **{n: self.value(n, x) for n in self.names}))
+        return replace(
+            self.design,
+            membrane=replace(self.design.membrane, **{n: self.value(n, x) for n in self.names}),
+        )
 
     def offset(self, number: int, x: Array) -> float:
         """First touch of a recording, m, deeper than its mark."""
-        return self.touch_sd * float(x[len(self.names) + self.pressed.index(number)]) if number in self.pressed else 0.0
+        return (
+            self.touch_sd * float(x[len(self.names) + self.pressed.index(number)])
+            if number in self.pressed
+            else 0.0
+        )
 
     def simulate(self, number: int, x: Array) -> tuple[Simulated, ...]:
         return simulate(self.made(x), self.evidence[number], self.offset(number, x), self._mesh)
@@ -193,22 +280,31 @@ class _Problem:
     def residuals(self, x: Array) -> Array:
         n = self._counts[0]
         found = [self._of(i, holds) for i, holds in enumerate(self._all(x))]
-        left = np.concatenate(found) - self._common @ x[n + self._counts[1]:]
-        self._say(f"membrane: {', '.join(f'{n} {self.value(n, x):.4g}' for n in self.names)}; "
-                  f"{np.sqrt(np.mean(left**2)):.2f} sd (rms)")
+        left = np.concatenate(found) - self._common @ x[n + self._counts[1] :]
+        self._say(
+            f"membrane: {', '.join(f'{n} {self.value(n, x):.4g}' for n in self.names)}; "
+            f"{np.sqrt(np.mean(left**2)):.2f} sd (rms)"
+        )
         return np.concatenate([left, PRIOR * x[:n], x[n:]])
 
     def jacobian(self, x: Array, _: Array) -> Array:
-        base, columns = [self._of(i, holds) for i, holds in enumerate(self._all(x))], []
+        base = [self._of(i, holds) for i, holds in enumerate(self._all(x))]
+        columns = []
         n, m, k = self._counts
         for column in range(n + m):
             step = SCALES[self.names[column]].step if column < n else 0.5
             moved = x.copy()
             moved[column] += step
-            parts = [(self._of(i, self.simulate(i, moved)) - base[i]) / step if self._enters(column, i) else 0 * base[i]
-                     for i in range(len(self.evidence))]
+            parts = [
+                (self._of(i, self.simulate(i, moved)) - base[i]) / step
+                if self._enters(column, i)
+                else 0 * base[i]
+                for i in range(len(self.evidence))
+            ]
             columns.append(np.concatenate(parts))
-        return np.vstack([np.column_stack([*columns, -self._common]), np.diag([PRIOR] * n + [1.0] * (m + k))])
+        return np.vstack(
+            [np.column_stack([*columns, -self._common]), np.diag([PRIOR] * n + [1.0] * (m + k))]
+        )
 
     def _all(self, x: Array) -> list[tuple[Simulated, ...]]:
         n = self._counts[0] + self._counts[1]
@@ -218,17 +314,25 @@ class _Problem:
 
     def _of(self, number: int, holds: Sequence[Simulated]) -> Array:
         """Simulated less measured markers of a recording, whitened, and forces of a load cell."""
-        e, parts = self.evidence[number], []
-        for hold, simulated, (rows, weights) in zip((e.rest, *e.holds), holds, self._whiten[number], strict=True):
-            parts.append(np.einsum("nij,nj->ni", weights, simulated.p_SM[rows] - hold.p_SM[rows]).ravel())
+        e = self.evidence[number]
+        parts = []
+        for hold, simulated, (rows, weights) in zip(
+            (e.rest, *e.holds), holds, self._whiten[number], strict=True
+        ):
+            parts.append(
+                np.einsum("nij,nj->ni", weights, simulated.p_SM[rows] - hold.p_SM[rows]).ravel()
+            )
             if hold.is_weighed:
                 parts.append(np.array([(-simulated.force[2] - hold.force) / LOAD_CELL_SD]))
         return np.concatenate(parts)
 
     def _common_modes(self) -> Array:
         """What a sd of each common error of the markers does to the residuals, (r, 1 + holds)."""
-        holds = [(e, hold, w) for e, ws in zip(self.evidence, self._whiten, strict=True)
-                 for hold, w in zip((e.rest, *e.holds), ws, strict=True)]
+        holds = [
+            (e, hold, w)
+            for e, ws in zip(self.evidence, self._whiten, strict=True)
+            for hold, w in zip((e.rest, *e.holds), ws, strict=True)
+        ]
         blocks = []
         for number, (e, hold, (rows, weights)) in enumerate(holds):
             up = weights[:, :, 2]
@@ -239,8 +343,11 @@ class _Problem:
         return -np.concatenate(blocks)
 
     def _rms(self, holds: Sequence[Sequence[Simulated]]) -> float:
-        off = [simulated.p_SM - hold.p_SM for e, found in zip(self.evidence, holds, strict=True)
-               for hold, simulated in zip((e.rest, *e.holds), found, strict=True)]
+        off = [
+            simulated.p_SM - hold.p_SM
+            for e, found in zip(self.evidence, holds, strict=True)
+            for hold, simulated in zip((e.rest, *e.holds), found, strict=True)
+        ]
         return float(np.sqrt(np.nanmean(np.square(off))))
 
     def _enters(self, column: int, number: int) -> bool:
@@ -253,10 +360,19 @@ class _Problem:
         values = {name: self.value(name, found.x) for name in self.names}
         slopes = [SCALES[name].slope(values[name]) for name in self.names] + [self.touch_sd] * m
         repeats = sum(1 + len(e.holds) for e in self.evidence)  # of the same error of each marker
-        cov = repeats * np.linalg.inv(found.information)[: n + m, : n + m] * np.outer(slopes, slopes)
+        cov = (
+            repeats * np.linalg.inv(found.information)[: n + m, : n + m] * np.outer(slopes, slopes)
+        )
         names = (*self.names, *(f"first touch of {self.evidence[i].name}" for i in self.pressed))
-        return SheetFit(values, cov, names, self.made(found.x), tuple(self._all(found.x)), self._rms(self._all(found.x)),
-                        tuple(self.offset(i, found.x) for i in range(len(self.evidence))))
+        return SheetFit(
+            values,
+            cov,
+            names,
+            self.made(found.x),
+            tuple(self._all(found.x)),
+            self._rms(self._all(found.x)),
+            tuple(self.offset(i, found.x) for i in range(len(self.evidence))),
+        )
 
 
 def is_fast(hold: Hold) -> bool:
@@ -269,4 +385,3 @@ def _whitener(hold: Hold) -> tuple[Array, Array]:
     rows = np.flatnonzero(np.isfinite(hold.p_SM).all(axis=1))
     noise = hold.cov[rows] + (FAST_FLOOR if is_fast(hold) else MARKER_FLOOR) ** 2 * np.eye(3)
     return rows, np.linalg.inv(np.linalg.cholesky(noise))
-

@@ -1,4 +1,5 @@
-"""A sensor file with other numbers: the text of the one that there was, its comments kept, each changed line with a comment."""
+"""A sensor file with other numbers: the text of the one that there was, its comments kept, each
+changed line with a comment."""
 
 from __future__ import annotations
 
@@ -9,12 +10,17 @@ from mjtactile.fit.words import Number, digits
 
 
 def rewrite(text: str, numbers: Sequence[Number], head: str) -> str:
-    """`text` of a sensor file with the values and comments of `numbers`, and `head` as a comment on top."""
+    """`text` of a sensor file with the values and comments of `numbers`, and `head` as a comment on
+    top."""
     lines = text.splitlines()
     for number in numbers:
         section, key = number.field.split(".")
-        value = digits(number.value, number.sd) if number.state == "fitted" else f"{number.value:.10g}"
-        _put(lines, section, key, value if any(c in value for c in ".einf") else f"{value}.0", number)
+        value = (
+            digits(number.value, number.sd) if number.state == "fitted" else f"{number.value:.10g}"
+        )
+        _put(
+            lines, section, key, value if any(c in value for c in ".einf") else f"{value}.0", number
+        )
     return "\n".join([*(f"# {line}" for line in head.splitlines()), "", *lines]) + "\n"
 
 
@@ -26,7 +32,9 @@ def _put(lines: list[str], section: str, key: str, value: str, number: Number) -
         if is_known:
             lines += ["", f"[{section}]", f"{key} = {value}  # {number.comment}"]
         return
-    end = next((i for i in range(begin + 1, len(lines)) if lines[i].lstrip().startswith("[")), len(lines))
+    end = next(
+        (i for i in range(begin + 1, len(lines)) if lines[i].lstrip().startswith("[")), len(lines)
+    )
     for i in range(begin + 1, end):
         found = re.match(rf"(\s*{key}\s*=\s*)([^#]*?)(\s*#.*)?$", lines[i])
         if found:

@@ -1,4 +1,5 @@
-"""What the fitted numbers are called, when they count as known, what to record where they are not, and what goes together."""
+"""What the fitted numbers are called, when they count as known, what to record where they are not,
+and what goes together."""
 
 from __future__ import annotations
 
@@ -17,8 +18,9 @@ TOGETHER = 0.9  # a correlation from which on it is said
 
 @dataclass(frozen=True)
 class About:
-    """A field of the sensor file: its `name` in a sentence, the sd up to which it counts as known, as a share of its value
-    (`share`) or in the file's unit (`least`), whichever is more, and what to `record` for it."""
+    """A field of the sensor file: its `name` in a sentence, the sd up to which it counts as known,
+    as a share of its value (`share`) or in the file's unit (`least`), whichever is more, and what
+    to `record` for it."""
 
     name: str
     record: str
@@ -34,13 +36,27 @@ _TAP = "press fast and hold (protocol `tap`), with a pressure sensor"
 ABOUT: Mapping[str, About] = {
     "membrane.young_MPa": About("modulus", _BULGE, 0.05),
     "membrane.pre_stretch": About("pre-stretch", _BULGE, 0.0, 0.003),
-    "membrane.thickness_mm": About("thickness", "no recording tells it from the modulus: measure the sheet, then --known "
-                                   "membrane.thickness_mm=…"),
-    "membrane.friction": About("friction", "drag a pressed indenter until it slides (protocol `drag`)"),
-    "chamber.extra_volume_mL": About("gas volume", "press with the valve closed (protocol `press`), with a pressure sensor",
-                                     0.0, math.inf),
-    "chamber.leak_mL_s_kPa": About("leak", "leave it inflated and closed for a minute (protocol `still`), with a pressure sensor",
-                                   0.1, 5e-4),
+    "membrane.thickness_mm": About(
+        "thickness",
+        "no recording tells it from the modulus: "
+        "measure the sheet, then --known "
+        "membrane.thickness_mm=…",
+    ),
+    "membrane.friction": About(
+        "friction", "drag a pressed indenter until it slides (protocol `drag`)"
+    ),
+    "chamber.extra_volume_mL": About(
+        "gas volume",
+        "press with the valve closed (protocol `press`), with a pressure sensor",
+        0.0,
+        math.inf,
+    ),
+    "chamber.leak_mL_s_kPa": About(
+        "leak",
+        "leave it inflated and closed for a minute (protocol `still`), with a pressure sensor",
+        0.1,
+        5e-4,
+    ),
     "chamber.heat_ratio": About("heat ratio", _TAP, 0.0, 0.02),
     "chamber.heat_exchange_s": About("heat exchange", _TAP, 0.1),
     "camera.blur_px": About("blur", "images of the flat membrane", 0.1),
@@ -51,16 +67,20 @@ ABOUT: Mapping[str, About] = {
 }
 GAS_SHARE = 0.05  # of the gas behind the flat membrane: sd up to which its volume counts as known
 NOT_FITTED = {
-    "membrane.poisson_ratio": "taken as the file says: modulus and pre-stretch are those of a sheet with this ratio",
+    "membrane.poisson_ratio": "taken as the file says: modulus and pre-stretch "
+    "are those of a sheet with this ratio",
     "chamber.valve_mL_s_kPa": "the recordings begin when the valve has closed",
-    "damping": "the simulated rubber has none that a file could set, and a camera is too slow to see it",
+    "damping": "the simulated rubber has none that a file could "
+    "set, and a camera is too slow to see "
+    "it",
 }
 
 
 @dataclass(frozen=True)
 class Number:
-    """A `field` of the sensor file: `value` and standard deviation in its unit, `state` "fitted", "known" (by hand) or "not in
-    these recordings" (then the value is the file's), where it comes from, and the file's own value, `before`."""
+    """A `field` of the sensor file: `value` and standard deviation in its unit, `state` "fitted",
+    "known" (by hand) or "not in these recordings" (then the value is the file's), where it comes
+    from, and the file's own value, `before`."""
 
     field: str
     value: float
@@ -79,13 +99,26 @@ class Number:
         """What stands behind it in the sensor file."""
         if self.state == "fitted":
             low, high = self.interval
-            return f"fitted: {digits(low, self.sd)} to {digits(high, self.sd)} (95 %), {self.source}"
-        return self.source if self.state == "known" else f"not in these recordings; {ABOUT[self.field].record}"
+            return (
+                f"fitted: {digits(low, self.sd)} to {digits(high, self.sd)} (95 %), {self.source}"
+            )
+        return (
+            self.source
+            if self.state == "known"
+            else (f"not in these recordings; {ABOUT[self.field].record}")
+        )
 
 
-def judge(field: str, value: float, sd: float, before: float, source: str, *, gas_mL: float = math.inf) -> Number:
-    """A fitted number, or the file's value where the recordings do not tell; `gas_mL` behind the flat membrane."""
-    known = sd <= GAS_SHARE * gas_mL if field == "chamber.extra_volume_mL" else ABOUT[field].is_known(value, sd)
+def judge(
+    field: str, value: float, sd: float, before: float, source: str, *, gas_mL: float = math.inf
+) -> Number:
+    """A fitted number, or the file's value where the recordings do not tell; `gas_mL` behind the
+    flat membrane."""
+    known = (
+        sd <= GAS_SHARE * gas_mL
+        if field == "chamber.extra_volume_mL"
+        else ABOUT[field].is_known(value, sd)
+    )
     return Number(field, value, sd, "fitted", source, before) if known else missing(field, before)
 
 
@@ -102,8 +135,9 @@ def digits(value: float, sd: float) -> str:
 
 
 def correlations(names: Sequence[str], cov: Array, states: Mapping[str, str]) -> list[str]:
-    """A sentence for each pair that goes together by more than TOGETHER; `names` (n,) are fields, or what a sentence says, of the
-    covariance (n, n). Where one of the two is not known alone, they cannot be told apart."""
+    """A sentence for each pair that goes together by more than TOGETHER; `names` (n,) are fields,
+    or what a sentence says, of the covariance (n, n). Where one of the two is not known alone, they
+    cannot be told apart."""
     sd = np.sqrt(np.diag(cov))
     sentences = []
     for i, j in itertools.combinations(range(len(names)), 2):

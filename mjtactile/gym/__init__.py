@@ -1,6 +1,6 @@
 """A Gymnasium environment of the grasp. Importing this module registers it:
 
-    gymnasium.make("mjtactile.gym:mjtactile/Grasp-v0", object="egg")
+gymnasium.make("mjtactile.gym:mjtactile/Grasp-v0", object="egg")
 """
 
 import gymnasium

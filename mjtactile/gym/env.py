@@ -1,7 +1,9 @@
-"""`mjtactile/Grasp-v0`: grasp, lift, hold for two seconds and set down, seeing what the fingers' cameras see.
+"""`mjtactile/Grasp-v0`: grasp, lift, hold for two seconds and set down, seeing what the fingers'
+cameras see.
 
-A step is a camera's period. As in the control loop, the world moves on while what is seen is thought about: an action takes
-effect one period after the images that it rests on. The same supervisor and limits stand between action and gripper.
+A step is a camera's period. As in the control loop, the world moves on while what is seen is
+thought about: an action takes effect one period after the images that it rests on. The same
+supervisor and limits stand between action and gripper.
 """
 
 from __future__ import annotations
@@ -29,45 +31,74 @@ from mjtactile.run.supervisor import Supervisor
 from mjtactile.sim.restart import Restart, movable
 
 REWARDS = {"held": 1.0, "crushed": -1.0, "dropped": -1.0}
-"""At the end of an episode, by the outcome that `mjtactile evaluate` counts; 0 before, and when time is over."""
+"""At the end of an episode, by the outcome that `mjtactile evaluate` counts; 0 before, and when
+time is over."""
 
 
 class GraspEnv(gymnasium.Env[Any, Array]):
-    """`object`, `sensor`, `rig`, `vary`, `effects` and `accuracy` as `mjtactile grasp` takes them; `observation` "wrench",
-    "markers" or "image"; `time_limit` s until an episode is cut off. Actions: speed of opening, force limit and speed of lifting,
-    each in [-1, 1] (`mjtactile.policy_command`).
+    """`object`, `sensor`, `rig`, `vary`, `effects` and `accuracy` as `mjtactile grasp` takes them;
+    `observation` "wrench", "markers" or "image"; `time_limit` s until an episode is cut off.
+    Actions: speed of opening, force limit and speed of lifting, each in [-1, 1]
+    (`mjtactile.policy_command`).
 
-    Raises InputError for names that do not exist. A seed is that of `grasp` and `evaluate`: the same placement and noise.
+    Raises InputError for names that do not exist. A seed is that of `grasp` and `evaluate`: the
+    same placement and noise.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 30}
 
-    def __init__(self, object: str = "egg", sensor: str = "dense", rig: str = "sim", vary: str = NONE,
-                 observation: str = "wrench", effects: str = "auto", accuracy: str = "", time_limit: float = 20.0,
-                 render_mode: str | None = None):
+    def __init__(
+        self,
+        object: str = "egg",
+        sensor: str = "dense",
+        rig: str = "sim",
+        vary: str = NONE,
+        observation: str = "wrench",
+        effects: str = "auto",
+        accuracy: str = "",
+        time_limit: float = 20.0,
+        render_mode: str | None = None,
+    ):
         if render_mode not in (None, *self.metadata["render_modes"]):
-            raise InputError(f"{render_mode!r}", source="Grasp-v0", field="render_mode", choices=self.metadata["render_modes"])
-        self.render_mode, self._kind, self._limit = render_mode, observation, time_limit
+            raise InputError(
+                f"{render_mode!r}",
+                source="Grasp-v0",
+                field="render_mode",
+                choices=self.metadata["render_modes"],
+            )
+        self.render_mode = render_mode
+        self._kind = observation
+        self._limit = time_limit
         self._design = load_sensor(sensor)
         self._how = {"object_name": object, "effects": effects, "accuracy": accuracy, "vary": vary}
-        self._name, self._vary = rig, vary
+        self._name = rig
+        self._vary = vary
         self._session: Session | None = None
         self._restart: Restart | None = None
         self._build(0)
         designs = [finger.design for finger in self._rig.fingers]
         self._pictures = "images" in self._rig.scene.effects
         if observation == "image" and not self._pictures:
-            raise InputError("no image is drawn", source="Grasp-v0", field="observation", choices=["wrench", "markers"])
+            raise InputError(
+                "no image is drawn",
+                source="Grasp-v0",
+                field="observation",
+                choices=["wrench", "markers"],
+            )
         self.observation_space = space_of(observation, designs)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
         self.metadata = {**self.metadata, "render_fps": round(1 / self._rig.period)}
         self._markers = designs[0].markers.count
         self._images: tuple[Image, ...] = ()
 
-    # -- Gymnasium -----------------------------------------------------------------------------------------------------
+    # -- Gymnasium
+    # --------------------------------------------------------------------------------
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin the episode of `seed` (None: the next of the generator's): both membranes inflated, nothing touching."""
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin the episode of `seed` (None: the next of the generator's): both membranes inflated,
+        nothing touching."""
         super().reset(seed=seed)
         self._seed = int(self.np_random.integers(2**31)) if seed is None else int(seed)
         if self._restart is None:
@@ -79,7 +110,9 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         rig = self._rig
         self._score = GraspScore(rig.scene)
         rig.scene.after_each_step(self._score.after_step)
-        self._start, self._supervisor, self._over = rig.clock.now(), Supervisor(rig.period), False
+        self._start = rig.clock.now()
+        self._supervisor = Supervisor(rig.period)
+        self._over = False
         self._supervisor.arm(self._start)
         state = rig.gripper.state()
         self._command = Command(state.opening, 0.0, state.lift_height)
@@ -93,10 +126,13 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         rig = self._rig
         wanted = policy_command(self._seen, action)
         rig.clock.start(deadline := self._seen.time + rig.period)
-        allowed = self._supervisor.decide(self._seen.time, wanted, self._command, self._seen.touch, self._seen.valves)
+        allowed = self._supervisor.decide(
+            self._seen.time, wanted, self._command, self._seen.touch, self._seen.valves
+        )
         sent = rig.gripper.command(rig.limits.apply(allowed, self._command, rig.period))
         self._command = replace(sent, phase=allowed.phase, memory=allowed.memory)
-        self._score.columns(self._seen.touch, self._command.phase)  # a phase counts from the next images
+        # a phase counts from the next images
+        self._score.columns(self._seen.touch, self._command.phase)
         outcome = ""
         try:
             rig.clock.wait_until(deadline)
@@ -105,16 +141,28 @@ class GraspEnv(gymnasium.Env[Any, Array]):
             outcome = "dropped" if self._score.lost else "error"
             self._problem = " ".join(str(error).split())
         outcome = outcome or self._outcome()
-        truncated = outcome == "error" or not outcome and rig.clock.now() - self._start >= self._limit - rig.period / 2
+        truncated = (
+            outcome == "error"
+            or not outcome
+            and rig.clock.now() - self._start >= self._limit - rig.period / 2
+        )
         self._over = bool(outcome) or truncated
         info = self._info() | ({"outcome": outcome or "out of time"} if self._over else {})
-        return self._shown(), REWARDS.get(outcome, 0.0), bool(outcome) and outcome != "error", truncated, info
+        return (
+            self._shown(),
+            REWARDS.get(outcome, 0.0),
+            bool(outcome) and outcome != "error",
+            truncated,
+            info,
+        )
 
     def render(self) -> Array | None:
         """The cameras' images side by side (h, w, 3) uint8."""
         if self.render_mode is None or not self._images or not self._pictures:
             return None
-        return np.repeat(np.concatenate([image.pixels for image in self._images], axis=1)[..., None], 3, axis=2)
+        return np.repeat(
+            np.concatenate([image.pixels for image in self._images], axis=1)[..., None], 3, axis=2
+        )
 
     def close(self) -> None:
         """Let go of the simulation."""
@@ -122,7 +170,8 @@ class GraspEnv(gymnasium.Env[Any, Array]):
             self._session.rig.close()
             self._session = None
 
-    # -- inside --------------------------------------------------------------------------------------------------------
+    # -- inside
+    # --------------------------------------------------------------------------------
 
     @property
     def _rig(self) -> Rig:
@@ -130,12 +179,18 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         return self._session.rig
 
     def _build(self, seed: int) -> None:
-        """A new world, whose sensors take their references; kept as a place to go back to where nothing else varies."""
+        """A new world, whose sensors take their references; kept as a place to go back to where
+        nothing else varies."""
         self.close()
         rig = build_rig(self._name, self._design, seed=seed, **self._how)
         if rig.scene is None:
             rig.close()
-            raise InputError(f"the rig {self._name!r} is not simulated here", source="Grasp-v0", field="rig", choices=SIMULATES)
+            raise InputError(
+                f"the rig {self._name!r} is not simulated here",
+                source="Grasp-v0",
+                field="rig",
+                choices=SIMULATES,
+            )
         self._session = Session(rig, threads=0)
         self._session.take_references()
         if self._vary == NONE and movable(rig.scene):
@@ -146,13 +201,22 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         """Take the images of now, feel them, and note what a controller would be shown."""
         rig = self._rig
         assert self._session is not None
-        now, self._problem = rig.clock.now(), ""
+        now = rig.clock.now()
+        self._problem = ""
         self._images = tuple(camera.read() for camera in rig.cameras)
         self._score.snapshot()
-        touch: tuple[Touch, ...] = tuple(perception.perceive(image, now) for perception, image in zip(
-            self._session.perceptions, self._images, strict=True))
-        self._seen = Observation(now, rig.period, touch, rig.gripper.state(), tuple(valve.state() for valve in rig.valves),
-                                 self._command)
+        touch: tuple[Touch, ...] = tuple(
+            perception.perceive(image, now)
+            for perception, image in zip(self._session.perceptions, self._images, strict=True)
+        )
+        self._seen = Observation(
+            now,
+            rig.period,
+            touch,
+            rig.gripper.state(),
+            tuple(valve.state() for valve in rig.valves),
+            self._command,
+        )
 
     def _shown(self) -> Any:
         return show(self._kind, self._seen, self._images, self._markers)
@@ -163,15 +227,29 @@ class GraspEnv(gymnasium.Env[Any, Array]):
             return "crushed"
         if self._score.lost:
             return "dropped"
-        return self._score.outcome() if self._command.phase in ENDS or self._supervisor.is_over else ""
+        return (
+            self._score.outcome() if self._command.phase in ENDS or self._supervisor.is_over else ""
+        )
 
     def _info(self) -> dict[str, Any]:
-        """What no observation may say: the truth, and the seed. What is not known yet is left out."""
-        score, rig = self._score, self._rig
-        found = {"peak_force_true_N": score.peak_force, "hold_force_true_N": score.hold_force, "slip_mm_true": 1e3 * score.slip,
-                 "break_force_N": rig.scene.object.break_force}
+        """What no observation may say: the truth, and the seed. What is not known yet is left
+        out."""
+        score = self._score
+        rig = self._rig
+        found = {
+            "peak_force_true_N": score.peak_force,
+            "hold_force_true_N": score.hold_force,
+            "slip_mm_true": 1e3 * score.slip,
+            "break_force_N": rig.scene.object.break_force,
+        }
         varied: Mapping[str, Any] = rig.varied
-        return {"seed": self._seed, "time_s": self._seen.time - self._start, "phase": self._command.phase,
-                "force_normal_true_N": np.array(score.forces()), **{k: v for k, v in found.items() if math.isfinite(v)},
-                **({} if self._pictures else {"images": False}),
-                **({"varied": dict(varied)} if varied else {}), **({"problem": self._problem} if self._problem else {})}
+        return {
+            "seed": self._seed,
+            "time_s": self._seen.time - self._start,
+            "phase": self._command.phase,
+            "force_normal_true_N": np.array(score.forces()),
+            **{k: v for k, v in found.items() if math.isfinite(v)},
+            **({} if self._pictures else {"images": False}),
+            **({"varied": dict(varied)} if varied else {}),
+            **({"problem": self._problem} if self._problem else {}),
+        }

@@ -18,7 +18,8 @@ _MARKER_REACH = 0.1  # m; no sensor is larger
 
 
 def space_of(kind: str, designs: Sequence[SensorDesign]) -> gymnasium.spaces.Space[Any]:
-    """The space of an observation. Raises InputError for a kind that does not exist, or fingers that cannot be stacked."""
+    """The space of an observation. Raises InputError for a kind that does not exist, or fingers
+    that cannot be stacked."""
     if kind not in KINDS:
         raise InputError(f"{kind!r}", source="Grasp-v0", field="observation", choices=KINDS)
     most = policy_bounds(len(designs)).astype(np.float32)
@@ -27,32 +28,52 @@ def space_of(kind: str, designs: Sequence[SensorDesign]) -> gymnasium.spaces.Spa
         return vector
     sizes = {(d.markers.count, d.camera.height, d.camera.width) for d in designs}
     if len(sizes) > 1:
-        raise InputError("the fingers' sensors differ, so that they cannot be stacked", source="Grasp-v0", field="observation",
-                         choices=["wrench"])
-    (count, height, width), = sizes
+        raise InputError(
+            "the fingers' sensors differ, so that they cannot be stacked",
+            source="Grasp-v0",
+            field="observation",
+            choices=["wrench"],
+        )
+    ((count, height, width),) = sizes
     if kind == "markers":
         shape = (len(designs), count)
-        return gymnasium.spaces.Dict({
-            "wrench": vector, "seen": gymnasium.spaces.MultiBinary(shape),
-            "markers": gymnasium.spaces.Box(-_MARKER_REACH, _MARKER_REACH, (*shape, 3), np.float32)})
-    return gymnasium.spaces.Dict({
-        "wrench": vector, "image": gymnasium.spaces.Box(0, 255, (len(designs), height, width), np.uint8)})
+        return gymnasium.spaces.Dict(
+            {
+                "wrench": vector,
+                "seen": gymnasium.spaces.MultiBinary(shape),
+                "markers": gymnasium.spaces.Box(
+                    -_MARKER_REACH, _MARKER_REACH, (*shape, 3), np.float32
+                ),
+            }
+        )
+    return gymnasium.spaces.Dict(
+        {
+            "wrench": vector,
+            "image": gymnasium.spaces.Box(0, 255, (len(designs), height, width), np.uint8),
+        }
+    )
 
 
 def show(kind: str, observation: Observation, images: Sequence[Image], count: int) -> Any:
-    """What is seen now, in that space; `count` markers a finger. One that is not seen is 0 with `seen` 0."""
+    """What is seen now, in that space; `count` markers a finger. One that is not seen is 0 with
+    `seen` 0."""
     vector = policy_vector(observation)
     if kind == "wrench":
         return vector
     if kind == "image":
         return {"wrench": vector, "image": np.stack([image.pixels for image in images])}
     found = [_markers(touch, count) for touch in observation.touch]
-    return {"wrench": vector, "markers": np.stack([p for p, _ in found]), "seen": np.stack([seen for _, seen in found])}
+    return {
+        "wrench": vector,
+        "markers": np.stack([p for p, _ in found]),
+        "seen": np.stack([seen for _, seen in found]),
+    }
 
 
 def _markers(touch: Touch, count: int) -> tuple[Array, Array]:
     """Positions (count, 3) m in S and whether (count,) each was seen."""
-    p_SM, seen = np.zeros((count, 3), np.float32), np.zeros(count, np.int8)
+    p_SM = np.zeros((count, 3), np.float32)
+    seen = np.zeros(count, np.int8)
     if touch.markers is not None:
         p_SM[touch.markers.ids] = np.clip(touch.markers.p_SM, -_MARKER_REACH, _MARKER_REACH)
         seen[touch.markers.ids] = 1

@@ -1,8 +1,9 @@
 """The library of kernels: where it lies, and how it is made where it does not lie yet.
 
-A library's name holds a hash of its source and its instruction set, so that one of another source is never loaded. Made by
-the build of a wheel or of an editable install (`hatch_build.py`), else by the first import: with Zig's C compiler, which pip
-installs (`ziglang`), or with the system's. Stands alone: the build runs it before this package can be imported.
+A library's name holds a hash of its source and its instruction set, so that one of another source
+is never loaded. Made by the build of a wheel or of an editable install (`hatch_build.py`), else by
+the first import: with Zig's C compiler, which pip installs (`ziglang`), or with the system's.
+Stands alone: the build runs it before this package can be imported.
 """
 
 from __future__ import annotations
@@ -20,11 +21,30 @@ from pathlib import Path
 
 FOLDER = Path(__file__).parent
 MADE = "made"  # the folder of libraries
-# Sums may be reordered and thus vectorised; not-a-number and infinity are honoured, since they mean "unknown".
-_FLAGS = ["-std=c11", "-O3", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros",
-          "-fassociative-math", "-ffp-contract=fast", "-Wall", "-Wextra", "-Werror"]
-# Instruction sets that are worth a library of their own, the best first: what the processor must have, and the flag.
-_SETS = {"x86_64": [("avx2", {"avx2", "fma", "bmi2"}, ["-mavx2", "-mfma", "-mbmi2"]), ("sse2", set(), [])]}
+# Sums may be reordered and thus vectorised; not-a-number and infinity are honoured, since they mean
+# "unknown".
+_FLAGS = [
+    "-std=c11",
+    "-O3",
+    "-fPIC",
+    "-shared",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-fno-signed-zeros",
+    "-fassociative-math",
+    "-ffp-contract=fast",
+    "-Wall",
+    "-Wextra",
+    "-Werror",
+]
+# Instruction sets that are worth a library of their own, the best first: what the processor must
+# have, and the flag.
+_SETS = {
+    "x86_64": [
+        ("avx2", {"avx2", "fma", "bmi2"}, ["-mavx2", "-mfma", "-mbmi2"]),
+        ("sse2", set(), []),
+    ]
+}
 
 
 def sources() -> list[Path]:
@@ -43,8 +63,8 @@ def best_set() -> str:
 
 
 def library(instructions: str | None = None) -> Path:
-    """The library for `instruction_sets`' one (default: the best), made if it does not exist. Raises RuntimeError with what to
-    do where no compiler is found or the compiler fails."""
+    """The library for `instruction_sets`' one (default: the best), made if it does not exist.
+    Raises RuntimeError with what to do where no compiler is found or the compiler fails."""
     instructions = best_set() if instructions is None else instructions
     name = f"kernels-{_hash()}-{instructions}.so"
     for folder in _folders():
@@ -61,7 +81,9 @@ def library(instructions: str | None = None) -> Path:
         except PermissionError:  # an installation that belongs to somebody else
             continue
         return folder / name
-    raise RuntimeError(f"mjtactile's kernels cannot be written to {' or '.join(map(str, _folders()))}")
+    raise RuntimeError(
+        f"mjtactile's kernels cannot be written to {' or '.join(map(str, _folders()))}"
+    )
 
 
 def _forget_others(library: Path, instructions: str) -> None:
@@ -81,7 +103,9 @@ def _processor_flags() -> set[str]:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
         return set()
-    return next((set(line.partition(":")[2].split()) for line in lines if line.startswith("flags")), set())
+    return next(
+        (set(line.partition(":")[2].split()) for line in lines if line.startswith("flags")), set()
+    )
 
 
 def _hash() -> str:
@@ -101,7 +125,9 @@ def _compiler() -> list[str]:
         return [sys.executable, "-m", "ziglang", "cc"]
     found = os.environ.get("CC") or shutil.which("cc")
     if not found:
-        raise RuntimeError("mjtactile's kernels are not built and there is no C compiler: pip install ziglang")
+        raise RuntimeError(
+            "mjtactile's kernels are not built and there is no C compiler: pip install ziglang"
+        )
     return shlex.split(found)
 
 
@@ -109,7 +135,13 @@ def _compile(out: Path, instructions: str) -> None:
     flags = next(flags for name, _, flags in _sets() if name == instructions)
     command = [*_compiler(), *_FLAGS, *flags, "-o", str(out), *map(str, sources()), "-lm"]
     # a build folder of its own: a user's home may not be writable
-    environment = {**os.environ, "ZIG_LOCAL_CACHE_DIR": str(out.parent), "ZIG_GLOBAL_CACHE_DIR": str(out.parent)}
+    environment = {
+        **os.environ,
+        "ZIG_LOCAL_CACHE_DIR": str(out.parent),
+        "ZIG_GLOBAL_CACHE_DIR": str(out.parent),
+    }
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     if done.returncode:
-        raise RuntimeError(f"mjtactile's kernels do not compile: {shlex.join(command)}\n{done.stderr}")
+        raise RuntimeError(
+            f"mjtactile's kernels do not compile: {shlex.join(command)}\n{done.stderr}"
+        )

@@ -1,4 +1,5 @@
-"""What is to be bought, with the numbers that matter, worked out of the sensor file; typical kinds of parts, no shop."""
+"""What is to be bought, with the numbers that matter, worked out of the sensor file; typical kinds
+of parts, no shop."""
 
 from __future__ import annotations
 
@@ -28,7 +29,8 @@ class Item:
 
 
 def shore_a(young: float) -> float:
-    """Hardness Shore A of rubber with Young's modulus `young` Pa (Gent, Rubber Chemistry and Technology 31, 1958)."""
+    """Hardness Shore A of rubber with Young's modulus `young` Pa (Gent, Rubber Chemistry and
+    Technology 31, 1958)."""
     k = 0.137505e-6 * young
     return (254 * k - 0.0981 * 56) / (0.0981 * 7.62336 + 2.54 * k)
 
@@ -44,80 +46,184 @@ def bill(layout: Layout, optics: Optics) -> list[Item]:
 
 
 def _mechanics(layout: Layout) -> list[Item]:
-    design, bolt, count = layout.design, layout.bolt, len(layout.bolts)
+    design = layout.design
+    bolt = layout.bolt
+    count = len(layout.bolts)
     sheet = design.membrane
     half_x, half_y = sheet_size(layout)
     ink = layout.hardware.markers == "ink"
     return [
-        Item("white rubber sheet", "1", f"{2 * half_x:.0f} x {2 * half_y:.0f} mm, {MM * sheet.thickness:g} mm thick, E = "
-                                        f"{1e-6 * sheet.young:g} MPa "
-             f"(about Shore A {shore_a(sheet.young):.0f}), opaque", "silicone or latex sheet"),
-        Item("marker colour" if ink else "black discs", f"{design.markers.count} markers",
-             f"radius {MM * design.markers.radius:g} mm mounted, matte black, "
-             f"{'thin against the sheet, elastic' if ink else 'stiff against the sheet'}",
-             "silicone or latex ink through the stencil" if ink else "discs cut from 0.025-0.05 mm polyester film, glued"),
-        Item("glass pane", "1", f"{2 * layout.glass_x:.2f} x {2 * layout.glass_y:.2f} x {MM * design.glass.thickness:g} mm, "
-             f"n = {design.glass.refractive_index:g}, edges ground", "float glass, anti-reflection coated where it can be had"),
-        Item("gasket", "1", f"silicone sheet 0.5 mm, {2 * layout.outer_x:.0f} x {2 * layout.outer_y:.0f} mm", "cut along "
-                                                                                                              "gasket.svg"),
-        Item(f"bolts {bolt.name} x {layout.bolt_length}", str(count), "socket head, with washer and nut", "ISO 4762, ISO 7089, "
-                                                                                                          "ISO 4032"),
+        Item(
+            "white rubber sheet",
+            "1",
+            f"{2 * half_x:.0f} x {2 * half_y:.0f} mm, "
+            f"{MM * sheet.thickness:g} mm thick, E = "
+            f"{1e-6 * sheet.young:g} MPa "
+            f"(about Shore A {shore_a(sheet.young):.0f}), opaque",
+            "silicone or latex sheet",
+        ),
+        Item(
+            "marker colour" if ink else "black discs",
+            f"{design.markers.count} markers",
+            f"radius {MM * design.markers.radius:g} mm mounted, matte black, "
+            f"{'thin against the sheet, elastic' if ink else 'stiff against the sheet'}",
+            "silicone or latex ink through the stencil"
+            if ink
+            else "discs cut from 0.025-0.05 mm polyester film, glued",
+        ),
+        Item(
+            "glass pane",
+            "1",
+            f"{2 * layout.glass_x:.2f} x {2 * layout.glass_y:.2f} x "
+            f"{MM * design.glass.thickness:g} mm, "
+            f"n = {design.glass.refractive_index:g}, "
+            "edges ground",
+            "float glass, anti-reflection coated where it can be had",
+        ),
+        Item(
+            "gasket",
+            "1",
+            f"silicone sheet 0.5 mm, {2 * layout.outer_x:.0f} x {2 * layout.outer_y:.0f} mm",
+            "cut along gasket.svg",
+        ),
+        Item(
+            f"bolts {bolt.name} x {layout.bolt_length}",
+            str(count),
+            "socket head, with washer and nut",
+            "ISO 4762, ISO 7089, ISO 4032",
+        ),
         Item("screws M2 x 8, spacers M2 x 2 mm", "4", "for the camera board", "ISO 4762"),
-        Item("adhesive", "1", "fits the rubber, stays soft", "silicone adhesive (silicone), rubber cement (latex)"),
+        Item(
+            "adhesive",
+            "1",
+            "fits the rubber, stays soft",
+            "silicone adhesive (silicone), rubber cement (latex)",
+        ),
     ]
 
 
 def _seeing(layout: Layout, optics: Optics) -> list[Item]:
-    design, hardware = layout.design, layout.hardware
-    camera, rate = design.camera, design.camera.width * design.camera.height * design.camera.rate
+    design = layout.design
+    hardware = layout.hardware
+    camera = design.camera
+    rate = design.camera.width * design.camera.height * design.camera.rate
     x, y, across = optics.fov
     return [
-        Item("camera module", "1", f"monochrome, global shutter, {camera.width} x {camera.height} px of "
-                                   f"{1e3 * hardware.pixel:g} um, at least "
-             f"{camera.rate:g} Hz at 8 bit ({1e-6 * rate:.0f} MB/s), "
-             f"exposure fixed at {1e6 * optics.exposure:.0f} us or less, "
-             f"strobe output; holes {hardware.holes:g} x "
-             f"{hardware.holes:g} mm", f"UVC board camera, USB {2 if rate < _USB2 else 3}"),
-        Item("lens", "1", f"f = {optics.focal:.2f} mm, f/{optics.stop:g}, field of view {x:.0f} x {y:.0f} deg ({across:.0f} "
-                          "deg across), sharp from "
-             f"{optics.near:.1f} to {optics.far:.1f} mm, focused at {optics.focus:.1f} mm and locked", "M12"),
-        Item("LEDs", str(design.leds.count), f"white, 120 deg, {optics.flux:.2g} W of light each while the exposure lasts "
-             f"({100 * optics.exposure * camera.rate:.2g} % of the time)", "2835 package, pulsed by the camera's strobe output"),
-        Item("linear polarising film", "2", "crossed: one on the LED ring, one on the lens; takes the LEDs' mirror images in "
-                                            "the pane away", "film"),
+        Item(
+            "camera module",
+            "1",
+            f"monochrome, global shutter, {camera.width} "
+            f"x {camera.height} px of "
+            f"{1e3 * hardware.pixel:g} um, at least "
+            f"{camera.rate:g} Hz at 8 bit ({1e-6 * rate:.0f} MB/s), "
+            f"exposure fixed at {1e6 * optics.exposure:.0f} us or less, "
+            f"strobe output; holes {hardware.holes:g} x "
+            f"{hardware.holes:g} mm",
+            f"UVC board camera, USB {2 if rate < _USB2 else 3}",
+        ),
+        Item(
+            "lens",
+            "1",
+            f"f = {optics.focal:.2f} mm, f/{optics.stop:g}, field of view {x:.0f} x {y:.0f} deg "
+            f"({across:.0f} "
+            "deg across), sharp from "
+            f"{optics.near:.1f} to {optics.far:.1f} mm, focused at {optics.focus:.1f} mm "
+            "and locked",
+            "M12",
+        ),
+        Item(
+            "LEDs",
+            str(design.leds.count),
+            f"white, 120 deg, {optics.flux:.2g} W of light "
+            "each while the exposure lasts "
+            f"({100 * optics.exposure * camera.rate:.2g} "
+            "% of the time)",
+            "2835 package, pulsed by the camera's strobe output",
+        ),
+        Item(
+            "linear polarising film",
+            "2",
+            "crossed: one on the LED ring, one on the lens; "
+            "takes the LEDs' mirror images in "
+            "the pane away",
+            "film",
+        ),
     ]
 
 
 def _air(layout: Layout) -> list[Item]:
     design = layout.design
     chamber = design.chamber
-    volume, supply = 1e6 * design.chamber_volume_flat, 1e-3 * chamber.supply_gauge
-    flow = "as fast as it gets" if math.isinf(chamber.valve_conductance) else f"{1e9 * chamber.valve_conductance:g} mL/s at 1 kPa"
+    volume = 1e6 * design.chamber_volume_flat
+    supply = 1e-3 * chamber.supply_gauge
+    flow = (
+        "as fast as it gets"
+        if math.isinf(chamber.valve_conductance)
+        else (f"{1e9 * chamber.valve_conductance:g} mL/s at 1 kPa")
+    )
     resolution = _FORCE_STEP / design.frame.area
     return [
         Item("air port", "1", layout.port.what, "brass or steel"),
-        Item("hose", f"{_HOSE:g} m", f"{layout.port.bore:g} mm bore, stiff: it holds {hose_volume(layout):.2f} mL with the port, "
-             f"{100 * hose_volume(layout) / volume:.0f} % of the chamber's {volume:.1f} mL: write it into "
-             "chamber.extra_volume_mL; the shorter the better", "polyurethane"),
-        Item("pump" if supply >= 0 else "vacuum pump", "1 a gripper", f"{abs(supply):g} kPa and 50 % more, "
-                                                                      f"{max(volume / 1e3, 0.05):.2g} L/min, with a "
-             "reservoir and a relief valve", "12 V diaphragm pump"),
-        Item("valve", "1", f"{supply:g} kPa, leak below 0.1 mL/min, {flow}; opens without power, so that a dead board vents",
-             "3/2 solenoid valve, or a proportional one"),
-        Item("pressure sensor", "1", f"gauge, 0 to {max(2 * abs(supply), 2):g} kPa, resolution {resolution:.2g} Pa "
-                                     f"({1e3 * _FORCE_STEP:g} mN on the whole "
-             "membrane), zero stable, in a T-piece behind the valve", "I2C, temperature-compensated"),
+        Item(
+            "hose",
+            f"{_HOSE:g} m",
+            f"{layout.port.bore:g} mm bore, stiff: it holds {hose_volume(layout):.2f} mL with "
+            "the port, "
+            f"{100 * hose_volume(layout) / volume:.0f} % of the chamber's {volume:.1f} mL: "
+            "write it into "
+            "chamber.extra_volume_mL; the shorter the better",
+            "polyurethane",
+        ),
+        Item(
+            "pump" if supply >= 0 else "vacuum pump",
+            "1 a gripper",
+            f"{abs(supply):g} kPa and 50 % more, "
+            f"{max(volume / 1e3, 0.05):.2g} L/min, "
+            "with a "
+            "reservoir and a relief valve",
+            "12 V diaphragm pump",
+        ),
+        Item(
+            "valve",
+            "1",
+            f"{supply:g} kPa, leak below 0.1 mL/min, {flow}; opens without power, so that a "
+            "dead board vents",
+            "3/2 solenoid valve, or a proportional one",
+        ),
+        Item(
+            "pressure sensor",
+            "1",
+            f"gauge, 0 to {max(2 * abs(supply), 2):g} kPa, "
+            f"resolution {resolution:.2g} Pa "
+            f"({1e3 * _FORCE_STEP:g} mN on the whole "
+            "membrane), zero stable, in a T-piece "
+            "behind the valve",
+            "I2C, temperature-compensated",
+        ),
     ]
 
 
 def _driving() -> list[Item]:
     torque = _FORCE * _PINION
     return [
-        Item("servo", "1 a gripper or finger", f"current-based position mode, {2 * torque:.2g} N m at a pinion of "
-                                               f"{MM * _PINION:g} mm "
-             f"({_FORCE:g} N, the paper's range, twofold)", "XL330-M288-T or XM430-W350-T, see docs/hardware.md"),
-        Item("USB adapters", "1 + 1 a gripper", "half-duplex TTL at 1 Mbaud for the servos, latency timer 1 ms; serial for the "
-                                                "valve board", "U2D2 kind; the board's own"),
+        Item(
+            "servo",
+            "1 a gripper or finger",
+            "current-based position mode, "
+            f"{2 * torque:.2g} N m at a pinion of "
+            f"{MM * _PINION:g} mm "
+            f"({_FORCE:g} N, the paper's range, "
+            "twofold)",
+            "XL330-M288-T or XM430-W350-T, see docs/hardware.md",
+        ),
+        Item(
+            "USB adapters",
+            "1 + 1 a gripper",
+            "half-duplex TTL at 1 Mbaud for the servos, "
+            "latency timer 1 ms; serial for the "
+            "valve board",
+            "U2D2 kind; the board's own",
+        ),
     ]
 
 

@@ -36,9 +36,16 @@ class Build:
     report: dict[str, Any]
 
 
-def build(design: SensorDesign, hardware: Hardware, source: str, text: str, say: Callable[[str], None] = lambda _: None,
-          states_of: Callable[..., list[State]] = simulate) -> Build:
-    """All files for `design`, read from `source` with the given `text`. Raises InputError for what cannot be built."""
+def build(
+    design: SensorDesign,
+    hardware: Hardware,
+    source: str,
+    text: str,
+    say: Callable[[str], None] = lambda _: None,
+    states_of: Callable[..., list[State]] = simulate,
+) -> Build:
+    """All files for `design`, read from `source` with the given `text`. Raises InputError for what
+    cannot be built."""
     mesh.need_libraries()
     layout = Layout.of(design, hardware, source)
     parts = make_parts(layout)
@@ -50,16 +57,27 @@ def build(design: SensorDesign, hardware: Hardware, source: str, text: str, say:
     gap = min(solids[a].min_gap(solids[b], 5.0) for a, b in _APART)
     checked = manual.checks(layout, optics, press_depth(design, hardware), states, gap)
     drawn = _pictures(layout, optics, parts)
-    files = {"README.md": manual.readme(layout, optics, parts, checked, source).encode(),
-             "assembly.md": manual.assembly(layout, optics, list(drawn)).encode(),
-             "bill.md": _bill(layout, optics).encode(), "sensor.toml": text.encode()}
+    files = {
+        "README.md": manual.readme(layout, optics, parts, checked, source).encode(),
+        "assembly.md": manual.assembly(layout, optics, list(drawn)).encode(),
+        "bill.md": _bill(layout, optics).encode(),
+        "sensor.toml": text.encode(),
+    }
     files |= _papers(layout) | {f"pictures/{name}.png": png for name, png in drawn.items()}
     for name, part in parts.items():
         if part.make:
             files[f"cad/{name}.stl"] = mesh.write_stl(mesh.triangles_of(solids[name]))
             files[f"cad/{name}.step"] = write_step(part).encode()
-    report = {"sensor": design.name, "checks": checked, "optics": asdict(optics) | {"states": [s.name for s in states]},
-              "parts": {name: {"size_mm": part.size, "volume_mm3": part.volume} for name, part in parts.items() if part.make}}
+    report = {
+        "sensor": design.name,
+        "checks": checked,
+        "optics": asdict(optics) | {"states": [s.name for s in states]},
+        "parts": {
+            name: {"size_mm": part.size, "volume_mm3": part.volume}
+            for name, part in parts.items()
+            if part.make
+        },
+    }
     return Build(files, report)
 
 
@@ -67,40 +85,74 @@ def _check_parts(parts: dict[str, Part], solids: dict[str, Any]) -> None:
     """Every solid is closed and has its closed-form volume, none intersects another."""
     for name, part in parts.items():
         if crossing(part):
-            raise InputError(f"holes and edges of the {name} would meet; other camera or lens dimensions (--camera-holes-mm, "
-                             "--lens-mm, --pupil-mm) may help", source="make", field="parts")
+            raise InputError(
+                f"holes and edges of the {name} would meet; other camera or lens dimensions "
+                "(--camera-holes-mm, "
+                "--lens-mm, --pupil-mm) may help",
+                source="make",
+                field="parts",
+            )
         volume = solids[name].volume()
         if solids[name].is_empty() or abs(volume - part.volume) > _VOLUME * part.volume + 0.05:
-            raise MjtactileError(f"make: the {name} came out with {volume:.3f} mm3 in place of {part.volume:.3f}: its holes "
-                                 "meet its edges")
+            raise MjtactileError(
+                f"make: the {name} came out with {volume:.3f} mm3 in place of "
+                f"{part.volume:.3f}: its holes "
+                "meet its edges"
+            )
     for one, other, volume in mesh.overlaps(solids):
-        raise InputError(f"the {one} and the {other} would intersect by {volume:.3g} mm3; other camera or lens dimensions "
-                         "(--camera-holes-mm, --lens-mm, --pupil-mm) may help", source="make", field="parts")
+        raise InputError(
+            f"the {one} and the {other} would intersect by {volume:.3g} mm3; other camera or "
+            "lens dimensions "
+            "(--camera-holes-mm, --lens-mm, "
+            "--pupil-mm) may help",
+            source="make",
+            field="parts",
+        )
 
 
 def _papers(layout: Layout) -> dict[str, bytes]:
-    pages, board = patterns.marker_pages(layout), patterns.board_page(layout.design)
-    svgs = {"markers": pages[0], "stencil": pages[1], "board": board, "led_ring": patterns.led_page(layout),
-            "gasket": patterns.cut_page(layout)}
+    pages = patterns.marker_pages(layout)
+    board = patterns.board_page(layout.design)
+    svgs = {
+        "markers": pages[0],
+        "stencil": pages[1],
+        "board": board,
+        "led_ring": patterns.led_page(layout),
+        "gasket": patterns.cut_page(layout),
+    }
     return {f"{name}.svg": write_svg(sheet).encode() for name, sheet in svgs.items()} | {
-        "markers.pdf": write_pdf(pages), "board.pdf": write_pdf([board])}
+        "markers.pdf": write_pdf(pages),
+        "board.pdf": write_pdf([board]),
+    }
 
 
 def _bill(layout: Layout, optics: Optics) -> str:
     items = bill.bill(layout, optics)
-    return (f"# What to buy for {layout.design.name!r}\n\nFor one finger, worked out of the sensor file; what is called "
-            f"typical is a kind of part, not a shop's.\n\n{bill.table(items)}\n")
+    return (
+        f"# What to buy for {layout.design.name!r}\n\nFor one finger, worked out of the sensor "
+        "file; what is called "
+        f"typical is a kind of part, not a shop's.\n\n{bill.table(items)}\n"
+    )
 
 
 def _pictures(layout: Layout, optics: Optics, parts: dict[str, Part]) -> dict[str, bytes]:
     """The steps' pictures by name; none without matplotlib."""
-    sheet = plate(0.0, 0.6, Contour(layout.outer_x + 12, layout.outer_y + 12), [circle(PEG, x, y) for x, y in pegs(layout)])
+    sheet = plate(
+        0.0,
+        0.6,
+        Contour(layout.outer_x + 12, layout.outer_y + 12),
+        [circle(PEG, x, y) for x, y in pegs(layout)],
+    )
     parts = {**parts, manual.SHEET: Part(manual.SHEET, (sheet,), (0.95, 0.94, 0.9), make=False)}
     solids = {name: mesh.solid_of(part, mesh.COARSE) for name, part in parts.items()}
     found: dict[str, bytes | None] = {}
     for step in manual.STEPS:
         if step.parts:
-            shifts = dict.fromkeys(step.parts, 0.0) if step.cut else pictures.pulled_apart(parts, step.parts)
+            shifts = (
+                dict.fromkeys(step.parts, 0.0)
+                if step.cut
+                else pictures.pulled_apart(parts, step.parts)
+            )
             bodies = pictures.bodies_of(parts, solids, shifts)
             found[step.picture] = pictures.save_png(bodies, f"{step.picture}.png", **step.view)
     found["camera_view"] = _camera_view(layout.design, optics)
@@ -115,11 +167,18 @@ def _camera_view(design: SensorDesign, optics: Optics) -> bytes | None:
     if figure is None:
         return None
     markers = design.markers
-    image = Renderer(design, seed=0).render(markers.p_SM, np.tile([0.0, 0.0, 1.0], (markers.count, 1)), 0.0)
+    image = Renderer(design, seed=0).render(
+        markers.p_SM, np.tile([0.0, 0.0, 1.0], (markers.count, 1)), 0.0
+    )
     axes = figure.subplots()
     axes.imshow(image.pixels, cmap="gray", vmin=0, vmax=255)
     axes.plot(*optics.mirrors.T, "o", mfc="none", mec="#d1571b", ms=16)
-    axes.set(xlim=(-0.5, design.camera.width - 0.5), ylim=(design.camera.height - 0.5, -0.5), xlabel="u, px", ylabel="v, px")
+    axes.set(
+        xlim=(-0.5, design.camera.width - 0.5),
+        ylim=(design.camera.height - 0.5, -0.5),
+        xlabel="u, px",
+        ylabel="v, px",
+    )
     out = io.BytesIO()
     figure.savefig(out, format="png", metadata={"Software": None})
     return out.getvalue()
@@ -137,4 +196,6 @@ def write(files: dict[str, bytes], folder: Path) -> None:
     except OSError as error:
         for path in done:
             path.unlink(missing_ok=True)
-        raise InputError(f"cannot be written: {error.strerror}", source=folder, field="--out") from error
+        raise InputError(
+            f"cannot be written: {error.strerror}", source=folder, field="--out"
+        ) from error

@@ -1,16 +1,19 @@
-"""Whether the camera can do it: every marker in the picture, sharp, without smear, lit; and what its lens has to be.
+"""Whether the camera can do it: every marker in the picture, sharp, without smear, lit; and what
+its lens has to be.
 
-Blur, px: a pixel's own square (sd 1/sqrt 12), diffraction (a Gaussian of sd 0.42 lambda N fits the Airy disc: Zhang, Zerubia,
-Olivo-Marin, Applied Optics 46, 2007) and defocus. A thin lens of focal length f and f-number N, focused on Z_f, shows a point
-at Z as a disc of diameter
+Blur, px: a pixel's own square (sd 1/sqrt 12), diffraction (a Gaussian of sd 0.42 lambda N fits the
+Airy disc: Zhang, Zerubia, Olivo-Marin, Applied Optics 46, 2007) and defocus. A thin lens of focal
+length f and f-number N, focused on Z_f, shows a point at Z as a disc of diameter
 
     c = f^2 / (N (Z_f - f)) |Z - Z_f| / Z,                                             sd c / 4,
 
-on the sensor (Born and Wolf; any text on depth of field). Focus on the harmonic mean of the nearest and farthest Z makes both
-ends equally blurred. Smear: a marker at speed v across the axis moves by f_px v t / Z in the exposure t.
+on the sensor (Born and Wolf; any text on depth of field). Focus on the harmonic mean of the nearest
+and farthest Z makes both ends equally blurred. Smear: a marker at speed v across the axis moves by
+f_px v t / Z in the exposure t.
 
-Light: a pixel of area A under the irradiance E gets E A t QE lambda / (h c) electrons (EMVA 1288); a matte white membrane under
-E_m gives E = E_m / (4 N^2) on the axis; a Lambertian LED of flux P gives E_m = P cos^4(theta) / (pi D^2).
+Light: a pixel of area A under the irradiance E gets E A t QE lambda / (h c) electrons (EMVA 1288);
+a matte white membrane under E_m gives E = E_m / (4 N^2) on the axis; a Lambertian LED of flux P
+gives E_m = P cos^4(theta) / (pi D^2).
 """
 
 from __future__ import annotations
@@ -41,9 +44,10 @@ _SHORTEST = 1e-5  # s, exposure that small cameras have
 class Optics:
     """What the camera module has to have, and how much of it is used.
 
-    `margin` px from the markers' edges to the picture's; `worst` when; `fov` deg in x, y and across; `focal` mm; `stop`
-    f-number; `near`, `far`, `focus` mm from the pupil; `blur` px sd at the ends of that range; `exposure` s; `flux` W of light
-    from each LED while it lasts; `noise` grey levels, of photons, in the membrane's; `mirrors` px: the LEDs' images in the pane.
+    `margin` px from the markers' edges to the picture's; `worst` when; `fov` deg in x, y and
+    across; `focal` mm; `stop` f-number; `near`, `far`, `focus` mm from the pupil; `blur` px sd at
+    the ends of that range; `exposure` s; `flux` W of light from each LED while it lasts; `noise`
+    grey levels, of photons, in the membrane's; `mirrors` px: the LEDs' images in the pane.
     """
 
     margin: float
@@ -61,7 +65,9 @@ class Optics:
     mirrors: Array
 
 
-def plan_camera(design: SensorDesign, hardware: Hardware, states: Sequence[State], source: str) -> Optics:
+def plan_camera(
+    design: SensorDesign, hardware: Hardware, states: Sequence[State], source: str
+) -> Optics:
     """Raises InputError naming the number that is wrong, and its limit."""
     margin, worst = _margins(design, states, source)
     near, far = _range(design, states)
@@ -70,63 +76,106 @@ def plan_camera(design: SensorDesign, hardware: Hardware, states: Sequence[State
     exposure = _exposure(design, hardware, near)
     level = design.leds.membrane_dn / 255 * hw.FULL_WELL
     flux = _flux(design, hardware, stop, exposure)
-    Limit("leds.count", design.leds.count,
-          f"LEDs would have to give {flux:.2g} W of light each, more than {hw.LED_FLUX:g}, for an exposure of "
-          f"{1e6 * exposure:.0f} us at f/{stop:g} (or take a smaller --speed-mm-s)",
-          math.ceil(design.leds.count * flux / hw.LED_FLUX)).check(source)
-    return Optics(margin, worst, _fov(design), focal, stop, near, far, 2 * near * far / (near + far),
-                  blur(design, hardware, stop, near, far), exposure, flux, design.leds.membrane_dn / math.sqrt(level),
-                  led_mirrors(design))
+    Limit(
+        "leds.count",
+        design.leds.count,
+        f"LEDs would have to give {flux:.2g} W of light each, more than {hw.LED_FLUX:g}, "
+        "for an exposure of "
+        f"{1e6 * exposure:.0f} us at f/{stop:g} (or take a smaller --speed-mm-s)",
+        math.ceil(design.leds.count * flux / hw.LED_FLUX),
+    ).check(source)
+    return Optics(
+        margin,
+        worst,
+        _fov(design),
+        focal,
+        stop,
+        near,
+        far,
+        2 * near * far / (near + far),
+        blur(design, hardware, stop, near, far),
+        exposure,
+        flux,
+        design.leds.membrane_dn / math.sqrt(level),
+        led_mirrors(design),
+    )
 
 
 def marker_edges(design: SensorDesign, state: State) -> Array:
     """Points (N, k, 2) of the markers' edges in the picture, px, through pane and lens."""
     camera = optics.Camera.from_design(design.camera, design.glass)
-    across = np.cross(state.n_S, np.where(np.abs(state.n_S[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]]))
+    across = np.cross(
+        state.n_S, np.where(np.abs(state.n_S[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]])
+    )
     across /= np.linalg.norm(across, axis=1)[:, None]
-    along, turn = np.cross(state.n_S, across), np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)[:, None]
-    edge = state.p_SM[:, None] + design.markers.radius * (np.cos(turn) * across[:, None] + np.sin(turn) * along[:, None])
+    along = np.cross(state.n_S, across)
+    turn = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)[:, None]
+    edge = state.p_SM[:, None] + design.markers.radius * (
+        np.cos(turn) * across[:, None] + np.sin(turn) * along[:, None]
+    )
     return optics.project(camera, edge - design.camera.p_SC)
 
 
 def _margins(design: SensorDesign, states: Sequence[State], source: str) -> tuple[float, str]:
     """The least distance px of a marker's edge band from the picture's edge, and in which state."""
-    camera, band = design.camera, 2 + 3 * design.camera.blur_px  # the edge profiles that the fit needs
-    least, worst = math.inf, ""
+    # the edge profiles that the fit needs
+    camera = design.camera
+    band = 2 + 3 * design.camera.blur_px
+    least = math.inf
+    worst = ""
     limits = {"fx": math.inf, "fy": math.inf}
     for state in states:
         uv = marker_edges(design, state)
-        for k, (name, f, c, size) in enumerate((("fx", camera.fx, camera.cx, camera.width),
-                                                ("fy", camera.fy, camera.cy, camera.height))):
+        for k, (name, f, c, size) in enumerate(
+            (
+                ("fx", camera.fx, camera.cx, camera.width),
+                ("fy", camera.fy, camera.cy, camera.height),
+            )
+        ):
             away = uv[..., k] - c
             room = np.where(away > 0, size - 0.5 - band - c, c + 0.5 - band)
             slack = float(np.nan_to_num(room - np.abs(away), nan=-np.inf).min())
-            limits[name] = min(limits[name], float((f * room / np.maximum(np.abs(away), 1e-9)).min()))
+            limits[name] = min(
+                limits[name], float((f * room / np.maximum(np.abs(away), 1e-9)).min())
+            )
             if slack < least:
-                least, worst = slack, state.name
+                least = slack
+                worst = state.name
     for name, limit in limits.items():
-        Limit(f"camera.{name}_px", getattr(camera, name), f"shows a marker's edge {-least:.0f} px too far out ({worst})",
-              high=limit).check(source)
+        Limit(
+            f"camera.{name}_px",
+            getattr(camera, name),
+            f"shows a marker's edge {-least:.0f} px too far out ({worst})",
+            high=limit,
+        ).check(source)
     return least, worst
 
 
 def _range(design: SensorDesign, states: Sequence[State]) -> tuple[float, float]:
     """Nearest and farthest marker, mm from the pupil, as the pane makes them seem."""
     z = np.concatenate([state.p_SM[:, 2] for state in states])
-    shown = 1e3 * (design.camera.distance - design.pane_thickness_apparent + np.array([z.min(), z.max()]))
+    shown = 1e3 * (
+        design.camera.distance - design.pane_thickness_apparent + np.array([z.min(), z.max()])
+    )
     return float(shown[0]), float(shown[1])
 
 
 def blur(design: SensorDesign, hardware: Hardware, stop: float, near: float, far: float) -> float:
     """Standard deviation px of the blur at both ends of the range, focused between them."""
-    focal, focus = design.camera.fx * hardware.pixel, 2 * near * far / (near + far)
+    focal = design.camera.fx * hardware.pixel
+    focus = 2 * near * far / (near + far)
     disc = focal**2 / (stop * (focus - focal)) * (far - focus) / far
-    return math.sqrt(1 / 12 + (0.42 * _WAVELENGTH * stop / hardware.pixel) ** 2 + (disc / (4 * hardware.pixel)) ** 2)
+    return math.sqrt(
+        1 / 12
+        + (0.42 * _WAVELENGTH * stop / hardware.pixel) ** 2
+        + (disc / (4 * hardware.pixel)) ** 2
+    )
 
 
 def _stop(design: SensorDesign, hardware: Hardware, near: float, far: float, source: str) -> float:
     """The widest stop that is sharp enough."""
-    allowed, stops = design.camera.blur_px, _STOPS if hardware.f_number is None else (hardware.f_number,)
+    allowed = design.camera.blur_px
+    stops = _STOPS if hardware.f_number is None else (hardware.f_number,)
     blurs = {stop: blur(design, hardware, stop, near, far) for stop in stops}
     for stop, value in blurs.items():
         if value <= allowed:
@@ -134,24 +183,39 @@ def _stop(design: SensorDesign, hardware: Hardware, near: float, far: float, sou
     stop = min(blurs, key=lambda s: blurs[s])
     what = f"{blurs[stop]:.2f} px at f/{stop:g} from {near:.1f} to {far:.1f} mm"
     if hardware.f_number is not None:
-        raise InputError(f"{stop:g} blurs by {what}; the sensor file allows camera.blur_px = {allowed:g}", field="--f-number")
-    Limit("camera.blur_px", allowed, f"is sharper than pixels of {1e3 * hardware.pixel:g} um can be: {what}",
-          blurs[stop]).check(source)
+        raise InputError(
+            f"{stop:g} blurs by {what}; the sensor file allows camera.blur_px = {allowed:g}",
+            field="--f-number",
+        )
+    Limit(
+        "camera.blur_px",
+        allowed,
+        f"is sharper than pixels of {1e3 * hardware.pixel:g} um can be: {what}",
+        blurs[stop],
+    ).check(source)
     return stop
 
 
 def _exposure(design: SensorDesign, hardware: Hardware, near: float) -> float:
     """The longest exposure, s, in which the nearest marker smears by SMEAR px."""
     exposure = hw.SMEAR * near / (max(design.camera.fx, design.camera.fy) * hardware.speed)
-    Limit("--speed-mm-s", hardware.speed, f"needs an exposure of {1e6 * exposure:.1f} us for {hw.SMEAR:g} px of smear, less than "
-          f"{1e6 * _SHORTEST:g}", high=hardware.speed * exposure / _SHORTEST).check("")
+    Limit(
+        "--speed-mm-s",
+        hardware.speed,
+        f"needs an exposure of {1e6 * exposure:.1f} us for "
+        f"{hw.SMEAR:g} px of smear, less than "
+        f"{1e6 * _SHORTEST:g}",
+        high=hardware.speed * exposure / _SHORTEST,
+    ).check("")
     return min(exposure, 1 / design.camera.rate)
 
 
 def _flux(design: SensorDesign, hardware: Hardware, stop: float, exposure: float) -> float:
-    """Light W that each LED has to give while the exposure lasts, so that the membrane's middle has its grey level."""
+    """Light W that each LED has to give while the exposure lasts, so that the membrane's middle has
+    its grey level."""
     electrons = design.leds.membrane_dn / 255 * hw.FULL_WELL
-    on_sensor = electrons * _PHOTON / (hw.QUANTUM * exposure * (1e-3 * hardware.pixel) ** 2)  # W/m^2
+    # W/m^2
+    on_sensor = electrons * _PHOTON / (hw.QUANTUM * exposure * (1e-3 * hardware.pixel) ** 2)
     on_membrane = 4 * stop**2 * on_sensor
     distance = design.camera.distance
     tilt = math.atan2(design.leds.ring_radius, distance)
@@ -160,16 +224,24 @@ def _flux(design: SensorDesign, hardware: Hardware, stop: float, exposure: float
 
 def _fov(design: SensorDesign) -> tuple[float, float, float]:
     camera = design.camera
-    x, y = camera.width / (2 * camera.fx), camera.height / (2 * camera.fy)
+    x = camera.width / (2 * camera.fx)
+    y = camera.height / (2 * camera.fy)
     return tuple(math.degrees(2 * math.atan(t)) for t in (x, y, math.hypot(x, y)))  # pyright: ignore[reportReturnType]
 
 
 def led_mirrors(design: SensorDesign) -> Array:
-    """Where the pane's near face shows the LEDs, (count, 2) px: as far behind it as they are before it."""
-    count, camera = design.leds.count, design.camera
+    """Where the pane's near face shows the LEDs, (count, 2) px: as far behind it as they are before
+    it."""
+    count = design.leds.count
+    camera = design.camera
     turn = 2 * np.pi * (np.arange(count) + 0.5) / count
-    p = np.column_stack([design.leds.ring_radius * np.cos(turn), design.leds.ring_radius * np.sin(turn),
-                         np.full(count, 2 * design.glass.distance)])
+    p = np.column_stack(
+        [
+            design.leds.ring_radius * np.cos(turn),
+            design.leds.ring_radius * np.sin(turn),
+            np.full(count, 2 * design.glass.distance),
+        ]
+    )
     bare = replace(optics.Camera.from_design(camera), glass_thickness=0.0)
     return optics.project(bare, p)
 

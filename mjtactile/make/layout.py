@@ -1,7 +1,9 @@
-"""`Layout`: every dimension of the housing, from the sensor file's and the hardware's, what cannot be built refused. mm, frame S.
+"""`Layout`: every dimension of the housing, from the sensor file's and the hardware's, what cannot
+be built refused. mm, frame S.
 
-From the front: membrane at z = 0 over the rim, clamping ring behind it, frame, gasket, pane in its seat, mount with LED ring and
-camera. One set of bolts goes through all; the mount's tube lies inside of them.
+From the front: membrane at z = 0 over the rim, clamping ring behind it, frame, gasket, pane in its
+seat, mount with LED ring and camera. One set of bolts goes through all; the mount's tube lies
+inside of them.
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ _SMALL = 25.0  # mm: openings below it get the smaller bolts
 
 @dataclass(frozen=True)
 class Layout:
-    """Half sizes `*_x`, `*_y` and heights `z_*` mm; see the module. Make one with `of`, which checks it."""
+    """Half sizes `*_x`, `*_y` and heights `z_*` mm; see the module. Make one with `of`, which
+    checks it."""
 
     design: SensorDesign
     hardware: Hardware
@@ -36,14 +39,27 @@ class Layout:
 
     def limits(self) -> Iterator[Limit]:
         """What depends on where things came to be."""
-        chamber, near, need = self.design.chamber, MM * self.design.glass.distance, 2 * (PORTS[-1].radius + PORTS[-1].wall)
-        yield Limit("chamber.depth_mm", MM * chamber.depth, "leaves too little wall for the air to come in",
-                    MM * chamber.depth - self.wall + need)
-        yield Limit("glass.distance_mm", near, "leaves no room for the nuts between the mount's flange and the camera's plate",
-                    near + self.z_plate + 0.5 - (self.z_ring[1] - self.bolt_length))
-        yield Limit("chamber.supply_gauge_kPa", 1e-3 * abs(chamber.supply_gauge),
-                    f"pulls at each of {len(self.bolts)} bolts with more than {hw.BOLT_LOAD:g} N",
-                    high=1e-3 * hw.BOLT_LOAD * len(self.bolts) / self.design.frame.area)
+        chamber = self.design.chamber
+        near = MM * self.design.glass.distance
+        need = 2 * (PORTS[-1].radius + PORTS[-1].wall)
+        yield Limit(
+            "chamber.depth_mm",
+            MM * chamber.depth,
+            "leaves too little wall for the air to come in",
+            MM * chamber.depth - self.wall + need,
+        )
+        yield Limit(
+            "glass.distance_mm",
+            near,
+            "leaves no room for the nuts between the mount's flange and the camera's plate",
+            near + self.z_plate + 0.5 - (self.z_ring[1] - self.bolt_length),
+        )
+        yield Limit(
+            "chamber.supply_gauge_kPa",
+            1e-3 * abs(chamber.supply_gauge),
+            f"pulls at each of {len(self.bolts)} bolts with more than {hw.BOLT_LOAD:g} N",
+            high=1e-3 * hw.BOLT_LOAD * len(self.bolts) / self.design.frame.area,
+        )
 
     @property
     def open_x(self) -> float:
@@ -74,7 +90,9 @@ class Layout:
     @property
     def port(self) -> Port:
         """The largest that fits into the wall."""
-        return next((port for port in PORTS if self.wall >= 2 * (port.radius + port.wall)), PORTS[-1])
+        return next(
+            (port for port in PORTS if self.wall >= 2 * (port.radius + port.wall)), PORTS[-1]
+        )
 
     @property
     def ring(self) -> float:
@@ -121,11 +139,14 @@ class Layout:
         return self._tube(self.open_y)
 
     def _tube(self, half: float) -> float:
-        return _clear_of(self.hardware.holes / 2, max(half + self.hold - hw.GLASS_HOLD, self.led_outer + 0.5))
+        return _clear_of(
+            self.hardware.holes / 2, max(half + self.hold - hw.GLASS_HOLD, self.led_outer + 0.5)
+        )
 
     @property
     def line_x(self) -> float:
-        """Where the bolts are: outside of the ring's inner edge, of the pane's seat and of the tube."""
+        """Where the bolts are: outside of the ring's inner edge, of the pane's seat and of the
+        tube."""
         return self._line(self.open_x, self.tube_x)
 
     @property
@@ -134,7 +155,11 @@ class Layout:
 
     def _line(self, half: float, tube: float) -> float:
         seat = half + self.hold + hw.GLASS_PLAY + hw.PRINT_WALL
-        return max(half + self.ring + self.bolt.head + 0.5, seat + self.bolt.hole, tube + hw.TUBE_WALL + self.bolt.nut + 0.3)
+        return max(
+            half + self.ring + self.bolt.head + 0.5,
+            seat + self.bolt.hole,
+            tube + hw.TUBE_WALL + self.bolt.nut + 0.3,
+        )
 
     @property
     def outer_x(self) -> float:
@@ -198,11 +223,15 @@ class Layout:
     @property
     def bolts(self) -> list[tuple[float, float]]:
         """Where the bolts go, around the frame; none at y = 0, where the air comes in from +x."""
-        across, along = (math.ceil(2 * line / hw.BOLT_SPACING) for line in (self.line_x, self.line_y))
+        across, along = (
+            math.ceil(2 * line / hw.BOLT_SPACING) for line in (self.line_x, self.line_y)
+        )
         along += 1 - along % 2
         xs = [self.line_x * (2 * k / across - 1) for k in range(across + 1)]
         ys = [self.line_y * (2 * k / along - 1) for k in range(1, along)]
-        return [(x, s * self.line_y) for s in (-1, 1) for x in xs] + [(s * self.line_x, y) for s in (-1, 1) for y in ys]
+        return [(x, s * self.line_y) for s in (-1, 1) for x in xs] + [
+            (s * self.line_x, y) for s in (-1, 1) for y in ys
+        ]
 
     @property
     def z_port(self) -> float:
@@ -221,7 +250,8 @@ class Layout:
 
     @property
     def plate_x(self) -> float:
-        """Half width of the mount's back plate, which the camera and a gripper's jaw are screwed to."""
+        """Half width of the mount's back plate, which the camera and a gripper's jaw are screwed
+        to."""
         return max(self.tube_x + hw.TUBE_WALL, self.hardware.holes / 2 + 3) + 8
 
     @property

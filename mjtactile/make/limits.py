@@ -1,4 +1,5 @@
-"""What can be built: each number with its limits. One that is outside of them is refused in a line that says both."""
+"""What can be built: each number with its limits. One that is outside of them is refused in a line
+that says both."""
 
 from __future__ import annotations
 
@@ -12,14 +13,16 @@ from mjtactile.make import hardware as hw
 from mjtactile.make.hardware import Hardware
 
 MM = 1e3  # mm in a m
-_WEB, _MARGIN = 0.3, 0.3  # mm: what a stencil's film can be cut to, and a sheet be laid to by hand
+# mm: what a stencil's film can be cut to, and a sheet be laid to by hand
+_WEB = 0.3
+_MARGIN = 0.3
 _DIGITS = 4  # of a limit, rounded so that it holds
 
 
 @dataclass(frozen=True)
 class Limit:
-    """The `field` of the sensor file (or an option) has `value`, in the file's unit, and must be from `low` to `high`;
-    `why` goes on after the value."""
+    """The `field` of the sensor file (or an option) has `value`, in the file's unit, and must be
+    from `low` to `high`; `why` goes on after the value."""
 
     field: str
     value: float
@@ -32,9 +35,16 @@ class Limit:
         slack = 1e-9 * abs(self.value)
         if self.low - slack <= self.value <= self.high + slack:
             return
-        limit = f"at least {_rounded(self.low, up=True)}" if self.value < self.low else f"at most {_rounded(self.high)}"
-        raise InputError(f"{self.value:g} {self.why}; {limit}", source=None if self.field.startswith("--") else source,
-                         field=self.field)
+        limit = (
+            f"at least {_rounded(self.low, up=True)}"
+            if self.value < self.low
+            else f"at most {_rounded(self.high)}"
+        )
+        raise InputError(
+            f"{self.value:g} {self.why}; {limit}",
+            source=None if self.field.startswith("--") else source,
+            field=self.field,
+        )
 
 
 def check_all(limits: Iterable[Limit], source: str) -> None:
@@ -50,68 +60,136 @@ def limits_of(design: SensorDesign, hardware: Hardware) -> Iterator[Limit]:
     yield from _pattern(design, hardware)
     yield from _lights(design, hardware)
     thinnest = 2 + hw.SPACER + hw.LED_BODY[2] + hw.LED_BOARD
-    yield Limit("--pupil-mm", hardware.pupil, "leaves less than 2 mm for the camera's plate", thinnest)
+    yield Limit(
+        "--pupil-mm", hardware.pupil, "leaves less than 2 mm for the camera's plate", thinnest
+    )
     if hardware.press is not None:
-        yield Limit("--press-mm", hardware.press, "would press the membrane against the pane",
-                    high=0.9 * MM * design.chamber.depth)
-    yield Limit("--camera-holes-mm", hardware.holes, "puts the camera's screws into the lens's hole", hardware.lens + 6)
+        yield Limit(
+            "--press-mm",
+            hardware.press,
+            "would press the membrane against the pane",
+            high=0.9 * MM * design.chamber.depth,
+        )
+    yield Limit(
+        "--camera-holes-mm",
+        hardware.holes,
+        "puts the camera's screws into the lens's hole",
+        hardware.lens + 6,
+    )
 
 
 def _housing(design: SensorDesign) -> Iterator[Limit]:
     yield Limit("frame.rim_mm", MM * design.frame.rim, "is too thin a wall", hw.PRINT_WALL)
-    yield Limit("membrane.pre_stretch", design.membrane.pre_stretch, "cannot be mounted by stretching", 1.0)
+    yield Limit(
+        "membrane.pre_stretch", design.membrane.pre_stretch, "cannot be mounted by stretching", 1.0
+    )
 
 
 def _pane(design: SensorDesign, hardware: Hardware) -> Iterator[Limit]:
-    glass, distance, thickness = design.glass, MM * design.glass.distance, MM * design.glass.thickness
+    glass = design.glass
+    distance = MM * design.glass.distance
+    thickness = MM * design.glass.thickness
     yield Limit("glass.thickness_mm", thickness, "does not close the chamber", 0.5)
-    yield Limit("glass.thickness_mm", thickness, f"bends with {glass_stress(design):.3g} MPa under the supply's pressure, more "
-                f"than the {hw.GLASS_STRESS:g} of glass", thickness * math.sqrt(glass_stress(design) / hw.GLASS_STRESS))
+    yield Limit(
+        "glass.thickness_mm",
+        thickness,
+        f"bends with {glass_stress(design):.3g} MPa "
+        "under the supply's pressure, more "
+        f"than the {hw.GLASS_STRESS:g} of glass",
+        thickness * math.sqrt(glass_stress(design) / hw.GLASS_STRESS),
+    )
     ends = MM * (design.camera.distance - design.chamber.depth - glass.thickness)
-    yield Limit("glass.distance_mm", distance, f"leaves a gap between pane and chamber, which ends at {ends:g}", ends - 0.05,
-                ends + 0.05)
-    yield Limit("glass.distance_mm", distance, "lets the lens touch the pane", hardware.lens_front + 1)
+    yield Limit(
+        "glass.distance_mm",
+        distance,
+        f"leaves a gap between pane and chamber, which ends at {ends:g}",
+        ends - 0.05,
+        ends + 0.05,
+    )
+    yield Limit(
+        "glass.distance_mm", distance, "lets the lens touch the pane", hardware.lens_front + 1
+    )
 
 
 def _pattern(design: SensorDesign, hardware: Hardware) -> Iterator[Limit]:
-    frame, markers, stretch = design.frame, design.markers, design.membrane.pre_stretch
+    frame = design.frame
+    markers = design.markers
+    stretch = design.membrane.pre_stretch
     printed = 2 * MM * markers.radius * marker_shrink(design, hardware)
-    for axis, count, pitch, size in (("x", markers.columns, markers.pitch_x, frame.length),
-                                     ("y", markers.rows, markers.pitch_y, frame.width)):
-        field, value = f"markers.pitch_{axis}_mm", MM * pitch
-        yield Limit(field, value, f"leaves webs of less than {_WEB:g} mm in the stencil", stretch * (printed + _WEB))
+    for axis, count, pitch, size in (
+        ("x", markers.columns, markers.pitch_x, frame.length),
+        ("y", markers.rows, markers.pitch_y, frame.width),
+    ):
+        field = f"markers.pitch_{axis}_mm"
+        value = MM * pitch
+        yield Limit(
+            field,
+            value,
+            f"leaves webs of less than {_WEB:g} mm in the stencil",
+            stretch * (printed + _WEB),
+        )
         room = (MM * size - 2 * MM * markers.radius - 2 * _MARGIN) / (count - 1)
-        yield Limit(field, value, f"leaves less than {_MARGIN:g} mm between the outermost markers and the frame", high=room)
+        yield Limit(
+            field,
+            value,
+            f"leaves less than {_MARGIN:g} mm between the outermost markers and the frame",
+            high=room,
+        )
 
 
 def _lights(design: SensorDesign, hardware: Hardware) -> Iterator[Limit]:
-    leds, barrel, ring = design.leds, hardware.lens / 2, MM * design.leds.ring_radius
-    reach = hardware.lens_front / (MM * design.camera.distance)  # the barrel must not shade the far end of the membrane
-    clear = max(barrel + 0.5 + hw.LED_BODY[0] / 2 + 0.5, (barrel + MM * design.frame.length / 2 * reach) / (1 - reach))
+    leds = design.leds
+    barrel = hardware.lens / 2
+    ring = MM * design.leds.ring_radius
+    # the barrel must not shade the far end of the membrane
+    reach = hardware.lens_front / (MM * design.camera.distance)
+    clear = max(
+        barrel + 0.5 + hw.LED_BODY[0] / 2 + 0.5,
+        (barrel + MM * design.frame.length / 2 * reach) / (1 - reach),
+    )
     yield Limit("leds.count", leds.count, "leaves the closed housing dark", 1)
-    yield Limit("leds.ring_radius_mm", ring, f"puts the LEDs behind or into the lens barrel of {hardware.lens:g} mm", clear)
-    yield Limit("leds.count", leds.count, f"LEDs do not fit on a ring of {ring:g} mm",
-                high=math.floor(2 * math.pi * ring / (hw.LED_BODY[1] + 1.5)))
+    yield Limit(
+        "leds.ring_radius_mm",
+        ring,
+        f"puts the LEDs behind or into the lens barrel of {hardware.lens:g} mm",
+        clear,
+    )
+    yield Limit(
+        "leds.count",
+        leds.count,
+        f"LEDs do not fit on a ring of {ring:g} mm",
+        high=math.floor(2 * math.pi * ring / (hw.LED_BODY[1] + 1.5)),
+    )
 
 
 def opening_margins(design: SensorDesign) -> tuple[float, float]:
     """From the outermost markers' edges to the opening's, along x and y, mm."""
-    frame, markers = design.frame, design.markers
-    return (MM * ((frame.length - (markers.columns - 1) * markers.pitch_x) / 2 - markers.radius),
-            MM * ((frame.width - (markers.rows - 1) * markers.pitch_y) / 2 - markers.radius))
+    frame = design.frame
+    markers = design.markers
+    return (
+        MM * ((frame.length - (markers.columns - 1) * markers.pitch_x) / 2 - markers.radius),
+        MM * ((frame.width - (markers.rows - 1) * markers.pitch_y) / 2 - markers.radius),
+    )
 
 
 def marker_shrink(design: SensorDesign, hardware: Hardware) -> float:
-    """Printed radius over mounted radius: ink is stretched with the sheet, discs that are stiffer than it are not."""
+    """Printed radius over mounted radius: ink is stretched with the sheet, discs that are stiffer
+    than it are not."""
     return 1 / design.membrane.pre_stretch if hardware.markers == "ink" else 1.0
 
 
 def glass_stress(design: SensorDesign) -> float:
-    """Largest bending stress, N/mm^2, of the pane, simply supported on the opening's edge under the supply's pressure:
-    beta p b^2 / t^2 with beta = 0.75 / (1 + 1.61 (b/a)^3) (Roark's formulas for stress and strain, flat rectangular plates)."""
+    """Largest bending stress, N/mm^2, of the pane, simply supported on the opening's edge under the
+    supply's pressure: beta p b^2 / t^2 with beta = 0.75 / (1 + 1.61 (b/a)^3) (Roark's formulas for
+    stress and strain, flat rectangular plates)."""
     b, a = sorted((design.frame.length, design.frame.width))
     beta = 0.75 / (1 + 1.61 * (b / a) ** 3)
-    return 1e-6 * beta * abs(design.chamber.supply_gauge) * (b / max(design.glass.thickness, 1e-9)) ** 2
+    return (
+        1e-6
+        * beta
+        * abs(design.chamber.supply_gauge)
+        * (b / max(design.glass.thickness, 1e-9)) ** 2
+    )
 
 
 def _rounded(value: float, *, up: bool = False) -> str:

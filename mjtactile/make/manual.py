@@ -1,4 +1,5 @@
-"""`README.md` and `assembly.md` of an output folder: what is what, the numbers that were checked, and the steps with pictures."""
+"""`README.md` and `assembly.md` of an output folder: what is what, the numbers that were checked,
+and the steps with pictures."""
 
 from __future__ import annotations
 
@@ -20,8 +21,8 @@ from mjtactile.sim.sensor.limits import STRETCHED
 
 @dataclass(frozen=True)
 class Step:
-    """A step and its picture: `parts` by name, from front to back, pulled apart unless it is a `cut`; `{}` in the text are
-    `facts`."""
+    """A step and its picture: `parts` by name, from front to back, pulled apart unless it is a
+    `cut`; `{}` in the text are `facts`."""
 
     title: str
     picture: str
@@ -35,53 +36,143 @@ class Step:
 
 
 STEPS = (
-    Step("All parts", "exploded", ("bolts", "clamp_ring", "membrane", "frame", "gasket", "glass", "glass_seat", "led_ring",
-                                   "camera_mount", "nuts", "camera"),
-         "From the front, left, to the back. Frame, clamping ring, glass seat, camera mount and the stretching jig are made "
-         "from `cad/`; the rest is in [bill.md](bill.md). Print the parts in PETG, ABS or resin with at least four "
-         "perimeters (air must not pass), or have them milled. Break the outer edges of the frame's rim by 0.5 mm and polish "
-         "them: the rubber lies on them."),
-    Step("The camera looks first", "camera", ("led_ring", "camera_mount", "camera"),
-         "Solder the LED ring after [led_ring.svg](led_ring.svg) and glue it into the mount, LEDs to the front, wires "
-         "through the small hole on the +x side. Screw the camera on from behind with {spacer:g} mm spacers, lens through "
-         "the large hole, the picture's right side to +x (the side of the air port). The LEDs' faces must be in the plane of "
-         "the lens's pupil, {pupil:g} mm before the camera board. Focus on {focus:.1f} mm from the pupil, lock the lens, set "
-         "exposure to {exposure:.0f} us and fix gain and white balance. Print [board.pdf](board.pdf), glue it to something "
-         "flat, and calibrate before the pane is in the way:\n\n    mjtactile calibrate camera --rig my_gripper.toml "
-         "--finger left --square-mm {square:g}"),
-    Step("Markers on the rubber", "print", (),
-         "Measure the scale bars of [markers.pdf](markers.pdf), both ways: {bar}. Cut the rubber to {sheet}. Lay it flat, "
-         "**not stretched**. {ink} Punch the pegs' holes (crosses along the edge, 2.5 mm)."),
-    Step("Stretch", "stretch", ("sheet", "stretch_jig"),
-         "Hang the sheet on the pegs of the jig, markers down. That stretches it by {stretch:g} both ways, alike in all "
-         "directions: the middle stays where it is, circles stay circles. Lay page 3 of [markers.pdf](markers.pdf), printed "
-         "on film, on it: markers must lie within 0.3 mm. Where one side is off, move its pegs' holes."),
-    Step("Glue it to the rim", "glue", ("sheet", "stretch_jig", "frame"),
-         "Put a thin, even bead of adhesive on the front of the rim only. Push the frame from below into the jig, which "
-         "guides it, until the rim lifts the sheet by half a millimetre; weigh it down and let it cure. From now on the "
-         "pre-stretch is fixed."),
-    Step("Clamp", "clamp", ("bolts", "clamp_ring", "membrane", "frame"),
-         "Cut the sheet off around the flange, fold it down around the rim, and lay the clamping ring over it. Punch the "
-         "{bolts} holes through the ring and put the bolts in ({bolt}). The bolts' heads stay {recess:g} mm behind the "
-         "membrane: nothing but rubber is in front."),
-    Step("Pane and mount", "glass", ("frame", "gasket", "glass", "glass_seat", "camera_mount", "nuts"),
-         "Gasket (cut along [gasket.svg](gasket.svg)) on the back of the frame, the pane in its seat, the mount behind it, "
-         "nuts on; tighten crosswise, a quarter turn after they are hand-tight. Clean pane and lens before: nothing can be "
-         "reached later."),
-    Step("Closed", "section", ("clamp_ring", "membrane", "frame", "gasket", "glass", "glass_seat", "camera_mount", "led_ring",
-                               "camera", "bolts", "nuts"),
-         "A cut through the middle. Membrane to pane: {depth:g} mm; pupil to pane: {distance:g} mm. Screw or glue "
-         "the air port into the hole on the +x side ({port}). Inflate to {supply:g} kPa under water or with soap: "
-         "no bubbles.", cut=True),
-    Step("What the camera should see", "camera_view", (),
-         "The simulated picture of the flat membrane. {mirrors}"),
-    Step("Measure", "", (),
-         "Name a calibration file in the rig file, then\n\n    mjtactile doctor --rig my_gripper.toml\n    mjtactile "
-         "calibrate valve --rig my_gripper.toml --finger left\n    mjtactile calibrate frame --rig my_gripper.toml --finger "
-         "left\n    mjtactile calibrate force --rig my_gripper.toml --finger left\n    mjtactile record --rig "
-         "my_gripper.toml --out runs/by_hand\n\n`calibrate frame` measures what has come out differently: where the camera "
-         "sits, how large the markers really are, how stiff the rubber is. `mjtactile fit` writes the sensor file of what "
-         "was built. The hose and the port hold {hose:.2f} mL: write that into `chamber.extra_volume_mL`."),
+    Step(
+        "All parts",
+        "exploded",
+        (
+            "bolts",
+            "clamp_ring",
+            "membrane",
+            "frame",
+            "gasket",
+            "glass",
+            "glass_seat",
+            "led_ring",
+            "camera_mount",
+            "nuts",
+            "camera",
+        ),
+        "From the front, left, to the back. Frame, clamping ring, glass seat, camera "
+        "mount and the stretching jig are made "
+        "from `cad/`; the rest is in [bill.md](bill.md). Print the parts in PETG, ABS or "
+        "resin with at least four "
+        "perimeters (air must not pass), or have them milled. Break the outer edges of "
+        "the frame's rim by 0.5 mm and polish "
+        "them: the rubber lies on them.",
+    ),
+    Step(
+        "The camera looks first",
+        "camera",
+        ("led_ring", "camera_mount", "camera"),
+        "Solder the LED ring after [led_ring.svg](led_ring.svg) and glue it into the "
+        "mount, LEDs to the front, wires "
+        "through the small hole on the +x side. Screw the camera on from behind with "
+        "{spacer:g} mm spacers, lens through "
+        "the large hole, the picture's right side to +x (the side of the air port). The "
+        "LEDs' faces must be in the plane of "
+        "the lens's pupil, {pupil:g} mm before the camera board. Focus on {focus:.1f} mm "
+        "from the pupil, lock the lens, set "
+        "exposure to {exposure:.0f} us and fix gain and white balance. Print "
+        "[board.pdf](board.pdf), glue it to something "
+        "flat, and calibrate before the pane is in the way:\n\n    mjtactile calibrate "
+        "camera --rig my_gripper.toml "
+        "--finger left --square-mm {square:g}",
+    ),
+    Step(
+        "Markers on the rubber",
+        "print",
+        (),
+        "Measure the scale bars of [markers.pdf](markers.pdf), both ways: {bar}. Cut the "
+        "rubber to {sheet}. Lay it flat, "
+        "**not stretched**. {ink} Punch the pegs' holes (crosses along the edge, 2.5 mm).",
+    ),
+    Step(
+        "Stretch",
+        "stretch",
+        ("sheet", "stretch_jig"),
+        "Hang the sheet on the pegs of the jig, markers down. That stretches it by "
+        "{stretch:g} both ways, alike in all "
+        "directions: the middle stays where it is, circles stay circles. Lay page 3 of "
+        "[markers.pdf](markers.pdf), printed "
+        "on film, on it: markers must lie within 0.3 mm. Where one side is off, move its "
+        "pegs' holes.",
+    ),
+    Step(
+        "Glue it to the rim",
+        "glue",
+        ("sheet", "stretch_jig", "frame"),
+        "Put a thin, even bead of adhesive on the front of the rim only. Push the frame "
+        "from below into the jig, which "
+        "guides it, until the rim lifts the sheet by half a millimetre; weigh it down and "
+        "let it cure. From now on the "
+        "pre-stretch is fixed.",
+    ),
+    Step(
+        "Clamp",
+        "clamp",
+        ("bolts", "clamp_ring", "membrane", "frame"),
+        "Cut the sheet off around the flange, fold it down around the rim, and lay the "
+        "clamping ring over it. Punch the "
+        "{bolts} holes through the ring and put the bolts in ({bolt}). The bolts' heads "
+        "stay {recess:g} mm behind the "
+        "membrane: nothing but rubber is in front.",
+    ),
+    Step(
+        "Pane and mount",
+        "glass",
+        ("frame", "gasket", "glass", "glass_seat", "camera_mount", "nuts"),
+        "Gasket (cut along [gasket.svg](gasket.svg)) on the back of the frame, the pane "
+        "in its seat, the mount behind it, "
+        "nuts on; tighten crosswise, a quarter turn after they are hand-tight. Clean pane "
+        "and lens before: nothing can be "
+        "reached later.",
+    ),
+    Step(
+        "Closed",
+        "section",
+        (
+            "clamp_ring",
+            "membrane",
+            "frame",
+            "gasket",
+            "glass",
+            "glass_seat",
+            "camera_mount",
+            "led_ring",
+            "camera",
+            "bolts",
+            "nuts",
+        ),
+        "A cut through the middle. Membrane to pane: {depth:g} mm; pupil to pane: "
+        "{distance:g} mm. Screw or glue "
+        "the air port into the hole on the +x side ({port}). Inflate to {supply:g} kPa "
+        "under water or with soap: "
+        "no bubbles.",
+        cut=True,
+    ),
+    Step(
+        "What the camera should see",
+        "camera_view",
+        (),
+        "The simulated picture of the flat membrane. {mirrors}",
+    ),
+    Step(
+        "Measure",
+        "",
+        (),
+        "Name a calibration file in the rig file, then\n\n    mjtactile doctor --rig "
+        "my_gripper.toml\n    mjtactile "
+        "calibrate valve --rig my_gripper.toml --finger left\n    mjtactile calibrate "
+        "frame --rig my_gripper.toml --finger "
+        "left\n    mjtactile calibrate force --rig my_gripper.toml --finger left\n    "
+        "mjtactile record --rig "
+        "my_gripper.toml --out runs/by_hand\n\n`calibrate frame` measures what has come "
+        "out differently: where the camera "
+        "sits, how large the markers really are, how stiff the rubber is. `mjtactile fit` "
+        "writes the sensor file of what "
+        "was built. The hose and the port hold {hose:.2f} mL: write that into "
+        "`chamber.extra_volume_mL`.",
+    ),
 )
 SHEET = "sheet"
 """The stretched sheet on the jig, a part of the pictures only."""
@@ -89,49 +180,86 @@ SHEET = "sheet"
 
 def facts(layout: Layout, optics: Optics) -> dict[str, Any]:
     """What the steps' texts say."""
-    design, half = layout.design, sheet_size(layout)
+    design = layout.design
+    half = sheet_size(layout)
     seen = mirrored_in_picture(design, optics.mirrors)
     first = optics.mirrors[0]
-    ink = ("Lay the stencil on it and rub on elastic ink (silicone ink on silicone, latex ink on latex), or transfer the "
-           "print. The ink must be thin and elastic: a stiff one holds the rubber and "
-           "comes out smaller than mounted size; if yours is stiff, or you glue "
-           "discs, make the folder again with `--markers discs`." if layout.hardware.markers == "ink" else
-           "Glue the discs through the stencil. They are stiffer than the rubber and keep their size; their places are those "
-           "before stretching.")
+    ink = (
+        "Lay the stencil on it and rub on elastic ink (silicone ink on silicone, latex ink on "
+        "latex), or transfer the "
+        "print. The ink must be thin and elastic: a stiff one holds the rubber and "
+        "comes out smaller than mounted size; if yours is stiff, or you glue "
+        "discs, make the folder again with "
+        "`--markers discs`."
+        if layout.hardware.markers == "ink"
+        else "Glue the discs through the stencil. They are stiffer than the rubber and keep "
+        "their size; their places are those "
+        "before stretching."
+    )
     return {
-        "spacer": hw.SPACER, "pupil": layout.hardware.pupil, "focus": optics.focus, "exposure": 1e6 * optics.exposure,
-        "square": MM * board_of(design).square, "bar": "both must be as long as they say, within 0.2 %",
-        "sheet": f"{2 * half[0]:.1f} x {2 * half[1]:.1f} mm", "ink": ink, "stretch": design.membrane.pre_stretch,
-        "bolts": len(layout.bolts), "bolt": f"{layout.bolt.name} x {layout.bolt_length}", "recess": hw.RECESS,
-        "depth": MM * design.chamber.depth, "distance": MM * design.glass.distance, "port": layout.port.what,
-        "supply": 1e-3 * design.chamber.supply_gauge, "hose": hose_volume(layout),
-        "mirrors": (f"The pane mirrors {seen} of {len(optics.mirrors)} LEDs into the picture, the first at {first[0]:.0f}, "
-                    f"{first[1]:.0f} px (circles); the "
-                    "simulator does not draw that. "
-                    "Crossed polarising films on LEDs "
-                    "and lens, or an anti-reflection "
-                    "coated pane, take them away; "
-                    "without these, markers there are "
-                    "lost." if seen else "No LED's mirror image in the pane is in the picture."),
-    }  # fmt: skip
+        "spacer": hw.SPACER,
+        "pupil": layout.hardware.pupil,
+        "focus": optics.focus,
+        "exposure": 1e6 * optics.exposure,
+        "square": MM * board_of(design).square,
+        "bar": "both must be as long as they say, within 0.2 %",
+        "sheet": f"{2 * half[0]:.1f} x {2 * half[1]:.1f} mm",
+        "ink": ink,
+        "stretch": design.membrane.pre_stretch,
+        "bolts": len(layout.bolts),
+        "bolt": f"{layout.bolt.name} x {layout.bolt_length}",
+        "recess": hw.RECESS,
+        "depth": MM * design.chamber.depth,
+        "distance": MM * design.glass.distance,
+        "port": layout.port.what,
+        "supply": 1e-3 * design.chamber.supply_gauge,
+        "hose": hose_volume(layout),
+        "mirrors": (
+            f"The pane mirrors {seen} of "
+            f"{len(optics.mirrors)} "
+            "LEDs into the picture, the first "
+            f"at {first[0]:.0f}, "
+            f"{first[1]:.0f} px (circles); the "
+            "simulator does not draw that. "
+            "Crossed polarising films on LEDs "
+            "and lens, or an anti-reflection "
+            "coated pane, take them away; "
+            "without these, markers there are "
+            "lost."
+            if seen
+            else "No LED's mirror image in the pane is in the picture."
+        ),
+    }
 
 
 def assembly(layout: Layout, optics: Optics, pictures: Sequence[str]) -> str:
     """The text of `assembly.md`; `pictures` are those that could be drawn."""
     known = facts(layout, optics)
-    blocks = [f"# Assembly of {layout.design.name!r}", "Lengths in mm. +x is the side of the air port; the camera's picture "
-                                                       "has it on the right."]
+    blocks = [
+        f"# Assembly of {layout.design.name!r}",
+        "Lengths in mm. +x is the side of the air port; the camera's picture has it on the right.",
+    ]
     for number, step in enumerate(STEPS):
-        picture = f"![{step.title}](pictures/{step.picture}.png)" if step.picture in pictures else ""
+        picture = (
+            f"![{step.title}](pictures/{step.picture}.png)" if step.picture in pictures else ""
+        )
         blocks += [f"## {number}. {step.title}", picture, step.text.format(**known)]
     return "\n\n".join(block for block in blocks if block) + "\n"
 
 
-def readme(layout: Layout, optics: Optics, parts: Mapping[str, Part], checks: Mapping[str, str], source: str) -> str:
+def readme(
+    layout: Layout,
+    optics: Optics,
+    parts: Mapping[str, Part],
+    checks: Mapping[str, str],
+    source: str,
+) -> str:
     """The text of `README.md`."""
     made = [part for part in parts.values() if part.make]
     sizes = {part.name: " x ".join(f"{s:.1f}" for s in part.size) for part in made}
-    rows = "\n".join(f"| `{p.name}` | {sizes[p.name]} | {1e-3 * p.volume:.2f} | {p.what} |" for p in made)
+    rows = "\n".join(
+        f"| `{p.name}` | {sizes[p.name]} | {1e-3 * p.volume:.2f} | {p.what} |" for p in made
+    )
     checked = "\n".join(f"| {what} | {value} |" for what, value in checks.items())
     return f"""# Sensor {layout.design.name!r}: all that a bench needs
 
@@ -161,26 +289,52 @@ is in [bill.md](bill.md).
 """
 
 
-def checks(layout: Layout, optics: Optics, press: float, states: Sequence[State], gap: float) -> dict[str, str]:
+def checks(
+    layout: Layout, optics: Optics, press: float, states: Sequence[State], gap: float
+) -> dict[str, str]:
     """What was checked, for people."""
-    design, hardware, grown = layout.design, layout.hardware, growth(layout.design, states)
+    design = layout.design
+    hardware = layout.hardware
+    grown = growth(layout.design, states)
     seems = MM * grown * design.camera.distance
-    size = (f"ink grows with the rubber, by up to {100 * grown:.1f} % (mean of all), and then seems {seems:.2g} mm nearer; "
-            "discs do not" if hardware.markers == "ink" else "discs keep their size")
+    size = (
+        f"ink grows with the rubber, by up to {100 * grown:.1f} % (mean of all), and then seems "
+        f"{seems:.2g} mm nearer; "
+        "discs do not"
+        if hardware.markers == "ink"
+        else "discs keep their size"
+    )
     return {
-        "rubber": f"stretched up to {max(state.stretch for state in states):.2f} of its free length; the simulator's law holds "
-                  f"to {STRETCHED:g}",
+        "rubber": "stretched up to "
+        f"{max(state.stretch for state in states):.2f} "
+        "of "
+        "its free length; "
+        "the simulator's law holds "
+        f"to {STRETCHED:g}",
         "markers' size": size,
         "markers to the edge of the opening": f"{min(opening_margins(design)):.2f} mm at least",
-        f"markers in the picture, {len(states)} simulated states to {MM * press:.2g} mm of press and "
-        f"{1e-3 * design.chamber.supply_gauge:g} kPa":
-            f"{optics.margin:.0f} px to spare ({optics.worst})",
-        "sharpness": f"blur {optics.blur:.2f} px (sd) from {optics.near:.1f} to {optics.far:.1f} mm at f/{optics.stop:g}; the "
-                     f"sensor file allows {design.camera.blur_px:g}",
-        "motion blur": f"{hw.SMEAR:g} px at {hardware.speed:g} mm/s with an exposure of {1e6 * optics.exposure:.0f} us",
-        "light": f"{optics.flux:.2g} W from each of {design.leds.count} LEDs meanwhile; photon noise {optics.noise:.1f} DN "
-                 f"(sensor file: {design.camera.noise_dn:g})",
+        f"markers in the picture, {len(states)} "
+        "simulated "
+        f"states to {MM * press:.2g} mm of "
+        "press and "
+        f"{1e-3 * design.chamber.supply_gauge:g} "
+        "kPa": f"{optics.margin:.0f} px to spare ({optics.worst})",
+        "sharpness": f"blur {optics.blur:.2f} px (sd) from "
+        f"{optics.near:.1f} to {optics.far:.1f} "
+        "mm at "
+        f"f/{optics.stop:g}; the "
+        f"sensor file allows {design.camera.blur_px:g}",
+        "motion blur": f"{hw.SMEAR:g} px at {hardware.speed:g} "
+        "mm/s with an exposure of "
+        f"{1e6 * optics.exposure:.0f} us",
+        "light": f"{optics.flux:.2g} W from each of "
+        f"{design.leds.count} LEDs meanwhile; "
+        "photon noise "
+        f"{optics.noise:.1f} DN "
+        f"(sensor file: {design.camera.noise_dn:g})",
         "pane": f"bends with {glass_stress(design):.2g} MPa of {hw.GLASS_STRESS:g} allowed",
-        "bolts": f"{abs(design.chamber.supply_gauge) * design.frame.area / len(layout.bolts):.2g} N each of {hw.BOLT_LOAD:g}",
+        "bolts": f"{abs(design.chamber.supply_gauge) * design.frame.area / len(layout.bolts):.2g} "
+        "N "
+        f"each of {hw.BOLT_LOAD:g}",
         "parts": f"closed, none intersects another, {gap:.2g} mm between what is not to touch",
-    }  # fmt: skip
+    }

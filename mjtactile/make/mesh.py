@@ -1,4 +1,5 @@
-"""Triangles of a `Part`, by manifold3d, whose results are closed and consistent by construction, and STL files of them."""
+"""Triangles of a `Part`, by manifold3d, whose results are closed and consistent by construction,
+and STL files of them."""
 
 from __future__ import annotations
 
@@ -13,25 +14,34 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.make.solid import Layer, Part
 
-PER_QUARTER, COARSE = 16, 6  # chords of a quarter circle, of files (0.12 % of a radius off) and of pictures
+# chords of a quarter circle, of files (0.12 % of a radius off) and of pictures
+PER_QUARTER = 16
+COARSE = 6
 _TOUCH = 1e-3  # mm^3 that rounding may make of faces that touch
 
 
 def need_libraries() -> None:
-    """Raises InputError that says how to get what solids and pages are made with, where it is not there."""
+    """Raises InputError that says how to get what solids and pages are made with, where it is not
+    there."""
     missing = [name for name in ("manifold3d", "matplotlib") if find_spec(name) is None]
     if missing:
-        raise InputError(f"needs {' and '.join(missing)}: pip install 'mjtactile[make]'", source="make")
+        raise InputError(
+            f"needs {' and '.join(missing)}: pip install 'mjtactile[make]'", source="make"
+        )
 
 
 def solid_of(part: Part, per_quarter: int = PER_QUARTER) -> Any:
     """The part as a `manifold3d.Manifold`, mm."""
     import manifold3d as m3
 
-    solid = m3.Manifold.batch_boolean([_extrude(layer, per_quarter) for layer in part.layers], m3.OpType.Add)
+    solid = m3.Manifold.batch_boolean(
+        [_extrude(layer, per_quarter) for layer in part.layers], m3.OpType.Add
+    )
     if part.bore:
         start, end = part.bore.ends
-        tool = m3.Manifold.cylinder(end - start + 2, part.bore.radius, circular_segments=4 * per_quarter)
+        tool = m3.Manifold.cylinder(
+            end - start + 2, part.bore.radius, circular_segments=4 * per_quarter
+        )
         solid = solid - tool.rotate((0, 90, 0)).translate((start - 1, part.bore.y, part.bore.z))
     return solid
 
@@ -39,8 +49,14 @@ def solid_of(part: Part, per_quarter: int = PER_QUARTER) -> Any:
 def _extrude(layer: Layer, per_quarter: int) -> Any:
     import manifold3d as m3
 
-    polygons = [points for region in layer.regions for points in
-                (region.outer.polygon(per_quarter), *(hole.polygon(per_quarter)[::-1] for hole in region.holes))]
+    polygons = [
+        points
+        for region in layer.regions
+        for points in (
+            region.outer.polygon(per_quarter),
+            *(hole.polygon(per_quarter)[::-1] for hole in region.holes),
+        )
+    ]
     solid = m3.CrossSection(polygons, m3.FillRule.Positive).extrude(layer.high - layer.low)
 
     def to_its_heights(points: Array) -> Array:
@@ -70,7 +86,8 @@ def overlaps(solids: Mapping[str, Any]) -> list[tuple[str, str, float]]:
     found = []
     boxes = {name: np.reshape(solid.bounding_box(), (2, 3)) for name, solid in solids.items()}
     for (one, a), (other, b) in combinations(solids.items(), 2):
-        low, high = np.maximum(boxes[one][0], boxes[other][0]), np.minimum(boxes[one][1], boxes[other][1])
+        low = np.maximum(boxes[one][0], boxes[other][0])
+        high = np.minimum(boxes[one][1], boxes[other][1])
         if (low >= high).any():
             continue
         volume = (a ^ b).volume()

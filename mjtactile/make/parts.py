@@ -1,4 +1,5 @@
-"""The parts of a sensor as solids, made of a `Layout`: those to be made, and those to be bought, as far as pictures need them."""
+"""The parts of a sensor as solids, made of a `Layout`: those to be made, and those to be bought, as
+far as pictures need them."""
 
 from __future__ import annotations
 
@@ -8,17 +9,32 @@ from mjtactile.make import hardware as hw
 from mjtactile.make.layout import Layout
 from mjtactile.make.solid import Bore, Contour, Layer, Part, Region, circle, plate
 
-_PRINTED, _LIGHT = (0.36, 0.40, 0.46), (0.55, 0.60, 0.66)
+_PRINTED = (0.36, 0.40, 0.46)
+_LIGHT = (0.55, 0.60, 0.66)
 PEG = 1.25  # mm, radius of the stretching jig's pegs
-_JIG, _PEG_HEIGHT, _PEG_SPACING = 5.0, 5.0, 9.0
+_JIG = 5.0
+_PEG_HEIGHT = 5.0
+_PEG_SPACING = 9.0
 JAW_HOLE = 1.7  # mm, radius: M3
 CAMERA_HOLE = 1.1  # M2, clear
 
 
 def make_parts(layout: Layout) -> dict[str, Part]:
     """By name, from the front to the back."""
-    makers = (_clamp_ring, _membrane, _frame, _gasket, _glass, _glass_seat, _camera_mount, _led_ring, _camera, _bolts, _nuts,
-              _stretch_jig)
+    makers = (
+        _clamp_ring,
+        _membrane,
+        _frame,
+        _gasket,
+        _glass,
+        _glass_seat,
+        _camera_mount,
+        _led_ring,
+        _camera,
+        _bolts,
+        _nuts,
+        _stretch_jig,
+    )
     return {part.name: part for part in (maker(layout) for maker in makers)}
 
 
@@ -36,86 +52,163 @@ def opening(layout: Layout) -> Contour:
 
 
 def rim_outer(layout: Layout) -> Contour:
-    """Outside of the rim that the sheet is laid over, with round corners so that it does not tear."""
+    """Outside of the rim that the sheet is laid over, with round corners so that it does not
+    tear."""
     return Contour(layout.open_x + layout.rim, layout.open_y + layout.rim, layout.rim)
 
 
 def pegs(layout: Layout) -> list[tuple[float, float]]:
     """Where the stretching jig holds the stretched sheet: around the flange, evenly."""
-    hx, hy = layout.outer_x + 6, layout.outer_y + 6
+    hx = layout.outer_x + 6
+    hy = layout.outer_y + 6
     across, along = (max(2, round(2 * half / _PEG_SPACING)) for half in (hx, hy))
-    xs, ys = ([half * (2 * k / count - 1) for k in range(count + 1)] for half, count in ((hx, across), (hy, along)))
-    return [(x, s * hy) for s in (-1, 1) for x in xs] + [(s * hx, y) for s in (-1, 1) for y in ys[1:-1]]
+    xs, ys = (
+        [half * (2 * k / count - 1) for k in range(count + 1)]
+        for half, count in ((hx, across), (hy, along))
+    )
+    return [(x, s * hy) for s in (-1, 1) for x in xs] + [
+        (s * hx, y) for s in (-1, 1) for y in ys[1:-1]
+    ]
 
 
 def _clamp_ring(layout: Layout) -> Part:
     inner = Contour(layout.ring_x, layout.ring_y, layout.rim + layout.sheet + hw.CLEARANCE)
-    return Part("clamp_ring", (plate(*layout.z_ring, flange(layout), [inner, *bolt_holes(layout)]),), _LIGHT,
-                what="holds the rubber on the frame's flange")
+    return Part(
+        "clamp_ring",
+        (plate(*layout.z_ring, flange(layout), [inner, *bolt_holes(layout)]),),
+        _LIGHT,
+        what="holds the rubber on the frame's flange",
+    )
 
 
 def _membrane(layout: Layout) -> Part:
     """The rubber as mounted: over the opening and down the rim."""
     cover = rim_outer(layout).grown(layout.sheet)
     skirt = plate(layout.z_flange + layout.sheet, 0.0, cover, [rim_outer(layout)])
-    return Part("membrane", (plate(layout.z_flange, layout.z_flange + layout.sheet, flange(layout),
-                                   [rim_outer(layout), *bolt_holes(layout)]), skirt, plate(0.0, layout.sheet, cover)),
-                (0.95, 0.94, 0.9), make=False, what="rubber sheet with markers on its inside")
+    return Part(
+        "membrane",
+        (
+            plate(
+                layout.z_flange,
+                layout.z_flange + layout.sheet,
+                flange(layout),
+                [rim_outer(layout), *bolt_holes(layout)],
+            ),
+            skirt,
+            plate(0.0, layout.sheet, cover),
+        ),
+        (0.95, 0.94, 0.9),
+        make=False,
+        what="rubber sheet with markers on its inside",
+    )
 
 
 def _frame(layout: Layout) -> Part:
-    block = plate(layout.z_block, layout.z_flange, flange(layout), [opening(layout), *bolt_holes(layout)])
+    block = plate(
+        layout.z_block, layout.z_flange, flange(layout), [opening(layout), *bolt_holes(layout)]
+    )
     rim = plate(layout.z_flange, 0.0, rim_outer(layout), [opening(layout)])
     bore = Bore(opening(layout), flange(layout), layout.port.radius, 0.0, layout.z_port)
-    return Part("frame", (block, rim), _PRINTED, bore, what="the airtight frame; air comes in on its +x side")
+    return Part(
+        "frame",
+        (block, rim),
+        _PRINTED,
+        bore,
+        what="the airtight frame; air comes in on its +x side",
+    )
 
 
 def _gasket(layout: Layout) -> Part:
-    return Part("gasket", (plate(layout.z_glass, layout.z_block, flange(layout), [opening(layout), *bolt_holes(layout)]),),
-                (0.85, 0.45, 0.35), make=False, what="silicone sheet 0.5 mm, cut along gasket.svg")
+    return Part(
+        "gasket",
+        (
+            plate(
+                layout.z_glass,
+                layout.z_block,
+                flange(layout),
+                [opening(layout), *bolt_holes(layout)],
+            ),
+        ),
+        (0.85, 0.45, 0.35),
+        make=False,
+        what="silicone sheet 0.5 mm, cut along gasket.svg",
+    )
 
 
 def _glass(layout: Layout) -> Part:
-    return Part("glass", (plate(layout.z_pane, layout.z_glass, Contour(layout.glass_x, layout.glass_y)),), (0.72, 0.88, 0.92),
-                make=False, what="flat pane")
+    return Part(
+        "glass",
+        (plate(layout.z_pane, layout.z_glass, Contour(layout.glass_x, layout.glass_y)),),
+        (0.72, 0.88, 0.92),
+        make=False,
+        what="flat pane",
+    )
 
 
 def _glass_seat(layout: Layout) -> Part:
     pocket = Contour(layout.glass_x + hw.GLASS_PLAY, layout.glass_y + hw.GLASS_PLAY)
-    window, holes = Contour(*layout.opening_view), bolt_holes(layout)
-    return Part("glass_seat", (plate(layout.z_seat, layout.z_pane, flange(layout), [window, *holes]),
-                               plate(layout.z_pane, layout.z_glass, flange(layout), [pocket, *holes])), _LIGHT,
-                what="presses the pane against gasket and frame")
+    window = Contour(*layout.opening_view)
+    holes = bolt_holes(layout)
+    return Part(
+        "glass_seat",
+        (
+            plate(layout.z_seat, layout.z_pane, flange(layout), [window, *holes]),
+            plate(layout.z_pane, layout.z_glass, flange(layout), [pocket, *holes]),
+        ),
+        _LIGHT,
+        what="presses the pane against gasket and frame",
+    )
 
 
 def _camera_mount(layout: Layout) -> Part:
     """Back plate with the lens's hole, tube, flange."""
     inside = Contour(layout.tube_x, layout.tube_y)
     outside = Contour(layout.tube_x + hw.TUBE_WALL, layout.tube_y + hw.TUBE_WALL, 2.0)
-    half, jaw_x, jaw_y = layout.hardware.holes / 2, layout.plate_x - 4, layout.plate_y - 5
-    holes = [circle(layout.hardware.lens / 2 + 0.5), circle(1.5, layout.tube_x - 2.5),
-             *(circle(CAMERA_HOLE, sx * half, sy * half) for sx in (-1, 1) for sy in (-1, 1)),
-             *(circle(JAW_HOLE, sx * jaw_x, sy * jaw_y) for sx in (-1, 1) for sy in (-1, 1))]
+    half = layout.hardware.holes / 2
+    jaw_x = layout.plate_x - 4
+    jaw_y = layout.plate_y - 5
+    holes = [
+        circle(layout.hardware.lens / 2 + 0.5),
+        circle(1.5, layout.tube_x - 2.5),
+        *(circle(CAMERA_HOLE, sx * half, sy * half) for sx in (-1, 1) for sy in (-1, 1)),
+        *(circle(JAW_HOLE, sx * jaw_x, sy * jaw_y) for sx in (-1, 1) for sy in (-1, 1)),
+    ]
     back = plate(layout.z_back, layout.z_plate, Contour(layout.plate_x, layout.plate_y, 3.0), holes)
     tube = plate(layout.z_plate, layout.z_mount, outside, [inside])
     front = plate(layout.z_mount, layout.z_seat, flange(layout), [inside, *bolt_holes(layout)])
-    return Part("camera_mount", (back, tube, front), _PRINTED,
-                what="light-tight tube with the places of LED ring and camera, and four M3 holes for a jaw")
+    return Part(
+        "camera_mount",
+        (back, tube, front),
+        _PRINTED,
+        what="light-tight tube with the places of LED ring and camera, and four M3 holes for a jaw",
+    )
 
 
 def led_places(layout: Layout) -> list[tuple[float, float]]:
     """Centres of the LEDs, at the angles that the simulator has."""
-    radius, count = 1e3 * layout.design.leds.ring_radius, layout.design.leds.count
+    radius = 1e3 * layout.design.leds.ring_radius
+    count = layout.design.leds.count
     turns = [2 * math.pi * (k + 0.5) / count for k in range(count)]
     return [(radius * math.cos(turn), radius * math.sin(turn)) for turn in turns]
 
 
 def _led_ring(layout: Layout) -> Part:
     """The circuit board, and the LEDs as discs on it."""
-    board = plate(layout.z_plate, layout.z_leds, circle(layout.led_outer), [circle(layout.led_inner)])
-    leds = Layer(layout.z_leds, layout.z_camera, tuple(Region(circle(hw.LED_BODY[1] / 2, x, y)) for x, y in led_places(layout)))
-    return Part("led_ring", (board, leds), (0.2, 0.55, 0.3), make=False, what="LEDs in the plane of the lens's pupil: "
-                                                                              "led_ring.svg")
+    board = plate(
+        layout.z_plate, layout.z_leds, circle(layout.led_outer), [circle(layout.led_inner)]
+    )
+    leds = Layer(
+        layout.z_leds,
+        layout.z_camera,
+        tuple(Region(circle(hw.LED_BODY[1] / 2, x, y)) for x, y in led_places(layout)),
+    )
+    return Part(
+        "led_ring",
+        (board, leds),
+        (0.2, 0.55, 0.3),
+        make=False,
+        what="LEDs in the plane of the lens's pupil: led_ring.svg",
+    )
 
 
 def _camera(layout: Layout) -> Part:
@@ -123,28 +216,64 @@ def _camera(layout: Layout) -> Part:
     front = layout.z_back - hw.SPACER
     half = layout.hardware.holes / 2 + 2
     board = plate(front - 1.6, front, Contour(half, half, 1.5))
-    lens = plate(front, layout.z_camera + layout.hardware.lens_front, circle(layout.hardware.lens / 2))
-    return Part("camera", (board, lens), (0.15, 0.3, 0.5), make=False, what="camera module on four M2 screws with 2 mm spacers")
+    lens = plate(
+        front, layout.z_camera + layout.hardware.lens_front, circle(layout.hardware.lens / 2)
+    )
+    return Part(
+        "camera",
+        (board, lens),
+        (0.15, 0.3, 0.5),
+        make=False,
+        what="camera module on four M2 screws with 2 mm spacers",
+    )
 
 
 def _bolts(layout: Layout) -> Part:
-    ring_top, bolt = layout.z_ring[1], layout.bolt
+    ring_top = layout.z_ring[1]
+    bolt = layout.bolt
     shanks = tuple(Region(circle(bolt.radius, x, y)) for x, y in layout.bolts)
     heads = tuple(Region(circle(bolt.head, x, y)) for x, y in layout.bolts)
-    return Part("bolts", (Layer(ring_top - layout.bolt_length, ring_top, shanks),
-                          Layer(ring_top, ring_top + bolt.head_height, heads)), (0.78, 0.78, 0.8), make=False, what=bolt.name)
+    return Part(
+        "bolts",
+        (
+            Layer(ring_top - layout.bolt_length, ring_top, shanks),
+            Layer(ring_top, ring_top + bolt.head_height, heads),
+        ),
+        (0.78, 0.78, 0.8),
+        make=False,
+        what=bolt.name,
+    )
 
 
 def _nuts(layout: Layout) -> Part:
-    rings = tuple(Region(circle(layout.bolt.nut, x, y), (circle(layout.bolt.radius, x, y),)) for x, y in layout.bolts)
-    return Part("nuts", (Layer(layout.z_mount - layout.bolt.nut_height, layout.z_mount, rings),), (0.7, 0.7, 0.72), make=False,
-                what="nuts")
+    rings = tuple(
+        Region(circle(layout.bolt.nut, x, y), (circle(layout.bolt.radius, x, y),))
+        for x, y in layout.bolts
+    )
+    return Part(
+        "nuts",
+        (Layer(layout.z_mount - layout.bolt.nut_height, layout.z_mount, rings),),
+        (0.7, 0.7, 0.72),
+        make=False,
+        what="nuts",
+    )
 
 
 def _stretch_jig(layout: Layout) -> Part:
-    """A plate around the flange, level with the frame's rim, whose pegs hold the stretched sheet."""
-    grip = Contour(layout.outer_x + hw.CLEARANCE, layout.outer_y + hw.CLEARANCE, layout.bolt.head + 1 + hw.CLEARANCE)
+    """A plate around the flange, level with the frame's rim, whose pegs hold the stretched
+    sheet."""
+    grip = Contour(
+        layout.outer_x + hw.CLEARANCE,
+        layout.outer_y + hw.CLEARANCE,
+        layout.bolt.head + 1 + hw.CLEARANCE,
+    )
     outside = Contour(layout.outer_x + 11, layout.outer_y + 11, 5.0)
-    return Part("stretch_jig", (plate(-_JIG, 0.0, outside, [grip]),
-                                Layer(0.0, _PEG_HEIGHT, tuple(Region(circle(PEG, x, y)) for x, y in pegs(layout)))),
-                (0.75, 0.62, 0.35), what="holds the sheet at its pre-stretch while it is glued to the rim; a tool, not a part")
+    return Part(
+        "stretch_jig",
+        (
+            plate(-_JIG, 0.0, outside, [grip]),
+            Layer(0.0, _PEG_HEIGHT, tuple(Region(circle(PEG, x, y)) for x, y in pegs(layout))),
+        ),
+        (0.75, 0.62, 0.35),
+        what="holds the sheet at its pre-stretch while it is glued to the rim; a tool, not a part",
+    )

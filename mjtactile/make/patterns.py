@@ -1,8 +1,10 @@
-"""What is printed or cut at 1:1: markers, stencil, the sheet as mounted, gasket, LED ring, ChArUco board.
+"""What is printed or cut at 1:1: markers, stencil, the sheet as mounted, gasket, LED ring, ChArUco
+board.
 
-The sheet is stretched alike in all directions, so that what is printed at X lies at s X when it is mounted (s the pre-stretch;
-the middle stays, and with it the centre of gravity of the pattern), and circles stay circles: of radius s times the printed one
-where the ink is stretched with the rubber, of the printed one where a marker is a disc that is stiffer than it.
+The sheet is stretched alike in all directions, so that what is printed at X lies at s X when it is
+mounted (s the pre-stretch; the middle stays, and with it the centre of gravity of the pattern), and
+circles stay circles: of radius s times the printed one where the ink is stretched with the rubber,
+of the printed one where a marker is a disc that is stiffer than it.
 """
 
 from __future__ import annotations
@@ -19,88 +21,183 @@ from mjtactile.make.solid import Contour, circle
 
 _SHEET_EDGE = 6.0  # mm of rubber beyond the pegs, mounted
 _BOARD_CELLS = 8  # across a square: Board's marker is 3/4 of it, six cells
-_COLUMNS, _ROWS = 9, 7
+_COLUMNS = 9
+_ROWS = 7
 
 
 def markers(layout: Layout, *, mounted: bool = False) -> list[Contour]:
     """The markers as printed on the unstretched sheet, or as they lie on the mounted one."""
     design = layout.design
-    scale, shrink = (1.0, 1.0) if mounted else (1 / design.membrane.pre_stretch, marker_shrink(design, layout.hardware))
-    return [circle(MM * design.markers.radius * shrink, MM * x * scale, MM * y * scale) for x, y, _ in design.markers.p_SM]
+    scale, shrink = (
+        (1.0, 1.0)
+        if mounted
+        else (1 / design.membrane.pre_stretch, marker_shrink(design, layout.hardware))
+    )
+    return [
+        circle(MM * design.markers.radius * shrink, MM * x * scale, MM * y * scale)
+        for x, y, _ in design.markers.p_SM
+    ]
 
 
 def sheet_size(layout: Layout) -> tuple[float, float]:
     """Half sizes, mm, of the rubber to cut, unstretched."""
     stretch = layout.design.membrane.pre_stretch
-    return (layout.outer_x + 6 + _SHEET_EDGE) / stretch, (layout.outer_y + 6 + _SHEET_EDGE) / stretch
+    return (layout.outer_x + 6 + _SHEET_EDGE) / stretch, (
+        layout.outer_y + 6 + _SHEET_EDGE
+    ) / stretch
 
 
 def marker_pages(layout: Layout) -> list[Sheet]:
-    """Transfer print and stencil for the unstretched sheet, and the pattern as mounted, to lay it on and check."""
-    design, stretch = layout.design, layout.design.membrane.pre_stretch
+    """Transfer print and stencil for the unstretched sheet, and the pattern as mounted, to lay it
+    on and check."""
+    design = layout.design
+    stretch = layout.design.membrane.pre_stretch
     half_x, half_y = sheet_size(layout)
-    scaled = f"at 1/{stretch:g} of the mounted size: the rubber is printed unstretched" if stretch != 1 else "no pre-stretch"
-    tags = (f"{design.markers.count} markers, {scaled}",
-            f"radius {MM * design.markers.radius * marker_shrink(design, layout.hardware):.4g} mm here, "
-            f"{MM * design.markers.radius:g} mm mounted; seen from inside, as the camera does")
-    around = [*_register(layout, 1 / stretch), Shape("mark", "sheet", contour=Contour(half_x, half_y))]
+    scaled = (
+        (f"at 1/{stretch:g} of the mounted size: the rubber is printed unstretched")
+        if stretch != 1
+        else "no pre-stretch"
+    )
+    tags = (
+        f"{design.markers.count} markers, {scaled}",
+        "radius "
+        f"{MM * design.markers.radius * marker_shrink(design, layout.hardware):.4g} mm "
+        "here, "
+        f"{MM * design.markers.radius:g} mm mounted; seen from inside, as the camera does",
+    )
+    around = [
+        *_register(layout, 1 / stretch),
+        Shape("mark", "sheet", contour=Contour(half_x, half_y)),
+    ]
     holes = [mark for x, y in pegs(layout) for mark in cross("pegs", x / stretch, y / stretch, PEG)]
     black = [Shape("black", "markers", contour=disc) for disc in markers(layout)]
     cut = [Shape("cut", "markers", contour=disc) for disc in markers(layout)]
-    check = [*(Shape("mark", "markers", contour=disc) for disc in markers(layout, mounted=True)), *_register(layout, 1.0),
-             Shape("mark", "frame", contour=opening(layout)), Shape("faint", "flange", contour=flange(layout))]
+    check = [
+        *(Shape("mark", "markers", contour=disc) for disc in markers(layout, mounted=True)),
+        *_register(layout, 1.0),
+        Shape("mark", "frame", contour=opening(layout)),
+        Shape("faint", "flange", contour=flange(layout)),
+    ]
     name = design.name
     return [
-        page(f"{name}: transfer print", [*black, *around, *holes], half_x, half_y,
-             (*tags, "the pattern is its own mirror image: print it as it is; crosses on the edge: peg holes")),
-        page(f"{name}: stencil", [*cut, *around, *holes], half_x, half_y, (*tags, "cut along red; punch the pegs' holes")),
-        page(f"{name}: as mounted", check, layout.outer_x + 6, layout.outer_y + 6,
-             ("print on film, lay on the mounted membrane:", "markers and opening must coincide within 0.3 mm"))]
+        page(
+            f"{name}: transfer print",
+            [*black, *around, *holes],
+            half_x,
+            half_y,
+            (
+                *tags,
+                "the pattern is its own mirror image: print it as it is; crosses on the edge: "
+                "peg holes",
+            ),
+        ),
+        page(
+            f"{name}: stencil",
+            [*cut, *around, *holes],
+            half_x,
+            half_y,
+            (*tags, "cut along red; punch the pegs' holes"),
+        ),
+        page(
+            f"{name}: as mounted",
+            check,
+            layout.outer_x + 6,
+            layout.outer_y + 6,
+            (
+                "print on film, lay on the mounted membrane:",
+                "markers and opening must coincide within 0.3 mm",
+            ),
+        ),
+    ]
 
 
 def _register(layout: Layout, scale: float) -> list[Shape]:
-    """Marks on the axes and the corners of the flange, for a jig or a second print; an arrow to +x, where air comes in."""
-    x, y = layout.outer_x * scale, layout.outer_y * scale
-    marks = [mark for px, py in ((x, 0), (-x, 0), (0, y), (0, -y), (x, y), (-x, y), (x, -y), (-x, -y))
-             for mark in cross("registration", px, py, 2.5 * scale)]
+    """Marks on the axes and the corners of the flange, for a jig or a second print; an arrow to +x,
+    where air comes in."""
+    x = layout.outer_x * scale
+    y = layout.outer_y * scale
+    marks = [
+        mark
+        for px, py in ((x, 0), (-x, 0), (0, y), (0, -y), (x, y), (-x, y), (x, -y), (-x, -y))
+        for mark in cross("registration", px, py, 2.5 * scale)
+    ]
     tip = x - 3 * scale
-    return [*marks, line("registration", (tip - 3, 1.0), (tip, 0), (tip - 3, -1.0)),
-            Shape("black", "text", points=((tip - 3, 4.0),), text="+x", size=2.5)]
+    return [
+        *marks,
+        line("registration", (tip - 3, 1.0), (tip, 0), (tip - 3, -1.0)),
+        Shape("black", "text", points=((tip - 3, 4.0),), text="+x", size=2.5),
+    ]
 
 
 def cut_page(layout: Layout) -> Sheet:
     """The gasket."""
-    shapes = [Shape("cut", "gasket", contour=contour) for contour in (flange(layout), opening(layout), *bolt_holes(layout))]
-    return page(f"{layout.design.name}: gasket", shapes, layout.outer_x, layout.outer_y, ("silicone sheet 0.5 mm, one piece",))
+    shapes = [
+        Shape("cut", "gasket", contour=contour)
+        for contour in (flange(layout), opening(layout), *bolt_holes(layout))
+    ]
+    return page(
+        f"{layout.design.name}: gasket",
+        shapes,
+        layout.outer_x,
+        layout.outer_y,
+        ("silicone sheet 0.5 mm, one piece",),
+    )
 
 
 def led_page(layout: Layout) -> Sheet:
     """The LED ring: outline, LEDs with their numbers, the way to the wires."""
-    shapes = [Shape("cut", "board", contour=circle(layout.led_outer)), Shape("cut", "board", contour=circle(layout.led_inner))]
-    notes = ["circuit board 1.6 mm; LEDs (2835) on the membrane's side,", "their light leaving in the plane of the lens's "
-                                                                          "pupil; drawn as seen from the camera, through the "
-                                                                          "board"]
+    shapes = [
+        Shape("cut", "board", contour=circle(layout.led_outer)),
+        Shape("cut", "board", contour=circle(layout.led_inner)),
+    ]
+    notes = [
+        "circuit board 1.6 mm; LEDs (2835) on the membrane's side,",
+        "their light leaving in the plane of the "
+        "lens's "
+        "pupil; drawn as seen from the camera, "
+        "through the "
+        "board",
+    ]
     for number, (x, y) in enumerate(led_places(layout), 1):
         out = (layout.led_outer + 4) / math.hypot(x, y)
-        shapes += [Shape("mark", "leds", contour=circle(1.4, x, y)), *cross("leds", x, y, 2.2),
-                   Shape("black", "text", points=((out * x - (15 if x < 0 else 0), out * y + 1),),
-                         text=f"{number}: {x:.2f}, {y:.2f}", size=2.2)]
+        shapes += [
+            Shape("mark", "leds", contour=circle(1.4, x, y)),
+            *cross("leds", x, y, 2.2),
+            Shape(
+                "black",
+                "text",
+                points=((out * x - (15 if x < 0 else 0), out * y + 1),),
+                text=f"{number}: {x:.2f}, {y:.2f}",
+                size=2.2,
+            ),
+        ]
     wires = layout.led_outer - 1.5
-    shapes += [line("leds", (wires, -1), (wires, 1)),
-               Shape("black", "text", points=((wires + 3, 1),), text="wires, +x", size=2.5)]
-    return page(f"{layout.design.name}: LED ring", shapes, layout.led_outer + 24, layout.led_outer + 8, notes)
+    shapes += [
+        line("leds", (wires, -1), (wires, 1)),
+        Shape("black", "text", points=((wires + 3, 1),), text="wires, +x", size=2.5),
+    ]
+    return page(
+        f"{layout.design.name}: LED ring",
+        shapes,
+        layout.led_outer + 24,
+        layout.led_outer + 8,
+        notes,
+    )
 
 
 def board_of(design: SensorDesign) -> Board:
-    """A board that nearly fills the camera's view where the membrane is, squares a multiple of 0.5 mm."""
+    """A board that nearly fills the camera's view where the membrane is, squares a multiple of 0.5
+    mm."""
     camera = design.camera
-    width, height = camera.distance * camera.width / camera.fx, camera.distance * camera.height / camera.fy
+    width = camera.distance * camera.width / camera.fx
+    height = camera.distance * camera.height / camera.fy
     square = max(0.5e-3 * math.floor(1.05 * min(width / _COLUMNS, height / _ROWS) / 0.5e-3), 1e-3)
     return Board(_COLUMNS, _ROWS, square, 0.75 * square)
 
 
 def board_page(design: SensorDesign) -> Sheet:
-    """The board as vectors: its bitmap with a pixel a cell, each run of black pixels a rectangle."""
+    """The board as vectors: its bitmap with a pixel a cell, each run of black pixels a
+    rectangle."""
     board = board_of(design)
     cell = MM * board.square / _BOARD_CELLS
     pixels = board.draw(_BOARD_CELLS)
@@ -110,10 +207,23 @@ def board_page(design: SensorDesign) -> Sheet:
         dark = [False, *(pixels[v] < 128), False]
         edges = [u for u in range(columns + 1) if dark[u] != dark[u + 1]]
         for start, end in zip(edges[::2], edges[1::2], strict=True):
-            x, y = (start + end - columns) / 2 * cell, (v + 0.5 - rows / 2) * cell
-            shapes.append(Shape("black", "board", contour=Contour((end - start) * cell / 2, cell / 2, 0.0, x, y)))
+            x = (start + end - columns) / 2 * cell
+            y = (v + 0.5 - rows / 2) * cell
+            shapes.append(
+                Shape(
+                    "black", "board", contour=Contour((end - start) * cell / 2, cell / 2, 0.0, x, y)
+                )
+            )
     square = MM * board.square
-    return page(f"{design.name}: board for `mjtactile calibrate camera`", shapes, columns * cell / 2, rows * cell / 2,
-                (f"ChArUco {board.columns} x {board.rows}, squares {square:g} mm, markers {MM * board.marker:g} mm, "
-                 f"{board.dictionary}",
-                 f"glue it to something flat, measure a square: --square-mm {square:g}"))
+    return page(
+        f"{design.name}: board for `mjtactile calibrate camera`",
+        shapes,
+        columns * cell / 2,
+        rows * cell / 2,
+        (
+            f"ChArUco {board.columns} x {board.rows}, squares {square:g} mm, markers "
+            f"{MM * board.marker:g} mm, "
+            f"{board.dictionary}",
+            f"glue it to something flat, measure a square: --square-mm {square:g}",
+        ),
+    )

@@ -1,4 +1,5 @@
-"""Pictures of the parts, exploded along the sensor's axis or cut open: triangles drawn without OpenGL, labels by matplotlib."""
+"""Pictures of the parts, exploded along the sensor's axis or cut open: triangles drawn without
+OpenGL, labels by matplotlib."""
 
 from __future__ import annotations
 
@@ -22,11 +23,14 @@ _AMBIENT = 0.5
 _SAMPLES = 2
 _LINE = 0.15  # grey of a line
 _BORDER = 1.06
-_GAP, _BOLT = 0.16, 0.35  # between parts, of their width; of a bolt's length that stays in its hole
+# between parts, of their width; of a bolt's length that stays in its hole
+_GAP = 0.16
+_BOLT = 0.35
 _OUTLINE = 0.012  # of the picture's half width: a jump in depth that is drawn as a line
 FRONT = (0.62, 0.42, 0.66), (0.0, 1.0, 0.0)
 SIDE = (0.22, -0.93, 0.30), (1.0, 0.0, 0.0)
-"""Directions in S to the viewer, and up: of the front and the +x side, where the air comes in; of a cut through the middle."""
+"""Directions in S to the viewer, and up: of the front and the +x side, where the air comes in; of a
+cut through the middle."""
 View = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
@@ -48,15 +52,22 @@ def view_axes(view: View) -> Array:
     return np.array([right, np.cross(towards, right), towards])
 
 
-def draw(bodies: Sequence[Body], *, view: View = FRONT, pixels: int = 800, cut: bool = False
-         ) -> tuple[Array, list[Array | None]]:
-    """An image (h, w, 3) from 0 to 1, and where each body is seen in it, px (right, down), None for one that is hidden.
-    `cut`: without what is at y < 0."""
+def draw(
+    bodies: Sequence[Body], *, view: View = FRONT, pixels: int = 800, cut: bool = False
+) -> tuple[Array, list[Array | None]]:
+    """An image (h, w, 3) from 0 to 1, and where each body is seen in it, px (right, down), None for
+    one that is hidden. `cut`: without what is at y < 0."""
     axes = view_axes(view)
-    solids = [body.solid.trim_by_plane((0.0, 1.0, 0.0), 0.0) if cut else body.solid for body in bodies]
-    corners = [(triangles_of(solid) + (0, 0, body.shift)) @ axes.T for body, solid in zip(bodies, solids, strict=True)]
+    solids = [
+        body.solid.trim_by_plane((0.0, 1.0, 0.0), 0.0) if cut else body.solid for body in bodies
+    ]
+    corners = [
+        (triangles_of(solid) + (0, 0, body.shift)) @ axes.T
+        for body, solid in zip(bodies, solids, strict=True)
+    ]
     every = np.concatenate(corners)
-    low, high = every.reshape(-1, 3).min(axis=0), every.reshape(-1, 3).max(axis=0)
+    low = every.reshape(-1, 3).min(axis=0)
+    high = every.reshape(-1, 3).max(axis=0)
     every = (every - (low + high) / 2) / (_BORDER * (high - low)[0] / 2)
     rows = max(round(pixels * (high - low)[1] / (high - low)[0]), 60)
     size = rows * _SAMPLES, pixels * _SAMPLES
@@ -73,27 +84,35 @@ def draw(bodies: Sequence[Body], *, view: View = FRONT, pixels: int = 800, cut: 
 def _shaded(corners: Array, rgb: Array) -> Array:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return np.clip(rgb * (_AMBIENT + (1 - _AMBIENT) * np.clip(normals @ _LIGHT, 0, 1))[:, None], 0, 1)
+    return np.clip(
+        rgb * (_AMBIENT + (1 - _AMBIENT) * np.clip(normals @ _LIGHT, 0, 1))[:, None], 0, 1
+    )
 
 
 def _paint(corners: Array, size: tuple[int, int]) -> tuple[NDArray[np.int64], Array]:
-    """The number of the nearest triangle at each pixel, -1 where there is none, and its depth, -inf there."""
+    """The number of the nearest triangle at each pixel, -1 where there is none, and its depth, -inf
+    there."""
     numbers = np.repeat(np.arange(len(corners), dtype=float)[:, None], 3, axis=1)
-    seen, depth = np.full((*size, 3), -1.0), np.full(size, -np.inf)
-    kernel("paint_triangles")(len(corners), np.ascontiguousarray(corners), numbers, *size, depth, seen)
+    seen = np.full((*size, 3), -1.0)
+    depth = np.full(size, -np.inf)
+    kernel("paint_triangles")(
+        len(corners), np.ascontiguousarray(corners), numbers, *size, depth, seen
+    )
     return seen[..., 0].astype(np.int64), depth
 
 
 def _jumps(depth: Array) -> Array:
     """Where (h, w) the depth jumps: edges of things before others."""
-    near, found = np.where(np.isfinite(depth), depth, -10.0), np.zeros(depth.shape, bool)
+    near = np.where(np.isfinite(depth), depth, -10.0)
+    found = np.zeros(depth.shape, bool)
     found[1:-1, :] |= np.abs(np.diff(near, 2, axis=0)) > _OUTLINE
     found[:, 1:-1] |= np.abs(np.diff(near, 2, axis=1)) > _OUTLINE
     return found
 
 
 def _anchor(seen: Array) -> Array | None:
-    """A pixel (right, down) of the picture, well inside of what is seen of a body; None where nothing is."""
+    """A pixel (right, down) of the picture, well inside of what is seen of a body; None where
+    nothing is."""
     if not seen.any():
         return None
     distance = cv2.distanceTransform(np.pad(seen, 1).astype(np.uint8), cv2.DIST_L2, 3)[1:-1, 1:-1]
@@ -113,28 +132,48 @@ def save_png(bodies: Sequence[Body], name: str, **view: Any) -> bytes | None:
     axes.imshow(image, interpolation="nearest")
     axes.set(xlim=(0, columns), ylim=(rows + margin, -margin))
     axes.set_axis_off()
-    labels = [(place, body.label) for body, place in zip(bodies, places, strict=True) if place is not None and body.label]
+    labels = [
+        (place, body.label)
+        for body, place in zip(bodies, places, strict=True)
+        if place is not None and body.label
+    ]
     _label(axes, labels, rows, columns, margin)
     out = io.BytesIO()
     figure.savefig(out, format="png", metadata={"Software": None})
     return out.getvalue()
 
 
-def _label(axes: Any, labels: list[tuple[Array, str]], rows: int, columns: int, margin: int) -> None:
-    """Names above and below the picture, those of the upper half above, each row spread from left to right."""
+def _label(
+    axes: Any, labels: list[tuple[Array, str]], rows: int, columns: int, margin: int
+) -> None:
+    """Names above and below the picture, those of the upper half above, each row spread from left
+    to right."""
     order = sorted(labels, key=lambda label: label[0][1])
     half = (len(order) + 1) // 2
     for group, y in ((order[:half], 18 - margin), (order[half:], rows + margin - 18)):
         for k, (place, text) in enumerate(sorted(group, key=lambda label: label[0][0])):
             x = columns * (k + 0.5) / len(group)
-            axes.annotate(text, place, (x, y), fontsize=10, ha="center", va="center",
-                          arrowprops={"arrowstyle": "-", "color": "#444444", "lw": 0.8, "shrinkA": 1, "shrinkB": 0})
+            axes.annotate(
+                text,
+                place,
+                (x, y),
+                fontsize=10,
+                ha="center",
+                va="center",
+                arrowprops={
+                    "arrowstyle": "-",
+                    "color": "#444444",
+                    "lw": 0.8,
+                    "shrinkA": 1,
+                    "shrinkB": 0,
+                },
+            )
             axes.plot(*place, "o", ms=3.5, color="#444444")
 
 
 def pulled_apart(parts: Mapping[str, Part], order: Sequence[str]) -> dict[str, float]:
-    """Shifts along z, mm, that set the parts of `order` one behind the other. Bolts stay in the ring that follows them by a
-    third, nuts are behind the flange of the mount before them."""
+    """Shifts along z, mm, that set the parts of `order` one behind the other. Bolts stay in the
+    ring that follows them by a third, nuts are behind the flange of the mount before them."""
     gap = _GAP * max(parts[name].size[0] for name in order)
     shifts: dict[str, float] = {}
     edge = 0.0  # the back of the last one
@@ -150,6 +189,11 @@ def pulled_apart(parts: Mapping[str, Part], order: Sequence[str]) -> dict[str, f
     return shifts
 
 
-def bodies_of(parts: Mapping[str, Part], solids: Mapping[str, Any], shifts: Mapping[str, float]) -> list[Body]:
+def bodies_of(
+    parts: Mapping[str, Part], solids: Mapping[str, Any], shifts: Mapping[str, float]
+) -> list[Body]:
     """The bodies of a picture: those of `shifts`, by name."""
-    return [Body(parts[name], solids[name], shift, name.replace("_", " ")) for name, shift in shifts.items()]
+    return [
+        Body(parts[name], solids[name], shift, name.replace("_", " "))
+        for name, shift in shifts.items()
+    ]

@@ -1,4 +1,5 @@
-"""Drawings on paper at 1:1: shapes in mm about the page's middle, written as SVG (units mm) or as pages of a PDF.
+"""Drawings on paper at 1:1: shapes in mm about the page's middle, written as SVG (units mm) or as
+pages of a PDF.
 
 x to the right and y down, as the camera sees the inside of the membrane.
 """
@@ -13,18 +14,26 @@ from typing import Any
 
 from mjtactile.make.solid import Contour
 
-_PAPERS = ((210.0, 297.0), (297.0, 210.0), (297.0, 420.0), (420.0, 297.0))  # A4, A3, upright and across
+# A4, A3, upright and across
+_PAPERS = ((210.0, 297.0), (297.0, 210.0), (297.0, 420.0), (420.0, 297.0))
 _BORDER = 12.0  # mm that printers leave white, and the text needs
 BAR = 100.0  # mm, of the scale bar where there is room for it
-HEAD, FOOT = 24.0, 26.0  # mm of the page for text and scale bar
-_STYLES = {"black": ("#000000", None, 0.0), "cut": (None, "#d00000", 0.1), "mark": (None, "#000000", 0.2),
-           "faint": (None, "#888888", 0.15)}
+# mm of the page for text and scale bar
+HEAD = 24.0
+FOOT = 26.0
+_STYLES = {
+    "black": ("#000000", None, 0.0),
+    "cut": (None, "#d00000", 0.1),
+    "mark": (None, "#000000", 0.2),
+    "faint": (None, "#888888", 0.15),
+}
 """Style to fill, line and its width in mm."""
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A `contour`, a polyline through `points`, or a `text` at the first of them, in a `style`, of a `group` with a name."""
+    """A `contour`, a polyline through `points`, or a `text` at the first of them, in a `style`, of
+    a `group` with a name."""
 
     style: str
     group: str
@@ -53,14 +62,25 @@ def cross(group: str, x: float, y: float, half: float = 2.0) -> list[Shape]:
     return [line(group, (x - half, y), (x + half, y)), line(group, (x, y - half), (x, y + half))]
 
 
-def page(title: str, shapes: Sequence[Shape], half_x: float, half_y: float, notes: Sequence[str] = ()) -> Sheet:
-    """The smallest paper that holds `shapes` (within the half sizes) about its middle, with a title, notes and a scale bar."""
+def page(
+    title: str, shapes: Sequence[Shape], half_x: float, half_y: float, notes: Sequence[str] = ()
+) -> Sheet:
+    """The smallest paper that holds `shapes` (within the half sizes) about its middle, with a
+    title, notes and a scale bar."""
     need = 2 * (half_x + _BORDER), 2 * (half_y + max(HEAD, FOOT))
-    width, height = next((paper for paper in _PAPERS if paper[0] >= need[0] and paper[1] >= need[1]), need)
-    width, height = max(width, 90.0), max(height, 90.0)
-    left, top = _BORDER - width / 2, 8 - height / 2
-    head = [Shape("black", "text", points=((left, top + 5.0 * k),), text=text, size=4.5 if k == 0 else 3.2)
-            for k, text in enumerate((title, *notes), 0)]
+    width, height = next(
+        (paper for paper in _PAPERS if paper[0] >= need[0] and paper[1] >= need[1]), need
+    )
+    width = max(width, 90.0)
+    height = max(height, 90.0)
+    left = _BORDER - width / 2
+    top = 8 - height / 2
+    head = [
+        Shape(
+            "black", "text", points=((left, top + 5.0 * k),), text=text, size=4.5 if k == 0 else 3.2
+        )
+        for k, text in enumerate((title, *notes), 0)
+    ]
     return Sheet(title, width, height, (*shapes, *head, *_scale_bars(width, height)))
 
 
@@ -71,44 +91,77 @@ def _scale_bars(width: float, height: float) -> list[Shape]:
         length = BAR if room >= BAR else 10 * (room // 10)
         at = height / 2 - 10 if axis == 0 else width / 2 - 9
 
-        def place(along: float, off: float, axis: int = axis, at: float = at) -> tuple[float, float]:
+        def place(
+            along: float, off: float, axis: int = axis, at: float = at
+        ) -> tuple[float, float]:
             return (along, at + off) if axis == 0 else (at + off, along)
 
         found.append(line("scale", place(-length / 2, 0), place(length / 2, 0)))
         for k in range(round(length / 10) + 1):
-            along, long = 10 * k - length / 2, 2.5 if k in (0, round(length / 10)) else 1.2
+            along = 10 * k - length / 2
+            long = 2.5 if k in (0, round(length / 10)) else 1.2
             found.append(line("scale", place(along, -long), place(along, 0)))
-        text = f"{length:g} mm: measure it, print at 100 %, never \"fit to page\"" if axis == 0 else f"{length:g} mm"
-        found.append(Shape("black", "scale", points=(place(-length / 2, 5.0) if axis == 0 else (width / 2 - 24, length / 2 + 5),),
-                           text=text, size=3.2))
+        text = (
+            (f'{length:g} mm: measure it, print at 100 %, never "fit to page"')
+            if axis == 0
+            else f"{length:g} mm"
+        )
+        found.append(
+            Shape(
+                "black",
+                "scale",
+                points=(
+                    place(-length / 2, 5.0) if axis == 0 else (width / 2 - 24, length / 2 + 5),
+                ),
+                text=text,
+                size=3.2,
+            )
+        )
     return found
 
 
 def write_svg(sheet: Sheet) -> str:
-    """The page as SVG: one user unit is a millimetre, the origin the page's middle, each round contour a `<circle>`."""
+    """The page as SVG: one user unit is a millimetre, the origin the page's middle, each round
+    contour a `<circle>`."""
     groups: dict[str, list[str]] = {}
     for shape in sheet.shapes:
         groups.setdefault(shape.group, []).append(_svg(shape))
-    body = "\n".join(f'<g id="{name}">\n' + "\n".join(lines) + "\n</g>" for name, lines in groups.items())
-    return (f'<svg xmlns="http://www.w3.org/2000/svg" width="{_n(sheet.width)}mm" height="{_n(sheet.height)}mm" '
-            f'viewBox="{_n(-sheet.width / 2)} {_n(-sheet.height / 2)} {_n(sheet.width)} {_n(sheet.height)}">\n'
-            f"<title>{escape(sheet.title)}</title>\n{body}\n</svg>\n")
+    body = "\n".join(
+        f'<g id="{name}">\n' + "\n".join(lines) + "\n</g>" for name, lines in groups.items()
+    )
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{_n(sheet.width)}mm" '
+        f'height="{_n(sheet.height)}mm" '
+        f'viewBox="{_n(-sheet.width / 2)} {_n(-sheet.height / 2)} {_n(sheet.width)} '
+        f'{_n(sheet.height)}">\n'
+        f"<title>{escape(sheet.title)}</title>\n{body}\n</svg>\n"
+    )
 
 
 def _svg(shape: Shape) -> str:
     fill, stroke, width = _STYLES[shape.style]
-    paint = f'fill="{fill or "none"}"' + (f' stroke="{stroke}" stroke-width="{width}"' if stroke else "")
+    paint = f'fill="{fill or "none"}"' + (
+        f' stroke="{stroke}" stroke-width="{width}"' if stroke else ""
+    )
     if shape.text:
-        (x, y), = shape.points
-        return (f'<text x="{_n(x)}" y="{_n(y)}" font-family="sans-serif" font-size="{shape.size}" {paint}>'
-                f"{escape(shape.text)}</text>")
+        ((x, y),) = shape.points
+        return (
+            f'<text x="{_n(x)}" y="{_n(y)}" font-family="sans-serif" font-size="{shape.size}" '
+            f"{paint}>"
+            f"{escape(shape.text)}</text>"
+        )
     if shape.contour is None:
-        return f'<polyline points="{" ".join(f"{_n(x)},{_n(y)}" for x, y in shape.points)}" {paint}/>'
+        return (
+            f'<polyline points="{" ".join(f"{_n(x)},{_n(y)}" for x, y in shape.points)}" {paint}/>'
+        )
     c = shape.contour
     if c.is_circle:
         return f'<circle cx="{_n(c.x)}" cy="{_n(c.y)}" r="{_n(c.r)}" {paint}/>'
-    return (f'<rect x="{_n(c.x - c.hx)}" y="{_n(c.y - c.hy)}" width="{_n(2 * c.hx)}" height="{_n(2 * c.hy)}" rx="{_n(c.r)}" '
-            f"{paint}/>")
+    return (
+        f'<rect x="{_n(c.x - c.hx)}" y="{_n(c.y - c.hy)}" width="{_n(2 * c.hx)}" '
+        f'height="{_n(2 * c.hy)}" rx="{_n(c.r)}" '
+        f"{paint}/>"
+    )
 
 
 def _n(value: float) -> str:
@@ -121,8 +174,10 @@ def write_pdf(sheets: Sequence[Sheet]) -> bytes:
     from matplotlib.backends.backend_pdf import PdfPages
 
     out = io.BytesIO()
-    with rc_context({"pdf.fonttype": 42, "pdf.compression": 0}), PdfPages(out, metadata={"CreationDate": None, "Creator":
-                                                                                         "mjtactile"}) as pages:
+    with (
+        rc_context({"pdf.fonttype": 42, "pdf.compression": 0}),
+        PdfPages(out, metadata={"CreationDate": None, "Creator": "mjtactile"}) as pages,
+    ):
         for sheet in sheets:
             pages.savefig(_figure(sheet))
     return out.getvalue()
@@ -153,17 +208,29 @@ def _draw(axes: Any, shape: Shape) -> None:
     from matplotlib.patches import Circle, FancyBboxPatch, Rectangle
 
     fill, stroke, width = _STYLES[shape.style]
-    paint = {"facecolor": fill or "none", "edgecolor": stroke or "none", "linewidth": width * 72 / 25.4}
+    paint = {
+        "facecolor": fill or "none",
+        "edgecolor": stroke or "none",
+        "linewidth": width * 72 / 25.4,
+    }
     c = shape.contour
     if shape.text:
-        (x, y), = shape.points
+        ((x, y),) = shape.points
         axes.text(x, y, shape.text, fontsize=shape.size * 72 / 25.4, parse_math=False, clip_on=True)
     elif c is None:
-        axes.add_artist(Line2D(*zip(*shape.points, strict=True), color=stroke, linewidth=width * 72 / 25.4))
+        axes.add_artist(
+            Line2D(*zip(*shape.points, strict=True), color=stroke, linewidth=width * 72 / 25.4)
+        )
     elif c.is_circle:
         axes.add_artist(Circle((c.x, c.y), c.r, **paint))
     elif c.r:
-        box = FancyBboxPatch((c.x - c.hx, c.y - c.hy), 2 * c.hx, 2 * c.hy, boxstyle=f"round,pad=0,rounding_size={c.r}", **paint)
+        box = FancyBboxPatch(
+            (c.x - c.hx, c.y - c.hy),
+            2 * c.hx,
+            2 * c.hy,
+            boxstyle=f"round,pad=0,rounding_size={c.r}",
+            **paint,
+        )
         axes.add_artist(box)
     else:
         axes.add_artist(Rectangle((c.x - c.hx, c.y - c.hy), 2 * c.hx, 2 * c.hy, **paint))

@@ -1,7 +1,9 @@
-"""Solids as stacks of plates: each layer is bounded by rounded rectangles and circles, which may be nested but never cross.
+"""Solids as stacks of plates: each layer is bounded by rounded rectangles and circles, which may be
+nested but never cross.
 
-That is all that a milled, printed or laser-cut housing needs, and it keeps the exact shape: `step` writes its planes and
-cylinders, `mesh` its triangles, and its volume is a closed form. mm, frame S of the sensor: z outward, flat membrane at z = 0.
+That is all that a milled, printed or laser-cut housing needs, and it keeps the exact shape: `step`
+writes its planes and cylinders, `mesh` its triangles, and its volume is a closed form. mm, frame S
+of the sensor: z outward, flat membrane at z = 0.
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ _APART = 1e-3  # mm
 
 @dataclass(frozen=True)
 class Contour:
-    """A rectangle about (x, y) with half sizes `hx`, `hy` and corners rounded with radius `r`; a circle where r = hx = hy."""
+    """A rectangle about (x, y) with half sizes `hx`, `hy` and corners rounded with radius `r`; a
+    circle where r = hx = hy."""
 
     hx: float
     hy: float
@@ -42,11 +45,13 @@ class Contour:
 
     def distance(self, x: float, y: float) -> float:
         """Signed distance of a point: negative inside."""
-        qx, qy = abs(x - self.x) - self.hx + self.r, abs(y - self.y) - self.hy + self.r
+        qx = abs(x - self.x) - self.hx + self.r
+        qy = abs(y - self.y) - self.hy + self.r
         return math.hypot(max(qx, 0.0), max(qy, 0.0)) + min(max(qx, qy), 0.0) - self.r
 
     def edges(self) -> list[tuple[Array, Array, Array | None]]:
-        """Start (2,), end (2,) and centre (2,) of each edge, counter-clockwise; straight where there is no centre."""
+        """Start (2,), end (2,) and centre (2,) of each edge, counter-clockwise; straight where
+        there is no centre."""
         middle = np.array([self.x, self.y])
         if self.is_circle:
             east = middle + (self.r, 0.0)
@@ -54,16 +59,21 @@ class Contour:
             return [(east, west, middle), (west, east, middle)]
         found: list[tuple[Array, Array, Array | None]] = []
         signs = [(1, -1), (1, 1), (-1, 1), (-1, -1)]  # corners, from below right
-        turns = [np.array(p) for p in ((0.0, -1.0), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))]
+        turns = [
+            np.array(p) for p in ((0.0, -1.0), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
+        ]
         centres = [middle + (sx * (self.hx - self.r), sy * (self.hy - self.r)) for sx, sy in signs]
         for k, centre in enumerate(centres):
             if self.r:
                 found.append((centre + self.r * turns[k], centre + self.r * turns[k + 1], centre))
-            found.append((centre + self.r * turns[k + 1], centres[(k + 1) % 4] + self.r * turns[k + 1], None))
+            found.append(
+                (centre + self.r * turns[k + 1], centres[(k + 1) % 4] + self.r * turns[k + 1], None)
+            )
         return found
 
     def polygon(self, per_quarter: int) -> Array:
-        """Points (n, 2) on the contour, counter-clockwise; arcs by `per_quarter` chords a quarter turn."""
+        """Points (n, 2) on the contour, counter-clockwise; arcs by `per_quarter` chords a quarter
+        turn."""
         points = []
         for start, _end, centre in self.edges():
             points.append(start)
@@ -114,7 +124,8 @@ class Layer:
 
 @dataclass(frozen=True)
 class Bore:
-    """A hole of `radius` along x at (y, z) from the +x side of the contour `inner` to that of `outer`."""
+    """A hole of `radius` along x at (y, z) from the +x side of the contour `inner` to that of
+    `outer`."""
 
     inner: Contour
     outer: Contour
@@ -134,7 +145,8 @@ class Bore:
 
 @dataclass(frozen=True)
 class Part:
-    """A solid: contiguous `layers` from behind to the front, and at most one `bore`; `make`: it is to be made, and has files."""
+    """A solid: contiguous `layers` from behind to the front, and at most one `bore`; `make`: it is
+    to be made, and has files."""
 
     name: str
     layers: tuple[Layer, ...]
@@ -166,8 +178,12 @@ class Part:
 
 
 def crossing(part: Part) -> tuple[Contour, Contour] | None:
-    """Two contours of the same layer, or of neighbouring ones, that cross or touch; None where all are nested or apart."""
-    found = [[c for region in layer.regions for c in (region.outer, *region.holes)] for layer in part.layers]
+    """Two contours of the same layer, or of neighbouring ones, that cross or touch; None where all
+    are nested or apart."""
+    found = [
+        [c for region in layer.regions for c in (region.outer, *region.holes)]
+        for layer in part.layers
+    ]
     for here, there in zip(found, [*found[1:], []], strict=True):
         for one, other in combinations(dict.fromkeys([*here, *there]), 2):
             if not _near(one, other):
@@ -181,7 +197,10 @@ def crossing(part: Part) -> tuple[Contour, Contour] | None:
 
 
 def _near(one: Contour, other: Contour) -> bool:
-    return abs(one.x - other.x) < one.hx + other.hx + _APART and abs(one.y - other.y) < one.hy + other.hy + _APART
+    return (
+        abs(one.x - other.x) < one.hx + other.hx + _APART
+        and abs(one.y - other.y) < one.hy + other.hy + _APART
+    )
 
 
 def plate(low: float, high: float, outer: Contour, holes: Sequence[Contour] = ()) -> Layer:

@@ -1,4 +1,5 @@
-"""Where the markers are in use: flat, inflated, and pressed at the middle, the edges and a corner, as the simulator has it."""
+"""Where the markers are in use: flat, inflated, and pressed at the middle, the edges and a corner,
+as the simulator has it."""
 
 from __future__ import annotations
 
@@ -16,13 +17,16 @@ from mjtactile.make.limits import Limit
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 _BALL = 0.008  # m, of the indenter, or a quarter of the frame's shorter side
-_PRESS, _SHARE = 0.004, 0.25  # m, or share of the chamber's depth and of the shorter side
+# m, or share of the chamber's depth and of the shorter side
+_PRESS = 0.004
+_SHARE = 0.25
 _REACH = 0.45  # of a side of the frame: the farthest that the ball's middle goes, less its radius
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Marker centres (N, 3) m and outward normals (N, 3) in S; `name` says when; `stretch` is the sheet's largest."""
+    """Marker centres (N, 3) m and outward normals (N, 3) in S; `name` says when; `stretch` is the
+    sheet's largest."""
 
     name: str
     p_SM: Array
@@ -32,8 +36,10 @@ class State:
 
 
 def growth(design: SensorDesign, states: Sequence[State]) -> float:
-    """Largest mean growth, over the states, of the distances between neighbouring markers: what elastic markers grow by."""
-    rows, columns = design.markers.rows, design.markers.columns
+    """Largest mean growth, over the states, of the distances between neighbouring markers: what
+    elastic markers grow by."""
+    rows = design.markers.rows
+    columns = design.markers.columns
     found = []
     for state in states:
         grid = state.p_SM.reshape(rows, columns, 3)
@@ -46,50 +52,92 @@ def press_depth(design: SensorDesign, hardware: Hardware) -> float:
     """How deep the deepest press is, m."""
     if hardware.press is not None:
         return 1e-3 * hardware.press
-    return min(_PRESS, _SHARE * design.chamber.depth, _SHARE * min(design.frame.length, design.frame.width))
+    return min(
+        _PRESS, _SHARE * design.chamber.depth, _SHARE * min(design.frame.length, design.frame.width)
+    )
 
 
 PLACES = {"the middle": (0, 0), "the +x edge": (1, 0), "the +y edge": (0, 1), "a corner": (1, 1)}
 """Where the ball presses, of the way from the middle to where it nearly touches the frame."""
 
 
-def simulate(design: SensorDesign, hardware: Hardware, source: str, say: Callable[[str], None],
-             places: Mapping[str, tuple[int, int]] = PLACES) -> list[State]:
-    """All states. Raises InputError where the membrane does not hold the supply's pressure, or is pressed against the glass."""
-    supply, depth, frame = design.chamber.supply_gauge, press_depth(design, hardware), design.frame
-    flat = State("flat", design.markers.p_SM, np.tile([0.0, 0, 1], (design.markers.count, 1)), design.membrane.pre_stretch, 0.0)
-    if supply > 0 and np.isnan(theory.bulge_height(design, supply)) and not np.isnan(theory.bulge_height(design, 1.0)):
-        Limit("chamber.supply_gauge_kPa", 1e-3 * supply, "is more than this sheet holds: it goes on growing",
-              high=1e-3 * _bearable(design)).check(source)
+def simulate(
+    design: SensorDesign,
+    hardware: Hardware,
+    source: str,
+    say: Callable[[str], None],
+    places: Mapping[str, tuple[int, int]] = PLACES,
+) -> list[State]:
+    """All states. Raises InputError where the membrane does not hold the supply's pressure, or is
+    pressed against the glass."""
+    supply = design.chamber.supply_gauge
+    depth = press_depth(design, hardware)
+    frame = design.frame
+    flat = State(
+        "flat",
+        design.markers.p_SM,
+        np.tile([0.0, 0, 1], (design.markers.count, 1)),
+        design.membrane.pre_stretch,
+        0.0,
+    )
+    if (
+        supply > 0
+        and np.isnan(theory.bulge_height(design, supply))
+        and not np.isnan(theory.bulge_height(design, 1.0))
+    ):
+        Limit(
+            "chamber.supply_gauge_kPa",
+            1e-3 * supply,
+            "is more than this sheet holds: it goes on growing",
+            high=1e-3 * _bearable(design),
+        ).check(source)
     ball = min(_BALL, 0.25 * min(frame.length, frame.width))
     far = [max(_REACH * side - ball, 0.0) for side in (frame.length, frame.width)]
     states = [flat]
     try:
         for name, (along_x, along_y) in places.items():
-            world = PressWorld(design, Indenter("sphere", ball), at=(along_x * far[0], along_y * far[1]))
+            world = PressWorld(
+                design, Indenter("sphere", ball), at=(along_x * far[0], along_y * far[1])
+            )
             for pressure in dict.fromkeys((0.0, supply)):
                 world.inflate(pressure, seal=True)
                 if name == "the middle" and pressure:
                     states.append(_state(world, f"inflated to {1e-3 * pressure:g} kPa"))
                 world.press(depth)
-                states.append(_state(world, f"pressed {1e3 * depth:.2g} mm deep at {name}, filled at {1e-3 * pressure:g} kPa"))
+                states.append(
+                    _state(
+                        world,
+                        f"pressed {1e3 * depth:.2g} mm deep at {name}, filled at "
+                        f"{1e-3 * pressure:g} kPa",
+                    )
+                )
             say(f"pressed at {name}")
     except SimulationError as error:
-        raise InputError(f"the membrane does not do what is asked of it at {1e-3 * supply:g} kPa and a press of "
-                         f"{1e3 * depth:.2g} mm: "
-                         f"{error.reason}", source=source, field="chamber.supply_gauge_kPa") from error
+        raise InputError(
+            f"the membrane does not do what is asked of it at {1e-3 * supply:g} kPa and a press "
+            "of "
+            f"{1e3 * depth:.2g} mm: "
+            f"{error.reason}",
+            source=source,
+            field="chamber.supply_gauge_kPa",
+        ) from error
     return states
 
 
 def _state(world: PressWorld, name: str) -> State:
     sensor = world.sensors[0]
-    return State(name, *world.marker_poses(0), sensor.stretch_and_area()[0], sensor.height_at(0.0, 0.0))
+    return State(
+        name, *world.marker_poses(0), sensor.stretch_and_area()[0], sensor.height_at(0.0, 0.0)
+    )
 
 
 def _bearable(design: SensorDesign) -> float:
     """The largest gauge pressure, Pa, that the closed form has a height for."""
-    low, high = 1.0, design.chamber.supply_gauge
+    low = 1.0
+    high = design.chamber.supply_gauge
     for _ in range(40):
         middle = (low + high) / 2
-        low, high = (low, middle) if np.isnan(theory.bulge_height(design, middle)) else (middle, high)
+        low, high = (
+            (low, middle) if np.isnan(theory.bulge_height(design, middle)) else (middle, high)
+        )
     return low

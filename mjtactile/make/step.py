@@ -1,7 +1,9 @@
-"""STEP files (ISO 10303-21, AP214) of a `Part`: its exact planes and cylinders as one closed boundary representation.
+"""STEP files (ISO 10303-21, AP214) of a `Part`: its exact planes and cylinders as one closed
+boundary representation.
 
-A side face spans the layers that share its contour; where neighbouring layers differ, a horizontal face closes what one has and
-the other has not. Each edge belongs to two faces, once each way, each loop is counter-clockwise seen from outside (ISO 10303-42).
+A side face spans the layers that share its contour; where neighbouring layers differ, a horizontal
+face closes what one has and the other has not. Each edge belongs to two faces, once each way, each
+loop is counter-clockwise seen from outside (ISO 10303-42).
 """
 
 from __future__ import annotations
@@ -40,7 +42,9 @@ class _File:
         return self.add(f"DIRECTION('',({_numbers(d)}))")
 
     def placement(self, origin: Array, axis: Array, along: Array) -> int:
-        return self.add(f"AXIS2_PLACEMENT_3D('',#{self.point(origin)},#{self.direction(axis)},#{self.direction(along)})")
+        return self.add(
+            f"AXIS2_PLACEMENT_3D('',#{self.point(origin)},#{self.direction(axis)},#{self.direction(along)})"
+        )
 
     def vertex(self, p: Array) -> int:
         return self.add(f"VERTEX_POINT('',#{self.point(p)})")
@@ -62,16 +66,23 @@ class _File:
         """A face; the first of `loops` is its outer bound."""
         bounds = []
         for number, loop in enumerate(loops):
-            edges = [self.add(f"ORIENTED_EDGE('',*,*,#{edge},{_flag(forward)})") for edge, forward in loop]
+            edges = [
+                self.add(f"ORIENTED_EDGE('',*,*,#{edge},{_flag(forward)})")
+                for edge, forward in loop
+            ]
             closed = self.add(f"EDGE_LOOP('',({_references(edges)}))")
-            bounds.append(self.add(f"FACE_{'OUTER_' if number == 0 else ''}BOUND('',#{closed},.T.)"))
+            bounds.append(
+                self.add(f"FACE_{'OUTER_' if number == 0 else ''}BOUND('',#{closed},.T.)")
+            )
         return self.add(f"ADVANCED_FACE('',({_references(bounds)}),#{surface},{_flag(same_sense)})")
 
     def plane(self, origin: Array, normal: Array, along: Array) -> int:
         return self.add(f"PLANE('',#{self.placement(origin, normal, along)})")
 
     def cylinder(self, centre: Array, axis: Array, along: Array, radius: float) -> int:
-        return self.add(f"CYLINDRICAL_SURFACE('',#{self.placement(centre, axis, along)},{_number(radius)})")
+        return self.add(
+            f"CYLINDRICAL_SURFACE('',#{self.placement(centre, axis, along)},{_number(radius)})"
+        )
 
 
 def write_step(part: Part) -> str:
@@ -84,10 +95,12 @@ def write_step(part: Part) -> str:
     solid = file.add(f"MANIFOLD_SOLID_BREP('{part.name}',#{shell})")
     _product(file, part.name, solid)
     body = "\n".join(f"#{number}={line};" for number, line in enumerate(file.lines, 1))
-    return (f"ISO-10303-21;\nHEADER;\nFILE_DESCRIPTION(('{part.name}'),'2;1');\n"
-            f"FILE_NAME('{part.name}.step','',(''),(''),'mjtactile','mjtactile','');\n"
-            "FILE_SCHEMA(('AUTOMOTIVE_DESIGN { 1 0 10303 214 1 1 1 1 }'));\nENDSEC;\nDATA;\n"
-            f"{body}\nENDSEC;\nEND-ISO-10303-21;\n")
+    return (
+        f"ISO-10303-21;\nHEADER;\nFILE_DESCRIPTION(('{part.name}'),'2;1');\n"
+        f"FILE_NAME('{part.name}.step','',(''),(''),'mjtactile','mjtactile','');\n"
+        "FILE_SCHEMA(('AUTOMOTIVE_DESIGN { 1 0 10303 214 1 1 1 1 }'));\nENDSEC;\nDATA;\n"
+        f"{body}\nENDSEC;\nEND-ISO-10303-21;\n"
+    )
 
 
 def _spans(part: Part) -> list[tuple[Contour, bool, float, float]]:
@@ -107,28 +120,41 @@ def _roles(layer: Layer | None) -> dict[tuple[Contour, bool], None]:
     """The contours of a layer, in order, with True for outer ones."""
     if layer is None:
         return {}
-    return {key: None for region in layer.regions for key in ((region.outer, True), *((hole, False) for hole in region.holes))}
+    return {
+        key: None
+        for region in layer.regions
+        for key in ((region.outer, True), *((hole, False) for hole in region.holes))
+    }
 
 
 def _ring(file: _File, contour: Contour, z: float) -> list[int]:
     """The edges of a contour at a height, counter-clockwise."""
     edges = []
     for start, end, centre in contour.edges():
-        a, b = np.append(start, z), np.append(end, z)
-        edges.append(file.line(a, b) if centre is None else file.arc(a, b, np.append(centre, z), _Z, _X))
+        a = np.append(start, z)
+        b = np.append(end, z)
+        edges.append(
+            file.line(a, b) if centre is None else file.arc(a, b, np.append(centre, z), _Z, _X)
+        )
     return edges
 
 
 def _sides(file: _File, part: Part) -> Iterable[int]:
     for contour, outer, low, high in _spans(part):
-        bottom, top = _ring(file, contour, low), _ring(file, contour, high)
+        bottom = _ring(file, contour, low)
+        top = _ring(file, contour, high)
         for k, (start, end, centre) in enumerate(contour.edges()):
-            p, q = start, end
+            p = start
+            q = end
             rise_p, rise_q = (file.line(np.append(e, low), np.append(e, high)) for e in (p, q))
             loop = [(bottom[k], True), (rise_q, True), (top[k], False), (rise_p, False)]
             loop = loop if outer else [(edge, not forward) for edge, forward in reversed(loop)]
             if centre is not None:
-                yield file.face(file.cylinder(np.append(centre, low), _Z, _X, contour.r), [loop], same_sense=outer)
+                yield file.face(
+                    file.cylinder(np.append(centre, low), _Z, _X, contour.r),
+                    [loop],
+                    same_sense=outer,
+                )
                 continue
             along = np.append(q - p, 0) / np.linalg.norm(q - p)
             normal = np.cross(along, _Z) * (1 if outer else -1)
@@ -137,31 +163,44 @@ def _sides(file: _File, part: Part) -> Iterable[int]:
 
 
 def _levels(file: _File, part: Part) -> Iterable[int]:
-    """Horizontal faces: what the layer below has and the one above has not, and the other way round."""
+    """Horizontal faces: what the layer below has and the one above has not, and the other way
+    round."""
     below = [None, *part.layers]
     above = [*part.layers, None]
     for under, over in zip(below, above, strict=True):
         z = over.low if over is not None else part.high
         for solid, free, up in ((under, over, True), (over, under, False)):
             for outer, holes in _differences(solid, free):
-                loops = [_level_loop(file, outer, z, forward=up)] + [_level_loop(file, hole, z, forward=not up) for hole in holes]
+                loops = [_level_loop(file, outer, z, forward=up)] + [
+                    _level_loop(file, hole, z, forward=not up) for hole in holes
+                ]
                 yield file.face(file.plane(np.array([0, 0, z]), _Z if up else -_Z, _X), loops)
 
 
 def _level_loop(file: _File, contour: Contour, z: float, *, forward: bool) -> Loop:
     ring = _ring(file, contour, z)
-    return [(edge, True) for edge in ring] if forward else [(edge, False) for edge in reversed(ring)]
+    return (
+        [(edge, True) for edge in ring] if forward else [(edge, False) for edge in reversed(ring)]
+    )
 
 
 def _differences(solid: Layer | None, free: Layer | None) -> list[tuple[Contour, list[Contour]]]:
     """The faces of what `solid` covers and `free` does not: outer contour and holes of each."""
     if solid is None:
         return []
-    mine, theirs = _roles(solid), _roles(free)
-    bounds = {contour: None for contour, _ in [*(k for k in mine if k not in theirs), *(k for k in theirs if k not in mine)]}
+    mine = _roles(solid)
+    theirs = _roles(free)
+    bounds = {
+        contour: None
+        for contour, _ in [
+            *(k for k in mine if k not in theirs),
+            *(k for k in theirs if k not in mine),
+        ]
+    }
 
     def covered(contour: Contour, inward: float) -> bool:
-        x, y = contour.x + contour.hx - inward, contour.y
+        x = contour.x + contour.hx - inward
+        y = contour.y
         return solid.holds(x, y) and not (free is not None and free.holds(x, y))
 
     sides = {contour: (covered(contour, _NUDGE), covered(contour, -_NUDGE)) for contour in bounds}
@@ -173,8 +212,16 @@ def _differences(solid: Layer | None, free: Layer | None) -> list[tuple[Contour,
     return list(faces.items())
 
 
-def _mouths(file: _File, bore: Bore | None, contour: Contour, normal: Array, low: float, high: float, *, outer: bool
-            ) -> list[Loop]:
+def _mouths(
+    file: _File,
+    bore: Bore | None,
+    contour: Contour,
+    normal: Array,
+    low: float,
+    high: float,
+    *,
+    outer: bool,
+) -> list[Loop]:
     """The bound that a bore makes in a face on the +x side of a contour, if it ends there."""
     if bore is None or contour != (bore.outer if outer else bore.inner) or not low < bore.z < high:
         return []
@@ -197,11 +244,21 @@ def _bore_ring(file: _File, bore: Bore, x: float) -> list[int]:
 
 def _bore_faces(file: _File, bore: Bore) -> list[int]:
     start, end = bore.ends
-    near, far = _bore_ring(file, bore, start), _bore_ring(file, bore, end)
-    seams = [file.line(a, b) for a, b in zip(_bore_points(bore, start)[1:], _bore_points(bore, end)[1:], strict=True)]
+    near = _bore_ring(file, bore, start)
+    far = _bore_ring(file, bore, end)
+    seams = [
+        file.line(a, b)
+        for a, b in zip(_bore_points(bore, start)[1:], _bore_points(bore, end)[1:], strict=True)
+    ]
     surface = file.cylinder(np.array([start, bore.y, bore.z]), _X, _Y, bore.radius)
-    return [file.face(surface, [[(far[k], True), (seams[1 - k], False), (near[k], False), (seams[k], True)]], same_sense=False)
-            for k in (0, 1)]
+    return [
+        file.face(
+            surface,
+            [[(far[k], True), (seams[1 - k], False), (near[k], False), (seams[k], True)]],
+            same_sense=False,
+        )
+        for k in (0, 1)
+    ]
 
 
 def _product(file: _File, name: str, solid: int) -> None:
@@ -210,13 +267,20 @@ def _product(file: _File, name: str, solid: int) -> None:
     length = add("(LENGTH_UNIT()NAMED_UNIT(*)SI_UNIT(.MILLI.,.METRE.))")
     angle = add("(NAMED_UNIT(*)PLANE_ANGLE_UNIT()SI_UNIT($,.RADIAN.))")
     solid_angle = add("(NAMED_UNIT(*)SI_UNIT($,.STERADIAN.)SOLID_ANGLE_UNIT())")
-    close = add(f"UNCERTAINTY_MEASURE_WITH_UNIT(LENGTH_MEASURE(1.E-6),#{length},'distance_accuracy_value','')")
-    context = add(f"(GEOMETRIC_REPRESENTATION_CONTEXT(3)GLOBAL_UNCERTAINTY_ASSIGNED_CONTEXT((#{close}))"
-                  f"GLOBAL_UNIT_ASSIGNED_CONTEXT((#{length},#{angle},#{solid_angle}))REPRESENTATION_CONTEXT('',''))")
+    close = add(
+        f"UNCERTAINTY_MEASURE_WITH_UNIT(LENGTH_MEASURE(1.E-6),#{length},'distance_accuracy_value','')"
+    )
+    context = add(
+        f"(GEOMETRIC_REPRESENTATION_CONTEXT(3)GLOBAL_UNCERTAINTY_ASSIGNED_CONTEXT((#{close}))"
+        f"GLOBAL_UNIT_ASSIGNED_CONTEXT((#{length},#{angle},#{solid_angle}))REPRESENTATION_CONTEXT('',''))"
+    )
     axes = file.placement(np.zeros(3), _Z, _X)
     shape = add(f"ADVANCED_BREP_SHAPE_REPRESENTATION('',(#{axes},#{solid}),#{context})")
     application = add("APPLICATION_CONTEXT('automotive design')")
-    add(f"APPLICATION_PROTOCOL_DEFINITION('international standard','automotive_design',2000,#{application})")
+    add(
+        "APPLICATION_PROTOCOL_DEFINITION('international "
+        f"standard','automotive_design',2000,#{application})"
+    )
     mechanical = add(f"PRODUCT_CONTEXT('',#{application},'mechanical')")
     product = add(f"PRODUCT('{name}','{name}','',(#{mechanical}))")
     add(f"PRODUCT_RELATED_PRODUCT_CATEGORY('part',$,(#{product}))")

@@ -35,30 +35,56 @@ class Mount:
     membrane: Attachment
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData, *, seed: int = 0) -> SimFinger:
-        """The sensor at run time: inflated, sealed, its references taken on the sensor alone. `seed` fixes its camera's noise.
+        """The sensor at run time: inflated, sealed, its references taken on the sensor alone.
+        `seed` fixes its camera's noise.
 
-        It finishes the model (pre-stretch, contact stiffness) and writes the membrane's joints in `data`; nothing else of the
-        scene is touched. One model carries one bound state: bind again after `spec.recompile`, or to start over.
-        Raises InputError when the model's options cannot carry the sensor, or it was not compiled from the spec.
+        It finishes the model (pre-stretch, contact stiffness) and writes the membrane's joints in
+        `data`; nothing else of the scene is touched. One model carries one bound state: bind again
+        after `spec.recompile`, or to start over. Raises InputError when the model's options cannot
+        carry the sensor, or it was not compiled from the spec.
         """
         return SimFinger(self.membrane, model, data, seed)
 
 
-def attach(spec: mujoco.MjSpec, sensor: SensorDesign | str | Path, *, site: mujoco.MjsSite | str, prefix: str = "tactile_",
-           mesh: tuple[int, int] = DEFAULT_MESH, mass: float = 0.05, contact: str = "auto",
-           effects: Collection[str] = PHYSICS | CAMERA) -> Mount:
-    """Attach `sensor` (a design, a shipped name or a TOML file) to the scene `spec` at `site`, and its `user` sensors.
+def attach(
+    spec: mujoco.MjSpec,
+    sensor: SensorDesign | str | Path,
+    *,
+    site: mujoco.MjsSite | str,
+    prefix: str = "tactile_",
+    mesh: tuple[int, int] = DEFAULT_MESH,
+    mass: float = 0.05,
+    contact: str = "auto",
+    effects: Collection[str] = PHYSICS | CAMERA,
+) -> Mount:
+    """Attach `sensor` (a design, a shipped name or a TOML file) to the scene `spec` at `site`, and
+    its `user` sensors.
 
-    `prefix` keeps several sensors apart, `mesh` is the number of vertices along x and y, `mass` kg that of frame, glass and
-    camera; `contact` says what of the membrane touches: its "vertices", its triangles ("elements"), "both", or "auto" by the
-    scene's smallest feature; `effects` are names of `mjtactile effects`. Raises InputError for an unknown site, a prefix
-    already used, a sensor that cannot be simulated or felt with, or options of `spec` that cannot carry it
+    `prefix` keeps several sensors apart, `mesh` is the number of vertices along x and y, `mass` kg
+    that of frame, glass and camera; `contact` says what of the membrane touches: its "vertices",
+    its triangles ("elements"), "both", or "auto" by the scene's smallest feature; `effects` are
+    names of `mjtactile effects`. Raises InputError for an unknown site, a prefix already used, a
+    sensor that cannot be simulated or felt with, or options of `spec` that cannot carry it
     (`recommend_options` sets them).
     """
     design = load_sensor(sensor)
     design.require_rectangle("attach, whose sensors feel,")
-    placed = attach_membrane(spec, design, site=site, prefix=prefix, mesh=mesh, mass=mass, contact=contact, effects=effects)
+    placed = attach_membrane(
+        spec,
+        design,
+        site=site,
+        prefix=prefix,
+        mesh=mesh,
+        mass=mass,
+        contact=contact,
+        effects=effects,
+    )
     for name, size in OUTPUTS.items():
         # stage "none": MuJoCo fills the others with zeros in every step
-        spec.add_sensor(name=prefix + name, type=mujoco.mjtSensor.mjSENS_USER, dim=size, needstage=mujoco.mjtStage.mjSTAGE_NONE)
+        spec.add_sensor(
+            name=prefix + name,
+            type=mujoco.mjtSensor.mjSENS_USER,
+            dim=size,
+            needstage=mujoco.mjtStage.mjSTAGE_NONE,
+        )
     return Mount(placed)

@@ -1,8 +1,10 @@
-"""What a sensor is like at rest, found out on the sensor alone: no scene needs a choreography for it.
+"""What a sensor is like at rest, found out on the sensor alone: no scene needs a choreography for
+it.
 
-A real sensor measures its references while nothing touches it. In somebody else's scene something may touch from the first
-step on, so that the references are taken in a world that holds this one sensor and nothing else, through rendered images and
-the chain that every rig uses. The inflated membrane that it ends with is then put into the user's scene.
+A real sensor measures its references while nothing touches it. In somebody else's scene something
+may touch from the first step on, so that the references are taken in a world that holds this one
+sensor and nothing else, through rendered images and the chain that every rig uses. The inflated
+membrane that it ends with is then put into the user's scene.
 """
 
 from __future__ import annotations
@@ -26,8 +28,9 @@ from mjtactile.sim.scenes.world import World
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """A sensor with its chamber sealed and nothing touching: `displacements` (3 k,) m in S of its mesh's interior vertices,
-    `pressure_gauge` Pa, and its `chain` with the `state` that has measured both references."""
+    """A sensor with its chamber sealed and nothing touching: `displacements` (3 k,) m in S of its
+    mesh's interior vertices, `pressure_gauge` Pa, and its `chain` with the `state` that has
+    measured both references."""
 
     displacements: Array
     pressure_gauge: float
@@ -36,19 +39,27 @@ class Rest:
 
 
 @lru_cache(maxsize=64)
-def at_rest(design: SensorDesign, mesh: tuple[int, int], effects: frozenset[str], seed: int) -> Rest:
+def at_rest(
+    design: SensorDesign, mesh: tuple[int, int], effects: frozenset[str], seed: int
+) -> Rest:
     """Inflate one sensor alone and take its references; `seed` fixes its camera's noise.
 
-    Raises DeviceError when the sensor cannot measure itself: an image that shows too few markers, for example.
+    Raises DeviceError when the sensor cannot measure itself: an image that shows too few markers,
+    for example.
     """
     spec = mujoco.MjSpec()
     recommend_options(spec)
     spec.option.gravity = [0.0, 0.0, 0.0]
-    world = World(spec, [attach(spec, design, site=spec.worldbody.add_site(), mesh=mesh, effects=effects)])
-    sensor, clock = world.sensors[0], SimClock(world)
+    world = World(
+        spec, [attach(spec, design, site=spec.worldbody.add_site(), mesh=mesh, effects=effects)]
+    )
+    sensor = world.sensors[0]
+    clock = SimClock(world)
     finger = Finger("alone", design, SimCamera(sensor, seed, effects), SimValve(sensor))
     perception = Perception.of(design)
-    Session(Rig("alone", (finger,), _NoGripper(), clock, Limits(), clock.close), [perception]).take_references()
+    Session(
+        Rig("alone", (finger,), _NoGripper(), clock, Limits(), clock.close), [perception]
+    ).take_references()
     clock.close()
     return Rest(sensor.displacements, sensor.pressure_gauge, perception.chain, perception.state)
 

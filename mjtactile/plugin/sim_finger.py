@@ -25,8 +25,8 @@ OUTPUTS = {"wrench": 6, "pressure": 1, "touching": 1}
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What one image of a finger's camera said: `touch` as old as it was then, the membrane at `rest`, and `pressure_gauge` Pa
-    and `temperature` K in the chamber when it was taken."""
+    """What one image of a finger's camera said: `touch` as old as it was then, the membrane at
+    `rest`, and `pressure_gauge` Pa and `temperature` K in the chamber when it was taken."""
 
     image: Image
     touch: Touch
@@ -38,20 +38,29 @@ class Seen:
 class SimFinger:
     """A sensor in a scene that its user steps: membrane, gas, camera and sensing chain in one.
 
-    It is no `mjtactile.Finger`: that one is part of a rig, whose session reads its devices. This one looks at its own images
-    as they fall due, since the loop is the user's. Made by `Mount.bind`, inflated and with its references taken.
+    It is no `mjtactile.Finger`: that one is part of a rig, whose session reads its devices. This
+    one looks at its own images as they fall due, since the loop is the user's. Made by
+    `Mount.bind`, inflated and with its references taken.
 
-    With every step it also writes `data.sensordata`: PREFIXwrench (6 numbers: N and N m about the origin of S, felt, as in
-    `touch.traction.wrench`), PREFIXpressure (Pa, gauge) and PREFIXtouching (0 or 1); NaN where the touch is unknown.
+    With every step it also writes `data.sensordata`: PREFIXwrench (6 numbers: N and N m about the
+    origin of S, felt, as in `touch.traction.wrench`), PREFIXpressure (Pa, gauge) and PREFIXtouching
+    (0 or 1); NaN where the touch is unknown.
     """
 
     def __init__(self, membrane: Attachment, model: mujoco.MjModel, data: mujoco.MjData, seed: int):
-        self._membrane, self._model, self._data = membrane, model, data
-        self._seed = int(np.random.SeedSequence([seed, *membrane.prefix.encode()]).generate_state(1)[0])
-        self._outputs = [_address(model, membrane.prefix + name, size) for name, size in OUTPUTS.items()]
+        self._membrane = membrane
+        self._model = model
+        self._data = data
+        self._seed = int(
+            np.random.SeedSequence([seed, *membrane.prefix.encode()]).generate_state(1)[0]
+        )
+        self._outputs = [
+            _address(model, membrane.prefix + name, size) for name, size in OUTPUTS.items()
+        ]
         self.reset()
 
-    # -- what it says ------------------------------------------------------------------------------------------------
+    # -- what it says
+    # --------------------------------------------------------------------------------
 
     @property
     def name(self) -> str:
@@ -78,19 +87,24 @@ class SimFinger:
 
     @property
     def seen(self) -> Seen:
-        """All that the newest image said, in one piece: for other threads than the one that steps."""
+        """All that the newest image said, in one piece: for other threads than the one that
+        steps."""
         return self._seen
 
     @property
     def pressure_gauge(self) -> float:
-        """Pressure in the chamber, Pa above ambient, at the last step: what a pressure sensor would read."""
+        """Pressure in the chamber, Pa above ambient, at the last step: what a pressure sensor would
+        read."""
         return self.sensor.pressure_gauge
 
-    # -- what moves it -----------------------------------------------------------------------------------------------
+    # -- what moves it
+    # --------------------------------------------------------------------------------
 
     def reset(self) -> None:
-        """Start again as after `bind`: inflated, at rest, histories forgotten. Call it after `mj_resetData` and the like."""
-        mesh, effects = self._membrane.mesh, self._membrane.effects
+        """Start again as after `bind`: inflated, at rest, histories forgotten. Call it after
+        `mj_resetData` and the like."""
+        mesh = self._membrane.mesh
+        effects = self._membrane.effects
         rest = at_rest(self.design, (mesh.nx, mesh.ny), effects, self._seed)
         self.sensor: TactileSensor = self._membrane.bind(self._model, self._data)
         """The membrane, its gas and its valve."""
@@ -106,7 +120,8 @@ class SimFinger:
         return data is self._data
 
     def before_step(self) -> None:
-        """Bring the gas up to the present state; for those who call `mj_step` themselves, right before it.
+        """Bring the gas up to the present state; for those who call `mj_step` themselves, right
+        before it.
 
         Raises InputError when the scene was stepped or reset without this finger.
         """
@@ -114,18 +129,23 @@ class SimFinger:
         self.sensor.update()
 
     def after_step(self) -> None:
-        """Check the state, look at an image if one is due; for those who call `mj_step` themselves, right after it.
+        """Check the state, look at an image if one is due; for those who call `mj_step` themselves,
+        right after it.
 
         Raises SimulationError when the state is no longer to be trusted.
         """
         self._steps, self._time = self._steps + 1, float(self._data.time)
-        motion = math.isfinite(self._data.qpos.dot(self._data.qpos) + self._data.qvel.dot(self._data.qvel))
+        motion = math.isfinite(
+            self._data.qpos.dot(self._data.qpos) + self._data.qvel.dot(self._data.qvel)
+        )
         reason = self.sensor.failure() if motion else "the state is not finite"
         if reason:
             raise SimulationError(reason, step=self._steps, time=self._time)
         if self._time > self._next_image - self._model.opt.timestep / 2:
             self._look()
-            self._next_image += self._period * max(1, math.ceil((self._time - self._next_image) / self._period))
+            self._next_image += self._period * max(
+                1, math.ceil((self._time - self._next_image) / self._period)
+            )
         self._write()
 
     @property
@@ -136,30 +156,51 @@ class SimFinger:
         self._image = self._camera.read()
         self._touch = self._perception.perceive(self._image, self._time)
         reference = self._perception.state.reference
-        self._seen = Seen(self._image, self._touch, None if reference is None else reference.surface, self.pressure_gauge,
-                          self.sensor.temperature)
+        self._seen = Seen(
+            self._image,
+            self._touch,
+            None if reference is None else reference.surface,
+            self.pressure_gauge,
+            self.sensor.temperature,
+        )
         self._write()
 
     def _write(self) -> None:
         """Bring the MuJoCo sensors up to date."""
-        touch, known = self._touch, self._touch.status == "ok"
+        touch = self._touch
+        known = self._touch.status == "ok"
         wrench = touch.traction.wrench if known and touch.traction is not None else math.nan
-        for place, value in zip(self._outputs, (wrench, self.pressure_gauge, touch.touching if known else math.nan), strict=True):
+        for place, value in zip(
+            self._outputs,
+            (wrench, self.pressure_gauge, touch.touching if known else math.nan),
+            strict=True,
+        ):
             self._data.sensordata[place] = value
 
     def _require_time(self, slack: float = 0.0) -> None:
         """Raise InputError unless this finger has gone with the scene, up to `slack` s."""
         now = float(self._data.time)
         if now < self._time:
-            raise InputError(f"time went back from {self._time:g} to {now:g} s: call reset() of every finger after mj_resetData",
-                             source=f"finger {self.name!r}")
+            raise InputError(
+                f"time went back from {self._time:g} to {now:g} s: call reset() of every finger "
+                "after mj_resetData",
+                source=f"finger {self.name!r}",
+            )
         if now > self._time + slack:
-            raise InputError(f"it was left at {self._time:g} s and the scene is at {now:g} s: call mjtactile.step(model, data, "
-                             "fingers) with all fingers in place of mj_step, or reset()", source=f"finger {self.name!r}")
+            raise InputError(
+                f"it was left at {self._time:g} s and the scene is at {now:g} s: call "
+                "mjtactile.step(model, data, "
+                "fingers) with all fingers in place of "
+                "mj_step, or reset()",
+                source=f"finger {self.name!r}",
+            )
 
 
-def step(model: mujoco.MjModel, data: mujoco.MjData, fingers: Sequence[SimFinger], nstep: int = 1) -> None:
-    """Advance the scene by `nstep` time steps as `mj_step` does, with `fingers`: gas, step, images when they are due.
+def step(
+    model: mujoco.MjModel, data: mujoco.MjData, fingers: Sequence[SimFinger], nstep: int = 1
+) -> None:
+    """Advance the scene by `nstep` time steps as `mj_step` does, with `fingers`: gas, step, images
+    when they are due.
 
     Raises InputError when one was left behind or is bound to other data,
     SimulationError when the state is no longer to be trusted.
@@ -176,10 +217,15 @@ def step(model: mujoco.MjModel, data: mujoco.MjData, fingers: Sequence[SimFinger
 
 
 def _address(model: mujoco.MjModel, name: str, size: int) -> slice:
-    """Where a sensor's numbers are in `sensordata`. Raises InputError when the model has no such sensor."""
+    """Where a sensor's numbers are in `sensordata`. Raises InputError when the model has no such
+    sensor."""
     found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
     if found < 0:
-        raise InputError(f"the model has no sensor {name!r}; was it compiled from the spec that the sensor was attached to?",
-                         source="bind", field="model")
+        raise InputError(
+            f"the model has no sensor {name!r}; was it compiled from the spec that the sensor "
+            "was attached to?",
+            source="bind",
+            field="model",
+        )
     start = int(model.sensor_adr[found])
     return slice(start, start + size)

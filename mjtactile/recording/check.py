@@ -1,4 +1,5 @@
-"""Whether a log's lines are what they say: kinds and shapes of their values, so that nobody behind the reader need ask.
+"""Whether a log's lines are what they say: kinds and shapes of their values, so that nobody behind
+the reader need ask.
 
 A recording may come from anywhere, and a disk may lose a part of it.
 """
@@ -10,24 +11,76 @@ from collections.abc import Mapping
 from pathlib import PurePosixPath
 from typing import Any
 
-FLAG, NUMBER, TEXT, TABLE = "true or false", "a number", "text", "a table"
-_ONE = {"phase": TEXT, "state": TEXT, "reason": TEXT, "memory": TABLE,
-        **dict.fromkeys(("time", "opening", "speed", "effort", "lift_height", "gripper_time", "gripper_age", "command_opening",
-                         "command_force_limit", "command_lift_height", "perception_ms"), NUMBER)}
+FLAG = "true or false"
+NUMBER = "a number"
+TEXT = "text"
+TABLE = "a table"
+_ONE = {
+    "phase": TEXT,
+    "state": TEXT,
+    "reason": TEXT,
+    "memory": TABLE,
+    **dict.fromkeys(
+        (
+            "time",
+            "opening",
+            "speed",
+            "effort",
+            "lift_height",
+            "gripper_time",
+            "gripper_age",
+            "command_opening",
+            "command_force_limit",
+            "command_lift_height",
+            "perception_ms",
+        ),
+        NUMBER,
+    ),
+}
 """Columns of one value; the others have a list of one a finger or valve."""
-_LISTS = {"status": TEXT, "status_code": TEXT, "slip_state": TEXT, "touching": FLAG, "valve_open": FLAG, "images": TEXT}
+_LISTS = {
+    "status": TEXT,
+    "status_code": TEXT,
+    "slip_state": TEXT,
+    "touching": FLAG,
+    "valve_open": FLAG,
+    "images": TEXT,
+}
 """What is in the lists; numbers otherwise. `patches` has as many as there are."""
 _PARTS = {"wrench": 6, "wrench_sd": 6, "wrench_true": 6, "contact_centroid": 2, "slip_velocity": 2}
 """How many numbers of each finger there are; one otherwise."""
 _VALVES = ("valve_open", "pressure_gauge", "valve_time", "valve_age")
-_FINGERS = ("image_time", "force_normal", "force_normal_sd", "force_shear", "status", "status_code", "touching", "touch_age",
-            "wrench", "wrench_sd", "contact_area", "contact_centroid", "contact_depth", "patches", "slip_state", "marker_count")
+_FINGERS = (
+    "image_time",
+    "force_normal",
+    "force_normal_sd",
+    "force_shear",
+    "status",
+    "status_code",
+    "touching",
+    "touch_age",
+    "wrench",
+    "wrench_sd",
+    "contact_area",
+    "contact_centroid",
+    "contact_depth",
+    "patches",
+    "slip_state",
+    "marker_count",
+)
 _HEADER = {"design": TEXT, "sensor": TEXT, "object": TEXT, "rig": TEXT, "files": TABLE}
-_NOTES = {"start_opening": NUMBER, "start_lift_height": NUMBER, "calibration": TABLE, "break_force_N": NUMBER, "fingers": (TEXT,)}
+_NOTES = {
+    "start_opening": NUMBER,
+    "start_lift_height": NUMBER,
+    "calibration": TABLE,
+    "break_force_N": NUMBER,
+    "fingers": (TEXT,),
+}
 
 
 def kind(value: Any) -> Any:
-    """FLAG, NUMBER (or unknown), TEXT, TABLE; of a list the tuple of its values' kinds, None of anything else."""
+    """FLAG, NUMBER (or unknown), TEXT, TABLE; of a list the tuple of its values' kinds, None of
+    anything else."""
     if isinstance(value, bool):
         return FLAG
     if value is None or (isinstance(value, (int, float)) and abs(value) <= sys.float_info.max):
@@ -40,8 +93,8 @@ def kind(value: Any) -> Any:
 
 
 def wrong_column(row: Mapping[str, Any], first: Mapping[str, Any]) -> str | None:
-    """The first column of a cycle that is not what it should be: of another kind, or of another shape than in the recording's
-    `first` cycle. None: all is well."""
+    """The first column of a cycle that is not what it should be: of another kind, or of another
+    shape than in the recording's `first` cycle. None: all is well."""
     if row.get("time") is None:
         return "time"
     for key in (key for key in first if key != "kind"):
@@ -49,16 +102,31 @@ def wrong_column(row: Mapping[str, Any], first: Mapping[str, Any]) -> str | None
         if key in _ONE:
             good = found == _ONE[key]
         elif key == "patches":
-            good = isinstance(found, tuple) and all(isinstance(each, tuple) and set(each) <= {TABLE} for each in found)
+            good = isinstance(found, tuple) and all(
+                isinstance(each, tuple) and set(each) <= {TABLE} for each in found
+            )
         elif key == "images":
-            good = isinstance(found, tuple) and _are_names(row[key]) and len(found) in (0, len(first.get("image_time", ())))
+            good = (
+                isinstance(found, tuple)
+                and _are_names(row[key])
+                and len(found) in (0, len(first.get("image_time", ())))
+            )
         else:
             one = (NUMBER,) * _PARTS[key] if key in _PARTS else _LISTS.get(key, NUMBER)
-            good = isinstance(found, tuple) and set(found) <= {one} and len(found) == len(first[key])
+            good = (
+                isinstance(found, tuple) and set(found) <= {one} and len(found) == len(first[key])
+            )
         if not good:
             return key
     lengths = [[len(row[key]) for key in keys if key in first] for keys in (_VALVES, _FINGERS)]
-    return next((keys[0] for keys, found in zip((_VALVES, _FINGERS), lengths, strict=True) if len(set(found)) > 1), None)
+    return next(
+        (
+            keys[0]
+            for keys, found in zip((_VALVES, _FINGERS), lengths, strict=True)
+            if len(set(found)) > 1
+        ),
+        None,
+    )
 
 
 def wrong_note(row: Mapping[str, Any]) -> str | None:
@@ -74,16 +142,27 @@ def wrong_note(row: Mapping[str, Any]) -> str | None:
         if not good:
             return key
     tables = {"files": TEXT, "calibration": None}
-    return next((key for key, inside in tables.items() if not all(
-        kind(table) == TABLE and (inside is None or {kind(value) for value in table.values()} <= {inside})
-        for table in row.get(key, {}).values())), None)
+    return next(
+        (
+            key
+            for key, inside in tables.items()
+            if not all(
+                kind(table) == TABLE
+                and (inside is None or {kind(value) for value in table.values()} <= {inside})
+                for table in row.get(key, {}).values()
+            )
+        ),
+        None,
+    )
 
 
 def _wrong_reference(row: Mapping[str, Any]) -> str | None:
     names, times, pressures = (row.get(key) for key in ("images", "image_time", "pressure_gauge"))
     if not isinstance(row.get("stage"), str):
         return "stage"
-    if not isinstance(names, list) or not all(isinstance(each, list) and _are_names(each) for each in names):
+    if not isinstance(names, list) or not all(
+        isinstance(each, list) and _are_names(each) for each in names
+    ):
         return "images"
     if not isinstance(times, list) or any(set(kind(each) or ()) != {NUMBER} for each in times):
         return "image_time"
@@ -94,5 +173,10 @@ def _wrong_reference(row: Mapping[str, Any]) -> str | None:
 
 def _are_names(values: list[Any]) -> bool:
     """Whether these are files inside of the recording."""
-    return all(isinstance(value, str) and "\0" not in value and not PurePosixPath(value).is_absolute()
-               and ".." not in PurePosixPath(value).parts for value in values)
+    return all(
+        isinstance(value, str)
+        and "\0" not in value
+        and not PurePosixPath(value).is_absolute()
+        and ".." not in PurePosixPath(value).parts
+        for value in values
+    )

@@ -1,7 +1,8 @@
-"""The columns of a recording's log: one entry of `SENSED` a key, what it is, and where it comes from.
+"""The columns of a recording's log: one entry of `SENSED` a key, what it is, and where it comes
+from.
 
-docs/recording.md has the same table; a test compares the two. SI units; one value a finger where that is said. What is not
-known is NaN here and null in the file, in the shape that it would have.
+docs/recording.md has the same table; a test compares the two. SI units; one value a finger where
+that is said. What is not known is NaN here and null in the file, in the shape that it would have.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ import numpy as np
 
 from mjtactile.core.types import Command, Contact, GripperState, Image, Touch, ValveState
 
-_NAN2, _NAN6 = [np.nan] * 2, [np.nan] * 6
+_NAN2 = [np.nan] * 2
+_NAN6 = [np.nan] * 6
 
 
 class Seen(Protocol):
@@ -45,8 +47,14 @@ def _shear(touch: Touch) -> float:
 
 
 def _patch(patch: Contact) -> dict[str, Any]:
-    return {"area": patch.area, "centroid": patch.centroid, "depth": patch.depth, "force": patch.force,
-            "semi_axes": patch.semi_axes, "angle": patch.angle}
+    return {
+        "area": patch.area,
+        "centroid": patch.centroid,
+        "depth": patch.depth,
+        "force": patch.force,
+        "semi_axes": patch.semi_axes,
+        "angle": patch.angle,
+    }
 
 
 def _valves(name: str) -> Callable[[CycleLike], Any]:
@@ -58,35 +66,82 @@ def _of_touch(value: Callable[[Touch], Any]) -> Callable[[CycleLike], Any]:
 
 
 def _of_part(part: str, name: str, unknown: Any) -> Callable[[CycleLike], Any]:
-    """A value of a part of each touch, such as its slip; `unknown` where the touch has no such part."""
-    return _of_touch(lambda touch: unknown if (found := getattr(touch, part)) is None else getattr(found, name))
+    """A value of a part of each touch, such as its slip; `unknown` where the touch has no such
+    part."""
+    return _of_touch(
+        lambda touch: unknown if (found := getattr(touch, part)) is None else getattr(found, name)
+    )
 
 
 SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
     "time": ("s", "the rig's clock", lambda c: c.time),
     "phase": ("", "of the command sent in this cycle", lambda c: c.sent.phase),
-    "image_time": ("s", "when each camera's image was captured", lambda c: [image.time for image in c.images]),
+    "image_time": (
+        "s",
+        "when each camera's image was captured",
+        lambda c: [image.time for image in c.images],
+    ),
     "force_normal": ("N", "felt, positive for a press", _of_touch(lambda t: t.force_normal)),
     "force_normal_sd": ("N", "its standard deviation", _of_touch(lambda t: t.force_normal_sd)),
     "force_shear": ("N", "felt along the membrane, its size", _of_touch(_shear)),
-    "wrench": ("N, N m", "felt: force on the membrane (x, y, z) and torque about the middle of the frame, frame S; a press has a "
-               "negative z", _of_part("traction", "wrench", _NAN6)),
-    "wrench_sd": ("N, N m", "its standard deviations", _of_touch(
-        lambda t: _NAN6 if t.traction is None else np.sqrt(np.diag(t.traction.wrench_cov)))),
+    "wrench": (
+        "N, N m",
+        "felt: force on the membrane (x, y, z) and torque about the middle of the frame, frame "
+        "S; a press has a "
+        "negative z",
+        _of_part("traction", "wrench", _NAN6),
+    ),
+    "wrench_sd": (
+        "N, N m",
+        "its standard deviations",
+        _of_touch(
+            lambda t: _NAN6 if t.traction is None else np.sqrt(np.diag(t.traction.wrench_cov))
+        ),
+    ),
     "touching": ("", "whether something presses on the membrane", _of_touch(lambda t: t.touching)),
-    "status": ("", "\"ok\", or why the force is unknown", _of_touch(lambda t: t.status)),
-    "status_code": ("", "the same in a word or two, one of `StatusCode`", _of_touch(lambda t: t.status.code)),
+    "status": ("", '"ok", or why the force is unknown', _of_touch(lambda t: t.status)),
+    "status_code": (
+        "",
+        "the same in a word or two, one of `StatusCode`",
+        _of_touch(lambda t: t.status.code),
+    ),
     "touch_age": ("s", "age of the image when it had been perceived", _of_touch(lambda t: t.age)),
-    "contact_area": ("m^2", "of all that touches; 0 without contact", _of_part("contact", "area", np.nan)),
+    "contact_area": (
+        "m^2",
+        "of all that touches; 0 without contact",
+        _of_part("contact", "area", np.nan),
+    ),
     "contact_centroid": ("m", "its middle (x, y), frame S", _of_part("contact", "centroid", _NAN2)),
     "contact_depth": ("m", "of the deepest indentation", _of_part("contact", "depth", np.nan)),
-    "patches": ("m^2, m, N", "each place that touches, the strongest first: `area`, `centroid`, `depth`, `force` (x, y, z), "
-                "`semi_axes` and `angle` (rad from x) of its ellipse", _of_touch(lambda t: [_patch(p) for p in t.patches])),
-    "slip_state": ("", "none, sticking, incipient, slipping or unknown", _of_part("slip", "state", "unknown")),
-    "slip_velocity": ("m/s", "of the object over the membrane (x, y), frame S", _of_part("slip", "velocity", _NAN2)),
+    "patches": (
+        "m^2, m, N",
+        "each place that touches, the strongest first: `area`, `centroid`, `depth`, `force` "
+        "(x, y, z), "
+        "`semi_axes` and `angle` (rad from x) of "
+        "its ellipse",
+        _of_touch(lambda t: [_patch(p) for p in t.patches]),
+    ),
+    "slip_state": (
+        "",
+        "none, sticking, incipient, slipping or unknown",
+        _of_part("slip", "state", "unknown"),
+    ),
+    "slip_velocity": (
+        "m/s",
+        "of the object over the membrane (x, y), frame S",
+        _of_part("slip", "velocity", _NAN2),
+    ),
     "slip_distance": ("m", "slipped since the touch began", _of_part("slip", "distance", np.nan)),
-    "stick_ratio": ("", "share of the contact that still sticks", _of_part("slip", "stick_ratio", np.nan)),
-    "marker_count": ("", "markers found", _of_touch(lambda t: 0 if t.markers is None else len(t.markers))),
+    "stick_ratio": (
+        "",
+        "share of the contact that still sticks",
+        _of_part("slip", "stick_ratio", np.nan),
+    ),
+    "marker_count": (
+        "",
+        "markers found",
+        _of_touch(lambda t: 0 if t.markers is None else len(t.markers)),
+    ),
     "opening": ("m", "as the gripper reports", lambda c: c.gripper.opening),
     "speed": ("m/s", "of the opening", lambda c: c.gripper.speed),
     "effort": ("N", "at a jaw, as the servo believes it", lambda c: c.gripper.effort),
@@ -101,7 +156,11 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
     "command_force_limit": ("N", "the same", lambda c: c.sent.force_limit),
     "command_lift_height": ("m", "the same", lambda c: c.sent.lift_height),
     "memory": ("", "the controller's own notebook", lambda c: dict(c.sent.memory)),
-    "perception_ms": ("ms", "wall time of the sensing chain, all fingers", lambda c: c.perception_ms),
+    "perception_ms": (
+        "ms",
+        "wall time of the sensing chain, all fingers",
+        lambda c: c.perception_ms,
+    ),
     "state": ("", "of the supervisor (docs/hardware.md)", lambda c: getattr(c, "state", "running")),
     "reason": ("", "why, if it is not running", lambda c: getattr(c, "reason", "")),
 }
@@ -121,4 +180,9 @@ KEYS = ("images", *SENSED, *TRUE)
 
 def make_row(cycle: CycleLike, names: Sequence[str], truth: Mapping[str, Any]) -> dict[str, Any]:
     """One line of the log; `names` are the files of the cycle's images, if it has any."""
-    return {"kind": "cycle", "images": list(names), **{key: value(cycle) for key, (_, _, value) in SENSED.items()}, **truth}
+    return {
+        "kind": "cycle",
+        "images": list(names),
+        **{key: value(cycle) for key, (_, _, value) in SENSED.items()},
+        **truth,
+    }

@@ -1,7 +1,8 @@
-"""The files of a run: JSON that is always valid and never half there, and what a recording's first line says.
+"""The files of a run: JSON that is always valid and never half there, and what a recording's first
+line says.
 
-A recording is a folder with `log.jsonl` (one JSON object a line) and `frames/*.png` (camera images, lossless); the format:
-docs/recording.md.
+A recording is a folder with `log.jsonl` (one JSON object a line) and `frames/*.png` (camera images,
+lossless); the format: docs/recording.md.
 """
 
 from __future__ import annotations
@@ -22,8 +23,10 @@ from mjtactile.core import resources
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import FINGERS
 
-FORMAT, VERSION = "mjtactile-recording", 1
-LOG, FRAMES = "log.jsonl", "frames"
+FORMAT = "mjtactile-recording"
+VERSION = 1
+LOG = "log.jsonl"
+FRAMES = "frames"
 RECORDINGS = "recordings"
 """In the folder of an evaluation: a recording an episode."""
 
@@ -34,7 +37,8 @@ def finger_names(count: int) -> tuple[str, ...]:
 
 
 def to_json(value: Any) -> Any:
-    """Make `value` valid JSON: non-finite numbers become null, numpy values plain ones, paths text."""
+    """Make `value` valid JSON: non-finite numbers become null, numpy values plain ones, paths
+    text."""
     if isinstance(value, Mapping):
         return {str(key): to_json(item) for key, item in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):
@@ -57,20 +61,30 @@ def write_json(path: Path, value: Any) -> None:
 
 def versions() -> dict[str, str]:
     """Versions of what takes part in a measurement."""
-    return {"mjtactile": importlib.metadata.version("mjtactile"), "opencv": cv2.__version__, "numpy": np.__version__,
-            "python": platform.python_version()}
+    return {
+        "mjtactile": importlib.metadata.version("mjtactile"),
+        "opencv": cv2.__version__,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }
 
 
 def provenance(header: Mapping[str, Any]) -> dict[str, Any]:
-    """Versions, and the text of the sensor and rig files that a header names: with what was recorded can be looked up when
-    those files have long changed."""
+    """Versions, and the text of the sensor and rig files that a header names: with what was
+    recorded can be looked up when those files have long changed."""
     files = {}
     for key, folder in (("sensor", "models/sensors"), ("rig", "models/rigs")):
         name = header.get(key)
         try:
-            text = resources.find(name, folder, ".toml").read_text(encoding="utf-8") if name else None
+            text = (
+                resources.find(name, folder, ".toml").read_text(encoding="utf-8") if name else None
+            )
         except (InputError, OSError):  # a rig without a file: sim, replay
             text = None
         if text is not None:
-            files[key] = {"name": str(name), "sha256": hashlib.sha256(text.encode()).hexdigest(), "text": text}
+            files[key] = {
+                "name": str(name),
+                "sha256": hashlib.sha256(text.encode()).hexdigest(),
+                "text": text,
+            }
     return {"versions": versions(), "files": files}

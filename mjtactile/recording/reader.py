@@ -21,7 +21,8 @@ from mjtactile.recording.files import FORMAT, LOG, VERSION, finger_names
 
 @dataclass(frozen=True, eq=False)
 class RecordedReference:
-    """The images that a reference was taken from, and the chambers' gauge pressures, Pa (None: not measured)."""
+    """The images that a reference was taken from, and the chambers' gauge pressures, Pa (None: not
+    measured)."""
 
     folder: Path
     stage: str
@@ -37,7 +38,8 @@ class RecordedReference:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A recording read back. `columns[key]` has one row a cycle; a JSON null is NaN. `complete`: it was closed properly."""
+    """A recording read back. `columns[key]` has one row a cycle; a JSON null is NaN. `complete`: it
+    was closed properly."""
 
     folder: Path
     header: Mapping[str, Any]
@@ -65,10 +67,11 @@ class Recording:
         return len(self.columns["time"])
 
     def column(self, key: str, width: int | None = None) -> Array:
-        """A numeric column (cycles, width), or (cycles, fingers, parts) of one with several numbers a finger.
+        """A numeric column (cycles, width), or (cycles, fingers, parts) of one with several numbers
+        a finger.
 
-        All NaN when this recording has none, as for the truth of a real run. Raises InputError for a key that no recording
-        has, or one of other things than numbers (they are in `columns`).
+        All NaN when this recording has none, as for the truth of a real run. Raises InputError for
+        a key that no recording has, or one of other things than numbers (they are in `columns`).
         """
         if key not in self.columns:
             if key not in KEYS:
@@ -76,21 +79,30 @@ class Recording:
             return np.full((len(self), width or self.width), np.nan)
         if not (len(self) and self.columns[key].dtype == object):
             return self.columns[key].reshape(len(self), *(self.columns[key].shape[1:] or (1,)))
-        raise InputError(f"{key!r} is not a column of numbers; see columns[{key!r}]", source=self.folder)
+        raise InputError(
+            f"{key!r} is not a column of numbers; see columns[{key!r}]", source=self.folder
+        )
 
     def require_images(self) -> None:
         """Raise InputError, saying why, unless every cycle has its images."""
         have = sum(len(names) > 0 for names in self.columns["images"])
         if have < len(self):
-            raise InputError(f"{have} of {len(self)} cycles have their images, and all are needed; record with --frames all",
-                             source=self.folder)
+            raise InputError(
+                f"{have} of {len(self)} cycles have their images, and all are needed; record "
+                "with --frames all",
+                source=self.folder,
+            )
 
     def phases(self) -> list[tuple[str, float, float]]:
         """The phases in order: name, start and end time in s."""
-        names, times = self.columns["phase"], self.columns["time"]
+        names = self.columns["phase"]
+        times = self.columns["time"]
         starts = [i for i in range(len(self)) if i == 0 or names[i] != names[i - 1]]
         ends = [*starts[1:], len(self) - 1]
-        return [(str(names[a]), float(times[a]), float(times[b])) for a, b in zip(starts, ends, strict=True)]
+        return [
+            (str(names[a]), float(times[a]), float(times[b]))
+            for a, b in zip(starts, ends, strict=True)
+        ]
 
     def images(self) -> Iterator[tuple[Image, ...]]:
         """The camera images cycle by cycle, () of one without (`--frames`).
@@ -100,7 +112,8 @@ class Recording:
 
     def images_of(self, cycle: int) -> tuple[Image, ...]:
         """The same of one cycle."""
-        names, times = self.columns["images"][cycle], self.columns["image_time"][cycle]
+        names = self.columns["images"][cycle]
+        times = self.columns["image_time"][cycle]
         return tuple(_read_image(self.folder / n, t) for n, t in zip(names, times, strict=False))
 
 
@@ -115,8 +128,9 @@ def _read_image(path: Path, time: float) -> Image:
 def load_recording(path: str | Path) -> Recording:
     """Read the recording in `path` (the folder itself, or a run's folder around it).
 
-    A run that was cut off gives what was written until then: a line that is cut in half or damaged is left out with all that
-    follows, and named in `problems`. Raises InputError when there is no recording or it is of another version.
+    A run that was cut off gives what was written until then: a line that is cut in half or damaged
+    is left out with all that follows, and named in `problems`. Raises InputError when there is no
+    recording or it is of another version.
     """
     folder = Path(path)
     folder = folder / "recording" if (folder / "recording").is_dir() else folder
@@ -130,7 +144,9 @@ def load_recording(path: str | Path) -> Recording:
     header = rows[0] if rows else {}
     if header.get("format") != FORMAT or header.get("version") != VERSION:
         found = f"{header.get('format')} version {header.get('version')}"
-        raise InputError(f"{found}, expected {FORMAT} version {VERSION}", source=log, field="line 1")
+        raise InputError(
+            f"{found}, expected {FORMAT} version {VERSION}", source=log, field="line 1"
+        )
     notes: dict[str, Any] = {}
     for row in rows:
         if row.get("kind") in ("note", "end"):
@@ -139,8 +155,13 @@ def load_recording(path: str | Path) -> Recording:
     complete = rows[-1].get("kind") == "end"
     if not complete:
         problems.append(f"cut off after {len(cycles)} cycles")
-    references = tuple(RecordedReference(folder, row["stage"], row["images"], row["image_time"], row["pressure_gauge"])
-                       for row in rows if row.get("kind") == "reference")
+    references = tuple(
+        RecordedReference(
+            folder, row["stage"], row["images"], row["image_time"], row["pressure_gauge"]
+        )
+        for row in rows
+        if row.get("kind") == "reference"
+    )
     return Recording(folder, header, notes, _columns(cycles), complete, tuple(problems), references)
 
 
@@ -155,7 +176,9 @@ def _parse(log: Path) -> tuple[list[dict[str, Any]], list[str]]:
             except (ValueError, RecursionError):
                 row = None
             if not isinstance(row, dict):
-                return rows, [f"line {number} is cut off or broken; it and what follows was left out"]
+                return rows, [
+                    f"line {number} is cut off or broken; it and what follows was left out"
+                ]
             is_cycle = row.get("kind") == "cycle"
             first = first or (row if is_cycle else {})
             if wrong := wrong_column(row, first) if is_cycle else wrong_note(row):

@@ -1,13 +1,16 @@
-"""What was done to a sensor while it was recorded: which indenter stood where, and how far it was driven in, when.
+"""What was done to a sensor while it was recorded: which indenter stood where, and how far it was
+driven in, when.
 
-A protocol is a CSV file with one line a move, which a person with a stage follows, and the simulated stage too:
+A protocol is a CSV file with one line a move, which a person with a stage follows, and the
+simulated stage too:
 
     time_s,depth_mm,shear_mm,speed_mm_s,force_N
 
-`time_s` counts from the recording's first cycle. `depth_mm` is below first touch of the inflated membrane; `shear_mm` along x
-of the sensor (empty: 0), `speed_mm_s` of the way there (empty: 2). `force_N` is what a load cell or a weight on the indenter says
-of the hold that follows (empty: unknown); with a force alone, as of a weight that is put on, the depth is whatever it takes.
-With neither nothing touches. The recording keeps all of it as the note `stage`.
+`time_s` counts from the recording's first cycle. `depth_mm` is below first touch of the inflated
+membrane; `shear_mm` along x of the sensor (empty: 0), `speed_mm_s` of the way there (empty: 2).
+`force_N` is what a load cell or a weight on the indenter says of the hold that follows (empty:
+unknown); with a force alone, as of a weight that is put on, the depth is whatever it takes. With
+neither nothing touches. The recording keeps all of it as the note `stage`.
 """
 
 from __future__ import annotations
@@ -24,15 +27,20 @@ from mjtactile.core.errors import InputError
 
 PROTOCOLS = "models/protocols"
 COLUMNS: dict[str, tuple[str, float, float, float]] = {
-    "time_s": ("time", 1.0, 0, 86400), "depth_mm": ("depth", 1e-3, -1, 500), "shear_mm": ("shear", 1e-3, -500, 500),
-    "speed_mm_s": ("speed", 1e-3, 0.01, 1000), "force_N": ("force", 1.0, -1000, 1000)}
+    "time_s": ("time", 1.0, 0, 86400),
+    "depth_mm": ("depth", 1e-3, -1, 500),
+    "shear_mm": ("shear", 1e-3, -500, 500),
+    "speed_mm_s": ("speed", 1e-3, 0.01, 1000),
+    "force_N": ("force", 1.0, -1000, 1000),
+}
 """Column to field, SI units in one unit of the file, lowest and highest value."""
 
 
 @dataclass(frozen=True)
 class Move:
-    """From `time` s on the indenter goes to `depth` m and `shear` m at `speed` m/s, and stays; there it pushes with `force` N.
-    What is not known is NaN; with neither depth nor force nothing touches."""
+    """From `time` s on the indenter goes to `depth` m and `shear` m at `speed` m/s, and stays;
+    there it pushes with `force` N. What is not known is NaN; with neither depth nor force nothing
+    touches."""
 
     time: float
     depth: float = math.nan
@@ -52,7 +60,8 @@ class Move:
 
 @dataclass(frozen=True)
 class Stage:
-    """An indenter ("sphere:8", as `mjtactile press` has them) over the place `at` (x, y) m in S, and its moves in order."""
+    """An indenter ("sphere:8", as `mjtactile press` has them) over the place `at` (x, y) m in S,
+    and its moves in order."""
 
     indenter: str
     at: tuple[float, float]
@@ -60,19 +69,29 @@ class Stage:
 
     def note(self) -> dict[str, Any]:
         """As a recording's notes have it; `stage_from_note` reads it."""
-        rows = [{column: getattr(move, name) / scale for column, (name, scale, *_) in COLUMNS.items()} for move in self.moves]
+        rows = [
+            {column: getattr(move, name) / scale for column, (name, scale, *_) in COLUMNS.items()}
+            for move in self.moves
+        ]
         return {"indenter": self.indenter, "at_mm": [1e3 * x for x in self.at], "moves": rows}
 
     def with_forces(self, forces: Sequence[float]) -> Stage:
         """The same with what a load cell showed during each hold, N."""
-        return replace(self, moves=tuple(replace(m, force=f) for m, f in zip(self.moves, forces, strict=True)))
+        return replace(
+            self, moves=tuple(replace(m, force=f) for m, f in zip(self.moves, forces, strict=True))
+        )
 
 
 def read_moves(name_or_path: str | Path) -> tuple[Move, ...]:
-    """The moves of a protocol, shipped or a CSV file's. Raises InputError naming file, line and column."""
+    """The moves of a protocol, shipped or a CSV file's. Raises InputError naming file, line and
+    column."""
     path = resources.find(name_or_path, PROTOCOLS, ".csv")
     try:
-        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip() and line[0] != "#"]
+        lines = [
+            line
+            for line in path.read_text(encoding="utf-8-sig").splitlines()
+            if line.strip() and line[0] != "#"
+        ]
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot be read: {error}", source=path) from error
     return _moves(list(csv.DictReader(lines)), str(path))
@@ -85,16 +104,26 @@ def describe(move: Move) -> str:
     if move.is_weight:
         return f"{move.time:g} s: put on what weighs {move.force:g} N, indenter and all"
     shear = f", {1e3 * move.shear:g} mm along x" if move.shear else ""
-    return f"{move.time:g} s: to {1e3 * move.depth:g} mm below first touch{shear}, at {1e3 * move.speed:g} mm/s"
+    return (
+        f"{move.time:g} s: to {1e3 * move.depth:g} mm below first touch{shear}, at "
+        f"{1e3 * move.speed:g} mm/s"
+    )
 
 
 def stage_from_note(note: Mapping[str, Any], source: object) -> Stage:
     """What `Stage.note` gave, or a person wrote. Raises InputError naming the field."""
     try:
-        indenter, at, rows = str(note["indenter"]), tuple(1e-3 * float(x) for x in note["at_mm"]), list(note["moves"])
+        indenter = str(note["indenter"])
+        at = tuple(1e-3 * float(x) for x in note["at_mm"])
+        rows = list(note["moves"])
         x, y = at
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"not a stage: {error}", source=source, field="stage", choices=("indenter", "at_mm", "moves")) from error
+        raise InputError(
+            f"not a stage: {error}",
+            source=source,
+            field="stage",
+            choices=("indenter", "at_mm", "moves"),
+        ) from error
     return Stage(indenter, (x, y), _moves(rows, str(source)))
 
 
@@ -104,14 +133,20 @@ def _moves(rows: Sequence[Mapping[str, Any]], source: str) -> tuple[Move, ...]:
         raise InputError("has no moves", source=source, choices=COLUMNS)
     late = next((i for i in range(1, len(moves)) if moves[i].time <= moves[i - 1].time), None)
     if late is not None:
-        raise InputError("is not later than the move before", source=source, field=f"move {late + 1}, time_s")
+        raise InputError(
+            "is not later than the move before", source=source, field=f"move {late + 1}, time_s"
+        )
     return moves
 
 
 def _move(row: Mapping[str, Any], source: str, number: int) -> Move:
     unknown = [key for key in row if key not in COLUMNS]
     if unknown or "time_s" not in row:
-        raise InputError(f"column {unknown[0]!r}" if unknown else "no column time_s", source=source, choices=COLUMNS)
+        raise InputError(
+            f"column {unknown[0]!r}" if unknown else "no column time_s",
+            source=source,
+            choices=COLUMNS,
+        )
     values = {}
     for column, (name, scale, low, high) in COLUMNS.items():
         text = row.get(column)
@@ -122,8 +157,11 @@ def _move(row: Mapping[str, Any], source: str, number: int) -> Move:
         except (TypeError, ValueError):
             value = math.nan
         if not low <= value <= high:
-            raise InputError(f"{text!r} is not a number from {low:g} to {high:g}", source=source,
-                             field=f"move {number}, {column}")
+            raise InputError(
+                f"{text!r} is not a number from {low:g} to {high:g}",
+                source=source,
+                field=f"move {number}, {column}",
+            )
         values[name] = value * scale
     if "time" not in values:
         raise InputError("is missing", source=source, field=f"move {number}, time_s")

@@ -1,4 +1,5 @@
-"""`Strip` keeps some cycles of a run, evenly spread over it however long it gets, for what shows the run afterwards."""
+"""`Strip` keeps some cycles of a run, evenly spread over it however long it gets, for what shows
+the run afterwards."""
 
 from __future__ import annotations
 
@@ -11,13 +12,16 @@ _ROOM = 96e6  # bytes of images
 
 
 class Strip:
-    """Between half of `most` cycles and all of them, with the scene at each; fewer where images are large. When it is full,
-    every second one goes, and from then on every second one is not taken."""
+    """Between half of `most` cycles and all of them, with the scene at each; fewer where images are
+    large. When it is full, every second one goes, and from then on every second one is not
+    taken."""
 
     def __init__(self, most: int = _MOST):
         self.kept: list[tuple[Seen, Any]] = []
         """Cycles, and what was given as the scene at each."""
-        self._most, self._every, self._seen = most - most % 2, 1, 0
+        self._most = most - most % 2
+        self._every = 1
+        self._seen = 0
 
     def add(self, cycle: Seen, view: Any = None) -> None:
         """Take a cycle, or pass it over."""

@@ -1,6 +1,7 @@
 """`Recorder` writes the recording of a run while it happens, and holds up nothing.
 
-A background thread writes the images of a cycle first and its line last, so what the log names is on disk.
+A background thread writes the images of a cycle first and its line last, so what the log names is
+on disk.
 """
 
 from __future__ import annotations
@@ -19,26 +20,38 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Image
 from mjtactile.recording import png
 from mjtactile.recording.columns import CycleLike, make_row
-from mjtactile.recording.files import FORMAT, FRAMES, LOG, VERSION, finger_names, provenance, to_json
+from mjtactile.recording.files import (
+    FORMAT,
+    FRAMES,
+    LOG,
+    VERSION,
+    finger_names,
+    provenance,
+    to_json,
+)
 from mjtactile.recording.strip import Strip
 
-_QUEUE_CYCLES = 64  # that may wait for the disk: 2 s at 30 Hz, 40 MB with two cameras of 640 x 480 pixels
+# that may wait for the disk: 2 s at 30 Hz, 40 MB with two cameras of 640 x 480 pixels
+_QUEUE_CYCLES = 64
 _FLUSH_TIME = 5.0  # s that the end of a run waits for the disk
 _logger = logging.getLogger(__name__)
 
 
 class Recorder:
-    """Writes a recording into `folder`, which is made if needed. Raises InputError where one is already.
+    """Writes a recording into `folder`, which is made if needed. Raises InputError where one is
+    already.
 
-    `header` says what ran (object, sensor, controller, rig, seed); the images of every `frames`-th cycle are kept, with 0 none
-    at all. Nothing here fails or blocks a run: a recording that cannot be written, or whose disk stands still, is given up
-    with a warning, and `problem` says why. Use as a context manager, or call `close` on every exit path.
+    `header` says what ran (object, sensor, controller, rig, seed); the images of every `frames`-th
+    cycle are kept, with 0 none at all. Nothing here fails or blocks a run: a recording that cannot
+    be written, or whose disk stands still, is given up with a warning, and `problem` says why. Use
+    as a context manager, or call `close` on every exit path.
     """
 
     def __init__(self, folder: str | Path, header: Mapping[str, Any], *, frames: int = 1):
         self.folder = Path(folder)
         self.snapshot: CycleLike | None = None
-        """The cycle to show: the latest of the hold phase, before that the one with the greatest force."""
+        """The cycle to show: the latest of the hold phase, before that the one with the greatest
+        force."""
         self.view: Any = None
         """The scene in that cycle."""
         self.views: list[tuple[float, Any]] | None = None
@@ -48,15 +61,28 @@ class Recorder:
         self.cycles = self.references = 0
         self.problem = ""
         self.patience = 10.0
-        """s that `add` waits for a disk that is 64 cycles behind; 0 where the world does not wait."""
-        self._frames, self._closed = frames, False
+        """s that `add` waits for a disk that is 64 cycles behind; 0 where the world does not
+        wait."""
+        self._frames = frames
+        self._closed = False
         self._fingers: tuple[str, ...] = ()
         self._lock = threading.Lock()
         self._file = self._open()
-        self._queue: queue.Queue[tuple[Mapping[str, Any], list[tuple[str, Image]]] | None] = queue.Queue(_QUEUE_CYCLES)
+        self._queue: queue.Queue[tuple[Mapping[str, Any], list[tuple[str, Image]]] | None] = (
+            queue.Queue(_QUEUE_CYCLES)
+        )
         self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._thread.start()
-        self._put({"kind": "start", "format": FORMAT, "version": VERSION, **provenance(header), "frames": frames, **header})
+        self._put(
+            {
+                "kind": "start",
+                "format": FORMAT,
+                "version": VERSION,
+                **provenance(header),
+                "frames": frames,
+                **header,
+            }
+        )
 
     def __enter__(self) -> Recorder:
         return self
@@ -69,13 +95,23 @@ class Recorder:
         self.close()
 
     def add(self, cycle: CycleLike, view: Any = None, **truth: Any) -> None:
-        """Record one cycle; `truth` are ground-truth columns (`columns.TRUE`) that a scorer knows, `view` the simulated scene
-        at that time, kept (not written) for the picture."""
+        """Record one cycle; `truth` are ground-truth columns (`columns.TRUE`) that a scorer knows,
+        `view` the simulated scene at that time, kept (not written) for the picture."""
         if self.cycles == 0 and (last := getattr(cycle, "last", None)) is not None:
             self.note(start_opening=last.opening, start_lift_height=last.lift_height)
-        kept = self._frames and self.cycles % self._frames == 0 and all(image.pixels.size for image in cycle.images)
-        images = [(f"{FRAMES}/{self.cycles:06d}_{finger}.png", image)
-                  for finger, image in zip(self._names(len(cycle.images)), cycle.images, strict=True)] if kept else []
+        kept = (
+            self._frames
+            and self.cycles % self._frames == 0
+            and all(image.pixels.size for image in cycle.images)
+        )
+        images = (
+            [
+                (f"{FRAMES}/{self.cycles:06d}_{finger}.png", image)
+                for finger, image in zip(self._names(len(cycle.images)), cycle.images, strict=True)
+            ]
+            if kept
+            else []
+        )
         try:
             row = make_row(cycle, [name for name, _ in images], truth)
         except Exception as error:  # noqa: BLE001  # whatever a controller put into its notebook
@@ -88,25 +124,43 @@ class Recorder:
         if self.strip is not None:
             self.strip.add(cycle, view)
         if self.snapshot is None or _worth_showing(cycle) >= _worth_showing(self.snapshot):
-            self.snapshot, self.view = cycle, view
+            self.snapshot = cycle
+            self.view = view
 
-    def add_reference(self, stage: str, images: Sequence[Sequence[Image]], pressure_gauge: Sequence[float | None]) -> None:
-        """Record the images of a reference ("flat", "rest"), one list a finger, and the pressures it was taken at, Pa."""
-        named = [[(f"{FRAMES}/{stage}_{i:02d}_{finger}.png", image) for i, image in enumerate(shots)]
-                 for finger, shots in zip(self._names(len(images)), images, strict=True)
-                 ] if self._frames and _has_pixels(images) else []
+    def add_reference(
+        self, stage: str, images: Sequence[Sequence[Image]], pressure_gauge: Sequence[float | None]
+    ) -> None:
+        """Record the images of a reference ("flat", "rest"), one list a finger, and the pressures
+        it was taken at, Pa."""
+        named = (
+            [
+                [(f"{FRAMES}/{stage}_{i:02d}_{finger}.png", image) for i, image in enumerate(shots)]
+                for finger, shots in zip(self._names(len(images)), images, strict=True)
+            ]
+            if self._frames and _has_pixels(images)
+            else []
+        )
         self.references += 1
-        self._put({"kind": "reference", "stage": stage, "images": [[name for name, _ in shots] for shots in named],
-                   "image_time": [[image.time for image in shots] for shots in images],
-                   "pressure_gauge": list(pressure_gauge)}, [pair for shots in named for pair in shots])
+        self._put(
+            {
+                "kind": "reference",
+                "stage": stage,
+                "images": [[name for name, _ in shots] for shots in named],
+                "image_time": [[image.time for image in shots] for shots in images],
+                "pressure_gauge": list(pressure_gauge),
+            },
+            [pair for shots in named for pair in shots],
+        )
 
     def note(self, **values: Any) -> None:
-        """Record facts that are no cycle, such as `break_force_N`; image files are named by the `fingers`."""
+        """Record facts that are no cycle, such as `break_force_N`; image files are named by the
+        `fingers`."""
         self._fingers = tuple(values.get("fingers", self._fingers))
         self._put({"kind": "note", **values})
 
     def _names(self, count: int) -> tuple[str, ...]:
-        """What the fingers are called in the names of files: as was noted, where each name is a file's; else by their place."""
+        """What the fingers are called in the names of files: as was noted, where each name is a
+        file's; else by their place."""
         noted = {name for name in self._fingers if name and not {"/", "\0"} & set(name)}
         return self._fingers if len(noted) == len(self._fingers) == count else finger_names(count)
 
@@ -114,7 +168,8 @@ class Recorder:
         """Write what is queued and an `end` line with `outcome`; later calls do nothing."""
         if self._closed:
             return
-        self._closed, self.patience = True, _FLUSH_TIME
+        self._closed = True
+        self.patience = _FLUSH_TIME
         self._put({"kind": "end", **outcome})
         if not self.problem:
             with contextlib.suppress(queue.Full):
@@ -124,7 +179,8 @@ class Recorder:
                 self._give_up("the disk stands still")
 
     def never_began(self, error: BaseException) -> bool:
-        """Whether a run that ended with `error` left nothing worth keeping: a device was missing, a name was wrong."""
+        """Whether a run that ended with `error` left nothing worth keeping: a device was missing, a
+        name was wrong."""
         return self.cycles == 0 and (self.references == 0 or isinstance(error, InputError))
 
     def discard(self) -> None:
@@ -142,7 +198,9 @@ class Recorder:
             (self.folder / FRAMES).mkdir(parents=True, exist_ok=True)
             return (self.folder / LOG).open("x", encoding="utf-8")
         except FileExistsError as error:
-            raise InputError("holds a recording already; nothing is overwritten", source=self.folder) from error
+            raise InputError(
+                "holds a recording already; nothing is overwritten", source=self.folder
+            ) from error
         except OSError as error:
             raise InputError(f"cannot be written: {error.strerror}", source=self.folder) from error
 
@@ -156,9 +214,14 @@ class Recorder:
 
     def _give_up(self, why: object) -> None:
         """Record no more, and say so once."""
-        text = f"{type(why).__name__}: {why}" if isinstance(why, Exception) and not isinstance(why, OSError) else str(why)
+        text = (
+            f"{type(why).__name__}: {why}"
+            if isinstance(why, Exception) and not isinstance(why, OSError)
+            else str(why)
+        )
         with self._lock:
-            first, self.problem = not self.problem, self.problem or " ".join(text.split())
+            first = not self.problem
+            self.problem = self.problem or " ".join(text.split())
         if first:
             _logger.warning("%s: the recording was given up: %s", self.folder, self.problem)
 
@@ -171,7 +234,8 @@ class Recorder:
                     (self.folder / name).write_bytes(png.encode(image.pixels))
                 self._file.write(json.dumps(to_json(line), allow_nan=False) + "\n")
                 self._file.flush()
-            except Exception as error:  # noqa: BLE001  # a full disk, a removed folder, a notebook that contains itself
+            except Exception as error:  # noqa: BLE001
+                # a full disk, a removed folder, a notebook that contains itself
                 self._give_up(error)
         with contextlib.suppress(OSError):  # what could not be written before
             self._file.close()

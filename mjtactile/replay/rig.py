@@ -1,7 +1,8 @@
 """A recording as a rig: the same images, states and times again, as fast as they can be worked on.
 
-Nothing reacts: what a controller commands is answered with what was really sent then. The same controller on the same
-code therefore gives the same numbers, bit for bit; another one shows what it would have wanted.
+Nothing reacts: what a controller commands is answered with what was really sent then. The same
+controller on the same code therefore gives the same numbers, bit for bit; another one shows what it
+would have wanted.
 """
 
 from __future__ import annotations
@@ -27,12 +28,15 @@ class Tape:
         self.recording = recording
         self.cycle = -1
         self.ended = False
-        self._references = [_reference_images(recording, finger) for finger in range(recording.width)]
+        self._references = [
+            _reference_images(recording, finger) for finger in range(recording.width)
+        ]
         self._frames = recording.images()
         self._now: tuple[Image, ...] = ()
 
     def read(self, camera: int) -> Image:
-        """The next image of one camera; the first camera's turn begins a cycle. Raises DeviceError as it happened then."""
+        """The next image of one camera; the first camera's turn begins a cycle. Raises DeviceError
+        as it happened then."""
         image = next(self._references[camera], None)
         if image is not None:
             return image
@@ -56,7 +60,8 @@ class Tape:
         if images is None:
             self.ended = True
             raise DeviceError("the recording has ended")
-        before, self._now = self._now, images
+        before = self._now
+        self._now = images
         self.cycle += 1
         status = self.recording.columns["status"][self.cycle]
         repeated = before and all(a.time == b.time for a, b in zip(before, images, strict=True))
@@ -72,7 +77,10 @@ class ReplayClock:
 
     def now(self) -> float:
         if self._tape.ended:
-            raise DeviceError(f"{self._tape.recording.folder}: the recording ends after {len(self._tape.recording)} cycles")
+            raise DeviceError(
+                f"{self._tape.recording.folder}: the recording ends after "
+                f"{len(self._tape.recording)} cycles"
+            )
         return float(self._tape.recording.columns["time"][max(self._tape.cycle, 0)])
 
     def start(self, time: float) -> None:
@@ -86,7 +94,8 @@ class ReplayCamera:
     """One camera's recorded images."""
 
     def __init__(self, tape: Tape, camera: int):
-        self._tape, self._camera = tape, camera
+        self._tape = tape
+        self._camera = camera
 
     def read(self) -> Image:
         return self._tape.read(self._camera)
@@ -102,34 +111,54 @@ class ReplayGripper:
         """Nothing to do: the answer is on the tape."""
 
     def state(self) -> GripperState:
-        tape, notes = self._tape, self._tape.recording.notes
+        tape = self._tape
+        notes = self._tape.recording.notes
         if tape.cycle < 0:
-            return GripperState(float(notes["start_opening"]), 0.0, 0.0, float(notes["start_lift_height"]))
+            return GripperState(
+                float(notes["start_opening"]), 0.0, 0.0, float(notes["start_lift_height"])
+            )
         opening = tape.value("opening")
         if math.isnan(opening):  # it had failed
             raise DeviceError(str(tape.recording.columns["reason"][tape.cycle]))
-        return GripperState(opening, tape.value("speed"), tape.value("effort"), tape.value("lift_height"),
-                            tape.value("gripper_time"), tape.value("gripper_age"))
+        return GripperState(
+            opening,
+            tape.value("speed"),
+            tape.value("effort"),
+            tape.value("lift_height"),
+            tape.value("gripper_time"),
+            tape.value("gripper_age"),
+        )
 
     def command(self, command: Command) -> Command:
         value = self._tape.value
-        return Command(value("command_opening"), value("command_force_limit"), value("command_lift_height"), command.phase,
-                       command.memory)
+        return Command(
+            value("command_opening"),
+            value("command_force_limit"),
+            value("command_lift_height"),
+            command.phase,
+            command.memory,
+        )
 
 
 class ReplayValve:
     """Recorded valve states; opening and closing does nothing."""
 
     def __init__(self, tape: Tape, finger: int):
-        self._tape, self._finger = tape, finger
+        self._tape = tape
+        self._finger = finger
 
     def state(self) -> ValveState:
         recording = self._tape.recording
         if self._tape.cycle < 0:
-            return ValveState(False, _pressure(recording.references[-1].pressure_gauge[self._finger]))
-        return ValveState(bool(recording.columns["valve_open"][self._tape.cycle][self._finger]),
-                          _pressure(recording.columns["pressure_gauge"][self._tape.cycle][self._finger]),
-                          self._tape.values("valve_time", self._finger), self._tape.values("valve_age", self._finger))
+            return ValveState(
+                False, _pressure(recording.references[-1].pressure_gauge[self._finger])
+            )
+        return ValveState(
+            bool(recording.columns["valve_open"][self._tape.cycle][self._finger]),
+            _pressure(recording.columns["pressure_gauge"][self._tape.cycle][self._finger]),
+            self._tape.values("valve_time", self._finger),
+            self._tape.values("valve_age", self._finger),
+        )
 
     def open(self, supply_gauge: float) -> None:
         """It was opened then."""
@@ -139,25 +168,53 @@ class ReplayValve:
 
 
 def build_replay_rig(folder: str, design: SensorDesign) -> Rig:
-    """The recording in `folder` as a rig. Raises InputError when it cannot be replayed with this sensor design."""
+    """The recording in `folder` as a rig. Raises InputError when it cannot be replayed with this
+    sensor design."""
     recording = load_recording(folder)
-    if len(recording) == 0 or "start_opening" not in recording.notes or len(recording.references) != 2:
-        raise InputError("cannot be replayed: it has no cycles, or was made without its reference images", source=folder)
+    if (
+        len(recording) == 0
+        or "start_opening" not in recording.notes
+        or len(recording.references) != 2
+    ):
+        raise InputError(
+            "cannot be replayed: it has no cycles, or was made without its reference images",
+            source=folder,
+        )
     recording.require_images()
     recorded = recording.header.get("design")
     if recorded is not None and recorded != design.name:
-        raise InputError(f"was recorded with sensor {recorded!r}, not {design.name!r}", source=folder, field="--sensor")
+        raise InputError(
+            f"was recorded with sensor {recorded!r}, not {design.name!r}",
+            source=folder,
+            field="--sensor",
+        )
     tape = Tape(recording)
-    width, count = recording.width, recording.valve_count
+    width = recording.width
+    count = recording.valve_count
     cameras = tuple(ReplayCamera(tape, i) for i in range(width))
     valves = tuple(ReplayValve(tape, i) for i in range(count))
-    limits = Limits(opening=(0.0, math.inf), speed=math.inf, force=math.inf, lift=(-math.inf, math.inf), lift_speed=math.inf)
+    limits = Limits(
+        opening=(0.0, math.inf),
+        speed=math.inf,
+        force=math.inf,
+        lift=(-math.inf, math.inf),
+        lift_speed=math.inf,
+    )
     tables = recording.notes.get("calibration", {})
-    calibrations = tuple(calibration_from_table(tables[name], folder) if name in tables else None for name in recording.fingers)
-    return Rig(name="replay", fingers=make_fingers(recording.fingers, (design,) * width, cameras, valves, calibrations),
-               gripper=ReplayGripper(tape), clock=ReplayClock(tape), limits=limits, close=lambda: None,
-               length=float(recording.columns["time"][-1] - recording.columns["time"][0]),
-               simulated=recording.notes.get("simulated", {}))
+    calibrations = tuple(
+        calibration_from_table(tables[name], folder) if name in tables else None
+        for name in recording.fingers
+    )
+    return Rig(
+        name="replay",
+        fingers=make_fingers(recording.fingers, (design,) * width, cameras, valves, calibrations),
+        gripper=ReplayGripper(tape),
+        clock=ReplayClock(tape),
+        limits=limits,
+        close=lambda: None,
+        length=float(recording.columns["time"][-1] - recording.columns["time"][0]),
+        simulated=recording.notes.get("simulated", {}),
+    )
 
 
 def build(request: RigRequest) -> Rig:

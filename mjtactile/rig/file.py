@@ -1,4 +1,5 @@
-"""`RigFile`: which camera, valve and servos a rig has, read from a TOML file and checked. The format: docs/hardware.md.
+"""`RigFile`: which camera, valve and servos a rig has, read from a TOML file and checked. The
+format: docs/hardware.md.
 
 Every quantity is SI inside; the file's keys carry the unit.
 """
@@ -23,9 +24,10 @@ _PORT_SCHEMES = ("socket", "rfc2217")
 
 @dataclass(frozen=True)
 class BusConfig:
-    """Serial bus of the servos: `port`, `baud`, `reply_timeout` s on top of the wire's own time, `watchdog` s after which
-    a servo that hears nothing stops by itself, `fast_sync`: ask all servos in one reply packet (newer firmware),
-    `host_timeout` s after which a control loop that calls no more counts as hung: the watchdogs are then let trip."""
+    """Serial bus of the servos: `port`, `baud`, `reply_timeout` s on top of the wire's own time,
+    `watchdog` s after which a servo that hears nothing stops by itself, `fast_sync`: ask all servos
+    in one reply packet (newer firmware), `host_timeout` s after which a control loop that calls no
+    more counts as hung: the watchdogs are then let trip."""
 
     port: str
     baud: int = 1_000_000
@@ -37,8 +39,9 @@ class BusConfig:
 
 @dataclass(frozen=True)
 class ServoConfig:
-    """One jaw servo. `opening_part` m of the gripper's opening belong to this servo at `zero_ticks`; see
-    `mjtactile.devices.dynamixel.jaws` for `law`, `per_rad` (m/rad) and `table` (rad, m). `torque_per_A` N m/A (None: data sheet).
+    """One jaw servo. `opening_part` m of the gripper's opening belong to this servo at
+    `zero_ticks`; see `mjtactile.devices.dynamixel.jaws` for `law`, `per_rad` (m/rad) and `table`
+    (rad, m). `torque_per_A` N m/A (None: data sheet).
     """
 
     id: int
@@ -54,8 +57,8 @@ class ServoConfig:
 
 @dataclass(frozen=True)
 class LiftConfig:
-    """What lifts the hand: `"servo"` (rack of `per_rad` m/rad, `travel` m) or `"none"`: nothing does; the height that was
-    asked for is reported as reached at `speed` m/s."""
+    """What lifts the hand: `"servo"` (rack of `per_rad` m/rad, `travel` m) or `"none"`: nothing
+    does; the height that was asked for is reported as reached at `speed` m/s."""
 
     kind: str = "none"
     speed: float = 0.05
@@ -68,8 +71,8 @@ class LiftConfig:
 
 @dataclass(frozen=True)
 class GripperConfig:
-    """Jaws: `opening` m (lowest, highest), `force_max` N on each finger, `speed_max` m/s of the opening; `calibration` is the
-    file that `calibrate gripper` writes (None: none is named)."""
+    """Jaws: `opening` m (lowest, highest), `force_max` N on each finger, `speed_max` m/s of the
+    opening; `calibration` is the file that `calibrate gripper` writes (None: none is named)."""
 
     opening: tuple[float, float]
     servos: tuple[ServoConfig, ...]
@@ -80,13 +83,15 @@ class GripperConfig:
 
 @dataclass(frozen=True)
 class CameraConfig:
-    """One finger's camera. `source`: a device file or a stream's address. None of a control: leave it as it is.
+    """One finger's camera. `source`: a device file or a stream's address. None of a control: leave
+    it as it is.
 
-    `backend`: "v4l2", "ffmpeg" or a driver that somebody registered as an entry point of `mjtactile.cameras`.
-    `fourcc` is asked of a V4L2 camera; of a stream (ffmpeg) it says what comes: "MJPG" is decoded straight to grey.
-    `timestamps`: "kernel" (V4L2's, on the monotonic clock) or "arrival" (streams, which carry none).
-    `delay` s from capture to arrival for "arrival". `sensor` is the finger's own sensor file and `calibration` what was measured
-    of it (None: none is named)."""
+    `backend`: "v4l2", "ffmpeg" or a driver that somebody registered as an entry point of
+    `mjtactile.cameras`. `fourcc` is asked of a V4L2 camera; of a stream (ffmpeg) it says what
+    comes: "MJPG" is decoded straight to grey. `timestamps`: "kernel" (V4L2's, on the monotonic
+    clock) or "arrival" (streams, which carry none). `delay` s from capture to arrival for
+    "arrival". `sensor` is the finger's own sensor file and `calibration` what was measured of it
+    (None: none is named)."""
 
     finger: str
     source: str
@@ -106,9 +111,10 @@ class CameraConfig:
 
 @dataclass(frozen=True)
 class ValveConfig:
-    """Valve of one finger's chamber: `channel` on the board at `port` (firmware/valve); `pressure_max` Pa gauge is set in the
-    board, `heartbeat` s is the silence after which the board vents, `reply_timeout` s what an answer to the heartbeat's
-    questions may take, `supply_gauge` Pa of a board without a sensor."""
+    """Valve of one finger's chamber: `channel` on the board at `port` (firmware/valve);
+    `pressure_max` Pa gauge is set in the board, `heartbeat` s is the silence after which the board
+    vents, `reply_timeout` s what an answer to the heartbeat's questions may take, `supply_gauge` Pa
+    of a board without a sensor."""
 
     finger: str
     port: str
@@ -122,9 +128,10 @@ class ValveConfig:
 
 @dataclass(frozen=True)
 class EmulatorConfig:
-    """How to start the emulated hardware; the ports of such a file are "emulator". `torque_share`: how much more torque per
-    ampere its servos give than their data sheet says; `servo_firmware` None: the newest; `watchdog`: what a tripped bus
-    watchdog leaves of a servo, held where it is ("brake") or free ("limp")."""
+    """How to start the emulated hardware; the ports of such a file are "emulator". `torque_share`:
+    how much more torque per ampere its servos give than their data sheet says; `servo_firmware`
+    None: the newest; `watchdog`: what a tripped bus watchdog leaves of a servo, held where it is
+    ("brake") or free ("limp")."""
 
     usb_latency: float = 1e-3
     valve_sensors: bool = True
@@ -158,7 +165,8 @@ class RigFile:
 
 
 def read_rig_file(name_or_path: str | Path) -> RigFile | SimRigFile:
-    """Read a rig by shipped name or from a TOML file; a simulated one is known by its section [sim].
+    """Read a rig by shipped name or from a TOML file; a simulated one is known by its section
+    [sim].
 
     Raises InputError naming file, field, value and valid choices.
     """
@@ -168,7 +176,8 @@ def read_rig_file(name_or_path: str | Path) -> RigFile | SimRigFile:
 
 
 def load_rig_file(name_or_path: str | Path) -> RigFile:
-    """Like `read_rig_file`, for jobs that need devices, real or emulated. Raises InputError for a simulated rig."""
+    """Like `read_rig_file`, for jobs that need devices, real or emulated. Raises InputError for a
+    simulated rig."""
     rig = read_rig_file(name_or_path)
     if isinstance(rig, SimRigFile):
         raise InputError("is simulated: it has no devices", source=rig.path, field="[sim]")
@@ -189,24 +198,38 @@ def rig_from_table(table: Mapping[str, Any], path: Path) -> RigFile:
     name = root.text("name", default=path.stem)
     emulator = root.optional("emulator")
     bus, gripper, lift = (root.section(key) for key in ("bus", "gripper", "lift"))
-    cameras, valves = root.sections("camera"), root.sections("valve", low=0)
+    cameras = root.sections("camera")
+    valves = root.sections("valve", low=0)
     root.done()
     folder = path.parent
-    rig = RigFile(name, path, _bus(bus), _gripper(gripper, folder), _lift(lift), tuple(_camera(c, folder) for c in cameras),
-                  tuple(map(_valve, valves)), _emulator(emulator) if emulator else None)
+    rig = RigFile(
+        name,
+        path,
+        _bus(bus),
+        _gripper(gripper, folder),
+        _lift(lift),
+        tuple(_camera(c, folder) for c in cameras),
+        tuple(map(_valve, valves)),
+        _emulator(emulator) if emulator else None,
+    )
     _check(rig, root)
     return rig
 
 
 def _check(rig: RigFile, root: Section) -> None:
-    """What joins several sections: one camera and at most one valve a finger, servo ids all different."""
-    ids = [servo.id for servo in rig.gripper.servos] + ([rig.lift.id] if rig.lift.kind == "servo" else [])
+    """What joins several sections: one camera and at most one valve a finger, servo ids all
+    different."""
+    ids = [servo.id for servo in rig.gripper.servos] + (
+        [rig.lift.id] if rig.lift.kind == "servo" else []
+    )
     if len(set(ids)) != len(ids):
         raise root.fail("gripper.servo", f"servo ids {ids} are not all different")
     for key, parts in (("camera", rig.cameras), ("valve", rig.valves)):
         fingers = [part.finger for part in parts]
         if fingers != list(FINGERS[: len(fingers)]):
-            raise root.fail(key, f"fingers {fingers} should be {list(FINGERS[:len(fingers)])}, in this order")
+            raise root.fail(
+                key, f"fingers {fingers} should be {list(FINGERS[: len(fingers)])}, in this order"
+            )
     if rig.valves and len(rig.valves) != len(rig.cameras):
         raise root.fail("valve", f"{len(rig.valves)} valves for {len(rig.cameras)} cameras")
 
@@ -216,9 +239,11 @@ def _bus(section: Section) -> BusConfig:
         port=section.text("port"),
         baud=section.whole("baud", 9600, 4_000_000, default=1_000_000),
         reply_timeout=section.number("reply_timeout_ms", 0.5, 100, 1e-3, default=0.008),
-        watchdog=section.number("watchdog_ms", 20, 2540, 1e-3, default=0.1),  # register 98: 1 to 127 units of 20 ms
+        # register 98: 1 to 127 units of 20 ms
+        watchdog=section.number("watchdog_ms", 20, 2540, 1e-3, default=0.1),
         fast_sync=section.flag("fast_sync", False),
-        host_timeout=section.number("host_timeout_ms", 50, 60000, 1e-3, default=0.25))
+        host_timeout=section.number("host_timeout_ms", 50, 60000, 1e-3, default=0.25),
+    )
     section.done()
     return config
 
@@ -226,15 +251,22 @@ def _bus(section: Section) -> BusConfig:
 def _servo(section: Section) -> ServoConfig:
     law = section.text("law", ("rack", "crank", "table"), default="rack")
     if law == "table":
-        per_rad, table = 0.0, tuple((math.radians(a), 1e-3 * x) for a, x in section.pairs("table_deg_mm"))
+        per_rad = 0.0
+        table = tuple((math.radians(a), 1e-3 * x) for a, x in section.pairs("table_deg_mm"))
     else:
-        per_rad, table = section.number("mm_per_rad", -500, 500, 1e-3), ()
+        per_rad = section.number("mm_per_rad", -500, 500, 1e-3)
+        table = ()
     config = ServoConfig(
-        id=section.whole("id", 0, 252), model=section.text("model"), law=law, per_rad=per_rad, table=table,
+        id=section.whole("id", 0, 252),
+        model=section.text("model"),
+        law=law,
+        per_rad=per_rad,
+        table=table,
         opening_part=section.number("opening_part_mm", -500, 500, 1e-3, default=0.0),
         zero_ticks=section.whole("zero_ticks", -1_048_575, 1_048_575, default=2048),
         torque_per_A=section.number("torque_Nm_per_A", 1e-3, 100, default=None),
-        position_p_gain=section.whole("position_p_gain", 0, 16383, default=None))
+        position_p_gain=section.whole("position_p_gain", 0, 16383, default=None),
+    )
     section.done()
     return config
 
@@ -248,12 +280,17 @@ def _gripper(section: Section, folder: Path) -> GripperConfig:
     low = section.number("opening_min_mm", 0, 1000, 1e-3, default=0.0)
     high = section.number("opening_max_mm", 0, 1000, 1e-3)
     if high <= low:
-        raise section.fail("opening_max_mm", f"{high * 1e3:g} is not above opening_min_mm = {low * 1e3:g}")
+        raise section.fail(
+            "opening_max_mm", f"{high * 1e3:g} is not above opening_min_mm = {low * 1e3:g}"
+        )
     servos = tuple(map(_servo, section.sections("servo")))
     config = GripperConfig(
-        (low, high), servos, force_max=section.number("force_max_N", 0.1, 500, default=8.0),
+        (low, high),
+        servos,
+        force_max=section.number("force_max_N", 0.1, 500, default=8.0),
         speed_max=section.number("speed_max_mm_s", 0.1, 1000, 1e-3, default=0.1),
-        calibration=_beside(folder, section.text("calibration", default=None)))
+        calibration=_beside(folder, section.text("calibration", default=None)),
+    )
     section.done()
     return config
 
@@ -265,9 +302,14 @@ def _lift(section: Section) -> LiftConfig:
         config = LiftConfig(kind, speed)
     else:
         config = LiftConfig(
-            kind, speed, travel=section.number("travel_mm", 0, 2000, 1e-3), id=section.whole("id", 0, 252),
-            model=section.text("model"), per_rad=section.number("mm_per_rad", -500, 500, 1e-3),
-            torque_max=section.number("torque_max_Nm", 0.01, 100))
+            kind,
+            speed,
+            travel=section.number("travel_mm", 0, 2000, 1e-3),
+            id=section.whole("id", 0, 252),
+            model=section.text("model"),
+            per_rad=section.number("mm_per_rad", -500, 500, 1e-3),
+            torque_max=section.number("torque_max_Nm", 0.01, 100),
+        )
     section.done()
     return config
 
@@ -275,9 +317,12 @@ def _lift(section: Section) -> LiftConfig:
 def _camera(section: Section, folder: Path) -> CameraConfig:
     sensor = section.text("sensor", default=None)  # a shipped name, or a file
     config = CameraConfig(
-        finger=section.text("finger", FINGERS), source=section.text("source"),
-        width=section.whole("width_px", 16, 8192), height=section.whole("height_px", 16, 8192),
-        rate=section.number("rate_Hz", 0.1, 2000), backend=section.text("backend", default="v4l2"),
+        finger=section.text("finger", FINGERS),
+        source=section.text("source"),
+        width=section.whole("width_px", 16, 8192),
+        height=section.whole("height_px", 16, 8192),
+        rate=section.number("rate_Hz", 0.1, 2000),
+        backend=section.text("backend", default="v4l2"),
         fourcc=section.text("fourcc", default=None),
         exposure=section.number("exposure_100us", 0, 1e6, default=None),
         gain=section.number("gain", 0, 1e6, default=None),
@@ -285,29 +330,37 @@ def _camera(section: Section, folder: Path) -> CameraConfig:
         timestamps=section.text("timestamps", ("kernel", "arrival"), default="kernel"),
         delay=section.number("delay_ms", 0, 1000, 1e-3, default=0.0),
         sensor=str(folder / sensor) if sensor is not None and sensor.endswith(".toml") else sensor,
-        calibration=_beside(folder, section.text("calibration", default=None)))
+        calibration=_beside(folder, section.text("calibration", default=None)),
+    )
     section.done()
     return config
 
 
 def _valve(section: Section) -> ValveConfig:
     config = ValveConfig(
-        finger=section.text("finger", FINGERS), port=_valve_port(section),
-        channel=section.whole("channel", 1, 99, default=1), baud=section.whole("baud", 300, 4_000_000, default=115200),
+        finger=section.text("finger", FINGERS),
+        port=_valve_port(section),
+        channel=section.whole("channel", 1, 99, default=1),
+        baud=section.whole("baud", 300, 4_000_000, default=115200),
         pressure_max=section.number("pressure_max_kPa", 0.01, 1000, 1e3),
         heartbeat=section.number("heartbeat_ms", 20, 60000, 1e-3, default=0.25),
         reply_timeout=section.number("reply_timeout_ms", 1, 1000, 1e-3, default=0.03),
-        supply_gauge=section.number("supply_kPa", -100, 1000, 1e3, default=None))
+        supply_gauge=section.number("supply_kPa", -100, 1000, 1e3, default=None),
+    )
     section.done()
     return config
 
 
 def _valve_port(section: Section) -> str:
-    """A device file, or one of two of pyserial's URLs: others of them write to files that a rig file names."""
+    """A device file, or one of two of pyserial's URLs: others of them write to files that a rig
+    file names."""
     port = section.text("port")
     scheme, separator, _ = port.partition("://")
     if separator and scheme not in _PORT_SCHEMES:
-        raise section.fail("port", f"{port!r} is neither a device nor {' or '.join(s + '://' for s in _PORT_SCHEMES)}")
+        raise section.fail(
+            "port",
+            f"{port!r} is neither a device nor {' or '.join(s + '://' for s in _PORT_SCHEMES)}",
+        )
     return port
 
 
@@ -318,7 +371,8 @@ def _emulator(section: Section) -> EmulatorConfig:
         torque_share=section.number("torque_percent", -50, 100, 1e-2, default=0.0),
         servo_firmware=section.whole("servo_firmware", 1, 255, default=None),
         watchdog=section.text("watchdog", ("brake", "limp"), default="brake"),
-        specimens=_specimens(section.optional("specimen")))
+        specimens=_specimens(section.optional("specimen")),
+    )
     section.done()
     return config
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Finding:
-    """`level` "ok", "warn" or "bad"; `what` was looked at, `text` what was found, `remedy` how to mend it ("": nothing to)."""
+    """`level` "ok", "warn" or "bad"; `what` was looked at, `text` what was found, `remedy` how to
+    mend it ("": nothing to)."""
 
     level: str
     what: str

@@ -15,8 +15,9 @@ from mjtactile.rig.protocols import Camera, Clock, Gripper, Valve
 
 @dataclass(frozen=True)
 class Finger:
-    """One specimen of a sensor on one finger: what it was built as (`design`), its devices, and what was measured of it; `valve`
-    None: it has none that obeys, and its chamber is sealed by hand. `calibration` None: there is none to speak of."""
+    """One specimen of a sensor on one finger: what it was built as (`design`), its devices, and
+    what was measured of it; `valve` None: it has none that obeys, and its chamber is sealed by
+    hand. `calibration` None: there is none to speak of."""
 
     name: str
     design: SensorDesign
@@ -25,7 +26,8 @@ class Finger:
     calibration: Calibration | None = None
 
     def pressure(self, reading: float | None) -> float:
-        """Gauge pressure, Pa, of the inflated chamber, whose sensor shows `reading` Pa (None: it has none)."""
+        """Gauge pressure, Pa, of the inflated chamber, whose sensor shows `reading` Pa (None: it
+        has none)."""
         if reading is None:
             return self.design.chamber.supply_gauge
         return reading if self.calibration is None else self.calibration.pressure(reading)
@@ -43,16 +45,19 @@ class Rig:
     close: Callable[[], None]
     """Bring everything to its safe state and let go of it; called on every exit path."""
     host_timeout: float = math.inf
-    """s without a call after which the devices take the loop for dead and stop by themselves; inf: this world waits, as the
-    simulated one and a replay do."""
+    """s without a call after which the devices take the loop for dead and stop by themselves; inf:
+    this world waits, as the simulated one and a replay do."""
     length: float = math.inf
     """s from its first cycle to its last: a recording ends, a world does not."""
     varied: Mapping[str, Any] = field(default_factory=dict)
-    """In a simulated world that is not as its files say: the values drawn for it, by name, in the files' units."""
+    """In a simulated world that is not as its files say: the values drawn for it, by name, in the
+    files' units."""
     simulated: Mapping[str, Any] = field(default_factory=dict)
-    """How a world is simulated: `mesh`, `timestep_ms`, and each of the `effects`, on or off, why, and its price."""
+    """How a world is simulated: `mesh`, `timestep_ms`, and each of the `effects`, on or off, why,
+    and its price."""
     scene: Any = None
-    """The simulated world, for scoring alone; None on a real rig. Sensing and controllers never see a `Rig`."""
+    """The simulated world, for scoring alone; None on a real rig. Sensing and controllers never see
+    a `Rig`."""
 
     @property
     def period(self) -> float:
@@ -70,9 +75,15 @@ class Rig:
         return tuple(finger.valve for finger in self.fingers if finger.valve is not None)
 
 
-def make_fingers(names: tuple[str, ...], designs: tuple[SensorDesign, ...], cameras: tuple[Camera, ...],
-                 valves: tuple[Valve, ...] = (), calibrations: tuple[Calibration | None, ...] = ()) -> tuple[Finger, ...]:
-    """Fingers from their parts, all in the same order; no valves, or one for each, and so with calibrations."""
+def make_fingers(
+    names: tuple[str, ...],
+    designs: tuple[SensorDesign, ...],
+    cameras: tuple[Camera, ...],
+    valves: tuple[Valve, ...] = (),
+    calibrations: tuple[Calibration | None, ...] = (),
+) -> tuple[Finger, ...]:
+    """Fingers from their parts, all in the same order; no valves, or one for each, and so with
+    calibrations."""
     nothing = (None,) * len(names)
     parts = zip(names, designs, cameras, valves or nothing, calibrations or nothing, strict=True)
     return tuple(Finger(*part) for part in parts)

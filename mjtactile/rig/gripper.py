@@ -16,7 +16,8 @@ def gripper_fingerprint(config: GripperConfig) -> str:
 
 
 def calibrated_gripper(config: GripperConfig) -> GripperConfig:
-    """The servos as they were measured, where the rig file names a calibration that is there and not older than it.
+    """The servos as they were measured, where the rig file names a calibration that is there and
+    not older than it.
 
     Raises InputError for a file that is broken, or of other servos.
     """
@@ -36,10 +37,16 @@ def gripper_state(config: GripperConfig) -> PartState:
     path = config.calibration
     if table is None:
         where = "names no file" if path is None else f"{path} is not there"
-        return PartState("gripper", "missing", f"never measured ({where}): the rig file's values count")
+        return PartState(
+            "gripper", "missing", f"never measured ({where}): the rig file's values count"
+        )
     date = table.text("date")[:10]
     if table.text("fingerprint") != gripper_fingerprint(config):
-        return PartState("gripper", "outdated", f"of {date}, older than the rig file, whose servos have changed since: not used")
+        return PartState(
+            "gripper",
+            "outdated",
+            f"of {date}, older than the rig file, whose servos have changed since: not used",
+        )
     return PartState("gripper", "good", f"of {date}")
 
 
@@ -54,6 +61,9 @@ def _read(config: GripperConfig) -> Section | None:
 
 
 def _servo(servo: ServoConfig, line: Section) -> ServoConfig:
-    return replace(servo, zero_ticks=line.whole("zero_ticks", -1_048_575, 1_048_575, default=servo.zero_ticks),
-                   per_rad=line.number("mm_per_rad", -500, 500, 1e-3, default=servo.per_rad),
-                   torque_per_A=line.number("torque_Nm_per_A", 1e-3, 100, default=servo.torque_per_A))
+    return replace(
+        servo,
+        zero_ticks=line.whole("zero_ticks", -1_048_575, 1_048_575, default=servo.zero_ticks),
+        per_rad=line.number("mm_per_rad", -500, 500, 1e-3, default=servo.per_rad),
+        torque_per_A=line.number("torque_Nm_per_A", 1e-3, 100, default=servo.torque_per_A),
+    )

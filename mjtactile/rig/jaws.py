@@ -1,13 +1,15 @@
-"""How a jaw's part of the opening follows from what drives it: the laws of rig files, for real and simulated grippers.
+"""How a jaw's part of the opening follows from what drives it: the laws of rig files, for real and
+simulated grippers.
 
-What drives has a coordinate a: a servo's angle (rad), or the length of a simulated actuator (rad, or m of a slide or a
-tendon). Each owns a part x (m) of the gripper's opening by one of three laws:
+What drives has a coordinate a: a servo's angle (rad), or the length of a simulated actuator (rad,
+or m of a slide or a tendon). Each owns a part x (m) of the gripper's opening by one of three laws:
 
 - linear (a rack, a slide, a tendon): x = x0 + r a, with r m/rad of the pinion, or m/m;
 - crank: x = x0 + r sin a, with the crank's length r m (a parallel linkage; |a| < 90 degrees);
 - table: measured pairs (a, x), strictly monotonic in both, linear between.
 
-By virtual work a torque (or force) tau along a gives the force f = -tau / (dx/da) that closes the jaws.
+By virtual work a torque (or force) tau along a gives the force f = -tau / (dx/da) that closes the
+jaws.
 """
 
 from __future__ import annotations
@@ -19,12 +21,15 @@ from itertools import pairwise
 
 import numpy as np
 
-LINEAR, CRANK, TABLE = "linear", "crank", "table"
+LINEAR = "linear"
+CRANK = "crank"
+TABLE = "table"
 
 
 @dataclass(frozen=True)
 class JawLaw:
-    """x(a) as above: `kind`, `offset` x0 m, `ratio` r, and for a table the pairs (a, x). Build one with `make_law`."""
+    """x(a) as above: `kind`, `offset` x0 m, `ratio` r, and for a table the pairs (a, x). Build one
+    with `make_law`."""
 
     kind: str
     offset: float = 0.0
@@ -37,7 +42,9 @@ class JawLaw:
             a, x = zip(*self.table, strict=True)
             return float(np.interp(coordinate, a, x))
         if self.kind == CRANK:
-            return self.offset + self.ratio * math.sin(max(-math.pi / 2, min(math.pi / 2, coordinate)))
+            return self.offset + self.ratio * math.sin(
+                max(-math.pi / 2, min(math.pi / 2, coordinate))
+            )
         return self.offset + self.ratio * coordinate
 
     def coordinate(self, part: float) -> float:
@@ -49,7 +56,8 @@ class JawLaw:
         return math.asin(max(-1.0, min(1.0, coordinate))) if self.kind == CRANK else coordinate
 
     def slope(self, coordinate: float) -> float:
-        """dx/da at a coordinate; never below a hundredth of its size, where a crank is at its end."""
+        """dx/da at a coordinate; never below a hundredth of its size, where a crank is at its
+        end."""
         if self.kind == LINEAR:
             return self.ratio
         if self.kind == CRANK:
@@ -63,13 +71,16 @@ class JawLaw:
         if self.kind == CRANK:
             return abs(coordinate) <= math.pi / 2 + 0.05
         if self.kind == TABLE:
-            low, high = self.table[0][0], self.table[-1][0]
+            low = self.table[0][0]
+            high = self.table[-1][0]
             slack = 0.05 * (high - low)
             return low - slack <= coordinate <= high + slack
         return True
 
 
-def make_law(kind: str, offset: float, ratio: float, table: Sequence[tuple[float, float]] = ()) -> JawLaw:
+def make_law(
+    kind: str, offset: float, ratio: float, table: Sequence[tuple[float, float]] = ()
+) -> JawLaw:
     """A law that can be inverted. Raises ValueError, in words, for one that cannot."""
     if kind != TABLE:
         if ratio == 0:
@@ -77,6 +88,14 @@ def make_law(kind: str, offset: float, ratio: float, table: Sequence[tuple[float
         return JawLaw(kind, offset, ratio)
     parts = [x for _, x in table]
     rises = {b > a for a, b in pairwise(parts)}
-    if len(table) < 2 or any(b[0] <= a[0] for a, b in pairwise(table)) or len(rises) != 1 or len(set(parts)) != len(parts):
-        raise ValueError("needs at least two pairs, the first column rising, the openings rising or falling throughout")
+    if (
+        len(table) < 2
+        or any(b[0] <= a[0] for a, b in pairwise(table))
+        or len(rises) != 1
+        or len(set(parts)) != len(parts)
+    ):
+        raise ValueError(
+            "needs at least two pairs, the first column rising, the openings rising or falling "
+            "throughout"
+        )
     return JawLaw(kind, table=tuple(table))

@@ -1,4 +1,5 @@
-"""What devices are: a few small Protocols that the simulator, the emulator, real devices and recordings all meet.
+"""What devices are: a few small Protocols that the simulator, the emulator, real devices and
+recordings all meet.
 
 The control loop and everything above it know only these.
 """
@@ -15,7 +16,8 @@ class Camera(Protocol):
     """A sensor's camera."""
 
     def read(self) -> Image:
-        """The newest image, with its time of capture on the rig's clock. Raises DeviceError when it is stale."""
+        """The newest image, with its time of capture on the rig's clock. Raises DeviceError when it
+        is stale."""
         ...
 
 
@@ -24,18 +26,21 @@ class Gripper(Protocol):
     """The jaws, however many, and what lifts the hand."""
 
     def ask(self) -> None:
-        """Begin the measurement that the next `state` returns, so that servos answer while a picture is worked on."""
+        """Begin the measurement that the next `state` returns, so that servos answer while a
+        picture is worked on."""
         ...
 
     def state(self) -> GripperState:
-        """Opening, speed, effort, height, with the time of measurement on the rig's clock and its age.
+        """Opening, speed, effort, height, with the time of measurement on the rig's clock and its
+        age.
 
         Measured when `ask` was called, or now if it was not.
         """
         ...
 
     def command(self, command: Command) -> Command:
-        """Send the goals of `command`, limited to what the rig allows; returns what was really sent."""
+        """Send the goals of `command`, limited to what the rig allows; returns what was really
+        sent."""
         ...
 
 
@@ -44,7 +49,8 @@ class Valve(Protocol):
     """The valve of one chamber."""
 
     def state(self) -> ValveState:
-        """Open or closed, and the pressure, with the time of measurement on the rig's clock and its age."""
+        """Open or closed, and the pressure, with the time of measurement on the rig's clock and its
+        age."""
         ...
 
     def open(self, supply_gauge: float) -> None:
@@ -63,7 +69,8 @@ class Clock(Protocol):
     def now(self) -> float: ...
 
     def start(self, time: float) -> None:
-        """Let the world move on towards `time` while the caller computes. Real time needs no telling."""
+        """Let the world move on towards `time` while the caller computes. Real time needs no
+        telling."""
         ...
 
     def wait_until(self, time: float) -> None: ...

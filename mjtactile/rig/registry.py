@@ -1,8 +1,9 @@
 """The builder of rigs: from what a user names to the backend that has it.
 
-Backends register themselves as entry points, so that a third party's are found like the shipped ones: a builder of whole
-rigs in the group `mjtactile.rigs`, a driver of one camera in `mjtactile.cameras`. Nothing here imports one by name, and
-nothing falls back to another backend by itself.
+Backends register themselves as entry points, so that a third party's are found like the shipped
+ones: a builder of whole rigs in the group `mjtactile.rigs`, a driver of one camera in
+`mjtactile.cameras`. Nothing here imports one by name, and nothing falls back to another backend by
+itself.
 """
 
 from __future__ import annotations
@@ -20,14 +21,15 @@ from mjtactile.rig.finger import Rig
 from mjtactile.rig.simulated import SimRigFile
 from mjtactile.rig.variation import NONE
 
-RIGS, CAMERAS = "mjtactile.rigs", "mjtactile.cameras"
+RIGS = "mjtactile.rigs"
+CAMERAS = "mjtactile.cameras"
 
 
 @dataclass(frozen=True)
 class RigRequest:
-    """What a user asked for: `argument` (the folder of "replay:FOLDER"), or a rig `file`; the sensor on its fingers, the object
-    and the seed, for rigs that place one; of a simulation `accuracy`, `effects` and what is to `vary` ("", "auto" and "none"
-    where nothing was asked)."""
+    """What a user asked for: `argument` (the folder of "replay:FOLDER"), or a rig `file`; the
+    sensor on its fingers, the object and the seed, for rigs that place one; of a simulation
+    `accuracy`, `effects` and what is to `vary` ("", "auto" and "none" where nothing was asked)."""
 
     design: SensorDesign
     object: str = "egg"
@@ -39,28 +41,50 @@ class RigRequest:
     vary: str = NONE
 
 
-def build_rig(name: str, design: SensorDesign, *, object_name: str = "egg", seed: int = 0, accuracy: str = "",
-              effects: str = "auto", vary: str = NONE) -> Rig:
-    """Build the rig that the user named: "sim", "replay:FOLDER", a third party's name, or a rig file (shipped or FILE.toml).
+def build_rig(
+    name: str,
+    design: SensorDesign,
+    *,
+    object_name: str = "egg",
+    seed: int = 0,
+    accuracy: str = "",
+    effects: str = "auto",
+    vary: str = NONE,
+) -> Rig:
+    """Build the rig that the user named: "sim", "replay:FOLDER", a third party's name, or a rig
+    file (shipped or FILE.toml).
 
-    Raises InputError for an unknown rig, object or sensor; DeviceError for a device that is not there.
+    Raises InputError for an unknown rig, object or sensor; DeviceError for a device that is not
+    there.
     """
     kind, _, argument = name.partition(":")
     file = None
     if kind not in _found(RIGS):
-        if "." not in name and "/" not in name and name not in resources.names("models/rigs", ".toml"):
+        if (
+            "." not in name
+            and "/" not in name
+            and name not in resources.names("models/rigs", ".toml")
+        ):
             raise InputError(f"unknown rig {name!r}", field="--rig", choices=rig_names())
-        file, argument = read_rig_file(name), ""
+        file = read_rig_file(name)
+        argument = ""
         kind = file.backend
     if kind not in SIMULATES and (accuracy, effects) != ("", "auto"):
         raise InputError(f"the rig {name!r} is not simulated here", field="--accuracy or --effects")
     if kind not in SIMULATES and vary != NONE:
-        raise InputError(f"the rig {name!r} is not simulated here: its world is what it is", field="--vary", choices=[NONE])
-    return load_backend(RIGS, kind)(RigRequest(design, object_name, seed, argument, file, accuracy, effects, vary))
+        raise InputError(
+            f"the rig {name!r} is not simulated here: its world is what it is",
+            field="--vary",
+            choices=[NONE],
+        )
+    return load_backend(RIGS, kind)(
+        RigRequest(design, object_name, seed, argument, file, accuracy, effects, vary)
+    )
 
 
 def need_file(request: RigRequest) -> RigFile:
-    """The devices' rig file of a request. Raises InputError where a backend that needs one was named without."""
+    """The devices' rig file of a request. Raises InputError where a backend that needs one was
+    named without."""
     if not isinstance(request.file, RigFile):
         raise InputError("needs a rig file", field="--rig", choices=rig_names())
     return request.file
@@ -76,14 +100,17 @@ def rig_names() -> list[str]:
 
 
 def load_backend(group: str, name: str) -> Callable[..., Any]:
-    """What a third party, or this package, registered as `name` in an entry point `group`. Raises InputError."""
+    """What a third party, or this package, registered as `name` in an entry point `group`. Raises
+    InputError."""
     found = _found(group)
     if name not in found:
         raise InputError(f"no backend {name!r} is installed", field=group, choices=sorted(found))
     try:
         return found[name].load()
     except (ImportError, AttributeError) as error:
-        raise InputError(f"backend {name!r} ({found[name].value}) does not load: {error}", field=group) from error
+        raise InputError(
+            f"backend {name!r} ({found[name].value}) does not load: {error}", field=group
+        ) from error
 
 
 def _found(group: str) -> dict[str, EntryPoint]:

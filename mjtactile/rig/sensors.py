@@ -13,13 +13,15 @@ from mjtactile.rig.gripper import gripper_state
 
 
 def finger_design(finger: CameraConfig, default: SensorDesign) -> SensorDesign:
-    """The sensor of a finger: that of its own sensor file, else `default`. Raises InputError for a file that is wrong."""
+    """The sensor of a finger: that of its own sensor file, else `default`. Raises InputError for a
+    file that is wrong."""
     return default if finger.sensor is None else load_sensor(finger.sensor)
 
 
 def finger_calibration(finger: CameraConfig, design: SensorDesign) -> Calibration | None:
-    """What was measured of a finger whose sensor file says `design`: nothing yet where the file that is named is not there;
-    None where none is named. Raises InputError for a file that is broken, or of another finger or sensor.
+    """What was measured of a finger whose sensor file says `design`: nothing yet where the file
+    that is named is not there; None where none is named. Raises InputError for a file that is
+    broken, or of another finger or sensor.
     """
     path = finger.calibration or design.calibration
     if path is None:
@@ -32,37 +34,63 @@ def finger_calibration(finger: CameraConfig, design: SensorDesign) -> Calibratio
 
 
 def calibration_findings(rig_file: RigFile, default: SensorDesign) -> Iterator[Finding]:
-    """What `mjtactile doctor` says of the calibrations that a rig file names: missing, refused, outdated, good, or broken."""
+    """What `mjtactile doctor` says of the calibrations that a rig file names: missing, refused,
+    outdated, good, or broken."""
     for camera in rig_file.cameras:
         yield from _finger_findings(rig_file, camera, default)
     try:
         state = gripper_state(rig_file.gripper)
-        yield _finding("calibration of the gripper", state, f"mjtactile calibrate gripper --rig {rig_file.path}")
+        yield _finding(
+            "calibration of the gripper",
+            state,
+            f"mjtactile calibrate gripper --rig {rig_file.path}",
+        )
     except InputError as error:
-        yield Finding("bad", "calibration of the gripper", str(error), "measure it again: `mjtactile calibrate gripper`")
+        yield Finding(
+            "bad",
+            "calibration of the gripper",
+            str(error),
+            "measure it again: `mjtactile calibrate gripper`",
+        )
 
 
-def _finger_findings(rig_file: RigFile, camera: CameraConfig, default: SensorDesign) -> Iterator[Finding]:
+def _finger_findings(
+    rig_file: RigFile, camera: CameraConfig, default: SensorDesign
+) -> Iterator[Finding]:
     what = f"calibration of {camera.finger}"
     try:
         design = finger_design(camera, default)
         calibration = finger_calibration(camera, design)
     except InputError as error:
-        yield Finding("bad", what, str(error), "is it this finger's, whole, and of this sensor? else measure it again")
+        yield Finding(
+            "bad",
+            what,
+            str(error),
+            "is it this finger's, whole, and of this sensor? else measure it again",
+        )
         return
     if calibration is None:
-        yield Finding("warn", what, "the rig file names none: the sensor file's values count",
-                      f'write calibration = "{camera.finger}.json" into its [[camera]], then `mjtactile calibrate --help`')
+        yield Finding(
+            "warn",
+            what,
+            "the rig file names none: the sensor file's values count",
+            f'write calibration = "{camera.finger}.json" into its [[camera]], '
+            "then `mjtactile calibrate --help`",
+        )
         return
     has_valve = any(valve.finger == camera.finger for valve in rig_file.valves)
     for state in calibration.states(design):
         if has_valve or state.kind != "valve":
             what_for = "camera" if state.kind == "lens" else state.kind
-            yield _finding(f"{what}, {state.kind}", state,
-                           f"mjtactile calibrate {what_for} --rig {rig_file.path} --finger {camera.finger}")
+            yield _finding(
+                f"{what}, {state.kind}",
+                state,
+                f"mjtactile calibrate {what_for} --rig {rig_file.path} --finger {camera.finger}",
+            )
 
 
 def _finding(what: str, state: PartState, command: str) -> Finding:
-    good, missing = state.state == "good", state.state == "missing"
+    good = state.state == "good"
+    missing = state.state == "missing"
     text = state.text if missing else f"{state.state}: {state.text}"
     return Finding("ok" if good else "warn", what, text, "" if good else f"`{command}`")

@@ -1,10 +1,12 @@
-"""What varies from one grasp to the next: a file of ranges and distributions, and the values that a seed draws from it.
+"""What varies from one grasp to the next: a file of ranges and distributions, and the values that a
+seed draws from it.
 
-    design, file = load_sensor("dense"), load_sim_rig("sim")
-    rig = build_sim_rig(design, object_name="egg", seed=3, file=file, drawn=draw("default", 3, design, file))
+    design, file = load_sensor("dense"), load_sim_rig("sim") rig = build_sim_rig(design,
+    object_name="egg", seed=3, file=file, drawn=draw("default", 3, design, file))
 
-The world is made of the drawn values; sensing and control keep the sensor file and the rig file. A value depends on the seed
-and on its own name alone, so that one more line in a file leaves the others as they were. The format: docs/evaluate.md.
+The world is made of the drawn values; sensing and control keep the sensor file and the rig file. A
+value depends on the seed and on its own name alone, so that one more line in a file leaves the
+others as they were. The format: docs/evaluate.md.
 """
 
 from __future__ import annotations
@@ -34,9 +36,10 @@ _MISSING_MOST = 40
 
 @dataclass(frozen=True)
 class ObjectChange:
-    """How the object differs from its file: everything that stands in it larger by `size`, with its mass; then `mass`,
-    `friction` (with the membranes, the table and its stand), `stiffness` of its springs or elements and `breaking` (what it
-    stands) more, all shares. `place` (x, y) m on the table and `yaw` rad replace those of the seed (None: they do not)."""
+    """How the object differs from its file: everything that stands in it larger by `size`, with its
+    mass; then `mass`, `friction` (with the membranes, the table and its stand), `stiffness` of its
+    springs or elements and `breaking` (what it stands) more, all shares. `place` (x, y) m on the
+    table and `yaw` rad replace those of the seed (None: they do not)."""
 
     size: float = 0.0
     mass: float = 0.0
@@ -52,8 +55,9 @@ UNCHANGED = ObjectChange()
 
 @dataclass(frozen=True)
 class RigChange:
-    """How the gripper differs from its file: commands take effect `delay` s later and up to `jitter` s more; `backlash` m of
-    the opening in its gears; `speed` more of it, a share; `force_noise` N (sd) of the closing force that the servos report."""
+    """How the gripper differs from its file: commands take effect `delay` s later and up to
+    `jitter` s more; `backlash` m of the opening in its gears; `speed` more of it, a share;
+    `force_noise` N (sd) of the closing force that the servos report."""
 
     delay: float = 0.0
     jitter: float = 0.0
@@ -67,7 +71,8 @@ FAULTLESS = RigChange()
 
 @dataclass(frozen=True)
 class Drawn:
-    """The world of one grasp. `values` are as drawn, in the file's units, by name: what a result keeps."""
+    """The world of one grasp. `values` are as drawn, in the file's units, by name: what a result
+    keeps."""
 
     object: ObjectChange = UNCHANGED
     rig: RigChange = FAULTLESS
@@ -83,24 +88,35 @@ AS_FILED = Drawn()
 """A world in which everything is as its file says."""
 _PERCENT = 1e-2
 _OBJECT_ROWS = (
-    Row("size_percent", "size", -50, 100, _PERCENT), Row("mass_percent", "mass", -90, 900, _PERCENT),
-    Row("friction_percent", "friction", -95, 400, _PERCENT), Row("stiffness_percent", "stiffness", -90, 900, _PERCENT),
+    Row("size_percent", "size", -50, 100, _PERCENT),
+    Row("mass_percent", "mass", -90, 900, _PERCENT),
+    Row("friction_percent", "friction", -95, 400, _PERCENT),
+    Row("stiffness_percent", "stiffness", -90, 900, _PERCENT),
     Row("breaking_percent", "breaking", -90, 900, _PERCENT),
-    Row("place_mm", "place", -30, 30, 1e-3, "xy"), Row("yaw_deg", "yaw", -180, 180, math.pi / 180))
+    Row("place_mm", "place", -30, 30, 1e-3, "xy"),
+    Row("yaw_deg", "yaw", -180, 180, math.pi / 180),
+)
 _RIG_ROWS = (
-    Row("delay_ms", "delay", 0, 1000, 1e-3), Row("jitter_ms", "jitter", 0, 1000, 1e-3),
-    Row("backlash_mm", "backlash", 0, 10, 1e-3), Row("speed_percent", "speed", -90, 400, _PERCENT),
-    Row("force_noise_N", "force_noise", 0, 10))
+    Row("delay_ms", "delay", 0, 1000, 1e-3),
+    Row("jitter_ms", "jitter", 0, 1000, 1e-3),
+    Row("backlash_mm", "backlash", 0, 10, 1e-3),
+    Row("speed_percent", "speed", -90, 400, _PERCENT),
+    Row("force_noise_N", "force_noise", 0, 10),
+)
 _COUNT = Row(MISSING, "missing", 0, _MISSING_MOST)
 SECTIONS: dict[str, tuple[Row, ...]] = {
-    "object": _OBJECT_ROWS, "sensor": (*SENSOR_ROWS, _COUNT), "gas": GAS_ROWS, "rig": _RIG_ROWS}
+    "object": _OBJECT_ROWS,
+    "sensor": (*SENSOR_ROWS, _COUNT),
+    "gas": GAS_ROWS,
+    "rig": _RIG_ROWS,
+}
 """What can vary; `sensor` and `gas` are drawn for each finger."""
 
 
 @dataclass(frozen=True)
 class Spread:
-    """A distribution: evenly from `low` to `high`, around a `mean` with an `sd` (normal, cut at three of them), or one of
-    `choices`, each as likely."""
+    """A distribution: evenly from `low` to `high`, around a `mean` with an `sd` (normal, cut at
+    three of them), or one of `choices`, each as likely."""
 
     low: float = 0.0
     high: float = 0.0
@@ -128,45 +144,72 @@ class Variation:
     path: Path | None = None
 
     def draw(self, seed: int, *, fingers: Sequence[str], markers: int) -> Drawn:
-        """The world of `seed` for these fingers, with so many `markers` on each; the same whatever else is drawn or run."""
+        """The world of `seed` for these fingers, with so many `markers` on each; the same whatever
+        else is drawn or run."""
         values: dict[str, Any] = {}
         for name, (row, spread) in self.spreads.items():
             section, _, key = name.partition(".")
             owners = fingers if section in ("sensor", "gas") else [section]
-            values |= {f"{owner}.{key}": _draw(f"{owner}.{key}", row, spread, seed, markers) for owner in owners}
-        own = {owner: {name.partition(".")[2]: value for name, value in values.items() if name.startswith(f"{owner}.")}
-               for owner in ("object", "rig", *fingers)}
-        changes = ObjectChange(**_by_attribute(_OBJECT_ROWS, own["object"])), RigChange(**_by_attribute(_RIG_ROWS, own["rig"]))
-        return Drawn(*changes, tuple(specimen_of(finger, own[finger]) for finger in fingers), values)
+            values |= {
+                f"{owner}.{key}": _draw(f"{owner}.{key}", row, spread, seed, markers)
+                for owner in owners
+            }
+        own = {
+            owner: {
+                name.partition(".")[2]: value
+                for name, value in values.items()
+                if name.startswith(f"{owner}.")
+            }
+            for owner in ("object", "rig", *fingers)
+        }
+        changes = (
+            ObjectChange(**_by_attribute(_OBJECT_ROWS, own["object"])),
+            RigChange(**_by_attribute(_RIG_ROWS, own["rig"])),
+        )
+        return Drawn(
+            *changes, tuple(specimen_of(finger, own[finger]) for finger in fingers), values
+        )
 
 
 def load_variation(name_or_path: str | Path) -> Variation:
     """Read a variation by shipped name or from a TOML file; "none" varies nothing.
 
-    Raises InputError naming file, field and valid choices for what is unknown, out of range or no distribution.
+    Raises InputError naming file, field and valid choices for what is unknown, out of range or no
+    distribution.
     """
     if name_or_path == NONE:
         return Variation(NONE, {})
-    text, shipped = str(name_or_path), resources.names("models/variations", ".toml")
+    text = str(name_or_path)
+    shipped = resources.names("models/variations", ".toml")
     if not text.endswith(".toml") and "/" not in text and text not in shipped:
-        raise InputError(f"unknown variation {text!r}", field="--vary", choices=[*shipped, NONE, "FILE.toml"])
+        raise InputError(
+            f"unknown variation {text!r}", field="--vary", choices=[*shipped, NONE, "FILE.toml"]
+        )
     path = resources.find(name_or_path, "models/variations", ".toml")
     return variation_from_table(read_toml(path), path)
 
 
 def draw(vary: str | Path, seed: int, design: SensorDesign, file: SimRigFile) -> Drawn:
-    """The world of `seed` for the rig of `file` with `design` on its fingers; `vary` as in `load_variation`."""
-    return load_variation(vary).draw(seed, fingers=[finger.name for finger in file.fingers], markers=design.markers.count)
+    """The world of `seed` for the rig of `file` with `design` on its fingers; `vary` as in
+    `load_variation`."""
+    return load_variation(vary).draw(
+        seed, fingers=[finger.name for finger in file.fingers], markers=design.markers.count
+    )
 
 
 def variation_from_table(table: Mapping[str, Any], path: Path) -> Variation:
     """Validate a parsed TOML table; see `load_variation`."""
-    root, spreads = Section(table, "", str(path)), {}
+    root = Section(table, "", str(path))
+    spreads = {}
     for name, rows in SECTIONS.items():
         section = root.optional(name)
         if section is None:
             continue
-        spreads |= {f"{name}.{row.key}": (row, spread) for row in rows if (spread := _spread(section, row)) is not None}
+        spreads |= {
+            f"{name}.{row.key}": (row, spread)
+            for row in rows
+            if (spread := _spread(section, row)) is not None
+        }
         section.done()
     root.done()
     return Variation(path.stem, spreads, path)
@@ -176,7 +219,8 @@ def _spread(section: Section, row: Row) -> Spread | None:
     """One field: a number, [low, high], {mean, sd} or {choices}."""
     kind = section.kind(row.key)
     if kind is None:
-        section.number(row.key, row.low, row.high, default=None)  # it is known now, and may be missing
+        # it is known now, and may be missing
+        section.number(row.key, row.low, row.high, default=None)
         return None
     if kind is list:
         low, high = section.numbers(row.key, ("low", "high"), row.low, row.high)
@@ -193,12 +237,18 @@ def _spread(section: Section, row: Row) -> Spread | None:
             raise section.fail(row.key, "no choices")
         worst = (min(spread.choices), max(spread.choices))
     else:
-        spread = Spread(mean=inner.number("mean", row.low, row.high, default=0.0), sd=inner.number("sd", 0, row.high - row.low))
+        spread = Spread(
+            mean=inner.number("mean", row.low, row.high, default=0.0),
+            sd=inner.number("sd", 0, row.high - row.low),
+        )
         assert spread.mean is not None
         worst = (spread.mean - _CUT * spread.sd, spread.mean + _CUT * spread.sd)
     inner.done()
     if not (row.low <= worst[0] and worst[1] <= row.high):
-        raise section.fail(row.key, f"reaches from {worst[0]:g} to {worst[1]:g}, outside {row.low:g} to {row.high:g}")
+        raise section.fail(
+            row.key,
+            f"reaches from {worst[0]:g} to {worst[1]:g}, outside {row.low:g} to {row.high:g}",
+        )
     return spread
 
 
@@ -207,7 +257,8 @@ def _draw(name: str, row: Row, spread: Spread, seed: int, markers: int) -> Any:
     if row.attribute == "missing":
         count = min(int(spread.at(rng.random()) + 0.5), markers)
         return sorted(int(number) for number in rng.choice(markers, count, replace=False))
-    drawn = [float(f"{spread.at(share):.6g}") for share in rng.random(max(len(row.names), 1))]  # as it will be written
+    # as it will be written
+    drawn = [float(f"{spread.at(share):.6g}") for share in rng.random(max(len(row.names), 1))]
     return drawn if row.names else drawn[0]
 
 

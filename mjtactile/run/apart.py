@@ -1,5 +1,5 @@
-"""A process of this package's own beside a run: it is asked one thing at a time, by values over a socket, and nobody waits for it
-longer than he wants to."""
+"""A process of this package's own beside a run: it is asked one thing at a time, by values over a
+socket, and nobody waits for it longer than he wants to."""
 
 from __future__ import annotations
 
@@ -18,15 +18,19 @@ _NUMBER = struct.Struct("<Q")
 
 
 class Apart:
-    """A process that runs `module`, which answers on `Wire.of(sys.argv[1])`; `does` says what for, in an error. It starts
-    at once, and is given no other question before it has answered the last one. Close it.
+    """A process that runs `module`, which answers on `Wire.of(sys.argv[1])`; `does` says what for,
+    in an error. It starts at once, and is given no other question before it has answered the last
+    one. Close it.
 
     Raises OSError where there is no room for another process.
     """
 
     def __init__(self, module: str, does: str) -> None:
         ours, its = socket.socketpair()
-        self._wire, self._does, self._due, self._is_late = Wire(ours, _TAKES), does, 0, False
+        self._wire = Wire(ours, _TAKES)
+        self._does = does
+        self._due = 0
+        self._is_late = False
         with its, contextlib.ExitStack() as unless_it_starts:
             unless_it_starts.callback(ours.close)
             self._process = process.start(module, its.fileno(), descriptors=(its.fileno(),))
@@ -61,16 +65,21 @@ class Apart:
         process.stop(self._process)
 
     def _ended(self) -> DeviceError:
-        return DeviceError(f"a process that {self._does} has ended ({process.how_it_ended(self._process)})")
+        return DeviceError(
+            f"a process that {self._does} has ended ({process.how_it_ended(self._process)})"
+        )
 
 
 class Wire:
-    """Values over a socket. Arrays are not pickled but follow as they are, and arrive read-only. The other end takes what it is
-    sent within `takes` s (None: when it likes)."""
+    """Values over a socket. Arrays are not pickled but follow as they are, and arrive read-only.
+    The other end takes what it is sent within `takes` s (None: when it likes)."""
 
     def __init__(self, end: socket.socket, takes: float | None = None) -> None:
-        self._end, self._takes, self._filled = end, takes, 0
-        self._room = bytearray(_NUMBER.size)  # for the size of a message, then for all the rest of it
+        self._end = end
+        self._takes = takes
+        self._filled = 0
+        # for the size of a message, then for all the rest of it
+        self._room = bytearray(_NUMBER.size)
         self._sized = False
 
     @classmethod
@@ -89,23 +98,29 @@ class Wire:
         self._end.sendall(b"".join([_NUMBER.pack(len(head) + sum(sizes)), head, *parts]))
 
     def receive(self, patience: float | None) -> tuple[Any, ...] | None:
-        """What was sent; None if it is not all there within `patience` s (None: wait), and then it is received on the next time.
-        Raises OSError when there is no other end any more."""
+        """What was sent; None if it is not all there within `patience` s (None: wait), and then it
+        is received on the next time. Raises OSError when there is no other end any more."""
         end = math.inf if patience is None else pace.monotonic() + patience
         while self._filled < len(self._room) or not self._sized:
             if self._filled == len(self._room):
-                self._room, self._filled, self._sized = bytearray(_NUMBER.unpack(self._room)[0]), 0, True
+                self._room = bytearray(_NUMBER.unpack(self._room)[0])
+                self._filled = 0
+                self._sized = True
                 continue
-            self._end.settimeout(None if math.isinf(end) else pace.wall(max(end - pace.monotonic(), 1e-6)))
+            self._end.settimeout(
+                None if math.isinf(end) else pace.wall(max(end - pace.monotonic(), 1e-6))
+            )
             try:
-                more = self._end.recv_into(memoryview(self._room)[self._filled:])
+                more = self._end.recv_into(memoryview(self._room)[self._filled :])
             except TimeoutError:
                 return None
             if not more:
                 raise ConnectionError
             self._filled += more
         whole = memoryview(self._room).toreadonly()
-        self._room, self._filled, self._sized = bytearray(_NUMBER.size), 0, False
+        self._room = bytearray(_NUMBER.size)
+        self._filled = 0
+        self._sized = False
         return _value(whole)
 
     def close(self) -> None:
@@ -114,9 +129,10 @@ class Wire:
 
 def _value(whole: memoryview) -> tuple[Any, ...]:
     """What a message holds; its arrays stay where they are."""
-    count, parts = _NUMBER.unpack_from(whole)[0], []
+    count = _NUMBER.unpack_from(whole)[0]
+    parts = []
     start = _NUMBER.size * (1 + count)
-    for (size,) in _NUMBER.iter_unpack(whole[_NUMBER.size:start]):
-        parts.append(whole[start:start + size])
+    for (size,) in _NUMBER.iter_unpack(whole[_NUMBER.size : start]):
+        parts.append(whole[start : start + size])
         start += size
     return pickle.loads(parts[0], buffers=parts[1:])

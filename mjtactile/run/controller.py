@@ -18,7 +18,8 @@ from mjtactile.core import pace, resources
 from mjtactile.core.errors import ControllerError, InputError
 from mjtactile.core.types import Command, Observation
 
-_FIRST_TIME = 3.0  # s that the first step may take in any case: it may import, and nothing is held yet
+# s that the first step may take in any case: it may import, and nothing is held yet
+_FIRST_TIME = 3.0
 
 
 class Stepper(Protocol):
@@ -40,30 +41,41 @@ class Controller:
     def step(self, observation: Observation) -> Command:
         """Run the user's `step`.
 
-        Raises ControllerError naming the file and the line when it raises, and the field when it returns nothing or
-        something that is not a Command (a Command checks its own numbers).
+        Raises ControllerError naming the file and the line when it raises, and the field when it
+        returns nothing or something that is not a Command (a Command checks its own numbers).
         """
         try:
             command = self.function(observation)
         except BaseException as error:
-            if isinstance(error, KeyboardInterrupt) and threading.current_thread() is threading.main_thread():
+            if (
+                isinstance(error, KeyboardInterrupt)
+                and threading.current_thread() is threading.main_thread()
+            ):
                 raise  # Ctrl-C; in another thread the controller itself raised it
-            raise ControllerError(f"step() raised {type(error).__name__}: {error} at t = {observation.time:.3f} s",
-                                  source=self.path, field=_line(self.path, traceback.extract_tb(error.__traceback__))) from error
+            raise ControllerError(
+                f"step() raised {type(error).__name__}: {error} at t = {observation.time:.3f} s",
+                source=self.path,
+                field=_line(self.path, traceback.extract_tb(error.__traceback__)),
+            ) from error
         if not isinstance(command, Command):
-            raise ControllerError(f"step() returned {command!r} at t = {observation.time:.3f} s, not a Command",
-                                  source=self.path, field="step")
+            raise ControllerError(
+                f"step() returned {command!r} at t = {observation.time:.3f} s, not a Command",
+                source=self.path,
+                field="step",
+            )
         return command
 
 
 class ControllerThread:
-    """Asks a controller in a thread of its own, so that a step that does not return holds up nothing. Use as a context manager.
+    """Asks a controller in a thread of its own, so that a step that does not return holds up
+    nothing. Use as a context manager.
 
     A step is given `limit` s of wall time. A switch to the thread and back takes some 0.03 ms.
     """
 
     def __init__(self, controller: Stepper, limit: float):
-        self._controller, self._limit = controller, limit
+        self._controller = controller
+        self._limit = limit
         self._patience = max(limit, _FIRST_TIME)
         self._questions: queue.SimpleQueue[Observation | None] = queue.SimpleQueue()
         self._answers: queue.SimpleQueue[Command | BaseException] = queue.SimpleQueue()
@@ -77,8 +89,8 @@ class ControllerThread:
         self._questions.put(None)
 
     def step(self, observation: Observation) -> Command:
-        """The controller's answer. Raises what it raised, and ControllerError when it did not answer in time: such a
-        controller must not be asked again."""
+        """The controller's answer. Raises what it raised, and ControllerError when it did not
+        answer in time: such a controller must not be asked again."""
         self._questions.put(observation)
         try:
             answer = self._answers.get(timeout=pace.wall(self._patience))
@@ -96,19 +108,32 @@ class ControllerThread:
             except ControllerError as error:
                 self._answers.put(error)
             except BaseException as error:  # noqa: BLE001  # of a controller that is no file
-                self._answers.put(ControllerError(f"step() raised {type(error).__name__}: {error}", source=self._controller.path))
+                self._answers.put(
+                    ControllerError(
+                        f"step() raised {type(error).__name__}: {error}",
+                        source=self._controller.path,
+                    )
+                )
 
     def _late(self, time: float) -> ControllerError:
-        """What to say of a step that does not return; it is also asked to end, so that it takes no more computing time."""
-        thread, path = self._thread.ident or 0, self._controller.path
+        """What to say of a step that does not return; it is also asked to end, so that it takes no
+        more computing time."""
+        thread = self._thread.ident or 0
+        path = self._controller.path
         frame = sys._current_frames().get(thread)
         line = _line(path, traceback.extract_stack(frame)) if frame is not None else None
-        ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(SystemExit))
-        return ControllerError(f"step() did not return within {self._patience:g} s at t = {time:.3f} s", source=path, field=line)
+        ctypes.pythonapi.PyThreadState_SetAsyncExc(
+            ctypes.c_ulong(thread), ctypes.py_object(SystemExit)
+        )
+        return ControllerError(
+            f"step() did not return within {self._patience:g} s at t = {time:.3f} s",
+            source=path,
+            field=line,
+        )
 
 
 def _line(path: Path, stack: traceback.StackSummary) -> str | None:
-    """"line 7": the innermost line of the file `path` in a stack."""
+    """ "line 7": the innermost line of the file `path` in a stack."""
     with contextlib.suppress(OSError):  # a path that cannot be resolved any more
         for frame in reversed(stack):
             if Path(frame.filename).resolve() == path.resolve():
@@ -119,7 +144,8 @@ def _line(path: Path, stack: traceback.StackSummary) -> str | None:
 def load_controller(name_or_path: str | Path) -> Controller:
     """Load a controller by shipped name or from a user's file.
 
-    Raises InputError for a missing file, ControllerError for one that does not import or has no `step`.
+    Raises InputError for a missing file, ControllerError for one that does not import or has no
+    `step`.
     """
     path = resources.find(name_or_path, "controllers", ".py")
     spec = importlib.util.spec_from_file_location(f"mjtactile_controller_{path.stem}", path)
@@ -131,8 +157,12 @@ def load_controller(name_or_path: str | Path) -> Controller:
     except (Exception, SystemExit) as error:
         line = getattr(error, "lineno", None)
         where = f"line {line}" if line else None
-        raise ControllerError(f"does not import: {type(error).__name__}: {error}", source=path, field=where) from error
+        raise ControllerError(
+            f"does not import: {type(error).__name__}: {error}", source=path, field=where
+        ) from error
     function = getattr(module, "step", None)
     if not callable(function):
-        raise ControllerError("has no function step(observation) -> command", source=path, field="step")
+        raise ControllerError(
+            "has no function step(observation) -> command", source=path, field="step"
+        )
     return Controller(path, function)

@@ -35,13 +35,20 @@ class _Still:
 
 
 class Drawing:
-    """As `mjtactile.run.report.write_figure`, in a process; where there is none, or none any more, here."""
+    """As `mjtactile.run.report.write_figure`, in a process; where there is none, or none any more,
+    here."""
 
     def __init__(self, apart: Apart | None):
         self._apart = apart
 
-    def __call__(self, path: Path, recording: Recording, snapshot: CycleLike | None, summary: Mapping[str, Any],
-                 scene: View | None = None) -> None:
+    def __call__(
+        self,
+        path: Path,
+        recording: Recording,
+        snapshot: CycleLike | None,
+        summary: Mapping[str, Any],
+        scene: View | None = None,
+    ) -> None:
         from mjtactile.run.perceive import value_of
         from mjtactile.run.report import write_figure
 

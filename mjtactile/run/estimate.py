@@ -1,8 +1,10 @@
-"""What force error a run has, by its own reckoning: the same contact again on a coarser mesh with a longer step.
+"""What force error a run has, by its own reckoning: the same contact again on a coarser mesh with a
+longer step.
 
-Step doubling over mesh and time step at once. The membrane is of second order in the mesh width, so that the coarse
-run's error is r^2 times the fine one's, and the fine one's is their difference over r^2 - 1 (Richardson 1911; Roache,
-Verification and Validation, 1998). The estimate leaves out what both runs share: the material law, and the camera.
+Step doubling over mesh and time step at once. The membrane is of second order in the mesh width, so
+that the coarse run's error is r^2 times the fine one's, and the fine one's is their difference over
+r^2 - 1 (Richardson 1911; Roache, Verification and Validation, 1998). The estimate leaves out what
+both runs share: the material law, and the camera.
 """
 
 from __future__ import annotations
@@ -20,37 +22,57 @@ from mjtactile.sim.scenes.grasp_world import GraspWorld
 RATIO = 1.5  # of mesh widths, coarse over fine
 _LONGEST_STEP = 8e-3  # s
 _FREE = 0.04  # m of opening beyond the grasp, at which both membranes inflate
-_CLOSING, _RESTING = 0.4, 0.3  # s
+# s
+_CLOSING = 0.4
+_RESTING = 0.3
 
 
 def coarser(mesh: tuple[int, int], timestep: float) -> tuple[tuple[int, int], float]:
-    """The mesh with `RATIO` times the width, odd stays odd so that its middle stays a vertex, and up to twice the step."""
+    """The mesh with `RATIO` times the width, odd stays odd so that its middle stays a vertex, and
+    up to twice the step."""
+
     def fewer(count: int) -> int:
         return max(7, 2 * round((count - 1) / RATIO / 2) + 1)
 
     return (fewer(mesh[0]), fewer(mesh[1])), min(2 * timestep, _LONGEST_STEP)
 
 
-def richardson(fine: float, coarse: float, mesh: tuple[int, int], coarse_mesh: tuple[int, int]) -> float:
-    """Estimated error of `fine`, N, from the two forces and the real ratio of the meshes' widths; NaN for equal meshes."""
+def richardson(
+    fine: float, coarse: float, mesh: tuple[int, int], coarse_mesh: tuple[int, int]
+) -> float:
+    """Estimated error of `fine`, N, from the two forces and the real ratio of the meshes' widths;
+    NaN for equal meshes."""
     ratio = ((mesh[0] - 1) * (mesh[1] - 1) / ((coarse_mesh[0] - 1) * (coarse_mesh[1] - 1))) ** 0.5
     return abs(fine - coarse) / (ratio**2 - 1) if ratio > 1 else float("nan")
 
 
-def press_errors(press: Callable[[tuple[int, int], float], list[dict[str, Any]]], steps: list[dict[str, Any]],
-                 mesh: tuple[int, int], timestep: float) -> list[float]:
-    """Estimated error, N, of every step's `force_true_N`; `press` runs the same plan with another mesh and time step."""
+def press_errors(
+    press: Callable[[tuple[int, int], float], list[dict[str, Any]]],
+    steps: list[dict[str, Any]],
+    mesh: tuple[int, int],
+    timestep: float,
+) -> list[float]:
+    """Estimated error, N, of every step's `force_true_N`; `press` runs the same plan with another
+    mesh and time step."""
     coarse_mesh, coarse_step = coarser(mesh, timestep)
     others = press(coarse_mesh, coarse_step)
-    return [richardson(float(np.linalg.norm(a["force_true_N"])), float(np.linalg.norm(b["force_true_N"])), mesh, coarse_mesh)
-            for a, b in zip(steps, others, strict=True)]
+    return [
+        richardson(
+            float(np.linalg.norm(a["force_true_N"])),
+            float(np.linalg.norm(b["force_true_N"])),
+            mesh,
+            coarse_mesh,
+        )
+        for a, b in zip(steps, others, strict=True)
+    ]
 
 
 class GraspEstimate:
-    """Error of the contact force in a grasp: where hand and object stand, the grasp is repeated on two meshes.
+    """Error of the contact force in a grasp: where hand and object stand, the grasp is repeated on
+    two meshes.
 
-    Both repetitions start from the inflated, untouched membranes, and drive jaws and object to where they stood in the
-    run, so that what differs is the discretisation alone.
+    Both repetitions start from the inflated, untouched membranes, and drive jaws and object to
+    where they stood in the run, so that what differs is the discretisation alone.
     """
 
     def __init__(self, world: GraspWorld):
@@ -60,11 +82,12 @@ class GraspEstimate:
     def keep(self) -> None:
         """Remember where object and hand stand now; call while the object is held."""
         joint = self._object_joint(self._world)
-        qpos = np.array(self._world.data.qpos[joint:joint + 7])
+        qpos = np.array(self._world.data.qpos[joint : joint + 7])
         self._state = qpos, np.array([self._world.lift_height]), self._world.opening
 
     def force_error(self) -> float:
-        """Estimated error of the normal force on a finger, N; NaN when nothing was kept or a repetition failed."""
+        """Estimated error of the normal force on a finger, N; NaN when nothing was kept or a
+        repetition failed."""
         if self._state is None:
             return float("nan")
         mesh = self._world.sensors[0].mesh
@@ -81,8 +104,16 @@ class GraspEstimate:
         assert self._state is not None
         old, (pose, lift, opening) = self._world, self._state
         start = min(opening + _FREE, old.max_opening)
-        world = GraspWorld(old.design, old.object, rig=old.rig, timestep=timestep, mesh=mesh, opening=start,
-                           effects=old.effects, specimens=old.specimens)
+        world = GraspWorld(
+            old.design,
+            old.object,
+            rig=old.rig,
+            timestep=timestep,
+            mesh=mesh,
+            opening=start,
+            effects=old.effects,
+            specimens=old.specimens,
+        )
         for i in range(len(world.sensors)):
             world.open_valve(i)
         self._drive(world, pose, lift, np.full(round(0.15 / timestep), start))
@@ -90,15 +121,19 @@ class GraspEstimate:
             world.close_valve(i)
         self._drive(world, pose, lift, np.linspace(start, opening, round(_CLOSING / timestep)))
         self._drive(world, pose, lift, np.full(round(_RESTING / timestep), opening))
-        return float(np.mean([-truth.contact_force(world, i)[2] for i in range(len(world.sensors))]))
+        return float(
+            np.mean([-truth.contact_force(world, i)[2] for i in range(len(world.sensors))])
+        )
 
     def _drive(self, world: GraspWorld, pose: Array, lift: Array, openings: Array) -> None:
         """Step with the rigid parts put where they belong before every step."""
-        joint, model, data = self._object_joint(world), world.model, world.data
+        joint = self._object_joint(world)
+        model = world.model
+        data = world.data
         dof = int(model.jnt_dofadr[model.jnt_qposadr.tolist().index(joint)])
         for opening in openings:
-            data.qpos[joint:joint + 7] = pose
-            data.qvel[dof:dof + 6] = 0.0
+            data.qpos[joint : joint + 7] = pose
+            data.qvel[dof : dof + 6] = 0.0
             world.place_hand(float(opening), float(lift[0]))
             world.step()
 

@@ -1,7 +1,9 @@
-"""Fingers felt in processes of their own, beside a simulated world that needs the interpreter as much as they do.
+"""Fingers felt in processes of their own, beside a simulated world that needs the interpreter as
+much as they do.
 
-A process is given the chains and their states when a run begins, then images, and hands the states back when the run ends: what a
-chain finds does not depend on where it runs (docs/decisions/0024-a-process-beside-the-world.md). It is told nothing but images.
+A process is given the chains and their states when a run begins, then images, and hands the states
+back when the run ends: what a chain finds does not depend on where it runs
+(docs/decisions/0024-a-process-beside-the-world.md). It is told nothing but images.
 """
 
 from __future__ import annotations
@@ -32,45 +34,65 @@ class Feelers:
 
     def __init__(self, count: int) -> None:
         with contextlib.ExitStack() as unless_all_start:
-            self._feelers = [unless_all_start.enter_context(contextlib.closing(Apart(__name__, "feels for the loop")))
-                             for _ in range(count)]
+            self._feelers = [
+                unless_all_start.enter_context(
+                    contextlib.closing(Apart(__name__, "feels for the loop"))
+                )
+                for _ in range(count)
+            ]
             self._started = unless_all_start.pop_all()
         self._perceptions: Sequence[Any] = ()
         self._names: Sequence[str] = ()
 
     @contextlib.contextmanager
     def at_work(self, perceptions: Sequence[Any], names: Sequence[str]) -> Iterator[Feelers]:
-        """Feel with these chains (`Perception`), from the states that they are in; they are left in those that the run ends in.
+        """Feel with these chains (`Perception`), from the states that they are in; they are left in
+        those that the run ends in.
 
         Raises DeviceError for a process that does not start.
         """
-        self._perceptions, self._names = perceptions, names
+        self._perceptions = perceptions
+        self._names = names
         for feeler, own in self._shares(perceptions):
-            feeler.begin("take", pickle.dumps(own))  # whole: arrays that may be written to have their address read faster
+            # whole: arrays that may be written to have their address read faster
+            feeler.begin("take", pickle.dumps(own))
         for feeler, _ in self._shares(perceptions):
             if feeler.outcome(_START) is None:
-                raise DeviceError(f"a process that feels for the loop has not started within {_START:g} s")
+                raise DeviceError(
+                    f"a process that feels for the loop has not started within {_START:g} s"
+                )
         try:
             yield self
         finally:
             self._give_back()
 
-    def perceive(self, images: Sequence[Image], now: float, patience: float = PATIENCE) -> tuple[Touch, ...]:
+    def perceive(
+        self, images: Sequence[Image], now: float, patience: float = PATIENCE
+    ) -> tuple[Touch, ...]:
         """What every sensor feels; see `mjtactile.run.perceive.Perceivers.perceive`.
 
-        Raises DeviceError for a process that has ended, and what a chain raised, when all have answered.
+        Raises DeviceError for a process that has ended, and what a chain raised, when all have
+        answered.
         """
         for feeler, own in self._shares(images):
             feeler.begin("feel", own, now)
-        end, felt = pace.monotonic() + patience, list[Outcome | None]([None] * len(images))
+        end = pace.monotonic() + patience
+        felt = list[Outcome | None]([None] * len(images))
         for first, (feeler, own) in enumerate(self._shares(self._perceptions)):
-            answer = list[tuple[Outcome, Any]](feeler.outcome(max(0.0, end - pace.monotonic())) or [])
-            for finger, (perception, (outcome, tracks)) in enumerate(zip(own, answer, strict=False)):
+            answer = list[tuple[Outcome, Any]](
+                feeler.outcome(max(0.0, end - pace.monotonic())) or []
+            )
+            for finger, (perception, (outcome, tracks)) in enumerate(
+                zip(own, answer, strict=False)
+            ):
                 felt[first + finger * len(self._feelers)] = outcome
-                if tracks is not None:  # for whoever draws them; the rest of a state is large, and not needed here
+                # for whoever draws them; the rest of a state is large, and not needed here
+                if tracks is not None:
                     perception.state = replace(perception.state, tracks=tracks)
-        return tuple(late_touch(name, image, now) if outcome is None else value_of(outcome)
-                     for outcome, name, image in zip(felt, self._names, images, strict=True))
+        return tuple(
+            late_touch(name, image, now) if outcome is None else value_of(outcome)
+            for outcome, name, image in zip(felt, self._names, images, strict=True)
+        )
 
     def _give_back(self) -> None:
         """Those of a process that does not answer any more stay in the states that it began in."""
@@ -85,17 +107,19 @@ class Feelers:
 
     def _shares(self, values: Sequence[Any]) -> list[tuple[Apart, list[Any]]]:
         """Each process that has something to do, and what of `values` is its own."""
-        shares = [list(values[first::len(self._feelers)]) for first in range(len(self._feelers))]
+        shares = [list(values[first :: len(self._feelers)]) for first in range(len(self._feelers))]
         return [(feeler, own) for feeler, own in zip(self._feelers, shares, strict=True) if own]
 
 
 def default_count(cameras: int) -> int:
-    """How many processes are worth having beside a simulated world: one a camera, as far as there are processors for them."""
+    """How many processes are worth having beside a simulated world: one a camera, as far as there
+    are processors for them."""
     return min(cameras, len(os.sched_getaffinity(0)) - 1)
 
 
 def serve(wire: Wire) -> None:
-    """What a process does until its parent hangs up: takes chains, feels images, and gives the chains' states back."""
+    """What a process does until its parent hangs up: takes chains, feels images, and gives the
+    chains' states back."""
     perceptions: list[Perception] = []
     with contextlib.suppress(OSError):
         while True:
@@ -104,8 +128,15 @@ def serve(wire: Wire) -> None:
                     perceptions = pickle.loads(own)
                     wire.send()
                 case "feel", images, now:
-                    wire.send(*[(outcome_of(perception.perceive, image, now), getattr(perception.state, "tracks", None))
-                                for perception, image in zip(perceptions, images, strict=True)])
+                    wire.send(
+                        *[
+                            (
+                                outcome_of(perception.perceive, image, now),
+                                getattr(perception.state, "tracks", None),
+                            )
+                            for perception, image in zip(perceptions, images, strict=True)
+                        ]
+                    )
                 case ("give",):
                     wire.send(*[perception.state for perception in perceptions])
 

@@ -1,4 +1,5 @@
-"""Empty figures for pictures that are written to files; matplotlib is optional, and without it only the pictures are lost."""
+"""Empty figures for pictures that are written to files; matplotlib is optional, and without it only
+the pictures are lost."""
 
 from __future__ import annotations
 
@@ -7,12 +8,15 @@ from typing import Any
 
 
 def new_figure(name: str, size: tuple[float, float], dpi: int = 110) -> Any:
-    """A figure of `size` inches without a window, for the file `name`; None, said on stderr, without matplotlib."""
+    """A figure of `size` inches without a window, for the file `name`; None, said on stderr,
+    without matplotlib."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError:
-        sys.stderr.write(f"mjtactile: warning: {name} was not drawn: pip install 'mjtactile[plots]'\n")
+        sys.stderr.write(
+            f"mjtactile: warning: {name} was not drawn: pip install 'mjtactile[plots]'\n"
+        )
         return None
     figure = Figure(figsize=size, dpi=dpi, layout="constrained")
     FigureCanvasAgg(figure)

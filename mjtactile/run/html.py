@@ -1,4 +1,5 @@
-"""Pages of one file, to look at or to send: what reports share. They ask for nothing over a network."""
+"""Pages of one file, to look at or to send: what reports share. They ask for nothing over a
+network."""
 
 from __future__ import annotations
 
@@ -15,8 +16,11 @@ code{background:#f3f3f3;padding:.1em .3em;user-select:all;font-size:13px}img{max
 
 def document(title: str, body: Iterable[str], *, style: str = "") -> str:
     """The page; `body` and `style` are HTML and CSS, `title` is text."""
-    return (f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
-            f"<style>{_STYLE}{style}</style></head><body>" + "\n".join([*body, "</body></html>"]) + "\n")
+    return (
+        '<!doctype html><html lang="en"><head><meta '
+        f'charset="utf-8"><title>{escape(title)}</title>'
+        f"<style>{_STYLE}{style}</style></head><body>" + "\n".join([*body, "</body></html>"]) + "\n"
+    )
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[Any]], *, text: bool = False) -> str:

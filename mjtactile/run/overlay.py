@@ -11,33 +11,51 @@ from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
 from mjtactile.sensing.image.markers import as_ellipses, detect
 from mjtactile.sensing.image.tracking import Tracks
 
-TRUSTED, FLAGGED = (83, 211, 57), (60, 60, 230)  # blue, green, red
+# blue, green, red
+TRUSTED = (83, 211, 57)
+FLAGGED = (60, 60, 230)
 _PAPER = 190  # grey level where there is no image
 _NO_PIXELS = (480, 640)
 
 
 def find_ellipses(image: Image) -> Ellipses:
     """Those in the image, or those that stand for it."""
-    return image.ellipses if isinstance(image, Sighting) and image.ellipses is not None else detect(image)
+    return (
+        image.ellipses
+        if isinstance(image, Sighting) and image.ellipses is not None
+        else detect(image)
+    )
 
 
 def followed(image: Image, tracks: Tracks | None) -> Ellipses | None:
-    """Those of `tracks`, where it is of this image and has all markers; a search takes a hundred times as long."""
+    """Those of `tracks`, where it is of this image and has all markers; a search takes a hundred
+    times as long."""
     if tracks is None or tracks.time != image.time or len(tracks.fit.center) < tracks.count:
         return None
     return as_ellipses(tracks.fit, np.full(tracks.count, "ok", dtype="<U24"))
 
 
 def with_ellipses(image: Image, width: int, ellipses: Ellipses | None = None) -> NDArray[np.uint8]:
-    """The image `width` pixels wide, blue, green, red (h, w, 3); ellipses green where they are trusted, red where not."""
+    """The image `width` pixels wide, blue, green, red (h, w, 3); ellipses green where they are
+    trusted, red where not."""
     ellipses = find_ellipses(image) if ellipses is None else ellipses
     pixels = image.pixels if image.pixels.size else np.full(_NO_PIXELS, _PAPER, np.uint8)
     scale = width / pixels.shape[1]
     small = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     picture = cv2.cvtColor(small, cv2.COLOR_GRAY2BGR).astype(np.uint8)
     if len(ellipses):
-        curves, _ = boundary(ellipses.center_px, shape_from_axes(ellipses.semi_axes_px, ellipses.angle), 40)
+        curves, _ = boundary(
+            ellipses.center_px, shape_from_axes(ellipses.semi_axes_px, ellipses.angle), 40
+        )
         points = np.round(16 * ((curves + 0.5) * scale - 0.5)).astype(np.int32)
         for curve, status in zip(points, ellipses.status, strict=True):
-            cv2.polylines(picture, [curve], True, TRUSTED if status == "ok" else FLAGGED, 1, cv2.LINE_AA, shift=4)
+            cv2.polylines(
+                picture,
+                [curve],
+                True,
+                TRUSTED if status == "ok" else FLAGGED,
+                1,
+                cv2.LINE_AA,
+                shift=4,
+            )
     return picture

@@ -1,7 +1,8 @@
 """Fingers felt at the same time: sensing chains in threads, and none is waited for too long.
 
-The chain's kernels and MuJoCo let go of Python while they compute, so that threads use the processors. What a chain finds
-does not depend on the others: a run gives the same bits with any number of threads (docs/decisions/0017-threads.md).
+The chain's kernels and MuJoCo let go of Python while they compute, so that threads use the
+processors. What a chain finds does not depend on the others: a run gives the same bits with any
+number of threads (docs/decisions/0017-threads.md).
 """
 
 from __future__ import annotations
@@ -17,26 +18,39 @@ from mjtactile.core import pace
 from mjtactile.core.status import Status, StatusCode
 from mjtactile.core.types import Image, Touch
 
-PATIENCE = 10.0  # s for an answer where nobody says how long; a chain needs a hundredth of a second for an image
+# s for an answer where nobody says how long; a chain needs a hundredth of a second for an image
+PATIENCE = 10.0
 
 
 class Perceiver(Protocol):
     """One sensor's perception; see `mjtactile.sensing.chain.Perception`."""
 
     def take_flat(self, images: Sequence[Image]) -> Any: ...
-    def take_rest(self, images: Sequence[Image], pressure_gauge: float, *, sealed: bool = True) -> Any: ...
+    def take_rest(
+        self, images: Sequence[Image], pressure_gauge: float, *, sealed: bool = True
+    ) -> Any: ...
     def perceive(self, image: Image, now: float) -> Touch: ...
 
 
 class Perceivers:
-    """The chains of all fingers. The last `threads` of them (None: as many as are worth it here) work in threads of their own,
-    the others in the caller's; `busy` threads are at work anyway. A context manager; a chain that hangs is not waited for."""
+    """The chains of all fingers. The last `threads` of them (None: as many as are worth it here)
+    work in threads of their own, the others in the caller's; `busy` threads are at work anyway. A
+    context manager; a chain that hangs is not waited for."""
 
-    def __init__(self, chains: Sequence[Perceiver], names: Sequence[str], threads: int | None = None, *, busy: int = 0):
+    def __init__(
+        self,
+        chains: Sequence[Perceiver],
+        names: Sequence[str],
+        threads: int | None = None,
+        *,
+        busy: int = 0,
+    ):
         threads = default_threads(len(chains), busy) if threads is None else threads
         own = max(len(chains) - threads, 0)
-        self._chains = [(chain, name, _Thread(name) if k >= own else None)
-                        for k, (chain, name) in enumerate(zip(chains, names, strict=True))]
+        self._chains = [
+            (chain, name, _Thread(name) if k >= own else None)
+            for k, (chain, name) in enumerate(zip(chains, names, strict=True))
+        ]
 
     def __enter__(self) -> Perceivers:
         return self
@@ -46,19 +60,29 @@ class Perceivers:
             if thread is not None:
                 thread.close()
 
-    def perceive(self, images: Sequence[Image], now: float, patience: float = PATIENCE) -> tuple[Touch, ...]:
-        """What every sensor feels. A thread that does not answer within `patience` s makes its touch unknown, and is given no
-        other image before it has. Raises what a chain raised, when all have ended."""
+    def perceive(
+        self, images: Sequence[Image], now: float, patience: float = PATIENCE
+    ) -> tuple[Touch, ...]:
+        """What every sensor feels. A thread that does not answer within `patience` s makes its
+        touch unknown, and is given no other image before it has. Raises what a chain raised, when
+        all have ended."""
         pairs = list(zip(self._chains, images, strict=True))
         for (chain, _, thread), image in pairs:
             if thread is not None:
                 thread.begin(chain.perceive, image, now)
-        own = [outcome_of(chain.perceive, image, now) if thread is None else None for (chain, _, thread), image in pairs]
+        own = [
+            outcome_of(chain.perceive, image, now) if thread is None else None
+            for (chain, _, thread), image in pairs
+        ]
         end = pace.monotonic() + patience
-        found = [mine if thread is None else thread.outcome(max(0.0, end - pace.monotonic()))
-                 for ((_, _, thread), _), mine in zip(pairs, own, strict=True)]
-        return tuple(late_touch(name, image, now) if outcome is None else value_of(outcome)
-                     for ((_, name, _), image), outcome in zip(pairs, found, strict=True))
+        found = [
+            mine if thread is None else thread.outcome(max(0.0, end - pace.monotonic()))
+            for ((_, _, thread), _), mine in zip(pairs, own, strict=True)
+        ]
+        return tuple(
+            late_touch(name, image, now) if outcome is None else value_of(outcome)
+            for ((_, name, _), image), outcome in zip(pairs, found, strict=True)
+        )
 
 
 def unknown_touch(image: Image, now: float, status: Status) -> Touch:
@@ -67,8 +91,8 @@ def unknown_touch(image: Image, now: float, status: Status) -> Touch:
 
 
 def default_threads(cameras: int = 2, busy: int = 0) -> int:
-    """How many threads are worth having beside `busy` others, such as a simulated world's: one a camera where there are
-    processors for all of them, else none."""
+    """How many threads are worth having beside `busy` others, such as a simulated world's: one a
+    camera where there are processors for all of them, else none."""
     return cameras if cameras > 1 and len(os.sched_getaffinity(0)) >= cameras + busy else 0
 
 
@@ -80,9 +104,12 @@ class _Thread:
     """Does one thing at a time. A daemon: the process can end while it hangs."""
 
     def __init__(self, name: str):
-        self._work: queue.SimpleQueue[tuple[Callable[..., Any], tuple[Any, ...]] | None] = queue.SimpleQueue()
+        self._work: queue.SimpleQueue[tuple[Callable[..., Any], tuple[Any, ...]] | None] = (
+            queue.SimpleQueue()
+        )
         self._done: queue.SimpleQueue[Outcome] = queue.SimpleQueue()
-        self._due, self._is_late = 0, False
+        self._due = 0
+        self._is_late = False
         threading.Thread(target=self._run, name=f"perception {name}", daemon=True).start()
 
     def begin(self, act: Callable[..., Any], *arguments: Any) -> None:
@@ -130,4 +157,6 @@ def value_of(outcome: Outcome) -> Any:
 
 
 def late_touch(name: str, image: Image, now: float) -> Touch:
-    return unknown_touch(image, now, Status(StatusCode.NO_ANSWER, f"{name} sensor: its perception does not answer"))
+    return unknown_touch(
+        image, now, Status(StatusCode.NO_ANSWER, f"{name} sensor: its perception does not answer")
+    )

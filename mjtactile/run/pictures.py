@@ -1,4 +1,5 @@
-"""Images from what a user names (one file, a folder in file-name order, or a video), and images with what was found in them."""
+"""Images from what a user names (one file, a folder in file-name order, or a video), and images
+with what was found in them."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """`name` of the image, its pixels (H, W) or (H, W, 3) as stored, None when it cannot be read."""
+    """`name` of the image, its pixels (H, W) or (H, W, 3) as stored, None when it cannot be
+    read."""
 
     name: str
     pixels: NDArray | None
@@ -42,7 +44,9 @@ def read_frames(source: Path) -> Iterator[Frame]:
     if source.is_dir():
         files = sorted(path for path in source.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
         if not files:
-            raise InputError("a folder without images", source=source, field="SOURCE", choices=IMAGE_SUFFIXES)
+            raise InputError(
+                "a folder without images", source=source, field="SOURCE", choices=IMAGE_SUFFIXES
+            )
         yield from (_read(path) for path in files)
     elif not source.is_file():
         raise InputError("no such file or folder", source=source, field="SOURCE")
@@ -82,7 +86,10 @@ def to_image(frame: Frame, design: SensorDesign) -> Image | str:
         return "cannot be read"
     want = (design.camera.height, design.camera.width)
     if pixels.shape != want:
-        return f"{pixels.shape[1]} x {pixels.shape[0]} pixels, the sensor's camera has {want[1]} x {want[0]}"
+        return (
+            f"{pixels.shape[1]} x {pixels.shape[0]} pixels, the sensor's camera has {want[1]} x "
+            f"{want[0]}"
+        )
     return Image(pixels)
 
 
@@ -93,14 +100,25 @@ def marker_overlay(image: Image, camera: Camera, design: SensorDesign) -> NDArra
 
 
 def overlay(pixels: NDArray, ellipses: Ellipses, poses: CirclePoses) -> NDArray[np.uint8]:
-    """The image with each ellipse (green: ok, orange: not to be trusted) and the projected centre."""
-    eight = pixels if pixels.dtype == np.uint8 else cv2.convertScaleAbs(pixels, alpha=255 / max(int(pixels.max()), 1))
-    canvas = cv2.cvtColor(eight, cv2.COLOR_GRAY2BGR) if eight.ndim == 2 else np.ascontiguousarray(eight[..., :3])
+    """The image with each ellipse (green: ok, orange: not to be trusted) and the projected
+    centre."""
+    eight = (
+        pixels
+        if pixels.dtype == np.uint8
+        else cv2.convertScaleAbs(pixels, alpha=255 / max(int(pixels.max()), 1))
+    )
+    canvas = (
+        cv2.cvtColor(eight, cv2.COLOR_GRAY2BGR)
+        if eight.ndim == 2
+        else np.ascontiguousarray(eight[..., :3])
+    )
     zoom = max(1, round(1280 / canvas.shape[1]))
     canvas = cv2.resize(canvas, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_NEAREST)
     if not len(ellipses):
         return canvas
-    points, _ = boundary(ellipses.center_px, shape_from_axes(ellipses.semi_axes_px, ellipses.angle), 48)
+    points, _ = boundary(
+        ellipses.center_px, shape_from_axes(ellipses.semi_axes_px, ellipses.angle), 48
+    )
     for i, curve in enumerate(points):
         colour = (80, 220, 60) if poses.status[i] == "ok" else (0, 150, 255)
         cv2.polylines(canvas, [_fixed(curve, zoom)], True, colour, 1, cv2.LINE_AA, 4)
@@ -111,5 +129,6 @@ def overlay(pixels: NDArray, ellipses: Ellipses, poses: CirclePoses) -> NDArray[
 
 
 def _fixed(uv: NDArray, zoom: int) -> NDArray[np.int32]:
-    """Pixels of the image to OpenCV's fixed point (4 bits) in the enlarged one; centres stay centres."""
+    """Pixels of the image to OpenCV's fixed point (4 bits) in the enlarged one; centres stay
+    centres."""
     return np.rint(((uv + 0.5) * zoom - 0.5) * 16).astype(np.int32)

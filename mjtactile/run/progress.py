@@ -1,5 +1,5 @@
-"""Progress of a run on stderr: phase, time, force and real-time factor; on a terminal one line that is rewritten,
-elsewhere (a log file, CI) one line for each phase. It never writes to stdout.
+"""Progress of a run on stderr: phase, time, force and real-time factor; on a terminal one line that
+is rewritten, elsewhere (a log file, CI) one line for each phase. It never writes to stdout.
 """
 
 from __future__ import annotations
@@ -17,13 +17,15 @@ _STEPS = PHASES[: PHASES.index("done")]  # the phases of a grasp in order: the b
 
 
 class Progress:
-    """Call `update` each cycle and `message` for what happens before and after; `close` ends the line."""
+    """Call `update` each cycle and `message` for what happens before and after; `close` ends the
+    line."""
 
     def __init__(self, stream: TextIO | None = None, *, quiet: bool = False):
         self._stream = sys.stderr if stream is None else stream
         self._quiet = quiet
         self._live = not quiet and self._stream.isatty()
-        self._phase, self._line_open = "", False
+        self._phase = ""
+        self._line_open = False
         self._start_wall = self._start_time = self._drawn = -math.inf
 
     def message(self, text: str) -> None:
@@ -33,18 +35,22 @@ class Progress:
             print(text, file=self._stream, flush=True)
 
     def update(self, phase: str, time: float, force: float) -> None:
-        """`time` s on the rig's clock (shown: since the first call), `force` N mean felt normal force a finger (NaN: unknown)."""
+        """`time` s on the rig's clock (shown: since the first call), `force` N mean felt normal
+        force a finger (NaN: unknown)."""
         now = wall.perf_counter()
         if self._start_wall == -math.inf:
-            self._start_wall, self._start_time = now, time
-        changed, self._phase = phase != self._phase, phase
+            self._start_wall = now
+            self._start_time = time
+        changed = phase != self._phase
+        self._phase = phase
         if self._quiet or not (changed or (self._live and now - self._drawn > _REFRESH)):
             return
         text = self._text(phase, time, force, now)
         if self._live:
             self._stream.write(f"\r\x1b[2K{self._bar(phase)} {text}")
             self._stream.flush()
-            self._line_open, self._drawn = True, now
+            self._line_open = True
+            self._drawn = now
         else:
             print(text, file=self._stream, flush=True)
 

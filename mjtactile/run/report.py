@@ -1,4 +1,5 @@
-"""`summary.json` and `summary.png` of a run: what the camera saw, the surface felt, and the forces over time.
+"""`summary.json` and `summary.png` of a run: what the camera saw, the surface felt, and the forces
+over time.
 
 matplotlib is an optional dependency (extra `plots`); without it only the picture is left out.
 """
@@ -20,50 +21,85 @@ from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
 from mjtactile.sensing.image.markers import detect
 
 PHASE_COLOURS = {
-    "approach": "#e8eef5", "close": "#d3e3f3", "regulate": "#fdebd0", "lift": "#e3f1dc", "hold": "#c9e7bd",
-    "lower": "#e3f1dc", "release": "#e8eef5", "abort": "#f8d0d0", "done": "#ffffff",
-}  # fmt: skip
+    "approach": "#e8eef5",
+    "close": "#d3e3f3",
+    "regulate": "#fdebd0",
+    "lift": "#e3f1dc",
+    "hold": "#c9e7bd",
+    "lower": "#e3f1dc",
+    "release": "#e8eef5",
+    "abort": "#f8d0d0",
+    "done": "#ffffff",
+}
 FINGER_COLOURS = ("#1f5fa8", "#d1571b", "#2e8b57", "#8e44ad", "#7f6000")
 _ARROW = "#c0221c"
 _MM = 1e3
 
 
-def write_figure(path: Path, recording: Recording, snapshot: CycleLike | None, summary: Mapping[str, Any],
-                 scene: View | None = None) -> None:
-    """Draw the run's picture into `path` (PNG); `snapshot` is the cycle whose images, surfaces and `scene` are shown.
+def write_figure(
+    path: Path,
+    recording: Recording,
+    snapshot: CycleLike | None,
+    summary: Mapping[str, Any],
+    scene: View | None = None,
+) -> None:
+    """Draw the run's picture into `path` (PNG); `snapshot` is the cycle whose images, surfaces and
+    `scene` are shown.
 
     Raises MjtactileError when matplotlib is not installed.
     """
     figure_class, canvas_class = import_matplotlib()
     fingers = 1 if snapshot is None else len(snapshot.touch)
     columns = fingers + (scene is not None)
-    width, title = max(4.6 * columns, 9.2), _title(summary)
-    figure = figure_class(figsize=(width, 11.4), dpi=100)  # inches; no layout engine: it would draw all twice
+    width = max(4.6 * columns, 9.2)
+    title = _title(summary)
+    # inches; no layout engine: it would draw all twice
+    figure = figure_class(figsize=(width, 11.4), dpi=100)
     canvas_class(figure)
     sides = {"left": 0.75 / width, "right": 1 - 0.4 / width, "wspace": 0.18}
-    grid = figure.add_gridspec(2, columns, height_ratios=[1, 1.12], top=0.94 - 0.02 * title.count("\n"), bottom=0.345,
-                               hspace=0.36, **sides)
+    grid = figure.add_gridspec(
+        2,
+        columns,
+        height_ratios=[1, 1.12],
+        top=0.94 - 0.02 * title.count("\n"),
+        bottom=0.345,
+        hspace=0.36,
+        **sides,
+    )
     figure.suptitle(title, fontsize=14 if columns > 2 else 11, fontweight="bold", y=0.99)
     if snapshot is None:
         axes = figure.add_subplot(grid[:, :])
         axes.set_axis_off()
-        axes.text(0.5, 0.5, "the run ended before the first image", ha="center", transform=axes.transAxes)
+        axes.text(
+            0.5, 0.5, "the run ended before the first image", ha="center", transform=axes.transAxes
+        )
     else:
         if scene is not None:
             axes = figure.add_subplot(grid[:, 0])
             draw_scene(axes, scene, snapshot.touch, FINGER_COLOURS)
-            axes.set_title(f"the scene at t = {snapshot.time:.2f} s, and the forces felt", fontsize=11)
+            axes.set_title(
+                f"the scene at t = {snapshot.time:.2f} s, and the forces felt", fontsize=11
+            )
         unit = arrow_unit(snapshot.touch)
         for finger, name in enumerate(recording.fingers[:fingers]):
-            image, column = snapshot.images[finger], columns - fingers + finger
-            found = detect(image) if not isinstance(image, Sighting) or image.ellipses is None else image.ellipses
+            image = snapshot.images[finger]
+            column = columns - fingers + finger
+            found = (
+                detect(image)
+                if not isinstance(image, Sighting) or image.ellipses is None
+                else image.ellipses
+            )
             _draw_image(figure.add_subplot(grid[0, column]), image, found, f"camera of {name}")
-            draw_surface(figure.add_subplot(grid[1, column], projection="3d", computed_zorder=False), snapshot.touch[finger],
-                         unit)
+            draw_surface(
+                figure.add_subplot(grid[1, column], projection="3d", computed_zorder=False),
+                snapshot.touch[finger],
+                unit,
+            )
     below = figure.add_gridspec(1, 1, top=0.3, bottom=0.045, **sides)
     _draw_forces(figure.add_subplot(below[0]), recording, snapshot)
     part = path.with_name(path.name + ".part")
-    figure.savefig(part, format="png", pil_kwargs={"compress_level": 3})  # a third of the default's time
+    # a third of the default's time
+    figure.savefig(part, format="png", pil_kwargs={"compress_level": 3})
     part.replace(path)
 
 
@@ -76,21 +112,30 @@ def import_matplotlib() -> tuple[Any, Any]:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise MjtactileError("matplotlib is not installed: pip install 'mjtactile[plots]'") from error
+        raise MjtactileError(
+            "matplotlib is not installed: pip install 'mjtactile[plots]'"
+        ) from error
     return Figure, FigureCanvasAgg
 
 
 def _title(summary: Mapping[str, Any]) -> str:
     parts = [f"{summary.get('object', '?')}: {summary.get('outcome', '?')}"]
-    for key, label in (("hold_force_N", "hold"), ("hold_force_true_N", "hold (true)"), ("peak_force_true_N", "peak (true)")):
+    for key, label in (
+        ("hold_force_N", "hold"),
+        ("hold_force_true_N", "hold (true)"),
+        ("peak_force_true_N", "peak (true)"),
+    ):
         if isinstance(summary.get(key), (int, float)) and np.isfinite(summary[key]):
             parts.append(f"{label} {summary[key]:.2f} N")
-    title = "   ·   ".join([*parts, f"sensor {summary.get('sensor', '?')}", f"seed {summary.get('seed', '?')}"])
+    title = "   ·   ".join(
+        [*parts, f"sensor {summary.get('sensor', '?')}", f"seed {summary.get('seed', '?')}"]
+    )
     return "\n".join([title, *([summary["reason"]] if summary.get("reason") else [])])
 
 
 def _draw_image(axes: Any, image: Image, ellipses: Ellipses, title: str) -> None:
-    """The camera image with the fitted ellipses; pixel (0, 0) is the centre of the top-left pixel."""
+    """The camera image with the fitted ellipses; pixel (0, 0) is the centre of the top-left
+    pixel."""
     height, width = image.pixels.shape
     if image.pixels.size:
         axes.imshow(image.pixels, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
@@ -98,9 +143,12 @@ def _draw_image(axes: Any, image: Image, ellipses: Ellipses, title: str) -> None
         width, height = (ellipses.center_px + 2 * ellipses.semi_axes_px[:, :1]).max(axis=0)
         axes.set_aspect("equal")
     if len(ellipses):
-        curves, _ = boundary(ellipses.center_px, shape_from_axes(ellipses.semi_axes_px, ellipses.angle), 60)
+        curves, _ = boundary(
+            ellipses.center_px, shape_from_axes(ellipses.semi_axes_px, ellipses.angle), 60
+        )
         gap = np.full((len(curves), 1, 2), np.nan)
-        curves = np.concatenate([curves, curves[:, :1], gap], axis=1)  # each closed, all of them one line
+        # each closed, all of them one line
+        curves = np.concatenate([curves, curves[:, :1], gap], axis=1)
         axes.plot(*curves.reshape(-1, 2).T, color="#39d353", linewidth=1.1)
         axes.plot(*ellipses.center_px.T, "+", color="#ff5a4f", markersize=4)
     how = "fitted" if image.pixels.size else "drawn, and no image"
@@ -112,23 +160,46 @@ def _draw_image(axes: Any, image: Image, ellipses: Ellipses, title: str) -> None
 
 
 def draw_surface(axes: Any, touch: Touch, unit: float | None = None) -> None:
-    """The reconstructed membrane; arrows are the traction on it where it touches, drawn outward (minus sign) like in the
-    paper's Fig. 7. The arrow in the corner is `unit` Pa long (default: what suits this touch)."""
-    surface, unit = touch.surface, arrow_unit([touch]) if unit is None else unit
+    """The reconstructed membrane; arrows are the traction on it where it touches, drawn outward
+    (minus sign) like in the paper's Fig. 7. The arrow in the corner is `unit` Pa long (default:
+    what suits this touch)."""
+    surface = touch.surface
+    unit = arrow_unit([touch]) if unit is None else unit
     if surface is None:
         axes.set_axis_off()
         axes.set_title(f"no surface: {touch.status}", fontsize=11)
         return
     x, y = np.meshgrid(surface.x * _MM, surface.y * _MM)
     z = surface.z * _MM
-    axes.plot_surface(x, y, z, cmap="viridis", linewidth=0.2, edgecolor="#00000030", rcount=30, ccount=30, alpha=0.9,
-                      zorder=1)
-    low, high = min(float(z.min()), 0.0), max(float(z.max()), 1.0)
+    axes.plot_surface(
+        x,
+        y,
+        z,
+        cmap="viridis",
+        linewidth=0.2,
+        edgecolor="#00000030",
+        rcount=30,
+        ccount=30,
+        alpha=0.9,
+        zorder=1,
+    )
+    low = min(float(z.min()), 0.0)
+    high = max(float(z.max()), 1.0)
     length = 0.5 * (high - low)  # of the unit's arrow
     top = max(high, _draw_arrows(axes, touch, surface, length / unit))
     corner = (x.min(), y.min(), low)
-    axes.quiver(*corner, 0, 0, length, color=_ARROW, linewidth=1.6, arrow_length_ratio=0.25, zorder=3)
-    axes.text(*corner[:2], low + 1.1 * length, f"{1e-3 * unit:g} kPa", color=_ARROW, fontsize=9, zorder=3, ha="center")
+    axes.quiver(
+        *corner, 0, 0, length, color=_ARROW, linewidth=1.6, arrow_length_ratio=0.25, zorder=3
+    )
+    axes.text(
+        *corner[:2],
+        low + 1.1 * length,
+        f"{1e-3 * unit:g} kPa",
+        color=_ARROW,
+        fontsize=9,
+        zorder=3,
+        ha="center",
+    )
     axes.set_xlabel("x [mm]")
     axes.set_ylabel("y [mm]")
     axes.set_zlabel("z [mm]")
@@ -136,13 +207,20 @@ def draw_surface(axes: Any, touch: Touch, unit: float | None = None) -> None:
     axes.set_box_aspect((float(np.ptp(x)), float(np.ptp(y)), 0.6 * float(np.ptp(y))), zoom=0.93)
     axes.view_init(elev=38, azim=-62)
     felt = f"{touch.force_normal:.2f} ± {touch.force_normal_sd:.2f} N"
-    axes.set_title("membrane, and the traction on it with a minus sign\n"
-                   f"normal force {felt if touch.status == 'ok' else f'unknown: {touch.status}'}", fontsize=11)
+    axes.set_title(
+        "membrane, and the traction on it with a minus sign\n"
+        "normal force "
+        f"{felt if touch.status == 'ok' else f'unknown: {touch.status}'}",
+        fontsize=11,
+    )
 
 
 def arrow_unit(touch: Sequence[Touch]) -> float:
-    """The traction, Pa, that the arrow of the scale stands for: round, and a little less than the largest felt."""
-    largest = max((float(np.linalg.norm(_tractions(t), axis=-1).max(initial=0.0)) for t in touch), default=0.0)
+    """The traction, Pa, that the arrow of the scale stands for: round, and a little less than the
+    largest felt."""
+    largest = max(
+        (float(np.linalg.norm(_tractions(t), axis=-1).max(initial=0.0)) for t in touch), default=0.0
+    )
     if largest <= 0:
         return 1000.0
     decade = 10.0 ** np.floor(np.log10(largest))
@@ -151,15 +229,22 @@ def arrow_unit(touch: Sequence[Touch]) -> float:
 
 def _tractions(touch: Touch) -> Array:
     """Force per area (ny, nx, 3) Pa at the nodes in contact, zero elsewhere."""
-    traction, contact = touch.traction, touch.contact
-    if traction is None or contact is None or not touch.touching or contact.mask.shape != traction.force.shape[:2]:
+    traction = touch.traction
+    contact = touch.contact
+    if (
+        traction is None
+        or contact is None
+        or not touch.touching
+        or contact.mask.shape != traction.force.shape[:2]
+    ):
         return np.zeros((1, 1, 3))
     area = float(np.diff(traction.x).mean() * np.diff(traction.y).mean())
     return np.where(contact.mask[..., None], np.nan_to_num(traction.force), 0.0) / area
 
 
 def arrows(touch: Touch, surface: Surface) -> tuple[Array, Array]:
-    """Where to draw the traction where something touches, (n, 3) mm on the membrane, and the traction there (n, 3) Pa."""
+    """Where to draw the traction where something touches, (n, 3) mm on the membrane, and the
+    traction there (n, 3) Pa."""
     stress = _tractions(touch)
     size = np.linalg.norm(stress, axis=-1)
     keep = np.zeros(size.shape, dtype=bool)
@@ -185,22 +270,35 @@ def _draw_arrows(axes: Any, touch: Touch, surface: Surface, mm_per_Pa: float) ->
 
 
 def _draw_forces(axes: Any, recording: Recording, snapshot: CycleLike | None) -> None:
-    """Estimated (line, with a band of two sd) and true (dashed) normal force per finger, phases shaded and named."""
+    """Estimated (line, with a band of two sd) and true (dashed) normal force per finger, phases
+    shaded and named."""
     time = recording.columns["time"]
     axes.set_xlabel("time [s]")
     axes.set_ylabel("normal force on a finger [N]")
     if len(time) == 0:
         axes.text(0.5, 0.5, "no cycle was recorded", ha="center", transform=axes.transAxes)
         return
-    estimated, sd, true = (recording.column(key) for key in ("force_normal", "force_normal_sd", "force_normal_true"))
+    estimated, sd, true = (
+        recording.column(key) for key in ("force_normal", "force_normal_sd", "force_normal_true")
+    )
     for i, (name, colour) in enumerate(zip(recording.fingers, FINGER_COLOURS, strict=False)):
-        low, high = estimated[:, i] - 2 * sd[:, i], estimated[:, i] + 2 * sd[:, i]
+        low = estimated[:, i] - 2 * sd[:, i]
+        high = estimated[:, i] + 2 * sd[:, i]
         axes.fill_between(time, low, high, color=colour, alpha=0.18, linewidth=0)
         axes.plot(time, estimated[:, i], color=colour, linewidth=1.8, label=f"{name}: felt ± 2 sd")
         if np.isfinite(true[:, i]).any():
-            axes.plot(time, true[:, i], color=colour, linewidth=1.4, linestyle=(0, (4, 2)), label=f"{name}: true")
+            axes.plot(
+                time,
+                true[:, i],
+                color=colour,
+                linewidth=1.4,
+                linestyle=(0, (4, 2)),
+                label=f"{name}: true",
+            )
     values = np.concatenate([estimated.ravel(), true.ravel()])
-    top = _draw_break_force(axes, recording.notes.get("break_force_N"), 1.35 * float(np.nanmax(values, initial=0.2)))
+    top = _draw_break_force(
+        axes, recording.notes.get("break_force_N"), 1.35 * float(np.nanmax(values, initial=0.2))
+    )
     axes.set_ylim(min(-0.05 * top, 1.1 * float(np.nanmin(values, initial=0.0))), top)
     axes.set_xlim(time[0], max(time[-1], time[0] + 1e-3))
     _shade_phases(axes, recording)
@@ -211,12 +309,22 @@ def _draw_forces(axes: Any, recording: Recording, snapshot: CycleLike | None) ->
 
 
 def _draw_break_force(axes: Any, force: Any, top: float) -> float:
-    """A line where the object breaks, or a note when that is so far up that it would flatten the curves; the new top."""
+    """A line where the object breaks, or a note when that is so far up that it would flatten the
+    curves; the new top."""
     if not isinstance(force, (int, float)) or not np.isfinite(force):
         return top
     if force > 2.5 * top:
-        axes.text(0.995, 0.97, f"object breaks at {force:g} N  \u2191", transform=axes.transAxes, ha="right", va="top",
-                  color="#b00020", fontsize=10, fontweight="bold")
+        axes.text(
+            0.995,
+            0.97,
+            f"object breaks at {force:g} N  \u2191",
+            transform=axes.transAxes,
+            ha="right",
+            va="top",
+            color="#b00020",
+            fontsize=10,
+            fontweight="bold",
+        )
         return top
     axes.axhline(force, color="#b00020", linewidth=1.4, label=f"object breaks at {force:g} N")
     return max(top, 1.25 * force)
@@ -230,5 +338,14 @@ def _shade_phases(axes: Any, recording: Recording) -> None:
             continue  # it is the one cycle that ends the run
         axes.axvspan(start, end, color=PHASE_COLOURS.get(name, "#eeeeee"), zorder=0, linewidth=0)
         turn = 0 if end - start > 0.07 * duration else 40
-        axes.text((start + end) / 2, 1.015, name, transform=axes.get_xaxis_transform(), rotation=turn,
-                  ha="center" if turn == 0 else "left", va="bottom", fontsize=9.5, color="#333333")
+        axes.text(
+            (start + end) / 2,
+            1.015,
+            name,
+            transform=axes.get_xaxis_transform(),
+            rotation=turn,
+            ha="center" if turn == 0 else "left",
+            va="bottom",
+            fontsize=9.5,
+            color="#333333",
+        )

@@ -1,4 +1,5 @@
-"""A picture of a simulated scene without OpenGL: triangles, seen from afar, the nearest at each pixel, shaded by one light."""
+"""A picture of a simulated scene without OpenGL: triangles, seen from afar, the nearest at each
+pixel, shaded by one light."""
 
 from __future__ import annotations
 
@@ -10,13 +11,19 @@ import numpy as np
 from mjtactile.core.types import Array, Touch
 from mjtactile.kernels import kernel
 
-_ELEVATION, _TURN = np.radians(16.0), np.radians(24.0)  # from above, and to the side of the line that joins two fingers
+# from above, and to the side of the line that joins two fingers
+_ELEVATION = np.radians(16.0)
+_TURN = np.radians(24.0)
 _LIGHT = np.array([-0.35, 0.55, 0.76])  # to the light: right, up, towards the viewer
 _AMBIENT = 0.42
 _BACKGROUND = np.array([0.97, 0.975, 0.985])
 _HEIGHT = 1.5  # of the picture, in widths
-_PIXELS, _SAMPLES = 320, 2  # across the picture; samples along a side of a pixel
-_LEAST, _AROUND = 0.07, 2.4  # m, and in distances of the sensors from their middle: half of what is shown
+# across the picture; samples along a side of a pixel
+_PIXELS = 320
+_SAMPLES = 2
+# m, and in distances of the sensors from their middle: half of what is shown
+_LEAST = 0.07
+_AROUND = 2.4
 _PER_NEWTON = 0.75  # length of a force's arrow, in halves of the picture
 
 
@@ -31,26 +38,45 @@ class View(Protocol):
 
 
 def draw_scene(axes: Any, view: View, touch: Sequence[Touch], colours: Sequence[str]) -> None:
-    """Draw what is around the sensors, and how each of them that touches feels to push, an arrow in its colour."""
+    """Draw what is around the sensors, and how each of them that touches feels to push, an arrow in
+    its colour."""
     middle, half, axes_PW = _framing(view)
     image = picture_of(view, (round(_HEIGHT * _PIXELS), _PIXELS))
     axes.imshow(image, extent=(-1, 1, -_HEIGHT, _HEIGHT), interpolation="bilinear")
     for felt, p_WS, R_WS, colour in zip(touch, view.p_WS, view.R_WS, colours, strict=False):
-        if felt.touching and felt.traction is not None and np.isfinite(felt.traction.wrench[:3]).all():
+        if (
+            felt.touching
+            and felt.traction is not None
+            and np.isfinite(felt.traction.wrench[:3]).all()
+        ):
             push_W = R_WS @ -felt.traction.wrench[:3]  # on the object
-            tip, along = (axes_PW @ (p_WS - middle) / half)[:2], _PER_NEWTON * (axes_PW @ push_W)[:2]
+            tip = (axes_PW @ (p_WS - middle) / half)[:2]
+            along = _PER_NEWTON * (axes_PW @ push_W)[:2]
             _arrow(axes, tip - along, tip, colour, f"{np.linalg.norm(push_W):.2f} N")
     bar = 1e-3 * max((mm for mm in (5, 10, 20, 50, 100, 200) if 1e-3 * mm < 0.6 * half), default=5)
-    axes.plot([-0.94, -0.94 + bar / half], [0.06 - _HEIGHT] * 2, color="#222222", linewidth=2.5, solid_capstyle="butt")
+    axes.plot(
+        [-0.94, -0.94 + bar / half],
+        [0.06 - _HEIGHT] * 2,
+        color="#222222",
+        linewidth=2.5,
+        solid_capstyle="butt",
+    )
     axes.text(-0.94, 0.09 - _HEIGHT, f"{1e3 * bar:g} mm", fontsize=9, color="#222222", va="bottom")
     axes.set(xlim=(-1, 1), ylim=(-_HEIGHT, _HEIGHT), aspect="equal")
     axes.set_axis_off()
 
 
 def picture_of(view: View, size: tuple[int, int], samples: int = _SAMPLES) -> Array:
-    """The scene around the sensors, (*size, 3) from 0 to 1; `samples` along a side of a pixel make edges smooth."""
-    (middle, half, axes_PW), (corners, rgba), (rows, columns) = _framing(view), view.triangles(), size
-    image = rasterise((corners - middle) @ axes_PW.T / half, rgba[:, :3], (rows * samples, columns * samples))
+    """The scene around the sensors, (*size, 3) from 0 to 1; `samples` along a side of a pixel make
+    edges smooth."""
+    (middle, half, axes_PW), (corners, rgba), (rows, columns) = (
+        _framing(view),
+        view.triangles(),
+        size,
+    )
+    image = rasterise(
+        (corners - middle) @ axes_PW.T / half, rgba[:, :3], (rows * samples, columns * samples)
+    )
     return image.reshape(rows, samples, columns, samples, 3).mean(axis=(1, 3))
 
 
@@ -62,15 +88,39 @@ def _framing(view: View) -> tuple[Array, float, Array]:
 
 
 def _arrow(axes: Any, start: Array, tip: Array, colour: str, text: str) -> None:
-    axes.annotate("", tip, start, arrowprops={"arrowstyle": "-|>,head_width=0.35,head_length=0.7", "color": colour, "lw": 3,
-                                              "shrinkA": 0, "shrinkB": 0})
-    axes.text(*(start + tip) / 2 + (0, 0.05), text, color=colour, fontsize=11, fontweight="bold", ha="center", va="bottom",
-              bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.8})
+    axes.annotate(
+        "",
+        tip,
+        start,
+        arrowprops={
+            "arrowstyle": "-|>,head_width=0.35,head_length=0.7",
+            "color": colour,
+            "lw": 3,
+            "shrinkA": 0,
+            "shrinkB": 0,
+        },
+    )
+    axes.text(
+        *(start + tip) / 2 + (0, 0.05),
+        text,
+        color=colour,
+        fontsize=11,
+        fontweight="bold",
+        ha="center",
+        va="bottom",
+        bbox={
+            "boxstyle": "round,pad=0.15",
+            "facecolor": "white",
+            "edgecolor": "none",
+            "alpha": 0.8,
+        },
+    )
 
 
 def picture_axes(p_WS: Array) -> Array:
-    """Rows: the picture's right, up, and direction towards the viewer, in W. Two sensors lie side by side, of more the last
-    is behind the middle, where the viewer looks at it between the others."""
+    """Rows: the picture's right, up, and direction towards the viewer, in W. Two sensors lie side
+    by side, of more the last is behind the middle, where the viewer looks at it between the
+    others."""
     across = p_WS[-1] - p_WS[0] if len(p_WS) == 2 else p_WS.mean(axis=0) - p_WS[-1]
     turn = _TURN if len(p_WS) == 2 else np.pi / 2
     yaw = (np.arctan2(across[1], across[0]) if np.hypot(*across[:2]) > 1e-6 else 0.0) + turn
@@ -81,12 +131,15 @@ def picture_axes(p_WS: Array) -> Array:
 
 
 def rasterise(corners: Array, rgb: Array, size: tuple[int, int]) -> Array:
-    """An image (*size, 3) of triangles (n, 3, 3), right, up, towards the viewer; its width goes from -1 to 1."""
+    """An image (*size, 3) of triangles (n, 3, 3), right, up, towards the viewer; its width goes
+    from -1 to 1."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = np.where(normals[:, 2:] < 0, -normals, normals) / np.maximum(lengths, 1e-12)  # both sides are seen
+    # both sides are seen
+    normals = np.where(normals[:, 2:] < 0, -normals, normals) / np.maximum(lengths, 1e-12)
     shade = _AMBIENT + (1 - _AMBIENT) * np.clip(normals @ _LIGHT, 0, 1)
     colours = np.clip(rgb * shade[:, None], 0, 1)
-    image, depth = np.tile(_BACKGROUND, (*size, 1)), np.full(size, -np.inf)
+    image = np.tile(_BACKGROUND, (*size, 1))
+    depth = np.full(size, -np.inf)
     kernel("paint_triangles")(len(corners), corners, colours, *size, depth, image)
     return image

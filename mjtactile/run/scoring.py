@@ -1,4 +1,5 @@
-"""What really happened in a simulated grasp, by ground truth: forces, slip, held or dropped or crushed. Never sensed."""
+"""What really happened in a simulated grasp, by ground truth: forces, slip, held or dropped or
+crushed. Never sensed."""
 
 from __future__ import annotations
 
@@ -15,20 +16,24 @@ from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.view import SceneView
 
 _RISEN = 0.01  # m of the hand, from where on it can be told whether the object comes along
-_HELD_SHARE = 0.5  # the object counts as held when it rose by at least this share of what the hand rose,
-_STRAIN_EVERY = 0.02  # s between two looks at a soft object's strain, which changes no faster than the fingers
+# the object counts as held when it rose by at least this share of what the hand rose,
+_HELD_SHARE = 0.5
+# s between two looks at a soft object's strain, which changes no faster than the fingers
+_STRAIN_EVERY = 0.02
 _HELD_SLACK = 1e-3  # m, less this: on a rig that does not lift, what it does not drop is held
 
 
 @dataclass
 class GraspScore:
-    """Watches a world at every physics step. A phase counts from the image after the command that began it."""
+    """Watches a world at every physics step. A phase counts from the image after the command that
+    began it."""
 
     world: GraspWorld
     phase: str = "approach"
     peak_force: float = 0.0
     peak_stress: float = math.nan
-    """Pa, and `peak_energy` J/m^3: what the worst twentieth of a soft object's volume had to stand."""
+    """Pa, and `peak_energy` J/m^3: what the worst twentieth of a soft object's volume had to
+    stand."""
     peak_energy: float = math.nan
     crushed_at: float | None = None
     _next_phase: str = "approach"
@@ -53,13 +58,17 @@ class GraspScore:
         self._hand_start = truth.hand_position(self.world)[2]
 
     def snapshot(self) -> None:
-        """Keep the truth of this moment, at which the images were taken; the world must not be moving."""
+        """Keep the truth of this moment, at which the images were taken; the world must not be
+        moving."""
         self.phase = self._next_phase
         sensors = range(len(self.world.sensors))
         self._wrenches = [truth.contact_wrench(self.world, i) for i in sensors]
         self._markers = [self.world.marker_poses(i)[0] for i in sensors]
         p_WO, q_WO = truth.object_pose(self.world, self.world.solid)
-        self._object_pose = {"object_position_true": p_WO.tolist(), "object_quaternion_true": q_WO.tolist()}
+        self._object_pose = {
+            "object_position_true": p_WO.tolist(),
+            "object_quaternion_true": q_WO.tolist(),
+        }
         self.view = SceneView.of(self.world)
 
     def columns(self, touch: Sequence[Touch], phase: str) -> dict[str, list[Any]]:
@@ -71,22 +80,35 @@ class GraspScore:
         errors = []
         for seen, p_SM in zip(touch, self._markers, strict=True):
             markers = seen.markers
-            errors.append(math.nan if markers is None or not len(markers) else
-                          float(np.linalg.norm(markers.p_SM - p_SM[markers.ids], axis=1).mean()))
-        return {"force_normal_true": [float(-wrench[2]) for wrench in self._wrenches],
-                "wrench_true": [wrench.tolist() for wrench in self._wrenches], "marker_error_true": errors, **self._object_pose}
+            errors.append(
+                math.nan
+                if markers is None or not len(markers)
+                else float(np.linalg.norm(markers.p_SM - p_SM[markers.ids], axis=1).mean())
+            )
+        return {
+            "force_normal_true": [float(-wrench[2]) for wrench in self._wrenches],
+            "wrench_true": [wrench.tolist() for wrench in self._wrenches],
+            "marker_error_true": errors,
+            **self._object_pose,
+        }
 
     def after_step(self) -> None:
         """Sample the truth; call after every physics step."""
         forces = self.forces()
         self.peak_force = max(self.peak_force, *forces)
-        if (max(forces) > self.world.object.break_force or self._is_torn()) and self.crushed_at is None:
+        if (
+            max(forces) > self.world.object.break_force or self._is_torn()
+        ) and self.crushed_at is None:
             self.crushed_at = self.world.time
         if self.phase not in ("lift", "hold"):
             return
-        p_WO, p_WH = self._object_position(), truth.hand_position(self.world)
+        p_WO = self._object_position()
+        p_WH = truth.hand_position(self.world)
         self._track_slip(p_WO - p_WH)
-        self._carried = max(self._carried, sum(friction * force for friction, force in zip(self._friction, forces, strict=True)))
+        self._carried = max(
+            self._carried,
+            sum(friction * force for friction, force in zip(self._friction, forces, strict=True)),
+        )
         lifted = float(p_WH[2] - self._hand_start)
         risen = bool(p_WO[2] - self._rest_height > _HELD_SHARE * lifted - _HELD_SLACK)
         self.lost |= lifted > _RISEN and not risen
@@ -96,7 +118,9 @@ class GraspScore:
 
     def _is_torn(self) -> bool:
         """Whether a soft object is strained beyond what its material stands."""
-        flesh, solid, time = self.world.object.flesh, self.world.solid, self.world.time
+        flesh = self.world.object.flesh
+        solid = self.world.solid
+        time = self.world.time
         if solid is None or flesh is None or time < self._next_strain:
             return False
         self._next_strain = time + _STRAIN_EVERY
@@ -113,7 +137,8 @@ class GraspScore:
         return truth.object_position(self.world, self._bodies)
 
     def _track_slip(self, relative: Array) -> None:
-        """Largest motion of the object against the hand since it was lifted, m; `relative` (3,) m is where it is now."""
+        """Largest motion of the object against the hand since it was lifted, m; `relative` (3,) m
+        is where it is now."""
         if self._grip_start is None:
             self._grip_start = relative
         self._slip = max(self._slip, float(np.linalg.norm(relative - self._grip_start)))
@@ -124,11 +149,14 @@ class GraspScore:
         weight = float(model.body_mass[self._bodies].sum() * np.linalg.norm(model.opt.gravity))
         if self.outcome() != "dropped" or self._grip_start is None or weight <= self._carried:
             return ""
-        return (f"too heavy for this grip: it weighs {weight:.2g} N, and with a friction of "
-                f"{min(self._friction):.2g} the fingers could carry {self._carried:.2g} N at most")
+        return (
+            f"too heavy for this grip: it weighs {weight:.2g} N, and with a friction of "
+            f"{min(self._friction):.2g} the fingers could carry {self._carried:.2g} N at most"
+        )
 
     def outcome(self) -> str:
-        """"crushed" if a finger ever did to it more than it stands, "held" if it stayed up, else "dropped"."""
+        """ "crushed" if a finger ever did to it more than it stands, "held" if it stayed up, else
+        "dropped"."""
         if self.crushed_at is not None:
             return "crushed"
         return "held" if self._held and all(self._held) else "dropped"

@@ -1,5 +1,6 @@
-"""`Session`: a rig at work. References, control loop and supervision, the same for every job: grasp, probe, record, calibrate,
-benchmarks. It sees a rig through its Protocols only, and never ground truth.
+"""`Session`: a rig at work. References, control loop and supervision, the same for every job:
+grasp, probe, record, calibrate, benchmarks. It sees a rig through its Protocols only, and never
+ground truth.
 """
 
 from __future__ import annotations
@@ -32,26 +33,47 @@ Shots = list[list[Image]]
 
 
 class ReferenceRecorder(Protocol):
-    """Keeps the names of the fingers, the sensing chain's settings, and the images that the references were taken from."""
+    """Keeps the names of the fingers, the sensing chain's settings, and the images that the
+    references were taken from."""
 
     def note(self, **values: Any) -> None: ...
-    def add_reference(self, stage: str, images: Shots, pressure_gauge: list[float | None]) -> None: ...
+    def add_reference(
+        self, stage: str, images: Shots, pressure_gauge: list[float | None]
+    ) -> None: ...
 
 
 class Session:
-    """A rig and what its sensors know of themselves; `perceptions` are made here, with `settings`, unless they are given.
-    They work in `feelers`, where there are any, else `threads` of them beside the loop (None: as many as are worth it here).
+    """A rig and what its sensors know of themselves; `perceptions` are made here, with `settings`,
+    unless they are given. They work in `feelers`, where there are any, else `threads` of them
+    beside the loop (None: as many as are worth it here).
 
     Whoever builds the rig closes it: `open_session` does both.
     """
 
-    def __init__(self, rig: Rig, perceptions: Sequence[Perceiver] | None = None, *, settings: Settings = DEFAULTS,
-                 threads: int | None = None, feelers: Feelers | None = None, say: Say = lambda _: None):
-        self.rig, self.settings, self._threads, self._feelers, self._say = rig, settings, threads, feelers, say
+    def __init__(
+        self,
+        rig: Rig,
+        perceptions: Sequence[Perceiver] | None = None,
+        *,
+        settings: Settings = DEFAULTS,
+        threads: int | None = None,
+        feelers: Feelers | None = None,
+        say: Say = lambda _: None,
+    ):
+        self.rig = rig
+        self.settings = settings
+        self._threads = threads
+        self._feelers = feelers
+        self._say = say
         self._supervisor = Supervisor(rig.period)
         self.perceptions: Sequence[Perceiver] = (
-            [Perception.of(finger.design, finger.calibration, settings=settings) for finger in rig.fingers]
-            if perceptions is None else perceptions)
+            [
+                Perception.of(finger.design, finger.calibration, settings=settings)
+                for finger in rig.fingers
+            ]
+            if perceptions is None
+            else perceptions
+        )
 
     @property
     def patience(self) -> float:
@@ -59,7 +81,8 @@ class Session:
         return 0.0 if math.isfinite(self.rig.host_timeout) else WAIT_TIME
 
     def take_references(self, recorder: ReferenceRecorder | None = None) -> None:
-        """Let every sensor measure itself: flat with the valve open to the air, then inflated, sealed, touching nothing.
+        """Let every sensor measure itself: flat with the valve open to the air, then inflated,
+        sealed, touching nothing.
 
         `recorder` keeps the images that it was done with.
 
@@ -67,8 +90,11 @@ class Session:
         """
         rig = self.rig
         if recorder is not None:
-            recorder.note(fingers=[finger.name for finger in rig.fingers], settings=self.settings.to_dict(),
-                          **({"simulated": rig.simulated} if rig.simulated else {}))
+            recorder.note(
+                fingers=[finger.name for finger in rig.fingers],
+                settings=self.settings.to_dict(),
+                **({"simulated": rig.simulated} if rig.simulated else {}),
+            )
         self._say_what_was_measured(recorder)
         self._say("reference: flat, valve open")
         for valve in rig.valves:
@@ -90,8 +116,13 @@ class Session:
             perception.take_rest(images, finger.pressure(gauge))
 
     def _say_what_was_measured(self, recorder: ReferenceRecorder | None) -> None:
-        """Name the parts of calibrations that do not count, and keep all of them with what is recorded."""
-        known = {finger.name: finger.calibration for finger in self.rig.fingers if finger.calibration is not None}
+        """Name the parts of calibrations that do not count, and keep all of them with what is
+        recorded."""
+        known = {
+            finger.name: finger.calibration
+            for finger in self.rig.fingers
+            if finger.calibration is not None
+        }
         for finger in self.rig.fingers:
             states = known[finger.name].states(finger.design) if finger.name in known else []
             missing = ", ".join(part.kind for part in states if part.state == "missing")
@@ -101,7 +132,9 @@ class Session:
                 if part.state in ("outdated", "refused"):
                     self._say(f"calibration of {finger.name}: {part.kind}: {part.text}")
         if recorder is not None and known:
-            recorder.note(calibration={name: calibration.table() for name, calibration in known.items()})
+            recorder.note(
+                calibration={name: calibration.table() for name, calibration in known.items()}
+            )
 
     def inflate(self) -> None:
         """Fill every chamber to its supply's pressure and seal it."""
@@ -124,31 +157,68 @@ class Session:
             rig.clock.wait_until(rig.clock.now() + rig.period)
         return shots
 
-    def run(self, controller: Stepper, *, time_limit: float, on_cycle: Callable[[Cycle], None],
-            on_images: Callable[[], None] = lambda: None, supervisor: Supervisor | None = None) -> Command:
+    def run(
+        self,
+        controller: Stepper,
+        *,
+        time_limit: float,
+        on_cycle: Callable[[Cycle], None],
+        on_images: Callable[[], None] = lambda: None,
+        supervisor: Supervisor | None = None,
+    ) -> Command:
         """Run the controller until it says "done" or "abort"; see `mjtactile.run.loop.run_loop`."""
         self._supervisor = Supervisor(self.rig.period) if supervisor is None else supervisor
         with signals.deferred() as stop:
-            return run_loop(self.rig, self.perceptions, controller, time_limit=time_limit, on_cycle=on_cycle, on_images=on_images,
-                            supervisor=self._supervisor, stop=stop, threads=self._threads, feelers=self._feelers)
+            return run_loop(
+                self.rig,
+                self.perceptions,
+                controller,
+                time_limit=time_limit,
+                on_cycle=on_cycle,
+                on_images=on_images,
+                supervisor=self._supervisor,
+                stop=stop,
+                threads=self._threads,
+                feelers=self._feelers,
+            )
 
     def make_safe(self, reason: str) -> None:
-        """From the next cycle of `run` on, the hand goes down and opens, whatever the controller says. For any thread."""
+        """From the next cycle of `run` on, the hand goes down and opens, whatever the controller
+        says. For any thread."""
         self._supervisor.want_safe(reason)
 
 
 @contextlib.contextmanager
-def open_session(rig: str, design: SensorDesign, *, object_name: str = "egg", seed: int = 0, accuracy: str = "",
-                 effects: str = "auto", vary: str = NONE, workers: int | None = None, settings: Settings = DEFAULTS,
-                 say: Say = lambda _: None) -> Iterator[Session]:
-    """Build the rig that the user named, and bring it to its safe state on every way out, which no signal cuts short.
+def open_session(
+    rig: str,
+    design: SensorDesign,
+    *,
+    object_name: str = "egg",
+    seed: int = 0,
+    accuracy: str = "",
+    effects: str = "auto",
+    vary: str = NONE,
+    workers: int | None = None,
+    settings: Settings = DEFAULTS,
+    say: Say = lambda _: None,
+) -> Iterator[Session]:
+    """Build the rig that the user named, and bring it to its safe state on every way out, which no
+    signal cuts short.
 
-    `workers` look at the images beside the loop (None: as many as are worth it here, 0: none): threads on a real rig, processes
-    beside a simulated world.
-    Raises InputError for bad names or files, DeviceError for a device that is not there, Interrupted.
+    `workers` look at the images beside the loop (None: as many as are worth it here, 0: none):
+    threads on a real rig, processes beside a simulated world. Raises InputError for bad names or
+    files, DeviceError for a device that is not there, Interrupted.
     """
     with signals.deferred():
-        built = build_rig(rig, design, object_name=object_name, seed=seed, accuracy=accuracy, effects=effects, vary=vary)
+        built = build_rig(
+            rig,
+            design,
+            object_name=object_name,
+            seed=seed,
+            accuracy=accuracy,
+            effects=effects,
+            vary=vary,
+        )
         with contextlib.ExitStack() as stack:
             stack.callback(built.close)
             feelers = _feelers(built, workers)
@@ -158,8 +228,15 @@ def open_session(rig: str, design: SensorDesign, *, object_name: str = "egg", se
 
 
 def _feelers(rig: Rig, workers: int | None) -> Feelers | None:
-    """Processes for a simulated rig's fingers; they start while the references are taken. None: no use, or no room, for them."""
-    count = 0 if rig.scene is None else default_count(len(rig.fingers)) if workers is None else min(workers, len(rig.fingers))
+    """Processes for a simulated rig's fingers; they start while the references are taken. None: no
+    use, or no room, for them."""
+    count = (
+        0
+        if rig.scene is None
+        else default_count(len(rig.fingers))
+        if workers is None
+        else min(workers, len(rig.fingers))
+    )
     with contextlib.suppress(OSError):
         return Feelers(count) if count > 0 else None
     return None

@@ -1,4 +1,5 @@
-"""The pictures of a run, written side by side: `summary.png` by matplotlib, `summary.html` in a thread beside it."""
+"""The pictures of a run, written side by side: `summary.png` by matplotlib, `summary.html` in a
+thread beside it."""
 
 from __future__ import annotations
 
@@ -22,16 +23,27 @@ from mjtactile.run.session import Session
 PICTURES = ("summary.png", "summary.html")
 
 
-def write_pictures(folder: Path, recorder: Recorder, summary: Mapping[str, Any],
-                   figure: Callable[..., None] = write_figure) -> list[MjtactileError | OSError]:
-    """Draw the run that `recorder` wrote into `folder`, the `figure` in `drawing_beside`'s way where there is one; returns what
-    went wrong, such as a missing matplotlib."""
-    recording, strip = load_recording(folder), [] if recorder.strip is None else recorder.strip.kept
+def write_pictures(
+    folder: Path,
+    recorder: Recorder,
+    summary: Mapping[str, Any],
+    figure: Callable[..., None] = write_figure,
+) -> list[MjtactileError | OSError]:
+    """Draw the run that `recorder` wrote into `folder`, the `figure` in `drawing_beside`'s way
+    where there is one; returns what went wrong, such as a missing matplotlib."""
+    recording = load_recording(folder)
+    strip = [] if recorder.strip is None else recorder.strip.kept
     problems: list[MjtactileError | OSError] = []
     with ThreadPoolExecutor(1, thread_name_prefix="page") as beside:
-        page = beside.submit(write_page, folder / "summary.html", recording, strip, summary, recorder.snapshot)
-        for write in (lambda: figure(folder / "summary.png", recording, recorder.snapshot, summary, recorder.view),
-                      page.result):
+        page = beside.submit(
+            write_page, folder / "summary.html", recording, strip, summary, recorder.snapshot
+        )
+        for write in (
+            lambda: figure(
+                folder / "summary.png", recording, recorder.snapshot, summary, recorder.view
+            ),
+            page.result,
+        ):
             try:
                 write()
             except (MjtactileError, OSError) as error:
@@ -47,11 +59,15 @@ class _Again:
 
 
 def see_again(recording: Recording, on_cycle: Callable[[Seen], None]) -> bool:
-    """Give `on_cycle` what was seen and felt in each cycle that has its images; whether anything could be felt again.
+    """Give `on_cycle` what was seen and felt in each cycle that has its images; whether anything
+    could be felt again.
 
-    That takes the images of the references and those of all cycles. Raises InputError for a missing image or sensor file.
+    That takes the images of the references and those of all cycles. Raises InputError for a missing
+    image or sensor file.
     """
-    felt = bool(len(recording.references) > 1 and all(len(names) for names in recording.columns["images"]))
+    felt = bool(
+        len(recording.references) > 1 and all(len(names) for names in recording.columns["images"])
+    )
     perceptions = []
     if felt:
         design = load_sensor(str(recording.header.get("sensor", "dense")))
@@ -60,7 +76,10 @@ def see_again(recording: Recording, on_cycle: Callable[[Seen], None]) -> bool:
         session.take_references()
         perceptions = session.perceptions
     for time, images in zip(recording.column("time")[:, 0], recording.images(), strict=True):
-        touch = [perception.perceive(image, float(time)) for perception, image in zip(perceptions, images, strict=False)]
+        touch = [
+            perception.perceive(image, float(time))
+            for perception, image in zip(perceptions, images, strict=False)
+        ]
         if images:
             on_cycle(_Again(float(time), images, tuple(touch)))
     return felt

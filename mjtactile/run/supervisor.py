@@ -1,9 +1,11 @@
-"""What keeps a controller and a faulty device from doing harm: one state machine between the controller and the rig.
+"""What keeps a controller and a faulty device from doing harm: one state machine between the
+controller and the rig.
 
-States: `idle` (nothing sent), `armed` (references taken, ready), `running`, `holding` (something is unknown: the jaws do
-not close and the hand does not rise), `safe` (the hand goes down and opens by itself), `latched` (over; why is in
-`reason`). Whatever the controller wants, a command is passed on only in `running`, and held back as said otherwise.
-The faults and their detectors: docs/hardware.md.
+States: `idle` (nothing sent), `armed` (references taken, ready), `running`, `holding` (something is
+unknown: the jaws do not close and the hand does not rise), `safe` (the hand goes down and opens by
+itself), `latched` (over; why is in `reason`). Whatever the controller wants, a command is passed on
+only in `running`, and held back as said otherwise. The faults and their detectors:
+docs/hardware.md.
 """
 
 from __future__ import annotations
@@ -19,9 +21,13 @@ RETREAT_SPEED = 0.030  # m/s of opening, and of lowering
 RETREAT_OPENING = 0.015  # m to open in `safe`: an object is let go of, and not thrown
 RETREAT_TIME_MAX = 5.0  # s; lowering 0.1 m takes 3.3 s
 _OPENING_TOLERANCE = HEIGHT_TOLERANCE = 2e-4  # m: a servo's goal is rounded to 0.02 to 0.1 mm
-_LEAK_SHARE = 0.8  # of the sealed pressure; an object only ever raises it, temperature changes it by 1 % for 3 K
-_SINK_CYCLES = 3  # in a row, by shape; one is enough by pressure, since a valve's driver asks again for what surprises
-_BULGE_SHARE = 0.6  # of the volume of the untouched bulge: the same sign of a leak where there is no pressure sensor
+# of the sealed pressure; an object only ever raises it, temperature changes it by 1 % for 3 K
+_LEAK_SHARE = 0.8
+# in a row, by shape; one is enough by pressure, since a valve's driver asks again for what
+# surprises
+_SINK_CYCLES = 3
+# of the volume of the untouched bulge: the same sign of a leak where there is no pressure sensor
+_BULGE_SHARE = 0.6
 STATES = ("idle", "armed", "running", "holding", "safe", "latched")
 
 
@@ -39,7 +45,8 @@ class Supervisor:
 
     def __init__(self, period: float):
         self._period = period
-        self.state, self.reason = "idle", ""
+        self.state = "idle"
+        self.reason = ""
         self.history: list[Transition] = []
         self._blind_since: float | None = None
         self._blind_why = ""
@@ -56,7 +63,14 @@ class Supervisor:
     def arm(self, now: float) -> None:
         self._enter("armed", "references taken", now)
 
-    def decide(self, now: float, wanted: Command, last: Command, touch: Sequence[Touch], valves: Sequence[ValveState]) -> Command:
+    def decide(
+        self,
+        now: float,
+        wanted: Command,
+        last: Command,
+        touch: Sequence[Touch],
+        valves: Sequence[ValveState],
+    ) -> Command:
         """The command to pass on. `last` is the one before."""
         if self._wanted_safe:
             self.make_safe(self._wanted_safe, now, last)
@@ -77,7 +91,8 @@ class Supervisor:
     def make_safe(self, reason: str, now: float, last: Command) -> None:
         """From here on the hand goes down and opens, whatever the controller says."""
         if self.state not in ("safe", "latched"):
-            self._retreat_goal, self._safe_since = last.opening + RETREAT_OPENING, now
+            self._retreat_goal = last.opening + RETREAT_OPENING
+            self._safe_since = now
             self._enter("safe", reason, now)
 
     def want_safe(self, reason: str) -> None:
@@ -89,16 +104,22 @@ class Supervisor:
         self._enter("latched", self.reason if self.state == "safe" else reason, now)
 
     def _hold(self, now: float, wanted: Command, last: Command, why: str) -> Command:
-        """Nothing is known: neither close nor lift; what only opens or lowers is let through. Too long: open."""
+        """Nothing is known: neither close nor lift; what only opens or lowers is let through. Too
+        long: open."""
         if self._blind_since is None:
-            self._blind_since, self._blind_why = now, why
+            self._blind_since = now
+            self._blind_why = why
         if now - self._blind_since > BLIND_TIME_MAX:
             self.make_safe(f"no force for {BLIND_TIME_MAX:g} s: {self._blind_why}", now, last)
             return self._retreat(now, last)
         if self.state != "holding":
             self._enter("holding", why, now)
-        return replace(wanted, opening=max(wanted.opening, last.opening), force_limit=last.force_limit or wanted.force_limit,
-                       lift_height=min(wanted.lift_height, last.lift_height))
+        return replace(
+            wanted,
+            opening=max(wanted.opening, last.opening),
+            force_limit=last.force_limit or wanted.force_limit,
+            lift_height=min(wanted.lift_height, last.lift_height),
+        )
 
     def _retreat(self, now: float, last: Command) -> Command:
         """Down, then open, both slowly; then latch."""
@@ -106,8 +127,14 @@ class Supervisor:
         if last.lift_height > HEIGHT_TOLERANCE and now - self._safe_since < RETREAT_TIME_MAX:
             return replace(last, lift_height=max(0.0, last.lift_height - step))
         in_time = now - self._safe_since < RETREAT_TIME_MAX
-        at_limit, self._opening_before = last.opening == self._opening_before, last.opening
-        if last.opening < self._retreat_goal - _OPENING_TOLERANCE and in_time and not at_limit and self.state == "safe":
+        at_limit = last.opening == self._opening_before
+        self._opening_before = last.opening
+        if (
+            last.opening < self._retreat_goal - _OPENING_TOLERANCE
+            and in_time
+            and not at_limit
+            and self.state == "safe"
+        ):
             return replace(last, opening=min(self._retreat_goal, last.opening + step))
         self.latch(self.reason, now)
         return last
@@ -115,19 +142,34 @@ class Supervisor:
     def _leak(self, touch: Sequence[Touch], valves: Sequence[ValveState]) -> str:
         """Which sealed chamber loses gas, in words; "" for none."""
         if self._sealed is None or self._bulge is None:
-            self._sealed = [math.nan if v.is_open or v.pressure_gauge is None else v.pressure_gauge for v in valves]
+            self._sealed = [
+                math.nan if v.is_open or v.pressure_gauge is None else v.pressure_gauge
+                for v in valves
+            ]
             self._bulge = [t.surface.volume if t.surface else math.nan for t in touch]
-        lost = [f"chamber {i} lost pressure: {v.pressure_gauge:.0f} Pa, sealed at {sealed:.0f} Pa"
-                for i, (v, sealed) in enumerate(zip(valves, self._sealed, strict=True))
-                if v.pressure_gauge is not None and not v.is_open and v.pressure_gauge < _LEAK_SHARE * sealed]
-        sunk = [f"the membrane of chamber {i} has sunk to {1e9 * t.surface.volume:.0f} mm^3 from {1e9 * bulge:.0f} mm^3 "
-                "with nothing touching" for i, (t, bulge) in enumerate(zip(touch, self._bulge, strict=True))
-                if t.surface is not None and not t.touching and bulge > 0 and t.surface.volume < _BULGE_SHARE * bulge]
+        lost = [
+            f"chamber {i} lost pressure: {v.pressure_gauge:.0f} Pa, sealed at {sealed:.0f} Pa"
+            for i, (v, sealed) in enumerate(zip(valves, self._sealed, strict=True))
+            if v.pressure_gauge is not None
+            and not v.is_open
+            and v.pressure_gauge < _LEAK_SHARE * sealed
+        ]
+        sunk = [
+            f"the membrane of chamber {i} has sunk to {1e9 * t.surface.volume:.0f} mm^3 from "
+            f"{1e9 * bulge:.0f} mm^3 "
+            "with nothing touching"
+            for i, (t, bulge) in enumerate(zip(touch, self._bulge, strict=True))
+            if t.surface is not None
+            and not t.touching
+            and bulge > 0
+            and t.surface.volume < _BULGE_SHARE * bulge
+        ]
         self._sink_cycles = self._sink_cycles + 1 if sunk else 0
         if lost:
             return f"leak: {lost[0]}"
         return f"leak: {sunk[0]}" if self._sink_cycles >= _SINK_CYCLES else ""
 
     def _enter(self, state: str, reason: str, now: float) -> None:
-        self.state, self.reason = state, reason
+        self.state = state
+        self.reason = reason
         self.history.append(Transition(now, state, reason))

@@ -1,7 +1,9 @@
-"""A film of a run: the scene (where there is one), what each camera saw with its ellipses, and the forces over time.
+"""A film of a run: the scene (where there is one), what each camera saw with its ellipses, and the
+forces over time.
 
-In step with the run's own clock, whatever the cameras' rate. It is made from a recording, so that it holds up no run; scenes
-that were kept beside a simulated one are drawn without OpenGL (`scene_picture`).
+In step with the run's own clock, whatever the cameras' rate. It is made from a recording, so that
+it holds up no run; scenes that were kept beside a simulated one are drawn without OpenGL
+(`scene_picture`).
 """
 
 from __future__ import annotations
@@ -26,38 +28,72 @@ from mjtactile.run.scene_picture import View, picture_of
 Pixels = NDArray[np.uint8]
 FORMATS = {".mp4": (30.0, 1.0), ".gif": (10.0, 0.5), ".webp": (15.0, 0.5)}
 """Suffix to images a second and size."""
-_TOP, _CURVE, _SCENE, _CAMERA = 480, 220, 320, 480  # px: height of the pictures and of the curve, widths of scene and camera
+# px: height of the pictures and of the curve, widths of scene and camera
+_TOP = 480
+_CURVE = 220
+_SCENE = 320
+_CAMERA = 480
 _MARGIN = 54  # px left of the curve, for its scale
-_INK, _GRID, _PAPER = (40, 40, 40), (225, 225, 225), (255, 255, 255)
+_INK = (40, 40, 40)
+_GRID = (225, 225, 225)
+_PAPER = (255, 255, 255)
 
 
-def write_video(path: Path, recording: Recording, views: Sequence[tuple[float, View]] = (), *, speed: float = 1.0,
-                begin: float = 0.0, seconds: float = math.inf, say: Callable[[str], None] = lambda _: None) -> dict[str, Any]:
-    """Film `recording` into `path` (.mp4, .gif or .webp), `speed` times as fast as it was, `seconds` of it from `begin` s on;
-    `views` are scenes and their times, s. Returns how many images of how many pixels it has.
+def write_video(
+    path: Path,
+    recording: Recording,
+    views: Sequence[tuple[float, View]] = (),
+    *,
+    speed: float = 1.0,
+    begin: float = 0.0,
+    seconds: float = math.inf,
+    say: Callable[[str], None] = lambda _: None,
+) -> dict[str, Any]:
+    """Film `recording` into `path` (.mp4, .gif or .webp), `speed` times as fast as it was,
+    `seconds` of it from `begin` s on; `views` are scenes and their times, s. Returns how many
+    images of how many pixels it has.
 
     Raises InputError for another suffix or a recording without images, MjtactileError without PyAV.
     """
     if path.suffix not in FORMATS:
-        raise InputError(f"{path.suffix or 'no suffix'!r} is no film that can be written", source=path, choices=FORMATS)
+        raise InputError(
+            f"{path.suffix or 'no suffix'!r} is no film that can be written",
+            source=path,
+            choices=FORMATS,
+        )
     rate, scale = FORMATS[path.suffix]
     film = _Film(recording, views)
-    times = np.arange(film.start + begin, min(film.end, film.start + begin + seconds) + 1e-9, speed / rate)
+    times = np.arange(
+        film.start + begin, min(film.end, film.start + begin + seconds) + 1e-9, speed / rate
+    )
     if not len(times):
-        raise InputError(f"the recording ends after {film.end - film.start:.1f} s", source=recording.folder, field="--begin")
+        raise InputError(
+            f"the recording ends after {film.end - film.start:.1f} s",
+            source=recording.folder,
+            field="--begin",
+        )
     part = path.with_name(path.name + ".part")
     size = (0, 0)
     with _Writer(part, path.suffix, rate) as write:
         for k, time in enumerate(times):
             frame = film.frame(float(time))
-            frame = frame if scale == 1 else cv2.resize(frame, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-            frame = frame[:frame.shape[0] // 2 * 2, :frame.shape[1] // 2 * 2]
+            frame = (
+                frame
+                if scale == 1
+                else cv2.resize(frame, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+            )
+            frame = frame[: frame.shape[0] // 2 * 2, : frame.shape[1] // 2 * 2]
             size = (frame.shape[1], frame.shape[0])
             write(np.ascontiguousarray(frame))
             if (k + 1) % 100 == 0:
                 say(f"{k + 1} of {len(times)} images")
     part.replace(path)
-    return {"frames": len(times), "width_px": size[0], "height_px": size[1], "seconds": len(times) / rate}
+    return {
+        "frames": len(times),
+        "width_px": size[0],
+        "height_px": size[1],
+        "seconds": len(times) / rate,
+    }
 
 
 class _Film:
@@ -65,8 +101,12 @@ class _Film:
 
     def __init__(self, recording: Recording, views: Sequence[tuple[float, View]]):
         if not len(recording) or not any(len(names) for names in recording.columns["images"]):
-            raise InputError("no image was recorded; record with --frames 1", source=recording.folder)
-        self._recording, self._views, self._view_times = recording, views, [time for time, _ in views]
+            raise InputError(
+                "no image was recorded; record with --frames 1", source=recording.folder
+            )
+        self._recording = recording
+        self._views = views
+        self._view_times = [time for time, _ in views]
         self._time = recording.column("time")[:, 0]
         self.start, self.end = float(self._time[0]), float(self._time[-1])
         self._images = self._shots()
@@ -87,7 +127,8 @@ class _Film:
         row = max(bisect.bisect_right(self._time, time + 1e-9) - 1, 0)
         images: tuple[Image, ...] = ()
         while self._next and (not self._shown or self._next[0].time <= time + 1e-9):
-            images, self._next = self._next, next(self._images, ())
+            images = self._next
+            self._next = next(self._images, ())
             self._shown = self._shown or [with_ellipses(image, _CAMERA) for image in images]
         if images:
             self._shown = [with_ellipses(image, _CAMERA) for image in images]
@@ -102,13 +143,26 @@ class _Film:
         height = min(picture.shape[0], _TOP - 84)
         panel[:height] = picture[:height]
         columns = self._recording.columns
-        force, sd = (float(self._recording.column(name)[row, finger]) for name in ("force_normal", "force_normal_sd"))
+        force, sd = (
+            float(self._recording.column(name)[row, finger])
+            for name in ("force_normal", "force_normal_sd")
+        )
         status = str(columns["status"][row][finger])
-        felt = f"{force:+.2f} N, sd {sd:.2f}" if math.isfinite(force) else f"force unknown: {status}"
+        felt = (
+            f"{force:+.2f} N, sd {sd:.2f}" if math.isfinite(force) else f"force unknown: {status}"
+        )
         slip = columns["slip_state"][row][finger] if "slip_state" in columns else "unknown"
         colour = _bgr(FINGER_COLOURS[finger % len(FINGER_COLOURS)])
-        _write(panel, f"{self._recording.fingers[finger]}: {felt}", (12, height + 32), 0.8, colour, 2)
-        _write(panel, f"{slip}" + ("" if status == "ok" else f"; {status}"), (12, height + 64), 0.6, _INK)
+        _write(
+            panel, f"{self._recording.fingers[finger]}: {felt}", (12, height + 32), 0.8, colour, 2
+        )
+        _write(
+            panel,
+            f"{slip}" + ("" if status == "ok" else f"; {status}"),
+            (12, height + 64),
+            0.6,
+            _INK,
+        )
         return panel
 
     def _scene_at(self, time: float) -> Pixels:
@@ -125,10 +179,16 @@ class _Curve:
 
     def __init__(self, recording: Recording, width: int):
         time = recording.column("time")[:, 0]
-        felt, sd, true = (recording.column(name) for name in ("force_normal", "force_normal_sd", "force_normal_true"))
-        self._start, self._end, self._width = float(time[0]), max(float(time[-1]), float(time[0]) + 1e-3), width
+        felt, sd, true = (
+            recording.column(name)
+            for name in ("force_normal", "force_normal_sd", "force_normal_true")
+        )
+        self._start = float(time[0])
+        self._end = max(float(time[-1]), float(time[0]) + 1e-3)
+        self._width = width
         most = np.nanmax(np.concatenate([felt.ravel(), true.ravel(), [0.2]]))
-        self._top, self._low = 1.3 * float(most), -0.1 * float(most)
+        self._top = 1.3 * float(most)
+        self._low = -0.1 * float(most)
         self._picture = np.full((_CURVE, width, 3), 255, np.uint8)
         self._shade(recording)
         self._scale()
@@ -143,11 +203,19 @@ class _Curve:
         picture = self._picture.copy()
         x = int(self._x(np.array([time]))[0])
         cv2.line(picture, (x, 22), (x, _CURVE - 24), _INK, 1)
-        _write(picture, f"{time - self._start:.1f} s", (min(x + 4, self._width - 52), _CURVE - 28), 0.45, _INK)
+        _write(
+            picture,
+            f"{time - self._start:.1f} s",
+            (min(x + 4, self._width - 52), _CURVE - 28),
+            0.45,
+            _INK,
+        )
         return picture
 
     def _x(self, time: Array) -> Array:
-        return _MARGIN + (time - self._start) / (self._end - self._start) * (self._width - _MARGIN - 12)
+        return _MARGIN + (time - self._start) / (self._end - self._start) * (
+            self._width - _MARGIN - 12
+        )
 
     def _y(self, force: Array) -> Array:
         return 22 + (self._top - force) / (self._top - self._low) * (_CURVE - 46)
@@ -155,7 +223,13 @@ class _Curve:
     def _shade(self, recording: Recording) -> None:
         for name, begin, end in recording.phases():
             left, right = (int(x) for x in self._x(np.array([begin, end])))
-            cv2.rectangle(self._picture, (left, 22), (right, _CURVE - 24), _bgr(PHASE_COLOURS.get(name, "#eeeeee")), -1)
+            cv2.rectangle(
+                self._picture,
+                (left, 22),
+                (right, _CURVE - 24),
+                _bgr(PHASE_COLOURS.get(name, "#eeeeee")),
+                -1,
+            )
             if right - left > 9 * len(name):
                 _write(self._picture, name, (left + 4, _CURVE - 8), 0.45, _INK)
 
@@ -171,16 +245,24 @@ class _Curve:
         if known.sum() < 2:
             return
         x = self._x(time[known])
-        outline = np.concatenate([np.stack([x, self._y((force + half)[known])], axis=1),
-                                  np.stack([x, self._y((force - half)[known])], axis=1)[::-1]])
+        outline = np.concatenate(
+            [
+                np.stack([x, self._y((force + half)[known])], axis=1),
+                np.stack([x, self._y((force - half)[known])], axis=1)[::-1],
+            ]
+        )
         over = self._picture.copy()
         cv2.fillPoly(over, [np.round(outline).astype(np.int32)], colour)
         self._picture[:] = cv2.addWeighted(over, 0.2, self._picture, 0.8, 0)
 
     def _line(self, time: Array, force: Array, colour: tuple[int, ...], width: int) -> None:
         """A line with gaps where the force is not known."""
-        points = np.round(np.stack([self._x(time), self._y(np.nan_to_num(force))], axis=1)).astype(np.int32)
-        for run in np.split(np.arange(len(force)), np.flatnonzero(np.diff(np.isfinite(force).astype(int))) + 1):
+        points = np.round(np.stack([self._x(time), self._y(np.nan_to_num(force))], axis=1)).astype(
+            np.int32
+        )
+        for run in np.split(
+            np.arange(len(force)), np.flatnonzero(np.diff(np.isfinite(force).astype(int))) + 1
+        ):
             if len(run) and np.isfinite(force[run[0]]):
                 cv2.polylines(self._picture, [points[run]], False, colour, width, cv2.LINE_AA)
 
@@ -191,14 +273,18 @@ class _Writer:
     _CODECS: Mapping[str, tuple[str, str, str, dict[str, str]]] = {
         ".mp4": ("libx264", "mp4", "yuv420p", {"crf": "20", "preset": "veryfast"}),
         ".gif": ("gif", "gif", "pal8", {}),
-        ".webp": ("libwebp_anim", "webp", "yuv420p", {"quality": "70", "loop": "0"})}
+        ".webp": ("libwebp_anim", "webp", "yuv420p", {"quality": "70", "loop": "0"}),
+    }
 
     def __init__(self, path: Path, suffix: str, rate: float):
         try:
             import av
         except ImportError as error:
             raise MjtactileError("PyAV is not installed: pip install 'mjtactile[video]'") from error
-        self._av, self._path, self._suffix, self._rate = av, path, suffix, round(rate)
+        self._av = av
+        self._path = path
+        self._suffix = suffix
+        self._rate = round(rate)
         self._frames: list[Any] = []
         self._stream: Any = None
 
@@ -211,7 +297,9 @@ class _Writer:
         if self._stream is None:
             codec, _, pixels, options = self._CODECS[self._suffix]
             self._stream = self._file.add_stream(codec, rate=self._rate, options=options)
-            self._stream.width, self._stream.height, self._stream.pix_fmt = frame.width, frame.height, pixels
+            self._stream.width = frame.width
+            self._stream.height = frame.height
+            self._stream.pix_fmt = pixels
         if self._suffix == ".gif":
             self._frames.append(frame)
         else:
@@ -230,9 +318,14 @@ class _Writer:
         """Frames in 256 colours chosen for all of them."""
         if not self._frames:
             return
-        graph, first = self._av.filter.Graph(), self._frames[0]
-        source = graph.add_buffer(width=first.width, height=first.height, format=first.format, time_base=f"1/{self._rate}")
-        split, choose, use = graph.add("split"), graph.add("palettegen", "max_colors=64"), graph.add("paletteuse", "dither=none")
+        graph = self._av.filter.Graph()
+        first = self._frames[0]
+        source = graph.add_buffer(
+            width=first.width, height=first.height, format=first.format, time_base=f"1/{self._rate}"
+        )
+        split = graph.add("split")
+        choose = graph.add("palettegen", "max_colors=64")
+        use = graph.add("paletteuse", "dither=none")
         sink = graph.add("buffersink")
         source.link_to(split)
         split.link_to(use, 0, 0)
@@ -248,10 +341,17 @@ class _Writer:
             yield sink.pull()
 
 
-def _write(picture: Pixels, text: str, at: tuple[int, int], size: float, colour: tuple[int, ...], width: int = 1) -> None:
+def _write(
+    picture: Pixels,
+    text: str,
+    at: tuple[int, int],
+    size: float,
+    colour: tuple[int, ...],
+    width: int = 1,
+) -> None:
     cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, size, colour, width, cv2.LINE_AA)
 
 
 def _bgr(colour: str) -> tuple[int, int, int]:
-    red, green, blue = (int(colour[i:i + 2], 16) for i in (1, 3, 5))
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
     return blue, green, red

@@ -1,1 +1,2 @@
-"""Pixels to touch; a room a stage (image, pose, shape, force, touch), and `chain` where they meet."""
+"""Pixels to touch; a room a stage (image, pose, shape, force, touch), and `chain` where they
+meet."""

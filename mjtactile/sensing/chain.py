@@ -1,11 +1,14 @@
-"""One sensor's chain from an image to touch; the only place where the stages meet. Works from pixels alone.
+"""One sensor's chain from an image to touch; the only place where the stages meet. Works from
+pixels alone.
 
-A `Chain` is what stays the same: the sensor and the operators made from its design. A `ChainState` is what one image
-leaves for the next. `step(state, image, now)` gives the touch and the next state and changes nothing, so that a state can be
-kept, replayed, handed to another process, or tried twice.
+A `Chain` is what stays the same: the sensor and the operators made from its design. A `ChainState`
+is what one image leaves for the next. `step(state, image, now)` gives the touch and the next state
+and changes nothing, so that a state can be kept, replayed, handed to another process, or tried
+twice.
 
-A sensor first measures its own reference, as the real device must: the flat membrane with the valve open, then the
-inflated one with nothing touching. `Perception` keeps a chain and its newest state together for those that only go forward.
+A sensor first measures its own reference, as the real device must: the flat membrane with the valve
+open, then the inflated one with nothing touching. `Perception` keeps a chain and its newest state
+together for those that only go forward.
 """
 
 from __future__ import annotations
@@ -44,9 +47,10 @@ class Reference:
 
 @dataclass(frozen=True, eq=False)
 class ChainState:
-    """What one image leaves for the next: the sensor's own references (`flat`, and `reference` once at rest), the marker
-    positions `expected` (M, 3) m in S, the membrane's `shape`, the histories of touch and slip, the markers' `tracks`, and
-    how far they stand `apart` (M, 3) m from the zero."""
+    """What one image leaves for the next: the sensor's own references (`flat`, and `reference` once
+    at rest), the marker positions `expected` (M, 3) m in S, the membrane's `shape`, the histories
+    of touch and slip, the markers' `tracks`, and how far they stand `apart` (M, 3) m from the
+    zero."""
 
     flat: FlatReference
     expected: Array
@@ -63,58 +67,94 @@ class ChainState:
 
 
 class Chain:
-    """The sensing chain of one sensor: operators made from its design once, and nothing that changes.
+    """The sensing chain of one sensor: operators made from its design once, and nothing that
+    changes.
 
-    What was measured of it (`calibration`) stands in for what the sensor file says, but for parts that are outdated. The
-    force comes from inverse finite elements. `settings` are the stages' fitted numbers.
+    What was measured of it (`calibration`) stands in for what the sensor file says, but for parts
+    that are outdated. The force comes from inverse finite elements. `settings` are the stages'
+    fitted numbers.
     """
 
-    def __init__(self, design: SensorDesign, calibration: Calibration | None = None, *, settings: Settings = DEFAULTS):
-        self._measured = Calibration("", design.name) if calibration is None else calibration.used(design)
+    def __init__(
+        self,
+        design: SensorDesign,
+        calibration: Calibration | None = None,
+        *,
+        settings: Settings = DEFAULTS,
+    ):
+        self._measured = (
+            Calibration("", design.name) if calibration is None else calibration.used(design)
+        )
         self.design = design = self._measured.design(design)
         self.settings = settings
         self.camera = Camera.from_design(design.camera, design.glass)
         self.inverse = InverseMembrane(design, settings.inverse, settings.prior, settings.doubt)
         self.fitter = SurfaceFitter(design, settings.surface)
         # seen 60 degrees aslant and from half as far again
-        self._smallest_px = max(1.5, 0.33 * self.camera.fx * design.markers.radius / design.camera.distance)
+        self._smallest_px = max(
+            1.5, 0.33 * self.camera.fx * design.markers.radius / design.camera.distance
+        )
 
     def begin(self) -> ChainState:
         """The state before anything was measured: what the sensor file says."""
         return ChainState(FlatReference.nominal(self.design), self.design.markers.p_SM)
 
     def recall(self) -> ChainState:
-        """The state with the references that `calibrate frame` measured, as far as there are any."""
-        state, frame = self.begin(), self._measured.frame
+        """The state with the references that `calibrate frame` measured, as far as there are
+        any."""
+        state = self.begin()
+        frame = self._measured.frame
         if frame is None:
             return state
-        state = replace(state, flat=FlatReference(frame.R_SC, frame.p_SC, frame.scale, frame.residual_px, frame.scale_sd))
+        state = replace(
+            state,
+            flat=FlatReference(
+                frame.R_SC, frame.p_SC, frame.scale, frame.residual_px, frame.scale_sd
+            ),
+        )
         rest = frame.rest
-        return state if rest is None else self.set_rest(state, rest.markers, rest.pressure_gauge, sealed=rest.sealed)
+        return (
+            state
+            if rest is None
+            else self.set_rest(state, rest.markers, rest.pressure_gauge, sealed=rest.sealed)
+        )
 
-    # -- the sensor's own reference --------------------------------------------------------------------------------
+    # -- the sensor's own reference
+    # --------------------------------------------------------------------------------
 
     def take_flat(self, state: ChainState, images: Sequence[Image]) -> ChainState:
-        """Measure the camera's pose and each marker's radius on the flat membrane (valve open to the air).
+        """Measure the camera's pose and each marker's radius on the flat membrane (valve open to
+        the air).
 
         Raises DeviceError when too few markers are seen, or they do not agree with the sensor file.
         """
         nominal = replace(state, flat=FlatReference.nominal(self.design))
-        seen = [self._locate(nominal, image, self.design.markers.p_SM, "flat reference") for image in images]
+        seen = [
+            self._locate(nominal, image, self.design.markers.p_SM, "flat reference")
+            for image in images
+        ]
         flat = measure_flat(self.design, self.camera, seen, self.settings.reference)
         return replace(nominal, flat=flat, expected=self.design.markers.p_SM)
 
-    def take_rest(self, state: ChainState, images: Sequence[Image], pressure_gauge: float, *, sealed: bool = True
-                  ) -> ChainState:
+    def take_rest(
+        self,
+        state: ChainState,
+        images: Sequence[Image],
+        pressure_gauge: float,
+        *,
+        sealed: bool = True,
+    ) -> ChainState:
         """Measure the inflated membrane with nothing touching, at a known gauge pressure, Pa.
 
-        `sealed`: from here on the chamber keeps its gas; otherwise the valve keeps its pressure. Raises DeviceError when the
-        membrane does not bulge as it must: a valve that did not move where no pressure sensor says so, or another membrane.
+        `sealed`: from here on the chamber keeps its gas; otherwise the valve keeps its pressure.
+        Raises DeviceError when the membrane does not bulge as it must: a valve that did not move
+        where no pressure sensor says so, or another membrane.
         """
         return self.set_rest(state, self.rest_markers(state, images), pressure_gauge, sealed=sealed)
 
     def rest_markers(self, state: ChainState, images: Sequence[Image]) -> Markers:
-        """The markers of an inflated membrane that nothing touches, mean of `images`. Raises DeviceError for too few."""
+        """The markers of an inflated membrane that nothing touches, mean of `images`. Raises
+        DeviceError for too few."""
         expected = self.design.markers.p_SM
         seen = []
         for image in images:
@@ -123,41 +163,72 @@ class Chain:
             seen.append(markers)
         return _average(seen)
 
-    def set_rest(self, state: ChainState, markers: Markers, pressure_gauge: float, *, sealed: bool = True) -> ChainState:
+    def set_rest(
+        self, state: ChainState, markers: Markers, pressure_gauge: float, *, sealed: bool = True
+    ) -> ChainState:
         """Use a rest state that was measured before; see `take_rest`."""
         rest = self.inverse.rest_state(markers, pressure_gauge, sealed=sealed)
         self._check_rest(state, markers, rest, pressure_gauge)
-        return replace(state, reference=Reference(rest, self.fitter.fit(markers)),
-                       expected=self.inverse.positions(rest.c)).without_history()
+        return replace(
+            state,
+            reference=Reference(rest, self.fitter.fit(markers)),
+            expected=self.inverse.positions(rest.c),
+        ).without_history()
 
-    def _check_rest(self, state: ChainState, markers: Markers, rest: InverseRest, pressure_gauge: float) -> None:
-        """Raise DeviceError where the membrane is no bulge of the sensor file's, in height or in shape."""
+    def _check_rest(
+        self, state: ChainState, markers: Markers, rest: InverseRest, pressure_gauge: float
+    ) -> None:
+        """Raise DeviceError where the membrane is no bulge of the sensor file's, in height or in
+        shape."""
         most = self.settings.reference.stiffness_off_most
         if not 1 / most < rest.stiffness_scale < most:
             height = 1e3 * float(np.abs(markers.p_SM[:, 2]).max())
-            raise DeviceError(f"sensor {self.design.name}: at {pressure_gauge:.0f} Pa the markers stand {height:.2f} mm high at "
-                              f"most, as if the membrane were {rest.stiffness_scale:.1f} times as stiff as in the sensor file: "
-                              "does the valve move, and are the membrane's young_MPa and thickness_mm right?")
-        if pressure_gauge <= self.settings.inverse.informative_pressure:  # hardly a bulge, and no stiffness was fitted to it
+            raise DeviceError(
+                f"sensor {self.design.name}: at {pressure_gauge:.0f} Pa the markers stand "
+                f"{height:.2f} mm high at "
+                f"most, as if the membrane were {rest.stiffness_scale:.1f} "
+                "times as stiff as in the sensor file: "
+                "does the valve move, and are the membrane's young_MPa and "
+                "thickness_mm right?"
+            )
+        # hardly a bulge, and no stiffness was fitted to it
+        if pressure_gauge <= self.settings.inverse.informative_pressure:
             return
         z = self.inverse.positions(rest.c)[markers.ids, 2]
-        misfit = bulge.misfit(self.design, markers, z, state.flat.residual_px, lens_measured=self._measured.lens is not None,
-                              s=self.settings.reference)
+        misfit = bulge.misfit(
+            self.design,
+            markers,
+            z,
+            state.flat.residual_px,
+            lens_measured=self._measured.lens is not None,
+            s=self.settings.reference,
+        )
         if misfit > self.settings.reference.bulge_misfit_most:
             off = 1e3 * float(np.abs(markers.p_SM[:, 2] - z).max())
-            raise DeviceError(f"sensor {self.design.name}: at rest the membrane is not the bulge that {pressure_gauge:.0f} Pa "
-                              f"make: markers are up to {off:.2f} mm off ({np.sqrt(misfit):.1f} standard deviations, rms); does "
-                              "something touch it? Else the lens is not as in the sensor file: `mjtactile calibrate camera`")
+            raise DeviceError(
+                f"sensor {self.design.name}: at rest the membrane is not the bulge that "
+                f"{pressure_gauge:.0f} Pa "
+                f"make: markers are up to {off:.2f} mm off "
+                f"({np.sqrt(misfit):.1f} standard deviations, rms); does "
+                "something touch it? Else the lens is not as in the sensor "
+                "file: `mjtactile calibrate camera`"
+            )
 
-    # -- an image ----------------------------------------------------------------------------------------------------
+    # -- an image
+    # --------------------------------------------------------------------------------
 
     def step(self, state: ChainState, image: Image, now: float) -> tuple[Touch, ChainState]:
-        """Touch from one image, and the state for the next; `now` s on the clock of the image's time.
+        """Touch from one image, and the state for the next; `now` s on the clock of the image's
+        time.
 
-        Raises DeviceError where the references are missing; what is wrong with an image is in the touch's status.
+        Raises DeviceError where the references are missing; what is wrong with an image is in the
+        touch's status.
         """
         if state.reference is None:
-            raise DeviceError(f"sensor {self.design.name}: an image before the references of the flat and the resting membrane")
+            raise DeviceError(
+                f"sensor {self.design.name}: an image before the references of the flat and the "
+                "resting membrane"
+            )
         unknown = Touch(image.time, now - image.time, np.nan, np.nan, False)
         markers, state = self.see(state, image)
         if (status := self.enough(markers)) != OK:
@@ -168,28 +239,42 @@ class Chain:
     def see(self, state: ChainState, image: Image) -> tuple[Markers, ChainState]:
         """Identified markers in S, and the state in which they are expected where they are now."""
         if isinstance(image, Sighting) and image.ellipses is not None:
-            ellipses, tracks = image.ellipses, None
+            ellipses = image.ellipses
+            tracks = None
         else:
-            ellipses, tracks = tracking.follow(image, state.tracks, self.design.markers.count, min_radius_px=self._smallest_px,
-                                               settings=self.settings)
+            ellipses, tracks = tracking.follow(
+                image,
+                state.tracks,
+                self.design.markers.count,
+                min_radius_px=self._smallest_px,
+                settings=self.settings,
+            )
         poses = estimate_poses(ellipses, self.camera, self.design.markers.radius)
         poses = state.flat.to_nominal(self.design, poses)
-        markers = identity.identify(poses, self.design, state.expected, state.flat.scale, self.settings.identity)
+        markers = identity.identify(
+            poses, self.design, state.expected, state.flat.scale, self.settings.identity
+        )
         return markers, replace(state, expected=_moved(state.expected, markers), tracks=tracks)
 
     def enough(self, markers: Markers) -> Status:
         """Whether so many were seen that the shape is no guess."""
-        seen, all_ = len(markers), self.design.markers.count
+        seen = len(markers)
+        all_ = self.design.markers.count
         if seen >= self.settings.fewest_seen * all_:
             return OK
         return Status(StatusCode.TOO_FEW_MARKERS, f"only {seen} of {all_} markers seen")
 
-    def feel(self, state: ChainState, markers: Markers, surface: Surface, time: float) -> tuple[Touch, ChainState]:
-        """Force, contact and slip by inverse finite elements, from markers and surface at `time` s."""
+    def feel(
+        self, state: ChainState, markers: Markers, surface: Surface, time: float
+    ) -> tuple[Touch, ChainState]:
+        """Force, contact and slip by inverse finite elements, from markers and surface at `time`
+        s."""
         if state.reference is None:
             raise DeviceError(f"sensor {self.design.name}: markers before the rest reference")
         unknown = Touch(time, 0.0, np.nan, np.nan, False, surface=surface, markers=markers)
-        rest, before, s = state.reference.rest, state.detection, self.settings
+        rest = state.reference.rest
+        before = state.detection
+        s = self.settings
         shape = self.inverse.estimate(markers, rest, state.shape)
         drifted = shape.drift > s.zero.drift_most  # then all markers are off, and it is said below
         sharp = float(shape.excess[0].mean()) > s.inverse.excess_most and not drifted
@@ -198,32 +283,66 @@ class Chain:
             lost = slip.unknown(status.code, "shape not explained")
             return replace(unknown, slip=lost, status=status), state.without_history()
         force = self._measured.force
-        traction = self.inverse.traction(shape, state.shape, math.inf if before is None else time - before.time)
+        traction = self.inverse.traction(
+            shape, state.shape, math.inf if before is None else time - before.time
+        )
         traction = traction if force is None else force.apply(traction)
         found = zero.detect_touch(time, traction, before, s.zero)
         patches = find_patches(self.inverse, shape, rest, s.patches) if found.touching else ()
-        patches = patches if force is None else tuple(replace(patch, force=force.scale * patch.force) for patch in patches)
+        patches = (
+            patches
+            if force is None
+            else tuple(replace(patch, force=force.scale * patch.force) for patch in patches)
+        )
         judged, history = slip.judge(time, self.inverse, shape, patches, state.slip, s.slip)
         state = replace(state, shape=shape, detection=found, slip=history)
-        quiet = before is not None and not found.touching and found.time - found.quiet_since > s.zero.quiet
+        quiet = (
+            before is not None
+            and not found.touching
+            and found.time - found.quiet_since > s.zero.quiet
+        )
         if quiet and before is not None and state.reference is not None:
             followed = zero.Zero.of(rest) if state.apart is None else zero.Zero(rest, state.apart)
-            followed = zero.follow(self.inverse, followed, shape, markers, found.time - before.time, s.zero)
-            state = replace(state, reference=replace(state.reference, rest=followed.rest), apart=followed.apart)
+            followed = zero.follow(
+                self.inverse, followed, shape, markers, found.time - before.time, s.zero
+            )
+            state = replace(
+                state, reference=replace(state.reference, rest=followed.rest), apart=followed.apart
+            )
         sd = float(np.sqrt(traction.wrench_cov[2, 2]))
-        if quiet and (found.force < -max(s.zero.pull_most, s.zero.touch_sd * sd) or shape.drift > s.zero.drift_most):
-            status = Status(StatusCode.REFERENCE_LOST, "the membrane seems pulled, or shifted: the rest reference is lost "
-                                                       "(temperature, camera)")
-            return replace(unknown, traction=traction, slip=slip.unknown(status.code, "no zero"), status=status), state
+        if quiet and (
+            found.force < -max(s.zero.pull_most, s.zero.touch_sd * sd)
+            or shape.drift > s.zero.drift_most
+        ):
+            status = Status(
+                StatusCode.REFERENCE_LOST,
+                "the membrane seems pulled, or shifted: "
+                "the rest reference is lost "
+                "(temperature, camera)",
+            )
+            return replace(
+                unknown, traction=traction, slip=slip.unknown(status.code, "no zero"), status=status
+            ), state
         contact = together(patches, (len(traction.y), len(traction.x)))
-        return replace(unknown, force_normal=found.force, force_normal_sd=sd, touching=found.touching, contact=contact,
-                       traction=traction, patches=patches, slip=judged), state
+        return replace(
+            unknown,
+            force_normal=found.force,
+            force_normal_sd=sd,
+            touching=found.touching,
+            contact=contact,
+            traction=traction,
+            patches=patches,
+            slip=judged,
+        ), state
 
     def _locate(self, state: ChainState, image: Image, expected: Array, what: str) -> Markers:
         markers, _ = self.see(replace(state, expected=expected), image)
         if self.enough(markers) != OK:
-            raise DeviceError(f"sensor {self.design.name}: {what}: only {len(markers)} of {self.design.markers.count} "
-                              "markers found; check lighting, focus and the sensor file")
+            raise DeviceError(
+                f"sensor {self.design.name}: {what}: only {len(markers)} of "
+                f"{self.design.markers.count} "
+                "markers found; check lighting, focus and the sensor file"
+            )
         return markers
 
 
@@ -231,10 +350,17 @@ class Perception:
     """A chain and its newest state, for those that only go forward in time."""
 
     def __init__(self, chain: Chain, state: ChainState | None = None):
-        self.chain, self.state = chain, chain.begin() if state is None else state
+        self.chain = chain
+        self.state = chain.begin() if state is None else state
 
     @classmethod
-    def of(cls, design: SensorDesign, calibration: Calibration | None = None, *, settings: Settings = DEFAULTS) -> Perception:
+    def of(
+        cls,
+        design: SensorDesign,
+        calibration: Calibration | None = None,
+        *,
+        settings: Settings = DEFAULTS,
+    ) -> Perception:
         """Of a sensor that has no references yet."""
         return cls(Chain(design, calibration, settings=settings))
 
@@ -243,7 +369,9 @@ class Perception:
         self.state = self.chain.take_flat(self.state, images)
         return self.state.flat
 
-    def take_rest(self, images: Sequence[Image], pressure_gauge: float, *, sealed: bool = True) -> Markers:
+    def take_rest(
+        self, images: Sequence[Image], pressure_gauge: float, *, sealed: bool = True
+    ) -> Markers:
         """See `Chain.take_rest`; returns the markers at rest."""
         markers = self.chain.rest_markers(self.state, images)
         self.state = self.chain.set_rest(self.state, markers, pressure_gauge, sealed=sealed)
@@ -263,9 +391,11 @@ def _moved(expected: Array, markers: Markers) -> Array:
 
 
 def _average(seen: Sequence[Markers]) -> Markers:
-    """Mean of repeated measurements of markers at rest; a marker counts when at least half of them saw it."""
+    """Mean of repeated measurements of markers at rest; a marker counts when at least half of them
+    saw it."""
     count = np.bincount(np.concatenate([m.ids for m in seen]))
-    total, normal = np.zeros((len(count), 3)), np.zeros((len(count), 3))
+    total = np.zeros((len(count), 3))
+    normal = np.zeros((len(count), 3))
     cov = np.zeros((len(count), 3, 3))
     for m in seen:
         total[m.ids] += m.p_SM

@@ -1,8 +1,9 @@
-"""Stress of the sheet and its derivative, by the law of the sensor's file (docs/equations.md, Eq. F4). For sensing; the simulator
-has code of its own.
+"""Stress of the sheet and its derivative, by the law of the sensor's file (docs/equations.md, Eq.
+F4). For sensing; the simulator has code of its own.
 
-Both are functions of the right Cauchy-Green tensor C of the sheet against its free state. For a neo-Hookean sheet
-S = mu (I - q A) with A = tr(C) I - C and q = c / det C, and dq/dC = q' A, since A is the derivative of det C.
+Both are functions of the right Cauchy-Green tensor C of the sheet against its free state. For a
+neo-Hookean sheet S = mu (I - q A) with A = tr(C) I - C and q = c / det C, and dq/dC = q' A, since A
+is the derivative of det C.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ from mjtactile.core.design import Membrane
 from mjtactile.core.rubber import Law
 from mjtactile.core.types import Array
 
-_LOG_DET = np.linspace(-3.0, 4.0, 7001)  # stretches of 0.47 to 2.7; linear between: q is good to 1e-6
+# stretches of 0.47 to 2.7; linear between: q is good to 1e-6
+_LOG_DET = np.linspace(-3.0, 4.0, 7001)
 _LEAST_POISSON = 0.005  # below, exp(1 / nu) is no number, and the thickness hardly changes
 
 
@@ -22,22 +24,31 @@ class SheetLaw:
     """Stress and moduli, N/m, of one sensor's sheet: what its thickness carries."""
 
     def __init__(self, sheet: Membrane):
-        self._law, self._nu = sheet.law, sheet.poisson
+        self._law = sheet.law
+        self._nu = sheet.poisson
         self._plane = sheet.young * sheet.thickness / (1 - sheet.poisson**2)
         self._mu = sheet.young * sheet.thickness / (2 * (1 + sheet.poisson))
         nu = max(sheet.poisson, _LEAST_POISSON)
-        half = nu / (1 - 2 * nu)  # lambda / 2 mu; then c - 1 + half ln(c det C) = 0 is Lambert's equation
+        # lambda / 2 mu; then c - 1 + half ln(c det C) = 0 is Lambert's equation
+        half = nu / (1 - 2 * nu)
         c = half * np.real(lambertw(np.exp(1 / half - _LOG_DET) / half))
         self._q = c * np.exp(-_LOG_DET)
         self._slope = -self._q * np.exp(-_LOG_DET) * (1 + half / (c + half))  # q'
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """Whether it is neo-Hookean, its modulus and Poisson's ratio, and of `table` the first place, places per unit and count,
-        as kernels/sheet.h has them."""
+        """Whether it is neo-Hookean, its modulus and Poisson's ratio, and of `table` the first
+        place, places per unit and count, as kernels/sheet.h has them."""
         neo_hookean = self._law is not Law.STVK
         per_unit = (len(_LOG_DET) - 1) / (_LOG_DET[-1] - _LOG_DET[0])
-        return (float(neo_hookean), self._mu if neo_hookean else self._plane, self._nu, _LOG_DET[0], per_unit, len(_LOG_DET))
+        return (
+            float(neo_hookean),
+            self._mu if neo_hookean else self._plane,
+            self._nu,
+            _LOG_DET[0],
+            per_unit,
+            len(_LOG_DET),
+        )
 
     @property
     def table(self) -> Array:
@@ -47,7 +58,9 @@ class SheetLaw:
     def stress(self, C11: Array, C22: Array, C12: Array) -> Array:
         """Second Piola-Kirchhoff stress (3, ...): S11, S22, S12."""
         if self._law is Law.STVK:
-            E11, E22, nu = (C11 - 1) / 2, (C22 - 1) / 2, self._nu
+            E11 = (C11 - 1) / 2
+            E22 = (C22 - 1) / 2
+            nu = self._nu
             return self._plane * np.stack([E11 + nu * E22, E22 + nu * E11, (1 - nu) * C12 / 2])
         q = np.interp(self._log_det(C11, C22, C12), _LOG_DET, self._q)
         return self._mu * np.stack([1 - q * C22, 1 - q * C11, q * C12])
@@ -55,13 +68,27 @@ class SheetLaw:
     def moduli(self, C11: Array, C22: Array, C12: Array) -> Array:
         """dS/dE (6, ...): 1111, 2222, 1122, 1112, 2212, 1212; symmetric otherwise."""
         if self._law is Law.STVK:
-            one, none, nu = np.ones_like(C11), np.zeros_like(C11), self._nu
+            one = np.ones_like(C11)
+            none = np.zeros_like(C11)
+            nu = self._nu
             return self._plane * np.stack([one, one, nu * one, none, none, (1 - nu) / 2 * one])
         log_det = self._log_det(C11, C22, C12)
-        q, slope = (2 * self._mu * np.interp(log_det, _LOG_DET, table) for table in (self._q, self._slope))
-        A11, A22, A12 = C22, C11, -C12
-        return np.stack([-slope * A11 * A11, -slope * A22 * A22, -slope * A11 * A22 - q, -slope * A11 * A12, -slope * A22 * A12,
-                         q / 2 - slope * A12 * A12])
+        q, slope = (
+            2 * self._mu * np.interp(log_det, _LOG_DET, table) for table in (self._q, self._slope)
+        )
+        A11 = C22
+        A22 = C11
+        A12 = -C12
+        return np.stack(
+            [
+                -slope * A11 * A11,
+                -slope * A22 * A22,
+                -slope * A11 * A22 - q,
+                -slope * A11 * A12,
+                -slope * A22 * A12,
+                q / 2 - slope * A12 * A12,
+            ]
+        )
 
     @staticmethod
     def _log_det(C11: Array, C22: Array, C12: Array) -> Array:

@@ -1,4 +1,5 @@
-"""`attach`: put the membrane, the gas and the housing of a sensor into any MuJoCo scene. `mjtactile.attach` adds what feels.
+"""`attach`: put the membrane, the gas and the housing of a sensor into any MuJoCo scene.
+`mjtactile.attach` adds what feels.
 
     spec = mujoco.MjSpec.from_file("my_robot.xml")
     recommend_options(spec)                                  # integrator, solver, cone, timestep
@@ -37,22 +38,34 @@ TIMESTEP_RANGE = (1e-4, 8e-3)
 DEFAULT_MESH = (13, 11)
 _OPTION_NAMES = {
     "integrator": {0: "Euler", 1: "RK4", 2: "implicit", 3: "implicitfast", 4: "discrete"},
-    "solver": {0: "PGS", 1: "CG", 2: "Newton"}, "cone": {0: "pyramidal", 1: "elliptic"},
-    "jacobian": {0: "dense", 1: "sparse", 2: "auto"}}
+    "solver": {0: "PGS", 1: "CG", 2: "Newton"},
+    "cone": {0: "pyramidal", 1: "elliptic"},
+    "jacobian": {0: "dense", 1: "sparse", 2: "auto"},
+}
 _REQUIRED = {
-    "integrator": (mujoco.mjtIntegrator.mjINT_DISCRETE, "only it is implicit in the stiffness of membrane and gas"),
-    "solver": (mujoco.mjtSolver.mjSOL_CG, "the gas couples all vertices, which makes Newton's Hessian dense and PGS explicit"),
-    "cone": (mujoco.mjtCone.mjCONE_ELLIPTIC, "static friction is remembered by its rows")}
+    "integrator": (
+        mujoco.mjtIntegrator.mjINT_DISCRETE,
+        "only it is implicit in the stiffness of membrane and gas",
+    ),
+    "solver": (
+        mujoco.mjtSolver.mjSOL_CG,
+        "the gas couples all vertices, which makes Newton's Hessian dense and PGS explicit",
+    ),
+    "cone": (mujoco.mjtCone.mjCONE_ELLIPTIC, "static friction is remembered by its rows"),
+}
 _RECOMMENDED = {
     **_REQUIRED,
     "jacobian": (mujoco.mjtJacobian.mjJAC_SPARSE, "a membrane has hundreds of degrees of freedom"),
     "tolerance": (1e-7, "1e-5 leaves 2 mN of noise in a held force, 1e-4 6 mN"),
     "iterations": (300, "so many may be needed at first touch"),
-    "noslip_iterations": (0, "they treat membrane stiffness explicitly")}
-_NEEDED = {mujoco.mjtDisableBit.mjDSBL_CONTACT: "the membrane would touch nothing",
-           mujoco.mjtDisableBit.mjDSBL_CONSTRAINT: "the membrane would touch nothing",
-           mujoco.mjtDisableBit.mjDSBL_SPRING: "membrane and gas are passive forces",
-           mujoco.mjtDisableBit.mjDSBL_DAMPER: "membrane and gas are passive forces"}
+    "noslip_iterations": (0, "they treat membrane stiffness explicitly"),
+}
+_NEEDED = {
+    mujoco.mjtDisableBit.mjDSBL_CONTACT: "the membrane would touch nothing",
+    mujoco.mjtDisableBit.mjDSBL_CONSTRAINT: "the membrane would touch nothing",
+    mujoco.mjtDisableBit.mjDSBL_SPRING: "membrane and gas are passive forces",
+    mujoco.mjtDisableBit.mjDSBL_DAMPER: "membrane and gas are passive forces",
+}
 _LEAST_MEMORY = 1 << 24  # bytes
 
 
@@ -69,41 +82,65 @@ class Attachment:
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> TactileSensor:
         """Return the sensor's runtime, and finish the model: pre-stretch and contact stiffness.
 
-        Call it again after `spec.recompile`. Raises InputError when the model's options cannot carry the sensor or
-        the model was not compiled from the spec.
+        Call it again after `spec.recompile`. Raises InputError when the model's options cannot
+        carry the sensor or the model was not compiled from the spec.
         """
         check_options(model.opt, source="bind")
-        return TactileSensor(model, data, self.design, self.mesh, self.prefix, self.contact, self.effects)
+        return TactileSensor(
+            model, data, self.design, self.mesh, self.prefix, self.contact, self.effects
+        )
 
 
-def attach(spec: mujoco.MjSpec, sensor: SensorDesign | str | Path, *, site: mujoco.MjsSite | str, prefix: str = "tactile_",
-           mesh: tuple[int, int] = DEFAULT_MESH, mass: float = 0.05, contact: str = "auto",
-           effects: Collection[str] = PHYSICS) -> Attachment:
-    """Attach `sensor` (a design, a shipped name or a TOML file) to the parent scene `spec` at `site`.
+def attach(
+    spec: mujoco.MjSpec,
+    sensor: SensorDesign | str | Path,
+    *,
+    site: mujoco.MjsSite | str,
+    prefix: str = "tactile_",
+    mesh: tuple[int, int] = DEFAULT_MESH,
+    mass: float = 0.05,
+    contact: str = "auto",
+    effects: Collection[str] = PHYSICS,
+) -> Attachment:
+    """Attach `sensor` (a design, a shipped name or a TOML file) to the parent scene `spec` at
+    `site`.
 
-    `prefix` keeps several sensors apart, `mesh` is the number of vertices along x and y, `mass` kg that of frame,
-    glass and camera; `contact` says what of the membrane touches: its "vertices", its triangles ("elements"), "both", or
-    "auto" by the scene's smallest feature; `effects` are those of `Effect`, or their names. Raises InputError for an
-    unknown site or effect, a prefix already used, a membrane that the method cannot carry, or options of `spec` that
-    cannot (MuJoCo never takes them from an attached child).
+    `prefix` keeps several sensors apart, `mesh` is the number of vertices along x and y, `mass` kg
+    that of frame, glass and camera; `contact` says what of the membrane touches: its "vertices",
+    its triangles ("elements"), "both", or "auto" by the scene's smallest feature; `effects` are
+    those of `Effect`, or their names. Raises InputError for an unknown site or effect, a prefix
+    already used, a membrane that the method cannot carry, or options of `spec` that cannot (MuJoCo
+    never takes them from an attached child).
     """
     on = effects_named(effects)
     design = set_law(load_sensor(sensor), on)
     check_options(spec.option, source="attach")
     limits.check_design(design, mesh)
     if contact not in ("auto", *features.CONTACT_MODELS):
-        raise InputError(f"{contact!r} is not a contact model", source="attach", field="contact",
-                         choices=["auto", *features.CONTACT_MODELS])
+        raise InputError(
+            f"{contact!r} is not a contact model",
+            source="attach",
+            field="contact",
+            choices=["auto", *features.CONTACT_MODELS],
+        )
     target = _site(spec, site)
     if not prefix:
-        raise InputError("must not be empty: MuJoCo cannot save such a model", source="attach", field="prefix")
-    if spec.body(prefix + BODY) is not None or any(flex.name == prefix + FLEX for flex in spec.flexes):
-        raise InputError(f"{prefix!r} is taken: the scene has a body {prefix + BODY!r}", source="attach",
-                         field="prefix")
+        raise InputError(
+            "must not be empty: MuJoCo cannot save such a model", source="attach", field="prefix"
+        )
+    if spec.body(prefix + BODY) is not None or any(
+        flex.name == prefix + FLEX for flex in spec.flexes
+    ):
+        raise InputError(
+            f"{prefix!r} is taken: the scene has a body {prefix + BODY!r}",
+            source="attach",
+            field="prefix",
+        )
     grid = make_mesh(design.frame.length, design.frame.width, *mesh, shape=design.frame.shape)
     child = mujoco.MjSpec()
     body = child.worldbody.add_body(name=BODY)
-    body.gravcomp = target.parent.gravcomp  # a robot that does not feel its own weight does not feel the sensor's either
+    # a robot that does not feel its own weight does not feel the sensor's either
+    body.gravcomp = target.parent.gravcomp
     _add_housing(body, design, mass)
     add_membrane(child, body, design, grid)
     set_physics(child, grid, on)
@@ -115,28 +152,44 @@ def attach(spec: mujoco.MjSpec, sensor: SensorDesign | str | Path, *, site: mujo
 
 
 def recommend_options(spec: mujoco.MjSpec, timestep: float = 4e-3) -> tuple[str, ...]:
-    """Set the options of `spec` that membranes need or like best; leaves gravity and all the rest alone.
+    """Set the options of `spec` that membranes need or like best; leaves gravity and all the rest
+    alone.
 
     Returns one line for each option that it changed: what it was, what it is now, and why.
     """
-    option, changes = spec.option, []
-    for name, (value, why) in {**_RECOMMENDED, "timestep": (timestep, "forces are good to 1 mN from 1 to 7 ms")}.items():
+    option = spec.option
+    changes = []
+    for name, (value, why) in {
+        **_RECOMMENDED,
+        "timestep": (timestep, "forces are good to 1 mN from 1 to 7 ms"),
+    }.items():
         before = getattr(option, name)
         if before != value:
             setattr(option, name, value)
-            changes.append(f"option.{name}: {_readable(name, before)} -> {_readable(name, value)} ({why})")
+            changes.append(
+                f"option.{name}: {_readable(name, before)} -> {_readable(name, value)} ({why})"
+            )
     for flag, why in _NEEDED.items():
         if option.disableflags & flag:
             option.disableflags &= ~int(flag)
-            changes.append(f"flag {flag.name.removeprefix('mjDSBL_').lower()}: disable -> enable ({why})")
+            changes.append(
+                f"flag {flag.name.removeprefix('mjDSBL_').lower()}: disable -> enable ({why})"
+            )
     if not option.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET:
         option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        changes.append("flag autoreset: enable -> disable (a diverged run must not rewind and go on silently)")
+        changes.append(
+            "flag autoreset: enable -> disable (a diverged run must not rewind and go on silently)"
+        )
     if option.enableflags & mujoco.mjtEnableBit.mjENBL_OVERRIDE:
         option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
-        changes.append("flag override: enable -> disable (the membrane needs its own contact stiffness)")
+        changes.append(
+            "flag override: enable -> disable (the membrane needs its own contact stiffness)"
+        )
     if 0 <= spec.memory < _LEAST_MEMORY:
-        changes.append(f"size.memory: {spec.memory} bytes -> as needed (a touching membrane has hundreds of contacts)")
+        changes.append(
+            f"size.memory: {spec.memory} bytes -> as needed (a touching membrane has hundreds "
+            "of contacts)"
+        )
         spec.memory = -1
     return tuple(changes)
 
@@ -149,40 +202,70 @@ def _readable(name: str, value: Any) -> str:
 
 
 def check_options(option: Any, *, source: str) -> None:
-    """Raise InputError naming option, value and needed value when `option` cannot carry a membrane with gas.
+    """Raise InputError naming option, value and needed value when `option` cannot carry a membrane
+    with gas.
 
     `option` is a spec's or a compiled model's.
     """
+
     def refuse(name: str, value: object, need: str, why: str) -> None:
-        raise InputError(f"is {value}, must be {need}: {why}", source=source, field=f"option.{name}")
+        raise InputError(
+            f"is {value}, must be {need}: {why}", source=source, field=f"option.{name}"
+        )
 
     for name, (needed, why) in _REQUIRED.items():
         if getattr(option, name) != needed:
-            refuse(name, _readable(name, getattr(option, name)), _OPTION_NAMES[name][int(needed)], why)
+            refuse(
+                name, _readable(name, getattr(option, name)), _OPTION_NAMES[name][int(needed)], why
+            )
     low, high = TIMESTEP_RANGE
     if not low <= option.timestep <= high:
-        refuse("timestep", f"{option.timestep:g} s", f"{low:g} to {high:g} s", "contact forces are wrong beyond")
+        refuse(
+            "timestep",
+            f"{option.timestep:g} s",
+            f"{low:g} to {high:g} s",
+            "contact forces are wrong beyond",
+        )
     if option.jacobian == mujoco.mjtJacobian.mjJAC_DENSE:
-        refuse("jacobian", "dense", "sparse or auto", "a membrane has hundreds of degrees of freedom")
+        refuse(
+            "jacobian", "dense", "sparse or auto", "a membrane has hundreds of degrees of freedom"
+        )
     if option.noslip_iterations:
-        refuse("noslip_iterations", option.noslip_iterations, "0", "it treats membrane stiffness explicitly")
+        refuse(
+            "noslip_iterations",
+            option.noslip_iterations,
+            "0",
+            "it treats membrane stiffness explicitly",
+        )
     for flag, why in _NEEDED.items():
         if option.disableflags & flag:
             refuse("flag", f"{flag.name.removeprefix('mjDSBL_').lower()} disabled", "enabled", why)
     if option.enableflags & mujoco.mjtEnableBit.mjENBL_OVERRIDE:
-        refuse("flag", "override enabled", "disabled", "the membrane needs its own contact stiffness")
+        refuse(
+            "flag", "override enabled", "disabled", "the membrane needs its own contact stiffness"
+        )
 
 
 def _site(spec: mujoco.MjSpec, site: mujoco.MjsSite | str) -> mujoco.MjsSite:
-    """The site to attach to. Raises InputError when it is not there, or on a body that cannot carry a membrane."""
+    """The site to attach to. Raises InputError when it is not there, or on a body that cannot carry
+    a membrane."""
     found = spec.site(site) if isinstance(site, str) else site
     if found is None:
-        raise InputError(f"no site {site!r} in the scene", source="attach", field="site",
-                         choices=[s.name for s in spec.sites if s.name])
+        raise InputError(
+            f"no site {site!r} in the scene",
+            source="attach",
+            field="site",
+            choices=[s.name for s in spec.sites if s.name],
+        )
     carrier = _mocap_carrier(found.parent)
     if carrier is not None:
-        raise InputError(f"{found.name!r} is on the mocap body {carrier!r}, which cannot carry a membrane: put it on a body "
-                         "that follows this one by a weld", source="attach", field="site")
+        raise InputError(
+            f"{found.name!r} is on the mocap body {carrier!r}, which cannot carry a membrane: "
+            "put it on a body "
+            "that follows this one by a weld",
+            source="attach",
+            field="site",
+        )
     return found
 
 
@@ -196,19 +279,37 @@ def _mocap_carrier(body: mujoco.MjsBody | None) -> str | None:
 
 
 def _add_housing(body: mujoco.MjsBody, design: SensorDesign, mass: float) -> None:
-    """Frame walls around the chamber and a block for glass and camera behind it; nothing in front of z = 0.
+    """Frame walls around the chamber and a block for glass and camera behind it; nothing in front
+    of z = 0.
 
-    A circular frame gets the walls of the square around it: what touches between circle and square touches nothing.
+    A circular frame gets the walls of the square around it: what touches between circle and square
+    touches nothing.
     """
-    frame, depth = design.frame, design.chamber.depth
+    frame = design.frame
+    depth = design.chamber.depth
     rim = max(frame.rim, 1e-3)
-    half_x, half_y = frame.length / 2, frame.width / 2
+    half_x = frame.length / 2
+    half_y = frame.width / 2
     back = max(design.camera.distance - depth, 1e-3)
-    boxes = [
-        ((0, sign * (half_y + rim / 2), -depth / 2), (half_x + rim, rim / 2, depth / 2)) for sign in (-1, 1)
-    ] + [
-        ((sign * (half_x + rim / 2), 0, -depth / 2), (rim / 2, half_y, depth / 2)) for sign in (-1, 1)
-    ] + [((0, 0, -depth - back / 2), (half_x + rim, half_y + rim, back / 2))]
+    boxes = (
+        [
+            ((0, sign * (half_y + rim / 2), -depth / 2), (half_x + rim, rim / 2, depth / 2))
+            for sign in (-1, 1)
+        ]
+        + [
+            ((sign * (half_x + rim / 2), 0, -depth / 2), (rim / 2, half_y, depth / 2))
+            for sign in (-1, 1)
+        ]
+        + [((0, 0, -depth - back / 2), (half_x + rim, half_y + rim, back / 2))]
+    )
     for number, (pos, size) in enumerate(boxes):
-        body.add_geom(name=f"housing{number}", type=mujoco.mjtGeom.mjGEOM_BOX, pos=pos, size=size,
-                      mass=mass / len(boxes), contype=0, conaffinity=ANYTHING, rgba=[0.25, 0.27, 0.3, 1.0])
+        body.add_geom(
+            name=f"housing{number}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=pos,
+            size=size,
+            mass=mass / len(boxes),
+            contype=0,
+            conaffinity=ANYTHING,
+            rgba=[0.25, 0.27, 0.3, 1.0],
+        )

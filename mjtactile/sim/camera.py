@@ -16,24 +16,38 @@ _SHUTTER = (0.0, 0.5, 1.0)  # shares of the exposure at which the moving markers
 
 
 class SimCamera:
-    """Renders one sensor's image when it is read, or before (`draw`), beside the work on the last one."""
+    """Renders one sensor's image when it is read, or before (`draw`), beside the work on the last
+    one."""
 
-    def __init__(self, sensor: TactileSensor, seed: int, effects: frozenset[str] = CAMERA,
-                 specimen: SpecimenConfig = NOMINAL):
-        """`effects`: what is drawn (without IMAGES nothing: `read` gives a `Sighting`); LATENCY hands out the image before,
-        MOTION_BLUR keeps the shutter open. `specimen` says where the camera really is, and which markers it does not see."""
+    def __init__(
+        self,
+        sensor: TactileSensor,
+        seed: int,
+        effects: frozenset[str] = CAMERA,
+        specimen: SpecimenConfig = NOMINAL,
+    ):
+        """`effects`: what is drawn (without IMAGES nothing: `read` gives a `Sighting`); LATENCY
+        hands out the image before, MOTION_BLUR keeps the shutter open. `specimen` says where the
+        camera really is, and which markers it does not see."""
         self._sensor = sensor
         design = set_picture(sensor.design, effects)
         place = {"pose": camera_pose(design, specimen), "radius": marker_radii(design, specimen)}
         self._sighter = None if Effect.IMAGES in effects else Sighter(design, seed=seed, **place)
-        self._renderer = None if self._sighter else Renderer(design, seed=seed, shadows=Effect.SHADOWS in effects, **place)
-        self._moving, self._late = Effect.MOTION_BLUR in effects, Effect.LATENCY in effects
+        self._renderer = (
+            None
+            if self._sighter
+            else Renderer(design, seed=seed, shadows=Effect.SHADOWS in effects, **place)
+        )
+        self._moving = Effect.MOTION_BLUR in effects
+        self._late = Effect.LATENCY in effects
         self._before: Image | None = None
         self._drawn: Image | None = None
 
     def reseed(self, seed: int) -> None:
-        """Take the noise of the images to come from elsewhere; what was drawn already is drawn again."""
-        (self._sighter or self._renderer).reseed(seed)  # pyright: ignore[reportOptionalMemberAccess] one of them is there
+        """Take the noise of the images to come from elsewhere; what was drawn already is drawn
+        again."""
+        # one of them is there
+        (self._sighter or self._renderer).reseed(seed)  # pyright: ignore[reportOptionalMemberAccess]
         self._drawn = None
 
     def draw(self) -> None:
@@ -46,19 +60,27 @@ class SimCamera:
         else:
             renderer = self._renderer
             assert renderer is not None
-            self._drawn = self._blurred(renderer) if self._moving else renderer.render(*sensor.marker_poses(), sensor.time)
+            self._drawn = (
+                self._blurred(renderer)
+                if self._moving
+                else renderer.render(*sensor.marker_poses(), sensor.time)
+            )
 
     def read(self) -> Image:
         """The image of the membrane now."""
         if self._drawn is None or self._drawn.time != self._sensor.time:
             self.draw()
-        image, self._drawn = self._drawn, None
+        image = self._drawn
+        self._drawn = None
         assert image is not None
-        before, self._before = self._before, image
+        before = self._before
+        self._before = image
         return before if self._late and before is not None else image
 
     def _blurred(self, renderer: Renderer) -> Image:
         """The mean of what the sensor sees over the exposure that ends now."""
         poses = [self._sensor.marker_poses_before(share * _EXPOSURE) for share in _SHUTTER]
-        gray = np.asarray(np.mean([renderer.irradiance_image(*pose) for pose in poses], axis=0, dtype=np.float32))
+        gray = np.asarray(
+            np.mean([renderer.irradiance_image(*pose) for pose in poses], axis=0, dtype=np.float32)
+        )
         return renderer.expose(gray, self._sensor.time)

@@ -1,6 +1,8 @@
-"""What `mjtactile doctor` looks at on a simulated rig: its names, its fingers, what its jaws and its lift really do.
+"""What `mjtactile doctor` looks at on a simulated rig: its names, its fingers, what its jaws and
+its lift really do.
 
-The rig is built without an object, inflated, opened, closed and lifted once. Findings as in `mjtactile.rig.finding`.
+The rig is built without an object, inflated, opened, closed and lifted once. Findings as in
+`mjtactile.rig.finding`.
 """
 
 from __future__ import annotations
@@ -24,7 +26,9 @@ from mjtactile.sim.scenes.mjcf import read_mjcf
 from mjtactile.sim.scenes.start import arm_actuators, arm_joints, missing_names
 
 _ABOVE_TABLE = 5e-3  # m of the sensors' frames, where the rig is tried
-_INWARD, _ASKEW = math.cos(math.radians(60)), math.cos(math.radians(10))  # of a site's z to the middle of the fingertips
+# of a site's z to the middle of the fingertips
+_INWARD = math.cos(math.radians(60))
+_ASKEW = math.cos(math.radians(10))
 _LEANING = math.sin(math.radians(5))  # of a site's z from the horizontal
 _UNEVEN = 2e-3  # m between the heights of the fingertips
 _OPENING_WRONG = 1e-3  # m between what the laws say and where the fingertips are
@@ -35,32 +39,55 @@ _SLACK = 1.5  # of the time that a motion takes at the rig's speed
 
 
 def examine_simulated(rig: SimRigFile, sensor: str = "dense") -> list[Finding]:
-    """All findings; `sensor` is on the fingers for which the rig file names none. Raises InputError for a broken sensor."""
+    """All findings; `sensor` is on the fingers for which the rig file names none. Raises InputError
+    for a broken sensor."""
     designs = finger_designs(rig, load_sensor(sensor))
     try:
         spec = read_mjcf(rig.model)
     except InputError as error:
-        return [Finding("bad", "model", str(error), "mend the MJCF; `python -m mujoco.viewer` shows it")]
-    missing = [Finding("bad", error.field or "name", str(error).split(": ", 2)[-1], "mend the name in the rig file")
-               for error in missing_names(spec, rig)]
+        return [
+            Finding("bad", "model", str(error), "mend the MJCF; `python -m mujoco.viewer` shows it")
+        ]
+    missing = [
+        Finding(
+            "bad",
+            error.field or "name",
+            str(error).split(": ", 2)[-1],
+            "mend the name in the rig file",
+        )
+        for error in missing_names(spec, rig)
+    ]
     if missing:
         return missing
     findings = [Finding("ok", "names", "sites, actuators and bodies are all there"), _options(spec)]
     try:
         world = HandWorld(rig, designs, _tip_height(designs))
     except InputError as error:
-        return [*findings, Finding("bad", error.field or "rig", str(error), "nothing more can be checked until then")]
+        return [
+            *findings,
+            Finding(
+                "bad", error.field or "rig", str(error), "nothing more can be checked until then"
+            ),
+        ]
     findings += [*_fingers(world), *_arm(world)]
     try:
         return [*findings, *_motions(world), *_force(world)]
     except SimulationError as error:
-        return [*findings, Finding("bad", "simulation", str(error), "the rig does not stand still by itself")]
+        return [
+            *findings,
+            Finding("bad", "simulation", str(error), "the rig does not stand still by itself"),
+        ]
 
 
 def _options(spec: mujoco.MjSpec) -> Finding:
     changed = [change.split(" (")[0] for change in recommend_options(spec)]
-    return Finding("ok", "options", f"the sensors need other ones, and get them: {', '.join(changed)}" if changed else
-                   "are those that the sensors need")
+    return Finding(
+        "ok",
+        "options",
+        f"the sensors need other ones, and get them: {', '.join(changed)}"
+        if changed
+        else "are those that the sensors need",
+    )
 
 
 def _tip_height(designs: tuple[SensorDesign, ...]) -> float:
@@ -77,37 +104,72 @@ def _fingers(world: HandWorld) -> Iterator[Finding]:
         cosine = float(away @ inward / max(np.linalg.norm(away), 1e-9)) if len(p_WS) > 1 else 1.0
         angle = math.degrees(math.acos(max(-1.0, min(1.0, cosine))))
         if cosine < _INWARD:
-            yield Finding("bad", what, f"z of site {finger.site!r} points {angle:.0f} degrees away from the middle of the "
-                          "fingertips", "turn the site: its z goes out of the sensor, towards the object")
+            yield Finding(
+                "bad",
+                what,
+                f"z of site {finger.site!r} points {angle:.0f} degrees away from the middle of "
+                "the "
+                "fingertips",
+                "turn the site: its z goes out of the sensor, towards the object",
+            )
         elif cosine < _ASKEW:
-            yield Finding("warn", what, f"z of site {finger.site!r} misses the middle of the fingertips by {angle:.0f} degrees",
-                          "the sensor touches with an edge first; turn or move the site")
+            yield Finding(
+                "warn",
+                what,
+                f"z of site {finger.site!r} misses the middle of the fingertips by {angle:.0f} "
+                "degrees",
+                "the sensor touches with an edge first; turn or move the site",
+            )
         elif abs(inward[2]) > _LEANING:
-            yield Finding("warn", what, f"leans by {math.degrees(math.asin(abs(inward[2]))):.0f} degrees from the upright",
-                          "the sensor touches with an edge first; another keyframe, or turn the site")
+            yield Finding(
+                "warn",
+                what,
+                f"leans by {math.degrees(math.asin(abs(inward[2]))):.0f} degrees from the upright",
+                "the sensor touches with an edge first; another keyframe, or turn the site",
+            )
         elif abs(away[2]) > _UNEVEN:
-            yield Finding("warn", what, f"is {1e3 * abs(away[2]):.1f} mm {'below' if away[2] > 0 else 'above'} the middle of the "
-                          "fingertips", "an object is tilted when it is gripped; move the site")
+            yield Finding(
+                "warn",
+                what,
+                f"is {1e3 * abs(away[2]):.1f} mm {'below' if away[2] > 0 else 'above'} the "
+                "middle of the "
+                "fingertips",
+                "an object is tilted when it is gripped; move the site",
+            )
         else:
             yield Finding("ok", what, f"site {finger.site!r} faces the middle of the fingertips")
 
 
 def _arm(world: HandWorld) -> Iterator[Finding]:
     """Whether every joint between the world and the hand is held."""
-    model, rig = world.model, world.rig
+    model = world.model
+    rig = world.rig
     if rig.lift.kind != "arm":
         return
     held = arm_actuators(model, world.start.hand, rig)
     moved = {int(model.actuator_trnid[model.actuator(name).id, 0]) for name in held}
-    loose = [model.joint(joint).name for joint in arm_joints(model, world.start.hand) if joint not in moved]
-    yield Finding("ok", "arm", f"{len(held)} servos reach all {1e3 * rig.lift.travel:.0f} mm: {', '.join(held)}")
+    loose = [
+        model.joint(joint).name
+        for joint in arm_joints(model, world.start.hand)
+        if joint not in moved
+    ]
+    yield Finding(
+        "ok",
+        "arm",
+        f"{len(held)} servos reach all {1e3 * rig.lift.travel:.0f} mm: {', '.join(held)}",
+    )
     if loose:
-        yield Finding("warn", "arm", f"nothing holds {', '.join(map(repr, loose))}",
-                      "give these joints position actuators, name theirs in lift.actuators, or take them out")
+        yield Finding(
+            "warn",
+            "arm",
+            f"nothing holds {', '.join(map(repr, loose))}",
+            "give these joints position actuators, name theirs in lift.actuators, or take them out",
+        )
 
 
 def _motions(world: HandWorld) -> Iterator[Finding]:
-    """Inflate; then open, close and lift, and compare what is asked for with where the fingertips go."""
+    """Inflate; then open, close and lift, and compare what is asked for with where the fingertips
+    go."""
     rig, (low, high) = world.rig, world.rig.gripper.opening
     if touching := touched_by_sensors(world):
         yield from _touches({"at its start": touching})  # nothing can be measured from there
@@ -135,29 +197,57 @@ def _jaws(reached: dict[float, tuple[float, float]], low: float, high: float) ->
     (opened, seen_open), (closed, seen_closed) = reached[high], reached[low]
     way = f"from {_mm(seen_open)} to {_mm(seen_closed)} mm"
     if seen_open - seen_closed < -_MOVES:
-        yield Finding("bad", "jaws", f"move the wrong way: asked to close, the fingertips go {way}",
-                      "turn the sign of mm_per_rad or mm_per_mm, or the table round")
+        yield Finding(
+            "bad",
+            "jaws",
+            f"move the wrong way: asked to close, the fingertips go {way}",
+            "turn the sign of mm_per_rad or mm_per_mm, or the table round",
+        )
         return
     if seen_open - seen_closed < _MOVES:
-        yield Finding("bad", "jaws", f"do not move: asked to close, the fingertips go {way}",
-                      "is it the right actuator? is its force enough? does something jam?")
+        yield Finding(
+            "bad",
+            "jaws",
+            f"do not move: asked to close, the fingertips go {way}",
+            "is it the right actuator? is its force enough? does something jam?",
+        )
         return
     wrong = max(abs(opened - seen_open), abs(closed - seen_closed))
     if wrong > _OPENING_WRONG:
-        yield Finding("warn", "jaws", f"are not where the law says: by it they go from {_mm(opened)} to {_mm(closed)} mm, by the "
-                      f"sites {way}", "mend law, ratio or opening_part_mm")
+        yield Finding(
+            "warn",
+            "jaws",
+            f"are not where the law says: by it they go from {_mm(opened)} to {_mm(closed)} mm, "
+            "by the "
+            f"sites {way}",
+            "mend law, ratio or opening_part_mm",
+        )
     elif max(abs(opened - high), abs(closed - low)) > _OPENING_WRONG:
-        yield Finding("warn", "jaws", f"reach {_mm(closed)} to {_mm(opened)} mm, not {_mm(low)} to {_mm(high)} mm",
-                      "opening_min_mm and opening_max_mm should be what they reach")
+        yield Finding(
+            "warn",
+            "jaws",
+            f"reach {_mm(closed)} to {_mm(opened)} mm, not {_mm(low)} to {_mm(high)} mm",
+            "opening_min_mm and opening_max_mm should be what they reach",
+        )
     else:
-        yield Finding("ok", "jaws", f"open and close, {way}; law and sites agree within {1e3 * wrong:.2f} mm")
+        yield Finding(
+            "ok", "jaws", f"open and close, {way}; law and sites agree within {1e3 * wrong:.2f} mm"
+        )
 
 
 def _touches(touched: dict[str, set[tuple[str, str, str]]]) -> Iterator[Finding]:
-    found = {(prefix, geom): where for where, touches in reversed(touched.items()) for prefix, _, geom in touches}
+    found = {
+        (prefix, geom): where
+        for where, touches in reversed(touched.items())
+        for prefix, _, geom in touches
+    }
     for (prefix, geom), where in found.items():
-        yield Finding("bad", f"finger {prefix.rstrip('/')}", f"its sensor touches {geom!r} {where}",
-                      "move the site, or let that geom touch no sensor (contype 0)")
+        yield Finding(
+            "bad",
+            f"finger {prefix.rstrip('/')}",
+            f"its sensor touches {geom!r} {where}",
+            "move the site, or let that geom touch no sensor (contype 0)",
+        )
     if not found:
         yield Finding("ok", "sensors", "touch nothing, inflated, opened or closed")
 
@@ -172,23 +262,51 @@ def _lift(world: HandWorld, sag: float) -> Iterator[Finding]:
     _wait(world, _SLACK * lift.travel / lift.speed + 0.5)
     risen = world.lift_height
     if abs(risen - lift.travel) > _HEIGHT_WRONG:
-        yield Finding("bad", "lift", f"asked for {1e3 * lift.travel:.0f} mm, the hand rose by {1e3 * risen:.1f} mm",
-                      "a shorter travel_mm, or stiffer and stronger servos")
+        yield Finding(
+            "bad",
+            "lift",
+            f"asked for {1e3 * lift.travel:.0f} mm, the hand rose by {1e3 * risen:.1f} mm",
+            "a shorter travel_mm, or stiffer and stronger servos",
+        )
     elif abs(sag) > 0.5 * _HEIGHT_WRONG:
-        yield Finding("warn", "lift", f"the hand sank by {1e3 * sag:.1f} mm at the start", "stiffer servos, or gravcomp=\"1\"")
+        yield Finding(
+            "warn",
+            "lift",
+            f"the hand sank by {1e3 * sag:.1f} mm at the start",
+            'stiffer servos, or gravcomp="1"',
+        )
     else:
-        yield Finding("ok", "lift", f"{lift.kind}: the hand rose by {1e3 * risen:.1f} of {1e3 * lift.travel:.0f} mm")
+        yield Finding(
+            "ok",
+            "lift",
+            f"{lift.kind}: the hand rose by {1e3 * risen:.1f} of {1e3 * lift.travel:.0f} mm",
+        )
 
 
 def _force(world: HandWorld) -> Iterator[Finding]:
-    reached, wanted = world.grip_force_reached, world.rig.gripper.force_max
+    reached = world.grip_force_reached
+    wanted = world.rig.gripper.force_max
     text = f"the actuators close each finger with at most {reached:.2g} N"
     if reached < _FORCE_LEAST:
-        yield Finding("bad", "force", f"{text}: too little to grip with", "a larger forcerange, or the ratio of the law is wrong")
+        yield Finding(
+            "bad",
+            "force",
+            f"{text}: too little to grip with",
+            "a larger forcerange, or the ratio of the law is wrong",
+        )
     elif reached < wanted:
-        yield Finding("warn", "force", f"{text}, force_max_N says {wanted:g}", "a larger forcerange, or a smaller force_max_N")
+        yield Finding(
+            "warn",
+            "force",
+            f"{text}, force_max_N says {wanted:g}",
+            "a larger forcerange, or a smaller force_max_N",
+        )
     else:
-        yield Finding("ok", "force", f"force_max_N = {wanted:g} on each finger is within what the actuators can")
+        yield Finding(
+            "ok",
+            "force",
+            f"force_max_N = {wanted:g} on each finger is within what the actuators can",
+        )
 
 
 def _mm(metres: float) -> str:
@@ -206,6 +324,7 @@ def _tips(world: HandWorld) -> tuple[Array, Array]:
 
 
 def _opening_seen(world: HandWorld) -> float:
-    """Twice the mean distance of the fingertips from their middle, along their sensors' directions, m."""
+    """Twice the mean distance of the fingertips from their middle, along their sensors' directions,
+    m."""
     p_WS, z_W = _tips(world)
     return 2 * float(np.mean(np.sum((p_WS.mean(axis=0) - p_WS) * z_W, axis=1)))

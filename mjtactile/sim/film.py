@@ -1,11 +1,14 @@
-"""Where a stretched sheet lies on what presses it, finer than its mesh can say: a film under pressure on an obstacle.
+"""Where a stretched sheet lies on what presses it, finer than its mesh can say: a film under
+pressure on an obstacle.
 
-The film is the membrane with the one tension T that it has near the contact and the gas pressure p, a height w over the frame:
+The film is the membrane with the one tension T that it has near the contact and the gas pressure p,
+a height w over the frame:
 
     div(grad w / sqrt(1 + |grad w|^2)) = (q - p) / T,   w <= obstacle,   q >= 0,   q = 0 where it does not touch.
 
-It leaves smooth bodies without a kink and edges with one. How far down the obstacle is, is found from the force: the film
-carries what the membrane carries. Solved by five-point differences and active sets (Hintermueller, Ito, Kunisch 2003).
+It leaves smooth bodies without a kink and edges with one. How far down the obstacle is, is found
+from the force: the film carries what the membrane carries. Solved by five-point differences and
+active sets (Hintermueller, Ito, Kunisch 2003).
 """
 
 from __future__ import annotations
@@ -19,14 +22,15 @@ from scipy.sparse.linalg import splu
 
 from mjtactile.core.types import Array
 
-_ROUNDS, _FREE_ROUNDS = 60, 4
+_ROUNDS = 60
+_FREE_ROUNDS = 4
 _TINY = 1e-9  # of a cell's pressure, and m
 
 
 @dataclass(frozen=True, eq=False)
 class FilmContact:
-    """Heights `w` (nx, ny) m of the film, the share (nx, ny) of each cell of `spacing` m that touches, the force (nx, ny) N that
-    it carries, and whether the set of cells came to rest."""
+    """Heights `w` (nx, ny) m of the film, the share (nx, ny) of each cell of `spacing` m that
+    touches, the force (nx, ny) N that it carries, and whether the set of cells came to rest."""
 
     w: Array
     share: Array
@@ -38,72 +42,107 @@ class FilmContact:
     def area(self) -> float:
         """Area of the sheet in contact, m^2."""
         slopes = np.gradient(self.w, self.spacing)
-        return float((self.share * np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)).sum()) * self.spacing**2
+        return (
+            float((self.share * np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)).sum())
+            * self.spacing**2
+        )
 
 
-def lie_on(obstacle: Array, inside: NDArray[np.bool_], spacing: float, *, pressure: float, tension: float,
-           force: float) -> FilmContact:
-    """The film that carries `force` N on `obstacle` (nx, ny) m, which is meant up to a shift, and inf where nothing is.
+def lie_on(
+    obstacle: Array,
+    inside: NDArray[np.bool_],
+    spacing: float,
+    *,
+    pressure: float,
+    tension: float,
+    force: float,
+) -> FilmContact:
+    """The film that carries `force` N on `obstacle` (nx, ny) m, which is meant up to a shift, and
+    inf where nothing is.
 
-    `inside` (nx, ny) are the nodes that are free, the others are the frame; `pressure` Pa gauge, `tension` N/m.
+    `inside` (nx, ny) are the nodes that are free, the others are the frame; `pressure` Pa gauge,
+    `tension` N/m.
     """
-    psi, load = obstacle[inside], np.full(int(inside.sum()), pressure * spacing**2 / tension)
-    here, w, q = np.isfinite(psi), np.zeros(len(psi)), np.zeros(len(psi))
+    psi = obstacle[inside]
+    load = np.full(int(inside.sum()), pressure * spacing**2 / tension)
+    here = np.isfinite(psi)
+    w = np.zeros(len(psi))
+    q = np.zeros(len(psi))
     for _ in range(_FREE_ROUNDS):  # without the obstacle, to find where it touches first
         w = splu(_stiffness(inside, w, spacing)).solve(load)
     gap = np.where(here, psi - w, np.inf)
     first = int(np.clip(force / (2 * max(pressure, 1.0) * spacing**2), 1, here.sum()))
-    touching, settled = gap <= np.partition(gap, first - 1)[first - 1], False
+    touching = gap <= np.partition(gap, first - 1)[first - 1]
+    settled = False
     for _ in range(_ROUNDS):
         stiffness = _stiffness(inside, w, spacing)
         w, shift = _carry(stiffness, np.where(here, psi, 0.0), touching, load, force / tension)
         q = np.where(touching, load - stiffness @ w, 0.0)
-        before, touching = touching, here & np.where(touching, q > -_TINY * load, w > psi + shift + _TINY)
+        before = touching
+        touching = here & np.where(touching, q > -_TINY * load, w > psi + shift + _TINY)
         settled = bool((touching == before).all())
         if settled:
             break
-    share = np.where(q > 0, _share(stiffness, psi, q, load), 0.0)  # pyright: ignore[reportPossiblyUnboundVariable] it ran
+    # it ran
+    share = np.where(q > 0, _share(stiffness, psi, q, load), 0.0)  # pyright: ignore[reportPossiblyUnboundVariable]
     fields = np.zeros((3, *inside.shape))
     fields[:, inside] = w, share, tension * q
     return FilmContact(fields[0], fields[1], fields[2], spacing, settled)
 
 
-def _carry(stiffness: csc_array, psi: Array, touching: NDArray[np.bool_], load: Array, force: float) -> tuple[Array, float]:
-    """Heights of the film that lies on `psi` + shift where it is `touching`, and the shift with which that carries `force`
-    (N over N/m); all are linear in the shift."""
+def _carry(
+    stiffness: csc_array, psi: Array, touching: NDArray[np.bool_], load: Array, force: float
+) -> tuple[Array, float]:
+    """Heights of the film that lies on `psi` + shift where it is `touching`, and the shift with
+    which that carries `force` (N over N/m); all are linear in the shift."""
     free = ~touching
     solve = splu(stiffness[free][:, free]).solve
     onto = stiffness[free][:, touching]
     parts = np.zeros((2, len(psi)))
-    parts[0, touching], parts[1, touching] = psi[touching], 1.0
+    parts[0, touching] = psi[touching]
+    parts[1, touching] = 1.0
     parts[0, free] = solve(load[free] - onto @ psi[touching])
     parts[1, free] = solve(-(onto @ np.ones(int(touching.sum()))))
-    at_none, per_shift = load[touching].sum() - (stiffness @ parts[0])[touching].sum(), -(stiffness @ parts[1])[touching].sum()
+    at_none = load[touching].sum() - (stiffness @ parts[0])[touching].sum()
+    per_shift = -(stiffness @ parts[1])[touching].sum()
     shift = float((force - at_none) / per_shift)
     return parts[0] + shift * parts[1], shift
 
 
 def _share(stiffness: csc_array, psi: Array, q: Array, load: Array) -> Array:
-    """Share of each cell that touches: its force over what it would carry if all of it lay on the obstacle. A cell at an edge,
-    next to which there is no obstacle, counts whole."""
+    """Share of each cell that touches: its force over what it would carry if all of it lay on the
+    obstacle. A cell at an edge, next to which there is no obstacle, counts whole."""
     here = np.isfinite(psi)
     whole = load - stiffness @ np.where(here, psi, 0.0)
     at_edge = (abs(stiffness) @ (~here).astype(float)) > 0
-    return np.where(at_edge | (whole <= 0), 1.0, np.clip(q / np.where(whole > 0, whole, 1.0), 0.0, 1.0))
+    return np.where(
+        at_edge | (whole <= 0), 1.0, np.clip(q / np.where(whole > 0, whole, 1.0), 0.0, 1.0)
+    )
 
 
 def _stiffness(inside: NDArray[np.bool_], w: Array, spacing: float) -> csc_array:
-    """Matrix of -div(k grad) over the free nodes, times spacing^2, with k = 1/sqrt(1 + |grad w|^2) between the nodes of `w`."""
-    height, number = np.zeros(inside.shape), np.full(inside.shape, -1)
-    height[inside], number[inside] = w, np.arange(len(w))
+    """Matrix of -div(k grad) over the free nodes, times spacing^2, with k = 1/sqrt(1 + |grad w|^2)
+    between the nodes of `w`."""
+    height = np.zeros(inside.shape)
+    number = np.full(inside.shape, -1)
+    height[inside] = w
+    number[inside] = np.arange(len(w))
     slopes = np.gradient(height, spacing)
     k = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
-    rows, columns, values = [], [], []
+    rows = []
+    columns = []
+    values = []
     for a, b in ((np.s_[:-1, :], np.s_[1:, :]), (np.s_[:, :-1], np.s_[:, 1:])):
-        i, j, between = number[a].ravel(), number[b].ravel(), ((k[a] + k[b]) / 2).ravel()
+        i = number[a].ravel()
+        j = number[b].ravel()
+        between = ((k[a] + k[b]) / 2).ravel()
         for one, other in ((i, j), (j, i)):
-            mine, both = one >= 0, (one >= 0) & (other >= 0)
+            mine = one >= 0
+            both = (one >= 0) & (other >= 0)
             rows += [one[mine], one[both]]
             columns += [one[mine], other[both]]
             values += [between[mine], -between[both]]
-    return csc_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(len(w), len(w)))
+    return csc_array(
+        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))),
+        shape=(len(w), len(w)),
+    )

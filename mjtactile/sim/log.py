@@ -1,4 +1,5 @@
-"""Where MuJoCo's own warnings go. By default it writes MUJOCO_LOG.TXT into the working folder, whatever that is."""
+"""Where MuJoCo's own warnings go. By default it writes MUJOCO_LOG.TXT into the working folder,
+whatever that is."""
 
 from __future__ import annotations
 
@@ -10,5 +11,6 @@ _logger = logging.getLogger("mjtactile.mujoco")
 
 
 def route_warnings() -> None:
-    """Send MuJoCo's warnings to Python's logging, and nothing to a file. Holds for the whole process."""
+    """Send MuJoCo's warnings to Python's logging, and nothing to a file. Holds for the whole
+    process."""
     mujoco.set_mju_user_warning(_logger.warning)

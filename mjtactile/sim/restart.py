@@ -1,4 +1,5 @@
-"""A simulated rig that goes back to where it was, with its object at another place: nothing is compiled again."""
+"""A simulated rig that goes back to where it was, with its object at another place: nothing is
+compiled again."""
 
 from __future__ import annotations
 
@@ -25,14 +26,20 @@ class Restart:
     def __init__(self, rig: Rig, seed: int):
         world = rig.scene
         if not movable(world):
-            raise InputError("an object that is no rigid body, or what stands around it, cannot be moved without a new model",
-                             source=world.object.path, field="object")
-        self._rig, self._world = rig, world
+            raise InputError(
+                "an object that is no rigid body, or what stands around it, cannot be moved "
+                "without a new model",
+                source=world.object.path,
+                field="object",
+            )
+        self._rig = rig
+        self._world = world
         self._pose = place(world.object, start_of(seed)[0])
         self._snapshot = Snapshot(world, rig.gripper, rig.clock, *rig.cameras)
 
     def again(self, seed: int) -> None:
-        """The rig as it was, but for what a seed says: where the object stands, and the cameras' noise."""
+        """The rig as it was, but for what a seed says: where the object stands, and the cameras'
+        noise."""
         self._snapshot.restore()
         pose, seeds = start_of(seed)
         self._move(place(self._world.object, pose))
@@ -41,10 +48,13 @@ class Restart:
         self._rig.gripper.reseed(seed)  # pyright: ignore[reportAttributeAccessIssue]
 
     def _move(self, pose: tuple[float, float, float]) -> None:
-        """Move all that came with the object's file as one, about the hand's own axes on the table."""
+        """Move all that came with the object's file as one, about the hand's own axes on the
+        table."""
         world = self._world
-        model, data = world.model, world.data
-        yaw, centre = world.start.yaw, np.array([*world.start.centre[:2], 0.0])
+        model = world.model
+        data = world.data
+        yaw = world.start.yaw
+        centre = np.array([*world.start.centre[:2], 0.0])
         R_old, p_old = _planar(self._pose, yaw, centre)
         R_new, p_new = _planar(pose, yaw, centre)
         R = R_new @ R_old.T
@@ -54,11 +64,13 @@ class Restart:
             joint = int(model.body_jntadr[body])
             if joint >= 0:  # free
                 at = int(model.jnt_qposadr[joint])
-                where, turned = data.qpos[at:at + 3], data.qpos[at + 3:at + 7]
+                where = data.qpos[at : at + 3]
+                turned = data.qpos[at + 3 : at + 7]
                 dof = int(model.jnt_dofadr[joint])
-                data.qvel[dof:dof + 3] = R @ data.qvel[dof:dof + 3]
+                data.qvel[dof : dof + 3] = R @ data.qvel[dof : dof + 3]
             else:
-                where, turned = model.body_pos[body], model.body_quat[body]
+                where = model.body_pos[body]
+                turned = model.body_quat[body]
             where[:] = R @ (where - p_old) + p_new
             result = np.zeros(4)
             mujoco.mju_mulQuat(result, quaternion, turned)
@@ -67,7 +79,8 @@ class Restart:
 
 
 def movable(world: GraspWorld) -> bool:
-    """Whether the object, and what came with it, are bodies that stand fixed or free in the world: no flexes, no loose geoms."""
+    """Whether the object, and what came with it, are bodies that stand fixed or free in the world:
+    no flexes, no loose geoms."""
     model = world.model
     if not isinstance(world, GraspWorld) or world.solid is not None or model.nmocap:
         return False
@@ -75,17 +88,29 @@ def movable(world: GraspWorld) -> bool:
     joints = [int(model.body_jntadr[body]) for body in _own_bodies(model)]
     free = int(mujoco.mjtJoint.mjJNT_FREE)
     return not any(name.startswith(PREFIX) for name in in_world) and all(
-        joint < 0 or model.jnt_type[joint] == free for joint in joints)
+        joint < 0 or model.jnt_type[joint] == free for joint in joints
+    )
 
 
 def _own_bodies(model: mujoco.MjModel) -> list[int]:
     """Bodies of the object's file that stand in the world."""
-    return [body for body in range(1, model.nbody) if model.body_parentid[body] == 0 and model.body(body).name.startswith(PREFIX)]
+    return [
+        body
+        for body in range(1, model.nbody)
+        if model.body_parentid[body] == 0 and model.body(body).name.startswith(PREFIX)
+    ]
 
 
 def _planar(pose: tuple[float, float, float], yaw: float, centre: Array) -> tuple[Array, Array]:
-    """R (3, 3) and p (3,) m in W of the object's file's world, placed at `pose` seen from the hand; as `GraspWorld` does."""
+    """R (3, 3) and p (3,) m in W of the object's file's world, placed at `pose` seen from the hand;
+    as `GraspWorld` does."""
     x, y, turn = pose
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    c, s = math.cos(yaw + turn), math.sin(yaw + turn)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), centre + [cos * x - sin * y, sin * x + cos * y, 0.0]
+    cos = math.cos(yaw)
+    sin = math.sin(yaw)
+    c = math.cos(yaw + turn)
+    s = math.sin(yaw + turn)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), centre + [
+        cos * x - sin * y,
+        sin * x + cos * y,
+        0.0,
+    ]

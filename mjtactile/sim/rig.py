@@ -1,4 +1,5 @@
-"""The simulated rig: a `GraspWorld` behind the rig's Protocols. Waiting on its clock is what moves the world."""
+"""The simulated rig: a `GraspWorld` behind the rig's Protocols. Waiting on its clock is what moves
+the world."""
 
 from __future__ import annotations
 
@@ -43,17 +44,20 @@ class _Later:
 class SimClock:
     """Simulated time. Between `start` and `wait_until` the world steps in a thread of its own.
 
-    MuJoCo lets go of Python while it computes, so physics and perception use a core each. What is commanded meanwhile
-    takes effect when the time is reached: one camera period of latency, as on a real rig, and the same every run.
+    MuJoCo lets go of Python while it computes, so physics and perception use a core each. What is
+    commanded meanwhile takes effect when the time is reached: one camera period of latency, as on a
+    real rig, and the same every run.
     """
 
     def __init__(self, world: World):
         self._world = world
-        self._pool: ThreadPoolExecutor | None = ThreadPoolExecutor(2, thread_name_prefix="physics")  # both draw, one steps
+        # both draw, one steps
+        self._pool: ThreadPoolExecutor | None = ThreadPoolExecutor(2, thread_name_prefix="physics")
         self._running: Future[None] | _Later | None = None
         self._pending: list[Callable[[], None]] = []
         self.on_arrival: list[Callable[[], None]] = []
-        """What to do at the same time when a time given to `start` is reached: draw what the cameras see then."""
+        """What to do at the same time when a time given to `start` is reached: draw what the
+        cameras see then."""
 
     def now(self) -> float:
         return self._world.time
@@ -63,12 +67,14 @@ class SimClock:
             self._running = self._begin(lambda: self._go(time))
 
     def wait_until(self, time: float) -> None:
-        """Step the world until `time`, then do what was deferred; a time in the past only does the latter.
+        """Step the world until `time`, then do what was deferred; a time in the past only does the
+        latter.
 
         Raises SimulationError when the world diverged.
         """
         if self._running is not None:
-            running, self._running = self._running, None
+            running = self._running
+            self._running = None
             running.result()
         self._advance(time)
         for action in self._pending:
@@ -87,8 +93,8 @@ class SimClock:
             self._pool.shutdown(wait=True, cancel_futures=True)
 
     def step_in_turn(self) -> None:
-        """From now on, step and draw in the thread that waits, with the same result and a quarter less core time: for whoever has
-        a process for each processor."""
+        """From now on, step and draw in the thread that waits, with the same result and a quarter
+        less core time: for whoever has a process for each processor."""
         self.close()
         self._pool = None
 
@@ -126,13 +132,19 @@ class SimValve:
 
 
 class SimGripper:
-    """Jaw servo and lift of the world, with what the gears' play, a slow bus and a noisy current make of them."""
+    """Jaw servo and lift of the world, with what the gears' play, a slow bus and a noisy current
+    make of them."""
 
-    def __init__(self, world: GraspWorld, clock: SimClock, change: RigChange = FAULTLESS, seed: int = 0):
-        self._world, self._clock, self._change = world, clock, change
+    def __init__(
+        self, world: GraspWorld, clock: SimClock, change: RigChange = FAULTLESS, seed: int = 0
+    ):
+        self._world = world
+        self._clock = clock
+        self._change = change
         self._asked: GripperState | None = None
         self.reseed(seed)
-        self._jaw = self._motor = world.opening  # m: where the gears' output and the motor are to be
+        # m: where the gears' output and the motor are to be
+        self._jaw = self._motor = world.opening
         self._late: deque[tuple[float, Command]] = deque()
         if change.delay or change.jitter:
             world.after_each_step(self._apply_late)
@@ -143,14 +155,21 @@ class SimGripper:
 
     def ask(self) -> None:
         world = self._world
-        force = world.grip_force + (self._change.force_noise * self._rng.standard_normal() if self._change.force_noise else 0.0)
+        force = world.grip_force + (
+            self._change.force_noise * self._rng.standard_normal()
+            if self._change.force_noise
+            else 0.0
+        )
         opening = world.opening + self._motor - self._jaw  # servos say where their motors are
-        self._asked = GripperState(opening, world.opening_speed, force, world.lift_height, world.time, 0.0)
+        self._asked = GripperState(
+            opening, world.opening_speed, force, world.lift_height, world.time, 0.0
+        )
 
     def state(self) -> GripperState:
         if self._asked is None:
             self.ask()
-        state, self._asked = self._asked, None
+        state = self._asked
+        self._asked = None
         assert state is not None
         return state
 
@@ -176,16 +195,28 @@ class SimGripper:
         half = self._change.backlash / 2
         self._motor = min(command.opening, self._world.max_opening)
         self._jaw = min(max(self._jaw, self._motor - half, 0.0), self._motor + half)
-        self._world.set_finger_target(self._jaw, command.force_limit if command.force_limit > 0 else None)
+        self._world.set_finger_target(
+            self._jaw, command.force_limit if command.force_limit > 0 else None
+        )
         self._world.set_lift_target(command.lift_height)
 
 
-def build_sim_rig(design: SensorDesign, *, object_name: str, seed: int, accuracy: str = "", effects: str = "auto",
-                  file: SimRigFile | str | Path = "sim", drawn: Drawn = AS_FILED) -> Rig:
-    """A simulated grasp with the rig of `file`. `seed` places the object by a few millimetres and fixes the cameras' noise.
+def build_sim_rig(
+    design: SensorDesign,
+    *,
+    object_name: str,
+    seed: int,
+    accuracy: str = "",
+    effects: str = "auto",
+    file: SimRigFile | str | Path = "sim",
+    drawn: Drawn = AS_FILED,
+) -> Rig:
+    """A simulated grasp with the rig of `file`. `seed` places the object by a few millimetres and
+    fixes the cameras' noise.
 
-    `accuracy` is "", "0.02N" or "realtime" (fidelity.py), `effects` "auto" or "+name,-name" (catalog.py). The world is made of
-    what was `drawn`; sensing knows the fingers' designs, and the limits are the file's.
+    `accuracy` is "", "0.02N" or "realtime" (fidelity.py), `effects` "auto" or "+name,-name"
+    (catalog.py). The world is made of what was `drawn`; sensing knows the fingers' designs, and the
+    limits are the file's.
     """
     pose, seeds = start_of(seed)
     file = file if isinstance(file, SimRigFile) else load_sim_rig(file)
@@ -200,53 +231,94 @@ def build_sim_rig(design: SensorDesign, *, object_name: str, seed: int, accuracy
     rate = min(own.camera.rate for own in designs)
     steps = int(np.ceil(1 / (rate * largest)))  # a whole number of steps per camera frame
     specimens = [drawn.specimen(finger.name) for finger in file.fingers]
-    true = [set_design(_true_design(own, specimen, drawn), on) for own, specimen in zip(files, specimens, strict=True)]
+    true = [
+        set_design(_true_design(own, specimen, drawn), on)
+        for own, specimen in zip(files, specimens, strict=True)
+    ]
     grip = replace(file.gripper, speed=(1 + drawn.rig.speed) * file.gripper.speed)
     mesh = DEFAULT_MESH if fidelity is None else fidelity.mesh
-    world = GraspWorld(set_design(design, on), grasped, rig=replace(file, gripper=grip), timestep=1 / (rate * steps), effects=on,
-                       mesh=mesh,
-                       object_pose=place(grasped, pose), specimens=true)
+    world = GraspWorld(
+        set_design(design, on),
+        grasped,
+        rig=replace(file, gripper=grip),
+        timestep=1 / (rate * steps),
+        effects=on,
+        mesh=mesh,
+        object_pose=place(grasped, pose),
+        specimens=true,
+    )
     if fidelity is not None:
         world.model.opt.tolerance = fidelity.tolerance
     clock = SimClock(world)
-    cameras = tuple(SimCamera(sensor, s, on, own)
-                    for sensor, s, own in zip(world.sensors, seeds(len(world.sensors)), specimens, strict=True))
+    cameras = tuple(
+        SimCamera(sensor, s, on, own)
+        for sensor, s, own in zip(world.sensors, seeds(len(world.sensors)), specimens, strict=True)
+    )
     for sensor, own in zip(world.sensors, specimens, strict=True):
         if own.leak or own.warming:
             sensor.puncture(own.leak)
             sensor.warm(own.warming)
     clock.on_arrival += [camera.draw for camera in cameras]
     valves = tuple(SimValve(sensor) for sensor in world.sensors)
-    limits = Limits(file.gripper.opening, file.gripper.speed, file.gripper.force_max, (0.0, file.lift.travel), file.lift.speed)
+    limits = Limits(
+        file.gripper.opening,
+        file.gripper.speed,
+        file.gripper.force_max,
+        (0.0, file.lift.travel),
+        file.lift.speed,
+    )
     return Rig(
-        name=file.name, fingers=make_fingers(tuple(finger.name for finger in file.fingers), designs, cameras, valves),
-        gripper=SimGripper(world, clock, drawn.rig, seed), clock=clock, limits=limits, close=clock.close, varied=drawn.values,
-        scene=world, simulated={"mesh": mesh, "timestep_ms": 1e3 / (rate * steps), "effects": chosen.summary()})
+        name=file.name,
+        fingers=make_fingers(
+            tuple(finger.name for finger in file.fingers), designs, cameras, valves
+        ),
+        gripper=SimGripper(world, clock, drawn.rig, seed),
+        clock=clock,
+        limits=limits,
+        close=clock.close,
+        varied=drawn.values,
+        scene=world,
+        simulated={"mesh": mesh, "timestep_ms": 1e3 / (rate * steps), "effects": chosen.summary()},
+    )
 
 
 def build(request: RigRequest) -> Rig:
     """The backend "sim" of `mjtactile.rig.registry`; without a file, the shipped "sim"."""
     file = request.file if isinstance(request.file, SimRigFile) else load_sim_rig("sim")
-    return build_sim_rig(request.design, object_name=request.object, seed=request.seed, accuracy=request.accuracy,
-                         effects=request.effects, file=file,
-                         drawn=draw(request.vary, request.seed, request.design, file))
+    return build_sim_rig(
+        request.design,
+        object_name=request.object,
+        seed=request.seed,
+        accuracy=request.accuracy,
+        effects=request.effects,
+        file=file,
+        drawn=draw(request.vary, request.seed, request.design, file),
+    )
 
 
 def start_of(seed: int) -> tuple[tuple[float, float, float], Callable[[int], list[int]]]:
-    """What a seed says where nothing else was drawn: the object's pose (m, m, share of its turn), and so many cameras' seeds."""
+    """What a seed says where nothing else was drawn: the object's pose (m, m, share of its turn),
+    and so many cameras' seeds."""
     rng = np.random.default_rng(seed)
     pose = *rng.uniform(-_SCATTER, _SCATTER, 2), rng.uniform(-1, 1)
     return pose, lambda count: [int(one) for one in rng.integers(2**31, size=count)]
 
 
 def place(grasped: ObjectModel, pose: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Where the object stands and how it is turned: as drawn, else by the seed's `pose` (m, m, share of its turn)."""
+    """Where the object stands and how it is turned: as drawn, else by the seed's `pose` (m, m,
+    share of its turn)."""
     x, y = pose[:2] if grasped.changes.place is None else grasped.changes.place
     yaw = grasped.turn * pose[2] if grasped.changes.yaw is None else grasped.changes.yaw
     return x, y, min(max(yaw, -grasped.turn), grasped.turn)
 
 
 def _true_design(design: SensorDesign, specimen: SpecimenConfig, drawn: Drawn) -> SensorDesign:
-    """The sensor as it is; the friction of a pair is the membrane's alone (it has the higher priority)."""
+    """The sensor as it is; the friction of a pair is the membrane's alone (it has the higher
+    priority)."""
     true = true_design(design, specimen)
-    return replace(true, membrane=replace(true.membrane, friction=(1 + drawn.object.friction) * true.membrane.friction))
+    return replace(
+        true,
+        membrane=replace(
+            true.membrane, friction=(1 + drawn.object.friction) * true.membrane.friction
+        ),
+    )

@@ -1,4 +1,5 @@
-"""Ground truth of a simulated scene, for scoring, benchmarks and tests only. Nothing else in the simulator imports it.
+"""Ground truth of a simulated scene, for scoring, benchmarks and tests only. Nothing else in the
+simulator imports it.
 
 Forces and positions are in the sensor's frame S unless a name says otherwise; N, m, Pa.
 """
@@ -26,47 +27,67 @@ if TYPE_CHECKING:
 
 
 def contact_forces(world: World, sensor: int) -> tuple[Array, Array, Array]:
-    """Forces `f_S` (n, 3) N that the world exerts on membrane `sensor`, their points `p_S` (n, 3) m, and penetration
-    depths (n,) m, one row per contact, in the order of MuJoCo's contact list."""
-    data, device = world.data, world.sensors[sensor]
+    """Forces `f_S` (n, 3) N that the world exerts on membrane `sensor`, their points `p_S` (n, 3)
+    m, and penetration depths (n,) m, one row per contact, in the order of MuJoCo's contact list."""
+    data = world.data
+    device = world.sensors[sensor]
     rows, f_S = _forces(world, device)
     R_WS, p_WS = _pose(world, device)
     return f_S, (data.contact.pos[rows] - p_WS) @ R_WS, device.penetrations(rows)
 
 
 def contact_force(world: World, sensor: int) -> Array:
-    """Total force (3,) N that the world exerts on membrane `sensor`, frame S; a press has a negative z."""
+    """Total force (3,) N that the world exerts on membrane `sensor`, frame S; a press has a
+    negative z."""
     return contact_loads(world, [world.sensors[sensor]])[0]
 
 
 def contact_loads(world: World, devices: Sequence[TactileSensor]) -> Array:
-    """Total forces (n, 3) N that the world exerts on the membranes of `devices`, each in its frame S."""
+    """Total forces (n, 3) N that the world exerts on the membranes of `devices`, each in its frame
+    S."""
     loads = np.empty((len(devices), 3))
-    kernel("membrane_loads")(*listed(world.data), world.data.efc_force, len(devices),
-                             np.array([device.contact_ids for device in devices]), loads)
-    return np.array([load @ _pose(world, device)[0] for load, device in zip(loads, devices, strict=True)])
+    kernel("membrane_loads")(
+        *listed(world.data),
+        world.data.efc_force,
+        len(devices),
+        np.array([device.contact_ids for device in devices]),
+        loads,
+    )
+    return np.array(
+        [load @ _pose(world, device)[0] for load, device in zip(loads, devices, strict=True)]
+    )
 
 
 def _forces(world: World, device: TactileSensor) -> tuple[NDArray[np.int64], Array]:
-    """Rows (n,) of MuJoCo's contact list that are the membrane's, and the forces (n, 3) N on it, in S: `mj_contactForce` with
-    elliptic cones, for all at once."""
-    contact, efc_force = world.data.contact, world.data.efc_force
-    geom, first, last = contact.geom, int(device.vertex_geom_ids[0]), int(device.vertex_geom_ids[-1])  # one block
+    """Rows (n,) of MuJoCo's contact list that are the membrane's, and the forces (n, 3) N on it, in
+    S: `mj_contactForce` with elliptic cones, for all at once."""
+    contact = world.data.contact
+    efc_force = world.data.efc_force
+    # one block
+    geom = contact.geom
+    first = int(device.vertex_geom_ids[0])
+    last = int(device.vertex_geom_ids[-1])
     on_membrane = ((geom >= first) & (geom <= last)) | (contact.flex == device.flex_id)  # (ncon, 2)
     rows = (on_membrane[:, 0] | on_membrane[:, 1]).nonzero()[0]
-    address, dim, force = contact.efc_address[rows], contact.dim[rows], np.zeros((len(rows), 3))
+    address = contact.efc_address[rows]
+    dim = contact.dim[rows]
+    force = np.zeros((len(rows), 3))
     for axis in range(3):
         pushes = (address >= 0) & (dim > axis)
         force[pushes, axis] = efc_force[address[pushes] + axis]
-    # The rows of `frame` are the contact's axes in W; the force acts on the contact's second entity.
+    # The rows of `frame` are the contact's axes in W; the force acts on the contact's second
+    # entity.
     f_W = np.einsum("nk,nkj->nj", force, contact.frame[rows].reshape(-1, 3, 3))
     f_W *= np.where(on_membrane[rows, 1], 1.0, -1.0)[:, None]
     return rows, f_W @ _pose(world, device)[0]
 
 
 def friction_used(world: World, mu: float) -> float:
-    """Sum of all contacts' friction over `mu` times the sum of their normal forces: 1 where everything slides."""
-    data, force, sums = world.data, np.zeros(6), np.zeros(2)
+    """Sum of all contacts' friction over `mu` times the sum of their normal forces: 1 where
+    everything slides."""
+    data = world.data
+    force = np.zeros(6)
+    sums = np.zeros(2)
     for row in np.flatnonzero(data.contact.efc_address >= 0):
         mujoco.mj_contactForce(world.model, data, row, force)
         sums += np.hypot(force[1], force[2]), mu * force[0]
@@ -74,38 +95,53 @@ def friction_used(world: World, mu: float) -> float:
 
 
 def friction_along(world: World, sensor: int, mu: float, direction: Array) -> float:
-    """Friction on membrane `sensor` that pulls along `direction` (3,), frame W, as far as each contact's plane lets it, over
-    `mu` times the normal forces: 1 where all of it is dragged that way, -1 where it is dragged the other way."""
-    data, device, force, sums = world.data, world.sensors[sensor], np.zeros(6), np.zeros(2)
+    """Friction on membrane `sensor` that pulls along `direction` (3,), frame W, as far as each
+    contact's plane lets it, over `mu` times the normal forces: 1 where all of it is dragged that
+    way, -1 where it is dragged the other way."""
+    data = world.data
+    device = world.sensors[sensor]
+    force = np.zeros(6)
+    sums = np.zeros(2)
     on_membrane = np.isin(data.contact.geom, device.vertex_geom_ids)
     for row in np.flatnonzero(on_membrane.any(axis=1) & (data.contact.efc_address >= 0)):
         mujoco.mj_contactForce(world.model, data, row, force)
         axes = data.contact.frame[row].reshape(3, 3)
         plane = axes[1:] @ direction  # of the force, too; it acts on the contact's second geom
-        sums += (1 if on_membrane[row, 1] else -1) * (force[1:3] @ plane) / np.linalg.norm(plane), mu * force[0]
+        sums += (
+            (1 if on_membrane[row, 1] else -1) * (force[1:3] @ plane) / np.linalg.norm(plane),
+            mu * force[0],
+        )
     return float(sums[0] / sums[1])
 
 
 def sliding(world: World, sensor: int) -> tuple[float, float]:
-    """How membrane `sensor` slides over what touches it: the share of friction's limit that resists the rigid motion, a
-    translation and a turn about the sensor's axis, which describes the sliding best (1: everything slides), and the speed of that
-    motion, m/s, rms over the contact by its force."""
-    data, device = world.data, world.sensors[sensor]
+    """How membrane `sensor` slides over what touches it: the share of friction's limit that resists
+    the rigid motion, a translation and a turn about the sensor's axis, which describes the sliding
+    best (1: everything slides), and the speed of that motion, m/s, rms over the contact by its
+    force."""
+    data = world.data
+    device = world.sensors[sensor]
     mine = np.isin(data.contact.geom, device.vertex_geom_ids)
     rows = np.flatnonzero(mine.any(axis=1) & (data.contact.efc_address >= 0))
     if not len(rows):
         return 0.0, 0.0
-    velocity, first = np.empty(data.nefc), data.contact.efc_address[rows]
+    velocity = np.empty(data.nefc)
+    first = data.contact.efc_address[rows]
     mujoco.mj_mulJacVec(world.model, data, velocity, data.qvel)
     sign = np.where(mine[rows, 1], 1.0, -1.0)[:, None]
     planes = data.contact.frame[rows].reshape(-1, 3, 3)[:, 1:]
-    v_W, f_W = (sign * np.einsum("nk,nkj->nj", np.stack([rate[first + 1], rate[first + 2]], axis=1), planes)
-                for rate in (velocity, data.efc_force))
+    v_W, f_W = (
+        sign * np.einsum("nk,nkj->nj", np.stack([rate[first + 1], rate[first + 2]], axis=1), planes)
+        for rate in (velocity, data.efc_force)
+    )
     normal = data.efc_force[first]
     share = normal / max(float(normal.sum()), 1e-9)
     arm = data.contact.pos[rows] - share @ data.contact.pos[rows]
     around = np.cross(data.xmat[device.body_id].reshape(3, 3)[:, 2], arm)
-    mean, turn = share @ v_W, float(share @ (around * v_W).sum(axis=1)) / max(float(share @ (around**2).sum(axis=1)), 1e-12)
+    mean = share @ v_W
+    turn = float(share @ (around * v_W).sum(axis=1)) / max(
+        float(share @ (around**2).sum(axis=1)), 1e-12
+    )
     along = np.einsum("nk,nkj->nj", np.einsum("nj,nkj->nk", mean + turn * around, planes), planes)
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     used = -float((along * f_W).sum()) / max(float(data.contact.friction[rows, 0] @ normal), 1e-9)
@@ -118,7 +154,8 @@ def contact_torque(world: World, sensor: int) -> Array:
 
 
 def contact_wrench(world: World, sensor: int) -> Array:
-    """Total force, N, and torque about the origin of S, N m, (6,) that the world exerts on membrane `sensor`, frame S."""
+    """Total force, N, and torque about the origin of S, N m, (6,) that the world exerts on membrane
+    `sensor`, frame S."""
     forces, points, _ = contact_forces(world, sensor)
     return np.concatenate([forces.sum(axis=0), geometry.cross(points, forces).sum(axis=0)])
 
@@ -126,66 +163,97 @@ def contact_wrench(world: World, sensor: int) -> Array:
 def contact_area(world: World, sensor: int, spacing: float = 4e-4) -> float:
     """Area, m^2, of the membrane that lies on what touches it; 0 without a touch.
 
-    Of a film with the membrane's tension near the contact, under its pressure, over the object as it is seen along the sensor's
-    axis, that carries the same normal force (`film.py`): vertices are too far apart to tell. A row of edges or points has the
-    area of the cells of `spacing` m, or less, that it crosses.
+    Of a film with the membrane's tension near the contact, under its pressure, over the object as
+    it is seen along the sensor's axis, that carries the same normal force (`film.py`): vertices are
+    too far apart to tell. A row of edges or points has the area of the cells of `spacing` m, or
+    less, that it crosses.
     """
     device = world.sensors[sensor]
     forces, points, _ = contact_forces(world, sensor)
     force = -float(forces[:, 2].sum())
     if force <= 0:
         return 0.0
-    from mjtactile.sim import film  # lazily: with its solver it takes as long as all of a step's needs
+    # lazily: with its solver it takes as long as all of a step's needs
+    from mjtactile.sim import film
 
     frame = device.design.frame
-    axes = [np.linspace(-side / 2, side / 2, round(side / spacing) + 1) for side in (frame.length, frame.width)]
+    axes = [
+        np.linspace(-side / 2, side / 2, round(side / spacing) + 1)
+        for side in (frame.length, frame.width)
+    ]
     x, y = np.meshgrid(*axes, indexing="ij")
     off = np.abs(np.stack([2 * x / frame.length, 2 * y / frame.width]))
     inside = (np.hypot(*off) if frame.shape == "circle" else off.max(axis=0)) < 1 - 1e-9
     nearest = np.linalg.norm(points[:, None] - device.p_SV, axis=2).argmin(axis=1)
     pressing = np.maximum(-forces[:, 2], 0.0)
     tension = float(pressing @ device.tensions()[nearest] / pressing.sum())
-    contact = film.lie_on(_heights_of(world, device, x, y), inside, spacing, pressure=device.pressure_gauge, tension=tension,
-                          force=force)
+    contact = film.lie_on(
+        _heights_of(world, device, x, y),
+        inside,
+        spacing,
+        pressure=device.pressure_gauge,
+        tension=tension,
+        force=force,
+    )
     return contact.area
 
 
 def _heights_of(world: World, device: TactileSensor, x: Array, y: Array) -> Array:
-    """Heights (nx, ny) m in S of what touches the membrane over points `x`, `y` (nx, ny) m, seen from the sensor; inf where
-    there is nothing. All geoms that can touch of a body that does, and each flex."""
-    model, data = world.model, world.data
-    mine = np.isin(data.contact.geom, device.vertex_geom_ids) | (data.contact.flex == device.flex_id)
+    """Heights (nx, ny) m in S of what touches the membrane over points `x`, `y` (nx, ny) m, seen
+    from the sensor; inf where there is nothing. All geoms that can touch of a body that does, and
+    each flex."""
+    model = world.model
+    data = world.data
+    mine = np.isin(data.contact.geom, device.vertex_geom_ids) | (
+        data.contact.flex == device.flex_id
+    )
     others = mine.any(axis=1)[:, None] & ~mine
-    geoms, flexes = (np.unique(ids[others & (ids >= 0)]) for ids in (data.contact.geom, data.contact.flex))
+    geoms, flexes = (
+        np.unique(ids[others & (ids >= 0)]) for ids in (data.contact.geom, data.contact.flex)
+    )
     bodies = model.body_weldid[model.geom_bodyid]
     solid = (model.geom_contype | model.geom_conaffinity) > 0
-    geoms = np.flatnonzero(np.isin(bodies, bodies[geoms]) & solid & ~np.isin(np.arange(model.ngeom), device.vertex_geom_ids))
+    geoms = np.flatnonzero(
+        np.isin(bodies, bodies[geoms])
+        & solid
+        & ~np.isin(np.arange(model.ngeom), device.vertex_geom_ids)
+    )
     R_WS, p_WS = _pose(world, device)
-    up, below = np.ascontiguousarray(R_WS[:, 2]), -device.design.chamber.depth
+    up = np.ascontiguousarray(R_WS[:, 2])
+    below = -device.design.chamber.depth
     heights = np.full(x.shape, np.inf)
     for place in np.ndindex(*x.shape):
         start = p_WS + R_WS @ (x[place], y[place], below)
         ways = [_ray(model, data, int(geom), start, up) for geom in geoms]
-        ways += [mujoco.mj_rayFlex(model, data, 0, False, False, True, False, int(flex), start, up) for flex in flexes]
+        ways += [
+            mujoco.mj_rayFlex(model, data, 0, False, False, True, False, int(flex), start, up)
+            for flex in flexes
+        ]
         heights[place] = below + min((way for way in ways if way >= 0), default=np.inf)
     return heights
 
 
-def _ray(model: mujoco.MjModel, data: mujoco.MjData, geom: int, start: Array, along: Array) -> float:
+def _ray(
+    model: mujoco.MjModel, data: mujoco.MjData, geom: int, start: Array, along: Array
+) -> float:
     """Way, m, from `start` to a geom, frame W; -1 where it passes."""
     kind = model.geom_type[geom]
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
         return mujoco.mj_rayMesh(model, data, geom, start, along)
-    return mujoco.mju_rayGeom(data.geom_xpos[geom], data.geom_xmat[geom], model.geom_size[geom], start, along, int(kind))
+    return mujoco.mju_rayGeom(
+        data.geom_xpos[geom], data.geom_xmat[geom], model.geom_size[geom], start, along, int(kind)
+    )
 
 
 def penetration(world: World, sensor: int) -> float:
-    """Deepest penetration of an object into membrane `sensor`, m; 0 without contact. An error of the simulation."""
+    """Deepest penetration of an object into membrane `sensor`, m; 0 without contact. An error of
+    the simulation."""
     return float(max(contact_forces(world, sensor)[2].max(initial=0.0), 0.0))
 
 
 def heights(world: World, sensor: int) -> Array:
-    """Heights of the membrane's mesh over the frame's plane, (nx, ny) m, over `mesh.x`, `mesh.y`."""
+    """Heights of the membrane's mesh over the frame's plane, (nx, ny) m, over `mesh.x`,
+    `mesh.y`."""
     device = world.sensors[sensor]
     return device.p_SV[:, 2].reshape(device.mesh.nx, device.mesh.ny)
 
@@ -196,7 +264,8 @@ def marker_poses(world: World, sensor: int) -> tuple[Array, Array]:
 
 
 def object_bodies(world: World) -> NDArray[np.int64]:
-    """The grasped object's bodies, its soft parts among them: what `object_position` is asked with in every step."""
+    """The grasped object's bodies, its soft parts among them: what `object_position` is asked with
+    in every step."""
     return moving_bodies(world.model, PREFIX)
 
 
@@ -208,17 +277,20 @@ def object_position(world: World, bodies: NDArray[np.int64] | None = None) -> Ar
 
 
 def object_pose(world: World, solid: SoftSolid | None = None) -> tuple[Array, Array]:
-    """Position `p_WO` (3,) m and rotation, a unit quaternion (4,) with its real part first, of the body `object`, frame W.
+    """Position `p_WO` (3,) m and rotation, a unit quaternion (4,) with its real part first, of the
+    body `object`, frame W.
 
-    The body of a soft object, a `solid`, stays behind: it is put where it is to the solid's best-fitting rigid pose what it
-    was to the initial one.
+    The body of a soft object, a `solid`, stays behind: it is put where it is to the solid's
+    best-fitting rigid pose what it was to the initial one.
     """
     body = world.model.body(PREFIX + "object").id
-    p_WO, q_WO = world.data.xpos[body].copy(), world.data.xquat[body].copy()
+    p_WO = world.data.xpos[body].copy()
+    q_WO = world.data.xquat[body].copy()
     if solid is None:
         return p_WO, q_WO
     middle, R = solid.pose(world.data)
-    turn, q_now = np.zeros(4), np.zeros(4)
+    turn = np.zeros(4)
+    q_now = np.zeros(4)
     mujoco.mju_mat2Quat(turn, R.ravel())
     mujoco.mju_mulQuat(q_now, turn, q_WO)
     return middle + R @ (p_WO - solid.rest_middle), q_now

@@ -1,4 +1,5 @@
-"""MuJoCo Studio with touch in it: a session watched live (`mjtactile studio`), or `Panel` in a Studio of your own."""
+"""MuJoCo Studio with touch in it: a session watched live (`mjtactile studio`), or `Panel` in a
+Studio of your own."""
 
 from mjtactile.studio.loopback import launch as launch
 from mjtactile.studio.own import Sensors as Sensors

@@ -1,4 +1,5 @@
-"""`Desk`: the window from which a session is asked for things: pause, again, valves, by hand, a puncture, the red button."""
+"""`Desk`: the window from which a session is asked for things: pause, again, valves, by hand, a
+puncture, the red button."""
 
 from __future__ import annotations
 
@@ -45,9 +46,12 @@ class Desk(plugin.ViewerPlugin):
     @messages.handler
     @guarded
     def on_build_gui(self, _: messages.BuildGuiEvent) -> None:
-        show, moment = self.show, self.show.moment()
+        show = self.show
+        moment = self.show.moment()
         if show.session is not self._session:  # another world
-            self._session, self._pierced, self._next = show.session, set(), show.options
+            self._session = show.session
+            self._pierced = set()
+            self._next = show.options
         self._layout.begin(imgui.GetIO().DisplaySize)
         self._layout.place(8, 0, LEFT, ABOVE_LOOK)
         if imgui.Begin("Session")[0]:
@@ -67,7 +71,9 @@ class Desk(plugin.ViewerPlugin):
         else:
             state = moment.session
             imgui.TextUnformatted(f"t = {moment.time:.2f} s   {state.phase}   {state.state}")
-            imgui.TextUnformatted(f"opening {1e3 * state.opening:.1f} mm   lift {1e3 * state.lift_height:.1f} mm")
+            imgui.TextUnformatted(
+                f"opening {1e3 * state.opening:.1f} mm   lift {1e3 * state.lift_height:.1f} mm"
+            )
             if state.reason and state.state not in ("armed", "running"):
                 imgui.TextWrapped(state.reason)
         imgui.TextWrapped(show.outcome or show.message)
@@ -119,7 +125,9 @@ class Desk(plugin.ViewerPlugin):
         """Jaws and lift by hand: sliders in place of the controller."""
         if not imgui.CollapsingHeader("by hand"):
             return
-        show, state, limits = self.show, moment.session, session.rig.limits
+        show = self.show
+        state = moment.session
+        limits = session.rig.limits
         assert state is not None
         wish = show.wish
         changed, on = imgui.Checkbox("in place of the controller", wish is not None)
@@ -130,7 +138,9 @@ class Desk(plugin.ViewerPlugin):
         most = min(limits.opening[1], 0.1), min(limits.lift[1], 0.1)
         squeezes = math.isfinite(wish.force)
         imgui.BeginDisabled(squeezes)
-        _, opening = imgui.SliderFloat("opening, mm", 1e3 * wish.opening, 1e3 * limits.opening[0], 1e3 * most[0], "%.1f")
+        _, opening = imgui.SliderFloat(
+            "opening, mm", 1e3 * wish.opening, 1e3 * limits.opening[0], 1e3 * most[0], "%.1f"
+        )
         imgui.EndDisabled()
         _, lift = imgui.SliderFloat("lift, mm", 1e3 * wish.lift_height, 0.0, 1e3 * most[1], "%.1f")
         changed, squeezes = imgui.Checkbox("squeeze as hard as", squeezes)
@@ -149,8 +159,11 @@ class Desk(plugin.ViewerPlugin):
             return
         now = self._next
         if self.show.session is None or self.show.session.rig.scene is not None:
-            now = replace(now, object=_choice("object", now.object, resources.names("models/objects", ".xml")),
-                          accuracy=_choice("accuracy", now.accuracy, _ACCURACIES, "as usual"))
+            now = replace(
+                now,
+                object=_choice("object", now.object, resources.names("models/objects", ".xml")),
+                accuracy=_choice("accuracy", now.accuracy, _ACCURACIES, "as usual"),
+            )
         _, number = imgui.InputInt("seed", now.seed)
         self._next = replace(now, seed=max(int(number), 0))
         if imgui.Button("start"):
@@ -160,7 +173,8 @@ class Desk(plugin.ViewerPlugin):
             imgui.TreePop()
 
     def _build_effects(self) -> None:
-        """Which are on for that object and accuracy, and what each costs; a click forces it to be otherwise."""
+        """Which are on for that object and accuracy, and what each costs; a click forces it to be
+        otherwise."""
         now = self._next
         for name, on, text, why in _effects(now.sensor, now.object, now.accuracy, now.effects):
             changed, _ = imgui.Checkbox(f"{name}###{name}", on)
@@ -181,8 +195,13 @@ class Desk(plugin.ViewerPlugin):
 
 
 def toggled(overrides: str, name: str, on: bool) -> str:
-    """`overrides` ("auto" or "+a,-b") with an effect forced, or no longer forced where it was to the contrary."""
-    parts = {part.strip()[1:]: part.strip()[0] for part in overrides.split(",") if overrides.strip() not in ("", "auto")}
+    """`overrides` ("auto" or "+a,-b") with an effect forced, or no longer forced where it was to
+    the contrary."""
+    parts = {
+        part.strip()[1:]: part.strip()[0]
+        for part in overrides.split(",")
+        if overrides.strip() not in ("", "auto")
+    }
     if name in parts:
         del parts[name]
     else:
@@ -191,15 +210,27 @@ def toggled(overrides: str, name: str, on: bool) -> str:
 
 
 @functools.lru_cache(maxsize=32)
-def _effects(sensor: str, object_name: str, accuracy: str, overrides: str) -> tuple[tuple[str, bool, str, str], ...]:
-    """Name, whether it is on, its price and what leaving it out costs, and why, of each that can be switched."""
+def _effects(
+    sensor: str, object_name: str, accuracy: str, overrides: str
+) -> tuple[tuple[str, bool, str, str], ...]:
+    """Name, whether it is on, its price and what leaving it out costs, and why, of each that can be
+    switched."""
     _, _, rows = effects_of(load_sensor(sensor), object_name, accuracy, overrides)
-    return tuple((str(row["effect"]), bool(row["on"]), _price(row), str(row["why"])) for row in rows if row["built"])
+    return tuple(
+        (str(row["effect"]), bool(row["on"]), _price(row), str(row["why"]))
+        for row in rows
+        if row["built"]
+    )
 
 
 def _price(row: dict[str, Any]) -> str:
-    cost, force = row["cost_ms_per_s"], 1e3 * row["left_out_N"]
-    return "" if math.isnan(cost) else f"{cost:.0f} ms/s" + ("" if math.isnan(force) else f", else {force:.2g} mN")
+    cost = row["cost_ms_per_s"]
+    force = 1e3 * row["left_out_N"]
+    return (
+        ""
+        if math.isnan(cost)
+        else f"{cost:.0f} ms/s" + ("" if math.isnan(force) else f", else {force:.2g} mN")
+    )
 
 
 def _choice(label: str, now: str, choices: Any, nothing: str = "") -> str:

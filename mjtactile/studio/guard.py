@@ -10,7 +10,8 @@ from typing import Any
 
 
 def guarded(handler: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    """A handler that tells its plugin what it raises, by `complain`, instead of ending the viewer."""
+    """A handler that tells its plugin what it raises, by `complain`, instead of ending the
+    viewer."""
 
     @functools.wraps(handler)
     def call(self: Any, event: Any) -> Any:
@@ -18,7 +19,9 @@ def guarded(handler: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
             return handler(self, event)
         except Exception as error:  # noqa: BLE001  # whatever it is, the session goes on
             last = traceback.extract_tb(error.__traceback__)[-1]
-            self.complain(f"{type(error).__name__}: {error} ({Path(last.filename).name}, line {last.lineno})")
+            self.complain(
+                f"{type(error).__name__}: {error} ({Path(last.filename).name}, line {last.lineno})"
+            )
             return None
 
     return call

@@ -1,4 +1,5 @@
-"""A person's hand on the gripper: `ByHand` asks the controller, or does what was wished for in its place.
+"""A person's hand on the gripper: `ByHand` asks the controller, or does what was wished for in its
+place.
 
 Both go through the supervisor and the rig's limits, as any command does.
 """
@@ -12,28 +13,41 @@ from pathlib import Path
 from mjtactile.core.types import Command, Observation
 from mjtactile.run.controller import Stepper
 
-_OPENING_SPEED, _LIFT_SPEED = 0.03, 0.04  # m/s
-_SQUEEZE_GAIN, _SQUEEZE_SPEED = 0.03, 0.01  # m/s for each N of error, and m/s: as the shipped controller regulates
+# m/s
+_OPENING_SPEED = 0.03
+_LIFT_SPEED = 0.04
+# m/s for each N of error, and m/s: as the shipped controller regulates
+_SQUEEZE_GAIN = 0.03
+_SQUEEZE_SPEED = 0.01
 _REACH = 4e-3  # m that the goal may be ahead of the jaws while they squeeze
 _SERVO_FORCE = 4.0  # N, the most that the servo may push
 
 
 @dataclass(frozen=True)
 class Wish:
-    """Where jaws and lift shall go, m; `force` N: how hard to squeeze, as felt, instead of an opening (NaN: the opening)."""
+    """Where jaws and lift shall go, m; `force` N: how hard to squeeze, as felt, instead of an
+    opening (NaN: the opening)."""
 
     opening: float
     lift_height: float
     force: float = math.nan
 
     def command(self, observation: Observation) -> Command:
-        """One cycle's step towards it. The phase and the controller's notebook stay, so that it can go on from there."""
-        last, period = observation.command, observation.period
-        return replace(last, opening=self._opening(observation), force_limit=_SERVO_FORCE,
-                       lift_height=_towards(last.lift_height, self.lift_height, _LIFT_SPEED * period))
+        """One cycle's step towards it. The phase and the controller's notebook stay, so that it can
+        go on from there."""
+        last = observation.command
+        period = observation.period
+        return replace(
+            last,
+            opening=self._opening(observation),
+            force_limit=_SERVO_FORCE,
+            lift_height=_towards(last.lift_height, self.lift_height, _LIFT_SPEED * period),
+        )
 
     def _opening(self, observation: Observation) -> float:
-        last, period, actual = observation.command.opening, observation.period, observation.gripper.opening
+        last = observation.command.opening
+        period = observation.period
+        actual = observation.gripper.opening
         if not math.isfinite(self.force):
             return _towards(last, self.opening, _OPENING_SPEED * period)
         felt = sum(touch.force_normal for touch in observation.touch) / len(observation.touch)
@@ -43,7 +57,9 @@ class Wish:
         most = _SQUEEZE_SPEED if touching else _OPENING_SPEED
         speed = _SQUEEZE_GAIN * (self.force - felt) if touching else most
         wanted = last - max(-most, min(most, speed)) * period
-        return max(actual - _REACH, min(actual + _REACH, wanted)) if math.isfinite(actual) else wanted
+        return (
+            max(actual - _REACH, min(actual + _REACH, wanted)) if math.isfinite(actual) else wanted
+        )
 
 
 def _towards(start: float, goal: float, most: float) -> float:

@@ -9,25 +9,34 @@ from mujoco.studio.dear_imgui import dear_imgui as imgui
 RED = imgui.Vec4(0.9, 0.25, 0.2, 1.0)
 LEFT = 274  # px, the width of what is asked and chosen
 LOOK = 190  # px, the height of what is chosen
-_ABOVE, _BELOW, _GAP = 26, 34, 4  # px
+# px
+_ABOVE = 26
+_BELOW = 34
+_GAP = 4
 _LEAST = 120  # px
 
 
 class Layout:
-    """`begin` with each frame; `place` before each window. Whoever moves a window has it there until the page's size changes."""
+    """`begin` with each frame; `place` before each window. Whoever moves a window has it there
+    until the page's size changes."""
 
     def __init__(self) -> None:
-        self._size, self._when = (0.0, 0.0), int(imgui.Cond.Once)
+        self._size = (0.0, 0.0)
+        self._when = int(imgui.Cond.Once)
 
     def begin(self, size: Any) -> None:
         """`size` px of the page."""
         changed = (size.x, size.y) != self._size
-        self._size, self._when = (size.x, size.y), int(imgui.Cond.Always if changed else imgui.Cond.Once)
+        self._size = (size.x, size.y)
+        self._when = int(imgui.Cond.Always if changed else imgui.Cond.Once)
 
     def place(self, x: int, y: int, width: int, height: int) -> None:
-        """Where the next window is, px; negative: from the right, from below; a size that is not positive: so much is left."""
-        across, down = self._size[0], self._size[1] - _ABOVE - _BELOW
-        left, top = x if x >= 0 else across + x, _ABOVE + (y if y >= 0 else down + y)
+        """Where the next window is, px; negative: from the right, from below; a size that is not
+        positive: so much is left."""
+        across = self._size[0]
+        down = self._size[1] - _ABOVE - _BELOW
+        left = x if x >= 0 else across + x
+        top = _ABOVE + (y if y >= 0 else down + y)
         size = (width if width > 0 else across + width, height if height > 0 else down + height)
         imgui.SetNextWindowPos(imgui.Vec2(max(left, 0), max(top, _ABOVE)), self._when)
         imgui.SetNextWindowSize(imgui.Vec2(*(max(one, _LEAST) for one in size)), self._when)

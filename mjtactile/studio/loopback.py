@@ -7,12 +7,21 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from mujoco.studio import endpoints, launch_thread, plugin, viewer_handle, viewer_protocol, web_viewer
+from mujoco.studio import (
+    endpoints,
+    launch_thread,
+    plugin,
+    viewer_handle,
+    viewer_protocol,
+    web_viewer,
+)
 from mujoco.studio.web import web_server
 
 LOOPBACK = "127.0.0.1"
-_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")  # any port: a tunnel has its own
-# MuJoCo's server lets any page of the web that the user has open talk to it, and has no option for it either.
+# any port: a tunnel has its own
+_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
+# MuJoCo's server lets any page of the web that the user has open talk to it, and has no option for
+# it either.
 web_server.serve = functools.partial(web_server.serve, origins=[None, _PAGES])
 
 
@@ -22,8 +31,11 @@ class LoopbackViewer(web_viewer.WebViewer):
     _host = property(lambda self: LOOPBACK, lambda self, _: None)
 
 
-def launch(config: viewer_protocol.ViewerConfig | None = None, *, plugins: Sequence[Any] = ()) -> viewer_handle.ViewerHandle:
-    """`mujoco.studio.launch_web.launch`, on loopback: serves Studio in a thread and returns at once.
+def launch(
+    config: viewer_protocol.ViewerConfig | None = None, *, plugins: Sequence[Any] = ()
+) -> viewer_handle.ViewerHandle:
+    """`mujoco.studio.launch_web.launch`, on loopback: serves Studio in a thread and returns at
+    once.
 
     Use what it returns as a context manager; call its `sync(model, data)` after each of your steps.
     """

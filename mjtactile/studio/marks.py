@@ -1,4 +1,5 @@
-"""What is drawn into Studio's scene: felt surfaces, forces, outlines, centres of pressure, what a camera sees."""
+"""What is drawn into Studio's scene: felt surfaces, forces, outlines, centres of pressure, what a
+camera sees."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ _ARROWS = (7, 5)  # of the field along x and y
 _LEAST_ARROW = 1.5e-3  # m; shorter ones are not drawn
 _OUTLINE = 24  # pieces of an outline, at most
 _ABOVE = 4e-4  # m that the felt surface is drawn above itself, out of the simulated one
-_DARK, _RED = (0.1, 0.1, 0.1, 1.0), (0.9, 0.2, 0.15, 1.0)
+_DARK = (0.1, 0.1, 0.1, 1.0)
+_RED = (0.9, 0.2, 0.15, 1.0)
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,8 @@ class Look:
 
 
 class Brush:
-    """Geoms for one picture after the other. Each is made once and changed from then on: making one takes 25 us, changing 6."""
+    """Geoms for one picture after the other. Each is made once and changed from then on: making one
+    takes 25 us, changing 6."""
 
     def __init__(self) -> None:
         self._made: dict[int, list[mujoco.MjvGeom]] = {}
@@ -44,19 +47,27 @@ class Brush:
 
     def begin(self) -> None:
         """A new picture; the geoms of the last are used again."""
-        self._used, self.drawn = {}, []
+        self._used = {}
+        self.drawn = []
 
     def triangles(self, corners: Array, rgb: Array) -> None:
         """`corners` (m, 3, 3) m in W, `rgb` (m, 3) from 0 to 1."""
-        along, aside = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        along = corners[:, 1] - corners[:, 0]
+        aside = corners[:, 2] - corners[:, 0]
         normal = np.cross(along, aside)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-15)
         rgba = np.column_stack([rgb, np.ones(len(rgb))]).astype(np.float32)
-        for corner, axes, shade in zip(corners[:, 0], np.stack([along, aside, normal], axis=2), rgba, strict=True):
+        for corner, axes, shade in zip(
+            corners[:, 0], np.stack([along, aside, normal], axis=2), rgba, strict=True
+        ):
             geom = self._next(_G.mjGEOM_TRIANGLE)
-            geom.pos, geom.mat, geom.rgba = corner, axes, shade
+            geom.pos = corner
+            geom.mat = axes
+            geom.rgba = shade
 
-    def connect(self, kind: mujoco.mjtGeom, width: float, start: Array, end: Array, rgba: Sequence[float]) -> None:
+    def connect(
+        self, kind: mujoco.mjtGeom, width: float, start: Array, end: Array, rgba: Sequence[float]
+    ) -> None:
         """An arrow (`width` m) or a line (`width` px) between two points, m in W."""
         geom = self._next(kind)
         mujoco.mjv_connector(geom, int(kind), width, start, end)
@@ -64,13 +75,23 @@ class Brush:
 
     def ball(self, middle: Array, radius: float, rgba: Sequence[float]) -> None:
         geom = self._next(_G.mjGEOM_SPHERE)
-        geom.pos, geom.size, geom.rgba = middle, np.full(3, radius), np.array(rgba, dtype=np.float32)
+        geom.pos = middle
+        geom.size = np.full(3, radius)
+        geom.rgba = np.array(rgba, dtype=np.float32)
 
     def _next(self, kind: mujoco.mjtGeom) -> mujoco.MjvGeom:
-        made, used = self._made.setdefault(int(kind), []), self._used.get(int(kind), 0)
+        made = self._made.setdefault(int(kind), [])
+        used = self._used.get(int(kind), 0)
         if used == len(made):
             geom = mujoco.MjvGeom()
-            mujoco.mjv_initGeom(geom, int(kind), np.ones(3), np.zeros(3), np.eye(3).ravel(), np.ones(4, dtype=np.float32))
+            mujoco.mjv_initGeom(
+                geom,
+                int(kind),
+                np.ones(3),
+                np.zeros(3),
+                np.eye(3).ravel(),
+                np.ones(4, dtype=np.float32),
+            )
             made.append(geom)
         self._used[int(kind)] = used + 1
         self.drawn.append(made[used])
@@ -78,24 +99,37 @@ class Brush:
 
 
 def draw(brush: Brush, fingers: Sequence[Felt], look: Look, *, least: float = 0.0) -> None:
-    """Draw all fingers whose pose is known; of their surfaces what is `least` of the colours' scale (0: all)."""
+    """Draw all fingers whose pose is known; of their surfaces what is `least` of the colours' scale
+    (0: all)."""
     brush.begin()
-    fields = [None if look.surface == "none" else surface.field_of(felt, look.surface) for felt in fingers]
+    fields = [
+        None if look.surface == "none" else surface.field_of(felt, look.surface) for felt in fingers
+    ]
     scale = surface.scale_of(fields)
     for felt, field, colour in zip(fingers, fields, FINGER_COLOURS, strict=False):
         if felt.pose is None:
             continue
-        if field is not None and (found := surface.sheet(felt, field, scale, least=least)) is not None:
+        if (
+            field is not None
+            and (found := surface.sheet(felt, field, scale, least=least)) is not None
+        ):
             corners, rgb = found
             brush.triangles(felt.pose.place(corners + [0.0, 0.0, _ABOVE]), rgb)
         if felt.touch.touching:
-            _touches(brush, felt, felt.pose, look, [*(int(colour[i:i + 2], 16) / 255 for i in (1, 3, 5)), 1.0])
+            _touches(
+                brush,
+                felt,
+                felt.pose,
+                look,
+                [*(int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)), 1.0],
+            )
         if look.camera and felt.design is not None:
             _camera(brush, felt, felt.pose)
 
 
 def _touches(brush: Brush, felt: Felt, pose: Pose, look: Look, rgba: Sequence[float]) -> None:
-    """What touches the finger: outlines and the centre of pressure; what it feels to push with, as a whole and by place."""
+    """What touches the finger: outlines and the centre of pressure; what it feels to push with, as
+    a whole and by place."""
     centre = surface.centre_of_pressure(felt.touch)
     if look.contacts:
         for patch in felt.touch.patches:
@@ -106,7 +140,8 @@ def _touches(brush: Brush, felt: Felt, pose: Pose, look: Look, rgba: Sequence[fl
     if felt.touch.traction is None:
         return
     if look.forces and centre is not None and np.isfinite(felt.touch.traction.wrench[:3]).all():
-        tip, push = pose.place(_over(felt, centre[None]))[0], -pose.R_WS @ felt.touch.traction.wrench[:3]
+        tip = pose.place(_over(felt, centre[None]))[0]
+        push = -pose.R_WS @ felt.touch.traction.wrench[:3]
         brush.connect(_G.mjGEOM_ARROW, 0.002, tip - _METRES_PER_NEWTON * push, tip, rgba)
     if look.field:
         _field(brush, felt, pose, rgba)
@@ -131,23 +166,39 @@ def _field(brush: Brush, felt: Felt, pose: Pose, rgba: Sequence[float]) -> None:
         for columns in np.array_split(np.arange(len(t.x)), _ARROWS[0]):
             push = -t.force[np.ix_(rows, columns)].sum(axis=(0, 1))
             if np.linalg.norm(push) * _FIELD_METRES_PER_NEWTON > _LEAST_ARROW:
-                tip = pose.place(_over(felt, np.array([[t.x[columns].mean(), t.y[rows].mean()]])))[0]
-                brush.connect(_G.mjGEOM_ARROW, 8e-4, tip - _FIELD_METRES_PER_NEWTON * pose.R_WS @ push, tip, rgba)
+                tip = pose.place(_over(felt, np.array([[t.x[columns].mean(), t.y[rows].mean()]])))[
+                    0
+                ]
+                brush.connect(
+                    _G.mjGEOM_ARROW,
+                    8e-4,
+                    tip - _FIELD_METRES_PER_NEWTON * pose.R_WS @ push,
+                    tip,
+                    rgba,
+                )
 
 
 def _camera(brush: Brush, felt: Felt, pose: Pose) -> None:
-    """The frustum: from the camera's centre to the corners of what it sees of the flat membrane's plane."""
+    """The frustum: from the camera's centre to the corners of what it sees of the flat membrane's
+    plane."""
     camera = felt.design.camera
-    corners = np.array([[0, 0], [camera.width, 0], [camera.width, camera.height], [0, camera.height]]) - 0.5
+    corners = (
+        np.array([[0, 0], [camera.width, 0], [camera.width, camera.height], [0, camera.height]])
+        - 0.5
+    )
     rays = (corners - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
-    eye, base = pose.place(camera.p_SC), pose.place(np.column_stack([camera.distance * rays, np.zeros(4)]))
+    eye = pose.place(camera.p_SC)
+    base = pose.place(np.column_stack([camera.distance * rays, np.zeros(4)]))
     for a, b in zip(base, np.roll(base, -1, axis=0), strict=True):
         brush.connect(_G.mjGEOM_LINE, 2.0, eye, a, _DARK)
         brush.connect(_G.mjGEOM_LINE, 2.0, a, b, _DARK)
 
 
-def keep(geoms: list[mujoco.MjvGeom], mine: list[mujoco.MjvGeom], drawn: list[mujoco.MjvGeom], most: int) -> None:
-    """Put `drawn` in place of `mine` into the viewer's list, which others draw into, too; at most `most` geoms in all."""
+def keep(
+    geoms: list[mujoco.MjvGeom], mine: list[mujoco.MjvGeom], drawn: list[mujoco.MjvGeom], most: int
+) -> None:
+    """Put `drawn` in place of `mine` into the viewer's list, which others draw into, too; at most
+    `most` geoms in all."""
     own = {id(geom) for geom in mine}
     geoms[:] = [geom for geom in geoms if id(geom) not in own]
-    geoms += drawn[:max(0, most - len(geoms))]
+    geoms += drawn[: max(0, most - len(geoms))]

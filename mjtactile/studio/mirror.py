@@ -1,4 +1,5 @@
-"""`Mirror`, on Studio's simulation thread: Studio's scene is the session's, and what the mouse pulls at is pulled there."""
+"""`Mirror`, on Studio's simulation thread: Studio's scene is the session's, and what the mouse
+pulls at is pulled there."""
 
 from __future__ import annotations
 
@@ -17,9 +18,18 @@ from mjtactile.studio.show import Show
 
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _OFF = mujoco.mjtDisableBit
-_STILL = (_OFF.mjDSBL_CONSTRAINT | _OFF.mjDSBL_CONTACT | _OFF.mjDSBL_SPRING | _OFF.mjDSBL_DAMPER | _OFF.mjDSBL_GRAVITY
-          | _OFF.mjDSBL_ACTUATION | _OFF.mjDSBL_SENSOR)
-_AROUND, _BELOW = 0.2, 0.25  # m that are shown, and the share of them that the fingers are above the middle
+_STILL = (
+    _OFF.mjDSBL_CONSTRAINT
+    | _OFF.mjDSBL_CONTACT
+    | _OFF.mjDSBL_SPRING
+    | _OFF.mjDSBL_DAMPER
+    | _OFF.mjDSBL_GRAVITY
+    | _OFF.mjDSBL_ACTUATION
+    | _OFF.mjDSBL_SENSOR
+)
+# m that are shown, and the share of them that the fingers are above the middle
+_AROUND = 0.2
+_BELOW = 0.25
 _HELD = 0.5  # s; a page that says nothing for so long pulls no longer
 _STAGE = """
 <mujoco model="no scene"><statistic center="0 0 0.01" extent="0.09"/>
@@ -28,17 +38,21 @@ _STAGE = """
 
 
 def shown_model(model: mujoco.MjModel, fingers: Sequence[Felt]) -> mujoco.MjModel:
-    """A copy for pictures: where things are is in the state, so that the viewer and the page, which compute each of their frames
-    anew, need find no forces (an eighth of the time); they would not be ours, whose contacts change from step to step."""
+    """A copy for pictures: where things are is in the state, so that the viewer and the page, which
+    compute each of their frames anew, need find no forces (an eighth of the time); they would not
+    be ours, whose contacts change from step to step."""
     shown = copy.copy(model)
     shown.opt.disableflags |= int(_STILL)
     middle = np.mean([felt.pose.p_WS for felt in fingers if felt.pose is not None], axis=0)
-    shown.stat.center, shown.stat.extent = middle - [0.0, 0.0, _BELOW * _AROUND], _AROUND  # where the camera looks at first
+    # where the camera looks at first
+    shown.stat.center = middle - [0.0, 0.0, _BELOW * _AROUND]
+    shown.stat.extent = _AROUND
     return shown
 
 
 class Mirror(plugin.SimPlugin):
-    """Takes the session's state over. Where there is no scene, Studio's is empty but for the membranes that are felt."""
+    """Takes the session's state over. Where there is no scene, Studio's is empty but for the
+    membranes that are felt."""
 
     def __init__(self, show: Show):
         self.show = show
@@ -48,22 +62,25 @@ class Mirror(plugin.SimPlugin):
         self._pulled = 0.0
 
     def follow(self) -> bool:
-        """Publish the session's model where it is a new one; Studio steps nothing without a model. For the loop around `sync`.
-        Returns whether there is something new to be shown."""
+        """Publish the session's model where it is a new one; Studio steps nothing without a model.
+        For the loop around `sync`. Returns whether there is something new to be shown."""
         moment = self.show.moment()
         if moment is None:
             return False
         model = None if moment.scene is None else moment.scene[0]
         if self.handle.model is None or model is not self._model:
             self._model = model
-            self.handle.set_model(mujoco.MjModel.from_xml_string(_STAGE) if model is None else
-                                  shown_model(model, moment.fingers))
+            self.handle.set_model(
+                mujoco.MjModel.from_xml_string(_STAGE)
+                if model is None
+                else shown_model(model, moment.fingers)
+            )
         return moment is not self._moment
 
     @messages.handler(priority=messages.Priority.USER)
     def on_load(self, _: messages.LoadModelEvent) -> bool:
         """A model that is dropped on the page, or "Reload": the scene is the session's."""
-        self.complain("the scene is the session's: choose an object under \"another run\"")
+        self.complain('the scene is the session\'s: choose an object under "another run"')
         return True
 
     @messages.handler(priority=messages.Priority.USER)
@@ -74,10 +91,20 @@ class Mirror(plugin.SimPlugin):
     @guarded
     def on_step(self, _: messages.StepEvent) -> bool:
         moment = self.show.moment()
-        model, data = self.handle.model, self.handle.data
-        if moment is not None and moment is not self._moment and moment.scene is not None and moment.scene[0] is self._model:
+        model = self.handle.model
+        data = self.handle.data
+        if (
+            moment is not None
+            and moment is not self._moment
+            and moment.scene is not None
+            and moment.scene[0] is self._model
+        ):
             assert model is not None and data is not None  # it was published
-            pull = data.xfrc_applied.copy() if wall.monotonic() - self._pulled < _HELD else np.zeros_like(data.xfrc_applied)
+            pull = (
+                data.xfrc_applied.copy()
+                if wall.monotonic() - self._pulled < _HELD
+                else np.zeros_like(data.xfrc_applied)
+            )
             mujoco.mj_setState(model, data, moment.scene[1], _STATE)
             data.xfrc_applied[:] = pull
             self.show.pull = pull

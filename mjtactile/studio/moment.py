@@ -1,5 +1,5 @@
-"""What Studio shows at one moment, whoever felt it: a session, a recording, or sensors in somebody else's scene. Frozen values,
-and the words for them."""
+"""What Studio shows at one moment, whoever felt it: a session, a recording, or sensors in somebody
+else's scene. Frozen values, and the words for them."""
 
 from __future__ import annotations
 
@@ -31,9 +31,10 @@ class Pose:
 
 @dataclass(frozen=True, eq=False)
 class Felt:
-    """One finger: its camera's `image` and the `touch` in it. `rest` is its membrane with nothing touching, `design` its
-    sensor, `true` N what really presses, `pressure_gauge` Pa and `temperature` K of the chamber: NaN where nobody knows. It is at
-    `pose`, or where the scene's `body` is. `tracks`: what its sensing follows from image to image, with this one's ellipses."""
+    """One finger: its camera's `image` and the `touch` in it. `rest` is its membrane with nothing
+    touching, `design` its sensor, `true` N what really presses, `pressure_gauge` Pa and
+    `temperature` K of the chamber: NaN where nobody knows. It is at `pose`, or where the scene's
+    `body` is. `tracks`: what its sensing follows from image to image, with this one's ellipses."""
 
     name: str
     image: Image
@@ -51,8 +52,9 @@ class Felt:
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """One cycle. `scene` is MuJoCo's model and state (mjSTATE_INTEGRATION) then, where there is one; `session` says what only a
-    session has: phase, supervisor's state and reason, opening and lift, m, ms of perception."""
+    """One cycle. `scene` is MuJoCo's model and state (mjSTATE_INTEGRATION) then, where there is
+    one; `session` says what only a session has: phase, supervisor's state and reason, opening and
+    lift, m, ms of perception."""
 
     number: int
     time: float
@@ -77,12 +79,16 @@ def finger_lines(felt: Felt, perception_ms: float = math.nan) -> list[str]:
     """What the panel says of a finger."""
     touch = felt.touch
     shear = math.nan if touch.traction is None else float(np.hypot(*touch.traction.wrench[:2]))
-    lines = [f"normal {touch.force_normal:+.3f} N, 2 sd {2 * touch.force_normal_sd:.3f}",
-             f"shear  {shear:.3f} N, 2 sd {2 * _shear_sd(touch):.3f}"]
+    lines = [
+        f"normal {touch.force_normal:+.3f} N, 2 sd {2 * touch.force_normal_sd:.3f}",
+        f"shear  {shear:.3f} N, 2 sd {2 * _shear_sd(touch):.3f}",
+    ]
     if math.isfinite(felt.true):
         lines.append(f"true   {felt.true:+.3f} N")
     if touch.contact is not None:
-        lines.append(f"area   {1e6 * touch.contact.area:.0f} mm2, {1e3 * touch.contact.depth:.2f} mm deep")
+        lines.append(
+            f"area   {1e6 * touch.contact.area:.0f} mm2, {1e3 * touch.contact.depth:.2f} mm deep"
+        )
     lines.append(f"slip   {_slip(touch)}")
     lines.append(f"gas    {_gas(felt)}")
     thought = f"; perception {perception_ms:.1f} ms" if math.isfinite(perception_ms) else ""
@@ -103,7 +109,9 @@ def _slip(touch: Touch) -> str:
     slip = touch.slip
     if slip.state in ("none", "unknown"):
         return slip.state
-    speed = f", {1e3 * float(np.hypot(*slip.velocity)):.0f} mm/s" if slip.state == "slipping" else ""
+    speed = (
+        (f", {1e3 * float(np.hypot(*slip.velocity)):.0f} mm/s") if slip.state == "slipping" else ""
+    )
     return f"{slip.state}, {1e3 * slip.distance:.1f} mm so far{speed}"
 
 
@@ -122,7 +130,8 @@ def _gas(felt: Felt) -> str:
 
 @dataclass(frozen=True)
 class Row:
-    """One moment in the plots: `time` s, forces (n,) N felt, their sd, and true, gauge pressures (n,) Pa, `opening` m."""
+    """One moment in the plots: `time` s, forces (n,) N felt, their sd, and true, gauge pressures
+    (n,) Pa, `opening` m."""
 
     time: float
     felt: tuple[float, ...]
@@ -135,11 +144,18 @@ class Row:
 
 
 def row_of(moment: Moment) -> Row:
-    fingers, session = moment.fingers, moment.session
-    return Row(moment.time, tuple(f.touch.force_normal for f in fingers), tuple(f.touch.force_normal_sd for f in fingers),
-               tuple(f.true for f in fingers), tuple(_pressure(f) for f in fingers),
-               math.nan if session is None else session.opening, "" if session is None else session.phase,
-               "running" if session is None else session.state)
+    fingers = moment.fingers
+    session = moment.session
+    return Row(
+        moment.time,
+        tuple(f.touch.force_normal for f in fingers),
+        tuple(f.touch.force_normal_sd for f in fingers),
+        tuple(f.true for f in fingers),
+        tuple(_pressure(f) for f in fingers),
+        math.nan if session is None else session.opening,
+        "" if session is None else session.phase,
+        "running" if session is None else session.state,
+    )
 
 
 def _pressure(felt: Felt) -> float:
@@ -149,8 +165,9 @@ def _pressure(felt: Felt) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """The rows of some time as columns: `time` (k,) s, the others (n, k), `opening` (k,) m; `spans` are name, begin and end, s,
-    of the phases, and of the times in which the supervisor was not at ease."""
+    """The rows of some time as columns: `time` (k,) s, the others (n, k), `opening` (k,) m; `spans`
+    are name, begin and end, s, of the phases, and of the times in which the supervisor was not at
+    ease."""
 
     time: Array
     felt: Array
@@ -173,8 +190,15 @@ def curves_of(rows: Sequence[Row]) -> Curves | None:
     def column(name: str) -> Array:
         return np.array([getattr(row, name) for row in some], dtype=float).T
 
-    return Curves(column("time"), column("felt"), column("sd"), column("true"), column("pressure"), column("opening"),
-                  _spans(rows))
+    return Curves(
+        column("time"),
+        column("felt"),
+        column("sd"),
+        column("true"),
+        column("pressure"),
+        column("opening"),
+        _spans(rows),
+    )
 
 
 def _spans(rows: Sequence[Row]) -> tuple[tuple[str, float, float], ...]:

@@ -1,4 +1,5 @@
-"""Sensors in somebody's own scene, for their own Studio: `OwnFingers` reads them, `Sensors` puts them there and steps them."""
+"""Sensors in somebody's own scene, for their own Studio: `OwnFingers` reads them, `Sensors` puts
+them there and steps them."""
 
 from __future__ import annotations
 
@@ -22,7 +23,8 @@ _IDLE = 1e-3  # s of sleep, so that the viewer's thread gets its turn
 
 
 class OwnFingers:
-    """A source of moments: the newest image and touch of each finger, which another thread steps."""
+    """A source of moments: the newest image and touch of each finger, which another thread
+    steps."""
 
     def __init__(self, fingers: Sequence[SimFinger]):
         self._fingers = fingers
@@ -35,18 +37,35 @@ class OwnFingers:
         seen = tuple(finger.seen for finger in fingers)
         if not seen:
             return None
-        if any(a is not b for a, b in zip(seen, self._seen, strict=False)) or len(seen) != len(self._seen):
+        if any(a is not b for a, b in zip(seen, self._seen, strict=False)) or len(seen) != len(
+            self._seen
+        ):
             number = 0 if self._latest is None else self._latest.number + 1
             self._seen = seen
-            self._latest = Moment(number, max(one.image.time for one in seen), tuple(
-                Felt(finger.name, one.image, one.touch, finger.design, one.rest, pressure_gauge=one.pressure_gauge,
-                     temperature=one.temperature, body=finger.sensor.body_id) for finger, one in zip(fingers, seen, strict=True)))
+            self._latest = Moment(
+                number,
+                max(one.image.time for one in seen),
+                tuple(
+                    Felt(
+                        finger.name,
+                        one.image,
+                        one.touch,
+                        finger.design,
+                        one.rest,
+                        pressure_gauge=one.pressure_gauge,
+                        temperature=one.temperature,
+                        body=finger.sensor.body_id,
+                    )
+                    for finger, one in zip(fingers, seen, strict=True)
+                ),
+            )
             self.history.add(self._latest)
         return self._latest
 
 
 class Sensors(plugin.SimPlugin):
-    """Sensors at sites of whatever model Studio loads, stepped by the clock. Derive from it, and say which:
+    """Sensors at sites of whatever model Studio loads, stepped by the clock. Derive from it, and
+    say which:
 
         class Tips(mjtactile.studio.Sensors):
             sites = {"left_tip": "dense", "right_tip": "dense"}
@@ -62,7 +81,8 @@ class Sensors(plugin.SimPlugin):
         cls.fingers = []
 
     def __init__(self) -> None:
-        self._paused, self._single = False, False
+        self._paused = False
+        self._single = False
         self._pace: tuple[float, float] | None = None
         self._time = 0.0
 
@@ -79,7 +99,10 @@ class Sensors(plugin.SimPlugin):
             return False
         spec = mujoco.MjSpec.from_file(event.path)
         recommend_options(spec)
-        mounts: list[Mount] = [attach(spec, sensor, site=site, prefix=f"{site}/") for site, sensor in self.sites.items()]
+        mounts: list[Mount] = [
+            attach(spec, sensor, site=site, prefix=f"{site}/")
+            for site, sensor in self.sites.items()
+        ]
         model = spec.compile()
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
@@ -101,7 +124,8 @@ class Sensors(plugin.SimPlugin):
     def on_step(self, event: messages.StepEvent) -> bool:
         """As many steps as the clock asks for."""
         wall.sleep(_IDLE)
-        model, data = event.model, event.data
+        model = event.model
+        data = event.data
         if not self.fingers or not self.fingers[0].belongs_to(data):
             return False
         if data.time < self._time:  # reset, or an older state was loaded
@@ -111,7 +135,8 @@ class Sensors(plugin.SimPlugin):
         if self._paused and not self._single:
             self._pace = None
             return True
-        now, count = wall.monotonic(), 1
+        now = wall.monotonic()
+        count = 1
         if self._pace is None or self._single:
             self._pace = (now, float(data.time))
         else:

@@ -1,4 +1,5 @@
-"""`Panel`: what is felt, in Studio's window. For any source of moments: a session, or sensors in somebody's own scene."""
+"""`Panel`: what is felt, in Studio's window. For any source of moments: a session, or sensors in
+somebody's own scene."""
 
 from __future__ import annotations
 
@@ -21,10 +22,13 @@ from mjtactile.studio.layout import LEFT, LOOK, RED, Layout
 from mjtactile.studio.moment import Felt, History, Moment, Pose, finger_lines
 from mjtactile.studio.own import OwnFingers
 
-_GEOMS = 1024  # that travel to the browser at most (mujoco.studio.web.state_payload.MAX_EXTRA_GEOMS)
+# that travel to the browser at most (mujoco.studio.web.state_payload.MAX_EXTRA_GEOMS)
+_GEOMS = 1024
 _LEAST = 0.04  # of the colours' scale
 _RATE = 15.0  # pictures a second: textures travel to the browser
-_IMAGE, _DETAIL = (320, 240), 2  # px that travel; drawn so many times larger, so that ellipses are smooth
+# px that travel; drawn so many times larger, so that ellipses are smooth
+_IMAGE = (320, 240)
+_DETAIL = 2
 _WIDTH = 170.0  # px of a picture as it is shown
 _NEAR = 12.0  # px of the image around an ellipse, within which the mouse is on it
 _FINGER = (364, 294)  # px, a finger's window
@@ -40,7 +44,8 @@ class Source(Protocol):
 
 
 def ellipses_of(felt: Felt) -> Ellipses:
-    """Those in its image: as sensing followed them, if all of them were there, else found anew, with what is wrong with each."""
+    """Those in its image: as sensing followed them, if all of them were there, else found anew,
+    with what is wrong with each."""
     ellipses = followed(felt.image, felt.tracks)
     return find_ellipses(felt.image) if ellipses is None else ellipses
 
@@ -48,8 +53,8 @@ def ellipses_of(felt: Felt) -> Ellipses:
 class Panel(plugin.ViewerPlugin):
     """A window a finger, one with plots, one with what is drawn into the scene.
 
-    `fingers` are sensors in a scene of yours (`mjtactile.attach(...).bind(...)`), in a list that may be filled later, or
-    another source of moments.
+    `fingers` are sensors in a scene of yours (`mjtactile.attach(...).bind(...)`), in a list that
+    may be filled later, or another source of moments.
     """
 
     def __init__(self, fingers: Sequence[Any] | Source):
@@ -57,13 +62,16 @@ class Panel(plugin.ViewerPlugin):
         self.look = marks.Look()
         self._layout = Layout()
         self.error = ""
-        self._brush, self._mine = marks.Brush(), []
+        self._brush = marks.Brush()
+        self._mine = []
         self._marked: tuple[Any, ...] = (None, None)
         self._textures: dict[tuple[int, str], int] = {}
         self._shapes: dict[tuple[int, str], float] = {}  # height over width
         self._ellipses: dict[int, Ellipses] = {}
         self._pictured: tuple[Any, ...] = ()
-        self._when, self._drawn, self._scale = 0.0, 0.0, ""
+        self._when = 0.0
+        self._drawn = 0.0
+        self._scale = ""
 
     def complain(self, text: str) -> None:
         """Show what a handler raised."""
@@ -77,19 +85,30 @@ class Panel(plugin.ViewerPlugin):
             return
         fingers = self._placed(moment.fingers)
         now = wall.monotonic()
-        is_due = now - self._drawn > 1 / _RATE or self.look != self._marked[-1]  # what was chosen is seen at once
+        # what was chosen is seen at once
+        is_due = now - self._drawn > 1 / _RATE or self.look != self._marked[-1]
         if ((moment, self.look) != self._marked and is_due) or not self._mine:
-            self._marked, self._drawn, before = (moment, self.look), now, self._mine
-            marks.draw(self._brush, fingers, self.look, least=_LEAST if self._has_membranes(moment) else 0.0)
+            self._marked = (moment, self.look)
+            self._drawn = now
+            before = self._mine
+            marks.draw(
+                self._brush,
+                fingers,
+                self.look,
+                least=_LEAST if self._has_membranes(moment) else 0.0,
+            )
             self._mine = self._brush.drawn
             marks.keep(self.viewer.extra_geoms, before, self._mine, _GEOMS)
         if (moment, self.look.surface) != self._pictured and now - self._when > 1 / _RATE:
-            self._pictured, self._when = (moment, self.look.surface), now
+            self._pictured = (moment, self.look.surface)
+            self._when = now
             self._make_pictures(fingers)
 
     @messages.handler
     def on_model(self, _: messages.PostModelEvent) -> None:
-        self._mine, self._marked = [], (None, None)  # the viewer has forgotten them
+        # the viewer has forgotten them
+        self._mine = []
+        self._marked = (None, None)
 
     @staticmethod
     def _has_membranes(moment: Moment) -> bool:
@@ -99,9 +118,15 @@ class Panel(plugin.ViewerPlugin):
     def _placed(self, fingers: Sequence[Felt]) -> tuple[Felt, ...]:
         """With their poses in the viewer's scene, where only the body is known."""
         data = self.viewer.data
-        return tuple(felt if felt.body is None or felt.body >= len(data.xpos) else
-                     replace(felt, pose=Pose(data.xpos[felt.body].copy(), data.xmat[felt.body].reshape(3, 3).copy()))
-                     for felt in fingers)
+        return tuple(
+            felt
+            if felt.body is None or felt.body >= len(data.xpos)
+            else replace(
+                felt,
+                pose=Pose(data.xpos[felt.body].copy(), data.xmat[felt.body].reshape(3, 3).copy()),
+            )
+            for felt in fingers
+        )
 
     def _make_pictures(self, fingers: Sequence[Felt]) -> None:
         """Each camera's image with its ellipses, and each membrane."""
@@ -113,15 +138,27 @@ class Panel(plugin.ViewerPlugin):
             self._ellipses[k] = ellipses_of(felt)
             seen = with_ellipses(felt.image, _DETAIL * _IMAGE[0], self._ellipses[k])
             height = round(seen.shape[0] / _DETAIL)
-            self._upload(k, "image", cv2.cvtColor(cv2.resize(seen, (_IMAGE[0], height), interpolation=cv2.INTER_AREA),
-                                                  cv2.COLOR_BGR2RGB))
+            self._upload(
+                k,
+                "image",
+                cv2.cvtColor(
+                    cv2.resize(seen, (_IMAGE[0], height), interpolation=cv2.INTER_AREA),
+                    cv2.COLOR_BGR2RGB,
+                ),
+            )
             if field is not None:
                 ratio = (field.y[-1] - field.y[0]) / (field.x[-1] - field.x[0])
-                self._upload(k, "membrane", surface.picture(felt, field, scale, (_IMAGE[0], round(ratio * _IMAGE[0]))))
+                self._upload(
+                    k,
+                    "membrane",
+                    surface.picture(felt, field, scale, (_IMAGE[0], round(ratio * _IMAGE[0]))),
+                )
 
     def _upload(self, k: int, what: str, rgb: NDArray[np.uint8]) -> None:
         height, width = rgb.shape[:2]
-        self._textures[k, what] = self.viewer.upload_image(self._textures.get((k, what), 0), rgb.tobytes(), width, height, 3)
+        self._textures[k, what] = self.viewer.upload_image(
+            self._textures.get((k, what), 0), rgb.tobytes(), width, height, 3
+        )
         self._shapes[k, what] = height / width
 
     @messages.handler
@@ -133,7 +170,9 @@ class Panel(plugin.ViewerPlugin):
         if moment is None:
             return
         for k, felt in enumerate(moment.fingers):
-            self._build_finger(felt, k, float("nan") if moment.session is None else moment.session.perception_ms)
+            self._build_finger(
+                felt, k, float("nan") if moment.session is None else moment.session.perception_ms
+            )
         self._layout.place(LEFT + 14, -_CURVES, -(LEFT + _FINGER[0] + 32), _CURVES)
         if imgui.Begin("Curves")[0]:
             plots.build(self.source.history.curves(), [felt.name for felt in moment.fingers])
@@ -147,9 +186,14 @@ class Panel(plugin.ViewerPlugin):
             choices = ["none", *surface.KINDS]
             _, chosen = imgui.Combo("membranes", choices.index(look.surface), choices)
             forces, contacts, field, camera = (
-                imgui.Checkbox(text, value)[1] for text, value in (
-                    ("net force", look.forces), ("outlines, centre of pressure", look.contacts),
-                    ("forces by place", look.field), ("what the cameras see", look.camera)))
+                imgui.Checkbox(text, value)[1]
+                for text, value in (
+                    ("net force", look.forces),
+                    ("outlines, centre of pressure", look.contacts),
+                    ("forces by place", look.field),
+                    ("what the cameras see", look.camera),
+                )
+            )
             self.look = marks.Look(choices[chosen], forces, field, contacts, camera)
             imgui.TextUnformatted(self._scale)
             if self.error:
@@ -180,7 +224,8 @@ class Panel(plugin.ViewerPlugin):
         ellipses = self._ellipses.get(k)
         if ellipses is None or not len(ellipses) or not imgui.IsItemHovered():
             return
-        corner, mouse = imgui.GetItemRectMin(), imgui.GetMousePos()
+        corner = imgui.GetItemRectMin()
+        mouse = imgui.GetMousePos()
         scale = (felt.image.pixels.shape[1] or 640) / _WIDTH
         at = scale * np.array([mouse.x - corner.x, mouse.y - corner.y])
         away = np.linalg.norm(ellipses.center_px - at, axis=1) - ellipses.semi_axes_px[:, 0]
@@ -198,4 +243,6 @@ def flagged_text(ellipses: Ellipses | None) -> str:
     if not len(reasons):
         return ""
     return f"{counts.sum()} of {len(ellipses)} not trusted: " + ", ".join(
-        f"{reason}" if count == 1 else f"{reason} ({count})" for reason, count in zip(reasons, counts, strict=True))
+        f"{reason}" if count == 1 else f"{reason} ({count})"
+        for reason, count in zip(reasons, counts, strict=True)
+    )

@@ -15,7 +15,9 @@ from mjtactile.run.supervisor import STATES
 from mjtactile.studio.moment import Curves
 
 _BARS = 5  # points from one error bar to the next
-_UNEASY, _UNKNOWN, _ALPHA = "#f8b0a0", "#eeeeee", 0.35
+_UNEASY = "#f8b0a0"
+_UNKNOWN = "#eeeeee"
+_ALPHA = 0.35
 _LEGEND = int(implot.LegendFlags.Outside) | int(implot.LegendFlags.Horizontal)
 _FIT = int(implot.AxisFlags.AutoFit)
 
@@ -29,8 +31,10 @@ def build(curves: Curves | None, names: Sequence[str]) -> None:
             _forces(curves, names)
             implot.EndPlot()
         imgui.EndTabItem()
-    for title, label, values, factor in (("pressure", "gauge pressure, kPa", curves.pressure, 1e-3),
-                                         ("opening", "opening, mm", curves.opening[None], 1e3)):
+    for title, label, values, factor in (
+        ("pressure", "gauge pressure, kPa", curves.pressure, 1e-3),
+        ("opening", "opening, mm", curves.opening[None], 1e3),
+    ):
         if np.isfinite(values).any() and imgui.BeginTabItem(title):
             if _begin(label, curves):
                 for name, value in zip(names if len(values) > 1 else [title], values, strict=False):
@@ -52,7 +56,9 @@ def _begin(label: str, curves: Curves) -> bool:
 def _forces(curves: Curves, names: Sequence[str]) -> None:
     for k, name in enumerate(names):
         known = np.isfinite(curves.felt[k])
-        time, felt, sd = curves.time[known], curves.felt[k][known], curves.sd[k][known]
+        time = curves.time[known]
+        felt = curves.felt[k][known]
+        sd = curves.sd[k][known]
         _line(f"{name}, felt", time, felt)
         some = slice(len(time) % _BARS, None, _BARS)
         implot.PlotErrorBars(f"{name}, felt", time[some], felt[some], 2 * sd[some])
@@ -65,16 +71,21 @@ def _line(name: str, time: Array, values: Array) -> None:
 
 
 def _bands(curves: Curves) -> None:
-    """The phases, and in red what the supervisor does instead; between the plot's paper and its lines."""
+    """The phases, and in red what the supervisor does instead; between the plot's paper and its
+    lines."""
     implot.SetupFinish()
-    corner, size, draw = implot.GetPlotPos(), implot.GetPlotSize(), imgui.GetWindowDrawList()
+    corner = implot.GetPlotPos()
+    size = implot.GetPlotSize()
+    draw = imgui.GetWindowDrawList()
     ink = imgui.GetColorU32(int(imgui.Col.Text), 0.6)
     implot.PushPlotClipRect()
     for name, begin, end in curves.spans:
         left, right = (implot.PlotToPixels(time, 0.0).x for time in (begin, end))
         if not math.isfinite(left + right) or right < corner.x or left > corner.x + size.x:
             continue
-        draw.AddRectFilled(imgui.Vec2(left, corner.y), imgui.Vec2(right, corner.y + size.y), _colour(name))
+        draw.AddRectFilled(
+            imgui.Vec2(left, corner.y), imgui.Vec2(right, corner.y + size.y), _colour(name)
+        )
         if right - left > 7 * len(name):
             draw.AddText(imgui.Vec2(max(left, corner.x) + 3, corner.y + 2), ink, name)
     if math.isfinite(curves.now):
@@ -85,4 +96,6 @@ def _bands(curves: Curves) -> None:
 
 def _colour(name: str) -> int:
     text = _UNEASY if name in STATES else PHASE_COLOURS.get(name, _UNKNOWN)
-    return imgui.GetColorU32(imgui.Vec4(*(int(text[i:i + 2], 16) / 255 for i in (1, 3, 5)), _ALPHA))
+    return imgui.GetColorU32(
+        imgui.Vec4(*(int(text[i : i + 2], 16) / 255 for i in (1, 3, 5)), _ALPHA)
+    )

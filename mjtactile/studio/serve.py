@@ -1,4 +1,5 @@
-"""Runs, one after the other, and Studio in which they are watched: in the browser, or in a window of its own."""
+"""Runs, one after the other, and Studio in which they are watched: in the browser, or in a window
+of its own."""
 
 from __future__ import annotations
 
@@ -22,30 +23,48 @@ from mjtactile.studio.show import Restart, Show, Voice
 from mjtactile.studio.tape import Deck, Tape
 
 _PERIOD = 0.005  # s between two looks at the session,
-_SWITCH_INTERVAL = 1e-4  # s: sensing lets go of the interpreter for each kernel, and waited up to 5 ms for the windows each time
+# s: sensing lets go of the interpreter for each kernel, and waited up to 5 ms for the windows each
+# time
+_SWITCH_INTERVAL = 1e-4
 _EVERY = 0.05  # s between two states that are sent though nothing is new
 
 
-def launch_window(config: viewer_protocol.ViewerConfig, plugins: list[Any]) -> viewer_handle.ViewerHandle:
-    """`launch_native.launch`. Raises MjtactileError, saying what to do, where there is no display or no graphics for it."""
+def launch_window(
+    config: viewer_protocol.ViewerConfig, plugins: list[Any]
+) -> viewer_handle.ViewerHandle:
+    """`launch_native.launch`. Raises MjtactileError, saying what to do, where there is no display
+    or no graphics for it."""
     instead = "leave --native away, and open the address that is printed"
     if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise MjtactileError(f"--native: there is no display here (DISPLAY, WAYLAND_DISPLAY): {instead}")
+        raise MjtactileError(
+            f"--native: there is no display here (DISPLAY, WAYLAND_DISPLAY): {instead}"
+        )
     try:
-        importlib.import_module("mujoco.studio.native_viewer")  # what it needs is found out now, not in a thread
+        # what it needs is found out now, not in a thread
+        importlib.import_module("mujoco.studio.native_viewer")
         from mujoco.studio import launch_native
     except (ImportError, OSError) as error:
-        raise MjtactileError(f"--native: MuJoCo's own window does not work here ({error}): {instead}") from error
+        raise MjtactileError(
+            f"--native: MuJoCo's own window does not work here ({error}): {instead}"
+        ) from error
     return launch_native.launch(config, plugins=plugins)
 
 
-def watch(show: Show, *, port: int = 0, browser: bool = True, native: bool = False, runs: int = 0) -> None:
-    """Run grasp after grasp, each watched, until the viewer is closed or Ctrl-C; `runs`: at most so many.
+def watch(
+    show: Show, *, port: int = 0, browser: bool = True, native: bool = False, runs: int = 0
+) -> None:
+    """Run grasp after grasp, each watched, until the viewer is closed or Ctrl-C; `runs`: at most so
+    many.
 
-    Raises what `run_grasp` raises of the first run; later ones are said in the panel, which goes on.
+    Raises what `run_grasp` raises of the first run; later ones are said in the panel, which goes
+    on.
     """
-    config = viewer_protocol.ViewerConfig(title=f"mjtactile: {show.options.object}", http_port=port, open_browser=browser,
-                                          gfx="" if native else "web")
+    config = viewer_protocol.ViewerConfig(
+        title=f"mjtactile: {show.options.object}",
+        http_port=port,
+        open_browser=browser,
+        gfx="" if native else "web",
+    )
     mirror = Mirror(show)
     studio_app = app.App(app.Config(show_options=False, show_inspector=False))
     desk = Deck(show) if isinstance(show, Tape) else Desk(show)
@@ -73,8 +92,15 @@ def _run(show: Show) -> None:
     """One grasp; what fails is shown, and raised where nothing has been shown yet."""
     before = show.runs
     try:
-        result = run_grasp(show.options, recorder=show, progress=Voice(show), on_open=show.open, on_still=show.still,
-                           wrap=show.wrap, time_limit=math.inf)
+        result = run_grasp(
+            show.options,
+            recorder=show,
+            progress=Voice(show),
+            on_open=show.open,
+            on_still=show.still,
+            wrap=show.wrap,
+            time_limit=math.inf,
+        )
         show.outcome = f"{result.outcome}" + (f": {result.reason}" if result.reason else "")
     except Restart:
         show.outcome = "again"
@@ -87,7 +113,8 @@ def _run(show: Show) -> None:
 
 
 def _sync(handle: viewer_handle.ViewerHandle, mirror: Mirror, show: Show) -> None:
-    """Studio's simulation loop. A state is sent when it is new, and now and then: the viewer computes a frame of each."""
+    """Studio's simulation loop. A state is sent when it is new, and now and then: the viewer
+    computes a frame of each."""
     try:
         sent = 0.0
         with handle:

@@ -1,7 +1,9 @@
-"""`Show`: what a session shows and what is asked of it. The session's thread writes, the viewer's reads, neither waits.
+"""`Show`: what a session shows and what is asked of it. The session's thread writes, the viewer's
+reads, neither waits.
 
-It takes the place of a recorder and of a progress. What is asked of the world (a valve, a pull) is done by the session's own
-thread when a cycle's images were taken and the world stands still, as a command of a controller would be.
+It takes the place of a recorder and of a progress. What is asked of the world (a valve, a pull) is
+done by the session's own thread when a cycle's images were taken and the world stands still, as a
+command of a controller would be.
 """
 
 from __future__ import annotations
@@ -41,23 +43,28 @@ class Restart(SimulationError):
 
 @dataclass(frozen=True)
 class Gas:
-    """What is in the chambers of a simulated rig: gauge pressures, Pa, and temperatures, K, one a finger."""
+    """What is in the chambers of a simulated rig: gauge pressures, Pa, and temperatures, K, one a
+    finger."""
 
     pressure: tuple[float, ...] = ()
     temperature: tuple[float, ...] = ()
 
 
 class Show:
-    """Give it to `run_grasp` as recorder, progress, `on_open`, `on_still` and `wrap`. `options` are the next run's."""
+    """Give it to `run_grasp` as recorder, progress, `on_open`, `on_still` and `wrap`. `options` are
+    the next run's."""
 
     patience = math.inf
 
-    def __init__(self, options: GraspOptions | None = None, say: Callable[[str], None] = lambda _: None):
+    def __init__(
+        self, options: GraspOptions | None = None, say: Callable[[str], None] = lambda _: None
+    ):
         self.options = GraspOptions() if options is None else options
         self.session: Session | None = None
         self.latest: Moment | None = None
         self.history = History()
-        self.message, self.outcome = "", ""
+        self.message = ""
+        self.outcome = ""
         self.runs = 0
         self.paused = False
         self.fastest = 1.0
@@ -79,7 +86,11 @@ class Show:
 
     def open(self, session: Session) -> None:
         """A session begins."""
-        self.session, self.latest, self.outcome, self._pace, self._halted = session, None, "", None, False
+        self.session = session
+        self.latest = None
+        self.outcome = ""
+        self._pace = None
+        self._halted = False
         self.history.clear()
         self.runs += 1
 
@@ -91,7 +102,9 @@ class Show:
 
     def note(self, **values: Any) -> None: ...
 
-    def add_reference(self, stage: str, images: list[list[Image]], pressure_gauge: list[float | None]) -> None:
+    def add_reference(
+        self, stage: str, images: list[list[Image]], pressure_gauge: list[float | None]
+    ) -> None:
         if self._halted:  # nothing moves yet that the supervisor could retreat
             raise DeviceError(RED_BUTTON)
         if self.restart.is_set() or self.closed.is_set():
@@ -104,7 +117,8 @@ class Show:
     def update(self, phase: str, time: float, force: float) -> None: ...
 
     def still(self) -> None:
-        """The world stands: do what was asked for, wait while paused. Raises Restart when that was asked for."""
+        """The world stands: do what was asked for, wait while paused. Raises Restart when that was
+        asked for."""
         self._work()
         while self.paused and not self._single:
             self._leave()
@@ -117,7 +131,10 @@ class Show:
         self._leave()
         scene = None if self.session is None else self.session.rig.scene
         if scene is not None:
-            self._gas = Gas(tuple(s.pressure_gauge for s in scene.sensors), tuple(s.temperature for s in scene.sensors))
+            self._gas = Gas(
+                tuple(s.pressure_gauge for s in scene.sensors),
+                tuple(s.temperature for s in scene.sensors),
+            )
 
     def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
         """Show a cycle, and keep to the clock. Raises Restart when another run was asked for."""
@@ -140,7 +157,8 @@ class Show:
 
     def step(self) -> None:
         """One cycle more, and pause."""
-        self.paused, self._single = True, True
+        self.paused = True
+        self._single = True
 
     @property
     def may_pause(self) -> bool:
@@ -149,7 +167,8 @@ class Show:
 
     @property
     def wish(self) -> Wish | None:
-        """What is wished for by hand in place of the controller's commands; None: the controller is asked."""
+        """What is wished for by hand in place of the controller's commands; None: the controller is
+        asked."""
         return self._wish
 
     @wish.setter
@@ -160,7 +179,8 @@ class Show:
 
     def halt(self) -> None:
         """The red button: the hand goes down and opens, by the supervisor's own way."""
-        self._halted, self.paused = True, False
+        self._halted = True
+        self.paused = False
         if self.session is not None:
             self.session.make_safe(RED_BUTTON)
 
@@ -184,16 +204,23 @@ class Show:
             self.message_(f"{type(error).__name__}: {error}")
 
     def _leave(self) -> None:
-        """Give a world up that waits; a real hand goes down and opens first, by the supervisor's own way."""
+        """Give a world up that waits; a real hand goes down and opens first, by the supervisor's
+        own way."""
         if not (self.restart.is_set() or self.closed.is_set()):
             return
         if self.session is None or self.may_pause:
             raise Restart
-        self.session.make_safe("Studio was closed" if self.closed.is_set() else "another run was asked for")
+        self.session.make_safe(
+            "Studio was closed" if self.closed.is_set() else "another run was asked for"
+        )
 
     def _wait(self, time: float) -> None:
         """Until the clock has come as far as the rig's, where that is simulated and ahead."""
-        if self.session is None or self.session.rig.scene is None or not math.isfinite(self.fastest):
+        if (
+            self.session is None
+            or self.session.rig.scene is None
+            or not math.isfinite(self.fastest)
+        ):
             return
         now = wall.monotonic()
         if self._pace is None or (time - self._pace[1]) / self.fastest < now - self._pace[0]:
@@ -214,24 +241,57 @@ class Voice:
     """The show's side of a progress."""
 
     def __init__(self, show: Show):
-        self.message, self.update = show.message_, show.update
+        self.message = show.message_
+        self.update = show.update
 
 
-def moment_of(cycle: Cycle, session: Session | None, view: Any, truth: Mapping[str, Any], gas: Gas, number: int) -> Moment:
+def moment_of(
+    cycle: Cycle,
+    session: Session | None,
+    view: Any,
+    truth: Mapping[str, Any],
+    gas: Gas,
+    number: int,
+) -> Moment:
     """What a cycle shows, with what is true of it, where that is known."""
-    fingers, count = [], len(cycle.touch)
+    fingers = []
+    count = len(cycle.touch)
     true = truth.get("force_normal_true", [math.nan] * count)
     poses = _poses(cycle, view)
     for k, (touch, image) in enumerate(zip(cycle.touch, cycle.images, strict=True)):
         finger = None if session is None else session.rig.fingers[k]
-        fingers.append(Felt(
-            str(k) if finger is None else finger.name, image, touch, None if finger is None else finger.design,
-            None if session is None else _rest(session, k), poses[k], cycle.valves[k] if k < len(cycle.valves) else None, true[k],
-            gas.pressure[k] if gas.pressure else math.nan, gas.temperature[k] if gas.temperature else math.nan,
-            tracks=None if session is None else getattr(getattr(session.perceptions[k], "state", None), "tracks", None)))
-    state = SessionState(cycle.sent.phase, getattr(cycle, "state", "running"), getattr(cycle, "reason", ""),
-                         cycle.gripper.opening, cycle.gripper.lift_height, cycle.perception_ms)
-    return Moment(number, cycle.time, tuple(fingers), state, None if view is None else (view.model, view.state))
+        fingers.append(
+            Felt(
+                str(k) if finger is None else finger.name,
+                image,
+                touch,
+                None if finger is None else finger.design,
+                None if session is None else _rest(session, k),
+                poses[k],
+                cycle.valves[k] if k < len(cycle.valves) else None,
+                true[k],
+                gas.pressure[k] if gas.pressure else math.nan,
+                gas.temperature[k] if gas.temperature else math.nan,
+                tracks=None
+                if session is None
+                else getattr(getattr(session.perceptions[k], "state", None), "tracks", None),
+            )
+        )
+    state = SessionState(
+        cycle.sent.phase,
+        getattr(cycle, "state", "running"),
+        getattr(cycle, "reason", ""),
+        cycle.gripper.opening,
+        cycle.gripper.lift_height,
+        cycle.perception_ms,
+    )
+    return Moment(
+        number,
+        cycle.time,
+        tuple(fingers),
+        state,
+        None if view is None else (view.model, view.state),
+    )
 
 
 def _rest(session: Session, finger: int) -> Surface | None:
@@ -241,14 +301,16 @@ def _rest(session: Session, finger: int) -> Surface | None:
 
 
 def _poses(cycle: Cycle, view: Any) -> list[Pose]:
-    """Where the fingers are; without a scene, as many about the middle as far apart as the gripper says, closing on it."""
+    """Where the fingers are; without a scene, as many about the middle as far apart as the gripper
+    says, closing on it."""
     if view is not None:
         return [Pose(p, R) for p, R in zip(view.p_WS, view.R_WS, strict=True)]
     opening, height = np.nan_to_num([cycle.gripper.opening, cycle.gripper.lift_height]).tolist()
     poses = []
     for k in range(len(cycle.touch)):
         angle = 2 * math.pi * k / len(cycle.touch)
-        inwards, up = np.array([math.cos(angle), math.sin(angle), 0.0]), np.array([0.0, 0.0, 1.0])
+        inwards = np.array([math.cos(angle), math.sin(angle), 0.0])
+        up = np.array([0.0, 0.0, 1.0])
         axes = np.column_stack([up, np.cross(inwards, up), inwards])
         poses.append(Pose(height * up - opening / 2 * inwards, axes))
     return poses

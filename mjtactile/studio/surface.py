@@ -1,4 +1,5 @@
-"""The felt membrane: how far each place of it is pushed in, or how hard, as colours: in a picture, and on triangles."""
+"""The felt membrane: how far each place of it is pushed in, or how hard, as colours: in a picture,
+and on triangles."""
 
 from __future__ import annotations
 
@@ -17,14 +18,17 @@ KINDS = ("indentation", "traction")
 _LEAST = {"indentation": 1e-3, "traction": 1e3}  # m, Pa: the scale's end while less is felt
 _UNITS = {"indentation": (1e3, "mm"), "traction": (1e-3, "kPa")}
 _MAP = cv2.COLORMAP_VIRIDIS
-_WHITE, _RED, _INK = (255, 255, 255), (235, 60, 50), (30, 30, 30)
+_WHITE = (255, 255, 255)
+_RED = (235, 60, 50)
+_INK = (30, 30, 30)
 _GRID = (13, 11)  # nodes of the surface in the scene along x and y: 240 triangles
 _PER_NEWTON = 90.0  # px of the picture's shear arrow
 
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """A value at each node (ny, nx) of a membrane: `kind` is one of KINDS, in m or Pa; `x` (nx,), `y` (ny,) m in S."""
+    """A value at each node (ny, nx) of a membrane: `kind` is one of KINDS, in m or Pa; `x` (nx,),
+    `y` (ny,) m in S."""
 
     kind: str
     x: Array
@@ -34,7 +38,8 @@ class Field:
 
 def field_of(felt: Felt, kind: str) -> Field | None:
     """None where it is not known: no rest shape, no surface."""
-    touch, rest = felt.touch, felt.rest
+    touch = felt.touch
+    rest = felt.rest
     if kind == "indentation":
         if touch.surface is None or rest is None or rest.z.shape != touch.surface.z.shape:
             return None
@@ -52,7 +57,9 @@ def _widths(x: Array) -> Array:
 
 def scale_of(fields: Sequence[Field | None]) -> float:
     """Where the colours end: the same for all fingers, so that they can be compared."""
-    known = [float(np.nanmax(f.values)) for f in fields if f is not None and np.isfinite(f.values).any()]
+    known = [
+        float(np.nanmax(f.values)) for f in fields if f is not None and np.isfinite(f.values).any()
+    ]
     return max([_LEAST[f.kind] for f in fields if f is not None] + known, default=1.0)
 
 
@@ -69,7 +76,10 @@ def centre_of_pressure(touch: Touch) -> Array | None:
     total = float(weight.sum())
     if not total > 0:
         return None
-    return np.array([weight.sum(axis=0) @ touch.traction.x, weight.sum(axis=1) @ touch.traction.y]) / total
+    return (
+        np.array([weight.sum(axis=0) @ touch.traction.x, weight.sum(axis=1) @ touch.traction.y])
+        / total
+    )
 
 
 def at(field: Field, x: Array, y: Array) -> Array:
@@ -77,7 +87,9 @@ def at(field: Field, x: Array, y: Array) -> Array:
     columns = np.interp(x, field.x, np.arange(len(field.x)), left=0.0)
     rows = np.interp(y, field.y, np.arange(len(field.y)), left=0.0)
     over_x, over_y = np.meshgrid(columns.astype(np.float32), rows.astype(np.float32))
-    return cv2.remap(np.nan_to_num(field.values).astype(np.float32), over_x, over_y, cv2.INTER_LINEAR)
+    return cv2.remap(
+        np.nan_to_num(field.values).astype(np.float32), over_x, over_y, cv2.INTER_LINEAR
+    )
 
 
 def colours(values: Array, scale: float) -> NDArray[np.uint8]:
@@ -86,18 +98,24 @@ def colours(values: Array, scale: float) -> NDArray[np.uint8]:
         return np.zeros((*values.shape, 3), np.uint8)
     positive = np.maximum(values, 0.0, dtype=np.float32).reshape(-1, values.shape[-1])
     levels = cv2.convertScaleAbs(positive, alpha=255 / scale)
-    return cv2.cvtColor(cv2.applyColorMap(levels, _MAP), cv2.COLOR_BGR2RGB).reshape(*values.shape, 3)
+    return cv2.cvtColor(cv2.applyColorMap(levels, _MAP), cv2.COLOR_BGR2RGB).reshape(
+        *values.shape, 3
+    )
 
 
 def picture(felt: Felt, field: Field, scale: float, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """The membrane as its camera sees it (x right, y down), red, green, blue (h, w, 3): colours, outlines of what touches, the
-    centre of pressure, and how it is dragged."""
+    """The membrane as its camera sees it (x right, y down), red, green, blue (h, w, 3): colours,
+    outlines of what touches, the centre of pressure, and how it is dragged."""
     width, height = size
-    x, y = np.linspace(field.x[0], field.x[-1], width), np.linspace(field.y[0], field.y[-1], height)
+    x = np.linspace(field.x[0], field.x[-1], width)
+    y = np.linspace(field.y[0], field.y[-1], height)
     rgb = colours(at(field, x, y), scale)
 
     def pixels(p: Array) -> NDArray[np.int32]:
-        share = (p - [field.x[0], field.y[0]]) / [field.x[-1] - field.x[0], field.y[-1] - field.y[0]]
+        share = (p - [field.x[0], field.y[0]]) / [
+            field.x[-1] - field.x[0],
+            field.y[-1] - field.y[0],
+        ]
         return np.round(16 * share * [width - 1, height - 1]).astype(np.int32)
 
     for patch in felt.touch.patches:
@@ -109,19 +127,25 @@ def picture(felt: Felt, field: Field, scale: float, size: tuple[int, int]) -> ND
         drag = np.round(middle + 16 * _PER_NEWTON * felt.touch.traction.wrench[:2]).astype(np.int32)
         cv2.circle(rgb, tuple(map(int, middle)), 16 * 3, _RED, -1, cv2.LINE_AA, shift=4)
         if math.hypot(*(drag - middle)) > 16 * 4:
-            cv2.arrowedLine(rgb, tuple(map(int, middle)), tuple(map(int, drag)), _RED, 2, cv2.LINE_AA, 4, 0.25)
+            cv2.arrowedLine(
+                rgb, tuple(map(int, middle)), tuple(map(int, drag)), _RED, 2, cv2.LINE_AA, 4, 0.25
+            )
     return rgb
 
 
-def sheet(felt: Felt, field: Field, scale: float, *, least: float = 0.0) -> tuple[Array, Array] | None:
-    """Triangles of the felt surface: corners (m, 3, 3) m in S, and colours (m, 3) from 0 to 1; None without a surface. Only
-    those where the field is `least` of its scale, if that is not 0."""
+def sheet(
+    felt: Felt, field: Field, scale: float, *, least: float = 0.0
+) -> tuple[Array, Array] | None:
+    """Triangles of the felt surface: corners (m, 3, 3) m in S, and colours (m, 3) from 0 to 1; None
+    without a surface. Only those where the field is `least` of its scale, if that is not 0."""
     surface = felt.touch.surface
     if surface is None:
         return None
     nx, ny = _GRID
-    x, y = np.linspace(surface.x[0], surface.x[-1], nx), np.linspace(surface.y[0], surface.y[-1], ny)
-    z, values = at(Field("", surface.x, surface.y, surface.z), x, y), at(field, x, y)
+    x = np.linspace(surface.x[0], surface.x[-1], nx)
+    y = np.linspace(surface.y[0], surface.y[-1], ny)
+    z = at(Field("", surface.x, surface.y, surface.z), x, y)
+    values = at(field, x, y)
     corners = triangles(np.dstack([*np.meshgrid(x, y), z]))
     level = triangles(values[:, :, None])[:, :, 0].mean(axis=1)
     some = level > least * scale if least else np.ones(len(level), bool)
@@ -129,9 +153,15 @@ def sheet(felt: Felt, field: Field, scale: float, *, least: float = 0.0) -> tupl
 
 
 def triangles(nodes: Array) -> Array:
-    """(ny, nx, d) at the nodes of a grid to (m, 3, d) at the corners of its triangles, counter-clockwise seen from +z."""
-    a, b, c, d = nodes[:-1, :-1], nodes[:-1, 1:], nodes[1:, 1:], nodes[1:, :-1]
-    return np.stack([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)], axis=2).reshape(-1, 3, nodes.shape[-1])
+    """(ny, nx, d) at the nodes of a grid to (m, 3, d) at the corners of its triangles,
+    counter-clockwise seen from +z."""
+    a = nodes[:-1, :-1]
+    b = nodes[:-1, 1:]
+    c = nodes[1:, 1:]
+    d = nodes[1:, :-1]
+    return np.stack([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)], axis=2).reshape(
+        -1, 3, nodes.shape[-1]
+    )
 
 
 def height_at(touch: Touch, p_S: Array) -> Array:

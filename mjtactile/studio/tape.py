@@ -24,9 +24,15 @@ from mjtactile.studio.show import Gas, Show, moment_of
 
 
 class Tape(Show):
-    """Shows what was felt at the time `at`, s from the first cycle, which goes with the clock while `playing`."""
+    """Shows what was felt at the time `at`, s from the first cycle, which goes with the clock while
+    `playing`."""
 
-    def __init__(self, options: GraspOptions, recording: Recording, say: Callable[[str], None] = lambda _: None):
+    def __init__(
+        self,
+        options: GraspOptions,
+        recording: Recording,
+        say: Callable[[str], None] = lambda _: None,
+    ):
         super().__init__(options, say)
         self.recording = recording
         self.history = TapeHistory(self)
@@ -34,7 +40,8 @@ class Tape(Show):
         self._times: list[float] = []
         self._true = recording.column("force_normal_true")
         self._lock = threading.Lock()
-        self._from, self._since = 0.0, wall.monotonic()
+        self._from = 0.0
+        self._since = wall.monotonic()
         self._playing = True
         self._shown: Moment | None = None
 
@@ -43,12 +50,16 @@ class Tape(Show):
     def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
         """Keep a cycle without its images: the recording has them."""
         number = len(self._moments)
-        true = {"force_normal_true": self._true[number].tolist()} if number < len(self._true) else {}
+        true = (
+            {"force_normal_true": self._true[number].tolist()} if number < len(self._true) else {}
+        )
         moment = moment_of(cycle, self.session, view, true, Gas(), number)
         self.history.add(moment)
         if not self._times:
             self.at = 0.0
-        self._moments.append(replace(moment, fingers=tuple(replace(felt, image=_NOTHING) for felt in moment.fingers)))
+        self._moments.append(
+            replace(moment, fingers=tuple(replace(felt, image=_NOTHING) for felt in moment.fingers))
+        )
         self._times.append(moment.time)
         self.latest = moment
         self._leave()
@@ -68,7 +79,8 @@ class Tape(Show):
 
     @at.setter
     def at(self, time: float) -> None:
-        self._from, self._since = time, wall.monotonic()
+        self._from = time
+        self._since = wall.monotonic()
 
     @property
     def playing(self) -> bool:
@@ -86,8 +98,12 @@ class Tape(Show):
                 return None
             number = max(bisect.bisect_right(self._times, self._times[0] + self.at + 1e-9) - 1, 0)
             if self._shown is None or self._shown.number != number:
-                moment, images = self._moments[number], self.recording.images_of(number)
-                fingers = (replace(felt, image=image) for felt, image in zip(moment.fingers, images, strict=True))
+                moment = self._moments[number]
+                images = self.recording.images_of(number)
+                fingers = (
+                    replace(felt, image=image)
+                    for felt, image in zip(moment.fingers, images, strict=True)
+                )
                 self._shown = replace(moment, fingers=tuple(fingers))
             return self._shown
 
@@ -122,7 +138,9 @@ class Deck(plugin.ViewerPlugin):
             imgui.TextWrapped(str(tape.recording.folder))
             moment = tape.moment()
             if moment is not None and moment.session is not None:
-                imgui.TextUnformatted(f"t = {moment.time:.2f} s   {moment.session.phase}   {moment.session.state}")
+                imgui.TextUnformatted(
+                    f"t = {moment.time:.2f} s   {moment.session.phase}   {moment.session.state}"
+                )
             if imgui.Button("stop###play" if tape.playing else "play###play"):
                 tape.playing = not tape.playing
             imgui.SameLine()

@@ -1,5 +1,6 @@
-"""`mjtactile studio`, watched from within: for each line that it is sent it prints one of JSON, which says where each widget
-was in the last frame (px), what was written, under which the mouse was, and what the session has."""
+"""`mjtactile studio`, watched from within: for each line that it is sent it prints one of JSON,
+which says where each widget was in the last frame (px), what was written, under which the mouse
+was, and what the session has."""
 
 import json
 import os
@@ -18,7 +19,16 @@ _WHOLE = panel.finger_lines
 _PERIOD = 0.05  # s
 _PICTURE = "MJTACTILE_PICTURE" in os.environ  # one to look at
 MODULES = (panel, desk, tape)
-frame = {"places": {}, "values": {}, "said": [], "felt": [], "number": -1, "hovered": "", "active": "", "frames": 0}
+frame = {
+    "places": {},
+    "values": {},
+    "said": [],
+    "felt": [],
+    "number": -1,
+    "hovered": "",
+    "active": "",
+    "frames": 0,
+}
 
 
 class Noting:
@@ -34,12 +44,16 @@ class Noting:
     def __getattr__(self, name):
         real = getattr(self._real, name)
         if name in _TEXTS:
-            return lambda *args: (self.notes["said"].append(str(args[_TEXTS[name]])), real(*args))[1]
+            return lambda *args: (self.notes["said"].append(str(args[_TEXTS[name]])), real(*args))[
+                1
+            ]
         return (lambda *args: self._note(real, args)) if name in _WIDGETS else real
 
     def _note(self, real, args):
-        value, label = real(*args), str(args[0]).split("###")[0]
-        low, high = self._real.GetItemRectMin(), self._real.GetItemRectMax()
+        value = real(*args)
+        label = str(args[0]).split("###")[0]
+        low = self._real.GetItemRectMin()
+        high = self._real.GetItemRectMax()
         self.notes["places"][label] = [low.x, low.y, high.x, high.y]
         self.notes["values"][label] = value[1] if isinstance(value, tuple) else None
         self.notes["hovered"] = label if self._real.IsItemHovered() else self.notes["hovered"]
@@ -51,11 +65,14 @@ class Clerk(plugin.ViewerPlugin):
     """Keeps what the windows said in each frame."""
 
     def __init__(self, source, shown, app):
-        self.show, self._panel, self._app = source, shown, app
+        self.show = source
+        self._panel = shown
+        self._app = app
 
     @messages.handler
     def on_init(self, event: plugin.ViewerInitEvent) -> None:
-        """Nothing but what is there, unless for a picture to look at: without a graphics card it takes seconds a frame."""
+        """Nothing but what is there, unless for a picture to look at: without a graphics card it
+        takes seconds a frame."""
         if not _PICTURE:
             event.viewer.render_flags.flags = [0] * len(event.viewer.render_flags.flags)
 
@@ -67,33 +84,61 @@ class Clerk(plugin.ViewerPlugin):
             self._app.theme = ux.GuiTheme.DARK
         if _PICTURE and frame.pop("turn", False):  # so that a membrane is seen
             camera = self.viewer.camera
-            camera.azimuth, camera.elevation, camera.distance = camera.azimuth + 25, -25, 0.75 * camera.distance
-            camera.lookat = [*camera.lookat[:2], camera.lookat[2] + self.show.latest.session.lift_height]
+            camera.azimuth = camera.azimuth + 25
+            camera.elevation = -25
+            camera.distance = 0.75 * camera.distance
+            camera.lookat = [
+                *camera.lookat[:2],
+                camera.lookat[2] + self.show.latest.session.lift_height,
+            ]
 
     @messages.handler(priority=messages.Priority.INTERNAL)
     def on_build_gui(self, _: messages.BuildGuiEvent) -> None:
-        moment, now = self.show.moment(), self.show
-        found = {"number": -1 if moment is None else moment.number, "phase": "" if moment is None else moment.session.phase,
-                 "felt": [] if moment is None else [describe(felt) for felt in moment.fingers], "paused": now.paused,
-                 "geoms": len(self.viewer.extra_geoms), "outcome": now.outcome, "runs": now.runs, "error": self._panel.error,
-                 "frames": frame["frames"] + 1, "places": {}, "values": {}, "said": [], "hovered": "", "active": ""}
+        moment = self.show.moment()
+        now = self.show
+        found = {
+            "number": -1 if moment is None else moment.number,
+            "phase": "" if moment is None else moment.session.phase,
+            "felt": [] if moment is None else [describe(felt) for felt in moment.fingers],
+            "paused": now.paused,
+            "geoms": len(self.viewer.extra_geoms),
+            "outcome": now.outcome,
+            "runs": now.runs,
+            "error": self._panel.error,
+            "frames": frame["frames"] + 1,
+            "places": {},
+            "values": {},
+            "said": [],
+            "hovered": "",
+            "active": "",
+        }
         for module in MODULES:
             for name, value in module.imgui.notes.items():
-                found[name] = {**found[name], **value} if isinstance(value, dict) else found[name] + value
+                found[name] = (
+                    {**found[name], **value} if isinstance(value, dict) else found[name] + value
+                )
             module.imgui.begin()
         frame.update(found)
 
 
 def describe(felt):
     centroid = felt.touch.contact.centroid.tolist() if felt.touch.contact is not None else None
-    return {"force": felt.touch.force_normal, "sd": felt.touch.force_normal_sd, "true": felt.true, "centroid": centroid,
-            "pressure": felt.pressure_gauge}
+    return {
+        "force": felt.touch.force_normal,
+        "sd": felt.touch.force_normal_sd,
+        "true": felt.true,
+        "centroid": centroid,
+        "pressure": felt.pressure_gauge,
+    }
 
 
 def answer():
     for line in sys.stdin:
-        panel.finger_lines = {"break": lambda *_: 1 / 0, "mend": _WHOLE}.get(line.strip(), panel.finger_lines)
-        sys.stdout.write("\n" + json.dumps(frame) + "\n")  # whatever another thread has begun to write: a line of its own
+        panel.finger_lines = {"break": lambda *_: 1 / 0, "mend": _WHOLE}.get(
+            line.strip(), panel.finger_lines
+        )
+        # whatever another thread has begun to write: a line of its own
+        sys.stdout.write("\n" + json.dumps(frame) + "\n")
         sys.stdout.flush()
 
 
@@ -111,7 +156,8 @@ if __name__ == "__main__":
 
     def add_and_pause(self, cycle, *args, **truth):
         add(self, cycle, *args, **truth)
-        if cycle.sent.phase == "hold" and not frame.get("held"):  # once: a page may be too slow to press it in time
+        # once: a page may be too slow to press it in time
+        if cycle.sent.phase == "hold" and not frame.get("held"):
             frame["held"] = frame["turn"] = self.paused = True
 
     show.Show.add = add_and_pause

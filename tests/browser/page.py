@@ -1,7 +1,8 @@
 """Headless Chromium by its DevTools protocol: a page, its pictures, and nothing else.
 
-Without a graphics card a frame of a 3-D scene takes seconds of all processors, and a page would draw one after the other while
-everything else waits. So a page that is `sparing` draws when a picture is taken, and is as it is otherwise.
+Without a graphics card a frame of a 3-D scene takes seconds of all processors, and a page would
+draw one after the other while everything else waits. So a page that is `sparing` draws when a
+picture is taken, and is as it is otherwise.
 """
 
 import base64
@@ -17,11 +18,31 @@ import cv2
 import numpy as np
 from websockets.sync.client import connect
 
-CHROMIUM = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None)
-_FLAGS = ["--headless=new", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox",
-          "--window-size=1280,800", "--remote-allow-origins=*", "--remote-debugging-port=0", "--no-first-run", "--disable-sync",
-          "--disable-background-networking", "--disable-component-update", "--disable-default-apps", "--disable-extensions",
-          "--disable-gpu-rasterization"]
+CHROMIUM = next(
+    (
+        path
+        for name in ("chromium", "chromium-browser", "google-chrome")
+        if (path := shutil.which(name))
+    ),
+    None,
+)
+_FLAGS = [
+    "--headless=new",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--no-sandbox",
+    "--window-size=1280,800",
+    "--remote-allow-origins=*",
+    "--remote-debugging-port=0",
+    "--no-first-run",
+    "--disable-sync",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-default-apps",
+    "--disable-extensions",
+    "--disable-gpu-rasterization",
+]
 LIMIT = 180  # s; for whatever is waited for, on a computer that does other things, too
 _SPARING = """(() => {
     let drawing = false;
@@ -44,7 +65,9 @@ class Page:
     """What can be seen and done on a page."""
 
     def __init__(self, socket, *, sparing=False):
-        self._socket, self._numbers, self._sparing = socket, itertools.count(1), sparing
+        self._socket = socket
+        self._numbers = itertools.count(1)
+        self._sparing = sparing
 
     def open(self, url):
         if self._sparing:
@@ -80,18 +103,36 @@ class Page:
         png = base64.b64decode(self._ask("Page.captureScreenshot", format="png")["data"])
         size = self.run("[window.innerWidth, window.innerHeight]")
         shot = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
-        return shot if [shot.shape[1], shot.shape[0]] == size else cv2.resize(shot, size, interpolation=cv2.INTER_NEAREST)
+        return (
+            shot
+            if [shot.shape[1], shot.shape[0]] == size
+            else cv2.resize(shot, size, interpolation=cv2.INTER_NEAREST)
+        )
 
     def mouse(self, kind, x, y, **more):
-        """One event of the mouse, such as mouseMoved with buttons=1, or mouseWheel with deltaY px."""
-        self._ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, **{"button": "left", "clickCount": 1} | more)
+        """One event of the mouse, such as mouseMoved with buttons=1, or mouseWheel with deltaY
+        px."""
+        self._ask(
+            "Input.dispatchMouseEvent",
+            type=kind,
+            x=x,
+            y=y,
+            **{"button": "left", "clickCount": 1} | more,
+        )
 
 
 @contextlib.contextmanager
 def open_page(url, folder, until=None, *, sparing=False, scale=1.0):
-    """A `Page` with `url`, in a browser of its own, once the server has written that it is there into the file `until`. `scale`
-    px are drawn, along each side, for each that the page thinks that it has."""
-    command = [CHROMIUM, *_FLAGS, f"--force-device-scale-factor={scale}", f"--user-data-dir={folder}", "about:blank"]
+    """A `Page` with `url`, in a browser of its own, once the server has written that it is there
+    into the file `until`. `scale` px are drawn, along each side, for each that the page thinks that
+    it has."""
+    command = [
+        CHROMIUM,
+        *_FLAGS,
+        f"--force-device-scale-factor={scale}",
+        f"--user-data-dir={folder}",
+        "about:blank",
+    ]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         with connect(_socket(folder), max_size=None) as socket:
@@ -114,7 +155,11 @@ def _socket(folder):
         try:
             port = (folder / "DevToolsActivePort").read_text().splitlines()[0]
             with urllib.request.urlopen(f"http://127.0.0.1:{port}/json", timeout=5) as answer:
-                return next(page["webSocketDebuggerUrl"] for page in json.load(answer) if page["type"] == "page")
+                return next(
+                    page["webSocketDebuggerUrl"]
+                    for page in json.load(answer)
+                    if page["type"] == "page"
+                )
         except (OSError, StopIteration, IndexError):
             assert time.monotonic() < end, "the browser did not come up"
             time.sleep(0.2)

@@ -11,15 +11,21 @@ from tests.browser.page import CHROMIUM, open_page
 from tests.fake_run import write_fake_recording
 from tests.unit.run.test_report import SUMMARY, FakeScene
 
-pytestmark = [pytest.mark.browser, pytest.mark.clock, pytest.mark.xdist_group("browser"),
-              pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")]
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.clock,
+    pytest.mark.xdist_group("browser"),
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here"),
+]
 
 
 def place(page, selector):
     """Left, top, width, height of an element on the screen, px."""
-    return page.run(f"document.querySelector('{selector}').scrollIntoView({{block: 'center'}});"
-                    f"(({{x, y, width, height}}) => [x, y, width, height])("
-                    f"document.querySelector('{selector}').getBoundingClientRect())")
+    return page.run(
+        f"document.querySelector('{selector}').scrollIntoView({{block: 'center'}});"
+        f"(({{x, y, width, height}}) => [x, y, width, height])("
+        f"document.querySelector('{selector}').getBoundingClientRect())"
+    )
 
 
 def pixels(page, selector):
@@ -27,15 +33,20 @@ def pixels(page, selector):
 
 
 def test_a_page_is_zoomed_read_off_turned_and_goes_through_time(tmp_path):
-    cycles, strip = write_fake_recording(tmp_path / "run", count=60), Strip()
+    cycles = write_fake_recording(tmp_path / "run", count=60)
+    strip = Strip()
     for cycle in cycles:
         strip.add(cycle, FakeScene(2))
-    recording, path = load_recording(tmp_path / "run"), tmp_path / "summary.html"
+    recording = load_recording(tmp_path / "run")
+    path = tmp_path / "summary.html"
     write_page(path, recording, strip.kept, SUMMARY, cycles[40])
     with open_page(path.as_uri(), tmp_path / "browser") as page:
-        page.wait_for("document.readyState === 'complete' && document.title !== ''")  # not the blank page before
+        # not the blank page before
+        page.wait_for("document.readyState === 'complete' && document.title !== ''")
         x, y, width, height = place(page, "#chart")
-        assert page.run("[chart.shown.from, chart.shown.to]") == pytest.approx([0, 59 / 30], abs=1e-3)
+        assert page.run("[chart.shown.from, chart.shown.to]") == pytest.approx(
+            [0, 59 / 30], abs=1e-3
+        )
 
         page.mouse("mouseMoved", x + width / 2, y + height / 2)  # reads off
         i = int(page.run("lastBefore(data.time, view.pointer)"))
@@ -43,9 +54,11 @@ def test_a_page_is_zoomed_read_off_turned_and_goes_through_time(tmp_path):
         text = page.run("document.getElementById('readout').textContent")
         assert f"left felt {force[0]:.3f} ± 0.060" in text and f"right felt {force[1]:.3f}" in text
 
-        page.mouse("mouseWheel", x + width / 2, y + height / 2, deltaX=0, deltaY=-600)  # closer, about the pointer
+        # closer, about the pointer
+        page.mouse("mouseWheel", x + width / 2, y + height / 2, deltaX=0, deltaY=-600)
         middle, span = page.run("[(view.from + view.to) / 2, view.to - view.from]")
-        assert span == pytest.approx(np.exp(-0.9) * 59 / 30, rel=1e-4)  # of times that are written to 0.1 ms
+        # of times that are written to 0.1 ms
+        assert span == pytest.approx(np.exp(-0.9) * 59 / 30, rel=1e-4)
         assert middle == pytest.approx(59 / 60, abs=0.05)
 
         before = pixels(page, "canvas.membrane")
@@ -59,8 +72,16 @@ def test_a_page_is_zoomed_read_off_turned_and_goes_through_time(tmp_path):
 
         assert page.run("view.shot") == 20
         images = page.run("document.querySelector('img.camera').src")
-        page.run("(s => {s.value = 3; s.dispatchEvent(new Event('input'))})(document.getElementById('slider'))")
-        assert page.run("document.querySelector('img.camera').src") != images and pixels(page, "canvas.membrane") != turned
-        assert page.run("document.getElementById('moment').textContent") == f"{cycles[6].time:.2f} s"
+        page.run(
+            "(s => {s.value = 3; s.dispatchEvent(new "
+            "Event('input'))})(document.getElementById('slider'))"
+        )
+        assert (
+            page.run("document.querySelector('img.camera').src") != images
+            and pixels(page, "canvas.membrane") != turned
+        )
+        assert (
+            page.run("document.getElementById('moment').textContent") == f"{cycles[6].time:.2f} s"
+        )
         cv2.imwrite(str(tmp_path / "page.png"), page.picture())
         assert page.picture().std() > 20

@@ -25,9 +25,14 @@ from websockets.typing import Origin
 from tests.browser.page import CHROMIUM, LIMIT, open_page
 
 CHECKOUT = Path(__file__).resolve().parents[2]
-pytestmark = [pytest.mark.browser, pytest.mark.clock, pytest.mark.xdist_group("browser"),
-              pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")]
-PICTURE = os.environ.get("MJTACTILE_PICTURE")  # where the page is kept while it holds, for the documentation
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.clock,
+    pytest.mark.xdist_group("browser"),
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here"),
+]
+# where the page is kept while it holds, for the documentation
+PICTURE = os.environ.get("MJTACTILE_PICTURE")
 SCENE = np.s_[40:330, 300:890]  # px: where no window lies
 
 
@@ -35,16 +40,32 @@ class Studio:
     """The command, and the page that looks at it."""
 
     def __init__(self, folder):
-        self.folder, self._open = folder, contextlib.ExitStack()
+        self.folder = folder
+        self._open = contextlib.ExitStack()
         self.page: Any = None
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             self.port = probe.getsockname()[1]
         self.log = folder / "log"
-        command = [sys.executable, "-m", "tests.browser.host", "--no-browser", "--fast", "--port", str(self.port)]
+        command = [
+            sys.executable,
+            "-m",
+            "tests.browser.host",
+            "--no-browser",
+            "--fast",
+            "--port",
+            str(self.port),
+        ]
         with self.log.open("w") as log:
-            self.process: Any = subprocess.Popen(command, cwd=CHECKOUT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-                                                 stderr=log, env={**os.environ, "HOME": str(folder)})
+            self.process: Any = subprocess.Popen(
+                command,
+                cwd=CHECKOUT,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                text=True,
+                stderr=log,
+                env={**os.environ, "HOME": str(folder)},
+            )
 
     @property
     def url(self):
@@ -52,8 +73,15 @@ class Studio:
 
     def open(self, name):
         """Look at it with a browser of its own."""
-        self.page = self._open.enter_context(open_page(self.url, self.folder / name, until=self.log, sparing=True,
-                                                       scale=1.0 if PICTURE else 0.5))
+        self.page = self._open.enter_context(
+            open_page(
+                self.url,
+                self.folder / name,
+                until=self.log,
+                sparing=True,
+                scale=1.0 if PICTURE else 0.5,
+            )
+        )
 
     def close(self):
         self._open.close()
@@ -74,9 +102,13 @@ class Studio:
         return found
 
     def press(self, label, share=0.5):
-        """Come to the widget, press, and let go, each when the last was seen; `share` of its width is where."""
-        left, top, right, bottom = self.until(lambda f: label in f["places"], f"there is {label!r}")["places"][label]
-        x, y = left + share * (right - left), (top + bottom) / 2
+        """Come to the widget, press, and let go, each when the last was seen; `share` of its width
+        is where."""
+        left, top, right, bottom = self.until(
+            lambda f: label in f["places"], f"there is {label!r}"
+        )["places"][label]
+        x = left + share * (right - left)
+        y = (top + bottom) / 2
         end = time.monotonic() + LIMIT
         while self.ask()["hovered"] != label:  # a page that has just come up does not listen yet
             assert time.monotonic() < end, f"the mouse never came to {label!r}"
@@ -91,16 +123,24 @@ class Studio:
     def is_up(self):
         """Whether somebody looks and a cycle is shown."""
         before = self.ask()["frames"]
-        return self.until(lambda f: f["frames"] > before + 1 and f["number"] >= 0 and f["places"], "the page is up")
+        return self.until(
+            lambda f: f["frames"] > before + 1 and f["number"] >= 0 and f["places"],
+            "the page is up",
+        )
 
     def picture(self, good):
-        """The page as soon as it is `good`, and the pictures in it: left camera, left membrane, right camera, right membrane. The
-        scene is drawn some time after the windows."""
+        """The page as soon as it is `good`, and the pictures in it: left camera, left membrane,
+        right camera, right membrane. The scene is drawn some time after the windows."""
         end = time.monotonic() + LIMIT
         while True:
-            shot, places = self.page.picture(), self.ask()["places"]
-            parts = [shot[round(top) + 2:round(bottom) - 2, round(left) + 2:round(right) - 2]
-                     for name, (left, top, right, bottom) in places.items() if name.isdecimal()]  # textures have numbers
+            shot = self.page.picture()
+            places = self.ask()["places"]
+            # textures have numbers
+            parts = [
+                shot[round(top) + 2 : round(bottom) - 2, round(left) + 2 : round(right) - 2]
+                for name, (left, top, right, bottom) in places.items()
+                if name.isdecimal()
+            ]
             if good(shot, parts):
                 return shot, parts
             assert time.monotonic() < end, "the page never showed it"
@@ -128,25 +168,42 @@ def is_dark(bgr):
 
 def test_a_membrane_deforms_under_a_grasp_and_the_panels_numbers_are_the_sessions(studio):
     studio.is_up()
-    first, _ = studio.picture(lambda shot, parts: shot[SCENE].std() > 10 and len(parts) == 4 and parts[0].std() > 20 and
-                              is_dark(parts[1]).mean() > 0.98)  # a scene that is not black, markers, and nothing touches
+    # a scene that is not black, markers, and nothing touches
+    first, _ = studio.picture(
+        lambda shot, parts: (
+            shot[SCENE].std() > 10
+            and len(parts) == 4
+            and parts[0].std() > 20
+            and is_dark(parts[1]).mean() > 0.98
+        )
+    )
     studio.press("go on")
-    studio.until(lambda f: f["phase"] == "hold" and f["paused"], "it holds; the host pauses it there")
+    studio.until(
+        lambda f: f["phase"] == "hold" and f["paused"], "it holds; the host pauses it there"
+    )
     now = studio.ask()
     held = studio.until(lambda f: f["frames"] > now["frames"] + 3, "some frames go by")
     assert held["number"] == now["number"]  # a pause is one
     for felt in held["felt"]:
-        for text in (f"normal {felt['force']:+.3f} N, 2 sd {2 * felt['sd']:.3f}", f"true   {felt['true']:+.3f} N"):
+        for text in (
+            f"normal {felt['force']:+.3f} N, 2 sd {2 * felt['sd']:.3f}",
+            f"true   {felt['true']:+.3f} N",
+        ):
             assert text in held["said"]
         assert abs(felt["force"] - felt["true"]) < 5 * felt["sd"]
-    later, (_, membrane, *_) = studio.picture(lambda shot, parts: (parts[1][:, :, 1] > 180).mean() > 0.005)
+    later, (_, membrane, *_) = studio.picture(
+        lambda shot, parts: (parts[1][:, :, 1] > 180).mean() > 0.005
+    )
     if PICTURE:
         cv2.imwrite(PICTURE, later)
-    assert (np.abs(first[SCENE].astype(int) - later[SCENE]).max(axis=2) > 24).mean() > 0.02  # what moves in it has moved
+    # what moves in it has moved
+    assert (np.abs(first[SCENE].astype(int) - later[SCENE]).max(axis=2) > 24).mean() > 0.02
     height, width = membrane.shape[:2]
-    assert is_dark(membrane[:height // 6]).mean() > 0.9  # the frame's edge stays
-    x, y = (np.mean(where) for where in np.nonzero(membrane[:, :, 1] > 180)[::-1])  # green: the deepest
-    centroid = np.array(held["felt"][0]["centroid"]) / [0.040, 0.030]  # shares of the frame's opening
+    assert is_dark(membrane[: height // 6]).mean() > 0.9  # the frame's edge stays
+    # green: the deepest
+    x, y = (np.mean(where) for where in np.nonzero(membrane[:, :, 1] > 180)[::-1])
+    # shares of the frame's opening
+    centroid = np.array(held["felt"][0]["centroid"]) / [0.040, 0.030]
     np.testing.assert_allclose([x / width - 0.5, y / height - 0.5], centroid, atol=0.06)
 
 
@@ -159,39 +216,57 @@ def test_the_supply_slider_changes_the_pressure(studio):
     studio.press("one cycle")
     studio.until(lambda f: f["number"] == number + 1, "one cycle goes by")
     studio.press("one cycle")
-    studio.until(lambda f: f["felt"][0]["pressure"] == pytest.approx(1e3 * supply, abs=1), "the pressure is the supply's")
+    studio.until(
+        lambda f: f["felt"][0]["pressure"] == pytest.approx(1e3 * supply, abs=1),
+        "the pressure is the supply's",
+    )
 
 
 def test_a_handler_that_raises_is_shown_and_the_session_goes_on(studio):
     studio.ask("break")
-    studio.until(lambda f: any("ZeroDivisionError" in text for text in f["said"]), "the error is shown")
+    studio.until(
+        lambda f: any("ZeroDivisionError" in text for text in f["said"]), "the error is shown"
+    )
     number = studio.ask()["number"]
     studio.press("one cycle")
     studio.until(lambda f: f["number"] > number, "it goes on")
     studio.ask("mend")
-    studio.until(lambda f: any(text.startswith("normal") for text in f["said"]), "the finger is shown again")
+    studio.until(
+        lambda f: any(text.startswith("normal") for text in f["said"]), "the finger is shown again"
+    )
 
 
 def test_a_second_page_watches_and_strangers_change_nothing(studio):
-    """Studio gives the windows to one page at a time and the scene to all; other web sites, and what speaks no HTTP, get none."""
+    """Studio gives the windows to one page at a time and the scene to all; other web sites, and
+    what speaks no HTTP, get none."""
     address = f"ws://localhost:{studio.port}"
-    with connect(f"{address}/state?sid=second", origin=Origin("http://localhost:1")) as second:  # through a tunnel: another port
-        roster = next(text for text in second if isinstance(text, str) and text.startswith("viewers="))
+    # through a tunnel: another port
+    with connect(f"{address}/state?sid=second", origin=Origin("http://localhost:1")) as second:
+        roster = next(
+            text for text in second if isinstance(text, str) and text.startswith("viewers=")
+        )
         assert roster.startswith("viewers=2;role=spectator")
         payload = next(part for part in second if isinstance(part, bytes))
         assert len(payload) > 1000
-        with connect(f"{address}/ui?sid=second") as windows, pytest.raises(ConnectionClosed, match="4001"):
+        with (
+            connect(f"{address}/ui?sid=second") as windows,
+            pytest.raises(ConnectionClosed, match="4001"),
+        ):
             windows.recv(timeout=LIMIT)
     before = studio.ask()
     for path in ("ui", "state", "drop"):
-        with pytest.raises(InvalidStatus, match="403"), connect(f"{address}/{path}?sid=evil", origin=Origin("https://evil.example")):
+        with (
+            pytest.raises(InvalidStatus, match="403"),
+            connect(f"{address}/{path}?sid=evil", origin=Origin("https://evil.example")),
+        ):
             pass
     with socket.create_connection(("127.0.0.1", studio.port)) as stranger:
         stranger.sendall(b"\x00\xff garbage \r\n\r\n" * 1000)
     after = studio.until(lambda f: f["frames"] > before["frames"] + 2, "it goes on")
     assert (after["number"], after["paused"], after["runs"]) == (before["number"], True, 1)
     listening = Path("/proc/net/tcp").read_text() + Path("/proc/net/tcp6").read_text()
-    assert re.findall(rf"\s([0-9A-F]+):{studio.port:04X}\s+0+:0000 0A", listening) == ["0100007F"]  # 127.0.0.1 alone
+    # 127.0.0.1 alone
+    assert re.findall(rf"\s([0-9A-F]+):{studio.port:04X}\s+0+:0000 0A", listening) == ["0100007F"]
 
 
 def test_a_page_that_was_closed_and_opened_again_goes_on(studio):

@@ -1,5 +1,6 @@
-"""Every value may begin with a minus: numbers, pairs, ranges, effects to switch off. A parser that takes `-3.2,1.7` for an
-option says "expected one argument"; any other complaint (of a value that makes no sense there) is the command's own."""
+"""Every value may begin with a minus: numbers, pairs, ranges, effects to switch off. A parser that
+takes `-3.2,1.7` for an option says "expected one argument"; any other complaint (of a value that
+makes no sense there) is the command's own."""
 
 import argparse
 
@@ -20,8 +21,12 @@ def subparsers(parser, words=()):
 
 
 PARSER = build_parser(*COMMANDS)
-OPTIONS = [(words, action.option_strings[0], action.nargs or 1) for words, parser in subparsers(PARSER)
-           for action in parser._actions if action.option_strings and action.nargs != 0]
+OPTIONS = [
+    (words, action.option_strings[0], action.nargs or 1)
+    for words, parser in subparsers(PARSER)
+    for action in parser._actions
+    if action.option_strings and action.nargs != 0
+]
 
 
 @pytest.mark.parametrize("value", ["-3.2,1.7", "-2:2:0.5", "-1", "-.5", "-1e-3", "-latency"])
@@ -34,12 +39,19 @@ def test_an_option_takes_a_value_with_a_leading_minus(value):
             assert "expected" not in str(error), (words, option)
 
 
-@pytest.mark.parametrize(("words", "name", "value"), [
-    (["press", "--indenter", "sphere:8", "--at", "-3.2,1.7"], "at", (-3.2, 1.7)),
-    (["press", "--indenter", "sphere:8", "--depth-mm", "-0.5:1:0.5"], "depths", [-0.5, 0.0, 0.5, 1.0]),
-    (["press", "--indenter", "sphere:8", "--tilt-deg", "-10"], "tilt_deg", -10.0),
-    (["grasp", "--effects", "-latency,+shadows"], "effects", "-latency,+shadows"),
-    (["grasp", "--effects", "-follower pressure"], "effects", "-follower pressure"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("words", "name", "value"),
+    [
+        (["press", "--indenter", "sphere:8", "--at", "-3.2,1.7"], "at", (-3.2, 1.7)),
+        (
+            ["press", "--indenter", "sphere:8", "--depth-mm", "-0.5:1:0.5"],
+            "depths",
+            [-0.5, 0.0, 0.5, 1.0],
+        ),
+        (["press", "--indenter", "sphere:8", "--tilt-deg", "-10"], "tilt_deg", -10.0),
+        (["grasp", "--effects", "-latency,+shadows"], "effects", "-latency,+shadows"),
+        (["grasp", "--effects", "-follower pressure"], "effects", "-follower pressure"),
+    ],
+)
 def test_the_value_is_what_was_written(words, name, value):
     assert getattr(PARSER.parse_args(words), name) == value

@@ -1,4 +1,5 @@
-"""Bad input: exit code 2, one clear line that names the file, the field and the choices, and nothing left behind."""
+"""Bad input: exit code 2, one clear line that names the file, the field and the choices, and
+nothing left behind."""
 
 import json
 import subprocess
@@ -13,11 +14,24 @@ from mjtactile.recording.reader import load_recording
 EGG = resources.find("egg", "models/objects", ".xml").read_text()
 DENSE = resources.find("dense", "models/sensors", ".toml").read_text()
 
-STREAM = resources.find("two_xm430", "models/rigs", ".toml").read_text().replace('timestamps = "kernel"', """backend = "ffmpeg"
-timestamps = "arrival\"""").replace('"/dev/v4l/by-id/usb-Arducam_Left-video-index0"', '"http://127.0.0.1:9/left"')
+STREAM = (
+    resources.find("two_xm430", "models/rigs", ".toml")
+    .read_text()
+    .replace(
+        'timestamps = "kernel"',
+        """backend = "ffmpeg"
+timestamps = "arrival\"""",
+    )
+    .replace('"/dev/v4l/by-id/usb-Arducam_Left-video-index0"', '"http://127.0.0.1:9/left"')
+)
 
-ROBOT = resources.find("sim", "models/rigs", ".toml").read_text().replace(
-    "../grippers/two_finger.xml", str(resources.folder("models/grippers") / "two_finger.xml"))
+ROBOT = (
+    resources.find("sim", "models/rigs", ".toml")
+    .read_text()
+    .replace(
+        "../grippers/two_finger.xml", str(resources.folder("models/grippers") / "two_finger.xml")
+    )
+)
 
 # case: option, file name, its text (None: not made), words that the message must have
 CASES = {
@@ -26,25 +40,103 @@ CASES = {
     "unknown controller": ("--controller", "rough", None, ["rough", "gentle"]),
     "object file missing": ("--object", "./no.xml", None, ["no.xml", "no such file"]),
     "broken MJCF": ("--object", "a.xml", "<mujoco><worldbody></mujoco>", ["a.xml", "MJCF"]),
-    "no body named object": ("--object", "a.xml", EGG.replace('"object"', '"egg"'), ["a.xml", "'object'"]),
-    "no free joint": ("--object", "a.xml", EGG.replace("<freejoint/>", ""), ["a.xml", "free joint"]),
-    "no break force": ("--object", "a.xml", EGG.replace("break_force_N", "strength"), ["a.xml", "break_force_N"]),
-    "unknown material": ("--object", "a.xml", EGG.replace('"solid"', '"stone"'), ["a.xml", "material", "stone", "soft"]),
-    "wider than the jaws open": ("--object", "a.xml", EGG.replace("0.016 0.016 0.02", "0.06 0.06 0.06"),
-                                 ["a.xml", "stands in the way", "they open to 80 mm", "wider"]),
-    "field missing": ("--sensor", "a.toml", DENSE.replace("young_MPa = 1.0", ""), ["a.toml", "membrane.young_MPa"]),
-    "misspelt": ("--sensor", "a.toml", DENSE.replace("young_MPa", "yung_MPa"), ["a.toml", "yung_MPa", "young_MPa"]),
-    "wrong unit": ("--sensor", "a.toml", DENSE.replace("young_MPa", "young_kPa"), ["a.toml", "young_kPa", "young_MPa"]),
-    "negative": ("--sensor", "a.toml", DENSE.replace("_MPa = 1.0", "_MPa = -1.0"), ["a.toml", "young_MPa", "-1.0"]),
-    "not finite": ("--sensor", "a.toml", DENSE.replace("_MPa = 1.0", "_MPa = nan"), ["a.toml", "young_MPa", "nan"]),
+    "no body named object": (
+        "--object",
+        "a.xml",
+        EGG.replace('"object"', '"egg"'),
+        ["a.xml", "'object'"],
+    ),
+    "no free joint": (
+        "--object",
+        "a.xml",
+        EGG.replace("<freejoint/>", ""),
+        ["a.xml", "free joint"],
+    ),
+    "no break force": (
+        "--object",
+        "a.xml",
+        EGG.replace("break_force_N", "strength"),
+        ["a.xml", "break_force_N"],
+    ),
+    "unknown material": (
+        "--object",
+        "a.xml",
+        EGG.replace('"solid"', '"stone"'),
+        ["a.xml", "material", "stone", "soft"],
+    ),
+    "wider than the jaws open": (
+        "--object",
+        "a.xml",
+        EGG.replace("0.016 0.016 0.02", "0.06 0.06 0.06"),
+        ["a.xml", "stands in the way", "they open to 80 mm", "wider"],
+    ),
+    "field missing": (
+        "--sensor",
+        "a.toml",
+        DENSE.replace("young_MPa = 1.0", ""),
+        ["a.toml", "membrane.young_MPa"],
+    ),
+    "misspelt": (
+        "--sensor",
+        "a.toml",
+        DENSE.replace("young_MPa", "yung_MPa"),
+        ["a.toml", "yung_MPa", "young_MPa"],
+    ),
+    "wrong unit": (
+        "--sensor",
+        "a.toml",
+        DENSE.replace("young_MPa", "young_kPa"),
+        ["a.toml", "young_kPa", "young_MPa"],
+    ),
+    "negative": (
+        "--sensor",
+        "a.toml",
+        DENSE.replace("_MPa = 1.0", "_MPa = -1.0"),
+        ["a.toml", "young_MPa", "-1.0"],
+    ),
+    "not finite": (
+        "--sensor",
+        "a.toml",
+        DENSE.replace("_MPa = 1.0", "_MPa = nan"),
+        ["a.toml", "young_MPa", "nan"],
+    ),
     "not TOML": ("--sensor", "a.toml", "[frame", ["a.toml", "TOML"]),
-    "no fingers": ("--rig", "a.toml", ROBOT.replace("[[finger]]", "[[fingr]]"), ["a.toml", "finger", "'fingr'"]),
-    "two fingers of one name": ("--rig", "a.toml", ROBOT.replace('"right"', '"left"'), ["a.toml", "finger.name", "'left'"]),
-    "no such site": ("--rig", "a.toml", ROBOT.replace('"right_fingertip"', '"tip"'), ["a.toml", "finger[1].site", "'tip'",
-                                                                                    "right_fingertip"]),
-    "no such actuator": ("--rig", "a.toml", ROBOT.replace('"jaw"', '"jw"'), ["a.toml", "actuator[0].name", "'jw'", "jaw"]),
-    "robot file missing": ("--rig", "a.toml", ROBOT.replace("two_finger.xml", "no.xml"), ["a.toml", "sim.model", "no.xml"]),
-    "controller does not import": ("--controller", "a.py", "import nothing_like_this", ["a.py", "nothing_like_this"]),
+    "no fingers": (
+        "--rig",
+        "a.toml",
+        ROBOT.replace("[[finger]]", "[[fingr]]"),
+        ["a.toml", "finger", "'fingr'"],
+    ),
+    "two fingers of one name": (
+        "--rig",
+        "a.toml",
+        ROBOT.replace('"right"', '"left"'),
+        ["a.toml", "finger.name", "'left'"],
+    ),
+    "no such site": (
+        "--rig",
+        "a.toml",
+        ROBOT.replace('"right_fingertip"', '"tip"'),
+        ["a.toml", "finger[1].site", "'tip'", "right_fingertip"],
+    ),
+    "no such actuator": (
+        "--rig",
+        "a.toml",
+        ROBOT.replace('"jaw"', '"jw"'),
+        ["a.toml", "actuator[0].name", "'jw'", "jaw"],
+    ),
+    "robot file missing": (
+        "--rig",
+        "a.toml",
+        ROBOT.replace("two_finger.xml", "no.xml"),
+        ["a.toml", "sim.model", "no.xml"],
+    ),
+    "controller does not import": (
+        "--controller",
+        "a.py",
+        "import nothing_like_this",
+        ["a.py", "nothing_like_this"],
+    ),
     "controller without step": ("--controller", "a.py", "x = 1", ["a.py", "step"]),
 }
 
@@ -70,16 +162,37 @@ def test_bad_file_or_name(mjtactile, tmp_path, case):
     assert set(tmp_path.iterdir()) == before  # neither an empty result nor MuJoCo's log file
 
 
-@pytest.mark.parametrize(("body", "words"), [
-    ("return 1 / 0", ["line 2", "ZeroDivisionError"]),
-    ("return None", ["step", "None"]),
-    ("from dataclasses import replace; return replace(observation.command, opening=float('nan'))", ["opening", "nan"]),
-    ("from dataclasses import replace; return replace(observation.command, phase='grab')", ["phase", "grab", "hold"]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ("return 1 / 0", ["line 2", "ZeroDivisionError"]),
+        ("return None", ["step", "None"]),
+        (
+            "from dataclasses import replace; return "
+            "replace(observation.command, "
+            "opening=float('nan'))",
+            ["opening", "nan"],
+        ),
+        (
+            "from dataclasses import replace; return replace(observation.command, phase='grab')",
+            ["phase", "grab", "hold"],
+        ),
+    ],
+)
 def test_a_controller_that_misbehaves_is_named(mjtactile, tmp_path, body, words):
     (tmp_path / "bad.py").write_text(f"def step(observation):\n    {body}\n")
-    process = mjtactile("grasp", "--controller", "bad.py", "--sensor", "paper16", "--workers", "0", "--out", "result",
-                        "--json")
+    process = mjtactile(
+        "grasp",
+        "--controller",
+        "bad.py",
+        "--sensor",
+        "paper16",
+        "--workers",
+        "0",
+        "--out",
+        "result",
+        "--json",
+    )
     assert_one_line(process, ["bad.py", *words])
     assert json.loads(process.stdout)["exit_code"] == 2
 
@@ -91,23 +204,36 @@ def step(observation):
         raise ValueError("tired")
     return observation.command
 """)
-    process = mjtactile("grasp", "--controller", "bad.py", "--sensor", "paper16", "--workers", "0", "--out", "result",
-                        "--json")
+    process = mjtactile(
+        "grasp",
+        "--controller",
+        "bad.py",
+        "--sensor",
+        "paper16",
+        "--workers",
+        "0",
+        "--out",
+        "result",
+        "--json",
+    )
     assert_one_line(process, ["bad.py", "line 4", "tired"])
     report = json.loads(process.stdout)
     assert report["outcome"] == "fault" and report["exit_code"] == 2
     assert len(load_recording(tmp_path / "result")) == report["frames"] > 0
 
 
-@pytest.mark.parametrize(("args", "words"), [
-    (["grasp", "--seed", "-1"], ["--seed", "-1"]),
-    (["grasp", "--rig", "dream"], ["--rig", "dream", "sim"]),
-    (["grab"], ["grab", "grasp", "locate"]),
-    (["bench", "nothing"], ["nothing", "grasp", "perception"]),
-    (["locate", "x.png", "--camera", "c.yaml", "--radius-mm", "0"], ["--radius-mm", "0"]),
-    (["locate", "x.png", "--camera", "c.yaml", "--radius-mm", "1"], ["c.yaml"]),
-    ([], ["COMMAND", "--help"]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (["grasp", "--seed", "-1"], ["--seed", "-1"]),
+        (["grasp", "--rig", "dream"], ["--rig", "dream", "sim"]),
+        (["grab"], ["grab", "grasp", "locate"]),
+        (["bench", "nothing"], ["nothing", "grasp", "perception"]),
+        (["locate", "x.png", "--camera", "c.yaml", "--radius-mm", "0"], ["--radius-mm", "0"]),
+        (["locate", "x.png", "--camera", "c.yaml", "--radius-mm", "1"], ["c.yaml"]),
+        ([], ["COMMAND", "--help"]),
+    ],
+)
 def test_bad_usage(mjtactile, args, words):
     process = mjtactile(*args)
     assert_one_line(process, words)
@@ -115,11 +241,26 @@ def test_bad_usage(mjtactile, args, words):
 
 
 # Each of these makes OpenCV, FFmpeg or MuJoCo print something of their own.
-@pytest.mark.parametrize(("files", "args", "words"), [
-    ({"bad.mp4": b"xx"}, ["reconstruct", "bad.mp4", "--sensor", "dense", "--out", "out"], ["bad.mp4"]),
-    ({"bad.png": b"\x89PNG"}, ["reconstruct", "bad.png", "--sensor", "dense", "--out", "out"], ["bad.png"]),
-    ({"rig.toml": STREAM.encode()}, ["grasp", "--rig", "rig.toml", "--out", "out"], ["left camera", "127.0.0.1:9"]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("files", "args", "words"),
+    [
+        (
+            {"bad.mp4": b"xx"},
+            ["reconstruct", "bad.mp4", "--sensor", "dense", "--out", "out"],
+            ["bad.mp4"],
+        ),
+        (
+            {"bad.png": b"\x89PNG"},
+            ["reconstruct", "bad.png", "--sensor", "dense", "--out", "out"],
+            ["bad.png"],
+        ),
+        (
+            {"rig.toml": STREAM.encode()},
+            ["grasp", "--rig", "rig.toml", "--out", "out"],
+            ["left camera", "127.0.0.1:9"],
+        ),
+    ],
+)
 def test_no_library_speaks_before_our_own_line(mjtactile, tmp_path, files, args, words):
     for name, content in files.items():
         (tmp_path / name).write_bytes(content)
@@ -144,8 +285,13 @@ def test_mujocos_own_words_are_for_debugging(tmp_path):
         mujoco.mj_step(model, data)
     """
     for debug in (False, True):
-        process = subprocess.run([sys.executable, "-c", code.replace("DEBUG", str(debug))], cwd=tmp_path, capture_output=True,
-                                 text=True, check=True)
+        process = subprocess.run(
+            [sys.executable, "-c", code.replace("DEBUG", str(debug))],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
         assert ("unstable" in process.stderr) == debug
     assert not list(tmp_path.iterdir())
 

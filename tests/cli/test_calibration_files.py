@@ -1,4 +1,5 @@
-"""Calibration files that a rig file names: wrong ones are one line, `doctor` says how the others stand, commands find them."""
+"""Calibration files that a rig file names: wrong ones are one line, `doctor` says how the others
+stand, commands find them."""
 
 import json
 
@@ -6,7 +7,14 @@ import pytest
 
 from mjtactile.cli import main
 from mjtactile.core import resources
-from mjtactile.core.calibration import Calibration, ForceScale, Lens, ValveZero, load_calibration, stamp
+from mjtactile.core.calibration import (
+    Calibration,
+    ForceScale,
+    Lens,
+    ValveZero,
+    load_calibration,
+    stamp,
+)
 from mjtactile.core.design import load_sensor
 from mjtactile.rig.file import load_rig_file
 from mjtactile.rig.gripper import calibrated_gripper
@@ -18,14 +26,20 @@ LENS = Lens(640, 480, 618.0, 618.0, 325.0, 235.0, (-0.09, 0.01, 0.0, 0.0, 0.0), 
 
 @pytest.fixture
 def rig(tmp_path):
-    """A real rig's file, whose devices are not there, with calibration files named and left's made."""
+    """A real rig's file, whose devices are not there, with calibration files named and left's
+    made."""
     text = resources.find("two_xm430", "models/rigs", ".toml").read_text()
     text = text.replace("[gripper]\n", '[gripper]\ncalibration = "gripper.json"\n')
     for finger in ("left", "right"):
-        text = text.replace(f'[[camera]]\nfinger = "{finger}"', f'[[camera]]\nfinger = "{finger}"\ncalibration = "{finger}.json"')
+        text = text.replace(
+            f'[[camera]]\nfinger = "{finger}"',
+            f'[[camera]]\nfinger = "{finger}"\ncalibration = "{finger}.json"',
+        )
     path = tmp_path / "rig.toml"
     path.write_text(text)
-    Calibration("left", "dense").with_part(LENS).with_part(ValveZero(30.0, 5.0, MARK)).save(tmp_path / "left.json")
+    Calibration("left", "dense").with_part(LENS).with_part(ValveZero(30.0, 5.0, MARK)).save(
+        tmp_path / "left.json"
+    )
     return path
 
 
@@ -39,12 +53,27 @@ def cut_in_half(folder):
     path.write_text(path.read_text()[: path.stat().st_size // 2])
 
 
-@pytest.mark.parametrize(("spoil", "words"), [
-    (cut_in_half, ("left.json", "not valid JSON")),
-    (lambda folder: Calibration("left", "paper16").save(folder / "left.json"), ("left.json", "sensor", "'paper16'", "'dense'")),
-    (lambda folder: Calibration("right", "dense").save(folder / "left.json"), ("left.json", "finger", "'right'", "'left'")),
-    (lambda folder: (folder / "gripper.json").write_text('{"calibration": "force"}'), ("gripper.json", "valid: gripper"))])
-def test_a_calibration_of_something_else_ends_a_grasp_before_it_begins(rig, tmp_path, capsys, spoil, words):
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (cut_in_half, ("left.json", "not valid JSON")),
+        (
+            lambda folder: Calibration("left", "paper16").save(folder / "left.json"),
+            ("left.json", "sensor", "'paper16'", "'dense'"),
+        ),
+        (
+            lambda folder: Calibration("right", "dense").save(folder / "left.json"),
+            ("left.json", "finger", "'right'", "'left'"),
+        ),
+        (
+            lambda folder: (folder / "gripper.json").write_text('{"calibration": "force"}'),
+            ("gripper.json", "valid: gripper"),
+        ),
+    ],
+)
+def test_a_calibration_of_something_else_ends_a_grasp_before_it_begins(
+    rig, tmp_path, capsys, spoil, words
+):
     spoil(tmp_path)
     if "gripper.json" in words:  # read when the servos are connected, after the cameras
         with pytest.raises(Exception, match="valid: gripper"):
@@ -53,7 +82,9 @@ def test_a_calibration_of_something_else_ends_a_grasp_before_it_begins(rig, tmp_
         assert main(["grasp", "--rig", str(rig), "--out", str(tmp_path / "out")]) == 2
         one_line(capsys, *words)
     assert main(["doctor", "--rig", str(rig), "--json"]) == 1
-    bad = [f["text"] for f in json.loads(capsys.readouterr().out)["findings"] if f["level"] == "bad"]
+    bad = [
+        f["text"] for f in json.loads(capsys.readouterr().out)["findings"] if f["level"] == "bad"
+    ]
     assert any(all(word in text for word in words) for text in bad)
 
 
@@ -61,9 +92,16 @@ def without_cameras(text):
     return "[[".join(part for part in text.split("[[") if not part.startswith("camera]]"))
 
 
-@pytest.mark.parametrize(("change", "words"), [
-    (lambda text: text.replace('finger = "right"', 'finger = "left"'), ("camera", "['left', 'left']")),
-    (without_cameras, ("camera", "missing field"))])
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            lambda text: text.replace('finger = "right"', 'finger = "left"'),
+            ("camera", "['left', 'left']"),
+        ),
+        (without_cameras, ("camera", "missing field")),
+    ],
+)
 def test_two_fingers_of_one_name_and_no_fingers_are_refused(rig, tmp_path, capsys, change, words):
     rig.write_text(change(rig.read_text()))
     assert main(["grasp", "--rig", str(rig), "--out", str(tmp_path / "out")]) == 2
@@ -71,15 +109,23 @@ def test_two_fingers_of_one_name_and_no_fingers_are_refused(rig, tmp_path, capsy
 
 
 def test_doctor_says_what_is_missing_refused_and_outdated(rig, tmp_path, capsys):
-    stale = ForceScale(1.02, 0.01, 1.5, stamp(load_sensor("paper16"), {}, {}))  # of other values than the sensor file's
-    load_calibration(tmp_path / "left.json").with_part(stale).with_refusal("frame", ["bent"]).save(tmp_path / "left.json")
+    # of other values than the sensor file's
+    stale = ForceScale(1.02, 0.01, 1.5, stamp(load_sensor("paper16"), {}, {}))
+    load_calibration(tmp_path / "left.json").with_part(stale).with_refusal("frame", ["bent"]).save(
+        tmp_path / "left.json"
+    )
     main(["doctor", "--rig", str(rig), "--json"])
     found = {f["what"]: f for f in json.loads(capsys.readouterr().out)["findings"]}
     assert found["calibration of left, lens"]["level"] == "ok"
-    assert "refused" in found["calibration of left, frame"]["text"] and "bent" in found["calibration of left, frame"]["text"]
+    assert (
+        "refused" in found["calibration of left, frame"]["text"]
+        and "bent" in found["calibration of left, frame"]["text"]
+    )
     assert "older than the sensor file" in found["calibration of left, force"]["text"]
     assert found["calibration of right, lens"]["text"].startswith("never measured")
-    assert found["calibration of right, lens"]["remedy"] == f"`mjtactile calibrate camera --rig {rig} --finger right`"
+    assert found["calibration of right, lens"]["remedy"] == (
+        f"`mjtactile calibrate camera --rig {rig} --finger right`"
+    )
     assert found["calibration of the gripper"]["level"] == "warn"
 
 
@@ -91,9 +137,14 @@ def test_a_rig_that_names_no_file_says_where_to_write_one(capsys):
 def test_what_was_measured_of_the_gripper_is_used_until_the_rig_file_changes(rig, tmp_path):
     rows = "\n".join(["reported_N,measured_N", *(f"{f},{0.9 * f}" for f in (1, 2, 3, 4))])
     (tmp_path / "cell.csv").write_text(rows)
-    assert main(["calibrate", "gripper", "--rig", str(rig), "--forces", str(tmp_path / "cell.csv")]) == 0
+    assert (
+        main(["calibrate", "gripper", "--rig", str(rig), "--forces", str(tmp_path / "cell.csv")])
+        == 0
+    )
     config = load_rig_file(rig).gripper
-    assert [s.torque_per_A for s in calibrated_gripper(config).servos] == pytest.approx([0.9 * 1.78] * 2, rel=1e-3)
+    assert [s.torque_per_A for s in calibrated_gripper(config).servos] == pytest.approx(
+        [0.9 * 1.78] * 2, rel=1e-3
+    )
     rig.write_text(rig.read_text().replace("zero_ticks = 1024", "zero_ticks = 1030"))
     config = load_rig_file(rig).gripper
     assert calibrated_gripper(config) == config

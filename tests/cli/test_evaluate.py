@@ -1,4 +1,5 @@
-"""`mjtactile evaluate`: the same lines with any number of workers, after an interruption, and from shards."""
+"""`mjtactile evaluate`: the same lines with any number of workers, after an interruption, and from
+shards."""
 
 import json
 import os
@@ -17,15 +18,36 @@ from mjtactile.export.episode import find_episodes
 from mjtactile.recording.reader import load_recording
 from tests.emulated_host import controller_text
 
-COMMON = ["--sensor", "paper16", "--controller", "quick.py", "--objects", "vial,egg", "--episodes", "2", "--vary", "none",
-          "--worst", "1", "--effects=-images", "--seed", "7"]
+COMMON = [
+    "--sensor",
+    "paper16",
+    "--controller",
+    "quick.py",
+    "--objects",
+    "vial,egg",
+    "--episodes",
+    "2",
+    "--vary",
+    "none",
+    "--worst",
+    "1",
+    "--effects=-images",
+    "--seed",
+    "7",
+]
 
 
 def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile, monkeypatch, capsys):
     (tmp_path / "quick.py").write_text(controller_text(hold=0.1))
-    host = subprocess.Popen([sys.executable, "-m", "mjtactile", "evaluate", *COMMON, "--workers", "2", "--out", "one"],
-                            cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
-    episodes, deadline = tmp_path / "one" / "episodes.jsonl", time.monotonic() + 600
+    host = subprocess.Popen(
+        [sys.executable, "-m", "mjtactile", "evaluate", *COMMON, "--workers", "2", "--out", "one"],
+        cwd=tmp_path,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    episodes = tmp_path / "one" / "episodes.jsonl"
+    deadline = time.monotonic() + 600
     while not (episodes.exists() and episodes.read_text().count("\n")):
         assert host.poll() is None and time.monotonic() < deadline
         time.sleep(0.05)
@@ -37,14 +59,32 @@ def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile, monkeypatch, cap
     monkeypatch.chdir(tmp_path)
     assert main(["evaluate", *COMMON, "--out", "one"]) == 2
     assert "--out: holds an evaluation already; --resume goes on with it" in capsys.readouterr().err
-    summary = json.loads(mjtactile("evaluate", *COMMON, "--workers", "1", "--out", "one", "--resume", "--json").stdout)
+    summary = json.loads(
+        mjtactile(
+            "evaluate", *COMMON, "--workers", "1", "--out", "one", "--resume", "--json"
+        ).stdout
+    )
     assert set(kept.splitlines()) <= set(episodes.read_text().splitlines())
-    assert summary["controllers"]["quick"]["episodes"] == 2 and summary["controllers"]["quick"]["held"] == 2
+    assert (
+        summary["controllers"]["quick"]["episodes"] == 2
+        and summary["controllers"]["quick"]["held"] == 2
+    )
     assert list(summary["controllers"]["quick"]["objects"]) == ["vial", "egg"]
     report = (tmp_path / "one" / "report.html").read_text()
     assert report.count("data:image/png") == 1 and "mjtactile grasp --object" in report
     for part in ("1/2", "2/2"):
-        mjtactile("evaluate", *COMMON, "--workers", "2", "--worst", "0", "--shard", part, "--out", f"part{part[0]}")
+        mjtactile(
+            "evaluate",
+            *COMMON,
+            "--workers",
+            "2",
+            "--worst",
+            "0",
+            "--shard",
+            part,
+            "--out",
+            f"part{part[0]}",
+        )
     assert main(["evaluate", "--merge", "part2", "part1", "--worst", "0", "--out", "whole"]) == 0
     assert (tmp_path / "whole" / "episodes.jsonl").read_bytes() == episodes.read_bytes()
     capsys.readouterr()
@@ -52,13 +92,22 @@ def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile, monkeypatch, cap
     assert "was begun with another options: first_seed" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("words", "text"), [
-    (["--objects", "egg,stone"], "stone: unknown object"),
-    (["--objects", "egg,my/*.xml"], "my/*.xml: --objects: no file"), (["--controller", "no.py"], "no.py"),
-    (["--shard", "3/2"], "is not K/N"), (["--episodes", "0"], "at least 1"), (["--resume"], "which folder?"),
-    (["--vary", "no.toml"], "no.toml: variation: no such file"), (["--vary", "defalt"], "unknown variation"),
-    (["--effects", "+bendig"], "is not +NAME"), (["--rig", "two_xm430"], "two_xm430"),
-    (["--controller", "gentle", "--controller", "gentle"], "two of them are called 'gentle'")])
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--objects", "egg,stone"], "stone: unknown object"),
+        (["--objects", "egg,my/*.xml"], "my/*.xml: --objects: no file"),
+        (["--controller", "no.py"], "no.py"),
+        (["--shard", "3/2"], "is not K/N"),
+        (["--episodes", "0"], "at least 1"),
+        (["--resume"], "which folder?"),
+        (["--vary", "no.toml"], "no.toml: variation: no such file"),
+        (["--vary", "defalt"], "unknown variation"),
+        (["--effects", "+bendig"], "is not +NAME"),
+        (["--rig", "two_xm430"], "two_xm430"),
+        (["--controller", "gentle", "--controller", "gentle"], "two of them are called 'gentle'"),
+    ],
+)
 def test_bad_words(capsys, words, text):
     assert main(["evaluate", *words]) == 2
     said = capsys.readouterr().err
@@ -75,18 +124,45 @@ def test_a_pattern_among_the_objects_stands_for_its_files(tmp_path, monkeypatch)
 
 def test_the_command_of_an_episode_draws_the_same_world(tmp_path, mjtactile):
     (tmp_path / "quick.py").write_text(controller_text(hold=0.1))
-    (tmp_path / "my.toml").write_text("[object]\nmass_percent = [100, 200]\n[sensor]\nblur_px = [0, 1]\n")
-    words = ["--sensor", "paper16", "--effects=-images", "--controller", "quick.py", "--objects", "vial", "--seed", "3",
-             "--vary", "my.toml"]
+    (tmp_path / "my.toml").write_text(
+        "[object]\nmass_percent = [100, 200]\n[sensor]\nblur_px = [0, 1]\n"
+    )
+    words = [
+        "--sensor",
+        "paper16",
+        "--effects=-images",
+        "--controller",
+        "quick.py",
+        "--objects",
+        "vial",
+        "--seed",
+        "3",
+        "--vary",
+        "my.toml",
+    ]
     mjtactile("evaluate", *words, "--episodes", "1", "--worst", "0", "--record", "--out", "one")
     line = json.loads((tmp_path / "one" / "episodes.jsonl").read_text())
-    assert line["varied"].keys() == {"object.mass_percent", "left.blur_px", "right.blur_px"} and "--vary=my.toml" in line["again"]
-    again = json.loads(mjtactile(*shlex.split(line["again"])[1:], "--out", "again", "--json").stdout)
-    assert all(again[name] == line[name] for name in ("outcome", "hold_force_true_N", "peak_force_N", "slip_mm_true", "frames"))
+    assert (
+        line["varied"].keys() == {"object.mass_percent", "left.blur_px", "right.blur_px"}
+        and "--vary=my.toml" in line["again"]
+    )
+    again = json.loads(
+        mjtactile(*shlex.split(line["again"])[1:], "--out", "again", "--json").stdout
+    )
+    assert all(
+        again[name] == line[name]
+        for name in ("outcome", "hold_force_true_N", "peak_force_N", "slip_mm_true", "frames")
+    )
     (kept,) = find_episodes(tmp_path / "one")  # what --record kept, and `export` takes
-    first, second = kept.recording, load_recording(tmp_path / "again" / "recording")
-    assert first.folder == tmp_path / "one" / "recordings" / "quick-000000" and first.notes["outcome"] == line["outcome"]
-    assert (first.column("force_normal") == second.column("force_normal")).all() and first.header["command"] == line["again"]
+    first = kept.recording
+    second = load_recording(tmp_path / "again" / "recording")
+    assert (
+        first.folder == tmp_path / "one" / "recordings" / "quick-000000"
+        and first.notes["outcome"] == line["outcome"]
+    )
+    assert (first.column("force_normal") == second.column("force_normal")).all() and first.header[
+        "command"
+    ] == line["again"]
     assert line["time_s"] == pytest.approx(np.ptp(first.column("time")))
     log = (tmp_path / "again" / "recording" / "log.jsonl").read_text().splitlines()
     assert any(json.loads(entry).get("varied") == line["varied"] for entry in log)

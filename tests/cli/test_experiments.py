@@ -13,10 +13,20 @@ def run_json(capsys, *args):
 
 
 def test_inflate_reports_height_and_theory(capsys, tmp_path):
-    result = run_json(capsys, "inflate", "--sensor", "paper16", "--pressure-kPa", "0:1:0.5", "--out", str(tmp_path / "o"))
+    result = run_json(
+        capsys,
+        "inflate",
+        "--sensor",
+        "paper16",
+        "--pressure-kPa",
+        "0:1:0.5",
+        "--out",
+        str(tmp_path / "o"),
+    )
     steps = result["steps"]
     assert [s["pressure_kPa"] for s in steps] == [0.0, 0.5, 1.0]
-    assert steps[0]["volume_mL"] == pytest.approx(24.0, rel=1e-3)  # 40 x 30 x 20 mm; gravity sags the sheet by 7 um
+    # 40 x 30 x 20 mm; gravity sags the sheet by 7 um
+    assert steps[0]["volume_mL"] == pytest.approx(24.0, rel=1e-3)
     for step in steps[1:]:
         # 1.5 % of the default mesh and 2 % of the closed form, whose two terms assume one shape
         assert step["centre_height_mm"] == pytest.approx(step["theory_height_mm"], rel=0.035)
@@ -34,24 +44,46 @@ def test_press_feels_what_the_load_cell_reads(capsys):
         assert step["force_estimated_N"][2] == pytest.approx(step["force_true_N"][2], abs=0.04)
     shallow, deep = result["steps"]
     assert deep["force_true_N"][2] < 2 * shallow["force_true_N"][2] < 0  # stiffens with depth
-    assert deep["pressure_kPa"] > shallow["pressure_kPa"] > 1.0 and deep["volume_mL"] < shallow["volume_mL"]
+    assert (
+        deep["pressure_kPa"] > shallow["pressure_kPa"] > 1.0
+        and deep["volume_mL"] < shallow["volume_mL"]
+    )
 
 
 def test_open_valve_keeps_the_pressure(capsys):
-    result = run_json(capsys, "press", "--indenter", "cylinder:6", "--depth-mm", "2", "--valve", "open", "--sensor", "paper16")
-    assert result["steps"][0]["pressure_kPa"] == pytest.approx(1.0, rel=1e-6)  # the supply's, exactly
+    result = run_json(
+        capsys,
+        "press",
+        "--indenter",
+        "cylinder:6",
+        "--depth-mm",
+        "2",
+        "--valve",
+        "open",
+        "--sensor",
+        "paper16",
+    )
+    # the supply's, exactly
+    assert result["steps"][0]["pressure_kPa"] == pytest.approx(1.0, rel=1e-6)
 
 
-@pytest.mark.parametrize(("args", "words"), [
-    (("press", "--indenter", "sphere"), ("--indenter", "sphere:R_mm", "FILE.stl")),
-    (("press", "--indenter", "cone:3"), ("cone:3", "box:A_mm")),
-    (("press", "--indenter", "missing.stl"), ("missing.stl", "no such file")),
-    (("press", "--indenter", "sphere:8", "--at", "30,0"), ("--at", "20 mm")),
-    (("press", "--indenter", "sphere:8", "--depth-mm", "25"), ("--depth-mm", "20 mm")),
-    (("press", "--indenter", "sphere:8", "--depth-mm", "4:0:1"), ("--depth-mm", "does not lead")),
-    (("inflate", "--pressure-kPa", "nan"), ("--pressure-kPa", "nan")),
-    (("inflate", "--pressure-kPa=-200",), ("--pressure-kPa", "vacuum")),
-    (("inflate", "--pressure-kPa", "1", "--sensor", "nope"), ("nope", "dense", "paper16"))])
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (("press", "--indenter", "sphere"), ("--indenter", "sphere:R_mm", "FILE.stl")),
+        (("press", "--indenter", "cone:3"), ("cone:3", "box:A_mm")),
+        (("press", "--indenter", "missing.stl"), ("missing.stl", "no such file")),
+        (("press", "--indenter", "sphere:8", "--at", "30,0"), ("--at", "20 mm")),
+        (("press", "--indenter", "sphere:8", "--depth-mm", "25"), ("--depth-mm", "20 mm")),
+        (
+            ("press", "--indenter", "sphere:8", "--depth-mm", "4:0:1"),
+            ("--depth-mm", "does not lead"),
+        ),
+        (("inflate", "--pressure-kPa", "nan"), ("--pressure-kPa", "nan")),
+        (("inflate", "--pressure-kPa=-200"), ("--pressure-kPa", "vacuum")),
+        (("inflate", "--pressure-kPa", "1", "--sensor", "nope"), ("nope", "dense", "paper16")),
+    ],
+)
 def test_bad_input_is_one_line_and_exit_code_2(capsys, args, words):
     assert main(list(args)) == 2
     captured = capsys.readouterr()

@@ -1,4 +1,5 @@
-"""`mjtactile record --rig stage`, then `mjtactile fit`: the sensor file that comes out loads, and says what it could not know."""
+"""`mjtactile record --rig stage`, then `mjtactile fit`: the sensor file that comes out loads, and
+says what it could not know."""
 
 import json
 
@@ -16,36 +17,84 @@ def recording(tmp_path_factory):
     text = (load := load_sensor("paper16")) and open_text("paper16")
     (folder / "odd.toml").write_text(text.replace("young_MPa = 1.0", "young_MPa = 1.2"))
     assert load.membrane.young == 1e6
-    assert main(["record", "--rig", "stage", "--sensor", "paper16", "--specimen", str(folder / "odd.toml"), "--seconds", "0.5",
-                 "--out", str(folder / "still")]) == 0
+    assert (
+        main(
+            [
+                "record",
+                "--rig",
+                "stage",
+                "--sensor",
+                "paper16",
+                "--specimen",
+                str(folder / "odd.toml"),
+                "--seconds",
+                "0.5",
+                "--out",
+                str(folder / "still"),
+            ]
+        )
+        == 0
+    )
     return folder / "still"
 
 
 def open_text(name):
     from mjtactile.core import resources
+
     return resources.find(name, "models/sensors", ".toml").read_text()
 
 
 def test_the_recording_does_not_say_what_the_specimen_is(recording):
     found = load_recording(recording)
-    assert found.complete and found.header["design"] == "paper16" and "1.2" not in found.header["files"]["sensor"]["text"]
+    assert (
+        found.complete
+        and found.header["design"] == "paper16"
+        and "1.2" not in found.header["files"]["sensor"]["text"]
+    )
     assert found.column("pressure_gauge").mean() == pytest.approx(1000, abs=10)
 
 
 def test_a_fit_writes_a_sensor_file_and_its_report(recording, tmp_path, capsys):
     out = tmp_path / "mine.toml"
-    assert main(["fit", "--recording", str(recording), "--known", "membrane.pre_stretch=1.05", "--out", str(out), "--json"]) == 0
+    assert (
+        main(
+            [
+                "fit",
+                "--recording",
+                str(recording),
+                "--known",
+                "membrane.pre_stretch=1.05",
+                "--out",
+                str(out),
+                "--json",
+            ]
+        )
+        == 0
+    )
     found = {n["field"]: n for n in json.loads(capsys.readouterr().out)["numbers"]}
     # height known to 0.5 % of 2 mm (its sensor's lens): the modulus to about twice that
     assert load_sensor(out).membrane.young == pytest.approx(1.2e6, rel=0.03)
-    assert found["membrane.young_MPa"]["state"] == "fitted" and found["membrane.pre_stretch"]["state"] == "known"
+    assert (
+        found["membrane.young_MPa"]["state"] == "fitted"
+        and found["membrane.pre_stretch"]["state"] == "known"
+    )
     assert found["membrane.friction"]["state"] == "not in these recordings"
     assert "drag a pressed indenter" in out.read_text()
-    assert {path.name for path in tmp_path.iterdir()} >= {"mine.toml", "mine.fit.json", "mine.fit.txt"}
+    assert {path.name for path in tmp_path.iterdir()} >= {
+        "mine.toml",
+        "mine.fit.json",
+        "mine.fit.txt",
+    }
 
 
 def test_bad_input_is_one_line(recording, tmp_path, capsys):
-    for words, says in [(["--known", "membrane.colour=3"], "no field"), (["--known", "young"], "FIELD=NUMBER"),
-                        (["--finger", "thumb"], "thumb")]:
-        assert main(["fit", "--recording", str(recording), "--out", str(tmp_path / "x.toml"), *words]) == 2
+    for words, says in [
+        (["--known", "membrane.colour=3"], "no field"),
+        (["--known", "young"], "FIELD=NUMBER"),
+        (["--finger", "thumb"], "thumb"),
+    ]:
+        assert (
+            main(["fit", "--recording", str(recording), "--out", str(tmp_path / "x.toml"), *words])
+            == 2
+        )
         assert says in capsys.readouterr().err

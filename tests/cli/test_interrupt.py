@@ -1,4 +1,5 @@
-"""A run that is stopped half-way says so in one line, exits with 3, and leaves a recording that can be read."""
+"""A run that is stopped half-way says so in one line, exits with 3, and leaves a recording that can
+be read."""
 
 import json
 import signal
@@ -16,11 +17,18 @@ WAIT = 600  # s for the run to get going, on a computer that is robbed of most o
 
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
 def test_what_was_recorded_is_kept(tmp_path, stop):
-    process = subprocess.Popen([sys.executable, "-m", "mjtactile", "grasp", "--out", "result", "--json"], cwd=tmp_path,
-                               stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "mjtactile", "grasp", "--out", "result", "--json"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     log = tmp_path / "result" / "recording" / "log.jsonl"
     deadline = time.monotonic() + WAIT
-    while time.monotonic() < deadline and not (log.exists() and log.read_text().count('"cycle"') >= 10):
+    while time.monotonic() < deadline and not (
+        log.exists() and log.read_text().count('"cycle"') >= 10
+    ):
         assert process.poll() is None, process.communicate()[1]
         time.sleep(0.05)
     process.send_signal(stop)
@@ -28,21 +36,32 @@ def test_what_was_recorded_is_kept(tmp_path, stop):
     assert process.returncode == 3
     assert stderr.strip().splitlines()[-1] == "mjtactile: interrupted" and "Traceback" not in stderr
     report = json.loads(stdout)
-    assert report["outcome"] == "fault" and report["exit_code"] == 3 and report["hold_force_N"] is None
+    assert (
+        report["outcome"] == "fault" and report["exit_code"] == 3 and report["hold_force_N"] is None
+    )
     assert json.loads((tmp_path / "result" / "summary.json").read_text())["outcome"] == "fault"
     recording = load_recording(tmp_path / "result")
     assert recording.complete and len(recording) == report["frames"] >= 10
     assert np.isfinite(recording.column("force_normal")).all()
-    assert all(image.pixels.shape == (480, 640) for images in recording.images() for image in images)
+    assert all(
+        image.pixels.shape == (480, 640) for images in recording.images() for image in images
+    )
 
 
 def test_a_run_that_is_killed_leaves_whole_cycles(tmp_path):
-    """No handler runs on SIGKILL: what the writer had finished is there, each line with its images."""
-    process = subprocess.Popen([sys.executable, "-m", "mjtactile", "grasp", "--out", "result"], cwd=tmp_path,
-                               stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    """No handler runs on SIGKILL: what the writer had finished is there, each line with its
+    images."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "mjtactile", "grasp", "--out", "result"],
+        cwd=tmp_path,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     log = tmp_path / "result" / "recording" / "log.jsonl"
     deadline = time.monotonic() + WAIT
-    while time.monotonic() < deadline and not (log.exists() and log.read_text().count('"cycle"') >= 5):
+    while time.monotonic() < deadline and not (
+        log.exists() and log.read_text().count('"cycle"') >= 5
+    ):
         time.sleep(0.05)
     process.kill()
     process.wait()

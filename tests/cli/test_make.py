@@ -30,16 +30,24 @@ def test_the_folder_says_what_is_in_it(quick, capsys, tmp_path):
     assert main(["make", "paper16", "--out", str(out), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     written = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
-    assert written == {*report["files"], "checks.json"} and json.loads((out / "checks.json").read_text())["sensor"] == "paper16"
+    assert (
+        written == {*report["files"], "checks.json"}
+        and json.loads((out / "checks.json").read_text())["sensor"] == "paper16"
+    )
     for page in ("README.md", "assembly.md"):
         for link in re.findall(r"\]\(([^)]+)\)", (out / page).read_text()):
             assert (out / link).exists(), link
     named = " ".join(re.findall(r"[`(]([\w./*]+)[`)]", (out / "README.md").read_text()))
-    assert all(name.split("/")[0].split(".")[0] in named for name in written - {"README.md"} if "pictures" not in name)
+    assert all(
+        name.split("/")[0].split(".")[0] in named
+        for name in written - {"README.md"}
+        if "pictures" not in name
+    )
     for part in report["parts"]:
         assert {f"cad/{part}.stl", f"cad/{part}.step"} <= written
     assert (out / "pictures/exploded.png").read_bytes().startswith(b"\x89PNG")
-    assert main(["make", str(out / "sensor.toml"), "--out", str(out)]) == 2  # the copy is a sensor file; nothing is overwritten
+    # the copy is a sensor file; nothing is overwritten
+    assert main(["make", str(out / "sensor.toml"), "--out", str(out)]) == 2
     assert "nothing is overwritten" in capsys.readouterr().err
 
 
@@ -48,10 +56,12 @@ def test_what_cannot_be_built_leaves_one_line_and_no_folder(capsys, tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(path.read_text().replace("rim_mm = 3.0", "rim_mm = 0.5"))
     capsys.readouterr()
-    for arguments, words in (([path], "mine.toml: frame.rim_mm: 0.5 is too thin a wall; at least 1.2"),
-                             (["dense", "--pixel-um", "0"], "--pixel-um: 0 is outside 0.5 to 50"),
-                             (["dense", "--press-mm", "25"], "--press-mm: 25 "),
-                             (["dens"], "valid: dense, paper16")):
+    for arguments, words in (
+        ([path], "mine.toml: frame.rim_mm: 0.5 is too thin a wall; at least 1.2"),
+        (["dense", "--pixel-um", "0"], "--pixel-um: 0 is outside 0.5 to 50"),
+        (["dense", "--press-mm", "25"], "--press-mm: 25 "),
+        (["dens"], "valid: dense, paper16"),
+    ):
         assert main(["make", *map(str, arguments), "--out", str(tmp_path / "a" / "b")]) == 2
         said = capsys.readouterr().err
         assert said.count("\n") == 1 and words in said
@@ -59,6 +69,10 @@ def test_what_cannot_be_built_leaves_one_line_and_no_folder(capsys, tmp_path):
 
 
 def test_what_is_missing_is_named(monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr("mjtactile.make.mesh.find_spec", lambda name: None if name == "manifold3d" else name)
+    monkeypatch.setattr(
+        "mjtactile.make.mesh.find_spec", lambda name: None if name == "manifold3d" else name
+    )
     assert main(["make", "dense", "--out", str(tmp_path / "a")]) == 2
-    assert "needs manifold3d: pip install 'mjtactile[make]'" in capsys.readouterr().err and not (tmp_path / "a").exists()
+    assert ("needs manifold3d: pip install 'mjtactile[make]'") in capsys.readouterr().err and not (
+        tmp_path / "a"
+    ).exists()

@@ -15,8 +15,13 @@ from mjtactile.run.controller import load_controller
 from mjtactile.sim.scenes.objects import load_object
 from tests.cli.test_bad_input import assert_one_line
 
-LOAD = {"controller": load_controller, "sensor": load_sensor, "object": load_object, "rig": read_rig_file,
-        "variation": load_variation}
+LOAD = {
+    "controller": load_controller,
+    "sensor": load_sensor,
+    "object": load_object,
+    "rig": read_rig_file,
+    "variation": load_variation,
+}
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -37,18 +42,36 @@ def test_a_copied_simulated_rig_brings_its_robot_along(mjtactile, tmp_path):
     assert report["files"] == ["mine.toml", "mine.xml"]
     rig = read_rig_file(tmp_path / "mine.toml")
     assert mjtactile("docs", "robots").returncode == 0  # which it names as the page to read
-    assert rig.model == tmp_path / "mine.xml" and [finger.design.name for finger in build_rig(
-        str(tmp_path / "mine.toml"), load_sensor("paper16")).fingers] == ["paper16"] * 2
-    assert_one_line(mjtactile("new", "rig", "mine.toml", "--like", "sim_arm"), ["mine.toml", "exists already"])
+    assert (
+        rig.model == tmp_path / "mine.xml"
+        and [
+            finger.design.name
+            for finger in build_rig(str(tmp_path / "mine.toml"), load_sensor("paper16")).fingers
+        ]
+        == ["paper16"] * 2
+    )
+    assert_one_line(
+        mjtactile("new", "rig", "mine.toml", "--like", "sim_arm"), ["mine.toml", "exists already"]
+    )
     (tmp_path / "other.xml").write_text("precious")
-    assert_one_line(mjtactile("new", "rig", "other", "--like", "sim"), ["other.xml", "exists already"])
-    assert (tmp_path / "other.xml").read_text() == "precious" and not (tmp_path / "other.toml").exists()
+    assert_one_line(
+        mjtactile("new", "rig", "other", "--like", "sim"), ["other.xml", "exists already"]
+    )
+    assert (tmp_path / "other.xml").read_text() == "precious" and not (
+        tmp_path / "other.toml"
+    ).exists()
 
 
 def test_a_random_object_is_written_to_be_looked_at(mjtactile, tmp_path):
     report = json.loads(mjtactile("new", "object", "thing", "--like", "random:7", "--json").stdout)
-    assert report["like"] == "random:7" and load_object(tmp_path / "thing.xml").mass == load_object("random:7").mass
-    assert_one_line(mjtactile("new", "object", "other", "--like", "random"), ["'random' does not ship", "random:N"])
+    assert (
+        report["like"] == "random:7"
+        and load_object(tmp_path / "thing.xml").mass == load_object("random:7").mass
+    )
+    assert_one_line(
+        mjtactile("new", "object", "other", "--like", "random"),
+        ["'random' does not ship", "random:N"],
+    )
 
 
 def test_what_it_says_to_run_next_runs(mjtactile, tmp_path):
@@ -57,14 +80,31 @@ def test_what_it_says_to_run_next_runs(mjtactile, tmp_path):
     words = process.stdout.splitlines()[1].split()
     assert words[0] == "mjtactile" and mjtactile(*words[1:]).returncode == 0
     words = process.stdout.splitlines()[2].split()
-    assert words == ["mjtactile", "docs", "sensors"] and "Your own sensor" in mjtactile(*words[1:]).stdout
+    assert (
+        words == ["mjtactile", "docs", "sensors"]
+        and "Your own sensor" in mjtactile(*words[1:]).stdout
+    )
 
 
 def test_a_copied_controller_grasps_a_copied_object(mjtactile, tmp_path):
     for kind, name in (("object", "plum.xml"), ("controller", "mine.py")):
         assert mjtactile("new", kind, name).returncode == 0
-    report = json.loads(mjtactile("grasp", "--object", "./plum.xml", "--controller", "./mine.py", "--sensor", "paper16",
-                                  "--workers", "0", "--out", "result", "--json").stdout)
+    report = json.loads(
+        mjtactile(
+            "grasp",
+            "--object",
+            "./plum.xml",
+            "--controller",
+            "./mine.py",
+            "--sensor",
+            "paper16",
+            "--workers",
+            "0",
+            "--out",
+            "result",
+            "--json",
+        ).stdout
+    )
     assert (report["outcome"], report["object"], report["controller"]) == ("held", "plum", "mine")
 
 
@@ -75,18 +115,23 @@ def test_nothing_is_overwritten(mjtactile, tmp_path):
     assert (tmp_path / "mine.toml").read_text() == "precious"
 
 
-@pytest.mark.parametrize(("args", "words"), [
-    (("new", "gripper", "x"), ["gripper", "controller", "rig"]),
-    (("new", "sensor", "x", "--like", "egg"), ["--like", "egg", "dense", "paper16"]),
-    (("new", "sensor", "no/such/x"), ["no/such/x.toml", "cannot be written"]),
-    (("docs", "nothing"), ["nothing", "sensors", "controllers"]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (("new", "gripper", "x"), ["gripper", "controller", "rig"]),
+        (("new", "sensor", "x", "--like", "egg"), ["--like", "egg", "dense", "paper16"]),
+        (("new", "sensor", "no/such/x"), ["no/such/x.toml", "cannot be written"]),
+        (("docs", "nothing"), ["nothing", "sensors", "controllers"]),
+    ],
+)
 def test_bad_usage(mjtactile, args, words):
     assert_one_line(mjtactile(*args), words)
 
 
 def test_docs_lists_every_page_with_its_title(mjtactile):
     report = json.loads(mjtactile("docs", "--json").stdout)
-    assert report["pages"]["sensors"] == "Your own sensor" and {"benchmarks", "hardware"} <= set(report["pages"])
+    assert report["pages"]["sensors"] == "Your own sensor" and {"benchmarks", "hardware"} <= set(
+        report["pages"]
+    )
     listed = mjtactile("docs").stdout
     assert all(title.strip() and title in listed for title in report["pages"].values())

@@ -38,20 +38,33 @@ def test_nothing_waits_for_an_output(tmp_path, output):
     else:
         reader, writer = pty.openpty()
         termios.tcflow(writer, termios.TCOOFF)  # Ctrl-S
-    process = subprocess.run([sys.executable, "-c", CHATTER], cwd=tmp_path, stdout=writer, stderr=writer, timeout=WAIT,
-                             check=False)
+    process = subprocess.run(
+        [sys.executable, "-c", CHATTER],
+        cwd=tmp_path,
+        stdout=writer,
+        stderr=writer,
+        timeout=WAIT,
+        check=False,
+    )
     assert process.returncode == 0
     assert (tmp_path / "end").exists()
 
 
 def test_all_of_it_arrives_at_an_output_that_takes_it(tmp_path):
-    process = subprocess.run([sys.executable, "-c", CHATTER], cwd=tmp_path, capture_output=True, text=True, timeout=WAIT,
-                             check=True)
+    process = subprocess.run(
+        [sys.executable, "-c", CHATTER],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=WAIT,
+        check=True,
+    )
     assert process.stdout == ""
     assert process.stderr.count("what happens") == process.stderr.count("C library") == 3000
 
 
-# -- folders ------------------------------------------------------------------------------------------------------------
+# -- folders
+# --------------------------------------------------------------------------------
 
 RECORD = ("record", "--rig", "sim", "--sensor", "paper16", "--seconds", "0.1")
 
@@ -63,8 +76,16 @@ def run_folder(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("command", [
-    ("grasp", "--object", "typo"), ("grasp",), RECORD, ("record", "--rig", "replay:{old}", "--sensor", "paper16"), ("probe",)])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("grasp", "--object", "typo"),
+        ("grasp",),
+        RECORD,
+        ("record", "--rig", "replay:{old}", "--sensor", "paper16"),
+        ("probe",),
+    ],
+)
 def test_an_older_run_is_refused_and_stays(run_folder, capsys, command):
     before = {path: path.read_bytes() for path in run_folder.rglob("*") if path.is_file()}
     assert main([*(word.format(old=run_folder) for word in command), "--out", str(run_folder)]) == 2
@@ -73,9 +94,14 @@ def test_an_older_run_is_refused_and_stays(run_folder, capsys, command):
     assert load_recording(run_folder).complete
 
 
-@pytest.mark.parametrize(("command", "name"), [
-    (("press", "--indenter", "sphere:5"), "press.png"), (("inflate", "--pressure-kPa", "1"), "inflate.json"),
-    (("experiments",), "experiments.md")])
+@pytest.mark.parametrize(
+    ("command", "name"),
+    [
+        (("press", "--indenter", "sphere:5"), "press.png"),
+        (("inflate", "--pressure-kPa", "1"), "inflate.json"),
+        (("experiments",), "experiments.md"),
+    ],
+)
 def test_older_results_are_refused_and_stay(tmp_path, capsys, command, name):
     (tmp_path / name).write_text("precious")
     assert main([*command, "--out", str(tmp_path)]) == 2
@@ -83,10 +109,16 @@ def test_older_results_are_refused_and_stay(tmp_path, capsys, command, name):
     assert (tmp_path / name).read_text() == "precious"
 
 
-@pytest.mark.parametrize("command", [
-    ("grasp", "--object", "typo", "--out", "new/run"), ("grasp", "--object", "typo"),
-    ("probe", "--object", "typo", "--out", "new"),
-    ("record", "--rig", "nowhere", "--out", "new"), ("bench", "rig", "--parts", "foo", "--out", "new")])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("grasp", "--object", "typo", "--out", "new/run"),
+        ("grasp", "--object", "typo"),
+        ("probe", "--object", "typo", "--out", "new"),
+        ("record", "--rig", "nowhere", "--out", "new"),
+        ("bench", "rig", "--parts", "foo", "--out", "new"),
+    ],
+)
 def test_a_run_that_never_began_leaves_nothing(tmp_path, capsys, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
     assert main(list(command)) != 0

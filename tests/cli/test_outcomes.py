@@ -1,4 +1,5 @@
-"""Every outcome has its exit code: 0 held, 1 dropped or crushed, 3 fault; a wrong run is never reported as a result."""
+"""Every outcome has its exit code: 0 held, 1 dropped or crushed, 3 fault; a wrong run is never
+reported as a result."""
 
 import json
 
@@ -11,7 +12,8 @@ from tests.emulated_host import controller_text
 
 DENSE = resources.find("paper16", "models/sensors", ".toml").read_text()
 
-# Closes to `OPENING` m at 60 mm/s, pushes with up to `FORCE` N, lifts, holds, and ends; it feels nothing.
+# Closes to `OPENING` m at 60 mm/s, pushes with up to `FORCE` N, lifts, holds, and ends; it feels
+# nothing.
 BLIND = """
 from dataclasses import replace
 
@@ -26,10 +28,21 @@ def step(observation):
 
 
 def run(mjtactile, tmp_path, opening, force, *args):
-    (tmp_path / "blind.py").write_text(BLIND.replace("OPENING", str(opening)).replace("FORCE", str(force)))
-    process = mjtactile("grasp", "--controller", "blind.py", "--sensor", "paper16", "--effects=-images",
-                        "--out", "result", "--json",
-                        *args)
+    (tmp_path / "blind.py").write_text(
+        BLIND.replace("OPENING", str(opening)).replace("FORCE", str(force))
+    )
+    process = mjtactile(
+        "grasp",
+        "--controller",
+        "blind.py",
+        "--sensor",
+        "paper16",
+        "--effects=-images",
+        "--out",
+        "result",
+        "--json",
+        *args,
+    )
     assert "Traceback" not in process.stderr
     assert json.loads((tmp_path / "result" / "summary.json").read_text())["outcome"]
     return process, json.loads(process.stdout)
@@ -42,16 +55,31 @@ def test_a_grip_harder_than_the_egg_stands_crushes_it(mjtactile, tmp_path):
 
 
 def test_an_object_that_is_not_gripped_is_dropped(mjtactile, tmp_path):
-    process, report = run(mjtactile, tmp_path, 0.045, 4.0)  # the fingers stay clear of the egg, 32 mm across
+    # the fingers stay clear of the egg, 32 mm across
+    process, report = run(mjtactile, tmp_path, 0.045, 4.0)
     assert (process.returncode, report["outcome"]) == (1, "dropped")
-    assert report["peak_force_true_N"] == pytest.approx(0.0, abs=1e-9) and report["hold_force_true_N"] == 0.0
+    assert (
+        report["peak_force_true_N"] == pytest.approx(0.0, abs=1e-9)
+        and report["hold_force_true_N"] == 0.0
+    )
     assert "gave up" not in report.get("reason", "")  # it went through to its end
 
 
 def test_a_controller_that_gives_up_says_when(mjtactile, tmp_path):
-    (tmp_path / "shy.py").write_text(BLIND.replace("OPENING", "0.045").replace("FORCE", "4.0").replace('"lift"', '"abort"'))
-    process = mjtactile("grasp", "--controller", "shy.py", "--sensor", "paper16", "--effects=-images", "--out", "result",
-                        "--json")
+    (tmp_path / "shy.py").write_text(
+        BLIND.replace("OPENING", "0.045").replace("FORCE", "4.0").replace('"lift"', '"abort"')
+    )
+    process = mjtactile(
+        "grasp",
+        "--controller",
+        "shy.py",
+        "--sensor",
+        "paper16",
+        "--effects=-images",
+        "--out",
+        "result",
+        "--json",
+    )
     report = json.loads(process.stdout)
     assert (process.returncode, report["outcome"]) == (1, "dropped")
     assert report["reason"] == "the controller gave up in phase 'close', 1.6 s after it began"
@@ -64,7 +92,8 @@ def test_a_membrane_pushed_to_the_glass_is_a_fault_with_step_and_reason(mjtactil
     assert (process.returncode, report["outcome"]) == (3, "fault")
     line = process.stderr.strip().splitlines()[-1]
     assert "step" in line and "t =" in line and "glass" in line
-    assert report["hold_force_N"] is None and report["frames"] > 0  # recorded so far, and no made-up result
+    # recorded so far, and no made-up result
+    assert report["hold_force_N"] is None and report["frames"] > 0
 
 
 HEAVY = """<mujoco model="heavy">
@@ -78,19 +107,36 @@ HEAVY = """<mujoco model="heavy">
 def test_an_object_too_heavy_for_the_grip_is_dropped_with_the_reason(mjtactile, tmp_path):
     (tmp_path / "heavy.xml").write_text(HEAVY)
     (tmp_path / "quick.py").write_text(controller_text())
-    process = mjtactile("grasp", "--object", "./heavy.xml", "--controller", "quick.py", "--sensor", "paper16", "--frames", "none",
-                        "--out", "result", "--json")
+    process = mjtactile(
+        "grasp",
+        "--object",
+        "./heavy.xml",
+        "--controller",
+        "quick.py",
+        "--sensor",
+        "paper16",
+        "--frames",
+        "none",
+        "--out",
+        "result",
+        "--json",
+    )
     report = json.loads(process.stdout)
     assert (process.returncode, report["outcome"]) == (1, "dropped"), process.stderr
     assert "too heavy" in report["reason"] and "9.8 N" in report["reason"]
     recording = load_recording(tmp_path / "result")
-    assert recording.columns["phase"][-1] == "abort" and not list((tmp_path / "result/recording/frames").iterdir())
+    assert recording.columns["phase"][-1] == "abort" and not list(
+        (tmp_path / "result/recording/frames").iterdir()
+    )
     # truth of every cycle: the force on the membranes and where the box is, upright on the table
     wrench = recording.column("wrench_true")
     assert wrench.shape == (len(recording), 2, 6)
     np.testing.assert_allclose(-wrench[..., 2], recording.column("force_normal_true"), atol=1e-12)
     position = recording.column("object_position_true")
-    assert position.shape == (len(recording), 3) and np.abs(position[0] - [0, 0, 0.03]).max() < 3e-3  # m; the seed's scatter
-    np.testing.assert_allclose(np.linalg.norm(recording.column("object_quaternion_true"), axis=1), 1.0, atol=1e-9)
+    # m; the seed's scatter
+    assert position.shape == (len(recording), 3) and np.abs(position[0] - [0, 0, 0.03]).max() < 3e-3
+    np.testing.assert_allclose(
+        np.linalg.norm(recording.column("object_quaternion_true"), axis=1), 1.0, atol=1e-9
+    )
     replay = mjtactile("grasp", "--rig", "replay:result", "--sensor", "paper16", "--out", "again")
     assert replay.returncode == 2 and "0 of" in replay.stderr and "--frames all" in replay.stderr

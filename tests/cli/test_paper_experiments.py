@@ -6,13 +6,25 @@ from mjtactile.cli import main
 
 
 def test_quick_figures_and_table(capsys, tmp_path):
-    assert main(["experiments", "--only", "fig5b,fig6", "--quick", "--out", str(tmp_path), "--json"]) == 0
+    assert (
+        main(["experiments", "--only", "fig5b,fig6", "--quick", "--out", str(tmp_path), "--json"])
+        == 0
+    )
     result = json.loads(capsys.readouterr().out)
-    assert {p.name for p in tmp_path.iterdir()} == {"experiments.json", "experiments.md", "fig5b.png", "fig6.png"}
+    assert {p.name for p in tmp_path.iterdir()} == {
+        "experiments.json",
+        "experiments.md",
+        "fig5b.png",
+        "fig6.png",
+    }
     assert result["fig6"]["summary"]["mean_mm"] < 0.39  # the paper's
-    solid, sponge = result["fig5b"]["solid"], result["fig5b"]["sponge"]
-    # a solid keeps its shape to 0.2 mm (bending of the reconstruction at sharp edges), the sponge gives way by millimetres
-    assert max(map(abs, solid["own_deformation_mm"])) < 0.3 < 0.8 < max(sponge["own_deformation_mm"])
+    solid = result["fig5b"]["solid"]
+    sponge = result["fig5b"]["sponge"]
+    # a solid keeps its shape to 0.2 mm (bending of the reconstruction at sharp edges), the sponge
+    # gives way by millimetres
+    assert (
+        max(map(abs, solid["own_deformation_mm"])) < 0.3 < 0.8 < max(sponge["own_deformation_mm"])
+    )
     assert sponge["force_N"][-1] < solid["force_N"][-1]
     table = (tmp_path / "experiments.md").read_text()
     assert "0.39 mm" in table and "5b: sponge" in table

@@ -18,7 +18,22 @@ def record(capsys, *arguments):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("watch")
-    assert main(["record", "--rig", "sim", "--sensor", "paper16", "--seconds", "0.3", "--out", str(folder)]) == 0
+    assert (
+        main(
+            [
+                "record",
+                "--rig",
+                "sim",
+                "--sensor",
+                "paper16",
+                "--seconds",
+                "0.3",
+                "--out",
+                str(folder),
+            ]
+        )
+        == 0
+    )
     return folder
 
 
@@ -26,7 +41,10 @@ def test_nothing_is_commanded(folder):
     recording = load_recording(folder)
     assert recording.complete and recording.notes["outcome"] == "recorded"
     assert len(recording) == pytest.approx(0.3 * 30, abs=1)
-    assert np.ptp(recording.column("command_opening", 1)) == 0 and np.ptp(recording.column("command_lift_height", 1)) == 0
+    assert (
+        np.ptp(recording.column("command_opening", 1)) == 0
+        and np.ptp(recording.column("command_lift_height", 1)) == 0
+    )
     assert np.ptp(recording.column("opening", 1)) < 1e-4  # m; the jaws stand
     assert [phase for phase, *_ in recording.phases()][-1] == "done"
 
@@ -39,11 +57,24 @@ def test_what_made_it_is_in_it(folder):
 
 
 def test_a_replay_gives_the_same_numbers(folder, tmp_path, capsys):
-    code, result = record(capsys, "--rig", f"replay:{folder}", "--seconds", "0.3", "--out", tmp_path)
-    first, second = load_recording(folder), load_recording(tmp_path)
+    code, result = record(
+        capsys, "--rig", f"replay:{folder}", "--seconds", "0.3", "--out", tmp_path
+    )
+    first = load_recording(folder)
+    second = load_recording(tmp_path)
     assert code == 0 and result["cycles"] == len(first) == len(second)
-    for key in ("time", "image_time", "force_normal", "force_normal_sd", "opening", "effort", "gripper_time", "valve_time"):
-        assert np.array_equal(first.column(key), second.column(key), equal_nan=True), key  # bit for bit
+    for key in (
+        "time",
+        "image_time",
+        "force_normal",
+        "force_normal_sd",
+        "opening",
+        "effort",
+        "gripper_time",
+        "valve_time",
+    ):
+        # bit for bit
+        assert np.array_equal(first.column(key), second.column(key), equal_nan=True), key
     assert second.notes["simulated"] == first.notes["simulated"]  # the images are of that world
     for a, b in zip(first.images(), second.images(), strict=True):
         assert all(np.array_equal(x.pixels, y.pixels) for x, y in zip(a, b, strict=True))
@@ -56,7 +87,8 @@ def test_its_page_feels_it_again(folder, tmp_path, capsys):
     felt = [shot["felt"][0]["text"] for shot in json.loads(page.scripts[0])["shots"]]
     assert result["felt_again"] and result["shown"] == result["cycles"] == len(felt)
     said = load_recording(folder).column("force_normal")[:, 0]
-    assert [float(text.split()[0]) for text in felt] == pytest.approx(said, abs=0.0051)  # as written, two digits
+    # as written, two digits
+    assert [float(text.split()[0]) for text in felt] == pytest.approx(said, abs=0.0051)
     assert "hyperelasticity" in page.text  # what was simulated
 
 
@@ -66,9 +98,14 @@ def test_a_recording_is_over_when_it_is_over(folder, tmp_path, capsys):
     assert load_recording(tmp_path).notes["outcome"] == "recorded"
 
 
-@pytest.mark.parametrize(("arguments", "word"), [(("--rig", "nowhere"), "--rig"),
-                                                 (("--rig", "sim", "--seconds", "-1"), "--seconds"),
-                                                 (("--rig", "replay:nowhere"), "nowhere")])
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (("--rig", "nowhere"), "--rig"),
+        (("--rig", "sim", "--seconds", "-1"), "--seconds"),
+        (("--rig", "replay:nowhere"), "nowhere"),
+    ],
+)
 def test_bad_input(arguments, word, tmp_path, capsys):
     code, result = record(capsys, *arguments, "--out", tmp_path / "out")
     assert code == 2 and word in result["error"]

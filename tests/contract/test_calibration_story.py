@@ -1,7 +1,9 @@
-"""The whole path of a user with two fingers that are not as their sensor file says: measure, calibrate, measure again.
+"""The whole path of a user with two fingers that are not as their sensor file says: measure,
+calibrate, measure again.
 
-On the emulated specimens of `models/rigs/emulated_specimen.toml`, over ptys and streams. What the user has: a printed board, a
-load cell, a caliper, a pressure of zero. The test plays the person who reads the instruments, in the emulated world.
+On the emulated specimens of `models/rigs/emulated_specimen.toml`, over ptys and streams. What the
+user has: a printed board, a load cell, a caliper, a pressure of zero. The test plays the person who
+reads the instruments, in the emulated world.
 """
 
 import json
@@ -37,14 +39,27 @@ PIXELS = 60  # of the drawn board a square
 
 
 def write_rig(folder):
-    """The emulated specimens with a calibration file for each finger and the gripper, patient with a busy computer."""
+    """The emulated specimens with a calibration file for each finger and the gripper, patient with
+    a busy computer."""
     text = resources.find("emulated_specimen", "models/rigs", ".toml").read_text()
     text = text.replace("[gripper]\n", '[gripper]\ncalibration = "gripper.json"\n')
     for finger in FINGERS:
-        text = text.replace(f'[[camera]]\nfinger = "{finger}"', f'[[camera]]\ncalibration = "{finger}.json"\nfinger = "{finger}"')
-    for name, value in (("reply_timeout_ms", 100), ("watchdog_ms", 2500), ("host_timeout_ms", 5000), ("heartbeat_ms", 3000),
-                        ("delay_ms", 1000.0), ("rate_Hz", RATE)):
-        lines = [f"{name} = {value}" if line.startswith(f"{name} =") else line for line in text.splitlines()]
+        text = text.replace(
+            f'[[camera]]\nfinger = "{finger}"',
+            f'[[camera]]\ncalibration = "{finger}.json"\nfinger = "{finger}"',
+        )
+    for name, value in (
+        ("reply_timeout_ms", 100),
+        ("watchdog_ms", 2500),
+        ("host_timeout_ms", 5000),
+        ("heartbeat_ms", 3000),
+        ("delay_ms", 1000.0),
+        ("rate_Hz", RATE),
+    ):
+        lines = [
+            f"{name} = {value}" if line.startswith(f"{name} =") else line
+            for line in text.splitlines()
+        ]
         text = "\n".join(lines) + "\n"
     path = folder / "rig.toml"
     path.write_text(text)
@@ -54,7 +69,9 @@ def write_rig(folder):
     return path
 
 
-# -- the force felt, and the force that is ----------------------------------------------------------------------------------
+# -- the force felt, and the force that is
+# --------------------------------------------------------------------------------
+
 
 class Brief:
     """`gentle`, ended after a while of holding."""
@@ -62,7 +79,8 @@ class Brief:
     path = "gentle"
 
     def __init__(self, cycles):
-        self._gentle, self._left = load_controller("gentle"), cycles
+        self._gentle = load_controller("gentle")
+        self._left = cycles
 
     def step(self, observation):
         command = self._gentle.step(observation)
@@ -72,13 +90,21 @@ class Brief:
 
 def grasp_error(path):
     """Mean felt less true force on each finger, N, while an egg is held; what the session said."""
-    rig_file, said, errors, design = load_rig_file(path), [], [], load_sensor(path.parent / "slower.toml")
+    rig_file = load_rig_file(path)
+    said = []
+    errors = []
+    design = load_sensor(path.parent / "slower.toml")
     emulator = EmulatorProcess(rig_file, design, object_name="egg", seed=1)
 
     def on_cycle(cycle):
         if cycle.sent.phase == "hold":
             truth = emulator.truth()
-            errors.append([touch.force_normal - truth[f"contact_{i}"] for i, touch in enumerate(cycle.touch, 1)])
+            errors.append(
+                [
+                    touch.force_normal - truth[f"contact_{i}"]
+                    for i, touch in enumerate(cycle.touch, 1)
+                ]
+            )
 
     try:
         rig = build_emulated_rig(rig_file, design, object_name="egg", seed=1, emulator=emulator)
@@ -93,13 +119,17 @@ def grasp_error(path):
     return np.nanmean(errors, axis=0), said
 
 
-# -- a person with instruments ------------------------------------------------------------------------------------------
+# -- a person with instruments
+# --------------------------------------------------------------------------------
+
 
 class Person:
     """Stands for stdin and stderr: reads what is asked, looks at the instrument, types."""
 
     def __init__(self, emulator):
-        self._emulator, self._asked, self.read = emulator, "", []
+        self._emulator = emulator
+        self._asked = ""
+        self.read = []
 
     def write(self, text):
         self.read.append(text)
@@ -126,8 +156,10 @@ class Person:
 
 
 def photograph_board(folder, camera):
-    """Pictures of the board through OpenCV's model of that camera, without membrane and pane, all over the view and tilted."""
-    K, k = camera.K, np.array(camera.distortion)
+    """Pictures of the board through OpenCV's model of that camera, without membrane and pane, all
+    over the view and tilted."""
+    K = camera.K
+    k = np.array(camera.distortion)
     u, v = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
     points = cv2.undistortPoints(np.stack([u.ravel(), v.ravel()], axis=1), K, k, criteria=criteria)
@@ -137,19 +169,25 @@ def photograph_board(folder, camera):
     folder.mkdir()
     for i in range(12):
         rotation = np.array([*rng.uniform(-0.5, 0.5, 2), rng.uniform(-0.3, 0.3)])
-        depth, R = rng.uniform(0.045, 0.065), cv2.Rodrigues(rotation)[0]
+        depth = rng.uniform(0.045, 0.065)
+        R = cv2.Rodrigues(rotation)[0]
         aim = np.array([(-1, 1)[i % 2] * 0.16, (-1, 1)[i // 2 % 2] * 0.13, 1.0]) * depth
         corner = aim - R @ np.array([BOARD.columns, BOARD.rows, 0]) * BOARD.square / 2
         at = rays @ np.linalg.inv(np.column_stack([R[:, 0], R[:, 1], corner])).T
-        at = (at[..., :2] / at[..., 2:] * PIXELS / BOARD.square + PIXELS / 2 - 0.5).astype(np.float32)
+        at = (at[..., :2] / at[..., 2:] * PIXELS / BOARD.square + PIXELS / 2 - 0.5).astype(
+            np.float32
+        )
         gray = cv2.remap(drawn, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=255)
         gray = cv2.GaussianBlur(gray, (0, 0), 0.7) * 0.7 + 30 + rng.normal(0, 2.0, gray.shape)
         cv2.imwrite(str(folder / f"{i:02d}.png"), np.clip(gray, 0, 255).astype(np.uint8))
 
 
 def calibrate_all(path, monkeypatch):
-    """Every `calibrate`, on one emulator, by a person at the terminal; the rig file is that of a client."""
-    folder, rig_file, sensor = path.parent, load_rig_file(path), str(path.parent / "slower.toml")
+    """Every `calibrate`, on one emulator, by a person at the terminal; the rig file is that of a
+    client."""
+    folder = path.parent
+    rig_file = load_rig_file(path)
+    sensor = str(path.parent / "slower.toml")
     design = load_sensor(sensor)
     emulator = EmulatorProcess(rig_file, design, object_name="egg", seed=2)
     try:
@@ -158,15 +196,39 @@ def calibrate_all(path, monkeypatch):
         for finger in FINGERS:
             photos = folder / f"photos_{finger}"
             photograph_board(photos, true_design(design, rig_file.emulator.specimen(finger)).camera)
-            assert main(["calibrate", "camera", str(photos), "--rig", str(client), "--sensor", sensor, "--finger", finger]) == 0
+            assert (
+                main(
+                    [
+                        "calibrate",
+                        "camera",
+                        str(photos),
+                        "--rig",
+                        str(client),
+                        "--sensor",
+                        sensor,
+                        "--finger",
+                        finger,
+                    ]
+                )
+                == 0
+            )
         person = Person(emulator)
-        for name, value in (("_SPEED", 0.05), ("_REST_TIME", 0.4)):  # the emulated jaws have no play to settle
+        # the emulated jaws have no play to settle
+        for name, value in (("_SPEED", 0.05), ("_REST_TIME", 0.4)):
             monkeypatch.setattr(live, name, value)
         for what in (["valve", "--seal", "2"], ["frame"], ["force", "--load-cell"], ["gripper"]):
             with monkeypatch.context() as patch:
                 patch.setattr("sys.stdin", person)
                 patch.setattr("sys.stderr", person)
-                code = main(["calibrate", *what, "--rig", str(client), *([] if what == ["gripper"] else ["--sensor", sensor])])
+                code = main(
+                    [
+                        "calibrate",
+                        *what,
+                        "--rig",
+                        str(client),
+                        *([] if what == ["gripper"] else ["--sensor", sensor]),
+                    ]
+                )
             assert code == 0, "".join(person.read)
     finally:
         emulator.close()
@@ -179,15 +241,26 @@ def test_two_fingers_that_are_not_as_their_sensor_file_says(tmp_path, monkeypatc
     with at_pace(2.0):  # most of it is three minutes of jaws that move and rest
         calibrate_all(path, monkeypatch)
     left, right = (load_calibration(tmp_path / f"{finger}.json") for finger in FINGERS)
-    # each against the specimen: focal length 3 % of 600 px by the camera's own 0.5 %, zero by 5 Pa of noise over 0.7 s
-    assert left.lens.fx == pytest.approx(618, rel=0.005) and right.lens.fx == pytest.approx(582, rel=0.005)
-    assert left.valve.offset == pytest.approx(30, abs=3) and right.valve.offset == pytest.approx(-30, abs=3)
-    assert left.frame.p_SC[0] == pytest.approx(4e-4, abs=1.5e-4)  # a shift and the lens's centre are told apart by the board
-    assert left.frame.scale.mean() == pytest.approx(1.02, abs=2e-3) and left.frame.stiffness == pytest.approx(1.15, abs=0.05)
-    assert left.force.scale == pytest.approx(1.0, abs=0.05)  # with lens and zero right, what is left is the model's
+    # each against the specimen: focal length 3 % of 600 px by the camera's own 0.5 %, zero by 5 Pa
+    # of noise over 0.7 s
+    assert left.lens.fx == pytest.approx(618, rel=0.005) and right.lens.fx == pytest.approx(
+        582, rel=0.005
+    )
+    assert left.valve.offset == pytest.approx(30, abs=3) and right.valve.offset == pytest.approx(
+        -30, abs=3
+    )
+    # a shift and the lens's centre are told apart by the board
+    assert left.frame.p_SC[0] == pytest.approx(4e-4, abs=1.5e-4)
+    assert left.frame.scale.mean() == pytest.approx(
+        1.02, abs=2e-3
+    ) and left.frame.stiffness == pytest.approx(1.15, abs=0.05)
+    # with lens and zero right, what is left is the model's
+    assert left.force.scale == pytest.approx(1.0, abs=0.05)
     servos = json.loads((tmp_path / "gripper.json").read_text())["servo"]
-    assert servos[0]["torque_Nm_per_A"] / 0.354 == pytest.approx(1.08, abs=0.03)  # data sheet of the XL330-M288
+    # data sheet of the XL330-M288
+    assert servos[0]["torque_Nm_per_A"] / 0.354 == pytest.approx(1.08, abs=0.03)
     after, said = grasp_error(path)
-    sys.stdout.write(f"felt less true force, N: before {before.round(4)}, after {after.round(4)}\n")  # pytest -rP shows it
+    # pytest -rP shows it
+    sys.stdout.write(f"felt less true force, N: before {before.round(4)}, after {after.round(4)}\n")
     assert not [text for text in said if text.startswith("calibration of")]
     assert np.abs(after).max() < ERROR_MAX

@@ -1,4 +1,5 @@
-"""Chains in processes beside a simulated world: the same errors, nobody waits for one that hangs, and one that is gone is said.
+"""Chains in processes beside a simulated world: the same errors, nobody waits for one that hangs,
+and one that is gone is said.
 
 Time-outs are far beyond what anything takes; none is asserted.
 """
@@ -63,7 +64,11 @@ def feelers(request):
 
 
 def children():
-    return [int(pid) for task in Path("/proc/self/task").iterdir() for pid in (task / "children").read_text().split()]
+    return [
+        int(pid)
+        for task in Path("/proc/self/task").iterdir()
+        for pid in (task / "children").read_text().split()
+    ]
 
 
 def test_what_is_felt_arrives_whole_and_read_only_and_so_do_the_states(feelers):
@@ -72,7 +77,9 @@ def test_what_is_felt_arrives_whole_and_read_only_and_so_do_the_states(feelers):
         with feelers.at_work(chains, NAMES) as both:
             left, right = both.perceive([IMAGE, Image(IMAGE.pixels + np.uint8(1), 1.0)], now)
         assert (left.age, left.force_normal, left.status) == (now - 1, 0.5, "ok")
-        assert left.markers.p_SM.tolist() == [[2016.0] * 3] and right.markers.p_SM.tolist() == [[2080.0] * 3]
+        assert left.markers.p_SM.tolist() == [[2016.0] * 3] and right.markers.p_SM.tolist() == [
+            [2080.0] * 3
+        ]
         assert not any(array.flags.writeable for array in vars(left.markers).values())
     assert [chain.state for chain in chains] == [2, 2]
 
@@ -86,17 +93,22 @@ def test_an_error_arrives_as_itself_and_the_next_image_is_looked_at(feelers):
 
 
 def test_one_that_hangs_is_unknown_until_it_answers(tmp_path):
-    until, feelers = tmp_path / "go", Feelers(2)
+    until = tmp_path / "go"
+    feelers = Feelers(2)
     try:
         with feelers.at_work([Feels(), Hangs(until)], NAMES) as both:
-            for now, patience in ((1.0, 3.0), (2.0, 1e9)):  # the second time it is not waited for at all
+            # the second time it is not waited for at all
+            for now, patience in ((1.0, 3.0), (2.0, 1e9)):
                 left, right = both.perceive([IMAGE, IMAGE], now, patience)
-                assert left.status == "ok" and right.status == "right sensor: its perception does not answer"
+                assert left.status == "ok" and right.status == (
+                    "right sensor: its perception does not answer"
+                )
                 assert np.isnan(right.force_normal)
             until.touch()
             while (right := both.perceive([IMAGE, IMAGE], 3.0)[1]).status != "ok":
                 pass
-            assert right.markers.ids == 2 and right.age == 2.0  # no late answer was taken for a new one
+            # no late answer was taken for a new one
+            assert right.markers.ids == 2 and right.age == 2.0
     finally:
         feelers.close()
 
@@ -106,7 +118,9 @@ def test_one_that_stands_still_in_the_middle_is_not_waited_for_and_goes_on(feele
         pids = children()
         for pid in pids:
             os.kill(pid, signal.SIGSTOP)
-        assert all(np.isnan(touch.force_normal) for touch in both.perceive([IMAGE, IMAGE], 1.0, 0.1))
+        assert all(
+            np.isnan(touch.force_normal) for touch in both.perceive([IMAGE, IMAGE], 1.0, 0.1)
+        )
         for pid in pids:
             os.kill(pid, signal.SIGCONT)
         while any(np.isnan(touch.force_normal) for touch in both.perceive([IMAGE, IMAGE], 2.0)):
@@ -119,13 +133,16 @@ def test_one_that_is_killed_is_said_and_leaves_its_chains_as_they_were(feelers):
         both.perceive([IMAGE, IMAGE], 1.0)
         for pid in children():
             os.kill(pid, signal.SIGKILL)
-        with pytest.raises(DeviceError, match="a process that feels for the loop has ended \\(by signal 9\\)"):
+        with pytest.raises(
+            DeviceError, match="a process that feels for the loop has ended \\(by signal 9\\)"
+        ):
             both.perceive([IMAGE, IMAGE], 2.0)
     assert [chain.state for chain in chains] == [0, 0]
 
 
 class Killing:
-    """A progress that kills what this process has started, in the first cycle that holds the object in the air."""
+    """A progress that kills what this process has started, in the first cycle that holds the object
+    in the air."""
 
     def __init__(self):
         self.phases = []
@@ -140,16 +157,25 @@ class Killing:
 
 
 def test_a_grasp_whose_process_is_killed_sets_down_and_says_why(tmp_path):
-    options, killing = GraspOptions(sensor="paper16", seed=21, workers=1), Killing()
-    with (Recorder(tmp_path, {"object": "egg"}) as recorder,
-          pytest.raises(DeviceError, match="stopped safely: a process that feels for the loop has ended \\(by signal 9\\)")):
+    options = GraspOptions(sensor="paper16", seed=21, workers=1)
+    killing = Killing()
+    with (
+        Recorder(tmp_path, {"object": "egg"}) as recorder,
+        pytest.raises(
+            DeviceError,
+            match="stopped safely: a process that feels for the loop has ended \\(by signal 9\\)",
+        ),
+    ):
         run_grasp(options, recorder=recorder, progress=killing)
     assert killing.phases.count("hold") > 1  # the loop went on: it set down and opened
     assert children() == []
 
 
-def test_without_room_for_the_second_process_the_first_is_ended_too_and_a_session_does_without(monkeypatch):
-    started, start = [], process.start
+def test_without_room_for_the_second_process_the_first_is_ended_too_and_a_session_does_without(
+    monkeypatch,
+):
+    started = []
+    start = process.start
 
     def refuse_the_second(*args, **kwargs):
         if started:
@@ -169,5 +195,3 @@ def test_one_a_camera_as_far_as_there_are_processors_for_them(monkeypatch):
     for processors, expected in ((1, 0), (2, 1), (3, 2), (8, 2)):
         monkeypatch.setattr(os, "sched_getaffinity", lambda _, n=processors: set(range(n)))
         assert default_count(2) == expected
-
-

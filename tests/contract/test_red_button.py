@@ -1,5 +1,5 @@
-"""Studio's red button on the emulated rig, without a page: pressed while an egg is held in the air, the hand sets it down, torque
-goes off, the chambers are vented."""
+"""Studio's red button on the emulated rig, without a page: pressed while an egg is held in the air,
+the hand sets it down, torque goes off, the chambers are vented."""
 
 import math
 
@@ -32,7 +32,9 @@ class Pressed(Show):
 
 @pytest.fixture
 def emulator(half_speed):
-    process = EmulatorProcess(load_rig_file("emulated"), load_sensor("paper16"), object_name="egg", seed=0)
+    process = EmulatorProcess(
+        load_rig_file("emulated"), load_sensor("paper16"), object_name="egg", seed=0
+    )
     yield process
     process.close()
 
@@ -41,12 +43,22 @@ def test_the_red_button_while_holding_sets_down_lets_go_and_vents(emulator, tmp_
     (tmp_path / "rig.toml").write_text(rig_text(emulator))
     (tmp_path / "mine.py").write_text(controller_text())
     show = Pressed()
-    options = GraspOptions(sensor="paper16", controller=str(tmp_path / "mine.py"), rig=str(tmp_path / "rig.toml"))
+    options = GraspOptions(
+        sensor="paper16", controller=str(tmp_path / "mine.py"), rig=str(tmp_path / "rig.toml")
+    )
     with pytest.raises(DeviceError, match=RED_BUTTON):
-        run_grasp(options, recorder=show, progress=Voice(show), on_open=show.open, on_still=show.still, wrap=show.wrap,
-                  time_limit=math.inf)
+        run_grasp(
+            options,
+            recorder=show,
+            progress=Voice(show),
+            on_open=show.open,
+            on_still=show.still,
+            wrap=show.wrap,
+            time_limit=math.inf,
+        )
     truth = emulator.truth()
     assert not any(truth["torque"].values()) and set(truth["valve"].values()) == {"vent"}
-    assert truth["object_height"] == pytest.approx(0.031, abs=0.003)  # m, of its middle: it stands where it stood
+    # m, of its middle: it stands where it stood
+    assert truth["object_height"] == pytest.approx(0.031, abs=0.003)
     assert max(lift for _, lift in show.states) > 0.03  # m; it had been in the air
     assert show.states[-1][0] in ("safe", "latched") and show.states[-1][1] < 2e-3

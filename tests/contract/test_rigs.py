@@ -1,7 +1,8 @@
-"""One suite for every rig: what control and controllers rely on holds for the shipped gripper, an arm, three fingers, the
-emulated and a replayed rig alike.
+"""One suite for every rig: what control and controllers rely on holds for the shipped gripper, an
+arm, three fingers, the emulated and a replayed rig alike.
 
-The emulated rig runs in real time beside other work, so that its time-outs are set generously here; none is asserted.
+The emulated rig runs in real time beside other work, so that its time-outs are set generously here;
+none is asserted.
 """
 
 import math
@@ -47,14 +48,24 @@ class Nothing:
     def step(self, observation):
         self.calls += 1
         phase = "done" if self.calls >= CYCLES else "approach"
-        return replace(observation.command, opening=observation.command.opening - 1e-4, force_limit=2.0, phase=phase)
+        return replace(
+            observation.command,
+            opening=observation.command.opening - 1e-4,
+            force_limit=2.0,
+            phase=phase,
+        )
 
 
 def patient_rig_file():
     rig_file = load_rig_file("emulated")
-    cameras = tuple(replace(camera, delay=0.5) for camera in rig_file.cameras)  # stale only after 0.6 s
-    return replace(rig_file, bus=replace(rig_file.bus, reply_timeout=0.25, watchdog=2.5, host_timeout=5.0), cameras=cameras,
-                   valves=tuple(replace(valve, heartbeat=3.0) for valve in rig_file.valves))
+    # stale only after 0.6 s
+    cameras = tuple(replace(camera, delay=0.5) for camera in rig_file.cameras)
+    return replace(
+        rig_file,
+        bus=replace(rig_file.bus, reply_timeout=0.25, watchdog=2.5, host_timeout=5.0),
+        cameras=cameras,
+        valves=tuple(replace(valve, heartbeat=3.0) for valve in rig_file.valves),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -83,10 +94,17 @@ def record(rig, folder):
         session.run(Nothing(), time_limit=60.0, on_cycle=recorder.add)
 
 
-@pytest.fixture(params=[*SIMULATED, pytest.param("emulated", marks=pytest.mark.clock), "replay",
-                        pytest.param("hardware", marks=pytest.mark.hardware)])
+@pytest.fixture(
+    params=[
+        *SIMULATED,
+        pytest.param("emulated", marks=pytest.mark.clock),
+        "replay",
+        pytest.param("hardware", marks=pytest.mark.hardware),
+    ]
+)
 def rig(request):
-    """Each kind of rig; "hardware" is the one of `pytest --hardware RIG.toml`, whose sensor is DESIGN. Clear its jaws."""
+    """Each kind of rig; "hardware" is the one of `pytest --hardware RIG.toml`, whose sensor is
+    DESIGN. Clear its jaws."""
     if request.param in SIMULATED:
         rig = build_rig(request.param, DESIGN, object_name="egg", seed=0)
     elif request.param == "hardware":
@@ -94,7 +112,9 @@ def rig(request):
         rig = build_rig(rig_file, DESIGN, object_name="egg", seed=0)
     elif request.param == "emulated":
         emulator = request.getfixturevalue("emulator")
-        rig = build_emulated_rig(patient_rig_file(), DESIGN, object_name="egg", seed=0, emulator=emulator)
+        rig = build_emulated_rig(
+            patient_rig_file(), DESIGN, object_name="egg", seed=0, emulator=emulator
+        )
     else:
         rig = build_replay_rig(str(request.getfixturevalue("recording_folder")), DESIGN)
     try:
@@ -118,7 +138,8 @@ def test_the_loop_runs_on_it(rig, tmp_path):
     recording = load_recording(tmp_path)
     assert len(recording) == CYCLES
     assert recording.complete
-    time, captured = recording.columns["time"], np.array([list(t) for t in recording.columns["image_time"]])
+    time = recording.columns["time"]
+    captured = np.array([list(t) for t in recording.columns["image_time"]])
     assert (np.diff(time) > 0).all()
     assert (captured <= time[:, None]).all()  # nothing is seen before it was captured, on one clock
     assert (np.diff(captured, axis=0) >= 0).all()
@@ -126,7 +147,8 @@ def test_the_loop_runs_on_it(rig, tmp_path):
     running = np.array([state == "running" for state in recording.columns["state"]])[1:]
     assert running.any()
     assert np.diff(openings)[running] == pytest.approx(-1e-4, abs=1e-9)  # it closed, step by step
-    assert (np.diff(openings)[~running] >= 0).all()  # a picture that came late on a busy computer: it waited
+    # a picture that came late on a busy computer: it waited
+    assert (np.diff(openings)[~running] >= 0).all()
 
 
 def test_images_have_the_designs_size_and_see_the_markers(rig):
@@ -141,7 +163,10 @@ def test_state_is_finite_and_within_the_limits(rig):
     for camera in rig.cameras:
         patient_read(rig, camera)
     state = rig.gripper.state()
-    assert all(math.isfinite(value) for value in (state.opening, state.speed, state.effort, state.lift_height))
+    assert all(
+        math.isfinite(value)
+        for value in (state.opening, state.speed, state.effort, state.lift_height)
+    )
     low, high = rig.limits.opening
     assert low <= state.opening <= high
     assert abs(state.lift_height) < 1e-3  # where it started
@@ -149,7 +174,8 @@ def test_state_is_finite_and_within_the_limits(rig):
 
 def test_every_reading_says_when_it_was_taken(rig):
     images = [patient_read(rig, camera) for camera in rig.cameras]
-    for _ in range(2):  # a replay's first image begins its first cycle only after the references' images
+    # a replay's first image begins its first cycle only after the references' images
+    for _ in range(2):
         for camera in rig.cameras:
             images.append(patient_read(rig, camera))
     before = rig.clock.now()
@@ -157,11 +183,15 @@ def test_every_reading_says_when_it_was_taken(rig):
     after = rig.clock.now()
     assert all(image.time <= after for image in images)
     if rig.name == "replay":
-        return  # before its first cycle nothing was recorded but images: their own test compares the times bit for bit
+        # before its first cycle nothing was recorded but images: their own test compares the times
+        # bit for bit
+        return
     for reading in readings:
-        assert 0 <= reading.age <= 1.0  # s; a valve's heartbeat may be 0.25 s old, an image 0.5 s on a busy computer
+        # s; a valve's heartbeat may be 0.25 s old, an image 0.5 s on a busy computer
+        assert 0 <= reading.age <= 1.0
         assert before - 1.0 <= reading.time <= after
-        assert reading.time + reading.age <= after + 1e-9  # one clock for all of them; rounding of the sum
+        # one clock for all of them; rounding of the sum
+        assert reading.time + reading.age <= after + 1e-9
 
 
 def test_closing_twice_does_no_harm(rig):
@@ -169,14 +199,20 @@ def test_closing_twice_does_no_harm(rig):
     rig.close()
 
 
-# -- the shipped controller, as it is -------------------------------------------------------------------------------------
+# -- the shipped controller, as it is
+# --------------------------------------------------------------------------------
+
 
 class Gentle:
-    """The shipped controller, until it enters the phase `until`; keeps what was felt in every cycle."""
+    """The shipped controller, until it enters the phase `until`; keeps what was felt in every
+    cycle."""
 
     def __init__(self, until):
-        self.controller, self.until = load_controller("gentle"), until
-        self.path, self.felt, self.wanted = self.controller.path, [], []
+        self.controller = load_controller("gentle")
+        self.until = until
+        self.path = self.controller.path
+        self.felt = []
+        self.wanted = []
 
     def step(self, observation):
         command = self.controller.step(observation)
@@ -188,11 +224,17 @@ class Gentle:
 def near_rig(name, seed):
     """A simulated rig whose jaws begin near the egg, to spare the way."""
     file = load_sim_rig(name)
-    return build_sim_rig(DESIGN, object_name="egg", seed=seed, file=replace(file, gripper=replace(file.gripper, start=0.045)))
+    return build_sim_rig(
+        DESIGN,
+        object_name="egg",
+        seed=seed,
+        file=replace(file, gripper=replace(file.gripper, start=0.045)),
+    )
 
 
 def run_gentle(rig, folder, until="hold", on_images=lambda: None):
-    session, gentle = Session(rig), Gentle(until)
+    session = Session(rig)
+    gentle = Gentle(until)
     with Recorder(folder, {"object": "egg"}) as recorder:
         session.take_references(recorder)
         session.run(gentle, time_limit=60.0, on_cycle=recorder.add, on_images=on_images)
@@ -203,17 +245,29 @@ def run_gentle(rig, folder, until="hold", on_images=lambda: None):
 def test_gentle_lifts_an_egg(name, tmp_path):
     rig = near_rig(name, seed=1)
     try:
-        score, moments = GraspScore(rig.scene), []
-        gentle = run_gentle(rig, tmp_path, on_images=lambda: moments.append(
-            (score.forces(), truth.hand_position(rig.scene)[2], truth.object_position(rig.scene)[2])))
+        score = GraspScore(rig.scene)
+        moments = []
+        gentle = run_gentle(
+            rig,
+            tmp_path,
+            on_images=lambda: moments.append(
+                (
+                    score.forces(),
+                    truth.hand_position(rig.scene)[2],
+                    truth.object_position(rig.scene)[2],
+                )
+            ),
+        )
     finally:
         rig.close()
     assert gentle.wanted[-1].phase == "hold"
     true, hand, egg = moments[len(gentle.felt) - 1]  # afterwards the object was set down again
-    assert np.mean(gentle.felt[-1]) == pytest.approx(0.6, abs=0.08)  # what the controller calls settled
+    # what the controller calls settled
+    assert np.mean(gentle.felt[-1]) == pytest.approx(0.6, abs=0.08)
     # one image, one cycle old; 16 markers are good to 20-30 mN (docs/accuracy.md)
     assert gentle.felt[-1] == pytest.approx(true, abs=0.05)
-    assert egg - 0.0315 == pytest.approx(0.04, abs=2e-3)  # it came along; it stood in a cup and slips by less than a millimetre
+    # it came along; it stood in a cup and slips by less than a millimetre
+    assert egg - 0.0315 == pytest.approx(0.04, abs=2e-3)
     assert hand > 0.04
 
 
@@ -227,15 +281,19 @@ def test_gentle_grasps_on_the_emulated_rig(emulator, tmp_path):
             if cycle.sent.phase == "hold":
                 heights.append(emulator.truth()["object_height"])
 
-    rig = build_emulated_rig(patient_rig_file(), DESIGN, object_name="egg", seed=0, emulator=emulator)
+    rig = build_emulated_rig(
+        patient_rig_file(), DESIGN, object_name="egg", seed=0, emulator=emulator
+    )
     try:
-        session, gentle = Session(rig), Gentle("done")
+        session = Session(rig)
+        gentle = Gentle("done")
         with Watched(tmp_path, {"object": "egg"}) as recorder:
             session.take_references(recorder)
             session.run(gentle, time_limit=60.0, on_cycle=recorder.add)
     finally:
         rig.close()
-    assert min(heights) - 0.0315 == pytest.approx(0.04, abs=5e-3)  # the servos' goals are rounded, and the pinions have play
+    # the servos' goals are rounded, and the pinions have play
+    assert min(heights) - 0.0315 == pytest.approx(0.04, abs=5e-3)
 
 
 def test_gentle_on_a_replay_wants_what_it_wanted(tmp_path):
@@ -250,33 +308,68 @@ def test_gentle_on_a_replay_wants_what_it_wanted(tmp_path):
     assert second.felt == first.felt and second.wanted == first.wanted
 
 
-# -- what only some rigs have ---------------------------------------------------------------------------------------------
+# -- what only some rigs have
+# --------------------------------------------------------------------------------
+
 
 def test_a_replay_gives_the_same_numbers_bit_for_bit(recording_folder, tmp_path):
     record(build_replay_rig(str(recording_folder), DESIGN), tmp_path)
-    first, second = load_recording(recording_folder), load_recording(tmp_path)
-    for key in ("time", "force_normal", "force_normal_sd", "opening", "speed", "effort", "command_opening", "image_time",
-                "gripper_time", "gripper_age", "valve_time", "valve_age"):
+    first = load_recording(recording_folder)
+    second = load_recording(tmp_path)
+    for key in (
+        "time",
+        "force_normal",
+        "force_normal_sd",
+        "opening",
+        "speed",
+        "effort",
+        "command_opening",
+        "image_time",
+        "gripper_time",
+        "gripper_age",
+        "valve_time",
+        "valve_age",
+    ):
         assert np.array_equal(first.column(key), second.column(key), equal_nan=True), key
     for a, b in zip(first.images(), second.images(), strict=True):
         assert all(np.array_equal(x.pixels, y.pixels) for x, y in zip(a, b, strict=True))
 
 
 def test_a_recording_carries_the_calibration_and_its_replay_goes_by_it(tmp_path):
-    mark, camera = stamp(DESIGN, {}, {}), DESIGN.camera
-    lens = Lens(camera.width, camera.height, 1.01 * camera.fx, 1.01 * camera.fy, camera.cx, camera.cy, camera.distortion,
-                stamp=mark)
+    mark = stamp(DESIGN, {}, {})
+    camera = DESIGN.camera
+    lens = Lens(
+        camera.width,
+        camera.height,
+        1.01 * camera.fx,
+        1.01 * camera.fy,
+        camera.cx,
+        camera.cy,
+        camera.distortion,
+        stamp=mark,
+    )
     rig = build_rig("sim", DESIGN, object_name="egg", seed=0)
-    known = {f.name: Calibration(f.name, DESIGN.name).with_part(lens).with_part(ForceScale(0.9, 0.01, 1.0, mark))
-             for f in rig.fingers}
+    known = {
+        f.name: Calibration(f.name, DESIGN.name)
+        .with_part(lens)
+        .with_part(ForceScale(0.9, 0.01, 1.0, mark))
+        for f in rig.fingers
+    }
     try:
-        record(replace(rig, fingers=tuple(replace(f, calibration=known[f.name]) for f in rig.fingers)), tmp_path / "first")
+        record(
+            replace(rig, fingers=tuple(replace(f, calibration=known[f.name]) for f in rig.fingers)),
+            tmp_path / "first",
+        )
     finally:
         rig.close()
     replay = build_replay_rig(str(tmp_path / "first"), DESIGN)
-    assert {f.name: f.calibration.table() for f in replay.fingers} == {name: c.table() for name, c in known.items()}
+    assert {f.name: f.calibration.table() for f in replay.fingers} == {
+        name: c.table() for name, c in known.items()
+    }
     record(replay, tmp_path / "second")
-    first, second = (load_recording(tmp_path / name).column("force_normal") for name in ("first", "second"))
+    first, second = (
+        load_recording(tmp_path / name).column("force_normal") for name in ("first", "second")
+    )
     assert np.array_equal(first, second, equal_nan=True)
 
 
@@ -303,7 +396,9 @@ def test_what_cannot_be_replayed_is_refused(tmp_path):
 
 @pytest.mark.clock
 def test_torque_is_off_and_valves_are_vented_after_close(emulator):
-    rig = build_emulated_rig(patient_rig_file(), DESIGN, object_name="egg", seed=0, emulator=emulator)
+    rig = build_emulated_rig(
+        patient_rig_file(), DESIGN, object_name="egg", seed=0, emulator=emulator
+    )
     try:
         rig.valves[0].open(1000.0)
         rig.gripper.command(Command(0.07, 2.0))

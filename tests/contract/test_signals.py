@@ -1,7 +1,8 @@
-"""Whatever ends or fails while an object is held in the air, on the emulated rig: it is set down, torque is off, the chambers
-are vented, the recording can be read, and the process is gone.
+"""Whatever ends or fails while an object is held in the air, on the emulated rig: it is set down,
+torque is off, the chambers are vented, the recording can be read, and the process is gone.
 
-A part of all combinations; all of them, in half an hour: `MJTACTILE_SIGNALS=all pytest tests/contract/test_signals.py`.
+A part of all combinations; all of them, in half an hour: `MJTACTILE_SIGNALS=all pytest
+tests/contract/test_signals.py`.
 """
 
 import itertools
@@ -26,21 +27,37 @@ from tests.emulated_host import WAIT, controller_text, host, rig_text
 
 pytestmark = pytest.mark.clock
 
-INT, TERM, HUP, QUIT = signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT
-TIMES = {"once": (), "twice, 1 ms": (0.001,), "twice, 30 ms": (0.03,), "twice, 50 ms": (0.05,),
-         "six": (0.001, 0.05, 0.01, 0.1, 0.03)}
+INT = signal.SIGINT
+TERM = signal.SIGTERM
+HUP = signal.SIGHUP
+QUIT = signal.SIGQUIT
+TIMES = {
+    "once": (),
+    "twice, 1 ms": (0.001,),
+    "twice, 30 ms": (0.03,),
+    "twice, 50 ms": (0.05,),
+    "six": (0.001, 0.05, 0.01, 0.1, 0.03),
+}
 PHASES = ("connecting", "references", "approach", "regulate", "lift", "hold", "lower", "release")
-SOME = [(INT, "twice, 30 ms", "hold"), (HUP, "six", "lift"), (QUIT, "twice, 1 ms", "regulate"), (TERM, "six", "references"),
-        (INT, "twice, 50 ms", "connecting")]
+SOME = [
+    (INT, "twice, 30 ms", "hold"),
+    (HUP, "six", "lift"),
+    (QUIT, "twice, 1 ms", "regulate"),
+    (TERM, "six", "references"),
+    (INT, "twice, 50 ms", "connecting"),
+]
 ALL = os.environ.get("MJTACTILE_SIGNALS") == "all"
 CASES = list(itertools.product((INT, TERM, HUP, QUIT), TIMES, PHASES)) if ALL else SOME
-FAULTS = ["while True: pass", "import sys; sys.exit(0)", "raise KeyboardInterrupt"]  # the others also in test_safety.py
+# the others also in test_safety.py
+FAULTS = ["while True: pass", "import sys; sys.exit(0)", "raise KeyboardInterrupt"]
 
 
 @pytest.fixture
 def emulator():
     """Its own for each test: the egg stands and the jaws are open."""
-    process = EmulatorProcess(load_rig_file("emulated"), load_sensor("paper16"), object_name="egg", seed=0)
+    process = EmulatorProcess(
+        load_rig_file("emulated"), load_sensor("paper16"), object_name="egg", seed=0
+    )
     yield process
     process.close()
 
@@ -49,7 +66,9 @@ def wait_until(running, phase):
     if phase == "connecting":
         assert wait_for(running.log.exists, WAIT)
     elif phase == "references":
-        assert wait_for(lambda: "sealed" in emulator_valves(running) or "set" in emulator_valves(running), WAIT)
+        assert wait_for(
+            lambda: "sealed" in emulator_valves(running) or "set" in emulator_valves(running), WAIT
+        )
     else:
         running.wait_for_phase(phase)
 
@@ -58,9 +77,13 @@ def emulator_valves(running):
     return running.emulator.truth()["valve"].values()
 
 
-@pytest.mark.parametrize(("number", "times", "phase"), CASES, ids=[f"{n.name}-{t}-{p}" for n, t, p in CASES])
+@pytest.mark.parametrize(
+    ("number", "times", "phase"), CASES, ids=[f"{n.name}-{t}-{p}" for n, t, p in CASES]
+)
 def test_signals(emulator, tmp_path, number, times, phase):
-    with host(emulator, tmp_path, controller_text(hold=60.0 if phase not in PHASES[6:] else 0.1)) as running:
+    with host(
+        emulator, tmp_path, controller_text(hold=60.0 if phase not in PHASES[6:] else 0.1)
+    ) as running:
         wait_until(running, phase)
         running.signal(number)
         for pause in TIMES[times]:
@@ -68,12 +91,20 @@ def test_signals(emulator, tmp_path, number, times, phase):
             running.signal(number)
         output, errors = running.ends()
         assert running.process.returncode == 3 and "Traceback" not in errors
-        assert errors.splitlines()[-1] == "mjtactile: interrupted" and json.loads(output)["exit_code"] == 3
+        assert (
+            errors.splitlines()[-1] == "mjtactile: interrupted"
+            and json.loads(output)["exit_code"] == 3
+        )
         running.has_set_down()
         if phase not in PHASES[:2]:
             recording = running.recording()
-            assert recording.notes["outcome"] == "fault" and recording.notes["error"] == "interrupted"
-            assert recording.columns["state"][-1] == "latched" and recording.columns["command_lift_height"][-1] < 1e-3
+            assert (
+                recording.notes["outcome"] == "fault" and recording.notes["error"] == "interrupted"
+            )
+            assert (
+                recording.columns["state"][-1] == "latched"
+                and recording.columns["command_lift_height"][-1] < 1e-3
+            )
 
 
 def test_a_second_signal_a_second_later_lets_go_at_once(emulator, tmp_path):
@@ -83,14 +114,18 @@ def test_a_second_signal_a_second_later_lets_go_at_once(emulator, tmp_path):
         pace.sleep(1.05)
         running.signal(INT)
         _, errors = running.ends()
-        assert running.process.returncode == 3 and errors.splitlines()[-1] == "mjtactile: interrupted"
+        assert (
+            running.process.returncode == 3 and errors.splitlines()[-1] == "mjtactile: interrupted"
+        )
         assert running.recording().columns["state"][-1] == "safe"  # it was not down yet
 
 
 def test_output_that_nobody_reads_and_a_folder_that_is_removed(emulator, tmp_path):
     """`mjtactile grasp … 2>&1 | head -6`: the grasp goes on to its end."""
     reader, writer = os.pipe()
-    with host(emulator, tmp_path, controller_text(hold=0.5), stdout=writer, stderr=writer) as running:
+    with host(
+        emulator, tmp_path, controller_text(hold=0.5), stdout=writer, stderr=writer
+    ) as running:
         os.close(writer)
         os.read(reader, 20)
         os.close(reader)
@@ -133,15 +168,35 @@ def test_a_controller_that_fails(half_speed, emulator, tmp_path, fault):
 
 def test_a_killed_host_leaves_it_to_the_watchdogs(emulator, tmp_path):
     (tmp_path / "rig.toml").write_text(rig_text(emulator))
-    process = subprocess.Popen([sys.executable, "-m", "mjtactile", "record", "--rig", "rig.toml", "--sensor", "paper16",
-                                "--seconds", "60", "--out", "out"], cwd=tmp_path, stderr=subprocess.DEVNULL)
+    process = subprocess.Popen(
+        [
+            sys.executable,
+            "-m",
+            "mjtactile",
+            "record",
+            "--rig",
+            "rig.toml",
+            "--sensor",
+            "paper16",
+            "--seconds",
+            "60",
+            "--out",
+            "out",
+        ],
+        cwd=tmp_path,
+        stderr=subprocess.DEVNULL,
+    )
     log = tmp_path / "out" / "recording" / "log.jsonl"
-    assert wait_for(lambda: log.exists() and log.read_text().count('"kind": "cycle"') >= 5, WAIT), process.poll()
+    assert wait_for(lambda: log.exists() and log.read_text().count('"kind": "cycle"') >= 5, WAIT), (
+        process.poll()
+    )
     process.send_signal(signal.SIGKILL)
     killed = pace.monotonic()
     process.wait()
-    assert wait_for(lambda: set(emulator.truth()["watchdog"].values()) == {0xFF})  # the jaws stand still
+    # the jaws stand still
+    assert wait_for(lambda: set(emulator.truth()["watchdog"].values()) == {0xFF})
     assert wait_for(lambda: set(emulator.truth()["valve"].values()) == {"vent"})
     truth = emulator.truth()
-    assert all(t is not None and t >= killed for t in truth["servo_stop_time"].values())  # their own bus watchdogs
+    # their own bus watchdogs
+    assert all(t is not None and t >= killed for t in truth["servo_stop_time"].values())
     assert truth["valve_vent_time"] >= killed  # its own heartbeat

@@ -1,4 +1,5 @@
-"""Sensing chains in threads and processes: the same numbers, the same errors, and nobody waits for one that hangs.
+"""Sensing chains in threads and processes: the same numbers, the same errors, and nobody waits for
+one that hangs.
 
 Time-outs are far beyond what anything takes; none is asserted.
 """
@@ -31,12 +32,17 @@ class Silent:
 
 @pytest.fixture(scope="module")
 def grasps(tmp_path_factory):
-    """The same grasp in the loop and in two processes; then the first one's replay with a thread."""
+    """The same grasp in the loop and in two processes; then the first one's replay with a
+    thread."""
     folders = [tmp_path_factory.mktemp(name) for name in ("none", "two", "replay")]
     quick = tmp_path_factory.mktemp("quick") / "gentle.py"
     quick.write_text(controller_text(hold=0.1))
-    for folder, workers, rig in zip(folders, (0, 2, 1), ("sim", "sim", f"replay:{folders[0]}"), strict=True):
-        options = GraspOptions(sensor="paper16", rig=rig, controller=str(quick), seed=21, workers=workers)
+    for folder, workers, rig in zip(
+        folders, (0, 2, 1), ("sim", "sim", f"replay:{folders[0]}"), strict=True
+    ):
+        options = GraspOptions(
+            sensor="paper16", rig=rig, controller=str(quick), seed=21, workers=workers
+        )
         with Recorder(folder, {"object": "egg"}) as recorder:
             run_grasp(options, recorder=recorder, progress=Silent())
     return folders
@@ -45,22 +51,34 @@ def grasps(tmp_path_factory):
 def log(folder, *, without=lambda key: False):
     lines = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
     # how long it took may differ
-    return [{key: value for key, value in line.items() if key != "perception_ms" and not without(key)} for line in lines]
+    return [
+        {key: value for key, value in line.items() if key != "perception_ms" and not without(key)}
+        for line in lines
+    ]
 
 
 def test_a_grasp_is_the_same_with_and_without_processes(grasps):
     none, two, _ = grasps
-    first, second = log(none), log(two)
+    first = log(none)
+    second = log(two)
     assert sum(any(line.get("touching", [])) for line in first) > 50  # it is a grasp
     assert first == second
     frames = sorted(path.name for path in (none / "frames").iterdir())
-    assert all((none / "frames" / name).read_bytes() == (two / "frames" / name).read_bytes() for name in frames)
+    assert all(
+        (none / "frames" / name).read_bytes() == (two / "frames" / name).read_bytes()
+        for name in frames
+    )
 
 
 def test_a_replay_in_a_thread_is_the_same(grasps):
     none, _, replay = grasps
-    first, second = (log(folder, without=lambda key: key.endswith("_true")) for folder in (none, replay))  # it has no truth
-    assert [line for line in first if line["kind"] == "cycle"] == [line for line in second if line["kind"] == "cycle"]
+    # it has no truth
+    first, second = (
+        log(folder, without=lambda key: key.endswith("_true")) for folder in (none, replay)
+    )
+    assert [line for line in first if line["kind"] == "cycle"] == [
+        line for line in second if line["kind"] == "cycle"
+    ]
 
 
 def chain(act):
@@ -96,11 +114,16 @@ def test_an_error_arrives_as_itself_and_the_next_image_is_looked_at(threads):
     with Perceivers([chain(felt), chain(act)], NAMES, threads) as both:
         with pytest.raises(ValueError, match="what it says"):
             both.perceive([IMAGE, IMAGE], 1.0)
-        assert [touch.status for touch in both.perceive([IMAGE, IMAGE], 2.0)] == ["ok", "ok"] and calls == [1.0, 2.0]
+        assert [touch.status for touch in both.perceive([IMAGE, IMAGE], 2.0)] == [
+            "ok",
+            "ok",
+        ] and calls == [1.0, 2.0]
 
 
 def test_one_that_hangs_is_unknown_until_it_answers():
-    go, answered, seen = threading.Event(), threading.Event(), []
+    go = threading.Event()
+    answered = threading.Event()
+    seen = []
 
     def hangs(image, now):
         seen.append(now)
@@ -109,15 +132,19 @@ def test_one_that_hangs_is_unknown_until_it_answers():
         return felt(image, now)
 
     with Perceivers([chain(felt), chain(hangs)], NAMES, 2) as both:
-        for now, patience in ((1.0, 0.01), (2.0, 1e9)):  # the second time it is not waited for at all
+        # the second time it is not waited for at all
+        for now, patience in ((1.0, 0.01), (2.0, 1e9)):
             left, right = both.perceive([IMAGE, IMAGE], now, patience)
-            assert left.status == "ok" and right.status == "right sensor: its perception does not answer"
+            assert left.status == "ok" and right.status == (
+                "right sensor: its perception does not answer"
+            )
             assert right.time == IMAGE.time and np.isnan(right.force_normal) and not right.touching
         go.set()
         assert answered.wait(300)
         while both.perceive([IMAGE, IMAGE], 3.0)[1].status != "ok":
             pass
-        assert seen[:2] == [1.0, 3.0]  # it was given nothing while it hung, and no late answer was taken for a new one
+        # it was given nothing while it hung, and no late answer was taken for a new one
+        assert seen[:2] == [1.0, 3.0]
 
 
 def test_threads_are_for_several_cameras_and_free_processors(monkeypatch):

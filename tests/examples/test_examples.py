@@ -34,7 +34,9 @@ def run(name, needs="mujoco"):
 
 
 def true_forces(example, fingers):
-    world = SimpleNamespace(model=example.model, data=example.data, sensors=[finger.sensor for finger in fingers])
+    world = SimpleNamespace(
+        model=example.model, data=example.data, sensors=[finger.sensor for finger in fingers]
+    )
     return [truth.contact_force(world, number) for number in range(len(fingers))]
 
 
@@ -47,17 +49,22 @@ def test_touch_in_my_scene(capsys):
 
 
 def test_a_newcomers_script_is_short():
-    lines = [line for line in (FOLDER / "touch_in_my_scene.py").read_text().split('"""')[2].splitlines()
-             if line.strip() and not line.startswith("#")]
+    lines = [
+        line
+        for line in (FOLDER / "touch_in_my_scene.py").read_text().split('"""')[2].splitlines()
+        if line.strip() and not line.startswith("#")
+    ]
     assert len(lines) <= 20
 
 
 def test_two_sensors_on_an_arm():
     example = run("two_sensors_on_an_arm", "gymnasium_robotics")
     weight = 9.81 * example.model.body_mass[example.model.body("object0").id]
-    assert example.data.body("object0").xpos[2] > 0.46  # it hangs between the fingers, 30 mm over the table
+    # it hangs between the fingers, 30 mm over the table
+    assert example.data.body("object0").xpos[2] > 0.46
     forces = true_forces(example, example.fingers)
-    # the arm has come to rest, and the fingers carry the egg by shear: x of both sensors is along the finger, which hangs
+    # the arm has come to rest, and the fingers carry the egg by shear: x of both sensors is along
+    # the finger, which hangs
     assert sum(force[0] for force in forces) == pytest.approx(weight, abs=0.02)
     for finger, force in zip(example.fingers, forces, strict=True):
         np.testing.assert_allclose(finger.touch.traction.wrench[:3], force, atol=0.03)
@@ -66,7 +73,10 @@ def test_two_sensors_on_an_arm():
 def test_grasp_from_python(capsys):
     example = run("grasp_from_python")
     assert example.last.phase == "done" and "ended as 'done'" in capsys.readouterr().out
-    assert np.mean([felt for phase, felt, _ in example.seen if phase == "hold"]) == pytest.approx(0.6, abs=0.02)  # its target
+    # its target
+    assert np.mean([felt for phase, felt, _ in example.seen if phase == "hold"]) == pytest.approx(
+        0.6, abs=0.02
+    )
 
 
 def test_replay_a_recording(monkeypatch, capsys):
@@ -80,49 +90,96 @@ def test_read_a_log_with_pandas(monkeypatch, tmp_path):
     cycles = write_fake_recording(tmp_path, count=60)
     monkeypatch.setattr(sys, "argv", ["read_a_log_with_pandas.py", str(tmp_path / "log.jsonl")])
     example = run("read_a_log_with_pandas", "pandas")
-    hold = [[touch.force_normal for touch in cycle.touch] for cycle in cycles if cycle.sent.phase == "hold"]
+    hold = [
+        [touch.force_normal for touch in cycle.touch]
+        for cycle in cycles
+        if cycle.sent.phase == "hold"
+    ]
     np.testing.assert_allclose(example.felt["hold"], np.mean(hold, axis=0), atol=1e-3)
-    assert list(example.felt.index) == ["approach", "close", "regulate", "lift", "hold", "lower", "release"]
+    assert list(example.felt.index) == [
+        "approach",
+        "close",
+        "regulate",
+        "lift",
+        "hold",
+        "lower",
+        "release",
+    ]
 
 
 def test_calibrate_and_use_a_finger(capsys):
     example = run("calibrate_and_use_a_finger")
-    left, right = np.nanmax(np.abs(example.forces - example.true[:len(example.forces)]), axis=0)
-    assert left < 1e-9  # N: the same images through the same chain, but for what a file of decimal numbers rounds
+    left, right = np.nanmax(np.abs(example.forces - example.true[: len(example.forces)]), axis=0)
+    # N: the same images through the same chain, but for what a file of decimal numbers rounds
+    assert left < 1e-9
     assert right > 0.01  # a lens 3 % off matters
     assert np.nanmax(example.true) > 0.3 and "left finger calibrated" in capsys.readouterr().out
 
 
 @pytest.mark.clock
 def test_my_camera_class_is_found_by_its_entry_point_and_drives_a_rig(tmp_path):
-    """A package with nothing but the example and its entry point, installed into a folder of its own."""
-    site, work = tmp_path / "site", tmp_path / "work"
+    """A package with nothing but the example and its entry point, installed into a folder of its
+    own."""
+    site = tmp_path / "site"
+    work = tmp_path / "work"
     (site / "my_camera-1.0.dist-info").mkdir(parents=True)
     work.mkdir()
     shutil.copy(FOLDER / "my_camera_class.py", site)
-    (site / "my_camera-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: my-camera\nVersion: 1.0\n")
+    (site / "my_camera-1.0.dist-info" / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: my-camera\nVersion: 1.0\n"
+    )
     (site / "my_camera-1.0.dist-info" / "entry_points.txt").write_text(
-        "[mjtactile.cameras]\nnewest = my_camera_class:NewestFrame\n")
-    rig = resources.find("emulated", "models/rigs", ".toml").read_text().replace('backend = "ffmpeg"', 'backend = "newest"')
+        "[mjtactile.cameras]\nnewest = my_camera_class:NewestFrame\n"
+    )
+    rig = (
+        resources.find("emulated", "models/rigs", ".toml")
+        .read_text()
+        .replace('backend = "ffmpeg"', 'backend = "newest"')
+    )
     (work / "rig.toml").write_text(rig)
-    environment = os.environ | {"MJTACTILE_SLOW": "6",  # it gives up on images that are 0.15 s old
-
-                                "PYTHONPATH": os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")])}
-    process = subprocess.run([sys.executable, "-m", "mjtactile", "record", "--rig", "rig.toml", "--seconds", "1", "--sensor",
-                              "paper16", "--out", "out", "--json"], cwd=work, env=environment, capture_output=True, text=True,
-                             check=False, timeout=600)
+    environment = os.environ | {
+        "MJTACTILE_SLOW": "6",  # it gives up on images that are 0.15 s old
+        "PYTHONPATH": os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")]),
+    }
+    process = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "mjtactile",
+            "record",
+            "--rig",
+            "rig.toml",
+            "--seconds",
+            "1",
+            "--sensor",
+            "paper16",
+            "--out",
+            "out",
+            "--json",
+        ],
+        cwd=work,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=600,
+    )
     assert process.returncode == 0, process.stderr
     said = set(np.concatenate(list(load_recording(work / "out").columns["status"])))
     assert "ok" in said  # markers were found in what it hands out
-    assert all("stale" in status for status in said - {"ok"})  # as it says itself, on a computer with much else to do
+    # as it says itself, on a computer with much else to do
+    assert all("stale" in status for status in said - {"ok"})
 
 
 def test_train_a_policy_finds_what_a_teacher_did():
-    """A teacher that is linear in what is seen is found again; what never changed gets no weight."""
+    """A teacher that is linear in what is seen is found again; what never changed gets no
+    weight."""
     example = run("train_a_policy")
     rng = np.random.default_rng(0)
-    seen, w = rng.standard_normal((500, 6)) * [1, 10, 0.1, 1, 1, 0], rng.standard_normal((3, 6))
+    seen = rng.standard_normal((500, 6)) * [1, 10, 0.1, 1, 1, 0]
+    w = rng.standard_normal((3, 6))
     found, offsets = example.fit(seen, seen @ w.T + [0.1, 0.2, 0.3])
-    np.testing.assert_allclose(found[:, :5], w[:, :5], rtol=2e-3, atol=2e-3)  # the ridge draws by its 1e-4
+    # the ridge draws by its 1e-4
+    np.testing.assert_allclose(found[:, :5], w[:, :5], rtol=2e-3, atol=2e-3)
     np.testing.assert_allclose(offsets, [0.1, 0.2, 0.3], atol=2e-3)
     assert not found[:, 5].any()

@@ -1,7 +1,8 @@
-"""The ROS 2 node, against the message definitions of ROS 2 Humble; the node's own library is not installed here.
+"""The ROS 2 node, against the message definitions of ROS 2 Humble; the node's own library is not
+installed here.
 
-In place of its classes stand ones with the fields of the definitions and no others, whose values are then put on the wire and
-read back by rosbags. What feels and moves is a replayed grasp.
+In place of its classes stand ones with the fields of the definitions and no others, whose values
+are then put on the wire and read back by rosbags. What feels and moves is a replayed grasp.
 """
 
 import runpy
@@ -15,8 +16,13 @@ import pytest
 from tests.fake_run import fake_cycle
 
 NODE = Path(__file__).resolve().parents[2] / "examples/ros2/touch_node.py"
-TYPES = ("geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/Image", "sensor_msgs/msg/JointState", "sensor_msgs/msg/PointCloud2",
-         "sensor_msgs/msg/PointField")
+TYPES = (
+    "geometry_msgs/msg/WrenchStamped",
+    "sensor_msgs/msg/Image",
+    "sensor_msgs/msg/JointState",
+    "sensor_msgs/msg/PointCloud2",
+    "sensor_msgs/msg/PointField",
+)
 ZEROS = {"string": "", "bool": False, "float32": 0.0, "float64": 0.0}
 
 
@@ -25,7 +31,8 @@ def message_class(store, kind):
     fields = store.fielddefs[kind][1]
 
     def initial(form):
-        what, of = form[0].name, form[1]
+        what = form[0].name
+        of = form[1]
         if what == "BASE":
             return ZEROS.get(of[0], 0)
         return message_class(store, of)() if what == "NAME" else []
@@ -36,13 +43,19 @@ def message_class(store, kind):
         assert not values, f"{kind} has no {list(values)}"
 
     body = {"__slots__": [name for name, _ in fields], "__init__": __init__, "KIND": kind}
-    return type(kind.rpartition("/")[2], (), body | {name: value for name, _, value in store.fielddefs[kind][0]})
+    return type(
+        kind.rpartition("/")[2],
+        (),
+        body | {name: value for name, _, value in store.fielddefs[kind][0]},
+    )
 
 
 def to_wire(store, message):
     """The message as rosbags' own, which checks every type when it is written."""
+
     def real(value, form):
-        what, of = form[0].name, form[1]
+        what = form[0].name
+        of = form[1]
         if what == "NAME":
             return convert(value)
         if what == "BASE":
@@ -53,7 +66,12 @@ def to_wire(store, message):
         return list(value) if inner[1][0] == "string" else np.asarray(value, inner[1][0])
 
     def convert(part):
-        return store.types[part.KIND](**{name: real(getattr(part, name), form) for name, form in store.fielddefs[part.KIND][1]})
+        return store.types[part.KIND](
+            **{
+                name: real(getattr(part, name), form)
+                for name, form in store.fielddefs[part.KIND][1]
+            }
+        )
 
     return store.deserialize_cdr(store.serialize_cdr(convert(message), message.KIND), message.KIND)
 
@@ -84,7 +102,9 @@ def ros(monkeypatch):
             return SimpleNamespace(value=value)
 
         def create_publisher(self, kind, topic, depth):
-            return SimpleNamespace(publish=lambda message: sent.append((topic, kind, to_wire(store, message))))
+            return SimpleNamespace(
+                publish=lambda message: sent.append((topic, kind, to_wire(store, message)))
+            )
 
         def get_clock(self):
             return SimpleNamespace(now=lambda: Moment(100.0))
@@ -105,20 +125,45 @@ def test_what_the_node_publishes_is_what_was_felt(ros):
     cycle = fake_cycle(30)
     node.publish(("left", "right"), cycle)
     topics = {topic: message for topic, _, message in ros}
-    assert set(topics) == {"joint_states", "left/image", "left/wrench", "left/membrane", "right/image", "right/wrench",
-                           "right/membrane"}
+    assert set(topics) == {
+        "joint_states",
+        "left/image",
+        "left/wrench",
+        "left/membrane",
+        "right/image",
+        "right/wrench",
+        "right/membrane",
+    }
     touch = cycle.touch[1]
     felt = topics["right/wrench"].wrench
-    assert [felt.force.x, felt.force.y, felt.force.z] == list(touch.traction.wrench[:3]) and felt.force.z < -0.5
-    assert (topics["right/wrench"].header.frame_id, topics["right/wrench"].header.stamp.nanosec) == ("right_sensor", 990_000_000)
+    assert [felt.force.x, felt.force.y, felt.force.z] == list(
+        touch.traction.wrench[:3]
+    ) and felt.force.z < -0.5
+    assert (
+        topics["right/wrench"].header.frame_id,
+        topics["right/wrench"].header.stamp.nanosec,
+    ) == ("right_sensor", 990_000_000)
     image = topics["right/image"]
-    np.testing.assert_array_equal(image.data.reshape(image.height, image.width), cycle.images[1].pixels)
-    assert (image.encoding, image.step, image.header.frame_id) == ("mono8", image.width, "right_camera")
+    np.testing.assert_array_equal(
+        image.data.reshape(image.height, image.width), cycle.images[1].pixels
+    )
+    assert (image.encoding, image.step, image.header.frame_id) == (
+        "mono8",
+        image.width,
+        "right_camera",
+    )
     cloud = topics["right/membrane"]
     points = np.frombuffer(cloud.data.tobytes(), "<f4").reshape(cloud.width, cloud.point_step // 4)
-    assert [(field.name, field.offset, field.datatype) for field in cloud.fields] == [("x", 0, 7), ("y", 4, 7), ("z", 8, 7)]
-    np.testing.assert_allclose(points[:, 2].reshape(touch.surface.z.shape), touch.surface.z, atol=1e-9)
-    np.testing.assert_allclose(points[:21, 0], touch.surface.x, atol=1e-9)  # the first row is along x
+    assert [(field.name, field.offset, field.datatype) for field in cloud.fields] == [
+        ("x", 0, 7),
+        ("y", 4, 7),
+        ("z", 8, 7),
+    ]
+    np.testing.assert_allclose(
+        points[:, 2].reshape(touch.surface.z.shape), touch.surface.z, atol=1e-9
+    )
+    # the first row is along x
+    np.testing.assert_allclose(points[:21, 0], touch.surface.x, atol=1e-9)
     joints = topics["joint_states"]
     assert joints.name == ["opening", "lift"] and joints.position[0] == cycle.gripper.opening
 
@@ -127,5 +172,8 @@ def test_a_force_that_is_not_known_is_not_published(ros):
     node = runpy.run_path(str(NODE))["TouchNode"]()
     cycle = fake_cycle(30)
     unknown = SimpleNamespace(traction=None, surface=None, age=0.0)
-    node.publish(("left", "right"), SimpleNamespace(gripper=cycle.gripper, images=cycle.images, touch=(unknown, unknown)))
+    node.publish(
+        ("left", "right"),
+        SimpleNamespace(gripper=cycle.gripper, images=cycle.images, touch=(unknown, unknown)),
+    )
     assert {topic for topic, _, _ in ros} == {"joint_states", "left/image", "right/image"}

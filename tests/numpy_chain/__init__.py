@@ -1,1 +1,2 @@
-"""The sensing chain's stages in numpy, as they were before they were compiled: what the kernels are compared with."""
+"""The sensing chain's stages in numpy, as they were before they were compiled: what the kernels are
+compared with."""

@@ -1,4 +1,5 @@
-"""The reference for mjtactile/kernels/candidates.c: moments of borders, and the judgement of candidates and fits, in numpy."""
+"""The reference for mjtactile/kernels/candidates.c: moments of borders, and the judgement of
+candidates and fits, in numpy."""
 
 from __future__ import annotations
 
@@ -27,8 +28,11 @@ from mjtactile.sensing.settings import MarkerSettings
 _DIVISORS = np.array([[2.0], [6.0], [6.0], [12.0], [24.0], [12.0]])  # of the polygon's moments
 
 
-def moments(points: NDArray[np.int32], counts: NDArray[np.int64], size: tuple[int, ...]) -> Candidates:
-    """Area moments of all borders at once, by Green's theorem on the polygons through their pixels' centres.
+def moments(
+    points: NDArray[np.int32], counts: NDArray[np.int64], size: tuple[int, ...]
+) -> Candidates:
+    """Area moments of all borders at once, by Green's theorem on the polygons through their pixels'
+    centres.
 
     `points` (P, 1, 2) of one border after the other, `counts` (N,) of them.
     """
@@ -39,21 +43,27 @@ def moments(points: NDArray[np.int32], counts: NDArray[np.int64], size: tuple[in
     following[:, :-1] = xy[:, 1:]
     following[:, ends] = xy[:, starts]
     (x, y), (x2, y2) = xy, following
-    sx, sy = x + x2, y + y2
+    sx = x + x2
+    sy = y + y2
     terms = np.empty((6, len(x)))
     cross = np.subtract(x * y2, x2 * y, out=terms[0])
-    terms[1], terms[2] = cross * sx, cross * sy
-    terms[3], terms[5] = cross * (sx * sx - x * x2), cross * (sy * sy - y * y2)
+    terms[1] = cross * sx
+    terms[2] = cross * sy
+    terms[3] = cross * (sx * sx - x * x2)
+    terms[5] = cross * (sy * sy - y * y2)
     terms[4] = cross * (sx * sy + x * y + x2 * y2)
     area, mx, my, mxx, mxy, myy = np.add.reduceat(terms, starts, axis=1) / _DIVISORS
-    # A one-pixel-wide border has no area; it is no marker either, so that any non-zero stand-in will do.
+    # A one-pixel-wide border has no area; it is no marker either, so that any non-zero stand-in
+    # will do.
     flat = np.abs(area) < 0.5
     area[flat] = 1.0
-    cx, cy = mx / area, my / area
+    cx = mx / area
+    cy = my / area
     second = np.array([mxx / area - cx * cx, mxy / area - cx * cy, myy / area - cy * cy]).T
     second[flat] = [0.01, 0.0, 0.01]
     shape = ellipse.shape_from_moments(second)
-    # The polygon runs through centres of boundary pixels, half a pixel inside of the blob's outline.
+    # The polygon runs through centres of boundary pixels, half a pixel inside of the blob's
+    # outline.
     shape += [0.5, 0.0, 0.5]
     center = np.array([cx, cy]).T
     misfit = np.maximum.reduceat(_distance(xy, center, shape, counts), starts)
@@ -63,19 +73,24 @@ def moments(points: NDArray[np.int32], counts: NDArray[np.int64], size: tuple[in
 
 
 def _distance(xy: Array, center: Array, shape: Array, counts: NDArray[np.int64]) -> Array:
-    """First-order distance |(rho - 1)/|S^-1 e|| (P,) of border points `xy` (2, P) from their ellipses; the blob's outline
-    is half a pixel further out than they are."""
+    """First-order distance |(rho - 1)/|S^-1 e|| (P,) of border points `xy` (2, P) from their
+    ellipses; the blob's outline is half a pixel further out than they are."""
     own = np.concatenate([center.T, ellipse.inverse_shape(shape).T]).repeat(counts, axis=1)
     dx, dy = xy - own[:2]
     p, q, s = own[2:]
-    ex, ey = p * dx + q * dy, q * dx + s * dy
+    ex = p * dx + q * dy
+    ey = q * dx + s * dy
     rho2 = ex * ex + ey * ey
-    mx, my = p * ex + q * ey, q * ex + s * ey
+    mx = p * ex + q * ey
+    my = q * ex + s * ey
     return np.abs((rho2 - np.sqrt(rho2)) / np.sqrt(mx * mx + my * my + 1e-18) + 0.5)
 
 
-def implausible(found: candidates.Candidates, min_radius_px: float, s: MarkerSettings) -> NDArray[np.str_]:
-    """Why each cannot be a marker: too small or long, or a border far from its own ellipse (further if cut); "" if it can."""
+def implausible(
+    found: candidates.Candidates, min_radius_px: float, s: MarkerSettings
+) -> NDArray[np.str_]:
+    """Why each cannot be a marker: too small or long, or a border far from its own ellipse (further
+    if cut); "" if it can."""
     axes, _ = ellipse.axes_from_shape(found.shape)
     a, b = axes.T
     why = np.full(len(a), "", dtype="<U24")
@@ -84,7 +99,8 @@ def implausible(found: candidates.Candidates, min_radius_px: float, s: MarkerSet
     why[b < min_radius_px] = SMALL
     fits = why == ""
     if fits.sum() >= s.some:
-        # a border as large as the others' but of another outline is a marker with glare or dirt on it, to be flagged
+        # a border as large as the others' but of another outline is a marker with glare or dirt on
+        # it, to be flagged
         size = np.sqrt(a * b)
         alike = np.abs(np.log(size / ellipse.middle(size[fits]))) < s.alike
         why[alike & (b > s.longest_flawed * a) & (found.misfit < s.flawed * size)] = ""
@@ -97,9 +113,16 @@ def _odd(found: candidates.Candidates, s: MarkerSettings) -> NDArray[np.bool_]:
     return found.misfit >= s.odd + np.where(found.cut, s.odd_share_cut, s.odd_share) * b
 
 
-def judge(fit: edges.EdgeFit, found: candidates.Candidates, polarity: str, size: tuple[int, ...],
-          min_radius_px: float, s: MarkerSettings) -> tuple[NDArray[np.str_], NDArray[np.bool_]]:
-    """Status (N,) of each fit, and whether (N,) it is likely a marker at all, be it to be trusted or not."""
+def judge(
+    fit: edges.EdgeFit,
+    found: candidates.Candidates,
+    polarity: str,
+    size: tuple[int, ...],
+    min_radius_px: float,
+    s: MarkerSettings,
+) -> tuple[NDArray[np.str_], NDArray[np.bool_]]:
+    """Status (N,) of each fit, and whether (N,) it is likely a marker at all, be it to be trusted
+    or not."""
     axes, _ = ellipse.axes_from_shape(fit.shape)
     a, b = axes.T
     contrast = (fit.outside - fit.inside) * (1 if polarity == "dark" else -1)
@@ -107,17 +130,25 @@ def judge(fit: edges.EdgeFit, found: candidates.Candidates, polarity: str, size:
     doubt = np.sqrt(fit.cov[:, 2, 2] + fit.cov[:, 3, 3] + fit.cov[:, 4, 4]) / b
     moved = np.hypot(*(fit.center - found.center).T)
     extent = np.hypot(fit.shape[:, [0, 2]], fit.shape[:, 1:2])
-    out = ((fit.center - extent < s.close) | (fit.center + extent > np.array([size[1], size[0]]) - 1 - s.close)).any(axis=1)
+    out = (
+        (fit.center - extent < s.close)
+        | (fit.center + extent > np.array([size[1], size[0]]) - 1 - s.close)
+    ).any(axis=1)
     status = np.full(len(b), "ok", dtype="<U24")
     status[(contrast < s.contrast * noise) | (doubt > s.doubt)] = LOW_CONTRAST
     status[fit.residual > s.misfit * contrast] = NOT_ELLIPSE
-    usual = ellipse.middle(fit.residual) if len(b) else 0.0  # of this image: its noise, its compression
-    covered = (fit.residual > np.maximum(s.covered * contrast, s.covered_usual * usual)) & (b > s.room)
+    # of this image: its noise, its compression
+    usual = ellipse.middle(fit.residual) if len(b) else 0.0
+    covered = (fit.residual > np.maximum(s.covered * contrast, s.covered_usual * usual)) & (
+        b > s.room
+    )
     status[(fit.lost > s.lost) | covered] = GLARE
     status[fit.motion > s.motion] = MOTION
     # blur is the image's, and its scatter from marker to marker mostly the fit's
     common = ellipse.middle(fit.blur[good]) if (good := status == "ok").any() else 0.0
-    status[b < s.too_blurred * np.clip(fit.blur, common / s.blur_spread, common * s.blur_spread)] = BLURRED
+    status[
+        b < s.too_blurred * np.clip(fit.blur, common / s.blur_spread, common * s.blur_spread)
+    ] = BLURRED
     took_blur_for_size = (fit.blur < s.sharper * common) & (common > 1)
     status[took_blur_for_size & (b < s.unsure * common)] = BLURRED
     changed = np.abs(fit.shape - found.shape).max(axis=1)
@@ -128,9 +159,13 @@ def judge(fit: edges.EdgeFit, found: candidates.Candidates, polarity: str, size:
     odd = _odd(found, s) & ~cut
     status[odd] = GLARE
     drop = np.zeros(len(b), dtype=bool)
-    for what, why in (((moved > 1 + s.moved * b) & ~cut & ~odd, MOVED), ((contrast < s.contrast_any * noise), LOW_CONTRAST),
-                      ((doubt > s.doubt_any) | (fit.residual >= edges.UNSETTLED), NO_FIT),
-                      (b < s.flattest * a, LONG), (b < s.shrunk * min_radius_px, SMALL)):
+    for what, why in (
+        ((moved > 1 + s.moved * b) & ~cut & ~odd, MOVED),
+        ((contrast < s.contrast_any * noise), LOW_CONTRAST),
+        ((doubt > s.doubt_any) | (fit.residual >= edges.UNSETTLED), NO_FIT),
+        (b < s.flattest * a, LONG),
+        (b < s.shrunk * min_radius_px, SMALL),
+    ):
         drop |= what
         status[what] = why
     good = np.flatnonzero(status == "ok")
@@ -139,11 +174,15 @@ def judge(fit: edges.EdgeFit, found: candidates.Candidates, polarity: str, size:
 
 
 def _crowded(center: Array, shape: Array, a: Array, close: float) -> NDArray[np.bool_]:
-    """Which ellipses (N,) come within `close` px of another's edge, measured along the line of centres."""
+    """Which ellipses (N,) come within `close` px of another's edge, measured along the line of
+    centres."""
     if len(center) < 2:
         return np.zeros(len(center), dtype=bool)
     near = KDTree(center).query_pairs(2 * a.max() + close, output_type="ndarray")
-    near = near[np.square(np.diff(center[near], axis=1)).sum(axis=(1, 2)) < np.square(a[near].sum(axis=1) + close)]
+    near = near[
+        np.square(np.diff(center[near], axis=1)).sum(axis=(1, 2))
+        < np.square(a[near].sum(axis=1) + close)
+    ]
     if not len(near):
         return np.zeros(len(center), dtype=bool)
     i, j = near.T
@@ -153,7 +192,9 @@ def _crowded(center: Array, shape: Array, a: Array, close: float) -> NDArray[np.
     reach = 0.0
     for k in (i, j):
         p, q, s = ellipse.inverse_shape(shape[k]).T
-        reach = reach + 1 / np.hypot(p * towards[:, 0] + q * towards[:, 1], q * towards[:, 0] + s * towards[:, 1])
+        reach = reach + 1 / np.hypot(
+            p * towards[:, 0] + q * towards[:, 1], q * towards[:, 0] + s * towards[:, 1]
+        )
     touching = near[length < reach + close]
     crowded = np.zeros(len(center), dtype=bool)
     crowded[touching.ravel()] = True

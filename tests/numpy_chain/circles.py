@@ -1,14 +1,18 @@
-"""The reference for mjtactile/kernels/circles.c, in numpy: the corrected closed form of the paper's Eq. 3-5, with covariance.
+"""The reference for mjtactile/kernels/circles.c, in numpy: the corrected closed form of the paper's
+Eq. 3-5, with covariance.
 
-With Q the circle's cone in ideal normalised coordinates (x^T Q x = 0 on the boundary), eigenvalues l1 >= l2 > 0 > l3,
-eigenvectors v1, v3 (v3 away from the camera), sin psi = sqrt((l1 - l2)/(l1 - l3)), cos psi = sqrt((l2 - l3)/(l1 - l3)):
+With Q the circle's cone in ideal normalised coordinates (x^T Q x = 0 on the boundary), eigenvalues
+l1 >= l2 > 0 > l3, eigenvectors v1, v3 (v3 away from the camera), sin psi = sqrt((l1 - l2)/(l1 -
+l3)), cos psi = sqrt((l2 - l3)/(l1 - l3)):
 
     C = r ( s sqrt(-l3/l1) sin psi v1 + sqrt(-l1/l3) cos psi v3 ),   n = s sin psi v1 - cos psi v3,   s = +1 or -1
 
-Departures from the paper (docs/equations.md): Q = K^T M K instead of the pixel conic M; the sign belongs to the sine
-term alone; C is the centre in space, not only its image, so that no sine rule is needed; n faces the camera.
+Departures from the paper (docs/equations.md): Q = K^T M K instead of the pixel conic M; the sign
+belongs to the sine term alone; C is the centre in space, not only its image, so that no sine rule
+is needed; n faces the camera.
 
-Arrays inside have the markers on their last axis, which makes every step one pass over contiguous memory.
+Arrays inside have the markers on their last axis, which makes every step one pass over contiguous
+memory.
 """
 
 from __future__ import annotations
@@ -22,48 +26,80 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, CirclePoses, Ellipses
 from mjtactile.sensing.image import ellipse
 
-_POINTS = 8  # on an ellipse's boundary: five are the least, and what lens and pane add has few harmonics
+# on an ellipse's boundary: five are the least, and what lens and pane add has few harmonics
+_POINTS = 8
 _LEAST_TILT = 1e-3  # rad; below it the normal's derivative vanishes and only its bound is left
-_FIT_STEPS, _FIT_TOLERANCE = 30, 1e-8  # of a conic's coefficients; what is left after such a step is 1e-10
-_E = np.stack([np.cos(2 * np.pi * np.arange(_POINTS) / _POINTS), np.sin(2 * np.pi * np.arange(_POINTS) / _POINTS)])
+# of a conic's coefficients; what is left after such a step is 1e-10
+_FIT_STEPS = 30
+_FIT_TOLERANCE = 1e-8
+_E = np.stack(
+    [
+        np.cos(2 * np.pi * np.arange(_POINTS) / _POINTS),
+        np.sin(2 * np.pi * np.arange(_POINTS) / _POINTS),
+    ]
+)
 _TO_AFFINE = np.concatenate([np.full((1, _POINTS), 1 / _POINTS), _E * (2 / _POINTS)])
-_TO_CONIC = np.linalg.pinv(np.stack([_E[0] ** 2, 2 * _E[0] * _E[1], _E[1] ** 2, 2 * _E[0], 2 * _E[1]], axis=1))
-_TO_MOTION = np.linalg.pinv(np.stack([_E[0], _E[1], _E[0] ** 2, _E[1] ** 2, 2 * _E[0] * _E[1]], axis=1))
+_TO_CONIC = np.linalg.pinv(
+    np.stack([_E[0] ** 2, 2 * _E[0] * _E[1], _E[1] ** 2, 2 * _E[0], 2 * _E[1]], axis=1)
+)
+_TO_MOTION = np.linalg.pinv(
+    np.stack([_E[0], _E[1], _E[0] ** 2, _E[1] ** 2, 2 * _E[0] * _E[1]], axis=1)
+)
 
 
-def estimate_poses(ellipses: Ellipses, camera: optics.Camera | CameraDesign, radius: ArrayLike) -> CirclePoses:
+def estimate_poses(
+    ellipses: Ellipses, camera: optics.Camera | CameraDesign, radius: ArrayLike
+) -> CirclePoses:
     """Poses of N circles of `radius` (scalar or (N,)) m from their ellipses in distorted pixels.
 
-    Of the two solutions, `n_C` is the one more face-on to the camera's axis. Lens and pane are those of `camera`.
-    Raises InputError for a radius that is not positive or not one per ellipse.
+    Of the two solutions, `n_C` is the one more face-on to the camera's axis. Lens and pane are
+    those of `camera`. Raises InputError for a radius that is not positive or not one per ellipse.
     """
     camera = camera if isinstance(camera, optics.Camera) else optics.Camera.from_design(camera)
     r = _radii(radius, len(ellipses))
     if not len(ellipses):
         none = np.zeros((0, 3))
-        return CirclePoses(none[:, :2], none, none, none, none, np.zeros((0, 3, 3)), ellipses.status)
+        return CirclePoses(
+            none[:, :2], none, none, none, none, np.zeros((0, 3, 3)), ellipses.status
+        )
     a, b = ellipses.semi_axes_px.T
-    cos, sin = np.cos(ellipses.angle), np.sin(ellipses.angle)
-    xy, affine, Q = _cones(camera, ellipses.center_px, np.array([[a * cos, -b * sin], [a * sin, b * cos]]))
+    cos = np.cos(ellipses.angle)
+    sin = np.sin(ellipses.angle)
+    xy, affine, Q = _cones(
+        camera, ellipses.center_px, np.array([[a * cos, -b * sin], [a * sin, b * cos]])
+    )
     p, n = circles_from_cones(Q, r)
     if camera.glass_thickness:
         p, n = _through_pane(camera, xy, p, n, r)
     first = np.where(n[1, :, 2] < n[0, :, 2], 1, 0)
     each = np.arange(len(r))
-    p_first, n_first = p[first, each], n[first, each]
+    p_first = p[first, each]
+    n_first = n[first, each]
     G = _derivative(camera, ellipses, xy, affine[:, 0], p_first, _tilted(n_first, p_first), parts=3)
-    return CirclePoses(optics.project(camera, p_first), p_first, n_first, p[1 - first, each], n[1 - first, each],
-                       G @ ellipses.cov @ G.transpose(0, 2, 1), ellipses.status)
+    return CirclePoses(
+        optics.project(camera, p_first),
+        p_first,
+        n_first,
+        p[1 - first, each],
+        n[1 - first, each],
+        G @ ellipses.cov @ G.transpose(0, 2, 1),
+        ellipses.status,
+    )
 
 
-def pose_covariances(ellipses: Ellipses, camera: optics.Camera, p_CM: Array, n_C: Array) -> tuple[Array, Array]:
-    """Covariances (N, 3, 3) of the centres `p_CM` (N, 3), m^2, and of the unit normals `n_C` (N, 3) that `ellipses` have
-    been found to have: of either of a circle's two poses."""
+def pose_covariances(
+    ellipses: Ellipses, camera: optics.Camera, p_CM: Array, n_C: Array
+) -> tuple[Array, Array]:
+    """Covariances (N, 3, 3) of the centres `p_CM` (N, 3), m^2, and of the unit normals `n_C` (N, 3)
+    that `ellipses` have been found to have: of either of a circle's two poses."""
     if not len(ellipses):
         return np.zeros((0, 3, 3)), np.zeros((0, 3, 3))
     a, b = ellipses.semi_axes_px.T
-    cos, sin = np.cos(ellipses.angle), np.sin(ellipses.angle)
-    xy, affine, _ = _cones(camera, ellipses.center_px, np.array([[a * cos, -b * sin], [a * sin, b * cos]]))
+    cos = np.cos(ellipses.angle)
+    sin = np.sin(ellipses.angle)
+    xy, affine, _ = _cones(
+        camera, ellipses.center_px, np.array([[a * cos, -b * sin], [a * sin, b * cos]])
+    )
     n = _tilted(n_C, p_CM)
     G = _derivative(camera, ellipses, xy, affine[:, 0], p_CM, n, parts=5)
     cov = G @ ellipses.cov @ G.transpose(0, 2, 1)
@@ -73,58 +109,82 @@ def pose_covariances(ellipses: Ellipses, camera: optics.Camera, p_CM: Array, n_C
 
 
 def circles_from_cones(Q: Array, radius: Array) -> tuple[Array, Array]:
-    """The closed form: centres and normals, each (2, N, 3), of circles of `radius` (N,) on the cones `Q` (N, 3, 3).
+    """The closed form: centres and normals, each (2, N, 3), of circles of `radius` (N,) on the
+    cones `Q` (N, 3, 3).
 
-    Q has one negative eigenvalue (the inside of the ellipse is negative), its eigenvector within 90 deg of z. Normals
-    point towards the camera.
+    Q has one negative eigenvalue (the inside of the ellipse is negative), its eigenvector within 90
+    deg of z. Normals point towards the camera.
 
-    l3 by the trigonometric solution of the cubic (Smith, Comm. ACM 4(4), 1961), exact for the eigenvalue that stands
-    alone; l1 and l2, which are equal for a circle seen face-on, from the 2 x 2 problem across v3.
+    l3 by the trigonometric solution of the cubic (Smith, Comm. ACM 4(4), 1961), exact for the
+    eigenvalue that stands alone; l1 and l2, which are equal for a circle seen face-on, from the 2 x
+    2 problem across v3.
     """
     (a, b, d), (_, c, e), (_, _, f) = np.ascontiguousarray(Q.transpose(1, 2, 0))
     third = (a + c + f) / 3
-    A, C, F = a - third, c - third, f - third
+    A = a - third
+    C = c - third
+    F = f - third
     size = np.sqrt((A * A + C * C + F * F + 2 * (b * b + d * d + e * e)) / 6)
     half_det = (A * (C * F - e * e) - b * (b * F - d * e) + d * (b * e - d * C)) / (2 * size**3)
     angle = np.arccos(np.minimum(np.maximum(half_det, -1.0), 1.0)) / 3
     l3 = third + 2 * size * np.cos(angle + 2 * np.pi / 3)
-    A, C = a - l3, c - l3
-    x, y, z = b * e - d * C, b * d - A * e, A * C - b * b
+    A = a - l3
+    C = c - l3
+    x = b * e - d * C
+    y = b * d - A * e
+    z = A * C - b * b
     over = 1 / np.sqrt(x * x + y * y + z * z)
-    x, y, z = x * over, y * over, z * over
-    off = A * x * x + C * y * y + (f - l3) * z * z + 2 * (b * x * y + d * x * z + e * y * z)  # Rayleigh
-    l3, A, C = l3 + off, A - off, C - off
-    # u, w across v3 (geometry.tangents); Q - l3 I vanishes along v3, so that its block [[A, b], [b, C]] acts on
-    # (u_x, u_y) - (u_z/z) (x, y), which is (1, 0) + h x (x, y), and (0, 1) + h y (x, y) for w
+    x = x * over
+    y = y * over
+    z = z * over
+    # Rayleigh
+    off = A * x * x + C * y * y + (f - l3) * z * z + 2 * (b * x * y + d * x * z + e * y * z)
+    l3 = l3 + off
+    A = A - off
+    C = C - off
+    # u, w across v3 (geometry.tangents); Q - l3 I vanishes along v3, so that its block [[A, b], [b,
+    # C]] acts on (u_x, u_y) - (u_z/z) (x, y), which is (1, 0) + h x (x, y), and (0, 1) + h y (x, y)
+    # for w
     h = 1 / (z * (1 + z))
-    g, hh, k = 1 + h * x * x, h * x * y, 1 + h * y * y
-    t, s, v = A * g + b * hh, A * hh + b * k, b * hh + C * k
-    uu, uw, ww = g * t + hh * (b * g + C * hh), g * s + hh * v, hh * s + k * v
-    mean, half = (uu + ww) / 2, (uu - ww) / 2
+    g = 1 + h * x * x
+    hh = h * x * y
+    k = 1 + h * y * y
+    t = A * g + b * hh
+    s = A * hh + b * k
+    v = b * hh + C * k
+    uu = g * t + hh * (b * g + C * hh)
+    uw = g * s + hh * v
+    ww = hh * s + k * v
+    mean = (uu + ww) / 2
+    half = (uu - ww) / 2
     spread = np.sqrt(half * half + uw * uw)
     l1 = mean + spread + l3
     sine = np.sqrt(2 * spread / (mean + spread))
     cosine = np.sqrt((mean - spread) / (mean + spread))
     turn = 0.5 * np.arctan2(uw, half)
-    cu, cw = np.cos(turn), np.sin(turn)
+    cu = np.cos(turn)
+    cw = np.sin(turn)
     j = -(cu * x + cw * y) / (1 + z)
     v1 = np.array([cu + j * x, cw + j * y, -(cu * x + cw * y)]).T
     v3 = np.array([x, y, z]).T
     ratio = np.sqrt(-l3 / l1)
-    along1, along3 = (radius * ratio * sine)[:, None] * v1, (radius / ratio * cosine)[:, None] * v3
-    n1, n3 = sine[:, None] * v1, cosine[:, None] * v3
+    along1 = (radius * ratio * sine)[:, None] * v1
+    along3 = (radius / ratio * cosine)[:, None] * v3
+    n1 = sine[:, None] * v1
+    n3 = cosine[:, None] * v3
     return np.array([along3 + along1, along3 - along1]), np.array([n1 - n3, -n1 - n3])
 
 
 def cones(camera: optics.Camera, center_px: Array, shape: Array) -> Array:
-    """Cones Q (N, 3, 3) in ideal normalised coordinates of ellipses in distorted pixels, without the pane."""
+    """Cones Q (N, 3, 3) in ideal normalised coordinates of ellipses in distorted pixels, without
+    the pane."""
     p, q, s = shape.T
     return _cones(camera, center_px, np.array([[p, q], [q, s]]))[2]
 
 
 def _cones(camera: optics.Camera, center_px: Array, axes: Array) -> tuple[Array, Array, Array]:
-    """Boundary points (2, K, N), ideal, of the ellipses `center_px` (N, 2) + `axes` (2, 2, N) e; the affine map
-    (2, 3, N) of (1, e) that they almost are; and the cones Q (N, 3, 3)."""
+    """Boundary points (2, K, N), ideal, of the ellipses `center_px` (N, 2) + `axes` (2, 2, N) e;
+    the affine map (2, 3, N) of (1, e) that they almost are; and the cones Q (N, 3, 3)."""
     if not any(camera.distortion):
         scale = np.array([[1 / camera.fx], [1 / camera.fy]])
         affine = np.empty((2, 3, len(center_px)))
@@ -132,7 +192,11 @@ def _cones(camera: optics.Camera, center_px: Array, axes: Array) -> tuple[Array,
         affine[:, 1:] = axes * scale[..., None]
         circle = np.zeros((5, 1))
         circle[[0, 2]] = 1.0
-        return affine[:, :1] + np.einsum("ijn,jk->ikn", affine[:, 1:], _E), affine, _cone(affine, circle)
+        return (
+            affine[:, :1] + np.einsum("ijn,jk->ikn", affine[:, 1:], _E),
+            affine,
+            _cone(affine, circle),
+        )
     points = center_px.T[:, None] + np.einsum("ijn,jk->ikn", axes, _E)
     xy = optics.undistort(camera, optics.normalized_from_pixel(camera, points.transpose(1, 2, 0)))
     xy = np.ascontiguousarray(xy.transpose(2, 0, 1))
@@ -142,14 +206,17 @@ def _cones(camera: optics.Camera, center_px: Array, axes: Array) -> tuple[Array,
 def _fit(xy: Array) -> tuple[Array, Array]:
     """Affine map (2, 3, N) and cones (N, 3, 3) of boundary points `xy` (2, K, N).
 
-    In the coordinates of the affine map the points are nearly the unit circle's; the conic's least squares are then
-    solved by the *circle's* pseudo-inverse, again and again on what is left, which converges like (distance)^k.
+    In the coordinates of the affine map the points are nearly the unit circle's; the conic's least
+    squares are then solved by the *circle's* pseudo-inverse, again and again on what is left, which
+    converges like (distance)^k.
     """
     affine = _TO_AFFINE @ xy
     (x0, xa, xb), (y0, ya, yb) = affine
     over = 1 / (xa * yb - xb * ya)
-    dx, dy = xy[0] - x0, xy[1] - y0
-    u, v = (yb * over) * dx - (xb * over) * dy, (xa * over) * dy - (ya * over) * dx
+    dx = xy[0] - x0
+    dy = xy[1] - y0
+    u = (yb * over) * dx - (xb * over) * dy
+    v = (xa * over) * dy - (ya * over) * dx
     terms = np.array([u * u, 2 * u * v, v * v, 2 * u, 2 * v])
     conic = np.zeros((5, len(x0)))
     conic[[0, 2]] = 1.0
@@ -162,15 +229,20 @@ def _fit(xy: Array) -> tuple[Array, Array]:
 
 
 def _cone(affine: Array, conic: Array) -> Array:
-    """Q (N, 3, 3) of the conic (a, b, c, e, f) (5, N or 1), a u^2 + 2 b u v + c v^2 + 2 e u + 2 f v = 1, in the
-    coordinates (u, v) that `affine` (2, 3, N) takes to ideal ones."""
+    """Q (N, 3, 3) of the conic (a, b, c, e, f) (5, N or 1), a u^2 + 2 b u v + c v^2 + 2 e u + 2 f v
+    = 1, in the coordinates (u, v) that `affine` (2, 3, N) takes to ideal ones."""
     (x0, xa, xb), (y0, ya, yb) = affine
     a, b, c, e, f = conic
     over = 1 / (xa * yb - xb * ya)
-    ux, uy, vx, vy = yb * over, -xb * over, -ya * over, xa * over
-    u0, v0 = -(ux * x0 + uy * y0), -(vx * x0 + vy * y0)
+    ux = yb * over
+    uy = -xb * over
+    vx = -ya * over
+    vy = xa * over
+    u0 = -(ux * x0 + uy * y0)
+    v0 = -(vx * x0 + vy * y0)
     T = np.array([[ux, uy, u0], [vx, vy, v0]])  # (2, 3, N): u, v of (x, y, 1)
-    au, cv = a * T[0] + b * T[1], b * T[0] + c * T[1]
+    au = a * T[0] + b * T[1]
+    cv = b * T[0] + c * T[1]
     Q = T[0][:, None] * au + T[1][:, None] * cv
     linear = e * T[0] + f * T[1]
     Q[:, 2] += linear
@@ -179,22 +251,28 @@ def _cone(affine: Array, conic: Array) -> Array:
     return Q.transpose(2, 0, 1)
 
 
-def _through_pane(camera: optics.Camera, xy: Array, p: Array, n: Array, r: Array) -> tuple[Array, Array]:
-    """Both solutions (2, N, 3) behind the pane, from those `p`, `n` without it and boundary points `xy` (2, K, N).
+def _through_pane(
+    camera: optics.Camera, xy: Array, p: Array, n: Array, r: Array
+) -> tuple[Array, Array]:
+    """Both solutions (2, N, 3) behind the pane, from those `p`, `n` without it and boundary points
+    `xy` (2, K, N).
 
-    The pane shifts every ray along z by its own amount; seen from the shifted centre that belongs to the marker's
-    middle, each boundary point is rescaled by the ratio of its depths. Its depth comes from the first estimate.
+    The pane shifts every ray along z by its own amount; seen from the shifted centre that belongs
+    to the marker's middle, each boundary point is rescaled by the ratio of its depths. Its depth
+    comes from the first estimate.
     """
     x, y = xy
     shift = optics.pane_shift(camera, x * x + y * y)
     middle = shift.mean(axis=0)
     away = (n * p).sum(axis=2)
     nx, ny, nz = n.transpose(2, 0, 1)[:, :, None]
-    # a point seen along a ray that starts at `shift`, as seen from `middle`: x (Z - shift)/(Z - middle)
+    # a point seen along a ray that starts at `shift`, as seen from `middle`: x (Z - shift)/(Z -
+    # middle)
     scale = 1 + (middle - shift) * ((nx * x + ny * y + nz) / away[:, None])  # (2, K, N)
     seen = (xy[:, None] * scale).transpose(0, 2, 1, 3).reshape(2, _POINTS, -1)
     both_p, both_n = circles_from_cones(_fit(seen)[1], np.tile(r, 2))
-    both_p, both_n = both_p.reshape(2, 2, -1, 3), both_n.reshape(2, 2, -1, 3)
+    both_p = both_p.reshape(2, 2, -1, 3)
+    both_n = both_n.reshape(2, 2, -1, 3)
     # the eigenvectors' signs are free, so the refit may return the two solutions in the other order
     match = (both_n * n).sum(axis=3).argmax(axis=0), np.array([[0], [1]]), np.arange(len(r))
     p = both_p[match]
@@ -202,14 +280,22 @@ def _through_pane(camera: optics.Camera, xy: Array, p: Array, n: Array, r: Array
     return p, both_n[match]
 
 
-def _derivative(camera: optics.Camera, ellipses: Ellipses, xy: Array, middle: Array, p: Array, n: Array,
-                parts: int) -> Array:
-    """Derivatives (N, parts, 5) of the pose (centre m, n_x, n_y at fixed n_z; the first `parts` of these five) by the
-    ellipse's five parameters: those of the ellipse by the pose, inverted.
+def _derivative(
+    camera: optics.Camera,
+    ellipses: Ellipses,
+    xy: Array,
+    middle: Array,
+    p: Array,
+    n: Array,
+    parts: int,
+) -> Array:
+    """Derivatives (N, parts, 5) of the pose (centre m, n_x, n_y at fixed n_z; the first `parts` of
+    these five) by the ellipse's five parameters: those of the ellipse by the pose, inverted.
 
-    With e the unit circle's points, R diag(a, b) e the boundary's offsets in distorted pixels, an ellipse's change
-    moves the boundary, in units of the local radius, by e . w + e^T V e; so does a change of the pose. `xy` (2, K, N)
-    are the ideal boundary points; the lens enters by its derivative at the `middle` (2, N).
+    With e the unit circle's points, R diag(a, b) e the boundary's offsets in distorted pixels, an
+    ellipse's change moves the boundary, in units of the local radius, by e . w + e^T V e; so does a
+    change of the pose. `xy` (2, K, N) are the ideal boundary points; the lens enters by its
+    derivative at the `middle` (2, N).
     """
     x, y = xy
     nx, ny, nz = n.T
@@ -217,25 +303,38 @@ def _derivative(camera: optics.Camera, ellipses: Ellipses, xy: Array, middle: Ar
     if camera.glass_thickness:
         pz = pz - optics.glass_shift(camera, p)
     a, b = ellipses.semi_axes_px.T
-    cos, sin = np.cos(ellipses.angle), np.sin(ellipses.angle)
-    du = np.array([cos / a, -sin / b]), np.array([sin / a, cos / b])  # of e: (u, v) change by one pixel
+    cos = np.cos(ellipses.angle)
+    sin = np.sin(ellipses.angle)
+    # of e: (u, v) change by one pixel
+    du = np.array([cos / a, -sin / b]), np.array([sin / a, cos / b])
     lens = optics.distortion_jacobian(camera, middle.T)
-    mx, my = (_E.T @ (camera.fx * lens[:, 0, i] * du[0] + camera.fy * lens[:, 1, i] * du[1]) for i in (0, 1))
-    over = (nx * x + ny * y + nz) / (nx * px + ny * py + nz * pz)  # 1/depth of the boundary's points
+    mx, my = (
+        _E.T @ (camera.fx * lens[:, 0, i] * du[0] + camera.fy * lens[:, 1, i] * du[1])
+        for i in (0, 1)
+    )
+    # 1/depth of the boundary's points
+    over = (nx * x + ny * y + nz) / (nx * px + ny * py + nz * pz)
     mz = -(mx * x + my * y)
-    along = mx * nx + my * ny + mz * nz  # boundary's motion, over depth, as a point moves along the normal
-    D = np.array([mx * over, my * over, mz * over, along * (x - px * over), along * (y - py * over)])
+    # boundary's motion, over depth, as a point moves along the normal
+    along = mx * nx + my * ny + mz * nz
+    D = np.array(
+        [mx * over, my * over, mz * over, along * (x - px * over), along * (y - py * over)]
+    )
     D = (_TO_MOTION @ D).transpose(2, 1, 0)  # (N, 5 of (w, V), 5 of the pose)
     lateral = np.zeros((len(a), 5, 5))  # (w, V) of (u, v, a, b, angle)
-    lateral[:, :2, 0], lateral[:, :2, 1] = du[0].T, du[1].T
-    lateral[:, 2, 2], lateral[:, 3, 3] = 1 / a, 1 / b
+    lateral[:, :2, 0] = du[0].T
+    lateral[:, :2, 1] = du[1].T
+    lateral[:, 2, 2] = 1 / a
+    lateral[:, 3, 3] = 1 / b
     lateral[:, 4, 4] = ellipse.axes_difference(a, b) * (a + b) / (2 * a * b)
     wanted = np.broadcast_to(np.eye(5)[:, :parts], (len(a), 5, parts))
-    return np.linalg.solve(D.transpose(0, 2, 1), wanted).transpose(0, 2, 1) @ lateral  # only these rows of D^-1
+    # only these rows of D^-1
+    return np.linalg.solve(D.transpose(0, 2, 1), wanted).transpose(0, 2, 1) @ lateral
 
 
 def _tilted(n: Array, p: Array) -> Array:
-    """Normals (N, 3), pushed away from exactly face-on, where the ellipse does not change with the tilt."""
+    """Normals (N, 3), pushed away from exactly face-on, where the ellipse does not change with the
+    tilt."""
     far = np.sqrt((p * p).sum(axis=1))
     flat = -(n * p).sum(axis=1) > np.cos(_LEAST_TILT) * far
     if not flat.any():
@@ -247,7 +346,12 @@ def _tilted(n: Array, p: Array) -> Array:
 def _radii(radius: ArrayLike, count: int) -> Array:
     r = np.asarray(radius, dtype=float)
     if r.ndim > 1 or (r.ndim == 1 and len(r) != count):
-        raise InputError(f"shape {r.shape}", source="estimate_poses", field="radius", choices=("one", f"({count},)"))
+        raise InputError(
+            f"shape {r.shape}",
+            source="estimate_poses",
+            field="radius",
+            choices=("one", f"({count},)"),
+        )
     if not (np.isfinite(r) & (r > 0)).all():
         raise InputError("must be positive and finite", source="estimate_poses", field="radius")
     return np.broadcast_to(r, (count,))

@@ -12,22 +12,30 @@ from mjtactile.sensing.settings import DEFAULTS, IdentitySettings
 _ROUNDS = 3  # match, learn how the neighbourhood moved, match again
 
 
-def match(p_SM: ArrayLike, expected: ArrayLike, layout: ArrayLike, s: IdentitySettings = DEFAULTS.identity) -> Ids:
+def match(
+    p_SM: ArrayLike, expected: ArrayLike, layout: ArrayLike, s: IdentitySettings = DEFAULTS.identity
+) -> Ids:
     """Marker ids (N,) of circles at `p_SM` (N, 3) m, -1 where there is none.
 
-    `expected` (M, 3) m positions to look near (NaN: unknown, then from its neighbours), `layout` (M, 3) m the flat
-    membrane's, which says who is whose neighbour. No id is given twice. NaN rows of `p_SM` match nothing.
+    `expected` (M, 3) m positions to look near (NaN: unknown, then from its neighbours), `layout`
+    (M, 3) m the flat membrane's, which says who is whose neighbour. No id is given twice. NaN rows
+    of `p_SM` match nothing.
     """
     found = np.asarray(p_SM, dtype=float)[:, :2]
     layout = np.asarray(layout, dtype=float)[:, :2]
     expected = np.asarray(expected, dtype=float)[:, :2]
     pitch, order = _neighbourhood(layout.tobytes(), s.neighbours)
     known = np.isfinite(expected.sum(axis=1))
-    expected = np.where(known[:, None], expected, layout + _smooth(np.where(known[:, None], expected - layout, np.nan), order, s))
+    expected = np.where(
+        known[:, None],
+        expected,
+        layout + _smooth(np.where(known[:, None], expected - layout, np.nan), order, s),
+    )
     ids = np.full(len(found), -1)
     if not np.isfinite(found.sum(axis=1)).any():
         return ids
-    # all found where they are expected, and none left over, needs no common offset: a whole grid cannot hide a shift
+    # all found where they are expected, and none left over, needs no common offset: a whole grid
+    # cannot hide a shift
     shift = np.zeros(2)
     for tried in range(_ROUNDS + 1):
         if tried == 1:
@@ -39,7 +47,9 @@ def match(p_SM: ArrayLike, expected: ArrayLike, layout: ArrayLike, s: IdentitySe
         wrong = np.linalg.norm(moved - common, axis=1) > s.inconsistent * pitch
         ids[(ids >= 0) & wrong[ids]] = -1
         matched = (ids >= 0).sum()
-        if not wrong.any() and matched == (min(len(found), len(layout)) if tried else max(len(found), len(layout))):
+        if not wrong.any() and matched == (
+            min(len(found), len(layout)) if tried else max(len(found), len(layout))
+        ):
             break
         moved[wrong] = np.nan
         shift = _smooth(moved, order, s)
@@ -47,13 +57,15 @@ def match(p_SM: ArrayLike, expected: ArrayLike, layout: ArrayLike, s: IdentitySe
 
 
 def _smooth(moved: Array, order: Ids, s: IdentitySettings) -> Array:
-    """Median displacement (M, 2) of each marker's nearest `neighbours` with a known one (NaN: unknown) in `moved`.
+    """Median displacement (M, 2) of each marker's nearest `neighbours` with a known one (NaN:
+    unknown) in `moved`.
 
     Where there are none, the median of all; zero if nothing is known.
     """
-    near = moved[order[:, :s.neighbours]]
+    near = moved[order[:, : s.neighbours]]
     if np.isfinite(near.sum()):
-        ranked, k = np.sort(near, axis=1), near.shape[1]
+        ranked = np.sort(near, axis=1)
+        k = near.shape[1]
         return (ranked[:, (k - 1) // 2] + ranked[:, k // 2]) / 2
     near = moved[order]
     known = np.isfinite(near[..., 0])
@@ -61,7 +73,8 @@ def _smooth(moved: Array, order: Ids, s: IdentitySettings) -> Array:
     count = first.sum(axis=1)
     ranked = np.sort(np.where(first[..., None], near, np.inf), axis=1)
     each = np.arange(len(moved))
-    low, high = ranked[each, np.maximum(count - 1, 0) // 2], ranked[each, count // 2 % near.shape[1]]
+    low = ranked[each, np.maximum(count - 1, 0) // 2]
+    high = ranked[each, count // 2 % near.shape[1]]
     everyone = moved[np.isfinite(moved[:, 0])]
     common = np.median(everyone, axis=0) if len(everyone) else np.zeros(2)
     with np.errstate(invalid="ignore"):
@@ -69,8 +82,8 @@ def _smooth(moved: Array, order: Ids, s: IdentitySettings) -> Array:
 
 
 def _common_shift(found: Array, expected: Array, pitch: float, s: IdentitySettings) -> Array:
-    """Offset (2,) of all circles against where they are expected, up to half a pitch: the densest place among the
-    offsets of every circle to its nearest marker."""
+    """Offset (2,) of all circles against where they are expected, up to half a pitch: the densest
+    place among the offsets of every circle to its nearest marker."""
     found = found[np.isfinite(found).all(axis=1)]
     offset = found - expected[np.argmin(_squared_distances(found, expected), axis=1)]
     offset = offset[(offset**2).sum(axis=1) < pitch * pitch]

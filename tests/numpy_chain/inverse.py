@@ -40,7 +40,9 @@ class _Gain:
 
     def serves(self, c: Array, markers: Markers) -> bool:
         """Whether it can be used near `c`, for these markers."""
-        return np.array_equal(self.ids, markers.ids) and bool(np.abs(c - self.c).max() < inverse.NEAR)
+        return np.array_equal(self.ids, markers.ids) and bool(
+            np.abs(c - self.c).max() < inverse.NEAR
+        )
 
 
 class DenseInverse(InverseMembrane):
@@ -53,11 +55,19 @@ class DenseInverse(InverseMembrane):
         super().__init__(design)
         self._dense = Sheet(design, self.settings.spans)
         ax, ay = self.sheet.axes
-        hat_x, hat_y = hats(self.x, ax.points)[0][:, 1:-1], hats(self.y, ay.points)[0][:, 1:-1]
-        load_x, load_y = ((a.at(a.points) * a.weights[:, None]).T @ h for a, h in ((ax, hat_x), (ay, hat_y)))
+        hat_x = hats(self.x, ax.points)[0][:, 1:-1]
+        hat_y = hats(self.y, ay.points)[0][:, 1:-1]
+        load_x, load_y = (
+            (a.at(a.points) * a.weights[:, None]).T @ h for a, h in ((ax, hat_x), (ay, hat_y))
+        )
         self._load = np.kron(load_x, load_y)  # (n, J): generalised force of one pascal at each node
-        (bx, dx), (by, dy) = ([a.at(at, k) for k in (0, 1)] for a, at in zip((ax, ay), self._material[:, :2].T, strict=True))
-        self._along_x, self._along_y = ((a[:, :, None] * b[:, None]).reshape(len(bx), -1) for a, b in ((dx, by), (bx, dy)))
+        (bx, dx), (by, dy) = (
+            [a.at(at, k) for k in (0, 1)]
+            for a, at in zip((ax, ay), self._material[:, :2].T, strict=True)
+        )
+        self._along_x, self._along_y = (
+            (a[:, :, None] * b[:, None]).reshape(len(bx), -1) for a, b in ((dx, by), (bx, dy))
+        )
 
     def _times(self, vector: Array, sd: Array) -> Array:
         """The prior covariance times a vector (3 J,)."""
@@ -72,8 +82,11 @@ class DenseInverse(InverseMembrane):
         scale = np.sqrt(self.posterior_share(shape))
         return (L @ L.T - half.T @ half) * np.outer(scale, scale)
 
-    def _step(self, c: Array, markers: Markers, rest: InverseRest, gain: _Gain, count: int) -> Shape:
-        """One Gauss-Newton step from `c`: the sheet relaxes, tractions and drift explain what markers show beyond that."""
+    def _step(
+        self, c: Array, markers: Markers, rest: InverseRest, gain: _Gain, count: int
+    ) -> Shape:
+        """One Gauss-Newton step from `c`: the sheet relaxes, tractions and drift explain what
+        markers show beyond that."""
         data = markers.p_SM - rest.offset[markers.ids] - self._material[markers.ids]
         state = self._dense.state(c, rest.stiffness_scale)
         pressure, _ = self._dense.gas_pressure(state, rest.gas)
@@ -81,39 +94,62 @@ class DenseInverse(InverseMembrane):
         # against the state without tractions, u - K^-1 r
         misfit = _whiten(gain.weights, data - self._at_markers[markers.ids] @ c.T)
         if self._slopes is not None:
-            off = np.where(gain.slope_weights > 0, self._slopes.off(markers, c).T * gain.slope_weights, 0.0)
+            off = np.where(
+                gain.slope_weights > 0, self._slopes.off(markers, c).T * gain.slope_weights, 0.0
+            )
             misfit = np.concatenate([misfit, off.T.ravel()])
         misfit = misfit + gain.moved @ residual.ravel()
-        noise = cho_solve((gain.innovation, True), misfit, check_finite=False)  # what is left for the whitened markers' noise
+        # what is left for the whitened markers' noise
+        noise = cho_solve((gain.innovation, True), misfit, check_finite=False)
         traction = self._times(noise @ gain.response, gain.prior).reshape(3, -1)
         drift = noise @ gain.drift  # in sd
         load = traction @ self._load.T + drift[0] * gain.drift_gas[1]
-        change = cho_solve(gain.stiffness, (load - residual).ravel(), check_finite=False).reshape(3, -1)
+        change = cho_solve(gain.stiffness, (load - residual).ravel(), check_finite=False).reshape(
+            3, -1
+        )
         c = c + min(1.0, STEP_LIMIT / max(float(np.abs(change).max()), 1e-30)) * change
         pressure += float(drift[0]) * gain.drift_gas[0]
         count_p = 3 * len(markers)
         excess = np.zeros((2, len(self._material)))
-        excess[0, markers.ids] = gain.distrust[0] ** 2 * (noise[:count_p].reshape(-1, 3) ** 2).mean(axis=1)
+        excess[0, markers.ids] = gain.distrust[0] ** 2 * (noise[:count_p].reshape(-1, 3) ** 2).mean(
+            axis=1
+        )
         if self._slopes is not None:
-            excess[1, markers.ids] = gain.distrust[1] ** 2 * (noise[count_p:].reshape(-1, 2) ** 2).mean(axis=1)
-        return Shape(c, traction, pressure, float(misfit @ noise) / len(misfit), gain, count, excess,
-                     float((drift**2 / gain.drift_seen).mean()))
+            excess[1, markers.ids] = gain.distrust[1] ** 2 * (
+                noise[count_p:].reshape(-1, 2) ** 2
+            ).mean(axis=1)
+        return Shape(
+            c,
+            traction,
+            pressure,
+            float(misfit @ noise) / len(misfit),
+            gain,
+            count,
+            excess,
+            float((drift**2 / gain.drift_seen).mean()),
+        )
 
     def _gain(self, c: Array, markers: Markers, rest: InverseRest, before: Shape | None) -> _Gain:
         state = self._dense.state(c, rest.stiffness_scale)
         _, stiffness = self._dense.linearise(state, rest.gas)
         rows = self._at_markers[markers.ids]
         excess = np.zeros((2, len(rows))) if before is None else before.excess[:, markers.ids]
-        distrust = np.sqrt(np.maximum(1.0, excess / [[self.settings.excess], [self.settings.slope_excess]]))
+        distrust = np.sqrt(
+            np.maximum(1.0, excess / [[self.settings.excess], [self.settings.slope_excess]])
+        )
         noise = markers.cov_p + self.settings.marker_floor**2 * np.eye(3)
         weights = np.linalg.inv(np.linalg.cholesky(noise)) / distrust[0, :, None, None]
         # unit forces along the whitened axes of each marker, (3 n, 3 m)
-        unit = (weights.transpose(2, 0, 1)[:, None] * rows.T[None, :, :, None]).reshape(3 * self.sheet.count, -1)
+        unit = (weights.transpose(2, 0, 1)[:, None] * rows.T[None, :, :, None]).reshape(
+            3 * self.sheet.count, -1
+        )
         slope_weights = np.zeros(len(rows))
         if self._slopes is not None:
             slope_weights = self._slopes.weights(markers, c) / distrust[1]
             by_x, by_y = self._slopes.rows(c, markers.ids) * slope_weights[:, None, None]
-            along_x, along_y = (along[markers.ids, None, None] for along in (self._along_x, self._along_y))
+            along_x, along_y = (
+                along[markers.ids, None, None] for along in (self._along_x, self._along_y)
+            )
             tilting = by_x[..., None] * along_x + by_y[..., None] * along_y
             unit = np.concatenate([unit, tilting.reshape(2 * len(rows), -1).T], axis=1)
         drift, drift_gas = self._drift(state, rest, stiffness, weights, unit)
@@ -124,13 +160,37 @@ class DenseInverse(InverseMembrane):
         innovation = half @ half.T + drift @ drift.T
         innovation[np.diag_indices_from(innovation)] += 1.0
         innovation = np.linalg.cholesky(innovation)
-        seen = np.maximum((drift * cho_solve((innovation, True), drift, check_finite=False)).sum(axis=0), 1e-6)
-        return _Gain(c, markers.ids, stiffness, moved, response, half, weights, slope_weights, distrust, drift, drift_gas, seen,
-                     prior, innovation, 0 if before is None else before.gain.reweighted + 1)
+        seen = np.maximum(
+            (drift * cho_solve((innovation, True), drift, check_finite=False)).sum(axis=0), 1e-6
+        )
+        return _Gain(
+            c,
+            markers.ids,
+            stiffness,
+            moved,
+            response,
+            half,
+            weights,
+            slope_weights,
+            distrust,
+            drift,
+            drift_gas,
+            seen,
+            prior,
+            innovation,
+            0 if before is None else before.gain.reweighted + 1,
+        )
 
-    def _drift(self, state: State, rest: InverseRest, stiffness: tuple[Array, bool], weights: Array,
-               unit: Array) -> tuple[Array, tuple[float, Array]]:
-        """What one sd of drift does: to the whitened markers (r, 4), and, by the gas, as pressure and as a load."""
+    def _drift(
+        self,
+        state: State,
+        rest: InverseRest,
+        stiffness: tuple[Array, bool],
+        weights: Array,
+        unit: Array,
+    ) -> tuple[Array, tuple[float, Array]]:
+        """What one sd of drift does: to the whitened markers (r, 4), and, by the gas, as pressure
+        and as a load."""
         volume = self.design.chamber_volume_flat + state.volume
         dent = self._dense.state(rest.c).volume - state.volume
         pressure = self._dense.gas_pressure(state, rest.gas)[0] + self.design.chamber.ambient
@@ -140,12 +200,14 @@ class DenseInverse(InverseMembrane):
         bulge = cho_solve(stiffness, load.ravel(), check_finite=False)
         drift = np.zeros((unit.shape[1], 4))
         drift[:, 0] = bulge @ unit
-        drift[: 3 * len(weights), 1:] = self.settings.drift_camera * weights.reshape(-1, 3)  # slopes do not see the camera move
+        # slopes do not see the camera move
+        drift[: 3 * len(weights), 1:] = self.settings.drift_camera * weights.reshape(-1, 3)
         return drift, (pressure, load)
 
 
 def half_of(prior: LoadPrior, rows: Array, sd: Array) -> Array:
-    """`rows` (m, 3 J) times the covariance's root: half half^T is the covariance of what they see."""
+    """`rows` (m, 3 J) times the covariance's root: half half^T is the covariance of what they
+    see."""
     by_x, by_y = prior.root
     return (by_x.T @ (rows * sd).reshape(-1, len(by_x), len(by_y)) @ by_y).reshape(rows.shape)
 
@@ -153,9 +215,18 @@ def half_of(prior: LoadPrior, rows: Array, sd: Array) -> Array:
 def moments(estimator: InverseMembrane, c: Array) -> Array:
     """Matrix (6, 3 J) that adds tractions (3, J) up to force and torque about the origin of S."""
     x, y, z = estimator.node_positions(c).T
-    one, zero = np.ones_like(x), np.zeros_like(x)
-    rows = np.stack([np.r_[one, zero, zero], np.r_[zero, one, zero], np.r_[zero, zero, one],
-                     np.r_[zero, -z, y], np.r_[z, zero, -x], np.r_[-y, x, zero]])
+    one = np.ones_like(x)
+    zero = np.zeros_like(x)
+    rows = np.stack(
+        [
+            np.r_[one, zero, zero],
+            np.r_[zero, one, zero],
+            np.r_[zero, zero, one],
+            np.r_[zero, -z, y],
+            np.r_[z, zero, -x],
+            np.r_[-y, x, zero],
+        ]
+    )
     return rows * np.tile(estimator.node_area, 3)
 
 

@@ -1,4 +1,5 @@
-"""The stages of mjtactile/kernels/membrane.c in numpy: gas volume, rubber, contact that remembers."""
+"""The stages of mjtactile/kernels/membrane.c in numpy: gas volume, rubber, contact that
+remembers."""
 
 from __future__ import annotations
 
@@ -17,7 +18,9 @@ from mjtactile.sim.sensor.rubber import EdgeMatrices
 _UPPER = np.triu_indices(3)
 _FLATTEST = 1e-2  # least det C: a triangle that collapses keeps a finite stress
 _UNSTRAINED = 1e-6  # of tr E: below, the moduli are those of no strain
-_LOW, _HIGH = -0.5, 3.0  # lambda' in mu' and in the unstrained one
+# lambda' in mu' and in the unstrained one
+_LOW = -0.5
+_HIGH = 3.0
 
 
 def volume_and_gradient(mesh: MembraneMesh, p_SV: Array) -> tuple[float, Array]:
@@ -30,7 +33,9 @@ def volume_and_gradient(mesh: MembraneMesh, p_SV: Array) -> tuple[float, Array]:
     return float(np.vdot(a + b + c, area)) / 9, gradient[mesh.interior]
 
 
-def stiffness(model: mujoco.MjModel, flex_id: int, mesh: MembraneMesh, sheet: Membrane, p_SV: Array) -> Array:
+def stiffness(
+    model: mujoco.MjModel, flex_id: int, mesh: MembraneMesh, sheet: Membrane, p_SV: Array
+) -> Array:
     """Rows (m, 6) of MuJoCo's stiffness at the strain that the vertices at `p_SV` (n, 3) m mean."""
     elements = EdgeMatrices(model, flex_id, mesh)
     edges = (p_SV[elements.ends[:, 1]] - p_SV[elements.ends[:, 0]])[elements.edges]
@@ -38,7 +43,9 @@ def stiffness(model: mujoco.MjModel, flex_id: int, mesh: MembraneMesh, sheet: Me
     trace = (C[0] + C[1]) / 2 - 1
     modulus = shear_modulus(sheet.young, sheet.poisson)
     first = 2 * modulus * sheet.poisson / (1 - sheet.poisson)
-    mu = modulus * thickness_over_area(np.log(np.maximum(C[0] * C[1] - C[2] ** 2, _FLATTEST)), sheet.poisson)
+    mu = modulus * thickness_over_area(
+        np.log(np.maximum(C[0] * C[1] - C[2] ** 2, _FLATTEST)), sheet.poisson
+    )
     unstrained = np.abs(trace) < _UNSTRAINED
     secant = (modulus - mu * (1 + 2 * trace)) / np.where(unstrained, 1.0, trace)
     second = np.where(unstrained, first, np.clip(secant, _LOW * mu, _HIGH * first))
@@ -49,12 +56,15 @@ def stiffness(model: mujoco.MjModel, flex_id: int, mesh: MembraneMesh, sheet: Me
     return volume[:, None] * full[:, _UPPER[0], _UPPER[1]]
 
 
-# Shares of a step's error that are mended in the next step. Half as much is half as fast; twice as much rings.
-_GIVE_SHARE, _SHIFT_SHARE = 0.3, 0.2
+# Shares of a step's error that are mended in the next step. Half as much is half as fast; twice as
+# much rings.
+_GIVE_SHARE = 0.3
+_SHIFT_SHARE = 0.2
 _KEPT = 0.5  # of a shift that is still to be mended when the contact slides on
-# How far, as a share of the force along the normal, friction may aim beyond its cone, times the coefficient: at 1 the solver
-# lifts a sliding vertex out of contact (its cone is convex: sliding along it is also sliding up it); at 0.1 friction
-# drops below the cone's edge whenever sliding slows down.
+# How far, as a share of the force along the normal, friction may aim beyond its cone, times the
+# coefficient: at 1 the solver lifts a sliding vertex out of contact (its cone is convex: sliding
+# along it is also sliding up it); at 0.1 friction drops below the cone's edge whenever sliding
+# slows down.
 _EXCESS = 0.25
 _WAIT = 5e-3  # s; twice a longer step is too long
 _ON_CONE = 0.999  # of the cone: the solver's tolerance
@@ -63,7 +73,8 @@ _TWO = np.array([[1], [2]])  # the rows of friction after that of the normal
 
 
 class _Contacts(NamedTuple):
-    """What the last step's `n` contacts with friction did, as seen by the vertices; vectors by components in their planes."""
+    """What the last step's `n` contacts with friction did, as seen by the vertices; vectors by
+    components in their planes."""
 
     vertices: NDArray[np.int64]
     axes: Array  # (2, 3, n) the planes' axes in S
@@ -82,30 +93,51 @@ class Stiction:
     A vertex that touches two things at once remembers what one of them held.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, vertex_geom_ids: NDArray[np.int64], body_id: int):
-        self._model, self._data, self._body = model, data, body_id
-        self._first, self._count = int(vertex_geom_ids[0]), len(vertex_geom_ids)  # one block, in the mesh's order
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        vertex_geom_ids: NDArray[np.int64],
+        body_id: int,
+    ):
+        self._model = model
+        self._data = data
+        self._body = body_id
+        # one block, in the mesh's order
+        self._first = int(vertex_geom_ids[0])
+        self._count = len(vertex_geom_ids)
         block = slice(self._first, self._first + self._count)
-        self._margins, self._surface = model.geom_margin[block], model.geom_surfacevel[block, :3]  # live views
-        self._step, self._time = float(model.opt.timestep), np.nan
-        self._empty, self._waits = False, False
-        self._may_wait = self._step < _WAIT  # every other step will do while nothing slides, for half the price
-        self._travel = np.zeros(model.nv)  # what all coordinates have moved by since the last look, in steps
+        # live views
+        self._margins = model.geom_margin[block]
+        self._surface = model.geom_surfacevel[block, :3]
+        self._step = float(model.opt.timestep)
+        self._time = np.nan
+        self._empty = False
+        self._waits = False
+        # every other step will do while nothing slides, for half the price
+        self._may_wait = self._step < _WAIT
+        # what all coordinates have moved by since the last look, in steps
+        self._travel = np.zeros(model.nv)
         self._give = np.zeros(self._count)  # m that the margin is advanced by
         self._held = np.zeros((3, self._count))  # N, friction on the vertex, in S
-        self._shift = np.zeros((3, self._count))  # m over what it sticks to, since it began to stick
+        # m over what it sticks to, since it began to stick
+        self._shift = np.zeros((3, self._count))
         self._slides = np.zeros(self._count, bool)
         model.flg_surfacevel = True
         self._forget()
 
     def update(self, stand_off: Array) -> None:
-        """Take over what the contacts of the last step held; `stand_off` (k,) m is where the vertices should touch."""
-        time, before = float(self._data.time), self._time
+        """Take over what the contacts of the last step held; `stand_off` (k,) m is where the
+        vertices should touch."""
+        time = float(self._data.time)
+        before = self._time
         if time == before:
             return
         self._time = time
         self._travel += self._data.qvel
-        self._waits = self._may_wait and not self._waits and time > before and not self._slides.any()
+        self._waits = (
+            self._may_wait and not self._waits and time > before and not self._slides.any()
+        )
         if self._waits:
             return
         if time < before:  # somebody has put back the clock
@@ -127,7 +159,8 @@ class Stiction:
         self._travel[:] = 0.0
 
     def _find(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """Rows of MuJoCo's contact list that push on vertices; which side of each, 0 or 1, the vertex is; the vertices."""
+        """Rows of MuJoCo's contact list that push on vertices; which side of each, 0 or 1, the
+        vertex is; the vertices."""
         contact = self._data.contact
         numbers = contact.geom - self._first  # of the vertices, or out of range
         mine = (numbers >= 0) & (numbers < self._count)
@@ -136,38 +169,60 @@ class Stiction:
         return rows, sides, numbers[rows, sides]
 
     def _take_normal(self, rows: NDArray[np.int64], vertices: NDArray[np.int64]) -> None:
-        """Advance the margins by the depths of the contacts, so that vertices come to lie where they should touch."""
-        contact, goal = self._data.contact, np.zeros(self._count)
+        """Advance the margins by the depths of the contacts, so that vertices come to lie where
+        they should touch."""
+        contact = self._data.contact
+        goal = np.zeros(self._count)
         goal[vertices] = np.maximum(contact.includemargin[rows] - contact.dist[rows], 0.0)
         self._give += _GIVE_SHARE * (goal - self._give)
 
-    def _contacts(self, rows: NDArray[np.int64], sides: NDArray[np.int64], vertices: NDArray[np.int64]) -> _Contacts:
-        data, contact = self._data, self._data.contact
+    def _contacts(
+        self, rows: NDArray[np.int64], sides: NDArray[np.int64], vertices: NDArray[np.int64]
+    ) -> _Contacts:
+        data = self._data
+        contact = self._data.contact
         normal_rows = contact.efc_address[rows]
         rows_along = normal_rows + _TWO
-        velocity, travel = np.empty(data.nefc), np.empty(data.nefc)
+        velocity = np.empty(data.nefc)
+        travel = np.empty(data.nefc)
         mujoco.mj_mulJacVec(self._model, data, velocity, data.qvel)
         mujoco.mj_mulJacVec(self._model, data, travel, self._travel)
         axes = contact.frame[rows, 3:].reshape(-1, 3) @ data.xmat[self._body].reshape(3, 3)
-        axes = axes.reshape(-1, 2, 3).transpose(1, 2, 0) * (2 * sides - 1)  # MuJoCo's signs are those of the second geom
-        force, coefficient = data.efc_force, contact.friction[rows, 0]
-        normal, damping = force[normal_rows], self._step * data.efc_KBIP[normal_rows + 1, 1]
-        return _Contacts(vertices, axes, force[rows_along], velocity[rows_along], self._step * travel[rows_along],
-                         coefficient * normal, _EXCESS * normal / np.maximum(coefficient, _LEAST),
-                         1 / data.efc_R[normal_rows + 1], damping / (1 + damping))
+        # MuJoCo's signs are those of the second geom
+        axes = axes.reshape(-1, 2, 3).transpose(1, 2, 0) * (2 * sides - 1)
+        force = data.efc_force
+        coefficient = contact.friction[rows, 0]
+        normal = force[normal_rows]
+        damping = self._step * data.efc_KBIP[normal_rows + 1, 1]
+        return _Contacts(
+            vertices,
+            axes,
+            force[rows_along],
+            velocity[rows_along],
+            self._step * travel[rows_along],
+            coefficient * normal,
+            _EXCESS * normal / np.maximum(coefficient, _LEAST),
+            1 / data.efc_R[normal_rows + 1],
+            damping / (1 + damping),
+        )
 
     def _take_friction(self, c: _Contacts) -> None:
-        """Set the surface velocities with which friction begins the next step as it ended the last one.
+        """Set the surface velocities with which friction begins the next step as it ended the last
+        one.
 
-        A row gives f = -mass (v' - (1 - drag) v + drag s) / step, with the velocities v before and v' after the step, and s
-        of the surface. A vertex that sticks should have v' = 0 and a friction that also takes it back to where it began to
-        stick; one that slides, nearly the velocity that it has, with friction on the edge of the cone.
+        A row gives f = -mass (v' - (1 - drag) v + drag s) / step, with the velocities v before and
+        v' after the step, and s of the surface. A vertex that sticks should have v' = 0 and a
+        friction that also takes it back to where it began to stick; one that slides, nearly the
+        velocity that it has, with friction on the edge of the cone.
         """
         step = self._step
-        slides = (_dot(c.friction, c.friction) >= (_ON_CONE * c.limit)**2) & (_dot(c.friction, c.velocity) <= 0)
+        slides = (_dot(c.friction, c.friction) >= (_ON_CONE * c.limit) ** 2) & (
+            _dot(c.friction, c.velocity) <= 0
+        )
         stops = self._slides[c.vertices] & ~slides
         held = c.friction
-        if stops.any():  # what they slid with: the velocity was foreseen too large, friction came out too small
+        # what they slid with: the velocity was foreseen too large, friction came out too small
+        if stops.any():
             held = np.where(stops, _shorten(_in_plane(self._held, c), c.limit), held)
         shift = _in_plane(self._shift, c)
         shift = np.where(slides, _KEPT * shift, shift + c.travel)
@@ -178,11 +233,15 @@ class Stiction:
             surface -= slides * np.maximum(1 - c.excess * step / (c.mass * speed), 0.0) * c.velocity
         self._clear()
         self._slides[c.vertices] = slides
-        self._held[:, c.vertices], self._shift[:, c.vertices] = _in_space(held, c), _in_space(shift, c)
+        self._held[:, c.vertices] = _in_space(held, c)
+        self._shift[:, c.vertices] = _in_space(shift, c)
         self._surface[c.vertices] = _in_space(surface / c.drag, c).T
 
     def _clear(self) -> None:
-        self._held[:], self._shift[:], self._slides[:], self._surface[:] = 0, 0, False, 0
+        self._held[:] = 0
+        self._shift[:] = 0
+        self._slides[:] = False
+        self._surface[:] = 0
 
     def _forget(self) -> None:
         if not self._empty:

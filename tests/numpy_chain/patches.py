@@ -1,9 +1,10 @@
 """As sensing/touch/patches.py, in numpy: the reference of its compiled stages.
 
-The inverse cannot place pressure more sharply than its grid, but the second moment of a pressure survives such a blur. It
-gives the area of a disc that is pressed uniformly, which is too large where the blur is larger than the contact; there the
-force tells more, since a sheet on a ball carries its own tension's pressure beside the gas's. The outline encloses the strongest
-pressure, that much of it.
+The inverse cannot place pressure more sharply than its grid, but the second moment of a pressure
+survives such a blur. It gives the area of a disc that is pressed uniformly, which is too large
+where the blur is larger than the contact; there the force tells more, since a sheet on a ball
+carries its own tension's pressure beside the gas's. The outline encloses the strongest pressure,
+that much of it.
 """
 
 from __future__ import annotations
@@ -19,10 +20,12 @@ from mjtactile.sensing.force.inverse import REFINE, InverseMembrane, InverseRest
 from mjtactile.sensing.settings import DEFAULTS, PatchSettings
 
 
-def find_patches(estimator: InverseMembrane, shape: Shape, rest: InverseRest,
-                 s: PatchSettings = DEFAULTS.patches) -> tuple[Contact, ...]:
+def find_patches(
+    estimator: InverseMembrane, shape: Shape, rest: InverseRest, s: PatchSettings = DEFAULTS.patches
+) -> tuple[Contact, ...]:
     """Contact patches, the strongest first; empty when nothing presses."""
-    nx, ny = len(estimator.x), len(estimator.y)
+    nx = len(estimator.x)
+    ny = len(estimator.y)
     pressing = np.zeros((nx, ny))
     inner = (slice(1, -1), slice(1, -1))
     pressing[inner] = np.maximum(-shape.traction[2], 0).reshape(nx - 2, ny - 2)
@@ -30,13 +33,17 @@ def find_patches(estimator: InverseMembrane, shape: Shape, rest: InverseRest,
     peak = float(fine.max())
     if peak <= 0:
         return ()
-    above = fine > min(s.separate_share * np.sqrt(max(shape.pressure_gauge, 0.1 * peak) * peak), 0.9 * peak)
+    above = fine > min(
+        s.separate_share * np.sqrt(max(shape.pressure_gauge, 0.1 * peak) * peak), 0.9 * peak
+    )
     count, places = cv2.connectedComponents(above.astype(np.uint8), connectivity=4)
     position, cells = _fine_positions(estimator, shape)
     nodal = np.zeros((nx, ny, 3))
     nodal[inner] = (shape.traction * estimator.node_area).T.reshape(nx - 2, ny - 2, 3)
     sink = np.zeros((nx, ny))
-    sink[inner] = -(estimator.node_positions(shape.c) - estimator.node_positions(rest.c))[:, 2].reshape(nx - 2, ny - 2)
+    sink[inner] = -(estimator.node_positions(shape.c) - estimator.node_positions(rest.c))[
+        :, 2
+    ].reshape(nx - 2, ny - 2)
     owner = _nearest_place(places)
     total = max(-float(nodal[..., 2].sum()), 1e-9)
     patches = []
@@ -46,27 +53,55 @@ def find_patches(estimator: InverseMembrane, shape: Shape, rest: InverseRest,
         if -force[2] >= s.least_share * total:
             core = np.where(mine, np.maximum(pressing - s.core_share * float(pressing.max()), 0), 0)
             field = np.where(owner == k, fine, 0)
-            area = _area(core[inner].ravel(), position[::REFINE, ::REFINE][inner], -float(force[2]), shape.pressure_gauge,
-                         estimator, s)
+            area = _area(
+                core[inner].ravel(),
+                position[::REFINE, ::REFINE][inner],
+                -float(force[2]),
+                shape.pressure_gauge,
+                estimator,
+                s,
+            )
             inside = _strongest(field, cells, area)
-            patches.append(_patch(inside, mine, np.maximum(field - s.core_share * peak, 0), force, position, cells, sink))
+            patches.append(
+                _patch(
+                    inside,
+                    mine,
+                    np.maximum(field - s.core_share * peak, 0),
+                    force,
+                    position,
+                    cells,
+                    sink,
+                )
+            )
     return tuple(sorted(patches, key=lambda patch: float(patch.force[2])))
 
 
 def _fine_positions(estimator: InverseMembrane, shape: Shape) -> tuple[Array, Array]:
-    """Positions (a, b, 3) m in S of the fine grid's points, and the curved area (a, b) m^2 that each stands for."""
+    """Positions (a, b, 3) m in S of the fine grid's points, and the curved area (a, b) m^2 that
+    each stands for."""
     position = np.moveaxis(estimator.fine_positions(shape.c), 0, -1)
-    across, along = position[:, 2:] - position[:, :-2], position[2:] - position[:-2]
-    a, b = np.moveaxis(along[:, 1:-1], -1, 0), np.moveaxis(across[1:-1], -1, 0)
+    across = position[:, 2:] - position[:, :-2]
+    along = position[2:] - position[:-2]
+    a = np.moveaxis(along[:, 1:-1], -1, 0)
+    b = np.moveaxis(across[1:-1], -1, 0)
     cells = np.zeros(position.shape[:2])  # none on the frame itself
     cells[1:-1, 1:-1] = np.sqrt((a * a).sum(0) * (b * b).sum(0) - (a * b).sum(0) ** 2) / 4
     return position, cells
 
 
-def _area(pressure: Array, p: Array, force: float, gauge: float, estimator: InverseMembrane, s: PatchSettings) -> float:
-    """Area, m^2, of a patch that carries `force` N over a chamber at `gauge` Pa, from that and from the second moment of nodal
-    pressures (J,) at `p` (jx, jy, 3), of which a node's own extent is the least."""
-    p, share = p[..., :2].reshape(-1, 2), pressure * estimator.node_area
+def _area(
+    pressure: Array,
+    p: Array,
+    force: float,
+    gauge: float,
+    estimator: InverseMembrane,
+    s: PatchSettings,
+) -> float:
+    """Area, m^2, of a patch that carries `force` N over a chamber at `gauge` Pa, from that and from
+    the second moment of nodal pressures (J,) at `p` (jx, jy, 3), of which a node's own extent is
+    the least."""
+    p = p[..., :2].reshape(-1, 2)
+    share = pressure * estimator.node_area
     share /= share.sum()
     off = p - share @ p
     variance = float(share @ (off * off).sum(axis=1)) / 2
@@ -89,7 +124,8 @@ def _strongest(field: Array, cells: Array, area: float) -> NDArray:
 
 @cache
 def _smoother(nodes: int, sd: float) -> Array:
-    """Matrix (REFINE (nodes - 1) + 1, nodes) from nodes to the fine grid: Gaussian smoothing, `sd` in nodes, then linear."""
+    """Matrix (REFINE (nodes - 1) + 1, nodes) from nodes to the fine grid: Gaussian smoothing, `sd`
+    in nodes, then linear."""
     index = np.arange(nodes)
     kernel = np.exp(-0.5 * (np.subtract.outer(index, index) / sd) ** 2)
     kernel /= kernel[nodes // 2].sum()
@@ -101,29 +137,48 @@ def _nearest_place(places: NDArray) -> NDArray:
     """For each point the number of the nearest labelled place; 0 when there is none."""
     if places.max() <= 1:
         return np.full_like(places, places.max())
-    _, nearest = cv2.distanceTransformWithLabels((places == 0).astype(np.uint8), cv2.DIST_L2, 5,
-                                                 labelType=cv2.DIST_LABEL_PIXEL)
+    _, nearest = cv2.distanceTransformWithLabels(
+        (places == 0).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
     owner = np.zeros(int(nearest.max()) + 1, dtype=places.dtype)
     owner[nearest[places > 0]] = places[places > 0]
     return owner[nearest]
 
 
-def _patch(inside: NDArray, nodes: NDArray, weight: Array, force: Array, position: Array, cells: Array,
-           sink: Array) -> Contact:
-    """One patch from its fine cells `inside` (a, b), its grid nodes (nx, ny) and its pressure `weight` (a, b)."""
+def _patch(
+    inside: NDArray,
+    nodes: NDArray,
+    weight: Array,
+    force: Array,
+    position: Array,
+    cells: Array,
+    sink: Array,
+) -> Contact:
+    """One patch from its fine cells `inside` (a, b), its grid nodes (nx, ny) and its pressure
+    `weight` (a, b)."""
     share = weight / weight.sum()
     centroid = np.einsum("ab,abi->i", share, position[..., :2])
     area = float(cells[inside].sum())
     points = position[inside][:, :2]
     spread = _spread(points, cells[inside]) if len(points) > 2 else np.zeros((2, 2))
     values, vectors = np.linalg.eigh(spread)
-    contours, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    contours, _ = cv2.findContours(
+        inside.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
+    )
     b, a = max(contours, key=len)[:, 0].T
     mask = nodes & inside[::REFINE, ::REFINE]
     depth = float(sink[mask].max()) if mask.any() else float(sink[nodes].max())
-    return Contact(True, area, centroid, max(depth, 0.0), mask.T, force=force, outline=position[a, b, :2],
-                   semi_axes=2 * np.sqrt(np.maximum(values[::-1], 0)),
-                   angle=float(np.arctan2(vectors[1, 1], vectors[0, 1])))
+    return Contact(
+        True,
+        area,
+        centroid,
+        max(depth, 0.0),
+        mask.T,
+        force=force,
+        outline=position[a, b, :2],
+        semi_axes=2 * np.sqrt(np.maximum(values[::-1], 0)),
+        angle=float(np.arctan2(vectors[1, 1], vectors[0, 1])),
+    )
 
 
 def _spread(points: Array, weight: Array) -> Array:

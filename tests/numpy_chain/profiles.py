@@ -1,13 +1,13 @@
 """The reference for the kernel of mjtactile/kernels/profiles.c: the same estimator in numpy.
 
-K profiles cross each ellipse along its normals; one `cv2.remap` reads them all, one matrix product turns each into a
-few numbers (levels, area, offset of the edge by a matched filter, width), and one batched 5 x 5 solve moves the
-ellipses. Offsets are first found by area (right even two pixels away), then by the matched filter (near the
-Cramer-Rao bound close to the edge).
+K profiles cross each ellipse along its normals; one `cv2.remap` reads them all, one matrix product
+turns each into a few numbers (levels, area, offset of the edge by a matched filter, width), and one
+batched 5 x 5 solve moves the ellipses. Offsets are first found by area (right even two pixels
+away), then by the matched filter (near the Cramer-Rao bound close to the edge).
 
-A disc blurred by a Gaussian of sd sigma has its 50 % level further in by kappa sigma^2/2 (kappa: curvature of the
-edge); sigma is measured from the profiles themselves and the bias removed. To first order in kappa sigma: `edges` is
-for the small markers where that is not enough.
+A disc blurred by a Gaussian of sd sigma has its 50 % level further in by kappa sigma^2/2 (kappa:
+curvature of the edge); sigma is measured from the profiles themselves and the bias removed. To
+first order in kappa sigma: `edges` is for the small markers where that is not enough.
 """
 
 from __future__ import annotations
@@ -27,15 +27,20 @@ from mjtactile.sensing.image.edges import SOFTEN, SOFTEN_VARIANCE, EdgeFit
 from mjtactile.sensing.image.ellipse import middle
 from mjtactile.sensing.settings import DEFAULTS, ProfileSettings
 
-_SAMPLES, _ENDS = 17, 5  # along a profile; of these, at either end, for the levels
-_STEP_MOMENT = -(_SAMPLES**2 - 1) / 8  # of [o < 0]: the sum of the offsets, in samples, on the inside
-_COARSE_STEP, _COARSE_COUNT = 0.9, 24  # px between samples, profiles per marker of the first rounds
+# along a profile; of these, at either end, for the levels
+_SAMPLES = 17
+_ENDS = 5
+# of [o < 0]: the sum of the offsets, in samples, on the inside
+_STEP_MOMENT = -(_SAMPLES**2 - 1) / 8
+# px between samples, profiles per marker of the first rounds
+_COARSE_STEP = 0.9
+_COARSE_COUNT = 24
 _COARSE_ROUNDS = 4
 _NEAR = 1.5  # px: a coarse move below this ends the coarse rounds; it is right by area within two
-# Softening before bilinear interpolation makes the image smooth enough for it: without, offsets depend on where the
-# edge lies within a pixel, by 2 um of depth in the paper's geometry.
+# Softening before bilinear interpolation makes the image smooth enough for it: without, offsets
+# depend on where the edge lies within a pixel, by 2 um of depth in the paper's geometry.
 _BILINEAR_VARIANCE = 1 / 6  # of linear interpolation, mean over all positions
-_NEIGHBOURS = -np.arange(1.0, 5.0)[:, None] ** 2
+_NEIGHBOURS = -(np.arange(1.0, 5.0)[:, None] ** 2)
 _LEVEL_MOVES = np.diag([2.0, 2.0, 1.0, 0.0, 1.0])
 _LEVEL_MOVES[2, 4] = _LEVEL_MOVES[4, 2] = 1.0
 INSIDE, OUTSIDE, AREA, SECOND, EDGE, BLUR = range(6)
@@ -43,9 +48,10 @@ INSIDE, OUTSIDE, AREA, SECOND, EDGE, BLUR = range(6)
 
 @dataclass(frozen=True)
 class _Fan:
-    """K directions on the unit circle, and all that hangs on nothing else: points `e` (2, K); functions (5, K) e, e e^T
-    that move an ellipse, their products `pairs` (K, 25), and their pseudo-inverse `solve` (K, 5); `plane` (K, 3) takes
-    from values their mean and their gradient, `one` (3, K) turns these to values; `mean` (K,) is the mean."""
+    """K directions on the unit circle, and all that hangs on nothing else: points `e` (2, K);
+    functions (5, K) e, e e^T that move an ellipse, their products `pairs` (K, 25), and their
+    pseudo-inverse `solve` (K, 5); `plane` (K, 3) takes from values their mean and their gradient,
+    `one` (3, K) turns these to values; `mean` (K,) is the mean."""
 
     e: NDArray
     basis: NDArray
@@ -63,18 +69,29 @@ class _Fan:
 @lru_cache(maxsize=32)
 def _fan(count: int) -> _Fan:
     t = 2 * np.pi * np.arange(count) / count
-    c, s, one = np.cos(t), np.sin(t), np.ones(count)
+    c = np.cos(t)
+    s = np.sin(t)
+    one = np.ones(count)
     basis = np.stack([c, s, c * c, 2 * c * s, s * s])
     pairs = (basis[:, None] * basis).reshape(25, count).T
     plane = np.stack([one, 2 * c, 2 * s], axis=1) / count
-    arrays = (np.stack([c, s]), basis, pairs, np.linalg.pinv(basis), plane, np.stack([one, c, s]), one / count)
+    arrays = (
+        np.stack([c, s]),
+        basis,
+        pairs,
+        np.linalg.pinv(basis),
+        plane,
+        np.stack([one, c, s]),
+        one / count,
+    )
     return _Fan(*(np.ascontiguousarray(array, dtype=np.float64) for array in arrays))
 
 
 @dataclass(frozen=True)
 class _Outline:
-    """N ellipses at the fan's K parameters: outward normals `m` (2, N, K), `arc` per profile (N, K) px, and
-    g = |S^-1 e| (N, K) 1/px; m = S^-1 e/g, the arc is det(S) g dt, the curvature 1/(det(S)^2 g^3)."""
+    """N ellipses at the fan's K parameters: outward normals `m` (2, N, K), `arc` per profile (N, K)
+    px, and g = |S^-1 e| (N, K) 1/px; m = S^-1 e/g, the arc is det(S) g dt, the curvature
+    1/(det(S)^2 g^3)."""
 
     m: NDArray
     arc: NDArray
@@ -82,8 +99,11 @@ class _Outline:
     det: NDArray  # (N, 1) of S, px^2
 
 
-def fit(image: NDArray, center: Array, shape: Array, s: ProfileSettings = DEFAULTS.profiles) -> EdgeFit:
-    """Fit N ellipses starting from `center` (N, 2), `shape` (N, 3) px, right to about two pixels."""
+def fit(
+    image: NDArray, center: Array, shape: Array, s: ProfileSettings = DEFAULTS.profiles
+) -> EdgeFit:
+    """Fit N ellipses starting from `center` (N, 2), `shape` (N, 3) px, right to about two
+    pixels."""
     source = cv2.sepFilter2D(image, cv2.CV_32F, SOFTEN, SOFTEN, borderType=cv2.BORDER_REPLICATE)
     center, shape, sigma = _approach(source, center, shape, s)
     step = s.step * max(1.0, sigma / s.blur)
@@ -100,17 +120,22 @@ def fit(image: NDArray, center: Array, shape: Array, s: ProfileSettings = DEFAUL
     blur, retreat, motion = _retreat(blur, line, s.blur_most)
     delta = np.minimum(np.maximum(delta, -2), 2) + retreat
     center, shape, inverse, weight, left = _settle(center, shape, delta, line, fan, s)
-    # how the levels' noise moves an offset: d(delta)/d(inside), d(delta)/d(outside), in px per unit of contrast
+    # how the levels' noise moves an offset: d(delta)/d(inside), d(delta)/d(outside), in px per unit
+    # of contrast
     gain = np.array([rest[0], sums[EDGE] - rest[0]])
     common = (gain[:, None] ** 2 * spread**2).sum(axis=0) * ((over * over) @ fan.mean)
     levels = inside @ fan.mean, outside @ fan.mean
     return _result(center, shape, inverse, weight, left, line, levels, common, motion, blur, s)
 
 
-def _approach(source: NDArray, center: Array, shape: Array, s: ProfileSettings) -> tuple[Array, Array, float]:
-    """Ellipses near the edge by area, and the image's blur; the window grows until it holds the blurred edge."""
+def _approach(
+    source: NDArray, center: Array, shape: Array, s: ProfileSettings
+) -> tuple[Array, Array, float]:
+    """Ellipses near the edge by area, and the image's blur; the window grows until it holds the
+    blurred edge."""
     fan = _fan(_COARSE_COUNT)
-    step, sigma = _COARSE_STEP, s.blur
+    step = _COARSE_STEP
+    sigma = s.blur
     for _ in range(_COARSE_ROUNDS):
         line = _outline(shape, fan)
         numbers = _read(source, center, shape, line, fan, step, s.blur)
@@ -129,20 +154,26 @@ def _approach(source: NDArray, center: Array, shape: Array, s: ProfileSettings) 
 
 
 def _retreat(blur: NDArray, line: _Outline, most: float) -> tuple[Array, NDArray, NDArray]:
-    """Each marker's blur sd (N,) px, how far (N, K) px the blur along the curved edge moves its 50 % level inwards:
-    kappa/2 times the blur's variance along the edge's tangent, and the part of it (N,) px that motion adds.
+    """Each marker's blur sd (N,) px, how far (N, K) px the blur along the curved edge moves its 50
+    % level inwards: kappa/2 times the blur's variance along the edge's tangent, and the part of it
+    (N,) px that motion adds.
 
-    `blur` (N, K) is the sd across the edge. Motion blurs one direction more: the variance across an edge with normal
-    m is m^T B m, with one tensor B for the image (least squares), and what is left over per marker (defocus).
+    `blur` (N, K) is the sd across the edge. Motion blurs one direction more: the variance across an
+    edge with normal m is m^T B m, with one tensor B for the image (least squares), and what is left
+    over per marker (defocus).
     """
     some = blur[:, ::4]  # enough for three numbers
     variance = some * some
     bound = np.minimum(variance, most * middle(variance))
     mx, my = line.m
-    mxx, mxy, myy = mx * mx, 2 * mx * my, my * my
+    mxx = mx * mx
+    mxy = 2 * mx * my
+    myy = my * my
     A = np.array([mxx[:, ::4], mxy[:, ::4], myy[:, ::4]])
     flat = A.reshape(3, -1)
-    b = np.linalg.solve((flat @ flat.T).astype(float) + 1e-9 * np.eye(3), (flat @ bound.ravel()).astype(float))
+    b = np.linalg.solve(
+        (flat @ flat.T).astype(float) + 1e-9 * np.eye(3), (flat @ bound.ravel()).astype(float)
+    )
     uu, uv, vv = b
     mean = bound.mean(axis=1)
     own = mean - A.mean(axis=2).T @ b
@@ -158,9 +189,11 @@ def _perimeter(shape: Array) -> Array:
 
 
 def _common_blur(numbers: NDArray, over: NDArray, delta: NDArray, step: float, fan: _Fan) -> float:
-    """Blur sd (px) common to the image, from the second moment of the profiles' deviation from a step.
+    """Blur sd (px) common to the image, from the second moment of the profiles' deviation from a
+    step.
 
-    For F = Phi(-(o - d)/sigma): integral of (F - [o < 0]) o do = (sigma^2 + d^2)/2. `over` is 1/contrast.
+    For F = Phi(-(o - d)/sigma): integral of (F - [o < 0]) o do = (sigma^2 + d^2)/2. `over` is
+    1/contrast.
     """
     # the weights' own sum is zero: the outside level drops out
     second = numbers[SECOND] * over - _STEP_MOMENT
@@ -178,30 +211,36 @@ def _filter_bank(step: float, sigma: float) -> tuple[NDArray, Array, Array]:
     o = _offsets(step)
     z = o / sigma
     phi = np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi) / sigma
-    # matched to what the pixels hold: half of the softening's and interpolation's blur is in the samples' noise already
+    # matched to what the pixels hold: half of the softening's and interpolation's blur is in the
+    # samples' noise already
     narrow = np.sqrt(max(sigma**2 - 2 * (SOFTEN_VARIANCE + _BILINEAR_VARIANCE), 0.45**2))
     edge = np.exp(-0.5 * (o / narrow) ** 2)
     pair = np.stack([edge / (edge @ phi), (phi * z) / ((phi * z) @ (phi * z))])
     bank = np.zeros((_SAMPLES, 6))
     bank[:_ENDS, INSIDE] = bank[-_ENDS:, OUTSIDE] = 1 / _ENDS
-    bank[:, AREA], bank[:, SECOND] = 1.0, _offsets(1.0)
+    bank[:, AREA] = 1.0
+    bank[:, SECOND] = _offsets(1.0)
     bank[:, EDGE], bank[:, BLUR] = pair
     return bank, (pair @ ndtr(-z)), bank.sum(axis=0)
 
 
 def _filters(step: float, sigma: float) -> tuple[NDArray, Array, Array]:
-    """Filter columns (J, 6), what EDGE and BLUR read off a unit step of sd `sigma` at 0, and the columns' sums.
+    """Filter columns (J, 6), what EDGE and BLUR read off a unit step of sd `sigma` at 0, and the
+    columns' sums.
 
-    EDGE and BLUR read delta and dsigma in F(o) + delta phi + dsigma psi, F = Phi(-o/sigma), phi = -dF/do,
-    psi = dF/dsigma; one is even and the other odd, so that each ignores the other.
+    EDGE and BLUR read delta and dsigma in F(o) + delta phi + dsigma psi, F = Phi(-o/sigma), phi =
+    -dF/do, psi = dF/dsigma; one is even and the other odd, so that each ignores the other.
     """
     return _filter_bank(step, sigma)
 
 
 def _gain(step: float, sigma: float, blur: float) -> float:
-    """What EDGE of the filters for `sigma` reads off an edge at 1 px, for small offsets, if the blur is in fact `blur`."""
+    """What EDGE of the filters for `sigma` reads off an edge at 1 px, for small offsets, if the
+    blur is in fact `blur`."""
     z = _offsets(step) / blur
-    return float(_filters(step, sigma)[0][:, EDGE] @ np.exp(-0.5 * z * z)) / (np.sqrt(2 * np.pi) * blur)
+    return float(_filters(step, sigma)[0][:, EDGE] @ np.exp(-0.5 * z * z)) / (
+        np.sqrt(2 * np.pi) * blur
+    )
 
 
 def _outline(shape: Array, fan: _Fan) -> _Outline:
@@ -214,7 +253,15 @@ def _outline(shape: Array, fan: _Fan) -> _Outline:
     return _Outline(m, g * (2 * np.pi / fan.count * det), g, det)
 
 
-def _read(source: NDArray, center: Array, shape: Array, line: _Outline, fan: _Fan, step: float, sigma: float) -> NDArray:
+def _read(
+    source: NDArray,
+    center: Array,
+    shape: Array,
+    line: _Outline,
+    fan: _Fan,
+    step: float,
+    sigma: float,
+) -> NDArray:
     """What the filters read off the profiles across the ellipses, outwards: (6, N, K)."""
     offsets = _offsets(step)
     (u, v), (p, q, s) = center.T, shape.T
@@ -227,7 +274,8 @@ def _read(source: NDArray, center: Array, shape: Array, line: _Outline, fan: _Fa
 
 
 def _levels(numbers: NDArray, fan: _Fan, outlier: float) -> tuple[NDArray, NDArray, NDArray]:
-    """Levels (N, K) inside and outside of each profile: per marker, plus a gradient of the light across it.
+    """Levels (N, K) inside and outside of each profile: per marker, plus a gradient of the light
+    across it.
 
     Also the sd (2, N) of a single profile's level about them.
     """
@@ -246,17 +294,21 @@ def _levels(numbers: NDArray, fan: _Fan, outlier: float) -> tuple[NDArray, NDArr
     return inside, outside, np.sqrt((spread * spread) @ fan.mean)
 
 
-def _settle(center: Array, shape: Array, delta: NDArray, line: _Outline,
-            fan: _Fan, s: ProfileSettings) -> tuple[Array, Array, Array, NDArray, NDArray]:
-    """Ellipses moved by robust least squares to the edge's offsets `delta` (N, K) px along the normals.
+def _settle(
+    center: Array, shape: Array, delta: NDArray, line: _Outline, fan: _Fan, s: ProfileSettings
+) -> tuple[Array, Array, Array, NDArray, NDArray]:
+    """Ellipses moved by robust least squares to the edge's offsets `delta` (N, K) px along the
+    normals.
 
-    An offset moves e on the unit circle by delta g = e . w + e^T V e, with w = S^-1 dc and V = sym(S^-1 dS): one basis
-    for all ellipses, so that all normal matrices are one product. Also returns the inverse normal matrices (N, 5, 5)
-    of (w, V), the weights (N, K), and what is left of `delta`.
+    An offset moves e on the unit circle by delta g = e . w + e^T V e, with w = S^-1 dc and V =
+    sym(S^-1 dS): one basis for all ellipses, so that all normal matrices are one product. Also
+    returns the inverse normal matrices (N, 5, 5) of (w, V), the weights (N, K), and what is left of
+    `delta`.
     """
     over = 1 / line.g
     scaled = delta * line.g
-    left = delta - ((scaled @ fan.solve) @ fan.basis) * over  # unweighted: only to see what does not belong
+    # unweighted: only to see what does not belong
+    left = delta - ((scaled @ fan.solve) @ fan.basis) * over
     t = left * (1 / np.maximum(s.outlier * (np.abs(left) @ fan.mean), s.outlier_least))[:, None]
     t *= t
     t *= t
@@ -269,21 +321,35 @@ def _settle(center: Array, shape: Array, delta: NDArray, line: _Outline,
     return *ellipse.moved(center, shape, move), inverse, weight, left
 
 
-def _result(center: Array, shape: Array, inverse: Array, weight: NDArray, left: NDArray, line: _Outline,
-            levels: tuple[NDArray, NDArray], common: Array, motion: NDArray, blur: NDArray, s: ProfileSettings) -> EdgeFit:
+def _result(
+    center: Array,
+    shape: Array,
+    inverse: Array,
+    weight: NDArray,
+    left: NDArray,
+    line: _Outline,
+    levels: tuple[NDArray, NDArray],
+    common: Array,
+    motion: NDArray,
+    blur: NDArray,
+    s: ProfileSettings,
+) -> EdgeFit:
     inside, outside = levels
     count = line.g.shape[1]
     total = weight.sum(axis=1)
     spread = (weight * left * left).sum(axis=1)
-    spacing, size = line.arc.mean(axis=1).astype(float), line.g.mean(axis=1).astype(float)
+    spacing = line.arc.mean(axis=1).astype(float)
+    size = line.g.mean(axis=1).astype(float)
     variance = spread / total * (count / (count - 5))
-    # Profiles read some of the same pixels: neighbours at distance d correlate as the autocorrelation of softening and
-    # interpolation together, nearly a Gaussian. The factor is the sum over all neighbours.
+    # Profiles read some of the same pixels: neighbours at distance d correlate as the
+    # autocorrelation of softening and interpolation together, nearly a Gaussian. The factor is the
+    # sum over all neighbours.
     reach = 4 * (SOFTEN_VARIANCE + _BILINEAR_VARIANCE)
     shared = 1 + 2 * np.exp(spacing**2 * _NEIGHBOURS / reach).sum(axis=0)
     variance *= (count - 5) / np.maximum(count - 5 * shared, 1)
     cov = inverse * (s.unmodelled * variance * shared * spacing)[:, None, None]
-    # An error of the levels moves all offsets together, V = I g, and one of their gradient moves the centre, w = g.
+    # An error of the levels moves all offsets together, V = I g, and one of their gradient moves
+    # the centre, w = g.
     level = common * shared / count * size**2
     cov += level[:, None, None] * _LEVEL_MOVES
     cov[:, [2, 3, 4], [2, 3, 4]] += ((s.motion_doubt * motion * size) ** 2)[:, None]
@@ -291,5 +357,15 @@ def _result(center: Array, shape: Array, inverse: Array, weight: NDArray, left: 
     residual = np.sqrt(variance) * np.abs(inside - outside) / (np.sqrt(2 * np.pi) * blur)
     lost = 1 - total / (spacing * count)
     optical = np.sqrt(np.maximum(blur * blur - SOFTEN_VARIANCE - _BILINEAR_VARIANCE, s.sharpest**2))
-    return EdgeFit(center, shape, ellipse.covariance_of_moves(cov, shape), inside, outside, optical, residual,
-                   np.full(len(center), float(count)), lost, motion)
+    return EdgeFit(
+        center,
+        shape,
+        ellipse.covariance_of_moves(cov, shape),
+        inside,
+        outside,
+        optical,
+        residual,
+        np.full(len(center), float(count)),
+        lost,
+        motion,
+    )

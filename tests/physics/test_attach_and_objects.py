@@ -18,17 +18,24 @@ def scene():
     return spec
 
 
-@pytest.mark.parametrize(("option", "value", "words"), [
-    ("integrator", mujoco.mjtIntegrator.mjINT_EULER, ["integrator", "Euler", "discrete"]),
-    ("integrator", mujoco.mjtIntegrator.mjINT_IMPLICITFAST, ["integrator", "implicitfast", "discrete"]),
-    ("solver", mujoco.mjtSolver.mjSOL_NEWTON, ["solver", "Newton", "CG"]),
-    ("solver", mujoco.mjtSolver.mjSOL_PGS, ["solver", "PGS", "CG"]),
-    ("timestep", 0.02, ["timestep", "0.02", "0.008"]),
-    ("timestep", 1e-6, ["timestep", "1e-06", "0.0001"]),
-    ("timestep", float("nan"), ["timestep", "nan"]),
-    ("jacobian", mujoco.mjtJacobian.mjJAC_DENSE, ["jacobian", "dense", "sparse"]),
-    ("noslip_iterations", 3, ["noslip_iterations", "3"]),
-])
+@pytest.mark.parametrize(
+    ("option", "value", "words"),
+    [
+        ("integrator", mujoco.mjtIntegrator.mjINT_EULER, ["integrator", "Euler", "discrete"]),
+        (
+            "integrator",
+            mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+            ["integrator", "implicitfast", "discrete"],
+        ),
+        ("solver", mujoco.mjtSolver.mjSOL_NEWTON, ["solver", "Newton", "CG"]),
+        ("solver", mujoco.mjtSolver.mjSOL_PGS, ["solver", "PGS", "CG"]),
+        ("timestep", 0.02, ["timestep", "0.02", "0.008"]),
+        ("timestep", 1e-6, ["timestep", "1e-06", "0.0001"]),
+        ("timestep", float("nan"), ["timestep", "nan"]),
+        ("jacobian", mujoco.mjtJacobian.mjJAC_DENSE, ["jacobian", "dense", "sparse"]),
+        ("noslip_iterations", 3, ["noslip_iterations", "3"]),
+    ],
+)
 def test_options_that_cannot_carry_a_membrane_are_refused(option, value, words):
     spec = scene()
     setattr(spec.option, option, value)
@@ -85,8 +92,12 @@ def test_a_model_keeps_its_pre_stretch_when_bound_again():
 
 OBJECT = """<mujoco><custom>{custom}</custom><worldbody><body name="{body}" pos="0 0 0.03">{joint}
 <geom type="sphere" size="0.02" mass="0.01" contype="{contype}"/></body></worldbody></mujoco>"""
-GOOD = {"custom": '<numeric name="break_force_N" data="2"/><text name="material" data="solid"/>', "body": "object",
-        "joint": "<freejoint/>", "contype": "1"}
+GOOD = {
+    "custom": '<numeric name="break_force_N" data="2"/><text name="material" data="solid"/>',
+    "body": "object",
+    "joint": "<freejoint/>",
+    "contype": "1",
+}
 
 
 def write(folder, text=None, **changes):
@@ -102,21 +113,33 @@ def test_a_users_object_is_read(tmp_path):
     assert thing.mass == pytest.approx(0.01)
 
 
-@pytest.mark.parametrize(("changes", "words"), [
-    ({"text": "<mujoco><worldbody><body"}, ["not valid MJCF"]),
-    ({"text": "<mujoco><worldbody><nonsense/></worldbody></mujoco>"}, ["not valid MJCF", "nonsense"]),
-    ({"text": ""}, ["not valid MJCF"]),
-    ({"body": "thing"}, ["'object'", "thing"]),
-    ({"joint": ""}, ["free joint"]),
-    ({"joint": '<joint type="slide"/>'}, ["free joint"]),
-    ({"custom": '<text name="material" data="solid"/>'}, ["break_force_N"]),
-    ({"custom": GOOD["custom"].replace('"2"', '"-1"')}, ["break_force_N", "-1"]),
-    ({"custom": GOOD["custom"].replace('"2"', '"0"')}, ["break_force_N", "0"]),
-    ({"custom": GOOD["custom"].replace('"2"', '"nan"')}, ["break_force_N"]),
-    ({"custom": '<numeric name="break_force_N" data="2"/>'}, ["material", "solid", "soft", "amorphous"]),
-    ({"custom": GOOD["custom"].replace("solid", "jelly")}, ["jelly", "solid", "soft", "amorphous"]),
-    ({"contype": "0"}, ["contype"]),
-])
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"text": "<mujoco><worldbody><body"}, ["not valid MJCF"]),
+        (
+            {"text": "<mujoco><worldbody><nonsense/></worldbody></mujoco>"},
+            ["not valid MJCF", "nonsense"],
+        ),
+        ({"text": ""}, ["not valid MJCF"]),
+        ({"body": "thing"}, ["'object'", "thing"]),
+        ({"joint": ""}, ["free joint"]),
+        ({"joint": '<joint type="slide"/>'}, ["free joint"]),
+        ({"custom": '<text name="material" data="solid"/>'}, ["break_force_N"]),
+        ({"custom": GOOD["custom"].replace('"2"', '"-1"')}, ["break_force_N", "-1"]),
+        ({"custom": GOOD["custom"].replace('"2"', '"0"')}, ["break_force_N", "0"]),
+        ({"custom": GOOD["custom"].replace('"2"', '"nan"')}, ["break_force_N"]),
+        (
+            {"custom": '<numeric name="break_force_N" data="2"/>'},
+            ["material", "solid", "soft", "amorphous"],
+        ),
+        (
+            {"custom": GOOD["custom"].replace("solid", "jelly")},
+            ["jelly", "solid", "soft", "amorphous"],
+        ),
+        ({"contype": "0"}, ["contype"]),
+    ],
+)
 def test_broken_objects_are_refused_by_file_and_field(tmp_path, changes, words):
     path = write(tmp_path, **changes)
     with pytest.raises(InputError) as caught:
@@ -132,7 +155,9 @@ def test_unknown_object_lists_the_shipped_ones():
 
 
 def test_object_too_low_for_the_fingers_is_refused(tmp_path):
-    path = write(tmp_path, text=OBJECT.format(**GOOD).replace("0 0 0.03", "0 0 0.01").replace("0.02", "0.01"))
+    path = write(
+        tmp_path, text=OBJECT.format(**GOOD).replace("0 0 0.03", "0 0 0.01").replace("0.02", "0.01")
+    )
     with pytest.raises(InputError, match="grasp_height_m"):
         GraspWorld("paper16", path)
 

@@ -1,4 +1,5 @@
-"""Statics of contact: actuator = contact = reaction, left = right, friction = weight, on slides, arms and free bodies."""
+"""Statics of contact: actuator = contact = reaction, left = right, friction = weight, on slides,
+arms and free bodies."""
 
 import mujoco
 import numpy as np
@@ -34,8 +35,10 @@ def held(request):
 
 
 def forces(world, count=30):
-    """Contact forces on both membranes (2, 3) and the servo's force, averaged over `count` steps."""
-    contact, servo = np.zeros((2, 3)), 0.0
+    """Contact forces on both membranes (2, 3) and the servo's force, averaged over `count`
+    steps."""
+    contact = np.zeros((2, 3))
+    servo = 0.0
     for _ in range(count):
         world.step()
         contact += [truth.contact_force(world, i) for i in range(2)]
@@ -45,7 +48,8 @@ def forces(world, count=30):
 
 def test_servo_and_both_membranes_agree(held):
     contact, servo = forces(held)
-    # friction in the slides is viscous and nothing moves; what is left is the solver's tolerance and slow creep
+    # friction in the slides is viscous and nothing moves; what is left is the solver's tolerance
+    # and slow creep
     assert -contact[0, 2] == pytest.approx(servo, rel=0.01)
     assert -contact[1, 2] == pytest.approx(servo, rel=0.01)
     assert contact[0, 2] == pytest.approx(contact[1, 2], rel=0.01)
@@ -53,28 +57,35 @@ def test_servo_and_both_membranes_agree(held):
 
 def test_friction_carries_the_weight(held):
     contact, _ = forces(held)
-    # S has y up on both fingers. 3 %: the object still settles by micrometres, and soft ones swing a little
+    # S has y up on both fingers. 3 %: the object still settles by micrometres, and soft ones swing
+    # a little
     assert -contact[:, 1].sum() == pytest.approx(held.object.mass * GRAVITY, rel=0.03)
 
 
 def test_object_hardly_slips(held):
     slip = truth.object_position(held) - truth.hand_position(held) - held.grasped_at
-    assert np.linalg.norm(slip) < 0.5e-3  # the rubber shears by about 0.1-0.3 mm under the weight; creep adds little
+    # the rubber shears by about 0.1-0.3 mm under the weight; creep adds little
+    assert np.linalg.norm(slip) < 0.5e-3
 
 
 def test_contact_forces_are_those_that_mujoco_says_one_by_one(held):
     """In W, on the geoms of each membrane; sums of the same numbers, to rounding."""
-    data, buffer = held.data, np.zeros(6)
+    data = held.data
+    buffer = np.zeros(6)
     for i, sensor in enumerate(held.sensors):
         sums = np.zeros(3)
         for row in range(data.ncon):
             side = np.isin(data.contact.geom[row], sensor.vertex_geom_ids)
             if side.any():
                 mujoco.mj_contactForce(held.model, data, row, buffer)
-                sums += data.contact.frame[row].reshape(3, 3).T @ buffer[:3] * (1 if side[1] else -1)
+                sums += (
+                    data.contact.frame[row].reshape(3, 3).T @ buffer[:3] * (1 if side[1] else -1)
+                )
         R_WS = data.xmat[sensor.body_id].reshape(3, 3)
         np.testing.assert_allclose(R_WS @ truth.contact_force(held, i), sums, rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(R_WS @ truth.contact_loads(held, held.sensors)[i], sums, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(
+            R_WS @ truth.contact_loads(held, held.sensors)[i], sums, rtol=1e-9, atol=1e-12
+        )
 
 
 def test_penetration_is_a_small_share_of_the_indentation(held):
@@ -90,11 +101,13 @@ def test_pressure_rises_alike_in_both_chambers(held):
         sensor.update()
     left, right = (sensor.pressure_gauge for sensor in held.sensors)
     assert left > 1100.0
-    assert left - 1000 == pytest.approx(right - 1000, rel=0.05)  # the object may sit a little off the middle
+    # the object may sit a little off the middle
+    assert left - 1000 == pytest.approx(right - 1000, rel=0.05)
 
 
 def test_arm_joints_carry_exactly_the_contact_wrench():
-    """On a rotated six-joint arm the servos' torques are J^T times the contact wrench: gas and rim cancel inside."""
+    """On a rotated six-joint arm the servos' torques are J^T times the contact wrench: gas and rim
+    cancel inside."""
     spec = mujoco.MjSpec()
     recommend_options(spec)
     spec.option.gravity = [0, 0, 0]
@@ -102,15 +115,25 @@ def test_arm_joints_carry_exactly_the_contact_wrench():
     for i, axis in enumerate(([0, 0, 1], [0, 1, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0])):
         body = body.add_body(name=f"link{i}", pos=[0, 0, 0.1])
         body.add_joint(name=f"hinge{i}", type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis, armature=0.01)
-        body.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.02, 0, 0], fromto=[0, 0, 0, 0, 0, 0.1], mass=0.3,
-                      contype=0, conaffinity=0)
-        servo = spec.add_actuator(name=f"servo{i}", target=f"hinge{i}", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            size=[0.02, 0, 0],
+            fromto=[0, 0, 0, 0, 0, 0.1],
+            mass=0.3,
+            contype=0,
+            conaffinity=0,
+        )
+        servo = spec.add_actuator(
+            name=f"servo{i}", target=f"hinge{i}", trntype=mujoco.mjtTrn.mjTRN_JOINT
+        )
         servo.set_to_position(kp=200, kv=10)
     body.add_site(name="tip", pos=[0, 0, 0.145])
     ball = spec.worldbody.add_body(name="ball", mocap=True, pos=[2, 0, 0])
     ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.01, 0, 0])
     world = World(spec, [attach(spec, "paper16", site="tip", mesh=MESH)])
-    model, data, sensor = world.model, world.data, world.sensors[0]
+    model = world.model
+    data = world.data
+    sensor = world.sensors[0]
     goal = [0.3, -0.6, 0.9, 0.4, -0.5, 0.2]
     joints = [model.joint(f"hinge{i}") for i in range(6)]
     for joint, angle in zip(joints, goal, strict=True):
@@ -120,19 +143,23 @@ def test_arm_joints_carry_exactly_the_contact_wrench():
     sensor.open_valve()
     world.step(60)
     sensor.close_valve()
-    R_WS, p_WS = data.xmat[sensor.body_id].reshape(3, 3).copy(), data.xpos[sensor.body_id].copy()
+    R_WS = data.xmat[sensor.body_id].reshape(3, 3).copy()
+    p_WS = data.xpos[sensor.body_id].copy()
     for height in np.linspace(0.02, 0.0095, 150):
         data.mocap_pos[0] = p_WS + R_WS @ [0.003, -0.002, height]
         world.step()
     world.step(250)
     R_WS = data.xmat[sensor.body_id].reshape(3, 3)
-    force, torque, servos = np.zeros(3), np.zeros(3), np.zeros(6)
+    force = np.zeros(3)
+    torque = np.zeros(3)
+    servos = np.zeros(6)
     for _ in range(50):  # averages out the solver's noise, a few 1e-3 of the force
         world.step()
         force += R_WS @ truth.contact_force(world, 0) / 50
         torque += R_WS @ truth.contact_torque(world, 0) / 50
         servos += data.actuator_force / 50
-    jac_p, jac_r = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+    jac_p = np.zeros((3, model.nv))
+    jac_r = np.zeros((3, model.nv))
     mujoco.mj_jacBody(model, data, jac_p, jac_r, sensor.body_id)
     dofs = [joint.dofadr[0] for joint in joints]
     needed = -(jac_p[:, dofs].T @ force + jac_r[:, dofs].T @ torque)
@@ -163,7 +190,12 @@ def test_one_and_many_sensors_give_the_same_numbers():
     spec.worldbody.add_site(name="a")
     spec.worldbody.add_site(name="b", pos=[0.3, 0, 0], quat=[0.5, 0.5, -0.5, 0.5])
     carrier = spec.worldbody.add_body(name="carrier", pos=[0, 0.3, 0])
-    carrier.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, axis=[1, 0, 0], stiffness=[100.0, 0, 0], damping=[1.0, 0, 0])
+    carrier.add_joint(
+        type=mujoco.mjtJoint.mjJNT_HINGE,
+        axis=[1, 0, 0],
+        stiffness=[100.0, 0, 0],
+        damping=[1.0, 0, 0],
+    )
     carrier.add_site(name="c", pos=[0, 0, 0.1], quat=[0.9, 0.1, 0.3, 0.2])
     design = load_sensor("paper16")
     world = World(spec, [attach(spec, design, site=s, prefix=f"{s}/", mesh=MESH) for s in "abc"])
@@ -208,21 +240,32 @@ def test_no_energy_is_gained_with_the_valve_closed_and_nothing_moving():
         energy.append(world.kinetic_energy)
         world.step(10)
     assert energy[1] < 0.1 * energy[0]  # the sheet's damping settles it in about 10 ms
-    assert all(b <= a + 1e-15 for a, b in zip(energy, energy[1:], strict=False))  # J; the solver's noise
+    # J; the solver's noise
+    assert all(b <= a + 1e-15 for a, b in zip(energy, energy[1:], strict=False))
 
 
 def test_two_membranes_hold_a_sheet_by_friction():
     from benchmarks.worlds.trials import Body, PinchWorld
 
-    world = PinchWorld("paper16", Body("plate", 1e-3, 2e-3), pressure_gauge=1000.0, squeeze=1e-3, timestep=2e-3, mesh=MESH)
+    world = PinchWorld(
+        "paper16",
+        Body("plate", 1e-3, 2e-3),
+        pressure_gauge=1000.0,
+        squeeze=1e-3,
+        timestep=2e-3,
+        mesh=MESH,
+    )
     world.step(150)
-    left, right = np.zeros(3), np.zeros(3)
+    left = np.zeros(3)
+    right = np.zeros(3)
     for _ in range(50):
         world.step()
         left += truth.contact_force(world, 0) / 50
         right += truth.contact_force(world, 1) / 50
-    assert left[2] == pytest.approx(right[2], rel=0.01)  # the solver's noise; both squeeze the same sheet
-    # S has x down on the left finger and up on the right. 3 %: the sheet still creeps by micrometres
+    # the solver's noise; both squeeze the same sheet
+    assert left[2] == pytest.approx(right[2], rel=0.01)
+    # S has x down on the left finger and up on the right. 3 %: the sheet still creeps by
+    # micrometres
     assert left[0] - right[0] == pytest.approx(world.weight, rel=0.03)
     assert world.drop < 3e-4  # m: the sheets shear under 2 g
 
@@ -245,15 +288,24 @@ def test_a_weight_that_strikes_the_membrane_ends_up_carried(speed):
     """Up to 2 m/s: the blow is felt, the energy goes, and the force at rest is the weight."""
     from benchmarks.worlds.trials import Body, DropWorld
 
-    world = DropWorld("paper16", Body("sphere", 0.01, 0.02), pressure_gauge=1000.0, speed=speed, timestep=1e-3, mesh=MESH,
-                      guided=True)
-    strike, energy = 0.0, []
+    world = DropWorld(
+        "paper16",
+        Body("sphere", 0.01, 0.02),
+        pressure_gauge=1000.0,
+        speed=speed,
+        timestep=1e-3,
+        mesh=MESH,
+        guided=True,
+    )
+    strike = 0.0
+    energy = []
     for _ in range(2500):
         world.step()
         strike = max(strike, -truth.contact_force(world, 0)[2])
         energy.append(world.kinetic_energy)
     assert strike > 5 * world.weight
-    assert max(energy) < 1.1 * (0.5 * 0.02 * speed**2 + 0.02 * 9.81 * 0.02)  # never more than it came with, and fell by
+    # never more than it came with, and fell by
+    assert max(energy) < 1.1 * (0.5 * 0.02 * speed**2 + 0.02 * 9.81 * 0.02)
     force = np.mean([-truth.contact_force(world, 0)[2] for _ in range(20) if world.step() is None])
     assert force == pytest.approx(world.weight, rel=0.02)
 
@@ -263,7 +315,9 @@ def test_a_shaken_mount_presses_as_a_still_one_does():
 
     forces = []
     for shake in ((0.0, 0.0), (2e-3, 10.0)):
-        world = PressWorld("paper16", Indenter.parse("sphere:8"), mesh=MESH, mount=(0.4, 0.9, 0.2), shake=shake)
+        world = PressWorld(
+            "paper16", Indenter.parse("sphere:8"), mesh=MESH, mount=(0.4, 0.9, 0.2), shake=shake
+        )
         world.inflate(1000.0, seal=True)
         world.press(2e-3)
         force = 0.0
@@ -271,5 +325,6 @@ def test_a_shaken_mount_presses_as_a_still_one_does():
             world.step()
             force -= truth.contact_force(world, 0)[2] / 50
         forces.append(force)
-    # 8 m/s^2 on 0.5 g of sheet: 4 mN to and fro, which averages out; the gas and the drive do not notice
+    # 8 m/s^2 on 0.5 g of sheet: 4 mN to and fro, which averages out; the gas and the drive do not
+    # notice
     assert forces[1] == pytest.approx(forces[0], rel=0.02)

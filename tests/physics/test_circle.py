@@ -1,4 +1,5 @@
-"""A circular frame: Hencky, pre-tensioned circle, point load, sphere; and how the sheet departs from real rubber."""
+"""A circular frame: Hencky, pre-tensioned circle, point load, sphere; and how the sheet departs
+from real rubber."""
 
 from dataclasses import replace
 
@@ -15,14 +16,19 @@ from mjtactile.sim.sensor.mesh import MarkerInterpolator, make_mesh, to_square
 
 RADIUS = 0.015
 MESH = (17, 17)
-# 17 x 17 linear triangles in a circle: 1 %, second order; the polygon of the rim alone loses 0.3 % of the radius
+# 17 x 17 linear triangles in a circle: 1 %, second order; the polygon of the rim alone loses 0.3 %
+# of the radius
 TOLERANCE = 0.012
 
 
 def circle(poisson=0.45, pre_stretch=1.0, young=1e6, law=Law.NEO_HOOKEAN):
     base = load_sensor("paper16")
-    return replace(base, frame=Frame(2 * RADIUS, 2 * RADIUS, shape="circle"), markers=MarkerLayout(4, 4, 5e-3, 5e-3, 1e-3),
-                   membrane=Membrane(3e-4, young, poisson, 950.0, pre_stretch, law=law))
+    return replace(
+        base,
+        frame=Frame(2 * RADIUS, 2 * RADIUS, shape="circle"),
+        markers=MarkerLayout(4, 4, 5e-3, 5e-3, 1e-3),
+        membrane=Membrane(3e-4, young, poisson, 950.0, pre_stretch, law=law),
+    )
 
 
 def height(world):
@@ -34,7 +40,9 @@ def test_flat_circle_bulges_as_hencky_says(poisson):
     world = scene(circle(poisson, law=Law.STVK), MESH)
     pressure = 1e-3 * 300.0 / RADIUS  # p a / E h = 1e-3, the top of the closed form's range
     settle(world, pressure)
-    assert height(world) == pytest.approx(theory.hencky_height(RADIUS, 300.0, poisson, pressure), rel=TOLERANCE)
+    assert height(world) == pytest.approx(
+        theory.hencky_height(RADIUS, 300.0, poisson, pressure), rel=TOLERANCE
+    )
 
 
 def test_volume_under_the_flat_circle_is_henckys():
@@ -50,11 +58,14 @@ def test_pretensioned_circle_is_a_paraboloid():
     design = circle(pre_stretch=1.05)
     world = scene(design, MESH)
     settle(world, 20.0, speed=1e-7)
-    assert height(world) == pytest.approx(20.0 * RADIUS**2 / (4 * design.membrane.pretension), rel=TOLERANCE)
+    assert height(world) == pytest.approx(
+        20.0 * RADIUS**2 / (4 * design.membrane.pretension), rel=TOLERANCE
+    )
 
 
 def test_point_load_on_a_flat_circle_is_schwerins():
-    """P = kappa E h d^3 / a^2: stiffer than linear, and singular under the load, so the mesh's error is first order."""
+    """P = kappa E h d^3 / a^2: stiffer than linear, and singular under the load, so the mesh's
+    error is first order."""
     depths = []
     for n in (9, 17):
         world = scene(circle(0.3), (n, n))
@@ -64,13 +75,15 @@ def test_point_load_on_a_flat_circle_is_schwerins():
         settle(world, 0.0)
         depths.append(-sensor.p_SV[:, 2].min())
     expected = (0.05 * RADIUS**2 / (theory.point_load(1.0, 1.0, 0.3, 1.0) * 300.0)) ** (1 / 3)
-    # 6.4 % at 17 x 17 on a uniform mesh: the load is a point, and the cell under it is 1/16 of the diameter
+    # 6.4 % at 17 x 17 on a uniform mesh: the load is a point, and the cell under it is 1/16 of the
+    # diameter
     assert depths[1] == pytest.approx(expected, rel=0.08)
     assert abs(depths[1] / expected - 1) < 0.7 * abs(depths[0] / expected - 1)  # and it converges
 
 
 def test_sphere_on_a_pretensioned_circle():
-    """M4 by force: constant tension, contact small against the circle. Young's modulus is low, so that the tension stays."""
+    """M4 by force: constant tension, contact small against the circle. Young's modulus is low, so
+    that the tension stays."""
     from mjtactile.sim import truth
     from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
@@ -79,8 +92,11 @@ def test_sphere_on_a_pretensioned_circle():
     world.inflate(0.0, seal=False)
     world.press(1e-3)
     force = -truth.contact_force(world, 0)[2]
-    # slopes of 0.1 raise the tension by 0.5 % and more near the sphere; 25 x 25 vertices touch at 9-13 places
-    assert theory.sphere_on_circle(RADIUS, design.membrane.pretension, 8e-3, force) == pytest.approx(1e-3, rel=0.04)
+    # slopes of 0.1 raise the tension by 0.5 % and more near the sphere; 25 x 25 vertices touch at
+    # 9-13 places
+    assert theory.sphere_on_circle(
+        RADIUS, design.membrane.pretension, 8e-3, force
+    ) == pytest.approx(1e-3, rel=0.04)
 
 
 def test_markers_ride_on_a_circle():
@@ -89,7 +105,8 @@ def test_markers_ride_on_a_circle():
     p_SV = mesh.p_SV.copy()
     p_SV[:, 2] = 2e-3 - 8 * (p_SV[:, 0] ** 2 + p_SV[:, 1] ** 2)
     p_SM, n_S = MarkerInterpolator(mesh, at).marker_poses(p_SV)
-    np.testing.assert_allclose(p_SM[:, :2], at[:, :2], atol=2e-6)  # the spline carries the map of square to disc: 2 um
+    # the spline carries the map of square to disc: 2 um
+    np.testing.assert_allclose(p_SM[:, :2], at[:, :2], atol=2e-6)
     np.testing.assert_allclose(p_SM[:, 2], 2e-3 - 8 * (at[:, 0] ** 2 + at[:, 1] ** 2), atol=3e-6)
     normal = np.column_stack([16 * at[:, 0], 16 * at[:, 1], np.ones(len(at))])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -100,12 +117,15 @@ def test_map_to_the_square_inverts_the_map_to_the_disc():
     rng = np.random.default_rng(0)
     u, v = rng.uniform(-1, 1, (2, 100))
     disc = np.column_stack([u * np.sqrt(1 - v**2 / 2), v * np.sqrt(1 - u**2 / 2)])
-    np.testing.assert_allclose(to_square(disc), np.column_stack([u, v]), atol=1e-7)  # a square root near the corners
+    # a square root near the corners
+    np.testing.assert_allclose(to_square(disc), np.column_stack([u, v]), atol=1e-7)
 
 
 def test_circle_is_read_from_a_file_and_checked(tmp_path):
     text = resources.find("paper16", "models/sensors", ".toml").read_text(encoding="utf-8")
-    text = text.replace("length_mm = 40.0", 'shape = "circle"\ndiameter_mm = 40.0').replace("width_mm = 30.0", "")
+    text = text.replace("length_mm = 40.0", 'shape = "circle"\ndiameter_mm = 40.0').replace(
+        "width_mm = 30.0", ""
+    )
     path = tmp_path / "round.toml"
     path.write_text(text)
     design = load_sensor(path)
@@ -123,18 +143,27 @@ def test_circle_is_read_from_a_file_and_checked(tmp_path):
 
 
 # Neo-Hookean disc by shooting on the exact equations: pole stretch, p R / (mu h), w0 / R
-NEO_HOOKEAN = ((1.005, 0.009324, 0.087495), (1.02, 0.069, 0.174451), (1.05, 0.234941, 0.274093), (1.1, 0.527782, 0.383472))
+NEO_HOOKEAN = (
+    (1.005, 0.009324, 0.087495),
+    (1.02, 0.069, 0.174451),
+    (1.05, 0.234941, 0.274093),
+    (1.1, 0.527782, 0.383472),
+)
 
 
 @pytest.mark.parametrize(("stretch", "load", "height_ratio"), NEO_HOOKEAN)
 def test_disc_bulges_as_the_exact_neo_hookean_one(stretch, load, height_ratio):
     """Exact discs keep their volume: mu = E/3. A St. Venant-Kirchhoff one is 0.8 to 12 % lower."""
-    poisson, load_SI = 0.499, load * 1e6 / 3 * 3e-4 / RADIUS
+    poisson = 0.499
+    load_SI = load * 1e6 / 3 * 3e-4 / RADIUS
     world = scene(circle(poisson), MESH)
     settle(world, load_SI)
     assert height(world) / RADIUS == pytest.approx(height_ratio, rel=TOLERANCE)
-    # M7's secant is taken at one stretch for the whole sheet, fitted to rectangles at nu 0.45: 3.7 % low at a stretch of 1.1
-    assert theory.bulge_height(circle(poisson), load_SI) / RADIUS == pytest.approx(height_ratio, rel=0.04)
+    # M7's secant is taken at one stretch for the whole sheet, fitted to rectangles at nu 0.45: 3.7
+    # % low at a stretch of 1.1
+    assert theory.bulge_height(circle(poisson), load_SI) / RADIUS == pytest.approx(
+        height_ratio, rel=0.04
+    )
     hookean = theory.hencky_height(1.0, 3.0, 0.5, load) / height_ratio
     stated = theory.stvk_height_error(circle(poisson), load_SI)
     assert stated == pytest.approx(1 / hookean - 1, abs=0.045)

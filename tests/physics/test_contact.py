@@ -1,4 +1,5 @@
-"""Contact: converged force, penetration, which model touches, and what is said about features finer than the mesh."""
+"""Contact: converged force, penetration, which model touches, and what is said about features finer
+than the mesh."""
 
 import mujoco
 import numpy as np
@@ -24,33 +25,49 @@ def pressed(indenter, depths=DEPTHS, *, pressure=1000.0, **how):
     return np.array(rows).T, world
 
 
-# Forces at 33 x 27 vertices without stand-off. By indenter and place, m. Regenerate: `pressed(...)` with facets.SHARE = 0.
-# An independent solver says 0.2562 and 0.4847 (frictionless; 1-3 % more where it sticks) for the first.
-FINE = {("sphere:8", (0.0, 0.0)): (0.2569, 0.4929), ("sphere:15", (0.0, 0.0)): (0.3355, 0.6945),
-        ("sphere:8", (5e-3, 3e-3)): (0.2499, 0.4741), ("sphere:15", (5e-3, 3e-3)): (0.3263, 0.6655)}
+# Forces at 33 x 27 vertices without stand-off. By indenter and place, m. Regenerate: `pressed(...)`
+# with facets.SHARE = 0. An independent solver says 0.2562 and 0.4847 (frictionless; 1-3 % more
+# where it sticks) for the first.
+FINE = {
+    ("sphere:8", (0.0, 0.0)): (0.2569, 0.4929),
+    ("sphere:15", (0.0, 0.0)): (0.3355, 0.6945),
+    ("sphere:8", (5e-3, 3e-3)): (0.2499, 0.4741),
+    ("sphere:15", (5e-3, 3e-3)): (0.3263, 0.6655),
+}
 
 
 @pytest.mark.parametrize("case", FINE)
 def test_default_force_is_the_converged_one(case):
     (force, depth), _ = pressed(case[0], at=case[1])
-    # 3 % is what is wanted, and kept by all eight; friction remembers the way, and the last bits of a processor make 1 %
+    # 3 % is what is wanted, and kept by all eight; friction remembers the way, and the last bits of
+    # a processor make 1 %
     np.testing.assert_allclose(force, FINE[case], rtol=0.04)
     assert (depth < 0.03 * np.array(DEPTHS)).all()  # the project's bound
 
 
 def test_stand_off_vanishes_on_a_fine_mesh_and_on_flat_faces():
-    coarse, fine = (pressed("sphere:8", (2e-3,), mesh=mesh)[1].sensors[0] for mesh in ((13, 11), (25, 21)))
+    coarse, fine = (
+        pressed("sphere:8", (2e-3,), mesh=mesh)[1].sensors[0] for mesh in ((13, 11), (25, 21))
+    )
     off = [sensor._stand_off.margins.max() for sensor in (coarse, fine)]
-    assert off[0] / off[1] == pytest.approx((24 * 20) / (12 * 10), rel=0.05)  # as the area of a vertex
+    # as the area of a vertex
+    assert off[0] / off[1] == pytest.approx((24 * 20) / (12 * 10), rel=0.05)
     _, flat = pressed("box:60", (1e-3,), mesh=(11, 9))
     assert not flat.sensors[0]._stand_off.margins.any()
 
 
-@pytest.mark.parametrize(("geom", "size", "normal", "expected"), [
-    ("sphere", [0.01, 0, 0], [0, 0.6, 0.8], 200), ("capsule", [0.01, 0.02, 0], [1, 0, 0], 100),
-    ("cylinder", [0.01, 0.02, 0], [0, 1, 0], 100), ("cylinder", [0.01, 0.02, 0], [0, 0, 1], 0),
-    ("box", [0.01] * 3, [0, 0, 1], 0), ("ellipsoid", [0.01] * 3, [0, 0.6, 0.8], 200),
-    ("ellipsoid", [0.01, 0.02, 0.04], [1, 0, 0], 0.01 / 0.02**2 + 0.01 / 0.04**2)])
+@pytest.mark.parametrize(
+    ("geom", "size", "normal", "expected"),
+    [
+        ("sphere", [0.01, 0, 0], [0, 0.6, 0.8], 200),
+        ("capsule", [0.01, 0.02, 0], [1, 0, 0], 100),
+        ("cylinder", [0.01, 0.02, 0], [0, 1, 0], 100),
+        ("cylinder", [0.01, 0.02, 0], [0, 0, 1], 0),
+        ("box", [0.01] * 3, [0, 0, 1], 0),
+        ("ellipsoid", [0.01] * 3, [0, 0.6, 0.8], 200),
+        ("ellipsoid", [0.01, 0.02, 0.04], [1, 0, 0], 0.01 / 0.02**2 + 0.01 / 0.04**2),
+    ],
+)
 def test_curvature_of_primitives(geom, size, normal, expected):
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(type=getattr(mujoco.mjtGeom, f"mjGEOM_{geom.upper()}"), size=size)
@@ -68,23 +85,30 @@ def test_penetration_stays_small_at_any_pressure(pressure, bound):
 def test_force_does_not_depend_on_the_time_step(timestep):
     (force, _), _ = pressed("sphere:8", (2e-3,))
     (other, _), _ = pressed("sphere:8", (2e-3,), timestep=timestep)
-    assert other == pytest.approx(force, rel=0.015)  # statics, and friction, which remembers the way
+    # statics, and friction, which remembers the way
+    assert other == pytest.approx(force, rel=0.015)
 
 
 def test_contact_model_follows_the_smallest_feature():
     assert PressWorld("paper16", Indenter.parse("sphere:8")).sensors[0].contact == "vertices"
     assert PressWorld("paper16", Indenter.parse("cylinder:0.5")).sensors[0].contact == "elements"
-    assert PressWorld("paper16", Indenter.parse("cylinder:0.5"), mesh=(49, 39)).sensors[0].contact == "vertices"
+    assert (
+        PressWorld("paper16", Indenter.parse("cylinder:0.5"), mesh=(49, 39)).sensors[0].contact
+        == "vertices"
+    )
     for name in ("egg", "vial", "strawberry"):
-        assert {s.contact for s in GraspWorld("paper16", name, mesh=(11, 9)).sensors} == {"vertices"}, name
+        assert {s.contact for s in GraspWorld("paper16", name, mesh=(11, 9)).sensors} == {
+            "vertices"
+        }, name
     with pytest.raises(InputError, match=r"edges.*auto, vertices, elements, both"):
         PressWorld("paper16", Indenter.parse("sphere:8"), contact="edges")
 
 
 def test_a_pin_between_the_vertices_is_felt_and_its_error_is_stated():
-    """The truth, and the statement: vertices miss a 1 mm pin, triangles feel it, its force is about 0.161 N (an independent
-    solver says 0.190 for St. Venant-Kirchhoff's law at 2 mm, and 0.0685 for 0.0808 at 1 mm with this one: the same ratio is
-    taken; triangles at 41 x 33 say 0.181) and the flag owns up to what the default mesh makes of it."""
+    """The truth, and the statement: vertices miss a 1 mm pin, triangles feel it, its force is about
+    0.161 N (an independent solver says 0.190 for St. Venant-Kirchhoff's law at 2 mm, and 0.0685 for
+    0.0808 at 1 mm with this one: the same ratio is taken; triangles at 41 x 33 say 0.181) and the
+    flag owns up to what the default mesh makes of it."""
     place = (1.1e-3, 1.2e-3)
     with pytest.raises(InputError, match="slips between"):
         pressed("cylinder:0.5", at=place, contact="vertices")
@@ -111,7 +135,8 @@ EDGES = {"cylinder:5": 0.537, "box:12": 0.798}
 
 @pytest.mark.parametrize("indenter", EDGES)
 def test_an_edge_costs_what_the_flag_says(indenter):
-    """The truth, and the statement: an edge falls between vertices, and the force of a face is too low by up to a third."""
+    """The truth, and the statement: an edge falls between vertices, and the force of a face is too
+    low by up to a third."""
     (force, _), world = pressed(indenter, (2e-3,))
     stated = float(world.flags["edge"].split("off by ")[1].split("%")[0]) / 100
     assert abs(force[0] / EDGES[indenter] - 1) < stated < 0.5
@@ -121,13 +146,17 @@ def test_actuator_contact_and_torque_agree():
     world = PressWorld("paper16", Indenter.parse("sphere:8"), at=(5e-3, -3e-3))
     world.inflate(1000.0, seal=True)
     world.press(2e-3, 5e-4)
-    force, drive, torque = np.zeros(3), np.zeros(3), np.zeros(3)
+    force = np.zeros(3)
+    drive = np.zeros(3)
+    torque = np.zeros(3)
     for _ in range(50):
         world.step()
         force += truth.contact_force(world, 0) / 50
         torque += truth.contact_torque(world, 0) / 50
         drive += world.drive_force / 50
-    np.testing.assert_allclose(force[[0, 2]], drive[[0, 2]], atol=2e-3 * np.abs(force).max())  # slow creep of the sheet
+    # slow creep of the sheet
+    np.testing.assert_allclose(force[[0, 2]], drive[[0, 2]], atol=2e-3 * np.abs(force).max())
     middle = truth.contact_forces(world, 0)[1].mean(axis=0)
     lever = np.abs(torque - np.cross(middle, force))[:2] / abs(force[2])
-    assert lever.max() < 1.5e-3  # m: the force acts within half a vertex spacing of the middle of the contact
+    # m: the force acts within half a vertex spacing of the middle of the contact
+    assert lever.max() < 1.5e-3

@@ -1,4 +1,5 @@
-"""Effects as switches: off leaves nothing behind, on does what physics says; gates and the run's own error estimate."""
+"""Effects as switches: off leaves nothing behind, on does what physics says; gates and the run's
+own error estimate."""
 
 from dataclasses import replace
 
@@ -18,21 +19,31 @@ from mjtactile.sim.rig import build_sim_rig
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.scenes.objects import load_object
-from mjtactile.sim.sensor.switches import CAMERA, PHYSICS, Effect, effects_named, set_design, set_picture
+from mjtactile.sim.sensor.switches import (
+    CAMERA,
+    PHYSICS,
+    Effect,
+    effects_named,
+    set_design,
+    set_picture,
+)
 
 MESH = (9, 7)
 DENSE = load_sensor("dense")
 
 
 def press_world(effects, **kwargs):
-    return PressWorld(kwargs.pop("design", DENSE), Indenter("sphere", 0.016), mesh=MESH, effects=effects, **kwargs)
+    return PressWorld(
+        kwargs.pop("design", DENSE), Indenter("sphere", 0.016), mesh=MESH, effects=effects, **kwargs
+    )
 
 
 def test_all_off_leaves_no_element_behind():
     off, on = (press_world(effects).model for effects in (frozenset(), PHYSICS))
     assert off.ntendon == 0 and on.ntendon == 1
     assert off.na == on.na == 0
-    assert (off.geom_condim[off.geom_group == 4] == 1).all()  # frictionless contacts have one row, not three
+    # frictionless contacts have one row, not three
+    assert (off.geom_condim[off.geom_group == 4] == 1).all()
     assert off.body_mass.sum() < on.body_mass.sum()  # the sheet has no weight left
 
 
@@ -64,13 +75,17 @@ def test_without_friction_a_drag_meets_no_shear():
     world.inflate(1000.0, seal=True)
     world.press(2e-3, shear=0.5e-3)
     force = truth.contact_force(world, 0)
-    # contact normals lean as the sphere moves off the middle; friction would give 0.9 of the normal force
+    # contact normals lean as the sphere moves off the middle; friction would give 0.9 of the normal
+    # force
     assert abs(force[0]) < 0.1 * abs(force[2])
 
 
 def test_gravity_of_the_sheet_is_its_weight():
-    """The sheet's weight, density x volume x g, is what a flat sensor's frame carries less without it."""
-    masses = [press_world(effects).model.body_mass.sum() for effects in (PHYSICS, PHYSICS - {"gravity"})]
+    """The sheet's weight, density x volume x g, is what a flat sensor's frame carries less without
+    it."""
+    masses = [
+        press_world(effects).model.body_mass.sum() for effects in (PHYSICS, PHYSICS - {"gravity"})
+    ]
     sheet = DENSE.membrane
     whole = sheet.density * sheet.thickness * DENSE.frame.area / sheet.pre_stretch**2
     # the rim's share of the areas (a quarter to a third at 9 x 7 vertices) rides on the frame
@@ -78,7 +93,8 @@ def test_gravity_of_the_sheet_is_its_weight():
 
 
 def test_follower_pressure_matters_as_its_gate_says():
-    """Dead and following load differ to first order in the slope; at p a / E h = 0.05 by a few per cent, not more."""
+    """Dead and following load differ to first order in the slope; at p a / E h = 0.05 by a few per
+    cent, not more."""
     heights = []
     for effects in (PHYSICS, PHYSICS - {"follower pressure"}):
         world = press_world(effects)
@@ -89,7 +105,8 @@ def test_follower_pressure_matters_as_its_gate_says():
 
 
 def test_bending_stiffens_a_thick_sheet_only():
-    """D/(T a^2) of the shipped sheet is 1e-3; of one four times thicker and slack in comparison, 16 times that."""
+    """D/(T a^2) of the shipped sheet is 1e-3; of one four times thicker and slack in comparison, 16
+    times that."""
     thick = replace(DENSE, membrane=replace(DENSE.membrane, thickness=1.2e-3, pre_stretch=1.005))
     changes = []
     for design in (DENSE, thick):
@@ -114,7 +131,8 @@ def test_servo_lag_is_first_order():
 
 
 def test_camera_switches_act_on_picture_or_on_both_sides():
-    seen, drawn = set_design(DENSE, PHYSICS), set_picture(DENSE, PHYSICS)
+    seen = set_design(DENSE, PHYSICS)
+    drawn = set_picture(DENSE, PHYSICS)
     assert seen.glass.refractive_index == 1.0 and not any(seen.camera.distortion)
     assert drawn.camera.noise_dn == drawn.camera.blur_px == drawn.leds.count == 0
     everything = CAMERA | PHYSICS
@@ -124,11 +142,25 @@ def test_camera_switches_act_on_picture_or_on_both_sides():
 def test_auto_keeps_what_the_shipped_scene_needs():
     on = choose(DENSE, load_object("egg")).on
     assert on >= PHYSICS | CAMERA
-    assert not {"bending", "heat exchange", "valve flow", "servo dynamics", "motion blur", "latency", "shadows"} & on
+    assert (
+        not {
+            "bending",
+            "heat exchange",
+            "valve flow",
+            "servo dynamics",
+            "motion blur",
+            "latency",
+            "shadows",
+        }
+        & on
+    )
 
 
 def test_gates_open_and_close():
-    airy = replace(DENSE, chamber=replace(DENSE.chamber, heat_ratio=1.4, heat_exchange=1.0, valve_conductance=1e-7))
+    airy = replace(
+        DENSE,
+        chamber=replace(DENSE.chamber, heat_ratio=1.4, heat_exchange=1.0, valve_conductance=1e-7),
+    )
     assert {"heat exchange", "valve flow"} <= choose(airy).on
     assert "gravity" not in choose(DENSE, force_error=0.1).on  # 3 mN of sheet against 100 mN
     assert "servo dynamics" in choose(replace(DENSE, camera=replace(DENSE.camera, rate=120.0))).on
@@ -140,34 +172,45 @@ def test_shadows_are_for_steep_sheets_and_grazing_light():
     def on(design=DENSE, **kwargs):
         return "shadows" in choose(design, egg, **kwargs).on
 
-    assert on(force_error=0.002)  # the slopes beside an egg alone move 3 mN at 0.4 N (docs/effects.md)
+    # the slopes beside an egg alone move 3 mN at 0.4 N (docs/effects.md)
+    assert on(force_error=0.002)
     low = replace(DENSE.camera, distance=0.010)
-    assert on(replace(DENSE, camera=low, chamber=replace(DENSE.chamber, depth=5e-3)))  # rays of 15 degrees
+    # rays of 15 degrees
+    assert on(replace(DENSE, camera=low, chamber=replace(DENSE.chamber, depth=5e-3)))
     wide = replace(DENSE, leds=replace(DENSE.leds, ring_radius=0.018))
     assert on(wide) and not on(DENSE)  # LEDs that look in past the frame's wall, at y = 15 mm
-    assert not on(replace(wide, leds=replace(wide.leds, falloff=0.0)))  # light from everywhere throws no shadow
+    # light from everywhere throws no shadow
+    assert not on(replace(wide, leds=replace(wide.leds, falloff=0.0)))
 
 
-@pytest.mark.parametrize(("effects", "kind"), [("+shadows", ShadowedLight), ("-shadows", Light), ("auto", Light)])
+@pytest.mark.parametrize(
+    ("effects", "kind"), [("+shadows", ShadowedLight), ("-shadows", Light), ("auto", Light)]
+)
 def test_a_rig_s_cameras_draw_shadows_when_they_are_on(effects, kind):
     rig = build_sim_rig(DENSE, object_name="egg", seed=0, effects=effects)
     rig.close()
-    assert {type(camera._renderer._light) for camera in rig.cameras} == {kind}  # off: the other is not even there
+    # off: the other is not even there
+    assert {type(camera._renderer._light) for camera in rig.cameras} == {kind}
 
 
-@pytest.mark.parametrize(("radius", "force", "measured"),
-                         [(4e-3, 0.32, 27), (4e-3, 1.2, 39), (8e-3, 1.06, 32), (16e-3, 0.84, 21)])
+@pytest.mark.parametrize(
+    ("radius", "force", "measured"),
+    [(4e-3, 0.32, 27), (4e-3, 1.2, 39), (8e-3, 1.06, 32), (16e-3, 0.84, 21)],
+)
 def test_slope_beside_a_sphere_is_that_of_the_simulation(radius, force, measured):
-    """`measured` degrees: the steepest of the sheet through the markers, 13 x 11 vertices, pressed to that force."""
+    """`measured` degrees: the steepest of the sheet through the markers, 13 x 11 vertices, pressed
+    to that force."""
     slope = np.degrees(steepness.deepest(DENSE, (radius, radius), force))
-    assert slope == pytest.approx(measured, abs=5)  # a gate's estimate: 5 degrees move the force error by a third
+    # a gate's estimate: 5 degrees move the force error by a third
+    assert slope == pytest.approx(measured, abs=5)
 
 
 def test_slopes_in_the_limit_of_little_force():
     """F = 2 pi R T0 sin(t)^2 without gas: a cap of a sphere in a sheet under constant tension."""
     bare = replace(DENSE, chamber=replace(DENSE.chamber, supply_gauge=0.0))
     expected = np.sqrt(1e-4 / (2 * np.pi * 4e-3 * DENSE.membrane.pretension))
-    assert steepness.deepest(bare, (4e-3, 4e-3), 1e-4) == pytest.approx(expected, rel=1e-2)  # stretch: of order t^2 x 6
+    # stretch: of order t^2 x 6
+    assert steepness.deepest(bare, (4e-3, 4e-3), 1e-4) == pytest.approx(expected, rel=1e-2)
 
 
 def test_half_extents_are_those_across_the_fingers():
@@ -183,7 +226,9 @@ def test_forcing():
     assert parse("auto") == {}
 
 
-@pytest.mark.parametrize("text", ["bending", "+nonsense", "+plasticity", "-large deflection", "++gas"])
+@pytest.mark.parametrize(
+    "text", ["bending", "+nonsense", "+plasticity", "-large deflection", "++gas"]
+)
 def test_forcing_what_cannot_be_is_refused(text):
     with pytest.raises(InputError):
         parse(text)
@@ -196,7 +241,8 @@ def test_every_effect_has_one_name():
 
 def test_richardson_is_exact_for_a_second_order_error():
     # f(h) = 1 + 3 h^2 on meshes of 12 x 12 and 8 x 8 intervals
-    fine, coarse = 1 + 3 / 12**2, 1 + 3 / 8**2
+    fine = 1 + 3 / 12**2
+    coarse = 1 + 3 / 8**2
     assert richardson(fine, coarse, (13, 13), (9, 9)) == pytest.approx(3 / 12**2)
     assert coarser((13, 11), 4e-3) == ((9, 7), 8e-3)
     assert np.isnan(richardson(1.0, 1.0, (9, 9), (9, 9)))
@@ -214,11 +260,16 @@ def test_a_grasp_estimates_its_own_error():
     estimate = GraspEstimate(world)
     assert np.isnan(estimate.force_error())
     estimate.keep()
-    # the default mesh is within a few per cent of 0.5 N (docs/accuracy.md); an estimate of 0 or of the force is broken
+    # the default mesh is within a few per cent of 0.5 N (docs/accuracy.md); an estimate of 0 or of
+    # the force is broken
     assert 1e-5 < estimate.force_error() < 0.1
 
 
 def test_an_effect_is_its_name_and_a_misspelt_one_is_refused():
-    assert effects_named(["gas", "LED shading"]) == {Effect.GAS, Effect.LED_SHADING} == {"gas", "LED shading"}
+    assert (
+        effects_named(["gas", "LED shading"])
+        == {Effect.GAS, Effect.LED_SHADING}
+        == {"gas", "LED shading"}
+    )
     with pytest.raises(InputError, match=r"'frction' is not an effect \(valid: gas, .*shadows"):
         PressWorld(DENSE, Indenter("sphere", 0.016), mesh=MESH, effects={"frction"})

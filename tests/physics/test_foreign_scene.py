@@ -1,4 +1,5 @@
-"""A sensor in a scene that somebody else wrote: their options, contact bits, keyframes and files."""
+"""A sensor in a scene that somebody else wrote: their options, contact bits, keyframes and
+files."""
 
 import mujoco
 import numpy as np
@@ -15,11 +16,15 @@ THEIRS = """<mujoco><option noslip_iterations="20" {option}><flag {flag}/></opti
   <geom size="0.015" mass="0.02" contype="{bits}" conaffinity="{bits}"/></body>
 </worldbody>
 <keyframe><key name="home" qpos="0.1 0.2" qvel="1 2"/></keyframe></mujoco>"""
-BESIDE, ABOVE = "1 0 0.5", "0 0 0.448"  # the latter 3 mm over the flat membrane
+# the latter 3 mm over the flat membrane
+BESIDE = "1 0 0.5"
+ABOVE = "0 0 0.448"
 
 
 def theirs(*, place=BESIDE, bits=1, option="", flag="contact='enable'", size=""):
-    spec = mujoco.MjSpec.from_string(THEIRS.format(place=place, bits=bits, option=option, flag=flag, size=size))
+    spec = mujoco.MjSpec.from_string(
+        THEIRS.format(place=place, bits=bits, option=option, flag=flag, size=size)
+    )
     changed = recommend_options(spec)
     return spec, changed
 
@@ -41,13 +46,28 @@ def bulge(sensor):
     return sensor.height_at(0.0, 0.0)
 
 
-@pytest.mark.parametrize(("changes", "said"), [
-    ({}, ["integrator", "solver", "noslip_iterations: 20 -> 0", "timestep: 0.002 s -> 0.004 s", "autoreset"]),
-    ({"option": 'solver="CG" integrator="implicitfast" jacobian="dense"'}, ["implicitfast -> discrete", "jacobian: dense"]),
-    ({"flag": 'contact="disable" spring="disable"'}, ["flag contact", "flag spring"]),
-    ({"flag": 'override="enable"'}, ["flag override"]),
-    ({"size": '<size memory="100K"/>'}, ["size.memory: 102400"]),
-])
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (
+            {},
+            [
+                "integrator",
+                "solver",
+                "noslip_iterations: 20 -> 0",
+                "timestep: 0.002 s -> 0.004 s",
+                "autoreset",
+            ],
+        ),
+        (
+            {"option": 'solver="CG" integrator="implicitfast" jacobian="dense"'},
+            ["implicitfast -> discrete", "jacobian: dense"],
+        ),
+        ({"flag": 'contact="disable" spring="disable"'}, ["flag contact", "flag spring"]),
+        ({"flag": 'override="enable"'}, ["flag override"]),
+        ({"size": '<size memory="100K"/>'}, ["size.memory: 102400"]),
+    ],
+)
 def test_recommended_options_say_what_they_changed_and_then_carry_a_sensor(changes, said):
     spec, changed = theirs(**changes)
     assert all(any(words in line for line in changed) for words in said)
@@ -64,7 +84,8 @@ def test_an_objects_contact_bits_do_not_matter():
         settle(model, data, sensor)
         assert data.body("ball").xpos[2] > 0.443  # it lies on the membrane
         depths.append(bulge(sensor))
-    np.testing.assert_allclose(depths, depths[0], rtol=1e-6)  # the same contacts, whatever bit they have
+    # the same contacts, whatever bit they have
+    np.testing.assert_allclose(depths, depths[0], rtol=1e-6)
 
 
 def test_a_site_that_cannot_carry_a_sensor_is_refused():
@@ -81,7 +102,9 @@ def test_keyframes_keep_their_joints():
     spec, _ = theirs()
     attach(spec, "dense", site="tip")
     model = spec.compile()
-    places = [(model.joint(name).qposadr[0], model.joint(name).dofadr[0]) for name in ("first", "last")]
+    places = [
+        (model.joint(name).qposadr[0], model.joint(name).dofadr[0]) for name in ("first", "last")
+    ]
     assert [model.key_qpos[0, qpos] for qpos, _ in places] == [0.1, 0.2]
     assert [model.key_qvel[0, dof] for _, dof in places] == [1.0, 2.0]
 
@@ -109,8 +132,17 @@ def test_binding_again_while_a_sensor_sleeps_starts_from_an_awake_model():
     spec, _ = theirs()
     attachment = attach(spec, "dense", site="tip")
     model, data, sensor = bound(spec, attachment)
-    names = ("geom_gap", "geom_conaffinity", "body_margin", "body_conaffinity", "flex_conaffinity", "flex_rigid", "jnt_stiffness",
-             "qpos_spring", "tendon_num")
+    names = (
+        "geom_gap",
+        "geom_conaffinity",
+        "body_margin",
+        "body_conaffinity",
+        "flex_conaffinity",
+        "flex_rigid",
+        "jnt_stiffness",
+        "qpos_spring",
+        "tendon_num",
+    )
     awake = [np.copy(getattr(model, name)) for name in names]
     settle(model, data, sensor)
     assert sensor.is_asleep

@@ -1,4 +1,5 @@
-"""The gas against closed forms: Boyle, adiabatic, the heat exchange between them, valve, leak. No membrane in sight."""
+"""The gas against closed forms: Boyle, adiabatic, the heat exchange between them, valve, leak. No
+membrane in sight."""
 
 import math
 
@@ -9,7 +10,8 @@ from mjtactile.core.design import Chamber
 from mjtactile.core.errors import InputError
 from mjtactile.sim.sensor.gas import Gas
 
-AMBIENT, VOLUME = 101325.0, 2.4e-5
+AMBIENT = 101325.0
+VOLUME = 2.4e-5
 
 
 def closed(gauge=1000.0, **chamber):
@@ -32,7 +34,8 @@ def ramp(gas, end, duration, steps=200):
 def test_closed_gas_keeps_p_v_gamma(heat_ratio):
     gas = closed(heat_ratio=heat_ratio)
     absolute = ramp(gas, 0.8 * VOLUME, 1.0)
-    assert absolute * 0.8**heat_ratio == pytest.approx(102325.0, rel=1e-12)  # exact in each step: rounding only
+    # exact in each step: rounding only
+    assert absolute * 0.8**heat_ratio == pytest.approx(102325.0, rel=1e-12)
     expected = 293.15 * 0.8 ** (1 - heat_ratio)
     assert gas.temperature == pytest.approx(expected, rel=1e-12)
 
@@ -52,7 +55,8 @@ def test_after_a_quick_squeeze_the_pressure_decays_with_the_time_constant():
     for _ in range(100):
         gas.advance(0.9 * VOLUME, 0.01)
     expected = end + (start - end) * math.exp(-1.0 / tau)
-    assert gas.pressure_gauge + AMBIENT == pytest.approx(expected, rel=1e-9)  # exact at constant volume
+    # exact at constant volume
+    assert gas.pressure_gauge + AMBIENT == pytest.approx(expected, rel=1e-9)
 
 
 def test_one_step_equals_many_at_a_constant_relative_rate():
@@ -61,8 +65,15 @@ def test_one_step_equals_many_at_a_constant_relative_rate():
     assert once == pytest.approx(many, rel=1e-10)  # the solution is exact for such a ramp
 
 
-@pytest.mark.parametrize("chamber", [{}, {"heat_ratio": 1.4}, {"heat_ratio": 1.4, "heat_exchange": 0.01},
-                                     {"heat_ratio": 1.4, "leak_conductance": 1e-8}])
+@pytest.mark.parametrize(
+    "chamber",
+    [
+        {},
+        {"heat_ratio": 1.4},
+        {"heat_ratio": 1.4, "heat_exchange": 0.01},
+        {"heat_ratio": 1.4, "leak_conductance": 1e-8},
+    ],
+)
 @pytest.mark.parametrize("step", [1e-3, 8e-3])
 def test_stiffness_is_the_response_of_the_next_step(chamber, step):
     def pressure(change):
@@ -72,9 +83,12 @@ def test_stiffness_is_the_response_of_the_next_step(chamber, step):
 
     change = 1e-5 * VOLUME
     slope = (pressure(-change) - pressure(change)) / (2 * change)
-    # `advance` lets gas flow before and after the change, the stiffness during it: exp(-x/2) against (1 - exp(-x))/x,
-    # x^2/24 with x = 0.47 at 8 ms; where nothing leaks, only the curvature of the law is left
-    assert closed(0.0, **chamber).stiffness(step) == pytest.approx(slope, rel=0.02 if "leak_conductance" in chamber else 1e-6)
+    # `advance` lets gas flow before and after the change, the stiffness during it: exp(-x/2)
+    # against (1 - exp(-x))/x, x^2/24 with x = 0.47 at 8 ms; where nothing leaks, only the curvature
+    # of the law is left
+    assert closed(0.0, **chamber).stiffness(step) == pytest.approx(
+        slope, rel=0.02 if "leak_conductance" in chamber else 1e-6
+    )
 
 
 def test_an_open_valve_fills_with_its_time_constant():
@@ -83,7 +97,8 @@ def test_an_open_valve_fills_with_its_time_constant():
     tau = VOLUME / (1e-9 * (AMBIENT + 500.0))  # isothermal: V / (C p) = 0.24 s
     for _ in range(60):
         gas.advance(VOLUME, tau / 60)
-    assert gas.pressure_gauge == pytest.approx(500 * (1 - math.exp(-1)), rel=1e-3)  # the rate uses the higher pressure
+    # the rate uses the higher pressure
+    assert gas.pressure_gauge == pytest.approx(500 * (1 - math.exp(-1)), rel=1e-3)
     for _ in range(2000):
         gas.advance(VOLUME, tau / 60)
     assert gas.pressure_gauge == pytest.approx(500.0, abs=1e-6)
@@ -94,12 +109,14 @@ def test_an_open_valve_fills_with_its_time_constant():
 
 
 def test_charging_adiabatically_heats_by_gamma():
-    """An evacuated rigid vessel that fills quickly from air at T ends at gamma T (first law, textbook)."""
+    """An evacuated rigid vessel that fills quickly from air at T ends at gamma T (first law,
+    textbook)."""
     gas = closed(-0.999 * AMBIENT, heat_ratio=1.4, leak_conductance=1e-8)
     for _ in range(4000):
         gas.advance(VOLUME, 1e-4)
     assert gas.pressure_gauge == pytest.approx(0.0, abs=1.0)
-    assert gas.temperature == pytest.approx(1.4 * 293.15, rel=2e-3)  # 0.1 % of the gas was there before, at T
+    # 0.1 % of the gas was there before, at T
+    assert gas.temperature == pytest.approx(1.4 * 293.15, rel=2e-3)
 
 
 def test_a_leak_and_a_puncture_lose_the_pressure_and_nothing_else():

@@ -1,4 +1,5 @@
-"""Inverse finite elements against an independent membrane (tests/reference_membrane.py), symmetry and its own statistics."""
+"""Inverse finite elements against an independent membrane (tests/reference_membrane.py), symmetry
+and its own statistics."""
 
 from __future__ import annotations
 
@@ -17,42 +18,62 @@ from mjtactile.sensing.touch.patches import find_patches, together
 from tests.numpy_chain.inverse import half_of, moments
 
 SUPPLY = 1000.0  # Pa
-OBLIQUE, PLACE = np.array([0.15, -0.05, -0.6]), (0.004, -0.002)
+OBLIQUE = np.array([0.15, -0.05, -0.6])
+PLACE = (0.004, -0.002)
 RIM = 0.0065  # m, radius of a flat face, which presses at its rim
 PAIR = ((-0.009, 0.002), (0.009, -0.002))
 
 
 class Truth:
-    """The paper's membrane as triangles: at rest, under one oblique patch, and under two patches."""
+    """The paper's membrane as triangles: at rest, under one oblique patch, and under two
+    patches."""
 
     def __init__(self):
         d = load_sensor("dense")
         m = d.membrane
-        self.fem = ReferenceMembrane(d.frame.length, d.frame.width, m.thickness, m.young, m.poisson, m.pre_stretch,
-                                     d.chamber_volume_flat, d.chamber.ambient, n=33)
+        self.fem = ReferenceMembrane(
+            d.frame.length,
+            d.frame.width,
+            m.thickness,
+            m.young,
+            m.poisson,
+            m.pre_stretch,
+            d.chamber_volume_flat,
+            d.chamber.ambient,
+            n=33,
+        )
         self.rest, _ = self.fem.solve(np.zeros((len(self.fem.X), 3)), gauge=SUPPLY)
         self.volume = self.fem._volume(self.rest)[0]
         self.sealed = (d.chamber.ambient + SUPPLY) * (d.chamber_volume_flat + self.volume)
         self.load = self.patch(PLACE, OBLIQUE, 0.006)
         self.pressed, self.gauge = self.fem.solve(self.load, sealed=self.sealed, x=self.rest)
-        two = sum(self.patch(place, np.array([0, 0, -force]), 0.005) for place, force in zip(PAIR, (0.3, 0.5), strict=True))
+        two = sum(
+            self.patch(place, np.array([0, 0, -force]), 0.005)
+            for place, force in zip(PAIR, (0.3, 0.5), strict=True)
+        )
         self.twice, _ = self.fem.solve(two, sealed=self.sealed, x=self.rest)
 
     def patch(self, center, force, radius):
-        weight = np.clip(1 - np.sum((self.fem.X - center) ** 2, axis=1) / radius**2, 0, None) * self.fem.node_area
+        weight = (
+            np.clip(1 - np.sum((self.fem.X - center) ** 2, axis=1) / radius**2, 0, None)
+            * self.fem.node_area
+        )
         return np.outer(weight / weight.sum(), force)
 
     def markers(self, design, x, noise=6e-6):
         q = design.markers.p_SM
         grid = x.reshape(*self.fem.shape, 3)
         splines = [RectBivariateSpline(*self.fem.grid, grid[..., k]) for k in range(3)]
-        p, g1, g2 = (np.column_stack([s(q[:, 0], q[:, 1], grid=False, **slope) for s in splines])
-                     for slope in ({}, {"dx": 1}, {"dy": 1}))
+        p, g1, g2 = (
+            np.column_stack([s(q[:, 0], q[:, 1], grid=False, **slope) for s in splines])
+            for slope in ({}, {"dx": 1}, {"dy": 1})
+        )
         return make_markers(p, noise, n=-np.cross(g1, g2))
 
 
 def make_markers(p, noise=6e-6, n=None):
-    n = np.full(p.shape, np.nan) if n is None else n / np.linalg.norm(n, axis=1)[:, None]  # NaN: not known
+    # NaN: not known
+    n = np.full(p.shape, np.nan) if n is None else n / np.linalg.norm(n, axis=1)[:, None]
     return Markers(np.arange(len(p)), p, n, np.tile(np.eye(3) * noise**2, (len(p), 1, 1)))
 
 
@@ -81,10 +102,15 @@ def test_tangent_is_the_derivative_of_the_residual():
     c = sheet.equilibrium(Gas(SUPPLY))
     v = 1e-6 * np.random.default_rng(0).standard_normal(c.shape)
     band = sheet.tangent(sheet.state(c), SUPPLY)
-    lower = sum(np.diag(band[: len(band) - below, below], -below) for below in range(sheet.width + 1))
+    lower = sum(
+        np.diag(band[: len(band) - below, below], -below) for below in range(sheet.width + 1)
+    )
     K = lower + np.tril(lower, -1).T  # the three components of a spline together
-    change = (sheet.residual(sheet.state(c + v), SUPPLY) - sheet.residual(sheet.state(c - v), SUPPLY)) / 2
-    # 2-point Gauss quadrature leaves the follower pressure's matrix unsymmetric by 5e-4, of which half is used
+    change = (
+        sheet.residual(sheet.state(c + v), SUPPLY) - sheet.residual(sheet.state(c - v), SUPPLY)
+    ) / 2
+    # 2-point Gauss quadrature leaves the follower pressure's matrix unsymmetric by 5e-4, of which
+    # half is used
     assert np.linalg.norm(K @ v.T.ravel() - change.T.ravel()) < 2e-3 * np.linalg.norm(change)
 
 
@@ -97,8 +123,13 @@ def test_force_torque_and_pressure_of_an_oblique_patch(sensor, truth):
     np.testing.assert_allclose(traction.wrench[:2], OBLIQUE[:2], atol=0.015)
     torque = np.cross(truth.pressed, truth.load).sum(axis=0)
     np.testing.assert_allclose(traction.wrench[3:], torque, atol=0.6 * 4e-4)  # 0.6 N at 0.4 mm
-    nodal = (shape.traction * estimator.node_area).T  # and to rounding it is the moment of the nodal forces
-    np.testing.assert_allclose(traction.wrench[3:], np.cross(estimator.node_positions(shape.c), nodal).sum(axis=0), atol=1e-12)
+    # and to rounding it is the moment of the nodal forces
+    nodal = (shape.traction * estimator.node_area).T
+    np.testing.assert_allclose(
+        traction.wrench[3:],
+        np.cross(estimator.node_positions(shape.c), nodal).sum(axis=0),
+        atol=1e-12,
+    )
     assert traction.pressure_gauge == pytest.approx(truth.gauge, rel=0.02)
     assert traction.force[..., :].sum(axis=(0, 1)) == pytest.approx(traction.wrench[:3])
 
@@ -109,9 +140,11 @@ def test_patch_lies_where_the_load_is(sensor, truth):
     patches = find_patches(estimator, shape, rest)
     assert len(patches) == 1
     where = np.abs(truth.load[:, 2]) @ truth.pressed[:, :2] / np.abs(truth.load[:, 2]).sum()
-    np.testing.assert_allclose(patches[0].centroid, where, atol=6e-4)  # twice the mean that bench touch asks for
+    # twice the mean that bench touch asks for
+    np.testing.assert_allclose(patches[0].centroid, where, atol=6e-4)
     assert 0.5e-3 < patches[0].depth < 4e-3
-    # a parabola of radius 6 mm: most of its force lies within 4 mm (50 mm^2), nothing beyond 6 mm (113 mm^2)
+    # a parabola of radius 6 mm: most of its force lies within 4 mm (50 mm^2), nothing beyond 6 mm
+    # (113 mm^2)
     assert 40e-6 < patches[0].area < 120e-6
     inside = patches[0].outline
     assert np.linalg.norm(inside - patches[0].centroid, axis=1).max() < 8e-3
@@ -120,13 +153,21 @@ def test_patch_lies_where_the_load_is(sensor, truth):
 def test_two_patches_are_told_apart(truth):
     estimator = InverseMembrane(load_sensor("dense"))
     rest = estimator.rest_state(truth.markers(estimator.design, truth.rest), SUPPLY)
-    patches = find_patches(estimator, estimator.estimate(truth.markers(estimator.design, truth.twice), rest), rest)
+    patches = find_patches(
+        estimator, estimator.estimate(truth.markers(estimator.design, truth.twice), rest), rest
+    )
     assert len(patches) == 2
     strong, weak = patches
-    assert strong.centroid[0] == pytest.approx(PAIR[1][0], abs=1e-3) and weak.centroid[0] == pytest.approx(PAIR[0][0], abs=1e-3)
-    assert -strong.force[2] == pytest.approx(0.5, abs=0.06) and -weak.force[2] == pytest.approx(0.3, abs=0.06)
+    assert strong.centroid[0] == pytest.approx(PAIR[1][0], abs=1e-3) and weak.centroid[
+        0
+    ] == pytest.approx(PAIR[0][0], abs=1e-3)
+    assert -strong.force[2] == pytest.approx(0.5, abs=0.06) and -weak.force[2] == pytest.approx(
+        0.3, abs=0.06
+    )
     both = together(patches, (3, 4))
-    assert both.area == pytest.approx(strong.area + weak.area) and both.force[2] == pytest.approx(-0.8, abs=0.04)
+    assert both.area == pytest.approx(strong.area + weak.area) and both.force[2] == pytest.approx(
+        -0.8, abs=0.04
+    )
 
 
 def test_mirror_image_gives_the_mirrored_wrench(sensor, truth):
@@ -142,35 +183,48 @@ def test_mirror_image_gives_the_mirrored_wrench(sensor, truth):
     mirrored_rest = estimator.rest_state(mirrored(truth.markers(design, truth.rest)), SUPPLY)
     one = estimator.traction(estimator.estimate(pressed, rest)).wrench
     other = estimator.traction(estimator.estimate(mirrored(pressed), mirrored_rest)).wrench
-    # the same operations in another order: only where an iteration stops (30 um of shape) can differ
+    # the same operations in another order: only where an iteration stops (30 um of shape) can
+    # differ
     np.testing.assert_allclose(other * [-1, 1, 1, 1, -1, -1], one, atol=1e-4)
 
 
 def test_covariance_is_that_of_errors_drawn_from_prior_and_noise(sensor, truth):
-    """Draw tractions from the prior and noise from the markers; the linear estimate must err by the predicted covariance."""
+    """Draw tractions from the prior and noise from the markers; the linear estimate must err by the
+    predicted covariance."""
     estimator, rest = sensor
     shape = estimator.estimate(truth.markers(estimator.design, truth.pressed), rest)
-    gain, moment = shape.gain, moments(estimator, shape.c)
+    gain = shape.gain
+    moment = moments(estimator, shape.c)
     rng = np.random.default_rng(1)
-    root = half_of(estimator.prior, np.eye(len(gain.prior)), gain.prior)  # of the prior's covariance
-    drawn, seen = rng.standard_normal((len(root), 400)), gain.half
+    # of the prior's covariance
+    root = half_of(estimator.prior, np.eye(len(gain.prior)), gain.prior)
+    drawn = rng.standard_normal((len(root), 400))
+    seen = gain.half
     t = root @ drawn
-    y = seen @ drawn + gain.drift @ rng.standard_normal((4, 400)) + rng.standard_normal((len(seen), 400))
+    y = (
+        seen @ drawn
+        + gain.drift @ rng.standard_normal((4, 400))
+        + rng.standard_normal((len(seen), 400))
+    )
     S = seen @ seen.T + gain.drift @ gain.drift.T + np.eye(len(seen))
     error = moment @ (root @ (seen.T @ np.linalg.solve(S, y)) - t)
     predicted = np.sqrt(np.diag(estimator._posterior(shape, estimator.node_positions(shape.c))))
     share = np.sqrt(estimator.posterior_share(shape))
-    np.testing.assert_allclose(error.std(axis=1) * share, predicted, rtol=0.12)  # 400 draws: 3.5 %, six of them
+    # 400 draws: 3.5 %, six of them
+    np.testing.assert_allclose(error.std(axis=1) * share, predicted, rtol=0.12)
 
 
 def test_softer_rubber_is_absorbed_by_the_rest_state(truth):
-    """Told 10 % too stiff a rubber, the estimator finds it from the bulge and still feels the right force."""
+    """Told 10 % too stiff a rubber, the estimator finds it from the bulge and still feels the right
+    force."""
     nominal = load_sensor("dense")
     wrong = replace(nominal, membrane=replace(nominal.membrane, young=1.1 * nominal.membrane.young))
     estimator = InverseMembrane(wrong)
     rest = estimator.rest_state(truth.markers(nominal, truth.rest), SUPPLY)
     assert rest.stiffness_scale == pytest.approx(1 / 1.1, abs=0.01)
-    wrench = estimator.traction(estimator.estimate(truth.markers(nominal, truth.pressed), rest)).wrench
+    wrench = estimator.traction(
+        estimator.estimate(truth.markers(nominal, truth.pressed), rest)
+    ).wrench
     assert wrench[2] == pytest.approx(OBLIQUE[2], abs=0.03)
 
 
@@ -184,24 +238,30 @@ def test_starting_from_the_last_frame_gives_the_same_force(sensor, truth):
     assert np.abs(difference).max() < 0.01  # reweighting goes on, within the error bar
 
 
-# -- slopes of the markers --------------------------------------------------------------------------------------------
+# -- slopes of the markers
+# --------------------------------------------------------------------------------
 
 
 def test_rows_of_slopes_are_their_derivative(truth):
     estimator = InverseMembrane(load_sensor("paper16"))
-    slopes, markers = estimator._slopes, truth.markers(estimator.design, truth.pressed)
+    slopes = estimator._slopes
+    markers = truth.markers(estimator.design, truth.pressed)
     assert slopes is not None
-    c = estimator.estimate(markers, estimator.rest_state(truth.markers(estimator.design, truth.rest), SUPPLY)).c
+    c = estimator.estimate(
+        markers, estimator.rest_state(truth.markers(estimator.design, truth.rest), SUPPLY)
+    ).c
     v = 1e-7 * np.random.default_rng(3).standard_normal(c.shape)
     change = (slopes.off(markers, c - v) - slopes.off(markers, c + v)) / 2
     # central differences: what is left is of third order, (1e-4)^2 of slopes that change by 1e-4
-    moved = np.stack([along @ v.T for along in (slopes._along_x, slopes._along_y)])  # the tangents, (2, 16, 3)
+    # the tangents, (2, 16, 3)
+    moved = np.stack([along @ v.T for along in (slopes._along_x, slopes._along_y)])
     predicted = np.einsum("tmki,tmi->mk", slopes.rows(c, markers.ids), moved[:, markers.ids])
     np.testing.assert_allclose(predicted, change, rtol=1e-5, atol=1e-11)
 
 
 def test_slopes_tell_what_sparse_markers_miss(truth):
-    """A face stands on the four middle markers: their slopes say that it is flat, where heights alone allow a deeper dent."""
+    """A face stands on the four middle markers: their slopes say that it is flat, where heights
+    alone allow a deeper dent."""
     estimator = InverseMembrane(load_sensor("paper16"))
     rest = estimator.rest_state(truth.markers(estimator.design, truth.rest), SUPPLY)
     rim = np.exp(-(((np.linalg.norm(truth.fem.X, axis=1) - RIM) / 8e-4) ** 2)) * truth.fem.node_area
@@ -209,8 +269,12 @@ def test_slopes_tell_what_sparse_markers_miss(truth):
     pressed, _ = truth.fem.solve(load, sealed=truth.sealed, x=truth.rest)
     markers = truth.markers(estimator.design, pressed)
     blind = make_markers(markers.p_SM)
-    seeing, blind = (abs(estimator.traction(estimator.estimate(m, rest)).wrench[2] + 0.85) for m in (markers, blind))
-    # 0.011 N and 0.039 N; triangles of 1.25 mm are stiffer than the sheet by up to 3 % under a patch, 0.5 % under this one
+    seeing, blind = (
+        abs(estimator.traction(estimator.estimate(m, rest)).wrench[2] + 0.85)
+        for m in (markers, blind)
+    )
+    # 0.011 N and 0.039 N; triangles of 1.25 mm are stiffer than the sheet by up to 3 % under a
+    # patch, 0.5 % under this one
     assert seeing < 0.015 < 0.03 < blind
 
 
@@ -222,5 +286,8 @@ def test_a_wrong_slope_is_left_out(truth):
     n = markers.n_S.copy()
     n[5, :2] *= -4.0
     n[9] = np.nan
-    right, wrong = (estimator.traction(estimator.estimate(m, rest)).wrench[2] for m in (markers, replace(markers, n_S=n)))
+    right, wrong = (
+        estimator.traction(estimator.estimate(m, rest)).wrench[2]
+        for m in (markers, replace(markers, n_S=n))
+    )
     assert wrong == pytest.approx(right, abs=0.01)  # 14 of 16 slopes instead of 16; asked 0.04 N

@@ -14,22 +14,32 @@ from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor.chamber import ChamberGeometry
 from mjtactile.sim.sensor.mesh import MarkerInterpolator, make_mesh
 
-# Rectangle 2a x 2b, p = C1 T0 w0 / a^2 + C2 E h w0^3 / a^4, each term exact where the other vanishes. Recomputed for
-# this project by Ritz, series and finite elements, which agree to 0.01 %: keys are b/a, then Poisson's ratio.
+# Rectangle 2a x 2b, p = C1 T0 w0 / a^2 + C2 E h w0^3 / a^4, each term exact where the other
+# vanishes. Recomputed for this project by Ritz, series and finite elements, which agree to 0.01 %:
+# keys are b/a, then Poisson's ratio.
 C1 = {1.0: 3.39345, 4 / 3: 2.66753, 1.5: 2.48086, 2.0: 2.19545}
-C2 = {1.0: {0.3: 2.65658, 0.45: 3.22296, 0.49: 3.42903}, 4 / 3: {0.3: 1.77660, 0.45: 2.12927, 0.49: 2.25844},
-      1.5: {0.3: 1.63875, 0.45: 1.94600, 0.49: 2.05926}, 2.0: {0.3: 1.50873, 0.45: 1.75557, 0.49: 1.84867}}
+C2 = {
+    1.0: {0.3: 2.65658, 0.45: 3.22296, 0.49: 3.42903},
+    4 / 3: {0.3: 1.77660, 0.45: 2.12927, 0.49: 2.25844},
+    1.5: {0.3: 1.63875, 0.45: 1.94600, 0.49: 2.05926},
+    2.0: {0.3: 1.50873, 0.45: 1.75557, 0.49: 1.84867},
+}
 SHORT = 0.03  # m, the shorter side
 
 
 def sensor(aspect=4 / 3, poisson=0.45, pre_stretch=1.05, **chamber):
     base = load_sensor("paper16")
-    return replace(base, frame=Frame(SHORT * aspect, SHORT), chamber=Chamber(depth=0.02, **chamber),
-                   membrane=Membrane(3e-4, 1e6, poisson, 950.0, pre_stretch))
+    return replace(
+        base,
+        frame=Frame(SHORT * aspect, SHORT),
+        chamber=Chamber(depth=0.02, **chamber),
+        membrane=Membrane(3e-4, 1e6, poisson, 950.0, pre_stretch),
+    )
 
 
 def hookean(design):
-    """Its sheet St. Venant-Kirchhoff's, which is Hooke's law at small strains: rubber's bulge is 0.8 % higher at 0.5 %."""
+    """Its sheet St. Venant-Kirchhoff's, which is Hooke's law at small strains: rubber's bulge is
+    0.8 % higher at 0.5 %."""
     return replace(design, membrane=replace(design.membrane, law=Law.STVK))
 
 
@@ -55,7 +65,8 @@ def test_small_bulge_is_the_pretensioned_membranes(aspect, poisson):
 def test_large_bulge_without_pretension_is_cubic(aspect, poisson):
     design = hookean(sensor(aspect, poisson, pre_stretch=1.0))
     world = scene(design)
-    a, stiffness = SHORT / 2, 1e6 * 3e-4
+    a = SHORT / 2
+    stiffness = 1e6 * 3e-4
     pressure = 1e-3 * stiffness / a  # p a / E h = 1e-3: strains of 0.5 %, where StVK is Hooke
     settle(world, pressure)
     theory = a * (pressure * a / (C2[aspect][poisson] * stiffness)) ** (1 / 3)
@@ -66,7 +77,8 @@ def test_large_bulge_without_pretension_is_cubic(aspect, poisson):
 def test_fine_mesh_is_within_three_per_mille(pre_stretch):
     design = hookean(sensor(1.5, pre_stretch=pre_stretch))
     world = scene(design, mesh=(33, 27))
-    a, stiffness = SHORT / 2, 1e6 * 3e-4
+    a = SHORT / 2
+    stiffness = 1e6 * 3e-4
     pressure = 20.0 if pre_stretch > 1 else 1e-3 * stiffness / a
     settle(world, pressure, speed=2e-6)
     linear = pressure * a**2 / (C1[1.5] * design.membrane.pretension) if pre_stretch > 1 else np.inf
@@ -77,7 +89,9 @@ def test_fine_mesh_is_within_three_per_mille(pre_stretch):
 
 def test_bulge_converges_at_second_order():
     design = sensor(1.0)
-    heights, pressure = [], 20.0  # the cubic term is 1e-4 of the linear one; the 1 nm within which a sheet sleeps, 2e-5
+    # the cubic term is 1e-4 of the linear one; the 1 nm within which a sheet sleeps, 2e-5
+    heights = []
+    pressure = 20.0
     for n in (9, 17, 33):
         world = scene(design, mesh=(n, n))
         settle(world, pressure, speed=1e-9)
@@ -93,14 +107,17 @@ def test_volume_gradient_is_the_derivative_of_the_volume():
     mesh = make_mesh(0.04, 0.03, 7, 5)
     geometry = ChamberGeometry(mesh, 2.4e-5)
     rng = np.random.default_rng(0)
-    p_SV, direction = mesh.p_SV.copy(), np.zeros_like(mesh.p_SV)
+    p_SV = mesh.p_SV.copy()
+    direction = np.zeros_like(mesh.p_SV)
     p_SV[mesh.interior] += rng.normal(scale=1e-3, size=(len(mesh.interior), 3))
     direction[mesh.interior] = rng.normal(size=(len(mesh.interior), 3))
     _, gradient = geometry.volume_and_gradient(p_SV)
     step = 1e-6
     high, low = (geometry.volume_and_gradient(p_SV + s * step * direction)[0] for s in (1, -1))
     # V is a cubic polynomial: central differences err by step^2 only, 1e-12 of the third derivative
-    assert np.sum(gradient * direction[mesh.interior]) == pytest.approx((high - low) / (2 * step), rel=1e-6)
+    assert np.sum(gradient * direction[mesh.interior]) == pytest.approx(
+        (high - low) / (2 * step), rel=1e-6
+    )
 
 
 def test_volume_of_a_known_surface():
@@ -109,38 +126,52 @@ def test_volume_of_a_known_surface():
     p_SV[:, 2] = 2e-3 * np.cos(np.pi * p_SV[:, 0] / 0.04) * np.cos(np.pi * p_SV[:, 1] / 0.03)
     volume, _ = ChamberGeometry(mesh, 2.4e-5).volume_and_gradient(p_SV)
     bulge = 2e-3 * (0.04 * 2 / np.pi) * (0.03 * 2 / np.pi)
-    assert volume - 2.4e-5 == pytest.approx(bulge, rel=2e-3)  # chords under arcs: (pi h)^2 / 12 a direction
+    # chords under arcs: (pi h)^2 / 12 a direction
+    assert volume - 2.4e-5 == pytest.approx(bulge, rel=2e-3)
 
 
 def test_markers_ride_on_the_surface():
     mesh = make_mesh(0.04, 0.03, 13, 11)
     at = load_sensor("dense").markers.p_SM
-    x, y = mesh.p_SV[:, 0], mesh.p_SV[:, 1]
+    x = mesh.p_SV[:, 0]
+    y = mesh.p_SV[:, 1]
     p_SV = np.column_stack([1.01 * x, y, 2e-3 - 5 * x**2 - 8 * y**2 + 40 * x**3 - 90 * x * y**2])
     p_SM, n_S = MarkerInterpolator(mesh, at).marker_poses(p_SV)
-    X, Y = at[:, 0], at[:, 1]
+    X = at[:, 0]
+    Y = at[:, 1]
     # a cubic is in the spline's space, so only rounding is left
-    np.testing.assert_allclose(p_SM[:, 2], 2e-3 - 5 * X**2 - 8 * Y**2 + 40 * X**3 - 90 * X * Y**2, atol=1e-12)
-    normal = np.column_stack([-(-10 * X + 120 * X**2 - 90 * Y**2) / 1.01, 16 * Y + 180 * X * Y, np.ones(len(X))])
-    np.testing.assert_allclose(n_S, normal / np.linalg.norm(normal, axis=1, keepdims=True), atol=1e-10)
+    np.testing.assert_allclose(
+        p_SM[:, 2], 2e-3 - 5 * X**2 - 8 * Y**2 + 40 * X**3 - 90 * X * Y**2, atol=1e-12
+    )
+    normal = np.column_stack(
+        [-(-10 * X + 120 * X**2 - 90 * Y**2) / 1.01, 16 * Y + 180 * X * Y, np.ones(len(X))]
+    )
+    np.testing.assert_allclose(
+        n_S, normal / np.linalg.norm(normal, axis=1, keepdims=True), atol=1e-10
+    )
 
 
 def test_sealed_gas_keeps_its_amount_under_outside_pressure():
-    """Boyle, seen from outside: a plate presses the bulge in; pressure and *independently* taken volume follow p V."""
+    """Boyle, seen from outside: a plate presses the bulge in; pressure and *independently* taken
+    volume follow p V."""
     design = sensor()
     world = pressed(design, depth=2e-3)
     device = world.sensors[0]
-    mesh, p = device.mesh, device.p_SV
+    mesh = device.mesh
+    p = device.p_SV
     a, b, c = (p[mesh.triangles[:, k]] for k in range(3))
     volume = design.chamber_volume_flat + np.einsum("ti,ti->", a, np.cross(b, c)) / 6
     device.update()
     before = world.amount  # p V when the valve closed
-    assert (device.pressure_gauge + design.chamber.ambient) * volume == pytest.approx(before, rel=1e-9)
+    assert (device.pressure_gauge + design.chamber.ambient) * volume == pytest.approx(
+        before, rel=1e-9
+    )
     assert device.pressure_gauge > 1200.0  # it did compress: 2 mm of a 25 ml chamber
 
 
 def test_gas_in_a_thin_chamber_is_stable_at_a_long_step():
-    """1 mm of air under 12 cm^2 is twenty times stiffer than the shipped sensor's; an explicit pressure explodes here."""
+    """1 mm of air under 12 cm^2 is twenty times stiffer than the shipped sensor's; an explicit
+    pressure explodes here."""
     world = scene(replace(sensor(), chamber=Chamber(depth=1e-3)), timestep=8e-3)
     device = world.sensors[0]
     settle(world, 1000.0)
@@ -156,7 +187,8 @@ def test_gas_in_a_thin_chamber_is_stable_at_a_long_step():
 
 
 def pressed(design, depth, mesh=(13, 11), radius=0.01, timestep=4e-3):
-    """Inflate to 1 kPa, seal, and push a sphere `depth` m into the bulge; returns the settled world."""
+    """Inflate to 1 kPa, seal, and push a sphere `depth` m into the bulge; returns the settled
+    world."""
     spec = mujoco.MjSpec()
     recommend_options(spec, timestep)
     spec.option.gravity = [0, 0, 0]
@@ -180,7 +212,8 @@ def pressed(design, depth, mesh=(13, 11), radius=0.01, timestep=4e-3):
 def test_contact_force_and_penetration():
     from mjtactile.sim import truth
 
-    coarse, fine = pressed(sensor(), 2e-3), pressed(sensor(), 2e-3, mesh=(25, 19))
+    coarse = pressed(sensor(), 2e-3)
+    fine = pressed(sensor(), 2e-3, mesh=(25, 19))
     force, reference = (-truth.contact_force(w, 0)[2] for w in (coarse, fine))
     assert truth.penetration(coarse, 0) < 0.03 * 2e-3  # the issue's bound
     assert force == pytest.approx(reference, rel=0.05)  # the issue's bound for the real-time mesh

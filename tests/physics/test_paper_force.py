@@ -1,4 +1,5 @@
-"""The paper's own force estimate, dF = c dA with a grid of springs: it works as far as the paper says, and no further."""
+"""The paper's own force estimate, dF = c dA with a grid of springs: it works as far as the paper
+says, and no further."""
 
 import numpy as np
 import pytest
@@ -24,10 +25,12 @@ def test_fit_recovers_an_exact_constant_and_refuses_a_shrinking_area():
 def test_calibrated_on_a_cylinder_it_reads_that_cylinder_roughly():
     design = load_sensor("dense")
     calibration = calibrate_area(design)
-    # A sealed membrane's area grows with the square of depth at first: a line through it misses by 0.1-0.25 N (measured;
-    # the paper's 0.04 N needs a larger initial load). That is why statics is the default.
+    # A sealed membrane's area grows with the square of depth at first: a line through it misses by
+    # 0.1-0.25 N (measured; the paper's 0.04 N needs a larger initial load). That is why statics is
+    # the default.
     assert 2e4 < calibration.constant < 1e5 and 0.04 < calibration.residual < 0.25
-    world, renderer = PressWorld(design, Indenter("cylinder", 5e-3)), Renderer(design, seed=3)
+    world = PressWorld(design, Indenter("cylinder", 5e-3))
+    renderer = Renderer(design, seed=3)
     pipeline = Perception(PaperChain(design, calibration))
 
     def image():
@@ -41,7 +44,10 @@ def test_calibrated_on_a_cylinder_it_reads_that_cylinder_roughly():
     touch = pipeline.perceive(image(), world.time)
     assert touch.traction is not None and touch.traction.method == "paper"
     assert touch.force_normal == pytest.approx(-world.drive_force[2], abs=2 * calibration.residual)
-    # the spring grid presses where the cylinder is: the middle third of the frame carries most of it
+    # the spring grid presses where the cylinder is: the middle third of the frame carries most of
+    # it
     force = -touch.traction.force[..., 2]
-    middle = (np.abs(touch.traction.x) < 0.0067)[None, :] & (np.abs(touch.traction.y) < 0.0067)[:, None]
+    middle = (np.abs(touch.traction.x) < 0.0067)[None, :] & (np.abs(touch.traction.y) < 0.0067)[
+        :, None
+    ]
     assert force[middle].sum() > 0.5 * force[force > 0].sum()

@@ -21,10 +21,13 @@ def pressed(indenter: Indenter, at: tuple[float, float], mesh: tuple[int, int]) 
 
 
 @pytest.mark.parametrize("mesh", [(13, 11), (17, 13)])
-@pytest.mark.parametrize(("name", "reference"), [("wedge.xml", 0.390), ("cone.stl", 0.1198), ("corner.xml", 0.1211)])
+@pytest.mark.parametrize(
+    ("name", "reference"), [("wedge.xml", 0.390), ("cone.stl", 0.1198), ("corner.xml", 0.1211)]
+)
 def test_what_is_sharp_presses_between_vertices_too(name, reference, mesh):
-    """Independent solver's forces (models/truth), 0.6 mm off the vertices: 8 % is what `bench truth` finds at worst on and off
-    them; with spheres that stay on their vertices it is -29 to -51 %, with cells by the vertices' areas +10 to +20 %."""
+    """Independent solver's forces (models/truth), 0.6 mm off the vertices: 8 % is what `bench
+    truth` finds at worst on and off them; with spheres that stay on their vertices it is -29 to -51
+    %, with cells by the vertices' areas +10 to +20 %."""
     indenter = Indenter.parse(str(MODELS / name))
     assert pressed(indenter, (-0.8e-3, 0.3e-3), mesh) == pytest.approx(reference, rel=0.08)
 
@@ -39,14 +42,17 @@ def test_round_things_and_faces_stay_with_the_vertices(indenter):
 
 
 def test_a_ball_between_vertices_comes_to_rest():
-    """A ball of 2 mm where two cells overlap: one vertex takes it and keeps it, so that the press comes to rest."""
+    """A ball of 2 mm where two cells overlap: one vertex takes it and keeps it, so that the press
+    comes to rest."""
     world = PressWorld(load_sensor("paper16"), Indenter.parse("sphere:2"), at=(1.1e-3, 1.2e-3))
     world.inflate(1000.0, seal=True)
     assert world.press(DEPTH, speed=0.04)
 
 
 def test_spheres_come_back():
-    world = PressWorld(load_sensor("dense"), Indenter.parse(str(MODELS / "wedge.xml")), at=(1e-3, 0.0))
+    world = PressWorld(
+        load_sensor("dense"), Indenter.parse(str(MODELS / "wedge.xml")), at=(1e-3, 0.0)
+    )
     world.inflate(1000.0, seal=True)
     world.press(DEPTH)
     places = world.model.geom_pos[world.sensors[0].vertex_geom_ids].copy()

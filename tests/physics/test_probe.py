@@ -1,4 +1,5 @@
-"""`mjtactile probe` on one body of each class, from images to verdict; and the same verdict again from a recording."""
+"""`mjtactile probe` on one body of each class, from images to verdict; and the same verdict again
+from a recording."""
 
 import json
 
@@ -22,11 +23,14 @@ def sensor(tmp_path):
 
 @pytest.fixture
 def brisk(tmp_path):
-    """The probe's controller, in more of a hurry: clay gives way so far that less tells its class."""
+    """The probe's controller, in more of a hurry: clay gives way so far that less tells its
+    class."""
     path = tmp_path / "brisk.py"
     text = resources.find("probe", "controllers", ".py").read_text(encoding="utf-8")
-    for slow, fast in (("PRESS_TRAVEL_MAX = 0.010", "PRESS_TRAVEL_MAX = 0.006"),
-                       ("REST_TIME = 2.0, 1.5", "REST_TIME = 1.0, 0.8")):
+    for slow, fast in (
+        ("PRESS_TRAVEL_MAX = 0.010", "PRESS_TRAVEL_MAX = 0.006"),
+        ("REST_TIME = 2.0, 1.5", "REST_TIME = 1.0, 0.8"),
+    ):
         assert slow in text
         text = text.replace(slow, fast)
     path.write_text(text, encoding="utf-8")
@@ -39,15 +43,21 @@ def probe(capsys, *args):
 
 
 def test_a_sponge_is_soft_and_its_modulus_is_felt(capsys, tmp_path, sensor):
-    code, found = probe(capsys, "--object", "sponge", "--sensor", sensor, "--out", tmp_path / "live")
+    code, found = probe(
+        capsys, "--object", "sponge", "--sensor", sensor, "--out", tmp_path / "live"
+    )
     specimen = SHIPPED["sponge"][0]
     assert (code, found["material"], found["status"]) == (0, "soft", "ok")
     # the free width is known to 50 um of 2 mm; the force to 5 %
-    assert found["stiffness_N_m"] == pytest.approx(specimen.secant_stiffness(found["force_N"]), rel=0.15)
+    assert found["stiffness_N_m"] == pytest.approx(
+        specimen.secant_stiffness(found["force_N"]), rel=0.15
+    )
     # the area of the contact comes in besides, from markers 3 to 4 mm apart on a face of 18 x 16 mm
     assert found["modulus_kPa"] == pytest.approx(1e-3 * specimen.modulus(found["force_N"]), rel=0.4)
     assert found["relaxation_time_s"] == 0 and abs(found["permanent_set_mm"]) < 0.15
-    assert {"probe.json", "probe.png", "probe.html", "recording"} <= {path.name for path in (tmp_path / "live").iterdir()}
+    assert {"probe.json", "probe.png", "probe.html", "recording"} <= {
+        path.name for path in (tmp_path / "live").iterdir()
+    }
     again, replayed = probe(capsys, "--source", tmp_path / "live", "--sensor", sensor)
     assert again == 0 and replayed == found  # lossless images, the same code: the same numbers
 
@@ -69,14 +79,21 @@ def test_shipped_specimens_are_what_their_writer_writes(name):
     path = resources.find(name, "models/objects", ".xml")
     assert path.read_text(encoding="utf-8") == to_mjcf(specimen, name, comment)
     read = load_object(name)
-    assert read.material == specimen.material in MATERIALS and read.turn == pytest.approx(0.0349, rel=1e-3)  # 2 degrees
+    # 2 degrees
+    assert read.material == specimen.material in MATERIALS and read.turn == pytest.approx(
+        0.0349, rel=1e-3
+    )
 
 
-@pytest.mark.parametrize(("args", "words"), [
-    (("--object", "pineapple"), ("pineapple", "sponge")),
-    (("--object", "egg", "--source", "."), ("--source", "either")),
-    (("--source", "nothing-here"), ("nothing-here", "log.jsonl")),
-    (("--seed", "-1"), ("--seed", "-1"))])
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (("--object", "pineapple"), ("pineapple", "sponge")),
+        (("--object", "egg", "--source", "."), ("--source", "either")),
+        (("--source", "nothing-here"), ("nothing-here", "log.jsonl")),
+        (("--seed", "-1"), ("--seed", "-1")),
+    ],
+)
 def test_bad_input_is_one_line_and_exit_code_2(capsys, tmp_path, monkeypatch, args, words):
     monkeypatch.chdir(tmp_path)
     assert main(["probe", *args]) == 2

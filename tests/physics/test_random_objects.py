@@ -1,4 +1,5 @@
-"""Random objects: one seed is one thing, its file is good, it can be held, and it is within the sizes that are said."""
+"""Random objects: one seed is one thing, its file is good, it can be held, and it is within the
+sizes that are said."""
 
 import math
 
@@ -16,24 +17,45 @@ SEEDS = range(120)
 
 def test_all_shapes_come_and_stay_within_what_is_said():
     things = [random_thing(seed) for seed in SEEDS]
-    assert {thing.shape for thing in things} == {"egg", "box", "cylinder", "cone", "bottle", "fruit"}
+    assert {thing.shape for thing in things} == {
+        "egg",
+        "box",
+        "cylinder",
+        "cone",
+        "bottle",
+        "fruit",
+    }
     for thing in things:
-        assert 0.015 <= 2 * thing.a <= 0.061 and 0.015 <= 2 * thing.c <= 0.0701 and 0.005 <= thing.mass <= 0.2
+        assert (
+            0.015 <= 2 * thing.a <= 0.061
+            and 0.015 <= 2 * thing.c <= 0.0701
+            and 0.005 <= thing.mass <= 0.2
+        )
         assert thing.break_force >= max(1.2, _CARRIES * thing.mass) * (1 - 1e-9)
     assert random_thing(7) == things[7] != things[8]
 
 
 @pytest.mark.parametrize("seed", range(30))
 def test_the_file_is_the_thing(seed):
-    """Mass, and moments of inertia against those of the hull's own vertices or the primitives; it stands where it is put."""
-    thing, item = random_thing(seed), load_object(f"random:{seed}")
-    assert item.mass == pytest.approx(thing.mass, rel=1e-5) and item.break_force == pytest.approx(thing.break_force, rel=1e-5)
-    assert item.grasp_height >= 0.0259 and item.turn == pytest.approx(math.radians(3) if thing.shape == "box" else math.pi)
+    """Mass, and moments of inertia against those of the hull's own vertices or the primitives; it
+    stands where it is put."""
+    thing = random_thing(seed)
+    item = load_object(f"random:{seed}")
+    assert item.mass == pytest.approx(thing.mass, rel=1e-5) and item.break_force == pytest.approx(
+        thing.break_force, rel=1e-5
+    )
+    assert item.grasp_height >= 0.0259 and item.turn == pytest.approx(
+        math.radians(3) if thing.shape == "box" else math.pi
+    )
     spec = read_spec(item)
-    spec.option.integrator, spec.option.timestep = mujoco.mjtIntegrator.mjINT_IMPLICITFAST, 1e-3
-    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 1], friction=[0.3, 0.005, 1e-4])
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.timestep = 1e-3
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 1], friction=[0.3, 0.005, 1e-4]
+    )
     model = spec.compile()
-    assert features.smallest_feature(model)[0] > 0.002  # a membrane of the default mesh meets it with its vertices
+    # a membrane of the default mesh meets it with its vertices
+    assert features.smallest_feature(model)[0] > 0.002
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, 500)
     body = data.body("object")
@@ -42,18 +64,28 @@ def test_the_file_is_the_thing(seed):
 
 def test_a_box_is_as_large_as_drawn_and_as_heavy_to_turn():
     seed = next(seed for seed in SEEDS if random_thing(seed).shape == "box")
-    thing, model = random_thing(seed), read_spec(load_object(f"random:{seed}")).compile()
+    thing = random_thing(seed)
+    model = read_spec(load_object(f"random:{seed}")).compile()
     sizes = np.sort(np.ptp(model.mesh_vert, axis=0))  # a mesh's axes are its principal ones
     np.testing.assert_allclose(sizes, np.sort(2 * np.array([thing.a, thing.b, thing.c])), rtol=1e-5)
-    moments = thing.mass / 3 * np.array([thing.b**2 + thing.c**2, thing.a**2 + thing.c**2, thing.a**2 + thing.b**2])
+    moments = (
+        thing.mass
+        / 3
+        * np.array([thing.b**2 + thing.c**2, thing.a**2 + thing.c**2, thing.a**2 + thing.b**2])
+    )
     np.testing.assert_allclose(np.sort(model.body("object").inertia), np.sort(moments), rtol=1e-4)
 
 
 def test_a_file_written_out_is_the_same_object(tmp_path):
     path = tmp_path / "thing.xml"
     path.write_text(to_mjcf(random_thing(4), "thing"))
-    mine, theirs = load_object(path), load_object("random:4")
-    assert (mine.mass, mine.break_force, mine.grasp_height) == (theirs.mass, theirs.break_force, theirs.grasp_height)
+    mine = load_object(path)
+    theirs = load_object("random:4")
+    assert (mine.mass, mine.break_force, mine.grasp_height) == (
+        theirs.mass,
+        theirs.break_force,
+        theirs.grasp_height,
+    )
 
 
 def test_random_needs_its_number():

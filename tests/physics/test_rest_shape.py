@@ -1,4 +1,5 @@
-"""The rest reference is taken from a membrane that nothing touches, or refused; a sensor that is merely different is taken."""
+"""The rest reference is taken from a membrane that nothing touches, or refused; a sensor that is
+merely different is taken."""
 
 from dataclasses import replace
 
@@ -17,13 +18,27 @@ from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 IMAGES = 6
 
 
-def references(sensor, own, pressure=1000.0, *, indenter="sphere:8", depth=0.0, at=(0.0, 0.0), pre_stretch=0.0, seed=0):
-    """The sensor file's chain with both references of a specimen `own`, which is pressed `depth` m during the second."""
+def references(
+    sensor,
+    own,
+    pressure=1000.0,
+    *,
+    indenter="sphere:8",
+    depth=0.0,
+    at=(0.0, 0.0),
+    pre_stretch=0.0,
+    seed=0,
+):
+    """The sensor file's chain with both references of a specimen `own`, which is pressed `depth` m
+    during the second."""
     design = load_sensor(sensor)
     true = true_design(design, own)
-    true = replace(true, membrane=replace(true.membrane, pre_stretch=true.membrane.pre_stretch + pre_stretch))
+    true = replace(
+        true, membrane=replace(true.membrane, pre_stretch=true.membrane.pre_stretch + pre_stretch)
+    )
     world = PressWorld(true, Indenter.parse(indenter), at=at)
-    renderer, chain = Renderer(true, seed=seed, pose=camera_pose(design, own)), Perception.of(design)
+    renderer = Renderer(true, seed=seed, pose=camera_pose(design, own))
+    chain = Perception.of(design)
 
     def images():
         return [renderer.render(*world.marker_poses(0), world.time) for _ in range(IMAGES)]
@@ -38,31 +53,58 @@ def references(sensor, own, pressure=1000.0, *, indenter="sphere:8", depth=0.0, 
 
 
 def some_specimen(rng):
-    """Stiffness within 30 %, focal length 3 %, centre 6 px, k1 0.04, the camera moved and turned, larger markers."""
+    """Stiffness within 30 %, focal length 3 %, centre 6 px, k1 0.04, the camera moved and turned,
+    larger markers."""
+
     def off(most):
         return float(rng.uniform(-most, most))
 
-    return SpecimenConfig("left", focal_share=off(0.03), center=(off(6), off(6)), k1=-0.05 + off(0.04),
-                          shift=(off(4e-4), off(4e-4), off(4e-4)), tilt=(off(0.017), off(0.017), off(0.017)),
-                          stiffness_share=off(0.3), radius=off(2e-5))
+    return SpecimenConfig(
+        "left",
+        focal_share=off(0.03),
+        center=(off(6), off(6)),
+        k1=-0.05 + off(0.04),
+        shift=(off(4e-4), off(4e-4), off(4e-4)),
+        tilt=(off(0.017), off(0.017), off(0.017)),
+        stiffness_share=off(0.3),
+        radius=off(2e-5),
+    )
 
 
 @pytest.mark.parametrize("sensor", ["dense", "paper16"])
 def test_a_sensor_that_is_only_different_is_not_refused(sensor):
     rng = np.random.default_rng(3)
     for seed in range(5):
-        references(sensor, some_specimen(rng), float(rng.choice([600.0, 1000.0, 1500.0])), pre_stretch=rng.uniform(-0.02, 0.02),
-                   seed=seed)
+        references(
+            sensor,
+            some_specimen(rng),
+            float(rng.choice([600.0, 1000.0, 1500.0])),
+            pre_stretch=rng.uniform(-0.02, 0.02),
+            seed=seed,
+        )
 
 
 @pytest.mark.parametrize("sensor", ["dense", "paper16"])
-@pytest.mark.parametrize(("indenter", "depth", "at"), [
-    ("box:60", 0.8e-3, (0.0, 0.0)), ("box:12", 0.8e-3, (0.0, 0.0)), ("sphere:16", 1e-3, (0.0, 0.0)),
-    ("sphere:10", 0.8e-3, (8e-3, 5e-3))])
+@pytest.mark.parametrize(
+    ("indenter", "depth", "at"),
+    [
+        ("box:60", 0.8e-3, (0.0, 0.0)),
+        ("box:12", 0.8e-3, (0.0, 0.0)),
+        ("sphere:16", 1e-3, (0.0, 0.0)),
+        ("sphere:10", 0.8e-3, (8e-3, 5e-3)),
+    ],
+)
 def test_what_touches_meanwhile_is_found(sensor, indenter, depth, at):
-    """0.09 to 0.13 N; unnoticed, it would be felt as a stiffer membrane, and forces would be wrong by more than that."""
+    """0.09 to 0.13 N; unnoticed, it would be felt as a stiffer membrane, and forces would be wrong
+    by more than that."""
     with pytest.raises(DeviceError, match="does something touch it"):
-        references(sensor, SpecimenConfig("left", stiffness_share=-0.1), indenter=indenter, depth=depth, at=at)
+        references(
+            sensor,
+            SpecimenConfig("left", stiffness_share=-0.1),
+            indenter=indenter,
+            depth=depth,
+            at=at,
+        )
 
 
 WIDE = """<mujoco model="wide"><custom><numeric name="break_force_N" data="50"/><numeric name="grasp_height_m" data="0.03"/>

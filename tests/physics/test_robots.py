@@ -1,5 +1,5 @@
-"""Simulated robots from rig files: where they begin, that jaws and arm go where they should, statics of what they hold, and
-what `mjtactile doctor` says of robots that are wrong."""
+"""Simulated robots from rig files: where they begin, that jaws and arm go where they should,
+statics of what they hold, and what `mjtactile doctor` says of robots that are wrong."""
 
 from dataclasses import replace
 
@@ -22,7 +22,9 @@ GRAVITY = 9.81
 def variant(folder, name, model=(), rig=()):
     """A copy of a shipped rig with texts of its model and its rig file replaced."""
     text = resources.find(name, "models/rigs", ".toml").read_text()
-    xml = (resources.folder("models/grippers") / text.split("../grippers/")[1].split('"')[0]).read_text()
+    xml = (
+        resources.folder("models/grippers") / text.split("../grippers/")[1].split('"')[0]
+    ).read_text()
     text = text.replace(text.split('model = "')[1].split('"')[0], "model.xml")
     for old, new in model:
         assert old in xml, old
@@ -79,8 +81,12 @@ def test_an_arm_lifts_straight_up_and_does_not_turn_the_hand():
         path.append(tips(world))
     moved = np.array([p_WS - start for p_WS, _ in path]).mean(axis=1)
     assert moved[-1, 2] == pytest.approx(0.15, abs=2e-4)
-    assert np.abs(moved[:, :2]).max() < 1e-3  # servos lag by some milliseconds, the joints not equally
-    turned = [np.arccos(np.clip((np.einsum("fij,fij->f", R_start, R_WS) - 1) / 2, -1, 1)).max() for _, R_WS in path]
+    # servos lag by some milliseconds, the joints not equally
+    assert np.abs(moved[:, :2]).max() < 1e-3
+    turned = [
+        np.arccos(np.clip((np.einsum("fij,fij->f", R_start, R_WS) - 1) / 2, -1, 1)).max()
+        for _, R_WS in path
+    ]
     assert max(turned) < 5e-3  # rad
     assert abs(np.arccos(np.clip((np.trace(R_start[0].T @ path[-1][1][0]) - 1) / 2, -1, 1))) < 1e-3
 
@@ -104,17 +110,20 @@ def test_statics_of_what_is_held(name):
     world.step(240)
     world.set_lift_target(0.02)
     world.step(240)
-    contact, servo = np.zeros((len(world.sensors), 3)), 0.0
+    contact = np.zeros((len(world.sensors), 3))
+    servo = 0.0
     for _ in range(30):
         world.step()
         contact += [truth.contact_force(world, i) / 30 for i in range(len(world.sensors))]
         servo += world.grip_force / 30
-    # virtual work: each of n fingers pushes with 2/n of the actuator's force over dx/da; viscous friction is at rest. On a
-    # parallel linkage the fingertips also rise by tan(a) of what they close, with their share of the weight
+    # virtual work: each of n fingers pushes with 2/n of the actuator's force over dx/da; viscous
+    # friction is at rest. On a parallel linkage the fingertips also rise by tan(a) of what they
+    # close, with their share of the weight
     rise = np.tan(np.arcsin((world.opening - 0.05) / 0.12)) if name == "sim_three_finger" else 0.0
     weight = world.object.mass * GRAVITY
     assert servo == pytest.approx(0.5, rel=1e-3)
-    assert -contact[:, 2] == pytest.approx(servo + rise * weight / len(contact), rel=3e-3)  # the solver's tolerance, creep
+    # the solver's tolerance, creep
+    assert -contact[:, 2] == pytest.approx(servo + rise * weight / len(contact), rel=3e-3)
     _, R_WS = tips(world)
     on_object = -np.einsum("fij,fj->i", R_WS, contact)
     # 3 %: the object still settles by micrometres
@@ -124,12 +133,28 @@ def test_statics_of_what_is_held(name):
 
 
 def test_actuators_with_a_gain_of_their_own_and_a_pair_of_them(tmp_path):
-    pair = '<general name="{0}" joint="{0}_jaw" biastype="affine" gainprm="40" biasprm="3 -4000 -60" ctrlrange="0 255"/>'
-    rig = variant(tmp_path, "sim_arm",
-                  model=[('<position name="grip" joint="left_jaw" kp="8000" kv="120" forcerange="-20 20"/>',
-                          pair.format("left") + pair.format("right"))],
-                  rig=[('name = "grip"', 'name = "left"'), ("mm_per_mm = 2.0",
-                        'mm_per_mm = 1.0\n\n[[gripper.actuator]]\nname = "right"\nlaw = "slide"\nmm_per_mm = 1.0')])
+    pair = (
+        '<general name="{0}" joint="{0}_jaw" biastype="affine" gainprm="40" biasprm="3 -4000 '
+        '-60" ctrlrange="0 255"/>'
+    )
+    rig = variant(
+        tmp_path,
+        "sim_arm",
+        model=[
+            (
+                '<position name="grip" joint="left_jaw" kp="8000" kv="120" forcerange="-20 20"/>',
+                pair.format("left") + pair.format("right"),
+            )
+        ],
+        rig=[
+            ('name = "grip"', 'name = "left"'),
+            (
+                "mm_per_mm = 2.0",
+                'mm_per_mm = 1.0\n\n[[gripper.actuator]]\nname = "right"\nlaw = '
+                '"slide"\nmm_per_mm = 1.0',
+            ),
+        ],
+    )
     world = make(rig)
     world.set_finger_target(0.05)
     world.step(250)
@@ -143,7 +168,8 @@ def test_a_rig_that_does_not_lift_holds_what_it_grips(tmp_path):
     world = make(variant(tmp_path, "sim", rig=[(text, 'kind = "none"')]))
     world.set_lift_target(0.04)
     world.step(250)
-    assert world.lift_height == pytest.approx(0.04)  # what was asked for, as a real rig without a lift reports it
+    # what was asked for, as a real rig without a lift reports it
+    assert world.lift_height == pytest.approx(0.04)
     assert tips(world)[0][:, 2] == pytest.approx(world.object.grasp_height, abs=1e-4)
 
 
@@ -154,29 +180,92 @@ def test_the_users_defaults_do_not_reach_table_and_object():
 
 
 def test_a_base_that_is_turned_in_a_frame_is_raised_straight_up(tmp_path):
-    turned = [('<body name="hand" gravcomp="1">', '<frame pos="0.1 0.2 -0.3" euler="1.5708 0 0"><frame euler="-1.5708 0 0">'
-               '<body name="hand" gravcomp="1">'), ("</worldbody>", "</frame></frame></worldbody>")]
+    turned = [
+        (
+            '<body name="hand" gravcomp="1">',
+            '<frame pos="0.1 0.2 -0.3" euler="1.5708 0 '
+            '0"><frame euler="-1.5708 0 0">'
+            '<body name="hand" gravcomp="1">',
+        ),
+        ("</worldbody>", "</frame></frame></worldbody>"),
+    ]
     world = make(variant(tmp_path, "sim", model=turned))
-    assert tips(world)[0].mean(axis=0) == pytest.approx([0.1, 0.2, world.object.grasp_height], abs=1e-6)
+    assert tips(world)[0].mean(axis=0) == pytest.approx(
+        [0.1, 0.2, world.object.grasp_height], abs=1e-6
+    )
     assert truth.object_position(world)[:2] == pytest.approx([0.1, 0.2], abs=1e-6)
 
 
-# -- what is wrong is said -----------------------------------------------------------------------------------------------
+# -- what is wrong is said
+# --------------------------------------------------------------------------------
 
-@pytest.mark.parametrize(("name", "model", "rig", "message"), [
-    ("sim", [], [('"right_fingertip"', '"right_tip"')], r"finger\[1\]\.site: model\.xml has no site 'right_tip' \(valid: left_"),
-    ("sim", [], [('name = "jaw"', 'name = "jaws"')], r"actuator\[0\]\.name: model\.xml has no actuator 'jaws' \(valid: jaw, l"),
-    ("sim", [], [('actuator = "lift"', 'actuator = "up"')], r"lift\.actuator: model\.xml has no actuator 'up'"),
-    ("sim_three_finger", [], [('body = "carrier"', 'body = "hand"')], r"no mocap body 'hand' \(valid: carrier\)"),
-    ("sim_arm", [], [('keyframe = "home"', 'keyframe = "rest"')], r"sim\.keyframe: .* \(valid: home\)"),
-    ("sim", [], [('"right_fingertip"', '"left_fingertip"')], r"two fingers are at one site"),
-    ("sim", [("<mujoco", "<mujocko")], [], r"model\.xml: not valid MJCF"),
-    ("sim", [('<position name="jaw" tendon="opening" kp="2000" kv="30" forcerange="-8 8"/>',
-              '<motor name="jaw" tendon="opening"/>')], [], r"actuator 'jaw': is not a position actuator"),
-    ("sim", [], [("mm_per_mm = 1.0", "mm_per_mm = -1.0")], r"do not open to 80 mm \(is the sign of the law right\?\)"),
-    ("sim_arm", [], [("travel_mm = 150.0", "travel_mm = 900.0")], r"lift\.travel_mm: the arm does not reach .* above its start"),
-    ("sim_arm", [], [('kind = "arm"', 'kind = "arm"\nactuators = ["turn", "shoulder"]')], r"the arm does not reach the table"),
-])
+
+@pytest.mark.parametrize(
+    ("name", "model", "rig", "message"),
+    [
+        (
+            "sim",
+            [],
+            [('"right_fingertip"', '"right_tip"')],
+            r"finger\[1\]\.site: model\.xml has no site " r"'right_tip' \(valid: left_",
+        ),
+        (
+            "sim",
+            [],
+            [('name = "jaw"', 'name = "jaws"')],
+            r"actuator\[0\]\.name: model\.xml has no " r"actuator 'jaws' \(valid: jaw, l",
+        ),
+        (
+            "sim",
+            [],
+            [('actuator = "lift"', 'actuator = "up"')],
+            r"lift\.actuator: model\.xml has no " r"actuator 'up'",
+        ),
+        (
+            "sim_three_finger",
+            [],
+            [('body = "carrier"', 'body = "hand"')],
+            r"no mocap body 'hand' \(valid: carrier\)",
+        ),
+        (
+            "sim_arm",
+            [],
+            [('keyframe = "home"', 'keyframe = "rest"')],
+            r"sim\.keyframe: .* \(valid: home\)",
+        ),
+        ("sim", [], [('"right_fingertip"', '"left_fingertip"')], r"two fingers are at one site"),
+        ("sim", [("<mujoco", "<mujocko")], [], r"model\.xml: not valid MJCF"),
+        (
+            "sim",
+            [
+                (
+                    '<position name="jaw" tendon="opening" kp="2000" kv="30" forcerange="-8 8"/>',
+                    '<motor name="jaw" tendon="opening"/>',
+                )
+            ],
+            [],
+            r"actuator 'jaw': is not a position " r"actuator",
+        ),
+        (
+            "sim",
+            [],
+            [("mm_per_mm = 1.0", "mm_per_mm = -1.0")],
+            r"do not open to 80 mm \(is the sign of " r"the law right\?\)",
+        ),
+        (
+            "sim_arm",
+            [],
+            [("travel_mm = 150.0", "travel_mm = 900.0")],
+            r"lift\.travel_mm: the arm does not reach " r".* above its start",
+        ),
+        (
+            "sim_arm",
+            [],
+            [('kind = "arm"', 'kind = "arm"\nactuators = ["turn", "shoulder"]')],
+            r"the arm does not reach the table",
+        ),
+    ],
+)
 def test_what_cannot_be_built_is_refused_in_one_line(tmp_path, name, model, rig, message):
     with pytest.raises(InputError, match=message) as caught:
         make(variant(tmp_path, name, model, rig))
@@ -184,7 +273,11 @@ def test_what_cannot_be_built_is_refused_in_one_line(tmp_path, name, model, rig,
 
 
 def bad(findings):
-    return [f"{finding.level} {finding.what}: {finding.text}" for finding in findings if finding.level != "ok"]
+    return [
+        f"{finding.level} {finding.what}: {finding.text}"
+        for finding in findings
+        if finding.level != "ok"
+    ]
 
 
 @pytest.mark.parametrize("name", RIGS)
@@ -192,27 +285,90 @@ def test_the_doctor_finds_the_shipped_ones_well(name):
     assert bad(examine_simulated(load_sim_rig(name))) == []
 
 
-@pytest.mark.parametrize(("name", "model", "rig", "found"), [
-    ("sim", [], [('"right_fingertip"', '"right_tip"'), ('name = "jaw"', 'name = "jaws"')],
-     ["bad finger[1].site: model.xml has no site 'right_tip'", "bad gripper.actuator[0].name"]),
-    ("sim", [('name="left_fingertip" xyaxes="0 1 0 0 0 1"', 'name="left_fingertip" xyaxes="0 -1 0 0 0 1"')], [],
-     ["bad finger left: z of site 'left_fingertip' points 180 degrees away"]),
-    ("sim", [('name="left_fingertip" xyaxes="0 1 0 0 0 1"', 'name="left_fingertip" xyaxes="0 1 0 -0.5 0 0.866"')], [],
-     ["warn finger left: z of site 'left_fingertip' misses the middle of the fingertips by 30 degrees"]),
-    ("sim", [], [("mm_per_mm = 1.0", "mm_per_mm = -1.0\nopening_part_mm = 120")],
-     ["bad jaws: move the wrong way: asked to close, the fingertips go from 0.0 to 120.0 mm"]),
-    ("sim", [], [("mm_per_mm = 1.0", "mm_per_mm = 1.1")], ["warn jaws: are not where the law says"]),
-    ("sim", [('pos="0 0 0.085" size="0.1 0.02 0.01" contype="0"', 'pos="0 0 0.02" size="0.1 0.02 0.01" contype="1"')], [],
-     ["bad finger left: its sensor touches 'palm'"]),
-    ("sim", [('forcerange="-8 8"', 'forcerange="-0.5 0.5"')], [],
-     ["bad force: the actuators close each finger with at most 0.5 N: too little"]),
-    ("sim_arm", [('forcerange="-20 20"', 'forcerange="-10 10"')], [],
-     ["warn force: the actuators close each finger with at most 5 N, force_max_N says 8"]),
-    ("sim_arm", [], [("travel_mm = 150.0", "travel_mm = 900.0")], ["bad lift.travel_mm"]),
-])
+@pytest.mark.parametrize(
+    ("name", "model", "rig", "found"),
+    [
+        (
+            "sim",
+            [],
+            [('"right_fingertip"', '"right_tip"'), ('name = "jaw"', 'name = "jaws"')],
+            [
+                "bad finger[1].site: model.xml has no site 'right_tip'",
+                "bad gripper.actuator[0].name",
+            ],
+        ),
+        (
+            "sim",
+            [
+                (
+                    'name="left_fingertip" xyaxes="0 1 0 0 0 1"',
+                    'name="left_fingertip" xyaxes="0 -1 0 0 0 1"',
+                )
+            ],
+            [],
+            ["bad finger left: z of site 'left_fingertip' points 180 degrees away"],
+        ),
+        (
+            "sim",
+            [
+                (
+                    'name="left_fingertip" xyaxes="0 1 0 0 0 1"',
+                    'name="left_fingertip" xyaxes="0 1 0 -0.5 0 0.866"',
+                )
+            ],
+            [],
+            [
+                "warn finger left: z of site 'left_fingertip' misses the middle of the "
+                "fingertips by "
+                "30 degrees"
+            ],
+        ),
+        (
+            "sim",
+            [],
+            [("mm_per_mm = 1.0", "mm_per_mm = -1.0\nopening_part_mm = 120")],
+            [
+                "bad jaws: move the wrong way: asked to close, the fingertips go from 0.0 "
+                "to 120.0 mm"
+            ],
+        ),
+        (
+            "sim",
+            [],
+            [("mm_per_mm = 1.0", "mm_per_mm = 1.1")],
+            ["warn jaws: are not where the law says"],
+        ),
+        (
+            "sim",
+            [
+                (
+                    'pos="0 0 0.085" size="0.1 0.02 0.01" contype="0"',
+                    'pos="0 0 0.02" size="0.1 0.02 0.01" contype="1"',
+                )
+            ],
+            [],
+            ["bad finger left: its sensor touches 'palm'"],
+        ),
+        (
+            "sim",
+            [('forcerange="-8 8"', 'forcerange="-0.5 0.5"')],
+            [],
+            ["bad force: the actuators close each finger with at most 0.5 N: too little"],
+        ),
+        (
+            "sim_arm",
+            [('forcerange="-20 20"', 'forcerange="-10 10"')],
+            [],
+            ["warn force: the actuators close each finger with at most 5 N, force_max_N says 8"],
+        ),
+        ("sim_arm", [], [("travel_mm = 150.0", "travel_mm = 900.0")], ["bad lift.travel_mm"]),
+    ],
+)
 def test_the_doctor_says_what_is_wrong(tmp_path, name, model, rig, found):
     findings = bad(examine_simulated(variant(tmp_path, name, model, rig)))
-    assert [any(text.startswith(words) for text in findings) for words in found] == [True] * len(found), findings
+    assert [any(text.startswith(words) for text in findings) for words in found] == [True] * len(
+        found
+    ), findings
 
 
 def test_a_finger_has_the_sensor_of_its_own_that_the_file_names():

@@ -1,4 +1,5 @@
-"""Neo-Hookean rubber, right from the pre-stretch on: law, simulated sheet and sensing's sheet against independent solutions."""
+"""Neo-Hookean rubber, right from the pre-stretch on: law, simulated sheet and sensing's sheet
+against independent solutions."""
 
 import json
 from dataclasses import replace
@@ -20,20 +21,29 @@ from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.sensor.rubber import stiffness_rows
 from mjtactile.sim.sensor.switches import PHYSICS
 
-CASES = json.loads((Path(__file__).parent / "rubber_reference.json").read_text(encoding="utf-8"))["cases"]
+CASES = json.loads((Path(__file__).parent / "rubber_reference.json").read_text(encoding="utf-8"))[
+    "cases"
+]
 NAMES = [f"{c['size_mm'][0]}x{c['size_mm'][1]} {c['pre_stretch']}" for c in CASES]
 DENSE = load_sensor("dense")
 
 
 def design_of(case, law=Law.NEO_HOOKEAN):
     length, width, thickness = (1e-3 * value for value in case["size_mm"])
-    return replace(DENSE, frame=Frame(length, width),
-                   membrane=replace(DENSE.membrane, thickness=thickness, pre_stretch=case["pre_stretch"], law=law))
+    return replace(
+        DENSE,
+        frame=Frame(length, width),
+        membrane=replace(
+            DENSE.membrane, thickness=thickness, pre_stretch=case["pre_stretch"], law=law
+        ),
+    )
 
 
 def energy(C, young, poisson):
-    """W of the neo-Hookean sheet in plane stress, J/m^3: the least over the thickness's stretch, by a fine search."""
-    mu, bulk = young / (2 * (1 + poisson)), young * poisson / ((1 + poisson) * (1 - 2 * poisson))
+    """W of the neo-Hookean sheet in plane stress, J/m^3: the least over the thickness's stretch, by
+    a fine search."""
+    mu = young / (2 * (1 + poisson))
+    bulk = young * poisson / ((1 + poisson) * (1 - 2 * poisson))
     c = np.exp(np.linspace(-2, 1, 3001))
     for _ in range(3):
         log_J = np.log(c * np.linalg.det(C)) / 2
@@ -43,22 +53,33 @@ def energy(C, young, poisson):
     return W.min()
 
 
-STRAINED = [np.array([[1.1, 0.02], [0.02, 1.3]]), np.array([[1.6, -0.2], [-0.2, 1.2]]), np.array([[0.9, 0.0], [0.0, 1.2]])]
+STRAINED = [
+    np.array([[1.1, 0.02], [0.02, 1.3]]),
+    np.array([[1.6, -0.2], [-0.2, 1.2]]),
+    np.array([[0.9, 0.0], [0.0, 1.2]]),
+]
 
 
 @pytest.mark.parametrize("C", STRAINED)
 @pytest.mark.parametrize("poisson", [0.3, 0.45, 0.49])
 def test_stress_is_the_derivative_of_the_energy(C, poisson):
     """S = 2 dW/dC: for sensing's law, and for the secant moduli that the simulation works with."""
-    step, S = 1e-4, np.zeros((2, 2))
+    step = 1e-4
+    S = np.zeros((2, 2))
     for i, j in ((0, 0), (1, 1), (0, 1)):
         D = np.zeros((2, 2))
         D[i, j] = D[j, i] = step
-        S[i, j] = S[j, i] = (energy(C + D, 1.0, poisson) - energy(C - D, 1.0, poisson)) / (2 * step) * (2 if i == j else 1)
+        S[i, j] = S[j, i] = (
+            (energy(C + D, 1.0, poisson) - energy(C - D, 1.0, poisson))
+            / (2 * step)
+            * (2 if i == j else 1)
+        )
     law = SheetLaw(replace(DENSE.membrane, young=1.0, thickness=1.0, poisson=poisson))
     found = law.stress(C[0, 0], C[1, 1], C[0, 1])
-    np.testing.assert_allclose(found, [S[0, 0], S[1, 1], S[0, 1]], atol=1e-6)  # differences of second order: step^2
-    mu, trace = 1 / (2 * (1 + poisson)), (np.trace(C) - 2) / 2
+    # differences of second order: step^2
+    np.testing.assert_allclose(found, [S[0, 0], S[1, 1], S[0, 1]], atol=1e-6)
+    mu = 1 / (2 * (1 + poisson))
+    trace = (np.trace(C) - 2) / 2
     ratio = float(thickness_over_area(np.log(np.linalg.det(C)), poisson))
     secant = 2 * mu * ratio * (C - np.eye(2)) / 2 + mu * (1 - ratio * (1 + 2 * trace)) * np.eye(2)
     np.testing.assert_allclose(secant, S, atol=1e-6)
@@ -68,15 +89,21 @@ def test_stress_is_the_derivative_of_the_energy(C, poisson):
 @pytest.mark.parametrize("C", STRAINED)
 def test_moduli_are_the_derivative_of_the_stress(C, law):
     sheet = SheetLaw(replace(DENSE.membrane, law=law))
-    parts, step = np.array([C[0, 0], C[1, 1], C[0, 1]]), 1e-3
+    parts = np.array([C[0, 0], C[1, 1], C[0, 1]])
+    step = 1e-3
     D11, D22, D12, D16, D26, D66 = sheet.moduli(*parts)
-    matrix = np.array([[D11, D12, 2 * D16], [D12, D22, 2 * D26], [D16, D26, 2 * D66]]) / 2  # dE = dC/2; 12 counts twice
-    change = np.stack([sheet.stress(*(parts + d)) - sheet.stress(*(parts - d)) for d in step * np.eye(3)], axis=1) / (2 * step)
-    np.testing.assert_allclose(matrix, change, atol=2e-4 * D11)  # a table that is linear over 1e-3 has slopes good to 1e-4
+    # dE = dC/2; 12 counts twice
+    matrix = np.array([[D11, D12, 2 * D16], [D12, D22, 2 * D26], [D16, D26, 2 * D66]]) / 2
+    change = np.stack(
+        [sheet.stress(*(parts + d)) - sheet.stress(*(parts - d)) for d in step * np.eye(3)], axis=1
+    ) / (2 * step)
+    # a table that is linear over 1e-3 has slopes good to 1e-4
+    np.testing.assert_allclose(matrix, change, atol=2e-4 * D11)
 
 
 def test_an_unstrained_sheet_has_mujocos_own_stiffness():
-    """At no strain the two laws are one: what is written before a step is what MuJoCo has compiled."""
+    """At no strain the two laws are one: what is written before a step is what MuJoCo has
+    compiled."""
     rows = []
     for law in Law:
         flat = replace(DENSE, membrane=replace(DENSE.membrane, pre_stretch=1.0, law=law))
@@ -91,21 +118,35 @@ def test_simulated_bulge_is_the_references(case, pressure):
     world = scene(design_of(case), mesh=(17, 13))
     settle(world, float(pressure))
     # second order: 1 % at 13 x 11 vertices, 0.6 % here
-    assert 1e3 * world.sensors[0].height_at(0, 0) == pytest.approx(case["height_mm"]["neo-Hookean"][pressure], rel=0.01)
+    assert 1e3 * world.sensors[0].height_at(0, 0) == pytest.approx(
+        case["height_mm"]["neo-Hookean"][pressure], rel=0.01
+    )
 
 
-@pytest.mark.parametrize(("number", "pressure", "depth"), [(0, "1000", "2"), (0, "4000", "3"), (1, "1000", "2")])
+@pytest.mark.parametrize(
+    ("number", "pressure", "depth"), [(0, "1000", "2"), (0, "4000", "3"), (1, "1000", "2")]
+)
 def test_simulated_press_is_the_references(number, pressure, depth):
-    world = PressWorld(design_of(CASES[number]), Indenter("sphere", 8e-3), effects=PHYSICS - {"friction", "gravity"})
+    world = PressWorld(
+        design_of(CASES[number]),
+        Indenter("sphere", 8e-3),
+        effects=PHYSICS - {"friction", "gravity"},
+    )
     world.inflate(float(pressure), seal=True)
     world.press(1e-3 * float(depth))
-    # the default mesh: contact comes vertex by vertex, which is 15 % of a force at 1 mm and 2 % from 2 mm on
-    assert -truth.contact_force(world, 0)[2] == pytest.approx(CASES[number]["press_N"][pressure][depth], rel=0.02)
+    # the default mesh: contact comes vertex by vertex, which is 15 % of a force at 1 mm and 2 %
+    # from 2 mm on
+    assert -truth.contact_force(world, 0)[2] == pytest.approx(
+        CASES[number]["press_N"][pressure][depth], rel=0.02
+    )
 
 
 def test_a_balloon_that_cannot_hold_its_pressure_says_so():
-    """p R / (mu h) of a neo-Hookean disc has a maximum of about 1.8 (tests/physics/test_circle.py), 12 kPa here."""
-    assert np.isfinite(theory.bulge_height(DENSE, 8e3)) and np.isnan(theory.bulge_height(DENSE, 20e3))
+    """p R / (mu h) of a neo-Hookean disc has a maximum of about 1.8 (tests/physics/test_circle.py),
+    12 kPa here."""
+    assert np.isfinite(theory.bulge_height(DENSE, 8e3)) and np.isnan(
+        theory.bulge_height(DENSE, 20e3)
+    )
     with pytest.raises(SimulationError, match="may not hold"):
         settle(scene(DENSE, mesh=(9, 7)), 20e3)
 
@@ -113,7 +154,8 @@ def test_a_balloon_that_cannot_hold_its_pressure_says_so():
 @pytest.mark.parametrize("law", Law)
 @pytest.mark.parametrize("case", CASES[:2], ids=NAMES[:2])
 def test_sensings_bulge_is_the_references(case, law):
-    sheet, c = Sheet(design_of(case, law), (14, 10)), None
+    sheet = Sheet(design_of(case, law), (14, 10))
+    c = None
     for pressure in (1000.0, 4000.0):
         c = sheet.equilibrium(Gas(pressure), start=c)
         height = 1e3 * (sheet.basis(np.zeros((1, 2))) @ c[2])[0]
@@ -123,11 +165,22 @@ def test_sensings_bulge_is_the_references(case, law):
 
 def test_the_tests_own_membrane_is_the_references():
     """`ReferenceMembrane`, which other tests judge by, is a third code: linear triangles."""
-    d, case = design_of(CASES[0]), CASES[0]
-    fem = ReferenceMembrane(d.frame.length, d.frame.width, d.membrane.thickness, 1e6, 0.45, 1.05, d.chamber_volume_flat,
-                            d.chamber.ambient, n=25)
+    d = design_of(CASES[0])
+    case = CASES[0]
+    fem = ReferenceMembrane(
+        d.frame.length,
+        d.frame.width,
+        d.membrane.thickness,
+        1e6,
+        0.45,
+        1.05,
+        d.chamber_volume_flat,
+        d.chamber.ambient,
+        n=25,
+    )
     x, _ = fem.solve(np.zeros((len(fem.X), 3)), gauge=1000.0)
-    assert 1e3 * x[:, 2].max() == pytest.approx(case["height_mm"]["neo-Hookean"]["1000"], rel=5e-3)  # 25 x 19: 0.3 %
+    # 25 x 19: 0.3 %
+    assert 1e3 * x[:, 2].max() == pytest.approx(case["height_mm"]["neo-Hookean"]["1000"], rel=5e-3)
 
 
 @pytest.mark.parametrize("case", CASES, ids=NAMES)
@@ -135,4 +188,8 @@ def test_closed_forms_are_as_good_as_they_say(case):
     """M1 is up to 4 % low between the ends where it is exact, M7 within 1.1 %."""
     for law, low, high in ((Law.STVK, -0.04, 0.0), (Law.NEO_HOOKEAN, -0.011, 0.011)):
         for pressure, height in case["height_mm"][law].items():
-            assert low < 1e3 * theory.bulge_height(design_of(case, law), float(pressure)) / height - 1 < high
+            assert (
+                low
+                < 1e3 * theory.bulge_height(design_of(case, law), float(pressure)) / height - 1
+                < high
+            )

@@ -1,4 +1,5 @@
-"""A sensor that touches nothing sleeps: nothing of it is left in the solve, and it wakes exactly as it was."""
+"""A sensor that touches nothing sleeps: nothing of it is left in the solve, and it wakes exactly as
+it was."""
 
 import mujoco
 import numpy as np
@@ -11,8 +12,18 @@ from mjtactile.sim import truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.sensor.sleep import NEAR
 
-CHANGED = ("geom_gap", "geom_margin", "geom_conaffinity", "body_margin", "body_conaffinity", "flex_conaffinity", "qpos_spring",
-           "jnt_stiffness", "tendon_num", "flex_rigid")
+CHANGED = (
+    "geom_gap",
+    "geom_margin",
+    "geom_conaffinity",
+    "body_margin",
+    "body_conaffinity",
+    "flex_conaffinity",
+    "qpos_spring",
+    "jnt_stiffness",
+    "tendon_num",
+    "flex_rigid",
+)
 AWAY = 0.02  # m above first touch
 
 
@@ -39,12 +50,14 @@ def test_a_press_after_sleep_is_the_press_without_it():
         world._find_touch()
         world.press(2e-3)
         pressed.append((-truth.contact_force(world, 0)[2], world.marker_poses(0)[0]))
-    assert pressed[1][0] == pytest.approx(pressed[0][0], rel=0.01)  # friction keeps what noise at first touch did
+    # friction keeps what noise at first touch did
+    assert pressed[1][0] == pytest.approx(pressed[0][0], rel=0.01)
     np.testing.assert_allclose(pressed[1][1], pressed[0][1], atol=2e-5)  # the same: 1 % of 2 mm
 
 
 def test_a_valve_that_opens_keeps_it_awake():
-    """Opened right before the look that lets it sleep, when the valve's pressure has not reached the sheet yet."""
+    """Opened right before the look that lets it sleep, when the valve's pressure has not reached
+    the sheet yet."""
     world = inflated()
     sensor = world.sensors[0]
     while sensor._sleeper._calm < 2 or world.time - sensor._sleeper._time < 0.01:
@@ -59,20 +72,25 @@ def test_it_wakes_as_it_fell_asleep_and_the_model_is_as_it_was():
     sensor = world.sensors[0]
     before = {name: getattr(world.model, name).copy() for name in CHANGED}
     while not sensor.is_asleep:
-        p_SV, pressure = sensor.p_SV, sensor.pressure_gauge
+        p_SV = sensor.p_SV
+        pressure = sensor.pressure_gauge
         world.step()
     world.step(50)
-    np.testing.assert_allclose(sensor.p_SV, p_SV, atol=2e-9)  # springs that hold the sheet's weight give way by 1 nm
+    # springs that hold the sheet's weight give way by 1 nm
+    np.testing.assert_allclose(sensor.p_SV, p_SV, atol=2e-9)
     sensor.wake()
     np.testing.assert_array_equal(sensor.p_SV, p_SV)
-    assert sensor.pressure_gauge == pytest.approx(pressure, abs=0.01)  # the last step before, at rest
+    # the last step before, at rest
+    assert sensor.pressure_gauge == pytest.approx(pressure, abs=0.01)
     for name, value in before.items():
         np.testing.assert_array_equal(getattr(world.model, name), value, err_msg=name)
 
 
 def test_asleep_nothing_of_it_is_solved():
     world = asleep()
-    model, data, sensor = world.model, world.data, world.sensors[0]
+    model = world.model
+    data = world.data
+    sensor = world.sensors[0]
     world.step()
     assert not model.tendon_num.any() and model.flex_rigid.all()
     assert not data.qfrc_applied[sensor.dofs].any()
@@ -87,7 +105,8 @@ def test_it_wakes_before_it_is_touched():
         height -= 2e-4
         world._place(world._touch_height + height)
         world.step()
-    # a ninth of the vertices look around, on this mesh at most 8.5 mm from any other, which is covered with a fifth to spare
+    # a ninth of the vertices look around, on this mesh at most 8.5 mm from any other, which is
+    # covered with a fifth to spare
     assert NEAR < height < NEAR + 1.2 * 8.5e-3
     assert not np.any(truth.contact_force(world, 0))
 
@@ -109,9 +128,16 @@ def test_it_is_awake_when_a_pin_touches_anywhere(at):
     assert not world.sensors[0].is_asleep
 
 
-@pytest.mark.parametrize("disturb", [
-    push, lambda w: w.sensors[0].open_valve(900.0), lambda w: w.sensors[0].puncture(1e-9),
-    lambda w: w.model.opt.gravity.__setitem__(0, 1.0), lambda w: w.set_control(w.model.actuator("carrier").id, 1e-4)])
+@pytest.mark.parametrize(
+    "disturb",
+    [
+        push,
+        lambda w: w.sensors[0].open_valve(900.0),
+        lambda w: w.sensors[0].puncture(1e-9),
+        lambda w: w.model.opt.gravity.__setitem__(0, 1.0),
+        lambda w: w.set_control(w.model.actuator("carrier").id, 1e-4),
+    ],
+)
 def test_it_wakes_when_disturbed(disturb):
     world = asleep()
     disturb(world)

@@ -1,4 +1,5 @@
-"""A body that is dragged past two sensors: by truth it slides as fast as they move, and the cameras see it in time."""
+"""A body that is dragged past two sensors: by truth it slides as fast as they move, and the cameras
+see it in time."""
 
 import numpy as np
 import pytest
@@ -20,14 +21,17 @@ def test_truth_slides_at_the_speed_of_the_drag():
     for _ in world.grip():
         pass
     assert truth.sliding(world, 0)[0] < 0.9
-    used, speeds = [], []
+    used = []
+    speeds = []
     for _ in world.load(0.8 * CASE.share / CASE.rise):  # of the fingers' way
         share, speed = truth.sliding(world, 0)
         used.append(share)
         speeds.append(speed)
     late = slice(-20, None)
-    assert np.mean(used[late]) == pytest.approx(1.0, abs=0.05)  # within friction's accuracy of 3 %, and vertices that stick
-    assert np.mean(speeds[late]) == pytest.approx(1e-3 * CASE.rise, rel=0.15)  # the sheet still stretches a little
+    # within friction's accuracy of 3 %, and vertices that stick
+    assert np.mean(used[late]) == pytest.approx(1.0, abs=0.05)
+    # the sheet still stretches a little
+    assert np.mean(speeds[late]) == pytest.approx(1e-3 * CASE.rise, rel=0.15)
 
 
 def test_a_slip_is_said_in_time_from_pixels():
@@ -35,5 +39,9 @@ def test_a_slip_is_said_in_time_from_pixels():
     chain = Chain(design)
     watched = watch(design, chain, references(design, chain, CASE), CASE)
     for looks in watched.fingers:
-        frames = [Frame(k.time, k.touch.slip.state, k.used, k.slid, k.onset) for k in looks if k.touch.slip is not None]
+        frames = [
+            Frame(k.time, k.touch.slip.state, k.used, k.slid, k.onset)
+            for k in looks
+            if k.touch.slip is not None
+        ]
         assert outcome(frames).name == "in time"

@@ -7,20 +7,30 @@ import pytest
 from mjtactile.core import resources
 from mjtactile.core.errors import InputError
 from mjtactile.sim.scenes.objects import load_object
-from mjtactile.sim.scenes.soft_bodies import SHIPPED, SoftBody, tetrahedra, tetrahedron_volumes, to_mjcf
+from mjtactile.sim.scenes.soft_bodies import (
+    SHIPPED,
+    SoftBody,
+    tetrahedra,
+    tetrahedron_volumes,
+    to_mjcf,
+)
 from mjtactile.sim.scenes.strain import SoftSolid, soft_flex
 
-E, NU = 2e4, 0.45
+E = 2e4
+NU = 0.45
 
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_soft_bodies_are_what_their_writer_writes(name):
     body, comment = SHIPPED[name]
-    assert resources.find(name, "models/objects", ".xml").read_text() == to_mjcf(body, name, comment)
+    assert resources.find(name, "models/objects", ".xml").read_text() == to_mjcf(
+        body, name, comment
+    )
     flesh = load_object(name).flesh
     assert flesh is not None and flesh.young == pytest.approx(body.young)
     assert min(flesh.break_stress, flesh.break_energy) == (body.break_stress or body.break_energy)
-    assert load_object(name).mass == pytest.approx(body.density * body.volume, rel=2e-3)  # as written, four digits
+    # as written, four digits
+    assert load_object(name).mass == pytest.approx(body.density * body.volume, rel=2e-3)
 
 
 @pytest.mark.parametrize(("shape", "volume"), [("block", 8.0), ("ball", 4 / 3 * np.pi)])
@@ -28,12 +38,15 @@ def test_meshes_fill_their_shape(shape, volume):
     points, elements = tetrahedra(SoftBody(shape, (0.01, 0.01, 0.01), E, NU, 1e3, skin=0.0))
     volumes = tetrahedron_volumes(points, elements)
     assert (volumes > 0).all()
-    assert volumes.sum() == pytest.approx(volume * 1e-6, rel=0.08)  # a polyhedron in the sphere: 6 elements across
+    # a polyhedron in the sphere: 6 elements across
+    assert volumes.sum() == pytest.approx(volume * 1e-6, rel=0.08)
     assert np.abs(points).max() == pytest.approx(0.01)
 
 
 def block():
-    spec = mujoco.MjSpec.from_string(to_mjcf(SoftBody("block", (0.014, 0.012, 0.012), E, NU, 1e3, break_stress=1e3), "block"))
+    spec = mujoco.MjSpec.from_string(
+        to_mjcf(SoftBody("block", (0.014, 0.012, 0.012), E, NU, 1e3, break_stress=1e3), "block")
+    )
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -42,18 +55,22 @@ def block():
 
 def test_uniaxial_stress_and_energy_are_youngs():
     solid, data, rest = block()
-    strain, volume = -0.1, np.prod([0.027, 0.023, 0.023])
+    strain = -0.1
+    volume = np.prod([0.027, 0.023, 0.023])
     data.flexvert_xpos[:] = rest * [1 + strain, 1 - NU * strain, 1 - NU * strain]
     seen = solid.strain(data)
     assert seen.compression == pytest.approx(-strain, rel=1e-6)
-    assert seen.energy_density == pytest.approx(E * strain**2 / 2, rel=1e-6)  # linear in Biot's strain: exact
+    # linear in Biot's strain: exact
+    assert seen.energy_density == pytest.approx(E * strain**2 / 2, rel=1e-6)
     assert seen.energy == pytest.approx(E * strain**2 / 2 * volume, rel=1e-6)
-    assert seen.stress == pytest.approx(-E * strain / (1 - NU * strain)**2, rel=1e-6)  # over the present section
+    # over the present section
+    assert seen.stress == pytest.approx(-E * strain / (1 - NU * strain) ** 2, rel=1e-6)
 
 
 def test_a_rigid_motion_is_a_pose_and_no_strain():
     solid, data, rest = block()
-    angle, shift = 0.7, np.array([0.01, -0.02, 0.03])
+    angle = 0.7
+    shift = np.array([0.01, -0.02, 0.03])
     R = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
     data.flexvert_xpos[:] = rest @ R.T + shift
     middle, turn = solid.pose(data)
@@ -62,23 +79,32 @@ def test_a_rigid_motion_is_a_pose_and_no_strain():
     assert solid.strain(data).energy == pytest.approx(0.0, abs=1e-15)
 
 
-@pytest.mark.parametrize(("change", "words"), [
-    (('<numeric name="break_stress_kPa" data="1"/>', ""), ["break_force_N"]),
-    (('break_stress_kPa" data="1"', 'break_stress_kPa" data="-1"'), ["break_stress_kPa", "-1"]),
-    (('young="20000"', 'young="0"'), ["young"]),
-])
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (('<numeric name="break_stress_kPa" data="1"/>', ""), ["break_force_N"]),
+        (('break_stress_kPa" data="1"', 'break_stress_kPa" data="-1"'), ["break_stress_kPa", "-1"]),
+        (('young="20000"', 'young="0"'), ["young"]),
+    ],
+)
 def test_broken_soft_bodies_are_refused(tmp_path, change, words):
     path = tmp_path / "gel.xml"
-    path.write_text(to_mjcf(SoftBody("block", (0.014, 0.012, 0.012), E, NU, 1e3, break_stress=1e3), "gel").replace(*change))
+    path.write_text(
+        to_mjcf(
+            SoftBody("block", (0.014, 0.012, 0.012), E, NU, 1e3, break_stress=1e3), "gel"
+        ).replace(*change)
+    )
     with pytest.raises(InputError) as caught:
         load_object(path)
     assert all(word in str(caught.value) for word in [str(path), *words])
 
 
 class Plates:
-    """A soft body between two plates without friction that close along z, or (`bonded`) that hold its ends.
+    """A soft body between two plates without friction that close along z, or (`bonded`) that hold
+    its ends.
 
-    Solved by itself with MuJoCo's Newton solver: the membranes' solver is judged by what touches them.
+    Solved by itself with MuJoCo's Newton solver: the membranes' solver is judged by what touches
+    them.
     """
 
     def __init__(self, body: SoftBody, *, bonded: bool = False):
@@ -87,26 +113,46 @@ class Plates:
             if other.name != "object":
                 spec.delete(other)
         option = spec.option
-        option.integrator, option.solver = mujoco.mjtIntegrator.mjINT_DISCRETE, mujoco.mjtSolver.mjSOL_NEWTON
-        option.timestep, option.tolerance, option.gravity = 4e-3, 1e-10, [0, 0, 0]
+        option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
+        option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+        option.timestep = 4e-3
+        option.tolerance = 1e-10
+        option.gravity = [0, 0, 0]
         stiff = {"solref": [0.008, 1], "solimp": [0.9999, 0.9999, 0.001, 0.5, 2]}
         for name, side in (("low", -1), ("high", 1)):
-            plate = spec.worldbody.add_body(name=name, mocap=True, pos=[0, 0, body.centre_height + side * (body.half[2] + 0.01)])
-            plate.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.05, 0.05, 0.01], priority=1, condim=1,
-                           contype=not bonded, conaffinity=not bonded, **stiff)
+            plate = spec.worldbody.add_body(
+                name=name, mocap=True, pos=[0, 0, body.centre_height + side * (body.half[2] + 0.01)]
+            )
+            plate.add_geom(
+                name=name,
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                size=[0.05, 0.05, 0.01],
+                priority=1,
+                condim=1,
+                contype=not bonded,
+                conaffinity=not bonded,
+                **stiff,
+            )
         self.ends = {"low": [], "high": []}
         if bonded:
             model, data = _state(spec.compile())
             for node in range(model.nbody):
                 height = (data.xpos[node, 2] - body.centre_height) / (body.half[2] - body.skin)
                 if model.body_mass[node] > 0 and abs(abs(height) - 1) < 1e-6:
-                    end, name = "high" if height > 0 else "low", model.body(node).name
+                    end = "high" if height > 0 else "low"
+                    name = model.body(node).name
                     self.ends[end].append(name)
-                    spec.add_equality(type=mujoco.mjtEq.mjEQ_CONNECT, objtype=mujoco.mjtObj.mjOBJ_BODY, name1=name, name2=end,
-                                      **stiff)
+                    spec.add_equality(
+                        type=mujoco.mjtEq.mjEQ_CONNECT,
+                        objtype=mujoco.mjtObj.mjOBJ_BODY,
+                        name1=name,
+                        name2=end,
+                        **stiff,
+                    )
         self.model, self.data = _state(spec.compile())
         self.solid = SoftSolid(self.model, soft_flex(self.model), body.young, body.poisson)
-        self._start, self._by = self.data.mocap_pos[:, 2].copy(), 0.0
+        self._start = self.data.mocap_pos[:, 2].copy()
+        self._by = 0.0
         self.work = self._force = 0.0
 
     def press(self, by: float, steps: int = 100) -> float:
@@ -116,7 +162,8 @@ class Plates:
             mujoco.mj_step(self.model, self.data)
             force = self.force()
             self.work += (force + self._force) / 2 * (now - self._by)
-            self._force, self._by = force, now
+            self._force = force
+            self._by = now
         return self._force
 
     def force(self) -> float:
@@ -124,7 +171,9 @@ class Plates:
         dofs = [self.model.body(name).dofadr[0] + 2 for name in self.ends["high"]]
         if dofs:
             return -float(self.data.qfrc_constraint[dofs].sum())
-        total, force, plate = 0.0, np.zeros(6), self.model.geom("high").id
+        total = 0.0
+        force = np.zeros(6)
+        plate = self.model.geom("high").id
         for row in np.flatnonzero((self.data.contact.geom == plate).any(axis=1)):
             mujoco.mj_contactForce(self.model, self.data, row, force)
             total += force[0]
@@ -138,7 +187,8 @@ def _state(model):
 
 
 def slab(half_height: float, poisson: float = NU) -> tuple[SoftBody, float, float]:
-    """A block of 23 x 23 mm of mesh, the mesh's section m^2 and its height m (the skin is not strained)."""
+    """A block of 23 x 23 mm of mesh, the mesh's section m^2 and its height m (the skin is not
+    strained)."""
     body = SoftBody("block", (0.012, 0.012, half_height), E, poisson, 1e3, break_stress=1e3)
     return body, 0.023**2, 2 * (half_height - body.skin)
 
@@ -147,37 +197,48 @@ def test_a_block_between_slippery_plates_meets_them_with_youngs_modulus_and_stor
     body, area, height = slab(0.012)
     plates = Plates(body)
     for by in (1e-3, 3e-3):
-        # E A e holds exactly for a law that is linear in Biot's strain; the contact gives way by some um
+        # E A e holds exactly for a law that is linear in Biot's strain; the contact gives way by
+        # some um
         assert plates.press(by, steps=200) == pytest.approx(E * area * by / height, rel=0.01)
-    assert plates.solid.strain(plates.data).energy == pytest.approx(plates.work, rel=0.02)  # a step's lag of 200 is 1 % of it
-    assert plates.solid.strain(plates.data).stress == pytest.approx(E * 3e-3 / height / (1 + NU * 3e-3 / height)**2, rel=0.01)
+    # a step's lag of 200 is 1 % of it
+    assert plates.solid.strain(plates.data).energy == pytest.approx(plates.work, rel=0.02)
+    assert plates.solid.strain(plates.data).stress == pytest.approx(
+        E * 3e-3 / height / (1 + NU * 3e-3 / height) ** 2, rel=0.01
+    )
 
 
 def ritz(poisson: float, ratio: float) -> float:
-    """Modulus over Young's, an upper bound, of a block that is bonded at both ends, `ratio` its width over its height: the
-    least energy of all bulges u_x = c x (1 - 4 z^2/h^2), u_y likewise, u_z = -e z."""
-    mu, lame = 1 / (2 * (1 + poisson)), poisson / ((1 + poisson) * (1 - 2 * poisson))
+    """Modulus over Young's, an upper bound, of a block that is bonded at both ends, `ratio` its
+    width over its height: the least energy of all bulges u_x = c x (1 - 4 z^2/h^2), u_y likewise,
+    u_z = -e z."""
+    mu = 1 / (2 * (1 + poisson))
+    lame = poisson / ((1 + poisson) * (1 - 2 * poisson))
     bulge = 4 / 3 * lame / (32 / 15 * (lame + mu) + 8 / 9 * mu * ratio**2)
     return lame + 2 * mu - 4 / 3 * lame * bulge
 
 
 def test_bonding_stiffens_the_more_the_flatter_the_block_and_not_without_poissons_effect():
-    strain, stiffness = 0.03, []
+    strain = 0.03
+    stiffness = []
     for half_height in (0.012, 0.006, 0.004):
         body, area, height = slab(half_height)
-        stiffness.append(Plates(body, bonded=True).press(strain * height, steps=40) / (E * area * strain))
-        # below the bound, and not far: its bulge is a parabola and square. 3 x 3 x 3 cells are 9 % stiffer than 6 x 6 x 4.
+        stiffness.append(
+            Plates(body, bonded=True).press(strain * height, steps=40) / (E * area * strain)
+        )
+        # below the bound, and not far: its bulge is a parabola and square. 3 x 3 x 3 cells are 9 %
+        # stiffer than 6 x 6 x 4.
         assert 0.8 < stiffness[-1] / ritz(NU, np.sqrt(area) / height) < 1.0
     assert 1.0 < stiffness[0] < stiffness[1] < stiffness[2]
     body, area, height = slab(0.006, poisson=0.0)
     free = Plates(body, bonded=True).press(strain * height, steps=40)
-    assert free == pytest.approx(E * area * strain, rel=0.04)  # what ties the ends gives way by 2 % of the way
+    # what ties the ends gives way by 2 % of the way
+    assert free == pytest.approx(E * area * strain, rel=0.04)
 
 
 def test_a_ball_between_plates_is_hertz_as_far_as_its_lattice_goes():
     ball = SHIPPED["silicone_ball"][0]
     plates = Plates(ball)
     for by in (1e-3, 2e-3):  # of both sides; radii of contact of 2.4 and 3.5 mm in cells of 5.75 mm
-        hertz = 4 / 3 * ball.young / (1 - ball.poisson**2) * np.sqrt(ball.half[0]) * (by / 2)**1.5
+        hertz = 4 / 3 * ball.young / (1 - ball.poisson**2) * np.sqrt(ball.half[0]) * (by / 2) ** 1.5
         # 1.26 and 1.18 were measured; with 8 x 8 x 8 cells and elements 1.00 and 1.12
         assert 1.0 < plates.press(by, steps=60) / hertz < 1.35

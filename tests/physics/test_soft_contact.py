@@ -21,22 +21,36 @@ def squeezed(path, opening):
     world.set_finger_target(opening, 6.0)
     world.step(70)
     sides = range(2)
-    return (world.opening, np.mean([-truth.contact_force(world, side)[2] for side in sides]),
-            np.mean([truth.contact_area(world, side) for side in sides]))
+    return (
+        world.opening,
+        np.mean([-truth.contact_force(world, side)[2] for side in sides]),
+        np.mean([truth.contact_area(world, side) for side in sides]),
+    )
 
 
 def test_a_ball_between_membranes_gives_way_as_under_their_even_pressure(tmp_path):
-    ball, text = SHIPPED["silicone_ball"][0], resources.find("silicone_ball", "models/objects", ".xml").read_text()
+    ball = SHIPPED["silicone_ball"][0]
+    text = resources.find("silicone_ball", "models/objects", ".xml").read_text()
     rigid = tmp_path / "rigid.xml"
-    rigid.write_text(re.sub("<body name=\"object\".*?</body>", '<body name="object" pos="0 0 0.032"><freejoint/>'
-                            '<geom type="sphere" size="0.012" mass="0.0075"/></body>', text, flags=re.DOTALL)
-                     .replace("break_stress_kPa", "break_force_N"))
+    rigid.write_text(
+        re.sub(
+            '<body name="object".*?</body>',
+            '<body name="object" pos="0 0 '
+            '0.032"><freejoint/>'
+            '<geom type="sphere" size="0.012" '
+            'mass="0.0075"/></body>',
+            text,
+            flags=re.DOTALL,
+        ).replace("break_stress_kPa", "break_force_N")
+    )
     opening, force, area = squeezed("silicone_ball", 0.0225)
     hard = np.array([squeezed(rigid, goal)[:2] for goal in (0.0245, 0.0228)])
-    between = np.interp(force, hard[:, 1], hard[:, 0], left=np.nan, right=np.nan)  # where a rigid ball has that force
+    # where a rigid ball has that force
+    between = np.interp(force, hard[:, 1], hard[:, 0], left=np.nan, right=np.nan)
     radius = np.sqrt(area / np.pi)
-    # A half-space under an even pressure over a circle, both sides: 2 (1 - nu^2) p c / E in the middle, 16/(3 pi) of (...)
-    # on the average (Timoshenko & Goodier, sect. 139).
+    # A half-space under an even pressure over a circle, both sides: 2 (1 - nu^2) p c / E in the
+    # middle, 16/(3 pi) of (...) on the average (Timoshenko & Goodier, sect. 139).
     middle = 2 * 2 * (1 - ball.poisson**2) * force / (np.pi * radius * ball.young)
-    # the lattice is a fifth too stiff against a plate (test_soft_bodies.py), and a rim that leaves the ball is less than even
+    # the lattice is a fifth too stiff against a plate (test_soft_bodies.py), and a rim that leaves
+    # the ball is less than even
     assert 0.75 * 8 / (3 * np.pi) * middle < between - opening < 1.05 * middle

@@ -36,8 +36,11 @@ def test_the_judge_fails_what_nothing_owns_up_to(monkeypatch, problem, words):
 
     def measure(case):
         wrong = case.timestep < 8e-3 and problem == "force"
-        return {"force_N": 0.5 if wrong else 0.3, "flags": {"stretch": "large"},
-                "problems": {} if problem == "force" else {"settled": "does not settle"}}
+        return {
+            "force_N": 0.5 if wrong else 0.3,
+            "flags": {"stretch": "large"},
+            "problems": {} if problem == "force" else {"settled": "does not settle"},
+        }
 
     monkeypatch.setattr(run, "measure", measure)
     row = run.judge(case)
@@ -49,8 +52,13 @@ def design(**sheet):
     return replace(base, membrane=replace(base.membrane, **sheet))
 
 
-@pytest.mark.parametrize(("sheet", "words"), [({"thickness": 4e-3}, "thickness_mm.*plate.*at most 3"),
-                                              ({"pre_stretch": 0.9}, r"pre_stretch.*slack.*at least 0\.95")])
+@pytest.mark.parametrize(
+    ("sheet", "words"),
+    [
+        ({"thickness": 4e-3}, "thickness_mm.*plate.*at most 3"),
+        ({"pre_stretch": 0.9}, r"pre_stretch.*slack.*at least 0\.95"),
+    ],
+)
 def test_sheets_that_are_no_membranes_are_refused(sheet, words):
     with pytest.raises(InputError, match=words):
         PressWorld(design(**sheet), Indenter.parse("sphere:8"))
@@ -69,35 +77,54 @@ def test_a_thick_sheet_and_a_coarse_mesh_are_flagged():
 
 
 def test_something_that_goes_through_stops_the_run():
-    """A sheet of paper at 30 m/s moves its own thickness 600 times in a step: it is never seen in contact."""
-    world = DropWorld("paper16", Body("plate", 2e-4, 1e-3), pressure_gauge=1000.0, speed=30.0, guided=True)
+    """A sheet of paper at 30 m/s moves its own thickness 600 times in a step: it is never seen in
+    contact."""
+    world = DropWorld(
+        "paper16", Body("plate", 2e-4, 1e-3), pressure_gauge=1000.0, speed=30.0, guided=True
+    )
     with pytest.raises(SimulationError, match=r"went through|glass|sunk"):
         world.step(300)
 
 
 def test_a_body_too_fast_for_the_step_is_flagged():
-    world = DropWorld("paper16", Body("sphere", 3e-3, 0.05), pressure_gauge=1000.0, speed=2.0, timestep=4e-3, guided=True)
+    world = DropWorld(
+        "paper16",
+        Body("sphere", 3e-3, 0.05),
+        pressure_gauge=1000.0,
+        speed=2.0,
+        timestep=4e-3,
+        guided=True,
+    )
     world.step()  # as it is let go; the membrane stops it long before a look that comes every 20 ms
     assert "use a timestep of at most" in world.flags["speed"]
 
 
 def test_an_interrupted_run_keeps_what_it_finished(tmp_path):
     log = tmp_path / "stability.jsonl"
-    log.write_text('{"axis": "mesh", "label": "7x7, 1 ms", "outcome": "ok"}\n{"axis": "gone", "label": "x"}\n{"axis": "me')
+    log.write_text(
+        '{"axis": "mesh", "label": "7x7, 1 ms", "outcome": "ok"}\n{"axis": "gone", "label": '
+        '"x"}\n{"axis": "me'
+    )
     place = {(case.axis, case.label): i for i, case in enumerate(matrix())}
     assert [row["outcome"] for row in run._kept(log, place)] == ["ok"]
     assert not run._kept(tmp_path / "none.jsonl", place)
 
 
 def test_the_gas_is_implicit_in_every_step():
-    """MuJoCo leaves out the stiffness of a tendon that is exactly as long as at rest: now and then, over a shallow chamber, the
-    gas was explicit for a step, which struck the membrane (2e-4 J) until it reached the glass."""
+    """MuJoCo leaves out the stiffness of a tendon that is exactly as long as at rest: now and then,
+    over a shallow chamber, the gas was explicit for a step, which struck the membrane (2e-4 J)
+    until it reached the glass."""
     design = load_sensor("paper16")
-    world = PressWorld(replace(design, chamber=replace(design.chamber, depth=1e-3)), Indenter.parse("sphere:8"), mesh=(11, 9))
+    world = PressWorld(
+        replace(design, chamber=replace(design.chamber, depth=1e-3)),
+        Indenter.parse("sphere:8"),
+        mesh=(11, 9),
+    )
     world.inflate(1000.0, seal=True)
     world.press(0.7e-3)
     energies = []
     for _ in range(300):
         world.step()
         energies.append(world.kinetic_energy)
-    assert max(energies) < 1e-10  # J: a sheet of 0.3 g at 1 mm/s; it was left at a hundredth of that
+    # J: a sheet of 0.3 g at 1 mm/s; it was left at a hundredth of that
+    assert max(energies) < 1e-10

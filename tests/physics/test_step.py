@@ -1,4 +1,5 @@
-"""`advance` is `mj_step`: bit for bit with the same tolerance in both solves, to the tolerance without the first one."""
+"""`advance` is `mj_step`: bit for bit with the same tolerance in both solves, to the tolerance
+without the first one."""
 
 import mujoco
 import numpy as np
@@ -12,7 +13,9 @@ SCENE = """<mujoco><worldbody>
   <site name="tip" pos="0 0 0.03"/></body>
  <body name="ball" pos="0.003 0 0.1412"><freejoint/><geom size="0.008" mass="0.02"/></body>{more}
 </worldbody><sensor><accelerometer site="tip"/><force site="tip"/></sensor></mujoco>"""
-FLYING = '<body pos="0.3 0 0.3"><freejoint/><geom type="box" size="0.01 0.02 0.03" mass="0.1"/></body>'
+FLYING = (
+    '<body pos="0.3 0 0.3"><freejoint/><geom type="box" size="0.01 0.02 0.03" mass="0.1"/></body>'
+)
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 STEPS = 40  # of 4 ms: the ball falls on, bounces and rolls
 
@@ -56,30 +59,42 @@ def test_with_the_same_tolerance_it_is_mj_step_bit_for_bit():
 
 @pytest.mark.parametrize(("tolerance", "left"), [(1e-7, 6e-4), (1e-10, 1.5e-5)])
 def test_without_the_first_solve_it_is_mj_step_to_the_tolerance(tolerance, left):
-    """Two solutions with other starts differ by what the tolerance leaves, in m/s three times the largest that was measured
-    on two makes of processor; the ball strikes with 0.1."""
+    """Two solutions with other starts differ by what the tolerance leaves, in m/s three times the
+    largest that was measured on two makes of processor; the ball strikes with 0.1."""
     model, data, sensor = scene()
     model.opt.tolerance = tolerance
-    largest = max(np.abs(ours.qvel - theirs.qvel).max() for ours, theirs in pairs(model, data, sensor))
+    largest = max(
+        np.abs(ours.qvel - theirs.qvel).max() for ours, theirs in pairs(model, data, sensor)
+    )
     assert 0 < largest < left
     assert data.nidof == model.nv
 
 
 def test_what_nothing_holds_is_solved_first_as_ever():
-    """A box in free fall is in no second solve; it falls by g, and the membrane beside it is mj_step's."""
+    """A box in free fall is in no second solve; it falls by g, and the membrane beside it is
+    mj_step's."""
     model, data, sensor = scene(FLYING)
     start = data.qvel[-6:].copy()
     for ours, theirs in pairs(model, data, sensor):
         np.testing.assert_array_equal(state(model, ours), state(model, theirs))
-    np.testing.assert_allclose(data.qvel[-6:] - start, [0, 0, -9.81 * data.time, 0, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(
+        data.qvel[-6:] - start, [0, 0, -9.81 * data.time, 0, 0, 0], atol=1e-6
+    )
 
 
-@pytest.mark.parametrize("option", ['integrator="implicitfast"', 'integrator="discrete" noslip_iterations="3"',
-                                    'integrator="discrete" solver="PGS"'])
+@pytest.mark.parametrize(
+    "option",
+    [
+        'integrator="implicitfast"',
+        'integrator="discrete" noslip_iterations="3"',
+        'integrator="discrete" solver="PGS"',
+    ],
+)
 def test_under_other_options_it_is_mj_step(option):
     model = mujoco.MjModel.from_xml_string(f"""<mujoco><option {option}/><worldbody><geom type="plane" size="1 1 .1"/>
         <body pos="0 0 0.1"><freejoint/><geom type="box" size=".05 .03 .02"/></body></worldbody></mujoco>""")
-    ours, theirs = mujoco.MjData(model), mujoco.MjData(model)
+    ours = mujoco.MjData(model)
+    theirs = mujoco.MjData(model)
     for _ in range(100):
         advance(model, ours)
         mujoco.mj_step(model, theirs)

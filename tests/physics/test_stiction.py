@@ -1,4 +1,5 @@
-"""Static friction holds, friction slides at mu N, depth costs nothing, and a spinning sensor keeps its angular momentum."""
+"""Static friction holds, friction slides at mu N, depth costs nothing, and a spinning sensor keeps
+its angular momentum."""
 
 from dataclasses import replace
 
@@ -11,10 +12,11 @@ from mjtactile.core.rubber import Law
 from mjtactile.sim import truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
-# An independent membrane solver, converged to 1e-4: 40 x 30 mm, 0.3 mm, 1 MPa, nu 0.45, pre-stretch 1.05, sealed at 1 kPa,
-# St. Venant-Kirchhoff's law, a sphere of 8 mm that sticks. Shear, N, after a drag of 0.3 mm at 2 mm depth, and at (7, -4) mm
-# and 4 mm depth.
-DRAGGED, OFF_CENTRE = 0.205, (0.129, -0.116)
+# An independent membrane solver, converged to 1e-4: 40 x 30 mm, 0.3 mm, 1 MPa, nu 0.45, pre-stretch
+# 1.05, sealed at 1 kPa, St. Venant-Kirchhoff's law, a sphere of 8 mm that sticks. Shear, N, after a
+# drag of 0.3 mm at 2 mm depth, and at (7, -4) mm and 4 mm depth.
+DRAGGED = 0.205
+OFF_CENTRE = (0.129, -0.116)
 MU = 0.9
 
 
@@ -37,13 +39,18 @@ def mean_shear(world):
 
 
 @pytest.mark.parametrize("timestep", [2e-3, 8e-3])
-@pytest.mark.parametrize(("kind", "size", "squeeze"), [("sphere", 0.01, 1.5e-3), ("box", 0.02, 0.7e-3)])
+@pytest.mark.parametrize(
+    ("kind", "size", "squeeze"), [("sphere", 0.01, 1.5e-3), ("box", 0.02, 0.7e-3)]
+)
 def test_a_held_object_does_not_creep(kind, size, squeeze, timestep):
-    world = PinchWorld("dense", Body(kind, size, 0.02), pressure_gauge=1000.0, squeeze=squeeze, timestep=timestep)
+    world = PinchWorld(
+        "dense", Body(kind, size, 0.02), pressure_gauge=1000.0, squeeze=squeeze, timestep=timestep
+    )
     world.step(round(0.5 / timestep))
     grip = sum(-truth.contact_force(world, i)[2] for i in range(2))
     assert 1.5 < MU * grip / world.weight < 2.2  # twice the friction that it needs
-    times, drops = [], []
+    times = []
+    drops = []
     for _ in range(40):
         world.step(round(0.05 / timestep))
         times.append(world.time)
@@ -63,7 +70,8 @@ def test_held_shear_stays(timestep):
 
 
 def test_shear_of_a_drag_is_that_of_a_sheet_that_sticks():
-    """Some of the edge slips, since its coefficient is finite: within 8 %. Without memory it was 66 % too low."""
+    """Some of the edge slips, since its coefficient is finite: within 8 %. Without memory it was 66
+    % too low."""
     world = pressed()
     world.press(2e-3, 3e-4)
     assert truth.contact_force(world, 0)[0] == pytest.approx(DRAGGED, rel=0.08)
@@ -88,11 +96,13 @@ def test_shear_off_centre_is_that_of_a_sheet_that_sticks():
 @pytest.mark.parametrize(("timestep", "speed"), [(2e-3, 20e-3), (4e-3, -20e-3), (8e-3, 5e-3)])
 def test_what_slides_is_dragged_with_mu_times_the_normal_force(timestep, speed):
     world = pressed(timestep=timestep)
-    shares, forces = [], []
+    shares = []
+    forces = []
 
     def look():
         shares.append(truth.friction_used(world, MU))
         forces.append(truth.contact_force(world, 0)[0])
+
     world.after_each_step(look)
     world.drive(2e-3, np.copysign(2e-3, speed), speed=abs(speed))
     late = slice(2 * len(shares) // 3, None)
@@ -124,14 +134,16 @@ def test_nothing_is_remembered_of_what_is_gone():
     world.lift_off()
     world.step(2)
     first, last = world.sensors[0].vertex_geom_ids[[0, -1]]
-    assert not world.model.geom_surfacevel[first:last + 1].any()
+    assert not world.model.geom_surfacevel[first : last + 1].any()
 
 
 def floating(timestep):
     return FloatWorld("dense", pressure_gauge=1000.0, timestep=timestep, mesh=(11, 9))
 
 
-@pytest.mark.parametrize(("timestep", "axis"), [(1e-3, [0, 0, 1]), (4e-3, [0.6, 0, 0.8]), (8e-3, [0, 0, 1])])
+@pytest.mark.parametrize(
+    ("timestep", "axis"), [(1e-3, [0, 0, 1]), (4e-3, [0.6, 0, 0.8]), (8e-3, [0, 0, 1])]
+)
 def test_a_spinning_sensor_keeps_its_angular_momentum(timestep, axis):
     world = floating(timestep)
     world.turn(axis)

@@ -1,4 +1,5 @@
-"""A second scene that somebody else wrote: the Franka arm in its kitchen, with joint servos, a tree of its own, and gravity."""
+"""A second scene that somebody else wrote: the Franka arm in its kitchen, with joint servos, a tree
+of its own, and gravity."""
 
 from importlib.util import find_spec
 from types import SimpleNamespace
@@ -11,7 +12,10 @@ import mjtactile
 from mjtactile.sim import truth
 
 KITCHEN = "envs/assets/kitchen_franka/kitchen_assets/kitchen_env_model.xml"
-ARM = {f"robot:panda0_joint{number}": angle for number, angle in enumerate((0.148, -1.768, 1.844, -2.477, 0.26, 0.713, 1.595), 1)}
+ARM = {
+    f"robot:panda0_joint{number}": angle
+    for number, angle in enumerate((0.148, -1.768, 1.844, -2.477, 0.26, 0.713, 1.595), 1)
+}
 FINGERS = ("robot:panda0_finger_joint1", "robot:panda0_finger_joint2")
 MASS = 0.05
 
@@ -26,11 +30,14 @@ def held():
     mjtactile.recommend_options(spec)
     tips = []
     for side, inwards in (("left", -1), ("right", 1)):
-        spec.body(f"panda0_{side}finger").add_site(name=side, pos=[0, 0.002 * inwards, 0.08], quat=[1, -inwards, 0, 0])
+        spec.body(f"panda0_{side}finger").add_site(
+            name=side, pos=[0, 0.002 * inwards, 0.08], quat=[1, -inwards, 0, 0]
+        )
         tips.append(mjtactile.attach(spec, "dense", site=side, prefix=f"{side}/"))
     ball = spec.worldbody.add_body(name="ball")
     ball.add_freejoint(name="ball")
-    ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.015, 0, 0], mass=MASS, group=3)  # their masses are of groups 3-5
+    # their masses are of groups 3-5
+    ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.015, 0, 0], mass=MASS, group=3)
     model = spec.compile()
     data = mujoco.MjData(model)
     for number, (joint, place) in enumerate({**ARM, FINGERS[0]: 0.024, FINGERS[1]: 0.024}.items()):
@@ -43,18 +50,27 @@ def held():
             data.joint("ball").qvel = 0
         data.ctrl[-2:] = max(0.024 - 0.1 * data.time, 0.0155)
         mjtactile.step(model, data, fingers)
-    return SimpleNamespace(model=model, data=data, fingers=fingers, sensors=[finger.sensor for finger in fingers])
+    return SimpleNamespace(
+        model=model, data=data, fingers=fingers, sensors=[finger.sensor for finger in fingers]
+    )
 
 
 def test_the_ball_is_carried_and_felt(held):
     true = [truth.contact_force(held, number) for number in range(2)]
     rotations = [held.data.site(side).xmat.reshape(3, 3) for side in ("left", "right")]
     # statics: what the ball does to both membranes is its weight; it swings by less than 0.1 m/s^2
-    np.testing.assert_allclose(sum(R @ f for R, f in zip(rotations, true, strict=True)), [0, 0, -9.81 * MASS], atol=0.1 * MASS)
+    np.testing.assert_allclose(
+        sum(R @ f for R, f in zip(rotations, true, strict=True)),
+        [0, 0, -9.81 * MASS],
+        atol=0.1 * MASS,
+    )
     for finger, force in zip(held.fingers, true, strict=True):
         np.testing.assert_allclose(finger.touch.traction.wrench[:3], force, atol=0.03)
 
 
 def test_nothing_of_a_sensor_touches_the_robot_that_carries_it(held):
-    names = [[held.model.geom(geom).name for geom in pair if geom >= 0] for pair in held.data.contact.geom]
+    names = [
+        [held.model.geom(geom).name for geom in pair if geom >= 0]
+        for pair in held.data.contact.geom
+    ]
     assert not any("housing" in name for pair in names for name in pair)

@@ -16,7 +16,9 @@ SCENE = """<mujoco><option gravity="0 0 -9.81"/><worldbody>
   <site name="there" pos="0.04 0 0.06"/></body>
  <body name="ball" pos="-0.04 0 {height}"><joint type="slide" axis="0 0 1"/><geom size="0.02" mass="0.05"/></body>
 </worldbody></mujoco>"""
-ON_THE_SENSOR, IN_THE_AIR = 0.182, 0.3  # m; the former touches the bulge from the start
+# m; the former touches the bulge from the start
+ON_THE_SENSOR = 0.182
+IN_THE_AIR = 0.3
 
 
 def scene(height=IN_THE_AIR, sites=("here",), gravity=G):
@@ -26,7 +28,9 @@ def scene(height=IN_THE_AIR, sites=("here",), gravity=G):
     mounts = [mjtactile.attach(spec, "dense", site=site, prefix=f"{site}/") for site in sites]
     model = spec.compile()
     data = mujoco.MjData(model)
-    return SimpleNamespace(model=model, data=data, fingers=[mount.bind(model, data) for mount in mounts], mounts=mounts)
+    return SimpleNamespace(
+        model=model, data=data, fingers=[mount.bind(model, data) for mount in mounts], mounts=mounts
+    )
 
 
 def run(s, seconds):
@@ -51,7 +55,9 @@ def test_a_weight_is_felt_though_it_lay_there_when_the_sensor_was_bound(loaded):
 def test_mujocos_own_sensors_say_the_same(loaded):
     for finger in loaded.fingers:
         touch = finger.touch
-        np.testing.assert_array_equal(loaded.data.sensor(finger.name + "/wrench").data, touch.traction.wrench)
+        np.testing.assert_array_equal(
+            loaded.data.sensor(finger.name + "/wrench").data, touch.traction.wrench
+        )
         assert loaded.data.sensor(finger.name + "/touching").data[0] == touch.touching
         assert loaded.data.sensor(finger.name + "/pressure").data[0] == finger.pressure_gauge
     before = loaded.data.sensordata.copy()
@@ -62,7 +68,8 @@ def test_mujocos_own_sensors_say_the_same(loaded):
 def test_a_sensor_starts_inflated_sealed_and_at_rest():
     s = scene(gravity=0.0)
     finger = s.fingers[0]
-    height, pressure = finger.sensor.height_at(0, 0), finger.pressure_gauge
+    height = finger.sensor.height_at(0, 0)
+    pressure = finger.pressure_gauge
     # the sheet was still settling by some nm when its valve closed
     assert pressure == pytest.approx(finger.design.chamber.supply_gauge, rel=1e-4)
     assert not finger.sensor.valve_is_open
@@ -75,7 +82,8 @@ def test_a_sensor_starts_inflated_sealed_and_at_rest():
 
 def test_images_are_drawn_when_they_are_due():
     s = scene(gravity=0.0)
-    finger, times = s.fingers[0], []
+    finger = s.fingers[0]
+    times = []
     while s.data.time < 0.5:
         mjtactile.step(s.model, s.data, s.fingers)
         times.append(finger.image.time)
@@ -121,7 +129,8 @@ def test_a_forgotten_step_is_said_and_not_felt():
 
 
 def test_a_loop_of_ones_own_feels_the_same():
-    one, other = scene(ON_THE_SENSOR), scene(ON_THE_SENSOR)
+    one = scene(ON_THE_SENSOR)
+    other = scene(ON_THE_SENSOR)
     run(one, 0.2)
     while other.data.time < one.data.time:
         other.fingers[0].before_step()
@@ -154,7 +163,9 @@ def test_bad_use_is_one_line():
         s.mounts[0].bind(model, mujoco.MjData(model))
 
 
-@pytest.mark.parametrize("option", [{}, {"impratio": 50.0}, {"density": 1.2, "viscosity": 2e-5}, {"timestep": 2e-3}])
+@pytest.mark.parametrize(
+    "option", [{}, {"impratio": 50.0}, {"density": 1.2, "viscosity": 2e-5}, {"timestep": 2e-3}]
+)
 def test_a_scenes_own_options_do_not_spoil_the_force(option):
     spec = mujoco.MjSpec.from_string(SCENE.format(height=ON_THE_SENSOR))
     mjtactile.recommend_options(spec)
@@ -166,5 +177,6 @@ def test_a_scenes_own_options_do_not_spoil_the_force(option):
     finger = mount.bind(model, data)
     mjtactile.step(model, data, [finger], nstep=round(0.8 / model.opt.timestep))
     world = SimpleNamespace(model=model, data=data, sensors=[finger.sensor])
-    assert -truth.contact_force(world, 0)[2] == pytest.approx(0.05 * G, abs=0.01)  # it has come to rest
+    # it has come to rest
+    assert -truth.contact_force(world, 0)[2] == pytest.approx(0.05 * G, abs=0.01)
     assert finger.touch.force_normal == pytest.approx(0.05 * G, abs=0.03)

@@ -1,8 +1,9 @@
-"""Every block of code on the pages runs, or where that takes longer than a test may, what it names is there.
+"""Every block of code on the pages runs, or where that takes longer than a test may, what it names
+is there.
 
-Python runs here (`RUN`) or in a test of its own that says what must come out (`TESTED`); of two reports to MuJoCo only the syntax
-is looked at (`PARSED`). Lines of a shell: every command, its options and their values are parsed as the command line would; the
-blocks in `SHELL` run whole.
+Python runs here (`RUN`) or in a test of its own that says what must come out (`TESTED`); of two
+reports to MuJoCo only the syntax is looked at (`PARSED`). Lines of a shell: every command, its
+options and their values are parsed as the command line would; the blocks in `SHELL` run whole.
 """
 
 import argparse
@@ -35,12 +36,24 @@ TESTED = {
     ("docs/controllers.md", 0): "test_docs.py::test_controller_example",
     ("docs/controllers.md", 1): "test_docs.py::test_slip_controller_example",
     ("docs/tutorials/controller.md", 0): "test_docs.py::test_controller_of_the_tutorial",
-    ("docs/studio.md", 0): "studio/test_own.py::test_the_loop_of_the_documents_serves_this_computer_alone_and_no_other_web_site",
+    (
+        "docs/studio.md",
+        0,
+    ): "studio/test_own.py::test_the_loop_of_the_documents_serves_this_computer_alone_and_no_other_web_site",
     ("docs/gym.md", 0): "gym/test_grasp_env.py::test_the_example_of_the_page",
 }
-PARSED = {("docs/upstream/first-solve-has-no-tolerance-of-its-own.md", 0), ("docs/upstream/tendon-exactly-at-rest.md", 0)}
-SHELL = {("docs/tutorials/sensor.md", 0), ("docs/tutorials/sensor.md", 1), ("docs/tutorials/gripper.md", 0),
-         ("docs/tutorials/gripper.md", 1), ("docs/tutorials/controller.md", 0), ("docs/tutorials/controller.md", 1)}
+PARSED = {
+    ("docs/upstream/first-solve-has-no-tolerance-of-its-own.md", 0),
+    ("docs/upstream/tendon-exactly-at-rest.md", 0),
+}
+SHELL = {
+    ("docs/tutorials/sensor.md", 0),
+    ("docs/tutorials/sensor.md", 1),
+    ("docs/tutorials/gripper.md", 0),
+    ("docs/tutorials/gripper.md", 1),
+    ("docs/tutorials/controller.md", 0),
+    ("docs/tutorials/controller.md", 1),
+}
 """In their order; a page's blocks share a folder."""
 TOOLS = ("sed", "pip", "make", "python", "pytest", "ssh")
 """What else than mjtactile a line may call."""
@@ -52,8 +65,13 @@ def name_of(page):
 
 def fenced(*languages):
     """Page, number among its blocks of these languages, text."""
-    return [(name_of(page), number, text) for page in PAGES for number, text in enumerate(
-        text for language, text in FENCE.findall(page.read_text()) if language in languages)]
+    return [
+        (name_of(page), number, text)
+        for page in PAGES
+        for number, text in enumerate(
+            text for language, text in FENCE.findall(page.read_text()) if language in languages
+        )
+    ]
 
 
 def shell_lines():
@@ -61,7 +79,9 @@ def shell_lines():
     for page in PAGES:
         text = page.read_text()
         blocks = [block for language, block in FENCE.findall(text) if language in ("bash", "sh")]
-        blocks += [re.sub(r"(?m)^ {4}", "", block) for block in INDENTED.findall(FENCE.sub("", text))]
+        blocks += [
+            re.sub(r"(?m)^ {4}", "", block) for block in INDENTED.findall(FENCE.sub("", text))
+        ]
         for line in "\n".join(blocks).replace("\\\n", " ").splitlines():
             if re.match(rf"(mjtactile|{'|'.join(TOOLS)}) \S", line):
                 yield name_of(page), line
@@ -105,10 +125,18 @@ def test_python_parses(page, number, text):
 
 def options_of(words):
     """Every option that the command has which `words` begin with."""
-    parser, found = build_parser(words[0]), set()
+    parser = build_parser(words[0])
+    found = set()
     while parser is not None:
         found |= set(parser._option_string_actions)
-        chosen = next((action.choices for action in parser._actions if isinstance(action, argparse._SubParsersAction)), {})
+        chosen = next(
+            (
+                action.choices
+                for action in parser._actions
+                if isinstance(action, argparse._SubParsersAction)
+            ),
+            {},
+        )
         parser = next((chosen[word] for word in words if word in chosen), None)
     return found
 
@@ -116,7 +144,7 @@ def options_of(words):
 @pytest.mark.parametrize(("page", "line"), LINES, ids=lambda value: value[:70])
 def test_a_line_of_a_shell_names_what_there_is(page, line, monkeypatch, tmp_path):
     words = shlex.split(line, comments=True)
-    words = words[:words.index("&&")] if "&&" in words else words
+    words = words[: words.index("&&")] if "&&" in words else words
     if words[0] == "mjtactile":
         monkeypatch.chdir(tmp_path)
         try:
@@ -126,7 +154,9 @@ def test_a_line_of_a_shell_names_what_there_is(page, line, monkeypatch, tmp_path
     elif words[0] == "make":
         assert re.search(rf"(?m)^{words[1]}:", (CHECKOUT / "Makefile").read_text())
     elif words[:2] == ["pip", "install"]:
-        extras = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+        extras = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["project"][
+            "optional-dependencies"
+        ]
         assert all(extra in extras for extra in re.findall(r"mjtactile\[(\w+)\]", line))
 
 
@@ -135,19 +165,35 @@ def test_commands_in_the_text_have_the_options_that_it_says(page):
     for text in INLINE.findall(page.read_text()):
         words = text.removeprefix("mjtactile ").replace("=", " ").split()
         assert words[0] in COMMANDS, text
-        assert {word.rstrip(",.") for word in words if word.startswith("--")} <= options_of(words), text
+        assert {word.rstrip(",.") for word in words if word.startswith("--")} <= options_of(
+            words
+        ), text
 
 
 @pytest.mark.parametrize("page", sorted({page for page, _ in SHELL}))
 def test_a_block_of_a_shell_runs(page, tmp_path):
-    command = f"mjtactile() {{ {shlex.quote(sys.executable)} -m mjtactile \"$@\"; }}\nset -e\n"
+    command = f'mjtactile() {{ {shlex.quote(sys.executable)} -m mjtactile "$@"; }}\nset -e\n'
     for number in sorted(number for there, number in SHELL if there == page):
-        text = next(text for there, which, text in fenced("bash", "sh") if (there, which) == (page, number))
-        subprocess.run(["bash", "-c", command + text], cwd=tmp_path, check=True, capture_output=True, timeout=300)
+        text = next(
+            text for there, which, text in fenced("bash", "sh") if (there, which) == (page, number)
+        )
+        subprocess.run(
+            ["bash", "-c", command + text],
+            cwd=tmp_path,
+            check=True,
+            capture_output=True,
+            timeout=300,
+        )
     if page.endswith("sensor.md"):  # what was changed is a sensor, and was changed
         design = load_sensor(tmp_path / "my_sensor.toml")
-        assert (design.markers.count, design.membrane.thickness, design.chamber.supply_gauge) == (49, 0.4e-3, 1500.0)
+        assert (design.markers.count, design.membrane.thickness, design.chamber.supply_gauge) == (
+            49,
+            0.4e-3,
+            1500.0,
+        )
     if page.endswith("gripper.md"):
         assert load_sim_rig(tmp_path / "my_hand.toml").gripper.opening[1] == 0.1
     if page.endswith("controller.md"):
-        assert (tmp_path / "firm.py").read_text() != resources.find("gentle", "controllers", ".py").read_text()
+        assert (tmp_path / "firm.py").read_text() != resources.find(
+            "gentle", "controllers", ".py"
+        ).read_text()

@@ -1,4 +1,5 @@
-"""The import contracts hold, and each of them catches a violation (so none of them passes by being empty)."""
+"""The import contracts hold, and each of them catches a violation (so none of them passes by being
+empty)."""
 
 import shutil
 import subprocess
@@ -13,9 +14,18 @@ VIOLATIONS = {
     "Layers": ("mjtactile/core/types.py", "import mjtactile.rig.file"),
     "Layers (a new module without a place)": ("mjtactile/stray.py", ""),
     "Core, from the ground up": ("mjtactile/core/types.py", "import mjtactile.core.design"),
-    "Sensing, from the image up": ("mjtactile/sensing/image/edges.py", "import mjtactile.sensing.force.sheet"),
-    "Simulation, from the sensor up": ("mjtactile/sim/sensor/gas.py", "import mjtactile.sim.scenes.world"),
-    "The product imports no benchmark": ("mjtactile/commands/press.py", "import benchmarks.speed.run"),
+    "Sensing, from the image up": (
+        "mjtactile/sensing/image/edges.py",
+        "import mjtactile.sensing.force.sheet",
+    ),
+    "Simulation, from the sensor up": (
+        "mjtactile/sim/sensor/gas.py",
+        "import mjtactile.sim.scenes.world",
+    ),
+    "The product imports no benchmark": (
+        "mjtactile/commands/press.py",
+        "import benchmarks.speed.run",
+    ),
     "Sensing meets": ("mjtactile/sensing/pose/circles.py", "import mjtactile.rig.registry"),
     "Only the simulator": ("mjtactile/run/loop.py", "import mujoco"),
     "Fitting, from": ("mjtactile/fit/evidence.py", "import mjtactile.fit.run"),
@@ -31,7 +41,9 @@ VIOLATIONS = {
 def copy(tmp_path_factory):
     folder = tmp_path_factory.mktemp("contracts")
     for name in ("mjtactile", "benchmarks", "controllers", "examples"):
-        shutil.copytree(CHECKOUT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(
+            CHECKOUT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__")
+        )
     shutil.copy(CHECKOUT / "pyproject.toml", folder)
     return folder
 
@@ -47,7 +59,9 @@ sys.exit(lint_imports(no_cache=True))
 
 def lint(folder):
     """Run import-linter on the code in `folder`."""
-    return subprocess.run([sys.executable, "-c", LINT], cwd=folder, capture_output=True, text=True, check=False)
+    return subprocess.run(
+        [sys.executable, "-c", LINT], cwd=folder, capture_output=True, text=True, check=False
+    )
 
 
 @pytest.mark.parametrize("contract", VIOLATIONS)
@@ -61,5 +75,7 @@ def test_a_violation_is_caught(copy, contract):
     finally:
         path.unlink() if original is None else path.write_text(original)
     assert result.returncode == 1
-    broken = [text for text in result.stdout.splitlines() if text.endswith("BROKEN") or "BROKEN" in text]
+    broken = [
+        text for text in result.stdout.splitlines() if text.endswith("BROKEN") or "BROKEN" in text
+    ]
     assert any(text.startswith(contract.split(" (")[0][:16]) for text in broken), result.stdout

@@ -1,4 +1,5 @@
-"""What the documents show works: the README's scene, the object and the controller to copy, the links."""
+"""What the documents show works: the README's scene, the object and the controller to copy, the
+links."""
 
 import re
 import tomllib
@@ -19,8 +20,14 @@ from mjtactile.run.controller import load_controller
 from mjtactile.sim.scenes.objects import load_object
 
 CHECKOUT = Path(__file__).resolve().parents[2]
-WHEEL = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
-PAGES = [CHECKOUT / "README.md", CHECKOUT / "CHANGELOG.md", *sorted((CHECKOUT / "docs").rglob("*.md"))]
+WHEEL = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["tool"]["hatch"]["build"][
+    "targets"
+]["wheel"]
+PAGES = [
+    CHECKOUT / "README.md",
+    CHECKOUT / "CHANGELOG.md",
+    *sorted((CHECKOUT / "docs").rglob("*.md")),
+]
 
 
 def block(page: str, language: str, number: int = 0) -> str:
@@ -30,13 +37,15 @@ def block(page: str, language: str, number: int = 0) -> str:
 def test_attach_example_of_the_readme():
     names: dict = {}
     exec(block("README.md", "python"), names)
-    assert names["finger"].touch.force_normal == pytest.approx(0.05 * 9.81, abs=0.03)  # the weight that lies on it
+    # the weight that lies on it
+    assert names["finger"].touch.force_normal == pytest.approx(0.05 * 9.81, abs=0.03)
 
 
 def test_example_of_touch_in_your_scene(capsys):
     names: dict = {}
     exec(block("docs/your_scene.md", "python"), names)
-    assert names["finger"].touch.force_normal == pytest.approx(0.05 * 9.81, abs=0.03)  # the weight that lies on it
+    # the weight that lies on it
+    assert names["finger"].touch.force_normal == pytest.approx(0.05 * 9.81, abs=0.03)
     assert "option.integrator: Euler -> discrete" in capsys.readouterr().out
 
 
@@ -52,7 +61,8 @@ def test_controller_example(tmp_path):
 
     def observe(force):
         touch = Touch(1.0, 0.0, force, 0.01, force > 0.05)
-        state, valves = GripperState(0.05, 0, 0, 0), (ValveState(False), ValveState(False))
+        state = GripperState(0.05, 0, 0, 0)
+        valves = (ValveState(False), ValveState(False))
         return Observation(1.0, 1 / 30, (touch, touch), state, valves, Command(0.05, 3.0))
 
     assert controller.step(observe(0.0)).opening == pytest.approx(0.05 - 0.01 / 30)
@@ -62,14 +72,18 @@ def test_controller_example(tmp_path):
 def test_slip_controller_example(tmp_path):
     (tmp_path / "mine.py").write_text(block("docs/controllers.md", "python", 1))
     controller = load_controller(tmp_path / "mine.py")
-    state, valves, touch = GripperState(0.05, 0, 0, 0), (ValveState(False),) * 2, Touch(1.0, 0.01, 0.25, 0.01, True)
+    state = GripperState(0.05, 0, 0, 0)
+    valves = (ValveState(False),) * 2
+    touch = Touch(1.0, 0.01, 0.25, 0.01, True)
     slips = replace(touch, slip=Slip("incipient", np.zeros(2), 0.0, 0.4))
 
     def step(*touches):
         return controller.step(Observation(1.0, 1 / 30, touches, state, valves, Command(0.05, 3.0)))
 
     assert step(touch, touch).opening == 0.05 and step(touch, touch).memory["target"] == 0.2
-    assert step(touch, slips).opening < 0.05 and step(touch, slips).memory["target"] == pytest.approx(0.3)
+    assert step(touch, slips).opening < 0.05 and step(touch, slips).memory[
+        "target"
+    ] == pytest.approx(0.3)
     assert step(touch, replace(slips, age=0.2)).opening == 0.05
     assert step(touch, replace(touch, force_normal=np.nan)).opening == 0.05
 
@@ -77,31 +91,48 @@ def test_slip_controller_example(tmp_path):
 def test_controller_of_the_tutorial(tmp_path):
     (tmp_path / "mine.py").write_text(block("docs/tutorials/controller.md", "python"))
     controller = load_controller(tmp_path / "mine.py")
-    state, valves = GripperState(0.05, 0, 0, 0), (ValveState(False),) * 2
-    command, openings, phases = Command(0.05, 3.0), [], []
+    state = GripperState(0.05, 0, 0, 0)
+    valves = (ValveState(False),) * 2
+    command = Command(0.05, 3.0)
+    openings = []
+    phases = []
     for k in range(40):  # felt from 0.3 s on
         touch = Touch(k / 30, 0.0, 0.4 * (k > 9), 0.01, k > 9)
-        command = controller.step(Observation(k / 30, 1 / 30, (touch, touch), state, valves, command))
+        command = controller.step(
+            Observation(k / 30, 1 / 30, (touch, touch), state, valves, command)
+        )
         openings.append(command.opening)
         phases.append(command.phase)
         if command.phase == "done":
             break
-    assert phases == ["close"] * 10 + ["hold"] * 16 + ["done"]  # half a second is 15 cycles, and the first
-    assert openings[9] == pytest.approx(0.05 - 10 * 0.01 / 30) and openings[-1] == pytest.approx(openings[9] + 0.01)
+    # half a second is 15 cycles, and the first
+    assert phases == ["close"] * 10 + ["hold"] * 16 + ["done"]
+    assert openings[9] == pytest.approx(0.05 - 10 * 0.01 / 30) and openings[-1] == pytest.approx(
+        openings[9] + 0.01
+    )
 
 
 def test_the_page_of_controllers_has_every_field_of_touch():
     page = (CHECKOUT / "docs/controllers.md").read_text()
     table = re.search(r"What a `Touch` holds.*?\n\n(.*?)\n\n", page, re.DOTALL).group(1)
-    firsts = {name for line in table.splitlines()[2:] for name in re.findall(r"`(\w+)`", line.split("|")[1])}
+    firsts = {
+        name
+        for line in table.splitlines()[2:]
+        for name in re.findall(r"`(\w+)`", line.split("|")[1])
+    }
     assert firsts | {"status"} == {field.name for field in fields(Touch)}
 
 
-@pytest.mark.parametrize(("heading", "columns"), [("| `images` |", {"images": ("", "")} | dict(SENSED)),
-                                                  ("| `force_normal_true` |", dict(TRUE))])
+@pytest.mark.parametrize(
+    ("heading", "columns"),
+    [
+        ("| `images` |", {"images": ("", "")} | dict(SENSED)),
+        ("| `force_normal_true` |", dict(TRUE)),
+    ],
+)
 def test_the_page_of_recordings_has_every_column(heading, columns):
     page = (CHECKOUT / "docs/recording.md").read_text()
-    lines = page[page.index(heading):].split("\n\n")[0].splitlines()
+    lines = page[page.index(heading) :].split("\n\n")[0].splitlines()
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
     assert [row[0].strip("`") for row in rows] == list(columns)
     for key, unit, meaning in rows[1:]:
@@ -109,9 +140,13 @@ def test_the_page_of_recordings_has_every_column(heading, columns):
 
 
 def anchors(page):
-    """What can follow a # in a link to the page: its headings, as GitHub and the site write them."""
+    """What can follow a # in a link to the page: its headings, as GitHub and the site write
+    them."""
     text = re.sub(r"(?s)^```.*?^```$", "", page.read_text(), flags=re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in re.findall(r"(?m)^#+ (.*)$", text)}
+    return {
+        re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+        for heading in re.findall(r"(?m)^#+ (.*)$", text)
+    }
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -124,55 +159,85 @@ def test_links_lead_somewhere(page):
 
 def test_the_gallery_shows_every_picture_of_the_pages():
     shown = set(re.findall(r"\]\((images/[^)]+)\)", (CHECKOUT / "docs/gallery.md").read_text()))
-    there = {path.relative_to(CHECKOUT / "docs").as_posix() for path in (CHECKOUT / "docs/images").rglob("*.*")}
+    there = {
+        path.relative_to(CHECKOUT / "docs").as_posix()
+        for path in (CHECKOUT / "docs/images").rglob("*.*")
+    }
     assert there - shown == {"images/shadows.png"}  # which no command draws
 
 
 def test_the_site_has_the_readme_the_decisions_and_the_whole_front_door():
-    """What `make docs` adds to the pages; that they build without a warning is said by `make docs` itself."""
+    """What `make docs` adds to the pages; that they build without a warning is said by `make docs`
+    itself."""
     pages = mkdocs_hooks.pages()
     assert "](your_scene.md)" in pages["index.md"] and "](images/grasp.png)" in pages["index.md"]
-    assert "](decisions/index.md)" in pages["index.md"] and "](0013-contact-points.md)" in pages["decisions/index.md"]
+    assert (
+        "](decisions/index.md)" in pages["index.md"]
+        and "](0013-contact-points.md)" in pages["decisions/index.md"]
+    )
     assert set(re.findall(r"(?m)^::: mjtactile\.(\w+)$", pages["api.md"])) == set(mjtactile.__all__)
     assert "def step(observation" in pages["files/controllers/slip_aware.py.md"]
     nav = (CHECKOUT / "mkdocs.yml").read_text().partition("\nnav:")[2]
-    there = {path.relative_to(CHECKOUT / "docs").as_posix() for path in (CHECKOUT / "docs").rglob("*.md")
-             if path.parent.name not in ("decisions", "upstream")}
-    assert set(re.findall(r"(\S+\.md)", nav)) == there | {"index.md", "api.md"}  # no page is forgotten
+    there = {
+        path.relative_to(CHECKOUT / "docs").as_posix()
+        for path in (CHECKOUT / "docs").rglob("*.md")
+        if path.parent.name not in ("decisions", "upstream")
+    }
+    # no page is forgotten
+    assert set(re.findall(r"(\S+\.md)", nav)) == there | {"index.md", "api.md"}
 
 
-@pytest.mark.parametrize("page", sorted((CHECKOUT / "docs").rglob("*.md")), ids=lambda page: page.name)
+@pytest.mark.parametrize(
+    "page", sorted((CHECKOUT / "docs").rglob("*.md")), ids=lambda page: page.name
+)
 def test_links_of_the_pages_in_the_wheel_stay_in_the_wheel(page):
     """`mjtactile docs` shows where the pages are: links work there, too."""
     for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text()):
-        assert (page.parent / target).resolve().relative_to(CHECKOUT).parts[0] in WHEEL["force-include"], target
+        assert (page.parent / target).resolve().relative_to(CHECKOUT).parts[0] in WHEEL[
+            "force-include"
+        ], target
 
 
 def test_the_readmes_numbers_are_those_of_the_pages_that_the_benchmarks_wrote():
     readme = (CHECKOUT / "README.md").read_text()
     written = re.search(r"<!-- bench:numbers -->\n(.*?)<!-- /bench -->", readme, re.DOTALL).group(1)
-    assert written.strip() == numbers.table(numbers.run(Path())).strip()  # else: mjtactile bench numbers --readme README.md
+    # else: mjtactile bench numbers --readme README.md
+    assert written.strip() == numbers.table(numbers.run(Path())).strip()
     assert written.count("\n") == 2 + len(numbers.NUMBERS)
 
 
 def test_a_number_that_a_page_lacks_is_named():
-    page = "| what | dense |\n|---|---|\n| force | 1 |\n\n| what | paper16 |\n|---|---|\n| force | 2 |\n"
-    assert numbers.cell(page, "for", "paper16", source="x") == "2"  # of the table that has the column
+    page = (
+        "| what | dense |\n|---|---|\n| force | 1 |\n\n| what | paper16 |\n|---|---|\n| force "
+        "| 2 |\n"
+    )
+    # of the table that has the column
+    assert numbers.cell(page, "for", "paper16", source="x") == "2"
     page += "\n| what | dense |\n|---|---|\n| force | 3 |\n| shear | 4 |\n"
     assert numbers.cell(page, "force", "dense", source="x") == "1"
-    assert numbers.cell(page, "force | / shear", "dense", source="x") == "3 / 4"  # both of one table
+    # both of one table
+    assert numbers.cell(page, "force | / shear", "dense", source="x") == "3 / 4"
     with pytest.raises(InputError, match=r"x\.md.*'torque'"):
         numbers.cell(page, "torque", "dense", source="x")
 
 
 @pytest.mark.parametrize("section", FIELDS)
 def test_the_page_of_sensor_files_has_every_field_with_its_range_and_default(section):
-    text = re.search(rf"^## \[{section}\]$(.*?)^## ", (CHECKOUT / "docs/sensors.md").read_text(), re.DOTALL | re.MULTILINE)
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.group(1).splitlines()
-            if line.startswith("| `")]
+    text = re.search(
+        rf"^## \[{section}\]$(.*?)^## ",
+        (CHECKOUT / "docs/sensors.md").read_text(),
+        re.DOTALL | re.MULTILINE,
+    )
+    rows = [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in text.group(1).splitlines()
+        if line.startswith("| `")
+    ]
     kind, known_fields = FIELDS[section]
     assert [row[0].strip("`") for row in rows] == [field[0] for field in known_fields]
-    for (_, allowed, default, meaning), (key, attribute, scale, low, high) in zip(rows, known_fields, strict=True):
+    for (_, allowed, default, meaning), (key, attribute, scale, low, high) in zip(
+        rows, known_fields, strict=True
+    ):
         assert allowed == f"{low:g} to {high:g}" + (", whole" if scale == 0 else ""), key
         known = getattr(kind, attribute, None)  # a dataclass keeps a field's default on the class
         special = {None: "must be given", float("inf"): "infinite", (0.0,) * 5: "no distortion"}

@@ -40,7 +40,9 @@ def test_dir_shows_what_there_is():
 
 
 def run_python(code):
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
 
 
 def test_the_import_itself_needs_the_standard_library_alone():

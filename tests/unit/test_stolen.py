@@ -37,23 +37,34 @@ def outcomes(pytester, monkeypatch):
         monkeypatch.setattr(stolen, "stolen_seconds", lambda: next(clock))
         pytester.makeini("[pytest]\nmarkers = clock")
         pytester.makepyfile(TESTS)
-        return pytester.runpytest_inprocess("-p", "tests.stolen", "-p", "no:cacheprovider", "-p", "no:xdist")
+        return pytester.runpytest_inprocess(
+            "-p", "tests.stolen", "-p", "no:cacheprovider", "-p", "no:xdist"
+        )
+
     return run
 
 
 def test_failures_on_a_computer_that_stands_still_are_undecided_and_said(outcomes):
     result = outcomes(1e3)  # s a try
     result.assert_outcomes(passed=2, skipped=1, failed=1)  # test_fails_once at its second try
-    result.stdout.fnmatch_lines(["UNDECIDED *test_fails: undecided, * taken away: AssertionError: too late*"])
+    result.stdout.fnmatch_lines(
+        ["UNDECIDED *test_fails: undecided, * taken away: AssertionError: too late*"]
+    )
 
 
 def test_too_many_undecided_are_a_failure(pytester, monkeypatch):
     monkeypatch.setattr(stolen, "stolen_seconds", itertools.count(0, 1e3).__next__)
     pytester.makeini("[pytest]\nmarkers = clock")
     for count, code in ((stolen.MOST, 0), (stolen.MOST + 1, 1)):
-        pytester.makepyfile(f"import pytest\n@pytest.mark.clock\n@pytest.mark.parametrize('k', range({count}))\n"
-                            "def test_fails(k):\n    assert 0\n")
-        result = pytester.runpytest_inprocess("-p", "tests.stolen", "-p", "no:cacheprovider", "-p", "no:xdist")
+        pytester.makepyfile(
+            "import "
+            "pytest\n@pytest.mark.clock\n@pytest.mark.parametrize('k', "
+            f"range({count}))\n"
+            "def test_fails(k):\n    assert 0\n"
+        )
+        result = pytester.runpytest_inprocess(
+            "-p", "tests.stolen", "-p", "no:cacheprovider", "-p", "no:xdist"
+        )
         result.assert_outcomes(skipped=count)
         assert result.ret == code
 

@@ -1,4 +1,5 @@
-"""`mjtactile calibrate WHAT`: measure what a sensor or a rig needs, once, and keep it with its residuals."""
+"""`mjtactile calibrate WHAT`: measure what a sensor or a rig needs, once, and keep it with its
+residuals."""
 
 from __future__ import annotations
 
@@ -24,22 +25,31 @@ examples:
   mjtactile calibrate force --rig my_gripper.toml --load-cell
   mjtactile calibrate gripper --rig my_gripper.toml
 
-`mjtactile calibrate WHAT --help` says what to do, what is written, and what is refused; docs/hardware.md has the whole
-story with numbers. exit codes: 0 good, 1 measured but refused, 2 bad input, 3 a device failed.
+`mjtactile calibrate WHAT --help` says what to do, what is written, and what is refused;
+docs/hardware.md has the whole story with numbers. exit codes: 0 good, 1 measured but
+refused, 2 bad input, 3 a device failed.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    kinds = parser.add_subparsers(title="what to calibrate", metavar="WHAT", dest="what", required=True)
+    kinds = parser.add_subparsers(
+        title="what to calibrate", metavar="WHAT", dest="what", required=True
+    )
     for name, kind in KINDS.items():
-        sub = kinds.add_parser(name, help=kind.HELP, description=kind.DESCRIPTION, epilog=kind.EPILOG,
-                               formatter_class=argparse.RawDescriptionHelpFormatter)
+        sub = kinds.add_parser(
+            name,
+            help=kind.HELP,
+            description=kind.DESCRIPTION,
+            epilog=kind.EPILOG,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
         kind.add_arguments(sub)
-        for flag, text in (("--json", "print one JSON object to stdout, all else to stderr"),
-                           ("--debug", "show the traceback of an error")):
+        for flag, text in (
+            ("--json", "print one JSON object to stdout, all else to stderr"),
+            ("--debug", "show the traceback of an error"),
+        ):
             sub.add_argument(flag, action="store_true", default=argparse.SUPPRESS, help=text)
 
 
 def run(options: argparse.Namespace) -> int:
     return KINDS[options.what].run(options)
-

@@ -1,4 +1,5 @@
-"""`mjtactile calibrate camera`: lens and focal length from pictures of a ChArUco board, or of circles on a grid."""
+"""`mjtactile calibrate camera`: lens and focal length from pictures of a ChArUco board, or of
+circles on a grid."""
 
 from __future__ import annotations
 
@@ -19,9 +20,10 @@ the board (--print), glue it to something flat, measure a square with a caliper 
 Take 15 to 30 pictures that fill the view between them, with the board tilted by 20 to 40 degrees
 left, right, up and down in most, sharp to the edges, lens and focus as they will be used.
 
-Or of a flat board of equal circles on a square grid, such as `mjtactile locate` finds (--from-circles
---pitch-mm 25.4 --radius-mm 6.35): how many there are does not matter, and some may be missing. That
-refits a camera whose file has no k3, from the pictures themselves.
+Or of a flat board of equal circles on a square grid, such as `mjtactile locate` finds
+(--from-circles --pitch-mm 25.4 --radius-mm 6.35): how many there are does not matter, and
+some may be missing. That refits a camera whose file has no k3, from the pictures
+themselves.
 
 From pictures (SOURCE: a folder, an image or a video) or live (--rig FILE --finger left: move the
 board; a picture is taken when it rests somewhere new)."""
@@ -34,30 +36,74 @@ examples:
   mjtactile calibrate camera photos/ --from-circles --pitch-mm 25.4 --radius-mm 6.35 --out left.yaml
   mjtactile locate photo.png --camera left.yaml --radius-mm 1.5
 
-Writes the part `lens` of the finger's calibration file, or with --out FILE.yaml a ROS camera_info (plumb_bob). Both with
-verdict, reasons, date, versions, rms_px (corners, all pictures), holdout_px (in pictures that were not fitted), view_rms_px
-by picture, sd of each parameter, coverage (share of the view), tilt_deg of each picture, dropped pictures.
-Refused (exit code 1): fewer than 8 usable pictures, rms above 0.5 px, holdout above 0.7 px, focal length known to less
-than 0.5 %, fewer than 3 pictures tilted by 15 degrees, corners in less than 60 % of the view.
+Writes the part `lens` of the finger's calibration file, or with --out FILE.yaml a ROS
+camera_info (plumb_bob). Both with verdict, reasons, date, versions, rms_px (corners, all
+pictures), holdout_px (in pictures that were not fitted), view_rms_px by picture, sd of each
+parameter, coverage (share of the view), tilt_deg of each picture, dropped pictures. Refused
+(exit code 1): fewer than 8 usable pictures, rms above 0.5 px, holdout above 0.7 px, focal
+length known to less than 0.5 %, fewer than 3 pictures tilted by 15 degrees, corners in less
+than 60 % of the view.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", nargs="?", type=Path, metavar="SOURCE", help="folder, image or video of the board")
+    parser.add_argument(
+        "source", nargs="?", type=Path, metavar="SOURCE", help="folder, image or video of the board"
+    )
     target.add_arguments(parser, "pictures are taken with its camera", finger="left")
-    parser.add_argument("--views", type=int, default=20, metavar="N", help="pictures to take live (default: 20)")
-    parser.add_argument("--seconds", type=float, default=300.0, metavar="S", help="longest time to take them in (default: 300)")
-    parser.add_argument("--board", default="9x7", metavar="CxR", help="squares of the board in x and y (default: 9x7)")
-    parser.add_argument("--square-mm", type=float, default=5.0, metavar="MM", help="side of a square, as measured (default: 5)")
-    parser.add_argument("--marker-mm", type=float, metavar="MM", help="side of a marker (default: 0.75 squares)")
-    parser.add_argument("--dictionary", default="4X4_50", metavar="NAME", help="ArUco dictionary (default: 4X4_50)")
-    parser.add_argument("--from-circles", action="store_true", help="the board is one of equal circles on a square grid")
-    parser.add_argument("--pitch-mm", type=float, metavar="MM", help="from one circle's centre to the next")
+    parser.add_argument(
+        "--views", type=int, default=20, metavar="N", help="pictures to take live (default: 20)"
+    )
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=300.0,
+        metavar="S",
+        help="longest time to take them in (default: 300)",
+    )
+    parser.add_argument(
+        "--board",
+        default="9x7",
+        metavar="CxR",
+        help="squares of the board in x and y (default: 9x7)",
+    )
+    parser.add_argument(
+        "--square-mm",
+        type=float,
+        default=5.0,
+        metavar="MM",
+        help="side of a square, as measured (default: 5)",
+    )
+    parser.add_argument(
+        "--marker-mm", type=float, metavar="MM", help="side of a marker (default: 0.75 squares)"
+    )
+    parser.add_argument(
+        "--dictionary", default="4X4_50", metavar="NAME", help="ArUco dictionary (default: 4X4_50)"
+    )
+    parser.add_argument(
+        "--from-circles",
+        action="store_true",
+        help="the board is one of equal circles on a square grid",
+    )
+    parser.add_argument(
+        "--pitch-mm", type=float, metavar="MM", help="from one circle's centre to the next"
+    )
     parser.add_argument("--radius-mm", type=float, metavar="MM", help="radius of the circles")
     parser.add_argument("--bright", action="store_true", help="circles are bright on a dark ground")
-    parser.add_argument("--k3", action="store_true", help="fit the distortion's sixth order too (wide lenses); from circles it "
-                        "is fitted without being asked for where it is plainly there")
-    parser.add_argument("--print", dest="print_to", type=Path, metavar="FILE.png", help="write the board as an image, and end")
+    parser.add_argument(
+        "--k3",
+        action="store_true",
+        help="fit the distortion's sixth order too (wide "
+        "lenses); from circles it "
+        "is fitted without being asked for where it is plainly there",
+    )
+    parser.add_argument(
+        "--print",
+        dest="print_to",
+        type=Path,
+        metavar="FILE.png",
+        help="write the board as an image, and end",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -77,10 +123,14 @@ def run(options: argparse.Namespace) -> int:
         goal = target.find_targets(options)[0]
         path = goal.path
     with stdout_to_stderr():
-        views, size = _live(options, finder) if options.source is None else _recorded(options.source, finder)
+        views, size = (
+            _live(options, finder) if options.source is None else _recorded(options.source, finder)
+        )
         fit = calibrate(finder, views, size, k3=options.k3)
     reasons = fit.reasons if goal is None else _fits(fit, goal.design)
-    verdict, info, residuals = stamp("camera", reasons), camera_info(fit, path.stem), report(fit)
+    verdict = stamp("camera", reasons)
+    info = camera_info(fit, path.stem)
+    residuals = report(fit)
 
     def to_yaml(path: Path, _: Any) -> None:
         write_yaml(path, {**info, "calibration": {**verdict, **residuals}})
@@ -89,18 +139,33 @@ def run(options: argparse.Namespace) -> int:
         path = write(path, verdict, to_yaml)
     else:
         goal.write("lens", lens_part(fit, mark(goal.design, residuals)), reasons)
-    fx, fy, cx, cy = fit.K[0, 0], fit.K[1, 1], fit.K[0, 2], fit.K[1, 2]
-    return finish(options, path, {**verdict, **residuals, **info}, [
-        f"{len(fit.view_rms)} pictures, {len(fit.dropped)} left out; corners fit to {fit.rms:.3f} px, "
-        f"{fit.holdout_px:.3f} px in pictures that were not fitted",
-        f"  focal length {fx:.2f}, {fy:.2f} px (sd {fit.sd[0]:.2f}, {fit.sd[1]:.2f}), centre {cx:.2f}, {cy:.2f} px",
-        f"  {100 * fit.coverage:.0f} % of the view seen, board tilted by up to {fit.tilts.max():.0f} degrees"])
+    fx = fit.K[0, 0]
+    fy = fit.K[1, 1]
+    cx = fit.K[0, 2]
+    cy = fit.K[1, 2]
+    return finish(
+        options,
+        path,
+        {**verdict, **residuals, **info},
+        [
+            f"{len(fit.view_rms)} pictures, {len(fit.dropped)} left out; corners fit to "
+            f"{fit.rms:.3f} px, "
+            f"{fit.holdout_px:.3f} px in pictures that were not fitted",
+            f"  focal length {fx:.2f}, {fy:.2f} px (sd {fit.sd[0]:.2f}, {fit.sd[1]:.2f}), "
+            f"centre {cx:.2f}, {cy:.2f} px",
+            f"  {100 * fit.coverage:.0f} % of the view seen, board tilted by up to "
+            f"{fit.tilts.max():.0f} degrees",
+        ],
+    )
 
 
 def _fits(fit, design) -> list[str]:
     """Why the camera is refused for this sensor; nothing for a good one."""
     size = design.camera.width, design.camera.height
-    wrong = f"the pictures have {fit.size[0]} x {fit.size[1]} pixels, sensor {design.name!r} has {size[0]} x {size[1]}"
+    wrong = (
+        f"the pictures have {fit.size[0]} x {fit.size[1]} pixels, sensor {design.name!r} has "
+        f"{size[0]} x {size[1]}"
+    )
     return [*fit.reasons, *([wrong] if fit.size != size else [])]
 
 
@@ -112,14 +177,21 @@ def _method(options: argparse.Namespace) -> tuple[Any, Any]:
     if not options.from_circles:
         for name in ("pitch_mm", "radius_mm"):
             if getattr(options, name) is not None:
-                raise InputError("is for a board of circles: give --from-circles too", field=f"--{name.replace('_', '-')}")
+                raise InputError(
+                    "is for a board of circles: give --from-circles too",
+                    field=f"--{name.replace('_', '-')}",
+                )
         return BoardFinder(_board(options)), calibrate_camera
     for name in ("pitch_mm", "radius_mm"):
         value = getattr(options, name)
         if value is None or not 0.01 <= value <= 1000:
-            raise InputError(f"{value} is not from 0.01 to 1000; measure it on the board", field=f"--{name.replace('_', '-')}")
-    return CircleFinder(1e-3 * options.pitch_mm, 1e-3 * options.radius_mm,
-                        "bright" if options.bright else "dark"), calibrate_from_circles
+            raise InputError(
+                f"{value} is not from 0.01 to 1000; measure it on the board",
+                field=f"--{name.replace('_', '-')}",
+            )
+    return CircleFinder(
+        1e-3 * options.pitch_mm, 1e-3 * options.radius_mm, "bright" if options.bright else "dark"
+    ), calibrate_from_circles
 
 
 def _board(options: argparse.Namespace):
@@ -130,7 +202,9 @@ def _board(options: argparse.Namespace):
     except ValueError:
         columns = rows = 0
     if columns < 3 or rows < 3:
-        raise InputError(f"{options.board!r} is not like 9x7, with 3 or more squares each way", field="--board")
+        raise InputError(
+            f"{options.board!r} is not like 9x7, with 3 or more squares each way", field="--board"
+        )
     if not 0.1 <= options.square_mm <= 1000:
         raise InputError(f"{options.square_mm:g} is outside 0.1 to 1000", field="--square-mm")
     square = 1e-3 * options.square_mm
@@ -147,7 +221,10 @@ def _print_board(options: argparse.Namespace, board) -> int:
     if not cv2.imwrite(str(options.print_to), board.draw()):
         raise InputError("cannot be written", source=options.print_to, field="--print")
     width, height = (1e3 * board.square * (n + 1) for n in (board.columns, board.rows))
-    text = f"board of {options.board} squares; print it {width:g} x {height:g} mm large (margin included), check a square"
+    text = (
+        f"board of {options.board} squares; print it {width:g} x {height:g} mm large (margin "
+        "included), check a square"
+    )
     if options.json:
         print_json({"file": options.print_to, "width_mm": width, "height_mm": height})
     else:
@@ -156,7 +233,9 @@ def _print_board(options: argparse.Namespace, board) -> int:
 
 
 def _recorded(source: Path, finder) -> tuple[list, tuple[int, int]]:
-    views, sizes, blind = [], set(), 0
+    views = []
+    sizes = set()
+    blind = 0
     for frame in read_frames(source):
         gray = frame.grey()
         if gray is None:
@@ -171,8 +250,12 @@ def _recorded(source: Path, finder) -> tuple[list, tuple[int, int]]:
     if blind:
         say(f"the board was not found in {blind} of {blind + len(views)} pictures")
     if not views:
-        raise InputError("the board is in none of the pictures: are --board and --dictionary those of the print, or is it one of "
-                         "circles (--from-circles)?", source=source)
+        raise InputError(
+            "the board is in none of the pictures: are --board and --dictionary those of the "
+            "print, or is it one of "
+            "circles (--from-circles)?",
+            source=source,
+        )
     return views, sizes.pop()
 
 
@@ -181,10 +264,20 @@ def _live(options: argparse.Namespace, finder) -> tuple[list, tuple[int, int]]:
     from mjtactile.calibrate.connect import live_camera, live_rig
     from mjtactile.calibrate.live import camera_pictures, collect_views
 
-    with live_rig(options.rig, load_sensor("dense")) as (rig_file, _), live_camera(rig_file, options.finger) as camera:
-        say(f"{camera.name}: hold the board into the view, still for a moment; then elsewhere, tilted. Ctrl-C gives up.")
+    with (
+        live_rig(options.rig, load_sensor("dense")) as (rig_file, _),
+        live_camera(rig_file, options.finger) as camera,
+    ):
+        say(
+            f"{camera.name}: hold the board into the view, still for a moment; then elsewhere, "
+            "tilted. Ctrl-C gives up."
+        )
         views = collect_views(camera_pictures(camera, options.seconds), finder, options.views, say)
     if not views:
-        raise InputError(f"the board was never seen resting within {options.seconds:g} s: are --board and --dictionary those of "
-                         "the print, and is it sharp?", field="--rig")
+        raise InputError(
+            f"the board was never seen resting within {options.seconds:g} s: are --board and "
+            "--dictionary those of "
+            "the print, and is it sharp?",
+            field="--rig",
+        )
     return views, (camera.config.width, camera.config.height)

@@ -30,42 +30,89 @@ EPILOG = """\
 examples:
   mjtactile calibrate force --rig my_gripper.toml --load-cell           both fingers at once
   mjtactile calibrate force --rig my_gripper.toml --finger left --weights-g 0,20,50,100
-  mjtactile calibrate force loads.csv --flat flat/ --rest rest/ --pressure-kPa 1.0 --rig my_gripper.toml --finger left
-  mjtactile calibrate force loads.csv --out left.json                   references: the part `frame` in left.json
+  mjtactile calibrate force loads.csv --flat flat/ --rest rest/ --pressure-kPa 1.0 --rig \\
+      my_gripper.toml --finger left
+  mjtactile calibrate force loads.csv --out left.json
+      references: the part `frame` in left.json
   mjtactile calibrate force loadcell.csv --recording runs/press --rig my_gripper.toml --finger left
 
-SOURCE columns: `image` (a file, or a folder of images of the same load, relative to the CSV file) and one of force_N or
-mass_g (weights on a membrane that looks up):
+SOURCE columns: `image` (a file, or a folder of images of the same load, relative to the CSV
+file) and one of force_N or mass_g (weights on a membrane that looks up):
   image,mass_g
   w000/,0
   w020/,20
-With --recording DIR (a folder of `mjtactile record` or `grasp`, which has the references in it) the columns are time_s
-(of the recording's clock, plus --delay-s) and force_N, as a load cell logs them; they are interpolated at each image.
-Writes the part `force` of each finger's calibration file: scale (load = scale * felt + offset) with scale_sd, offset_N
-(what held the load cell, or its zero: it is not applied), residual_N, area_constant_N_per_m2 with area_residual_N, and the
-table of loads.
-With an emulated rig the jaws squeeze its object (--object), and the emulated world is the load cell.
-Refused (exit code 1): fewer than 4 loads, a largest load below 0.2 N, scale off by 25 %, loads 10 % off a line, an area
-that does not grow.
+With --recording DIR (a folder of `mjtactile record` or `grasp`, which has the references in
+it) the columns are time_s (of the recording's clock, plus --delay-s) and force_N, as a load
+cell logs them; they are interpolated at each image. Writes the part `force` of each
+finger's calibration file: scale (load = scale * felt + offset) with scale_sd, offset_N
+(what held the load cell, or its zero: it is not applied), residual_N,
+area_constant_N_per_m2 with area_residual_N, and the table of loads.
+With an emulated rig the jaws squeeze its object (--object), and the emulated world is the
+load cell. Refused (exit code 1): fewer than 4 loads, a largest load below 0.2 N, scale off
+by 25 %, loads 10 % off a line, an area that does not grow.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", nargs="?", type=Path, metavar="SOURCE.csv", help="images and loads, or times and loads")
+    parser.add_argument(
+        "source",
+        nargs="?",
+        type=Path,
+        metavar="SOURCE.csv",
+        help="images and loads, or times and loads",
+    )
     target.add_arguments(parser, "its sensors are loaded")
-    parser.add_argument("--flat", type=Path, metavar="SOURCE", help="images of the flat membrane, valve open")
-    parser.add_argument("--rest", type=Path, metavar="SOURCE", help="images of the inflated membrane, nothing touching")
-    parser.add_argument("--pressure-kPa", dest="pressure", type=float, metavar="P",
-                        help="gauge pressure in the rest images, as its sensor says")
-    parser.add_argument("--recording", type=Path, metavar="DIR", help="the images are those of this recording")
-    parser.add_argument("--delay-s", dest="delay", type=float, default=0.0, metavar="S",
-                        help="to add to the load cell's times (default: 0)")
-    parser.add_argument("--load-cell", action="store_true", help="live: squeeze a load cell between the jaws")
-    parser.add_argument("--force-N", dest="force", type=float, default=1.5, metavar="F",
-                        help="live: largest force to squeeze it with (default: 1.5)")
-    parser.add_argument("--weights-g", dest="weights", default="0,20,50,100", metavar="A,B,…",
-                        help="live: masses to put on, one after the other (default: 0,20,50,100)")
-    parser.add_argument("--object", default="egg", metavar="NAME|FILE.xml", help="emulated rig: what is squeezed (default: egg)")
+    parser.add_argument(
+        "--flat", type=Path, metavar="SOURCE", help="images of the flat membrane, valve open"
+    )
+    parser.add_argument(
+        "--rest",
+        type=Path,
+        metavar="SOURCE",
+        help="images of the inflated membrane, nothing touching",
+    )
+    parser.add_argument(
+        "--pressure-kPa",
+        dest="pressure",
+        type=float,
+        metavar="P",
+        help="gauge pressure in the rest images, as its sensor says",
+    )
+    parser.add_argument(
+        "--recording", type=Path, metavar="DIR", help="the images are those of this recording"
+    )
+    parser.add_argument(
+        "--delay-s",
+        dest="delay",
+        type=float,
+        default=0.0,
+        metavar="S",
+        help="to add to the load cell's times (default: 0)",
+    )
+    parser.add_argument(
+        "--load-cell", action="store_true", help="live: squeeze a load cell between the jaws"
+    )
+    parser.add_argument(
+        "--force-N",
+        dest="force",
+        type=float,
+        default=1.5,
+        metavar="F",
+        help="live: largest force to squeeze it with (default: 1.5)",
+    )
+    parser.add_argument(
+        "--weights-g",
+        dest="weights",
+        default="0,20,50,100",
+        metavar="A,B,…",
+        help="live: masses to put on, one after the other (default: 0,20,50,100)",
+    )
+    parser.add_argument(
+        "--object",
+        default="egg",
+        metavar="NAME|FILE.xml",
+        help="emulated rig: what is squeezed (default: egg)",
+    )
 
 
 Loads = Iterator[tuple[str, float, Sequence[Sequence[Image]]]]
@@ -80,47 +127,69 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("give a CSV file (SOURCE), or --rig to load its sensors", field="SOURCE")
     targets = target.find_targets(options)
     with stdout_to_stderr():
-        chains, loads = _live(options, targets) if options.source is None else _recorded(options, targets[0])
+        chains, loads = (
+            _live(options, targets) if options.source is None else _recorded(options, targets[0])
+        )
         true, felt, areas = _feel_all(options, chains, loads)
     results = {}
     for goal, chain, forces, area in zip(targets, chains, felt, areas, strict=True):
         fit = calibrate_force(true, forces, area, chain.state.reference.surface.area)
         goal.write("force", force_part(fit, mark(goal.design, fit.report())), fit.reasons)
-        results[goal.finger] = goal.path, stamp("force", fit.reasons) | {"sensor": goal.design.name, **fit.report()}, _lines(fit)
+        results[goal.finger] = (
+            goal.path,
+            stamp("force", fit.reasons) | {"sensor": goal.design.name, **fit.report()},
+            _lines(fit),
+        )
     return finish_all(options, results)
 
 
-def _feel_all(options: argparse.Namespace, chains: Sequence[Any], loads: Loads) -> tuple[Any, Any, Any]:
+def _feel_all(
+    options: argparse.Namespace, chains: Sequence[Any], loads: Loads
+) -> tuple[Any, Any, Any]:
     """True forces (n,), and of each finger the forces felt and the areas (fingers, n)."""
     import numpy as np
 
     from mjtactile.calibrate.force import feel
 
-    true, felt = [], []
+    true = []
+    felt = []
     for name, force, shots in loads:
         try:
             felt.append([feel(chain, images) for chain, images in zip(chains, shots, strict=True)])
         except InputError as error:
-            raise InputError(str(error), source=options.source or options.rig, field=name) from error
+            raise InputError(
+                str(error), source=options.source or options.rig, field=name
+            ) from error
         true.append(force)
     forces, areas = np.array(felt).reshape(-1, len(chains), 2).transpose(2, 1, 0)
     return np.array(true), forces, areas
 
 
 def _lines(fit: Any) -> list[str]:
-    constant = "none" if fit.area is None else f"{1e-3 * fit.area.constant:.1f} mN/mm2 (rms {fit.area.residual:.3f} N)"
-    return [f"  {len(fit.true)} loads up to {max(fit.true):.2f} N: load = {fit.scale:.3f} (sd {fit.scale_sd:.3f}) x felt "
-            f"{fit.offset:+.3f} N, {fit.rms:.3f} N (rms) left", f"  the paper's c: {constant}"]
+    constant = (
+        "none"
+        if fit.area is None
+        else (f"{1e-3 * fit.area.constant:.1f} mN/mm2 (rms {fit.area.residual:.3f} N)")
+    )
+    return [
+        f"  {len(fit.true)} loads up to {max(fit.true):.2f} N: load = {fit.scale:.3f} (sd "
+        f"{fit.scale_sd:.3f}) x felt "
+        f"{fit.offset:+.3f} N, {fit.rms:.3f} N (rms) left",
+        f"  the paper's c: {constant}",
+    ]
 
 
-# -- recorded ----------------------------------------------------------------------------------------------------------
+# -- recorded
+# --------------------------------------------------------------------------------
+
 
 def _recorded(options: argparse.Namespace, goal: target.Target) -> tuple[list[Any], Loads]:
     before = goal.load().used(goal.design)
     if options.recording is not None:
         chain, loads = _recording(options, goal, before)
     else:
-        loads = _table(options.source, goal.design)  # before the references, which take a while: the table may be bad
+        # before the references, which take a while: the table may be bad
+        loads = _table(options.source, goal.design)
         chain = _references(options, goal, before)
     return [chain], ((name, force, [images]) for name, force, images in loads)
 
@@ -137,8 +206,12 @@ def _references(options: argparse.Namespace, goal: target.Target, before: Calibr
     chain = Chain(goal.design, replace(before, force=None))
     state = chain.recall()
     if state.reference is None:
-        raise InputError("needs references: --flat and --rest, or --recording, or a rest state of `calibrate frame` in this file",
-                         source=goal.path, field="frame.rest")
+        raise InputError(
+            "needs references: --flat and --rest, or --recording, or a rest state of "
+            "`calibrate frame` in this file",
+            source=goal.path,
+            field="frame.rest",
+        )
     return Perception(chain, state)
 
 
@@ -155,8 +228,10 @@ def _table(path: Path, design: SensorDesign) -> Iterator[tuple[str, float, list[
             raise
         table = read_columns(path, ("force_N",), ("image",))
         forces = table["force_N"]
-    return ((image, float(force), _images(path.parent / image, design))
-            for image, force in zip(table["image"], forces, strict=True))
+    return (
+        (image, float(force), _images(path.parent / image, design))
+        for image, force in zip(table["image"], forces, strict=True)
+    )
 
 
 def _images(source: Path, design: SensorDesign) -> list[Image]:
@@ -169,8 +244,9 @@ def _images(source: Path, design: SensorDesign) -> list[Image]:
     return images
 
 
-def _recording(options: argparse.Namespace, goal: target.Target, before: Calibration
-               ) -> tuple[Any, Iterator[tuple[str, float, list[Image]]]]:
+def _recording(
+    options: argparse.Namespace, goal: target.Target, before: Calibration
+) -> tuple[Any, Iterator[tuple[str, float, list[Image]]]]:
     import numpy as np
 
     from mjtactile import load_recording
@@ -178,28 +254,48 @@ def _recording(options: argparse.Namespace, goal: target.Target, before: Calibra
     from mjtactile.calibrate.verdict import read_columns
     from mjtactile.types import FINGERS
 
-    recording, finger = load_recording(options.recording), FINGERS.index(goal.finger)
+    recording = load_recording(options.recording)
+    finger = FINGERS.index(goal.finger)
     if len(recording.references) != 2 or finger >= recording.width:
-        raise InputError(f"has no references of a {goal.finger} sensor", source=options.recording, field="--recording")
+        raise InputError(
+            f"has no references of a {goal.finger} sensor",
+            source=options.recording,
+            field="--recording",
+        )
     flat, rest = recording.references
     reading = rest.pressure_gauge[finger] if rest.pressure_gauge else None
-    chain = ready_perception(goal.design, before, list(flat.images(finger)), list(rest.images(finger)), reading)
+    chain = ready_perception(
+        goal.design, before, list(flat.images(finger)), list(rest.images(finger)), reading
+    )
     table = read_columns(options.source, ("time_s", "force_N"), fewest=2)
-    times, forces = table["time_s"] + options.delay, table["force_N"]
+    times = table["time_s"] + options.delay
+    forces = table["force_N"]
     order = np.argsort(times)
 
     def loads() -> Iterator[tuple[str, float, list[Image]]]:
         for number, images in enumerate(recording.images()):
             image = images[finger]
             if times.min() <= image.time <= times.max():
-                yield f"cycle {number}", float(np.interp(image.time, times[order], forces[order])), [image]
+                yield (
+                    f"cycle {number}",
+                    float(np.interp(image.time, times[order], forces[order])),
+                    [image],
+                )
 
-    if not any(times.min() <= row[finger] <= times.max() for row in recording.columns["image_time"]):
-        raise InputError("its times do not meet the recording's: --delay-s?", source=options.source, field="time_s")
+    if not any(
+        times.min() <= row[finger] <= times.max() for row in recording.columns["image_time"]
+    ):
+        raise InputError(
+            "its times do not meet the recording's: --delay-s?",
+            source=options.source,
+            field="time_s",
+        )
     return chain, loads()
 
 
-# -- live --------------------------------------------------------------------------------------------------------------
+# -- live
+# --------------------------------------------------------------------------------
+
 
 def _live(options: argparse.Namespace, targets: Sequence[target.Target]) -> tuple[list[Any], Loads]:
     """References and loads of fingers of a rig; only with a load cell do the jaws move."""
@@ -207,36 +303,51 @@ def _live(options: argparse.Namespace, targets: Sequence[target.Target]) -> tupl
     from mjtactile.calibrate.force import ready_perception
     from mjtactile.calibrate.live import kept_alive, reference_pictures
 
-    masses, design = _masses(options), load_sensor(options.sensor)
+    masses = _masses(options)
+    design = load_sensor(options.sensor)
     with contextlib.ExitStack() as stack:
-        rig_file, emulator = stack.enter_context(live_rig(options.rig, design, object_name=options.object))
+        rig_file, emulator = stack.enter_context(
+            live_rig(options.rig, design, object_name=options.object)
+        )
         most = rig_file.gripper.force_max
         if not 0.2 <= options.force <= most:
-            raise InputError(f"{options.force:g} N is outside 0.2 to {most:g} N, the rig file's force_max_N", field="--force-N")
+            raise InputError(
+                f"{options.force:g} N is outside 0.2 to {most:g} N, the rig file's force_max_N",
+                field="--force-N",
+            )
         rig = stack.enter_context(live_fingers(rig_file, design))
         stack.enter_context(kept_alive(*rig.valves))
-        pictures, places = reference_pictures(rig, say), target.places(targets, rig_file)
+        pictures = reference_pictures(rig, say)
+        places = target.places(targets, rig_file)
         with kept_alive(rig.gripper):
-            chains = [ready_perception(goal.design, goal.load().used(goal.design), *pictures[place])
-                      for goal, place in zip(targets, places, strict=True)]
+            chains = [
+                ready_perception(goal.design, goal.load().used(goal.design), *pictures[place])
+                for goal, place in zip(targets, places, strict=True)
+            ]
         if options.load_cell or emulator is not None:
             cell = ask if emulator is None else _load_cell(emulator)
             loads = list(_squeezed(rig, options.force, cell, emulator is None))
         else:
             with kept_alive(rig.gripper):
                 loads = list(_weighed(rig, masses, " or ".join(goal.finger for goal in targets)))
-    return chains, ((name, force, [shots[place] for place in places]) for name, force, shots in loads)
+    return chains, (
+        (name, force, [shots[place] for place in places]) for name, force, shots in loads
+    )
 
 
 def _masses(options: argparse.Namespace) -> list[float]:
     try:
         return [float(text) for text in options.weights.split(",")]
     except ValueError as error:
-        raise InputError(f"{options.weights!r} is not a list of numbers", field="--weights-g") from error
+        raise InputError(
+            f"{options.weights!r} is not a list of numbers", field="--weights-g"
+        ) from error
 
 
 def _load_cell(emulator: Any) -> Callable[[str], float | None]:
-    """The emulated world's: what goes through the object, which is the same on both sides but for the table's friction."""
+    """The emulated world's: what goes through the object, which is the same on both sides but for
+    the table's friction."""
+
     def read(_: str) -> float:
         truth = emulator.truth()
         return (truth["contact_1"] + truth["contact_2"]) / 2
@@ -249,8 +360,13 @@ def _squeezed(rig: Any, most: float, cell: Callable[[str], float | None], by_han
 
     if by_hand:
         with kept_alive(rig.gripper):
-            confirm("now put the load cell between the jaws, its button to a finger's middle; they will close on it")
-    yield from squeezed_pictures(rig, [most * part for part in (0.2, 0.4, 0.6, 0.8, 1.0)], cell, say)
+            confirm(
+                "now put the load cell between the jaws, its button to a finger's middle; they "
+                "will close on it"
+            )
+    yield from squeezed_pictures(
+        rig, [most * part for part in (0.2, 0.4, 0.6, 0.8, 1.0)], cell, say
+    )
 
 
 def _weighed(rig: Any, masses: Sequence[float], fingers: str) -> Loads:

@@ -1,4 +1,5 @@
-"""`mjtactile calibrate frame`: the camera's pose in the sensor, the markers' radii and the rest state, from images."""
+"""`mjtactile calibrate frame`: the camera's pose in the sensor, the markers' radii and the rest
+state, from images."""
 
 from __future__ import annotations
 
@@ -21,27 +22,49 @@ membrane too, the rest state that forces are measured against. Refuses what does
 with the sensor file."""
 EPILOG = """\
 examples:
-  mjtactile calibrate frame --rig my_gripper.toml                   both fingers, with their valves and cameras
-  mjtactile calibrate frame flat/ --rest rest/ --pressure-kPa 1.0 --rig my_gripper.toml --finger left
+  mjtactile calibrate frame --rig my_gripper.toml
+      both fingers, with their valves and cameras
+  mjtactile calibrate frame flat/ --rest rest/ --pressure-kPa 1.0 --rig my_gripper.toml --finger \\
+      left
   mjtactile calibrate frame flat/ --sensor my_sensor.toml --out left.json
 
-A grasp measures the same anew each time; `mjtactile reconstruct --calibration` uses what is in the file.
-Writes the part `frame` of each finger's calibration file. JSON (of several fingers: {"fingers": {FINGER: …}}): {"sensor",
-"images", "residual_px" (marker centres, rms), "scale_sd" (scatter of the radii over the images), "radius_mm": [lowest,
-highest], "offset_mm" and "tilt_deg" of the camera against the sensor file, "rest_stiffness_scale" (elastic forces of the
-sensor file times this balance the pressure; null without rest images), "verdict", "reasons", "date", "versions", "file"}.
-Refused (exit code 1): markers missing or of another size than the sensor file says, centres off by more than 1 px.
+A grasp measures the same anew each time; `mjtactile reconstruct --calibration` uses what is
+in the file. Writes the part `frame` of each finger's calibration file. JSON (of several
+fingers: {"fingers": {FINGER: …}}): {"sensor", "images", "residual_px" (marker centres,
+rms), "scale_sd" (scatter of the radii over the images), "radius_mm": [lowest, highest],
+"offset_mm" and "tilt_deg" of the camera against the sensor file, "rest_stiffness_scale"
+(elastic forces of the sensor file times this balance the pressure; null without rest
+images), "verdict", "reasons", "date", "versions", "file"}. Refused (exit code 1): markers
+missing or of another size than the sensor file says, centres off by more than 1 px.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", nargs="?", type=Path, metavar="FLAT",
-                        help="image, folder or video of the flat membrane, valve open")
+    parser.add_argument(
+        "source",
+        nargs="?",
+        type=Path,
+        metavar="FLAT",
+        help="image, folder or video of the flat membrane, valve open",
+    )
     target.add_arguments(parser, "pictures are taken with its valves and cameras")
-    parser.add_argument("--rest", type=Path, metavar="SOURCE", help="images of the inflated membrane, nothing touching")
-    parser.add_argument("--pressure-kPa", dest="pressure", type=float, metavar="P",
-                        help="gauge pressure in the rest images, as its sensor says (default: the sensor's supply pressure)")
-    parser.add_argument("--valve", choices=["closed", "open"], default="closed", help="in use after the rest images")
+    parser.add_argument(
+        "--rest",
+        type=Path,
+        metavar="SOURCE",
+        help="images of the inflated membrane, nothing touching",
+    )
+    parser.add_argument(
+        "--pressure-kPa",
+        dest="pressure",
+        type=float,
+        metavar="P",
+        help="gauge pressure in the rest images, as its sensor says (default: "
+        "the sensor's supply pressure)",
+    )
+    parser.add_argument(
+        "--valve", choices=["closed", "open"], default="closed", help="in use after the rest images"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -52,21 +75,27 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("give images (FLAT), or --rig to take some", field="FLAT")
     targets = target.find_targets(options)
     with stdout_to_stderr():
-        taken = _live(options, targets) if options.source is None else [_recorded(options, targets[0].design)]
+        taken = (
+            _live(options, targets)
+            if options.source is None
+            else [_recorded(options, targets[0].design)]
+        )
     results = {}
     for goal, (flat, rest, reading, sealed) in zip(targets, taken, strict=True):
         before = goal.load().used(goal.design)
         pressure = goal.design.chamber.supply_gauge if reading is None else before.pressure(reading)
         with stdout_to_stderr():
-            part, report, reasons = calibrate_frame(goal.design, before, flat, rest, pressure, sealed=sealed)
+            part, report, reasons = calibrate_frame(
+                goal.design, before, flat, rest, pressure, sealed=sealed
+            )
         goal.write("frame", part, reasons)
         results[goal.finger] = goal.path, stamp("frame", reasons) | report, _lines(report)
     return finish_all(options, results)
 
 
 Taken = tuple[list[Image], list[Image], float | None, bool]
-"""Images of the flat membrane, of the inflated one (none: only flat), what its pressure sensor says, Pa (None: there is none),
-and whether the chamber is sealed."""
+"""Images of the flat membrane, of the inflated one (none: only flat), what its pressure sensor
+says, Pa (None: there is none), and whether the chamber is sealed."""
 
 
 def _recorded(options: argparse.Namespace, design: SensorDesign) -> Taken:
@@ -87,7 +116,8 @@ def _live(options: argparse.Namespace, targets: list[target.Target]) -> list[Tak
 
 
 def _images(source: Path, design: SensorDesign) -> list[Image]:
-    """All images of a source; one that cannot be used is an error here, since a calibration should not be guesswork."""
+    """All images of a source; one that cannot be used is an error here, since a calibration should
+    not be guesswork."""
     images = []
     for frame in read_frames(source):
         image = to_image(frame, design)
@@ -102,10 +132,15 @@ def _lines(report: dict[str, Any]) -> list[str]:
     if "offset_mm" in report:
         offset = ", ".join(f"{v:+.3f}" for v in report["offset_mm"])
         low, high = report["radius_mm"]
-        lines += [f"  marker centres fit to {report['residual_px']:.3f} px (rms)",
-                  f"  camera is off the sensor file by ({offset}) mm and {report['tilt_deg']:.3f} deg",
-                  f"  marker radii {low:.4f} to {high:.4f} mm, each known to {100 * report['scale_sd']:.2f} % from one image"]
+        lines += [
+            f"  marker centres fit to {report['residual_px']:.3f} px (rms)",
+            f"  camera is off the sensor file by ({offset}) mm and {report['tilt_deg']:.3f} deg",
+            f"  marker radii {low:.4f} to {high:.4f} mm, each known to "
+            f"{100 * report['scale_sd']:.2f} % from one image",
+        ]
     if report.get("rest_stiffness_scale") is not None:
         stiffer = 100 * (report["rest_stiffness_scale"] - 1)
-        lines.append(f"  at rest the membrane is {stiffer:+.1f} % stiffer than the sensor file says")
+        lines.append(
+            f"  at rest the membrane is {stiffer:+.1f} % stiffer than the sensor file says"
+        )
     return lines

@@ -27,29 +27,61 @@ examples:
   mjtactile calibrate gripper --rig emulated --skip-forces --out gripper.json
 
 With CSV files nothing moves and nothing is connected; --rig only says which servos there are:
-  --openings: reported_mm, direction (closing or opening: how it was reached), measured_mm; at least two openings 5 mm
+  --openings: reported_mm, direction (closing or opening: how it was reached), measured_mm;
+  at least two openings 5 mm
               apart, each from both sides
   --forces:   reported_N (the effort that the servos report), measured_N; at least 4
-Writes the file that the rig file names ([gripper] calibration = "gripper.json"), which every run with this rig then uses, or
---out: verdict, reasons, date, versions, opening {offset_mm, scale, backlash_mm, each with _sd; rms_mm}, force
-{factor, offset_N, each with _sd; rms_N} and `servo`: zero_ticks, mm_per_rad, torque_Nm_per_A of each.
-Refused (exit code 1): scale off by 3 %, readings 0.2 mm off the fit, backlash above 1 mm; force factor outside 0.5 to
-1.5, readings 10 % off a line.
+Writes the file that the rig file names ([gripper] calibration = "gripper.json"), which
+every run with this rig then uses, or --out: verdict, reasons, date, versions, opening
+{offset_mm, scale, backlash_mm, each with _sd; rms_mm}, force {factor, offset_N, each with
+_sd; rms_N} and `servo`: zero_ticks, mm_per_rad, torque_Nm_per_A of each. Refused (exit code
+1): scale off by 3 %, readings 0.2 mm off the fit, backlash above 1 mm; force factor outside
+0.5 to 1.5, readings 10 % off a line.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--rig", required=True, metavar="NAME|FILE.toml", help="the gripper's rig file")
-    parser.add_argument("--openings", type=Path, metavar="FILE.csv", help="caliper readings, instead of moving the jaws")
-    parser.add_argument("--forces", type=Path, metavar="FILE.csv", help="load cell readings, instead of squeezing")
+    parser.add_argument(
+        "--rig", required=True, metavar="NAME|FILE.toml", help="the gripper's rig file"
+    )
+    parser.add_argument(
+        "--openings",
+        type=Path,
+        metavar="FILE.csv",
+        help="caliper readings, instead of moving the jaws",
+    )
+    parser.add_argument(
+        "--forces", type=Path, metavar="FILE.csv", help="load cell readings, instead of squeezing"
+    )
     parser.add_argument("--skip-forces", action="store_true", help="calibrate the opening alone")
-    parser.add_argument("--opening-mm", dest="range", nargs=2, type=float, metavar=("LOW", "HIGH"),
-                        help="openings to move between; nothing may be there (default: 60 and 90 %% of the gripper's range)")
-    parser.add_argument("--force-N", dest="force", type=float, metavar="F",
-                        help="largest force to squeeze with (default: half of the rig file's force_max_N)")
-    parser.add_argument("--object", default="egg", metavar="NAME|FILE.xml", help="emulated rig: what is squeezed (default: egg)")
-    parser.add_argument("--out", type=Path, metavar="FILE.json",
-                        help="default: the one that the rig file's [gripper] names as its calibration")
+    parser.add_argument(
+        "--opening-mm",
+        dest="range",
+        nargs=2,
+        type=float,
+        metavar=("LOW", "HIGH"),
+        help="openings to move between; nothing may be there (default: 60 and "
+        "90 %% of the gripper's range)",
+    )
+    parser.add_argument(
+        "--force-N",
+        dest="force",
+        type=float,
+        metavar="F",
+        help="largest force to squeeze with (default: half of the rig file's force_max_N)",
+    )
+    parser.add_argument(
+        "--object",
+        default="egg",
+        metavar="NAME|FILE.xml",
+        help="emulated rig: what is squeezed (default: egg)",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE.json",
+        help="default: the one that the rig file's [gripper] names as its calibration",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -60,17 +92,29 @@ def run(options: argparse.Namespace) -> int:
     rig_file = load_rig_file(options.rig)
     out = options.out or rig_file.gripper.calibration
     if out is None:
-        raise InputError('names no file for the result: write calibration = "gripper.json" into [gripper] (of a copy, if the rig '
-                         "is a shipped one), or give --out", source=rig_file.path, field="gripper.calibration")
+        raise InputError(
+            'names no file for the result: write calibration = "gripper.json" into [gripper] '
+            "(of a copy, if the rig "
+            "is a shipped one), or give --out",
+            source=rig_file.path,
+            field="gripper.calibration",
+        )
     check_folder(out)
     recorded = options.openings is not None or options.forces is not None
     with stdout_to_stderr():
         openings, forces = _read(options) if recorded else _live(options)
     opening = calibrate_opening(*openings) if openings is not None else None
     force = calibrate_force(*forces) if forces is not None else None
-    reasons = [f"{name}: {text}" for name, fit in (("opening", opening), ("force", force)) if fit for text in fit.reasons]
+    reasons = [
+        f"{name}: {text}"
+        for name, fit in (("opening", opening), ("force", force))
+        if fit
+        for text in fit.reasons
+    ]
     result: dict[str, Any] = stamp("gripper", reasons) | report(rig_file, opening, force)
-    return finish(options, write(out, result), result, _lines(opening, force, result["servo"], bool(reasons)))
+    return finish(
+        options, write(out, result), result, _lines(opening, force, result["servo"], bool(reasons))
+    )
 
 
 def _read(options: argparse.Namespace) -> tuple[Any, Any]:
@@ -78,7 +122,9 @@ def _read(options: argparse.Namespace) -> tuple[Any, Any]:
 
     openings = forces = None
     if options.openings is not None:
-        table = read_columns(options.openings, ("reported_mm", "measured_mm"), ("direction",), fewest=4)
+        table = read_columns(
+            options.openings, ("reported_mm", "measured_mm"), ("direction",), fewest=4
+        )
         openings = 1e-3 * table["reported_mm"], table["direction"], 1e-3 * table["measured_mm"]
     if options.forces is not None:
         table = read_columns(options.forces, ("reported_N", "measured_N"), fewest=4)
@@ -92,26 +138,44 @@ def _live(options: argparse.Namespace) -> tuple[Any, Any]:
     from mjtactile.calibrate.live import measure_forces, measure_openings
 
     with contextlib.ExitStack() as stack:
-        rig_file, emulator = stack.enter_context(live_rig(options.rig, load_sensor("dense"), object_name=options.object))
+        rig_file, emulator = stack.enter_context(
+            live_rig(options.rig, load_sensor("dense"), object_name=options.object)
+        )
         config = rig_file.gripper
-        low, high = (config.opening[0] + part * (config.opening[1] - config.opening[0]) for part in (0.6, 0.9))
+        low, high = (
+            config.opening[0] + part * (config.opening[1] - config.opening[0])
+            for part in (0.6, 0.9)
+        )
         if options.range:
             low, high = (1e-3 * value for value in options.range)
         if not config.opening[0] <= low < high - 5e-3 <= config.opening[1]:
-            raise InputError(f"{1e3 * low:g} to {1e3 * high:g} mm must be 5 mm apart and within the gripper's range",
-                             field="--opening-mm")
+            raise InputError(
+                f"{1e3 * low:g} to {1e3 * high:g} mm must be 5 mm apart and within the "
+                "gripper's range",
+                field="--opening-mm",
+            )
         most = 0.5 * config.force_max if options.force is None else options.force
         if not 0 < most <= config.force_max:
-            raise InputError(f"{most:g} N is outside 0 to {config.force_max:g} N, the rig file's force_max_N", field="--force-N")
+            raise InputError(
+                f"{most:g} N is outside 0 to {config.force_max:g} N, the rig file's force_max_N",
+                field="--force-N",
+            )
         gripper = stack.enter_context(live_gripper(rig_file))
         caliper, load_cell = (ask, ask) if emulator is None else _instruments(emulator)
-        say("the jaws move now; keep fingers out, and nothing between them. Ctrl-C stops and switches the torque off.")
-        openings = measure_openings(gripper, [low, (low + high) / 2, high], caliper, 0.25 * config.force_max, say)
+        say(
+            "the jaws move now; keep fingers out, and nothing between them. Ctrl-C stops and "
+            "switches the torque off."
+        )
+        openings = measure_openings(
+            gripper, [low, (low + high) / 2, high], caliper, 0.25 * config.force_max, say
+        )
         if options.skip_forces:
             return openings, None
         if emulator is None:
             confirm("now put the load cell between the jaws")
-        return openings, measure_forces(gripper, [most * part for part in (0.3, 0.5, 0.7, 0.85, 1.0)], load_cell, say)
+        return openings, measure_forces(
+            gripper, [most * part for part in (0.3, 0.5, 0.7, 0.85, 1.0)], load_cell, say
+        )
 
 
 def _instruments(emulator) -> tuple[Callable[[str], float | None], Callable[[str], float | None]]:
@@ -122,13 +186,22 @@ def _instruments(emulator) -> tuple[Callable[[str], float | None], Callable[[str
 def _lines(opening: Any, force: Any, servos: list[dict[str, Any]], refused: bool) -> list[str]:
     lines = []
     if opening is not None:
-        lines.append(f"opening: off by {1e3 * opening.offset:+.3f} mm at zero, scale {opening.scale:.4f}, backlash "
-                     f"{1e3 * opening.backlash:.3f} mm; {1e3 * opening.rms:.3f} mm (rms) left")
+        lines.append(
+            f"opening: off by {1e3 * opening.offset:+.3f} mm at zero, scale "
+            f"{opening.scale:.4f}, backlash "
+            f"{1e3 * opening.backlash:.3f} mm; {1e3 * opening.rms:.3f} mm (rms) left"
+        )
     if force is not None:
-        lines.append(f"force: {force.factor:.3f} times what the currents say (sd {force.factor_sd:.3f}), {force.offset:+.3f} N; "
-                     f"{force.rms:.3f} N (rms) left")
+        lines.append(
+            f"force: {force.factor:.3f} times what the currents say (sd {force.factor_sd:.3f}), "
+            f"{force.offset:+.3f} N; "
+            f"{force.rms:.3f} N (rms) left"
+        )
     if not refused:
         lines.append("in place of what the rig file says:")
         for servo in servos:
-            lines += ["  [[gripper.servo]]", *(f"  {key} = {value}" for key, value in servo.items())]
+            lines += [
+                "  [[gripper.servo]]",
+                *(f"  {key} = {value}" for key, value in servo.items()),
+            ]
     return lines

@@ -15,14 +15,29 @@ __all__ = ["Target", "add_arguments", "find_targets", "places"]
 
 
 def add_arguments(parser: argparse.ArgumentParser, live: str, *, finger: str | None = None) -> None:
-    """Options that say whose calibration it is; `live` says what is done with a rig when there is no SOURCE."""
-    parser.add_argument("--rig", metavar="NAME|FILE.toml", help=f"whose finger it is; without SOURCE, {live}")
-    parser.add_argument("--finger", choices=FINGERS, default=finger,
-                        help=f"which finger of the rig (default: {finger or 'all of them'})")
-    parser.add_argument("--sensor", default="dense", metavar="NAME|FILE.toml",
-                        help="the sensor, where the rig file does not say it (default: dense)")
-    parser.add_argument("--out", type=Path, metavar="FILE.json",
-                        help="calibration file to write into (default: the one that the rig file names)")
+    """Options that say whose calibration it is; `live` says what is done with a rig when there is
+    no SOURCE."""
+    parser.add_argument(
+        "--rig", metavar="NAME|FILE.toml", help=f"whose finger it is; without SOURCE, {live}"
+    )
+    parser.add_argument(
+        "--finger",
+        choices=FINGERS,
+        default=finger,
+        help=f"which finger of the rig (default: {finger or 'all of them'})",
+    )
+    parser.add_argument(
+        "--sensor",
+        default="dense",
+        metavar="NAME|FILE.toml",
+        help="the sensor, where the rig file does not say it (default: dense)",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE.json",
+        help="calibration file to write into (default: the one that the rig file names)",
+    )
 
 
 def find_targets(options: argparse.Namespace) -> list[Target]:

@@ -29,21 +29,41 @@ def finish(options: argparse.Namespace, path: Path, result: dict, lines: list[st
     return 0 if result["verdict"] == "good" else 1
 
 
-def finish_all(options: argparse.Namespace, results: Mapping[str, tuple[Path, dict[str, Any], list[str]]]) -> int:
-    """The same of one finger or several: the file, the result and the lines of each; 1 when one of them was refused."""
+def finish_all(
+    options: argparse.Namespace, results: Mapping[str, tuple[Path, dict[str, Any], list[str]]]
+) -> int:
+    """The same of one finger or several: the file, the result and the lines of each; 1 when one of
+    them was refused."""
     if options.json and len(results) > 1:
-        reasons = [f"{finger}: {reason}" for finger, (_, result, _) in results.items() for reason in result["reasons"]]
-        print_json({"verdict": "refused" if reasons else "good", "reasons": reasons,
-                    "fingers": {finger: {**result, "file": path} for finger, (path, result, _) in results.items()}})
+        reasons = [
+            f"{finger}: {reason}"
+            for finger, (_, result, _) in results.items()
+            for reason in result["reasons"]
+        ]
+        print_json(
+            {
+                "verdict": "refused" if reasons else "good",
+                "reasons": reasons,
+                "fingers": {
+                    finger: {**result, "file": path}
+                    for finger, (path, result, _) in results.items()
+                },
+            }
+        )
         return 1 if reasons else 0
-    return max(finish(options, path, result, [f"{finger}:", *lines]) for finger, (path, result, lines) in results.items())
+    return max(
+        finish(options, path, result, [f"{finger}:", *lines])
+        for finger, (path, result, lines) in results.items()
+    )
 
 
 def _line(prompt: str) -> str:
     print(prompt, end="" if sys.stdin.isatty() else "\n", file=sys.stderr, flush=True)
     line = sys.stdin.readline()
     if not line:
-        raise InputError("nobody answers on the terminal; give the readings in a CSV file instead (see --help)")
+        raise InputError(
+            "nobody answers on the terminal; give the readings in a CSV file instead (see --help)"
+        )
     return line
 
 
@@ -53,7 +73,8 @@ def confirm(text: str) -> None:
 
 
 def ask(text: str) -> float | None:
-    """Ask for a number on the terminal; an empty line skips. Raises InputError when there is nobody to answer."""
+    """Ask for a number on the terminal; an empty line skips. Raises InputError when there is nobody
+    to answer."""
     while True:
         line = _line(f"{text} [empty: skip]: ")
         if not line.strip():
@@ -65,7 +86,8 @@ def ask(text: str) -> float | None:
 
 
 def check_folder(path: Path, field: str = "--out") -> Path:
-    """Refuse an output file whose folder is not there, before any work is done. Raises InputError."""
+    """Refuse an output file whose folder is not there, before any work is done. Raises
+    InputError."""
     if not path.parent.is_dir():
         raise InputError("no such folder", source=path.parent, field=field)
     return path

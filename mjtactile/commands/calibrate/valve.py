@@ -22,24 +22,39 @@ examples:
   mjtactile calibrate valve --rig my_gripper.toml --finger left --seal 30
   mjtactile calibrate valve step.csv --pressure-kPa 1.0 --rig my_gripper.toml --finger left
 
-SOURCE is a CSV file with the columns time_s, pressure_kPa (gauge) and state: vent, open, closed, in this order, and
-perhaps vent again; at least 5 rows each, every 10 to 50 ms, sealed for 2 s or (better) 30 s:
+SOURCE is a CSV file with the columns time_s, pressure_kPa (gauge) and state: vent, open,
+closed, in this order, and perhaps vent again; at least 5 rows each, every 10 to 50 ms,
+sealed for 2 s or (better) 30 s:
   time_s,pressure_kPa,state
   0.00,0.003,vent
   1.00,0.411,open
-Writes the part `valve` of each finger's calibration file: offset_Pa, which is taken off the pressures that the force rests
-on, and noise_sd_Pa, step_Pa, rise_time_s (10 to 90 %), time_constant_s, leak_Pa_per_s with leak_sd_Pa_per_s, fall_time_s.
-Refused (exit code 1): zero off by 5 % of the step, noise 5 %, pressure reached off by 10 %, rise above 1 s, leak above
-10 % a minute.
+Writes the part `valve` of each finger's calibration file: offset_Pa, which is taken off the
+pressures that the force rests on, and noise_sd_Pa, step_Pa, rise_time_s (10 to 90 %),
+time_constant_s, leak_Pa_per_s with leak_sd_Pa_per_s, fall_time_s. Refused (exit code 1):
+zero off by 5 % of the step, noise 5 %, pressure reached off by 10 %, rise above 1 s, leak
+above 10 % a minute.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", nargs="?", type=Path, metavar="SOURCE.csv", help="a recorded step")
+    parser.add_argument(
+        "source", nargs="?", type=Path, metavar="SOURCE.csv", help="a recorded step"
+    )
     target.add_arguments(parser, "its valves are stepped")
-    parser.add_argument("--pressure-kPa", dest="pressure", type=float, metavar="P",
-                        help="gauge pressure of the step (default: the sensor's supply pressure)")
-    parser.add_argument("--seal", type=float, default=10.0, metavar="S", help="time to watch the sealed chamber (default: 10 s)")
+    parser.add_argument(
+        "--pressure-kPa",
+        dest="pressure",
+        type=float,
+        metavar="P",
+        help="gauge pressure of the step (default: the sensor's supply pressure)",
+    )
+    parser.add_argument(
+        "--seal",
+        type=float,
+        default=10.0,
+        metavar="S",
+        help="time to watch the sealed chamber (default: 10 s)",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -47,12 +62,18 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile.calibrate.verdict import mark, stamp
 
     if options.source is None and options.rig is None:
-        raise InputError("give a recording (SOURCE.csv), or --rig to step its valves", field="SOURCE")
+        raise InputError(
+            "give a recording (SOURCE.csv), or --rig to step its valves", field="SOURCE"
+        )
     if options.pressure is not None and not options.pressure > 0 or not options.seal >= 2:
-        raise InputError("--pressure-kPa must be above 0 and --seal at least 2 s", field="--pressure-kPa")
+        raise InputError(
+            "--pressure-kPa must be above 0 and --seal at least 2 s", field="--pressure-kPa"
+        )
     targets = target.find_targets(options)
     with stdout_to_stderr():
-        fits = _live(options, targets) if options.source is None else [_recorded(options, targets[0])]
+        fits = (
+            _live(options, targets) if options.source is None else [_recorded(options, targets[0])]
+        )
     results = {}
     for goal, fit in zip(targets, fits, strict=True):
         goal.write("valve", valve_part(fit, mark(goal.design, fit.report())), fit.reasons)
@@ -70,7 +91,9 @@ def _recorded(options: argparse.Namespace, goal: target.Target) -> Any:
 
     table = read_columns(options.source, ("time_s", "pressure_kPa"), ("state",), fewest=15)
     try:
-        return calibrate_valve(table["time_s"], 1e3 * table["pressure_kPa"], table["state"], _pressure(options, goal))
+        return calibrate_valve(
+            table["time_s"], 1e3 * table["pressure_kPa"], table["state"], _pressure(options, goal)
+        )
     except InputError as error:
         raise InputError(str(error), source=options.source) from error
 
@@ -79,10 +102,22 @@ def _live(options: argparse.Namespace, targets: list[target.Target]) -> list[Any
     from mjtactile.calibrate.connect import live_rig, live_valves
     from mjtactile.calibrate.live import calibrate_live_valve
 
-    with live_rig(options.rig, load_sensor(options.sensor)) as (rig_file, _), live_valves(rig_file) as of_finger:
-        return [calibrate_live_valve(of_finger[goal.finger], _pressure(options, goal), options.seal, say) for goal in targets]
+    with (
+        live_rig(options.rig, load_sensor(options.sensor)) as (rig_file, _),
+        live_valves(rig_file) as of_finger,
+    ):
+        return [
+            calibrate_live_valve(
+                of_finger[goal.finger], _pressure(options, goal), options.seal, say
+            )
+            for goal in targets
+        ]
 
 
 def _line(fit: Any) -> str:
-    return (f"  zero {fit.offset:+.0f} Pa (noise {fit.noise_sd:.0f}), {fit.step:.0f} of {fit.asked:.0f} Pa in "
-            f"{fit.rise_time:.3f} s (10 to 90 %), sealed it loses {fit.leak:+.2f} Pa/s (sd {fit.leak_sd:.2f})")
+    return (
+        f"  zero {fit.offset:+.0f} Pa (noise {fit.noise_sd:.0f}), {fit.step:.0f} of "
+        f"{fit.asked:.0f} Pa in "
+        f"{fit.rise_time:.3f} s (10 to 90 %), sealed it loses {fit.leak:+.2f} Pa/s (sd "
+        f"{fit.leak_sd:.2f})"
+    )

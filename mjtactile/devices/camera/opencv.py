@@ -1,9 +1,10 @@
 """`OpenCvCamera`: a UVC camera through V4L2 (or a network stream), with every setting read back.
 
-Why it is done in this order: size, FOURCC and buffer size reset the stream, and with it the controls; so those come
-first and exposure, gain and white balance last. Drivers clamp what they are given while `set` returns True; so each
-value is read back, and what did not take is refused. An automatic that works on its own makes forces drift; so each is
-switched off. Pictures wait in the driver's buffers; so a thread reads all of them and keeps the newest.
+Why it is done in this order: size, FOURCC and buffer size reset the stream, and with it the
+controls; so those come first and exposure, gain and white balance last. Drivers clamp what they are
+given while `set` returns True; so each value is read back, and what did not take is refused. An
+automatic that works on its own makes forces drift; so each is switched off. Pictures wait in the
+driver's buffers; so a thread reads all of them and keeps the newest.
 """
 
 from __future__ import annotations
@@ -29,9 +30,12 @@ from mjtactile.rig.file import CameraConfig
 _log = logging.getLogger(__name__)
 _FIRST_PICTURE_TIME = 4.0  # s; USB cameras take up to 2 s to start their stream
 _STALE_PERIODS = 3.0  # a picture older than this many periods is no observation of now
-_OPEN_TIME_MS, _READ_TIME_MS = 5000, 1000
+_OPEN_TIME_MS = 5000
+_READ_TIME_MS = 1000
 _KERNEL_AGE_MAX = 5.0  # s; a kernel time further from now is on another clock
-_AUTO_EXPOSURE_MANUAL, _AUTO_EXPOSURE_AUTO = 1, 3  # V4L2_EXPOSURE_MANUAL, V4L2_EXPOSURE_APERTURE_PRIORITY
+# V4L2_EXPOSURE_MANUAL, V4L2_EXPOSURE_APERTURE_PRIORITY
+_AUTO_EXPOSURE_MANUAL = 1
+_AUTO_EXPOSURE_AUTO = 3
 
 
 class Capture(Protocol):
@@ -46,7 +50,8 @@ class Capture(Protocol):
 
 @dataclass
 class CameraCounters:
-    """What went by: pictures, pictures that never came (by their time), pictures with the very same pixels twice."""
+    """What went by: pictures, pictures that never came (by their time), pictures with the very same
+    pixels twice."""
 
     pictures: int = 0
     dropped: int = 0
@@ -57,17 +62,24 @@ class CameraCounters:
 class OpenCvCamera:
     """One finger's camera, streaming. `capture` stands in for `cv2.VideoCapture` in tests.
 
-    Raises DeviceError naming the camera: it is not there, it gives another size than the file says, or a control does
-    not take.
+    Raises DeviceError naming the camera: it is not there, it gives another size than the file says,
+    or a control does not take.
     """
 
-    def __init__(self, config: CameraConfig, *, capture: Callable[[], Capture] | None = None,
-                 clock: Callable[[], float] = pace.monotonic):
-        self.config, self._clock = config, clock
+    def __init__(
+        self,
+        config: CameraConfig,
+        *,
+        capture: Callable[[], Capture] | None = None,
+        clock: Callable[[], float] = pace.monotonic,
+    ):
+        self.config = config
+        self._clock = clock
         self.name = f"{config.finger} camera {config.source}"
         self.counters = CameraCounters()
         self._period = 1.0 / config.rate
-        # Decoding a JPEG straight to grey takes 1.2 ms where FFmpeg's way over its colours takes 1.9 ms.
+        # Decoding a JPEG straight to grey takes 1.2 ms where FFmpeg's way over its colours takes
+        # 1.9 ms.
         self._is_raw = config.backend == "ffmpeg" and config.fourcc == "MJPG"
         self._condition = threading.Condition()
         self._newest: Image | None = None
@@ -77,7 +89,10 @@ class OpenCvCamera:
         self._capture = (capture or self._open)()
         try:
             if not self._capture.isOpened():
-                raise DeviceError(f"{self.name} cannot be opened: is it plugged in, and may this user read it (group video)?")
+                raise DeviceError(
+                    f"{self.name} cannot be opened: is it plugged in, and may this user read it "
+                    "(group video)?"
+                )
             if config.backend == "v4l2":
                 self._configure()
             self._thread = threading.Thread(target=self._work, name=self.name, daemon=True)
@@ -88,24 +103,36 @@ class OpenCvCamera:
         self._await_first()
 
     def read(self) -> Image:
-        """The newest picture; its `time` is that of capture, monotonic s. Raises DeviceError when it is stale."""
+        """The newest picture; its `time` is that of capture, monotonic s. Raises DeviceError when
+        it is stale."""
         with self._condition:
-            image, fresh, error = self._newest, self._fresh_time, self._error
+            image = self._newest
+            fresh = self._fresh_time
+            error = self._error
         if error is not None:
             raise DeviceError(f"{self.name}: {error}")
         assert image is not None
         now = self._clock()
         if now - image.time > _STALE_PERIODS * self._period + self.config.delay:
-            raise DeviceError(f"{self.name} is stale: its last picture is {1e3 * (now - image.time):.0f} ms old")
+            raise DeviceError(
+                f"{self.name} is stale: its last picture is {1e3 * (now - image.time):.0f} ms old"
+            )
         if now - fresh > _STALE_PERIODS * self._period + self.config.delay:
-            raise DeviceError(f"{self.name} is frozen: the same picture for {1e3 * (now - fresh):.0f} ms")
+            raise DeviceError(
+                f"{self.name} is frozen: the same picture for {1e3 * (now - fresh):.0f} ms"
+            )
         return image
 
     def wait_newer(self, than: float, timeout: float) -> bool:
-        """Wait until there is a picture captured after `than` s; False when there is none within `timeout` s."""
+        """Wait until there is a picture captured after `than` s; False when there is none within
+        `timeout` s."""
         with self._condition:
             return self._condition.wait_for(
-                lambda: self._error is not None or self._newest is not None and self._newest.time > than, pace.wall(timeout))
+                lambda: (
+                    self._error is not None or self._newest is not None and self._newest.time > than
+                ),
+                pace.wall(timeout),
+            )
 
     @property
     def newest_time(self) -> float:
@@ -119,19 +146,32 @@ class OpenCvCamera:
             self._thread.join()
         self._capture.release()
 
-    # -- settings ------------------------------------------------------------------------------------------------
+    # -- settings
+    # --------------------------------------------------------------------------------
 
     def _open(self) -> Capture:
         config = self.config
         if config.backend == "ffmpeg":
-            # One thread: several would each hold a picture back, which is latency. A JPEG is taken as it comes.
+            # One thread: several would each hold a picture back, which is latency. A JPEG is taken
+            # as it comes.
             raw = [cv2.CAP_PROP_FORMAT, -1] if self._is_raw else []
-            return cv2.VideoCapture(config.source, cv2.CAP_FFMPEG, [
-                cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, round(pace.wall(_OPEN_TIME_MS)),
-                cv2.CAP_PROP_READ_TIMEOUT_MSEC, round(pace.wall(_READ_TIME_MS)),
-                cv2.CAP_PROP_N_THREADS, 1, *raw])
+            return cv2.VideoCapture(
+                config.source,
+                cv2.CAP_FFMPEG,
+                [
+                    cv2.CAP_PROP_OPEN_TIMEOUT_MSEC,
+                    round(pace.wall(_OPEN_TIME_MS)),
+                    cv2.CAP_PROP_READ_TIMEOUT_MSEC,
+                    round(pace.wall(_READ_TIME_MS)),
+                    cv2.CAP_PROP_N_THREADS,
+                    1,
+                    *raw,
+                ],
+            )
         if not Path(config.source).exists():
-            raise DeviceError(f"{self.name} is not there; `mjtactile doctor` lists the cameras that are")
+            raise DeviceError(
+                f"{self.name} is not there; `mjtactile doctor` lists the cameras that are"
+            )
         return cv2.VideoCapture(config.source, cv2.CAP_V4L2)
 
     def _configure(self) -> None:
@@ -141,15 +181,21 @@ class OpenCvCamera:
         self._set("width", cv2.CAP_PROP_FRAME_WIDTH, config.width)
         self._set("height", cv2.CAP_PROP_FRAME_HEIGHT, config.height)
         self._set("rate", cv2.CAP_PROP_FPS, config.rate, tolerance=0.02 * config.rate)
-        self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # where it does not take, the thread empties the buffers anyway
+        # where it does not take, the thread empties the buffers anyway
+        self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
         if config.exposure is not None:
-            # Some drivers ignore "manual" unless the automatic was on before; then the value must follow.
+            # Some drivers ignore "manual" unless the automatic was on before; then the value must
+            # follow.
             self._capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, _AUTO_EXPOSURE_AUTO)
             self._set("manual exposure", cv2.CAP_PROP_AUTO_EXPOSURE, _AUTO_EXPOSURE_MANUAL)
-            self._set("exposure", cv2.CAP_PROP_EXPOSURE, config.exposure, tolerance=1.0)  # drivers round to their step
+            # drivers round to their step
+            self._set("exposure", cv2.CAP_PROP_EXPOSURE, config.exposure, tolerance=1.0)
         if config.white_balance is not None:
             self._set("automatic white balance", cv2.CAP_PROP_AUTO_WB, 0)
-            self._set("white balance", cv2.CAP_PROP_WB_TEMPERATURE, config.white_balance, tolerance=10.0)  # steps of 10 K
+            # steps of 10 K
+            self._set(
+                "white balance", cv2.CAP_PROP_WB_TEMPERATURE, config.white_balance, tolerance=10.0
+            )
         if config.gain is not None:
             self._set("gain", cv2.CAP_PROP_GAIN, config.gain, tolerance=0.5)
 
@@ -157,11 +203,19 @@ class OpenCvCamera:
         self._capture.set(prop, value)
         found = self._capture.get(prop)
         if not math.isfinite(found) or abs(found - value) > tolerance:
-            shown = (_fourcc(value), _fourcc(found)) if what == "FOURCC" else (f"{value:g}", f"{found:g}")
-            raise DeviceError(f"{self.name}: {what} was set to {shown[0]} but is {shown[1]}; `mjtactile doctor` lists what "
-                              "it can do")
+            shown = (
+                (_fourcc(value), _fourcc(found))
+                if what == "FOURCC"
+                else (f"{value:g}", f"{found:g}")
+            )
+            raise DeviceError(
+                f"{self.name}: {what} was set to {shown[0]} but is {shown[1]}; `mjtactile "
+                "doctor` lists what "
+                "it can do"
+            )
 
-    # -- the reader ----------------------------------------------------------------------------------------------
+    # -- the reader
+    # --------------------------------------------------------------------------------
 
     def _work(self) -> None:
         failures = 0
@@ -171,30 +225,41 @@ class OpenCvCamera:
                 if good and self._is_raw:
                     pixels = cv2.imdecode(pixels, cv2.IMREAD_GRAYSCALE)
             except cv2.error as error:
-                good, pixels = False, None
+                good = False
+                pixels = None
                 _log.debug("%s: %s", self.name, error)
             if good and pixels is not None:
                 failures = 0
                 self._take(pixels)
                 continue
             failures += 1
-            if failures >= 3:  # one broken JPEG is a lost picture; three failures in a row are a lost camera
-                self._fail("it sends no JPEG; leave fourcc = \"MJPG\" out of the rig file" if good and self._is_raw else
-                           self._why_nothing_comes())
+            # one broken JPEG is a lost picture; three failures in a row are a lost camera
+            if failures >= 3:
+                self._fail(
+                    'it sends no JPEG; leave fourcc = "MJPG" out of the rig file'
+                    if good and self._is_raw
+                    else self._why_nothing_comes()
+                )
                 return
 
     def _take(self, pixels: NDArray) -> None:
         arrival = self._clock()
         gray = cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY) if pixels.ndim == 3 else pixels
         if gray.shape != (self.config.height, self.config.width):
-            self._fail(f"it sends {gray.shape[1]} x {gray.shape[0]} pixels, the rig file says {self.config.width} x "
-                       f"{self.config.height}")
+            self._fail(
+                f"it sends {gray.shape[1]} x {gray.shape[0]} pixels, the rig file says "
+                f"{self.config.width} x "
+                f"{self.config.height}"
+            )
             return
         captured = self._capture_time(arrival)
         with self._condition:
             last = self._newest
-            # Sensor noise makes true pictures differ, but for those that are white or black all over.
-            same = last is not None and np.array_equal(gray, last.pixels) and gray.min() != gray.max()
+            # Sensor noise makes true pictures differ, but for those that are white or black all
+            # over.
+            same = (
+                last is not None and np.array_equal(gray, last.pixels) and gray.min() != gray.max()
+            )
             self.counters.pictures += 1
             if last is not None:
                 self._count(captured - last.time)
@@ -211,20 +276,30 @@ class OpenCvCamera:
         del self.counters.intervals[:-1000]
 
     def _capture_time(self, arrival: float) -> float:
-        """Kernel time of the frame (V4L2 stamps on the monotonic clock), or arrival less the stream's known delay."""
+        """Kernel time of the frame (V4L2 stamps on the monotonic clock), or arrival less the
+        stream's known delay."""
         if self.config.timestamps == "arrival":
             return arrival - self.config.delay
         kernel = 1e-3 * self._capture.get(cv2.CAP_PROP_POS_MSEC)
         if 0 <= arrival - kernel < _KERNEL_AGE_MAX:
             return kernel
-        self._fail(f"its kernel timestamps ({kernel:.3f} s) are not on the monotonic clock ({arrival:.3f} s); write "
-                   "timestamps = \"arrival\" and the delay into the rig file")
+        self._fail(
+            f"its kernel timestamps ({kernel:.3f} s) are not on the monotonic clock "
+            f"({arrival:.3f} s); write "
+            'timestamps = "arrival" and the delay into the rig file'
+        )
         return arrival
 
     def _why_nothing_comes(self) -> str:
-        silent, load, processors = self._clock() - self.newest_time, os.getloadavg()[0], os.cpu_count() or 1
+        silent = self._clock() - self.newest_time
+        load = os.getloadavg()[0]
+        processors = os.cpu_count() or 1
         since = f" for {1e3 * silent:.0f} ms" if math.isfinite(silent) else ""
-        busy = f" Or are they late? {load:.0f} programs want this computer's {processors} processors" if load > processors else ""
+        busy = (
+            (f" Or are they late? {load:.0f} programs want this computer's {processors} processors")
+            if load > processors
+            else ""
+        )
         return f"it has sent no pictures{since}: was it unplugged?{busy}"
 
     def _fail(self, reason: str) -> None:
@@ -234,7 +309,10 @@ class OpenCvCamera:
 
     def _await_first(self) -> None:
         with self._condition:
-            self._condition.wait_for(lambda: self._newest is not None or self._error is not None, pace.wall(_FIRST_PICTURE_TIME))
+            self._condition.wait_for(
+                lambda: self._newest is not None or self._error is not None,
+                pace.wall(_FIRST_PICTURE_TIME),
+            )
             if self._newest is not None and self._error is None:
                 return
             reason = self._error or f"no picture within {_FIRST_PICTURE_TIME:g} s"

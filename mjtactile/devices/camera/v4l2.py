@@ -1,4 +1,5 @@
-"""Video devices of a Linux computer: their names and what they can send, asked of the kernel without starting them.
+"""Video devices of a Linux computer: their names and what they can send, asked of the kernel
+without starting them.
 
 Structures and request numbers: linux/videodev2.h, https://docs.kernel.org/userspace-api/media/v4l/.
 """
@@ -13,8 +14,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-_ENUM_FMT, _ENUM_FRAMESIZES, _ENUM_FRAMEINTERVALS = 0xC0405602, 0xC02C564A, 0xC034564B
-_CAPTURE, _DISCRETE = 1, 1  # V4L2_BUF_TYPE_VIDEO_CAPTURE; V4L2_FRMSIZE_TYPE_DISCRETE, which is V4L2_FRMIVAL_TYPE_DISCRETE
+_ENUM_FMT = 0xC0405602
+_ENUM_FRAMESIZES = 0xC02C564A
+_ENUM_FRAMEINTERVALS = 0xC034564B
+# V4L2_BUF_TYPE_VIDEO_CAPTURE; V4L2_FRMSIZE_TYPE_DISCRETE, which is V4L2_FRMIVAL_TYPE_DISCRETE
+_CAPTURE = 1
+_DISCRETE = 1
 _MOST = 64  # entries of a list; a driver that never ends its list would hold us up for ever
 
 Ioctl = Callable[[int, int, bytearray], object]
@@ -22,8 +27,9 @@ Ioctl = Callable[[int, int, bytearray], object]
 
 @dataclass(frozen=True)
 class VideoDevice:
-    """A camera: `path` to open it by, the stablest there is; what the kernel calls it (`device`, /dev/videoN), its maker (`name`)
-    and its `serial` number ("" if none); `formats`: (fourcc, width, height, largest rate in Hz)."""
+    """A camera: `path` to open it by, the stablest there is; what the kernel calls it (`device`,
+    /dev/videoN), its maker (`name`) and its `serial` number ("" if none); `formats`: (fourcc,
+    width, height, largest rate in Hz)."""
 
     path: str
     device: str
@@ -35,13 +41,23 @@ class VideoDevice:
 def video_devices(root: Path = Path("/")) -> list[VideoDevice]:
     """All that send pictures; `root`: of the file system."""
     found = []
-    for folder in sorted((root / "sys/class/video4linux").glob("video*"), key=lambda path: (len(path.name), path.name)):
+    for folder in sorted(
+        (root / "sys/class/video4linux").glob("video*"),
+        key=lambda path: (len(path.name), path.name),
+    ):
         if _text(folder / "index") != "0":  # a second node of the same camera, for its metadata
             continue
         device = root / "dev" / folder.name
         formats = tuple(formats_of(device))
-        found.append(VideoDevice(_stable(root, device), str(device), _text(folder / "name"),
-                                 _text((folder / "device").resolve().parent / "serial"), formats))
+        found.append(
+            VideoDevice(
+                _stable(root, device),
+                str(device),
+                _text(folder / "name"),
+                _text((folder / "device").resolve().parent / "serial"),
+                formats,
+            )
+        )
     return found
 
 
@@ -58,8 +74,11 @@ def formats_of(device: Path, ioctl: Ioctl = fcntl.ioctl) -> Iterator[tuple[str, 
             os.close(number)
 
 
-def _entries(number: int, request: int, size: int, head: tuple[int, ...], ioctl: Ioctl) -> Iterator[bytes]:
-    """The kernel's answers for index 0, 1, … until it says that there are no more; `head` follows the index."""
+def _entries(
+    number: int, request: int, size: int, head: tuple[int, ...], ioctl: Ioctl
+) -> Iterator[bytes]:
+    """The kernel's answers for index 0, 1, … until it says that there are no more; `head` follows
+    the index."""
     for index in range(_MOST):
         data = bytearray(struct.pack(f"{1 + len(head)}I", index, *head).ljust(size, b"\0"))
         try:
@@ -77,7 +96,8 @@ def _codes(number: int, ioctl: Ioctl) -> Iterator[int]:
 def _sizes(number: int, code: int, ioctl: Ioctl) -> Iterator[tuple[int, int]]:
     for data in _entries(number, _ENUM_FRAMESIZES, 44, (code,), ioctl):
         kind, width, height = struct.unpack_from("3I", data, 8)
-        if kind != _DISCRETE:  # a range (least, largest and step of the width, then of the height): its largest
+        # a range (least, largest and step of the width, then of the height): its largest
+        if kind != _DISCRETE:
             _, width, _, _, height = struct.unpack_from("5I", data, 12)
         yield width, height
         if kind != _DISCRETE:
@@ -87,15 +107,21 @@ def _sizes(number: int, code: int, ioctl: Ioctl) -> Iterator[tuple[int, int]]:
 def _largest_rate(number: int, code: int, width: int, height: int, ioctl: Ioctl) -> float:
     rates = [0.0]
     for data in _entries(number, _ENUM_FRAMEINTERVALS, 52, (code, width, height), ioctl):
-        numerator, denominator = struct.unpack_from("2I", data, 20)  # of the interval, or of the least of a range
+        # of the interval, or of the least of a range
+        numerator, denominator = struct.unpack_from("2I", data, 20)
         rates.append(denominator / numerator if numerator else 0.0)
     return max(rates)
 
 
 def _stable(root: Path, device: Path) -> str:
-    """A name that stays when it is plugged in again; two of the same kind without serial numbers differ by their sockets."""
+    """A name that stays when it is plugged in again; two of the same kind without serial numbers
+    differ by their sockets."""
     for folder in ("by-id", "by-path"):
-        names = [link for link in sorted((root / "dev/v4l" / folder).glob("*")) if link.resolve() == device.resolve()]
+        names = [
+            link
+            for link in sorted((root / "dev/v4l" / folder).glob("*"))
+            if link.resolve() == device.resolve()
+        ]
         if names:
             return str(names[0])
     return str(device)

@@ -6,7 +6,8 @@ What the SDK 4.1.0 does, and what is done here instead:
 - a short reply counts as success and blows up later: the length is checked;
 - an exception leaves `is_using` set, and every later call fails: it is cleared on every way out;
 - two threads on one port spoil each other: one lock around each transaction;
-- a missing reply costs 34 ms (LATENCY_TIMER): the time-out is the wire's time plus what the rig file allows;
+- a missing reply costs 34 ms (LATENCY_TIMER): the time-out is the wire's time plus what the rig
+  file allows;
 - time-outs on the wall clock: here on the monotonic one; the port is opened exclusively;
 - it waits by spinning: here in `select`, so that the camera's thread gets the processor;
 - byte stuffing of a packet that grows is computed and thrown away: here it is sent.
@@ -23,35 +24,55 @@ from dataclasses import dataclass
 from typing import Any
 
 import serial
-from dynamixel_sdk import COMM_RX_CORRUPT, COMM_RX_TIMEOUT, COMM_SUCCESS, PortHandler, Protocol2PacketHandler
+from dynamixel_sdk import (
+    COMM_RX_CORRUPT,
+    COMM_RX_TIMEOUT,
+    COMM_SUCCESS,
+    PortHandler,
+    Protocol2PacketHandler,
+)
 
 from mjtactile.core import pace
 from mjtactile.core.errors import DeviceError
 
-_ID, _LENGTH, _ERROR, _PARAMETERS = 4, 5, 8, 9  # places in a status packet
+# places in a status packet
+_ID = 4
+_LENGTH = 5
+_ERROR = 8
+_PARAMETERS = 9
 _OVERHEAD = 11  # bytes of a status packet around its parameters
 ALERT = 0x80
 _BABBLE = 5  # times the time-out
 _WRITE_TIME = 0.5  # s: pySerial counts what the computer stood still, also when all was written
 _DRAIN_MAX = 0.05  # s of babble that are thrown away
 _LOST = (serial.SerialException, OSError, termios.error, TypeError)
-"""What pyserial raises on a port that has gone: termios.error is no OSError, and a closed port is a TypeError."""
-_STATUS_ERRORS = {1: "could not carry it out", 2: "does not know the instruction", 3: "received a wrong CRC",
-                  4: "says the value is out of range", 5: "says the length is wrong",
-                  6: "says the value is beyond its limit", 7: "denies access to that register"}
+"""What pyserial raises on a port that has gone: termios.error is no OSError, and a closed port is a
+TypeError."""
+_STATUS_ERRORS = {
+    1: "could not carry it out",
+    2: "does not know the instruction",
+    3: "received a wrong CRC",
+    4: "says the value is out of range",
+    5: "says the length is wrong",
+    6: "says the value is beyond its limit",
+    7: "denies access to that register",
+}
 
 
 class BusError(DeviceError):
-    """One transaction failed; `servo` is the id, `reason` one of "no reply", "corrupt", "short", "refused", "lost"."""
+    """One transaction failed; `servo` is the id, `reason` one of "no reply", "corrupt", "short",
+    "refused", "lost"."""
 
     def __init__(self, message: str, *, servo: int | None, reason: str):
         super().__init__(message)
-        self.servo, self.reason = servo, reason
+        self.servo = servo
+        self.reason = reason
 
 
 @dataclass(frozen=True)
 class Reply:
-    """Data of one servo's reply and whether it raised its alert bit (a hardware error is latched)."""
+    """Data of one servo's reply and whether it raised its alert bit (a hardware error is
+    latched)."""
 
     data: bytes
     alert: bool
@@ -62,17 +83,24 @@ class Reply:
 
 
 class _Port(PortHandler):
-    """The SDK's port: exclusive, on the monotonic clock, with its own time-out, waiting without spinning."""
+    """The SDK's port: exclusive, on the monotonic clock, with its own time-out, waiting without
+    spinning."""
 
     def __init__(self, name: str, reply_timeout: float):
         super().__init__(name)
         self._reply_timeout_ms = 1e3 * reply_timeout
 
     def setupPort(self, cflag_baud: int) -> bool:
-        self.ser = serial.Serial(port=self.port_name, baudrate=cflag_baud, timeout=0, write_timeout=pace.wall(_WRITE_TIME),
-                                 exclusive=True)
+        self.ser = serial.Serial(
+            port=self.port_name,
+            baudrate=cflag_baud,
+            timeout=0,
+            write_timeout=pace.wall(_WRITE_TIME),
+            exclusive=True,
+        )
         with contextlib.suppress(OSError, ValueError, NotImplementedError):
-            self.ser.set_low_latency_mode(True)  # FTDI's 16 ms latency timer to 1 ms; a pty has none
+            # FTDI's 16 ms latency timer to 1 ms; a pty has none
+            self.ser.set_low_latency_mode(True)
         self.is_open = True
         self.ser.reset_input_buffer()
         self.tx_time_per_byte = 10 * 1e3 / cflag_baud
@@ -81,7 +109,8 @@ class _Port(PortHandler):
     def readPort(self, length: int) -> Any:
         data = self.ser.read(length)
         if not data and length > 0:
-            select.select([self.ser.fileno()], [], [], 5e-4)  # short, so that the time-out is still looked at
+            # short, so that the time-out is still looked at
+            select.select([self.ser.fileno()], [], [], 5e-4)
             data = self.ser.read(length)
         return data
 
@@ -89,20 +118,25 @@ class _Port(PortHandler):
         return 1e3 * pace.monotonic()
 
     def isPacketTimeout(self) -> bool:
-        """Late only when nothing is waiting to be read: it may be this thread that was late. A babbler gets no more time."""
+        """Late only when nothing is waiting to be read: it may be this thread that was late. A
+        babbler gets no more time."""
         passed = self.getTimeSinceStart()
-        return passed > self.packet_timeout and (self.ser.in_waiting == 0 or passed > _BABBLE * self.packet_timeout)
+        return passed > self.packet_timeout and (
+            self.ser.in_waiting == 0 or passed > _BABBLE * self.packet_timeout
+        )
 
     def setPacketTimeout(self, packet_length: int) -> None:
         self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + self._reply_timeout_ms)
 
 
 class _PacketHandler(Protocol2PacketHandler):
-    """The SDK's packets, with byte stuffing that works in place and for more than one place in a packet."""
+    """The SDK's packets, with byte stuffing that works in place and for more than one place in a
+    packet."""
 
     def addStuffing(self, packet: list[int]) -> list[int]:
         length = packet[5] | packet[6] << 8
-        head, body = packet[:7], packet[7 : 7 + length - 2]
+        head = packet[:7]
+        body = packet[7 : 7 + length - 2]
         stuffed: list[int] = []
         last = packet[5:7]
         for byte in body:
@@ -118,18 +152,27 @@ class _PacketHandler(Protocol2PacketHandler):
         length = packet[5] | packet[6] << 8
         body = bytes(packet[7 : 7 + length - 2]).replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
         new_length = len(body) + 2
-        packet[:] = [*packet[:5], new_length & 0xFF, new_length >> 8, *body, *packet[7 + length - 2 : 7 + length]]
+        packet[:] = [
+            *packet[:5],
+            new_length & 0xFF,
+            new_length >> 8,
+            *body,
+            *packet[7 + length - 2 : 7 + length],
+        ]
         return packet
 
 
 class DynamixelBus:
-    """A bus at `port`; safe to use from several threads. Raises DeviceError when the port is not there or taken."""
+    """A bus at `port`; safe to use from several threads. Raises DeviceError when the port is not
+    there or taken."""
 
     def __init__(self, port: str, baud: int = 1_000_000, *, reply_timeout: float = 0.008):
-        """`reply_timeout` s is what a reply may take on top of its time on the wire: USB latency and return delay."""
+        """`reply_timeout` s is what a reply may take on top of its time on the wire: USB latency
+        and return delay."""
         self.name = port
         self._lock = threading.RLock()
-        self._port, self._packets = _Port(port, reply_timeout), _PacketHandler()
+        self._port = _Port(port, reply_timeout)
+        self._packets = _PacketHandler()
         self._port.baudrate = baud
         self._dirty = False
         self._quiet = reply_timeout  # s to wait for a straggler: as long again as a reply may take
@@ -145,25 +188,28 @@ class DynamixelBus:
                 self._port.closePort()
 
     def ping(self, servo: int) -> tuple[int, int]:
-        """Model number and firmware version of one servo. Raises BusError when it does not answer."""
+        """Model number and firmware version of one servo. Raises BusError when it does not
+        answer."""
         with self._transaction(servo):
             packet = self._exchange(servo, [1], reply=3)
             return packet.value(0, 2), packet.value(2, 1)
 
     def read(self, servo: int, address: int, size: int, *, again: bool = False) -> Reply:
-        """Read `size` bytes of one servo. `again`: the same was asked just before, so that a late answer to that is as
-        good and need not be waited for and thrown away. Raises BusError."""
+        """Read `size` bytes of one servo. `again`: the same was asked just before, so that a late
+        answer to that is as good and need not be waited for and thrown away. Raises BusError."""
         with self._transaction(servo, again=again):
             return self._exchange(servo, [2, *_word(address), *_word(size)], reply=size)
 
     def write(self, servo: int, address: int, size: int, value: int) -> bool:
-        """Write one register and wait for the servo's status; returns its alert bit. Raises BusError."""
+        """Write one register and wait for the servo's status; returns its alert bit. Raises
+        BusError."""
         data = (value & ((1 << 8 * size) - 1)).to_bytes(size, "little")
         with self._transaction(servo):
             return self._exchange(servo, [3, *_word(address), *data], reply=0).alert
 
     def reboot(self, servo: int) -> None:
-        """Restart one servo: its torque is off afterwards and its latched hardware error gone. A person must ask for it."""
+        """Restart one servo: its torque is off afterwards and its latched hardware error gone. A
+        person must ask for it."""
         with self._transaction(servo):
             self._exchange(servo, [8], reply=0)
 
@@ -172,36 +218,50 @@ class DynamixelBus:
         size = len(next(iter(blocks.values())))
         parameters = [byte for servo, data in blocks.items() for byte in (servo, *data)]
         with self._transaction(None):
-            result = self._packets.syncWriteTxOnly(self._port, address, size, parameters, len(parameters))
+            result = self._packets.syncWriteTxOnly(
+                self._port, address, size, parameters, len(parameters)
+            )
             if result != COMM_SUCCESS:
                 raise self._failed(None, result)
 
-    def read_many(self, servos: Sequence[int], address: int, size: int, *, fast: bool = False
-                  ) -> tuple[dict[int, Reply], dict[int, BusError]]:
-        """Sync (or fast sync) read: the same registers of several servos; what came, and what did not and why.
+    def read_many(
+        self, servos: Sequence[int], address: int, size: int, *, fast: bool = False
+    ) -> tuple[dict[int, Reply], dict[int, BusError]]:
+        """Sync (or fast sync) read: the same registers of several servos; what came, and what did
+        not and why.
 
         Raises BusError only when the port itself fails.
         """
         self.ask_many(servos, address, size, fast=fast)
         return self.answers(servos, size, fast=fast)
 
-    def ask_many(self, servos: Sequence[int], address: int, size: int, *, fast: bool = False) -> None:
-        """The question of `read_many`: the servos answer into the port's buffer. Raises BusError when the port fails."""
+    def ask_many(
+        self, servos: Sequence[int], address: int, size: int, *, fast: bool = False
+    ) -> None:
+        """The question of `read_many`: the servos answer into the port's buffer. Raises BusError
+        when the port fails."""
         with self._transaction(None):
-            result = self._packets.syncReadTx(self._port, address, size, list(servos), len(servos), fast)
+            result = self._packets.syncReadTx(
+                self._port, address, size, list(servos), len(servos), fast
+            )
             if result != COMM_SUCCESS:
                 raise self._failed(None, result)
             self._port.setPacketTimeout((_OVERHEAD + size) * len(servos))
             self._dirty = True  # whoever comes in between must let the answers pass first
 
-    def answers(self, servos: Sequence[int], size: int, *, fast: bool = False) -> tuple[dict[int, Reply], dict[int, BusError]]:
+    def answers(
+        self, servos: Sequence[int], size: int, *, fast: bool = False
+    ) -> tuple[dict[int, Reply], dict[int, BusError]]:
         """What the servos said to `ask_many` of the same arguments; see `read_many`."""
         with self._transaction(None, again=True):
-            replies, failures = self._receive_fast(servos, size) if fast else self._receive_each(servos, size)
+            replies, failures = (
+                self._receive_fast(servos, size) if fast else self._receive_each(servos, size)
+            )
             self._dirty = bool(failures)
             return replies, failures
 
-    # -- inside --------------------------------------------------------------------------------------------------
+    # -- inside
+    # --------------------------------------------------------------------------------
 
     @contextlib.contextmanager
     def _transaction(self, servo: int | None, *, again: bool = False) -> Iterator[None]:
@@ -215,23 +275,34 @@ class DynamixelBus:
                 self._dirty = error.reason != "refused"
                 raise
             except _LOST as error:
-                raise BusError(f"servo port {self.name} is lost: {_plain(error)}", servo=servo, reason="lost") from error
-            except (IndexError, ValueError, UnboundLocalError) as error:  # the SDK's parser on bad bytes
+                raise BusError(
+                    f"servo port {self.name} is lost: {_plain(error)}", servo=servo, reason="lost"
+                ) from error
+            except (IndexError, ValueError, UnboundLocalError) as error:
+                # the SDK's parser on bad bytes
                 self._dirty = True
-                raise BusError(f"servo port {self.name}: unreadable reply ({type(error).__name__})", servo=servo,
-                               reason="corrupt") from error
+                raise BusError(
+                    f"servo port {self.name}: unreadable reply ({type(error).__name__})",
+                    servo=servo,
+                    reason="corrupt",
+                ) from error
             finally:
                 self._port.is_using = False
 
     def _drain(self) -> None:
-        """Throw away a late reply, which would otherwise pass for the answer to the next question: listen until it is quiet."""
+        """Throw away a late reply, which would otherwise pass for the answer to the next question:
+        listen until it is quiet."""
         deadline = pace.monotonic() + _DRAIN_MAX
-        while pace.monotonic() < deadline and select.select([self._port.ser.fileno()], [], [], pace.wall(self._quiet))[0]:
+        while (
+            pace.monotonic() < deadline
+            and select.select([self._port.ser.fileno()], [], [], pace.wall(self._quiet))[0]
+        ):
             if not self._port.ser.read(4096):
                 break
 
     def _exchange(self, servo: int, body: list[int], *, reply: int) -> Reply:
-        """Send one instruction and return the parameters of its status packet, of which there must be `reply` bytes."""
+        """Send one instruction and return the parameters of its status packet, of which there must
+        be `reply` bytes."""
         length = len(body) + 2
         packet = [0, 0, 0, 0, servo, length & 0xFF, length >> 8, *body, 0, 0]
         result = self._packets.txPacket(self._port, packet)
@@ -260,10 +331,16 @@ class DynamixelBus:
             raise BusError(f"servo {servo} on {self.name} {what}", servo=servo, reason="refused")
         count = self._length(packet)
         if count != expected:
-            raise BusError(f"servo {servo} on {self.name} sent {count} bytes instead of {expected}", servo=servo, reason="short")
+            raise BusError(
+                f"servo {servo} on {self.name} sent {count} bytes instead of {expected}",
+                servo=servo,
+                reason="short",
+            )
         return Reply(bytes(packet[_PARAMETERS : _PARAMETERS + count]), bool(error & ALERT))
 
-    def _receive_each(self, servos: Sequence[int], size: int) -> tuple[dict[int, Reply], dict[int, BusError]]:
+    def _receive_each(
+        self, servos: Sequence[int], size: int
+    ) -> tuple[dict[int, Reply], dict[int, BusError]]:
         """One status packet a servo, in any order; the time-out is for all of them."""
         replies: dict[int, Reply] = {}
         failures: dict[int, BusError] = {}
@@ -273,36 +350,65 @@ class DynamixelBus:
                 error = self._failed(None, result)
                 for servo in servos:
                     if servo not in replies:
-                        failures.setdefault(servo, BusError(f"servo {servo}: {error}", servo=servo, reason=error.reason))
+                        failures.setdefault(
+                            servo,
+                            BusError(f"servo {servo}: {error}", servo=servo, reason=error.reason),
+                        )
                 break
             servo = packet[_ID]
             if servo not in servos or servo in replies:
                 continue
-            self._collect(servo, lambda s=servo, p=packet: self._parse(s, p, size), replies, failures)
+            self._collect(
+                servo, lambda s=servo, p=packet: self._parse(s, p, size), replies, failures
+            )
         return replies, failures
 
-    def _receive_fast(self, servos: Sequence[int], size: int) -> tuple[dict[int, Reply], dict[int, BusError]]:
-        """One packet for all: (error, id, data, CRC) for each servo; only the last CRC was checked, and covers all."""
+    def _receive_fast(
+        self, servos: Sequence[int], size: int
+    ) -> tuple[dict[int, Reply], dict[int, BusError]]:
+        """One packet for all: (error, id, data, CRC) for each servo; only the last CRC was checked,
+        and covers all."""
         packet, result = self._packets.rxPacket(self._port, True)
         if result == COMM_SUCCESS and len(packet) != 8 + (size + 4) * len(servos):
             result = COMM_RX_CORRUPT
         if result != COMM_SUCCESS:
             error = self._failed(None, result)
-            return {}, {s: BusError(f"servo {s}: {error}", servo=s, reason=error.reason) for s in servos}
+            return {}, {
+                s: BusError(f"servo {s}: {error}", servo=s, reason=error.reason) for s in servos
+            }
         replies: dict[int, Reply] = {}
         failures: dict[int, BusError] = {}
         for place, servo in enumerate(servos):
             start = 8 + place * (size + 4)
-            error, found = packet[start], packet[start + 1]
-            status = [*packet[:5], (size + 4) & 0xFF, (size + 4) >> 8, 0x55, error, *packet[start + 2 : start + 2 + size]]
+            error = packet[start]
+            found = packet[start + 1]
+            status = [
+                *packet[:5],
+                (size + 4) & 0xFF,
+                (size + 4) >> 8,
+                0x55,
+                error,
+                *packet[start + 2 : start + 2 + size],
+            ]
             if found != servo:
-                failures[servo] = BusError(f"servo {found} answered in the place of servo {servo}", servo=servo, reason="corrupt")
+                failures[servo] = BusError(
+                    f"servo {found} answered in the place of servo {servo}",
+                    servo=servo,
+                    reason="corrupt",
+                )
             else:
-                self._collect(servo, lambda s=servo, p=status: self._parse(s, p, size), replies, failures)
+                self._collect(
+                    servo, lambda s=servo, p=status: self._parse(s, p, size), replies, failures
+                )
         return replies, failures
 
     @staticmethod
-    def _collect(servo: int, parse: Callable[[], Reply], replies: dict[int, Reply], failures: dict[int, BusError]) -> None:
+    def _collect(
+        servo: int,
+        parse: Callable[[], Reply],
+        replies: dict[int, Reply],
+        failures: dict[int, BusError],
+    ) -> None:
         try:
             replies[servo] = parse()
         except BusError as error:
@@ -313,7 +419,9 @@ class DynamixelBus:
         if result == COMM_RX_TIMEOUT:
             return BusError(f"{who}: no reply", servo=servo, reason="no reply")
         if result == COMM_RX_CORRUPT:
-            return BusError(f"{who}: broken reply (wrong CRC or cut off)", servo=servo, reason="corrupt")
+            return BusError(
+                f"{who}: broken reply (wrong CRC or cut off)", servo=servo, reason="corrupt"
+            )
         text = self._packets.getTxRxResult(result).replace("[TxRxResult] ", "").rstrip("!.")
         return BusError(f"{who}: {text or result}", servo=servo, reason="lost")
 

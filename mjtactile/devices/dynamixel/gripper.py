@@ -1,6 +1,7 @@
 """`DynamixelGripper`: jaw servos (and a lift) in current-based position mode, in SI units.
 
-The bus and its traps: `mjtactile.devices.dynamixel.bus`; one servo's registers and recipe: `...dynamixel.servo`.
+The bus and its traps: `mjtactile.devices.dynamixel.bus`; one servo's registers and recipe:
+`...dynamixel.servo`.
 """
 
 from __future__ import annotations
@@ -16,40 +17,58 @@ from mjtactile.core.signals import deferred
 from mjtactile.core.types import Command, GripperState
 from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus
 from mjtactile.devices.dynamixel.jaws import JawGeometry, find_model
-from mjtactile.devices.dynamixel.servo import STATE_SIZE, STATE_START, Servo, ServoFault, ServoReport, read_report
+from mjtactile.devices.dynamixel.servo import (
+    STATE_SIZE,
+    STATE_START,
+    Servo,
+    ServoFault,
+    ServoReport,
+    read_report,
+)
 from mjtactile.devices.dynamixel.tables import TICKS_PER_RAD
 from mjtactile.rig.file import BusConfig, GripperConfig, LiftConfig
 
 __all__ = ["DynamixelGripper", "ServoFault", "ServoReport", "read_report"]
 _log = logging.getLogger(__name__)
-_GOAL_START = 102  # goal current, velocity, profile acceleration, profile velocity, goal position: one block
+# goal current, velocity, profile acceleration, profile velocity, goal position: one block
+_GOAL_START = 102
 _LEAD_TIME = 0.1  # s at the largest speed: how far a closing jaw's goal is ahead of it at most
-_FAILURES_MAX = 3  # questions in a row without a servo's reply before it counts as lost: one cycle of two, and another
+# questions in a row without a servo's reply before it counts as lost: one cycle of two, and another
+_FAILURES_MAX = 3
 _SILENCE_IDLE = 30.0  # s without any call, before the first command (references are being taken)
 
 
 class DynamixelGripper:
     """The jaws of a rig file's gripper, connected: ready to hold where they stand, torque on.
 
-    Raises DeviceError at connect when a servo does not answer, is another model than the file says, cannot limit its
-    force, has a latched error, stands outside the gripper's range, or does not keep a setting.
+    Raises DeviceError at connect when a servo does not answer, is another model than the file says,
+    cannot limit its force, has a latched error, stands outside the gripper's range, or does not
+    keep a setting.
     """
 
-    def __init__(self, bus: BusConfig, gripper: GripperConfig, lift: LiftConfig, *, source: str = "rig"):
+    def __init__(
+        self, bus: BusConfig, gripper: GripperConfig, lift: LiftConfig, *, source: str = "rig"
+    ):
         self.geometry = JawGeometry(gripper, source)
-        self.config, self._bus_config, self._lift_config = gripper, bus, lift
+        self.config = gripper
+        self._bus_config = bus
+        self._lift_config = lift
         lift_model = find_model(lift.model, source, "lift.model") if lift.kind == "servo" else None
         self._lift_zero_ticks = 0
         self._lift_goal = 0.0
         self._closed = pace.Event()
         self._lock = threading.RLock()
-        self._last_call, self._silence = pace.monotonic(), _SILENCE_IDLE
+        self._last_call = pace.monotonic()
+        self._silence = _SILENCE_IDLE
         self._state_time = self._bus_time = self._sent_time = -math.inf
         self._asked: float | None = None  # when; the answers wait in the port's buffer
-        self._poll_turn, self._commanded = 0, False
+        self._poll_turn = 0
+        self._commanded = False
         self._keeper = threading.Thread(target=self._keep_alive, name="dynamixel", daemon=True)
         self.bus = DynamixelBus(bus.port, bus.baud, reply_timeout=bus.reply_timeout)
-        self._jaws = {s.config.id: Servo(self.bus, s.config.id, s.model) for s in self.geometry.servos}
+        self._jaws = {
+            s.config.id: Servo(self.bus, s.config.id, s.model) for s in self.geometry.servos
+        }
         self._servos = dict(self._jaws)
         if lift_model is not None:
             self._servos[lift.id] = Servo(self.bus, lift.id, lift_model)
@@ -57,25 +76,31 @@ class DynamixelGripper:
             for servo in self._servos.values():
                 servo.check_identity(bus.baud)
             for servo in self._servos.values():
-                servo.prepare(lambda ticks, s=servo: self._find_place(s, ticks), self._current_limit(servo), self._first_current,
-                              self._p_gain(servo))
+                servo.prepare(
+                    lambda ticks, s=servo: self._find_place(s, ticks),
+                    self._current_limit(servo),
+                    self._first_current,
+                    self._p_gain(servo),
+                )
             self._refresh()
         except BaseException:
             self.close(quiet=True)
             raise
         self._keeper.start()
 
-    # -- the rig's protocol --------------------------------------------------------------------------------------
+    # -- the rig's protocol
+    # --------------------------------------------------------------------------------
 
     def ask(self) -> None:
-        """Ask all servos now; `state` collects what they say. Raises DeviceError when the port is lost."""
+        """Ask all servos now; `state` collects what they say. Raises DeviceError when the port is
+        lost."""
         with self._lock:
             self._last_call = pace.monotonic()
             self._ask_all()
 
     def state(self) -> GripperState:
-        """What the servos said to `ask`, which is done now if it was not. Raises DeviceError when one is lost, ServoFault
-        when one reports a hardware error."""
+        """What the servos said to `ask`, which is done now if it was not. Raises DeviceError when
+        one is lost, ServoFault when one reports a hardware error."""
         with self._lock:
             self._last_call = pace.monotonic()
             self._refresh()
@@ -89,15 +114,19 @@ class DynamixelGripper:
                 opening=self.geometry.opening(ticks),
                 speed=self.geometry.speed(ticks, {i: s.rad_per_s for i, s in self._jaws.items()}),
                 effort=self.geometry.effort(ticks, {i: s.current for i, s in self._jaws.items()}),
-                lift_height=self._lift_height(), time=self._state_time, age=pace.monotonic() - self._state_time)
+                lift_height=self._lift_height(),
+                time=self._state_time,
+                age=pace.monotonic() - self._state_time,
+            )
 
     def command(self, command: Command) -> Command:
         """Send goals to all servos in one packet; returns what was sent, after limits.
 
-        A servo rounds to its own position unit (0.02 mm here). That is not in what is returned: a controller that steps
-        from the last command by less than half a unit would never get anywhere.
-        Closing, no servo's goal is further ahead of it than its jaw moves in 0.1 s: one that goes on to its goal when the host is
-        dead stops there. A force limit of 0 leaves the servos' limits as they were. Raises DeviceError when the port is lost.
+        A servo rounds to its own position unit (0.02 mm here). That is not in what is returned: a
+        controller that steps from the last command by less than half a unit would never get
+        anywhere. Closing, no servo's goal is further ahead of it than its jaw moves in 0.1 s: one
+        that goes on to its goal when the host is dead stops there. A force limit of 0 leaves the
+        servos' limits as they were. Raises DeviceError when the port is lost.
         """
         with self._lock:
             self._arm()
@@ -105,15 +134,22 @@ class DynamixelGripper:
             low, high = self.config.opening
             opening = min(max(command.opening, low), high)
             force = min(max(command.force_limit, 0.0), self.config.force_max)
-            goals = self.geometry.goals(opening, {i: s.ticks for i, s in self._jaws.items()}, _LEAD_TIME * self.config.speed_max)
+            goals = self.geometry.goals(
+                opening,
+                {i: s.ticks for i, s in self._jaws.items()},
+                _LEAD_TIME * self.config.speed_max,
+            )
             for jaw in self.geometry.servos:
                 servo = self._jaws[jaw.config.id]
                 servo.goal_ticks = goals[servo.id]
                 if force > 0:
-                    servo.goal_current_units = min(jaw.current_units(force, servo.ticks), servo.current_limit_units)
+                    servo.goal_current_units = min(
+                        jaw.current_units(force, servo.ticks), servo.current_limit_units
+                    )
             height = self._command_lift(command.lift_height)
             self._send_goals()
-            self._commanded, self._sent_time = True, pace.monotonic()
+            self._commanded = True
+            self._sent_time = pace.monotonic()
             self._poll_one()  # here, where the cycle's picture waits for nothing any more
             return Command(opening, force, height, command.phase, command.memory)
 
@@ -124,14 +160,17 @@ class DynamixelGripper:
 
     @property
     def positions(self) -> dict[int, tuple[int, float]]:
-        """Of each jaw servo by id, as last heard: position in ticks within the gripper's turn, current A."""
+        """Of each jaw servo by id, as last heard: position in ticks within the gripper's turn,
+        current A."""
         turns = {jaw.config.id: jaw.turn_offset_ticks for jaw in self.geometry.servos}
         return {i: (servo.ticks + turns[i], servo.current) for i, servo in self._jaws.items()}
 
     def close(self, *, quiet: bool = False) -> None:
-        """Torque off on every servo, also after one of them failed; then let go of the port. Later calls do nothing.
+        """Torque off on every servo, also after one of them failed; then let go of the port. Later
+        calls do nothing.
 
-        Raises DeviceError naming the servos whose torque could not be switched off, unless `quiet` (then it is logged).
+        Raises DeviceError naming the servos whose torque could not be switched off, unless `quiet`
+        (then it is logged).
         """
         if self._closed.is_set():
             return
@@ -141,18 +180,27 @@ class DynamixelGripper:
 
     def _finish(self, quiet: bool) -> None:
         with self._lock:
-            failed = {servo.id: reason for servo in self._servos.values() if (reason := servo.torque_off())}
+            failed = {
+                servo.id: reason
+                for servo in self._servos.values()
+                if (reason := servo.torque_off())
+            }
             self.bus.close()
         if self._keeper.is_alive():
             self._keeper.join()
         if failed:
-            text = (f"torque of servo {', '.join(map(str, failed))} on {self.bus.name} could not be switched off "
-                    f"({'; '.join(failed.values())}); its bus watchdog stops it. Cut its power before touching it")
+            text = (
+                f"torque of servo {', '.join(map(str, failed))} on {self.bus.name} could not be "
+                "switched off "
+                f"({'; '.join(failed.values())}); its bus watchdog stops it. Cut its "
+                "power before touching it"
+            )
             _log.error(text)
             if not quiet:
                 raise DeviceError(text)
 
-    # -- connecting ----------------------------------------------------------------------------------------------
+    # -- connecting
+    # --------------------------------------------------------------------------------
 
     def _find_place(self, servo: Servo, ticks: int) -> None:
         """Which turn the servo is in, from where its jaw can be."""
@@ -166,11 +214,15 @@ class DynamixelGripper:
         except ValueError as error:
             raise DeviceError(
                 f"{servo.where} stands at {ticks} ticks: {error} turn puts its jaw within "
-                f"{low * 1e3:g} to {high * 1e3:g} mm; is its horn mounted as the rig file says?") from error
+                f"{low * 1e3:g} to {high * 1e3:g} mm; is its horn mounted as the rig file "
+                "says?"
+            ) from error
 
     def _p_gain(self, servo: Servo) -> int | None:
         if servo.id in self._jaws:
-            return next(j.config.position_p_gain for j in self.geometry.servos if j.config.id == servo.id)
+            return next(
+                j.config.position_p_gain for j in self.geometry.servos if j.config.id == servo.id
+            )
         return None
 
     def _current_limit(self, servo: Servo) -> int:
@@ -179,39 +231,53 @@ class DynamixelGripper:
             jaw = next(j for j in self.geometry.servos if j.config.id == servo.id)
             low, high = (limit / len(self._jaws) for limit in self.config.opening)
             return jaw.current_limit(self.config.force_max, low, high)
-        units = self._lift_config.torque_max / servo.model.torque_per_A / servo.model.ampere_per_unit
+        units = (
+            self._lift_config.torque_max / servo.model.torque_per_A / servo.model.ampere_per_unit
+        )
         return int(min(max(1, units), servo.model.current_max_units))
 
     def _first_current(self, servo: Servo) -> int:
-        """Enough to hold still until the first command: a lift carries its hand, jaws are gentle."""
+        """Enough to hold still until the first command: a lift carries its hand, jaws are
+        gentle."""
         if servo.id in self._jaws:
             jaw = next(j for j in self.geometry.servos if j.config.id == servo.id)
             return jaw.current_units(0.25 * self.config.force_max, servo.ticks)
         return servo.current_limit_units
 
-    # -- every cycle ---------------------------------------------------------------------------------------------
+    # -- every cycle
+    # --------------------------------------------------------------------------------
 
     def _ask_all(self) -> None:
         """Ask all servos in one transaction, unless they have been asked and not been heard."""
         if self._asked is None:
             self._bus_time = asked = pace.monotonic()
-            self.bus.ask_many(list(self._servos), STATE_START, STATE_SIZE, fast=self._bus_config.fast_sync)
+            self.bus.ask_many(
+                list(self._servos), STATE_START, STATE_SIZE, fast=self._bus_config.fast_sync
+            )
             self._asked = asked
 
     def _refresh(self) -> None:
         """Hear what all servos say and note what is wrong with which."""
         self._ask_all()
-        asked, self._asked = self._asked, None
-        replies, failures = self.bus.answers(list(self._servos), STATE_SIZE, fast=self._bus_config.fast_sync)
+        asked = self._asked
+        self._asked = None
+        replies, failures = self.bus.answers(
+            list(self._servos), STATE_SIZE, fast=self._bus_config.fast_sync
+        )
         for servo_id, reply in replies.items():
             self._servos[servo_id].take(reply)
-        lost = [error for servo_id, error in failures.items() if not self._ask_again(self._servos[servo_id], error)]
+        lost = [
+            error
+            for servo_id, error in failures.items()
+            if not self._ask_again(self._servos[servo_id], error)
+        ]
         # They measure after the question, so that a state is never thought younger than it is.
         self._state_time = self._state_time if lost or asked is None else asked
 
     def _ask_again(self, servo: Servo, error: BusError) -> bool:
         """A servo's reply was lost or damaged: ask it alone, once; whether it answered."""
-        servo.failures, servo.last_failure = servo.failures + 1, error.reason
+        servo.failures = servo.failures + 1
+        servo.last_failure = error.reason
         if servo.failures >= _FAILURES_MAX:
             return False
         try:
@@ -219,7 +285,8 @@ class DynamixelGripper:
         except BusError as second:
             if second.reason == "lost":
                 raise
-            servo.failures, servo.last_failure = servo.failures + 1, second.reason
+            servo.failures = servo.failures + 1
+            servo.last_failure = second.reason
             return False
         return True
 
@@ -232,20 +299,27 @@ class DynamixelGripper:
                 servo.poll()
 
     def _send_goals(self) -> None:
-        """One sync write of goal current, velocity, profile and position; goals are never written partly."""
+        """One sync write of goal current, velocity, profile and position; goals are never written
+        partly."""
         self._bus_time = pace.monotonic()
-        blocks = {s.id: s.goal_current_units.to_bytes(2, "little") + bytes(12) + s.goal_ticks.to_bytes(4, "little", signed=True)
-                  for s in self._servos.values()}
+        blocks = {
+            s.id: s.goal_current_units.to_bytes(2, "little")
+            + bytes(12)
+            + s.goal_ticks.to_bytes(4, "little", signed=True)
+            for s in self._servos.values()
+        }
         self.bus.write_many(_GOAL_START, blocks)
 
     def _arm(self) -> None:
-        """At the first command, the bus watchdogs get the rig file's time, and a silent host is given no more than that."""
+        """At the first command, the bus watchdogs get the rig file's time, and a silent host is
+        given no more than that."""
         if self._silence != self._bus_config.host_timeout:
             for servo in self._servos.values():
                 servo.set_watchdog(self._bus_config.watchdog)
             self._silence = self._bus_config.host_timeout
 
-    # -- the lift ------------------------------------------------------------------------------------------------
+    # -- the lift
+    # --------------------------------------------------------------------------------
 
     def _command_lift(self, height: float) -> float:
         config = self._lift_config
@@ -253,27 +327,37 @@ class DynamixelGripper:
         self._lift_goal = height
         if config.kind == "servo":
             servo = self._servos[config.id]
-            servo.goal_ticks = self._lift_zero_ticks + round(height / config.per_rad * TICKS_PER_RAD)
+            servo.goal_ticks = self._lift_zero_ticks + round(
+                height / config.per_rad * TICKS_PER_RAD
+            )
         return height
 
     def _lift_height(self) -> float:
-        """Height of the hand above where it started, m. Without a lift: the height asked for, as the rig file says."""
+        """Height of the hand above where it started, m. Without a lift: the height asked for, as
+        the rig file says."""
         if self._lift_config.kind == "servo":
             servo = self._servos[self._lift_config.id]
             return (servo.ticks - self._lift_zero_ticks) / TICKS_PER_RAD * self._lift_config.per_rad
         return self._lift_goal
 
-    # -- staying alive -------------------------------------------------------------------------------------------
+    # -- staying alive
+    # --------------------------------------------------------------------------------
 
     def _keep_alive(self) -> None:
-        """Feed the bus watchdog between the loop's calls, but only while the loop lives: see `BusConfig.host_timeout`."""
+        """Feed the bus watchdog between the loop's calls, but only while the loop lives: see
+        `BusConfig.host_timeout`."""
         interval = self._bus_config.watchdog / 4
         while not self._closed.wait(interval):
             with self._lock:
                 now = pace.monotonic()
-                if self._closed.is_set() or now - self._last_call > self._silence or now - self._bus_time < interval:
+                if (
+                    self._closed.is_set()
+                    or now - self._last_call > self._silence
+                    or now - self._bus_time < interval
+                ):
                     continue
-                with contextlib.suppress(DeviceError):  # the loop's next call meets the same trouble and raises it
+                # the loop's next call meets the same trouble and raises it
+                with contextlib.suppress(DeviceError):
                     self._refresh()
                     self._poll_one()
 

@@ -1,8 +1,9 @@
 """From servo angle to jaw opening and back, and from current to force at the jaw.
 
-Each jaw servo owns a part of the gripper's opening by a law of `mjtactile.rig.jaws`. Jaws that a gear keeps symmetric, or
-that squeeze one object, share: the force on each finger is the mean over the servos when each owns its finger's half, and
-the single servo's when one servo owns the whole opening.
+Each jaw servo owns a part of the gripper's opening by a law of `mjtactile.rig.jaws`. Jaws that a
+gear keeps symmetric, or that squeeze one object, share: the force on each finger is the mean over
+the servos when each owns its finger's half, and the single servo's when one servo owns the whole
+opening.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ _LIMIT_SAMPLES = 32
 
 
 class JawServo:
-    """Units of one jaw servo. Raises InputError when its law cannot be inverted or its model is not known."""
+    """Units of one jaw servo. Raises InputError when its law cannot be inverted or its model is not
+    known."""
 
     def __init__(self, config: ServoConfig, source: str):
         self.config = config
@@ -34,7 +36,10 @@ class JawServo:
 
     def ticks(self, part: float) -> int:
         """The goal position for a part of the opening; the nearest that the law reaches."""
-        return round(self.config.zero_ticks + self.law.coordinate(part) * TICKS_PER_RAD) - self.turn_offset_ticks
+        return (
+            round(self.config.zero_ticks + self.law.coordinate(part) * TICKS_PER_RAD)
+            - self.turn_offset_ticks
+        )
 
     def slope(self, ticks: float) -> float:
         """dx/da, m/rad, at a present position."""
@@ -45,9 +50,15 @@ class JawServo:
         return -current * self.torque_per_A / self.slope(ticks)
 
     def current_units(self, force: float, ticks: float) -> int:
-        """Goal current, in the model's units, that gives `force` N at the jaw; at least 1, at most the model's limit."""
+        """Goal current, in the model's units, that gives `force` N at the jaw; at least 1, at most
+        the model's limit."""
         ampere = abs(force * self.slope(ticks)) / self.torque_per_A
-        return int(min(max(math.floor(ampere / self.model.ampere_per_unit), 1), self.model.current_max_units))
+        return int(
+            min(
+                max(math.floor(ampere / self.model.ampere_per_unit), 1),
+                self.model.current_max_units,
+            )
+        )
 
     def current_limit(self, force: float, low: float, high: float) -> int:
         """The most of `current_units` wherever its jaw is between [`low`, `high`] m."""
@@ -55,14 +66,16 @@ class JawServo:
         return max(self.current_units(force, self.ticks(part)) for part in parts)
 
     def set_turn_offset(self, ticks: int, low: float, high: float) -> None:
-        """After power-up a servo knows its angle within one turn only: find the turn in which its jaw is within
-        [`low`, `high`] m. Raises ValueError when none or several are."""
+        """After power-up a servo knows its angle within one turn only: find the turn in which its
+        jaw is within [`low`, `high`] m. Raises ValueError when none or several are."""
         self.turn_offset_ticks = 0
         margin = 0.02 * (high - low) + 0.001
         fits = []
         for turn in (-1, 0, 1):
             self.turn_offset_ticks = turn * _TURN_TICKS
-            if low - margin <= self.part(ticks) <= high + margin and self.law.reaches(self._angle(ticks)):
+            if low - margin <= self.part(ticks) <= high + margin and self.law.reaches(
+                self._angle(ticks)
+            ):
                 fits.append(turn)
         self.turn_offset_ticks = 0
         if len(fits) != 1:
@@ -84,31 +97,54 @@ class JawGeometry:
         return sum(servo.part(ticks[servo.config.id]) for servo in self.servos)
 
     def speed(self, ticks: dict[int, int], rad_per_s: dict[int, float]) -> float:
-        return sum(servo.slope(ticks[servo.config.id]) * rad_per_s[servo.config.id] for servo in self.servos)
+        return sum(
+            servo.slope(ticks[servo.config.id]) * rad_per_s[servo.config.id]
+            for servo in self.servos
+        )
 
     def effort(self, ticks: dict[int, int], current: dict[int, float]) -> float:
         """Closing force on each finger, N, as the currents say."""
-        forces = [servo.closing_force(current[servo.config.id], ticks[servo.config.id]) for servo in self.servos]
+        forces = [
+            servo.closing_force(current[servo.config.id], ticks[servo.config.id])
+            for servo in self.servos
+        ]
         return sum(forces) / len(forces)
 
-    def goals(self, opening: float, ticks: dict[int, int] | None = None, lead: float = math.inf) -> dict[int, int]:
-        """Goal positions for an opening, shared equally; closing, no jaw's is further ahead of where it stands (`ticks`) than
-        its share of `lead` m."""
-        share, lead = opening / len(self.servos), lead / len(self.servos)
-        return {servo.config.id: servo.ticks(max(share, servo.part(ticks[servo.config.id]) - lead) if ticks else share)
-                for servo in self.servos}
+    def goals(
+        self, opening: float, ticks: dict[int, int] | None = None, lead: float = math.inf
+    ) -> dict[int, int]:
+        """Goal positions for an opening, shared equally; closing, no jaw's is further ahead of
+        where it stands (`ticks`) than its share of `lead` m."""
+        share = opening / len(self.servos)
+        lead = lead / len(self.servos)
+        return {
+            servo.config.id: servo.ticks(
+                max(share, servo.part(ticks[servo.config.id]) - lead) if ticks else share
+            )
+            for servo in self.servos
+        }
 
 
 def find_model(name: str, source: str, field: str) -> ServoModel:
     """The model of that name. Raises InputError with the choices."""
     if name not in MODELS:
-        raise InputError(f"{name!r} cannot limit its force or is not known", source=source, field=field, choices=MODELS)
+        raise InputError(
+            f"{name!r} cannot limit its force or is not known",
+            source=source,
+            field=field,
+            choices=MODELS,
+        )
     return MODELS[name]
 
 
 def _law(config: ServoConfig, source: str) -> JawLaw:
     try:
-        return make_law(LINEAR if config.law == "rack" else config.law, config.opening_part, config.per_rad, config.table)
+        return make_law(
+            LINEAR if config.law == "rack" else config.law,
+            config.opening_part,
+            config.per_rad,
+            config.table,
+        )
     except ValueError as error:
         field = "table_deg_mm" if config.law == "table" else "mm_per_rad"
         raise InputError(str(error), source=source, field=f"gripper.servo.{field}") from error

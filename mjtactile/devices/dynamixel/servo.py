@@ -1,7 +1,9 @@
-"""One servo on a bus: its registers, the recipe that makes it ready, what it said last, and its torque off.
+"""One servo on a bus: its registers, the recipe that makes it ready, what it said last, and its
+torque off.
 
-Recipe and registers: https://emanual.robotis.com/docs/en/dxl/x/xm430-w350/ and .../xl330-m288/. A servo is never
-rebooted from here: a reboot lets go of what is held. What a dead host leaves behind: docs/decisions/0019-a-dead-host.md.
+Recipe and registers: https://emanual.robotis.com/docs/en/dxl/x/xm430-w350/ and .../xl330-m288/. A
+servo is never rebooted from here: a reboot lets go of what is held. What a dead host leaves behind:
+docs/decisions/0019-a-dead-host.md.
 """
 
 from __future__ import annotations
@@ -28,15 +30,24 @@ from mjtactile.devices.dynamixel.tables import (
     signed,
 )
 
-STATE_START, STATE_SIZE = 126, 21  # present current, velocity, position, …, voltage, temperature: one block
-WATCHDOG_IDLE = 2.0  # s, before the first command: taking references can hold the interpreter for longer than 0.1 s
+# present current, velocity, position, …, voltage, temperature: one block
+STATE_START = 126
+STATE_SIZE = 21
+# s, before the first command: taking references can hold the interpreter for longer than 0.1 s
+WATCHDOG_IDLE = 2.0
 _OFF_ATTEMPTS = _READ_ATTEMPTS = 3
 REQUIRED = (  # register, what it must be, and what anything else means
     ("Drive Mode", 0, "reversed, time-based, or switching its torque on by itself"),
     ("Status Return Level", 2, "silent"),
-    ("Homing Offset", 0, "with one, a tripped watchdog makes the motor turn (DynamixelSDK issue 584); zero_ticks in the rig file "
-     "does the same"),
-    ("Startup Configuration", 0, "torque, or old settings, as soon as it has power"))
+    (
+        "Homing Offset",
+        0,
+        "with one, a tripped watchdog makes the motor turn (DynamixelSDK issue 584); "
+        "zero_ticks in the rig file "
+        "does the same",
+    ),
+    ("Startup Configuration", 0, "torque, or old settings, as soon as it has power"),
+)
 _log = logging.getLogger(__name__)
 _Answer = TypeVar("_Answer")
 
@@ -73,15 +84,19 @@ class Servo:
     def where(self) -> str:
         return f"servo {self.id} on {self.bus.name}"
 
-    # -- registers -----------------------------------------------------------------------------------------------
+    # -- registers
+    # --------------------------------------------------------------------------------
 
     def get(self, name: str) -> int:
         """Read one register. Raises BusError."""
         register = self.model.table[name]
-        return self._ask(lambda: self.bus.read(self.id, register.address, register.size).value(0, register.size))
+        return self._ask(
+            lambda: self.bus.read(self.id, register.address, register.size).value(0, register.size)
+        )
 
     def _ask(self, question: Callable[[], _Answer]) -> _Answer:
-        """The answer to what changes nothing, so that it is asked again where the reply is lost. Raises BusError."""
+        """The answer to what changes nothing, so that it is asked again where the reply is lost.
+        Raises BusError."""
         for attempt in range(_READ_ATTEMPTS):
             try:
                 return question()
@@ -91,7 +106,8 @@ class Servo:
         raise AssertionError
 
     def set(self, name: str, value: int) -> None:
-        """Write a register and read it back. EEPROM is spared when it has the value already. Raises DeviceError."""
+        """Write a register and read it back. EEPROM is spared when it has the value already. Raises
+        DeviceError."""
         register = self.model.table[name]
         unsigned = value & ((1 << 8 * register.size) - 1)
         if register.address < EEPROM_END and self.get(name) == unsigned:
@@ -105,37 +121,63 @@ class Servo:
         if found != unsigned:
             raise DeviceError(f"{self.where}: {name} was set to {value} but reads {found}")
 
-    # -- connecting ----------------------------------------------------------------------------------------------
+    # -- connecting
+    # --------------------------------------------------------------------------------
 
     def check_identity(self, baud: int) -> None:
-        """Refuse another model than the file's, a latched error, or settings that change what numbers mean."""
+        """Refuse another model than the file's, a latched error, or settings that change what
+        numbers mean."""
         try:
             number, firmware = self._ask(lambda: self.bus.ping(self.id))
         except BusError as error:
-            raise DeviceError(f"{self.where} does not answer ({error}): is it powered, and are id and baud rate "
-                              f"({baud}) right? `mjtactile doctor` looks for servos") from error
+            raise DeviceError(
+                f"{self.where} does not answer ({error}): is it powered, and are id and baud "
+                "rate "
+                f"({baud}) right? `mjtactile doctor` looks for servos"
+            ) from error
         model = require_model(number, self.where)
         if model.name != self.model.name:
-            raise DeviceError(f"{self.where} is a {model.name}, but the rig file says {self.model.name}")
+            raise DeviceError(
+                f"{self.where} is a {model.name}, but the rig file says {self.model.name}"
+            )
         bits = self.get("Hardware Error Status")
         if bits:
-            raise ServoFault(f"{self.where} has latched {describe_hardware_error(bits)}: find the cause, then take its power "
-                             "off and on (it is never rebooted from here)", self.id)
+            raise ServoFault(
+                f"{self.where} has latched {describe_hardware_error(bits)}: find the cause, "
+                "then take its power "
+                "off and on (it is never rebooted from here)",
+                self.id,
+            )
         for name, wanted, meaning in REQUIRED:
             found = read_setting(self.bus, self.id, self.model, name)
             if found != wanted:
-                raise DeviceError(f"{self.where}: {name} is {found} ({meaning}), must be {wanted}; set it with Dynamixel Wizard")
+                raise DeviceError(
+                    f"{self.where}: {name} is {found} ({meaning}), must be {wanted}; set it "
+                    "with Dynamixel Wizard"
+                )
         if not self.model.watchdog_stops(firmware):
-            _log.warning("%s has firmware %d, whose bus watchdog stops nothing: a dead host leaves it at its last goal and "
-                         "force; update it with Dynamixel Wizard", self.where, firmware)
+            _log.warning(
+                "%s has firmware %d, whose bus watchdog stops nothing: a dead host leaves it "
+                "at its last goal and "
+                "force; update it with Dynamixel Wizard",
+                self.where,
+                firmware,
+            )
 
-    def prepare(self, find_place: Callable[[int], None], limit: int, first_current: Callable[[Servo], int], p_gain: int | None
-                ) -> None:
-        """Torque on in current-based position mode, standing still, limits and watchdog first: whenever the host dies, the servo
-        is off or has both. Writing the mode resets gains and goals.
+    def prepare(
+        self,
+        find_place: Callable[[int], None],
+        limit: int,
+        first_current: Callable[[Servo], int],
+        p_gain: int | None,
+    ) -> None:
+        """Torque on in current-based position mode, standing still, limits and watchdog first:
+        whenever the host dies, the servo is off or has both. Writing the mode resets gains and
+        goals.
 
-        `find_place` is told the present position (ticks) before the torque is on; `limit` is the largest goal current (units)
-        that any command may ask for, `first_current` says the one until the first command.
+        `find_place` is told the present position (ticks) before the torque is on; `limit` is the
+        largest goal current (units) that any command may ask for, `first_current` says the one
+        until the first command.
         """
         self.set("Bus Watchdog", 0)  # one that has tripped makes the goals read-only
         self.set("Torque Enable", 0)
@@ -164,7 +206,8 @@ class Servo:
         self.watchdog_units = max(1, round(seconds / WATCHDOG_UNIT))
         self.set("Bus Watchdog", self.watchdog_units)
 
-    # -- every cycle ---------------------------------------------------------------------------------------------
+    # -- every cycle
+    # --------------------------------------------------------------------------------
 
     def take(self, reply: Reply) -> None:
         """Note one reply to a read of the state block."""
@@ -172,7 +215,8 @@ class Servo:
         self.current = signed(reply.value(0, 2), 2) * self.model.ampere_per_unit
         self.rad_per_s = signed(reply.value(2, 4), 4) * VELOCITY_UNIT
         self.ticks = signed(reply.value(6, 4), 4)
-        self.voltage, self.temperature = 0.1 * reply.value(18, 2), float(reply.value(20, 1))
+        self.voltage = 0.1 * reply.value(18, 2)
+        self.temperature = float(reply.value(20, 1))
         if reply.alert:
             self.note_alert()
 
@@ -185,9 +229,11 @@ class Servo:
         self._note(text)
 
     def poll(self) -> None:
-        """Ask for what the state block does not hold: a tripped watchdog, or one that a restart in silence has set back to 0.
+        """Ask for what the state block does not hold: a tripped watchdog, or one that a restart in
+        silence has set back to 0.
 
-        A watchdog that has tripped is cleared: until then no goal is taken, and the hand could not retreat. Raises BusError.
+        A watchdog that has tripped is cleared: until then no goal is taken, and the hand could not
+        retreat. Raises BusError.
         """
         register = self.model.table["Bus Watchdog"]
         reply = self.bus.read(self.id, register.address, register.size)
@@ -205,17 +251,21 @@ class Servo:
             self.faults.append(fault)
 
     def raise_trouble(self, failures_max: int) -> None:
-        """Raise ServoFault for a noted fault, DeviceError for `failures_max` lost replies in a row."""
+        """Raise ServoFault for a noted fault, DeviceError for `failures_max` lost replies in a
+        row."""
         if self.faults:
             raise ServoFault(f"{self.where} reports {' and '.join(self.faults)}", self.id)
         if self.failures >= failures_max:
             raise DeviceError(f"{self.where}: {self.last_failure} {self.failures} times in a row")
 
-    # -- ending --------------------------------------------------------------------------------------------------
+    # -- ending
+    # --------------------------------------------------------------------------------
 
     def torque_off(self) -> str:
-        """Switch the torque off, trying again on a lost reply; "" when it was confirmed, else what went wrong."""
-        address, reason = self.model.table["Torque Enable"].address, ""
+        """Switch the torque off, trying again on a lost reply; "" when it was confirmed, else what
+        went wrong."""
+        address = self.model.table["Torque Enable"].address
+        reason = ""
         for _ in range(_OFF_ATTEMPTS):
             try:
                 self.bus.write(self.id, address, 1, 0)
@@ -224,14 +274,16 @@ class Servo:
                 reason = str(error)
                 if error.reason in ("refused", "lost"):
                     break
-            except Exception as error:  # noqa: BLE001  # whatever it is, the next motor must still be switched off
+            except Exception as error:  # noqa: BLE001
+                # whatever it is, the next motor must still be switched off
                 reason = f"{type(error).__name__}: {error}"
         return reason
 
 
 @dataclass(frozen=True)
 class ServoReport:
-    """What a servo says about itself: volt, degrees Celsius, latched errors in words ("" for none), `settings` of `REQUIRED`."""
+    """What a servo says about itself: volt, degrees Celsius, latched errors in words ("" for none),
+    `settings` of `REQUIRED`."""
 
     id: int
     model: str
@@ -247,18 +299,35 @@ class ServoReport:
 def read_report(bus: DynamixelBus, servo: int) -> ServoReport:
     """Ask one servo about itself. Changes nothing. Raises BusError."""
     number, firmware = bus.ping(servo)
-    name = MODEL_BY_NUMBER[number].name if number in MODEL_BY_NUMBER else NO_CURRENT_CONTROL.get(number, f"model {number}")
+    name = (
+        MODEL_BY_NUMBER[number].name
+        if number in MODEL_BY_NUMBER
+        else NO_CURRENT_CONTROL.get(number, f"model {number}")
+    )
     error = bus.read(servo, 70, 1).value(0, 1)
     power = bus.read(servo, 144, 3)
     model = MODEL_BY_NUMBER.get(number)
-    settings = {} if model is None else {name: read_setting(bus, servo, model, name) for name, _, _ in REQUIRED}
-    return ServoReport(servo, name, firmware, bus.read(servo, 11, 1).value(0, 1), 0.1 * power.value(0, 2),
-                       float(power.value(2, 1)), describe_hardware_error(error) if error else "",
-                       bool(bus.read(servo, 64, 1).value(0, 1)), settings)
+    settings = (
+        {}
+        if model is None
+        else {name: read_setting(bus, servo, model, name) for name, _, _ in REQUIRED}
+    )
+    return ServoReport(
+        servo,
+        name,
+        firmware,
+        bus.read(servo, 11, 1).value(0, 1),
+        0.1 * power.value(0, 2),
+        float(power.value(2, 1)),
+        describe_hardware_error(error) if error else "",
+        bool(bus.read(servo, 64, 1).value(0, 1)),
+        settings,
+    )
 
 
 def read_setting(bus: DynamixelBus, servo: int, model: ServoModel, name: str) -> int:
-    """One register, signed where it is wide; 0 for one that this firmware does not have yet. Raises BusError."""
+    """One register, signed where it is wide; 0 for one that this firmware does not have yet. Raises
+    BusError."""
     register = model.table[name]
     for attempt in range(_READ_ATTEMPTS):
         try:

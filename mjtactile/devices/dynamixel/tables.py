@@ -1,8 +1,10 @@
-"""What the driver must know of each servo model: registers (read from the tables that the SDK ships) and units.
+"""What the driver must know of each servo model: registers (read from the tables that the SDK
+ships) and units.
 
-The SDK's tables give addresses, but no current unit worth using (1.0 "raw", or "N/m"), so the mA per unit are here,
-each from the "Goal Current" entry of the model's page at https://emanual.robotis.com/docs/en/dxl/x/. Torque over current
-are the stall values of the same page's specifications. What each rests on: docs/hardware.md.
+The SDK's tables give addresses, but no current unit worth using (1.0 "raw", or "N/m"), so the mA
+per unit are here, each from the "Goal Current" entry of the model's page at
+https://emanual.robotis.com/docs/en/dxl/x/. Torque over current are the stall values of the same
+page's specifications. What each rests on: docs/hardware.md.
 """
 
 from __future__ import annotations
@@ -26,14 +28,21 @@ WATCHDOG_TRIPPED = 0xFF  # "Bus Watchdog" reads -1
 _STARTUP = ("Startup Configuration", 60, 1)  # of the e-manual's tables; those of the SDK lack it
 _WATCHDOG_STOPS_NOTHING = {51}  # firmware of all 330 sizes: forum.robotis.com, topic 4814
 
-HARDWARE_ERRORS = {0: "input voltage", 2: "overheating", 3: "motor encoder", 4: "electrical shock", 5: "overload"}
+HARDWARE_ERRORS = {
+    0: "input voltage",
+    2: "overheating",
+    3: "motor encoder",
+    4: "electrical shock",
+    5: "overload",
+}
 """Bits of "Hardware Error Status" (70)."""
 
 
 @dataclass(frozen=True)
 class ServoModel:
-    """`ampere_per_unit` of goal and present current, `current_max_units` that Current Limit takes, `torque_per_A` N m/A
-    at the shaft (stall torque over stall current of the data sheet: good to 20 %; `calibrate gripper` measures it)."""
+    """`ampere_per_unit` of goal and present current, `current_max_units` that Current Limit takes,
+    `torque_per_A` N m/A at the shaft (stall torque over stall current of the data sheet: good to 20
+    %; `calibrate gripper` measures it)."""
 
     number: int
     name: str
@@ -46,7 +55,8 @@ class ServoModel:
         return load_table(self.name.lower().replace("-", "_"))
 
     def watchdog_stops(self, firmware: int) -> bool:
-        """Whether the bus watchdog of this firmware stops the motor: one is known that notes the trip and turns on."""
+        """Whether the bus watchdog of this firmware stops the motor: one is known that notes the
+        trip and turns on."""
         return "330" not in self.name or firmware not in _WATCHDOG_STOPS_NOTHING
 
 
@@ -77,30 +87,49 @@ def _rows() -> tuple[ServoModel, ...]:
 MODELS: Mapping[str, ServoModel] = {model.name: model for model in _rows()}
 MODEL_BY_NUMBER: Mapping[int, ServoModel] = {model.number: model for model in MODELS.values()}
 NO_CURRENT_CONTROL: Mapping[int, str] = {
-    30: "MX-28", 350: "XL320", 1060: "XL430-W250", 1070: "XC430-W150", 1080: "XC430-W240", 1090: "2XL430-W250",
-    1160: "2XC430-W250"}
+    30: "MX-28",
+    350: "XL320",
+    1060: "XL430-W250",
+    1070: "XC430-W150",
+    1080: "XC430-W240",
+    1090: "2XL430-W250",
+    1160: "2XC430-W250",
+}
 """Models that cannot limit their force: no current-based modes, no Goal Current."""
 
 
 def require_model(number: int, where: str) -> ServoModel:
-    """The model with this number. Raises DeviceError for one that cannot limit its force or whose units are not known."""
+    """The model with this number. Raises DeviceError for one that cannot limit its force or whose
+    units are not known."""
     if number in NO_CURRENT_CONTROL:
-        raise DeviceError(f"{where} is a {NO_CURRENT_CONTROL[number]}, which has no goal current and cannot limit its force; "
-                          f"use one of {', '.join(MODELS)}")
+        raise DeviceError(
+            f"{where} is a {NO_CURRENT_CONTROL[number]}, which has no goal current and cannot "
+            "limit its force; "
+            f"use one of {', '.join(MODELS)}"
+        )
     if number not in MODEL_BY_NUMBER:
-        raise DeviceError(f"{where} has model number {number}, whose current unit is not known; use one of "
-                          f"{', '.join(MODELS)}")
+        raise DeviceError(
+            f"{where} has model number {number}, whose current "
+            "unit is not known; use one of "
+            f"{', '.join(MODELS)}"
+        )
     return MODEL_BY_NUMBER[number]
 
 
 @functools.cache
 def load_table(stem: str) -> Mapping[str, Register]:
-    """Registers by name from the SDK's `<stem>.model`. Raises DeviceError when the SDK does not ship it."""
-    package = importlib.util.find_spec("dynamixel_easy_sdk")  # found, not imported: only its tables are wanted
+    """Registers by name from the SDK's `<stem>.model`. Raises DeviceError when the SDK does not
+    ship it."""
+    # found, not imported: only its tables are wanted
+    package = importlib.util.find_spec("dynamixel_easy_sdk")
     folders = [] if package is None else list(package.submodule_search_locations or [])
-    path = next((p for f in folders if (p := Path(f) / "control_table" / f"{stem}.model").is_file()), None)
+    path = next(
+        (p for f in folders if (p := Path(f) / "control_table" / f"{stem}.model").is_file()), None
+    )
     if path is None:
-        raise DeviceError(f"dynamixel-sdk ships no control table {stem}.model; is its version 4.1 or newer?")
+        raise DeviceError(
+            f"dynamixel-sdk ships no control table {stem}.model; is its version 4.1 or newer?"
+        )
     table: dict[str, Register] = {}
     inside = False
     for line in path.read_text(encoding="utf-8").splitlines():

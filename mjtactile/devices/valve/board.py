@@ -1,7 +1,9 @@
-"""`ValveBoard`: a board on a serial port: handshake, limits, heartbeat, and a vent on every way out.
+"""`ValveBoard`: a board on a serial port: handshake, limits, heartbeat, and a vent on every way
+out.
 
-A board that hears nothing for its heartbeat time vents by itself. The heartbeat is a thread of this process that reads
-the pressures, but only while the control loop calls: a loop that hangs lets the board vent.
+A board that hears nothing for its heartbeat time vents by itself. The heartbeat is a thread of this
+process that reads the pressures, but only while the control loop calls: a loop that hangs lets the
+board vent.
 """
 
 from __future__ import annotations
@@ -25,19 +27,22 @@ from mjtactile.rig.file import ValveConfig
 
 _log = logging.getLogger(__name__)
 _HANDSHAKE_TIME = 4.0  # s; opening the port resets many boards, whose boot loader waits up to 2 s
-_COMMAND_TIME = 0.15  # s at least for the answer to a command; USB adds 16 ms each way, a board's own loop up to 50 ms
+# s at least for the answer to a command; USB adds 16 ms each way, a board's own loop up to 50 ms
+_COMMAND_TIME = 0.15
 _COMMAND_SHARE = 5  # of the rig file's reply time-out, where that is longer
 _ATTEMPTS = 2
 _RETRY_TIME = 0.008  # s from a failed reading to the next try: longer than a burst of noise
 _WRITE_TIME = 0.5  # s: pySerial counts what the computer stood still, also when all was written
-_SILENCE = 5.0  # s without a call from the loop before the heartbeat is let die; references take 2 s between calls
+# s without a call from the loop before the heartbeat is let die; references take 2 s between calls
+_SILENCE = 5.0
 _FAILURES_MAX = 3
 _T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
 class ValveReading:
-    """One answer of the board, with the monotonic time of the question, s; `fault`: why it vented by itself, "" if not."""
+    """One answer of the board, with the monotonic time of the question, s; `fault`: why it vented
+    by itself, "" if not."""
 
     is_open: bool
     pressure_gauge: float | None
@@ -46,18 +51,22 @@ class ValveReading:
 
 
 class ValveBoard:
-    """One board with one or more channels. Raises DeviceError when it is not there, another one, or does not obey."""
+    """One board with one or more channels. Raises DeviceError when it is not there, another one, or
+    does not obey."""
 
     def __init__(self, configs: Sequence[ValveConfig]):
         first = configs[0]
         self.name = first.port
-        self.firmware, self.has_sensors = "", True
+        self.firmware = ""
+        self.has_sensors = True
         self._configs = {config.channel: config for config in configs}
         self._lock = threading.RLock()
         self._closed = pace.Event()
         self._readings: dict[int, ValveReading] = {}
-        self._sequence, self._received = 0, bytearray()
-        self._failures, self._last_error = 0, ""
+        self._sequence = 0
+        self._received = bytearray()
+        self._failures = 0
+        self._last_error = ""
         self._last_call = pace.monotonic()
         self._serial = open_port(first.port, first.baud)
         self._interval = min(config.heartbeat for config in configs) / 8
@@ -72,10 +81,12 @@ class ValveBoard:
             raise
         self._thread.start()
 
-    # -- what the valves use -------------------------------------------------------------------------------------
+    # -- what the valves use
+    # --------------------------------------------------------------------------------
 
     def set(self, channel: int, pressure: float) -> None:
-        """Regulate to `pressure` Pa (without a sensor: open to the supply). Raises DeviceError when the board does not obey."""
+        """Regulate to `pressure` Pa (without a sensor: open to the supply). Raises DeviceError when
+        the board does not obey."""
         self._obey(f"set {channel} {round(pressure)}", channel)
 
     def seal(self, channel: int) -> None:
@@ -83,15 +94,19 @@ class ValveBoard:
         self._obey(f"seal {channel}", channel)
 
     def vent(self, channel: int) -> None:
-        """Open to the air, which also acknowledges a fault. Raises DeviceError when the board does not obey."""
+        """Open to the air, which also acknowledges a fault. Raises DeviceError when the board does
+        not obey."""
         self._obey(f"vent {channel}", channel)
 
     def reading(self, channel: int) -> ValveReading:
-        """The heartbeat's newest reading, without waiting for the board. Raises DeviceError when it has been silent."""
-        now, before = pace.monotonic(), self._last_call
+        """The heartbeat's newest reading, without waiting for the board. Raises DeviceError when it
+        has been silent."""
+        now = pace.monotonic()
+        before = self._last_call
         if now - before > _SILENCE:  # the heartbeat had been let die
             return self.measure(channel)
-        self._last_call, reading = now, self._readings[channel]
+        self._last_call = now
+        reading = self._readings[channel]
         if self._failures >= _FAILURES_MAX or now - reading.time > self._configs[channel].heartbeat:
             why = self._last_error or f"its last reading is {1e3 * (now - reading.time):.0f} ms old"
             raise DeviceError(f"valve board {self.name} is silent or broken: {why}")
@@ -104,7 +119,8 @@ class ValveBoard:
             return self._again(lambda: self._read(channel, patience))
 
     def close(self, *, quiet: bool = False) -> None:
-        """Vent every channel, also after one failed, then let go of the port. Raises DeviceError for what did not vent."""
+        """Vent every channel, also after one failed, then let go of the port. Raises DeviceError
+        for what did not vent."""
         if self._closed.is_set():
             return
         self._closed.set()
@@ -118,17 +134,23 @@ class ValveBoard:
         with self._lock:
             self._serial.close()
         if failed:
-            text = (f"valve board {self.name}: channel {', '.join(map(str, failed))} could not be vented; the board vents by "
-                    "itself when it hears nothing")
+            text = (
+                f"valve board {self.name}: channel {', '.join(map(str, failed))} could not be "
+                "vented; the board vents by "
+                "itself when it hears nothing"
+            )
             _log.error(text)
             if not quiet:
                 raise DeviceError(text)
 
-    # -- connecting ----------------------------------------------------------------------------------------------
+    # -- connecting
+    # --------------------------------------------------------------------------------
 
     def _handshake(self) -> None:
-        """Ask who it is until it says so or the deadline passes; its boot banner and a cut line are skipped."""
-        deadline, heard = pace.monotonic() + _HANDSHAKE_TIME, ""
+        """Ask who it is until it says so or the deadline passes; its boot banner and a cut line are
+        skipped."""
+        deadline = pace.monotonic() + _HANDSHAKE_TIME
+        heard = ""
         while pace.monotonic() < deadline:
             with contextlib.suppress(DeviceError):
                 heard = self._ask("id")
@@ -139,34 +161,50 @@ class ValveBoard:
                 return
             pace.sleep(0.02)
         what = f"it said {heard!r}" if heard else "it said nothing that could be read"
-        raise DeviceError(f"valve board {self.name} does not answer as {protocol.NAME} within {_HANDSHAKE_TIME:g} s: {what}; are "
-                          "port and baud rate right, is firmware/valve on it?")
+        raise DeviceError(
+            f"valve board {self.name} does not answer as {protocol.NAME} within "
+            f"{_HANDSHAKE_TIME:g} s: {what}; are "
+            "port and baud rate right, is firmware/valve on it?"
+        )
 
     def _check(self, version: str, channels: int, most: float) -> None:
         self.firmware = version
         if tuple(int(part) for part in version.split(".")) < protocol.VERSION_MIN:
             oldest = ".".join(map(str, protocol.VERSION_MIN))
-            raise DeviceError(f"valve board {self.name} has firmware {version}, needs {oldest} or newer")
+            raise DeviceError(
+                f"valve board {self.name} has firmware {version}, needs {oldest} or newer"
+            )
         for channel, config in self._configs.items():
             if channel > channels:
-                raise InputError(f"{channel}: the board has {channels} channels", field="valve.channel")
+                raise InputError(
+                    f"{channel}: the board has {channels} channels", field="valve.channel"
+                )
             if config.pressure_max > most:
-                raise InputError(f"{config.pressure_max / 1e3:g}: the board goes up to {most / 1e3:g}",
-                                 field="valve.pressure_max_kPa")
+                raise InputError(
+                    f"{config.pressure_max / 1e3:g}: the board goes up to {most / 1e3:g}",
+                    field="valve.pressure_max_kPa",
+                )
 
     def _set_up(self) -> None:
-        """Vent, largest pressure of each channel, heartbeat; each is repeated by the board, or it is refused."""
+        """Vent, largest pressure of each channel, heartbeat; each is repeated by the board, or it
+        is refused."""
         for channel, config in self._configs.items():
             if not self.has_sensors and config.supply_gauge is None:
-                raise InputError("missing: this board has no sensors, so the file must say what its supply gives",
-                                 field="valve.supply_kPa")
+                raise InputError(
+                    "missing: this board has no sensors, so the file must say what its supply "
+                    "gives",
+                    field="valve.supply_kPa",
+                )
             self._demand(f"vent {channel}")  # also says that what was before is known
             self._demand(f"limit {channel} {round(config.pressure_max)}")
-        self._demand(f"beat {round(1e3 * min(config.heartbeat for config in self._configs.values()))}")
+        self._demand(
+            f"beat {round(1e3 * min(config.heartbeat for config in self._configs.values()))}"
+        )
         for channel in self._configs:
             self._read(channel)
 
-    # -- talking -------------------------------------------------------------------------------------------------
+    # -- talking
+    # --------------------------------------------------------------------------------
 
     def _obey(self, text: str, channel: int) -> None:
         with self._lock:
@@ -189,21 +227,27 @@ class ValveBoard:
         return act()
 
     def _ask(self, text: str, patience: float | None = None) -> str:
-        """The text of the answer to one command, within `patience` s (None: a command's). Raises DeviceError."""
+        """The text of the answer to one command, within `patience` s (None: a command's). Raises
+        DeviceError."""
         with self._lock:
             self._sequence = (self._sequence + 1) % protocol.SEQUENCES
             try:
                 self._serial.write(protocol.encode(self._sequence, text))
                 reply = self._answer(self._command_time if patience is None else patience)
-            except (serial.SerialException, OSError, termios.error, TypeError) as error:  # TypeError: a closed port
+            except (serial.SerialException, OSError, termios.error, TypeError) as error:
+                # TypeError: a closed port
                 raise DeviceError(f"valve port {self.name} is lost: {error}") from error
         if reply.startswith("error "):
-            raise DeviceError(f"valve board {self.name} refuses {text!r}: {reply.removeprefix('error ')}")
+            raise DeviceError(
+                f"valve board {self.name} refuses {text!r}: {reply.removeprefix('error ')}"
+            )
         return reply
 
     def _answer(self, patience: float) -> str:
-        """The line that bears the number of the last command; damaged ones and late answers to others are passed over."""
-        asked, damaged = pace.monotonic(), 0
+        """The line that bears the number of the last command; damaged ones and late answers to
+        others are passed over."""
+        asked = pace.monotonic()
+        damaged = 0
         while True:
             while (end := self._received.find(b"\n")) >= 0:
                 line = bytes(self._received[:end]).rstrip(b"\r")
@@ -213,16 +257,26 @@ class ValveBoard:
                     return found[1]
                 damaged += found is None and bool(line)
             del self._received[: -2 * protocol.LONGEST]  # noise without an end
-            data = self._serial.read(max(1, self._serial.in_waiting))  # the port's time-out is short
+            # the port's time-out is short
+            data = self._serial.read(max(1, self._serial.in_waiting))
             self._received += data
             waited = pace.monotonic() - asked
-            if waited > patience and (not data or waited > 2 * patience):  # what has come is read: this thread may be late
-                raise _Unanswered(f"valve board {self.name}: {'only noise' if damaged or self._received else 'no reply'}")
+            # what has come is read: this thread may be late
+            if waited > patience and (not data or waited > 2 * patience):
+                raise _Unanswered(
+                    f"valve board {self.name}: "
+                    f"{'only noise' if damaged or self._received else 'no reply'}"
+                )
 
     def _read(self, channel: int, patience: float | None = None) -> ValveReading:
-        asked = pace.monotonic()  # the board measures after this, so that a reading is never thought younger than it is
+        # the board measures after this, so that a reading is never thought younger than it is
+        asked = pace.monotonic()
         reply = self._ask(f"state {channel}", patience)
-        match = re.fullmatch(rf"state {channel} ({'|'.join(protocol.STATES)}) (-?\d+|-) ({'|'.join(protocol.FAULTS)})", reply)
+        match = re.fullmatch(
+            rf"state {channel} ({'|'.join(protocol.STATES)}) (-?\d+|-) "
+            rf"({'|'.join(protocol.FAULTS)})",
+            reply,
+        )
         if match is None:
             raise DeviceError(f"valve board {self.name}: unreadable answer {reply[:60]!r}")
         gauge = None if match[2] == "-" or not self.has_sensors else float(match[2])
@@ -233,7 +287,9 @@ class ValveBoard:
 
     def _beat(self) -> None:
         """The heartbeat: read all channels while the loop lives."""
-        while not self._closed.wait(_RETRY_TIME if 0 < self._failures < _FAILURES_MAX else self._interval):
+        while not self._closed.wait(
+            _RETRY_TIME if 0 < self._failures < _FAILURES_MAX else self._interval
+        ):
             if pace.monotonic() - self._last_call > _SILENCE:
                 continue
             for channel in self._configs:
@@ -241,14 +297,16 @@ class ValveBoard:
                     with self._lock:
                         self._read(channel, self._reply_time)
                 except DeviceError as error:
-                    self._failures, self._last_error = self._failures + 1, str(error)
+                    self._failures = self._failures + 1
+                    self._last_error = str(error)
 
     def _vented(self, channel: int) -> bool:
         for _ in range(_ATTEMPTS):
             try:
                 self._demand(f"vent {channel}")
                 return True
-            except Exception:  # noqa: BLE001  # whatever it is, the next channel must still be vented
+            except Exception:  # noqa: BLE001
+                # whatever it is, the next channel must still be vented
                 _log.debug("vent failed", exc_info=True)
         return False
 
@@ -261,6 +319,10 @@ def open_port(port: str, baud: int) -> serial.SerialBase:
     """Open a device or a pyserial URL (`socket://`, `rfc2217://`), alone where that can be had."""
     options: dict[str, Any] = {} if "://" in port else {"exclusive": True}
     try:
-        return serial.serial_for_url(port, baudrate=baud, timeout=0.01, write_timeout=pace.wall(_WRITE_TIME), **options)
+        return serial.serial_for_url(
+            port, baudrate=baud, timeout=0.01, write_timeout=pace.wall(_WRITE_TIME), **options
+        )
     except (serial.SerialException, OSError, ValueError) as error:
-        raise DeviceError(f"valve port {port} cannot be opened: {' '.join(str(error).split())}") from error
+        raise DeviceError(
+            f"valve port {port} cannot be opened: {' '.join(str(error).split())}"
+        ) from error

@@ -1,4 +1,5 @@
-"""`BoardValve`: one channel of a valve board as the rig's valve; `connect_valves` connects all boards of a rig."""
+"""`BoardValve`: one channel of a valve board as the rig's valve; `connect_valves` connects all
+boards of a rig."""
 
 from __future__ import annotations
 
@@ -13,42 +14,56 @@ from mjtactile.rig.file import ValveConfig
 __all__ = ["BoardValve", "ValveBoard", "connect_valves"]
 _SETTLE_TIME = 1.5  # s for the chamber to reach the pressure that was set
 _SETTLE_POLL = 0.02  # s between looks at it
-_SETTLE_SHARE, _SETTLE_FLOOR = 0.25, 120.0  # of the pressure, Pa: how far off is a valve that does not move
+# of the pressure, Pa: how far off is a valve that does not move
+_SETTLE_SHARE = 0.25
+_SETTLE_FLOOR = 120.0
 
 
 class BoardValve:
     """One channel of a board as the rig's valve."""
 
     def __init__(self, board: ValveBoard, config: ValveConfig):
-        self.board, self.config = board, config
+        self.board = board
+        self.config = config
         self._goal: float | None = None
         self._goal_time = 0.0
 
     def state(self) -> ValveState:
-        """Whether it is open, and the pressure. Raises DeviceError: silent board, or a pressure that does not follow."""
+        """Whether it is open, and the pressure. Raises DeviceError: silent board, or a pressure
+        that does not follow."""
         reading = self.board.reading(self.config.channel)
         if reading.fault:
             raise DeviceError(f"valve {self.config.finger} vented by itself: {reading.fault}")
         self._check_moves(reading)
-        return ValveState(reading.is_open, reading.pressure_gauge, reading.time, pace.monotonic() - reading.time)
+        return ValveState(
+            reading.is_open, reading.pressure_gauge, reading.time, pace.monotonic() - reading.time
+        )
 
     def open(self, supply_gauge: float) -> None:
-        """Connect to a supply of `supply_gauge` Pa; 0 vents. Raises DeviceError beyond the rig file's limits."""
+        """Connect to a supply of `supply_gauge` Pa; 0 vents. Raises DeviceError beyond the rig
+        file's limits."""
         config = self.config
         if not 0 <= supply_gauge <= config.pressure_max:
-            raise DeviceError(f"valve {config.finger}: {supply_gauge:g} Pa is outside 0 to {config.pressure_max:g} Pa, the "
-                              "largest that the rig file allows")
+            raise DeviceError(
+                f"valve {config.finger}: {supply_gauge:g} Pa is outside 0 to "
+                f"{config.pressure_max:g} Pa, the "
+                "largest that the rig file allows"
+            )
         if supply_gauge == 0:
             self.board.vent(config.channel)
         else:
             if not self.board.has_sensors:
                 self._check_supply(supply_gauge)
             self.board.set(config.channel, supply_gauge)
-        self._goal, self._goal_time = supply_gauge, pace.monotonic()
+        self._goal = supply_gauge
+        self._goal_time = pace.monotonic()
 
     def close(self) -> None:
-        """Seal the chamber, once its pressure is what was set. Raises DeviceError for a valve that does not move."""
-        while self._goal is not None and not self._has_moved(self.board.measure(self.config.channel)):
+        """Seal the chamber, once its pressure is what was set. Raises DeviceError for a valve that
+        does not move."""
+        while self._goal is not None and not self._has_moved(
+            self.board.measure(self.config.channel)
+        ):
             self._check_moves(self.board.measure(self.config.channel))
             pace.sleep(_SETTLE_POLL)
         self.board.seal(self.config.channel)
@@ -57,23 +72,32 @@ class BoardValve:
     def _check_supply(self, supply_gauge: float) -> None:
         fixed = self.config.supply_gauge or 0.0
         if abs(fixed - supply_gauge) > 0.05 * fixed:
-            raise DeviceError(f"valve {self.config.finger}: {supply_gauge:g} Pa was asked for, but its supply gives {fixed:g} Pa "
-                              "and a board without a sensor cannot change that")
+            raise DeviceError(
+                f"valve {self.config.finger}: {supply_gauge:g} Pa was asked for, but its supply "
+                f"gives {fixed:g} Pa "
+                "and a board without a sensor cannot change that"
+            )
 
     def _has_moved(self, reading: ValveReading) -> bool:
         """The chamber has the pressure that was set, as far as is known."""
         if self._goal is None or reading.pressure_gauge is None:
             return True
-        return abs(reading.pressure_gauge - self._goal) <= max(_SETTLE_SHARE * abs(self._goal), _SETTLE_FLOOR)
+        return abs(reading.pressure_gauge - self._goal) <= max(
+            _SETTLE_SHARE * abs(self._goal), _SETTLE_FLOOR
+        )
 
     def _check_moves(self, reading: ValveReading) -> None:
         if pace.monotonic() - self._goal_time >= _SETTLE_TIME and not self._has_moved(reading):
-            raise DeviceError(f"valve {self.config.finger} is stuck: {self._goal:g} Pa was set {_SETTLE_TIME:g} s ago, the "
-                              f"chamber has {reading.pressure_gauge:.0f} Pa")
+            raise DeviceError(
+                f"valve {self.config.finger} is stuck: {self._goal:g} Pa was set "
+                f"{_SETTLE_TIME:g} s ago, the "
+                f"chamber has {reading.pressure_gauge:.0f} Pa"
+            )
 
 
 def connect_valves(configs: Sequence[ValveConfig]) -> tuple[list[ValveBoard], list[BoardValve]]:
-    """Connect every board once and return the valves in the order of `configs`. Raises DeviceError."""
+    """Connect every board once and return the valves in the order of `configs`. Raises
+    DeviceError."""
     boards: dict[str, ValveBoard] = {}
     try:
         for config in configs:

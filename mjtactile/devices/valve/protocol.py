@@ -1,7 +1,9 @@
-"""Lines of "mjvalve", which the board in firmware/valve/ speaks: `SEQUENCE WORD ARGUMENTS*CRC`, ended by a newline.
+"""Lines of "mjvalve", which the board in firmware/valve/ speaks: `SEQUENCE WORD ARGUMENTS*CRC`,
+ended by a newline.
 
-CRC is the CRC-32 of what stands before the `*`, as zlib's, in eight hexadecimal digits. An answer bears the sequence number of
-its command and repeats it, or says `error REASON`. The whole language: firmware/valve/README.md.
+CRC is the CRC-32 of what stands before the `*`, as zlib's, in eight hexadecimal digits. An answer
+bears the sequence number of its command and repeats it, or says `error REASON`. The whole language:
+firmware/valve/README.md.
 """
 
 from __future__ import annotations
@@ -9,13 +11,19 @@ from __future__ import annotations
 import re
 import zlib
 
-NAME, VERSION_MIN = "mjvalve", (1, 0)
+NAME = "mjvalve"
+VERSION_MIN = (1, 0)
 SEQUENCES = 65536
 LONGEST = 80  # bytes of a line without its end
 STATES = {"vent": True, "set": True, "sealed": False}
 """States of a channel, and whether its chamber is then open to a supply or the air."""
-FAULTS = {"ok": "", "start": "the board has restarted", "silent": "the board heard nothing for its heartbeat's time",
-          "sensor": "its pressure sensor fails", "pressure": "its pressure was too high"}
+FAULTS = {
+    "ok": "",
+    "start": "the board has restarted",
+    "silent": "the board heard nothing for its heartbeat's time",
+    "sensor": "its pressure sensor fails",
+    "pressure": "its pressure was too high",
+}
 """Why a channel vented by itself."""
 _LINE = re.compile(rb"([0-9]{1,5}) ([ -)+-~]+)\*([0-9A-F]{8})")
 _HEAD = re.compile(rb"[0-9]{1,5} [ -)+-~]+")

@@ -19,12 +19,20 @@ from mjtactile.export.lerobot.files import CHUNK, DATA_MB, FILE, VIDEO_MB, DataF
 from mjtactile.recording.files import write_json
 
 
-def write(episodes: Sequence[Episode], out: Path, *, images: str = "video", crf: int = 0, task: str | None = None,
-          say: Callable[[str], None] = lambda _: None) -> dict[str, Any]:
-    """Write all episodes into `out` and return how many frames of what. `crf` 0 keeps every pixel of a video, 18-30 take a tenth
-    of the space and do not.
+def write(
+    episodes: Sequence[Episode],
+    out: Path,
+    *,
+    images: str = "video",
+    crf: int = 0,
+    task: str | None = None,
+    say: Callable[[str], None] = lambda _: None,
+) -> dict[str, Any]:
+    """Write all episodes into `out` and return how many frames of what. `crf` 0 keeps every pixel
+    of a video, 18-30 take a tenth of the space and do not.
 
-    Raises InputError for episodes that do not fit together, and where images are asked for that are not there.
+    Raises InputError for episodes that do not fit together, and where images are asked for that are
+    not there.
     """
     fps = round(episodes[0].rate)
     features = features_of(episodes[0], images)
@@ -32,14 +40,30 @@ def write(episodes: Sequence[Episode], out: Path, *, images: str = "video", crf:
         _check(episode, episodes[0], fps, features, images)
     tasks = list(dict.fromkeys(task or episode.task for episode in episodes))
     writer = DataFiles(out, features)
-    rows, total, stats = [], 0, []
+    rows = []
+    total = 0
+    stats = []
     for k, episode in enumerate(episodes):
         say(f"{k + 1} of {len(episodes)}: {episode.recording.folder}")
-        videos = {key: VideoFile(out, key, k, f.shape[:2], fps, crf) for key, f in features.items() if f.dtype == "video"}
-        block, own = _episode(episode, k, total, fps, tasks.index(task or episode.task), features, videos)
+        videos = {
+            key: VideoFile(out, key, k, f.shape[:2], fps, crf)
+            for key, f in features.items()
+            if f.dtype == "video"
+        }
+        block, own = _episode(
+            episode, k, total, fps, tasks.index(task or episode.task), features, videos
+        )
         place = writer.add(block)
-        rows.append(_episode_row(episode, k, len(episode.recording), total, task or episode.task, place, videos, fps) |
-                    {f"stats/{name}/{kind}": value for name, one in own.items() for kind, value in one.items()})
+        rows.append(
+            _episode_row(
+                episode, k, len(episode.recording), total, task or episode.task, place, videos, fps
+            )
+            | {
+                f"stats/{name}/{kind}": value
+                for name, one in own.items()
+                for kind, value in one.items()
+            }
+        )
         total += len(episode.recording)
         stats.append(own)
         _keep_files(out, k, episode)
@@ -48,27 +72,53 @@ def write(episodes: Sequence[Episode], out: Path, *, images: str = "video", crf:
     return {"episodes": len(episodes), "frames": total, "fps": fps, "tasks": tasks}
 
 
-def _check(episode: Episode, first: Episode, fps: int, features: Mapping[str, Feature], images: str) -> None:
+def _check(
+    episode: Episode, first: Episode, fps: int, features: Mapping[str, Feature], images: str
+) -> None:
     """Raise InputError where `episode` cannot stand beside the `first`."""
     folder = episode.recording.folder
     if round(episode.rate) != fps:
-        raise InputError(f"has {episode.rate:.3g} cycles a second, {first.recording.folder} has {first.rate:.3g}", source=folder)
+        raise InputError(
+            f"has {episode.rate:.3g} cycles a second, {first.recording.folder} has "
+            f"{first.rate:.3g}",
+            source=folder,
+        )
     mine = features_of(episode, images)
     if {k: f.info() for k, f in mine.items()} != {k: f.info() for k, f in features.items()}:
-        odd = sorted(set(mine) ^ set(features)) or [k for k in mine if mine[k].info() != features[k].info()]
-        raise InputError(f"has other columns than {first.recording.folder}: {', '.join(odd[:5])}", source=folder)
+        odd = sorted(set(mine) ^ set(features)) or [
+            k for k in mine if mine[k].info() != features[k].info()
+        ]
+        raise InputError(
+            f"has other columns than {first.recording.folder}: {', '.join(odd[:5])}", source=folder
+        )
     if images != "none":
         have = sum(len(names) > 0 for names in episode.recording.columns["images"])
         if have < len(episode.recording):
-            raise InputError(f"{have} of {len(episode.recording)} cycles have their images; record with --frames all",
-                             source=folder, field="--images", choices=["none"])
+            raise InputError(
+                f"{have} of {len(episode.recording)} cycles have their images; record with "
+                "--frames all",
+                source=folder,
+                field="--images",
+                choices=["none"],
+            )
 
 
-def _episode(episode: Episode, number: int, first: int, fps: int, task: int, features: Mapping[str, Feature],
-             videos: Mapping[str, VideoFile]) -> tuple[dict[str, list[Any]], dict[str, Any]]:
+def _episode(
+    episode: Episode,
+    number: int,
+    first: int,
+    fps: int,
+    task: int,
+    features: Mapping[str, Feature],
+    videos: Mapping[str, VideoFile],
+) -> tuple[dict[str, list[Any]], dict[str, Any]]:
     """The columns of one episode, and its statistics."""
-    block: dict[str, list[Any]] = {key: [] for key, feature in features.items() if feature.dtype != "video"}
-    pixels: dict[str, list[Array]] = {key: [] for key, feature in features.items() if feature.dtype in ("video", "image")}
+    block: dict[str, list[Any]] = {
+        key: [] for key, feature in features.items() if feature.dtype != "video"
+    }
+    pixels: dict[str, list[Array]] = {
+        key: [] for key, feature in features.items() if feature.dtype in ("video", "image")
+    }
     for i, seen in enumerate(episode.cycles()):
         for key, feature in features.items():
             value = feature.value(seen)
@@ -87,25 +137,57 @@ def _episode(episode: Episode, number: int, first: int, fps: int, task: int, fea
         video.close()
     count = len(episode.recording)
     numbers = np.arange(count)
-    block |= {"timestamp": (numbers / fps).tolist(), "frame_index": numbers.tolist(), "episode_index": [number] * count,
-              "index": (first + numbers).tolist(), "task_index": [task] * count}
-    own = {key: statistics.of_numbers(np.array(block[key], float).reshape(count, -1)) for key in block
-           if key in INDEX or features[key].dtype in ("float32", "float64")}
+    block |= {
+        "timestamp": (numbers / fps).tolist(),
+        "frame_index": numbers.tolist(),
+        "episode_index": [number] * count,
+        "index": (first + numbers).tolist(),
+        "task_index": [task] * count,
+    }
+    own = {
+        key: statistics.of_numbers(np.array(block[key], float).reshape(count, -1))
+        for key in block
+        if key in INDEX or features[key].dtype in ("float32", "float64")
+    }
     for key, shots in pixels.items():
         own[key] = statistics.of_images(np.array(shots) / 255.0, features[key].shape[2])
     return block, own
 
 
-def _episode_row(episode: Episode, number: int, length: int, first: int, task: str, place: tuple[int, int],
-                 videos: Mapping[str, VideoFile], fps: int) -> dict[str, Any]:
-    header, notes = episode.recording.header, episode.recording.notes
-    row = {"episode_index": number, "tasks": [task], "length": length, "dataset_from_index": first,
-           "dataset_to_index": first + length, "data/chunk_index": place[0], "data/file_index": place[1],
-           "meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0}
+def _episode_row(
+    episode: Episode,
+    number: int,
+    length: int,
+    first: int,
+    task: str,
+    place: tuple[int, int],
+    videos: Mapping[str, VideoFile],
+    fps: int,
+) -> dict[str, Any]:
+    header = episode.recording.header
+    notes = episode.recording.notes
+    row = {
+        "episode_index": number,
+        "tasks": [task],
+        "length": length,
+        "dataset_from_index": first,
+        "dataset_to_index": first + length,
+        "data/chunk_index": place[0],
+        "data/file_index": place[1],
+        "meta/episodes/chunk_index": 0,
+        "meta/episodes/file_index": 0,
+    }
     for key, video in videos.items():
-        row |= {f"videos/{key}/chunk_index": video.place[0], f"videos/{key}/file_index": video.place[1],
-                f"videos/{key}/from_timestamp": 0.0, f"videos/{key}/to_timestamp": length / fps}
-    names = {key: None if (value := header.get(key)) is None else str(value) for key in ("object", "sensor", "controller", "rig")}
+        row |= {
+            f"videos/{key}/chunk_index": video.place[0],
+            f"videos/{key}/file_index": video.place[1],
+            f"videos/{key}/from_timestamp": 0.0,
+            f"videos/{key}/to_timestamp": length / fps,
+        }
+    names = {
+        key: None if (value := header.get(key)) is None else str(value)
+        for key in ("object", "sensor", "controller", "rig")
+    }
     return row | names | {"seed": header.get("seed"), "outcome": notes.get("outcome")}
 
 
@@ -119,32 +201,85 @@ def _keep_files(out: Path, number: int, episode: Episode) -> None:
         shutil.copyfile(path, folder / name)
 
 
-def _write_meta(out: Path, episodes: Sequence[Episode], features: Mapping[str, Feature], rows: Sequence[Mapping[str, Any]],
-                tasks: Sequence[str], stats: Sequence[Mapping[str, Any]], fps: int, total: int) -> None:
+def _write_meta(
+    out: Path,
+    episodes: Sequence[Episode],
+    features: Mapping[str, Feature],
+    rows: Sequence[Mapping[str, Any]],
+    tasks: Sequence[str],
+    stats: Sequence[Mapping[str, Any]],
+    fps: int,
+    total: int,
+) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     meta = out / "meta"
     (meta / "episodes/chunk-000").mkdir(parents=True, exist_ok=True)
-    pq.write_table(pa.Table.from_pylist([dict(row) for row in rows]), meta / "episodes/chunk-000/file-000.parquet")
-    table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": pa.array(tasks)})
-    pandas = {"index_columns": ["task"], "column_indexes": [], "creator": {"library": "pyarrow", "version": pa.__version__},
-              "columns": [{"name": name, "field_name": name, "pandas_type": kind, "numpy_type": own, "metadata": None}
-                          for name, kind, own in (("task_index", "int64", "int64"), ("task", "unicode", "object"))]}
-    pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(pandas)}), meta / "tasks.parquet")
+    pq.write_table(
+        pa.Table.from_pylist([dict(row) for row in rows]),
+        meta / "episodes/chunk-000/file-000.parquet",
+    )
+    table = pa.table(
+        {"task_index": pa.array(range(len(tasks)), pa.int64()), "task": pa.array(tasks)}
+    )
+    pandas = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "creator": {"library": "pyarrow", "version": pa.__version__},
+        "columns": [
+            {
+                "name": name,
+                "field_name": name,
+                "pandas_type": kind,
+                "numpy_type": own,
+                "metadata": None,
+            }
+            for name, kind, own in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
+        ],
+    }
+    pq.write_table(
+        table.replace_schema_metadata({"pandas": json.dumps(pandas)}), meta / "tasks.parquet"
+    )
     write_json(meta / "stats.json", statistics.together(stats))
     infos = {key: feature.info() for key, feature in features.items()}
     for info in infos.values():
         if info["dtype"] == "video":
             height, width, _ = info["shape"]
-            info["info"] = {"video.height": height, "video.width": width, "video.codec": "h264", "video.pix_fmt": "yuvj420p",
-                            "video.is_depth_map": False, "video.fps": fps, "video.channels": 1, "has_audio": False}
-    infos |= {name: {"dtype": "float32" if name == "timestamp" else "int64", "shape": [1], "names": None} for name in INDEX}
+            info["info"] = {
+                "video.height": height,
+                "video.width": width,
+                "video.codec": "h264",
+                "video.pix_fmt": "yuvj420p",
+                "video.is_depth_map": False,
+                "video.fps": fps,
+                "video.channels": 1,
+                "has_audio": False,
+            }
+    infos |= {
+        name: {"dtype": "float32" if name == "timestamp" else "int64", "shape": [1], "names": None}
+        for name in INDEX
+    }
     moving = any(info["dtype"] == "video" for info in infos.values())
-    write_json(meta / "info.json", {
-        "codebase_version": "v3.0", "robot_type": f"mjtactile {episodes[0].recording.header.get('rig', '')}".strip(),
-        "total_episodes": len(episodes), "total_frames": total, "total_tasks": len(tasks), "chunks_size": CHUNK,
-        "data_files_size_in_mb": DATA_MB, "video_files_size_in_mb": VIDEO_MB, "fps": fps,
-        "splits": {"train": f"0:{len(episodes)}"}, "data_path": f"data/{FILE}.parquet",
-        "video_path": f"videos/{{video_key}}/{FILE}.mp4" if moving else None, "features": infos})
-    write_json(meta / "mjtactile.json", {"columns": meanings(), "episodes": [episode.facts for episode in episodes]})
+    write_json(
+        meta / "info.json",
+        {
+            "codebase_version": "v3.0",
+            "robot_type": f"mjtactile {episodes[0].recording.header.get('rig', '')}".strip(),
+            "total_episodes": len(episodes),
+            "total_frames": total,
+            "total_tasks": len(tasks),
+            "chunks_size": CHUNK,
+            "data_files_size_in_mb": DATA_MB,
+            "video_files_size_in_mb": VIDEO_MB,
+            "fps": fps,
+            "splits": {"train": f"0:{len(episodes)}"},
+            "data_path": f"data/{FILE}.parquet",
+            "video_path": f"videos/{{video_key}}/{FILE}.mp4" if moving else None,
+            "features": infos,
+        },
+    )
+    write_json(
+        meta / "mjtactile.json",
+        {"columns": meanings(), "episodes": [episode.facts for episode in episodes]},
+    )

@@ -1,7 +1,8 @@
 """The columns of a LeRobot data set, and how a cycle says each.
 
-`observation.state` and `action` are what policies look for; `recorded.*` is the log column by column, in doubles; `truth.*` what
-a simulation knew, under a name that no policy takes for an observation.
+`observation.state` and `action` are what policies look for; `recorded.*` is the log column by
+column, in doubles; `truth.*` what a simulation knew, under a name that no policy takes for an
+observation.
 """
 
 from __future__ import annotations
@@ -21,8 +22,17 @@ from mjtactile.recording.files import to_json
 IMAGES = {"video": ("video", 3), "png": ("image", 1), "none": ("", 0)}
 """How images are kept, to LeRobot's word for it and to the channels that a reader gets."""
 INDEX = ("timestamp", "frame_index", "episode_index", "index", "task_index")
-_STATE = (("opening", "opening_m"), ("speed", "speed_m_s"), ("effort", "effort_N"), ("lift_height", "lift_height_m"))
-_ACTION = (("command_opening", "opening_m"), ("command_force_limit", "force_limit_N"), ("command_lift_height", "lift_height_m"))
+_STATE = (
+    ("opening", "opening_m"),
+    ("speed", "speed_m_s"),
+    ("effort", "effort_N"),
+    ("lift_height", "lift_height_m"),
+)
+_ACTION = (
+    ("command_opening", "opening_m"),
+    ("command_force_limit", "force_limit_N"),
+    ("command_lift_height", "lift_height_m"),
+)
 
 
 @dataclass(frozen=True)
@@ -35,27 +45,53 @@ class Feature:
     shape: tuple[int, ...] = ()
 
     def info(self) -> dict[str, Any]:
-        return {"dtype": self.dtype, "shape": list(self.shape or (len(self.names),)), "names": self.names}
+        return {
+            "dtype": self.dtype,
+            "shape": list(self.shape or (len(self.names),)),
+            "names": self.names,
+        }
 
 
 def features_of(episode: Episode, images: str) -> dict[str, Feature]:
     """The columns that `episode` gives."""
-    wrench = [f"{finger}.{name}" for finger in episode.fingers for name in ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")]
+    wrench = [
+        f"{finger}.{name}"
+        for finger in episode.fingers
+        for name in ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
+    ]
 
     def state(seen: Seen) -> Array:
-        return np.concatenate([[float(seen.row[key]) for key, _ in _STATE], np.ravel(np.array(list(seen.row["wrench"]), float))])
+        return np.concatenate(
+            [
+                [float(seen.row[key]) for key, _ in _STATE],
+                np.ravel(np.array(list(seen.row["wrench"]), float)),
+            ]
+        )
 
-    found = {"observation.state": Feature("float32", [name for _, name in _STATE] + wrench, state),
-             "action": Feature("float32", [name for _, name in _ACTION],
-                               lambda seen: np.array([float(seen.row[key]) for key, _ in _ACTION]))}
+    found = {
+        "observation.state": Feature("float32", [name for _, name in _STATE] + wrench, state),
+        "action": Feature(
+            "float32",
+            [name for _, name in _ACTION],
+            lambda seen: np.array([float(seen.row[key]) for key, _ in _ACTION]),
+        ),
+    }
     kind, channels = IMAGES[images]
-    for k, (finger, image) in enumerate(zip(episode.fingers, _first_images(episode) if kind else (), strict=False)):
+    for k, (finger, image) in enumerate(
+        zip(episode.fingers, _first_images(episode) if kind else (), strict=False)
+    ):
         found[f"observation.images.{finger}"] = Feature(
-            kind, ["height", "width", "channels"], lambda seen, k=k: seen.files[k], (*image.pixels.shape, channels))
+            kind,
+            ["height", "width", "channels"],
+            lambda seen, k=k: seen.files[k],
+            (*image.pixels.shape, channels),
+        )
     for k, finger in enumerate(episode.fingers if episode.felt_again else ()):
         count = episode.design.markers.count
         names = [f"{number}.{axis}_m" for number in range(count) for axis in "xyz"]
-        found[f"observation.markers.{finger}"] = Feature("float32", names, lambda seen, k=k, n=count: _markers(seen, k, n))
+        found[f"observation.markers.{finger}"] = Feature(
+            "float32", names, lambda seen, k=k, n=count: _markers(seen, k, n)
+        )
     for key in episode.keys:
         found |= _column(episode, key)
     return found
@@ -72,10 +108,20 @@ def _column(episode: Episode, key: str) -> dict[str, Feature]:
     if key not in LISTS and not np.prod(column.shape[1:]):
         return {}  # of valves, on a rig without
     if key not in LISTS and column.dtype != object:
-        return {name: Feature("float64", part_names(episode, key), lambda seen: np.ravel(np.asarray(seen.row[key], float)))}
+        return {
+            name: Feature(
+                "float64",
+                part_names(episode, key),
+                lambda seen: np.ravel(np.asarray(seen.row[key], float)),
+            )
+        }
     if isinstance(column[0], (list, tuple, np.ndarray)):
-        return {f"{name}.{finger}": Feature("string", [finger], lambda seen, k=k: _text(seen.row[key][k]))
-                for k, finger in enumerate(episode.fingers)}
+        return {
+            f"{name}.{finger}": Feature(
+                "string", [finger], lambda seen, k=k: _text(seen.row[key][k])
+            )
+            for k, finger in enumerate(episode.fingers)
+        }
     return {name: Feature("string", [key], lambda seen: _text(seen.row[key]))}
 
 

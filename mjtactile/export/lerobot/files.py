@@ -12,7 +12,9 @@ import numpy as np
 from mjtactile.core.types import Array
 from mjtactile.export.lerobot.features import INDEX, Feature
 
-CHUNK, DATA_MB, VIDEO_MB = 1000, 100, 200
+CHUNK = 1000
+DATA_MB = 100
+VIDEO_MB = 200
 FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 
 
@@ -22,16 +24,29 @@ class DataFiles:
     def __init__(self, out: Path, features: Mapping[str, Feature]):
         import pyarrow as pa
 
-        kinds = {"float32": pa.float32(), "float64": pa.float64(), "string": pa.string(),
-                 "image": pa.struct([("bytes", pa.binary()), ("path", pa.string())])}
+        kinds = {
+            "float32": pa.float32(),
+            "float64": pa.float64(),
+            "string": pa.string(),
+            "image": pa.struct([("bytes", pa.binary()), ("path", pa.string())]),
+        }
 
         def kind(feature: Feature) -> Any:
             one = kinds[feature.dtype]
-            return one if len(feature.names) == 1 or feature.dtype == "image" else pa.list_(one, len(feature.names))
+            return (
+                one
+                if len(feature.names) == 1 or feature.dtype == "image"
+                else pa.list_(one, len(feature.names))
+            )
 
-        fields = [(key, kind(feature)) for key, feature in features.items() if feature.dtype != "video"]
+        fields = [
+            (key, kind(feature)) for key, feature in features.items() if feature.dtype != "video"
+        ]
         fields += [(name, pa.float32() if name == "timestamp" else pa.int64()) for name in INDEX]
-        self._schema, self._out, self._file, self._size = pa.schema(fields), out, -1, 0.0
+        self._schema = pa.schema(fields)
+        self._out = out
+        self._file = -1
+        self._size = 0.0
         self._writer: Any = None
 
     def add(self, block: Mapping[str, Any]) -> tuple[int, int]:
@@ -42,8 +57,13 @@ class DataFiles:
         table = pa.table(dict(block), schema=self._schema)
         if self._writer is None or self._size > DATA_MB * 1e6:
             self.close()
-            self._file, self._size = self._file + 1, 0.0
-            path = self._out / "data" / FILE.format(chunk_index=self._file // CHUNK, file_index=self._file % CHUNK)
+            self._file = self._file + 1
+            self._size = 0.0
+            path = (
+                self._out
+                / "data"
+                / FILE.format(chunk_index=self._file // CHUNK, file_index=self._file % CHUNK)
+            )
             path.parent.mkdir(parents=True, exist_ok=True)
             self._writer = pq.ParquetWriter(path.with_suffix(".parquet"), self._schema)
         self._writer.write_table(table)
@@ -62,22 +82,34 @@ class VideoFile:
         import av
 
         self.place = divmod(number, CHUNK)
-        path = out / "videos" / key / (FILE.format(chunk_index=self.place[0], file_index=self.place[1]) + ".mp4")
+        path = (
+            out
+            / "videos"
+            / key
+            / (FILE.format(chunk_index=self.place[0], file_index=self.place[1]) + ".mp4")
+        )
         path.parent.mkdir(parents=True, exist_ok=True)
         self._file = av.open(str(path), "w")
         stream = self._file.add_stream("libx264", rate=fps)
         stream.height, stream.width, stream.pix_fmt = *size, "gray"
         stream.codec_context.color_range = 2  # 0-255, not 16-235
         stream.codec_context.time_base = Fraction(1, fps)
-        stream.options = {"preset": "veryfast", "g": "2", "bf": "0", "x264-params": "log-level=none"} | (
-            {"qp": "0"} if crf == 0 else {"crf": str(crf)})
-        self._stream, self._count, self._fps = stream, 0, fps
+        stream.options = {
+            "preset": "veryfast",
+            "g": "2",
+            "bf": "0",
+            "x264-params": "log-level=none",
+        } | ({"qp": "0"} if crf == 0 else {"crf": str(crf)})
+        self._stream = stream
+        self._count = 0
+        self._fps = fps
 
     def add(self, grey: Array) -> None:
         import av
 
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(grey), format="gray")
-        frame.pts, frame.time_base = self._count, Fraction(1, self._fps)
+        frame.pts = self._count
+        frame.time_base = Fraction(1, self._fps)
         frame.color_range = 2
         self._count += 1
         self._file.mux(self._stream.encode(frame))

@@ -1,4 +1,5 @@
-"""What normalisation is done by: smallest, largest, mean, standard deviation and quantiles of every column."""
+"""What normalisation is done by: smallest, largest, mean, standard deviation and quantiles of every
+column."""
 
 from __future__ import annotations
 
@@ -13,25 +14,42 @@ _QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 
 
 def of_numbers(values: Array) -> dict[str, Any]:
-    """Of (n, k) numbers, each column's own; unknown ones do not count, and one that never was known is null."""
+    """Of (n, k) numbers, each column's own; unknown ones do not count, and one that never was known
+    is null."""
     known = np.isfinite(values)
     filled = np.where(known.any(axis=0), values, 0.0)
-    found = {"min": np.nanmin(filled, axis=0), "max": np.nanmax(filled, axis=0), "mean": np.nanmean(filled, axis=0),
-             "std": np.nanstd(filled, axis=0), **{name: np.nanquantile(filled, q, axis=0) for name, q in _QUANTILES.items()}}
+    found = {
+        "min": np.nanmin(filled, axis=0),
+        "max": np.nanmax(filled, axis=0),
+        "mean": np.nanmean(filled, axis=0),
+        "std": np.nanstd(filled, axis=0),
+        **{name: np.nanquantile(filled, q, axis=0) for name, q in _QUANTILES.items()},
+    }
     unknown = np.atleast_1d(~known.any(axis=0))
-    return {name: [None if bad else float(v) for v, bad in zip(value, unknown, strict=True)] for name, value in found.items()
-            } | {"count": [len(values)]}
+    return {
+        name: [None if bad else float(v) for v, bad in zip(value, unknown, strict=True)]
+        for name, value in found.items()
+    } | {"count": [len(values)]}
 
 
 def of_images(values: Array, channels: int) -> dict[str, Any]:
     """Of (n, h, w) grey levels 0-1, in the shape (channels, 1, 1) that readers expect."""
-    found = {"min": values.min(), "max": values.max(), "mean": values.mean(), "std": values.std(),
-             **{name: np.quantile(values, q) for name, q in _QUANTILES.items()}}
-    return {name: [[[float(value)]]] * channels for name, value in found.items()} | {"count": [len(values)]}
+    found = {
+        "min": values.min(),
+        "max": values.max(),
+        "mean": values.mean(),
+        "std": values.std(),
+        **{name: np.quantile(values, q) for name, q in _QUANTILES.items()},
+    }
+    return {name: [[[float(value)]]] * channels for name, value in found.items()} | {
+        "count": [len(values)]
+    }
 
 
 def together(stats: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Statistics of all episodes from those of each, weighted by their frames; quantiles are the episodes' mean."""
+    """Statistics of all episodes from those of each, weighted by their frames; quantiles are the
+    episodes' mean."""
+
     def join(key: str) -> dict[str, Any]:
         parts = [one[key] for one in stats]
         count = np.array([part["count"][0] for part in parts], float)
@@ -39,14 +57,28 @@ def together(stats: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         def stack(name: str) -> Array:
             return np.array([part[name] for part in parts], float)  # null becomes NaN
 
-        mean, std, shape = stack("mean"), stack("std"), (-1, *[1] * (stack("mean").ndim - 1))
+        mean = stack("mean")
+        std = stack("std")
+        shape = (-1, *[1] * (stack("mean").ndim - 1))
         weight = np.where(np.isfinite(mean), count.reshape(shape), 0.0)
         total = np.maximum(weight.sum(axis=0), 1.0)
         middle = (np.nan_to_num(mean) * weight).sum(axis=0) / total
-        spread = np.sqrt((weight * (np.nan_to_num(std) ** 2 + (np.nan_to_num(mean) - middle) ** 2)).sum(axis=0) / total)
-        found = {"min": np.fmin.reduce(stack("min")), "max": np.fmax.reduce(stack("max")), "mean": middle, "std": spread}
-        found |= {name: (np.nan_to_num(stack(name)) * weight).sum(axis=0) / total for name in _QUANTILES}
+        spread = np.sqrt(
+            (weight * (np.nan_to_num(std) ** 2 + (np.nan_to_num(mean) - middle) ** 2)).sum(axis=0)
+            / total
+        )
+        found = {
+            "min": np.fmin.reduce(stack("min")),
+            "max": np.fmax.reduce(stack("max")),
+            "mean": middle,
+            "std": spread,
+        }
+        found |= {
+            name: (np.nan_to_num(stack(name)) * weight).sum(axis=0) / total for name in _QUANTILES
+        }
         none = weight.sum(axis=0) == 0
-        return {name: np.where(none, np.nan, value).tolist() for name, value in found.items()} | {"count": [int(count.sum())]}
+        return {name: np.where(none, np.nan, value).tolist() for name, value in found.items()} | {
+            "count": [int(count.sum())]
+        }
 
     return {key: join(key) for key in stats[0]}

@@ -1,4 +1,5 @@
-"""`summary.html` of a run: one file with curves to zoom, images by a slider and membranes to turn, that needs no network."""
+"""`summary.html` of a run: one file with curves to zoom, images by a slider and membranes to turn,
+that needs no network."""
 
 from __future__ import annotations
 
@@ -24,22 +25,40 @@ _STYLE = """canvas{width:100%;touch-action:none;border:1px solid #e6e6e6;box-siz
 img.camera{width:100%;display:block}#readout{font-size:13px;min-height:2.9em}#slider{width:60%;vertical-align:middle}
 .hint{color:#666;font-size:13px}.columns{display:flex;flex-wrap:wrap;align-items:flex-start;gap:0 3em}h3{margin:.4em 0 .2em}"""
 _FACTS: tuple[tuple[str, str, str], ...] = (
-    ("outcome", "outcome", ""), ("reason", "because", ""), ("error", "error", ""), ("material", "material", ""),
-    ("status", "status", ""), ("hold_force_N", "holding, felt", "N"), ("hold_force_true_N", "holding, true", "N"),
-    ("peak_force_N", "at most, felt", "N"), ("peak_force_true_N", "at most, true", "N"), ("slip_mm_true", "slipped, true", "mm"),
+    ("outcome", "outcome", ""),
+    ("reason", "because", ""),
+    ("error", "error", ""),
+    ("material", "material", ""),
+    ("status", "status", ""),
+    ("hold_force_N", "holding, felt", "N"),
+    ("hold_force_true_N", "holding, true", "N"),
+    ("peak_force_N", "at most, felt", "N"),
+    ("peak_force_true_N", "at most, true", "N"),
+    ("slip_mm_true", "slipped, true", "mm"),
     ("force_error_estimate_N", "error of the simulated force, estimated", "N"),
     ("peak_stress_kPa_true", "stress at most, true", "kPa"),
-    ("stiffness_N_m", "stiffness", "N/m"), ("modulus_kPa", "modulus, as between flat faces", "kPa"),
-    ("relaxation_time_s", "relaxation", "s"), ("deformation_mm", "gave way", "mm"), ("permanent_set_mm", "of which stayed", "mm"),
-    ("real_time_factor", "speed", "x real time"), ("perception_ms_median", "perception, median", "ms a cycle"),
-    ("recording_problem", "recording", ""))
+    ("stiffness_N_m", "stiffness", "N/m"),
+    ("modulus_kPa", "modulus, as between flat faces", "kPa"),
+    ("relaxation_time_s", "relaxation", "s"),
+    ("deformation_mm", "gave way", "mm"),
+    ("permanent_set_mm", "of which stayed", "mm"),
+    ("real_time_factor", "speed", "x real time"),
+    ("perception_ms_median", "perception, median", "ms a cycle"),
+    ("recording_problem", "recording", ""),
+)
 """Key of a summary, what it is called, unit."""
 
 
-def write_page(path: Path, recording: Recording, strip: Sequence[tuple[Seen, Any]], summary: Mapping[str, Any],
-               snapshot: Seen | None = None) -> None:
-    """Write the page of a run into `path`: its `recording`, `strip` of cycles with their scenes (`recording.strip`), and the
-    `summary` that its command printed; `snapshot` is the cycle that is shown first."""
+def write_page(
+    path: Path,
+    recording: Recording,
+    strip: Sequence[tuple[Seen, Any]],
+    summary: Mapping[str, Any],
+    snapshot: Seen | None = None,
+) -> None:
+    """Write the page of a run into `path`: its `recording`, `strip` of cycles with their scenes
+    (`recording.strip`), and the `summary` that its command printed; `snapshot` is the cycle that is
+    shown first."""
     page = document(_title(summary), _body(recording, strip, summary, snapshot), style=_STYLE)
     part = path.with_name(path.name + ".part")
     part.write_text(page, encoding="utf-8")
@@ -50,8 +69,12 @@ def _title(summary: Mapping[str, Any]) -> str:
     return f"{summary.get('object', '?')}: {summary.get('outcome', summary.get('material', '?'))}"
 
 
-def _body(recording: Recording, strip: Sequence[tuple[Seen, Any]], summary: Mapping[str, Any],
-          snapshot: Seen | None) -> Iterator[str]:
+def _body(
+    recording: Recording,
+    strip: Sequence[tuple[Seen, Any]],
+    summary: Mapping[str, Any],
+    snapshot: Seen | None,
+) -> Iterator[str]:
     yield f"<h1>{escape(_title(summary))}</h1>"
     yield f'<div class="columns">{_facts(summary)}{_fingers(recording)}</div>'
     if len(recording):
@@ -59,7 +82,10 @@ def _body(recording: Recording, strip: Sequence[tuple[Seen, Any]], summary: Mapp
         yield _curves(data)
         yield _moment(data, scene=any(shot["scene"] for shot in data["shots"]))
         yield f'<script type="application/json" id="data">{_safe(data)}</script>'
-        yield from (f"<script>{(Path(__file__).parent / name).read_text(encoding='utf-8')}</script>" for name in _SCRIPTS)
+        yield from (
+            f"<script>{(Path(__file__).parent / name).read_text(encoding='utf-8')}</script>"
+            for name in _SCRIPTS
+        )
     else:
         yield "<p>The run ended before the first cycle.</p>"
     yield _simulated(recording)
@@ -68,12 +94,21 @@ def _body(recording: Recording, strip: Sequence[tuple[Seen, Any]], summary: Mapp
 
 def _safe(value: Any) -> str:
     """JSON that no text in it can end as a script."""
-    return json.dumps(to_json(value), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    return json.dumps(to_json(value), allow_nan=False, separators=(",", ":")).replace(
+        "<", "\\u003c"
+    )
 
 
 def _facts(summary: Mapping[str, Any]) -> str:
-    rows = [[escape(label), escape(_words(summary[key], unit))] for key, label, unit in _FACTS if _is_known(summary.get(key))]
-    rows += [[escape(kind), f"{100 * share:.0f} %"] for kind, share in summary.get("probability", {}).items()]
+    rows = [
+        [escape(label), escape(_words(summary[key], unit))]
+        for key, label, unit in _FACTS
+        if _is_known(summary.get(key))
+    ]
+    rows += [
+        [escape(kind), f"{100 * share:.0f} %"]
+        for kind, share in summary.get("probability", {}).items()
+    ]
     return table([], rows)
 
 
@@ -86,37 +121,76 @@ def _words(value: Any, unit: str) -> str:
 
 
 def _fingers(recording: Recording) -> str:
-    """For how long each finger said that what it feels sticks, is about to slip, slips; and for how long it could not say."""
+    """For how long each finger said that what it feels sticks, is about to slip, slips; and for how
+    long it could not say."""
     if len(recording) < 2 or "slip_state" not in recording.columns:
         return ""
     period = float(np.median(np.diff(recording.column("time")[:, 0])))
-    names, rows = ("sticking", "incipient", "slipping"), []
+    names = ("sticking", "incipient", "slipping")
+    rows = []
     for finger, name in enumerate(recording.fingers):
         slips = [slip[finger] for slip in recording.columns["slip_state"]]
         blind = [status[finger] for status in recording.columns["status"] if status[finger] != "ok"]
         why = f" ({escape(max(set(blind), key=blind.count))})" if blind else ""
-        rows.append([escape(name), *(f"{period * slips.count(one):.2f} s" for one in names), f"{period * len(blind):.2f} s{why}"])
+        rows.append(
+            [
+                escape(name),
+                *(f"{period * slips.count(one):.2f} s" for one in names),
+                f"{period * len(blind):.2f} s{why}",
+            ]
+        )
     return table(["as felt", *names, "unknown"], rows)
 
 
 def _curves(data: Mapping[str, Any]) -> str:
-    options = "".join(f'<option value="{k}">{escape(plot["label"])}</option>' for k, plot in enumerate(data["plots"]))
-    return (f'<h2>Over time</h2><p><select id="plot">{options}</select> <span class="hint">wheel: closer; drag: earlier, later; '
-            "double click: all; click: the moment below. Bands are two standard deviations, dashed is the truth that only a "
-            'simulation knows.</span></p><canvas id="chart"></canvas><p id="readout"></p>')
+    options = "".join(
+        f'<option value="{k}">{escape(plot["label"])}</option>'
+        for k, plot in enumerate(data["plots"])
+    )
+    return (
+        f'<h2>Over time</h2><p><select id="plot">{options}</select> <span class="hint">wheel: '
+        "closer; drag: earlier, later; "
+        "double click: all; click: the moment below. Bands are two standard "
+        "deviations, dashed is the truth that only a "
+        'simulation knows.</span></p><canvas id="chart"></canvas><p id="readout"></p>'
+    )
 
 
 def _moment(data: Mapping[str, Any], *, scene: bool) -> str:
     last = len(data["shots"]) - 1
-    parts = [f'<h2>At <span id="moment">-</span></h2><p><input id="slider" type="range" min="0" max="{max(last, 0)}" value="0"> '
-             '<button id="play">play</button> <span class="hint">drag a membrane to turn it, wheel: closer</span></p>']
-    panels = ['<div class="scene"><h3>the scene</h3><img id="scene" class="scene" alt="the scene"></div>'] if scene else []
+    parts = [
+        '<h2>At <span id="moment">-</span></h2><p><input id="slider" type="range" min="0" '
+        f'max="{max(last, 0)}" value="0"> '
+        '<button id="play">play</button> <span class="hint">drag a membrane to turn '
+        "it, wheel: closer</span></p>"
+    ]
+    panels = (
+        [
+            '<div class="scene"><h3>the scene</h3><img id="scene" class="scene" alt="the '
+            'scene"></div>'
+        ]
+        if scene
+        else []
+    )
     for finger, name in enumerate(data["fingers"]):
-        drawn = any(shot["pictures"][finger:finger + 1] not in ([], [None]) for shot in data["shots"])
-        camera = (f'<img class="camera" alt="camera of {escape(name)}, ellipses fitted">' if drawn else
-                  '<img class="camera" alt="" hidden><p>no image was kept</p>')
-        panels.append(f"<div><h3>{escape(name)}</h3>{camera}<canvas class=\"membrane\"></canvas></div>")
-    return "".join([*parts, f'<div class="row">{"".join(panels)}</div><noscript>The figures need JavaScript.</noscript>'])
+        drawn = any(
+            shot["pictures"][finger : finger + 1] not in ([], [None]) for shot in data["shots"]
+        )
+        camera = (
+            f'<img class="camera" alt="camera of {escape(name)}, ellipses fitted">'
+            if drawn
+            else '<img class="camera" alt="" hidden><p>no image was kept</p>'
+        )
+        panels.append(
+            f'<div><h3>{escape(name)}</h3>{camera}<canvas class="membrane"></canvas></div>'
+        )
+    return "".join(
+        [
+            *parts,
+            f'<div class="row">{"".join(panels)}</div><noscript>The figures need '
+            "JavaScript.</noscript>",
+        ]
+    )
 
 
 def _simulated(recording: Recording) -> str:
@@ -126,16 +200,37 @@ def _simulated(recording: Recording) -> str:
         return ""
 
     def rows(on: bool) -> list[list[str]]:
-        return [[escape(row["effect"]), _number(row["cost_ms_per_s"]), _number(row["left_out_N"], 1e3),
-                 _number(row["left_out_um"]), escape(row["why"])] for row in how["effects"] if (row["on"] and row["built"]) == on]
+        return [
+            [
+                escape(row["effect"]),
+                _number(row["cost_ms_per_s"]),
+                _number(row["left_out_N"], 1e3),
+                _number(row["left_out_um"]),
+                escape(row["why"]),
+            ]
+            for row in how["effects"]
+            if (row["on"] and row["built"]) == on
+        ]
 
     head = ["effect", "costs, ms a simulated s", "without it, mN", "um", "why"]
-    varied = ", ".join(f"{name} {value}" for name, value in recording.notes.get("varied", {}).items())
-    return (f"<h2>What was simulated, and why</h2><p>Membranes of {' x '.join(map(str, how['mesh']))} vertices, steps of "
-            f"{how['timestep_ms']:.3g} ms. Costs and errors are those measured on the shipped sensors "
-            f"(<code>mjtactile effects</code>).</p>{table(head, rows(True), text=True)}"
-            f"<details><summary>what was left out</summary>{table(head, rows(False), text=True)}</details>"
-            + (f"<details><summary>what was drawn for this world</summary><p>{escape(varied)}</p></details>" if varied else ""))
+    varied = ", ".join(
+        f"{name} {value}" for name, value in recording.notes.get("varied", {}).items()
+    )
+    return (
+        "<h2>What was simulated, and why</h2><p>Membranes of "
+        f"{' x '.join(map(str, how['mesh']))} vertices, steps of "
+        f"{how['timestep_ms']:.3g} ms. Costs and errors are those measured on the "
+        "shipped sensors "
+        f"(<code>mjtactile effects</code>).</p>{table(head, rows(True), text=True)}"
+        "<details><summary>what was left "
+        f"out</summary>{table(head, rows(False), text=True)}</details>"
+        + (
+            "<details><summary>what was drawn for this "
+            f"world</summary><p>{escape(varied)}</p></details>"
+            if varied
+            else ""
+        )
+    )
 
 
 def _number(value: float | None, scale: float = 1.0) -> str:
@@ -144,9 +239,18 @@ def _number(value: float | None, scale: float = 1.0) -> str:
 
 def _provenance(recording: Recording) -> str:
     header = recording.header
-    versions = ", ".join(f"{name} {version}" for name, version in header.get("versions", {}).items())
-    said = ", ".join(f"{key} {header[key]}" for key in ("object", "sensor", "controller", "rig", "seed") if key in header)
-    files = "".join(f"<br>{escape(key)} file {escape(file['name'])}, SHA-256 {escape(file['sha256'][:16])}\u2026"
-                    for key, file in header.get("files", {}).items())
+    versions = ", ".join(
+        f"{name} {version}" for name, version in header.get("versions", {}).items()
+    )
+    said = ", ".join(
+        f"{key} {header[key]}"
+        for key in ("object", "sensor", "controller", "rig", "seed")
+        if key in header
+    )
+    files = "".join(
+        f"<br>{escape(key)} file {escape(file['name'])}, SHA-256 "
+        f"{escape(file['sha256'][:16])}\u2026"
+        for key, file in header.get("files", {}).items()
+    )
     command = f"<p><code>{escape(header['command'])}</code></p>" if header.get("command") else ""
     return f"<h2>How it was made</h2>{command}<p>{escape(said)}<br>{escape(versions)}{files}</p>"

@@ -1,4 +1,5 @@
-"""What the page of a run shows, as plain values for its scripts: curves over time, and pictures and membranes at some moments."""
+"""What the page of a run shows, as plain values for its scripts: curves over time, and pictures and
+membranes at some moments."""
 
 from __future__ import annotations
 
@@ -20,7 +21,9 @@ from mjtactile.run.overlay import with_ellipses
 from mjtactile.run.report import FINGER_COLOURS, PHASE_COLOURS, arrow_unit, arrows
 from mjtactile.run.scene_picture import picture_of
 
-_CAMERA, _SCENE = 480, (405, 270)  # px: width of a camera's picture; height and width of the scene's
+# px: width of a camera's picture; height and width of the scene's
+_CAMERA = 480
+_SCENE = (405, 270)
 _PICTURES = 96  # of cameras, in all: 20 kB each
 _JPEG = (cv2.IMWRITE_JPEG_QUALITY, 70)
 _GREY = "#555555"
@@ -28,8 +31,8 @@ _GREY = "#555555"
 
 @dataclass(frozen=True)
 class Plot:
-    """A curve for each finger, or one: a `column` of the recording in units of 1/`scale`, with the columns of its standard
-    deviation and its truth."""
+    """A curve for each finger, or one: a `column` of the recording in units of 1/`scale`, with the
+    columns of its standard deviation and its truth."""
 
     label: str
     column: str
@@ -39,8 +42,17 @@ class Plot:
 
 
 PLOTS = (
-    Plot("normal force on a finger, N", "force_normal", sd="force_normal_sd", true=lambda r: r.column("force_normal_true")),
-    Plot("shear force on a finger, N", "force_shear", true=lambda r: np.linalg.norm(_wrench_true(r)[..., :2], axis=-1)),
+    Plot(
+        "normal force on a finger, N",
+        "force_normal",
+        sd="force_normal_sd",
+        true=lambda r: r.column("force_normal_true"),
+    ),
+    Plot(
+        "shear force on a finger, N",
+        "force_shear",
+        true=lambda r: np.linalg.norm(_wrench_true(r)[..., :2], axis=-1),
+    ),
     Plot("contact area, mm\u00b2", "contact_area", 1e6),
     Plot("depth of the deepest indentation, mm", "contact_depth", 1e3),
     Plot("slipped since the touch began, mm", "slip_distance", 1e3),
@@ -57,24 +69,40 @@ def _wrench_true(recording: Recording) -> Array:
     return found if found.ndim == 3 else np.full((len(recording), recording.width, 6), np.nan)
 
 
-def page_data(recording: Recording, strip: Sequence[tuple[Seen, Any]], snapshot: Seen | None = None) -> dict[str, Any]:
-    """Everything that the scripts need; `strip` are cycles with their scenes (None: none), `snapshot` the one to show first."""
-    moments = strip[::-(-len(strip) * recording.width // _PICTURES) or 1]
+def page_data(
+    recording: Recording, strip: Sequence[tuple[Seen, Any]], snapshot: Seen | None = None
+) -> dict[str, Any]:
+    """Everything that the scripts need; `strip` are cycles with their scenes (None: none),
+    `snapshot` the one to show first."""
+    moments = strip[:: -(-len(strip) * recording.width // _PICTURES) or 1]
     touches = [touch for cycle, _ in moments for touch in cycle.touch]
     low, high = _heights(touches)
     unit = height_unit(low, high)
     times = recording.column("time")[:, 0]
     shown = -1 if snapshot is None else snapshot.time
-    with ThreadPoolExecutor(2) as beside:  # nearly all of it is in C, which lets go of the interpreter
+    # nearly all of it is in C, which lets go of the interpreter
+    with ThreadPoolExecutor(2) as beside:
         shots = list(beside.map(lambda moment: _shot(moment[0], moment[1], unit), moments))
     return {
-        "fingers": recording.fingers, "time": _plain(times, 4), "phase": [str(name) for name in recording.columns["phase"]],
-        "phases": [(*phase, PHASE_COLOURS.get(phase[0], "#eeeeee")) for phase in recording.phases() if phase[0] != "done"],
-        "said": _said(recording), "plots": [plot for one in PLOTS if (plot := _plot(one, recording))["series"]],
-        "grids": _grids(moments, recording.width), "z_range": (1e3 * low, 1e3 * high), "height_unit": unit,
-        "arrow_unit": arrow_unit(touches), "shots": shots,
-        "first": int(np.argmin([abs(cycle.time - shown) for cycle, _ in moments])) if moments else 0,
-    }  # fmt: skip
+        "fingers": recording.fingers,
+        "time": _plain(times, 4),
+        "phase": [str(name) for name in recording.columns["phase"]],
+        "phases": [
+            (*phase, PHASE_COLOURS.get(phase[0], "#eeeeee"))
+            for phase in recording.phases()
+            if phase[0] != "done"
+        ],
+        "said": _said(recording),
+        "plots": [plot for one in PLOTS if (plot := _plot(one, recording))["series"]],
+        "grids": _grids(moments, recording.width),
+        "z_range": (1e3 * low, 1e3 * high),
+        "height_unit": unit,
+        "arrow_unit": arrow_unit(touches),
+        "shots": shots,
+        "first": int(np.argmin([abs(cycle.time - shown) for cycle, _ in moments]))
+        if moments
+        else 0,
+    }
 
 
 def height_unit(low: float, high: float) -> float:
@@ -85,11 +113,15 @@ def height_unit(low: float, high: float) -> float:
 def _heights(touches: Sequence[Touch]) -> tuple[float, float]:
     """The lowest and the highest place of all membranes, m."""
     heights = [touch.surface.z for touch in touches if touch.surface is not None]
-    return (min((float(z.min()) for z in heights), default=0.0), max((float(z.max()) for z in heights), default=1e-3))
+    return (
+        min((float(z.min()) for z in heights), default=0.0),
+        max((float(z.max()) for z in heights), default=1e-3),
+    )
 
 
 def _plot(plot: Plot, recording: Recording) -> dict[str, Any]:
-    """`{"label", "series": [{"name", "colour", "y", "sd", "dash"}], "lines": [(value, words)]}`; no series of what is unknown."""
+    """`{"label", "series": [{"name", "colour", "y", "sd", "dash"}], "lines": [(value, words)]}`; no
+    series of what is unknown."""
     felt = plot.scale * recording.column(plot.column)
     sd = recording.column(plot.sd) if plot.sd else None
     true = None if plot.true is None else plot.scale * plot.true(recording)
@@ -97,19 +129,43 @@ def _plot(plot: Plot, recording: Recording) -> dict[str, Any]:
     series: list[dict[str, Any]] = []
     for finger in range(felt.shape[1]):
         colour = _GREY if single else FINGER_COLOURS[finger % len(FINGER_COLOURS)]
-        name = plot.label.split(",")[0] if single else dict(enumerate(recording.fingers)).get(finger, "")
-        series += _series(name if true is None else f"{name} felt", colour, felt[:, finger],
-                          None if sd is None else sd[:, finger])
-        series += [] if true is None else _series(f"{name} true", colour, true[:, finger], dash=True)
+        name = (
+            plot.label.split(",")[0]
+            if single
+            else dict(enumerate(recording.fingers)).get(finger, "")
+        )
+        series += _series(
+            name if true is None else f"{name} felt",
+            colour,
+            felt[:, finger],
+            None if sd is None else sd[:, finger],
+        )
+        series += (
+            [] if true is None else _series(f"{name} true", colour, true[:, finger], dash=True)
+        )
     breaks = recording.notes.get("break_force_N")
-    lines = [(breaks, f"object breaks at {breaks:g} N")] if plot.sd and isinstance(breaks, (int, float)) else []
+    lines = (
+        [(breaks, f"object breaks at {breaks:g} N")]
+        if plot.sd and isinstance(breaks, (int, float))
+        else []
+    )
     return {"label": plot.label, "series": series, "lines": lines}
 
 
-def _series(name: str, colour: str, y: Array, sd: Array | None = None, *, dash: bool = False) -> list[dict[str, Any]]:
+def _series(
+    name: str, colour: str, y: Array, sd: Array | None = None, *, dash: bool = False
+) -> list[dict[str, Any]]:
     if not np.isfinite(y).any():
         return []
-    return [{"name": name, "colour": colour, "y": _plain(y, 5), "sd": None if sd is None else _plain(sd, 5), "dash": dash}]
+    return [
+        {
+            "name": name,
+            "colour": colour,
+            "y": _plain(y, 5),
+            "sd": None if sd is None else _plain(sd, 5),
+            "dash": dash,
+        }
+    ]
 
 
 def _plain(values: Array, digits: int) -> list[float | None]:
@@ -119,29 +175,48 @@ def _plain(values: Array, digits: int) -> list[float | None]:
 def _said(recording: Recording) -> list[list[str]]:
     """What each finger said of the touch in each cycle: its slip, or why it cannot say."""
     slips = recording.columns.get("slip_state", recording.columns["status"])
-    return [[str(slip if status == "ok" else status) for slip, status in zip(*both, strict=True)]
-            for both in zip(slips, recording.columns["status"], strict=True)]
+    return [
+        [str(slip if status == "ok" else status) for slip, status in zip(*both, strict=True)]
+        for both in zip(slips, recording.columns["status"], strict=True)
+    ]
 
 
-def _grids(moments: Sequence[tuple[Seen, Any]], fingers: int) -> list[dict[str, list[float]] | None]:
+def _grids(
+    moments: Sequence[tuple[Seen, Any]], fingers: int
+) -> list[dict[str, list[float]] | None]:
     """Where the heights of each finger are, mm."""
     found: list[dict[str, list[float]] | None] = [None] * fingers
     for cycle, _ in moments:
         for finger, touch in enumerate(cycle.touch[:fingers]):
             if touch.surface is not None:
-                found[finger] = {"x": (1e3 * touch.surface.x).round(4).tolist(), "y": (1e3 * touch.surface.y).round(4).tolist()}
+                found[finger] = {
+                    "x": (1e3 * touch.surface.x).round(4).tolist(),
+                    "y": (1e3 * touch.surface.y).round(4).tolist(),
+                }
     return found
 
 
 def _shot(cycle: Seen, view: Any, unit: float) -> dict[str, Any]:
     """What there is to see at one moment."""
-    scene = None if view is None else np.round(255 * picture_of(view, _SCENE, samples=1)[:, :, ::-1]).astype(np.uint8)
-    return {"time": round(cycle.time, 4), "pictures": [_camera(image) for image in cycle.images],
-            "scene": None if scene is None else _jpeg(scene), "felt": [_felt(touch, unit) for touch in cycle.touch]}
+    scene = (
+        None
+        if view is None
+        else np.round(255 * picture_of(view, _SCENE, samples=1)[:, :, ::-1]).astype(np.uint8)
+    )
+    return {
+        "time": round(cycle.time, 4),
+        "pictures": [_camera(image) for image in cycle.images],
+        "scene": None if scene is None else _jpeg(scene),
+        "felt": [_felt(touch, unit) for touch in cycle.touch],
+    }
 
 
 def _camera(image: Image) -> str | None:
-    return _jpeg(with_ellipses(image, min(_CAMERA, image.pixels.shape[1]))) if image.pixels.size else None
+    return (
+        _jpeg(with_ellipses(image, min(_CAMERA, image.pixels.shape[1])))
+        if image.pixels.size
+        else None
+    )
 
 
 def _jpeg(bgr: NDArray[np.uint8]) -> str:
@@ -149,12 +224,19 @@ def _jpeg(bgr: NDArray[np.uint8]) -> str:
 
 
 def _felt(touch: Touch, unit: float) -> Mapping[str, Any] | None:
-    """A membrane: `z` (ny nx) whole numbers of `unit` mm, and the traction with a minus sign: foot, mm, and Pa."""
+    """A membrane: `z` (ny nx) whole numbers of `unit` mm, and the traction with a minus sign: foot,
+    mm, and Pa."""
     if touch.surface is None:
         return None
     foot, stress = arrows(touch, touch.surface)
     z = np.round(1e3 * touch.surface.z / unit).astype("<i2")
-    said = (f"{touch.force_normal:.2f} \u00b1 {2 * touch.force_normal_sd:.2f} N" if touch.status == "ok" else
-            f"force unknown: {touch.status}")
-    return {"z": base64.b64encode(z.tobytes()).decode("ascii"),
-            "arrows": np.column_stack([foot.round(2), -stress.round(0)]).tolist(), "text": said}
+    said = (
+        f"{touch.force_normal:.2f} \u00b1 {2 * touch.force_normal_sd:.2f} N"
+        if touch.status == "ok"
+        else f"force unknown: {touch.status}"
+    )
+    return {
+        "z": base64.b64encode(z.tobytes()).decode("ascii"),
+        "arrows": np.column_stack([foot.round(2), -stress.round(0)]).tolist(),
+        "text": said,
+    }

@@ -1,7 +1,9 @@
-"""What the posterior covariance of the wrench cannot know of, since the sheet's model leaves it out (docs/equations.md, Eq. F12).
+"""What the posterior covariance of the wrench cannot know of, since the sheet's model leaves it out
+(docs/equations.md, Eq. F12).
 
-Standard deviations of shear, normal force, tilting and spinning torque, the torques over a lever: shares of what was felt, and
-the drag of a sheet that moves. What they are was measured on simulated presses, taps, drags and holds (`bench bars`).
+Standard deviations of shear, normal force, tilting and spinning torque, the torques over a lever:
+shares of what was felt, and the drag of a sheet that moves. What they are was measured on simulated
+presses, taps, drags and holds (`bench bars`).
 """
 
 from __future__ import annotations
@@ -14,13 +16,15 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
 from mjtactile.sensing.settings import DEFAULTS, DoubtSettings
 
-AXES = np.array([0, 0, 1, 2, 2, 3])  # Fx, Fy are shear, then the normal force, the torques that tilt, the one that spins
+# Fx, Fy are shear, then the normal force, the torques that tilt, the one that spins
+AXES = np.array([0, 0, 1, 2, 2, 3])
 
 
 @dataclass(frozen=True, eq=False)
 class Felt:
-    """What a shape says: nodal `force` (3, J) N, by how much the wrench has changed since the last image, `change` (6,), the mean
-    `velocity` (3,) m/s of the sheet since then, and the mean over all markers of their squared noise over its sd, `excess`."""
+    """What a shape says: nodal `force` (3, J) N, by how much the wrench has changed since the last
+    image, `change` (6,), the mean `velocity` (3,) m/s of the sheet since then, and the mean over
+    all markers of their squared noise over its sd, `excess`."""
 
     force: Array
     change: Array
@@ -31,20 +35,36 @@ class Felt:
 class Doubt:
     """The model's own share of a wrench's variance, of one sensor with nodes (J, 2) m."""
 
-    def __init__(self, design: SensorDesign, nodes: Array, settings: DoubtSettings = DEFAULTS.doubt):
-        layout, sheet, frame = design.markers, design.membrane, design.frame
-        self._sharp_most, s = settings.sharp_most, settings
+    def __init__(
+        self, design: SensorDesign, nodes: Array, settings: DoubtSettings = DEFAULTS.doubt
+    ):
+        layout = design.markers
+        sheet = design.membrane
+        frame = design.frame
+        self._sharp_most = settings.sharp_most
+        s = settings
         self._shares = np.array([s.share, s.lateral, s.sharp, s.outside, s.change], float)[:, AXES]
         self._outside = (np.abs(nodes) > np.abs(layout.p_SM[:, :2]).max(axis=0) + 1e-9).any(axis=1)
         self._sparse = max(1.0, layout.pitch_x * layout.pitch_y / settings.cell)
-        self._resistance = settings.drag * frame.length * frame.width * sheet.young * sheet.thickness
+        self._resistance = (
+            settings.drag * frame.length * frame.width * sheet.young * sheet.thickness
+        )
         self._unit = np.array([1.0, 1.0, 1.0, *np.full(3, settings.lever)])
 
     def variance(self, felt: Felt) -> Array:
         """Of force, N^2, and torque, (N m)^2, about the origin of S, (6,)."""
-        size, sums = float(np.linalg.norm(felt.force.sum(axis=1))), np.abs(felt.force)
-        loads = np.array([[size * self._sparse], [float(sums[:2].sum())], [size * min(felt.excess, self._sharp_most)],
-                          [float(sums[:, self._outside].sum())]])
-        variance = np.square(self._shares[:4] * loads).sum(axis=0) + np.square(self._shares[4] * felt.change / self._unit)
+        size = float(np.linalg.norm(felt.force.sum(axis=1)))
+        sums = np.abs(felt.force)
+        loads = np.array(
+            [
+                [size * self._sparse],
+                [float(sums[:2].sum())],
+                [size * min(felt.excess, self._sharp_most)],
+                [float(sums[:, self._outside].sum())],
+            ]
+        )
+        variance = np.square(self._shares[:4] * loads).sum(axis=0) + np.square(
+            self._shares[4] * felt.change / self._unit
+        )
         variance[:2] += (self._resistance * felt.velocity[:2]) ** 2
         return self._unit**2 * variance

@@ -1,15 +1,18 @@
-"""Traction on the membrane from its markers by inverse finite elements (level 3; docs/equations.md, Eq. F9-F12).
+"""Traction on the membrane from its markers by inverse finite elements (level 3; docs/equations.md,
+Eq. F9-F12).
 
-Unknown are the tractions at the nodes of a grid. They deform the sheet of `mjtactile.sensing.force.sheet` from its
-forward-solved rest shape, so the bulge is not interpolated but computed; markers see the deformation at their places and,
-where they stand far apart, its slopes too.
-Nothing touches almost everywhere: the prior of `mjtactile.sensing.force.prior` follows the tractions found before, so that
-contacts become compact. The amount of gas and the camera's place may have drifted a little since they were measured; they
-are unknowns, too. And next to a sharp edge markers move in ways that the sheet's splines cannot follow: a marker counts
-the less, the worse it was explained.
+Unknown are the tractions at the nodes of a grid. They deform the sheet of
+`mjtactile.sensing.force.sheet` from its forward-solved rest shape, so the bulge is not interpolated
+but computed; markers see the deformation at their places and, where they stand far apart, its
+slopes too. Nothing touches almost everywhere: the prior of `mjtactile.sensing.force.prior` follows
+the tractions found before, so that contacts become compact. The amount of gas and the camera's
+place may have drifted a little since they were measured; they are unknowns, too. And next to a
+sharp edge markers move in ways that the sheet's splines cannot follow: a marker counts the less,
+the worse it was explained.
 
-A frame is one Gauss-Newton step, or a few after a sudden change. Stiffness and gains are kept as long as the shape
-stays near where they were computed; then the step is back-substitutions only. The arithmetic is in mjtactile/kernels/inverse.c.
+A frame is one Gauss-Newton step, or a few after a sudden change. Stiffness and gains are kept as
+long as the shape stays near where they were computed; then the step is back-substitutions only. The
+arithmetic is in mjtactile/kernels/inverse.c.
 """
 
 from __future__ import annotations
@@ -32,16 +35,21 @@ from mjtactile.sensing.force.slopes import MarkerSlopes
 from mjtactile.sensing.settings import DEFAULTS, DoubtSettings, InverseSettings, PriorSettings
 
 REWEIGHTED = 2  # from a cold start
-STEPS_MAX, STEP_LIMIT = 8, 2e-3  # m
-SETTLED, NEAR = 1e-4, 2e-4  # m: a step that ends the iteration; a distance over which stiffness and gains are kept
+# m
+STEPS_MAX = 8
+STEP_LIMIT = 2e-3
+# m: a step that ends the iteration; a distance over which stiffness and gains are kept
+SETTLED = 1e-4
+NEAR = 2e-4
 REFINE = 5  # cells of the fine grid, for outlines, to a cell of the traction grid
 
 
 @dataclass(frozen=True, eq=False)
 class InverseRest:
-    """What the sensor measured of itself with nothing touching: the `gas`, the factor `stiffness_scale` on Young's modulus that
-    makes the model bulge as far as the markers do, coefficients `c` (3, n) m of that model, and what then remains,
-    `offset` (N, 3) m, measured less modelled marker positions."""
+    """What the sensor measured of itself with nothing touching: the `gas`, the factor
+    `stiffness_scale` on Young's modulus that makes the model bulge as far as the markers do,
+    coefficients `c` (3, n) m of that model, and what then remains, `offset` (N, 3) m, measured less
+    modelled marker positions."""
 
     gas: Gas
     stiffness_scale: float
@@ -51,13 +59,15 @@ class InverseRest:
 
 @dataclass(frozen=True, eq=False)
 class Gain:
-    """One linearisation, at `c` (3, n), for markers `ids`: the `stiffness`, the whitened markers' `half` covariance (r, 3 J) by
-    the tractions' prior (r = 3 m positions, and 2 m slopes where they count); `weights` (m, 3, 3) that whiten positions,
-    `slope_weights` (m,) and `tilts` (2, m, 2, 3), the whitened slopes' derivatives by the sheet's tangents, or None, and the
-    factors `distrust` (2, m) on the sd of both that they contain; the response (r, 4) to one sd of `drift` (gas, camera's x, y,
-    z), the gas's part of it as pressure, Pa, and as a load (3, n), and the share `drift_seen` (4,) of their variances that
-    estimates have; prior sd (3 J,) of the tractions; the lower factor of the predicted covariance of the whitened markers; and
-    how often it was `reweighted`: tractions had been found before it was made."""
+    """One linearisation, at `c` (3, n), for markers `ids`: the `stiffness`, the whitened markers'
+    `half` covariance (r, 3 J) by the tractions' prior (r = 3 m positions, and 2 m slopes where they
+    count); `weights` (m, 3, 3) that whiten positions, `slope_weights` (m,) and `tilts` (2, m, 2,
+    3), the whitened slopes' derivatives by the sheet's tangents, or None, and the factors
+    `distrust` (2, m) on the sd of both that they contain; the response (r, 4) to one sd of `drift`
+    (gas, camera's x, y, z), the gas's part of it as pressure, Pa, and as a load (3, n), and the
+    share `drift_seen` (4,) of their variances that estimates have; prior sd (3 J,) of the
+    tractions; the lower factor of the predicted covariance of the whitened markers; and how often
+    it was `reweighted`: tractions had been found before it was made."""
 
     c: Array
     ids: NDArray[np.int64]
@@ -81,10 +91,11 @@ class Gain:
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """An estimate: coefficients `c` (3, n) m of the deformation, nodal tractions (3, J) Pa, gauge pressure Pa, the mean
-    square `misfit` of the markers over their predicted sd, the gain it came from, and the mean square noise over its sd,
-    `excess` (2, N), of each marker's position and slopes, and the mean square `drift` found, over what is to be expected.
-    Hand it to the next frame."""
+    """An estimate: coefficients `c` (3, n) m of the deformation, nodal tractions (3, J) Pa, gauge
+    pressure Pa, the mean square `misfit` of the markers over their predicted sd, the gain it came
+    from, and the mean square noise over its sd, `excess` (2, N), of each marker's position and
+    slopes, and the mean square `drift` found, over what is to be expected. Hand it to the next
+    frame."""
 
     c: Array
     traction: Array
@@ -99,41 +110,70 @@ class Shape:
 class InverseMembrane:
     """Traction estimator of one sensor; the inner grid lines of its sheet carry the nodes."""
 
-    def __init__(self, design: SensorDesign, settings: InverseSettings = DEFAULTS.inverse,
-                 prior: PriorSettings = DEFAULTS.prior, doubt: DoubtSettings = DEFAULTS.doubt):
-        self.design, self.settings, self.sheet = design, settings, Sheet(design, settings.spans)
+    def __init__(
+        self,
+        design: SensorDesign,
+        settings: InverseSettings = DEFAULTS.inverse,
+        prior: PriorSettings = DEFAULTS.prior,
+        doubt: DoubtSettings = DEFAULTS.doubt,
+    ):
+        self.design = design
+        self.settings = settings
+        self.sheet = Sheet(design, settings.spans)
         ax, ay = self.sheet.axes
-        self.x, self.y = ax.breaks, ay.breaks
-        hat_x, hat_y = hats(self.x, ax.points)[0][:, 1:-1], hats(self.y, ay.points)[0][:, 1:-1]
-        load_x, load_y = ((a.at(a.points) * a.weights[:, None]).T @ h for a, h in ((ax, hat_x), (ay, hat_y)))
+        self.x = ax.breaks
+        self.y = ay.breaks
+        hat_x = hats(self.x, ax.points)[0][:, 1:-1]
+        hat_y = hats(self.y, ay.points)[0][:, 1:-1]
+        load_x, load_y = (
+            (a.at(a.points) * a.weights[:, None]).T @ h for a, h in ((ax, hat_x), (ay, hat_y))
+        )
         self._hats = (hat_x, hat_y)
         self.node_area = np.outer(ax.weights @ hat_x, ay.weights @ hat_y).ravel()  # (J,) m^2
         self.prior = LoadPrior(self.x[1:-1], self.y[1:-1], prior)
-        # nodes in each direction, generalised forces (kx, jx), (ky, jy) of one pascal at each, and the prior's roots
-        self._nodes = (len(self.x) - 2, len(self.y) - 2, *map(np.ascontiguousarray, (load_x, load_y, *self.prior.root)))
+        # nodes in each direction, generalised forces (kx, jx), (ky, jy) of one pascal at each, and
+        # the prior's roots
+        self._nodes = (
+            len(self.x) - 2,
+            len(self.y) - 2,
+            *map(np.ascontiguousarray, (load_x, load_y, *self.prior.root)),
+        )
         X, Y = np.meshgrid(self.x[1:-1], self.y[1:-1], indexing="ij")
         self.nodes = np.column_stack([X.ravel(), Y.ravel()])
         self._flat_nodes = np.column_stack([self.nodes, np.zeros(len(self.nodes))])
         self._at_nodes = self.sheet.basis(self.nodes)
-        self._doubt, self._posterior_share = Doubt(design, self.nodes, doubt), np.array(settings.posterior_share)[AXES]
-        self._fine = [np.linspace(-a.length / 2, a.length / 2, REFINE * a.spans + 1) for a in (ax, ay)]
+        self._doubt = Doubt(design, self.nodes, doubt)
+        self._posterior_share = np.array(settings.posterior_share)[AXES]
+        self._fine = [
+            np.linspace(-a.length / 2, a.length / 2, REFINE * a.spans + 1) for a in (ax, ay)
+        ]
         self._at_fine = [a.at(g) for a, g in zip((ax, ay), self._fine, strict=True)]
         self._material = design.markers.p_SM
         self._at_markers = self.sheet.basis(self._material[:, :2])
         sparse = design.markers.pitch_x * design.markers.pitch_y > settings.slopes_cell
-        self._slopes = MarkerSlopes(self.sheet, self._material, design.camera.distance, settings) if sparse else None
+        self._slopes = (
+            MarkerSlopes(self.sheet, self._material, design.camera.distance, settings)
+            if sparse
+            else None
+        )
 
-    # -- the sensor's own rest -----------------------------------------------------------------------------------------
+    # -- the sensor's own rest
+    # --------------------------------------------------------------------------------
 
-    def rest_state(self, markers: Markers, pressure_gauge: float, *, sealed: bool = True) -> InverseRest:
-        """Calibrate on a state with nothing touching and a known gauge pressure, Pa: see `InverseRest`."""
-        valve, scale = Gas(pressure_gauge), 1.0
+    def rest_state(
+        self, markers: Markers, pressure_gauge: float, *, sealed: bool = True
+    ) -> InverseRest:
+        """Calibrate on a state with nothing touching and a known gauge pressure, Pa: see
+        `InverseRest`."""
+        valve = Gas(pressure_gauge)
+        scale = 1.0
         c = self.sheet.equilibrium(valve)
         height = markers.p_SM[:, 2]
         if pressure_gauge > self.settings.informative_pressure:
             for _ in range(3):  # the bulge goes with the stiffness to a power between -1 and -1/3
                 modelled = self._at_markers[markers.ids] @ c[2]
-                ratio = max(float(modelled @ height / (modelled @ modelled)), 0.01)  # pressed in below the frame: no bulge
+                # pressed in below the frame: no bulge
+                ratio = max(float(modelled @ height / (modelled @ modelled)), 0.01)
                 scale *= np.clip(1 / ratio**self.settings.rest_power, 0.5, 2.0)
                 c = self.sheet.equilibrium(valve, scale, start=c)
         state = self.sheet.state(c, scale)
@@ -146,10 +186,12 @@ class InverseMembrane:
         """Marker centres (N, 3) m in S."""
         return self._material + self._at_markers @ c.T
 
-    # -- one frame -----------------------------------------------------------------------------------------------------
+    # -- one frame
+    # --------------------------------------------------------------------------------
 
     def estimate(self, markers: Markers, rest: InverseRest, start: Shape | None = None) -> Shape:
-        """Tractions and deformation that explain the markers, starting from the last frame's where there is one."""
+        """Tractions and deformation that explain the markers, starting from the last frame's where
+        there is one."""
         c, before = (rest.c, None) if start is None else (start.c, start)
         gain = None if start is None else start.gain
         for steps in range(1, STEPS_MAX + 1):
@@ -157,66 +199,135 @@ class InverseMembrane:
                 gain = self._gain(c, markers, rest, before)
             shape = self._step(c, markers, rest, gain, steps)
             settled = float(np.abs(shape.c - c).max()) < SETTLED
-            c, before = shape.c, shape
+            c = shape.c
+            before = shape
             if settled and gain.reweighted >= REWEIGHTED:
                 return shape
         return shape  # pyright: ignore[reportPossiblyUnboundVariable] the loop runs at least once
 
     def _step(self, c: Array, markers: Markers, rest: InverseRest, gain: Gain, count: int) -> Shape:
-        """One Gauss-Newton step from `c`: the sheet relaxes, tractions and drift explain what markers show beyond that."""
-        ids, m, slopes_off = markers.ids, len(markers), None
+        """One Gauss-Newton step from `c`: the sheet relaxes, tractions and drift explain what
+        markers show beyond that."""
+        ids = markers.ids
+        m = len(markers)
+        slopes_off = None
         data = markers.p_SM - rest.offset[ids] - self._material[ids]
         state = self.sheet.state(c, rest.stiffness_scale)
         pressure, _ = self.sheet.gas_pressure(state, rest.gas)
         if self._slopes is not None:
-            slopes_off = np.where(gain.slope_weights > 0, self._slopes.off(markers, c).T * gain.slope_weights, 0.0).T
-        change, traction = np.empty_like(c), np.empty((3, len(self.nodes)))
+            slopes_off = np.where(
+                gain.slope_weights > 0, self._slopes.off(markers, c).T * gain.slope_weights, 0.0
+            ).T
+        change = np.empty_like(c)
+        traction = np.empty((3, len(self.nodes)))
         (misfit, noise), drift = np.empty((2, len(gain.half))), np.empty(4)
-        if kernel("inverse_step")(*self._sight(gain.stiffness, ids, gain.weights, gain.tilts), *self._nodes, gain.prior,
-                                  gain.innovation, gain.drift, gain.drift_gas[1], c, self.sheet.residual(state, pressure), data,
-                                  slopes_off, change, traction, misfit, noise, drift):
+        if kernel("inverse_step")(
+            *self._sight(gain.stiffness, ids, gain.weights, gain.tilts),
+            *self._nodes,
+            gain.prior,
+            gain.innovation,
+            gain.drift,
+            gain.drift_gas[1],
+            c,
+            self.sheet.residual(state, pressure),
+            data,
+            slopes_off,
+            change,
+            traction,
+            misfit,
+            noise,
+            drift,
+        ):
             raise MemoryError("no room for a step")
         c = c + min(1.0, STEP_LIMIT / max(float(np.abs(change).max()), 1e-30)) * change
         pressure += float(drift[0]) * gain.drift_gas[0]
         excess = np.zeros((2, len(self._material)))
         excess[0, ids] = gain.distrust[0] ** 2 * (noise[: 3 * m].reshape(-1, 3) ** 2).mean(axis=1)
         if self._slopes is not None:
-            excess[1, ids] = gain.distrust[1] ** 2 * (noise[3 * m :].reshape(-1, 2) ** 2).mean(axis=1)
-        return Shape(c, traction, pressure, float(misfit @ noise) / len(misfit), gain, count, excess,
-                     float((drift**2 / gain.drift_seen).mean()))
+            excess[1, ids] = gain.distrust[1] ** 2 * (noise[3 * m :].reshape(-1, 2) ** 2).mean(
+                axis=1
+            )
+        return Shape(
+            c,
+            traction,
+            pressure,
+            float(misfit @ noise) / len(misfit),
+            gain,
+            count,
+            excess,
+            float((drift**2 / gain.drift_seen).mean()),
+        )
 
-    def _sight(self, stiffness: Stiffness, ids: NDArray[np.int64], weights: Array, tilts: Array | None) -> tuple[object, ...]:
+    def _sight(
+        self, stiffness: Stiffness, ids: NDArray[np.int64], weights: Array, tilts: Array | None
+    ) -> tuple[object, ...]:
         """What both kernels are told of the sheet and of the markers that see it."""
-        return (self.sheet.numbers, stiffness.factor, stiffness.softened, stiffness.share, len(ids), self._material[ids, :2],
-                weights, tilts)
+        return (
+            self.sheet.numbers,
+            stiffness.factor,
+            stiffness.softened,
+            stiffness.share,
+            len(ids),
+            self._material[ids, :2],
+            weights,
+            tilts,
+        )
 
     def _gain(self, c: Array, markers: Markers, rest: InverseRest, before: Shape | None) -> Gain:
-        state, ids = self.sheet.state(c, rest.stiffness_scale), markers.ids
+        state = self.sheet.state(c, rest.stiffness_scale)
+        ids = markers.ids
         _, stiffness = self.sheet.linearise(state, rest.gas)
         excess = np.zeros((2, len(ids))) if before is None else before.excess[:, ids]
-        distrust = np.sqrt(np.maximum(1.0, excess / [[self.settings.excess], [self.settings.slope_excess]]))
+        distrust = np.sqrt(
+            np.maximum(1.0, excess / [[self.settings.excess], [self.settings.slope_excess]])
+        )
         noise = markers.cov_p + self.settings.marker_floor**2 * np.eye(3)
         weights = np.linalg.inv(np.linalg.cholesky(noise)) / distrust[0, :, None, None]
-        slope_weights, tilts = np.zeros(len(ids)), None
+        slope_weights = np.zeros(len(ids))
+        tilts = None
         if self._slopes is not None:
             slope_weights = self._slopes.weights(markers, c) / distrust[1]
             tilts = self._slopes.rows(c, ids) * slope_weights[:, None, None]
         prior = self.prior.first() if before is None else self.prior.after(before.traction)
         pressure, load = self._gas_drift(state, rest)
         rows = (3 if tilts is None else 5) * len(ids)
-        half, drift = np.empty((rows, 3 * len(self.nodes))), np.zeros((rows, 4))
-        drift[: 3 * len(ids), 1:] = self.settings.drift_camera * weights.reshape(-1, 3)  # slopes do not see the camera move
+        half = np.empty((rows, 3 * len(self.nodes)))
+        drift = np.zeros((rows, 4))
+        # slopes do not see the camera move
+        drift[: 3 * len(ids), 1:] = self.settings.drift_camera * weights.reshape(-1, 3)
         bulge_seen = np.empty(rows)
-        if kernel("inverse_gain")(*self._sight(stiffness, ids, weights, tilts), *self._nodes, prior, stiffness.solve(load), half,
-                                  bulge_seen):
+        if kernel("inverse_gain")(
+            *self._sight(stiffness, ids, weights, tilts),
+            *self._nodes,
+            prior,
+            stiffness.solve(load),
+            half,
+            bulge_seen,
+        ):
             raise MemoryError("no room for a gain")
         drift[:, 0] = bulge_seen
         innovation = half @ half.T + drift @ drift.T
         innovation[np.diag_indices_from(innovation)] += 1.0
         innovation = np.linalg.cholesky(innovation)
-        seen = np.maximum((drift * cho_solve((innovation, True), drift, check_finite=False)).sum(axis=0), 1e-6)
-        return Gain(c, ids, stiffness, half, weights, slope_weights, tilts, distrust, drift, (pressure, load), seen, prior,
-                    innovation, 0 if before is None else before.gain.reweighted + 1)
+        seen = np.maximum(
+            (drift * cho_solve((innovation, True), drift, check_finite=False)).sum(axis=0), 1e-6
+        )
+        return Gain(
+            c,
+            ids,
+            stiffness,
+            half,
+            weights,
+            slope_weights,
+            tilts,
+            distrust,
+            drift,
+            (pressure, load),
+            seen,
+            prior,
+            innovation,
+            0 if before is None else before.gain.reweighted + 1,
+        )
 
     def _gas_drift(self, state: State, rest: InverseRest) -> tuple[float, Array]:
         """One sd of the gas's drift, as pressure, Pa, and as a load (3, n)."""
@@ -227,10 +338,14 @@ class InverseMembrane:
         pressure *= share if rest.gas.constant is not None else 0.0
         return pressure, pressure * state.gradient
 
-    # -- what it means -------------------------------------------------------------------------------------------------
+    # -- what it means
+    # --------------------------------------------------------------------------------
 
-    def traction(self, shape: Shape, before: Shape | None = None, seconds: float = math.inf) -> Traction:
-        """Nodal forces on the grid, net wrench and its covariance, which grows with the motion since `before`, `seconds` ago."""
+    def traction(
+        self, shape: Shape, before: Shape | None = None, seconds: float = math.inf
+    ) -> Traction:
+        """Nodal forces on the grid, net wrench and its covariance, which grows with the motion
+        since `before`, `seconds` ago."""
         force = shape.traction * self.node_area
         positions = self.node_positions(shape.c)
         wrench = _net(force, positions)
@@ -238,8 +353,12 @@ class InverseMembrane:
         nodal[1:-1, 1:-1] = force.reshape(3, len(self.x) - 2, len(self.y) - 2).transpose(2, 1, 0)
         before = shape if before is None else before
         moved = self._at_nodes @ (shape.c - before.c).T
-        felt = Felt(force, wrench - _net(before.traction * self.node_area, positions),
-                    self.node_area @ moved / (self.node_area.sum() * max(seconds, 1e-3)), float(shape.excess[0].mean()))
+        felt = Felt(
+            force,
+            wrench - _net(before.traction * self.node_area, positions),
+            self.node_area @ moved / (self.node_area.sum() * max(seconds, 1e-3)),
+            float(shape.excess[0].mean()),
+        )
         cov = self._posterior(shape, positions)
         cov[np.diag_indices(6)] += self._doubt.variance(felt)
         return Traction(self.x, self.y, nodal, wrench, cov, shape.pressure_gauge, method="inverse")
@@ -256,24 +375,37 @@ class InverseMembrane:
         return moved
 
     def pressing_at_points(self, shape: Shape) -> Array:
-        """Force per cell of the sheet's Gauss points (qx, qy) with which the outside presses, N; never negative."""
+        """Force per cell of the sheet's Gauss points (qx, qy) with which the outside presses, N;
+        never negative."""
         hat_x, hat_y = self._hats
         pressure = np.maximum(-shape.traction[2], 0.0).reshape(hat_x.shape[1], hat_y.shape[1])
         return self.sheet.weights * (hat_x @ pressure @ hat_y.T)
 
     def _posterior(self, shape: Shape, positions: Array) -> Array:
-        """Posterior covariance (6, 6) of the wrench of tractions on nodes at `positions` (J, 3) m: what the prior leaves open
-        between markers, and their noise."""
-        gain, cov = shape.gain, np.empty((6, 6))
+        """Posterior covariance (6, 6) of the wrench of tractions on nodes at `positions` (J, 3) m:
+        what the prior leaves open between markers, and their noise."""
+        gain = shape.gain
+        cov = np.empty((6, 6))
         jx, jy, _, _, *roots = self._nodes
-        if kernel("wrench_posterior")(len(gain.half), jx, jy, *roots, gain.prior, positions, self.node_area, gain.half,
-                                      gain.innovation, cov):
+        if kernel("wrench_posterior")(
+            len(gain.half),
+            jx,
+            jy,
+            *roots,
+            gain.prior,
+            positions,
+            self.node_area,
+            gain.half,
+            gain.innovation,
+            cov,
+        ):
             raise MemoryError("no room for a covariance")
         scale = np.sqrt(self.posterior_share(shape))
         return cov * np.outer(scale, scale)
 
     def posterior_share(self, shape: Shape) -> Array:
-        """Share (6,) of the wrench's predicted variances: more where markers misfit or show drift."""
+        """Share (6,) of the wrench's predicted variances: more where markers misfit or show
+        drift."""
         return np.maximum(max(1.0, shape.misfit) * self._posterior_share, shape.drift - 1)
 
 

@@ -1,8 +1,10 @@
-"""What is believed of the tractions on a grid of nodes before a frame is looked at (docs/equations.md, Eq. F11).
+"""What is believed of the tractions on a grid of nodes before a frame is looked at
+(docs/equations.md, Eq. F11).
 
-Contacts are compact: a node's variance follows the pressure found there before, softened over part of the grid's step and
-limited to what a sheet can carry; what presses on a node presses on its neighbours, too. Shear goes with pressure by
-friction. Tractions are (3, J) Pa, component by component, J = jx * jy nodes with y fastest.
+Contacts are compact: a node's variance follows the pressure found there before, softened over part
+of the grid's step and limited to what a sheet can carry; what presses on a node presses on its
+neighbours, too. Shear goes with pressure by friction. Tractions are (3, J) Pa, component by
+component, J = jx * jy nodes with y fastest.
 """
 
 from __future__ import annotations
@@ -16,22 +18,32 @@ _JITTER = 1e-6  # keeps the correlation's factor finite
 
 
 class LoadPrior:
-    """Prior covariance S C S of nodal tractions: S the nodes' standard deviations, C Gaussian correlation over the grid
-    lines `x` (jx,), `y` (jy,) m, the same for each component. `root`: the lower factors of C along x and along y."""
+    """Prior covariance S C S of nodal tractions: S the nodes' standard deviations, C Gaussian
+    correlation over the grid lines `x` (jx,), `y` (jy,) m, the same for each component. `root`: the
+    lower factors of C along x and along y."""
 
     def __init__(self, x: Array, y: Array, settings: PriorSettings = DEFAULTS.prior):
         self.settings = settings
         self._shape = (len(x), len(y))
-        self.root = tuple(np.linalg.cholesky(_kernel(v, self.settings.correlation) + _JITTER * np.eye(len(v))) for v in (x, y))
-        self._soften = tuple(k / k.sum(axis=1, keepdims=True) for k in (_kernel(v, self.settings.softening) for v in (x, y)))
+        self.root = tuple(
+            np.linalg.cholesky(_kernel(v, self.settings.correlation) + _JITTER * np.eye(len(v)))
+            for v in (x, y)
+        )
+        self._soften = tuple(
+            k / k.sum(axis=1, keepdims=True)
+            for k in (_kernel(v, self.settings.softening) for v in (x, y))
+        )
 
     def first(self) -> Array:
         """Standard deviations (3 J,) Pa before any traction was found."""
         count = self._shape[0] * self._shape[1]
-        return self.settings.pressure_sd * np.repeat([self.settings.friction, self.settings.friction, 1.0], count)
+        return self.settings.pressure_sd * np.repeat(
+            [self.settings.friction, self.settings.friction, 1.0], count
+        )
 
     def after(self, traction: Array) -> Array:
-        """Standard deviations (3 J,) Pa after `traction` (3, J) was found; pulling counts as nothing found."""
+        """Standard deviations (3 J,) Pa after `traction` (3, J) was found; pulling counts as
+        nothing found."""
         by_x, by_y = self._soften
         pressing = (by_x @ np.maximum(-traction[2], 0.0).reshape(self._shape) @ by_y.T).ravel()
         pressing /= np.hypot(1.0, pressing / self.settings.pressure_most)

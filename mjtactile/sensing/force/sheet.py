@@ -1,10 +1,12 @@
-"""The membrane as a spline finite element: forces, tangent stiffness and equilibrium of the sensor file's rubber and gas.
+"""The membrane as a spline finite element: forces, tangent stiffness and equilibrium of the sensor
+file's rubber and gas.
 
-The displacement u(X) of the mounted flat sheet is a tensor-product cubic B-spline, zero on the frame. Its generalised
-forces are those of membrane stress, of gas at gauge pressure p, and of loads on the surface
-(docs/equations.md, Eq. F3-F5, F9). Coefficients are stored as (3, n): component by component, n = kx * ky splines with
-y fastest. Splines overlap only their neighbours, so that the stiffness is a band, but for the gas's term of rank one, which
-Sherman and Morrison's formula keeps apart. The arithmetic is in mjtactile/kernels/sheet.c.
+The displacement u(X) of the mounted flat sheet is a tensor-product cubic B-spline, zero on the
+frame. Its generalised forces are those of membrane stress, of gas at gauge pressure p, and of loads
+on the surface (docs/equations.md, Eq. F3-F5, F9). Coefficients are stored as (3, n): component by
+component, n = kx * ky splines with y fastest. Splines overlap only their neighbours, so that the
+stiffness is a band, but for the gas's term of rank one, which Sherman and Morrison's formula keeps
+apart. The arithmetic is in mjtactile/kernels/sheet.c.
 """
 
 from __future__ import annotations
@@ -20,13 +22,19 @@ from mjtactile.core.types import Array
 from mjtactile.kernels import kernel
 from mjtactile.sensing.law import SheetLaw
 
-_GAUSS = 2  # nodes in each interval of the spline: what is integrated varies over markers, several intervals wide
-_NEWTON_STEPS, _STEP_MAX, _CONVERGED = 80, 1e-3, 1e-9  # m
+# nodes in each interval of the spline: what is integrated varies over markers, several intervals
+# wide
+_GAUSS = 2
+# m
+_NEWTON_STEPS = 80
+_STEP_MAX = 1e-3
+_CONVERGED = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Gas:
-    """What fills the chamber: a sealed amount, p V^gamma = `constant`, or, with None, a valve that keeps `gauge` Pa."""
+    """What fills the chamber: a sealed amount, p V^gamma = `constant`, or, with None, a valve that
+    keeps `gauge` Pa."""
 
     gauge: float
     constant: float | None = None
@@ -42,8 +50,9 @@ class Gas:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """A deformation: its coefficients `c` (3, n) m, the factor `scale` on Young's modulus, the bulge's `volume` m^3 and its
-    `gradient` (3, n) m^2 by the coefficients, and the `elastic` generalised forces (3, n) N."""
+    """A deformation: its coefficients `c` (3, n) m, the factor `scale` on Young's modulus, the
+    bulge's `volume` m^3 and its `gradient` (3, n) m^2 by the coefficients, and the `elastic`
+    generalised forces (3, n) N."""
 
     c: Array
     scale: float
@@ -54,8 +63,8 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Stiffness:
-    """A factorised tangent of `sheet`: the band's Cholesky `factor` at constant pressure, and what the gas changes of the
-    inverse, -`share` w w^T with w = `softened` (3 n,)."""
+    """A factorised tangent of `sheet`: the band's Cholesky `factor` at constant pressure, and what
+    the gas changes of the inverse, -`share` w w^T with w = `softened` (3 n,)."""
 
     sheet: Sheet
     factor: Array
@@ -65,23 +74,32 @@ class Stiffness:
     def solve(self, forces: Array) -> Array:
         """Displacements (3, n) m by generalised forces (3, n) N, to first order."""
         out = np.empty_like(forces)
-        if kernel("sheet_solve")(self.sheet.numbers, self.factor, self.softened, self.share, forces, out):
+        if kernel("sheet_solve")(
+            self.sheet.numbers, self.factor, self.softened, self.share, forces, out
+        ):
             raise MemoryError("no room for displacements")
         return out
 
 
 class Sheet:
-    """Operators of one sensor's membrane on `spans` (x, y) spline intervals. `scale` multiplies Young's modulus."""
+    """Operators of one sensor's membrane on `spans` (x, y) spline intervals. `scale` multiplies
+    Young's modulus."""
 
     def __init__(self, design: SensorDesign, spans: tuple[int, int]):
         design.require_rectangle("inverse finite elements")
         self.design = design
-        self.axes = ax, ay = Cubic(design.frame.length, spans[0], _GAUSS), Cubic(design.frame.width, spans[1], _GAUSS)
-        self.shape, self.count = (ax.count, ay.count), ax.count * ay.count
+        self.axes = ax, ay = (
+            Cubic(design.frame.length, spans[0], _GAUSS),
+            Cubic(design.frame.width, spans[1], _GAUSS),
+        )
+        self.shape = (ax.count, ay.count)
+        self.count = ax.count * ay.count
         self.weights = np.outer(ax.weights, ay.weights)
         bx, by = ([a.at(a.points, k) for k in (0, 1)] for a in (ax, ay))
-        self._up_x, self._up_y = np.concatenate(bx), np.concatenate(by).T.copy()
-        sheet, law = design.membrane, SheetLaw(design.membrane)
+        self._up_x = np.concatenate(bx)
+        self._up_y = np.concatenate(by).T.copy()
+        sheet = design.membrane
+        law = SheetLaw(design.membrane)
         self.numbers = np.array([ax.length, ay.length, *spans, sheet.pre_stretch**2, *law.numbers])
         self.law = law.table
         self.width = 3 * (3 * ay.count + 3) + 2  # of the stiffness's band
@@ -91,19 +109,24 @@ class Sheet:
         a, b = (axis.at(x) for axis, x in zip(self.axes, X.T, strict=True))
         return (a[:, :, None] * b[:, None, :]).reshape(len(X), -1)
 
-    # -- one state -----------------------------------------------------------------------------------------------------
+    # -- one state
+    # --------------------------------------------------------------------------------
 
     def state(self, c: Array, scale: float = 1.0) -> State:
         """What coefficients `c` (3, n) m make of the sheet."""
-        elastic, gradient = np.empty_like(c), np.empty_like(c)
+        elastic = np.empty_like(c)
+        gradient = np.empty_like(c)
         volume = kernel("sheet_state")(self.numbers, self.law, c, scale, elastic, gradient)
         return State(c, scale, volume, gradient, elastic)
 
     def area_vector(self, c: Array, weight: Array) -> Array:
-        """The sum (3,) of the area vectors dx/dX cross dx/dY at the Gauss points, times `weight` (qx, qy)."""
+        """The sum (3,) of the area vectors dx/dX cross dx/dY at the Gauss points, times `weight`
+        (qx, qy)."""
         qx, qy = weight.shape
-        up = self._up_x @ c.reshape(3, *self.shape) @ self._up_y  # (3, 2 qx, 2 qy): value and slope along x, y
-        g1, g2 = up[:, qx:, :qy], up[:, :qx, qy:]
+        # (3, 2 qx, 2 qy): value and slope along x, y
+        up = self._up_x @ c.reshape(3, *self.shape) @ self._up_y
+        g1 = up[:, qx:, :qy]
+        g2 = up[:, :qx, qy:]
         g1[0] += 1
         g2[1] += 1
         M = (g1 * weight).reshape(3, -1) @ g2.reshape(3, -1).T
@@ -111,44 +134,58 @@ class Sheet:
 
     @staticmethod
     def residual(state: State, pressure_gauge: float) -> Array:
-        """Generalised forces (3, n) N that hold the state: elastic minus gas (Eq. F9); zero at rest."""
+        """Generalised forces (3, n) N that hold the state: elastic minus gas (Eq. F9); zero at
+        rest."""
         return state.elastic - pressure_gauge * state.gradient
 
     def tangent(self, state: State, pressure_gauge: float) -> Array:
-        """d(residual)/dc at constant pressure, N/m (Eq. F10): the lower band (3 n, stride) as kernels/band.h has it, with the
-        three components of a spline together."""
+        """d(residual)/dc at constant pressure, N/m (Eq. F10): the lower band (3 n, stride) as
+        kernels/band.h has it, with the three components of a spline together."""
         band = np.empty((3 * self.count, (self.width + 8) // 4 * 4))
-        if kernel("sheet_tangent")(self.numbers, self.law, state.c, state.scale, pressure_gauge, band):
+        if kernel("sheet_tangent")(
+            self.numbers, self.law, state.c, state.scale, pressure_gauge, band
+        ):
             raise MemoryError("no room for a stiffness")
         return band
 
-    # -- equilibrium ---------------------------------------------------------------------------------------------------
+    # -- equilibrium
+    # --------------------------------------------------------------------------------
 
     def gas_pressure(self, state: State, gas: Gas) -> tuple[float, float]:
         """Gauge pressure, Pa, and stiffness -dp/dV, Pa/m^3, of the gas in this state."""
         chamber = self.design.chamber
         volume = self.design.chamber_volume_flat + state.volume
-        return (gas.pressure_gauge(volume, chamber.ambient, chamber.heat_ratio), gas.stiffness(volume, chamber.heat_ratio))
+        return (
+            gas.pressure_gauge(volume, chamber.ambient, chamber.heat_ratio),
+            gas.stiffness(volume, chamber.heat_ratio),
+        )
 
     def seal(self, state: State, pressure_gauge: float) -> Gas:
-        """The gas that is in the chamber in this state, at this gauge pressure, kept from now on."""
-        chamber, volume = self.design.chamber, self.design.chamber_volume_flat + state.volume
+        """The gas that is in the chamber in this state, at this gauge pressure, kept from now
+        on."""
+        chamber = self.design.chamber
+        volume = self.design.chamber_volume_flat + state.volume
         return Gas(pressure_gauge, (chamber.ambient + pressure_gauge) * volume**chamber.heat_ratio)
 
     def linearise(self, state: State, gas: Gas) -> tuple[Array, Stiffness]:
-        """Residual (3, n) and its factorised tangent, gas stiffness included. Where wrinkles make the sheet's own indefinite, it
-        is pushed towards the identity until it is not."""
+        """Residual (3, n) and its factorised tangent, gas stiffness included. Where wrinkles make
+        the sheet's own indefinite, it is pushed towards the identity until it is not."""
         pressure, gas_stiffness = self.gas_pressure(state, gas)
-        band, softened = self.tangent(state, pressure), np.empty(3 * self.count)
+        band = self.tangent(state, pressure)
+        softened = np.empty(3 * self.count)
         if kernel("factor_definite")(len(band), self.width, band):
             raise np.linalg.LinAlgError("the membrane's stiffness is not finite")
         share = kernel("soften")(self.numbers, band, state.gradient, gas_stiffness, softened)
         return self.residual(state, pressure), Stiffness(self, band, softened, share)
 
-    def equilibrium(self, gas: Gas, scale: float = 1.0, load: Array | None = None, start: Array | None = None) -> Array:
-        """Coefficients (3, n) at rest under `gas` and generalised loads (3, n) N, by Newton steps from `start`.
+    def equilibrium(
+        self, gas: Gas, scale: float = 1.0, load: Array | None = None, start: Array | None = None
+    ) -> Array:
+        """Coefficients (3, n) at rest under `gas` and generalised loads (3, n) N, by Newton steps
+        from `start`.
 
-        Raises MjtactileError when no equilibrium is found (a design that cannot hold its own pressure).
+        Raises MjtactileError when no equilibrium is found (a design that cannot hold its own
+        pressure).
         """
         c: Array = np.zeros((3, self.count)) if start is None else start.copy()
         for _ in range(_NEWTON_STEPS):
@@ -158,4 +195,6 @@ class Sheet:
             c -= min(1.0, _STEP_MAX / max(largest, 1e-30)) * step
             if largest < _CONVERGED:
                 return c
-        raise MjtactileError(f"sensor {self.design.name}: the membrane finds no equilibrium at {gas.gauge:g} Pa")
+        raise MjtactileError(
+            f"sensor {self.design.name}: the membrane finds no equilibrium at {gas.gauge:g} Pa"
+        )

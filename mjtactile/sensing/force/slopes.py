@@ -1,7 +1,8 @@
 """How the sheet is tilted at its markers, as data for the inverse (docs/equations.md, Eq. F11).
 
-A marker is a circle that lies in the sheet, so that its ellipse tells the sheet's slopes there. Between markers that stand
-far apart that is what tells a flat face, which they see from its rim, from a ball that dents deeper.
+A marker is a circle that lies in the sheet, so that its ellipse tells the sheet's slopes there.
+Between markers that stand far apart that is what tells a flat face, which they see from its rim,
+from a ball that dents deeper.
 """
 
 from __future__ import annotations
@@ -17,17 +18,21 @@ from mjtactile.sensing.shape.surface import slope_sd
 
 
 class MarkerSlopes:
-    """Slopes (dz/dx, dz/dy) of one sheet at its markers (N, 3), m, mounted and flat; `distance` m of the camera."""
+    """Slopes (dz/dx, dz/dy) of one sheet at its markers (N, 3), m, mounted and flat; `distance` m
+    of the camera."""
 
     def __init__(self, sheet: Sheet, p_SM: Array, distance: float, settings: InverseSettings):
         self._settings = settings
         axes = list(zip(sheet.axes, p_SM[:, :2].T, strict=True))
         (bx, dx), (by, dy) = ([axis.at(at, k) for k in (0, 1)] for axis, at in axes)
-        self._along_x, self._along_y = ((a[:, :, None] * b[:, None, :]).reshape(len(p_SM), -1) for a, b in ((dx, by), (bx, dy)))
+        self._along_x, self._along_y = (
+            (a[:, :, None] * b[:, None, :]).reshape(len(p_SM), -1) for a, b in ((dx, by), (bx, dy))
+        )
         self._behind = np.array([0.0, 0.0, distance])
 
     def off(self, markers: Markers, c: Array) -> Array:
-        """Measured less modelled slopes (m, 2), for coefficients `c` (3, n) m; NaN where a marker's normal is not known."""
+        """Measured less modelled slopes (m, 2), for coefficients `c` (3, n) m; NaN where a marker's
+        normal is not known."""
         (x1, y1, z1), (x2, y2, z2) = (g.T for g in self._tangents(c, markers.ids))
         over = 1 / (x1 * y2 - y1 * x2)  # of the normal's z; x and y of it follow
         slopes = np.stack([z1 * y2 - y1 * z2, x1 * z2 - z1 * x2], axis=1) * over[:, None]
@@ -40,13 +45,15 @@ class MarkerSlopes:
         p_CM = markers.p_SM + self._behind
         s = self._settings
         sd = np.hypot(s.slope_model_sd, slope_sd(n, p_CM, markers.cov_p[:, 2, 2]))
-        use = (sd < s.slope_sd_most) & (np.abs(self.off(markers, c)).max(axis=1) < s.slope_off_most)  # False for NaN
+        # False for NaN
+        use = (sd < s.slope_sd_most) & (np.abs(self.off(markers, c)).max(axis=1) < s.slope_off_most)
         return np.where(use, 1 / sd, 0.0)
 
     def rows(self, c: Array, ids: NDArray[np.int64]) -> Array:
         """Derivatives (2, m, 2, 3) of the slopes by the tangents dx/dX and dx/dY at the markers.
 
-        s_k = -N_k / N_z with N = g1 x g2: ds_k = q_k . dN = dg1 . (g2 x q_k) + dg2 . (q_k x g1), q_k = -(e_k + s_k e_z) / N_z.
+        s_k = -N_k / N_z with N = g1 x g2: ds_k = q_k . dN = dg1 . (g2 x q_k) + dg2 . (q_k x g1),
+        q_k = -(e_k + s_k e_z) / N_z.
         """
         g1, g2 = self._tangents(c, ids)
         N = geometry.cross(g1, g2)
@@ -58,4 +65,7 @@ class MarkerSlopes:
 
     def _tangents(self, c: Array, ids: NDArray[np.int64]) -> tuple[Array, Array]:
         """dx/dX and dx/dY (m, 3) at the markers."""
-        return (self._along_x[ids] @ c.T + [1.0, 0.0, 0.0], self._along_y[ids] @ c.T + [0.0, 1.0, 0.0])
+        return (
+            self._along_x[ids] @ c.T + [1.0, 0.0, 0.0],
+            self._along_y[ids] @ c.T + [0.0, 1.0, 0.0],
+        )

@@ -1,8 +1,9 @@
 """Is there a touch at all, and the zero that follows the weather while there is none (Eq. F15).
 
-A tenth of a kelvin of the chamber's gas, or 0.3 hPa of weather, moves the felt force by as much as a light touch. While
-nothing touches, the amount of gas and the markers' offsets are followed slowly; in contact they are frozen. A touch that comes
-slowly is none yet by its force, but it is local, which weather is not.
+A tenth of a kelvin of the chamber's gas, or 0.3 hPa of weather, moves the felt force by as much as
+a light touch. While nothing touches, the amount of gas and the markers' offsets are followed
+slowly; in contact they are frozen. A touch that comes slowly is none yet by its force, but it is
+local, which weather is not.
 """
 
 from __future__ import annotations
@@ -18,9 +19,10 @@ from mjtactile.sensing.settings import DEFAULTS, ZeroSettings
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """Whether something touches, and what the next image needs: `time` s, `touching`, since when all is quiet, `noise` N: the
-    sd of the normal force from image to image, the number of `images` it was learnt from, the last `force`, N, and its
-    `level`, a mean over the last few images that is as light a touch as can be told from noise."""
+    """Whether something touches, and what the next image needs: `time` s, `touching`, since when
+    all is quiet, `noise` N: the sd of the normal force from image to image, the number of `images`
+    it was learnt from, the last `force`, N, and its `level`, a mean over the last few images that
+    is as light a touch as can be told from noise."""
 
     time: float
     touching: bool
@@ -36,13 +38,18 @@ def threshold(noise: float, s: ZeroSettings = DEFAULTS.zero) -> float:
     return max(s.touch_least, s.touch_sd * noise)
 
 
-def detect_touch(time: float, traction: Traction, before: Detection | None, s: ZeroSettings = DEFAULTS.zero) -> Detection:
+def detect_touch(
+    time: float, traction: Traction, before: Detection | None, s: ZeroSettings = DEFAULTS.zero
+) -> Detection:
     """Decide on touch from the net force of an image at `time` s."""
-    force, sd = -float(traction.wrench[2]), float(np.sqrt(traction.wrench_cov[2, 2]))
+    force = -float(traction.wrench[2])
+    sd = float(np.sqrt(traction.wrench_cov[2, 2]))
     if before is None or time < before.time:
         before = Detection(time, False, time, min(sd, s.noise_first), 0, force, 0.0)
     level = before.level + s.blend * (force - before.level)
-    level = float(np.clip(level, force - s.jump_sd * before.noise, force + s.jump_sd * before.noise))
+    level = float(
+        np.clip(level, force - s.jump_sd * before.noise, force + s.jump_sd * before.noise)
+    )
     release = s.release if before.touching else 1.0
     level_noise = float(np.sqrt(s.blend / (2 - s.blend))) * before.noise
     if force > threshold(before.noise, s) * release or level > threshold(level_noise, s) * release:
@@ -56,8 +63,8 @@ def detect_touch(time: float, traction: Traction, before: Detection | None, s: Z
 
 @dataclass(frozen=True, eq=False)
 class Zero:
-    """The rest state that is followed, and by how much all markers stand apart from it, `apart` (N, 3) m, a mean over about
-    `ZeroSettings.smooth` s."""
+    """The rest state that is followed, and by how much all markers stand apart from it, `apart` (N,
+    3) m, a mean over about `ZeroSettings.smooth` s."""
 
     rest: InverseRest
     apart: Array
@@ -67,14 +74,24 @@ class Zero:
         return cls(rest, np.zeros_like(rest.offset))
 
 
-def follow(estimator: InverseMembrane, zero: Zero, shape: Shape, markers: Markers, step: float,
-           s: ZeroSettings = DEFAULTS.zero) -> Zero:
-    """The zero after `step` s more without touch: gas and offsets move a little towards what the markers show.
+def follow(
+    estimator: InverseMembrane,
+    zero: Zero,
+    shape: Shape,
+    markers: Markers,
+    step: float,
+    s: ZeroSettings = DEFAULTS.zero,
+) -> Zero:
+    """The zero after `step` s more without touch: gas and offsets move a little towards what the
+    markers show.
 
-    The gas takes the part of the markers' motion that a change of its amount would make; the offsets take what is left. What
-    neither gas nor a camera that has moved would make is a touch too light to be felt yet: then they move hardly at all.
+    The gas takes the part of the markers' motion that a change of its amount would make; the
+    offsets take what is left. What neither gas nor a camera that has moved would make is a touch
+    too light to be felt yet: then they move hardly at all.
     """
-    rest, ids, blend = zero.rest, markers.ids, step / (step + s.smooth)
+    rest = zero.rest
+    ids = markers.ids
+    blend = step / (step + s.smooth)
     seen = estimator.positions(rest.c)[ids] + rest.offset[ids]
     apart = zero.apart.copy()
     apart[ids] += blend * (markers.p_SM - seen - apart[ids])
@@ -83,27 +100,41 @@ def follow(estimator: InverseMembrane, zero: Zero, shape: Shape, markers: Marker
     share, local = _explain(apart[ids], moved[ids], markers.cov_p)
     pace = step / (step + s.follow) * (s.slowly if local > s.local_most else 1.0)
     share = float(np.clip(pace * share, -s.drift_rate * step, s.drift_rate * step))
-    gas = rest.gas if rest.gas.constant is None else replace(rest.gas, constant=rest.gas.constant * (1 + share))
+    gas = (
+        rest.gas
+        if rest.gas.constant is None
+        else replace(rest.gas, constant=rest.gas.constant * (1 + share))
+    )
     left = np.zeros_like(apart)
     left[ids] = s.offset_share * pace * (apart[ids] - share * moved[ids])
-    return Zero(replace(rest, gas=gas, c=rest.c + share * bulge, offset=rest.offset + left), apart - share * moved - left)
+    return Zero(
+        replace(rest, gas=gas, c=rest.c + share * bulge, offset=rest.offset + left),
+        apart - share * moved - left,
+    )
 
 
 def _of_gas(estimator: InverseMembrane, rest: InverseRest, shape: Shape) -> Array:
-    """Coefficients (3, n) m by which the sheet bulges further for a whole more of the gas; 0 where a valve keeps the pressure."""
+    """Coefficients (3, n) m by which the sheet bulges further for a whole more of the gas; 0 where
+    a valve keeps the pressure."""
     if rest.gas.constant is None:
         return np.zeros_like(rest.c)
-    state, chamber = estimator.sheet.state(rest.c, rest.stiffness_scale), estimator.design.chamber
-    per_share = rest.gas.constant / (estimator.design.chamber_volume_flat + state.volume) ** chamber.heat_ratio  # Pa
+    state = estimator.sheet.state(rest.c, rest.stiffness_scale)
+    chamber = estimator.design.chamber
+    # Pa
+    per_share = (
+        rest.gas.constant
+        / (estimator.design.chamber_volume_flat + state.volume) ** chamber.heat_ratio
+    )
     return shape.gain.stiffness.solve(per_share * state.gradient)
 
 
 def _explain(apart: Array, moved: Array, cov: Array) -> tuple[float, float]:
-    """The share of the gas's motion `moved` (m, 3) in `apart` (m, 3), and the mean square, over the markers' variance `cov`
-    (m, 3, 3), of what is left of it by gas and a moved camera."""
+    """The share of the gas's motion `moved` (m, 3) in `apart` (m, 3), and the mean square, over the
+    markers' variance `cov` (m, 3, 3), of what is left of it by gas and a moved camera."""
     whiten = np.linalg.inv(np.linalg.cholesky(cov))
     camera = np.broadcast_to(np.eye(3), (len(apart), 3, 3))
     columns = np.concatenate([moved[:, :, None], camera], axis=2) if moved.any() else camera
-    A, b = (whiten @ columns).reshape(3 * len(apart), -1), (whiten @ apart[:, :, None]).ravel()
+    A = (whiten @ columns).reshape(3 * len(apart), -1)
+    b = (whiten @ apart[:, :, None]).ravel()
     found, *_ = np.linalg.lstsq(A, b, rcond=None)
     return float(found[0]) if moved.any() else 0.0, float(((b - A @ found) ** 2).mean())

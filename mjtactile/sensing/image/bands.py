@@ -1,4 +1,5 @@
-"""The pixels that a marker's fit looks at: a band along its edge, less what other markers darken. All in ragged arrays."""
+"""The pixels that a marker's fit looks at: a band along its edge, less what other markers darken.
+All in ragged arrays."""
 
 from __future__ import annotations
 
@@ -14,21 +15,28 @@ from mjtactile.sensing.settings import EdgeSettings
 _FAR = 1e7  # px; beyond any image
 
 
-def band(size: tuple[int, int], center: Array, shape: Array, width: float) -> tuple[NDArray, NDArray, NDArray]:
-    """Pixels within +-`width` of each ellipse: flat lists `u`, `v`, and `counts` (N,) of pixels per ellipse.
+def band(
+    size: tuple[int, int], center: Array, shape: Array, width: float
+) -> tuple[NDArray, NDArray, NDArray]:
+    """Pixels within +-`width` of each ellipse: flat lists `u`, `v`, and `counts` (N,) of pixels per
+    ellipse.
 
     Row by row: each image row cuts the outer and the inner ellipse in at most one interval each.
     """
-    outer, inner = shape + [width, 0, width], shape - [width, 0, width]
+    outer = shape + [width, 0, width]
+    inner = shape - [width, 0, width]
     hollow = (inner[:, 0] > 0) & (inner[:, 0] * inner[:, 2] > inner[:, 1] ** 2)
     reach = np.sqrt(outer[:, 1] ** 2 + outer[:, 2] ** 2)
     top = np.ceil(center[:, 1] - reach).astype(np.int64)
     rows = int(np.ceil(2 * reach.max())) + 1
     v = top[:, None] + np.arange(rows)
     left, right = _chord(outer, v - center[:, 1:], center[:, :1])
-    hole_left, hole_right = _chord(np.where(hollow[:, None], inner, [1e-3, 0, 1e-3]), v - center[:, 1:], center[:, :1])
+    hole_left, hole_right = _chord(
+        np.where(hollow[:, None], inner, [1e-3, 0, 1e-3]), v - center[:, 1:], center[:, :1]
+    )
     inside_rows = (v >= 0) & (v < size[0])
-    left, right = np.maximum(np.ceil(left), 0), np.minimum(np.floor(right), size[1] - 1)
+    left = np.maximum(np.ceil(left), 0)
+    right = np.minimum(np.floor(right), size[1] - 1)
     holed = hollow[:, None] & (hole_right > hole_left)
     middle_left = np.where(holed, np.minimum(np.floor(hole_left), right), right)
     middle_right = np.where(holed, np.maximum(np.ceil(hole_right), left), right + 1)
@@ -46,9 +54,12 @@ def band(size: tuple[int, int], center: Array, shape: Array, width: float) -> tu
 
 
 def _chord(shape: Array, dy: Array, u0: Array) -> tuple[Array, Array]:
-    """Where rows at `dy` (N, R) from the centre cut the ellipses; an empty interval where they do not."""
+    """Where rows at `dy` (N, R) from the centre cut the ellipses; an empty interval where they do
+    not."""
     p, q, s = ellipse.inverse_shape(shape).T[..., None]
-    A, B, C = p * p + q * q, q * (p + s), q * q + s * s
+    A = p * p + q * q
+    B = q * (p + s)
+    C = q * q + s * s
     under = (B * dy) ** 2 - A * (C * dy * dy - 1)
     half = np.sqrt(np.maximum(under, 0)) / A
     middle = u0 - B * dy / A
@@ -56,11 +67,14 @@ def _chord(shape: Array, dy: Array, u0: Array) -> tuple[Array, Array]:
 
 
 class Pixels:
-    """The pixels of some markers as flat float32 arrays: `x`, `y` from each marker's origin, `observed`, and the bounds
-    of each marker's stretch."""
+    """The pixels of some markers as flat float32 arrays: `x`, `y` from each marker's origin,
+    `observed`, and the bounds of each marker's stretch."""
 
     def __init__(self, x: NDArray, y: NDArray, observed: NDArray, counts: NDArray):
-        self.x, self.y, self.observed, self.counts = x, y, observed, counts
+        self.x = x
+        self.y = y
+        self.observed = observed
+        self.counts = counts
         self.starts = np.cumsum(counts) - counts
 
     def sums(self, values: NDArray) -> Array:
@@ -75,14 +89,17 @@ class Pixels:
         """Every `stride`-th pixel of each marker."""
         counts = -(-self.counts // stride)
         starts = np.cumsum(counts) - counts
-        index = (np.arange(counts.sum()) - np.repeat(starts, counts)) * stride + np.repeat(self.starts, counts)
+        index = (np.arange(counts.sum()) - np.repeat(starts, counts)) * stride + np.repeat(
+            self.starts, counts
+        )
         return Pixels(self.x[index], self.y[index], self.observed[index], counts)
 
 
 @dataclass(frozen=True)
 class Around:
-    """Markers of `center` (M, 2) and `shape` (M, 3) that may darken the band of another: `near` (N, k) indices for each
-    of N, -1 where there are fewer than k; `margin` px beside their edges darken it, too."""
+    """Markers of `center` (M, 2) and `shape` (M, 3) that may darken the band of another: `near` (N,
+    k) indices for each of N, -1 where there are fewer than k; `margin` px beside their edges darken
+    it, too."""
 
     center: Array
     shape: Array
@@ -96,16 +113,20 @@ class Around:
         if len(center) < 2:
             return cls(center, shape, near, s.clear)
         reach = np.hypot(shape[:, [0, 2]], shape[:, 1:2]).max(axis=1)
-        from scipy.spatial import KDTree  # lazily: a tenth of a second, and only small markers need it
+        # lazily: a tenth of a second, and only small markers need it
+        from scipy.spatial import KDTree
 
         pairs = KDTree(center).query_pairs(2 * reach.max() + width + s.clear, output_type="ndarray")
         i, j = np.concatenate([pairs, pairs[:, ::-1]]).T
         apart = np.hypot(*(center[i] - center[j]).T)
         close = (i < count) & (apart < reach[i] + reach[j] + width + s.clear)
         # no candidate that is the marker itself, or what it lies on, such as a sheet of paper
-        close &= (apart > np.maximum(reach[i], s.apart * reach[j])) & (reach[j] < s.larger * reach[i])
+        close &= (apart > np.maximum(reach[i], s.apart * reach[j])) & (
+            reach[j] < s.larger * reach[i]
+        )
         order = np.flatnonzero(close)[np.argsort(i[close], kind="stable")]
-        i, j = i[order], j[order]
+        i = i[order]
+        j = j[order]
         counts = np.bincount(i, minlength=count)
         near = np.full((count, int(counts.max(initial=0))), -1, dtype=np.int64)
         near[i, np.arange(len(i)) - np.repeat(np.cumsum(counts) - counts, counts)] = j
@@ -121,7 +142,8 @@ class Around:
         for column in self.near.T:
             some = np.flatnonzero(np.repeat(column >= 0, counts))
             at = np.repeat(column, counts)[some]
-            dx, dy = u[some] - self.center[at, 0], v[some] - self.center[at, 1]
+            dx = u[some] - self.center[at, 0]
+            dy = v[some] - self.center[at, 1]
             p, q, s = grown[at].T
             clear[some] &= (p * dx + q * dy) ** 2 + (q * dx + s * dy) ** 2 > 1
         return clear

@@ -1,4 +1,5 @@
-"""Where markers may be: Suzuki-Abe borders on a local threshold, and the area moments of each border.
+"""Where markers may be: Suzuki-Abe borders on a local threshold, and the area moments of each
+border.
 
 Nothing here is more precise than about half a pixel, on purpose.
 """
@@ -18,8 +19,9 @@ from mjtactile.sensing.settings import DEFAULTS, CandidateSettings
 
 @dataclass(frozen=True)
 class Candidates:
-    """N borders: `center` (N, 2), `shape` (N, 3) of the ellipse with the same moments, `misfit` (N,) the largest
-    distance of the border from that ellipse in px, `cut` (N,) whether it touches the image's edge."""
+    """N borders: `center` (N, 2), `shape` (N, 3) of the ellipse with the same moments, `misfit`
+    (N,) the largest distance of the border from that ellipse in px, `cut` (N,) whether it touches
+    the image's edge."""
 
     center: Array
     shape: Array
@@ -30,21 +32,35 @@ class Candidates:
         return len(self.center)
 
     def take(self, keep: NDArray[np.bool_]) -> Candidates:
-        return self if keep.all() else Candidates(self.center[keep], self.shape[keep], self.misfit[keep], self.cut[keep])
+        return (
+            self
+            if keep.all()
+            else Candidates(self.center[keep], self.shape[keep], self.misfit[keep], self.cut[keep])
+        )
 
     def joined(self, more: Candidates) -> Candidates:
         """These and then `more`."""
-        return Candidates(*(np.concatenate([a, b]) for a, b in zip(vars(self).values(), vars(more).values(), strict=True)))
+        return Candidates(
+            *(
+                np.concatenate([a, b])
+                for a, b in zip(vars(self).values(), vars(more).values(), strict=True)
+            )
+        )
 
 
 _NONE = Candidates(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, dtype=bool))
 
 
-def find(dark: NDArray[np.uint8], min_radius_px: float, s: CandidateSettings = DEFAULTS.candidates) -> Candidates:
-    """Candidates for dark blobs in an 8-bit image (H, W) with semi-axes of at least about `min_radius_px`."""
+def find(
+    dark: NDArray[np.uint8], min_radius_px: float, s: CandidateSettings = DEFAULTS.candidates
+) -> Candidates:
+    """Candidates for dark blobs in an 8-bit image (H, W) with semi-axes of at least about
+    `min_radius_px`."""
     if min_radius_px >= s.half_from and min(dark.shape) >= 4 * s.cells:
         height, width = (side // 2 for side in dark.shape)
-        half = cv2.resize(dark[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
+        half = cv2.resize(
+            dark[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA
+        )
         found = find(half, min_radius_px / 2, s)
         # the middle of the first 2 x 2 pixels is at (0.5, 0.5)
         return Candidates(2 * found.center + 0.5, 2 * found.shape, 2 * found.misfit, found.cut)
@@ -56,25 +72,30 @@ def outlines(binary: NDArray[np.uint8], min_radius_px: float, s: CandidateSettin
     borders, tree = cv2.findContours(binary, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
     if not borders:
         return _NONE
-    # Outer borders only (no parent): a disc larger than the threshold's neighbourhood comes out hollow. Straight runs
-    # are given by their ends; less than six corners are no disc.
+    # Outer borders only (no parent): a disc larger than the threshold's neighbourhood comes out
+    # hollow. Straight runs are given by their ends; less than six corners are no disc.
     counts = np.fromiter(map(len, borders), np.int64, len(borders))
     keep = (tree[0, :, 3] < 0) & (counts > 5)
     if not keep.any():
         return _NONE
     if not keep.all():
-        borders, counts = [borders[i] for i in np.flatnonzero(keep)], counts[keep]
+        borders = [borders[i] for i in np.flatnonzero(keep)]
+        counts = counts[keep]
     found = _moments(np.concatenate(borders), counts, binary.shape)
     a, b, c = found.shape.T
     return found.take(a * c - b * b > (s.smallest * min_radius_px) ** 2)
 
 
-def threshold(dark: NDArray[np.uint8], s: CandidateSettings = DEFAULTS.candidates) -> NDArray[np.uint8]:
+def threshold(
+    dark: NDArray[np.uint8], s: CandidateSettings = DEFAULTS.candidates
+) -> NDArray[np.uint8]:
     """Binary image: what is darker than the mean of its neighbourhood, by a margin."""
     height, width = dark.shape
     small = dark
     while min(small.shape) >= 1.5 * s.cells:  # halving is what cv2 does fastest
-        small = cv2.resize(small, (small.shape[1] // 2, small.shape[0] // 2), interpolation=cv2.INTER_AREA)
+        small = cv2.resize(
+            small, (small.shape[1] // 2, small.shape[0] // 2), interpolation=cv2.INTER_AREA
+        )
     small = cv2.blur(small, (5, 5))
     soft = cv2.GaussianBlur(dark, (3, 3), 0)
     margin = cv2.max(small // 24, noise_margin(soft, s))
@@ -83,19 +104,28 @@ def threshold(dark: NDArray[np.uint8], s: CandidateSettings = DEFAULTS.candidate
 
 
 def noise_margin(soft: NDArray[np.uint8], s: CandidateSettings) -> float:
-    """Several times the noise left in `soft`, from the median difference of neighbours on some of the rows."""
+    """Several times the noise left in `soft`, from the median difference of neighbours on some of
+    the rows."""
     rows = soft[:: max(1, soft.shape[0] // 16)]
-    histogram = cv2.calcHist([cv2.absdiff(rows[:, 1:], rows[:, :-1])], [0], None, [256], [0, 256]).ravel()
+    histogram = cv2.calcHist(
+        [cv2.absdiff(rows[:, 1:], rows[:, :-1])], [0], None, [256], [0, 256]
+    ).ravel()
     below = histogram.cumsum()
     return float(min(max(s.noise * below.searchsorted(below[-1] / 2), s.margins[0]), s.margins[1]))
 
 
-def _moments(points: NDArray[np.int32], counts: NDArray[np.int64], size: tuple[int, ...]) -> Candidates:
-    """Area moments of all borders at once, by Green's theorem on the polygons through their pixels' centres.
+def _moments(
+    points: NDArray[np.int32], counts: NDArray[np.int64], size: tuple[int, ...]
+) -> Candidates:
+    """Area moments of all borders at once, by Green's theorem on the polygons through their pixels'
+    centres.
 
     `points` (P, 1, 2) of one border after the other, `counts` (N,) of them.
     """
     n = len(counts)
-    center, shape, misfit, cut = np.empty((n, 2)), np.empty((n, 3)), np.empty(n), np.empty(n, np.int64)
+    center = np.empty((n, 2))
+    shape = np.empty((n, 3))
+    misfit = np.empty(n)
+    cut = np.empty(n, np.int64)
     kernel("border_moments")(n, counts, points, *size, center, shape, misfit, cut)
     return Candidates(center, shape, misfit, cut != 0)

@@ -1,14 +1,16 @@
-"""Sub-pixel ellipses by least squares on the image itself, for all markers at once (no per-marker call).
+"""Sub-pixel ellipses by least squares on the image itself, for all markers at once (no per-marker
+call).
 
-The estimator for small or much blurred markers; `profiles` is ten times faster where there is room for it. Model of
-the pixels near one marker's edge, (dx, dy) from its centre:
+The estimator for small or much blurred markers; `profiles` is ten times faster where there is room
+for it. Model of the pixels near one marker's edge, (dx, dy) from its centre:
 
     I = (1 + g . (dx, dy)) (outside + (inside - outside) F)
 
-F is the filled ellipse blurred by a Gaussian of sd sigma (lens, pixel and the softening below together). For large
-markers F = Phi(-(n + kappa sigma^2/2)/sigma), with n the outward distance and kappa the edge's curvature: blurred, a
-curved edge has its 50 % level further in (41 um of depth in the paper's geometry). For small ones F is integrated.
-Ten parameters a marker: centre, shape, inside, outside, gradient g of the light, sigma. Gauss-Newton, robust weights.
+F is the filled ellipse blurred by a Gaussian of sd sigma (lens, pixel and the softening below
+together). For large markers F = Phi(-(n + kappa sigma^2/2)/sigma), with n the outward distance and
+kappa the edge's curvature: blurred, a curved edge has its 50 % level further in (41 um of depth in
+the paper's geometry). For small ones F is integrated. Ten parameters a marker: centre, shape,
+inside, outside, gradient g of the light, sigma. Gauss-Newton, robust weights.
 """
 
 from __future__ import annotations
@@ -25,21 +27,29 @@ from mjtactile.sensing.image.bands import Around, Pixels, band
 from mjtactile.sensing.settings import DEFAULTS, EdgeSettings
 
 PARAMETERS = 10
-# A light softening first: what a camera does to single pixels (sharpening, demosaicing, compression) matters less then.
+# A light softening first: what a camera does to single pixels (sharpening, demosaicing,
+# compression) matters less then.
 SOFTEN = np.array([0.2, 0.6, 0.2])
 SOFTEN_VARIANCE = 0.4  # px^2 per axis
 _PIXELS_AT_ONCE = 30_000  # a working set that stays in the processor's cache
 _PIXELS_FIRST = 170  # pixels per marker for the first steps and for the normal matrix
 _SETTLED = 0.05  # px: the largest last step of a fit that has converged
 UNSETTLED = 1e3  # grey levels added to the residual of any other, so that nobody trusts it
-_HERMITE = ((0.0, 8 / 15), (1.3556262, 0.22207592), (-1.3556262, 0.22207592), (2.8569700, 0.01125741), (-2.8569700, 0.01125741))
+_HERMITE = (
+    (0.0, 8 / 15),
+    (1.3556262, 0.22207592),
+    (-1.3556262, 0.22207592),
+    (2.8569700, 0.01125741),
+    (-2.8569700, 0.01125741),
+)
 
 
 @dataclass(frozen=True)
 class EdgeFit:
-    """N fits: `center` (N, 2), `shape` (N, 3) px, `cov` (N, 5, 5) of (u, v, p, q, s), `inside`, `outside` levels (N,),
-    `blur` (N,) px, `residual` (N,) rms in grey levels, `pixels` (N,) used, `lost` (N,) share of robust weight lost,
-    `motion` (N,) px: how much of the correction for blur is owed to motion."""
+    """N fits: `center` (N, 2), `shape` (N, 3) px, `cov` (N, 5, 5) of (u, v, p, q, s), `inside`,
+    `outside` levels (N,), `blur` (N,) px, `residual` (N,) rms in grey levels, `pixels` (N,) used,
+    `lost` (N,) share of robust weight lost, `motion` (N,) px: how much of the correction for blur
+    is owed to motion."""
 
     center: Array
     shape: Array
@@ -59,14 +69,18 @@ class EdgeFit:
 
 @dataclass(frozen=True)
 class _KnownBlur:
-    """A blur of `sigma` px (softening included) and the `weight` of a prior for it, over the pixels' noise variance."""
+    """A blur of `sigma` px (softening included) and the `weight` of a prior for it, over the
+    pixels' noise variance."""
 
     sigma: float
     weight: float
 
-    def normal(self, pixels: Pixels, theta: Array, J: NDArray, residual: NDArray, weight: NDArray) -> tuple[Array, Array]:
+    def normal(
+        self, pixels: Pixels, theta: Array, J: NDArray, residual: NDArray, weight: NDArray
+    ) -> tuple[Array, Array]:
         """Normal matrix (n, 10, 10) and right side (n, 10) of pixels and prior."""
-        H, right = normal_matrix(pixels, J, weight), pixels.sums(J * (weight * residual)).T
+        H = normal_matrix(pixels, J, weight)
+        right = pixels.sums(J * (weight * residual)).T
         if self.weight:
             pull = self.weight * pixels.sums(weight * residual * residual) / pixels.counts
             H[:, -1, -1] += pull
@@ -74,12 +88,22 @@ class _KnownBlur:
         return H, right
 
 
-def fit(image: NDArray, center: Array, shape: Array, *, blur: float = 0.8, blur_sd: float = np.inf, iterations: int = 4,
-        others: tuple[Array, Array] | None = None, s: EdgeSettings = DEFAULTS.edges) -> EdgeFit:
-    """Fit N ellipses starting from `center` (N, 2), `shape` (N, 3), and `blur` px of about the right size, known to
-    `blur_sd` px from elsewhere.
+def fit(
+    image: NDArray,
+    center: Array,
+    shape: Array,
+    *,
+    blur: float = 0.8,
+    blur_sd: float = np.inf,
+    iterations: int = 4,
+    others: tuple[Array, Array] | None = None,
+    s: EdgeSettings = DEFAULTS.edges,
+) -> EdgeFit:
+    """Fit N ellipses starting from `center` (N, 2), `shape` (N, 3), and `blur` px of about the
+    right size, known to `blur_sd` px from elsewhere.
 
-    Pixels that another of them darkens are left out; `others`: centres and shapes of more markers that may.
+    Pixels that another of them darkens are left out; `others`: centres and shapes of more markers
+    that may.
     """
     width = max(5.0, 3.5 * blur)
     known = _KnownBlur(float(np.hypot(blur, np.sqrt(SOFTEN_VARIANCE))), s.coloured / blur_sd**2)
@@ -87,19 +111,32 @@ def fit(image: NDArray, center: Array, shape: Array, *, blur: float = 0.8, blur_
     if others is not None:
         others = np.concatenate([center, others[0]]), np.concatenate([shape, others[1]])
     around = Around.of(*(others or (center, shape)), len(center), width, s)
-    parts, first = [], 0
+    parts = []
+    first = 0
     perimeter = 2 * np.pi * np.sqrt((shape[:, 0] ** 2 + shape[:, 2] ** 2) / 2 + shape[:, 1] ** 2)
     load = np.cumsum(perimeter * 2 * width)
     while first < len(center):
         done = load[first - 1] if first else 0.0
         last = max(first + 1, int(np.searchsorted(load, done + _PIXELS_AT_ONCE)))
-        parts.append(_fit_some(image, center[first:last], shape[first:last], around.part(first, last), width, known,
-                               iterations, s))
+        parts.append(
+            _fit_some(
+                image,
+                center[first:last],
+                shape[first:last],
+                around.part(first, last),
+                width,
+                known,
+                iterations,
+                s,
+            )
+        )
         first = last
     if not parts:
         none = np.zeros(0)
         return EdgeFit(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 5, 5)), *[none] * 7)
-    return EdgeFit(*(np.concatenate(column) for column in zip(*(vars(p).values() for p in parts), strict=True)))
+    return EdgeFit(
+        *(np.concatenate(column) for column in zip(*(vars(p).values() for p in parts), strict=True))
+    )
 
 
 def merge(first: NDArray[np.bool_], one: EdgeFit, other: EdgeFit) -> EdgeFit:
@@ -107,31 +144,46 @@ def merge(first: NDArray[np.bool_], one: EdgeFit, other: EdgeFit) -> EdgeFit:
     columns = []
     for a, b in zip(vars(one).values(), vars(other).values(), strict=True):
         both = np.empty((len(first), *a.shape[1:]))
-        both[first], both[~first] = a, b
+        both[first] = a
+        both[~first] = b
         columns.append(both)
     return EdgeFit(*columns)
 
 
 def _levels(image: NDArray, center: Array, shape: Array) -> tuple[Array, Array]:
-    """First guess of the levels inside and outside: medians on a ring 1/2 in and on one 4 px out."""
+    """First guess of the levels inside and outside: medians on a ring 1/2 in and on one 4 px
+    out."""
     height, width = image.shape
     rings = []
     for ring in (0.5 * shape, shape + [4.0, 0.0, 4.0]):
         points = np.rint(ellipse.boundary(center, ring, 8)[0]).astype(np.int64)
-        u, v = np.clip(points[..., 0], 0, width - 1), np.clip(points[..., 1], 0, height - 1)
+        u = np.clip(points[..., 0], 0, width - 1)
+        v = np.clip(points[..., 1], 0, height - 1)
         rings.append(np.median(image[v, u].astype(float), axis=1))
     return rings[0], rings[1]
 
 
-def _fit_some(image: NDArray, center: Array, shape: Array, around: Around, width: float, blur: _KnownBlur,
-              iterations: int, s: EdgeSettings) -> EdgeFit:
-    """Gauss-Newton for markers of similar size. The first steps look at some of the pixels only; the last two at all,
-    with one normal matrix between them (the fixed point does not depend on it)."""
-    small = bool((shape[:, 0] * shape[:, 2] - shape[:, 1] ** 2).min() < (s.small * max(blur.sigma, 1)) ** 2)
+def _fit_some(
+    image: NDArray,
+    center: Array,
+    shape: Array,
+    around: Around,
+    width: float,
+    blur: _KnownBlur,
+    iterations: int,
+    s: EdgeSettings,
+) -> EdgeFit:
+    """Gauss-Newton for markers of similar size. The first steps look at some of the pixels only;
+    the last two at all, with one normal matrix between them (the fixed point does not depend on
+    it)."""
+    small = bool(
+        (shape[:, 0] * shape[:, 2] - shape[:, 1] ** 2).min() < (s.small * max(blur.sigma, 1)) ** 2
+    )
     iterations += 8 if small else 0  # blur, radius and level are harder to tell apart
     pixels, used, origin = gather(image, center, shape, around, width)
     theta = np.zeros((len(center), PARAMETERS))
-    theta[:, :2], theta[:, 2:5] = center - origin, shape
+    theta[:, :2] = center - origin
+    theta[:, 2:5] = shape
     theta[:, 5], theta[:, 6] = _levels(image, center, shape)
     theta[:, 9] = blur.sigma
     stride = int(max(1, pixels.counts.mean() // _PIXELS_FIRST))
@@ -145,7 +197,10 @@ def _fit_some(image: NDArray, center: Array, shape: Array, around: Around, width
         if k and np.abs(theta - old)[:, :5].max() < _SETTLED:
             break
     J = np.empty((PARAMETERS, len(pixels.x)), np.float32)
-    H, residual, weight, old = np.zeros(0), pixels.x, pixels.x, theta
+    H = np.zeros(0)
+    residual = pixels.x
+    weight = pixels.x
+    old = theta
     for _ in range(2):
         residual = pixels.observed - model(pixels, theta, J, small)
         weight = _robust(pixels, residual, theta, s)
@@ -157,22 +212,34 @@ def _fit_some(image: NDArray, center: Array, shape: Array, around: Around, width
     return _result(theta, H, residual, weight, pixels, used, origin, s.coloured)
 
 
-def gather(image: NDArray, center: Array, shape: Array, around: Around,
-            width: float) -> tuple[Pixels, NDArray, Array]:
-    """The band's pixels, less what neighbours darken; how many are real, per marker; each marker's origin (whole px)."""
+def gather(
+    image: NDArray, center: Array, shape: Array, around: Around, width: float
+) -> tuple[Pixels, NDArray, Array]:
+    """The band's pixels, less what neighbours darken; how many are real, per marker; each marker's
+    origin (whole px)."""
     u, v, used = band((image.shape[0], image.shape[1]), center, shape, width)
     if around.near.size:
         clear = around.clear(u, v, used)
         owner = np.repeat(np.arange(len(used)), used)
-        u, v, used = u[clear], v[clear], np.bincount(owner[clear], minlength=len(used))
+        u = u[clear]
+        v = v[clear]
+        used = np.bincount(owner[clear], minlength=len(used))
     counts = used
-    if (used == 0).any():  # wholly outside of the image: one stand-in pixel, so that every stretch exists
+    # wholly outside of the image: one stand-in pixel, so that every stretch exists
+    if (used == 0).any():
         at = np.cumsum(used)[used == 0]
-        u, v, counts = np.insert(u, at, 0), np.insert(v, at, 0), np.maximum(used, 1)
+        u = np.insert(u, at, 0)
+        v = np.insert(v, at, 0)
+        counts = np.maximum(used, 1)
     origin = np.rint(center)
-    x, y = u - np.repeat(origin[:, 0], counts), v - np.repeat(origin[:, 1], counts)
+    x = u - np.repeat(origin[:, 0], counts)
+    y = v - np.repeat(origin[:, 1], counts)
     observed = image.ravel()[v * image.shape[1] + u]
-    return Pixels(x.astype(np.float32), y.astype(np.float32), observed.astype(np.float32), counts), used, origin
+    return (
+        Pixels(x.astype(np.float32), y.astype(np.float32), observed.astype(np.float32), counts),
+        used,
+        origin,
+    )
 
 
 def normal_matrix(pixels: Pixels, J: NDArray, weight: NDArray) -> Array:
@@ -187,22 +254,43 @@ def normal_matrix(pixels: Pixels, J: NDArray, weight: NDArray) -> Array:
 def model(pixels: Pixels, theta: Array, J: NDArray, small: bool) -> NDArray:
     """Model image (P,) for parameters `theta` (n, 10); fills J (10, P) with its derivatives.
 
-    `small`: markers whose curvature is felt beyond the first order, see `_blurred_disc`. To first order, the blur along
-    a curved edge shifts it by kappa sigma^2/2.
+    `small`: markers whose curvature is felt beyond the first order, see `_blurred_disc`. To first
+    order, the blur along a curved edge shifts it by kappa sigma^2/2.
     """
     cu, cv, p, q, s, inside, outside, gx, gy, sigma = theta.T
     det = 1 / (p * s - q * q)
-    table = np.stack([cu, cv, s * det, -q * det, p * det, det * det, inside - outside, outside, gx, gy, 1 / sigma, sigma])
+    table = np.stack(
+        [
+            cu,
+            cv,
+            s * det,
+            -q * det,
+            p * det,
+            det * det,
+            inside - outside,
+            outside,
+            gx,
+            gy,
+            1 / sigma,
+            sigma,
+        ]
+    )
     cu, cv, ip, iq, js, det2, step, outside, gx, gy, sharp, sigma = pixels.spread(table)
-    dx, dy = pixels.x - cu, pixels.y - cv
-    ex, ey = ip * dx + iq * dy, iq * dx + js * dy  # on the unit circle at the edge
-    mx, my = ip * ex + iq * ey, iq * ex + js * ey  # half the gradient of |e|^2
+    dx = pixels.x - cu
+    dy = pixels.y - cv
+    # on the unit circle at the edge
+    ex = ip * dx + iq * dy
+    ey = iq * dx + js * dy
+    # half the gradient of |e|^2
+    mx = ip * ex + iq * ey
+    my = iq * ex + js * ey
     B2 = mx * mx + my * my
     B2 += np.float32(1e-12)
     inverse = 1 / np.sqrt(B2)
     mx *= inverse
     my *= inverse
-    fx, fy = ip * mx + iq * my, iq * mx + js * my
+    fx = ip * mx + iq * my
+    fy = iq * mx + js * my
     A = fx * fx + fy * fy
     rho2 = ex * ex + ey * ey
     root = np.sqrt(np.maximum(B2 - A * (rho2 - 1), 0))
@@ -210,7 +298,9 @@ def model(pixels: Pixels, theta: Array, J: NDArray, small: bool) -> NDArray:
     n = (rho2 - 1) / root  # distance to the edge along the gradient: |e - n f| = 1
     kappa = det2 * inverse * inverse * inverse * rho2 * np.sqrt(rho2)  # 1/(det(S)^2 |S^-1 e|^3)
     if small:  # the tangent (-m_y, m_x) in unit-circle coordinates: S^-1 t
-        F, phi = _blurred_disc((ex, ey), (fx, fy), (iq * mx - ip * my, js * mx - iq * my), sigma, sharp)
+        F, phi = _blurred_disc(
+            (ex, ey), (fx, fy), (iq * mx - ip * my, js * mx - iq * my), sigma, sharp
+        )
     else:
         F, phi = _normal_tail(n * sharp + 0.5 * kappa * sigma)
     tail = n * sharp - 0.5 * kappa * sigma  # dF/d(ln sigma) over -dF/dz
@@ -235,18 +325,30 @@ def model(pixels: Pixels, theta: Array, J: NDArray, small: bool) -> NDArray:
     return light * flat
 
 
-def _blurred_disc(e: tuple[NDArray, NDArray], f: tuple[NDArray, NDArray], d: tuple[NDArray, NDArray], sigma: NDArray,
-                  sharp: NDArray) -> tuple[NDArray, NDArray]:
-    """The filled ellipse blurred by a Gaussian of sd `sigma`, and its slope across the edge times sigma.
+def _blurred_disc(
+    e: tuple[NDArray, NDArray],
+    f: tuple[NDArray, NDArray],
+    d: tuple[NDArray, NDArray],
+    sigma: NDArray,
+    sharp: NDArray,
+) -> tuple[NDArray, NDArray]:
+    """The filled ellipse blurred by a Gaussian of sd `sigma`, and its slope across the edge times
+    sigma.
 
-    Pixels are at `e`, moves along the normal and the tangent are `f` and `d`, all in unit-circle coordinates. Across
-    the edge the blur is an integral over a chord, exact: Phi at its near end less Phi at its far end. Along the edge
-    it is the five-point Gauss-Hermite mean of such chords, exact to ninth order in the offset.
+    Pixels are at `e`, moves along the normal and the tangent are `f` and `d`, all in unit-circle
+    coordinates. Across the edge the blur is an integral over a chord, exact: Phi at its near end
+    less Phi at its far end. Along the edge it is the five-point Gauss-Hermite mean of such chords,
+    exact to ninth order in the offset.
     """
     A = f[0] * f[0] + f[1] * f[1] + np.float32(1e-9)
-    F, phi = np.zeros_like(A), np.zeros_like(A)
+    F = np.zeros_like(A)
+    phi = np.zeros_like(A)
     for offset, share in _HERMITE:
-        x, y = (e[0] + (np.float32(offset) * sigma) * d[0], e[1] + (np.float32(offset) * sigma) * d[1]) if offset else e
+        x, y = (
+            (e[0] + (np.float32(offset) * sigma) * d[0], e[1] + (np.float32(offset) * sigma) * d[1])
+            if offset
+            else e
+        )
         B = x * f[0] + y * f[1]
         under = B * B - A * (x * x + y * y - 1)
         root = np.sqrt(np.maximum(under, 0))
@@ -260,7 +362,8 @@ def _blurred_disc(e: tuple[NDArray, NDArray], f: tuple[NDArray, NDArray], d: tup
 def _normal_tail(z: NDArray) -> tuple[NDArray, NDArray]:
     """Phi(-z) and the normal density, float32.
 
-    Abramowitz & Stegun 26.2.17, error below 8e-8; it shares the exponential with the density, unlike erf.
+    Abramowitz & Stegun 26.2.17, error below 8e-8; it shares the exponential with the density,
+    unlike erf.
     """
     z = np.clip(z, -12, 12)
     size = np.abs(z)
@@ -276,13 +379,16 @@ def _normal_tail(z: NDArray) -> tuple[NDArray, NDArray]:
 
 
 def _robust(pixels: Pixels, residual: NDArray, theta: Array, s: EdgeSettings) -> NDArray:
-    """Weights 1/(1 + (r/c)^4): one for the bulk of the pixels, falling fast for glare, specks and neighbours.
+    """Weights 1/(1 + (r/c)^4): one for the bulk of the pixels, falling fast for glare, specks and
+    neighbours.
 
-    c is `outlier` times the marker's rms residual, and no less than a share of its contrast: a lens or a camera's
-    sharpening that the model does not know is no outlier.
+    c is `outlier` times the marker's rms residual, and no less than a share of its contrast: a lens
+    or a camera's sharpening that the model does not know is no outlier.
     """
-    scale = np.maximum(s.outlier * np.sqrt(pixels.sums(residual * residual) / pixels.counts),
-                       s.outlier_share * np.abs(theta[:, 5] - theta[:, 6]))
+    scale = np.maximum(
+        s.outlier * np.sqrt(pixels.sums(residual * residual) / pixels.counts),
+        s.outlier_share * np.abs(theta[:, 5] - theta[:, 6]),
+    )
     t = residual * pixels.spread(1 / np.maximum(scale, 1e-3))
     t *= t
     t *= t
@@ -305,8 +411,16 @@ def _step(theta: Array, H: Array, gradient: Array) -> Array:
     return np.where(bad[:, None], theta, new)
 
 
-def _result(theta: Array, H: Array, residual: NDArray, weight: NDArray, pixels: Pixels, used: NDArray,
-            origin: Array, coloured: float) -> EdgeFit:
+def _result(
+    theta: Array,
+    H: Array,
+    residual: NDArray,
+    weight: NDArray,
+    pixels: Pixels,
+    used: NDArray,
+    origin: Array,
+    coloured: float,
+) -> EdgeFit:
     diagonal = np.arange(PARAMETERS)
     H[:, diagonal, diagonal] = H[:, diagonal, diagonal] * (1 + 1e-9) + 1e-9
     kept = pixels.sums(weight)
@@ -315,5 +429,15 @@ def _result(theta: Array, H: Array, residual: NDArray, weight: NDArray, pixels: 
     cov = (cov + cov.transpose(0, 2, 1)) / 2
     lost = 1 - kept / np.maximum(used, 1)
     optical = np.sqrt(np.maximum(theta[:, 9] ** 2 - SOFTEN_VARIANCE, 0.09))
-    return EdgeFit(theta[:, :2] + origin, theta[:, 2:5], cov, theta[:, 5], theta[:, 6], optical, np.sqrt(variance),
-                   used.astype(float), lost, np.zeros(len(theta)))
+    return EdgeFit(
+        theta[:, :2] + origin,
+        theta[:, 2:5],
+        cov,
+        theta[:, 5],
+        theta[:, 6],
+        optical,
+        np.sqrt(variance),
+        used.astype(float),
+        lost,
+        np.zeros(len(theta)),
+    )

@@ -1,8 +1,10 @@
-"""Ellipses as (centre, symmetric shape matrix S): the points c + S (cos t, sin t). Batched; no singularity at circles.
+"""Ellipses as (centre, symmetric shape matrix S): the points c + S (cos t, sin t). Batched; no
+singularity at circles.
 
-`shape` is (N, 3): the entries p, q, s of S = [[p, q], [q, s]], positive definite, in pixels. The five parameters
-(u, v, p, q, s) move the boundary along its outward normal m by m . dc + m . dS e, with e = (cos t, sin t), which is
-smooth everywhere; semi-axes and angle are not (the angle of a circle is undefined), so they appear at the edges only.
+`shape` is (N, 3): the entries p, q, s of S = [[p, q], [q, s]], positive definite, in pixels. The
+five parameters (u, v, p, q, s) move the boundary along its outward normal m by m . dc + m . dS e,
+with e = (cos t, sin t), which is smooth everywhere; semi-axes and angle are not (the angle of a
+circle is undefined), so they appear at the edges only.
 """
 
 from __future__ import annotations
@@ -15,7 +17,8 @@ _ROUND = 1e-6  # below this (a - b)/a the angle is meaningless; the floor keeps 
 
 
 def middle(values: Array) -> float:
-    """The upper median of all `values`: np.median for scales, where half a rank does not matter, at a fifth of its price."""
+    """The upper median of all `values`: np.median for scales, where half a rank does not matter, at
+    a fifth of its price."""
     flat = values.ravel()
     return float(np.partition(flat, flat.size // 2)[flat.size // 2])
 
@@ -27,7 +30,8 @@ def inverse_shape(shape: Array) -> Array:
 
 
 def shape_from_moments(second: Array) -> Array:
-    """S (N, 3) of the ellipse whose area has central second moments (xx, xy, yy) `second` (N, 3): S^2 = 4 moments.
+    """S (N, 3) of the ellipse whose area has central second moments (xx, xy, yy) `second` (N, 3):
+    S^2 = 4 moments.
 
     The square root of a 2x2 matrix M: (M + sqrt(det M) I)/sqrt(trace M + 2 sqrt(det M)).
     """
@@ -40,13 +44,15 @@ def shape_from_moments(second: Array) -> Array:
 def axes_from_shape(shape: Array) -> tuple[Array, Array]:
     """Semi-axes a >= b (N, 2) and the angle (N,) of a from +u towards +v, rad in (-pi/2, pi/2]."""
     p, q, s = shape.T
-    mean, half = (p + s) / 2, np.hypot((p - s) / 2, q)
+    mean = (p + s) / 2
+    half = np.hypot((p - s) / 2, q)
     return np.array([mean + half, mean - half]).T, 0.5 * np.arctan2(2 * q, p - s)
 
 
 def shape_from_axes(semi_axes: Array, angle: Array) -> Array:
     """S (N, 3) of semi-axes (N, 2) and angle (N,)."""
-    c, s = np.cos(angle), np.sin(angle)
+    c = np.cos(angle)
+    s = np.sin(angle)
     a, b = semi_axes.T
     return np.array([a * c * c + b * s * s, (a - b) * c * s, a * s * s + b * c * c]).T
 
@@ -58,7 +64,8 @@ def axes_difference(a: Array, b: Array) -> Array:
 
 def axes_jacobian(semi_axes: Array, angle: Array) -> Array:
     """Derivative (N, 5, 5) of (u, v, p, q, s) with respect to (u, v, a, b, angle)."""
-    c, s = np.cos(angle), np.sin(angle)
+    c = np.cos(angle)
+    s = np.sin(angle)
     a, b = semi_axes.T
     difference = axes_difference(a, b)
     J = np.zeros((len(angle), 5, 5))
@@ -71,7 +78,8 @@ def axes_jacobian(semi_axes: Array, angle: Array) -> Array:
 
 def covariance_of_axes(cov: Array, semi_axes: Array, angle: Array) -> Array:
     """Covariance (N, 5, 5) of (u, v, a, b, angle) from that of (u, v, p, q, s)."""
-    c, s = np.cos(angle), np.sin(angle)
+    c = np.cos(angle)
+    s = np.sin(angle)
     a, b = semi_axes.T
     difference = axes_difference(a, b)
     J = np.zeros((len(angle), 5, 5))
@@ -83,7 +91,8 @@ def covariance_of_axes(cov: Array, semi_axes: Array, angle: Array) -> Array:
 
 
 def covariance_of_shape(cov: Array, semi_axes: Array, angle: Array) -> Array:
-    """Covariance (N, 5, 5) of (u, v, p, q, s) from that of (u, v, a, b, angle); inverse of `covariance_of_axes`."""
+    """Covariance (N, 5, 5) of (u, v, p, q, s) from that of (u, v, a, b, angle); inverse of
+    `covariance_of_axes`."""
     J = axes_jacobian(semi_axes, angle)
     return J @ cov @ J.transpose(0, 2, 1)
 
@@ -92,7 +101,8 @@ def conic_from_shape(center: Array, shape: Array) -> Array:
     """Conic matrices (N, 3, 3): x^T M x = |S^-1 (x - c)|^2 - 1, negative inside (paper Eq. 2)."""
     p, q, s = inverse_shape(shape).T
     A = np.empty((len(center), 2, 2))
-    A[:, 0, 0], A[:, 1, 1] = p * p + q * q, q * q + s * s
+    A[:, 0, 0] = p * p + q * q
+    A[:, 1, 1] = q * q + s * s
     A[:, 0, 1] = A[:, 1, 0] = q * (p + s)
     Ac = np.einsum("nij,nj->ni", A, center)
     M = np.empty((len(center), 3, 3))
@@ -103,7 +113,8 @@ def conic_from_shape(center: Array, shape: Array) -> Array:
 
 
 def boundary(center: Array, shape: Array, count: int) -> tuple[Array, Array]:
-    """`count` points (N, count, 2) around each ellipse, and their unit-circle parameters e (count, 2)."""
+    """`count` points (N, count, 2) around each ellipse, and their unit-circle parameters e (count,
+    2)."""
     t = 2 * np.pi * np.arange(count) / count
     e = np.array([np.cos(t), np.sin(t)]).T
     p, q, s = (column[:, None] for column in shape.T)
@@ -112,26 +123,40 @@ def boundary(center: Array, shape: Array, count: int) -> tuple[Array, Array]:
 
 
 def moved(center: Array, shape: Array, move: Array) -> tuple[Array, Array]:
-    """Ellipses after a `move` (N, 5) = (w, V) with V = [[V0, V1], [V1, V2]], in units of the local radius (cut at 0.4):
-    centre c + S w, and the shape whose square is that of S (I + V)."""
+    """Ellipses after a `move` (N, 5) = (w, V) with V = [[V0, V1], [V1, V2]], in units of the local
+    radius (cut at 0.4): centre c + S w, and the shape whose square is that of S (I + V)."""
     w0, w1, a, b, c = np.minimum(np.maximum(move.T.astype(float), -0.4), 0.4)
     p, q, s = shape.T
-    a, c = 1 + a, 1 + c
-    A, B, C, D = p * a + q * b, p * b + q * c, q * a + s * b, q * b + s * c
+    a = 1 + a
+    c = 1 + c
+    A = p * a + q * b
+    B = p * b + q * c
+    C = q * a + s * b
+    D = q * b + s * c
     squared = np.array([A * A + B * B, A * C + B * D, C * C + D * D]).T
     return center + np.array([p * w0 + q * w1, q * w0 + s * w1]).T, shape_from_moments(squared / 4)
 
 
 def covariance_of_moves(cov: Array, shape: Array) -> Array:
-    """Covariance (N, 5, 5) of (u, v, p, q, s) from that of (w, V): dc = S w, and S^-1 dS + dS S^-1 = 2 V, of which
-    dS = (det(S) V + S V S)/trace(S) is the solution."""
+    """Covariance (N, 5, 5) of (u, v, p, q, s) from that of (w, V): dc = S w, and S^-1 dS + dS S^-1
+    = 2 V, of which dS = (det(S) V + S V S)/trace(S) is the solution."""
     p, q, s = shape.T
-    over, det = 1 / (p + s), p * s - q * q
+    over = 1 / (p + s)
+    det = p * s - q * q
     L = np.zeros((len(shape), 5, 5))
-    L[:, 0, 0], L[:, 1, 1] = p, s
+    L[:, 0, 0] = p
+    L[:, 1, 1] = s
     L[:, 0, 1] = L[:, 1, 0] = q
-    qq, pq, qs = q * q * over, p * q * over, q * s * over
-    L[:, 2, 2], L[:, 2, 3], L[:, 2, 4] = (det + p * p) * over, 2 * pq, qq
-    L[:, 3, 2], L[:, 3, 3], L[:, 3, 4] = pq, (det + p * s) * over + qq, qs
-    L[:, 4, 2], L[:, 4, 3], L[:, 4, 4] = qq, 2 * qs, (det + s * s) * over
+    qq = q * q * over
+    pq = p * q * over
+    qs = q * s * over
+    L[:, 2, 2] = (det + p * p) * over
+    L[:, 2, 3] = 2 * pq
+    L[:, 2, 4] = qq
+    L[:, 3, 2] = pq
+    L[:, 3, 3] = (det + p * s) * over + qq
+    L[:, 3, 4] = qs
+    L[:, 4, 2] = qq
+    L[:, 4, 3] = 2 * qs
+    L[:, 4, 4] = (det + s * s) * over
     return L @ cov @ L.transpose(0, 2, 1)

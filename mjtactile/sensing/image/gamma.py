@@ -1,10 +1,12 @@
-"""Grey levels to light: undoing a camera's gamma curve, and telling from the circles themselves what it is.
+"""Grey levels to light: undoing a camera's gamma curve, and telling from the circles themselves
+what it is.
 
-A gamma curve E = c L^(1/gamma) makes a blurred edge lopsided: its half-way level is no longer where half of the light is,
-which moves dark circles' edges inwards by 0.2 px and more at 2.2. That lopsidedness is what tells gamma: one common gamma
-and every circle's ten parameters (`edges`) are fitted to the grey levels as they are, with gamma eliminated by its Schur
-complement. What it takes is blur of about half a pixel and more, a dark level well below the bright one, and nothing that
-is lopsided by itself: no clipping, no sharpening. How well circles agree on it is its error bar.
+A gamma curve E = c L^(1/gamma) makes a blurred edge lopsided: its half-way level is no longer where
+half of the light is, which moves dark circles' edges inwards by 0.2 px and more at 2.2. That
+lopsidedness is what tells gamma: one common gamma and every circle's ten parameters (`edges`) are
+fitted to the grey levels as they are, with gamma eliminated by its Schur complement. What it takes
+is blur of about half a pixel and more, a dark level well below the bright one, and nothing that is
+lopsided by itself: no clipping, no sharpening. How well circles agree on it is its error bar.
 """
 
 from __future__ import annotations
@@ -29,7 +31,8 @@ _WHITE = 65535
 
 @dataclass(frozen=True)
 class Gamma:
-    """An estimate of a camera's gamma, with its sd, from `circles` circles; NaN where there is too little to tell."""
+    """An estimate of a camera's gamma, with its sd, from `circles` circles; NaN where there is too
+    little to tell."""
 
     value: float
     sd: float
@@ -38,7 +41,8 @@ class Gamma:
     def contradicts(self, assumed: float, s: GammaSettings) -> bool:
         """Whether the image plainly has another gamma than `assumed`."""
         off = abs(np.log(self.value / assumed))
-        return bool(off > s.plainly * self.sd / self.value and off > s.matters)  # never, where it is unknown
+        # never, where it is unknown
+        return bool(off > s.plainly * self.sd / self.value and off > s.matters)
 
     def size_doubt(self, assumed: float, s: GammaSettings) -> float:
         """Sd in px of circles' size where `assumed` was used."""
@@ -65,7 +69,8 @@ def estimate_gamma(grey: NDArray, ellipses: Ellipses, settings: Settings = DEFAU
     if len(use) < s.fewest:
         return UNKNOWN
     use = use[np.argsort(np.abs(b[use] - np.median(b[use])), kind="stable")][: s.most]
-    center, shape = ellipses.center_px[use], ellipse.shape_from_axes(ellipses.semi_axes_px, ellipses.angle)[use]
+    center = ellipses.center_px[use]
+    shape = ellipse.shape_from_axes(ellipses.semi_axes_px, ellipses.angle)[use]
     pixels, origin = _pixels(grey, center, shape, settings)
     return _fit(pixels, _start(pixels, center - origin, shape, s), s)
 
@@ -78,35 +83,47 @@ def _pixels(grey: NDArray, center: Array, shape: Array, settings: Settings) -> t
 
 
 def _start(pixels: Pixels, center: Array, shape: Array, s: GammaSettings) -> Array:
-    """Parameters (n, 10) to start from, as those of `edges`, but with the levels inside and outside in grey levels."""
+    """Parameters (n, 10) to start from, as those of `edges`, but with the levels inside and outside
+    in grey levels."""
     theta = np.zeros((len(center), edges.PARAMETERS))
-    theta[:, :2], theta[:, 2:5], theta[:, 9] = center, shape, s.blur
+    theta[:, :2] = center
+    theta[:, 2:5] = shape
+    theta[:, 9] = s.blur
     p, q, r = pixels.spread(ellipse.inverse_shape(shape).T)
     cu, cv = pixels.spread(center.T)
-    dx, dy = pixels.x - cu, pixels.y - cv
+    dx = pixels.x - cu
+    dy = pixels.y - cv
     inside = np.hypot(p * dx + q * dy, q * dx + r * dy) < 1
     for column, part in ((5, inside), (6, ~inside)):
-        level = pixels.sums(np.where(part, pixels.observed, 0)) / np.maximum(pixels.sums(part.astype(float)), 1)
+        level = pixels.sums(np.where(part, pixels.observed, 0)) / np.maximum(
+            pixels.sums(part.astype(float)), 1
+        )
         theta[:, column] = np.maximum(level, 1.0)
     return theta
 
 
 def _fit(pixels: Pixels, theta: Array, s: GammaSettings) -> Gamma:
     """Gauss-Newton for log gamma and every circle's parameters at once."""
-    log_gamma, step = float(np.log(s.start)), np.inf
-    own, sd = np.zeros(len(theta)), np.ones(len(theta))
+    log_gamma = float(np.log(s.start))
+    step = np.inf
+    own = np.zeros(len(theta))
+    sd = np.ones(len(theta))
     for k in range(_STEPS):
         level, G, by_gamma = _levels(pixels, theta, float(np.exp(log_gamma)))
         residual = pixels.observed - level
         scale = 4 * np.sqrt(pixels.sums(residual * residual) / pixels.counts)
         weight = 1 / (1 + (residual / pixels.spread(scale)) ** 4) if k else np.ones_like(residual)
         H = edges.normal_matrix(pixels, G, weight) + 1e-6 * np.eye(edges.PARAMETERS)
-        right, mixed = pixels.sums(weight * residual * G).T, pixels.sums(weight * by_gamma * G).T
+        right = pixels.sums(weight * residual * G).T
+        mixed = pixels.sums(weight * by_gamma * G).T
         solved = np.linalg.solve(H, np.stack([right, mixed], axis=2))
         tells = pixels.sums(weight * by_gamma**2) - (mixed * solved[..., 1]).sum(axis=1)
         pull = pixels.sums(weight * by_gamma * residual) - (mixed * solved[..., 0]).sum(axis=1)
-        variance = pixels.sums(weight * residual**2) / np.maximum(pixels.sums(weight) - edges.PARAMETERS, 1)
-        own, sd = pull / tells, np.sqrt(variance / tells)
+        variance = pixels.sums(weight * residual**2) / np.maximum(
+            pixels.sums(weight) - edges.PARAMETERS, 1
+        )
+        own = pull / tells
+        sd = np.sqrt(variance / tells)
         step = float(np.clip((own / sd**2).sum() / (1 / sd**2).sum(), -_MOST_STEP, _MOST_STEP))
         theta = _moved(theta, solved[..., 0] - solved[..., 1] * step)
         log_gamma += step
@@ -117,10 +134,11 @@ def _fit(pixels: Pixels, theta: Array, s: GammaSettings) -> Gamma:
 
 
 def _levels(pixels: Pixels, theta: Array, gamma: float) -> tuple[NDArray, NDArray, NDArray]:
-    """Grey levels (P,) of the model, their derivatives (10, P) by the parameters, and (P,) by log gamma.
+    """Grey levels (P,) of the model, their derivatives (10, P) by the parameters, and (P,) by log
+    gamma.
 
-    With grey levels relative to `_MIDDLE`, so that light is of order one: L = model(..., I = i^gamma, O = o^gamma, ...),
-    E = L^(1/gamma).
+    With grey levels relative to `_MIDDLE`, so that light is of order one: L = model(..., I =
+    i^gamma, O = o^gamma, ...), E = L^(1/gamma).
     """
     edge = theta[:, 5:7] / _MIDDLE
     linear = theta.copy()
@@ -148,10 +166,15 @@ def _moved(theta: Array, change: Array) -> Array:
 
 
 def _judged(log_gamma: float, own: Array, sd: Array, s: GammaSettings) -> Gamma:
-    """The common value with an sd that knows how much the circles differ, each `own` from it; unknown if it is no camera's."""
+    """The common value with an sd that knows how much the circles differ, each `own` from it;
+    unknown if it is no camera's."""
     good = np.isfinite(own) & np.isfinite(sd)
     gamma = float(np.exp(log_gamma))
     if good.sum() < s.fewest or not s.range[0] <= gamma <= s.range[1]:
         return UNKNOWN
     scatter = max(float(np.median(np.abs(own[good]) / sd[good])) / 0.6745, 1.0)
-    return Gamma(gamma, gamma * float(np.hypot(scatter / np.sqrt((1 / sd[good] ** 2).sum()), s.unmodelled)), int(good.sum()))
+    return Gamma(
+        gamma,
+        gamma * float(np.hypot(scatter / np.sqrt((1 / sd[good] ** 2).sum()), s.unmodelled)),
+        int(good.sum()),
+    )

@@ -1,12 +1,14 @@
 """Sub-pixel ellipses from edge profiles, for all markers in one go: what runs at camera rate.
 
-K profiles cross each ellipse along its normals. Filters turn each into a few numbers (levels, area, offset of the edge by
-a matched filter, width), and robust least squares move the ellipses. Offsets are first found by area (right even two pixels
-away), then by the matched filter (near the Cramer-Rao bound close to the edge).
+K profiles cross each ellipse along its normals. Filters turn each into a few numbers (levels, area,
+offset of the edge by a matched filter, width), and robust least squares move the ellipses. Offsets
+are first found by area (right even two pixels away), then by the matched filter (near the
+Cramer-Rao bound close to the edge).
 
-A disc blurred by a Gaussian of sd sigma has its 50 % level further in by kappa sigma^2/2 (kappa: curvature of the
-edge); sigma is measured from the profiles themselves and the bias removed. To first order in kappa sigma: `edges` is
-for the small markers where that is not enough. The arithmetic is in mjtactile/kernels/profiles.c.
+A disc blurred by a Gaussian of sd sigma has its 50 % level further in by kappa sigma^2/2 (kappa:
+curvature of the edge); sigma is measured from the profiles themselves and the bias removed. To
+first order in kappa sigma: `edges` is for the small markers where that is not enough. The
+arithmetic is in mjtactile/kernels/profiles.c.
 """
 
 from __future__ import annotations
@@ -21,14 +23,23 @@ from mjtactile.sensing.image.edges import SOFTEN, EdgeFit
 from mjtactile.sensing.settings import DEFAULTS, ProfileSettings, as_numbers
 
 
-def fit(image: NDArray, center: Array, shape: Array, s: ProfileSettings = DEFAULTS.profiles) -> EdgeFit:
-    """Fit N ellipses starting from `center` (N, 2), `shape` (N, 3) px, right to about two pixels."""
-    # Softening before bilinear interpolation makes the image smooth enough for it: without, offsets depend on where the
-    # edge lies within a pixel, by 2 um of depth in the paper's geometry.
+def fit(
+    image: NDArray, center: Array, shape: Array, s: ProfileSettings = DEFAULTS.profiles
+) -> EdgeFit:
+    """Fit N ellipses starting from `center` (N, 2), `shape` (N, 3) px, right to about two
+    pixels."""
+    # Softening before bilinear interpolation makes the image smooth enough for it: without, offsets
+    # depend on where the edge lies within a pixel, by 2 um of depth in the paper's geometry.
     source = cv2.sepFilter2D(image, cv2.CV_32F, SOFTEN, SOFTEN, borderType=cv2.BORDER_REPLICATE)
     n = len(center)
-    center, shape = np.array(center, float, order="C"), np.array(shape, float, order="C")  # moved in place
-    cov, levels, found = np.empty((n, 5, 5)), np.empty((2, n)), np.empty((5, n))
-    kernel("fit_profiles")(source, *source.shape, n, center, shape, as_numbers(s), cov, levels, found)
+    # moved in place
+    center = np.array(center, float, order="C")
+    shape = np.array(shape, float, order="C")
+    cov = np.empty((n, 5, 5))
+    levels = np.empty((2, n))
+    found = np.empty((5, n))
+    kernel("fit_profiles")(
+        source, *source.shape, n, center, shape, as_numbers(s), cov, levels, found
+    )
     (inside, outside), (blur, residual, count, lost, motion) = levels, found
     return EdgeFit(center, shape, cov, inside, outside, blur, residual, count, lost, motion)

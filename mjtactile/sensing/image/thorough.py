@@ -1,10 +1,12 @@
-"""Every circle of a photograph, and an account of every candidate: what `locate` does beyond `markers.detect`.
+"""Every circle of a photograph, and an account of every candidate: what `locate` does beyond
+`markers.detect`.
 
-Touch sensing knows its markers: as large as the sensor file says, dark on an evenly lit membrane. A photograph has a
-bright window beside the board, dots of three pixels, drawn images without a grey edge. So candidates are looked for a
-second time by what is darker than a closing of the image (a "black hat", which sees blobs of one size whatever lies
-beside them), at several scales; a fit that failed is tried once more with the blur that the image's others agree on;
-and what is rejected is listed with the reason.
+Touch sensing knows its markers: as large as the sensor file says, dark on an evenly lit membrane. A
+photograph has a bright window beside the board, dots of three pixels, drawn images without a grey
+edge. So candidates are looked for a second time by what is darker than a closing of the image (a
+"black hat", which sees blobs of one size whatever lies beside them), at several scales; a fit that
+failed is tried once more with the blur that the image's others agree on; and what is rejected is
+listed with the reason.
 """
 
 from __future__ import annotations
@@ -25,7 +27,8 @@ from mjtactile.sensing.settings import DEFAULTS, Settings, ThoroughSettings
 
 @dataclass(frozen=True, eq=False)
 class Rejected:
-    """M candidates that are no markers: centre (M, 2) and semi-axes (M, 2) px of their outlines, and the reason (M,)."""
+    """M candidates that are no markers: centre (M, 2) and semi-axes (M, 2) px of their outlines,
+    and the reason (M,)."""
 
     center_px: Array
     semi_axes_px: Array
@@ -37,26 +40,43 @@ class Rejected:
     def records(self) -> list[dict[str, Any]]:
         """One JSON-ready record per candidate: `center_px`, `semi_axes_px`, `status`."""
         columns = self.center_px.tolist(), self.semi_axes_px.tolist(), self.status.tolist()
-        return [{"center_px": center, "semi_axes_px": axes, "status": why} for center, axes, why in zip(*columns, strict=True)]
+        return [
+            {"center_px": center, "semi_axes_px": axes, "status": why}
+            for center, axes, why in zip(*columns, strict=True)
+        ]
 
 
 NO_REJECTED = Rejected(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, dtype="<U24"))
 
 
-def detect_thoroughly(image: NDArray | Image, *, polarity: markers.Polarity = "dark", min_radius_px: float = 1.5,
-                      settings: Settings = DEFAULTS) -> tuple[Ellipses, Rejected]:
-    """`markers.detect` with a second look at everything, and all other candidates with the reason for which they are none.
+def detect_thoroughly(
+    image: NDArray | Image,
+    *,
+    polarity: markers.Polarity = "dark",
+    min_radius_px: float = 1.5,
+    settings: Settings = DEFAULTS,
+) -> tuple[Ellipses, Rejected]:
+    """`markers.detect` with a second look at everything, and all other candidates with the reason
+    for which they are none.
 
     Raises InputError as `markers.detect`.
     """
-    grey, s = _with_grey_edges(markers.grey_image(image), settings.thorough), settings.markers
+    grey = _with_grey_edges(markers.grey_image(image), settings.thorough)
+    s = settings.markers
     markers.check_polarity(polarity)
     eight = markers.eight_bit(grey)
     dark = eight if polarity == "dark" else 255 - eight
     first = candidates.find(dark, min_radius_px, settings.candidates)
     why = markers.implausible(first, min_radius_px, s)
     found = _with_more(first.take(why == ""), dark, min_radius_px, settings)
-    fit = _second_try(grey, found, markers.fit_candidates(grey, found, settings), polarity, min_radius_px, settings)
+    fit = _second_try(
+        grey,
+        found,
+        markers.fit_candidates(grey, found, settings),
+        polarity,
+        min_radius_px,
+        settings,
+    )
     status, keep = markers.judge(fit, found, polarity, grey.shape, min_radius_px, s)
     kept = markers.as_ellipses(fit.take(keep), status[keep])
     outlines = np.concatenate([first.shape[why != ""], found.shape[~keep]])
@@ -66,11 +86,13 @@ def detect_thoroughly(image: NDArray | Image, *, polarity: markers.Polarity = "d
 
 
 def _with_grey_edges(grey: NDArray, s: ThoroughSettings) -> NDArray:
-    """`grey`; blurred a little where it is black and white only (drawn, or a threshold's), so that nothing between two
-    pixels shows where an edge is. Blur of any size leaves as much of the staircase's error, 0.05 px of radius at 13-20 px;
-    with some, the fit sees it and its error bars are right."""
+    """`grey`; blurred a little where it is black and white only (drawn, or a threshold's), so that
+    nothing between two pixels shows where an edge is. Blur of any size leaves as much of the
+    staircase's error, 0.05 px of radius at 13-20 px; with some, the fit sees it and its error bars
+    are right."""
     cross = cv2.getStructuringElement(cv2.MORPH_RECT, (3, 3))
-    low, high = cv2.erode(grey, cross).astype(np.float32), cv2.dilate(grey, cross).astype(np.float32)
+    low = cv2.erode(grey, cross).astype(np.float32)
+    high = cv2.dilate(grey, cross).astype(np.float32)
     step = high - low
     edge = step > 0.5 * float(step.max(initial=0.0))
     level = (grey.astype(np.float32) - low)[edge] / step[edge] if step.any() else np.zeros(0)
@@ -79,16 +101,31 @@ def _with_grey_edges(grey: NDArray, s: ThoroughSettings) -> NDArray:
     return np.rint(cv2.GaussianBlur(grey.astype(np.float32), (0, 0), s.soft)).astype(grey.dtype)
 
 
-def _with_more(found: Candidates, dark: NDArray[np.uint8], min_radius_px: float, settings: Settings) -> Candidates:
+def _with_more(
+    found: Candidates, dark: NDArray[np.uint8], min_radius_px: float, settings: Settings
+) -> Candidates:
     """`found`, and what only a black hat shows."""
-    scale, more, s = 1, found, settings.thorough
+    scale = 1
+    more = found
+    s = settings.thorough
     while min(dark.shape) // scale >= s.least_side:
-        small = dark if scale == 1 else cv2.resize(dark, (dark.shape[1] // scale, dark.shape[0] // scale),
-                                                   interpolation=cv2.INTER_AREA)
-        part = candidates.outlines(_black_hat(small, settings), max(min_radius_px / scale, 1.5), settings.candidates)
+        small = (
+            dark
+            if scale == 1
+            else cv2.resize(
+                dark, (dark.shape[1] // scale, dark.shape[0] // scale), interpolation=cv2.INTER_AREA
+            )
+        )
+        part = candidates.outlines(
+            _black_hat(small, settings), max(min_radius_px / scale, 1.5), settings.candidates
+        )
         # the middle of the first scale x scale pixels is at (scale - 1)/2
-        part = Candidates(scale * part.center + (scale - 1) / 2, scale * part.shape, scale * part.misfit, part.cut)
-        more = more.joined(part.take(markers.implausible(part, min_radius_px, settings.markers) == ""))
+        part = Candidates(
+            scale * part.center + (scale - 1) / 2, scale * part.shape, scale * part.misfit, part.cut
+        )
+        more = more.joined(
+            part.take(markers.implausible(part, min_radius_px, settings.markers) == "")
+        )
         scale *= s.scale
     new = _new(more, s, settings.edges.larger)
     new[: len(found)] = True
@@ -96,7 +133,8 @@ def _with_more(found: Candidates, dark: NDArray[np.uint8], min_radius_px: float,
 
 
 def _new(all_of_them: Candidates, s: ThoroughSettings, larger: float) -> NDArray[np.bool_]:
-    """Which (N,) are neither one that came before them, seen again, nor a part of a larger one (up to `larger` times)."""
+    """Which (N,) are neither one that came before them, seen again, nor a part of a larger one (up
+    to `larger` times)."""
     center, (xx, xy, yy) = all_of_them.center, ellipse.inverse_shape(all_of_them.shape).T
     size = np.sqrt(all_of_them.shape[:, 0] * all_of_them.shape[:, 2])
     pairs = KDTree(center).query_pairs(float(size.max(initial=0.0)), output_type="ndarray")
@@ -112,25 +150,44 @@ def _new(all_of_them: Candidates, s: ThoroughSettings, larger: float) -> NDArray
 
 
 def _black_hat(dark: NDArray[np.uint8], settings: Settings) -> NDArray[np.uint8]:
-    """Binary image: what is darker than the closing of the image by more than half as much as the darkest place nearby."""
+    """Binary image: what is darker than the closing of the image by more than half as much as the
+    darkest place nearby."""
     s = settings.thorough
     soft = cv2.GaussianBlur(dark, (3, 3), 0)
     kernel = cv2.getStructuringElement(cv2.MORPH_RECT, (s.kernel, s.kernel))
     hat = cv2.subtract(cv2.morphologyEx(soft, cv2.MORPH_CLOSE, kernel), soft)
     half = cv2.convertScaleAbs(cv2.dilate(hat, kernel), alpha=s.half)
-    return cv2.compare(hat, cv2.max(half, 2 * candidates.noise_margin(soft, settings.candidates)), cv2.CMP_GT)
+    return cv2.compare(
+        hat, cv2.max(half, 2 * candidates.noise_margin(soft, settings.candidates)), cv2.CMP_GT
+    )
 
 
-def _second_try(grey: NDArray, found: Candidates, fit: edges.EdgeFit, polarity: markers.Polarity, min_radius_px: float,
-                settings: Settings) -> edges.EdgeFit:
-    """`fit` with what was no marker fitted again, the blur being held near that of the markers that are trusted."""
+def _second_try(
+    grey: NDArray,
+    found: Candidates,
+    fit: edges.EdgeFit,
+    polarity: markers.Polarity,
+    min_radius_px: float,
+    settings: Settings,
+) -> edges.EdgeFit:
+    """`fit` with what was no marker fitted again, the blur being held near that of the markers that
+    are trusted."""
     status, keep = markers.judge(fit, found, polarity, grey.shape, min_radius_px, settings.markers)
     if keep.all():
         return fit
     good = status == "ok"
-    blur, s = ellipse.middle(fit.blur[good]) if good.any() else 0.0, settings.thorough
+    blur = ellipse.middle(fit.blur[good]) if good.any() else 0.0
+    s = settings.thorough
     if blur < s.sharp:
-        grey, blur = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), s.sharp), float(np.hypot(blur, s.sharp))
-    again = edges.fit(grey, found.center[~keep], found.shape[~keep], blur=blur, blur_sd=s.blur_sd * blur,
-                      others=(found.center[keep], found.shape[keep]), s=settings.edges)
+        grey = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), s.sharp)
+        blur = float(np.hypot(blur, s.sharp))
+    again = edges.fit(
+        grey,
+        found.center[~keep],
+        found.shape[~keep],
+        blur=blur,
+        blur_sd=s.blur_sd * blur,
+        others=(found.center[keep], found.shape[keep]),
+        s=settings.edges,
+    )
     return edges.merge(~keep, markers.sound(again), fit.take(keep))

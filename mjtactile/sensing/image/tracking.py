@@ -1,9 +1,11 @@
-"""Markers of a sequence of images: fits begin where the markers were going, and the whole image is searched only now and then.
+"""Markers of a sequence of images: fits begin where the markers were going, and the whole image is
+searched only now and then.
 
-A fit finds its edge from two pixels away, and between images markers move by less. It is believed when it ended near where it
-was expected, with the shape and contrast that the marker had before, and with a residual like the others'. When one is not, the
-whole image is searched; as it is after a gap, every so often, every other time while markers are missing, and always after an
-image in which something looked odd.
+A fit finds its edge from two pixels away, and between images markers move by less. It is believed
+when it ended near where it was expected, with the shape and contrast that the marker had before,
+and with a residual like the others'. When one is not, the whole image is searched; as it is after a
+gap, every so often, every other time while markers are missing, and always after an image in which
+something looked odd.
 """
 
 from __future__ import annotations
@@ -21,8 +23,9 @@ from mjtactile.sensing.settings import DEFAULTS, Settings, TrackingSettings
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """Trusted fits of the image at `time` s, how fast their centres move, `velocity` (N, 2) px/s, how many markers there should
-    be, and for how many images to come that may do without a search."""
+    """Trusted fits of the image at `time` s, how fast their centres move, `velocity` (N, 2) px/s,
+    how many markers there should be, and for how many images to come that may do without a
+    search."""
 
     time: float
     fit: edges.EdgeFit
@@ -31,58 +34,88 @@ class Tracks:
     left: int
 
 
-def follow(image: Image, before: Tracks | None, count: int, *, min_radius_px: float, settings: Settings = DEFAULTS
-           ) -> tuple[Ellipses, Tracks | None]:
-    """Dark markers in `image`, of which there are `count`, as `markers.detect` finds them, and what to hand over with the next
-    image. `before`: what the last image left, None if there was none."""
-    grey, s = markers.grey_image(image), settings.tracking
+def follow(
+    image: Image,
+    before: Tracks | None,
+    count: int,
+    *,
+    min_radius_px: float,
+    settings: Settings = DEFAULTS,
+) -> tuple[Ellipses, Tracks | None]:
+    """Dark markers in `image`, of which there are `count`, as `markers.detect` finds them, and what
+    to hand over with the next image. `before`: what the last image left, None if there was none."""
+    grey = markers.grey_image(image)
+    s = settings.tracking
     fit = None if before is None else _tracked(grey, image.time, before, min_radius_px, settings)
     if fit is not None and before is not None:
         step = image.time - before.time
         velocity = (fit.center - before.fit.center) / step if step > 0 else before.velocity
         status = np.full(len(fit.center), "ok", dtype="<U24")
-        return markers.as_ellipses(fit, status), Tracks(image.time, fit, velocity, count, before.left - 1)
+        return markers.as_ellipses(fit, status), Tracks(
+            image.time, fit, velocity, count, before.left - 1
+        )
     fit, status = markers.search(grey, min_radius_px=min_radius_px, settings=settings)
     good = fit.take(status == "ok")
     if not len(good.center):
         return markers.as_ellipses(fit, status), None
-    left = 0 if len(good.center) < len(status) or not _calm(good, s) else s.images if len(good.center) == count else 1
+    left = (
+        0
+        if len(good.center) < len(status) or not _calm(good, s)
+        else s.images
+        if len(good.center) == count
+        else 1
+    )
     tracks = Tracks(image.time, good, _velocity(good.center, image.time, before), count, left)
     return markers.as_ellipses(fit, status), tracks
 
 
-def _tracked(grey: NDArray, time: float, before: Tracks, min_radius_px: float, settings: Settings) -> edges.EdgeFit | None:
-    """The fits of `before`, moved on; None where a search is due or one of them is not to be believed."""
-    s, step = settings.tracking, time - before.time
+def _tracked(
+    grey: NDArray, time: float, before: Tracks, min_radius_px: float, settings: Settings
+) -> edges.EdgeFit | None:
+    """The fits of `before`, moved on; None where a search is due or one of them is not to be
+    believed."""
+    s = settings.tracking
+    step = time - before.time
     if before.left < 1 or not 0 <= step <= s.gap:
         return None
-    n, center = len(before.fit.center), before.fit.center + step * before.velocity
+    n = len(before.fit.center)
+    center = before.fit.center + step * before.velocity
     start = candidates.Candidates(center, before.fit.shape, np.zeros(n), np.zeros(n, bool))
     fit = markers.fit_candidates(grey, start, settings)
     status, _ = markers.judge(fit, start, "dark", grey.shape, min_radius_px, settings.markers)
     return fit if (status == "ok").all() and _believable(fit, start, before.fit, s) else None
 
 
-def _believable(fit: edges.EdgeFit, start: candidates.Candidates, before: edges.EdgeFit, s: TrackingSettings) -> bool:
+def _believable(
+    fit: edges.EdgeFit, start: candidates.Candidates, before: edges.EdgeFit, s: TrackingSettings
+) -> bool:
     """Whether all fits are where and as they were expected."""
-    contrast, was = fit.outside - fit.inside, before.outside - before.inside
-    return _calm(fit, s) and bool(np.abs(fit.center - start.center).max() < s.way
-                                  and np.abs(fit.shape - start.shape).max() < s.change
-                                  and np.abs(contrast - was).max() < s.contrast * was.min())
+    contrast = fit.outside - fit.inside
+    was = before.outside - before.inside
+    return _calm(fit, s) and bool(
+        np.abs(fit.center - start.center).max() < s.way
+        and np.abs(fit.shape - start.shape).max() < s.change
+        and np.abs(contrast - was).max() < s.contrast * was.min()
+    )
 
 
 def _calm(fit: edges.EdgeFit, s: TrackingSettings) -> bool:
     """Whether no fit leaves more than its neighbours do: nothing lies on a marker's edge."""
-    return bool(fit.residual.max() < s.residual * statistics.median(fit.residual.tolist()) and fit.lost.max() < s.lost)
+    return bool(
+        fit.residual.max() < s.residual * statistics.median(fit.residual.tolist())
+        and fit.lost.max() < s.lost
+    )
 
 
 def _velocity(center: Array, time: float, before: Tracks | None) -> Array:
-    """How fast (N, 2) px/s the circles at `center` (N, 2) move, from the nearest of those `before`; 0 where it is not known."""
+    """How fast (N, 2) px/s the circles at `center` (N, 2) move, from the nearest of those `before`;
+    0 where it is not known."""
     unknown = np.zeros_like(center)
     if before is None or not before.time < time:
         return unknown
     step = time - before.time
     d2 = np.square(center[:, None] - (before.fit.center + step * before.velocity)).sum(axis=2)
     nearest = d2.argmin(axis=1)
-    own = d2[np.arange(len(center)), nearest] < np.square(before.fit.shape[nearest, 0])  # within a radius of it
+    # within a radius of it
+    own = d2[np.arange(len(center)), nearest] < np.square(before.fit.shape[nearest, 0])
     return np.where(own[:, None], (center - before.fit.center[nearest]) / step, unknown)

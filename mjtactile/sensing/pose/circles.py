@@ -1,14 +1,18 @@
-"""From ellipses to circle poses: the corrected closed form of the paper's Eq. 3-5, both solutions, with covariance.
+"""From ellipses to circle poses: the corrected closed form of the paper's Eq. 3-5, both solutions,
+with covariance.
 
-With Q the circle's cone in ideal normalised coordinates (x^T Q x = 0 on the boundary), eigenvalues l1 >= l2 > 0 > l3,
-eigenvectors v1, v3 (v3 away from the camera), sin psi = sqrt((l1 - l2)/(l1 - l3)), cos psi = sqrt((l2 - l3)/(l1 - l3)):
+With Q the circle's cone in ideal normalised coordinates (x^T Q x = 0 on the boundary), eigenvalues
+l1 >= l2 > 0 > l3, eigenvectors v1, v3 (v3 away from the camera), sin psi = sqrt((l1 - l2)/(l1 -
+l3)), cos psi = sqrt((l2 - l3)/(l1 - l3)):
 
     C = r ( s sqrt(-l3/l1) sin psi v1 + sqrt(-l1/l3) cos psi v3 ),   n = s sin psi v1 - cos psi v3,   s = +1 or -1
 
-Departures from the paper (docs/equations.md): Q = K^T M K instead of the pixel conic M; the sign belongs to the sine
-term alone; C is the centre in space, not only its image, so that no sine rule is needed; n faces the camera.
+Departures from the paper (docs/equations.md): Q = K^T M K instead of the pixel conic M; the sign
+belongs to the sine term alone; C is the centre in space, not only its image, so that no sine rule
+is needed; n faces the camera.
 
-The arithmetic is in mjtactile/kernels/circles.c: the closed form, the pane's rescaling of the boundary, and the derivative.
+The arithmetic is in mjtactile/kernels/circles.c: the closed form, the pane's rescaling of the
+boundary, and the derivative.
 """
 
 from __future__ import annotations
@@ -25,28 +29,37 @@ from mjtactile.kernels import kernel
 _LEAST_TILT = 1e-3  # rad; below it the normal's derivative vanishes and only its bound is left
 
 
-def estimate_poses(ellipses: Ellipses, camera: optics.Camera | CameraDesign, radius: ArrayLike) -> CirclePoses:
+def estimate_poses(
+    ellipses: Ellipses, camera: optics.Camera | CameraDesign, radius: ArrayLike
+) -> CirclePoses:
     """Poses of N circles of `radius` (scalar or (N,)) m from their ellipses in distorted pixels.
 
-    Of the two solutions, `n_C` is the one more face-on to the camera's axis. Lens and pane are those of `camera`.
-    Raises InputError for a radius that is not positive or not one per ellipse.
+    Of the two solutions, `n_C` is the one more face-on to the camera's axis. Lens and pane are
+    those of `camera`. Raises InputError for a radius that is not positive or not one per ellipse.
     """
     camera = camera if isinstance(camera, optics.Camera) else optics.Camera.from_design(camera)
-    n, r = len(ellipses), _radii(radius, len(ellipses))
-    uv, poses, cov_p = np.empty((n, 2)), np.empty((4, n, 3)), np.empty((n, 3, 3))
+    n = len(ellipses)
+    r = _radii(radius, len(ellipses))
+    uv = np.empty((n, 2))
+    poses = np.empty((4, n, 3))
+    cov_p = np.empty((n, 3, 3))
     kernel("circle_poses")(n, *_arrays(ellipses), r, camera.numbers, uv, poses, cov_p)
     first_p, first_n, second_p, second_n = poses
     return CirclePoses(uv, first_p, first_n, second_p, second_n, cov_p, ellipses.status)
 
 
-def pose_covariances(ellipses: Ellipses, camera: optics.Camera, p_CM: Array, n_C: Array) -> tuple[Array, Array]:
-    """Covariances (N, 3, 3) of the centres `p_CM` (N, 3), m^2, and of the unit normals `n_C` (N, 3) that `ellipses` have
-    been found to have: of either of a circle's two poses.
+def pose_covariances(
+    ellipses: Ellipses, camera: optics.Camera, p_CM: Array, n_C: Array
+) -> tuple[Array, Array]:
+    """Covariances (N, 3, 3) of the centres `p_CM` (N, 3), m^2, and of the unit normals `n_C` (N, 3)
+    that `ellipses` have been found to have: of either of a circle's two poses.
 
-    The derivative of the pose by the ellipse is that of the ellipse by the pose, inverted: with e the unit circle's points,
-    a change of either moves the boundary, in units of the local radius, by e . w + e^T V e.
+    The derivative of the pose by the ellipse is that of the ellipse by the pose, inverted: with e
+    the unit circle's points, a change of either moves the boundary, in units of the local radius,
+    by e . w + e^T V e.
     """
-    n, cov = len(ellipses), np.empty((len(ellipses), 5, 5))
+    n = len(ellipses)
+    cov = np.empty((len(ellipses), 5, 5))
     kernel("circle_covariances")(n, *_arrays(ellipses), p_CM, n_C, camera.numbers, cov)
     normals = _tilted(n_C, p_CM)
     # (n_x, n_y) move at fixed n_z; what lies along n is no turn
@@ -55,10 +68,11 @@ def pose_covariances(ellipses: Ellipses, camera: optics.Camera, p_CM: Array, n_C
 
 
 def circles_from_cones(Q: Array, radius: Array) -> tuple[Array, Array]:
-    """The closed form: centres and normals, each (2, N, 3), of circles of `radius` (N,) on the cones `Q` (N, 3, 3).
+    """The closed form: centres and normals, each (2, N, 3), of circles of `radius` (N,) on the
+    cones `Q` (N, 3, 3).
 
-    Q has one negative eigenvalue (the inside of the ellipse is negative), its eigenvector within 90 deg of z. Normals
-    point towards the camera.
+    Q has one negative eigenvalue (the inside of the ellipse is negative), its eigenvector within 90
+    deg of z. Normals point towards the camera.
     """
     poses = np.empty((4, len(Q), 3))
     kernel("circles_on_cones")(len(Q), Q, radius, poses)
@@ -66,7 +80,8 @@ def circles_from_cones(Q: Array, radius: Array) -> tuple[Array, Array]:
 
 
 def cones(camera: optics.Camera, center_px: Array, shape: Array) -> Array:
-    """Cones Q (N, 3, 3) in ideal normalised coordinates of ellipses in distorted pixels, without the pane."""
+    """Cones Q (N, 3, 3) in ideal normalised coordinates of ellipses in distorted pixels, without
+    the pane."""
     Q = np.empty((len(shape), 3, 3))
     kernel("cones")(len(shape), center_px, shape, camera.numbers, Q)
     return Q
@@ -77,7 +92,8 @@ def _arrays(ellipses: Ellipses) -> tuple[Array, ...]:
 
 
 def _tilted(n: Array, p: Array) -> Array:
-    """Normals (N, 3), pushed away from exactly face-on, where the ellipse does not change with the tilt."""
+    """Normals (N, 3), pushed away from exactly face-on, where the ellipse does not change with the
+    tilt."""
     far = np.sqrt((p * p).sum(axis=1))
     flat = -(n * p).sum(axis=1) > np.cos(_LEAST_TILT) * far
     if not flat.any():
@@ -89,7 +105,12 @@ def _tilted(n: Array, p: Array) -> Array:
 def _radii(radius: ArrayLike, count: int) -> Array:
     r = np.asarray(radius, dtype=float)
     if r.ndim > 1 or (r.ndim == 1 and len(r) != count):
-        raise InputError(f"shape {r.shape}", source="estimate_poses", field="radius", choices=("one", f"({count},)"))
+        raise InputError(
+            f"shape {r.shape}",
+            source="estimate_poses",
+            field="radius",
+            choices=("one", f"({count},)"),
+        )
     if not (np.isfinite(r) & (r > 0)).all():
         raise InputError("must be positive and finite", source="estimate_poses", field="radius")
     return np.broadcast_to(r, (count,))

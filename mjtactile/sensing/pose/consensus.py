@@ -1,11 +1,14 @@
-"""Neighbours help each other: on one smooth surface, how elongated the ellipses are changes smoothly over the image.
+"""Neighbours help each other: on one smooth surface, how elongated the ellipses are changes
+smoothly over the image.
 
-A circle's distance hangs on its longest axis, half of whose error is in the ellipse's elongation; knowing the tilt
-would make it a third of the variance (the factor 3 in the Cramer-Rao bound). A board's or a smooth sheet's many
-circles do know it together. Only the elongation is shared, never the size: each distance stays the marker's own.
+A circle's distance hangs on its longest axis, half of whose error is in the ellipse's elongation;
+knowing the tilt would make it a third of the variance (the factor 3 in the Cramer-Rao bound). A
+board's or a smooth sheet's many circles do know it together. Only the elongation is shared, never
+the size: each distance stays the marker's own.
 
-It is shared only where the markers say so themselves: if what is left about a second-order field is no more than a
-few times the ellipses' own error bars. Circles that tilt each its own way stay untouched.
+It is shared only where the markers say so themselves: if what is left about a second-order field is
+no more than a few times the ellipses' own error bars. Circles that tilt each its own way stay
+untouched.
 """
 
 from __future__ import annotations
@@ -20,15 +23,18 @@ _ROUNDS = 8
 
 
 def share_elongation(ellipses: Ellipses, s: ConsensusSettings = DEFAULTS.consensus) -> Ellipses:
-    """Ellipses with their elongation replaced by the field that they agree on; the same object if they do not agree.
+    """Ellipses with their elongation replaced by the field that they agree on; the same object if
+    they do not agree.
 
-    With S = exp(m I + D), D traceless: m (log of the mean radius) is kept; both entries of D are fitted by polynomials
-    of second order in the image, robustly. Covariances are rescaled to the scatter really found.
+    With S = exp(m I + D), D traceless: m (log of the mean radius) is kept; both entries of D are
+    fitted by polynomials of second order in the image, robustly. Covariances are rescaled to the
+    scatter really found.
     """
     ok = np.flatnonzero(ellipses.status == "ok")
     if len(ok) < s.least:
         return ellipses
-    axes, angle = ellipses.semi_axes_px[ok], ellipses.angle[ok]
+    axes = ellipses.semi_axes_px[ok]
+    angle = ellipses.angle[ok]
     log_ratio = 0.5 * np.log(axes[:, 0] / axes[:, 1])
     D = log_ratio[:, None] * np.stack([np.cos(2 * angle), np.sin(2 * angle)], axis=1)
     radius = np.sqrt(axes[:, 0] * axes[:, 1])
@@ -41,13 +47,24 @@ def share_elongation(ellipses: Ellipses, s: ConsensusSettings = DEFAULTS.consens
     if scatter > s.excuse or np.median(weight) < s.majority:
         return ellipses
     agree = weight > s.agree  # what does not belong to the surface keeps its own
-    return _replaced(ellipses, ok[agree], field[agree], radius[agree], cov[agree], (sd * leverage)[agree], max(scatter, 1.0))
+    return _replaced(
+        ellipses,
+        ok[agree],
+        field[agree],
+        radius[agree],
+        cov[agree],
+        (sd * leverage)[agree],
+        max(scatter, 1.0),
+    )
 
 
 def _field(uv: Array, D: Array, sd: Array, outlier: float) -> tuple[Array, Array, Array, float]:
-    """Field (N, 2) of `D`, its sd over that of D (N,), robust weights (N,), and the scatter over the predicted sd."""
+    """Field (N, 2) of `D`, its sd over that of D (N,), robust weights (N,), and the scatter over
+    the predicted sd."""
     x = (uv - uv.mean(axis=0)) / np.maximum(np.ptp(uv, axis=0), 1e-9)
-    A = np.stack([np.ones(len(x)), x[:, 0], x[:, 1], x[:, 0] ** 2, x[:, 0] * x[:, 1], x[:, 1] ** 2], axis=1)
+    A = np.stack(
+        [np.ones(len(x)), x[:, 0], x[:, 1], x[:, 0] ** 2, x[:, 0] * x[:, 1], x[:, 1] ** 2], axis=1
+    )
     A = A / sd[:, None]
     b = D / sd[:, None]
     weight = np.ones(len(x))
@@ -63,18 +80,24 @@ def _field(uv: Array, D: Array, sd: Array, outlier: float) -> tuple[Array, Array
     return D - left * sd[:, None], leverage, weight, scatter
 
 
-def _replaced(ellipses: Ellipses, at: Array, D: Array, radius: Array, cov: Array, sd: Array, scatter: float) -> Ellipses:
+def _replaced(
+    ellipses: Ellipses, at: Array, D: Array, radius: Array, cov: Array, sd: Array, scatter: float
+) -> Ellipses:
     half = np.hypot(*D.T)
     axes = radius[:, None] * np.exp(np.stack([half, -half], axis=1))
     angle = 0.5 * np.arctan2(D[:, 1], D[:, 0])
-    size = (cov[:, 2, 2] + cov[:, 4, 4] + 2 * cov[:, 2, 4]) / 4 * scatter**2  # variance of the mean radius
+    # variance of the mean radius
+    size = (cov[:, 2, 2] + cov[:, 4, 4] + 2 * cov[:, 2, 4]) / 4 * scatter**2
     shared = np.zeros_like(cov)
     shared[:, :2, :2] = cov[:, :2, :2] * scatter**2
     elongation = (sd * radius) ** 2
     shared[:, 2, 2] = shared[:, 4, 4] = size + elongation
     shared[:, 2, 4] = shared[:, 4, 2] = size - elongation
     shared[:, 3, 3] = elongation
-    new_axes, new_angle, new_cov = ellipses.semi_axes_px.copy(), ellipses.angle.copy(), ellipses.cov.copy()
-    new_axes[at], new_angle[at] = axes, angle
+    new_axes = ellipses.semi_axes_px.copy()
+    new_angle = ellipses.angle.copy()
+    new_cov = ellipses.cov.copy()
+    new_axes[at] = axes
+    new_angle[at] = angle
     new_cov[at] = ellipse.covariance_of_axes(shared, axes, angle)
     return Ellipses(ellipses.center_px, new_axes, new_angle, new_cov, ellipses.status)

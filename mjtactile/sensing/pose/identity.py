@@ -1,9 +1,10 @@
 """Which detected circle is which marker, and which of its two normals is the right one.
 
-Matching is by lateral position in S: markers keep a pitch from each other, while depth changes fast under a press.
-At start-up the expected positions are those of the flat membrane, from which a common offset (a camera mounted a
-little off) is taken out first; in a sequence they are those of the image before. Wrong matches are found because a
-membrane moves together: a marker's displacement is compared with the median of its neighbours'.
+Matching is by lateral position in S: markers keep a pitch from each other, while depth changes fast
+under a press. At start-up the expected positions are those of the flat membrane, from which a
+common offset (a camera mounted a little off) is taken out first; in a sequence they are those of
+the image before. Wrong matches are found because a membrane moves together: a marker's displacement
+is compared with the median of its neighbours'.
 """
 
 from __future__ import annotations
@@ -24,14 +25,20 @@ from mjtactile.sensing.shape.surface import SurfaceFitter
 Ids = NDArray[np.int64]
 
 
-def identify(poses: CirclePoses, design: SensorDesign, expected: ArrayLike | None = None,
-             scale: ArrayLike | None = None, s: IdentitySettings = DEFAULTS.identity) -> Markers:
+def identify(
+    poses: CirclePoses,
+    design: SensorDesign,
+    expected: ArrayLike | None = None,
+    scale: ArrayLike | None = None,
+    s: IdentitySettings = DEFAULTS.identity,
+) -> Markers:
     """Identified markers in S from circle poses in C.
 
-    `expected` (M, 3) m are the positions in S to look near, by default those of the flat membrane; `scale` (M,) is
-    each marker's true radius over the nominal one that the poses were computed with, to which its apparent depth is
-    proportional. Circles whose status is not "ok", that match no marker or do not move with their neighbours are left
-    out. Of the two poses of a circle the one is kept whose normal fits the surface through all centres.
+    `expected` (M, 3) m are the positions in S to look near, by default those of the flat membrane;
+    `scale` (M,) is each marker's true radius over the nominal one that the poses were computed
+    with, to which its apparent depth is proportional. Circles whose status is not "ok", that match
+    no marker or do not move with their neighbours are left out. Of the two poses of a circle the
+    one is kept whose normal fits the surface through all centres.
     """
     layout = design.markers.p_SM
     p_SM = poses.p_CM + design.camera.p_SC
@@ -41,34 +48,56 @@ def identify(poses: CirclePoses, design: SensorDesign, expected: ArrayLike | Non
     circle[ids[ids >= 0]] = np.flatnonzero(ids >= 0)
     ids = np.flatnonzero(circle >= 0)
     n = len(ids)
-    p, normals, cov_p, work = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((2, n))
-    kernel("name_circles")(n, circle[ids], poses.p_CM, poses.n_C, poses.p_CM_alt, poses.n_C_alt, poses.cov_p,
-                           np.ones(n) if scale is None else np.asarray(scale, dtype=float)[ids], _camera(design).numbers,
-                           design.camera.p_SC, _slope_operators(design, (circle >= 0).tobytes(), s.height_weight), work, p,
-                           normals, cov_p)
+    p = np.empty((n, 3))
+    normals = np.empty((n, 3))
+    cov_p = np.empty((n, 3, 3))
+    work = np.empty((2, n))
+    kernel("name_circles")(
+        n,
+        circle[ids],
+        poses.p_CM,
+        poses.n_C,
+        poses.p_CM_alt,
+        poses.n_C_alt,
+        poses.cov_p,
+        np.ones(n) if scale is None else np.asarray(scale, dtype=float)[ids],
+        _camera(design).numbers,
+        design.camera.p_SC,
+        _slope_operators(design, (circle >= 0).tobytes(), s.height_weight),
+        work,
+        p,
+        normals,
+        cov_p,
+    )
     return Markers(ids, p, normals, cov_p)
 
 
-def match(p_SM: ArrayLike, expected: ArrayLike, layout: ArrayLike, s: IdentitySettings = DEFAULTS.identity) -> Ids:
+def match(
+    p_SM: ArrayLike, expected: ArrayLike, layout: ArrayLike, s: IdentitySettings = DEFAULTS.identity
+) -> Ids:
     """Marker ids (N,) of circles at `p_SM` (N, 3) m, -1 where there is none.
 
-    `expected` (M, 3) m positions to look near (NaN: unknown, then from its neighbours), `layout` (M, 3) m the flat
-    membrane's, which says who is whose neighbour. No id is given twice. NaN rows of `p_SM` match nothing.
+    `expected` (M, 3) m positions to look near (NaN: unknown, then from its neighbours), `layout`
+    (M, 3) m the flat membrane's, which says who is whose neighbour. No id is given twice. NaN rows
+    of `p_SM` match nothing.
     """
     found, expected, layout = (np.asarray(p, dtype=float)[:, :2] for p in (p_SM, expected, layout))
     pitch, order = _neighbourhood(layout.tobytes(), s.neighbours)
     ids = np.empty(len(found), np.int64)
-    kernel("match_markers")(len(found), *order.shape, found, expected, layout, order, pitch, as_numbers(s), ids)
+    kernel("match_markers")(
+        len(found), *order.shape, found, expected, layout, order, pitch, as_numbers(s), ids
+    )
     return ids
 
 
 @lru_cache(maxsize=32)
 def _slope_operators(design: SensorDesign, present: bytes, weight: float) -> Array:
-    """Matrices (2, n, n) that make slopes by x and y at the n markers present, in order of id, of the surface through their
-    heights, which are known to `weight` 1/m^2, and which is smooth.
+    """Matrices (2, n, n) that make slopes by x and y at the n markers present, in order of id, of
+    the surface through their heights, which are known to `weight` 1/m^2, and which is smooth.
 
-    The surface is a function of the *flat* membrane's coordinates, so that its design matrix is always the same; the
-    lateral stretch that this neglects changes a slope's size, not its direction.
+    The surface is a function of the *flat* membrane's coordinates, so that its design matrix is
+    always the same; the lateral stretch that this neglects changes a slope's size, not its
+    direction.
     """
     fitter = SurfaceFitter(design)
     x, y = design.markers.p_SM[np.frombuffer(present, bool), :2].T
@@ -79,7 +108,8 @@ def _slope_operators(design: SensorDesign, present: bytes, weight: float) -> Arr
 
 @lru_cache(maxsize=8)
 def _neighbourhood(layout: bytes, neighbours: int) -> tuple[float, Ids]:
-    """Smallest distance of two markers, m, and each one's nearest markers (M, k), itself not among them."""
+    """Smallest distance of two markers, m, and each one's nearest markers (M, k), itself not among
+    them."""
     xy = np.frombuffer(layout).reshape(-1, 2)
     distance = np.linalg.norm(xy[:, None] - xy, axis=2)
     np.fill_diagonal(distance, np.inf)

@@ -1,4 +1,5 @@
-"""Circles in image files: read a file, find the circles, say where each is. The pure part of `mjtactile locate`."""
+"""Circles in image files: read a file, find the circles, say where each is. The pure part of
+`mjtactile locate`."""
 
 from __future__ import annotations
 
@@ -55,11 +56,13 @@ def load_image(path: str | Path) -> NDArray:
 
 @dataclass(frozen=True)
 class Located:
-    """The circles of one image: their `ellipses` and `poses`, the likelier of the two of each circle first, with the
-    covariance `cov_p_alt` (N, 3, 3) m^2 of the other's centre and the probability `sure` (N,) that the first is right;
-    what they `shared` with neighbours (of "elongation", "depth"; empty: every circle on its own); candidates that are no
-    circles, `rejected` each with a reason; whether the circles' bright side is `overexposed`; the camera's gamma that was
-    `assumed`, what the circles say of it, and whether they plainly say another (`nonlinear`)."""
+    """The circles of one image: their `ellipses` and `poses`, the likelier of the two of each
+    circle first, with the covariance `cov_p_alt` (N, 3, 3) m^2 of the other's centre and the
+    probability `sure` (N,) that the first is right; what they `shared` with neighbours (of
+    "elongation", "depth"; empty: every circle on its own); candidates that are no circles,
+    `rejected` each with a reason; whether the circles' bright side is `overexposed`; the camera's
+    gamma that was `assumed`, what the circles say of it, and whether they plainly say another
+    (`nonlinear`)."""
 
     ellipses: Ellipses
     poses: CirclePoses
@@ -74,34 +77,57 @@ class Located:
 
     @property
     def status(self) -> str:
-        """"ok", or why the image tells nothing."""
+        """ "ok", or why the image tells nothing."""
         if (self.poses.status == "ok").any():
             return "ok"
-        return f"none of {len(self.poses)} circles can be trusted" if len(self.poses) else "no circle found"
+        return (
+            (f"none of {len(self.poses)} circles can be trusted")
+            if len(self.poses)
+            else "no circle found"
+        )
 
 
-def find_circles(image: NDArray | Image, camera: optics.Camera | CameraDesign, radius: ArrayLike, *,
-                 polarity: Polarity = "dark", min_radius_px: float = 1.5, neighbours: Neighbours = "auto",
-                 gamma: float | Literal["auto"] = 1.0, settings: Settings = DEFAULTS) -> Located:
+def find_circles(
+    image: NDArray | Image,
+    camera: optics.Camera | CameraDesign,
+    radius: ArrayLike,
+    *,
+    polarity: Polarity = "dark",
+    min_radius_px: float = 1.5,
+    neighbours: Neighbours = "auto",
+    gamma: float | Literal["auto"] = 1.0,
+    settings: Settings = DEFAULTS,
+) -> Located:
     """Circles of `radius` m in one image.
 
-    `neighbours`: whether 40 and more circles that plainly lie on one smooth surface may help each other: "auto" shares
-    elongation (see `consensus`), and depth (see `smoothness`) where the circles are small and all of one radius;
-    "always" shares depth at any size; "never" estimates each on its own. Circles that do not agree are never made to.
-    Where the bright side of the edges is clipped, all dark circles look smaller by tenths of a pixel that nothing in
-    the image tells; the covariance then allows for it. An error of scale, common to all circles.
-    `gamma`: of a camera whose grey levels are light to the power of 1/gamma; "auto" uses what the circles plainly say.
-    The covariance allows for its error bar then, and for the difference where they plainly say another than was given.
-    Raises InputError as `detect` and `estimate_poses`, and for another `neighbours` or `gamma`.
+    `neighbours`: whether 40 and more circles that plainly lie on one smooth surface may help each
+    other: "auto" shares elongation (see `consensus`), and depth (see `smoothness`) where the
+    circles are small and all of one radius; "always" shares depth at any size; "never" estimates
+    each on its own. Circles that do not agree are never made to. Where the bright side of the edges
+    is clipped, all dark circles look smaller by tenths of a pixel that nothing in the image tells;
+    the covariance then allows for it. An error of scale, common to all circles. `gamma`: of a
+    camera whose grey levels are light to the power of 1/gamma; "auto" uses what the circles plainly
+    say. The covariance allows for its error bar then, and for the difference where they plainly say
+    another than was given. Raises InputError as `detect` and `estimate_poses`, and for another
+    `neighbours` or `gamma`.
     """
     if neighbours not in ("auto", "always", "never"):
-        raise InputError(f"{neighbours!r}", source="locate", field="neighbours", choices=("auto", "always", "never"))
+        raise InputError(
+            f"{neighbours!r}",
+            source="locate",
+            field="neighbours",
+            choices=("auto", "always", "never"),
+        )
     low, high = GAMMAS
     if gamma != "auto" and not (isinstance(gamma, int | float) and low <= gamma <= high):
-        raise InputError(f"{gamma!r}", source="locate", field="gamma", choices=("auto", f"{low:g} to {high:g}"))
+        raise InputError(
+            f"{gamma!r}", source="locate", field="gamma", choices=("auto", f"{low:g} to {high:g}")
+        )
     grey = grey_image(_grey(image))
     assumed = 1.0 if gamma == "auto" else float(gamma)
-    search = partial(detect_thoroughly, polarity=polarity, min_radius_px=min_radius_px, settings=settings)
+    search = partial(
+        detect_thoroughly, polarity=polarity, min_radius_px=min_radius_px, settings=settings
+    )
     ellipses, rejected = search(linear_light(grey, assumed))
     overexposed = _overexposed(grey, ellipses, polarity, settings.locate)
     said = UNKNOWN if overexposed else estimate_gamma(grey, ellipses, settings)
@@ -109,19 +135,34 @@ def find_circles(image: NDArray | Image, camera: optics.Camera | CameraDesign, r
         assumed = said.value
         ellipses, rejected = search(linear_light(grey, assumed))
     nonlinear = said.contradicts(assumed, settings.gamma)
-    found = replace(_together(ellipses, camera, radius, neighbours, settings), rejected=rejected, overexposed=overexposed,
-                    assumed=assumed, gamma=said, nonlinear=nonlinear)
+    found = replace(
+        _together(ellipses, camera, radius, neighbours, settings),
+        rejected=rejected,
+        overexposed=overexposed,
+        assumed=assumed,
+        gamma=said,
+        nonlinear=nonlinear,
+    )
     size_sd = settings.locate.size_sd if overexposed else 0.0
     if nonlinear or assumed == said.value:
         size_sd = np.hypot(size_sd, said.size_doubt(assumed, settings.gamma))
     if not size_sd:
         return found
     doubt = _doubtful_size(found.poses, ellipses, float(size_sd))
-    return replace(found, poses=replace(found.poses, cov_p=found.poses.cov_p + doubt), cov_p_alt=found.cov_p_alt + doubt)
+    return replace(
+        found,
+        poses=replace(found.poses, cov_p=found.poses.cov_p + doubt),
+        cov_p_alt=found.cov_p_alt + doubt,
+    )
 
 
-def _together(ellipses: Ellipses, camera: optics.Camera | CameraDesign, radius: ArrayLike, neighbours: Neighbours,
-              settings: Settings) -> Located:
+def _together(
+    ellipses: Ellipses,
+    camera: optics.Camera | CameraDesign,
+    radius: ArrayLike,
+    neighbours: Neighbours,
+    settings: Settings,
+) -> Located:
     """Poses of the circles, with as much help of each other as `neighbours` allows."""
     camera = camera if isinstance(camera, optics.Camera) else optics.Camera.from_design(camera)
     poses = estimate_poses(ellipses, camera, radius)
@@ -129,7 +170,9 @@ def _together(ellipses: Ellipses, camera: optics.Camera | CameraDesign, radius: 
         return _preferred(ellipses, camera, poses, settings)
     alike = share_elongation(ellipses, settings.consensus)
     shared = () if alike is ellipses else ("elongation",)
-    found = _preferred(alike, camera, estimate_poses(alike, camera, radius) if shared else poses, settings, shared)
+    found = _preferred(
+        alike, camera, estimate_poses(alike, camera, radius) if shared else poses, settings, shared
+    )
     good = ellipses.status == "ok"
     small = good.any() and np.median(ellipses.semi_axes_px[good, 1]) < settings.locate.small
     asked = (small or neighbours == "always") and np.ptp(radius) == 0
@@ -140,70 +183,105 @@ def _together(ellipses: Ellipses, camera: optics.Camera | CameraDesign, radius: 
     return replace(found, poses=smooth, cov_p_alt=cov_p_alt, shared=(*shared, "depth"))
 
 
-def _preferred(ellipses: Ellipses, camera: optics.Camera, poses: CirclePoses, settings: Settings,
-               shared: tuple[str, ...] = ()) -> Located:
+def _preferred(
+    ellipses: Ellipses,
+    camera: optics.Camera,
+    poses: CirclePoses,
+    settings: Settings,
+    shared: tuple[str, ...] = (),
+) -> Located:
     _, cov_n = pose_covariances(ellipses, camera, poses.p_CM, poses.n_C)
     cov_p_alt, cov_n_alt = pose_covariances(ellipses, camera, poses.p_CM_alt, poses.n_C_alt)
-    better, cov_p_alt, sure = prefer(poses, cov_p_alt, np.stack([cov_n, cov_n_alt]), settings.preference)
-    uv_px = optics.project(camera, better.p_CM)  # NaN for a place that the camera cannot see through its glass
+    better, cov_p_alt, sure = prefer(
+        poses, cov_p_alt, np.stack([cov_n, cov_n_alt]), settings.preference
+    )
+    # NaN for a place that the camera cannot see through its glass
+    uv_px = optics.project(camera, better.p_CM)
     inside = (better.status == "ok") & ~np.isfinite(uv_px).all(axis=1)
     better = replace(better, uv_px=uv_px, status=np.where(inside, NOT_BEYOND_GLASS, better.status))
     return Located(ellipses, better, cov_p_alt, sure, shared)
 
 
 def _overexposed(grey: NDArray, ellipses: Ellipses, polarity: Polarity, s: LocateSettings) -> bool:
-    """Whether the bright side of most edges is at the end of the camera's range (8, 10, 12, 14 or 16 bits)."""
+    """Whether the bright side of most edges is at the end of the camera's range (8, 10, 12, 14 or
+    16 bits)."""
     top = int(grey.max(initial=0))
     good = ellipses.status == "ok"
     if not good.any() or top + 1 not in (2**8, 2**10, 2**12, 2**14, 2**16):
         return False
     shape = shape_from_axes(ellipses.semi_axes_px[good], ellipses.angle[good])
     aside = shape + [s.aside, 0.0, s.aside] if polarity == "dark" else s.inside * shape
-    u, v = np.rint(boundary(ellipses.center_px[good], aside, 8)[0]).astype(np.int64).transpose(2, 0, 1)
+    u, v = (
+        np.rint(boundary(ellipses.center_px[good], aside, 8)[0]).astype(np.int64).transpose(2, 0, 1)
+    )
     inside = (u >= 0) & (v >= 0) & (u < grey.shape[1]) & (v < grey.shape[0])
     return bool((grey[v[inside], u[inside]] > s.clipped * top).mean() > s.clipped_share)
 
 
 def _doubtful_size(poses: CirclePoses, ellipses: Ellipses, size_sd: float) -> Array:
-    """What `size_sd` px of unknown size, as depth, adds to the covariances (N, 3, 3) m^2 of the centres."""
+    """What `size_sd` px of unknown size, as depth, adds to the covariances (N, 3, 3) m^2 of the
+    centres."""
     along = poses.p_CM * (size_sd / ellipses.semi_axes_px[:, :1])
     return along[:, :, None] * along[:, None]
 
 
-def locate(image: NDArray | Image, camera: optics.Camera | CameraDesign, radius: ArrayLike, *,
-           polarity: Polarity = "dark", min_radius_px: float = 1.5, neighbours: Neighbours = "auto") -> list[dict[str, Any]]:
+def locate(
+    image: NDArray | Image,
+    camera: optics.Camera | CameraDesign,
+    radius: ArrayLike,
+    *,
+    polarity: Polarity = "dark",
+    min_radius_px: float = 1.5,
+    neighbours: Neighbours = "auto",
+) -> list[dict[str, Any]]:
     """`find_circles` as JSON-ready records; see `marker_records`."""
-    found = find_circles(image, camera, radius, polarity=polarity, min_radius_px=min_radius_px, neighbours=neighbours)
+    found = find_circles(
+        image, camera, radius, polarity=polarity, min_radius_px=min_radius_px, neighbours=neighbours
+    )
     return marker_records(found)
 
 
 def _grey(image: NDArray | Image) -> NDArray | Image:
-    """Colour to grey (mean of the channels) in one pass over the image; anything else is left for `detect` to judge."""
-    if isinstance(image, np.ndarray) and image.ndim == 3 and image.shape[2] == 3 and image.dtype in (np.uint8, np.uint16):
+    """Colour to grey (mean of the channels) in one pass over the image; anything else is left for
+    `detect` to judge."""
+    if (
+        isinstance(image, np.ndarray)
+        and image.ndim == 3
+        and image.shape[2] == 3
+        and image.dtype in (np.uint8, np.uint16)
+    ):
         return cv2.transform(image, _GREY)
     return image
 
 
 def marker_records(found: Located) -> list[dict[str, Any]]:
-    """One record per marker: `uv_px`, `ellipse_px`, `center_mm`, `cov_center_mm2`, `normal` of the preferred pose,
-    `preferred_probability`, `center_alt_mm`, `cov_center_alt_mm2`, `normal_alt` of the other, `status`.
+    """One record per marker: `uv_px`, `ellipse_px`, `center_mm`, `cov_center_mm2`, `normal` of the
+    preferred pose, `preferred_probability`, `center_alt_mm`, `cov_center_alt_mm2`, `normal_alt` of
+    the other, `status`.
 
     Units at this edge: px, mm, degrees; numbers that are not finite become None.
     """
-    ellipses, poses = found.ellipses, found.poses
-    return [{
-        "uv_px": _plain(poses.uv_px[i]),
-        "ellipse_px": {"center": _plain(ellipses.center_px[i]), "semi_axes": _plain(ellipses.semi_axes_px[i]),
-                       "angle_deg": _plain(np.rad2deg(ellipses.angle[i]))},
-        "center_mm": _plain(poses.p_CM[i] * 1e3),
-        "cov_center_mm2": _plain(poses.cov_p[i] * 1e6),
-        "normal": _plain(poses.n_C[i]),
-        "preferred_probability": _plain(found.sure[i]),
-        "center_alt_mm": _plain(poses.p_CM_alt[i] * 1e3),
-        "cov_center_alt_mm2": _plain(found.cov_p_alt[i] * 1e6),
-        "normal_alt": _plain(poses.n_C_alt[i]),
-        "status": str(poses.status[i]),
-    } for i in range(len(poses))]  # fmt: skip
+    ellipses = found.ellipses
+    poses = found.poses
+    return [
+        {
+            "uv_px": _plain(poses.uv_px[i]),
+            "ellipse_px": {
+                "center": _plain(ellipses.center_px[i]),
+                "semi_axes": _plain(ellipses.semi_axes_px[i]),
+                "angle_deg": _plain(np.rad2deg(ellipses.angle[i])),
+            },
+            "center_mm": _plain(poses.p_CM[i] * 1e3),
+            "cov_center_mm2": _plain(poses.cov_p[i] * 1e6),
+            "normal": _plain(poses.n_C[i]),
+            "preferred_probability": _plain(found.sure[i]),
+            "center_alt_mm": _plain(poses.p_CM_alt[i] * 1e3),
+            "cov_center_alt_mm2": _plain(found.cov_p_alt[i] * 1e6),
+            "normal_alt": _plain(poses.n_C_alt[i]),
+            "status": str(poses.status[i]),
+        }
+        for i in range(len(poses))
+    ]
 
 
 def _plain(value: ArrayLike) -> Any:

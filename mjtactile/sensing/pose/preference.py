@@ -1,19 +1,23 @@
 """Which of a circle's two poses is the right one, and how sure that is.
 
-One image of one circle allows two poses, and shows both exactly alike; what prefers one is knowledge from elsewhere:
+One image of one circle allows two poses, and shows both exactly alike; what prefers one is
+knowledge from elsewhere:
 
-- how people hold targets: tilts from 0 to 90 degrees are taken to be equally likely (per solid angle 1/sin of the tilt
-  against the camera's axis), so that the less tilted one is a little likelier;
+- how people hold targets: tilts from 0 to 90 degrees are taken to be equally likely (per solid
+  angle 1/sin of the tilt against the camera's axis), so that the less tilted one is a little
+  likelier;
 - the circles around it: where their centres lie on a smooth surface, its normal is one of the two.
 
-Circles need not lie on a surface, and how many do is found from the image itself: their share w is that of a mixture,
-whose other part is the prior of tilts, by expectation-maximisation. With q_i the two densities of a circle's normals,
+Circles need not lie on a surface, and how many do is found from the image itself: their share w is
+that of a mixture, whose other part is the prior of tilts, by expectation-maximisation. With q_i the
+two densities of a circle's normals,
 
     q_i = w N(n_i - n_surface; cov_i + cov_surface) + (1 - w) prior(n_i),    P(first) = q_1/(q_1 + q_2).
 
-The surface's normal is that of a plane (inverse depth linear in the image) through the circle and its nearest
-neighbours, with the covariance that its scatter about them gives; circles each at a depth of their own scatter so much
-that it says nothing. Touch sensing knows its membrane and does not use this (`identity.identify`).
+The surface's normal is that of a plane (inverse depth linear in the image) through the circle and
+its nearest neighbours, with the covariance that its scatter about them gives; circles each at a
+depth of their own scatter so much that it says nothing. Touch sensing knows its membrane and does
+not use this (`identity.identify`).
 """
 
 from __future__ import annotations
@@ -30,12 +34,14 @@ from mjtactile.sensing.settings import DEFAULTS, PreferenceSettings
 _ROUNDS = 30
 
 
-def prefer(poses: CirclePoses, cov_p_alt: Array, cov_n: Array,
-           s: PreferenceSettings = DEFAULTS.preference) -> tuple[CirclePoses, Array, Array]:
-    """`poses` with the likelier of each circle's two as the first, the covariance (N, 3, 3) m^2 of the other's centre,
-    and the probability (N,) that the first is right.
+def prefer(
+    poses: CirclePoses, cov_p_alt: Array, cov_n: Array, s: PreferenceSettings = DEFAULTS.preference
+) -> tuple[CirclePoses, Array, Array]:
+    """`poses` with the likelier of each circle's two as the first, the covariance (N, 3, 3) m^2 of
+    the other's centre, and the probability (N,) that the first is right.
 
-    `cov_p_alt` (N, 3, 3) m^2 belongs to the second centres of `poses`, `cov_n` (2, N, 3, 3) to both normals.
+    `cov_p_alt` (N, 3, 3) m^2 belongs to the second centres of `poses`, `cov_n` (2, N, 3, 3) to both
+    normals.
     """
     if not len(poses):
         return poses, cov_p_alt, np.zeros(0)
@@ -44,9 +50,14 @@ def prefer(poses: CirclePoses, cov_p_alt: Array, cov_n: Array,
     second = first < 0.5
     swap = second[:, None]
     wide = swap[..., None]
-    better = replace(poses, p_CM=np.where(swap, poses.p_CM_alt, poses.p_CM), n_C=np.where(swap, n[1], n[0]),
-                     p_CM_alt=np.where(swap, poses.p_CM, poses.p_CM_alt), n_C_alt=np.where(swap, n[0], n[1]),
-                     cov_p=np.where(wide, cov_p_alt, poses.cov_p))
+    better = replace(
+        poses,
+        p_CM=np.where(swap, poses.p_CM_alt, poses.p_CM),
+        n_C=np.where(swap, n[1], n[0]),
+        p_CM_alt=np.where(swap, poses.p_CM, poses.p_CM_alt),
+        n_C_alt=np.where(swap, n[0], n[1]),
+        cov_p=np.where(wide, cov_p_alt, poses.cov_p),
+    )
     return better, np.where(wide, poses.cov_p, cov_p_alt), np.where(second, 1 - first, first)
 
 
@@ -58,30 +69,39 @@ def _probability(poses: CirclePoses, n: Array, cov_n: Array, s: PreferenceSettin
         return prior[0] / prior.sum(axis=0)
     surface, cov, known = found
     density = np.where(known, _density(n, surface, _bounded(cov_n, s) + cov, s.surface_least), 0.0)
-    share, ok = 0.5, known & (poses.status == "ok")
+    share = 0.5
+    ok = known & (poses.status == "ok")
     for _ in range(_ROUNDS if ok.any() else 0):
         on = share * density[:, ok].sum(axis=0)
-        # so many each way beforehand, so that a handful that agree by chance cannot make certain of all
-        share = (1 + (on / (on + (1 - share) * prior[:, ok].sum(axis=0))).sum()) / (1 + s.alone + ok.sum())
+        # so many each way beforehand, so that a handful that agree by chance cannot make certain of
+        # all
+        share = (1 + (on / (on + (1 - share) * prior[:, ok].sum(axis=0))).sum()) / (
+            1 + s.alone + ok.sum()
+        )
     q = np.where(known, share * density + (1 - share) * prior, prior)
     return q[0] / q.sum(axis=0)
 
 
 def _tilt_prior(n: Array, cov_n: Array, s: PreferenceSettings) -> Array:
-    """Density (2, N) per steradian of the normals for tilts that are all equally likely; blurred by their own sd."""
+    """Density (2, N) per steradian of the normals for tilts that are all equally likely; blurred by
+    their own sd."""
     variance = np.trace(_bounded(cov_n, s), axis1=2, axis2=3) / 2
     sine = np.sqrt(n[..., 0] ** 2 + n[..., 1] ** 2 + variance)
     return 1 / (np.pi**2 * sine)
 
 
 def _bounded(cov_n: Array, s: PreferenceSettings) -> Array:
-    """Covariances (2, N, 3, 3) of normals, scaled down where they are more than a linear model may say."""
-    return cov_n * np.minimum(1, 2 * s.normal_most**2 / np.trace(cov_n, axis1=2, axis2=3))[..., None, None]
+    """Covariances (2, N, 3, 3) of normals, scaled down where they are more than a linear model may
+    say."""
+    return (
+        cov_n
+        * np.minimum(1, 2 * s.normal_most**2 / np.trace(cov_n, axis1=2, axis2=3))[..., None, None]
+    )
 
 
 def _density(n: Array, mean: Array, cov: Array, least: float) -> Array:
-    """Normal density (2, N) per steradian of unit vectors `n` (2, N, 3) about `mean` (N, 3), by `cov` (2, N, 3, 3)
-    and `least` rad more."""
+    """Normal density (2, N) per steradian of unit vectors `n` (2, N, 3) about `mean` (N, 3), by
+    `cov` (2, N, 3, 3) and `least` rad more."""
     T = np.stack(geometry.tangents(mean), axis=1)  # (N, 2, 3)
     d = np.einsum("nij,knj->kni", T, n - mean)
     S = T @ cov @ T.transpose(0, 2, 1)
@@ -91,20 +111,26 @@ def _density(n: Array, mean: Array, cov: Array, least: float) -> Array:
     return np.where(behind, 0.0, np.exp(-0.5 * far) / (2 * np.pi * np.sqrt(np.linalg.det(S))))
 
 
-def _surface_normals(poses: CirclePoses, s: PreferenceSettings) -> tuple[Array, Array, Array] | None:
-    """Normals (N, 3) of the planes through each circle's surroundings, their covariance (N, 3, 3), and where (N,) they
-    are of any use; None where there are too few circles.
+def _surface_normals(
+    poses: CirclePoses, s: PreferenceSettings
+) -> tuple[Array, Array, Array] | None:
+    """Normals (N, 3) of the planes through each circle's surroundings, their covariance (N, 3, 3),
+    and where (N,) they are of any use; None where there are too few circles.
 
-    A plane's inverse depth w = (n/d) . (x, y, 1) is linear in the image: least squares over the nearest circles, its
-    covariance from their scatter, which is taken for no less than the depths' own error bars.
+    A plane's inverse depth w = (n/d) . (x, y, 1) is linear in the image: least squares over the
+    nearest circles, its covariance from their scatter, which is taken for no less than the depths'
+    own error bars.
     """
     ok = np.flatnonzero((poses.status == "ok") & (poses.p_CM[:, 2] > 0))
     if len(ok) < s.fewest:
         return None
-    ray = np.nan_to_num(poses.p_CM / poses.p_CM[:, 2:])  # unknown: where the lens model cannot be inverted
-    w, sd = 1 / poses.p_CM[ok, 2], np.sqrt(poses.cov_p[ok, 2, 2]) / poses.p_CM[ok, 2] ** 2
+    # unknown: where the lens model cannot be inverted
+    ray = np.nan_to_num(poses.p_CM / poses.p_CM[:, 2:])
+    w = 1 / poses.p_CM[ok, 2]
+    sd = np.sqrt(poses.cov_p[ok, 2, 2]) / poses.p_CM[ok, 2] ** 2
     near = KDTree(ray[ok, :2]).query(ray[:, :2], min(s.nearest, len(ok)))[1]  # (N, k) of ok
-    A, b = ray[ok][near], w[near]
+    A = ray[ok][near]
+    b = w[near]
     normal = A.transpose(0, 2, 1) @ A
     known = np.linalg.cond(normal) < 1e12  # circles in one row have no plane
     normal[~known] = np.eye(3)

@@ -1,8 +1,9 @@
-"""The sensor's reference, measured with the valve open: where the camera sits, and how large each marker really is.
+"""The sensor's reference, measured with the valve open: where the camera sits, and how large each
+marker really is.
 
-The flat membrane is a target of known layout. Its marker *centres* in the image fix the camera's pose against the
-frame, whatever the radii; with the pose known, each marker's apparent depth tells its radius, to which depth is
-proportional (the paper takes the frame's pose the same way, II-B.3).
+The flat membrane is a target of known layout. Its marker *centres* in the image fix the camera's
+pose against the frame, whatever the radii; with the pose known, each marker's apparent depth tells
+its radius, to which depth is proportional (the paper takes the frame's pose the same way, II-B.3).
 """
 
 from __future__ import annotations
@@ -24,8 +25,9 @@ _STEPS = 20
 
 @dataclass(frozen=True, eq=False)
 class FlatReference:
-    """Camera pose `R_SC` (3, 3), `p_SC` (3,) m; `scale` (N,) true over nominal radius of each marker (1 where unseen);
-    `residual_px` rms of the marker centres, `scale_sd` rms scatter of `scale` over the images."""
+    """Camera pose `R_SC` (3, 3), `p_SC` (3,) m; `scale` (N,) true over nominal radius of each
+    marker (1 where unseen); `residual_px` rms of the marker centres, `scale_sd` rms scatter of
+    `scale` over the images."""
 
     R_SC: Array
     p_SC: Array
@@ -39,22 +41,35 @@ class FlatReference:
         return cls(np.eye(3), design.camera.p_SC, np.ones(design.markers.count), 0.0, 0.0)
 
     def to_nominal(self, design: SensorDesign, poses: CirclePoses) -> CirclePoses:
-        """The same circles as a camera at the sensor file's pose would have them: C parallel to S, at `camera.p_SC`."""
+        """The same circles as a camera at the sensor file's pose would have them: C parallel to S,
+        at `camera.p_SC`."""
         shift = self.p_SC - design.camera.p_SC
         R = self.R_SC
         p, p_alt, n, n_alt = np.array([poses.p_CM, poses.p_CM_alt, poses.n_C, poses.n_C_alt]) @ R.T
-        return replace(poses, p_CM=p + shift, p_CM_alt=p_alt + shift, n_C=n, n_C_alt=n_alt, cov_p=R @ poses.cov_p @ R.T)
+        return replace(
+            poses,
+            p_CM=p + shift,
+            p_CM_alt=p_alt + shift,
+            n_C=n,
+            n_C_alt=n_alt,
+            cov_p=R @ poses.cov_p @ R.T,
+        )
 
 
-def measure_flat(design: SensorDesign, camera: Camera, seen: Sequence[Markers],
-                 s: ReferenceSettings = DEFAULTS.reference) -> FlatReference:
+def measure_flat(
+    design: SensorDesign,
+    camera: Camera,
+    seen: Sequence[Markers],
+    s: ReferenceSettings = DEFAULTS.reference,
+) -> FlatReference:
     """Camera pose and marker radii from images of the flat membrane.
 
-    `seen` holds the identified markers of each image, positions as if the file's pose and radii were right. Raises
-    DeviceError when they do not agree with the sensor file.
+    `seen` holds the identified markers of each image, positions as if the file's pose and radii
+    were right. Raises DeviceError when they do not agree with the sensor file.
     """
     count = design.markers.count
-    total, times = np.zeros((count, 2)), np.zeros(count)
+    total = np.zeros((count, 2))
+    times = np.zeros(count)
     for markers in seen:
         total[markers.ids] += optics.project(camera, markers.p_SM - design.camera.p_SC)
         times[markers.ids] += 1
@@ -62,12 +77,18 @@ def measure_flat(design: SensorDesign, camera: Camera, seen: Sequence[Markers],
     uv = total[ids] / times[ids][:, None]
     R_SC, p_SC, residual = fit_camera_pose(design, camera, design.markers.p_SM[ids], uv)
     if residual > s.residual_most:
-        raise DeviceError(f"sensor {design.name}: flat reference: marker centres are {residual:.1f} px (rms) off the layout; "
-                          "check the lens, [markers] layout and radius_mm in the sensor file, and that the membrane is flat")
+        raise DeviceError(
+            f"sensor {design.name}: flat reference: marker centres are {residual:.1f} px (rms) "
+            "off the layout; "
+            "check the lens, [markers] layout and radius_mm in the sensor "
+            "file, and that the membrane is flat"
+        )
     wanted = _apparent_depth(camera, (design.markers.p_SM - p_SC) @ R_SC)
     ratios = np.full((len(seen), count), np.nan)
     for row, markers in zip(ratios, seen, strict=True):
-        row[markers.ids] = wanted[markers.ids] / _apparent_depth(camera, markers.p_SM - design.camera.p_SC)
+        row[markers.ids] = wanted[markers.ids] / _apparent_depth(
+            camera, markers.p_SM - design.camera.p_SC
+        )
     scale = np.ones(count)
     scale[ids] = np.nanmean(ratios[:, ids], axis=0)
     spread = float(np.sqrt(np.nanmean((ratios[:, ids] - scale[ids]) ** 2)))
@@ -75,20 +96,29 @@ def measure_flat(design: SensorDesign, camera: Camera, seen: Sequence[Markers],
     return FlatReference(R_SC, p_SC, scale, residual, spread)
 
 
-def fit_camera_pose(design: SensorDesign, camera: Camera, p_SP: Array, uv_px: Array) -> tuple[Array, Array, float]:
-    """Camera pose R_SC (3, 3), p_SC (3,) m that projects points `p_SP` (n, 3) m in S to `uv_px` (n, 2), and the rms
-    residual in px. Gauss-Newton from the sensor file's pose, through lens and pane."""
-    R, p, step = np.eye(3), design.camera.p_SC.copy(), 1e-6
+def fit_camera_pose(
+    design: SensorDesign, camera: Camera, p_SP: Array, uv_px: Array
+) -> tuple[Array, Array, float]:
+    """Camera pose R_SC (3, 3), p_SC (3,) m that projects points `p_SP` (n, 3) m in S to `uv_px` (n,
+    2), and the rms residual in px. Gauss-Newton from the sensor file's pose, through lens and
+    pane."""
+    R = np.eye(3)
+    p = design.camera.p_SC.copy()
+    step = 1e-6
 
     def project(R: Array, p: Array) -> Array:
         return optics.project(camera, (p_SP - p) @ R).ravel()
 
     for _ in range(_STEPS):
         base = project(R, p)
-        columns = [(project(R @ geometry.rotation_from_vector(step * axis), p) - base) / step for axis in np.eye(3)]
+        columns = [
+            (project(R @ geometry.rotation_from_vector(step * axis), p) - base) / step
+            for axis in np.eye(3)
+        ]
         columns += [(project(R, p + step * axis) - base) / step for axis in np.eye(3)]
         change = np.linalg.lstsq(np.column_stack(columns), uv_px.ravel() - base, rcond=None)[0]
-        R, p = R @ geometry.rotation_from_vector(change[:3]), p + change[3:]
+        R = R @ geometry.rotation_from_vector(change[:3])
+        p = p + change[3:]
         if np.abs(change).max() < 1e-10:
             break
     error = (project(R, p) - uv_px.ravel()).reshape(-1, 2)
@@ -103,5 +133,8 @@ def _apparent_depth(camera: Camera, p_CM: Array) -> Array:
 def _check_scale(design: SensorDesign, scale: Array, most: float) -> None:
     worst = int(np.argmax(np.abs(scale - 1)))
     if abs(scale[worst] - 1) > most:
-        raise DeviceError(f"sensor {design.name}: flat reference: marker {worst} looks {100 * (scale[worst] - 1):+.0f} % off in "
-                          "size; check [markers] radius_mm, and that the valve is open")
+        raise DeviceError(
+            f"sensor {design.name}: flat reference: marker {worst} looks "
+            f"{100 * (scale[worst] - 1):+.0f} % off in "
+            "size; check [markers] radius_mm, and that the valve is open"
+        )

@@ -1,13 +1,15 @@
-"""The numbers of the sensing chain that were fitted or judged, not derived: what each is, and where it comes from.
+"""The numbers of the sensing chain that were fitted or judged, not derived: what each is, and where
+it comes from.
 
-One frozen class a stage, one module a room; `Settings` holds one of each, `DEFAULTS` is what everything uses that is not told
-otherwise:
+One frozen class a stage, one module a room; `Settings` holds one of each, `DEFAULTS` is what
+everything uses that is not told otherwise:
 
     Chain(design, settings=DEFAULTS.override({"zero.touch_least": 0.03}))
 
-A number's `source` names the benchmark that it was fitted with (`bench touch`: presses with seeds below 1000, which its own
-table leaves out), what bounds it, or "trial": it was chosen by trying, and on what was not written down. Recordings keep the
-settings in their header. Numbers of the numerics alone (steps, tolerances) stay with their code.
+A number's `source` names the benchmark that it was fitted with (`bench touch`: presses with seeds
+below 1000, which its own table leaves out), what bounds it, or "trial": it was chosen by trying,
+and on what was not written down. Recordings keep the settings in their header. Numbers of the
+numerics alone (steps, tolerances) stay with their code.
 """
 
 from __future__ import annotations
@@ -19,7 +21,12 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from mjtactile.core.errors import InputError
-from mjtactile.sensing.settings.force import DoubtSettings, InverseSettings, PriorSettings, ZeroSettings
+from mjtactile.sensing.settings.force import (
+    DoubtSettings,
+    InverseSettings,
+    PriorSettings,
+    ZeroSettings,
+)
 from mjtactile.sensing.settings.image import (
     CandidateSettings,
     EdgeSettings,
@@ -29,23 +36,57 @@ from mjtactile.sensing.settings.image import (
     ThoroughSettings,
     TrackingSettings,
 )
-from mjtactile.sensing.settings.locate import ConsensusSettings, LocateSettings, PreferenceSettings, SmoothnessSettings
+from mjtactile.sensing.settings.locate import (
+    ConsensusSettings,
+    LocateSettings,
+    PreferenceSettings,
+    SmoothnessSettings,
+)
 from mjtactile.sensing.settings.number import as_numbers, number
 from mjtactile.sensing.settings.pose import IdentitySettings, ReferenceSettings, SurfaceSettings
-from mjtactile.sensing.settings.touch import MaterialSettings, PatchSettings, SlipSettings, SqueezeSettings
+from mjtactile.sensing.settings.touch import (
+    MaterialSettings,
+    PatchSettings,
+    SlipSettings,
+    SqueezeSettings,
+)
 
-__all__ = ["DEFAULTS", "CandidateSettings", "ConsensusSettings", "DoubtSettings", "EdgeSettings", "GammaSettings",
-           "IdentitySettings", "InverseSettings", "LocateSettings", "MarkerSettings", "MaterialSettings",
-           "PatchSettings", "PreferenceSettings", "PriorSettings", "ProfileSettings", "ReferenceSettings", "Settings",
-           "SlipSettings", "SmoothnessSettings", "SqueezeSettings", "SurfaceSettings", "ThoroughSettings",
-           "TrackingSettings", "ZeroSettings", "as_numbers"]
+__all__ = [
+    "DEFAULTS",
+    "CandidateSettings",
+    "ConsensusSettings",
+    "DoubtSettings",
+    "EdgeSettings",
+    "GammaSettings",
+    "IdentitySettings",
+    "InverseSettings",
+    "LocateSettings",
+    "MarkerSettings",
+    "MaterialSettings",
+    "PatchSettings",
+    "PreferenceSettings",
+    "PriorSettings",
+    "ProfileSettings",
+    "ReferenceSettings",
+    "Settings",
+    "SlipSettings",
+    "SmoothnessSettings",
+    "SqueezeSettings",
+    "SurfaceSettings",
+    "ThoroughSettings",
+    "TrackingSettings",
+    "ZeroSettings",
+    "as_numbers",
+]
 
 
 @dataclass(frozen=True)
 class Settings:
     """All stages' numbers."""
 
-    fewest_seen: float = number(0.4, "share of the markers below which the shape is a guess", "trial")
+    fewest_seen: float = number(
+        0.4, "share of the markers below which the shape is a guess", "trial"
+    )
     markers: MarkerSettings = field(default_factory=MarkerSettings)
     candidates: CandidateSettings = field(default_factory=CandidateSettings)
     tracking: TrackingSettings = field(default_factory=TrackingSettings)
@@ -70,18 +111,28 @@ class Settings:
     gamma: GammaSettings = field(default_factory=GammaSettings)
 
     def override(self, values: Mapping[str, Any]) -> Settings:
-        """These settings with others for fields named like "zero.touch_sd". Raises InputError for a name that does not exist,
-        and for a value that is not of the field's kind."""
+        """These settings with others for fields named like "zero.touch_sd". Raises InputError for a
+        name that does not exist, and for a value that is not of the field's kind."""
         result = self
         for path, value in values.items():
             stage, _, name = path.rpartition(".")
             owner = getattr(result, stage, None) if stage else result
-            known = [f.name for f in dataclasses.fields(owner)] if dataclasses.is_dataclass(owner) else []
+            known = (
+                [f.name for f in dataclasses.fields(owner)]
+                if dataclasses.is_dataclass(owner)
+                else []
+            )
             if name not in known or dataclasses.is_dataclass(getattr(owner, name)):
-                choices = [f"{stage}.{key}" for key in known] if known and stage else [f.name for f in dataclasses.fields(self)]
+                choices = (
+                    [f"{stage}.{key}" for key in known]
+                    if known and stage
+                    else [f.name for f in dataclasses.fields(self)]
+                )
                 raise InputError("unknown setting", source="settings", field=path, choices=choices)
             if not _alike(value, getattr(owner, name)):
-                raise InputError(f"{value!r} is not like {getattr(owner, name)!r}", source="settings", field=path)
+                raise InputError(
+                    f"{value!r} is not like {getattr(owner, name)!r}", source="settings", field=path
+                )
             changed = replace(owner, **{name: value})  # type: ignore[type-var]  # it is a dataclass
             result = replace(result, **{stage: changed}) if stage else changed
         return result
@@ -90,16 +141,27 @@ class Settings:
         """All numbers by names like "zero.touch_sd"."""
         flat: dict[str, Any] = {}
         for name, value in dataclasses.asdict(self).items():
-            flat |= {f"{name}.{key}": item for key, item in value.items()} if isinstance(value, dict) else {name: value}
+            flat |= (
+                {f"{name}.{key}": item for key, item in value.items()}
+                if isinstance(value, dict)
+                else {name: value}
+            )
         return flat
 
 
 def _alike(value: Any, default: Any) -> bool:
-    """Whether a value may stand for the default: finite, a whole number for one, as many for several."""
+    """Whether a value may stand for the default: finite, a whole number for one, as many for
+    several."""
     if isinstance(default, tuple):
-        return isinstance(value, tuple) and len(value) == len(default) and all(map(_alike, value, default))
+        return (
+            isinstance(value, tuple)
+            and len(value) == len(default)
+            and all(map(_alike, value, default))
+        )
     whole = isinstance(value, int) and not isinstance(value, bool)
-    return whole or (isinstance(default, float) and isinstance(value, float) and math.isfinite(value))
+    return whole or (
+        isinstance(default, float) and isinstance(value, float) and math.isfinite(value)
+    )
 
 
 DEFAULTS = Settings()

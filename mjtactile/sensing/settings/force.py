@@ -14,11 +14,18 @@ class PriorSettings:
     """What is believed of tractions before an image is seen (sensing/force/prior.py)."""
 
     pressure_sd: float = number(4e3, "Pa, of contact before anything is known", "trial")
-    background: float = number(0.03, "share of it that a node keeps when nothing was felt there", "trial")
-    pressure_most: float = number(20e3, "Pa; more on one node is a spike that no object makes",
-                                   "a sheet of 28 N/m bent around 3 mm")
+    background: float = number(
+        0.03, "share of it that a node keeps when nothing was felt there", "trial"
+    )
+    pressure_most: float = number(
+        20e3,
+        "Pa; more on one node is a spike that no object makes",
+        "a sheet of 28 N/m bent around 3 mm",
+    )
     friction: float = number(0.8, "ratio of shear to pressure", "trial")
-    correlation: float = number(2e-3, "m, over which pressures go together: a fraction of an object's size", "trial")
+    correlation: float = number(
+        2e-3, "m, over which pressures go together: a fraction of an object's size", "trial"
+    )
     softening: float = number(1e-3, "m, over which the pressures found before are smeared", "trial")
 
 
@@ -26,71 +33,147 @@ class PriorSettings:
 class InverseSettings:
     """Tractions from markers (sensing/force/inverse.py, sensing/force/slopes.py)."""
 
-    spans: tuple[int, int] = number((14, 10), "intervals of the sheet's spline along x and y", "trial")
-    marker_floor: float = number(8e-6, "m, what the markers' covariance does not know of",
-                                  "as coarse as the sheet's splines are")
-    excess: float = number(0.6, "mean square of a marker's noise over its sd, from which on it counts less",
-                            "bench touch: force, centroid")
+    spans: tuple[int, int] = number(
+        (14, 10), "intervals of the sheet's spline along x and y", "trial"
+    )
+    marker_floor: float = number(
+        8e-6,
+        "m, what the markers' covariance does not know of",
+        "as coarse as the sheet's splines are",
+    )
+    excess: float = number(
+        0.6,
+        "mean square of a marker's noise over its sd, from which on it counts less",
+        "bench touch: force, centroid",
+    )
     slope_excess: float = number(0.5, "the same of a slope", "bench touch: force, centroid")
-    slope_model_sd: float = number(0.01, "what the sheet's splines cannot follow of slopes next to an edge", "bench touch")
+    slope_model_sd: float = number(
+        0.01, "what the sheet's splines cannot follow of slopes next to an edge", "bench touch"
+    )
     slope_sd_most: float = number(0.1, "slopes known worse are left out", "trial")
-    slope_off_most: float = number(0.6, "and those farther off what is expected: the other of an ellipse's two", "trial")
-    slopes_cell: float = number(20e-6, "m^2 of sheet to a marker; where it is more, slopes are worth their time", "trial")
-    drift_gas: float = number(2e-4, "sd of the amount of gas since it was measured; the zero follows it",
-                               "0.06 K, or 0.2 hPa of weather")
-    drift_camera: float = number(3e-6, "m, sd of the camera's place since then", "10 K in 10 mm of a plastic housing")
-    dent_share: float = number(0.03, "sd of the volume of a dent between the markers, of that volume", "bench touch")
+    slope_off_most: float = number(
+        0.6, "and those farther off what is expected: the other of an ellipse's two", "trial"
+    )
+    slopes_cell: float = number(
+        20e-6, "m^2 of sheet to a marker; where it is more, slopes are worth their time", "trial"
+    )
+    drift_gas: float = number(
+        2e-4,
+        "sd of the amount of gas since it was measured; the zero follows it",
+        "0.06 K, or 0.2 hPa of weather",
+    )
+    drift_camera: float = number(
+        3e-6, "m, sd of the camera's place since then", "10 K in 10 mm of a plastic housing"
+    )
+    dent_share: float = number(
+        0.03, "sd of the volume of a dent between the markers, of that volume", "bench touch"
+    )
     posterior_share: tuple[float, float, float, float] = number(
-        (0.006, 0.3, 0.25, 0.006), "of the predicted variance of shear, normal force, tilt and spin: contacts are smoother than "
-        "the prior says, and nearly all markers see shear", "bench bars, while nothing touches; " + _BARS)
-    informative_pressure: float = number(100.0, "Pa; below, the bulge is too small to tell the stiffness", "trial")
-    rest_power: float = number(1.6, "of the bulge's height, with which the stiffness is corrected at rest",
-                               "the height goes with the stiffness to a power between -1 and -1/3")
-    excess_most: float = number(80.0, "mean `excess` of all markers above which nothing smooth explains them",
-                                "bench bars: a cube's corner has up to 71")
-    misfit_most: float = number(50.0, "mean square of the markers' misfit over their sd above which the shape is not explained",
-                                 "bench touch")
+        (0.006, 0.3, 0.25, 0.006),
+        "of the predicted variance of shear, normal force, tilt and spin: contacts are "
+        "smoother than "
+        "the prior says, and nearly all markers "
+        "see shear",
+        "bench bars, while nothing touches; " + _BARS,
+    )
+    informative_pressure: float = number(
+        100.0, "Pa; below, the bulge is too small to tell the stiffness", "trial"
+    )
+    rest_power: float = number(
+        1.6,
+        "of the bulge's height, with which the stiffness is corrected at rest",
+        "the height goes with the stiffness to a power between -1 and -1/3",
+    )
+    excess_most: float = number(
+        80.0,
+        "mean `excess` of all markers above which nothing smooth explains them",
+        "bench bars: a cube's corner has up to 71",
+    )
+    misfit_most: float = number(
+        50.0,
+        "mean square of the markers' misfit over their sd above which the shape is not explained",
+        "bench touch",
+    )
 
 
 @dataclass(frozen=True)
 class DoubtSettings:
-    """What the wrench's posterior leaves out (sensing/force/doubt.py), each for shear, normal force, tilt and spin."""
+    """What the wrench's posterior leaves out (sensing/force/doubt.py), each for shear, normal
+    force, tilt and spin."""
 
     share: tuple[float, float, float, float] = number(
-        (0.001, 0.0125, 0.0, 0.0), "of the force, for each `cell` to a marker", _BARS)
+        (0.001, 0.0125, 0.0, 0.0), "of the force, for each `cell` to a marker", _BARS
+    )
     lateral: tuple[float, float, float, float] = number(
-        (0.018, 0.0, 0.07, 0.029), "of all nodes' shear, whichever way", _BARS)
+        (0.018, 0.0, 0.07, 0.029), "of all nodes' shear, whichever way", _BARS
+    )
     sharp: tuple[float, float, float, float] = number(
-        (0.002, 0.004, 0.009, 0.005), "of the force, for each of the markers' mean `excess`: sharper than the splines", _BARS)
+        (0.002, 0.004, 0.009, 0.005),
+        "of the force, for each of the markers' mean `excess`: sharper than the splines",
+        _BARS,
+    )
     sharp_most: float = number(20.0, "that excess at most", _BARS)
     outside: tuple[float, float, float, float] = number(
-        (0.18, 0.1, 0.45, 0.62), "of the load beyond the outermost markers", _BARS)
+        (0.18, 0.1, 0.45, 0.62), "of the load beyond the outermost markers", _BARS
+    )
     change: tuple[float, float, float, float] = number(
-        (0.15, 0.25, 0.38, 0.45), "of the change since the last image: forces come and go within a few ms", _BARS)
-    drag: float = number(120.0, "s/m^2, of shear per N/m of stiffness of a sheet that moves",
-                         "the simulated rubber has 81; " + _BARS)
-    lever: float = number(3e-3, "m, between those of forces and those of torques", "a marker's pitch")
+        (0.15, 0.25, 0.38, 0.45),
+        "of the change since the last image: forces come and go within a few ms",
+        _BARS,
+    )
+    drag: float = number(
+        120.0,
+        "s/m^2, of shear per N/m of stiffness of a sheet that moves",
+        "the simulated rubber has 81; " + _BARS,
+    )
+    lever: float = number(
+        3e-3, "m, between those of forces and those of torques", "a marker's pitch"
+    )
     cell: float = number(12e-6, "m^2 of sheet to a marker", "`dense`")
 
 
 @dataclass(frozen=True)
 class ZeroSettings:
-    """Is there a touch, and the zero that follows the weather while there is none (sensing/force/zero.py)."""
+    """Is there a touch, and the zero that follows the weather while there is none
+    (sensing/force/zero.py)."""
 
-    touch_sd: float = number(5.0, "sd of the noise that a force, or its level, must exceed to be a touch", "trial")
+    touch_sd: float = number(
+        5.0, "sd of the noise that a force, or its level, must exceed to be a touch", "trial"
+    )
     touch_least: float = number(0.02, "N that it must exceed too", "trial")
     blend: float = number(0.5, "of the newest image in the level", "trial")
-    jump_sd: float = number(4.0, "sd; a larger change is no noise: the level follows at once", "trial")
-    pull_most: float = number(0.15, "N; nothing pulls on the membrane, so more than this says that the zero is lost", "trial")
-    drift_most: float = number(30.0, "mean square of the drift found over its variance: the same by the shape", "trial")
+    jump_sd: float = number(
+        4.0, "sd; a larger change is no noise: the level follows at once", "trial"
+    )
+    pull_most: float = number(
+        0.15,
+        "N; nothing pulls on the membrane, so more than this says that the zero is lost",
+        "trial",
+    )
+    drift_most: float = number(
+        30.0, "mean square of the drift found over its variance: the same by the shape", "trial"
+    )
     release: float = number(0.6, "of the threshold, below which a touch ends", "trial")
-    noise_first: float = number(0.01, "N of noise believed at first, or what is predicted where that is less", "trial")
+    noise_first: float = number(
+        0.01, "N of noise believed at first, or what is predicted where that is less", "trial"
+    )
     memory_images: int = number(30, "images over which the noise is learnt", "trial")
     quiet: float = number(0.5, "s without touch before the zero follows", "trial")
     follow: float = number(4.0, "s, time constant of the zero", "trial")
-    smooth: float = number(0.5, "s, over which markers' distance from the zero is averaged for that", "trial")
-    local_most: float = number(0.3, "mean square over the markers' variance of what neither gas nor camera does to that mean: "
-                               "more is a slow touch", "trial")
+    smooth: float = number(
+        0.5, "s, over which markers' distance from the zero is averaged for that", "trial"
+    )
+    local_most: float = number(
+        0.3,
+        "mean square over the markers' variance of what neither gas nor camera does to that "
+        "mean: "
+        "more is a slow touch",
+        "trial",
+    )
     slowly: float = number(0.05, "of that speed at which the zero still follows then", "trial")
-    drift_rate: float = number(2e-4, "1/s, fastest change of the gas that is weather and no touch", "0.06 K/s")
-    offset_share: float = number(0.1, "of that change that a marker's own offset follows by", "trial")
+    drift_rate: float = number(
+        2e-4, "1/s, fastest change of the gas that is weather and no touch", "0.06 K/s"
+    )
+    offset_share: float = number(
+        0.1, "of that change that a marker's own offset follows by", "trial"
+    )

@@ -14,14 +14,27 @@ class PatchSettings:
     """Where something touches (sensing/touch/patches.py)."""
 
     smoothing: float = number(0.6, "sd of the smoothing, in nodes", "trial")
-    separate_share: float = number(0.8, "of the geometric mean of gas pressure and peak; patches are apart where pressure falls "
-                                    "below it", "trial")
+    separate_share: float = number(
+        0.8,
+        "of the geometric mean of gas pressure and peak; patches are apart where pressure "
+        "falls "
+        "below it",
+        "trial",
+    )
     area_disc: float = number(1e-6, "m^2 at which an area is that of its uniform disc", _PRESSED)
     area_power: float = number(1.6, "how it goes with the disc's", _PRESSED)
-    area_pressure: float = number(3.5e3, "Pa, of the sheet's tension around a ball of middling size", _PRESSED)
-    area_blend: float = number(0.7, "power of the means by which the smaller of the two areas counts", _PRESSED)
-    core_share: float = number(0.03, "of the peak: pressure below it does not count for the centroid", "trial")
-    least_share: float = number(0.1, "of the whole force: a patch that carries less is no patch", "trial")
+    area_pressure: float = number(
+        3.5e3, "Pa, of the sheet's tension around a ball of middling size", _PRESSED
+    )
+    area_blend: float = number(
+        0.7, "power of the means by which the smaller of the two areas counts", _PRESSED
+    )
+    core_share: float = number(
+        0.03, "of the peak: pressure below it does not count for the centroid", "trial"
+    )
+    least_share: float = number(
+        0.1, "of the whole force: a patch that carries less is no patch", "trial"
+    )
 
 
 _SLID = "bench slip: tuned on its cases with seeds below 2000, which its table leaves out"
@@ -32,35 +45,63 @@ class SlipSettings:
     """Whether the object slips (sensing/touch/slip.py)."""
 
     evidence: float = number(7.0, "sd of a wandering patch that are slip", _SLID)
-    limit: float = number(0.95, "share of the friction limit, as far as it is known, that is slip", "trial")
-    recent: float = number(0.12, "s, in which what is said to be a slip began", "four images at 30 Hz; " + _SLID)
-    baseline: float = number(0.28, "s before it, from which it is counted", "eight images at 30 Hz; " + _SLID)
+    limit: float = number(
+        0.95, "share of the friction limit, as far as it is known, that is slip", "trial"
+    )
+    recent: float = number(
+        0.12, "s, in which what is said to be a slip began", "four images at 30 Hz; " + _SLID
+    )
+    baseline: float = number(
+        0.28, "s before it, from which it is counted", "eight images at 30 Hz; " + _SLID
+    )
     least_before: int = number(2, "images that a baseline needs", "trial")
-    follows: float = number(0.35, "of the rubber's own way: how far partial slip takes the patch", _SLID)
-    lean: float = number(1.28e-4, "m that a patch of `noise_size` goes when shear over normal force changes by 1", _SLID)
+    follows: float = number(
+        0.35, "of the rubber's own way: how far partial slip takes the patch", _SLID
+    )
+    lean: float = number(
+        1.28e-4,
+        "m that a patch of `noise_size` goes when shear over normal force changes by 1",
+        _SLID,
+    )
     lean_power: float = number(4.0, "how that goes with the patch's sd along the shear", _SLID)
     noise: float = number(20e-6, "m, sd of the centre of a patch of `noise_size` under 1 N", _SLID)
     noise_size: float = number(4e-3, "m, the radius of gyration for which that holds", _SLID)
     noise_size_power: float = number(0.66, "how it goes with that radius", _SLID)
     noise_force_power: float = number(-0.6, "how it goes with the normal force", _SLID)
     least_way: float = number(6e-5, "m over the material: less is no slip", _SLID)
-    least_load: float = number(0.2, "shear over normal force: what slips below it rolls, or is as smooth as nothing dry", _SLID)
+    least_load: float = number(
+        0.2,
+        "shear over normal force: what slips below it rolls, or is as smooth as nothing dry",
+        _SLID,
+    )
     incipient: float = number(0.7, "share of the friction limit from which on slip begins", "trial")
-    least_force: float = number(0.05, "N; below, neither the patch nor its shear are known well enough", "trial")
+    least_force: float = number(
+        0.05, "N; below, neither the patch nor its shear are known well enough", "trial"
+    )
     gap: float = number(0.2, "s without an image, after which the past does not count", "trial")
-    core_share: float = number(0.03, "of the peak: pressure below it does not count for the place of the touch", "trial")
+    core_share: float = number(
+        0.03, "of the peak: pressure below it does not count for the place of the touch", "trial"
+    )
 
 
-_PROBED = "bench material: tuned on the shipped objects and on bodies of seeds below 4000, which its table leaves out"
+_PROBED = (
+    "bench material: tuned on the shipped objects and on bodies of seeds below 4000, which its "
+    "table leaves out"
+)
 
 
 @dataclass(frozen=True)
 class SqueezeSettings:
     """The object's own size between the fingers (sensing/touch/squeeze.py)."""
 
-    patch_share: float = number(0.8, "of the contact's equivalent radius: away from where the sheet lifts off", _PROBED)
-    patch_radius: tuple[float, float] = number((0.003, 0.006), "m, least and most of that radius",
-                                               "a marker's pitch at least, and no more than a parabola describes; " + _PROBED)
+    patch_share: float = number(
+        0.8, "of the contact's equivalent radius: away from where the sheet lifts off", _PROBED
+    )
+    patch_radius: tuple[float, float] = number(
+        (0.003, 0.006),
+        "m, least and most of that radius",
+        "a marker's pitch at least, and no more than a parabola describes; " + _PROBED,
+    )
     width_sd: float = number(20e-6, "m, of a width from image to image", "9 x 9 markers of 1 mm")
     tilt_share: float = number(0.4, "of what the faces' tilt adds to the width: its sd", _PROBED)
     nodes_least: int = number(8, "nodes of the surface's grid inside the contact", "six are fitted")
@@ -71,29 +112,61 @@ class MaterialSettings:
     """What an object is made of (sensing/touch/material.py)."""
 
     force_least: float = number(0.35, "N that must have been felt before anything is said", _PROBED)
-    shrunk_enough: float = number(2e-3, "m by which a width must have changed to speak for itself",
-                                  "a paste never pushes back with `force_least`; " + _PROBED)
+    shrunk_enough: float = number(
+        2e-3,
+        "m by which a width must have changed to speak for itself",
+        "a paste never pushes back with `force_least`; " + _PROBED,
+    )
     force_traced: float = number(0.05, "N down to which the width is followed", _PROBED)
-    force_seen: float = number(0.1, "N from which on the contact is wide enough to measure the width", _PROBED)
-    peak_share: float = number(0.7, "of the strongest press: one as strong is the first press", _PROBED)
+    force_seen: float = number(
+        0.1, "N from which on the contact is wide enough to measure the width", _PROBED
+    )
+    peak_share: float = number(
+        0.7, "of the strongest press: one as strong is the first press", _PROBED
+    )
     gap: float = number(4.0, "images without contact that part two touches", _PROBED)
-    pressing: float = number(0.4, "of the jaws' fastest closing (95th percentile): slower, they have stopped", _PROBED)
-    opened: float = number(3e-4, "m that the jaws have opened again where the release begins", _PROBED)
-    gentle_share: float = number(0.6, "of the press's force, up to which its curve is fitted",
-                                 "what flows has not flowed much by then; " + _PROBED)
+    pressing: float = number(
+        0.4, "of the jaws' fastest closing (95th percentile): slower, they have stopped", _PROBED
+    )
+    opened: float = number(
+        3e-4, "m that the jaws have opened again where the release begins", _PROBED
+    )
+    gentle_share: float = number(
+        0.6,
+        "of the press's force, up to which its curve is fitted",
+        "what flows has not flowed much by then; " + _PROBED,
+    )
     samples_least: int = number(5, "images of the press, and of the hold", _PROBED)
-    unseen_most: float = number(1.5e-3, "m by which an object may have given way before its width was first seen", "80 N/m")
+    unseen_most: float = number(
+        1.5e-3, "m by which an object may have given way before its width was first seen", "80 N/m"
+    )
     stiffening_prior: float = number(0.3, "1/N to the residuals: stiffening is mild", _PROBED)
-    solid_compliance: float = number(0.12e-3, "m/N; what gives way less is called solid", "8 kN/m; an eraser has 5")
-    set_share: float = number(0.35, "of the deformation that stays; more of it is amorphous", _PROBED)
+    solid_compliance: float = number(
+        0.12e-3, "m/N; what gives way less is called solid", "8 kN/m; an eraser has 5"
+    )
+    set_share: float = number(
+        0.35, "of the deformation that stays; more of it is amorphous", _PROBED
+    )
     set_share_sd: float = number(0.08, "spread of real materials about these two", _PROBED)
     sure: float = number(0.6, "probability below which no class is named", _PROBED)
-    width_bias: float = number(40e-6, "m by which the width of a rigid object seems to change with force",
-                               "bending at sharp edges; " + _PROBED)
-    area_share_sd: float = number(0.3, "of the contact's area: its sd",
-                                  "bench bars: half of all presses are more than 20 to 35 % off")
-    released_share: float = number(0.5, "of the greatest force: below it the release is compared with the press", _PROBED)
+    width_bias: float = number(
+        40e-6,
+        "m by which the width of a rigid object seems to change with force",
+        "bending at sharp edges; " + _PROBED,
+    )
+    area_share_sd: float = number(
+        0.3,
+        "of the contact's area: its sd",
+        "bench bars: half of all presses are more than 20 to 35 % off",
+    )
+    released_share: float = number(
+        0.5, "of the greatest force: below it the release is compared with the press", _PROBED
+    )
     released_force: float = number(0.15, "N, the same where that is more", _PROBED)
-    relaxed_least: float = number(0.04, "share of the force that must go before a relaxation time is given", _PROBED)
+    relaxed_least: float = number(
+        0.04, "share of the force that must go before a relaxation time is given", _PROBED
+    )
     relaxed_sd: float = number(3.0, "sd of the force that it must exceed, too", _PROBED)
-    early: float = number(0.5, "s after the jaws stopped, in which the speed of flow is taken", _PROBED)
+    early: float = number(
+        0.5, "s after the jaws stopped, in which the speed of flow is taken", _PROBED
+    )

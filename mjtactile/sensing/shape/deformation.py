@@ -1,10 +1,11 @@
 """The membrane's deformation x(X) from marker positions, and its elastic statics in weak form.
 
-Markers are material points, so identified markers give the deformation itself, not only a surface. It is written as a
-tensor-product cubic B-spline u(X) = x - X over the mounted flat sheet (material coordinates X, frame S), with u = 0 on
-the frame. The operators depend on the layout alone and are computed once for each sensor, so a camera frame costs one
-small solve and one matrix product. Elasticity is that of the sheet's law in plane stress with the pre-stretch, as in the
-sensor file (docs/equations.md, Eq. F3-F6).
+Markers are material points, so identified markers give the deformation itself, not only a surface.
+It is written as a tensor-product cubic B-spline u(X) = x - X over the mounted flat sheet (material
+coordinates X, frame S), with u = 0 on the frame. The operators depend on the layout alone and are
+computed once for each sensor, so a camera frame costs one small solve and one matrix product.
+Elasticity is that of the sheet's law in plane stress with the pre-stretch, as in the sensor file
+(docs/equations.md, Eq. F3-F6).
 """
 
 from __future__ import annotations
@@ -21,12 +22,15 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
 from mjtactile.sensing.law import SheetLaw
 
-_GAUSS = 2  # nodes in each interval of the spline: what is integrated varies over markers, several intervals wide
+# nodes in each interval of the spline: what is integrated varies over markers, several intervals
+# wide
+_GAUSS = 2
 
 
 @dataclass(frozen=True, eq=False)
 class Fields:
-    """The deformation at Q quadrature points: positions `x` (Q, 3) and gradient `F` (Q, 3, 2) = dx/dX, frame S."""
+    """The deformation at Q quadrature points: positions `x` (Q, 3) and gradient `F` (Q, 3, 2) =
+    dx/dX, frame S."""
 
     x: Array
     F: Array
@@ -38,30 +42,51 @@ class Fields:
 
 
 class MembraneModel:
-    """Precomputed operators of one sensor's membrane: marker positions to deformation, strain and weak-form forces.
+    """Precomputed operators of one sensor's membrane: marker positions to deformation, strain and
+    weak-form forces.
 
-    `material` (N, 2) are the markers' positions on the flat membrane, m in S (the design's layout unless measured).
-    The displacement is the smoothest field (least integral of squared second derivatives) that meets the markers up to
-    their noise: a smoothing spline, in its kernel form u(X) = sum_i g(X, X_i) alpha_i, so that one product with a
-    fixed matrix gives all fields, and markers that are not seen just drop out (Eq. F3). `smoothing` is the squared ratio
-    of marker noise to bending amplitude; below 1e-3 the force no longer depends on it.
+    `material` (N, 2) are the markers' positions on the flat membrane, m in S (the design's layout
+    unless measured). The displacement is the smoothest field (least integral of squared second
+    derivatives) that meets the markers up to their noise: a smoothing spline, in its kernel form
+    u(X) = sum_i g(X, X_i) alpha_i, so that one product with a fixed matrix gives all fields, and
+    markers that are not seen just drop out (Eq. F3). `smoothing` is the squared ratio of marker
+    noise to bending amplitude; below 1e-3 the force no longer depends on it.
     """
 
-    def __init__(self, design: SensorDesign, material: Array | None = None, *, spans: int = 16, smoothing: float = 1e-4):
+    def __init__(
+        self,
+        design: SensorDesign,
+        material: Array | None = None,
+        *,
+        spans: int = 16,
+        smoothing: float = 1e-4,
+    ):
         self.design = design
-        self.material = np.asarray(design.markers.p_SM[:, :2] if material is None else material, float)
+        self.material = np.asarray(
+            design.markers.p_SM[:, :2] if material is None else material, float
+        )
         self._law = SheetLaw(design.membrane)
         frame = design.frame
-        ax, ay = self._axes = (Cubic(frame.length, spans, _GAUSS), Cubic(frame.width, spans, _GAUSS))
-        self.X = np.column_stack([g.ravel() for g in np.meshgrid(ax.points, ay.points, indexing="ij")])
+        ax, ay = self._axes = (
+            Cubic(frame.length, spans, _GAUSS),
+            Cubic(frame.width, spans, _GAUSS),
+        )
+        self.X = np.column_stack(
+            [g.ravel() for g in np.meshgrid(ax.points, ay.points, indexing="ij")]
+        )
         self.weights = np.outer(ax.weights, ay.weights).ravel()
         self._kernel = np.linalg.solve(self._bending(), self.basis(self.material).T)  # (K, N)
         self._gram = self.basis(self.material) @ self._kernel
         self._gram[np.diag_indices_from(self._gram)] += smoothing
-        value, slope = [a.at(a.points) for a in (ax, ay)], [a.at(a.points, 1) for a in (ax, ay)]
-        self._operator = np.concatenate([np.kron(value[0], value[1]) @ self._kernel,
-                                         np.kron(slope[0], value[1]) @ self._kernel,
-                                         np.kron(value[0], slope[1]) @ self._kernel])  # (3 Q, N)
+        value = [a.at(a.points) for a in (ax, ay)]
+        slope = [a.at(a.points, 1) for a in (ax, ay)]
+        self._operator = np.concatenate(
+            [
+                np.kron(value[0], value[1]) @ self._kernel,
+                np.kron(slope[0], value[1]) @ self._kernel,
+                np.kron(value[0], slope[1]) @ self._kernel,
+            ]
+        )  # (3 Q, N)
 
     @property
     def knots(self) -> tuple[Array, Array]:
@@ -75,14 +100,23 @@ class MembraneModel:
         return (a[:, :, None] * b[:, None, :]).reshape(len(X), -1)
 
     def _bending(self) -> Array:
-        """Integral of u,11^2 + 2 u,12^2 + u,22^2 as a quadratic form (K, K), in units in which a marker counts one."""
+        """Integral of u,11^2 + 2 u,12^2 + u,22^2 as a quadratic form (K, K), in units in which a
+        marker counts one."""
         ax, ay = self._axes
-        gram = [[(a.at(a.points, d).T * a.weights) @ a.at(a.points, d) for d in range(3)] for a in (ax, ay)]
-        form = np.kron(gram[0][2], gram[1][0]) + 2 * np.kron(gram[0][1], gram[1][1]) + np.kron(gram[0][0], gram[1][2])
+        gram = [
+            [(a.at(a.points, d).T * a.weights) @ a.at(a.points, d) for d in range(3)]
+            for a in (ax, ay)
+        ]
+        form = (
+            np.kron(gram[0][2], gram[1][0])
+            + 2 * np.kron(gram[0][1], gram[1][1])
+            + np.kron(gram[0][0], gram[1][2])
+        )
         return form * self.design.markers.pitch_x * self.design.markers.pitch_y
 
     def fit(self, ids: NDArray[np.int64], p_SM: Array) -> Array:
-        """Kernel weights alpha (N, 3) from identified markers at `p_SM` (n, 3) in S; zero for those not seen."""
+        """Kernel weights alpha (N, 3) from identified markers at `p_SM` (n, 3) in S; zero for those
+        not seen."""
         displacement = p_SM.copy()
         displacement[:, :2] -= self.material[ids]
         alpha = np.zeros((len(self.material), 3))
@@ -103,10 +137,11 @@ class MembraneModel:
         return self.basis(X) @ (self._kernel @ alpha)
 
     def first_piola(self, fields: Fields) -> Array:
-        """Membrane force per mounted length P = h F S, (Q, 3, 2) N/m, plane stress, pre-stretch included.
+        """Membrane force per mounted length P = h F S, (Q, 3, 2) N/m, plane stress, pre-stretch
+        included.
 
-        With F0 = lambda I from the free sheet to the mounted one, C = lambda^2 F^T F; S by the sheet's law, per mounted
-        length and free thickness (Eq. F4).
+        With F0 = lambda I from the free sheet to the mounted one, C = lambda^2 F^T F; S by the
+        sheet's law, per mounted length and free thickness (Eq. F4).
         """
         C = self.design.membrane.pre_stretch**2 * np.einsum("qia,qib->abq", fields.F, fields.F)
         S11, S22, S12 = self._law.stress(C[0, 0], C[1, 1], C[0, 1])
@@ -118,12 +153,15 @@ class MembraneModel:
         return float(self.weights @ np.linalg.norm(fields.normal_area, axis=1))
 
     def volume(self, fields: Fields) -> float:
-        """Signed volume between the membrane and the frame's plane, m^3: the integral of z N_z (divergence theorem)."""
+        """Signed volume between the membrane and the frame's plane, m^3: the integral of z N_z
+        (divergence theorem)."""
         return float(self.weights @ (fields.x[:, 2] * fields.normal_area[:, 2]))
 
     def plateau(self, taper: float) -> tuple[Array, Array]:
-        """Test function phi (Q,) that is 1 away from the frame and falls to 0 over `taper` m, and its gradient (Q, 2)."""
-        values, slopes = [], []
+        """Test function phi (Q,) that is 1 away from the frame and falls to 0 over `taper` m, and
+        its gradient (Q, 2)."""
+        values = []
+        slopes = []
         for axis, coordinate in zip(self._axes, self.X.T, strict=True):
             reach = min(taper, axis.length / 3)
             s = np.clip((axis.length / 2 - np.abs(coordinate)) / reach, 0, 1)

@@ -1,20 +1,23 @@
-"""Circles of one size on a smooth surface: each one's depth from its own size and, by a smoothing spline, its neighbours'.
+"""Circles of one size on a smooth surface: each one's depth from its own size and, by a smoothing
+spline, its neighbours'.
 
-A small circle's depth hangs on a few hundredths of a pixel of its size, which a consumer camera's processing
-(demosaicing, sharpening, clipping) changes from circle to circle far beyond the noise. What many equal circles on one
-smooth surface do know is how depth changes from each to the next.
+A small circle's depth hangs on a few hundredths of a pixel of its size, which a consumer camera's
+processing (demosaicing, sharpening, clipping) changes from circle to circle far beyond the noise.
+What many equal circles on one smooth surface do know is how depth changes from each to the next.
 
-The prior is a thin-plate spline for the inverse depth over the image, w_i = f(x_i) + s sd_i e_i, with the weight of its
-bending energy and s both found by restricted maximum likelihood: what the markers show of bends is kept, what looks
-independent from marker to marker is taken for error. A plane's inverse depth is linear in the image, so that flat
-boards cost nothing, but neither flatness nor any spacing is assumed: the spline keeps at least one degree of freedom
-for every `per_freedom` circles, so that no depth is the mean of more than about as many.
+The prior is a thin-plate spline for the inverse depth over the image, w_i = f(x_i) + s sd_i e_i,
+with the weight of its bending energy and s both found by restricted maximum likelihood: what the
+markers show of bends is kept, what looks independent from marker to marker is taken for error. A
+plane's inverse depth is linear in the image, so that flat boards cost nothing, but neither flatness
+nor any spacing is assumed: the spline keeps at least one degree of freedom for every `per_freedom`
+circles, so that no depth is the mean of more than about as many.
 
-This is a prior on the scene, and false for circles that hang each at its own depth. It is refused when the scatter
-about the spline is more than a camera's processing may explain. Touch sensing never uses it: a membrane's small bumps
-are what it is there to see.
+This is a prior on the scene, and false for circles that hang each at its own depth. It is refused
+when the scatter about the spline is more than a camera's processing may explain. Touch sensing
+never uses it: a membrane's small bumps are what it is there to see.
 
-Wahba (1990), Spline Models for Observational Data, ch. 2 (spline), 4.8 (likelihood), 5 (posterior variance).
+Wahba (1990), Spline Models for Observational Data, ch. 2 (spline), 4.8 (likelihood), 5 (posterior
+variance).
 """
 
 from __future__ import annotations
@@ -28,12 +31,14 @@ from mjtactile.core.types import Array, CirclePoses
 from mjtactile.sensing.settings import DEFAULTS, SmoothnessSettings
 
 _ROUNDS = 3
-_RATIOS = np.exp(np.arange(-18.0, 18.5, 0.75))  # of signal to noise tried, relative to the stiffest mode
+# of signal to noise tried, relative to the stiffest mode
+_RATIOS = np.exp(np.arange(-18.0, 18.5, 0.75))
 
 
 @dataclass(frozen=True)
 class _Smooth:
-    """`value` (N,) of the spline, its `sd` (N,), `weight` (N,) of each datum, `scatter` over predicted sd."""
+    """`value` (N,) of the spline, its `sd` (N,), `weight` (N,) of each datum, `scatter` over
+    predicted sd."""
 
     value: Array
     sd: Array
@@ -50,8 +55,12 @@ class SharedDepth:
     sd: Array
 
     def along_rays(self, poses: CirclePoses, cov_p_alt: Array) -> tuple[CirclePoses, Array]:
-        """`poses` with these depths, and the covariance of the second centres, (N, 3, 3) m^2 as given, with them too."""
-        p, alt, cov, cov_alt = poses.p_CM.copy(), poses.p_CM_alt.copy(), poses.cov_p.copy(), cov_p_alt.copy()
+        """`poses` with these depths, and the covariance of the second centres, (N, 3, 3) m^2 as
+        given, with them too."""
+        p = poses.p_CM.copy()
+        alt = poses.p_CM_alt.copy()
+        cov = poses.cov_p.copy()
+        cov_alt = cov_p_alt.copy()
         scale = self.z / p[self.at, 2]
         for center, matrix in ((p, cov), (alt, cov_alt)):
             ray = center[self.at] / center[self.at, 2:]
@@ -64,11 +73,13 @@ class SharedDepth:
         return replace(poses, p_CM=p, p_CM_alt=alt, cov_p=cov), cov_alt
 
 
-def agree_on_depth(alone: CirclePoses, s: SmoothnessSettings = DEFAULTS.smoothness) -> SharedDepth | None:
+def agree_on_depth(
+    alone: CirclePoses, s: SmoothnessSettings = DEFAULTS.smoothness
+) -> SharedDepth | None:
     """The smooth surface that the circles lie on; None if they do not plainly lie on one.
 
-    `alone` was estimated with no help of neighbours, so that its errors are independent. Circles that disagree with the
-    surface are not `at` it.
+    `alone` was estimated with no help of neighbours, so that its errors are independent. Circles
+    that disagree with the surface are not `at` it.
     """
     ok = np.flatnonzero(alone.status == "ok")
     if not s.circles[0] <= len(ok) <= s.circles[1]:
@@ -84,13 +95,16 @@ def agree_on_depth(alone: CirclePoses, s: SmoothnessSettings = DEFAULTS.smoothne
 
 
 def _fit(xy: Array, w: Array, sd: Array, s: SmoothnessSettings) -> _Smooth:
-    """Thin-plate spline through `w` (N,) at `xy` (N, 2), with the smoothness that the data ask for; robust."""
+    """Thin-plate spline through `w` (N,) at `xy` (N, 2), with the smoothness that the data ask for;
+    robust."""
     x = (xy - xy.mean(axis=0)) / max(float(np.ptp(xy, axis=0).max()), 1e-12)
     square = ((x[:, None] - x[None]) ** 2).sum(axis=2)
     K = 0.5 * square * np.log(square + 1e-300)
     T = np.column_stack([np.ones(len(x)), x])
     weight = _not_gross(x, w / sd, sd, s.gross)
-    value, spread, scatter = w, sd, np.inf
+    value = w
+    spread = sd
+    scatter = np.inf
     for _ in range(_ROUNDS):
         value, spread = _spline(K, T, w, sd / np.sqrt(weight), s)
         left = np.abs(w - value) / sd
@@ -100,9 +114,15 @@ def _fit(xy: Array, w: Array, sd: Array, s: SmoothnessSettings) -> _Smooth:
 
 
 def _not_gross(x: Array, y: Array, sd: Array, gross: float) -> Array:
-    """First weights (N,): least absolute deviations from a second-order surface tell a circle of another size."""
-    A = np.column_stack([np.ones(len(x)), x, x[:, 0] ** 2, x[:, 0] * x[:, 1], x[:, 1] ** 2]) / sd[:, None]
-    weight, left, scale = np.ones(len(x)), y, 1.0
+    """First weights (N,): least absolute deviations from a second-order surface tell a circle of
+    another size."""
+    A = (
+        np.column_stack([np.ones(len(x)), x, x[:, 0] ** 2, x[:, 0] * x[:, 1], x[:, 1] ** 2])
+        / sd[:, None]
+    )
+    weight = np.ones(len(x))
+    left = y
+    scale = 1.0
     for _ in range(15):
         root = np.sqrt(weight)
         left = np.abs(y - A @ np.linalg.lstsq(A * root[:, None], y * root, rcond=None)[0])
@@ -112,11 +132,13 @@ def _not_gross(x: Array, y: Array, sd: Array, gross: float) -> Array:
 
 
 def _spline(K: Array, T: Array, w: Array, sd: Array, s: SmoothnessSettings) -> tuple[Array, Array]:
-    """The spline's values (N,) and their posterior sd (N,), by the eigenvectors V of the bending energy beyond planes."""
+    """The spline's values (N,) and their posterior sd (N,), by the eigenvectors V of the bending
+    energy beyond planes."""
     n = len(w)
     beyond = np.linalg.qr(T / sd[:, None], mode="complete")[0][:, 3:]
     k, U = np.linalg.eigh(beyond.T @ (K / np.outer(sd, sd)) @ beyond)
-    k, V = np.maximum(k, 0.0), beyond @ U
+    k = np.maximum(k, 0.0)
+    V = beyond @ U
     z2 = (V.T @ (w / sd)) ** 2
     gain = 1 + np.outer(_RATIOS / max(k[-1], 1e-300), k)  # (ratios, n - 3)
     freedom = n - (1 / gain).sum(axis=1)

@@ -1,8 +1,10 @@
-"""What an object is made of, from how its width answers to the force of a squeeze. Pure functions of a `Squeeze`.
+"""What an object is made of, from how its width answers to the force of a squeeze. Pure functions
+of a `Squeeze`.
 
-Solid: the width stays, all that gives way are the membranes. Soft: it shrinks with the force and comes back; the curve
-is parabolic where the material stiffens (the paper's sponge). Amorphous: it flows, and keeps most of its deformation.
-The membranes are in series with the object, but its width is measured apart from theirs (docs/equations.md, Eq. P1-P5).
+Solid: the width stays, all that gives way are the membranes. Soft: it shrinks with the force and
+comes back; the curve is parabolic where the material stiffens (the paper's sponge). Amorphous: it
+flows, and keeps most of its deformation. The membranes are in series with the object, but its width
+is measured apart from theirs (docs/equations.md, Eq. P1-P5).
 """
 
 from __future__ import annotations
@@ -25,7 +27,8 @@ _NO_COV = np.zeros((3, 3))
 
 @dataclass(frozen=True, eq=False)
 class _Phases:
-    """Indices of the press, of the hold after it, of the release, and of the second touch (may be empty)."""
+    """Indices of the press, of the hold after it, of the release, and of the second touch (may be
+    empty)."""
 
     load: NDArray[np.int64]
     hold: NDArray[np.int64]
@@ -35,8 +38,8 @@ class _Phases:
 
 @dataclass(frozen=True)
 class _Curve:
-    """Deformation d(F) = 2 a F / (1 + sqrt(1 + 4 q F)) of the press, so that F = d/a + (q/a^2) d^2; `free_width` m at F = 0
-    and the covariance `cov` (3, 3) of (free width, a, q)."""
+    """Deformation d(F) = 2 a F / (1 + sqrt(1 + 4 q F)) of the press, so that F = d/a + (q/a^2) d^2;
+    `free_width` m at F = 0 and the covariance `cov` (3, 3) of (free width, a, q)."""
 
     free_width: float
     compliance: float
@@ -45,7 +48,9 @@ class _Curve:
 
     def width(self, force: Array) -> Array:
         """Width, m, under `force` N."""
-        return self.free_width - 2 * self.compliance * force / (1 + np.sqrt(1 + 4 * self.stiffening * force))
+        return self.free_width - 2 * self.compliance * force / (
+            1 + np.sqrt(1 + 4 * self.stiffening * force)
+        )
 
     def sd(self, force: float = 0.0) -> float:
         """Standard deviation of the width under `force` N that the fit leaves, m."""
@@ -56,31 +61,48 @@ class _Curve:
 
 
 def judge(squeeze: Squeeze, s: MaterialSettings = DEFAULTS.material) -> Material:
-    """The verdict on a probe: press, hold, release and (better) a second touch. "unknown" says why in `status`."""
-    seen = np.isfinite(squeeze.width) & np.isfinite(squeeze.force) & (squeeze.force > s.force_traced)
+    """The verdict on a probe: press, hold, release and (better) a second touch. "unknown" says why
+    in `status`."""
+    seen = (
+        np.isfinite(squeeze.width) & np.isfinite(squeeze.force) & (squeeze.force > s.force_traced)
+    )
     most = float(np.max(squeeze.force[seen], initial=0.0))
     shrunk = float(np.ptp(squeeze.width[seen])) if seen.any() else 0.0
     if most < s.force_least and shrunk < s.shrunk_enough:
-        return _unknown(StatusCode.TOO_LITTLE_SEEN, f"not enough contact yet: felt {most:.2f} N, needs {s.force_least:g} N")
+        return _unknown(
+            StatusCode.TOO_LITTLE_SEEN,
+            f"not enough contact yet: felt {most:.2f} N, needs {s.force_least:g} N",
+        )
     phases = _phases(squeeze, np.flatnonzero(seen), s)
     if len(phases.load) < s.samples_least or len(phases.hold) < s.samples_least:
-        return _unknown(StatusCode.TOO_LITTLE_SEEN, f"not enough contact yet: {len(phases.load)} images of the press and "
-                                                    f"{len(phases.hold)} of the hold, needs {s.samples_least} of each")
+        return _unknown(
+            StatusCode.TOO_LITTLE_SEEN,
+            f"not enough contact yet: {len(phases.load)} "
+            "images of the press and "
+            f"{len(phases.hold)} of the hold, needs "
+            f"{s.samples_least} of each",
+        )
     return _verdict(squeeze, phases, _fit_press(squeeze, phases.load, s), s)
 
 
 def _unknown(code: StatusCode, reason: str) -> Material:
-    return Material("unknown", dict.fromkeys(MATERIALS, 1 / len(MATERIALS)), status=Status(code, reason))
+    return Material(
+        "unknown", dict.fromkeys(MATERIALS, 1 / len(MATERIALS)), status=Status(code, reason)
+    )
 
 
 def _phases(squeeze: Squeeze, seen: NDArray[np.int64], s: MaterialSettings) -> _Phases:
-    """Split the history where contact is lost, and the first squeeze where the jaws stop and where they open."""
+    """Split the history where contact is lost, and the first squeeze where the jaws stop and where
+    they open."""
     gap = s.gap * float(np.median(np.diff(squeeze.time)))
     runs = np.split(seen, np.flatnonzero(np.diff(squeeze.time[seen]) > gap) + 1)
     peaks = [squeeze.force[run].max() for run in runs]
-    first = next(i for i, peak in enumerate(peaks) if peak >= min(s.force_least, s.peak_share * max(peaks)))
+    first = next(
+        i for i, peak in enumerate(peaks) if peak >= min(s.force_least, s.peak_share * max(peaks))
+    )
     run = runs[first]
-    opening, time = squeeze.opening[run], squeeze.time[run]
+    opening = squeeze.opening[run]
+    time = squeeze.time[run]
     speed = -np.gradient(opening, time) if len(run) > 2 else np.zeros(len(run))
     pressing = speed > s.pressing * np.percentile(speed, 95)
     opened = opening > np.minimum.accumulate(opening) + s.opened
@@ -91,23 +113,35 @@ def _phases(squeeze: Squeeze, seen: NDArray[np.int64], s: MaterialSettings) -> _
 
 
 def _fit_press(squeeze: Squeeze, load: NDArray[np.int64], s: MaterialSettings) -> _Curve:
-    """Least squares for free width, compliance a and stiffening q (Eq. P2), robust against single bad widths.
+    """Least squares for free width, compliance a and stiffening q (Eq. P2), robust against single
+    bad widths.
 
     Up to half the force: what flows has not flowed much by then.
     """
-    gentle = load[(squeeze.force[load] > s.force_seen) & (squeeze.force[load] <= s.gentle_share * squeeze.force[load].max())]
-    load = gentle if len(gentle) >= s.samples_least else load[:s.samples_least]
-    force, width, sd = squeeze.force[load], squeeze.width[load], squeeze.width_sd[load]
+    gentle = load[
+        (squeeze.force[load] > s.force_seen)
+        & (squeeze.force[load] <= s.gentle_share * squeeze.force[load].max())
+    ]
+    load = gentle if len(gentle) >= s.samples_least else load[: s.samples_least]
+    force = squeeze.force[load]
+    width = squeeze.width[load]
+    sd = squeeze.width_sd[load]
     slope = max(float(-np.polyfit(force, width, 1)[0]), 1e-6)
 
     def residual(p: Array) -> Array:
         curve = _Curve(p[0], p[1] * slope, p[2], _NO_COV)
-        return np.concatenate([(curve.width(force) - width) / sd, [s.stiffening_prior * p[2]]])  # a prior: mild stiffening
+        # a prior: mild stiffening
+        return np.concatenate([(curve.width(force) - width) / sd, [s.stiffening_prior * p[2]]])
 
     first = float(width[:3].max())  # seen at `force_seen` or a little more
     start = np.array([first + min(slope * force[0], 0.5 * s.unseen_most), 1.0, 0.1])
-    fit = least_squares(residual, start, bounds=([first - s.unseen_most, 0, 0], [first + s.unseen_most, 50, 100]),
-                        x_scale=[1e-4, 1, 1], loss="soft_l1")
+    fit = least_squares(
+        residual,
+        start,
+        bounds=([first - s.unseen_most, 0, 0], [first + s.unseen_most, 50, 100]),
+        x_scale=[1e-4, 1, 1],
+        loss="soft_l1",
+    )
     scatter = max(1.0, math.sqrt(2 * fit.cost / max(len(load) - 3, 1)))
     unit = np.array([1.0, slope, 1.0])
     cov = scatter**2 * np.linalg.pinv(fit.jac.T @ fit.jac) * np.outer(unit, unit)
@@ -115,43 +149,74 @@ def _fit_press(squeeze: Squeeze, load: NDArray[np.int64], s: MaterialSettings) -
 
 
 def _verdict(squeeze: Squeeze, phases: _Phases, curve: _Curve, s: MaterialSettings) -> Material:
-    last = phases.hold[-max(s.samples_least, len(phases.hold) // 4):]  # where it has come to rest
+    last = phases.hold[-max(s.samples_least, len(phases.hold) // 4) :]  # where it has come to rest
     force = float(np.mean(squeeze.force[last]))
     deformation = curve.free_width - float(np.mean(squeeze.width[last]))
     sd = math.hypot(curve.sd(), s.width_bias)
     stayed, stayed_sd = _permanent_set(squeeze, phases, curve, s)
     probability = _probabilities(deformation, sd, max(force, s.force_least), stayed, stayed_sd, s)
     kind = max(probability, key=lambda name: probability[name])
-    # a body that flows has no stiffness of its own, and of one that stays the modulus cannot be seen
+    # a body that flows has no stiffness of its own, and of one that stays the modulus cannot be
+    # seen
     unknown = (math.nan, math.nan, math.nan)
     stiffness = _ratio(force, deformation, sd) if kind != "amorphous" else unknown
     relaxation_time, at_rest = _relaxation(squeeze, phases, force, s)
     if kind == "soft" and math.isfinite(at_rest):  # not all has relaxed by the end of the hold
         stiffness = (at_rest, min(at_rest, stiffness[1]), max(at_rest, stiffness[2]))
     area = float(np.median(squeeze.area[last]))
-    modulus = _modulus(stiffness, curve.free_width, area, s.area_share_sd) if kind == "soft" else unknown
+    modulus = (
+        _modulus(stiffness, curve.free_width, area, s.area_share_sd) if kind == "soft" else unknown
+    )
     status = OK
     if probability[kind] < s.sure:
         first, other = sorted(probability, key=lambda name: -probability[name])[:2]
-        kind, status = "unknown", Status(StatusCode.UNDECIDED, f"undecided between {first} and {other}")
+        kind = "unknown"
+        status = Status(StatusCode.UNDECIDED, f"undecided between {first} and {other}")
     elif not len(phases.second):
-        status = Status(StatusCode.TOO_LITTLE_SEEN, "no second touch: what stayed is judged from the release")
-    return Material(kind, probability, force, deformation, stiffness[0], (stiffness[1], stiffness[2]), modulus[0],
-                    (modulus[1], modulus[2]),
-                    relaxation_time, stayed, stayed_sd, _flow_speed(squeeze, phases.hold, s.early), status)
+        status = Status(
+            StatusCode.TOO_LITTLE_SEEN, "no second touch: what stayed is judged from the release"
+        )
+    return Material(
+        kind,
+        probability,
+        force,
+        deformation,
+        stiffness[0],
+        (stiffness[1], stiffness[2]),
+        modulus[0],
+        (modulus[1], modulus[2]),
+        relaxation_time,
+        stayed,
+        stayed_sd,
+        _flow_speed(squeeze, phases.hold, s.early),
+        status,
+    )
 
 
-def _probabilities(deformation: float, sd: float, force: float, stayed: float, stayed_sd: float,
-                   s: MaterialSettings) -> dict[str, float]:
-    """Solid against not by the compliance, soft against amorphous by the share that stayed, each with its error."""
+def _probabilities(
+    deformation: float,
+    sd: float,
+    force: float,
+    stayed: float,
+    stayed_sd: float,
+    s: MaterialSettings,
+) -> dict[str, float]:
+    """Solid against not by the compliance, soft against amorphous by the share that stayed, each
+    with its error."""
     solid = float(ndtr((s.solid_compliance * force - deformation) / sd))
     scale = max(deformation, sd)
     share_sd = math.hypot(s.set_share_sd, math.hypot(stayed_sd, s.set_share * sd) / scale)
     amorphous = float(ndtr((stayed / scale - s.set_share) / share_sd))
-    return {"solid": solid, "soft": (1 - solid) * (1 - amorphous), "amorphous": (1 - solid) * amorphous}
+    return {
+        "solid": solid,
+        "soft": (1 - solid) * (1 - amorphous),
+        "amorphous": (1 - solid) * amorphous,
+    }
 
 
-def _permanent_set(squeeze: Squeeze, phases: _Phases, curve: _Curve, s: MaterialSettings) -> tuple[float, float]:
+def _permanent_set(
+    squeeze: Squeeze, phases: _Phases, curve: _Curve, s: MaterialSettings
+) -> tuple[float, float]:
     """How much narrower the object is at the same small force afterwards, m, and its sd."""
     after = phases.second[squeeze.force[phases.second] > s.force_seen]
     if len(after) < 3:  # a paste yields before it pushes back so hard
@@ -170,18 +235,26 @@ def _permanent_set(squeeze: Squeeze, phases: _Phases, curve: _Curve, s: Material
 
 def _ratio(force: float, deformation: float, sd: float) -> tuple[float, float, float]:
     """Stiffness F / d, N/m, and its 68 % interval; inf where the deformation may be nothing."""
+
     def over(d: float) -> float:
         return force / d if d > 0 else math.inf
 
     return over(deformation), over(deformation + sd), over(deformation - sd)
 
 
-def _modulus(stiffness: tuple[float, float, float], length: float, area: float, area_sd: float) -> tuple[float, float, float]:
-    """E = K L / A, Pa, of a body between flat faces, and its 68 % interval (Eq. P4); `area_sd` of `area`."""
+def _modulus(
+    stiffness: tuple[float, float, float], length: float, area: float, area_sd: float
+) -> tuple[float, float, float]:
+    """E = K L / A, Pa, of a body between flat faces, and its 68 % interval (Eq. P4); `area_sd` of
+    `area`."""
     if area <= 0:
         return math.nan, math.nan, math.nan
     best, low, high = (k * length / area for k in stiffness)
-    return best, best - math.hypot(best - low, area_sd * best), best + math.hypot(high - best, area_sd * best)
+    return (
+        best,
+        best - math.hypot(best - low, area_sd * best),
+        best + math.hypot(high - best, area_sd * best),
+    )
 
 
 def _flow_speed(squeeze: Squeeze, hold: NDArray[np.int64], early_time: float) -> float:
@@ -192,7 +265,9 @@ def _flow_speed(squeeze: Squeeze, hold: NDArray[np.int64], early_time: float) ->
     return max(0.0, -float(np.polyfit(squeeze.time[early], squeeze.width[early], 1)[0]))
 
 
-def _relaxation(squeeze: Squeeze, phases: _Phases, force: float, s: MaterialSettings) -> tuple[float, float]:
+def _relaxation(
+    squeeze: Squeeze, phases: _Phases, force: float, s: MaterialSettings
+) -> tuple[float, float]:
     """Time constant, s, of the stress at constant strain, and stiffness at rest, N/m.
 
     Time 0: the force stayed. NaN: it fell, but not as a standard linear solid's. Press and hold of such a solid obey
@@ -200,7 +275,8 @@ def _relaxation(squeeze: Squeeze, phases: _Phases, force: float, s: MaterialSett
     and the unknown free width; it needs no derivatives, and holds whatever the membranes do meanwhile.
     """
     rows = np.concatenate([phases.load, phases.hold])
-    time, F = squeeze.time[rows], squeeze.force[rows]
+    time = squeeze.time[rows]
+    F = squeeze.force[rows]
     d = squeeze.width[rows[0]] - squeeze.width[rows]
     start = float(np.mean(squeeze.force[phases.load[-3:]]))
     noise = float(np.median(squeeze.force_sd[rows]))

@@ -1,9 +1,11 @@
-"""Contact patches from the traction field: several at once, each with outline, area, centroid, depth and axes (Eq. F13).
+"""Contact patches from the traction field: several at once, each with outline, area, centroid,
+depth and axes (Eq. F13).
 
-The inverse cannot place pressure more sharply than its grid, but the second moment of a pressure survives such a blur. It
-gives the area of a disc that is pressed uniformly, which is too large where the blur is larger than the contact; there the
-force tells more, since a sheet on a ball carries its own tension's pressure beside the gas's. The outline encloses the strongest
-pressure, that much of it. The arithmetic is in mjtactile/kernels/patches.c.
+The inverse cannot place pressure more sharply than its grid, but the second moment of a pressure
+survives such a blur. It gives the area of a disc that is pressed uniformly, which is too large
+where the blur is larger than the contact; there the force tells more, since a sheet on a ball
+carries its own tension's pressure beside the gas's. The outline encloses the strongest pressure,
+that much of it. The arithmetic is in mjtactile/kernels/patches.c.
 """
 
 from __future__ import annotations
@@ -21,26 +23,50 @@ from mjtactile.sensing.force.inverse import REFINE, InverseMembrane, InverseRest
 from mjtactile.sensing.settings import DEFAULTS, PatchSettings, as_numbers
 
 
-def find_patches(estimator: InverseMembrane, shape: Shape, rest: InverseRest,
-                 s: PatchSettings = DEFAULTS.patches) -> tuple[Contact, ...]:
+def find_patches(
+    estimator: InverseMembrane, shape: Shape, rest: InverseRest, s: PatchSettings = DEFAULTS.patches
+) -> tuple[Contact, ...]:
     """Contact patches, the strongest first; empty when nothing presses."""
-    nx, ny = len(estimator.x), len(estimator.y)
+    nx = len(estimator.x)
+    ny = len(estimator.y)
     pressing = np.zeros((nx, ny))
     pressing[1:-1, 1:-1] = np.maximum(-shape.traction[2], 0).reshape(nx - 2, ny - 2)
     fine = _smoother(nx, s.smoothing) @ pressing @ _smoother(ny, s.smoothing).T
     peak = float(fine.max())
     if peak <= 0:
         return ()
-    above = fine > min(s.separate_share * math.sqrt(max(shape.pressure_gauge, 0.1 * peak) * peak), 0.9 * peak)
+    above = fine > min(
+        s.separate_share * math.sqrt(max(shape.pressure_gauge, 0.1 * peak) * peak), 0.9 * peak
+    )
     count, places = cv2.connectedComponents(above.astype(np.uint8), connectivity=4)
-    owner, position = _nearest_place(places) if count > 2 else None, estimator.fine_positions(shape.c)
+    owner = _nearest_place(places) if count > 2 else None
+    position = estimator.fine_positions(shape.c)
     sunk = (estimator.node_positions(rest.c) - estimator.node_positions(shape.c))[:, 2]
-    step_x, step_y = estimator.x[1] - estimator.x[0], estimator.y[1] - estimator.y[0]
+    step_x = estimator.x[1] - estimator.x[0]
+    step_y = estimator.y[1] - estimator.y[0]
     patches = []
     for k in range(1, count):
-        inside, mask, found = np.zeros(fine.shape, np.uint8), np.empty((ny, nx), np.uint8), np.empty(10)
-        carries = kernel("measure_patch")(nx, ny, REFINE, fine, position, owner, k, shape.traction, estimator.node_area, sunk,
-                                          shape.pressure_gauge, (step_x**2 + step_y**2) / 24, as_numbers(s), inside, mask, found)
+        inside = np.zeros(fine.shape, np.uint8)
+        mask = np.empty((ny, nx), np.uint8)
+        found = np.empty(10)
+        carries = kernel("measure_patch")(
+            nx,
+            ny,
+            REFINE,
+            fine,
+            position,
+            owner,
+            k,
+            shape.traction,
+            estimator.node_area,
+            sunk,
+            shape.pressure_gauge,
+            (step_x**2 + step_y**2) / 24,
+            as_numbers(s),
+            inside,
+            mask,
+            found,
+        )
         if carries < 0:
             raise MemoryError("no room for a patch")
         if carries:
@@ -56,13 +82,20 @@ def together(patches: tuple[Contact, ...], grid_shape: tuple[int, int]) -> Conta
         return patches[0]
     weights = np.array([-p.force[2] for p in patches])
     centroid = weights @ np.array([p.centroid for p in patches]) / weights.sum()
-    return Contact(True, sum(p.area for p in patches), centroid, max(p.depth for p in patches),
-                   np.logical_or.reduce([p.mask for p in patches]), force=np.sum([p.force for p in patches], axis=0))
+    return Contact(
+        True,
+        sum(p.area for p in patches),
+        centroid,
+        max(p.depth for p in patches),
+        np.logical_or.reduce([p.mask for p in patches]),
+        force=np.sum([p.force for p in patches], axis=0),
+    )
 
 
 @cache
 def _smoother(nodes: int, sd: float) -> Array:
-    """Matrix (REFINE (nodes - 1) + 1, nodes) from nodes to the fine grid: Gaussian smoothing, `sd` in nodes, then linear."""
+    """Matrix (REFINE (nodes - 1) + 1, nodes) from nodes to the fine grid: Gaussian smoothing, `sd`
+    in nodes, then linear."""
     index = np.arange(nodes)
     kernel = np.exp(-0.5 * (np.subtract.outer(index, index) / sd) ** 2)
     kernel /= kernel[nodes // 2].sum()
@@ -74,17 +107,30 @@ def _nearest_place(places: NDArray) -> NDArray:
     """For each point the number of the nearest labelled place; 0 when there is none."""
     if places.max() <= 1:
         return np.full_like(places, places.max())
-    _, nearest = cv2.distanceTransformWithLabels((places == 0).astype(np.uint8), cv2.DIST_L2, 5,
-                                                 labelType=cv2.DIST_LABEL_PIXEL)
+    _, nearest = cv2.distanceTransformWithLabels(
+        (places == 0).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
     owner = np.zeros(int(nearest.max()) + 1, dtype=places.dtype)
     owner[nearest[places > 0]] = places[places > 0]
     return owner[nearest]
 
 
-def _patch(inside: NDArray[np.uint8], mask: NDArray[np.bool_], found: Array, position: Array) -> Contact:
-    """One patch from its fine cells `inside` (a, b), its grid nodes (ny, nx) and what the kernel found of it."""
+def _patch(
+    inside: NDArray[np.uint8], mask: NDArray[np.bool_], found: Array, position: Array
+) -> Contact:
+    """One patch from its fine cells `inside` (a, b), its grid nodes (ny, nx) and what the kernel
+    found of it."""
     contours, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     b, a = max(contours, key=len)[:, 0].T
     x, y, depth, area, long, short, angle = found[3:].tolist()
-    return Contact(True, area, np.array([x, y]), depth, mask, force=found[:3], outline=position[:2, a, b].T,
-                   semi_axes=np.array([long, short]), angle=angle)
+    return Contact(
+        True,
+        area,
+        np.array([x, y]),
+        depth,
+        mask,
+        force=found[:3],
+        outline=position[:2, a, b].T,
+        semi_axes=np.array([long, short]),
+        angle=angle,
+    )

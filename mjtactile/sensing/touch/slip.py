@@ -1,16 +1,19 @@
-"""Does the object slip on the membrane? From the place of the touch on the rubber, against what the rubber itself does.
+"""Does the object slip on the membrane? From the place of the touch on the rubber, against what the
+rubber itself does.
 
-Markers are material points, so that the centre of pressure is known in the membrane's *material* coordinates. While the
-object sticks it stays there, however far the membrane is dragged along; when the object slips it goes along the shear
-force with the object, and the rubber under it no longer follows. This needs no coefficient of friction.
-What else moves a centre of pressure is allowed for: partial slip, which goes with how far the rubber is dragged, and an
-object that leans, which goes with the change of shear over normal force and the contact's length squared. Against what is
-then left, a ramp that began a few images ago is tested by its matched filter (Eq. F14). A patch that wanders without shear
-rolls.
+Markers are material points, so that the centre of pressure is known in the membrane's *material*
+coordinates. While the object sticks it stays there, however far the membrane is dragged along; when
+the object slips it goes along the shear force with the object, and the rubber under it no longer
+follows. This needs no coefficient of friction. What else moves a centre of pressure is allowed for:
+partial slip, which goes with how far the rubber is dragged, and an object that leans, which goes
+with the change of shear over normal force and the contact's length squared. Against what is then
+left, a ramp that began a few images ago is tested by its matched filter (Eq. F14). A patch that
+wanders without shear rolls.
 
-The share of friction that is used up, and with it the sticking share (1 - Q / mu N)^(2/3) of the area (Cattaneo 1938, Mindlin
-1949), needs the coefficient: the sensor file's, until a slip or a hold beyond it has shown another. That nearly all
-of it is reached is slip, too: at once where the file is right, and once too often where the object is rougher than that.
+The share of friction that is used up, and with it the sticking share (1 - Q / mu N)^(2/3) of the
+area (Cattaneo 1938, Mindlin 1949), needs the coefficient: the sensor file's, until a slip or a hold
+beyond it has shown another. That nearly all of it is reached is slip, too: at once where the file
+is right, and once too often where the object is rougher than that.
 """
 
 from __future__ import annotations
@@ -30,8 +33,9 @@ _POINT = 1e-4  # m: a patch is not smaller; one of a single node has no extent o
 
 @dataclass(frozen=True, eq=False)
 class SlipSample:
-    """One image: `time` s, centre of pressure `p` (2,) m on the material, the way `dragged` (3,) m of the rubber under it since
-    the touch began, and the shear over the normal force, `ratio` (3,)."""
+    """One image: `time` s, centre of pressure `p` (2,) m on the material, the way `dragged` (3,) m
+    of the rubber under it since the touch began, and the shear over the normal force, `ratio`
+    (3,)."""
 
     time: float
     p: Array
@@ -41,8 +45,8 @@ class SlipSample:
 
 @dataclass(frozen=True, eq=False)
 class SlipHistory:
-    """What the next image needs: the last `samples`, the nodes' `weight` (J,) and `position` (J, 3) m, the `distance` m slipped,
-    and the coefficient of `friction` as far as it is known."""
+    """What the next image needs: the last `samples`, the nodes' `weight` (J,) and `position` (J, 3)
+    m, the `distance` m slipped, and the coefficient of `friction` as far as it is known."""
 
     samples: tuple[SlipSample, ...]
     weight: Array
@@ -55,9 +59,16 @@ def unknown(code: StatusCode, reason: str) -> Slip:
     return Slip("unknown", np.full(2, np.nan), np.nan, np.nan, status=Status(code, reason))
 
 
-def judge(time: float, estimator: InverseMembrane, shape: Shape, patches: Sequence[Contact],
-          before: SlipHistory | None, s: SlipSettings = DEFAULTS.slip) -> tuple[Slip, SlipHistory | None]:
-    """Slip state of the strongest patch at `time` s, and the history for the next image (None: the touch has ended)."""
+def judge(
+    time: float,
+    estimator: InverseMembrane,
+    shape: Shape,
+    patches: Sequence[Contact],
+    before: SlipHistory | None,
+    s: SlipSettings = DEFAULTS.slip,
+) -> tuple[Slip, SlipHistory | None]:
+    """Slip state of the strongest patch at `time` s, and the history for the next image (None: the
+    touch has ended)."""
     if not patches:
         return Slip("none", np.zeros(2), 0.0, 1.0), None
     normal, shear = split(patches[0].force, mean_normal(estimator, shape))
@@ -67,9 +78,17 @@ def judge(time: float, estimator: InverseMembrane, shape: Shape, patches: Sequen
     load = float(np.linalg.norm(shear)) / normal
     velocity, way = _motion(now.samples, s)
     limit = s.limit * now.friction
-    reaches_limit = load > limit > min(float(np.linalg.norm(sample.ratio)) for sample in now.samples)
-    slips = load > s.least_load and (reaches_limit or (way > s.least_way and evidence(now, normal, s) > s.evidence))
-    slid = max(now.distance, way) if slips and now.distance == 0 else now.distance + slips * _newest_way(now.samples)
+    reaches_limit = (
+        load > limit > min(float(np.linalg.norm(sample.ratio)) for sample in now.samples)
+    )
+    slips = load > s.least_load and (
+        reaches_limit or (way > s.least_way and evidence(now, normal, s) > s.evidence)
+    )
+    slid = (
+        max(now.distance, way)
+        if slips and now.distance == 0
+        else now.distance + slips * _newest_way(now.samples)
+    )
     friction = load if slips else max(now.friction, load)
     used = load / friction
     state: SlipState = "slipping" if slips else "incipient" if used > s.incipient else "sticking"
@@ -78,13 +97,17 @@ def judge(time: float, estimator: InverseMembrane, shape: Shape, patches: Sequen
 
 
 def evidence(history: SlipHistory, normal: float, s: SlipSettings = DEFAULTS.slip) -> float:
-    """How many sd the centre of pressure has gone along the shear, as a ramp that began within the last `s.recent` s, beyond what
-    the rubber's own way and leaning explain (Eq. F14); `normal` N presses."""
+    """How many sd the centre of pressure has gone along the shear, as a ramp that began within the
+    last `s.recent` s, beyond what the rubber's own way and leaning explain (Eq. F14); `normal` N
+    presses."""
     samples = history.samples
     time = np.array([sample.time for sample in samples])
     along = samples[-1].ratio / max(float(np.linalg.norm(samples[-1].ratio)), 1e-12)
     way = np.array([sample.p for sample in samples]) @ along[:2]
-    dragged, ratio = (np.array([getattr(sample, name) for sample in samples]) @ along for name in ("dragged", "ratio"))
+    dragged, ratio = (
+        np.array([getattr(sample, name) for sample in samples]) @ along
+        for name in ("dragged", "ratio")
+    )
     size, length = _extent(history, along)
     size = max(size, _POINT)
     sd = s.noise * (size / s.noise_size) ** s.noise_size_power * normal**s.noise_force_power
@@ -98,18 +121,30 @@ def evidence(history: SlipHistory, normal: float, s: SlipSettings = DEFAULTS.sli
         left = excess[0] - s.follows * np.abs(excess[1]) - lean * np.abs(excess[2])
         if left[-1] > s.least_way:
             ramp = time[b:] - time[b - 1]
-            most = max(most, float(ramp @ left) / (sd * float(np.sqrt(ramp @ ramp + ramp.sum() ** 2 / (b - a)))))
+            most = max(
+                most,
+                float(ramp @ left) / (sd * float(np.sqrt(ramp @ ramp + ramp.sum() ** 2 / (b - a)))),
+            )
     return most
 
 
-def _follow(time: float, estimator: InverseMembrane, shape: Shape, ratio: Array, before: SlipHistory | None,
-            s: SlipSettings) -> SlipHistory:
+def _follow(
+    time: float,
+    estimator: InverseMembrane,
+    shape: Shape,
+    ratio: Array,
+    before: SlipHistory | None,
+    s: SlipSettings,
+) -> SlipHistory:
     """History with the newest image's sample; begun anew at the touch, and after a gap."""
-    weight, position = _pressed(estimator, shape, s.core_share), estimator.node_positions(shape.c)
+    weight = _pressed(estimator, shape, s.core_share)
+    position = estimator.node_positions(shape.c)
     p = weight @ estimator.nodes
     if before is None or not 0 < time - before.samples[-1].time < s.gap:
         friction = estimator.design.membrane.friction if before is None else before.friction
-        return SlipHistory((SlipSample(time, p, np.zeros(3), ratio),), weight, position, 0.0, friction)
+        return SlipHistory(
+            (SlipSample(time, p, np.zeros(3), ratio),), weight, position, 0.0, friction
+        )
     step = 0.5 * (weight + before.weight) @ (position - before.position)
     sample = SlipSample(time, p, before.samples[-1].dragged + step, ratio)
     kept = tuple(old for old in before.samples if time - old.time < s.recent + s.baseline)
@@ -117,10 +152,11 @@ def _follow(time: float, estimator: InverseMembrane, shape: Shape, ratio: Array,
 
 
 def _motion(samples: Sequence[SlipSample], s: SlipSettings) -> tuple[Array, float]:
-    """Velocity (2,) m/s of the centre of pressure over the material, and its way along the shear, m, over the last
-    `s.recent` s."""
+    """Velocity (2,) m/s of the centre of pressure over the material, and its way along the shear,
+    m, over the last `s.recent` s."""
     first = next(old for old in samples if samples[-1].time - old.time <= s.recent)
-    way, elapsed = samples[-1].p - first.p, samples[-1].time - first.time
+    way = samples[-1].p - first.p
+    elapsed = samples[-1].time - first.time
     along = samples[-1].ratio[:2] / max(float(np.linalg.norm(samples[-1].ratio)), 1e-12)
     return (way / elapsed if elapsed > 0 else np.zeros(2)), float(way @ along)
 
@@ -134,11 +170,15 @@ def _extent(history: SlipHistory, along: Array) -> tuple[float, float]:
     """Radius of gyration of the pressure, m, and its sd along the direction (3,)."""
     off = history.position - history.weight @ history.position
     flat = off[:, :2]
-    return (float(np.sqrt(history.weight @ (off**2).sum(axis=1))), float(np.sqrt(history.weight @ (flat @ along[:2]) ** 2)))
+    return (
+        float(np.sqrt(history.weight @ (off**2).sum(axis=1))),
+        float(np.sqrt(history.weight @ (flat @ along[:2]) ** 2)),
+    )
 
 
 def split(force: Array, normal: Array) -> tuple[float, Array]:
-    """Normal force, N (positive presses), and shear (3,) N of a force on a patch with outward unit normal (3,)."""
+    """Normal force, N (positive presses), and shear (3,) N of a force on a patch with outward unit
+    normal (3,)."""
     along = float(force @ normal)
     return -along, force - along * normal
 
@@ -151,7 +191,8 @@ def mean_normal(estimator: InverseMembrane, shape: Shape) -> Array:
 
 
 def _pressed(estimator: InverseMembrane, shape: Shape, core_share: float) -> Array:
-    """Share (J,) of the pressing force at each node; less than `core_share` of the peak is no touch."""
+    """Share (J,) of the pressing force at each node; less than `core_share` of the peak is no
+    touch."""
     weight = np.maximum(-shape.traction[2], 0.0) * estimator.node_area
     weight = np.maximum(weight - core_share * weight.max(), 0.0)
     return weight / weight.sum()

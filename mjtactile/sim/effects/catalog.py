@@ -1,12 +1,14 @@
-"""The effects a simulation can have: their names, when each is needed, what it costs, and what leaving it out costs.
+"""The effects a simulation can have: their names, when each is needed, what it costs, and what
+leaving it out costs.
 
     chosen = choose(design, load_object("egg"), force_error=0.02)          # effects="auto"
     chosen = choose(design, item, overrides="+bending,-friction")          # forced by hand
     world = GraspWorld(design, item, effects=chosen.on)
 
-The gates are those of docs/effects.md: an effect is on when leaving it out would move force or surface by more than
-the accuracy asked for, or when the scene makes it the point (friction carries the object). Costs and errors are
-measured on the shipped membrane by `mjtactile bench effects` (models/fidelity/effects.json).
+The gates are those of docs/effects.md: an effect is on when leaving it out would move force or
+surface by more than the accuracy asked for, or when the scene makes it the point (friction carries
+the object). Costs and errors are measured on the shipped membrane by `mjtactile bench effects`
+(models/fidelity/effects.json).
 """
 
 from __future__ import annotations
@@ -33,13 +35,15 @@ GRAVITY = 9.81
 _CONTACT_SPEED = 0.01  # m/s of the membrane while an object is touched gently
 _EXPOSURE = 0.008  # s
 _HELD = 0.6  # N: a usual grasp
-_SHADED = 0.06  # of the force, over the slope's tangent squared: what shading moves in the middle, measured (docs/effects.md)
+# of the force, over the slope's tangent squared: what shading moves in the middle, measured
+# (docs/effects.md)
+_SHADED = 0.06
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What the gates look at. `feature` m: the object's smallest radius; `sharp`: it has edges; `half_extents` m: half its
-    size along and across a membrane that closes on it."""
+    """What the gates look at. `feature` m: the object's smallest radius; `sharp`: it has edges;
+    `half_extents` m: half its size along and across a membrane that closes on it."""
 
     design: SensorDesign
     grasped: ObjectModel | None
@@ -50,9 +54,14 @@ class Scene:
 
     @property
     def bulge(self) -> float:
-        """Height of the free bulge at the supply's pressure, m; an estimate outside of the theory's table."""
+        """Height of the free bulge at the supply's pressure, m; an estimate outside of the theory's
+        table."""
         height = theory.bulge_height(self.design, self.design.chamber.supply_gauge)
-        return abs(height) if math.isfinite(height) else 0.1 * min(self.design.frame.length, self.design.frame.width)
+        return (
+            abs(height)
+            if math.isfinite(height)
+            else 0.1 * min(self.design.frame.length, self.design.frame.width)
+        )
 
     @property
     def half_width(self) -> float:
@@ -64,8 +73,8 @@ Gate = Callable[[Scene], tuple[bool, str]]
 
 @dataclass(frozen=True)
 class Entry:
-    """`name`; `kind` of place it lives in; `gate` that says whether a scene needs it and why; `built`: False when this
-    version has no such effect, `fixed` when it cannot be taken out."""
+    """`name`; `kind` of place it lives in; `gate` that says whether a scene needs it and why;
+    `built`: False when this version has no such effect, `fixed` when it cannot be taken out."""
 
     name: Effect
     kind: str
@@ -76,8 +85,8 @@ class Entry:
 
 @dataclass(frozen=True)
 class Choice:
-    """One row of the table: the effect, whether it is on, why, ms per simulated second it costs, and what leaving it out
-    costs, N and um (NaN: not measured)."""
+    """One row of the table: the effect, whether it is on, why, ms per simulated second it costs,
+    and what leaving it out costs, N and um (NaN: not measured)."""
 
     effect: Entry
     on: bool
@@ -99,16 +108,33 @@ class Chosen:
 
     def summary(self) -> list[dict[str, Any]]:
         """One object an effect, for JSON."""
-        return [{"effect": c.effect.name, "kind": c.effect.kind, "on": c.on, "built": c.effect.built, "why": c.why,
-                 "cost_ms_per_s": c.cost, "left_out_N": c.force, "left_out_um": c.surface} for c in self.choices]
+        return [
+            {
+                "effect": c.effect.name,
+                "kind": c.effect.kind,
+                "on": c.on,
+                "built": c.effect.built,
+                "why": c.why,
+                "cost_ms_per_s": c.cost,
+                "left_out_N": c.force,
+                "left_out_um": c.surface,
+            }
+            for c in self.choices
+        ]
 
 
-def choose(design: SensorDesign, grasped: ObjectModel | None = None, *, force_error: float = DEFAULT_FORCE_ERROR,
-           overrides: str = "auto") -> Chosen:
-    """Derive the set for a sensor, an object and a force error asked for (N); then apply `overrides`.
+def choose(
+    design: SensorDesign,
+    grasped: ObjectModel | None = None,
+    *,
+    force_error: float = DEFAULT_FORCE_ERROR,
+    overrides: str = "auto",
+) -> Chosen:
+    """Derive the set for a sensor, an object and a force error asked for (N); then apply
+    `overrides`.
 
-    `overrides` is "auto", or "+name,-name,...". Raises InputError for an unknown name, an effect that is not built and
-    is forced on, or one that cannot be taken out and is forced off.
+    `overrides` is "auto", or "+name,-name,...". Raises InputError for an unknown name, an effect
+    that is not built and is forced on, or one that cannot be taken out and is forced off.
     """
     forced = parse(overrides)
     scene = Scene(design, grasped, force_error, *_feature(grasped))
@@ -117,7 +143,13 @@ def choose(design: SensorDesign, grasped: ObjectModel | None = None, *, force_er
     for effect in EFFECTS:
         on, why = effect.gate(scene)
         if effect.name in forced:
-            on, why = forced[effect.name], f"forced {'on' if forced[effect.name] else 'off'} (auto: {'on' if on else 'off'})"
+            on, why = (
+                forced[effect.name],
+                (
+                    f"forced {'on' if forced[effect.name] else 'off'} (auto: "
+                    f"{'on' if on else 'off'})"
+                ),
+            )
         row = measured.get(effect.name, {})
         numbers = (_number(row.get(key)) for key in ("cost_ms_per_s", "force_N", "surface_um"))
         choices.append(Choice(effect, on, why, *numbers))
@@ -127,32 +159,49 @@ def choose(design: SensorDesign, grasped: ObjectModel | None = None, *, force_er
 def parse(text: str) -> dict[Effect, bool]:
     """Read "auto" or "+bending,-friction" into name to on. Raises InputError listing the names."""
     forced: dict[Effect, bool] = {}
-    for part in ([] if text.strip() in ("", "auto") else text.split(",")):
-        sign, name = part.strip()[:1], part.strip()[1:].strip().replace("_", " ")
+    for part in [] if text.strip() in ("", "auto") else text.split(","):
+        sign = part.strip()[:1]
+        name = part.strip()[1:].strip().replace("_", " ")
         effect = next((e for e in EFFECTS if e.name.lower() == name.lower()), None)
         if sign not in ("+", "-") or effect is None:
-            raise InputError(f"{part.strip()!r} is not +NAME or -NAME", field="--effects",
-                             choices=["auto", *(e.name for e in EFFECTS)])
+            raise InputError(
+                f"{part.strip()!r} is not +NAME or -NAME",
+                field="--effects",
+                choices=["auto", *(e.name for e in EFFECTS)],
+            )
         if sign == "+" and not effect.built:
-            raise InputError(f"{effect.name!r} is not in this version: {effect.kind}", field="--effects")
+            raise InputError(
+                f"{effect.name!r} is not in this version: {effect.kind}", field="--effects"
+            )
         if sign == "-" and effect.fixed:
-            raise InputError(f"{effect.name!r} cannot be taken out: it is part of {effect.kind}", field="--effects")
+            raise InputError(
+                f"{effect.name!r} cannot be taken out: it is part of {effect.kind}",
+                field="--effects",
+            )
         forced[effect.name] = sign == "+"
     return forced
 
 
-# -- gates: (needed, why) ---------------------------------------------------------------------------------------------
+# -- gates: (needed, why)
+# --------------------------------------------------------------------------------
 
 
 def _gas(s: Scene) -> tuple[bool, str]:
     volume = s.design.chamber_volume_flat
-    stiffness = s.design.chamber.heat_ratio * s.design.chamber.ambient * s.design.frame.area**2 / volume
-    return True, f"the chamber is sealed in a grasp: {1e-3 * stiffness:.1f} N/mm against piston motion"
+    stiffness = (
+        s.design.chamber.heat_ratio * s.design.chamber.ambient * s.design.frame.area**2 / volume
+    )
+    return True, (
+        f"the chamber is sealed in a grasp: {1e-3 * stiffness:.1f} N/mm against piston motion"
+    )
 
 
 def _large_deflection(s: Scene) -> tuple[bool, str]:
-    sheet, frame = s.design.membrane, s.design.frame
-    c1, c2 = theory.rectangle_coefficients(max(frame.length, frame.width) / (2 * s.half_width), sheet.poisson)
+    sheet = s.design.membrane
+    frame = s.design.frame
+    c1, c2 = theory.rectangle_coefficients(
+        max(frame.length, frame.width) / (2 * s.half_width), sheet.poisson
+    )
     tension = max(sheet.pretension, 1e-9)
     share = c2 / c1 * sheet.young * sheet.thickness / tension * (s.bulge / s.half_width) ** 2
     return _over(share, 0.01, "cubic share of the stiffness")
@@ -161,10 +210,15 @@ def _large_deflection(s: Scene) -> tuple[bool, str]:
 def _bending(s: Scene) -> tuple[bool, str]:
     limit = 5 * s.design.membrane.thickness
     if s.feature < limit:
-        return True, f"a feature of {1e3 * s.feature:.2g} mm is below five thicknesses ({1e3 * limit:.2g} mm)"
+        return True, (
+            f"a feature of {1e3 * s.feature:.2g} mm is below five thicknesses "
+            f"({1e3 * limit:.2g} mm)"
+        )
     if s.sharp and s.force_error < 0.005:
         return True, "the object has sharp edges, and less than 5 mN is asked for"
-    return False, "no feature below five thicknesses" + ("; edges count below 5 mN" if s.sharp else "")
+    return False, "no feature below five thicknesses" + (
+        "; edges count below 5 mN" if s.sharp else ""
+    )
 
 
 def _friction(s: Scene) -> tuple[bool, str]:
@@ -174,33 +228,45 @@ def _friction(s: Scene) -> tuple[bool, str]:
 
 
 def _gravity(s: Scene) -> tuple[bool, str]:
-    sheet, frame = s.design.membrane, s.design.frame
+    sheet = s.design.membrane
+    frame = s.design.frame
     weight = sheet.density * sheet.thickness * frame.area * GRAVITY / sheet.pre_stretch**2
-    return _over(weight / s.force_error, 0.1, f"the sheet's weight of {1e3 * weight:.1f} mN over the force error asked for")
+    return _over(
+        weight / s.force_error,
+        0.1,
+        f"the sheet's weight of {1e3 * weight:.1f} mN over the force error asked for",
+    )
 
 
 def _follower(s: Scene) -> tuple[bool, str]:
     sheet = s.design.membrane
-    pressure = max(abs(s.design.chamber.supply_gauge), 0.02 * s.design.chamber.ambient)  # a grasp raises it by 1-2 kPa
+    # a grasp raises it by 1-2 kPa
+    pressure = max(abs(s.design.chamber.supply_gauge), 0.02 * s.design.chamber.ambient)
     return _over(pressure * s.half_width / (sheet.young * sheet.thickness), 1e-2, "p a / E h")
 
 
 def _hyperelastic(s: Scene) -> tuple[bool, str]:
     lower = theory.stvk_height_error(s.design, s.design.chamber.supply_gauge)
     share = f"by {lower:.0%}" if math.isfinite(lower) else "by an unknown share"
-    return True, f"rubber softens as it stretches: without, it bulges less {share} at the supply's pressure"
+    return True, (
+        f"rubber softens as it stretches: without, it bulges less {share} at the supply's pressure"
+    )
 
 
 def _heat(s: Scene) -> tuple[bool, str]:
     chamber = s.design.chamber
     on = math.isfinite(chamber.heat_exchange) and chamber.heat_ratio > 1
-    return on, f"{chamber.heat_exchange:g} s is within a grasp's time" if on else "the sensor's gas keeps one exponent"
+    return on, (
+        f"{chamber.heat_exchange:g} s is within a grasp's time"
+    ) if on else "the sensor's gas keeps one exponent"
 
 
 def _valve(s: Scene) -> tuple[bool, str]:
     chamber = s.design.chamber
     on = math.isfinite(chamber.valve_conductance) or chamber.leak_conductance > 0
-    return on, "the sensor's valve or leak has a conductance" if on else "the sensor's valve is ideal and nothing leaks"
+    return on, ("the sensor's valve or leak has a conductance") if on else (
+        "the sensor's valve is ideal and nothing leaks"
+    )
 
 
 def _servo(s: Scene) -> tuple[bool, str]:
@@ -219,20 +285,30 @@ def _latency(s: Scene) -> tuple[bool, str]:
 
 
 def _has(value: float, what: str) -> tuple[bool, str]:
-    return value > 0, f"the camera's file has {what}" if value > 0 else f"the camera's file has no {what}"
+    return (
+        value > 0,
+        f"the camera's file has {what}" if value > 0 else f"the camera's file has no {what}",
+    )
 
 
 def _shadows(s: Scene) -> tuple[bool, str]:
-    """The sheet's deepest slope at a usual grasp, against the LEDs' lowest ray, and by what slopes alone do to force."""
-    leds, frame = s.design.leds, s.design.frame
+    """The sheet's deepest slope at a usual grasp, against the LEDs' lowest ray, and by what slopes
+    alone do to force."""
+    leds = s.design.leds
+    frame = s.design.frame
     if not leds.count * leds.falloff:
         return False, "no LEDs that fall off: light from everywhere"
     if leds.ring_radius > s.half_width:
         return True, "the frame's wall stands between the LEDs and the membrane"
-    lowest = math.atan2(s.design.camera.distance, math.hypot(frame.length, frame.width) / 2 + leds.ring_radius)
+    lowest = math.atan2(
+        s.design.camera.distance, math.hypot(frame.length, frame.width) / 2 + leds.ring_radius
+    )
     slope = steepness.deepest(s.design, s.half_extents, _HELD)
     shaded = _SHADED * _HELD * math.tan(min(slope, lowest)) ** 2
-    angles = f"slopes of {math.degrees(slope):.0f} deg at {_HELD:g} N, LEDs from {math.degrees(lowest):.0f} deg up"
+    angles = (
+        f"slopes of {math.degrees(slope):.0f} deg at {_HELD:g} N, LEDs from "
+        f"{math.degrees(lowest):.0f} deg up"
+    )
     if slope > lowest:
         return True, f"{angles}: dents are in their own light"
     return shaded > s.force_error, f"{angles}: no shadow; shading moves {1e3 * shaded:.1f} mN"
@@ -242,6 +318,7 @@ def _material(name: str) -> Gate:
     def gate(s: Scene) -> tuple[bool, str]:
         found = s.grasped is not None and s.grasped.material == name
         return found, f"the object is {name}: in its own file" if found else f"no {name} object"
+
     return gate
 
 
@@ -263,25 +340,55 @@ EFFECTS: tuple[Entry, ...] = (
     Entry(Effect.CAMERA_NOISE, "camera", lambda s: _has(s.design.camera.noise_dn, "noise")),
     Entry(Effect.BLUR, "camera", lambda s: _has(s.design.camera.blur_px, "blur")),
     Entry(Effect.MOTION_BLUR, "camera", _motion_blur),
-    Entry(Effect.DISTORTION, "camera", lambda s: _has(float(np.abs(s.design.camera.distortion).max()), "distortion")),
-    Entry(Effect.REFRACTION, "camera", lambda s: _has(s.design.glass.thickness * (s.design.glass.refractive_index - 1), "glass")),
-    Entry(Effect.LED_SHADING, "camera", lambda s: _has(s.design.leds.count * s.design.leds.falloff, "LEDs that fall off")),
+    Entry(
+        Effect.DISTORTION,
+        "camera",
+        lambda s: _has(float(np.abs(s.design.camera.distortion).max()), "distortion"),
+    ),
+    Entry(
+        Effect.REFRACTION,
+        "camera",
+        lambda s: _has(s.design.glass.thickness * (s.design.glass.refractive_index - 1), "glass"),
+    ),
+    Entry(
+        Effect.LED_SHADING,
+        "camera",
+        lambda s: _has(s.design.leds.count * s.design.leds.falloff, "LEDs that fall off"),
+    ),
     Entry(Effect.SHADOWS, "camera", _shadows),
     Entry(Effect.LATENCY, "camera", _latency),
-    Entry(Effect.IMAGES, "camera", lambda s: (True, "without, the markers' ellipses are drawn from their error's bound")),
-    Entry(Effect.PLASTICITY, "the object's own file (docs/objects.md)", _material("amorphous"), built=False),
-    Entry(Effect.VOLUMETRIC_SOFTNESS, "the object's own file (docs/objects.md)", _material("soft"), built=False),
-)  # fmt: skip
+    Entry(
+        Effect.IMAGES,
+        "camera",
+        lambda s: (True, "without, the markers' ellipses are drawn from their error's bound"),
+    ),
+    Entry(
+        Effect.PLASTICITY,
+        "the object's own file (docs/objects.md)",
+        _material("amorphous"),
+        built=False,
+    ),
+    Entry(
+        Effect.VOLUMETRIC_SOFTNESS,
+        "the object's own file (docs/objects.md)",
+        _material("soft"),
+        built=False,
+    ),
+)
 
 
 def _feature(grasped: ObjectModel | None) -> tuple[float, bool, tuple[float, float]]:
-    """Smallest radius of the object, m, whether it has sharp edges, and half its extents across the fingers' way, m."""
+    """Smallest radius of the object, m, whether it has sharp edges, and half its extents across the
+    fingers' way, m."""
     if grasped is None:
         return math.inf, False, (math.inf, math.inf)
     model = read_spec(grasped).compile()
     geoms = features.touching_geoms(model)
     kinds = model.geom_type[geoms]
-    sharp = np.isin(kinds, (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_MESH)).any()
+    sharp = np.isin(
+        kinds,
+        (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_MESH),
+    ).any()
     return features.smallest_feature(model)[0], bool(sharp), steepness.half_extents(model, geoms)
 
 

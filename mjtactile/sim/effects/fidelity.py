@@ -1,11 +1,13 @@
-"""`Fidelity`: how finely to simulate. A user says what is needed; the cheapest setting that was measured to give it is taken.
+"""`Fidelity`: how finely to simulate. A user says what is needed; the cheapest setting that was
+measured to give it is taken.
 
     Fidelity.for_force_error(0.02)     the cheapest setting whose force error was measured to be at most 0.02 N
     Fidelity.for_real_time()           the most accurate setting that runs at least as fast as the clock
     Fidelity.parse("0.02N")            the same by what stands after --accuracy: "0.02N" or "realtime"
 
-The table behind it, models/fidelity/measured.json, is written by `mjtactile bench accuracy` and says on which machine
-and with which versions it was measured. Errors are those of the shipped sensors' membrane (see docs/accuracy.md).
+The table behind it, models/fidelity/measured.json, is written by `mjtactile bench accuracy` and
+says on which machine and with which versions it was measured. Errors are those of the shipped
+sensors' membrane (see docs/accuracy.md).
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ from mjtactile.core import resources
 from mjtactile.core.errors import InputError
 
 REAL_TIME_MARGIN = 1.25
-"""Physics must be this much faster than the clock: cameras, perception and the rest want their share."""
+"""Physics must be this much faster than the clock: cameras, perception and the rest want their
+share."""
 CHOICES = ("0.02N (a force error)", "realtime")
 DEFAULT_FORCE_ERROR = 0.02
 """Force error, N, that effects are chosen for when nobody says."""
@@ -32,11 +35,13 @@ DEFAULT_FORCE_ERROR = 0.02
 class Fidelity:
     """A setting of the simulator with what was measured of it.
 
-    `mesh` vertices along x and y, `timestep` s (at most; a rig takes the next shorter one that divides its camera's
-    period), solver `tolerance`; `force_error` N and `surface_error` m (root mean square against the converged
-    reference), `force_noise` N (standard deviation while an object is held), `cost` ms of one core per simulated second
-    of two sensors holding an object. `met` is False when nothing measured reaches what was asked; `basis` says why it
-    was taken. `asked` N is the force error that effects are chosen for: who asks for real time asks for no costly ones.
+    `mesh` vertices along x and y, `timestep` s (at most; a rig takes the next shorter one that
+    divides its camera's period), solver `tolerance`; `force_error` N and `surface_error` m (root
+    mean square against the converged reference), `force_noise` N (standard deviation while an
+    object is held), `cost` ms of one core per simulated second of two sensors holding an object.
+    `met` is False when nothing measured reaches what was asked; `basis` says why it was taken.
+    `asked` N is the force error that effects are chosen for: who asks for real time asks for no
+    costly ones.
     """
 
     mesh: tuple[int, int]
@@ -57,29 +62,47 @@ class Fidelity:
 
     @classmethod
     def for_force_error(cls, force_error: float, table: Path | None = None) -> Fidelity:
-        """The cheapest measured setting with at most `force_error` N; else the most accurate one, with `met` False.
+        """The cheapest measured setting with at most `force_error` N; else the most accurate one,
+        with `met` False.
 
         Raises InputError when `force_error` is not a finite number > 0.
         """
         if not math.isfinite(force_error) or force_error <= 0:
-            raise InputError(f"{force_error!r} N is not a finite force error > 0", source="Fidelity", field="force_error_N")
+            raise InputError(
+                f"{force_error!r} N is not a finite force error > 0",
+                source="Fidelity",
+                field="force_error_N",
+            )
         rows, stamp = load_table(table)
         good = [row for row in rows if row.force_error <= force_error]
-        best = min(good, key=lambda row: row.cost) if good else min(rows, key=lambda row: row.force_error)
-        reason = (f"cheapest with at most {force_error:g} N" if good else
-                  f"no setting reaches {force_error:g} N; the closest has {best.force_error:.3g} N")
+        best = (
+            min(good, key=lambda row: row.cost)
+            if good
+            else min(rows, key=lambda row: row.force_error)
+        )
+        reason = (
+            f"cheapest with at most {force_error:g} N"
+            if good
+            else f"no setting reaches {force_error:g} N; the closest has {best.force_error:.3g} N"
+        )
         return replace(_with_basis(best, bool(good), reason, stamp), asked=force_error)
 
     @classmethod
     def for_real_time(cls, table: Path | None = None) -> Fidelity:
-        """The most accurate measured setting that keeps up with the clock; else the fastest, with `met` False."""
+        """The most accurate measured setting that keeps up with the clock; else the fastest, with
+        `met` False."""
         rows, stamp = load_table(table)
         good = [row for row in rows if row.real_time_factor >= REAL_TIME_MARGIN]
         if good:
             best = min(good, key=lambda row: row.force_error)
-            return _with_basis(best, True, f"most accurate at {REAL_TIME_MARGIN:g} x real time or faster", stamp)
+            return _with_basis(
+                best, True, f"most accurate at {REAL_TIME_MARGIN:g} x real time or faster", stamp
+            )
         fastest = min(rows, key=lambda row: row.cost)
-        reason = f"nothing is fast enough on that machine; the fastest runs at {fastest.real_time_factor:.2f} x real time"
+        reason = (
+            "nothing is fast enough on that machine; the fastest runs at "
+            f"{fastest.real_time_factor:.2f} x real time"
+        )
         return _with_basis(fastest, False, reason, stamp)
 
     @classmethod
@@ -98,15 +121,30 @@ class Fidelity:
 
     def summary(self) -> dict[str, Any]:
         """What a run writes down about its setting; JSON keys carry units."""
-        return {"mesh": list(self.mesh), "timestep_ms": 1e3 * self.timestep, "tolerance": self.tolerance,
-                "force_error_N": self.force_error, "surface_error_um": 1e6 * self.surface_error,
-                "force_noise_N": self.force_noise, "ms_per_s": self.cost, "met": self.met, "basis": self.basis}
+        return {
+            "mesh": list(self.mesh),
+            "timestep_ms": 1e3 * self.timestep,
+            "tolerance": self.tolerance,
+            "force_error_N": self.force_error,
+            "surface_error_um": 1e6 * self.surface_error,
+            "force_noise_N": self.force_noise,
+            "ms_per_s": self.cost,
+            "met": self.met,
+            "basis": self.basis,
+        }
 
 
 def row_from_json(row: dict[str, Any]) -> Fidelity:
     """Inverse of `Fidelity.summary`, without `met` and `basis`."""
-    return Fidelity((int(row["mesh"][0]), int(row["mesh"][1])), 1e-3 * row["timestep_ms"], row["tolerance"],
-                    row["force_error_N"], 1e-6 * row["surface_error_um"], _known(row.get("force_noise_N")), row["ms_per_s"])
+    return Fidelity(
+        (int(row["mesh"][0]), int(row["mesh"][1])),
+        1e-3 * row["timestep_ms"],
+        row["tolerance"],
+        row["force_error_N"],
+        1e-6 * row["surface_error_um"],
+        _known(row.get("force_noise_N")),
+        row["ms_per_s"],
+    )
 
 
 def _known(value: float | None) -> float:
@@ -119,7 +157,8 @@ def table_path() -> Path:
 
 @cache
 def load_table(path: Path | None = None) -> tuple[Sequence[Fidelity], str]:
-    """The measured settings, and one line that says where and with what. Raises InputError for a file that is none."""
+    """The measured settings, and one line that says where and with what. Raises InputError for a
+    file that is none."""
     path = table_path() if path is None else path
     try:
         table = json.loads(path.read_text(encoding="utf-8"))
@@ -127,14 +166,28 @@ def load_table(path: Path | None = None) -> tuple[Sequence[Fidelity], str]:
         stamp = table["stamp"]
         text = f"{stamp['machine']}, MuJoCo {stamp['mujoco']}, {stamp['date']}"
     except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
-        raise InputError(f"not a table of measured settings: {type(error).__name__} {error}", source=path) from error
+        raise InputError(
+            f"not a table of measured settings: {type(error).__name__} {error}", source=path
+        ) from error
     if not rows:
         raise InputError("has no rows", source=path, field="rows")
     return rows, text
 
 
 def _with_basis(row: Fidelity, met: bool, reason: str, stamp: str) -> Fidelity:
-    text = (f"{reason}: {row.mesh[0]}x{row.mesh[1]} vertices at {1e3 * row.timestep:.3g} ms, measured {row.force_error:.3g} N, "
-            f"{1e6 * row.surface_error:.0f} um, {row.real_time_factor:.2f} x real time ({stamp})")
-    return Fidelity(row.mesh, row.timestep, row.tolerance, row.force_error, row.surface_error, row.force_noise, row.cost,
-                    met, text)
+    text = (
+        f"{reason}: {row.mesh[0]}x{row.mesh[1]} vertices at {1e3 * row.timestep:.3g} ms, "
+        f"measured {row.force_error:.3g} N, "
+        f"{1e6 * row.surface_error:.0f} um, {row.real_time_factor:.2f} x real time ({stamp})"
+    )
+    return Fidelity(
+        row.mesh,
+        row.timestep,
+        row.tolerance,
+        row.force_error,
+        row.surface_error,
+        row.force_noise,
+        row.cost,
+        met,
+        text,
+    )

@@ -1,4 +1,5 @@
-"""How the LEDs light the membrane when nothing is in their way: the inverse-square law on a smooth bubble.
+"""How the LEDs light the membrane when nothing is in their way: the inverse-square law on a smooth
+bubble.
 
 What is left out, the slope of the sheet and shadows, is in shadows.py.
 """
@@ -15,15 +16,17 @@ from mjtactile.core.optics import Camera
 from mjtactile.core.types import Array
 
 BLOCK_PX = 16
-"""The light is computed once per block of this size and interpolated: below 0.05 DN at 25 % falloff."""
+"""The light is computed once per block of this size and interpolated: below 0.05 DN at 25 %
+falloff."""
 
 Floats = NDArray[np.float32]
 
 
 def block_slopes(camera: Camera, block: int) -> Array:
-    """Slopes x/z, y/z (nv, nu, 2) in C of the rays in air that the middles of blocks of `block` px see; 0 where the lens
-    model cannot be inverted."""
-    nu, nv = -(-camera.width // block), -(-camera.height // block)
+    """Slopes x/z, y/z (nv, nu, 2) in C of the rays in air that the middles of blocks of `block` px
+    see; 0 where the lens model cannot be inverted."""
+    nu = -(-camera.width // block)
+    nv = -(-camera.height // block)
     u = (np.arange(nu) + 0.5) * (camera.width / nu) - 0.5
     v = (np.arange(nv) + 0.5) * (camera.height / nv) - 0.5
     ray = optics.unproject(camera, np.stack(np.meshgrid(u, v), axis=-1))
@@ -31,24 +34,31 @@ def block_slopes(camera: Camera, block: int) -> Array:
 
 
 class Light:
-    """LEDs on a ring around the camera light the membrane by the inverse-square law and two cosines.
+    """LEDs on a ring around the camera light the membrane by the inverse-square law and two
+    cosines.
 
-    No LEDs mean even light. The field is 1 in the middle of the flat membrane and 1 - falloff at its corners. A
-    membrane that comes nearer gets brighter: heights between the markers are those of the bubble
-    (1 - (2x/L)^2) (1 - (2y/W)^2) (a + bx + cy) that fits the markers best. That is smooth, as light is, and it is not
-    meant to be a model of the surface.
+    No LEDs mean even light. The field is 1 in the middle of the flat membrane and 1 - falloff at
+    its corners. A membrane that comes nearer gets brighter: heights between the markers are those
+    of the bubble (1 - (2x/L)^2) (1 - (2y/W)^2) (a + bx + cy) that fits the markers best. That is
+    smooth, as light is, and it is not meant to be a model of the surface.
     """
 
     def __init__(self, design: SensorDesign, camera: Camera):
-        self._frame, self._falloff, self._size = design.frame, design.leds.falloff, (camera.width, camera.height)
+        self._frame = design.frame
+        self._falloff = design.leds.falloff
+        self._size = (camera.width, camera.height)
         self._xy = block_slopes(camera, BLOCK_PX) * design.camera.distance
         self._even = design.leds.count == 0
-        angle = (np.arange(max(design.leds.count, 1)) + 0.5) * (2 * np.pi / max(design.leds.count, 1))
+        angle = (np.arange(max(design.leds.count, 1)) + 0.5) * (
+            2 * np.pi / max(design.leds.count, 1)
+        )
         self._leds = design.leds.ring_radius * np.column_stack([np.cos(angle), np.sin(angle)])
         self._distance = design.camera.distance
-        x, y = design.frame.length / 2, design.frame.width / 2
+        x = design.frame.length / 2
+        y = design.frame.width / 2
         middle, corner = self._irradiance(self._aside(np.array([[0.0, 0.0], [x, y]])), np.zeros(2))
-        self._middle, self._loss = middle, 1 - corner / middle
+        self._middle = middle
+        self._loss = 1 - corner / middle
         self._bubbles, self._asides = self._bubble(self._xy), self._aside(self._xy)  # of the blocks
 
     def field(self, p_SM: Array) -> Floats:
@@ -57,7 +67,9 @@ class Light:
             return np.ones(self._size[::-1], np.float32)
         share = self._irradiance(self._asides, self._heights(p_SM)) / self._middle
         field = 1 - self._falloff * (1 - share) / self._loss
-        return cv2.resize(np.maximum(field, 0.0).astype(np.float32), self._size, interpolation=cv2.INTER_LINEAR)
+        return cv2.resize(
+            np.maximum(field, 0.0).astype(np.float32), self._size, interpolation=cv2.INTER_LINEAR
+        )
 
     def at(self, p_SM: Array) -> Array:
         """The same (N,) at the markers themselves."""
@@ -71,19 +83,24 @@ class Light:
         return ((self._leds.reshape(-1, *(1,) * (xy.ndim - 1), 2) - xy) ** 2).sum(axis=-1)
 
     def _irradiance(self, aside: Array, z: Array) -> Array:
-        """What the LEDs give where they are so far `aside` (n, ...), on a membrane at the heights `z` (...)."""
+        """What the LEDs give where they are so far `aside` (n, ...), on a membrane at the heights
+        `z` (...)."""
         h2 = (self._distance + z) ** 2
         return h2 * ((aside + h2) ** -2.0).sum(axis=0)
 
     def _heights(self, p_SM: Array) -> Array:
         p_SM = p_SM[np.isfinite(p_SM).all(axis=1)]
         basis = self._bubble(p_SM[:, :2])
-        ridge = 1e-6 * max(len(p_SM), 1) * np.diag([1.0, self._frame.length**2, self._frame.width**2])
+        ridge = (
+            1e-6 * max(len(p_SM), 1) * np.diag([1.0, self._frame.length**2, self._frame.width**2])
+        )
         weights = np.linalg.solve(basis.T @ basis + ridge, basis.T @ p_SM[:, 2])
         return self._bubbles @ weights
 
     def _bubble(self, xy: Array) -> Array:
-        x, y = xy[..., 0], xy[..., 1]
-        half_x, half_y = self._frame.length / 2, self._frame.width / 2
+        x = xy[..., 0]
+        y = xy[..., 1]
+        half_x = self._frame.length / 2
+        half_y = self._frame.width / 2
         bubble = np.clip(1 - (x / half_x) ** 2, 0, 1) * np.clip(1 - (y / half_y) ** 2, 0, 1)
         return np.stack([bubble, bubble * x, bubble * y], axis=-1)

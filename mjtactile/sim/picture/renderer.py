@@ -1,9 +1,11 @@
-"""Virtual camera: an exact analytic renderer of rigid marker circles on the membrane; needs no OpenGL.
+"""Virtual camera: an exact analytic renderer of rigid marker circles on the membrane; needs no
+OpenGL.
 
-Every circle goes through its pose, the pane and the lens exactly; its boundary in the image is then a smooth closed
-curve, whose area under the point spread function (the camera's Gaussian blur and the pixel's square) is integrated
-along that curve, without any sampling of the area: see `draw_discs`. What is not in the picture: marker thickness,
-specular reflections, light that bounces off the walls. The light is the LEDs', see light.py and shadows.py.
+Every circle goes through its pose, the pane and the lens exactly; its boundary in the image is then
+a smooth closed curve, whose area under the point spread function (the camera's Gaussian blur and
+the pixel's square) is integrated along that curve, without any sampling of the area: see
+`draw_discs`. What is not in the picture: marker thickness, specular reflections, light that bounces
+off the walls. The light is the LEDs', see light.py and shadows.py.
 
 This module shares no code with `sensing`, so that a mistake cannot cancel.
 """
@@ -25,12 +27,15 @@ from mjtactile.kernels import kernel
 from mjtactile.sim.picture.light import Light
 from mjtactile.sim.picture.shadows import ShadowedLight
 
-_WALL_SHARE = 0.45  # grey level of the frame's inner wall against the membrane's: matte, clearly neither of the two
+# grey level of the frame's inner wall against the membrane's: matte, clearly neither of the two
+_WALL_SHARE = 0.45
 BLUR_MIN_PX = 0.2
 """A smaller blur is drawn as this one: no lens has less, and the quadrature needs a smooth edge."""
-_STEP_PER_BLUR = 1.25  # quadrature step along an edge, in sd of the blur: exp(-2 pi^2 / 1.25^2) = 3e-6 of aliasing
+# quadrature step along an edge, in sd of the blur: exp(-2 pi^2 / 1.25^2) = 3e-6 of aliasing
+_STEP_PER_BLUR = 1.25
 _NODES = 4  # in each panel of a straight side
-_BINS = 512  # places per pixel at which the edge functions are tabulated: at most 1e-3 px off, at random
+# places per pixel at which the edge functions are tabulated: at most 1e-3 px off, at random
+_BINS = 512
 _TAIL = 5.0  # sd at which the Gaussian ends: 3e-7 of it are beyond
 _POOL_FRAMES = 4  # noise is cut from a pool of this many frames' worth, at a random place
 
@@ -39,7 +44,8 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Effects:
-    """What to change against the design's camera for one image: exposure `gain`, `noise_dn` (sd), `blur_px` (sd)."""
+    """What to change against the design's camera for one image: exposure `gain`, `noise_dn` (sd),
+    `blur_px` (sd)."""
 
     gain: float = 1.0
     noise_dn: float | None = None
@@ -47,15 +53,24 @@ class Effects:
 
 
 class Renderer:
-    """Draws what the camera of `design` sees. Keeps the background and a pool of noise; `seed` fixes the noise.
+    """Draws what the camera of `design` sees. Keeps the background and a pool of noise; `seed`
+    fixes the noise.
 
-    `radius` m of the markers, one or one each (default: the design's). `pose` R_SC (3, 3), p_SC (3,) m of the camera, with
-    its pane and LEDs, in S (default: the design's). With `shadows` the LEDs light the sheet as it lies, and what stands in
-    their way throws a shadow; all markers of the design must then be given.
+    `radius` m of the markers, one or one each (default: the design's). `pose` R_SC (3, 3), p_SC
+    (3,) m of the camera, with its pane and LEDs, in S (default: the design's). With `shadows` the
+    LEDs light the sheet as it lies, and what stands in their way throws a shadow; all markers of
+    the design must then be given.
     """
 
-    def __init__(self, design: SensorDesign, *, radius: ArrayLike | None = None, seed: int = 0, shadows: bool = False,
-                 pose: tuple[Array, Array] | None = None):
+    def __init__(
+        self,
+        design: SensorDesign,
+        *,
+        radius: ArrayLike | None = None,
+        seed: int = 0,
+        shadows: bool = False,
+        pose: tuple[Array, Array] | None = None,
+    ):
         self.design = design
         self._R_SC, self._p_SC = (np.eye(3), design.camera.p_SC) if pose is None else pose
         self.camera = Camera.from_design(design.camera, design.glass)
@@ -71,97 +86,164 @@ class Renderer:
         """Cut the noise of the images to come from other places of the pool."""
         self._rng = np.random.default_rng(seed)
 
-    def render(self, p_SM: ArrayLike, n_S: ArrayLike, time: float = 0.0, *, rng: np.random.Generator | None = None,
-               effects: Effects = Effects()) -> Image:
-        """The image of markers with centres `p_SM` (N, 3) m and normals `n_S` (N, 3) of either sign, in S.
+    def render(
+        self,
+        p_SM: ArrayLike,
+        n_S: ArrayLike,
+        time: float = 0.0,
+        *,
+        rng: np.random.Generator | None = None,
+        effects: Effects = Effects(),
+    ) -> Image:
+        """The image of markers with centres `p_SM` (N, 3) m and normals `n_S` (N, 3) of either
+        sign, in S.
 
         `time` s is passed on. Noise comes from `rng`, or from the renderer's own generator.
         """
-        return self.expose(self.irradiance_image(p_SM, n_S, effects=effects), time, rng=rng, effects=effects)
+        return self.expose(
+            self.irradiance_image(p_SM, n_S, effects=effects), time, rng=rng, effects=effects
+        )
 
-    def expose(self, gray: Floats, time: float = 0.0, *, rng: np.random.Generator | None = None,
-               effects: Effects = Effects()) -> Image:
-        """The image of grey levels `gray` (H, W): with noise, rounded. For motion blur, give the mean of several."""
+    def expose(
+        self,
+        gray: Floats,
+        time: float = 0.0,
+        *,
+        rng: np.random.Generator | None = None,
+        effects: Effects = Effects(),
+    ) -> Image:
+        """The image of grey levels `gray` (H, W): with noise, rounded. For motion blur, give the
+        mean of several."""
         noise_dn = self.design.camera.noise_dn if effects.noise_dn is None else effects.noise_dn
-        start, sign = 0, 0
+        start = 0
+        sign = 0
         if noise_dn > 0:
             rng = self._rng if rng is None else rng
-            start, sign = int(rng.integers(len(self._noise) - gray.size + 1)), 1 if rng.random() < 0.5 else -1
+            start = int(rng.integers(len(self._noise) - gray.size + 1))
+            sign = 1 if rng.random() < 0.5 else -1
         pixels = np.empty(gray.shape, np.uint8)
-        kernel("expose")(gray.size, gray, self._noise[start : start + gray.size], sign * noise_dn, pixels)
+        kernel("expose")(
+            gray.size, gray, self._noise[start : start + gray.size], sign * noise_dn, pixels
+        )
         return Image(pixels, time)
 
-    def irradiance_image(self, p_SM: ArrayLike, n_S: ArrayLike, *, effects: Effects = Effects()) -> Floats:
+    def irradiance_image(
+        self, p_SM: ArrayLike, n_S: ArrayLike, *, effects: Effects = Effects()
+    ) -> Floats:
         """Grey levels (H, W) float32 before noise and rounding; see `render`."""
         blur = self.design.camera.blur_px if effects.blur_px is None else effects.blur_px
         p_SM = np.asarray(p_SM, dtype=float).reshape(-1, 3)
         n_S = np.asarray(n_S, dtype=float).reshape(-1, 3)
         gray = np.zeros((self.camera.height, self.camera.width), np.float32)
-        draw_discs(self.camera, (p_SM - self._p_SC) @ self._R_SC, n_S @ self._R_SC, self.radius, blur, gray)
-        kernel("shade")(gray.size, self.design.leds.marker_dn, effects.gain, self._contrast(blur), self._light.field(p_SM), gray)
+        draw_discs(
+            self.camera, (p_SM - self._p_SC) @ self._R_SC, n_S @ self._R_SC, self.radius, blur, gray
+        )
+        kernel("shade")(
+            gray.size,
+            self.design.leds.marker_dn,
+            effects.gain,
+            self._contrast(blur),
+            self._light.field(p_SM),
+            gray,
+        )
         return gray
 
     def _contrast(self, blur: float) -> Floats:
         """How much more light (H, W) DN membrane and wall reflect than a marker there."""
         if blur not in self._bare:
-            membrane, marker = self.design.leds.membrane_dn, self.design.leds.marker_dn
+            membrane = self.design.leds.membrane_dn
+            marker = self.design.leds.marker_dn
             opening = np.zeros((self.camera.height, self.camera.width), np.float32)
-            draw_opening(self.camera, (_opening(self.design) - self._p_SC) @ self._R_SC, blur, opening)
-            self._bare[blur] = (membrane * (_WALL_SHARE + (1 - _WALL_SHARE) * opening) - marker).astype(np.float32)
+            draw_opening(
+                self.camera, (_opening(self.design) - self._p_SC) @ self._R_SC, blur, opening
+            )
+            self._bare[blur] = (
+                membrane * (_WALL_SHARE + (1 - _WALL_SHARE) * opening) - marker
+            ).astype(np.float32)
         return self._bare[blur]
 
 
-def draw_discs(camera: Camera, p_CM: Array, n_C: Array, radius: ArrayLike, blur_px: float, coverage: Floats) -> None:
+def draw_discs(
+    camera: Camera, p_CM: Array, n_C: Array, radius: ArrayLike, blur_px: float, coverage: Floats
+) -> None:
     """Add the blurred area coverage (0-1) of N discs to the image `coverage` (H, W).
 
-    `p_CM` (N, 3) m in C, unit normals `n_C` (N, 3) of either sign, `radius` m one or (N,). Discs that are behind the
-    camera, not wholly beyond the pane or not finite are left out.
+    `p_CM` (N, 3) m in C, unit normals `n_C` (N, 3) of either sign, `radius` m one or (N,). Discs
+    that are behind the camera, not wholly beyond the pane or not finite are left out.
 
-    With the point spread function h(u) h(v), h = pixel * Gaussian, and H its integral, by Green's theorem
+    With the point spread function h(u) h(v), h = pixel * Gaussian, and H its integral, by Green's
+    theorem
 
-        coverage(u, v) = integral over the inside of h(u - x) h(v - y) dx dy = closed integral of h(u - x) H(v - y) dx.
+        coverage(u, v) = integral over the inside of h(u - x) h(v - y) dx dy = closed integral of
+        h(u - x) H(v - y) dx.
 
-    The integrand is smooth, so that the trapezium rule converges exponentially. A node of it adds h(u - x) (H(v - y) -
-    H(v - 1 - y)) dx to the few pixels around it; the sum of the rows above is the coverage. The sign is the curve's orientation.
+    The integrand is smooth, so that the trapezium rule converges exponentially. A node of it adds
+    h(u - x) (H(v - y) - H(v - 1 - y)) dx to the few pixels around it; the sum of the rows above is
+    the coverage. The sign is the curve's orientation.
     """
     radius = np.broadcast_to(np.asarray(radius, dtype=float), (len(p_CM),))
     per_px = 1 / (_STEP_PER_BLUR * max(blur_px, BLUR_MIN_PX))
-    if kernel("draw_discs")(len(p_CM), p_CM, n_C, radius, camera.numbers, per_px, *_brush(blur_px), *coverage.shape, coverage):
+    if kernel("draw_discs")(
+        len(p_CM),
+        p_CM,
+        n_C,
+        radius,
+        camera.numbers,
+        per_px,
+        *_brush(blur_px),
+        *coverage.shape,
+        coverage,
+    ):
         raise MemoryError("no room for a disc")
 
 
 def draw_opening(camera: Camera, corners_CP: Array, blur_px: float, coverage: Floats) -> None:
-    """Add the blurred area coverage of the polygon `corners_CP` (M, 3) m in C, bent by pane and lens, to `coverage`.
+    """Add the blurred area coverage of the polygon `corners_CP` (M, 3) m in C, bent by pane and
+    lens, to `coverage`.
 
     As `draw_discs`, by Gauss-Legendre quadrature along each straight side.
     """
     node, weight = np.polynomial.legendre.leggauss(_NODES)
-    apart = min(_STEP_PER_BLUR / 2 * max(blur_px, BLUR_MIN_PX), 0.5)  # px: closer than a rim's, since nodes are not even
+    # px: closer than a rim's, since nodes are not even
+    apart = min(_STEP_PER_BLUR / 2 * max(blur_px, BLUR_MIN_PX), 0.5)
     panels = int(np.ceil(max(camera.width, camera.height) / (_NODES * apart)))
     t = ((np.arange(panels)[:, None] + (node + 1) / 2) / panels).ravel()[:, None]
-    start, side = corners_CP[:, None], (np.roll(corners_CP, -1, axis=0) - corners_CP)[:, None]
+    start = corners_CP[:, None]
+    side = (np.roll(corners_CP, -1, axis=0) - corners_CP)[:, None]
     h = 1e-5  # of a side; the curve is smooth: truncation h^2
-    uv, ahead, behind = (optics.project(camera, start + side * s).reshape(-1, 2) for s in (t, t + h, t - h))
-    run = (ahead - behind)[:, 0] / (2 * h) * np.tile(weight, panels * len(corners_CP)) / (2 * panels)
+    uv, ahead, behind = (
+        optics.project(camera, start + side * s).reshape(-1, 2) for s in (t, t + h, t - h)
+    )
+    run = (
+        (ahead - behind)[:, 0] / (2 * h) * np.tile(weight, panels * len(corners_CP)) / (2 * panels)
+    )
     if kernel("fill_curve")(len(uv), uv, run, *_brush(blur_px), *coverage.shape, coverage):
         raise MemoryError("no room for the opening")
 
 
 @lru_cache(maxsize=32)
 def _brush(blur_px: float) -> tuple[int, int, Floats, Floats]:
-    """What a node does to the pixels around it, for each of `_BINS` places in a pixel: their number, that of the pixels, h across
-    and H's rise from row to row, (bins, pixels) and (bins, pixels + 1), of which the first is pixels/2 - 1 before the node's."""
+    """What a node does to the pixels around it, for each of `_BINS` places in a pixel: their
+    number, that of the pixels, h across and H's rise from row to row, (bins, pixels) and (bins,
+    pixels + 1), of which the first is pixels/2 - 1 before the node's."""
     sd = max(blur_px, BLUR_MIN_PX)
     taps = 8 * int(np.ceil((_TAIL * sd + 0.5) / 4))  # whole vectors
     d = np.arange(taps + 1) - (taps // 2 - 1) - np.arange(_BINS)[:, None] / _BINS
     edge = np.stack([d + 0.5, d - 0.5, d - 1.5])
     share = ndtr(edge / sd)
     integral = edge * share + sd * np.exp(-0.5 * (edge / sd) ** 2) / np.sqrt(2 * np.pi)
-    across, down = share[0] - share[1], integral[0] - 2 * integral[1] + integral[2]
-    return _BINS, taps, np.ascontiguousarray(across[:, :taps], np.float32), np.ascontiguousarray(down, np.float32)
+    across = share[0] - share[1]
+    down = integral[0] - 2 * integral[1] + integral[2]
+    return (
+        _BINS,
+        taps,
+        np.ascontiguousarray(across[:, :taps], np.float32),
+        np.ascontiguousarray(down, np.float32),
+    )
 
 
 def _opening(design: SensorDesign) -> Array:
     """Corners of the frame's opening in S, (4, 3)."""
-    x, y = design.frame.length / 2, design.frame.width / 2
+    x = design.frame.length / 2
+    y = design.frame.width / 2
     return np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])

@@ -1,13 +1,16 @@
-"""Shadows: the LEDs light the sheet as it lies, and what stands in their way takes its share away (Eq. L1-L4).
+"""Shadows: the LEDs light the sheet as it lies, and what stands in their way takes its share away
+(Eq. L1-L4).
 
-The renderer knows the sheet by its markers alone. The sheet is the thin-plate spline that carries their displacements
-and is fixed to the frame: on the shipped layouts that is as fine as the simulation's own mesh. From it comes a height
-field on a regular grid of the opening; on that each LED's irradiance with the slope's cosine, and the clearance of each
-LED's ray over the sheet and past the frame's inner wall. Camera rays meet the height field where it really is, so that
-light moves in the image with the surface.
+The renderer knows the sheet by its markers alone. The sheet is the thin-plate spline that carries
+their displacements and is fixed to the frame: on the shipped layouts that is as fine as the
+simulation's own mesh. From it comes a height field on a regular grid of the opening; on that each
+LED's irradiance with the slope's cosine, and the clearance of each LED's ray over the sheet and
+past the frame's inner wall. Camera rays meet the height field where it really is, so that light
+moves in the image with the surface.
 
-Left out: the pane's bending of the LEDs' light (it seems to come from 0.7 mm nearer), light that the rubber scatters
-along itself (it softens edges by about a thickness), and sheets that hang over, which no height field can hold.
+Left out: the pane's bending of the LEDs' light (it seems to come from 0.7 mm nearer), light that
+the rubber scatters along itself (it softens edges by about a thickness), and sheets that hang over,
+which no height field can hold.
 """
 
 from __future__ import annotations
@@ -24,20 +27,29 @@ from mjtactile.kernels import kernel
 from mjtactile.sim.picture.light import BLOCK_PX, Floats, Light, block_slopes
 
 LED_RADIUS = 1.5e-3
-"""Radius, m, of an LED's luminous window: of the usual packages 3528 and 5050. It makes the penumbra."""
-_NODE = 1e-3  # m between nodes of the height field; half of it moves shadow edges by 0.1 mm (tests/unit/sim/test_shadows.py)
+"""Radius, m, of an LED's luminous window: of the usual packages 3528 and 5050. It makes the
+penumbra."""
+# m between nodes of the height field; half of it moves shadow edges by 0.1 mm
+# (tests/unit/sim/test_shadows.py)
+_NODE = 1e-3
 _EDGE_PX = 4  # blocks where a shadow falls: 0.3 mm of membrane; edges are soft over 0.1-0.5 mm
-_CAMERA_STEPS = 6  # fixed point: ray against height field; each halves the rest even at the corner and a slope of 45 degrees
-_CARRY_STEPS = 4  # fixed point: which material point lies at a place; displacements change by 0.2 per length
-_NEAR = 2e-5  # m between steps at which both fixed points are found: the rest is below half of it, 0.2 px
+# fixed point: ray against height field; each halves the rest even at the corner and a slope of 45
+# degrees
+_CAMERA_STEPS = 6
+# fixed point: which material point lies at a place; displacements change by 0.2 per length
+_CARRY_STEPS = 4
+# m between steps at which both fixed points are found: the rest is below half of it, 0.2 px
+_NEAR = 2e-5
 _BEYOND = 1.1  # how far past the sheet's lowest point a ray is followed, for the penumbra
 _MOST_STEPS = 200  # samples along a ray: 0.1 m of way at the usual node
 
 
 class ShadowedLight(Light):
-    """`Light` on the sheet through the markers, each LED with its cosine there and as far as nothing is in its way.
+    """`Light` on the sheet through the markers, each LED with its cosine there and as far as
+    nothing is in its way.
 
-    What the design's falloff is less than the LEDs' own is light from everywhere (white walls): it throws no shadows.
+    What the design's falloff is less than the LEDs' own is light from everywhere (white walls): it
+    throws no shadows.
     """
 
     def __init__(self, design: SensorDesign, camera: Camera):
@@ -46,7 +58,8 @@ class ShadowedLight(Light):
         self._p_SL = np.column_stack([self._leds, np.full(len(self._leds), -self._distance)])
         loss = float(self._loss)
         self._direct = self._falloff / loss if loss > self._falloff else float(self._falloff > 0)
-        self._depth, self._camera = design.chamber.depth, camera
+        self._depth = design.chamber.depth
+        self._camera = camera
         self._outside = bool((edge_distance(design.frame, self._leds) < LED_RADIUS).any())
         self._looks = {block: self._lines(block) for block in (BLOCK_PX, _EDGE_PX)}
         # Beyond the opening the camera sees the frame's wall, which stays where it is.
@@ -55,7 +68,8 @@ class ShadowedLight(Light):
         self._wall = super().field(np.zeros((0, 3))) * (1 - self._opening)
 
     def field(self, p_SM: Array) -> Floats:
-        """Relative light (H, W) on a membrane with markers at `p_SM` (N, 3), all of the design's and in its order."""
+        """Relative light (H, W) on a membrane with markers at `p_SM` (N, 3), all of the design's
+        and in its order."""
         if self._even:
             return np.ones(self._size[::-1], np.float32)
         sheet = self._sheet
@@ -70,8 +84,10 @@ class ShadowedLight(Light):
         return cv2.add(cv2.multiply(field, self._opening), self._wall)
 
     def _blocked(self, z: Array, light: Array) -> Floats | None:
-        """Share (H, W) of the LEDs' light that does not arrive; None when all of it does. `light` (n, ny, nx): each LED's."""
-        sheet, clear = self._sheet, None
+        """Share (H, W) of the LEDs' light that does not arrive; None when all of it does. `light`
+        (n, ny, nx): each LED's."""
+        sheet = self._sheet
+        clear = None
         if may_block(sheet.xy, z, self._p_SL):
             clear = clearance(sheet.xy, z, self._p_SL)
         if self._outside:
@@ -82,32 +98,37 @@ class ShadowedLight(Light):
         column, row = np.moveaxis(self._places(z, _EDGE_PX).astype(np.float32), -1, 0)
         blocked = np.zeros(column.shape, np.float32)
         for share, room in zip(light.astype(np.float32), clear.astype(np.float32), strict=True):
-            if room.min() < 1:  # the clearance is interpolated, not the light: edges are finer than the nodes
+            # the clearance is interpolated, not the light: edges are finer than the nodes
+            if room.min() < 1:
                 hidden = 1 - visible(cv2.remap(room, column, row, cv2.INTER_LINEAR))
                 blocked += cv2.remap(share, column, row, cv2.INTER_LINEAR) * hidden
         return self._grow(blocked)
 
     def _grow(self, blocks: Array | Floats) -> Floats:
         """Values of blocks (nv, nu) as an image (H, W)."""
-        return cv2.resize(blocks.astype(np.float32, copy=False), self._size, interpolation=cv2.INTER_LINEAR)
+        return cv2.resize(
+            blocks.astype(np.float32, copy=False), self._size, interpolation=cv2.INTER_LINEAR
+        )
 
     def _lines(self, block: int) -> tuple[Array, Array]:
-        """Per block of pixels: slopes (nv, nu, 2) of the ray beyond the pane, and the depth (nv, nu) in C from which it
-        seems to come there: a pane shifts a ray and leaves its direction."""
+        """Per block of pixels: slopes (nv, nu, 2) of the ray beyond the pane, and the depth (nv,
+        nu) in C from which it seems to come there: a pane shifts a ray and leaves its direction."""
         slopes = block_slopes(self._camera, block)
         return slopes, optics.pane_shift(self._camera, (slopes**2).sum(axis=-1))
 
     def _places(self, z: Array, block: int) -> Array:
         """Columns and rows (nv, nu, 2) of the height field `z` at which blocks of pixels look."""
         slopes, shift = self._looks[block]
-        if block != BLOCK_PX:  # heights of the large blocks do: 0.001 of light at the worst, in a dent of 9 mm
+        # heights of the large blocks do: 0.001 of light at the worst, in a dent of 9 mm
+        if block != BLOCK_PX:
             near = bilinear(z, self._places(z, BLOCK_PX))
             height = cv2.resize(near, shift.shape[::-1], interpolation=cv2.INTER_LINEAR)
             return self._sheet.columns_rows(self._line(slopes, shift, height))
         height = np.zeros(shift.shape)
         at = self._sheet.columns_rows(self._line(slopes, shift, height))
         for _ in range(_CAMERA_STEPS):
-            last, height = height, bilinear(z, at)
+            last = height
+            height = bilinear(z, at)
             at = self._sheet.columns_rows(self._line(slopes, shift, height))
             if np.abs(height - last).max() < _NEAR:
                 break
@@ -119,11 +140,15 @@ class ShadowedLight(Light):
 
 
 class Sheet:
-    """The smooth sheet through the markers, fixed to the frame; `xy` (ny, nx, 2) m are its nodes, a regular grid of S."""
+    """The smooth sheet through the markers, fixed to the frame; `xy` (ny, nx, 2) m are its nodes, a
+    regular grid of S."""
 
     def __init__(self, design: SensorDesign):
         self.frame = frame = design.frame
-        self.x, self.y = (np.linspace(-side / 2, side / 2, round(side / _NODE) + 1) for side in (frame.length, frame.width))
+        self.x, self.y = (
+            np.linspace(-side / 2, side / 2, round(side / _NODE) + 1)
+            for side in (frame.length, frame.width)
+        )
         self.xy = np.stack(np.meshgrid(self.x, self.y), axis=-1)
         self._flat = design.markers.p_SM
         rim = _rim(frame)
@@ -131,13 +156,16 @@ class Sheet:
         values = np.eye(len(known))[:, : len(self._flat)]
         from scipy.interpolate import RBFInterpolator  # lazily: few pictures have shadows
 
-        operator = RBFInterpolator(known, values, kernel="thin_plate_spline")(self.xy.reshape(-1, 2))
+        operator = RBFInterpolator(known, values, kernel="thin_plate_spline")(
+            self.xy.reshape(-1, 2)
+        )
         operator[edge_distance(frame, self.xy.reshape(-1, 2)) <= 0] = 0.0
         self._operator = operator
 
     def columns_rows(self, xy: Array) -> Array:
         """Places (..., 2) m as fractional columns and rows of the grid."""
-        first, last = self.xy[0, 0], self.xy[-1, -1]
+        first = self.xy[0, 0]
+        last = self.xy[-1, -1]
         return (xy - first) * (np.array([len(self.x), len(self.y)]) - 1) / (last - first)
 
     def heights(self, p_SM: Array) -> Array:
@@ -146,60 +174,81 @@ class Sheet:
         Material moves along the sheet too: at x lies the material point X with X + u(X) = x.
         """
         if p_SM.shape != self._flat.shape or not np.isfinite(p_SM).all():
-            raise InputError(f"shadows need the places of all {len(self._flat)} markers of the design", field="shadows")
+            raise InputError(
+                f"shadows need the places of all {len(self._flat)} markers of the design",
+                field="shadows",
+            )
         moved = (self._operator @ (p_SM - self._flat)).reshape(*self.xy.shape[:2], 3)
         found = moved
         for _ in range(_CARRY_STEPS):
-            last, found = found, bilinear(moved, self.columns_rows(self.xy - found[..., :2]))
+            last = found
+            found = bilinear(moved, self.columns_rows(self.xy - found[..., :2]))
             if np.abs(found - last).max() < _NEAR:
                 break
         return found[..., 2]
 
 
-# -- light and shadow on a height field: xy (ny, nx, 2), z (ny, nx), LEDs p_SL (n, 3), all m in S ---------------------
+# -- light and shadow on a height field: xy (ny, nx, 2), z (ny, nx), LEDs p_SL (n, 3), all m in S
+# ---------------------
 
 
 def irradiance(xy: Array, z: Array, p_SL: Array) -> Array:
-    """Each LED's irradiance (n, ny, nx), 1/m^2, were nothing in its way (Eq. L1); nothing where the sheet is turned away."""
+    """Each LED's irradiance (n, ny, nx), 1/m^2, were nothing in its way (Eq. L1); nothing where the
+    sheet is turned away."""
     dz_dy, dz_dx = np.gradient(z, xy[:, 0, 1], xy[0, :, 0])
     to_x, to_y, down = _towards(xy, z, p_SL)
-    facing = (to_x * dz_dx + to_y * dz_dy + down) / np.sqrt(1 + dz_dx**2 + dz_dy**2)  # distance x cosine
+    # distance x cosine
+    facing = (to_x * dz_dx + to_y * dz_dy + down) / np.sqrt(1 + dz_dx**2 + dz_dy**2)
     return down * np.maximum(facing, 0.0) / (to_x**2 + to_y**2 + down**2) ** 2
 
 
 def may_block(xy: Array, z: Array, p_SL: Array, radius: float = LED_RADIUS) -> bool:
-    """Whether the sheet can be in its own light: its steepest slope against the lowest ray (Eq. L2).
+    """Whether the sheet can be in its own light: its steepest slope against the lowest ray (Eq.
+    L2).
 
-    A chord of the sheet that is as steep as a ray needs, by the mean value theorem, a slope that steep.
+    A chord of the sheet that is as steep as a ray needs, by the mean value theorem, a slope that
+    steep.
     """
-    along_x, along_y = (np.abs(np.diff(z, axis=a)) / (xy[1, 1, 1 - a] - xy[0, 0, 1 - a]) for a in (1, 0))
-    steepest = np.hypot(np.maximum(along_x[1:], along_x[:-1]), np.maximum(along_y[:, 1:], along_y[:, :-1])).max()
+    along_x, along_y = (
+        np.abs(np.diff(z, axis=a)) / (xy[1, 1, 1 - a] - xy[0, 0, 1 - a]) for a in (1, 0)
+    )
+    steepest = np.hypot(
+        np.maximum(along_x[1:], along_x[:-1]), np.maximum(along_y[:, 1:], along_y[:, :-1])
+    ).max()
     to_x, to_y, down = _towards(xy, z, p_SL)
     return bool(steepest > (down / (np.hypot(to_x, to_y) + radius)).min())
 
 
 def clearance(xy: Array, z: Array, p_SL: Array, radius: float = LED_RADIUS) -> Array:
-    """How far (n, ny, nx) each LED's middle stands clear of what of the sheet hides it, in radii of the LED (Eq. L3).
+    """How far (n, ny, nx) each LED's middle stands clear of what of the sheet hides it, in radii of
+    the LED (Eq. L3).
 
-    1 and more: all of the LED is seen; -1 and less: nothing. The ray to the LED is followed as far as the sheet reaches.
+    1 and more: all of the LED is seen; -1 and less: nothing. The ray to the LED is followed as far
+    as the sheet reaches.
     """
     to_x, to_y, down = _towards(xy, z, p_SL)
     across = np.hypot(to_x, to_y)
     end = np.minimum(_BEYOND * np.maximum(z - z.min(), 1e-9) / down, 1.0)
     sample = min(xy[1, 1] - xy[0, 0]) / 2
     steps = int(np.clip(np.ceil((end * across).max() / sample), 1, _MOST_STEPS))
-    first, scale = xy[0, 0], 1 / (xy[1, 1] - xy[0, 0])
+    first = xy[0, 0]
+    scale = 1 / (xy[1, 1] - xy[0, 0])
     least = np.full(down.shape, np.inf)
     for k in range(1, steps + 1):
         part = end * (k / steps)
-        x, y = xy[..., 0] + part * to_x, xy[..., 1] + part * to_y
+        x = xy[..., 0] + part * to_x
+        y = xy[..., 1] + part * to_y
         at = np.stack([(x - first[0]) * scale[0], (y - first[1]) * scale[1]], axis=-1)
         np.minimum(least, (bilinear(z, at) - z) / part, out=least)
-    return (least + down) / down * np.maximum(across, 2 * radius) / radius  # a sheet right below an LED sees it
+    # a sheet right below an LED sees it
+    return (least + down) / down * np.maximum(across, 2 * radius) / radius
 
 
-def wall_clearance(frame: Frame, depth: float, xy: Array, z: Array, p_SL: Array, radius: float = LED_RADIUS) -> Array:
-    """The same for the frame's inner wall, which reaches from the membrane down to the glass, `depth` m (Eq. L4).
+def wall_clearance(
+    frame: Frame, depth: float, xy: Array, z: Array, p_SL: Array, radius: float = LED_RADIUS
+) -> Array:
+    """The same for the frame's inner wall, which reaches from the membrane down to the glass,
+    `depth` m (Eq. L4).
 
     The air between is convex: a ray that enters it through the glass meets no wall.
     """
@@ -222,7 +271,8 @@ def edge_distance(frame: Frame, xy: Array) -> Array:
 
 
 def bilinear(grid: Array, columns_rows: Array) -> Array:
-    """Values of `grid` (ny, nx, ...) at fractional columns and rows (..., 2); beyond its border those of the border."""
+    """Values of `grid` (ny, nx, ...) at fractional columns and rows (..., 2); beyond its border
+    those of the border."""
     out = np.empty((*columns_rows.shape[:-1], *grid.shape[2:]))
     count = columns_rows.size // 2
     kernel("bilinear")(*grid.shape[:2], out.size // max(count, 1), grid, count, columns_rows, out)
@@ -238,9 +288,12 @@ def _towards(xy: Array, z: Array, p_SL: Array) -> tuple[Array, Array, Array]:
 def _rim(frame: Frame, spacing: float = 2.5e-3) -> Array:
     """Points (n, 2) of the opening's edge, closer than the markers of any layout."""
     if frame.shape == "circle":
-        angle = np.linspace(0, 2 * np.pi, int(np.ceil(np.pi * frame.length / spacing)), endpoint=False)
+        angle = np.linspace(
+            0, 2 * np.pi, int(np.ceil(np.pi * frame.length / spacing)), endpoint=False
+        )
         return frame.length / 2 * np.column_stack([np.cos(angle), np.sin(angle)])
-    x, y = frame.length / 2, frame.width / 2
+    x = frame.length / 2
+    y = frame.width / 2
     corners = np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
     sides = []
     for start, stop in zip(corners, np.roll(corners, -1, axis=0), strict=True):

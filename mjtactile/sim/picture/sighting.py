@@ -1,12 +1,14 @@
-"""What the image stages would find in a camera's image, without the image: each marker's ellipse, with an error as theirs has.
+"""What the image stages would find in a camera's image, without the image: each marker's ellipse,
+with an error as theirs has.
 
-The ellipse of a circle is that of its boundary, exactly through pane and lens. Its error is drawn from the Cramer-Rao bound of an
-edge of contrast C, blur s px (sd, the pixel's own included) and noise sigma, whose information of a shift along its normal is
+The ellipse of a circle is that of its boundary, exactly through pane and lens. Its error is drawn
+from the Cramer-Rao bound of an edge of contrast C, blur s px (sd, the pixel's own included) and
+noise sigma, whose information of a shift along its normal is
 
     dI/dl = C^2 / (2 sqrt(pi) s sigma^2)      per px of edge,
 
-summed over the boundary for centre and shape, times what the image stages lose against it. `bench cheap` compares the two. Like
-the renderer, this shares no code with `sensing`.
+summed over the boundary for centre and shape, times what the image stages lose against it. `bench
+cheap` compares the two. Like the renderer, this shares no code with `sensing`.
 """
 
 from __future__ import annotations
@@ -25,22 +27,31 @@ _POINTS = 12  # on a boundary: what lens and pane add has few harmonics; 1e-12 p
 _ROUNDING = 1 / 12  # px^2 of a pixel's square, DN^2 of a rounded grey level
 
 
-LOSS, LOSS_BY_BLUR = np.array([1.17, 1.17, 1.04, 1.0, 1.04]), np.array([0.0, 0.0, 6.2, 0.0, 6.2])
-"""Standard deviations of (u, v, p, q, s) that the image stages have, and say, over the bound, and what is added to them for the
-square of blur over radius: they also fit light and blur, which takes some of the information (`bench cheap`; 0.7 to 2 px of blur,
-at rest to 39 degrees steep)."""
+LOSS = np.array([1.17, 1.17, 1.04, 1.0, 1.04])
+LOSS_BY_BLUR = np.array([0.0, 0.0, 6.2, 0.0, 6.2])
+"""Standard deviations of (u, v, p, q, s) that the image stages have, and say, over the bound, and
+what is added to them for the square of blur over radius: they also fit light and blur, which takes
+some of the information (`bench cheap`; 0.7 to 2 px of blur, at rest to 39 degrees steep)."""
 
 
 class Sighter:
     """Sees what the camera of `design` would; arguments as of `Renderer`."""
 
-    def __init__(self, design: SensorDesign, *, radius: ArrayLike | None = None, seed: int = 0,
-                 pose: tuple[Array, Array] | None = None):
+    def __init__(
+        self,
+        design: SensorDesign,
+        *,
+        radius: ArrayLike | None = None,
+        seed: int = 0,
+        pose: tuple[Array, Array] | None = None,
+    ):
         self.design = design
         self._R_SC, self._p_SC = (np.eye(3), design.camera.p_SC) if pose is None else pose
         self.camera = Camera.from_design(design.camera, design.glass)
-        self._radius = np.broadcast_to(np.asarray(design.markers.radius if radius is None else radius, float),
-                                       (design.markers.count,))
+        self._radius = np.broadcast_to(
+            np.asarray(design.markers.radius if radius is None else radius, float),
+            (design.markers.count,),
+        )
         self._light = Light(design, self.camera)
         self.reseed(seed)
 
@@ -49,23 +60,35 @@ class Sighter:
         self._rng = np.random.default_rng(seed)
 
     def sight(self, p_SM: Array, n_S: Array, time: float = 0.0) -> Sighting:
-        """The ellipses of the markers with centres `p_SM` (N, 3) m and normals `n_S` (N, 3) in S that are wholly in the image."""
+        """The ellipses of the markers with centres `p_SM` (N, 3) m and normals `n_S` (N, 3) in S
+        that are wholly in the image."""
         center, shape = self._true(p_SM, n_S)
         keep = self._is_seen(center, shape)
-        center, shape = center[keep], shape[keep]
-        loss = LOSS + LOSS_BY_BLUR * (self.design.camera.blur_px**2 / (shape[:, 0] * shape[:, 2]))[:, None]
+        center = center[keep]
+        shape = shape[keep]
+        loss = (
+            LOSS
+            + LOSS_BY_BLUR * (self.design.camera.blur_px**2 / (shape[:, 0] * shape[:, 2]))[:, None]
+        )
         spread = loss[:, :, None] * loss[:, None] * self._bound(shape, p_SM[keep])
-        error = np.einsum("nij,nj->ni", np.linalg.cholesky(spread), self._rng.standard_normal((len(center), 5)))
+        error = np.einsum(
+            "nij,nj->ni", np.linalg.cholesky(spread), self._rng.standard_normal((len(center), 5))
+        )
         found = np.concatenate([center, shape], axis=1) + error
-        n, shape = len(found), np.ascontiguousarray(found[:, 2:])
-        axes, angle, cov = np.empty((n, 2)), np.empty(n), np.empty((n, 5, 5))
+        n = len(found)
+        shape = np.ascontiguousarray(found[:, 2:])
+        axes = np.empty((n, 2))
+        angle = np.empty(n)
+        cov = np.empty((n, 5, 5))
         kernel("ellipse_axes")(n, shape, spread, axes, angle, cov)
         return Sighting.of(Ellipses(found[:, :2], axes, angle, cov, np.full(n, "ok")), time)
 
     def _true(self, p_SM: Array, n_S: Array) -> tuple[Array, Array]:
-        """Centres (N, 2) px and shapes (N, 3) of the ellipses with the projected circles' moments; NaN where one is not to be
-        seen. S^2 = 4 times the second moments of the area, which Green's theorem takes from the boundary."""
-        p, n = (p_SM - self._p_SC) @ self._R_SC, n_S @ self._R_SC
+        """Centres (N, 2) px and shapes (N, 3) of the ellipses with the projected circles' moments;
+        NaN where one is not to be seen. S^2 = 4 times the second moments of the area, which Green's
+        theorem takes from the boundary."""
+        p = (p_SM - self._p_SC) @ self._R_SC
+        n = n_S @ self._R_SC
         across = np.cross(n, np.where(np.abs(n[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]]))
         across /= np.linalg.norm(across, axis=1)[:, None]
         along = np.cross(n, across)
@@ -76,39 +99,62 @@ class Sighter:
         dy = y @ _DERIVATIVE.T
         area = (x * dy).sum(axis=1)
         area[area == 0] = np.nan  # a marker that is missing
-        cx, cy = (x * x * dy).sum(axis=1) / (2 * area), (x * y * dy).sum(axis=1) / area
-        x, y = x - cx[:, None], y - cy[:, None]
+        cx = (x * x * dy).sum(axis=1) / (2 * area)
+        cy = (x * y * dy).sum(axis=1) / area
+        x = x - cx[:, None]
+        y = y - cy[:, None]
         xx, yy, xy = ((one * dy).sum(axis=1) / area for one in (x**3 / 3, x * y * y, x * x * y / 2))
-        xx, xy, yy = 4 * xx, 4 * xy, 4 * yy
+        xx = 4 * xx
+        xy = 4 * xy
+        yy = 4 * yy
         root = np.sqrt(np.maximum(xx * yy - xy * xy, 0.0))
         scale = 1 / np.sqrt(np.maximum(xx + yy + 2 * root, 1e-12))
-        return middle + np.column_stack([cx, cy]), np.column_stack([xx + root, xy, yy + root]) * scale[:, None]
+        return middle + np.column_stack([cx, cy]), np.column_stack(
+            [xx + root, xy, yy + root]
+        ) * scale[:, None]
 
     def _is_seen(self, center: Array, shape: Array) -> Array:
         """Which (N,) lie whole in the image and are there at all."""
         reach = np.hypot(shape[:, :2], shape[:, 1:]).max(axis=1) + 2 * self.design.camera.blur_px
         size = np.array([self.camera.width, self.camera.height])
-        inside = ((center - reach[:, None] > -0.5) & (center + reach[:, None] < size - 0.5)).all(axis=1)
+        inside = ((center - reach[:, None] > -0.5) & (center + reach[:, None] < size - 0.5)).all(
+            axis=1
+        )
         return inside & (self._radius > 0) & np.isfinite(shape).all(axis=1)
 
     def _bound(self, shape: Array, p_SM: Array) -> Array:
         """Covariance (N, 5, 5) of (u, v, p, q, s), px^2."""
-        camera, leds = self.design.camera, self.design.leds
+        camera = self.design.camera
+        leds = self.design.leds
         contrast = (leds.membrane_dn - leds.marker_dn) * self._light.at(p_SM)
-        blur, noise2 = np.sqrt(camera.blur_px**2 + _ROUNDING), camera.noise_dn**2 + _ROUNDING
+        blur = np.sqrt(camera.blur_px**2 + _ROUNDING)
+        noise2 = camera.noise_dn**2 + _ROUNDING
         p, q, s = shape.T[:, :, None]
-        nx, ny = s * _COS - q * _SIN, p * _SIN - q * _COS
+        nx = s * _COS - q * _SIN
+        ny = p * _SIN - q * _COS
         size = np.hypot(nx, ny)
-        nx, ny = nx / size, ny / size
+        nx = nx / size
+        ny = ny / size
         length = np.hypot(q * _COS - p * _SIN, s * _COS - q * _SIN) * (2 * np.pi / _POINTS)
         moved = np.stack([nx, ny, nx * _COS, nx * _SIN + ny * _COS, ny * _SIN], axis=1)
         information = contrast**2 / (2 * np.sqrt(np.pi) * blur * noise2)
-        return np.linalg.inv(np.einsum("nik,njk->nij", moved * length[:, None], moved) * information[:, None, None])
+        return np.linalg.inv(
+            np.einsum("nik,njk->nij", moved * length[:, None], moved) * information[:, None, None]
+        )
 
 
 _ANGLE = 2 * np.pi * np.arange(_POINTS) / _POINTS
-_COS, _SIN = np.cos(_ANGLE), np.sin(_ANGLE)
-_DERIVATIVE = np.real(np.fft.ifft(np.fft.fft(np.eye(_POINTS), axis=0)
-                                  * (1j * np.where(np.arange(_POINTS) == _POINTS // 2, 0,
-                                                   np.fft.fftfreq(_POINTS, 1 / _POINTS)))[:, None], axis=0))
-"""(K, K): derivative by the angle of what has K values around the circle, exact up to K/2 - 1 harmonics."""
+_COS = np.cos(_ANGLE)
+_SIN = np.sin(_ANGLE)
+_DERIVATIVE = np.real(
+    np.fft.ifft(
+        np.fft.fft(np.eye(_POINTS), axis=0)
+        * (
+            1j
+            * np.where(np.arange(_POINTS) == _POINTS // 2, 0, np.fft.fftfreq(_POINTS, 1 / _POINTS))
+        )[:, None],
+        axis=0,
+    )
+)
+"""(K, K): derivative by the angle of what has K values around the circle, exact up to K/2 - 1
+harmonics."""

@@ -1,7 +1,9 @@
-"""Position actuators of any model, by their length: what drives jaws, lifts and arms of a simulated rig.
+"""Position actuators of any model, by their length: what drives jaws, lifts and arms of a simulated
+rig.
 
-A position actuator pushes with g u + b0 + b1 l + b2 l' (MuJoCo's "fixed" gain and "affine" bias, b1 < 0), so that the control
-u sets a goal for its length l: an angle or a distance of its joint or tendon, times the gear.
+A position actuator pushes with g u + b0 + b1 l + b2 l' (MuJoCo's "fixed" gain and "affine" bias, b1
+< 0), so that the control u sets a goal for its length l: an angle or a distance of its joint or
+tendon, times the gear.
 """
 
 from __future__ import annotations
@@ -16,40 +18,58 @@ SCALAR_JOINTS = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HIN
 
 
 class PositionActuator:
-    """One position actuator of a compiled model. Lengths are as the state is now, not one step old as MuJoCo's own.
+    """One position actuator of a compiled model. Lengths are as the state is now, not one step old
+    as MuJoCo's own.
 
     Raises InputError for an actuator that holds no position.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, name: str, source: str):
-        self._model, self._data = model, data
-        self.id, self.name = int(model.actuator(name).id), name
-        gain, bias = model.actuator_gainprm[self.id], model.actuator_biasprm[self.id]
-        affine = (model.actuator_gaintype[self.id] == mujoco.mjtGain.mjGAIN_FIXED
-                  and model.actuator_biastype[self.id] == mujoco.mjtBias.mjBIAS_AFFINE)
+        self._model = model
+        self._data = data
+        self.id = int(model.actuator(name).id)
+        self.name = name
+        gain = model.actuator_gainprm[self.id]
+        bias = model.actuator_biasprm[self.id]
+        affine = (
+            model.actuator_gaintype[self.id] == mujoco.mjtGain.mjGAIN_FIXED
+            and model.actuator_biastype[self.id] == mujoco.mjtBias.mjBIAS_AFFINE
+        )
         if not affine or gain[0] == 0 or bias[1] >= 0:
-            raise InputError("is not a position actuator: its force does not depend on where it is", source=source,
-                             field=f"actuator {name!r}", choices=["<position>", '<general biastype="affine" …>'])
-        self.stiffness, self.damping = float(-bias[1]), float(-bias[2])
-        self._per_length, self._zero = float(-bias[1] / gain[0]), float(-bias[0] / gain[0])
+            raise InputError(
+                "is not a position actuator: its force does not depend on where it is",
+                source=source,
+                field=f"actuator {name!r}",
+                choices=["<position>", '<general biastype="affine" …>'],
+            )
+        self.stiffness = float(-bias[1])
+        self.damping = float(-bias[2])
+        self._per_length = float(-bias[1] / gain[0])
+        self._zero = float(-bias[0] / gain[0])
         self.joints, self.gears = _joints(model, self.id)
         self._qpos = model.jnt_qposadr[self.joints]
         self.dofs = model.jnt_dofadr[self.joints]
         limited = bool(model.actuator_forcelimited[self.id])
-        self._range = model.actuator_forcerange[self.id].copy() if limited else np.array([-np.inf, np.inf])
+        self._range = (
+            model.actuator_forcerange[self.id].copy() if limited else np.array([-np.inf, np.inf])
+        )
         self.force_limit = float(self._range[1])
 
     @property
     def length(self) -> float:
         if not len(self.joints):
             return float(self._data.actuator_length[self.id])
-        return float(sum(gear * self._data.qpos[q] for gear, q in zip(self.gears, self._qpos, strict=True)))
+        return float(
+            sum(gear * self._data.qpos[q] for gear, q in zip(self.gears, self._qpos, strict=True))
+        )
 
     @property
     def speed(self) -> float:
         if not len(self.joints):
             return float(self._data.actuator_velocity[self.id])
-        return float(sum(gear * self._data.qvel[d] for gear, d in zip(self.gears, self.dofs, strict=True)))
+        return float(
+            sum(gear * self._data.qvel[d] for gear, d in zip(self.gears, self.dofs, strict=True))
+        )
 
     @property
     def force(self) -> float:
@@ -64,38 +84,50 @@ class PositionActuator:
         """Push with at most `force` from here on, and never more than the model says."""
         self.force_limit = float(min(force, self._range[1]))
         self._model.actuator_forcelimited[self.id] = True
-        self._model.actuator_forcerange[self.id] = (max(-force, self._range[0]), min(force, self._range[1]))
+        self._model.actuator_forcerange[self.id] = (
+            max(-force, self._range[0]),
+            min(force, self._range[1]),
+        )
 
     def set_goal(self, length: float) -> None:
         self._data.ctrl[self.id] = self._zero + self._per_length * length
 
     def place(self, length: float, data: mujoco.MjData) -> None:
-        """Put its joints in `data` where its length is this, shared by a tendon's joints according to their coefficients."""
+        """Put its joints in `data` where its length is this, shared by a tendon's joints according
+        to their coefficients."""
         squares = sum(gear * gear for gear in self.gears)
         for gear, q in zip(self.gears, self._qpos, strict=True):
             data.qpos[q] = gear * length / squares
 
     def moment(self, data: mujoco.MjData) -> Array:
-        """Derivative (nv,) of its length by the degrees of freedom, at the last `mj_fwdPosition` of `data`."""
+        """Derivative (nv,) of its length by the degrees of freedom, at the last `mj_fwdPosition` of
+        `data`."""
         row = np.zeros((1, self._model.nv))
-        start, count = int(data.moment_rowadr[self.id]), int(data.moment_rownnz[self.id])
-        row[0, data.moment_colind[start:start + count]] = data.actuator_moment[start:start + count]
+        start = int(data.moment_rowadr[self.id])
+        count = int(data.moment_rownnz[self.id])
+        row[0, data.moment_colind[start : start + count]] = data.actuator_moment[
+            start : start + count
+        ]
         return row
 
 
 def _joints(model: mujoco.MjModel, actuator: int) -> tuple[Array, Array]:
-    """The slides and hinges that a joint's or a fixed tendon's actuator moves, and the length of each unit of theirs; none for
-    any other transmission."""
-    kind, target = model.actuator_trntype[actuator], int(model.actuator_trnid[actuator, 0])
+    """The slides and hinges that a joint's or a fixed tendon's actuator moves, and the length of
+    each unit of theirs; none for any other transmission."""
+    kind = model.actuator_trntype[actuator]
+    target = int(model.actuator_trnid[actuator, 0])
     gear = float(model.actuator_gear[actuator, 0])
     if kind == mujoco.mjtTrn.mjTRN_JOINT:
-        joints, gears = np.array([target]), np.array([gear])
+        joints = np.array([target])
+        gears = np.array([gear])
     elif kind == mujoco.mjtTrn.mjTRN_TENDON:
-        start, count = int(model.tendon_adr[target]), int(model.tendon_num[target])
+        start = int(model.tendon_adr[target])
+        count = int(model.tendon_num[target])
         rows = slice(start, start + count)
         if not (model.wrap_type[rows] == int(mujoco.mjtWrap.mjWRAP_JOINT)).all():
             return np.zeros(0, int), np.zeros(0)
-        joints, gears = model.wrap_objid[rows], gear * model.wrap_prm[rows]
+        joints = model.wrap_objid[rows]
+        gears = gear * model.wrap_prm[rows]
     else:
         return np.zeros(0, int), np.zeros(0)
     simple = np.isin(model.jnt_type[joints], SCALAR_JOINTS).all()

@@ -12,11 +12,17 @@ from mjtactile.rig.variation import ObjectChange
 
 
 def change(spec: mujoco.MjSpec, changes: ObjectChange) -> None:
-    """Apply `changes` to a parsed file: size, about the file's origin, to all that stands in it; mass and stiffness to what can
-    move. Its mass grows with its volume, given as a mass or as a density; springs keep their stiffness."""
+    """Apply `changes` to a parsed file: size, about the file's origin, to all that stands in it;
+    mass and stiffness to what can move. Its mass grows with its volume, given as a mass or as a
+    density; springs keep their stiffness."""
     _scale(spec, 1 + changes.size)
     if changes.mass or changes.size:
-        _weigh(spec, (1 + changes.size) ** 3 * (1 + changes.mass), 1 + changes.mass, (1 + changes.size) ** 2)
+        _weigh(
+            spec,
+            (1 + changes.size) ** 3 * (1 + changes.mass),
+            1 + changes.mass,
+            (1 + changes.size) ** 2,
+        )
     for geom in [*spec.geoms, *spec.flexes]:
         geom.friction = np.asarray(geom.friction) * [1 + changes.friction, 1.0, 1.0]
     for joint in spec.joints:
@@ -28,7 +34,13 @@ def change(spec: mujoco.MjSpec, changes: ObjectChange) -> None:
 def _scale(spec: mujoco.MjSpec, size: float) -> None:
     if size == 1:
         return
-    for thing in [*(body for body in spec.bodies if body.name != "world"), *spec.geoms, *spec.sites, *spec.joints, *spec.frames]:
+    for thing in [
+        *(body for body in spec.bodies if body.name != "world"),
+        *spec.geoms,
+        *spec.sites,
+        *spec.joints,
+        *spec.frames,
+    ]:
         thing.pos = size * np.asarray(thing.pos)
     for thing in [*spec.geoms, *spec.sites]:
         thing.size, thing.fromto = size * np.asarray(thing.size), size * np.asarray(thing.fromto)
@@ -36,7 +48,9 @@ def _scale(spec: mujoco.MjSpec, size: float) -> None:
         body.ipos = size * np.asarray(body.ipos)
     for joint in spec.joints:
         if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
-            joint.range, joint.ref, joint.springref = size * np.asarray(joint.range), size * joint.ref, size * joint.springref
+            joint.range = size * np.asarray(joint.range)
+            joint.ref = size * joint.ref
+            joint.springref = size * joint.springref
     for mesh in spec.meshes:
         mesh.scale = size * np.asarray(mesh.scale)
     for flex in spec.flexes:
@@ -45,7 +59,8 @@ def _scale(spec: mujoco.MjSpec, size: float) -> None:
 
 
 def _weigh(spec: mujoco.MjSpec, mass: float, density: float, square: float) -> None:
-    """Multiply what is given as a mass, and as a density; moments of inertia by mass and length's `square`."""
+    """Multiply what is given as a mass, and as a density; moments of inertia by mass and length's
+    `square`."""
     for geom in spec.geoms:
         if math.isnan(geom.mass):
             geom.density *= density

@@ -1,4 +1,5 @@
-"""What the sensors of a scene touch: to refuse an object in which the jaws begin, or a gripper that touches itself."""
+"""What the sensors of a scene touch: to refuse an object in which the jaws begin, or a gripper that
+touches itself."""
 
 from __future__ import annotations
 
@@ -9,15 +10,20 @@ from mjtactile.sim.sensor.runtime import TactileSensor
 
 
 def touched_by_sensors(world: World) -> set[tuple[str, str, str]]:
-    """Prefix of the sensor, name of the other's body ("" for a flex) and of its geom, of whatever touches a sensor now."""
+    """Prefix of the sensor, name of the other's body ("" for a flex) and of its geom, of whatever
+    touches a sensor now."""
     found = set()
     for contact in world.data.contact:
         if contact.exclude:  # near, but not touching
             continue
         sides = list(zip(contact.geom, contact.flex, strict=True))
         for side, other in (sides, sides[::-1]):
-            owner = next((sensor for sensor in world.sensors if _is_part(world, sensor, *side)), None)
-            if owner is not None and not any(_is_part(world, sensor, *other) for sensor in world.sensors):
+            owner = next(
+                (sensor for sensor in world.sensors if _is_part(world, sensor, *side)), None
+            )
+            if owner is not None and not any(
+                _is_part(world, sensor, *other) for sensor in world.sensors
+            ):
                 found.add((owner.prefix, *_names(world, *other)))
     return found
 
@@ -25,11 +31,17 @@ def touched_by_sensors(world: World) -> set[tuple[str, str, str]]:
 def require_clear(world: World, grasped: ObjectModel, opening: float) -> None:
     """Refuse an object whose file stands in the way of a sensor before anything moves.
 
-    Call it on a scene at rest, with the membranes flat and the jaws at `opening` m. Raises InputError.
+    Call it on a scene at rest, with the membranes flat and the jaws at `opening` m. Raises
+    InputError.
     """
     if any(not body or body.startswith(PREFIX) for _, body, _ in touched_by_sensors(world)):
-        raise InputError(f"stands in the way of a sensor before the jaws close: they open to {1e3 * opening:.0f} mm, and it is "
-                         "wider there, or not in the middle", source=grasped.path, field="object")
+        raise InputError(
+            "stands in the way of a sensor before the jaws close: they open to "
+            f"{1e3 * opening:.0f} mm, and it is "
+            "wider there, or not in the middle",
+            source=grasped.path,
+            field="object",
+        )
 
 
 def _is_part(world: World, sensor: TactileSensor, geom: int, flex: int) -> bool:

@@ -21,23 +21,37 @@ from mjtactile.sim.scenes.strain import SoftSolid, soft_flex
 from mjtactile.sim.sensor.switches import PHYSICS
 
 _STRAINED = 0.2
-"""Compression from which rubber (neo-Hookean, incompressible) is stiffer than linear elements by 27 % and more."""
+"""Compression from which rubber (neo-Hookean, incompressible) is stiffer than linear elements by 27
+% and more."""
 
 
 class GraspWorld(HandWorld):
-    """The fingers of `rig` (the shipped "sim": two, left and right) about an object that stands under the hand.
+    """The fingers of `rig` (the shipped "sim": two, left and right) about an object that stands
+    under the hand.
 
-    The object's file closes along x; it is turned to the direction in which the first finger closes.
+    The object's file closes along x; it is turned to the direction in which the first finger
+    closes.
     """
 
-    def __init__(self, sensor: SensorDesign | str | Path = "dense", grasped: ObjectModel | str | Path = "egg", *,
-                 rig: SimRigFile | str | Path = "sim", timestep: float = DEFAULT_TIMESTEP,
-                 mesh: tuple[int, int] = DEFAULT_MESH, object_pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
-                 opening: float | None = None, effects: frozenset[str] = PHYSICS, specimens: Sequence[SensorDesign] = ()):
-        """`timestep` s and `mesh` trade accuracy for speed; `object_pose` is x, y (m) and yaw (rad) of the object's file on
-        the table, seen from the hand; `opening` m is where the jaws start (default: the rig file's), `effects` those of
-        `Effect`; `specimens` are the fingers' own sensors, where they are not as `sensor` says."""
-        self.design, self.object = load_sensor(sensor), grasped if isinstance(grasped, ObjectModel) else load_object(grasped)
+    def __init__(
+        self,
+        sensor: SensorDesign | str | Path = "dense",
+        grasped: ObjectModel | str | Path = "egg",
+        *,
+        rig: SimRigFile | str | Path = "sim",
+        timestep: float = DEFAULT_TIMESTEP,
+        mesh: tuple[int, int] = DEFAULT_MESH,
+        object_pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        opening: float | None = None,
+        effects: frozenset[str] = PHYSICS,
+        specimens: Sequence[SensorDesign] = (),
+    ):
+        """`timestep` s and `mesh` trade accuracy for speed; `object_pose` is x, y (m) and yaw (rad)
+        of the object's file on the table, seen from the hand; `opening` m is where the jaws start
+        (default: the rig file's), `effects` those of `Effect`; `specimens` are the fingers' own
+        sensors, where they are not as `sensor` says."""
+        self.design = load_sensor(sensor)
+        self.object = grasped if isinstance(grasped, ObjectModel) else load_object(grasped)
         self.specimens = tuple(specimens)
         rig = rig if isinstance(rig, SimRigFile) else load_sim_rig(rig)
         designs = self.specimens or finger_designs(rig, self.design)
@@ -46,14 +60,32 @@ class GraspWorld(HandWorld):
 
         def furnish(spec: mujoco.MjSpec, start: Start) -> None:
             x, y, yaw = object_pose
-            cos, sin, centre = math.cos(start.yaw), math.sin(start.yaw), start.centre
-            pose = (centre[0] + (cos * x - sin * y), centre[1] + (sin * x + cos * y), start.yaw + yaw)
+            cos = math.cos(start.yaw)
+            sin = math.sin(start.yaw)
+            centre = start.centre
+            pose = (
+                centre[0] + (cos * x - sin * y),
+                centre[1] + (sin * x + cos * y),
+                start.yaw + yaw,
+            )
             add_object(spec, self.object, pose, height=rig.table_height)
 
-        super().__init__(rig, designs, self.object.grasp_height, timestep=timestep, mesh=mesh, opening=opening,
-                         effects=effects, furnish=furnish)
+        super().__init__(
+            rig,
+            designs,
+            self.object.grasp_height,
+            timestep=timestep,
+            mesh=mesh,
+            opening=opening,
+            effects=effects,
+            furnish=furnish,
+        )
         flesh = self.object.flesh
-        self.solid = None if flesh is None else SoftSolid(self.model, soft_flex(self.model, PREFIX), flesh.young, flesh.poisson)
+        self.solid = (
+            None
+            if flesh is None
+            else SoftSolid(self.model, soft_flex(self.model, PREFIX), flesh.young, flesh.poisson)
+        )
         """Where and how far a soft object is strained: its elements, for scoring and for flags."""
         require_clear(self, self.object, self.opening)
 
@@ -63,15 +95,26 @@ class GraspWorld(HandWorld):
             return
         compression = self.solid.strain(self.data).compression
         if compression > _STRAINED:
-            self.flags["strain"] = (f"{self.object.name!r} is compressed by {compression:.0%} at its worst: its elements "
-                                    f"are linear, and rubber is stiffer by a quarter from {_STRAINED:.0%} on")
+            self.flags["strain"] = (
+                f"{self.object.name!r} is compressed by {compression:.0%} at its worst: its "
+                "elements "
+                "are linear, and rubber is stiffer by a quarter from "
+                f"{_STRAINED:.0%} on"
+            )
 
     def _check_clearance(self, tip_height: float, half: float) -> None:
         if tip_height <= half:
-            raise InputError(f"grasp height {tip_height * 1e3:g} mm is below {half * 1e3:g} mm: the sensors' frames would hit "
-                             "the table; put the object on a stand", source=self.object.path, field="grasp_height_m")
+            raise InputError(
+                f"grasp height {tip_height * 1e3:g} mm is below {half * 1e3:g} mm: the sensors' "
+                "frames would hit "
+                "the table; put the object on a stand",
+                source=self.object.path,
+                field="grasp_height_m",
+            )
 
 
 def finger_designs(rig: SimRigFile, sensor: SensorDesign) -> tuple[SensorDesign, ...]:
     """The sensor of each finger: the rig file's own, or `sensor`."""
-    return tuple(sensor if finger.sensor is None else load_sensor(finger.sensor) for finger in rig.fingers)
+    return tuple(
+        sensor if finger.sensor is None else load_sensor(finger.sensor) for finger in rig.fingers
+    )

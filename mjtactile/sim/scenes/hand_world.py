@@ -1,4 +1,5 @@
-"""`HandWorld`: a simulated rig over its table, before anything is put there to grasp. The rig: docs/robots.md."""
+"""`HandWorld`: a simulated rig over its table, before anything is put there to grasp. The rig:
+docs/robots.md."""
 
 from __future__ import annotations
 
@@ -26,23 +27,38 @@ DEFAULT_TIMESTEP = 4e-3
 class HandWorld(World):
     """A hand with a sensor on each finger, in the order of the rig file, and what lifts it.
 
-    The jaws are current-limited: they move towards their target opening at no more than the rig's speed and push with no
-    more than their force limit. `rig` is the rig file, `start` where it began.
+    The jaws are current-limited: they move towards their target opening at no more than the rig's
+    speed and push with no more than their force limit. `rig` is the rig file, `start` where it
+    began.
     """
 
-    def __init__(self, rig: SimRigFile, designs: Sequence[SensorDesign], tip_height: float, *,
-                 timestep: float = DEFAULT_TIMESTEP, mesh: tuple[int, int] = DEFAULT_MESH, opening: float | None = None,
-                 effects: frozenset[str] = PHYSICS,
-                 furnish: Callable[[mujoco.MjSpec, Start], None] = lambda spec, start: None):
-        """`designs` are the fingers' sensors, `tip_height` m of the fingertips above the table; `timestep` s and `mesh` trade
-        accuracy for speed; `opening` m is where the jaws start (default: the rig file's), `effects` those of
-        `Effect`; `furnish` puts things onto the table."""
-        self.rig, self.effects = rig, effects
+    def __init__(
+        self,
+        rig: SimRigFile,
+        designs: Sequence[SensorDesign],
+        tip_height: float,
+        *,
+        timestep: float = DEFAULT_TIMESTEP,
+        mesh: tuple[int, int] = DEFAULT_MESH,
+        opening: float | None = None,
+        effects: frozenset[str] = PHYSICS,
+        furnish: Callable[[mujoco.MjSpec, Start], None] = lambda spec, start: None,
+    ):
+        """`designs` are the fingers' sensors, `tip_height` m of the fingertips above the table;
+        `timestep` s and `mesh` trade accuracy for speed; `opening` m is where the jaws start
+        (default: the rig file's), `effects` those of `Effect`; `furnish` puts things onto the
+        table."""
+        self.rig = rig
+        self.effects = effects
         opening = self._checked(rig.gripper.start if opening is None else opening)
         spec, coordinates, mocap = load_robot(rig)
         recommend_options(spec, timestep)
-        attachments = [attach(spec, design, site=finger.site, prefix=f"{finger.name}/", mesh=mesh, effects=effects)
-                       for design, finger in zip(designs, rig.fingers, strict=True)]
+        attachments = [
+            attach(
+                spec, design, site=finger.site, prefix=f"{finger.name}/", mesh=mesh, effects=effects
+            )
+            for design, finger in zip(designs, rig.fingers, strict=True)
+        ]
         for jaw in rig.gripper.actuators:
             set_servo(spec, jaw.name, effects)
         robot = spec.compile()
@@ -51,7 +67,9 @@ class HandWorld(World):
         def height(rotations: Array) -> float:
             for design, R_WS in zip(designs, rotations, strict=True):
                 frame = design.frame
-                half = abs(R_WS[2, 0]) * (frame.length / 2 + frame.rim) + abs(R_WS[2, 1]) * (frame.width / 2 + frame.rim)
+                half = abs(R_WS[2, 0]) * (frame.length / 2 + frame.rim) + abs(R_WS[2, 1]) * (
+                    frame.width / 2 + frame.rim
+                )
                 self._check_clearance(tip_height, half)
             return rig.table_height + tip_height
 
@@ -63,7 +81,10 @@ class HandWorld(World):
             _add_table(spec, [*self.start.centre[:2], rig.table_height])
         furnish(spec, self.start)
         super().__init__(spec, attachments, self._place)
-        self._jaws, self._lift = Jaws(self.model, self.data, rig), make_lift(self.model, self.data, rig, self.start)
+        self._jaws, self._lift = (
+            Jaws(self.model, self.data, rig),
+            make_lift(self.model, self.data, rig, self.start),
+        )
         self._kinematics = mujoco.MjData(self.model)
         self._opening_target = self._opening_goal = opening
         self._lift_target = self._lift_goal = 0.0
@@ -71,26 +92,39 @@ class HandWorld(World):
         self._hold_still()
         mujoco.mj_forward(self.model, self.data)
 
-    # -- commands: what a real gripper takes ---------------------------------------------------------------------
+    # -- commands: what a real gripper takes
+    # ---------------------------------------------------------------------
 
     def set_finger_target(self, opening: float, force_limit: float | None = None) -> None:
-        """Set the goal for the gap between the sensors' frames, m, and the most that each finger may push, N.
+        """Set the goal for the gap between the sensors' frames, m, and the most that each finger
+        may push, N.
 
-        Raises InputError for a value that is not finite, a negative opening or a force limit that is not positive.
+        Raises InputError for a value that is not finite, a negative opening or a force limit that
+        is not positive.
         """
         if not np.isfinite(opening) or opening < 0:
-            raise InputError(f"{opening!r} m is not a finite opening >= 0", source="gripper", field="opening")
+            raise InputError(
+                f"{opening!r} m is not a finite opening >= 0", source="gripper", field="opening"
+            )
         self._opening_target = min(float(opening), self.max_opening)
         if force_limit is not None:
             if not np.isfinite(force_limit) or force_limit <= 0:
-                raise InputError(f"{force_limit!r} N is not a finite force > 0", source="gripper", field="force_limit")
+                raise InputError(
+                    f"{force_limit!r} N is not a finite force > 0",
+                    source="gripper",
+                    field="force_limit",
+                )
             self._jaws.limit_force(force_limit)
 
     def set_lift_target(self, height: float, speed: float | None = None) -> None:
-        """Set the goal of the lift, m above where the hand started, and the speed to it, m/s (None: the rig's). Raises InputError
-        when it is out of reach."""
+        """Set the goal of the lift, m above where the hand started, and the speed to it, m/s (None:
+        the rig's). Raises InputError when it is out of reach."""
         if not np.isfinite(height) or not 0 <= height <= self.rig.lift.travel:
-            raise InputError(f"{height!r} m is outside 0 to {self.rig.lift.travel:g} m", source="gripper", field="lift_height")
+            raise InputError(
+                f"{height!r} m is outside 0 to {self.rig.lift.travel:g} m",
+                source="gripper",
+                field="lift_height",
+            )
         self._lift_target = float(height)
         self._lift_speed = self.rig.lift.speed if speed is None else speed
 
@@ -102,7 +136,8 @@ class HandWorld(World):
         """Trap the gas that one chamber holds now."""
         self.sensors[sensor].close_valve()
 
-    # -- state: what a real gripper reports ----------------------------------------------------------------------
+    # -- state: what a real gripper reports
+    # ----------------------------------------------------------------------
 
     @property
     def max_opening(self) -> float:
@@ -110,7 +145,8 @@ class HandWorld(World):
 
     @property
     def opening(self) -> float:
-        """Gap between the sensors' frames, m (of more than two fingers: twice their mean distance from the middle)."""
+        """Gap between the sensors' frames, m (of more than two fingers: twice their mean distance
+        from the middle)."""
         return self._jaws.opening()
 
     @property
@@ -134,21 +170,27 @@ class HandWorld(World):
         return self._lift.height()
 
     def place_hand(self, opening: float, lift: float) -> None:
-        """Put jaws and lift at these coordinates, m, at rest, with their goals there: for experiments, not for control."""
+        """Put jaws and lift at these coordinates, m, at rest, with their goals there: for
+        experiments, not for control."""
         scratch = self._kinematics
-        scratch.qpos[:], scratch.mocap_pos[:] = self.data.qpos, self.data.mocap_pos
+        scratch.qpos[:] = self.data.qpos
+        scratch.mocap_pos[:] = self.data.mocap_pos
         self._lift.place(lift, scratch)
         solve(self.model, scratch, place_jaws(self.model, scratch, self.rig, opening))
-        self.data.qpos[:], self.data.mocap_pos[:] = scratch.qpos, scratch.mocap_pos
+        self.data.qpos[:] = scratch.qpos
+        self.data.mocap_pos[:] = scratch.mocap_pos
         self.data.qvel[self._robot_dofs] = 0.0
         self._opening_target = self._opening_goal = opening
         self._lift_target = self._lift_goal = lift
 
-    # -- inside --------------------------------------------------------------------------------------------------
+    # -- inside
+    # --------------------------------------------------------------------------------
 
     def _before_step(self) -> None:
-        """Move both goals towards their targets at limited speed, the jaws' no further ahead than their force needs."""
-        jaw_step, lift_step = self.rig.gripper.speed * self.timestep, self._lift_speed * self.timestep
+        """Move both goals towards their targets at limited speed, the jaws' no further ahead than
+        their force needs."""
+        jaw_step = self.rig.gripper.speed * self.timestep
+        lift_step = self._lift_speed * self.timestep
         self._jaws.refresh_force()
         reach = self._jaws.reach(self.rig.gripper.speed) + 4 * jaw_step
         goal = _nearer(self._opening_goal, self._opening_target, jaw_step)
@@ -158,24 +200,30 @@ class HandWorld(World):
         self._lift.drive(self._lift_goal)
 
     def _check_clearance(self, tip_height: float, half: float) -> None:
-        """Called with each sensor frame's half height, m, before anything is built. For what cannot be grasped there."""
+        """Called with each sensor frame's half height, m, before anything is built. For what cannot
+        be grasped there."""
 
     def _checked(self, opening: float) -> float:
         low, high = self.rig.gripper.opening
         if not low <= opening <= high or not opening > 0:
-            raise InputError(f"{opening!r} m is outside {low:g} to {high:g} m", source="gripper", field="opening")
+            raise InputError(
+                f"{opening!r} m is outside {low:g} to {high:g} m", source="gripper", field="opening"
+            )
         return opening
 
     def _place(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Bring a fresh state to the planned start."""
-        data.qpos[:len(self.start.qpos)] = self.start.qpos
+        data.qpos[: len(self.start.qpos)] = self.start.qpos
         data.mocap_pos[:] = self.start.mocap_pos
 
     def _hold_still(self) -> None:
-        """Set every control so that nothing moves at first: jaws and lift at their goals, other servos where they are."""
+        """Set every control so that nothing moves at first: jaws and lift at their goals, other
+        servos where they are."""
         for number in range(self.model.nu):
             try:
-                actuator = PositionActuator(self.model, self.data, self.model.actuator(number).name, "")
+                actuator = PositionActuator(
+                    self.model, self.data, self.model.actuator(number).name, ""
+                )
             except (InputError, KeyError):
                 continue  # a motor, or a servo without a name: it stays at control 0
             actuator.set_goal(actuator.length)
@@ -201,17 +249,25 @@ def _raise(spec: mujoco.MjSpec, model: mujoco.MjModel, root: int, by: float) -> 
     body = next(body for body in spec.bodies if body.id == root)
     if body.frame is not None:  # whose axes may be turned: out of it, where it was
         body.set_frame(spec.worldbody.add_frame())
-        body.alt.type, body.quat = mujoco.mjtOrientation.mjORIENTATION_QUAT, model.body_quat[root]
+        body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+        body.quat = model.body_quat[root]
     body.pos = model.body_pos[root] + [0.0, 0.0, by]
 
 
 def _add_table(spec: mujoco.MjSpec, top: Sequence[float]) -> None:
-    """A table under the hand, from a model of its own: the user's MJCF may have defaults under which nothing could stand."""
+    """A table under the hand, from a model of its own: the user's MJCF may have defaults under
+    which nothing could stand."""
     x, y, z = (float(value) for value in top)
     child = mujoco.MjSpec()
     table = child.worldbody.add_body(name="table")
-    table.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_BOX, pos=[x, y, z - 0.01], size=[0.2, 0.2, 0.01],
-                   friction=[0.3, 0.005, 0.0001],  # an object that is pushed slides rather than tips
-                   rgba=[0.75, 0.7, 0.65, 1.0])
+    table.add_geom(
+        name="table",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=[x, y, z - 0.01],
+        size=[0.2, 0.2, 0.01],
+        # an object that is pushed slides rather than tips
+        friction=[0.3, 0.005, 0.0001],
+        rgba=[0.75, 0.7, 0.65, 1.0],
+    )
     child.worldbody.add_light(pos=[x, y - 0.5, z + 1.0], dir=[0, 0.4, -0.9])
     spec.attach(child, frame=spec.worldbody.add_frame(), prefix="table/")

@@ -1,4 +1,5 @@
-"""`PressWorld`: one sensor on a fixed base and an indenter that is driven into it, as in the paper's experiment."""
+"""`PressWorld`: one sensor on a fixed base and an indenter that is driven into it, as in the
+paper's experiment."""
 
 from __future__ import annotations
 
@@ -22,17 +23,20 @@ SHAPES = ("sphere:R_mm", "cylinder:R_mm", "box:A_mm", "FILE.stl", "FILE.obj", "F
 _LENGTH = 0.03  # m, of a cylinder along its axis
 _CLEARANCE = 0.002  # m above first touch at which the indenter waits
 _AWAY = 0.05  # m above the world's origin of the drive, where no bulge reaches the indenter
-_STILL = 2e-4  # m/s: vertices in contact keep moving this fast by the solver's tolerance; the force by 0.1 %
+# m/s: vertices in contact keep moving this fast by the solver's tolerance; the force by 0.1 %
+_STILL = 2e-4
 _SHEAR_SPEED = 2e-3  # m/s, of a press that shears
 _FILES = {**dict.fromkeys(SUFFIXES, "mesh"), ".xml": "model"}
-_STIFFNESS, _MASS = 2e5, 0.2  # N/m and kg of the drive: gives way by 5 um at 1 N
+# N/m and kg of the drive: gives way by 5 um at 1 N
+_STIFFNESS = 2e5
+_MASS = 0.2
 
 
 @dataclass(frozen=True)
 class Indenter:
-    """A rigid shape. `size` m: radius of a "sphere", radius of a "cylinder" (axis along z, 30 mm long, end face down),
-    edge of a "box" (face down); `path` of a "mesh" in STL or OBJ, whose unit is taken as mm, or of a "model" in MJCF, all
-    of whose geoms press, fixed to each other."""
+    """A rigid shape. `size` m: radius of a "sphere", radius of a "cylinder" (axis along z, 30 mm
+    long, end face down), edge of a "box" (face down); `path` of a "mesh" in STL or OBJ, whose unit
+    is taken as mm, or of a "model" in MJCF, all of whose geoms press, fixed to each other."""
 
     kind: str
     size: float = 0.0
@@ -40,7 +44,8 @@ class Indenter:
 
     @classmethod
     def parse(cls, text: str) -> Indenter:
-        """Read "sphere:8", "cylinder:5", "box:10", "part.stl", "part.obj" or "shape.xml". Raises InputError."""
+        """Read "sphere:8", "cylinder:5", "box:10", "part.stl", "part.obj" or "shape.xml". Raises
+        InputError."""
         kind, _, number = text.partition(":")
         path = Path(text).expanduser()
         if path.suffix.lower() in _FILES:
@@ -52,11 +57,16 @@ class Indenter:
         except ValueError:
             size = np.nan
         if kind not in ("sphere", "cylinder", "box") or not 1e-5 <= size <= 1:
-            raise InputError(f"{text!r} is not an indenter of 0.01 to 1000 mm", field="--indenter", choices=SHAPES)
+            raise InputError(
+                f"{text!r} is not an indenter of 0.01 to 1000 mm",
+                field="--indenter",
+                choices=SHAPES,
+            )
         return cls(kind, size)
 
     def add_to(self, spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
-        """Add the geoms that press, centred on the body. Raises InputError for a model that has none, or is broken."""
+        """Add the geoms that press, centred on the body. Raises InputError for a model that has
+        none, or is broken."""
         if self.kind == "model":
             self._attach(spec, body)
             return
@@ -68,52 +78,81 @@ class Indenter:
         geom = body.add_geom(name="indenter", mass=_MASS, rgba=[0.3, 0.45, 0.7, 1.0])
         geom.type = getattr(mujoco.mjtGeom, f"mjGEOM_{self.kind.upper()}")
         half = self.size / 2
-        geom.size = {"sphere": [self.size, 0, 0], "cylinder": [self.size, _LENGTH / 2, 0], "box": [half] * 3}[self.kind]
+        geom.size = {
+            "sphere": [self.size, 0, 0],
+            "cylinder": [self.size, _LENGTH / 2, 0],
+            "box": [half] * 3,
+        }[self.kind]
 
     def _attach(self, spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
         model = read_mjcf(Path(str(self.path)), field="--indenter")
         if model.joints or not model.geoms:
-            raise InputError("an indenter is geoms, at least one, and no joints", source=self.path, field="--indenter")
+            raise InputError(
+                "an indenter is geoms, at least one, and no joints",
+                source=self.path,
+                field="--indenter",
+            )
         for geom in model.geoms:
             geom.mass = _MASS / len(model.geoms)
         spec.attach(model, frame=body.add_frame(), prefix="indenter/")
 
 
 class PressWorld(World):
-    """The sensor looks up (S is the world frame); the indenter comes down along -z and can be dragged along x.
+    """The sensor looks up (S is the world frame); the indenter comes down along -z and can be
+    dragged along x.
 
-    `at` (x, y) m in S, `tilt` rad about y. Depths are counted from first touch of the membrane as it was then. Sensor and
-    drive stand on a carrier that is turned by `mount` (rotation vector, rad) and shaken along its x with `shake`
-    (amplitude m, frequency Hz).
+    `at` (x, y) m in S, `tilt` rad about y. Depths are counted from first touch of the membrane as
+    it was then. Sensor and drive stand on a carrier that is turned by `mount` (rotation vector,
+    rad) and shaken along its x with `shake` (amplitude m, frequency Hz).
     """
 
-    def __init__(self, sensor: SensorDesign | str | Path, indenter: Indenter, *, at: tuple[float, float] = (0.0, 0.0),
-                 tilt: float = 0.0, timestep: float = 4e-3, mesh: tuple[int, int] = DEFAULT_MESH, contact: str = "auto",
-                 effects: frozenset[str] = PHYSICS,
-                 mount: tuple[float, float, float] = (0.0, 0.0, 0.0), shake: tuple[float, float] = (0.0, 0.0)):
+    def __init__(
+        self,
+        sensor: SensorDesign | str | Path,
+        indenter: Indenter,
+        *,
+        at: tuple[float, float] = (0.0, 0.0),
+        tilt: float = 0.0,
+        timestep: float = 4e-3,
+        mesh: tuple[int, int] = DEFAULT_MESH,
+        contact: str = "auto",
+        effects: frozenset[str] = PHYSICS,
+        mount: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        shake: tuple[float, float] = (0.0, 0.0),
+    ):
         spec = mujoco.MjSpec()
         recommend_options(spec, timestep)
-        spec.option.tolerance = 1e-9  # a stiff drive shows the solver's noise: 10 mN at the 1e-7 of a grasp, 1 mN here
+        # a stiff drive shows the solver's noise: 10 mN at the 1e-7 of a grasp, 1 mN here
+        spec.option.tolerance = 1e-9
         carrier = _add_carrier(spec, mount)
-        attachment = attach(spec, sensor, site="base", prefix="sensor/", mesh=mesh, contact=contact, effects=effects)
+        attachment = attach(
+            spec, sensor, site="base", prefix="sensor/", mesh=mesh, contact=contact, effects=effects
+        )
         self.design = attachment.design
         body = carrier.add_body(name="indenter", pos=[*at, _AWAY], gravcomp=1.0)
         for axis, direction in (("x", [1, 0, 0]), ("z", [0, 0, 1])):
             body.add_joint(name=f"drive_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction)
-            drive = spec.add_actuator(name=f"drive_{axis}", target=f"drive_{axis}", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            drive = spec.add_actuator(
+                name=f"drive_{axis}", target=f"drive_{axis}", trntype=mujoco.mjtTrn.mjTRN_JOINT
+            )
             drive.set_to_position(kp=_STIFFNESS, kv=2 * np.sqrt(_STIFFNESS * _MASS))
-        holder = body.add_body(name="holder", gravcomp=1.0, quat=[np.cos(tilt / 2), 0, np.sin(tilt / 2), 0])
+        holder = body.add_body(
+            name="holder", gravcomp=1.0, quat=[np.cos(tilt / 2), 0, np.sin(tilt / 2), 0]
+        )
         indenter.add_to(spec, holder)
         super().__init__(spec, [attachment])
         self._x, self._z = (self.model.actuator(f"drive_{axis}").id for axis in "xz")
         self._joints = [self.model.joint(f"drive_{axis}").qposadr[0] for axis in "xz"]
-        self._geoms = np.flatnonzero(np.isin(self.model.geom_bodyid, _subtree(self.model, self.model.body("indenter").id)))
+        self._geoms = np.flatnonzero(
+            np.isin(self.model.geom_bodyid, _subtree(self.model, self.model.body("indenter").id))
+        )
         self._touch_height = 0.0
         self._surface = MarkerInterpolator(self.sensors[0].mesh, _sheet_points(self.design, at))
         self._shake, self._carrier = shake, self.model.actuator("carrier").id
 
     def inflate(self, pressure_gauge: float, *, seal: bool) -> bool:
-        """Bring the chamber to `pressure_gauge` Pa, close the valve if `seal`, find first touch; True when it settled."""
+        """Bring the chamber to `pressure_gauge` Pa, close the valve if `seal`, find first touch;
+        True when it settled."""
         sensor = self.sensors[0]
         self.lift_off()
         sensor.open_valve(pressure_gauge)
@@ -124,9 +163,11 @@ class PressWorld(World):
         return settled
 
     def press(self, depth: float, shear: float = 0.0, speed: float = 0.02) -> bool:
-        """Drive to `depth` m below first touch and `shear` m along x at `speed` m/s, then settle; True when it did.
+        """Drive to `depth` m below first touch and `shear` m along x at `speed` m/s, then settle;
+        True when it did.
 
-        It shears slowly: the sheet's damping would load the contact's edge and let it slip, and friction remembers that.
+        It shears slowly: the sheet's damping would load the contact's edge and let it slip, and
+        friction remembers that.
         """
         moves = abs(shear - float(self.data.ctrl[self._x])) > 0
         self.drive(depth, shear, min(speed, _SHEAR_SPEED) if moves else speed)
@@ -134,29 +175,38 @@ class PressWorld(World):
 
     def drive(self, depth: float, shear: float = 0.0, speed: float = 0.02) -> None:
         """The same without waiting: the world moves on by the time that the way takes."""
-        start, goal = self.data.ctrl[[self._x, self._z]], np.array([shear, self._touch_height - depth])
+        start = self.data.ctrl[[self._x, self._z]]
+        goal = np.array([shear, self._touch_height - depth])
         count = max(1, int(np.ceil(np.abs(goal - start).max() / (speed * self.timestep) - 1e-9)))
         for part in np.linspace(0, 1, count + 1)[1:]:
-            for actuator, value in zip((self._x, self._z), start + part * (goal - start), strict=True):
+            for actuator, value in zip(
+                (self._x, self._z), start + part * (goal - start), strict=True
+            ):
                 self.set_control(actuator, value)
             self.step()
 
     def settle(self, time_limit: float = 1.0, speed: float = 2e-5) -> bool:
-        """Step until nothing moves faster than `speed` m/s for 20 ms; False when that was not reached in time.
+        """Step until nothing moves faster than `speed` m/s for 20 ms; False when that was not
+        reached in time.
 
         A shaken mount never rests: it is given 0.2 s.
         """
         if self._shake[0]:
             self.step(round(0.2 / self.timestep))
             return True
-        needed, still = round(0.02 / self.timestep) + 1, 0
+        needed = round(0.02 / self.timestep) + 1
+        still = 0
         for _ in range(round(time_limit / self.timestep)):
             self.step()
             still = still + 1 if np.abs(self.data.qvel).max() < speed else 0
             if still >= needed:
                 return True
-        self.flags.setdefault("unsettled", f"did not come to rest in {time_limit:g} s: forces are those of a moving membrane; "
-                                           "use a smaller timestep")
+        self.flags.setdefault(
+            "unsettled",
+            f"did not come to rest in {time_limit:g} s: forces "
+            "are those of a moving membrane; "
+            "use a smaller timestep",
+        )
         return False
 
     def _before_step(self) -> None:
@@ -171,7 +221,8 @@ class PressWorld(World):
 
     @property
     def drive_force(self) -> np.ndarray:
-        """Force (3,) N of the drive on the indenter, frame S: what a load cell between them reads."""
+        """Force (3,) N of the drive on the indenter, frame S: what a load cell between them
+        reads."""
         return np.array([self.data.actuator_force[self._x], 0.0, self.data.actuator_force[self._z]])
 
     def lift_off(self) -> None:
@@ -179,19 +230,26 @@ class PressWorld(World):
         self._place(_AWAY)
 
     def _find_touch(self) -> None:
-        """Lower the indenter by its distance from the smooth membrane until that is nothing, then raise it by a clearance.
+        """Lower the indenter by its distance from the smooth membrane until that is nothing, then
+        raise it by a clearance.
 
-        The smooth membrane is the one that carries the markers: a mesh's vertices alone may leave the indenter 0.1 mm lower.
-        Raises InputError when the indenter would slip between vertices that alone can touch.
+        The smooth membrane is the one that carries the markers: a mesh's vertices alone may leave
+        the indenter 0.1 mm lower. Raises InputError when the indenter would slip between vertices
+        that alone can touch.
         """
         sensor = self.sensors[0]
         radius, _ = features.smallest_feature(self.model)
         if sensor.contact == "vertices" and radius < features.SLIPS * sensor.mesh.spacing:
-            raise InputError("slips between the membrane's vertices; contact 'elements' feels it", source="press",
-                             field="indenter")
+            raise InputError(
+                "slips between the membrane's vertices; contact 'elements' feels it",
+                source="press",
+                field="indenter",
+            )
         points = self._surface.marker_poses(sensor.p_SV)[0]
-        probe, height = int(sensor.vertex_geom_ids[0]), _AWAY
-        R_WS, p_WS = self.data.xmat[sensor.body_id].reshape(3, 3).copy(), self.data.xpos[sensor.body_id].copy()
+        probe = int(sensor.vertex_geom_ids[0])
+        height = _AWAY
+        R_WS = self.data.xmat[sensor.body_id].reshape(3, 3).copy()
+        p_WS = self.data.xpos[sensor.body_id].copy()
         for _ in range(50):
             self._place(height)
             gap = self._gap(points @ R_WS.T + p_WS, probe)
@@ -202,11 +260,15 @@ class PressWorld(World):
         self._place(height + _CLEARANCE)
 
     def _gap(self, points: np.ndarray, probe: int) -> float:
-        """Least distance, m, of the indenter from spheres of the membrane's thickness at `points` (n, 3) m, frame W."""
+        """Least distance, m, of the indenter from spheres of the membrane's thickness at `points`
+        (n, 3) m, frame W."""
         gaps = []
         for point in points:
             self.data.geom_xpos[probe] = point
-            gaps += [mujoco.mj_geomDistance(self.model, self.data, probe, int(geom), 0.5, None) for geom in self._geoms]
+            gaps += [
+                mujoco.mj_geomDistance(self.model, self.data, probe, int(geom), 0.5, None)
+                for geom in self._geoms
+            ]
         return min(gaps)
 
     def _place(self, height: float) -> None:
@@ -228,10 +290,17 @@ def _sheet_points(design: SensorDesign, at: tuple[float, float]) -> np.ndarray:
     """Points (n, 3) m of the flat sheet, 0.6 mm apart, one of them at `at`."""
     frame = design.frame
     axes = [np.arange(-0.5 * side, 0.5 * side, 6e-4) for side in (frame.length, frame.width)]
-    x, y = (axis + (place - axis[np.argmin(np.abs(axis - place))]) for axis, place in zip(axes, at, strict=True))
+    x, y = (
+        axis + (place - axis[np.argmin(np.abs(axis - place))])
+        for axis, place in zip(axes, at, strict=True)
+    )
     points = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))], axis=-1).reshape(-1, 3)
     inside = np.abs(points[:, :2] / (frame.length, frame.width))
-    within = np.linalg.norm(inside, axis=1) < 0.49 if frame.shape == "circle" else inside.max(axis=1) < 0.49
+    within = (
+        np.linalg.norm(inside, axis=1) < 0.49
+        if frame.shape == "circle"
+        else inside.max(axis=1) < 0.49
+    )
     return points[within]
 
 
@@ -239,8 +308,12 @@ def _add_carrier(spec: mujoco.MjSpec, mount: tuple[float, float, float]) -> mujo
     """A heavy body on a stiff slide that carries the sensor's site "base"."""
     angle = float(np.linalg.norm(mount))
     axis = np.asarray(mount) / angle if angle else np.array([0.0, 0.0, 1.0])
-    carrier = spec.worldbody.add_body(name="carrier", quat=[np.cos(angle / 2), *(np.sin(angle / 2) * axis)], gravcomp=1.0)
-    carrier.mass, carrier.inertia, carrier.explicitinertial = 1.0, [1e-3] * 3, True
+    carrier = spec.worldbody.add_body(
+        name="carrier", quat=[np.cos(angle / 2), *(np.sin(angle / 2) * axis)], gravcomp=1.0
+    )
+    carrier.mass = 1.0
+    carrier.inertia = [1e-3] * 3
+    carrier.explicitinertial = True
     carrier.add_joint(name="carrier", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
     drive = spec.add_actuator(name="carrier", target="carrier", trntype=mujoco.mjtTrn.mjTRN_JOINT)
     drive.set_to_position(kp=_STIFFNESS, kv=2 * np.sqrt(_STIFFNESS))

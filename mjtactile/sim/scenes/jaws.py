@@ -1,4 +1,5 @@
-"""The jaws of a simulated rig: from what the gripper's opening and force are to what its actuators do, and back."""
+"""The jaws of a simulated rig: from what the gripper's opening and force are to what its actuators
+do, and back."""
 
 from __future__ import annotations
 
@@ -14,14 +15,16 @@ from mjtactile.sim.scenes.actuators import PositionActuator
 class Jaws:
     """All actuators that open and close; the opening is the sum of their parts.
 
-    The opening is the distance of opposing fingertips: of two, the gap between their sensors' frames, of more, twice the
-    mean distance of the fingertips from the middle. By virtual work each of n fingers then closes with 2/n of the mean of
-    the actuators' forces.
+    The opening is the distance of opposing fingertips: of two, the gap between their sensors'
+    frames, of more, twice the mean distance of the fingertips from the middle. By virtual work each
+    of n fingers then closes with 2/n of the mean of the actuators' forces.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, rig: SimRigFile):
         self._jaws: list[tuple[PositionActuator, JawLaw]] = [
-            (PositionActuator(model, data, jaw.name, str(rig.path)), jaw.law) for jaw in rig.gripper.actuators]
+            (PositionActuator(model, data, jaw.name, str(rig.path)), jaw.law)
+            for jaw in rig.gripper.actuators
+        ]
         self._share = 2 / len(rig.fingers)
         self._force_limit = math.nan
         self.limit_force(rig.gripper.force_max)
@@ -32,7 +35,9 @@ class Jaws:
 
     def speed(self) -> float:
         """Rate of change of the opening, m/s; negative while closing."""
-        return float(sum(law.slope(actuator.length) * actuator.speed for actuator, law in self._jaws))
+        return float(
+            sum(law.slope(actuator.length) * actuator.speed for actuator, law in self._jaws)
+        )
 
     def force(self) -> float:
         """Force with which each finger closes, N; what the servos' currents would say."""
@@ -40,20 +45,25 @@ class Jaws:
         return -self._share * sum(forces) / len(forces)
 
     def limit_force(self, force: float) -> None:
-        """Push with at most `force` N on each finger, and never with more than the model's actuators can."""
+        """Push with at most `force` N on each finger, and never with more than the model's
+        actuators can."""
         self._force_limit = force
         for actuator, law in self._jaws:
             actuator.limit_force(force / self._share * abs(law.slope(actuator.length)))
 
     def force_reached(self) -> float:
         """The most that the model's actuators can close each finger with, N."""
-        forces = [actuator.force_reached(-law.slope(actuator.length)) / abs(law.slope(actuator.length))
-                  for actuator, law in self._jaws]
+        forces = [
+            actuator.force_reached(-law.slope(actuator.length)) / abs(law.slope(actuator.length))
+            for actuator, law in self._jaws
+        ]
         return self._share * sum(forces) / len(forces)
 
     def reach(self, speed: float) -> float:
-        """How far, m, a goal must be ahead of the opening for the full force at that speed of the opening, m/s."""
-        count, reaches = len(self._jaws), []
+        """How far, m, a goal must be ahead of the opening for the full force at that speed of the
+        opening, m/s."""
+        count = len(self._jaws)
+        reaches = []
         for actuator, law in self._jaws:
             slope = abs(law.slope(actuator.length))
             force = 1.2 * actuator.force_limit + actuator.damping * (speed / (count * slope))

@@ -1,4 +1,5 @@
-"""What lifts the hand of a simulated rig: an actuator, a mocap body, an arm, or nothing. All heights in m above the start."""
+"""What lifts the hand of a simulated rig: an actuator, a mocap body, an arm, or nothing. All
+heights in m above the start."""
 
 from __future__ import annotations
 
@@ -61,7 +62,8 @@ class ActuatorLift:
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, rig: SimRigFile):
         self._actuator = PositionActuator(model, data, rig.lift.name, str(rig.path))
-        self._ratio, self._start = rig.lift.ratio, self._actuator.length
+        self._ratio = rig.lift.ratio
+        self._start = self._actuator.length
 
     def height(self) -> float:
         return (self._actuator.length - self._start) * self._ratio
@@ -74,10 +76,13 @@ class ActuatorLift:
 
 
 class HandHeight:
-    """Height of the hand's body by forward kinematics of the present joints, as an arm knows its own."""
+    """Height of the hand's body by forward kinematics of the present joints, as an arm knows its
+    own."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, hand: int):
-        self._model, self._data, self._hand = model, data, hand
+        self._model = model
+        self._data = data
+        self._hand = hand
         self._kinematics = mujoco.MjData(model)
         self._start = self._now()
 
@@ -109,10 +114,19 @@ class MocapLift(HandHeight):
 class ArmLift(HandHeight):
     """An arm on the path that `plan_start` found."""
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, rig: SimRigFile, start: Start, path: ArmPath):
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        rig: SimRigFile,
+        start: Start,
+        path: ArmPath,
+    ):
         super().__init__(model, data, start.hand)
         self._path = path
-        self._actuators = [PositionActuator(model, data, name, str(rig.path)) for name in path.actuators]
+        self._actuators = [
+            PositionActuator(model, data, name, str(rig.path)) for name in path.actuators
+        ]
         joints: Array = np.concatenate([actuator.joints for actuator in self._actuators])
         self._qpos = model.jnt_qposadr[joints]
 

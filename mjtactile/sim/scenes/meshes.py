@@ -1,5 +1,6 @@
-"""Shapes from mesh files. MuJoCo presses with a mesh's convex hull: hollow ones are cut into convex parts where CoACD is
-installed (`pip install 'mjtactile[meshes]'`), and pressed as their hull otherwise, which `World.flags` then says."""
+"""Shapes from mesh files. MuJoCo presses with a mesh's convex hull: hollow ones are cut into convex
+parts where CoACD is installed (`pip install 'mjtactile[meshes]'`), and pressed as their hull
+otherwise, which `World.flags` then says."""
 
 from __future__ import annotations
 
@@ -21,7 +22,8 @@ from mjtactile.core.errors import InputError
 from mjtactile.sim.sensor.features import CONVEX, filled_share
 
 SUFFIXES = (".stl", ".obj")
-_THRESHOLD = 0.05  # CoACD's own, relative to the shape's size: a tube in 15 parts in 5 s; at 0.02 52 parts in minutes
+# CoACD's own, relative to the shape's size: a tube in 15 parts in 5 s; at 0.02 52 parts in minutes
+_THRESHOLD = 0.05
 _ASCII = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
 
 Solid = tuple[NDArray[np.float64], NDArray[np.int64]]
@@ -29,12 +31,17 @@ Solid = tuple[NDArray[np.float64], NDArray[np.int64]]
 
 
 def load_solid(path: Path) -> Solid:
-    """The shape in a mesh file in mm: STL, binary or text, or OBJ. Raises InputError naming the file."""
+    """The shape in a mesh file in mm: STL, binary or text, or OBJ. Raises InputError naming the
+    file."""
     spec = mujoco.MjSpec()
     mesh = spec.add_mesh(name="mesh", scale=[1e-3] * 3)
     try:
-        if path.suffix.lower() == ".stl" and len(corners := _ASCII.findall(path.read_bytes())) >= 12:
-            mesh.uservert, mesh.userface = np.array(corners, float).ravel(), np.arange(len(corners), dtype=np.int32)
+        if (
+            path.suffix.lower() == ".stl"
+            and len(corners := _ASCII.findall(path.read_bytes())) >= 12
+        ):
+            mesh.uservert = np.array(corners, float).ravel()
+            mesh.userface = np.arange(len(corners), dtype=np.int32)
         else:
             mesh.file = str(path)
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh")
@@ -42,17 +49,24 @@ def load_solid(path: Path) -> Solid:
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", source=path, field="mesh") from error
     except (ValueError, RuntimeError) as error:
-        raise InputError(f"not a mesh of {' or '.join(SUFFIXES)}: {' '.join(str(error).split())}", source=path,
-                         field="mesh") from error
+        raise InputError(
+            f"not a mesh of {' or '.join(SUFFIXES)}: {' '.join(str(error).split())}",
+            source=path,
+            field="mesh",
+        ) from error
     turn = np.zeros(9)
     mujoco.mju_quat2Mat(turn, model.mesh_quat[0])  # MuJoCo keeps a mesh in the frame of its inertia
-    vertices, same = np.unique(np.round(model.mesh_vert @ turn.reshape(3, 3).T + model.mesh_pos[0], 9), axis=0,
-                               return_inverse=True)  # STL has each corner anew for each triangle
+    vertices, same = np.unique(
+        np.round(model.mesh_vert @ turn.reshape(3, 3).T + model.mesh_pos[0], 9),
+        axis=0,
+        return_inverse=True,
+    )  # STL has each corner anew for each triangle
     return vertices, same.reshape(-1)[model.mesh_face]
 
 
 def convex_parts(solid: Solid) -> list[Solid]:
-    """`solid` itself where it is convex, its parts where CoACD is installed; else itself, to be pressed as its hull.
+    """`solid` itself where it is convex, its parts where CoACD is installed; else itself, to be
+    pressed as its hull.
 
     Parts are kept in the user's cache: cutting takes seconds.
     """
@@ -63,26 +77,35 @@ def convex_parts(solid: Solid) -> list[Solid]:
     except ImportError:
         return [solid]
     vertices, faces = solid
-    key = hashlib.sha256(vertices.tobytes() + faces.tobytes() + str(_THRESHOLD).encode()).hexdigest()[:24]
+    key = hashlib.sha256(
+        vertices.tobytes() + faces.tobytes() + str(_THRESHOLD).encode()
+    ).hexdigest()[:24]
     cached = _cache() / f"{key}.npz"
     with contextlib.suppress(OSError, ValueError, KeyError), np.load(cached) as file:
         return [(file[f"v{i}"], file[f"f{i}"]) for i in range(len(file.files) // 2)]
     coacd.set_log_level("error")
     size = float(np.ptp(vertices, axis=0).max())
-    parts = [(size * np.asarray(v), np.asarray(f, np.int64)) for v, f in
-             coacd.run_coacd(coacd.Mesh(vertices / size, faces.astype(np.int32)), threshold=_THRESHOLD, seed=0)]
+    parts = [
+        (size * np.asarray(v), np.asarray(f, np.int64))
+        for v, f in coacd.run_coacd(
+            coacd.Mesh(vertices / size, faces.astype(np.int32)), threshold=_THRESHOLD, seed=0
+        )
+    ]
     with contextlib.suppress(OSError):  # a cache that cannot be written costs time only
         _keep(cached, parts)
     return parts
 
 
-def add_solid(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, parts: Sequence[Solid]) -> list[mujoco.MjsGeom]:
+def add_solid(
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, parts: Sequence[Solid]
+) -> list[mujoco.MjsGeom]:
     """Add mesh geoms, named `name`, `name`1 …, to a body."""
     geoms = []
     for number, (vertices, faces) in enumerate(parts):
         label = f"{name}{number or ''}"
         mesh = spec.add_mesh(name=label)
-        mesh.uservert, mesh.userface = vertices.ravel(), faces.ravel().astype(np.int32)
+        mesh.uservert = vertices.ravel()
+        mesh.userface = faces.ravel().astype(np.int32)
         geoms.append(body.add_geom(name=label, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=label))
     return geoms
 
@@ -95,7 +118,11 @@ def _keep(path: Path, parts: Sequence[Solid]) -> None:
     """Written beside and moved there: another process may read it meanwhile."""
     path.parent.mkdir(parents=True, exist_ok=True)
     buffer = io.BytesIO()
-    arrays: dict[str, Any] = {f"{key}{i}": array for i, part in enumerate(parts) for key, array in zip("vf", part, strict=True)}
+    arrays: dict[str, Any] = {
+        f"{key}{i}": array
+        for i, part in enumerate(parts)
+        for key, array in zip("vf", part, strict=True)
+    }
     np.savez(buffer, **arrays)
     with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
         file.write(buffer.getvalue())

@@ -13,22 +13,27 @@ from mjtactile.core.errors import InputError
 
 LARGEST = 32 << 20  # bytes
 MOST = 20_000
-"""Copies that a file may have made of what is in it: MuJoCo would work on 10^7 of them for a minute before it says anything."""
+"""Copies that a file may have made of what is in it: MuJoCo would work on 10^7 of them for a minute
+before it says anything."""
 _COPIES = ("replicate", "composite", "flexcomp")
 
 
 def read_mjcf(path: Path, text: str = "", field: str | None = None) -> mujoco.MjSpec:
-    """The file's specification, or that of `text`, which has no file. Raises InputError, which names `field`, where it is no
-    MJCF or would unfold into too much."""
+    """The file's specification, or that of `text`, which has no file. Raises InputError, which
+    names `field`, where it is no MJCF or would unfold into too much."""
     try:
         if not text and path.stat().st_size > LARGEST:
-            raise InputError(f"larger than {LARGEST >> 20} MiB: not such a file", source=path, field=field)
+            raise InputError(
+                f"larger than {LARGEST >> 20} MiB: not such a file", source=path, field=field
+            )
         _check_copies(path, text or path.read_text(encoding="utf-8-sig", errors="replace"), field)
         return mujoco.MjSpec.from_string(text) if text else mujoco.MjSpec.from_file(str(path))
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", source=path, field=field) from error
     except (ValueError, RuntimeError) as error:
-        raise InputError(f"not valid MJCF: {' '.join(str(error).split())}", source=path, field=field) from error
+        raise InputError(
+            f"not valid MJCF: {' '.join(str(error).split())}", source=path, field=field
+        ) from error
 
 
 def _check_copies(path: Path, text: str, field: str | None) -> None:
@@ -39,7 +44,11 @@ def _check_copies(path: Path, text: str, field: str | None) -> None:
             if element.tag in _COPIES:
                 copies *= _count(element.get("count", "1"))
                 if copies > MOST:
-                    raise InputError(f"makes {copies} copies, of {MOST} at most", source=path, field=field or element.tag)
+                    raise InputError(
+                        f"makes {copies} copies, of {MOST} at most",
+                        source=path,
+                        field=field or element.tag,
+                    )
             waiting += [(child, copies) for child in element]
 
 

@@ -1,11 +1,12 @@
 """Objects to grasp: read a user's MJCF, check it, and merge it into a scene.
 
-Format (docs: "Your own object"): one top-level body named `object` with a free joint, or a volumetric flex in place of the
-joint; a `<custom>` numeric `break_force_N` (normal force per finger above which it counts as crushed; of a flex also
-`break_stress_kPa` or `break_energy_kJ_m3`) and a text `material`. The table's top is
-z = 0, the fingers close along x, and grasp at the height of the body's origin unless a numeric `grasp_height_m` says
-otherwise; a numeric `turn_deg` keeps it from being turned about z by more than that (a block between flat fingers).
-Whatever else stands in the file's world (a cup, a stand) comes along.
+Format (docs: "Your own object"): one top-level body named `object` with a free joint, or a
+volumetric flex in place of the joint; a `<custom>` numeric `break_force_N` (normal force per finger
+above which it counts as crushed; of a flex also `break_stress_kPa` or `break_energy_kJ_m3`) and a
+text `material`. The table's top is z = 0, the fingers close along x, and grasp at the height of the
+body's origin unless a numeric `grasp_height_m` says otherwise; a numeric `turn_deg` keeps it from
+being turned about z by more than that (a block between flat fingers). Whatever else stands in the
+file's world (a cup, a stand) comes along.
 """
 
 from __future__ import annotations
@@ -29,13 +30,15 @@ MATERIALS = ("solid", "soft", "amorphous")
 PREFIX = "object/"
 """Names of the object's file carry this prefix in the scene."""
 SOFT_ITERATIONS = 2000
-"""Iterations that the solver may need where a membrane and finite elements are solved together; 100 is usual."""
+"""Iterations that the solver may need where a membrane and finite elements are solved together; 100
+is usual."""
 
 
 @dataclass(frozen=True)
 class Flesh:
-    """What a volumetric flex is made of, `young` Pa and `poisson`, and what the twentieth of its volume that is worst off
-    stands: `break_stress` Pa (von Mises), `break_energy` J/m^3 of strain."""
+    """What a volumetric flex is made of, `young` Pa and `poisson`, and what the twentieth of its
+    volume that is worst off stands: `break_stress` Pa (von Mises), `break_energy` J/m^3 of
+    strain."""
 
     young: float
     poisson: float
@@ -45,9 +48,10 @@ class Flesh:
 
 @dataclass(frozen=True)
 class ObjectModel:
-    """A checked object: `break_force` N per finger, `grasp_height` m above the table, `path` of its MJCF file, `turn` rad
-    about z by which it may be placed at random; `flesh` of a soft one. `changes` are those of the thing in the world against
-    its file (`changed`); the height at which it is grasped is the file's. `text` is the MJCF of one that has no file."""
+    """A checked object: `break_force` N per finger, `grasp_height` m above the table, `path` of its
+    MJCF file, `turn` rad about z by which it may be placed at random; `flesh` of a soft one.
+    `changes` are those of the thing in the world against its file (`changed`); the height at which
+    it is grasped is the file's. `text` is the MJCF of one that has no file."""
 
     name: str
     path: Path
@@ -62,19 +66,31 @@ class ObjectModel:
 
     def changed(self, changes: ObjectChange) -> ObjectModel:
         """This object, larger, heavier, weaker as `changes` say."""
-        stands, flesh = 1 + changes.breaking, self.flesh
+        stands = 1 + changes.breaking
+        flesh = self.flesh
         if flesh is not None:
-            flesh = Flesh((1 + changes.stiffness) * flesh.young, flesh.poisson, stands * flesh.break_stress,
-                          stands * flesh.break_energy)
-        return replace(self, break_force=stands * self.break_force, flesh=flesh, changes=changes,
-                       mass=(1 + changes.size) ** 3 * (1 + changes.mass) * self.mass)
+            flesh = Flesh(
+                (1 + changes.stiffness) * flesh.young,
+                flesh.poisson,
+                stands * flesh.break_stress,
+                stands * flesh.break_energy,
+            )
+        return replace(
+            self,
+            break_force=stands * self.break_force,
+            flesh=flesh,
+            changes=changes,
+            mass=(1 + changes.size) ** 3 * (1 + changes.mass) * self.mass,
+        )
 
 
 def load_object(name_or_path: str | Path) -> ObjectModel:
-    """Read and check an object by shipped name or from an MJCF file; "random:7" is the random one of seed 7.
+    """Read and check an object by shipped name or from an MJCF file; "random:7" is the random one
+    of seed 7.
 
-    Raises InputError naming file, field and valid choices for broken MJCF, a missing body or free joint, a missing,
-    non-finite or negative numeric, an unknown material, or an object that nothing can touch.
+    Raises InputError naming file, field and valid choices for broken MJCF, a missing body or free
+    joint, a missing, non-finite or negative numeric, an unknown material, or an object that nothing
+    can touch.
     """
     text = object_text(str(name_or_path)) or ""
     path = Path(name_or_path) if text else resources.find(name_or_path, "models/objects", ".xml")
@@ -87,20 +103,29 @@ def load_object(name_or_path: str | Path) -> ObjectModel:
     height = _numeric(spec, path, "grasp_height_m", default=float(body.pos[2]))
     turn = min(math.radians(_numeric(spec, path, "turn_deg", default=180.0)), math.pi)
     mass = _check_compiled(spec, path)
-    return ObjectModel(path.stem, path, break_force, _material(spec, path), height, mass, turn, flesh, text=text)
+    return ObjectModel(
+        path.stem, path, break_force, _material(spec, path), height, mass, turn, flesh, text=text
+    )
 
 
-def add_object(scene: mujoco.MjSpec, model: ObjectModel, pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
-               height: float = 0.0) -> None:
-    """Merge the object, and what stands in its file's world, into `scene` under the name prefix "object/".
+def add_object(
+    scene: mujoco.MjSpec,
+    model: ObjectModel,
+    pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    height: float = 0.0,
+) -> None:
+    """Merge the object, and what stands in its file's world, into `scene` under the name prefix
+    "object/".
 
-    `pose` is x, y in m and yaw in rad of the file's world on the table, whose top is at `height` m. Raises InputError when
-    it is not finite.
+    `pose` is x, y in m and yaw in rad of the file's world on the table, whose top is at `height` m.
+    Raises InputError when it is not finite.
     """
     x, y, yaw = pose
     if not all(math.isfinite(value) for value in pose):
         raise InputError(f"{pose!r} is not three finite numbers", source="add_object", field="pose")
-    frame = scene.worldbody.add_frame(pos=[x, y, height], quat=[math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)])
+    frame = scene.worldbody.add_frame(
+        pos=[x, y, height], quat=[math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
+    )
     spec = read_spec(model)
     change(spec, model.changes)
     scene.attach(spec, frame=frame, prefix=PREFIX)
@@ -116,13 +141,25 @@ def read_spec(model: ObjectModel) -> mujoco.MjSpec:
 def _check_body(spec: mujoco.MjSpec, path: Path) -> None:
     body = spec.body("object")
     if body is None:
-        raise InputError("missing body named 'object'", source=path, field="worldbody",
-                         choices=[b.name for b in spec.worldbody.bodies if b.name] or None)
+        raise InputError(
+            "missing body named 'object'",
+            source=path,
+            field="worldbody",
+            choices=[b.name for b in spec.worldbody.bodies if b.name] or None,
+        )
     if not any(child.name == "object" for child in spec.worldbody.bodies):
-        raise InputError("body 'object' must be a direct child of the world", source=path, field="object")
-    if not _solids(spec) and not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints):
-        raise InputError("body 'object' has no free joint", source=path, field="object",
-                         choices=["<freejoint/>", '<flexcomp dim="3"/>'])
+        raise InputError(
+            "body 'object' must be a direct child of the world", source=path, field="object"
+        )
+    if not _solids(spec) and not any(
+        joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints
+    ):
+        raise InputError(
+            "body 'object' has no free joint",
+            source=path,
+            field="object",
+            choices=["<freejoint/>", '<flexcomp dim="3"/>'],
+        )
 
 
 def _solids(spec: mujoco.MjSpec) -> list[mujoco.MjsFlex]:
@@ -135,13 +172,20 @@ def _flesh(spec: mujoco.MjSpec, path: Path) -> Flesh | None:
     if not solids:
         return None
     if len(solids) > 1:
-        raise InputError("more than one volumetric flex: an object is one body", source=path, field="flexcomp",
-                         choices=[flex.name for flex in solids])
+        raise InputError(
+            "more than one volumetric flex: an object is one body",
+            source=path,
+            field="flexcomp",
+            choices=[flex.name for flex in solids],
+        )
     if not solids[0].young > 0:
         raise InputError(f"{solids[0].young:g} is not a modulus > 0 Pa", source=path, field="young")
-    return Flesh(float(solids[0].young), float(solids[0].poisson),
-                 1e3 * _numeric(spec, path, "break_stress_kPa", default=math.inf),
-                 1e3 * _numeric(spec, path, "break_energy_kJ_m3", default=math.inf))
+    return Flesh(
+        float(solids[0].young),
+        float(solids[0].poisson),
+        1e3 * _numeric(spec, path, "break_stress_kPa", default=math.inf),
+        1e3 * _numeric(spec, path, "break_energy_kJ_m3", default=math.inf),
+    )
 
 
 def _numeric(spec: mujoco.MjSpec, path: Path, name: str, default: float | None = None) -> float:
@@ -161,7 +205,9 @@ def _material(spec: mujoco.MjSpec, path: Path) -> str:
     if not found:
         raise InputError("missing <custom><text>", source=path, field="material", choices=MATERIALS)
     if found[0] not in MATERIALS:
-        raise InputError(f"{found[0]!r} is not a material", source=path, field="material", choices=MATERIALS)
+        raise InputError(
+            f"{found[0]!r} is not a material", source=path, field="material", choices=MATERIALS
+        )
     return found[0]
 
 
@@ -178,14 +224,23 @@ def _check_compiled(spec: mujoco.MjSpec, path: Path) -> float:
     moving = moving_bodies(model)
     touchable = (model.geom_contype[np.isin(model.geom_bodyid, moving)] & 1).any()
     if not touchable and not (model.flex_contype & 1).any():
-        raise InputError("has no geom or flex with contype 1: nothing can touch it", source=path, field="object")
+        raise InputError(
+            "has no geom or flex with contype 1: nothing can touch it", source=path, field="object"
+        )
     return float(model.body_mass[moving].sum())
 
 
 def moving_bodies(model: mujoco.MjModel, prefix: str = "") -> NDArray[np.int64]:
-    """Ids of the bodies that make up the object in `model`: all of its file's bodies (by `prefix`) that can move."""
-    return np.array([i for i in range(1, model.nbody)
-                     if model.body_weldid[i] and model.body(i).name.startswith(prefix)], dtype=np.int64)
+    """Ids of the bodies that make up the object in `model`: all of its file's bodies (by `prefix`)
+    that can move."""
+    return np.array(
+        [
+            i
+            for i in range(1, model.nbody)
+            if model.body_weldid[i] and model.body(i).name.startswith(prefix)
+        ],
+        dtype=np.int64,
+    )
 
 
 def _one_line(error: Exception) -> str:

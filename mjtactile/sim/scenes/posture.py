@@ -1,7 +1,8 @@
-"""Postures of a robot: where its joints must be for jaws, gears, welds and hand to be where they should.
+"""Postures of a robot: where its joints must be for jaws, gears, welds and hand to be where they
+should.
 
-Damped least squares on the stacked conditions (Wampler 1986; Nakamura and Hanafusa 1986): equality constraints of the
-model, lengths of actuators, and the pose of the hand.
+Damped least squares on the stacked conditions (Wampler 1986; Nakamura and Hanafusa 1986): equality
+constraints of the model, lengths of actuators, and the pose of the hand.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from mjtactile.core.types import Array
 from mjtactile.sim.scenes.actuators import SCALAR_JOINTS, PositionActuator
 
 Condition = Callable[[mujoco.MjData], tuple[Array, Array]]
-"""What is missing (m,), in m and rad, and its Jacobian (m, nv), at the last `mj_fwdPosition` of a state."""
+"""What is missing (m,), in m and rad, and its Jacobian (m, nv), at the last `mj_fwdPosition` of a
+state."""
 
 CLOSE = 1e-7  # m and rad
 _ITERATIONS = 100
@@ -24,7 +26,8 @@ _STEP = 0.3  # rad and m, the most that a joint moves in an iteration
 
 
 def solve(model: mujoco.MjModel, data: mujoco.MjData, conditions: Sequence[Condition]) -> float:
-    """Move `data.qpos` until the `conditions` and the model's equality constraints hold; the largest rest, m or rad.
+    """Move `data.qpos` until the `conditions` and the model's equality constraints hold; the
+    largest rest, m or rad.
 
     A state that meets them is left as it is, to the bit.
     """
@@ -45,15 +48,20 @@ def solve(model: mujoco.MjModel, data: mujoco.MjData, conditions: Sequence[Condi
 
 def actuator_at(actuator: PositionActuator, length: float) -> Condition:
     """The actuator has this length."""
+
     def condition(data: mujoco.MjData) -> tuple[Array, Array]:
         return np.array([length - data.actuator_length[actuator.id]]), actuator.moment(data)
 
     return condition
 
 
-def hand_at(model: mujoco.MjModel, body: int, point_H: Array, p_W: Array, R_WH: Array, dofs: Array) -> Condition:
-    """The point `point_H` (3,) m of `body` is at `p_W` (3,) m and the body is turned as `R_WH` (3, 3), by `dofs` alone."""
-    jacobian, others = np.zeros((6, model.nv)), np.setdiff1d(np.arange(model.nv), dofs)
+def hand_at(
+    model: mujoco.MjModel, body: int, point_H: Array, p_W: Array, R_WH: Array, dofs: Array
+) -> Condition:
+    """The point `point_H` (3,) m of `body` is at `p_W` (3,) m and the body is turned as `R_WH` (3,
+    3), by `dofs` alone."""
+    jacobian = np.zeros((6, model.nv))
+    others = np.setdiff1d(np.arange(model.nv), dofs)
 
     def condition(data: mujoco.MjData) -> tuple[Array, Array]:
         R_now = data.xmat[body].reshape(3, 3)
@@ -68,12 +76,14 @@ def hand_at(model: mujoco.MjModel, body: int, point_H: Array, p_W: Array, R_WH: 
 
 def _equalities(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
     """Residuals of the equality constraints, with their Jacobian."""
-    rows = np.flatnonzero(data.efc_type[:data.nefc] == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY))
+    rows = np.flatnonzero(data.efc_type[: data.nefc] == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY))
     dense = np.zeros((data.nefc, model.nv))
     if not len(rows):
         return np.zeros(0), dense[:0]
     if mujoco.mj_isSparse(model):
-        mujoco.mju_sparse2dense(dense, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
+        mujoco.mju_sparse2dense(
+            dense, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind
+        )
     else:
         dense = np.asarray(data.efc_J).reshape(data.nefc, model.nv)
     return -data.efc_pos[rows], dense[rows]

@@ -1,8 +1,9 @@
 """Random things that a hand could grasp: `random:SEED` in place of an object's name, or file.
 
-Eggs, rounded boxes, cylinders, cones, bottles, soft fruit: 16 to 60 mm between the fingers, 15 to 70 mm high, 5 to 200 g. Each
-stands upright, on a stand where it is too low for the sensors' frames, and bears at least three times the force that carries it
-at a friction of 0.9: what is drawn can be held. One seed is one thing, whatever else is drawn.
+Eggs, rounded boxes, cylinders, cones, bottles, soft fruit: 16 to 60 mm between the fingers, 15 to
+70 mm high, 5 to 200 g. Each stands upright, on a stand where it is too low for the sensors' frames,
+and bears at least three times the force that carries it at a friction of 0.9: what is drawn can be
+held. One seed is one thing, whatever else is drawn.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ from mjtactile.core.types import Array
 PREFIX = "random:"
 _MASS = (5e-3, 0.2)  # kg
 _CARRIES = 3 * 9.81 / (2 * 0.9)  # N per kg on each finger
-_FRAGILE, _STURDY = 1.2, 10.0  # N: a strawberry, a jar
+# N: a strawberry, a jar
+_FRAGILE = 1.2
+_STURDY = 10.0
 _CLEAR = 0.026  # m above the table of a grasp's middle: the sensors' frames are 18 mm below it
 _ASIDE = 4.5e-3  # m that a stand's edge is inside of what stands on it: membranes squeeze it by 3
 _FOOT = 0.45  # radius of an egg's flat foot, over its own
@@ -32,9 +35,9 @@ _FRICTION = 'friction="0.3 0.005 0.0001"'
 
 @dataclass(frozen=True)
 class Thing:
-    """Half sizes `a` (x, between the fingers), `b` (y), `c` (z) m, `mass` kg, `break_force` N on each finger; `detail` is the
-    shape's own: a box's edge radius m, a cone's slope (radius lost per height), a bottle's neck (radius, height) m, a fruit's
-    stiffness N/m."""
+    """Half sizes `a` (x, between the fingers), `b` (y), `c` (z) m, `mass` kg, `break_force` N on
+    each finger; `detail` is the shape's own: a box's edge radius m, a cone's slope (radius lost per
+    height), a bottle's neck (radius, height) m, a fruit's stiffness N/m."""
 
     shape: str
     a: float
@@ -47,8 +50,13 @@ class Thing:
     @property
     def values(self) -> dict[str, Any]:
         """What was drawn, for results."""
-        return {"random.shape": self.shape, "random.width_mm": round(2e3 * self.a, 3), "random.height_mm": round(2e3 * self.c, 3),
-                "random.mass_g": round(1e3 * self.mass, 3), "random.break_force_N": round(self.break_force, 4)}
+        return {
+            "random.shape": self.shape,
+            "random.width_mm": round(2e3 * self.a, 3),
+            "random.height_mm": round(2e3 * self.c, 3),
+            "random.mass_g": round(1e3 * self.mass, 3),
+            "random.break_force_N": round(self.break_force, 4),
+        }
 
 
 Rng = np.random.Generator
@@ -87,8 +95,15 @@ def _egg(rng: Rng) -> Drawn:
 
 
 def _box(rng: Rng) -> Drawn:
-    a, b, c = rng.uniform(0.009, 0.028), rng.uniform(0.009, 0.025), rng.uniform(0.0075, 0.035)
-    return (a, b, c), (rng.uniform(0.0025, max(0.35 * min(a, b, c), 0.0027)),), 8 * a * b * c, rng.uniform(200, 1200)
+    a = rng.uniform(0.009, 0.028)
+    b = rng.uniform(0.009, 0.025)
+    c = rng.uniform(0.0075, 0.035)
+    return (
+        (a, b, c),
+        (rng.uniform(0.0025, max(0.35 * min(a, b, c), 0.0027)),),
+        8 * a * b * c,
+        rng.uniform(200, 1200),
+    )
 
 
 def _cylinder(rng: Rng) -> Drawn:
@@ -98,12 +113,15 @@ def _cylinder(rng: Rng) -> Drawn:
 
 
 def _cone(rng: Rng) -> Drawn:
-    a, c, slope = rng.uniform(0.011, 0.028), rng.uniform(0.010, 0.035), rng.uniform(-0.1, 0.1)
+    a = rng.uniform(0.011, 0.028)
+    c = rng.uniform(0.010, 0.035)
+    slope = rng.uniform(-0.1, 0.1)
     return (a, a, c), (slope,), 2 * math.pi * a * a * c, rng.uniform(150, 900)
 
 
 def _bottle(rng: Rng) -> Drawn:
-    a, c = rng.uniform(0.010, 0.025), rng.uniform(0.016, 0.026)
+    a = rng.uniform(0.010, 0.025)
+    c = rng.uniform(0.016, 0.026)
     neck = a * rng.uniform(0.3, 0.6), rng.uniform(0.006, 0.016)
     return (a, a, c), neck, 2 * math.pi * a * a * c, rng.uniform(200, 1100)
 
@@ -115,7 +133,13 @@ def _fruit(rng: Rng) -> Drawn:
 
 
 _SHAPES: dict[str, Callable[[Rng], Drawn]] = {
-    "egg": _egg, "box": _box, "cylinder": _cylinder, "cone": _cone, "bottle": _bottle, "fruit": _fruit}
+    "egg": _egg,
+    "box": _box,
+    "cylinder": _cylinder,
+    "cone": _cone,
+    "bottle": _bottle,
+    "fruit": _fruit,
+}
 
 
 def _log(rng: Rng, low: float, high: float) -> float:
@@ -127,8 +151,16 @@ def to_mjcf(thing: Thing, name: str) -> str:
     t = thing
     stand = max(_CLEAR - t.c, 0.0)
     radius = max(min(t.a, t.b) - _ASIDE, 4e-3)
-    under = (f'    <body name="stand">\n      <geom name="stand" type="cylinder" pos="0 0 {stand / 2:.6g}" '
-             f'size="{radius:.6g} {stand / 2:.6g}" {_FRICTION} rgba="0.6 0.6 0.65 1"/>\n    </body>\n') if stand else ""
+    under = (
+        (
+            '    <body name="stand">\n      <geom name="stand" type="cylinder" pos="0 0 '
+            f'{stand / 2:.6g}" '
+            f'size="{radius:.6g} {stand / 2:.6g}" {_FRICTION} rgba="0.6 0.6 0.65 1"/>\n    '
+            "</body>\n"
+        )
+        if stand
+        else ""
+    )
     turn = '    <numeric name="turn_deg" data="3"/>\n' if t.shape == "box" else ""
     asset, geoms = _BUILD[t.shape](t)
     body = "\n".join(f"      {line}" for line in geoms)
@@ -138,7 +170,7 @@ def to_mjcf(thing: Thing, name: str) -> str:
   <compiler angle="degree"/>
   <custom>
     <numeric name="break_force_N" data="{t.break_force:.6g}"/>
-{turn}    <text name="material" data="{'soft' if t.shape == 'fruit' else 'solid'}"/>
+{turn}    <text name="material" data="{"soft" if t.shape == "fruit" else "solid"}"/>
   </custom>
 {asset}  <worldbody>
 {under}    <body name="object" pos="0 0 {stand + t.c:.6g}">
@@ -154,10 +186,19 @@ Built = tuple[str, list[str]]
 """Assets, and the lines of the body."""
 
 
-def _geom(name: str, kind: str, size: tuple[float, ...], pos: tuple[float, float, float] = (0.0, 0.0, 0.0), more: str = "",
-          colour: str = "0.7 0.75 0.8 1") -> str:
-    return (f'<geom name="{name}" type="{kind}" size="{_row(size)}" pos="{_row(pos)}" {_FRICTION} conaffinity="0" '
-            f'rgba="{colour}"{more}/>')
+def _geom(
+    name: str,
+    kind: str,
+    size: tuple[float, ...],
+    pos: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    more: str = "",
+    colour: str = "0.7 0.75 0.8 1",
+) -> str:
+    return (
+        f'<geom name="{name}" type="{kind}" size="{_row(size)}" pos="{_row(pos)}" {_FRICTION} '
+        'conaffinity="0" '
+        f'rgba="{colour}"{more}/>'
+    )
 
 
 def _row(values: tuple[float, ...]) -> str:
@@ -165,26 +206,43 @@ def _row(values: tuple[float, ...]) -> str:
 
 
 def _inertial(t: Thing, share: float) -> str:
-    """A full body's: `share` is what moments are of m times the sum of the two squared half sizes."""
-    moments = share * (t.b**2 + t.c**2) * t.mass, share * (t.a**2 + t.c**2) * t.mass, share * (t.a**2 + t.b**2) * t.mass
+    """A full body's: `share` is what moments are of m times the sum of the two squared half
+    sizes."""
+    moments = (
+        share * (t.b**2 + t.c**2) * t.mass,
+        share * (t.a**2 + t.c**2) * t.mass,
+        share * (t.a**2 + t.b**2) * t.mass,
+    )
     return f'<inertial pos="0 0 0" mass="{t.mass:.6g}" diaginertia="{_row(moments)}"/>'
 
 
 def _foot(t: Thing) -> str:
     """What a round thing stands on; table and stand feel it, membranes do not."""
-    size, low = (_FOOT * t.a, 0.05 * t.c), -0.95 * t.c - 2e-4
-    return _geom("foot", "cylinder", size, (0.0, 0.0, low)).replace('conaffinity="0"', 'contype="0" conaffinity="1"')
+    size = (_FOOT * t.a, 0.05 * t.c)
+    low = -0.95 * t.c - 2e-4
+    return _geom("foot", "cylinder", size, (0.0, 0.0, low)).replace(
+        'conaffinity="0"', 'contype="0" conaffinity="1"'
+    )
 
 
 def _build_egg(t: Thing) -> Built:
-    return "", [_inertial(t, 0.2), _geom("shell", "ellipsoid", (t.a, t.b, t.c), colour="0.93 0.85 0.75 1"), _foot(t)]
+    return "", [
+        _inertial(t, 0.2),
+        _geom("shell", "ellipsoid", (t.a, t.b, t.c), colour="0.93 0.85 0.75 1"),
+        _foot(t),
+    ]
 
 
 def _build_box(t: Thing) -> Built:
-    """The convex hull of a ball in each corner: one geom, since a membrane that meets several in one place is pushed twice."""
+    """The convex hull of a ball in each corner: one geom, since a membrane that meets several in
+    one place is pushed twice."""
     r = t.detail[0]
-    lift, turn = np.meshgrid(np.linspace(0, np.pi / 2, _ARC), np.linspace(0, np.pi / 2, _ARC), indexing="ij")
-    octant = np.stack([np.cos(lift) * np.cos(turn), np.cos(lift) * np.sin(turn), np.sin(lift)], axis=-1).reshape(-1, 3)
+    lift, turn = np.meshgrid(
+        np.linspace(0, np.pi / 2, _ARC), np.linspace(0, np.pi / 2, _ARC), indexing="ij"
+    )
+    octant = np.stack(
+        [np.cos(lift) * np.cos(turn), np.cos(lift) * np.sin(turn), np.sin(lift)], axis=-1
+    ).reshape(-1, 3)
     octant = np.unique(octant.round(9), axis=0)
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     corners = signs[:, None] * (np.array([t.a - r, t.b - r, t.c - r]) + r * octant)
@@ -194,8 +252,14 @@ def _build_box(t: Thing) -> Built:
 def _mesh(name: str, vertices: Array, colour: str, inertial: str) -> Built:
     """The convex hull of `vertices` (N, 3) m."""
     text = "  ".join(_row(tuple(row)) for row in vertices)
-    return (f'  <asset>\n    <mesh name="{name}" vertex="{text}"/>\n  </asset>\n',
-            [inertial, f'<geom name="body" type="mesh" mesh="{name}" {_FRICTION} conaffinity="0" rgba="{colour}"/>'])
+    return (
+        f'  <asset>\n    <mesh name="{name}" vertex="{text}"/>\n  </asset>\n',
+        [
+            inertial,
+            f'<geom name="body" type="mesh" mesh="{name}" {_FRICTION} conaffinity="0" '
+            f'rgba="{colour}"/>',
+        ],
+    )
 
 
 def _build_cylinder(t: Thing) -> Built:
@@ -204,35 +268,72 @@ def _build_cylinder(t: Thing) -> Built:
 
 def _build_cone(t: Thing) -> Built:
     angle = np.arange(_CORNERS) * (2 * np.pi / _CORNERS)
-    rings = [np.column_stack([(t.a - t.detail[0] * z) * np.cos(angle), (t.a - t.detail[0] * z) * np.sin(angle),
-                              np.full(_CORNERS, z)]) for z in (-t.c, t.c)]
+    rings = [
+        np.column_stack(
+            [
+                (t.a - t.detail[0] * z) * np.cos(angle),
+                (t.a - t.detail[0] * z) * np.sin(angle),
+                np.full(_CORNERS, z),
+            ]
+        )
+        for z in (-t.c, t.c)
+    ]
     return _mesh("cone", np.concatenate(rings), "0.9 0.9 0.85 1", _inertial(t, 0.27))
 
 
 def _build_bottle(t: Thing) -> Built:
     radius, height = t.detail
-    return "", [_inertial(t, 0.27), _geom("body", "cylinder", (t.a, t.c), colour="0.7 0.85 0.9 0.6"),
-                _geom("shoulder", "ellipsoid", (0.98 * t.a, 0.98 * t.a, 0.5 * t.a), (0.0, 0.0, t.c)),
-                _geom("neck", "cylinder", (radius, height / 2 + 0.25 * t.a), (0.0, 0.0, t.c + 0.25 * t.a + height / 2))]
+    return "", [
+        _inertial(t, 0.27),
+        _geom("body", "cylinder", (t.a, t.c), colour="0.7 0.85 0.9 0.6"),
+        _geom("shoulder", "ellipsoid", (0.98 * t.a, 0.98 * t.a, 0.5 * t.a), (0.0, 0.0, t.c)),
+        _geom(
+            "neck",
+            "cylinder",
+            (radius, height / 2 + 0.25 * t.a),
+            (0.0, 0.0, t.c + 0.25 * t.a + height / 2),
+        ),
+    ]
 
 
 def _build_fruit(t: Thing) -> Built:
     """Flesh in segments around a core, each on a radial spring, as the shipped strawberry's."""
-    stiffness, off = t.detail[0], 0.4 * t.a
+    stiffness = t.detail[0]
+    off = 0.4 * t.a
     size = (t.a - off, 0.72 * t.a, t.c)
     part = 0.5 * t.mass / _SEGMENTS
     damping = 2 * 0.7 * math.sqrt(stiffness * part)
-    lines = [f"{_foot(t)[:-2]} mass=\"{0.25 * t.mass:.6g}\"/>",
-             _geom("core", "ellipsoid", (0.6 * t.a, 0.6 * t.a, 0.9 * t.c), more=f' mass="{0.25 * t.mass:.6g}" contype="0"')]
+    lines = [
+        f'{_foot(t)[:-2]} mass="{0.25 * t.mass:.6g}"/>',
+        _geom(
+            "core",
+            "ellipsoid",
+            (0.6 * t.a, 0.6 * t.a, 0.9 * t.c),
+            more=f' mass="{0.25 * t.mass:.6g}" contype="0"',
+        ),
+    ]
     for k in range(_SEGMENTS):
         turn = 2 * math.pi * k / _SEGMENTS
-        lines += [f'<body name="flesh{k}" pos="{off * math.cos(turn):.6g} {off * math.sin(turn):.6g} 0" '
-                  f'euler="0 0 {math.degrees(turn):g}">',
-                  f'  <joint name="flesh{k}" type="slide" axis="1 0 0" stiffness="{stiffness:.6g}" damping="{damping:.4g}"/>',
-                  "  " + _geom(f"flesh{k}", "ellipsoid", size, more=f' mass="{part:.6g}"', colour="0.85 0.3 0.25 1"), "</body>"]
+        lines += [
+            f'<body name="flesh{k}" pos="{off * math.cos(turn):.6g} {off * math.sin(turn):.6g} '
+            '0" '
+            f'euler="0 0 {math.degrees(turn):g}">',
+            f'  <joint name="flesh{k}" type="slide" axis="1 0 0" '
+            f'stiffness="{stiffness:.6g}" damping="{damping:.4g}"/>',
+            "  "
+            + _geom(
+                f"flesh{k}", "ellipsoid", size, more=f' mass="{part:.6g}"', colour="0.85 0.3 0.25 1"
+            ),
+            "</body>",
+        ]
     return "", lines
 
 
 _BUILD: dict[str, Callable[[Thing], Built]] = {
-    "egg": _build_egg, "box": _build_box, "cylinder": _build_cylinder, "cone": _build_cone, "bottle": _build_bottle,
-    "fruit": _build_fruit}
+    "egg": _build_egg,
+    "box": _build_box,
+    "cylinder": _build_cylinder,
+    "cone": _build_cone,
+    "bottle": _build_bottle,
+    "fruit": _build_fruit,
+}

@@ -1,7 +1,9 @@
-"""The whole state of a simulated world, to go back to: what MuJoCo has and what our own run-time objects remember.
+"""The whole state of a simulated world, to go back to: what MuJoCo has and what our own run-time
+objects remember.
 
-MuJoCo's data and model arrays are copied; of our objects every attribute that can change is: numbers, arrays, lists, generators.
-Arrays are restored in place, so that views of them and addresses that compiled kernels keep stay good.
+MuJoCo's data and model arrays are copied; of our objects every attribute that can change is:
+numbers, arrays, lists, generators. Arrays are restored in place, so that views of them and
+addresses that compiled kernels keep stay good.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ class Snapshot:
     """The state of `world`, and of the other objects that belong to it, now."""
 
     def __init__(self, world: World, *others: Any):
-        self._world, self._data = world, copy.copy(world.data)
+        self._world = world
+        self._data = copy.copy(world.data)
         self._undo: list[Callable[[], None]] = []
         self._seen: set[int] = {id(world.model), id(world.data)}
         for name in dir(world.model):

@@ -1,8 +1,10 @@
-"""Bodies that deform by finite elements: a writer of MJCF files with a volumetric flex, in the format of docs/objects.md.
+"""Bodies that deform by finite elements: a writer of MJCF files with a volumetric flex, in the
+format of docs/objects.md.
 
-The elements are MuJoCo's interpolated ones (decision 12): a lattice of `cells` trilinear cells over the bounding box, each
-linear-elastic in a frame that turns with it, cut to the body's volume. The mesh of tetrahedra, which is finer, is what touches
-and what is seen, and moves with the lattice. It lies under a skin: what touches stops at `skin` m over it.
+The elements are MuJoCo's interpolated ones (decision 12): a lattice of `cells` trilinear cells over
+the bounding box, each linear-elastic in a frame that turns with it, cut to the body's volume. The
+mesh of tetrahedra, which is finer, is what touches and what is seen, and moves with the lattice. It
+lies under a skin: what touches stops at `skin` m over it.
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 
-_CUP = (0.0035, 0.007)  # m from the axis, x and y, of the four pegs of a cup; x is where the fingers come from
+# m from the axis, x and y, of the four pegs of a cup; x is where the fingers come from
+_CUP = (0.0035, 0.007)
 _PEG = 0.0015  # m, radius of a peg
 _UNIT = 1e-5  # m: points are written in these, whole
 
@@ -26,12 +29,13 @@ Shape = Literal["block", "ball", "thimble"]
 
 @dataclass(frozen=True)
 class SoftBody:
-    """A `shape` of half sizes `half` (x, y, z) m with its skin: "block", "ball" (an ellipsoid), or "thimble", a hollow one
-    with walls of `wall` m, open below.
+    """A `shape` of half sizes `half` (x, y, z) m with its skin: "block", "ball" (an ellipsoid), or
+    "thimble", a hollow one with walls of `wall` m, open below.
 
-    `young` Pa and `poisson` of the material, `density` kg/m^3, `damping` s (the share of stiffness that resists strain rate);
-    it breaks where the twentieth of its volume that is worst off has a von Mises stress of `break_stress` Pa, or a strain
-    energy of `break_energy` J/m^3. `lattice` (3,) cells that deform, `mesh` tetrahedral cells along an edge (even).
+    `young` Pa and `poisson` of the material, `density` kg/m^3, `damping` s (the share of stiffness
+    that resists strain rate); it breaks where the twentieth of its volume that is worst off has a
+    von Mises stress of `break_stress` Pa, or a strain energy of `break_energy` J/m^3. `lattice`
+    (3,) cells that deform, `mesh` tetrahedral cells along an edge (even).
     """
 
     shape: Shape
@@ -59,14 +63,19 @@ class SoftBody:
 
 
 def tetrahedra(body: SoftBody) -> tuple[Array, NDArray[np.int64]]:
-    """Points (n, 3) m about the body's middle, a skin below its surface, and tetrahedra (m, 4) of their numbers."""
+    """Points (n, 3) m about the body's middle, a skin below its surface, and tetrahedra (m, 4) of
+    their numbers."""
     n = body.mesh
     line = np.linspace(-1.0, 1.0, n + 1)
     grid = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
-    cells = [cell for cell in product(range(n), repeat=3) if _SHAPES[body.shape][1](np.array(cell), n)]
-    points, elements = _SHAPES[body.shape][0](grid, body), _cut(cells, n)
+    cells = [
+        cell for cell in product(range(n), repeat=3) if _SHAPES[body.shape][1](np.array(cell), n)
+    ]
+    points = _SHAPES[body.shape][0](grid, body)
+    elements = _cut(cells, n)
     used, elements = np.unique(elements, return_inverse=True)
-    points, elements = points[used], elements.reshape(-1, 4)
+    points = points[used]
+    elements = elements.reshape(-1, 4)
     turned = tetrahedron_volumes(points, elements) < 0
     elements[turned] = elements[turned][:, [0, 2, 1, 3]]
     return points, elements
@@ -82,7 +91,8 @@ def _cut(cells: list[tuple[int, ...]], n: int) -> NDArray[np.int64]:
     """Six tetrahedra (m, 4) a cell, along its diagonal: neighbours share faces."""
     corners = []
     for cell, order in product(cells, permutations(range(3))):
-        corner, path = list(cell), []
+        corner = list(cell)
+        path = []
         for axis in (None, *order):
             if axis is not None:
                 corner[axis] += 1
@@ -111,7 +121,8 @@ def _thimble(grid: Array, body: SoftBody) -> Array:
 
 
 def _directions(grid: Array) -> tuple[Array, Array]:
-    """Unit vectors (n, 3) to the points of a cube, spread evenly over a sphere, and the shells (n,) that they are in."""
+    """Unit vectors (n, 3) to the points of a cube, spread evenly over a sphere, and the shells (n,)
+    that they are in."""
     level = np.abs(grid).max(axis=1)
     direction = np.tan(np.pi / 4 * grid / np.where(level > 0, level, 1.0)[:, None])
     length = np.linalg.norm(direction, axis=1, keepdims=True)
@@ -119,24 +130,38 @@ def _directions(grid: Array) -> tuple[Array, Array]:
 
 
 def _in_wall(cell: NDArray[np.int64], n: int) -> bool:
-    """Whether a cell of the cube is in a thimble's wall: neither in the hollow nor in the hole below."""
+    """Whether a cell of the cube is in a thimble's wall: neither in the hollow nor in the hole
+    below."""
     x, y, z = np.abs(2 * cell + 1 - n)  # 1, 3, ... n - 1
     hole = cell[2] < n / 2 and z > max(x, y) and max(x, y) < 2 * n / 3
     return bool(max(x, y, z) > n / 3) and not hole
 
 
-_SHAPES: dict[str, tuple[Callable[[Array, SoftBody], Array], Callable[[NDArray[np.int64], int], bool]]] = {
-    "block": (_block, lambda cell, n: True), "ball": (_ball, lambda cell, n: True), "thimble": (_thimble, _in_wall)}
+_SHAPES: dict[
+    str, tuple[Callable[[Array, SoftBody], Array], Callable[[NDArray[np.int64], int], bool]]
+] = {
+    "block": (_block, lambda cell, n: True),
+    "ball": (_ball, lambda cell, n: True),
+    "thimble": (_thimble, _in_wall),
+}
 
 
 def to_mjcf(body: SoftBody, name: str, comment: str = "") -> str:
     """The object's file."""
-    limits = {"break_stress_kPa": 1e-3 * body.break_stress, "break_energy_kJ_m3": 1e-3 * body.break_energy,
-              "true_modulus_kPa": 1e-3 * body.young} | ({"turn_deg": 2.0} if body.shape == "block" else {})
-    numerics = "\n".join(f'    <numeric name="{key}" data="{value:.6g}"/>' for key, value in limits.items() if value)
+    limits = {
+        "break_stress_kPa": 1e-3 * body.break_stress,
+        "break_energy_kJ_m3": 1e-3 * body.break_energy,
+        "true_modulus_kPa": 1e-3 * body.young,
+    } | ({"turn_deg": 2.0} if body.shape == "block" else {})
+    numerics = "\n".join(
+        f'    <numeric name="{key}" data="{value:.6g}"/>' for key, value in limits.items() if value
+    )
     points, elements = tetrahedra(body)
-    mesh = (f'scale="{_UNIT:g} {_UNIT:g} {_UNIT:g}"\n          point="{_rows(np.round(points / _UNIT).astype(int))}"\n'
-            f'          element="{_rows(elements)}"')
+    mesh = (
+        f'scale="{_UNIT:g} {_UNIT:g} {_UNIT:g}"\n          '
+        f'point="{_rows(np.round(points / _UNIT).astype(int))}"\n'
+        f'          element="{_rows(elements)}"'
+    )
     return f"""<!-- {comment or name}
      Units: m, kg, N, s, Pa. Finite elements, made by mjtactile.sim.scenes.soft_bodies; docs/objects.md says how far they go.
      The mesh of tetrahedra is what touches and is seen; the lattice of {"x".join(map(str, body.lattice))} cells is what deforms.
@@ -174,8 +199,10 @@ def _rows(numbers: NDArray[np.int64], columns: int = 110) -> str:
 
 
 def _stand(body: SoftBody, bottom: float) -> str:
-    """Half as wide as the body: a membrane that has pressed it must come down beside it. `bottom` m over its middle."""
-    height, radius = body.centre_height + bottom - body.skin, 0.5 * min(body.half[:2])
+    """Half as wide as the body: a membrane that has pressed it must come down beside it. `bottom` m
+    over its middle."""
+    height = body.centre_height + bottom - body.skin
+    radius = 0.5 * min(body.half[:2])
     return f"""    <body name="stand">
       <geom name="stand" type="cylinder" pos="0 0 {height / 2:.5g}" size="{radius:g} {height / 2:.5g}" friction="0.3 0.005 0.0001"
             rgba="0.6 0.6 0.65 1"/>
@@ -186,22 +213,58 @@ def _cup(body: SoftBody) -> str:
     """Four pegs that an ellipsoid rests on with its middle at the height of the grasp."""
     grown = np.array(body.half) + _PEG
     x, y = _CUP
-    top = body.centre_height - grown[2] * np.sqrt(1 - (x / grown[0])**2 - (y / grown[1])**2)
-    pegs = [f'      <geom name="peg{k}" type="capsule" fromto="{sx * x:g} {sy * y:g} 0 {sx * x:g} {sy * y:g} {top:.5g}" '
-            f'size="{_PEG:g}" friction="0.3 0.005 0.0001" rgba="0.6 0.6 0.65 1"/>'
-            for k, (sx, sy) in enumerate(((1, 1), (1, -1), (-1, 1), (-1, -1)))]
+    top = body.centre_height - grown[2] * np.sqrt(1 - (x / grown[0]) ** 2 - (y / grown[1]) ** 2)
+    pegs = [
+        f'      <geom name="peg{k}" type="capsule" fromto="{sx * x:g} {sy * y:g} 0 {sx * x:g} '
+        f'{sy * y:g} {top:.5g}" '
+        f'size="{_PEG:g}" friction="0.3 0.005 0.0001" rgba="0.6 0.6 0.65 1"/>'
+        for k, (sx, sy) in enumerate(((1, 1), (1, -1), (-1, 1), (-1, -1)))
+    ]
     return "\n".join(['    <body name="cup">', *pegs, "    </body>"])
 
 
 SHIPPED: dict[str, tuple[SoftBody, str]] = {
-    "tofu": (SoftBody("block", (0.014, 0.010, 0.010), young=2e4, poisson=0.45, density=1050.0, break_stress=4e3,
-                      mesh=4, rgba="0.95 0.93 0.85 1"),
-             "A block of tofu-like gel (12 g) on a stand, E = 20 kPa. It breaks at a von Mises stress of 4 kPa."),
-    "raspberry": (SoftBody("thimble", (0.010, 0.010, 0.011), young=1.5e5, poisson=0.4, density=950.0, break_energy=1.5e3,
-                           wall=0.0045, lattice=(4, 4, 4), rgba="0.8 0.12 0.28 1"),
-                  "A raspberry without its core: a soft hull, open below, E = 150 kPa. It tears at 1.5 kJ/m^3 of strain."),
-    "silicone_ball": (SoftBody("ball", (0.012, 0.012, 0.012), young=1.2e5, poisson=0.45, density=1070.0, break_stress=1e6,
-                               lattice=(4, 4, 4), rgba="0.35 0.6 0.75 1"),
-                      "A ball of soft silicone, E = 120 kPa. It tears at 1 MPa, which no gripper here reaches."),
+    "tofu": (
+        SoftBody(
+            "block",
+            (0.014, 0.010, 0.010),
+            young=2e4,
+            poisson=0.45,
+            density=1050.0,
+            break_stress=4e3,
+            mesh=4,
+            rgba="0.95 0.93 0.85 1",
+        ),
+        "A block of tofu-like gel (12 g) on a stand, E = 20 kPa. It breaks at a von "
+        "Mises stress of 4 kPa.",
+    ),
+    "raspberry": (
+        SoftBody(
+            "thimble",
+            (0.010, 0.010, 0.011),
+            young=1.5e5,
+            poisson=0.4,
+            density=950.0,
+            break_energy=1.5e3,
+            wall=0.0045,
+            lattice=(4, 4, 4),
+            rgba="0.8 0.12 0.28 1",
+        ),
+        "A raspberry without its core: a soft hull, open below, E = 150 kPa. It "
+        "tears at 1.5 kJ/m^3 of strain.",
+    ),
+    "silicone_ball": (
+        SoftBody(
+            "ball",
+            (0.012, 0.012, 0.012),
+            young=1.2e5,
+            poisson=0.45,
+            density=1070.0,
+            break_stress=1e6,
+            lattice=(4, 4, 4),
+            rgba="0.35 0.6 0.75 1",
+        ),
+        "A ball of soft silicone, E = 120 kPa. It tears at 1 MPa, which no gripper here reaches.",
+    ),
 }
 """The soft bodies that ship in models/objects, with the sentence that heads their file."""

@@ -1,9 +1,11 @@
-"""Bodies to be probed, with a known material: a writer of MJCF files in the format of docs/objects.md.
+"""Bodies to be probed, with a known material: a writer of MJCF files in the format of
+docs/objects.md.
 
-A soft `Specimen` is lumped: two rigid plates (its faces) on slides along x, each held to the middle by the elements of
-a rheological model. A block of modulus E squeezed between two flat faces of area A acts as the spring K = E A / L; here
-the spring is given directly, and the truth is exact. What is left out: bulging sideways, stress that varies over the
-face, waves. What the fingers feel, the force between faces and how their distance answers, is what the model says.
+A soft `Specimen` is lumped: two rigid plates (its faces) on slides along x, each held to the middle
+by the elements of a rheological model. A block of modulus E squeezed between two flat faces of area
+A acts as the spring K = E A / L; here the spring is given directly, and the truth is exact. What is
+left out: bulging sideways, stress that varies over the face, waves. What the fingers feel, the
+force between faces and how their distance answers, is what the model says.
 
     elastic        plate --[k, stiffening]-- middle                             sponge, rubber
     viscoelastic   the same, beside it --[k_arm]--(dashpot)-- middle            memory foam, gel (standard linear solid)
@@ -20,8 +22,12 @@ import mujoco
 from mjtactile.sim.scenes.indentation import Indenter
 
 PLATE = 1e-3  # m, half the thickness of a plate
-_PLATE_MASS, _ARM_MASS, _CORE_MASS = 1e-3, 5e-4, 8e-3  # kg
-_PLATE_DAMPING = 1.0  # N s/m: settles a plate in a few ms, and adds 4 mN at a finger's pressing speed
+# kg
+_PLATE_MASS = 1e-3
+_ARM_MASS = 5e-4
+_CORE_MASS = 8e-3
+# N s/m: settles a plate in a few ms, and adds 4 mN at a finger's pressing speed
+_PLATE_DAMPING = 1.0
 _FREE_PLAY = 1e-4  # m that a plate may move outward of where it rests
 _STAND = 0.020  # m, height of the stand: the sensors' frames stay clear of the table
 
@@ -33,9 +39,10 @@ CLASSES = {"rigid": "solid", "elastic": "soft", "viscoelastic": "soft", "plastic
 class Specimen:
     """A block of `length` (x, between the fingers), `width` (y) and `height` (z), m.
 
-    Of the whole block, face to face: `stiffness` N/m at rest and `stiffening` N/m^2 (F = K d + B d^2); `arm_stiffness`
-    N/m and `relaxation_time` s of the Maxwell arm (viscoelastic); `yield_force` N and `viscosity` N s/m of the flow
-    (plastic). `shape` of the faces: "box", or "cylinder" and "sphere" of a rigid one.
+    Of the whole block, face to face: `stiffness` N/m at rest and `stiffening` N/m^2 (F = K d + B
+    d^2); `arm_stiffness` N/m and `relaxation_time` s of the Maxwell arm (viscoelastic);
+    `yield_force` N and `viscosity` N s/m of the flow (plastic). `shape` of the faces: "box", or
+    "cylinder" and "sphere" of a rigid one.
     """
 
     kind: Kind
@@ -62,7 +69,8 @@ class Specimen:
         return self.width * self.height
 
     def secant_stiffness(self, force: float) -> float:
-        """F / d of the whole block at rest under `force` N, N/m; a Maxwell arm has relaxed by then."""
+        """F / d of the whole block at rest under `force` N, N/m; a Maxwell arm has relaxed by
+        then."""
         if self.stiffening <= 0:
             return self.stiffness
         root = (self.stiffness**2 + 4 * self.stiffening * force) ** 0.5
@@ -78,12 +86,21 @@ def to_mjcf(specimen: Specimen, name: str, comment: str = "") -> str:
     s = specimen
     numerics = {"break_force_N": s.break_force, "turn_deg": 2.0}
     if s.kind != "rigid":
-        numerics |= {"true_stiffness_N_m": s.stiffness, "true_stiffening_N_m2": s.stiffening, "true_face_mm2": 1e6 * s.area,
-                     "true_length_mm": 1e3 * s.length, "true_relaxation_time_s": s.relaxation_time,
-                     "true_yield_force_N": s.yield_force}
-    custom = "\n".join(f'    <numeric name="{key}" data="{value:.6g}"/>' for key, value in numerics.items())
+        numerics |= {
+            "true_stiffness_N_m": s.stiffness,
+            "true_stiffening_N_m2": s.stiffening,
+            "true_face_mm2": 1e6 * s.area,
+            "true_length_mm": 1e3 * s.length,
+            "true_relaxation_time_s": s.relaxation_time,
+            "true_yield_force_N": s.yield_force,
+        }
+    custom = "\n".join(
+        f'    <numeric name="{key}" data="{value:.6g}"/>' for key, value in numerics.items()
+    )
     parts, tendons = _rigid(s) if s.kind == "rigid" else _halves(s)
-    foot, slim = s.height / 2 + 0.002, 0.2 * s.length  # foot and stand stay clear of membranes that squeeze the body
+    # foot and stand stay clear of membranes that squeeze the body
+    foot = s.height / 2 + 0.002
+    slim = 0.2 * s.length
     return f"""<!-- {comment or name}
      Units: m, kg, N, s. Lumped model, made by mjtactile.sim.scenes.specimens; docs/objects.md says what it stands for. -->
 <mujoco model="{name}">
@@ -110,34 +127,58 @@ def to_mjcf(specimen: Specimen, name: str, comment: str = "") -> str:
 def _rigid(s: Specimen) -> tuple[str, str]:
     """One geom, the height of a cylinder along z."""
     half = (s.length / 2, s.width / 2, s.height / 2)
-    size = {"box": f"{half[0]:.6g} {half[1]:.6g} {half[2]:.6g}", "cylinder": f"{half[0]:.6g} {half[2]:.6g}",
-            "sphere": f"{half[0]:.6g} {half[1]:.6g} {half[2]:.6g}"}[s.shape]
+    size = {
+        "box": f"{half[0]:.6g} {half[1]:.6g} {half[2]:.6g}",
+        "cylinder": f"{half[0]:.6g} {half[2]:.6g}",
+        "sphere": f"{half[0]:.6g} {half[1]:.6g} {half[2]:.6g}",
+    }[s.shape]
     kind = "ellipsoid" if s.shape == "sphere" else s.shape
-    return (f'      <geom name="body" type="{kind}" size="{size}" mass="{_CORE_MASS:g}" friction="0.3 0.005 0.0001" '
-            'conaffinity="0" rgba="0.7 0.75 0.8 1"/>'), ""
+    return (
+        f'      <geom name="body" type="{kind}" size="{size}" mass="{_CORE_MASS:g}" '
+        'friction="0.3 0.005 0.0001" '
+        'conaffinity="0" rgba="0.7 0.75 0.8 1"/>'
+    ), ""
 
 
 def _halves(s: Specimen) -> tuple[str, str]:
-    """Both halves of a soft body. A half is twice as stiff as the whole (and its stiffening four times)."""
+    """Both halves of a soft body. A half is twice as stiff as the whole (and its stiffening four
+    times)."""
     middle = max(s.length / 2 - 0.006, 0.001)
-    lines = [f'      <geom name="middle" type="box" size="{middle:.6g} {0.8 * s.width / 2:.6g} {0.8 * s.height / 2:.6g}" '
-             f'mass="{_CORE_MASS:g}" contype="0" conaffinity="0" rgba="0.8 0.6 0.4 1"/>']
+    lines = [
+        f'      <geom name="middle" type="box" size="{middle:.6g} {0.8 * s.width / 2:.6g} '
+        f'{0.8 * s.height / 2:.6g}" '
+        f'mass="{_CORE_MASS:g}" contype="0" conaffinity="0" rgba="0.8 0.6 0.4 1"/>'
+    ]
     tendons = []
     for side, sign in (("left", 1), ("right", -1)):
-        spring = "" if s.kind == "plastic" else f'stiffness="{2 * s.stiffness:.6g} {4 * s.stiffening:.6g} 0" '
+        spring = (
+            ""
+            if s.kind == "plastic"
+            else (f'stiffness="{2 * s.stiffness:.6g} {4 * s.stiffening:.6g} 0" ')
+        )
         lines += [
             f'      <body name="{side}" pos="{-sign * s.length / 2:.6g} 0 0">',
-            f'        <joint name="{side}" type="slide" axis="{sign} 0 0" {spring}damping="{_PLATE_DAMPING:g}" '
+            f'        <joint name="{side}" type="slide" axis="{sign} 0 0" '
+            f'{spring}damping="{_PLATE_DAMPING:g}" '
             f'range="{-_FREE_PLAY:g} {s.length / 2 - 2 * PLATE:.6g}" limited="true"/>',
-            f'        <geom name="{side}" type="box" pos="{sign * PLATE:g} 0 0" size="{PLATE:g} {s.width / 2:.6g} '
-            f'{s.height / 2:.6g}" mass="{_PLATE_MASS:g}" friction="0.3 0.005 0.0001" conaffinity="0" rgba="0.9 0.75 0.5 1"/>',
-            "      </body>"]
+            f'        <geom name="{side}" type="box" pos="{sign * PLATE:g} 0 0" '
+            f'size="{PLATE:g} {s.width / 2:.6g} '
+            f'{s.height / 2:.6g}" mass="{_PLATE_MASS:g}" friction="0.3 0.005 0.0001" '
+            'conaffinity="0" rgba="0.9 0.75 0.5 1"/>',
+            "      </body>",
+        ]
         if s.kind in ("viscoelastic", "plastic"):
             lines += _arm(s, side, sign)
             stiffness = s.arm_stiffness if s.kind == "viscoelastic" else s.stiffness
-            tendons.append(f'    <fixed name="{side}_arm" stiffness="{2 * stiffness:.6g}" springlength="0" damping="0.5">'
-                           f'<joint joint="{side}" coef="1"/><joint joint="{side}_arm" coef="-1"/></fixed>')
-    return "\n".join(lines), "  <tendon>\n" + "\n".join(tendons) + "\n  </tendon>\n" if tendons else ""
+            tendons.append(
+                f'    <fixed name="{side}_arm" stiffness="{2 * stiffness:.6g}" springlength="0" '
+                'damping="0.5">'
+                f'<joint joint="{side}" coef="1"/><joint joint="{side}_arm" '
+                'coef="-1"/></fixed>'
+            )
+    return "\n".join(lines), "  <tendon>\n" + "\n".join(
+        tendons
+    ) + "\n  </tendon>\n" if tendons else ""
 
 
 def _arm(s: Specimen, side: str, sign: int) -> list[str]:
@@ -145,49 +186,93 @@ def _arm(s: Specimen, side: str, sign: int) -> list[str]:
     if s.kind == "viscoelastic":
         hold = f'damping="{2 * s.arm_stiffness * s.relaxation_time:.6g}"'
     else:
-        hold = (f'damping="{2 * s.viscosity:.6g}" frictionloss="{s.yield_force:.6g}" '
-                'armature="0.02" solimpfriction="0.9999 0.9999 0.001 0.5 2"')
-    return [f'      <body name="{side}_arm" pos="{-sign * s.length / 2:.6g} 0 0">',
-            f'        <joint name="{side}_arm" type="slide" axis="{sign} 0 0" {hold}/>',
-            f'        <inertial pos="0 0 0" mass="{_ARM_MASS:g}" diaginertia="1e-8 1e-8 1e-8"/>',
-            "      </body>"]
+        hold = (
+            f'damping="{2 * s.viscosity:.6g}" frictionloss="{s.yield_force:.6g}" '
+            'armature="0.02" solimpfriction="0.9999 0.9999 0.001 0.5 2"'
+        )
+    return [
+        f'      <body name="{side}_arm" pos="{-sign * s.length / 2:.6g} 0 0">',
+        f'        <joint name="{side}_arm" type="slide" axis="{sign} 0 0" {hold}/>',
+        f'        <inertial pos="0 0 0" mass="{_ARM_MASS:g}" diaginertia="1e-8 1e-8 1e-8"/>',
+        "      </body>",
+    ]
 
 
 @dataclass(frozen=True)
 class Pad(Indenter):
-    """A round pad of radius `size` m whose face gives way: F = `stiffness` d + `stiffening` d^2, N/m and N/m^2 (a sponge)."""
+    """A round pad of radius `size` m whose face gives way: F = `stiffness` d + `stiffening` d^2,
+    N/m and N/m^2 (a sponge)."""
 
     stiffness: float = 300.0
     stiffening: float = 0.0
 
     def add_to(self, spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
         """A rod, the geom "indenter", on a spring along the drive's axis."""
-        body.mass, body.inertia, body.explicitinertial = 0.2, [1e-4] * 3, True
+        body.mass = 0.2
+        body.inertia = [1e-4] * 3
+        body.explicitinertial = True
         face = body.add_body(name="face", gravcomp=1.0)
-        face.add_joint(name="face", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1], range=[-1e-4, 0.05], limited=True,
-                       stiffness=[self.stiffness, self.stiffening, 0.0], damping=[4.0, 0.0, 0.0])
-        face.add_geom(name="indenter", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[self.size, 0.01, 0], mass=0.02,
-                      rgba=[0.9, 0.75, 0.5, 1.0])
+        face.add_joint(
+            name="face",
+            type=mujoco.mjtJoint.mjJNT_SLIDE,
+            axis=[0, 0, 1],
+            range=[-1e-4, 0.05],
+            limited=True,
+            stiffness=[self.stiffness, self.stiffening, 0.0],
+            damping=[4.0, 0.0, 0.0],
+        )
+        face.add_geom(
+            name="indenter",
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            size=[self.size, 0.01, 0],
+            mass=0.02,
+            rgba=[0.9, 0.75, 0.5, 1.0],
+        )
 
 
 SHIPPED: dict[str, tuple[Specimen, str]] = {
     "block": (Specimen("rigid"), "A rigid block (12 g) on a low stand."),
-    "rod": (Specimen("rigid", length=0.02, width=0.02, height=0.028, shape="cylinder"), "An upright rigid rod."),
-    "pebble": (Specimen("rigid", length=0.024, width=0.03, height=0.02, shape="sphere"), "A rigid, rounded pebble."),
+    "rod": (
+        Specimen("rigid", length=0.02, width=0.02, height=0.028, shape="cylinder"),
+        "An upright rigid rod.",
+    ),
+    "pebble": (
+        Specimen("rigid", length=0.024, width=0.03, height=0.02, shape="sphere"),
+        "A rigid, rounded pebble.",
+    ),
     "foam": (Specimen("elastic", stiffness=200.0), "Soft open foam, E = 17 kPa: 1 mm for 0.2 N."),
-    "sponge": (Specimen("elastic", stiffness=300.0, stiffening=1e5),
-               "A sponge that stiffens as its cells close, E = 25 kPa at rest."),
-    "sponge_firm": (Specimen("elastic", stiffness=1200.0, stiffening=2e5), "A firm sponge, E = 100 kPa at rest."),
-    "eraser": (Specimen("elastic", stiffness=4000.0), "A rubber eraser, E = 0.33 MPa: 0.25 mm for 1 N."),
-    "memory_foam": (Specimen("viscoelastic", stiffness=250.0, arm_stiffness=450.0, relaxation_time=0.4),
-                    "Visco-elastic foam: gives way slowly and comes back slowly (standard linear solid, 0.4 s)."),
-    "clay": (Specimen("plastic", stiffness=2500.0, yield_force=0.45, viscosity=40.0),
-             "Clay: yields at 0.45 N and keeps its set."),
-    "dough": (Specimen("plastic", stiffness=1200.0, yield_force=0.15, viscosity=200.0),
-              "Dough: flows slowly above 0.15 N and keeps its set."),
-    "paste": (Specimen("plastic", stiffness=1500.0, yield_force=0.03, viscosity=100.0),
-              "A tube of paste: flows under almost any force and stays as it was left."),
-    "bean_bag": (Specimen("plastic", stiffness=900.0, yield_force=0.3, viscosity=10.0),
-                 "A bag of grains: rearranges above 0.3 N, nearly at once, and keeps its set."),
+    "sponge": (
+        Specimen("elastic", stiffness=300.0, stiffening=1e5),
+        "A sponge that stiffens as its cells close, E = 25 kPa at rest.",
+    ),
+    "sponge_firm": (
+        Specimen("elastic", stiffness=1200.0, stiffening=2e5),
+        "A firm sponge, E = 100 kPa at rest.",
+    ),
+    "eraser": (
+        Specimen("elastic", stiffness=4000.0),
+        "A rubber eraser, E = 0.33 MPa: 0.25 mm for 1 N.",
+    ),
+    "memory_foam": (
+        Specimen("viscoelastic", stiffness=250.0, arm_stiffness=450.0, relaxation_time=0.4),
+        "Visco-elastic foam: gives way slowly and comes back slowly (standard "
+        "linear solid, 0.4 s).",
+    ),
+    "clay": (
+        Specimen("plastic", stiffness=2500.0, yield_force=0.45, viscosity=40.0),
+        "Clay: yields at 0.45 N and keeps its set.",
+    ),
+    "dough": (
+        Specimen("plastic", stiffness=1200.0, yield_force=0.15, viscosity=200.0),
+        "Dough: flows slowly above 0.15 N and keeps its set.",
+    ),
+    "paste": (
+        Specimen("plastic", stiffness=1500.0, yield_force=0.03, viscosity=100.0),
+        "A tube of paste: flows under almost any force and stays as it was left.",
+    ),
+    "bean_bag": (
+        Specimen("plastic", stiffness=900.0, yield_force=0.3, viscosity=10.0),
+        "A bag of grains: rearranges above 0.3 N, nearly at once, and keeps its set.",
+    ),
 }
 """The probing objects that ship in models/objects, with the sentence that heads their file."""

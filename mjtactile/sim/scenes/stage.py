@@ -1,4 +1,5 @@
-"""`StageDrive`: the indenter of a `PressWorld` on a stage that follows the moves of a protocol, at their times."""
+"""`StageDrive`: the indenter of a `PressWorld` on a stage that follows the moves of a protocol, at
+their times."""
 
 from __future__ import annotations
 
@@ -20,19 +21,28 @@ def current(moves: Sequence[Move], time: float) -> int | None:
 
 
 class StageDrive:
-    """Begins when `world` has been inflated and first touch found; `offset` m is added to every depth that touches.
+    """Begins when `world` has been inflated and first touch found; `offset` m is added to every
+    depth that touches.
 
     Raises InputError for a move whose depth is whatever a force makes it.
     """
 
     def __init__(self, world: PressWorld, moves: Sequence[Move], offset: float = 0.0):
         if any(move.is_weight for move in moves):
-            raise InputError("the simulated stage goes to depths; weights are for a real one", field="depth_mm")
-        self._world, self._moves, self._offset = world, moves, offset
-        self._depth, self._shear, self._first, self._now = LIFTED, 0.0, world.step_count, 0.0
+            raise InputError(
+                "the simulated stage goes to depths; weights are for a real one", field="depth_mm"
+            )
+        self._world = world
+        self._moves = moves
+        self._offset = offset
+        self._depth = LIFTED
+        self._shear = 0.0
+        self._first = world.step_count
+        self._now = 0.0
 
     def advance_to(self, time: float) -> None:
-        """Step the world to `time` s after the beginning, the stage on its way to where the newest move sent it."""
+        """Step the world to `time` s after the beginning, the stage on its way to where the newest
+        move sent it."""
         end = self._first + round(time / self._world.timestep)
         number = current(self._moves, self._now)
         if number is not None:
@@ -47,5 +57,6 @@ class StageDrive:
         longest = float(np.abs(way).max())
         if longest > 0 and seconds > 0:
             part = min(1.0, move.speed * seconds / longest)
-            self._depth, self._shear = self._depth + part * way[0], self._shear + part * way[1]
+            self._depth = self._depth + part * way[0]
+            self._shear = self._shear + part * way[1]
             self._world.drive(self._depth, self._shear, move.speed)

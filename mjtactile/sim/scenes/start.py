@@ -1,7 +1,8 @@
-"""Where a simulated rig begins: its jaws open, its hand over the table with the fingertips at the height of the grasp.
+"""Where a simulated rig begins: its jaws open, its hand over the table with the fingertips at the
+height of the grasp.
 
-Planned on the robot with its sensors alone, before table and object are there: these come last in the model, so that
-addresses and ids of what was before stay the same.
+Planned on the robot with its sensors alone, before table and object are there: these come last in
+the model, so that addresses and ids of what was before stay the same.
 """
 
 from __future__ import annotations
@@ -21,15 +22,17 @@ from mjtactile.sim.scenes.mjcf import read_mjcf
 from mjtactile.sim.scenes.posture import Condition, actuator_at, hand_at, solve
 
 _GOOD = 1e-4  # m and rad: a posture that is nearer is reached
-_PATH_STEP = 4e-3  # m of height between an arm's postures, linear between: within 5 um on a path of 0.3 m radius
+# m of height between an arm's postures, linear between: within 5 um on a path of 0.3 m radius
+_PATH_STEP = 4e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Start:
     """State of the robot at the beginning, in the model that `plan_start` was given.
 
-    `qpos` (nq,), `mocap_pos` (nmocap, 3) m; `hand` is the body that carries all fingers; the fingertips' mean `centre` (3,)
-    m before the hand was `raised` by so many m; `yaw` rad of the direction in which finger 0 closes; `path` of an arm.
+    `qpos` (nq,), `mocap_pos` (nmocap, 3) m; `hand` is the body that carries all fingers; the
+    fingertips' mean `centre` (3,) m before the hand was `raised` by so many m; `yaw` rad of the
+    direction in which finger 0 closes; `path` of an arm.
     """
 
     qpos: Array
@@ -43,7 +46,8 @@ class Start:
 
 @dataclass(frozen=True, eq=False)
 class ArmPath:
-    """Goals (n, a) of an arm's `actuators` (a names) for n `heights` m of the hand above its start; `joints` (n, nq) there.
+    """Goals (n, a) of an arm's `actuators` (a names) for n `heights` m of the hand above its start;
+    `joints` (n, nq) there.
 
     The goals are ahead of the joints by what gravity bends the servos.
     """
@@ -65,7 +69,10 @@ class ArmPath:
 def missing_names(spec: mujoco.MjSpec, rig: SimRigFile) -> Iterator[InputError]:
     """An error for each name of the rig file that the MJCF does not have."""
     wanted = [("site", finger.site, f"finger[{i}].site") for i, finger in enumerate(rig.fingers)]
-    wanted += [("actuator", a.name, f"gripper.actuator[{i}].name") for i, a in enumerate(rig.gripper.actuators)]
+    wanted += [
+        ("actuator", a.name, f"gripper.actuator[{i}].name")
+        for i, a in enumerate(rig.gripper.actuators)
+    ]
     wanted += [("actuator", name, "lift.actuators") for name in rig.lift.actuators]
     if rig.lift.kind == "actuator":
         wanted.append(("actuator", rig.lift.name, "lift.actuator"))
@@ -73,22 +80,34 @@ def missing_names(spec: mujoco.MjSpec, rig: SimRigFile) -> Iterator[InputError]:
         wanted.append(("mocap body", rig.lift.name, "lift.body"))
     if rig.keyframe is not None:
         wanted.append(("keyframe", rig.keyframe, "sim.keyframe"))
-    there = {"site": spec.sites, "actuator": spec.actuators, "keyframe": spec.keys,
-             "mocap body": [body for body in spec.bodies if body.mocap]}
+    there = {
+        "site": spec.sites,
+        "actuator": spec.actuators,
+        "keyframe": spec.keys,
+        "mocap body": [body for body in spec.bodies if body.mocap],
+    }
     for kind, name, field in wanted:
         names = [element.name for element in there[kind] if element.name]
         if name not in names:
-            yield InputError(f"{rig.model.name} has no {kind} {name!r}", source=rig.path, field=field, choices=names)
+            yield InputError(
+                f"{rig.model.name} has no {kind} {name!r}",
+                source=rig.path,
+                field=field,
+                choices=names,
+            )
     sites = [finger.site for finger in rig.fingers]
     if len(set(sites)) != len(sites):
-        yield InputError(f"two fingers are at one site: {sites}", source=rig.path, field="finger.site")
+        yield InputError(
+            f"two fingers are at one site: {sites}", source=rig.path, field="finger.site"
+        )
 
 
 def load_robot(rig: SimRigFile) -> tuple[mujoco.MjSpec, dict[str, Array], Array | None]:
-    """The user's model; coordinates by joint, and the mocap bodies' positions, of the keyframe that it starts in.
+    """The user's model; coordinates by joint, and the mocap bodies' positions, of the keyframe that
+    it starts in.
 
-    Keyframes are taken out: they would not fit the model with sensors. Joints without a name get one. Raises InputError for
-    a broken file or a name that is not there.
+    Keyframes are taken out: they would not fit the model with sensors. Joints without a name get
+    one. Raises InputError for a broken file or a name that is not there.
     """
     spec = read_mjcf(rig.model)
     try:
@@ -98,7 +117,9 @@ def load_robot(rig: SimRigFile) -> tuple[mujoco.MjSpec, dict[str, Array], Array 
             joint.name = joint.name or f"unnamed joint {number}"
         model = spec.compile()
     except (ValueError, RuntimeError) as error:
-        raise InputError(f"not valid MJCF: {' '.join(str(error).split())}", source=rig.model) from error
+        raise InputError(
+            f"not valid MJCF: {' '.join(str(error).split())}", source=rig.model
+        ) from error
     coordinates: dict[str, Array] = {}
     mocap = None
     if rig.keyframe is not None:
@@ -111,12 +132,19 @@ def load_robot(rig: SimRigFile) -> tuple[mujoco.MjSpec, dict[str, Array], Array 
     return spec, coordinates, mocap
 
 
-def plan_start(model: mujoco.MjModel, rig: SimRigFile, bodies: Sequence[int], opening: float, height: Callable[[Array], float],
-               coordinates: Mapping[str, Array], mocap: Array | None) -> Start:
+def plan_start(
+    model: mujoco.MjModel,
+    rig: SimRigFile,
+    bodies: Sequence[int],
+    opening: float,
+    height: Callable[[Array], float],
+    coordinates: Mapping[str, Array],
+    mocap: Array | None,
+) -> Start:
     """Plan the beginning on the `model` of the robot with its sensors, whose `bodies` are given.
 
-    `height` says how high, m, the middle of the fingertips must be, from their rotations R_WS (fingers, 3, 3). Raises
-    InputError for jaws, or an arm, that do not get there.
+    `height` says how high, m, the middle of the fingertips must be, from their rotations R_WS
+    (fingers, 3, 3). Raises InputError for jaws, or an arm, that do not get there.
     """
     data = mujoco.MjData(model)
     for name, value in coordinates.items():
@@ -124,23 +152,40 @@ def plan_start(model: mujoco.MjModel, rig: SimRigFile, bodies: Sequence[int], op
     if mocap is not None:
         data.mocap_pos[:] = mocap
     jaws = place_jaws(model, data, rig, opening)
-    _settle(model, data, jaws, rig, "gripper.opening_start_mm",
-            f"the jaws do not open to {1e3 * opening:g} mm (is the sign of the law right?)")
+    _settle(
+        model,
+        data,
+        jaws,
+        rig,
+        "gripper.opening_start_mm",
+        f"the jaws do not open to {1e3 * opening:g} mm (is the sign of the law right?)",
+    )
     hand = _hand_body(model, bodies, rig)
-    rotations, centre = data.xmat[bodies].reshape(-1, 3, 3), data.xpos[bodies].mean(axis=0)
+    rotations = data.xmat[bodies].reshape(-1, 3, 3)
+    centre = data.xpos[bodies].mean(axis=0)
     yaw = math.atan2(rotations[0, 1, 2], rotations[0, 0, 2])
     raised = height(rotations) - centre[2]
     path = None
     if rig.lift.kind == "mocap":
         data.mocap_pos[model.body(rig.lift.name).mocapid[0], 2] += raised
-        _settle(model, data, jaws, rig, "lift.body", "the hand does not follow the mocap body to the height of the grasp")
+        _settle(
+            model,
+            data,
+            jaws,
+            rig,
+            "lift.body",
+            "the hand does not follow the mocap body to the height of the grasp",
+        )
     elif rig.lift.kind == "arm":
         path = _plan_path(model, data, rig, hand, centre, raised, jaws)
     return Start(data.qpos.copy(), data.mocap_pos.copy(), hand, centre.copy(), yaw, raised, path)
 
 
-def place_jaws(model: mujoco.MjModel, data: mujoco.MjData, rig: SimRigFile, opening: float) -> list[Condition]:
-    """Put the jaws' joints where the laws want them; the conditions that the rest of the mechanism must then meet."""
+def place_jaws(
+    model: mujoco.MjModel, data: mujoco.MjData, rig: SimRigFile, opening: float
+) -> list[Condition]:
+    """Put the jaws' joints where the laws want them; the conditions that the rest of the mechanism
+    must then meet."""
     conditions = []
     for jaw in rig.gripper.actuators:
         actuator = PositionActuator(model, data, jaw.name, str(rig.path))
@@ -150,11 +195,19 @@ def place_jaws(model: mujoco.MjModel, data: mujoco.MjData, rig: SimRigFile, open
     return conditions
 
 
-def _settle(model: mujoco.MjModel, data: mujoco.MjData, conditions: Sequence[Condition], rig: SimRigFile, field: str,
-            what: str) -> None:
+def _settle(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    conditions: Sequence[Condition],
+    rig: SimRigFile,
+    field: str,
+    what: str,
+) -> None:
     rest = solve(model, data, conditions)
     if rest > _GOOD:
-        raise InputError(f"{what}: {1e3 * rest:.2g} mm or mrad are missing", source=rig.path, field=field)
+        raise InputError(
+            f"{what}: {1e3 * rest:.2g} mm or mrad are missing", source=rig.path, field=field
+        )
 
 
 def _hand_body(model: mujoco.MjModel, bodies: Sequence[int], rig: SimRigFile) -> int:
@@ -167,55 +220,88 @@ def _hand_body(model: mujoco.MjModel, bodies: Sequence[int], rig: SimRigFile) ->
         chains.append(chain)
     hand = next(body for body in chains[0] if all(body in chain for chain in chains))
     if hand == 0:
-        raise InputError("no body carries all fingers: there is no hand to lift", source=rig.path, field="finger.site")
+        raise InputError(
+            "no body carries all fingers: there is no hand to lift",
+            source=rig.path,
+            field="finger.site",
+        )
     return hand
 
 
-def _plan_path(model: mujoco.MjModel, data: mujoco.MjData, rig: SimRigFile, hand: int, centre: Array, raised: float,
-               jaws: Sequence[Condition]) -> ArmPath:
-    """Move the arm to the start (in `data`), and find its postures over the whole travel; the hand keeps its rotation."""
-    actuators = [PositionActuator(model, data, name, str(rig.path)) for name in arm_actuators(model, hand, rig)]
+def _plan_path(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    rig: SimRigFile,
+    hand: int,
+    centre: Array,
+    raised: float,
+    jaws: Sequence[Condition],
+) -> ArmPath:
+    """Move the arm to the start (in `data`), and find its postures over the whole travel; the hand
+    keeps its rotation."""
+    actuators = [
+        PositionActuator(model, data, name, str(rig.path))
+        for name in arm_actuators(model, hand, rig)
+    ]
     dofs = np.concatenate([actuator.dofs for actuator in actuators])
     R_WH = data.xmat[hand].reshape(3, 3).copy()
     point_H = R_WH.T @ (centre - data.xpos[hand])
     heights = np.linspace(0.0, rig.lift.travel, max(2, math.ceil(rig.lift.travel / _PATH_STEP) + 1))
-    goals, joints = [], []
+    goals = []
+    joints = []
     moving = mujoco.MjData(model)
-    moving.qpos[:], moving.mocap_pos[:] = data.qpos, data.mocap_pos
+    moving.qpos[:] = data.qpos
+    moving.mocap_pos[:] = data.mocap_pos
     for height in heights:
         target = centre + [0.0, 0.0, raised + height]
         rest = solve(model, moving, [*jaws, hand_at(model, hand, point_H, target, R_WH, dofs)])
         if rest > _GOOD:
             where = "the table" if height == 0 else f"{1e3 * height:.0f} mm above its start"
             field = "lift.kind" if height == 0 else "lift.travel_mm"
-            raise InputError(f"the arm does not reach {where}: the fingertips would be at {_mm(target)} mm, and "
-                             f"{1e3 * rest:.1f} mm or mrad are missing", source=rig.path, field=field)
+            raise InputError(
+                f"the arm does not reach {where}: the fingertips would be at {_mm(target)} mm, "
+                "and "
+                f"{1e3 * rest:.1f} mm or mrad are missing",
+                source=rig.path,
+                field=field,
+            )
         if height == 0:
             data.qpos[:] = moving.qpos
         mujoco.mj_fwdVelocity(model, moving)
         joints.append(moving.qpos.copy())
         goals.append([_goal_under_gravity(moving, actuator) for actuator in actuators])
-    return ArmPath(tuple(actuator.name for actuator in actuators), heights, np.array(goals), np.array(joints))
+    return ArmPath(
+        tuple(actuator.name for actuator in actuators), heights, np.array(goals), np.array(joints)
+    )
 
 
 def arm_actuators(model: mujoco.MjModel, hand: int, rig: SimRigFile) -> tuple[str, ...]:
-    """The position actuators that move the hand: those of the rig file, or all on the joints between the world and it."""
+    """The position actuators that move the hand: those of the rig file, or all on the joints
+    between the world and it."""
     if rig.lift.actuators:
         return rig.lift.actuators
     chain = arm_joints(model, hand)
     jaws = {jaw.name for jaw in rig.gripper.actuators}
-    found = [model.actuator(i).name for i in range(model.nu)
-             if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_trnid[i, 0] in chain]
+    found = [
+        model.actuator(i).name
+        for i in range(model.nu)
+        if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
+        and model.actuator_trnid[i, 0] in chain
+    ]
     found = [name for name in found if name and name not in jaws]
     if not found:
-        raise InputError("no position actuator moves a joint between the world and the hand", source=rig.path,
-                         field="lift.actuators")
+        raise InputError(
+            "no position actuator moves a joint between the world and the hand",
+            source=rig.path,
+            field="lift.actuators",
+        )
     return tuple(found)
 
 
 def arm_joints(model: mujoco.MjModel, hand: int) -> list[int]:
     """The joints between the world and the hand."""
-    joints, body = [], hand
+    joints = []
+    body = hand
     while body:
         first = int(model.body_jntadr[body])
         joints += range(first, first + int(model.body_jntnum[body]))

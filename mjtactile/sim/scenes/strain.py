@@ -1,8 +1,9 @@
-"""How far a soft body is strained, and where it is: from the corners of a volumetric flex's tetrahedra. For scoring alone.
+"""How far a soft body is strained, and where it is: from the corners of a volumetric flex's
+tetrahedra. For scoring alone.
 
-MuJoCo's interpolated elements are linear in the stretch that is left when a cell's rotation is taken out (Biot's strain
-U - 1); of a tetrahedron that is given by the singular values of its deformation gradient. `full` flexes are
-St. Venant-Kirchhoff's instead, the same at small strain.
+MuJoCo's interpolated elements are linear in the stretch that is left when a cell's rotation is
+taken out (Biot's strain U - 1); of a tetrahedron that is given by the singular values of its
+deformation gradient. `full` flexes are St. Venant-Kirchhoff's instead, the same at small strain.
 """
 
 from __future__ import annotations
@@ -15,16 +16,18 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 
-# Share of the volume that a stress must reach to count. What single elements say at cut corners of the lattice is the
-# lattice's: of a raspberry turned about z the worst hundredth's energy varied sevenfold, the worst twentieth's by a quarter.
+# Share of the volume that a stress must reach to count. What single elements say at cut corners of
+# the lattice is the lattice's: of a raspberry turned about z the worst hundredth's energy varied
+# sevenfold, the worst twentieth's by a quarter.
 _WORST = 0.05
 _SAFE = 1e-3  # singular values of an element that is turned inside out
 
 
 @dataclass(frozen=True)
 class Strain:
-    """`stress` Pa (von Mises, of Cauchy's stress) and `energy_density` J/m^3 that the worst twentieth of the volume exceeds,
-    `compression` (1 less the smallest stretch) likewise, and the whole strain `energy` J."""
+    """`stress` Pa (von Mises, of Cauchy's stress) and `energy_density` J/m^3 that the worst
+    twentieth of the volume exceeds, `compression` (1 less the smallest stretch) likewise, and the
+    whole strain `energy` J."""
 
     stress: float
     energy_density: float
@@ -33,20 +36,24 @@ class Strain:
 
 
 class SoftSolid:
-    """The volumetric flex numbered `flex` of a model, measured against the model's initial pose. A compiled model does not
-    know the elastic constants, `young` Pa and `poisson`, any more."""
+    """The volumetric flex numbered `flex` of a model, measured against the model's initial pose. A
+    compiled model does not know the elastic constants, `young` Pa and `poisson`, any more."""
 
     def __init__(self, model: mujoco.MjModel, flex: int, young: float, poisson: float):
-        first, count = int(model.flex_vertadr[flex]), int(model.flex_vertnum[flex])
-        start, number = int(model.flex_elemdataadr[flex]), int(model.flex_elemnum[flex])
+        first = int(model.flex_vertadr[flex])
+        count = int(model.flex_vertnum[flex])
+        start = int(model.flex_elemdataadr[flex])
+        number = int(model.flex_elemnum[flex])
         self._vertices = slice(first, first + count)
-        self._elements = model.flex_elem[start:start + 4 * number].reshape(-1, 4).astype(np.int64)
+        self._elements = model.flex_elem[start : start + 4 * number].reshape(-1, 4).astype(np.int64)
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         self._rest = data.flexvert_xpos[self._vertices].copy()
         edges = _edges(self._rest, self._elements)
-        self._inverse, self._volumes = np.linalg.inv(edges), np.abs(np.linalg.det(edges)) / 6
-        self._mu, self._lame = young / (2 * (1 + poisson)), young * poisson / ((1 + poisson) * (1 - 2 * poisson))
+        self._inverse = np.linalg.inv(edges)
+        self._volumes = np.abs(np.linalg.det(edges)) / 6
+        self._mu = young / (2 * (1 + poisson))
+        self._lame = young * poisson / ((1 + poisson) * (1 - 2 * poisson))
         weights = np.zeros(count)  # each corner stands for a quarter of its elements
         np.add.at(weights, self._elements.ravel(), np.repeat(self._volumes / 4, 4))
         self._weights = weights / weights.sum()
@@ -61,14 +68,23 @@ class SoftSolid:
         energy = self._mu * (strain**2).sum(axis=1) + self._lame / 2 * trace**2
         biot = 2 * self._mu * strain + self._lame * trace[:, None]
         cauchy = biot * stretches / stretches.prod(axis=1, keepdims=True)
-        mises = np.sqrt(((cauchy - np.roll(cauchy, 1, axis=1))**2).sum(axis=1) / 2)
-        return Strain(self._worst(mises), self._worst(energy), self._worst(-strain[:, 0]), float(energy @ self._volumes))
+        mises = np.sqrt(((cauchy - np.roll(cauchy, 1, axis=1)) ** 2).sum(axis=1) / 2)
+        return Strain(
+            self._worst(mises),
+            self._worst(energy),
+            self._worst(-strain[:, 0]),
+            float(energy @ self._volumes),
+        )
 
     def pose(self, data: mujoco.MjData) -> tuple[Array, Array]:
-        """Middle of the volume (3,) m, and the rotation (3, 3) from the initial pose that fits best, frame W."""
+        """Middle of the volume (3,) m, and the rotation (3, 3) from the initial pose that fits
+        best, frame W."""
         now = data.flexvert_xpos[self._vertices]
-        middle, before = self._weights @ now, self._weights @ self._rest
-        U, _, Vt = np.linalg.svd((now - middle).T @ (self._weights[:, None] * (self._rest - before)))
+        middle = self._weights @ now
+        before = self._weights @ self._rest
+        U, _, Vt = np.linalg.svd(
+            (now - middle).T @ (self._weights[:, None] * (self._rest - before))
+        )
         turn = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
         return middle, U @ turn @ Vt
 
@@ -84,9 +100,15 @@ class SoftSolid:
 
 
 def soft_flex(model: mujoco.MjModel, prefix: str = "") -> int:
-    """Number of the first volumetric flex whose name begins with `prefix`; -1 where there is none."""
-    names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, f) or "" for f in range(model.nflex)]
-    return next((f for f, name in enumerate(names) if model.flex_dim[f] == 3 and name.startswith(prefix)), -1)
+    """Number of the first volumetric flex whose name begins with `prefix`; -1 where there is
+    none."""
+    names = [
+        mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, f) or "" for f in range(model.nflex)
+    ]
+    return next(
+        (f for f, name in enumerate(names) if model.flex_dim[f] == 3 and name.startswith(prefix)),
+        -1,
+    )
 
 
 def _edges(points: Array, elements: NDArray[np.int64]) -> Array:

@@ -1,4 +1,5 @@
-"""A scene as coloured triangles, for a picture of it where no OpenGL is: `mjtactile.run.report` projects and shades them."""
+"""A scene as coloured triangles, for a picture of it where no OpenGL is: `mjtactile.run.report`
+projects and shades them."""
 
 from __future__ import annotations
 
@@ -13,7 +14,9 @@ from mjtactile.core.types import Array
 from mjtactile.sim.scenes.world import World
 
 _SHOWN = 3  # MuJoCo's viewers hide the geoms of this group and above
-_ROUND, _HIGH = 24, 12  # edges around and along a round body
+# edges around and along a round body
+_ROUND = 24
+_HIGH = 12
 _SHEET = np.array([0.62, 0.78, 0.95, 1.0])  # a membrane
 _G = mujoco.mjtGeom
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -21,9 +24,11 @@ _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 @dataclass(frozen=True, eq=False)
 class SceneView:
-    """Where everything was at one moment; cheap to take, the triangles are made when they are asked for.
+    """Where everything was at one moment; cheap to take, the triangles are made when they are asked
+    for.
 
-    `p_WS` (s, 3) m and `R_WS` (s, 3, 3) are the poses of the sensors' frames, `state` (mjSTATE_INTEGRATION) MuJoCo's own.
+    `p_WS` (s, 3) m and `R_WS` (s, 3, 3) are the poses of the sensors' frames, `state`
+    (mjSTATE_INTEGRATION) MuJoCo's own.
     """
 
     model: mujoco.MjModel
@@ -38,13 +43,22 @@ class SceneView:
     @classmethod
     def of(cls, world: World) -> SceneView:
         """The scene as it is now; the world must not be moving."""
-        data, bodies = world.data, [sensor.body_id for sensor in world.sensors]
-        spheres = tuple(sensor.vertex_geom_ids for sensor in world.sensors)  # what a membrane touches with
+        data = world.data
+        bodies = [sensor.body_id for sensor in world.sensors]
+        # what a membrane touches with
+        spheres = tuple(sensor.vertex_geom_ids for sensor in world.sensors)
         state = np.empty(mujoco.mj_stateSize(world.model, _STATE))
         mujoco.mj_getState(world.model, data, state, _STATE)
-        return cls(world.model, data.geom_xpos.copy(), data.geom_xmat.reshape(-1, 3, 3).copy(), data.flexvert_xpos.copy(),
-                   data.xpos[bodies].copy(), data.xmat[bodies].reshape(-1, 3, 3).copy(), spheres,
-                   state)
+        return cls(
+            world.model,
+            data.geom_xpos.copy(),
+            data.geom_xmat.reshape(-1, 3, 3).copy(),
+            data.flexvert_xpos.copy(),
+            data.xpos[bodies].copy(),
+            data.xmat[bodies].reshape(-1, 3, 3).copy(),
+            spheres,
+            state,
+        )
 
     def triangles(self) -> tuple[Array, Array]:
         """Corners (n, 3, 3) m in W and colours (n, 4), red, green, blue, alpha from 0 to 1."""
@@ -53,9 +67,14 @@ class SceneView:
         return corners, np.concatenate([np.tile(rgba, (len(faces), 1)) for _, faces, rgba in parts])
 
     def _geoms(self) -> Iterator[tuple[Array, Array, Array]]:
-        model, hidden = self.model, {geom for ids in self.hidden for geom in ids.tolist()}
+        model = self.model
+        hidden = {geom for ids in self.hidden for geom in ids.tolist()}
         for geom in range(model.ngeom):
-            rgba = model.geom_rgba[geom] if model.geom_matid[geom] < 0 else model.mat_rgba[model.geom_matid[geom]]
+            rgba = (
+                model.geom_rgba[geom]
+                if model.geom_matid[geom] < 0
+                else model.mat_rgba[model.geom_matid[geom]]
+            )
             if geom in hidden or model.geom_group[geom] >= _SHOWN or rgba[3] == 0:
                 continue
             points, faces = _shape(model, geom)
@@ -66,22 +85,35 @@ class SceneView:
         model = self.model
         for flex in range(model.nflex):
             solid = model.flex_dim[flex] == 3
-            start, count = ((model.flex_shelldataadr[flex], model.flex_shellnum[flex]) if solid else
-                            (model.flex_elemdataadr[flex], model.flex_elemnum[flex]))
+            start, count = (
+                (model.flex_shelldataadr[flex], model.flex_shellnum[flex])
+                if solid
+                else (model.flex_elemdataadr[flex], model.flex_elemnum[flex])
+            )
             index = model.flex_shell if solid else model.flex_elem
             if model.flex_dim[flex] < 2:
                 continue
-            faces = index[start:start + 3 * count].reshape(-1, 3) + model.flex_vertadr[flex]
+            faces = index[start : start + 3 * count].reshape(-1, 3) + model.flex_vertadr[flex]
             yield self.vertex_p_W, faces, model.flex_rgba[flex] if solid else _SHEET
 
 
 def _shape(model: mujoco.MjModel, geom: int) -> tuple[Array, Array]:
-    """Points (p, 3) m in the geom's frame and triangles (n, 3) of its surface; nothing for an infinite plane."""
-    kind, size = int(model.geom_type[geom]), model.geom_size[geom]
+    """Points (p, 3) m in the geom's frame and triangles (n, 3) of its surface; nothing for an
+    infinite plane."""
+    kind = int(model.geom_type[geom])
+    size = model.geom_size[geom]
     if kind == _G.mjGEOM_BOX:
-        return _grid(np.array([[-1.0, 0.0], [-1.0, 1.0], [1.0, 1.0], [1.0, 0.0]]), size, 4, np.pi / 4, np.sqrt(2))
+        return _grid(
+            np.array([[-1.0, 0.0], [-1.0, 1.0], [1.0, 1.0], [1.0, 0.0]]),
+            size,
+            4,
+            np.pi / 4,
+            np.sqrt(2),
+        )
     if kind == _G.mjGEOM_CYLINDER:
-        return _grid(np.array([[-1.0, 0.0], [-1.0, 1.0], [1.0, 1.0], [1.0, 0.0]]), size[[0, 0, 1]], _ROUND)
+        return _grid(
+            np.array([[-1.0, 0.0], [-1.0, 1.0], [1.0, 1.0], [1.0, 0.0]]), size[[0, 0, 1]], _ROUND
+        )
     if kind == _G.mjGEOM_SPHERE:
         return _grid(_arc(), size[[0, 0, 0]], _ROUND)
     if kind == _G.mjGEOM_ELLIPSOID:
@@ -92,25 +124,36 @@ def _shape(model: mujoco.MjModel, geom: int) -> tuple[Array, Array]:
         return points, faces
     if kind == _G.mjGEOM_MESH:
         mesh = model.geom_dataid[geom]
-        first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-        start, number = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
-        return model.mesh_vert[first:first + count].astype(float), model.mesh_face[start:start + number]
+        first = model.mesh_vertadr[mesh]
+        count = model.mesh_vertnum[mesh]
+        start = model.mesh_faceadr[mesh]
+        number = model.mesh_facenum[mesh]
+        return model.mesh_vert[first : first + count].astype(float), model.mesh_face[
+            start : start + number
+        ]
     return np.zeros((0, 3)), np.zeros((0, 3), dtype=int)
 
 
 def _arc() -> Array:
-    """Heights and radii from the lower to the upper pole of a unit sphere, the equator twice (a capsule is cut there)."""
+    """Heights and radii from the lower to the upper pole of a unit sphere, the equator twice (a
+    capsule is cut there)."""
     half = np.linspace(-np.pi / 2, 0, _HIGH // 2 + 1)
     angle = np.concatenate([half, -half[::-1]])
     return np.column_stack([np.sin(angle), np.cos(angle)])
 
 
-def _grid(profile: Array, scale: Array, around: int, turn: float = 0.0, stretch: float = 1.0) -> tuple[Array, Array]:
-    """A surface of revolution by its profile (heights and radii), scaled along each axis; with four edges, a box."""
+def _grid(
+    profile: Array, scale: Array, around: int, turn: float = 0.0, stretch: float = 1.0
+) -> tuple[Array, Array]:
+    """A surface of revolution by its profile (heights and radii), scaled along each axis; with four
+    edges, a box."""
     angle = 2 * np.pi * np.arange(around) / around + turn
     ring = stretch * np.column_stack([np.cos(angle), np.sin(angle)])
-    points = np.concatenate([np.column_stack([radius * ring, np.full(around, height)]) for height, radius in profile])
+    points = np.concatenate(
+        [np.column_stack([radius * ring, np.full(around, height)]) for height, radius in profile]
+    )
     rows, columns = np.meshgrid(np.arange(len(profile) - 1), np.arange(around), indexing="ij")
-    a, b = rows * around + columns, rows * around + (columns + 1) % around
+    a = rows * around + columns
+    b = rows * around + (columns + 1) % around
     quads = np.stack([a, b, b + around, a, b + around, a + around], axis=-1)
     return points * scale, quads.reshape(-1, 3)

@@ -1,10 +1,12 @@
-"""The chamber behind the membrane: its volume, and the tendon through which MuJoCo integrates its gas implicitly.
+"""The chamber behind the membrane: its volume, and the tendon through which MuJoCo integrates its
+gas implicitly.
 
-A trapped gas is far stiffer than the membrane's mass allows any explicit pressure to be. The chamber is therefore a
-fixed tendon whose coefficients are dV/dq: moving it by one unit changes the volume by one cubic metre, its force is a
-pressure, and its stiffness -dp/dV joins the integrator's implicit system. Each step re-linearises it at the current
-state, in the sensor's own frame. The pressure itself acts along all axes; the stiffness needs only dV/dz, since the sheet
-is far stiffer in its plane than the gas.
+A trapped gas is far stiffer than the membrane's mass allows any explicit pressure to be. The
+chamber is therefore a fixed tendon whose coefficients are dV/dq: moving it by one unit changes the
+volume by one cubic metre, its force is a pressure, and its stiffness -dp/dV joins the integrator's
+implicit system. Each step re-linearises it at the current state, in the sensor's own frame. The
+pressure itself acts along all axes; the stiffness needs only dV/dz, since the sheet is far stiffer
+in its plane than the gas.
 """
 
 from __future__ import annotations
@@ -16,23 +18,34 @@ from mjtactile.core.types import Array
 from mjtactile.kernels import bound
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
-_OFFSET, _LEAST = 1e-10, 1e-12  # of the changes of volume that add up; m^3
+# of the changes of volume that add up; m^3
+_OFFSET = 1e-10
+_LEAST = 1e-12
 
 
 class ChamberGeometry:
     """Volume between the membrane and the glass, and its derivative by the vertex positions."""
 
     def __init__(self, mesh: MembraneMesh, volume_flat: float):
-        self._interior, self._volume_flat = mesh.interior, volume_flat
-        self._p_SV, self._gradient = np.empty_like(mesh.p_SV), np.empty_like(mesh.p_SV)
-        self._above = bound("chamber_volume", len(mesh.p_SV), self._p_SV, len(mesh.triangles),
-                            np.ascontiguousarray(mesh.triangles), self._gradient)
+        self._interior = mesh.interior
+        self._volume_flat = volume_flat
+        self._p_SV = np.empty_like(mesh.p_SV)
+        self._gradient = np.empty_like(mesh.p_SV)
+        self._above = bound(
+            "chamber_volume",
+            len(mesh.p_SV),
+            self._p_SV,
+            len(mesh.triangles),
+            np.ascontiguousarray(mesh.triangles),
+            self._gradient,
+        )
 
     def volume_and_gradient(self, p_SV: Array) -> tuple[float, Array]:
-        """Return V (m^3) and dV/dp (k, 3) m^2 at the interior vertices, exact for the triangulated surface.
+        """Return V (m^3) and dV/dp (k, 3) m^2 at the interior vertices, exact for the triangulated
+        surface.
 
-        Divergence theorem: V = V_flat + 1/3 sum of centroid . area vector, since the flat rim lies in z = 0; each vertex takes a
-        third of the area vector of each triangle that it belongs to.
+        Divergence theorem: V = V_flat + 1/3 sum of centroid . area vector, since the flat rim lies
+        in z = 0; each vertex takes a third of the area vector of each triangle that it belongs to.
         """
         self._p_SV[:] = p_SV
         volume = self._volume_flat + self._above()
@@ -40,25 +53,46 @@ class ChamberGeometry:
 
 
 class GasTendon:
-    """Writes pressure and gas stiffness of one chamber into a compiled model, once before every step."""
+    """Writes pressure and gas stiffness of one chamber into a compiled model, once before every
+    step."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, tendon_id: int, count: int):
         """`count` vertices hang on the tendon; the model says 0 while a sensor sleeps."""
-        self._model, self._tendon = model, tendon_id
+        self._model = model
+        self._tendon = tendon_id
         start = int(model.tendon_adr[tendon_id])
-        coefficients, self._count = model.wrap_prm[start:start + count], count  # live views
-        self._spring, rest = model.tendon_stiffness[tendon_id:tendon_id + 1], model.tendon_lengthspring[tendon_id]
-        first, count = int(model.wrap_objid[start]) - 2, 3 * count  # the vertex joints are one block, x, y, z of each vertex
-        qpos, dof = int(model.jnt_qposadr[first]), int(model.jnt_dofadr[first])
+        # live views
+        coefficients = model.wrap_prm[start : start + count]
+        self._count = count
+        self._spring = model.tendon_stiffness[tendon_id : tendon_id + 1]
+        rest = model.tendon_lengthspring[tendon_id]
+        # the vertex joints are one block, x, y, z of each vertex
+        first = int(model.wrap_objid[start]) - 2
+        count = 3 * count
+        qpos = int(model.jnt_qposadr[first])
+        dof = int(model.jnt_dofadr[first])
         self.dofs = slice(dof, dof + count)
-        self.displacements: Array = np.asarray(data.qpos)[qpos:qpos + count]
+        self.displacements: Array = np.asarray(data.qpos)[qpos : qpos + count]
         """Live view of the interior vertices' displacements in S, (3 k,) m."""
         self._forces = np.asarray(data.qfrc_applied)[self.dofs]
-        self._push = bound("push", self._count, ..., self.displacements, _OFFSET, _LEAST, ..., ..., coefficients, self._spring,
-                           rest, self._forces)
+        self._push = bound(
+            "push",
+            self._count,
+            ...,
+            self.displacements,
+            _OFFSET,
+            _LEAST,
+            ...,
+            ...,
+            coefficients,
+            self._spring,
+            rest,
+            self._forces,
+        )
 
     def apply(self, pressure_gauge: float, stiffness: float, gradient: Array) -> None:
-        """Push with the pressure, `gradient` (k, 3) = dV/dq, and let the tendon's spring carry its change in the step.
+        """Push with the pressure, `gradient` (k, 3) = dV/dq, and let the tendon's spring carry its
+        change in the step.
 
         The spring is relaxed at the current state, so that it holds the *implicit* part only: f = p - k (V' - V). All but:
         MuJoCo leaves out the stiffness of a spring whose length is exactly that at rest, as rounding will have it now and
@@ -67,8 +101,10 @@ class GasTendon:
         self._push(gradient, pressure_gauge, stiffness)
 
     def suspend(self) -> None:
-        """Take the tendon's joints and the pressure out of the model; the vertices are held otherwise."""
-        self._model.tendon_num[self._tendon], self._spring[0] = 0, 0.0
+        """Take the tendon's joints and the pressure out of the model; the vertices are held
+        otherwise."""
+        self._model.tendon_num[self._tendon] = 0
+        self._spring[0] = 0.0
         self._forces[:] = 0.0
 
     def resume(self) -> None:

@@ -1,4 +1,5 @@
-"""Where MuJoCo keeps its list of contacts, for kernels that read it in place: its columns would be copied to be handed over."""
+"""Where MuJoCo keeps its list of contacts, for kernels that read it in place: its columns would be
+copied to be handed over."""
 
 from __future__ import annotations
 
@@ -8,19 +9,21 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-_FIELDS = ("dist", "includemargin", "frame", "friction", "dim", "geom", "flex", "efc_address")  # as in kernels/membrane.c
+# as in kernels/membrane.c
+_FIELDS = ("dist", "includemargin", "frame", "friction", "dim", "geom", "flex", "efc_address")
 _layout = np.zeros(1 + len(_FIELDS), np.int64)
 
 
 def listed(data: mujoco.MjData) -> tuple[int, int, NDArray[np.int64]]:
-    """How many contacts there are, the address of the first one's `dist`, and the bytes from one contact to the next and from
-    `dist` to each of `_FIELDS`. Valid until the next step."""
+    """How many contacts there are, the address of the first one's `dist`, and the bytes from one
+    contact to the next and from `dist` to each of `_FIELDS`. Valid until the next step."""
     contact = data.contact
     dist = contact.dist
     if not len(dist):
         return 0, 0, _layout
     if not _layout[0]:  # the same for all models
-        _layout[0], _layout[1:] = dist.strides[0], [_place(getattr(contact, name)) - _place(dist) for name in _FIELDS]
+        _layout[0] = dist.strides[0]
+        _layout[1:] = [_place(getattr(contact, name)) - _place(dist) for name in _FIELDS]
     return len(dist), ctypes.addressof(ctypes.c_char.from_buffer(dist[:1])), _layout  # type: ignore[arg-type]
 
 

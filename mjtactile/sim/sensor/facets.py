@@ -1,10 +1,11 @@
 """Touch of a curved object by a mesh of facets: how far from the object its vertices have to stay.
 
-Where the vertices lie on a convex object, the facets between them cut into it, and the membrane is indented too little:
-the force of a sphere of 8 mm is 5-8 % low at 13 x 11 vertices. A membrane whose facets touch the object on the average
-stands off by their mean sagitta, (hx^2 + hy^2)/24 times the sum of the curvatures; a quarter of it, measured, gives the
-force of a fine mesh (tests/physics/test_contact.py). The stand-off falls with the square of the spacing, so that it leaves
-what a mesh converges to; flat faces get none (docs/equations.md, C2).
+Where the vertices lie on a convex object, the facets between them cut into it, and the membrane is
+indented too little: the force of a sphere of 8 mm is 5-8 % low at 13 x 11 vertices. A membrane
+whose facets touch the object on the average stands off by their mean sagitta, (hx^2 + hy^2)/24
+times the sum of the curvatures; a quarter of it, measured, gives the force of a fine mesh
+(tests/physics/test_contact.py). The stand-off falls with the square of the spacing, so that it
+leaves what a mesh converges to; flat faces get none (docs/equations.md, C2).
 """
 
 from __future__ import annotations
@@ -20,26 +21,51 @@ from mjtactile.sim.sensor.features import END, RESOLVED
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
 SHARE = 0.25  # of the facets' mean sagitta
-_EVERY, _SETTLE = 0.01, 0.02  # s: how often to look at the contacts, and the time constant with which the stand-off follows
-_RELEASE = 0.2  # s, where nothing touches: a contact that is gone for one step must not bounce by its own stand-off
+# s: how often to look at the contacts, and the time constant with which the stand-off follows
+_EVERY = 0.01
+_SETTLE = 0.02
+# s, where nothing touches: a contact that is gone for one step must not bounce by its own stand-off
+_RELEASE = 0.2
 
 
 class StandOff:
-    """Contact margins of one sensor's vertex spheres, by the curvature of what each of them touches.
+    """Contact margins of one sensor's vertex spheres, by the curvature of what each of them
+    touches.
 
-    Vertices that touch nothing are ready for what the others touch; without any contact the stand-off goes to zero.
+    Vertices that touch nothing are ready for what the others touch; without any contact the
+    stand-off goes to zero.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, vertex_geom_ids: np.ndarray, mesh: MembraneMesh):
-        self._model, self._data = model, data
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        vertex_geom_ids: np.ndarray,
+        mesh: MembraneMesh,
+    ):
+        self._model = model
+        self._data = data
         self._first = int(vertex_geom_ids[0])  # one block, in the mesh's order
         self.margins: Array = np.zeros(len(vertex_geom_ids))
         """Distances (k,) m of the vertices' spheres from what they touch."""
-        self._sagitta = SHARE * float(mesh.areas[mesh.interior].mean()) / 12  # m^2, per curvature: hx^2 + hy^2 is about 2 hx hy
-        self._most = 2 / (RESOLVED * mesh.spacing)  # 1/m: what bends more is met by a vertex, not by facets
+        # m^2, per curvature: hx^2 + hy^2 is about 2 hx hy
+        self._sagitta = SHARE * float(mesh.areas[mesh.interior].mean()) / 12
+        # 1/m: what bends more is met by a vertex, not by facets
+        self._most = 2 / (RESOLVED * mesh.spacing)
         self._time = float(data.time)
-        self._kernel = bound("touched_curvatures", ..., ..., ..., self._first, len(self.margins), model.geom_type,
-                             model.geom_size, data.geom_xmat, END, ...)
+        self._kernel = bound(
+            "touched_curvatures",
+            ...,
+            ...,
+            ...,
+            self._first,
+            len(self.margins),
+            model.geom_type,
+            model.geom_size,
+            data.geom_xmat,
+            END,
+            ...,
+        )
 
     def update(self) -> None:
         """Follow the contacts of the last step; call every step, it works every 10 ms."""
@@ -54,15 +80,19 @@ class StandOff:
         self.margins += (goal - self.margins) * min(abs(elapsed) / settle, 1.0)
 
     def _curvatures(self) -> Array:
-        """Curvature kx + ky, 1/m, of what each vertex touches, or the others' mean where it touches nothing."""
+        """Curvature kx + ky, 1/m, of what each vertex touches, or the others' mean where it touches
+        nothing."""
         found = np.empty(len(self.margins))
         self._kernel(*listed(self._data), found)
         return found
 
 
 def curvatures(model: mujoco.MjModel, geoms: NDArray[np.int64], normals: Array) -> Array:
-    """Sums of the principal curvatures (n,) 1/m of `geoms` (n,) where their surfaces have the unit `normals` (n, 3), each in
-    its geom's frame. Zero for faces, and for meshes and height fields, whose curvature is not known."""
+    """Sums of the principal curvatures (n,) 1/m of `geoms` (n,) where their surfaces have the unit
+    `normals` (n, 3), each in its geom's frame. Zero for faces, and for meshes and height fields,
+    whose curvature is not known."""
     found = np.empty(len(geoms))
-    kernel("curvatures")(len(geoms), model.geom_type[geoms], model.geom_size[geoms], normals, END, found)
+    kernel("curvatures")(
+        len(geoms), model.geom_type[geoms], model.geom_size[geoms], normals, END, found
+    )
     return found

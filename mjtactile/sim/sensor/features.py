@@ -1,8 +1,10 @@
-"""How small the things are that may touch a membrane, against its mesh: which contact model can feel them, and how well.
+"""How small the things are that may touch a membrane, against its mesh: which contact model can
+feel them, and how well.
 
-Small spheres on the vertices are right for whatever is larger than the mesh (an eighth of the error of triangles, which
-stick out beyond a round object, and they settle on flat faces, where triangles do not), but a pin slips between them.
-Triangles feel every pin; its force then depends on the mesh, because the sheet can bend only at the vertices.
+Small spheres on the vertices are right for whatever is larger than the mesh (an eighth of the error
+of triangles, which stick out beyond a round object, and they settle on flat faces, where triangles
+do not), but a pin slips between them. Triangles feel every pin; its force then depends on the mesh,
+because the sheet can bend only at the vertices.
 """
 
 from __future__ import annotations
@@ -22,19 +24,23 @@ END = 0.7
 SLIPS = 0.6
 """Radius in vertex spacings below which a feature can slip between vertices."""
 RESOLVED = 2.0
-"""Radius in vertex spacings from which a feature's force is good: 5 % and better (tests/physics/test_contact.py)."""
+"""Radius in vertex spacings from which a feature's force is good: 5 % and better
+(tests/physics/test_contact.py)."""
 
 
 def touching_geoms(model: mujoco.MjModel) -> NDArray[np.int64]:
     """Geoms that can move and that membranes feel (those with a contype)."""
-    moving = (model.body_weldid[model.geom_bodyid] > 0) | (model.body_mocapid[model.geom_bodyid] >= 0)
+    moving = (model.body_weldid[model.geom_bodyid] > 0) | (
+        model.body_mocapid[model.geom_bodyid] >= 0
+    )
     return np.flatnonzero(moving & (model.geom_contype != 0))
 
 
 def feature_radius(model: mujoco.MjModel, geom: int) -> float:
-    """Smallest radius, m, with which a geom can press: of a sphere, rod or end face; half the smallest side of a box or
-    mesh. Edges are sharp, and are not counted."""
-    size, kind = model.geom_size[geom], mujoco.mjtGeom(int(model.geom_type[geom]))
+    """Smallest radius, m, with which a geom can press: of a sphere, rod or end face; half the
+    smallest side of a box or mesh. Edges are sharp, and are not counted."""
+    size = model.geom_size[geom]
+    kind = mujoco.mjtGeom(int(model.geom_type[geom]))
     if kind in (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE):
         return float(size[0])
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
@@ -47,13 +53,18 @@ def feature_radius(model: mujoco.MjModel, geom: int) -> float:
 
 
 def smallest_feature(model: mujoco.MjModel) -> tuple[float, str]:
-    """Radius, m, and name of the geom with the smallest feature; infinite when nothing can touch."""
-    found = [(feature_radius(model, int(g)), model.geom(int(g)).name or f"geom {g}") for g in touching_geoms(model)]
+    """Radius, m, and name of the geom with the smallest feature; infinite when nothing can
+    touch."""
+    found = [
+        (feature_radius(model, int(g)), model.geom(int(g)).name or f"geom {g}")
+        for g in touching_geoms(model)
+    ]
     return min(found, default=(np.inf, ""))
 
 
 def filled_share(vertices: Array, faces: NDArray[np.int64]) -> float:
-    """Volume of a closed surface of triangles over that of its convex hull: what MuJoCo takes it for. 1 where it has none."""
+    """Volume of a closed surface of triangles over that of its convex hull: what MuJoCo takes it
+    for. 1 where it has none."""
     from scipy.spatial import ConvexHull, QhullError
 
     a, b, c = (vertices[faces[:, k]] for k in range(3))
@@ -70,13 +81,19 @@ def hull_flag(model: mujoco.MjModel, geom: int) -> str | None:
     if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_MESH or number < 0:
         return None
     mesh = model.mesh(number)
-    vertices, faces = int(mesh.vertadr[0]), int(mesh.faceadr[0])
-    share = filled_share(np.asarray(model.mesh_vert[vertices:vertices + model.mesh_vertnum[number]], float),
-                         model.mesh_face[faces:faces + model.mesh_facenum[number]].astype(np.int64))
+    vertices = int(mesh.vertadr[0])
+    faces = int(mesh.faceadr[0])
+    share = filled_share(
+        np.asarray(model.mesh_vert[vertices : vertices + model.mesh_vertnum[number]], float),
+        model.mesh_face[faces : faces + model.mesh_facenum[number]].astype(np.int64),
+    )
     if share >= CONVEX:
         return None
-    return (f"mesh {mesh.name!r} fills {share:.0%} of its convex hull, and the hull is what touches: give its convex parts as "
-            "geoms, or press the file where pip install 'mjtactile[meshes]' cuts it")
+    return (
+        f"mesh {mesh.name!r} fills {share:.0%} of its convex hull, and the hull is what "
+        "touches: give its convex parts as "
+        "geoms, or press the file where pip install 'mjtactile[meshes]' cuts it"
+    )
 
 
 def contact_model(model: mujoco.MjModel, mesh: MembraneMesh) -> str:
@@ -84,22 +101,34 @@ def contact_model(model: mujoco.MjModel, mesh: MembraneMesh) -> str:
     return "elements" if smallest_feature(model)[0] < SLIPS * mesh.spacing else "vertices"
 
 
-def resolution_flag(model: mujoco.MjModel, geom: int, radius: float, mesh: MembraneMesh) -> str | None:
-    """Say when a geom of `feature_radius` m, which touches, is too small for the mesh, and which mesh would carry it."""
+def resolution_flag(
+    model: mujoco.MjModel, geom: int, radius: float, mesh: MembraneMesh
+) -> str | None:
+    """Say when a geom of `feature_radius` m, which touches, is too small for the mesh, and which
+    mesh would carry it."""
     if radius >= RESOLVED * mesh.spacing:
         return None
     name = model.geom(geom).name or f"geom {geom}"
     factor = RESOLVED * mesh.spacing / radius
     finer = tuple(int(np.ceil((n - 1) * factor)) + 1 for n in (mesh.nx, mesh.ny))
-    remedy = f"mesh {finer} resolves it" if max(finer) <= 61 else "no affordable mesh does; trust place and time, not force"
-    return (f"{name!r} (radius {radius * 1e3:.2g} mm) is finer than the mesh ({mesh.spacing * 1e3:.2g} mm between vertices): "
-            f"its force may be off by {_error(radius / mesh.spacing):.0%}; {remedy}")
+    remedy = (
+        f"mesh {finer} resolves it"
+        if max(finer) <= 61
+        else ("no affordable mesh does; trust place and time, not force")
+    )
+    return (
+        f"{name!r} (radius {radius * 1e3:.2g} mm) is finer than the mesh "
+        f"({mesh.spacing * 1e3:.2g} mm between vertices): "
+        f"its force may be off by {_error(radius / mesh.spacing):.0%}; {remedy}"
+    )
 
 
 def edge_half_width(model: mujoco.MjModel, geom: int, axial: float) -> float:
-    """Half width, m, of the face with sharp edges that a geom presses with; infinite when it has none.
+    """Half width, m, of the face with sharp edges that a geom presses with; infinite when it has
+    none.
 
-    `axial` is how far the contact's normal is along the geom's z (cosine): only a cylinder's ends have an edge.
+    `axial` is how far the contact's normal is along the geom's z (cosine): only a cylinder's ends
+    have an edge.
     """
     kind = model.geom_type[geom]
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
@@ -112,14 +141,20 @@ def edge_half_width(model: mujoco.MjModel, geom: int, axial: float) -> float:
 
 
 def edge_flag(half_width: float, mesh: MembraneMesh) -> str | None:
-    """Say how much of a force hangs on where an edge falls between the vertices; None when the edge is out of the frame."""
+    """Say how much of a force hangs on where an edge falls between the vertices; None when the edge
+    is out of the frame."""
     if half_width > np.abs(mesh.p_SV).max():
         return None
     share = min(1.1 * mesh.spacing / half_width, 1.0)  # 38 % was measured where the ratio is 0.37
-    return (f"an edge presses, {half_width * 1e3:.2g} mm from the middle of its face, and the mesh has "
-            f"{mesh.spacing * 1e3:.2g} mm between vertices: the force may be off by {share:.0%}; a finer mesh divides that")
+    return (
+        f"an edge presses, {half_width * 1e3:.2g} mm from the middle of its face, and the mesh "
+        "has "
+        f"{mesh.spacing * 1e3:.2g} mm between vertices: the force may be off by "
+        f"{share:.0%}; a finer mesh divides that"
+    )
 
 
 def _error(ratio: float) -> float:
-    """Force error of a round end of `ratio` vertex spacings, measured against fine meshes; see the tests."""
+    """Force error of a round end of `ratio` vertex spacings, measured against fine meshes; see the
+    tests."""
     return float(np.interp(ratio, [0.25, 0.5, 1.0, 2.0], [0.7, 0.5, 0.3, 0.05]))

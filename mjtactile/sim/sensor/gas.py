@@ -1,8 +1,10 @@
-"""The gas behind the membrane: amount, temperature and pressure, its valve and its leaks. No MuJoCo in sight.
+"""The gas behind the membrane: amount, temperature and pressure, its valve and its leaks. No MuJoCo
+in sight.
 
-The chamber is one well-stirred volume of ideal gas. Its state is the amount n R (J/K) and the temperature T (K); the
-pressure follows from p V = n R T. Between two calls of `advance` the volume is taken to change at a constant relative
-rate, for which the equations below are solved exactly, so that any time step is stable (docs/equations.md, G4-G6).
+The chamber is one well-stirred volume of ideal gas. Its state is the amount n R (J/K) and the
+temperature T (K); the pressure follows from p V = n R T. Between two calls of `advance` the volume
+is taken to change at a constant relative rate, for which the equations below are solved exactly, so
+that any time step is stable (docs/equations.md, G4-G6).
 """
 
 from __future__ import annotations
@@ -12,23 +14,31 @@ import math
 from mjtactile.core.design import Chamber
 from mjtactile.core.errors import InputError
 
-_LEVEL, _WARM = 0.01, 1e-4  # Pa and K: both are 0.03 Pa of a gas that weighs on the sheet with 1000
+# Pa and K: both are 0.03 Pa of a gas that weighs on the sheet with 1000
+_LEVEL = 0.01
+_WARM = 1e-4
 
 
 class Gas:
     """Gas of one chamber. Pressures in Pa, volumes in m^3, time in s; "gauge" means above ambient.
 
-    With an ideal valve (infinite conductance, the default) the open chamber is at the supply's pressure at once. With
-    a finite one the gas flows at `conductance` x pressure difference, and the chamber is never quite open.
+    With an ideal valve (infinite conductance, the default) the open chamber is at the supply's
+    pressure at once. With a finite one the gas flows at `conductance` x pressure difference, and
+    the chamber is never quite open.
     """
 
     def __init__(self, chamber: Chamber):
         self._chamber = chamber
         self.ambient = chamber.ambient
-        self._supply_gauge, self._is_open = 0.0, True
+        self._supply_gauge = 0.0
+        self._is_open = True
         self._leak = chamber.leak_conductance
-        self._amount, self._temperature, self._volume = math.nan, chamber.temperature, math.nan
-        self._wall, self._warming = chamber.temperature, 0.0  # K, K/s
+        self._amount = math.nan
+        self._temperature = chamber.temperature
+        self._volume = math.nan
+        # K, K/s
+        self._wall = chamber.temperature
+        self._warming = 0.0
         self._pressure = chamber.ambient  # absolute
 
     @property
@@ -57,20 +67,28 @@ class Gas:
 
     @property
     def is_still(self) -> bool:
-        """Whether the pressure stays as it is while the volume does: nothing flows, and the gas is as warm as its walls."""
+        """Whether the pressure stays as it is while the volume does: nothing flows, and the gas is
+        as warm as its walls."""
         if self._is_ideally_open:
             return True
         if self._warming:
             return False
         level = all(abs(far - self._pressure) < _LEVEL for _, far in self._openings())
-        return level and (math.isinf(self._chamber.heat_exchange) or abs(self._temperature - self._wall) < _WARM)
+        return level and (
+            math.isinf(self._chamber.heat_exchange) or abs(self._temperature - self._wall) < _WARM
+        )
 
     def open(self, supply_gauge: float) -> None:
-        """Connect the chamber to a supply. Raises InputError when the pressure is not a possible one."""
+        """Connect the chamber to a supply. Raises InputError when the pressure is not a possible
+        one."""
         if not math.isfinite(supply_gauge) or supply_gauge <= -self.ambient:
-            raise InputError(f"{supply_gauge!r} Pa is not above vacuum (-{self.ambient:g} Pa)", source="valve",
-                             field="supply_gauge")
-        self._supply_gauge, self._is_open = float(supply_gauge), True
+            raise InputError(
+                f"{supply_gauge!r} Pa is not above vacuum (-{self.ambient:g} Pa)",
+                source="valve",
+                field="supply_gauge",
+            )
+        self._supply_gauge = float(supply_gauge)
+        self._is_open = True
 
     def close(self) -> None:
         """Trap the gas that is in the chamber now."""
@@ -78,16 +96,23 @@ class Gas:
         self._fill()
 
     def seal(self, volume: float, pressure_gauge: float) -> None:
-        """Close the valve on a chamber of `volume` m^3 that holds `pressure_gauge` Pa and is as warm as its walls."""
-        self._is_open, self._volume, self._temperature = False, volume, self._wall
+        """Close the valve on a chamber of `volume` m^3 that holds `pressure_gauge` Pa and is as
+        warm as its walls."""
+        self._is_open = False
+        self._volume = volume
+        self._temperature = self._wall
         self._pressure = pressure_gauge + self.ambient
         self._amount = self._pressure * volume / self._temperature
 
     def puncture(self, conductance: float) -> None:
-        """Open a hole to ambient of `conductance` m^3/(s Pa), 0 to mend it. Raises InputError when not finite or negative."""
+        """Open a hole to ambient of `conductance` m^3/(s Pa), 0 to mend it. Raises InputError when
+        not finite or negative."""
         if not math.isfinite(conductance) or conductance < 0:
-            raise InputError(f"{conductance!r} m^3/(s Pa) is not a finite conductance >= 0", source="valve",
-                             field="leak_conductance")
+            raise InputError(
+                f"{conductance!r} m^3/(s Pa) is not a finite conductance >= 0",
+                source="valve",
+                field="leak_conductance",
+            )
         self._fill()
         self._leak = conductance
 
@@ -96,14 +121,17 @@ class Gas:
         self._warming = rate
 
     def advance(self, volume: float, elapsed: float) -> None:
-        """Take the gas to `volume`, `elapsed` s after the last call (0: at once, without heat or flow)."""
+        """Take the gas to `volume`, `elapsed` s after the last call (0: at once, without heat or
+        flow)."""
         if math.isnan(self._volume) or volume <= 0:
             self._volume = volume
         warmer = self._warming * max(elapsed, 0.0)
         self._wall += warmer
         if self._is_ideally_open:
-            self._amount, self._temperature = math.nan, self._wall
-            self._pressure, self._volume = self._supply_gauge + self.ambient, volume
+            self._amount = math.nan
+            self._temperature = self._wall
+            self._pressure = self._supply_gauge + self.ambient
+            self._volume = volume
             return
         self._fill()
         if volume > 0:
@@ -117,12 +145,17 @@ class Gas:
     def stiffness(self, step: float) -> float:
         """-dp/dV, Pa/m^3, for a change of volume that is spread over the next `step` s.
 
-        gamma p / V for an adiabatic gas; heat that leaves, and gas that flows out, within the step make it softer.
+        gamma p / V for an adiabatic gas; heat that leaves, and gas that flows out, within the step
+        make it softer.
         """
         if self._is_ideally_open or self._volume <= 0:
             return 0.0
-        gamma, pressure = self._chamber.heat_ratio, self._pressure
-        rate = sum(gamma * conductance * max(pressure, far) / self._volume for conductance, far in self._openings())
+        gamma = self._chamber.heat_ratio
+        pressure = self._pressure
+        rate = sum(
+            gamma * conductance * max(pressure, far) / self._volume
+            for conductance, far in self._openings()
+        )
         kept_heat = _ramp_share(step / self._chamber.heat_exchange)
         return pressure / self._volume * (1 + (gamma - 1) * kept_heat) * _ramp_share(rate * step)
 
@@ -143,10 +176,13 @@ class Gas:
             self._amount = self._pressure * self._volume / self._temperature
 
     def _compress(self, volume: float, elapsed: float) -> None:
-        """dT/dt = -(gamma - 1) T (dV/dt)/V + (T_wall - T)/tau, exact for a constant relative rate (Eq. G4)."""
+        """dT/dt = -(gamma - 1) T (dV/dt)/V + (T_wall - T)/tau, exact for a constant relative rate
+        (Eq. G4)."""
         exchange = elapsed / self._chamber.heat_exchange
         decay = (self._chamber.heat_ratio - 1) * math.log(volume / self._volume) + exchange
-        self._temperature = self._temperature * math.exp(-decay) + self._wall * exchange * _ramp_share(decay)
+        self._temperature = self._temperature * math.exp(
+            -decay
+        ) + self._wall * exchange * _ramp_share(decay)
         self._volume = volume
 
     def _flow_all(self, elapsed: float) -> None:
@@ -154,15 +190,18 @@ class Gas:
             self._flow(conductance, far, elapsed)
 
     def _flow(self, conductance: float, far: float, elapsed: float) -> None:
-        """Move gas through an opening: amount and enthalpy, exact for a constant volume and small temperature changes
-        (Eq. G5-G6)."""
-        gamma, pressure = self._chamber.heat_ratio, self._amount * self._temperature / self._volume
+        """Move gas through an opening: amount and enthalpy, exact for a constant volume and small
+        temperature changes (Eq. G5-G6)."""
+        gamma = self._chamber.heat_ratio
+        pressure = self._amount * self._temperature / self._volume
         source = self._wall if far > pressure else self._temperature
         rate = gamma * conductance * max(pressure, far) / self._volume
-        energy = (far - pressure) * self._volume * -math.expm1(-rate * elapsed)  # V dp = gamma R T_source dn
+        # V dp = gamma R T_source dn
+        energy = (far - pressure) * self._volume * -math.expm1(-rate * elapsed)
         moved = energy / (gamma * source)
         temperature = (pressure * self._volume + energy) / (self._amount + moved)
-        self._amount, self._temperature = self._amount + moved, temperature
+        self._amount = self._amount + moved
+        self._temperature = temperature
 
 
 def _ramp_share(x: float) -> float:

@@ -1,8 +1,10 @@
-"""The rubber membrane as a MuJoCo flex: its bodies in an `MjSpec`, its pre-stretch, and what touches it how.
+"""The rubber membrane as a MuJoCo flex: its bodies in an `MjSpec`, its pre-stretch, and what
+touches it how.
 
-Every interior vertex is a small body on three slide joints *in the sensor's own frame S*, child of the sensor's body;
-the rim vertices belong to the sensor's body itself. Joint positions are therefore displacements in S, whatever
-carries the sensor, and forces between membrane and frame need no bookkeeping (docs/equations.md).
+Every interior vertex is a small body on three slide joints *in the sensor's own frame S*, child of
+the sensor's body; the rim vertices belong to the sensor's body itself. Joint positions are
+therefore displacements in S, whatever carries the sensor, and forces between membrane and frame
+need no bookkeeping (docs/equations.md).
 """
 
 from __future__ import annotations
@@ -13,45 +15,61 @@ import numpy as np
 from mjtactile.core.design import Membrane, SensorDesign
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
-FLEX, TENDON, BODY = "membrane", "gas", "sensor"
+FLEX = "membrane"
+TENDON = "gas"
+BODY = "sensor"
 ANYTHING = 0x7FFFFFFF
-"""`conaffinity` of what is touched by every geom with a `contype`, whichever of its bits a scene uses."""
+"""`conaffinity` of what is touched by every geom with a `contype`, whichever of its bits a scene
+uses."""
 
-# Viscous resistance of the sheet against motion relative to its frame, N s/m per m^2 of sheet and per N/m of its
-# stiffness (s/m^2). It stands for the rubber's internal friction, settles the shape in about 10 ms whatever the rubber,
-# and conditions the solver: it joins the diagonal of the implicit system, which a membrane vertex of a few milligrams
-# leaves almost empty; contact stiffness scales with that diagonal.
+# Viscous resistance of the sheet against motion relative to its frame, N s/m per m^2 of sheet and
+# per N/m of its stiffness (s/m^2). It stands for the rubber's internal friction, settles the shape
+# in about 10 ms whatever the rubber, and conditions the solver: it joins the diagonal of the
+# implicit system, which a membrane vertex of a few milligrams leaves almost empty; contact
+# stiffness scales with that diagonal.
 SURFACE_DAMPING = 27.0
-# The same along the sheet, in multiples: the sheet is that much stiffer there, so that shear settles no slower than a
-# bulge, and the implicit solve needs a quarter less time.
+# The same along the sheet, in multiples: the sheet is that much stiffer there, so that shear
+# settles no slower than a bulge, and the implicit solve needs a quarter less time.
 IN_PLANE_DAMPING = 3.0
 SOFTEST = 100.0  # N/m; below this stiffness the damping stays, for the gas's sake
-# Inertia against motion relative to the frame, kg/m^2, without weight: about three times the rubber's own mass.
+# Inertia against motion relative to the frame, kg/m^2, without weight: about three times the
+# rubber's own mass.
 SURFACE_ARMATURE = 0.8
 GAS_SHARE = 3.0  # pressure under a typical contact beyond the tension's, over the gas's
-# Contact of triangles: the share of the constraint that is rigid at first touch, and where it is whole, and the depth between
-# the two (MuJoCo `solimp`). Without the ramp a vertex that barely touches is switched on and off from step to step; at 13 x 11
-# vertices that doubled the solver's iterations and the noise of a held force.
+# Contact of triangles: the share of the constraint that is rigid at first touch, and where it is
+# whole, and the depth between the two (MuJoCo `solimp`). Without the ramp a vertex that barely
+# touches is switched on and off from step to step; at 13 x 11 vertices that doubled the solver's
+# iterations and the noise of a held force.
 SOLIMP = (0.99, 0.9995, 10e-6, 0.5, 2.0)
 # Time constant of contact in steps: at 1 the solver takes twice the iterations.
 CONTACT_TIME = 1.5
 CONTACT_DEPTH = 20e-6
-"""Depth, m, to which contact should sink in under a pressure that is typical for the membrane. At 12 um a free plate of 20 g
-on a membrane keeps the solver from converging at a step of 4 ms, and rattles; at 6 um a driven indenter is still fine."""
-# Contact of vertices, whose depth is taken back (stiction.py) and may therefore be larger: at least, m, and as a speed times the
-# step, m/s. A slide whose speed changes by more than about that in a step lifts vertices out of contact.
-VERTEX_DEPTH, VERTEX_SPEED = 160e-6, 0.04
-# Its spring and dashpot, times the step squared and the step: a spring more than a dashpot, so that vertices keep in touch
-# with a surface that recedes. MuJoCo's impedance, low enough that it does not cap the stiffness.
-VERTEX_SPRING, VERTEX_DASHPOT, VERTEX_IMPEDANCE = 10.0, 3.0, 0.98
+"""Depth, m, to which contact should sink in under a pressure that is typical for the membrane. At
+12 um a free plate of 20 g on a membrane keeps the solver from converging at a step of 4 ms, and
+rattles; at 6 um a driven indenter is still fine."""
+# Contact of vertices, whose depth is taken back (stiction.py) and may therefore be larger: at
+# least, m, and as a speed times the step, m/s. A slide whose speed changes by more than about that
+# in a step lifts vertices out of contact.
+VERTEX_DEPTH = 160e-6
+VERTEX_SPEED = 0.04
+# Its spring and dashpot, times the step squared and the step: a spring more than a dashpot, so that
+# vertices keep in touch with a surface that recedes. MuJoCo's impedance, low enough that it does
+# not cap the stiffness.
+VERTEX_SPRING = 10.0
+VERTEX_DASHPOT = 3.0
+VERTEX_IMPEDANCE = 0.98
 
 
-def add_membrane(spec: mujoco.MjSpec, body: mujoco.MjsBody, design: SensorDesign, mesh: MembraneMesh) -> None:
-    """Add the flex, its vertex bodies with contact spheres, and the gas tendon to `spec` under the sensor's `body`.
+def add_membrane(
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, design: SensorDesign, mesh: MembraneMesh
+) -> None:
+    """Add the flex, its vertex bodies with contact spheres, and the gas tendon to `spec` under the
+    sensor's `body`.
 
-    Young's modulus is scaled by the square of the pre-stretch l: MuJoCo measures strain against the *mounted* mesh,
-    E' = (L^2 - L0^2) / 2 L_mounted^2, which is 1/l^2 of the Green strain against the free sheet, and integrates over
-    l^2 times the free sheet's area. The product leaves l^2 (see `SensorDesign.membrane.pretension`).
+    Young's modulus is scaled by the square of the pre-stretch l: MuJoCo measures strain against the
+    *mounted* mesh, E' = (L^2 - L0^2) / 2 L_mounted^2, which is 1/l^2 of the Green strain against
+    the free sheet, and integrates over l^2 times the free sheet's area. The product leaves l^2 (see
+    `SensorDesign.membrane.pretension`).
     """
     sheet = design.membrane
     names = [BODY] * len(mesh.p_SV)
@@ -61,27 +79,45 @@ def add_membrane(spec: mujoco.MjSpec, body: mujoco.MjsBody, design: SensorDesign
     for v in mesh.interior:
         names[v] = f"v{v}"
         vertex = body.add_body(name=names[v], pos=mesh.p_SV[v])
-        vertex.mass, vertex.inertia, vertex.explicitinertial = mass[v], [max(mass[v] * 1e-8, 1e-14)] * 3, True
-        vertex.ipos = [0.0, 0.0, 0.0]  # else MuJoCo takes `pos` for it, and leaves the inertia out when it saves XML
+        vertex.mass = mass[v]
+        vertex.inertia = [max(mass[v] * 1e-8, 1e-14)] * 3
+        vertex.explicitinertial = True
+        # else MuJoCo takes `pos` for it, and leaves the inertia out when it saves XML
+        vertex.ipos = [0.0, 0.0, 0.0]
         for axis, direction in zip("xyz", np.eye(3), strict=True):
-            vertex.add_joint(name=names[v] + axis, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction,
-                             damping=[damping[v] * (1.0 if axis == "z" else IN_PLANE_DAMPING), 0.0, 0.0],
-                             armature=armature[v])
+            vertex.add_joint(
+                name=names[v] + axis,
+                type=mujoco.mjtJoint.mjJNT_SLIDE,
+                axis=direction,
+                damping=[damping[v] * (1.0 if axis == "z" else IN_PLANE_DAMPING), 0.0, 0.0],
+                armature=armature[v],
+            )
         _add_contact_sphere(vertex, names[v], sheet.thickness / 2, sheet.friction)
     flex = spec.add_flex(name=FLEX)
-    flex.dim, flex.radius, flex.thickness = 2, sheet.thickness / 2, sheet.thickness
-    flex.young, flex.poisson, flex.damping = sheet.young * sheet.pre_stretch**2, sheet.poisson, 1e-9
+    flex.dim = 2
+    flex.radius = sheet.thickness / 2
+    flex.thickness = sheet.thickness
+    flex.young = sheet.young * sheet.pre_stretch**2
+    flex.poisson = sheet.poisson
+    flex.damping = 1e-9
     flex.elastic2d = 2  # stretching only: bending matters below about five thicknesses
-    flex.vertbody, flex.elem = names, mesh.triangles.ravel().tolist()
+    flex.vertbody = names
+    flex.elem = mesh.triangles.ravel().tolist()
     local = mesh.p_SV.copy()
     local[mesh.interior] = 0.0  # these vertices sit at their own body's origin
     flex.vert = local.ravel().tolist()
-    flex.selfcollide, flex.contype, flex.conaffinity = 0, 0, 0  # vertex spheres touch; see `touch_with`
-    flex.condim, flex.priority, flex.friction = 3, 1, [sheet.friction, 0.005, 0.0001]
+    # vertex spheres touch; see `touch_with`
+    flex.selfcollide = 0
+    flex.contype = 0
+    flex.conaffinity = 0
+    flex.condim = 3
+    flex.priority = 1
+    flex.friction = [sheet.friction, 0.005, 0.0001]
     flex.solimp = SOLIMP
     flex.rgba = [0.92, 0.92, 0.9, 1.0]
-    # The chamber: a fixed tendon over the vertices' z joints, whose coefficients become dV/dz at run time (chamber.py).
-    # MuJoCo's time for a tendon grows with the square of its joints: all three axes are nine times as dear, for nothing.
+    # The chamber: a fixed tendon over the vertices' z joints, whose coefficients become dV/dz at
+    # run time (chamber.py). MuJoCo's time for a tendon grows with the square of its joints: all
+    # three axes are nine times as dear, for nothing.
     tendon = spec.add_tendon(name=TENDON)
     tendon.stiffness = [1.0, 0.0, 0.0]
     tendon.springlength = [0.0, 0.0]
@@ -90,16 +126,29 @@ def add_membrane(spec: mujoco.MjSpec, body: mujoco.MjsBody, design: SensorDesign
 
 
 def _add_contact_sphere(vertex: mujoco.MjsBody, name: str, radius: float, friction: float) -> None:
-    """Let the vertex be touched by whatever touches (any contype), but not by other vertices or by frames.
+    """Let the vertex be touched by whatever touches (any contype), but not by other vertices or by
+    frames.
 
     Friction and stiffness are the membrane's own (priority), not averaged with the object's.
     """
-    vertex.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], mass=0.0, contype=0, conaffinity=ANYTHING,
-                    priority=1, condim=3, friction=[friction, 0.005, 0.0001], solimp=SOLIMP, group=4)
+    vertex.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[radius, 0, 0],
+        mass=0.0,
+        contype=0,
+        conaffinity=ANYTHING,
+        priority=1,
+        condim=3,
+        friction=[friction, 0.005, 0.0001],
+        solimp=SOLIMP,
+        group=4,
+    )
 
 
 def sheet_stiffness(sheet: Membrane) -> float:
-    """N/m against stretching or, where pre-tension rules, against bulging; sets damping and contact stiffness."""
+    """N/m against stretching or, where pre-tension rules, against bulging; sets damping and contact
+    stiffness."""
     return max(sheet.young * sheet.thickness, 10 * sheet.pretension, SOFTEST)
 
 
@@ -109,44 +158,66 @@ def contact_pressure(sheet: Membrane, pressure_gauge: float) -> float:
 
 
 class ContactStiffness:
-    """Keeps contact as stiff as pressure and tension ask: a vertex sinks in by a given depth under `contact_pressure`.
+    """Keeps contact as stiff as pressure and tension ask: a vertex sinks in by a given depth under
+    `contact_pressure`.
 
-    MuJoCo's contact softness is proportional to the compiled `body_invweight0` of the bodies, times M / (M + h D) of their
-    joints; that of the vertices is therefore written such that the force on a vertex is (stiffness per area) x (its
-    area) x (depth), whatever step h and damping D. The solver's effort depends on the ratio of this stiffness to the
-    damping, which is the same for all rubber. See `CONTACT_DEPTH`, and `VERTEX_DEPTH` for a membrane that `remembers`.
+    MuJoCo's contact softness is proportional to the compiled `body_invweight0` of the bodies, times
+    M / (M + h D) of their joints; that of the vertices is therefore written such that the force on
+    a vertex is (stiffness per area) x (its area) x (depth), whatever step h and damping D. The
+    solver's effort depends on the ratio of this stiffness to the damping, which is the same for all
+    rubber. See `CONTACT_DEPTH`, and `VERTEX_DEPTH` for a membrane that `remembers`.
     """
 
-    def __init__(self, model: mujoco.MjModel, vertex_geom_ids: np.ndarray, flex_id: int, mesh: MembraneMesh, sheet: Membrane,
-                 *, remembers: bool):
-        step, self._sheet_pressure = float(model.opt.timestep), contact_pressure(sheet, 0.0)
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        vertex_geom_ids: np.ndarray,
+        flex_id: int,
+        mesh: MembraneMesh,
+        sheet: Membrane,
+        *,
+        remembers: bool,
+    ):
+        step = float(model.opt.timestep)
+        self._sheet_pressure = contact_pressure(sheet, 0.0)
         bodies = model.geom_bodyid[vertex_geom_ids]
-        self._weights = np.asarray(model.body_invweight0)[bodies[0]:bodies[-1] + 1, 0]  # one block, in the mesh's order
+        # one block, in the mesh's order
+        self._weights = np.asarray(model.body_invweight0)[bodies[0] : bodies[-1] + 1, 0]
         if remembers:
-            depth, spring, share = max(VERTEX_DEPTH, VERTEX_SPEED * step), VERTEX_SPRING / step**2, VERTEX_IMPEDANCE
+            depth = max(VERTEX_DEPTH, VERTEX_SPEED * step)
+            spring = VERTEX_SPRING / step**2
+            share = VERTEX_IMPEDANCE
             model.geom_solref[vertex_geom_ids] = (-share * spring, -share * VERTEX_DASHPOT / step)
             model.geom_solimp[vertex_geom_ids] = (share, share, *SOLIMP[2:])
         else:
             time = CONTACT_TIME * step
-            depth, spring, share = CONTACT_DEPTH, 1 / time**2, SOLIMP[1]
+            depth = CONTACT_DEPTH
+            spring = 1 / time**2
+            share = SOLIMP[1]
             model.geom_solref[vertex_geom_ids] = model.flex_solref[flex_id] = (time, 1.0)
-        inertia = SURFACE_ARMATURE + sheet.thickness * sheet.density / sheet.pre_stretch**2  # kg/m^2
+        # kg/m^2
+        inertia = SURFACE_ARMATURE + sheet.thickness * sheet.density / sheet.pre_stretch**2
         slowed = 1 + step * SURFACE_DAMPING * sheet_stiffness(sheet) / inertia
         self._soft = share / (1 - share) * slowed * depth * spring / mesh.areas[mesh.interior]
 
     def set_pressure(self, pressure_gauge: float) -> None:
-        np.divide(self._soft, self._sheet_pressure + GAS_SHARE * abs(pressure_gauge), out=self._weights)
+        np.divide(
+            self._soft, self._sheet_pressure + GAS_SHARE * abs(pressure_gauge), out=self._weights
+        )
 
 
 def touch_with(model: mujoco.MjModel, vertex_geom_ids: np.ndarray, flex_id: int, mode: str) -> None:
-    """Let the membrane be touched at its "vertices", on its triangles ("elements"), or on "both"."""
+    """Let the membrane be touched at its "vertices", on its triangles ("elements"), or on
+    "both"."""
     model.geom_conaffinity[vertex_geom_ids] = ANYTHING * (mode != "elements")
     model.flex_conaffinity[flex_id] = ANYTHING * (mode != "vertices")
 
 
 def pre_stretch(model: mujoco.MjModel, flex_id: int, mesh: MembraneMesh, stretch: float) -> None:
-    """Shorten the flex's free edge lengths so that the mounted mesh is stretched by `stretch`; can be called again."""
-    start, count = int(model.flex_edgeadr[flex_id]), int(model.flex_edgenum[flex_id])
-    edges = np.asarray(model.flex_edge)[start:start + count]
+    """Shorten the flex's free edge lengths so that the mounted mesh is stretched by `stretch`; can
+    be called again."""
+    start = int(model.flex_edgeadr[flex_id])
+    count = int(model.flex_edgenum[flex_id])
+    edges = np.asarray(model.flex_edge)[start : start + count]
     mounted = np.linalg.norm(mesh.p_SV[edges[:, 1]] - mesh.p_SV[edges[:, 0]], axis=1)
-    model.flexedge_length0[start:start + count] = mounted / stretch
+    model.flexedge_length0[start : start + count] = mounted / stretch

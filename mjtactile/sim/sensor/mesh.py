@@ -1,4 +1,5 @@
-"""The membrane's triangle mesh, and the markers that ride on it. Geometry only; membrane.py makes a flex of it."""
+"""The membrane's triangle mesh, and the markers that ride on it. Geometry only; membrane.py makes a
+flex of it."""
 
 from __future__ import annotations
 
@@ -14,18 +15,21 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 
 GRADING = 0.0
-"""How much closer the vertices stand in the middle than on average; 0 is a uniform mesh. 0.25 brings the force of a sphere
-2-5 % nearer to the converged one at 13 x 11 vertices, but the coarser cells at the frame bend the markers' surface there, and
-what the cameras feel is then 10 % low (0: 1 %)."""
+"""How much closer the vertices stand in the middle than on average; 0 is a uniform mesh. 0.25
+brings the force of a sphere 2-5 % nearer to the converged one at 13 x 11 vertices, but the coarser
+cells at the frame bend the markers' surface there, and what the cameras feel is then 10 % low (0: 1
+%)."""
 
 
 @dataclass(frozen=True, eq=False)
 class MembraneMesh:
-    """Structured triangle mesh of the flat, mounted membrane; vertex (i, j) has index i * ny + j, x grows with i.
+    """Structured triangle mesh of the flat, mounted membrane; vertex (i, j) has index i * ny + j, x
+    grows with i.
 
-    `p_SV` (n, 3) m, `triangles` (m, 3) counter-clockwise seen from outside (+z), `interior` (k,) vertex indices that
-    move, `areas` (n,) m^2 of sheet that each vertex stands for. `knots` are the mesh's own coordinates of its rows and
-    columns: m for a rectangle; for a circle those of the square that is mapped to it (`to_square`).
+    `p_SV` (n, 3) m, `triangles` (m, 3) counter-clockwise seen from outside (+z), `interior` (k,)
+    vertex indices that move, `areas` (n,) m^2 of sheet that each vertex stands for. `knots` are the
+    mesh's own coordinates of its rows and columns: m for a rectangle; for a circle those of the
+    square that is mapped to it (`to_square`).
     """
 
     nx: int
@@ -53,7 +57,8 @@ class MembraneMesh:
 
     @cached_property
     def inverse_edges(self) -> Array:
-        """Inverse (m, 2, 2) 1/m of each flat triangle's two edges from its first corner (rows: edges, columns: x, y)."""
+        """Inverse (m, 2, 2) 1/m of each flat triangle's two edges from its first corner (rows:
+        edges, columns: x, y)."""
         corners = self.p_SV[self.triangles]
         return np.linalg.inv(corners[:, 1:, :2] - corners[:, :1, :2])
 
@@ -64,30 +69,48 @@ class MembraneMesh:
 
     @cached_property
     def spacing(self) -> float:
-        """Radius, m, of the disc that fits between the vertices in the middle half of the sheet (median of triangles)."""
+        """Radius, m, of the disc that fits between the vertices in the middle half of the sheet
+        (median of triangles)."""
         corners = self.p_SV[self.triangles]
-        middle = np.abs(corners.mean(axis=1)[:, :2] / np.abs(self.p_SV[:, :2]).max(axis=0)).max(axis=1) < 0.5
+        middle = (
+            np.abs(corners.mean(axis=1)[:, :2] / np.abs(self.p_SV[:, :2]).max(axis=0)).max(axis=1)
+            < 0.5
+        )
         edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
         return float(np.median(edges[middle].max(axis=1)) / 2)  # of a right triangle
 
 
-def make_mesh(length: float, width: float, nx: int, ny: int, *, shape: str = "rectangle",
-              grading: float = GRADING) -> MembraneMesh:
-    """Mesh a `length` x `width` m rectangle, or the circle of diameter `length`, with nx x ny vertices.
+def make_mesh(
+    length: float,
+    width: float,
+    nx: int,
+    ny: int,
+    *,
+    shape: str = "rectangle",
+    grading: float = GRADING,
+) -> MembraneMesh:
+    """Mesh a `length` x `width` m rectangle, or the circle of diameter `length`, with nx x ny
+    vertices.
 
-    Diagonals alternate, so that no direction is favoured; at the corners they are such that a circle's corner
-    triangles keep an angle. Raises InputError when a side has fewer than 5 vertices (the cubic marker interpolation
-    needs them) or more than 101 (a step would take seconds).
+    Diagonals alternate, so that no direction is favoured; at the corners they are such that a
+    circle's corner triangles keep an angle. Raises InputError when a side has fewer than 5 vertices
+    (the cubic marker interpolation needs them) or more than 101 (a step would take seconds).
     """
     for name, count in (("nx", nx), ("ny", ny)):
         if not 5 <= count <= 101:
-            raise InputError(f"{count} vertices along a side, need 5 to 101", source="mesh", field=name)
+            raise InputError(
+                f"{count} vertices along a side, need 5 to 101", source="mesh", field=name
+            )
     u, v = (_graded(count, grading) for count in (nx, ny))
     plane = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
     if shape == "circle":
-        plane, knots, radius = _to_disc(plane) * (length / 2), (u, v), length / 2
+        plane = _to_disc(plane) * (length / 2)
+        knots = (u, v)
+        radius = length / 2
     else:
-        plane, knots, radius = plane * (length / 2, width / 2), (u * length / 2, v * width / 2), 0.0
+        plane = plane * (length / 2, width / 2)
+        knots = (u * length / 2, v * width / 2)
+        radius = 0.0
     p_SV = np.column_stack([plane, np.zeros(nx * ny)])
     triangles = _triangles(nx, ny)
     a, b, c = p_SV[triangles].swapaxes(0, 1)
@@ -98,13 +121,17 @@ def make_mesh(length: float, width: float, nx: int, ny: int, *, shape: str = "re
 
 
 def to_square(disc: Array) -> Array:
-    """Map points (N, 2) of the unit disc to the square [-1, 1]^2: the inverse of x = u sqrt(1 - v^2/2), y likewise."""
+    """Map points (N, 2) of the unit disc to the square [-1, 1]^2: the inverse of x = u sqrt(1 -
+    v^2/2), y likewise."""
     x, y = disc.T
     root = np.sqrt(2.0)
 
     def along(first: Array, second: Array) -> Array:
         rest = 2 + first**2 - second**2
-        return 0.5 * (np.sqrt(np.maximum(rest + 2 * root * first, 0)) - np.sqrt(np.maximum(rest - 2 * root * first, 0)))
+        return 0.5 * (
+            np.sqrt(np.maximum(rest + 2 * root * first, 0))
+            - np.sqrt(np.maximum(rest - 2 * root * first, 0))
+        )
 
     return np.column_stack([along(x, y), along(y, x)])
 
@@ -115,14 +142,18 @@ def _to_disc(square: Array) -> Array:
 
 
 def _graded(count: int, grading: float) -> Array:
-    """`count` coordinates from -1 to 1, closer in the middle by a smooth map, which keeps the order of convergence."""
+    """`count` coordinates from -1 to 1, closer in the middle by a smooth map, which keeps the order
+    of convergence."""
     u = np.linspace(-1, 1, count)
     return (1 - grading) * u + grading * u**3
 
 
 def _triangles(nx: int, ny: int) -> NDArray[np.int64]:
     index = np.arange(nx * ny).reshape(nx, ny)
-    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    a = index[:-1, :-1]
+    b = index[1:, :-1]
+    c = index[1:, 1:]
+    d = index[:-1, 1:]
     rising = np.add.outer(np.arange(nx - 1), np.arange(ny - 1)) % 2 == 0  # the diagonal a-c
     rising[0, 0] = rising[-1, -1] = True
     rising[0, -1] = rising[-1, 0] = False
@@ -134,8 +165,9 @@ def _triangles(nx: int, ny: int) -> NDArray[np.int64]:
 class MarkerInterpolator:
     """Where the rigid marker circles ride on the deformed mesh.
 
-    Position and tangents come from a tensor-product cubic spline (not-a-knot) through the vertices, over the mesh's own
-    coordinates, a fixed linear operator: the normals are smooth, where the facets' own would jump between triangles.
+    Position and tangents come from a tensor-product cubic spline (not-a-knot) through the vertices,
+    over the mesh's own coordinates, a fixed linear operator: the normals are smooth, where the
+    facets' own would jump between triangles.
     """
 
     def __init__(self, mesh: MembraneMesh, p_SM: Array):
@@ -147,10 +179,13 @@ class MarkerInterpolator:
         def tensor(rows_x: Array, rows_y: Array) -> Array:
             return (rows_x[:, :, None] * rows_y[:, None, :]).reshape(len(p_SM), -1)
 
-        self._operator = np.concatenate([tensor(value_x, value_y), tensor(slope_x, value_y), tensor(value_x, slope_y)])
+        self._operator = np.concatenate(
+            [tensor(value_x, value_y), tensor(slope_x, value_y), tensor(value_x, slope_y)]
+        )
 
     def marker_poses(self, p_SV: Array) -> tuple[Array, Array]:
-        """Return centres `p_SM` (N, 3) m and outward unit normals `n_S` (N, 3) for vertex positions `p_SV` (n, 3)."""
+        """Return centres `p_SM` (N, 3) m and outward unit normals `n_S` (N, 3) for vertex positions
+        `p_SV` (n, 3)."""
         p_SM, along_x, along_y = (self._operator @ p_SV).reshape(3, -1, 3)
         normal = geometry.cross(along_x, along_y)
         return p_SM, normal / np.linalg.norm(normal, axis=1, keepdims=True)

@@ -1,8 +1,9 @@
 """Neo-Hookean rubber in MuJoCo's flex, which knows no law but St. Venant-Kirchhoff's.
 
-In a plane, a neo-Hookean sheet's stress is S = 2 mu' E + lambda' tr(E) I, St. Venant-Kirchhoff's form, with moduli mu', lambda'
-that depend on the strain E (docs/equations.md, Eq. F4). Every triangle gets its own before every step: its force is then the
-law's, without error, and the stiffness that the step is implicit in is the secant, which rubber's tangent stays below.
+In a plane, a neo-Hookean sheet's stress is S = 2 mu' E + lambda' tr(E) I, St. Venant-Kirchhoff's
+form, with moduli mu', lambda' that depend on the strain E (docs/equations.md, Eq. F4). Every
+triangle gets its own before every step: its force is then the law's, without error, and the
+stiffness that the step is implicit in is the secant, which rubber's tangent stays below.
 """
 
 from __future__ import annotations
@@ -17,36 +18,45 @@ from mjtactile.kernels import bound
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
 _ROW = 21
-"""Numbers of a triangle in `flex_stiffness`; the first six are its matrix's upper triangle, row by row."""
+"""Numbers of a triangle in `flex_stiffness`; the first six are its matrix's upper triangle, row by
+row."""
 _UPPER = np.triu_indices(3)
-_LEAST, _MOST = -0.5, 3.0  # lambda' in mu' and in the unstrained one: where tr E vanishes and E does not, it has no limit
+# lambda' in mu' and in the unstrained one: where tr E vanishes and E does not, it has no limit
+_LEAST = -0.5
+_MOST = 3.0
 
 
 class EdgeMatrices:
-    """A flex's triangles as MuJoCo sees them: by the squared lengths of their edges, in `flex_elemedge`'s order.
+    """A flex's triangles as MuJoCo sees them: by the squared lengths of their edges, in
+    `flex_elemedge`'s order.
 
-    `ends` (e, 2) vertices of each edge, `edges` (m, 3) those of each triangle, `metric` (m, 3, 3): squared lengths to C_xx,
-    C_yy, C_xy of the *mounted* sheet.
+    `ends` (e, 2) vertices of each edge, `edges` (m, 3) those of each triangle, `metric` (m, 3, 3):
+    squared lengths to C_xx, C_yy, C_xy of the *mounted* sheet.
     """
 
     def __init__(self, model: mujoco.MjModel, flex_id: int, mesh: MembraneMesh):
-        start, count = int(model.flex_edgeadr[flex_id]), int(model.flex_edgenum[flex_id])
-        self.ends = np.asarray(model.flex_edge)[start:start + count].copy()
-        first, count = int(model.flex_elemedgeadr[flex_id]), 3 * int(model.flex_elemnum[flex_id])
-        self.edges = np.asarray(model.flex_elemedge)[first:first + count].reshape(-1, 3).copy()
-        x, y = np.moveaxis((mesh.p_SV[self.ends[:, 1]] - mesh.p_SV[self.ends[:, 0]])[self.edges], -1, 0)[:2]
+        start = int(model.flex_edgeadr[flex_id])
+        count = int(model.flex_edgenum[flex_id])
+        self.ends = np.asarray(model.flex_edge)[start : start + count].copy()
+        first = int(model.flex_elemedgeadr[flex_id])
+        count = 3 * int(model.flex_elemnum[flex_id])
+        self.edges = np.asarray(model.flex_elemedge)[first : first + count].reshape(-1, 3).copy()
+        x, y = np.moveaxis(
+            (mesh.p_SV[self.ends[:, 1]] - mesh.p_SV[self.ends[:, 0]])[self.edges], -1, 0
+        )[:2]
         self.metric = np.linalg.inv(np.stack([x * x, y * y, 2 * x * y], axis=-1))
 
 
 def stiffness_rows(model: mujoco.MjModel, flex_id: int) -> Array:
-    """A live view (m, 6) of the flex's stiffness: what (m, 3) squared edge lengths beyond the free ones turn into force over
-    length of the edges, N/m."""
+    """A live view (m, 6) of the flex's stiffness: what (m, 3) squared edge lengths beyond the free
+    ones turn into force over length of the edges, N/m."""
     return _all_rows(model, flex_id)[:, :6]
 
 
 def _all_rows(model: mujoco.MjModel, flex_id: int) -> Array:
-    start, count = int(model.flex_stiffnessadr[flex_id]), int(model.flex_elemnum[flex_id])
-    return np.asarray(model.flex_stiffness)[start:start + _ROW * count].reshape(count, _ROW)
+    start = int(model.flex_stiffnessadr[flex_id])
+    count = int(model.flex_elemnum[flex_id])
+    return np.asarray(model.flex_stiffness)[start : start + _ROW * count].reshape(count, _ROW)
 
 
 class Rubber:
@@ -56,22 +66,38 @@ class Rubber:
         elements = EdgeMatrices(model, flex_id, mesh)
         mu = shear_modulus(sheet.young, sheet.poisson)
         unstrained = 2 * mu * sheet.poisson / (1 - sheet.poisson)  # lambda' of no strain
-        # E = (C - I)/2; the sheet's energy is that of its free volume, but MuJoCo's strain is 1/l^2 of E (see add_membrane).
+        # E = (C - I)/2; the sheet's energy is that of its free volume, but MuJoCo's strain is 1/l^2
+        # of E (see add_membrane).
         volume = mesh.triangle_areas * sheet.thickness * sheet.pre_stretch**2 / 2
         trace = elements.metric[:, 0] + elements.metric[:, 1]
         shear = elements.metric.transpose(0, 2, 1) @ np.diag([2.0, 2.0, 4.0]) @ elements.metric
-        by_lambda, by_mu = (np.ascontiguousarray(volume[:, None] * full[:, _UPPER[0], _UPPER[1]])
-                            for full in (trace[:, :, None] * trace[:, None, :], shear))
+        by_lambda, by_mu = (
+            np.ascontiguousarray(volume[:, None] * full[:, _UPPER[0], _UPPER[1]])
+            for full in (trace[:, :, None] * trace[:, None, :], shear)
+        )
         self._p_SV = mesh.p_SV.copy()
-        edges, ends = elements.edges.astype(np.int64), elements.ends.astype(np.int64)
-        self._write = bound("rubber_stiffness", len(edges), edges, ends, self._p_SV,
-                            elements.metric * sheet.pre_stretch**2,  # squared lengths to C against the free sheet
-                            np.array([mu, sheet.poisson, unstrained, _LEAST, _MOST]), by_mu, by_lambda, _all_rows(model, flex_id))
+        edges = elements.edges.astype(np.int64)
+        ends = elements.ends.astype(np.int64)
+        self._write = bound(
+            "rubber_stiffness",
+            len(edges),
+            edges,
+            ends,
+            self._p_SV,
+            # squared lengths to C against the free sheet
+            elements.metric * sheet.pre_stretch**2,
+            np.array([mu, sheet.poisson, unstrained, _LEAST, _MOST]),
+            by_mu,
+            by_lambda,
+            _all_rows(model, flex_id),
+        )
 
     def update(self, p_SV: Array) -> None:
-        """Write the stiffness of the strain that the vertices at `p_SV` (n, 3) m mean; call before every step.
+        """Write the stiffness of the strain that the vertices at `p_SV` (n, 3) m mean; call before
+        every step.
 
-        Of each triangle: secant moduli mu', lambda', times what turns them into MuJoCo's matrix (mjtactile/kernels/membrane.c).
+        Of each triangle: secant moduli mu', lambda', times what turns them into MuJoCo's matrix
+        (mjtactile/kernels/membrane.c).
         """
         self._p_SV[:] = p_SV
         self._write()

@@ -1,4 +1,5 @@
-"""`TactileSensor`: one attached sensor at run time. Call `update` before every `mj_step`; read markers and pressure."""
+"""`TactileSensor`: one attached sensor at run time. Call `update` before every `mj_step`; read
+markers and pressure."""
 
 from __future__ import annotations
 
@@ -29,48 +30,90 @@ GLASS_MARGIN = 0.02
 class TactileSensor:
     """Runtime of one sensor in a compiled model: gas, valve, marker poses.
 
-    Positions are in the sensor's frame S, in m; pressures in Pa above ambient; volumes in m^3. The valve starts open
-    to a supply at 0 Pa, so that the membrane starts, and stays, flat.
+    Positions are in the sensor's frame S, in m; pressures in Pa above ambient; volumes in m^3. The
+    valve starts open to a supply at 0 Pa, so that the membrane starts, and stays, flat.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, design: SensorDesign, mesh: MembraneMesh,
-                 prefix: str, contact: str = "auto", effects: frozenset[str] = PHYSICS):
-        """`contact`: what of the membrane touches, "vertices", "elements", "both", or "auto" by the scene's smallest feature."""
-        self.design, self.mesh, self.prefix = design, mesh, prefix
-        self._data, self._timestep = data, float(model.opt.timestep)
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        design: SensorDesign,
+        mesh: MembraneMesh,
+        prefix: str,
+        contact: str = "auto",
+        effects: frozenset[str] = PHYSICS,
+    ):
+        """`contact`: what of the membrane touches, "vertices", "elements", "both", or "auto" by the
+        scene's smallest feature."""
+        self.design = design
+        self.mesh = mesh
+        self.prefix = prefix
+        self._data = data
+        self._timestep = float(model.opt.timestep)
         self.flex_id = _require(model, mujoco.mjtObj.mjOBJ_FLEX, prefix + FLEX)
         self.body_id = _require(model, mujoco.mjtObj.mjOBJ_BODY, prefix + "sensor")
         names = [f"{prefix}v{v}" for v in mesh.interior]
-        self.vertex_geom_ids = np.array([_require(model, mujoco.mjtObj.mjOBJ_GEOM, name) for name in names])
-        self.contact_ids = np.array([self.vertex_geom_ids[0], self.vertex_geom_ids[-1], self.flex_id])
-        """What is the membrane's in a contact: from the first to the last of its spheres, which are one block, and its flex."""
+        self.vertex_geom_ids = np.array(
+            [_require(model, mujoco.mjtObj.mjOBJ_GEOM, name) for name in names]
+        )
+        self.contact_ids = np.array(
+            [self.vertex_geom_ids[0], self.vertex_geom_ids[-1], self.flex_id]
+        )
+        """What is the membrane's in a contact: from the first to the last of its spheres, which are
+        one block, and its flex."""
         pre_stretch(model, self.flex_id, mesh, design.membrane.pre_stretch)
-        model.flex_damping[self.flex_id] = 0.0  # a trace is needed to compile without a warning, none to simulate
+        # a trace is needed to compile without a warning, none to simulate
+        model.flex_damping[self.flex_id] = 0.0
         self.contact = features.contact_model(model, mesh) if contact == "auto" else contact
         touch_with(model, self.vertex_geom_ids, self.flex_id, self.contact)
-        self._contact_stiffness = ContactStiffness(model, self.vertex_geom_ids, self.flex_id, mesh, design.membrane,
-                                                   remembers=self.contact == "vertices")
-        self._margins = model.geom_margin[self.vertex_geom_ids[0]:self.vertex_geom_ids[-1] + 1]  # a live view
+        self._contact_stiffness = ContactStiffness(
+            model,
+            self.vertex_geom_ids,
+            self.flex_id,
+            mesh,
+            design.membrane,
+            remembers=self.contact == "vertices",
+        )
+        # a live view
+        self._margins = model.geom_margin[self.vertex_geom_ids[0] : self.vertex_geom_ids[-1] + 1]
         self._stand_off = StandOff(model, data, self.vertex_geom_ids, mesh)
-        sheet, on_vertices = design.membrane, self.contact == "vertices"
-        self._points = (ContactPoints(model, data, self.vertex_geom_ids, self.body_id, mesh, sheet.young * sheet.thickness)
-                        if on_vertices else None)
-        self._stiction = Stiction(model, data, self.vertex_geom_ids, self.body_id) if on_vertices else None
-        self._rubber = Rubber(model, self.flex_id, mesh, sheet) if sheet.law is Law.NEO_HOOKEAN else None
+        sheet = design.membrane
+        on_vertices = self.contact == "vertices"
+        self._points = (
+            ContactPoints(
+                model, data, self.vertex_geom_ids, self.body_id, mesh, sheet.young * sheet.thickness
+            )
+            if on_vertices
+            else None
+        )
+        self._stiction = (
+            Stiction(model, data, self.vertex_geom_ids, self.body_id) if on_vertices else None
+        )
+        self._rubber = (
+            Rubber(model, self.flex_id, mesh, sheet) if sheet.law is Law.NEO_HOOKEAN else None
+        )
         self._turning = Turning(model, data, self.body_id, self.flex_id, mesh)
         self._tendon = make_load(model, data, mesh, prefix, effects)
-        self._p_SV, self._flat = mesh.p_SV.copy(), mesh.p_SV[mesh.interior].ravel()  # rooms for every step
+        # rooms for every step
+        self._p_SV = mesh.p_SV.copy()
+        self._flat = mesh.p_SV[mesh.interior].ravel()
         self._moved = np.empty_like(self._flat)
         self._geometry = make_geometry(mesh, design.chamber_volume_flat, effects)
         self._markers = MarkerInterpolator(mesh, design.markers.p_SM)
-        self._gas, self._time = make_gas(design.chamber, effects), float(data.time)
-        self._sleeper = Sleeper(model, data, mesh, self._tendon, self.flex_id, self.body_id, self.vertex_geom_ids)
+        self._gas = make_gas(design.chamber, effects)
+        self._time = float(data.time)
+        self._sleeper = Sleeper(
+            model, data, mesh, self._tendon, self.flex_id, self.body_id, self.vertex_geom_ids
+        )
         self.sleepy = True
-        """Whether the sensor may fall asleep while nothing is near it and nothing moves (sleep.py)."""
+        """Whether the sensor may fall asleep while nothing is near it and nothing moves
+        (sleep.py)."""
         self._follow()
 
     def update(self) -> None:
-        """Bring gas volume, pressure and stiffness up to the present state; call before every `mj_step`.
+        """Bring gas volume, pressure and stiffness up to the present state; call before every
+        `mj_step`.
 
         Asleep, it only looks whether anything is near.
         """
@@ -89,7 +132,8 @@ class TactileSensor:
         return self._sleeper.asleep
 
     def wake(self) -> None:
-        """Go on from where the sensor fell asleep; needed by hand only after a change of the model's own numbers."""
+        """Go on from where the sensor fell asleep; needed by hand only after a change of the
+        model's own numbers."""
         self._sleeper.stay_awake()
         if self._sleeper.asleep:
             self._sleeper.wake()
@@ -103,7 +147,8 @@ class TactileSensor:
         self._volume, gradient = self._geometry.volume_and_gradient(p_SV)
         time = float(self._data.time)
         self._gas.advance(self._volume, time - self._time)
-        self._time, pressure = time, self._gas.pressure_gauge
+        self._time = time
+        pressure = self._gas.pressure_gauge
         self._tendon.apply(pressure, self._gas.stiffness(self._timestep), gradient)
         self._contact_stiffness.set_pressure(pressure)
         if self._rubber:
@@ -124,7 +169,8 @@ class TactileSensor:
 
     @property
     def p_SV(self) -> Array:
-        """Vertex positions (n, 3) m in S, rim included, now (not one step old like `flexvert_xpos`)."""
+        """Vertex positions (n, 3) m in S, rim included, now (not one step old like
+        `flexvert_xpos`)."""
         p_SV = self.mesh.p_SV.copy()
         p_SV[self.mesh.interior] = (self._flat + self._tendon.displacements).reshape(-1, 3)
         return p_SV
@@ -136,17 +182,24 @@ class TactileSensor:
 
     @property
     def displacements(self) -> Array:
-        """Displacements of the interior vertices from the flat sheet, (3 k,) m in S, now; a copy."""
+        """Displacements of the interior vertices from the flat sheet, (3 k,) m in S, now; a
+        copy."""
         return self._tendon.displacements.copy()
 
     def penetrations(self, rows: NDArray[np.int64]) -> Array:
-        """How deep (n,) m what touches has sunk in, in the contacts `rows` of MuJoCo's list, which are this sensor's."""
-        contact, first = self._data.contact, int(self.vertex_geom_ids[0])
+        """How deep (n,) m what touches has sunk in, in the contacts `rows` of MuJoCo's list, which
+        are this sensor's."""
+        contact = self._data.contact
+        first = int(self.vertex_geom_ids[0])
         pairs = contact.geom[rows]
         mine = (pairs >= first) & (pairs <= self.vertex_geom_ids[-1])
         vertices = np.where(mine[:, 1], pairs[:, 1], pairs[:, 0]) - first
         on_vertex = mine.any(axis=1)  # else on a triangle
-        margins = np.where(on_vertex, self._stand_off.margins[np.where(on_vertex, vertices, 0)], contact.includemargin[rows])
+        margins = np.where(
+            on_vertex,
+            self._stand_off.margins[np.where(on_vertex, vertices, 0)],
+            contact.includemargin[rows],
+        )
         return margins - contact.dist[rows]
 
     @property
@@ -155,7 +208,8 @@ class TactileSensor:
         return np.arange(self._tendon.dofs.start, self._tendon.dofs.stop)
 
     def marker_poses(self) -> tuple[Array, Array]:
-        """Marker centres `p_SM` (N, 3) m and outward unit normals `n_S` (N, 3), in the order of the design's layout."""
+        """Marker centres `p_SM` (N, 3) m and outward unit normals `n_S` (N, 3), in the order of the
+        design's layout."""
         return self._markers.marker_poses(self.p_SV)
 
     def marker_poses_before(self, seconds: float) -> tuple[Array, Array]:
@@ -166,34 +220,49 @@ class TactileSensor:
         return self._markers.marker_poses(p_SV)
 
     def height_at(self, x: float, y: float) -> float:
-        """Height, m, of the material point (x, y) of the flat sheet, from the spline that carries the markers."""
-        return float(MarkerInterpolator(self.mesh, np.array([[x, y, 0.0]])).marker_poses(self.p_SV)[0][0, 2])
+        """Height, m, of the material point (x, y) of the flat sheet, from the spline that carries
+        the markers."""
+        return float(
+            MarkerInterpolator(self.mesh, np.array([[x, y, 0.0]])).marker_poses(self.p_SV)[0][0, 2]
+        )
 
     def stretch_and_area(self) -> tuple[float, float]:
-        """Largest principal stretch against the free sheet over all triangles, and the membrane's area, m^2."""
+        """Largest principal stretch against the free sheet over all triangles, and the membrane's
+        area, m^2."""
         stretches, areas = self.stretches()
         return float(stretches.max()), float(areas.sum())
 
     def stretches(self) -> tuple[Array, Array]:
-        """Principal stretches (m, 2), small and large, of each triangle against the free sheet, and its area (m,) m^2."""
+        """Principal stretches (m, 2), small and large, of each triangle against the free sheet, and
+        its area (m,) m^2."""
         now = self.p_SV[self.mesh.triangles]
         moved = now[:, 1:] - now[:, :1]
         F = self.mesh.inverse_edges @ moved  # rows: dx/dX and dx/dY, (m, 2, 3)
         xx, yy, xy = (np.einsum("ki,ki->k", F[:, i], F[:, j]) for i, j in ((0, 0), (1, 1), (0, 1)))
-        mean, spread = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
+        mean = (xx + yy) / 2
+        spread = np.hypot((xx - yy) / 2, xy)
         squares = np.maximum(np.stack([mean - spread, mean + spread], axis=1), 0.0)
         area = np.sqrt(np.maximum(xx * yy - xy * xy, 0.0)) * self.mesh.triangle_areas
         return self.design.membrane.pre_stretch * np.sqrt(squares), area
 
     def tensions(self) -> Array:
-        """Tension (n,) N/m of the sheet at its vertices, not negative: the geometric mean of its principal ones."""
-        sheet, triangles = self.design.membrane, self.mesh.triangles.ravel()
+        """Tension (n,) N/m of the sheet at its vertices, not negative: the geometric mean of its
+        principal ones."""
+        sheet = self.design.membrane
+        triangles = self.mesh.triangles.ravel()
         stretches = np.maximum(self.stretches()[0], 0.1)
         stresses = principal_stresses(stretches, sheet.young, sheet.poisson, sheet.law)
-        along = sheet.thickness * np.maximum(stresses, 0.0) * stretches**2 / stretches.prod(axis=1, keepdims=True)
+        along = (
+            sheet.thickness
+            * np.maximum(stresses, 0.0)
+            * stretches**2
+            / stretches.prod(axis=1, keepdims=True)
+        )
         mean = np.sqrt(along.prod(axis=1))
         count = len(self.mesh.p_SV)
-        return np.bincount(triangles, np.repeat(mean, 3), count) / np.bincount(triangles, minlength=count)
+        return np.bincount(triangles, np.repeat(mean, 3), count) / np.bincount(
+            triangles, minlength=count
+        )
 
     @property
     def pressure_gauge(self) -> float:
@@ -230,8 +299,8 @@ class TactileSensor:
         self._gas.close()
 
     def inflate(self, displacements: Array, pressure_gauge: float) -> None:
-        """Put the vertices at `displacements` (3 k,) m in S, at rest, and seal the chamber at `pressure_gauge` Pa: the state
-        that another run time of this sensor has settled in."""
+        """Put the vertices at `displacements` (3 k,) m in S, at rest, and seal the chamber at
+        `pressure_gauge` Pa: the state that another run time of this sensor has settled in."""
         self.wake()
         self._tendon.displacements[:] = displacements
         self._data.qvel[self._tendon.dofs] = 0.0
@@ -258,23 +327,37 @@ class TactileSensor:
         if self.is_asleep:
             return None
         moved = self._tendon.displacements
-        depth, most = self.design.chamber.depth, max(moved.max(), -moved.min())
+        depth = self.design.chamber.depth
+        most = max(moved.max(), -moved.min())
         if most > (1 - GLASS_MARGIN) * depth and moved[2::3].min() < -(1 - GLASS_MARGIN) * depth:
-            return f"sensor {self.prefix!r}: the membrane is pushed against the glass ({depth * 1e3:g} mm deep)"
+            return (
+                f"sensor {self.prefix!r}: the membrane is pushed against the glass "
+                f"({depth * 1e3:g} mm deep)"
+            )
         if self._volume <= 0:
             return f"sensor {self.prefix!r}: the chamber has no volume left"
         reach = 2 * max(self.design.frame.length, self.design.frame.width)
         if most > reach:
             pressure = self.pressure_gauge
-            bursts = self.design.membrane.law is Law.NEO_HOOKEAN and np.isnan(theory.bulge_height(self.design, pressure))
-            return (f"sensor {self.prefix!r}: the membrane has moved by more than {reach * 1e3:g} mm"
-                    f"{f'; rubber like this may not hold {1e-3 * pressure:.3g} kPa' if bursts else ''}")
+            bursts = self.design.membrane.law is Law.NEO_HOOKEAN and np.isnan(
+                theory.bulge_height(self.design, pressure)
+            )
+            return (
+                f"sensor {self.prefix!r}: the membrane has moved "
+                f"by more than {reach * 1e3:g} mm"
+                f"{f'; rubber like this may not hold {1e-3 * pressure:.3g} kPa' if bursts else ''}"
+            )
         return None
 
 
 def _require(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
     found = mujoco.mj_name2id(model, kind, name)
     if found < 0:
-        raise InputError(f"the model has no {kind.name.removeprefix('mjOBJ_').lower()} {name!r}; was it compiled from "
-                         "the spec that the sensor was attached to?", source="bind", field="model")
+        raise InputError(
+            f"the model has no {kind.name.removeprefix('mjOBJ_').lower()} {name!r}; was it "
+            "compiled from "
+            "the spec that the sensor was attached to?",
+            source="bind",
+            field="model",
+        )
     return found

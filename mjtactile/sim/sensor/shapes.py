@@ -1,7 +1,8 @@
-"""Where straight lines enter geoms: how high what may touch stands over many points of a sheet, at once.
+"""Where straight lines enter geoms: how high what may touch stands over many points of a sheet, at
+once.
 
-A geom is a polytope (a box, the hull of a mesh), an ellipsoid (a sphere), a cylinder, or a capsule. MuJoCo's own rays are
-one point a call; tests compare with them.
+A geom is a polytope (a box, the hull of a mesh), an ellipsoid (a sphere), a cylinder, or a capsule.
+MuJoCo's own rays are one point a call; tests compare with them.
 """
 
 from __future__ import annotations
@@ -18,16 +19,20 @@ MOST_FACES = 400
 MISSED = np.inf
 _TINY = 1e-12
 _BOX, _SPHERE, _ELLIPSOID, _CYLINDER, _CAPSULE, _MESH = (
-    int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}")) for name in ("BOX", "SPHERE", "ELLIPSOID", "CYLINDER", "CAPSULE", "MESH"))
+    int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}"))
+    for name in ("BOX", "SPHERE", "ELLIPSOID", "CYLINDER", "CAPSULE", "MESH")
+)
 
 Entry = Callable[[Array, Array], Array]
-"""Of points (n, 3) m and unit directions (n, 3), in the geom's frame: signed distances (n,) m along the lines to where they
-enter the geom, `MISSED` where they do not."""
+"""Of points (n, 3) m and unit directions (n, 3), in the geom's frame: signed distances (n,) m along
+the lines to where they enter the geom, `MISSED` where they do not."""
 
 
 def entry_of(model: mujoco.MjModel, geom: int) -> Entry | None:
-    """How lines enter a geom, or None for a kind that is not known (a plane, a height field) or a hull of too many faces."""
-    kind, size = int(model.geom_type[geom]), np.asarray(model.geom_size[geom], float).copy()
+    """How lines enter a geom, or None for a kind that is not known (a plane, a height field) or a
+    hull of too many faces."""
+    kind = int(model.geom_type[geom])
+    size = np.asarray(model.geom_size[geom], float).copy()
     if kind == _BOX:
         return _polytope(np.vstack([np.eye(3), -np.eye(3)]), np.tile(size, 2))
     if kind in (_SPHERE, _ELLIPSOID):
@@ -69,8 +74,12 @@ def _ellipsoid(size: Array) -> Entry:
 
 
 def _roots(points: Array, directions: Array) -> tuple[Array, Array]:
-    """Where lines enter and leave the unit sphere, or the unit circle; `MISSED`, -`MISSED` where they do not."""
-    a, b, c = ((p * q).sum(axis=1) for p, q in ((directions, directions), (points, directions), (points, points)))
+    """Where lines enter and leave the unit sphere, or the unit circle; `MISSED`, -`MISSED` where
+    they do not."""
+    a, b, c = (
+        (p * q).sum(axis=1)
+        for p, q in ((directions, directions), (points, directions), (points, points))
+    )
     root = b * b - a * (c - 1)
     hit = (root > 0) & (a > _TINY)
     reach = np.sqrt(np.where(hit, root, 0.0))
@@ -80,11 +89,14 @@ def _roots(points: Array, directions: Array) -> tuple[Array, Array]:
 
 def _cylinder(radius: float, half: float) -> Entry:
     def entry(points: Array, directions: Array) -> Array:
-        plane, slope = points[:, :2] / radius, directions[:, :2] / radius
+        plane = points[:, :2] / radius
+        slope = directions[:, :2] / radius
         enters, leaves = _roots(plane, slope)
-        axial = (slope * slope).sum(axis=1) <= _TINY  # along the axis: all of the way inside, or none
+        # along the axis: all of the way inside, or none
+        axial = (slope * slope).sum(axis=1) <= _TINY
         inside = axial & ((plane * plane).sum(axis=1) < 1)
-        enters, leaves = np.where(inside, -np.inf, enters), np.where(inside, np.inf, leaves)
+        enters = np.where(inside, -np.inf, enters)
+        leaves = np.where(inside, np.inf, leaves)
         first, last = _slab(points[:, 2], directions[:, 2], half)
         return _between(np.maximum(enters, first), np.minimum(leaves, last))
 
@@ -93,15 +105,19 @@ def _cylinder(radius: float, half: float) -> Entry:
 
 def _slab(heights: Array, slopes: Array, half: float) -> tuple[Array, Array]:
     """Where lines enter and leave the slab of +-`half` m."""
-    level, inside = np.abs(slopes) <= _TINY, np.abs(heights) < half
+    level = np.abs(slopes) <= _TINY
+    inside = np.abs(heights) < half
     slope = np.where(level, 1.0, slopes)
-    middle, reach = -heights / slope, half / np.abs(slope)
-    enters, leaves = np.where(inside, -np.inf, MISSED), np.where(inside, np.inf, -MISSED)
+    middle = -heights / slope
+    reach = half / np.abs(slope)
+    enters = np.where(inside, -np.inf, MISSED)
+    leaves = np.where(inside, np.inf, -MISSED)
     return np.where(level, enters, middle - reach), np.where(level, leaves, middle + reach)
 
 
 def _capsule(radius: float, half: float) -> Entry:
-    side, ball = _cylinder(radius, half), _ellipsoid(np.full(3, radius))
+    side = _cylinder(radius, half)
+    ball = _ellipsoid(np.full(3, radius))
     shift = np.array([0.0, 0.0, half])
 
     def entry(points: Array, directions: Array) -> Array:
@@ -115,7 +131,7 @@ def _hull(model: mujoco.MjModel, mesh: int) -> Entry | None:
     from scipy.spatial import ConvexHull, QhullError
 
     first = int(model.mesh_vertadr[mesh])
-    vertices = np.asarray(model.mesh_vert[first:first + model.mesh_vertnum[mesh]], float)
+    vertices = np.asarray(model.mesh_vert[first : first + model.mesh_vertnum[mesh]], float)
     try:
         planes = np.unique(ConvexHull(vertices).equations.round(6), axis=0)
     except QhullError:  # flat

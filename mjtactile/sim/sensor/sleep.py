@@ -1,9 +1,11 @@
-"""Sleep of a sensor that touches nothing: its membrane is taken out of the solve, and put back exactly as it was.
+"""Sleep of a sensor that touches nothing: its membrane is taken out of the solve, and put back
+exactly as it was.
 
-MuJoCo's own sleep takes whole kinematic trees; a sensor shares its tree with the finger that carries it, and its gas is a
-force from outside, so it would never sleep. Here the sheet is declared rigid, the gas tendon loses its joints and every
-vertex is held where it is by a spring of its own, which couples nothing: 0.04 ms a step instead of 0.25. What is left out is
-the sheet's own inertia and weight, whose changes therefore wake it.
+MuJoCo's own sleep takes whole kinematic trees; a sensor shares its tree with the finger that
+carries it, and its gas is a force from outside, so it would never sleep. Here the sheet is declared
+rigid, the gas tendon loses its joints and every vertex is held where it is by a spring of its own,
+which couples nothing: 0.04 ms a step instead of 0.25. What is left out is the sheet's own inertia
+and weight, whose changes therefore wake it.
 """
 
 from __future__ import annotations
@@ -19,49 +21,78 @@ from mjtactile.sim.sensor.mesh import MembraneMesh
 
 NEAR = 5e-3
 """Distance, m, of anything that may touch at which a sensor wakes: a step of 4 ms at 1 m/s."""
-STILL, LEAST = 1e-4, 1e-9
-"""What vertices may move by between two looks, as a share of the largest displacement, and at least, m. Shapes settle within
-10 ms, so that after three such looks less than a tenth of it is left to go."""
-SHAKEN = 0.5  # m/s^2: change of weight or acceleration of the frame that wakes; the sheet follows by about 0.5 um
+STILL = 1e-4
+LEAST = 1e-9
+"""What vertices may move by between two looks, as a share of the largest displacement, and at
+least, m. Shapes settle within 10 ms, so that after three such looks less than a tenth of it is left
+to go."""
+# m/s^2: change of weight or acceleration of the frame that wakes; the sheet follows by about 0.5 um
+SHAKEN = 0.5
 _TURNING = 0.1  # rad/s of the frame
-_LOOK, _TIMES = 0.01, 3  # s between two looks at an awake sensor; how many of them in a row must find it still
+# s between two looks at an awake sensor; how many of them in a row must find it still
+_LOOK = 0.01
+_TIMES = 3
 _HOLD = 0.1  # s that a woken sensor stays awake
 _BULGED = 1.2  # distances between vertices of an inflated sheet, against the flat one's
 _STIFFNESS = 1e5  # N/m a vertex: its weight moves it by less than 1 nm
 
 
 class Sleeper:
-    """Puts one sensor's membrane to sleep and wakes it. `load` is what carries the pressure (switches.make_load)."""
+    """Puts one sensor's membrane to sleep and wakes it. `load` is what carries the pressure
+    (switches.make_load)."""
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, mesh: MembraneMesh, load: Any, flex_id: int, body_id: int,
-                 vertex_geoms: np.ndarray):
-        self._model, self._data, self._load, self._flex, self._body = model, data, load, flex_id, body_id
-        self._first, self._last = int(vertex_geoms[0]), int(vertex_geoms[-1])
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        mesh: MembraneMesh,
+        load: Any,
+        flex_id: int,
+        body_id: int,
+        vertex_geoms: np.ndarray,
+    ):
+        self._model = model
+        self._data = data
+        self._load = load
+        self._flex = flex_id
+        self._body = body_id
+        self._first = int(vertex_geoms[0])
+        self._last = int(vertex_geoms[-1])
         self._geoms = slice(self._first, self._last + 1)
         bodies = model.geom_bodyid[vertex_geoms]
         self._bodies = slice(int(bodies[0]), int(bodies[-1]) + 1)
-        sample = np.arange(len(bodies)).reshape(mesh.nx - 2, mesh.ny - 2)[1::3, 1::3].ravel()  # a ninth of the vertices
+        # a ninth of the vertices
+        sample = np.arange(len(bodies)).reshape(mesh.nx - 2, mesh.ny - 2)[1::3, 1::3].ravel()
         p_SV = mesh.p_SV[mesh.interior]
         between = np.linalg.norm(p_SV[:, None] - p_SV[sample], axis=2).min(axis=1).max()
-        self._sample, self._reach = self._first + sample, NEAR + _BULGED * float(between)
+        self._sample = self._first + sample
+        self._reach = NEAR + _BULGED * float(between)
         self._pushes = data.xfrc_applied[self._bodies]  # a live view: the vertices are one block
         joint = int(model.body_jntadr[bodies[0]])
         self._joints = slice(joint, joint + 3 * len(mesh.interior))
         place = int(model.jnt_qposadr[joint])
-        self._springs = model.qpos_spring[place:place + 3 * len(mesh.interior)]
+        self._springs = model.qpos_spring[place : place + 3 * len(mesh.interior)]
         self._velocity: list[float] = data.cvel[body_id].tolist()
-        self._weight, self._kept = [np.nan] * 3, tuple[Array, ...]()
+        self._weight = [np.nan] * 3
+        self._kept = tuple[Array, ...]()
         self._before: Array = np.full_like(load.displacements, np.nan)
-        self._time, self._calm = float(data.time), 0
+        self._time = float(data.time)
+        self._calm = 0
         self._after = -np.inf
         self.asleep = False
         self._undo()
 
     def wakes(self) -> bool:
-        """Whether a sleeping sensor is disturbed by what is near, by its frame's motion, or by hand. For every step."""
+        """Whether a sleeping sensor is disturbed by what is near, by its frame's motion, or by
+        hand. For every step."""
         data = self._data
-        return bool(self._is_near() or self._is_moved() or self._pushes.any() or not self._time <= data.time
-                    or np.abs(self._load.displacements - self._springs).max() > 1e-6)
+        return bool(
+            self._is_near()
+            or self._is_moved()
+            or self._pushes.any()
+            or not self._time <= data.time
+            or np.abs(self._load.displacements - self._springs).max() > 1e-6
+        )
 
     def may_sleep(self, gas_is_still: bool) -> bool:
         """Whether an awake sensor has been at rest for some looks in a row; call every step."""
@@ -70,7 +101,13 @@ class Sleeper:
             return False
         self._time = time
         settled = self._is_settled()  # also notes where the vertices are
-        still = settled and gas_is_still and time > self._after and not self._is_near() and not self._pushes.any()
+        still = (
+            settled
+            and gas_is_still
+            and time > self._after
+            and not self._is_near()
+            and not self._pushes.any()
+        )
         moved = self._is_moved()  # also notes where the frame is
         self._calm = self._calm + 1 if still and not moved else 0
         return self._calm >= _TIMES
@@ -81,17 +118,20 @@ class Sleeper:
         for part in self._collision():
             part[:] = 0
         bodies = model.geom_bodyid[self._sample]
-        model.geom_gap[self._sample] = model.body_margin[bodies] = self._reach  # contacts are listed, and push nothing yet
+        # contacts are listed, and push nothing yet
+        model.geom_gap[self._sample] = model.body_margin[bodies] = self._reach
         model.geom_conaffinity[self._sample] = model.body_conaffinity[bodies] = ANYTHING
         model.flex_rigid[self._flex] = True
         self._springs[:] = self._load.displacements
         model.jnt_stiffness[self._joints, ...] = _STIFFNESS
         self._data.qvel[self._load.dofs] = 0.0
         self._load.suspend()
-        self._time, self.asleep = float(self._data.time), True
+        self._time = float(self._data.time)
+        self.asleep = True
 
     def wake(self) -> None:
-        """Back to the state in which it fell asleep, or to where somebody has moved the vertices meanwhile."""
+        """Back to the state in which it fell asleep, or to where somebody has moved the vertices
+        meanwhile."""
         model = self._model
         if np.abs(self._load.displacements - self._springs).max() <= 1e-6:
             self._load.displacements[:] = self._springs
@@ -106,27 +146,40 @@ class Sleeper:
 
     def stay_awake(self) -> None:
         """Forget how long the sensor has been still: something is about to change."""
-        self._after, self._calm = float(self._data.time) + _HOLD, 0
+        self._after = float(self._data.time) + _HOLD
+        self._calm = 0
 
     def _undo(self) -> None:
-        """Take back what another run time's sleep has left in the model, so that a model can be bound again at any time."""
+        """Take back what another run time's sleep has left in the model, so that a model can be
+        bound again at any time."""
         model = self._model
         model.geom_gap[self._geoms] = model.body_margin[self._bodies] = 0.0
-        model.body_conaffinity[self._bodies] = ANYTHING  # the geoms' own and the flex's: `touch_with`
+        # the geoms' own and the flex's: `touch_with`
+        model.body_conaffinity[self._bodies] = ANYTHING
         self._springs[:] = 0.0
         model.flex_rigid[self._flex] = False
         model.jnt_stiffness[self._joints, ...] = 0.0
         self._load.resume()
 
     def _collision(self) -> tuple[Array, ...]:
-        """Views of the model's numbers that say what touches the membrane, and from how far it is noticed."""
-        model, geoms, bodies, flex = self._model, self._geoms, self._bodies, slice(self._flex, self._flex + 1)
-        return (model.geom_gap[geoms], model.body_margin[bodies], model.geom_conaffinity[geoms], model.body_conaffinity[bodies],
-                model.flex_conaffinity[flex])
+        """Views of the model's numbers that say what touches the membrane, and from how far it is
+        noticed."""
+        model = self._model
+        geoms = self._geoms
+        bodies = self._bodies
+        flex = slice(self._flex, self._flex + 1)
+        return (
+            model.geom_gap[geoms],
+            model.body_margin[bodies],
+            model.geom_conaffinity[geoms],
+            model.body_conaffinity[bodies],
+            model.flex_conaffinity[flex],
+        )
 
     def _is_settled(self) -> bool:
         """Whether the vertices are where they were at the last look."""
-        now, before = self._load.displacements.copy(), self._before
+        now = self._load.displacements.copy()
+        before = self._before
         self._before = now
         return np.abs(now - before).max() < max(STILL * np.abs(now).max(), LEAST)
 
@@ -135,15 +188,25 @@ class Sleeper:
         if not len(contact.dist):
             return False
         geom = contact.geom
-        return bool((((geom >= self._first) & (geom <= self._last)) | (contact.flex == self._flex)).any())
+        return bool(
+            (((geom >= self._first) & (geom <= self._last)) | (contact.flex == self._flex)).any()
+        )
 
     def _is_moved(self) -> bool:
-        """Whether the frame accelerates, turns, or has turned against gravity since the last call, or since it fell asleep."""
+        """Whether the frame accelerates, turns, or has turned against gravity since the last call,
+        or since it fell asleep."""
         option = self._model.opt
-        velocity, axes = self._data.cvel[self._body].tolist(), self._data.xmat[self._body].tolist()
-        g, least = option.gravity.tolist(), SHAKEN * option.timestep
+        velocity = self._data.cvel[self._body].tolist()
+        axes = self._data.xmat[self._body].tolist()
+        g = option.gravity.tolist()
+        least = SHAKEN * option.timestep
         weight = [axes[k] * g[0] + axes[3 + k] * g[1] + axes[6 + k] * g[2] for k in range(3)]
-        before, self._velocity = self._velocity, velocity
-        known, self._weight = self._weight, self._weight if self.asleep else weight
-        return (any(abs(velocity[k] - before[k]) > least for k in (3, 4, 5)) or any(abs(v) > _TURNING for v in velocity[:3])
-                or not all(abs(a - b) < SHAKEN for a, b in zip(weight, known, strict=True)))
+        before = self._velocity
+        self._velocity = velocity
+        known = self._weight
+        self._weight = self._weight if self.asleep else weight
+        return (
+            any(abs(velocity[k] - before[k]) > least for k in (3, 4, 5))
+            or any(abs(v) > _TURNING for v in velocity[:3])
+            or not all(abs(a - b) < SHAKEN for a, b in zip(weight, known, strict=True))
+        )

@@ -1,11 +1,13 @@
-"""Contact that remembers what it holds: static friction that does not creep, and no depth that a force costs.
+"""Contact that remembers what it holds: static friction that does not creep, and no depth that a
+force costs.
 
-MuJoCo's contacts are soft and have no memory. Below the friction cone, friction resists only a velocity, so that a held
-object sinks for ever; along the normal, a force needs a depth. Here a contact's rows carry only what *changes* in a step;
-what they carried before is put into their reference: along the normal by the vertex's margin, along the sheet by the
-surface velocity of its sphere (MuJoCo's conveyor belt), the one that drives the friction which was there. Friction stays
-inside its cone, which the solver sees to, and acts on both bodies, whatever they are. This is the method of multipliers
-(docs/equations.md, C3; decision 10).
+MuJoCo's contacts are soft and have no memory. Below the friction cone, friction resists only a
+velocity, so that a held object sinks for ever; along the normal, a force needs a depth. Here a
+contact's rows carry only what *changes* in a step; what they carried before is put into their
+reference: along the normal by the vertex's margin, along the sheet by the surface velocity of its
+sphere (MuJoCo's conveyor belt), the one that drives the friction which was there. Friction stays
+inside its cone, which the solver sees to, and acts on both bodies, whatever they are. This is the
+method of multipliers (docs/equations.md, C3; decision 10).
 
 The arithmetic is in mjtactile/kernels/membrane.c.
 """
@@ -20,12 +22,15 @@ from mjtactile.core.types import Array
 from mjtactile.kernels import bound
 from mjtactile.sim.sensor.contacts import listed
 
-# Shares of a step's error that are mended in the next step. Half as much is half as fast; twice as much rings.
-_GIVE_SHARE, _SHIFT_SHARE = 0.3, 0.2
+# Shares of a step's error that are mended in the next step. Half as much is half as fast; twice as
+# much rings.
+_GIVE_SHARE = 0.3
+_SHIFT_SHARE = 0.2
 _KEPT = 0.5  # of a shift that is still to be mended when the contact slides on
-# How far, as a share of the force along the normal, friction may aim beyond its cone, times the coefficient: at 1 the solver
-# lifts a sliding vertex out of contact (its cone is convex: sliding along it is also sliding up it); at 0.1 friction
-# drops below the cone's edge whenever sliding slows down.
+# How far, as a share of the force along the normal, friction may aim beyond its cone, times the
+# coefficient: at 1 the solver lifts a sliding vertex out of contact (its cone is convex: sliding
+# along it is also sliding up it); at 0.1 friction drops below the cone's edge whenever sliding
+# slows down.
 _EXCESS = 0.25
 _WAIT = 5e-3  # s; twice a longer step is too long
 _ON_CONE = 0.999  # of the cone: the solver's tolerance
@@ -34,40 +39,72 @@ _ON_CONE = 0.999  # of the cone: the solver's tolerance
 class Stiction:
     """Memory of one sensor's vertex contacts. Call `update` before every step.
 
-    A row of friction gives f = -mass (v' - (1 - drag) v + drag s) / step, with the velocities v before and v' after the step,
-    and s of the surface. A vertex that sticks should have v' = 0 and a friction that also takes it back to where it began to
-    stick; one that slides, nearly the velocity that it has, with friction on the edge of the cone. One that stops
-    sliding begins with the friction that it slid with: its velocity was foreseen too large, its friction came out too small.
-    A vertex that touches two things at once remembers what one of them held.
+    A row of friction gives f = -mass (v' - (1 - drag) v + drag s) / step, with the velocities v
+    before and v' after the step, and s of the surface. A vertex that sticks should have v' = 0 and
+    a friction that also takes it back to where it began to stick; one that slides, nearly the
+    velocity that it has, with friction on the edge of the cone. One that stops sliding begins with
+    the friction that it slid with: its velocity was foreseen too large, its friction came out too
+    small. A vertex that touches two things at once remembers what one of them held.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, vertex_geom_ids: NDArray[np.int64], body_id: int):
-        self._model, self._data, self._body = model, data, body_id
-        self._first, self._count = int(vertex_geom_ids[0]), len(vertex_geom_ids)  # one block, in the mesh's order
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        vertex_geom_ids: NDArray[np.int64],
+        body_id: int,
+    ):
+        self._model = model
+        self._data = data
+        self._body = body_id
+        # one block, in the mesh's order
+        self._first = int(vertex_geom_ids[0])
+        self._count = len(vertex_geom_ids)
         block = slice(self._first, self._first + self._count)
-        self._margins, self._surface = model.geom_margin[block], model.geom_surfacevel[block, :3]  # live views
-        self._step, self._time = float(model.opt.timestep), np.nan
-        self._empty, self._waits = False, False
-        self._may_wait = self._step < _WAIT  # every other step will do while nothing slides, for half the price
-        self._travel = np.zeros(model.nv)  # what all coordinates have moved by since the last look, in steps
-        self._give, self._goal = np.zeros(self._count), np.zeros(self._count)  # m that the margin is advanced by
-        # of each vertex: N, friction on it, in S; m that it has moved over what it sticks to since it began to stick
+        # live views
+        self._margins = model.geom_margin[block]
+        self._surface = model.geom_surfacevel[block, :3]
+        self._step = float(model.opt.timestep)
+        self._time = np.nan
+        self._empty = False
+        self._waits = False
+        # every other step will do while nothing slides, for half the price
+        self._may_wait = self._step < _WAIT
+        # what all coordinates have moved by since the last look, in steps
+        self._travel = np.zeros(model.nv)
+        # m that the margin is advanced by
+        self._give, self._goal = np.zeros(self._count), np.zeros(self._count)
+        # of each vertex: N, friction on it, in S; m that it has moved over what it sticks to since
+        # it began to stick
         self._memory, self._slides = np.zeros((self._count, 6)), np.zeros(self._count, np.uint8)
         self._belt = np.zeros((self._count, 3))
-        self._stick = bound("stick", *[...] * 8, data.xmat[body_id], self._first, self._count,
-                            np.array([self._step, _SHIFT_SHARE, _KEPT, _EXCESS, _ON_CONE]), self._goal, self._memory,
-                            self._slides, self._belt)
+        self._stick = bound(
+            "stick",
+            *[...] * 8,
+            data.xmat[body_id],
+            self._first,
+            self._count,
+            np.array([self._step, _SHIFT_SHARE, _KEPT, _EXCESS, _ON_CONE]),
+            self._goal,
+            self._memory,
+            self._slides,
+            self._belt,
+        )
         model.flg_surfacevel = True
         self._forget()
 
     def update(self, stand_off: Array) -> None:
-        """Take over what the contacts of the last step held; `stand_off` (k,) m is where the vertices should touch."""
-        time, before = float(self._data.time), self._time
+        """Take over what the contacts of the last step held; `stand_off` (k,) m is where the
+        vertices should touch."""
+        time = float(self._data.time)
+        before = self._time
         if time == before:
             return
         self._time = time
         self._travel += self._data.qvel
-        self._waits = self._may_wait and not self._waits and time > before and not self._slides.any()
+        self._waits = (
+            self._may_wait and not self._waits and time > before and not self._slides.any()
+        )
         if self._waits:
             return
         if time < before:  # somebody has put back the clock
@@ -80,13 +117,17 @@ class Stiction:
         self._travel[:] = 0.0
 
     def _take(self) -> bool:
-        """Advance the margins by the depths of the contacts, so that vertices come to lie where they should touch, and set the
-        surface velocities with which friction begins the next step as it ended the last one; is anything touched?"""
+        """Advance the margins by the depths of the contacts, so that vertices come to lie where
+        they should touch, and set the surface velocities with which friction begins the next step
+        as it ended the last one; is anything touched?"""
         data = self._data
-        velocity, travel = np.empty(data.nefc), np.empty(data.nefc)
+        velocity = np.empty(data.nefc)
+        travel = np.empty(data.nefc)
         mujoco.mj_mulJacVec(self._model, data, velocity, data.qvel)
         mujoco.mj_mulJacVec(self._model, data, travel, self._travel)
-        found = self._stick(*listed(data), data.efc_force, data.efc_KBIP, data.efc_R, velocity, travel)
+        found = self._stick(
+            *listed(data), data.efc_force, data.efc_KBIP, data.efc_R, velocity, travel
+        )
         if not found:
             return False
         self._give += _GIVE_SHARE * (self._goal - self._give)
@@ -95,5 +136,8 @@ class Stiction:
 
     def _forget(self) -> None:
         if not self._empty:
-            self._give[:], self._memory[:], self._slides[:], self._surface[:] = 0, 0, 0, 0
+            self._give[:] = 0
+            self._memory[:] = 0
+            self._slides[:] = 0
+            self._surface[:] = 0
         self._empty = True

@@ -1,7 +1,8 @@
-"""The switches behind the effects: what each adds to, or takes out of, model, run time and camera. No policy; see
-sim/effects/catalog.py.
+"""The switches behind the effects: what each adds to, or takes out of, model, run time and camera.
+No policy; see sim/effects/catalog.py.
 
-An effect that is off leaves no element in the model and no call per step. A set of effects is a frozenset of `Effect`.
+An effect that is off leaves no element in the model and no call per step. A set of effects is a
+frozenset of `Effect`.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ from mjtactile.sim.sensor.mesh import MembraneMesh
 
 
 class Effect(StrEnum):
-    """What a simulation can have or leave out; sim/effects/catalog.py says when each is needed. An effect equals its name."""
+    """What a simulation can have or leave out; sim/effects/catalog.py says when each is needed. An
+    effect equals its name."""
 
     GAS = "gas"
     LARGE_DEFLECTION = "large deflection"
@@ -51,13 +53,26 @@ class Effect(StrEnum):
     VOLUMETRIC_SOFTNESS = "volumetric softness"
 
 
-PHYSICS = frozenset({Effect.GAS, Effect.FRICTION, Effect.GRAVITY, Effect.FOLLOWER_PRESSURE, Effect.HYPERELASTICITY})
+PHYSICS = frozenset(
+    {Effect.GAS, Effect.FRICTION, Effect.GRAVITY, Effect.FOLLOWER_PRESSURE, Effect.HYPERELASTICITY}
+)
 """What a membrane does when nobody says otherwise."""
-CAMERA = frozenset({Effect.CAMERA_NOISE, Effect.BLUR, Effect.DISTORTION, Effect.REFRACTION, Effect.LED_SHADING, Effect.IMAGES})
+CAMERA = frozenset(
+    {
+        Effect.CAMERA_NOISE,
+        Effect.BLUR,
+        Effect.DISTORTION,
+        Effect.REFRACTION,
+        Effect.LED_SHADING,
+        Effect.IMAGES,
+    }
+)
 """What a camera shows when nobody says otherwise."""
 SERVO_LAG = 0.02
 """Time constant, s, of the current loop and gear of a small servo (docs/effects.md)."""
-_STRETCH, _BOTH = 2, 3  # MuJoCo `elastic2d`
+# MuJoCo `elastic2d`
+_STRETCH = 2
+_BOTH = 3
 _WEIGHTLESS = 1e-12  # kg; MuJoCo wants some mass, the inertia itself is kept as armature
 
 
@@ -93,8 +108,11 @@ def set_servo(spec: mujoco.MjSpec, actuator: str, on: frozenset[str]) -> None:
 
 
 def set_design(design: SensorDesign, on: frozenset[str]) -> SensorDesign:
-    """The design without what is off in the sheet's law, the chamber and the camera's geometry: for simulator *and* sensing."""
-    chamber, camera, glass = design.chamber, design.camera, design.glass
+    """The design without what is off in the sheet's law, the chamber and the camera's geometry: for
+    simulator *and* sensing."""
+    chamber = design.chamber
+    camera = design.camera
+    glass = design.glass
     if Effect.HEAT_EXCHANGE not in on:
         chamber = replace(chamber, heat_exchange=math.inf)
     if Effect.VALVE_FLOW not in on:
@@ -114,22 +132,30 @@ def set_law(design: SensorDesign, on: frozenset[str]) -> SensorDesign:
 
 
 def set_picture(design: SensorDesign, on: frozenset[str]) -> SensorDesign:
-    """The design as the renderer draws it: without the noise, blur or shading that is off. Sensing keeps its own."""
-    camera, leds = design.camera, design.leds
-    camera = replace(camera, noise_dn=camera.noise_dn if Effect.CAMERA_NOISE in on else 0.0,
-                     blur_px=camera.blur_px if Effect.BLUR in on else 0.0)
+    """The design as the renderer draws it: without the noise, blur or shading that is off. Sensing
+    keeps its own."""
+    camera = design.camera
+    leds = design.leds
+    camera = replace(
+        camera,
+        noise_dn=camera.noise_dn if Effect.CAMERA_NOISE in on else 0.0,
+        blur_px=camera.blur_px if Effect.BLUR in on else 0.0,
+    )
     leds = leds if Effect.LED_SHADING in on else replace(leds, count=0)
     return replace(design, camera=camera, leds=leds)
 
 
 class FixedLoad:
-    """In place of the gas tendon when "gas" is off: a pressure that does not depend on the volume. Adds no element."""
+    """In place of the gas tendon when "gas" is off: a pressure that does not depend on the volume.
+    Adds no element."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, first_joint: int, count: int):
-        self._data, self._last = data, (math.nan, None)
-        qpos, dof = int(model.jnt_qposadr[first_joint]), int(model.jnt_dofadr[first_joint])
+        self._data = data
+        self._last = (math.nan, None)
+        qpos = int(model.jnt_qposadr[first_joint])
+        dof = int(model.jnt_dofadr[first_joint])
         self.dofs = slice(dof, dof + count)
-        self.displacements: Array = np.asarray(data.qpos)[qpos:qpos + count]
+        self.displacements: Array = np.asarray(data.qpos)[qpos : qpos + count]
 
     def apply(self, pressure_gauge: float, stiffness: float, gradient: Array) -> None:
         """Write the load, if it changed."""
@@ -147,7 +173,8 @@ class FixedLoad:
 
 
 class FixedGas(Gas):
-    """When "gas" is off: the closed valve keeps the pressure that was there, whatever the volume."""
+    """When "gas" is off: the closed valve keeps the pressure that was there, whatever the
+    volume."""
 
     def advance(self, volume: float, elapsed: float) -> None:
         if self.is_open:
@@ -158,33 +185,46 @@ class FixedGas(Gas):
 
 
 class FlatGeometry:
-    """In place of `ChamberGeometry` when "follower pressure" is off: pressure pushes along z, volume is area x height."""
+    """In place of `ChamberGeometry` when "follower pressure" is off: pressure pushes along z,
+    volume is area x height."""
 
     def __init__(self, mesh: MembraneMesh, volume_flat: float):
-        self._interior, self._volume_flat = mesh.interior, volume_flat
-        self._volume, self._gradient = ChamberGeometry(mesh, volume_flat).volume_and_gradient(mesh.p_SV)
+        self._interior = mesh.interior
+        self._volume_flat = volume_flat
+        self._volume, self._gradient = ChamberGeometry(mesh, volume_flat).volume_and_gradient(
+            mesh.p_SV
+        )
 
     def volume_and_gradient(self, p_SV: Array) -> tuple[float, Array]:
         return self._volume + float(self._gradient[:, 2] @ p_SV[self._interior, 2]), self._gradient
 
 
 def make_geometry(mesh: MembraneMesh, volume_flat: float, on: frozenset[str]) -> Any:
-    return ChamberGeometry(mesh, volume_flat) if Effect.FOLLOWER_PRESSURE in on else FlatGeometry(mesh, volume_flat)
+    return (
+        ChamberGeometry(mesh, volume_flat)
+        if Effect.FOLLOWER_PRESSURE in on
+        else FlatGeometry(mesh, volume_flat)
+    )
 
 
 def make_gas(chamber: Chamber, on: frozenset[str]) -> Gas:
     return Gas(chamber) if Effect.GAS in on else FixedGas(chamber)
 
 
-def make_load(model: mujoco.MjModel, data: mujoco.MjData, mesh: MembraneMesh, prefix: str, on: frozenset[str]) -> Any:
+def make_load(
+    model: mujoco.MjModel, data: mujoco.MjData, mesh: MembraneMesh, prefix: str, on: frozenset[str]
+) -> Any:
     """What carries the pressure onto the membrane: the implicit gas tendon, or a fixed load."""
     if Effect.GAS in on:
         return GasTendon(model, data, model.tendon(prefix + TENDON).id, len(mesh.interior))
-    return FixedLoad(model, data, model.joint(f"{prefix}v{mesh.interior[0]}x").id, 3 * len(mesh.interior))
+    return FixedLoad(
+        model, data, model.joint(f"{prefix}v{mesh.interior[0]}x").id, 3 * len(mesh.interior)
+    )
 
 
 def _make_weightless(vertex: mujoco.MjsBody) -> None:
-    mass, vertex.mass = float(vertex.mass), _WEIGHTLESS
+    mass = float(vertex.mass)
+    vertex.mass = _WEIGHTLESS
     vertex.inertia = [1e-14] * 3
     for joint in vertex.joints:
         joint.armature += mass

@@ -1,10 +1,11 @@
 """A sensor that turns keeps turning: the torque with which the implicit step resists is given back.
 
-MuJoCo's `discrete` integrator takes the sheet's forces from where the step will end, to first order: -h K v. Turning as a
-whole, the sheet's tension turns along, so that K v is not zero although nothing deforms; and since the lever arms are those
-of the step's beginning, a torque -h Q w is left, which brakes a sensor spinning in vacuum within 0.4 s at a step of 4 ms. Q
-is the sum over the edges d of all triangles of c (|d|^2 I - d d^T), where c is the edge's force over its length, N/m, of
-which MuJoCo's stiffness keeps what is positive (docs/equations.md, C4).
+MuJoCo's `discrete` integrator takes the sheet's forces from where the step will end, to first
+order: -h K v. Turning as a whole, the sheet's tension turns along, so that K v is not zero although
+nothing deforms; and since the lever arms are those of the step's beginning, a torque -h Q w is
+left, which brakes a sensor spinning in vacuum within 0.4 s at a step of 4 ms. Q is the sum over the
+edges d of all triangles of c (|d|^2 I - d d^T), where c is the edge's force over its length, N/m,
+of which MuJoCo's stiffness keeps what is positive (docs/equations.md, C4).
 """
 
 from __future__ import annotations
@@ -20,26 +21,41 @@ _SLOW = 1e-4  # rad/s; below, nothing is given back
 
 
 class Turning:
-    """Gives back the braking torque of one sensor, as an external torque on its body (`xfrc_applied`)."""
+    """Gives back the braking torque of one sensor, as an external torque on its body
+    (`xfrc_applied`)."""
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, body_id: int, flex_id: int, mesh: MembraneMesh):
-        self._model, self._data, self._body, self._step = model, data, body_id, float(model.opt.timestep)
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        body_id: int,
+        flex_id: int,
+        mesh: MembraneMesh,
+    ):
+        self._model = model
+        self._data = data
+        self._body = body_id
+        self._step = float(model.opt.timestep)
         self._jacobian = np.zeros((3, model.nv))
         self._elements = EdgeMatrices(model, flex_id, mesh)
-        free = model.flexedge_length0[model.flex_edgeadr[flex_id]:][self._elements.edges]
-        self._free, self._rows = free**2, stiffness_rows(model, flex_id)
-        self._given, self._velocity, self._gives = np.zeros(3), np.zeros(3), False
+        free = model.flexedge_length0[model.flex_edgeadr[flex_id] :][self._elements.edges]
+        self._free = free**2
+        self._rows = stiffness_rows(model, flex_id)
+        self._given = np.zeros(3)
+        self._velocity = np.zeros(3)
+        self._gives = False
 
     def update(self, p_SV: Array) -> None:
-        """Give back what the next step will take, with the vertices at `p_SV` (n, 3) m; call before every step, when the flex's
-        stiffness is that of the step."""
+        """Give back what the next step will take, with the vertices at `p_SV` (n, 3) m; call before
+        every step, when the flex's stiffness is that of the step."""
         data = self._data
         turning = data.cvel[self._body, :3]  # at the last step's beginning
         if turning.dot(turning) < _SLOW**2 and not self._gives:
             return
         mujoco.mj_jacBody(self._model, data, None, self._jacobian, self._body)
         velocity = self._jacobian @ data.qvel
-        # What counts is the velocity at the step's end. Where nothing was given back yet, somebody may have set the velocity.
+        # What counts is the velocity at the step's end. Where nothing was given back yet, somebody
+        # may have set the velocity.
         expected = 2 * velocity - self._velocity if self._gives else velocity
         self._velocity = velocity
         R_WS = data.xmat[self._body].reshape(3, 3)
@@ -56,11 +72,18 @@ class Turning:
         edges = p_SV[ends[..., 1]] - p_SV[ends[..., 0]]  # (m, 3, 3)
         lengths2 = (edges * edges).sum(axis=2)
         a, b, c = (lengths2 - self._free).T
-        force = np.maximum(np.stack([xx * a + xy * b + xz * c, xy * a + yy * b + yz * c, xz * a + yz * b + zz * c], axis=1), 0.0)
+        force = np.maximum(
+            np.stack(
+                [xx * a + xy * b + xz * c, xy * a + yy * b + yz * c, xz * a + yz * b + zz * c],
+                axis=1,
+            ),
+            0.0,
+        )
         flat = edges.reshape(-1, 3)
         return np.vdot(force, lengths2) * np.eye(3) - (flat * force.reshape(-1, 1)).T @ flat
 
     def _give(self, torque: Array) -> None:
         """Others may have written torques of their own: change by the difference."""
         self._data.xfrc_applied[self._body, 3:] += torque - self._given
-        self._given, self._gives = torque, bool(torque.any())
+        self._given = torque
+        self._gives = bool(torque.any())

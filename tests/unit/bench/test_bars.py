@@ -18,40 +18,77 @@ SD = np.array([1e-3, 2e-3, 8e-3, 1e-5, 2e-5, 3e-5])
 
 def image(z, true=(0.0, 0.0, -0.5, 0.0, 0.0, 0.0), **more):
     """A row with an error of `z` (6,) standard deviations."""
-    row = {"time": 0.0, "status": "ok", "touching": True, "rattles": False, "wrench_true": list(true), "sd": SD.tolist(),
-           "wrench": (np.array(true) + z * SD).tolist(), "area": None, "area_true": None}
+    row = {
+        "time": 0.0,
+        "status": "ok",
+        "touching": True,
+        "rattles": False,
+        "wrench_true": list(true),
+        "sd": SD.tolist(),
+        "wrench": (np.array(true) + z * SD).tolist(),
+        "area": None,
+        "area_true": None,
+    }
     return row | more
 
 
 def scene(*rows, **more):
-    return {"seed": 0, "kind": "press", "shape": "sphere", "sensor": "dense", "flags": [], "error": "", "rows": rows} | more
+    return {
+        "seed": 0,
+        "kind": "press",
+        "shape": "sphere",
+        "sensor": "dense",
+        "flags": [],
+        "error": "",
+        "rows": rows,
+    } | more
 
 
 def test_chi_square_is_that_of_errors_drawn_from_the_error_bars():
     rng = np.random.default_rng(0)
     result = summary([scene(*(image(z) for z in 1.5 * rng.standard_normal((400, 6))))])
     found = result["groups"]["touches"]
-    np.testing.assert_allclose(found["chi_square"], 1.5**2, rtol=0.3)  # 400 squares: 7 %, six of them
+    # 400 squares: 7 %, six of them
+    np.testing.assert_allclose(found["chi_square"], 1.5**2, rtol=0.3)
     assert found["images"] == 400 and result["status"] == {"ok": 400}
 
 
 def test_what_is_far_is_counted_and_what_is_no_touch_is_not():
     far = np.array([0, 0, -6.0, 0, 0, 0])
     lost = image(far, status="no shape", wrench=None, sd=None)
-    rows = [image(np.zeros(6)), image(far), lost, image(far, rattles=True), image(far, true=np.zeros(6)),
-            image(far, true=(0, 0, -0.01, 0, 0, 0))]
+    rows = [
+        image(np.zeros(6)),
+        image(far),
+        lost,
+        image(far, rattles=True),
+        image(far, true=np.zeros(6)),
+        image(far, true=(0, 0, -0.01, 0, 0, 0)),
+    ]
     flagged = scene(image(far), seed=1, flags=["edge", "wrinkles"])
     groups = summary([scene(*rows), flagged])["groups"]
-    assert groups["touches"]["images"] == 2 and groups["touches"]["far_any"] == groups["touches"]["far"][2] == 1
-    assert groups["nothing touches"]["far_any"] == 1 and groups["touches that the simulation flags"]["far_any"] == 1
+    assert (
+        groups["touches"]["images"] == 2
+        and groups["touches"]["far_any"] == groups["touches"]["far"][2] == 1
+    )
+    assert (
+        groups["nothing touches"]["far_any"] == 1
+        and groups["touches that the simulation flags"]["far_any"] == 1
+    )
     assert groups["touches at rest whose true force rattles"]["images"] == 1
-    assert groups["everything that is ok"]["images"] == 6 and groups["everything that is ok"]["far_scenes"] == 2
+    assert (
+        groups["everything that is ok"]["images"] == 6
+        and groups["everything that is ok"]["far_scenes"] == 2
+    )
     assert groups["touches"]["worst"][2] == pytest.approx(6.0)
 
 
 def test_areas_are_compared_where_both_are_known():
-    rows = [image(np.zeros(6), area=20e-6, area_true=10e-6), image(np.zeros(6), area=10.5e-6, area_true=10e-6),
-            image(np.zeros(6), area=20e-6), image(np.zeros(6), area_true=10e-6)]
+    rows = [
+        image(np.zeros(6), area=20e-6, area_true=10e-6),
+        image(np.zeros(6), area=10.5e-6, area_true=10e-6),
+        image(np.zeros(6), area=20e-6),
+        image(np.zeros(6), area_true=10e-6),
+    ]
     areas = summary([scene(*rows)])["areas"]
     assert areas["all"]["images"] == 2 and areas["all"]["within_10_percent"] == 0.5
     assert areas["all"]["median_error"] == pytest.approx(0.525)
@@ -60,7 +97,9 @@ def test_areas_are_compared_where_both_are_known():
 
 def test_scenes_take_turns_and_are_what_they_say():
     drawn = [draw_scene(seed) for seed in range(40)]
-    assert {scene.kind for scene in drawn} == set(KINDS) and {scene.sensor for scene in drawn} == set(SENSORS)
+    assert {scene.kind for scene in drawn} == set(KINDS) and {
+        scene.sensor for scene in drawn
+    } == set(SENSORS)
     for one in drawn:
         frame = one.design.frame
         assert abs(one.at[0]) < frame.length / 2 and abs(one.at[1]) < frame.width / 2
@@ -73,13 +112,27 @@ def test_scenes_take_turns_and_are_what_they_say():
 
 
 def test_a_short_scene_is_felt_within_its_bars():
-    one = replace(draw_scene(3), mesh=(13, 11), indenter=Indenter("sphere", 8e-3), at=(1e-3, 2e-3), depth=2e-3, speed=0.1)
+    one = replace(
+        draw_scene(3),
+        mesh=(13, 11),
+        indenter=Indenter("sphere", 8e-3),
+        at=(1e-3, 2e-3),
+        depth=2e-3,
+        speed=0.1,
+    )
     watched = watch(one)
     forces = np.array([-look.wrench[2] for look in watched.looks])
     assert one.kind == "tap" and forces.max() > 0.2 and forces[-1] == 0.0
-    touched = [look for look in watched.looks if look.wrench[2] < -0.02 and look.touch.traction is not None]
+    touched = [
+        look for look in watched.looks if look.wrench[2] < -0.02 and look.touch.traction is not None
+    ]
     assert len(touched) > 6 and any(np.isfinite(look.area) for look in touched)
-    z = np.array([(look.touch.traction.wrench - look.wrench)[2] / look.touch.force_normal_sd for look in touched])
+    z = np.array(
+        [
+            (look.touch.traction.wrench - look.wrench)[2] / look.touch.force_normal_sd
+            for look in touched
+        ]
+    )
     assert np.abs(z).max() < 5  # asked of every image
 
 
@@ -92,8 +145,11 @@ def test_pieces_are_kept(tmp_path, monkeypatch):
 
     class Inline:
         def __init__(self, **_): ...
-        def __enter__(self): return self
+        def __enter__(self):
+            return self
+
         def __exit__(self, *_): ...
+
         map = staticmethod(map)
 
     monkeypatch.setattr("benchmarks.bars.run.ProcessPoolExecutor", Inline)

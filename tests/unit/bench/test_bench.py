@@ -8,7 +8,13 @@ from benchmarks import grasp
 from mjtactile.commands.output import insert_table
 from mjtactile.core.errors import InputError, SimulationError
 
-MILLISECONDS = {"rest": 12.0, "camera": 5.0, "perception": 10.0, "controller": 0.1, "perception_median": 10.0}
+MILLISECONDS = {
+    "rest": 12.0,
+    "camera": 5.0,
+    "perception": 10.0,
+    "controller": 0.1,
+    "perception_median": 10.0,
+}
 
 
 class FakeResult:
@@ -18,8 +24,16 @@ class FakeResult:
         self.options = options
 
     def summary(self):
-        return {"object": self.options.object, "seed": self.options.seed, "outcome": "held", "hold_force_N": 0.6,
-                "hold_force_true_N": 0.62, "peak_force_true_N": 0.7, "slip_mm_true": 0.1, "real_time_factor": 1.0}
+        return {
+            "object": self.options.object,
+            "seed": self.options.seed,
+            "outcome": "held",
+            "hold_force_N": 0.6,
+            "hold_force_true_N": 0.62,
+            "peak_force_true_N": 0.7,
+            "slip_mm_true": 0.1,
+            "real_time_factor": 1.0,
+        }
 
 
 def fake_run(options, *, recorder, progress):
@@ -45,9 +59,15 @@ def test_a_failed_run_is_a_row_and_never_a_result(tmp_path, monkeypatch, capsys)
 
 def test_a_table_replaces_what_stood_between_its_markers(tmp_path):
     page = tmp_path / "page.md"
-    page.write_text("a\n<!-- bench:grasp -->\nold\n<!-- /bench -->\nb\n<!-- bench:x -->\nkeep\n<!-- /bench -->\n")
+    page.write_text(
+        "a\n<!-- bench:grasp -->\nold\n<!-- /bench -->\nb\n<!-- bench:x -->\nkeep\n<!-- /bench "
+        "-->\n"
+    )
     insert_table(page, "grasp", "new\n")
-    assert page.read_text() == ("a\n<!-- bench:grasp -->\nnew\n<!-- /bench -->\nb\n<!-- bench:x -->\nkeep\n<!-- /bench -->\n")
+    assert page.read_text() == (
+        "a\n<!-- bench:grasp -->\nnew\n<!-- /bench -->\nb\n<!-- bench:x -->\nkeep\n<!-- /bench "
+        "-->\n"
+    )
     with pytest.raises(InputError, match="bench:other"):
         insert_table(page, "other", "new")
 
@@ -70,10 +90,24 @@ def test_the_rigs_table_counts_what_was_late_and_what_was_not_safe():
     from benchmarks.rig import run
 
     row = {"state": "latched", "outcome": "leak"}
-    result = {"fault:puncture": [{"safe": True, "reaction_s": 0.1} | row, {"safe": True, "reaction_s": 0.3} | row,
-                                 {"safe": False, "reaction_s": None} | row],
-              "killed": [{"kind": "brake", "servos_stopped_s": 0.2, "valves_vented_s": None, "squeeze_before_N": 0.9,
-                          "squeeze_after_N": after, "closed_by_mm": 0.3} for after in (0.1, 0.15)]}
+    result = {
+        "fault:puncture": [
+            {"safe": True, "reaction_s": 0.1} | row,
+            {"safe": True, "reaction_s": 0.3} | row,
+            {"safe": False, "reaction_s": None} | row,
+        ],
+        "killed": [
+            {
+                "kind": "brake",
+                "servos_stopped_s": 0.2,
+                "valves_vented_s": None,
+                "squeeze_before_N": 0.9,
+                "squeeze_after_N": after,
+                "closed_by_mm": 0.3,
+            }
+            for after in (0.1, 0.15)
+        ],
+    }
     table = run.table(result)
     assert "2 of 3, 1 later than 200 ms, worst 300 ms" in table and "valves vented never" in table
     assert "0.90 N before, 0.15 N a second later" in table

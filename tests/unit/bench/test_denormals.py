@@ -20,8 +20,13 @@ Keeper.__module__ = "mjtactile.keeper"
 
 
 def test_what_counts():
-    tiny = np.array([1e-310, -1e-310, 0.0, 1e-300, np.nan]), np.array([1e-40, 1e-30], np.float32), np.arange(3)
-    assert denormals.count(Keeper({"a": [tiny], "b": Keeper(tiny)})) == 3  # the same arrays count once
+    tiny = (
+        np.array([1e-310, -1e-310, 0.0, 1e-300, np.nan]),
+        np.array([1e-40, 1e-30], np.float32),
+        np.arange(3),
+    )
+    # the same arrays count once
+    assert denormals.count(Keeper({"a": [tiny], "b": Keeper(tiny)})) == 3
 
 
 def test_the_shipped_sensors_have_none():

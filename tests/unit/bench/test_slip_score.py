@@ -1,4 +1,5 @@
-"""What counts as a slip that was said in time, as one said late, early or falsely; and the interval of a share."""
+"""What counts as a slip that was said in time, as one said late, early or falsely; and the interval
+of a share."""
 
 from __future__ import annotations
 
@@ -12,18 +13,35 @@ RATE = 30.0
 
 
 def frames(speed, said_at, used=0.5, slides=True):
-    """A second that holds with `used` of the friction, and one that slides at `speed` m/s; "slipping" from `said_at` on."""
+    """A second that holds with `used` of the friction, and one that slides at `speed` m/s;
+    "slipping" from `said_at` on."""
     result = []
     for time in np.arange(60) / RATE:
         slid = max(speed * (time - 1.0), 0.0) if slides else 0.0
-        result.append(Frame(time, "slipping" if time >= said_at else "sticking", 1.0 if slid > 0 else used, slid,
-                            1.0 if slid > 0 else np.nan))
+        result.append(
+            Frame(
+                time,
+                "slipping" if time >= said_at else "sticking",
+                1.0 if slid > 0 else used,
+                slid,
+                1.0 if slid > 0 else np.nan,
+            )
+        )
     return result
 
 
-@pytest.mark.parametrize(("speed", "said_at", "name"), [
-    (2e-3, 1.09, "in time"), (2e-3, 1.19, "before 0.5 mm"), (20e-3, 1.09, "within 100 ms"), (20e-3, 1.19, "late"),
-    (2e-3, 9.0, "missed"), (2e-3, 0.79, "early"), (2e-3, 0.91, "in time")])
+@pytest.mark.parametrize(
+    ("speed", "said_at", "name"),
+    [
+        (2e-3, 1.09, "in time"),
+        (2e-3, 1.19, "before 0.5 mm"),
+        (20e-3, 1.09, "within 100 ms"),
+        (20e-3, 1.19, "late"),
+        (2e-3, 9.0, "missed"),
+        (2e-3, 0.79, "early"),
+        (2e-3, 0.91, "in time"),
+    ],
+)
 def test_slips(speed, said_at, name):
     found = outcome(frames(speed, said_at))
     assert found.name == name

@@ -5,8 +5,21 @@ import pytest
 from benchmarks.rig import soak
 from benchmarks.rig.faults import FAULTS
 
-LEG = {"fault": "puncture", "seconds": 300.0, "cycles": 18000, "missed": 9, "not_running": 0, "grips": 15, "injected": True,
-       "safe": True, "reaction_s": 0.05, "outcome": "leak", "recording": "", "process": 7, "memory_MB": 100.0}
+LEG = {
+    "fault": "puncture",
+    "seconds": 300.0,
+    "cycles": 18000,
+    "missed": 9,
+    "not_running": 0,
+    "grips": 15,
+    "injected": True,
+    "safe": True,
+    "reaction_s": 0.05,
+    "outcome": "leak",
+    "recording": "",
+    "process": 7,
+    "memory_MB": 100.0,
+}
 
 
 @pytest.mark.clock
@@ -24,18 +37,33 @@ def test_a_leg_grips_breaks_and_is_read_back(tmp_path):
 def test_every_kind_of_fault_comes_once_before_any_comes_again(tmp_path):
     drawn = [soak.drawn(number, soak.LEG, soak.GRIP) for number in range(2 * len(FAULTS))]
     kinds = [kind for kind, _ in drawn]
-    assert set(kinds[:len(FAULTS)]) == set(kinds[len(FAULTS):]) == set(FAULTS) and kinds[:16] != kinds[16:]
-    assert all(soak.LEG - soak.GRIP <= at <= soak.LEG for _, at in drawn) and len({at for _, at in drawn}) == len(drawn)
+    assert (
+        set(kinds[: len(FAULTS)]) == set(kinds[len(FAULTS) :]) == set(FAULTS)
+        and kinds[:16] != kinds[16:]
+    )
+    assert all(soak.LEG - soak.GRIP <= at <= soak.LEG for _, at in drawn) and len(
+        {at for _, at in drawn}
+    ) == len(drawn)
 
 
 def test_the_table_says_what_went_wrong():
     late = LEG | {"reaction_s": 0.3, "missed": 171, "memory_MB": 101.5}
-    early = LEG | {"injected": False, "safe": False, "reaction_s": None, "outcome": "left camera is stale", "recording": "torn"}
+    early = LEG | {
+        "injected": False,
+        "safe": False,
+        "reaction_s": None,
+        "outcome": "left camera is stale",
+        "recording": "torn",
+    }
     said = {what: value for what, _, value in soak.soak_rows([LEG, LEG, late, early])}
     longer = [LEG | {"memory_MB": 100.0 + count} for count in range(1, 9)]
     assert said["long run: 0.33 h, 60 grips of an egg, cycles missed"] == "0.28 % of 72000"
-    assert said["long run: safe state after a fault at any moment"] == "3 of 3, 1 later than 200 ms, worst 300 ms"
+    assert said["long run: safe state after a fault at any moment"] == (
+        "3 of 3, 1 later than 200 ms, worst 300 ms"
+    )
     assert said["long run: ended without a fault"] == "1 of 4 legs; left camera is stale"
     assert said["long run: memory"] == "100.0 MB after 2 legs, 100.0 MB after 4 legs"
-    assert soak.growth(longer) == "102.0 MB after 2 legs, 104.0 MB after 4 legs, 108.0 MB after 8 legs"
+    assert soak.growth(longer) == (
+        "102.0 MB after 2 legs, 104.0 MB after 4 legs, 108.0 MB after 8 legs"
+    )
     assert said["long run: recordings that cannot be read"] == "1 of 4"

@@ -1,17 +1,29 @@
-"""What watching costs is told from what the session and the page noted; without a browser it says what to do."""
+"""What watching costs is told from what the session and the page noted; without a browser it says
+what to do."""
 
 import pytest
 
 from benchmarks.studio import run
 from mjtactile.core.errors import InputError
 
-ROUND = {"without": 1.0, "factor": 0.9, "ratio": 0.9, "spent_ms": 0.2, "late_ms": 70.0, "late_90_ms": 110.0, "pictures": 60,
-         "load": 2.0, "core_s": 2.5, "core_without_s": 1.5}
+ROUND = {
+    "without": 1.0,
+    "factor": 0.9,
+    "ratio": 0.9,
+    "spent_ms": 0.2,
+    "late_ms": 70.0,
+    "late_90_ms": 110.0,
+    "pictures": 60,
+    "load": 2.0,
+    "core_s": 2.5,
+    "core_without_s": 1.5,
+}
 
 
 def test_an_image_is_as_old_as_when_the_page_first_had_it():
     taken = [100.0 + 0.1 * k for k in range(8)]
-    seen = [(0, 190.0), (4, 100.45), (4, 100.9), (6, 100.67), (7, 100.8), (300, 101.0)]  # waited for the page; twice; of nothing
+    # waited for the page; twice; of nothing
+    seen = [(0, 190.0), (4, 100.45), (4, 100.9), (6, 100.67), (7, 100.8), (300, 101.0)]
     found = run.ages(taken, seen)
     assert found["pictures"] == 3
     assert found["late_ms"] == pytest.approx(70) and found["late_90_ms"] == pytest.approx(70)
@@ -20,9 +32,16 @@ def test_an_image_is_as_old_as_when_the_page_first_had_it():
 
 
 def test_the_table_has_medians_and_what_was_asked():
-    text = run.table({"rounds": [ROUND, {**ROUND, "ratio": 0.5}, {**ROUND, "ratio": 0.95}], "processors": 2})
+    text = run.table(
+        {"rounds": [ROUND, {**ROUND, "ratio": 0.5}, {**ROUND, "ratio": 0.95}], "processors": 2}
+    )
     assert "| at least 0.7 | 0.9 | 0.90 (0.90 and 1.00 x real time) |" in text
-    assert "| 2.50, 1.50 |" in text and "| 70 (110) |" in text and "Medians of 3" in text and "load average 2.0" in text
+    assert (
+        "| 2.50, 1.50 |" in text
+        and "| 70 (110) |" in text
+        and "Medians of 3" in text
+        and "load average 2.0" in text
+    )
     assert len({line.count("|") for line in text.split("\n\n")[0].splitlines()}) == 1
 
 
@@ -35,6 +54,8 @@ def test_without_a_browser_it_says_so(tmp_path, monkeypatch):
 def test_grasps_alone_and_watched_are_compared(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "CHROMIUM", "there")
     alone = {"factor": 1.0, "core_s": 1.5}
-    monkeypatch.setattr(run, "_probe", lambda kind: alone if kind == "plain" else {**ROUND, "factor": 0.8})
+    monkeypatch.setattr(
+        run, "_probe", lambda kind: alone if kind == "plain" else {**ROUND, "factor": 0.8}
+    )
     result = run.run(tmp_path, quick=True, say=lambda _: None)
     assert [one["ratio"] for one in result["rounds"]] == [0.8]

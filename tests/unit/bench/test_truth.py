@@ -31,10 +31,17 @@ def test_those_that_come_along_can_be_read_and_use_every_motion():
     assert all(case.about and case.source and case.percent + case.least > 0 for case in cases)
 
 
-@pytest.mark.parametrize(("before", "after", "words"), [
-    ("[bulge]", "[blow]", ["expected one", "press, bulge"]), ("2.45]]", "2.45]]\n[spin]\naxis = [0, 0, 1]", ["2 motions"]),
-    ("source = \"a test\"", "", ["source"]), ("height", "hight", ["height", "hight"]),
-    ("\"dense\"", "\"dens\"", ["dens"]), ("percent = 2.0", "percent = -1", ["percent"])])
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        ("[bulge]", "[blow]", ["expected one", "press, bulge"]),
+        ("2.45]]", "2.45]]\n[spin]\naxis = [0, 0, 1]", ["2 motions"]),
+        ('source = "a test"', "", ["source"]),
+        ("height", "hight", ["height", "hight"]),
+        ('"dense"', '"dens"', ["dens"]),
+        ("percent = 2.0", "percent = -1", ["percent"]),
+    ],
+)
 def test_a_case_that_is_wrong_is_one_line(tmp_path, before, after, words):
     with pytest.raises(InputError) as error:
         load_case(write(tmp_path, BULGE.replace(before, after)))
@@ -47,9 +54,11 @@ def test_a_folder_without_cases(tmp_path):
 
 
 def test_an_indenter_of_several_geoms_presses_with_all(tmp_path):
-    """Two balls that touch together press harder than one at the same depth, and not twice as hard: they share a dent."""
+    """Two balls that touch together press harder than one at the same depth, and not twice as hard:
+    they share a dent."""
     press = BULGE.replace("[bulge]", "[press]").replace(
-        "height = [[1.0, 2.45]]", 'indenter = "balls.xml"\nforce = [[1.0, 0.1]]\nfelt = false')
+        "height = [[1.0, 2.45]]", 'indenter = "balls.xml"\nforce = [[1.0, 0.1]]\nfelt = false'
+    )
     forces = []
     for places in ((0.0,), (-0.004, 0.004)):
         geoms = "".join(f'<geom type="sphere" size="0.003" pos="{x} 0 0"/>' for x in places)

@@ -1,4 +1,5 @@
-"""`calibrate camera` on pictures of a board that are drawn with OpenCV's own camera model, and through a live stream."""
+"""`calibrate camera` on pictures of a board that are drawn with OpenCV's own camera model, and
+through a live stream."""
 
 import json
 import threading
@@ -30,24 +31,36 @@ def rays():
     u, v = np.meshgrid(np.arange(SIZE[0], dtype=float), np.arange(SIZE[1], dtype=float))
     points = np.stack([u.ravel(), v.ravel()], axis=1)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
-    return cv2.undistortPoints(points, K, DISTORTION, criteria=criteria).reshape(SIZE[1], SIZE[0], 2)
+    return cv2.undistortPoints(points, K, DISTORTION, criteria=criteria).reshape(
+        SIZE[1], SIZE[0], 2
+    )
 
 
 RAYS = rays()
 
 
 def picture(rotation, shift, seed, noise=2.0):
-    """The board at a pose, seen through K and DISTORTION: each pixel's ray meets the board's plane there."""
+    """The board at a pose, seen through K and DISTORTION: each pixel's ray meets the board's plane
+    there."""
     R = cv2.Rodrigues(np.asarray(rotation, float))[0]
     inverse = np.linalg.inv(np.column_stack([R[:, 0], R[:, 1], shift]))
     ray = np.concatenate([RAYS, np.ones((*RAYS.shape[:2], 1))], axis=2) @ inverse.T
     xy = ray[..., :2] / ray[..., 2:]
     scale = PIXELS / BOARD.square
     drawn = BOARD.draw(PIXELS)
-    at = (xy * scale + PIXELS / 2 - 0.5).astype(np.float32)  # pixel centres at integers; half a square of margin
-    gray = cv2.remap(cv2.GaussianBlur(drawn, (0, 0), 1.5), at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=255)
+    # pixel centres at integers; half a square of margin
+    at = (xy * scale + PIXELS / 2 - 0.5).astype(np.float32)
+    gray = cv2.remap(
+        cv2.GaussianBlur(drawn, (0, 0), 1.5),
+        at[..., 0],
+        at[..., 1],
+        cv2.INTER_LINEAR,
+        borderValue=255,
+    )
     rng = np.random.default_rng(seed)
-    return np.clip(cv2.GaussianBlur(gray, (0, 0), 0.7) * 0.7 + 30 + rng.normal(0, noise, gray.shape), 0, 255).astype(np.uint8)
+    return np.clip(
+        cv2.GaussianBlur(gray, (0, 0), 0.7) * 0.7 + 30 + rng.normal(0, noise, gray.shape), 0, 255
+    ).astype(np.uint8)
 
 
 def poses(count, tilt=0.5, spread=1.0):
@@ -57,7 +70,11 @@ def poses(count, tilt=0.5, spread=1.0):
     for i in range(count):
         rotation = np.array([*rng.uniform(-tilt, tilt, 2), rng.uniform(-0.3, 0.3)])
         depth = rng.uniform(0.045, 0.065)
-        aim = spread * np.array([(-1, 1)[i % 2] * 0.16, (-1, 1)[i // 2 % 2] * 0.13]) * rng.uniform(0.3, 1)
+        aim = (
+            spread
+            * np.array([(-1, 1)[i % 2] * 0.16, (-1, 1)[i // 2 % 2] * 0.13])
+            * rng.uniform(0.3, 1)
+        )
         corner = cv2.Rodrigues(rotation)[0] @ np.array([*middle, 0])
         yield rotation, np.array([*(aim * depth), depth]) - corner
 
@@ -76,19 +93,26 @@ def test_known_intrinsics_come_back(photos, tmp_path, capsys):
     result = json.loads(capsys.readouterr().out)
     camera = Camera.from_yaml(out)  # the chain reads what was written
     sd = result["sd"]
-    # Each within 4 of its own standard deviations, and a floor of 0.1 px: what corner refinement is biased by.
+    # Each within 4 of its own standard deviations, and a floor of 0.1 px: what corner refinement is
+    # biased by.
     for name, true in (("fx", 610.0), ("fy", 606.0), ("cx", 325.3), ("cy", 236.1)):
         assert abs(getattr(camera, name) - true) < max(4 * sd[name], 0.1), name
         assert sd[name] < 0.005 * 610
-    grid = np.stack(np.meshgrid(np.linspace(-0.4, 0.4, 9), np.linspace(-0.3, 0.3, 7)), axis=-1).reshape(-1, 2)
+    grid = np.stack(
+        np.meshgrid(np.linspace(-0.4, 0.4, 9), np.linspace(-0.3, 0.3, 7)), axis=-1
+    ).reshape(-1, 2)
     plane = np.column_stack([grid, np.ones(len(grid))])
-    seen = [cv2.projectPoints(plane, np.zeros(3), np.zeros(3), k, d)[0].reshape(-1, 2)
-            for k, d in ((K, DISTORTION), (camera.K, np.array(camera.distortion)))]
+    seen = [
+        cv2.projectPoints(plane, np.zeros(3), np.zeros(3), k, d)[0].reshape(-1, 2)
+        for k, d in ((K, DISTORTION), (camera.K, np.array(camera.distortion)))
+    ]
     inside = ((seen[0] > 20) & (seen[0] < np.array(SIZE) - 20)).all(axis=1)
     off = (seen[0] - seen[1])[inside]
-    # px, all over the view; a common shift is a turn of the camera by less than a milliradian, which `frame` measures
+    # px, all over the view; a common shift is a turn of the camera by less than a milliradian,
+    # which `frame` measures
     assert np.linalg.norm(off - off.mean(axis=0), axis=1).max() < 0.5
-    assert result["rms_px"] < 0.3 and result["holdout_px"] < 0.35  # blurred corners of 50 px squares: 0.17 px each way
+    # blurred corners of 50 px squares: 0.17 px each way
+    assert result["rms_px"] < 0.3 and result["holdout_px"] < 0.35
     table = yaml.safe_load(out.read_text())
     assert table["calibration"]["verdict"] == "good" and table["calibration"]["versions"]["opencv"]
     assert table["distortion_model"] == "plumb_bob" and table["projection_matrix"]["cols"] == 4
@@ -112,7 +136,10 @@ def test_too_few_pictures_of_the_middle_are_refused(tmp_path, capsys):
     text = capsys.readouterr().out
     assert "REFUSED" in text and "8 are needed" in text
     assert not out.exists()  # a good file is never replaced
-    assert yaml.safe_load((tmp_path / "camera.refused.yaml").read_text())["calibration"]["verdict"] == "refused"
+    assert (
+        yaml.safe_load((tmp_path / "camera.refused.yaml").read_text())["calibration"]["verdict"]
+        == "refused"
+    )
 
 
 def test_a_picture_of_a_bent_board_is_left_out(photos):
@@ -124,11 +151,19 @@ def test_a_picture_of_a_bent_board_is_left_out(photos):
     assert fit.dropped == ("bent",) and not fit.reasons
 
 
-@pytest.mark.parametrize(("arguments", "words"), [
-    ([], ("SOURCE", "--rig")), (["nowhere", "--out", "left.json"], ("nowhere",)), (["x"], ("whose", "--rig", "--out")),
-    (["--print", "no/board.png"], ("--print", "no")),
-    (["x", "--board", "9"], ("--board", "9x7")), (["x", "--dictionary", "Q"], ("--dictionary", "4X4_50")),
-    (["x", "--marker-mm", "6"], ("--marker-mm",)), (["x", "--out", "no/camera.yaml"], ("--out", "no"))])
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], ("SOURCE", "--rig")),
+        (["nowhere", "--out", "left.json"], ("nowhere",)),
+        (["x"], ("whose", "--rig", "--out")),
+        (["--print", "no/board.png"], ("--print", "no")),
+        (["x", "--board", "9"], ("--board", "9x7")),
+        (["x", "--dictionary", "Q"], ("--dictionary", "4X4_50")),
+        (["x", "--marker-mm", "6"], ("--marker-mm",)),
+        (["x", "--out", "no/camera.yaml"], ("--out", "no")),
+    ],
+)
 def test_bad_input_names_the_field(arguments, words, capsys):
     assert main(["calibrate", "camera", *arguments]) == 2
     text = capsys.readouterr().err
@@ -140,15 +175,22 @@ def test_live_views_are_taken_when_the_board_rests_somewhere_new():
     still = [picture(*pose, seed=i) for i, pose in enumerate(poses(3))]
     frames = [still[0], still[1], still[1], still[1], still[2], still[2], still[1], still[1]]
     said = []
-    views = collect_views(((str(i), gray) for i, gray in enumerate(frames)), finder, 10, said.append)
-    assert [view.name for view in views] == ["2", "5"]  # moving: no; resting: once; back at an old place: no
+    views = collect_views(
+        ((str(i), gray) for i, gray in enumerate(frames)), finder, 10, said.append
+    )
+    # moving: no; resting: once; back at an old place: no
+    assert [view.name for view in views] == ["2", "5"]
     assert len(said) == 2
 
 
 def test_live_through_a_stream(photos, tmp_path, capsys):
-    """The driver of a network camera, the stream's JPEG, the guided choice of views: the same camera."""
-    pictures = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(photos.glob("*.png"))]
-    server, stop = StreamServer(("left",)), pace.Event()
+    """The driver of a network camera, the stream's JPEG, the guided choice of views: the same
+    camera."""
+    pictures = [
+        cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(photos.glob("*.png"))
+    ]
+    server = StreamServer(("left",))
+    stop = pace.Event()
 
     def play():
         count = 0
@@ -159,8 +201,10 @@ def test_live_through_a_stream(photos, tmp_path, capsys):
 
     thread = threading.Thread(target=play)
     thread.start()
-    lines, inside = [], False
-    for line in load_rig_file("emulated").path.read_text().splitlines():  # only its camera is used: no [emulator]
+    lines = []
+    inside = False
+    # only its camera is used: no [emulator]
+    for line in load_rig_file("emulated").path.read_text().splitlines():
         inside = line.startswith("[emulator]") or inside and not line.startswith("[")
         if not inside:
             lines.append(line.replace('source = "emulator"', f'source = "{server.url("left")}"'))
@@ -168,8 +212,21 @@ def test_live_through_a_stream(photos, tmp_path, capsys):
     rig.write_text("\n".join(lines))
     try:
         begin = pace.monotonic()
-        code = main(["calibrate", "camera", "--rig", str(rig), "--views", "12", "--seconds", "30",
-                     "--out", str(tmp_path / "left.yaml"), "--json"])
+        code = main(
+            [
+                "calibrate",
+                "camera",
+                "--rig",
+                str(rig),
+                "--views",
+                "12",
+                "--seconds",
+                "30",
+                "--out",
+                str(tmp_path / "left.yaml"),
+                "--json",
+            ]
+        )
         assert pace.monotonic() - begin < 30 + 15  # never more than was allowed, and connecting
     finally:
         stop.set()
@@ -177,4 +234,5 @@ def test_live_through_a_stream(photos, tmp_path, capsys):
         server.close()
     result = json.loads(capsys.readouterr().out)
     assert code == 0, result["reasons"]
-    assert abs(result["camera_matrix"]["data"][0] - 610) < max(4 * result["sd"]["fx"], 0.5)  # JPEG moves corners a little
+    # JPEG moves corners a little
+    assert abs(result["camera_matrix"]["data"][0] - 610) < max(4 * result["sd"]["fx"], 0.5)

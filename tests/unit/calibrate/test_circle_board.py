@@ -1,4 +1,5 @@
-"""A camera from pictures of circles on a grid: its own intrinsics come back, k3 included, whatever is missing of the board."""
+"""A camera from pictures of circles on a grid: its own intrinsics come back, k3 included, whatever
+is missing of the board."""
 
 import json
 from dataclasses import replace
@@ -18,7 +19,8 @@ from mjtactile.core.errors import InputError
 
 SIZE = (640, 480)
 CAMERA = optics.Camera(*SIZE, 610.0, 606.0, 325.3, 236.1, (-0.21, 0.09, 8e-4, -6e-4, 0.15))
-PITCH, RADIUS = 8e-3, 3e-3
+PITCH = 8e-3
+RADIUS = 3e-3
 FINDER = CircleFinder(PITCH, RADIUS)
 
 
@@ -27,24 +29,33 @@ def board(rotation, shift, rows=9, columns=12):
     R = cv2.Rodrigues(np.asarray(rotation, float))[0]
     places = [(i, j) for j in range(rows) for i in range(columns)]
     middle = np.array([columns - 1, rows - 1, 0]) / 2
-    return places, [marker_scenes.Circle(R @ (PITCH * ((*place, 0) - middle)) + shift, R[:, 2], RADIUS) for place in places]
+    return places, [
+        marker_scenes.Circle(R @ (PITCH * ((*place, 0) - middle)) + shift, R[:, 2], RADIUS)
+        for place in places
+    ]
 
 
 def poses(count, seed=3):
     rng = np.random.default_rng(seed)
     for _ in range(count):
         z = rng.uniform(0.075, 0.1)
-        yield np.array([*rng.uniform(-0.5, 0.5, 2), rng.uniform(-0.3, 0.3)]), z * np.array([*rng.uniform(-0.1, 0.1, 2), 1.0])
+        yield (
+            np.array([*rng.uniform(-0.5, 0.5, 2), rng.uniform(-0.3, 0.3)]),
+            z * np.array([*rng.uniform(-0.1, 0.1, 2), 1.0]),
+        )
 
 
 def exact_view(pose, camera=CAMERA, noise_px=0.02, seed=0):
-    """The centres of the images' areas, which are the ellipses', by integration along the rims, and noise."""
+    """The centres of the images' areas, which are the ellipses', by integration along the rims, and
+    noise."""
     places, circles = board(*pose)
     uv = []
     for circle in circles:
         u, v = (rim := marker_scenes.rim_px(camera, circle, 256)).T
         cross = u * np.roll(v, -1) - np.roll(u, -1) * v
-        uv.append(((rim + np.roll(rim, -1, axis=0)) * cross[:, None]).sum(axis=0) / (3 * cross.sum()))
+        uv.append(
+            ((rim + np.roll(rim, -1, axis=0)) * cross[:, None]).sum(axis=0) / (3 * cross.sum())
+        )
     uv = np.array(uv) + np.random.default_rng(seed).normal(0, noise_px, (len(uv), 2))
     inside = ((uv > 5) & (uv < np.array(SIZE) - 5)).all(axis=1)
     ids = np.array([(i + 500) * 1000 + j + 500 for i, j in places], dtype=np.int32)
@@ -54,12 +65,19 @@ def exact_view(pose, camera=CAMERA, noise_px=0.02, seed=0):
 def test_intrinsics_and_k3_come_back_from_ellipses_centres():
     views = [exact_view(pose, seed=k) for k, pose in enumerate(poses(12))]
     fit = calibrate_from_circles(FINDER, views, SIZE)
-    # 12 views of 90 points at 0.02 px: sd of the focal length is 0.04 px, by OpenCV's own covariance; five of them
+    # 12 views of 90 points at 0.02 px: sd of the focal length is 0.04 px, by OpenCV's own
+    # covariance; five of them
     truth = np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy])
-    assert (np.abs(fit.K[[0, 1, 0, 1], [0, 1, 2, 2]] - truth) < 5 * fit.sd[:4] + 0.02).all() and (fit.sd[:4] < 0.3).all()
-    assert fit.distortion[4] == pytest.approx(0.15, abs=5 * fit.sd[8]) and fit.distortion[4] > 4 * fit.sd[8]
+    assert (np.abs(fit.K[[0, 1, 0, 1], [0, 1, 2, 2]] - truth) < 5 * fit.sd[:4] + 0.02).all() and (
+        fit.sd[:4] < 0.3
+    ).all()
+    assert (
+        fit.distortion[4] == pytest.approx(0.15, abs=5 * fit.sd[8])
+        and fit.distortion[4] > 4 * fit.sd[8]
+    )
     assert fit.rms < 0.04  # 0.028 is the noise of both coordinates
-    plain = calibrate_camera(FINDER, views, SIZE, k3=True)  # ellipses' centres taken for the circles'
+    # ellipses' centres taken for the circles'
+    plain = calibrate_camera(FINDER, views, SIZE, k3=True)
     assert (np.abs(plain.K[[0, 1], [0, 1]] - truth[:2]) > 10 * plain.sd[:2]).all()
 
 
@@ -78,8 +96,10 @@ def test_a_grid_is_numbered_with_gaps_and_strangers():
     found = number_grid(np.concatenate([uv[keep], strangers]))
     mine = {k: place for k, place in found.items() if k < 90}
     assert len(mine) >= 85
-    got, want = np.array(list(mine.values())), np.array([places[keep[k]] for k in mine])
-    # the same up to where (0, 0) is and which way i and j go: one affine map with determinant 1 or -1
+    got = np.array(list(mine.values()))
+    want = np.array([places[keep[k]] for k in mine])
+    # the same up to where (0, 0) is and which way i and j go: one affine map with determinant 1 or
+    # -1
     A = np.column_stack([want, np.ones(len(want))])
     solved = np.linalg.lstsq(A, got, rcond=None)[0]
     np.testing.assert_allclose(A @ solved, got, atol=1e-9)
@@ -89,13 +109,44 @@ def test_a_grid_is_numbered_with_gaps_and_strangers():
 def test_the_command(tmp_path, capsys):
     """Three pictures are too few to be good, but enough to write what was refused, and why."""
     for k, pose in enumerate(poses(3)):
-        cv2.imwrite(str(tmp_path / f"{k}.png"), marker_scenes.image(CAMERA, board(*pose, rows=3, columns=6)[1], seed=k))
-    words = ["calibrate", "camera", str(tmp_path), "--from-circles", "--pitch-mm", "8", "--radius-mm", "3"]
+        cv2.imwrite(
+            str(tmp_path / f"{k}.png"),
+            marker_scenes.image(CAMERA, board(*pose, rows=3, columns=6)[1], seed=k),
+        )
+    words = [
+        "calibrate",
+        "camera",
+        str(tmp_path),
+        "--from-circles",
+        "--pitch-mm",
+        "8",
+        "--radius-mm",
+        "3",
+    ]
     assert main([*words, "--out", str(tmp_path / "camera.yaml"), "--json"]) == 1
     result = json.loads(capsys.readouterr().out)
-    assert result["views"] == 3 and result["rms_px"] < 0.2 and any("8 are needed" in reason for reason in result["reasons"])
-    assert yaml.safe_load(Path(result["file"]).read_text())["camera_matrix"]["data"][0] == pytest.approx(610, rel=0.2)
+    assert (
+        result["views"] == 3
+        and result["rms_px"] < 0.2
+        and any("8 are needed" in reason for reason in result["reasons"])
+    )
+    assert yaml.safe_load(Path(result["file"]).read_text())["camera_matrix"]["data"][
+        0
+    ] == pytest.approx(610, rel=0.2)
     with pytest.raises(InputError, match="touch"):
         CircleFinder(5e-3, 3e-3)
-    assert main(["calibrate", "camera", str(tmp_path), "--pitch-mm", "8", "--out", str(tmp_path / "b.yaml")]) == 2
+    assert (
+        main(
+            [
+                "calibrate",
+                "camera",
+                str(tmp_path),
+                "--pitch-mm",
+                "8",
+                "--out",
+                str(tmp_path / "b.yaml"),
+            ]
+        )
+        == 2
+    )
     assert "--from-circles" in capsys.readouterr().err

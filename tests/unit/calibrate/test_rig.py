@@ -1,7 +1,8 @@
-"""`calibrate gripper` and `calibrate valve`: fits against made-up truth, and the guided runs over real ptys.
+"""`calibrate gripper` and `calibrate valve`: fits against made-up truth, and the guided runs over
+real ptys.
 
-The jaws here are this test's own mechanics (play, a spring block, a torque constant that is not the data sheet's), so
-that what comes back can be compared with what was put in.
+The jaws here are this test's own mechanics (play, a spring block, a torque constant that is not the
+data sheet's), so that what comes back can be compared with what was put in.
 """
 
 import contextlib
@@ -29,7 +30,8 @@ from tests.emulated import ANGLE, GRIPPER, servo_bench, valve_bench, valve_confi
 
 pytestmark = pytest.mark.clock
 
-RADIUS, TICK = 0.012, 2 * math.pi / 4096
+RADIUS = 0.012
+TICK = 2 * math.pi / 4096
 
 
 def write_csv(path, header, rows):
@@ -37,76 +39,120 @@ def write_csv(path, header, rows):
     return path
 
 
-# -- gripper: the fits -------------------------------------------------------------------------------------------------
+# -- gripper: the fits
+# --------------------------------------------------------------------------------
+
 
 def readings(offset=4e-4, scale=1.01, backlash=3e-4, noise=1e-5):
     rng = np.random.default_rng(0)
     reported = np.repeat([0.03, 0.05, 0.08, 0.1], 2)
     direction = ["closing", "opening"] * 4
     sign = np.where(np.array(direction) == "opening", 1.0, -1.0)
-    return reported, direction, offset + scale * reported - backlash / 2 * sign + rng.normal(0, noise, 8)
+    return (
+        reported,
+        direction,
+        offset + scale * reported - backlash / 2 * sign + rng.normal(0, noise, 8),
+    )
 
 
 def test_offset_scale_and_backlash_come_back():
     fit = calibrate_opening(*readings())
     for name, true in (("offset", 4e-4), ("scale", 1.01), ("backlash", 3e-4)):
-        assert abs(getattr(fit, name) - true) < 4 * getattr(fit, f"{name}_sd"), name  # of their own standard deviations
+        # of their own standard deviations
+        assert abs(getattr(fit, name) - true) < 4 * getattr(fit, f"{name}_sd"), name
     assert not fit.reasons
 
 
-@pytest.mark.parametrize(("changes", "word"), [({"scale": 1.05}, "mm_per_rad"), ({"backlash": 2e-3}, "loose horn"),
-                                               ({"noise": 1e-3}, "off the fit"), ({"backlash": -3e-4}, "mixed up")])
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"scale": 1.05}, "mm_per_rad"),
+        ({"backlash": 2e-3}, "loose horn"),
+        ({"noise": 1e-3}, "off the fit"),
+        ({"backlash": -3e-4}, "mixed up"),
+    ],
+)
 def test_a_bad_opening_is_refused_with_its_reason(changes, word):
     assert any(word in reason for reason in calibrate_opening(*readings(**changes)).reasons)
 
 
 def test_lines_for_the_rig_file_put_the_caliper_right():
-    """With the new lines a servo's position means the opening that the caliper showed (play aside)."""
+    """With the new lines a servo's position means the opening that the caliper showed (play
+    aside)."""
     reported, direction, measured = readings(noise=0.0)
     fit = calibrate_opening(reported, direction, measured)
     geometry = JawGeometry(GRIPPER, "test")
     lines = servo_lines(geometry, fit, None)
-    servos = tuple(replace(s, zero_ticks=line["zero_ticks"], per_rad=1e-3 * line["mm_per_rad"])
-                   for s, line in zip(GRIPPER.servos, lines, strict=True))
+    servos = tuple(
+        replace(s, zero_ticks=line["zero_ticks"], per_rad=1e-3 * line["mm_per_rad"])
+        for s, line in zip(GRIPPER.servos, lines, strict=True)
+    )
     better = JawGeometry(replace(GRIPPER, servos=servos), "test")
     for opening in (0.03, 0.1):
         ticks = geometry.goals(opening)
-        assert better.opening(ticks) == pytest.approx(4e-4 + 1.01 * opening, abs=2 * RADIUS * TICK)  # a tick for each servo
+        # a tick for each servo
+        assert better.opening(ticks) == pytest.approx(4e-4 + 1.01 * opening, abs=2 * RADIUS * TICK)
 
 
 def test_force_factor_and_friction_come_back():
     reported = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
     fit = calibrate_force(reported, 0.8 * reported - 0.15)
-    assert (fit.factor, fit.offset) == (pytest.approx(0.8), pytest.approx(-0.15)) and not fit.reasons
+    assert (fit.factor, fit.offset) == (
+        pytest.approx(0.8),
+        pytest.approx(-0.15),
+    ) and not fit.reasons
     assert "servo model" in calibrate_force(reported, 0.3 * reported).reasons[0]
     assert any("its zero" in reason for reason in calibrate_force(reported, reported + 1.0).reasons)
 
 
 def test_recorded_readings_through_the_command(tmp_path, capsys):
     reported, direction, measured = readings()
-    openings = write_csv(tmp_path / "caliper.csv", "reported_mm,direction,measured_mm",
-                         zip(1e3 * reported, direction, 1e3 * measured, strict=True))
-    forces = write_csv(tmp_path / "cell.csv", "measured_N,reported_N", [(0.8 * f, f) for f in (1, 2, 3, 4)])
-    arguments = ["calibrate", "gripper", "--rig", "two_xm430", "--out", str(tmp_path / "g.json"), "--json"]
+    openings = write_csv(
+        tmp_path / "caliper.csv",
+        "reported_mm,direction,measured_mm",
+        zip(1e3 * reported, direction, 1e3 * measured, strict=True),
+    )
+    forces = write_csv(
+        tmp_path / "cell.csv", "measured_N,reported_N", [(0.8 * f, f) for f in (1, 2, 3, 4)]
+    )
+    arguments = [
+        "calibrate",
+        "gripper",
+        "--rig",
+        "two_xm430",
+        "--out",
+        str(tmp_path / "g.json"),
+        "--json",
+    ]
     assert main([*arguments, "--openings", str(openings), "--forces", str(forces)]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["opening"]["backlash_mm"] == pytest.approx(0.3, abs=0.05)
-    assert result["servo"][0]["torque_Nm_per_A"] == pytest.approx(1.78 * 0.8 * result["opening"]["scale"], rel=1e-3)
+    assert result["servo"][0]["torque_Nm_per_A"] == pytest.approx(
+        1.78 * 0.8 * result["opening"]["scale"], rel=1e-3
+    )
     assert json.loads((tmp_path / "g.json").read_text())["verdict"] == "good"
     forces.write_text("reported_N,measured_N\n1,x\n2,2\n3,3\n4,4\n")
     assert main([*arguments, "--forces", str(forces)]) == 2
     assert "line 2, column measured_N" in json.loads(capsys.readouterr().out)["error"]
 
 
-# -- gripper: on a pty -------------------------------------------------------------------------------------------------
+# -- gripper: on a pty
+# --------------------------------------------------------------------------------
+
 
 class Mechanism:
-    """Jaws on two pinions with play between servo and jaw, and a springy block between them, moved by a thread."""
+    """Jaws on two pinions with play between servo and jaw, and a springy block between them, moved
+    by a thread."""
 
     def __init__(self, servos, *, play=0.0, block=0.0, stiffness=4e3, torque_share=1.0):
-        self.servos, self.play, self.block, self.stiffness, self.share = servos, play, block, stiffness, torque_share
+        self.servos = servos
+        self.play = play
+        self.block = block
+        self.stiffness = stiffness
+        self.share = torque_share
         self.motor = self.jaw = RADIUS * ANGLE  # m, of each jaw
-        self.force, self._stop = 0.0, pace.Event()
+        self.force = 0.0
+        self._stop = pace.Event()
         self._thread = threading.Thread(target=self._run)
 
     def __enter__(self):
@@ -127,55 +173,93 @@ class Mechanism:
             if any(drive.torque_max == 0 for drive in drives):
                 continue
             before = self.motor
-            most = self.share * sum(drive.torque_max for drive in drives) / 2 / RADIUS  # N on each finger
+            # N on each finger
+            most = self.share * sum(drive.torque_max for drive in drives) / 2 / RADIUS
             goal = RADIUS * drives[0].goal
             self.motor += float(np.clip(goal - self.motor, -4e-4, 4e-4))  # at 0.2 m/s
-            self.motor = max(self.motor, self.block / 2 - most / self.stiffness - self.play / 2)  # the block holds it up
-            self.jaw = float(np.clip(self.jaw, self.motor - self.play / 2, self.motor + self.play / 2))
+            # the block holds it up
+            self.motor = max(self.motor, self.block / 2 - most / self.stiffness - self.play / 2)
+            self.jaw = float(
+                np.clip(self.jaw, self.motor - self.play / 2, self.motor + self.play / 2)
+            )
             self.force = max(0.0, (self.block / 2 - self.jaw) * self.stiffness)
             for servo in self.servos.values():
-                servo.feel(self.motor / RADIUS, (self.motor - before) / 0.002 / RADIUS, -self.force * RADIUS / self.share, 0.002)
+                servo.feel(
+                    self.motor / RADIUS,
+                    (self.motor - before) / 0.002 / RADIUS,
+                    -self.force * RADIUS / self.share,
+                    0.002,
+                )
 
 
 @pytest.fixture
 def hurry(monkeypatch):
     """The guided run's waiting times, shortened: the mechanism here settles at once."""
-    for name, value in (("_SPEED", 0.1), ("_REST_TIME", 0.1), ("_STALL_TIME", 0.12), ("_VALVE_STAGES", (0.35, 0.7, 0.3))):
+    for name, value in (
+        ("_SPEED", 0.1),
+        ("_REST_TIME", 0.1),
+        ("_STALL_TIME", 0.12),
+        ("_VALVE_STAGES", (0.35, 0.7, 0.3)),
+    ):
         monkeypatch.setattr(live, name, value)
 
 
 def test_backlash_and_zero_of_jaws_on_a_bus(hurry):
-    with servo_bench() as bench, Mechanism(bench.servos, play=2e-4) as jaws, contextlib.closing(bench.gripper()) as gripper:
-        fit = calibrate_opening(*live.measure_openings(gripper, [0.055, 0.08], lambda _: 1e3 * (jaws.opening + 5e-4), 2.0,
-                                                       lambda _: None))
+    with (
+        servo_bench() as bench,
+        Mechanism(bench.servos, play=2e-4) as jaws,
+        contextlib.closing(bench.gripper()) as gripper,
+    ):
+        fit = calibrate_opening(
+            *live.measure_openings(
+                gripper, [0.055, 0.08], lambda _: 1e3 * (jaws.opening + 5e-4), 2.0, lambda _: None
+            )
+        )
     # Two jaws with 0.2 mm each, a caliper that shows 0.5 mm more; a tick of each servo is 0.018 mm
     assert fit.backlash == pytest.approx(4e-4, abs=5e-5)
-    assert fit.offset == pytest.approx(5e-4, abs=2e-4)  # read off 55 and 80 mm: ticks weigh 80 / 25 times at 0
+    # read off 55 and 80 mm: ticks weigh 80 / 25 times at 0
+    assert fit.offset == pytest.approx(5e-4, abs=2e-4)
     assert not fit.reasons
 
 
 def test_current_to_force_of_jaws_on_a_bus(hurry):
-    with (servo_bench() as bench, Mechanism(bench.servos, block=0.06, torque_share=0.75) as jaws,
-          contextlib.closing(bench.gripper()) as gripper):
-        fit = calibrate_force(*live.measure_forces(gripper, [1.0, 2.0, 3.0, 4.0], lambda _: jaws.force, lambda _: None))
+    with (
+        servo_bench() as bench,
+        Mechanism(bench.servos, block=0.06, torque_share=0.75) as jaws,
+        contextlib.closing(bench.gripper()) as gripper,
+    ):
+        fit = calibrate_force(
+            *live.measure_forces(
+                gripper, [1.0, 2.0, 3.0, 4.0], lambda _: jaws.force, lambda _: None
+            )
+        )
     assert fit.factor == pytest.approx(0.75, abs=0.01)  # current in units of 1 mA of 30 mA and more
     assert not fit.reasons
 
 
 def test_jaws_that_meet_nothing_are_no_calibration(hurry):
-    with (servo_bench() as bench, Mechanism(bench.servos), contextlib.closing(bench.gripper()) as gripper,
-          pytest.raises(DeviceError, match="met nothing")):
+    with (
+        servo_bench() as bench,
+        Mechanism(bench.servos),
+        contextlib.closing(bench.gripper()) as gripper,
+        pytest.raises(DeviceError, match="met nothing"),
+    ):
         live.measure_forces(gripper, [1.0], lambda _: 0.0, lambda _: None)
 
 
-# -- valve -------------------------------------------------------------------------------------------------------------
+# -- valve
+# --------------------------------------------------------------------------------
+
 
 def step(offset=10.0, tau=0.06, leak=0.5, reached=1000.0, noise=4.0):
     rng = np.random.default_rng(1)
     t = np.arange(0.0, 16.0, 0.02)
     state = np.select([t < 1, t < 3, t < 13], ["vent", "open", "closed"], "vent")
-    rise, sealed = reached * (1 - np.exp(-(t - 1) / tau)), reached - leak * (t - 3)
-    p = offset + np.select([t < 1, t < 3, t < 13], [0.0, rise, sealed], (reached - 10 * leak) * np.exp(-(t - 13) / tau))
+    rise = reached * (1 - np.exp(-(t - 1) / tau))
+    sealed = reached - leak * (t - 3)
+    p = offset + np.select(
+        [t < 1, t < 3, t < 13], [0.0, rise, sealed], (reached - 10 * leak) * np.exp(-(t - 13) / tau)
+    )
     return t, p + rng.normal(0, noise, len(t)), list(state)
 
 
@@ -183,22 +267,33 @@ def test_a_step_gives_its_numbers_back():
     fit = calibrate_valve(*step(), 1000.0)
     assert fit.offset == pytest.approx(10, abs=2)  # mean of 33 samples with 4 Pa
     assert fit.noise_sd == pytest.approx(4, rel=0.4)
-    assert fit.rise_time == pytest.approx(math.log(9) * 0.06, rel=0.1)  # first order; samples every 0.02 s
+    # first order; samples every 0.02 s
+    assert fit.rise_time == pytest.approx(math.log(9) * 0.06, rel=0.1)
     assert fit.time_constant == pytest.approx(0.06, abs=0.02)  # a sample
     assert fit.leak == pytest.approx(0.5, abs=4 * fit.leak_sd) and fit.leak_sd < 0.1
     assert fit.fall_time == pytest.approx(math.log(9) * 0.06, rel=0.15)
     assert not fit.reasons
 
 
-@pytest.mark.parametrize(("changes", "word"), [({"offset": 80.0}, "zero"), ({"leak": 5.0}, "loses"), ({"tau": 0.6}, "90 %"),
-                                               ({"reached": 700.0}, "instead of 1000"), ({"noise": 80.0}, "noise")])
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"offset": 80.0}, "zero"),
+        ({"leak": 5.0}, "loses"),
+        ({"tau": 0.6}, "90 %"),
+        ({"reached": 700.0}, "instead of 1000"),
+        ({"noise": 80.0}, "noise"),
+    ],
+)
 def test_a_bad_valve_is_refused_with_its_reason(changes, word):
     assert any(word in reason for reason in calibrate_valve(*step(**changes), 1000.0).reasons)
 
 
 def test_recorded_step_through_the_command(tmp_path, capsys):
     t, p, state = step(leak=5.0)
-    table = write_csv(tmp_path / "step.csv", "time_s,pressure_kPa,state", zip(t, 1e-3 * p, state, strict=True))
+    table = write_csv(
+        tmp_path / "step.csv", "time_s,pressure_kPa,state", zip(t, 1e-3 * p, state, strict=True)
+    )
     out = tmp_path / "valve.json"
     assert main(["calibrate", "valve", str(table), "--pressure-kPa", "1", "--out", str(out)]) == 1
     assert "REFUSED: sealed, it loses" in capsys.readouterr().out
@@ -220,7 +315,8 @@ def test_a_valve_on_a_pty(hurry):
             boards[0].close()
         passed = pace.monotonic() - begin
     assert fit.offset == pytest.approx(0, abs=5)  # 5 Pa of noise, some 20 samples
-    # The board's lag of 50 ms gives 0.11 s; its clock stands still while a busy computer does not let it tick.
+    # The board's lag of 50 ms gives 0.11 s; its clock stands still while a busy computer does not
+    # let it tick.
     assert 0.05 < fit.rise_time < 0.6
     assert 2 < fit.leak < 25, passed  # 20 Pa/s; a busy computer ticks less often
     assert any("loses" in reason for reason in fit.reasons)
@@ -244,7 +340,9 @@ def test_every_rig_file_names_servos_that_can_be_calibrated():
         assert [line["id"] for line in lines] == [servo.id for servo in rig_file.gripper.servos]
 
 
-# -- the person at the terminal ----------------------------------------------------------------------------------------
+# -- the person at the terminal
+# --------------------------------------------------------------------------------
+
 
 def test_readings_are_asked_for_until_they_are_numbers(monkeypatch, capsys):
     monkeypatch.setattr("sys.stdin", io.StringIO("twelve\n12,5\n\n"))

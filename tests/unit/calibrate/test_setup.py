@@ -1,4 +1,5 @@
-"""`mjtactile setup` with emulated hardware: everything is found by asking the devices, and what answers is kept."""
+"""`mjtactile setup` with emulated hardware: everything is found by asking the devices, and what
+answers is kept."""
 
 import re
 
@@ -23,14 +24,20 @@ def emulator():
 
 
 def test_a_new_rig_from_nothing_but_ports_and_streams(tmp_path, emulator, monkeypatch):
-    for name, value in (("BAUDS", (1_000_000,)), ("IDS", range(1, 4)), ("_REPLY_TIME", 0.3)):  # sooner, on a busy computer
+    # sooner, on a busy computer
+    for name, value in (("BAUDS", (1_000_000,)), ("IDS", range(1, 4)), ("_REPLY_TIME", 0.3)):
         monkeypatch.setattr(f"mjtactile.devices.listing.{name}", value)
     ends = emulator.endpoints
-    nowhere = {"servo": "/dev/none", "valve": "/dev/none",
-               "cameras": {"left": "http://127.0.0.1:9/1", "right": "http://127.0.0.1:9/2"}}
+    nowhere = {
+        "servo": "/dev/none",
+        "valve": "/dev/none",
+        "cameras": {"left": "http://127.0.0.1:9/1", "right": "http://127.0.0.1:9/2"},
+    }
     like = tmp_path / "like.toml"
     like.write_text(client_text(load_rig_file("emulated").path, nowhere))
-    path, asked, said = tmp_path / "mine.toml", [], []
+    path = tmp_path / "mine.toml"
+    asked = []
+    said = []
     pressed = []
 
     def ask(question):
@@ -44,13 +51,22 @@ def test_a_new_rig_from_nothing_but_ports_and_streams(tmp_path, emulator, monkey
             pressed.extend(boards)
         if "which one" in question:
             return "2" if "jaw 1" in question else "1"
-        return {"largest force": "4", "largest opening": "-5" if "largest opening" not in " ".join(asked[:-1]) else ""}.get(
-            question.split(" on ")[0].split(",")[0], "")
+        return {
+            "largest force": "4",
+            "largest opening": "-5" if "largest opening" not in " ".join(asked[:-1]) else "",
+        }.get(question.split(" on ")[0].split(",")[0], "")
 
     streams = [ends["cameras"]["right"], ends["cameras"]["left"]]
     try:
         with pytest.raises(InputError, match="1 cameras are there, and the rig has 2 fingers"):
-            setup(path, like=like, ports=[ends["valve"], ends["servo"]], cameras=streams[:1], ask=ask, say=said.append)
+            setup(
+                path,
+                like=like,
+                ports=[ends["valve"], ends["servo"]],
+                cameras=streams[:1],
+                ask=ask,
+                say=said.append,
+            )
         assert load_rig_file(path).bus.port == ends["servo"]  # what was found until then is kept
         asked.clear()
         rig = setup(path, like=like, ports=[], cameras=streams, ask=ask, say=said.append)
@@ -58,15 +74,24 @@ def test_a_new_rig_from_nothing_but_ports_and_streams(tmp_path, emulator, monkey
         for board in pressed:
             board.close(quiet=True)
     assert any("servos [2, 1, 3] answer" in line and "kept" in line for line in said)
-    assert [servo.id for servo in rig.gripper.servos] == [2, 1] and (rig.lift.id, rig.lift.model) == (3, "XM430-W350")
-    assert [camera.source for camera in rig.cameras] == [ends["cameras"]["left"], ends["cameras"]["right"]]
+    assert [servo.id for servo in rig.gripper.servos] == [2, 1] and (
+        rig.lift.id,
+        rig.lift.model,
+    ) == (3, "XM430-W350")
+    assert [camera.source for camera in rig.cameras] == [
+        ends["cameras"]["left"],
+        ends["cameras"]["right"],
+    ]
     assert {valve.port for valve in rig.valves} == {ends["valve"]}
     assert rig.gripper.force_max == 4.0 and rig.gripper.opening[1] == pytest.approx(0.12)
-    assert any("-5" in line and "opening_max_mm" in line for line in said)  # refused, and asked again
+    # refused, and asked again
+    assert any("-5" in line and "opening_max_mm" in line for line in said)
     assert "# on each finger" in path.read_text()  # comments stay
 
 
 def test_values_change_where_they_stand():
     text = '[a]\nx = 1  # one\nname = "b # c"\n\n[[b.c]]\nx = 2\n[[b.c]]\nx = 3\n'
-    new = edited(text, {("a", 0, "x"): 5.0, ("b.c", 1, "x"): 7, ("a", 0, "name"): "d", ("b.c", 0, "y"): 1})
+    new = edited(
+        text, {("a", 0, "x"): 5.0, ("b.c", 1, "x"): 7, ("a", 0, "name"): "d", ("b.c", 0, "y"): 1}
+    )
     assert new == '[a]\nx = 5.0  # one\nname = "d"\n\n[[b.c]]\ny = 1\nx = 2\n[[b.c]]\nx = 7\n'

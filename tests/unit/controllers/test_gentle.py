@@ -1,4 +1,5 @@
-"""The gentle controller notices that the object stays behind, opens where it is, and does not claim to have held it."""
+"""The gentle controller notices that the object stays behind, opens where it is, and does not claim
+to have held it."""
 
 import math
 from dataclasses import replace
@@ -14,20 +15,27 @@ step = load_controller("gentle").step
 
 
 def touch(force, slipped=0.0):
-    return Touch(0.0, 0.01, force, 0.01, force > 0.08, slip=Slip("slipping", np.zeros(2), slipped, 0.0))
+    return Touch(
+        0.0, 0.01, force, 0.01, force > 0.08, slip=Slip("slipping", np.zeros(2), slipped, 0.0)
+    )
 
 
 def run(command, felt, count):
     """`count` cycles with the touches `felt`, on a gripper that is where it was told to be."""
     for i in range(count):
         state = GripperState(command.opening, 0.0, 0.6, command.lift_height)
-        command = step(Observation(i * PERIOD, PERIOD, felt, state, (ValveState(False),) * 2, command))
+        command = step(
+            Observation(i * PERIOD, PERIOD, felt, state, (ValveState(False),) * 2, command)
+        )
     return command
 
 
 @pytest.mark.parametrize("phase", ["lift", "hold", "lower"])
-@pytest.mark.parametrize("felt", [(touch(0.0), touch(0.02)), (touch(0.6, 0.008), touch(0.6, 0.009))],
-                         ids=["nothing is felt", "it slid"])
+@pytest.mark.parametrize(
+    "felt",
+    [(touch(0.0), touch(0.02)), (touch(0.6, 0.008), touch(0.6, 0.009))],
+    ids=["nothing is felt", "it slid"],
+)
 def test_what_stays_behind_is_let_go_where_the_hand_is(phase, felt):
     start = Command(0.04, 4.0, 0.02, phase)
     command = run(start, felt, 12)  # 0.4 s
@@ -39,19 +47,26 @@ def test_what_stays_behind_is_let_go_where_the_hand_is(phase, felt):
 
 def test_what_is_held_goes_on():
     for phase, force in (("lift", 0.6), ("hold", 0.3)):
-        assert run(Command(0.04, 4.0, 0.02, phase), (touch(force, 4e-4), touch(force, 0.02)), 12).phase in ("lift", "hold")
+        assert run(
+            Command(0.04, 4.0, 0.02, phase), (touch(force, 4e-4), touch(force, 0.02)), 12
+        ).phase in ("lift", "hold")
 
 
 def test_jaws_that_are_blocked_by_what_no_finger_feels_do_not_push_for_ever():
-    """A fallen strawberry between the frames: until now the approach went on until the time was over."""
-    command, nothing = Command(0.08, 4.0, 0.0, "approach"), (touch(0.0),) * 2
+    """A fallen strawberry between the frames: until now the approach went on until the time was
+    over."""
+    command = Command(0.08, 4.0, 0.0, "approach")
+    nothing = (touch(0.0),) * 2
     for i in range(120):  # 4 s at 25 mm/s would be 100 mm
         state = GripperState(max(command.opening, 0.0354), 0.0, 4.0, 0.0)
-        command = step(Observation(i * PERIOD, PERIOD, nothing, state, (ValveState(False),) * 2, command))
+        command = step(
+            Observation(i * PERIOD, PERIOD, nothing, state, (ValveState(False),) * 2, command)
+        )
         if command.phase == "abort":
             break
     assert command.phase == "abort" and command.opening == pytest.approx(0.0354)
-    assert run(Command(0.08, 4.0, 0.0, "approach"), nothing, 60).phase == "approach"  # jaws that follow go on
+    # jaws that follow go on
+    assert run(Command(0.08, 4.0, 0.0, "approach"), nothing, 60).phase == "approach"
 
 
 def test_a_moment_without_touch_or_sight_is_no_loss():
@@ -64,12 +79,16 @@ def test_a_moment_without_touch_or_sight_is_no_loss():
 
 @pytest.mark.parametrize("controller", ["gentle", "slip_aware", "touchless"])
 def test_what_stands_before_the_hand_is_down_is_let_go(controller):
-    """A strawberry that tilted in the grip held the hand 3 mm up: until now it was pressed down until the time was over."""
+    """A strawberry that tilted in the grip held the hand 3 mm up: until now it was pressed down
+    until the time was over."""
     its_step = load_controller(controller).step
-    command, held = Command(0.04, 4.0, 0.04, "lower"), (touch(0.6),) * 2
+    command = Command(0.04, 4.0, 0.04, "lower")
+    held = (touch(0.6),) * 2
     for i in range(150):  # 5 s; coming down takes 1.0 to 1.6
         state = GripperState(command.opening, 0.0, 0.6, max(command.lift_height, 0.003))
-        command = its_step(Observation(i * PERIOD, PERIOD, held, state, (ValveState(False),) * 2, command))
+        command = its_step(
+            Observation(i * PERIOD, PERIOD, held, state, (ValveState(False),) * 2, command)
+        )
         if command.phase != "lower":
             break
     assert command.phase == "release" and 1.0 < i * PERIOD < 3.0

@@ -1,4 +1,5 @@
-"""A policy file is a controller: the numpy archive's network by hand, and the same as ONNX where there is onnxruntime."""
+"""A policy file is a controller: the numpy archive's network by hand, and the same as ONNX where
+there is onnxruntime."""
 
 import importlib.util
 
@@ -26,21 +27,32 @@ def test_a_network_of_two_layers(tmp_path, monkeypatch):
     np.savez(tmp_path / "p.npz", w0=w0, b0=b0, w1=w1, b1=b1)
     observation = seen((0.3, 0.4))
     action = w1 @ np.tanh(w0 @ policy_vector(observation) + b0) + b1
-    assert controller(monkeypatch, tmp_path / "p.npz").step(observation) == policy_command(observation, action)
+    assert controller(monkeypatch, tmp_path / "p.npz").step(observation) == policy_command(
+        observation, action
+    )
 
 
-@pytest.mark.skipif(importlib.util.find_spec("onnxruntime") is None or importlib.util.find_spec("onnx") is None,
-                    reason="needs onnx and onnxruntime")
+@pytest.mark.skipif(
+    importlib.util.find_spec("onnxruntime") is None or importlib.util.find_spec("onnx") is None,
+    reason="needs onnx and onnxruntime",
+)
 def test_the_same_as_onnx(tmp_path, monkeypatch):
     from onnx import TensorProto, helper, save
 
     w = np.random.default_rng(1).standard_normal((30, 3)).astype(np.float32)
     graph = helper.make_graph(
-        [helper.make_node("MatMul", ["x", "w"], ["y"])], "policy",
+        [helper.make_node("MatMul", ["x", "w"], ["y"])],
+        "policy",
         [helper.make_tensor_value_info("x", TensorProto.FLOAT, [1, 30])],
         [helper.make_tensor_value_info("y", TensorProto.FLOAT, [1, 3])],
-        [helper.make_tensor("w", TensorProto.FLOAT, w.shape, w.ravel())])
-    save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9), str(tmp_path / "p.onnx"))
+        [helper.make_tensor("w", TensorProto.FLOAT, w.shape, w.ravel())],
+    )
+    save(
+        helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9),
+        str(tmp_path / "p.onnx"),
+    )
     observation = seen((0.3, 0.4))
     command = controller(monkeypatch, tmp_path / "p.onnx").step(observation)
-    assert command.opening == pytest.approx(policy_command(observation, policy_vector(observation) @ w).opening, abs=1e-9)
+    assert command.opening == pytest.approx(
+        policy_command(observation, policy_vector(observation) @ w).opening, abs=1e-9
+    )

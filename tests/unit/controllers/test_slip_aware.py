@@ -1,4 +1,5 @@
-"""The slip-aware controller grips harder at a slip of either finger, within its limit, and waits with the lift meanwhile."""
+"""The slip-aware controller grips harder at a slip of either finger, within its limit, and waits
+with the lift meanwhile."""
 
 import math
 from dataclasses import replace
@@ -6,7 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mjtactile.core.types import Command, GripperState, Observation, Slip, SlipState, Touch, ValveState
+from mjtactile.core.types import (
+    Command,
+    GripperState,
+    Observation,
+    Slip,
+    SlipState,
+    Touch,
+    ValveState,
+)
 from mjtactile.run.controller import load_controller
 
 PERIOD = 1 / 30
@@ -22,7 +31,9 @@ def run(command, felt, count=1):
     """`count` cycles with the touches `felt`, on a gripper that is where it was told to be."""
     for i in range(count):
         state = GripperState(command.opening, 0.0, 0.6, command.lift_height)
-        command = controller.step(Observation(i * PERIOD, PERIOD, felt, state, (ValveState(False),) * 2, command))
+        command = controller.step(
+            Observation(i * PERIOD, PERIOD, felt, state, (ValveState(False),) * 2, command)
+        )
     return command
 
 
@@ -31,7 +42,11 @@ HELD = Command(0.04, 4.0, 0.02, "lift")
 
 def test_a_slip_of_one_finger_raises_the_force_closes_and_stops_the_lift():
     calm = run(HELD, (touch(FIRST), touch(FIRST)))
-    assert calm.memory["target"] == FIRST and calm.opening == pytest.approx(HELD.opening) and calm.lift_height > 0.02
+    assert (
+        calm.memory["target"] == FIRST
+        and calm.opening == pytest.approx(HELD.opening)
+        and calm.lift_height > 0.02
+    )
     slips = run(HELD, (touch(FIRST), touch(FIRST, "slipping")))
     assert slips.memory["target"] > 1.3 * FIRST and slips.opening < HELD.opening - 0.9e-3
     assert slips.lift_height == HELD.lift_height
@@ -45,7 +60,8 @@ def test_it_grips_no_harder_than_its_limit():
 def test_before_a_slip_it_grips_harder_little_by_little_as_far_as_it_is_followed():
     near = run(HELD, (touch(FIRST, "incipient"),) * 2)
     assert FIRST < near.memory["target"] < FIRST + 0.05
-    assert run(HELD, (touch(0.1, "incipient"),) * 2).memory["target"] == FIRST  # it does not feel what it asked for yet
+    # it does not feel what it asked for yet
+    assert run(HELD, (touch(0.1, "incipient"),) * 2).memory["target"] == FIRST
 
 
 def test_what_it_does_not_know_it_does_not_act_on():

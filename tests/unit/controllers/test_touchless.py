@@ -12,12 +12,17 @@ def observe(command: Command, *, opening=0.05, effort=0.0, lift=0.0, time=0.0) -
 
 
 def test_it_goes_through_a_grasp_by_effort_and_height():
-    command, seen = Command(0.05, 0.0, 0.0, "approach", {}), []
-    opening, lift = 0.05, 0.0
+    command = Command(0.05, 0.0, 0.0, "approach", {})
+    seen = []
+    opening = 0.05
+    lift = 0.0
     for k in range(900):
         effort = max(0.0, 0.04 - opening) * 300  # something of 40 mm that gives way by 300 N/m
-        command = touchless.step(observe(command, opening=opening, effort=effort, lift=lift, time=k / 30))
-        opening, lift = command.opening, command.lift_height
+        command = touchless.step(
+            observe(command, opening=opening, effort=effort, lift=lift, time=k / 30)
+        )
+        opening = command.opening
+        lift = command.lift_height
         seen += [command.phase] if not seen or seen[-1] != command.phase else []
         if command.phase == "done":
             break
@@ -34,16 +39,21 @@ def test_one_noisy_reading_does_not_stop_the_jaws():
     """A single reading of twice the effort, of which the average takes a third."""
     command = Command(0.05, 0.0, 0.0, "approach", {})
     for k in range(30):
-        command = touchless.step(observe(command, opening=command.opening, effort=1.2 if k == 10 else 0.0, time=k / 30))
+        command = touchless.step(
+            observe(command, opening=command.opening, effort=1.2 if k == 10 else 0.0, time=k / 30)
+        )
     assert command.phase == "approach" and command.opening < 0.041
 
 
 def test_what_moving_takes_is_no_grip():
-    """40 mm, 300 N/m, 0.5 N for the motion alone: the jaws stop at 0.6 N of grip, and what comes in the time of the average."""
+    """40 mm, 300 N/m, 0.5 N for the motion alone: the jaws stop at 0.6 N of grip, and what comes in
+    the time of the average."""
     command = Command(0.05, 0.0, 0.0, "approach", {})
     for k in range(200):
         effort = 0.5 + max(0.0, 0.04 - command.opening) * 300
-        command = touchless.step(observe(command, opening=command.opening, effort=effort, time=k / 30))
+        command = touchless.step(
+            observe(command, opening=command.opening, effort=effort, time=k / 30)
+        )
         if command.phase != "approach":
             break
     assert command.phase == "regulate" and 0.6 < (0.04 - command.opening) * 300 < 1.1

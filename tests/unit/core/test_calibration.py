@@ -1,4 +1,5 @@
-"""`Calibration`: the file, its parts, and what it changes in a design, a traction and a pressure."""
+"""`Calibration`: the file, its parts, and what it changes in a design, a traction and a
+pressure."""
 
 import json
 from dataclasses import replace
@@ -28,12 +29,28 @@ COUNT = DESIGN.markers.count
 def made(kind):
     """A part of that kind, measured now."""
     mark = stamp(DESIGN, {"mjtactile": "1"}, {"rms_px": 0.1})
-    rest = RestMarkers(Markers(np.arange(3), np.eye(3) * 1e-3, np.eye(3), np.tile(1e-12 * np.eye(3), (3, 1, 1))), 970.0, True)
-    return {"lens": lambda: Lens(640, 480, 618.0, 617.0, 325.5, 235.5, (-0.09, 0.01, 0.0, 0.0, 0.0), stamp=mark),
-            "frame": lambda: FrameCalibration(np.eye(3), np.array([4e-4, 0, -0.045]), np.full(COUNT, 1.02), 0.01, 1e-3, mark,
-                                              rest, 1.15),
-            "valve": lambda: ValveZero(30.0, 5.0, mark),
-            "force": lambda: ForceScale(0.98, 0.01, 1.5, mark)}[kind]()
+    rest = RestMarkers(
+        Markers(np.arange(3), np.eye(3) * 1e-3, np.eye(3), np.tile(1e-12 * np.eye(3), (3, 1, 1))),
+        970.0,
+        True,
+    )
+    return {
+        "lens": lambda: Lens(
+            640, 480, 618.0, 617.0, 325.5, 235.5, (-0.09, 0.01, 0.0, 0.0, 0.0), stamp=mark
+        ),
+        "frame": lambda: FrameCalibration(
+            np.eye(3),
+            np.array([4e-4, 0, -0.045]),
+            np.full(COUNT, 1.02),
+            0.01,
+            1e-3,
+            mark,
+            rest,
+            1.15,
+        ),
+        "valve": lambda: ValveZero(30.0, 5.0, mark),
+        "force": lambda: ForceScale(0.98, 0.01, 1.5, mark),
+    }[kind]()
 
 
 def whole():
@@ -53,24 +70,37 @@ def test_what_is_saved_is_read_back(tmp_path):
     first.save(path)
     again = load_calibration(path)
     assert json.dumps(again.table()) == json.dumps(first.table())
-    assert again.frame.rest.markers.p_SM == pytest.approx(1e-3 * np.eye(3), abs=1e-18)  # mm and back: rounding only
+    # mm and back: rounding only
+    assert again.frame.rest.markers.p_SM == pytest.approx(1e-3 * np.eye(3), abs=1e-18)
     assert again.refused["force"].reasons == ("loads slid",)
     assert not list(tmp_path.glob("*.part"))
 
 
 def test_it_changes_the_lens_and_nothing_else_of_the_design():
     changed = whole().design(DESIGN)
-    assert (changed.camera.fx, changed.camera.cy, changed.camera.distortion[0]) == (618.0, 235.5, -0.09)
+    assert (changed.camera.fx, changed.camera.cy, changed.camera.distortion[0]) == (
+        618.0,
+        235.5,
+        -0.09,
+    )
     assert replace(changed, camera=DESIGN.camera) == DESIGN
     assert Calibration("left", "dense").design(DESIGN) is DESIGN
 
 
 def test_the_zero_of_the_valve_and_the_scale_of_the_force():
-    assert whole().pressure(1000.0) == 970.0 and Calibration("left", "dense").pressure(1000.0) == 1000.0
-    wrench, cov = np.array([0.1, 0.0, -2.0, 0, 0, 0]), np.diag([1e-4] * 6)
-    seen = Traction(np.arange(3.0), np.arange(2.0), np.ones((2, 3, 3)), wrench, cov, 970.0, "inverse")
+    assert (
+        whole().pressure(1000.0) == 970.0
+        and Calibration("left", "dense").pressure(1000.0) == 1000.0
+    )
+    wrench = np.array([0.1, 0.0, -2.0, 0, 0, 0])
+    cov = np.diag([1e-4] * 6)
+    seen = Traction(
+        np.arange(3.0), np.arange(2.0), np.ones((2, 3, 3)), wrench, cov, 970.0, "inverse"
+    )
     out = ForceScale(0.5, 0.01, 1.5, stamp(DESIGN, {}, {})).apply(seen)
-    assert out.wrench == pytest.approx(0.5 * wrench) and out.force == pytest.approx(0.5 * seen.force)
+    assert out.wrench == pytest.approx(0.5 * wrench) and out.force == pytest.approx(
+        0.5 * seen.force
+    )
     # Independent errors: variance of k w is k^2 var(w) + var(k) w^2
     assert out.wrench_cov[2, 2] == pytest.approx(0.25 * 1e-4 + (0.01 * 2.0) ** 2)
     assert out.pressure_gauge == 970.0
@@ -90,16 +120,37 @@ def test_parts_older_than_the_sensor_file_or_than_what_they_rest_on_are_not_used
     calibration = whole()
     assert set(states(calibration).values()) == {"good"}
     stiffer = replace(DESIGN, membrane=replace(DESIGN.membrane, young=1.2e6))
-    assert states(calibration, stiffer) == {"lens": "good", "frame": "outdated", "valve": "good", "force": "outdated"}
+    assert states(calibration, stiffer) == {
+        "lens": "good",
+        "frame": "outdated",
+        "valve": "good",
+        "force": "outdated",
+    }
     used = calibration.used(stiffer)
     assert used.force is None and used.frame is None and used.lens is calibration.lens
-    later = replace(made("lens"), stamp=replace(calibration.lens.stamp, date="2999-01-01T00:00:00.000+00:00"))
-    assert states(calibration.with_part(later)) == {"lens": "good", "frame": "outdated", "valve": "good", "force": "outdated"}
+    later = replace(
+        made("lens"), stamp=replace(calibration.lens.stamp, date="2999-01-01T00:00:00.000+00:00")
+    )
+    assert states(calibration.with_part(later)) == {
+        "lens": "good",
+        "frame": "outdated",
+        "valve": "good",
+        "force": "outdated",
+    }
 
 
-@pytest.mark.parametrize(("finger", "design", "words"), [
-    ("right", DESIGN, ("'left'", "'right'")), ("left", load_sensor("paper16"), ("'dense'", "'paper16'")),
-    ("left", replace(DESIGN, camera=replace(DESIGN.camera, width=1280)), ("640 x 480", "1280 x 480"))])
+@pytest.mark.parametrize(
+    ("finger", "design", "words"),
+    [
+        ("right", DESIGN, ("'left'", "'right'")),
+        ("left", load_sensor("paper16"), ("'dense'", "'paper16'")),
+        (
+            "left",
+            replace(DESIGN, camera=replace(DESIGN.camera, width=1280)),
+            ("640 x 480", "1280 x 480"),
+        ),
+    ],
+)
 def test_a_calibration_of_something_else_is_refused(finger, design, words):
     with pytest.raises(InputError) as caught:
         whole().check(design, finger, "left.json")
@@ -112,24 +163,30 @@ def broken(change):
     return json.dumps(table)
 
 
-@pytest.mark.parametrize(("text", "words"), [
-    (json.dumps(whole().table())[:2000], ("not valid JSON",)),  # cut in half
-    ("[]", ("not a calibration file", "mjtactile-calibration version 1")),
-    (broken(lambda t: t.update(version=2)), ("not a calibration file",)),
-    (broken(lambda t: t.pop("finger")), ("finger", "missing")),
-    (broken(lambda t: t["lens"].pop("fx_px")), ("lens.fx_px", "missing")),
-    (broken(lambda t: t["lens"].update(distortion=[1, 2])), ("lens.distortion", "5 numbers")),
-    (broken(lambda t: t["frame"].update(R_SC=[[1, 0], [0, 1]])), ("frame.R_SC", "3 x 3")),
-    (broken(lambda t: t["frame"]["rest"].update(n_S=[[None, 0, 1]])), ("frame.rest.n_S",)),
-    (broken(lambda t: t["force"].update(scale=0)), ("force.scale", "outside")),
-    (broken(lambda t: t["valve"].update(date=3)), ("valve.date", "not text"))])
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (json.dumps(whole().table())[:2000], ("not valid JSON",)),  # cut in half
+        ("[]", ("not a calibration file", "mjtactile-calibration version 1")),
+        (broken(lambda t: t.update(version=2)), ("not a calibration file",)),
+        (broken(lambda t: t.pop("finger")), ("finger", "missing")),
+        (broken(lambda t: t["lens"].pop("fx_px")), ("lens.fx_px", "missing")),
+        (broken(lambda t: t["lens"].update(distortion=[1, 2])), ("lens.distortion", "5 numbers")),
+        (broken(lambda t: t["frame"].update(R_SC=[[1, 0], [0, 1]])), ("frame.R_SC", "3 x 3")),
+        (broken(lambda t: t["frame"]["rest"].update(n_S=[[None, 0, 1]])), ("frame.rest.n_S",)),
+        (broken(lambda t: t["force"].update(scale=0)), ("force.scale", "outside")),
+        (broken(lambda t: t["valve"].update(date=3)), ("valve.date", "not text")),
+    ],
+)
 def test_a_broken_file_is_one_line_with_file_and_field(tmp_path, text, words):
     path = tmp_path / "left.json"
     path.write_text(text)
     with pytest.raises(InputError) as caught:
         load_calibration(path)
     message = str(caught.value)
-    assert "\n" not in message and "left.json" in message and all(word in message for word in words), message
+    assert (
+        "\n" not in message and "left.json" in message and all(word in message for word in words)
+    ), message
 
 
 def test_a_file_that_cannot_be_written_says_so(tmp_path):

@@ -1,4 +1,5 @@
-"""A sensor file is either read exactly, in SI, or refused with its name, the field and what would be right."""
+"""A sensor file is either read exactly, in SI, or refused with its name, the field and what would
+be right."""
 
 import math
 import tomllib
@@ -15,7 +16,8 @@ DENSE = resources.find("dense", "models/sensors", ".toml")
 
 
 def table(**changes):
-    """The dense sensor's table with `section__key=value` changed, or removed where the value is None."""
+    """The dense sensor's table with `section__key=value` changed, or removed where the value is
+    None."""
     result = tomllib.loads(DENSE.read_text())
     for name, value in changes.items():
         section, _, key = name.partition("__")
@@ -42,11 +44,17 @@ def test_shipped_sensors_load(name):
 
 def test_values_are_si():
     design = load_sensor("dense")
-    assert design.frame.length == pytest.approx(0.040) and design.membrane.young == pytest.approx(1e6)
+    assert design.frame.length == pytest.approx(0.040) and design.membrane.young == pytest.approx(
+        1e6
+    )
     assert design.chamber.supply_gauge == pytest.approx(1000) and design.markers.rows == 9
-    # pre-stretch 1.05: T0 = mu h (1 - c / 1.05^2), mu = E / 2.9, where (c - 1) + 4.5 ln(c 1.05^4) = 0: c = 0.8504946
-    assert design.membrane.pretension == pytest.approx(1e6 / 2.9 * 3e-4 * (1 - 0.8504946 / 1.05**2), rel=1e-5)
-    plain = replace(design.membrane, law=Law.STVK)  # T0 = E h ((1.05^2 - 1)/2) / (1 - nu) = 1e6 x 0.3e-3 x 0.05125 / 0.55
+    # pre-stretch 1.05: T0 = mu h (1 - c / 1.05^2), mu = E / 2.9, where (c - 1) + 4.5 ln(c 1.05^4) =
+    # 0: c = 0.8504946
+    assert design.membrane.pretension == pytest.approx(
+        1e6 / 2.9 * 3e-4 * (1 - 0.8504946 / 1.05**2), rel=1e-5
+    )
+    # T0 = E h ((1.05^2 - 1)/2) / (1 - nu) = 1e6 x 0.3e-3 x 0.05125 / 0.55
+    plain = replace(design.membrane, law=Law.STVK)
     assert plain.pretension == pytest.approx(27.9545, rel=1e-4)
     assert design.pane_thickness_apparent == pytest.approx(0.684e-3, abs=1e-6)  # 2 mm of n = 1.52
 
@@ -57,26 +65,29 @@ def test_markers_are_centred_and_row_by_row():
     assert p[1, 0] - p[0, 0] == pytest.approx(0.004) and p[9, 1] - p[0, 1] == pytest.approx(0.003)
 
 
-@pytest.mark.parametrize(("changes", "words"), [
-    ({"membrane__young_MPa": None}, ["membrane.young_MPa", "missing"]),
-    ({"membrane": None}, ["[membrane]", "missing section"]),
-    ({"membrain": {}}, ["membrain", "did you mean 'membrane'"]),
-    ({"membrane__thicknes_mm": 1.0}, ["thicknes_mm", "did you mean 'thickness_mm'"]),
-    ({"membrane__thickness_um": 300.0}, ["thickness_um", "wrong unit", "'thickness_mm'"]),
-    ({"membrane__thickness_mm": -0.3}, ["membrane.thickness_mm", "-0.3", "0.01 to 5"]),
-    ({"membrane__thickness_mm": math.nan}, ["membrane.thickness_mm", "nan"]),
-    ({"membrane__thickness_mm": math.inf}, ["membrane.thickness_mm", "inf"]),
-    ({"membrane__thickness_mm": "0.3"}, ["membrane.thickness_mm", "not a number"]),
-    ({"membrane__thickness_mm": True}, ["membrane.thickness_mm", "not a number"]),
-    ({"membrane__poisson_ratio": 0.5}, ["membrane.poisson_ratio", "0.5"]),
-    ({"markers__rows": 9.5}, ["markers.rows", "whole number"]),
-    ({"camera__distortion": [0.1, 0.2]}, ["camera.distortion", "list of 5"]),
-    ({"camera__distortion": [0.1, 0, 0, math.nan, 0]}, ["camera.distortion[3]", "nan"]),
-    ({"markers__radius_mm": 2.5}, ["markers.pitch_", "touch"]),
-    ({"markers__pitch_x_mm": 6.0}, ["markers.pitch_x_mm", "more than the frame"]),
-    ({"chamber__depth_mm": 30.0}, ["camera.distance_mm", "do not fit"]),
-    ({"leds__marker_DN": 200.0}, ["leds.marker_DN", "darker"]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"membrane__young_MPa": None}, ["membrane.young_MPa", "missing"]),
+        ({"membrane": None}, ["[membrane]", "missing section"]),
+        ({"membrain": {}}, ["membrain", "did you mean 'membrane'"]),
+        ({"membrane__thicknes_mm": 1.0}, ["thicknes_mm", "did you mean 'thickness_mm'"]),
+        ({"membrane__thickness_um": 300.0}, ["thickness_um", "wrong unit", "'thickness_mm'"]),
+        ({"membrane__thickness_mm": -0.3}, ["membrane.thickness_mm", "-0.3", "0.01 to 5"]),
+        ({"membrane__thickness_mm": math.nan}, ["membrane.thickness_mm", "nan"]),
+        ({"membrane__thickness_mm": math.inf}, ["membrane.thickness_mm", "inf"]),
+        ({"membrane__thickness_mm": "0.3"}, ["membrane.thickness_mm", "not a number"]),
+        ({"membrane__thickness_mm": True}, ["membrane.thickness_mm", "not a number"]),
+        ({"membrane__poisson_ratio": 0.5}, ["membrane.poisson_ratio", "0.5"]),
+        ({"markers__rows": 9.5}, ["markers.rows", "whole number"]),
+        ({"camera__distortion": [0.1, 0.2]}, ["camera.distortion", "list of 5"]),
+        ({"camera__distortion": [0.1, 0, 0, math.nan, 0]}, ["camera.distortion[3]", "nan"]),
+        ({"markers__radius_mm": 2.5}, ["markers.pitch_", "touch"]),
+        ({"markers__pitch_x_mm": 6.0}, ["markers.pitch_x_mm", "more than the frame"]),
+        ({"chamber__depth_mm": 30.0}, ["camera.distance_mm", "do not fit"]),
+        ({"leds__marker_DN": 200.0}, ["leds.marker_DN", "darker"]),
+    ],
+)
 def test_a_wrong_field_is_named(changes, words):
     with pytest.raises(InputError) as caught:
         build(**changes)
@@ -86,7 +97,8 @@ def test_a_wrong_field_is_named(changes, words):
 
 
 def test_every_field_is_checked():
-    """No number of the file can be NaN or text without being named: one case for each field of FIELDS."""
+    """No number of the file can be NaN or text without being named: one case for each field of
+    FIELDS."""
     for section, (_, rows) in FIELDS.items():
         for key, *_ in rows:
             for bad in (math.nan, "1"):

@@ -8,12 +8,17 @@ from mjtactile.core import geometry
 RNG = np.random.default_rng(0)
 
 
-@pytest.mark.parametrize("a, b", [((3,), (3,)), ((5, 3), (5, 3)), ((5, 1, 3), (5, 2, 3)), ((0, 3), (0, 3))])
+@pytest.mark.parametrize(
+    "a, b", [((3,), (3,)), ((5, 3), (5, 3)), ((5, 1, 3), (5, 2, 3)), ((0, 3), (0, 3))]
+)
 def test_cross_is_numpys_bit_for_bit(a, b):
-    a, b = RNG.normal(size=a), RNG.normal(size=b)
+    a = RNG.normal(size=a)
+    b = RNG.normal(size=b)
     np.testing.assert_array_equal(geometry.cross(a, b), np.cross(a, b))
 
 
 def test_cross_takes_what_is_not_contiguous():
     a = RNG.normal(size=(4, 3, 2))
-    np.testing.assert_array_equal(geometry.cross(a[:, :, 0], a[:, :, 1]), np.cross(a[:, :, 0], a[:, :, 1]))
+    np.testing.assert_array_equal(
+        geometry.cross(a[:, :, 0], a[:, :, 1]), np.cross(a[:, :, 0], a[:, :, 1])
+    )

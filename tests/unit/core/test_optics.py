@@ -1,4 +1,5 @@
-"""Lens and glass against references that share no code: OpenCV's lens, a vector ray trace through the pane."""
+"""Lens and glass against references that share no code: OpenCV's lens, a vector ray trace through
+the pane."""
 
 import cv2
 import numpy as np
@@ -10,8 +11,20 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.optics import Camera
 
 LENS = Camera(640, 480, 600.0, 610.0, 320.5, 238.0, distortion=(-0.21, 0.08, 0.002, -0.003, -0.01))
-GLASS = Camera(640, 480, 600.0, 600.0, 319.5, 239.5, glass_thickness=2e-3, glass_index=1.52, glass_distance=23e-3)
-BOTH = Camera(640, 480, 600.0, 610.0, 320.5, 238.0, (-0.21, 0.08, 0.002, -0.003, -0.01), 2e-3, 1.52, 23e-3)
+GLASS = Camera(
+    640,
+    480,
+    600.0,
+    600.0,
+    319.5,
+    239.5,
+    glass_thickness=2e-3,
+    glass_index=1.52,
+    glass_distance=23e-3,
+)
+BOTH = Camera(
+    640, 480, 600.0, 610.0, 320.5, 238.0, (-0.21, 0.08, 0.002, -0.003, -0.01), 2e-3, 1.52, 23e-3
+)
 
 
 def points(n=500, seed=0):
@@ -49,16 +62,21 @@ def test_lens_is_opencvs_plumb_bob():
 def test_unproject_inverts_the_lens():
     p = points()
     # 1e-10 of a unit ray is 6e-8 px: what Newton promises, and far below any pixel noise
-    np.testing.assert_allclose(optics.unproject(LENS, optics.project(LENS, p)), geometry.unit(p), atol=1e-10)
+    np.testing.assert_allclose(
+        optics.unproject(LENS, optics.project(LENS, p)), geometry.unit(p), atol=1e-10
+    )
 
 
 def test_distortion_jacobian_is_the_derivative():
-    xy, h = points()[:, :2] / 0.05, 1e-6
+    xy = points()[:, :2] / 0.05
+    h = 1e-6
     for axis in range(2):
         step = h * np.eye(2)[axis]
         numeric = (optics.distort(LENS, xy + step) - optics.distort(LENS, xy - step)) / (2 * h)
         # central difference: h^2 truncation 1e-12 and cancellation 1e-16/h = 1e-10
-        np.testing.assert_allclose(optics.distortion_jacobian(LENS, xy)[..., axis], numeric, atol=2e-9)
+        np.testing.assert_allclose(
+            optics.distortion_jacobian(LENS, xy)[..., axis], numeric, atol=2e-9
+        )
 
 
 def test_undistort_refuses_what_the_lens_cannot_produce():
@@ -79,7 +97,8 @@ def test_projection_through_the_pane_agrees_with_a_ray_trace():
 def test_pane_and_lens_together():
     p = points()
     rays = optics.unproject(BOTH, optics.project(BOTH, p))
-    np.testing.assert_allclose(trace_to_depth(rays, BOTH, p[:, 2]), p, atol=1e-11)  # 1e-10 rays over 0.06 m
+    # 1e-10 rays over 0.06 m
+    np.testing.assert_allclose(trace_to_depth(rays, BOTH, p[:, 2]), p, atol=1e-11)
 
 
 def test_glass_shift_is_the_depth_error_of_a_model_without_glass():
@@ -98,7 +117,8 @@ def test_glass_shift_is_the_depth_error_of_a_model_without_glass():
 def test_no_pane_means_no_shift_and_bad_points_are_nan():
     assert (optics.glass_shift(LENS, points()) == 0).all()
     assert np.isnan(optics.project(LENS, [[0.0, 0.0, -0.04]])).all()
-    assert np.isnan(optics.project(GLASS, [[0.0, 0.0, 0.0249]])).all()  # inside the pane, which ends at 25 mm
+    # inside the pane, which ends at 25 mm
+    assert np.isnan(optics.project(GLASS, [[0.0, 0.0, 0.0249]])).all()
     np.testing.assert_array_equal(optics.project(GLASS, [[0.0, 0.0, 0.04]]), [[319.5, 239.5]])
 
 
@@ -150,23 +170,35 @@ def test_camera_file_with_glass(tmp_path):
     file = tmp_path / "camera.yaml"
     file.write_text(YAML + "glass: {thickness_mm: 5, refractive_index: 1.5, distance_mm: 120}\n")
     camera = Camera.from_yaml(file)
-    assert (camera.glass_thickness, camera.glass_index, camera.glass_distance) == pytest.approx((5e-3, 1.5, 0.12))
+    assert (camera.glass_thickness, camera.glass_index, camera.glass_distance) == pytest.approx(
+        (5e-3, 1.5, 0.12)
+    )
 
 
-@pytest.mark.parametrize(("old", "new", "field"), [
-    ("image_width: 640", "image_width: 640\nglass: 5", "glass"),
-    ("image_width: 640", "image_width: 640\nglass: {thickness_mm: 5, refractive_index: 1.5}", "distance_mm"),
-    ("image_width: 640", "image_width: 640\nglass: {thickness_mm: 5, refractive_index: 0.5, distance_mm: 1}",
-     "glass.refractive_index"),
-    ("image_width: 640", "image_width: -3", "image_width"),
-    ("image_width: 640", "img_width: 640", "image_width"),
-    ("plumb_bob", "equidistant", "distortion_model"),
-    ("data: [600.0, 0.0,", "data: [600.0, 0.1,", "camera_matrix.data"),
-    ("data: [600.0,", "data: [", "camera_matrix.data"),
-    ("[-0.05", "[.nan", "distortion_coefficients.data[0]"),
-    ("[-0.05", "[left", "distortion_coefficients.data[0]"),
-    ("image_width: 640", "image_width: [640", "YAML"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("old", "new", "field"),
+    [
+        ("image_width: 640", "image_width: 640\nglass: 5", "glass"),
+        (
+            "image_width: 640",
+            "image_width: 640\nglass: {thickness_mm: 5, refractive_index: 1.5}",
+            "distance_mm",
+        ),
+        (
+            "image_width: 640",
+            "image_width: 640\nglass: {thickness_mm: 5, refractive_index: 0.5, distance_mm: 1}",
+            "glass.refractive_index",
+        ),
+        ("image_width: 640", "image_width: -3", "image_width"),
+        ("image_width: 640", "img_width: 640", "image_width"),
+        ("plumb_bob", "equidistant", "distortion_model"),
+        ("data: [600.0, 0.0,", "data: [600.0, 0.1,", "camera_matrix.data"),
+        ("data: [600.0,", "data: [", "camera_matrix.data"),
+        ("[-0.05", "[.nan", "distortion_coefficients.data[0]"),
+        ("[-0.05", "[left", "distortion_coefficients.data[0]"),
+        ("image_width: 640", "image_width: [640", "YAML"),
+    ],
+)
 def test_bad_camera_info_names_file_and_field(tmp_path, old, new, field):
     file = tmp_path / "camera.yaml"
     file.write_text(YAML.replace(old, new))
@@ -185,17 +217,22 @@ def test_missing_camera_info_is_one_line():
 def test_rotations_and_frames():
     rng = np.random.default_rng(1)
     w = rng.normal(size=(50, 3))
-    w[0], w[1] = 0, 1e-9
+    w[0] = 0
+    w[1] = 1e-9
     R = geometry.rotation_from_vector(w)
     reference = np.array([cv2.Rodrigues(v)[0] for v in w])
     np.testing.assert_allclose(R, reference, atol=1e-14)  # rounding
     n = geometry.unit(rng.normal(size=(50, 3)))
     a, b = geometry.tangents(n)
     triad = np.stack([a, b, n], axis=-1)
-    np.testing.assert_allclose(np.swapaxes(triad, -1, -2) @ triad, np.broadcast_to(np.eye(3), (50, 3, 3)), atol=1e-14)
+    np.testing.assert_allclose(
+        np.swapaxes(triad, -1, -2) @ triad, np.broadcast_to(np.eye(3), (50, 3, 3)), atol=1e-14
+    )
     np.testing.assert_allclose(np.linalg.det(triad), 1, atol=1e-14)
     p = rng.normal(size=(7, 3))
-    np.testing.assert_allclose(geometry.transform(R[2].T, -R[2].T @ w[2], geometry.transform(R[2], w[2], p)), p, atol=1e-14)
+    np.testing.assert_allclose(
+        geometry.transform(R[2].T, -R[2].T @ w[2], geometry.transform(R[2], w[2], p)), p, atol=1e-14
+    )
 
 
 def test_normals_and_slopes_are_inverse():

@@ -22,32 +22,58 @@ def five():
         yield
 
 
-@pytest.mark.parametrize("wait", [pace.sleep, lambda seconds: pace.Event().wait(seconds)], ids=["sleep", "Event"])
+@pytest.mark.parametrize(
+    "wait", [pace.sleep, lambda seconds: pace.Event().wait(seconds)], ids=["sleep", "Event"]
+)
 def test_a_fifth_of_the_speed(five, wait):
-    wall, slow = time.monotonic(), pace.monotonic()
+    wall = time.monotonic()
+    slow = pace.monotonic()
     wait(0.02)
-    wall, slow = time.monotonic() - wall, pace.monotonic() - slow
+    wall = time.monotonic() - wall
+    slow = pace.monotonic() - slow
     assert wall > 0.0999  # s; a clock's resolution below 5 x 0.02
-    assert slow == pytest.approx(wall / 5, abs=2e-3)  # s: what lies between the two readings of the clocks on a busy computer
+    # s: what lies between the two readings of the clocks on a busy computer
+    assert slow == pytest.approx(wall / 5, abs=2e-3)
     assert pace.wall(0.02) == pytest.approx(0.1)
 
 
 def test_processes_that_are_started_inherit_it(five):
     code = "from mjtactile.core import pace; print(pace.slow())"
-    assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.strip() == "5.0"
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", code], check=True, capture_output=True, text=True
+        ).stdout.strip()
+        == "5.0"
+    )
 
 
 @pytest.mark.parametrize("text", ["fast", "0.5", "nan", "inf", ""])
 def test_what_is_no_pace(text):
-    done = subprocess.run([sys.executable, "-m", "mjtactile", "emulate", "--faults", "meteorite"], check=False, text=True,
-                          capture_output=True, env={**os.environ, "MJTACTILE_SLOW": text})
-    assert done.returncode == 2 and "MJTACTILE_SLOW" in done.stderr and len(done.stderr.splitlines()) == 1
+    done = subprocess.run(
+        [sys.executable, "-m", "mjtactile", "emulate", "--faults", "meteorite"],
+        check=False,
+        text=True,
+        capture_output=True,
+        env={**os.environ, "MJTACTILE_SLOW": text},
+    )
+    assert (
+        done.returncode == 2
+        and "MJTACTILE_SLOW" in done.stderr
+        and len(done.stderr.splitlines()) == 1
+    )
 
 
-@pytest.mark.parametrize("arguments", [("--rig", "sim"), ("--rig", "replay:somewhere"), ("--rig", "emulated", "--slow", "0.1")])
+@pytest.mark.parametrize(
+    "arguments",
+    [("--rig", "sim"), ("--rig", "replay:somewhere"), ("--rig", "emulated", "--slow", "0.1")],
+)
 def test_only_the_emulated_rig_is_slow(arguments):
-    done = subprocess.run([sys.executable, "-m", "mjtactile", "grasp", "--slow", "3", *arguments], check=False, text=True,
-                          capture_output=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "mjtactile", "grasp", "--slow", "3", *arguments],
+        check=False,
+        text=True,
+        capture_output=True,
+    )
     assert done.returncode == 2 and "--slow" in done.stderr
 
 

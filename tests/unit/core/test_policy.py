@@ -1,4 +1,5 @@
-"""What a policy sees and does is the same everywhere, and phases follow from what is felt and reached."""
+"""What a policy sees and does is the same everywhere, and phases follow from what is felt and
+reached."""
 
 from dataclasses import replace
 
@@ -19,24 +20,38 @@ def seen(forces=(0.0, 0.0), opening=0.05, height=0.0, command=None):
 
     command = command or Command(opening, 4.0)
     gripper = GripperState(opening, -0.01, 0.3, height)
-    return Observation(1.0, PERIOD, tuple(map(touch, forces)), gripper, (ValveState(False),) * 2, command)
+    return Observation(
+        1.0, PERIOD, tuple(map(touch, forces)), gripper, (ValveState(False),) * 2, command
+    )
 
 
 def test_every_number_has_its_name():
     vector = dict(zip(policy_names(), policy_vector(seen((0.3, 0.4), 0.05, 0.01)), strict=True))
-    assert vector["finger2.force_normal_N"] == np.float32(0.4) and vector["finger1.tz_Nm"] == np.float32(0.003)
-    assert vector["opening_m"] == np.float32(0.05) and vector["lift_height_m"] == np.float32(0.01) and vector["approach"] == 1
+    assert vector["finger2.force_normal_N"] == np.float32(0.4) and vector[
+        "finger1.tz_Nm"
+    ] == np.float32(0.003)
+    assert (
+        vector["opening_m"] == np.float32(0.05)
+        and vector["lift_height_m"] == np.float32(0.01)
+        and vector["approach"] == 1
+    )
 
 
 def test_an_unknown_force_is_said_not_to_be_known():
     observation = seen((float("nan"), 0.4))
     vector = dict(zip(policy_names(), policy_vector(observation), strict=True))
-    assert (vector["finger1.known"], vector["finger1.force_normal_N"], vector["finger2.known"]) == (0, 0, 1)
+    assert (vector["finger1.known"], vector["finger1.force_normal_N"], vector["finger2.known"]) == (
+        0,
+        0,
+        1,
+    )
 
 
 def test_an_action_is_speeds_and_a_limit():
     command = policy_command(seen(opening=0.05), [0.5, 0.0, 1.0])
-    assert command.opening == pytest.approx(0.05 + 0.5 * 0.05 * PERIOD) and command.force_limit == 4.0
+    assert (
+        command.opening == pytest.approx(0.05 + 0.5 * 0.05 * PERIOD) and command.force_limit == 4.0
+    )
     assert command.lift_height == pytest.approx(0.05 * PERIOD)
     assert policy_command(seen(), [9, 9, -9]) == policy_command(seen(), [1, 1, -1])
     assert policy_command(seen(), [np.nan] * 3).opening == 0.05
@@ -50,14 +65,24 @@ def test_what_a_teacher_did_is_the_action_that_does_it():
 
 def test_the_goal_stays_within_reach_of_the_jaws():
     command = Command(0.02, 4.0)
-    assert policy_command(seen(opening=0.05, command=command), [-1, 0, 0]).opening == pytest.approx(0.046)
+    assert policy_command(seen(opening=0.05, command=command), [-1, 0, 0]).opening == pytest.approx(
+        0.046
+    )
 
 
 def test_a_grasp_from_approach_to_done():
     """Phases by touch, height and time: no clock but the period, no force but the felt one."""
-    command, phases = Command(0.05, 4.0), []
-    course = [((0, 0), 0.05, 0.0)] * 2 + [((0.1, 0), 0.05, 0)] * 2 + [((0.5, 0.5), 0.05, 0)] * 2 + [((0.5, 0.5), 0.05, 0.01)] * 2
-    course += [((0.5, 0.5), 0.05, 0.04)] * 64 + [((0.5, 0.5), 0.05, 0.0)] * 2 + [((0, 0), 0.06, 0.0)] * 2
+    command = Command(0.05, 4.0)
+    phases = []
+    course = (
+        [((0, 0), 0.05, 0.0)] * 2
+        + [((0.1, 0), 0.05, 0)] * 2
+        + [((0.5, 0.5), 0.05, 0)] * 2
+        + [((0.5, 0.5), 0.05, 0.01)] * 2
+    )
+    course += (
+        [((0.5, 0.5), 0.05, 0.04)] * 64 + [((0.5, 0.5), 0.05, 0.0)] * 2 + [((0, 0), 0.06, 0.0)] * 2
+    )
     for forces, opening, height in course:
         command = policy_command(seen(forces, opening, height, command), [0, 0, 0])
         if not phases or phases[-1] != command.phase:

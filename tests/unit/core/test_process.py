@@ -1,4 +1,5 @@
-"""A child answers, fails by name, and is gone when its parent is, whoever holds the parent's end of its pipes."""
+"""A child answers, fails by name, and is gone when its parent is, whoever holds the parent's end of
+its pipes."""
 
 import contextlib
 import os
@@ -29,7 +30,8 @@ CHILD = """
         else:
             print(json.dumps([word, sys.argv[1:], os.environ["OMP_NUM_THREADS"]]), flush=True)
 """
-WAIT = 20.0  # s for a process to start or end on a busy computer; the child has 5 s when its parent has ended
+# s for a process to start or end on a busy computer; the child has 5 s when its parent has ended
+WAIT = 20.0
 
 
 @pytest.fixture
@@ -104,8 +106,10 @@ def test_a_child_ends_with_a_parent_that_is_killed_even_if_another_process_holds
 
 
 def test_a_child_that_is_still_importing_ends_with_its_parent(tmp_path, monkeypatch):
-    (tmp_path / "a_slow_child.py").write_text("import pathlib, time\n"
-                                              "pathlib.Path(__file__).with_suffix('.here').touch()\ntime.sleep(300)\n")
+    (tmp_path / "a_slow_child.py").write_text(
+        "import pathlib, time\n"
+        "pathlib.Path(__file__).with_suffix('.here').touch()\ntime.sleep(300)\n"
+    )
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     code = """if True:
         import time

@@ -2,7 +2,12 @@
 
 import numpy as np
 import pytest
-from scipy.interpolate import BSpline, PchipInterpolator, RegularGridInterpolator, make_interp_spline
+from scipy.interpolate import (
+    BSpline,
+    PchipInterpolator,
+    RegularGridInterpolator,
+    make_interp_spline,
+)
 
 from mjtactile.core import theory
 from mjtactile.core.bspline import Cubic, interpolating
@@ -19,11 +24,16 @@ def test_b_splines(spans):
     x = np.r_[RNG.uniform(-0.02, 0.02, 50), splines.breaks]
     for derivative in range(3):
         expected = reference(x, nu=derivative)[:, 1:-1]
-        np.testing.assert_allclose(splines.at(x, derivative), expected, atol=1e-14 * np.abs(reference(x, nu=derivative)).max())
+        np.testing.assert_allclose(
+            splines.at(x, derivative),
+            expected,
+            atol=1e-14 * np.abs(reference(x, nu=derivative)).max(),
+        )
 
 
 def test_interpolating():
-    knots, at = np.linspace(0, 3, 11), np.r_[RNG.uniform(0, 3, 30), 0.0, 3.0]
+    knots = np.linspace(0, 3, 11)
+    at = np.r_[RNG.uniform(0, 3, 30), 0.0, 3.0]
     spline = make_interp_spline(knots, np.eye(11), k=3)
     values, slopes = interpolating(knots, at)
     np.testing.assert_allclose(values, spline(at), atol=1e-14)
@@ -32,16 +42,21 @@ def test_interpolating():
 
 def test_monotone_interpolation():
     for _ in range(100):  # rising, falling, level and turning
-        x, y = np.cumsum(RNG.uniform(0.1, 1, 6)), RNG.normal(size=6).round(int(RNG.integers(0, 3)))
+        x = np.cumsum(RNG.uniform(0.1, 1, 6))
+        y = RNG.normal(size=6).round(int(RNG.integers(0, 3)))
         at = float(RNG.uniform(x[0], x[-1]))
-        assert theory._between(x, y, at) == pytest.approx(float(PchipInterpolator(x, y)(at)), abs=1e-13)
+        assert theory._between(x, y, at) == pytest.approx(
+            float(PchipInterpolator(x, y)(at)), abs=1e-13
+        )
 
 
 def test_coefficients_of_a_rectangle():
     for aspect in (*RNG.uniform(1, 4, 20), *theory._ASPECT):
         for poisson in (*RNG.uniform(0.3, 0.5, 3), *theory._POISSON):
             method = "pchip" if aspect not in theory._ASPECT else "linear"
-            c2 = RegularGridInterpolator((theory._ASPECT, theory._POISSON), theory._C2, method=method)((aspect, poisson))
+            c2 = RegularGridInterpolator(
+                (theory._ASPECT, theory._POISSON), theory._C2, method=method
+            )((aspect, poisson))
             c1 = PchipInterpolator(theory._ASPECT, theory._C1)(aspect)
             found = theory.rectangle_coefficients(float(aspect), float(poisson))
             assert found == pytest.approx((float(c1), float(c2)), rel=1e-13)

@@ -1,4 +1,5 @@
-"""A status is text with a code that survives what happens to values: comparison, copies, pickles, JSON, arrays."""
+"""A status is text with a code that survives what happens to values: comparison, copies, pickles,
+JSON, arrays."""
 
 import copy
 import json
@@ -23,7 +24,9 @@ def test_text_and_code_stay_together(way, status):
 
 
 def test_it_is_text_for_json_and_arrays():
-    assert json.dumps([OK, FEW, FEW.code]) == '["ok", "only 3 of 81 markers seen", "too few markers"]'
+    assert json.dumps([OK, FEW, FEW.code]) == (
+        '["ok", "only 3 of 81 markers seen", "too few markers"]'
+    )
     assert (np.array([OK, FEW]) == "ok").tolist() == [True, False]
     assert f"{FEW}" == "only 3 of 81 markers seen" and repr(OK) == "'ok'"
 

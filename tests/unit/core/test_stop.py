@@ -1,4 +1,5 @@
-"""Signals that ask a process to end: raised while nothing is connected, noted while something is. By signals to this process."""
+"""Signals that ask a process to end: raised while nothing is connected, noted while something is.
+By signals to this process."""
 
 import signal
 import threading
@@ -82,7 +83,8 @@ def test_another_thread_sees_what_the_main_one_hears():
             over.wait(10)
             seen.append(stop.asked)
 
-    started, over = threading.Event(), threading.Event()
+    started = threading.Event()
+    over = threading.Event()
     with pytest.raises(Interrupted), deferred() as stop:
         thread = threading.Thread(target=work)
         thread.start()

@@ -1,4 +1,5 @@
-"""A file is read or refused in one line, whatever its bytes are; a field is read exactly or named."""
+"""A file is read or refused in one line, whatever its bytes are; a field is read exactly or
+named."""
 
 import math
 import re
@@ -16,8 +17,11 @@ def test_a_byte_order_mark_is_not_part_of_the_file(tmp_path):
     assert read_json(tmp_path / "x.json") == {"a": 1}
 
 
-@pytest.mark.parametrize("content", [b"\xff\xfe[", b"a = ", b"a = " + b"[" * 100_000, b"a = " + b"9" * 5000, b"\0"],
-                         ids=["bytes", "half", "deep", "digits", "zero"])
+@pytest.mark.parametrize(
+    "content",
+    [b"\xff\xfe[", b"a = ", b"a = " + b"[" * 100_000, b"a = " + b"9" * 5000, b"\0"],
+    ids=["bytes", "half", "deep", "digits", "zero"],
+)
 @pytest.mark.parametrize(("read", "kind"), [(read_toml, "TOML"), (read_json, "JSON")])
 def test_what_is_no_such_file_is_refused_in_one_line(tmp_path, content, read, kind):
     path = tmp_path / "x"

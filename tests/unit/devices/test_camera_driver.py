@@ -1,4 +1,5 @@
-"""The camera driver with a capture object that behaves like V4L2: controls reset, clamped values, kernel times."""
+"""The camera driver with a capture object that behaves like V4L2: controls reset, clamped values,
+kernel times."""
 
 import threading
 
@@ -16,19 +17,31 @@ from tests.emulated import wait_for
 
 pytestmark = pytest.mark.clock
 
-CONFIG = CameraConfig("left", "/dev/video9", 64, 48, 100.0, exposure=100.0, gain=10.0, white_balance=4600.0)
-STREAM_PROPS = {cv2.CAP_PROP_FOURCC, cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_BUFFERSIZE,
-                cv2.CAP_PROP_FPS}
+CONFIG = CameraConfig(
+    "left", "/dev/video9", 64, 48, 100.0, exposure=100.0, gain=10.0, white_balance=4600.0
+)
+STREAM_PROPS = {
+    cv2.CAP_PROP_FOURCC,
+    cv2.CAP_PROP_FRAME_WIDTH,
+    cv2.CAP_PROP_FRAME_HEIGHT,
+    cv2.CAP_PROP_BUFFERSIZE,
+    cv2.CAP_PROP_FPS,
+}
 
 
 class V4l2:
-    """A UVC camera as the kernel shows it. `clamp` maps a property to the largest value that it takes."""
+    """A UVC camera as the kernel shows it. `clamp` maps a property to the largest value that it
+    takes."""
 
     def __init__(self, clamp=None, clock_offset=0.0):
         self.values = {cv2.CAP_PROP_AUTO_EXPOSURE: 3.0, cv2.CAP_PROP_AUTO_WB: 1.0}
-        self.order, self.clamp, self.offset = [], clamp or {}, clock_offset
-        self.rng, self.number = np.random.default_rng(0), 0
-        self.mode, self.released = "live", False
+        self.order = []
+        self.clamp = clamp or {}
+        self.offset = clock_offset
+        self.rng = np.random.default_rng(0)
+        self.number = 0
+        self.mode = "live"
+        self.released = False
         self.pixels = self.picture()
         self.time = pace.monotonic()
         self.gate = pace.Event()
@@ -47,7 +60,11 @@ class V4l2:
     def set(self, propId, value):
         self.order.append(propId)
         if propId in STREAM_PROPS:  # a change of the stream resets the controls
-            self.values |= {cv2.CAP_PROP_AUTO_EXPOSURE: 3.0, cv2.CAP_PROP_EXPOSURE: 166.0, cv2.CAP_PROP_AUTO_WB: 1.0}
+            self.values |= {
+                cv2.CAP_PROP_AUTO_EXPOSURE: 3.0,
+                cv2.CAP_PROP_EXPOSURE: 166.0,
+                cv2.CAP_PROP_AUTO_WB: 1.0,
+            }
         if propId == cv2.CAP_PROP_EXPOSURE and self.values[cv2.CAP_PROP_AUTO_EXPOSURE] != 1:
             return True  # silently ignored
         self.values[propId] = min(value, self.clamp.get(propId, value))
@@ -97,9 +114,17 @@ def test_stream_settings_come_first_and_controls_last(camera, device):
     assert (device.values[cv2.CAP_PROP_AUTO_WB], device.values[cv2.CAP_PROP_GAIN]) == (0, 10)
 
 
-@pytest.mark.parametrize(("prop", "largest", "name"), [
-    (cv2.CAP_PROP_FRAME_WIDTH, 32, "width"), (cv2.CAP_PROP_FPS, 30, "rate"), (cv2.CAP_PROP_EXPOSURE, 50, "exposure"),
-    (cv2.CAP_PROP_GAIN, 5, "gain"), (cv2.CAP_PROP_FOURCC, 1, "FOURCC"), (cv2.CAP_PROP_WB_TEMPERATURE, 4000, "white balance")])
+@pytest.mark.parametrize(
+    ("prop", "largest", "name"),
+    [
+        (cv2.CAP_PROP_FRAME_WIDTH, 32, "width"),
+        (cv2.CAP_PROP_FPS, 30, "rate"),
+        (cv2.CAP_PROP_EXPOSURE, 50, "exposure"),
+        (cv2.CAP_PROP_GAIN, 5, "gain"),
+        (cv2.CAP_PROP_FOURCC, 1, "FOURCC"),
+        (cv2.CAP_PROP_WB_TEMPERATURE, 4000, "white balance"),
+    ],
+)
 def test_what_did_not_take_is_refused(prop, largest, name):
     device = V4l2(clamp={prop: largest})
     with pytest.raises(DeviceError, match=f"left camera /dev/video9: {name} was set to"):
@@ -152,7 +177,10 @@ def test_on_a_busy_computer_pictures_may_be_late(camera, device, monkeypatch):
     monkeypatch.setattr("os.cpu_count", lambda: 2)
     device.mode = "gone"
     assert wait_for(lambda: camera._error is not None)
-    with pytest.raises(DeviceError, match=r"unplugged.* Or are they late. 40 programs want this computer's 2 processors"):
+    with pytest.raises(
+        DeviceError,
+        match=r"unplugged.* Or are they late. 40 programs want " r"this computer's 2 processors",
+    ):
         camera.read()
 
 
@@ -179,17 +207,29 @@ def test_another_size_than_asked_for_is_an_error():
 @pytest.mark.parametrize("fourcc", ["MJPG", None])
 def test_a_stream_over_http_is_read(fourcc):
     """The path of the emulated rig: MJPEG on loopback, decoded here or by FFmpeg."""
-    server, stop = StreamServer(("left",)), pace.Event()
+    server = StreamServer(("left",))
+    stop = pace.Event()
     rng = np.random.default_rng(0)
     base = cv2.GaussianBlur(rng.integers(60, 200, (48, 64)).astype(np.float32), (0, 0), 3)
 
     def publish():
         while not stop.wait(0.02):
-            server.publish("left", np.clip(base + rng.normal(0, 2, base.shape), 0, 255).astype(np.uint8))
+            server.publish(
+                "left", np.clip(base + rng.normal(0, 2, base.shape), 0, 255).astype(np.uint8)
+            )
 
     thread = threading.Thread(target=publish)
     thread.start()
-    config = CameraConfig("left", server.url("left"), 64, 48, 5.0, backend="ffmpeg", timestamps="arrival", fourcc=fourcc)
+    config = CameraConfig(
+        "left",
+        server.url("left"),
+        64,
+        48,
+        5.0,
+        backend="ffmpeg",
+        timestamps="arrival",
+        fourcc=fourcc,
+    )
     try:
         camera = OpenCvCamera(config)
         try:
@@ -205,14 +245,17 @@ def test_a_stream_over_http_is_read(fourcc):
 
 
 def test_a_stream_that_is_no_jpeg_says_so(device):
-    config = CameraConfig("left", "rtsp://there", 64, 48, 5.0, backend="ffmpeg", timestamps="arrival", fourcc="MJPG")
+    config = CameraConfig(
+        "left", "rtsp://there", 64, 48, 5.0, backend="ffmpeg", timestamps="arrival", fourcc="MJPG"
+    )
     device.picture = lambda: np.zeros((1, 500), np.uint8)  # a packet of another codec
     with pytest.raises(DeviceError, match=r"no JPEG.*fourcc"):
         OpenCvCamera(config, capture=lambda: device)
 
 
 def test_a_cycle_begins_with_a_picture_and_never_waits_for_long(device):
-    """The loop's clock wakes up when a picture has come, at the latest half a period after the time asked for."""
+    """The loop's clock wakes up when a picture has come, at the latest half a period after the time
+    asked for."""
     camera = OpenCvCamera(CONFIG, capture=lambda: device)
     try:
         period = 0.05
@@ -227,7 +270,8 @@ def test_a_cycle_begins_with_a_picture_and_never_waits_for_long(device):
         goal = clock.now() + period
         clock.wait_until(goal)  # the last picture may still come
         clock.wait_until(clock.now() + period)
-        assert clock.now() < goal + 3 * period + 1.0  # the loop goes on without pictures; 1 s for a busy computer
+        # the loop goes on without pictures; 1 s for a busy computer
+        assert clock.now() < goal + 3 * period + 1.0
     finally:
         device.mode = "gone"
         device.gate.set()
@@ -235,10 +279,13 @@ def test_a_cycle_begins_with_a_picture_and_never_waits_for_long(device):
 
 
 class Beat:
-    """A camera that sends a picture every `period` s, on a clock of its own that stands still but for those who wait."""
+    """A camera that sends a picture every `period` s, on a clock of its own that stands still but
+    for those who wait."""
 
     def __init__(self, period, phase):
-        self.period, self.phase, self.now = period, phase, 10.0
+        self.period = period
+        self.phase = phase
+        self.now = 10.0
 
     def sleep_until(self, deadline):
         self.now = max(self.now, deadline)
@@ -255,17 +302,21 @@ class Beat:
 @pytest.mark.parametrize("phase", [0.0, 0.3, 0.6, 0.9])
 @pytest.mark.parametrize("rate", [0.98, 1.0, 1.02])
 def test_the_loop_falls_into_step_with_its_camera(rate, phase, monkeypatch):
-    """Whatever their phases were, and though neither has the rate it says: each picture is taken when it comes, once."""
+    """Whatever their phases were, and though neither has the rate it says: each picture is taken
+    when it comes, once."""
     camera = Beat(1 / rate, phase)
     monkeypatch.setattr("mjtactile.devices.rig._sleep_until", camera.sleep_until)
     clock = FrameClock([camera], 1.0)  # type: ignore[list-item]
     clock.now = lambda: camera.now
-    deadline, taken = camera.now, []
+    deadline = camera.now
+    taken = []
     for _ in range(100):
-        deadline = min(max(deadline, camera.now - 1.0), camera.now) + 1.0  # as the control loop has it
+        # as the control loop has it
+        deadline = min(max(deadline, camera.now - 1.0), camera.now) + 1.0
         camera.now += 0.6  # its work
         clock.wait_until(deadline)
         taken.append((camera.now, camera.newest_time))
     seen = np.array(taken[10:])
-    np.testing.assert_allclose(seen[:, 0], seen[:, 1], atol=1e-6)  # rounding: without falling into step up to 0.5
+    # rounding: without falling into step up to 0.5
+    np.testing.assert_allclose(seen[:, 0], seen[:, 1], atol=1e-6)
     np.testing.assert_allclose(np.diff(seen[:, 1]), 1 / rate, atol=1e-6)

@@ -1,7 +1,7 @@
 """What a dead host leaves of a hand, on servos whose watchdogs do different things (decision 19).
 
-Two jaws on racks close on a spring between them; the host stops in the middle of it. The mechanism is statics: a jaw goes to
-its goal, or as far as its torque presses the spring.
+Two jaws on racks close on a spring between them; the host stops in the middle of it. The mechanism
+is statics: a jaw goes to its goal, or as far as its torque presses the spring.
 """
 
 import contextlib
@@ -27,10 +27,13 @@ KINDS = {"brake": {}, "limp": {"trip": "limp"}, "goes on": {"firmware": 51}}
 
 
 class Jaws:
-    """The mechanism, alive; the spring is touched at `touch` m of opening. `silence` s are added to the watchdogs' clock."""
+    """The mechanism, alive; the spring is touched at `touch` m of opening. `silence` s are added to
+    the watchdogs' clock."""
 
     def __init__(self, bench, touch):
-        self.bench, self.touch, self.silence = bench, touch / 2, 0.0
+        self.bench = bench
+        self.touch = touch / 2
+        self.silence = 0.0
         self._stop = pace.Event()
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
@@ -44,10 +47,14 @@ class Jaws:
         return sum(RADIUS * servo.angle for servo in self.bench.servos.values())
 
     def forces(self):
-        return [STIFFNESS * max(0.0, self.touch - RADIUS * servo.angle) for servo in self.bench.servos.values()]
+        return [
+            STIFFNESS * max(0.0, self.touch - RADIUS * servo.angle)
+            for servo in self.bench.servos.values()
+        ]
 
     def settled(self):
         """Wait until it moves no more: a servo that goes on needs 0.14 s for 10 mm."""
+
         def rests():
             before = self.opening
             pace.sleep(0.1)
@@ -66,8 +73,11 @@ class Jaws:
 
     def _move(self, servo, period):
         drive = servo.drive()
-        pressed = (self.touch - drive.torque_max / RADIUS / STIFFNESS) / RADIUS  # where spring and motor balance
-        goal = max(drive.goal, pressed) if drive.torque_max else max(servo.angle, self.touch / RADIUS)
+        # where spring and motor balance
+        pressed = (self.touch - drive.torque_max / RADIUS / STIFFNESS) / RADIUS
+        goal = (
+            max(drive.goal, pressed) if drive.torque_max else max(servo.angle, self.touch / RADIUS)
+        )
         step = min(max(goal - servo.angle, -SPEED * period), SPEED * period)
         torque = STIFFNESS * max(0.0, self.touch - RADIUS * servo.angle) * RADIUS
         servo.feel(servo.angle + step, step / max(period, 1e-6), -torque, period)
@@ -76,7 +86,8 @@ class Jaws:
 @contextlib.contextmanager
 def hand(kind, touch):
     with servo_bench(**KINDS[kind]) as bench:
-        jaws, gripper = Jaws(bench, touch), None
+        jaws = Jaws(bench, touch)
+        gripper = None
         try:
             gripper = bench.gripper()
             yield bench, jaws, gripper
@@ -108,7 +119,8 @@ def die(bench, jaws, gripper):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_hand_that_squeezes_never_squeezes_harder(kind):
-    """Braking or going on, the squeeze is what the host had allowed (a unit of current, 0.03 N, less); limp, it is gone."""
+    """Braking or going on, the squeeze is what the host had allowed (a unit of current, 0.03 N,
+    less); limp, it is gone."""
     with hand(kind, touch=START - 0.008) as (bench, jaws, gripper):
         close_until(gripper, lambda: min(jaws.forces()) > 0.9 * FORCE)
         die(bench, jaws, gripper)
@@ -122,18 +134,25 @@ def test_a_hand_that_squeezes_never_squeezes_harder(kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_hand_on_its_way_stops_by_itself(kind):
-    """It had been told to close by 72 mm, and nothing is between the jaws: it comes no further than 10 mm from where the host
-    last knew it to be."""
+    """It had been told to close by 72 mm, and nothing is between the jaws: it comes no further than
+    10 mm from where the host last knew it to be."""
     with hand(kind, touch=0.0) as (bench, jaws, gripper):
         close_until(gripper, lambda: jaws.opening < START - 0.015)
-        known = gripper.geometry.opening({servo: ticks for servo, (ticks, _) in gripper.positions.items()})
+        known = gripper.geometry.opening(
+            {servo: ticks for servo, (ticks, _) in gripper.positions.items()}
+        )
         die(bench, jaws, gripper)
         assert jaws.opening > known - LEAD - 2 * RADIUS * 2 * math.pi / 4096  # a tick of each
         if kind == "goes on":
-            assert jaws.opening == pytest.approx(known - LEAD, abs=2 * RADIUS * 2 * math.pi / 4096)  # that is where its goal was
+            # that is where its goal was
+            assert jaws.opening == pytest.approx(known - LEAD, abs=2 * RADIUS * 2 * math.pi / 4096)
 
 
 def test_firmware_that_stops_nothing_is_said(caplog):
     with caplog.at_level(logging.WARNING), hand("goes on", touch=0.0):
         pass
-    assert [r.message for r in caplog.records if "firmware 51, whose bus watchdog stops nothing" in r.message]
+    assert [
+        r.message
+        for r in caplog.records
+        if "firmware 51, whose bus watchdog stops nothing" in r.message
+    ]

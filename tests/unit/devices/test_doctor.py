@@ -23,7 +23,15 @@ def test_settings_and_firmware_that_make_a_dead_host_dangerous():
     sound, moving = findings()
     assert [finding.level for finding in sound] == ["ok"]
     bad = [finding.text for finding in moving if finding.level == "bad"]
-    assert len(bad) == 2 and "Homing Offset is -300, must be 0" in bad[0] and "Startup Configuration is 1" in bad[1]
-    assert all(finding.remedy == "set it with Dynamixel Wizard" for finding in moving if finding.level == "bad")
+    assert (
+        len(bad) == 2
+        and "Homing Offset is -300, must be 0" in bad[0]
+        and "Startup Configuration is 1" in bad[1]
+    )
+    assert all(
+        finding.remedy == "set it with Dynamixel Wizard"
+        for finding in moving
+        if finding.level == "bad"
+    )
     old = findings(firmware=51)[0]
     assert [finding.level for finding in old] == ["ok", "warn"] and "stops nothing" in old[1].text

@@ -1,4 +1,5 @@
-"""Each trap of the SDK's packet layer (docs/hardware.md), through the bus and emulated servos on a pty."""
+"""Each trap of the SDK's packet layer (docs/hardware.md), through the bus and emulated servos on a
+pty."""
 
 import threading
 
@@ -37,7 +38,8 @@ def test_group_read_keeps_the_alert_byte(bench, bus, fast):
 def test_group_read_says_who_did_not_answer(bench, bus, fast):
     bench.faults.set("servo_silent", 2)
     replies, failures = bus.read_many([1, 2], POSITION, 4, fast=fast)
-    assert failures[2].reason == ("corrupt" if fast else "no reply")  # the first servo's part of the packet has come
+    # the first servo's part of the packet has come
+    assert failures[2].reason == ("corrupt" if fast else "no reply")
     assert set(replies) == (set() if fast else {1})  # the fast reply is one packet for all
 
 
@@ -89,21 +91,25 @@ def test_many_threads_share_one_bus(bus):
 
 
 def test_time_outs_are_the_files_and_not_the_sdks(bench):
-    """LATENCY_TIMER = 16 makes the SDK wait 34 ms; what the port is told counts here, on the monotonic clock."""
+    """LATENCY_TIMER = 16 makes the SDK wait 34 ms; what the port is told counts here, on the
+    monotonic clock."""
     bus = DynamixelBus(bench.bus.path, reply_timeout=0.005)
     sdk = PortHandler("none")
     try:
         bus._port.setPacketTimeout(21)
-        assert bus._port.packet_timeout == pytest.approx(5 + 21 * 0.01)  # ms; 10 bits a byte at 1 Mbaud
+        # ms; 10 bits a byte at 1 Mbaud
+        assert bus._port.packet_timeout == pytest.approx(5 + 21 * 0.01)
         sdk.setPacketTimeout(21)
         assert sdk.packet_timeout > 30
-        assert abs(bus._port.getCurrentTime() - 1e3 * pace.monotonic()) < 1e3  # not the wall clock's 1.7e12
+        # not the wall clock's 1.7e12
+        assert abs(bus._port.getCurrentTime() - 1e3 * pace.monotonic()) < 1e3
     finally:
         bus.close()
 
 
 def test_a_late_reply_is_not_taken_for_the_next_answer(bench):
-    """It comes 20 ms after the time-out, is intact, from the right servo and as long as the next one's."""
+    """It comes 20 ms after the time-out, is intact, from the right servo and as long as the next
+    one's."""
     bus = DynamixelBus(bench.bus.path, reply_timeout=0.05)
     try:
         bench.faults.set("servo_late", 0.07)
@@ -117,10 +123,13 @@ def test_a_late_reply_is_not_taken_for_the_next_answer(bench):
 
 
 def test_stuffing_is_sent_and_undone(bench, bus, monkeypatch):
-    """The SDK computes the stuffed packet and throws it away. The bytes are compared with the emulator's own encoder."""
+    """The SDK computes the stuffed packet and throws it away. The bytes are compared with the
+    emulator's own encoder."""
     sent = []
     write = bus._port.writePort
-    monkeypatch.setattr(bus._port, "writePort", lambda packet: sent.append(bytes(packet)) or write(packet))
+    monkeypatch.setattr(
+        bus._port, "writePort", lambda packet: sent.append(bytes(packet)) or write(packet)
+    )
     value = -131_073  # little-endian FF FF FD FF, a goal beyond 32 turns
     for servo in bench.servos.values():
         servo.set("Operating Mode", 5)
@@ -169,4 +178,5 @@ def test_bad_bytes_are_no_replies():
     result = fuzz_servos(40_000)
     assert result["wrong"] == 0 and result["refused"] > 100
     assert result["true"] > 0  # the true answers among them were taken
-    assert result["longest_s"] < 1.0  # a babbler gets five times the time-out of 2 ms; nothing hangs
+    # a babbler gets five times the time-out of 2 ms; nothing hangs
+    assert result["longest_s"] < 1.0

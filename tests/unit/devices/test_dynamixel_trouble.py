@@ -1,4 +1,5 @@
-"""The gripper driver in trouble: faults of servos and bus, silent hosts, and torque off on every way out."""
+"""The gripper driver in trouble: faults of servos and bus, silent hosts, and torque off on every
+way out."""
 
 import contextlib
 import math
@@ -29,7 +30,8 @@ def test_a_hardware_error_is_seen_in_the_next_cycle(bench, fast):
 
 
 def test_a_state_is_of_the_time_it_was_asked_for(bench):
-    """The servos answer while the loop works on its picture; what happens after the question is not in the answer."""
+    """The servos answer while the loop works on its picture; what happens after the question is not
+    in the answer."""
     gripper = bench.gripper()
     try:
         before = gripper.state()
@@ -39,7 +41,8 @@ def test_a_state_is_of_the_time_it_was_asked_for(bench):
         bench.servos[2].feel(ANGLE + 0.5, 0.0, 0.0, 0.01)
         state = gripper.state()
         assert state.opening == before.opening and before.time < state.time <= asked
-        assert gripper.state().opening > before.opening + 0.005  # of the 6 mm that the jaw has moved
+        # of the 6 mm that the jaw has moved
+        assert gripper.state().opening > before.opening + 0.005
     finally:
         gripper.close()
 
@@ -66,7 +69,8 @@ def test_two_lost_replies_are_tolerated_and_two_cycles_are_not(bench):
         before = gripper.state()
         bench.faults.set("servo_silent", 2)
         blind = gripper.state()  # asked, and asked again
-        assert blind.opening == before.opening and blind.time == before.time  # it says how old it is
+        # it says how old it is
+        assert blind.opening == before.opening and blind.time == before.time
         with pytest.raises(DeviceError, match=r"servo 2 .* no reply 3 times"):
             gripper.state()
     finally:
@@ -76,7 +80,8 @@ def test_two_lost_replies_are_tolerated_and_two_cycles_are_not(bench):
 
 def lose_a_reply(bench, servo):
     """The next reply of that servo does not arrive; a list that has an entry when it was due."""
-    reply, dropped = bench.bus._status, []
+    reply = bench.bus._status
+    dropped = []
 
     def once_lost(status, *rest):
         if status.id == servo and not dropped:
@@ -144,7 +149,8 @@ def test_a_host_that_vanished_is_silence_for_the_watchdog(bench):
 
 
 def test_keep_alive_rests_when_the_host_is_silent(bench):
-    """The watchdog must be able to trip: 0.25 s after the last call of a running loop nothing is sent any more."""
+    """The watchdog must be able to trip: 0.25 s after the last call of a running loop nothing is
+    sent any more."""
     gripper = bench.gripper(watchdog=0.1)
     try:
         gripper.command(Command(0.07, 2.0))
@@ -153,7 +159,9 @@ def test_keep_alive_rests_when_the_host_is_silent(bench):
         gripper.close()
 
 
-# -- ending ------------------------------------------------------------------------------------------------------------
+# -- ending
+# --------------------------------------------------------------------------------
+
 
 def test_torque_is_off_after_close(bench):
     with contextlib.closing(bench.gripper()) as gripper:

@@ -1,4 +1,5 @@
-"""What is plugged in is found: on emulated buses, and of cameras by a kernel that answers as its documentation says.
+"""What is plugged in is found: on emulated buses, and of cameras by a kernel that answers as its
+documentation says.
 
 No camera is on this computer; structures and numbers are those of linux/videodev2.h.
 """
@@ -17,7 +18,10 @@ from tests.emulated import REPLY_TIMEOUT, servo_bench, valve_bench
 
 pytestmark = pytest.mark.clock
 
-MODES = {"MJPG": [(640, 480, [(1, 30), (1, 60)]), (1280, 720, [(1, 30)])], "YUYV": [(640, 480, [(1, 15)])]}
+MODES = {
+    "MJPG": [(640, 480, [(1, 30), (1, 60)]), (1280, 720, [(1, 30)])],
+    "YUYV": [(640, 480, [(1, 15)])],
+}
 
 
 def kernel(modes=MODES, stepwise=False):
@@ -30,9 +34,10 @@ def kernel(modes=MODES, stepwise=False):
             if request == 0xC0405602:  # index, type, flags, description[32], pixelformat
                 assert second == 1 and len(data) == 64
                 struct.pack_into("I", data, 44, list(codes)[index])
-            elif request == 0xC02C564A and stepwise:  # index, pixel_format, type, then min, max, step of width and height
+            elif request == 0xC02C564A and stepwise:
+                # index, pixel_format, type, then min, max, step of width and height
                 assert len(data) == 44
-                (width, height, _), = codes[second][index:index + 1]
+                ((width, height, _),) = codes[second][index : index + 1]
                 struct.pack_into("7I", data, 8, 3, 16, width, 16, 8, height, 8)
             elif request == 0xC02C564A:
                 struct.pack_into("3I", data, 8, 1, *codes[second][index][:2])
@@ -51,14 +56,22 @@ def test_what_a_camera_can_send(tmp_path):
     (tmp_path / "video0").touch()
     found = list(formats_of(tmp_path / "video0", kernel()))
     assert found == [("MJPG", 640, 480, 60.0), ("MJPG", 1280, 720, 30.0), ("YUYV", 640, 480, 15.0)]
-    ranges = list(formats_of(tmp_path / "video0", kernel({"MJPG": MODES["MJPG"][:1]}, stepwise=True)))
+    ranges = list(
+        formats_of(tmp_path / "video0", kernel({"MJPG": MODES["MJPG"][:1]}, stepwise=True))
+    )
     assert ranges == [("MJPG", 640, 480, 60.0)]
-    assert list(formats_of(tmp_path / "video0")) == []  # a file: the real kernel says that it is no camera
+    # a file: the real kernel says that it is no camera
+    assert list(formats_of(tmp_path / "video0")) == []
     assert list(formats_of(tmp_path / "video7", kernel())) == []
 
 
 def test_cameras_by_the_name_that_stays(tmp_path):
-    for number, index, name in ((0, 0, "Left camera"), (1, 1, "Left camera"), (10, 0, "Right"), (2, 0, "Middle")):
+    for number, index, name in (
+        (0, 0, "Left camera"),
+        (1, 1, "Left camera"),
+        (10, 0, "Right"),
+        (2, 0, "Middle"),
+    ):
         folder = tmp_path / f"sys/devices/usb{number}/interface/video4linux/video{number}"
         folder.mkdir(parents=True)
         (folder / "index").write_text(f"{index}\n")
@@ -72,21 +85,30 @@ def test_cameras_by_the_name_that_stays(tmp_path):
     (tmp_path / "dev/v4l/by-id/usb-Left-video-index0").symlink_to("../../video0")
     (tmp_path / "dev/v4l/by-path").mkdir()
     (tmp_path / "dev/v4l/by-path/usb-0:2").symlink_to("../../video2")
-    found = [(camera.name, camera.path.removeprefix(f"{tmp_path}/dev/"), camera.serial) for camera in video_devices(tmp_path)]
-    assert found == [("Left camera", "v4l/by-id/usb-Left-video-index0", "SN0001"), ("Middle", "v4l/by-path/usb-0:2", ""),
-                     ("Right", "video10", "")]
+    found = [
+        (camera.name, camera.path.removeprefix(f"{tmp_path}/dev/"), camera.serial)
+        for camera in video_devices(tmp_path)
+    ]
+    assert found == [
+        ("Left camera", "v4l/by-id/usb-Left-video-index0", "SN0001"),
+        ("Middle", "v4l/by-path/usb-0:2", ""),
+        ("Right", "video10", ""),
+    ]
 
 
 def test_servos_and_valve_boards_answer(capsys):
     with servo_bench() as bench:
         baud, found = servos_at(bench.bus.path, [1_000_000], reply_time=REPLY_TIMEOUT / 10)
         assert (baud, found) == (1_000_000, {1: "XL330-M288", 2: "XL330-M288"})
-        assert not any(packet.code in (0x03, 0x83) for packet in bench.log)  # WRITE, SYNC WRITE: nothing is set
+        # WRITE, SYNC WRITE: nothing is set
+        assert not any(packet.code in (0x03, 0x83) for packet in bench.log)
     with valve_bench() as (port, _, _, _):
         assert valve_board_at(port.path) == "mjvalve 1.0, 2 channels, with pressure sensors"
         assert main(["devices", "--port", port.path, "--json"]) == 0
         ports = json.loads(capsys.readouterr().out)["serial_ports"]
-        assert ports[-1]["answers"] == ["valve board: mjvalve 1.0, 2 channels, with pressure sensors"]
+        assert ports[-1]["answers"] == [
+            "valve board: mjvalve 1.0, 2 channels, with pressure sensors"
+        ]
 
 
 def test_a_port_that_cannot_be_opened_is_said(tmp_path):

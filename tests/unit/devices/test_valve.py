@@ -1,4 +1,5 @@
-"""The valve driver against emulated boards, with and without pressure sensors. The real firmware: test_valve_firmware.py."""
+"""The valve driver against emulated boards, with and without pressure sensors. The real firmware:
+test_valve_firmware.py."""
 
 import random
 import zlib
@@ -28,7 +29,9 @@ def rig(request):
                 board.close(quiet=True)
 
 
-# -- lines -------------------------------------------------------------------------------------------------------------
+# -- lines
+# --------------------------------------------------------------------------------
+
 
 def test_the_crc_is_the_one_of_ethernet():
     """Its check value, and two implementations."""
@@ -37,8 +40,18 @@ def test_the_crc_is_the_one_of_ethernet():
     assert protocol.encode(7, "set 1 1000") == emulated.framed("7 set 1 1000") == line
 
 
-@pytest.mark.parametrize("line", [b"", b"1 id", b"1 id*00000000", b"1 id*" + b"%08x" % zlib.crc32(b"1 id"), b"x id*",
-                                  b"1 i\xffd*1", b"1  *" + b"%08X" % zlib.crc32(b"2 ")])
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"",
+        b"1 id",
+        b"1 id*00000000",
+        b"1 id*" + b"%08x" % zlib.crc32(b"1 id"),
+        b"x id*",
+        b"1 i\xffd*1",
+        b"1  *" + b"%08X" % zlib.crc32(b"2 "),
+    ],
+)
 def test_damaged_lines_are_no_lines(line):
     assert protocol.decode(line) is None
     assert emulated.unframed(line) is None
@@ -53,7 +66,9 @@ def test_no_damaged_line_is_read():
         line = whole[i % 100]
         accepted += protocol.decode(damage(rng, line)) is not None
     assert accepted == 0
-    assert all(protocol.decode(line) == (n, f"state 1 sealed {n} ok") for n, line in enumerate(whole))
+    assert all(
+        protocol.decode(line) == (n, f"state 1 sealed {n} ok") for n, line in enumerate(whole)
+    )
 
 
 def test_bad_lines_are_no_readings():
@@ -64,7 +79,9 @@ def test_bad_lines_are_no_readings():
     assert result["longest_s"] < 10.0  # nothing hangs
 
 
-# -- what a board does -------------------------------------------------------------------------------------------------
+# -- what a board does
+# --------------------------------------------------------------------------------
+
 
 def test_handshake_waits_for_the_boot_and_sets_the_heartbeat(rig):
     board, _, firmware, _, _ = rig
@@ -124,12 +141,17 @@ def test_the_board_vents_by_itself_when_the_host_is_gone_and_again_when_it_is_go
         with pytest.raises(DeviceError, match="refuses 'set 1 1000': fault"):
             valves[0].open(1000.0)
         assert wait_for(lambda: valves[0].board._readings[1].fault)
-        with pytest.raises(DeviceError, match="valve left vented by itself: the board heard nothing"):
+        with pytest.raises(
+            DeviceError, match="valve left vented by itself: the board heard nothing"
+        ):
             valves[0].state()
         valves[0].open(0.0)  # the host knows
 
 
-@pytest.mark.parametrize(("fault", "why"), [("valve_sensor", "its pressure sensor fails"), ("valve_restart", "has restarted")])
+@pytest.mark.parametrize(
+    ("fault", "why"),
+    [("valve_sensor", "its pressure sensor fails"), ("valve_restart", "has restarted")],
+)
 def test_a_board_with_a_fault_of_its_own_vents_and_says_why(fault, why):
     with valve_bench() as (port, firmware, faults, _):
         boards, valves = connect_valves(valve_configs(port.path))
@@ -192,15 +214,23 @@ def test_without_a_sensor_the_supply_is_what_the_file_says():
                 valves[0].open(500.0)
         finally:
             boards[0].close()
-    with valve_bench(sensors=False) as (port, *_), pytest.raises(InputError, match=r"valve\.supply_kPa"):
+    with (
+        valve_bench(sensors=False) as (port, *_),
+        pytest.raises(InputError, match=r"valve\.supply_kPa"),
+    ):
         ValveBoard([ValveConfig("left", port.path)])
 
 
-@pytest.mark.parametrize(("answer", "error", "message"), [
-    ("id mjvalve 0.9 2 1 6000", DeviceError, r"firmware 0\.9, needs 1\.0"),
-    ("id mjvalve 1.0 0 1 6000", InputError, "the board has 0 channels"),
-    ("id mjvalve 1.0 2 1 2000", InputError, r"pressure_max_kPa: 3: the board goes up to 2"),
-    ("id regulator 3.1", DeviceError, "does not answer as mjvalve"), ("error unknown", DeviceError, "it said nothing")])
+@pytest.mark.parametrize(
+    ("answer", "error", "message"),
+    [
+        ("id mjvalve 0.9 2 1 6000", DeviceError, r"firmware 0\.9, needs 1\.0"),
+        ("id mjvalve 1.0 0 1 6000", InputError, "the board has 0 channels"),
+        ("id mjvalve 1.0 2 1 2000", InputError, r"pressure_max_kPa: 3: the board goes up to 2"),
+        ("id regulator 3.1", DeviceError, "does not answer as mjvalve"),
+        ("error unknown", DeviceError, "it said nothing"),
+    ],
+)
 def test_another_board_is_refused(monkeypatch, answer, error, message):
     monkeypatch.setattr("mjtactile.devices.valve.board._HANDSHAKE_TIME", 1.0)
     monkeypatch.setattr(emulated.ValveFirmware, "_obey", lambda *_: answer)
@@ -237,8 +267,20 @@ def test_a_late_answer_is_not_taken_for_the_next_one():
             boards[0].close()
 
 
-@pytest.mark.parametrize("line", ["set 1 nan", "set 1 -5", "set 1 1e3", "seal", "set 1", "seal 3", "limit 1 0", "beat 5",
-                                  "close 1"])
+@pytest.mark.parametrize(
+    "line",
+    [
+        "set 1 nan",
+        "set 1 -5",
+        "set 1 1e3",
+        "seal",
+        "set 1",
+        "seal 3",
+        "limit 1 0",
+        "beat 5",
+        "close 1",
+    ],
+)
 def test_what_the_board_does_not_understand_is_an_error_and_stops_nothing(line):
     firmware = emulated.ValveFirmware({}, emulated.Faults())
     for text in ("vent 1", "beat 1000"):
@@ -251,7 +293,9 @@ def test_nothing_is_inflated_for_a_host_without_a_heartbeat_or_that_does_not_kno
     firmware = emulated.ValveFirmware({}, emulated.Faults())
 
     def ask(text):
-        return emulated.unframed(firmware.reply(emulated.framed(f"1 {text}").rstrip(), 0.0).rstrip())
+        return emulated.unframed(
+            firmware.reply(emulated.framed(f"1 {text}").rstrip(), 0.0).rstrip()
+        )
 
     assert ask("set 1 100") == "1 error beat"
     ask("beat 1000")

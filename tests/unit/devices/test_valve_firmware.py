@@ -1,4 +1,5 @@
-"""The firmware of firmware/valve/, compiled for this computer, behind a pty with simulated chambers, under the real driver."""
+"""The firmware of firmware/valve/, compiled for this computer, behind a pty with simulated
+chambers, under the real driver."""
 
 import contextlib
 import importlib.util
@@ -18,8 +19,12 @@ from mjtactile.rig.file import ValveConfig
 from tests.emulated import valve_configs, wait_for
 
 SOURCE = Path(__file__).resolve().parents[3] / "firmware" / "valve"
-pytestmark = [pytest.mark.clock, pytest.mark.skipif(not SOURCE.is_dir(), reason="the firmware is in the repository only")]
-STATES, FAULTS = ("vent", "set", "sealed"), ("ok", "start", "silent", "sensor", "pressure")
+pytestmark = [
+    pytest.mark.clock,
+    pytest.mark.skipif(not SOURCE.is_dir(), reason="the firmware is in the repository only"),
+]
+STATES = ("vent", "set", "sealed")
+FAULTS = ("ok", "start", "silent", "sensor", "pressure")
 
 
 def compiler():
@@ -32,8 +37,18 @@ def compiler():
 
 
 def compile_files(folder, *arguments):
-    command = [*compiler(), "-std=c++17", "-Wall", "-Wextra", "-Werror", "-O1", "-fno-exceptions", "-fno-rtti",
-               f"-I{SOURCE / 'lib/valve'}", *map(str, arguments)]
+    command = [
+        *compiler(),
+        "-std=c++17",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        "-O1",
+        "-fno-exceptions",
+        "-fno-rtti",
+        f"-I{SOURCE / 'lib/valve'}",
+        *map(str, arguments),
+    ]
     caches = {"ZIG_GLOBAL_CACHE_DIR": str(folder), "ZIG_LOCAL_CACHE_DIR": str(folder)}
     subprocess.run(command, check=True, env={**os.environ, **caches})
 
@@ -77,7 +92,9 @@ class Host:
     """The board's program, its pty, and its chambers."""
 
     def __init__(self, program):
-        self.process = subprocess.Popen([program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self.process = subprocess.Popen(
+            [program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
         self.path = self.process.stdout.readline().strip()
 
     def tell(self, command="ask"):
@@ -88,7 +105,11 @@ class Host:
 
     def channel(self, number=1):
         said = self.tell()
-        return STATES[said[f"state_{number}"]], FAULTS[said[f"fault_{number}"]], said[f"pa_{number}"]
+        return (
+            STATES[said[f"state_{number}"]],
+            FAULTS[said[f"fault_{number}"]],
+            said[f"pa_{number}"],
+        )
 
     def close(self):
         self.process.stdin.close()
@@ -142,9 +163,14 @@ def test_a_dead_host_and_a_second_one(host):
         assert is_near(host, 0.0)
 
 
-@pytest.mark.parametrize(("command", "fault", "why"), [
-    ("sensor 1 1", "sensor", "its pressure sensor fails"), ("push 1 4000", "pressure", "its pressure was too high"),
-    ("reset", "start", "has restarted")])
+@pytest.mark.parametrize(
+    ("command", "fault", "why"),
+    [
+        ("sensor 1 1", "sensor", "its pressure sensor fails"),
+        ("push 1 4000", "pressure", "its pressure was too high"),
+        ("reset", "start", "has restarted"),
+    ],
+)
 def test_it_vents_by_itself_and_the_driver_says_why(rig, command, fault, why):
     host, board, valves = rig
     valves[0].open(1000.0)
@@ -180,8 +206,13 @@ def test_a_stuck_valve_and_a_puncture_are_seen(rig):
         valves[1].state()
 
 
-@pytest.mark.parametrize(("act", "message"), [
-    (lambda host: host.tell("hang 1"), "is silent or broken"), (lambda host: host.process.kill(), "lost")])
+@pytest.mark.parametrize(
+    ("act", "message"),
+    [
+        (lambda host: host.tell("hang 1"), "is silent or broken"),
+        (lambda host: host.process.kill(), "lost"),
+    ],
+)
 def test_a_board_that_hangs_or_is_unplugged_is_an_error(rig, act, message):
     host, board, valves = rig
     act(host)
@@ -200,11 +231,39 @@ def test_it_answers_as_the_emulated_board_does(host):
     """Word for word, to all that a host may say: two programs after one page."""
     import serial
 
-    board = emulated.ValveFirmware(type("None", (), {"pressure": lambda *_: 0.0})(), emulated.Faults())
+    board = emulated.ValveFirmware(
+        type("None", (), {"pressure": lambda *_: 0.0})(), emulated.Faults()
+    )
     board._rng.gauss = lambda *_: 0.0
-    lines = ["id", "state 1", "set 1 100", "beat 5", "beat 60000", "set 1 100", "vent 1", "vent 2", "set 1 100", "limit 1 6001",
-             "limit 1 3000", "limit 3 5", "set 1 3001", "set 1 3000", "vent 1", "seal 2", "state 2", "set 1 -5", "set 1", "seal",
-             "x 1", "set 1 1 1", "id 1", "beat", "limit 1 1e3", "seal 1234567", ""]
+    lines = [
+        "id",
+        "state 1",
+        "set 1 100",
+        "beat 5",
+        "beat 60000",
+        "set 1 100",
+        "vent 1",
+        "vent 2",
+        "set 1 100",
+        "limit 1 6001",
+        "limit 1 3000",
+        "limit 3 5",
+        "set 1 3001",
+        "set 1 3000",
+        "vent 1",
+        "seal 2",
+        "state 2",
+        "set 1 -5",
+        "set 1",
+        "seal",
+        "x 1",
+        "set 1 1 1",
+        "id 1",
+        "beat",
+        "limit 1 1e3",
+        "seal 1234567",
+        "",
+    ]
     with serial.Serial(host.path, timeout=5.0) as port:
         answer = b"-"
         while b"-" in answer:  # until it has looked at its sensors
@@ -216,12 +275,19 @@ def test_it_answers_as_the_emulated_board_does(host):
             port.write(emulated.framed(body))
             if ours is not None:
                 assert port.readline() == ours, text
-        port.write(b"id\n9 id*00000000\n\xff\xfe\n" + b"x" * 500 + b"\n" + emulated.framed("65535 id"))
-        assert port.readline() == emulated.framed("65535 id mjvalve 1.0 2 1 6000")  # and nothing to the damaged ones
+        port.write(
+            b"id\n9 id*00000000\n\xff\xfe\n" + b"x" * 500 + b"\n" + emulated.framed("65535 id")
+        )
+        # and nothing to the damaged ones
+        assert port.readline() == emulated.framed("65535 id mjvalve 1.0 2 1 6000")
 
 
 def test_ten_million_damaged_bytes_are_not_obeyed(program):
-    said = json.loads(subprocess.run([program, "fuzz", "10000000", "1"], check=True, capture_output=True, text=True).stdout)
+    said = json.loads(
+        subprocess.run(
+            [program, "fuzz", "10000000", "1"], check=True, capture_output=True, text=True
+        ).stdout
+    )
     assert said["bytes"] >= 10_000_000 and said["lines"] > 300_000
     assert said["accepted"] == 0  # a CRC-32 lets 1 in 4 10^9 pass
 

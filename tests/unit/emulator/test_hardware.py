@@ -26,9 +26,11 @@ def test_a_lift_without_torque_has_no_goal():
     with contextlib.closing(Hardware(load_rig_file("emulated"), shared, Faults())) as hardware:
         lift = hardware.servos[3]
         assert wait_for(lambda: math.isnan(shared["lift_goal"]))
-        for address, size, value in ((11, 1, 5), (64, 1, 1), (116, 4, 1304)):  # 2 rad on a rack of 20 mm
+        # 2 rad on a rack of 20 mm
+        for address, size, value in ((11, 1, 5), (64, 1, 1), (116, 4, 1304)):
             assert lift.write(address, value.to_bytes(size, "little")) == 0
-        assert wait_for(lambda: shared["lift_goal"] == pytest.approx(0.040, abs=2e-5))  # half a tick is 15 um
+        # half a tick is 15 um
+        assert wait_for(lambda: shared["lift_goal"] == pytest.approx(0.040, abs=2e-5))
         lift.brown_out()
         assert wait_for(lambda: math.isnan(shared["lift_goal"]))
     shared.close()
@@ -47,12 +49,15 @@ def test_a_host_that_never_reads_stops_nothing():
 
 def test_without_a_goal_it_falls_as_things_do():
     asked = []
-    scene = SimpleNamespace(timestep=0.004, set_lift_target=lambda height, speed=None: asked.append((height, speed)))
+    scene = SimpleNamespace(
+        timestep=0.004, set_lift_target=lambda height, speed=None: asked.append((height, speed))
+    )
     world = SimpleNamespace(scene=scene, _travel=0.15, _fall_speed=0.0)
     for goal in (0.05, 9.0, *[math.nan] * 5, 0.02, math.nan):
         EmulatedWorld._lift(world, goal)
     falling = [(0.0, pytest.approx(9.81 * 0.004 * n)) for n in range(1, 6)]
-    assert asked == [(0.05, None), (0.15, None), *falling, (0.02, None), falling[0]]  # held, it begins anew
+    # held, it begins anew
+    assert asked == [(0.05, None), (0.15, None), *falling, (0.02, None), falling[0]]
     for _ in range(100):
         EmulatedWorld._lift(world, math.nan)
     assert asked[-1] == (0.0, _FALL_SPEED_MAX)

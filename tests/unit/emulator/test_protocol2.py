@@ -1,4 +1,5 @@
-"""The emulator's Protocol 2.0, against packets printed in ROBOTIS's manual (emanual.robotis.com/docs/en/dxl/protocol2)."""
+"""The emulator's Protocol 2.0, against packets printed in ROBOTIS's manual
+(emanual.robotis.com/docs/en/dxl/protocol2)."""
 
 import random
 
@@ -40,7 +41,9 @@ def test_decoding_undoes_encoding_with_stuffing_and_garbage():
     packet = p2.encode(1, p2.WRITE, parameters)
     assert packet.count(b"\xff\xff\xfd\xfd") == 2
     found = list(p2.Decoder().feed(b"\xff\xff\x00junk" + packet + b"\xff"))
-    assert [(f.servo, f.code, f.parameters, f.intact) for f in found] == [(1, p2.WRITE, parameters, True)]
+    assert [(f.servo, f.code, f.parameters, f.intact) for f in found] == [
+        (1, p2.WRITE, parameters, True)
+    ]
 
 
 def test_a_wrong_crc_is_seen():
@@ -53,7 +56,9 @@ def test_random_bytes_neither_crash_nor_stop_the_decoder():
     rng = random.Random(0)
     decoder = p2.Decoder()
     for _ in range(300):
-        noise = bytes(rng.choice((0xFF, 0xFD, 0x00, rng.randrange(256))) for _ in range(rng.randrange(200)))
+        noise = bytes(
+            rng.choice((0xFF, 0xFD, 0x00, rng.randrange(256))) for _ in range(rng.randrange(200))
+        )
         assert all(not f.intact or f.code != p2.WRITE for f in decoder.feed(noise))
     list(decoder.feed(bytes(2000)))  # whatever packet the noise had announced is over
     assert [f.code for f in decoder.feed(p2.encode(1, p2.PING))] == [p2.PING]

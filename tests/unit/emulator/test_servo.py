@@ -1,5 +1,5 @@
-"""An emulated servo as the SDK's own calls find it, against what the e-manual says of XL330 and XM430: its table, and the
-instructions that it obeys.
+"""An emulated servo as the SDK's own calls find it, against what the e-manual says of XL330 and
+XM430: its table, and the instructions that it obeys.
 """
 
 import math
@@ -32,27 +32,60 @@ def xm():
         yield client
 
 
-# -- the table ---------------------------------------------------------------------------------------------------------
+# -- the table
+# --------------------------------------------------------------------------------
+
 
 @pytest.mark.parametrize("model", MODELS)
 def test_addresses_are_those_of_the_sdk(model):
-    """Two transcriptions of the same pages. The SDK's first table of a 330 has its indirect data where a 430's are; the one for
-    firmware 52 agrees with the manual."""
-    ours, stem = control_table(model).fields, model.lower().replace("-", "_")
+    """Two transcriptions of the same pages. The SDK's first table of a 330 has its indirect data
+    where a 430's are; the one for firmware 52 agrees with the manual."""
+    ours = control_table(model).fields
+    stem = model.lower().replace("-", "_")
     theirs = load_table(stem + "_fw52" if "330" in model else stem)
     both = [name for name in theirs if name in ours]
     assert len(both) > 45
-    assert {n: (ours[n].address, ours[n].size) for n in both} == {n: (theirs[n].address, theirs[n].size) for n in both}
+    assert {n: (ours[n].address, ours[n].size) for n in both} == {
+        n: (theirs[n].address, theirs[n].size) for n in both
+    }
 
 
-XL_VALUES = {"Present Input Voltage": 50, "Temperature Limit": 70, "Max Voltage Limit": 70, "Min Voltage Limit": 35,
-             "Velocity Limit": 445, "Current Limit": 1750, "Shutdown": 53, "Position P Gain": 400, "Velocity I Gain": 1600,
-             "Velocity P Gain": 180}
-XM_VALUES = {"Present Input Voltage": 120, "Temperature Limit": 80, "Max Voltage Limit": 160, "Min Voltage Limit": 95,
-             "Velocity Limit": 200, "Current Limit": 1193, "Shutdown": 52, "Position P Gain": 800, "Velocity I Gain": 1920,
-             "Velocity P Gain": 100}
-BOTH = {"Moving Threshold": 10, "Secondary(Shadow) ID": 255, "Return Delay Time": 250, "PWM Limit": 885, "Goal PWM": 885,
-        "Status Return Level": 2, "Operating Mode": 3, "Protocol Type": 2, "Max Position Limit": 4095, "Goal Velocity": 0}
+XL_VALUES = {
+    "Present Input Voltage": 50,
+    "Temperature Limit": 70,
+    "Max Voltage Limit": 70,
+    "Min Voltage Limit": 35,
+    "Velocity Limit": 445,
+    "Current Limit": 1750,
+    "Shutdown": 53,
+    "Position P Gain": 400,
+    "Velocity I Gain": 1600,
+    "Velocity P Gain": 180,
+}
+XM_VALUES = {
+    "Present Input Voltage": 120,
+    "Temperature Limit": 80,
+    "Max Voltage Limit": 160,
+    "Min Voltage Limit": 95,
+    "Velocity Limit": 200,
+    "Current Limit": 1193,
+    "Shutdown": 52,
+    "Position P Gain": 800,
+    "Velocity I Gain": 1920,
+    "Velocity P Gain": 100,
+}
+BOTH = {
+    "Moving Threshold": 10,
+    "Secondary(Shadow) ID": 255,
+    "Return Delay Time": 250,
+    "PWM Limit": 885,
+    "Goal PWM": 885,
+    "Status Return Level": 2,
+    "Operating Mode": 3,
+    "Protocol Type": 2,
+    "Max Position Limit": 4095,
+    "Goal Velocity": 0,
+}
 
 
 def test_initial_values_are_the_manuals(xl, xm):
@@ -61,18 +94,42 @@ def test_initial_values_are_the_manuals(xl, xm):
         assert one.read("Goal Current") == values["Current Limit"]
 
 
-@pytest.mark.parametrize(("name", "good", "bad"), [
-    ("ID", 252, 253), ("Baud Rate", 6, 7), ("Drive Mode", 5, 2), ("Operating Mode", 16, 2),
-    ("Homing Offset", -1_044_479, 1_044_480),
-    ("Moving Threshold", 1023, 1024), ("Temperature Limit", 100, 101), ("Max Voltage Limit", 31, 71), ("PWM Limit", 885, 886),
-    ("Current Limit", 1750, 1751), ("Velocity Limit", 2047, 2048), ("Max Position Limit", 4095, 4096), ("Shutdown", 53, 2),
-    ("Startup Configuration", 3, 4), ("PWM Slope", 1, 0), ("Position P Gain", 16383, 16384), ("Goal PWM", -885, 886),
-    ("Goal Current", -1750, 1751), ("Goal Velocity", -445, 446), ("Profile Acceleration", 32767, 32768),
-    ("Goal Position", 0, 4096), ("Bus Watchdog", 127, 128), ("Status Return Level", 2, 3), ("Indirect Address 1", 227, 63)])
+@pytest.mark.parametrize(
+    ("name", "good", "bad"),
+    [
+        ("ID", 252, 253),
+        ("Baud Rate", 6, 7),
+        ("Drive Mode", 5, 2),
+        ("Operating Mode", 16, 2),
+        ("Homing Offset", -1_044_479, 1_044_480),
+        ("Moving Threshold", 1023, 1024),
+        ("Temperature Limit", 100, 101),
+        ("Max Voltage Limit", 31, 71),
+        ("PWM Limit", 885, 886),
+        ("Current Limit", 1750, 1751),
+        ("Velocity Limit", 2047, 2048),
+        ("Max Position Limit", 4095, 4096),
+        ("Shutdown", 53, 2),
+        ("Startup Configuration", 3, 4),
+        ("PWM Slope", 1, 0),
+        ("Position P Gain", 16383, 16384),
+        ("Goal PWM", -885, 886),
+        ("Goal Current", -1750, 1751),
+        ("Goal Velocity", -445, 446),
+        ("Profile Acceleration", 32767, 32768),
+        ("Goal Position", 0, 4096),
+        ("Bus Watchdog", 127, 128),
+        ("Status Return Level", 2, 3),
+        ("Indirect Address 1", 227, 63),
+    ],
+)
 def test_values_outside_their_range_are_refused(name, good, bad):
     servo = EmulatedServo(1, "XL330-M288")
     field = control_table("XL330-M288").fields[name]
-    data = [(value & ((1 << 8 * field.size) - 1)).to_bytes(field.size, "little") for value in (good, bad)]
+    data = [
+        (value & ((1 << 8 * field.size) - 1)).to_bytes(field.size, "little")
+        for value in (good, bad)
+    ]
     assert [servo.write(field.address, one) for one in data] == [0, 4]  # "Data Range Error"
     assert servo.get(name) == int.from_bytes(data[0], "little")
 
@@ -94,7 +151,9 @@ def test_what_is_not_defined_can_be_neither_read_nor_written(xl):
     assert xl.packets.write2ByteTxRx(xl.port, 1, 116, 0) == (OK, 5)  # half of a register
 
 
-# -- instructions ------------------------------------------------------------------------------------------------------
+# -- instructions
+# --------------------------------------------------------------------------------
+
 
 def test_bulk_read_answers_for_every_servo(xl):
     for fast in (False, True):
@@ -106,8 +165,14 @@ def test_bulk_read_answers_for_every_servo(xl):
 
 def test_fast_bulk_read_is_the_packet_in_the_manual():
     """ids 3, 7, 4 with 166, 421 and 31: the example of "Fast Bulk Read"."""
-    parts = [(3, 0, bytes.fromhex("a6000000")), (7, 0, bytes.fromhex("a501")), (4, 0, bytes.fromhex("1f"))]
-    assert p2.fast_status(parts) == bytes.fromhex("fffffd00fe14005500 03a600000067a4 0007a5012474 00041fd9c1")
+    parts = [
+        (3, 0, bytes.fromhex("a6000000")),
+        (7, 0, bytes.fromhex("a501")),
+        (4, 0, bytes.fromhex("1f")),
+    ]
+    assert p2.fast_status(parts) == bytes.fromhex(
+        "fffffd00fe14005500 03a600000067a4 0007a5012474 00041fd9c1"
+    )
 
 
 def test_bulk_write(xl):
@@ -150,7 +215,9 @@ def test_a_new_baud_rate_counts_at_once(xl):
     assert xl.ping(1) and xl.is_absent(2)
 
 
-@pytest.mark.parametrize(("option", "servo_id", "baud"), [(0xFF, 1, 57600), (0x01, 2, 57600), (0x02, 2, 1_000_000)])
+@pytest.mark.parametrize(
+    ("option", "servo_id", "baud"), [(0xFF, 1, 57600), (0x01, 2, 57600), (0x02, 2, 1_000_000)]
+)
 def test_factory_reset_keeps_what_its_option_says(xl, option, servo_id, baud):
     assert xl.write("Moving Threshold", 99, 2) == 0
     assert xl.write("ID", 3, 1) == 0  # out of the way
@@ -187,7 +254,8 @@ def test_status_return_level(xl):
 def test_register_and_action(xl):
     assert xl.packets.regWriteTxRx(xl.port, 1, 65, 1, [1]) == (OK, 0)
     assert (xl.read("Registered Instruction"), xl.read("LED")) == (1, 0)
-    assert xl.packets.action(xl.port, p2.BROADCAST) == OK  # to one servo, the SDK leaves its status unread
+    # to one servo, the SDK leaves its status unread
+    assert xl.packets.action(xl.port, p2.BROADCAST) == OK
     assert (xl.read("Registered Instruction"), xl.read("LED")) == (0, 1)
     assert xl.bench.servos[1].act() == 2  # "Action has been used without Reg Write"
 

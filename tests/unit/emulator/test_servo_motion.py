@@ -1,4 +1,5 @@
-"""How an emulated servo moves, and what its bus watchdog does, against what the e-manual says of XL330 and XM430.
+"""How an emulated servo moves, and what its bus watchdog does, against what the e-manual says of
+XL330 and XM430.
 
 The shaft is turned by hand (`turn`), so that nothing here depends on the computer's pace.
 """
@@ -24,7 +25,9 @@ def xl():
         yield client
 
 
-# -- motion ------------------------------------------------------------------------------------------------------------
+# -- motion
+# --------------------------------------------------------------------------------
+
 
 def on(one, mode, **registers):
     assert one.write("Operating Mode", mode) == 0
@@ -33,15 +36,20 @@ def on(one, mode, **registers):
     assert one.write("Torque Enable", 1) == 0
 
 
-@pytest.mark.parametrize(("mode", "goal", "value"), [
-    (0, "Goal Current", -100), (1, "Goal Velocity", -50), (16, "Goal PWM", -200)])
+@pytest.mark.parametrize(
+    ("mode", "goal", "value"),
+    [(0, "Goal Current", -100), (1, "Goal Velocity", -50), (16, "Goal PWM", -200)],
+)
 def test_modes_without_a_position_move(xl, mode, goal, value):
     on(xl, mode)
     assert xl.write(goal, value) == 0
     turn(xl.bench.servos[1], 0.5)
     assert xl.bench.servos[1].angle < ANGLE - 0.4
     if mode == 1:
-        assert xl.bench.servos[1].angle == pytest.approx(ANGLE - 0.5 * 50 * RPM, abs=50 * RPM * 0.011)  # a tick
+        # a tick
+        assert xl.bench.servos[1].angle == pytest.approx(
+            ANGLE - 0.5 * 50 * RPM, abs=50 * RPM * 0.011
+        )
         assert xl.read("Present Velocity") == (1 << 32) - 50
     assert xl.read("Moving") == 1
 
@@ -51,12 +59,23 @@ def test_the_profile_takes_its_time_and_says_so(xl):
     assert xl.write("Profile Velocity", 20) == 0  # 0.48 rad/s
     assert xl.write("Goal Position", TICKS + 1000) == 0  # 1.534 rad: 3.2 s
     turn(xl.bench.servos[1], 1.0)
-    assert xl.bench.servos[1].angle == pytest.approx(ANGLE + 20 * RPM, abs=20 * RPM * 0.011)  # a tick behind its path
-    assert (xl.read("Moving"), xl.read("Velocity Trajectory"), xl.read("Moving Status")) == (1, 20, 0x12)
-    assert xl.read("Position Trajectory") == pytest.approx(TICKS + 20 * RPM * 4096 / (2 * math.pi), abs=1)
+    # a tick behind its path
+    assert xl.bench.servos[1].angle == pytest.approx(ANGLE + 20 * RPM, abs=20 * RPM * 0.011)
+    assert (xl.read("Moving"), xl.read("Velocity Trajectory"), xl.read("Moving Status")) == (
+        1,
+        20,
+        0x12,
+    )
+    assert xl.read("Position Trajectory") == pytest.approx(
+        TICKS + 20 * RPM * 4096 / (2 * math.pi), abs=1
+    )
     turn(xl.bench.servos[1], 3.0)
     assert xl.read("Present Position") == TICKS + 1000
-    assert (xl.read("Moving"), xl.read("Velocity Trajectory"), xl.read("Moving Status")) == (0, 0, 0x11)
+    assert (xl.read("Moving"), xl.read("Velocity Trajectory"), xl.read("Moving Status")) == (
+        0,
+        0,
+        0x11,
+    )
 
 
 def test_a_trapezoid_reaches_its_goal_without_overshoot():
@@ -70,7 +89,10 @@ def test_a_trapezoid_reaches_its_goal_without_overshoot():
         assert servo.angle <= 800 * 2 * math.pi / 4096 + 1e-9
     assert servo.angle == pytest.approx(800 * 2 * math.pi / 4096)
     assert max(speeds) == pytest.approx(50 * RPM, rel=1e-6)
-    assert max(b - a for a, b in zip(speeds, speeds[1:], strict=False)) <= 5 * 214.577 * 2 * math.pi / 3600 * 0.01 + 1e-9
+    assert (
+        max(b - a for a, b in zip(speeds, speeds[1:], strict=False))
+        <= 5 * 214.577 * 2 * math.pi / 3600 * 0.01 + 1e-9
+    )
 
 
 def test_homing_offset_is_added_to_the_position(xl):
@@ -80,7 +102,9 @@ def test_homing_offset_is_added_to_the_position(xl):
     on(xl, 4)
     assert xl.write("Goal Position", TICKS + 600) == 0
     turn(xl.bench.servos[1], 1.0)
-    assert xl.bench.servos[1].angle == pytest.approx(ANGLE + 100 * 2 * math.pi / 4096, abs=2 * math.pi / 4096)
+    assert xl.bench.servos[1].angle == pytest.approx(
+        ANGLE + 100 * 2 * math.pi / 4096, abs=2 * math.pi / 4096
+    )
     assert xl.write("Torque Enable", 0) == 0
     assert xl.write("Homing Offset", 2000) == 0
     assert xl.write("Operating Mode", 3) == 0
@@ -98,7 +122,9 @@ def test_clear_forgets_whole_turns_of_a_shaft_at_rest(xl):
     assert xl.read("Present Position") == TICKS
 
 
-# -- the bus watchdog --------------------------------------------------------------------------------------------------
+# -- the bus watchdog
+# --------------------------------------------------------------------------------
+
 
 def tripped(mode=5, **how):
     """A servo on its way, whose host has died: from 1 rad to 2 rad, or with 0.1 A or 1 rad/s."""

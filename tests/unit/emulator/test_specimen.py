@@ -25,17 +25,26 @@ DESIGN = load_sensor("dense")
 
 @pytest.fixture
 def table():
-    return copy.deepcopy(tomllib.loads(resources.find("emulated_specimen", "models/rigs", ".toml").read_text()))
+    return copy.deepcopy(
+        tomllib.loads(resources.find("emulated_specimen", "models/rigs", ".toml").read_text())
+    )
 
 
 def test_the_shipped_specimens_are_read_with_their_units():
     emulator = load_rig_file("emulated_specimen").emulator
     left = emulator.specimen("left")
-    assert (left.focal_share, left.shift, left.valve_zero) == (pytest.approx(0.03), pytest.approx((4e-4, 0, 0)), 30.0)
+    assert (left.focal_share, left.shift, left.valve_zero) == (
+        pytest.approx(0.03),
+        pytest.approx((4e-4, 0, 0)),
+        30.0,
+    )
     assert math.degrees(np.linalg.norm(left.tilt)) == pytest.approx(1.0)
     assert emulator.torque_share == pytest.approx(0.08)
     true = true_design(DESIGN, left)
-    assert true.camera.fx == pytest.approx(1.03 * DESIGN.camera.fx) and true.camera.cx == DESIGN.camera.cx + 6
+    assert (
+        true.camera.fx == pytest.approx(1.03 * DESIGN.camera.fx)
+        and true.camera.cx == DESIGN.camera.cx + 6
+    )
     assert true.membrane.young == pytest.approx(1.15 * DESIGN.membrane.young)
     assert true.markers.radius == pytest.approx(DESIGN.markers.radius + 2e-5)
 
@@ -47,9 +56,15 @@ def test_a_finger_without_a_specimen_is_as_its_sensor_file_says():
     assert np.array_equal(R, np.eye(3)) and np.array_equal(p, DESIGN.camera.p_SC)
 
 
-@pytest.mark.parametrize(("key", "value", "message"), [
-    ("fx_percent", 80.0, "outside"), ("center_px", [1.0], "not a list of 2 numbers"), ("camera_tilt_deg", [0, "a", 0], "'a'"),
-    ("stiffnes_percent", 1.0, "did you mean 'stiffness_percent'")])
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("fx_percent", 80.0, "outside"),
+        ("center_px", [1.0], "not a list of 2 numbers"),
+        ("camera_tilt_deg", [0, "a", 0], "'a'"),
+        ("stiffnes_percent", 1.0, "did you mean 'stiffness_percent'"),
+    ],
+)
 def test_a_wrong_field_is_named(table, key, value, message):
     table["emulator"]["specimen"]["left"][key] = value
     with pytest.raises(InputError, match=message) as caught:
@@ -64,15 +79,18 @@ def test_a_finger_that_does_not_exist_is_named(table):
 
 
 def test_a_camera_that_sits_elsewhere_sees_what_projection_says():
-    """Drawn and found again: centres of the circles' images are where OpenCV-like projection puts them."""
+    """Drawn and found again: centres of the circles' images are where OpenCV-like projection puts
+    them."""
     own = SpecimenConfig("left", shift=(4e-4, -2e-4, 3e-4), tilt=(0.0, 0.017, 0.01))
     R_SC, p_SC = camera_pose(DESIGN, own)
     renderer = Renderer(DESIGN, pose=(R_SC, p_SC))
-    p_SM, n_S = DESIGN.markers.p_SM, np.tile([0.0, 0.0, -1.0], (DESIGN.markers.count, 1))
+    p_SM = DESIGN.markers.p_SM
+    n_S = np.tile([0.0, 0.0, -1.0], (DESIGN.markers.count, 1))
     found = detect(renderer.render(p_SM, n_S, effects=Effects(noise_dn=0.0))).center_px
     expected = optics.project(renderer.camera, geometry.transform(R_SC.T, -R_SC.T @ p_SC, p_SM))
     nearest = np.linalg.norm(found[:, None] - expected, axis=2).min(axis=0)
-    assert nearest.max() < 0.15  # px: a circle's centre is not its image's, by 0.1 px at the corners
+    # px: a circle's centre is not its image's, by 0.1 px at the corners
+    assert nearest.max() < 0.15
 
 
 def test_the_valve_board_regulates_by_its_own_sensor():
@@ -98,7 +116,8 @@ def test_the_valve_board_regulates_by_its_own_sensor():
 
 
 def test_a_servo_with_more_torque_needs_less_current():
-    servo, strong = EmulatedServo(1, "XL330-M288"), EmulatedServo(1, "XL330-M288", torque_share=0.08)
+    servo = EmulatedServo(1, "XL330-M288")
+    strong = EmulatedServo(1, "XL330-M288", torque_share=0.08)
     for one in (servo, strong):
         one.feel(0.0, 0.0, 0.2, 0.01)
     assert servo.current / strong.current == pytest.approx(1.08)

@@ -1,4 +1,5 @@
-"""The emulated servos understand clients that are not ours: the SDK's two layers, used as in its own examples."""
+"""The emulated servos understand clients that are not ours: the SDK's two layers, used as in its
+own examples."""
 
 import dynamixel_sdk as sdk
 import pytest
@@ -17,8 +18,10 @@ def bench():
 
 
 def test_the_sdks_sync_read_write_example(bench):
-    port, packets = sdk.PortHandler(bench.bus.path), sdk.PacketHandler(2.0)
-    port.setPacketTimeout = lambda length: port.setPacketTimeoutMillis(1500)  # of the SDK's 34 ms: tests share their processors
+    port = sdk.PortHandler(bench.bus.path)
+    packets = sdk.PacketHandler(2.0)
+    # of the SDK's 34 ms: tests share their processors
+    port.setPacketTimeout = lambda length: port.setPacketTimeoutMillis(1500)
     assert port.openPort()
     assert port.setBaudRate(1_000_000)
     try:

@@ -1,4 +1,5 @@
-"""Who runs the episodes: a cluster writes the lines that processes write; what fails in an episode is an error of it alone."""
+"""Who runs the episodes: a cluster writes the lines that processes write; what fails in an episode
+is an error of it alone."""
 
 import argparse
 import json
@@ -28,17 +29,32 @@ def quick(tmp_path):
 @pytest.mark.filterwarnings("ignore")  # of the cluster's own
 def test_a_dask_cluster_writes_the_same_lines(tmp_path, quick):
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster:
-        summary = evaluate(tmp_path / "dask", controllers=quick, backend="dask", scheduler=cluster.scheduler_address, **COMMON)
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, dashboard_address=None, silence_logs=50
+    ) as cluster:
+        summary = evaluate(
+            tmp_path / "dask",
+            controllers=quick,
+            backend="dask",
+            scheduler=cluster.scheduler_address,
+            **COMMON,
+        )
     assert summary["controllers"]["quick"]["held"] == 1
     evaluate(tmp_path / "here", controllers=quick, workers=1, **COMMON)
-    assert (tmp_path / "dask" / "episodes.jsonl").read_bytes() == (tmp_path / "here" / "episodes.jsonl").read_bytes()
+    assert (tmp_path / "dask" / "episodes.jsonl").read_bytes() == (
+        tmp_path / "here" / "episodes.jsonl"
+    ).read_bytes()
 
 
-@pytest.mark.parametrize(("pool", "message"), [
-    (Pool("ray"), "--backend: 'ray' is unknown"), (Pool(scheduler="tcp://a:1"), "--scheduler: is for a cluster"),
-    (Pool("dask"), "--backend: where is the cluster"),
-    (Pool("dask", scheduler="tcp://127.0.0.1:9"), "--scheduler: no scheduler")])
+@pytest.mark.parametrize(
+    ("pool", "message"),
+    [
+        (Pool("ray"), "--backend: 'ray' is unknown"),
+        (Pool(scheduler="tcp://a:1"), "--scheduler: is for a cluster"),
+        (Pool("dask"), "--backend: where is the cluster"),
+        (Pool("dask", scheduler="tcp://127.0.0.1:9"), "--scheduler: no scheduler"),
+    ],
+)
 def test_bad_pools(monkeypatch, pool, message):
     monkeypatch.setattr("mjtactile.evaluate.pool._CONNECT_TIME", 0.5)
     with pytest.raises(InputError, match=message), pool.open(1):
@@ -49,46 +65,78 @@ HANGS = "import time\ndef step(observation):\n    time.sleep(1e3)\n"
 RAISES = "def step(observation):\n    return observation.touch[7]\n"
 
 
-@pytest.mark.parametrize(("text", "reason"), [
-    (HANGS, "step() did not return within"), (RAISES, "step() raised IndexError: tuple index out of range")])
-def test_a_controller_that_hangs_or_raises_is_an_error_of_its_episode(tmp_path, monkeypatch, text, reason):
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (HANGS, "step() did not return within"),
+        (RAISES, "step() raised IndexError: tuple index out of range"),
+    ],
+)
+def test_a_controller_that_hangs_or_raises_is_an_error_of_its_episode(
+    tmp_path, monkeypatch, text, reason
+):
     monkeypatch.setattr("mjtactile.run.loop.WAIT_TIME", 0.2)
     monkeypatch.setattr("mjtactile.run.controller._FIRST_TIME", 0.2)
     path = tmp_path / "bad.py"
     path.write_text(text)
     line = run_episode(Episode(0, str(path), "vial", 3, sensor="paper16", vary="default"))
     assert line["outcome"] == "error" and reason in line["reason"] and "\n" not in line["reason"]
-    assert line["varied"]["object.size_percent"] and "--vary=default" in line["again"] and json.dumps(line)
+    assert (
+        line["varied"]["object.size_percent"]
+        and "--vary=default" in line["again"]
+        and json.dumps(line)
+    )
 
 
 def test_what_cannot_be_built_or_breaks_inside_is_an_error_too(tmp_path, monkeypatch, quick):
     (tmp_path / "huge.toml").write_text("[object]\nsize_percent = 100\nplace_mm = 30\n")
-    wide = run_episode(Episode(0, quick[0], "random:3", 3, sensor="paper16", vary=str(tmp_path / "huge.toml"),
-                               recording=str(tmp_path / "recordings" / "a")))
+    wide = run_episode(
+        Episode(
+            0,
+            quick[0],
+            "random:3",
+            3,
+            sensor="paper16",
+            vary=str(tmp_path / "huge.toml"),
+            recording=str(tmp_path / "recordings" / "a"),
+        )
+    )
     assert not (tmp_path / "recordings" / "a").exists()  # it never began
     assert wide["outcome"] == "error" and "stands in the way of a sensor" in wide["reason"]
     assert wide["object"] == "random" and wide["varied"]["random.shape"] == "cylinder"
     monkeypatch.setattr("mjtactile.evaluate.episodes.run_grasp", lambda *_, **__: 1 / 0)
     broken = run_episode(Episode(0, quick[0], "vial", 3))
-    assert broken["outcome"] == "error" and "ZeroDivisionError" in broken["reason"] and "test_pool.py, line" in broken["reason"]
+    assert (
+        broken["outcome"] == "error"
+        and "ZeroDivisionError" in broken["reason"]
+        and "test_pool.py, line" in broken["reason"]
+    )
 
 
 def test_a_full_disk_loses_nothing_that_was_kept(tmp_path):
-    """A limit on the size of files stands for the disk's: the write fails half-way, and resuming goes on from whole lines."""
+    """A limit on the size of files stands for the disk's: the write fails half-way, and resuming
+    goes on from whole lines."""
     kept = store.Store(tmp_path / "out", {"options": {}}, resume=False)
     kept.add({"episode": 0, "controller": "a"})
-    size, limits = (tmp_path / "out" / "episodes.jsonl").stat().st_size, resource.getrlimit(resource.RLIMIT_FSIZE)
+    size = (tmp_path / "out" / "episodes.jsonl").stat().st_size
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size + 10, limits[1]))
     try:
-        with pytest.raises(DeviceError, match=r"episodes.jsonl: cannot be written: .*--resume goes on"):
+        with pytest.raises(
+            DeviceError, match=r"episodes.jsonl: cannot be written: " r".*--resume goes on"
+        ):
             kept.add({"episode": 1, "controller": "a" * 100})
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert [line["episode"] for line in store.Store(tmp_path / "out", {"options": {}}, resume=True).lines] == [0]
+    assert [
+        line["episode"]
+        for line in store.Store(tmp_path / "out", {"options": {}}, resume=True).lines
+    ] == [0]
 
 
 def test_an_episode_that_was_told_to_end_has_no_line(tmp_path, monkeypatch, quick):
     """A worker that a cluster takes away: what it ran is run again by --resume."""
+
     def told(*_, **__):
         raise Interrupted
 
@@ -104,14 +152,32 @@ def test_the_manifest_says_how_to_run_it_again(tmp_path):
     (tmp_path / "a").mkdir()
     for path in (tmp_path / "cup.xml", tmp_path / "a" / "cup.xml"):  # two of one name
         path.write_text(path.parent.name)
-    options = {"count": 40, "controllers": ["gentle", "my own.py"], "objects": ["egg", "cup.xml"], "first_seed": 7,
-               "shard": [2, 8], "sensor": "paper16", "rig": "sim", "effects": "-images", "accuracy": "", "vary": "none"}
+    options = {
+        "count": 40,
+        "controllers": ["gentle", "my own.py"],
+        "objects": ["egg", "cup.xml"],
+        "first_seed": 7,
+        "shard": [2, 8],
+        "sensor": "paper16",
+        "rig": "sim",
+        "effects": "-images",
+        "accuracy": "",
+        "vary": "none",
+    }
     found = store.manifest(options, [tmp_path / "cup.xml", tmp_path / "a" / "cup.xml"])
     assert len(found["files"]) == 2
     parser = argparse.ArgumentParser()
     add_arguments(parser)
     program, name, *words = shlex.split(found["command"])
     read = vars(parser.parse_args(words))
-    assert (program, name, read["episodes"], read["seed"], read["shard"]) == ("mjtactile", "evaluate", 40, 7, (2, 8))
+    assert (program, name, read["episodes"], read["seed"], read["shard"]) == (
+        "mjtactile",
+        "evaluate",
+        40,
+        7,
+        (2, 8),
+    )
     assert read["controller"] == options["controllers"] and read["objects"] == "egg,cup.xml"
-    assert all(read[key] == options[key] for key in ("sensor", "rig", "effects", "accuracy", "vary"))
+    assert all(
+        read[key] == options[key] for key in ("sensor", "rig", "effects", "accuracy", "vary")
+    )

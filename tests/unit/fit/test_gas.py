@@ -1,4 +1,5 @@
-"""The gas from pressure and volume over time, against closed forms: Boyle, a leak's exponential, a wall's time constant."""
+"""The gas from pressure and volume over time, against closed forms: Boyle, a leak's exponential, a
+wall's time constant."""
 
 from dataclasses import replace
 
@@ -20,9 +21,11 @@ def run_of(time, pressure, volume):
 
 
 def test_gas_volume_by_boyles_law():
-    """p (V0 + v) is constant. A press of 0.4 of 30 mL is 1 % of 102 kPa: 1360 Pa, which 5 Pa of noise in 300 readings know to
-    0.03 %; the volume is then known to that, too, and the 0.5 % leave room for what the prior pulls."""
-    flat, time = 30e-6, np.arange(300) / 30
+    """p (V0 + v) is constant. A press of 0.4 of 30 mL is 1 % of 102 kPa: 1360 Pa, which 5 Pa of
+    noise in 300 readings know to 0.03 %; the volume is then known to that, too, and the 0.5 % leave
+    room for what the prior pulls."""
+    flat = 30e-6
+    time = np.arange(300) / 30
     volume = 1.4e-6 - 0.4e-6 * (np.sin(time - 1) > 0)
     pressure = (1000.0 + AMBIENT) * (flat + volume[0]) / (flat + volume) - AMBIENT
     found = fit_gas(DENSE, [run_of(time, pressure, volume)], known=HEAT | {"leak_conductance": 0.0})
@@ -31,30 +34,59 @@ def test_gas_volume_by_boyles_law():
 
 
 def test_leak_by_its_exponential():
-    """At a constant volume p falls as exp(-C p_a t / V) while p is small against p_a (1 %, which is the tolerance)."""
-    leak, time, volume = 2e-11, np.arange(600) / 10, np.full(600, 1.4e-6)
+    """At a constant volume p falls as exp(-C p_a t / V) while p is small against p_a (1 %, which is
+    the tolerance)."""
+    leak = 2e-11
+    time = np.arange(600) / 10
+    volume = np.full(600, 1.4e-6)
     rate = leak * (AMBIENT + 800.0) / (DENSE.chamber_volume_flat + volume[0])
-    found = fit_gas(DENSE, [run_of(time, 1000.0 * np.exp(-rate * time), volume)], known=HEAT | {"extra_volume": 0.0})
+    found = fit_gas(
+        DENSE,
+        [run_of(time, 1000.0 * np.exp(-rate * time), volume)],
+        known=HEAT | {"extra_volume": 0.0},
+    )
     assert found.values["leak_conductance"] == pytest.approx(leak, rel=0.02)
 
 
 def test_heat_by_what_a_fast_press_leaves():
-    """A sudden press of dV heats an ideal gas by (gamma - 1) T dV/V, which the walls take with their time constant."""
-    gamma, tau, flat = 1.35, 0.8, DENSE.chamber_volume_flat
+    """A sudden press of dV heats an ideal gas by (gamma - 1) T dV/V, which the walls take with
+    their time constant."""
+    gamma = 1.35
+    tau = 0.8
+    flat = DENSE.chamber_volume_flat
     time = np.arange(300) / 30
-    before, after = flat + 1.4e-6, flat + 1.0e-6
+    before = flat + 1.4e-6
+    after = flat + 1.0e-6
     volume = np.where(time < 1, before, after) - flat
     start = 1000.0 + AMBIENT
-    cooled = np.exp(-np.clip(time - 1 + 1 / 60, 0, None) / tau)  # the press happens between two images
-    pressure = np.where(time < 1, start, start * before / after * (1 + ((before / after) ** (gamma - 1) - 1) * cooled)) - AMBIENT
-    found = fit_gas(DENSE, [run_of(time, pressure, volume)], known={"leak_conductance": 0.0, "extra_volume": 0.0})
-    assert found.values["heat_ratio"] == pytest.approx(gamma, abs=0.01)  # 5 Pa of 470 Pa, fifty readings
+    # the press happens between two images
+    cooled = np.exp(-np.clip(time - 1 + 1 / 60, 0, None) / tau)
+    pressure = (
+        np.where(
+            time < 1,
+            start,
+            start * before / after * (1 + ((before / after) ** (gamma - 1) - 1) * cooled),
+        )
+        - AMBIENT
+    )
+    found = fit_gas(
+        DENSE,
+        [run_of(time, pressure, volume)],
+        known={"leak_conductance": 0.0, "extra_volume": 0.0},
+    )
+    # 5 Pa of 470 Pa, fifty readings
+    assert found.values["heat_ratio"] == pytest.approx(gamma, abs=0.01)
     assert found.values["heat_exchange"] == pytest.approx(tau, rel=0.04)
 
 
 def test_a_gas_that_does_nothing_says_nothing():
-    """Where the volume hardly changes, neither its amount nor its heat can be known, and the covariance says so."""
+    """Where the volume hardly changes, neither its amount nor its heat can be known, and the
+    covariance says so."""
     time = np.arange(100) / 30
-    found = fit_gas(replace(DENSE), [run_of(time, np.full(100, 1000.0), np.full(100, 1.4e-6))], known={"leak_conductance": 0.0})
+    found = fit_gas(
+        replace(DENSE),
+        [run_of(time, np.full(100, 1000.0), np.full(100, 1.4e-6))],
+        known={"leak_conductance": 0.0},
+    )
     sd = dict(zip(found.names, np.sqrt(np.diag(found.cov)), strict=True))
     assert sd["extra_volume"] > 0.1 * DENSE.chamber_volume_flat and sd["heat_ratio"] > 0.2

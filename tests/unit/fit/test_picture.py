@@ -9,20 +9,34 @@ from mjtactile.fit.picture import fit_picture
 from mjtactile.sim.picture.renderer import Renderer
 
 DENSE = load_sensor("dense")
-TRUE = replace(DENSE, camera=replace(DENSE.camera, blur_px=0.9, noise_dn=2.6),
-               leds=replace(DENSE.leds, membrane_dn=170.0, marker_dn=52.0, falloff=0.31))
+TRUE = replace(
+    DENSE,
+    camera=replace(DENSE.camera, blur_px=0.9, noise_dn=2.6),
+    leds=replace(DENSE.leds, membrane_dn=170.0, marker_dn=52.0, falloff=0.31),
+)
 
 
 @pytest.fixture(scope="module")
 def found():
-    renderer, n_S = Renderer(TRUE, seed=3), 0 * DENSE.markers.p_SM + [0, 0, 1]
+    renderer = Renderer(TRUE, seed=3)
+    n_S = 0 * DENSE.markers.p_SM + [0, 0, 1]
     return fit_picture(DENSE, [renderer.render(DENSE.markers.p_SM, n_S) for _ in range(6)]).values
 
 
-@pytest.mark.parametrize(("field", "true", "share"), [
-    ("camera.blur_px", 0.9, 0.02),  # of what the edges' estimator itself was made to reach
-    ("camera.noise_DN", 2.6, 0.01),  # a million differences; the rounding's part is exact to less
-    ("leds.membrane_DN", 170.0, 0.005), ("leds.marker_DN", 52.0, 0.02), ("leds.falloff", 0.31, 0.02)])
+@pytest.mark.parametrize(
+    ("field", "true", "share"),
+    [
+        ("camera.blur_px", 0.9, 0.02),  # of what the edges' estimator itself was made to reach
+        (
+            "camera.noise_DN",
+            2.6,
+            0.01,
+        ),  # a million differences; the rounding's part is exact to less
+        ("leds.membrane_DN", 170.0, 0.005),
+        ("leds.marker_DN", 52.0, 0.02),
+        ("leds.falloff", 0.31, 0.02),
+    ],
+)
 def test_what_was_drawn_is_found(found, field, true, share):
     value, sd = found[field]
     assert value == pytest.approx(true, rel=share)

@@ -9,21 +9,24 @@ from mjtactile.fit.run import _HELD_FIRST, _covariance, _untold, _with_known
 from mjtactile.fit.statics import SheetFit
 
 DENSE = load_sensor("dense")
-VALUES, NAMES = {"young": 1e6, "pre_stretch": 1.05}, ("young", "pre_stretch")
+VALUES = {"young": 1e6, "pre_stretch": 1.05}
+NAMES = ("young", "pre_stretch")
 
 
 def sheet_of(cov):
     return SheetFit(VALUES, cov, NAMES, DENSE, (), 0.0, ())
 
 
-@pytest.mark.parametrize(("sd", "held"), [((1e4, 1e-3), None), ((1e5, 1e-2), "pre_stretch"), ((1e5, 1e-3), "young")])
+@pytest.mark.parametrize(
+    ("sd", "held"), [((1e4, 1e-3), None), ((1e5, 1e-2), "pre_stretch"), ((1e5, 1e-3), "young")]
+)
 def test_what_is_not_known_is_held_pre_stretch_first(sd, held):
     assert _untold(NAMES, VALUES, np.diag(np.square(sd)), "membrane", _HELD_FIRST) == held
 
 
 def test_thickness_and_modulus_are_one_number():
-    """var(log E) = var(log E h) + var(log h), cov(log E, log h) = -var(log h): with 0.3 unknown of h and 0.01 of E h the
-    correlation is -0.3 / sqrt(0.3^2 + 0.01^2)."""
+    """var(log E) = var(log E h) + var(log h), cov(log E, log h) = -var(log h): with 0.3 unknown of
+    h and 0.01 of E h the correlation is -0.3 / sqrt(0.3^2 + 0.01^2)."""
     names, cov = _covariance(sheet_of(np.diag([1e4**2, 1e-3**2])), None, thickness_known=False)
     assert names == ["membrane.young_MPa", "membrane.pre_stretch", "membrane.thickness_mm"]
     rho = cov[0, 2] / np.sqrt(cov[0, 0] * cov[2, 2])
@@ -33,7 +36,11 @@ def test_thickness_and_modulus_are_one_number():
 
 
 def test_known_values_are_taken_in_the_file_s_unit():
-    design, by_section = _with_known(DENSE, {"membrane.thickness_mm": 0.31, "chamber.extra_volume_mL": 2.0})
-    assert design.membrane.thickness == pytest.approx(0.31e-3) and by_section["chamber"]["extra_volume"] == pytest.approx(2e-6)
+    design, by_section = _with_known(
+        DENSE, {"membrane.thickness_mm": 0.31, "chamber.extra_volume_mL": 2.0}
+    )
+    assert design.membrane.thickness == pytest.approx(0.31e-3) and by_section["chamber"][
+        "extra_volume"
+    ] == pytest.approx(2e-6)
     with pytest.raises(InputError, match="no field"):
         _with_known(DENSE, {"membrane.color": 1.0})

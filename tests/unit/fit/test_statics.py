@@ -12,7 +12,9 @@ from mjtactile.fit.least import differences, gauss_newton
 from mjtactile.fit.statics import fit_sheet, simulate
 from mjtactile.recording.stage import Move, Stage
 
-DESIGN, MESH = load_sensor("paper16"), (7, 6)  # coarse: of the same mesh both times
+# coarse: of the same mesh both times
+DESIGN = load_sensor("paper16")
+MESH = (7, 6)
 NOTHING = Series(np.empty(0), np.empty(0), np.empty(0))
 
 
@@ -22,7 +24,9 @@ def evidence_of(true, pressure):
     seen = simulate(true, Evidence("made", None, empty, (), NOTHING, ()), mesh=MESH)[0].p_SM
     noise = np.random.default_rng(round(pressure)).normal(0, 3e-6, seen.shape)
     cov = np.broadcast_to(9e-12 * np.eye(3), (len(seen), 3, 3))
-    return Evidence(f"{pressure:g} Pa", None, Hold(seen + noise, cov, pressure, None), (), NOTHING, ())
+    return Evidence(
+        f"{pressure:g} Pa", None, Hold(seen + noise, cov, pressure, None), (), NOTHING, ()
+    )
 
 
 @pytest.fixture(scope="module")
@@ -31,9 +35,11 @@ def true():
 
 
 def test_two_pressures_tell_modulus_and_pre_stretch(true):
-    """Tension holds the sheet at 0.5 kPa, the modulus at 3 kPa: with heights of 1-4 mm known to a few um each is known to a
-    percent or two, and the covariance covers the error."""
-    found = fit_sheet(DESIGN, [evidence_of(true, p) for p in (500.0, 3000.0)], known={}, touch_sd=5e-5, mesh=MESH)
+    """Tension holds the sheet at 0.5 kPa, the modulus at 3 kPa: with heights of 1-4 mm known to a
+    few um each is known to a percent or two, and the covariance covers the error."""
+    found = fit_sheet(
+        DESIGN, [evidence_of(true, p) for p in (500.0, 3000.0)], known={}, touch_sd=5e-5, mesh=MESH
+    )
     assert found.values["young"] == pytest.approx(1.2e6, rel=0.03)
     assert found.values["pre_stretch"] == pytest.approx(1.04, abs=0.002)
     off = np.array([found.values["young"] - 1.2e6, found.values["pre_stretch"] - 1.04])
@@ -49,13 +55,20 @@ def test_one_pressure_does_not(true):
 
 
 def test_a_weight_goes_as_deep_as_it_takes(true):
-    """What presses 2.7 mm deep with F is as deep under a weight of F: the markers are where they were, within what 0.3 % of the
-    force leave: of a dent of 2.7 mm, less than 0.3 %, 8 um."""
+    """What presses 2.7 mm deep with F is as deep under a weight of F: the markers are where they
+    were, within what 0.3 % of the force leave: of a dent of 2.7 mm, less than 0.3 %, 8 um."""
     nothing = (np.zeros((true.markers.count, 3)), np.zeros((true.markers.count, 3, 3)))
 
     def pressed(move):
         stage = Stage("sphere:8", (0.0, 0.0), (move,))
-        made = Evidence("made", stage, Hold(*nothing, 1000.0, None), (Hold(*nothing, 1400.0, move),), NOTHING, ())
+        made = Evidence(
+            "made",
+            stage,
+            Hold(*nothing, 1000.0, None),
+            (Hold(*nothing, 1400.0, move),),
+            NOTHING,
+            (),
+        )
         return simulate(true, made, mesh=(9, 7))[1]
 
     by_depth = pressed(Move(1.0, 2.7e-3))
@@ -66,12 +79,15 @@ def test_a_weight_goes_as_deep_as_it_takes(true):
 
 def test_gauss_newton_is_least_squares_for_a_linear_model():
     rng = np.random.default_rng(0)
-    A, b = rng.normal(size=(20, 3)), rng.normal(size=20)
+    A = rng.normal(size=(20, 3))
+    b = rng.normal(size=20)
 
     def residuals(x):
         return A @ x - b
 
     free = np.full(3, math.inf)
-    found = gauss_newton(residuals, differences(residuals, np.full(3, 1e-3)), np.zeros(3), low=-free, high=free)
+    found = gauss_newton(
+        residuals, differences(residuals, np.full(3, 1e-3)), np.zeros(3), low=-free, high=free
+    )
     assert found.x == pytest.approx(np.linalg.lstsq(A, b, rcond=None)[0], abs=1e-7)
     assert found.information == pytest.approx(A.T @ A, abs=1e-7)

@@ -1,4 +1,5 @@
-"""What a fit says: intervals, what goes together, what to record; and the sensor file that it writes."""
+"""What a fit says: intervals, what goes together, what to record; and the sensor file that it
+writes."""
 
 import math
 import tomllib
@@ -29,39 +30,58 @@ def test_a_number_that_is_not_known_keeps_the_file_s_value_and_says_what_to_reco
 def test_gas_volume_counts_as_known_against_all_of_the_gas():
     """The extra volume may be nothing; 0.5 mL of 24 are 2 %."""
     assert judge("chamber.extra_volume_mL", 0.1, 0.5, 0.0, "", gas_mL=24.0).state == "fitted"
-    assert judge("chamber.extra_volume_mL", 0.1, 3.0, 0.0, "", gas_mL=24.0).state == "not in these recordings"
+    assert (
+        judge("chamber.extra_volume_mL", 0.1, 3.0, 0.0, "", gas_mL=24.0).state
+        == "not in these recordings"
+    )
 
 
 def test_two_numbers_of_which_one_follows_the_other_cannot_be_told_apart():
     cov = np.array([[1.0, -0.98, 0.1], [-0.98, 1.0, 0.0], [0.1, 0.0, 1.0]])
     names = ["membrane.young_MPa", "membrane.thickness_mm", "membrane.friction"]
     apart = correlations(names, cov, {"membrane.thickness_mm": "not in these recordings"})
-    assert apart == ["modulus and thickness cannot be told apart from this (correlation -0.98): no recording tells it from the "
-                     "modulus: measure the sheet, then --known membrane.thickness_mm=…"]
+    assert apart == [
+        "modulus and thickness cannot be told apart from this (correlation -0.98): no "
+        "recording tells it from the "
+        "modulus: measure the sheet, then --known membrane.thickness_mm=…"
+    ]
     assert "known better together" in correlations(names, cov, {})[0]
 
 
-@pytest.mark.parametrize(("value", "sd", "text"), [(1.23456, 0.01, "1.235"), (0.9, 0.2, "0.90"), (185.123, 3.0, "185.1"),
-                                                   (5.0, math.inf, "5")])
+@pytest.mark.parametrize(
+    ("value", "sd", "text"),
+    [(1.23456, 0.01, "1.235"), (0.9, 0.2, "0.90"), (185.123, 3.0, "185.1"), (5.0, math.inf, "5")],
+)
 def test_as_many_digits_as_mean_something(value, sd, text):
     assert digits(value, sd) == text
 
 
 def test_the_sensor_file_loads_and_keeps_its_comments():
-    numbers = [Number("membrane.young_MPa", 1.234567, 0.001, "fitted", "a", 1.0),
-               Number("chamber.extra_volume_mL", -2.5, 0.1, "fitted", "a", 0.0),
-               Number("chamber.leak_mL_s_kPa", 0.0, math.inf, "not in these recordings", "", 0.0),
-               Number("membrane.thickness_mm", 0.31, 0.0, "known", "measured by hand", 0.3),
-               Number("membrane.friction", 0.9, math.inf, "not in these recordings", "", 0.9)]
+    numbers = [
+        Number("membrane.young_MPa", 1.234567, 0.001, "fitted", "a", 1.0),
+        Number("chamber.extra_volume_mL", -2.5, 0.1, "fitted", "a", 0.0),
+        Number("chamber.leak_mL_s_kPa", 0.0, math.inf, "not in these recordings", "", 0.0),
+        Number("membrane.thickness_mm", 0.31, 0.0, "known", "measured by hand", 0.3),
+        Number("membrane.friction", 0.9, math.inf, "not in these recordings", "", 0.9),
+    ]
     text = rewrite(TEXT, numbers, "Fitted.")
     found = sensor_from_table(tomllib.loads(text), name="fitted", source="fitted.toml")
-    assert found.membrane.young == pytest.approx(1.2346e6) and found.membrane.thickness == pytest.approx(0.31e-3)
+    assert found.membrane.young == pytest.approx(
+        1.2346e6
+    ) and found.membrane.thickness == pytest.approx(0.31e-3)
     assert found.chamber.extra_volume == pytest.approx(-2.5e-6) and found.membrane.friction == 0.9
-    assert found.chamber.leak_conductance == 0.0 and "leak_mL_s_kPa" not in text  # unknown, and was not in the file
-    assert "friction = 0.9   # not in these" in text.replace("0.9  #", "0.9   #") and "# inner opening along x" in text
+    # unknown, and was not in the file
+    assert found.chamber.leak_conductance == 0.0 and "leak_mL_s_kPa" not in text
+    assert (
+        "friction = 0.9   # not in these" in text.replace("0.9  #", "0.9   #")
+        and "# inner opening along x" in text
+    )
     assert found.markers == load_sensor("dense").markers
 
 
 def test_every_number_is_a_field_of_the_sensor_file():
     from mjtactile.core.design import FIELDS
-    assert set(ABOUT) <= {f"{section}.{row[0]}" for section, (_, rows) in FIELDS.items() for row in rows}
+
+    assert set(ABOUT) <= {
+        f"{section}.{row[0]}" for section, (_, rows) in FIELDS.items() for row in rows
+    }

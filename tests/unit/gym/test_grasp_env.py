@@ -1,4 +1,5 @@
-"""The environment keeps Gymnasium's rules, goes back to where it was bit for bit, and scores as `evaluate` does."""
+"""The environment keeps Gymnasium's rules, goes back to where it was bit for bit, and scores as
+`evaluate` does."""
 
 import functools
 import subprocess
@@ -17,7 +18,8 @@ from mjtactile.core.policy import policy_names
 from mjtactile.rig.registry import build_rig
 from mjtactile.sim import truth
 
-CLOSE, GRIP = np.array([-1.0, 0.0, 0.0], np.float32), np.array([-0.05, 0.0, 0.5], np.float32)
+CLOSE = np.array([-1.0, 0.0, 0.0], np.float32)
+GRIP = np.array([-0.05, 0.0, 0.5], np.float32)
 FORCE = policy_names().index("finger1.force_normal_N")
 
 
@@ -41,7 +43,8 @@ def test_the_example_of_the_page(monkeypatch, capsys):
 
 def roll(env, seed, actions):
     """All that is shown from the beginning on, and the last step's values."""
-    shown, last = [env.reset(seed=seed)[0]], None
+    shown = [env.reset(seed=seed)[0]]
+    last = None
     for action in actions:
         *last, info = env.step(action)
         shown.append(last[0])
@@ -60,12 +63,15 @@ def test_gymnasiums_own_check_passes(observation):
 def test_the_name_is_found_by_its_module():
     """In a process that has not imported it."""
     code = "import gymnasium; gymnasium.make('mjtactile.gym:mjtactile/Grasp-v0', object='moon')"
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    ended = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
     assert "InputError: moon: unknown object" in ended.stderr
 
 
 def test_a_seed_is_the_same_episode_whatever_came_before(env):
-    """Bit for bit up to and through contact: after another episode, and in a new environment with a new model."""
+    """Bit for bit up to and through contact: after another episode, and in a new environment with a
+    new model."""
     actions = [CLOSE] * 29 + [GRIP] * 3
     first, _, _ = roll(env, 3, actions)
     assert first[-1, FORCE] > 0.1  # N: it has touched
@@ -85,8 +91,8 @@ def test_reset_compiles_nothing(env, monkeypatch):
 
 
 def test_an_object_put_back_stands_where_a_new_world_has_it(env):
-    """The moved egg against one that was compiled in its place, both at rest: pose and cup. An egg that rocks in its cup is
-    within microns, not digits."""
+    """The moved egg against one that was compiled in its place, both at rest: pose and cup. An egg
+    that rocks in its cup is within microns, not digits."""
     env.reset(seed=7)
     moved = env.unwrapped._rig.scene
     rig = build_rig("sim", load_sensor("dense"), seed=7)
@@ -112,18 +118,34 @@ def test_a_crushed_egg_ends_the_episode(env):
 def test_a_hand_that_rises_alone_has_dropped_it(env):
     up = np.array([0.0, 0.0, 1.0], np.float32)
     _, (_, reward, terminated, _), info = roll(env, 0, [up] * 60)
-    assert terminated and reward == -1.0 and info["outcome"] == "dropped" and info["peak_force_true_N"] == 0.0
+    assert (
+        terminated
+        and reward == -1.0
+        and info["outcome"] == "dropped"
+        and info["peak_force_true_N"] == 0.0
+    )
 
 
 def test_time_runs_out():
     with make(time_limit=0.3) as short:
-        shown, (_, reward, terminated, truncated), info = roll(short, 0, [np.zeros(3, np.float32)] * 30)
-    assert len(shown) == 1 + 9 and truncated and not terminated and reward == 0.0 and info["outcome"] == "out of time"
+        shown, (_, reward, terminated, truncated), info = roll(
+            short, 0, [np.zeros(3, np.float32)] * 30
+        )
+    assert (
+        len(shown) == 1 + 9
+        and truncated
+        and not terminated
+        and reward == 0.0
+        and info["outcome"] == "out of time"
+    )
 
 
 def test_no_truth_is_shown(env):
     names = policy_names()
-    assert not [name for name in names if "true" in name] and len(names) == env.observation_space.shape[0] == 30
+    assert (
+        not [name for name in names if "true" in name]
+        and len(names) == env.observation_space.shape[0] == 30
+    )
 
 
 @pytest.mark.parametrize("mode", ["sync", "async"])
@@ -143,8 +165,14 @@ def test_a_world_that_varies_is_a_new_one():
     assert infos[0]["varied"] == infos[2]["varied"] != infos[1]["varied"]
 
 
-@pytest.mark.parametrize(("how", "text"), [({"observation": "pixels"}, "observation: 'pixels' .valid: wrench, markers, image"),
-                                           ({"object": "moon"}, "unknown object"), ({"rig": "nowhere"}, "unknown rig")])
+@pytest.mark.parametrize(
+    ("how", "text"),
+    [
+        ({"observation": "pixels"}, "observation: 'pixels' .valid: wrench, markers, image"),
+        ({"object": "moon"}, "unknown object"),
+        ({"rig": "nowhere"}, "unknown rig"),
+    ],
+)
 def test_wrong_names_are_said_in_one_line(how, text):
     with pytest.raises(InputError, match=text):
         make(**how)

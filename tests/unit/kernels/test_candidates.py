@@ -1,4 +1,5 @@
-"""Moments of borders and the judgement of candidates and fits against numpy, on images and on numbers drawn at random."""
+"""Moments of borders and the judgement of candidates and fits against numpy, on images and on
+numbers drawn at random."""
 
 import re
 from dataclasses import fields
@@ -20,7 +21,9 @@ SIZE = (480, 640)
 def test_settings_are_in_the_order_of_the_c_struct():
     text = (build.FOLDER / "candidates.c").read_text()
     struct = re.search(r"typedef struct \{\s*double ([^;]*);\s*\} MarkerSettings;", text)
-    assert struct and re.findall(r"\w+", struct.group(1)) == [field.name for field in fields(MarkerSettings)]
+    assert struct and re.findall(r"\w+", struct.group(1)) == [
+        field.name for field in fields(MarkerSettings)
+    ]
 
 
 def test_moments():
@@ -41,19 +44,35 @@ def test_moments():
 
 
 def drawn(rng, n):
-    """Fits, and candidates that they may have begun from: good ones with one thing after another wrong."""
+    """Fits, and candidates that they may have begun from: good ones with one thing after another
+    wrong."""
     axes = np.sort(rng.uniform(3, 30, (n, 2)))[:, ::-1] * rng.choice([1.0, 1.0, 1.0, 0.2], (n, 1))
     axes[:, 1] *= rng.choice([1.0, 1.0, 0.12], n)
     shape = ellipse.shape_from_axes(axes, rng.uniform(-1.5, 1.5, n))
     center = rng.uniform([0, 0], [640, 480], (n, 2))
     root = rng.normal(0, rng.choice([0.01, 0.3, 3.0], (n, 1, 1)), (n, 5, 5))
-    contrast, residual = rng.uniform(-20, 150, n), rng.choice([1.0, 2.0, 40.0, 1500.0], n, p=[0.6, 0.3, 0.08, 0.02])
+    contrast = rng.uniform(-20, 150, n)
+    residual = rng.choice([1.0, 2.0, 40.0, 1500.0], n, p=[0.6, 0.3, 0.08, 0.02])
     inside = rng.uniform(10, 60, n)
-    fit = EdgeFit(center, shape, root @ root.transpose(0, 2, 1), inside, inside + contrast, rng.uniform(0.4, 3, n), residual,
-                  np.full(n, 48.0), rng.uniform(0, 0.35, n), rng.uniform(0, 0.08, n))
+    fit = EdgeFit(
+        center,
+        shape,
+        root @ root.transpose(0, 2, 1),
+        inside,
+        inside + contrast,
+        rng.uniform(0.4, 3, n),
+        residual,
+        np.full(n, 48.0),
+        rng.uniform(0, 0.35, n),
+        rng.uniform(0, 0.08, n),
+    )
     start = center + rng.normal(0, rng.choice([0.2, 5.0], (n, 1), p=[0.8, 0.2]), (n, 2))
-    found = Candidates(start, shape * rng.normal(1, rng.choice([0.02, 0.3], (n, 1)), (n, 1)),
-                       rng.uniform(0, 8, n) ** 2 / 10, rng.random(n) < 0.1)
+    found = Candidates(
+        start,
+        shape * rng.normal(1, rng.choice([0.02, 0.3], (n, 1)), (n, 1)),
+        rng.uniform(0, 8, n) ** 2 / 10,
+        rng.random(n) < 0.1,
+    )
     return fit, found
 
 
@@ -61,12 +80,19 @@ def drawn(rng, n):
 def test_judgement(polarity):
     seen = set()
     for seed in range(30):
-        fit, found = drawn(np.random.default_rng(seed), int(np.random.default_rng(seed).integers(0, 120)))
+        fit, found = drawn(
+            np.random.default_rng(seed), int(np.random.default_rng(seed).integers(0, 120))
+        )
         for least in (1.5, 4.0):
             args = found, least, DEFAULTS.markers
-            np.testing.assert_array_equal(markers.implausible(*args), numpy_candidates.implausible(*args))
+            np.testing.assert_array_equal(
+                markers.implausible(*args), numpy_candidates.implausible(*args)
+            )
             args = fit, found, polarity, SIZE, least, DEFAULTS.markers
-            (status, keep), (wanted, wanted_keep) = markers.judge(*args), numpy_candidates.judge(*args)
+            (status, keep), (wanted, wanted_keep) = (
+                markers.judge(*args),
+                numpy_candidates.judge(*args),
+            )
             np.testing.assert_array_equal(status, wanted)
             np.testing.assert_array_equal(keep, wanted_keep)
             seen |= set(status)
@@ -79,4 +105,6 @@ def test_semi_axes():
     axes, angle = ellipse.axes_from_shape(fit.shape)
     np.testing.assert_allclose(ellipses.semi_axes_px, axes, rtol=1e-12)
     np.testing.assert_allclose(ellipses.angle, angle, rtol=1e-12)
-    np.testing.assert_allclose(ellipses.cov, ellipse.covariance_of_axes(fit.cov, axes, angle), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        ellipses.cov, ellipse.covariance_of_axes(fit.cov, axes, angle), rtol=1e-9, atol=1e-12
+    )

@@ -1,4 +1,5 @@
-"""The compiled stages against the same estimators in numpy, on images of a membrane that is pressed aside."""
+"""The compiled stages against the same estimators in numpy, on images of a membrane that is pressed
+aside."""
 
 from dataclasses import fields, replace
 
@@ -29,42 +30,72 @@ def image():
 
 
 def test_ellipses_from_profiles(image):
-    """Of 1e5 grey levels that are summed in single precision some 1e-7 are lost; sd of a centre is 0.01 px."""
+    """Of 1e5 grey levels that are summed in single precision some 1e-7 are lost; sd of a centre is
+    0.01 px."""
     found = candidates.find(image.pixels, 4.0)
     assert len(found) > 70
-    ours, theirs = (module.fit(image.pixels, found.center, found.shape) for module in (profiles, numpy_profiles))
+    ours, theirs = (
+        module.fit(image.pixels, found.center, found.shape) for module in (profiles, numpy_profiles)
+    )
     for field in fields(ours):
-        a, b = getattr(ours, field.name), getattr(theirs, field.name)
+        a = getattr(ours, field.name)
+        b = getattr(theirs, field.name)
         np.testing.assert_allclose(a, b, rtol=2e-5, atol=1e-5 * np.abs(b).max(), err_msg=field.name)
 
 
-@pytest.mark.parametrize("camera", [Camera.from_design(DESIGN.camera, DESIGN.glass), Camera.from_design(DESIGN.camera),
-                                    replace(Camera.from_design(DESIGN.camera, DESIGN.glass), distortion=(0.0,) * 5),
-                                    replace(Camera.from_design(DESIGN.camera, DESIGN.glass),
-                                            distortion=(-0.1, 0.02, 1e-3, -2e-3, 0.01))],
-                         ids=["as shipped", "no pane", "no lens", "every coefficient"])
+@pytest.mark.parametrize(
+    "camera",
+    [
+        Camera.from_design(DESIGN.camera, DESIGN.glass),
+        Camera.from_design(DESIGN.camera),
+        replace(Camera.from_design(DESIGN.camera, DESIGN.glass), distortion=(0.0,) * 5),
+        replace(
+            Camera.from_design(DESIGN.camera, DESIGN.glass),
+            distortion=(-0.1, 0.02, 1e-3, -2e-3, 0.01),
+        ),
+    ],
+    ids=["as shipped", "no pane", "no lens", "every coefficient"],
+)
 def test_poses_from_ellipses(image, camera):
-    """Both work in double precision on numbers of order 1; the covariance goes through a 5 x 5 solution."""
+    """Both work in double precision on numbers of order 1; the covariance goes through a 5 x 5
+    solution."""
     ellipses = markers.detect(image, min_radius_px=4.0, settings=DEFAULTS)
-    ours, theirs = (module.estimate_poses(ellipses, camera, DESIGN.markers.radius) for module in (circles, numpy_circles))
+    ours, theirs = (
+        module.estimate_poses(ellipses, camera, DESIGN.markers.radius)
+        for module in (circles, numpy_circles)
+    )
     for name in ("uv_px", "p_CM", "n_C", "p_CM_alt", "n_C_alt", "cov_p"):
-        a, b = getattr(ours, name), getattr(theirs, name)
+        a = getattr(ours, name)
+        b = getattr(theirs, name)
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-11 * np.abs(b).max(), err_msg=name)
-    for a, b in zip(*(module.pose_covariances(ellipses, camera, ours.p_CM_alt, ours.n_C_alt)
-                      for module in (circles, numpy_circles)), strict=True):
+    for a, b in zip(
+        *(
+            module.pose_covariances(ellipses, camera, ours.p_CM_alt, ours.n_C_alt)
+            for module in (circles, numpy_circles)
+        ),
+        strict=True,
+    ):
         np.testing.assert_allclose(a, b, atol=1e-11 * np.abs(b).max())
-    shape = np.column_stack([ellipses.semi_axes_px[:, 0], 0 * ellipses.angle, ellipses.semi_axes_px[:, 1]])
+    shape = np.column_stack(
+        [ellipses.semi_axes_px[:, 0], 0 * ellipses.angle, ellipses.semi_axes_px[:, 1]]
+    )
     cones = [module.cones(camera, ellipses.center_px, shape) for module in (circles, numpy_circles)]
     np.testing.assert_allclose(*cones, atol=1e-11 * np.abs(cones[1]).max())
-    for a, b in zip(*(module.circles_from_cones(cones[1], np.full(len(shape), 1e-3)) for module in (circles, numpy_circles)),
-                    strict=True):
+    for a, b in zip(
+        *(
+            module.circles_from_cones(cones[1], np.full(len(shape), 1e-3))
+            for module in (circles, numpy_circles)
+        ),
+        strict=True,
+    ):
         np.testing.assert_allclose(a, b, atol=1e-11)
 
 
 def test_identity():
-    """Circles that moved together and alone, that are missing, doubled, unknown or shifted by up to more than a pitch: the same
-    ids as numpy's, whatever they are."""
-    layout, rng = DESIGN.markers.p_SM, np.random.default_rng(3)
+    """Circles that moved together and alone, that are missing, doubled, unknown or shifted by up to
+    more than a pitch: the same ids as numpy's, whatever they are."""
+    layout = DESIGN.markers.p_SM
+    rng = np.random.default_rng(3)
     pitch = DESIGN.markers.pitch_x
     for _ in range(200):
         expected = layout + rng.normal(0, 0.1 * pitch, layout.shape)

@@ -27,14 +27,27 @@ def scene():
 
 @pytest.mark.parametrize("blur", [0.45, 0.7, 2.5])
 def test_discs_and_opening(scene, blur):
-    """Both round places of nodes to 1/512 px, each its own coordinate: a pixel of a rim to 1e-3 px over the blur, in units of
-    its coverage, the mean of several nodes. Lens coefficients make the opening bulge; some discs are cut by the border."""
-    camera = replace(Camera.from_design(DESIGN.camera, DESIGN.glass), distortion=(-0.1, 0.02, 1e-3, -2e-3, 0.01))
+    """Both round places of nodes to 1/512 px, each its own coordinate: a pixel of a rim to 1e-3 px
+    over the blur, in units of its coverage, the mean of several nodes. Lens coefficients make the
+    opening bulge; some discs are cut by the border."""
+    camera = replace(
+        Camera.from_design(DESIGN.camera, DESIGN.glass), distortion=(-0.1, 0.02, 1e-3, -2e-3, 0.01)
+    )
     p, n = scene
     aside = np.where(np.arange(len(p)) < 40, -1, 1)[:, None] * [8e-3, 5e-3, 0]
-    p = np.concatenate([p + aside - DESIGN.camera.p_SC, [[0, 0, -1], [np.nan, 0, 0.04], [1, 1, 0.05]]])
-    n, radius = np.concatenate([n, [[0.0, 0, 1]] * 3]), np.linspace(0.3e-3, 1.4e-3, len(p))
-    corners = np.array([[-18e-3, -14e-3, 45e-3], [18e-3, -14e-3, 45e-3], [18e-3, 14e-3, 45e-3], [-18e-3, 14e-3, 45e-3]])
+    p = np.concatenate(
+        [p + aside - DESIGN.camera.p_SC, [[0, 0, -1], [np.nan, 0, 0.04], [1, 1, 0.05]]]
+    )
+    n = np.concatenate([n, [[0.0, 0, 1]] * 3])
+    radius = np.linspace(0.3e-3, 1.4e-3, len(p))
+    corners = np.array(
+        [
+            [-18e-3, -14e-3, 45e-3],
+            [18e-3, -14e-3, 45e-3],
+            [18e-3, 14e-3, 45e-3],
+            [-18e-3, 14e-3, 45e-3],
+        ]
+    )
     for draw, what in (("draw_discs", (p, n, radius)), ("draw_opening", (corners,))):
         ours, theirs = np.zeros((2, camera.height, camera.width), np.float32)
         for module, image in ((renderer, ours), (numpy_discs, theirs)):
@@ -45,23 +58,37 @@ def test_discs_and_opening(scene, blur):
 
 
 def test_light_noise_and_rounding(scene):
-    """What is drawn is (marker + contrast (1 - coverage)) light gain + noise, to single precision, 1e-7 of 255, and rounded."""
+    """What is drawn is (marker + contrast (1 - coverage)) light gain + noise, to single precision,
+    1e-7 of 255, and rounded."""
     drawn = Renderer(DESIGN, seed=4)
     gray = drawn.irradiance_image(*scene)
     coverage = np.zeros_like(gray)
-    renderer.draw_discs(drawn.camera, scene[0] - DESIGN.camera.p_SC, scene[1], drawn.radius, DESIGN.camera.blur_px, coverage)
-    light, contrast = drawn._light.field(scene[0]), drawn._contrast(DESIGN.camera.blur_px)
-    np.testing.assert_allclose(gray, (DESIGN.leds.marker_dn + contrast * (1 - np.minimum(coverage, 1))) * light, rtol=1e-6)
+    renderer.draw_discs(
+        drawn.camera,
+        scene[0] - DESIGN.camera.p_SC,
+        scene[1],
+        drawn.radius,
+        DESIGN.camera.blur_px,
+        coverage,
+    )
+    light = drawn._light.field(scene[0])
+    contrast = drawn._contrast(DESIGN.camera.blur_px)
+    np.testing.assert_allclose(
+        gray, (DESIGN.leds.marker_dn + contrast * (1 - np.minimum(coverage, 1))) * light, rtol=1e-6
+    )
     dark = drawn.irradiance_image(*scene, effects=Effects(gain=0.5))
     np.testing.assert_allclose(dark, gray / 2, rtol=1e-6)
     for level, pixel in ((-7.0, 0), (0.4, 0), (0.6, 1), (254.4, 254), (300.0, 255)):
-        assert (drawn.expose(np.full_like(gray, level), effects=Effects(noise_dn=0.0)).pixels == pixel).all()
+        assert (
+            drawn.expose(np.full_like(gray, level), effects=Effects(noise_dn=0.0)).pixels == pixel
+        ).all()
 
 
 def test_bilinear():
     """scipy's, which leaves out what is beyond the grid; to rounding."""
     rng = np.random.default_rng(5)
-    grid, places = rng.normal(size=(7, 9, 3)), rng.uniform([-1, -2], [9.5, 8], (300, 2))
+    grid = rng.normal(size=(7, 9, 3))
+    places = rng.uniform([-1, -2], [9.5, 8], (300, 2))
     within = np.clip(places, 0, [8, 6])[:, ::-1]
     expected = RegularGridInterpolator((np.arange(7), np.arange(9)), grid)(within)
     np.testing.assert_allclose(shadows.bilinear(grid, places), expected, atol=1e-14)

@@ -23,20 +23,31 @@ def test_every_declared_kernel_exists_and_nothing_else_is_promised():
 def test_what_is_written_must_fit_and_what_is_read_is_converted():
     Q = np.diag([1.0, 1.0, -4.0])[None]
     poses = np.empty((4, 1, 3))
-    kernel("circles_on_cones")(1, Q.astype(np.float32), [1], poses)  # of radius 1 on x^2 + y^2 = 4 z^2: half a metre away
+    # of radius 1 on x^2 + y^2 = 4 z^2: half a metre away
+    kernel("circles_on_cones")(1, Q.astype(np.float32), [1], poses)
     np.testing.assert_allclose(poses[:2, 0], [[0, 0, 0.5]] * 2, atol=1e-12)
-    for wrong in (np.empty((4, 1, 3), np.float32), np.empty((4, 3, 2))[..., :1], np.broadcast_to(0.0, (4, 1, 3))):
-        with pytest.raises(TypeError, match="circles_on_cones: poses must be a writable C-contiguous array of float64"):
+    for wrong in (
+        np.empty((4, 1, 3), np.float32),
+        np.empty((4, 3, 2))[..., :1],
+        np.broadcast_to(0.0, (4, 1, 3)),
+    ):
+        with pytest.raises(
+            TypeError,
+            match="circles_on_cones: poses must be a writable C-contiguous array of float64",
+        ):
             kernel("circles_on_cones")(1, Q, np.ones(1), wrong)
 
 
 def test_a_bound_kernel_works_on_the_arrays_that_it_was_given():
-    p, triangles, gradient = np.array([[0.0, 0, 1], [1, 0, 1], [0, 1, 1]]), np.array([[0, 1, 2]]), np.empty((3, 3))
+    p = np.array([[0.0, 0, 1], [1, 0, 1], [0, 1, 1]])
+    triangles = np.array([[0, 1, 2]])
+    gradient = np.empty((3, 3))
     volume = bound("chamber_volume", 3, p, 1, triangles, gradient)
     height = bound("chamber_volume", 3, ..., 1, triangles, gradient)
     for z in (1.0, 2.0):
         p[:, 2] = z
-        assert volume() == height(p.tolist()) == pytest.approx(z * (1 / 2) / 3)  # of a pyramid over it, from the origin
+        # of a pyramid over it, from the origin
+        assert volume() == height(p.tolist()) == pytest.approx(z * (1 / 2) / 3)
     with pytest.raises(TypeError, match="chamber_volume: a int32 array of shape"):
         bound("chamber_volume", 3, p, 1, triangles.astype(np.int32), gradient)
     with pytest.raises(ValueError, match="argument"):
@@ -45,15 +56,20 @@ def test_a_bound_kernel_works_on_the_arrays_that_it_was_given():
 
 @pytest.fixture
 def copied(tmp_path):
-    """The package's sources elsewhere, as a checkout that was not built has them; no cache of this user's."""
-    shutil.copytree(build.FOLDER, tmp_path / "kernels", ignore=shutil.ignore_patterns(build.MADE, "__pycache__"))
+    """The package's sources elsewhere, as a checkout that was not built has them; no cache of this
+    user's."""
+    shutil.copytree(
+        build.FOLDER, tmp_path / "kernels", ignore=shutil.ignore_patterns(build.MADE, "__pycache__")
+    )
     return tmp_path / "kernels"
 
 
 def run_build(folder, text, tmp_path):
     code = f"import sys; sys.path.insert(0, {str(folder)!r}); import build; {text}"
     environment = {"PATH": "", "HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "cache")}
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False
+    )
 
 
 def test_another_source_is_another_library(copied, tmp_path):
@@ -66,7 +82,9 @@ def test_another_source_is_another_library(copied, tmp_path):
 
 
 def test_without_a_compiler_it_is_said_what_to_install(copied, tmp_path):
-    done = run_build(copied, "build.importlib.util.find_spec = lambda name: None; build.library()", tmp_path)
+    done = run_build(
+        copied, "build.importlib.util.find_spec = lambda name: None; build.library()", tmp_path
+    )
     assert "no C compiler: pip install ziglang" in done.stderr.splitlines()[-1]
 
 

@@ -1,4 +1,5 @@
-"""The compiled stages of a membrane's step against the same in numpy: a ball that falls onto a sensor, bounces and rolls."""
+"""The compiled stages of a membrane's step against the same in numpy: a ball that falls onto a
+sensor, bounces and rolls."""
 
 import copy
 
@@ -19,7 +20,9 @@ def sheet():
     """A bulge with a strain everywhere, part of it compression."""
     model, _, sensor = scene()
     p_SV = sensor.mesh.p_SV.copy()
-    p_SV[sensor.mesh.interior] += 1e-3 * np.random.default_rng(0).standard_normal((len(sensor.mesh.interior), 3))
+    p_SV[sensor.mesh.interior] += 1e-3 * np.random.default_rng(0).standard_normal(
+        (len(sensor.mesh.interior), 3)
+    )
     return model, sensor, p_SV
 
 
@@ -32,13 +35,16 @@ def test_volume_and_gradient(sheet):
 
 
 def test_what_the_gas_pushes(sheet):
-    """In numpy: forces p dV/dq, and a spring along dV/dz that is off its rest by a share of what adds up,
-    with its force given back."""
+    """In numpy: forces p dV/dq, and a spring along dV/dz that is off its rest by a share of what
+    adds up, with its force given back."""
     _, sensor, p_SV = sheet
     k = len(sensor.mesh.interior)
     gradient = sensor._geometry.volume_and_gradient(p_SV)[1]
     moved = (p_SV - sensor.mesh.p_SV)[sensor.mesh.interior]
-    coefficients, spring, rest, forces = np.empty(k), np.empty(1), np.empty(2), np.empty((k, 3))
+    coefficients = np.empty(k)
+    spring = np.empty(1)
+    rest = np.empty(2)
+    forces = np.empty((k, 3))
     kernel("push")(k, gradient, moved, 1e-3, 1e-12, 900.0, 2e9, coefficients, spring, rest, forces)
     terms = gradient[:, 2] * moved[:, 2]
     offset = 1e-3 * (np.abs(terms).sum() + 1e-12)
@@ -53,7 +59,12 @@ def test_rubber(sheet):
     model, sensor, p_SV = sheet
     sensor._rubber.update(p_SV)
     expected = membrane.stiffness(model, sensor.flex_id, sensor.mesh, sensor.design.membrane, p_SV)
-    np.testing.assert_allclose(stiffness_rows(model, sensor.flex_id), expected, rtol=ROUNDING, atol=1e-9 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        stiffness_rows(model, sensor.flex_id),
+        expected,
+        rtol=ROUNDING,
+        atol=1e-9 * np.abs(expected).max(),
+    )
 
 
 def test_unstrained_rubber_has_the_moduli_of_small_strain(sheet):
@@ -75,9 +86,17 @@ def test_contact_that_remembers():
     for _ in range(150):
         sensor.update()
         beside.update(sensor._stand_off.margins)
-        np.testing.assert_allclose(model.geom_margin[block], apart.geom_margin[block], rtol=ROUNDING, atol=1e-15)
+        np.testing.assert_allclose(
+            model.geom_margin[block], apart.geom_margin[block], rtol=ROUNDING, atol=1e-15
+        )
         belt = apart.geom_surfacevel[block]
-        np.testing.assert_allclose(model.geom_surfacevel[block], belt, rtol=ROUNDING, atol=1e-9 * max(np.abs(belt).max(), 1e-9))
-        slid, stuck = slid + beside._slides.sum(), stuck + (beside._held.any(axis=0) & ~beside._slides).sum()
+        np.testing.assert_allclose(
+            model.geom_surfacevel[block],
+            belt,
+            rtol=ROUNDING,
+            atol=1e-9 * max(np.abs(belt).max(), 1e-9),
+        )
+        slid = slid + beside._slides.sum()
+        stuck = stuck + (beside._held.any(axis=0) & ~beside._slides).sum()
         advance(model, data)
     assert slid >= 5 and stuck > 40

@@ -1,4 +1,5 @@
-"""Compiled contact patches against the same in numpy: one, two and three that press at random places, with shear."""
+"""Compiled contact patches against the same in numpy: one, two and three that press at random
+places, with shear."""
 
 import math
 
@@ -12,29 +13,48 @@ from tests.numpy_chain import patches as numpy_patches
 
 
 def pressed(estimator, rest, rng, count):
-    """A shape under `count` presses, some of them at the frame or as small as a node; what it weighs is not asked for."""
+    """A shape under `count` presses, some of them at the frame or as small as a node; what it
+    weighs is not asked for."""
     traction = rng.normal(0, 30.0, (3, len(estimator.nodes)))
-    for middle in rng.uniform(-0.5, 0.5, (count, 2)) * [estimator.design.frame.length, estimator.design.frame.width]:
+    for middle in rng.uniform(-0.5, 0.5, (count, 2)) * [
+        estimator.design.frame.length,
+        estimator.design.frame.width,
+    ]:
         off = np.linalg.norm(estimator.nodes - middle, axis=1)
         press = rng.uniform(1e3, 8e3) * np.exp(-((off / rng.uniform(1e-3, 4e-3)) ** 2))
         traction += np.outer([*rng.uniform(-0.3, 0.3, 2), -1.0], press)
     c = rest + rng.normal(0, 5e-5, rest.shape)
-    return Shape(c, traction, rng.uniform(-100.0, 900.0), 1.0, None, 1, np.zeros((2, estimator.design.markers.count)), 0.0)
+    return Shape(
+        c,
+        traction,
+        rng.uniform(-100.0, 900.0),
+        1.0,
+        None,
+        1,
+        np.zeros((2, estimator.design.markers.count)),
+        0.0,
+    )
 
 
 @pytest.mark.parametrize("sensor", ["dense", "paper16"])
 def test_patches(sensor):
-    """Sums of at most some thousand products, to rounding; the angle up to half a turn, which an axis does not have."""
-    design, rng = load_sensor(sensor), np.random.default_rng(7)
+    """Sums of at most some thousand products, to rounding; the angle up to half a turn, which an
+    axis does not have."""
+    design = load_sensor(sensor)
+    rng = np.random.default_rng(7)
     estimator = InverseMembrane(design)
 
     class rest:
-        c = estimator.sheet.equilibrium(estimator.sheet.seal(estimator.sheet.state(np.zeros((3, estimator.sheet.count))), 600.0))
+        c = estimator.sheet.equilibrium(
+            estimator.sheet.seal(estimator.sheet.state(np.zeros((3, estimator.sheet.count))), 600.0)
+        )
 
     several = 0
     for count in [1, 2, 3] * 12:
         shape = pressed(estimator, rest.c, rng, count)
-        ours, theirs = (module(estimator, shape, rest) for module in (find_patches, numpy_patches.find_patches))
+        ours, theirs = (
+            module(estimator, shape, rest) for module in (find_patches, numpy_patches.find_patches)
+        )
         assert len(ours) == len(theirs)
         several += len(ours) > 1
         for patch, expected in zip(ours, theirs, strict=True):
@@ -59,4 +79,7 @@ def test_nothing_presses():
         pass
 
     rest.c = c
-    assert find_patches(estimator, Shape(c, pull, 600.0, 1.0, None, 1, np.zeros((2, 81)), 0.0), rest) == ()
+    assert (
+        find_patches(estimator, Shape(c, pull, 600.0, 1.0, None, 1, np.zeros((2, 81)), 0.0), rest)
+        == ()
+    )

@@ -19,14 +19,17 @@ from tests.numpy_chain.inverse import DenseInverse
 
 
 def dented(design, rng):
-    """Markers (positions, covariances, normals) on a dent somewhere, some of them wrong or unknown."""
+    """Markers (positions, covariances, normals) on a dent somewhere, some of them wrong or
+    unknown."""
     p = design.markers.p_SM.copy()
-    middle, deep = rng.uniform(-6e-3, 6e-3, 2), rng.uniform(-1e-3, 3e-3)
+    middle = rng.uniform(-6e-3, 6e-3, 2)
+    deep = rng.uniform(-1e-3, 3e-3)
     dent = deep * np.exp(-((p[:, :2] - middle) ** 2).sum(axis=1) / 8e-3**2)
     slopes = 2 * dent[:, None] * (p[:, :2] - middle) / 8e-3**2
     p[:, 2] -= dent
     n = np.column_stack([slopes, -np.ones(len(p))]) + rng.normal(0, 0.01, p.shape)
-    n, p = n / np.linalg.norm(n, axis=1)[:, None], p + rng.normal(0, 1e-5, p.shape)
+    n = n / np.linalg.norm(n, axis=1)[:, None]
+    p = p + rng.normal(0, 1e-5, p.shape)
     n[rng.random(len(p)) < 0.05] = np.nan
     p[rng.random(len(p)) < 0.03, 2] += 3e-3
     p[rng.random(len(p)) < 0.03, 1] = np.nan
@@ -35,8 +38,10 @@ def dented(design, rng):
 
 @pytest.mark.parametrize("sensor", ["dense", "paper16"])
 def test_spline_through_markers(sensor):
-    """Heights are of order 1e-3 m and the equations' condition 1e6; leverage and covariances are in single precision in numpy."""
-    design, rng = load_sensor(sensor), np.random.default_rng(1)
+    """Heights are of order 1e-3 m and the equations' condition 1e6; leverage and covariances are in
+    single precision in numpy."""
+    design = load_sensor(sensor)
+    rng = np.random.default_rng(1)
     fitters = surface.SurfaceFitter(design), numpy_surface.SurfaceFitter(design)
     left_out = 0
     for tilts in [True] * 8 + [False] * 2:
@@ -45,16 +50,21 @@ def test_spline_through_markers(sensor):
         left_out += np.isfinite(p).all(axis=1).sum() - theirs.markers
         np.testing.assert_allclose(ours.coefficients, theirs.coefficients, atol=1e-13)
         assert ours.misfit == pytest.approx(theirs.misfit, rel=1e-9)
-        ours, theirs = ours.surface(), theirs.surface()
+        ours = ours.surface()
+        theirs = theirs.surface()
         np.testing.assert_allclose(ours.z, theirs.z, atol=1e-14)
-        assert ours.area == pytest.approx(theirs.area, rel=1e-12) and ours.volume == pytest.approx(theirs.volume, abs=1e-17)
+        assert ours.area == pytest.approx(theirs.area, rel=1e-12) and ours.volume == pytest.approx(
+            theirs.volume, abs=1e-17
+        )
         assert ours.area_sd == pytest.approx(theirs.area_sd, rel=1e-5)
         assert ours.volume_sd == pytest.approx(theirs.volume_sd, rel=1e-5)
-    assert left_out or sensor == "paper16"  # there, four markers a row leave none that all others predict
+    # there, four markers a row leave none that all others predict
+    assert left_out or sensor == "paper16"
 
 
 def from_band(band, width):
-    """The symmetric matrix (n, n), from the three components of a spline together to component by component."""
+    """The symmetric matrix (n, n), from the three components of a spline together to component by
+    component."""
     n = len(band)
     lower = sum(np.diag(band[: n - below, below], -below) for below in range(width + 1))
     order = np.arange(n).reshape(-1, 3).T.ravel()
@@ -66,27 +76,42 @@ def test_sheet(law):
     """Sums of some hundred products: to rounding of what is summed."""
     design = load_sensor("dense")
     design = replace(design, membrane=replace(design.membrane, law=law))
-    ours, theirs = sheet.Sheet(design, (14, 10)), numpy_sheet.Sheet(design, (14, 10))
-    rng, n = np.random.default_rng(4), ours.count
+    ours = sheet.Sheet(design, (14, 10))
+    theirs = numpy_sheet.Sheet(design, (14, 10))
+    rng = np.random.default_rng(4)
+    n = ours.count
     c = ours.equilibrium(Gas(600.0)) + rng.normal(0, 3e-5, (3, n))
-    state, reference = ours.state(c, 1.2), theirs.state(c, 1.2)
+    state = ours.state(c, 1.2)
+    reference = theirs.state(c, 1.2)
     assert state.volume == pytest.approx(reference.volume, rel=1e-12)
-    np.testing.assert_allclose(state.gradient, theirs.volume_gradient(reference), atol=1e-13 * np.abs(state.gradient).max())
+    np.testing.assert_allclose(
+        state.gradient, theirs.volume_gradient(reference), atol=1e-13 * np.abs(state.gradient).max()
+    )
     residual = theirs.residual(reference, 600.0)
-    np.testing.assert_allclose(ours.residual(state, 600.0), residual, atol=1e-12 * np.abs(state.elastic).max())
+    np.testing.assert_allclose(
+        ours.residual(state, 600.0), residual, atol=1e-12 * np.abs(state.elastic).max()
+    )
     lower = theirs.tangent(reference, 600.0)
     tangent = np.where(np.kron(np.tri(3), np.ones((n, n))), lower, 0)
     tangent += np.where(np.kron(1 - np.tri(3), np.ones((n, n))), lower.T, 0)
-    np.testing.assert_allclose(from_band(ours.tangent(state, 600.0), ours.width), tangent, atol=1e-12 * np.abs(tangent).max())
+    np.testing.assert_allclose(
+        from_band(ours.tangent(state, 600.0), ours.width),
+        tangent,
+        atol=1e-12 * np.abs(tangent).max(),
+    )
     gas = ours.seal(state, 600.0)
     (_, stiffness), (_, factor) = ours.linearise(state, gas), theirs.linearise(reference, gas)
     forces = rng.standard_normal((3, n))
     expected = cho_solve(factor, forces.ravel()).reshape(3, -1)
-    np.testing.assert_allclose(stiffness.solve(forces), expected, atol=1e-11 * np.abs(expected).max())  # condition 1e3
+    # condition 1e3
+    np.testing.assert_allclose(
+        stiffness.solve(forces), expected, atol=1e-11 * np.abs(expected).max()
+    )
 
 
 def test_a_stiffness_that_is_not_definite_is_pushed():
-    """Crumpled by millimetres, the sheet has no positive definite tangent; Newton's step is finite and downhill all the same."""
+    """Crumpled by millimetres, the sheet has no positive definite tangent; Newton's step is finite
+    and downhill all the same."""
     ours = sheet.Sheet(load_sensor("dense"), (14, 10))
     state = ours.state(np.random.default_rng(0).normal(0, 2e-3, (3, ours.count)))
     assert np.linalg.eigvalsh(from_band(ours.tangent(state, 0.0), ours.width))[0] < 0
@@ -96,13 +121,24 @@ def test_a_stiffness_that_is_not_definite_is_pushed():
 
 @pytest.mark.parametrize("sensor", ["dense", "paper16"])
 def test_tractions_from_markers(sensor):
-    """What differs is rounding times the condition of the stiffness and of the innovation, 1e3 each."""
-    design, rng = load_sensor(sensor), np.random.default_rng(2)
-    ours, theirs = InverseMembrane(design), DenseInverse(design)
-    p, n = design.markers.p_SM, design.markers.count
-    bulge = 2e-3 * np.cos(np.pi * p[:, 0] / design.frame.length) * np.cos(np.pi * p[:, 1] / design.frame.width)
-    cov, outward = np.tile(np.diag([1e-12, 1e-12, 3e-11]), (n, 1, 1)), np.tile([0.0, 0.0, -1.0], (n, 1))
-    rest = ours.rest_state(Markers(np.arange(n), p + np.outer(bulge, [0, 0, 1]), outward, cov), 1000.0)
+    """What differs is rounding times the condition of the stiffness and of the innovation, 1e3
+    each."""
+    design = load_sensor(sensor)
+    rng = np.random.default_rng(2)
+    ours = InverseMembrane(design)
+    theirs = DenseInverse(design)
+    p = design.markers.p_SM
+    n = design.markers.count
+    bulge = (
+        2e-3
+        * np.cos(np.pi * p[:, 0] / design.frame.length)
+        * np.cos(np.pi * p[:, 1] / design.frame.width)
+    )
+    cov = np.tile(np.diag([1e-12, 1e-12, 3e-11]), (n, 1, 1))
+    outward = np.tile([0.0, 0.0, -1.0], (n, 1))
+    rest = ours.rest_state(
+        Markers(np.arange(n), p + np.outer(bulge, [0, 0, 1]), outward, cov), 1000.0
+    )
     shape = reference = None
     for depth in (0.0, 0.3e-3, 0.32e-3, 1.5e-3):
         q = ours.positions(rest.c) + rest.offset
@@ -112,13 +148,21 @@ def test_tractions_from_markers(sensor):
         normals = np.column_stack([tilts, -np.ones(n)])
         ids = np.sort(rng.choice(n, n - (depth > 1e-3), replace=False))
         markers = Markers(ids, (q + rng.normal(0, 5e-6, q.shape))[ids], normals[ids], cov[ids])
-        shape, reference = ours.estimate(markers, rest, shape), theirs.estimate(markers, rest, reference)
+        shape = ours.estimate(markers, rest, shape)
+        reference = theirs.estimate(markers, rest, reference)
         assert shape.steps == reference.steps
         np.testing.assert_allclose(shape.c, reference.c, atol=1e-12)
-        one, other = ours.traction(shape), theirs.traction(reference)
+        one = ours.traction(shape)
+        other = theirs.traction(reference)
         np.testing.assert_allclose(one.wrench, other.wrench, atol=1e-9)
         np.testing.assert_allclose(one.force, other.force, atol=1e-9)
         np.testing.assert_allclose(shape.excess, reference.excess, rtol=1e-6, atol=1e-6)
-        assert (shape.misfit, shape.drift) == pytest.approx((reference.misfit, reference.drift), rel=1e-6)
-        np.testing.assert_allclose(shape.gain.half, reference.gain.half, atol=1e-9 * np.abs(reference.gain.half).max())
-        np.testing.assert_allclose(one.wrench_cov, other.wrench_cov, rtol=1e-5, atol=1e-9 * one.wrench_cov[0, 0])
+        assert (shape.misfit, shape.drift) == pytest.approx(
+            (reference.misfit, reference.drift), rel=1e-6
+        )
+        np.testing.assert_allclose(
+            shape.gain.half, reference.gain.half, atol=1e-9 * np.abs(reference.gain.half).max()
+        )
+        np.testing.assert_allclose(
+            one.wrench_cov, other.wrench_cov, rtol=1e-5, atol=1e-9 * one.wrench_cov[0, 0]
+        )

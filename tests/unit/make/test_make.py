@@ -1,4 +1,5 @@
-"""`mjtactile make`: patterns against the stretch, solids against closed forms, the camera against optics, limits that hold."""
+"""`mjtactile make`: patterns against the stretch, solids against closed forms, the camera against
+optics, limits that hold."""
 
 import math
 import re
@@ -44,7 +45,8 @@ def solids(parts):
 
 def bulged(design, height):
     """A smooth dome or dent, as a stand-in for the simulator."""
-    x, y = design.markers.p_SM[:, 0] / (design.frame.length / 2), design.markers.p_SM[:, 1] / (design.frame.width / 2)
+    x = design.markers.p_SM[:, 0] / (design.frame.length / 2)
+    y = design.markers.p_SM[:, 1] / (design.frame.width / 2)
     p = np.column_stack([design.markers.p_SM[:, :2], height * (1 - x**2) * (1 - y**2)])
     return State(f"{1e3 * height:g} mm", p, np.tile([0.0, 0, 1], (len(p), 1)), 1.1, height)
 
@@ -56,7 +58,10 @@ def with_field(design, field, value):
     """`design` with the field of its file, in the file's unit."""
     section, key = field.split(".")
     attribute, scale = next((row[1], row[2] or 1) for row in FIELDS[section][1] if row[0] == key)
-    part = replace(getattr(design, section), **{attribute: value * scale if row_is_real(section, key) else int(value)})
+    part = replace(
+        getattr(design, section),
+        **{attribute: value * scale if row_is_real(section, key) else int(value)},
+    )
     return replace(design, **{section: part})
 
 
@@ -65,6 +70,7 @@ def row_is_real(section, key):
 
 
 # Patterns
+
 
 def circles(svg, group="markers"):
     """Centres (n, 2) and radii (n,) of the circles of a group, in the SVG's user units."""
@@ -79,13 +85,18 @@ def test_the_printed_pattern_stretched_is_the_design(markers, radius):
     for page in patterns.marker_pages(layout)[:2]:  # transfer print and stencil
         centres, radii = circles(sheets.write_svg(page))
         turn = np.linspace(0, 2 * np.pi, 12, endpoint=False)
-        edge = centres[:, None] + radii[:, None, None] * np.column_stack([np.cos(turn), np.sin(turn)])
+        edge = centres[:, None] + radii[:, None, None] * np.column_stack(
+            [np.cos(turn), np.sin(turn)]
+        )
         mounted = edge @ (1.05 * np.eye(2))  # the sheet is stretched alike both ways
         middle = mounted.mean(axis=1)
         away = np.linalg.norm(mounted - middle[:, None], axis=2)
-        np.testing.assert_allclose(middle, 1e3 * DENSE.markers.p_SM[:, :2], atol=2e-5)  # the file has 5 decimals
-        np.testing.assert_allclose(away, radius * 1e3 * DENSE.markers.radius, atol=2e-5)  # round; discs were not to be stretched
-        np.testing.assert_allclose(centres.mean(axis=0), 0, atol=1e-5)  # the centre of gravity stays in the middle
+        # the file has 5 decimals
+        np.testing.assert_allclose(middle, 1e3 * DENSE.markers.p_SM[:, :2], atol=2e-5)
+        # round; discs were not to be stretched
+        np.testing.assert_allclose(away, radius * 1e3 * DENSE.markers.radius, atol=2e-5)
+        # the centre of gravity stays in the middle
+        np.testing.assert_allclose(centres.mean(axis=0), 0, atol=1e-5)
 
 
 def test_an_svg_is_at_one_to_one(layout):
@@ -94,21 +105,25 @@ def test_an_svg_is_at_one_to_one(layout):
         root = ET.fromstring(sheets.write_svg(sheet))
         _, _, width, height = map(float, root.get("viewBox").split())
         assert root.get("width") == f"{width:g}mm" and root.get("height") == f"{height:g}mm"
-        bars = [np.array([p.split(",") for p in line.get("points").split()], float)
-                for line in root.findall("svg:g[@id='scale']/svg:polyline", SVG)]
+        bars = [
+            np.array([p.split(",") for p in line.get("points").split()], float)
+            for line in root.findall("svg:g[@id='scale']/svg:polyline", SVG)
+        ]
         longest = sorted((np.ptp(bar, axis=0) for bar in bars), key=max)[-2:]
         assert sorted(map(tuple, longest)) == [(0.0, 100.0), (100.0, 0.0)]
         assert (np.abs(np.concatenate(bars)).max(axis=0) < (width / 2, height / 2)).all()
 
 
 def test_a_pdf_is_at_one_to_one(layout):
-    """Its page is A4, and what is drawn of each filled marker has the printed diameter at the printed place."""
+    """Its page is A4, and what is drawn of each filled marker has the printed diameter at the
+    printed place."""
     pdf = sheets.write_pdf(patterns.marker_pages(layout)[:1]).decode("latin-1")
     box = [float(v) * 25.4 / 72 for v in re.search(r"/MediaBox \[ ([^]]*)\]", pdf).group(1).split()]
     assert box == pytest.approx([0, 0, 210, 297], abs=0.01)
     found = []
     for path in re.findall(r"((?:[-\d.]+ [-\d.]+ m\n)(?:(?:[-\d.]+ ){6}c\n){4,}h\n\nf)", pdf):
-        xy = np.array(re.findall(r"([-\d.]+) ([-\d.]+) (?:c|m)\n", path), float) * 25.4 / 72  # the ends of the curves
+        # the ends of the curves
+        xy = np.array(re.findall(r"([-\d.]+) ([-\d.]+) (?:c|m)\n", path), float) * 25.4 / 72
         found.append([*(xy.max(axis=0) + xy.min(axis=0)) / 2, *np.ptp(xy, axis=0)])
     found = np.array(found)
     assert len(found) == 81
@@ -119,23 +134,31 @@ def test_a_pdf_is_at_one_to_one(layout):
 
 
 def test_opencv_finds_the_printed_board():
-    sheet, board = patterns.board_page(DENSE), patterns.board_of(DENSE)
+    sheet = patterns.board_page(DENSE)
+    board = patterns.board_of(DENSE)
     scale = 24.0  # pixels a mm
     image = np.full((round(60 * scale), round(70 * scale)), 255, np.uint8)
     for shape in sheet.shapes:
         if shape.group == "board":
             c = shape.contour
-            corners = np.array([[c.x - c.hx, c.y - c.hy], [c.x + c.hx, c.y + c.hy]]) * scale + (35 * scale, 30 * scale)
+            corners = np.array([[c.x - c.hx, c.y - c.hy], [c.x + c.hx, c.y + c.hy]]) * scale + (
+                35 * scale,
+                30 * scale,
+            )
             (u0, v0), (u1, v1) = np.rint(corners).astype(int)
             image[v0:v1, u0:u1] = 0
     finder = BoardFinder(board)
     view = finder.find("print", image)
     assert view is not None and len(view.ids) == (board.columns - 1) * (board.rows - 1)
     on_board = finder.corners(view)[:, :2]
-    np.testing.assert_allclose(np.ptp(view.uv, axis=0) / scale, 1e3 * np.ptp(on_board, axis=0), rtol=2e-3)  # 0.5 px of 960
+    # 0.5 px of 960
+    np.testing.assert_allclose(
+        np.ptp(view.uv, axis=0) / scale, 1e3 * np.ptp(on_board, axis=0), rtol=2e-3
+    )
 
 
 # Solids
+
 
 def polygon_area(c):
     """Of a contour whose arcs are chords."""
@@ -146,7 +169,9 @@ def polygon_area(c):
 def read_stl(data):
     count = int(np.frombuffer(data[80:84], "<u4")[0])
     assert len(data) == 84 + 50 * count
-    rows = np.frombuffer(data[84:], np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("none", "<u2")]))
+    rows = np.frombuffer(
+        data[84:], np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("none", "<u2")])
+    )
     return rows["corners"]
 
 
@@ -157,19 +182,28 @@ def test_stl_files_are_closed_and_have_their_volume(parts, solids):
         for a, b, c in (tuple(map(bytes, triangle)) for triangle in corners):
             for edge in ((a, b), (b, c), (c, a)):
                 edges[edge] += 1
-        assert all(count == 1 and edges[end, start] == 1 for (start, end), count in edges.items()), name
+        assert all(
+            count == 1 and edges[end, start] == 1 for (start, end), count in edges.items()
+        ), name
         p = corners.astype(float)
         volume = np.einsum("ni,ni->", p[:, 0], np.cross(p[:, 1], p[:, 2])) / 6  # divergence theorem
-        chords = sum((layer.high - layer.low) * (polygon_area(region.outer) - sum(map(polygon_area, region.holes)))
-                     for layer in part.layers for region in layer.regions)
+        chords = sum(
+            (layer.high - layer.low)
+            * (polygon_area(region.outer) - sum(map(polygon_area, region.holes)))
+            for layer in part.layers
+            for region in layer.regions
+        )
         if part.bore:
-            chords -= polygon_area(circle(part.bore.radius)) * (part.bore.ends[1] - part.bore.ends[0])
+            chords -= polygon_area(circle(part.bore.radius)) * (
+                part.bore.ends[1] - part.bore.ends[0]
+            )
         assert volume == pytest.approx(chords, rel=2e-6), name  # single precision
         assert volume == pytest.approx(part.volume, rel=2e-3), name  # the arcs' chords
 
 
 def step_shell(text):
-    """Edges as (number, forward) by loop, loops by face, and the ends of each edge, of a STEP file."""
+    """Edges as (number, forward) by loop, loops by face, and the ends of each edge, of a STEP
+    file."""
     lines = dict(re.findall(r"#(\d+)=(.*);", text))
     numbers = {n: re.findall(r"#(\d+)", line) for n, line in lines.items()}
 
@@ -181,8 +215,10 @@ def step_shell(text):
     loops = {n: [oriented[e] for e in refs] for n, refs in kind("EDGE_LOOP").items()}
     faces = [[numbers[b][0] for b in refs[:-1]] for refs in kind("ADVANCED_FACE").values()]
     shells = list(kind("CLOSED_SHELL").values())
-    points = {n: np.array(re.search(r"\(([-\d.,]+)\)\)$", lines[refs[0]]).group(1).split(","), float)
-              for n, refs in kind("VERTEX_POINT").items()}
+    points = {
+        n: np.array(re.search(r"\(([-\d.,]+)\)\)$", lines[refs[0]]).group(1).split(","), float)
+        for n, refs in kind("VERTEX_POINT").items()
+    }
     return ends, loops, faces, shells, points
 
 
@@ -193,7 +229,8 @@ def test_step_files_are_closed_shells_of_the_right_genus(parts, solids):
         ends, loops, faces, shells, points = step_shell(step.write_step(part))
         assert len(shells) == 1 and len(shells[0]) == len(faces)
         used = Counter(edge for face in faces for loop in face for edge in loops[loop])
-        assert set(used.values()) == {1} and {e for e, _ in used} == set(ends)  # each edge once each way: closed, consistent
+        # each edge once each way: closed, consistent
+        assert set(used.values()) == {1} and {e for e, _ in used} == set(ends)
         assert all((edge, not forward) in used for edge, forward in used)
         for loop in loops.values():
             way = [ends[e] if forward else ends[e][::-1] for e, forward in loop]
@@ -206,7 +243,8 @@ def test_step_files_are_closed_shells_of_the_right_genus(parts, solids):
 def test_the_bore_makes_one_way_into_the_chamber(parts, solids, layout):
     assert solids["frame"].genus() == len(layout.bolts) + 2  # bolts, opening, port
     assert replace(parts["frame"], bore=None).volume - parts["frame"].volume == pytest.approx(
-        math.pi * layout.port.radius**2 * (layout.outer_x - layout.open_x))
+        math.pi * layout.port.radius**2 * (layout.outer_x - layout.open_x)
+    )
 
 
 def test_parts_do_not_intersect_and_it_would_be_seen(parts, solids):
@@ -218,23 +256,32 @@ def test_parts_do_not_intersect_and_it_would_be_seen(parts, solids):
 def test_contours_that_cross_are_noticed():
     body = Contour(10, 8, 2)
     assert crossing(Part("p", (plate(0, 1, body, [circle(1, 5, 0), circle(1, 8, 0)]),))) is None
-    for bad in (circle(1, 9.5, 0), circle(1, 5.5, 0), circle(1, 9, 0)):  # over the edge, over another hole, touching the edge
+    # over the edge, over another hole, touching the edge
+    for bad in (circle(1, 9.5, 0), circle(1, 5.5, 0), circle(1, 9, 0)):
         assert crossing(Part("p", (plate(0, 1, body, [circle(1, 5, 0), bad]),))) is not None
-    assert crossing(Part("p", (plate(0, 1, body), plate(1, 2, Contour(8, 8, 2))))) is not None  # of neighbouring layers
+    # of neighbouring layers
+    assert crossing(Part("p", (plate(0, 1, body), plate(1, 2, Contour(8, 8, 2))))) is not None
     assert Bore(Contour(3, 3), body, 1, 0, 0.5).ends == (3, 10)
 
 
 def test_a_picture_shows_each_part(parts, solids):
-    image, places = pictures.draw(pictures.bodies_of(parts, solids, {"frame": 0.0, "glass": -30.0}), pixels=120)
+    image, places = pictures.draw(
+        pictures.bodies_of(parts, solids, {"frame": 0.0, "glass": -30.0}), pixels=120
+    )
     frame, glass = (image[tuple(np.rint(place[::-1]).astype(int))] for place in places)
     assert places[0][0] < places[1][0]  # the front is on the left
-    assert glass[2] > glass[0] and glass.mean() > frame.mean() > 0.1  # the pane is bluish and bright
+    # the pane is bluish and bright
+    assert glass[2] > glass[0] and glass.mean() > frame.mean() > 0.1
 
 
 # Camera
 
+
 def test_blur_is_that_of_similar_triangles_behind_a_thin_lens():
-    near, far, stop, tools = 40.3, 47.6, 2.8, Hardware()
+    near = 40.3
+    far = 47.6
+    stop = 2.8
+    tools = Hardware()
     f = DENSE.camera.fx * tools.pixel
     focus = 2 * near * far / (near + far)
     image_of = lambda z: f * z / (z - f)  # noqa: E731
@@ -249,9 +296,13 @@ def test_a_marker_smears_as_much_as_is_said():
     plan = camera.plan_camera(DENSE, Hardware(speed=25.0), STATES, "dense")
     eye = optics.Camera.from_design(DENSE.camera, DENSE.glass)
     nearest = np.array([0.0, 0.0, DENSE.camera.distance - 0.004])
-    way = optics.project(eye, nearest + [25e-3 * plan.exposure, 0, 0]) - optics.project(eye, nearest)
+    way = optics.project(eye, nearest + [25e-3 * plan.exposure, 0, 0]) - optics.project(
+        eye, nearest
+    )
     assert way[0] == pytest.approx(hardware.SMEAR, rel=1e-3)  # on the axis, through pane and lens
-    assert camera.plan_camera(DENSE, Hardware(speed=50.0), STATES, "dense").flux == pytest.approx(2 * plan.flux)
+    assert camera.plan_camera(DENSE, Hardware(speed=50.0), STATES, "dense").flux == pytest.approx(
+        2 * plan.flux
+    )
     fast = camera.plan_camera(DENSE, Hardware(f_number=4.0), STATES, "dense")
     assert fast.flux == pytest.approx(4 * plan.flux) and (plan.stop, fast.stop) == (2.0, 4.0)
 
@@ -270,25 +321,44 @@ def test_the_longest_focal_length_that_is_named_still_shows_all_markers():
         camera.plan_camera(far_out, Hardware(), STATES, "mine.toml")
     limit = float(str(error.value).split()[-1])
     longest = replace(DENSE, camera=replace(DENSE.camera, fx=limit))
-    assert 0 <= camera.plan_camera(longest, Hardware(), STATES, "mine.toml").margin < 0.2  # four digits of 700 px
+    # four digits of 700 px
+    assert 0 <= camera.plan_camera(longest, Hardware(), STATES, "mine.toml").margin < 0.2
     u = np.concatenate([camera.marker_edges(longest, state)[..., 0] for state in STATES])
-    room = min(u.min() + 0.5, longest.camera.width - 0.5 - u.max())  # to the edge of the outermost pixels
-    assert room == pytest.approx(2 + 3 * DENSE.camera.blur_px, abs=0.2)  # the band that an edge is fitted in
+    # to the edge of the outermost pixels
+    room = min(u.min() + 0.5, longest.camera.width - 0.5 - u.max())
+    # the band that an edge is fitted in
+    assert room == pytest.approx(2 + 3 * DENSE.camera.blur_px, abs=0.2)
 
 
 # Limits
 
-@pytest.mark.parametrize(("field", "value"), [
-    ("frame.rim_mm", 0.5), ("membrane.pre_stretch", 0.97), ("glass.thickness_mm", 0.2), ("glass.distance_mm", 21.0),
-    ("markers.pitch_x_mm", 2.1), ("markers.pitch_y_mm", 3.49), ("leds.count", 0), ("leds.count", 60),
-    ("leds.ring_radius_mm", 8.0), ("chamber.depth_mm", 8.0), ("chamber.supply_gauge_kPa", 900.0)])
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("frame.rim_mm", 0.5),
+        ("membrane.pre_stretch", 0.97),
+        ("glass.thickness_mm", 0.2),
+        ("glass.distance_mm", 21.0),
+        ("markers.pitch_x_mm", 2.1),
+        ("markers.pitch_y_mm", 3.49),
+        ("leds.count", 0),
+        ("leds.count", 60),
+        ("leds.ring_radius_mm", 8.0),
+        ("chamber.depth_mm", 8.0),
+        ("chamber.supply_gauge_kPa", 900.0),
+    ],
+)
 def test_what_cannot_be_built_is_refused_with_a_limit_that_can(field, value):
-    """In one line that names the field, its value and the limit; with the limit in its place, that field is good."""
+    """In one line that names the field, its value and the limit; with the limit in its place, that
+    field is good."""
     design = DENSE
     if field == "chamber.depth_mm":  # the chamber ends where the pane begins
         design = with_field(with_field(design, "glass.distance_mm", 35.0), field, value)
     if field == "chamber.supply_gauge_kPa":
-        design = with_field(with_field(design, "glass.thickness_mm", 12.0), "glass.distance_mm", 13.0)
+        design = with_field(
+            with_field(design, "glass.thickness_mm", 12.0), "glass.distance_mm", 13.0
+        )
     bad = with_field(design, field, value)
     with pytest.raises(InputError) as error:
         Layout.of(bad, Hardware(), "mine.toml")
@@ -305,8 +375,11 @@ def test_at_the_limit_the_stencils_webs_are_what_a_film_can_be_cut_to():
     with pytest.raises(InputError) as error:
         Layout.of(with_field(DENSE, "markers.pitch_y_mm", 2.2), Hardware(), "mine.toml")
     pitch = float(str(error.value).split()[-1])
-    discs = patterns.markers(Layout.of(with_field(DENSE, "markers.pitch_y_mm", pitch), Hardware(), "mine.toml"))
-    assert discs[9].y - discs[0].y - 2 * discs[0].r == pytest.approx(0.3, abs=1e-3)  # as printed, unstretched
+    discs = patterns.markers(
+        Layout.of(with_field(DENSE, "markers.pitch_y_mm", pitch), Hardware(), "mine.toml")
+    )
+    # as printed, unstretched
+    assert discs[9].y - discs[0].y - 2 * discs[0].r == pytest.approx(0.3, abs=1e-3)
 
 
 def test_a_limit_is_rounded_to_what_is_allowed():
@@ -319,7 +392,10 @@ def test_a_limit_is_rounded_to_what_is_allowed():
         replace(limit, value=named).check("x")
 
 
-@pytest.mark.parametrize(("option", "tools"), [("--camera-holes-mm", Hardware(holes=12.0)), ("--pupil-mm", Hardware(pupil=5.0))])
+@pytest.mark.parametrize(
+    ("option", "tools"),
+    [("--camera-holes-mm", Hardware(holes=12.0)), ("--pupil-mm", Hardware(pupil=5.0))],
+)
 def test_options_that_cannot_be_built_are_named(option, tools):
     with pytest.raises(InputError, match=f"^{option}: .*; at least"):
         Layout.of(DENSE, tools, "mine.toml")
@@ -339,34 +415,57 @@ def test_what_the_optics_cannot_do_is_refused():
 
 def test_round_sensors_are_refused():
     with pytest.raises(InputError, match="handles rectangles only"):
-        Layout.of(replace(DENSE, frame=replace(DENSE.frame, shape="circle")), Hardware(), "round.toml")
+        Layout.of(
+            replace(DENSE, frame=replace(DENSE.frame, shape="circle")), Hardware(), "round.toml"
+        )
 
 
 def test_the_pane_holds_what_roark_says():
-    """A square plate's coefficient is 0.2874 (Timoshenko's 0.0479 x 6), which the formula has within 0.1 %."""
-    square = replace(DENSE, frame=replace(DENSE.frame, length=0.03, width=0.03), chamber=replace(DENSE.chamber, supply_gauge=1e5))
+    """A square plate's coefficient is 0.2874 (Timoshenko's 0.0479 x 6), which the formula has
+    within 0.1 %."""
+    square = replace(
+        DENSE,
+        frame=replace(DENSE.frame, length=0.03, width=0.03),
+        chamber=replace(DENSE.chamber, supply_gauge=1e5),
+    )
     assert limits.glass_stress(square) == pytest.approx(0.2874 * 0.1 * (30 / 2) ** 2, rel=1e-3)
 
 
 def test_the_simulated_states_bulge_and_are_pressed():
-    """One place of the four: flat, inflated as the closed form has it, and pressed as deep as was asked for."""
-    flat, pressed, inflated, both = simulate(DENSE, Hardware(), "dense", lambda _: None, {"the middle": (0, 0)})
+    """One place of the four: flat, inflated as the closed form has it, and pressed as deep as was
+    asked for."""
+    flat, pressed, inflated, both = simulate(
+        DENSE, Hardware(), "dense", lambda _: None, {"the middle": (0, 0)}
+    )
     assert flat.height == 0 and flat.stretch == DENSE.membrane.pre_stretch
-    assert inflated.height == pytest.approx(theory.bulge_height(DENSE, 1000.0), rel=0.02)  # the default mesh has 1.4 %
+    # the default mesh has 1.4 %
+    assert inflated.height == pytest.approx(theory.bulge_height(DENSE, 1000.0), rel=0.02)
     middle = pressed.p_SM[40, 2]
-    assert middle == pytest.approx(-0.004, abs=1e-4) and both.p_SM[40, 2] == pytest.approx(inflated.height - 0.004, abs=1e-4)
+    assert middle == pytest.approx(-0.004, abs=1e-4) and both.p_SM[40, 2] == pytest.approx(
+        inflated.height - 0.004, abs=1e-4
+    )
 
 
 def test_elastic_markers_grow_with_the_sheet():
-    """By the sheet's own stretch where that is the same everywhere; turned and shifted it is no larger."""
+    """By the sheet's own stretch where that is the same everywhere; turned and shifted it is no
+    larger."""
     turn = np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]])
-    stretched = State("x", 1.03 * DENSE.markers.p_SM @ turn.T + [0, 0, 0.004], np.zeros((81, 3)), 1.1, 0.0)
+    stretched = State(
+        "x", 1.03 * DENSE.markers.p_SM @ turn.T + [0, 0, 0.004], np.zeros((81, 3)), 1.1, 0.0
+    )
     assert growth(DENSE, [STATES[0], stretched]) == pytest.approx(0.03)
 
 
 def test_a_supply_that_the_sheet_does_not_hold_is_refused():
-    with pytest.raises(InputError, match=r"supply_gauge_kPa: 60 is more than this sheet holds.*at most") as error:
-        simulate(with_field(DENSE, "chamber.supply_gauge_kPa", 60.0), Hardware(), "mine.toml", lambda _: None)
+    with pytest.raises(
+        InputError, match=r"supply_gauge_kPa: 60 is more than this " r"sheet holds.*at most"
+    ) as error:
+        simulate(
+            with_field(DENSE, "chamber.supply_gauge_kPa", 60.0),
+            Hardware(),
+            "mine.toml",
+            lambda _: None,
+        )
     assert np.isfinite(theory.bulge_height(DENSE, 1e3 * float(str(error.value).split()[-1])))
 
 

@@ -1,6 +1,8 @@
-"""A recording that somebody or something changed: what is sound before the damage is read, the rest is named, nothing breaks.
+"""A recording that somebody or something changed: what is sound before the damage is read, the rest
+is named, nothing breaks.
 
-Whoever reads a recording relies on what is checked here: kinds, shapes, and files inside of the folder.
+Whoever reads a recording relies on what is checked here: kinds, shapes, and files inside of the
+folder.
 """
 
 import copy
@@ -14,7 +16,23 @@ from mjtactile.core.errors import InputError
 from mjtactile.recording.reader import load_recording
 from tests.fake_run import write_fake_recording
 
-VALUES = [None, True, -1, 1e300, "x", "", [], {}, [[]], [None], [1, 2, 3], {"a": 1}, "../../etc/passwd", [["a"]], 10**400]
+VALUES = [
+    None,
+    True,
+    -1,
+    1e300,
+    "x",
+    "",
+    [],
+    {},
+    [[]],
+    [None],
+    [1, 2, 3],
+    {"a": 1},
+    "../../etc/passwd",
+    [["a"]],
+    10**400,
+]
 
 
 @pytest.fixture(scope="module")
@@ -26,12 +44,15 @@ def whole(tmp_path_factory):
 
 def changed(lines, seed):
     """One to three values anywhere in the lines' JSON replaced or taken out."""
-    rng, rows = random.Random(seed), [json.loads(line) for line in lines]
+    rng = random.Random(seed)
+    rows = [json.loads(line) for line in lines]
     for _ in range(rng.choice([1, 1, 3])):
-        node, place = rng.choice(rows), None
+        node = rng.choice(rows)
+        place = None
         while isinstance(node, (dict, list)) and node and (place is None or rng.random() < 0.7):
             key = rng.choice(list(node)) if isinstance(node, dict) else rng.randrange(len(node))
-            place, node = (node, key), node[key]
+            place = (node, key)
+            node = node[key]
         if place is not None:
             owner, key = place
             if isinstance(owner, dict) and rng.random() < 0.2:
@@ -42,7 +63,8 @@ def changed(lines, seed):
 
 
 def flipped(lines, seed):
-    rng, data = random.Random(seed), bytearray(b"".join(lines))
+    rng = random.Random(seed)
+    data = bytearray(b"".join(lines))
     for _ in range(rng.choice([1, 3, 30])):
         data[rng.randrange(len(data))] = rng.randrange(256)
     return bytes(data)
@@ -61,12 +83,15 @@ def test_damage_never_gets_beyond_the_reader(tmp_path, whole, damage):
             continue
         said += bool(found.problems)
         for key in found.columns if len(found) else ():
-            want, got = sound.columns.get(key), found.columns[key]
+            want = sound.columns.get(key)
+            got = found.columns[key]
             if want is not None and want.dtype == float:
                 assert got.dtype == float and got.shape[1:] == want.shape[1:], (seed, key)
         assert not len(found) or np.isfinite(found.columns["time"]).all()
         for names in found.columns["images"] if len(found) else ():
-            assert all((tmp_path / name).resolve().is_relative_to(tmp_path.resolve()) for name in names)
+            assert all(
+                (tmp_path / name).resolve().is_relative_to(tmp_path.resolve()) for name in names
+            )
     assert said > 100  # most changes are to what is checked
 
 
@@ -79,4 +104,6 @@ def test_the_line_and_the_column_are_named(tmp_path, whole):
     (tmp_path / "log.jsonl").write_text("\n".join(lines) + "\n")
     found = load_recording(tmp_path)
     assert len(found) == 3
-    assert found.problems[0] == f"line {number + 1} is broken: force_normal; it and what follows was left out"
+    assert found.problems[0] == (
+        f"line {number + 1} is broken: force_normal; it and what follows was left out"
+    )

@@ -28,19 +28,27 @@ def test_what_goes_in_comes_out(tmp_path):
     assert recording.complete and not recording.problems and len(recording) == 20
     assert recording.header["object"] == "egg" and recording.notes["break_force_N"] == 2.5
     np.testing.assert_array_equal(recording.columns["time"], [cycle.time for cycle in cycles])
-    np.testing.assert_array_equal(recording.column("force_normal"),
-                                  [[t.force_normal for t in cycle.touch] for cycle in cycles])
+    np.testing.assert_array_equal(
+        recording.column("force_normal"),
+        [[t.force_normal for t in cycle.touch] for cycle in cycles],
+    )
     for cycle, images in zip(cycles, recording.images(), strict=True):
         for image, read in zip(cycle.images, images, strict=True):
             np.testing.assert_array_equal(read.pixels, image.pixels)  # lossless
             assert read.time == image.time
 
 
-@pytest.mark.parametrize(("noted", "called"), [
-    (("first", "second", "third"), ("first", "second", "third")),
-    (None, ("left", "right", "finger3")),  # no session said: a recording of before, or somebody else's
-    (("a/b", "b", "c"), ("left", "right", "finger3")), (("a", "a", "b"), ("left", "right", "finger3")),  # no names of files
-])
+@pytest.mark.parametrize(
+    ("noted", "called"),
+    [
+        (("first", "second", "third"), ("first", "second", "third")),
+        # no session said: a recording of before, or somebody else's
+        (None, ("left", "right", "finger3")),
+        # no names of files
+        (("a/b", "b", "c"), ("left", "right", "finger3")),
+        (("a", "a", "b"), ("left", "right", "finger3")),
+    ],
+)
 def test_image_files_are_named_by_their_finger(tmp_path, noted, called):
     two = fake_cycle(0)
     cycle = replace(two, images=(*two.images, two.images[0]), touch=(*two.touch, two.touch[0]))
@@ -91,10 +99,15 @@ def test_a_column_that_no_recording_has_is_an_error_with_the_names(tmp_path):
 
 
 def test_all_that_is_felt_comes_back_in_its_shape(tmp_path):
-    """Wrench, slip and contact of every finger; what is not known is NaN in the shape that it would have."""
+    """Wrench, slip and contact of every finger; what is not known is NaN in the shape that it would
+    have."""
     felt = fake_touch(0.5, 0.0)
-    patch = replace(felt.contact, force=np.array([0.1, 0.0, -0.5]), semi_axes=np.array([2e-3, 1e-3]), angle=0.3)
-    felt = replace(felt, slip=Slip("incipient", np.array([1e-3, -2e-3]), 3e-4, 0.4), patches=(patch, patch))
+    patch = replace(
+        felt.contact, force=np.array([0.1, 0.0, -0.5]), semi_axes=np.array([2e-3, 1e-3]), angle=0.3
+    )
+    felt = replace(
+        felt, slip=Slip("incipient", np.array([1e-3, -2e-3]), 3e-4, 0.4), patches=(patch, patch)
+    )
     blind = Touch(0.0, 0.3, math.nan, math.nan, False, status="dark")
     with Recorder(tmp_path, {}) as recorder:
         recorder.add(replace(fake_cycle(0), touch=(felt, blind)))
@@ -104,12 +117,28 @@ def test_all_that_is_felt_comes_back_in_its_shape(tmp_path):
     assert wrench.shape == (2, 2, 6) and np.isnan(wrench[0, 1]).all()
     np.testing.assert_array_equal(wrench[1, 1], felt.traction.wrench)
     np.testing.assert_allclose(recording.column("wrench_sd")[0, 0], 0.02)  # fake_touch says so
-    np.testing.assert_array_equal(recording.column("slip_velocity")[0], [[1e-3, -2e-3], [np.nan, np.nan]])
-    assert recording.column("contact_centroid").shape == (2, 2, 2) and recording.column("touch_age")[0, 1] == 0.3
-    assert recording.columns["slip_state"].tolist() == [["incipient", "unknown"], ["incipient", "incipient"]]
+    np.testing.assert_array_equal(
+        recording.column("slip_velocity")[0], [[1e-3, -2e-3], [np.nan, np.nan]]
+    )
+    assert (
+        recording.column("contact_centroid").shape == (2, 2, 2)
+        and recording.column("touch_age")[0, 1] == 0.3
+    )
+    assert recording.columns["slip_state"].tolist() == [
+        ["incipient", "unknown"],
+        ["incipient", "incipient"],
+    ]
     one, other = recording.columns["patches"][0]
-    assert len(one) == 2 and other == [] and one[0]["force"] == [0.1, 0.0, -0.5] and one[0]["semi_axes"] == [2e-3, 1e-3]
-    assert recording.column("force_normal").shape == (2, 2) and recording.column("time").shape == (2, 1)
+    assert (
+        len(one) == 2
+        and other == []
+        and one[0]["force"] == [0.1, 0.0, -0.5]
+        and one[0]["semi_axes"] == [2e-3, 1e-3]
+    )
+    assert recording.column("force_normal").shape == (2, 2) and recording.column("time").shape == (
+        2,
+        1,
+    )
 
 
 @pytest.mark.parametrize(("frames", "kept"), [(0, 0), (1, 10), (4, 3)])
@@ -118,13 +147,24 @@ def test_frames_may_be_left_out_and_the_log_stays_whole(tmp_path, frames, kept):
         for i in range(10):
             recorder.add(fake_cycle(i))
     recording = load_recording(tmp_path)
-    assert len(list((tmp_path / "frames").glob("*.png"))) == 2 * kept and recording.header["frames"] == frames
-    assert len(recording) == 10 and recording.width == 2 and np.isfinite(recording.column("force_normal")).all()
-    assert [len(images) for images in recording.images()] == [2 if frames and i % frames == 0 else 0 for i in range(10)]
+    assert (
+        len(list((tmp_path / "frames").glob("*.png"))) == 2 * kept
+        and recording.header["frames"] == frames
+    )
+    assert (
+        len(recording) == 10
+        and recording.width == 2
+        and np.isfinite(recording.column("force_normal")).all()
+    )
+    assert [len(images) for images in recording.images()] == [
+        2 if frames and i % frames == 0 else 0 for i in range(10)
+    ]
     if frames == 1:
         recording.require_images()
     else:
-        with pytest.raises(InputError, match=f"{kept} of 10 cycles have their images.*--frames all"):
+        with pytest.raises(
+            InputError, match=f"{kept} of 10 cycles have their images.*--frames all"
+        ):
             recording.require_images()
 
 
@@ -132,10 +172,28 @@ def test_a_recording_of_before_these_columns_still_loads(tmp_path):
     write_fake_recording(tmp_path, count=3)
     log = tmp_path / "log.jsonl"
     rows = [json.loads(line) for line in log.read_text().splitlines()]
-    new = {"wrench", "wrench_sd", "force_shear", "patches", "slip_state", "slip_velocity", "touch_age", "contact_area"}
-    log.write_text("".join(json.dumps({k: v for k, v in row.items() if k not in new | {"frames"}}) + "\n" for row in rows))
+    new = {
+        "wrench",
+        "wrench_sd",
+        "force_shear",
+        "patches",
+        "slip_state",
+        "slip_velocity",
+        "touch_age",
+        "contact_area",
+    }
+    log.write_text(
+        "".join(
+            json.dumps({k: v for k, v in row.items() if k not in new | {"frames"}}) + "\n"
+            for row in rows
+        )
+    )
     recording = load_recording(tmp_path)
-    assert recording.complete and len(recording) == 3 and np.isfinite(recording.column("force_normal")).all()
+    assert (
+        recording.complete
+        and len(recording) == 3
+        and np.isfinite(recording.column("force_normal")).all()
+    )
     assert np.isnan(recording.column("force_shear")).all()
     recording.require_images()
 
@@ -143,7 +201,15 @@ def test_a_recording_of_before_these_columns_still_loads(tmp_path):
 def test_phases_are_read_in_order(tmp_path):
     write_fake_recording(tmp_path, count=60)
     phases = load_recording(tmp_path).phases()
-    assert [name for name, _, _ in phases] == ["approach", "close", "regulate", "lift", "hold", "lower", "release"]
+    assert [name for name, _, _ in phases] == [
+        "approach",
+        "close",
+        "regulate",
+        "lift",
+        "hold",
+        "lower",
+        "release",
+    ]
     assert all(end == start for (_, _, end), (_, start, _) in zip(phases, phases[1:], strict=False))
 
 
@@ -162,7 +228,8 @@ def test_no_recording_and_a_foreign_file_are_named(tmp_path):
         load_recording(tmp_path)
 
 
-# -- a recording is never worth what the hand holds: it is given up, once said, and the run goes on ------------------------
+# -- a recording is never worth what the hand holds: it is given up, once said, and the run goes on
+# ------------------------
 
 CYCLES = [fake_cycle(i) for i in range(50)]
 
@@ -190,7 +257,8 @@ def test_a_disk_that_is_full(tmp_path, caplog):
     for cycle in CYCLES[:3]:
         recorder.add(cycle)
     assert wait_for(recorder._queue.empty)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1, limit[1]))  # as good as a full disk: whatever grows a file fails
+    # as good as a full disk: whatever grows a file fails
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1, limit[1]))
     try:
         (said,) = given_up(recorder, caplog)
     finally:
@@ -221,13 +289,15 @@ def test_a_notebook_that_contains_itself(tmp_path, caplog):
 
 @pytest.mark.parametrize("patience", [0.0, 0.05])
 def test_a_disk_that_stands_still_holds_up_nothing(tmp_path, caplog, monkeypatch, patience):
-    """The first image takes for ever, or as long as this test; the loop is held up for `patience` at most, once."""
+    """The first image takes for ever, or as long as this test; the loop is held up for `patience`
+    at most, once."""
     over = threading.Event()
     monkeypatch.setattr(Path, "write_bytes", lambda *_: over.wait(60))
     monkeypatch.setattr(writer, "_FLUSH_TIME", 0.05)
     recorder = Recorder(tmp_path, {})
     recorder.patience = patience
-    put, in_vain = recorder._queue.put, []
+    put = recorder._queue.put
+    in_vain = []
 
     def counted(*args, **kwargs):
         try:
@@ -241,7 +311,10 @@ def test_a_disk_that_stands_still_holds_up_nothing(tmp_path, caplog, monkeypatch
         recorder.add(cycle)
     assert in_vain == [{"block": patience > 0, "timeout": patience}]
     recorder.close(outcome="held")
-    assert "cycles behind" in recorder.problem and sum("given up" in message for message in caplog.messages) == 1
+    assert (
+        "cycles behind" in recorder.problem
+        and sum("given up" in message for message in caplog.messages) == 1
+    )
     over.set()
     recorder._thread.join()
 
@@ -255,7 +328,14 @@ def test_a_recording_is_never_overwritten(tmp_path):
 
 
 def test_json_is_always_valid(tmp_path):
-    write_json(tmp_path / "a.json", {"x": [math.inf, np.float64(1.5), np.int64(2)], "p": tmp_path, "n": None})
-    assert json.loads((tmp_path / "a.json").read_text()) == {"x": [None, 1.5, 2], "p": str(tmp_path), "n": None}
+    write_json(
+        tmp_path / "a.json",
+        {"x": [math.inf, np.float64(1.5), np.int64(2)], "p": tmp_path, "n": None},
+    )
+    assert json.loads((tmp_path / "a.json").read_text()) == {
+        "x": [None, 1.5, 2],
+        "p": str(tmp_path),
+        "n": None,
+    }
     assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
     assert to_json(True) is True

@@ -22,13 +22,22 @@ def test_a_note_comes_back(tmp_path):
     back = stage_from_note(json.loads(json.dumps(to_json(stage.note()))), "log.jsonl")
     assert back.indenter == stage.indenter and back.at == stage.at
     assert [m.time for m in back.moves] == [1, 2, 3] and math.isnan(back.moves[1].depth)
-    assert back.moves[2].force == pytest.approx(0.25) and back.moves[2].shear == pytest.approx(-5e-4)
+    assert back.moves[2].force == pytest.approx(0.25) and back.moves[2].shear == pytest.approx(
+        -5e-4
+    )
 
 
-@pytest.mark.parametrize(("text", "says"), [
-    ("time_s,depth\n1,2\n", "column 'depth'"), ("depth_mm\n2\n", "no column time_s"), ("time_s,depth_mm\n", "has no moves"),
-    ("time_s,depth_mm\n2,1\n1,1\n", "not later"), ("time_s,depth_mm\n1,deep\n", "'deep' is not a number"),
-    ("time_s,depth_mm\n,1\n", "missing")])
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("time_s,depth\n1,2\n", "column 'depth'"),
+        ("depth_mm\n2\n", "no column time_s"),
+        ("time_s,depth_mm\n", "has no moves"),
+        ("time_s,depth_mm\n2,1\n1,1\n", "not later"),
+        ("time_s,depth_mm\n1,deep\n", "'deep' is not a number"),
+        ("time_s,depth_mm\n,1\n", "missing"),
+    ],
+)
 def test_what_is_wrong_is_named(tmp_path, text, says):
     (tmp_path / "p.csv").write_text(text)
     with pytest.raises(InputError, match=says):
@@ -36,5 +45,7 @@ def test_what_is_wrong_is_named(tmp_path, text, says):
 
 
 def test_a_person_is_told_what_to_do():
-    assert describe(Move(1.0, 2e-3, 1e-3, 5e-3)) == "1 s: to 2 mm below first touch, 1 mm along x, at 5 mm/s"
+    assert describe(Move(1.0, 2e-3, 1e-3, 5e-3)) == (
+        "1 s: to 2 mm below first touch, 1 mm along x, at 5 mm/s"
+    )
     assert describe(Move(9.0)) == "9 s: lift off"

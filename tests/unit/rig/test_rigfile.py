@@ -18,13 +18,17 @@ PATH = Path("test.toml")
 
 @pytest.fixture
 def table():
-    return copy.deepcopy(tomllib.loads(resources.find("two_xm430", "models/rigs", ".toml").read_text()))
+    return copy.deepcopy(
+        tomllib.loads(resources.find("two_xm430", "models/rigs", ".toml").read_text())
+    )
 
 
 SHIPPED = resources.names("models/rigs", ".toml")
 
 
-@pytest.mark.parametrize("name", [name for name in SHIPPED if isinstance(read_rig_file(name), RigFile)])
+@pytest.mark.parametrize(
+    "name", [name for name in SHIPPED if isinstance(read_rig_file(name), RigFile)]
+)
 def test_shipped_rigs_load_and_their_units_are_right(name):
     rig = load_rig_file(name)
     geometry = JawGeometry(rig.gripper, name)
@@ -36,16 +40,19 @@ def test_shipped_rigs_load_and_their_units_are_right(name):
     assert 0 <= low < high < 0.5
 
 
-@pytest.mark.parametrize(("section", "key", "value", "message"), [
-    ("bus", "watchdog_ms", 10, "10 is outside 20 to 2540"),
-    ("bus", "baud", "fast", "'fast' is not a whole number"),
-    ("bus", "watchdog_s", 0.1, "wrong unit"),
-    ("bus", "reply_timeout_ms", float("nan"), "outside"),
-    ("gripper", "opening_max_mm", -5.0, "outside"),
-    ("gripper", "force_max_n", 5.0, "write it as 'force_max_N'"),
-    ("gripper", "spede_max_mm_s", 5.0, "did you mean 'speed_max_mm_s'"),
-    ("lift", "kind", "crane", r"valid: servo, none"),
-])
+@pytest.mark.parametrize(
+    ("section", "key", "value", "message"),
+    [
+        ("bus", "watchdog_ms", 10, "10 is outside 20 to 2540"),
+        ("bus", "baud", "fast", "'fast' is not a whole number"),
+        ("bus", "watchdog_s", 0.1, "wrong unit"),
+        ("bus", "reply_timeout_ms", float("nan"), "outside"),
+        ("gripper", "opening_max_mm", -5.0, "outside"),
+        ("gripper", "force_max_n", 5.0, "write it as 'force_max_N'"),
+        ("gripper", "spede_max_mm_s", 5.0, "did you mean 'speed_max_mm_s'"),
+        ("lift", "kind", "crane", r"valid: servo, none"),
+    ],
+)
 def test_a_wrong_field_is_named(table, section, key, value, message):
     table[section][key] = value
     with pytest.raises(InputError, match=message) as caught:
@@ -61,18 +68,27 @@ def test_a_missing_field_is_named(table):
 
 def test_a_field_in_another_unit_is_pointed_out(table):
     table["gripper"]["opening_max_cm"] = table["gripper"].pop("opening_max_mm") / 10
-    with pytest.raises(InputError, match=r"gripper\.opening_max_mm: missing field; there is 'opening_max_cm': wrong unit"):
+    with pytest.raises(
+        InputError,
+        match=r"gripper\.opening_max_mm: missing field; there " r"is 'opening_max_cm': wrong unit",
+    ):
         rig_from_table(table, PATH)
 
 
-@pytest.mark.parametrize(("change", "message"), [
-    (lambda t: t["gripper"]["servo"][1].update(id=1), "not all different"),
-    (lambda t: t["camera"][1].update(finger="left"), "in this order"),
-    (lambda t: t["valve"].pop(), "1 valves for 2 cameras"),
-    (lambda t: t["valve"][0].update(port="spy:///dev/null?file=/tmp/x"), "neither a device nor socket:// or rfc2217://"),
-    (lambda t: t["gripper"]["servo"].clear(), "0 of them"),
-    (lambda t: t.update(bos={}), "bos: unknown section, did you mean .bus."),
-])
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t["gripper"]["servo"][1].update(id=1), "not all different"),
+        (lambda t: t["camera"][1].update(finger="left"), "in this order"),
+        (lambda t: t["valve"].pop(), "1 valves for 2 cameras"),
+        (
+            lambda t: t["valve"][0].update(port="spy:///dev/null?file=/tmp/x"),
+            "neither a device nor socket:// or rfc2217://",
+        ),
+        (lambda t: t["gripper"]["servo"].clear(), "0 of them"),
+        (lambda t: t.update(bos={}), "bos: unknown section, did you mean .bus."),
+    ],
+)
 def test_sections_that_do_not_fit_are_refused(table, change, message):
     change(table)
     with pytest.raises(InputError, match=message):
@@ -80,7 +96,10 @@ def test_sections_that_do_not_fit_are_refused(table, change, message):
 
 
 def test_an_unknown_rig_lists_the_known_ones():
-    with pytest.raises(InputError, match=r"unknown rig 'simm'.*valid: emulated, .*sim, .*FILE\.toml, replay:FOLDER"):
+    with pytest.raises(
+        InputError,
+        match=r"unknown rig 'simm'.*valid: emulated, .*sim, " r".*FILE\.toml, replay:FOLDER",
+    ):
         build_rig("simm", load_sensor("paper16"), object_name="egg", seed=0)
 
 

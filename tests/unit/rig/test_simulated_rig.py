@@ -1,4 +1,5 @@
-"""Rig files of simulated rigs: the shipped ones load; a wrong one is refused by file, field and valid choices."""
+"""Rig files of simulated rigs: the shipped ones load; a wrong one is refused by file, field and
+valid choices."""
 
 import copy
 import math
@@ -19,7 +20,9 @@ PATH = resources.find("sim_three_finger", "models/rigs", ".toml").with_name("tes
 
 @pytest.fixture
 def table():
-    return copy.deepcopy(tomllib.loads(resources.find("sim_three_finger", "models/rigs", ".toml").read_text()))
+    return copy.deepcopy(
+        tomllib.loads(resources.find("sim_three_finger", "models/rigs", ".toml").read_text())
+    )
 
 
 @pytest.mark.parametrize("name", SIMULATED)
@@ -40,27 +43,50 @@ def test_a_sensor_file_is_found_beside_the_rig_file(table, tmp_path):
     (tmp_path / "mine.toml").touch()
     (tmp_path / "model.xml").touch()
     table["sim"]["model"] = "model.xml"
-    table["finger"][0]["sensor"], table["finger"][1]["sensor"] = "mine.toml", "paper16"
+    table["finger"][0]["sensor"] = "mine.toml"
+    table["finger"][1]["sensor"] = "paper16"
     rig = sim_rig_from_table(table, tmp_path / "rig.toml")
-    assert [finger.sensor for finger in rig.fingers] == [str(tmp_path / "mine.toml"), "paper16", None]
+    assert [finger.sensor for finger in rig.fingers] == [
+        str(tmp_path / "mine.toml"),
+        "paper16",
+        None,
+    ]
 
 
-@pytest.mark.parametrize(("change", "message"), [
-    (lambda t: t.pop("finger"), r"finger: missing field"),
-    (lambda t: t.update(finger=[]), r"finger: 0 of them, expected 1 to 8"),
-    (lambda t: t["finger"][1].update(name="first"), r"finger\.name: 2 fingers are named 'first'"),
-    (lambda t: t["finger"][1].update(name="a/b"), r"finger\[1\]\.name: 'a/b' has a slash"),
-    (lambda t: t["finger"][1].pop("site"), r"finger\[1\]\.site: missing field"),
-    (lambda t: t["sim"].update(model="no.xml"), r"sim\.model: no such file: .*no\.xml"),
-    (lambda t: t["sim"].update(tabel=False), r"unknown field, did you mean 'table'"),
-    (lambda t: t["gripper"]["actuator"][0].update(law="rod"), r"'rod' is unknown \(valid: rack, slide, tendon, crank, table\)"),
-    (lambda t: t["gripper"]["actuator"][0].update(mm_per_rad=0), r"actuator\[0\]\.mm_per_rad: 0 moves nothing"),
-    (lambda t: t["gripper"]["actuator"][0].update(law="slide"), r"mm_per_mm: missing field; there is 'mm_per_rad'"),
-    (lambda t: t["gripper"].update(opening_start_mm=200), r"opening_start_mm: 200 is outside"),
-    (lambda t: t["gripper"].update(opening_max_mm=20), r"20 is not above opening_min_mm = 22"),
-    (lambda t: t["lift"].update(kind="crane"), r"'crane' is unknown \(valid: actuator, mocap, arm, none\)"),
-    (lambda t: t["lift"].update(kind="arm", body=1), r"lift\.body: unknown field"),
-])
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t.pop("finger"), r"finger: missing field"),
+        (lambda t: t.update(finger=[]), r"finger: 0 of them, expected 1 to 8"),
+        (
+            lambda t: t["finger"][1].update(name="first"),
+            r"finger\.name: 2 fingers are named 'first'",
+        ),
+        (lambda t: t["finger"][1].update(name="a/b"), r"finger\[1\]\.name: 'a/b' has a slash"),
+        (lambda t: t["finger"][1].pop("site"), r"finger\[1\]\.site: missing field"),
+        (lambda t: t["sim"].update(model="no.xml"), r"sim\.model: no such file: .*no\.xml"),
+        (lambda t: t["sim"].update(tabel=False), r"unknown field, did you mean 'table'"),
+        (
+            lambda t: t["gripper"]["actuator"][0].update(law="rod"),
+            r"'rod' is unknown \(valid: rack, slide, " r"tendon, crank, table\)",
+        ),
+        (
+            lambda t: t["gripper"]["actuator"][0].update(mm_per_rad=0),
+            r"actuator\[0\]\.mm_per_rad: 0 moves " r"nothing",
+        ),
+        (
+            lambda t: t["gripper"]["actuator"][0].update(law="slide"),
+            r"mm_per_mm: missing field; there is " r"'mm_per_rad'",
+        ),
+        (lambda t: t["gripper"].update(opening_start_mm=200), r"opening_start_mm: 200 is outside"),
+        (lambda t: t["gripper"].update(opening_max_mm=20), r"20 is not above opening_min_mm = 22"),
+        (
+            lambda t: t["lift"].update(kind="crane"),
+            r"'crane' is unknown \(valid: actuator, " r"mocap, arm, none\)",
+        ),
+        (lambda t: t["lift"].update(kind="arm", body=1), r"lift\.body: unknown field"),
+    ],
+)
 def test_a_wrong_field_is_named(table, change, message):
     change(table)
     with pytest.raises(InputError, match=message) as caught:
@@ -69,16 +95,22 @@ def test_a_wrong_field_is_named(table, change, message):
 
 
 def test_devices_and_simulation_are_not_mistaken_for_each_other():
-    with pytest.raises(InputError, match=r"sim_arm\.toml: \[sim\]: is simulated: it has no devices"):
+    with pytest.raises(
+        InputError, match=r"sim_arm\.toml: \[sim\]: is simulated: " r"it has no devices"
+    ):
         load_rig_file("sim_arm")
     with pytest.raises(InputError, match=r"emulated\.toml: \[sim\]: is not simulated"):
         load_sim_rig(Path("emulated"))
 
 
-@pytest.mark.parametrize("law", [
-    make_law("linear", 0.02, -0.012), make_law("crank", 0.05, 0.06),
-    make_law("table", 0, 0, [(-1.0, 0.09), (0.0, 0.05), (1.0, 0.02)]),
-])
+@pytest.mark.parametrize(
+    "law",
+    [
+        make_law("linear", 0.02, -0.012),
+        make_law("crank", 0.05, 0.06),
+        make_law("table", 0, 0, [(-1.0, 0.09), (0.0, 0.05), (1.0, 0.02)]),
+    ],
+)
 def test_laws_are_inverted_and_their_slope_is_the_derivative(law):
     for coordinate in (-0.9, -0.3, 0.4, 0.8):
         assert law.coordinate(law.part(coordinate)) == pytest.approx(coordinate, abs=1e-12)
@@ -88,7 +120,9 @@ def test_laws_are_inverted_and_their_slope_is_the_derivative(law):
     assert law.reaches(0.5)
 
 
-@pytest.mark.parametrize("table", [[], [(0, 1)], [(0, 1), (0, 2)], [(0, 1), (1, 2), (2, 1)], [(0, 1), (1, 1)]])
+@pytest.mark.parametrize(
+    "table", [[], [(0, 1)], [(0, 1), (0, 2)], [(0, 1), (1, 2), (2, 1)], [(0, 1), (1, 1)]]
+)
 def test_a_table_that_cannot_be_inverted_is_refused(table):
     with pytest.raises(ValueError, match="at least two pairs"):
         make_law("table", 0, 0, table)

@@ -1,4 +1,5 @@
-"""What varies: the files are checked name by name, draws depend on seed and name alone, and the world is as drawn."""
+"""What varies: the files are checked name by name, draws depend on seed and name alone, and the
+world is as drawn."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,16 @@ from mjtactile.core.toml import read_toml
 from mjtactile.core.types import Command
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.specimen import SpecimenConfig, marker_radii, true_design
-from mjtactile.rig.variation import NONE, SECTIONS, ObjectChange, RigChange, Spread, draw, load_variation, variation_from_table
+from mjtactile.rig.variation import (
+    NONE,
+    SECTIONS,
+    ObjectChange,
+    RigChange,
+    Spread,
+    draw,
+    load_variation,
+    variation_from_table,
+)
 from mjtactile.sensing.image.markers import detect
 from mjtactile.sim.picture.renderer import Renderer
 from mjtactile.sim.rig import SimGripper, build_sim_rig
@@ -24,7 +34,8 @@ from mjtactile.sim.scenes.changed import change
 from mjtactile.sim.scenes.objects import load_object
 from mjtactile.sim.sensor.gas import Gas
 
-DESIGN, FILE = load_sensor("dense"), load_sim_rig("sim")
+DESIGN = load_sensor("dense")
+FILE = load_sim_rig("sim")
 DEFAULT = resources.find("default", "models/variations", ".toml")
 
 
@@ -43,7 +54,9 @@ def test_the_shipped_file_varies_every_name_that_there_is():
 
 def test_a_value_depends_on_its_seed_and_its_name_alone():
     table = read_toml(DEFAULT)
-    whole, again, other = drawn(table, 5), drawn(table, 5), drawn(table, 6)
+    whole = drawn(table, 5)
+    again = drawn(table, 5)
+    other = drawn(table, 6)
     assert whole == again and whole.values != other.values
     del table["object"]["size_percent"], table["gas"]
     part = drawn(table, 5).values
@@ -51,8 +64,13 @@ def test_a_value_depends_on_its_seed_and_its_name_alone():
     assert whole.values["left.stiffness_percent"] != whole.values["right.stiffness_percent"]
 
 
-@pytest.mark.parametrize(("spread", "law"), [
-    (Spread(-5.0, 5.0), ("uniform", (-5, 10))), (Spread(mean=1.0, sd=2.0), (truncnorm(-3, 3, 1, 2).cdf, ()))])
+@pytest.mark.parametrize(
+    ("spread", "law"),
+    [
+        (Spread(-5.0, 5.0), ("uniform", (-5, 10))),
+        (Spread(mean=1.0, sd=2.0), (truncnorm(-3, 3, 1, 2).cdf, ())),
+    ],
+)
 def test_distributions(spread, law):
     """Of 2000 shares evenly spaced Kolmogorov's distance is rounding's alone."""
     values = [spread.at(share) for share in (np.arange(2000) + 0.5) / 2000]
@@ -61,17 +79,36 @@ def test_distributions(spread, law):
     assert sum(one_of) == 100
 
 
-@pytest.mark.parametrize(("section", "key", "value", "message"), [
-    ("object", "size_percent", [5, -5], r"object.size_percent: \[5, -5\] is not \[low, high\]"),
-    ("object", "size_percent", [-5, 300], r"object.size_percent\[1\]: 300 is outside -50 to 100"),
-    ("object", "size", [-5, 5], "object.size: unknown field, wrong unit\\? write it as 'size_percent'"),
-    ("sensor", "blur_mm", 0.1, "sensor.blur_mm: unknown field, wrong unit"),
-    ("sensor", "fx_percent", {"mean": 40, "sd": 5}, "sensor.fx_percent: reaches from 25 to 55, outside -50 to 50"),
-    ("sensor", "fx_percent", {"mean": 0}, "sensor.fx_percent.sd: missing field"),
-    ("sensor", "fx_percent", {"mean": 0, "sigma": 1}, "missing field"),
-    ("gas", "leak_mL_s_kPa", {"choices": []}, "gas.leak_mL_s_kPa: no choices"),
-    ("rig", "delay_ms", "slow", "rig.delay_ms: 'slow' is not a number"),
-    ("rigs", "delay_ms", 1, "rigs: unknown section, did you mean 'rig'")])
+@pytest.mark.parametrize(
+    ("section", "key", "value", "message"),
+    [
+        ("object", "size_percent", [5, -5], r"object.size_percent: \[5, -5\] is not \[low, high\]"),
+        (
+            "object",
+            "size_percent",
+            [-5, 300],
+            r"object.size_percent\[1\]: 300 is outside -50 to 100",
+        ),
+        (
+            "object",
+            "size",
+            [-5, 5],
+            "object.size: unknown field, wrong unit\\? write it as 'size_percent'",
+        ),
+        ("sensor", "blur_mm", 0.1, "sensor.blur_mm: unknown field, wrong unit"),
+        (
+            "sensor",
+            "fx_percent",
+            {"mean": 40, "sd": 5},
+            "sensor.fx_percent: reaches from 25 to 55, outside -50 to 50",
+        ),
+        ("sensor", "fx_percent", {"mean": 0}, "sensor.fx_percent.sd: missing field"),
+        ("sensor", "fx_percent", {"mean": 0, "sigma": 1}, "missing field"),
+        ("gas", "leak_mL_s_kPa", {"choices": []}, "gas.leak_mL_s_kPa: no choices"),
+        ("rig", "delay_ms", "slow", "rig.delay_ms: 'slow' is not a number"),
+        ("rigs", "delay_ms", 1, "rigs: unknown section, did you mean 'rig'"),
+    ],
+)
 def test_a_wrong_field_is_one_line_that_names_it(section, key, value, message):
     with pytest.raises(InputError, match=message) as caught:
         read({section: {key: value}})
@@ -79,17 +116,29 @@ def test_a_wrong_field_is_one_line_that_names_it(section, key, value, message):
 
 
 def test_a_wrong_name_lists_the_choices():
-    with pytest.raises(InputError, match=r"unknown variation 'defalt' \(valid: default, harsh, none, FILE.toml\)"):
+    with pytest.raises(
+        InputError,
+        match=r"unknown variation 'defalt' \(valid: " r"default, harsh, none, FILE.toml\)",
+    ):
         load_variation("defalt")
     assert not load_variation(NONE).draw(1, fingers=("left",), markers=81).values
 
 
 def test_units_and_fingers():
-    world = drawn({"object": {"mass_percent": 20, "place_mm": [2, 2], "yaw_deg": 90}, "rig": {"delay_ms": 10, "backlash_mm": 0.2},
-                   "sensor": {"camera_tilt_deg": 1, "missing_markers": 2}, "gas": {"leak_mL_s_kPa": 0.01, "warming_K_min": 6}})
-    assert world.object == ObjectChange(mass=0.2, place=(0.002, 0.002), yaw=pytest.approx(np.pi / 2))
+    world = drawn(
+        {
+            "object": {"mass_percent": 20, "place_mm": [2, 2], "yaw_deg": 90},
+            "rig": {"delay_ms": 10, "backlash_mm": 0.2},
+            "sensor": {"camera_tilt_deg": 1, "missing_markers": 2},
+            "gas": {"leak_mL_s_kPa": 0.01, "warming_K_min": 6},
+        }
+    )
+    assert world.object == ObjectChange(
+        mass=0.2, place=(0.002, 0.002), yaw=pytest.approx(np.pi / 2)
+    )
     assert (world.rig.delay, world.rig.backlash) == (pytest.approx(0.01), pytest.approx(2e-4))
-    left, right = world.specimen("left"), world.specimen("right")
+    left = world.specimen("left")
+    right = world.specimen("right")
     np.testing.assert_allclose(left.tilt, np.pi / 180)
     assert left.leak == pytest.approx(1e-11) and left.warming == pytest.approx(0.1)
     assert len(left.missing) == len(right.missing) == 2 and left.missing != right.missing
@@ -98,14 +147,17 @@ def test_units_and_fingers():
 
 @pytest.mark.parametrize("name", ["egg", "strawberry", "tofu"])
 def test_a_changed_object_weighs_and_measures_what_it_should(name):
-    """Length by s, mass by s^3 (1 + m), inertia by s^2 more; springs and moduli by their own share."""
+    """Length by s, mass by s^3 (1 + m), inertia by s^2 more; springs and moduli by their own
+    share."""
     path = load_object(name).path
     spec = mujoco.MjSpec.from_file(str(path))
     before = spec.compile()
     change(spec, ObjectChange(size=0.1, mass=0.2, friction=-0.5, stiffness=0.3))
     after = spec.compile()
     np.testing.assert_allclose(after.body_mass, 1.1**3 * 1.2 * before.body_mass, rtol=1e-9)
-    np.testing.assert_allclose(after.body_inertia, 1.1**5 * 1.2 * before.body_inertia, rtol=1e-9, atol=1e-18)
+    np.testing.assert_allclose(
+        after.body_inertia, 1.1**5 * 1.2 * before.body_inertia, rtol=1e-9, atol=1e-18
+    )
     np.testing.assert_allclose(after.geom_rbound, 1.1 * before.geom_rbound)
     np.testing.assert_allclose(after.body_pos, 1.1 * before.body_pos, atol=1e-15)
     np.testing.assert_allclose(after.geom_friction[:, 0], 0.5 * before.geom_friction[:, 0])
@@ -123,13 +175,17 @@ def test_the_world_is_as_drawn_and_sensing_does_not_know():
     rig = build_sim_rig(DESIGN, object_name="egg", seed=3, drawn=world, effects="-shadows")
     try:
         for finger, sensor in zip(rig.fingers, rig.scene.sensors, strict=True):
-            assert finger.design.membrane == DESIGN.membrane and finger.design.camera == DESIGN.camera
+            assert (
+                finger.design.membrane == DESIGN.membrane and finger.design.camera == DESIGN.camera
+            )
             share = 1 + world.specimen(finger.name).stiffness_share
             assert sensor.design.membrane.young == pytest.approx(share * DESIGN.membrane.young)
         stands = load_object("egg").break_force * (1 + world.object.breaking)
         assert rig.scene.object.break_force == pytest.approx(stands) and rig.varied == world.values
         assert rig.limits.speed == FILE.gripper.speed != rig.scene.rig.gripper.speed
-        np.testing.assert_allclose(rig.scene.data.body("object/object").xpos[:2], world.object.place, atol=1e-9)
+        np.testing.assert_allclose(
+            rig.scene.data.body("object/object").xpos[:2], world.object.place, atol=1e-9
+        )
     finally:
         rig.close()
 
@@ -140,11 +196,15 @@ def test_missing_markers_are_not_seen():
     flat = true.markers.p_SM, np.tile([0.0, 0.0, -1.0], (81, 1))
     renderer = Renderer(true, radius=marker_radii(true, own))
     seen = detect(renderer.render(*flat)).center_px
-    assert len(seen) == 79 and renderer.render(*flat).pixels.mean() > Renderer(DESIGN).render(*flat).pixels.mean()
+    assert (
+        len(seen) == 79
+        and renderer.render(*flat).pixels.mean() > Renderer(DESIGN).render(*flat).pixels.mean()
+    )
 
 
 def test_a_sealed_rigid_chamber_warms_as_the_gas_law_says():
-    """p / T is constant at a constant volume: 3 K of 293.15 in 30 s, in steps, with and without an exchange of heat."""
+    """p / T is constant at a constant volume: 3 K of 293.15 in 30 s, in steps, with and without an
+    exchange of heat."""
     for chamber in (Chamber(0.02), Chamber(0.02, heat_ratio=1.4, heat_exchange=1.0)):
         gas = Gas(chamber)
         gas.open(1000.0)
@@ -154,16 +214,23 @@ def test_a_sealed_rigid_chamber_warms_as_the_gas_law_says():
         assert not gas.is_still
         for _ in range(300):
             gas.advance(2e-5, 0.1)
-        assert gas.pressure_gauge + chamber.ambient == pytest.approx((chamber.ambient + 1000) * 296.15 / 293.15, rel=1e-9)
+        assert gas.pressure_gauge + chamber.ambient == pytest.approx(
+            (chamber.ambient + 1000) * 296.15 / 293.15, rel=1e-9
+        )
 
 
 class FakeWorld:
     """A gripper that is at once where it is told to be."""
 
-    max_opening, opening_speed, grip_force, lift_height = 0.1, 0.0, 1.0, 0.0
+    max_opening = 0.1
+    opening_speed = 0.0
+    grip_force = 1.0
+    lift_height = 0.0
 
     def __init__(self):
-        self.opening, self.time, self.calls = 0.05, 0.0, []
+        self.opening = 0.05
+        self.time = 0.0
+        self.calls = []
 
     def after_each_step(self, call):
         self.calls.append(call)
@@ -182,13 +249,18 @@ class FakeWorld:
 def gripper(change):
     world = FakeWorld()
     hand = SimGripper(world, SimpleNamespace(defer=lambda action: action()), change)  # type: ignore[arg-type]
-    return world, lambda opening: hand.command(Command(opening=opening, force_limit=1.0, lift_height=0.0)), hand
+    return (
+        world,
+        lambda opening: hand.command(Command(opening=opening, force_limit=1.0, lift_height=0.0)),
+        hand,
+    )
 
 
 def test_play_in_the_gears():
     world, go, hand = gripper(RigChange(backlash=4e-4))
     go(0.04)
-    assert world.opening == pytest.approx(0.0402)  # half the play behind the motor, which has closed
+    # half the play behind the motor, which has closed
+    assert world.opening == pytest.approx(0.0402)
     assert hand.state().opening == pytest.approx(0.04)
     go(0.0401)
     assert world.opening == pytest.approx(0.0402)  # within the play
@@ -205,14 +277,24 @@ def test_commands_that_come_late_come_in_order():
         world.step(0.005)
         openings.append(world.opening)
         assert world.opening <= before
-    late = np.array([np.searchsorted(-np.array(openings), -(0.05 - 1e-4 * k) - 1e-9) - k for k in range(1, 150)]) * 5e-3
-    assert late.min() >= 0.010 - 0.005 and late.max() <= 0.035 and np.ptp(late) > 0.01  # after the step in which it was sent
+    late = (
+        np.array(
+            [
+                np.searchsorted(-np.array(openings), -(0.05 - 1e-4 * k) - 1e-9) - k
+                for k in range(1, 150)
+            ]
+        )
+        * 5e-3
+    )
+    # after the step in which it was sent
+    assert late.min() >= 0.010 - 0.005 and late.max() <= 0.035 and np.ptp(late) > 0.01
 
 
 def test_current_noise_is_in_what_is_reported_alone():
     world, _, hand = gripper(RigChange(force_noise=0.1))
     forces = [hand.state().effort for _ in range(400)]
-    assert np.std(forces) == pytest.approx(0.1, rel=0.11) and world.grip_force == 1.0  # 3 sd of the sd of 400
+    # 3 sd of the sd of 400
+    assert np.std(forces) == pytest.approx(0.1, rel=0.11) and world.grip_force == 1.0
 
 
 def test_an_object_keeps_the_height_at_which_it_is_grasped():

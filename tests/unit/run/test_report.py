@@ -30,7 +30,14 @@ class FakeScene:
         return 0.02 * np.eye(3)[None], np.ones((1, 4))
 
 
-SUMMARY = {"object": "egg", "outcome": "held", "hold_force_N": 0.6, "hold_force_true_N": None, "sensor": "dense", "seed": 0}
+SUMMARY = {
+    "object": "egg",
+    "outcome": "held",
+    "hold_force_N": 0.6,
+    "hold_force_true_N": None,
+    "sensor": "dense",
+    "seed": 0,
+}
 
 
 def draw(folder, snapshot, scene=None):
@@ -69,7 +76,13 @@ def test_a_process_beside_the_run_draws_the_same_and_one_that_ended_is_not_misse
         if not alive:
             beside._apart._process.kill()
         for write in (report.write_figure, beside):
-            write(tmp_path / "summary.png", load_recording(tmp_path), cycles[10], SUMMARY, FakeScene(1))
+            write(
+                tmp_path / "summary.png",
+                load_recording(tmp_path),
+                cycles[10],
+                SUMMARY,
+                FakeScene(1),
+            )
             pictures.append((tmp_path / "summary.png").read_bytes())
             (tmp_path / "summary.png").unlink()
     assert pictures[0] == pictures[1]
@@ -102,7 +115,8 @@ def test_arrows_stand_only_where_something_touches_and_their_scale_is_round():
     largest = np.linalg.norm(stress, axis=-1).max()
     assert 0.4 * largest < report.arrow_unit([touch]) <= largest
     assert not report._tractions(replace(touch, touching=False)).any()
-    assert report.arrow_unit([fake_touch(0.0, 0.0)]) == 1000.0  # nothing touches: a scale all the same
+    # nothing touches: a scale all the same
+    assert report.arrow_unit([fake_touch(0.0, 0.0)]) == 1000.0
 
 
 def test_a_run_that_felt_nothing_known(tmp_path):

@@ -40,19 +40,27 @@ def test_known_forces_let_the_controller_through(supervisor):
 
 
 def test_unknown_force_neither_closes_nor_lifts(supervisor):
-    sent = supervisor.decide(0.1, Command(0.04, 4.0, 0.03, "hold"), LAST, (OK, BLIND), (SEALED, SEALED))
+    sent = supervisor.decide(
+        0.1, Command(0.04, 4.0, 0.03, "hold"), LAST, (OK, BLIND), (SEALED, SEALED)
+    )
     assert (supervisor.state, supervisor.reason) == ("holding", "too dark")
     assert (sent.opening, sent.lift_height) == (LAST.opening, LAST.lift_height)
-    opened = supervisor.decide(0.15, Command(0.06, 4.0, 0.01, "hold"), LAST, (BLIND, BLIND), (SEALED, SEALED))
+    opened = supervisor.decide(
+        0.15, Command(0.06, 4.0, 0.01, "hold"), LAST, (BLIND, BLIND), (SEALED, SEALED)
+    )
     assert (opened.opening, opened.lift_height) == (0.06, 0.01)  # away from harm is let through
     supervisor.decide(0.2, LAST, LAST, (OK, OK), (SEALED, SEALED))
     assert supervisor.state == "running"
 
 
 def test_blind_for_long_goes_down_then_opens_then_latches(supervisor):
-    last, states, heights = LAST, [], []
+    last = LAST
+    states = []
+    heights = []
     for step in range(80):
-        last = supervisor.decide(step * PERIOD, Command(0.03, 4.0, 0.05, "hold"), last, (BLIND, BLIND), (SEALED, SEALED))
+        last = supervisor.decide(
+            step * PERIOD, Command(0.03, 4.0, 0.05, "hold"), last, (BLIND, BLIND), (SEALED, SEALED)
+        )
         states.append(supervisor.state)
         heights.append((last.lift_height, last.opening))
     assert states.index("safe") == math.floor(BLIND_TIME_MAX / PERIOD) + 1
@@ -84,19 +92,26 @@ def test_a_leak_is_found_by_shape_without_a_sensor(supervisor):
     unknown = ValveState(False)
     supervisor.decide(0.0, LAST, LAST, (seen(1e-6), seen(1e-6)), (unknown, unknown))
     for step in range(3):
-        supervisor.decide(0.1 + step * PERIOD, LAST, LAST, (seen(4e-7), seen(1e-6)), (unknown, unknown))
+        supervisor.decide(
+            0.1 + step * PERIOD, LAST, LAST, (seen(4e-7), seen(1e-6)), (unknown, unknown)
+        )
     assert supervisor.state == "safe"
     assert "has sunk" in supervisor.reason
 
 
-# -- the loop ------------------------------------------------------------------------------------------------------------
+# -- the loop
+# --------------------------------------------------------------------------------
+
 
 class World:
     """A rig of stubs whose parts can be told to fail."""
 
     def __init__(self):
-        self.time, self.broken, self.sent = 0.0, "", []
-        self.opening, self.lift = 0.05, 0.02
+        self.time = 0.0
+        self.broken = ""
+        self.sent = []
+        self.opening = 0.05
+        self.lift = 0.02
 
     def now(self):
         return self.time
@@ -125,17 +140,36 @@ class World:
     def command(self, command):
         if self.broken == "all":
             raise DeviceError("servo port is lost")
-        self.opening, self.lift = command.opening, command.lift_height
+        self.opening = command.opening
+        self.lift = command.lift_height
         self.sent.append(command)
         return command
 
     def rig(self, host_timeout=math.inf):
-        return Rig("stub", (Finger("left", load_sensor("paper16"), self),), self, self, Limits(), close=lambda: None,
-                   host_timeout=host_timeout)
+        return Rig(
+            "stub",
+            (Finger("left", load_sensor("paper16"), self),),
+            self,
+            self,
+            Limits(),
+            close=lambda: None,
+            host_timeout=host_timeout,
+        )
 
-    def run(self, broken, after=5, controller=lambda o: o.command, time_limit=30.0, error=DeviceError, act=lambda: None,
-            perceive=lambda image, now: OK, host_timeout=math.inf, stop=None):
-        """Run until `error`; after cycle number `after`, something is `broken`, and `act` is called in each cycle."""
+    def run(
+        self,
+        broken,
+        after=5,
+        controller=lambda o: o.command,
+        time_limit=30.0,
+        error=DeviceError,
+        act=lambda: None,
+        perceive=lambda image, now: OK,
+        host_timeout=math.inf,
+        stop=None,
+    ):
+        """Run until `error`; after cycle number `after`, something is `broken`, and `act` is called
+        in each cycle."""
         cycles = []
 
         def on_cycle(cycle):
@@ -145,9 +179,14 @@ class World:
                 act()
 
         with pytest.raises(error) as caught:
-            loop.run_loop(self.rig(host_timeout), [SimpleNamespace(perceive=perceive)],  # type: ignore[list-item]
-                          SimpleNamespace(path=Path(__file__), step=controller),  # type: ignore[arg-type]
-                          time_limit=time_limit, on_cycle=on_cycle, stop=stop)
+            loop.run_loop(
+                self.rig(host_timeout),
+                [SimpleNamespace(perceive=perceive)],  # type: ignore[list-item]
+                SimpleNamespace(path=Path(__file__), step=controller),  # type: ignore[arg-type]
+                time_limit=time_limit,
+                on_cycle=on_cycle,
+                stop=stop,
+            )
         return cycles, str(caught.value)
 
     def has_set_down(self):
@@ -171,7 +210,10 @@ def test_a_faulty_servo_ends_in_the_safe_state_with_its_reason():
     cycles, message = world.run("gripper")
     assert message == "stopped safely: servo 1 reports overload"
     assert len(cycles) == len(world.sent)  # every turn is recorded, the retreat too
-    assert all(math.isnan(cycle.gripper.opening) and cycle.reason == message.split(": ")[1] for cycle in cycles[5:])
+    assert all(
+        math.isnan(cycle.gripper.opening) and cycle.reason == message.split(": ")[1]
+        for cycle in cycles[5:]
+    )
     assert cycles[-1].state == "latched" and cycles[-1].touch == (OK,)
     assert world.opening > 0.05 + RETREAT_OPENING - 1e-3
 
@@ -190,7 +232,9 @@ def test_a_controller_that_fails_is_asked_no_more_and_the_hand_retreats_first():
     def fails(observation):
         asked.append(observation)
         if len(asked) == 3:
-            raise ControllerError("step() raised ZeroDivisionError", source="mine.py", field="line 7")
+            raise ControllerError(
+                "step() raised ZeroDivisionError", source="mine.py", field="line 7"
+            )
         return observation.command
 
     world = World()
@@ -213,16 +257,21 @@ def test_a_controller_that_does_not_end_is_stopped_the_same_way():
 def test_a_retreat_ends_where_the_jaws_do():
     supervisor = Supervisor(PERIOD)
     supervisor.make_safe("a fault", 0.0, replace(LAST, lift_height=0.0))
-    last, widest = replace(LAST, lift_height=0.0), LAST.opening + 0.004
+    last = replace(LAST, lift_height=0.0)
+    widest = LAST.opening + 0.004
     for step in range(8):
         last = supervisor.decide(step * PERIOD, last, last, (), ())
         last = replace(last, opening=min(last.opening, widest))  # as the rig's limits do
     assert supervisor.is_over
 
 
-# -- whatever fails, what the hand holds is set down first -----------------------------------------------------------------
+# -- whatever fails, what the hand holds is set down first
+# -----------------------------------------------------------------
 
-@pytest.mark.parametrize("raised", [SystemExit(0), KeyboardInterrupt(), GeneratorExit(), ZeroDivisionError()])
+
+@pytest.mark.parametrize(
+    "raised", [SystemExit(0), KeyboardInterrupt(), GeneratorExit(), ZeroDivisionError()]
+)
 def test_a_controller_that_raises_what_it_should_not(raised, tmp_path):
     def step(observation):
         if observation.time > 0.2:
@@ -230,7 +279,9 @@ def test_a_controller_that_raises_what_it_should_not(raised, tmp_path):
         return observation.command
 
     world = World()
-    _, message = world.run("", controller=Controller(tmp_path / "mine.py", step).step, error=ControllerError)
+    _, message = world.run(
+        "", controller=Controller(tmp_path / "mine.py", step).step, error=ControllerError
+    )
     assert f"step() raised {type(raised).__name__}" in message
     assert world.has_set_down()
 
@@ -250,33 +301,49 @@ def test_a_controller_that_does_not_return():
     world = World()
     cycles, message = world.run("", controller=step, error=ControllerError, host_timeout=0.25)
     assert "step() did not return within 0.2 s" in message
-    assert re.search(r"test_safety.py: line \d+: step\(\) did not return", message)  # where it hangs
+    # where it hangs
+    assert re.search(r"test_safety.py: line \d+: step\(\) did not return", message)
     assert ended.wait(10)  # it was asked to end, and takes no more computing time
     assert world.has_set_down() and len(cycles) == len(world.sent)
 
 
 def test_a_controllers_module_state_and_its_thread_last_for_the_run():
-    calls, threads = [], set()
+    calls = []
+    threads = set()
 
     def step(observation):
         calls.append(observation.time)
         threads.add(threading.current_thread())
-        return replace(observation.command, phase="done" if len(calls) == 5 else "hold", lift_height=0.0)
+        return replace(
+            observation.command, phase="done" if len(calls) == 5 else "hold", lift_height=0.0
+        )
 
     world = World()
     world.lift = 0.0
     controller = SimpleNamespace(path=Path("mine.py"), step=step)
-    last = loop.run_loop(world.rig(), [SimpleNamespace(perceive=lambda image, now: OK)], controller,  # type: ignore[list-item, arg-type]
-                         time_limit=30.0, on_cycle=lambda cycle: None)
+    last = loop.run_loop(
+        world.rig(),
+        [SimpleNamespace(perceive=lambda image, now: OK)],
+        controller,  # type: ignore[list-item, arg-type]
+        time_limit=30.0,
+        on_cycle=lambda cycle: None,
+    )
     assert last.phase == "done" and len(calls) == 5 and len(threads) == 1
 
 
 @pytest.mark.parametrize("phase", ["done", "abort"])
 def test_a_controller_that_ends_with_the_hand_in_the_air(phase):
     world = World()
-    controller = SimpleNamespace(path=Path("mine.py"), step=lambda o: replace(o.command, phase=phase))
-    last = loop.run_loop(world.rig(), [SimpleNamespace(perceive=lambda image, now: OK)], controller,  # type: ignore[list-item, arg-type]
-                         time_limit=30.0, on_cycle=lambda cycle: None)
+    controller = SimpleNamespace(
+        path=Path("mine.py"), step=lambda o: replace(o.command, phase=phase)
+    )
+    last = loop.run_loop(
+        world.rig(),
+        [SimpleNamespace(perceive=lambda image, now: OK)],
+        controller,  # type: ignore[list-item, arg-type]
+        time_limit=30.0,
+        on_cycle=lambda cycle: None,
+    )
     assert last.phase == phase and world.has_set_down()
 
 
@@ -299,13 +366,18 @@ def test_a_chain_that_fails():
     world = World()
     cycles, message = world.run("", perceive=perceive, error=ValueError)
     assert message == "singular matrix" and world.has_set_down()
-    assert math.isnan(cycles[-1].touch[0].force_normal) and cycles[-1].touch[0].status.code == "no answer"
+    assert (
+        math.isnan(cycles[-1].touch[0].force_normal)
+        and cycles[-1].touch[0].status.code == "no answer"
+    )
 
 
 def test_a_signal():
     stop = Stop()
     world = World()
-    cycles, _ = world.run("", act=lambda: setattr(stop, "asked", True), error=Interrupted, stop=stop)
+    cycles, _ = world.run(
+        "", act=lambda: setattr(stop, "asked", True), error=Interrupted, stop=stop
+    )
     assert world.has_set_down() and cycles[5].state == "safe"
 
 
@@ -314,7 +386,8 @@ def test_a_second_signal_ends_at_once():
     world = World()
 
     def act():
-        stop.asked, stop.at_once = True, len(world.sent) >= 8
+        stop.asked = True
+        stop.at_once = len(world.sent) >= 8
 
     cycles, _ = world.run("", act=act, error=Interrupted, stop=stop)
     assert len(cycles) == 8 and world.lift > 0.015

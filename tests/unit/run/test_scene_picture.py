@@ -1,4 +1,5 @@
-"""The picture of a scene: bodies have the surface that geometry says, what is nearer hides what is farther."""
+"""The picture of a scene: bodies have the surface that geometry says, what is nearer hides what is
+farther."""
 
 import mujoco
 import numpy as np
@@ -8,7 +9,8 @@ from mjtactile.run.scene_picture import picture_axes, rasterise
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.view import SceneView, _shape
 
-R, H = 0.02, 0.03
+R = 0.02
+H = 0.03
 BODIES = {
     "sphere": (f'type="sphere" size="{R}"', 4 * np.pi * R**2),
     "capsule": (f'type="capsule" size="{R} {H}"', 4 * np.pi * R**2 + 4 * np.pi * R * H),
@@ -21,11 +23,14 @@ BODIES = {
 @pytest.mark.parametrize("kind", BODIES)
 def test_the_surface_of_a_body(kind):
     attributes, area = BODIES[kind]
-    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody><geom {attributes}/></worldbody></mujoco>")
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody><geom {attributes}/></worldbody></mujoco>"
+    )
     points, faces = _shape(model, 0)
     a, b, c = points[faces].transpose(1, 0, 2)
     found = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
-    # 24 edges around: the inscribed polygon is 1 % short, squared where the body is round both ways; 12 along
+    # 24 edges around: the inscribed polygon is 1 % short, squared where the body is round both
+    # ways; 12 along
     assert found == pytest.approx(area, rel=1e-9 if kind == "box" else 0.03)
 
 
@@ -33,13 +38,20 @@ def test_a_disc_covers_its_area_and_the_nearer_one_is_seen():
     angle = np.linspace(0, 2 * np.pi, 61)
     rim = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(61)])
     disc = np.stack([np.zeros((60, 3)), rim[:-1], rim[1:]], axis=1)
-    red, blue = np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
-    near, far = 0.4 * disc + [0, 0, 0.5], 0.8 * disc
+    red = np.array([1.0, 0, 0])
+    blue = np.array([0, 0, 1.0])
+    near = 0.4 * disc + [0, 0, 0.5]
+    far = 0.8 * disc
     for order in (1, -1):  # the order in which they are drawn is nothing to it
         corners = np.concatenate([near, far][::order])
-        image = rasterise(corners, np.concatenate([np.tile(red, (60, 1)), np.tile(blue, (60, 1))][::order]), (300, 200))
+        image = rasterise(
+            corners,
+            np.concatenate([np.tile(red, (60, 1)), np.tile(blue, (60, 1))][::order]),
+            (300, 200),
+        )
         is_red, is_blue = (image[..., k] > 2 * image[..., 1] + 0.1 for k in (0, 2))
-        assert is_red.sum() == pytest.approx(np.pi * 0.4**2 * 100**2, rel=0.01)  # 100 pixels are 1; half a pixel at the rim
+        # 100 pixels are 1; half a pixel at the rim
+        assert is_red.sum() == pytest.approx(np.pi * 0.4**2 * 100**2, rel=0.01)
         assert is_blue.sum() == pytest.approx(np.pi * (0.8**2 - 0.4**2) * 100**2, rel=0.01)
         assert image[150, 100, 0] > 0.5
 
@@ -48,14 +60,17 @@ def test_two_sensors_lie_side_by_side_seen_from_above():
     p_WS = np.array([[-0.03, 0.0, 0.1], [0.03, 0.0, 0.1]])
     right, up, towards = picture_axes(p_WS)
     assert right @ (p_WS[1] - p_WS[0]) > 0.05 and up[2] > 0.9 and towards[2] > 0
-    np.testing.assert_allclose([right @ up, up @ towards, np.cross(right, up) @ towards], [0, 0, 1], atol=1e-12)
+    np.testing.assert_allclose(
+        [right @ up, up @ towards, np.cross(right, up) @ towards], [0, 0, 1], atol=1e-12
+    )
 
 
 def test_of_three_sensors_the_last_is_behind_between_the_others():
     angle = np.radians([90, 210, 330])
     p_WS = 0.03 * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(3)])
     right, _, towards = picture_axes(p_WS)
-    depth, side = p_WS @ towards, p_WS @ right
+    depth = p_WS @ towards
+    side = p_WS @ right
     assert depth[2] < -0.028 and min(depth[:2]) > 0.01  # the viewer is on the other side
     assert abs(side[2]) < 1e-9 and side[0] * side[1] < -6e-4
 
@@ -66,5 +81,8 @@ def test_a_grasp_scene_shows_object_housing_and_membranes_but_no_contact_spheres
     corners, rgba = view.triangles()
     assert corners.shape == (len(rgba), 3, 3) and np.isfinite(corners).all()
     shell = corners[np.isclose(rgba[:, :3], [0.93, 0.85, 0.75], atol=1e-3).all(axis=1)]
-    np.testing.assert_allclose(np.ptp(shell.reshape(-1, 3), axis=0), [0.032, 0.032, 0.04], rtol=0.02)  # its diameters
+    # its diameters
+    np.testing.assert_allclose(
+        np.ptp(shell.reshape(-1, 3), axis=0), [0.032, 0.032, 0.04], rtol=0.02
+    )
     assert len(corners) < 5000  # spheres on every vertex would be 140 000

@@ -1,4 +1,5 @@
-"""Films of runs: their length, that each image shows its own time, and what they say where something is missing."""
+"""Films of runs: their length, that each image shows its own time, and what they say where
+something is missing."""
 
 import av
 import cv2
@@ -38,7 +39,8 @@ def test_every_image_shows_its_time(tmp_path, recording):
     frames = decoded(tmp_path / "film.mp4")
     assert len(frames) == result["frames"] == 60
     greys = [frame[60:300, 60:400].mean() for frame in frames]
-    np.testing.assert_allclose(greys, 40 + 3 * np.arange(60), atol=1.4)  # less than half of an image's step: H.264's loss
+    # less than half of an image's step: H.264's loss
+    np.testing.assert_allclose(greys, 40 + 3 * np.arange(60), atol=1.4)
 
 
 def test_twice_as_fast_a_part_of_it(tmp_path, recording):
@@ -50,10 +52,12 @@ def test_twice_as_fast_a_part_of_it(tmp_path, recording):
 def test_the_scene_is_beside_it(tmp_path, recording):
     write_video(tmp_path / "film.mp4", recording)
     write_video(tmp_path / "scene.mp4", recording, [(0.0, FakeScene(2)), (1.0, DarkScene(2))])
-    alone, beside = decoded(tmp_path / "film.mp4"), decoded(tmp_path / "scene.mp4")
+    alone = decoded(tmp_path / "film.mp4")
+    beside = decoded(tmp_path / "scene.mp4")
     assert beside[0].shape[1] == alone[0].shape[1] + 320
     scenes = [frame[:480, :320].astype(float) for frame in beside]
-    assert np.abs(scenes[40] - scenes[2]).max() > 60 and np.abs(scenes[20] - scenes[2]).max() < 30  # it changes after 1 s
+    # it changes after 1 s
+    assert np.abs(scenes[40] - scenes[2]).max() > 60 and np.abs(scenes[20] - scenes[2]).max() < 30
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".webp"])
@@ -62,7 +66,10 @@ def test_small_films(tmp_path, recording, suffix):
     assert (tmp_path / f"film{suffix}").stat().st_size > 1000 and result["frames"] > 15
     if suffix == ".gif":  # PyAV does not read an animated WebP
         frames = decoded(tmp_path / "film.gif")
-        assert len(frames) == result["frames"] and frames[0].shape[:2] == (result["height_px"], result["width_px"])
+        assert len(frames) == result["frames"] and frames[0].shape[:2] == (
+            result["height_px"],
+            result["width_px"],
+        )
 
 
 def test_bad_input_is_said(tmp_path, recording):

@@ -13,8 +13,10 @@ from mjtactile.sensing.settings import DEFAULTS
 
 DENSE = load_sensor("dense")
 NODES = np.array([[0.0, 0.0], [18e-3, 0.0]])  # the second is beyond the outermost markers, at 16 mm
-NOTHING = DEFAULTS.override({f"doubt.{name}": (0.0,) * 4 for name in ("share", "lateral", "sharp", "outside", "change")}
-                            | {"doubt.drag": 0.0}).doubt
+NOTHING = DEFAULTS.override(
+    {f"doubt.{name}": (0.0,) * 4 for name in ("share", "lateral", "sharp", "outside", "change")}
+    | {"doubt.drag": 0.0}
+).doubt
 AT_REST = Felt(np.zeros((3, 2)), np.zeros(6), np.zeros(3), 0.0)
 
 
@@ -28,7 +30,9 @@ def loaded(*forces, **more):
 
 def test_shares_are_of_the_force_and_torques_have_a_lever():
     felt = loaded([0.0, 0.0, -2.0], [0.0, 0.0, 0.0])
-    assert sd(felt, share=(0.1, 0.2, 0.3, 0.4)) == pytest.approx([0.2, 0.2, 0.4, 0.6 * 3e-3, 0.6 * 3e-3, 0.8 * 3e-3])
+    assert sd(felt, share=(0.1, 0.2, 0.3, 0.4)) == pytest.approx(
+        [0.2, 0.2, 0.4, 0.6 * 3e-3, 0.6 * 3e-3, 0.8 * 3e-3]
+    )
     sparse = replace(DENSE, markers=replace(DENSE.markers, pitch_x=2 * DENSE.markers.pitch_x))
     assert sd(felt, sparse, share=(0.0, 0.2, 0.0, 0.0))[2] == pytest.approx(0.8)
 
@@ -45,14 +49,19 @@ def test_only_what_lies_beyond_the_markers_is_outside():
 
 
 def test_what_is_sharp_counts_up_to_a_limit():
-    felt = [sd(loaded([0.0, 0.0, -1.0], [0.0, 0.0, 0.0], excess=mean), sharp=(0.0, 0.01, 0.0, 0.0))[2] for mean in (5, 20, 70)]
+    felt = [
+        sd(loaded([0.0, 0.0, -1.0], [0.0, 0.0, 0.0], excess=mean), sharp=(0.0, 0.01, 0.0, 0.0))[2]
+        for mean in (5, 20, 70)
+    ]
     assert felt == pytest.approx([0.05, 0.2, 0.2])
 
 
 def test_a_sheet_that_moves_sideways_drags():
-    """The simulated sheet's own drag: damping of 81 s/m^2 times its stiffness, on every m^2, against the frame."""
+    """The simulated sheet's own drag: damping of 81 s/m^2 times its stiffness, on every m^2,
+    against the frame."""
     felt = replace(AT_REST, velocity=np.array([0.01, 0.0, 0.02]))
-    area, stiffness = DENSE.frame.length * DENSE.frame.width, DENSE.membrane.young * DENSE.membrane.thickness
+    area = DENSE.frame.length * DENSE.frame.width
+    stiffness = DENSE.membrane.young * DENSE.membrane.thickness
     assert sd(felt, drag=81.0) == pytest.approx([81.0 * stiffness * area * 0.01, 0, 0, 0, 0, 0])
 
 

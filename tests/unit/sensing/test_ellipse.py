@@ -31,7 +31,8 @@ def test_conic_vanishes_on_the_boundary():
 def test_second_moments_give_the_shape():
     _, _, shape = shapes()
     p, q, s = shape.T
-    second = np.stack([p * p + q * q, q * (p + s), q * q + s * s], axis=1) / 4  # of a filled ellipse: S^2/4
+    # of a filled ellipse: S^2/4
+    second = np.stack([p * p + q * q, q * (p + s), q * q + s * s], axis=1) / 4
     np.testing.assert_allclose(ellipse.shape_from_moments(second), shape, rtol=1e-9, atol=1e-9)
 
 
@@ -42,7 +43,8 @@ def test_covariances_convert_there_and_back_even_for_a_circle():
     A = np.random.default_rng(2).normal(size=(3, 5, 5))
     cov = A @ A.transpose(0, 2, 1)
     back = ellipse.covariance_of_shape(ellipse.covariance_of_axes(cov, axes, angle), axes, angle)
-    np.testing.assert_allclose(back, cov, rtol=1e-5, atol=1e-5)  # the circle's floor of 1e-6 costs that much
+    # the circle's floor of 1e-6 costs that much
+    np.testing.assert_allclose(back, cov, rtol=1e-5, atol=1e-5)
 
 
 def test_jacobian_is_the_derivative():
@@ -52,17 +54,28 @@ def test_jacobian_is_the_derivative():
     for column, (da, dangle) in enumerate((((h, 0), 0), ((0, h), 0), ((0, 0), h)), start=2):
         plus = ellipse.shape_from_axes(axes + da, angle + dangle)
         minus = ellipse.shape_from_axes(axes - np.array(da), angle - dangle)
-        np.testing.assert_allclose(J[:, 2:, column], (plus - minus) / (2 * h), atol=1e-6)  # central difference, O(h^2)
+        # central difference, O(h^2)
+        np.testing.assert_allclose(J[:, 2:, column], (plus - minus) / (2 * h), atol=1e-6)
 
 
 def test_moves_have_the_covariance_of_their_derivative():
-    """Moves (w, V) of a boundary point e are e . w + e^T V e in units of the local radius; by central differences."""
+    """Moves (w, V) of a boundary point e are e . w + e^T V e in units of the local radius; by
+    central differences."""
     (_, _, shape), center, h = shapes(50), np.zeros((50, 2)), 1e-5
     J = np.empty((50, 5, 5))
     for k in range(5):
-        ahead, behind = (np.concatenate(ellipse.moved(center, shape, np.tile(sign * h * np.eye(5)[k], (50, 1))), axis=1)
-                         for sign in (1, -1))
+        ahead, behind = (
+            np.concatenate(
+                ellipse.moved(center, shape, np.tile(sign * h * np.eye(5)[k], (50, 1))), axis=1
+            )
+            for sign in (1, -1)
+        )
         J[:, :, k] = (ahead - behind) / (2 * h)
     A = np.random.default_rng(1).normal(size=(50, 5, 5))
     cov = A @ A.transpose(0, 2, 1)
-    np.testing.assert_allclose(ellipse.covariance_of_moves(cov, shape), J @ cov @ J.transpose(0, 2, 1), rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(
+        ellipse.covariance_of_moves(cov, shape),
+        J @ cov @ J.transpose(0, 2, 1),
+        rtol=1e-6,
+        atol=1e-6,
+    )

@@ -1,4 +1,5 @@
-"""A camera's gamma: undone where it is known, told from the circles where it is not, and said where it is wrong."""
+"""A camera's gamma: undone where it is known, told from the circles where it is not, and said where
+it is wrong."""
 
 import functools
 
@@ -17,9 +18,13 @@ CIRCLES = marker_scenes.random_circles(CAMERA, np.random.default_rng(1), radius=
 
 @functools.cache
 def encoded(gamma, blur_px=0.8):
-    """The circles through a camera with that gamma, from 40 to 180 grey levels: light is blurred, then encoded."""
-    dark, bright = (40 / 255) ** gamma, (180 / 255) ** gamma
-    light = marker_scenes.exact_image(CAMERA, CIRCLES, blur_px=blur_px, dark_dn=dark, bright_dn=bright)
+    """The circles through a camera with that gamma, from 40 to 180 grey levels: light is blurred,
+    then encoded."""
+    dark = (40 / 255) ** gamma
+    bright = (180 / 255) ** gamma
+    light = marker_scenes.exact_image(
+        CAMERA, CIRCLES, blur_px=blur_px, dark_dn=dark, bright_dn=bright
+    )
     grey = 255 * light ** (1 / gamma) + np.random.default_rng(0).normal(0, 2, light.shape)
     return np.rint(grey).clip(0, 255).astype(np.uint8)
 
@@ -38,12 +43,14 @@ def depth_errors(found):
 @pytest.mark.parametrize("gamma", [1.0, 2.2])
 def test_gamma_is_told_by_the_circles_and_undone(gamma):
     image = encoded(gamma)
-    known, told = find_circles(image, CAMERA, R, gamma=gamma), find_circles(image, CAMERA, R, gamma="auto")
+    known = find_circles(image, CAMERA, R, gamma=gamma)
+    told = find_circles(image, CAMERA, R, gamma="auto")
     # 16 circles of 20 px: the fit's own sd is 0.05, what is not modelled 0.08 of it
     assert known.gamma.value == pytest.approx(gamma, abs=0.3) and 0.05 < known.gamma.sd < 0.3
     assert not known.nonlinear and not told.nonlinear
     error, normal = depth_errors(known)
-    assert np.abs(error).max() < 0.06 and (normal**2).mean() < 2  # noise: 7-15 um; 16 draws of chi-square 1 in 1000 runs
+    # noise: 7-15 um; 16 draws of chi-square 1 in 1000 runs
+    assert np.abs(error).max() < 0.06 and (normal**2).mean() < 2
     error, normal = depth_errors(told)
     assert np.abs(error).max() < 0.2 and (normal**2).mean() < 2
 
@@ -58,12 +65,17 @@ def test_a_wrong_gamma_is_said_and_in_the_error_bars():
 
 
 def test_nothing_is_said_where_there_is_too_little_to_tell():
-    """A sharp image has no grey levels between; fewer than six circles do not count; nor does a clipped ground."""
+    """A sharp image has no grey levels between; fewer than six circles do not count; nor does a
+    clipped ground."""
     assert np.isnan(find_circles(encoded(2.2, blur_px=0.2), CAMERA, R).gamma.value)
     cut = encoded(2.2).copy()
     cut[:, 200:] = cut[5, 5]
     assert np.isnan(find_circles(cut, CAMERA, R).gamma.value)
-    assert np.isnan(find_circles(np.where(encoded(1.0) > 150, 255, encoded(1.0)).astype(np.uint8), CAMERA, R).gamma.value)
+    assert np.isnan(
+        find_circles(
+            np.where(encoded(1.0) > 150, 255, encoded(1.0)).astype(np.uint8), CAMERA, R
+        ).gamma.value
+    )
 
 
 @pytest.mark.parametrize("gamma", [0.0, "some", np.nan])

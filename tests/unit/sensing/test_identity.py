@@ -1,4 +1,5 @@
-"""Marker identity under missing and spurious circles, a displaced camera, a pressed and sheared membrane."""
+"""Marker identity under missing and spurious circles, a displaced camera, a pressed and sheared
+membrane."""
 
 import numpy as np
 import pytest
@@ -13,11 +14,14 @@ SENSORS = ["paper16", "dense"]
 
 
 def seen(p_SM, rng, missing=0.0, spurious=0, noise=20e-6):
-    """Some of the markers in random order, with noise, and circles where no marker is; and the true ids (-1)."""
+    """Some of the markers in random order, with noise, and circles where no marker is; and the true
+    ids (-1)."""
     ids = np.flatnonzero(rng.random(len(p_SM)) >= missing)
-    low, high = p_SM.min(axis=0), p_SM.max(axis=0)
+    low = p_SM.min(axis=0)
+    high = p_SM.max(axis=0)
     false = rng.uniform(low, high, (8 * spurious + 1, 3))
-    apart = np.linalg.norm(false[:, None, :2] - p_SM[:, :2], axis=2).min(axis=1) > 1.3e-3  # not on top of a marker
+    # not on top of a marker
+    apart = np.linalg.norm(false[:, None, :2] - p_SM[:, :2], axis=2).min(axis=1) > 1.3e-3
     false = false[apart][:spurious]
     p = np.concatenate([p_SM[ids] + rng.normal(scale=noise, size=(len(ids), 3)), false])
     ids = np.append(ids, np.full(len(false), -1))
@@ -26,7 +30,8 @@ def seen(p_SM, rng, missing=0.0, spurious=0, noise=20e-6):
 
 
 def pressed(design, depth=4e-3, shear=1e-3):
-    """Markers of a membrane pressed off its centre: heights of a bell, drawn in towards its middle, and sheared."""
+    """Markers of a membrane pressed off its centre: heights of a bell, drawn in towards its middle,
+    and sheared."""
     p = design.markers.p_SM.copy()
     d = p[:, :2] - [3e-3, -2e-3]
     bell = np.exp(-(d**2).sum(axis=1) / (2 * 5e-3**2))
@@ -36,17 +41,21 @@ def pressed(design, depth=4e-3, shear=1e-3):
     return p, geometry.normal_from_slope(slope[:, 0], slope[:, 1])
 
 
-@pytest.mark.parametrize("share", [1 / 3, 0.45])  # of the pitch; beyond a half the next marker is nearer
+# of the pitch; beyond a half the next marker is nearer
+@pytest.mark.parametrize("share", [1 / 3, 0.45])
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_flat_membrane_seen_by_a_displaced_camera(sensor, share):
     design = load_sensor(sensor)
-    layout, markers = design.markers.p_SM, design.markers
+    layout = design.markers.p_SM
+    markers = design.markers
     for seed in range(20):
         rng = np.random.default_rng(seed)
         p, ids = seen(layout, rng)
         offset = rng.choice([-1, 1], 2) * share * np.array([markers.pitch_x, markers.pitch_y])
         turn = geometry.rotation_from_vector([0, 0, np.deg2rad(rng.uniform(-1, 1))])
-        np.testing.assert_array_equal(identity.match(p @ turn.T + [*offset, 0], layout, layout), ids)
+        np.testing.assert_array_equal(
+            identity.match(p @ turn.T + [*offset, 0], layout, layout), ids
+        )
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
@@ -63,14 +72,17 @@ def test_sixty_percent_missing_and_others_spurious(sensor):
         wrong += np.sum((found != ids) & (found >= 0) & (ids >= 0))
         total += np.sum(ids >= 0)
         assert len(np.unique(found[found >= 0])) == np.sum(found >= 0)
-    assert wrong == 0  # a wrong identity is a false displacement of a pitch; a missing one costs little
-    assert right >= 0.97 * total  # a spurious circle may lie nearer to a marker's place than the marker itself
+    # a wrong identity is a false displacement of a pitch; a missing one costs little
+    assert wrong == 0
+    # a spurious circle may lie nearer to a marker's place than the marker itself
+    assert right >= 0.97 * total
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_identity_is_kept_through_a_press(sensor):
     design = load_sensor(sensor)
-    layout, last = design.markers.p_SM, design.markers.p_SM
+    layout = design.markers.p_SM
+    last = design.markers.p_SM
     rng = np.random.default_rng(0)
     kept = total = 0
     for step in np.linspace(0, 1, 8)[1:]:  # 0.25 s at 30 fps
@@ -78,16 +90,19 @@ def test_identity_is_kept_through_a_press(sensor):
         p, ids = seen(truth, rng, missing=0.6, spurious=2)
         found = identity.match(p, last, layout)
         assert not np.any((found != ids) & (found >= 0) & (ids >= 0))
-        kept, total = kept + np.sum(found[ids >= 0] >= 0), total + np.sum(ids >= 0)
+        kept = kept + np.sum(found[ids >= 0] >= 0)
+        total = total + np.sum(ids >= 0)
         last = last.copy()
         last[found[found >= 0]] = p[found >= 0]
-    assert kept >= 0.9 * total  # of 16 markers 5 are seen, too few to tell a neighbourhood's motion every time
+    # of 16 markers 5 are seen, too few to tell a neighbourhood's motion every time
+    assert kept >= 0.9 * total
 
 
 def test_a_wrong_match_is_found_by_its_neighbours():
     design = load_sensor("dense")
     layout = design.markers.p_SM
-    # marker 40 is hidden, and a speck lies half a pitch away from it, nearest to its place of all circles
+    # marker 40 is hidden, and a speck lies half a pitch away from it, nearest to its place of all
+    # circles
     p = np.delete(layout, 40, axis=0)
     p = np.concatenate([p, layout[40:41] + np.array([0.55 * design.markers.pitch_y, 0, 0])])
     found = identity.match(p, layout, layout)
@@ -107,13 +122,15 @@ def test_unknown_expectations_come_from_the_neighbours():
 def test_nothing_seen_is_no_error():
     layout = load_sensor("dense").markers.p_SM
     assert len(identity.match(np.zeros((0, 3)), layout, layout)) == 0
-    np.testing.assert_array_equal(identity.match(np.full((3, 3), np.nan), layout, layout), [-1, -1, -1])
+    np.testing.assert_array_equal(
+        identity.match(np.full((3, 3), np.nan), layout, layout), [-1, -1, -1]
+    )
     np.testing.assert_array_equal(identity.match(layout[5:6], layout, layout), [5])
 
 
 def poses_of(design, p_SM, n_S, ids_bad=()):
-    """Circle poses as a detector gives them: the second normal is the first mirrored at the line of sight; in random
-    order, so that the order helps no one."""
+    """Circle poses as a detector gives them: the second normal is the first mirrored at the line of
+    sight; in random order, so that the order helps no one."""
     p = p_SM - design.camera.p_SC
     view = geometry.unit(p)
     mirrored = 2 * (n_S * view).sum(axis=1, keepdims=True) * view - n_S
@@ -121,8 +138,15 @@ def poses_of(design, p_SM, n_S, ids_bad=()):
     status = np.full(len(p), "ok", dtype="<U16")
     status[list(ids_bad)] = "cut"
     camera = Camera.from_design(design.camera, design.glass)
-    return CirclePoses(optics.project(camera, p), p, np.where(swap, mirrored, n_S), p, np.where(swap, n_S, mirrored),
-                       np.tile(1e-10 * np.eye(3), (len(p), 1, 1)), status)
+    return CirclePoses(
+        optics.project(camera, p),
+        p,
+        np.where(swap, mirrored, n_S),
+        p,
+        np.where(swap, n_S, mirrored),
+        np.tile(1e-10 * np.eye(3), (len(p), 1, 1)),
+        status,
+    )
 
 
 @pytest.mark.parametrize(("sensor", "share"), [("paper16", 0.9), ("dense", 1.0)])
@@ -132,10 +156,12 @@ def test_two_fold_ambiguity_is_resolved_by_the_surface(sensor, share):
     poses = poses_of(design, p, n)
     markers = identity.identify(poses, design, p)
     apart = np.degrees(np.arccos(np.clip((poses.n_C * poses.n_C_alt).sum(axis=1), -1, 1)))
-    clear = apart > 4  # nearer than that, either will do: a normal seen face-on is only known to 2 degrees
+    # nearer than that, either will do: a normal seen face-on is only known to 2 degrees
+    clear = apart > 4
     assert clear.sum() >= 8
     first_only = np.mean(np.linalg.norm(poses.n_C - n, axis=1)[clear] < 1e-9)
-    # 16 markers see this bell with two or three points across: a slope's sign may be lost next to its edge
+    # 16 markers see this bell with two or three points across: a slope's sign may be lost next to
+    # its edge
     assert np.mean(np.linalg.norm(markers.n_S - n, axis=1)[clear] < 1e-9) >= share
     assert first_only < 0.8  # there was something to resolve
 
@@ -150,9 +176,12 @@ def test_identify_sorts_drops_and_scales():
     expected = np.setdiff1d(np.arange(81), order[[4, 7]])
     np.testing.assert_array_equal(markers.ids, expected)
     np.testing.assert_allclose(markers.p_SM, p[expected], atol=1e-12)
-    # a marker 1 % larger than assumed is 1 % farther from where its rays meet: the camera less the pane's shift
+    # a marker 1 % larger than assumed is 1 % farther from where its rays meet: the camera less the
+    # pane's shift
     larger = identity.identify(poses, design, p, np.full(81, 1.01))
     camera = Camera.from_design(design.camera, design.glass)
-    shift = optics.glass_shift(camera, optics.unproject(camera, optics.project(camera, p - design.camera.p_SC)))
+    shift = optics.glass_shift(
+        camera, optics.unproject(camera, optics.project(camera, p - design.camera.p_SC))
+    )
     apparent = p - design.camera.p_SC - shift[:, None] * [0, 0, 1]
     np.testing.assert_allclose(larger.p_SM, (p + 0.01 * apparent)[expected], atol=1e-12)

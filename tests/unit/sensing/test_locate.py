@@ -1,4 +1,5 @@
-"""Circles of photographs: many small ones on a smooth surface help each other, and only there; clipped and glared ones."""
+"""Circles of photographs: many small ones on a smooth surface help each other, and only there;
+clipped and glared ones."""
 
 import numpy as np
 import pytest
@@ -14,13 +15,19 @@ from mjtactile.sensing.pose.locate import find_circles
 from mjtactile.sensing.shape.smoothness import agree_on_depth
 
 CAMERA = optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
-R, PITCH = 0.0015, 0.006
+R = 0.0015
+PITCH = 0.006
 X, Y = (c.ravel() for c in np.meshgrid(np.arange(10) - 4.5, np.arange(10) - 4.5))
-SURFACES = {"flat": 0.2 * X - 0.3 * Y, "cylinder": 12 - np.sqrt(144 - X**2), "ripple": 0.3 * np.sin(X)}
+SURFACES = {
+    "flat": 0.2 * X - 0.3 * Y,
+    "cylinder": 12 - np.sqrt(144 - X**2),
+    "ripple": 0.3 * np.sin(X),
+}
 
 
 def poses(height, seed, sd=4e-4):
-    """100 poses 0.22 m away with independent errors of depth of relative sd `sd`, and the true centres."""
+    """100 poses 0.22 m away with independent errors of depth of relative sd `sd`, and the true
+    centres."""
     truth = PITCH * np.stack([X, Y, height + 37.5], axis=1)
     p = truth * (1 + sd * np.random.default_rng(seed).normal(size=100))[:, None]
     ray = truth / truth[:, 2:]
@@ -45,19 +52,27 @@ def board(height=0.0, depth=37.5, rows=100):
 
 @pytest.mark.parametrize("name", SURFACES)
 def test_neighbours_make_depth_better_on_any_smooth_surface(name):
-    """True error, not flatness: a spline of 100 data with d degrees of freedom leaves sqrt(d / 100) of the sd. 12 are left
-    to the flat board (0.35); what bends by many sd needs most of them, and must then not be made worse."""
-    before, after, normalised = [], [], []
+    """True error, not flatness: a spline of 100 data with d degrees of freedom leaves sqrt(d / 100)
+    of the sd. 12 are left to the flat board (0.35); what bends by many sd needs most of them, and
+    must then not be made worse."""
+    before = []
+    after = []
+    normalised = []
     for seed in range(5):
         alone, truth = poses(SURFACES[name], seed)
         smooth = smoothed(alone)
         before.append((alone.p_CM - truth)[:, 2])
         after.append((smooth.p_CM - truth)[:, 2])
         normalised.append(after[-1] / np.sqrt(smooth.cov_p[:, 2, 2]))
-        np.testing.assert_allclose(smooth.p_CM[:, :2] / smooth.p_CM[:, 2:], alone.p_CM[:, :2] / alone.p_CM[:, 2:], rtol=1e-12)
+        np.testing.assert_allclose(
+            smooth.p_CM[:, :2] / smooth.p_CM[:, 2:],
+            alone.p_CM[:, :2] / alone.p_CM[:, 2:],
+            rtol=1e-12,
+        )
     gain = np.std(np.concatenate(after)) / np.std(np.concatenate(before))
     assert gain < (0.4 if name == "flat" else 0.98)
-    # a third of each one's own sd is kept for what all share, which is none here: error bars on the safe side
+    # a third of each one's own sd is kept for what all share, which is none here: error bars on the
+    # safe side
     assert 0.4 < np.sqrt(np.mean(np.concatenate(normalised) ** 2)) < 1.4
 
 
@@ -77,13 +92,15 @@ def test_a_circle_that_does_not_belong_keeps_its_depth():
     smooth = smoothed(odd)
     np.testing.assert_array_equal(smooth.p_CM[0], p[0])
     clean = smoothed(alone)
-    # without its corner the spline may move by about one sd of a marker (0.09 mm) next to it, and not at all further off
+    # without its corner the spline may move by about one sd of a marker (0.09 mm) next to it, and
+    # not at all further off
     assert np.abs(smooth.p_CM - clean.p_CM)[1:, 2].max() < 1e-4
 
 
 @pytest.mark.parametrize("height", [0.0, SURFACES["cylinder"]])
 def test_small_circles_through_a_cheap_camera(height):
-    """Through mosaic, sharpening and clipping; a common scale is taken out, as these move all edges alike."""
+    """Through mosaic, sharpening and clipping; a common scale is taken out, as these move all edges
+    alike."""
     circles = board(height)
     image = cheap_camera(marker_scenes.coverage(CAMERA, circles, 0.6), 0)
     truth = np.array([c.p_C for c in circles])
@@ -100,15 +117,18 @@ def test_small_circles_through_a_cheap_camera(height):
         # edges clipped at the bright end make dark circles look smaller: the error bars know
         sd = np.sqrt(found.poses.cov_p[which, 2, 2]) / truth[:, 2]
         assert np.abs((relative - 1) / sd).max() < 3
-    assert scatter["auto"] < 0.75 * scatter["never"]  # the benchmark has 0.25 (flat) and 0.5 (cylinder); one image here
+    # the benchmark has 0.25 (flat) and 0.5 (cylinder); one image here
+    assert scatter["auto"] < 0.75 * scatter["never"]
 
 
 def test_bright_circles_and_large_ones():
     circles = board(depth=18.0)
     image = marker_scenes.image(CAMERA, circles)
-    dark, bright = find_circles(image, CAMERA, R), find_circles(255 - image, CAMERA, R, polarity="bright")
+    dark = find_circles(image, CAMERA, R)
+    bright = find_circles(255 - image, CAMERA, R, polarity="bright")
     assert (dark.poses.status == "ok").sum() >= 80  # the rest is outside of the image or cut
-    np.testing.assert_allclose(dark.poses.p_CM, bright.poses.p_CM, atol=1e-5)  # rounding in the detector only
+    # rounding in the detector only
+    np.testing.assert_allclose(dark.poses.p_CM, bright.poses.p_CM, atol=1e-5)
     assert not dark.overexposed and not bright.overexposed
     assert "depth" not in dark.shared  # 8 px: each knows its depth itself
     assert "depth" in find_circles(image, CAMERA, R, neighbours="always").shared
@@ -123,10 +143,13 @@ def test_one_grey_from_colour_and_bits():
 
 
 def test_a_large_neighbour_does_not_disturb_a_small_circle():
-    """Dots of 4 px beside one of twice the size, 4 px between the edges: what it darkens is left out of their fit."""
+    """Dots of 4 px beside one of twice the size, 4 px between the edges: what it darkens is left
+    out of their fit."""
     circles = [c for c in board() if np.hypot(*(c.p_C[:2] / PITCH - [-4.5, 4.5])) > 0.1]
     corner = board()[90]
-    image = marker_scenes.image(CAMERA, [*circles, marker_scenes.Circle(corner.p_C, corner.n_C, 2 * R)])
+    image = marker_scenes.image(
+        CAMERA, [*circles, marker_scenes.Circle(corner.p_C, corner.n_C, 2 * R)]
+    )
     found = detect(image, CAMERA)
     near = np.linalg.norm(found.center_px - optics.project(CAMERA, corner.p_C), axis=1)
     assert (found.status[near < 30] == "ok").sum() == 4  # itself, two beside it and one across
@@ -136,12 +159,23 @@ def test_a_large_neighbour_does_not_disturb_a_small_circle():
 @pytest.mark.parametrize(("radius_px", "blur"), [(4, 1.5), (4, 2.0), (5, 1.5)])
 def test_blur_is_not_taken_for_size(radius_px, blur):
     depth = 1e-3 * CAMERA.fx / radius_px
-    circles = marker_scenes.random_circles(CAMERA, np.random.default_rng(0), rows=6, columns=8, radius=1e-3,
-                                    depth=(0.98 * depth, 1.02 * depth), tilt_deg=(0, 25))
-    found = find_circles(marker_scenes.image(CAMERA, circles, blur_px=blur), CAMERA, 1e-3, neighbours="never").poses
-    z, sd = found.p_CM[:, 2], np.sqrt(found.cov_p[:, 2, 2])
+    circles = marker_scenes.random_circles(
+        CAMERA,
+        np.random.default_rng(0),
+        rows=6,
+        columns=8,
+        radius=1e-3,
+        depth=(0.98 * depth, 1.02 * depth),
+        tilt_deg=(0, 25),
+    )
+    found = find_circles(
+        marker_scenes.image(CAMERA, circles, blur_px=blur), CAMERA, 1e-3, neighbours="never"
+    ).poses
+    z = found.p_CM[:, 2]
+    sd = np.sqrt(found.cov_p[:, 2, 2])
     ok = found.status == "ok"
-    # depths lie within 2 %; blur taken for size makes them 5 to 30 % nearer; 3.5 sd happens once in 40 runs of 50
+    # depths lie within 2 %; blur taken for size makes them 5 to 30 % nearer; 3.5 sd happens once in
+    # 40 runs of 50
     assert (np.abs(z[ok] / depth - 1) < 0.02 + 3.5 * sd[ok] / depth).all()
 
 
@@ -150,10 +184,16 @@ def test_blur_on_small_circles_is_right_or_flagged(blur):
     circles = board()
     truth = np.array([c.p_C for c in circles])
     for seed in range(2):
-        found = find_circles(marker_scenes.image(CAMERA, circles, blur_px=blur, seed=seed), CAMERA, R, neighbours="never").poses
+        found = find_circles(
+            marker_scenes.image(CAMERA, circles, blur_px=blur, seed=seed),
+            CAMERA,
+            R,
+            neighbours="never",
+        ).poses
         for i in np.flatnonzero(found.status == "ok"):
             k = np.linalg.norm(optics.project(CAMERA, truth) - found.uv_px[i], axis=1).argmin()
-            # 200 draws at most: 3.5 sd once in ten runs of honest Gaussian errors; 5 leaves room for blur's own doubt
+            # 200 draws at most: 3.5 sd once in ten runs of honest Gaussian errors; 5 leaves room
+            # for blur's own doubt
             assert abs(found.p_CM[i, 2] - truth[k, 2]) < 5 * np.sqrt(found.cov_p[i, 2, 2])
 
 
@@ -168,11 +208,18 @@ def test_glare_over_an_outline_is_flagged_not_left_out():
 
 
 def test_circles_behind_glass():
-    """Rendered through a pane of 5 mm: right to the noise with it, 1.67 mm and more off without (Eq. V8); a pane that is
-    farther away than the circles cannot be."""
+    """Rendered through a pane of 5 mm: right to the noise with it, 1.67 mm and more off without
+    (Eq. V8); a pane that is farther away than the circles cannot be."""
     glass = CAMERA.behind_pane(5e-3, 1.5, 0.06)
-    circles = marker_scenes.random_circles(glass, np.random.default_rng(0), radius=6e-3, depth=(0.12, 0.14), tilt_deg=(5, 30),
-                                           rows=2, columns=3)
+    circles = marker_scenes.random_circles(
+        glass,
+        np.random.default_rng(0),
+        radius=6e-3,
+        depth=(0.12, 0.14),
+        tilt_deg=(5, 30),
+        rows=2,
+        columns=3,
+    )
     image = marker_scenes.image(glass, circles)
 
     def depth_errors(camera):
@@ -183,10 +230,15 @@ def test_circles_behind_glass():
 
     assert np.abs(depth_errors(glass)).max() < 4e-5  # noise at 28 px of radius is 8 um
     tan2 = [(c.p_C[0] ** 2 + c.p_C[1] ** 2) / c.p_C[2] ** 2 for c in circles]
-    shift = [5e-3 * (1 - 1 / np.sqrt(1.5**2 + 1.25 * t)) for t in tan2]  # cos/sqrt(n^2 - sin^2), by the tangent
-    np.testing.assert_allclose(depth_errors(CAMERA), np.negative(shift), atol=4e-4)  # and it widens cones by up to 0.3 %
+    # cos/sqrt(n^2 - sin^2), by the tangent
+    shift = [5e-3 * (1 - 1 / np.sqrt(1.5**2 + 1.25 * t)) for t in tan2]
+    # and it widens cones by up to 0.3 %
+    np.testing.assert_allclose(depth_errors(CAMERA), np.negative(shift), atol=4e-4)
     wrong = find_circles(image, CAMERA.behind_pane(5e-3, 1.5, 0.16), 6e-3)
-    assert set(wrong.poses.status) == {"nearer than the glass"} and wrong.status == "none of 6 circles can be trusted"
+    assert (
+        set(wrong.poses.status) == {"nearer than the glass"}
+        and wrong.status == "none of 6 circles can be trusted"
+    )
 
 
 def test_bad_neighbours():

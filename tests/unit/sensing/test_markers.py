@@ -1,4 +1,5 @@
-"""Detection on supersampled images that share no code with the detector; hard images are right or flagged."""
+"""Detection on supersampled images that share no code with the detector; hard images are right or
+flagged."""
 
 import cv2
 import numpy as np
@@ -22,33 +23,46 @@ def circles():
 
 
 def noisy(exact, sd=2.0, seed=0):
-    return np.clip(np.rint(exact + np.random.default_rng(seed).normal(0, sd, exact.shape)), 0, 255).astype(np.uint8)
+    return np.clip(
+        np.rint(exact + np.random.default_rng(seed).normal(0, sd, exact.shape)), 0, 255
+    ).astype(np.uint8)
 
 
 def errors(image, circles, camera=CAMERA, polarity="dark"):
-    """Distance (n,) m of each circle from the nearest trusted solution (inf if none is near), and poses."""
+    """Distance (n,) m of each circle from the nearest trusted solution (inf if none is near), and
+    poses."""
     poses = estimate_poses(markers.detect(image, camera, polarity=polarity), camera, R)
     _, nearer, found = marker_accuracy.match(poses, circles)
     truth = np.array([c.p_C for c in circles])
     return np.where(found, np.linalg.norm(nearer - truth, axis=1), np.inf), poses
 
 
-def assert_right_or_flagged(image, circles, *, at_least, camera=CAMERA, sigmas=6.0, polarity="dark"):
-    """Every trusted marker is a true circle within `sigmas` of its own error bar; at least `at_least` are trusted."""
+def assert_right_or_flagged(
+    image, circles, *, at_least, camera=CAMERA, sigmas=6.0, polarity="dark"
+):
+    """Every trusted marker is a true circle within `sigmas` of its own error bar; at least
+    `at_least` are trusted."""
     _, poses = errors(image, circles, camera, polarity)
     truth = np.array([c.p_C for c in circles])
     ok = np.flatnonzero(poses.status == "ok")
     assert len(ok) >= at_least
     for i in ok:
-        distance = np.minimum(np.linalg.norm(truth - poses.p_CM[i], axis=1), np.linalg.norm(truth - poses.p_CM_alt[i], axis=1))
+        distance = np.minimum(
+            np.linalg.norm(truth - poses.p_CM[i], axis=1),
+            np.linalg.norm(truth - poses.p_CM_alt[i], axis=1),
+        )
         # 1 um: what rounding to 8 bit and the renderer leave where there is no noise
-        assert distance.min() < sigmas * np.sqrt(np.trace(poses.cov_p[i])) + 1e-6, (poses.uv_px[i], distance.min())
+        assert distance.min() < sigmas * np.sqrt(np.trace(poses.cov_p[i])) + 1e-6, (
+            poses.uv_px[i],
+            distance.min(),
+        )
 
 
 def test_accuracy_of_the_papers_case():
     summary, _ = marker_accuracy.paper_like(images=3)
     assert summary["missed"] == 0
-    assert summary["mean_mm"] < 0.012  # 0.0077 over 15 images; three have half as many again by chance
+    # 0.0077 over 15 images; three have half as many again by chance
+    assert summary["mean_mm"] < 0.012
     assert summary["worst_mm"] < 0.06
     assert abs(summary["depth_bias_mm"]) < 3 * summary["depth_bias_sd_mm"] + 0.001
     assert summary["cramer_rao_ratio"] < 2.0
@@ -57,23 +71,31 @@ def test_accuracy_of_the_papers_case():
 
 @pytest.mark.parametrize("blur", [0.0, 0.5, 1.0, 1.5, 2.0])
 def test_blur_does_not_bias_the_size(circles, blur):
-    """Without noise what is left is bias. Uncorrected it would be sigma^2/(2a) = 0.06 px at blur 1.5, a = 20 px."""
+    """Without noise what is left is bias. Uncorrected it would be sigma^2/(2a) = 0.06 px at blur
+    1.5, a = 20 px."""
     ellipses = markers.detect(marker_scenes.image(CAMERA, circles, blur_px=blur, seed=None), CAMERA)
     uv = optics.project(CAMERA, [c.p_C for c in circles])
     order = np.linalg.norm(uv[:, None] - ellipses.center_px, axis=2).argmin(axis=1)
     for circle, i in zip(circles, order, strict=True):
         rim = marker_scenes.rim_px(CAMERA, circle)
-        area = 0.5 * abs(np.sum(rim[:, 0] * np.roll(rim[:, 1], -1) - rim[:, 1] * np.roll(rim[:, 0], -1)))
-        # mean radius from the area, px; a tenth of the uncorrected bias at blur 1.5, and 0.005 px for rounding
+        area = 0.5 * abs(
+            np.sum(rim[:, 0] * np.roll(rim[:, 1], -1) - rim[:, 1] * np.roll(rim[:, 0], -1))
+        )
+        # mean radius from the area, px; a tenth of the uncorrected bias at blur 1.5, and 0.005 px
+        # for rounding
         assert abs(np.sqrt(np.prod(ellipses.semi_axes_px[i])) - np.sqrt(area / np.pi)) < 0.007
 
 
 @pytest.mark.parametrize(("depth", "sd_bound"), [(0.04, 0.006), (0.10, 0.02), (0.20, 0.03)])
 def test_ellipse_covariance_is_honest(depth, sd_bound):
     """Monte Carlo over noise: large markers (profiles) and small ones (image fit, 4.5 px)."""
-    circles = marker_scenes.random_circles(CAMERA, np.random.default_rng(1), depth=(depth, depth), tilt_deg=(15, 30))
+    circles = marker_scenes.random_circles(
+        CAMERA, np.random.default_rng(1), depth=(depth, depth), tilt_deg=(15, 30)
+    )
     exact = marker_scenes.exact_image(CAMERA, circles)
-    repeats, samples, predicted = 30, [], []
+    repeats = 30
+    samples = []
+    predicted = []
     uv = optics.project(CAMERA, [c.p_C for c in circles])
     for k in range(repeats):
         found = markers.detect(noisy(exact, seed=k), CAMERA)
@@ -81,19 +103,25 @@ def test_ellipse_covariance_is_honest(depth, sd_bound):
         samples.append(np.concatenate([found.center_px, found.semi_axes_px], axis=1)[order])
         predicted.append(found.cov[order][:, range(4), range(4)])
     ratio = np.var(samples, axis=0, ddof=1) / np.mean(predicted, axis=0)
-    # mean of 64 variance ratios with 29 degrees of freedom each: 1 +- 0.03 by chance; the asked-for honesty is 0.7-1.4
+    # mean of 64 variance ratios with 29 degrees of freedom each: 1 +- 0.03 by chance; the asked-for
+    # honesty is 0.7-1.4
     assert 0.7 < ratio.mean() < 1.4
     assert np.sqrt(np.mean(predicted)) < sd_bound
 
 
 def test_small_dots_are_unbiased():
-    circles = marker_scenes.random_circles(CAMERA, np.random.default_rng(2), depth=(0.24, 0.26), tilt_deg=(0, 30))  # 3.6 px
+    # 3.6 px
+    circles = marker_scenes.random_circles(
+        CAMERA, np.random.default_rng(2), depth=(0.24, 0.26), tilt_deg=(0, 30)
+    )
     ellipses = markers.detect(marker_scenes.image(CAMERA, circles, noise_dn=0.2), CAMERA)
     uv = optics.project(CAMERA, [c.p_C for c in circles])
     order = np.linalg.norm(uv[:, None] - ellipses.center_px, axis=2).argmin(axis=1)
     for circle, i in zip(circles, order, strict=True):
         rim = marker_scenes.rim_px(CAMERA, circle)
-        area = 0.5 * abs(np.sum(rim[:, 0] * np.roll(rim[:, 1], -1) - rim[:, 1] * np.roll(rim[:, 0], -1)))
+        area = 0.5 * abs(
+            np.sum(rim[:, 0] * np.roll(rim[:, 1], -1) - rim[:, 1] * np.roll(rim[:, 0], -1))
+        )
         if ellipses.status[i] == "ok":
             # a first-order correction would be wrong by 0.02 px here
             assert abs(np.sqrt(np.prod(ellipses.semi_axes_px[i])) - np.sqrt(area / np.pi)) < 0.012
@@ -111,10 +139,21 @@ def glare(exact, circles, every, reach):
 
 HARD = {
     "dark": (lambda e, c: marker_scenes.exact_image(CAMERA, c, dark_dn=8, bright_dn=40), 16),
-    "low contrast": (lambda e, c: marker_scenes.exact_image(CAMERA, c, dark_dn=100, bright_dn=115), 14),
-    "hopeless contrast": (lambda e, c: marker_scenes.exact_image(CAMERA, c, dark_dn=100, bright_dn=101), 0),
+    "low contrast": (
+        lambda e, c: marker_scenes.exact_image(CAMERA, c, dark_dn=100, bright_dn=115),
+        14,
+    ),
+    "hopeless contrast": (
+        lambda e, c: marker_scenes.exact_image(CAMERA, c, dark_dn=100, bright_dn=101),
+        0,
+    ),
     "blurred": (lambda e, c: marker_scenes.exact_image(CAMERA, c, blur_px=2), 14),
-    "vignetting": (lambda e, c: e * (1 - 0.7 * np.hypot(*(np.mgrid[:480, :640] - [[[240]], [[320]]]) / 400.0) ** 2), 14),
+    "vignetting": (
+        lambda e, c: (
+            e * (1 - 0.7 * np.hypot(*(np.mgrid[:480, :640] - [[[240]], [[320]]]) / 400.0) ** 2)
+        ),
+        14,
+    ),
     "light from one side": (lambda e, c: e * np.linspace(0.3, 1, 640), 14),
     "glare": (lambda e, c: glare(e, c, 3, 6), 8),
     "large glare": (lambda e, c: glare(e, c, 2, 14), 6),
@@ -132,25 +171,45 @@ def test_hard_light(circles, name):
 
 
 def test_strong_noise(circles):
-    assert_right_or_flagged(noisy(marker_scenes.exact_image(CAMERA, circles), 15), circles, at_least=14)
+    assert_right_or_flagged(
+        noisy(marker_scenes.exact_image(CAMERA, circles), 15), circles, at_least=14
+    )
 
 
 def test_specks_and_scratches(circles):
-    """Specks are small discs, so that they may be found; they must not disturb the markers silently."""
-    exact, rng = marker_scenes.exact_image(CAMERA, circles), np.random.default_rng(2)
+    """Specks are small discs, so that they may be found; they must not disturb the markers
+    silently."""
+    exact = marker_scenes.exact_image(CAMERA, circles)
+    rng = np.random.default_rng(2)
     for _ in range(150):
-        cv2.circle(exact, rng.integers(0, 480, 2).tolist(), int(rng.integers(1, 4)), float(rng.choice([20, 230])), -1)
+        cv2.circle(
+            exact,
+            rng.integers(0, 480, 2).tolist(),
+            int(rng.integers(1, 4)),
+            float(rng.choice([20, 230])),
+            -1,
+        )
     for _ in range(15):
-        cv2.line(exact, rng.integers(0, 480, 2).tolist(), rng.integers(0, 480, 2).tolist(), float(rng.choice([30, 240])), 1)
+        cv2.line(
+            exact,
+            rng.integers(0, 480, 2).tolist(),
+            rng.integers(0, 480, 2).tolist(),
+            float(rng.choice([30, 240])),
+            1,
+        )
     _, poses = errors(noisy(exact), circles)
     truth = np.array([c.p_C for c in circles])
     uv = optics.project(CAMERA, truth)
     far = np.linalg.norm(uv[:, None] - poses.uv_px, axis=2)
-    size = np.linalg.norm(poses.p_CM, axis=1) < 0.08  # a speck of 4 px looks as if it were further away than that
+    # a speck of 4 px looks as if it were further away than that
+    size = np.linalg.norm(poses.p_CM, axis=1) < 0.08
     found = 0
     for i, j in zip(*np.nonzero((far < 10) & size & (poses.status == "ok")), strict=True):
-        error = min(np.linalg.norm(poses.p_CM[j] - truth[i]), np.linalg.norm(poses.p_CM_alt[j] - truth[i]))
-        # a speck on the edge is a systematic error that noise does not tell of: the paper's own error is the bound
+        error = min(
+            np.linalg.norm(poses.p_CM[j] - truth[i]), np.linalg.norm(poses.p_CM_alt[j] - truth[i])
+        )
+        # a speck on the edge is a systematic error that noise does not tell of: the paper's own
+        # error is the bound
         assert error < 0.39e-3
         found += 1
     assert found >= 8
@@ -168,21 +227,28 @@ def test_six_pixel_markers():
 
 
 def test_large_markers_are_found_at_half_the_resolution(circles):
-    """Where the search starts must not matter to the fit, beyond a part of its error bar; the smallest here has 9 px."""
+    """Where the search starts must not matter to the fit, beyond a part of its error bar; the
+    smallest here has 9 px."""
     image = noisy(marker_scenes.exact_image(CAMERA, circles))
-    whole, half = markers.detect(image, CAMERA), markers.detect(image, CAMERA, min_radius_px=6.0)
+    whole = markers.detect(image, CAMERA)
+    half = markers.detect(image, CAMERA, min_radius_px=6.0)
     order = np.linalg.norm(whole.center_px[:, None] - half.center_px, axis=2).argmin(axis=1)
     assert len(half) == len(whole) == len(circles)
     assert (half.status == "ok").all()
     sd = np.sqrt(np.diagonal(whole.cov, axis1=1, axis2=2))[:, :4]
-    moved = np.hstack([half.center_px[order] - whole.center_px, half.semi_axes_px[order] - whole.semi_axes_px])
+    moved = np.hstack(
+        [half.center_px[order] - whole.center_px, half.semi_axes_px[order] - whole.semi_axes_px]
+    )
     assert np.abs(moved / sd).max() < 0.5
 
 
 def test_touching_and_cut_markers_are_flagged():
     def row(pixels):
         rays = optics.unproject(CAMERA, np.array(pixels, float))
-        return [marker_scenes.Circle(ray / ray[2] * 0.045, np.array([0.0, 0.0, -1.0]), R) for ray in rays]
+        return [
+            marker_scenes.Circle(ray / ray[2] * 0.045, np.array([0.0, 0.0, -1.0]), R)
+            for ray in rays
+        ]
 
     touching = row([(200, 240), (240, 240), (281, 240), (322.5, 240), (450, 240)])
     assert_right_or_flagged(marker_scenes.image(CAMERA, touching), touching, at_least=1)
@@ -204,14 +270,20 @@ def test_nothing_there():
 
 def test_bright_markers_are_dark_ones_inverted(circles):
     image = marker_scenes.image(CAMERA, circles)
-    dark, bright = markers.detect(image), markers.detect(255 - image, polarity="bright")
-    np.testing.assert_allclose(bright.center_px, dark.center_px, atol=1e-3)  # float32 sums in another order
+    dark = markers.detect(image)
+    bright = markers.detect(255 - image, polarity="bright")
+    # float32 sums in another order
+    np.testing.assert_allclose(bright.center_px, dark.center_px, atol=1e-3)
 
 
 def test_colour_and_16_bit_images(circles):
     image = marker_scenes.image(CAMERA, circles)
     grey = markers.detect(image)
-    for other in (np.repeat(image[..., None], 3, axis=2), image[..., None], image.astype(np.uint16) * 200):
+    for other in (
+        np.repeat(image[..., None], 3, axis=2),
+        image[..., None],
+        image.astype(np.uint16) * 200,
+    ):
         found = markers.detect(other)
         assert len(found) == len(grey)
         order = np.linalg.norm(grey.center_px[:, None] - found.center_px, axis=2).argmin(axis=1)
@@ -220,15 +292,23 @@ def test_colour_and_16_bit_images(circles):
 
 def test_4k_image():
     camera = optics.Camera(3840, 2160, 3000.0, 3000.0, 1919.5, 1079.5)
-    circles = marker_scenes.random_circles(camera, np.random.default_rng(1), rows=4, columns=6, depth=(0.05, 0.06))
+    circles = marker_scenes.random_circles(
+        camera, np.random.default_rng(1), rows=4, columns=6, depth=(0.05, 0.06)
+    )
     image = marker_scenes.image(camera, circles, noise_dn=4, blur_px=1.5)
     assert_right_or_flagged(image, circles, at_least=24, camera=camera)
 
 
-@pytest.mark.parametrize("camera", [
-    optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5, (-0.3, 0.1, 0.001, -0.002, 0.0)),
-    optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5, (-0.05, 0.01, 0.0, 0.0, 0.0), 0.002, 1.52, 0.023),
-], ids=["lens", "pane"])  # fmt: skip
+@pytest.mark.parametrize(
+    "camera",
+    [
+        optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5, (-0.3, 0.1, 0.001, -0.002, 0.0)),
+        optics.Camera(
+            640, 480, 600.0, 600.0, 319.5, 239.5, (-0.05, 0.01, 0.0, 0.0, 0.0), 0.002, 1.52, 0.023
+        ),
+    ],
+    ids=["lens", "pane"],
+)
 def test_lens_and_pane(camera):
     circles = marker_scenes.random_circles(camera, np.random.default_rng(5))
     error, _ = errors(marker_scenes.image(camera, circles), circles, camera)
@@ -236,17 +316,26 @@ def test_lens_and_pane(camera):
 
 
 def test_image_fit_and_profiles_agree(circles):
-    """Two estimators, one truth: profiles and the fit to the image itself differ by less than their noise."""
+    """Two estimators, one truth: profiles and the fit to the image itself differ by less than their
+    noise."""
     image = marker_scenes.image(CAMERA, circles)
     found = markers.detect(image)
-    fit = edges.fit(image, found.center_px, ellipse.shape_from_axes(found.semi_axes_px, found.angle))
+    fit = edges.fit(
+        image, found.center_px, ellipse.shape_from_axes(found.semi_axes_px, found.angle)
+    )
     assert np.abs(fit.center - found.center_px).max() < 0.02
     assert np.abs(ellipse.axes_from_shape(fit.shape)[0] - found.semi_axes_px).max() < 0.02
 
 
-@pytest.mark.parametrize("bad", [
-    np.zeros((480, 640)), np.zeros((480, 640, 2), np.uint8), np.zeros((4, 4), np.uint8), np.zeros(7, np.uint8),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "bad",
+    [
+        np.zeros((480, 640)),
+        np.zeros((480, 640, 2), np.uint8),
+        np.zeros((4, 4), np.uint8),
+        np.zeros(7, np.uint8),
+    ],
+)
 def test_bad_arrays(bad):
     with pytest.raises(InputError):
         markers.detect(bad)
@@ -260,14 +349,32 @@ def test_bad_polarity():
 def test_image_files(tmp_path, circles):
     image = marker_scenes.image(CAMERA, circles)
     records = locate(image, CAMERA, R)
-    for name, pixels in (("a.png", image), ("b.tiff", image.astype(np.uint16) * 257), ("c.png", np.dstack([image] * 4))):
+    for name, pixels in (
+        ("a.png", image),
+        ("b.tiff", image.astype(np.uint16) * 257),
+        ("c.png", np.dstack([image] * 4)),
+    ):
         cv2.imwrite(str(tmp_path / name), pixels)
         again = locate(load_image(tmp_path / name), CAMERA, R)
         assert len(again) == len(records) == 16
-    assert set(records[0]) == {"uv_px", "ellipse_px", "center_mm", "cov_center_mm2", "normal", "preferred_probability",
-                               "center_alt_mm", "cov_center_alt_mm2", "normal_alt", "status"}
+    assert set(records[0]) == {
+        "uv_px",
+        "ellipse_px",
+        "center_mm",
+        "cov_center_mm2",
+        "normal",
+        "preferred_probability",
+        "center_alt_mm",
+        "cov_center_alt_mm2",
+        "normal_alt",
+        "status",
+    }
     whole = (tmp_path / "a.png").read_bytes()
-    for name, data in (("empty.png", b""), ("text.png", b"not an image"), ("short.png", whole[:200])):
+    for name, data in (
+        ("empty.png", b""),
+        ("text.png", b"not an image"),
+        ("short.png", whole[:200]),
+    ):
         (tmp_path / name).write_bytes(data)
         with pytest.raises(InputError, match="corrupt"):
             load_image(tmp_path / name)
@@ -282,7 +389,9 @@ def test_neighbours_share_elongation_on_a_plane_only():
     p = np.stack([x, y, 0.12 - (n[0] * x + n[1] * y) / n[2]], axis=1)
     board = [marker_scenes.Circle(point, n, R) for point in p]
     exact = marker_scenes.exact_image(CAMERA, board)
-    before, after, ratio = [], [], []
+    before = []
+    after = []
+    ratio = []
     for seed in range(4):
         alone = markers.detect(noisy(exact, 4, seed), CAMERA)
         shared = share_elongation(alone)
@@ -292,10 +401,13 @@ def test_neighbours_share_elongation_on_a_plane_only():
             which, nearer, found = marker_accuracy.match(poses, board)
             errors_z.append((nearer - p)[found, 2])
         ratio.append(after[-1] / np.sqrt(poses.cov_p[which[found], 2, 2]))
-    # the elongation is two thirds of the variance, less a tenth for the field's own: 0.63 of the sd; 240 dots: +- 0.04
+    # the elongation is two thirds of the variance, less a tenth for the field's own: 0.63 of the
+    # sd; 240 dots: +- 0.04
     assert np.std(np.concatenate(after)) < 0.8 * np.std(np.concatenate(before))
     assert 0.7 < np.std(np.concatenate(ratio)) < 1.4
 
-    scattered = marker_scenes.random_circles(CAMERA, np.random.default_rng(0), rows=7, columns=9, radius=0.001)
+    scattered = marker_scenes.random_circles(
+        CAMERA, np.random.default_rng(0), rows=7, columns=9, radius=0.001
+    )
     ellipses = markers.detect(marker_scenes.image(CAMERA, scattered), CAMERA)
     assert share_elongation(ellipses) is ellipses

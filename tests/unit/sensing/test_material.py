@@ -1,4 +1,5 @@
-"""The verdict on synthetic squeezes with closed forms: what is put in must come out, whatever the membranes do."""
+"""The verdict on synthetic squeezes with closed forms: what is put in must come out, whatever the
+membranes do."""
 
 import sys
 
@@ -10,18 +11,26 @@ from mjtactile.core.types import Contact, Material, Surface, Touch, Traction
 from mjtactile.sensing.touch.material import judge
 from mjtactile.sensing.touch.squeeze import Squeeze, covered_area, object_width
 
-PERIOD, FREE_WIDTH, AREA = 1 / 30, 0.024, 288e-6
+PERIOD = 1 / 30
+FREE_WIDTH = 0.024
+AREA = 288e-6
 GRIP = 350.0  # N/m of the two membranes in series
-PRESS, HOLD, REST = 1.8, 2.0, 2.0  # s
+# s
+PRESS = 1.8
+HOLD = 2.0
+REST = 2.0
 SPEED = 4e-3  # m/s of opening
 
 
 def squeeze(law, *, noise=10e-6, second=True, seed=0):
-    """Drive the jaws in, hold, out, and in again. `law` is a generator: it gets the force and yields the deformation.
+    """Drive the jaws in, hold, out, and in again. `law` is a generator: it gets the force and
+    yields the deformation.
 
     The opening less the membranes' give, F / GRIP, is the object's width.
     """
-    rng, rows, object_ = np.random.default_rng(seed), [], law()
+    rng = np.random.default_rng(seed)
+    rows = []
+    object_ = law()
     deformation = next(object_)
     times = np.arange(0.0, PRESS + HOLD + (REST + 3.0 if second else REST), PERIOD / 20)
     for step, time in enumerate(times):
@@ -33,7 +42,17 @@ def squeeze(law, *, noise=10e-6, second=True, seed=0):
         if step % 20 == 0:
             touching = force > 0.05
             width = FREE_WIDTH - deformation + rng.normal(0, noise) if touching else np.nan
-            rows.append((time, FREE_WIDTH - closed, force + rng.normal(0, 3e-3), 3e-3, width, 20e-6, AREA if touching else 0.0))
+            rows.append(
+                (
+                    time,
+                    FREE_WIDTH - closed,
+                    force + rng.normal(0, 3e-3),
+                    3e-3,
+                    width,
+                    20e-6,
+                    AREA if touching else 0.0,
+                )
+            )
     return Squeeze(*np.array(rows).T)
 
 
@@ -50,25 +69,31 @@ def closing(time):
 
 def standard_linear_solid(stiffness, arm=0.0, tau=1.0):
     """F = K d + arm (d - q), q' = (d - q) / tau, in series with the membranes; arm 0: a spring."""
+
     def law():
-        q, d = 0.0, 0.0
+        q = 0.0
+        d = 0.0
         while True:
             _, closed, dt = yield d
             d = (GRIP * max(closed, -1.0) + arm * q) / (GRIP + stiffness + arm)
             d = max(d, arm * q / (stiffness + arm))  # free: no force
             q += dt * (d - q) / tau
+
     return law
 
 
 def yielding(stiffness, yield_force, viscosity):
     """An elastic part in series with one that flows at (F - F_y) / c and never comes back."""
+
     def law():
-        flowed, d = 0.0, 0.0
+        flowed = 0.0
+        d = 0.0
         while True:
             _, closed, dt = yield d
             force = max(0.0, (closed - flowed) / (1 / GRIP + 1 / stiffness))
             flowed += dt * max(0.0, force - yield_force) / viscosity
             d = flowed + force / stiffness
+
     return law
 
 
@@ -80,9 +105,11 @@ def rigid():
 def test_solid():
     found = judge(squeeze(rigid))
     assert found.kind == "solid" and found.probability["solid"] > 0.9 and found.status == "ok"
-    assert abs(found.deformation) < 20e-6  # three sd of the fit's free width, 10 um noise over 50 images
+    # three sd of the fit's free width, 10 um noise over 50 images
+    assert abs(found.deformation) < 20e-6
     assert np.isnan(found.modulus) and found.relaxation_time == 0.0
-    assert found.stiffness_interval[0] > 8e3  # N/m: it is at least so stiff; how stiff, nobody can tell
+    # N/m: it is at least so stiff; how stiff, nobody can tell
+    assert found.stiffness_interval[0] > 8e3
 
 
 @pytest.mark.parametrize("stiffness", [200.0, 1000.0, 3000.0])
@@ -107,7 +134,8 @@ def test_membranes_do_not_count(monkeypatch):
 def test_relaxation_time(tau):
     found = judge(squeeze(standard_linear_solid(300.0, arm=500.0, tau=tau)))
     assert found.kind == "soft"
-    # the creep seen at held jaws is slower, tau (GRIP + K + arm) / (GRIP + K) = 1.8 tau: the membranes are accounted for
+    # the creep seen at held jaws is slower, tau (GRIP + K + arm) / (GRIP + K) = 1.8 tau: the
+    # membranes are accounted for
     assert found.relaxation_time == pytest.approx(tau, rel=0.15)
     assert found.stiffness == pytest.approx(300.0, rel=0.15)  # not all has relaxed after 2 s
 
@@ -116,15 +144,25 @@ def test_relaxation_time(tau):
 def test_amorphous_keeps_its_set(yield_force, viscosity):
     found = judge(squeeze(yielding(3000.0, yield_force, viscosity)))
     assert found.kind == "amorphous" and found.status == "ok"
-    assert found.permanent_set == pytest.approx(found.deformation, rel=0.35) and found.permanent_set > 1e-3
+    assert (
+        found.permanent_set == pytest.approx(found.deformation, rel=0.35)
+        and found.permanent_set > 1e-3
+    )
     assert np.isnan(found.modulus)  # a body that flows has none
     assert found.speed > 1e-4 or yield_force > 0.3
 
 
 def test_too_little_contact_is_a_verdict():
     history = squeeze(rigid)
-    faint = Squeeze(history.time, history.opening, 0.1 * history.force, history.force_sd, history.width, history.width_sd,
-                    history.area)
+    faint = Squeeze(
+        history.time,
+        history.opening,
+        0.1 * history.force,
+        history.force_sd,
+        history.width,
+        history.width_sd,
+        history.area,
+    )
     for found in (judge(faint), judge(Squeeze(*np.zeros((7, 0))))):
         assert found.kind == "unknown" and found.status.startswith("not enough contact yet")
         assert sum(found.probability.values()) == pytest.approx(1.0)
@@ -143,13 +181,17 @@ def test_without_a_second_touch_the_release_decides():
 
 def test_noise_makes_it_undecided_not_wrong():
     """With 0.4 mm of noise nothing can be said of a body that gives way by 0.2 mm."""
-    kinds = [judge(squeeze(standard_linear_solid(4000.0), noise=4e-4, seed=seed)) for seed in range(5)]
+    kinds = [
+        judge(squeeze(standard_linear_solid(4000.0), noise=4e-4, seed=seed)) for seed in range(5)
+    ]
     assert all(found.probability[found.kind] < 0.97 for found in kinds if found.kind != "unknown")
 
 
 def face(height, slope, centroid):
-    """One sensor that a plane touches: 12 x 12 mm around `centroid`, of a membrane of 40 x 30 mm."""
-    x, y = np.linspace(-0.02, 0.02, 41), np.linspace(-0.015, 0.015, 31)
+    """One sensor that a plane touches: 12 x 12 mm around `centroid`, of a membrane of 40 x 30
+    mm."""
+    x = np.linspace(-0.02, 0.02, 41)
+    y = np.linspace(-0.015, 0.015, 31)
     z = height + slope * np.meshgrid(x, y)[0]
     mask = (np.abs(y[:, None] - centroid[1]) < 6.1e-3) & (np.abs(x - centroid[0]) < 6.1e-3)
     surface = Surface(x, y, z, 1.2e-3, 0.0, 0.0, 0.0)
@@ -159,8 +201,10 @@ def face(height, slope, centroid):
 
 
 def test_width_of_a_tilted_block_is_measured_between_opposite_points():
-    """Faces 24 mm apart, both tilted by the same angle; the left touches at y = +4 mm, the right (mirrored) at -(-4)."""
-    left, right = face(1e-3, 0.05, (4e-3, 0.0)), face(1e-3, 0.05, (4e-3, 0.0))
+    """Faces 24 mm apart, both tilted by the same angle; the left touches at y = +4 mm, the right
+    (mirrored) at -(-4)."""
+    left = face(1e-3, 0.05, (4e-3, 0.0))
+    right = face(1e-3, 0.05, (4e-3, 0.0))
     width, sd = object_width((left, right), 0.026)
     assert width == pytest.approx(0.024, abs=1e-9)  # exact for planes
     assert 20e-6 < sd < 1e-3
@@ -173,7 +217,9 @@ def test_covered_area_is_the_hull():
     ring = np.array(touch.contact.mask)
     ring[11:20, 16:25] = False
     hollow = Contact(True, 60e-6, touch.contact.centroid, 1e-3, ring)
-    assert covered_area(Touch(0.0, 0.0, 1.0, 0.01, True, hollow, touch.traction, touch.surface)) == pytest.approx(13e-3**2)
+    assert covered_area(
+        Touch(0.0, 0.0, 1.0, 0.01, True, hollow, touch.traction, touch.surface)
+    ) == pytest.approx(13e-3**2)
 
 
 def test_bad_values_are_refused():

@@ -1,4 +1,5 @@
-"""The closed form against exact projections, its covariance against Monte Carlo, and the paper's own equations."""
+"""The closed form against exact projections, its covariance against Monte Carlo, and the paper's
+own equations."""
 
 import numpy as np
 import pytest
@@ -13,15 +14,22 @@ from mjtactile.sensing.pose import circles
 
 CAMERA = optics.Camera(640, 480, 600.0, 610.0, 322.0, 236.0)
 LENS = optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5, (-0.25, 0.08, 0.001, -0.002, 0.0))
-PANE = optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5, (-0.05, 0.01, 0.0, 0.0, 0.0), 0.002, 1.52, 0.023)
+PANE = optics.Camera(
+    640, 480, 600.0, 600.0, 319.5, 239.5, (-0.05, 0.01, 0.0, 0.0, 0.0), 0.002, 1.52, 0.023
+)
 R = 0.0015
 
 
 def random_poses(rng, count, tilt_deg=(0, 60)):
     z = rng.uniform(0.03, 0.06, count)
-    p = np.stack([rng.uniform(-0.35, 0.35, count) * z, rng.uniform(-0.3, 0.3, count) * z, z], axis=1)
-    tilt, turn = np.deg2rad(rng.uniform(*tilt_deg, count)), rng.uniform(0, 2 * np.pi, count)
-    return p, np.stack([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), -np.cos(tilt)], axis=1)
+    p = np.stack(
+        [rng.uniform(-0.35, 0.35, count) * z, rng.uniform(-0.3, 0.3, count) * z, z], axis=1
+    )
+    tilt = np.deg2rad(rng.uniform(*tilt_deg, count))
+    turn = rng.uniform(0, 2 * np.pi, count)
+    return p, np.stack(
+        [np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), -np.cos(tilt)], axis=1
+    )
 
 
 def rims(p, n, count=64, radius=R):
@@ -33,20 +41,33 @@ def rims(p, n, count=64, radius=R):
 
 
 def exact_cones(p, n, radius=R):
-    """Q with x^T Q x = |x (n.p)/(n.x) - p|^2 (n.x)^2 - r^2 (n.x)^2: the cone over the circle, written out."""
+    """Q with x^T Q x = |x (n.p)/(n.x) - p|^2 (n.x)^2 - r^2 (n.x)^2: the cone over the circle,
+    written out."""
     d = np.einsum("ni,ni->n", n, p)[:, None, None]
     nn, np_, pn = (np.einsum("ni,nj->nij", x, y) for x, y in ((n, n), (n, p), (p, n)))
-    return d**2 * np.eye(3) - d * (np_ + pn) + (np.einsum("ni,ni->n", p, p) - radius**2)[:, None, None] * nn
+    return (
+        d**2 * np.eye(3)
+        - d * (np_ + pn)
+        + (np.einsum("ni,ni->n", p, p) - radius**2)[:, None, None] * nn
+    )
 
 
 def as_ellipses(center, shape, cov=None):
     axes, angle = ellipse.axes_from_shape(shape)
     cov = np.tile(np.eye(5) * 1e-6, (len(center), 1, 1)) if cov is None else cov
-    return Ellipses(center, axes, angle, ellipse.covariance_of_axes(cov, axes, angle), np.full(len(center), "ok"))
+    return Ellipses(
+        center,
+        axes,
+        angle,
+        ellipse.covariance_of_axes(cov, axes, angle),
+        np.full(len(center), "ok"),
+    )
 
 
 def nearest(poses_p, poses_alt, truth):
-    return np.minimum(np.linalg.norm(poses_p - truth, axis=-1), np.linalg.norm(poses_alt - truth, axis=-1))
+    return np.minimum(
+        np.linalg.norm(poses_p - truth, axis=-1), np.linalg.norm(poses_alt - truth, axis=-1)
+    )
 
 
 def test_closed_form_is_exact():
@@ -60,24 +81,31 @@ def test_closed_form_is_exact():
     # rad; the normal loses half the digits where the two solutions meet (face-on)
     assert np.abs(both_n[right, each] - n).max() < 1e-6
     assert (np.einsum("kni,kni->kn", both_n, both_p) < 0).all(), "normals face the camera"
-    np.testing.assert_allclose(*np.linalg.norm(both_p, axis=2), rtol=1e-12)  # both solutions are equally far
+    # both solutions are equally far
+    np.testing.assert_allclose(*np.linalg.norm(both_p, axis=2), rtol=1e-12)
 
 
 def test_face_on_circle_is_harmless():
-    p, n = np.array([[0.0, 0.0, 0.04]]), np.array([[0.0, 0.0, -1.0]])
+    p = np.array([[0.0, 0.0, 0.04]])
+    n = np.array([[0.0, 0.0, -1.0]])
     both_p, both_n = circles.circles_from_cones(exact_cones(p, n), np.array([R]))
-    # the normal's error is the square root of rounding, 1e-8, and the centre moves by r (r/Z) of that
+    # the normal's error is the square root of rounding, 1e-8, and the centre moves by r (r/Z) of
+    # that
     np.testing.assert_allclose(both_p, np.stack([p, p]), atol=1e-11)
     np.testing.assert_allclose(both_n, np.stack([n, n]), atol=1e-6)
 
 
-@pytest.mark.parametrize(("camera", "bound"), [
-    (CAMERA, 1e-11),  # exact but for rounding in the ellipse's shape
-    # The image of a circle through a lens is no ellipse; its least-squares ellipse gives the circle back to second
-    # order in the bending over the marker: a few micrometres at the worst corner, a third of the noise at its limit.
-    (LENS, 4e-6),
-    (PANE, 4e-6),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("camera", "bound"),
+    [
+        (CAMERA, 1e-11),  # exact but for rounding in the ellipse's shape
+        # The image of a circle through a lens is no ellipse; its least-squares ellipse gives the
+        # circle back to second order in the bending over the marker: a few micrometres at the worst
+        # corner, a third of the noise at its limit.
+        (LENS, 4e-6),
+        (PANE, 4e-6),
+    ],
+)
 def test_through_lens_and_pane(camera, bound):
     p, n = random_poses(np.random.default_rng(1), 300, (5, 45))
     uv = optics.project(camera, rims(p, n, 256))
@@ -89,10 +117,14 @@ def test_through_lens_and_pane(camera, bound):
 
 
 def geometric_ellipses(uv):
-    """Least-squares ellipses (distance along normals) through dense boundary points (N, K, 2), by Gauss-Newton."""
+    """Least-squares ellipses (distance along normals) through dense boundary points (N, K, 2), by
+    Gauss-Newton."""
     center = uv.mean(axis=1)
     d = uv - center[:, None]
-    moments = np.stack([(d[..., 0] ** 2).mean(1), (d[..., 0] * d[..., 1]).mean(1), (d[..., 1] ** 2).mean(1)], axis=1)
+    moments = np.stack(
+        [(d[..., 0] ** 2).mean(1), (d[..., 0] * d[..., 1]).mean(1), (d[..., 1] ** 2).mean(1)],
+        axis=1,
+    )
     shape = ellipse.shape_from_moments(moments / 2)
     for _ in range(12):
         p, q, s = ellipse.inverse_shape(shape).T[..., None]
@@ -107,7 +139,8 @@ def geometric_ellipses(uv):
         arc = np.linalg.norm(np.roll(uv, -1, axis=1) - np.roll(uv, 1, axis=1), axis=2)[..., None]
         Tt = (T * arc).transpose(0, 2, 1)
         move = np.linalg.solve(Tt @ T, Tt @ ((rho - 1) / g)[..., None])[..., 0]
-        center, shape = center + move[:, :2], shape + move[:, 2:]
+        center = center + move[:, :2]
+        shape = shape + move[:, 2:]
     return center, shape
 
 
@@ -117,10 +150,14 @@ def test_covariance_agrees_with_monte_carlo(camera):
     p, n = random_poses(rng, 20, (15, 45))
     center, shape = geometric_ellipses(optics.project(camera, rims(p, n, 128)))
     sd = np.array([0.003, 0.003, 0.004, 0.003, 0.004])  # px: about what noise of 2 DN leaves
-    predicted = circles.estimate_poses(as_ellipses(center, shape, np.tile(np.diag(sd**2), (20, 1, 1))), camera, R)
+    predicted = circles.estimate_poses(
+        as_ellipses(center, shape, np.tile(np.diag(sd**2), (20, 1, 1))), camera, R
+    )
     repeats = 800
     moves = rng.normal(0, sd, (repeats, 20, 5))
-    many = as_ellipses((center + moves[..., :2]).reshape(-1, 2), (shape + moves[..., 2:]).reshape(-1, 3))
+    many = as_ellipses(
+        (center + moves[..., :2]).reshape(-1, 2), (shape + moves[..., 2:]).reshape(-1, 3)
+    )
     poses = circles.estimate_poses(many, camera, R)
     both = np.stack([poses.p_CM, poses.p_CM_alt]).reshape(2, repeats, 20, 3)
     normals = np.stack([poses.n_C, poses.n_C_alt]).reshape(2, repeats, 20, 3)
@@ -128,13 +165,25 @@ def test_covariance_agrees_with_monte_carlo(camera):
     for p_CM, n_C in ((predicted.p_CM, predicted.n_C), (predicted.p_CM_alt, predicted.n_C_alt)):
         cov_p, cov_n = circles.pose_covariances(ellipses, camera, p_CM, n_C)
         same = np.linalg.norm(normals - n_C, axis=3).argmin(axis=0)
-        samples, turned = (np.take_along_axis(x, same[None, ..., None], axis=0)[0] for x in (both, normals))
+        samples, turned = (
+            np.take_along_axis(x, same[None, ..., None], axis=0)[0] for x in (both, normals)
+        )
         for k in range(20):
-            # the sample covariance of 800 draws is good to 5 % (1 sd); 3 x 20 of them, and 5 % for curvature
+            # the sample covariance of 800 draws is good to 5 % (1 sd); 3 x 20 of them, and 5 % for
+            # curvature
             assert np.abs(np.cov(whitened(samples[:, k], cov_p[k])) - np.eye(3)).max() < 0.25
             across = np.stack(geometry.tangents(n_C[k]))  # a unit vector turns about two axes
-            assert np.abs(np.cov(whitened(turned[:, k] @ across.T, across @ cov_n[k] @ across.T)) - np.eye(2)).max() < 0.25
-    np.testing.assert_allclose(circles.pose_covariances(ellipses, camera, predicted.p_CM, predicted.n_C)[0], predicted.cov_p)
+            assert (
+                np.abs(
+                    np.cov(whitened(turned[:, k] @ across.T, across @ cov_n[k] @ across.T))
+                    - np.eye(2)
+                ).max()
+                < 0.25
+            )
+    np.testing.assert_allclose(
+        circles.pose_covariances(ellipses, camera, predicted.p_CM, predicted.n_C)[0],
+        predicted.cov_p,
+    )
 
 
 def whitened(samples, cov):
@@ -156,9 +205,14 @@ def test_sine_rule_as_printed_and_in_its_stable_form():
     rng = np.random.default_rng(4)
     phi, omega = rng.uniform(0.005, 0.2, (2, 1000))
     stable = sine_rule.centre_distance(np.full(1000, R), phi, omega)
-    np.testing.assert_allclose(sine_rule.centre_distance_as_printed(np.full(1000, R), phi, omega), stable, rtol=1e-9)
+    np.testing.assert_allclose(
+        sine_rule.centre_distance_as_printed(np.full(1000, R), phi, omega), stable, rtol=1e-9
+    )
     # a chord seen square-on: CD = r/tan(phi)
-    np.testing.assert_allclose(sine_rule.centre_distance(np.array([R]), np.array([0.04]), np.array([0.04])), R / np.tan(0.04))
+    np.testing.assert_allclose(
+        sine_rule.centre_distance(np.array([R]), np.array([0.04]), np.array([0.04])),
+        R / np.tan(0.04),
+    )
 
 
 def test_radius_per_marker_scales_its_distance():

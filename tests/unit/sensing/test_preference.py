@@ -1,4 +1,5 @@
-"""Which of a circle's two poses is right: told by the circles around it, or by a prior that knows how little it knows."""
+"""Which of a circle's two poses is right: told by the circles around it, or by a prior that knows
+how little it knows."""
 
 import numpy as np
 
@@ -7,12 +8,18 @@ from mjtactile.core import optics
 from mjtactile.sensing.pose.locate import find_circles
 
 CAMERA = optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
-R, PITCH = 0.0025, 0.009
+R = 0.0025
+PITCH = 0.009
 
 
 def sheet(slope, bend, rows=5, columns=6):
     """Circles on z = 0.11 m + slope . (x, y) + bend x^2/2, with the sheet's own normals."""
-    x, y = (PITCH * c.ravel() for c in np.meshgrid(np.arange(columns) - (columns - 1) / 2, np.arange(rows) - (rows - 1) / 2))
+    x, y = (
+        PITCH * c.ravel()
+        for c in np.meshgrid(
+            np.arange(columns) - (columns - 1) / 2, np.arange(rows) - (rows - 1) / 2
+        )
+    )
     p = np.stack([x, y, 0.11 + slope[0] * x + slope[1] * y + bend * x * x / 2], axis=1)
     n = np.stack([slope[0] + bend * x, np.full_like(x, slope[1]), np.full_like(x, -1.0)], axis=1)
     return [marker_scenes.Circle(a, b / np.linalg.norm(b), R) for a, b in zip(p, n, strict=True)]
@@ -29,22 +36,31 @@ def right(found, circles):
 
 
 def test_neighbours_on_a_sheet_decide_even_for_the_more_tilted_pose():
-    """At the image's edges the right pose of a tilted sheet is often the one that is more tilted to the camera's axis."""
+    """At the image's edges the right pose of a tilted sheet is often the one that is more tilted to
+    the camera's axis."""
     for slope, bend in (((0.5, 0.3), 0.0), ((-0.2, 0.4), 15.0)):
         circles = sheet(slope, bend)
-        decided, sure = right(find_circles(marker_scenes.image(CAMERA, circles), CAMERA, R), circles)
+        decided, sure = right(
+            find_circles(marker_scenes.image(CAMERA, circles), CAMERA, R), circles
+        )
         assert len(decided) == 30 and decided.mean() > 0.96
         assert sure.mean() > 0.95
 
 
 def test_circles_with_tilts_of_their_own_are_as_sure_as_they_are_right():
-    """16 circles each in 6 images, tilted by 0 to 60 degrees: the binomial sd of the share is 0.045."""
-    decided, sure, images = [], [], []
+    """16 circles each in 6 images, tilted by 0 to 60 degrees: the binomial sd of the share is
+    0.045."""
+    decided = []
+    sure = []
+    images = []
     for seed in range(6):
-        circles = marker_scenes.random_circles(CAMERA, np.random.default_rng(seed), tilt_deg=(0, 60))
+        circles = marker_scenes.random_circles(
+            CAMERA, np.random.default_rng(seed), tilt_deg=(0, 60)
+        )
         images.append(find_circles(marker_scenes.image(CAMERA, circles, seed=seed), CAMERA, 0.0015))
         one, two = right(images[-1], circles)
-        decided, sure = [*decided, *one], [*sure, *two]
+        decided = [*decided, *one]
+        sure = [*sure, *two]
     assert len(decided) > 90
     assert abs(np.mean(decided) - np.mean(sure)) < 0.12
     assert 0.55 < np.mean(sure) < 0.85  # it does not pretend to know
@@ -54,10 +70,16 @@ def test_circles_with_tilts_of_their_own_are_as_sure_as_they_are_right():
 
 
 def test_one_circle_alone_has_both_poses_with_their_covariances():
-    """The nearer of the two is right within its own error bars; swapped, the other one's are those of `estimate_poses`."""
-    truth = marker_scenes.Circle(np.array([0.012, 0.006, 0.05]), np.array([np.sin(0.6), 0.0, -np.cos(0.6)]), 0.0015)
+    """The nearer of the two is right within its own error bars; swapped, the other one's are those
+    of `estimate_poses`."""
+    truth = marker_scenes.Circle(
+        np.array([0.012, 0.006, 0.05]), np.array([np.sin(0.6), 0.0, -np.cos(0.6)]), 0.0015
+    )
     found = find_circles(marker_scenes.image(CAMERA, [truth]), CAMERA, truth.radius)
     assert len(found.poses) == 1 and 0.5 <= found.sure[0] < 0.9
     error = np.stack([found.poses.p_CM[0], found.poses.p_CM_alt[0]]) - truth.p_C
-    chi2 = [e @ np.linalg.solve(cov, e) for e, cov in zip(error, (found.poses.cov_p[0], found.cov_p_alt[0]), strict=True)]
+    chi2 = [
+        e @ np.linalg.solve(cov, e)
+        for e, cov in zip(error, (found.poses.cov_p[0], found.cov_p_alt[0]), strict=True)
+    ]
     assert min(chi2) < 16.3 < max(chi2)  # 0.1 % of a chi-square with 3 degrees of freedom

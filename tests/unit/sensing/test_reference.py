@@ -27,8 +27,9 @@ def test_pose_fit_inverts_the_projection():
     camera = Camera.from_design(DESIGN.camera, DESIGN.glass)
     R = geometry.rotation_from_vector(np.array([0.02, -0.03, 0.01]))
     p = DESIGN.camera.p_SC + [3e-4, -2e-4, 5e-4]
-    found_R, found_p, residual = fit_camera_pose(DESIGN, camera, DESIGN.markers.p_SM,
-                                                 project(camera, (DESIGN.markers.p_SM - p) @ R))
+    found_R, found_p, residual = fit_camera_pose(
+        DESIGN, camera, DESIGN.markers.p_SM, project(camera, (DESIGN.markers.p_SM - p) @ R)
+    )
     np.testing.assert_allclose(found_R, R, atol=1e-9)  # exact data: only rounding is left
     np.testing.assert_allclose(found_p, p, atol=1e-10)
     assert residual < 1e-8
@@ -42,11 +43,13 @@ def test_radius_of_each_marker_is_found():
     np.testing.assert_allclose(flat.scale, factor, atol=6e-4)
     view = Renderer(DESIGN, radius=DESIGN.markers.radius * factor, seed=5)
     markers = perception.chain.see(perception.state, view.render(DESIGN.markers.p_SM, OUTWARD))[0]
-    assert np.abs(markers.p_SM[:, 2]).max() < 1.5e-4  # without the calibration 3 % of 45 mm is 1.35 mm
+    # without the calibration 3 % of 45 mm is 1.35 mm
+    assert np.abs(markers.p_SM[:, 2]).max() < 1.5e-4
 
 
 def test_a_camera_that_sits_askew_is_found_and_taken_out():
-    """Tilt and shift the scene before the camera: the same images as from a camera that is mounted askew."""
+    """Tilt and shift the scene before the camera: the same images as from a camera that is mounted
+    askew."""
     R_SC = geometry.rotation_from_vector(np.array([0.01, -0.015, 0.02]))
     p_SC = DESIGN.camera.p_SC + [4e-4, -3e-4, 6e-4]
     view = Renderer(DESIGN, seed=3)
@@ -61,7 +64,8 @@ def test_a_camera_that_sits_askew_is_found_and_taken_out():
     np.testing.assert_allclose(flat.R_SC, R_SC, atol=4e-4)
     raised = DESIGN.markers.p_SM + [0.0, 0.0, 1e-3]
     markers = perception.chain.see(perception.state, image(raised, OUTWARD))[0]
-    np.testing.assert_allclose(markers.p_SM.mean(axis=0), raised.mean(axis=0), atol=1e-5)  # 18 um / sqrt(81), four sd
+    # 18 um / sqrt(81), four sd
+    np.testing.assert_allclose(markers.p_SM.mean(axis=0), raised.mean(axis=0), atol=1e-5)
 
 
 def test_what_does_not_fit_the_sensor_file_is_refused():
@@ -78,10 +82,15 @@ def test_what_does_not_fit_the_sensor_file_is_refused():
 @pytest.mark.parametrize("stuck_inflated", [False, True])
 def test_a_valve_that_does_not_move_is_noticed_without_a_pressure_sensor(stuck_inflated):
     """Whether the membrane stays flat, or never was: both references look the same."""
-    x, y = (DESIGN.markers.p_SM[:, i] / size for i, size in ((0, DESIGN.frame.length), (1, DESIGN.frame.width)))
+    x, y = (
+        DESIGN.markers.p_SM[:, i] / size
+        for i, size in ((0, DESIGN.frame.length), (1, DESIGN.frame.width))
+    )
     bulge = 2e-3 * np.cos(np.pi * x) * np.cos(np.pi * y) * stuck_inflated
     view = Renderer(DESIGN, seed=4)
-    images = [view.render(DESIGN.markers.p_SM + bulge[:, None] * [0, 0, 1], OUTWARD) for _ in range(5)]
+    images = [
+        view.render(DESIGN.markers.p_SM + bulge[:, None] * [0, 0, 1], OUTWARD) for _ in range(5)
+    ]
     perception = Perception.of(DESIGN)
     perception.take_flat(images)
     with pytest.raises(DeviceError, match="does the valve move"):

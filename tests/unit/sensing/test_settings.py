@@ -1,4 +1,5 @@
-"""The chain's fitted numbers: each says what it is and where it comes from, and can be overridden, by name, to effect."""
+"""The chain's fitted numbers: each says what it is and where it comes from, and can be overridden,
+by name, to effect."""
 
 import dataclasses
 import json
@@ -31,29 +32,51 @@ def test_every_number_says_what_it_is_and_where_it_comes_from():
 
 
 def test_overriding_leaves_the_defaults_and_all_others_alone():
-    other = DEFAULTS.override({"zero.touch_least": 0.5, "inverse.spans": (12, 8), "fewest_seen": 0.6})
+    other = DEFAULTS.override(
+        {"zero.touch_least": 0.5, "inverse.spans": (12, 8), "fewest_seen": 0.6}
+    )
     changed = {key for key, value in other.to_dict().items() if DEFAULTS.to_dict()[key] != value}
-    assert changed == {"zero.touch_least", "inverse.spans", "fewest_seen"} and DEFAULTS.zero.touch_least == 0.02
+    assert (
+        changed == {"zero.touch_least", "inverse.spans", "fewest_seen"}
+        and DEFAULTS.zero.touch_least == 0.02
+    )
 
 
 def test_a_chain_works_with_what_it_is_given():
-    chain = Chain(load_sensor("paper16"), settings=DEFAULTS.override({"inverse.spans": (10, 8), "surface.laplacian": 200.0}))
+    chain = Chain(
+        load_sensor("paper16"),
+        settings=DEFAULTS.override({"inverse.spans": (10, 8), "surface.laplacian": 200.0}),
+    )
     assert (len(chain.inverse.x), len(chain.inverse.y)) == (11, 9)
     assert not np.allclose(chain.fitter.prior, Chain(load_sensor("paper16")).fitter.prior)
-    press = Traction(np.zeros(2), np.zeros(2), np.zeros((2, 2, 3)), -np.array([0, 0, 0.3, 0, 0, 0]), 1e-6 * np.eye(6), 0.0, "")
+    press = Traction(
+        np.zeros(2),
+        np.zeros(2),
+        np.zeros((2, 2, 3)),
+        -np.array([0, 0, 0.3, 0, 0, 0]),
+        1e-6 * np.eye(6),
+        0.0,
+        "",
+    )
     deaf = chain.settings.override({"zero.touch_least": 0.5}).zero
-    assert zero.detect_touch(1.0, press, None).touching and not zero.detect_touch(1.0, press, None, deaf).touching
+    assert (
+        zero.detect_touch(1.0, press, None).touching
+        and not zero.detect_touch(1.0, press, None, deaf).touching
+    )
 
 
-@pytest.mark.parametrize(("values", "message"), [
-    ({"zero.tuch_sd": 1.0}, r"zero\.tuch_sd: unknown setting \(valid: zero\.touch_sd, "),
-    ({"nil.touch_sd": 1.0}, r"unknown setting \(valid: fewest_seen, markers"),
-    ({"zero": 1.0}, "unknown setting"),
-    ({"zero.touch_sd": math.nan}, "nan is not like 5.0"),
-    ({"zero.touch_sd": "5"}, "'5' is not like 5.0"),
-    ({"zero.memory_images": 1.5}, "1.5 is not like 30"),
-    ({"inverse.spans": (14,)}, "is not like"),
-])
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"zero.tuch_sd": 1.0}, r"zero\.tuch_sd: unknown setting \(valid: zero\.touch_sd, "),
+        ({"nil.touch_sd": 1.0}, r"unknown setting \(valid: fewest_seen, markers"),
+        ({"zero": 1.0}, "unknown setting"),
+        ({"zero.touch_sd": math.nan}, "nan is not like 5.0"),
+        ({"zero.touch_sd": "5"}, "'5' is not like 5.0"),
+        ({"zero.memory_images": 1.5}, "1.5 is not like 30"),
+        ({"inverse.spans": (14,)}, "is not like"),
+    ],
+)
 def test_a_wrong_name_or_value_is_refused(values, message):
     with pytest.raises(InputError, match=message):
         DEFAULTS.override(values)
@@ -64,14 +87,24 @@ def test_settings_go_into_recordings_as_json():
 
 
 def test_every_stage_works_with_what_it_is_given():
-    """One number of each stage that a grasp does not come to, turned so far that its verdict turns."""
+    """One number of each stage that a grasp does not come to, turned so far that its verdict
+    turns."""
     sample = np.arange(60) / 30
-    force, width = np.minimum(sample, 0.8), 0.02 - 5e-4 * np.minimum(sample, 0.8)  # 2 kN/m, pressed for 0.8 s, then held
-    squeeze = Squeeze(sample, width, force, np.full(60, 3e-3), width, np.full(60, 2e-5), np.full(60, 3e-4))
+    # 2 kN/m, pressed for 0.8 s, then held
+    force = np.minimum(sample, 0.8)
+    width = 0.02 - 5e-4 * np.minimum(sample, 0.8)
+    squeeze = Squeeze(
+        sample, width, force, np.full(60, 3e-3), width, np.full(60, 2e-5), np.full(60, 3e-4)
+    )
     hard = DEFAULTS.override({"material.solid_compliance": 1e-3}).material
     assert judge(squeeze).probability["solid"] < 0.1 and judge(squeeze, hard).kind == "solid"
-    image = cv2.GaussianBlur(cv2.circle(np.full((120, 160), 200, np.uint8), (80, 60), 20, 40, -1), (0, 0), 1.0)
+    image = cv2.GaussianBlur(
+        cv2.circle(np.full((120, 160), 200, np.uint8), (80, 60), 20, 40, -1), (0, 0), 1.0
+    )
     blind = DEFAULTS.override({"candidates.margins": (250.0, 250.0)})
     assert (len(detect(image)), len(detect(image, settings=blind))) == (1, 0)
     sure = DEFAULTS.override({"profiles.unmodelled": 4 * DEFAULTS.profiles.unmodelled})
-    assert 1.5 < np.sqrt(detect(image, settings=sure).cov[0, 2, 2] / detect(image).cov[0, 2, 2]) <= 2  # the levels' part stays
+    # the levels' part stays
+    assert (
+        1.5 < np.sqrt(detect(image, settings=sure).cov[0, 2, 2] / detect(image).cov[0, 2, 2]) <= 2
+    )

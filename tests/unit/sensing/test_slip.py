@@ -1,4 +1,5 @@
-"""Slip on made-up sequences whose answer is known: patches that stick, slide, roll, turn, and shake within their noise."""
+"""Slip on made-up sequences whose answer is known: patches that stick, slide, roll, turn, and shake
+within their noise."""
 
 from __future__ import annotations
 
@@ -15,42 +16,63 @@ from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sensing.touch import slip
 from mjtactile.sensing.touch.patches import find_patches
 
-RATE, NORMAL = 30.0, 0.6
+RATE = 30.0
+NORMAL = 0.6
 
 
 @pytest.fixture(scope="module")
 def sensor():
-    """An estimator, and a flat sheet's shape: its normal is z, so that loads are what they are said to be."""
+    """An estimator, and a flat sheet's shape: its normal is z, so that loads are what they are said
+    to be."""
     estimator = InverseMembrane(load_sensor("dense"))
     c = np.zeros((3, estimator.sheet.count))
     rest = InverseRest(Gas(0.0), 1.0, c, np.zeros((estimator.design.markers.count, 3)))
     markers_p = estimator.positions(c)
     count = len(markers_p)
-    markers = Markers(np.arange(count), markers_p, np.full((count, 3), np.nan), np.tile(1e-11 * np.eye(3), (count, 1, 1)))
+    markers = Markers(
+        np.arange(count),
+        markers_p,
+        np.full((count, 3), np.nan),
+        np.tile(1e-11 * np.eye(3), (count, 1, 1)),
+    )
     return estimator, rest, estimator.estimate(markers, rest)
 
 
 def patch(estimator, force, place, radius=6e-3):
-    """Nodal tractions (3, J) Pa of a parabolic patch with resultant (3,) N at `place` (2,) m of the flat sheet."""
+    """Nodal tractions (3, J) Pa of a parabolic patch with resultant (3,) N at `place` (2,) m of the
+    flat sheet."""
     weight = np.clip(1 - np.sum((estimator.nodes - place) ** 2, axis=1) / radius**2, 0, None)
     return np.outer(force, weight / (weight @ estimator.node_area))
 
 
 def verdicts(sensor, shear, place, dragged=None, turned=None, rate=RATE):
-    """What is said of each image. `shear` (k,) N and `place` (k,) m along x, the sheet `dragged` along x by (k,) m and `turned`
-    about z by (k,) rad."""
+    """What is said of each image. `shear` (k,) N and `place` (k,) m along x, the sheet `dragged`
+    along x by (k,) m and `turned` about z by (k,) rad."""
     estimator, rest, flat = sensor
-    count, history, said = len(shear), None, []
+    count = len(shear)
+    history = None
+    said = []
     dragged = np.zeros(count) if dragged is None else dragged
     turned = np.zeros(count) if turned is None else turned
     for k in range(count):
         c = np.zeros_like(flat.c)
         c[0] = dragged[k]  # splines add up to one
         if turned[k]:
-            x, y = (np.linalg.lstsq(estimator._at_nodes, axis, rcond=None)[0] for axis in estimator.nodes.T)
-            c[:2] = np.cos(turned[k]) * np.array([x, y]) + np.sin(turned[k]) * np.array([-y, x]) - np.array([x, y])
-        shape = replace(flat, c=c, traction=patch(estimator, (shear[k], 0.0, -NORMAL), (place[k], 0.0)))
-        verdict, history = slip.judge(k / rate, estimator, shape, find_patches(estimator, shape, rest), history)
+            x, y = (
+                np.linalg.lstsq(estimator._at_nodes, axis, rcond=None)[0]
+                for axis in estimator.nodes.T
+            )
+            c[:2] = (
+                np.cos(turned[k]) * np.array([x, y])
+                + np.sin(turned[k]) * np.array([-y, x])
+                - np.array([x, y])
+            )
+        shape = replace(
+            flat, c=c, traction=patch(estimator, (shear[k], 0.0, -NORMAL), (place[k], 0.0))
+        )
+        verdict, history = slip.judge(
+            k / rate, estimator, shape, find_patches(estimator, shape, rest), history
+        )
         said.append(verdict)
     return said
 
@@ -66,7 +88,8 @@ def ramp(before, rising, after=0):
 
 def test_states_that_need_no_history(sensor):
     mu = sensor[0].design.membrane.friction
-    for share, state in ((0.1, "sticking"), (0.8, "incipient"), (1.1, "incipient")):  # beyond the file's friction, but it holds
+    # beyond the file's friction, but it holds
+    for share, state in ((0.1, "sticking"), (0.8, "incipient"), (1.1, "incipient")):
         assert states(verdicts(sensor, np.full(9, share * mu * NORMAL), np.zeros(9)))[-1] == state
     none, history = slip.judge(0.0, sensor[0], sensor[2], (), None)
     assert none.state == "none" and history is None and {"none", "unknown"} < set(SLIP_STATES)
@@ -75,7 +98,9 @@ def test_states_that_need_no_history(sensor):
 def test_stick_ratio_is_mindlins(sensor):
     mu = sensor[0].design.membrane.friction
     for used in (0.2, 0.5, 0.8):
-        assert verdicts(sensor, [used * mu * NORMAL], [0.0])[0].stick_ratio == pytest.approx((1 - used) ** (2 / 3), abs=1e-6)
+        assert verdicts(sensor, [used * mu * NORMAL], [0.0])[0].stick_ratio == pytest.approx(
+            (1 - used) ** (2 / 3), abs=1e-6
+        )
 
 
 def test_what_sticks_and_is_dragged_along_does_not_slip(sensor):
@@ -85,10 +110,14 @@ def test_what_sticks_and_is_dragged_along_does_not_slip(sensor):
     assert set(states(said)) <= {"sticking", "incipient"} and said[-1].distance == 0.0
 
 
-@pytest.mark.parametrize(("speed", "rate"), [(2e-3, 30.0), (2e-3, 60.0), (5e-3, 30.0), (-5e-3, 30.0), (20e-3, 60.0)])
+@pytest.mark.parametrize(
+    ("speed", "rate"), [(2e-3, 30.0), (2e-3, 60.0), (5e-3, 30.0), (-5e-3, 30.0), (20e-3, 60.0)]
+)
 def test_a_patch_that_goes_along_the_shear_while_the_rubber_stays_slips(sensor, speed, rate):
-    """Gross slip at constant shear: said within 0.5 mm, or in the second image; its speed is the patch's."""
-    still, sliding = 12, 24
+    """Gross slip at constant shear: said within 0.5 mm, or in the second image; its speed is the
+    patch's."""
+    still = 12
+    sliding = 24
     place = np.r_[np.zeros(still), speed * np.arange(1, sliding + 1) / rate] - np.sign(speed) * 2e-3
     shear = np.full(still + sliding, np.sign(speed) * 0.4 * NORMAL)
     said = verdicts(sensor, shear, place, rate=rate)
@@ -96,7 +125,7 @@ def test_a_patch_that_goes_along_the_shear_while_the_rubber_stays_slips(sensor, 
     first = states(said).index("slipping") - still + 1
     assert abs(speed) * first / rate < max(0.5e-3, 2.01 * abs(speed) / rate)
     # a parabola on a grid of 3 mm: its centre moves unevenly, right on average over a cell
-    assert np.mean([v.velocity[0] for v in said[still + 8:]]) == pytest.approx(speed, rel=0.3)
+    assert np.mean([v.velocity[0] for v in said[still + 8 :]]) == pytest.approx(speed, rel=0.3)
     assert said[-1].distance == pytest.approx(abs(speed) * sliding / rate, rel=0.4)
     assert said[-1].stick_ratio == 0.0
 
@@ -108,9 +137,11 @@ def test_a_slip_that_ends_is_over(sensor):
 
 
 def test_partial_slip_is_allowed_for_and_gross_slip_after_it_is_not(sensor):
-    """Cattaneo: while its rim slides, the patch goes by a share of the rubber's way; then the rubber stops, and it goes on."""
+    """Cattaneo: while its rim slides, the patch goes by a share of the rubber's way; then the
+    rubber stops, and it goes on."""
     grown = ramp(10, 20, 20)
-    rim, shear = 1.2e-3 * grown, NORMAL * (0.3 + 0.1 * grown)
+    rim = 1.2e-3 * grown
+    shear = NORMAL * (0.3 + 0.1 * grown)
     assert "slipping" not in states(verdicts(sensor, shear, rim, dragged=4e-3 * grown))
     goes_on = rim + 4e-3 / RATE * np.r_[np.zeros(30), np.arange(1, 21)]
     slides = states(verdicts(sensor, shear, goes_on, dragged=4e-3 * grown))
@@ -126,23 +157,33 @@ def test_rolling_and_turning_do_not_slip(sensor):
 
 
 def test_noise_alone_never_slips(sensor):
-    """1000 images whose centre scatters as `SlipSettings.noise` says: 6 sd in 4000 looks is once in 100 000 such runs."""
-    s, rng = DEFAULTS.slip, np.random.default_rng(0)
+    """1000 images whose centre scatters as `SlipSettings.noise` says: 6 sd in 4000 looks is once in
+    100 000 such runs."""
+    s = DEFAULTS.slip
+    rng = np.random.default_rng(0)
     size = 6e-3 / np.sqrt(3)  # of a parabola: its radius of gyration
     sd = s.noise * (size / s.noise_size) ** s.noise_size_power * NORMAL**s.noise_force_power
     along = np.array([1.0, 0.0, 0.0]) * 0.4
-    weight = slip._pressed(sensor[0], replace(sensor[2], traction=patch(sensor[0], (0, 0, -NORMAL), (0, 0))), 0.0)
+    weight = slip._pressed(
+        sensor[0], replace(sensor[2], traction=patch(sensor[0], (0, 0, -NORMAL), (0, 0))), 0.0
+    )
     places = sd * rng.standard_normal((1000, 2))
     for k in range(12, 1000):
-        samples = tuple(slip.SlipSample(j / RATE, places[j], np.zeros(3), along) for j in range(k - 12, k))
+        samples = tuple(
+            slip.SlipSample(j / RATE, places[j], np.zeros(3), along) for j in range(k - 12, k)
+        )
         history = slip.SlipHistory(samples, weight, sensor[0].node_positions(sensor[2].c), 0.0, 0.9)
         assert slip.evidence(history, NORMAL) < s.evidence
 
 
 def test_friction_is_learnt_from_a_slip_and_from_a_hold(sensor):
-    """After a slip at 0.4 N a newton, half of that is half of what holds; before, the file said 0.9."""
-    still, sliding = 12, 12
-    place = np.r_[np.zeros(still), 5e-3 / RATE * np.arange(1, sliding + 1), np.full(20, 5e-3 / RATE * sliding)]
+    """After a slip at 0.4 N a newton, half of that is half of what holds; before, the file said
+    0.9."""
+    still = 12
+    sliding = 12
+    place = np.r_[
+        np.zeros(still), 5e-3 / RATE * np.arange(1, sliding + 1), np.full(20, 5e-3 / RATE * sliding)
+    ]
     shear = NORMAL * np.r_[np.full(still + sliding, 0.4), np.full(20, 0.2)]
     said = verdicts(sensor, shear, place)
     assert said[0].stick_ratio == pytest.approx((1 - 0.4 / 0.9) ** (2 / 3), abs=1e-6)

@@ -1,4 +1,5 @@
-"""What `locate` finds in photographs beyond what touch needs, and that no candidate vanishes without a word."""
+"""What `locate` finds in photographs beyond what touch needs, and that no candidate vanishes
+without a word."""
 
 import cv2
 import numpy as np
@@ -16,29 +17,48 @@ CAMERA = optics.Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
 
 
 def board(rows, columns, pitch, radius, z):
-    x, y = (pitch * c.ravel() for c in np.meshgrid(np.arange(columns) - (columns - 1) / 2, np.arange(rows) - (rows - 1) / 2))
-    return [marker_scenes.Circle(p, np.array([0.0, 0.0, -1.0]), radius) for p in np.stack([x, y, np.full_like(x, z)], axis=1)]
+    x, y = (
+        pitch * c.ravel()
+        for c in np.meshgrid(
+            np.arange(columns) - (columns - 1) / 2, np.arange(rows) - (rows - 1) / 2
+        )
+    )
+    return [
+        marker_scenes.Circle(p, np.array([0.0, 0.0, -1.0]), radius)
+        for p in np.stack([x, y, np.full_like(x, z)], axis=1)
+    ]
 
 
 def beside(circles, margin_px, *, dot, ground, window):
-    """Dots on a grey ground that ends `margin_px` beside the outermost; all around is as bright as a window."""
+    """Dots on a grey ground that ends `margin_px` beside the outermost; all around is as bright as
+    a window."""
     rims = np.concatenate([marker_scenes.rim_px(CAMERA, c, 32) for c in circles])
-    low, high = rims.min(axis=0) - margin_px, rims.max(axis=0) + margin_px
+    low = rims.min(axis=0) - margin_px
+    high = rims.max(axis=0) + margin_px
     v, u = np.mgrid[:480, :640]
     sheet = ((u > low[0]) & (u < high[0]) & (v > low[1]) & (v < high[1])).astype(float)
     cover = marker_scenes.coverage(CAMERA, circles, 0.0)
-    image = cv2.GaussianBlur(window + sheet * (ground - window + (dot - ground) * cover), (0, 0), 0.7)
-    return np.rint(image + np.random.default_rng(0).normal(0, 2, image.shape)).clip(0, 255).astype(np.uint8)
+    image = cv2.GaussianBlur(
+        window + sheet * (ground - window + (dot - ground) * cover), (0, 0), 0.7
+    )
+    return (
+        np.rint(image + np.random.default_rng(0).normal(0, 2, image.shape))
+        .clip(0, 255)
+        .astype(np.uint8)
+    )
 
 
 def trusted(ellipses, circles):
     """How many circles have a trusted ellipse within 2 px of their centre."""
     uv = optics.project(CAMERA, np.array([c.p_C for c in circles]))
     good = ellipses.center_px[ellipses.status == "ok"]
-    return int((np.linalg.norm(uv[:, None] - good, axis=2).min(axis=1) < 2).sum()) if len(good) else 0
+    return (
+        int((np.linalg.norm(uv[:, None] - good, axis=2).min(axis=1) < 2).sum()) if len(good) else 0
+    )
 
 
-@pytest.mark.parametrize("size", [(6, 8, 0.010, 0.003, 0.14), (10, 14, 0.006, 0.0017, 0.15)])  # 13 and 7 px of radius
+# 13 and 7 px of radius
+@pytest.mark.parametrize("size", [(6, 8, 0.010, 0.003, 0.14), (10, 14, 0.006, 0.0017, 0.15)])
 def test_dots_beside_a_bright_window_are_found(size):
     circles = board(*size)
     image = beside(circles, 12, dot=50, ground=100, window=250)
@@ -48,15 +68,20 @@ def test_dots_beside_a_bright_window_are_found(size):
     assert trusted(found, circles) == len(circles)
     _, nearer, seen = match(estimate_poses(found, CAMERA, size[3]), circles)
     assert seen.all()
-    # 0.2-0.35 % is the noise at that contrast and these sizes (Cramer-Rao), 4 of that once in 15 000
+    # 0.2-0.35 % is the noise at that contrast and these sizes (Cramer-Rao), 4 of that once in 15
+    # 000
     assert np.abs(nearer[:, 2] / [c.p_C[2] for c in circles] - 1).max() < 0.014
 
 
 def test_a_picture_in_black_and_white_only():
-    """A thresholded picture: staircase edges, whose half pixel leaves 0.05 px of radius, in the error bars too."""
-    circles = marker_scenes.random_circles(CAMERA, np.random.default_rng(0), rows=8, columns=10, radius=1e-3,
-                                           depth=(0.043, 0.047))
-    image = np.where(marker_scenes.image(CAMERA, circles, blur_px=0.5, seed=None) > 110, 255, 0).astype(np.uint8)
+    """A thresholded picture: staircase edges, whose half pixel leaves 0.05 px of radius, in the
+    error bars too."""
+    circles = marker_scenes.random_circles(
+        CAMERA, np.random.default_rng(0), rows=8, columns=10, radius=1e-3, depth=(0.043, 0.047)
+    )
+    image = np.where(
+        marker_scenes.image(CAMERA, circles, blur_px=0.5, seed=None) > 110, 255, 0
+    ).astype(np.uint8)
     found, _ = detect_thoroughly(image)
     assert trusted(found, circles) == 80
     poses = estimate_poses(found, CAMERA, 1e-3)
@@ -67,8 +92,9 @@ def test_a_picture_in_black_and_white_only():
 
 
 def test_small_dots_whose_first_fit_fails_are_fitted_again():
-    circles = marker_scenes.random_circles(CAMERA, np.random.default_rng(0), rows=10, columns=14, radius=7e-4,
-                                           depth=(0.1, 0.14))
+    circles = marker_scenes.random_circles(
+        CAMERA, np.random.default_rng(0), rows=10, columns=14, radius=7e-4, depth=(0.1, 0.14)
+    )
     image = marker_scenes.image(CAMERA, circles, blur_px=0.3)
     assert trusted(detect(image), circles) < 135
     assert trusted(detect_thoroughly(image)[0], circles) >= 138

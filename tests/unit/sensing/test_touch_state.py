@@ -14,14 +14,17 @@ from mjtactile.sensing.force import zero
 from mjtactile.sensing.force.inverse import InverseMembrane
 from mjtactile.sensing.force.sheet import Gas
 
-SUPPLY, FRAME = 1000.0, 1 / 30
+SUPPLY = 1000.0
+FRAME = 1 / 30
 NOISE = np.array([2e-6, 2e-6, 6e-6])  # m, sd of a marker
 
 
 @pytest.fixture(scope="module")
 def sensor():
     estimator = InverseMembrane(load_sensor("paper16"))
-    c = estimator.sheet.equilibrium(estimator.sheet.seal(estimator.sheet.state(np.zeros((3, estimator.sheet.count))), 0.0))
+    c = estimator.sheet.equilibrium(
+        estimator.sheet.seal(estimator.sheet.state(np.zeros((3, estimator.sheet.count))), 0.0)
+    )
     assert np.abs(c).max() < 1e-9  # without pressure a sheet is flat
     markers = seen(estimator, estimator.sheet.equilibrium(Gas(SUPPLY)))
     return estimator, estimator.rest_state(markers, SUPPLY)
@@ -32,11 +35,13 @@ def seen(estimator, c, rng=None):
     n = len(p)
     if rng is not None:
         p = p + NOISE * rng.standard_normal(p.shape)
-    return Markers(np.arange(n), p, np.full((n, 3), np.nan), np.tile(np.diag(NOISE**2), (n, 1, 1)))  # normals: not known
+    # normals: not known
+    return Markers(np.arange(n), p, np.full((n, 3), np.nan), np.tile(np.diag(NOISE**2), (n, 1, 1)))
 
 
 def pressed(estimator, rest, force, place=(0.0, 0.0), radius=5e-3):
-    """Coefficients and nodal tractions (3, J) Pa of the sheet under a parabolic patch with resultant (3,) N."""
+    """Coefficients and nodal tractions (3, J) Pa of the sheet under a parabolic patch with
+    resultant (3,) N."""
     traction = parabola(estimator, force, place, radius)
     load = traction @ np.kron(*estimator._nodes[2:4]).T
     return estimator.sheet.equilibrium(rest.gas, rest.stiffness_scale, load, start=rest.c), traction
@@ -44,18 +49,23 @@ def pressed(estimator, rest, force, place=(0.0, 0.0), radius=5e-3):
 
 def traction(force, sd=5e-3):
     x = np.array([0.0, 1.0])
-    return Traction(x, x, np.zeros((2, 2, 3)), np.array([0, 0, -force, 0, 0, 0]), sd**2 * np.eye(6), 1e3, "test")
+    return Traction(
+        x, x, np.zeros((2, 2, 3)), np.array([0, 0, -force, 0, 0, 0]), sd**2 * np.eye(6), 1e3, "test"
+    )
 
 
-# -- touch ------------------------------------------------------------------------------------------------------------
+# -- touch
+# --------------------------------------------------------------------------------
 
 
 def test_noise_is_learnt_and_a_light_touch_is_felt_and_released():
-    rng, last = np.random.default_rng(0), None
+    rng = np.random.default_rng(0)
+    last = None
     for k in range(200):
         last = zero.detect_touch(k * FRAME, traction(4e-3 * rng.standard_normal()), last)
         assert not last.touching
-    assert last.noise == pytest.approx(4e-3, rel=0.4)  # 30 frames: sd of a sd is 13 %; three of them
+    # 30 frames: sd of a sd is 13 %; three of them
+    assert last.noise == pytest.approx(4e-3, rel=0.4)
     assert zero.threshold(last.noise) < 0.03  # N, asked for
     on = zero.detect_touch(7.0, traction(0.03), last)
     assert on.touching and zero.detect_touch(7.1, traction(0.02), on).touching  # hysteresis
@@ -64,23 +74,29 @@ def test_noise_is_learnt_and_a_light_touch_is_felt_and_released():
 
 
 def test_no_false_alarm_in_ten_minutes():
-    rng, last, alarms = np.random.default_rng(1), None, 0
+    rng = np.random.default_rng(1)
+    last = None
+    alarms = 0
     shown = traction(0.0)
     for k, force in enumerate(5e-3 * rng.standard_normal(18000)):
         wrench = shown.wrench.copy()
         wrench[2] = -force
         last = zero.detect_touch(k * FRAME, replace(shown, wrench=wrench), last)
         alarms += last.touching
-    # at 5 mN of noise, 0.025 N is five sd: 3e-7 a frame, and the threshold follows the noise's estimate
+    # at 5 mN of noise, 0.025 N is five sd: 3e-7 a frame, and the threshold follows the noise's
+    # estimate
     assert alarms <= 1
 
 
 def test_zero_follows_a_warming_chamber_and_leaves_a_right_force(sensor):
-    """0.3 K: p V grows by 0.1 %. Untouched for a minute, the felt force must come back to nothing."""
+    """0.3 K: p V grows by 0.1 %. Untouched for a minute, the felt force must come back to
+    nothing."""
     estimator, rest = sensor
     warm = replace(rest.gas, constant=rest.gas.constant * (1 + 0.3 / 293.15))
     c = estimator.sheet.equilibrium(warm, rest.stiffness_scale, start=rest.c)
-    rng, shape, now = np.random.default_rng(2), None, zero.Zero.of(rest)
+    rng = np.random.default_rng(2)
+    shape = None
+    now = zero.Zero.of(rest)
     before = estimator.traction(estimator.estimate(seen(estimator, c), rest)).wrench[2]
     assert before > 0.015  # N: it looks like a pull
     for _ in range(300):
@@ -100,19 +116,28 @@ def test_zero_follows_a_warming_chamber_and_leaves_a_right_force(sensor):
 
 @pytest.mark.parametrize("kelvin", [0.0, 0.1])
 def test_a_touch_that_comes_slowly_is_not_zeroed_away(sensor, kelvin):
-    """0.046 N after nine seconds, which took as long as the zero takes to follow; the gas warms by 0.1 K before it."""
+    """0.046 N after nine seconds, which took as long as the zero takes to follow; the gas warms by
+    0.1 K before it."""
     estimator, rest = sensor
-    chain, rng = Chain(estimator.design), np.random.default_rng(3)
+    chain = Chain(estimator.design)
+    rng = np.random.default_rng(3)
     state = chain.set_rest(chain.begin(), seen(estimator, rest.c), SUPPLY)
     assert state.reference is not None
-    rest, surface, felt = state.reference.rest, state.reference.surface, []
+    rest = state.reference.rest
+    surface = state.reference.surface
+    felt = []
     for time in np.arange(0.0, 32.0, 0.25):
-        warm = replace(rest.gas, constant=rest.gas.constant * (1 + kelvin * min(time / 10, 1.0) / 293.15))
+        warm = replace(
+            rest.gas, constant=rest.gas.constant * (1 + kelvin * min(time / 10, 1.0) / 293.15)
+        )
         force = 0.046 * np.clip((time - 20) / 9, 0.0, 1.0)
-        c, _ = pressed(estimator, replace(rest, gas=warm), np.array([0.0, 0.0, -force]), (4e-3, 3e-3))
+        c, _ = pressed(
+            estimator, replace(rest, gas=warm), np.array([0.0, 0.0, -force]), (4e-3, 3e-3)
+        )
         touch, state = chain.feel(state, seen(estimator, c, rng), surface, time)
         felt.append(touch.force_normal)
-    # the noise of a mean of ten images is 2 mN; light touches are felt a seventh too weak; the zero's speed took 30 mN before
+    # the noise of a mean of ten images is 2 mN; light touches are felt a seventh too weak; the
+    # zero's speed took 30 mN before
     assert np.mean(felt[-10:]) == pytest.approx(0.046, abs=0.012)
     assert abs(np.mean(felt[64:80])) < 5e-3  # warmth alone is followed
 
@@ -123,7 +148,8 @@ def test_zero_is_frozen_in_contact_and_a_lost_zero_is_said():
     rest_markers = seen(estimator, estimator.sheet.equilibrium(Gas(SUPPLY)))
     state = chain.set_rest(chain.begin(), rest_markers, SUPPLY)
     assert state.reference is not None
-    rest, surface = state.reference.rest, chain.fitter.fit(rest_markers)
+    rest = state.reference.rest
+    surface = chain.fitter.fit(rest_markers)
     markers = seen(estimator, pressed(estimator, rest, np.array([0, 0, -0.4]))[0])
     _, state = chain.feel(state, rest_markers, surface, 0.0)
     for k in range(40):
@@ -141,6 +167,7 @@ def test_zero_is_frozen_in_contact_and_a_lost_zero_is_said():
 
 
 def parabola(estimator, force, place, radius=5e-3):
-    """Nodal tractions (3, J) Pa of a parabolic patch with resultant (3,) N at `place` (2,) m of the flat sheet."""
+    """Nodal tractions (3, J) Pa of a parabolic patch with resultant (3,) N at `place` (2,) m of the
+    flat sheet."""
     weight = np.clip(1 - np.sum((estimator.nodes - place) ** 2, axis=1) / radius**2, 0, None)
     return np.outer(force, weight / (weight @ estimator.node_area))

@@ -1,4 +1,5 @@
-"""Markers that are followed, against a search of every image, on sequences of `bench tracking` that are cut short."""
+"""Markers that are followed, against a search of every image, on sequences of `bench tracking` that
+are cut short."""
 
 from dataclasses import replace
 
@@ -19,23 +20,34 @@ def short(monkeypatch):
     monkeypatch.setattr(bench, "LENGTH", 24)
 
 
-@pytest.mark.parametrize("seed", [1008, 1012, 1014], ids=["undisturbed", "hands", "a camera that jumps"])
+@pytest.mark.parametrize(
+    "seed", [1008, 1012, 1014], ids=["undisturbed", "hands", "a camera that jumps"]
+)
 def test_nothing_is_wrong_or_missed_for_long(seed):
     row = bench.sequence_row(seed)
     assert row["wrong"] == row["missed_twice"] == 0
     # the ends of a fit differ by where it began: 0.1 sd on a calm membrane
     assert row["apart_sd"] < (0.3 if row["kind"] == "undisturbed" else 1.0)
-    assert row["searched"] <= (3 if row["kind"] == "undisturbed" else 23)  # of 24: the first and every 16th are
+    # of 24: the first and every 16th are
+    assert row["searched"] <= (3 if row["kind"] == "undisturbed" else 23)
 
 
 def follow(image, before=None, **settings):
-    return tracking.follow(image, before, COUNT, min_radius_px=4.0,
-                           settings=replace(DEFAULTS, tracking=replace(DEFAULTS.tracking, **settings)))
+    return tracking.follow(
+        image,
+        before,
+        COUNT,
+        min_radius_px=4.0,
+        settings=replace(DEFAULTS, tracking=replace(DEFAULTS.tracking, **settings)),
+    )
 
 
 def test_when_it_searches(monkeypatch):
-    searches, search = [], markers.search
-    monkeypatch.setattr(markers, "search", lambda *args, **named: searches.append(1) or search(*args, **named))
+    searches = []
+    search = markers.search
+    monkeypatch.setattr(
+        markers, "search", lambda *args, **named: searches.append(1) or search(*args, **named)
+    )
     image = next(bench.moments("undisturbed", 3)).image
 
     def again(pixels, time, tracks, **settings):
@@ -53,11 +65,11 @@ def test_when_it_searches(monkeypatch):
     assert again(np.full_like(image.pixels, 128), later, tracks)  # nothing is there any more
     covered = image.pixels.copy()
     u, v = found.center_px[0].astype(int)
-    covered[v + 9: v + 16, u - 4: u + 4] = 200
+    covered[v + 9 : v + 16, u - 4 : u + 4] = 200
     _, odd = follow(Image(covered, later), tracks)
     assert odd.left == 0 and again(image.pixels, later + 0.03, odd)  # something lay on a marker
     missing = image.pixels.copy()
-    missing[v - 20: v + 20, u - 20: u + 20] = 170
+    missing[v - 20 : v + 20, u - 20 : u + 20] = 170
     _, fewer = follow(Image(missing, later))
     assert fewer.left == 1 and len(fewer.fit.center) == COUNT - 1
 

@@ -10,19 +10,35 @@ from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR, Fidelity
 
 
 def _row(mesh, error, cost):
-    return {"mesh": mesh, "timestep_ms": 4.0, "tolerance": 1e-7, "force_error_N": error, "surface_error_um": 10.0,
-            "force_noise_N": 1e-4, "ms_per_s": cost}
+    return {
+        "mesh": mesh,
+        "timestep_ms": 4.0,
+        "tolerance": 1e-7,
+        "force_error_N": error,
+        "surface_error_um": 10.0,
+        "force_noise_N": 1e-4,
+        "ms_per_s": cost,
+    }
 
 
 @pytest.fixture
 def table(tmp_path):
     path = tmp_path / "measured.json"
-    rows = [_row([9, 7], 0.04, 200.0), _row([11, 9], 0.015, 500.0), _row([12, 9], 0.012, 600.0), _row([21, 17], 0.003, 4000.0)]
-    path.write_text(json.dumps({"stamp": {"machine": "m", "mujoco": "4", "date": "d"}, "rows": rows}))
+    rows = [
+        _row([9, 7], 0.04, 200.0),
+        _row([11, 9], 0.015, 500.0),
+        _row([12, 9], 0.012, 600.0),
+        _row([21, 17], 0.003, 4000.0),
+    ]
+    path.write_text(
+        json.dumps({"stamp": {"machine": "m", "mujoco": "4", "date": "d"}, "rows": rows})
+    )
     return path
 
 
-@pytest.mark.parametrize(("asked", "mesh"), [(0.05, (9, 7)), (0.02, (11, 9)), (0.015, (11, 9)), (0.0031, (21, 17))])
+@pytest.mark.parametrize(
+    ("asked", "mesh"), [(0.05, (9, 7)), (0.02, (11, 9)), (0.015, (11, 9)), (0.0031, (21, 17))]
+)
 def test_takes_the_cheapest_that_is_good_enough(table, asked, mesh):
     assert Fidelity.for_force_error(asked, table).mesh == mesh
 
@@ -40,7 +56,8 @@ def test_real_time_leaves_room_and_takes_the_most_accurate(table):
 
 
 def test_effects_are_chosen_for_what_was_asked_and_not_for_what_came_with_it(table):
-    """Real time with a fine mesh must not switch on effects that only that mesh's small error calls for."""
+    """Real time with a fine mesh must not switch on effects that only that mesh's small error calls
+    for."""
     assert Fidelity.for_force_error(0.02, table).asked == 0.02
     assert Fidelity.for_force_error(1e-6, table).asked == 1e-6  # also where nothing reaches it
     assert Fidelity.for_real_time(table).asked == DEFAULT_FORCE_ERROR
@@ -60,10 +77,14 @@ def test_refuses_what_is_no_accuracy(table, text):
 
 def test_round_trip(table):
     row = Fidelity.for_force_error(0.02, table)
-    assert fidelity.row_from_json(row.summary()) == fidelity.row_from_json(_row([11, 9], 0.015, 500.0))
+    assert fidelity.row_from_json(row.summary()) == fidelity.row_from_json(
+        _row([11, 9], 0.015, 500.0)
+    )
 
 
-@pytest.mark.parametrize("text", ["{}", "no json", '{"rows": [], "stamp": {"machine": "", "mujoco": "", "date": ""}}'])
+@pytest.mark.parametrize(
+    "text", ["{}", "no json", '{"rows": [], "stamp": {"machine": "", "mujoco": "", "date": ""}}']
+)
 def test_refuses_a_broken_table(tmp_path, text):
     path = tmp_path / "broken.json"
     path.write_text(text)
@@ -74,7 +95,8 @@ def test_refuses_a_broken_table(tmp_path, text):
 def test_shipped_table_can_be_read_and_orders_by_mesh():
     rows, _ = fidelity.load_table()
     assert len(rows) > 5
-    # second order in the mesh: the finest measured mesh beats the coarsest by far more than any noise
+    # second order in the mesh: the finest measured mesh beats the coarsest by far more than any
+    # noise
     by_mesh = sorted(rows, key=lambda row: row.mesh[0] * row.mesh[1])
     assert by_mesh[-1].force_error < 0.5 * by_mesh[0].force_error
     assert by_mesh[-1].cost > by_mesh[0].cost

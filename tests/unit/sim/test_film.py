@@ -7,12 +7,17 @@ from mjtactile.sim import truth
 from mjtactile.sim.film import lie_on
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
-PRESSURE, TENSION = 1200.0, 45.0
-SIDES, AT = (0.04, 0.03), (1.7e-3, -0.9e-3)
+PRESSURE = 1200.0
+TENSION = 45.0
+SIDES = (0.04, 0.03)
+AT = (1.7e-3, -0.9e-3)
 
 
 def grid(spacing):
-    x, y = np.meshgrid(*(np.linspace(-side / 2, side / 2, round(side / spacing) + 1) for side in SIDES), indexing="ij")
+    x, y = np.meshgrid(
+        *(np.linspace(-side / 2, side / 2, round(side / spacing) + 1) for side in SIDES),
+        indexing="ij",
+    )
     inside = np.zeros(x.shape, bool)
     inside[1:-1, 1:-1] = True
     return x - AT[0], y - AT[1], inside
@@ -24,10 +29,14 @@ def film(spacing, shape, force):
 
 
 def ball(radius):
-    return lambda x, y: np.where(np.hypot(x, y) < radius, radius - np.sqrt(np.maximum(radius**2 - x**2 - y**2, 0)), np.inf)
+    return lambda x, y: np.where(
+        np.hypot(x, y) < radius, radius - np.sqrt(np.maximum(radius**2 - x**2 - y**2, 0)), np.inf
+    )
 
 
-@pytest.mark.parametrize(("radius", "force"), [(3e-3, 0.03), (8e-3, 0.03), (8e-3, 0.4), (16e-3, 0.3)])
+@pytest.mark.parametrize(
+    ("radius", "force"), [(3e-3, 0.03), (8e-3, 0.03), (8e-3, 0.4), (16e-3, 0.3)]
+)
 def test_a_ball_is_touched_over_its_force_by_pressure_and_tension(radius, force):
     found = film(4e-4, ball(radius), force)
     # the sheet leaves without a kink, so what lies on the ball bears p + 2 T/R everywhere
@@ -40,12 +49,17 @@ def test_a_ball_is_touched_over_its_force_by_pressure_and_tension(radius, force)
 
 def test_a_face_is_touched_as_far_as_it_goes():
     found = film(3e-4, lambda x, y: np.where(np.hypot(x, y) < 5e-3, 0.0, np.inf), 0.8)
-    assert found.area == pytest.approx(np.pi * 5e-3**2, rel=0.02)  # cells on a circle; and they lie flat but for the rim
+    # cells on a circle; and they lie flat but for the rim
+    assert found.area == pytest.approx(np.pi * 5e-3**2, rel=0.02)
 
 
 def test_a_ridge_is_touched_over_hardly_anything():
-    areas = [film(spacing, lambda x, y: np.where(abs(y) < 5e-3, abs(x), np.inf), 0.2).area for spacing in (6e-4, 3e-4)]
-    assert areas[1] < 0.6 * areas[0] < 0.6 * 10e-3 * 6e-4  # less than the row of cells it crosses, and with their width
+    areas = [
+        film(spacing, lambda x, y: np.where(abs(y) < 5e-3, abs(x), np.inf), 0.2).area
+        for spacing in (6e-4, 3e-4)
+    ]
+    # less than the row of cells it crosses, and with their width
+    assert areas[1] < 0.6 * areas[0] < 0.6 * 10e-3 * 6e-4
 
 
 def pressed(indenter, mesh, depth, **placing):
@@ -58,7 +72,8 @@ def pressed(indenter, mesh, depth, **placing):
 def test_contact_area_is_not_the_mesh_s():
     coarse, fine = (pressed("sphere:8", mesh, 3e-3) for mesh in ((13, 11), (21, 16)))
     areas = [1e6 * truth.contact_area(world, 0) for world in (coarse, fine)]
-    # 53.3, 52.0, 51.1 mm^2 on 13 x 11, 25 x 21 and 41 x 31 vertices, where touching vertices stand for 87, 50, 53
+    # 53.3, 52.0, 51.1 mm^2 on 13 x 11, 25 x 21 and 41 x 31 vertices, where touching vertices stand
+    # for 87, 50, 53
     assert areas == pytest.approx([51.1, 51.1], rel=0.06)
 
 

@@ -1,4 +1,5 @@
-"""Mesh files: read alike in every format, judged for hollows, cut into convex parts, and never silently a hull."""
+"""Mesh files: read alike in every format, judged for hollows, cut into convex parts, and never
+silently a hull."""
 
 import struct
 import sys
@@ -22,7 +23,12 @@ HULL = 12 * 12 - 8 * 8 / 2
 def prism():
     """Triangles (m, 3, 3) mm of the L, outside first."""
     low, high = (np.c_[CORNERS, np.full(6, z)] for z in (0.0, HEIGHT))
-    sides = [t for i in range(6) for j in [(i + 1) % 6] for t in ((low[i], low[j], high[j]), (low[i], high[j], high[i]))]
+    sides = [
+        t
+        for i in range(6)
+        for j in [(i + 1) % 6]
+        for t in ((low[i], low[j], high[j]), (low[i], high[j], high[i]))
+    ]
     return np.array([*[low[list(t)][::-1] for t in CAP], *[high[list(t)] for t in CAP], *sides])
 
 
@@ -32,15 +38,21 @@ def binary(path):
 
 
 def ascii_stl(path):
-    facets = ["facet normal 0 0 0\nouter loop\n" + "".join(f"vertex {x} {y} {z}\n" for x, y, z in t) + "endloop\nendfacet\n"
-              for t in prism()]
+    facets = [
+        "facet normal 0 0 0\nouter loop\n"
+        + "".join(f"vertex {x} {y} {z}\n" for x, y, z in t)
+        + "endloop\nendfacet\n"
+        for t in prism()
+    ]
     path.write_text("solid L\n" + "".join(facets) + "endsolid L\n")
 
 
 def obj(path):
     corners = prism().reshape(-1, 3)
-    path.write_text("".join(f"v {x} {y} {z}\n" for x, y, z in corners)
-                    + "".join(f"f {k + 1} {k + 2} {k + 3}\n" for k in range(0, len(corners), 3)))
+    path.write_text(
+        "".join(f"v {x} {y} {z}\n" for x, y, z in corners)
+        + "".join(f"f {k + 1} {k + 2} {k + 3}\n" for k in range(0, len(corners), 3))
+    )
 
 
 WRITERS = [("binary.stl", binary), ("text.stl", ascii_stl), ("mesh.obj", obj)]
@@ -57,8 +69,11 @@ def test_every_format_is_the_same_solid(name, write, tmp_path):
     write(tmp_path / name)
     vertices, faces = meshes.load_solid(tmp_path / name)
     assert vertices.shape == (12, 3) and len(faces) == 20  # every corner once
-    np.testing.assert_allclose(np.sort(vertices, axis=0), np.sort(np.unique(prism().reshape(-1, 3), axis=0), axis=0) * 1e-3,
-                               atol=1e-8)  # MuJoCo keeps them in single precision
+    np.testing.assert_allclose(
+        np.sort(vertices, axis=0),
+        np.sort(np.unique(prism().reshape(-1, 3), axis=0), axis=0) * 1e-3,
+        atol=1e-8,
+    )  # MuJoCo keeps them in single precision
     assert filled_share(vertices, faces) == pytest.approx(AREA / HULL, rel=1e-5)
 
 
@@ -69,10 +84,13 @@ def test_a_hollow_is_cut_once_and_then_known(tmp_path, cache):
     parts = meshes.convex_parts(solid)
     assert len(parts) == 2 and all(filled_share(*part) > 0.999 for part in parts)
     volumes = [filled_share(*part) * volume(*part) for part in parts]
-    assert sum(volumes) == pytest.approx(AREA * HEIGHT * 1e-9, rel=0.02)  # CoACD cuts where it samples
+    # CoACD cuts where it samples
+    assert sum(volumes) == pytest.approx(AREA * HEIGHT * 1e-9, rel=0.02)
     before = list(cache.rglob("*.npz"))
     again = meshes.convex_parts(solid)
-    assert len(before) == 1 and all(np.array_equal(a[0], b[0]) for a, b in zip(parts, again, strict=True))
+    assert len(before) == 1 and all(
+        np.array_equal(a[0], b[0]) for a, b in zip(parts, again, strict=True)
+    )
 
 
 def volume(vertices, faces):

@@ -1,8 +1,10 @@
-"""The renderer against a brute-force ray cast of the same scene: 16 x 16 rays a pixel, each traced face by face.
+"""The renderer against a brute-force ray cast of the same scene: 16 x 16 rays a pixel, each traced
+face by face.
 
-Each ray is at a random place of its cell of 1/16 px: on a regular grid an edge along a pixel row would be off by up to
-1/32 px, 2 DN. The reference shares no code with the renderer or with `optics`: OpenCV inverts the lens, Snell's law is
-in vector form, a ray is black when it meets the marker's plane within its radius.
+Each ray is at a random place of its cell of 1/16 px: on a regular grid an edge along a pixel row
+would be off by up to 1/32 px, 2 DN. The reference shares no code with the renderer or with
+`optics`: OpenCV inverts the lens, Snell's law is in vector form, a ray is black when it meets the
+marker's plane within its radius.
 """
 
 from dataclasses import replace
@@ -22,15 +24,24 @@ NO_LEDS = Leds(count=0, membrane_dn=185.0, marker_dn=40.0)  # even light: shapes
 
 def bent_lens(name="paper16"):
     design = load_sensor(name)
-    return replace(design, leds=NO_LEDS, camera=replace(design.camera, distortion=(-0.2, 0.06, 0.002, -0.001, 0.01)))
+    return replace(
+        design,
+        leds=NO_LEDS,
+        camera=replace(design.camera, distortion=(-0.2, 0.06, 0.002, -0.001, 0.01)),
+    )
 
 
 def tilted_scene(design, seed=3):
-    """Markers moved by up to 1 mm along and -6..+2 mm across the membrane, tilted by up to 45 degrees."""
-    rng, p = np.random.default_rng(seed), design.markers.p_SM
+    """Markers moved by up to 1 mm along and -6..+2 mm across the membrane, tilted by up to 45
+    degrees."""
+    rng = np.random.default_rng(seed)
+    p = design.markers.p_SM
     p = p + rng.uniform([-1e-3, -1e-3, -6e-3], [1e-3, 1e-3, 2e-3], p.shape)
-    tilt, turn = np.deg2rad(rng.uniform(0, 45, len(p))), rng.uniform(0, 2 * np.pi, len(p))
-    return p, np.column_stack([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), -np.cos(tilt)])
+    tilt = np.deg2rad(rng.uniform(0, 45, len(p)))
+    turn = rng.uniform(0, 2 * np.pi, len(p))
+    return p, np.column_stack(
+        [np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), -np.cos(tilt)]
+    )
 
 
 def refracted(d, ratio):
@@ -46,15 +57,24 @@ def cast(design, p_SM, n_S, corner, size, blur):
     v = corner[1] - margin - 0.5 + (np.arange((size[1] + 2 * margin) * RAYS) + 0.5) / RAYS
     uv = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 1, 2)
     uv += np.random.default_rng(0).uniform(-0.5 / RAYS, 0.5 / RAYS, uv.shape)
-    camera, glass = design.camera, design.glass
+    camera = design.camera
+    glass = design.glass
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-13)
-    xy = cv2.undistortPoints(uv, camera.K, np.array(camera.distortion), None, None, None, stop)[:, 0]
+    xy = cv2.undistortPoints(uv, camera.K, np.array(camera.distortion), None, None, None, stop)[
+        :, 0
+    ]
     air = geometry.unit(np.column_stack([xy, np.ones(len(xy))]))
     inside = refracted(air, 1 / glass.refractive_index)
-    p = air * (glass.distance / air[:, 2:]) + inside * (glass.thickness / inside[:, 2:]) + camera.p_SC
+    p = (
+        air * (glass.distance / air[:, 2:])
+        + inside * (glass.thickness / inside[:, 2:])
+        + camera.p_SC
+    )
     d = refracted(inside, glass.refractive_index)
     flat = p + d * (-p[:, 2:] / d[:, 2:])
-    inner = (np.abs(flat[:, 0]) < design.frame.length / 2) & (np.abs(flat[:, 1]) < design.frame.width / 2)
+    inner = (np.abs(flat[:, 0]) < design.frame.length / 2) & (
+        np.abs(flat[:, 1]) < design.frame.width / 2
+    )
     gray = np.where(inner, design.leds.membrane_dn, 0.45 * design.leds.membrane_dn)
     for center, n in zip(p_SM, n_S, strict=True):
         hit = p + d * (((center - p) @ n) / (d @ n))[:, None]
@@ -72,7 +92,9 @@ def around(design, p_SM, half=26):
     return (max(u - half, 0), max(v - half, 0)), (2 * half, 2 * half)
 
 
-@pytest.mark.parametrize(("blur", "worst", "rms"), [(0.35, 2.5, 0.2), (0.7, 1.2, 0.1), (1.3, 0.6, 0.07)])
+@pytest.mark.parametrize(
+    ("blur", "worst", "rms"), [(0.35, 2.5, 0.2), (0.7, 1.2, 0.1), (1.3, 0.6, 0.07)]
+)
 def test_markers_are_what_rays_see(blur, worst, rms):
     design = bent_lens()
     p, n = tilted_scene(design)
@@ -80,8 +102,9 @@ def test_markers_are_what_rays_see(blur, worst, rms):
     for i in (5, 15):
         (u, v), (w, h) = around(design, p[i])
         error = image[v : v + h, u : u + w] - cast(design, p, n, (u, v), (w, h), blur)
-        # What is left is the reference's: contrast 145 x 0.4 / 256 per edge cell, averaged over the cells that the blur
-        # spans; with 48 x 48 rays the rms at 0.7 px falls to 0.03 DN. The camera's noise is 2 DN.
+        # What is left is the reference's: contrast 145 x 0.4 / 256 per edge cell, averaged over the
+        # cells that the blur spans; with 48 x 48 rays the rms at 0.7 px falls to 0.03 DN. The
+        # camera's noise is 2 DN.
         assert np.abs(error).max() < worst
         assert np.sqrt(np.mean(error**2)) < rms
 
@@ -98,8 +121,10 @@ def test_center_of_darkness_has_no_bias():
         grid = np.mgrid[:h, :w]
         center = (grid * dark).sum(axis=(1, 2)) / dark.sum()
         reference = (grid * lit).sum(axis=(1, 2)) / lit.sum()
-        np.testing.assert_allclose(center, reference, atol=0.005)  # asked for; a detector's noise is 0.02 px
-        assert dark.sum() == pytest.approx(lit.sum(), rel=1e-3)  # area: 1e-3 of r = 20 px is 0.01 px of radius
+        # asked for; a detector's noise is 0.02 px
+        np.testing.assert_allclose(center, reference, atol=0.005)
+        # area: 1e-3 of r = 20 px is 0.01 px of radius
+        assert dark.sum() == pytest.approx(lit.sum(), rel=1e-3)
 
 
 def test_frame_border_is_what_rays_see():
@@ -107,7 +132,8 @@ def test_frame_border_is_what_rays_see():
     none = np.zeros((0, 3))
     image = Renderer(design).irradiance_image(none, none)
     reference = cast(design, none, none, (30, 20), (50, 50), 0.7)
-    np.testing.assert_allclose(image[20:70, 30:80], reference, atol=1.2)  # the reference's own sampling, as above
+    # the reference's own sampling, as above
+    np.testing.assert_allclose(image[20:70, 30:80], reference, atol=1.2)
     assert reference.min() < 90 and reference.max() > 180  # the corner is in the patch
 
 
@@ -126,12 +152,14 @@ def test_markers_cut_by_the_image_border_and_out_of_sight():
 
 def test_noise_has_the_design_s_sd_no_bias_and_is_seeded():
     design = load_sensor("dense")
-    p, n = design.markers.p_SM, np.tile([0.0, 0.0, -1.0], (81, 1))
+    p = design.markers.p_SM
+    n = np.tile([0.0, 0.0, -1.0], (81, 1))
     renderer = Renderer(design, seed=4)
     clean = renderer.irradiance_image(p, n)
     first, second = (renderer.render(p, n).pixels.astype(float) for _ in range(2))
     error = first - clean
-    # 307 200 pixels: the mean of noise 2 DN is known to 0.004 DN; rounding adds 1/12 DN^2 of variance
+    # 307 200 pixels: the mean of noise 2 DN is known to 0.004 DN; rounding adds 1/12 DN^2 of
+    # variance
     assert abs(error.mean()) < 0.015
     assert error.std() == pytest.approx(np.hypot(2.0, 12**-0.5), rel=0.01)
     assert abs(np.corrcoef(error.ravel(), (second - clean).ravel())[0, 1]) < 0.01
@@ -146,14 +174,18 @@ def test_light_falls_off_as_designed_and_follows_the_membrane():
     design = load_sensor("dense")
     none = np.zeros((0, 3))
     image = Renderer(design).irradiance_image(none, none)
-    assert image[240, 320] == pytest.approx(185, abs=0.2)  # interpolation of the light in 16 px blocks
+    # interpolation of the light in 16 px blocks
+    assert image[240, 320] == pytest.approx(185, abs=0.2)
     corner = design.camera.K @ (np.array([-19.5e-3, -14.5e-3, 0.0]) - design.camera.p_SC) / 44.3e-3
     u, v = corner[:2].astype(int)
-    assert image[v, u] == pytest.approx(0.75 * 185, rel=0.03)  # 0.5 mm from the corner itself, lens neglected
+    # 0.5 mm from the corner itself, lens neglected
+    assert image[v, u] == pytest.approx(0.75 * 185, rel=0.03)
     p = design.markers.p_SM.copy()
     n = np.tile([0.0, 0.0, -1.0], (81, 1))
     flat = Renderer(design).irradiance_image(p, n)
-    bubble = np.cos(np.pi * p[:, 0] / design.frame.length) * np.cos(np.pi * p[:, 1] / design.frame.width)
+    bubble = np.cos(np.pi * p[:, 0] / design.frame.length) * np.cos(
+        np.pi * p[:, 1] / design.frame.width
+    )
     p[:, 2] = -3e-3 * bubble
     near = Renderer(design).irradiance_image(p, n)
     between = (slice(255, 262), slice(290, 297))  # no marker there in either image

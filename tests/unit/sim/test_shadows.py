@@ -1,4 +1,5 @@
-"""Shadows against similar triangles, vector algebra, symmetry and a brute-force march along every ray."""
+"""Shadows against similar triangles, vector algebra, symmetry and a brute-force march along every
+ray."""
 
 from dataclasses import replace
 
@@ -25,7 +26,14 @@ from mjtactile.sim.picture.shadows import (
 DENSE = load_sensor("dense")
 OUTWARD = np.tile([0.0, 0.0, 1.0], (81, 1))
 DOWN = 45e-3  # m from the flat sheet to the LEDs
-RING = np.array([[8.5e-3, 8.5e-3, -DOWN], [-8.5e-3, 8.5e-3, -DOWN], [-8.5e-3, -8.5e-3, -DOWN], [8.5e-3, -8.5e-3, -DOWN]])
+RING = np.array(
+    [
+        [8.5e-3, 8.5e-3, -DOWN],
+        [-8.5e-3, 8.5e-3, -DOWN],
+        [-8.5e-3, -8.5e-3, -DOWN],
+        [8.5e-3, -8.5e-3, -DOWN],
+    ]
+)
 
 
 def grid(node, half_x=20e-3, half_y=15e-3):
@@ -36,12 +44,14 @@ def grid(node, half_x=20e-3, half_y=15e-3):
 def crossing(x, clear, level):
     """Where the last rise of `clear` through `level` along `x` is."""
     last = np.flatnonzero((clear[:-1] < level) & (clear[1:] >= level))[-1]
-    return np.interp(level, clear[last:last + 2], x[last:last + 2])
+    return np.interp(level, clear[last : last + 2], x[last : last + 2])
 
 
 def scene(p_SM, **leds):
-    """The dense sensor without pane and lens errors, so that even light and shaded light see the same places."""
-    camera, glass = replace(DENSE.camera, distortion=(0.0,) * 5), replace(DENSE.glass, refractive_index=1.0)
+    """The dense sensor without pane and lens errors, so that even light and shaded light see the
+    same places."""
+    camera = replace(DENSE.camera, distortion=(0.0,) * 5)
+    glass = replace(DENSE.glass, refractive_index=1.0)
     design = replace(DENSE, camera=camera, glass=glass, leds=replace(DENSE.leds, **leds))
     lens = optics.Camera.from_design(camera, glass)
     return Light(design, lens).field(p_SM), ShadowedLight(design, lens).field(p_SM), lens
@@ -56,42 +66,65 @@ def dented(depth, at=(0.0, 0.0), width=3e-3):
 @pytest.mark.parametrize("node", [1e-3, 0.25e-3])
 @pytest.mark.parametrize("level", [0.0, -1.0, 1.0])
 def test_a_ridge_throws_the_shadow_of_similar_triangles(node, level):
-    """A ridge along y that ends at x0, h below the sheet, hides an LED at xl up to x0 + (x0 - xl) h / (D - h); the LED's
-    far edge, xl - radius, comes out first (level -1: none is seen before), its near edge last."""
-    xy, height, ridge, led, radius = grid(node), 6e-3, 5e-3, -30e-3, 1.5e-3
+    """A ridge along y that ends at x0, h below the sheet, hides an LED at xl up to x0 + (x0 - xl) h
+    / (D - h); the LED's far edge, xl - radius, comes out first (level -1: none is seen before), its
+    near edge last."""
+    xy = grid(node)
+    height = 6e-3
+    ridge = 5e-3
+    led = -30e-3
+    radius = 1.5e-3
     z = -height * np.interp(xy[..., 0], ridge + np.array([-4e-3, -2e-3, 0.0, 2e-3]), [0, 1, 1, 0])
     clear = clearance(xy, z, np.array([[led, 0.0, -DOWN]]), radius)[0]
     end = ridge + (ridge - (led - level * radius)) * height / (DOWN - height)
     row = len(xy) // 2  # y = 0: a ray there runs along x
-    # samples along a ray are half a node apart: the ridge's end is missed by that much, its shadow's by (1 + h / (D - h))
+    # samples along a ray are half a node apart: the ridge's end is missed by that much, its
+    # shadow's by (1 + h / (D - h))
     assert crossing(xy[row, :, 0], clear[row], level) == pytest.approx(end, abs=0.6 * node)
 
 
 def test_penumbra_of_a_straight_edge():
-    assert visible(np.array([-3.0, -1.0, 0.0, 0.5, 1.0, 9.0])) == pytest.approx([0, 0, 0.5, 0.75, 1, 1])
+    assert visible(np.array([-3.0, -1.0, 0.0, 0.5, 1.0, 9.0])) == pytest.approx(
+        [0, 0, 0.5, 0.75, 1, 1]
+    )
 
 
 def dents(x, y):
     """A bulge with three dents, m; curvature up to 1.4 / mm at their bottoms."""
     bulge = 2e-3 * np.cos(np.pi * x / 40e-3) * np.cos(np.pi * y / 30e-3)
-    return bulge - sum(depth * np.exp(-((x - u) ** 2 + (y - v) ** 2) / (2 * width**2)) for depth, width, u, v in
-                       ((13e-3, 3e-3, 12e-3, 0.0), (9e-3, 2.5e-3, -9e-3, 8e-3), (5e-3, 2e-3, -3e-3, -6e-3)))
+    return bulge - sum(
+        depth * np.exp(-((x - u) ** 2 + (y - v) ** 2) / (2 * width**2))
+        for depth, width, u, v in (
+            (13e-3, 3e-3, 12e-3, 0.0),
+            (9e-3, 2.5e-3, -9e-3, 8e-3),
+            (5e-3, 2e-3, -3e-3, -6e-3),
+        )
+    )
 
 
-@pytest.mark.parametrize(("node", "wrong", "lit_and_wrong"), [(1e-3, 0.2, 0.05), (0.25e-3, 0.04, 0.01)])
+@pytest.mark.parametrize(
+    ("node", "wrong", "lit_and_wrong"), [(1e-3, 0.2, 0.05), (0.25e-3, 0.04, 0.01)]
+)
 def test_rays_meet_the_sheet_where_a_fine_march_does(node, wrong, lit_and_wrong):
-    """Every node and LED of a wide ring, each ray followed in 1000 steps over the formula of the sheet itself.
+    """Every node and LED of a wide ring, each ray followed in 1000 steps over the formula of the
+    sheet itself.
 
-    Nodes that are wrong lie along the borders of the shadows, so that their share of the hidden falls with the node
-    (patches of 5 mm have a fifth of their area within half a node of 1 mm). Most of them are on the flanks, where the
-    sheet turns away and is dark anyway: few would have more than a twentieth of the most light.
+    Nodes that are wrong lie along the borders of the shadows, so that their share of the hidden
+    falls with the node (patches of 5 mm have a fifth of their area within half a node of 1 mm).
+    Most of them are on the flanks, where the sheet turns away and is dark anyway: few would have
+    more than a twentieth of the most light.
     """
-    xy, leds = grid(node), RING * [2.0, 2.0, 1.0]
+    xy = grid(node)
+    leds = RING * [2.0, 2.0, 1.0]
     z = dents(xy[..., 0], xy[..., 1])
-    found, light = clearance(xy, z, leds) < 0, irradiance(xy, z, leds)
+    found = clearance(xy, z, leds) < 0
+    light = irradiance(xy, z, leds)
     hidden = np.zeros(found.shape, bool)
     for part in np.linspace(0, 0.5, 1001)[1:]:
-        x, y, along = ((1 - part) * start + part * leds[:, i, None, None] for i, start in enumerate((xy[..., 0], xy[..., 1], z)))
+        x, y, along = (
+            (1 - part) * start + part * leds[:, i, None, None]
+            for i, start in enumerate((xy[..., 0], xy[..., 1], z))
+        )
         hidden |= dents(x, y) < along - 1e-9
     assert hidden.mean() > 0.04
     assert (found != hidden).sum() < wrong * hidden.sum()
@@ -100,9 +133,12 @@ def test_rays_meet_the_sheet_where_a_fine_march_does(node, wrong, lit_and_wrong)
 
 @pytest.mark.parametrize("steepness", [3e-3, 12e-3])
 def test_no_shadow_in_a_convex_bulge(steepness):
-    """The air behind a bulge is convex, so that a straight ray from an LED inside of it stays inside of it."""
+    """The air behind a bulge is convex, so that a straight ray from an LED inside of it stays
+    inside of it."""
     xy = grid(1e-3)
-    z = steepness * np.sqrt(np.maximum(1 - (xy[..., 0] / 20.1e-3) ** 2 - (xy[..., 1] / 20.1e-3) ** 2, 0))
+    z = steepness * np.sqrt(
+        np.maximum(1 - (xy[..., 0] / 20.1e-3) ** 2 - (xy[..., 1] / 20.1e-3) ** 2, 0)
+    )
     clear = clearance(xy, z, RING)
     round_part = z > 0  # beyond it the sheet is flat, and the bulge's edge no longer convex
     assert clear[:, round_part].min() >= 1
@@ -133,11 +169,12 @@ def test_irradiance_is_inverse_square_with_both_cosines():
 
 def test_unblocked_flat_sheet_is_lit_as_without_shadows():
     even, shaded, _ = scene(DENSE.markers.p_SM.copy())
-    # the light without shadows is the same formula at the pixels' own places: what is left is the interpolation between
-    # nodes, (1 mm)^2 / 8 of a curvature of 1 / (30 mm)^2
+    # the light without shadows is the same formula at the pixels' own places: what is left is the
+    # interpolation between nodes, (1 mm)^2 / 8 of a curvature of 1 / (30 mm)^2
     inside = slice(60, -60), slice(70, -70)
     np.testing.assert_allclose(shaded[inside], even[inside], atol=3e-4)
-    # beside the frame a block of 16 px = 1.2 mm lies half beyond the rim, whose light it takes: 1 / (100 mm) of slope
+    # beside the frame a block of 16 px = 1.2 mm lies half beyond the rim, whose light it takes: 1 /
+    # (100 mm) of slope
     np.testing.assert_allclose(shaded, even, atol=6e-3)
 
 
@@ -156,15 +193,15 @@ def test_symmetric_scene_gives_a_symmetric_picture():
     p[:, 2] = dented(11e-3, at=(14e-3, 0.0))[:, 2] + dented(11e-3, at=(-14e-3, 0.0))[:, 2]
     even, shaded, _ = scene(p)
     assert (shaded / even).min() < 0.7  # deep enough to throw shadows
-    # mirrored nodes and pixels see the same up to rounding, and the table of cv2.remap: 1/32 of a node or block, of light
-    # that falls from 1 to 0.5 over a node at the worst
+    # mirrored nodes and pixels see the same up to rounding, and the table of cv2.remap: 1/32 of a
+    # node or block, of light that falls from 1 to 0.5 over a node at the worst
     np.testing.assert_allclose(shaded, shaded[:, ::-1], atol=0.016)
     np.testing.assert_allclose(shaded, shaded[::-1], atol=0.016)
 
 
 def test_the_frame_s_wall_throws_its_edge_onto_the_membrane():
-    """One LED at (xl, 0) beyond the opening: the glass-side edge of the wall at L / 2, depth t below the flat sheet, hides
-    it for x > xl - (xl - L/2) D / (D - t)."""
+    """One LED at (xl, 0) beyond the opening: the glass-side edge of the wall at L / 2, depth t
+    below the flat sheet, hides it for x > xl - (xl - L/2) D / (D - t)."""
     led = 26e-3
     design = replace(DENSE, leds=replace(DENSE.leds, count=1, ring_radius=led))
     lens = optics.Camera.from_design(design.camera, design.glass)
@@ -173,22 +210,32 @@ def test_the_frame_s_wall_throws_its_edge_onto_the_membrane():
     field = light.field(design.markers.p_SM)
     border = led - (led - 20e-3) * DOWN / (DOWN - 20e-3)
     clear = wall_clearance(design.frame, 20e-3, grid(1e-3), np.zeros((31, 41)), light._p_SL)[0]
-    assert crossing(-grid(1e-3)[15, ::-1, 0], clear[15, ::-1], 0.0) == pytest.approx(-border, abs=1e-6)  # linear there
-    # in the picture: half of the step between both sides of the penumbra, which is 2 x 1.5 mm x t / (D - t) wide
+    # linear there
+    assert crossing(-grid(1e-3)[15, ::-1, 0], clear[15, ::-1], 0.0) == pytest.approx(
+        -border, abs=1e-6
+    )
+    # in the picture: half of the step between both sides of the penumbra, which is 2 x 1.5 mm x t /
+    # (D - t) wide
     pixels = np.arange(330.0, 600.0)
     p_CP = np.column_stack([np.linspace(0, 19.5e-3, 400), np.zeros(400), np.full(400, DOWN)])
     x = np.interp(pixels, optics.project(lens, p_CP)[:, 0], p_CP[:, 0])
     row = field[239:241, 330:600].mean(axis=0)
-    lit, dark = np.interp(border - 1.5e-3, x, row), np.interp(border + 1.5e-3, x, row)
+    lit = np.interp(border - 1.5e-3, x, row)
+    dark = np.interp(border + 1.5e-3, x, row)
     middle = np.interp(-(lit + dark) / 2, -row, x)
     assert lit - dark > 0.2
-    # all that is left in full shadow is what the walls scatter: the part of the light that does not fall off
-    assert row[x > border + 2.5e-3][0] == pytest.approx(1 - design.leds.falloff / light._loss, abs=1e-3)
-    assert middle == pytest.approx(border, abs=0.15e-3)  # 2 px; the light's own fall over the penumbra shifts the middle
+    # all that is left in full shadow is what the walls scatter: the part of the light that does not
+    # fall off
+    assert row[x > border + 2.5e-3][0] == pytest.approx(
+        1 - design.leds.falloff / light._loss, abs=1e-3
+    )
+    # 2 px; the light's own fall over the penumbra shifts the middle
+    assert middle == pytest.approx(border, abs=0.15e-3)
 
 
 def test_camera_rays_meet_the_sheet_where_it_is():
-    """Nodes of a dented sheet, projected through pane and lens, are what the pixels there are found to look at."""
+    """Nodes of a dented sheet, projected through pane and lens, are what the pixels there are found
+    to look at."""
     lens = optics.Camera.from_design(DENSE.camera, DENSE.glass)
     light = ShadowedLight(DENSE, lens)
     sheet = light._sheet
@@ -197,7 +244,8 @@ def test_camera_rays_meet_the_sheet_where_it_is():
     uv = optics.project(lens, np.dstack([sheet.xy, z + DOWN]))[4:-4, 4:-4]
     found = bilinear(places, (uv - 1.5) / 4)  # the middle of the first block of 4 px is at 1.5
     expected = np.stack(np.meshgrid(np.arange(41), np.arange(31)), axis=-1)[4:-4, 4:-4]
-    # in nodes of 1 mm: bilinear between blocks; without the sheet's height the places were 3 nodes off
+    # in nodes of 1 mm: bilinear between blocks; without the sheet's height the places were 3 nodes
+    # off
     np.testing.assert_allclose(found, expected, atol=0.05)
 
 
@@ -208,8 +256,9 @@ def test_sheet_goes_through_the_markers_and_ends_at_the_frame(node, worst, monke
     p[:, :2] += 5e-4 * np.sin(200 * p[:, 1::-1])  # along the sheet too
     sheet = Sheet(DENSE)
     z = sheet.heights(p)
-    # bilinear between nodes: 1/8 node^2 x curvature, 2 x 4 mm / (6 mm)^2 = 3e-5 at 1 mm, somewhat more as a thin-plate
-    # spline's curvature peaks at its points; the peak's share falls with the node, not with its square
+    # bilinear between nodes: 1/8 node^2 x curvature, 2 x 4 mm / (6 mm)^2 = 3e-5 at 1 mm, somewhat
+    # more as a thin-plate spline's curvature peaks at its points; the peak's share falls with the
+    # node, not with its square
     np.testing.assert_allclose(bilinear(z, sheet.columns_rows(p[:, :2])), p[:, 2], atol=worst)
     rim = np.concatenate([z[0], z[-1], z[:, 0], z[:, -1]])
     assert np.abs(rim).max() < 2e-5  # between the points by which it is held, 2.5 mm apart

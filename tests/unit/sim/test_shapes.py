@@ -6,14 +6,24 @@ import pytest
 
 from mjtactile.sim.sensor import shapes
 
-GEOMS = {"box": 'type="box" size="0.01 0.02 0.03"', "sphere": 'type="sphere" size="0.02"',
-         "ellipsoid": 'type="ellipsoid" size="0.01 0.02 0.03"', "cylinder": 'type="cylinder" size="0.02 0.01"',
-         "capsule": 'type="capsule" size="0.01 0.02"', "mesh": 'type="mesh" mesh="solid"'}
-SOLID = '<asset><mesh name="solid" vertex="0.02 0 0  -0.02 0.01 0  0 -0.02 0  0 0.005 0.03  0.01 0.01 0.02"/></asset>'
+GEOMS = {
+    "box": 'type="box" size="0.01 0.02 0.03"',
+    "sphere": 'type="sphere" size="0.02"',
+    "ellipsoid": 'type="ellipsoid" size="0.01 0.02 0.03"',
+    "cylinder": 'type="cylinder" size="0.02 0.01"',
+    "capsule": 'type="capsule" size="0.01 0.02"',
+    "mesh": 'type="mesh" mesh="solid"',
+}
+SOLID = (
+    '<asset><mesh name="solid" vertex="0.02 0 0  -0.02 0.01 0  0 -0.02 0  0 0.005 0.03  0.01 '
+    '0.01 0.02"/></asset>'
+)
 
 
 def _model(geom: str) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    model = mujoco.MjModel.from_xml_string(f"<mujoco>{SOLID}<worldbody><geom {GEOMS[geom]}/></worldbody></mujoco>")
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco>{SOLID}<worldbody><geom {GEOMS[geom]}/></worldbody></mujoco>"
+    )
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     return model, data
@@ -22,7 +32,8 @@ def _model(geom: str) -> tuple[mujoco.MjModel, mujoco.MjData]:
 @pytest.mark.parametrize("kind", GEOMS)
 def test_lines_enter_where_rays_do(kind):
     model, data = _model(kind)
-    R, p = data.geom_xmat[0].reshape(3, 3), data.geom_xpos[0]
+    R = data.geom_xmat[0].reshape(3, 3)
+    p = data.geom_xpos[0]
     rng = np.random.default_rng(5)
     starts = rng.normal(size=(400, 3))
     starts *= 0.2 / np.linalg.norm(starts, axis=1, keepdims=True)
@@ -32,12 +43,18 @@ def test_lines_enter_where_rays_do(kind):
     assert entry is not None
     found = entry((starts - p) @ R, directions @ R)
     geom = np.zeros(1, np.int32)
-    rays = np.array([mujoco.mj_ray(model, data, s, d, None, 1, -1, geom) for s, d in zip(starts, directions, strict=True)])
+    rays = np.array(
+        [
+            mujoco.mj_ray(model, data, s, d, None, 1, -1, geom)
+            for s, d in zip(starts, directions, strict=True)
+        ]
+    )
     hit = rays >= 0
     assert 50 < hit.sum() < 400
     assert (np.isfinite(found) == hit).mean() > 0.99  # at an edge one may hit what the other misses
     both = hit & np.isfinite(found)
-    np.testing.assert_allclose(found[both], rays[both], atol=2e-6)  # the mesh's vertices are single precision
+    # the mesh's vertices are single precision
+    np.testing.assert_allclose(found[both], rays[both], atol=2e-6)
 
 
 def test_a_line_that_starts_inside_looks_back():

@@ -1,4 +1,5 @@
-"""What is seen without an image: exact ellipses, errors as large as said and as those of the image stages, and it is said."""
+"""What is seen without an image: exact ellipses, errors as large as said and as those of the image
+stages, and it is said."""
 
 from dataclasses import replace
 
@@ -24,16 +25,21 @@ FLAT = DESIGN.markers.p_SM, np.tile([0.0, 0.0, 1.0], (DESIGN.markers.count, 1))
 def bulged():
     """Markers of a bulge 5 mm high, with the normals of its surface."""
     x, y, _ = DESIGN.markers.p_SM.T
-    u, v = np.pi * x / 0.04, np.pi * y / 0.03
+    u = np.pi * x / 0.04
+    v = np.pi * y / 0.03
     z = 5e-3 * np.cos(u) * np.cos(v)
-    return np.column_stack([x, y, z]), geometry.normal_from_slope(-5e-3 * np.pi / 0.04 * np.sin(u) * np.cos(v),
-                                                                  -5e-3 * np.pi / 0.03 * np.cos(u) * np.sin(v))
+    return np.column_stack([x, y, z]), geometry.normal_from_slope(
+        -5e-3 * np.pi / 0.04 * np.sin(u) * np.cos(v), -5e-3 * np.pi / 0.03 * np.cos(u) * np.sin(v)
+    )
 
 
 def shape_of(ellipses):
-    c, s = np.cos(ellipses.angle), np.sin(ellipses.angle)
+    c = np.cos(ellipses.angle)
+    s = np.sin(ellipses.angle)
     a, b = ellipses.semi_axes_px.T
-    return np.column_stack([ellipses.center_px, a * c * c + b * s * s, (a - b) * c * s, a * s * s + b * c * c])
+    return np.column_stack(
+        [ellipses.center_px, a * c * c + b * s * s, (a - b) * c * s, a * s * s + b * c * c]
+    )
 
 
 def test_a_circle_on_the_axis_is_a_circle_of_f_r_over_z():
@@ -42,7 +48,8 @@ def test_a_circle_on_the_axis_is_a_circle_of_f_r_over_z():
     middle = DESIGN.markers.count // 2
     center, shape = Sighter(design)._true(*FLAT)
     np.testing.assert_allclose(center[middle], [319.5, 239.5], atol=1e-9)
-    np.testing.assert_allclose(shape[middle], [600 * 1.0 / 45, 0.0, 600 * 1.0 / 45], atol=1e-9)  # px
+    # px
+    np.testing.assert_allclose(shape[middle], [600 * 1.0 / 45, 0.0, 600 * 1.0 / 45], atol=1e-9)
 
 
 def test_exact_ellipses_lead_back_to_the_circles():
@@ -51,21 +58,28 @@ def test_exact_ellipses_lead_back_to_the_circles():
     sighter = Sighter(DESIGN)
     center, shape = sighter._true(p_SM, n_S)
     axes, angle = axes_from_shape(shape)
-    found = estimate_poses(Ellipses(center, axes, angle, np.tile(np.eye(5), (81, 1, 1)), np.full(81, "ok")), sighter.camera,
-                           DESIGN.markers.radius)
+    found = estimate_poses(
+        Ellipses(center, axes, angle, np.tile(np.eye(5), (81, 1, 1)), np.full(81, "ok")),
+        sighter.camera,
+        DESIGN.markers.radius,
+    )
     first = np.linalg.norm(found.p_CM + DESIGN.camera.p_SC - p_SM, axis=1)
     second = np.linalg.norm(found.p_CM_alt + DESIGN.camera.p_SC - p_SM, axis=1)
-    # the closed form takes the distorted circle for an ellipse at its boundary, this its moments: 0.001 px of size, 3 um of depth
+    # the closed form takes the distorted circle for an ellipse at its boundary, this its moments:
+    # 0.001 px of size, 3 um of depth
     assert np.minimum(first, second).max() < 3e-6
 
 
 def test_errors_are_as_large_as_said():
     """Chi-square of five numbers, 81 markers, 40 sightings: 1 +- 0.011 (sd)."""
-    sighter, pose = Sighter(DESIGN, seed=3), bulged()
+    sighter = Sighter(DESIGN, seed=3)
+    pose = bulged()
     true = np.concatenate(sighter._true(*pose), axis=1)
     spread = drawn_from(sighter, pose)
-    chi = [np.einsum("ni,nij,nj->n", e, np.linalg.inv(spread), e).mean() / 5
-           for e in (shape_of(sighter.sight(*pose).ellipses) - true for _ in range(40))]
+    chi = [
+        np.einsum("ni,nij,nj->n", e, np.linalg.inv(spread), e).mean() / 5
+        for e in (shape_of(sighter.sight(*pose).ellipses) - true for _ in range(40))
+    ]
     assert np.mean(chi) == pytest.approx(1.0, abs=0.04)
 
 
@@ -81,11 +95,15 @@ def drawn_from(sighter, pose):
 
 @pytest.mark.parametrize("blur", [0.7, 2.0])
 def test_errors_are_those_of_the_image_stages(blur):
-    """Spread of centre and size over 16 images, median of 81 markers: sampling 3 %, the model's own 10 %."""
+    """Spread of centre and size over 16 images, median of 81 markers: sampling 3 %, the model's own
+    10 %."""
     design = replace(DESIGN, camera=replace(DESIGN.camera, blur_px=blur))
-    renderer, sighter, pose = Renderer(design, seed=1), Sighter(design, seed=1), bulged()
+    renderer = Renderer(design, seed=1)
+    sighter = Sighter(design, seed=1)
+    pose = bulged()
     true = np.concatenate(sighter._true(*pose), axis=1)
-    seen, drawn = [], []
+    seen = []
+    drawn = []
     for _ in range(16):
         fit, status = markers.search(renderer.render(*pose).pixels, min_radius_px=4)
         order = np.linalg.norm(fit.center[:, None] - true[:, :2], axis=2).argmin(axis=0)
@@ -111,9 +129,15 @@ def test_a_grasp_without_images_holds_the_egg_and_says_so(tmp_path):
         def update(self, phase, time, force): ...
 
     with Recorder(tmp_path / "run", {}) as recorder:
-        result = run_grasp(GraspOptions(effects="-images", workers=0), recorder=recorder, progress=Quiet())
+        result = run_grasp(
+            GraspOptions(effects="-images", workers=0), recorder=recorder, progress=Quiet()
+        )
         recorder.close(outcome=result.outcome)
     assert result.outcome == "held" and result.summary()["images"] is False
     assert result.hold_force_true == pytest.approx(0.6, abs=0.02)  # N, as with images
     recording = load_recording(tmp_path / "run")
-    assert recording.complete and not any(map(len, recording.columns["images"])) and not list((tmp_path / "run/frames").iterdir())
+    assert (
+        recording.complete
+        and not any(map(len, recording.columns["images"]))
+        and not list((tmp_path / "run/frames").iterdir())
+    )

@@ -7,7 +7,8 @@ from mjtactile.sim.scenes.snapshot import Snapshot
 
 
 def test_what_follows_a_snapshot_follows_it_again():
-    """In contact, with rubber, gas and friction that remember: one forgotten number would show in the last digits."""
+    """In contact, with rubber, gas and friction that remember: one forgotten number would show in
+    the last digits."""
     world = GraspWorld("dense", "egg", opening=0.045)
     for number in range(2):
         world.open_valve(number)
@@ -22,8 +23,14 @@ def test_what_follows_a_snapshot_follows_it_again():
     def follow():
         world.set_finger_target(0.031, 3.0)
         world.step(40)
-        return np.concatenate([world.data.qpos, world.data.qvel, world.data.sensordata,
-                               [world.time, world.step_count, *(s.pressure_gauge for s in world.sensors)]])
+        return np.concatenate(
+            [
+                world.data.qpos,
+                world.data.qvel,
+                world.data.sensordata,
+                [world.time, world.step_count, *(s.pressure_gauge for s in world.sensors)],
+            ]
+        )
 
     first = follow()
     kept.restore()

@@ -1,4 +1,5 @@
-"""How much deeper a small contact pushes a sheet than a mesh shows, against a lattice and closed forms."""
+"""How much deeper a small contact pushes a sheet than a mesh shows, against a lattice and closed
+forms."""
 
 import numpy as np
 from scipy.sparse import diags, identity, kron
@@ -10,25 +11,31 @@ DIRECTIONS = 4
 
 
 def _lattice_depth(count: int) -> float:
-    """Depth under a unit force in the middle of a square lattice of `count` free points a side, tension 1, cell 1."""
+    """Depth under a unit force in the middle of a square lattice of `count` free points a side,
+    tension 1, cell 1."""
     line = diags([-1.0, 2.0, -1.0], [-1, 0, 1], shape=(count, count))
     load = np.zeros(count * count)
     load[count * count // 2] = 1.0
-    return float(spsolve((kron(line, identity(count)) + kron(identity(count), line)).tocsc(), load).max())
+    return float(
+        spsolve((kron(line, identity(count)) + kron(identity(count), line)).tocsc(), load).max()
+    )
 
 
 def test_the_meshs_radius_is_that_of_a_lattice():
-    """A disc of radius a under even pressure in a square of side L: (1/2 pi)(ln(L/a) + c); c from the textbook's point load in
-    a square, ln(L/r) + ln(0.5394), by conformal radius 0.5394 L."""
+    """A disc of radius a under even pressure in a square of side L: (1/2 pi)(ln(L/a) + c); c from
+    the textbook's point load in a square, ln(L/r) + ln(0.5394), by conformal radius 0.5394 L."""
     count = 101
     side = count + 1
     expected = np.log(0.5394 * side / spread.MESH_RADIUS) / (2 * np.pi)
-    np.testing.assert_allclose(_lattice_depth(count), expected, rtol=2e-3)  # the conformal radius has four digits, ends O(1/n^2)
+    # the conformal radius has four digits, ends O(1/n^2)
+    np.testing.assert_allclose(_lattice_depth(count), expected, rtol=2e-3)
 
 
 def test_a_small_ball():
     """Under an even pressure F/(pi a^2) with a^2 = 2 F R/(2 pi T): ln(mesh/a) + 1/2."""
-    load, curvature = np.array([1e-3]), np.full((1, DIRECTIONS), 2.0 / 5.0)  # of a ball of 5 cells
+    # of a ball of 5 cells
+    load = np.array([1e-3])
+    curvature = np.full((1, DIRECTIONS), 2.0 / 5.0)
     depth, radius = spread.depth_beyond_mesh(load, np.zeros((1, DIRECTIONS)), curvature)
     a = np.sqrt(load * 5.0)  # load = F/(2 pi T): a sin(a/R) = load, small angles
     np.testing.assert_allclose(radius, a, rtol=1e-3)
@@ -36,35 +43,48 @@ def test_a_small_ball():
 
 
 def test_a_shallow_cone():
-    """It is left at a sin(angle) = F/(2 pi T); inside the sheet is the cone: ln(mesh/a) + 1, up to the slope 0.05 squared."""
+    """It is left at a sin(angle) = F/(2 pi T); inside the sheet is the cone: ln(mesh/a) + 1, up to
+    the slope 0.05 squared."""
     load = np.array([0.001])
-    depth, radius = spread.depth_beyond_mesh(load, np.full((1, DIRECTIONS), 0.05), np.zeros((1, DIRECTIONS)))
+    depth, radius = spread.depth_beyond_mesh(
+        load, np.full((1, DIRECTIONS), 0.05), np.zeros((1, DIRECTIONS))
+    )
     np.testing.assert_allclose(radius, load * 20, rtol=2e-3)
     np.testing.assert_allclose(depth, load * (np.log(spread.MESH_RADIUS / radius) + 1), rtol=2e-3)
 
 
 def test_a_steep_cone():
-    """The sheet around a cone of 90 degrees, integrated: tension 1 + 2 (1/cos - 1) times sine times radius is the load. It falls
-    by this to a radius R, the mesh by load ln(R/mesh)."""
-    load, far = 0.05, 1e-4
+    """The sheet around a cone of 90 degrees, integrated: tension 1 + 2 (1/cos - 1) times sine times
+    radius is the load. It falls by this to a radius R, the mesh by load ln(R/mesh)."""
+    load = 0.05
+    far = 1e-4
     angle = np.geomspace(far, np.pi / 4, 20000)
     radius = load / ((1 + 2 * (1 / np.cos(angle) - 1)) * np.sin(angle))
     falls = -np.trapezoid(np.tan(angle), radius) + radius[-1]  # and the cone itself, inside
-    depth, _ = spread.depth_beyond_mesh(np.array([load]), np.ones((1, DIRECTIONS)), np.zeros((1, DIRECTIONS)))
-    np.testing.assert_allclose(depth, falls - load * np.log(radius[0] / spread.MESH_RADIUS), rtol=1e-4)  # the trapezoids' error
+    depth, _ = spread.depth_beyond_mesh(
+        np.array([load]), np.ones((1, DIRECTIONS)), np.zeros((1, DIRECTIONS))
+    )
+    # the trapezoids' error
+    np.testing.assert_allclose(
+        depth, falls - load * np.log(radius[0] / spread.MESH_RADIUS), rtol=1e-4
+    )
 
 
 def test_a_straight_edge_is_what_a_row_of_vertices_shows():
-    """A line of equal forces bends sheet and mesh alike, up to the 0.08 of ln(0.198/0.25) + 1 - ln 2."""
+    """A line of equal forces bends sheet and mesh alike, up to the 0.08 of ln(0.198/0.25) + 1 - ln
+    2."""
     slope = np.array([[0.0, 0.7, 1.0, 0.7]])
     load = np.array([0.02])
     assert abs(spread.depth_beyond_mesh(load, slope, np.zeros_like(slope))[0][0]) < 0.15 * load[0]
 
 
 def test_two_vertices_on_one_tip_count_each_other():
-    loads, radii = np.array([0.1, 0.1]), np.array([0.2, 0.2])
+    loads = np.array([0.1, 0.1])
+    radii = np.array([0.2, 0.2])
     vertices = np.array([[0.0, 0.0], [1.0, 0.0]])
-    at_one_place = spread.depth_of_neighbours(loads, radii, vertices, np.array([[0.5, 0.0], [0.5, 0.0]]))
+    at_one_place = spread.depth_of_neighbours(
+        loads, radii, vertices, np.array([[0.5, 0.0], [0.5, 0.0]])
+    )
     np.testing.assert_allclose(at_one_place, 0.1 * np.log(1 / (0.39 * 0.4)))
     np.testing.assert_array_equal(spread.depth_of_neighbours(loads, radii, vertices, vertices), 0.0)
 
@@ -73,4 +93,6 @@ def test_profiles():
     radii = (0.15, 0.373)
     for slope, curvature in ((0.7, 0.0), (0.0, 0.4), (0.3, 0.2)):
         rises = [np.array([slope * r + curvature * r**2 / 4]) for r in radii]
-        np.testing.assert_allclose(np.ravel(spread.profile(*rises, radii)), [slope, curvature], atol=1e-12)
+        np.testing.assert_allclose(
+            np.ravel(spread.profile(*rises, radii)), [slope, curvature], atol=1e-12
+        )

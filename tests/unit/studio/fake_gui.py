@@ -1,4 +1,5 @@
-"""A stand-in for Dear ImGui and ImPlot: what is said is kept, and what a person would press or move is told it by its label."""
+"""A stand-in for Dear ImGui and ImPlot: what is said is kept, and what a person would press or move
+is told it by its label."""
 
 from types import SimpleNamespace
 from unittest.mock import MagicMock
@@ -7,10 +8,13 @@ import numpy as np
 
 
 class FakeGui:
-    """`said` are the texts and labels of the last build; `press`, `check`, `slide`, `choose` are done at the next one."""
+    """`said` are the texts and labels of the last build; `press`, `check`, `slide`, `choose` are
+    done at the next one."""
 
     def __init__(self, real):
-        self._real, self.said, self._wanted = real, [], {}
+        self._real = real
+        self.said = []
+        self._wanted = {}
 
     def __getattr__(self, name):
         real = getattr(self._real, name)
@@ -111,7 +115,9 @@ class FakeViewer:
     """What a plugin uses of a viewer; `images` are the textures that were uploaded."""
 
     def __init__(self):
-        self.extra_geoms, self.images, self.data = [], {}, SimpleNamespace(xpos=np.zeros((0, 3)))
+        self.extra_geoms = []
+        self.images = {}
+        self.data = SimpleNamespace(xpos=np.zeros((0, 3)))
 
     def upload_image(self, texture, pixels, width, height, channels):
         texture = texture or len(self.images) + 1

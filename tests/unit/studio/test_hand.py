@@ -14,7 +14,9 @@ PERIOD = 1 / 30
 
 def observe(command, force=0.0, opening=None):
     touch = Touch(0.0, 0.0, force, 0.01, force > 0.05)
-    state = GripperState(command.opening if opening is None else opening, 0.0, 0.0, command.lift_height)
+    state = GripperState(
+        command.opening if opening is None else opening, 0.0, 0.0, command.lift_height
+    )
     return Observation(0.0, PERIOD, (touch, touch), state, (), command)
 
 
@@ -27,7 +29,9 @@ def run(wish, command, cycles, squeeze=lambda opening: 0.0):
 def test_it_goes_to_where_it_is_wished_at_a_hands_speed_and_keeps_the_controllers_notes():
     start = Command(0.06, 0.0, 0.0, "lift", {"settled_time": 0.3})
     one = Wish(0.05, 0.02).command(observe(start))
-    assert one.opening == pytest.approx(0.06 - 0.03 * PERIOD) and one.lift_height == pytest.approx(0.04 * PERIOD)
+    assert one.opening == pytest.approx(0.06 - 0.03 * PERIOD) and one.lift_height == pytest.approx(
+        0.04 * PERIOD
+    )
     assert one.phase == "lift" and one.memory == start.memory
     end = run(Wish(0.05, 0.02), start, 60)
     assert (end.opening, end.lift_height) == (0.05, 0.02)
@@ -35,7 +39,12 @@ def test_it_goes_to_where_it_is_wished_at_a_hands_speed_and_keeps_the_controller
 
 def test_it_squeezes_as_hard_as_is_wished():
     """A spring of 160 N/m on each finger from 50 mm on: 0.6 N are felt at 50 mm - 2 x 3.75 mm."""
-    end = run(Wish(math.nan, 0.0, 0.6), Command(0.06, 4.0), 600, lambda opening: max(0.0, 160 * (0.05 - opening) / 2))
+    end = run(
+        Wish(math.nan, 0.0, 0.6),
+        Command(0.06, 4.0),
+        600,
+        lambda opening: max(0.0, 160 * (0.05 - opening) / 2),
+    )
     assert end.opening == pytest.approx(0.05 - 2 * 0.6 / 160, abs=1e-5)
 
 
@@ -45,7 +54,9 @@ def test_a_force_that_is_not_known_moves_nothing():
 
 
 def test_the_controller_is_asked_while_nothing_is_wished():
-    hand = ByHand(SimpleNamespace(path=Path("mine.py"), step=lambda observation: Command(0.01, 1.0)))
+    hand = ByHand(
+        SimpleNamespace(path=Path("mine.py"), step=lambda observation: Command(0.01, 1.0))
+    )
     seen = observe(Command(0.05, 4.0))
     assert hand.path == Path("mine.py") and hand.step(seen).opening == 0.01
     hand.wish = Wish(0.05, 0.0)

@@ -31,7 +31,8 @@ class FakeHandle:
     """Studio's simulation side: keeps the model."""
 
     def set_model(self, model, path="", data=None):
-        self.model, self.data = model, data
+        self.model = model
+        self.data = data
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +43,9 @@ def tips(tmp_path_factory):
     sensors, panel = plugin.load_plugins([CHECKOUT / "examples" / "touch_in_studio.py"])
     sensors.handle = FakeHandle()
     assert sensors.on_load_model(messages.LoadModelEvent(path=str(path)))
-    return SimpleNamespace(sensors=sensors, panel=panel, model=sensors.handle.model, data=sensors.handle.data)
+    return SimpleNamespace(
+        sensors=sensors, panel=panel, model=sensors.handle.model, data=sensors.handle.data
+    )
 
 
 def test_a_plugin_file_puts_sensors_there_and_steps_them_by_the_clock(tips):
@@ -53,7 +56,10 @@ def test_a_plugin_file_puts_sensors_there_and_steps_them_by_the_clock(tips):
         assert time.monotonic() - start < 60
     assert time.monotonic() - start > 0.5  # no faster than the clock
     [felt] = tips.panel.source.moment().fingers
-    assert felt.name == "fingertip" and felt.touch.force_normal == pytest.approx(0.05 * 9.81, abs=0.05)  # the weight on it
+    # the weight on it
+    assert felt.name == "fingertip" and felt.touch.force_normal == pytest.approx(
+        0.05 * 9.81, abs=0.05
+    )
     assert felt.rest is not None and felt.body == tips.sensors.fingers[0].sensor.body_id
     assert felt.pressure_gauge > 1000 and felt.temperature == pytest.approx(293, abs=5)
 
@@ -71,15 +77,23 @@ def test_it_heeds_a_pause_and_a_reset(tips):
     mujoco.mj_resetData(tips.model, tips.data)
     tips.sensors._paused = False
     tips.sensors.on_step(step)
-    assert tips.data.time <= 2 * tips.model.opt.timestep and not tips.sensors._paused  # inflated anew, and no complaint
+    # inflated anew, and no complaint
+    assert tips.data.time <= 2 * tips.model.opt.timestep and not tips.sensors._paused
 
 
 def test_fingers_are_shown_anew_when_there_is_a_new_image():
     def seen(number):
-        return SimpleNamespace(image=fake_image(number), touch=fake_touch(0.1, 0.0), rest=None, pressure_gauge=1.0,
-                               temperature=2.0)
+        return SimpleNamespace(
+            image=fake_image(number),
+            touch=fake_touch(0.1, 0.0),
+            rest=None,
+            pressure_gauge=1.0,
+            temperature=2.0,
+        )
 
-    finger = SimpleNamespace(name="tip", design=None, sensor=SimpleNamespace(body_id=1), seen=seen(0))
+    finger = SimpleNamespace(
+        name="tip", design=None, sensor=SimpleNamespace(body_id=1), seen=seen(0)
+    )
     fingers = []
     own = OwnFingers(fingers)
     assert own.moment() is None  # none yet
@@ -96,25 +110,47 @@ def is_open(port):
 
 
 def test_the_loop_of_the_documents_serves_this_computer_alone_and_no_other_web_site(tmp_path):
-    """The code of docs/studio.md, with a model and an end; in a process of its own, since MuJoCo's viewer may crash a process
-    that opens a second one."""
-    [code] = [block for block in re.findall(r"```python\n(.*?)```", (CHECKOUT / "docs/studio.md").read_text(), re.DOTALL)
-              if "launch" in block]
-    code = "import select, sys\n" + code.replace("handle.is_running()", "not select.select([sys.stdin], [], [], 0)[0]")
+    """The code of docs/studio.md, with a model and an end; in a process of its own, since MuJoCo's
+    viewer may crash a process that opens a second one."""
+    [code] = [
+        block
+        for block in re.findall(
+            r"```python\n(.*?)```", (CHECKOUT / "docs/studio.md").read_text(), re.DOTALL
+        )
+        if "launch" in block
+    ]
+    code = "import select, sys\n" + code.replace(
+        "handle.is_running()", "not select.select([sys.stdin], [], [], 0)[0]"
+    )
     (tmp_path / "their_robot.xml").write_text(MODEL)
     code += "print('felt', fingers[0].touch.time > 0)\n"
-    process = subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, text=True, stdin=subprocess.PIPE,
-                               stdout=subprocess.PIPE, env={**os.environ, "HOME": str(tmp_path)})
+    process = subprocess.Popen(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        text=True,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env={**os.environ, "HOME": str(tmp_path)},
+    )
     try:
-        port = next(int(found[1]) for line in process.stdout if (found := re.search(r"http://localhost:(\d+)/", line)))
+        port = next(
+            int(found[1])
+            for line in process.stdout
+            if (found := re.search(r"http://localhost:(\d+)/", line))
+        )
         address = f"ws://127.0.0.1:{port}/state"
-        assert wait_for(lambda: is_open(port), 60.0)  # it says its address a moment before it listens
+        # it says its address a moment before it listens
+        assert wait_for(lambda: is_open(port), 60.0)
         with connect(address, origin="http://localhost:1"):  # through a tunnel: another port
             pass
-        with pytest.raises(InvalidStatus, match="403"), connect(address, origin="https://evil.example"):
+        with (
+            pytest.raises(InvalidStatus, match="403"),
+            connect(address, origin="https://evil.example"),
+        ):
             pass
         listening = Path("/proc/net/tcp").read_text() + Path("/proc/net/tcp6").read_text()
-        assert re.findall(rf"\s([0-9A-F]+):{port:04X}\s+0+:0000 0A", listening) == ["0100007F"]  # 127.0.0.1 alone
+        # 127.0.0.1 alone
+        assert re.findall(rf"\s([0-9A-F]+):{port:04X}\s+0+:0000 0A", listening) == ["0100007F"]
         said, _ = process.communicate("end\n", timeout=300)
         assert "felt True" in said and process.returncode == 0
     finally:

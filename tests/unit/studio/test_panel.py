@@ -1,4 +1,5 @@
-"""What the windows say and what they ask for: the same code as in Studio, with a stand-in for its widgets."""
+"""What the windows say and what they ask for: the same code as in Studio, with a stand-in for its
+widgets."""
 
 import math
 from dataclasses import replace
@@ -49,14 +50,28 @@ class FakeValve:
 @pytest.fixture
 def show():
     """A show of a simulated session's stand-in, 40 cycles old."""
-    fingers = [SimpleNamespace(name=name, design=load_sensor("dense"), valve=None) for name in ("left", "right")]
+    fingers = [
+        SimpleNamespace(name=name, design=load_sensor("dense"), valve=None)
+        for name in ("left", "right")
+    ]
     holes = []
-    sensors = [SimpleNamespace(pressure_gauge=1000.0, temperature=294.0, puncture=lambda c, k=k: holes.append((k, c)))
-               for k in range(2)]
+    sensors = [
+        SimpleNamespace(
+            pressure_gauge=1000.0, temperature=294.0, puncture=lambda c, k=k: holes.append((k, c))
+        )
+        for k in range(2)
+    ]
     scene = SimpleNamespace(sensors=sensors, data=SimpleNamespace(xfrc_applied=np.zeros((3, 6))))
-    rig = SimpleNamespace(scene=scene, host_timeout=math.inf, fingers=fingers, valves=(FakeValve(), FakeValve()),
-                          limits=SimpleNamespace(opening=(0.0, 0.12), lift=(0.0, 0.15)))
-    rest = SimpleNamespace(state=SimpleNamespace(reference=SimpleNamespace(surface=fake_touch(0.0, 0.0).surface)))
+    rig = SimpleNamespace(
+        scene=scene,
+        host_timeout=math.inf,
+        fingers=fingers,
+        valves=(FakeValve(), FakeValve()),
+        limits=SimpleNamespace(opening=(0.0, 0.12), lift=(0.0, 0.15)),
+    )
+    rest = SimpleNamespace(
+        state=SimpleNamespace(reference=SimpleNamespace(surface=fake_touch(0.0, 0.0).surface))
+    )
     show = Show(GraspOptions(seed=4))
     show.fastest = np.inf
     show.open(SimpleNamespace(rig=rig, perceptions=[rest, rest], holes=holes))
@@ -78,12 +93,19 @@ def test_the_panels_numbers_are_the_sessions(gui, show):
     for felt in show.moment().fingers:
         touch = felt.touch
         shear = np.hypot(*touch.traction.wrench[:2])
-        for text in (f"normal {touch.force_normal:+.3f} N, 2 sd {2 * touch.force_normal_sd:.3f}", f"shear  {shear:.3f} N",
-                     f"true   {felt.true:+.3f} N", f"area   {1e6 * touch.contact.area:.0f} mm2", "20.9 C"):
+        for text in (
+            f"normal {touch.force_normal:+.3f} N, 2 sd {2 * touch.force_normal_sd:.3f}",
+            f"shear  {shear:.3f} N",
+            f"true   {felt.true:+.3f} N",
+            f"area   {1e6 * touch.contact.area:.0f} mm2",
+            "20.9 C",
+        ):
             assert any(text in said for said in gui.said), text
     assert "gas    closed, 1.00 kPa" in " ".join(gui.said)
     time, force = gui.plot.drawn["left, felt"]
-    assert time[-1] == show.moment().time and force[-1] == show.moment().fingers[0].touch.force_normal
+    assert (
+        time[-1] == show.moment().time and force[-1] == show.moment().fingers[0].touch.force_normal
+    )
     np.testing.assert_allclose(gui.plot.drawn["right, true"][1], 0.2)
     np.testing.assert_allclose(gui.plot.drawn["left, felt, bars"][1], 0.06)  # 2 sd
     np.testing.assert_allclose(gui.plot.drawn["left"][1][0], 1.0)  # kPa
@@ -92,14 +114,22 @@ def test_the_panels_numbers_are_the_sessions(gui, show):
 def test_a_camera_and_a_membrane_of_each_finger_are_pictured(gui, show):
     plugin = Panel(show)
     build(plugin)
-    assert len(plugin.viewer.images) == 4 and all(image.std() > 5 for image in plugin.viewer.images.values())
+    assert len(plugin.viewer.images) == 4 and all(
+        image.std() > 5 for image in plugin.viewer.images.values()
+    )
 
 
 def test_the_indentation_is_the_rest_shape_less_what_is_felt_and_is_brightest_where_it_is_deepest():
-    touch, rest = fake_touch(0.6, 0.0), fake_touch(0.0, 0.0).surface
+    touch = fake_touch(0.6, 0.0)
+    rest = fake_touch(0.0, 0.0).surface
     field = surface.field_of(Felt("left", fake_image(0), touch, rest=rest), "indentation")
     assert field.values.max() == pytest.approx(0.6 * 0.002)  # as fake_touch presses, in the middle
-    picture = surface.picture(Felt("left", fake_image(0), replace(touch, traction=None), rest=rest), field, 0.0012, (80, 60))
+    picture = surface.picture(
+        Felt("left", fake_image(0), replace(touch, traction=None), rest=rest),
+        field,
+        0.0012,
+        (80, 60),
+    )
     luminance = picture[:, :, 1].astype(int)  # green grows along viridis
     assert luminance[2, 2] < luminance[30, 30] < luminance[30, 40]
 
@@ -107,8 +137,10 @@ def test_the_indentation_is_the_rest_shape_less_what_is_felt_and_is_brightest_wh
 def test_the_tractions_over_the_membrane_are_the_force_and_their_middle_is_the_centre_of_pressure():
     touch = fake_touch(0.6, 0.0)
     field = surface.field_of(Felt("left", fake_image(0), touch), "traction")
-    dx, dy = np.diff(field.x)[0], np.diff(field.y)[0]
-    wx, wy = np.r_[0.5, np.ones(len(field.x) - 2), 0.5] * dx, np.r_[0.5, np.ones(len(field.y) - 2), 0.5] * dy
+    dx = np.diff(field.x)[0]
+    dy = np.diff(field.y)[0]
+    wx = np.r_[0.5, np.ones(len(field.x) - 2), 0.5] * dx
+    wy = np.r_[0.5, np.ones(len(field.y) - 2), 0.5] * dy
     assert wy @ field.values @ wx == pytest.approx(0.6)
     np.testing.assert_allclose(surface.centre_of_pressure(touch), 0, atol=1e-12)  # symmetric
 
@@ -126,7 +158,10 @@ def test_the_sheet_in_the_scene_is_the_felt_surface():
     pressed, _ = surface.sheet(felt, surface.field_of(felt, "indentation"), 0.0012, least=0.04)
     assert 0 < len(pressed) < len(corners)
     quiet = replace(felt, touch=fake_touch(0.0, 0.0))  # nowhere is anything pushed in
-    assert [len(part) for part in surface.sheet(quiet, surface.field_of(quiet, "indentation"), 1e-3, least=0.04)] == [0, 0]
+    assert [
+        len(part)
+        for part in surface.sheet(quiet, surface.field_of(quiet, "indentation"), 1e-3, least=0.04)
+    ] == [0, 0]
 
 
 def test_geoms_are_those_of_the_touch_and_of_nobody_elses(gui, show):
@@ -139,7 +174,8 @@ def test_geoms_are_those_of_the_touch_and_of_nobody_elses(gui, show):
         show.add(fake_cycle(40))
     kinds = [int(geom.type) for geom in plugin.viewer.extra_geoms]
     assert plugin.viewer.extra_geoms[0] is stranger
-    assert kinds.count(int(mujoco.mjtGeom.mjGEOM_TRIANGLE)) == 2 * 240  # two cells of 12 x 10 a finger
+    # two cells of 12 x 10 a finger
+    assert kinds.count(int(mujoco.mjtGeom.mjGEOM_TRIANGLE)) == 2 * 240
     assert kinds.count(int(mujoco.mjtGeom.mjGEOM_ARROW)) == 2
     gui.want("membranes", "none")
     gui.want("net force", False)
@@ -147,11 +183,14 @@ def test_geoms_are_those_of_the_touch_and_of_nobody_elses(gui, show):
     gui.want("what the cameras see", True)
     build(plugin)
     build(plugin)
-    assert [int(geom.type) for geom in plugin.viewer.extra_geoms[1:]] == 2 * 8 * [int(mujoco.mjtGeom.mjGEOM_LINE)]
+    assert [int(geom.type) for geom in plugin.viewer.extra_geoms[1:]] == 2 * 8 * [
+        int(mujoco.mjtGeom.mjGEOM_LINE)
+    ]
 
 
 def test_a_triangle_and_an_arrow_are_where_they_belong():
-    brush, corners = marks.Brush(), np.array([[1.0, 2, 3], [2, 2, 3], [1, 4, 5]])
+    brush = marks.Brush()
+    corners = np.array([[1.0, 2, 3], [2, 2, 3], [1, 4, 5]])
     for _ in range(2):  # the second time with the same geoms
         brush.begin()
         brush.triangles(corners[None], np.array([[1.0, 0.5, 0.0]]))
@@ -162,11 +201,18 @@ def test_a_triangle_and_an_arrow_are_where_they_belong():
     marks.draw(brush, [felt], marks.Look(surface="none", contacts=False))
     [arrow] = brush.drawn
     along = np.asarray(arrow.mat)[:, 2]
-    np.testing.assert_allclose(along, [0, 0, 1], atol=1e-6)  # the finger pushes the object away, along its own z
+    # the finger pushes the object away, along its own z
+    np.testing.assert_allclose(along, [0, 0, 1], atol=1e-6)
 
 
 def test_why_an_ellipse_is_not_trusted_is_said():
-    ellipses = Ellipses(np.zeros((4, 2)), np.ones((4, 2)), np.zeros(4), np.zeros((4, 5, 5)), ["ok", "blurred", "cut", "blurred"])
+    ellipses = Ellipses(
+        np.zeros((4, 2)),
+        np.ones((4, 2)),
+        np.zeros(4),
+        np.zeros((4, 5, 5)),
+        ["ok", "blurred", "cut", "blurred"],
+    )
     assert flagged_text(ellipses) == "3 of 4 not trusted: blurred (2), cut"
     assert flagged_text(None) == ""
 
@@ -175,7 +221,10 @@ def test_a_handler_that_raises_is_shown_and_the_next_one_is_called(gui, show, mo
     plugin = Panel(show)
     monkeypatch.setattr(marks, "draw", lambda *_, **__: 1 / 0)
     build(plugin)
-    assert any(said.startswith("ZeroDivisionError: division by zero (test_panel.py, line") for said in gui.said)
+    assert any(
+        said.startswith("ZeroDivisionError: division by zero (test_panel.py, line")
+        for said in gui.said
+    )
     assert any(said.startswith("normal") for said in gui.said)
 
 
@@ -193,12 +242,16 @@ def test_the_desk_asks_the_session(gui, show):
     assert [valve.asked for valve in session.rig.valves] == 2 * [[500.0, "closed"]]
     do("puncture right", True)
     do("puncture right", False)
-    assert [k for k, _ in session.holes] == [1, 1] and session.holes[1][1] == 0.0 < session.holes[0][1]
+    assert [k for k, _ in session.holes] == [1, 1] and session.holes[1][1] == 0.0 < session.holes[
+        0
+    ][1]
     do("in place of the controller", True)
     assert show.wish.opening == show.moment().session.opening
     do("opening, mm", 40.0)
     do("lift, mm", 20.0)
-    assert (show.wish.opening, show.wish.lift_height) == (0.04, 0.02) and math.isnan(show.wish.force)
+    assert (show.wish.opening, show.wish.lift_height) == (0.04, 0.02) and math.isnan(
+        show.wish.force
+    )
     do("squeeze as hard as", True)
     do("felt, N", 1.5)
     assert show.wish.force == 1.5
@@ -214,7 +267,12 @@ def test_the_desk_asks_the_session(gui, show):
 
 def test_another_run_is_of_another_object_with_other_effects(gui, show):
     plugin = Desk(show)
-    for label, value in (("object", "vial"), ("accuracy", "0.05N"), ("seed", 7), ("shadows###shadows", True)):
+    for label, value in (
+        ("object", "vial"),
+        ("accuracy", "0.05N"),
+        ("seed", 7),
+        ("shadows###shadows", True),
+    ):
         gui.want(label, value)
         build(plugin)
     assert not show.restart.is_set()

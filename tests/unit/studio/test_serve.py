@@ -28,7 +28,9 @@ def test_ctrl_c_ends_it_and_what_fails_in_a_run_is_shown(monkeypatch, error, end
 def test_a_window_without_a_display_is_one_line_that_says_what_to_do(monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    with pytest.raises(MjtactileError, match=r"--native: there is no display here .*: leave --native away") as error:
+    with pytest.raises(
+        MjtactileError, match=r"--native: there is no display here .*: " r"leave --native away"
+    ) as error:
         serve.launch_window(None, [])
     assert "\n" not in str(error.value)
 
@@ -40,5 +42,8 @@ def test_what_mujocos_window_lacks_is_named(monkeypatch):
         raise ImportError("no library of that name")
 
     monkeypatch.setattr(serve.importlib, "import_module", lacking)
-    with pytest.raises(MjtactileError, match=r"does not work here \(no library of that name\): leave --native away"):
+    with pytest.raises(
+        MjtactileError,
+        match=r"does not work here \(no library of that " r"name\): leave --native away",
+    ):
         serve.launch_window(None, [])

@@ -92,7 +92,8 @@ def test_a_signal_ends_a_pause(monkeypatch):
 
 
 def test_what_is_asked_for_is_done_by_the_sessions_thread_and_what_raises_is_said():
-    show, done = Show(), []
+    show = Show()
+    done = []
     show.session = fake_session()
     show.ask(lambda session: done.append(threading.current_thread().name))
     show.ask(lambda session: 1 / 0)
@@ -118,7 +119,8 @@ def test_another_run_and_a_closed_viewer_end_a_world_that_waits_and_retreat_from
 
 def test_the_red_button_makes_it_safe_and_ends_a_pause():
     show = Show()
-    show.session, show.paused = fake_session(), True
+    show.session = fake_session()
+    show.paused = True
     show.halt()
     assert show.session.reasons == [RED_BUTTON] and not show.paused
     with pytest.raises(DeviceError, match="red button"):  # nothing moves yet, which could retreat
@@ -133,8 +135,9 @@ def test_only_a_world_that_waits_may_be_paused():
 
 
 def test_a_grasp_shows_its_scene_and_obeys():
-    """Real physics: the scene's state is the world's, a valve that is opened from outside changes the pressure, the hand goes
-    where it is wished to and squeezes as hard, and the red button opens it."""
+    """Real physics: the scene's state is the world's, a valve that is opened from outside changes
+    the pressure, the hand goes where it is wished to and squeezes as hard, and the red button opens
+    it."""
     show = Show()
     show.fastest = np.inf
     moments = []
@@ -152,19 +155,38 @@ def test_a_grasp_shows_its_scene_and_obeys():
 
     actions = {3: lambda: setattr(show, "wish", Wish(0.075, 0.01)), 10: supply, 20: show.halt}
     with pytest.raises(DeviceError, match=f"stopped safely: {RED_BUTTON}"):
-        run_grasp(GraspOptions(workers=0), recorder=show, progress=Voice(show), on_open=show.open, on_still=look, wrap=show.wrap)
+        run_grasp(
+            GraspOptions(workers=0),
+            recorder=show,
+            progress=Voice(show),
+            on_open=show.open,
+            on_still=look,
+            wrap=show.wrap,
+        )
     moments = [moment for moment in moments if moment is not None]
     times = [moment.scene[1][0] for moment in moments]  # MuJoCo's state begins with its time
     np.testing.assert_allclose(np.diff(times), 1 / 30, atol=1e-9)
     pressure = [moment.fingers[0].pressure_gauge for moment in moments]
-    assert pressure[5] == pytest.approx(1000, abs=20) and pressure[14] == pytest.approx(500, abs=1)  # Pa; an ideal valve
+    # Pa; an ideal valve
+    assert pressure[5] == pytest.approx(1000, abs=20) and pressure[14] == pytest.approx(500, abs=1)
     assert moments[5].fingers[0].temperature == pytest.approx(293.15, abs=5)
     felt = moments[5].fingers[0]
-    known, found = followed(felt.image, felt.tracks), find_ellipses(felt.image)  # what sensing has, and a search of its own
-    order = [int(np.argmin(np.linalg.norm(found.center_px - center, axis=1))) for center in known.center_px]
+    # what sensing has, and a search of its own
+    known = followed(felt.image, felt.tracks)
+    found = find_ellipses(felt.image)
+    order = [
+        int(np.argmin(np.linalg.norm(found.center_px - center, axis=1)))
+        for center in known.center_px
+    ]
     assert sorted(order) == list(range(len(found)))
-    np.testing.assert_allclose(known.center_px, found.center_px[order], atol=0.02)  # px: where a fit began is a tenth of its sd
+    # px: where a fit began is a tenth of its sd
+    np.testing.assert_allclose(known.center_px, found.center_px[order], atol=0.02)
     assert followed(moments[6].fingers[0].image, felt.tracks) is None  # another image's
     state = [moment.session for moment in moments]
-    assert state[18].lift_height > 0.004 and state[18].phase == "approach"  # 40 mm/s for half a second, less its start
-    assert state[-1].state == "safe" and state[-1].lift_height < 1e-3 and state[-1].opening > state[21].opening + 0.005
+    # 40 mm/s for half a second, less its start
+    assert state[18].lift_height > 0.004 and state[18].phase == "approach"
+    assert (
+        state[-1].state == "safe"
+        and state[-1].lift_height < 1e-3
+        and state[-1].opening > state[21].opening + 0.005
+    )

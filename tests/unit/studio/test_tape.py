@@ -26,10 +26,16 @@ def test_image_touch_truth_and_curves_follow_the_time(tape):
         tape.at = number / 30 + 0.01  # 30 cycles a second
         moment = tape.moment()
         assert moment.number == number and moment.time == pytest.approx(number / 30)
-        for felt, image, true in zip(moment.fingers, tape.recording.images_of(number),
-                                     tape.recording.column("force_normal_true")[number], strict=True):
+        for felt, image, true in zip(
+            moment.fingers,
+            tape.recording.images_of(number),
+            tape.recording.column("force_normal_true")[number],
+            strict=True,
+        ):
             np.testing.assert_array_equal(felt.image.pixels, image.pixels)
-            assert felt.true == pytest.approx(true) and felt.touch.force_normal == pytest.approx(true / 0.97, abs=0.02)
+            assert felt.true == pytest.approx(true) and felt.touch.force_normal == pytest.approx(
+                true / 0.97, abs=0.02
+            )
         curves = tape.history.curves()
         assert len(curves.time) == COUNT and curves.now == pytest.approx(tape.at)
 
