@@ -22,10 +22,11 @@ help:  ## list the targets
 grasp: $(VENV)/.run-ready  ## grasp an egg in simulation; results in runs/grasp, later in runs/grasp-TIME (ARGS="--object vial" and so on)
 	$(BIN)/mjtactile grasp --out $(if $(wildcard $(OUT)/recording),$(OUT)-$(shell date +%Y%m%d-%H%M%S),$(OUT)) $(ARGS)
 
-bench: $(VENV)/.run-ready  ## measure the grasp and the perception; results in bench-results, docs/benchmarks.md, README.md
+bench: $(VENV)/.run-ready  ## measure the grasp and the perception; results in bench-results, docs/, README.md
 	$(BIN)/mjtactile bench grasp --out bench-results --readme docs/benchmarks.md $(ARGS)
 	$(BIN)/mjtactile bench perception --out bench-results --readme docs/benchmarks.md $(ARGS)
-	$(BIN)/mjtactile bench numbers --out bench-results --readme README.md
+	$(BIN)/mjtactile bench numbers --out bench-results --readme docs/numbers.md
+	$(BIN)/mjtactile bench headline --out bench-results --readme README.md
 
 film: $(VENV)/.test-ready  ## the film that opens the README: an egg grasp, docs/images/grasp.webp
 	rm -rf runs/film && $(BIN)/mjtactile grasp --out runs/film --video docs/images/grasp.webp $(ARGS)

@@ -1,163 +1,250 @@
-"""`mjtactile bench numbers`: the numbers of the README, taken from the pages that the benchmarks
-wrote.
+"""`mjtactile bench numbers` and `bench headline`: the numbers of docs/numbers.md and of the README,
+taken from the pages that the other benchmarks wrote.
 
-It measures nothing, so that a number stands in two places and is written down in one.
+They measure nothing: a number may stand on several pages, and comes from one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from mjtactile.core import resources
 from mjtactile.core.errors import InputError
 
-_LARGEST = "largest force, N: median (worst)"
 
-# what to say, page, how the row begins (of several, one after the other), heading of the column, by
-# which command
+@dataclass(frozen=True)
+class Number:
+    """One number, and the cell that it is taken from."""
+
+    what: str
+    page: str
+    """Name of the page in docs/ whose tables have it."""
+    row: str
+    """How the row begins; "a / b": two rows, shown one after the other."""
+    column: str
+    """Heading of the column."""
+    command: str
+    """The command that measured it."""
+    headline: bool = False
+    """Whether the README shows it, too."""
+
+
+def _largest_force(name: str, thing: str, headline: bool = False) -> Number:
+    return Number(
+        what=f"largest force on a finger that grasps {thing}, by touch / by the servos' current "
+        "alone, N: median (worst)",
+        page="evaluate",
+        row=f"gentle | {name} / touchless | {name}",
+        column="largest force, N: median (worst)",
+        command="evaluate",
+        headline=headline,
+    )
+
+
 NUMBERS = (
-    (
-        "normal force felt: mean absolute error (worst), N",
-        "benchmarks",
-        "normal force, mean absolute",
-        "dense",
-        "bench touch",
+    Number(
+        what="normal force felt: mean absolute error (worst), N",
+        page="benchmarks",
+        row="normal force, mean absolute",
+        column="dense",
+        command="bench touch",
+        headline=True,
     ),
-    (
-        "shear force felt: mean absolute error, N",
-        "benchmarks",
-        "shear force error",
-        "dense",
-        "bench touch",
+    Number(
+        what="shear force felt: mean absolute error, N",
+        page="benchmarks",
+        row="shear force error",
+        column="dense",
+        command="bench touch",
     ),
-    ("middle of the contact: error, mm", "benchmarks", "contact centroid", "dense", "bench touch"),
-    ("touches of 0.03-0.06 N felt", "benchmarks", "touches of 0.03-0.06 N", "dense", "bench touch"),
-    (
-        "the paper's force test (the paper: 0.04 N)",
-        "experiments",
-        "5a: force error, cylinder",
-        "ours",
-        "experiments",
+    Number(
+        what="middle of the contact: error, mm",
+        page="benchmarks",
+        row="contact centroid",
+        column="dense",
+        command="bench touch",
     ),
-    ("eggs held, of ten seeds", "benchmarks", "egg", "held", "bench grasp"),
-    (
-        "grasps held in worlds that vary, egg, strawberry, vial and random things",
-        "evaluate",
-        "gentle",
-        "held",
-        "evaluate",
+    Number(
+        what="touches of 0.03-0.06 N felt",
+        page="benchmarks",
+        row="touches of 0.03-0.06 N",
+        column="dense",
+        command="bench touch",
     ),
-    ("with what 95 % interval", "evaluate", "gentle", "95 % interval", "evaluate"),
-    *(
-        (
-            f"largest force on a finger with touch / by the servos' current alone, {name}, N: "
-            "median (worst)",
-            "evaluate",
-            f"gentle | {name} / touchless | {name}",
-            _LARGEST,
-            "evaluate",
-        )
-        for name in ("egg", "strawberry", "vial", "random")
+    Number(
+        what="the paper's force test (the paper: 0.04 N)",
+        page="experiments",
+        row="5a: force error, cylinder",
+        column="ours",
+        command="experiments",
     ),
-    (
-        "force while holding an egg: error, mean / worst, N",
-        "benchmarks",
-        "egg",
-        "its error, N: mean / worst",
-        "bench grasp",
+    Number(
+        what="eggs held, of ten seeds",
+        page="benchmarks",
+        row="egg",
+        column="held",
+        command="bench grasp",
     ),
-    (
-        "centres of circles in space: mean error, nearer of two poses, mm",
-        "benchmarks",
-        "mean centre error, nearer",
-        "measured",
-        "bench perception",
+    Number(
+        what="grasps held: egg, strawberry, vial and random things in worlds that vary",
+        page="evaluate",
+        row="gentle",
+        column="held",
+        command="evaluate",
+        headline=True,
     ),
-    (
-        "the same as returned, mm",
-        "benchmarks",
-        "mean centre error, as returned",
-        "measured",
-        "bench perception",
+    Number(
+        what="the share held: 95 % interval",
+        page="evaluate",
+        row="gentle",
+        column="95 % interval",
+        command="evaluate",
     ),
-    (
-        "grasp with two cameras at 30 Hz, x real time on the processor that is named there",
-        "accuracy",
-        "30 Hz loop, all",
-        "now",
-        "bench speed",
+    _largest_force("egg", "an egg"),
+    _largest_force("strawberry", "a strawberry", headline=True),
+    _largest_force("vial", "a vial"),
+    _largest_force("random", "random things"),
+    Number(
+        what="force while holding an egg: error, mean / worst, N",
+        page="benchmarks",
+        row="egg",
+        column="its error, N: mean / worst",
+        command="bench grasp",
     ),
-    (
-        "two cameras at 60 Hz, touch to release, on the same",
-        "accuracy",
-        "60 Hz loop, touch to release",
-        "now",
-        "bench speed",
+    Number(
+        what="centres of circles in space: mean error, nearer of two poses, mm",
+        page="benchmarks",
+        row="mean centre error, nearer",
+        column="measured",
+        command="bench perception",
     ),
-    (
-        "the same, times as fast as before the compiled chain, in turns",
-        "accuracy",
-        "60 Hz loop, touch to release",
-        "ratio",
-        "bench speed",
+    Number(
+        what="centres of circles in space: mean error, the pose that is returned, mm",
+        page="benchmarks",
+        row="mean centre error, as returned",
+        column="measured",
+        command="bench perception",
     ),
-    ("materials named right", "benchmarks", "material class right", "measured", "bench material"),
-    (
-        "faults of the emulated rig that ended safely",
-        "benchmarks",
-        "safe state after a fault",
-        "measured",
-        "bench rig",
+    Number(
+        what="a whole grasp with two cameras at 30 Hz, on two cores, x real time",
+        page="accuracy",
+        row="30 Hz loop, all",
+        column="now",
+        command="bench speed",
+        headline=True,
+    ),
+    Number(
+        what="two cameras at 60 Hz, from touch to release, on two cores, x real time",
+        page="accuracy",
+        row="60 Hz loop, touch to release",
+        column="now",
+        command="bench speed",
+    ),
+    Number(
+        what="the same over what it was before the compiled chain, measured in turns",
+        page="accuracy",
+        row="60 Hz loop, touch to release",
+        column="ratio",
+        command="bench speed",
+    ),
+    Number(
+        what="materials named right",
+        page="benchmarks",
+        row="material class right",
+        column="measured",
+        command="bench material",
+    ),
+    Number(
+        what="faults of the emulated rig that ended safely",
+        page="benchmarks",
+        row="safe state after a fault",
+        column="measured",
+        command="bench rig",
+        headline=True,
     ),
 )
 
 
 def run(out: Path, quick: bool = False) -> dict[str, Any]:
-    """Read the pages of the checkout or of the installed package. Raises InputError naming a page
-    that lacks a number."""
+    """Read the pages of the checkout or of the installed package.
+
+    Args:
+        out: Not used: nothing is drawn.
+        quick: Not used.
+
+    Returns:
+        `numbers`: for each of `NUMBERS` its `what`, `value` (text), `page`, `command`, `headline`.
+
+    Raises:
+        InputError: A page lacks a number.
+    """
     folder = resources.folder("docs")
     pages = {
         name: (folder / f"{name}.md").read_text(encoding="utf-8")
-        for name in {page for _, page, *_ in NUMBERS}
+        for name in {number.page for number in NUMBERS}
     }
     return {
         "numbers": [
             {
-                "what": what,
-                "value": cell(pages[page], row, column, source=page),
-                "page": page,
-                "by": by,
+                "what": number.what,
+                "value": cell(pages[number.page], number.row, number.column, source=number.page),
+                "page": number.page,
+                "command": number.command,
+                "headline": number.headline,
             }
-            for what, page, row, column, by in NUMBERS
+            for number in NUMBERS
         ]
     }
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """The result as Markdown."""
-    rows = [
-        f"| {n['what']} | {n['value']} | [`{n['by']}`](docs/{n['page']}.md) |"
-        for n in result["numbers"]
-    ]
-    return "\n".join(["| what | measured | by |", "|---|---|---|", *rows]) + "\n"
+    """All numbers as a table in Markdown, for docs/numbers.md."""
+    return _markdown(result["numbers"], folder="")
+
+
+def headline_table(result: Mapping[str, Any]) -> str:
+    """The README's numbers as a table in Markdown."""
+    return _markdown([row for row in result["numbers"] if row["headline"]], folder="docs/")
 
 
 def cell(page: str, row: str, column: str, *, source: str) -> str:
-    """The cell under the heading `column` in the first row that begins with `row`, of the tables
-    that have that column; of rows "a / b" both, of the first table that has both."""
+    """Find one cell in the tables of a page.
+
+    Args:
+        page: The page's text, Markdown.
+        row: How the row begins, without the first "|". "a / b" asks for two rows of one table.
+        column: The heading of the column.
+        source: Name of the page, for the error.
+
+    Returns:
+        The cell's text, of the first table that has the column and the row; of two rows both,
+        joined by " / ".
+
+    Raises:
+        InputError: No table has both.
+    """
+    beginnings = row.split(" / ")
     for heading, *rows in _tables(page):
-        texts = [" | ".join(cells) for cells in rows]
-        found = [
-            next((k for k, text in enumerate(texts) if text.startswith(one)), None)
-            for one in row.split(" / ")
-        ]
-        if column in heading and None not in found:
-            return " / ".join(rows[k][heading.index(column)] for k in found if k is not None)
+        if column not in heading:
+            continue
+        at = heading.index(column)
+        found = [_first(rows, beginning) for beginning in beginnings]
+        cells = [cells[at] for cells in found if cells is not None]
+        if len(cells) == len(beginnings):
+            return " / ".join(cells)
     raise InputError(
         f"has no table with a row {row!r} and a column {column!r}", source=f"docs/{source}.md"
     )
+
+
+def _first(rows: list[list[str]], beginning: str) -> list[str] | None:
+    for cells in rows:
+        if " | ".join(cells).startswith(beginning):
+            return cells
+    return None
 
 
 def _tables(page: str) -> list[list[list[str]]]:
@@ -169,3 +256,11 @@ def _tables(page: str) -> list[list[list[str]]]:
         elif tables[-1]:
             tables.append([])
     return [table for table in tables if table]
+
+
+def _markdown(numbers: list[dict[str, Any]], folder: str) -> str:
+    rows = [
+        f"| {n['what']} | {n['value']} | [`{n['command']}`]({folder}{n['page']}.md) |"
+        for n in numbers
+    ]
+    return "\n".join(["| what | measured | by |", "|---|---|---|", *rows]) + "\n"

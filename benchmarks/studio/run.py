@@ -119,9 +119,7 @@ def table(result: Mapping[str, Any]) -> str:
         [
             "| what | asked | aim | measured |",
             "|---|---|---|---|",
-            f"| speed in Studio over speed without | at least 0.7 | 0.9 | {median('ratio'):.2f} "
-            f"({median('factor'):.2f} and "
-            f"{median('without'):.2f} x real time) |",
+            f"| speed in Studio over speed without | at least 0.7 | 0.9 | {median('ratio'):.2f} |",
             "| core time of a simulated second, s: in Studio (without the page's own), and "
             "without |  |  | "
             f"{median('core_s'):.2f}, {median('core_without_s'):.2f} |",

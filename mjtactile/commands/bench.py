@@ -30,7 +30,8 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   fit         sensors that differ from their file, recorded and fitted: each number's error
   truth       the simulation and what is felt, against references from outside of the project
   studio      what watching costs: an egg grasp in Studio, a page looking on, against it alone
-  numbers     measures nothing: the numbers of the README, from the pages of the others"""
+  numbers     measures nothing: all numbers on one page, from the pages of the others
+  headline    measures nothing: the few of them that the README shows"""
 EPILOG = """\
 examples:
   mjtactile bench grasp --quick            one seed instead of ten
@@ -38,7 +39,8 @@ examples:
   mjtactile bench grasp --readme docs/benchmarks.md
       put the table between that file's bench markers
   mjtactile bench truth --cases my_cases   a TOML file each; those that come along: models/truth
-  mjtactile bench numbers --readme README.md           then take the README's numbers from there
+  mjtactile bench numbers --readme docs/numbers.md     then take all numbers from there
+  mjtactile bench headline --readme README.md          and the README's
 """
 BENCHMARKS = {
     "grasp": "grasp",
@@ -58,6 +60,7 @@ BENCHMARKS = {
     "fit": "fit",
     "studio": "studio.run",
     "numbers": "numbers",
+    "headline": "headline",
 }
 """Name to module of the checkout's folder `benchmarks`; each has `run(out, quick) -> dict`, which
 draws into `out`, and `table(result) -> str` in Markdown."""

@@ -12,6 +12,7 @@ import pytest
 import mjtactile
 import mkdocs_hooks
 from benchmarks import numbers
+from mjtactile.commands import COMMANDS
 from mjtactile.core.design import FIELDS, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Command, GripperState, Observation, Slip, Touch, ValveState
@@ -166,11 +167,16 @@ def test_the_gallery_shows_every_picture_of_the_pages():
     assert there - shown == {"images/shadows.png"}  # which no command draws
 
 
+def test_the_page_of_commands_has_each_with_an_example():
+    page = (CHECKOUT / "docs/commands.md").read_text()
+    assert set(re.findall(r"(?m)^    mjtactile (\w+)", page)) == set(COMMANDS)
+
+
 def test_the_site_has_the_readme_the_decisions_and_the_whole_front_door():
     """What `make docs` adds to the pages; that they build without a warning is said by `make docs`
     itself."""
     pages = mkdocs_hooks.pages()
-    assert "](your_scene.md)" in pages["index.md"] and "](images/grasp.png)" in pages["index.md"]
+    assert "](your_scene.md)" in pages["index.md"] and "](images/grasp.webp)" in pages["index.md"]
     assert (
         "](decisions/index.md)" in pages["index.md"]
         and "](0013-contact-points.md)" in pages["decisions/index.md"]
@@ -198,12 +204,62 @@ def test_links_of_the_pages_in_the_wheel_stay_in_the_wheel(page):
         ], target
 
 
-def test_the_readmes_numbers_are_those_of_the_pages_that_the_benchmarks_wrote():
+@pytest.mark.parametrize(
+    ("page", "block", "table"),
+    [
+        ("docs/numbers.md", "numbers", numbers.table),
+        ("README.md", "headline", numbers.headline_table),
+    ],
+)
+def test_numbers_are_those_of_the_pages_that_the_benchmarks_wrote(page, block, table):
+    text = (CHECKOUT / page).read_text()
+    written = re.search(rf"<!-- bench:{block} -->\n(.*?)<!-- /bench -->", text, re.DOTALL).group(1)
+    # else: mjtactile bench BLOCK --readme PAGE
+    assert written.strip() == table(numbers.run(Path())).strip()
+
+
+def test_the_readme_shows_five_numbers_and_fits_150_lines():
     readme = (CHECKOUT / "README.md").read_text()
-    written = re.search(r"<!-- bench:numbers -->\n(.*?)<!-- /bench -->", readme, re.DOTALL).group(1)
-    # else: mjtactile bench numbers --readme README.md
-    assert written.strip() == numbers.table(numbers.run(Path())).strip()
-    assert written.count("\n") == 2 + len(numbers.NUMBERS)
+    assert sum(number.headline for number in numbers.NUMBERS) == 5
+    assert len(readme.splitlines()) <= 150
+    # three commands and the numbers come before any section
+    assert readme.index("bench:headline") < readme.index("\n## ")
+
+
+GENERATED = re.compile(r"(?s)<!-- bench:.*?<!-- /bench -->")
+SAID_ONCE = {
+    # what a sentence looks like that says it: the row of the table of numbers that it must agree with
+    r"([\d.]+)\s*(?:x|times|of)\s+(?:the\s+)?(?:real[ -]time|clock)": "a whole grasp with two cameras",
+    r"(\d+ of \d+) grasps": "grasps held",
+    r"(\d+ of \d+)(?: injected)? faults": "faults of the emulated rig",
+}
+
+
+@pytest.mark.parametrize(("said", "what"), SAID_ONCE.items(), ids=SAID_ONCE.values())
+def test_no_page_says_another_number(said, what):
+    """In sentences; tables come from benchmarks and name what they measured."""
+    rows = numbers.run(Path())["numbers"]
+    (value,) = [row["value"] for row in rows if row["what"].startswith(what)]
+    others = [
+        (page.name, found)
+        for page in PAGES
+        if "decisions" not in page.parts and page.name != "CHANGELOG.md"
+        for found in re.findall(said, GENERATED.sub("", page.read_text()))
+        if not value.startswith(found)
+    ]
+    assert others == []
+
+
+def test_only_the_page_of_speed_has_tables_of_real_time_factors():
+    """A grasp's speed beside other work is no number to put beside the one that was measured
+    alone."""
+    having = {
+        page.relative_to(CHECKOUT).as_posix()
+        for page in PAGES
+        for line in page.read_text().splitlines()
+        if line.startswith("|") and "x real time" in line
+    }
+    assert having == {"README.md", "docs/numbers.md", "docs/accuracy.md"}
 
 
 def test_a_number_that_a_page_lacks_is_named():
