@@ -38,10 +38,8 @@ _GENEROUS = (
 )
 _QUICK = (
     ("CLOSING_SPEED = 0.025", "CLOSING_SPEED = 0.045"),
-    (
-        "SETTLE_TIME, HOLD_TIME, GRIP_TIMEOUT = 0.4, 2.0",
-        "SETTLE_TIME, HOLD_TIME, GRIP_TIMEOUT = 0.1, {hold}",
-    ),
+    ("SETTLE_TIME = 0.4", "SETTLE_TIME = 0.1"),
+    ("HOLD_TIME = 2.0", "HOLD_TIME = {hold}"),
 )
 
 

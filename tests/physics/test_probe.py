@@ -29,7 +29,8 @@ def brisk(tmp_path):
     text = resources.find("probe", "controllers", ".py").read_text(encoding="utf-8")
     for slow, fast in (
         ("PRESS_TRAVEL_MAX = 0.010", "PRESS_TRAVEL_MAX = 0.006"),
-        ("REST_TIME = 2.0, 1.5", "REST_TIME = 1.0, 0.8"),
+        ("HOLD_TIME = 2.0", "HOLD_TIME = 1.0"),
+        ("REST_TIME = 1.5", "REST_TIME = 0.8"),
     ):
         assert slow in text
         text = text.replace(slow, fast)
