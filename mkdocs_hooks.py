@@ -15,6 +15,12 @@ ROOT = Path(__file__).parent
 GRASP = ROOT / "build" / "docs" / "egg" / "summary.html"
 """The page of a grasp, which `make docs` makes before."""
 LINK = re.compile(r"(\]\()(?!https?:|#|data:)([^)#\s]+)(#[^)\s]*)?(\))")
+TOP_LEVEL = {
+    "README.md": "index.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "CHANGELOG.md": "changelog.md",
+}
+"""Pages beside docs/, and where they are in the site."""
 _FENCE = "````"
 _LANGUAGES = {".py": "python", ".toml": "toml", ".xml": "xml"}
 _DOORS = {
@@ -41,8 +47,10 @@ def pages() -> dict[str, str]:
     """Pages that are no files in docs/: their address in the site, and their text."""
     decisions = sorted((ROOT / "docs" / "decisions").glob("*.md"))
     made = {
-        "index.md": _moved((ROOT / "README.md").read_text("utf-8"), "", "index.md"),
-        "changelog.md": _moved((ROOT / "CHANGELOG.md").read_text("utf-8"), "", "changelog.md"),
+        **{
+            address: _moved((ROOT / name).read_text("utf-8"), "", address)
+            for name, address in TOP_LEVEL.items()
+        },
         "decisions/index.md": "# Decisions\n\n"
         + "\n".join(f"- [{_title(path)}]({path.name})" for path in decisions)
         + "\n",
@@ -59,9 +67,12 @@ def pages() -> dict[str, str]:
 def linked_files() -> list[str]:
     """Files outside of docs/ that the pages, README and changelog link to."""
     found = set()
-    for page in (ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")):
+    top = [ROOT / name for name in TOP_LEVEL]
+    for page in (*top, *(ROOT / "docs").rglob("*.md")):
         for target in (match[2] for match in LINK.finditer(page.read_text("utf-8"))):
             path = (page.parent / target).resolve().relative_to(ROOT)
+            if path.as_posix() in TOP_LEVEL:
+                continue
             if path.parts[0] != "docs" and (ROOT / path).is_file():
                 found.add(path.as_posix())
     return sorted(found)
@@ -77,16 +88,23 @@ def _moved(text: str, folder: str, page: str) -> str:
 
     def lead(match: re.Match[str]) -> str:
         target = posixpath.normpath(posixpath.join(folder, match[2]))
-        if target == "docs/decisions":
-            target = "docs/decisions/index.md"
-        inside = (
-            target.removeprefix("docs/") if target.startswith("docs/") else f"files/{target}.md"
-        )
-        return f"{match[1]}{posixpath.relpath(inside, posixpath.dirname(page) or '.')}{match[3] or ''}{match[4]}"
+        inside = posixpath.relpath(_address(target), posixpath.dirname(page) or ".")
+        return f"{match[1]}{inside}{match[3] or ''}{match[4]}"
 
     text = LINK.sub(lead, text).replace("<details>", '<details markdown="1">')
     # Markdown's tables want an empty line before them
     return re.sub(r"(?m)^(<!-- .* -->)$", r"\n\1\n", text)
+
+
+def _address(target: str) -> str:
+    """Where a file of the repository is in the site."""
+    if target == "docs/decisions":
+        return "decisions/index.md"
+    if target in TOP_LEVEL:
+        return TOP_LEVEL[target]
+    if target.startswith("docs/"):
+        return target.removeprefix("docs/")
+    return f"files/{target}.md"
 
 
 def _api() -> str:

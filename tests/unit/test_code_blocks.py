@@ -25,7 +25,11 @@ from mjtactile.rig.file import load_sim_rig
 from tests.fake_run import write_fake_recording
 
 CHECKOUT = Path(__file__).resolve().parents[2]
-PAGES = [CHECKOUT / "README.md", *sorted((CHECKOUT / "docs").rglob("*.md"))]
+PAGES = [
+    CHECKOUT / "README.md",
+    CHECKOUT / "CONTRIBUTING.md",
+    *sorted((CHECKOUT / "docs").rglob("*.md")),
+]
 FENCE = re.compile(r"^```(\w+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 INDENTED = re.compile(r"(?:^    [^\n]*\n)+", re.MULTILINE)
 INLINE = re.compile(r"`(mjtactile [a-z]+[^`\n]*)`")

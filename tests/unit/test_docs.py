@@ -18,7 +18,9 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Command, GripperState, Observation, Slip, Touch, ValveState
 from mjtactile.recording.columns import SENSED, TRUE
 from mjtactile.run.controller import load_controller
+from mjtactile.sim.effects.catalog import EFFECTS
 from mjtactile.sim.scenes.objects import load_object
+from tools import architecture
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 WHEEL = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["tool"]["hatch"]["build"][
@@ -26,6 +28,7 @@ WHEEL = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["tool"]["hatch"
 ]["wheel"]
 PAGES = [
     CHECKOUT / "README.md",
+    CHECKOUT / "CONTRIBUTING.md",
     CHECKOUT / "CHANGELOG.md",
     *sorted((CHECKOUT / "docs").rglob("*.md")),
 ]
@@ -167,6 +170,38 @@ def test_the_gallery_shows_every_picture_of_the_pages():
     assert there - shown == {"images/shadows.png"}  # which no command draws
 
 
+def test_the_picture_of_the_architecture_is_that_of_the_import_contracts():
+    drawn = architecture.draw((CHECKOUT / "pyproject.toml").read_text())
+    # else: .venv/bin/python tools/architecture.py
+    assert architecture.PICTURE.read_text() == drawn
+
+
+def test_the_picture_reads_layers_as_import_linter_does():
+    layers = ["cli", "(sim) | sensing", "types : (rig)"]
+    assert architecture.floors(layers) == [
+        architecture.Floor(("cli",), apart=False),
+        architecture.Floor(("sim", "sensing"), apart=True),
+        architecture.Floor(("types", "rig"), apart=False),
+    ]
+
+
+def test_files_and_names_that_contributing_points_at_exist():
+    text = (CHECKOUT / "CONTRIBUTING.md").read_text()
+    places = r"mjtactile|models|controllers|examples|benchmarks|tests|docs|tools|firmware"
+    paths = set(re.findall(rf"`((?:{places})/[\w./-]*)`", text))
+    assert len(paths) > 40
+    assert [path for path in paths if "NAME" not in path and not (CHECKOUT / path).exists()] == []
+    # a table that something must be entered in, and the file that has it
+    for table, file in re.findall(r"`([A-Z_]{5,})` in `(mjtactile/[\w/.]+)`", text):
+        assert re.search(rf"(?m)^{table}\b", (CHECKOUT / file).read_text()), table
+
+
+def test_the_page_of_effects_has_every_effect():
+    rows = (CHECKOUT / "docs/effects.md").read_text().split("|---|---|---|\n")[1].split("\n\n")[0]
+    named = {name.strip() for row in rows.splitlines() for name in row.split("|")[1].split(",")}
+    assert named == {entry.name for entry in EFFECTS}
+
+
 def test_the_page_of_commands_has_each_with_an_example():
     page = (CHECKOUT / "docs/commands.md").read_text()
     assert set(re.findall(r"(?m)^    mjtactile (\w+)", page)) == set(COMMANDS)
@@ -182,6 +217,8 @@ def test_the_site_has_the_readme_the_decisions_and_the_whole_front_door():
         and "](0013-contact-points.md)" in pages["decisions/index.md"]
     )
     assert set(re.findall(r"(?m)^::: mjtactile\.(\w+)$", pages["api.md"])) == set(mjtactile.__all__)
+    assert "](images/architecture.svg)" in pages["contributing.md"]
+    assert "](contributing.md)" in pages["index.md"]
     assert "def step(observation" in pages["files/controllers/slip_aware.py.md"]
     nav = (CHECKOUT / "mkdocs.yml").read_text().partition("\nnav:")[2]
     there = {
@@ -190,7 +227,7 @@ def test_the_site_has_the_readme_the_decisions_and_the_whole_front_door():
         if path.parent.name not in ("decisions", "upstream")
     }
     # no page is forgotten
-    assert set(re.findall(r"(\S+\.md)", nav)) == there | {"index.md", "api.md"}
+    assert set(re.findall(r"(\S+\.md)", nav)) == there | {"index.md", "contributing.md", "api.md"}
 
 
 @pytest.mark.parametrize(

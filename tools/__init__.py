@@ -1,0 +1,1 @@
+"""Scripts of the checkout that no user runs."""

@@ -1,0 +1,245 @@
+"""The picture of the architecture, drawn from the import contracts in pyproject.toml.
+
+    python tools/architecture.py    # writes docs/images/architecture.svg
+
+The contracts are what `make test` enforces, so the picture cannot say anything else. Only the line
+that explains a room is written here; a test fails when the picture is not that of the contracts.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PICTURE = ROOT / "docs" / "images" / "architecture.svg"
+
+ROOMS = {
+    "cli": "the command line",
+    "commands": "a module a command",
+    "studio": "a session, watched live",
+    "experiments": "the paper's figures",
+    "evaluate": "many grasps, statistics",
+    "gym": "Gymnasium",
+    "make": "drawings, CAD",
+    "calibrate": "measured once",
+    "plugin": "your own scene",
+    "doctor": "what is wrong",
+    "fit": "to recordings",
+    "export": "LeRobot, MCAP",
+    "report": "pictures and pages of a run",
+    "run": "control loop, supervisor, grasp, probe",
+    "emulator": "devices on the wire, without devices",
+    "replay": "a recording as a rig",
+    "sim": "the MuJoCo backend",
+    "devices": "drivers: camera, servos, valve",
+    "sensing": "pixels to touch",
+    "types": "what a controller sees",
+    "rig": "Protocols: fingers, gripper, lift",
+    "recording": "written, and read again",
+    "kernels": "loops in C",
+    "core": "values, errors, geometry, optics, sensor designs",
+}
+"""What a room of the package is for, in a few words; a room that is not named has no line."""
+
+INSIDE = (
+    "Sensing, from the image up",
+    "Simulation, from the sensor up",
+    "Core, from the ground up",
+)
+"""Contracts of the rooms whose own order is drawn at the side."""
+
+COLOURS = {
+    "cli commands studio": "#fde8cf",
+    "experiments evaluate gym make calibrate plugin doctor fit export report": "#fdf6d8",
+    "run": "#fbd9d9",
+    "sim devices emulator replay": "#d8e8fb",
+    "sensing": "#dcf3dd",
+}
+"""Rooms to the fill of their boxes: doors, jobs, the loop, backends, sensing; the rest is grey."""
+GREY = "#eceef1"
+
+WIDTH = 1180
+MARGIN = 20
+SIDE = 350  # width of the panels at the right
+FLOOR = 62  # height of a floor with the space below it
+GAP = 10
+
+
+@dataclass(frozen=True)
+class Floor:
+    """Rooms that stand side by side."""
+
+    rooms: tuple[str, ...]
+    apart: bool
+    """Whether they may not import each other."""
+
+
+def floors(layers: list[str]) -> list[Floor]:
+    """Read the layers of a contract.
+
+    Args:
+        layers: As import-linter writes them, the top first: names on one line are separated by
+            "|" where they do not see each other and by ":" where they may; brackets mean that a
+            module need not exist.
+
+    Returns:
+        The floors, the top first.
+    """
+    found = []
+    for layer in layers:
+        separator = "|" if "|" in layer else ":"
+        names = [name.strip(" ()") for name in layer.split(separator)]
+        found.append(Floor(tuple(names), separator == "|" and len(names) > 1))
+    return found
+
+
+def draw(pyproject: str) -> str:
+    """Draw the contracts.
+
+    Args:
+        pyproject: The text of pyproject.toml.
+
+    Returns:
+        The picture as SVG.
+    """
+    contracts = tomllib.loads(pyproject)["tool"]["importlinter"]["contracts"]
+    layered = {contract["name"]: contract for contract in contracts if "layers" in contract}
+    with_mujoco = _importers(contracts, "mujoco")
+    house = floors(layered["Layers"]["layers"])
+    top = 78
+    left = WIDTH - SIDE - 3 * MARGIN
+    parts = [
+        _text(MARGIN, 30, "mjtactile: what may import what", size=19, weight="bold"),
+        _text(MARGIN, 54, "A room imports what lies on the floors below it, and never upwards."),
+    ]
+    for k, floor in enumerate(house):
+        parts += _row(floor, MARGIN, top + k * FLOOR, left, FLOOR - GAP, with_mujoco)
+    bottom = top + len(house) * FLOOR
+    parts += _legend(MARGIN, bottom + 14)
+    y = top
+    for name in INSIDE:
+        panel, height = _panel(layered[name], WIDTH - SIDE - MARGIN, y)
+        parts += panel
+        y += height + 16
+    height = max(bottom + 66, y + MARGIN)
+    return "\n".join(
+        [
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}" '
+            f'width="{WIDTH}" height="{height}" font-family="Helvetica, Arial, sans-serif">',
+            f'<rect width="{WIDTH}" height="{height}" fill="white"/>',
+            *parts,
+            "</svg>\n",
+        ]
+    )
+
+
+def _importers(contracts: list[dict], package: str) -> set[str]:
+    """The rooms that may import an outside package, by the contract that forbids it to others."""
+    (contract,) = [
+        contract
+        for contract in contracts
+        if contract.get("forbidden_modules") == [package] and "ignore_imports" in contract
+    ]
+    return {line.split(" -> ")[0].split(".")[1] for line in contract["ignore_imports"]}
+
+
+def _row(
+    floor: Floor, x: float, y: float, width: float, height: float, tagged: set[str]
+) -> list[str]:
+    """One floor of the house: a box a room, joined where the rooms may import each other."""
+    gap = GAP if floor.apart else 0
+    each = (width - gap * (len(floor.rooms) - 1)) / len(floor.rooms)
+    parts = []
+    for k, room in enumerate(floor.rooms):
+        corner = x + k * (each + gap)
+        middle = corner + each / 2
+        parts.append(_box(corner, y, each, height, _colour(room)))
+        parts.append(_text(middle, y + 22, room, size=15, weight="bold", anchor="middle"))
+        parts.append(_text(middle, y + 40, ROOMS.get(room, ""), size=11.5, anchor="middle"))
+        if room in tagged:
+            parts.append(
+                _text(corner + each - 6, y + 12, "mujoco", size=9.5, anchor="end", fill="#356")
+            )
+    return parts
+
+
+def _panel(contract: dict, x: float, y: float) -> tuple[list[str], float]:
+    """The order inside of one room, and how high the panel is."""
+    (container,) = contract["containers"]
+    room = container.removeprefix("mjtactile.")
+    parts = []
+    bottom = y + 30
+    for floor in floors(contract["layers"]):
+        lines = _lines(floor)
+        height = 25 + 17 * (len(lines) - 1)
+        parts.append(_box(x + 10, bottom, SIDE - 20, height, _colour(room)))
+        for k, line in enumerate(lines):
+            at = bottom + 17 * (k + 1)
+            parts.append(_text(x + SIDE / 2, at, line, size=12, anchor="middle"))
+        bottom += height + 5
+    frame = _box(x, y, SIDE, bottom + 4 - y, "white")
+    title = _text(x + 12, y + 22, f"inside {room}/", size=14, weight="bold")
+    return [frame, title, *parts], bottom + 4 - y
+
+
+def _lines(floor: Floor, longest: int = 52) -> list[str]:
+    """The names of a floor as one line, or as several that fit the panel."""
+    separator = "   |   " if floor.apart else "    "
+    lines = [""]
+    for room in floor.rooms:
+        joined = separator.join(part for part in (lines[-1], room) if part)
+        if len(joined) > longest:
+            lines.append(room)
+        else:
+            lines[-1] = joined
+    return lines
+
+
+def _legend(x: float, y: float) -> list[str]:
+    sentences = (
+        "Boxes with a space between them do not see each other; boxes that touch may.",
+        "Only the rooms marked mujoco import it. sim/truth is for scoring alone.",
+        "Controllers import mjtactile.types and nothing else; examples the public names.",
+    )
+    return [_text(x, y + 18 * k, sentence, size=12.5) for k, sentence in enumerate(sentences)]
+
+
+def _colour(room: str) -> str:
+    for rooms, colour in COLOURS.items():
+        if room in rooms.split():
+            return colour
+    return GREY
+
+
+def _box(x: float, y: float, width: float, height: float, fill: str) -> str:
+    return (
+        f'<rect x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{height:.1f}" rx="5" '
+        f'fill="{fill}" stroke="#5c6773"/>'
+    )
+
+
+def _text(
+    x: float,
+    y: float,
+    text: str,
+    *,
+    size: float = 13,
+    weight: str = "normal",
+    anchor: str = "start",
+    fill: str = "#1c2126",
+) -> str:
+    return (
+        f'<text x="{x:.1f}" y="{y:.1f}" font-size="{size:g}" font-weight="{weight}" '
+        f'text-anchor="{anchor}" fill="{fill}" xml:space="preserve">{escape(text)}</text>'
+    )
+
+
+def main() -> None:
+    PICTURE.write_text(draw((ROOT / "pyproject.toml").read_text("utf-8")), "utf-8")
+
+
+if __name__ == "__main__":
+    main()
