@@ -9,6 +9,8 @@ without a camera no OpenCV.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from mjtactile.core import system
+
 if TYPE_CHECKING:
     from mjtactile.core.calibration import Calibration as Calibration
     from mjtactile.core.calibration import Lens as Lens
@@ -91,6 +93,8 @@ def __getattr__(name: str) -> Any:
     """Import a public name when it is first asked for."""
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if not system.is_supported():
+        raise ImportError(system.REFUSAL)
     value = getattr(import_module(_HOME[name]), name)
     globals()[name] = value  # the next time it is found at once
     return value

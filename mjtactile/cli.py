@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from mjtactile.commands import COMMANDS
-from mjtactile.core import signals
+from mjtactile.core import signals, system
 from mjtactile.core.errors import MjtactileError
 
 DESCRIPTION = """\
@@ -105,6 +105,9 @@ def build_parser(*wanted: str) -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line `argv` (default: the process's own, which ends with it) and return the
     exit code."""
+    if not system.is_supported():
+        print(f"mjtactile: {system.REFUSAL}", file=sys.stderr)
+        return EXIT_INPUT
     _open_streams()
     with signals.listening(ends_process=argv is None):
         code = _main(sys.argv[1:] if argv is None else list(argv))

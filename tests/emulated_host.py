@@ -36,11 +36,6 @@ _GENEROUS = (
     ("heartbeat_ms", "250", "1200"),
     ("host_timeout_ms", "1000", "2000"),
 )
-_QUICK = (
-    ("CLOSING_SPEED = 0.025", "CLOSING_SPEED = 0.045"),
-    ("SETTLE_TIME = 0.4", "SETTLE_TIME = 0.1"),
-    ("HOLD_TIME = 2.0", "HOLD_TIME = {hold}"),
-)
 
 
 def rig_text(emulator: EmulatorProcess) -> str:
@@ -52,13 +47,18 @@ def rig_text(emulator: EmulatorProcess) -> str:
     return text
 
 
+def shipped_with(controller: str, **constants: float) -> str:
+    """The text of a shipped controller with other values of its constants."""
+    text = resources.find(controller, "controllers", ".py").read_text(encoding="utf-8")
+    for name, value in constants.items():
+        text, found = re.subn(rf"^{name} = .*$", f"{name} = {value}", text, flags=re.MULTILINE)
+        assert found == 1, f"{controller} has no {name}"
+    return text
+
+
 def controller_text(hold: float = 60.0) -> str:
     """The shipped controller, quicker, holding for `hold` s."""
-    text = resources.find("gentle", "controllers", ".py").read_text()
-    for before, after in _QUICK:
-        assert before in text
-        text = text.replace(before, after.format(hold=hold))
-    return text
+    return shipped_with("gentle", CLOSING_SPEED=0.045, SETTLE_TIME=0.1, HOLD_TIME=hold)
 
 
 class Host:

@@ -25,6 +25,7 @@ import numpy as np
 
 from benchmarks.stability.cases import Case, matrix, pruned
 from benchmarks.worlds.trials import Body, DropWorld, PinchWorld
+from mjtactile.core import system
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.run.figures import new_figure
@@ -72,7 +73,7 @@ def run(
     done = {(row["axis"], row["label"]) for row in rows}
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     with (
-        multiprocessing.get_context("spawn").Pool(min(2, len(os.sched_getaffinity(0)))) as pool,
+        multiprocessing.get_context("spawn").Pool(min(2, system.processors())) as pool,
         log.open("a") as file,
     ):
         for row in pool.imap_unordered(judge, [c for c in cases if (c.axis, c.label) not in done]):

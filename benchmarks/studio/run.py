@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.studio.browser import CHROMIUM, look_at
+from mjtactile.core import system
 from mjtactile.core.errors import InputError
 from mjtactile.run.progress import Progress
 
@@ -56,7 +57,7 @@ def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, 
             f"round {k + 1}: {watched['factor']:.2f} x real time, without Studio "
             f"{without['factor']:.2f}"
         )
-    return {"rounds": rounds, "processors": len(os.sched_getaffinity(0))}
+    return {"rounds": rounds, "processors": system.processors()}
 
 
 def _probe(kind: str) -> dict[str, Any]:

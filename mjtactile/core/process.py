@@ -22,6 +22,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from mjtactile.core import system
 from mjtactile.core.errors import DeviceError, InputError, MjtactileError
 
 _PARENT = "MJTACTILE_PARENT"  # the environment variable that tells a child whose it is
@@ -132,9 +133,8 @@ def end_with_parent(grace: float) -> None:
     parent = int(os.environ[_PARENT])
 
     def outlive() -> None:
-        ends = []
-        with contextlib.suppress(OSError):  # ended already, or a sandbox that forbids it
-            ends.append(os.pidfd_open(parent))
+        end = system.watch_process(parent)
+        ends = [] if end is None else [end]
         while os.getppid() == parent:
             select.select(ends, [], [], _PARENT_TIME)
         time.sleep(grace)

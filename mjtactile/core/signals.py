@@ -18,7 +18,12 @@ from types import FrameType
 
 from mjtactile.core.errors import Interrupted
 
-ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+# what there is of them: Windows, which is refused a little later, lacks two
+ENDING = tuple(
+    getattr(signal, name)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+    if hasattr(signal, name)
+)
 # s; what comes sooner after the first signal means the same: a finger that bounces, a shell that
 # repeats it
 SECOND_TIME = 1.0

@@ -14,7 +14,7 @@ import os
 import sys
 from typing import Any, TextIO
 
-from mjtactile.core import pace, process
+from mjtactile.core import pace, process, system
 from mjtactile.core.errors import InputError, MjtactileError
 from mjtactile.emulator.faults import KINDS, Faults
 from mjtactile.emulator.hardware import Hardware
@@ -29,7 +29,7 @@ class WorldProcess:
     start."""
 
     def __init__(self, options: str):
-        descriptor = os.memfd_create("mjtactile-emulator")
+        descriptor = system.memory_file("mjtactile-emulator")
         self.shared = SharedState(descriptor)
         self._process = process.start(
             "mjtactile.emulator.world", descriptor, descriptors=[descriptor], talk=True

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mjtactile.core import resources
+from mjtactile.core import resources, system
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.evaluate import report, store, worst
@@ -73,7 +72,7 @@ def evaluate(
     run_all(
         missing,
         kept,
-        Pool(backend, default_workers() if workers is None else workers, scheduler),
+        Pool(backend, system.processors() if workers is None else workers, scheduler),
         say,
     )
     kept.finish()
@@ -140,11 +139,6 @@ def merge(folders: Sequence[Path], out: Path) -> dict[str, Any]:
     joined.lines = [lines[key] for key in sorted(lines)]
     joined.finish()
     return summarise(joined.lines)
-
-
-def default_workers() -> int:
-    """One for each processor."""
-    return len(os.sched_getaffinity(0))
 
 
 def _files(

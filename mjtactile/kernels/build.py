@@ -1,8 +1,10 @@
 """The library of kernels: where it lies, and how it is made where it does not lie yet.
 
-A library's name holds a hash of its source and its instruction set, so that one of another source
-is never loaded. Made by the build of a wheel or of an editable install (`hatch_build.py`), else by
-the first import: with Zig's C compiler, which pip installs (`ziglang`), or with the system's.
+A library's name holds a hash of its source, its platform and its instruction set, so that one of
+another source is never loaded. Made by the build of a wheel or of an editable install
+(`hatch_build.py`), else by the first import: with Zig's C compiler, which pip installs (`ziglang`),
+or with the system's. Zig compiles for any platform on any other, and for the oldest system that a
+wheel's tag promises: glibc 2.17 on Linux, macOS 11.
 Stands alone: the build runs it before this package can be imported.
 """
 
@@ -12,10 +14,12 @@ import hashlib
 import importlib.util
 import os
 import platform
+import re
 import shlex
 import shutil
 import subprocess
 import sys
+import sysconfig
 import tempfile
 from pathlib import Path
 
@@ -37,36 +41,63 @@ _FLAGS = [
     "-Wextra",
     "-Werror",
 ]
+# What Zig compiles for, and the tag of a wheel that holds it.
+PLATFORMS = {
+    "linux-x86_64": ("x86_64-linux-gnu.2.17", "manylinux_2_17_x86_64.manylinux2014_x86_64"),
+    "linux-aarch64": ("aarch64-linux-gnu.2.17", "manylinux_2_17_aarch64.manylinux2014_aarch64"),
+    "darwin-arm64": ("aarch64-macos.11.0", "macosx_11_0_arm64"),
+    "darwin-x86_64": ("x86_64-macos.11.0", "macosx_11_0_x86_64"),
+}
 # Instruction sets that are worth a library of their own, the best first: what the processor must
 # have, and the flag.
-_SETS = {
-    "x86_64": [
-        ("avx2", {"avx2", "fma", "bmi2"}, ["-mavx2", "-mfma", "-mbmi2"]),
-        ("sse2", set(), []),
-    ]
-}
+_X86_SETS = [("avx2", {"avx2", "fma", "bmi2"}, ["-mavx2", "-mfma", "-mbmi2"]), ("sse2", set(), [])]
+_OTHER_SETS = [("plain", set(), [])]
 
 
 def sources() -> list[Path]:
     return sorted(FOLDER.glob("*.c"))
 
 
-def instruction_sets() -> list[str]:
-    """Names of all that a wheel for this kind of processor holds."""
-    return [name for name, _, _ in _sets()]
+def this_platform() -> str:
+    """The system and the processor that this runs on; of `PLATFORMS`, or one that only its own
+    compiler knows."""
+    return f"{sys.platform}-{platform.machine()}"
+
+
+def wheel_tag(target: str) -> str:
+    """The tag of a wheel for the platform `target`; the old kind, which no index takes, where there
+    is no Zig to compile for old systems."""
+    if _has_zig() and target in PLATFORMS:
+        return f"py3-none-{PLATFORMS[target][1]}"
+    return "py3-none-" + re.sub(r"[-.]", "_", sysconfig.get_platform())
+
+
+def instruction_sets(target: str) -> list[str]:
+    """Names of all that a wheel for this platform holds."""
+    return [name for name, _, _ in _sets(target)]
 
 
 def best_set() -> str:
     """The best that this very processor can run."""
     has = _processor_flags()
-    return next(name for name, needs, _ in _sets() if needs <= has)
+    return next(name for name, needs, _ in _sets(this_platform()) if needs <= has)
 
 
-def library(instructions: str | None = None) -> Path:
-    """The library for `instruction_sets`' one (default: the best), made if it does not exist.
-    Raises RuntimeError with what to do where no compiler is found or the compiler fails."""
+def library(instructions: str | None = None, target: str | None = None) -> Path:
+    """The library of kernels, made if it does not exist.
+
+    Args:
+        instructions: one of `instruction_sets`; the best that this processor can run by default.
+        target: one of `PLATFORMS`; this one by default.
+
+    Raises:
+        RuntimeError: there is no compiler, or it fails; says what to do.
+    """
+    if sys.platform == "win32":
+        raise RuntimeError("mjtactile runs on Linux and macOS; on Windows, inside WSL")
     instructions = best_set() if instructions is None else instructions
-    name = f"kernels-{_hash()}-{instructions}.so"
+    target = this_platform() if target is None else target
+    name = f"kernels-{_hash()}-{target}-{instructions}.so"
     for folder in _folders():
         if (folder / name).exists():
             return folder / name
@@ -75,9 +106,9 @@ def library(instructions: str | None = None) -> Path:
             folder.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryDirectory(dir=folder) as work:
                 made = Path(work) / name
-                _compile(made, instructions)
+                _compile(made, instructions, target)
                 made.replace(folder / name)
-                _forget_others(folder / name, instructions)
+                _forget_others(folder / name, f"{target}-{instructions}")
         except PermissionError:  # an installation that belongs to somebody else
             continue
         return folder / name
@@ -86,16 +117,16 @@ def library(instructions: str | None = None) -> Path:
     )
 
 
-def _forget_others(library: Path, instructions: str) -> None:
+def _forget_others(library: Path, kind: str) -> None:
     """Delete what was made of other sources in a checkout; a process that uses it keeps it."""
     if library.parent == FOLDER / MADE:
-        for old in library.parent.glob(f"kernels-*-{instructions}.so"):
+        for old in library.parent.glob(f"kernels-*-{kind}.so"):
             if old != library:
                 old.unlink(missing_ok=True)
 
 
-def _sets() -> list[tuple[str, set[str], list[str]]]:
-    return _SETS.get(platform.machine(), [("plain", set(), [])])
+def _sets(target: str) -> list[tuple[str, set[str], list[str]]]:
+    return _X86_SETS if target.endswith("-x86_64") else _OTHER_SETS
 
 
 def _processor_flags() -> set[str]:
@@ -109,7 +140,7 @@ def _processor_flags() -> set[str]:
 
 
 def _hash() -> str:
-    text = hashlib.sha256(repr(_FLAGS).encode())
+    text = hashlib.sha256(repr((_FLAGS, PLATFORMS)).encode())
     for path in [*sources(), *sorted(FOLDER.glob("*.h"))]:
         text.update(path.read_bytes())
     return text.hexdigest()[:12]
@@ -120,9 +151,18 @@ def _folders() -> list[Path]:
     return [FOLDER / MADE, Path(cache) / "mjtactile"]
 
 
-def _compiler() -> list[str]:
-    if importlib.util.find_spec("ziglang"):
-        return [sys.executable, "-m", "ziglang", "cc"]
+def _has_zig() -> bool:
+    return importlib.util.find_spec("ziglang") is not None
+
+
+def _compiler(target: str) -> list[str]:
+    """The command that compiles for the platform `target`."""
+    if _has_zig():
+        zig = [sys.executable, "-m", "ziglang", "cc"]
+        # Without a target Zig compiles for this very processor, whatever it has.
+        return [*zig, "-target", PLATFORMS[target][0]] if target in PLATFORMS else zig
+    if target != this_platform():
+        raise RuntimeError(f"only Zig compiles for {target} here: pip install ziglang")
     found = os.environ.get("CC") or shutil.which("cc")
     if not found:
         raise RuntimeError(
@@ -131,9 +171,9 @@ def _compiler() -> list[str]:
     return shlex.split(found)
 
 
-def _compile(out: Path, instructions: str) -> None:
-    flags = next(flags for name, _, flags in _sets() if name == instructions)
-    command = [*_compiler(), *_FLAGS, *flags, "-o", str(out), *map(str, sources()), "-lm"]
+def _compile(out: Path, instructions: str, target: str) -> None:
+    flags = next(flags for name, _, flags in _sets(target) if name == instructions)
+    command = [*_compiler(target), *_FLAGS, *flags, "-o", str(out), *map(str, sources()), "-lm"]
     # a build folder of its own: a user's home may not be writable
     environment = {
         **os.environ,

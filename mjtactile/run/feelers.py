@@ -9,14 +9,13 @@ back when the run ends: what a chain finds does not depend on where it runs
 from __future__ import annotations
 
 import contextlib
-import os
 import pickle
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
-from mjtactile.core import pace
+from mjtactile.core import pace, system
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Image, Touch
 from mjtactile.run.apart import Apart, Wire
@@ -114,7 +113,7 @@ class Feelers:
 def default_count(cameras: int) -> int:
     """How many processes are worth having beside a simulated world: one a camera, as far as there
     are processors for them."""
-    return min(cameras, len(os.sched_getaffinity(0)) - 1)
+    return min(cameras, system.processors() - 1)
 
 
 def serve(wire: Wire) -> None:

@@ -8,13 +8,12 @@ number of threads (docs/decisions/0017-threads.md).
 from __future__ import annotations
 
 import math
-import os
 import queue
 import threading
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
-from mjtactile.core import pace
+from mjtactile.core import pace, system
 from mjtactile.core.status import Status, StatusCode
 from mjtactile.core.types import Image, Touch
 
@@ -93,7 +92,7 @@ def unknown_touch(image: Image, now: float, status: Status) -> Touch:
 def default_threads(cameras: int = 2, busy: int = 0) -> int:
     """How many threads are worth having beside `busy` others, such as a simulated world's: one a
     camera where there are processors for all of them, else none."""
-    return cameras if cameras > 1 and len(os.sched_getaffinity(0)) >= cameras + busy else 0
+    return cameras if cameras > 1 and system.processors() >= cameras + busy else 0
 
 
 Outcome = tuple[bool, Any]

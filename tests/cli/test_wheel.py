@@ -1,19 +1,29 @@
-"""The wheel works outside the checkout: built, installed into a fresh environment, and grasping an
-egg there."""
+"""What an index hands out works outside the checkout: the source distribution builds, its wheel is
+one that an index takes, and in a fresh environment it grasps an egg."""
 
 import json
 import os
+import re
+import shutil
 import subprocess
 import sys
+import tarfile
+import zipfile
 from pathlib import Path
+
+import pytest
+
+from mjtactile.kernels import build
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 BUILD_ONLY = ("hatchling", "pathspec", "trove-classifiers", "ziglang")
 """What the lock has for building; a wheel brings its compiled chain along."""
+GLIBC = (2, 17)  # what the tag manylinux_2_17 promises
 
 
-def run(*command, **options):
-    """Run a command without anything of this checkout or environment on Python's path."""
+def run(*command, code=0, variables=(), **options):
+    """What a command prints to stdout and stderr, without anything of this checkout or environment
+    on Python's path."""
     environment = {
         key: value
         for key, value in os.environ.items()
@@ -21,68 +31,136 @@ def run(*command, **options):
     }
     result = subprocess.run(
         [str(part) for part in command],
-        env=environment,
+        env=environment | dict(variables),
         capture_output=True,
         text=True,
         timeout=1200,
         check=False,
         **options,
     )
-    assert result.returncode == 0, f"{result.stdout}\n{result.stderr}"
-    return result.stdout
+    assert result.returncode == code, f"{result.stdout}\n{result.stderr}"
+    return result.stdout, result.stderr
 
 
-def test_the_wheel_grasps_an_egg_in_a_fresh_environment(tmp_path):
-    wheels = tmp_path / "wheels"
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    """The source distribution."""
+    folder = tmp_path_factory.mktemp("source")
+    run(sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", folder, cwd=CHECKOUT)
+    (made,) = folder.iterdir()
+    return made
+
+
+@pytest.fixture(scope="module")
+def wheel(source, tmp_path_factory):
+    """Built of the source distribution, not of the checkout."""
+    folder = tmp_path_factory.mktemp("wheel")
+    pip = (sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation")
+    run(*pip, "--wheel-dir", folder, source)
+    (made,) = folder.iterdir()
+    return made
+
+
+def glibc_needed(library):
+    """The newest version of glibc's symbols that a library asks for, by its table of strings."""
+    return max((int(a), int(b)) for a, b in re.findall(rb"GLIBC_(\d+)\.(\d+)", library))
+
+
+def test_the_source_distribution_has_what_a_checkout_needs(source):
+    with tarfile.open(source) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
+    for needed in ("pyproject.toml", "hatch_build.py", "Makefile", "requirements.lock", "LICENSE"):
+        assert needed in names
+    for folder in ("mjtactile", "benchmarks", "models", "controllers", "examples", "tests", "docs"):
+        assert any(name.startswith(f"{folder}/") for name in names), folder
+    assert not [name for name in names if name.endswith((".so", ".pyc"))]
+
+
+def test_an_index_takes_the_wheel(wheel):
+    """Its tag is one of those that an index accepts, and no library in it needs a newer system than
+    the tag says."""
+    tag = build.PLATFORMS[build.this_platform()][1]
+    assert wheel.name.endswith(f"-py3-none-{tag}.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+        libraries = {name: archive.read(name) for name in names if name.endswith(".so")}
+        (metadata,) = (archive.read(n).decode() for n in names if n.endswith("/WHEEL"))
+    # the compressed set of the name is spelled out inside
+    spelled = re.findall("^Tag: (.*)$", metadata, re.M)
+    assert sorted(spelled) == sorted(f"py3-none-{one}" for one in tag.split("."))
+    assert len(libraries) == len(build.instruction_sets(build.this_platform()))
+    if tag.startswith("manylinux"):
+        for name, library in libraries.items():
+            assert glibc_needed(library) <= GLIBC, name
+    top = {name.partition("/")[0] for name in names}
+    assert {name for name in top if not name.endswith(".dist-info")} == {"mjtactile"}
+    # the command stays, to say where the benchmarks are
+    code = {name for name in names if "bench" in name and name.endswith(".py")}
+    assert code == {"mjtactile/commands/bench.py"}
+
+
+@pytest.mark.skipif(build.this_platform() != "linux-x86_64", reason="of x86-64's instruction sets")
+@pytest.mark.skipif(not shutil.which("objdump"), reason="no disassembler here")
+@pytest.mark.parametrize(("instructions", "has_wide"), [("sse2", False), ("avx2", True)])
+def test_a_library_has_no_instructions_but_of_its_set(instructions, has_wide):
+    """The processor that compiles may have more than the one that runs it."""
+    text, _ = run("objdump", "-d", "--no-show-raw-insn", build.library(instructions))
+    assert ("%ymm" in text) == has_wide
+    assert "%zmm" not in text
+
+
+@pytest.mark.parametrize("target", [name for name in build.PLATFORMS if "x86_64" not in name])
+def test_another_platforms_wheel_is_made_here(tmp_path, target):
+    """Of the checkout, and with another processor's library; nothing of this platform's."""
+    pip = (sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation")
+    run(*pip, "--wheel-dir", tmp_path, CHECKOUT, variables={"MJTACTILE_WHEEL": target})
+    (made,) = tmp_path.iterdir()
+    assert made.name.endswith(f"-py3-none-{build.PLATFORMS[target][1]}.whl")
+    with zipfile.ZipFile(made) as archive:
+        (library,) = (archive.read(n) for n in archive.namelist() if n.endswith(".so"))
+    if target == "linux-aarch64":
+        aarch64 = 183  # e_machine
+        assert library[:4] == b"\x7fELF" and int.from_bytes(library[18:20], "little") == aarch64
+        assert glibc_needed(library) <= GLIBC
+    else:
+        arm64 = 0x0100000C  # cputype
+        assert library[:4] == bytes.fromhex("cffaedfe")
+        assert int.from_bytes(library[4:8], "little") == arm64
+
+
+def test_a_wheel_for_an_unknown_platform_is_refused(tmp_path):
+    pip = (sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation")
+    command = (*pip, "--wheel-dir", tmp_path, CHECKOUT)
+    _, said = run(*command, code=1, variables={"MJTACTILE_WHEEL": "amiga"})
+    assert "MJTACTILE_WHEEL=amiga: choose from linux-x86_64, " in said
+
+
+def test_the_wheel_grasps_an_egg_in_a_fresh_environment(wheel, tmp_path):
     fresh = tmp_path / "venv"
+    python = fresh / "bin" / "python"
+    mjtactile = fresh / "bin" / "mjtactile"
     work = tmp_path / "work"
     work.mkdir()
-    run(
-        sys.executable,
-        "-m",
-        "pip",
-        "wheel",
-        "--quiet",
-        "--no-deps",
-        "--no-build-isolation",
-        "--wheel-dir",
-        wheels,
-        CHECKOUT,
-    )
     run(sys.executable, "-m", "venv", fresh)
-    pip = (
-        fresh / "bin" / "python",
-        "-m",
-        "pip",
-        "--quiet",
-        "--disable-pip-version-check",
-        "install",
-    )
+    pip = (python, "-m", "pip", "--quiet", "--disable-pip-version-check", "install")
     locked = [
         line
         for line in (CHECKOUT / "requirements.lock").read_text().splitlines()
         if not line.startswith(("#", *BUILD_ONLY))
     ]
     run(*pip, "--no-compile", "--no-deps", *locked)
-    run(*pip, "--no-deps", *wheels.glob("mjtactile-*.whl"), cwd=work)
-    where = run(
-        fresh / "bin" / "python", "-c", "import mjtactile; print(mjtactile.__file__)", cwd=work
-    ).strip()
-    assert Path(where).is_relative_to(fresh)
-    pages = json.loads(run(fresh / "bin" / "mjtactile", "docs", "--json", cwd=work))
+    run(*pip, "--no-deps", wheel, cwd=work)
+    where, _ = run(python, "-c", "import mjtactile; print(mjtactile.__file__)", cwd=work)
+    assert Path(where.strip()).is_relative_to(fresh)
+    pages = json.loads(run(mjtactile, "docs", "--json", cwd=work)[0])
     assert Path(pages["folder"]).is_relative_to(fresh) and "sensors" in pages["pages"]
-    summary = json.loads(
-        run(
-            fresh / "bin" / "mjtactile",
-            "grasp",
-            "--sensor",
-            "paper16",
-            "--json",
-            "--out",
-            "egg",
-            cwd=work,
-        )
+    _, said = run(mjtactile, "bench", "speed", cwd=work, code=2)
+    assert said == (
+        "mjtactile: benchmarks are not in the installed package: they are the folder 'benchmarks' "
+        "of the project's source, and run from a checkout of it (pip install --editable .)\n"
     )
+    grasp = (mjtactile, "grasp", "--sensor", "paper16", "--json", "--out", "egg")
+    summary = json.loads(run(*grasp, cwd=work)[0])
     assert summary["outcome"] == "held"
     assert {path.name for path in (work / "egg").iterdir()} == {
         "summary.json",

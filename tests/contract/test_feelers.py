@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mjtactile.core import process
+from mjtactile.core import process, system
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Image, Markers, Touch
@@ -193,5 +193,5 @@ def test_without_room_for_the_second_process_the_first_is_ended_too_and_a_sessio
 
 def test_one_a_camera_as_far_as_there_are_processors_for_them(monkeypatch):
     for processors, expected in ((1, 0), (2, 1), (3, 2), (8, 2)):
-        monkeypatch.setattr(os, "sched_getaffinity", lambda _, n=processors: set(range(n)))
+        monkeypatch.setattr(system, "processors", lambda n=processors: n)
         assert default_count(2) == expected

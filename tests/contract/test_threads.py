@@ -5,13 +5,13 @@ Time-outs are far beyond what anything takes; none is asserted.
 """
 
 import json
-import os
 import threading
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from mjtactile.core import system
 from mjtactile.core.types import Image
 from mjtactile.recording.writer import Recorder
 from mjtactile.run.grasp import GraspOptions, run_grasp
@@ -148,10 +148,10 @@ def test_one_that_hangs_is_unknown_until_it_answers():
 
 
 def test_threads_are_for_several_cameras_and_free_processors(monkeypatch):
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})
+    monkeypatch.setattr(system, "processors", lambda: 1)
     assert default_threads() == 0
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    monkeypatch.setattr(system, "processors", lambda: 2)
     assert default_threads() == 2 and default_threads(cameras=1) == 0
     assert default_threads(busy=1) == 0  # the simulated world has one of them, the loop the other
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2})
+    monkeypatch.setattr(system, "processors", lambda: 3)
     assert default_threads(busy=1) == 2

@@ -9,6 +9,7 @@ from mjtactile.cli import main
 from mjtactile.core import resources
 from mjtactile.sim.scenes.objects import MATERIALS, load_object
 from mjtactile.sim.scenes.specimens import SHIPPED, to_mjcf
+from tests.emulated_host import shipped_with
 
 
 @pytest.fixture
@@ -26,14 +27,7 @@ def brisk(tmp_path):
     """The probe's controller, in more of a hurry: clay gives way so far that less tells its
     class."""
     path = tmp_path / "brisk.py"
-    text = resources.find("probe", "controllers", ".py").read_text(encoding="utf-8")
-    for slow, fast in (
-        ("PRESS_TRAVEL_MAX = 0.010", "PRESS_TRAVEL_MAX = 0.006"),
-        ("HOLD_TIME = 2.0", "HOLD_TIME = 1.0"),
-        ("REST_TIME = 1.5", "REST_TIME = 0.8"),
-    ):
-        assert slow in text
-        text = text.replace(slow, fast)
+    text = shipped_with("probe", PRESS_TRAVEL_MAX=0.006, HOLD_TIME=1.0, REST_TIME=0.8)
     path.write_text(text, encoding="utf-8")
     return path
 

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from mjtactile.core import system
 from mjtactile.emulator.faults import Faults
 from mjtactile.emulator.hardware import Hardware
 from mjtactile.emulator.shared import SharedState
@@ -19,7 +20,7 @@ pytestmark = pytest.mark.clock
 
 
 def test_a_lift_without_torque_has_no_goal():
-    descriptor = os.memfd_create("test")
+    descriptor = system.memory_file("test")
     shared = SharedState(descriptor)
     os.close(descriptor)
     shared["opening"] = 0.08
