@@ -3,7 +3,7 @@
 #ifndef MJTACTILE_BAND_H
 #define MJTACTILE_BAND_H
 
-#define BAND_STRIDE(width) (((width) + 8) / 4 * 4) /* panels of four columns need three rows more */
+#include "kernels.h"
 
 /* Eight right-hand sides that are solved together. */
 #define LANES 8

@@ -14,6 +14,8 @@ typedef struct {
         changed, moved, flattest, shrunk;
 } MarkerSettings;
 
+_Static_assert(sizeof(MarkerSettings) == 29 * sizeof(double), "as in kernels.h");
+
 /* As markers.STATUSES. */
 enum { OK, CUT, NOT_ELLIPSE, TOUCHING, LOW_CONTRAST, GLARE, SMALL, MOTION, BLURRED, LONG, NO_FIT, MOVED };
 
@@ -29,8 +31,13 @@ static double distance(double dx, double dy, const double *inverse) {
     return fabs((rho2 - sqrt(rho2)) / sqrt(mx * mx + my * my + 1e-18) + 0.5);
 }
 
-int64_t border_moments(int64_t n, const int64_t *counts, const int32_t *points, int64_t height, int64_t width, double *centers,
+int64_t border_moments(int64_t n, const int64_t *counts, int64_t all, const int32_t *points, int64_t height, int64_t width, double *centers,
                        double *shapes, double *misfit, int64_t *cut) {
+    for (int64_t i = 0; i < n; i++) {
+        if (counts[i] < 0 || counts[i] > all) return REFUSED;
+        all -= counts[i];
+    }
+    if (all) return REFUSED;
     for (int64_t i = 0; i < n; points += 2 * counts[i++]) {
         double area = 0, mx = 0, my = 0, mxx = 0, mxy = 0, myy = 0, room = INFINITY, *shape = shapes + 3 * i;
         for (int64_t k = 0; k < counts[i]; k++) {  /* Green's theorem on the polygon through the pixels' centres */
@@ -69,7 +76,7 @@ int64_t judge_borders(int64_t n, const double *shapes, const double *misfit, con
     memcpy(&s, settings, sizeof s);
     double *size = malloc((n + 1) * sizeof *size);
     int64_t fits = 0;
-    if (!size) return 1;
+    if (!size) return NO_MEMORY;
     for (int64_t i = 0; i < n; i++) {
         double a, b;
         axes_of(shapes + 3 * i, &a, &b);
@@ -182,7 +189,7 @@ int64_t judge_fits(int64_t n, const double *centers, const double *shapes, const
     double *some = malloc((n + 1) * sizeof *some);
     if (!fits || !some) {
         free(fits), free(some);
-        return 1;
+        return NO_MEMORY;
     }
     for (int64_t i = 0; i < n; i++) {
         fits[i] = fit_of(i, n, centers, shapes, cov, levels, found, starts, start_shapes, misfit, cut, sign);
@@ -202,7 +209,7 @@ int64_t judge_fits(int64_t n, const double *centers, const double *shapes, const
     return 0;
 }
 
-int64_t ellipse_axes(int64_t n, const double *shapes, const double *cov, double *semi_axes, double *angles, double *out) {
+void ellipse_axes(int64_t n, const double *shapes, const double *cov, double *semi_axes, double *angles, double *out) {
     for (int64_t i = 0; i < n; i++) {
         const double *shape = shapes + 3 * i;
         double a, b, angle = 0.5 * atan2(2 * shape[1], shape[0] - shape[2]), c = cos(angle), s = sin(angle);
@@ -213,5 +220,4 @@ int64_t ellipse_axes(int64_t n, const double *shapes, const double *cov, double 
         semi_axes[2 * i] = a, semi_axes[2 * i + 1] = b, angles[i] = angle;
         sandwich5(J, cov + 25 * i, 5, out + 25 * i);
     }
-    return 0;
 }

@@ -217,7 +217,7 @@ static Affine look(const Camera *camera, const Circle *e, const double *center, 
     return m;
 }
 
-int64_t circle_poses(int64_t n, const double *centers, const double *semi_axes, const double *angles, const double *covs,
+void circle_poses(int64_t n, const double *centers, const double *semi_axes, const double *angles, const double *covs,
                      const double *radii, const double *camera_, double *uv, double *poses, double *cov_p) {
     Camera camera;
     Circle e = unit_circle();
@@ -240,10 +240,9 @@ int64_t circle_poses(int64_t n, const double *centers, const double *semi_axes, 
         sandwich5(G, covs + 25 * i, 3, cov_p + 9 * i);
         project(&camera, both[first].p, uv + 2 * i);
     }
-    return 0;
 }
 
-int64_t circle_covariances(int64_t n, const double *centers, const double *semi_axes, const double *angles, const double *covs,
+void circle_covariances(int64_t n, const double *centers, const double *semi_axes, const double *angles, const double *covs,
                            const double *p, const double *normals, const double *camera_, double *out) {
     Camera camera;
     Circle e = unit_circle();
@@ -258,10 +257,9 @@ int64_t circle_covariances(int64_t n, const double *centers, const double *semi_
         derivative(&camera, &e, &bound, &m, &pose, a, b, angles[i], 5, G);
         sandwich5(G, covs + 25 * i, 5, out + 25 * i);
     }
-    return 0;
 }
 
-int64_t cones(int64_t n, const double *centers, const double *shapes, const double *camera_, double *out) {
+void cones(int64_t n, const double *centers, const double *shapes, const double *camera_, double *out) {
     Camera camera;
     Circle e = unit_circle();
     memcpy(&camera, camera_, sizeof camera);
@@ -271,10 +269,9 @@ int64_t cones(int64_t n, const double *centers, const double *shapes, const doub
         look(&camera, &e, centers + 2 * i, axes, &bound, Q);
         memcpy(out + 9 * i, Q, sizeof Q);
     }
-    return 0;
 }
 
-int64_t circles_on_cones(int64_t n, const double *Q, const double *radii, double *poses) {
+void circles_on_cones(int64_t n, const double *Q, const double *radii, double *poses) {
     for (int64_t i = 0; i < n; i++) {
         Pose both[2];
         double own[3][3];
@@ -285,5 +282,4 @@ int64_t circles_on_cones(int64_t n, const double *Q, const double *radii, double
             memcpy(poses + 3 * ((2 + k) * n + i), both[k].n, 3 * sizeof(double));
         }
     }
-    return 0;
 }

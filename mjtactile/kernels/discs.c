@@ -100,7 +100,7 @@ int64_t fill_curve(int64_t count, const double *nodes, const double *weights, in
     double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY};
     for (int64_t k = 0; k < 2 * count; k++)
         low[k % 2] = least(nodes[k], low[k % 2]), high[k % 2] = most(nodes[k], high[k % 2]);
-    if (open_patch(&patch, &image, &brush, low[0], high[0], low[1], high[1])) return 1;
+    if (open_patch(&patch, &image, &brush, low[0], high[0], low[1], high[1])) return NO_MEMORY;
     if (patch.height > 0) {
         for (int64_t k = 0; k < count; k++) add_point(&patch, &brush, nodes[2 * k], nodes[2 * k + 1], (float)weights[k]);
         close_patch(&patch, &image);
@@ -177,7 +177,7 @@ int64_t draw_discs(int64_t n, const double *p_CM, const double *n_C, const doubl
     memcpy(&camera, camera_, sizeof camera);
     for (int64_t i = 0; i < n; i++) {
         Rim rim = look(&camera, &waves, p_CM + 3 * i, n_C + 3 * i, radii[i]);
-        if (open_patch(&patch, &image, &brush, rim.x0, rim.x1, rim.y0, rim.y1)) return 1;  /* and holds no memory */
+        if (open_patch(&patch, &image, &brush, rim.x0, rim.x1, rim.y0, rim.y1)) return NO_MEMORY;  /* and holds none */
         if (patch.height <= 0) continue;
         Series f = harmonics(&waves, &rim);
         add_rim(&patch, &brush, &f, 8 * (long)ceil(most(rim.x1 - rim.x0, rim.y1 - rim.y0) * PI * per_px / 8) + 16);
@@ -203,8 +203,9 @@ void expose(int64_t count, const float *gray, const float *noise, double noise_d
     }
 }
 
-void bilinear(int64_t rows, int64_t columns, int64_t channels, const double *grid, int64_t count, const double *places,
+int64_t bilinear(int64_t rows, int64_t columns, int64_t channels, const double *grid, int64_t count, const double *places,
               double *out) {
+    if (rows < 2 || columns < 2) return REFUSED;
     for (int64_t i = 0; i < count; i++) {
         const double u = clip(places[2 * i], 0, columns - 1), v = clip(places[2 * i + 1], 0, rows - 1);
         const int64_t left = (int64_t)least(u, columns - 2), top = (int64_t)least(v, rows - 2);
@@ -216,4 +217,5 @@ void bilinear(int64_t rows, int64_t columns, int64_t channels, const double *gri
             out[channels * i + k] = above * (1 - down) + below * down;
         }
     }
+    return 0;
 }

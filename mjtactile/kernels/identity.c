@@ -7,10 +7,11 @@
 #include "small.h"
 
 #define ROUNDS 3 /* match, learn how the neighbourhood moved, match again */
-#define NEAREST 64
 
 /* As the dataclass IdentitySettings. */
 typedef struct { double gate, inconsistent, neighbours, height_weight, same_shift; } IdentitySettings;
+
+_Static_assert(sizeof(IdentitySettings) == 5 * sizeof(double), "as in kernels.h");
 
 typedef struct { int64_t n, m, k; const double *found, *expected; const int64_t *order; double pitch; } Scene;
 
@@ -26,7 +27,7 @@ static double median(double *values, int64_t n) { /* of the middle two, their me
 }
 
 /* Median displacement (m, 2) of each marker's nearest `neighbours` with a known one in `moved`; where there are none, the
-   median of all; zero if nothing is known. `work` (m). */
+   median of all; zero if nothing is known. `work` (m + 2 k). */
 static void smooth(const Scene *scene, const double *moved, int64_t neighbours, double *out, double *work) {
     double common[2] = {0, 0};
     for (int axis = 0; axis < 2; axis++) {
@@ -36,7 +37,7 @@ static void smooth(const Scene *scene, const double *moved, int64_t neighbours, 
         if (count) common[axis] = median(work, count);
     }
     for (int64_t i = 0; i < scene->m; i++) {
-        double near[2][NEAREST];
+        double *near[2] = {work + scene->m, work + scene->m + scene->k};
         int64_t count = 0;
         for (int64_t j = 0; j < scene->k && count < neighbours; j++) {
             const double *one = moved + 2 * scene->order[i * scene->k + j];
@@ -134,12 +135,14 @@ int64_t match_markers(int64_t n, int64_t m, int64_t k, const double *found, cons
                       const int64_t *order, double pitch, const double *settings, int64_t *ids) {
     IdentitySettings s;
     memcpy(&s, settings, sizeof s);
-    double *own = calloc(10 * m + 3 * n + 1, sizeof *own), *shift = own + 2 * m, *moved = shift + 2 * m;
-    double *work = moved + 2 * m, *offsets = work + 2 * m + n;
+    for (int64_t i = 0; i < m * k; i++)
+        if (order[i] < 0 || order[i] >= m) return REFUSED;
+    double *own = calloc(8 * m + 2 * k + 3 * n + 1, sizeof *own), *shift = own + 2 * m, *moved = shift + 2 * m;
+    double *work = moved + 2 * m, *offsets = work + 2 * m + 2 * k + n;
     int64_t *back = malloc((m + 1) * sizeof *back), places = 0;
-    if (!own || !back || s.neighbours > NEAREST) {
+    if (!own || !back) {
         free(own), free(back);
-        return 1;
+        return NO_MEMORY;
     }
     Scene scene = {n, m, k, found, own, order, pitch};
     for (int64_t j = 0; j < m; j++)
@@ -160,12 +163,16 @@ static double farther(const double *p, int axis, double factor, double shift, co
     return (p[axis] - apex) * factor + apex + origin[axis];
 }
 
-void name_circles(int64_t count, const int64_t *circles, const double *first, const double *first_n, const double *second,
-                  const double *second_n, const double *cov, const double *factors, const double *camera_, const double *origin,
-                  const double *slopes, double *work, double *p, double *normals, double *cov_p) {
+int64_t name_circles(int64_t count, int64_t all, const int64_t *circles, const double *first, const double *first_n,
+                     const double *second, const double *second_n, const double *cov, const double *factors,
+                     const double *camera_, const double *origin, const double *slopes, double *p, double *normals,
+                     double *cov_p) {
+    for (int64_t i = 0; i < count; i++)
+        if (circles[i] < 0 || circles[i] >= all) return REFUSED;
     Camera camera;
     int differ = 0;
-    double *shifts = work, *heights = work + count;
+    double *shifts = malloc((2 * count + 1) * sizeof *shifts), *heights = shifts + count;
+    if (!shifts) return NO_MEMORY;
     memcpy(&camera, camera_, sizeof camera);
     for (int64_t i = 0; i < count; i++) differ |= factors[i] != 1;
     for (int64_t i = 0; i < count; i++) {
@@ -187,4 +194,6 @@ void name_circles(int64_t count, const int64_t *circles, const double *first, co
         }
         for (int k = 0; k < 9; k++) cov_p[9 * i + k] = cov[9 * circles[i] + k] * square(factors[i]);
     }
+    free(shifts);
+    return 0;
 }

@@ -9,7 +9,6 @@
 #include "splines.h"
 
 #define PRODUCTS 16 /* splines that do not vanish at a marker */
-#define NO_MEMORY 2
 
 /* Products of splines at a marker, and their slopes. */
 typedef struct { long first; double value[PRODUCTS], by_x[PRODUCTS], by_y[PRODUCTS]; } Seat;
@@ -124,18 +123,19 @@ static void half_of(const Sheet *s, const Nodes *nodes, const double *prior, con
     }
 }
 
-int64_t inverse_gain(const double *numbers, const double *factor, const double *softened, double share, int64_t markers,
-                     const double *material, const double *weights, const double *tilts, int64_t jx, int64_t jy,
+int64_t inverse_gain(int64_t nx, int64_t ny, const double *numbers, const double *factor, const double *softened, double share,
+                     int64_t r, int64_t markers, const double *material, const double *weights, const double *tilts, int64_t jx, int64_t jy,
                      const double *load_x, const double *load_y, const double *root_x, const double *root_y, const double *prior,
                      const double *bulge, double *half, double *bulge_seen) {
-    Sheet s = sheet_of(numbers, NULL);
+    if (!is_sheet(nx, ny) || r != (tilts ? 5 : 3) * markers) return REFUSED;
+    Sheet s = sheet_of(nx, ny, numbers);
     Nodes nodes = {jx, jy, load_x, load_y, root_x, root_y};
     const long dofs = 3 * s.n, nodal = 3 * jx * jy, longer = s.ny > jy ? s.ny : jy;
-    Seat *seats = malloc(markers * sizeof *seats);
+    Seat *seats = malloc((markers + 1) * sizeof *seats);
     double *motion = malloc(dofs * sizeof *motion);
     Lanes *x = malloc((dofs + longer + nodal) * sizeof *x), *rows = x + dofs, *out = rows + longer;
     int failed = seats && motion && x ? 0 : NO_MEMORY;
-    Sight sight = {markers, tilts ? 5 * markers : 3 * markers, weights, tilts, seats};
+    Sight sight = {markers, r, weights, tilts, seats};
     if (!failed) take_seats(&s, markers, material, seats), together(&s, bulge, motion);
     for (long first = 0; first < sight.rows && !failed; first += LANES) {
         long lanes = sight.rows - first < LANES ? sight.rows - first : LANES;
@@ -187,19 +187,20 @@ static void tractions(const Sheet *s, const Nodes *nodes, const double *prior, c
     }
 }
 
-int64_t inverse_step(const double *numbers, const double *factor, const double *softened, double share, int64_t markers,
-                     const double *material, const double *weights, const double *tilts, int64_t jx, int64_t jy,
+int64_t inverse_step(int64_t nx, int64_t ny, const double *numbers, const double *factor, const double *softened, double share,
+                     int64_t r, int64_t markers, const double *material, const double *weights, const double *tilts, int64_t jx, int64_t jy,
                      const double *load_x, const double *load_y, const double *root_x, const double *root_y, const double *prior,
                      const double *innovation, const double *drift, const double *gas_load, const double *c,
                      const double *residual, const double *data, const double *slopes_off, double *change, double *traction,
                      double *misfit, double *noise, double *drift_found) {
-    Sheet s = sheet_of(numbers, NULL);
+    if (!is_sheet(nx, ny) || r != (tilts ? 5 : 3) * markers || (tilts && !slopes_off)) return REFUSED;
+    Sheet s = sheet_of(nx, ny, numbers);
     Stiffness K = {factor, softened, share};
     Nodes nodes = {jx, jy, load_x, load_y, root_x, root_y};
     const long dofs = 3 * s.n, room = 2 * jx * jy + s.nx + s.ny + jx + jy;
-    Seat *seats = malloc(markers * sizeof *seats);
+    Seat *seats = malloc((markers + 1) * sizeof *seats);
     double *relaxed = malloc((3 * dofs + room) * sizeof *relaxed), *x = relaxed + dofs, *parts = x + dofs, *work = parts + dofs;
-    Sight sight = {markers, tilts ? 5 * markers : 3 * markers, weights, tilts, seats};
+    Sight sight = {markers, r, weights, tilts, seats};
     if (!seats || !relaxed) {
         free(seats), free(relaxed);
         return NO_MEMORY;

@@ -1,11 +1,17 @@
 """C functions as Python ones, by their declarations in `kernels.h`: arrays are checked and handed
-over by address."""
+over by address.
+
+A declaration says behind each array what its shape is made of, from the call's own whole numbers:
+`double *out /* n, 3 */`, and where it may be left out, `/* n, 3 or NULL */`. An array of another
+type, with gaps, or of another size never reaches C, and a return code never gets lost.
+"""
 
 from __future__ import annotations
 
 import ctypes
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -14,114 +20,255 @@ import numpy as np
 from mjtactile.kernels import build
 
 _NUMBERS = {"double": ctypes.c_double, "int64_t": ctypes.c_int64}
-_ARRAYS = {
+_DTYPES = {
     "double": np.dtype("<f8"),
     "float": np.dtype("<f4"),
     "int64_t": np.dtype("<i8"),
     "int32_t": np.dtype("<i4"),
     "uint8_t": np.dtype("|u1"),
 }
-_DECLARATION = re.compile(r"^(int64_t|double|void) (\w+)\(([^)]*)\);", re.M)
-_ARGUMENT = re.compile(r"(const )?(\w+) (\*?)(\w+)$")
+# By the names of the return codes in kernels.h: what is raised, and what it says.
+_ERRORS = {
+    "NO_MEMORY": (MemoryError, "no memory"),
+    "REFUSED": (ValueError, "arguments that it cannot work with"),
+    "NOT_DEFINITE": (np.linalg.LinAlgError, "a matrix is not finite or not positive definite"),
+}
+_DECLARATION = re.compile(r"^(int64_t|double|void) (\w+)\(([^;]*)\);", re.M)
+_ARGUMENT = re.compile(r"(const )?(\w+) (\*?)(\w+)(?: /\* (.*?)( or NULL)? \*/)?(?:, |$)")
+_MACRO = re.compile(r"^#define (\w+)\((\w+)\) (.*?)(?: /\*.*)?$", re.M)
 
 
 def kernel(name: str) -> Callable[..., Any]:
-    """The C function `name`. What it only reads is converted to arrays of its types, if need be;
-    what it writes must be C-contiguous arrays of them (None: NULL), else TypeError is raised.
-    Lengths are for the caller to know.
+    """The C function `name`, without Python's lock: other threads run on while it does.
 
-    Other processes and threads run on while it does: it needs no Python.
+    Args:
+        name: One that `kernels.h` declares, else KeyError is raised.
+
+    Returns:
+        A function of the declaration's arguments. Arrays that it only reads are converted, if need
+        be; those that it writes must be C-contiguous and of its type. It returns what the C
+        function returns.
+
+    Raises:
+        TypeError: by that function, for a number of another type or an array that cannot be used.
+        ValueError: for an array of another size than the declaration says, or where the kernel
+            refuses what it is given.
+        MemoryError, numpy.linalg.LinAlgError: by the kernel's return code.
     """
-    return _library()[name][0]
+    return _library()[name].call
 
 
 def bound(name: str, *values: Any) -> Callable[..., Any]:
     """The C function `name` on these very arrays and numbers, for a call that comes again and
-    again: they are checked now, and kept. For each `...` among them a value is given at every call.
-    Raises TypeError for an array that would have to be converted.
+    again: they are checked now, and kept.
+
+    Args:
+        name: As for `kernel`.
+        values: What the function takes; for each `...` among them a value is given at every call.
+
+    Returns:
+        A function of what was left out.
+
+    Raises:
+        TypeError: for an array that would have to be converted, or whose size hangs on what is
+            given later.
+        ValueError: as for `kernel`.
     """
-    function, convert = _library()[name][1:]
-    addresses = [
-        None if value is ... else _same(one, value, name)
-        for one, value in zip(convert, values, strict=True)
-    ]
-    given = [(place, convert[place]) for place, value in enumerate(values) if value is ...]
+    return _library()[name].bind(values)
 
-    def call(*now: Any) -> Any:
-        held: list[Any] = []
-        arguments = addresses.copy()
-        for (place, one), value in zip(given, now, strict=True):
-            arguments[place] = one(value, held)
-        return function(*arguments)
 
-    call.kept = values  # type: ignore[attr-defined]  # else nobody may
-    return call
+def band_stride(width: int) -> int:
+    """Numbers from a column of a band to the next, as kernels/band.h has them."""
+    return _macros()["BAND_STRIDE"](width)
+
+
+@dataclass(frozen=True)
+class Argument:
+    """One argument of a C function; `shape` is an array's, as declared, "" for a number."""
+
+    name: str
+    kind: str
+    shape: str
+    written: bool
+    optional: bool
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """One C function: its name, the type that it returns, and its arguments in order."""
+
+    name: str
+    result: str
+    arguments: tuple[Argument, ...]
+
+    def sizes(self) -> Callable[..., tuple[float, ...]]:
+        """A function of the arguments' values: how many elements each array must have, 0 for what
+        is no array."""
+        names = [argument.name for argument in self.arguments]
+        products = [
+            "*".join(f"({side})" for side in argument.shape.split(", ")) if argument.shape else "0"
+            for argument in self.arguments
+        ]
+        source = f"lambda {', '.join(names)}: ({', '.join(products)},)"
+        return eval(source, {"__builtins__": {}, **_macros()})
 
 
 @cache
-def _library() -> dict[str, tuple[Callable[..., Any], Any, list[_Convert]]]:
-    """Of each kernel: its Python face, the C function, and what checks or converts each
-    argument."""
-    loaded = ctypes.CDLL(str(build.library()))
+def declarations() -> Mapping[str, Declaration]:
+    """What `kernels.h` declares, by name. Raises RuntimeError for an array without a size."""
+    text = _header()
+    found = {}
+    for result, name, arguments in _DECLARATION.findall(text):
+        found[name] = Declaration(name, result, _arguments(name, " ".join(arguments.split())))
+    return found
+
+
+def _arguments(function: str, text: str) -> tuple[Argument, ...]:
+    found = []
+    for const, kind, star, name, shape, optional in _ARGUMENT.findall(text):
+        if bool(star) != bool(shape):
+            raise RuntimeError(f"kernels.h: {function}: {name} must have a size if it is an array")
+        found.append(Argument(name, kind, shape, bool(star) and not const, bool(optional)))
+    return tuple(found)
+
+
+@cache
+def _header() -> str:
+    return (build.FOLDER / "kernels.h").read_text()
+
+
+@cache
+def _macros() -> dict[str, Callable[[Any], Any]]:
+    """The header's macros of one whole number, which sizes may use."""
     return {
-        name: _wrapped(getattr(loaded, name), name, result, arguments)
-        for result, name, arguments in _DECLARATION.findall(
-            (build.FOLDER / "kernels.h").read_text()
-        )
+        name: eval(f"lambda {argument}: {body.replace('/', '//')}", {"__builtins__": {}})
+        for name, argument, body in _MACRO.findall(_header())
     }
 
 
-def _wrapped(
-    function: Any, name: str, result: str, arguments: str
-) -> tuple[Callable[..., Any], Any, list[Any]]:
-    parts = [_ARGUMENT.search(" ".join(part.split())).groups() for part in arguments.split(",")]  # type: ignore[union-attr]
-    function.restype = _NUMBERS.get(result)
-    function.argtypes = [ctypes.c_void_p if star else _NUMBERS[kind] for _, kind, star, _ in parts]
-    convert = [
-        (_read(_ARRAYS[kind]) if const else _written(f"{name}: {what}", _ARRAYS[kind]))
-        if star
-        else _as_is
-        for const, kind, star, what in parts
-    ]
+@cache
+def _library() -> dict[str, _Kernel]:
+    loaded = ctypes.CDLL(str(build.library()))
+    return {
+        name: _Kernel(declaration, getattr(loaded, name))
+        for name, declaration in declarations().items()
+    }
 
-    def call(*values: Any) -> Any:
+
+class _Kernel:
+    """A C function with what checks and converts its arguments."""
+
+    def __init__(self, declaration: Declaration, function: Any):
+        self.declaration = declaration
+        self.function = function
+        self.sizes = declaration.sizes()
+        function.restype = _NUMBERS.get(declaration.result)
+        function.argtypes = [
+            ctypes.c_void_p if argument.shape else _NUMBERS[argument.kind]
+            for argument in declaration.arguments
+        ]
+        if declaration.result == "int64_t":
+            function.errcheck = self._raise_code
+        self.convert = [_converter(declaration.name, one) for one in declaration.arguments]
+
+    def call(self, *values: Any) -> Any:
         held: list[Any] = []
-        return function(*[one(value, held) for one, value in zip(convert, values, strict=True)])
+        sizes = self.sizes(*values)
+        return self.function(
+            *[
+                one(value, size, held)
+                for one, value, size in zip(self.convert, values, sizes, strict=True)
+            ]
+        )
 
-    return call, function, convert
+    def bind(self, values: Sequence[Any]) -> Callable[..., Any]:
+        later = [place for place, value in enumerate(values) if value is ...]
+        # what is not known yet makes every size that it is part of unknown
+        known = self.sizes(*[np.nan if value is ... else value for value in values])
+        fixed = [
+            None if value is ... else self._fixed(place, value, known[place])
+            for place, value in enumerate(values)
+        ]
+        function = self.function
+        given = [(place, self.convert[place]) for place in later]
+
+        def call(*now: Any) -> Any:
+            held: list[Any] = []
+            every = list(values)
+            arguments = fixed.copy()
+            for place, value in zip(later, now, strict=True):
+                every[place] = value
+            sizes = self.sizes(*every)
+            for place, one in given:
+                arguments[place] = one(every[place], sizes[place], held)
+            return function(*arguments)
+
+        def call_with_nothing(*now: Any) -> Any:
+            if now:
+                raise TypeError(f"{self.declaration.name}: all its arguments are bound")
+            return function(*fixed)
+
+        bound_call = call if later else call_with_nothing
+        bound_call.kept = values  # type: ignore[attr-defined]  # the arrays' owner, perhaps the only one
+        return bound_call
+
+    def _fixed(self, place: int, value: Any, size: float) -> Any:
+        """A number as it is, the address of an array that stays."""
+        argument = self.declaration.arguments[place]
+        if np.isnan(size):
+            raise TypeError(
+                f"{self.declaration.name}: the size of {argument.name} is not known yet"
+            )
+        copies: list[Any] = []
+        address = self.convert[place](value, size, copies)
+        if copies:
+            raise TypeError(
+                f"{self.declaration.name}: a {value.dtype} array of shape {value.shape} "
+                f"would have to be copied for {argument.name}"
+            )
+        return address
+
+    def _raise_code(self, code: int, _function: Any, _arguments: Any) -> int:
+        if code >= 0:
+            return code
+        for name, (error, says) in _ERRORS.items():
+            if re.search(rf"\b{name} = {code}\b", _header()):
+                raise error(f"kernel {self.declaration.name}: {says}")
+        raise RuntimeError(f"kernel {self.declaration.name} returned {code}")
 
 
 # What is handed over for a value: itself, or an array's address. What had to be made for it is put
-# into `held`, to outlive the call. Two hundred times an image: an array of numpy's own is asked for
-# its buffer, and nothing else, where that will do.
-_Convert = Callable[[Any, list[Any]], Any]
+# into `held`, to outlive the call.
+_Converter = Callable[[Any, float, list[Any]], Any]
 
 
-def _same(convert: _Convert, value: Any, name: str) -> Any:
-    copies: list[Any] = []
-    address = convert(value, copies)
-    if copies:
-        raise TypeError(
-            f"{name}: a {value.dtype} array of shape {value.shape} would have to be copied"
-        )
-    return address
+def _converter(function: str, argument: Argument) -> _Converter:
+    if not argument.shape:
+        return _as_is
+    what = f"{function}: {argument.name}"
+    dtype = _DTYPES[argument.kind]
+    if argument.written:
+        return _written(what, argument, dtype)
+    return _read(what, argument, dtype)
 
 
-def _as_is(value: Any, _: list[Any]) -> Any:
+def _as_is(value: Any, _size: float, _held: list[Any]) -> Any:
     return value
 
 
-def _read(dtype: np.dtype) -> _Convert:
-    def address(value: Any, held: list[Any]) -> Any:
+def _read(what: str, argument: Argument, dtype: np.dtype) -> _Converter:
+    def address(value: Any, size: float, held: list[Any]) -> Any:
         if value is None:
-            return None
+            return _null(what, argument)
         try:
-            if value.dtype == dtype:
+            if value.dtype == dtype and value.size == size:
                 return ctypes.addressof(ctypes.c_char.from_buffer(value))
         except (AttributeError, TypeError, ValueError):
             # a list, or an array that is read-only, empty or with gaps
             pass
         whole = np.ascontiguousarray(value, dtype)
+        if whole.size != size:
+            raise ValueError(_wrong_size(what, argument, whole, size))
         if whole is not value:
             held.append(whole)
         return whole.ctypes.data
@@ -129,19 +276,32 @@ def _read(dtype: np.dtype) -> _Convert:
     return address
 
 
-def _written(what: str, dtype: np.dtype) -> _Convert:
-    def address(value: Any, _: list[Any]) -> Any:
+def _written(what: str, argument: Argument, dtype: np.dtype) -> _Converter:
+    def address(value: Any, size: float, _held: list[Any]) -> Any:
         if value is None:
-            return None
-        if (
+            return _null(what, argument)
+        if not (
             isinstance(value, np.ndarray)
             and value.dtype == dtype
             and value.flags.c_contiguous
             and value.flags.writeable
         ):
-            if not value.size:
-                return value.ctypes.data
-            return ctypes.addressof(ctypes.c_char.from_buffer(value))  # type: ignore[arg-type]
-        raise TypeError(f"{what} must be a writable C-contiguous array of {dtype}")
+            raise TypeError(f"{what} must be a writable C-contiguous array of {dtype}")
+        if value.size != size:
+            raise ValueError(_wrong_size(what, argument, value, size))
+        if not size:
+            return value.ctypes.data
+        return ctypes.addressof(ctypes.c_char.from_buffer(value))  # type: ignore[arg-type]
 
     return address
+
+
+def _null(what: str, argument: Argument) -> None:
+    if not argument.optional:
+        raise TypeError(f"{what} cannot be left out")
+
+
+def _wrong_size(what: str, argument: Argument, array: np.ndarray, size: float) -> str:
+    return (
+        f"{what}: shape {array.shape} has {array.size} elements, ({argument.shape}) needs {size:g}"
+    )

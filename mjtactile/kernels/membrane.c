@@ -11,8 +11,16 @@
 #define UNSTRAINED 1e-6 /* of tr E: below, the moduli are those of no strain */
 #define SMALLEST 1e-24  /* in place of zero in a denominator or under a root */
 
-double chamber_volume(int64_t n, const double *p, int64_t m, const int64_t *triangles, double *gradient) {
-    double volume = 0;
+/* Whether all are numbers of one of `limit` things. */
+static int are_below(int64_t limit, int64_t count, const int64_t *numbers) {
+    for (int64_t i = 0; i < count; i++)
+        if (numbers[i] < 0 || numbers[i] >= limit) return 0;
+    return 1;
+}
+
+int64_t chamber_volume(int64_t n, const double *p, int64_t m, const int64_t *triangles, double *gradient, double *volume) {
+    double sum = 0;
+    if (!are_below(n, 3 * m, triangles)) return REFUSED;
     memset(gradient, 0, 3 * n * sizeof *gradient);
     for (const int64_t *t = triangles; t < triangles + 3 * m; t += 3) {
         const double *a = p + 3 * t[0], *b = p + 3 * t[1], *c = p + 3 * t[2];
@@ -21,15 +29,16 @@ double chamber_volume(int64_t n, const double *p, int64_t m, const int64_t *tria
         for (int i = 0; i < 3; i++) {
             int j = (i + 1) % 3, k = (i + 2) % 3;
             double area = 0.5 * (u[j] * w[k] - u[k] * w[j]);
-            volume += (a[i] + b[i] + c[i]) * area / 9;
+            sum += (a[i] + b[i] + c[i]) * area / 9;
             for (int corner = 0; corner < 3; corner++) gradient[3 * t[corner] + i] += area / 3;
         }
     }
-    return volume;
+    *volume = sum;
+    return 0;
 }
 
-void push(int64_t k, const double *gradient, const double *moved, double offset_share, double least, double pressure,
-          double stiffness, double *coefficients, double *spring, double *rest, double *forces) {
+void apply_gas_load(int64_t k, const double *gradient, const double *moved, double offset_share, double least, double pressure,
+                    double stiffness, double *coefficients, double *spring, double *rest, double *forces) {
     double length = 0, size = 0;
     for (int64_t v = 0; v < k; v++) {
         double normal = gradient[3 * v + 2], term = normal * moved[3 * v + 2];
@@ -54,21 +63,26 @@ static Contact contact_of(int64_t k, int64_t list, const int64_t *layout) {
 #undef FIELD
 }
 
-void membrane_loads(int64_t contacts, int64_t list, const int64_t *layout, const double *force, int64_t n,
-                    const int64_t *membranes, double *loads) {
+/* Its rows that are forces: one along the normal, two along the surface; torques behind them do not count here. */
+static int force_rows(const Contact *c) { return c->dim < 3 ? c->dim : 3; }
+
+int64_t membrane_loads(int64_t contacts, int64_t list, const int64_t *layout, int64_t rows, const double *force, int64_t n,
+                       const int64_t *membranes, double *loads) {
     memset(loads, 0, 3 * n * sizeof *loads);
     for (int64_t k = 0; k < contacts; k++) {
         const Contact c = contact_of(k, list, layout);
+        if (c.row >= 0 && c.row + force_rows(&c) > rows) return REFUSED;
         for (int64_t m = 0; m < n && c.row >= 0; m++) {
             const int64_t *own = membranes + 3 * m;
             int side[2];
             for (int e = 0; e < 2; e++) side[e] = (c.geoms[e] >= own[0] && c.geoms[e] <= own[1]) || c.flexes[e] == own[2];
             if (!side[0] && !side[1]) continue;
             double sign = side[1] ? 1 : -1;  /* MuJoCo's force acts on the second; the rows of `frame` are its axes */
-            for (int axis = 0; axis < (c.dim < 3 ? c.dim : 3); axis++)
+            for (int axis = 0; axis < force_rows(&c); axis++)
                 for (int i = 0; i < 3; i++) loads[3 * m + i] += sign * force[c.row + axis] * c.frame[3 * axis + i];
         }
     }
+    return 0;
 }
 
 /* ln c, the square of the thickness's stretch, by two Newton steps: core/rubber.py. */
@@ -81,19 +95,20 @@ static double thickness_over_area(double log_det, double poisson) {
     return exp(x - log_det);
 }
 
-void rubber_stiffness(int64_t m, const int64_t *edges, const int64_t *ends, const double *p, const double *metric,
-                      const double *law, const double *by_mu, const double *by_lambda, double *rows) {
+int64_t rubber_stiffness(int64_t m, const int64_t *edges, int64_t e, const int64_t *ends, int64_t n, const double *p,
+                         const double *metric, const double *law, const double *by_mu, const double *by_lambda, double *rows) {
+    if (!are_below(e, 3 * m, edges) || !are_below(n, 2 * e, ends)) return REFUSED;
     double shear = law[0], poisson = law[1], first = law[2], least = law[3], most = law[4];
     for (int64_t t = 0; t < m; t++) {
         double C[3] = {0}, mu, lambda = first;
-        for (int e = 0; e < 3; e++) {
-            const int64_t *end = ends + 2 * edges[3 * t + e];
+        for (int side = 0; side < 3; side++) {
+            const int64_t *end = ends + 2 * edges[3 * t + side];
             double square = 0;
             for (int i = 0; i < 3; i++) {
                 double along = p[3 * end[1] + i] - p[3 * end[0] + i];
                 square += along * along;
             }
-            for (int i = 0; i < 3; i++) C[i] += metric[9 * t + 3 * i + e] * square;
+            for (int i = 0; i < 3; i++) C[i] += metric[9 * t + 3 * i + side] * square;
         }
         double trace = (C[0] + C[1]) / 2 - 1;
         mu = shear * thickness_over_area(log(fmax(C[0] * C[1] - C[2] * C[2], FLATTEST)), poisson);
@@ -101,6 +116,7 @@ void rubber_stiffness(int64_t m, const int64_t *edges, const int64_t *ends, cons
             lambda = fmin(fmax((shear - mu * (1 + 2 * trace)) / trace, least * mu), most * first);
         for (int i = 0; i < 6; i++) rows[ROW * t + i] = mu * by_mu[6 * t + i] + lambda * by_lambda[6 * t + i];
     }
+    return 0;
 }
 
 enum { SPHERE = 2, CAPSULE = 3, ELLIPSOID = 4, CYLINDER = 5 }; /* MuJoCo's mjtGeom */
@@ -126,7 +142,7 @@ void curvatures(int64_t n, const int32_t *kinds, const double *sizes, const doub
 }
 
 int64_t touched_curvatures(int64_t contacts, int64_t list, const int64_t *layout, int64_t first, int64_t count,
-                           const int32_t *kinds, const double *sizes, const double *axes, double end, double *out) {
+                           int64_t geoms, const int32_t *kinds, const double *sizes, const double *axes, double end, double *out) {
     int64_t found = 0;
     double sum = 0;
     for (int64_t v = 0; v < count; v++) out[v] = NAN;
@@ -136,6 +152,7 @@ int64_t touched_curvatures(int64_t contacts, int64_t list, const int64_t *layout
         int second = numbers[1] >= 0 && numbers[1] < count;
         int64_t v = numbers[second], other = c.geoms[1 - second];
         if (v < 0 || v >= count) continue;
+        if (other >= geoms) return REFUSED;
         double bend = 0, n[3] = {0};
         if (other >= 0) {  /* else it is a flex */
             for (int i = 0; i < 3; i++)
@@ -157,20 +174,26 @@ static Plane add(Plane a, double scale, Plane b) { return (Plane){a.x + scale * 
 
 static Plane shorten(Plane a, double most) { return add((Plane){0}, fmin(most / sqrt(fmax(dot(a, a), SMALLEST)), 1), a); }
 
-int64_t stick(int64_t contacts, int64_t list, const int64_t *layout, const double *force, const double *kbip,
-              const double *softness, const double *velocity, const double *travel, const double *R_WS, int64_t first,
-              int64_t count, const double *settings, double *goal, double *memory, uint8_t *slides, double *surface) {
+int64_t update_stiction(int64_t contacts, int64_t list, const int64_t *layout, int64_t rows, const double *force,
+                        const double *kbip, const double *softness, const double *velocity, const double *travel,
+                        const double *R_WS, int64_t first, int64_t count, const double *settings, double *goal, double *memory,
+                        uint8_t *slides, double *surface) {
     double step = settings[0], mend = settings[1], kept = settings[2], beyond = settings[3], on_cone = settings[4];
     int64_t found = 0;
-    double *after = calloc(6 * count, sizeof *after);
-    uint8_t *slides_after = calloc(count, 1);
+    double *after = calloc(6 * count + 1, sizeof *after);
+    uint8_t *slides_after = calloc(count + 1, 1);
+    int refused = 0, failed = !after || !slides_after;
     memset(goal, 0, count * sizeof *goal), memset(surface, 0, 3 * count * sizeof *surface);
-    for (int64_t k = 0; k < contacts; k++) {
+    for (int64_t k = 0; k < contacts && !failed; k++) {
         const Contact c = contact_of(k, list, layout);
         int64_t numbers[2] = {c.geoms[0] - first, c.geoms[1] - first}, row = c.row;
         int second = numbers[1] >= 0 && numbers[1] < count;
         int64_t v = numbers[second];
         if (v < 0 || v >= count || row < 0) continue;
+        if (row + force_rows(&c) > rows) {
+            refused = 1;
+            break;
+        }
         found++;
         goal[v] = fmax(c.margin - c.dist, 0);
         if (c.dim < 3) continue;
@@ -203,7 +226,7 @@ int64_t stick(int64_t contacts, int64_t list, const int64_t *layout, const doubl
             surface[3 * v + i] = (axes[0][i] * belt.x + axes[1][i] * belt.y) / drag;
         }
     }
-    if (found) memcpy(memory, after, 6 * count * sizeof *after), memcpy(slides, slides_after, count);
+    if (found && !refused) memcpy(memory, after, 6 * count * sizeof *after), memcpy(slides, slides_after, count);
     free(after), free(slides_after);
-    return found;
+    return failed ? NO_MEMORY : refused ? REFUSED : found;
 }

@@ -10,6 +10,8 @@ typedef struct {
     double smoothing, separate_share, area_disc, area_power, area_pressure, area_blend, core_share, least_share;
 } PatchSettings;
 
+_Static_assert(sizeof(PatchSettings) == 8 * sizeof(double), "as in kernels.h");
+
 /* Nodes (nx, ny), of which the inner ones carry forces, and `refine` cells of the fine grid (na, nb) to one of theirs. */
 typedef struct {
     int64_t nx, ny, refine, na, nb;
@@ -104,10 +106,11 @@ static void axes_of_cells(const Grid *g, const int64_t *places, int64_t count, d
     found[3] = 0.5 * atan2(2 * xy, xx - yy);
 }
 
-int64_t measure_patch(int64_t nx, int64_t ny, int64_t refine, const double *fine, const double *position, const int32_t *owner,
-                      int64_t number, const double *traction, const double *node_area, const double *sunk, double gauge,
+int64_t measure_patch(int64_t nx, int64_t ny, int64_t refine, int64_t na, int64_t nb, const double *fine, const double *position,
+                      const int32_t *owner, int64_t number, const double *traction, const double *node_area, const double *sunk, double gauge,
                       double node_variance, const double *settings, uint8_t *inside, uint8_t *mask, double *found) {
-    Grid g = {nx, ny, refine, refine * (nx - 1) + 1, refine * (ny - 1) + 1, position, owner, (int32_t)number};
+    if (nx < 3 || ny < 3 || refine < 1 || na != refine * (nx - 1) + 1 || nb != refine * (ny - 1) + 1) return REFUSED;
+    Grid g = {nx, ny, refine, na, nb, position, owner, (int32_t)number};
     PatchSettings s;
     memcpy(&s, settings, sizeof s);
     int64_t inner = ny - 2, nodes = (nx - 2) * inner, all = g.na * g.nb, positive;
@@ -116,7 +119,7 @@ int64_t measure_patch(int64_t nx, int64_t ny, int64_t refine, const double *fine
     double *pressing = malloc(nodes * sizeof *pressing);
     if (!heap || !pressing) {
         free(heap), free(pressing);
-        return -1;
+        return NO_MEMORY;
     }
     for (int64_t node = 0; node < nodes; node++) {
         int64_t at = fine_of(&g, node / inner + 1, node % inner + 1);

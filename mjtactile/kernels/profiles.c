@@ -27,6 +27,8 @@ typedef float Two __attribute__((vector_size(8)));     /* neighbours in a row */
 typedef struct { double step, blur, spacing, level_outlier, outlier, outlier_least, blur_most, unmodelled, motion_doubt,
                  sharpest; } Settings;
 
+_Static_assert(sizeof(Settings) == 10 * sizeof(double), "as in kernels.h");
+
 typedef struct { const float *pixels; long height, width; } Image;
 
 /* K directions on the unit circle. An ellipse is moved by the functions c, s, c^2, 2 c s, s^2 of the direction. */
@@ -400,10 +402,11 @@ int64_t fit_profiles(const float *image, int64_t height, int64_t width, int64_t 
     Common common;
     Image picture = {image, height, width};
     memcpy(&s, settings, sizeof s);
+    if (height < 2 || width < 2) return REFUSED;
     if (n == 0) return 0;
     Lines lines;
     double *work = malloc(n * sizeof *work);
-    if (!work) return 1;
+    if (!work) return NO_MEMORY;
     double step, sigma = approach(&picture, n, centers, shapes, &s, &lines, &fan, work, &step);
     for (long i = 0; i < n; i++) {  /* perimeters, to a percent */
         const double *a = shapes + 3 * i;
@@ -414,7 +417,7 @@ int64_t fit_profiles(const float *image, int64_t height, int64_t width, int64_t 
     free(work);
     int per = fan.count / 4, size = KEPT * fan.count + 3;
     work = malloc(n * (4 * per + size) * sizeof *work);
-    if (!work) return 1;
+    if (!work) return NO_MEMORY;
     double *blurs = work, *normals = work + n * per, *sorted = work + 3 * n * per, *kept = work + 4 * n * per;
     look(&picture, n, centers, shapes, &s, &fan, &f, sigma, &lines, kept, normals, blurs);
     memcpy(sorted, blurs, n * per * sizeof *sorted);

@@ -12,7 +12,7 @@
 #define LOCAL 16   /* splines on a cell */
 #define LEAST_DET 1e-3
 #define NUDGE 1e-3 /* of the mean diagonal: how far an indefinite stiffness (wrinkles) is pushed, tenfold until it is definite */
-#define NO_MEMORY 2
+_Static_assert(sizeof(SheetNumbers) == 8 * sizeof(double), "as in kernels.h");
 
 typedef struct { double weight; Local at; } Line; /* of Gauss points along the other axis */
 
@@ -25,11 +25,11 @@ typedef struct { double D11, D22, D12, D16, D26, D66; } Moduli;
 /* A deformation at the Gauss points, y fastest. */
 typedef struct { long qx, qy; Line *x, *y; Point *points; } Look;
 
-Sheet sheet_of(const double *numbers, const double *law) {
-    Sheet s = {.law = law};
-    memcpy(&s.numbers, numbers, sizeof s.numbers);
-    s.nx = (long)s.numbers.spans_x + 1, s.ny = (long)s.numbers.spans_y + 1, s.n = s.nx * s.ny;
-    s.width = 3 * (3 * s.ny + 3) + 2;
+int is_sheet(long nx, long ny) { return nx > FEWEST_SPANS && ny > FEWEST_SPANS; }
+
+Sheet sheet_of(long nx, long ny, const double *numbers) {
+    Sheet s = {.nx = nx, .ny = ny, .n = nx * ny, .width = SHEET_WIDTH(ny)};
+    if (numbers) memcpy(&s.numbers, numbers, sizeof s.numbers);
     return s;
 }
 
@@ -109,9 +109,9 @@ static void strain(const Sheet *s, const Point *p, double *C) {
 static double law(const Sheet *s, const double *C, int row) {
     const SheetNumbers *o = &s->numbers;
     double at = (log(most(C[0] * C[1] - C[2] * C[2], LEAST_DET)) - o->table_first) * o->table_per_unit;
-    double place = clip(at, 0, o->table_count - 1);
-    long i = (long)least(place, o->table_count - 2);
-    const double *table = s->law + row * (long)o->table_count;
+    double place = clip(at, 0, (double)s->entries - 1);
+    long i = (long)least(place, (double)s->entries - 2);
+    const double *table = s->law + row * s->entries;
     return table[i] + (place - i) * (table[i + 1] - table[i]);
 }
 
@@ -146,10 +146,13 @@ static void add_line(const Sheet *s, const Line *line, const double *value, cons
         }
 }
 
-double sheet_state(const double *numbers, const double *law_, const double *c, double scale, double *elastic, double *gradient) {
-    Sheet s = sheet_of(numbers, law_);
+int64_t sheet_state(int64_t nx, int64_t ny, const double *numbers, int64_t entries, const double *law_, const double *c,
+                    double scale, double *elastic, double *gradient, double *volume) {
+    if (!is_sheet(nx, ny) || entries < 2) return REFUSED;
+    Sheet s = sheet_of(nx, ny, numbers);
+    s.law = law_, s.entries = entries;
     Look l;
-    double volume = 0, *along = malloc(9 * s.ny * sizeof *along), *across = along + 3 * s.ny, *normal = across + 3 * s.ny;
+    double sum = 0, *along = malloc(9 * s.ny * sizeof *along), *across = along + 3 * s.ny, *normal = across + 3 * s.ny;
     int failed = look(&s, c, &l) || !along;
     memset(elastic, 0, 3 * s.n * sizeof *elastic), memset(gradient, 0, 3 * s.n * sizeof *gradient);
     for (long i = 0; i < l.qx && !failed; i++) {
@@ -160,7 +163,7 @@ double sheet_state(const double *numbers, const double *law_, const double *c, d
             double C[3], w = l.x[i].weight * l.y[j].weight;
             strain(&s, p, C);
             Stress S = stress(&s, C, scale);
-            volume += w * p->z * p->normal[2];
+            sum += w * p->z * p->normal[2];
             for (int k = 0; k < 3; k++) {
                 double P1 = w * (S.S11 * p->g1[k] + S.S12 * p->g2[k]), P2 = w * (S.S12 * p->g1[k] + S.S22 * p->g2[k]);
                 double *to = along + k * s.ny + y->first;
@@ -173,7 +176,8 @@ double sheet_state(const double *numbers, const double *law_, const double *c, d
         add_line(&s, l.x + i, across, along, elastic), add_line(&s, l.x + i, normal, NULL, gradient);
     }
     free(along), forget(&l);
-    return failed ? NAN : volume;
+    *volume = sum;
+    return failed ? NO_MEMORY : 0;
 }
 
 /* The stiffness of one Gauss point: its row (k, i) is d1B_k T1_i + d2B_k T2_i + B_k U_i, by components j and splines l. */
@@ -255,8 +259,11 @@ static void assemble(const Sheet *s, const Look *l, double scale, double pressur
         }
 }
 
-int64_t sheet_tangent(const double *numbers, const double *law_, const double *c, double scale, double pressure, double *band) {
-    Sheet s = sheet_of(numbers, law_);
+int64_t sheet_tangent(int64_t nx, int64_t ny, const double *numbers, int64_t entries, const double *law_, const double *c,
+                      double scale, double pressure, double *band) {
+    if (!is_sheet(nx, ny) || entries < 2) return REFUSED;
+    Sheet s = sheet_of(nx, ny, numbers);
+    s.law = law_, s.entries = entries;
     Look l;
     int failed = look(&s, c, &l);
     if (!failed) assemble(&s, &l, scale, pressure, band);
@@ -266,6 +273,7 @@ int64_t sheet_tangent(const double *numbers, const double *law_, const double *c
 
 int64_t factor_definite(int64_t n, int64_t width, double *band) {
     const long stride = BAND_STRIDE(width);
+    if (n < 1 || width < 0) return REFUSED;
     double trace = 0, push = 0, *kept = malloc(n * stride * sizeof *kept);
     if (!kept) return NO_MEMORY;
     memcpy(kept, band, n * stride * sizeof *kept);
@@ -278,7 +286,7 @@ int64_t factor_definite(int64_t n, int64_t width, double *band) {
         for (long i = 0; i < n; i++) band[i * stride] += push;
     }
     free(kept);
-    return failed;
+    return failed ? NOT_DEFINITE : 0;
 }
 
 void solve_stiffness(const Sheet *s, const Stiffness *K, double *x) {
@@ -288,8 +296,8 @@ void solve_stiffness(const Sheet *s, const Stiffness *K, double *x) {
     for (long i = 0; i < 3 * s->n; i++) x[i] -= K->share * along * K->softened[i];
 }
 
-double soften(const double *numbers, const double *factor, const double *gradient, double gas_stiffness, double *softened) {
-    Sheet s = sheet_of(numbers, NULL);
+double soften(int64_t nx, int64_t ny, const double *factor, const double *gradient, double gas_stiffness, double *softened) {
+    Sheet s = sheet_of(nx, ny, NULL);
     double along = 0;
     together(&s, gradient, softened);
     band_forward(3 * s.n, s.width, factor, softened);
@@ -298,9 +306,9 @@ double soften(const double *numbers, const double *factor, const double *gradien
     return gas_stiffness / (1 + gas_stiffness * along);
 }
 
-int64_t sheet_solve(const double *numbers, const double *factor, const double *softened, double share, const double *forces,
+int64_t sheet_solve(int64_t nx, int64_t ny, const double *factor, const double *softened, double share, const double *forces,
                     double *out) {
-    Sheet s = sheet_of(numbers, NULL);
+    Sheet s = sheet_of(nx, ny, NULL);
     Stiffness K = {factor, softened, share};
     double *x = malloc(3 * s.n * sizeof *x);
     if (!x) return NO_MEMORY;

@@ -7,19 +7,19 @@
 #include "small.h"
 #include "splines.h"
 
-#define NOT_DEFINITE 1
-#define NO_MEMORY 2
 #define PRODUCTS 16 /* splines that do not vanish at a point */
 
-typedef struct { double length_x, length_y, spans_x, spans_y, distance, slope_model_sd, slope_sd_most, slope_off, outlier_sd,
+typedef struct { double length_x, length_y, distance, slope_model_sd, slope_sd_most, slope_off, outlier_sd,
                  outlier_least, outliers_leave; } Settings;
+
+_Static_assert(sizeof(Settings) == 9 * sizeof(double), "as in kernels.h");
 
 /* A marker: where it is, its weight 1/sd, the product splines there and their slopes. */
 typedef struct { double p[3], variance, weight; const double *normal; long first; double z[PRODUCTS], z_x[PRODUCTS],
                  z_y[PRODUCTS]; int used; } Marker;
 
 /* The normal equations of n coefficients, nx to a row; matrices are bands. */
-typedef struct { long nx, n, width, size; const double *prior; double *heights, *factor, *inverse, *right, *c; } System;
+typedef struct { long nx, ny, n, width, size; const double *prior; double *heights, *factor, *inverse, *right, *c; } System;
 
 static long place(const System *s, const Marker *m, int k) { return m->first + k / 4 * s->nx + k % 4; }
 
@@ -141,7 +141,7 @@ static long read_markers(long n, const double *p, const double *variance, const 
         Marker *m = markers + count;
         memcpy(m->p, p + 3 * i, sizeof m->p);
         if (!isfinite(m->p[0]) || !isfinite(m->p[1]) || !isfinite(m->p[2]) || !(variance[i] > 0)) continue;
-        Local x = splines_at(o->length_x, (long)o->spans_x, m->p[0]), y = splines_at(o->length_y, (long)o->spans_y, m->p[1]);
+        Local x = splines_at(o->length_x, s->nx - 1, m->p[0]), y = splines_at(o->length_y, s->ny - 1, m->p[1]);
         m->first = y.first * s->nx + x.first;
         for (int k = 0; k < PRODUCTS; k++) {
             int a = k % 4, b = k / 4;
@@ -153,12 +153,13 @@ static long read_markers(long n, const double *p, const double *variance, const 
     return count;
 }
 
-int64_t fit_surface(int64_t n, const double *p_SM, const double *variance, const double *n_S, const double *settings,
-                    const double *prior, double *c, double *factor, double *found) {
+int64_t fit_surface(int64_t n, const double *p_SM, const double *variance, const double *n_S, int64_t nx, int64_t ny,
+                    const double *settings, const double *prior, double *c, double *factor, double *found) {
+    if (nx <= FEWEST_SPANS || ny <= FEWEST_SPANS) return REFUSED;
     Settings o;
     memcpy(&o, settings, sizeof o);
-    System s = {.nx = (long)o.spans_x + 1, .prior = prior, .factor = factor, .c = c};
-    s.n = s.nx * ((long)o.spans_y + 1), s.width = 3 * s.nx + 3, s.size = s.n * BAND_STRIDE(s.width);
+    System s = {.nx = nx, .ny = ny, .prior = prior, .factor = factor, .c = c};
+    s.n = nx * ny, s.width = SURFACE_WIDTH(nx), s.size = s.n * BAND_STRIDE(s.width);
     double *work = malloc((2 * s.size + s.n + 3 * n) * sizeof *work);
     Marker *markers = malloc((n + 1) * sizeof *markers);
     int failed = work && markers ? 0 : NO_MEMORY;
@@ -223,7 +224,7 @@ int64_t measure_surface(int64_t nx, int64_t ny, const double *c, const double *f
                         int64_t grid_ny, const double *grid_x, const double *grid_y, int64_t qx, int64_t qy, const double *quad_x,
                         const double *quad_y, const double *weights, const double *volume_c, const double *stiffness, double *z,
                         double *found) {
-    const long n = nx * ny, width = 3 * nx + 3, points = qx * qy, larger = grid_ny > qy ? grid_ny : qy;
+    const long n = nx * ny, width = SURFACE_WIDTH(nx), points = qx * qy, larger = grid_ny > qy ? grid_ny : qy;
     const double *slope_x = quad_x + nx * qx, *slope_y = quad_y + qy * ny;
     double *half = malloc((larger * nx + 2 * points + n + n * BAND_STRIDE(width)) * sizeof *half);
     if (!half) return NO_MEMORY;

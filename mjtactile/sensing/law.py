@@ -38,7 +38,7 @@ class SheetLaw:
     @property
     def numbers(self) -> tuple[float, ...]:
         """Whether it is neo-Hookean, its modulus and Poisson's ratio, and of `table` the first
-        place, places per unit and count, as kernels/sheet.h has them."""
+        place and places per unit, as kernels/sheet.h has them."""
         neo_hookean = self._law is not Law.STVK
         per_unit = (len(_LOG_DET) - 1) / (_LOG_DET[-1] - _LOG_DET[0])
         return (
@@ -47,7 +47,6 @@ class SheetLaw:
             self._nu,
             _LOG_DET[0],
             per_unit,
-            len(_LOG_DET),
         )
 
     @property

@@ -48,6 +48,7 @@ def contact_loads(world: World, devices: Sequence[TactileSensor]) -> Array:
     loads = np.empty((len(devices), 3))
     kernel("membrane_loads")(
         *listed(world.data),
+        world.data.nefc,
         world.data.efc_force,
         len(devices),
         np.array([device.contact_ids for device in devices]),

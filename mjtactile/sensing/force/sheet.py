@@ -17,18 +17,18 @@ import numpy as np
 
 from mjtactile.core.bspline import Cubic
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.errors import MjtactileError
+from mjtactile.core.errors import InputError, MjtactileError
 from mjtactile.core.types import Array
-from mjtactile.kernels import kernel
+from mjtactile.kernels import band_stride, kernel
 from mjtactile.sensing.law import SheetLaw
 
 # nodes in each interval of the spline: what is integrated varies over markers, several intervals
 # wide
 _GAUSS = 2
-# m
+FEWEST_SPANS = 3  # four splines do not vanish in an interval
 _NEWTON_STEPS = 80
-_STEP_MAX = 1e-3
-_CONVERGED = 1e-9
+_STEP_MAX = 1e-3  # m
+_CONVERGED = 1e-9  # m
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,19 +74,27 @@ class Stiffness:
     def solve(self, forces: Array) -> Array:
         """Displacements (3, n) m by generalised forces (3, n) N, to first order."""
         out = np.empty_like(forces)
-        if kernel("sheet_solve")(
-            self.sheet.numbers, self.factor, self.softened, self.share, forces, out
-        ):
-            raise MemoryError("no room for displacements")
+        kernel("sheet_solve")(
+            *self.sheet.shape, self.factor, self.softened, self.share, forces, out
+        )
         return out
 
 
 class Sheet:
     """Operators of one sensor's membrane on `spans` (x, y) spline intervals. `scale` multiplies
-    Young's modulus."""
+    Young's modulus.
+
+    Raises InputError for too few intervals, or a frame that is no rectangle.
+    """
 
     def __init__(self, design: SensorDesign, spans: tuple[int, int]):
         design.require_rectangle("inverse finite elements")
+        if min(spans) < FEWEST_SPANS:
+            raise InputError(
+                f"{spans}: at least {FEWEST_SPANS} intervals along each side",
+                source="settings",
+                field="inverse.spans",
+            )
         self.design = design
         self.axes = ax, ay = (
             Cubic(design.frame.length, spans[0], _GAUSS),
@@ -100,9 +108,11 @@ class Sheet:
         self._up_y = np.concatenate(by).T.copy()
         sheet = design.membrane
         law = SheetLaw(design.membrane)
-        self.numbers = np.array([ax.length, ay.length, *spans, sheet.pre_stretch**2, *law.numbers])
-        self.law = law.table
-        self.width = 3 * (3 * ay.count + 3) + 2  # of the stiffness's band
+        numbers = np.array([ax.length, ay.length, sheet.pre_stretch**2, *law.numbers])
+        # as kernels take them
+        self.numbers = numbers
+        self._law = (numbers, law.table.shape[1], law.table)
+        self.width = 9 * ay.count + 11  # of the stiffness's band
 
     def basis(self, X: Array) -> Array:
         """Values (N, n) of the splines at material points X (N, 2) m."""
@@ -116,8 +126,9 @@ class Sheet:
         """What coefficients `c` (3, n) m make of the sheet."""
         elastic = np.empty_like(c)
         gradient = np.empty_like(c)
-        volume = kernel("sheet_state")(self.numbers, self.law, c, scale, elastic, gradient)
-        return State(c, scale, volume, gradient, elastic)
+        volume = np.empty(1)
+        kernel("sheet_state")(*self.shape, *self._law, c, scale, elastic, gradient, volume)
+        return State(c, scale, float(volume[0]), gradient, elastic)
 
     def area_vector(self, c: Array, weight: Array) -> Array:
         """The sum (3,) of the area vectors dx/dX cross dx/dY at the Gauss points, times `weight`
@@ -141,11 +152,8 @@ class Sheet:
     def tangent(self, state: State, pressure_gauge: float) -> Array:
         """d(residual)/dc at constant pressure, N/m (Eq. F10): the lower band (3 n, stride) as
         kernels/band.h has it, with the three components of a spline together."""
-        band = np.empty((3 * self.count, (self.width + 8) // 4 * 4))
-        if kernel("sheet_tangent")(
-            self.numbers, self.law, state.c, state.scale, pressure_gauge, band
-        ):
-            raise MemoryError("no room for a stiffness")
+        band = np.empty((3 * self.count, band_stride(self.width)))
+        kernel("sheet_tangent")(*self.shape, *self._law, state.c, state.scale, pressure_gauge, band)
         return band
 
     # -- equilibrium
@@ -173,9 +181,8 @@ class Sheet:
         pressure, gas_stiffness = self.gas_pressure(state, gas)
         band = self.tangent(state, pressure)
         softened = np.empty(3 * self.count)
-        if kernel("factor_definite")(len(band), self.width, band):
-            raise np.linalg.LinAlgError("the membrane's stiffness is not finite")
-        share = kernel("soften")(self.numbers, band, state.gradient, gas_stiffness, softened)
+        kernel("factor_definite")(len(band), self.width, band)
+        share = kernel("soften")(*self.shape, band, state.gradient, gas_stiffness, softened)
         return self.residual(state, pressure), Stiffness(self, band, softened, share)
 
     def equilibrium(

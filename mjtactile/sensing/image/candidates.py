@@ -127,5 +127,5 @@ def _moments(
     shape = np.empty((n, 3))
     misfit = np.empty(n)
     cut = np.empty(n, np.int64)
-    kernel("border_moments")(n, counts, points, *size, center, shape, misfit, cut)
+    kernel("border_moments")(n, counts, len(points), points, *size, center, shape, misfit, cut)
     return Candidates(center, shape, misfit, cut != 0)

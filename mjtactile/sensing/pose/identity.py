@@ -51,9 +51,9 @@ def identify(
     p = np.empty((n, 3))
     normals = np.empty((n, 3))
     cov_p = np.empty((n, 3, 3))
-    work = np.empty((2, n))
     kernel("name_circles")(
         n,
+        len(poses.p_CM),
         circle[ids],
         poses.p_CM,
         poses.n_C,
@@ -64,7 +64,6 @@ def identify(
         _camera(design).numbers,
         design.camera.p_SC,
         _slope_operators(design, (circle >= 0).tobytes(), s.height_weight),
-        work,
         p,
         normals,
         cov_p,

@@ -36,7 +36,7 @@ from mjtactile.core.bspline import Cubic
 from mjtactile.core.design import Frame, SensorDesign
 from mjtactile.core.status import OK, Status, StatusCode
 from mjtactile.core.types import Array, Markers, Surface
-from mjtactile.kernels import kernel
+from mjtactile.kernels import band_stride, kernel
 from mjtactile.sensing.settings import DEFAULTS, SurfaceSettings
 
 GRID_STEP = 1e-3
@@ -174,8 +174,6 @@ class SurfaceFitter:
             [
                 frame.length,
                 frame.width,
-                nx,
-                ny,
                 design.camera.distance,
                 settings.slope_model_sd,
                 settings.slope_sd_most,
@@ -210,11 +208,20 @@ class SurfaceFitter:
         c = np.empty((self.basis_y.count, self.basis_x.count))
         factor = np.empty_like(self._prior_band)
         found = np.empty(2)
-        if kernel("fit_surface")(
-            len(p), p, variance, n_S, self._numbers, self._prior_band, c, factor, found
-        ):
-            # the prior is positive definite: only absurd weights come here
-            raise np.linalg.LinAlgError("normal equations of the surface are not positive definite")
+        # the prior is positive definite: only absurd weights make the normal equations not so
+        kernel("fit_surface")(
+            len(p),
+            p,
+            variance,
+            n_S,
+            self.basis_x.count,
+            self.basis_y.count,
+            self._numbers,
+            self._prior_band,
+            c,
+            factor,
+            found,
+        )
         misfit, markers = found.tolist()
         return Spline(self, c, factor, misfit, _enough(int(markers), self.settings.markers_least))
 
@@ -243,7 +250,7 @@ class SurfaceFitter:
 def banded(matrix: Array, width: int) -> Array:
     """The lower triangle of a symmetric `matrix` (n, n) that vanishes beyond `width` from its
     diagonal, as kernels/band.h has it: (n, stride), row j column j from its diagonal on."""
-    band = np.zeros((len(matrix), (width + 8) // 4 * 4))
+    band = np.zeros((len(matrix), band_stride(width)))
     for below in range(min(width + 1, len(matrix))):
         band[: len(matrix) - below, below] = np.diagonal(matrix, -below)
     return band

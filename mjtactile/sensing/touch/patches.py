@@ -53,6 +53,7 @@ def find_patches(
             nx,
             ny,
             REFINE,
+            *fine.shape,
             fine,
             position,
             owner,
@@ -67,8 +68,6 @@ def find_patches(
             mask,
             found,
         )
-        if carries < 0:
-            raise MemoryError("no room for a patch")
         if carries:
             patches.append(_patch(inside, mask.view(bool), found, position))
     return tuple(sorted(patches, key=lambda patch: float(patch.force[2])))

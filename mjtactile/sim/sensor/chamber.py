@@ -31,13 +31,15 @@ class ChamberGeometry:
         self._volume_flat = volume_flat
         self._p_SV = np.empty_like(mesh.p_SV)
         self._gradient = np.empty_like(mesh.p_SV)
-        self._above = bound(
+        self._above_frame = np.empty(1)  # m^3
+        self._measure = bound(
             "chamber_volume",
             len(mesh.p_SV),
             self._p_SV,
             len(mesh.triangles),
             np.ascontiguousarray(mesh.triangles),
             self._gradient,
+            self._above_frame,
         )
 
     def volume_and_gradient(self, p_SV: Array) -> tuple[float, Array]:
@@ -48,7 +50,8 @@ class ChamberGeometry:
         in z = 0; each vertex takes a third of the area vector of each triangle that it belongs to.
         """
         self._p_SV[:] = p_SV
-        volume = self._volume_flat + self._above()
+        self._measure()
+        volume = self._volume_flat + float(self._above_frame[0])
         return volume, np.take(self._gradient, self._interior, axis=0)
 
 
@@ -75,8 +78,8 @@ class GasTendon:
         self.displacements: Array = np.asarray(data.qpos)[qpos : qpos + count]
         """Live view of the interior vertices' displacements in S, (3 k,) m."""
         self._forces = np.asarray(data.qfrc_applied)[self.dofs]
-        self._push = bound(
-            "push",
+        self._apply = bound(
+            "apply_gas_load",
             self._count,
             ...,
             self.displacements,
@@ -98,7 +101,7 @@ class GasTendon:
         MuJoCo leaves out the stiffness of a spring whose length is exactly that at rest, as rounding will have it now and
         then, and the gas of that step is explicit. It is therefore set off by far more than rounding, and its force given back.
         """
-        self._push(gradient, pressure_gauge, stiffness)
+        self._apply(gradient, pressure_gauge, stiffness)
 
     def suspend(self) -> None:
         """Take the tendon's joints and the pressure out of the model; the vertices are held

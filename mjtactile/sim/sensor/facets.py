@@ -60,6 +60,7 @@ class StandOff:
             ...,
             self._first,
             len(self.margins),
+            model.ngeom,
             model.geom_type,
             model.geom_size,
             data.geom_xmat,

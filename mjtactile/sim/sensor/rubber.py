@@ -82,7 +82,9 @@ class Rubber:
             "rubber_stiffness",
             len(edges),
             edges,
+            len(ends),
             ends,
+            len(self._p_SV),
             self._p_SV,
             # squared lengths to C against the free sheet
             elements.metric * sheet.pre_stretch**2,

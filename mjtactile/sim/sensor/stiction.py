@@ -78,9 +78,9 @@ class Stiction:
         # it began to stick
         self._memory, self._slides = np.zeros((self._count, 6)), np.zeros(self._count, np.uint8)
         self._belt = np.zeros((self._count, 3))
-        self._stick = bound(
-            "stick",
-            *[...] * 8,
+        self._advance = bound(
+            "update_stiction",
+            *[...] * 9,
             data.xmat[body_id],
             self._first,
             self._count,
@@ -125,8 +125,8 @@ class Stiction:
         travel = np.empty(data.nefc)
         mujoco.mj_mulJacVec(self._model, data, velocity, data.qvel)
         mujoco.mj_mulJacVec(self._model, data, travel, self._travel)
-        found = self._stick(
-            *listed(data), data.efc_force, data.efc_KBIP, data.efc_R, velocity, travel
+        found = self._advance(
+            *listed(data), data.nefc, data.efc_force, data.efc_KBIP, data.efc_R, velocity, travel
         )
         if not found:
             return False

@@ -45,7 +45,9 @@ def test_what_the_gas_pushes(sheet):
     spring = np.empty(1)
     rest = np.empty(2)
     forces = np.empty((k, 3))
-    kernel("push")(k, gradient, moved, 1e-3, 1e-12, 900.0, 2e9, coefficients, spring, rest, forces)
+    kernel("apply_gas_load")(
+        k, gradient, moved, 1e-3, 1e-12, 900.0, 2e9, coefficients, spring, rest, forces
+    )
     terms = gradient[:, 2] * moved[:, 2]
     offset = 1e-3 * (np.abs(terms).sum() + 1e-12)
     expected = 900.0 * gradient

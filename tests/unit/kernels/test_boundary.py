@@ -1,0 +1,116 @@
+"""Nothing reaches C that C cannot take: sizes, contents, settings; and no return code gets lost."""
+
+import numpy as np
+import pytest
+
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import InputError
+from mjtactile.kernels import bound, kernel
+from mjtactile.kernels.library import declarations
+from mjtactile.sensing.force.inverse import InverseMembrane
+from mjtactile.sensing.pose import identity
+from mjtactile.sensing.settings import DEFAULTS
+
+_DTYPES = {
+    "double": float,
+    "float": np.float32,
+    "int64_t": np.int64,
+    "int32_t": np.int32,
+    "uint8_t": np.uint8,
+}
+ARRAYS = [
+    (declaration.name, argument.name)
+    for declaration in declarations().values()
+    for argument in declaration.arguments
+    if argument.shape
+]
+
+
+def values_of(declaration):
+    """Arrays of the sizes that the declaration asks for, where every whole number is six."""
+    values = [6 if one.kind == "int64_t" else 1.0 for one in declaration.arguments]
+    sizes = declaration.sizes()(*values)
+    return [
+        np.zeros(size, _DTYPES[one.kind]) if one.shape else value
+        for one, size, value in zip(declaration.arguments, sizes, values, strict=True)
+    ]
+
+
+@pytest.mark.parametrize(("name", "array"), ARRAYS)
+def test_an_array_of_another_size_is_refused_by_name(name, array):
+    declaration = declarations()[name]
+    values = values_of(declaration)
+    place = [one.name for one in declaration.arguments].index(array)
+    whole = values[place]
+    for wrong in (whole[:-1], np.zeros(len(whole) + 1, whole.dtype)):
+        values[place] = wrong
+        with pytest.raises(ValueError, match=f"{name}: {array}: shape .* needs {len(whole)}"):
+            kernel(name)(*values)
+        with pytest.raises((ValueError, TypeError), match=f"{name}: {array}"):
+            bound(name, *values)
+
+
+@pytest.mark.parametrize(("name", "array"), ARRAYS)
+def test_only_what_may_be_left_out_is(name, array):
+    declaration = declarations()[name]
+    values = values_of(declaration)
+    place = [one.name for one in declaration.arguments].index(array)
+    if declaration.arguments[place].optional:
+        return
+    values[place] = None
+    with pytest.raises(TypeError, match=f"{name}: {array} cannot be left out"):
+        kernel(name)(*values)
+
+
+def test_a_size_may_hang_on_what_is_given_at_the_call():
+    moved = np.zeros((2, 3))
+    args = (..., moved, 1.0, 1.0, 1.0, 1.0, np.empty(2), np.empty(1), np.empty(2), np.empty((2, 3)))
+    push = bound("apply_gas_load", 2, *args)
+    push(np.ones((2, 3)))
+    with pytest.raises(ValueError, match=r"apply_gas_load: gradient: shape .3, 3. has"):
+        push(np.ones((3, 3)))
+    with pytest.raises(TypeError, match="the size of moved is not known yet"):
+        bound("apply_gas_load", ..., *args)
+
+
+def test_numbers_of_things_that_are_not_there_are_refused():
+    p = np.zeros((3, 3))
+    for triangles in ([[0, 1, 3]], [[0, -1, 2]]):
+        with pytest.raises(ValueError, match="kernel chamber_volume: arguments that it cannot"):
+            kernel("chamber_volume")(3, p, 1, triangles, np.empty((3, 3)), np.empty(1))
+    out = np.empty((2, 2)), np.empty((2, 3)), np.empty(2), np.empty(2, np.int64)
+    for counts in ([3, 4], [3, 2], [-1, 7], [2**62, 2**62]):
+        with pytest.raises(ValueError, match="kernel border_moments"):
+            kernel("border_moments")(2, counts, 6, np.zeros((6, 2), np.int32), 9, 9, *out)
+
+
+def test_codes_raise_what_they_mean():
+    band = np.full((1, 8), np.nan)
+    with pytest.raises(np.linalg.LinAlgError, match="kernel factor_definite: a matrix is not fin"):
+        kernel("factor_definite")(1, 0, band)
+    # more than any computer has
+    huge = 2**55
+    with pytest.raises(MemoryError, match="kernel judge_borders: no memory"):
+        empty = np.broadcast_to(0.0, 0)
+        library = kernel("judge_borders").__self__
+        library.function(huge, None, None, None, 1.0, np.zeros(29).ctypes.data, empty.ctypes.data)
+
+
+def test_a_sheet_of_too_few_splines_is_refused():
+    """Two intervals made the kernel write before and behind its arrays."""
+    design = load_sensor("dense")
+    for spans in ((14, 2), (2, 10), (1, 1), (0, 10)):
+        settings = DEFAULTS.inverse.__class__(spans=spans)
+        with pytest.raises(InputError, match=r"inverse\.spans"):
+            InverseMembrane(design, settings)
+    coarse = InverseMembrane(design, DEFAULTS.inverse.__class__(spans=(3, 3)))
+    assert np.isfinite(coarse.sheet.state(np.zeros((3, 16))).volume)
+
+
+def test_as_many_neighbours_as_there_are():
+    """Beyond 64 the kernel refused, and what it had not written was taken for marker numbers."""
+    layout = load_sensor("dense").markers.p_SM
+    found = layout + [2e-4, -1e-4, 0.0]
+    for neighbours in (1, 8, 64, 65, 80, 500):
+        s = DEFAULTS.identity.__class__(neighbours=neighbours)
+        np.testing.assert_array_equal(identity.match(found, layout, layout, s), np.arange(81))
