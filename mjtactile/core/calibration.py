@@ -21,13 +21,26 @@ import numpy as np
 
 from mjtactile.core.design import Pinhole, SensorDesign
 from mjtactile.core.errors import InputError
+from mjtactile.core.fields import (
+    KPA,
+    MM,
+    NumberArray,
+    Table,
+    Texts,
+    entry,
+    given,
+    number,
+    part,
+    read,
+    read_fields,
+    text,
+    write,
+)
 from mjtactile.core.toml import Section, read_json
 from mjtactile.core.types import Array, Markers, Traction
 
 FORMAT = "mjtactile-calibration"
 VERSION = 1
-_MM = 1e-3
-_KPA = 1e3
 _FAR = 1e9  # no number of a calibration is larger
 
 
@@ -36,10 +49,10 @@ class Stamp:
     """Where a part comes from: `date` (ISO 8601, UTC), `fingerprint` of the sensor file then,
     `versions` of the software, and `residuals`, whatever the measurement says of itself."""
 
-    date: str
-    fingerprint: str
-    versions: Mapping[str, str] = field(default_factory=dict)
-    residuals: Mapping[str, Any] = field(default_factory=dict)
+    date: str = text("date")
+    fingerprint: str = text("fingerprint")
+    versions: Mapping[str, str] = entry(Table(key="versions"), default_factory=dict)
+    residuals: Mapping[str, Any] = entry(Table(key="residuals"), default_factory=dict)
 
 
 def stamp(design: SensorDesign, versions: Mapping[str, str], residuals: Mapping[str, Any]) -> Stamp:
@@ -69,30 +82,6 @@ class Lens(Pinhole):
 
     stamp: Stamp = field(kw_only=True)
 
-    def table(self) -> dict[str, Any]:
-        return {
-            "width_px": self.width,
-            "height_px": self.height,
-            "fx_px": self.fx,
-            "fy_px": self.fy,
-            "cx_px": self.cx,
-            "cy_px": self.cy,
-            "distortion": list(self.distortion),
-        }
-
-    @classmethod
-    def read(cls, s: Section, stamp: Stamp) -> Lens:
-        return cls(
-            s.whole("width_px", 16, 8192),
-            s.whole("height_px", 16, 8192),
-            s.number("fx_px", 1, _FAR),
-            s.number("fy_px", 1, _FAR),
-            s.number("cx_px", -_FAR, _FAR),
-            s.number("cy_px", -_FAR, _FAR),
-            s.numbers("distortion", ("k1", "k2", "p1", "p2", "k3"), -_FAR, _FAR),
-            stamp=stamp,
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class RestMarkers:
@@ -103,28 +92,31 @@ class RestMarkers:
     pressure_gauge: float
     sealed: bool
 
-    def table(self) -> dict[str, Any]:
+    def to_table(self) -> dict[str, Any]:
+        """What stands in the file."""
         m = self.markers
         return {
-            "pressure_kPa": self.pressure_gauge / _KPA,
+            "pressure_kPa": self.pressure_gauge / KPA,
             "sealed": self.sealed,
             "ids": m.ids.tolist(),
-            "p_SM_mm": (m.p_SM / _MM).tolist(),
+            "p_SM_mm": (m.p_SM / MM).tolist(),
             "n_S": m.n_S.tolist(),
-            "cov_p_mm2": (m.cov_p / _MM**2).tolist(),
+            "cov_p_mm2": (m.cov_p / MM**2).tolist(),
         }
 
     @classmethod
-    def read(cls, s: Section) -> RestMarkers:
-        ids = s.array("ids", (None,))
+    def from_section(cls, section: Section) -> RestMarkers:
+        """The markers stand in lists of one length."""
+        ids = section.array("ids", (None,))
         n = len(ids)
         markers = Markers(
             ids.astype(np.int64),
-            s.array("p_SM_mm", (n, 3)) * _MM,
-            s.array("n_S", (n, 3)),
-            s.array("cov_p_mm2", (n, 3, 3)) * _MM**2,
+            section.array("p_SM_mm", (n, 3)) * MM,
+            section.array("n_S", (n, 3)),
+            section.array("cov_p_mm2", (n, 3, 3)) * MM**2,
         )
-        return cls(markers, s.number("pressure_kPa", -_FAR, _FAR, _KPA), s.flag("sealed", True))
+        pressure = section.number("pressure_kPa", -_FAR, _FAR, KPA)
+        return cls(markers, pressure, section.flag("sealed", True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,39 +129,14 @@ class FrameCalibration:
     rests_on: ClassVar[tuple[str, ...]] = ("lens",)
     of_sensor: ClassVar[bool] = True
 
-    R_SC: Array
-    p_SC: Array
-    scale: Array
-    residual_px: float
-    scale_sd: float
-    stamp: Stamp
-    rest: RestMarkers | None = None
-    stiffness: float | None = None
-
-    def table(self) -> dict[str, Any]:
-        return {
-            "R_SC": self.R_SC.tolist(),
-            "p_SC_mm": (self.p_SC / _MM).tolist(),
-            "scale": self.scale.tolist(),
-            "residual_px": self.residual_px,
-            "scale_sd": self.scale_sd,
-            "stiffness": self.stiffness,
-            "rest": None if self.rest is None else self.rest.table(),
-        }
-
-    @classmethod
-    def read(cls, s: Section, stamp: Stamp) -> FrameCalibration:
-        rest = s.optional("rest")
-        return cls(
-            s.array("R_SC", (3, 3)),
-            s.array("p_SC_mm", (3,)) * _MM,
-            s.array("scale", (None,)),
-            s.number("residual_px", 0, _FAR),
-            s.number("scale_sd", 0, _FAR),
-            stamp,
-            None if rest is None else RestMarkers.read(rest),
-            s.number("stiffness", 0, _FAR, default=None),
-        )
+    R_SC: Array = entry(NumberArray(key="R_SC", shape=(3, 3)))
+    p_SC: Array = entry(NumberArray(key="p_SC_mm", shape=(3,), unit=MM))
+    scale: Array = entry(NumberArray(key="scale", shape=(None,)))
+    residual_px: float = number("residual_px", 0, _FAR)
+    scale_sd: float = number("scale_sd", 0, _FAR)
+    stamp: Stamp = given()
+    rest: RestMarkers | None = part("rest", RestMarkers, default=None)
+    stiffness: float | None = number("stiffness", 0, _FAR, default=None)
 
 
 @dataclass(frozen=True)
@@ -181,16 +148,9 @@ class ValveZero:
     rests_on: ClassVar[tuple[str, ...]] = ()
     of_sensor: ClassVar[bool] = False
 
-    offset: float
-    noise_sd: float
-    stamp: Stamp
-
-    def table(self) -> dict[str, Any]:
-        return {"offset_Pa": self.offset, "noise_sd_Pa": self.noise_sd}
-
-    @classmethod
-    def read(cls, s: Section, stamp: Stamp) -> ValveZero:
-        return cls(s.number("offset_Pa", -_FAR, _FAR), s.number("noise_sd_Pa", 0, _FAR), stamp)
+    offset: float = number("offset_Pa", -_FAR, _FAR)
+    noise_sd: float = number("noise_sd_Pa", 0, _FAR)
+    stamp: Stamp = given()
 
 
 @dataclass(frozen=True)
@@ -202,22 +162,10 @@ class ForceScale:
     rests_on: ClassVar[tuple[str, ...]] = ("lens", "valve")
     of_sensor: ClassVar[bool] = True
 
-    scale: float
-    sd: float
-    largest: float
-    stamp: Stamp
-
-    def table(self) -> dict[str, Any]:
-        return {"scale": self.scale, "scale_sd": self.sd, "largest_N": self.largest}
-
-    @classmethod
-    def read(cls, s: Section, stamp: Stamp) -> ForceScale:
-        return cls(
-            s.number("scale", 0.1, 10),
-            s.number("scale_sd", 0, 10),
-            s.number("largest_N", 0, _FAR),
-            stamp,
-        )
+    scale: float = number("scale", 0.1, 10)
+    sd: float = number("scale_sd", 0, 10)
+    largest: float = number("largest_N", 0, _FAR)
+    stamp: Stamp = given()
 
     def apply(self, traction: Traction) -> Traction:
         """The traction times the scale, whose own uncertainty adds to the wrench's: cov' = k^2 cov
@@ -239,8 +187,8 @@ KINDS: dict[str, type[Part]] = {
 class Refusal:
     """A part that was measured and refused: `date` and `reasons`."""
 
-    date: str
-    reasons: tuple[str, ...]
+    date: str = text("date")
+    reasons: tuple[str, ...] = entry(Texts(key="reasons"))
 
 
 @dataclass(frozen=True)
@@ -368,10 +316,7 @@ class Calibration:
     def table(self) -> dict[str, Any]:
         """As it is written to a file, or to the header of a recording."""
         parts = {
-            kind: None
-            if (part := self.part(kind)) is None
-            else {**part.table(), **asdict(part.stamp)}
-            for kind in KINDS
+            kind: None if (part := self.part(kind)) is None else _part_table(part) for kind in KINDS
         }
         return {
             "format": FORMAT,
@@ -379,7 +324,7 @@ class Calibration:
             "finger": self.finger,
             "sensor": self.sensor,
             **parts,
-            "refused": {kind: asdict(refusal) for kind, refusal in self.refused.items()},
+            "refused": {kind: write(refusal) for kind, refusal in self.refused.items()},
         }
 
     def save(self, path: Path) -> None:
@@ -417,21 +362,20 @@ def calibration_from_table(table: Any, source: str) -> Calibration:
     finger = root.text("finger")
     sensor = root.text("sensor")
     parts: dict[str, Any] = {
-        kind: part.read(s, _read_stamp(s))
+        kind: read(part, found, stamp=Stamp(**read_fields(Stamp, found)))
         for kind, part in KINDS.items()
-        if (s := root.optional(kind)) is not None
+        if (found := root.optional(kind)) is not None
     }
     notes = root.section("refused")
     refused = {
-        kind: Refusal(s.text("date"), s.texts("reasons"))
-        for kind in KINDS
-        if (s := notes.optional(kind)) is not None
+        kind: read(Refusal, found) for kind in KINDS if (found := notes.optional(kind)) is not None
     }
     return Calibration(finger, sensor, **parts, refused=refused)
 
 
-def _read_stamp(s: Section) -> Stamp:
-    return Stamp(s.text("date"), s.text("fingerprint"), s.table("versions"), s.table("residuals"))
+def _part_table(part: Part) -> dict[str, Any]:
+    """What stands in the file for a part: its own keys and those of its stamp."""
+    return {**write(part), **write(part.stamp)}
 
 
 def _now() -> str:

@@ -1,15 +1,15 @@
 """`SensorDesign`: what a sensor is made of, read from a TOML file and checked. Used by the
 simulator *and* by sensing.
 
-Every quantity is SI inside. The file's keys carry the unit; the table `FIELDS` is the one place
-that knows both.
+Every quantity is SI inside. The file's keys carry the unit; each field says its own, with its range
+(`mjtactile.core.fields`). The format: docs/sensors.md.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,21 +18,60 @@ import numpy as np
 
 from mjtactile.core import resources
 from mjtactile.core.errors import InputError
+from mjtactile.core.fields import (
+    KPA,
+    ML,
+    ML_S_KPA,
+    MM,
+    file_path,
+    number,
+    numbers,
+    part,
+    read,
+    text,
+    whole,
+    write_fields,
+)
 from mjtactile.core.rubber import Law, equibiaxial_stress
 from mjtactile.core.toml import Section, read_toml
 from mjtactile.core.types import Array
 
+SHAPES = ("rectangle", "circle")
+# A number without unit that a file writes as a whole one stays whole: fingerprints of sensor files
+# (`mjtactile.core.calibration`) tell 600 from 600.0.
+ONE = 1
+
 
 @dataclass(frozen=True)
 class Frame:
-    """Rigid frame: inner `length` (x) and `width` (y), `rim` width of its wall around the opening,
-    m; `shape` "rectangle", or "circle" with its diameter for both. Sensing handles rectangles only,
-    and refuses a circle."""
+    """Rigid frame, m; a circle has its diameter for both length and width. Sensing handles
+    rectangles only, and refuses a circle."""
 
-    length: float
-    width: float
-    rim: float = 0.003
+    length: float = number("length_mm", 2, 500, MM, about="inner opening along x")
+    width: float = number("width_mm", 2, 500, MM, about="inner opening along y")
+    rim: float = number(
+        "rim_mm", 0, 100, MM, default=0.003, about="width of the wall around the opening"
+    )
     shape: str = "rectangle"
+
+    @classmethod
+    def from_section(cls, section: Section) -> Frame:
+        """A rectangle by length and width (`shape` may be left out), or a circle by its
+        diameter."""
+        shape = section.text("shape", SHAPES, default="rectangle")
+        if shape == "rectangle":
+            return read(cls, section, shape=shape)
+        diameter = section.number("diameter_mm", 2, 500, MM)
+        return read(cls, section, shape=shape, length=diameter, width=diameter)
+
+    def to_table(self) -> dict[str, Any]:
+        """What stands in the file."""
+        table = write_fields(self)
+        if self.shape == "circle":
+            table["shape"] = self.shape
+            table["diameter_mm"] = table.pop("length_mm")
+            del table["width_mm"]
+        return table
 
     @property
     def area(self) -> float:
@@ -42,15 +81,31 @@ class Frame:
 
 @dataclass(frozen=True)
 class Membrane:
-    """Rubber sheet: `thickness` m before stretching, `young` Pa, `poisson`, `density` kg/m^3,
-    `pre_stretch` (1 = none), `friction` coefficient of its outside, `law` of its stress."""
+    """Rubber sheet, SI: Pa, kg/m^3, m; `law` of its stress."""
 
-    thickness: float
-    young: float
-    poisson: float
-    density: float
-    pre_stretch: float = 1.0
-    friction: float = 0.9
+    thickness: float = number(
+        "thickness_mm", 0.01, 5, MM, about="of the sheet before it is stretched"
+    )
+    young: float = number("young_MPa", 0.01, 1000, 1e6, about="Young's modulus")
+    poisson: float = number("poisson_ratio", 0, 0.499, ONE, about="rubber: 0.45 to 0.49")
+    density: float = number("density_kg_m3", 100, 20000, ONE, about="of the rubber")
+    pre_stretch: float = number(
+        "pre_stretch",
+        0.9,
+        2,
+        ONE,
+        default=1.0,
+        about="mounted length over free length, both ways; 1 is none. "
+        "Below 0.95 the sheet folds and is refused",
+    )
+    friction: float = number(
+        "friction",
+        0,
+        5,
+        ONE,
+        default=0.9,
+        about="Coulomb's coefficient of the outside against whatever touches",
+    )
     law: Law = Law.NEO_HOOKEAN
 
     @property
@@ -67,20 +122,20 @@ class Membrane:
 
 @dataclass(frozen=True)
 class MarkerLayout:
-    """Rigid black circles on the inside: `rows` x `columns` at `pitch_x`, `pitch_y` m about the
-    centre, `radius` m.
+    """Rigid black circles on the inside, a grid about the centre, m. Positions are those of the
+    mounted, flat membrane."""
 
-    Positions are those of the mounted, flat membrane.
-    """
-
-    rows: int
-    columns: int
-    pitch_x: float
-    pitch_y: float
-    radius: float
+    rows: int = whole("rows", 2, 200, about="along y")
+    columns: int = whole("columns", 2, 200, about="along x")
+    pitch_x: float = number(
+        "pitch_x_mm", 0.1, 200, MM, about="centre to centre, on the mounted flat membrane"
+    )
+    pitch_y: float = number("pitch_y_mm", 0.1, 200, MM, about="the same along y")
+    radius: float = number("radius_mm", 0.05, 50, MM, about="of each black circle")
 
     @property
     def count(self) -> int:
+        """Number of markers, N."""
         return self.rows * self.columns
 
     @cached_property
@@ -96,50 +151,100 @@ class MarkerLayout:
 
 @dataclass(frozen=True)
 class Chamber:
-    """Sealed space of `depth` m behind the flat membrane; `heat_ratio` is gamma of the gas law p
-    V^gamma (1 = isothermal); `supply_gauge` Pa that the valve connects to; `ambient` Pa absolute;
-    `temperature` K of gas and walls.
+    """Sealed space behind the flat membrane, SI: m, Pa, K, s, m^3/(s Pa) of volume flow, m^3."""
 
-    `heat_exchange` s is the time constant with which the gas takes the walls' temperature
-    (infinite: never, so that gamma stays; a few mm of air need 0.5-2 s). `valve_conductance` and
-    `leak_conductance`, m^3/(s Pa), are volume flow per pressure difference of the open valve
-    (infinite: the pressure follows at once) and of a hole to ambient. `extra_volume` m^3 is gas
-    that is not between opening and glass: a hose's, or less than none where walls slope in.
-    """
-
-    depth: float
-    heat_ratio: float = 1.0
-    supply_gauge: float = 1000.0
-    ambient: float = 101325.0
-    temperature: float = 293.15
-    heat_exchange: float = math.inf
-    valve_conductance: float = math.inf
-    leak_conductance: float = 0.0
-    extra_volume: float = 0.0
+    depth: float = number(
+        "depth_mm", 0.1, 500, MM, about="flat membrane to glass; no press can be deeper"
+    )
+    heat_ratio: float = number(
+        "heat_ratio",
+        1,
+        1.7,
+        ONE,
+        default=1.0,
+        about="gamma of the gas law p V^gamma: 1 isothermal, "
+        "1.4 air that has no time to take the walls' temperature",
+    )
+    supply_gauge: float = number(
+        "supply_gauge_kPa",
+        -50,
+        100,
+        KPA,
+        default=1000.0,
+        about="what the valve connects to: the working pressure",
+    )
+    ambient: float = number("ambient_kPa", 1, 1000, KPA, default=101325.0, about="absolute")
+    temperature: float = number(
+        "temperature_K", 200, 400, ONE, default=293.15, about="of gas and walls"
+    )
+    heat_exchange: float = number(
+        "heat_exchange_s",
+        1e-3,
+        1e6,
+        ONE,
+        default=math.inf,
+        about="time constant with which the gas takes the walls' temperature; "
+        "a few mm of air need 0.5-2",
+    )
+    valve_conductance: float = number(
+        "valve_mL_s_kPa",
+        1e-3,
+        1e6,
+        ML_S_KPA,
+        default=math.inf,
+        about="flow through the open valve for each kPa; infinite: the pressure follows at once",
+    )
+    leak_conductance: float = number(
+        "leak_mL_s_kPa", 0, 1e6, ML_S_KPA, default=0.0, about="the same of a hole to ambient"
+    )
+    extra_volume: float = number(
+        "extra_volume_mL",
+        -1e4,
+        1e4,
+        ML,
+        default=0.0,
+        about="gas that is not between opening and glass: the hose's, up to the valve; "
+        "less than 0 where the walls slope in",
+    )
 
 
 @dataclass(frozen=True)
 class Glass:
-    """Flat pane normal to the camera's axis: `thickness` m (0 = no glass), `refractive_index`,
-    `distance` m from the camera centre to its near face."""
+    """Flat pane normal to the camera's axis, m."""
 
-    thickness: float
-    refractive_index: float
-    distance: float
+    thickness: float = number("thickness_mm", 0, 50, MM, about="0: no glass")
+    refractive_index: float = number(
+        "refractive_index", 1, 3, ONE, about="glass 1.52, acrylic 1.49"
+    )
+    distance: float = number(
+        "distance_mm", 0, 1000, MM, about="camera centre to the pane's near face"
+    )
 
 
 @dataclass(frozen=True)
 class Pinhole:
-    """Intrinsics of a camera: size, focal lengths and centre in pixels, plumb_bob `distortion` (k1,
-    k2, p1, p2, k3)."""
+    """Intrinsics of a camera, pixels."""
 
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    width: int = whole("width_px", 16, 8192, about="of the image")
+    height: int = whole("height_px", 16, 8192, about="of the image")
+    fx: float = number("fx_px", 10, 1e5, ONE, about="focal length along u")
+    fy: float = number("fy_px", 10, 1e5, ONE, about="and along v")
+    cx: float = number(
+        "cx_px",
+        -8192,
+        16384,
+        ONE,
+        about="principal point; the centre of the top-left pixel is (0, 0)",
+    )
+    cy: float = number("cy_px", -8192, 16384, ONE, about="the same along v")
+    distortion: tuple[float, ...] = numbers(
+        "distortion",
+        ("k1", "k2", "p1", "p2", "k3"),
+        -1000,
+        1000,
+        default=(0.0, 0.0, 0.0, 0.0, 0.0),
+        about="k1, k2, p1, p2, k3 as OpenCV and ROS have them (plumb_bob), each in this range",
+    )
 
     @property
     def K(self) -> Array:
@@ -152,15 +257,36 @@ class Pinhole:
         return {field.name: getattr(self, field.name) for field in fields(Pinhole)}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CameraDesign(Pinhole):
-    """Camera behind the glass, looking along +z of S: `distance` m from its centre to the flat
-    membrane, `rate` Hz, `blur_px` (Gaussian sd) and `noise_dn` (sd at 8 bit) of its images."""
+    """Camera behind the glass, looking along +z of S; m, Hz."""
 
-    distance: float = field(kw_only=True)
-    rate: float = 30.0
-    blur_px: float = 0.7
-    noise_dn: float = 2.0
+    distance: float = number("distance_mm", 1, 2000, MM, about="camera centre to the flat membrane")
+    rate: float = number(
+        "rate_Hz",
+        0.1,
+        2000,
+        ONE,
+        default=30.0,
+        about="images a second, and turns of the control loop",
+    )
+    blur_px: float = number(
+        "blur_px",
+        0,
+        20,
+        ONE,
+        default=0.7,
+        about="standard deviation of the image's blur; simulation, "
+        "and what the edges' correction begins from",
+    )
+    noise_dn: float = number(
+        "noise_DN",
+        0,
+        100,
+        ONE,
+        default=2.0,
+        about="standard deviation of a pixel's noise, in grey levels of 8 bit",
+    )
 
     @property
     def p_SC(self) -> Array:
@@ -170,15 +296,24 @@ class CameraDesign(Pinhole):
 
 @dataclass(frozen=True)
 class Leds:
-    """`count` LEDs on a ring of `ring_radius` m around the camera; `membrane_dn`, `marker_dn` are
-    the grey levels (0-255) of the white membrane and the black markers under them; `falloff` is the
-    share of light lost at the corners."""
+    """LEDs on a ring around the camera, m, and the grey levels (0-255) under them."""
 
-    count: int = 4
-    ring_radius: float = 0.012
-    membrane_dn: float = 185.0
-    marker_dn: float = 40.0
-    falloff: float = 0.25
+    count: int = whole("count", 0, 1000, default=4, about="on a ring around the camera")
+    ring_radius: float = number("ring_radius_mm", 0, 500, MM, default=0.012, about="of that ring")
+    membrane_dn: float = number(
+        "membrane_DN", 0, 255, ONE, default=185.0, about="grey level of the lit white membrane"
+    )
+    marker_dn: float = number(
+        "marker_DN",
+        0,
+        255,
+        ONE,
+        default=40.0,
+        about="grey level of a black marker, less than the membrane's",
+    )
+    falloff: float = number(
+        "falloff", 0, 1, ONE, default=0.25, about="share of the light lost at the image's corners"
+    )
 
 
 @dataclass(frozen=True)
@@ -187,15 +322,15 @@ class SensorDesign:
     the file that a finger's own sensor file names for what was measured of it (None: it names
     none)."""
 
-    name: str
-    frame: Frame
-    membrane: Membrane
-    markers: MarkerLayout
-    chamber: Chamber
-    glass: Glass
-    camera: CameraDesign
-    leds: Leds = field(default_factory=Leds)
-    calibration: Path | None = field(default=None, compare=False)
+    name: str = text("name")
+    frame: Frame = part("frame", Frame)
+    membrane: Membrane = part("membrane", Membrane)
+    markers: MarkerLayout = part("markers", MarkerLayout)
+    chamber: Chamber = part("chamber", Chamber)
+    glass: Glass = part("glass", Glass)
+    camera: CameraDesign = part("camera", CameraDesign)
+    leds: Leds = part("leds", Leds, default=Leds())
+    calibration: Path | None = file_path("calibration", compare=False)
 
     def require_rectangle(self, who: str) -> None:
         """Raise InputError where the frame is not what `who` is made for."""
@@ -217,101 +352,20 @@ class SensorDesign:
         """Gas volume with a flat membrane, m^3."""
         return self.frame.area * self.chamber.depth + self.chamber.extra_volume
 
-
-# One row a field: key in the file, attribute, SI units in one unit of the file (0: a whole number),
-# lowest and highest value.
-_MM = 1e-3
-_KPA = 1e3
-_ML = 1e-6
-_ML_S_KPA = 1e-9
-_Row = tuple[str, str, float, float, float]
-FIELDS: dict[str, tuple[type, tuple[_Row, ...]]] = {
-    "frame": (
-        Frame,
-        (
-            ("length_mm", "length", _MM, 2, 500),
-            ("width_mm", "width", _MM, 2, 500),
-            ("rim_mm", "rim", _MM, 0, 100),
-        ),
-    ),
-    "membrane": (
-        Membrane,
-        (
-            ("thickness_mm", "thickness", _MM, 0.01, 5),
-            ("young_MPa", "young", 1e6, 0.01, 1000),
-            ("poisson_ratio", "poisson", 1, 0, 0.499),
-            ("density_kg_m3", "density", 1, 100, 20000),
-            ("pre_stretch", "pre_stretch", 1, 0.9, 2),
-            ("friction", "friction", 1, 0, 5),
-        ),
-    ),
-    "markers": (
-        MarkerLayout,
-        (
-            ("rows", "rows", 0, 2, 200),
-            ("columns", "columns", 0, 2, 200),
-            ("pitch_x_mm", "pitch_x", _MM, 0.1, 200),
-            ("pitch_y_mm", "pitch_y", _MM, 0.1, 200),
-            ("radius_mm", "radius", _MM, 0.05, 50),
-        ),
-    ),
-    "chamber": (
-        Chamber,
-        (
-            ("depth_mm", "depth", _MM, 0.1, 500),
-            ("heat_ratio", "heat_ratio", 1, 1, 1.7),
-            ("supply_gauge_kPa", "supply_gauge", _KPA, -50, 100),
-            ("ambient_kPa", "ambient", _KPA, 1, 1000),
-            ("temperature_K", "temperature", 1, 200, 400),
-            ("heat_exchange_s", "heat_exchange", 1, 1e-3, 1e6),
-            ("valve_mL_s_kPa", "valve_conductance", _ML_S_KPA, 1e-3, 1e6),
-            ("leak_mL_s_kPa", "leak_conductance", _ML_S_KPA, 0, 1e6),
-            ("extra_volume_mL", "extra_volume", _ML, -1e4, 1e4),
-        ),
-    ),
-    "glass": (
-        Glass,
-        (
-            ("thickness_mm", "thickness", _MM, 0, 50),
-            ("refractive_index", "refractive_index", 1, 1, 3),
-            ("distance_mm", "distance", _MM, 0, 1000),
-        ),
-    ),
-    "camera": (
-        CameraDesign,
-        (
-            ("distance_mm", "distance", _MM, 1, 2000),
-            ("width_px", "width", 0, 16, 8192),
-            ("height_px", "height", 0, 16, 8192),
-            ("fx_px", "fx", 1, 10, 1e5),
-            ("fy_px", "fy", 1, 10, 1e5),
-            ("cx_px", "cx", 1, -8192, 16384),
-            ("cy_px", "cy", 1, -8192, 16384),
-            ("distortion", "distortion", 1, -100, 100),
-            ("rate_Hz", "rate", 1, 0.1, 2000),
-            ("blur_px", "blur_px", 1, 0, 20),
-            ("noise_DN", "noise_dn", 1, 0, 100),
-        ),
-    ),
-    "leds": (
-        Leds,
-        (
-            ("count", "count", 0, 0, 1000),
-            ("ring_radius_mm", "ring_radius", _MM, 0, 500),
-            ("membrane_DN", "membrane_dn", 1, 0, 255),
-            ("marker_DN", "marker_dn", 1, 0, 255),
-            ("falloff", "falloff", 1, 0, 1),
-        ),
-    ),
-}
-SHAPES = ("rectangle", "circle")
+    def validate(self, section: Section) -> None:
+        """Raise InputError where fields do not go together physically."""
+        _check_markers(self, section)
+        _check_depth(self, section)
+        if self.leds.marker_dn >= self.leds.membrane_dn:
+            raise section.fail("leds.marker_DN", "markers must be darker than the membrane")
 
 
 def load_sensor(name_or_path: str | Path | SensorDesign) -> SensorDesign:
     """Read a sensor by shipped name or from a TOML file.
 
-    Raises InputError naming file, field, value and valid choices for a missing, misspelt, negative,
-    non-finite or wrong-unit field.
+    Raises:
+        InputError: names file, field, value and valid choices of a field that is missing, misspelt,
+            negative, not finite or in another unit.
     """
     if isinstance(name_or_path, SensorDesign):
         return name_or_path
@@ -320,110 +374,65 @@ def load_sensor(name_or_path: str | Path | SensorDesign) -> SensorDesign:
 
 
 def sensor_from_table(table: Mapping[str, Any], *, name: str, source: str) -> SensorDesign:
-    """Validate a parsed TOML table; see `load_sensor`."""
+    """Validate a parsed TOML table.
+
+    Args:
+        table: The sections of a sensor file.
+        name: What the sensor is called where the file has no name.
+        source: The file, as messages name it; what it names is relative to its folder.
+
+    Returns:
+        The sensor, SI.
+
+    Raises:
+        InputError: see `load_sensor`.
+    """
     root = Section(table, "", source)
-    name = root.text("name", default=name)
-    calibration = root.text("calibration", default=None)
-    frame = _frame(root.section("frame"))
-    leds = root.optional("leds")
-    parts = {
-        key: _part(root.section(key), *FIELDS[key])
-        for key in FIELDS
-        if key not in ("frame", "leds")
-    }
-    root.done()
-    design = SensorDesign(
-        name,
-        frame,
-        **parts,
-        leds=_part(leds, *FIELDS["leds"]) if leds else Leds(),
-        calibration=None if calibration is None else Path(source).parent / calibration,
-    )
-    _check_geometry(design, source)
-    return design
+    return read(SensorDesign, root, name=root.text("name", default=name))
 
 
-def _part(section: Section, kind: type, rows: tuple[_Row, ...]) -> Any:
-    values = {}
-    for key, attribute, scale, low, high in rows:
-        default = getattr(kind, attribute, ...)  # where the dataclass has one
-        if attribute == "distortion":
-            values[attribute] = section.numbers(
-                key, ("k1", "k2", "p1", "p2", "k3"), low, high, default=default
-            )
-        elif scale == 0:
-            values[attribute] = section.whole(key, int(low), int(high), default)
-        else:
-            values[attribute] = section.number(key, low, high, scale, default)
-    section.done()
-    return kind(**values)
-
-
-def _frame(section: Section) -> Frame:
-    """A rectangle by length and width (`shape` may be left out), or a circle by its diameter."""
-    shape = section.text("shape", SHAPES, default="rectangle")
-    if shape == "rectangle":
-        return _part(section, *FIELDS["frame"])
-    diameter = section.number("diameter_mm", 2, 500, _MM)
-    circle = Frame(
-        diameter, diameter, section.number("rim_mm", 0, 100, _MM, default=Frame.rim), shape
-    )
-    section.done()
-    return circle
-
-
-def _check_geometry(design: SensorDesign, source: str) -> None:
-    """Physical preconditions that join several fields."""
+def _check_markers(design: SensorDesign, section: Section) -> None:
+    """Markers do not touch, and lie within the opening."""
     frame = design.frame
     markers = design.markers
-    camera = design.camera
-    glass = design.glass
     for axis, count, pitch, size in (
         ("x", markers.columns, markers.pitch_x, frame.length),
         ("y", markers.rows, markers.pitch_y, frame.width),
     ):
         label = f"markers.pitch_{axis}_mm"
         if pitch <= 2 * markers.radius:
-            raise InputError(
-                f"{pitch / _MM:g} lets markers of radius {markers.radius / _MM:g} mm touch",
-                source=source,
-                field=label,
-            )
+            message = f"{pitch / MM:g} lets markers of radius {markers.radius / MM:g} mm touch"
+            raise section.fail(label, message)
         extent = (count - 1) * pitch + 2 * markers.radius
         if extent >= size:
-            raise InputError(
-                f"markers span {extent / _MM:g} mm, more than the frame's {size / _MM:g} mm",
-                source=source,
-                field=label,
-            )
-    if frame.shape == "circle":
-        reach = float(np.linalg.norm(markers.p_SM, axis=1).max()) + markers.radius
-        if reach >= frame.length / 2:
-            raise InputError(
-                f"markers reach {reach / _MM:g} mm from the middle, out of the frame's radius "
-                "of "
-                f"{frame.length / 2 / _MM:g} mm",
-                source=source,
-                field="markers",
-            )
-    inner_face = glass.distance + glass.thickness
-    if inner_face + design.chamber.depth > camera.distance + 1e-9:
-        raise InputError(
-            f"glass (to {inner_face / _MM:g} mm) and chamber ({design.chamber.depth / _MM:g} "
-            "mm) do not fit in "
-            f"{camera.distance / _MM:g} mm",
-            source=source,
-            field="camera.distance_mm",
+            message = f"markers span {extent / MM:g} mm, more than the frame's {size / MM:g} mm"
+            raise section.fail(label, message)
+    if frame.shape != "circle":
+        return
+    reach = float(np.linalg.norm(markers.p_SM, axis=1).max()) + markers.radius
+    radius = frame.length / 2
+    if reach >= radius:
+        message = (
+            f"markers reach {reach / MM:g} mm from the middle, "
+            f"out of the frame's radius of {radius / MM:g} mm"
         )
+        raise section.fail("markers", message)
+
+
+def _check_depth(design: SensorDesign, section: Section) -> None:
+    """Pane and chamber fit in front of the camera, and there is gas."""
+    chamber = design.chamber
+    distance = design.camera.distance
+    inner_face = design.glass.distance + design.glass.thickness
+    if inner_face + chamber.depth > distance + 1e-9:
+        message = (
+            f"glass (to {inner_face / MM:g} mm) and chamber ({chamber.depth / MM:g} mm) "
+            f"do not fit in {distance / MM:g} mm"
+        )
+        raise section.fail("camera.distance_mm", message)
     if design.chamber_volume_flat <= 0:
-        raise InputError(
-            f"{design.chamber.extra_volume / _ML:g} leaves no gas of the chamber's "
-            f"{frame.area * design.chamber.depth / _ML:.3g} "
-            "mL",
-            source=source,
-            field="chamber.extra_volume_mL",
+        volume = design.frame.area * chamber.depth
+        message = (
+            f"{chamber.extra_volume / ML:g} leaves no gas of the chamber's {volume / ML:.3g} mL"
         )
-    if design.leds.marker_dn >= design.leds.membrane_dn:
-        raise InputError(
-            "markers must be darker than the membrane", source=source, field="leds.marker_DN"
-        )
+        raise section.fail("chamber.extra_volume_mL", message)

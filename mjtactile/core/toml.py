@@ -18,8 +18,6 @@ from mjtactile.core.errors import InputError
 
 # bytes; no file that a person writes is larger, and a larger one would only be slow to refuse
 LARGEST = 8 << 20
-
-
 DEEPEST = 32  # names in a dotted key; tomllib's time and memory go with their number's square
 
 
@@ -59,8 +57,8 @@ def _parse(path: Path, kind: str, parse: Callable[[str], Any]) -> Any:
 
 
 class Section:
-    """A table of a file (`source`) that is read once, field by field; `done` complains about what
-    nobody asked for.
+    """A table of a file (`source`) that is read once, field by field; `done` refuses keys that were
+    not read.
 
     `label` is the table's place in the file ("" for the whole file). A field without `default` is
     required; a `default` is returned as it is, without scale.
@@ -70,7 +68,17 @@ class Section:
         self._table = table
         self._label = label
         self._source = source
-        self._asked: list[str] = []
+        self._known: list[str] = []
+
+    @property
+    def source(self) -> str:
+        """The file, as messages name it."""
+        return self._source
+
+    @property
+    def folder(self) -> Path:
+        """The folder that file names in this file are relative to."""
+        return Path(self._source).parent
 
     def fail(self, key: str, message: str, choices: Iterable[object] | None = None) -> InputError:
         """The error to raise for field `key`."""
@@ -91,15 +99,21 @@ class Section:
         high: float,
         scale: float = 1.0,
         default: Any = ...,
+        *,
+        whole: bool = False,
     ) -> Any:
         """One number for each of `names`, within [low, high] (in the file's unit), times `scale`,
-        as a tuple of floats."""
+        as a tuple of floats; of ints where `whole`."""
         value = self._get(key, default)
         if value is None:
             return default
         if not isinstance(value, list) or len(value) != len(names):
             raise self.fail(
                 key, f"{value!r} is not a list of {len(names)} numbers ({', '.join(names)})"
+            )
+        if whole:
+            return tuple(
+                self._whole(f"{key}[{i}]", item, low, high) for i, item in enumerate(value)
             )
         return tuple(
             float(self._number(f"{key}[{i}]", item, low, high) * scale)
@@ -141,13 +155,13 @@ class Section:
         value = self._get(key, default)
         if value is None:
             return default
-        if isinstance(value, bool) or not isinstance(value, int):
-            raise self.fail(key, f"{value!r} is not a whole number")
-        return self._number(key, value, low, high)
+        return self._whole(key, value, low, high)
 
-    def wholes(self, key: str, low: int, high: int) -> tuple[int, ...]:
-        """A list of whole numbers within [low, high]."""
-        value = self._get(key, ...)
+    def wholes(self, key: str, low: int, high: int, default: Any = ...) -> Any:
+        """A list of whole numbers within [low, high], as a tuple."""
+        value = self._get(key, default)
+        if value is None:
+            return default
         if not isinstance(value, list) or not all(
             isinstance(item, int) and not isinstance(item, bool) for item in value
         ):
@@ -173,7 +187,7 @@ class Section:
         """Of what kind the field is, where several are good: None where it is missing."""
         return type(self._table[key]) if key in self._table else None
 
-    def flag(self, key: str, default: bool) -> bool:
+    def flag(self, key: str, default: Any = ...) -> Any:
         """True or false."""
         value = self._get(key, default)
         if value is None:
@@ -182,9 +196,11 @@ class Section:
             raise self.fail(key, f"{value!r} is not true or false")
         return value
 
-    def texts(self, key: str) -> tuple[str, ...]:
-        """A list of texts."""
-        value = self._get(key, ...)
+    def texts(self, key: str, default: Any = ...) -> Any:
+        """A list of texts, as a tuple."""
+        value = self._get(key, default)
+        if value is None:
+            return default
         if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
             raise self.fail(key, f"{value!r} is not a list of texts")
         return tuple(value)
@@ -230,26 +246,25 @@ class Section:
     def done(self) -> None:
         """Raise InputError for a field that is not known."""
         for key in self._table:
-            if key in self._asked:
-                continue
-            stem = {_stem(known): known for known in self._asked if "_" in known}.get(_stem(key))
-            near = stem or next(iter(difflib.get_close_matches(key, self._asked, 1)), None)
-            hint = (
-                f", wrong unit? write it as {stem!r}"
-                if stem
-                else f", did you mean {near!r}?"
-                if near
-                else ""
-            )
-            what = "section" if isinstance(self._table[key], Mapping) else "field"
-            raise self.fail(key, f"unknown {what}{hint}", self._asked)
+            if key not in self._known:
+                what = "section" if isinstance(self._table[key], Mapping) else "field"
+                hint = self._similar_known(key)
+                raise self.fail(key, f"unknown {what}{hint}", self._known)
+
+    def _similar_known(self, key: str) -> str:
+        """Which known field may be meant by an unknown one."""
+        stems = {_stem(known): known for known in self._known if "_" in known}
+        if _stem(key) in stems:
+            return f", wrong unit? write it as {stems[_stem(key)]!r}"
+        near = difflib.get_close_matches(key, self._known, 1)
+        return f", did you mean {near[0]!r}?" if near else ""
 
     def _place(self, key: str) -> str:
         return f"{self._label}.{key}" if self._label else key
 
     def _get(self, key: str, default: Any) -> Any:
         """The value, None where it is missing and has a default."""
-        self._asked.append(key)
+        self._known.append(key)
         value = self._table.get(key)
         if value is None and default is ...:
             raise self.fail(key, f"missing field{self._hint(key)}")
@@ -257,10 +272,17 @@ class Section:
 
     def _hint(self, key: str) -> str:
         """What stands in the table and may be meant where `key` is missing."""
-        rest = [other for other in self._table if other not in self._asked]
-        unit = next((other for other in rest if "_" in key and _stem(other) == _stem(key)), None)
-        near = unit or next(iter(difflib.get_close_matches(key, rest, 1)), None)
-        return f"; there is {near!r}: wrong {'unit' if unit else 'name'}?" if near else ""
+        rest = [other for other in self._table if other not in self._known]
+        for other in rest:
+            if "_" in key and _stem(other) == _stem(key):
+                return f"; there is {other!r}: wrong unit?"
+        near = difflib.get_close_matches(key, rest, 1)
+        return f"; there is {near[0]!r}: wrong name?" if near else ""
+
+    def _whole(self, key: str, value: Any, low: float, high: float) -> int:
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise self.fail(key, f"{value!r} is not a whole number")
+        return self._number(key, value, low, high)
 
     def _number(self, key: str, value: Any, low: float, high: float) -> Any:
         if isinstance(value, bool) or not isinstance(value, (int, float)):

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core import resources
-from mjtactile.core.design import FIELDS, SensorDesign, load_sensor, sensor_from_table
+from mjtactile.core.design import SensorDesign, load_sensor, sensor_from_table
 from mjtactile.core.errors import InputError
+from mjtactile.core.fields import scalars
 from mjtactile.core.types import Array
 from mjtactile.fit.evidence import Evidence, read_evidence
 from mjtactile.fit.gas import GasFit, fit_gas, predict, sealed_runs
@@ -30,9 +31,8 @@ _UNKNOWN_SHARE = 0.3  # of the thickness, before somebody measured it
 # of what cannot be told: what is nearest to what was to be built, first
 _HELD_FIRST = ("friction", "pre_stretch", "young")
 _SI = {
-    f"{section}.{row[0]}": (section, row[1], row[2] or 1.0)
-    for section, (_, rows) in FIELDS.items()
-    for row in rows
+    label: (section, attribute, number.unit)
+    for label, section, attribute, number in scalars(SensorDesign)
 }
 """Field of the sensor file to section, attribute and SI units in its unit."""
 _FIELD = {(section, attribute): field for field, (section, attribute, _) in _SI.items()}
@@ -146,7 +146,7 @@ def _with_known(
     design: SensorDesign, known: Mapping[str, float]
 ) -> tuple[SensorDesign, dict[str, dict[str, float]]]:
     """The design with the values that are known, and these by section and attribute, SI."""
-    by_section: dict[str, dict[str, float]] = {section: {} for section in FIELDS}
+    by_section: dict[str, dict[str, float]] = {section: {} for section, *_ in _SI.values()}
     for field, value in known.items():
         if field not in _SI:
             raise InputError(

@@ -1,12 +1,12 @@
 """`RigFile`: which camera, valve and servos a rig has, read from a TOML file and checked. The
 format: docs/hardware.md.
 
-Every quantity is SI inside; the file's keys carry the unit.
+Every quantity is SI inside; the file's keys carry the unit, and each field says its own
+(`mjtactile.core.fields`).
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,27 +14,49 @@ from typing import Any
 
 from mjtactile.core import resources
 from mjtactile.core.errors import InputError
+from mjtactile.core.fields import (
+    DEGREE,
+    KPA,
+    MM,
+    MS,
+    PERCENT,
+    Pairs,
+    entry,
+    file_path,
+    flag,
+    given,
+    number,
+    part,
+    parts,
+    read,
+    read_fields,
+    text,
+    whole,
+)
 from mjtactile.core.toml import Section, read_toml
 from mjtactile.core.types import FINGERS
-from mjtactile.rig.simulated import SimRigFile, sim_rig_from_table
-from mjtactile.rig.specimen import SpecimenConfig, read_specimen
+from mjtactile.rig.simulated import OPENING, SimRigFile, sim_rig_from_table
+from mjtactile.rig.specimen import SpecimenConfig
 
 _PORT_SCHEMES = ("socket", "rfc2217")
+_RATIO_LAWS = ("law", ("rack", "crank"))
+_SERVO_LIFT = ("kind", ("servo",))
 
 
 @dataclass(frozen=True)
 class BusConfig:
     """Serial bus of the servos: `port`, `baud`, `reply_timeout` s on top of the wire's own time,
     `watchdog` s after which a servo that hears nothing stops by itself, `fast_sync`: ask all servos
-    in one reply packet (newer firmware), `host_timeout` s after which a control loop that calls no
-    more counts as hung: the watchdogs are then let trip."""
+    in one reply packet (newer firmware), `host_timeout` s after which a control loop that no longer
+    calls counts as hung: the watchdogs are then let trip."""
 
-    port: str
-    baud: int = 1_000_000
-    reply_timeout: float = 0.008
-    watchdog: float = 0.1
-    fast_sync: bool = False
-    host_timeout: float = 0.25
+    port: str = text("port")
+    baud: int = whole("baud", 9600, 4_000_000, default=1_000_000)
+    reply_timeout: float = number("reply_timeout_ms", 0.5, 100, MS, default=0.008)
+    # register 98: 1 to 127 units of 20 ms
+    watchdog: float = number("watchdog_ms", 20, 2540, MS, default=0.1)
+    fast_sync: bool = flag("fast_sync", default=False)
+    host_timeout: float = number("host_timeout_ms", 50, 60000, MS, default=0.25)
 
 
 @dataclass(frozen=True)
@@ -44,15 +66,19 @@ class ServoConfig:
     (rad, m). `torque_per_A` N m/A (None: data sheet).
     """
 
-    id: int
-    model: str
-    law: str = "rack"
-    per_rad: float = 0.012
-    opening_part: float = 0.0
-    zero_ticks: int = 2048
-    table: tuple[tuple[float, float], ...] = ()
-    torque_per_A: float | None = None
-    position_p_gain: int | None = None
+    id: int = whole("id", 0, 252)
+    model: str = text("model")
+    law: str = text("law", ("rack", "crank", "table"), default="rack")
+    per_rad: float = number(
+        "mm_per_rad", -500, 500, MM, default=0.0, required=True, only_if=_RATIO_LAWS
+    )
+    opening_part: float = number("opening_part_mm", -500, 500, MM, default=0.0)
+    zero_ticks: int = whole("zero_ticks", -1_048_575, 1_048_575, default=2048)
+    table: tuple[tuple[float, float], ...] = entry(
+        Pairs(key="table_deg_mm", units=(DEGREE, MM), only_if=("law", ("table",))), ()
+    )
+    torque_per_A: float | None = number("torque_Nm_per_A", 1e-3, 100, default=None)
+    position_p_gain: int | None = whole("position_p_gain", 0, 16383, default=None)
 
 
 @dataclass(frozen=True)
@@ -60,13 +86,19 @@ class LiftConfig:
     """What lifts the hand: `"servo"` (rack of `per_rad` m/rad, `travel` m) or `"none"`: nothing
     does; the height that was asked for is reported as reached at `speed` m/s."""
 
-    kind: str = "none"
-    speed: float = 0.05
-    travel: float = 0.15
-    id: int = 3
-    model: str = ""
-    per_rad: float = 0.02
-    torque_max: float = 1.0
+    kind: str = text("kind", ("servo", "none"), default="none", required=True)
+    speed: float = number("speed_max_mm_s", 0.1, 1000, MM, default=0.05)
+    travel: float = number(
+        "travel_mm", 0, 2000, MM, default=0.15, required=True, only_if=_SERVO_LIFT
+    )
+    id: int = whole("id", 0, 252, default=3, required=True, only_if=_SERVO_LIFT)
+    model: str = text("model", default="", required=True, only_if=_SERVO_LIFT)
+    per_rad: float = number(
+        "mm_per_rad", -500, 500, MM, default=0.02, required=True, only_if=_SERVO_LIFT
+    )
+    torque_max: float = number(
+        "torque_max_Nm", 0.01, 100, default=1.0, required=True, only_if=_SERVO_LIFT
+    )
 
 
 @dataclass(frozen=True)
@@ -74,11 +106,11 @@ class GripperConfig:
     """Jaws: `opening` m (lowest, highest), `force_max` N on each finger, `speed_max` m/s of the
     opening; `calibration` is the file that `calibrate gripper` writes (None: none is named)."""
 
-    opening: tuple[float, float]
-    servos: tuple[ServoConfig, ...]
-    force_max: float = 8.0
-    speed_max: float = 0.1
-    calibration: Path | None = None
+    opening: tuple[float, float] = entry(OPENING)
+    servos: tuple[ServoConfig, ...] = parts("servo", ServoConfig)
+    force_max: float = number("force_max_N", 0.1, 500, default=8.0)
+    speed_max: float = number("speed_max_mm_s", 0.1, 1000, MM, default=0.1)
+    calibration: Path | None = file_path("calibration")
 
 
 @dataclass(frozen=True)
@@ -93,20 +125,20 @@ class CameraConfig:
     "arrival". `sensor` is the finger's own sensor file and `calibration` what was measured of it
     (None: none is named)."""
 
-    finger: str
-    source: str
-    width: int
-    height: int
-    rate: float
-    backend: str = "v4l2"
-    fourcc: str | None = "MJPG"
-    exposure: float | None = None
-    gain: float | None = None
-    white_balance: float | None = None
-    timestamps: str = "kernel"
-    delay: float = 0.0
-    sensor: str | None = None
-    calibration: Path | None = None
+    finger: str = text("finger", FINGERS)
+    source: str = text("source")
+    width: int = whole("width_px", 16, 8192)
+    height: int = whole("height_px", 16, 8192)
+    rate: float = number("rate_Hz", 0.1, 2000)
+    backend: str = text("backend", default="v4l2")
+    fourcc: str | None = text("fourcc", default=None)
+    exposure: float | None = number("exposure_100us", 0, 1e6, default=None)
+    gain: float | None = number("gain", 0, 1e6, default=None)
+    white_balance: float | None = number("white_balance_K", 1000, 20000, default=None)
+    timestamps: str = text("timestamps", ("kernel", "arrival"), default="kernel")
+    delay: float = number("delay_ms", 0, 1000, MS, default=0.0)
+    sensor: str | None = file_path("sensor", shipped=True)
+    calibration: Path | None = file_path("calibration")
 
 
 @dataclass(frozen=True)
@@ -116,14 +148,22 @@ class ValveConfig:
     vents, `reply_timeout` s what an answer to the heartbeat's questions may take, `supply_gauge` Pa
     of a board without a sensor."""
 
-    finger: str
-    port: str
-    channel: int = 1
-    baud: int = 115200
-    pressure_max: float = 3000.0
-    heartbeat: float = 0.25
-    reply_timeout: float = 0.03
-    supply_gauge: float | None = None
+    finger: str = text("finger", FINGERS)
+    port: str = text("port")
+    channel: int = whole("channel", 1, 99, default=1)
+    baud: int = whole("baud", 300, 4_000_000, default=115200)
+    pressure_max: float = number("pressure_max_kPa", 0.01, 1000, KPA, default=3000.0, required=True)
+    heartbeat: float = number("heartbeat_ms", 20, 60000, MS, default=0.25)
+    reply_timeout: float = number("reply_timeout_ms", 1, 1000, MS, default=0.03)
+    supply_gauge: float | None = number("supply_kPa", -100, 1000, KPA, default=None)
+
+    def validate(self, section: Section) -> None:
+        """A port is a device file, or one of two of pyserial's URLs: others of them write to files
+        that a rig file names."""
+        scheme, separator, _ = self.port.partition("://")
+        if separator and scheme not in _PORT_SCHEMES:
+            urls = " or ".join(f"{scheme}://" for scheme in _PORT_SCHEMES)
+            raise section.fail("port", f"{self.port!r} is neither a device nor {urls}")
 
 
 @dataclass(frozen=True)
@@ -133,35 +173,66 @@ class EmulatorConfig:
     None: the newest; `watchdog`: what a tripped bus watchdog leaves of a servo, held where it is
     ("brake") or free ("limp")."""
 
-    usb_latency: float = 1e-3
-    valve_sensors: bool = True
-    torque_share: float = 0.0
-    servo_firmware: int | None = None
-    watchdog: str = "brake"
+    usb_latency: float = number("usb_latency_ms", 0, 100, MS, default=1e-3)
+    valve_sensors: bool = flag("valve_sensors", default=True)
+    torque_share: float = number("torque_percent", -50, 100, PERCENT, default=0.0)
+    servo_firmware: int | None = whole("servo_firmware", 1, 255, default=None)
+    watchdog: str = text("watchdog", ("brake", "limp"), default="brake")
     specimens: tuple[SpecimenConfig, ...] = ()
+
+    @classmethod
+    def from_section(cls, section: Section) -> EmulatorConfig:
+        """`[emulator]` with its `[emulator.specimen.left]` and so on."""
+        values = read_fields(cls, section)
+        return cls(**values, specimens=_specimens(section.optional("specimen")))
 
     def specimen(self, finger: str) -> SpecimenConfig:
         """That finger's; one like the sensor file where nothing else is said."""
         return next((s for s in self.specimens if s.finger == finger), SpecimenConfig(finger))
 
 
+def _specimens(section: Section | None) -> tuple[SpecimenConfig, ...]:
+    """Those of the fingers that have one."""
+    if section is None:
+        return ()
+    found = [(finger, section.optional(finger)) for finger in FINGERS]
+    section.done()
+    return tuple(read(SpecimenConfig, own, finger=finger) for finger, own in found if own)
+
+
 @dataclass(frozen=True)
 class RigFile:
     """A whole rig. `emulator` is None for real hardware."""
 
-    name: str
-    path: Path
-    bus: BusConfig
-    gripper: GripperConfig
-    lift: LiftConfig
-    cameras: tuple[CameraConfig, ...]
-    valves: tuple[ValveConfig, ...]
-    emulator: EmulatorConfig | None = None
+    name: str = text("name")
+    path: Path = given()
+    bus: BusConfig = part("bus", BusConfig)
+    gripper: GripperConfig = part("gripper", GripperConfig)
+    lift: LiftConfig = part("lift", LiftConfig)
+    cameras: tuple[CameraConfig, ...] = parts("camera", CameraConfig)
+    valves: tuple[ValveConfig, ...] = parts("valve", ValveConfig, low=0)
+    emulator: EmulatorConfig | None = part("emulator", EmulatorConfig, default=None)
 
     @property
     def backend(self) -> str:
         """Which builder of rigs this file is for (see `mjtactile.rig.registry`)."""
         return "devices" if self.emulator is None else "emulator"
+
+    def validate(self, section: Section) -> None:
+        """One camera and at most one valve a finger, servo ids all different."""
+        ids = [servo.id for servo in self.gripper.servos]
+        if self.lift.kind == "servo":
+            ids.append(self.lift.id)
+        if len(set(ids)) != len(ids):
+            raise section.fail("gripper.servo", f"servo ids {ids} are not all different")
+        for key, devices in (("camera", self.cameras), ("valve", self.valves)):
+            fingers = [device.finger for device in devices]
+            wanted = list(FINGERS[: len(fingers)])
+            if fingers != wanted:
+                raise section.fail(key, f"fingers {fingers} should be {wanted}, in this order")
+        if self.valves and len(self.valves) != len(self.cameras):
+            message = f"{len(self.valves)} valves for {len(self.cameras)} cameras"
+            raise section.fail("valve", message)
 
 
 def read_rig_file(name_or_path: str | Path) -> RigFile | SimRigFile:
@@ -193,194 +264,7 @@ def load_sim_rig(name_or_path: str | Path) -> SimRigFile:
 
 
 def rig_from_table(table: Mapping[str, Any], path: Path) -> RigFile:
-    """Validate a parsed TOML table of devices; see `read_rig_file`."""
+    """Validate a parsed TOML table of devices; `path` is the file that it stood in. Raises
+    InputError; see `read_rig_file`."""
     root = Section(table, "", str(path))
-    name = root.text("name", default=path.stem)
-    emulator = root.optional("emulator")
-    bus, gripper, lift = (root.section(key) for key in ("bus", "gripper", "lift"))
-    cameras = root.sections("camera")
-    valves = root.sections("valve", low=0)
-    root.done()
-    folder = path.parent
-    rig = RigFile(
-        name,
-        path,
-        _bus(bus),
-        _gripper(gripper, folder),
-        _lift(lift),
-        tuple(_camera(c, folder) for c in cameras),
-        tuple(map(_valve, valves)),
-        _emulator(emulator) if emulator else None,
-    )
-    _check(rig, root)
-    return rig
-
-
-def _check(rig: RigFile, root: Section) -> None:
-    """What joins several sections: one camera and at most one valve a finger, servo ids all
-    different."""
-    ids = [servo.id for servo in rig.gripper.servos] + (
-        [rig.lift.id] if rig.lift.kind == "servo" else []
-    )
-    if len(set(ids)) != len(ids):
-        raise root.fail("gripper.servo", f"servo ids {ids} are not all different")
-    for key, parts in (("camera", rig.cameras), ("valve", rig.valves)):
-        fingers = [part.finger for part in parts]
-        if fingers != list(FINGERS[: len(fingers)]):
-            raise root.fail(
-                key, f"fingers {fingers} should be {list(FINGERS[: len(fingers)])}, in this order"
-            )
-    if rig.valves and len(rig.valves) != len(rig.cameras):
-        raise root.fail("valve", f"{len(rig.valves)} valves for {len(rig.cameras)} cameras")
-
-
-def _bus(section: Section) -> BusConfig:
-    config = BusConfig(
-        port=section.text("port"),
-        baud=section.whole("baud", 9600, 4_000_000, default=1_000_000),
-        reply_timeout=section.number("reply_timeout_ms", 0.5, 100, 1e-3, default=0.008),
-        # register 98: 1 to 127 units of 20 ms
-        watchdog=section.number("watchdog_ms", 20, 2540, 1e-3, default=0.1),
-        fast_sync=section.flag("fast_sync", False),
-        host_timeout=section.number("host_timeout_ms", 50, 60000, 1e-3, default=0.25),
-    )
-    section.done()
-    return config
-
-
-def _servo(section: Section) -> ServoConfig:
-    law = section.text("law", ("rack", "crank", "table"), default="rack")
-    if law == "table":
-        per_rad = 0.0
-        table = tuple((math.radians(a), 1e-3 * x) for a, x in section.pairs("table_deg_mm"))
-    else:
-        per_rad = section.number("mm_per_rad", -500, 500, 1e-3)
-        table = ()
-    config = ServoConfig(
-        id=section.whole("id", 0, 252),
-        model=section.text("model"),
-        law=law,
-        per_rad=per_rad,
-        table=table,
-        opening_part=section.number("opening_part_mm", -500, 500, 1e-3, default=0.0),
-        zero_ticks=section.whole("zero_ticks", -1_048_575, 1_048_575, default=2048),
-        torque_per_A=section.number("torque_Nm_per_A", 1e-3, 100, default=None),
-        position_p_gain=section.whole("position_p_gain", 0, 16383, default=None),
-    )
-    section.done()
-    return config
-
-
-def _beside(folder: Path, name: str | None) -> Path | None:
-    """A file that a rig file names, relative to where that stands."""
-    return None if name is None else folder / name
-
-
-def _gripper(section: Section, folder: Path) -> GripperConfig:
-    low = section.number("opening_min_mm", 0, 1000, 1e-3, default=0.0)
-    high = section.number("opening_max_mm", 0, 1000, 1e-3)
-    if high <= low:
-        raise section.fail(
-            "opening_max_mm", f"{high * 1e3:g} is not above opening_min_mm = {low * 1e3:g}"
-        )
-    servos = tuple(map(_servo, section.sections("servo")))
-    config = GripperConfig(
-        (low, high),
-        servos,
-        force_max=section.number("force_max_N", 0.1, 500, default=8.0),
-        speed_max=section.number("speed_max_mm_s", 0.1, 1000, 1e-3, default=0.1),
-        calibration=_beside(folder, section.text("calibration", default=None)),
-    )
-    section.done()
-    return config
-
-
-def _lift(section: Section) -> LiftConfig:
-    kind = section.text("kind", ("servo", "none"))
-    speed = section.number("speed_max_mm_s", 0.1, 1000, 1e-3, default=0.05)
-    if kind == "none":
-        config = LiftConfig(kind, speed)
-    else:
-        config = LiftConfig(
-            kind,
-            speed,
-            travel=section.number("travel_mm", 0, 2000, 1e-3),
-            id=section.whole("id", 0, 252),
-            model=section.text("model"),
-            per_rad=section.number("mm_per_rad", -500, 500, 1e-3),
-            torque_max=section.number("torque_max_Nm", 0.01, 100),
-        )
-    section.done()
-    return config
-
-
-def _camera(section: Section, folder: Path) -> CameraConfig:
-    sensor = section.text("sensor", default=None)  # a shipped name, or a file
-    config = CameraConfig(
-        finger=section.text("finger", FINGERS),
-        source=section.text("source"),
-        width=section.whole("width_px", 16, 8192),
-        height=section.whole("height_px", 16, 8192),
-        rate=section.number("rate_Hz", 0.1, 2000),
-        backend=section.text("backend", default="v4l2"),
-        fourcc=section.text("fourcc", default=None),
-        exposure=section.number("exposure_100us", 0, 1e6, default=None),
-        gain=section.number("gain", 0, 1e6, default=None),
-        white_balance=section.number("white_balance_K", 1000, 20000, default=None),
-        timestamps=section.text("timestamps", ("kernel", "arrival"), default="kernel"),
-        delay=section.number("delay_ms", 0, 1000, 1e-3, default=0.0),
-        sensor=str(folder / sensor) if sensor is not None and sensor.endswith(".toml") else sensor,
-        calibration=_beside(folder, section.text("calibration", default=None)),
-    )
-    section.done()
-    return config
-
-
-def _valve(section: Section) -> ValveConfig:
-    config = ValveConfig(
-        finger=section.text("finger", FINGERS),
-        port=_valve_port(section),
-        channel=section.whole("channel", 1, 99, default=1),
-        baud=section.whole("baud", 300, 4_000_000, default=115200),
-        pressure_max=section.number("pressure_max_kPa", 0.01, 1000, 1e3),
-        heartbeat=section.number("heartbeat_ms", 20, 60000, 1e-3, default=0.25),
-        reply_timeout=section.number("reply_timeout_ms", 1, 1000, 1e-3, default=0.03),
-        supply_gauge=section.number("supply_kPa", -100, 1000, 1e3, default=None),
-    )
-    section.done()
-    return config
-
-
-def _valve_port(section: Section) -> str:
-    """A device file, or one of two of pyserial's URLs: others of them write to files that a rig
-    file names."""
-    port = section.text("port")
-    scheme, separator, _ = port.partition("://")
-    if separator and scheme not in _PORT_SCHEMES:
-        raise section.fail(
-            "port",
-            f"{port!r} is neither a device nor {' or '.join(s + '://' for s in _PORT_SCHEMES)}",
-        )
-    return port
-
-
-def _emulator(section: Section) -> EmulatorConfig:
-    config = EmulatorConfig(
-        usb_latency=section.number("usb_latency_ms", 0, 100, 1e-3, default=1e-3),
-        valve_sensors=section.flag("valve_sensors", True),
-        torque_share=section.number("torque_percent", -50, 100, 1e-2, default=0.0),
-        servo_firmware=section.whole("servo_firmware", 1, 255, default=None),
-        watchdog=section.text("watchdog", ("brake", "limp"), default="brake"),
-        specimens=_specimens(section.optional("specimen")),
-    )
-    section.done()
-    return config
-
-
-def _specimens(section: Section | None) -> tuple[SpecimenConfig, ...]:
-    """`[emulator.specimen.left]` and so on, of the fingers that have one."""
-    if section is None:
-        return ()
-    found = [(finger, section.optional(finger)) for finger in FINGERS]
-    section.done()
-    return tuple(read_specimen(finger, own) for finger, own in found if own is not None)
+    return read(RigFile, root, name=root.text("name", default=path.stem), path=path)

@@ -7,13 +7,29 @@ are those of the MJCF, and are looked up when the rig is built.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.fields import (
+    DEGREE,
+    MM,
+    FilePath,
+    Span,
+    Texts,
+    entry,
+    file_path,
+    flag,
+    given,
+    number,
+    part,
+    parts,
+    read,
+    read_fields,
+    text,
+)
 from mjtactile.core.toml import Section
 from mjtactile.rig.jaws import CRANK, LINEAR, TABLE, JawLaw, make_law
 
@@ -26,6 +42,8 @@ LAWS = {
     "table": (TABLE, ""),
 }
 """Law to its kind and to the key of its ratio."""
+OPENING = Span(key="opening_max_mm", low_key="opening_min_mm", low=0, high=1000, unit=MM)
+"""Of jaws, simulated or real."""
 _PER = {"mm_per_rad": 1e-3, "mm_per_mm": 1.0}
 
 
@@ -35,9 +53,15 @@ class SimFinger:
     sensor), and the `sensor`: its file, shipped name or design (None: the one that the command
     names)."""
 
-    name: str
-    site: str
-    sensor: str | SensorDesign | None = None
+    name: str = text("name")
+    site: str = text("site")
+    sensor: str | SensorDesign | None = file_path("sensor", shipped=True)
+
+    def validate(self, section: Section) -> None:
+        """Raise InputError for a name that a simulated scene cannot hold."""
+        if "/" in self.name:
+            message = f"{self.name!r} has a slash, which parts names of a simulated scene"
+            raise section.fail("name", message)
 
 
 @dataclass(frozen=True)
@@ -47,6 +71,26 @@ class SimActuator:
     name: str
     law: JawLaw
 
+    @classmethod
+    def from_section(cls, section: Section) -> SimActuator:
+        """By the law that the section names. Raises InputError for one that cannot be inverted."""
+        law = section.text("law", LAWS)
+        kind, key = LAWS[law]
+        offset = 0.0
+        ratio = 0.0
+        table = ()
+        if kind == TABLE:
+            key = "table_mm_mm" if section.has("table_mm_mm") else "table_deg_mm"
+            unit = MM if key == "table_mm_mm" else DEGREE
+            table = tuple((a * unit, x * MM) for a, x in section.pairs(key))
+        else:
+            ratio = section.number(key, -500, 500, _PER[key])
+            offset = section.number("opening_part_mm", -500, 500, MM, default=0.0)
+        try:
+            return cls(section.text("name"), make_law(kind, offset, ratio, table))
+        except ValueError as error:
+            raise section.fail(key, str(error)) from error
+
 
 @dataclass(frozen=True)
 class SimGripper:
@@ -55,9 +99,19 @@ class SimGripper:
 
     opening: tuple[float, float]
     start: float
-    actuators: tuple[SimActuator, ...]
-    force_max: float = 8.0
-    speed: float = 0.05
+    actuators: tuple[SimActuator, ...] = parts("actuator", SimActuator, high=FINGERS_MAX)
+    force_max: float = number("force_max_N", 0.1, 500, default=8.0)
+    speed: float = number("speed_max_mm_s", 0.1, 1000, MM, default=0.05)
+
+    @classmethod
+    def from_section(cls, section: Section) -> SimGripper:
+        """The jaws start within their opening, at its end where nothing is said."""
+        opening = OPENING.read(section, ...)
+        low, high = opening
+        low_mm = low / MM - 1e-6
+        high_mm = high / MM + 1e-6
+        start = section.number("opening_start_mm", low_mm, high_mm, MM, default=high)
+        return read(cls, section, opening=opening, start=start)
 
 
 @dataclass(frozen=True)
@@ -70,12 +124,41 @@ class SimLift:
     as reached.
     """
 
-    kind: str
-    travel: float = 0.15
-    speed: float = 0.05
+    kind: str = text("kind", ("actuator", "mocap", "arm", "none"))
+    travel: float = number("travel_mm", 1, 5000, MM, default=0.15)
+    speed: float = number("speed_max_mm_s", 0.1, 1000, MM, default=0.05)
     name: str = ""
     ratio: float = 1.0
-    actuators: tuple[str, ...] = ()
+    actuators: tuple[str, ...] = entry(Texts(key="actuators", only_if=("kind", ("arm",))), ())
+
+    @classmethod
+    def from_section(cls, section: Section) -> SimLift:
+        """What a kind needs stands in its own keys."""
+        lift = cls(**read_fields(cls, section))
+        if lift.kind == "mocap":
+            return replace(lift, name=section.text("body"))
+        if lift.kind != "actuator":
+            return lift
+        key = "mm_per_rad" if section.has("mm_per_rad") else "mm_per_mm"
+        ratio = section.number(key, -500, 500, _PER[key], default=1.0)
+        if ratio == 0:
+            raise section.fail(key, "0 moves nothing")
+        return replace(lift, name=section.text("actuator"), ratio=ratio)
+
+
+@dataclass(frozen=True)
+class _World:
+    """Section [sim]: the robot, and what it stands on."""
+
+    model: Path = entry(FilePath(key="model"))
+    keyframe: str | None = text("keyframe", default=None)
+    table: bool = flag("table", default=True)
+    table_height: float = number("table_height_mm", -10000, 10000, MM, default=0.0)
+
+    def validate(self, section: Section) -> None:
+        """Raise InputError where the model is not there."""
+        if not self.model.is_file():
+            raise section.fail("model", f"no such file: {self.model}")
 
 
 @dataclass(frozen=True)
@@ -83,128 +166,41 @@ class SimRigFile:
     """A simulated rig. `model` is its MJCF; it starts in the `keyframe` (None: as the MJCF stands);
     a `table` is put under the hand, or the MJCF has its own; its top is at `table_height` m."""
 
-    name: str
-    path: Path
-    model: Path
-    fingers: tuple[SimFinger, ...]
-    gripper: SimGripper
-    lift: SimLift
+    name: str = text("name")
+    path: Path = given()
+    model: Path = given()
+    fingers: tuple[SimFinger, ...] = parts("finger", SimFinger, high=FINGERS_MAX)
+    gripper: SimGripper = part("gripper", SimGripper)
+    lift: SimLift = part("lift", SimLift)
     keyframe: str | None = None
     table: bool = True
     table_height: float = 0.0
 
     backend = "sim"
 
+    def validate(self, section: Section) -> None:
+        """Raise InputError for two fingers of one name."""
+        names = [finger.name for finger in self.fingers]
+        for name in names:
+            if names.count(name) > 1:
+                message = f"{names.count(name)} fingers are named {name!r}"
+                raise section.fail("finger.name", message)
+
 
 def sim_rig_from_table(table: Mapping[str, Any], path: Path) -> SimRigFile:
-    """Validate a parsed TOML table with a section [sim]. Raises InputError naming file, field,
-    value and valid choices."""
+    """Validate a parsed TOML table with a section [sim].
+
+    Args:
+        table: The sections of a rig file.
+        path: The file that they stood in; what it names is relative to its folder.
+
+    Returns:
+        The rig, SI.
+
+    Raises:
+        InputError: names file, field, value and valid choices.
+    """
     root = Section(table, "", str(path))
+    world = read(_World, root.section("sim"))
     name = root.text("name", default=path.stem)
-    sim = root.section("sim")
-    fingers = _fingers(root, path)
-    gripper = _gripper(root.section("gripper"))
-    lift = _lift(root.section("lift"))
-    root.done()
-    model = path.parent / sim.text("model")
-    if not model.is_file():
-        raise sim.fail("model", f"no such file: {model}")
-    rig = SimRigFile(
-        name,
-        path,
-        model,
-        fingers,
-        gripper,
-        lift,
-        keyframe=sim.text("keyframe", default=None),
-        table=sim.flag("table", True),
-        table_height=sim.number("table_height_mm", -10000, 10000, 1e-3, default=0.0),
-    )
-    sim.done()
-    return rig
-
-
-def _fingers(root: Section, path: Path) -> tuple[SimFinger, ...]:
-    fingers = tuple(_finger(section, path) for section in root.sections("finger", high=FINGERS_MAX))
-    names = [finger.name for finger in fingers]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise root.fail("finger.name", f"{names.count(twice)} fingers are named {twice!r}")
-    return fingers
-
-
-def _finger(section: Section, path: Path) -> SimFinger:
-    finger = SimFinger(
-        section.text("name"), section.text("site"), section.text("sensor", default=None)
-    )
-    if "/" in finger.name:
-        raise section.fail(
-            "name", f"{finger.name!r} has a slash, which parts names of a simulated scene"
-        )
-    section.done()
-    if isinstance(finger.sensor, str) and (path.parent / finger.sensor).is_file():
-        return SimFinger(finger.name, finger.site, str(path.parent / finger.sensor))
-    return finger
-
-
-def _gripper(section: Section) -> SimGripper:
-    low = section.number("opening_min_mm", 0, 1000, 1e-3, default=0.0)
-    high = section.number("opening_max_mm", 0, 1000, 1e-3)
-    if high <= low:
-        raise section.fail(
-            "opening_max_mm", f"{high * 1e3:g} is not above opening_min_mm = {low * 1e3:g}"
-        )
-    start = section.number(
-        "opening_start_mm", low * 1e3 - 1e-6, high * 1e3 + 1e-6, 1e-3, default=high
-    )
-    gripper = SimGripper(
-        (low, high),
-        start,
-        tuple(map(_actuator, section.sections("actuator", high=FINGERS_MAX))),
-        force_max=section.number("force_max_N", 0.1, 500, default=8.0),
-        speed=section.number("speed_max_mm_s", 0.1, 1000, 1e-3, default=0.05),
-    )
-    section.done()
-    return gripper
-
-
-def _actuator(section: Section) -> SimActuator:
-    law = section.text("law", LAWS)
-    kind, key = LAWS[law]
-    offset = 0.0
-    ratio = 0.0
-    table = ()
-    if kind == TABLE:
-        key = "table_mm_mm" if section.has("table_mm_mm") else "table_deg_mm"
-        unit = 1e-3 if key == "table_mm_mm" else math.radians(1)
-        table = tuple((a * unit, 1e-3 * x) for a, x in section.pairs(key))
-    else:
-        ratio = section.number(key, -500, 500, _PER[key])
-        offset = section.number("opening_part_mm", -500, 500, 1e-3, default=0.0)
-    try:
-        actuator = SimActuator(section.text("name"), make_law(kind, offset, ratio, table))
-    except ValueError as error:
-        raise section.fail(key, str(error)) from error
-    section.done()
-    return actuator
-
-
-def _lift(section: Section) -> SimLift:
-    kind = section.text("kind", ("actuator", "mocap", "arm", "none"))
-    travel = section.number("travel_mm", 1, 5000, 1e-3, default=0.15)
-    speed = section.number("speed_max_mm_s", 0.1, 1000, 1e-3, default=0.05)
-    name = ""
-    ratio = 1.0
-    actuators = ()
-    if kind == "actuator":
-        name = section.text("actuator")
-        key = "mm_per_rad" if section.has("mm_per_rad") else "mm_per_mm"
-        ratio = section.number(key, -500, 500, _PER[key], default=1.0)
-        if ratio == 0:
-            raise section.fail(key, "0 moves nothing")
-    elif kind == "mocap":
-        name = section.text("body")
-    elif kind == "arm":
-        actuators = section.texts("actuators") if section.has("actuators") else ()
-    section.done()
-    return SimLift(kind, travel, speed, name, ratio, actuators)
+    return read(SimRigFile, root, name=name, path=path, **vars(world))

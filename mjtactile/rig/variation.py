@@ -11,7 +11,6 @@ others as they were. The format: docs/evaluate.md.
 
 from __future__ import annotations
 
-import math
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,10 +23,23 @@ import numpy as np
 from mjtactile.core import resources
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
+from mjtactile.core.fields import (
+    DEGREE,
+    MM,
+    MS,
+    PERCENT,
+    Number,
+    Numbers,
+    entries,
+    from_table,
+    number,
+    numbers,
+)
 from mjtactile.core.toml import Section, read_toml
 from mjtactile.rig.simulated import SimRigFile
-from mjtactile.rig.specimen import GAS_ROWS, MISSING, SENSOR_ROWS, Row, SpecimenConfig, specimen_of
+from mjtactile.rig.specimen import SpecimenConfig
 
+MISSING = "missing_markers"
 NONE = "none"
 _CUT = 3.0
 """sd at which a normal distribution ends: what is drawn has bounds."""
@@ -36,18 +48,30 @@ _MISSING_MOST = 40
 
 @dataclass(frozen=True)
 class ObjectChange:
-    """How the object differs from its file: everything that stands in it larger by `size`, with its
-    mass; then `mass`, `friction` (with the membranes, the table and its stand), `stiffness` of its
-    springs or elements and `breaking` (what it stands) more, all shares. `place` (x, y) m on the
-    table and `yaw` rad replace those of the seed (None: they do not)."""
+    """How the object differs from its file; None: as the seed places it."""
 
-    size: float = 0.0
-    mass: float = 0.0
-    friction: float = 0.0
-    stiffness: float = 0.0
-    breaking: float = 0.0
-    place: tuple[float, float] | None = None
-    yaw: float | None = None
+    size: float = number(
+        "size_percent", -50, 100, PERCENT, default=0.0, about="larger, with its mass"
+    )
+    mass: float = number("mass_percent", -90, 900, PERCENT, default=0.0, about="heavier beside")
+    friction: float = number(
+        "friction_percent",
+        -95,
+        400,
+        PERCENT,
+        default=0.0,
+        about="more, with the membranes, the table and its stand",
+    )
+    stiffness: float = number(
+        "stiffness_percent", -90, 900, PERCENT, default=0.0, about="of its springs or elements"
+    )
+    breaking: float = number(
+        "breaking_percent", -90, 900, PERCENT, default=0.0, about="more force before it breaks"
+    )
+    place: tuple[float, float] | None = numbers(
+        "place_mm", "xy", -30, 30, MM, default=None, about="on the table"
+    )
+    yaw: float | None = number("yaw_deg", -180, 180, DEGREE, default=None, about="on the table")
 
 
 UNCHANGED = ObjectChange()
@@ -55,15 +79,21 @@ UNCHANGED = ObjectChange()
 
 @dataclass(frozen=True)
 class RigChange:
-    """How the gripper differs from its file: commands take effect `delay` s later and up to
-    `jitter` s more; `backlash` m of the opening in its gears; `speed` more of it, a share;
-    `force_noise` N (sd) of the closing force that the servos report."""
+    """How the gripper differs from its file."""
 
-    delay: float = 0.0
-    jitter: float = 0.0
-    backlash: float = 0.0
-    speed: float = 0.0
-    force_noise: float = 0.0
+    delay: float = number(
+        "delay_ms", 0, 1000, MS, default=0.0, about="until a command takes effect"
+    )
+    jitter: float = number(
+        "jitter_ms", 0, 1000, MS, default=0.0, about="beside, evenly from 0 to this"
+    )
+    backlash: float = number(
+        "backlash_mm", 0, 10, MM, default=0.0, about="of the opening, in its gears"
+    )
+    speed: float = number("speed_percent", -90, 400, PERCENT, default=0.0, about="faster")
+    force_noise: float = number(
+        "force_noise_N", 0, 10, default=0.0, about="sd of the closing force that is reported"
+    )
 
 
 FAULTLESS = RigChange()
@@ -86,29 +116,21 @@ class Drawn:
 
 AS_FILED = Drawn()
 """A world in which everything is as its file says."""
-_PERCENT = 1e-2
-_OBJECT_ROWS = (
-    Row("size_percent", "size", -50, 100, _PERCENT),
-    Row("mass_percent", "mass", -90, 900, _PERCENT),
-    Row("friction_percent", "friction", -95, 400, _PERCENT),
-    Row("stiffness_percent", "stiffness", -90, 900, _PERCENT),
-    Row("breaking_percent", "breaking", -90, 900, _PERCENT),
-    Row("place_mm", "place", -30, 30, 1e-3, "xy"),
-    Row("yaw_deg", "yaw", -180, 180, math.pi / 180),
-)
-_RIG_ROWS = (
-    Row("delay_ms", "delay", 0, 1000, 1e-3),
-    Row("jitter_ms", "jitter", 0, 1000, 1e-3),
-    Row("backlash_mm", "backlash", 0, 10, 1e-3),
-    Row("speed_percent", "speed", -90, 400, _PERCENT),
-    Row("force_noise_N", "force_noise", 0, 10),
-)
-_COUNT = Row(MISSING, "missing", 0, _MISSING_MOST)
-SECTIONS: dict[str, tuple[Row, ...]] = {
-    "object": _OBJECT_ROWS,
-    "sensor": (*SENSOR_ROWS, _COUNT),
-    "gas": GAS_ROWS,
-    "rig": _RIG_ROWS,
+
+
+def _drawn_of(group: str) -> tuple[Number, ...]:
+    """What of a specimen a section of the file draws."""
+    found = [entry for entry in entries(SpecimenConfig).values() if entry.group == group]
+    # of missing markers their number is drawn, then which
+    count = Number(key=MISSING, low=0, high=_MISSING_MOST)
+    return tuple(count if entry.key == MISSING else entry for entry in found)
+
+
+SECTIONS: dict[str, tuple[Number, ...]] = {
+    "object": tuple(entries(ObjectChange).values()),
+    "sensor": _drawn_of("sensor"),
+    "gas": _drawn_of("gas"),
+    "rig": tuple(entries(RigChange).values()),
 }
 """What can vary; `sensor` and `gas` are drawn for each finger."""
 
@@ -137,37 +159,35 @@ class Spread:
 
 @dataclass(frozen=True)
 class Variation:
-    """A file of ranges: of each name ("object.size_percent") its row and its distribution."""
+    """A file of ranges: of each name ("object.size_percent") its entry and its distribution."""
 
     name: str
-    spreads: Mapping[str, tuple[Row, Spread]]
+    spreads: Mapping[str, tuple[Number, Spread]]
     path: Path | None = None
 
     def draw(self, seed: int, *, fingers: Sequence[str], markers: int) -> Drawn:
         """The world of `seed` for these fingers, with so many `markers` on each; the same whatever
         else is drawn or run."""
         values: dict[str, Any] = {}
-        for name, (row, spread) in self.spreads.items():
+        for name, (entry, spread) in self.spreads.items():
             section, _, key = name.partition(".")
             owners = fingers if section in ("sensor", "gas") else [section]
             values |= {
-                f"{owner}.{key}": _draw(f"{owner}.{key}", row, spread, seed, markers)
+                f"{owner}.{key}": _draw(f"{owner}.{key}", entry, spread, seed, markers)
                 for owner in owners
             }
-        own = {
-            owner: {
-                name.partition(".")[2]: value
-                for name, value in values.items()
-                if name.startswith(f"{owner}.")
-            }
-            for owner in ("object", "rig", *fingers)
-        }
-        changes = (
-            ObjectChange(**_by_attribute(_OBJECT_ROWS, own["object"])),
-            RigChange(**_by_attribute(_RIG_ROWS, own["rig"])),
-        )
+        own: dict[str, dict[str, Any]] = {owner: {} for owner in ("object", "rig", *fingers)}
+        for name, value in values.items():
+            owner, _, key = name.rpartition(".")
+            own[owner][key] = value
         return Drawn(
-            *changes, tuple(specimen_of(finger, own[finger]) for finger in fingers), values
+            from_table(ObjectChange, own["object"], self.name),
+            from_table(RigChange, own["rig"], self.name),
+            tuple(
+                from_table(SpecimenConfig, own[finger], self.name, finger=finger)
+                for finger in fingers
+            ),
+            values,
         )
 
 
@@ -201,66 +221,63 @@ def variation_from_table(table: Mapping[str, Any], path: Path) -> Variation:
     """Validate a parsed TOML table; see `load_variation`."""
     root = Section(table, "", str(path))
     spreads = {}
-    for name, rows in SECTIONS.items():
+    for name, known in SECTIONS.items():
         section = root.optional(name)
         if section is None:
             continue
         spreads |= {
-            f"{name}.{row.key}": (row, spread)
-            for row in rows
-            if (spread := _spread(section, row)) is not None
+            f"{name}.{entry.key}": (entry, spread)
+            for entry in known
+            if (spread := _spread(section, entry)) is not None
         }
         section.done()
     root.done()
     return Variation(path.stem, spreads, path)
 
 
-def _spread(section: Section, row: Row) -> Spread | None:
+def _spread(section: Section, entry: Number) -> Spread | None:
     """One field: a number, [low, high], {mean, sd} or {choices}."""
-    kind = section.kind(row.key)
+    kind = section.kind(entry.key)
     if kind is None:
         # it is known now, and may be missing
-        section.number(row.key, row.low, row.high, default=None)
+        section.number(entry.key, entry.low, entry.high, default=None)
         return None
     if kind is list:
-        low, high = section.numbers(row.key, ("low", "high"), row.low, row.high)
+        low, high = section.numbers(entry.key, ("low", "high"), entry.low, entry.high)
         if low > high:
-            raise section.fail(row.key, f"[{low:g}, {high:g}] is not [low, high]")
+            raise section.fail(entry.key, f"[{low:g}, {high:g}] is not [low, high]")
         return Spread(low, high)
     if kind is not dict:
-        value = section.number(row.key, row.low, row.high)
+        value = section.number(entry.key, entry.low, entry.high)
         return Spread(value, value)
-    inner = section.section(row.key)
+    inner = section.section(entry.key)
     if inner.has("choices"):
         spread = Spread(choices=tuple(float(value) for value in inner.array("choices", (None,))))
         if not spread.choices:
-            raise section.fail(row.key, "no choices")
+            raise section.fail(entry.key, "no choices")
         worst = (min(spread.choices), max(spread.choices))
     else:
         spread = Spread(
-            mean=inner.number("mean", row.low, row.high, default=0.0),
-            sd=inner.number("sd", 0, row.high - row.low),
+            mean=inner.number("mean", entry.low, entry.high, default=0.0),
+            sd=inner.number("sd", 0, entry.high - entry.low),
         )
         assert spread.mean is not None
         worst = (spread.mean - _CUT * spread.sd, spread.mean + _CUT * spread.sd)
     inner.done()
-    if not (row.low <= worst[0] and worst[1] <= row.high):
+    if not (entry.low <= worst[0] and worst[1] <= entry.high):
         raise section.fail(
-            row.key,
-            f"reaches from {worst[0]:g} to {worst[1]:g}, outside {row.low:g} to {row.high:g}",
+            entry.key,
+            f"reaches from {worst[0]:g} to {worst[1]:g}, outside {entry.low:g} to {entry.high:g}",
         )
     return spread
 
 
-def _draw(name: str, row: Row, spread: Spread, seed: int, markers: int) -> Any:
+def _draw(name: str, entry: Number, spread: Spread, seed: int, markers: int) -> Any:
     rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-    if row.attribute == "missing":
+    if entry.key == MISSING:
         count = min(int(spread.at(rng.random()) + 0.5), markers)
         return sorted(int(number) for number in rng.choice(markers, count, replace=False))
     # as it will be written
-    drawn = [float(f"{spread.at(share):.6g}") for share in rng.random(max(len(row.names), 1))]
-    return drawn if row.names else drawn[0]
-
-
-def _by_attribute(rows: Sequence[Row], values: Mapping[str, Any]) -> dict[str, Any]:
-    return {row.attribute: row.si(values[row.key]) for row in rows if row.key in values}
+    names = entry.names if isinstance(entry, Numbers) else ()
+    drawn = [float(f"{spread.at(share):.6g}") for share in rng.random(max(len(names), 1))]
+    return drawn if names else drawn[0]

@@ -13,8 +13,9 @@ import mjtactile
 import mkdocs_hooks
 from benchmarks import numbers
 from mjtactile.commands import COMMANDS
-from mjtactile.core.design import FIELDS, load_sensor
+from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
+from mjtactile.core.fields import Part, default_of, entries
 from mjtactile.core.types import Command, GripperState, Observation, Slip, Touch, ValveState
 from mjtactile.recording.columns import SENSED, TRUE
 from mjtactile.run.controller import load_controller
@@ -314,7 +315,10 @@ def test_a_number_that_a_page_lacks_is_named():
         numbers.cell(page, "torque", "dense", source="x")
 
 
-@pytest.mark.parametrize("section", FIELDS)
+SECTIONS = [name for name, entry in entries(SensorDesign).items() if isinstance(entry, Part)]
+
+
+@pytest.mark.parametrize("section", SECTIONS)
 def test_the_page_of_sensor_files_has_every_field_with_its_range_and_default(section):
     text = re.search(
         rf"^## \[{section}\]$(.*?)^## ",
@@ -326,16 +330,19 @@ def test_the_page_of_sensor_files_has_every_field_with_its_range_and_default(sec
         for line in text.group(1).splitlines()
         if line.startswith("| `")
     ]
-    kind, known_fields = FIELDS[section]
-    assert [row[0].strip("`") for row in rows] == [field[0] for field in known_fields]
-    for (_, allowed, default, meaning), (key, attribute, scale, low, high) in zip(
-        rows, known_fields, strict=True
-    ):
-        assert allowed == f"{low:g} to {high:g}" + (", whole" if scale == 0 else ""), key
-        known = getattr(kind, attribute, None)  # a dataclass keeps a field's default on the class
-        special = {None: "must be given", float("inf"): "infinite", (0.0,) * 5: "no distortion"}
-        assert default == (special[known] if known in special else f"{known / (scale or 1):g}"), key
-        assert len(meaning) > 3
+    kind = entries(SensorDesign)[section].kind
+    known = entries(kind)
+    assert {row[0].strip("`") for row in rows} == {entry.key for entry in known.values()}
+    by_key = {row[0].strip("`"): row[1:] for row in rows}
+    special = {...: "must be given", float("inf"): "infinite", (0.0,) * 5: "no distortion"}
+    for attribute, entry in known.items():
+        allowed, if_left_out, meaning = by_key[entry.key]
+        whole = ", whole" if entry.whole else ""
+        assert allowed == f"{entry.low:g} to {entry.high:g}{whole}", entry.key
+        default = default_of(kind, attribute)
+        said = special[default] if default in special else f"{default / entry.unit:g}"
+        assert if_left_out == said, entry.key
+        assert meaning == entry.about, entry.key
 
 
 def test_round_sensor_without_glass(tmp_path):

@@ -2,13 +2,14 @@
 be right."""
 
 import math
+import re
 import tomllib
 from dataclasses import replace
 
 import pytest
 
-from mjtactile.core import resources
-from mjtactile.core.design import FIELDS, load_sensor, sensor_from_table
+from mjtactile.core import fields, resources
+from mjtactile.core.design import Frame, SensorDesign, load_sensor, sensor_from_table
 from mjtactile.core.errors import InputError
 from mjtactile.core.rubber import Law
 
@@ -97,13 +98,24 @@ def test_a_wrong_field_is_named(changes, words):
 
 
 def test_every_field_is_checked():
-    """No number of the file can be NaN or text without being named: one case for each field of
-    FIELDS."""
-    for section, (_, rows) in FIELDS.items():
-        for key, *_ in rows:
-            for bad in (math.nan, "1"):
-                with pytest.raises(InputError, match=rf"{section}\.{key}"):
-                    build(**{f"{section}__{key}": bad})
+    """No number of the file can be NaN or text without being named."""
+    labels = [label for label, *_ in fields.scalars(SensorDesign)]
+    assert len(labels) == 41
+    for label in (*labels, "camera.distortion"):
+        for bad in (math.nan, "1"):
+            with pytest.raises(InputError, match=re.escape(label)):
+                build(**{label.replace(".", "__"): bad})
+
+
+@pytest.mark.parametrize("name", resources.names("models/sensors", ".toml"))
+def test_what_is_written_is_read_again(name):
+    design = load_sensor(name)
+    table = fields.write(design)
+    assert sensor_from_table(table, name="other", source="other.toml") == design
+    round_one = replace(design, frame=Frame(0.07, 0.07, shape="circle"))
+    table = fields.write(round_one)
+    assert table["frame"] == {"diameter_mm": 70.0, "rim_mm": 3.0, "shape": "circle"}
+    assert sensor_from_table(table, name="other", source="other.toml") == round_one
 
 
 def test_optional_section_has_defaults():

@@ -7,8 +7,8 @@ import tomllib
 import numpy as np
 import pytest
 
-from mjtactile.core import resources
-from mjtactile.core.design import load_sensor, sensor_from_table
+from mjtactile.core import fields, resources
+from mjtactile.core.design import SensorDesign, load_sensor, sensor_from_table
 from mjtactile.fit.toml import rewrite
 from mjtactile.fit.words import ABOUT, Number, correlations, digits, judge
 
@@ -80,8 +80,4 @@ def test_the_sensor_file_loads_and_keeps_its_comments():
 
 
 def test_every_number_is_a_field_of_the_sensor_file():
-    from mjtactile.core.design import FIELDS
-
-    assert set(ABOUT) <= {
-        f"{section}.{row[0]}" for section, (_, rows) in FIELDS.items() for row in rows
-    }
+    assert set(ABOUT) <= {label for label, *_ in fields.scalars(SensorDesign)}

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from mjtactile.calibrate.camera import BoardFinder
-from mjtactile.core import optics, theory
-from mjtactile.core.design import FIELDS, load_sensor
+from mjtactile.core import fields, optics, theory
+from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.make import camera, hardware, limits, mesh, patterns, pictures, sheets, step
 from mjtactile.make.build import write
@@ -57,16 +57,10 @@ STATES = [bulged(DENSE, h) for h in (0.0, 0.003, -0.004)]
 def with_field(design, field, value):
     """`design` with the field of its file, in the file's unit."""
     section, key = field.split(".")
-    attribute, scale = next((row[1], row[2] or 1) for row in FIELDS[section][1] if row[0] == key)
-    part = replace(
-        getattr(design, section),
-        **{attribute: value * scale if row_is_real(section, key) else int(value)},
-    )
-    return replace(design, **{section: part})
-
-
-def row_is_real(section, key):
-    return next(row[2] for row in FIELDS[section][1] if row[0] == key) != 0
+    kind = fields.entries(SensorDesign)[section].kind
+    attribute, entry = next(pair for pair in fields.entries(kind).items() if pair[1].key == key)
+    changed = int(value) if entry.whole else value * entry.unit
+    return replace(design, **{section: replace(getattr(design, section), **{attribute: changed})})
 
 
 # Patterns

@@ -1,0 +1,409 @@
+"""How a dataclass stands in a file: key, unit, range, default and meaning, said once, on its field.
+
+    @dataclass(frozen=True)
+    class Pane:
+        thickness: float = number("thickness_mm", 0, 50, MM, about="0: no glass")
+        index: float = number("refractive_index", 1, 3, default=1.5, about="glass 1.52")
+
+    pane = read(Pane, section)    # SI, or an InputError that names file, field and value
+    write(pane)                   # {"thickness_mm": 2.0, "refractive_index": 1.5}
+
+Sensor files, rig files, specimens, variations, calibrations and settings are all read by this.
+What joins several fields is checked by a method `validate(self, section)` of the class. A class
+that one key does not make one field of reads itself: `from_section(section)`, and `to_table(self)`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+
+from mjtactile.core.toml import Section
+
+# SI units in one unit of a file
+MM = 1e-3
+MS = 1e-3
+KPA = 1e3
+ML = 1e-6
+ML_S_KPA = 1e-9
+PERCENT = 1e-2
+DEGREE = math.pi / 180
+
+_FILE = "file"
+_REQUIRED: Any = ...
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Entry:
+    """A field's place in a file: its `key`, and what it is `about`.
+
+    It is read only where another field, read before, has one of some values (`only_if`: that
+    field's name and the values). `required` in the file, even where the class has a default;
+    `group` is the section of a variation file that may draw it.
+    """
+
+    key: str
+    about: str = ""
+    required: bool = False
+    only_if: tuple[str, tuple[str, ...]] | None = None
+    group: str = ""
+
+    def read(self, section: Section, default: Any) -> Any:
+        """The section's value, SI; `default` where it says nothing (`...`: an error)."""
+        raise NotImplementedError
+
+    def write(self, value: Any) -> dict[str, Any]:
+        """What stands in the file for an SI value: nothing for infinity, which no file says."""
+        return {self.key: value}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Number(Entry):
+    """A number within [low, high] of the file's `unit` (SI units in one of it)."""
+
+    low: float
+    high: float
+    unit: float = 1.0
+    whole: bool = False
+
+    def read(self, section: Section, default: Any) -> Any:
+        if self.whole:
+            return section.whole(self.key, int(self.low), int(self.high), default)
+        return section.number(self.key, self.low, self.high, self.unit, default)
+
+    def write(self, value: Any) -> dict[str, Any]:
+        if value is None or self.whole:
+            return {self.key: value}
+        return {self.key: value / self.unit} if math.isfinite(value) else {}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Numbers(Number):
+    """One number for each of `names`, as a list; without names as many whole numbers as there
+    are."""
+
+    names: Sequence[str] = ()
+
+    def read(self, section: Section, default: Any) -> Any:
+        low = self.low
+        high = self.high
+        if self.names:
+            return section.numbers(
+                self.key, self.names, low, high, self.unit, default, whole=self.whole
+            )
+        return section.wholes(self.key, int(low), int(high), default)
+
+    def write(self, value: Any) -> dict[str, Any]:
+        return {self.key: [one if self.whole else one / self.unit for one in value]}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Span(Number):
+    """Two keys, a lowest value (0 where it is left out) and a highest above it."""
+
+    low_key: str
+
+    def read(self, section: Section, default: Any) -> tuple[float, float]:
+        low = section.number(self.low_key, self.low, self.high, self.unit, default=0.0)
+        high = section.number(self.key, self.low, self.high, self.unit)
+        if high <= low:
+            message = f"{high / self.unit:g} is not above {self.low_key} = {low / self.unit:g}"
+            raise section.fail(self.key, message)
+        return low, high
+
+    def write(self, value: Any) -> dict[str, Any]:
+        return {self.low_key: value[0] / self.unit, self.key: value[1] / self.unit}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pairs(Entry):
+    """A list of pairs, each of two units."""
+
+    units: tuple[float, float]
+
+    def read(self, section: Section, default: Any) -> Any:
+        a, b = self.units
+        return tuple((first * a, second * b) for first, second in section.pairs(self.key))
+
+    def write(self, value: Any) -> dict[str, Any]:
+        a, b = self.units
+        return {self.key: [[first / a, second / b] for first, second in value]}
+
+
+@dataclass(frozen=True, kw_only=True)
+class NumberArray(Entry):
+    """Nested lists of numbers of this `shape` (None: any length), as a read-only array."""
+
+    shape: tuple[int | None, ...]
+    unit: float = 1.0
+
+    def read(self, section: Section, default: Any) -> Any:
+        found = section.array(self.key, self.shape) * self.unit
+        found.flags.writeable = False
+        return found
+
+    def write(self, value: Any) -> dict[str, Any]:
+        return {self.key: (np.asarray(value) / self.unit).tolist()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Text(Entry):
+    """Text, one of `choices` where there are any."""
+
+    choices: tuple[str, ...] | None = None
+
+    def read(self, section: Section, default: Any) -> Any:
+        return section.text(self.key, self.choices, default)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Texts(Entry):
+    """A list of texts."""
+
+    def read(self, section: Section, default: Any) -> Any:
+        return section.texts(self.key, default)
+
+    def write(self, value: Any) -> dict[str, Any]:
+        return {self.key: list(value)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flag(Entry):
+    """True or false."""
+
+    def read(self, section: Section, default: Any) -> Any:
+        return section.flag(self.key, default)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilePath(Entry):
+    """Another file, relative to the folder of this one. With `shipped`, as text: the name of one
+    that ships, or else a file that ends in .toml."""
+
+    shipped: bool = False
+
+    def read(self, section: Section, default: Any) -> Any:
+        name = section.text(self.key, default=default)
+        if name is None or name is default:
+            return name
+        if not self.shipped:
+            return section.folder / name
+        return str(section.folder / name) if name.endswith(".toml") else name
+
+    def write(self, value: Any) -> dict[str, Any]:
+        return {self.key: None if value is None else str(value)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table(Entry):
+    """A table with whatever is in it."""
+
+    def read(self, section: Section, default: Any) -> Any:
+        return section.table(self.key)
+
+    def write(self, value: Any) -> dict[str, Any]:
+        return {self.key: dict(value)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part(Entry):
+    """A section that is a dataclass of its own, or a list of `count` (least, most) of them."""
+
+    kind: type
+    count: tuple[int, int] | None = None
+
+    def read(self, section: Section, default: Any) -> Any:
+        if self.count is not None:
+            found = section.sections(self.key, *self.count)
+            return tuple(read(self.kind, own) for own in found)
+        own = section.section(self.key) if default is ... else section.optional(self.key)
+        return default if own is None else read(self.kind, own)
+
+    def write(self, value: Any) -> dict[str, Any]:
+        if self.count is not None:
+            return {self.key: [write(one) for one in value]}
+        return {self.key: None if value is None else write(value)}
+
+
+# -- fields of a dataclass
+
+
+def entry(found: Entry, default: Any = _REQUIRED, **more: Any) -> Any:
+    """A dataclass's field that stands in files as `found` says; without `default` (SI) it must be
+    given. `more` is for `dataclasses.field`."""
+    if default is not _REQUIRED:
+        more["default"] = default
+    return dataclasses.field(metadata={_FILE: found}, **more)
+
+
+def number(
+    key: str, low: float, high: float, unit: float = 1.0, *, default: Any = _REQUIRED, **more: Any
+) -> Any:
+    """A field that is a number.
+
+    Args:
+        key: Its name in the file, with the unit.
+        low: Lowest value, in the file's unit.
+        high: Highest value.
+        unit: SI units in one of the file's.
+        default: SI; left out: the field must be given.
+        **more: `about`, `required`, `only_if` and `group` of `Entry`.
+
+    Returns:
+        What `dataclasses.field` returns.
+    """
+    return entry(Number(key=key, low=low, high=high, unit=unit, **more), default)
+
+
+def whole(key: str, low: int, high: int, *, default: Any = _REQUIRED, **more: Any) -> Any:
+    """A field that is a whole number; see `number`."""
+    return entry(Number(key=key, low=low, high=high, whole=True, **more), default)
+
+
+def numbers(
+    key: str,
+    names: Sequence[str],
+    low: float,
+    high: float,
+    unit: float = 1.0,
+    *,
+    default: Any = _REQUIRED,
+    **more: Any,
+) -> Any:
+    """A field that is a tuple of numbers, one for each of `names`; see `number`."""
+    found = Numbers(key=key, names=names, low=low, high=high, unit=unit, **more)
+    return entry(found, default)
+
+
+def text(
+    key: str, choices: Sequence[str] | None = None, *, default: Any = _REQUIRED, **more: Any
+) -> Any:
+    """A field that is text, one of `choices` where there are any; see `number`."""
+    chosen = None if choices is None else tuple(choices)
+    return entry(Text(key=key, choices=chosen, **more), default)
+
+
+def flag(key: str, *, default: bool, about: str = "") -> Any:
+    """A field that is true or false."""
+    return entry(Flag(key=key, about=about), default)
+
+
+def file_path(key: str, *, shipped: bool = False, compare: bool = True, about: str = "") -> Any:
+    """A field that names another file, None where the key is left out; see `FilePath`."""
+    return entry(FilePath(key=key, shipped=shipped, about=about), None, compare=compare)
+
+
+def part(key: str, kind: type, *, default: Any = _REQUIRED, about: str = "") -> Any:
+    """A field that is a section of its own."""
+    return entry(Part(key=key, kind=kind, about=about), default)
+
+
+def parts(key: str, kind: type, low: int = 1, high: int = 2) -> Any:
+    """A field that is a tuple of `low` to `high` sections."""
+    return entry(Part(key=key, kind=kind, count=(low, high)))
+
+
+def given() -> Any:
+    """A field that no file says: whoever reads the class hands it over."""
+    return dataclasses.field()
+
+
+# -- reading and writing
+
+
+def entries(kind: type) -> dict[str, Any]:
+    """The `Entry` of each field of a dataclass that stands in files, by the field's name."""
+    return {
+        field.name: field.metadata[_FILE]
+        for field in dataclasses.fields(kind)
+        if _FILE in field.metadata
+    }
+
+
+def default_of(kind: type, name: str) -> Any:
+    """The default of a dataclass's field, `...` where it has none."""
+    value = kind.__dataclass_fields__[name].default
+    return ... if value is dataclasses.MISSING else value
+
+
+def scalars(kind: type) -> Iterator[tuple[str, str, str, Number]]:
+    """All single numbers of a class whose fields are sections.
+
+    Yields:
+        "section.key" of the file, attribute of the section, attribute in it, and its entry.
+    """
+    for owner, section in entries(kind).items():
+        if not isinstance(section, Part):
+            continue
+        for name, found in entries(section.kind).items():
+            if type(found) is Number:
+                yield f"{section.key}.{found.key}", owner, name, found
+
+
+def read(kind: type[T], section: Section, **given: Any) -> T:
+    """A dataclass from a section of a file.
+
+    Args:
+        kind: The dataclass; fields without an `Entry` keep their defaults.
+        section: What to read; when this returns, all its keys are known to be good.
+        **given: Values of fields that are not to be read, SI.
+
+    Returns:
+        The value, SI.
+
+    Raises:
+        InputError: names file, field and value of what is missing, unknown, of another kind, out
+            of range, or does not go together.
+    """
+    if not given and hasattr(kind, "from_section"):
+        value = kind.from_section(section)  # type: ignore[attr-defined]
+    else:
+        value = kind(**read_fields(kind, section, **given))
+    section.done()
+    if hasattr(value, "validate"):
+        value.validate(section)  # type: ignore[attr-defined]
+    return value
+
+
+def read_fields(kind: type, section: Section, **given: Any) -> dict[str, Any]:
+    """The fields of `kind` in the section, by name, beside what is `given`; see `read`."""
+    values = dict(given)
+    for name, found in entries(kind).items():
+        if name in values:
+            continue
+        if found.only_if is not None:
+            other, wanted = found.only_if
+            if values[other] not in wanted:
+                continue
+        default = ... if found.required else default_of(kind, name)
+        values[name] = found.read(section, default)
+    return values
+
+
+def write(value: Any) -> dict[str, Any]:
+    """What stands in a file for a dataclass: keys to values in the file's units."""
+    return value.to_table() if hasattr(value, "to_table") else write_fields(value)
+
+
+def write_fields(value: Any) -> dict[str, Any]:
+    """`write`, of the fields that have an entry."""
+    table: dict[str, Any] = {}
+    for name, found in entries(type(value)).items():
+        if found.only_if is not None:
+            other, wanted = found.only_if
+            if getattr(value, other) not in wanted:
+                continue
+        table |= found.write(getattr(value, name))
+    return table
+
+
+def from_table(kind: type[T], table: Mapping[str, Any], source: str, **given: Any) -> T:
+    """`read` of a parsed file."""
+    return read(kind, Section(table, "", source), **given)
