@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from mjtactile.sim.attach import attach, recommend_options
+from mjtactile.sim.attach import attach_membrane, recommend_options
 from mjtactile.sim.scenes.world import World
 
 
@@ -13,7 +13,7 @@ def scene(design, mesh=(13, 11), timestep=8e-3, gravity=(0, 0, 0)):
     recommend_options(spec, timestep)
     spec.option.gravity = gravity
     spec.worldbody.add_site(name="mount")
-    return World(spec, [attach(spec, design, site="mount", mesh=mesh)])
+    return World(spec, [attach_membrane(spec, design, site="mount", mesh=mesh)])
 
 
 def settle(world, pressure, speed=1e-6):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.sim.attach import attach, recommend_options
+from mjtactile.sim.attach import attach_membrane, recommend_options
 from mjtactile.sim.scenes.world import World
 
 # m between two sensors, and of a ball above the frame before it falls
@@ -31,7 +31,7 @@ def row_of(
         at = k * (design.frame.length + _GAP)
         base = spec.worldbody.add_body(name=f"base{k}", pos=[at, 0, 0])
         base.add_site(name=f"site{k}")
-        attachments.append(attach(spec, design, site=f"site{k}", prefix=f"s{k}/"))
+        attachments.append(attach_membrane(spec, design, site=f"site{k}", prefix=f"s{k}/"))
         if ball is not None:
             body = spec.worldbody.add_body(name=f"ball{k}", pos=[at, 0, ball[0] + _ABOVE])
             body.add_joint(name=f"ball{k}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1])

@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.worlds.slip_cases import SlipCase
 from mjtactile.core.design import SensorDesign
-from mjtactile.sim.attach import DEFAULT_MESH, Attachment, attach, recommend_options
+from mjtactile.sim.attach import DEFAULT_MESH, Attachment, attach_membrane, recommend_options
 from mjtactile.sim.scenes.world import World
 
 MESH = DEFAULT_MESH
@@ -85,7 +85,7 @@ class SlipWorld(World):
             )
             drive.set_to_position(kp=_STIFFNESS, kv=2 * np.sqrt(_STIFFNESS * (_MASS + 0.05)))
         site = jaw.add_site(name=prefix + "tip", quat=_QUATS[prefix])
-        return attach(spec, design, site=site, prefix=prefix, mesh=mesh)
+        return attach_membrane(spec, design, site=site, prefix=prefix, mesh=mesh)
 
     def press(self, sensor: int) -> float:
         """Sum of the forces, N, along the normals of what touches membrane `sensor`: what the

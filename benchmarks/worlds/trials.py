@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.sim.attach import DEFAULT_MESH, attach, recommend_options
+from mjtactile.sim.attach import DEFAULT_MESH, attach_membrane, recommend_options
 from mjtactile.sim.scenes.world import World
 
 # N/m and kg of the jaw that pinches
@@ -68,7 +68,7 @@ class DropWorld(World):
         spec = mujoco.MjSpec()
         recommend_options(spec, timestep)
         spec.worldbody.add_site(name="base")
-        attachment = attach(spec, sensor, site="base", mesh=mesh)
+        attachment = attach_membrane(spec, sensor, site="base", mesh=mesh)
         body = spec.worldbody.add_body(name="thing", pos=[0, 0, _HIGH])
         if guided:
             body.pos = [0, 0, 0]
@@ -117,7 +117,7 @@ class FloatWorld(World):
         body = spec.worldbody.add_body(name="float")
         body.add_freejoint()
         body.add_site(name="mount", quat=[0.8, 0.3, 0.5, 0.1])
-        super().__init__(spec, [attach(spec, sensor, site="mount", mesh=mesh)])
+        super().__init__(spec, [attach_membrane(spec, sensor, site="mount", mesh=mesh)])
         self.sensors[0].open_valve(pressure_gauge)
         self.step(round(_FILLING / timestep))
         self.sensors[0].close_valve()
@@ -168,7 +168,7 @@ class PinchWorld(World):
                 name=prefix + "jaw", target=prefix + "jaw", trntype=mujoco.mjtTrn.mjTRN_JOINT
             )
             drive.set_to_position(kp=_STIFFNESS, kv=2 * np.sqrt(_STIFFNESS * (_MASS + 0.05)))
-            attachments.append(attach(spec, sensor, site=site, prefix=prefix, mesh=mesh))
+            attachments.append(attach_membrane(spec, sensor, site=site, prefix=prefix, mesh=mesh))
         body = spec.worldbody.add_body(name="thing", quat=[np.sqrt(0.5), 0, np.sqrt(0.5), 0])
         body.add_freejoint(name="thing")
         half = thing.add_to(body)

@@ -23,8 +23,7 @@ import mujoco
 
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.plugin.sim_finger import OUTPUTS, SimFinger
-from mjtactile.sim.attach import DEFAULT_MESH, Attachment
-from mjtactile.sim.attach import attach as attach_membrane
+from mjtactile.sim.attach import DEFAULT_MESH, Attachment, attach_membrane
 from mjtactile.sim.sensor.switches import CAMERA, PHYSICS
 
 

@@ -20,7 +20,7 @@ from mjtactile.rig.finger import Finger, Rig
 from mjtactile.rig.limits import Limits
 from mjtactile.run.session import Session
 from mjtactile.sensing.chain import Chain, ChainState, Perception
-from mjtactile.sim.attach import attach, recommend_options
+from mjtactile.sim.attach import attach_membrane, recommend_options
 from mjtactile.sim.camera import SimCamera
 from mjtactile.sim.rig import SimClock, SimValve
 from mjtactile.sim.scenes.world import World
@@ -51,7 +51,8 @@ def at_rest(
     recommend_options(spec)
     spec.option.gravity = [0.0, 0.0, 0.0]
     world = World(
-        spec, [attach(spec, design, site=spec.worldbody.add_site(), mesh=mesh, effects=effects)]
+        spec,
+        [attach_membrane(spec, design, site=spec.worldbody.add_site(), mesh=mesh, effects=effects)],
     )
     sensor = world.sensors[0]
     clock = SimClock(world)

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import mujoco
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.errors import InputError, SimulationError
-from mjtactile.core.types import Image, Surface, Touch
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array, Image, Surface, Touch
 from mjtactile.plugin.rest import at_rest
 from mjtactile.sensing.chain import Perception
 from mjtactile.sim.attach import Attachment
 from mjtactile.sim.camera import SimCamera
+from mjtactile.sim.sensor.loads import membrane_wrench
 from mjtactile.sim.sensor.runtime import TactileSensor
 from mjtactile.sim.step import advance
+from mjtactile.sim.stepper import Stepper
 
 OUTPUTS = {"wrench": 6, "pressure": 1, "touching": 1}
 """MuJoCo sensors of type `user` that `attach` adds, and how many numbers each has."""
@@ -97,6 +100,21 @@ class SimFinger:
         read."""
         return self.sensor.pressure_gauge
 
+    @property
+    def flags(self) -> Mapping[str, str]:
+        """What makes the simulation's numbers worse than usual: the kind of doubt (`feature`,
+        `edge`, `frame`, `speed`, ...), and its reason when it was first seen since `reset`."""
+        return MappingProxyType(self._stepper.flags)
+
+    def true_wrench(self) -> Array:
+        """What the simulation has on the membrane, for scoring: a real sensor cannot tell.
+
+        Returns:
+            (6,) Force, N, and torque about the origin of S, N m, frame S, as
+            `touch.traction.wrench` has them; of the last step.
+        """
+        return membrane_wrench(self._data, self.sensor)
+
     # -- what moves it
     # --------------------------------------------------------------------------------
 
@@ -111,7 +129,8 @@ class SimFinger:
         self.sensor.inflate(rest.displacements, rest.pressure_gauge)
         self._camera = SimCamera(self.sensor, self._seed, effects)
         self._perception = Perception(rest.chain, rest.state)
-        self._steps, self._time = 0, float(self._data.time)
+        self._stepper = Stepper(self._model, self._data, [self.sensor])
+        self._time = float(self._data.time)
         self._look()
         self._next_image = self._time + self._period
 
@@ -126,21 +145,18 @@ class SimFinger:
         Raises InputError when the scene was stepped or reset without this finger.
         """
         self._require_time()
-        self.sensor.update()
+        self._stepper.before_step()
 
     def after_step(self) -> None:
         """Check the state, look at an image if one is due; for those who call `mj_step` themselves,
         right after it.
 
-        Raises SimulationError when the state is no longer to be trusted.
+        Raises:
+            SimulationError: the state is no longer to be trusted: it diverged, or something went
+                through the membrane.
         """
-        self._steps, self._time = self._steps + 1, float(self._data.time)
-        motion = math.isfinite(
-            self._data.qpos.dot(self._data.qpos) + self._data.qvel.dot(self._data.qvel)
-        )
-        reason = self.sensor.failure() if motion else "the state is not finite"
-        if reason:
-            raise SimulationError(reason, step=self._steps, time=self._time)
+        self._time = float(self._data.time)
+        self._stepper.after_step()
         if self._time > self._next_image - self._model.opt.timestep / 2:
             self._look()
             self._next_image += self._period * max(

@@ -1,10 +1,10 @@
-"""`attach`: put the membrane, the gas and the housing of a sensor into any MuJoCo scene.
+"""`attach_membrane`: put the membrane, the gas and the housing of a sensor into any MuJoCo scene.
 `mjtactile.attach` adds what feels.
 
     spec = mujoco.MjSpec.from_file("my_robot.xml")
     recommend_options(spec)                                  # integrator, solver, cone, timestep
-    left = attach(spec, "dense", site="left_fingertip", prefix="left_")
-    right = attach(spec, "dense", site="right_fingertip", prefix="right_")
+    left = attach_membrane(spec, "dense", site="left_fingertip", prefix="left_")
+    right = attach_membrane(spec, "dense", site="right_fingertip", prefix="right_")
     model = spec.compile()
     data = mujoco.MjData(model)
     sensors = [left.bind(model, data), right.bind(model, data)]
@@ -71,7 +71,7 @@ _LEAST_MEMORY = 1 << 24  # bytes
 
 @dataclass(frozen=True, eq=False)
 class Attachment:
-    """A sensor that `attach` put into a spec; `bind` it to each model compiled from that spec."""
+    """A sensor that `attach_membrane` put into a spec; `bind` it to each model compiled from that spec."""
 
     design: SensorDesign
     mesh: MembraneMesh
@@ -91,7 +91,7 @@ class Attachment:
         )
 
 
-def attach(
+def attach_membrane(
     spec: mujoco.MjSpec,
     sensor: SensorDesign | str | Path,
     *,

@@ -13,10 +13,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.core import geometry
 from mjtactile.core.types import Array
 from mjtactile.kernels import kernel
 from mjtactile.sim.scenes.objects import PREFIX, moving_bodies
+from mjtactile.sim.sensor import loads
 from mjtactile.sim.sensor.contacts import listed
 
 if TYPE_CHECKING:
@@ -31,8 +31,9 @@ def contact_forces(world: World, sensor: int) -> tuple[Array, Array, Array]:
     m, and penetration depths (n,) m, one row per contact, in the order of MuJoCo's contact list."""
     data = world.data
     device = world.sensors[sensor]
-    rows, f_S = _forces(world, device)
     R_WS, p_WS = _pose(world, device)
+    rows, sides = loads.on_membrane(data, device)
+    f_S = loads.forces(data, rows, sides, R_WS)
     return f_S, (data.contact.pos[rows] - p_WS) @ R_WS, device.penetrations(rows)
 
 
@@ -45,42 +46,18 @@ def contact_force(world: World, sensor: int) -> Array:
 def contact_loads(world: World, devices: Sequence[TactileSensor]) -> Array:
     """Total forces (n, 3) N that the world exerts on the membranes of `devices`, each in its frame
     S."""
-    loads = np.empty((len(devices), 3))
+    f_W = np.empty((len(devices), 3))
     kernel("membrane_loads")(
         *listed(world.data),
         world.data.nefc,
         world.data.efc_force,
         len(devices),
         np.array([device.contact_ids for device in devices]),
-        loads,
+        f_W,
     )
     return np.array(
-        [load @ _pose(world, device)[0] for load, device in zip(loads, devices, strict=True)]
+        [load @ _pose(world, device)[0] for load, device in zip(f_W, devices, strict=True)]
     )
-
-
-def _forces(world: World, device: TactileSensor) -> tuple[NDArray[np.int64], Array]:
-    """Rows (n,) of MuJoCo's contact list that are the membrane's, and the forces (n, 3) N on it, in
-    S: `mj_contactForce` with elliptic cones, for all at once."""
-    contact = world.data.contact
-    efc_force = world.data.efc_force
-    # one block
-    geom = contact.geom
-    first = int(device.vertex_geom_ids[0])
-    last = int(device.vertex_geom_ids[-1])
-    on_membrane = ((geom >= first) & (geom <= last)) | (contact.flex == device.flex_id)  # (ncon, 2)
-    rows = (on_membrane[:, 0] | on_membrane[:, 1]).nonzero()[0]
-    address = contact.efc_address[rows]
-    dim = contact.dim[rows]
-    force = np.zeros((len(rows), 3))
-    for axis in range(3):
-        pushes = (address >= 0) & (dim > axis)
-        force[pushes, axis] = efc_force[address[pushes] + axis]
-    # The rows of `frame` are the contact's axes in W; the force acts on the contact's second
-    # entity.
-    f_W = np.einsum("nk,nkj->nj", force, contact.frame[rows].reshape(-1, 3, 3))
-    f_W *= np.where(on_membrane[rows, 1], 1.0, -1.0)[:, None]
-    return rows, f_W @ _pose(world, device)[0]
 
 
 def friction_used(world: World, mu: float) -> float:
@@ -157,8 +134,7 @@ def contact_torque(world: World, sensor: int) -> Array:
 def contact_wrench(world: World, sensor: int) -> Array:
     """Total force, N, and torque about the origin of S, N m, (6,) that the world exerts on membrane
     `sensor`, frame S."""
-    forces, points, _ = contact_forces(world, sensor)
-    return np.concatenate([forces.sum(axis=0), geometry.cross(points, forces).sum(axis=0)])
+    return loads.membrane_wrench(world.data, world.sensors[sensor])
 
 
 def contact_area(world: World, sensor: int, spacing: float = 4e-4) -> float:

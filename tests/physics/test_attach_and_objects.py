@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core.errors import InputError, SimulationError
-from mjtactile.sim.attach import attach, recommend_options
+from mjtactile.sim.attach import attach_membrane, recommend_options
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.objects import load_object
 from mjtactile.sim.scenes.world import World
@@ -40,7 +40,7 @@ def test_options_that_cannot_carry_a_membrane_are_refused(option, value, words):
     spec = scene()
     setattr(spec.option, option, value)
     with pytest.raises(InputError) as caught:
-        attach(spec, "paper16", site="mount")
+        attach_membrane(spec, "paper16", site="mount")
     assert all(word in str(caught.value) for word in words)
 
 
@@ -48,12 +48,12 @@ def test_default_options_of_a_new_scene_are_refused():
     spec = mujoco.MjSpec()
     spec.worldbody.add_site(name="mount")
     with pytest.raises(InputError, match="integrator"):
-        attach(spec, "paper16", site="mount")
+        attach_membrane(spec, "paper16", site="mount")
 
 
 def test_options_changed_after_attaching_are_refused_when_binding():
     spec = scene()
-    attachment = attach(spec, "paper16", site="mount")
+    attachment = attach_membrane(spec, "paper16", site="mount")
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     with pytest.raises((InputError, ValueError), match="integrator"):
         model = spec.compile()
@@ -63,18 +63,18 @@ def test_options_changed_after_attaching_are_refused_when_binding():
 def test_unknown_site_used_prefix_and_bad_mesh_are_refused():
     spec = scene()
     with pytest.raises(InputError, match=r"nowhere.*mount"):
-        attach(spec, "paper16", site="nowhere")
+        attach_membrane(spec, "paper16", site="nowhere")
     with pytest.raises(InputError, match="prefix"):
-        attach(spec, "paper16", site="mount", prefix="")
+        attach_membrane(spec, "paper16", site="mount", prefix="")
     with pytest.raises(InputError, match="nx"):
-        attach(spec, "paper16", site="mount", mesh=(3, 11))
-    attach(spec, "paper16", site="mount", prefix="one/")
+        attach_membrane(spec, "paper16", site="mount", mesh=(3, 11))
+    attach_membrane(spec, "paper16", site="mount", prefix="one/")
     with pytest.raises(InputError, match="one/"):
-        attach(spec, "paper16", site="mount", prefix="one/")
+        attach_membrane(spec, "paper16", site="mount", prefix="one/")
 
 
 def test_binding_to_a_foreign_model_is_refused():
-    attachment = attach(scene(), "paper16", site="mount")
+    attachment = attach_membrane(scene(), "paper16", site="mount")
     other = scene().compile()
     with pytest.raises(InputError, match="attached"):
         attachment.bind(other, mujoco.MjData(other))
@@ -82,7 +82,7 @@ def test_binding_to_a_foreign_model_is_refused():
 
 def test_a_model_keeps_its_pre_stretch_when_bound_again():
     spec = scene()
-    attachment = attach(spec, "paper16", site="mount")
+    attachment = attach_membrane(spec, "paper16", site="mount")
     model = spec.compile()
     attachment.bind(model, mujoco.MjData(model))
     once = model.flexedge_length0.copy()
@@ -183,7 +183,7 @@ def test_commands_that_are_not_numbers_are_refused(grasp, value):
 
 def test_divergence_is_an_error_with_step_and_reason():
     spec = scene()
-    world = World(spec, [attach(spec, "paper16", site="mount", mesh=(7, 7))])
+    world = World(spec, [attach_membrane(spec, "paper16", site="mount", mesh=(7, 7))])
     world.step(5)
     world.data.qvel[10] = np.nan
     with pytest.raises(SimulationError, match=r"step 6 .*: ") as caught:
@@ -197,7 +197,7 @@ def test_membrane_pushed_against_the_glass_is_an_error():
     spec.option.gravity = [0, 0, 0]
     ball = spec.worldbody.add_body(name="ball", mocap=True, pos=[0, 0, 0.02])
     ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.008, 0, 0])
-    world = World(spec, [attach(spec, "paper16", site="mount", mesh=(9, 9))])
+    world = World(spec, [attach_membrane(spec, "paper16", site="mount", mesh=(9, 9))])
     with pytest.raises(SimulationError, match="glass"):
         for height in np.linspace(0.02, -0.02, 400):
             world.data.mocap_pos[0, 2] = height

@@ -7,7 +7,7 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.sim import truth
-from mjtactile.sim.attach import attach, recommend_options
+from mjtactile.sim.attach import attach_membrane, recommend_options
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.world import World
 
@@ -130,7 +130,7 @@ def test_arm_joints_carry_exactly_the_contact_wrench():
     body.add_site(name="tip", pos=[0, 0, 0.145])
     ball = spec.worldbody.add_body(name="ball", mocap=True, pos=[2, 0, 0])
     ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.01, 0, 0])
-    world = World(spec, [attach(spec, "paper16", site="tip", mesh=MESH)])
+    world = World(spec, [attach_membrane(spec, "paper16", site="tip", mesh=MESH)])
     model = world.model
     data = world.data
     sensor = world.sensors[0]
@@ -174,7 +174,7 @@ def test_free_floating_sensor_does_not_accelerate_itself():
     body = spec.worldbody.add_body(name="float", quat=[0.8, 0.3, 0.5, 0.1])
     body.add_freejoint()
     body.add_site(name="mount")
-    world = World(spec, [attach(spec, "paper16", site="mount", mesh=MESH)])
+    world = World(spec, [attach_membrane(spec, "paper16", site="mount", mesh=MESH)])
     world.sensors[0].open_valve()
     world.step(300)
     world.sensors[0].close_valve()
@@ -198,7 +198,9 @@ def test_one_and_many_sensors_give_the_same_numbers():
     )
     carrier.add_site(name="c", pos=[0, 0, 0.1], quat=[0.9, 0.1, 0.3, 0.2])
     design = load_sensor("paper16")
-    world = World(spec, [attach(spec, design, site=s, prefix=f"{s}/", mesh=MESH) for s in "abc"])
+    world = World(
+        spec, [attach_membrane(spec, design, site=s, prefix=f"{s}/", mesh=MESH) for s in "abc"]
+    )
     for sensor in world.sensors:
         sensor.open_valve()
     world.step(200)
@@ -212,7 +214,7 @@ def test_sealed_membrane_at_rest_gains_no_energy():
     spec = mujoco.MjSpec()
     recommend_options(spec)
     spec.worldbody.add_site(name="mount")
-    world = World(spec, [attach(spec, "paper16", site="mount", mesh=MESH)])
+    world = World(spec, [attach_membrane(spec, "paper16", site="mount", mesh=MESH)])
     world.sensors[0].open_valve()
     world.step(10)  # seal it while it still moves
     world.sensors[0].close_valve()
@@ -230,7 +232,7 @@ def test_no_energy_is_gained_with_the_valve_closed_and_nothing_moving():
     recommend_options(spec)
     spec.option.gravity = [0, 0, 0]
     spec.worldbody.add_site(name="mount")
-    world = World(spec, [attach(spec, "paper16", site="mount", mesh=MESH)])
+    world = World(spec, [attach_membrane(spec, "paper16", site="mount", mesh=MESH)])
     world.sensors[0].open_valve()
     world.step(100)
     world.sensors[0].close_valve()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core.errors import InputError
-from mjtactile.sim.attach import attach, recommend_options
+from mjtactile.sim.attach import attach_membrane, recommend_options
 
 THEIRS = """<mujoco><option noslip_iterations="20" {option}><flag {flag}/></option>{size}
 <worldbody>
@@ -72,14 +72,14 @@ def test_recommended_options_say_what_they_changed_and_then_carry_a_sensor(chang
     spec, changed = theirs(**changes)
     assert all(any(words in line for line in changed) for words in said)
     assert recommend_options(spec) == ()
-    attach(spec, "dense", site="tip")
+    attach_membrane(spec, "dense", site="tip")
 
 
 def test_an_objects_contact_bits_do_not_matter():
     depths = []
     for bits in (1, 2, 1 << 20):
         spec, _ = theirs(place=ABOVE, bits=bits)
-        model, data, sensor = bound(spec, attach(spec, "dense", site="tip"))
+        model, data, sensor = bound(spec, attach_membrane(spec, "dense", site="tip"))
         sensor.open_valve()
         settle(model, data, sensor)
         assert data.body("ball").xpos[2] > 0.443  # it lies on the membrane
@@ -93,14 +93,14 @@ def test_a_site_that_cannot_carry_a_sensor_is_refused():
         </worldbody></mujoco>""")
     recommend_options(spec)
     with pytest.raises(InputError, match="site: 'tip' is on the mocap body 'ghost'"):
-        attach(spec, "dense", site="tip")
+        attach_membrane(spec, "dense", site="tip")
     with pytest.raises(InputError, match="site"):
-        attach(spec, "dense", site=theirs()[0].site("tip"))  # of another scene
+        attach_membrane(spec, "dense", site=theirs()[0].site("tip"))  # of another scene
 
 
 def test_keyframes_keep_their_joints():
     spec, _ = theirs()
-    attach(spec, "dense", site="tip")
+    attach_membrane(spec, "dense", site="tip")
     model = spec.compile()
     places = [
         (model.joint(name).qposadr[0], model.joint(name).dofadr[0]) for name in ("first", "last")
@@ -111,14 +111,14 @@ def test_keyframes_keep_their_joints():
 
 def test_a_sensor_on_a_weightless_robot_is_weightless():
     spec, _ = theirs()
-    attach(spec, "dense", site="tip", prefix="it/")
+    attach_membrane(spec, "dense", site="tip", prefix="it/")
     model = spec.compile()
     assert model.body_gravcomp[model.body("it/sensor").id] == 1.0
 
 
 def test_a_saved_scene_can_be_loaded_and_bound_again():
     spec, _ = theirs()
-    attachment = attach(spec, "dense", site="tip")
+    attachment = attach_membrane(spec, "dense", site="tip")
     model, data, sensor = bound(spec, attachment)
     again = bound(mujoco.MjSpec.from_string(spec.to_xml()), attachment)
     for run in ((model, data, sensor), again):
@@ -130,7 +130,7 @@ def test_a_saved_scene_can_be_loaded_and_bound_again():
 
 def test_binding_again_while_a_sensor_sleeps_starts_from_an_awake_model():
     spec, _ = theirs()
-    attachment = attach(spec, "dense", site="tip")
+    attachment = attach_membrane(spec, "dense", site="tip")
     model, data, sensor = bound(spec, attachment)
     names = (
         "geom_gap",

@@ -9,7 +9,7 @@ from membrane_scenes import scene, settle
 
 from mjtactile.core.design import Chamber, Frame, Membrane, load_sensor
 from mjtactile.core.rubber import Law
-from mjtactile.sim.attach import attach, recommend_options
+from mjtactile.sim.attach import attach_membrane, recommend_options
 from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor.chamber import ChamberGeometry
 from mjtactile.sim.sensor.mesh import MarkerInterpolator, make_mesh
@@ -195,7 +195,7 @@ def pressed(design, depth, mesh=(13, 11), radius=0.01, timestep=4e-3):
     spec.worldbody.add_site(name="mount")
     ball = spec.worldbody.add_body(name="ball", mocap=True, pos=[0, 0, 0.1])
     ball.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0])
-    world = World(spec, [attach(spec, design, site="mount", mesh=mesh)])
+    world = World(spec, [attach_membrane(spec, design, site="mount", mesh=mesh)])
     device = world.sensors[0]
     settle(world, 1000.0)
     device.close_valve()

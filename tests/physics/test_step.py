@@ -5,7 +5,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjtactile.sim.attach import attach, recommend_options
+from mjtactile.sim.attach import attach_membrane, recommend_options
 from mjtactile.sim.step import advance
 
 SCENE = """<mujoco><worldbody>
@@ -24,7 +24,7 @@ def scene(more=""):
     """A ball that falls onto a sensor on a hand that lies on its joint's limit."""
     spec = mujoco.MjSpec.from_string(SCENE.format(more=more))
     recommend_options(spec)
-    attachment = attach(spec, "dense", site="tip", mesh=(9, 7))
+    attachment = attach_membrane(spec, "dense", site="tip", mesh=(9, 7))
     model = spec.compile()
     data = mujoco.MjData(model)
     sensor = attachment.bind(model, data)

@@ -18,6 +18,7 @@ from mjtactile.sim.scenes.hand_world import DEFAULT_TIMESTEP, HandWorld
 from mjtactile.sim.scenes.objects import PREFIX, ObjectModel, add_object, load_object
 from mjtactile.sim.scenes.start import Start
 from mjtactile.sim.scenes.strain import SoftSolid, soft_flex
+from mjtactile.sim.sensor.limits import Flags
 from mjtactile.sim.sensor.switches import PHYSICS
 
 _STRAINED = 0.2
@@ -87,20 +88,21 @@ class GraspWorld(HandWorld):
             else SoftSolid(self.model, soft_flex(self.model, PREFIX), flesh.young, flesh.poisson)
         )
         """Where and how far a soft object is strained: its elements, for scoring and for flags."""
+        self._watch(self._strain_flags)
         require_clear(self, self.object, self.opening)
 
-    def _look(self) -> None:
-        super()._look()
+    def _strain_flags(self) -> Flags:
+        """Say when the soft object is strained by more than its linear elements can carry."""
         if self.solid is None or "strain" in self.flags:
-            return
+            return {}
         compression = self.solid.strain(self.data).compression
-        if compression > _STRAINED:
-            self.flags["strain"] = (
-                f"{self.object.name!r} is compressed by {compression:.0%} at its worst: its "
-                "elements "
-                "are linear, and rubber is stiffer by a quarter from "
-                f"{_STRAINED:.0%} on"
-            )
+        if compression <= _STRAINED:
+            return {}
+        return {
+            "strain": f"{self.object.name!r} is compressed by {compression:.0%} at its worst: its "
+            "elements are linear, and rubber is stiffer by a quarter from "
+            f"{_STRAINED:.0%} on"
+        }
 
     def _check_clearance(self, tip_height: float, half: float) -> None:
         if tip_height <= half:

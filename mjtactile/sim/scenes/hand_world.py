@@ -12,7 +12,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.rig.simulated import SimRigFile
-from mjtactile.sim.attach import DEFAULT_MESH, attach, recommend_options
+from mjtactile.sim.attach import DEFAULT_MESH, attach_membrane, recommend_options
 from mjtactile.sim.scenes.actuators import PositionActuator
 from mjtactile.sim.scenes.jaws import Jaws
 from mjtactile.sim.scenes.lifts import make_lift
@@ -54,7 +54,7 @@ class HandWorld(World):
         spec, coordinates, mocap = load_robot(rig)
         recommend_options(spec, timestep)
         attachments = [
-            attach(
+            attach_membrane(
                 spec, design, site=finger.site, prefix=f"{finger.name}/", mesh=mesh, effects=effects
             )
             for design, finger in zip(designs, rig.fingers, strict=True)

@@ -11,7 +11,7 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
-from mjtactile.sim.attach import DEFAULT_MESH, attach, recommend_options
+from mjtactile.sim.attach import DEFAULT_MESH, attach_membrane, recommend_options
 from mjtactile.sim.scenes.meshes import SUFFIXES, add_solid, convex_parts, load_solid
 from mjtactile.sim.scenes.mjcf import read_mjcf
 from mjtactile.sim.scenes.world import World
@@ -125,7 +125,7 @@ class PressWorld(World):
         # a stiff drive shows the solver's noise: 10 mN at the 1e-7 of a grasp, 1 mN here
         spec.option.tolerance = 1e-9
         carrier = _add_carrier(spec, mount)
-        attachment = attach(
+        attachment = attach_membrane(
             spec, sensor, site="base", prefix="sensor/", mesh=mesh, contact=contact, effects=effects
         )
         self.design = attachment.design

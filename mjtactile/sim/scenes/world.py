@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 
 import mujoco
 import numpy as np
 
-from mjtactile.core.errors import InputError, SimulationError
+from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.sim.attach import Attachment
 from mjtactile.sim.log import route_warnings
-from mjtactile.sim.sensor.limits import Flags, Monitor
+from mjtactile.sim.sensor.limits import Flags
 from mjtactile.sim.sensor.runtime import TactileSensor
-from mjtactile.sim.step import advance
-
-_LOOK_EVERY = 0.02  # s, between the checks that cost more than a few microseconds
+from mjtactile.sim.stepper import Stepper
 
 
 class World:
     """Owns model and data of a scene with attached sensors.
 
-    MuJoCo answers divergence by silently resetting the state and rewinding time. Here that is off,
-    and every step is checked for it: `step` raises SimulationError, never returns a wrong number.
-    What makes the numbers worse than usual is in `flags`: the kind of doubt, and its reason when it
-    was first seen.
+    MuJoCo's way with divergence, to reset the state and rewind time, is off: `step` raises
+    SimulationError, never returns a wrong number.
     """
 
     def __init__(
@@ -49,16 +44,7 @@ class World:
         self.sensors: tuple[TactileSensor, ...] = tuple(
             a.bind(self.model, self.data) for a in attachments
         )
-        self.step_count = 0
-        # live views
-        self._qpos = self.data.qpos
-        self._qvel = self.data.qvel
-        self._warned = self.data.warning.number
-        self._monitor = Monitor(self.model, self.data, self.sensors)
-        self.flags: Flags = self._monitor.built()
-        # steps whose solver ran out of iterations, since the last look and in the one before
-        self._unsolved = [0, 0]
-        self._look_every = max(1, round(_LOOK_EVERY / self.timestep))
+        self._stepper = Stepper(self.model, self.data, self.sensors)
         self._after_step: list[Callable[[], None]] = []
         self._moves = type(self)._before_step is not World._before_step
 
@@ -88,21 +74,26 @@ class World:
             )
         self.data.ctrl[actuator] = value
 
+    @property
+    def flags(self) -> Flags:
+        """What makes the numbers worse than usual: the kind of doubt, and its reason when it was
+        first seen."""
+        return self._stepper.flags
+
+    @property
+    def step_count(self) -> int:
+        return self._stepper.step_count
+
     def step(self, count: int = 1) -> None:
         """Advance by `count` time steps. Raises SimulationError when the state is no longer to be
         trusted."""
         if not (self.sensors or self._after_step or self._moves):  # nothing to do between the steps
             mujoco.mj_step(self.model, self.data, count)
-            self.step_count += count
-            self._check()
+            self._stepper.after_step(count)
             return
         for _ in range(count):
             self._before_step()
-            for sensor in self.sensors:
-                sensor.update()
-            advance(self.model, self.data)
-            self.step_count += 1
-            self._check()
+            self._stepper.step()
             for call in self._after_step:
                 call()
 
@@ -118,39 +109,6 @@ class World:
     def _before_step(self) -> None:
         """Hook for worlds that move their controls by themselves."""
 
-    def _check(self) -> None:
-        if not math.isfinite(self._qpos.dot(self._qpos) + self._qvel.dot(self._qvel)):
-            self._fail("the state is not finite")
-        if self._warned.dot(self._warned):
-            names = [
-                mujoco.mjtWarning(int(i)).name.removeprefix("mjWARN_")
-                for i in np.flatnonzero(self._warned)
-            ]
-            self._fail(f"MuJoCo warned: {', '.join(names)}")
-        if not self.sensors:
-            return
-        for sensor in self.sensors:
-            reason = sensor.failure()
-            if reason:
-                self._fail(reason)
-        self._unsolved[0] += int(self.data.solver_niter[0] >= self.model.opt.iterations)
-        if "speed" not in self.flags:
-            self.flags |= self._monitor.hurried()
-        if self.step_count % self._look_every == 0:
-            self._look()
-
-    def _look(self) -> None:
-        flags, stop = self._monitor.look()
-        if min(self._unsolved) > 0.5 * self._look_every:
-            flags["solver"] = (
-                f"the solver did not converge in {self.model.opt.iterations} iterations: forces "
-                "are rough; use a "
-                "smaller timestep"
-            )
-        self._unsolved = [0, self._unsolved[0]]
-        self.flags = flags | self.flags
-        if stop:
-            self._fail(stop)
-
-    def _fail(self, reason: str) -> None:
-        raise SimulationError(reason, step=self.step_count, time=self.time)
+    def _watch(self, watcher: Callable[[], Flags]) -> None:
+        """From now on, take in the flags of `watcher` at each look at the state."""
+        self._stepper.watchers.append(watcher)

@@ -7,44 +7,26 @@ number silently.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
-import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from mjtactile.core import geometry, theory
+from mjtactile.core import theory
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.rubber import Law, principal_stresses
 from mjtactile.core.types import Array
-from mjtactile.sim.sensor import features
-
-if TYPE_CHECKING:
-    from mjtactile.sim.sensor.runtime import TactileSensor
 
 Flags = dict[str, str]
 """Kind of doubt ("stretch", "wrinkles", "penetration", "mesh", "feature", "edge", "hull",
-"bending", "speed", "solver", "unsettled", "strain" of a soft object) to its reason."""
+"bending", "speed", "solver", "frame", "unsettled", "strain" of a soft object) to its reason."""
 
 STVK_ERROR = 0.02  # share of a height
 # against the free sheet; beyond, real rubber (Treloar 1944) is more than about 10 % off the
 # neo-Hookean law
 STRETCHED = 1.4
 WRINKLED = 0.01  # share of the sheet under compression
-PENETRATION = 0.05  # share of the indentation
-_SUNK = 0.5  # share of the indentation at which a force means nothing
 SLACKEST = 0.95
-# of its own size in a step; m from the membrane's middle
-_FAST = 0.5
-_NEAR = 0.05
-_LEAST_INDENTATION = 3e-4  # m; below it, shares of the indentation say nothing
 _BENDING = 0.05  # share of the bulge's stiffness
 _THICKEST = 0.1  # of the frame's shorter side
-# looks: stretch and wrinkles come and go no faster than pressure does; speed is watched in every
-# step, too
-_RARELY = 5
 
 
 def check_design(design: SensorDesign, mesh: tuple[int, int]) -> None:
@@ -101,241 +83,39 @@ def design_flags(design: SensorDesign, nx: int, ny: int) -> Flags:
     return flags
 
 
-def state_flags(sensor: TactileSensor) -> Flags:
-    """What makes the present state of the sheet less good than it looks: large stretch,
-    compression."""
+def sheet_flags(
+    design: SensorDesign, pressure_gauge: float, stretches: Array, areas: Array
+) -> Flags:
+    """What makes the present state of the sheet less good than it looks: stretch, compression.
+
+    Args:
+        design: The sensor.
+        pressure_gauge: Of its chamber, Pa.
+        stretches: Principal stretches (m, 2), small and large, of the triangles against the free
+            sheet.
+        areas: Their areas (m,) m^2.
+    """
     flags: Flags = {}
-    sheet = sensor.design.membrane
-    stretches, areas = sensor.stretches()
+    sheet = design.membrane
     ninth = (9 * len(stretches)) // 10  # a few triangles at an edge do not make the bulge
     largest = float(np.partition(stretches[:, 1], ninth)[ninth])
-    error = (
-        theory.stvk_height_error(sensor.design, sensor.pressure_gauge)
-        if sheet.law is Law.STVK
-        else 0.0
-    )
+    error = theory.stvk_height_error(design, pressure_gauge) if sheet.law is Law.STVK else 0.0
     if error > STVK_ERROR:
         flags["stretch"] = (
-            "the sheet is St. Venant-Kirchhoff's: rubber "
-            f"bulges higher by {error:.0%} at "
-            f"{1e-3 * sensor.pressure_gauge:.2g} kPa; switch 'hyperelasticity' on"
+            f"the sheet is St. Venant-Kirchhoff's: rubber bulges higher by {error:.0%} at "
+            f"{1e-3 * pressure_gauge:.2g} kPa; switch 'hyperelasticity' on"
         )
     elif largest > STRETCHED:
         flags["stretch"] = (
             f"stretch {largest:.2f} is beyond {STRETCHED:g}, up to which rubber is neo-Hookean "
-            "within 10 %; use "
-            "less pressure or a thicker sheet"
+            "within 10 %; use less pressure or a thicker sheet"
         )
     # over a modulus
-    least = principal_stresses(np.maximum(stretches, 0.1), 1.0, sheet.poisson, sheet.law).min(
-        axis=1
-    )
-    share = float(areas[least < -1e-3].sum() / areas.sum())
+    stresses = principal_stresses(np.maximum(stretches, 0.1), 1.0, sheet.poisson, sheet.law)
+    share = float(areas[stresses.min(axis=1) < -1e-3].sum() / areas.sum())
     if share > WRINKLED:
         flags["wrinkles"] = (
             f"{share:.0%} of the sheet is under compression, where a real one wrinkles: shape "
-            "and force are "
-            "those of a sheet that cannot; use pre_stretch above 1 or "
-            "more pressure"
+            "and force are those of a sheet that cannot; use pre_stretch above 1 or more pressure"
         )
     return flags
-
-
-class Monitor:
-    """Looks at a running world now and then: penetration, things that went through, objects too
-    fast for the step."""
-
-    def __init__(
-        self, model: mujoco.MjModel, data: mujoco.MjData, sensors: tuple[TactileSensor, ...]
-    ):
-        self._model = model
-        self._data = data
-        self._sensors = sensors
-        self._geoms = features.touching_geoms(model)
-        self._sizes = np.array([features.feature_radius(model, int(g)) for g in self._geoms])
-        self._index = np.full(model.ngeom + 1, -1)  # of geom ids, and of -1
-        self._index[self._geoms] = np.arange(len(self._geoms))
-        self._faces, self._sides = (
-            np.array([features.edge_half_width(model, int(g), axial) for g in self._geoms])
-            for axial in (1.0, 0.0)
-        )
-        self._has_edges = np.isfinite(np.minimum(self._faces, self._sides)).tolist()
-        self._movers = np.setdiff1d(
-            np.arange(model.nv), np.concatenate([np.empty(0, int), *(s.dofs for s in sensors)])
-        )
-        least = _FAST * self._sizes.min(initial=np.inf) / float(model.opt.timestep)
-        self._hurry = least / np.maximum(model.dof_length[self._movers], 1e-9)
-        self._rest = [sensor.heights for sensor in sensors]
-        self._deep = np.zeros((len(sensors), 5))  # shares at the last looks
-        self._looks = -1
-        self._places = self._geoms_in(sensors)
-        self._hulls: dict[int, str | None] = {}  # of those of `_geoms` that have touched
-
-    def built(self) -> Flags:
-        """Flags of the scene as it was built."""
-        flags: Flags = {}
-        for sensor in self._sensors:
-            flags |= design_flags(sensor.design, sensor.mesh.nx, sensor.mesh.ny)
-        return flags
-
-    def look(self) -> tuple[Flags, str | None]:
-        """Flags of the present state, and the reason to stop, if there is one. Call every 20 ms or
-        so."""
-        flags: Flags = {}
-        stop = None
-        if all(sensor.is_asleep for sensor in self._sensors):
-            return flags, stop
-        places = self._geoms_in(self._sensors)
-        self._looks += 1
-        for number, sensor in enumerate(self._sensors):
-            if sensor.is_asleep:
-                continue
-            if self._looks % _RARELY == 0:
-                flags |= sensor.flags()
-            rows = self._contacts(sensor)
-            flags |= self._shapes(sensor, rows) if len(rows) else {}
-            lasting = self._penetration(number, rows)
-            if lasting > PENETRATION:
-                flags["penetration"] = (
-                    f"objects sink into the membrane by {lasting:.0%} of what they push in, "
-                    "more than "
-                    f"{PENETRATION:.0%}; a smaller timestep makes "
-                    "contact stiffer"
-                )
-            if lasting > _SUNK:
-                stop = f"sensor {sensor.prefix!r}: {flags['penetration']}"
-            stop = stop or self._passed(number, places[number])
-        self._places = places
-        if self._looks % _RARELY == 0:
-            flags |= self._too_fast(places)
-        return flags, stop
-
-    def _contacts(self, sensor: TactileSensor) -> NDArray[np.int64]:
-        """Rows of MuJoCo's contact list that are the sensor's membrane's."""
-        contact = self._data.contact
-        # one block
-        geom = contact.geom
-        vertices = sensor.vertex_geom_ids
-        mine = ((geom >= vertices[0]) & (geom <= vertices[-1])) | (contact.flex == sensor.flex_id)
-        # 1: near, but not touching
-        return np.flatnonzero(mine.any(axis=1) & (contact.exclude == 0))
-
-    def _shapes(self, sensor: TactileSensor, rows: NDArray[np.int64]) -> Flags:
-        """What is to be said of the geoms that touch in the contacts `rows`: too small for the
-        mesh, edges, hollows."""
-        flags: Flags = {}
-        contact = self._data.contact
-        others = self._index[contact.geom[rows]].max(axis=1)  # -1: not one of `_geoms`
-        touching = set(others.tolist()) - {-1}
-        if not touching:
-            return flags
-        smallest = min(touching, key=lambda k: self._sizes[k])
-        feature = features.resolution_flag(
-            self._model, int(self._geoms[smallest]), float(self._sizes[smallest]), sensor.mesh
-        )
-        if feature:
-            flags["feature"] = feature
-        if any(self._has_edges[k] for k in touching):
-            edge = features.edge_flag(
-                self._nearest_edge(rows[others >= 0], others[others >= 0]), sensor.mesh
-            )
-            flags |= {"edge": edge} if edge else {}
-        for k in touching:
-            if k not in self._hulls:
-                self._hulls[k] = features.hull_flag(self._model, int(self._geoms[k]))
-            if hull := self._hulls[k]:
-                flags["hull"] = hull
-        return flags
-
-    def _nearest_edge(self, rows: NDArray[np.int64], others: NDArray[np.int64]) -> float:
-        """Least half width, m, of the faces with edges that touch in the contacts `rows`, of the
-        geoms `others` in `_geoms`."""
-        axes = self._data.geom_xmat[self._geoms[others]].reshape(-1, 3, 3)[:, :, 2]
-        axial = np.abs(np.einsum("ki,ki->k", self._data.contact.frame[rows, :3], axes))
-        return float(np.where(axial > features.END, self._faces[others], self._sides[others]).min())
-
-    def _penetration(self, number: int, rows: NDArray[np.int64]) -> float:
-        """Penetration as a share of the indentation, if it lasts for some looks: an impact sinks in
-        for a moment."""
-        heights = self._sensors[number].heights
-        if not len(rows):
-            self._rest[number] = heights
-            self._deep[number] = 0.0
-            return 0.0
-        indentation = max(float((self._rest[number] - heights).max()), 0.0)
-        depth = max(float(self._sensors[number].penetrations(rows).max()), 0.0)
-        self._deep[number] = [
-            *self._deep[number, 1:],
-            depth / max(indentation + depth, _LEAST_INDENTATION),
-        ]
-        return float(self._deep[number].min())
-
-    def _geoms_in(self, sensors: tuple[TactileSensor, ...]) -> list[Array]:
-        """Centres (g, 3) m of what may touch, in each sensor's frame."""
-        data = self._data
-        return [
-            (data.geom_xpos[self._geoms] - data.xpos[s.body_id])
-            @ data.xmat[s.body_id].reshape(3, 3)
-            for s in sensors
-        ]
-
-    def _passed(self, number: int, places: Array) -> str | None:
-        """Something whose middle is behind the membrane, or was before it and is now behind the
-        glass, went through it."""
-        sensor = self._sensors[number]
-        frame = sensor.design.frame
-        before = self._places[number]
-        top = max(float(sensor.heights.max()), 0.0)
-        glass = -sensor.design.chamber.depth
-        low = np.flatnonzero(places[:, 2] < top)
-        if not len(low):
-            return None
-        p_SV = sensor.p_SV
-        for k in low[
-            (np.abs(places[low, :2]) < (0.45 * frame.length, 0.45 * frame.width)).all(axis=1)
-        ]:
-            nearest = np.argmin(((p_SV[:, :2] - places[k, :2]) ** 2).sum(axis=1))
-            if (places[k, 2] < p_SV[nearest, 2]) if places[k, 2] > glass else (before[k, 2] > top):
-                name = self._model.geom(int(self._geoms[k])).name or f"geom {self._geoms[k]}"
-                return (
-                    f"sensor {sensor.prefix!r}: {name!r} went through the membrane; use a "
-                    "smaller timestep or finer mesh"
-                )
-        return None
-
-    def hurried(self) -> Flags:
-        """The flag of something too fast, which a look now and then could miss; cheap while nothing
-        is, for every step."""
-        hurries = (np.abs(self._data.qvel[self._movers]) > self._hurry).any()
-        return self._too_fast(self._geoms_in(self._sensors)) if hurries else {}
-
-    def _too_fast(self, places: Sequence[Array]) -> Flags:
-        """Objects near a membrane that move by more than half their size in a step may not be seen
-        in time."""
-        flags: Flags = {}
-        if not len(self._geoms):
-            return flags
-        velocities = self._velocities(self._model.geom_bodyid[self._geoms])
-        step = float(self._model.opt.timestep)
-        for sensor, place in zip(self._sensors, places, strict=True):
-            velocity = velocities - self._velocities([sensor.body_id])
-            speed = np.sqrt(np.einsum("ki,ki->k", velocity, velocity))
-            near = np.einsum("ki,ki->k", place, place) < (_NEAR + self._sizes) ** 2
-            share = speed * near * step / self._sizes
-            k = int(np.argmax(share))
-            if share[k] > _FAST:
-                best = _FAST / 2 * self._sizes[k] / speed[k] * 1e3
-                flags["speed"] = (
-                    f"an object approaches at {speed[k]:.2g} m/s, more than half its size in a "
-                    "step; use a "
-                    f"timestep of at most {best:.2g} ms"
-                )
-        return flags
-
-    def _velocities(self, bodies: Sequence[int] | np.ndarray) -> Array:
-        """Velocities (n, 3) m/s of the origins of bodies, frame W."""
-        data = self._data
-        root = self._model.body_rootid[bodies]
-        turn = data.cvel[bodies, :3]
-        arm = data.xpos[bodies] - data.subtree_com[root]
-        return data.cvel[bodies, 3:] + geometry.cross(turn, arm)

@@ -57,6 +57,8 @@ class TactileSensor:
         self.vertex_geom_ids = np.array(
             [_require(model, mujoco.mjtObj.mjOBJ_GEOM, name) for name in names]
         )
+        self.housing_geom_ids = _geoms_of(model, self.body_id)
+        """The sensor's frame, glass and camera block."""
         self.contact_ids = np.array(
             [self.vertex_geom_ids[0], self.vertex_geom_ids[-1], self.flex_id]
         )
@@ -320,7 +322,7 @@ class TactileSensor:
 
     def flags(self) -> limits.Flags:
         """What makes the present numbers less good than they look; empty when nothing does."""
-        return limits.state_flags(self)
+        return limits.sheet_flags(self.design, self.pressure_gauge, *self.stretches())
 
     def failure(self) -> str | None:
         """Say why this sensor's state is outside what the model describes, or None."""
@@ -348,6 +350,11 @@ class TactileSensor:
                 f"{f'; rubber like this may not hold {1e-3 * pressure:.3g} kPa' if bursts else ''}"
             )
         return None
+
+
+def _geoms_of(model: mujoco.MjModel, body: int) -> NDArray[np.int64]:
+    first = int(model.body_geomadr[body])
+    return np.arange(first, first + int(model.body_geomnum[body]))
 
 
 def _require(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:

@@ -1,0 +1,62 @@
+"""What MuJoCo's contacts put on a sensor's membrane and on its frame: `mj_contactForce` with
+elliptic cones, for all rows of the list at once."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core import geometry
+from mjtactile.core.types import Array
+from mjtactile.sim.sensor.runtime import TactileSensor
+
+
+def on_membrane(
+    data: mujoco.MjData, sensor: TactileSensor
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Rows (n,) of MuJoCo's contact list that are the membrane's, and which of the contacts' two
+    sides it is: (n, 2)."""
+    geom = data.contact.geom
+    first = int(sensor.vertex_geom_ids[0])
+    last = int(sensor.vertex_geom_ids[-1])
+    sides = ((geom >= first) & (geom <= last)) | (data.contact.flex == sensor.flex_id)
+    rows = (sides[:, 0] | sides[:, 1]).nonzero()[0]
+    return rows, sides[rows]
+
+
+def forces(
+    data: mujoco.MjData, rows: NDArray[np.int64], sides: NDArray[np.bool_], R_WS: Array
+) -> Array:
+    """Forces (n, 3) N in S that the contacts `rows` (n,) exert on those of their `sides` (n, 2)."""
+    contact = data.contact
+    address = contact.efc_address[rows]
+    dim = contact.dim[rows]
+    force = np.zeros((len(rows), 3))
+    for axis in range(3):
+        pushes = (address >= 0) & (dim > axis)
+        force[pushes, axis] = data.efc_force[address[pushes] + axis]
+    # The rows of `frame` are the contact's axes in W; the force acts on the contact's second
+    # entity.
+    f_W = np.einsum("nk,nkj->nj", force, contact.frame[rows].reshape(-1, 3, 3))
+    f_W *= np.where(sides[:, 1], 1.0, -1.0)[:, None]
+    return f_W @ R_WS
+
+
+def membrane_wrench(data: mujoco.MjData, sensor: TactileSensor) -> Array:
+    """Force, N, and torque about the origin of S, N m, (6,) on the membrane, frame S."""
+    R_WS = data.xmat[sensor.body_id].reshape(3, 3)
+    rows, sides = on_membrane(data, sensor)
+    f_S = forces(data, rows, sides, R_WS)
+    points = (data.contact.pos[rows] - data.xpos[sensor.body_id]) @ R_WS
+    return np.concatenate([f_S.sum(axis=0), geometry.cross(points, f_S).sum(axis=0)])
+
+
+def frame_load(data: mujoco.MjData, sensor: TactileSensor) -> float:
+    """Size of the force, N, on the sensor's frame and housing, which no marker sees."""
+    sides = np.isin(data.contact.geom, sensor.housing_geom_ids)
+    rows = np.flatnonzero(sides.any(axis=1))
+    if not len(rows):
+        return 0.0
+    R_WS = data.xmat[sensor.body_id].reshape(3, 3)
+    return float(np.linalg.norm(forces(data, rows, sides[rows], R_WS).sum(axis=0)))

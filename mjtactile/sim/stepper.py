@@ -1,0 +1,103 @@
+"""`Stepper`: steps a compiled scene that has sensors, and checks every step.
+
+MuJoCo answers divergence by resetting the state and rewinding time. A checked scene stops instead:
+`SimulationError`, never a wrong number. What only makes numbers worse than usual is a flag.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import mujoco
+import numpy as np
+
+from mjtactile.core.errors import SimulationError
+from mjtactile.sim.sensor.limits import Flags
+from mjtactile.sim.sensor.monitor import SceneMonitor
+from mjtactile.sim.sensor.runtime import TactileSensor
+from mjtactile.sim.step import advance
+
+_LOOK_PERIOD = 0.02  # s between the checks that cost more than a few microseconds
+
+
+class Stepper:
+    """Advances model and data of a scene with `sensors`, which are bound to them.
+
+    `flags` has the kind of each doubt and its reason when it was first seen, `step_count` the steps
+    so far. Each of `watchers` is called at every look, 20 ms apart, and returns flags of its own.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, data: mujoco.MjData, sensors: Sequence[TactileSensor]
+    ):
+        self._model = model
+        self._data = data
+        self._sensors = tuple(sensors)
+        self._qpos = data.qpos  # live views
+        self._qvel = data.qvel
+        self._warnings = data.warning.number
+        self._old_warnings = int(self._warnings.sum())
+        self._monitor = SceneMonitor(model, data, self._sensors)
+        self._unsolved = [0, 0]
+        """Steps whose solver ran out of iterations, since the last look and in the one before."""
+        self._look_every = max(1, round(_LOOK_PERIOD / float(model.opt.timestep)))
+        self.flags: Flags = self._monitor.built()
+        self.step_count = 0
+        self.watchers: list[Callable[[], Flags]] = []
+
+    def step(self) -> None:
+        """Advance by one time step. Raises SimulationError when the state is not to be trusted."""
+        self.before_step()
+        advance(self._model, self._data)
+        self.after_step()
+
+    def before_step(self) -> None:
+        """Bring the gas of all sensors up to the present state."""
+        for sensor in self._sensors:
+            sensor.update()
+
+    def after_step(self, count: int = 1) -> None:
+        """Check the state after `count` steps.
+
+        Raises:
+            SimulationError: the state is not finite, MuJoCo warned, a membrane is where the model
+                does not hold, or something went through one.
+        """
+        self.step_count += count
+        if not math.isfinite(self._qpos.dot(self._qpos) + self._qvel.dot(self._qvel)):
+            self._stop("the state is not finite")
+        if int(self._warnings.sum()) > self._old_warnings:
+            self._stop(f"MuJoCo warned: {', '.join(self._warning_names())}")
+        if not self._sensors:
+            return
+        for sensor in self._sensors:
+            reason = sensor.failure()
+            if reason:
+                self._stop(reason)
+        self._unsolved[0] += int(self._data.solver_niter[0] >= self._model.opt.iterations)
+        if "speed" not in self.flags:
+            self.flags |= self._monitor.hurried()
+        if self.step_count % self._look_every == 0:
+            self._look()
+
+    def _look(self) -> None:
+        flags, reason = self._monitor.look()
+        if min(self._unsolved) > 0.5 * self._look_every:
+            flags["solver"] = (
+                f"the solver did not converge in {self._model.opt.iterations} iterations: forces "
+                "are rough; use a smaller timestep"
+            )
+        self._unsolved = [0, self._unsolved[0]]
+        for watcher in self.watchers:
+            flags |= watcher()
+        self.flags = flags | self.flags
+        if reason:
+            self._stop(reason)
+
+    def _warning_names(self) -> list[str]:
+        kinds = np.flatnonzero(self._warnings)
+        return [mujoco.mjtWarning(int(kind)).name.removeprefix("mjWARN_") for kind in kinds]
+
+    def _stop(self, reason: str) -> None:
+        raise SimulationError(reason, step=self.step_count, time=float(self._data.time))

@@ -1,0 +1,53 @@
+"""What a user's scene says about itself: flags on the finger, a stop where numbers would be wrong."""
+
+import mujoco
+import numpy as np
+import pytest
+
+import mjtactile
+from mjtactile.core.errors import SimulationError
+
+G = 9.81  # m/s^2
+SCENE = """<mujoco><worldbody><body name="base" pos="0 0 0.1"><site name="here"/></body>
+ <body pos="{x} 0 {z}"><joint type="slide" axis="0 0 1"/>{geom}</body></worldbody></mujoco>"""
+BALL = '<geom size="0.02" mass="0.05"/>'
+
+
+def scene(geom, x=0.0, z=0.15, **attaching):
+    spec = mujoco.MjSpec.from_string(SCENE.format(x=x, z=z, geom=geom))
+    mjtactile.recommend_options(spec)
+    mount = mjtactile.attach(spec, "dense", site="here", **attaching)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    return model, data, mount.bind(model, data)
+
+
+def test_a_ball_on_the_membrane_is_weighed_and_nothing_is_flagged():
+    model, data, finger = scene(BALL, z=0.1245)
+    mjtactile.step(model, data, [finger], nstep=200)
+    # what a body at rest stands on carries its weight; rows of the solver are good to a mN
+    np.testing.assert_allclose(finger.true_wrench()[:3], [0, 0, -0.05 * G], atol=3e-3)
+    assert finger.flags == {}
+    with pytest.raises(TypeError):
+        finger.flags["mine"] = "frozen"  # type: ignore[index]
+
+
+def test_a_weight_on_the_frame_is_flagged_with_its_newtons():
+    design = mjtactile.load_sensor("dense")
+    rim = design.frame.length / 2 + design.frame.rim / 2
+    model, data, finger = scene('<geom size="0.02" mass="0.5"/>', x=rim, z=0.1215)
+    mjtactile.step(model, data, [finger], nstep=200)
+    on_frame = 0.5 * G + finger.true_wrench()[2]
+    assert on_frame > 1.0
+    said = float(finger.flags["frame"].split("carries ")[1].split(" N")[0])
+    # it is said as it was when first seen, within the bounces of the first 0.1 s
+    assert said == pytest.approx(on_frame, rel=0.3)
+
+
+def test_what_diverged_stops_though_mujoco_would_reset_it():
+    model, data, finger = scene(BALL)
+    model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    mjtactile.step(model, data, [finger], nstep=5)
+    data.qvel[model.joint(0).dofadr[0]] = 1e12
+    with pytest.raises(SimulationError, match="MuJoCo warned: BADQVEL"):
+        mjtactile.step(model, data, [finger])
