@@ -28,12 +28,13 @@ RESOLVED = 2.0
 (tests/physics/test_contact.py)."""
 
 
-def touching_geoms(model: mujoco.MjModel) -> NDArray[np.int64]:
-    """Geoms that can move and that membranes feel (those with a contype)."""
-    moving = (model.body_weldid[model.geom_bodyid] > 0) | (
-        model.body_mocapid[model.geom_bodyid] >= 0
-    )
-    return np.flatnonzero(moving & (model.geom_contype != 0))
+def touching_geoms(model: mujoco.MjModel, carrier: int = 0) -> NDArray[np.int64]:
+    """Geoms that can move and that the membrane on body `carrier` feels: those with a contype that
+    are not fixed to the carrier (0: any body)."""
+    welds = model.body_weldid[model.geom_bodyid]
+    moving = (welds > 0) | (model.body_mocapid[model.geom_bodyid] >= 0)
+    others = welds != model.body_weldid[carrier]
+    return np.flatnonzero(moving & others & (model.geom_contype != 0))
 
 
 def feature_radius(model: mujoco.MjModel, geom: int) -> float:
@@ -52,12 +53,12 @@ def feature_radius(model: mujoco.MjModel, geom: int) -> float:
     return np.inf
 
 
-def smallest_feature(model: mujoco.MjModel) -> tuple[float, str]:
-    """Radius, m, and name of the geom with the smallest feature; infinite when nothing can
-    touch."""
+def smallest_feature(model: mujoco.MjModel, carrier: int = 0) -> tuple[float, str]:
+    """Radius, m, and name of the geom with the smallest feature that the membrane on body `carrier`
+    feels; infinite when nothing can touch."""
     found = [
         (feature_radius(model, int(g)), model.geom(int(g)).name or f"geom {g}")
-        for g in touching_geoms(model)
+        for g in touching_geoms(model, carrier)
     ]
     return min(found, default=(np.inf, ""))
 
@@ -96,9 +97,9 @@ def hull_flag(model: mujoco.MjModel, geom: int) -> str | None:
     )
 
 
-def contact_model(model: mujoco.MjModel, mesh: MembraneMesh) -> str:
+def contact_model(model: mujoco.MjModel, carrier: int, mesh: MembraneMesh) -> str:
     """ "vertices", or "elements" when something in the scene can slip between the vertices."""
-    return "elements" if smallest_feature(model)[0] < SLIPS * mesh.spacing else "vertices"
+    return "elements" if smallest_feature(model, carrier)[0] < SLIPS * mesh.spacing else "vertices"
 
 
 def resolution_flag(

@@ -36,7 +36,10 @@ class SceneMonitor:
         self._model = model
         self._data = data
         self._sensors = sensors
-        self._geoms = features.touching_geoms(model)
+        felt = [features.touching_geoms(model, sensor.body_id) for sensor in sensors]
+        self._geoms = np.unique(np.concatenate([np.empty(0, int), *felt]))
+        self._felt = [np.isin(self._geoms, own) for own in felt]
+        """Which of `_geoms` each sensor can feel."""
         self._sizes = np.array([features.feature_radius(model, int(g)) for g in self._geoms])
         self._index = np.full(model.ngeom + 1, -1)  # of geom ids, and of -1
         self._index[self._geoms] = np.arange(len(self._geoms))
@@ -178,7 +181,7 @@ class SceneMonitor:
         before = self._places[number]
         top = max(float(sensor.heights.max()), 0.0)
         glass = -sensor.design.chamber.depth
-        low = np.flatnonzero(places[:, 2] < top)
+        low = np.flatnonzero((places[:, 2] < top) & self._felt[number])
         if not len(low):
             return None
         p_SV = sensor.p_SV
@@ -208,11 +211,11 @@ class SceneMonitor:
             return flags
         velocities = self._velocities(self._model.geom_bodyid[self._geoms])
         step = float(self._model.opt.timestep)
-        for sensor, place in zip(self._sensors, places, strict=True):
+        for sensor, place, felt in zip(self._sensors, places, self._felt, strict=True):
             velocity = velocities - self._velocities([sensor.body_id])
             speed = np.sqrt(np.einsum("ki,ki->k", velocity, velocity))
             near = np.einsum("ki,ki->k", place, place) < (_NEAR + self._sizes) ** 2
-            share = speed * near * step / self._sizes
+            share = speed * (near & felt) * step / self._sizes
             k = int(np.argmax(share))
             if share[k] > _FAST:
                 best = _FAST / 2 * self._sizes[k] / speed[k] * 1e3

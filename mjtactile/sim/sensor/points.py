@@ -126,7 +126,7 @@ class ContactPoints:
         self._sizes = np.full(len(self._areas), np.sqrt(self._areas.mean()))
         self._shapes = {
             int(geom): entry
-            for geom in features.touching_geoms(model)
+            for geom in features.touching_geoms(model, body_id)
             if _is_sharp(model, int(geom), mesh) and (entry := shapes.entry_of(model, int(geom)))
         }
         self._round = {

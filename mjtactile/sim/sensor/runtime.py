@@ -67,7 +67,9 @@ class TactileSensor:
         pre_stretch(model, self.flex_id, mesh, design.membrane.pre_stretch)
         # a trace is needed to compile without a warning, none to simulate
         model.flex_damping[self.flex_id] = 0.0
-        self.contact = features.contact_model(model, mesh) if contact == "auto" else contact
+        if contact == "auto":
+            contact = features.contact_model(model, self.body_id, mesh)
+        self.contact = contact
         touch_with(model, self.vertex_geom_ids, self.flex_id, self.contact)
         self._contact_stiffness = ContactStiffness(
             model,
