@@ -1,10 +1,11 @@
 """What was measured of one finger counts: the lens of its own camera, from a calibration file, in
 place of the sensor file's.
 
-`mjtactile calibrate camera|frame|valve|force --rig my_gripper.toml --finger left` measures the
-parts and writes them into the file that the rig file names (docs/hardware.md); `grasp`, `probe` and
-`record` then go by it. Here the finger is simulated, so its true lens is known; it is another than
-the sensor file says, as every real one is.
+`mjtactile calibrate camera|valve|force --rig my_gripper.toml --finger left` measures the parts and
+writes them into the file that the rig file names (docs/hardware.md); `grasp`, `probe` and `record`
+then go by it. (`calibrate frame` writes what these measure anew whenever they begin; `reconstruct`
+needs it.) Here the finger is simulated, so its true lens is known; it is another than the sensor
+file says, as every real one is.
 """
 
 import tempfile

@@ -12,10 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
 
 from benchmarks.paper.settings import DEFAULTS, PaperSettings
-from mjtactile.core.bspline import hats
 from mjtactile.core.types import Array, Markers, Surface
 from mjtactile.sensing.shape.deformation import Fields, MembraneModel
 
@@ -73,10 +71,14 @@ class RestState:
 class MembraneForce:
     """Net contact wrench by the weak form of equilibrium (docs/equations.md, Eq. F5, F6).
 
-    For a test function phi that is 1 over the contact and 0 on the frame, the virtual work of the membrane's stress,
-    of the gas and of the contact cancel:  F = int P grad(phi) dX - p int phi N dX, and with x cross both integrands
-    the torque. It needs slopes only where phi falls, so noise in curvature does not enter. The pressure follows from
-    the reconstructed volume by p V^gamma = constant.
+    For a test function phi that is 1 over the contact and 0 on the frame, the virtual work of the
+    membrane's stress, of the gas and of the contact cancel:
+
+        F = int P grad(phi) dX - p int phi N dX
+
+    and with x cross both integrands the torque. It needs slopes only where phi falls, so noise in
+    curvature does not enter. The pressure follows from the reconstructed volume by
+    p V^gamma = constant.
     """
 
     def __init__(self, model: MembraneModel, settings: PaperSettings = DEFAULTS):
@@ -165,38 +167,3 @@ class MembraneForce:
         """Covariance (6, 6) that the marker covariances imply."""
         J = rest.jacobian[:, markers.ids]
         return np.einsum("fni,nij,gnj->fg", J, markers.cov_p, J, optimize=True)
-
-
-class GridForce:
-    """Contact force on each node of the spline's knot grid: the same weak form, tested with the
-    grid's bilinear hats.
-
-    The hats of the inner nodes sum to one away from the frame, so the nodal forces add up to the
-    net force of a contact that does not reach the outermost ring of cells.
-    """
-
-    def __init__(self, estimator: MembraneForce):
-        self._estimator = estimator
-        model = estimator.model
-        self.x, self.y = model.knots
-        hx, sx = hats(self.x, model.X[:, 0])
-        hy, sy = hats(self.y, model.X[:, 1])
-        w = model.weights[:, None]
-        self._hat, self._hat_1, self._hat_2 = (
-            csr_matrix((w * (b[:, :, None] * a[:, None, :]).reshape(len(w), -1)).T)
-            for a, b in ((hx, hy), (sx, hy), (hx, sy))
-        )
-
-    def forces(self, fields: Fields, gauge: float, rest: RestState) -> Array:
-        """Nodal forces (ny, nx, 3) N of the outside on the membrane, S; zero on the frame's own
-        nodes."""
-        P = rest.stiffness_scale * self._estimator.model.first_piola(fields)
-        nodal = (
-            self._hat_1 @ P[:, :, 0]
-            + self._hat_2 @ P[:, :, 1]
-            - gauge * (self._hat @ fields.normal_area)
-        )
-        nodal = nodal.reshape(len(self.y), len(self.x), 3)
-        nodal[[0, -1]] = 0.0
-        nodal[:, [0, -1]] = 0.0
-        return nodal

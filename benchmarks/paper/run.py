@@ -33,9 +33,7 @@ DEPTHS = (1e-3, 2e-3, 3e-3, 4e-3, 5e-3)  # the paper's 1 mm increments, up to ab
 # m/s and m of Fig. 5c
 DRIVE_SPEED = 2e-3
 DRIVE_DEPTH = 4e-3
-# N, m
-PAPER_FORCE_ERROR = 0.04
-PAPER_CIRCLE_ERROR = 0.39e-3
+PAPER_CIRCLE_ERROR = 0.39e-3  # m
 
 Say = Callable[[str], None]
 

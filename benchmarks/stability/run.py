@@ -2,8 +2,10 @@
 
 A case is run twice, at its time step and at a quarter of it. Its outcome is
 
-    ok        finite, no warning, settled, energy bounded, penetration bounded, force within 10 % of the quarter step's
-    flagged   the simulation said itself what is doubtful, or stopped with a physical reason (the glass, sunk in)
+    ok        finite, no warning, settled, energy bounded, penetration bounded, force within 10 % of
+              the quarter step's
+    flagged   the simulation said itself what is doubtful, or stopped with a physical reason (the
+              glass, sunk in)
     refused   the scene was not built, with the reason
     FAILED    something is wrong and nothing was said
 """

@@ -45,13 +45,18 @@ _FLAGS = (
 _LIMIT = 60.0  # s that it may take to come up
 _SCRIPT = """(() => {
     const context = WebGL2RenderingContext.prototype;
-    for (const name of ["clear", "clearBufferfi", "clearBufferfv", "clearBufferiv", "clearBufferuiv", "drawArrays",
-                        "drawArraysInstanced", "drawElements", "drawElementsInstanced", "drawRangeElements", "blitFramebuffer",
-                        "invalidateFramebuffer"]) context[name] = () => {};
+    const drawing = [
+        "clear", "clearBufferfi", "clearBufferfv", "clearBufferiv", "clearBufferuiv",
+        "drawArrays", "drawArraysInstanced", "drawElements", "drawElementsInstanced",
+        "drawRangeElements", "blitFramebuffer", "invalidateFramebuffer",
+    ];
+    for (const name of drawing) context[name] = () => {};
     const soon = window.requestAnimationFrame.bind(window);
     let last = 0;
-    window.requestAnimationFrame = one => setTimeout(() => soon(time => { last = performance.now(); one(time); }),
-                                                     Math.max(0, last + 25 - performance.now()));
+    window.requestAnimationFrame = one => {
+        const call = time => { last = performance.now(); one(time); };
+        return setTimeout(() => soon(call), Math.max(0, last + 25 - performance.now()));
+    };
     window.seen = [];
     for (const name of ["texImage2D", "texSubImage2D"]) {
         const real = context[name];

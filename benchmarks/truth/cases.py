@@ -4,10 +4,12 @@ with its source.
     about = "a ball on the middle"          what it is, in a line
     sensor = "dense"                        a shipped name, or FILE.toml beside the case
     friction = 0.9                          of the membrane, if not as the sensor file says
-    law = "neo-Hookean"                     of its rubber, which is the default, or "St. Venant-Kirchhoff": the reference's
+    law = "neo-Hookean"                     of the reference's rubber; the default, or
+                                            "St. Venant-Kirchhoff"
 
-    [press]                                 the motion: one of press, bulge, hold, held_shear, slide, spin
-    indenter = "sphere:8"                   as for `mjtactile press`; a FILE.stl or FILE.xml beside the case
+    [press]                                 the motion: press, bulge, hold, held_shear, slide, spin
+    indenter = "sphere:8"                   as for `mjtactile press`; a FILE.stl or FILE.xml beside
+                                            the case
     at_mm = [0.0, 0.0]
     force = [[1.0, 0.112], [2.0, 0.302]]    depth below first touch, mm, and normal force, N
 

@@ -86,7 +86,8 @@ def _with_touch_grids(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     """The scene with a `touch_grid` sensor at each fingertip. By way of XML: set on a spec, the
     plugin crashes MuJoCo 4.0."""
     sensors = "".join(
-        f'''<plugin name="{name}_touch" plugin="{TOUCH_GRID}" objtype="site" objname="{name}/viewpoint">
+        f'''<plugin name="{name}_touch" plugin="{TOUCH_GRID}"
+                objtype="site" objname="{name}/viewpoint">
         <config key="size" value="{_GRID[0]} {_GRID[1]}"/><config key="fov" value="45 45"/>
         <config key="gamma" value="0"/><config key="nchannel" value="3"/></plugin>'''
         for name in SITES

@@ -4,7 +4,7 @@ says, and no further."""
 import numpy as np
 import pytest
 
-from benchmarks.paper.chain import PaperChain
+from benchmarks.paper.levels import spring_grid_force
 from benchmarks.touch.area import calibrate_area
 from mjtactile.calibrate.area import AreaCalibration
 from mjtactile.core.design import load_sensor
@@ -31,23 +31,24 @@ def test_calibrated_on_a_cylinder_it_reads_that_cylinder_roughly():
     assert 2e4 < calibration.constant < 1e5 and 0.04 < calibration.residual < 0.25
     world = PressWorld(design, Indenter("cylinder", 5e-3))
     renderer = Renderer(design, seed=3)
-    pipeline = Perception(PaperChain(design, calibration))
+    perception = Perception.of(design)
 
     def image():
         return renderer.render(*world.marker_poses(0), world.time)
 
     world.inflate(0.0, seal=False)
-    pipeline.take_flat([image() for _ in range(10)])
+    perception.take_flat([image() for _ in range(10)])
     world.inflate(design.chamber.supply_gauge, seal=True)
-    pipeline.take_rest([image() for _ in range(10)], design.chamber.supply_gauge)
+    perception.take_rest([image() for _ in range(10)], design.chamber.supply_gauge)
+    rest = perception.state.reference.surface
     world.press(3e-3)
-    touch = pipeline.perceive(image(), world.time)
-    assert touch.traction is not None and touch.traction.method == "paper"
-    assert touch.force_normal == pytest.approx(-world.drive_force[2], abs=2 * calibration.residual)
+    surface = perception.perceive(image(), world.time).surface
+    felt = calibration.force(surface.area - rest.area)
+    assert felt == pytest.approx(-world.drive_force[2], abs=2 * calibration.residual)
     # the spring grid presses where the cylinder is: the middle third of the frame carries most of
     # it
-    force = -touch.traction.force[..., 2]
-    middle = (np.abs(touch.traction.x) < 0.0067)[None, :] & (np.abs(touch.traction.y) < 0.0067)[
-        :, None
-    ]
+    force = -spring_grid_force(surface, rest, design.membrane.pretension)[..., 2]
+    in_x = np.abs(surface.x) < 0.0067
+    in_y = np.abs(surface.y) < 0.0067
+    middle = in_x[None, :] & in_y[:, None]
     assert force[middle].sum() > 0.5 * force[force > 0].sum()
