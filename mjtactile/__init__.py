@@ -36,6 +36,9 @@ if TYPE_CHECKING:
     from mjtactile.core.types import Observation as Observation
     from mjtactile.core.types import Touch as Touch
     from mjtactile.core.types import ValveState as ValveState
+    from mjtactile.film.bodies import Obstacle as Obstacle
+    from mjtactile.film.film import Film as Film
+    from mjtactile.film.state import FilmState as FilmState
     from mjtactile.plugin.mount import Mount as Mount
     from mjtactile.plugin.mount import attach as attach
     from mjtactile.plugin.sim_finger import SimFinger as SimFinger
@@ -72,6 +75,9 @@ _HOMES = {
     "core.pace": ("monotonic",),
     "core.policy": ("policy_action", "policy_command", "policy_names", "policy_vector"),
     "core.types": ("Command", "GripperState", "Image", "Observation", "Touch", "ValveState"),
+    "film.bodies": ("Obstacle",),
+    "film.film": ("Film",),
+    "film.state": ("FilmState",),
     "plugin.mount": ("Mount", "attach"),
     "plugin.sim_finger": ("SimFinger", "step"),
     "recording.reader": ("Recording", "load_recording"),

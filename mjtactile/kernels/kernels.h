@@ -201,4 +201,17 @@ int64_t update_stiction(int64_t contacts, int64_t list, const int64_t *layout /*
                         int64_t first, int64_t count, const double *settings /* 5 */, double *goal /* count */,
                         double *memory /* count, 6 */, uint8_t *slides /* count */, double *surface /* count, 3 */);
 
+/* film/: the sheet of `numbers` (16) and `law` (11) as film.h has them, on nodes of which the frame's are part; n of them. Heights
+   `out` (count) over `places` (count, 2) of `bodies` (18 numbers each), infinite where there are none. */
+int64_t film_heights(const double *numbers, int64_t bodies, const double *body, const double *pool, int64_t count,
+                     const double *places, double *out);
+/* Out: the band's Cholesky `factor` of the stiffness in the plane at displacements `x` (3, n). */
+int64_t film_plane(const double *numbers, const double *law, const double *x, double *factor);
+int64_t film_work(const double *numbers); /* doubles of `room` */
+/* Of environments `begin` to `end` - 1, each with `settings` (4) and `bodies` (18 numbers each): displacements `x` (3, n) and the
+   contact's forces `force` (n) along -z, from where they are to where the film rests; `found` (14): see film.c. */
+int64_t film_solve(const double *numbers, const double *law, const double *plane_factor, int64_t begin, int64_t end,
+                   const double *settings, int64_t bodies, const double *body, const double *pool, const double *rest, double *x,
+                   double *force, double *found, double *room);
+
 #endif

@@ -11,6 +11,7 @@ static inline float least_float(float a, float b) { return a < b ? a : b; }
 static inline float most_float(float a, float b) { return a > b ? a : b; }
 static inline double clip(double x, double low, double high) { return x < low ? low : x > high ? high : x; }
 static inline double square(double x) { return x * x; }
+static inline double cube(double x) { return x * x * x; }
 
 double upper_median(double *values, long n);  /* moves them about */
 int invert_spd5(const double A[5][5], double out[5][5]);  /* 1: not positive definite, and `out` is NaN */

@@ -1,0 +1,158 @@
+"""What presses a film: bodies, each with a pose, as the kernel takes them (kernels/film_bodies.c). SI units, frame S.
+
+Sizes are half sizes, as in MJCF. A body is what a line along the sensor's z meets first, from the side of the glass: what is
+undercut, or steeper than the sheet can follow, does not count. That is exact for what is pressed from outside and steep for no
+more than about 75 degrees where it touches; a thing that comes from the side, or hooks under the sheet, is beyond a film.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array
+
+NUMBERS = 18  # of a body: kind, sizes (3), R_SO (9), p_SO (3), first entry in the pool, number of entries
+
+# Name: the kernel's number, and what `sizes` are.
+KINDS: dict[str, tuple[int, tuple[str, ...]]] = {
+    "sphere": (0, ("radius",)),
+    "capsule": (1, ("radius", "half length")),
+    "ellipsoid": (2, ("semi-axis x", "semi-axis y", "semi-axis z")),
+    "cylinder": (3, ("radius", "half length")),
+    "box": (4, ("half x", "half y", "half z")),
+    "plane": (5, ()),
+    "quadric": (6, ("curvature x", "curvature y", "reach")),
+    "disc": (7, ("radius", "half height", "rim radius")),
+    "cone": (8, ("radius", "height")),
+    "wedge": (9, ("half length", "half width", "height")),
+    "mesh": (9, ()),
+    "triangles": (10, ()),
+    "heights": (11, ()),
+}
+_MAY_VANISH = {"curvature x", "curvature y", "rim radius"}
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacle:
+    """One body: its `kind`, its `numbers` (NUMBERS,) for the kernel, and its `pool` of planes, triangles or heights."""
+
+    kind: str
+    numbers: Array
+    pool: Array
+
+
+def obstacle(kind: str, sizes: ArrayLike = (), p_SO: ArrayLike = (0.0, 0.0, 0.0), R_SO: ArrayLike | None = None, *,
+             data: ArrayLike | None = None) -> Obstacle:
+    """A body with a pose.
+
+    Args:
+        kind: one of KINDS. The axis of capsule, cylinder, disc and cone is the body's z; a cone's tip and a wedge's edge are at
+            its origin, and both open towards z; a wedge's edge lies along x. A quadric is z >= (k_x x^2 + k_y y^2) / 2 as far
+            out as `reach`. A plane is solid on the side away from the sensor.
+        sizes: half sizes, m (curvatures 1/m), in the order that KINDS has.
+        p_SO: the body's middle, (3,) m in S.
+        R_SO: its rotation, a matrix (3, 3) or a unit quaternion (4,), real part first; None: none.
+        data: of a mesh the vertices (n, 3) m in the body's frame, whose convex hull is meant; of triangles the corners
+            (n, 3, 3) m; of heights the heights (nx, ny) m over the film's nodes, infinite where there is nothing.
+
+    Returns:
+        The body, for `Film.solve`.
+
+    Raises:
+        InputError: an unknown kind, a number that is not finite or not positive, or the wrong number of them.
+    """
+    if kind not in KINDS:
+        raise InputError(f"{kind!r} is unknown", field="kind", choices=KINDS)
+    number, names = KINDS[kind]
+    numbers = np.zeros(NUMBERS)
+    numbers[0] = number
+    size = _finite("sizes", sizes, (len(names),))
+    for name, value in zip(names, size, strict=True):
+        if value < 0 and name not in ("curvature x", "curvature y") or value == 0 and name not in _MAY_VANISH:
+            raise InputError(f"{name} of {value:g} must be positive", field="sizes")
+    numbers[1:1 + len(size)] = size
+    numbers[4:13] = _rotation(R_SO).ravel()
+    numbers[13:16] = _finite("p_SO", p_SO, (3,))
+    pool = _pool(kind, size, data)
+    if kind == "disc" and size[2] > min(size[0], size[1]):
+        raise InputError("a rim's radius is at most the disc's radius and half height", field="sizes")
+    numbers[17] = len(pool)
+    return Obstacle(kind, numbers, pool.ravel())
+
+
+def pooled(bodies: Sequence[Obstacle]) -> tuple[Array, Array | None]:
+    """Numbers (k, NUMBERS) of all bodies, and their pools one after the other (None: there are none)."""
+    rows = np.array([body.numbers for body in bodies]).reshape(-1, NUMBERS)
+    sizes = [body.pool.size for body in bodies]
+    if not any(sizes):
+        return rows, None
+    rows[:, 16] = np.cumsum([0, *sizes[:-1]])
+    return rows, np.concatenate([body.pool for body in bodies])
+
+
+def _pool(kind: str, size: Array, data: ArrayLike | None) -> Array:
+    if kind == "wedge":
+        length, width, height = size
+        ends = [[x, y, height] for x in (-length, length) for y in (-width, width)]
+        return _hull(np.array([[-length, 0.0, 0.0], [length, 0.0, 0.0], *ends]))
+    if kind not in ("mesh", "triangles", "heights"):
+        if data is not None:
+            raise InputError(f"a {kind} has none", field="data")
+        return np.zeros((0, 4))
+    if data is None:
+        raise InputError(f"{kind} want some", field="data")
+    if kind == "heights":
+        field = np.asarray(data, dtype=float)
+        if field.ndim != 2 or np.isnan(field).any() or (field == -np.inf).any():
+            raise InputError("heights are (nx, ny), finite or +inf", field="data")
+        return field.reshape(-1, 1)
+    if kind == "mesh":
+        return _hull(_finite("data", data, (-1, 3)))
+    return _finite("data", data, (-1, 3, 3)).reshape(-1, 9)
+
+
+def _hull(vertices: Array) -> Array:
+    """Planes (m, 4) of the convex hull: n x <= d."""
+    from scipy.spatial import ConvexHull, QhullError  # takes a tenth of a second to import
+
+    try:
+        equations = ConvexHull(vertices).equations
+    except (QhullError, ValueError) as error:
+        raise InputError("the vertices enclose no volume", field="data") from error
+    return np.column_stack([equations[:, :3], -equations[:, 3]])
+
+
+def _rotation(R_SO: ArrayLike | None) -> Array:
+    if R_SO is None:
+        return np.eye(3)
+    given = np.asarray(R_SO, dtype=float)
+    if given.shape == (4,):
+        w, x, y, z = _finite("R_SO", given / max(float(np.linalg.norm(given)), 1e-300), (4,))
+        given = np.array([
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ])  # fmt: skip
+    R = _finite("R_SO", given, (3, 3))
+    if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0:
+        raise InputError("is no rotation", field="R_SO")
+    return R
+
+
+def _finite(field: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
+    try:
+        array = np.asarray(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError("is not a field of numbers", field=field) from error
+    fits = array.ndim == len(shape) and all(want in (-1, have) for want, have in zip(shape, array.shape, strict=True))
+    if not fits:
+        wanted = ", ".join("n" if want < 0 else str(want) for want in shape)
+        raise InputError(f"has shape {array.shape}, not ({wanted})", field=field)
+    if not np.isfinite(array).all():
+        raise InputError("is not finite", field=field)
+    return array

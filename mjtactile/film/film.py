@@ -1,0 +1,152 @@
+"""`Film`: one sensor's sheet on a grid, over its gas, ready to be pressed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mjtactile.core import theory
+from mjtactile.core.design import SensorDesign, load_sensor
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array
+from mjtactile.film import bodies
+from mjtactile.film.bodies import Obstacle
+from mjtactile.film.law import law_numbers, tension_slope
+from mjtactile.film.state import FOUND, FilmState, Status
+from mjtactile.kernels import kernel
+
+TOLERANCE = 2e-7  # m, of the last step
+_MOST_STEPS = 40
+_INFLATING = (0.25, 0.5, 0.75, 1.0, 1.0)  # of the pressure; the last with the stiffness of the sheet at rest
+_INFLATED = 1e-9  # m
+_LEAST_NODES, _MOST_NODES = 5, 400
+_MIXED_AREA = 1.05  # area ratio at which the tension's slope is taken; steps depend on it, results do not
+_COMPLAINTS = {
+    Status.AT_THE_RIM: "an obstacle touches the frame's rim",
+    Status.ON_THE_GLASS: "an obstacle lies on the glass",
+    Status.INSIDE_OUT: "an obstacle pulls the sheet inside out",
+}
+
+
+class Film:
+    """A sensor's sheet as a film. Makes no state: `solve` takes one and gives one.
+
+    `x` (nx,) and `y` (ny,) are the nodes' places on the mounted flat sheet, m, the frame's among them; `rest` is where it rests
+    without a touch.
+    """
+
+    def __init__(self, design: SensorDesign | str, grid: tuple[int, int] = (21, 16), pressure_gauge: float | None = None, *,
+                 sealed: bool = True):
+        """Inflate a film.
+
+        Args:
+            design: the sensor; rectangles only.
+            grid: nodes along x and y, those on the frame among them.
+            pressure_gauge: of the gas at rest, Pa; None: the sensor file's supply.
+            sealed: whether the gas stays in, p V^gamma constant, or a valve holds its pressure.
+
+        Raises:
+            InputError: a grid or a pressure that is none, or with which the sheet finds no rest.
+        """
+        self.design = design = load_sensor(design)
+        design.require_rectangle("the film")
+        self.grid = _grid(grid)
+        frame, chamber, sheet = design.frame, design.chamber, design.membrane
+        self.pressure_gauge = float(chamber.supply_gauge if pressure_gauge is None else pressure_gauge)
+        if not 0 < self.pressure_gauge < 1e6:
+            raise InputError(f"{self.pressure_gauge:g} Pa must be above ambient", field="pressure_gauge")
+        self.sealed = sealed
+        self.x, self.y = (np.linspace(-side / 2, side / 2, count)
+                          for side, count in zip((frame.length, frame.width), self.grid, strict=True))
+        law, self._law = law_numbers(sheet)
+        self._numbers = np.array([
+            frame.length, frame.width, *self.grid, sheet.pre_stretch**2, *law, tension_slope(sheet, _MIXED_AREA),
+            sheet.young * sheet.thickness, design.chamber_volume_flat, chamber.ambient, chamber.heat_ratio,
+            sheet.thickness / 2, chamber.depth,
+        ])  # fmt: skip
+        self._room = np.empty(int(kernel("film_work")(self._numbers)))
+        inner = [count - 2 for count in self.grid]
+        width = 2 * (inner[1] + 1) + 1
+        self._plane = np.empty((2 * inner[0] * inner[1], (width + 8) // 4 * 4))
+        self.rest = self._inflate()
+        absolute = self.pressure_gauge + chamber.ambient
+        volume = design.chamber_volume_flat + self.rest.volume
+        self._gas = absolute * volume**chamber.heat_ratio if sealed else self.pressure_gauge
+
+    @staticmethod
+    def obstacle(kind: str, sizes: ArrayLike = (), p_SO: ArrayLike = (0.0, 0.0, 0.0), R_SO: ArrayLike | None = None, *,
+                 data: ArrayLike | None = None) -> Obstacle:
+        """A body with a pose: see `mjtactile.film.bodies.obstacle`."""
+        return bodies.obstacle(kind, sizes, p_SO, R_SO, data=data)
+
+    def solve(self, obstacles: Obstacle | Sequence[Obstacle] = (), state: FilmState | None = None) -> FilmState:
+        """Where the film rests on obstacles.
+
+        Args:
+            obstacles: one body or several.
+            state: where to start, usually the state before; None: untouched.
+
+        Returns:
+            The state, with `converged` False where none was found.
+
+        Raises:
+            InputError: an obstacle that touches the rim, lies on the glass, or pulls the sheet inside out.
+        """
+        listed = (obstacles,) if isinstance(obstacles, Obstacle) else obstacles
+        rows, pool = bodies.pooled(listed)
+        start = self.rest if state is None or not state.converged else state
+        if start.x.shape != self.rest.x.shape:
+            raise InputError(f"is of a film of {start.x.shape[1:]} nodes, not {self.grid}", field="state")
+        x, force, found = start.x.copy(), start.force.copy(), np.empty(FOUND)
+        settings = np.array([self._gas, self.sealed, TOLERANCE, _MOST_STEPS])
+        self._run(settings, rows, pool, x, force, found)
+        return _judged(FilmState(x, force, found))
+
+    def heights_of(self, obstacles: Obstacle | Sequence[Obstacle], places: ArrayLike) -> Array:
+        """Heights (n,) m that obstacles leave to the sheet's middle over `places` (n, 2) m; infinite where there is none."""
+        rows, pool = bodies.pooled((obstacles,) if isinstance(obstacles, Obstacle) else obstacles)
+        where = np.asarray(places, dtype=float).reshape(-1, 2)
+        heights = np.empty(len(where))
+        kernel("film_heights")(self._numbers, len(rows), rows, pool, len(where), where, heights)
+        return heights
+
+    def _run(self, settings: Array, rows: Array, pool: Array | None, x: Array, force: Array, found: Array) -> None:
+        rest = self.rest.x if hasattr(self, "rest") else x
+        kernel("film_solve")(self._numbers, self._law, self._plane, 0, 1, settings, len(rows), rows, pool, rest, x, force, found,
+                             self._room)
+
+    def _inflate(self) -> FilmState:
+        """From a low bulge of about the right height to rest, with a stiffness in the plane that is made anew on the way."""
+        across, along = (self.x / self.x[-1])[:, None], self.y / self.y[-1]
+        height = theory.bulge_height(self.design, self.pressure_gauge)
+        if not np.isfinite(height):
+            height = 0.1 * min(self.design.frame.length, self.design.frame.width)
+        x, force, found = np.zeros((3, *self.grid)), np.zeros(self.grid), np.empty(FOUND)
+        x[2] = 0.3 * height * (1 - across**2) * (1 - along**2)
+        for share in _INFLATING:
+            if kernel("film_plane")(self._numbers, self._law, x, self._plane):
+                break
+            settings = np.array([share * self.pressure_gauge, 0.0, _INFLATED, 4 * _MOST_STEPS])
+            self._run(settings, np.zeros((0, bodies.NUMBERS)), None, x, force, found)
+            if not FilmState(x, force, found).converged:
+                break
+        else:
+            return FilmState(x, force, found)
+        raise InputError(f"sensor {self.design.name}: the sheet finds no rest at {self.pressure_gauge:g} Pa",
+                         field="pressure_gauge")
+
+
+def _judged(state: FilmState) -> FilmState:
+    complaint = _COMPLAINTS.get(state.status)
+    if complaint is not None:
+        raise InputError(complaint, field="obstacle")
+    return state
+
+
+def _grid(grid: tuple[int, int]) -> tuple[int, int]:
+    counts = tuple(int(count) for count in grid)
+    if len(counts) != 2 or not all(_LEAST_NODES <= count <= _MOST_NODES for count in counts):
+        raise InputError(f"{grid} must be two numbers of nodes, {_LEAST_NODES} to {_MOST_NODES}", field="grid")
+    return counts[0], counts[1]

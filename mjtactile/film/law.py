@@ -1,0 +1,66 @@
+"""The law of a sensor file's sheet as the film's kernel wants it (docs/equations.md, Eq. F4 and X2). SI units.
+
+A neo-Hookean sheet's stress is mu h (I - q A) with A = tr(C) I - C; q is a function of det C alone, and over the stretches that a
+sheet sees a polynomial of 1 / sqrt(det C) is as good as the function: no logarithm in the inner loop.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjtactile.core.design import Membrane
+from mjtactile.core.rubber import Law, equibiaxial_stress, shear_modulus
+from mjtactile.core.types import Array
+
+DEGREE = 10
+_LEAST_STRETCH, _MOST_STRETCH = 0.75, 1.9  # of the mounted sheet; mean of both directions
+_LEAST_POISSON = 0.005  # below, the thickness hardly changes, and the equation for it is stiff
+_NEWTON = 60
+
+
+def law_numbers(sheet: Membrane) -> tuple[tuple[float, ...], Array]:
+    """Numbers and polynomial of a sheet's law.
+
+    Args:
+        sheet: the sensor file's membrane.
+
+    Returns:
+        Whether it is neo-Hookean, its modulus times thickness, N/m (mu h, or E h / (1 - nu^2)), Poisson's ratio, and the middle
+        and scale of the polynomial's argument; the polynomial (DEGREE + 1,), lowest power first.
+    """
+    middle, per_unit, powers = _polynomial(sheet)
+    neo_hookean = sheet.law is not Law.STVK
+    modulus = shear_modulus(sheet.young, sheet.poisson) if neo_hookean else sheet.young / (1 - sheet.poisson**2)
+    return (float(neo_hookean), modulus * sheet.thickness, sheet.poisson, middle, per_unit), powers
+
+
+def tension(sheet: Membrane, area_ratio: float) -> float:
+    """Tension, N/m of the deformed sheet, when all of it is stretched alike to `area_ratio` times its mounted area.
+
+    The force per mounted length is h S l with l = sqrt(J); over the deformed length it is h S.
+    """
+    stretch = sheet.pre_stretch * np.sqrt(area_ratio)
+    return sheet.thickness * equibiaxial_stress(float(stretch), sheet.young, sheet.poisson, sheet.law)
+
+
+def tension_slope(sheet: Membrane, area_ratio: float) -> float:
+    """dT/dJ, N/m, of `tension` at `area_ratio`."""
+    step = 1e-4
+    return (tension(sheet, area_ratio + step) - tension(sheet, area_ratio - step)) / (2 * step)
+
+
+def _polynomial(sheet: Membrane) -> tuple[float, float, Array]:
+    """Middle and scale of 1 / sqrt(det C), and q's coefficients in it, to 1e-6 of q or better."""
+    nu = max(sheet.poisson, _LEAST_POISSON)
+    half = nu / (1 - 2 * nu)  # lambda / 2 mu
+    ends = sheet.pre_stretch**-2 * np.array([_MOST_STRETCH**-2, _LEAST_STRETCH**-2])
+    middle, reach = float(ends.mean()), float(np.diff(ends)[0] / 2)
+    t = np.cos(np.linspace(0, np.pi, 400))
+    log_det = -2 * np.log(middle + reach * t)
+    x = -nu / (1 - nu) * log_det  # ln c, first order; c is the square of the thickness's stretch
+    for _ in range(_NEWTON):
+        c = np.exp(x)
+        x = x - (c - 1 + half * (x + log_det)) / (c + half)
+    q = np.exp(x - log_det)
+    chebyshev = np.polynomial.chebyshev.Chebyshev.fit(t, q, DEGREE, w=q**-0.5)
+    return middle, 1 / reach, chebyshev.convert(kind=np.polynomial.Polynomial).coef

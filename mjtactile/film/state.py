@@ -1,0 +1,94 @@
+"""Where a film came to rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from mjtactile.core.types import Array
+
+
+class Status(IntEnum):
+    """How a solution ended, as the kernel says it."""
+
+    CONVERGED = 0
+    NOT_CONVERGED = 1
+    AT_THE_RIM = 2
+    ON_THE_GLASS = 3
+    INSIDE_OUT = 4
+
+
+# Places in `found`, as kernels/film.c has them.
+WRENCH, PRESSURE, VOLUME, AREA, STATUS, STEPS, STRETCHED, TENSION, LAST_STEP = slice(0, 6), 6, 7, 8, 9, 10, 11, 12, 13
+FOUND = 14
+
+
+@dataclass(frozen=True, eq=False)
+class FilmState:
+    """A film at rest on what presses it. SI units, frame S. Numbers of a state that is not `converged` are NaN.
+
+    `x` (3, nx, ny) m are the nodes' displacements, `force` (nx, ny) N the contact's along -z at each of them, and `found` what
+    the kernel adds up; all three are kept for a start from here.
+    """
+
+    x: Array
+    force: Array
+    found: Array
+
+    @property
+    def status(self) -> Status:
+        return Status(int(self.found[STATUS]))
+
+    @property
+    def converged(self) -> bool:
+        return self.found[STATUS] == 0
+
+    @property
+    def steps(self) -> int:
+        """Steps that it took."""
+        return int(self.found[STEPS])
+
+    def _number(self, place: int) -> float:
+        return float(self.found[place]) if self.converged else float("nan")
+
+    @property
+    def force_normal(self) -> float:
+        """Force, N, that presses into the sensor: -z of the wrench."""
+        return -self._number(2)
+
+    @property
+    def wrench(self) -> Array:
+        """Force, N, and torque about the origin of S, N m, (6,) of the bodies on the film; frictionless."""
+        return self.found[WRENCH].copy() if self.converged else np.full(6, np.nan)
+
+    @property
+    def pressure_gauge(self) -> float:
+        """Gauge pressure of the gas, Pa."""
+        return self._number(PRESSURE)
+
+    @property
+    def volume(self) -> float:
+        """Volume between the film and the frame's plane, m^3."""
+        return self._number(VOLUME)
+
+    @property
+    def area(self) -> float:
+        """Area of the sheet in contact, m^2."""
+        return self._number(AREA)
+
+    @property
+    def heights(self) -> Array:
+        """Heights (nx, ny) m of the sheet's middle at its nodes, which are at `places`."""
+        return self.x[2] if self.converged else np.full(self.x.shape[1:], np.nan)
+
+    @property
+    def displacements(self) -> Array:
+        """Displacements (3, nx, ny) m of the mounted flat sheet's nodes."""
+        return self.x if self.converged else np.full(self.x.shape, np.nan)
+
+    @property
+    def contact_forces(self) -> Array:
+        """Force (nx, ny) N of the contact along -z, at each node."""
+        return self.force if self.converged else np.full(self.force.shape, np.nan)

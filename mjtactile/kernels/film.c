@@ -1,0 +1,465 @@
+/* The film at rest on bodies: see film.h, and mjtactile/film for the equations.
+
+   Unknown are displacements of the nodes and the contact's forces along z. A step solves twice, each time with a matrix that is
+   good enough: in the plane with the stiffness of the sheet at rest, which never changes, and for the heights with that of a film
+   under the sheet's local tension, plus what tension and gas add when the whole sheet moves (rank two). Residuals are exact, so
+   that where the steps end does not depend on the matrices. */
+#include "film.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "band.h"
+#include "film_sheet.h"
+#include "kernels.h"
+#include "small.h"
+
+#define CLOSE 1e5          /* N/m over m^2: how a gap counts against a force when the contact's nodes are chosen */
+#define LONGEST_SHIFT 5e-4 /* m, of a step in the plane */
+#define SHELL 0.3
+#define MEMORY 4            /* steps that the next one learns from */
+#define LOOKS 3             /* steps that ask the bodies; later ones follow their slopes, else nodes at an edge come and go */
+#define LEAST_TURN 0.05    /* of a cell's shadow: below, the sheet is inside out */
+#define CORRECTION (1 / 24.) /* of curvature times spacing^2, by which the grid makes a smooth body too high */
+
+enum { CONVERGED, NOT_CONVERGED, AT_THE_RIM, ON_THE_GLASS, INSIDE_OUT };
+
+/* What is found, one row an environment. */
+enum { FORCE_X, FORCE_Y, FORCE_Z, TORQUE_X, TORQUE_Y, TORQUE_Z, PRESSURE, VOLUME, AREA, STATUS, STEPS, STRETCHED_AREA, TENSION,
+       LAST_STEP, FOUND };
+
+typedef struct { double gas, sealed, tolerance, most_steps; } Settings; /* gas: p V^gamma if sealed, else the pressure held */
+
+typedef struct {
+    SheetFields fields;
+    double *lines, *obstacle, *level, *slope, *lower;  /* heights (count), see `follow_bodies`, slopes (2, count), correction */
+    double *residual, *moved, *pushed, *stiff, *plane; /* (count) each; plane (2 inner) */
+    double *band, *y0, *y1, *y2;
+    double *steps, *changes, *last_step, *now; /* of the last MEMORY steps: (MEMORY, 4, count) each, and (4, count) */
+    uint8_t *touching, *before;
+} Work;
+
+static long work_size(const Film *f) {
+    return (3 + 3 + 5 + 2 + 2 + 1 + 4 + 8 * MEMORY + 8) * f->count + FILM_LINES * f->rows + 5 * f->inner +
+           f->inner * BAND_STRIDE(f->inner_rows + 1) + 2 * (f->count / 8 + 1);
+}
+
+int64_t film_work(const double *numbers) {
+    const Film f = film_of(numbers, 0);
+    return work_size(&f);
+}
+
+static double *take(double **from, long n) {
+    double *here = *from;
+    *from += n;
+    return here;
+}
+
+static Work work_of(const Film *f, double *room) {
+    const long n = f->count;
+    Work w;
+    w.fields.elastic = take(&room, 3 * n), w.fields.gradient = take(&room, 3 * n);
+    w.fields.own = take(&room, n), w.fields.up = take(&room, n), w.fields.right = take(&room, n);
+    w.fields.right_up = take(&room, n), w.fields.right_down = take(&room, n);
+    w.obstacle = take(&room, n), w.level = take(&room, n), w.slope = take(&room, 2 * n), w.lower = take(&room, n);
+    w.residual = take(&room, n), w.moved = take(&room, n), w.pushed = take(&room, n), w.stiff = take(&room, n);
+    w.lines = take(&room, FILM_LINES * f->rows), w.plane = take(&room, 2 * f->inner);
+    w.y0 = take(&room, f->inner), w.y1 = take(&room, f->inner), w.y2 = take(&room, f->inner);
+    w.band = take(&room, f->inner * BAND_STRIDE(f->inner_rows + 1));
+    w.steps = take(&room, 4 * MEMORY * n), w.changes = take(&room, 4 * MEMORY * n);
+    w.last_step = take(&room, 4 * n), w.now = take(&room, 4 * n);
+    w.touching = (uint8_t *)take(&room, n / 8 + 1), w.before = (uint8_t *)take(&room, n / 8 + 1);
+    return w;
+}
+
+static double dot(const double *a, const double *b, long n) {
+    double sum = 0;
+    for (long i = 0; i < n; i++) sum += a[i] * b[i];
+    return sum;
+}
+
+/* -- bodies ------------------------------------------------------------------------------------------------------------ */
+
+/* Heights of all bodies over the nodes where they are now. */
+static void see_bodies(const Film *f, long bodies, const double *body, const double *pool, const double *x, Work *w) {
+    for (long i = 0; i < f->columns; i++)
+        for (long j = 0; j < f->rows; j++) {
+            const long k = i * f->rows + j;
+            const double at_x = i * f->dx - f->numbers.length_x / 2 + x[k];
+            const double at_y = j * f->dy - f->numbers.length_y / 2 + x[f->count + k];
+            w->obstacle[k] = INFINITY, w->slope[k] = w->slope[f->count + k] = 0;
+            for (long b = 0; b < bodies; b++) {
+                double height, slope[2];
+                if (film_body_height(f, (const FilmBody *)(body + b * FILM_BODY), pool, at_x, at_y, &height, slope)) continue;
+                if (height >= w->obstacle[k]) continue;
+                w->obstacle[k] = height, w->slope[k] = slope[0], w->slope[f->count + k] = slope[1];
+            }
+            w->level[k] = w->obstacle[k] - w->slope[k] * x[k] - w->slope[f->count + k] * x[f->count + k];
+        }
+}
+
+/* The same by the slopes that were seen last: `level` holds what a slope leaves of a height. */
+static void follow_bodies(const Film *f, const double *x, Work *w) {
+    for (long k = 0; k < f->count; k++)
+        w->obstacle[k] = w->level[k] + w->slope[k] * x[k] + w->slope[f->count + k] * x[f->count + k];
+}
+
+/* A sheet that bends at its nodes alone is held off a round body by half of what the body drops over half a spacing, which is
+   taken off; where the body ends beside a node, nothing is known of its curvature. */
+static void lower_round_bodies(const Film *f, const double *x, Work *w) {
+    const double *h = w->obstacle, *z = x + 2 * f->count;
+    const long rows = f->rows;
+    memset(w->lower, 0, f->count * sizeof *w->lower);
+    for (long i = 1; i < f->columns - 1; i++)
+        for (long j = 1; j < rows - 1; j++) {
+            const long k = i * rows + j;
+            if (!isfinite(h[k])) continue;
+            double bend = 0;
+            if (isfinite(h[k - rows] + h[k + rows])) bend += h[k - rows] + h[k + rows] - 2 * h[k];
+            if (isfinite(h[k - 1] + h[k + 1])) bend += h[k - 1] + h[k + 1] - 2 * h[k];
+            w->lower[k] = CORRECTION * most(bend, 0);
+        }
+    (void)z;
+}
+
+static int against_the_frame(const Film *f, const Work *w) {
+    const double *h = w->obstacle;
+    for (long i = 0; i < f->columns; i++)
+        for (long j = 0; j < f->rows; j++) {
+            const long k = i * f->rows + j;
+            if ((i == 0 || j == 0 || i == f->columns - 1 || j == f->rows - 1) && h[k] < 0) return AT_THE_RIM;
+            if (h[k] - f->numbers.half_thickness <= -f->numbers.depth) return ON_THE_GLASS;
+        }
+    return CONVERGED;
+}
+
+/* -- heights ----------------------------------------------------------------------------------------------------------- */
+
+/* out = stiffness of the heights times `what`, at the inner nodes; `what` is zero on the frame. */
+static void stiffness_times(const Film *f, const SheetFields *s, const double *what, double *out) {
+    const long rows = f->rows;
+    for (long i = 1; i < f->columns - 1; i++) {
+        const long at = i * rows;
+        for (long j = 1; j < rows - 1; j++) {
+            const long k = at + j;
+            out[k] = s->own[k] * what[k] + s->up[k] * what[k + 1] + s->up[k - 1] * what[k - 1] + s->right[k] * what[k + rows] +
+                     s->right[k - rows] * what[k - rows] + s->right_up[k] * what[k + rows + 1] +
+                     s->right_up[k - rows - 1] * what[k - rows - 1] + s->right_down[k] * what[k + rows - 1] +
+                     s->right_down[k - rows + 1] * what[k - rows + 1];
+        }
+    }
+}
+
+/* Factor of the stiffness with the nodes that touch held. */
+static int factor_heights(const Film *f, const Work *w) {
+    const long rows = f->rows, inner_rows = f->inner_rows, stride = BAND_STRIDE(inner_rows + 1);
+    const SheetFields *s = &w->fields;
+    memset(w->band, 0, f->inner * stride * sizeof *w->band);
+    for (long i = 1; i < f->columns - 1; i++)
+        for (long j = 1; j < rows - 1; j++) {
+            const long k = i * rows + j;
+            double *column = w->band + ((i - 1) * inner_rows + j - 1) * stride;
+            if (w->touching[k]) {
+                column[0] = 1;
+                continue;
+            }
+            column[0] = s->own[k];
+            if (j < rows - 2 && !w->touching[k + 1]) column[1] = s->up[k];
+            if (i == f->columns - 2) continue;
+            if (j > 1 && !w->touching[k + rows - 1]) column[inner_rows - 1] += s->right_down[k];
+            if (!w->touching[k + rows]) column[inner_rows] += s->right[k];
+            if (j < rows - 2 && !w->touching[k + rows + 1]) column[inner_rows + 1] = s->right_up[k];
+        }
+    return band_cholesky(f->inner, inner_rows + 1, w->band);
+}
+
+/* What a curved sheet adds where it is bent further: it must stretch, as a shell does, Y (k_x l_y^2 + k_y l_x^2)^2 for a wave
+   (l_x, l_y) of length one on curvatures k; here for the mean of all waves. Speeds up the steps and changes nothing else. */
+static void stiffen_curved(const Film *f, const double *z, Work *w) {
+    const double stretch = SHELL * f->numbers.shell, rows = f->rows;
+    const long r = (long)rows;
+    for (long i = 1; i < f->columns - 1; i++)
+        for (long j = 1; j < r - 1; j++) {
+            const long k = i * r + j;
+            const double bend_x = (z[k + r] + z[k - r] - 2 * z[k]) / square(f->dx);
+            const double bend_y = (z[k + 1] + z[k - 1] - 2 * z[k]) / square(f->dy);
+            w->fields.own[k] += stretch * f->dx * f->dy * (square(bend_x) + square(bend_y)) / 2;
+        }
+}
+
+/* Inner nodes that do not touch, from a field or back to it; others are zero. */
+static void gather(const Film *f, const uint8_t *touching, const double *field, double *inner) {
+    for (long i = 1; i < f->columns - 1; i++)
+        for (long j = 1; j < f->rows - 1; j++) {
+            const long k = i * f->rows + j;
+            inner[(i - 1) * f->inner_rows + j - 1] = touching[k] ? 0 : field[k];
+        }
+}
+
+/* The heights' step `moved` and forces `pushed` of the contact. Tension and gas answer to the whole of it: a rank of two. */
+static void step_heights(const Film *f, Work *w, const double *x, const SheetSums *sums, double gas_stiffness) {
+    const long n = f->inner, rows = f->rows, width = f->inner_rows + 1;
+    const double *z = x + 2 * f->count, *volume_by = w->fields.gradient + 2 * f->count;
+    double *area_by = w->stiff; /* of the sheet by its heights: what pulls them back, over the tension */
+    const double over_tension = 1 / most(sums->tension, 1e-3);
+    for (long k = 0; k < f->count; k++) {
+        area_by[k] = w->fields.elastic[2 * f->count + k] * over_tension;
+        w->moved[k] = w->touching[k] ? w->obstacle[k] - w->lower[k] - z[k] : 0;
+    }
+    for (long i = 0; i < f->columns; i++) area_by[i * rows] = area_by[i * rows + rows - 1] = 0;
+    memset(area_by, 0, rows * sizeof *area_by), memset(area_by + f->count - rows, 0, rows * sizeof *area_by);
+    const double c1 = f->numbers.tension_slope / (f->numbers.length_x * f->numbers.length_y), c2 = gas_stiffness;
+    stiffness_times(f, &w->fields, w->moved, w->pushed);
+    const double held_1 = c1 * dot(area_by, w->moved, f->count), held_2 = c2 * dot(volume_by, w->moved, f->count);
+    for (long k = 0; k < f->count; k++) w->pushed[k] = -(w->residual[k] + w->pushed[k] + held_1 * area_by[k] + held_2 * volume_by[k]);
+    gather(f, w->touching, w->pushed, w->y0), gather(f, w->touching, area_by, w->y1), gather(f, w->touching, volume_by, w->y2);
+    const double *b1 = w->plane; /* copies, before they are solved */
+    memcpy(w->plane, w->y1, n * sizeof *w->y1), memcpy(w->plane + n, w->y2, n * sizeof *w->y2);
+    double *sides[3] = {w->y0, w->y1, w->y2};
+    for (int k = 0; k < 3; k++) band_forward(n, width, w->band, sides[k]), band_backward(n, width, w->band, sides[k]);
+    const double *b2 = w->plane + n;
+    const double m11 = 1 + c1 * dot(b1, w->y1, n), m12 = c1 * dot(b1, w->y2, n), m21 = c2 * dot(b2, w->y1, n);
+    const double m22 = 1 + c2 * dot(b2, w->y2, n), r1 = c1 * dot(b1, w->y0, n), r2 = c2 * dot(b2, w->y0, n);
+    const double det = m11 * m22 - m12 * m21, t1 = (r1 * m22 - r2 * m12) / det, t2 = (m11 * r2 - m21 * r1) / det;
+    for (long i = 1; i < f->columns - 1; i++)
+        for (long j = 1; j < rows - 1; j++) {
+            const long k = i * rows + j, m = (i - 1) * f->inner_rows + j - 1;
+            if (!w->touching[k]) w->moved[k] = w->y0[m] - t1 * w->y1[m] - t2 * w->y2[m];
+        }
+    stiffness_times(f, &w->fields, w->moved, w->pushed);
+    const double all_1 = c1 * dot(area_by, w->moved, f->count), all_2 = c2 * dot(volume_by, w->moved, f->count);
+    for (long k = 0; k < f->count; k++)
+        w->pushed[k] = w->touching[k] ? -(w->residual[k] + w->pushed[k] + all_1 * area_by[k] + all_2 * volume_by[k]) : 0;
+}
+
+/* -- in the plane ------------------------------------------------------------------------------------------------------ */
+
+/* The step (2 inner) into `plane`; returns what it does to the volume. Frictionless: a contact pushes along the body's normal. */
+static double step_plane(const Film *f, Work *w, const double *plane_factor, double pressure, const double *force, double *largest) {
+    const double *elastic = w->fields.elastic, *volume_by = w->fields.gradient;
+    double bulge = 0;
+    for (long i = 1; i < f->columns - 1; i++)
+        for (long j = 1; j < f->rows - 1; j++) {
+            const long k = i * f->rows + j, m = 2 * ((i - 1) * f->inner_rows + j - 1);
+            for (int c = 0; c < 2; c++) {
+                const long at = c * f->count + k;
+                w->plane[m + c] = pressure * volume_by[at] - elastic[at] + (force[k] > 0 ? force[k] * w->slope[at] : 0);
+            }
+        }
+    band_forward(2 * f->inner, FILM_PLANE_WIDTH(f), plane_factor, w->plane);
+    band_backward(2 * f->inner, FILM_PLANE_WIDTH(f), plane_factor, w->plane);
+    *largest = 0;
+    for (long m = 0; m < 2 * f->inner; m++) *largest = most(*largest, fabs(w->plane[m]));
+    if (*largest > LONGEST_SHIFT)
+        for (long m = 0; m < 2 * f->inner; m++) w->plane[m] *= LONGEST_SHIFT / *largest;
+    for (long i = 1; i < f->columns - 1; i++)
+        for (long j = 1; j < f->rows - 1; j++) {
+            const long k = i * f->rows + j, m = 2 * ((i - 1) * f->inner_rows + j - 1);
+            bulge += w->plane[m] * volume_by[k] + w->plane[m + 1] * volume_by[f->count + k];
+        }
+    return bulge;
+}
+
+static void move_plane(const Film *f, const double *plane, double by, double *x) {
+    for (long i = 1; i < f->columns - 1; i++)
+        for (long j = 1; j < f->rows - 1; j++) {
+            const long k = i * f->rows + j, m = 2 * ((i - 1) * f->inner_rows + j - 1);
+            x[k] += by * plane[m], x[f->count + k] += by * plane[m + 1];
+        }
+}
+
+/* -- learning from steps ----------------------------------------------------------------------------------------------- */
+
+/* Solves A y = b in place, symmetric and positive, of order n <= MEMORY. */
+static void solve_small(long n, double A[MEMORY][MEMORY], double *b) {
+    for (long k = 0; k < n; k++) {
+        A[k][k] *= 1 + 1e-12;
+        for (long i = k + 1; i < n; i++) {
+            const double by = A[i][k] / A[k][k];
+            for (long j = k; j < n; j++) A[i][j] -= by * A[k][j];
+            b[i] -= by * b[k];
+        }
+    }
+    for (long k = n - 1; k >= 0; k--) {
+        for (long j = k + 1; j < n; j++) b[k] -= A[k][j] * b[j];
+        b[k] /= A[k][k];
+    }
+}
+
+/* Anderson's mixing: `now` (4, count), the step that displacements and forces are about to make, becomes the one that would have
+   ended at rest had the last `known` steps changed in proportion (Walker & Ni, SIAM J. Numer. Anal. 49, 2011). */
+static void learn(const Film *f, Work *w, long known, long newest) {
+    const long all = 4 * f->count, places = 3 * f->count;
+    double A[MEMORY][MEMORY], share[MEMORY];
+    for (long a = 0; a < known; a++) {
+        share[a] = dot(w->changes + a * all, w->now, places);
+        for (long b = 0; b <= a; b++) A[a][b] = A[b][a] = dot(w->changes + a * all, w->changes + b * all, places);
+    }
+    solve_small(known, A, share);
+    for (long a = 0; a < known; a++) {
+        if (!isfinite(share[a])) continue;
+        for (long k = 0; k < all; k++) w->now[k] -= share[a] * (w->steps[a * all + k] + w->changes[a * all + k]);
+    }
+    (void)newest;
+}
+
+/* -- all of it --------------------------------------------------------------------------------------------------------- */
+
+static void gas_of(const Film *f, const Settings *set, double bulge, double *pressure, double *stiffness) {
+    *pressure = set->gas, *stiffness = 0;
+    if (!set->sealed) return;
+    const double volume = f->numbers.chamber_flat + bulge, absolute = set->gas / pow(volume, f->numbers.heat_ratio);
+    *pressure = absolute - f->numbers.ambient, *stiffness = f->numbers.heat_ratio * absolute / volume;
+}
+
+/* Bodies are `lifted` m off where they are. Returns a status. */
+static int come_to_rest(const Film *f, const double *plane_factor, const Settings *set, long bodies, const double *body,
+                        const double *pool, double lifted, double *x, double *force, double *found, Work *w) {
+    int status = NOT_CONVERGED, factored = 0;
+    long known = 0, newest = 0;
+    double *z = x + 2 * f->count, last = INFINITY;
+    memset(w->before, 0, f->count), memset(w->touching, 0, f->count), memset(w->pushed, 0, f->count * sizeof *w->pushed);
+    for (long step = 0; step < (long)set->most_steps && status == NOT_CONVERGED; step++) {
+        if (step < LOOKS) see_bodies(f, bodies, body, pool, x, w);
+        else follow_bodies(f, x, w);
+        if (!step && (status = against_the_frame(f, w))) return status;
+        status = NOT_CONVERGED;
+        lower_round_bodies(f, x, w);
+        const SheetSums before = film_sheet(f, x, &w->fields, w->lines);
+        if (before.least_turn < LEAST_TURN || !isfinite(before.area)) return INSIDE_OUT;
+        double pressure, gas_stiffness, largest_shift, largest = 0;
+        gas_of(f, set, before.volume, &pressure, &gas_stiffness);
+        int changed = 0;
+        for (long i = 1; i < f->columns - 1; i++)
+            for (long j = 1; j < f->rows - 1; j++) {
+                const long k = i * f->rows + j;
+                w->obstacle[k] += lifted;
+                w->touching[k] = force[k] + CLOSE * f->dx * f->dy * (z[k] - w->obstacle[k] + w->lower[k]) > 0;
+                changed |= w->touching[k] != w->before[k];
+            }
+        step_plane(f, w, plane_factor, pressure, force, &largest_shift);
+        move_plane(f, w->plane, 1, x);
+        memset(w->now, 0, 4 * f->count * sizeof *w->now);
+        move_plane(f, w->plane, 1, w->now);
+        const SheetSums sums = film_sheet(f, x, &w->fields, w->lines);
+        gas_of(f, set, sums.volume, &pressure, &gas_stiffness);
+        for (long k = 0; k < f->count; k++)
+            w->residual[k] = w->fields.elastic[2 * f->count + k] - pressure * w->fields.gradient[2 * f->count + k];
+        stiffen_curved(f, z, w);
+        if ((changed || !factored) && factor_heights(f, w)) return INSIDE_OUT;
+        factored = 1, memcpy(w->before, w->touching, f->count);
+        step_heights(f, w, x, &sums, gas_stiffness);
+        for (long k = 0; k < f->count; k++) {
+            w->now[2 * f->count + k] = w->moved[k], w->now[3 * f->count + k] = w->pushed[k] - force[k];
+            largest = most(largest, fabs(w->moved[k]));
+        }
+        last = most(largest, largest_shift);
+        if (!isfinite(last)) return INSIDE_OUT;
+        if (!changed && last < set->tolerance) status = CONVERGED;
+        const long all = 4 * f->count;
+        if (changed) known = 0;
+        else if (step > 0) {
+            double *slot = w->changes + newest * all;
+            for (long k = 0; k < all; k++) slot[k] = w->now[k] - w->last_step[k];
+            known = known < MEMORY ? known + 1 : MEMORY;
+        }
+        memcpy(w->last_step, w->now, all * sizeof *w->now);
+        for (long c = 0; c < 2; c++)
+            for (long k = 0; k < f->count; k++) x[c * f->count + k] -= w->now[c * f->count + k]; /* back to before the step */
+        if (known && status != CONVERGED) learn(f, w, known, newest);
+        newest = changed ? 0 : known ? (newest + 1) % MEMORY : 0;
+        for (long k = 0; k < 3 * f->count; k++) x[k] += w->now[k];
+        for (long k = 0; k < f->count; k++) force[k] = w->touching[k] ? force[k] + w->now[3 * f->count + k] : 0;
+        memcpy(w->steps + newest * all, w->now, all * sizeof *w->now);
+        found[STEPS] += 1, found[LAST_STEP] = last;
+        found[PRESSURE] = pressure - gas_stiffness * dot(w->fields.gradient + 2 * f->count, w->moved, f->count);
+        found[VOLUME] = sums.volume + dot(w->fields.gradient + 2 * f->count, w->moved, f->count);
+        found[STRETCHED_AREA] = sums.area, found[TENSION] = sums.tension;
+    }
+    return status;
+}
+
+/* Share of the cell about a node on which there is a body at all. */
+static double covered(const Film *f, long bodies, const double *body, const double *pool, const double *at) {
+    long on = 0;
+    for (int a = -2; a <= 2; a++)
+        for (int b = -2; b <= 2; b++)
+            for (long k = 0; k < bodies; k++) {
+                double height, slope[2];
+                const FilmBody *one = (const FilmBody *)(body + k * FILM_BODY);
+                if (film_body_height(f, one, pool, at[0] + a * f->dx / 5, at[1] + b * f->dy / 5, &height, slope)) continue;
+                on++;
+                break;
+            }
+    return on / 25.;
+}
+
+/* Wrench about S, and the area that touches: of each node's cell the share that its force is of what all of it would carry. */
+static void add_up(const Film *f, long bodies, const double *body, const double *pool, const double *x, const double *force,
+                   double *found, const Work *w) {
+    const double *h = w->obstacle;
+    const long rows = f->rows;
+    for (int k = FORCE_X; k <= TORQUE_Z; k++) found[k] = 0;
+    found[AREA] = 0;
+    for (long i = 1; i < f->columns - 1; i++)
+        for (long j = 1; j < rows - 1; j++) {
+            const long k = i * rows + j;
+            if (!(force[k] > 0)) continue;
+            const double r[3] = {i * f->dx - f->numbers.length_x / 2 + x[k], j * f->dy - f->numbers.length_y / 2 + x[f->count + k],
+                                 x[2 * f->count + k]};
+            const double slope[2] = {w->slope[k], w->slope[f->count + k]};
+            const double F[3] = {force[k] * slope[0], force[k] * slope[1], -force[k]};
+            for (int c = 0; c < 3; c++) {
+                found[FORCE_X + c] += F[c];
+                found[TORQUE_X + c] += r[(c + 1) % 3] * F[(c + 2) % 3] - r[(c + 2) % 3] * F[(c + 1) % 3];
+            }
+            const double cell = w->fields.gradient[2 * f->count + k];
+            const double flanks = h[k - 1] + h[k + 1] + h[k - rows] + h[k + rows];
+            double share;
+            if (isfinite(flanks)) {
+                const double bend = (h[k - rows] + h[k + rows] - 2 * h[k]) / square(f->dx) + (h[k - 1] + h[k + 1] - 2 * h[k]) / square(f->dy);
+                const double steep = 1 + slope[0] * slope[0] + slope[1] * slope[1];
+                const double whole = cell * (found[PRESSURE] + found[TENSION] * bend / (steep * sqrt(steep)));
+                share = whole > 0 ? least(force[k] / whole, 1) : 1;
+            } else {
+                share = covered(f, bodies, body, pool, r);
+            }
+            found[AREA] += share * cell * sqrt(1 + slope[0] * slope[0] + slope[1] * slope[1]);
+        }
+}
+
+int64_t film_solve(const double *numbers, const double *law, const double *plane_factor, int64_t begin, int64_t end,
+                   const double *settings, int64_t bodies, const double *body, const double *pool, const double *rest, double *x,
+                   double *force, double *found, double *room) {
+    const Film f = film_of(numbers, law);
+    Work w = work_of(&f, room);
+    for (long e = begin; e < end; e++) {
+        double *own_x = x + e * 3 * f.count, *own_force = force + e * f.count, *own = found + e * FOUND;
+        const double *own_body = body + e * bodies * FILM_BODY;
+        const Settings *set = (const Settings *)settings + e;
+        memset(own, 0, FOUND * sizeof *own);
+        int status = come_to_rest(&f, plane_factor, set, bodies, own_body, pool, 0, own_x, own_force, own, &w);
+        if (set->most_steps > 1 && (status == NOT_CONVERGED || status == INSIDE_OUT)) { /* too large a jump: from rest, in smaller ones */
+            memcpy(own_x, rest, 3 * f.count * sizeof *rest), memset(own_force, 0, f.count * sizeof *own_force);
+            see_bodies(&f, bodies, own_body, pool, own_x, &w);
+            double deep = 0;
+            for (long k = 0; k < f.count; k++) deep = most(deep, own_x[2 * f.count + k] - w.obstacle[k]);
+            const long jumps = 16;
+            for (long jump = jumps - 1; jump >= 0; jump--) {
+                status = come_to_rest(&f, plane_factor, set, bodies, own_body, pool, deep * jump / jumps, own_x, own_force, own, &w);
+                if (status == INSIDE_OUT || status == AT_THE_RIM || status == ON_THE_GLASS) break;
+            }
+        }
+        own[STATUS] = status;
+        if (status == CONVERGED) add_up(&f, bodies, own_body, pool, own_x, own_force, own, &w);
+    }
+    return 0;
+}
+
+/* Factor of the plane's stiffness at a deformation `x` (3, count). */
+int64_t film_plane(const double *numbers, const double *law, const double *x, double *factor) {
+    const Film f = film_of(numbers, law);
+    film_plane_stiffness(&f, x, factor);
+    return band_cholesky(2 * f.inner, FILM_PLANE_WIDTH(&f), factor);
+}

@@ -1,0 +1,47 @@
+/* The film: a sheet on a regular grid over a gas, pressed by bodies that are heights over it; mjtactile/film has the equations.
+   Fields are over all nodes (nodes_x, nodes_y), y fastest, the frame's among them, which never move; what is solved for are the
+   inner nodes alone. Displacements are three fields: along x, along y, and the height. */
+#ifndef MJTACTILE_FILM_H
+#define MJTACTILE_FILM_H
+#include <stdint.h>
+
+#define FILM_LAW 11 /* coefficients of the law's polynomial, lowest first */
+
+typedef struct {
+    double length_x, length_y, nodes_x, nodes_y;
+    double lambda2;                          /* pre-stretch squared */
+    double neo_hookean, modulus, poisson;    /* modulus times thickness, N/m: mu h, or E h / (1 - nu^2) */
+    double law_middle, law_per_unit;         /* of the polynomial's argument, 1 / sqrt(det C) */
+    double tension_slope;                    /* dT/dJ at rest, N/m */
+    double shell;                            /* Young's modulus times thickness, N/m */
+    double chamber_flat, ambient, heat_ratio;
+    double half_thickness, depth;            /* of the sheet; of the chamber behind it */
+} FilmNumbers;
+
+typedef struct {
+    FilmNumbers numbers;
+    const double *law;
+    long columns, rows;       /* of all nodes: along x, along y */
+    long inner_rows, inner;   /* of those that move */
+    long count;
+    double dx, dy;
+} Film;
+
+Film film_of(const double *numbers, const double *law);
+
+/* One body, as Python describes it. */
+typedef struct {
+    double kind, sizes[3], R[9], p[3]; /* R_SO by rows and p_SO */
+    double first, number;              /* of its entries in the pool: planes, triangles, heights */
+} FilmBody;
+#define FILM_BODY 18
+
+enum { BODY_SPHERE, BODY_CAPSULE, BODY_ELLIPSOID, BODY_CYLINDER, BODY_BOX, BODY_PLANE, BODY_QUADRIC, BODY_DISC, BODY_CONE,
+       BODY_CONVEX, BODY_TRIANGLES, BODY_HEIGHTS };
+
+/* Height of the body's lower side over (x, y), as far out as the sheet's middle stays from it, and its slopes; 1 where the body
+   is not over that place, and then nothing is written. */
+int film_body_height(const Film *film, const FilmBody *body, const double *pool, double x, double y, double *height,
+                     double slope[2]);
+
+#endif

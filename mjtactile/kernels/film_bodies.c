@@ -1,0 +1,276 @@
+/* Lower sides of bodies, seen along the film's z from below: the first point of a vertical line that lies in the body. */
+#include "film.h"
+
+#include <math.h>
+
+#include "kernels.h"
+#include "small.h"
+
+#define FAR 1.0          /* m below everything: where lines start */
+#define MARCH_STEPS 60
+#define MARCH_NEAR 1e-8  /* m */
+
+/* A vertical line in the body's frame: `from` + t `along`, t is the height in S. */
+typedef struct { double from[3], along[3]; } Line;
+
+static double dot3(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+static Line line_in_body(const FilmBody *b, double x, double y) {
+    Line line;
+    const double at[3] = {x - b->p[0], y - b->p[1], -b->p[2]};
+    for (int k = 0; k < 3; k++) {
+        line.from[k] = b->R[k] * at[0] + b->R[3 + k] * at[1] + b->R[6 + k] * at[2];
+        line.along[k] = b->R[6 + k];
+    }
+    return line;
+}
+
+/* Slopes of a surface whose outward normal `n` (body's frame) points down; 1 where it does not. */
+static int slopes_of(const FilmBody *b, const double *n, double slope[2]) {
+    double world[3];
+    for (int k = 0; k < 3; k++) world[k] = dot3(b->R + 3 * k, n);
+    if (!(world[2] < 0)) return 1;
+    slope[0] = -world[0] / world[2], slope[1] = -world[1] / world[2];
+    return 0;
+}
+
+/* Smaller root of a t^2 + 2 b t + c; 1 where there is none. */
+static int first_root(double a, double b, double c, double *t) {
+    double inside = b * b - a * c;
+    if (!(inside > 0) || !(fabs(a) > 1e-300)) return 1;
+    *t = (-b - sqrt(inside)) / a;
+    return 0;
+}
+
+static int ball(const double *middle, double radius, const Line *line, double *t, double *n) {
+    double off[3];
+    for (int k = 0; k < 3; k++) off[k] = line->from[k] - middle[k];
+    if (first_root(1, dot3(off, line->along), dot3(off, off) - radius * radius, t)) return 1;
+    for (int k = 0; k < 3; k++) n[k] = off[k] + *t * line->along[k];
+    return 0;
+}
+
+/* Side of a cylinder about the body's z, as far as |z| <= half. */
+static int side(double radius, double half, const Line *line, double *t, double *n) {
+    const double *o = line->from, *d = line->along;
+    if (first_root(d[0] * d[0] + d[1] * d[1], o[0] * d[0] + o[1] * d[1], o[0] * o[0] + o[1] * o[1] - radius * radius, t)) return 1;
+    double z = o[2] + *t * d[2];
+    if (fabs(z) > half) return 1;
+    n[0] = o[0] + *t * d[0], n[1] = o[1] + *t * d[1], n[2] = 0;
+    return 0;
+}
+
+static int capsule(const FilmBody *b, double out, const Line *line, double *t, double *n) {
+    double radius = b->sizes[0] + out, half = b->sizes[1];
+    if (!side(radius, half, line, t, n)) return 0;
+    double found = INFINITY;
+    for (int end = -1; end <= 1; end += 2) {
+        const double middle[3] = {0, 0, end * half};
+        double t_end, n_end[3];
+        if (!ball(middle, radius, line, &t_end, n_end) && t_end < found) {
+            found = t_end;
+            for (int k = 0; k < 3; k++) n[k] = n_end[k];
+        }
+    }
+    *t = found;
+    return isinf(found);
+}
+
+static int ellipsoid(const FilmBody *b, const Line *line, double *t, double *n) {
+    Line scaled;
+    for (int k = 0; k < 3; k++) scaled.from[k] = line->from[k] / b->sizes[k], scaled.along[k] = line->along[k] / b->sizes[k];
+    const double a = dot3(scaled.along, scaled.along), c = dot3(scaled.from, scaled.from) - 1;
+    if (first_root(a, dot3(scaled.from, scaled.along), c, t)) return 1;
+    for (int k = 0; k < 3; k++) n[k] = (scaled.from[k] + *t * scaled.along[k]) / b->sizes[k];
+    return 0;
+}
+
+/* Ends of a solid of revolution: a disc of `radius` at `z`, whose outside is towards `sign`. */
+static int end_disc(double z, double sign, double radius, const Line *line, double *t, double *n) {
+    if (fabs(line->along[2]) < 1e-12) return 1;
+    *t = (z - line->from[2]) / line->along[2];
+    double x = line->from[0] + *t * line->along[0], y = line->from[1] + *t * line->along[1];
+    n[0] = n[1] = 0, n[2] = sign;
+    return x * x + y * y > radius * radius;
+}
+
+static void keep_lower(double t_new, const double *n_new, double *t, double *n) {
+    if (t_new >= *t) return;
+    *t = t_new;
+    for (int k = 0; k < 3; k++) n[k] = n_new[k];
+}
+
+static int cylinder(const FilmBody *b, const Line *line, double *t, double *n) {
+    double found = INFINITY, t_part, n_part[3];
+    if (!side(b->sizes[0], b->sizes[1], line, &t_part, n_part)) keep_lower(t_part, n_part, &found, n);
+    for (int end = -1; end <= 1; end += 2)
+        if (!end_disc(end * b->sizes[1], end, b->sizes[0], line, &t_part, n_part)) keep_lower(t_part, n_part, &found, n);
+    *t = found;
+    return isinf(found);
+}
+
+/* Tip at the origin, body towards +z: radius sizes[0] at height sizes[1]. */
+static int cone(const FilmBody *b, const Line *line, double *t, double *n) {
+    const double wide = b->sizes[0] / b->sizes[1], *o = line->from, *d = line->along;
+    const double w2 = wide * wide;
+    double found = INFINITY, t_part, n_part[3];
+    const double a = d[0] * d[0] + d[1] * d[1] - w2 * d[2] * d[2], h = o[0] * d[0] + o[1] * d[1] - w2 * o[2] * d[2];
+    const double c = o[0] * o[0] + o[1] * o[1] - w2 * o[2] * o[2], inside = h * h - a * c;
+    if (inside >= 0)
+        for (int sign = -1; sign <= 1; sign += 2) {
+            t_part = fabs(a) > 1e-14 ? (-h + sign * sqrt(inside)) / a : -c / (2 * h);
+            double z = o[2] + t_part * d[2];
+            if (!(z >= 0 && z <= b->sizes[1])) continue;
+            n_part[0] = o[0] + t_part * d[0], n_part[1] = o[1] + t_part * d[1], n_part[2] = -w2 * z;
+            if (z < 1e-12) n_part[2] = -1;
+            keep_lower(t_part, n_part, &found, n);
+        }
+    if (!end_disc(b->sizes[1], 1, b->sizes[0], line, &t_part, n_part)) keep_lower(t_part, n_part, &found, n);
+    *t = found;
+    return isinf(found);
+}
+
+/* Where the line enters all of `count` half-spaces n x <= d, rows (n, d). */
+static int planes(const double *rows, long count, const Line *line, double *t, double *n) {
+    double enter = -INFINITY, leave = INFINITY;
+    for (long i = 0; i < count; i++) {
+        const double *row = rows + 4 * i, towards = dot3(row, line->along), left = row[3] - dot3(row, line->from);
+        if (fabs(towards) < 1e-12) {
+            if (left < 0) return 1;
+        } else if (towards > 0) {
+            leave = least(leave, left / towards);
+        } else if (left / towards > enter) {
+            enter = left / towards;
+            n[0] = row[0], n[1] = row[1], n[2] = row[2];
+        }
+    }
+    *t = enter;
+    return !(enter < leave) || isinf(enter);
+}
+
+static int box(const FilmBody *b, const Line *line, double *t, double *n) {
+    double rows[24] = {0};
+    for (int k = 0; k < 6; k++) rows[4 * k + k / 2] = k % 2 ? 1 : -1, rows[4 * k + 3] = b->sizes[k / 2];
+    return planes(rows, 6, line, t, n);
+}
+
+/* z >= (k_x x^2 + k_y y^2) / 2 in the body's frame, sizes are k_x, k_y and how far out it goes. */
+static int quadric(const FilmBody *b, const Line *line, double *t, double *n) {
+    const double kx = b->sizes[0], ky = b->sizes[1], *o = line->from, *d = line->along;
+    const double a = (kx * d[0] * d[0] + ky * d[1] * d[1]) / 2, c = (kx * o[0] * o[0] + ky * o[1] * o[1]) / 2 - o[2];
+    const double h = (kx * o[0] * d[0] + ky * o[1] * d[1] - d[2]) / 2;
+    if (fabs(a) < 1e-12 * fabs(h)) *t = -c / (2 * h);
+    else if (h * h < a * c) return 1;
+    else *t = c / (-h + sqrt(h * h - a * c)); /* the root that is there without tilt */
+    const double x = o[0] + *t * d[0], y = o[1] + *t * d[1];
+    n[0] = kx * x, n[1] = ky * y, n[2] = -1;
+    return !(x * x + y * y <= square(b->sizes[2]));
+}
+
+/* Distance to a flat disc of radius sizes[0] and half height sizes[1] whose rims are rounded by sizes[2]; normal in `n`. */
+static double rounded_disc(const FilmBody *b, const double *x, double *n) {
+    const double r = hypot(x[0], x[1]), round = b->sizes[2];
+    const double across = r - (b->sizes[0] - round), up = fabs(x[2]) - (b->sizes[1] - round);
+    const double out_r = most(across, 0), out_z = most(up, 0), out = hypot(out_r, out_z);
+    const double radial = out > 0 ? out_r / out : across > up, axial = out > 0 ? out_z / out : !(across > up);
+    n[0] = r > 0 ? radial * x[0] / r : 0, n[1] = r > 0 ? radial * x[1] / r : 0, n[2] = x[2] < 0 ? -axial : axial;
+    return out + least(most(across, up), 0) - round;
+}
+
+static int disc(const FilmBody *b, const Line *line, double *t, double *n) {
+    const double reach = b->sizes[0] + b->sizes[1];
+    double middle = -dot3(line->from, line->along), x[3];
+    *t = middle - reach;
+    for (int step = 0; step < MARCH_STEPS && *t < middle + reach; step++) {
+        for (int k = 0; k < 3; k++) x[k] = line->from[k] + *t * line->along[k];
+        double left = rounded_disc(b, x, n);
+        if (left < MARCH_NEAR) return 0;
+        *t += left;
+    }
+    return 1;
+}
+
+/* The lowest of the triangles (count, 3, 3), in the body's frame, that are over the place; frame S only without a rotation. */
+static int triangles(const double *corners, long count, const Line *line, double *t, double *n) {
+    double found = INFINITY;
+    for (long i = 0; i < count; i++) {
+        const double *a = corners + 9 * i;
+        double e1[3], e2[3], from[3], normal[3];
+        for (int k = 0; k < 3; k++) e1[k] = a[3 + k] - a[k], e2[k] = a[6 + k] - a[k], from[k] = line->from[k] - a[k];
+        normal[0] = e1[1] * e2[2] - e1[2] * e2[1], normal[1] = e1[2] * e2[0] - e1[0] * e2[2];
+        normal[2] = e1[0] * e2[1] - e1[1] * e2[0];
+        const double *d = line->along, towards = dot3(normal, d);
+        if (fabs(towards) < 1e-24) continue;
+        const double q[3] = {from[1] * d[2] - from[2] * d[1], from[2] * d[0] - from[0] * d[2], from[0] * d[1] - from[1] * d[0]};
+        const double u = dot3(e2, q) / towards, v = -dot3(e1, q) / towards;
+        if (u < 0 || v < 0 || u + v > 1) continue;
+        const double way = -dot3(normal, from) / towards;
+        if (towards > 0)
+            for (int k = 0; k < 3; k++) normal[k] = -normal[k];
+        keep_lower(way, normal, &found, n);
+    }
+    *t = found;
+    return isinf(found);
+}
+
+/* Heights at the film's own nodes, bilinear between them; what is not finite is nothing. */
+static int heights(const Film *film, const double *field, double x, double y, double *t, double slope[2]) {
+    const double at_x = (x + film->numbers.length_x / 2) / film->dx, at_y = (y + film->numbers.length_y / 2) / film->dy;
+    const long i = (long)clip(floor(at_x), 0, film->columns - 2), j = (long)clip(floor(at_y), 0, film->rows - 2);
+    const double *here = field + i * film->rows + j, u = at_x - i, v = at_y - j;
+    const double a = here[0], b = here[film->rows], c = here[1], d = here[film->rows + 1];
+    if (!isfinite(a + b + c + d)) { /* at an edge: the nearest node's */
+        const double nearest = here[(u > 0.5) * film->rows + (v > 0.5)];
+        *t = nearest, slope[0] = slope[1] = 0;
+        return !isfinite(nearest);
+    }
+    *t = (1 - u) * ((1 - v) * a + v * c) + u * ((1 - v) * b + v * d);
+    slope[0] = ((1 - v) * (b - a) + v * (d - c)) / film->dx, slope[1] = ((1 - u) * (c - a) + u * (d - b)) / film->dy;
+    return 0;
+}
+
+int film_body_height(const Film *film, const FilmBody *b, const double *pool, double x, double y, double *height,
+                     double slope[2]) {
+    static const double origin[3] = {0};
+    double t, n[3], out = film->numbers.half_thickness;
+    const Line line = line_in_body(b, x, y);
+    const double *own = pool ? pool + (long)b->first : 0;
+    int missed, exact = 0; /* exact: `out` is in it already */
+    switch ((int)b->kind) {
+    case BODY_SPHERE: missed = ball(origin, b->sizes[0] + out, &line, &t, n), exact = 1; break;
+    case BODY_CAPSULE: missed = capsule(b, out, &line, &t, n), exact = 1; break;
+    case BODY_ELLIPSOID: missed = ellipsoid(b, &line, &t, n); break;
+    case BODY_CYLINDER: missed = cylinder(b, &line, &t, n); break;
+    case BODY_BOX: missed = box(b, &line, &t, n); break;
+    case BODY_QUADRIC: missed = quadric(b, &line, &t, n); break;
+    case BODY_DISC: missed = disc(b, &line, &t, n); break;
+    case BODY_CONE: missed = cone(b, &line, &t, n); break;
+    case BODY_CONVEX: missed = planes(own, (long)b->number, &line, &t, n); break;
+    case BODY_TRIANGLES: missed = triangles(own, (long)b->number, &line, &t, n); break;
+    case BODY_PLANE: /* solid on the far side, whichever way its normal points */
+        n[0] = n[1] = 0, n[2] = line.along[2] > 0 ? -1 : 1;
+        t = -line.from[2] / line.along[2], missed = !isfinite(t);
+        break;
+    default: missed = heights(film, own, x, y, &t, slope);
+        if (!missed) *height = t - out * sqrt(1 + square(slope[0]) + square(slope[1]));
+        return missed;
+    }
+    if (missed || slopes_of(b, n, slope)) return 1;
+    *height = exact ? t : t - out * sqrt(1 + square(slope[0]) + square(slope[1]));
+    return 0;
+}
+
+int64_t film_heights(const double *numbers, int64_t bodies, const double *body, const double *pool, int64_t count,
+                     const double *places, double *out) {
+    const Film film = film_of(numbers, 0);
+    for (long i = 0; i < count; i++) {
+        out[i] = INFINITY;
+        for (long k = 0; k < bodies; k++) {
+            double height, slope[2];
+            const FilmBody *one = (const FilmBody *)(body + k * FILM_BODY);
+            if (!film_body_height(&film, one, pool, places[2 * i], places[2 * i + 1], &height, slope))
+                out[i] = least(out[i], height);
+        }
+    }
+    return 0;
+}
