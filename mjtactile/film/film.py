@@ -15,7 +15,7 @@ from mjtactile.film import bodies
 from mjtactile.film.bodies import Obstacle
 from mjtactile.film.law import law_numbers, tension_slope
 from mjtactile.film.state import FOUND, FilmState, Status
-from mjtactile.kernels import kernel
+from mjtactile.kernels import band_stride, kernel
 
 TOLERANCE = 2e-7  # m, of the last step
 _MOST_STEPS = 40
@@ -66,10 +66,9 @@ class Film:
             sheet.young * sheet.thickness, design.chamber_volume_flat, chamber.ambient, chamber.heat_ratio,
             sheet.thickness / 2, chamber.depth,
         ])  # fmt: skip
-        self._room = np.empty(int(kernel("film_work")(self._numbers)))
-        inner = [count - 2 for count in self.grid]
-        width = 2 * (inner[1] + 1) + 1
-        self._plane = np.empty((2 * inner[0] * inner[1], (width + 8) // 4 * 4))
+        self._room = np.empty(kernel("film_room")(self._numbers))
+        columns, rows = self.grid
+        self._plane = np.empty((2 * (columns - 2) * (rows - 2), band_stride(2 * rows - 1)))
         self.rest = self._inflate()
         absolute = self.pressure_gauge + chamber.ambient
         volume = design.chamber_volume_flat + self.rest.volume
@@ -109,13 +108,15 @@ class Film:
         rows, pool = bodies.pooled((obstacles,) if isinstance(obstacles, Obstacle) else obstacles)
         where = np.asarray(places, dtype=float).reshape(-1, 2)
         heights = np.empty(len(where))
-        kernel("film_heights")(self._numbers, len(rows), rows, pool, len(where), where, heights)
+        pooled = 0 if pool is None else len(pool)
+        kernel("film_heights")(self._numbers, len(rows), rows, pooled, pool, len(where), where, heights)
         return heights
 
     def _run(self, settings: Array, rows: Array, pool: Array | None, x: Array, force: Array, found: Array) -> None:
         rest = self.rest.x if hasattr(self, "rest") else x
-        kernel("film_solve")(self._numbers, self._law, self._plane, 0, 1, settings, len(rows), rows, pool, rest, x, force, found,
-                             self._room)
+        pooled = 0 if pool is None else len(pool)
+        kernel("film_solve")(self._numbers, self._law, *self.grid, self._plane, rest, len(self._room), self._room, 1, 0, 1,
+                             settings, len(rows), rows, pooled, pool, x, force, found)
 
     def _inflate(self) -> FilmState:
         """From a low bulge of about the right height to rest, with a stiffness in the plane that is made anew on the way."""
@@ -126,7 +127,9 @@ class Film:
         x, force, found = np.zeros((3, *self.grid)), np.zeros(self.grid), np.empty(FOUND)
         x[2] = 0.3 * height * (1 - across**2) * (1 - along**2)
         for share in _INFLATING:
-            if kernel("film_plane")(self._numbers, self._law, x, self._plane):
+            try:
+                kernel("film_plane")(self._numbers, self._law, *self.grid, x, self._plane)
+            except np.linalg.LinAlgError:
                 break
             settings = np.array([share * self.pressure_gauge, 0.0, _INFLATED, 4 * _MOST_STEPS])
             self._run(settings, np.zeros((0, bodies.NUMBERS)), None, x, force, found)

@@ -45,7 +45,7 @@ static long work_size(const Film *f) {
            f->inner * BAND_STRIDE(f->inner_rows + 1) + 2 * (f->count / 8 + 1);
 }
 
-int64_t film_work(const double *numbers) {
+int64_t film_room(const double *numbers) {
     const Film f = film_of(numbers, 0);
     return work_size(&f);
 }
@@ -429,10 +429,13 @@ static void add_up(const Film *f, long bodies, const double *body, const double 
         }
 }
 
-int64_t film_solve(const double *numbers, const double *law, const double *plane_factor, int64_t begin, int64_t end,
-                   const double *settings, int64_t bodies, const double *body, const double *pool, const double *rest, double *x,
-                   double *force, double *found, double *room) {
+int64_t film_solve(const double *numbers, const double *law, int64_t columns, int64_t rows, const double *plane_factor,
+                   const double *rest, int64_t roomy, double *room, int64_t environments, int64_t begin, int64_t end,
+                   const double *settings, int64_t bodies, const double *body, int64_t pooled, const double *pool, double *x,
+                   double *force, double *found) {
     const Film f = film_of(numbers, law);
+    if (columns != f.columns || rows != f.rows || roomy < work_size(&f) || begin < 0 || end > environments) return REFUSED;
+    (void)pooled;
     Work w = work_of(&f, room);
     for (long e = begin; e < end; e++) {
         double *own_x = x + e * 3 * f.count, *own_force = force + e * f.count, *own = found + e * FOUND;
@@ -458,8 +461,9 @@ int64_t film_solve(const double *numbers, const double *law, const double *plane
 }
 
 /* Factor of the plane's stiffness at a deformation `x` (3, count). */
-int64_t film_plane(const double *numbers, const double *law, const double *x, double *factor) {
+int64_t film_plane(const double *numbers, const double *law, int64_t columns, int64_t rows, const double *x, double *factor) {
     const Film f = film_of(numbers, law);
+    if (columns != f.columns || rows != f.rows) return REFUSED;
     film_plane_stiffness(&f, x, factor);
-    return band_cholesky(2 * f.inner, FILM_PLANE_WIDTH(&f), factor);
+    return band_cholesky(2 * f.inner, FILM_PLANE_WIDTH(&f), factor) ? NOT_DEFINITE : 0;
 }

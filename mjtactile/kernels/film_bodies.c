@@ -260,8 +260,9 @@ int film_body_height(const Film *film, const FilmBody *b, const double *pool, do
     return 0;
 }
 
-int64_t film_heights(const double *numbers, int64_t bodies, const double *body, const double *pool, int64_t count,
+int64_t film_heights(const double *numbers, int64_t bodies, const double *body, int64_t pooled, const double *pool, int64_t count,
                      const double *places, double *out) {
+    (void)pooled;
     const Film film = film_of(numbers, 0);
     for (long i = 0; i < count; i++) {
         out[i] = INFINITY;

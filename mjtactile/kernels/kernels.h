@@ -201,17 +201,24 @@ int64_t update_stiction(int64_t contacts, int64_t list, const int64_t *layout /*
                         int64_t first, int64_t count, const double *settings /* 5 */, double *goal /* count */,
                         double *memory /* count, 6 */, uint8_t *slides /* count */, double *surface /* count, 3 */);
 
-/* film/: the sheet of `numbers` (16) and `law` (11) as film.h has them, on nodes of which the frame's are part; n of them. Heights
-   `out` (count) over `places` (count, 2) of `bodies` (18 numbers each), infinite where there are none. */
-int64_t film_heights(const double *numbers, int64_t bodies, const double *body, const double *pool, int64_t count,
-                     const double *places, double *out);
-/* Out: the band's Cholesky `factor` of the stiffness in the plane at displacements `x` (3, n). */
-int64_t film_plane(const double *numbers, const double *law, const double *x, double *factor);
-int64_t film_work(const double *numbers); /* doubles of `room` */
-/* Of environments `begin` to `end` - 1, each with `settings` (4) and `bodies` (18 numbers each): displacements `x` (3, n) and the
-   contact's forces `force` (n) along -z, from where they are to where the film rests; `found` (14): see film.c. */
-int64_t film_solve(const double *numbers, const double *law, const double *plane_factor, int64_t begin, int64_t end,
-                   const double *settings, int64_t bodies, const double *body, const double *pool, const double *rest, double *x,
-                   double *force, double *found, double *room);
+/* film/: the sheet of `numbers` and `law` as film.h has them, on nodes (columns, rows) of which the frame's are part. Out: heights
+   over `places` of `bodies`, whose planes, triangles and fields are in `pool`; infinite where there are none. */
+int64_t film_heights(const double *numbers /* 17 */, int64_t bodies, const double *body /* bodies, 18 */, int64_t pooled,
+                     const double *pool /* pooled or NULL */, int64_t count, const double *places /* count, 2 */,
+                     double *out /* count */);
+/* Out: the band's Cholesky `factor` of the stiffness in the plane at displacements `x`. */
+int64_t film_plane(const double *numbers /* 17 */, const double *law /* 11 */, int64_t columns, int64_t rows,
+                   const double *x /* 3, columns, rows */,
+                   double *factor /* 2 * (columns - 2) * (rows - 2), BAND_STRIDE(2 * rows - 1) */);
+int64_t film_room(const double *numbers /* 17 */); /* doubles of `room` that a solution wants */
+/* Of environments `begin` to `end` - 1, each with `settings` (see film.c) and `bodies`: displacements `x` and the contact's
+   forces `force` along -z, from where they are to where the film rests. Out: `found`, see film.c. */
+int64_t film_solve(const double *numbers /* 17 */, const double *law /* 11 */, int64_t columns, int64_t rows,
+                   const double *plane_factor /* 2 * (columns - 2) * (rows - 2), BAND_STRIDE(2 * rows - 1) */,
+                   const double *rest /* 3, columns, rows */, int64_t roomy, double *room /* roomy */, int64_t environments,
+                   int64_t begin, int64_t end, const double *settings /* environments, 4 */, int64_t bodies,
+                   const double *body /* environments, bodies, 18 */, int64_t pooled, const double *pool /* pooled or NULL */,
+                   double *x /* environments, 3, columns, rows */, double *force /* environments, columns, rows */,
+                   double *found /* environments, 14 */);
 
 #endif
