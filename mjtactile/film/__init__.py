@@ -1,19 +1,24 @@
-"""The film: what a pressed membrane does, for the price of a few sparse solves. Public face: `mjtactile.Film`.
+"""The film: what a pressed membrane does, for the price of a few sparse solves. Public face:
+`mjtactile.Film`.
 
-What it is. The sensor's sheet with its own rubber (neo-Hookean, pre-stretched) on a regular grid of 1 to 2 mm, over its gas, at
-rest on bodies that are heights over it. Nodes move in all three directions. Each step solves twice: in the plane with one
-constant matrix, and for the heights with a film's under the sheet's tension; residuals are the sheet's own, so that the
-result is the sheet's, not the matrices'.
+What it is. The sensor's sheet with its own rubber (neo-Hookean, pre-stretched) on a regular grid of
+1 to 2 mm, over its gas, at rest on bodies that are heights over it. Nodes move in all three
+directions. Each step solves twice: in the plane with one constant matrix, and for the heights with
+a film's under the sheet's tension; residuals are the sheet's own, so that the result is the
+sheet's, not the matrices'.
 
 What it leaves out, and what that costs (docs/benchmarks.md, `bench film`):
-- Bending: nothing that a sheet of 0.3 mm shows, but for features narrower than about five thicknesses.
-- Friction, within the solution: 1 to 8 % of a force. `shear.py` gives a sticking patch its stiffness, memory and limit beside it.
+- Bending: nothing that a sheet of 0.3 mm shows, but for features narrower than about five
+  thicknesses.
+- Friction, within the solution: 1 to 8 % of a force. `shear.py` gives a sticking patch its
+  stiffness, memory and limit beside it.
 - Mass and damping: it is always at rest.
 - What is undercut, or steeper than about 75 degrees: a body is seen along z alone (`bodies.py`).
-- What happens between nodes: contact is at nodes, which costs small bodies on coarse grids their scatter from place to place.
+- What happens between nodes: contact is at nodes, which costs small bodies on coarse grids their
+  scatter from place to place.
 
-Frame S, SI units; p V^gamma with the design's gamma, or a pressure that is held. Equations: docs/equations.md, X1-X6. Why so:
-docs/decisions/0025-film.md.
+Frame S, SI units; p V^gamma with the design's gamma, or a pressure that is held. Equations:
+docs/equations.md, X1-X6. Why so: docs/decisions/0025-film.md.
 """
 
 from mjtactile.film.bodies import KINDS, Obstacle, obstacle

@@ -1,8 +1,10 @@
-"""What presses a film: bodies, each with a pose, as the kernel takes them (kernels/film_bodies.c). SI units, frame S.
+"""What presses a film: bodies, each with a pose, as the kernel takes them (kernels/film_bodies.c).
+SI units, frame S.
 
-Sizes are half sizes, as in MJCF. A body is what a line along the sensor's z meets first, from the side of the glass: what is
-undercut, or steeper than the sheet can follow, does not count. That is exact for what is pressed from outside and steep for no
-more than about 75 degrees where it touches; a thing that comes from the side, or hooks under the sheet, is beyond a film.
+Sizes are half sizes, as in MJCF. A body is what a line along the sensor's z meets first, from the
+side of the glass: what is undercut, or steeper than the sheet can follow, does not count. That is
+exact for what is pressed from outside and steep for no more than about 75 degrees where it touches;
+a thing that comes from the side, or hooks under the sheet, is beyond a film.
 """
 
 from __future__ import annotations
@@ -16,7 +18,9 @@ from numpy.typing import ArrayLike
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 
-NUMBERS = 18  # of a body: kind, sizes (3), R_SO (9), p_SO (3), first entry in the pool, number of entries
+NUMBERS = (
+    18  # of a body: kind, sizes (3), R_SO (9), p_SO (3), first entry in the pool, number of entries
+)
 
 # Name: the kernel's number, and what `sizes` are.
 KINDS: dict[str, tuple[int, tuple[str, ...]]] = {
@@ -39,32 +43,44 @@ _MAY_VANISH = {"curvature x", "curvature y", "rim radius"}
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """One body: its `kind`, its `numbers` (NUMBERS,) for the kernel, and its `pool` of planes, triangles or heights."""
+    """One body: its `kind`, its `numbers` (NUMBERS,) for the kernel, and its `pool` of planes,
+    triangles or heights."""
 
     kind: str
     numbers: Array
     pool: Array
 
 
-def obstacle(kind: str, sizes: ArrayLike = (), p_SO: ArrayLike = (0.0, 0.0, 0.0), R_SO: ArrayLike | None = None, *,
-             data: ArrayLike | None = None) -> Obstacle:
+def obstacle(
+    kind: str,
+    sizes: ArrayLike = (),
+    p_SO: ArrayLike = (0.0, 0.0, 0.0),
+    R_SO: ArrayLike | None = None,
+    *,
+    data: ArrayLike | None = None,
+) -> Obstacle:
     """A body with a pose.
 
     Args:
-        kind: one of KINDS. The axis of capsule, cylinder, disc and cone is the body's z; a cone's tip and a wedge's edge are at
-            its origin, and both open towards z; a wedge's edge lies along x. A quadric is z >= (k_x x^2 + k_y y^2) / 2 as far
-            out as `reach`. A plane is solid on the side away from the sensor.
+        kind: one of KINDS. The axis of capsule, cylinder, disc and cone is the body's z; a cone's
+        tip and a wedge's edge are at
+            its origin, and both open towards z; a wedge's edge lies along x. A quadric is z >= (k_x
+            x^2 + k_y y^2) / 2 as far out as `reach`. A plane is solid on the side away from the
+            sensor.
         sizes: half sizes, m (curvatures 1/m), in the order that KINDS has.
         p_SO: the body's middle, (3,) m in S.
         R_SO: its rotation, a matrix (3, 3) or a unit quaternion (4,), real part first; None: none.
-        data: of a mesh the vertices (n, 3) m in the body's frame, whose convex hull is meant; of triangles the corners
-            (n, 3, 3) m; of heights the heights (nx, ny) m over the film's nodes, infinite where there is nothing.
+        data: of a mesh the vertices (n, 3) m in the body's frame, whose convex hull is meant; of
+        triangles the corners
+            (n, 3, 3) m; of heights the heights (nx, ny) m over the film's nodes, infinite where
+            there is nothing.
 
     Returns:
         The body, for `Film.solve`.
 
     Raises:
-        InputError: an unknown kind, a number that is not finite or not positive, or the wrong number of them.
+        InputError: an unknown kind, a number that is not finite or not positive, or the wrong
+        number of them.
     """
     if kind not in KINDS:
         raise InputError(f"{kind!r} is unknown", field="kind", choices=KINDS)
@@ -73,20 +89,28 @@ def obstacle(kind: str, sizes: ArrayLike = (), p_SO: ArrayLike = (0.0, 0.0, 0.0)
     numbers[0] = number
     size = _finite("sizes", sizes, (len(names),))
     for name, value in zip(names, size, strict=True):
-        if value < 0 and name not in ("curvature x", "curvature y") or value == 0 and name not in _MAY_VANISH:
+        if (
+            value < 0
+            and name not in ("curvature x", "curvature y")
+            or value == 0
+            and name not in _MAY_VANISH
+        ):
             raise InputError(f"{name} of {value:g} must be positive", field="sizes")
-    numbers[1:1 + len(size)] = size
+    numbers[1 : 1 + len(size)] = size
     numbers[4:13] = _rotation(R_SO).ravel()
     numbers[13:16] = _finite("p_SO", p_SO, (3,))
     pool = _pool(kind, size, data)
     if kind == "disc" and size[2] > min(size[0], size[1]):
-        raise InputError("a rim's radius is at most the disc's radius and half height", field="sizes")
+        raise InputError(
+            "a rim's radius is at most the disc's radius and half height", field="sizes"
+        )
     numbers[17] = len(pool)
     return Obstacle(kind, numbers, pool.ravel())
 
 
 def pooled(bodies: Sequence[Obstacle]) -> tuple[Array, Array | None]:
-    """Numbers (k, NUMBERS) of all bodies, and their pools one after the other (None: there are none)."""
+    """Numbers (k, NUMBERS) of all bodies, and their pools one after the other (None: there are
+    none)."""
     rows = np.array([body.numbers for body in bodies]).reshape(-1, NUMBERS)
     sizes = [body.pool.size for body in bodies]
     if not any(sizes):
@@ -149,7 +173,9 @@ def _finite(field: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
         array = np.asarray(values, dtype=float)
     except (TypeError, ValueError) as error:
         raise InputError("is not a field of numbers", field=field) from error
-    fits = array.ndim == len(shape) and all(want in (-1, have) for want, have in zip(shape, array.shape, strict=True))
+    fits = array.ndim == len(shape) and all(
+        want in (-1, have) for want, have in zip(shape, array.shape, strict=True)
+    )
     if not fits:
         wanted = ", ".join("n" if want < 0 else str(want) for want in shape)
         raise InputError(f"has shape {array.shape}, not ({wanted})", field=field)

@@ -17,12 +17,20 @@ from mjtactile.film.law import law_numbers, tension_slope
 from mjtactile.film.state import FOUND, FilmState, Status
 from mjtactile.kernels import band_stride, kernel
 
-TOLERANCE = 2e-7  # m, of the last step
+TOLERANCE = 5e-7  # m, of what is left of the displacements
 _MOST_STEPS = 40
-_INFLATING = (0.25, 0.5, 0.75, 1.0, 1.0)  # of the pressure; the last with the stiffness of the sheet at rest
+_INFLATING = (
+    0.25,
+    0.5,
+    0.75,
+    1.0,
+    1.0,
+)  # of the pressure; the last with the stiffness of the sheet at rest
 _INFLATED = 1e-9  # m
 _LEAST_NODES, _MOST_NODES = 5, 400
-_MIXED_AREA = 1.05  # area ratio at which the tension's slope is taken; steps depend on it, results do not
+_MIXED_AREA = (
+    1.05  # area ratio at which the tension's slope is taken; steps depend on it, results do not
+)
 _COMPLAINTS = {
     Status.AT_THE_RIM: "an obstacle touches the frame's rim",
     Status.ON_THE_GLASS: "an obstacle lies on the glass",
@@ -33,12 +41,18 @@ _COMPLAINTS = {
 class Film:
     """A sensor's sheet as a film. Makes no state: `solve` takes one and gives one.
 
-    `x` (nx,) and `y` (ny,) are the nodes' places on the mounted flat sheet, m, the frame's among them; `rest` is where it rests
-    without a touch.
+    `x` (nx,) and `y` (ny,) are the nodes' places on the mounted flat sheet, m, the frame's among
+    them; `rest` is where it rests without a touch.
     """
 
-    def __init__(self, design: SensorDesign | str, grid: tuple[int, int] = (21, 16), pressure_gauge: float | None = None, *,
-                 sealed: bool = True):
+    def __init__(
+        self,
+        design: SensorDesign | str,
+        grid: tuple[int, int] = (21, 16),
+        pressure_gauge: float | None = None,
+        *,
+        sealed: bool = True,
+    ):
         """Inflate a film.
 
         Args:
@@ -54,18 +68,25 @@ class Film:
         design.require_rectangle("the film")
         self.grid = _grid(grid)
         frame, chamber, sheet = design.frame, design.chamber, design.membrane
-        self.pressure_gauge = float(chamber.supply_gauge if pressure_gauge is None else pressure_gauge)
+        self.pressure_gauge = float(
+            chamber.supply_gauge if pressure_gauge is None else pressure_gauge
+        )
         if not 0 < self.pressure_gauge < 1e6:
-            raise InputError(f"{self.pressure_gauge:g} Pa must be above ambient", field="pressure_gauge")
+            raise InputError(
+                f"{self.pressure_gauge:g} Pa must be above ambient", field="pressure_gauge"
+            )
         self.sealed = sealed
-        self.x, self.y = (np.linspace(-side / 2, side / 2, count)
-                          for side, count in zip((frame.length, frame.width), self.grid, strict=True))
+        self.x, self.y = (
+            np.linspace(-side / 2, side / 2, count)
+            for side, count in zip((frame.length, frame.width), self.grid, strict=True)
+        )
         law, self._law = law_numbers(sheet)
-        self._numbers = np.array([
-            frame.length, frame.width, *self.grid, sheet.pre_stretch**2, *law, tension_slope(sheet, _MIXED_AREA),
-            sheet.young * sheet.thickness, design.chamber_volume_flat, chamber.ambient, chamber.heat_ratio,
-            sheet.thickness / 2, chamber.depth,
-        ])  # fmt: skip
+        tensions = (tension_slope(sheet, _MIXED_AREA), sheet.young * sheet.thickness)
+        gas = (design.chamber_volume_flat, chamber.ambient, chamber.heat_ratio)
+        sides = (frame.length, frame.width)
+        depths = (sheet.thickness / 2, chamber.depth)
+        stretch = sheet.pre_stretch**2
+        self._numbers = np.array([*sides, *self.grid, stretch, *law, *tensions, *gas, *depths])
         self._room = np.empty(kernel("film_room")(self._numbers))
         columns, rows = self.grid
         self._plane = np.empty((2 * (columns - 2) * (rows - 2), band_stride(2 * rows - 1)))
@@ -75,12 +96,20 @@ class Film:
         self._gas = absolute * volume**chamber.heat_ratio if sealed else self.pressure_gauge
 
     @staticmethod
-    def obstacle(kind: str, sizes: ArrayLike = (), p_SO: ArrayLike = (0.0, 0.0, 0.0), R_SO: ArrayLike | None = None, *,
-                 data: ArrayLike | None = None) -> Obstacle:
+    def obstacle(
+        kind: str,
+        sizes: ArrayLike = (),
+        p_SO: ArrayLike = (0.0, 0.0, 0.0),
+        R_SO: ArrayLike | None = None,
+        *,
+        data: ArrayLike | None = None,
+    ) -> Obstacle:
         """A body with a pose: see `mjtactile.film.bodies.obstacle`."""
         return bodies.obstacle(kind, sizes, p_SO, R_SO, data=data)
 
-    def solve(self, obstacles: Obstacle | Sequence[Obstacle] = (), state: FilmState | None = None) -> FilmState:
+    def solve(
+        self, obstacles: Obstacle | Sequence[Obstacle] = (), state: FilmState | None = None
+    ) -> FilmState:
         """Where the film rests on obstacles.
 
         Args:
@@ -91,35 +120,62 @@ class Film:
             The state, with `converged` False where none was found.
 
         Raises:
-            InputError: an obstacle that touches the rim, lies on the glass, or pulls the sheet inside out.
+            InputError: an obstacle that touches the rim, lies on the glass, or pulls the sheet
+            inside out.
         """
         listed = (obstacles,) if isinstance(obstacles, Obstacle) else obstacles
         rows, pool = bodies.pooled(listed)
         start = self.rest if state is None or not state.converged else state
         if start.x.shape != self.rest.x.shape:
-            raise InputError(f"is of a film of {start.x.shape[1:]} nodes, not {self.grid}", field="state")
+            raise InputError(
+                f"is of a film of {start.x.shape[1:]} nodes, not {self.grid}", field="state"
+            )
         x, force, found = start.x.copy(), start.force.copy(), np.empty(FOUND)
         settings = np.array([self._gas, self.sealed, TOLERANCE, _MOST_STEPS])
         self._run(settings, rows, pool, x, force, found)
         return _judged(FilmState(x, force, found))
 
     def heights_of(self, obstacles: Obstacle | Sequence[Obstacle], places: ArrayLike) -> Array:
-        """Heights (n,) m that obstacles leave to the sheet's middle over `places` (n, 2) m; infinite where there is none."""
+        """Heights (n,) m that obstacles leave to the sheet's middle over `places` (n, 2) m;
+        infinite where there is none."""
         rows, pool = bodies.pooled((obstacles,) if isinstance(obstacles, Obstacle) else obstacles)
         where = np.asarray(places, dtype=float).reshape(-1, 2)
         heights = np.empty(len(where))
         pooled = 0 if pool is None else len(pool)
-        kernel("film_heights")(self._numbers, len(rows), rows, pooled, pool, len(where), where, heights)
+        kernel("film_heights")(
+            self._numbers, len(rows), rows, pooled, pool, len(where), where, heights
+        )
         return heights
 
-    def _run(self, settings: Array, rows: Array, pool: Array | None, x: Array, force: Array, found: Array) -> None:
+    def _run(
+        self, settings: Array, rows: Array, pool: Array | None, x: Array, force: Array, found: Array
+    ) -> None:
         rest = self.rest.x if hasattr(self, "rest") else x
         pooled = 0 if pool is None else len(pool)
-        kernel("film_solve")(self._numbers, self._law, *self.grid, self._plane, rest, len(self._room), self._room, 1, 0, 1,
-                             settings, len(rows), rows, pooled, pool, x, force, found)
+        kernel("film_solve")(
+            self._numbers,
+            self._law,
+            *self.grid,
+            self._plane,
+            rest,
+            len(self._room),
+            self._room,
+            1,
+            0,
+            1,
+            settings,
+            len(rows),
+            rows,
+            pooled,
+            pool,
+            x,
+            force,
+            found,
+        )
 
     def _inflate(self) -> FilmState:
-        """From a low bulge of about the right height to rest, with a stiffness in the plane that is made anew on the way."""
+        """From a low bulge of about the right height to rest, with a stiffness in the plane that is
+        made anew on the way."""
         across, along = (self.x / self.x[-1])[:, None], self.y / self.y[-1]
         height = theory.bulge_height(self.design, self.pressure_gauge)
         if not np.isfinite(height):
@@ -137,8 +193,10 @@ class Film:
                 break
         else:
             return FilmState(x, force, found)
-        raise InputError(f"sensor {self.design.name}: the sheet finds no rest at {self.pressure_gauge:g} Pa",
-                         field="pressure_gauge")
+        raise InputError(
+            f"sensor {self.design.name}: the sheet finds no rest at {self.pressure_gauge:g} Pa",
+            field="pressure_gauge",
+        )
 
 
 def _judged(state: FilmState) -> FilmState:
@@ -151,5 +209,7 @@ def _judged(state: FilmState) -> FilmState:
 def _grid(grid: tuple[int, int]) -> tuple[int, int]:
     counts = tuple(int(count) for count in grid)
     if len(counts) != 2 or not all(_LEAST_NODES <= count <= _MOST_NODES for count in counts):
-        raise InputError(f"{grid} must be two numbers of nodes, {_LEAST_NODES} to {_MOST_NODES}", field="grid")
+        raise InputError(
+            f"{grid} must be two numbers of nodes, {_LEAST_NODES} to {_MOST_NODES}", field="grid"
+        )
     return counts[0], counts[1]

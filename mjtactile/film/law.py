@@ -1,7 +1,9 @@
-"""The law of a sensor file's sheet as the film's kernel wants it (docs/equations.md, Eq. F4 and X2). SI units.
+"""The law of a sensor file's sheet as the film's kernel wants it (docs/equations.md, Eq. F4 and
+X2). SI units.
 
-A neo-Hookean sheet's stress is mu h (I - q A) with A = tr(C) I - C; q is a function of det C alone, and over the stretches that a
-sheet sees a polynomial of 1 / sqrt(det C) is as good as the function: no logarithm in the inner loop.
+A neo-Hookean sheet's stress is mu h (I - q A) with A = tr(C) I - C; q is a function of det C alone,
+and over the stretches that a sheet sees a polynomial of 1 / sqrt(det C) is as good as the function:
+no logarithm in the inner loop.
 """
 
 from __future__ import annotations
@@ -25,22 +27,30 @@ def law_numbers(sheet: Membrane) -> tuple[tuple[float, ...], Array]:
         sheet: the sensor file's membrane.
 
     Returns:
-        Whether it is neo-Hookean, its modulus times thickness, N/m (mu h, or E h / (1 - nu^2)), Poisson's ratio, and the middle
-        and scale of the polynomial's argument; the polynomial (DEGREE + 1,), lowest power first.
+        Whether it is neo-Hookean, its modulus times thickness, N/m (mu h, or E h / (1 - nu^2)),
+        Poisson's ratio, and the middle and scale of the polynomial's argument; the polynomial
+        (DEGREE + 1,), lowest power first.
     """
     middle, per_unit, powers = _polynomial(sheet)
     neo_hookean = sheet.law is not Law.STVK
-    modulus = shear_modulus(sheet.young, sheet.poisson) if neo_hookean else sheet.young / (1 - sheet.poisson**2)
+    modulus = (
+        shear_modulus(sheet.young, sheet.poisson)
+        if neo_hookean
+        else sheet.young / (1 - sheet.poisson**2)
+    )
     return (float(neo_hookean), modulus * sheet.thickness, sheet.poisson, middle, per_unit), powers
 
 
 def tension(sheet: Membrane, area_ratio: float) -> float:
-    """Tension, N/m of the deformed sheet, when all of it is stretched alike to `area_ratio` times its mounted area.
+    """Tension, N/m of the deformed sheet, when all of it is stretched alike to `area_ratio` times
+    its mounted area.
 
     The force per mounted length is h S l with l = sqrt(J); over the deformed length it is h S.
     """
     stretch = sheet.pre_stretch * np.sqrt(area_ratio)
-    return sheet.thickness * equibiaxial_stress(float(stretch), sheet.young, sheet.poisson, sheet.law)
+    return sheet.thickness * equibiaxial_stress(
+        float(stretch), sheet.young, sheet.poisson, sheet.law
+    )
 
 
 def tension_slope(sheet: Membrane, area_ratio: float) -> float:

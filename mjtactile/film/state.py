@@ -21,16 +21,18 @@ class Status(IntEnum):
 
 
 # Places in `found`, as kernels/film.c has them.
-WRENCH, PRESSURE, VOLUME, AREA, STATUS, STEPS, STRETCHED, TENSION, LAST_STEP = slice(0, 6), 6, 7, 8, 9, 10, 11, 12, 13
+WRENCH = slice(0, 6)
+PRESSURE, VOLUME, AREA, STATUS, STEPS, STRETCHED, TENSION, LAST_STEP = range(6, 14)
 FOUND = 14
 
 
 @dataclass(frozen=True, eq=False)
 class FilmState:
-    """A film at rest on what presses it. SI units, frame S. Numbers of a state that is not `converged` are NaN.
+    """A film at rest on what presses it. SI units, frame S. Numbers of a state that is not
+    `converged` are NaN.
 
-    `x` (3, nx, ny) m are the nodes' displacements, `force` (nx, ny) N the contact's along -z at each of them, and `found` what
-    the kernel adds up; all three are kept for a start from here.
+    `x` (3, nx, ny) m are the nodes' displacements, `force` (nx, ny) N the contact's along -z at
+    each of them, and `found` what the kernel adds up; all three are kept for a start from here.
     """
 
     x: Array
@@ -60,7 +62,8 @@ class FilmState:
 
     @property
     def wrench(self) -> Array:
-        """Force, N, and torque about the origin of S, N m, (6,) of the bodies on the film; frictionless."""
+        """Force, N, and torque about the origin of S, N m, (6,) of the bodies on the film;
+        frictionless."""
         return self.found[WRENCH].copy() if self.converged else np.full(6, np.nan)
 
     @property

@@ -7,6 +7,7 @@
 #include "film.h"
 
 #include <math.h>
+
 #include <stdlib.h>
 #include <string.h>
 
@@ -33,7 +34,7 @@ typedef struct { double gas, sealed, tolerance, most_steps; } Settings; /* gas: 
 
 typedef struct {
     SheetFields fields;
-    double *lines, *obstacle, *level, *slope, *lower;  /* heights (count), see `follow_bodies`, slopes (2, count), correction */
+    double *obstacle, *level, *slope, *lower;  /* heights (count), see `follow_bodies`, slopes (2, count), correction */
     double *residual, *moved, *pushed, *stiff, *plane; /* (count) each; plane (2 inner) */
     double *band, *y0, *y1, *y2;
     double *steps, *changes, *last_step, *now; /* of the last MEMORY steps: (MEMORY, 4, count) each, and (4, count) */
@@ -41,7 +42,7 @@ typedef struct {
 } Work;
 
 static long work_size(const Film *f) {
-    return (3 + 3 + 5 + 2 + 2 + 1 + 4 + 8 * MEMORY + 8) * f->count + FILM_LINES * f->rows + 5 * f->inner +
+    return (3 + 3 + 5 + 2 + 2 + 1 + 4 + 8 * MEMORY + 8) * f->count + 5 * f->inner +
            f->inner * BAND_STRIDE(f->inner_rows + 1) + 2 * (f->count / 8 + 1);
 }
 
@@ -64,7 +65,7 @@ static Work work_of(const Film *f, double *room) {
     w.fields.right_up = take(&room, n), w.fields.right_down = take(&room, n);
     w.obstacle = take(&room, n), w.level = take(&room, n), w.slope = take(&room, 2 * n), w.lower = take(&room, n);
     w.residual = take(&room, n), w.moved = take(&room, n), w.pushed = take(&room, n), w.stiff = take(&room, n);
-    w.lines = take(&room, FILM_LINES * f->rows), w.plane = take(&room, 2 * f->inner);
+    w.plane = take(&room, 2 * f->inner);
     w.y0 = take(&room, f->inner), w.y1 = take(&room, f->inner), w.y2 = take(&room, f->inner);
     w.band = take(&room, f->inner * BAND_STRIDE(f->inner_rows + 1));
     w.steps = take(&room, 4 * MEMORY * n), w.changes = take(&room, 4 * MEMORY * n);
@@ -118,7 +119,8 @@ static void lower_round_bodies(const Film *f, const double *x, Work *w) {
             double bend = 0;
             if (isfinite(h[k - rows] + h[k + rows])) bend += h[k - rows] + h[k + rows] - 2 * h[k];
             if (isfinite(h[k - 1] + h[k + 1])) bend += h[k - 1] + h[k + 1] - 2 * h[k];
-            w->lower[k] = CORRECTION * most(bend, 0);
+            const double steep = 1 + square(w->slope[k]) + square(w->slope[f->count + k]);
+            w->lower[k] = CORRECTION * most(bend, 0) / (steep * sqrt(steep)); /* of the curvature, not of how the slope is seen */
         }
     (void)z;
 }
@@ -318,7 +320,7 @@ static int come_to_rest(const Film *f, const double *plane_factor, const Setting
                         const double *pool, double lifted, double *x, double *force, double *found, Work *w) {
     int status = NOT_CONVERGED, factored = 0;
     long known = 0, newest = 0;
-    double *z = x + 2 * f->count, last = INFINITY;
+    double *z = x + 2 * f->count, last, last_before = 1e-4;
     memset(w->before, 0, f->count), memset(w->touching, 0, f->count), memset(w->pushed, 0, f->count * sizeof *w->pushed);
     for (long step = 0; step < (long)set->most_steps && status == NOT_CONVERGED; step++) {
         if (step < LOOKS) see_bodies(f, bodies, body, pool, x, w);
@@ -326,7 +328,7 @@ static int come_to_rest(const Film *f, const double *plane_factor, const Setting
         if (!step && (status = against_the_frame(f, w))) return status;
         status = NOT_CONVERGED;
         lower_round_bodies(f, x, w);
-        const SheetSums before = film_sheet(f, x, &w->fields, w->lines);
+        const SheetSums before = film_sheet(f, x, &w->fields);
         if (before.least_turn < LEAST_TURN || !isfinite(before.area)) return INSIDE_OUT;
         double pressure, gas_stiffness, largest_shift, largest = 0;
         gas_of(f, set, before.volume, &pressure, &gas_stiffness);
@@ -342,7 +344,7 @@ static int come_to_rest(const Film *f, const double *plane_factor, const Setting
         move_plane(f, w->plane, 1, x);
         memset(w->now, 0, 4 * f->count * sizeof *w->now);
         move_plane(f, w->plane, 1, w->now);
-        const SheetSums sums = film_sheet(f, x, &w->fields, w->lines);
+        const SheetSums sums = film_sheet(f, x, &w->fields);
         gas_of(f, set, sums.volume, &pressure, &gas_stiffness);
         for (long k = 0; k < f->count; k++)
             w->residual[k] = w->fields.elastic[2 * f->count + k] - pressure * w->fields.gradient[2 * f->count + k];
@@ -356,10 +358,14 @@ static int come_to_rest(const Film *f, const double *plane_factor, const Setting
         }
         last = most(largest, largest_shift);
         if (!isfinite(last)) return INSIDE_OUT;
-        if (!changed && last < set->tolerance) status = CONVERGED;
+        /* steps shrink by a share that the last two tell; what all that would follow add up to is left */
+        const double shrinks = clip(last / last_before, 0.05, 0.9);
+        if (!changed && last * shrinks / (1 - shrinks) < set->tolerance) status = CONVERGED;
+        last_before = last;
         const long all = 4 * f->count;
-        if (changed) known = 0;
-        else if (step > 0) {
+        if (changed) {
+            known = 0;
+        } else if (step > 0) {
             double *slot = w->changes + newest * all;
             for (long k = 0; k < all; k++) slot[k] = w->now[k] - w->last_step[k];
             known = known < MEMORY ? known + 1 : MEMORY;

@@ -8,6 +8,7 @@
 #include "band.h"
 #include "small.h"
 
+#define INLINE static inline __attribute__((always_inline)) /* else loops over them are no vectors */
 #define LEAST_DET 1e-2
 #define LEAST_TENSION 0.3 /* of the mean of both directions, in the stiffness that steps are made with */
 
@@ -24,22 +25,22 @@ Film film_of(const double *numbers, const double *law) {
 /* Metric against the free sheet, and second Piola-Kirchhoff stress times thickness. `root` is 1 / sqrt(det C). */
 typedef struct { double C11, C22, C12, root, S11, S22, S12; } Strained;
 
-static inline double law_at(const Film *film, double root) {
-    const double t = (root - film->numbers.law_middle) * film->numbers.law_per_unit;
-    double q = film->law[FILM_LAW - 1];
-    for (int k = FILM_LAW - 2; k >= 0; k--) q = q * t + film->law[k];
+INLINE double law_at(const FilmNumbers *o, const double *law, double root) {
+    const double t = (root - o->law_middle) * o->law_per_unit;
+    double q = law[FILM_LAW - 1];
+    for (int k = FILM_LAW - 2; k >= 0; k--) q = q * t + law[k];
     return q;
 }
 
-static inline Strained strained(const Film *film, const double g1[3], const double g2[3], int neo_hookean) {
-    const double l = film->numbers.lambda2, M = film->numbers.modulus, nu = film->numbers.poisson;
+INLINE Strained strained(const FilmNumbers *o, const double *law, const double g1[3], const double g2[3], int neo_hookean) {
+    const double l = o->lambda2, M = o->modulus, nu = o->poisson;
     Strained s;
     s.C11 = l * (g1[0] * g1[0] + g1[1] * g1[1] + g1[2] * g1[2]);
     s.C22 = l * (g2[0] * g2[0] + g2[1] * g2[1] + g2[2] * g2[2]);
     s.C12 = l * (g1[0] * g2[0] + g1[1] * g2[1] + g1[2] * g2[2]);
     s.root = 1 / sqrt(most(s.C11 * s.C22 - s.C12 * s.C12, LEAST_DET));
     if (neo_hookean) {
-        const double q = law_at(film, s.root);
+        const double q = law_at(o, law, s.root);
         s.S11 = M * (1 - q * s.C22), s.S22 = M * (1 - q * s.C11), s.S12 = M * q * s.C12;
     } else {
         const double E11 = (s.C11 - 1) / 2, E22 = (s.C22 - 1) / 2;
@@ -48,87 +49,114 @@ static inline Strained strained(const Film *film, const double g1[3], const doub
     return s;
 }
 
-/* One corner of the cells (i, 0 ..): (ci, cj) says which. Writes lines: 0-2 and 3-5 the forces along x- and y-edges, 6-9 the
-   volume's, 10 the corner's own, 11-13 stiffness of heights, 14 tension times area, 15 area, 16 volume, 17 turn. */
-static inline void corner_lines(const Film *film, const double *x, long i, int ci, int cj, int neo_hookean, double *lines) {
-    const long rows = film->rows, count = film->count, cells = rows - 1;
-    const double *low = x + i * rows + cj, *high = low + rows, *side = x + (i + ci) * rows;
-    const double over_x = 1 / film->dx, over_y = 1 / film->dy, weight = film->dx * film->dy / 4;
-    double *restrict out = lines;
+/* What a corner of BLOCK cells in a line gives: forces on the ends of the edges along x and along y, likewise of the volume,
+   which also the corner's own height changes; stiffness of heights, three numbers; and what is summed. */
+#define BLOCK 64
+typedef struct {
+    double along_x[3][BLOCK], along_y[3][BLOCK], volume_x[2][BLOCK], volume_y[2][BLOCK], own[BLOCK];
+    double xx[BLOCK], yy[BLOCK], xy[BLOCK];
+    double tension[BLOCK], area[BLOCK], volume[BLOCK], turn[BLOCK];
+} Corners;
+
+/* Fields of displacements at both ends of the edges that meet in a corner, and the corner's height. */
+typedef struct { const double *low[3], *high[3], *under[3], *over[3], *height; } Ends;
+
+INLINE void see_corners(const Film *film, const Ends *ends, long cells, int neo_hookean, Corners *restrict out) {
+    const Film f = *film; /* what is written might be part of it, for all that a compiler knows */
+    double law[FILM_LAW];
+    memcpy(law, film->law, sizeof law);
+    const double over_x = 1 / f.dx, over_y = 1 / f.dy, weight = f.dx * f.dy / 4, wx = weight * over_x, wy = weight * over_y;
+    const double *restrict low_x = ends->low[0], *restrict low_y = ends->low[1], *restrict low_z = ends->low[2];
+    const double *restrict high_x = ends->high[0], *restrict high_y = ends->high[1], *restrict high_z = ends->high[2];
+    const double *restrict under_x = ends->under[0], *restrict under_y = ends->under[1], *restrict under_z = ends->under[2];
+    const double *restrict over_at_x = ends->over[0], *restrict over_at_y = ends->over[1], *restrict over_z = ends->over[2];
+    const double *restrict height = ends->height;
     for (long j = 0; j < cells; j++) {
-        double g1[3], g2[3];
+        const double g1[3] = {1 + (high_x[j] - low_x[j]) * over_x, (high_y[j] - low_y[j]) * over_x, (high_z[j] - low_z[j]) * over_x};
+        const double g2[3] = {(over_at_x[j] - under_x[j]) * over_y, 1 + (over_at_y[j] - under_y[j]) * over_y,
+                              (over_z[j] - under_z[j]) * over_y};
+        const Strained s = strained(&f.numbers, law, g1, g2, neo_hookean);
         for (int k = 0; k < 3; k++) {
-            g1[k] = (high[k * count + j] - low[k * count + j]) * over_x;
-            g2[k] = (side[k * count + j + 1] - side[k * count + j]) * over_y;
+            out->along_x[k][j] = wx * (s.S11 * g1[k] + s.S12 * g2[k]);
+            out->along_y[k][j] = wy * (s.S12 * g1[k] + s.S22 * g2[k]);
         }
-        g1[0] += 1, g2[1] += 1;
-        const Strained s = strained(film, g1, g2, neo_hookean);
-        const double wx = weight * over_x, wy = weight * over_y;
-        for (int k = 0; k < 3; k++) {
-            out[k * rows + j] = wx * (s.S11 * g1[k] + s.S12 * g2[k]);
-            out[(3 + k) * rows + j] = wy * (s.S12 * g1[k] + s.S22 * g2[k]);
-        }
-        const double z = side[2 * count + cj + j], turn = g1[0] * g2[1] - g1[1] * g2[0];
-        out[6 * rows + j] = wx * z * g2[1], out[7 * rows + j] = -wx * z * g2[0];
-        out[8 * rows + j] = -wy * z * g1[1], out[9 * rows + j] = wy * z * g1[0];
-        out[10 * rows + j] = weight * turn;
+        const double z = height[j], turn = g1[0] * g2[1] - g1[1] * g2[0];
+        out->volume_x[0][j] = wx * z * g2[1], out->volume_x[1][j] = -wx * z * g2[0];
+        out->volume_y[0][j] = -wy * z * g1[1], out->volume_y[1][j] = wy * z * g1[0];
+        out->own[j] = weight * turn;
         const double tension = (s.S11 * s.C11 + s.S22 * s.C22 + 2 * s.S12 * s.C12) * s.root / 2;
         const double least_tension = LEAST_TENSION * most(tension, 0), by = weight / (1 + g1[2] * g1[2] + g2[2] * g2[2]);
-        out[11 * rows + j] = by * most(s.S11, least_tension) * over_x * over_x;
-        out[12 * rows + j] = by * most(s.S22, least_tension) * over_y * over_y;
-        out[13 * rows + j] = by * s.S12 * over_x * over_y;
-        out[14 * rows + j] = weight * tension, out[15 * rows + j] = weight / (s.root * film->numbers.lambda2);
-        out[16 * rows + j] = weight * z * turn, out[17 * rows + j] = turn;
+        out->xx[j] = by * most(s.S11, least_tension) * over_x * over_x;
+        out->yy[j] = by * most(s.S22, least_tension) * over_y * over_y;
+        out->xy[j] = by * s.S12 * over_x * over_y;
+        out->tension[j] = weight * tension, out->area[j] = weight / (s.root * f.numbers.lambda2);
+        out->volume[j] = weight * z * turn, out->turn[j] = turn;
     }
 }
 
-static inline void add(double *restrict to, const double *restrict what, double by, long n) {
+static void see_rubber(const Film *film, const Ends *ends, long cells, Corners *restrict out) {
+    see_corners(film, ends, cells, 1, out);
+}
+
+static void see_plain(const Film *film, const Ends *ends, long cells, Corners *restrict out) {
+    see_corners(film, ends, cells, 0, out);
+}
+
+INLINE void add(double *restrict to, const double *restrict what, double by, long n) {
     for (long j = 0; j < n; j++) to[j] += by * what[j];
 }
 
-static inline double total(const double *what, long n) {
-    double sum = 0;
-    for (long j = 0; j < n; j++) sum += what[j];
-    return sum;
+/* An edge's force pulls at both its ends. */
+INLINE void pull(double *restrict low, double *restrict high, const double *restrict force, long n) {
+    for (long j = 0; j < n; j++) high[j] += force[j];
+    for (long j = 0; j < n; j++) low[j] -= force[j];
 }
 
-static void add_corner(const Film *film, long i, int ci, int cj, const double *lines, const SheetFields *to) {
-    const long rows = film->rows, count = film->count, n = rows - 1, low = i * rows + cj, side = (i + ci) * rows;
-    const long here = side + cj;
+/* Of cells (i, first ..): corner (ci, cj). */
+static void add_corners(const Film *film, long i, long first, long n, int ci, int cj, const Corners *c, const SheetFields *to) {
+    const long rows = film->rows, count = film->count, low = i * rows + first + cj, side = (i + ci) * rows + first;
     for (int k = 0; k < 3; k++) {
         double *elastic = to->elastic + k * count;
-        add(elastic + low + rows, lines + k * rows, 1, n), add(elastic + low, lines + k * rows, -1, n);
-        add(elastic + side + 1, lines + (3 + k) * rows, 1, n), add(elastic + side, lines + (3 + k) * rows, -1, n);
+        pull(elastic + low, elastic + low + rows, c->along_x[k], n), pull(elastic + side, elastic + side + 1, c->along_y[k], n);
     }
     for (int k = 0; k < 2; k++) {
-        double *gradient = to->gradient + k * count;
-        add(gradient + low + rows, lines + (6 + k) * rows, 1, n), add(gradient + low, lines + (6 + k) * rows, -1, n);
-        add(gradient + side + 1, lines + (8 + k) * rows, 1, n), add(gradient + side, lines + (8 + k) * rows, -1, n);
+        double *volume = to->gradient + k * count;
+        pull(volume + low, volume + low + rows, c->volume_x[k], n), pull(volume + side, volume + side + 1, c->volume_y[k], n);
     }
-    add(to->gradient + 2 * count + here, lines + 10 * rows, 1, n);
+    add(to->gradient + 2 * count + side + cj, c->own, 1, n);
     if (!to->own) return;
-    const double *xx = lines + 11 * rows, *yy = lines + 12 * rows, *xy = lines + 13 * rows, sign = ci == cj ? 1 : -1;
-    add(to->own + low, xx, 1, n), add(to->own + low + rows, xx, 1, n), add(to->right + low, xx, -1, n);
-    add(to->own + side, yy, 1, n), add(to->own + side + 1, yy, 1, n), add(to->up + side, yy, -1, n);
-    add(to->own + here, xy, 2 * sign, n), add(to->right + low, xy, -sign, n), add(to->up + side, xy, -sign, n);
-    if (ci == cj) add(to->right_down + i * rows + 1, xy, 1, n); /* pairs (i, j + 1) and (i + 1, j) */
-    else add(to->right_up + i * rows, xy, -1, n);
+    const double sign = ci == cj ? 1 : -1;
+    add(to->own + low, c->xx, 1, n), add(to->own + low + rows, c->xx, 1, n), add(to->right + low, c->xx, -1, n);
+    add(to->own + side, c->yy, 1, n), add(to->own + side + 1, c->yy, 1, n), add(to->up + side, c->yy, -1, n);
+    add(to->own + side + cj, c->xy, 2 * sign, n), add(to->right + low, c->xy, -sign, n), add(to->up + side, c->xy, -sign, n);
+    if (ci == cj) add(to->right_down + i * rows + first + 1, c->xy, 1, n); /* pairs (i, j + 1) and (i + 1, j) */
+    else add(to->right_up + i * rows + first, c->xy, -1, n);
 }
 
-SheetSums film_sheet(const Film *film, const double *x, const SheetFields *to, double *lines) {
-    const long rows = film->rows, count = film->count, n = rows - 1;
+static void sum_corners(const Corners *c, long n, SheetSums *sums) {
+    double tension = 0, area = 0, volume = 0, turn = sums->least_turn;
+    for (long j = 0; j < n; j++) tension += c->tension[j], area += c->area[j], volume += c->volume[j];
+    for (long j = 0; j < n; j++) turn = c->turn[j] < turn ? c->turn[j] : turn;
+    sums->tension += tension, sums->area += area, sums->volume += volume, sums->least_turn = turn;
+}
+
+SheetSums film_sheet(const Film *film, const double *x, const SheetFields *to) {
+    const long rows = film->rows, count = film->count;
     SheetSums sums = {.least_turn = INFINITY};
+    Corners corners;
     memset(to->elastic, 0, 3 * count * sizeof *to->elastic), memset(to->gradient, 0, 3 * count * sizeof *to->gradient);
     if (to->own) memset(to->own, 0, 5 * count * sizeof *to->own);
-    const int neo_hookean = film->numbers.neo_hookean != 0;
-    for (long i = 0; i < film->columns - 1; i++)
-        for (int c = 0; c < 4; c++) {
-            if (neo_hookean) corner_lines(film, x, i, c / 2, c % 2, 1, lines);
-            else corner_lines(film, x, i, c / 2, c % 2, 0, lines);
-            add_corner(film, i, c / 2, c % 2, lines, to);
-            sums.tension += total(lines + 14 * rows, n), sums.area += total(lines + 15 * rows, n);
-            sums.volume += total(lines + 16 * rows, n);
-            for (long j = 0; j < n; j++) sums.least_turn = least(sums.least_turn, lines[17 * rows + j]);
+    for (long cell = 0; cell < 4 * (film->columns - 1); cell++)
+        for (long first = 0; first < rows - 1; first += BLOCK) {
+            const long i = cell / 4, ci = cell / 2 % 2, cj = cell % 2, n = rows - 1 - first < BLOCK ? rows - 1 - first : BLOCK;
+            Ends ends = {.height = x + 2 * count + (i + ci) * rows + first + cj};
+            for (int k = 0; k < 3; k++) {
+                ends.low[k] = x + k * count + i * rows + first + cj, ends.high[k] = ends.low[k] + rows;
+                ends.under[k] = x + k * count + (i + ci) * rows + first, ends.over[k] = ends.under[k] + 1;
+            }
+            (film->numbers.neo_hookean != 0 ? see_rubber : see_plain)(film, &ends, n, &corners);
+            add_corners(film, i, first, n, ci, cj, &corners, to);
+            sum_corners(&corners, n, &sums);
         }
     sums.tension /= film->numbers.length_x * film->numbers.length_y;
     return sums;
@@ -149,8 +177,8 @@ static void moduli(const Film *film, const Strained *s, double D[3][3]) {
         memcpy(D, plain, sizeof plain);
         return;
     }
-    const double step = 1e-4 * s->root, q = 2 * M * l * law_at(film, s->root);
-    const double by_root = (law_at(film, s->root + step) - law_at(film, s->root - step)) / (2 * step);
+    const double step = 1e-4 * s->root, q = 2 * M * l * law_at(&film->numbers, film->law, s->root);
+    const double by_root = (law_at(&film->numbers, film->law, s->root + step) - law_at(&film->numbers, film->law, s->root - step)) / (2 * step);
     const double slope = 2 * M * l * by_root * -cube(s->root) / 2; /* by det C */
     const double A[3] = {s->C22, s->C11, -s->C12};
     for (int a = 0; a < 3; a++)
@@ -172,7 +200,7 @@ void film_plane_stiffness(const Film *film, const double *x, double *band) {
                 const double value = x[k * count + pi[a] * rows + pj[a]];
                 g1[k] += by1[a] * value, g2[k] += by2[a] * value;
             }
-        const Strained s = strained(film, g1, g2, film->numbers.neo_hookean != 0);
+        const Strained s = strained(&film->numbers, film->law, g1, g2, film->numbers.neo_hookean != 0);
         moduli(film, &s, D);
         for (int a = 0; a < 4; a++)
             for (int b = 0; b < 4; b++) {

@@ -9,8 +9,7 @@ typedef struct { double *elastic, *gradient, *own, *up, *right, *right_up, *righ
 
 typedef struct { double volume, area, tension, least_turn; } SheetSums; /* the last: of the cells' shadows on the plane */
 
-SheetSums film_sheet(const Film *film, const double *x, const SheetFields *to, double *lines);
-#define FILM_LINES 23 /* `lines` (FILM_LINES, rows) */
+SheetSums film_sheet(const Film *film, const double *x, const SheetFields *to);
 
 /* Band of the stiffness (2 inner) of displacements in the plane, x and y of a node together, at a deformation. */
 #define FILM_PLANE_WIDTH(film) (2 * ((film)->inner_rows + 1) + 1)

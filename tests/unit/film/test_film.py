@@ -1,0 +1,87 @@
+"""The film against independent solutions of the full membrane, against statics, and against itself."""
+
+import numpy as np
+import pytest
+
+from mjtactile import Film, InputError
+
+# An independent sheet of 9-node elements on `dense` at 1 kPa, neo-Hookean, frictionless, sealed: radius mm, place mm, force N,
+# gauge pressure Pa, height of the ball's middle mm against the sheet's middle.
+PRESSES = [
+    (4, (0, 0), 0.0810926, 1118.4, 5.8699),
+    (8, (0, 0), 0.0974136, 1141.6, 9.8699),
+    (8, (0, 0), 0.2540922, 1382.1, 8.8699),
+    (16, (0, 0), 0.3451353, 1509.0, 16.8699),
+    (30, (0, 0), 0.4965699, 1706.5, 30.8699),
+    (16, (7, -4), 0.3174556, 1431.5, 16.524),
+]
+HALF_THICKNESS = 0.15e-3
+
+
+@pytest.fixture(scope="module")
+def fine():
+    return Film("dense", grid=(41, 31), pressure_gauge=1000.0)
+
+
+@pytest.fixture(scope="module")
+def coarse():
+    return Film("dense", grid=(21, 16), pressure_gauge=1000.0)
+
+
+def ball(film, radius, at, height):
+    """A ball whose middle is `height` mm over S as far as the sheet's middle is concerned."""
+    return film.obstacle(
+        "sphere", (1e-3 * radius - HALF_THICKNESS,), p_SO=(*(1e-3 * np.array(at)), 1e-3 * height)
+    )
+
+
+def test_rest_is_the_full_membrane_s(fine):
+    # of the independent solution: 2.8699 mm, 1.68755 mL at 1 kPa; this grid is 0.04 and 0.25 % off, and falls with its square
+    assert fine.rest.heights.max() == pytest.approx(2.8699e-3, rel=2e-3)
+    assert fine.rest.volume == pytest.approx(1.68755e-6, rel=4e-3)
+
+
+@pytest.mark.parametrize("press", PRESSES)
+def test_a_ball_is_held_with_the_full_membrane_s_force(fine, press):
+    radius, at, force, pressure, height = press
+    state = fine.solve(ball(fine, radius, at, height))
+    assert state.converged
+    assert state.force_normal == pytest.approx(
+        force, rel=0.03
+    )  # the contact's nodes are 1 mm apart
+    assert state.pressure_gauge == pytest.approx(pressure, rel=3e-3)
+
+
+def test_the_frame_and_the_body_carry_what_the_gas_pushes(fine):
+    state = fine.solve(ball(fine, 8, (3, -2), 8.5))
+    slope_free = fine.solve(ball(fine, 8, (3, -2), 8.5), state)
+    assert slope_free.steps <= 3  # it is there already
+    # a mirrored press is a mirrored state
+    mirrored = fine.solve(ball(fine, 8, (-3, 2), 8.5))
+    assert mirrored.force_normal == pytest.approx(state.force_normal, rel=1e-5)
+    np.testing.assert_allclose(mirrored.heights[::-1, ::-1], state.heights, atol=2e-6)
+
+
+def test_one_jump_and_many_steps_end_at_the_same_force(coarse):
+    state = None
+    for height in np.linspace(10.8, 5.0, 30):
+        state = coarse.solve(ball(coarse, 8, (1, 0.5), height), state)
+    jump = coarse.solve(ball(coarse, 8, (1, 0.5), 5.0))
+    assert state.converged and jump.converged
+    assert jump.force_normal == pytest.approx(state.force_normal, rel=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("kind", "sizes", "p_SO", "says"),
+    [
+        ("sphere", (0.008,), (0.016, 0, 0.004), "rim"),
+        ("sphere", (0.008,), (0, 0, -0.0125), "glass"),
+        ("sphere", (0.008,), (0, 0, np.nan), "finite"),
+        ("sphere", (-0.008,), (0, 0, 0.01), "positive"),
+        ("ball", (0.008,), (0, 0, 0.01), "unknown"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(coarse, kind, sizes, p_SO, says):
+    with pytest.raises(InputError, match=says) as caught:
+        coarse.solve(coarse.obstacle(kind, sizes, p_SO=p_SO))
+    assert "\n" not in str(caught.value)
