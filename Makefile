@@ -4,7 +4,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help venv grasp bench film docs test lint types contracts pytest lock clean
+.PHONY: help venv grasp bench film docs test test-all slow lint types contracts pytest wheels lock clean
 
 # The first of these that is Python 3.11 or newer; override with `make PYTHON=/path/to/python`.
 PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 python; do \
@@ -17,7 +17,7 @@ OUT ?= runs/grasp
 ARGS ?=
 
 help:  ## list the targets
-	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 18
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 18
 
 grasp: $(VENV)/.run-ready  ## grasp an egg in simulation; results in runs/grasp, later in runs/grasp-TIME (ARGS="--object vial" and so on)
 	$(BIN)/mjtactile grasp --out $(if $(wildcard $(OUT)/recording),$(OUT)-$(shell date +%Y%m%d-%H%M%S),$(OUT)) $(ARGS)
@@ -35,7 +35,25 @@ docs: $(VENV)/.docs-ready  ## the documentation as a site, build/site/index.html
 	[ -f build/docs/egg/summary.html ] || $(BIN)/mjtactile grasp --frames none --out build/docs/egg
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
-test: lint types contracts pytest  ## lint, types, import contracts, tests: all that CI runs
+# The tests are in two tiers. The first says within five minutes whether what users do works; the second has what takes long
+# to say, marked `slow`: a test that takes more than about 3 s, of a processor or of waiting, where a quicker one would notice
+# if the thing did not work at all. `clock` are those of emulated devices, which mostly wait: more of them at a time than there
+# are processors, and nothing that computes beside them. A browser without a graphics card wants two processors for itself.
+FIRST := -m 'not slow and not clock and not browser'
+FIRST_CLOCK := -m 'clock and not slow and not browser'
+SECOND := -m 'slow and not clock and not browser'
+SECOND_CLOCK := -m 'slow and clock and not browser'
+
+test: lint types contracts  ## lint, types, import contracts, and the tests of what users do (below 5 minutes)
+	$(BIN)/pytest -n 2 $(FIRST)
+	$(BIN)/pytest -n 6 $(FIRST_CLOCK)
+	$(BIN)/pytest -n 0 -m browser
+
+test-all: test slow  ## all that CI runs: `make test`, then the other tests (below 10 minutes)
+
+slow: $(VENV)/.test-ready  ## the tests that `make test` leaves out: long ones, and whole rigs of emulated hardware
+	$(BIN)/pytest -n 2 $(SECOND)
+	$(BIN)/pytest -n 2 $(SECOND_CLOCK)
 
 lint: $(VENV)/.test-ready  ## style and likely bugs (ruff)
 	$(BIN)/ruff check .
@@ -47,10 +65,8 @@ types: $(VENV)/.test-ready  ## types (pyright)
 contracts: $(VENV)/.test-ready  ## who may import whom (import-linter)
 	$(BIN)/lint-imports --no-cache
 
-# A browser without a graphics card wants both processors of a small computer: those tests run alone, after the others.
-pytest: $(VENV)/.test-ready  ## the tests alone (ARGS="-k name" and so on: all but those in a browser)
-	$(BIN)/pytest -n 2 --dist loadgroup -m 'not browser' $(ARGS)
-	$(if $(ARGS),,$(BIN)/pytest -n 0 -m browser)
+pytest: $(VENV)/.test-ready  ## some tests (ARGS="-k name" and so on), of both tiers; none in a browser
+	$(BIN)/pytest -n 2 -m 'not browser' $(ARGS)
 
 venv: $(VENV)/.test-ready  ## the virtual environment with everything, for development
 
@@ -77,6 +93,11 @@ $(VENV)/.docs-ready: requirements-docs.lock $(VENV)/.test-ready
 	@echo "make: installing the locked tools of the documentation into $(VENV)"
 	@$(PIP) install -r requirements-docs.lock
 	@touch $@
+
+wheels: $(VENV)/.test-ready  ## dist/: a wheel for each platform (they are all made here) and the source distribution
+	rm -rf dist && $(BIN)/hatchling build -t sdist
+	for platform in linux-x86_64 linux-aarch64 darwin-arm64 darwin-x86_64; do \
+	    MJTACTILE_WHEEL=$$platform $(BIN)/hatchling build -t wheel || exit 1; done
 
 lock:  ## renew requirements*.lock from pyproject.toml (newest versions that fit)
 	rm -rf build/lock && $(PYTHON) -m venv build/lock

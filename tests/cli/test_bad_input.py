@@ -150,12 +150,12 @@ def assert_one_line(process, words, code=2):
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_bad_file_or_name(mjtactile, tmp_path, case):
+def test_bad_file_or_name(command, tmp_path, case):
     option, name, text, words = CASES[case]
     if text is not None:
         (tmp_path / name).write_text(text)
     before = set(tmp_path.iterdir())
-    process = mjtactile("grasp", option, name, "--workers", "0", "--out", "result")
+    process = command("grasp", option, name, "--workers", "0", "--out", "result")
     assert_one_line(process, words)
     assert len(process.stderr.strip().splitlines()) == 1
     assert process.stdout == ""
@@ -179,9 +179,9 @@ def test_bad_file_or_name(mjtactile, tmp_path, case):
         ),
     ],
 )
-def test_a_controller_that_misbehaves_is_named(mjtactile, tmp_path, body, words):
+def test_a_controller_that_misbehaves_is_named(command, tmp_path, body, words):
     (tmp_path / "bad.py").write_text(f"def step(observation):\n    {body}\n")
-    process = mjtactile(
+    process = command(
         "grasp",
         "--controller",
         "bad.py",
@@ -197,14 +197,14 @@ def test_a_controller_that_misbehaves_is_named(mjtactile, tmp_path, body, words)
     assert json.loads(process.stdout)["exit_code"] == 2
 
 
-def test_what_was_recorded_before_a_controller_failed_is_kept(mjtactile, tmp_path):
+def test_what_was_recorded_before_a_controller_failed_is_kept(command, tmp_path):
     (tmp_path / "bad.py").write_text("""
 def step(observation):
     if observation.time > 2.5:
         raise ValueError("tired")
     return observation.command
 """)
-    process = mjtactile(
+    process = command(
         "grasp",
         "--controller",
         "bad.py",
@@ -234,8 +234,8 @@ def step(observation):
         ([], ["COMMAND", "--help"]),
     ],
 )
-def test_bad_usage(mjtactile, args, words):
-    process = mjtactile(*args)
+def test_bad_usage(command, args, words):
+    process = command(*args)
     assert_one_line(process, words)
     assert process.stdout == ""
 
@@ -296,35 +296,35 @@ def test_mujocos_own_words_are_for_debugging(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_with_json_an_error_is_one_json_object_too(mjtactile):
-    process = mjtactile("grasp", "--object", "stone", "--json")
+def test_with_json_an_error_is_one_json_object_too(command):
+    process = command("grasp", "--object", "stone", "--json")
     report = json.loads(process.stdout)
     assert report["exit_code"] == process.returncode == 2 and "stone" in report["error"]
 
 
-def test_an_output_folder_that_cannot_be_written_is_found_before_the_run(mjtactile, tmp_path):
+def test_an_output_folder_that_cannot_be_written_is_found_before_the_run(command, tmp_path):
     (tmp_path / "file").write_text("")
-    process = mjtactile("grasp", "--out", "file/result")
+    process = command("grasp", "--out", "file/result")
     assert_one_line(process, ["file/result", "--out", "cannot be written"])
     assert "approach" not in process.stderr
 
 
-def test_debug_shows_where(mjtactile):
-    process = mjtactile("grasp", "--object", "stone", "--debug")
+def test_debug_shows_where(command):
+    process = command("grasp", "--object", "stone", "--debug")
     assert process.returncode == 2 and "Traceback" in process.stderr
 
 
-def test_help_teaches(mjtactile):
-    for command in ([], ["grasp"], ["bench"], ["locate"]):
-        process = mjtactile(*command, "--help")
+def test_help_teaches(command):
+    for words in ([], ["grasp"], ["bench"], ["locate"]):
+        process = command(*words, "--help")
         assert process.returncode == 0 and process.stderr == ""
         assert "examples:" in process.stdout
         assert max(map(len, process.stdout.splitlines())) <= 120
-    words = mjtactile("grasp", "--help").stdout.replace(",", " ").split()
+    words = command("grasp", "--help").stdout.replace(",", " ").split()
     assert {"egg", "strawberry", "vial", "dense", "paper16", "gentle"} <= set(words)
-    assert mjtactile("--version").stdout.startswith("mjtactile 0.")
+    assert command("--version").stdout.startswith("mjtactile 0.")
 
 
-def test_nothing_is_left_in_the_working_folder(mjtactile, tmp_path):
-    mjtactile("grasp", "--object", "stone")
+def test_nothing_is_left_in_the_working_folder(command, tmp_path):
+    command("grasp", "--object", "stone")
     assert list(Path(tmp_path).iterdir()) == []

@@ -37,6 +37,7 @@ COMMON = [
 ]
 
 
+@pytest.mark.slow
 def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile, monkeypatch, capsys):
     (tmp_path / "quick.py").write_text(controller_text(hold=0.1))
     host = subprocess.Popen(
@@ -122,6 +123,7 @@ def test_a_pattern_among_the_objects_stands_for_its_files(tmp_path, monkeypatch)
     assert _objects(f"{tmp_path}/[a].*") == [str(tmp_path / "a.toml"), str(tmp_path / "a.xml")]
 
 
+@pytest.mark.slow
 def test_the_command_of_an_episode_draws_the_same_world(tmp_path, mjtactile):
     (tmp_path / "quick.py").write_text(controller_text(hold=0.1))
     (tmp_path / "my.toml").write_text(

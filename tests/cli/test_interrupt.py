@@ -15,7 +15,9 @@ from mjtactile.recording.reader import load_recording
 WAIT = 600  # s for the run to get going, on a computer that is robbed of most of its time
 
 
-@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "stop", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+)
 def test_what_was_recorded_is_kept(tmp_path, stop):
     process = subprocess.Popen(
         [sys.executable, "-m", "mjtactile", "grasp", "--out", "result", "--json"],

@@ -65,6 +65,7 @@ def test_an_object_that_is_not_gripped_is_dropped(mjtactile, tmp_path):
     assert "gave up" not in report.get("reason", "")  # it went through to its end
 
 
+@pytest.mark.slow
 def test_a_controller_that_gives_up_says_when(mjtactile, tmp_path):
     (tmp_path / "shy.py").write_text(
         BLIND.replace("OPENING", "0.045").replace("FORCE", "4.0").replace('"lift"', '"abort"')
@@ -85,6 +86,7 @@ def test_a_controller_that_gives_up_says_when(mjtactile, tmp_path):
     assert report["reason"] == "the controller gave up in phase 'close', 1.6 s after it began"
 
 
+@pytest.mark.slow
 def test_a_membrane_pushed_to_the_glass_is_a_fault_with_step_and_reason(mjtactile, tmp_path):
     shallow = DENSE.replace("depth_mm = 20.0", "depth_mm = 2.0")
     (tmp_path / "shallow.toml").write_text(shallow)
@@ -104,6 +106,7 @@ HEAVY = """<mujoco model="heavy">
 </mujoco>"""
 
 
+@pytest.mark.slow
 def test_an_object_too_heavy_for_the_grip_is_dropped_with_the_reason(mjtactile, tmp_path):
     (tmp_path / "heavy.xml").write_text(HEAVY)
     (tmp_path / "quick.py").write_text(controller_text())

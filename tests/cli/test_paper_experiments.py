@@ -2,9 +2,12 @@
 
 import json
 
+import pytest
+
 from mjtactile.cli import main
 
 
+@pytest.mark.slow
 def test_quick_figures_and_table(capsys, tmp_path):
     assert (
         main(["experiments", "--only", "fig5b,fig6", "--quick", "--out", str(tmp_path), "--json"])

@@ -16,6 +16,7 @@ import pytest
 from mjtactile.kernels import build
 
 CHECKOUT = Path(__file__).resolve().parents[2]
+pytestmark = pytest.mark.slow
 BUILD_ONLY = ("hatchling", "pathspec", "trove-classifiers", "ziglang")
 """What the lock has for building; a wheel brings its compiled chain along."""
 GLIBC = (2, 17)  # what the tag manylinux_2_17 promises

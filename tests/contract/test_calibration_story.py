@@ -234,6 +234,7 @@ def calibrate_all(path, monkeypatch):
         emulator.close()
 
 
+@pytest.mark.slow
 def test_two_fingers_that_are_not_as_their_sensor_file_says(tmp_path, monkeypatch):
     path = write_rig(tmp_path)
     before, said = grasp_error(path)

@@ -92,6 +92,7 @@ def test_an_error_arrives_as_itself_and_the_next_image_is_looked_at(feelers):
         assert (left.markers.ids, right.markers.ids) == (2, 1)
 
 
+@pytest.mark.slow
 def test_one_that_hangs_is_unknown_until_it_answers(tmp_path):
     until = tmp_path / "go"
     feelers = Feelers(2)

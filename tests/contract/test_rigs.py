@@ -97,7 +97,7 @@ def record(rig, folder):
 @pytest.fixture(
     params=[
         *SIMULATED,
-        pytest.param("emulated", marks=pytest.mark.clock),
+        pytest.param("emulated", marks=[pytest.mark.clock, pytest.mark.slow]),
         "replay",
         pytest.param("hardware", marks=pytest.mark.hardware),
     ]
@@ -241,7 +241,9 @@ def run_gentle(rig, folder, until="hold", on_images=lambda: None):
     return gentle
 
 
-@pytest.mark.parametrize("name", SIMULATED)
+@pytest.mark.parametrize(
+    "name", ["sim", *(pytest.param(name, marks=pytest.mark.slow) for name in SIMULATED[1:])]
+)
 def test_gentle_lifts_an_egg(name, tmp_path):
     rig = near_rig(name, seed=1)
     try:
@@ -271,6 +273,7 @@ def test_gentle_lifts_an_egg(name, tmp_path):
     assert hand > 0.04
 
 
+@pytest.mark.slow
 @pytest.mark.clock
 def test_gentle_grasps_on_the_emulated_rig(emulator, tmp_path):
     heights = []

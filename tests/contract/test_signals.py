@@ -77,6 +77,7 @@ def emulator_valves(running):
     return running.emulator.truth()["valve"].values()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "times", "phase"), CASES, ids=[f"{n.name}-{t}-{p}" for n, t, p in CASES]
 )
@@ -107,6 +108,7 @@ def test_signals(emulator, tmp_path, number, times, phase):
             )
 
 
+@pytest.mark.slow
 def test_a_second_signal_a_second_later_lets_go_at_once(emulator, tmp_path):
     with host(emulator, tmp_path) as running:
         running.wait_for_phase("hold")
@@ -120,6 +122,7 @@ def test_a_second_signal_a_second_later_lets_go_at_once(emulator, tmp_path):
         assert running.recording().columns["state"][-1] == "safe"  # it was not down yet
 
 
+@pytest.mark.slow
 def test_output_that_nobody_reads_and_a_folder_that_is_removed(emulator, tmp_path):
     """`mjtactile grasp … 2>&1 | head -6`: the grasp goes on to its end."""
     reader, writer = os.pipe()
@@ -136,6 +139,7 @@ def test_output_that_nobody_reads_and_a_folder_that_is_removed(emulator, tmp_pat
         running.has_set_down()
 
 
+@pytest.mark.slow
 def test_a_terminal_that_stands_still_a_full_disk_and_no_descriptors(emulator, tmp_path):
     reader, writer = pty.openpty()
     with host(emulator, tmp_path, controller_text(hold=0.5), stderr=writer) as running:
@@ -154,6 +158,7 @@ def test_a_terminal_that_stands_still_a_full_disk_and_no_descriptors(emulator, t
     os.close(writer)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTS if ALL else FAULTS[:1])
 def test_a_controller_that_fails(half_speed, emulator, tmp_path, fault):
     text = controller_text().replace("def _hold(", f"def _hold(*_):\n    {fault}\n\n\ndef _unused(")

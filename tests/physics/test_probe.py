@@ -37,6 +37,7 @@ def probe(capsys, *args):
     return code, json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.slow
 def test_a_sponge_is_soft_and_its_modulus_is_felt(capsys, tmp_path, sensor):
     code, found = probe(
         capsys, "--object", "sponge", "--sensor", sensor, "--out", tmp_path / "live"
@@ -57,6 +58,7 @@ def test_a_sponge_is_soft_and_its_modulus_is_felt(capsys, tmp_path, sensor):
     assert again == 0 and replayed == found  # lossless images, the same code: the same numbers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), [("block", "solid"), ("clay", "amorphous")])
 def test_class(capsys, name, kind, sensor, brisk):
     code, found = probe(capsys, "--object", name, "--sensor", sensor, "--controller", brisk)

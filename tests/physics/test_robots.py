@@ -16,6 +16,7 @@ from mjtactile.sim.scenes.grasp_world import GraspWorld
 
 MESH = (11, 9)  # neither kinematics nor balance depend on the mesh, so take a cheap one
 RIGS = ("sim", "sim_arm", "sim_three_finger")
+ONE_AND_THE_REST = ["sim", *(pytest.param(name, marks=pytest.mark.slow) for name in RIGS[1:])]
 GRAVITY = 9.81
 
 
@@ -280,7 +281,7 @@ def bad(findings):
     ]
 
 
-@pytest.mark.parametrize("name", RIGS)
+@pytest.mark.parametrize("name", ONE_AND_THE_REST)
 def test_the_doctor_finds_the_shipped_ones_well(name):
     assert bad(examine_simulated(load_sim_rig(name))) == []
 

@@ -3,6 +3,7 @@
 import re
 
 import numpy as np
+import pytest
 
 from mjtactile.core import resources
 from mjtactile.sim import truth
@@ -28,6 +29,7 @@ def squeezed(path, opening):
     )
 
 
+@pytest.mark.slow
 def test_a_ball_between_membranes_gives_way_as_under_their_even_pressure(tmp_path):
     ball = SHIPPED["silicone_ball"][0]
     text = resources.find("silicone_ball", "models/objects", ".xml").read_text()

@@ -19,6 +19,7 @@ def test_the_matrix_is_large_and_its_cases_are_distinct():
     assert len({(case.axis, case.label) for case in cases}) == len(cases)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", pruned(), ids=lambda case: f"{case.axis}: {case.label}")
 def test_pruned_case(case):
     row = run.judge(case)

@@ -38,6 +38,7 @@ def mean_shear(world):
     return np.mean(shears)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("timestep", [2e-3, 8e-3])
 @pytest.mark.parametrize(
     ("kind", "size", "squeeze"), [("sphere", 0.01, 1.5e-3), ("box", 0.02, 0.7e-3)]

@@ -17,8 +17,6 @@ from mjtactile.core.optics import Camera
 from mjtactile.emulator.stream import StreamServer
 from mjtactile.rig.file import load_rig_file
 
-pytestmark = pytest.mark.clock
-
 SIZE = (640, 480)
 K = np.array([[610.0, 0, 325.3], [0, 606.0, 236.1], [0, 0, 1]])
 DISTORTION = np.array([-0.21, 0.09, 8e-4, -6e-4, 0.0])
@@ -183,6 +181,7 @@ def test_live_views_are_taken_when_the_board_rests_somewhere_new():
     assert len(said) == 2
 
 
+@pytest.mark.clock
 def test_live_through_a_stream(photos, tmp_path, capsys):
     """The driver of a network camera, the stream's JPEG, the guided choice of views: the same
     camera."""

@@ -28,8 +28,6 @@ from mjtactile.devices.valve.driver import connect_valves
 from mjtactile.rig.file import load_rig_file
 from tests.emulated import ANGLE, GRIPPER, servo_bench, valve_bench, valve_configs
 
-pytestmark = pytest.mark.clock
-
 RADIUS = 0.012
 TICK = 2 * math.pi / 4096
 
@@ -204,6 +202,7 @@ def hurry(monkeypatch):
         monkeypatch.setattr(live, name, value)
 
 
+@pytest.mark.clock
 def test_backlash_and_zero_of_jaws_on_a_bus(hurry):
     with (
         servo_bench() as bench,
@@ -222,6 +221,7 @@ def test_backlash_and_zero_of_jaws_on_a_bus(hurry):
     assert not fit.reasons
 
 
+@pytest.mark.clock
 def test_current_to_force_of_jaws_on_a_bus(hurry):
     with (
         servo_bench() as bench,
@@ -237,6 +237,7 @@ def test_current_to_force_of_jaws_on_a_bus(hurry):
     assert not fit.reasons
 
 
+@pytest.mark.clock
 def test_jaws_that_meet_nothing_are_no_calibration(hurry):
     with (
         servo_bench() as bench,
@@ -304,6 +305,7 @@ def test_recorded_step_through_the_command(tmp_path, capsys):
     assert "valid: vent, open, closed" in capsys.readouterr().err
 
 
+@pytest.mark.clock
 def test_a_valve_on_a_pty(hurry):
     with valve_bench() as (port, _, _, chambers):
         boards, valves = connect_valves(valve_configs(port.path))
@@ -322,6 +324,7 @@ def test_a_valve_on_a_pty(hurry):
     assert any("loses" in reason for reason in fit.reasons)
 
 
+@pytest.mark.clock
 def test_a_board_without_a_sensor_cannot_be_calibrated(hurry):
     with valve_bench(sensors=False) as (port, *_):
         boards, valves = connect_valves(valve_configs(port.path))

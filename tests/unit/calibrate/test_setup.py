@@ -13,8 +13,6 @@ from mjtactile.devices.valve.driver import connect_valves
 from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.rig.file import load_rig_file
 
-pytestmark = pytest.mark.clock
-
 
 @pytest.fixture
 def emulator():
@@ -23,6 +21,8 @@ def emulator():
     process.close()
 
 
+@pytest.mark.slow
+@pytest.mark.clock
 def test_a_new_rig_from_nothing_but_ports_and_streams(tmp_path, emulator, monkeypatch):
     # sooner, on a busy computer
     for name, value in (("BAUDS", (1_000_000,)), ("IDS", range(1, 4)), ("_REPLY_TIME", 0.3)):

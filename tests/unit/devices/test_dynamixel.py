@@ -21,8 +21,6 @@ from mjtactile.emulator.servo import EmulatedServo
 from mjtactile.rig.file import GripperConfig, LiftConfig, ServoConfig
 from tests.emulated import ANGLE, GRIPPER, servo_bench, wait_for
 
-pytestmark = pytest.mark.clock
-
 TICK = 2 * math.pi / 4096
 
 
@@ -68,6 +66,7 @@ def test_models_without_goal_current_are_refused_by_name(number):
 # --------------------------------------------------------------------------------
 
 
+@pytest.mark.clock
 def test_recipe_in_its_order(bench):
     with_gripper(bench, lambda gripper: None)
     written = names_written(bench)
@@ -83,6 +82,7 @@ def test_recipe_in_its_order(bench):
     assert bench.servos[1].get("Return Delay Time") == 0
 
 
+@pytest.mark.clock
 def test_no_moment_with_torque_and_without_limit_or_watchdog(bench):
     """A host that dies while it connects: whatever packet was its last, the servo is off, or
     watched and weak."""
@@ -105,6 +105,7 @@ def test_no_moment_with_torque_and_without_limit_or_watchdog(bench):
     )
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize(
     ("name", "value"), [("Homing Offset", 200), ("Startup Configuration", 1), ("Drive Mode", 8)]
 )
@@ -115,6 +116,7 @@ def test_settings_that_make_a_dead_host_dangerous_are_refused(bench, name, value
     assert bench.servos[2].get(name) == value  # nobody's calibration is overwritten
 
 
+@pytest.mark.clock
 def test_firmware_without_the_startup_register_is_taken(bench, monkeypatch):
     from mjtactile.emulator.registers import Registers
 
@@ -136,6 +138,7 @@ def with_gripper(bench, act):
         gripper.close()
 
 
+@pytest.mark.clock
 def test_a_setting_that_does_not_take_is_refused(bench, monkeypatch):
     monkeypatch.setattr(
         EmulatedServo,
@@ -147,6 +150,7 @@ def test_a_setting_that_does_not_take_is_refused(bench, monkeypatch):
     assert not bench.servos[1].get("Torque Enable")
 
 
+@pytest.mark.clock
 def test_another_model_than_the_files_is_refused(bench):
     for servo in bench.servos.values():
         servo.set("Model Number", 1190)
@@ -154,12 +158,14 @@ def test_another_model_than_the_files_is_refused(bench):
         bench.gripper()
 
 
+@pytest.mark.clock
 def test_a_servo_without_goal_current_is_refused_at_connect(bench):
     bench.servos[2].set("Model Number", 1060)
     with pytest.raises(DeviceError, match="XL430-W250"):
         bench.gripper()
 
 
+@pytest.mark.clock
 def test_a_latched_error_is_reported_and_never_rebooted_away(bench):
     bench.servos[2].raise_error(0x20)
     with pytest.raises(ServoFault, match=r"servo 2 .* overload"):
@@ -168,12 +174,14 @@ def test_a_latched_error_is_reported_and_never_rebooted_away(bench):
     assert p2.REBOOT not in [packet.code for packet in bench.log]
 
 
+@pytest.mark.clock
 def test_a_missing_servo_is_named(bench):
     bench.faults.set("servo_silent", 2)
     with pytest.raises(DeviceError, match=r"servo 2 on /dev/pts/.* does not answer"):
         bench.gripper(reply_timeout=0.05)
 
 
+@pytest.mark.clock
 def test_a_tripped_watchdog_is_cleared_at_connect(bench):
     bench.servos[1].set("Bus Watchdog", 0xFF)
     with_gripper(bench, lambda gripper: gripper.command(Command(0.06, 2.0)))
@@ -201,6 +209,7 @@ def test_the_turn_is_found_after_power_up():
 # --------------------------------------------------------------------------------
 
 
+@pytest.mark.clock
 def test_state_is_in_si(bench):
     for servo in bench.servos.values():
         servo.feel(ANGLE, -1.0, -0.06, 0.01)  # closing with 0.06 N m
@@ -212,6 +221,7 @@ def test_state_is_in_si(bench):
     assert state.effort == pytest.approx(0.06 / 0.012, rel=0.01)
 
 
+@pytest.mark.clock
 def test_command_returns_what_was_sent_and_the_servos_have_it(bench):
     def act(gripper):
         sent = gripper.command(Command(0.066234, 4.0, 0.0, "close", {"a": 1.0}))
@@ -228,6 +238,7 @@ def test_command_returns_what_was_sent_and_the_servos_have_it(bench):
     )
 
 
+@pytest.mark.clock
 def test_steps_below_a_tick_add_up(bench):
     """1 um a cycle, where a tick is 18 um: after 100 cycles the goal is 0.1 mm further."""
 
@@ -244,6 +255,7 @@ def test_steps_below_a_tick_add_up(bench):
     assert bench.servos[1].get("Goal Position") != with_gripper(bench, act)
 
 
+@pytest.mark.clock
 def test_a_closing_goal_is_not_far_ahead_of_its_jaw(bench):
     """0.1 s at 0.1 m/s: 10 mm of opening, 5 mm for each jaw at 36 mm; opening, it may be
     anywhere."""
@@ -257,6 +269,7 @@ def test_a_closing_goal_is_not_far_ahead_of_its_jaw(bench):
     with_gripper(bench, act)
 
 
+@pytest.mark.clock
 def test_commands_are_limited_to_the_rig_file(bench):
     sent = with_gripper(bench, lambda gripper: gripper.command(Command(0.5, 1e6)))
     assert sent.opening == pytest.approx(0.12, abs=2 * 0.012 * TICK)
@@ -290,6 +303,7 @@ def test_a_table_that_cannot_be_inverted_is_refused():
         JawServo(config, "test")
 
 
+@pytest.mark.clock
 def test_lift_moves_from_where_it_stood():
     with servo_bench("XM430-W350", 1) as bench:
         gripper = GripperConfig(
@@ -311,6 +325,7 @@ def test_lift_moves_from_where_it_stood():
             driver.close()
 
 
+@pytest.mark.clock
 def test_wrong_lift_model_is_refused():
     with servo_bench() as bench, pytest.raises(InputError, match=r"lift\.model"):
         DynamixelGripper(

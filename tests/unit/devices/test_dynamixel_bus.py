@@ -13,8 +13,6 @@ from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus
 from mjtactile.emulator import protocol2
 from tests.emulated import REPLY_TIMEOUT
 
-pytestmark = pytest.mark.clock
-
 POSITION = 132
 
 
@@ -25,6 +23,7 @@ def bus(bench):
     bus.close()
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize("fast", [False, True])
 def test_group_read_keeps_the_alert_byte(bench, bus, fast):
     bench.servos[2].raise_error(0x20)
@@ -34,6 +33,7 @@ def test_group_read_keeps_the_alert_byte(bench, bus, fast):
     assert replies[1].value(0, 4) == bench.servos[1].get("Present Position")
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize("fast", [False, True])
 def test_group_read_says_who_did_not_answer(bench, bus, fast):
     bench.faults.set("servo_silent", 2)
@@ -43,6 +43,7 @@ def test_group_read_says_who_did_not_answer(bench, bus, fast):
     assert set(replies) == (set() if fast else {1})  # the fast reply is one packet for all
 
 
+@pytest.mark.clock
 def test_a_short_reply_is_an_error(bench, bus):
     bench.faults.set("servo_short", 1)
     with pytest.raises(BusError, match="3 bytes instead of 4") as caught:
@@ -52,6 +53,7 @@ def test_a_short_reply_is_an_error(bench, bus):
     assert {error.reason for error in failures.values()} == {"short"}
 
 
+@pytest.mark.clock
 def test_a_corrupt_reply_is_an_error_and_the_next_read_is_right(bench, bus):
     for _ in range(8):  # another byte is hit each time: header, id, length, data, CRC
         bench.faults.set("servo_corrupt", 1)
@@ -63,6 +65,7 @@ def test_a_corrupt_reply_is_an_error_and_the_next_read_is_right(bench, bus):
         assert bus.read(1, POSITION, 4).value(0, 4) == bench.servos[1].get("Present Position")
 
 
+@pytest.mark.clock
 def test_an_exception_in_a_transaction_leaves_the_bus_usable(bus, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(Protocol2PacketHandler, "rxPacket", lambda *_: [].pop())
@@ -71,6 +74,7 @@ def test_an_exception_in_a_transaction_leaves_the_bus_usable(bus, monkeypatch):
     assert bus.ping(1)[0] == 1200
 
 
+@pytest.mark.clock
 def test_many_threads_share_one_bus(bus):
     wrong: list[object] = []
 
@@ -90,6 +94,7 @@ def test_many_threads_share_one_bus(bus):
     assert wrong == []
 
 
+@pytest.mark.clock
 def test_time_outs_are_the_files_and_not_the_sdks(bench):
     """LATENCY_TIMER = 16 makes the SDK wait 34 ms; what the port is told counts here, on the
     monotonic clock."""
@@ -107,6 +112,7 @@ def test_time_outs_are_the_files_and_not_the_sdks(bench):
         bus.close()
 
 
+@pytest.mark.clock
 def test_a_late_reply_is_not_taken_for_the_next_answer(bench):
     """It comes 20 ms after the time-out, is intact, from the right servo and as long as the next
     one's."""
@@ -122,6 +128,7 @@ def test_a_late_reply_is_not_taken_for_the_next_answer(bench):
         bus.close()
 
 
+@pytest.mark.clock
 def test_stuffing_is_sent_and_undone(bench, bus, monkeypatch):
     """The SDK computes the stuffed packet and throws it away. The bytes are compared with the
     emulator's own encoder."""
@@ -143,6 +150,7 @@ def test_stuffing_is_sent_and_undone(bench, bus, monkeypatch):
     assert bus.read(2, 116, 4).data == block
 
 
+@pytest.mark.clock
 def test_a_refused_write_says_why(bench, bus):
     bench.servos[1].set("Torque Enable", 1)
     with pytest.raises(BusError, match="denies access") as caught:
@@ -150,6 +158,7 @@ def test_a_refused_write_says_why(bench, bus):
     assert caught.value.reason == "refused"
 
 
+@pytest.mark.clock
 def test_the_port_is_opened_alone_and_a_missing_one_is_named(bench, bus):
     with pytest.raises(DeviceError, match=bench.bus.path):
         DynamixelBus(bench.bus.path)
@@ -157,6 +166,7 @@ def test_the_port_is_opened_alone_and_a_missing_one_is_named(bench, bus):
         DynamixelBus("/dev/no-such-port")
 
 
+@pytest.mark.clock
 def test_an_unplugged_adapter_is_a_lost_port(bench, bus):
     assert bus.ping(1)[0] == 1200
     bench.bus.close()
@@ -166,6 +176,7 @@ def test_an_unplugged_adapter_is_a_lost_port(bench, bus):
         assert caught.value.reason == "lost"
 
 
+@pytest.mark.clock
 def test_another_baud_rate_hears_nothing(bench):
     bus = DynamixelBus(bench.bus.path, 57600, reply_timeout=0.02)
     with pytest.raises(BusError, match="no reply"):

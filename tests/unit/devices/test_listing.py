@@ -16,8 +16,6 @@ from mjtactile.devices.camera.v4l2 import formats_of, video_devices
 from mjtactile.devices.listing import serial_ports, servos_at, valve_board_at
 from tests.emulated import REPLY_TIMEOUT, servo_bench, valve_bench
 
-pytestmark = pytest.mark.clock
-
 MODES = {
     "MJPG": [(640, 480, [(1, 30), (1, 60)]), (1280, 720, [(1, 30)])],
     "YUYV": [(640, 480, [(1, 15)])],
@@ -96,7 +94,11 @@ def test_cameras_by_the_name_that_stays(tmp_path):
     ]
 
 
-def test_servos_and_valve_boards_answer(capsys):
+@pytest.mark.clock
+def test_servos_and_valve_boards_answer(capsys, monkeypatch):
+    # of six speeds and 21 numbers, each a reply's time: a valve board answers none of them
+    monkeypatch.setattr("mjtactile.devices.listing.BAUDS", (57_600, 1_000_000))
+    monkeypatch.setattr("mjtactile.devices.listing.IDS", range(1, 4))
     with servo_bench() as bench:
         baud, found = servos_at(bench.bus.path, [1_000_000], reply_time=REPLY_TIMEOUT / 10)
         assert (baud, found) == (1_000_000, {1: "XL330-M288", 2: "XL330-M288"})

@@ -15,8 +15,6 @@ from mjtactile.emulator import valve as emulated
 from mjtactile.rig.file import ValveConfig
 from tests.emulated import valve_bench, valve_configs, wait_for
 
-pytestmark = pytest.mark.clock
-
 
 @pytest.fixture(params=[True, False], ids=["sensors", "no sensors"])
 def rig(request):
@@ -83,12 +81,14 @@ def test_bad_lines_are_no_readings():
 # --------------------------------------------------------------------------------
 
 
+@pytest.mark.clock
 def test_handshake_waits_for_the_boot_and_sets_the_heartbeat(rig):
     board, _, firmware, _, _ = rig
     assert board.firmware == "1.0"
     assert firmware.heartbeat == pytest.approx(2.0)
 
 
+@pytest.mark.clock
 def test_open_close_and_vent_reach_each_chamber(rig):
     _, valves, firmware, _, chambers = rig
     for channel, valve in enumerate(valves, 1):
@@ -102,6 +102,7 @@ def test_open_close_and_vent_reach_each_chamber(rig):
         assert firmware.channels[channel].state == "vent"
 
 
+@pytest.mark.clock
 def test_pressure_is_in_pascal_or_unknown(rig):
     board, valves, _, _, chambers = rig
     valves[0].open(1000.0)
@@ -114,6 +115,7 @@ def test_pressure_is_in_pascal_or_unknown(rig):
         assert pressure is None  # a board without a sensor says nothing, not zero
 
 
+@pytest.mark.clock
 def test_the_largest_pressure_is_kept_by_host_and_board(rig):
     board, valves, firmware, _, _ = rig
     with pytest.raises(DeviceError, match="outside 0 to 3000 Pa"):
@@ -123,6 +125,7 @@ def test_the_largest_pressure_is_kept_by_host_and_board(rig):
         board.set(1, 4000.0)
 
 
+@pytest.mark.clock
 def test_closing_vents_every_channel(rig):
     board, valves, firmware, _, _ = rig
     for valve in valves:
@@ -131,6 +134,7 @@ def test_closing_vents_every_channel(rig):
     assert [channel.state for channel in firmware.channels.values()] == ["vent", "vent"]
 
 
+@pytest.mark.clock
 def test_the_board_vents_by_itself_when_the_host_is_gone_and_again_when_it_is_gone_again(rig):
     _, valves, firmware, _, _ = rig
     for _ in range(2):
@@ -148,6 +152,7 @@ def test_the_board_vents_by_itself_when_the_host_is_gone_and_again_when_it_is_go
         valves[0].open(0.0)  # the host knows
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize(
     ("fault", "why"),
     [("valve_sensor", "its pressure sensor fails"), ("valve_restart", "has restarted")],
@@ -166,6 +171,7 @@ def test_a_board_with_a_fault_of_its_own_vents_and_says_why(fault, why):
             boards[0].close()
 
 
+@pytest.mark.clock
 def test_too_much_pressure_is_let_out():
     with valve_bench() as (port, firmware, _, chambers):
         boards, valves = connect_valves(valve_configs(port.path))
@@ -178,6 +184,7 @@ def test_too_much_pressure_is_let_out():
             boards[0].close()
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize("fault", ["valve_silent", "valve_garbage"])
 def test_a_silent_or_babbling_board_is_an_error(rig, fault):
     board, valves, _, faults, _ = rig
@@ -192,6 +199,7 @@ def test_a_silent_or_babbling_board_is_an_error(rig, fault):
     faults.set(fault, 0)
 
 
+@pytest.mark.clock
 def test_a_stuck_valve_is_an_error_where_a_sensor_can_tell_and_is_not_sealed(rig):
     board, valves, _, faults, _ = rig
     faults.set("valve_stuck", 1)
@@ -206,6 +214,7 @@ def test_a_stuck_valve_is_an_error_where_a_sensor_can_tell_and_is_not_sealed(rig
             act()
 
 
+@pytest.mark.clock
 def test_without_a_sensor_the_supply_is_what_the_file_says():
     with valve_bench(sensors=False) as (port, *_):
         boards, valves = connect_valves(valve_configs(port.path))
@@ -221,6 +230,7 @@ def test_without_a_sensor_the_supply_is_what_the_file_says():
         ValveBoard([ValveConfig("left", port.path)])
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize(
     ("answer", "error", "message"),
     [
@@ -243,6 +253,7 @@ def test_a_missing_port_is_named():
         ValveBoard([ValveConfig("left", "/dev/no-such-port")])
 
 
+@pytest.mark.clock
 def test_an_unplugged_board_is_an_error():
     with valve_bench() as (port, *_):
         boards, valves = connect_valves(valve_configs(port.path))
@@ -255,6 +266,7 @@ def test_an_unplugged_board_is_an_error():
             boards[0].close()
 
 
+@pytest.mark.clock
 def test_a_late_answer_is_not_taken_for_the_next_one():
     """It is intact, and says what was asked before: only its number tells."""
     with valve_bench() as (port, *_):

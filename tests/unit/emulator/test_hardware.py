@@ -16,9 +16,8 @@ from mjtactile.emulator.world import _FALL_SPEED_MAX, EmulatedWorld
 from mjtactile.rig.file import load_rig_file
 from tests.emulated import servo_bench, wait_for
 
-pytestmark = pytest.mark.clock
 
-
+@pytest.mark.clock
 def test_a_lift_without_torque_has_no_goal():
     descriptor = system.memory_file("test")
     shared = SharedState(descriptor)
@@ -37,6 +36,7 @@ def test_a_lift_without_torque_has_no_goal():
     shared.close()
 
 
+@pytest.mark.clock
 def test_a_host_that_never_reads_stops_nothing():
     with servo_bench() as bench:
         host = os.open(bench.bus.path, os.O_RDWR | os.O_NOCTTY)

@@ -15,8 +15,6 @@ from mjtactile.emulator.servo import EmulatedServo
 from tests.emulated import ANGLE
 from tests.sdk_client import OK, sdk_client
 
-pytestmark = pytest.mark.clock
-
 TICKS = round(ANGLE / (2 * math.pi) * 4096)
 
 
@@ -88,6 +86,7 @@ BOTH = {
 }
 
 
+@pytest.mark.clock
 def test_initial_values_are_the_manuals(xl, xm):
     for one, values in ((xl, XL_VALUES), (xm, XM_VALUES)):
         assert {name: one.read(name) for name in (*values, *BOTH)} == values | BOTH
@@ -134,6 +133,7 @@ def test_values_outside_their_range_are_refused(name, good, bad):
     assert servo.get(name) == int.from_bytes(data[0], "little")
 
 
+@pytest.mark.clock
 def test_limits_bound_the_goals(xl):
     assert xl.write("Current Limit", 300) == 0
     assert xl.write("Goal Current", 301) == 4
@@ -143,6 +143,7 @@ def test_limits_bound_the_goals(xl):
     assert xl.write("Goal Position", 1_048_576) == 4
 
 
+@pytest.mark.clock
 def test_what_is_not_defined_can_be_neither_read_nor_written(xl):
     assert xl.packets.readTxRx(xl.port, 1, 66, 2)[2] == 7
     assert xl.packets.readTxRx(xl.port, 1, 64, 4)[2] == 7  # 66 and 67 are within
@@ -155,6 +156,7 @@ def test_what_is_not_defined_can_be_neither_read_nor_written(xl):
 # --------------------------------------------------------------------------------
 
 
+@pytest.mark.clock
 def test_bulk_read_answers_for_every_servo(xl):
     for fast in (False, True):
         read = sdk.GroupBulkRead(xl.port, xl.packets)
@@ -175,6 +177,7 @@ def test_fast_bulk_read_is_the_packet_in_the_manual():
     )
 
 
+@pytest.mark.clock
 def test_bulk_write(xl):
     write = sdk.GroupBulkWrite(xl.port, xl.packets)
     assert write.addParam(1, 65, 1, [1]) and write.addParam(2, 24, 4, [7, 0, 0, 0])
@@ -182,6 +185,7 @@ def test_bulk_write(xl):
     assert (xl.read("LED", 1), xl.read("Moving Threshold", 2)) == (1, 7)
 
 
+@pytest.mark.clock
 def test_an_absent_id_does_not_silence_the_others(xl):
     xl.port.closePort()
     bus = DynamixelBus(xl.bench.bus.path, reply_timeout=0.3)
@@ -193,6 +197,7 @@ def test_an_absent_id_does_not_silence_the_others(xl):
         xl.port.openPort()
 
 
+@pytest.mark.clock
 def test_a_group_packet_with_a_bad_crc_is_not_answered(xl):
     packet = bytearray(p2.encode(p2.BROADCAST, p2.SYNC_READ, bytes((132, 0, 4, 0, 1, 2))))
     packet[-1] ^= 1
@@ -202,12 +207,14 @@ def test_a_group_packet_with_a_bad_crc_is_not_answered(xl):
     assert not xl.bench.log[0].intact
 
 
+@pytest.mark.clock
 def test_a_new_id_answers_and_the_old_one_does_not(xl):
     assert xl.write("ID", 9) == 0
     assert xl.ping(9) and xl.is_absent(1) and xl.ping(2)
     assert xl.read("ID", 9) == 9
 
 
+@pytest.mark.clock
 def test_a_new_baud_rate_counts_at_once(xl):
     assert xl.write("Baud Rate", 1) == 0
     assert xl.is_absent(1) and xl.ping(2)
@@ -215,6 +222,7 @@ def test_a_new_baud_rate_counts_at_once(xl):
     assert xl.ping(1) and xl.is_absent(2)
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize(
     ("option", "servo_id", "baud"), [(0xFF, 1, 57600), (0x01, 2, 57600), (0x02, 2, 1_000_000)]
 )
@@ -228,11 +236,13 @@ def test_factory_reset_keeps_what_its_option_says(xl, option, servo_id, baud):
     assert xl.read("Moving Threshold", servo_id) == 10
 
 
+@pytest.mark.clock
 def test_not_all_servos_are_reset_at_once(xl):
     xl.port.writePort(p2.encode(p2.BROADCAST, p2.FACTORY_RESET, b"\xff"))
     assert xl.ping(1) and xl.ping(2)
 
 
+@pytest.mark.clock
 def test_reboot_is_silent_for_a_while_and_forgets_ram(xl):
     assert xl.write("Torque Enable", 1) == 0
     xl.bench.servos[1].raise_error(0x20)
@@ -242,6 +252,7 @@ def test_reboot_is_silent_for_a_while_and_forgets_ram(xl):
     assert (xl.read("Torque Enable"), xl.read("Hardware Error Status")) == (0, 0)
 
 
+@pytest.mark.clock
 def test_status_return_level(xl):
     assert xl.write("Status Return Level", 1) == 0
     assert xl.is_silent(xl.packets.write1ByteTxRx, 1, 65, 1)
@@ -251,6 +262,7 @@ def test_status_return_level(xl):
     assert xl.ping()
 
 
+@pytest.mark.clock
 def test_register_and_action(xl):
     assert xl.packets.regWriteTxRx(xl.port, 1, 65, 1, [1]) == (OK, 0)
     assert (xl.read("Registered Instruction"), xl.read("LED")) == (1, 0)
@@ -260,6 +272,7 @@ def test_register_and_action(xl):
     assert xl.bench.servos[1].act() == 2  # "Action has been used without Reg Write"
 
 
+@pytest.mark.clock
 def test_indirect_addresses_stand_for_others(xl):
     """Example 2 of "Indirect Address": Goal Position's four bytes as indirect data 2 to 5."""
     assert xl.write("Operating Mode", 4) == 0
@@ -273,6 +286,7 @@ def test_indirect_addresses_stand_for_others(xl):
     assert xl.write("Indirect Address 2", 7) == 4  # EEPROM cannot be assigned
 
 
+@pytest.mark.clock
 def test_a_secondary_id_obeys_in_silence(xl):
     for servo in (1, 2):
         assert xl.write("Secondary(Shadow) ID", 100, servo) == 0
@@ -280,6 +294,7 @@ def test_a_secondary_id_obeys_in_silence(xl):
     assert (xl.read("LED", 1), xl.read("LED", 2)) == (1, 1)
 
 
+@pytest.mark.clock
 def test_backup_and_restore(xl):
     servo = xl.bench.servos[1]
     assert xl.write("Moving Threshold", 77) == 0

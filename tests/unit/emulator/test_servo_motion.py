@@ -13,8 +13,6 @@ from mjtactile.emulator.servo import EmulatedServo
 from tests.emulated import ANGLE
 from tests.sdk_client import OK, sdk_client, turn
 
-pytestmark = pytest.mark.clock
-
 TICKS = round(ANGLE / (2 * math.pi) * 4096)
 RPM = 0.229 * 2 * math.pi / 60  # rad/s of a velocity unit
 
@@ -36,6 +34,7 @@ def on(one, mode, **registers):
     assert one.write("Torque Enable", 1) == 0
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize(
     ("mode", "goal", "value"),
     [(0, "Goal Current", -100), (1, "Goal Velocity", -50), (16, "Goal PWM", -200)],
@@ -54,6 +53,7 @@ def test_modes_without_a_position_move(xl, mode, goal, value):
     assert xl.read("Moving") == 1
 
 
+@pytest.mark.clock
 def test_the_profile_takes_its_time_and_says_so(xl):
     on(xl, 4)
     assert xl.write("Profile Velocity", 20) == 0  # 0.48 rad/s
@@ -95,6 +95,7 @@ def test_a_trapezoid_reaches_its_goal_without_overshoot():
     )
 
 
+@pytest.mark.clock
 def test_homing_offset_is_added_to_the_position(xl):
     """What lerobot's calibration writes."""
     assert xl.write("Homing Offset", 500) == 0
@@ -111,6 +112,7 @@ def test_homing_offset_is_added_to_the_position(xl):
     assert xl.read("Present Position") == TICKS + 100  # beyond 1024 it is ignored in mode 3
 
 
+@pytest.mark.clock
 def test_clear_forgets_whole_turns_of_a_shaft_at_rest(xl):
     servo = xl.bench.servos[1]
     on(xl, 4)
@@ -137,6 +139,7 @@ def tripped(mode=5, **how):
     return servo, servo.angle
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize("mode", [0, 1, 3, 4, 5, 16])
 def test_a_trip_stops_the_servo_and_makes_its_goals_read_only(mode):
     servo, at = tripped(mode)
@@ -149,10 +152,12 @@ def test_a_trip_stops_the_servo_and_makes_its_goals_read_only(mode):
     assert servo.write(116, (1000).to_bytes(4, "little")) == 0
 
 
+@pytest.mark.clock
 def test_a_limp_servo_lets_go():
     assert tripped(trip="limp")[0].drive().torque_max == 0
 
 
+@pytest.mark.clock
 def test_firmware_51_of_a_330_notes_the_trip_and_goes_on():
     servo, at = tripped(firmware=51)
     turn(servo, 0.5)
@@ -161,6 +166,7 @@ def test_firmware_51_of_a_330_notes_the_trip_and_goes_on():
     assert EmulatedServo(1, "XM430-W350", firmware=51)._goes_on is False
 
 
+@pytest.mark.clock
 def test_with_a_homing_offset_a_trip_moves_the_motor():
     servo = EmulatedServo(1, "XL330-M288", angle=1.0)
     for address, size, value in ((20, 4, 300), (11, 1, 4), (98, 1, 5), (64, 1, 1)):
@@ -171,6 +177,7 @@ def test_with_a_homing_offset_a_trip_moves_the_motor():
     assert servo.angle < -1.0  # and on
 
 
+@pytest.mark.clock
 def test_without_torque_it_does_not_trip():
     servo = EmulatedServo(1, "XL330-M288")
     assert servo.write(98, b"\x05") == 0

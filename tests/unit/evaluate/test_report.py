@@ -187,6 +187,7 @@ def test_pictures_of_the_worst_are_in_the_page(tmp_path, monkeypatch):
     assert 'src="data:image/png;base64,cG5n"' in path.read_text()
 
 
+@pytest.mark.slow
 def test_a_worst_episode_is_run_again_and_drawn(tmp_path):
     from tests.emulated_host import controller_text
 

@@ -54,7 +54,10 @@ def roll(env, seed, actions):
 
 
 @pytest.mark.filterwarnings("ignore:.*A Box observation space:UserWarning")
-@pytest.mark.parametrize("observation", ["wrench", "markers", "image"])
+@pytest.mark.parametrize(
+    "observation",
+    ["wrench", *(pytest.param(name, marks=pytest.mark.slow) for name in ("markers", "image"))],
+)
 def test_gymnasiums_own_check_passes(observation):
     """Spaces, seeds, determinism of reset and step, render."""
     check_env(make(observation=observation, render_mode="rgb_array").unwrapped)
@@ -69,6 +72,7 @@ def test_the_name_is_found_by_its_module():
     assert "InputError: moon: unknown object" in ended.stderr
 
 
+@pytest.mark.slow
 def test_a_seed_is_the_same_episode_whatever_came_before(env):
     """Bit for bit up to and through contact: after another episode, and in a new environment with a
     new model."""
@@ -148,7 +152,7 @@ def test_no_truth_is_shown(env):
     )
 
 
-@pytest.mark.parametrize("mode", ["sync", "async"])
+@pytest.mark.parametrize("mode", ["sync", pytest.param("async", marks=pytest.mark.slow)])
 def test_several_at_once_are_each_its_own(env, mode):
     envs = gymnasium.make_vec(mjtactile.gym.ID, num_envs=2, vectorization_mode=mode)
     shown, _ = envs.reset(seed=5)
@@ -159,6 +163,7 @@ def test_several_at_once_are_each_its_own(env, mode):
         np.testing.assert_array_equal(shown[k], roll(env, 5 + k, [CLOSE] * 3)[0][-1])
 
 
+@pytest.mark.slow
 def test_a_world_that_varies_is_a_new_one():
     with make(vary="default") as varied:
         infos = [varied.reset(seed=seed)[1] for seed in (1, 2, 1)]

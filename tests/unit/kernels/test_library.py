@@ -93,6 +93,7 @@ def test_without_a_compiler_it_is_said_what_to_install(copied, tmp_path):
     assert "no C compiler: pip install ziglang" in done.stderr.splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_a_mistake_in_the_source_is_shown(copied, tmp_path):
     for path in copied.glob("*.c"):
         path.unlink()

@@ -58,6 +58,7 @@ def assert_right_or_flagged(
         )
 
 
+@pytest.mark.slow
 def test_accuracy_of_the_papers_case():
     summary, _ = marker_accuracy.paper_like(images=3)
     assert summary["missed"] == 0
@@ -290,6 +291,7 @@ def test_colour_and_16_bit_images(circles):
         np.testing.assert_allclose(found.center_px[order], grey.center_px, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_4k_image():
     camera = optics.Camera(3840, 2160, 3000.0, 3000.0, 1919.5, 1079.5)
     circles = marker_scenes.random_circles(

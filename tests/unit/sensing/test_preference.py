@@ -2,6 +2,7 @@
 how little it knows."""
 
 import numpy as np
+import pytest
 
 from benchmarks.paper import marker_scenes
 from mjtactile.core import optics
@@ -47,6 +48,7 @@ def test_neighbours_on_a_sheet_decide_even_for_the_more_tilted_pose():
         assert sure.mean() > 0.95
 
 
+@pytest.mark.slow
 def test_circles_with_tilts_of_their_own_are_as_sure_as_they_are_right():
     """16 circles each in 6 images, tilted by 0 to 60 degrees: the binomial sd of the share is
     0.045."""

@@ -103,7 +103,8 @@ def dents(x, y):
 
 
 @pytest.mark.parametrize(
-    ("node", "wrong", "lit_and_wrong"), [(1e-3, 0.2, 0.05), (0.25e-3, 0.04, 0.01)]
+    ("node", "wrong", "lit_and_wrong"),
+    [(1e-3, 0.2, 0.05), pytest.param(0.25e-3, 0.04, 0.01, marks=pytest.mark.slow)],
 )
 def test_rays_meet_the_sheet_where_a_fine_march_does(node, wrong, lit_and_wrong):
     """Every node and LED of a wide ring, each ray followed in 1000 steps over the formula of the

@@ -123,6 +123,7 @@ def test_what_is_outside_of_the_image_or_missing_is_not_seen():
     assert len(ellipses) == 79 and (ellipses.status == "ok").all()
 
 
+@pytest.mark.slow
 def test_a_grasp_without_images_holds_the_egg_and_says_so(tmp_path):
     class Quiet:
         def message(self, text): ...
