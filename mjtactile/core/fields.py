@@ -235,12 +235,23 @@ class Part(Entry):
 # -- fields of a dataclass
 
 
-def entry(found: Entry, default: Any = _REQUIRED, **more: Any) -> Any:
-    """A dataclass's field that stands in files as `found` says; without `default` (SI) it must be
-    given. `more` is for `dataclasses.field`."""
+def entry(
+    found: Entry, default: Any = _REQUIRED, *, more: Mapping[str, Any] | None = None, **options: Any
+) -> Any:
+    """A dataclass's field that stands in files as `found` says.
+
+    Args:
+        found: Its place in files.
+        default: SI; left out: the field must be given.
+        more: Metadata beside.
+        **options: Those of `dataclasses.field`.
+
+    Returns:
+        What `dataclasses.field` returns.
+    """
     if default is not _REQUIRED:
-        more["default"] = default
-    return dataclasses.field(metadata={_FILE: found}, **more)
+        options["default"] = default
+    return dataclasses.field(metadata={_FILE: found, **(more or {})}, **options)
 
 
 def number(

@@ -15,7 +15,6 @@ numerics alone (steps, tolerances) stay with their code.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -42,7 +41,7 @@ from mjtactile.sensing.settings.locate import (
     PreferenceSettings,
     SmoothnessSettings,
 )
-from mjtactile.sensing.settings.number import as_numbers, number
+from mjtactile.sensing.settings.number import as_numbers, check, number
 from mjtactile.sensing.settings.pose import IdentitySettings, ReferenceSettings, SurfaceSettings
 from mjtactile.sensing.settings.touch import (
     MaterialSettings,
@@ -85,7 +84,7 @@ class Settings:
     """All stages' numbers."""
 
     fewest_seen: float = number(
-        0.4, "share of the markers below which the shape is a guess", "trial"
+        0.4, "share of the markers below which the shape is a guess", "trial", high=1.0
     )
     markers: MarkerSettings = field(default_factory=MarkerSettings)
     candidates: CandidateSettings = field(default_factory=CandidateSettings)
@@ -112,7 +111,8 @@ class Settings:
 
     def override(self, values: Mapping[str, Any]) -> Settings:
         """These settings with others for fields named like "zero.touch_sd". Raises InputError for a
-        name that does not exist, and for a value that is not of the field's kind."""
+        name that does not exist, and for a value that is not of the field's kind, or out of its
+        range."""
         result = self
         for path, value in values.items():
             stage, _, name = path.rpartition(".")
@@ -129,10 +129,7 @@ class Settings:
                     else [f.name for f in dataclasses.fields(self)]
                 )
                 raise InputError("unknown setting", source="settings", field=path, choices=choices)
-            if not _alike(value, getattr(owner, name)):
-                raise InputError(
-                    f"{value!r} is not like {getattr(owner, name)!r}", source="settings", field=path
-                )
+            value = check(owner, stage, name, value)
             changed = replace(owner, **{name: value})  # type: ignore[type-var]  # it is a dataclass
             result = replace(result, **{stage: changed}) if stage else changed
         return result
@@ -147,21 +144,6 @@ class Settings:
                 else {name: value}
             )
         return flat
-
-
-def _alike(value: Any, default: Any) -> bool:
-    """Whether a value may stand for the default: finite, a whole number for one, as many for
-    several."""
-    if isinstance(default, tuple):
-        return (
-            isinstance(value, tuple)
-            and len(value) == len(default)
-            and all(map(_alike, value, default))
-        )
-    whole = isinstance(value, int) and not isinstance(value, bool)
-    return whole or (
-        isinstance(default, float) and isinstance(value, float) and math.isfinite(value)
-    )
 
 
 DEFAULTS = Settings()

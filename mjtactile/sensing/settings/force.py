@@ -34,7 +34,7 @@ class InverseSettings:
     """Tractions from markers (sensing/force/inverse.py, sensing/force/slopes.py)."""
 
     spans: tuple[int, int] = number(
-        (14, 10), "intervals of the sheet's spline along x and y", "trial"
+        (14, 10), "intervals of the sheet's spline along x and y", "trial", low=4, high=40
     )
     marker_floor: float = number(
         8e-6,
@@ -102,29 +102,32 @@ class DoubtSettings:
     force, tilt and spin."""
 
     share: tuple[float, float, float, float] = number(
-        (0.001, 0.0125, 0.0, 0.0), "of the force, for each `cell` to a marker", _BARS
+        (0.001, 0.0125, 0.0, 0.0), "of the force, for each `cell` to a marker", _BARS, low=0.0
     )
     lateral: tuple[float, float, float, float] = number(
-        (0.018, 0.0, 0.07, 0.029), "of all nodes' shear, whichever way", _BARS
+        (0.018, 0.0, 0.07, 0.029), "of all nodes' shear, whichever way", _BARS, low=0.0
     )
     sharp: tuple[float, float, float, float] = number(
         (0.002, 0.004, 0.009, 0.005),
         "of the force, for each of the markers' mean `excess`: sharper than the splines",
         _BARS,
+        low=0.0,
     )
     sharp_most: float = number(20.0, "that excess at most", _BARS)
     outside: tuple[float, float, float, float] = number(
-        (0.18, 0.1, 0.45, 0.62), "of the load beyond the outermost markers", _BARS
+        (0.18, 0.1, 0.45, 0.62), "of the load beyond the outermost markers", _BARS, low=0.0
     )
     change: tuple[float, float, float, float] = number(
         (0.15, 0.25, 0.38, 0.45),
         "of the change since the last image: forces come and go within a few ms",
         _BARS,
+        low=0.0,
     )
     drag: float = number(
         120.0,
         "s/m^2, of shear per N/m of stiffness of a sheet that moves",
         "the simulated rubber has 81; " + _BARS,
+        low=0.0,
     )
     lever: float = number(
         3e-3, "m, between those of forces and those of torques", "a marker's pitch"

@@ -14,7 +14,11 @@ class CandidateSettings:
     """Where markers may be (sensing/image/candidates.py)."""
 
     cells: int = number(
-        60, "cells of the threshold's grid along the image's shorter side, about", "trial"
+        60,
+        "cells of the threshold's grid along the image's shorter side, about",
+        "trial",
+        low=4,
+        high=400,
     )
     half_from: float = number(
         4.0,
@@ -87,6 +91,8 @@ class ProfileSettings:
         0.75,
         "px between samples along a profile, for blur up to `blur`; more blur stretches it",
         "trial",
+        low=0.1,
+        high=10.0,
     )
     blur: float = number(1.1, "px, see `step`; the blur to start from", "trial")
     spacing: float = number(2.0, "px of arc between profiles", "trial; at first 1")
@@ -213,7 +219,7 @@ class ThoroughSettings:
         "smaller ones",
         "trial",
     )
-    scale: int = number(3, "from one image to the next smaller", "trial")
+    scale: int = number(3, "from one image to the next smaller", "trial", low=2)
     least_side: int = number(60, "px of the smallest one's shorter side", "trial")
     half: float = number(
         0.5,

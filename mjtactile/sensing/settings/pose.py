@@ -25,7 +25,7 @@ class IdentitySettings:
     inconsistent: float = number(
         0.45, "of the pitch: a displacement farther off the neighbours' is a wrong match", "trial"
     )
-    neighbours: int = number(8, "nearest markers that a marker is compared with", "trial")
+    neighbours: int = number(8, "nearest markers that a marker is compared with", "trial", high=64)
     height_weight: float = number(
         1e10,
         "1/m^2, one over the variance of heights that a circle's two normals are judged by",

@@ -104,7 +104,9 @@ class SqueezeSettings:
     )
     width_sd: float = number(20e-6, "m, of a width from image to image", "9 x 9 markers of 1 mm")
     tilt_share: float = number(0.4, "of what the faces' tilt adds to the width: its sd", _PROBED)
-    nodes_least: int = number(8, "nodes of the surface's grid inside the contact", "six are fitted")
+    nodes_least: int = number(
+        8, "nodes of the surface's grid inside the contact", "six are fitted", low=6
+    )
 
 
 @dataclass(frozen=True)

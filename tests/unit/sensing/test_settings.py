@@ -29,6 +29,11 @@ def test_every_number_says_what_it_is_and_where_it_comes_from():
         for field in dataclasses.fields(owner):
             if not dataclasses.is_dataclass(getattr(owner, field.name)):
                 assert field.metadata["meaning"] and field.metadata["source"], field.name
+                allowed = field.metadata["file"]
+                for value in np.atleast_1d(field.default):
+                    assert allowed.low <= value <= allowed.high, field.name
+                # a sensitivity is asked at half and at twice the value
+                assert allowed.whole or allowed.low < allowed.high / 4, field.name
 
 
 def test_overriding_leaves_the_defaults_and_all_others_alone():
@@ -71,10 +76,14 @@ def test_a_chain_works_with_what_it_is_given():
         ({"zero.tuch_sd": 1.0}, r"zero\.tuch_sd: unknown setting \(valid: zero\.touch_sd, "),
         ({"nil.touch_sd": 1.0}, r"unknown setting \(valid: fewest_seen, markers"),
         ({"zero": 1.0}, "unknown setting"),
-        ({"zero.touch_sd": math.nan}, "nan is not like 5.0"),
-        ({"zero.touch_sd": "5"}, "'5' is not like 5.0"),
-        ({"zero.memory_images": 1.5}, "1.5 is not like 30"),
-        ({"inverse.spans": (14,)}, "is not like"),
+        ({"zero.touch_sd": math.nan}, "nan is outside 0.05 to 500"),
+        ({"zero.touch_sd": "5"}, "'5' is not a number"),
+        ({"zero.memory_images": 1.5}, "1.5 is not a whole number"),
+        ({"inverse.spans": (14,)}, "is not a list of 2 numbers"),
+        ({"inverse.spans": (14, 2)}, r"inverse\.spans\[1\]: 2 is outside 4 to 40"),
+        ({"identity.neighbours": 65}, r"identity\.neighbours: 65 is outside 1 to 64"),
+        ({"thorough.scale": 1}, r"thorough\.scale: 1 is outside 2 to 300"),
+        ({"zero.touch_least": -0.02}, "-0.02 is outside 0.0002 to 2"),
     ],
 )
 def test_a_wrong_name_or_value_is_refused(values, message):
