@@ -46,8 +46,14 @@ _FAR = 1e9  # no number of a calibration is larger
 
 @dataclass(frozen=True)
 class Stamp:
-    """Where a part comes from: `date` (ISO 8601, UTC), `fingerprint` of the sensor file then,
-    `versions` of the software, and `residuals`, whatever the measurement says of itself."""
+    """Where a part of a calibration comes from.
+
+    Attributes:
+        date: ISO 8601, UTC.
+        fingerprint: Of the sensor file then.
+        versions: Of the software.
+        residuals: What the measurement says of itself.
+    """
 
     date: str = text("date")
     fingerprint: str = text("fingerprint")
@@ -72,7 +78,15 @@ def fingerprint(design: SensorDesign) -> str:
 
 @dataclass(frozen=True)
 class Lens(Pinhole):
-    """The intrinsics of one camera, as measured."""
+    """The intrinsics of one camera, as measured.
+
+    Attributes:
+        kind: "lens".
+        rests_on: Parts that this one was measured with: when one of them is newer, this one is
+            outdated.
+        of_sensor: Whether it is outdated when the sensor file has changed.
+        stamp: Where it comes from.
+    """
 
     kind: ClassVar[str] = "lens"
     rests_on: ClassVar[tuple[str, ...]] = ()
@@ -207,9 +221,17 @@ class PartState:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What was measured of the finger `finger` with the sensor `sensor`. Parts that are None count
-    as the sensor file says; `refused` holds the newest refusal of each part since its last
-    success."""
+    """What was measured of one finger's sensor. A part that is None counts as the sensor file says.
+
+    Attributes:
+        finger: Name of the finger.
+        sensor: Name of its sensor.
+        lens: Intrinsics and distortion.
+        frame: The camera against the frame, marker radii, and the rest state.
+        valve: Zero and noise of the pressure sensor.
+        force: True over felt force.
+        refused: The newest refusal of each part since its last success.
+    """
 
     finger: str
     sensor: str
@@ -220,26 +242,61 @@ class Calibration:
     refused: Mapping[str, Refusal] = field(default_factory=dict)
 
     def part(self, kind: str) -> Part | None:
-        """The part of that kind."""
+        """Look up one part.
+
+        Args:
+            kind: One of "lens", "frame", "valve", "force".
+
+        Returns:
+            The part, or None where it was never measured.
+        """
         return getattr(self, kind)
 
     def with_part(self, part: Part) -> Calibration:
-        """The same with a part replaced; what had been refused of it is forgotten."""
+        """Replace a part; what had been refused of it is forgotten.
+
+        Args:
+            part: The new part.
+
+        Returns:
+            A new calibration.
+        """
         refused = {kind: refusal for kind, refusal in self.refused.items() if kind != part.kind}
         return replace(self, **{part.kind: part}, refused=refused)
 
     def with_refusal(self, kind: str, reasons: Sequence[str]) -> Calibration:
-        """The same with a note that this part was refused now; a good one stays."""
+        """Note that a part was refused now; a good one stays.
+
+        Args:
+            kind: Which part.
+            reasons: Why, a sentence each.
+
+        Returns:
+            A new calibration.
+        """
         return replace(self, refused={**self.refused, kind: Refusal(_now(), tuple(reasons))})
 
     def used(self, design: SensorDesign) -> Calibration:
-        """The same without the parts that are outdated for this sensor file: what a sensing chain
-        should go by."""
+        """Leave out the parts that are outdated: what a sensing chain should go by.
+
+        Args:
+            design: The sensor file as it is now.
+
+        Returns:
+            A calibration without them.
+        """
         old = [state.kind for state in self.states(design) if state.state == "outdated"]
         return replace(self, **dict.fromkeys(old)) if old else self
 
     def states(self, design: SensorDesign) -> list[PartState]:
-        """How every part stands with this sensor file."""
+        """Say how every part stands.
+
+        Args:
+            design: The sensor file as it is now.
+
+        Returns:
+            One state a part: good, missing, outdated or refused, and why.
+        """
         return [self._state(kind, design) for kind in KINDS]
 
     def _state(self, kind: str, design: SensorDesign) -> PartState:
@@ -281,18 +338,40 @@ class Calibration:
         return PartState(kind, "good", f"of {_day(part.stamp.date)}{again}")
 
     def design(self, design: SensorDesign) -> SensorDesign:
-        """The sensor file's values, with those that were measured in their place."""
+        """Put what was measured in place of the sensor file's values.
+
+        Args:
+            design: The sensor file's values.
+
+        Returns:
+            The design with the measured lens.
+        """
         if self.lens is None:
             return design
         return replace(design, camera=replace(design.camera, **self.lens.intrinsics))
 
     def pressure(self, reading: float) -> float:
-        """Gauge pressure, Pa, where the chamber's sensor shows `reading` Pa."""
+        """Take the zero of the pressure sensor off a reading.
+
+        Args:
+            reading: What the sensor shows, Pa.
+
+        Returns:
+            Gauge pressure, Pa.
+        """
         return reading if self.valve is None else reading - self.valve.offset
 
     def check(self, design: SensorDesign, finger: str, source: object) -> None:
-        """Raise InputError when this is not a calibration of the finger `finger` with this
-        sensor."""
+        """See that this calibration belongs to a finger and its sensor.
+
+        Args:
+            design: The finger's sensor.
+            finger: Its name.
+            source: The file, for the message.
+
+        Raises:
+            InputError: It is another finger's, another sensor's, or of another image size.
+        """
         if self.finger != finger:
             raise InputError(
                 f"is of the finger {self.finger!r}, not {finger!r}", source=source, field="finger"
@@ -314,7 +393,11 @@ class Calibration:
             )
 
     def table(self) -> dict[str, Any]:
-        """As it is written to a file, or to the header of a recording."""
+        """Write it out.
+
+        Returns:
+            The table of a calibration file, and of a recording's header.
+        """
         parts = {
             kind: None if (part := self.part(kind)) is None else _part_table(part) for kind in KINDS
         }
@@ -328,7 +411,14 @@ class Calibration:
         }
 
     def save(self, path: Path) -> None:
-        """Write the file, whole or not at all. Raises InputError when it cannot be written."""
+        """Write the file, whole or not at all.
+
+        Args:
+            path: Where to.
+
+        Raises:
+            InputError: It cannot be written.
+        """
         part = path.with_name(path.name + ".part")
         try:
             part.write_text(json.dumps(self.table(), indent=1) + "\n", encoding="utf-8")
@@ -340,7 +430,17 @@ class Calibration:
 
 
 def load_calibration(path: Path) -> Calibration:
-    """Read a calibration file. Raises InputError naming the file and the field."""
+    """Read a calibration file.
+
+    Args:
+        path: The file, JSON.
+
+    Returns:
+        The calibration.
+
+    Raises:
+        InputError: It is no calibration file; names the file and the field.
+    """
     return calibration_from_table(read_json(path), str(path))
 
 

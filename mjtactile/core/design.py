@@ -318,9 +318,20 @@ class Leds:
 
 @dataclass(frozen=True)
 class SensorDesign:
-    """A whole sensor. Build one with `load_sensor`, or directly with SI values. `calibration` is
-    the file that a finger's own sensor file names for what was measured of it (None: it names
-    none)."""
+    """A whole sensor. Build one with `load_sensor`, or directly with SI values.
+
+    Attributes:
+        name: What it is called.
+        frame: The rim that the membrane is clamped in.
+        membrane: The rubber sheet.
+        markers: The circles on its inside.
+        chamber: The gas behind it, with supply and valve.
+        glass: The pane before the camera.
+        camera: Place, lens, image size and rate.
+        leds: The light.
+        calibration: The file that a finger's own sensor file names for what was measured of it;
+            None: it names none.
+    """
 
     name: str = text("name")
     frame: Frame = part("frame", Frame)
@@ -333,7 +344,14 @@ class SensorDesign:
     calibration: Path | None = file_path("calibration", compare=False)
 
     def require_rectangle(self, who: str) -> None:
-        """Raise InputError where the frame is not what `who` is made for."""
+        """Refuse a frame that is not rectangular.
+
+        Args:
+            who: What is made for rectangles only, for the message.
+
+        Raises:
+            InputError: The frame is round.
+        """
         if self.frame.shape != "rectangle":
             raise InputError(
                 f"{self.frame.shape!r} can be simulated, but {who} handles rectangles only",
@@ -353,7 +371,15 @@ class SensorDesign:
         return self.frame.area * self.chamber.depth + self.chamber.extra_volume
 
     def validate(self, section: Section) -> None:
-        """Raise InputError where fields do not go together physically."""
+        """See that fields go together physically.
+
+        Args:
+            section: The file's table, for the message.
+
+        Raises:
+            InputError: Markers overlap or leave the frame, the camera is nearer than the chamber is
+                deep, or markers are brighter than the membrane.
+        """
         _check_markers(self, section)
         _check_depth(self, section)
         if self.leds.marker_dn >= self.leds.membrane_dn:
@@ -361,10 +387,16 @@ class SensorDesign:
 
 
 def load_sensor(name_or_path: str | Path | SensorDesign) -> SensorDesign:
-    """Read a sensor by shipped name or from a TOML file.
+    """Read a sensor.
+
+    Args:
+        name_or_path: A shipped name, a TOML file, or a design, which is returned as it is.
+
+    Returns:
+        The sensor, SI.
 
     Raises:
-        InputError: names file, field, value and valid choices of a field that is missing, misspelt,
+        InputError: Names file, field, value and valid choices of a field that is missing, misspelt,
             negative, not finite or in another unit.
     """
     if isinstance(name_or_path, SensorDesign):

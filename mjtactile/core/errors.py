@@ -28,8 +28,15 @@ def _again(
 
 
 class InputError(MjtactileError):
-    """Bad configuration or arguments: names the file or argument, the field, and the valid
-    choices."""
+    """Bad configuration or arguments.
+
+    The message is one line that names the file or argument, the field, and the valid choices; exit
+    code 2.
+
+    Attributes:
+        source: The file or argument.
+        field: The field in it.
+    """
 
     exit_code = 2
 
@@ -63,11 +70,17 @@ class Interrupted(MjtactileError):
 
 
 class DeviceError(MjtactileError):
-    """A device is missing, stale or faulted."""
+    """A device is missing, stale or faulted; exit code 3."""
 
 
 class SimulationError(MjtactileError):
-    """The simulation diverged or left the range in which its numbers mean something."""
+    """The simulation diverged, or left the range in which its numbers mean something; exit code 3.
+
+    Attributes:
+        reason: What happened.
+        step: Number of the step in which it did.
+        time: s of simulated time.
+    """
 
     def __init__(self, reason: str, *, step: int, time: float):
         self.reason = reason

@@ -29,8 +29,13 @@ _UNDISTORT_NEAR = 1e-7
 
 @dataclass(frozen=True)
 class Camera(Pinhole):
-    """A pinhole camera, and the pane in front: `glass_thickness` m (0 = none), `glass_index`,
-    `glass_distance` m from the camera's centre to the near face."""
+    """A pinhole camera with lens distortion, and the pane in front of it.
+
+    Attributes:
+        glass_thickness: m; 0: no pane.
+        glass_index: Its refractive index.
+        glass_distance: m from the camera's centre to its near face.
+    """
 
     glass_thickness: float = 0.0
     glass_index: float = 1.0
@@ -66,11 +71,26 @@ class Camera(Pinhole):
 
     @classmethod
     def from_design(cls, camera: Pinhole, glass: Glass | None = None) -> Camera:
-        """The camera of a sensor design, behind its pane."""
+        """Make the camera of a sensor design.
+
+        Args:
+            camera: Image size, focal lengths, principal point and distortion, px.
+            glass: The pane in front of it; None: there is none.
+
+        Returns:
+            The camera.
+        """
         return cls(**camera.intrinsics).behind(glass)
 
     def behind(self, glass: Glass | None) -> Camera:
-        """This camera behind a pane (None: as it is)."""
+        """Put this camera behind a pane.
+
+        Args:
+            glass: The pane; None: leave the camera as it is.
+
+        Returns:
+            A new camera.
+        """
         return (
             self
             if glass is None
@@ -78,8 +98,19 @@ class Camera(Pinhole):
         )
 
     def behind_pane(self, thickness: float, refractive_index: float, distance: float) -> Camera:
-        """This camera behind a pane of `thickness` m, `distance` m from the camera's centre to its
-        near face, in place of any other. Raises InputError for what cannot be."""
+        """Put this camera behind a pane, in place of any other.
+
+        Args:
+            thickness: m.
+            refractive_index: At least 1.
+            distance: m from the camera's centre to the near face.
+
+        Returns:
+            A new camera.
+
+        Raises:
+            InputError: There is no such pane.
+        """
         return replace(
             self, glass_thickness=thickness, glass_index=refractive_index, glass_distance=distance
         )
@@ -103,11 +134,20 @@ class Camera(Pinhole):
 
     @classmethod
     def from_yaml(cls, path: str | Path, glass: Glass | None = None) -> Camera:
-        """Read a ROS camera_info file (as the camera_calibration package writes it).
+        """Read a ROS camera_info file, as the camera_calibration package writes it.
 
-        It may have one field more than ROS knows, `glass: {thickness_mm: 5, refractive_index: 1.5,
-        distance_mm: 120}`, a pane in front of the camera; `glass` of the argument takes its place.
-        Raises InputError naming the file, the field and the valid choices.
+        It may have one field more than ROS knows, a pane in front of the camera:
+        `glass: {thickness_mm: 5, refractive_index: 1.5, distance_mm: 120}`.
+
+        Args:
+            path: The file.
+            glass: A pane in place of the file's.
+
+        Returns:
+            The camera.
+
+        Raises:
+            InputError: Names the file, the field and the valid choices.
         """
         return _camera_from_table(_read_yaml(Path(path)), str(path)).behind(glass)
 

@@ -45,7 +45,11 @@ def set_slow(times: float) -> None:
 
 
 def monotonic() -> float:
-    """Monotonic time, s; the same in all processes of one pace."""
+    """Read the clock of devices, emulator and loop.
+
+    Returns:
+        Monotonic time, s; the same in all processes of one pace (`MJTACTILE_SLOW`).
+    """
     return time.monotonic() / _slow
 
 

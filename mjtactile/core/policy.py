@@ -57,7 +57,14 @@ _RIG = (
 
 
 def policy_names(fingers: int = 2) -> list[str]:
-    """What the numbers of a vector are called, with their units."""
+    """Name the numbers of a policy's vector.
+
+    Args:
+        fingers: How many fingers the rig has.
+
+    Returns:
+        (8 fingers + 14) names with their units, in the order of `policy_vector`.
+    """
     return [f"finger{k}.{name}" for k in range(1, fingers + 1) for name, _ in _FINGER] + [
         name for name, _ in _RIG
     ]
@@ -71,8 +78,15 @@ def policy_bounds(fingers: int = 2) -> Array:
 
 
 def policy_vector(observation: Observation) -> Array:
-    """The numbers (8 fingers + 14,) that a policy sees, float32. A force that is unknown is 0 with
-    `known` 0: look at both."""
+    """Make the vector that a policy sees.
+
+    Args:
+        observation: What a controller would see.
+
+    Returns:
+        (8 fingers + 14,) float32, named by `policy_names`. A force that is unknown is 0 with
+            `known` 0.
+    """
     command = observation.command
     gripper = observation.gripper
     phase = command.phase if command.phase in PHASES else PHASES[0]
@@ -92,8 +106,16 @@ def policy_vector(observation: Observation) -> Array:
 
 
 def policy_command(observation: Observation, action: ArrayLike) -> Command:
-    """The command of an action (3,), which is cut to [-1, 1]; with the phase that the grasp is in
-    now."""
+    """Make the command of a policy's action.
+
+    Args:
+        observation: What the policy saw.
+        action: (3,) speed of opening, force limit and speed of lifting, each cut to [-1, 1]; what
+            is not finite counts as 0.
+
+    Returns:
+        The command, with the phase that the grasp is in now.
+    """
     rate, limit, lift = (
         float(value) for value in np.clip(np.nan_to_num(np.asarray(action, float)), -1.0, 1.0)
     )
@@ -116,8 +138,16 @@ def policy_command(observation: Observation, action: ArrayLike) -> Command:
 
 
 def policy_action(before: Command, after: Command, period: float) -> Array:
-    """The action (3,) that takes one command to the next, `period` s later: what a teacher did, for
-    a policy to learn."""
+    """Find the action that takes one command to the next: what a policy is to learn of a teacher.
+
+    Args:
+        before: The command of the cycle before.
+        after: The command of this cycle.
+        period: s between them.
+
+    Returns:
+        (3,) in [-1, 1], as `policy_command` takes it.
+    """
     return np.clip(
         [
             (after.opening - before.opening) / (OPENING_SPEED * period),

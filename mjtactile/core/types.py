@@ -55,8 +55,13 @@ def _freeze(
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """Pixels (H, W) uint8, indexed [v, u]; pixel (0, 0) is the centre of the top-left pixel. `time`
-    of capture, s."""
+    """An image of one camera.
+
+    Attributes:
+        pixels: (H, W) uint8 grey levels, indexed [v, u]; pixel (0, 0) is the centre of the top-left
+            pixel.
+        time: Of capture, s.
+    """
 
     pixels: NDArray[np.uint8]
     time: float = 0.0
@@ -155,11 +160,17 @@ class Markers:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """The membrane's shape in S: heights `z` (ny, nx) over the Cartesian grid `x` (nx,), `y` (ny,),
-    zero on the frame.
+    """The membrane's shape in S, as heights over a Cartesian grid.
 
-    `area` m^2 of the curved surface, `volume` m^3 between it and the frame's plane (positive
-    outward).
+    Attributes:
+        x: (nx,) m, increasing.
+        y: (ny,) m, increasing.
+        z: (ny, nx) m, zero on the frame, positive outward.
+        area: m^2 of the curved surface.
+        volume: m^3 between it and the frame's plane, positive outward.
+        area_sd: Standard deviation of the area, m^2.
+        volume_sd: Standard deviation of the volume, m^3.
+        status: "ok", or why the shape is not to be trusted.
     """
 
     x: Array
@@ -180,11 +191,17 @@ class Surface:
 
 @dataclass(frozen=True, eq=False)
 class Traction:
-    """Force that the outside world exerts on the membrane, frame S.
+    """Force that the outside world exerts on the membrane, in S. A press has a negative z.
 
-    `force` (ny, nx, 3) N per grid node; `wrench` (6,) the net force, N, and torque about the origin
-    of S, N m, with `wrench_cov` (6, 6). A press has a negative z. `pressure_gauge` Pa of the
-    chamber (estimated), `method` names the estimator.
+    Attributes:
+        x: (nx,) m, the grid's nodes along x.
+        y: (ny,) m, along y.
+        force: (ny, nx, 3) N on each node.
+        wrench: (6,) net force, N, and torque about the origin of S, N m.
+        wrench_cov: (6, 6) its covariance.
+        pressure_gauge: Pa in the chamber, as estimated.
+        method: Name of the estimator.
+        status: "ok", or why it is not to be trusted.
     """
 
     x: Array
@@ -207,13 +224,19 @@ class Traction:
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """What touches: `area` m^2, `centroid` (2,) m in S, `depth` m of the deepest indentation
-    against the rest shape.
+    """What touches: all of it, or one patch.
 
-    `mask` (ny, nx) marks the traction grid's nodes in contact. With no contact `area` is 0 and
-    `centroid` is NaN. Of a single patch also the `force` (3,) N on it, its `outline` (P, 2) m as a
-    closed polygon, and the ellipse of the same second moments: `semi_axes` (2,) m, larger first,
-    and `angle` rad of the larger from x.
+    Attributes:
+        touching: Whether anything does. If not, `area` is 0 and `centroid` NaN.
+        area: m^2 of the membrane that is in contact.
+        centroid: (2,) m in S, the middle of the contact.
+        depth: m of the deepest indentation against the rest shape.
+        mask: (ny, nx) the traction grid's nodes in contact.
+        status: "ok", or why it is not to be trusted.
+        force: (3,) N on a single patch, S.
+        outline: (P, 2) m, a single patch's border as a closed polygon.
+        semi_axes: (2,) m, of the ellipse of the same second moments, the larger first.
+        angle: rad of the larger one from x.
     """
 
     touching: bool
@@ -242,13 +265,16 @@ SLIP_STATES: tuple[str, ...] = get_args(SlipState)
 
 @dataclass(frozen=True, eq=False)
 class Slip:
-    """Whether the object slips on the membrane. `state` is one of SLIP_STATES; "none": nothing
-    touches; "slipping": all of the contact slides, as seen, whatever the friction; "incipient":
-    most of the friction is used up, as far as it is known.
+    """Whether the object slips on the membrane.
 
-    `velocity` (2,) m/s of the object over the membrane, S (noise while it sticks); `distance` m
-    slipped since the touch began; `stick_ratio` the share of the contact whose shear is below what
-    friction can hold there.
+    Attributes:
+        state: One of SLIP_STATES. "none": nothing touches; "slipping": all of the contact slides,
+            as seen, whatever the friction; "incipient": most of the friction is used up, as far as
+            it is known.
+        velocity: (2,) m/s of the object over the membrane, S; noise while it sticks.
+        distance: m slipped since the touch began.
+        stick_ratio: Share of the contact whose shear is below what friction can hold there.
+        status: "ok", or why nothing is known.
     """
 
     state: SlipState
@@ -264,10 +290,21 @@ class Slip:
 
 @dataclass(frozen=True, eq=False)
 class Touch:
-    """Everything one sensor says about one image. `age` s is now minus capture.
+    """What one sensor feels, from one image.
 
-    When `status` is not "ok", `force_normal` is NaN: the force is unknown, not zero. `contact` is
-    all that touches taken together, `patches` each place of it, the strongest first.
+    Attributes:
+        time: Of the image's capture, s.
+        age: s from then until now.
+        force_normal: N, positive for a press; NaN when `status` is not "ok": unknown is not zero.
+        force_normal_sd: Its standard deviation, N.
+        touching: Whether anything touches.
+        contact: All that touches, taken together.
+        traction: Forces over the membrane, and the net wrench.
+        surface: The membrane's shape.
+        markers: The markers that were seen.
+        status: "ok", or why the force is unknown.
+        patches: Each place of contact, the strongest first.
+        slip: Whether the object slips.
     """
 
     time: float
@@ -330,10 +367,16 @@ class Material:
 
 @dataclass(frozen=True)
 class GripperState:
-    """What the gripper reports: `opening` m between the two frames, `speed` m/s, `effort` N at the
-    jaw as the servo believes it, `lift_height` m of the hand above where it started. It was so at
-    `time` s on the rig's clock, which was `age` s ago when the state was handed over (NaN: not
-    known)."""
+    """What the gripper reports.
+
+    Attributes:
+        opening: m between the two sensors' frames.
+        speed: m/s of the opening.
+        effort: N at the jaw, as the servo believes it.
+        lift_height: m of the hand above where it started.
+        time: s on the rig's clock at which it was so (NaN: not known).
+        age: s from then until it was handed over (NaN: not known).
+    """
 
     opening: float
     speed: float
@@ -345,9 +388,14 @@ class GripperState:
 
 @dataclass(frozen=True)
 class ValveState:
-    """`is_open`, and the chamber's gauge pressure in Pa where the rig has a pressure sensor (else
-    None), as measured at `time` s on the rig's clock, `age` s before the state was handed over
-    (NaN: not known)."""
+    """What the valve of one chamber reports.
+
+    Attributes:
+        is_open: Whether the chamber is connected to its supply.
+        pressure_gauge: Pa in the chamber above ambient; None where the rig has no pressure sensor.
+        time: s on the rig's clock at which it was measured (NaN: not known).
+        age: s from then until it was handed over (NaN: not known).
+    """
 
     is_open: bool
     pressure_gauge: float | None = None
@@ -397,11 +445,16 @@ class Command:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What a controller sees once per control cycle: never pixels of the truth, only what the
-    sensors say.
+    """What a controller sees once a control cycle: only what the sensors say.
 
-    `touch` holds one value per finger, in the order of the rig (left, right), `command` the last
-    command really sent, with the `phase` and `memory` that the controller put into it.
+    Attributes:
+        time: s on the rig's clock.
+        period: s from one cycle to the next.
+        touch: One value a finger, in the order of the rig (left, right).
+        gripper: The gripper's newest state.
+        valves: The valves' states, in the order of the fingers that have one.
+        command: The last command really sent, with the `phase` and `memory` that the controller put
+            into it.
     """
 
     time: float
