@@ -29,18 +29,33 @@ from mjtactile.sim.sensor.switches import CAMERA, PHYSICS
 
 @dataclass(frozen=True, eq=False)
 class Mount:
-    """Where `attach` put a sensor; `bind` it to each model compiled from that spec."""
+    """Where `attach` put a sensor; `bind` it to each model compiled from that spec.
+
+    Attributes:
+        membrane: What was put there.
+    """
 
     membrane: Attachment
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData, *, seed: int = 0) -> SimFinger:
-        """The sensor at run time: inflated, sealed, its references taken on the sensor alone.
-        `seed` fixes its camera's noise.
+        """Make the sensor ready to run: inflated, sealed, its references taken on the sensor alone.
 
         It finishes the model (pre-stretch, contact stiffness) and writes the membrane's joints in
-        `data`; nothing else of the scene is touched. One model carries one bound state: bind again
-        after `spec.recompile`, or to start over. Raises InputError when the model's options cannot
-        carry the sensor, or it was not compiled from the spec.
+        `data`;
+        nothing else of the scene is touched. One model carries one bound state: bind again after
+        `spec.recompile`, or to start over.
+
+        Args:
+            model: Compiled from the spec.
+            data: Of that model.
+            seed: Of the camera's noise.
+
+        Returns:
+            The sensor at run time.
+
+        Raises:
+            InputError: The model's options cannot carry the sensor, or it was not compiled from the
+                spec.
         """
         return SimFinger(self.membrane, model, data, seed)
 
@@ -56,15 +71,26 @@ def attach(
     contact: str = "auto",
     effects: Collection[str] = PHYSICS | CAMERA,
 ) -> Mount:
-    """Attach `sensor` (a design, a shipped name or a TOML file) to the scene `spec` at `site`, and
-    its `user` sensors.
+    """Attach a sensor to a scene, with `user` sensors for what it feels.
 
-    `prefix` keeps several sensors apart, `mesh` is the number of vertices along x and y, `mass` kg
-    that of frame, glass and camera; `contact` says what of the membrane touches: its "vertices",
-    its triangles ("elements"), "both", or "auto" by the scene's smallest feature; `effects` are
-    names of `mjtactile effects`. Raises InputError for an unknown site, a prefix already used, a
-    sensor that cannot be simulated or felt with, or options of `spec` that cannot carry it
-    (`recommend_options` sets them).
+    Args:
+        spec: The scene.
+        sensor: A design, a shipped name or a TOML file.
+        site: Where; its frame becomes the sensor's frame S: the origin in the middle of the flat
+            membrane, z outward.
+        prefix: Of all names in the scene; keeps several sensors apart.
+        mesh: Number of vertices along x and y.
+        mass: kg of frame, glass and camera.
+        contact: What of the membrane touches: its "vertices", its triangles ("elements"), "both",
+            or "auto" by the scene's smallest feature.
+        effects: Names that `mjtactile effects` lists.
+
+    Returns:
+        What to `bind` to the compiled model.
+
+    Raises:
+        InputError: An unknown site, a prefix already used, a sensor that cannot be simulated or
+            felt with, or options of `spec` that cannot carry it (`recommend_options` sets them).
     """
     design = load_sensor(sensor)
     design.require_rectangle("attach, whose sensors feel,")

@@ -135,7 +135,14 @@ class SimFinger:
         self._next_image = self._time + self._period
 
     def belongs_to(self, data: mujoco.MjData) -> bool:
-        """Whether this finger was bound to `data`."""
+        """Say whether this finger was bound to some data.
+
+        Args:
+            data: MuJoCo's.
+
+        Returns:
+            Whether it was.
+        """
         return data is self._data
 
     def before_step(self) -> None:
@@ -215,11 +222,17 @@ class SimFinger:
 def step(
     model: mujoco.MjModel, data: mujoco.MjData, fingers: Sequence[SimFinger], nstep: int = 1
 ) -> None:
-    """Advance the scene by `nstep` time steps as `mj_step` does, with `fingers`: gas, step, images
-    when they are due.
+    """Advance the scene as `mj_step` does, with its fingers: gas, step, images when they are due.
 
-    Raises InputError when one was left behind or is bound to other data,
-    SimulationError when the state is no longer to be trusted.
+    Args:
+        model: The scene's.
+        data: The scene's.
+        fingers: All that are bound in it.
+        nstep: How many time steps.
+
+    Raises:
+        InputError: A finger was left behind, or is bound to other data.
+        SimulationError: The state is no longer to be trusted.
     """
     for finger in fingers:
         if not finger.belongs_to(data):

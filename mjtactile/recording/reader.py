@@ -38,8 +38,17 @@ class RecordedReference:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A recording read back. `columns[key]` has one row a cycle; a JSON null is NaN. `complete`: it
-    was closed properly."""
+    """A recording read back.
+
+    Attributes:
+        folder: Where it is.
+        header: What ran: object, sensor, controller, rig, seed, versions.
+        notes: Facts that are no cycle, such as the fingers' names and how the run ended.
+        columns: By key one row a cycle; a JSON null is NaN.
+        complete: Whether it was closed properly.
+        problems: What is broken in it, a sentence each.
+        references: The images that the references were taken from.
+    """
 
     folder: Path
     header: Mapping[str, Any]
@@ -67,11 +76,19 @@ class Recording:
         return len(self.columns["time"])
 
     def column(self, key: str, width: int | None = None) -> Array:
-        """A numeric column (cycles, width), or (cycles, fingers, parts) of one with several numbers
-        a finger.
+        """Look up a column of numbers.
 
-        All NaN when this recording has none, as for the truth of a real run. Raises InputError for
-        a key that no recording has, or one of other things than numbers (they are in `columns`).
+        Args:
+            key: Its name (docs/recording.md has all).
+            width: How wide it is where this recording has none; by default one number a finger.
+
+        Returns:
+            (cycles, width), or (cycles, fingers, parts) of one with several numbers a finger. All
+                NaN when this recording has none, as for the truth of a real run.
+
+        Raises:
+            InputError: No recording has such a column, or it holds other things than numbers (they
+                are in `columns`).
         """
         if key not in self.columns:
             if key not in KEYS:
@@ -84,7 +101,11 @@ class Recording:
         )
 
     def require_images(self) -> None:
-        """Raise InputError, saying why, unless every cycle has its images."""
+        """See that every cycle has its images.
+
+        Raises:
+            InputError: Some have none.
+        """
         have = sum(len(names) > 0 for names in self.columns["images"])
         if have < len(self):
             raise InputError(
@@ -94,7 +115,11 @@ class Recording:
             )
 
     def phases(self) -> list[tuple[str, float, float]]:
-        """The phases in order: name, start and end time in s."""
+        """List the phases of the run.
+
+        Returns:
+            In order: name, start and end, s.
+        """
         names = self.columns["phase"]
         times = self.columns["time"]
         starts = [i for i in range(len(self)) if i == 0 or names[i] != names[i - 1]]
@@ -105,13 +130,28 @@ class Recording:
         ]
 
     def images(self) -> Iterator[tuple[Image, ...]]:
-        """The camera images cycle by cycle, () of one without (`--frames`).
+        """Read the camera images cycle by cycle.
 
-        Raises InputError naming a file that is missing or broken."""
+        Returns:
+            One image a finger for each cycle; () for a cycle without (`--frames`).
+
+        Raises:
+            InputError: A file is missing or broken.
+        """
         return map(self.images_of, range(len(self)))
 
     def images_of(self, cycle: int) -> tuple[Image, ...]:
-        """The same of one cycle."""
+        """Read the camera images of one cycle.
+
+        Args:
+            cycle: Its number, from 0.
+
+        Returns:
+            One image a finger; () where it has none.
+
+        Raises:
+            InputError: A file is missing or broken.
+        """
         names = self.columns["images"][cycle]
         times = self.columns["image_time"][cycle]
         return tuple(_read_image(self.folder / n, t) for n, t in zip(names, times, strict=False))
@@ -126,11 +166,19 @@ def _read_image(path: Path, time: float) -> Image:
 
 
 def load_recording(path: str | Path) -> Recording:
-    """Read the recording in `path` (the folder itself, or a run's folder around it).
+    """Read a recording, however its run ended.
 
-    A run that was cut off gives what was written until then: a line that is cut in half or damaged
-    is left out with all that follows, and named in `problems`. Raises InputError when there is no
-    recording or it is of another version.
+    A line that is cut in half or damaged is left out with all that follows, and named in
+    `problems`.
+
+    Args:
+        path: The recording's folder, or a run's folder around it.
+
+    Returns:
+        The recording.
+
+    Raises:
+        InputError: There is no recording, or it is of another version.
     """
     folder = Path(path)
     folder = folder / "recording" if (folder / "recording").is_dir() else folder

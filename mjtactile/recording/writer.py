@@ -38,13 +38,21 @@ _logger = logging.getLogger(__name__)
 
 
 class Recorder:
-    """Writes a recording into `folder`, which is made if needed. Raises InputError where one is
-    already.
+    """Writes a recording while a run goes on.
 
-    `header` says what ran (object, sensor, controller, rig, seed); the images of every `frames`-th
-    cycle are kept, with 0 none at all. Nothing here fails or blocks a run: a recording that cannot
-    be written, or whose disk stands still, is given up with a warning, and `problem` says why. Use
-    as a context manager, or call `close` on every exit path.
+    Nothing here fails or blocks a run: a recording that cannot be written, or whose disk stands
+    still,
+    is given up with a warning, and `problem` says why. Use it as a context manager, or call `close`
+    on
+    every way out.
+
+    Args:
+        folder: Where to; made if needed.
+        header: What runs: object, sensor, controller, rig, seed.
+        frames: The images of every so many cycles are kept; 0: none.
+
+    Raises:
+        InputError: The folder holds a recording already, or cannot be written.
     """
 
     def __init__(self, folder: str | Path, header: Mapping[str, Any], *, frames: int = 1):
@@ -95,8 +103,13 @@ class Recorder:
         self.close()
 
     def add(self, cycle: CycleLike, view: Any = None, **truth: Any) -> None:
-        """Record one cycle; `truth` are ground-truth columns (`columns.TRUE`) that a scorer knows,
-        `view` the simulated scene at that time, kept (not written) for the picture."""
+        """Record one cycle.
+
+        Args:
+            cycle: What the loop did in it.
+            view: The simulated scene at that time, kept (not written) for the picture.
+            **truth: Ground-truth columns that a scorer knows.
+        """
         if self.cycles == 0 and (last := getattr(cycle, "last", None)) is not None:
             self.note(start_opening=last.opening, start_lift_height=last.lift_height)
         kept = (
@@ -130,8 +143,13 @@ class Recorder:
     def add_reference(
         self, stage: str, images: Sequence[Sequence[Image]], pressure_gauge: Sequence[float | None]
     ) -> None:
-        """Record the images of a reference ("flat", "rest"), one list a finger, and the pressures
-        it was taken at, Pa."""
+        """Record the images of a reference.
+
+        Args:
+            stage: "flat" or "rest".
+            images: One list a finger.
+            pressure_gauge: Pa that they were taken at, for each valve; None: not measured.
+        """
         named = (
             [
                 [(f"{FRAMES}/{stage}_{i:02d}_{finger}.png", image) for i, image in enumerate(shots)]
@@ -153,8 +171,11 @@ class Recorder:
         )
 
     def note(self, **values: Any) -> None:
-        """Record facts that are no cycle, such as `break_force_N`; image files are named by the
-        `fingers`."""
+        """Record facts that are no cycle, such as `break_force_N`.
+
+        Args:
+            **values: By name; `fingers` are the names that image files get.
+        """
         self._fingers = tuple(values.get("fingers", self._fingers))
         self._put({"kind": "note", **values})
 
@@ -165,7 +186,11 @@ class Recorder:
         return self._fingers if len(noted) == len(self._fingers) == count else finger_names(count)
 
     def close(self, **outcome: Any) -> None:
-        """Write what is queued and an `end` line with `outcome`; later calls do nothing."""
+        """Write what is queued and an `end` line; later calls do nothing.
+
+        Args:
+            **outcome: How the run ended, by name.
+        """
         if self._closed:
             return
         self._closed = True
@@ -179,8 +204,14 @@ class Recorder:
                 self._give_up("the disk stands still")
 
     def never_began(self, error: BaseException) -> bool:
-        """Whether a run that ended with `error` left nothing worth keeping: a device was missing, a
-        name was wrong."""
+        """Say whether a run left nothing worth keeping: a device was missing, a name was wrong.
+
+        Args:
+            error: What ended it.
+
+        Returns:
+            Whether its folder may go.
+        """
         return self.cycles == 0 and (self.references == 0 or isinstance(error, InputError))
 
     def discard(self) -> None:

@@ -15,9 +15,15 @@ from mjtactile.rig.protocols import Camera, Clock, Gripper, Valve
 
 @dataclass(frozen=True)
 class Finger:
-    """One specimen of a sensor on one finger: what it was built as (`design`), its devices, and
-    what was measured of it; `valve` None: it has none that obeys, and its chamber is sealed by
-    hand. `calibration` None: there is none to speak of."""
+    """One sensor of a rig, and what was measured of it.
+
+    Attributes:
+        name: Such as "left".
+        design: What it was built as.
+        camera: Its camera.
+        valve: None: it has none that obeys, and its chamber is sealed by hand.
+        calibration: None: nothing was measured.
+    """
 
     name: str
     design: SensorDesign
@@ -26,8 +32,14 @@ class Finger:
     calibration: Calibration | None = None
 
     def pressure(self, reading: float | None) -> float:
-        """Gauge pressure, Pa, of the inflated chamber, whose sensor shows `reading` Pa (None: it
-        has none)."""
+        """Find the gauge pressure of the inflated chamber.
+
+        Args:
+            reading: What its sensor shows, Pa; None: it has none.
+
+        Returns:
+            Pa; without a sensor, the supply's.
+        """
         if reading is None:
             return self.design.chamber.supply_gauge
         return reading if self.calibration is None else self.calibration.pressure(reading)

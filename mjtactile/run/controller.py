@@ -142,10 +142,18 @@ def _line(path: Path, stack: traceback.StackSummary) -> str | None:
 
 
 def load_controller(name_or_path: str | Path) -> Controller:
-    """Load a controller by shipped name or from a user's file.
+    """Load a controller.
 
-    Raises InputError for a missing file, ControllerError for one that does not import or has no
-    `step`.
+    Args:
+        name_or_path: A shipped name, or a user's Python file with a function `step(observation) ->
+            command`.
+
+    Returns:
+        The controller; its `step` checks what comes back.
+
+    Raises:
+        InputError: There is no such file.
+        ControllerError: It does not import, or has no `step`.
     """
     path = resources.find(name_or_path, "controllers", ".py")
     spec = importlib.util.spec_from_file_location(f"mjtactile_controller_{path.stem}", path)

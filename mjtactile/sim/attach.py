@@ -152,10 +152,14 @@ def attach_membrane(
 
 
 def recommend_options(spec: mujoco.MjSpec, timestep: float = 4e-3) -> tuple[str, ...]:
-    """Set the options of `spec` that membranes need or like best; leaves gravity and all the rest
-    alone.
+    """Set the options of a scene that membranes need or like best; gravity and all the rest stay.
 
-    Returns one line for each option that it changed: what it was, what it is now, and why.
+    Args:
+        spec: The scene.
+        timestep: s.
+
+    Returns:
+        One line for each option that it changed: what it was, what it is now, and why.
     """
     option = spec.option
     changes = []

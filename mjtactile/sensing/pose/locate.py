@@ -98,18 +98,33 @@ def find_circles(
     gamma: float | Literal["auto"] = 1.0,
     settings: Settings = DEFAULTS,
 ) -> Located:
-    """Circles of `radius` m in one image.
+    """Find circles of a known radius in one image, and their poses.
 
-    `neighbours`: whether 40 and more circles that plainly lie on one smooth surface may help each
-    other: "auto" shares elongation (see `consensus`), and depth (see `smoothness`) where the
-    circles are small and all of one radius; "always" shares depth at any size; "never" estimates
-    each on its own. Circles that do not agree are never made to. Where the bright side of the edges
-    is clipped, all dark circles look smaller by tenths of a pixel that nothing in the image tells;
-    the covariance then allows for it. An error of scale, common to all circles. `gamma`: of a
-    camera whose grey levels are light to the power of 1/gamma; "auto" uses what the circles plainly
-    say. The covariance allows for its error bar then, and for the difference where they plainly say
-    another than was given. Raises InputError as `detect` and `estimate_poses`, and for another
-    `neighbours` or `gamma`.
+    Where the bright side of the edges is clipped, all dark circles look smaller by tenths of a
+    pixel
+    that nothing in the image tells; the covariance then allows for it.
+
+    Args:
+        image: (H, W) or (H, W, 3) grey levels or colours, or an `Image`.
+        camera: Lens and pane.
+        radius: m, one for all or one for each circle.
+        polarity: Whether the circles are "dark" on bright ground, or "bright".
+        min_radius_px: The smallest that is looked for.
+        neighbours: Whether 40 and more circles that plainly lie on one smooth surface may help each
+            other: "auto" shares elongation, and depth where the circles are small and all of one
+            radius; "always" shares depth at any size; "never" estimates each on its own. Circles
+            that do not agree are never made to.
+        gamma: Of a camera whose grey levels are light to the power of 1/gamma; "auto" uses what the
+            circles plainly say. The covariance allows for its error bar then, and for the
+            difference where they plainly say another than was given.
+        settings: The chain's numbers.
+
+    Returns:
+        Ellipses and both poses of each circle with covariances, and every other candidate with the
+            reason why it was rejected.
+
+    Raises:
+        InputError: The image, the radius, or an option is none.
     """
     if neighbours not in ("auto", "always", "never"):
         raise InputError(
@@ -255,11 +270,16 @@ def _grey(image: NDArray | Image) -> NDArray | Image:
 
 
 def marker_records(found: Located) -> list[dict[str, Any]]:
-    """One record per marker: `uv_px`, `ellipse_px`, `center_mm`, `cov_center_mm2`, `normal` of the
-    preferred pose, `preferred_probability`, `center_alt_mm`, `cov_center_alt_mm2`, `normal_alt` of
-    the other, `status`.
+    """Make plain records of the circles that were found, for JSON.
 
-    Units at this edge: px, mm, degrees; numbers that are not finite become None.
+    Args:
+        found: What `find_circles` returned.
+
+    Returns:
+        One record a marker: `uv_px`, `ellipse_px`; `center_mm`, `cov_center_mm2`, `normal` of the
+            preferred pose with its `preferred_probability`; `center_alt_mm`, `cov_center_alt_mm2`,
+            `normal_alt` of the other; `status`. Lengths are mm, angles degrees; what is not finite
+            is None.
     """
     ellipses = found.ellipses
     poses = found.poses
