@@ -10,6 +10,8 @@
 #define RIM 32          /* points of a circle sent through pane and lens */
 #define HARMONICS 15    /* that they tell */
 #define NOTHING_PX 1e-6 /* a harmonic below this is none */
+#define NODES_MOST 1e5  /* of a rim: more than the largest image's whole length has */
+#define FAR_PX 1e5      /* what is as far, or as large, is no part of an image */
 
 /* What a point of a curve adds to the pixels around it, (bins, taps) and (bins, taps + 1): the pixel at i - taps / 2 + 1 from
    the point's whole pixel, for each part of a pixel. `across` is h, `down` the rise of its integral from a row to the next. */
@@ -65,6 +67,7 @@ static inline void dab(float *restrict row, long stride, const float *restrict a
 /* Adds `weight` (dx) at the curve's point x, y. What rises above the image is in its first row already. */
 static void add_point(const Patch *patch, const Brush *brush, double x, double y, float weight) {
     long taps = brush->taps, bin_x, bin_y;
+    if (!(fabs(x) < FAR_PX && fabs(y) < FAR_PX)) return;
     long u = whole(x, brush->bins, &bin_x) - taps / 2 + 1 - patch->left;
     long v = whole(y, brush->bins, &bin_y) - taps / 2 + 1 - patch->top;
     const float *across = brush->across + bin_x * taps, *down = brush->down + bin_y * (taps + 1);
@@ -134,6 +137,7 @@ static Rim look(const Camera *camera, const Waves *w, const double *p, const dou
         rim.x0 = least(uv[0], rim.x0), rim.x1 = most(uv[0], rim.x1), rim.y0 = least(uv[1], rim.y0), rim.y1 = most(uv[1], rim.y1);
         if (!isfinite(uv[0]) || !isfinite(uv[1])) return (Rim){.x0 = NAN};
     }
+    if (rim.x1 - rim.x0 > FAR_PX || rim.y1 - rim.y0 > FAR_PX) return (Rim){.x0 = NAN};
     return rim;
 }
 
@@ -180,7 +184,8 @@ int64_t draw_discs(int64_t n, const double *p_CM, const double *n_C, const doubl
         if (open_patch(&patch, &image, &brush, rim.x0, rim.x1, rim.y0, rim.y1)) return NO_MEMORY;  /* and holds none */
         if (patch.height <= 0) continue;
         Series f = harmonics(&waves, &rim);
-        add_rim(&patch, &brush, &f, 8 * (long)ceil(most(rim.x1 - rim.x0, rim.y1 - rim.y0) * PI * per_px / 8) + 16);
+        double nodes = most(rim.x1 - rim.x0, rim.y1 - rim.y0) * PI * per_px;
+        add_rim(&patch, &brush, &f, 8 * (long)ceil(most(least(nodes, NODES_MOST), 0) / 8) + 16);
         close_patch(&patch, &image);
     }
     free(patch.rise);

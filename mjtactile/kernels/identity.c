@@ -13,7 +13,7 @@ typedef struct { double gate, inconsistent, neighbours, height_weight, same_shif
 
 _Static_assert(sizeof(IdentitySettings) == 5 * sizeof(double), "as in kernels.h");
 
-typedef struct { int64_t n, m, k; const double *found, *expected; const int64_t *order; double pitch; } Scene;
+typedef struct { int64_t n, m, k, neighbours; const double *found, *expected; const int64_t *order; double pitch; } Scene;
 
 static int known(const double *xy) { return isfinite(xy[0]) && isfinite(xy[1]); }
 
@@ -26,9 +26,9 @@ static double median(double *values, int64_t n) { /* of the middle two, their me
     return (low + high) / 2;
 }
 
-/* Median displacement (m, 2) of each marker's nearest `neighbours` with a known one in `moved`; where there are none, the
+/* Median displacement (m, 2) of each marker's nearest neighbours with a known one in `moved`; where there are none, the
    median of all; zero if nothing is known. `work` (m + 2 k). */
-static void smooth(const Scene *scene, const double *moved, int64_t neighbours, double *out, double *work) {
+static void smooth(const Scene *scene, const double *moved, double *out, double *work) {
     double common[2] = {0, 0};
     for (int axis = 0; axis < 2; axis++) {
         int64_t count = 0;
@@ -39,7 +39,7 @@ static void smooth(const Scene *scene, const double *moved, int64_t neighbours, 
     for (int64_t i = 0; i < scene->m; i++) {
         double *near[2] = {work + scene->m, work + scene->m + scene->k};
         int64_t count = 0;
-        for (int64_t j = 0; j < scene->k && count < neighbours; j++) {
+        for (int64_t j = 0; j < scene->k && count < scene->neighbours; j++) {
             const double *one = moved + 2 * scene->order[i * scene->k + j];
             if (known(one)) near[0][count] = one[0], near[1][count++] = one[1];
         }
@@ -103,7 +103,7 @@ static int64_t drop_inconsistent(const Scene *scene, const IdentitySettings *s, 
     for (int64_t i = 0; i < scene->n; i++)
         for (int axis = 0; axis < 2 && ids[i] >= 0; axis++)
             moved[2 * ids[i] + axis] = scene->found[2 * i + axis] - scene->expected[2 * ids[i] + axis];
-    smooth(scene, moved, (int64_t)s->neighbours, common, work);
+    smooth(scene, moved, common, work);
     for (int64_t i = 0; i < scene->n; i++) {
         int64_t j = ids[i];
         if (j >= 0 && squared_distance(moved + 2 * j, common + 2 * j) > square(s->inconsistent * scene->pitch))
@@ -127,7 +127,7 @@ static void match(const Scene *scene, const IdentitySettings *s, int64_t *ids, d
         for (int64_t i = 0; i < n; i++) matched += ids[i] >= 0;
         /* all found where they are expected, and none left over, needs no common offset: a whole grid cannot hide a shift */
         if (!wrong && matched == (tried ? fewest : all)) break;
-        if (wrong) smooth(scene, moved, (int64_t)s->neighbours, shift, work);
+        if (wrong) smooth(scene, moved, shift, work);
     }
 }
 
@@ -144,10 +144,11 @@ int64_t match_markers(int64_t n, int64_t m, int64_t k, const double *found, cons
         free(own), free(back);
         return NO_MEMORY;
     }
-    Scene scene = {n, m, k, found, own, order, pitch};
+    const int64_t neighbours = (int64_t)least(most(s.neighbours, 0), k);
+    Scene scene = {n, m, k, neighbours, found, own, order, pitch};
     for (int64_t j = 0; j < m; j++)
         for (int axis = 0; axis < 2; axis++) moved[2 * j + axis] = expected[2 * j + axis] - layout[2 * j + axis];
-    smooth(&scene, moved, (int64_t)s.neighbours, shift, work);
+    smooth(&scene, moved, shift, work);
     for (int64_t j = 0; j < m; j++)  /* a marker whose place is not known: from its neighbours' */
         for (int axis = 0; axis < 2; axis++)
             own[2 * j + axis] = known(expected + 2 * j) ? expected[2 * j + axis] : layout[2 * j + axis] + shift[2 * j + axis];

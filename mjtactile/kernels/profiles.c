@@ -14,7 +14,8 @@
 #define COARSE_STEP 0.9  /* px between their samples */
 #define COARSE_ROUNDS 4
 #define NEAR 1.5         /* px: a coarse move below this ends the coarse rounds; it is right by area within two */
-#define MOST 160         /* profiles a marker */
+#define LEAST 32         /* and most profiles a marker */
+#define MOST 160
 #define SOFTEN_VARIANCE 0.4
 #define BILINEAR_VARIANCE (1.0 / 6) /* of linear interpolation, mean over all positions */
 
@@ -161,8 +162,8 @@ static void read_profiles(Lines *l, const Image *image, const double *center, co
     const double reach = f->step * (SAMPLES - 1) / 2.0;
     const double last_u = image->width - 1.001, last_v = image->height - 1.001;  /* whatever single precision does to a place */
     for (int k = 0; k < fan->count; k++) {
-        double u = center[0] + shape[0] * fan->c[k] + shape[1] * fan->s[k], far_u = fabs(l->mx[k]) * reach;
-        double v = center[1] + shape[1] * fan->c[k] + shape[2] * fan->s[k], far_v = fabs(l->my[k]) * reach;
+        double u = center[0] + shape[0] * fan->c[k] + shape[1] * fan->s[k], far_u = fabs(l->mx[k] * reach);
+        double v = center[1] + shape[1] * fan->c[k] + shape[2] * fan->s[k], far_v = fabs(l->my[k] * reach);
         Eight sums;
         if (u - far_u >= 0 && u + far_u < last_u && v - far_v >= 0 && v + far_v < last_v)
             read_within(image, u, v, l->mx[k] * f->step, l->my[k] * f->step, f, &sums);
@@ -412,7 +413,8 @@ int64_t fit_profiles(const float *image, int64_t height, int64_t width, int64_t 
         const double *a = shapes + 3 * i;
         work[i] = 2 * PI * sqrt((a[0] * a[0] + a[2] * a[2]) / 2 + a[1] * a[1]);
     }
-    make_fan(&fan, (int)clip(8 * ceil(upper_median(work, n) / s.spacing / 8), 32, MOST));
+    double profiles = 8 * ceil(upper_median(work, n) / s.spacing / 8);
+    make_fan(&fan, profiles > LEAST ? (int)least(profiles, MOST) : LEAST);  /* also where it is not a number */
     make_filters(&f, s.step * most(1, sigma / s.blur), sigma);
     free(work);
     int per = fan.count / 4, size = KEPT * fan.count + 3;

@@ -1,0 +1,74 @@
+"""`python -m tests.sanitized [PYTEST ARGUMENTS]`: tests with kernels that notice every read and
+write beyond an array and all undefined behaviour (gcc's or clang's address and undefined-behaviour
+sanitizers).
+
+Compiles them with the system's compiler into build/sanitized, starts Python again with the
+sanitizers' libraries loaded before all others, and runs pytest there, in one process. A finding
+ends it with the place in C; exit codes are pytest's, and 1 for a finding.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mjtactile.kernels import build
+
+FLAGS = ["-std=c11", "-O1", "-g", "-fPIC", "-shared", "-fno-omit-frame-pointer", "-mavx2", "-mfma"]
+CHECKS = ["address", "undefined", "float-cast-overflow"]
+TESTS = ["tests/unit/kernels/test_drawn.py", "tests/unit/kernels", "tests/unit/sensing"]
+DRAWS = "40"
+INSIDE = "MJTACTILE_SANITIZED"
+
+
+def main(words: list[str]) -> int:
+    if os.environ.get(INSIDE):
+        library = Path(os.environ[INSIDE])
+        build.library = lambda *_, **__: library
+        return pytest.main(["-n", "0", "--capture=no", "-p", "no:cacheprovider", *(words or TESTS)])
+    compiler = os.environ.get("CC") or shutil.which("gcc") or shutil.which("cc")
+    if compiler is None:
+        sys.exit("no compiler with sanitizers here: gcc or clang")
+    return subprocess.run(
+        [sys.executable, "-m", "tests.sanitized", *words],
+        env={**os.environ, **_environment(compiler)},
+        check=False,
+    ).returncode
+
+
+def _environment(compiler: str) -> dict[str, str]:
+    """Compile, and say how Python must be started to load the result."""
+    out = Path("build", "sanitized", "kernels.so").resolve()
+    out.parent.mkdir(parents=True, exist_ok=True)
+    sources = map(str, build.sources())
+    checks = f"-fsanitize={','.join(CHECKS)}"
+    subprocess.run(
+        [compiler, *FLAGS, checks, "-fno-sanitize-recover=all", *sources, "-o", str(out), "-lm"],
+        check=True,
+    )
+    return {
+        INSIDE: str(out),
+        "LD_PRELOAD": f"{_library_of(compiler, 'libasan.so')} {_library_of(compiler, 'libubsan.so')}",
+        # Python itself frees little at its end
+        "ASAN_OPTIONS": "detect_leaks=0:allocator_may_return_null=1",
+        "UBSAN_OPTIONS": "print_stacktrace=1",
+        # every array from malloc, whose bounds are watched
+        "PYTHONMALLOC": "malloc",
+        "MJTACTILE_DRAWS": os.environ.get("MJTACTILE_DRAWS", DRAWS),
+    }
+
+
+def _library_of(compiler: str, name: str) -> str:
+    found = subprocess.run(
+        [compiler, f"-print-file-name={name}"], check=True, capture_output=True, text=True
+    )
+    return found.stdout.strip()
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,68 @@
+"""Images of a membrane that the chain's own sheet solves for, without the simulator: flat, at rest,
+and under a round patch of traction that grows and is dragged along."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from mjtactile.core.design import load_sensor
+from mjtactile.core.types import Image
+from mjtactile.sensing.force.inverse import InverseMembrane
+from mjtactile.sensing.force.sheet import Gas
+from mjtactile.sim.picture.renderer import Renderer
+
+GAUGE = 1000.0  # Pa
+PLACE = np.array([0.003, -0.002])  # m
+RADIUS = 0.005  # m
+LOADS = ((0.0, 0.1), (0.05, 0.4), (0.15, 0.8), (0.0, 0.0))  # N: shear along x, normal force
+
+
+@dataclass(frozen=True, eq=False)
+class Sequence:
+    """What a chain sees from its references on; images at 30 Hz."""
+
+    flat: tuple[Image, ...]
+    rest: tuple[Image, ...]
+    pressed: tuple[Image, ...]
+
+
+@cache
+def sequence(sensor: str = "paper16") -> Sequence:
+    """Of a shipped sensor: four images of each reference, and one for each of `LOADS`."""
+    design = load_sensor(sensor)
+    sheet = InverseMembrane(design).sheet
+    view = Renderer(design, seed=1)
+    flat = np.zeros((3, sheet.count))
+    rest = sheet.equilibrium(Gas(GAUGE))
+    gas = sheet.seal(sheet.state(rest), GAUGE)
+    states = [sheet.equilibrium(gas, load=_load(sheet, *load), start=rest) for load in LOADS]
+    at = np.arange(8) / 30
+    return Sequence(
+        tuple(_image(design, sheet, view, flat, 0.0) for _ in range(4)),
+        tuple(_image(design, sheet, view, rest, 0.0) for _ in range(4)),
+        tuple(_image(design, sheet, view, c, t) for c, t in zip(states, at, strict=False)),
+    )
+
+
+def _load(sheet, shear, normal):
+    """Generalised forces (3, n) of a force in newtons, even over a disc."""
+    angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    ring = np.column_stack([np.cos(angle), np.sin(angle)])
+    places = np.concatenate([PLACE + share * RADIUS * ring for share in (0.3, 0.6, 0.9)])
+    share = sheet.basis(places).mean(axis=0)
+    return np.outer([shear, 0.0, -normal], share)
+
+
+def _image(design, sheet, view, c, time):
+    X = design.markers.p_SM
+    p = X + sheet.basis(X[:, :2]) @ c.T
+    step = 1e-5  # m
+    along, across = (
+        step * unit + (sheet.basis(X[:, :2] + step * unit[:2]) @ c.T) - (p - X)
+        for unit in np.eye(3)[:2]
+    )
+    normal = np.cross(along, across)
+    return view.render(p, normal / np.linalg.norm(normal, axis=1)[:, None], time)
