@@ -4,7 +4,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help venv grasp bench film docs test test-all slow lint types contracts pytest wheels lock clean
+.PHONY: help venv grasp bench film docs test test-all slow lint types contracts pytest sanitize wheels lock clean
 
 # The first of these that is Python 3.11 or newer; override with `make PYTHON=/path/to/python`.
 PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 python; do \
@@ -67,6 +67,9 @@ contracts: $(VENV)/.test-ready  ## who may import whom (import-linter)
 
 pytest: $(VENV)/.test-ready  ## some tests (ARGS="-k name" and so on), of both tiers; none in a browser
 	$(BIN)/pytest -n 2 -m 'not browser' $(ARGS)
+
+sanitize: $(VENV)/.test-ready  ## the kernels' tests, and chains with settings drawn at random, under gcc's address and undefined sanitizers
+	$(BIN)/python -m tests.sanitized $(ARGS)
 
 venv: $(VENV)/.test-ready  ## the virtual environment with everything, for development
 
