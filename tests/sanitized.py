@@ -21,7 +21,12 @@ from mjtactile.kernels import build
 
 FLAGS = ["-std=c11", "-O1", "-g", "-fPIC", "-shared", "-fno-omit-frame-pointer", "-mavx2", "-mfma"]
 CHECKS = ["address", "undefined", "float-cast-overflow"]
-TESTS = ["tests/unit/kernels/test_drawn.py", "tests/unit/kernels", "tests/unit/sensing"]
+TESTS = [
+    "tests/unit/kernels/test_drawn.py",
+    "tests/unit/kernels",
+    "tests/unit/film",
+    "tests/unit/sensing",
+]
 DRAWS = "40"
 INSIDE = "MJTACTILE_SANITIZED"
 
