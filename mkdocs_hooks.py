@@ -36,6 +36,7 @@ _DOORS = {
     "What a controller sees and says": ("core.types",),
     "Sensing": ("sensing.chain", "sensing.pose.locate", "core.optics"),
     "Sensors and their calibration": ("core.design", "core.calibration"),
+    "The film": ("film.film", "film.bodies", "film.state"),
     "Recordings": ("recording.reader", "recording.writer"),
     "Policies": ("core.policy",),
     "Errors": ("core.errors",),

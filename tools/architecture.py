@@ -39,6 +39,7 @@ ROOMS = {
     "types": "what a controller sees",
     "rig": "Protocols: fingers, gripper, lift",
     "recording": "written, and read again",
+    "film": "a sheet over its gas, on bodies: quick and coarse",
     "kernels": "loops in C",
     "core": "values, errors, geometry, optics, sensor designs",
 }

@@ -175,6 +175,11 @@ def test_the_picture_of_the_architecture_is_that_of_the_import_contracts():
     drawn = architecture.draw((CHECKOUT / "pyproject.toml").read_text())
     # else: .venv/bin/python tools/architecture.py
     assert architecture.PICTURE.read_text() == drawn
+    contracts = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["tool"]["importlinter"]
+    layers = next(one["layers"] for one in contracts["contracts"] if one["name"] == "Layers")
+    rooms = {room for floor in architecture.floors(layers) for room in floor.rooms}
+    # else: say in a few words what the room is for
+    assert rooms <= set(architecture.ROOMS)
 
 
 def test_the_picture_reads_layers_as_import_linter_does():
