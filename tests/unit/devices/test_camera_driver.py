@@ -18,7 +18,15 @@ from tests.emulated import wait_for
 pytestmark = pytest.mark.clock
 
 CONFIG = CameraConfig(
-    "left", "/dev/video9", 64, 48, 100.0, exposure=100.0, gain=10.0, white_balance=4600.0
+    "left",
+    "/dev/video9",
+    64,
+    48,
+    100.0,
+    exposure=100.0,
+    gain=10.0,
+    white_balance=4600.0,
+    fourcc="MJPG",
 )
 STREAM_PROPS = {
     cv2.CAP_PROP_FOURCC,
