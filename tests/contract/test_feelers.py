@@ -157,6 +157,7 @@ class Killing:
         self.phases.append(phase)
 
 
+@pytest.mark.slow
 def test_a_grasp_whose_process_is_killed_sets_down_and_says_why(tmp_path):
     options = GraspOptions(sensor="paper16", seed=21, workers=1)
     killing = Killing()

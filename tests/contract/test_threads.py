@@ -57,6 +57,7 @@ def log(folder, *, without=lambda key: False):
     ]
 
 
+@pytest.mark.slow
 def test_a_grasp_is_the_same_with_and_without_processes(grasps):
     none, two, _ = grasps
     first = log(none)
@@ -70,6 +71,7 @@ def test_a_grasp_is_the_same_with_and_without_processes(grasps):
     )
 
 
+@pytest.mark.slow
 def test_a_replay_in_a_thread_is_the_same(grasps):
     none, _, replay = grasps
     # it has no truth
