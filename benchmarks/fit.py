@@ -49,7 +49,7 @@ HELD_OUT = ("other", "press", "sphere:12", 1500.0, 9.0)
 
 
 def nominal_text() -> str:
-    """The sensor file that everybody is told."""
+    """The nominal sensor file: what the fit starts from."""
     from mjtactile.core import resources
 
     text = resources.find("dense", "models/sensors", ".toml").read_text(encoding="utf-8")

@@ -2,7 +2,7 @@
 
 One knob at a time around the default, and all together: error of force and surface against a
 converged reference, against the cost. Physics: spheres pressed to a given depth
-(bench/settings.py); the reference is the finest mesh with contact ten times stiffer, its own
+(benchmarks/settings.py); the reference is the finest mesh with contact ten times stiffer, its own
 uncertainty the step from the next coarser mesh. The bulge is also held against its closed form.
 Perception: what the sensing chain makes of rendered images, against the simulated truth.
 """

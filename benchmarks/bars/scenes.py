@@ -80,7 +80,7 @@ class Scene:
 
 
 def draw_scene(seed: int) -> Scene:
-    """The kinds and the sensors take turns, all else is drawn."""
+    """Kinds and sensors alternate; all else is drawn from the seed."""
     rng = np.random.default_rng([seed, 23])
     kind = KINDS[seed % len(KINDS)]
     sensor = SENSORS[seed // len(KINDS) % len(SENSORS)]

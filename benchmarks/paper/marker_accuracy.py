@@ -1,4 +1,5 @@
-"""How far from the physical limit the poses of single circles are, and how honest their covariance.
+"""How far from the physical limit the poses of single circles are, and whether their covariance is
+right.
 
 Images come from `marker_scenes`, which shares nothing with the detector. "centre error" takes the
 nearer of the two solutions of the circle's pose (one image cannot tell them apart; the surface

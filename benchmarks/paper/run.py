@@ -3,7 +3,7 @@ the paper's.
 
 Figures by the paper's names (5a, 5b, 5c, 6, 7) and "air", its claim that the amount of air sets the
 sensitivity. The load cell reads the true contact force; estimates come from rendered images alone.
-Drawing is in `bench.figures`.
+Drawing is in `benchmarks.paper.figures`.
 """
 
 from __future__ import annotations

@@ -14,13 +14,12 @@ from mjtactile.run.figures import new_figure
 
 
 def plot(out: Path, errors: Mapping[str, Array], result: Mapping[str, Any]) -> None:
-    """`perception.png`: accuracy, honesty, blur, speed; `perception_methods.png`: the methods side
-    by side."""
+    """`perception.png` (accuracy, error bars, blur, speed) and `perception_methods.png`."""
     if (figure := new_figure("perception.png", (11, 8))) is None:
         return
     axes = figure.subplots(2, 2)
     _against_bound(axes[0, 0], errors)
-    _honesty(axes[0, 1], errors)
+    _error_bars(axes[0, 1], errors)
     _blur(axes[1, 0], result["bias_against_blur"])
     _speed(axes[1, 1], result)
     figure.savefig(out / "perception.png")
@@ -59,7 +58,7 @@ def _against_bound(axes: Any, errors: Mapping[str, Array]) -> None:
     axes.legend(fontsize=8)
 
 
-def _honesty(axes: Any, errors: Mapping[str, Array]) -> None:
+def _error_bars(axes: Any, errors: Mapping[str, Array]) -> None:
     normal = np.sort(errors["error"][:, 2] / errors["sd_z"])
     axes.plot(
         ndtri((np.arange(len(normal)) + 0.5) / len(normal)), normal, ".", ms=4, label="one circle"
@@ -68,7 +67,7 @@ def _honesty(axes: Any, errors: Mapping[str, Array]) -> None:
     axes.set(
         xlabel="normal distribution [sd]",
         ylabel="depth error / its reported sd",
-        title="are the error bars honest?",
+        title="are the error bars right?",
     )
     axes.legend(fontsize=8)
 

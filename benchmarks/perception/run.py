@@ -1,5 +1,5 @@
-"""`mjtactile bench perception`: how far from the physical limit markers and surfaces are, how
-honest, how fast."""
+"""`mjtactile bench perception`: how far from the physical limit markers and surfaces are,
+whether their error bars are right, and how fast it is."""
 
 from __future__ import annotations
 

@@ -133,17 +133,17 @@ def fuzz_servos(count: int, seed: int = 0) -> dict[str, Any]:
 
 
 class ValveAdversary:
-    """A valve board that is honest until `bad` is set."""
+    """A valve board that answers truly until `bad` is set."""
 
     def __init__(self) -> None:
         self.bad = False
 
     def __call__(self, rng: random.Random, question: bytes) -> tuple[bytes, bool]:
         number, _, text = question.partition(b"*")[0].decode("ascii", "replace").partition(" ")
-        honest = {"id": "id mjvalve 1.0 2 1 6000", "state 1": f"state 1 sealed {_PRESSURE} ok"}.get(
+        answer = {"id": "id mjvalve 1.0 2 1 6000", "state 1": f"state 1 sealed {_PRESSURE} ok"}.get(
             text, text
         )
-        true = valve.framed(f"{number} {honest}")
+        true = valve.framed(f"{number} {answer}")
         if not self.bad or rng.random() < _TRUE_SHARE:
             return true, False
         kind = rng.randrange(5)

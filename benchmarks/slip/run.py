@@ -1,8 +1,8 @@
-"""`mjtactile bench slip`: random slips and holds between two sensors, from pixels: how many are
-said, how soon, how many wrong.
+"""`mjtactile bench slip`: random slips and holds between two sensors, from pixels: how many
+are detected, how soon, and how many false alarms.
 
-Seeds below FIRST_SEED were used in tuning and are not among them. What a slip is, and what in time,
-says `score`.
+Seeds below FIRST_SEED were used in tuning and are not among them. `score` defines a
+slip, and what in time means.
 """
 
 from __future__ import annotations
@@ -72,11 +72,11 @@ def rows_of(case: SlipCase, watched: Watched) -> list[Row]:
     """One row for each finger."""
     rows = []
     for name, friction, looks in zip(_FINGERS, case.friction, watched.fingers, strict=True):
-        said = (look.touch.slip.state if look.touch.slip else "unknown" for look in looks)
+        states = (look.touch.slip.state if look.touch.slip else "unknown" for look in looks)
         found = outcome(
             [
                 Frame(k.time, state, k.used, k.slid, k.onset)
-                for k, state in zip(looks, said, strict=True)
+                for k, state in zip(looks, states, strict=True)
             ]
         )
         rows.append(
@@ -118,7 +118,7 @@ def summary(rows: Sequence[Row]) -> dict[str, Any]:
         for value in sorted({row[key] for row in groups["all slips"]}):
             groups[value] = [row for row in groups["all slips"] if row[key] == value]
     holds = [row["outcome"] for row in judged if row["outcome"] in ("quiet", "false")]
-    said = [row for row in groups["all slips"] if row["outcome"] not in ("missed", "early")]
+    detected = [row for row in groups["all slips"] if row["outcome"] not in ("missed", "early")]
     false = holds.count("false") + sum(row["outcome"] == "early" for row in groups["all slips"])
     return {
         "rows": rows,
@@ -129,20 +129,20 @@ def summary(rows: Sequence[Row]) -> dict[str, Any]:
         "holds": len(holds),
         "false": holds.count("false"),
         "false_interval": wilson(holds.count("false"), len(holds)),
-        "precision": len(said) / max(len(said) + false, 1),
-        "precision_interval": wilson(len(said), len(said) + false),
-        **{key: _quantiles([row[key] for row in said]) for key in ("latency_ms", "slid_mm")},
+        "precision": len(detected) / max(len(detected) + false, 1),
+        "precision_interval": wilson(len(detected), len(detected) + false),
+        **{key: _quantiles([row[key] for row in detected]) for key in ("latency_ms", "slid_mm")},
     }
 
 
 def _group(rows: Sequence[Row]) -> dict[str, Any]:
-    """How many slips; how many said in time, before 0.5 mm, within 100 ms, at all."""
+    """How many slips; how many detected in time, before 0.5 mm, within 100 ms, at all."""
     names = [row["outcome"] for row in rows]
     counts = {
         "in_time": names.count("in time"),
         "before": names.count("in time") + names.count("before 0.5 mm"),
         "soon": names.count("in time") + names.count("within 100 ms"),
-        "said": len(names) - names.count("missed") - names.count("early"),
+        "detected": len(names) - names.count("missed") - names.count("early"),
     }
     return {
         "slips": len(names),
@@ -168,12 +168,12 @@ def table(result: Mapping[str, Any]) -> str:
     lines = [
         "| what | asked | measured | 95 % interval |",
         "|---|---|---|---|",
-        "| slips said before 0.5 mm and within 100 ms | 95 % | "
+        "| slips detected before 0.5 mm and within 100 ms | 95 % | "
         f"{share(every['in_time'], every['slips'])} "
         f"| {interval(every['in_time_interval'])} |",
-        f"| holds in which a slip was said | 1 % | {share(result['false'], result['holds'])} "
+        f"| holds with a false alarm | 1 % | {share(result['false'], result['holds'])} "
         f"| {interval(result['false_interval'])} |",
-        f"| precision: slips among what was said |  | {100 * result['precision']:.0f} % "
+        f"| precision: slips among all alarms |  | {100 * result['precision']:.0f} % "
         f"| {interval(result['precision_interval'])} |",
         f"| latency, median (90 %), ms | 100 | {result['latency_ms'][0]:.0f} "
         f"({result['latency_ms'][1]:.0f}) |  |",
@@ -184,19 +184,19 @@ def table(result: Mapping[str, Any]) -> str:
         "neither slipped by 0.5 mm nor held with "
         f"a margin; {result['not_simulated']} cases could not be simulated.",
         "",
-        "| slips | fingers | both | before 0.5 mm | within 100 ms | said at all |",
+        "| slips | fingers | both | before 0.5 mm | within 100 ms | at all |",
         "|---" * 6 + "|",
     ]
     for name, group in result["groups"].items():
         counts = " | ".join(
-            str(group[key]) for key in ("slips", "in_time", "before", "soon", "said")
+            str(group[key]) for key in ("slips", "in_time", "before", "soon", "detected")
         )
         lines.append(f"| {name} | {counts} |")
     return "\n".join(lines) + "\n"
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:
-    """Latency of each slip that was said, over its speed, and what became of all by kind of
+    """Latency of each slip that was detected, over its speed, and what became of all by kind of
     case."""
     if (figure := new_figure(path.name, (9.6, 4.2))) is None:
         return
@@ -221,7 +221,7 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     left.set(
         xscale="log",
         xlabel="speed over the first 0.5 mm [mm/s]",
-        ylabel="said after the slip began [ms]",
+        ylabel="detected after the slip began [ms]",
     )
     left.legend()
     names = sorted({row["case"] for row in slips})

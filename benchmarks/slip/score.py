@@ -1,12 +1,12 @@
-"""What was said of a finger's case, against what really slid.
+"""What the chain detected in one finger's case, against what really slid.
 
 A *slip* is a finger over which the body slides by 0.5 mm in all while everything in the contact
 slides (95 % of the friction that there can be resists the motion; it ends where less than 85 %
-does). It begins, at `onset`, when that is first so, and is said in time when the first "slipping"
-comes before 0.5 mm and within 100 ms of it, by the times of the images. What comes more than 100 ms
-before it, while a fifth of the friction is left, is early. A *hold* never slides and never uses
-more than 85 % of the friction; "slipping" is false there. What lies between (creeping at the limit,
-slides of less than 0.5 mm) is counted, not judged.
+does). It begins, at `onset`, when that is first so, and is detected in time when the first
+"slipping" comes before 0.5 mm and within 100 ms of it, by the times of the images. What comes more
+than 100 ms before it, while a fifth of the friction is left, is early. A *hold* never slides and
+never uses more than 85 % of the friction; "slipping" is a false alarm there. What lies between
+(creeping at the limit, slides of less than 0.5 mm) is counted, not judged.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ _Z = 1.96
 
 @dataclass(frozen=True)
 class Frame:
-    """One image of one finger: what was `said` of it, and by truth the share of friction `used`,
-    the way `slid`, m, and its `onset`, s (NaN: not yet)."""
+    """One image of one finger: the `state` that the chain gave (of SLIP_STATES), and by truth the
+    share of friction `used`, the way `slid`, m, and its `onset`, s (NaN: not yet)."""
 
     time: float
-    said: str
+    state: str
     used: float
     slid: float
     onset: float
@@ -52,8 +52,8 @@ class Frame:
 
 @dataclass(frozen=True)
 class Outcome:
-    """`name` of OUTCOMES; of slips that were said, the `latency` s (negative: before it) and the
-    way `slid` m by then; the `speed` m/s of the first 0.5 mm."""
+    """`name` of OUTCOMES; of detected slips the `latency` s (negative: before it) and the way
+    `slid` m by then; the `speed` m/s of the first 0.5 mm."""
 
     name: str
     latency: float = float("nan")
@@ -63,20 +63,20 @@ class Outcome:
 
 def outcome(frames: Sequence[Frame]) -> Outcome:
     """What became of one finger's case; `frames` from the beginning of the load on."""
-    said = next((frame for frame in frames if frame.said == "slipping"), None)
+    detected = next((frame for frame in frames if frame.state == "slipping"), None)
     last = frames[-1]
     if last.slid < SLIP:
         if last.slid > STILL or max(frame.used for frame in frames) > NEAR:
             return Outcome("between")
-        return Outcome("quiet" if said is None else "false")
+        return Outcome("quiet" if detected is None else "false")
     beyond = next(frame for frame in frames if frame.slid >= SLIP)
     speed = beyond.slid / max(beyond.time - last.onset, 1e-3)
-    if said is None:
+    if detected is None:
         return Outcome("missed", speed=speed)
-    latency = said.time - last.onset
-    if latency < -IN_TIME and said.used < LEFT:
-        return Outcome("early", latency, said.slid, speed)
-    way = said.slid < SLIP
+    latency = detected.time - last.onset
+    if latency < -IN_TIME and detected.used < LEFT:
+        return Outcome("early", latency, detected.slid, speed)
+    way = detected.slid < SLIP
     soon = latency <= IN_TIME + _ROUNDING
     name = {
         (True, True): "in time",
@@ -84,7 +84,7 @@ def outcome(frames: Sequence[Frame]) -> Outcome:
         (False, True): "within 100 ms",
         (False, False): "late",
     }
-    return Outcome(name[way, soon], latency, said.slid, speed)
+    return Outcome(name[way, soon], latency, detected.slid, speed)
 
 
 def wilson(count: int, of: int) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""One case seen through both cameras: what was said of each image, and what really slid by then."""
+"""One case seen through both cameras: what the chain felt in each image, and what really slid."""
 
 from __future__ import annotations
 

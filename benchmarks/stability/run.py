@@ -43,14 +43,14 @@ FORCE_ERROR = 0.10
 FORCE_FLOOR = 0.005
 PENETRATION = 0.10  # m per m of indentation
 _NUMERICAL = ("not finite", "MuJoCo warned")
-_EXCUSES = {
+_ACCOUNTED = {
     "force": {"penetration", "speed", "unsettled", "feature", "edge", "solver"},
     "settled": {"unsettled", "solver"},
     "penetration": {"penetration", "solver"},
     "energy": {"unsettled", "solver"},
     "weight": {"unsettled", "penetration", "solver"},
 }
-"""Which flags own up to which failed check; nothing excuses a number that is not finite."""
+"""A failed check, and the flags that account for it; a number that is not finite has none."""
 
 
 def run(
@@ -155,9 +155,11 @@ def _compare(case: Case) -> dict[str, Any]:
             )
     flags = full["flags"]
     full["problems"] = list(problems.values())
-    unsaid = [text for kind, text in problems.items() if not _EXCUSES.get(kind, set()) & set(flags)]
-    if unsaid:
-        return {**full, "outcome": "FAILED", "reason": "; ".join(unsaid)}
+    unflagged = [
+        text for kind, text in problems.items() if not _ACCOUNTED.get(kind, set()) & set(flags)
+    ]
+    if unflagged:
+        return {**full, "outcome": "FAILED", "reason": "; ".join(unflagged)}
     return {
         **full,
         "outcome": "flagged" if flags else "ok",
@@ -305,8 +307,7 @@ def table(result: dict[str, Any]) -> str:
 
 
 def _found(row: dict[str, Any]) -> str:
-    """What failed and a flag owns up to; a case without flags was refused or stopped, for its
-    reason."""
+    """What failed and is accounted for by a flag; without flags, why it was refused or stopped."""
     return "; ".join(row.get("problems", ())) if row["flags"] else row["reason"]
 
 

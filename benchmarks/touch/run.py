@@ -1,4 +1,4 @@
-"""`mjtactile bench touch`: force, shear, torque, patch, smallest touch and honesty, over random
+"""`mjtactile bench touch`: force, shear, torque, patch, smallest touch and error bars, over random
 indenters.
 
 One simulated membrane is seen by two cameras with their own markers, `dense` and `paper16`, which
@@ -153,7 +153,7 @@ def _start(
 
 
 def random_indenter(rng: np.random.Generator, seed: int) -> Indenter:
-    """The kinds take turns, the size is drawn."""
+    """Kinds alternate; the size is drawn from the seed."""
     kind = list(_SIZES)[seed % len(_SIZES)]
     smallest, largest = _SIZES[kind]
     return Indenter(kind, rng.uniform(smallest, largest))

@@ -75,7 +75,7 @@ class SlipCase:
 
 
 def draw_case(seed: int) -> SlipCase:
-    """Slips and holds take turns, so do their ways; bodies are drawn, like all else."""
+    """Slips and holds alternate, and so do the ways to load; all else is drawn from the seed."""
     rng = np.random.default_rng([seed, 12])
     ways = SLIPS if seed % 2 == 0 else HOLDS
     name = list(ways)[seed // 2 % len(ways)]

@@ -36,7 +36,7 @@ _CLEARANCE = 1e-3
 
 
 class SlipWorld(World):
-    """A case at work: `run` yields once a step. Jaws close along x; the pull is in the plane y,
+    """Simulates a case: `run` yields once a step. Jaws close along x; the pull is in the plane y,
     z."""
 
     def __init__(

@@ -19,7 +19,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   tracking    markers that are followed against a search of every image, a hundred thousand images
   touch       force, shear, torque, patch, smallest touch and error bars, random indenters
   bars        error bars of felt wrenches, 10^4 images of random scenes
-  slip        two hundred random slips and holds: how many are said, how soon, how often falsely
+  slip        two hundred random slips and holds: how many are detected, how soon, false alarms
   material    class and modulus of random bodies, probed
   stability   more than 300 hard cases of the simulation, each judged by physics
   rig         the emulated rig: loop rate, latency, reaction to every fault, host killed

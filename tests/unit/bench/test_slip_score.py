@@ -1,4 +1,4 @@
-"""What counts as a slip that was said in time, as one said late, early or falsely; and the interval
+"""What counts as a slip detected in time, late, early or falsely; and the interval
 of a share."""
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from benchmarks.worlds.slip_cases import BODIES, FRICTION, HOLDS, SLIPS, draw_ca
 RATE = 30.0
 
 
-def frames(speed, said_at, used=0.5, slides=True):
+def frames(speed, detected_at, used=0.5, slides=True):
     """A second that holds with `used` of the friction, and one that slides at `speed` m/s;
-    "slipping" from `said_at` on."""
+    "slipping" from `detected_at` on."""
     result = []
     for time in np.arange(60) / RATE:
         slid = max(speed * (time - 1.0), 0.0) if slides else 0.0
         result.append(
             Frame(
                 time,
-                "slipping" if time >= said_at else "sticking",
+                "slipping" if time >= detected_at else "sticking",
                 1.0 if slid > 0 else used,
                 slid,
                 1.0 if slid > 0 else np.nan,
@@ -31,7 +31,7 @@ def frames(speed, said_at, used=0.5, slides=True):
 
 
 @pytest.mark.parametrize(
-    ("speed", "said_at", "name"),
+    ("speed", "detected_at", "name"),
     [
         (2e-3, 1.09, "in time"),
         (2e-3, 1.19, "before 0.5 mm"),
@@ -42,13 +42,13 @@ def frames(speed, said_at, used=0.5, slides=True):
         (2e-3, 0.91, "in time"),
     ],
 )
-def test_slips(speed, said_at, name):
-    found = outcome(frames(speed, said_at))
+def test_slips(speed, detected_at, name):
+    found = outcome(frames(speed, detected_at))
     assert found.name == name
     assert found.speed == pytest.approx(speed, rel=0.2)  # an image after 0.5 mm
 
 
-def test_what_is_said_near_the_limit_is_not_early():
+def test_what_is_detected_near_the_limit_is_not_early():
     assert outcome(frames(2e-3, 0.5, used=0.9)).name == "in time"
 
 
