@@ -151,6 +151,20 @@ NUMBERS = (
         command="bench speed",
     ),
     Number(
+        what="slips detected before 0.5 mm and within 100 ms",
+        page="benchmarks",
+        row="slips detected before",
+        column="measured",
+        command="bench slip",
+    ),
+    Number(
+        what="holds with a false alarm of slip",
+        page="benchmarks",
+        row="holds with a false alarm",
+        column="measured",
+        command="bench slip",
+    ),
+    Number(
         what="materials named right",
         page="benchmarks",
         row="material class right",

@@ -275,6 +275,7 @@ SAID_ONCE = {
     r"([\d.]+)\s*(?:x|times|of)\s+(?:the\s+)?(?:real[ -]time|clock)": "a whole grasp with two cameras",
     r"(\d+ of \d+) grasps": "grasps held",
     r"(\d+ of \d+)(?: injected)? faults": "faults of the emulated rig",
+    r"false alarms in (\d+ %) of holds": "holds with a false alarm",
 }
 
 
@@ -291,6 +292,14 @@ def test_no_page_says_another_number(said, what):
         if not value.startswith(found)
     ]
     assert others == []
+
+
+def test_the_readmes_short_list_of_limits_has_the_numbers_of_the_page():
+    readme = (CHECKOUT / "README.md").read_text()
+    section = re.search(r"(?s)\n## Honest limits\n(.*?)\n## ", readme).group(1)
+    number = r"\d[\d.-]* (?:%|mm|times)"
+    page = (CHECKOUT / "docs/limits.md").read_text()
+    assert set(re.findall(number, section)) <= set(re.findall(number, page))
 
 
 def test_only_the_page_of_speed_has_tables_of_real_time_factors():
