@@ -32,6 +32,8 @@ _LIMITS = (
     ("gripper", "speed_max_mm_s", "largest speed of the opening, mm/s"),
     ("gripper", "force_max_N", "largest force on each finger, N; no controller can exceed it"),
 )
+# what a servo's lines say of its model alone, whose own values count without them
+_OF_THE_MODEL = ("torque_Nm_per_A", "position_p_gain")
 _IMAGES = 5
 _ATTEMPTS = 3
 _CLEARER = 2.0  # times as much change in the finger's own picture as in any other
@@ -112,17 +114,21 @@ def _bus(rig: RigFile, offered: _Offered, ask: Ask, say: Say) -> Mapping[Place, 
     free = sorted(port.servos)
     for number in range(len(wanted)):
         is_lift = number >= len(rig.gripper.servos)
-        name = (
-            "the lift"
-            if is_lift
-            else (f"jaw {number + 1} ({rig.gripper.servos[number].per_rad * 1e3:+g} mm/rad)")
-        )
+        name = "the lift"
+        section, index = "lift", 0
+        if not is_lift:
+            per_rad_mm = 1e3 * rig.gripper.servos[number].per_rad
+            name = f"jaw {number + 1} ({per_rad_mm:+g} mm/rad)"
+            section, index = "gripper.servo", number
         chosen = _choose(
             f"servo of {name}", free, lambda servo: f"{servo}, {port.servos[servo]}", ask, say
         )
         free.remove(chosen)
-        section, index = ("lift", 0) if is_lift else ("gripper.servo", number)
-        changes |= {(section, index, "id"): chosen, (section, index, "model"): port.servos[chosen]}
+        model = port.servos[chosen]
+        changes |= {(section, index, "id"): chosen, (section, index, "model"): model}
+        if not is_lift and model != rig.gripper.servos[number].model:
+            say(f"{name} is a {model}: torque per ampere by its data sheet, gain as delivered")
+            changes |= {(section, index, key): None for key in _OF_THE_MODEL}
     return changes
 
 
@@ -247,8 +253,8 @@ def _write(path: Path, changes: Mapping[Place, object]) -> None:
 
 
 def edited(text: str, changes: Mapping[Place, object]) -> str:
-    """TOML text with other values in lines that are there already, or at the ends of their
-    sections."""
+    """TOML text with other values in lines that are there already, or behind the heads of their
+    sections; None takes the line away."""
     lines = text.splitlines()
     for (section, number, key), value in changes.items():
         heads = [
@@ -266,7 +272,10 @@ def edited(text: str, changes: Mapping[Place, object]) -> str:
             (i for i in range(begin + 1, end) if re.match(rf"\s*{re.escape(key)}\s*=", lines[i])),
             None,
         )
-        if found is not None:
+        if value is None:
+            if found is not None:
+                del lines[found]
+        elif found is not None:
             head, _, rest = lines[found].partition("=")
             comment = re.search(r"\s+#[^\"']*$", rest)
             lines[found] = f"{head}= {shown}{comment[0] if comment else ''}"

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from mjtactile import InputError
 from mjtactile.commands import slow
+from mjtactile.commands.output import require_new
 from mjtactile.core import resources
 
 DESCRIPTION = """\
@@ -23,6 +24,8 @@ examples:
 faults can also be switched while it runs: type `servo_overload 1` and Enter;
 `servo_overload 0` ends it.
 """
+
+_HEAD = "# Written by `mjtactile emulate`, whose next run may replace it: ports are new then\n"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,7 +63,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="KIND=VALUE",
         help="a fault from the start; repeatable",
     )
-    parser.add_argument("--out", type=Path, metavar="FILE.toml", help="write the rig file here too")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE.toml",
+        help="write the rig file here too; nothing but an earlier run's is overwritten",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -69,6 +77,8 @@ def run(options: argparse.Namespace) -> int:
 
     slow.apply(options.slow, options.rig)
     rig_file = load_rig_file(options.rig)
+    if options.out is not None and not _is_own(options.out):
+        require_new(options.out)
     faults = dict(_fault(text) for text in options.faults)
     emulator = EmulatorProcess(
         rig_file,
@@ -80,7 +90,7 @@ def run(options: argparse.Namespace) -> int:
     try:
         text = client_text(rig_file.path, emulator.endpoints)
         if options.out is not None:
-            _write(options.out, text)
+            _write(options.out, _HEAD + text)
         print(text)
         print("emulated hardware runs; Ctrl-C ends it", file=sys.stderr, flush=True)
         _obey_terminal(emulator)
@@ -89,6 +99,15 @@ def run(options: argparse.Namespace) -> int:
     finally:
         emulator.close()
     return 0
+
+
+def _is_own(path: Path) -> bool:
+    """Whether an earlier run wrote the file: its ports are gone, and it may be replaced."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            return file.readline() == _HEAD
+    except (OSError, ValueError):
+        return False
 
 
 def _fault(text: str) -> tuple[str, float]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mjtactile import InputError
 from mjtactile.commands import plots
-from mjtactile.commands.output import print_json, stdout_to_stderr
+from mjtactile.commands.output import print_json, require_new, stdout_to_stderr
 from mjtactile.recording.files import write_json
 from mjtactile.run.progress import Progress
 
@@ -101,12 +101,7 @@ def run(options: argparse.Namespace) -> int:
     known = dict(_known(text) for text in options.known)
     files = {kind: options.out.with_suffix(f".fit.{kind}") for kind in ("json", "txt", "png")}
     for path in (options.out, *files.values()):
-        if path.exists():
-            raise InputError(
-                "exists already, and nothing is overwritten; choose another name",
-                source=path,
-                field="--out",
-            )
+        require_new(path)
     if not options.out.parent.is_dir():
         raise InputError("no such folder", source=options.out.parent, field="--out")
     with stdout_to_stderr():

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mjtactile import InputError
-from mjtactile.commands.output import print_json
+from mjtactile.commands.output import print_json, require_new
 from mjtactile.core import resources
 
 SIMULATES = False
@@ -111,10 +111,7 @@ def run(options: argparse.Namespace) -> int:
         page = "robots"
         files[robot] = (source.parent / model.group(2)).read_text(encoding="utf-8")
     for file in files:
-        if file.exists():
-            raise InputError(
-                "exists already, and nothing is overwritten; choose another name", source=file
-            )
+        require_new(file, "NAME")
     for file, content in files.items():
         _write(file, content)
     what_next = kind.next.format(

@@ -45,6 +45,13 @@ def output_folder(path: Path, *results: str) -> Iterator[Path]:
         yield path
 
 
+def require_new(path: Path, field: str = "--out") -> None:
+    """Raise InputError where there is a file or folder of that name already."""
+    if path.exists():
+        message = "exists already, and nothing is overwritten; choose another name"
+        raise InputError(message, source=path, field=field)
+
+
 @contextlib.contextmanager
 def optional_folder(path: Path | None, *results: str) -> Iterator[Path | None]:
     """The same where `--out` may be left out: None then."""

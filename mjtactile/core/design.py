@@ -40,6 +40,7 @@ SHAPES = ("rectangle", "circle")
 # A number without unit that a file writes as a whole one stays whole: fingerprints of sensor files
 # (`mjtactile.core.calibration`) tell 600 from 600.0.
 ONE = 1
+_SPLINE_NUMBERS_MOST = 5776  # 73 x 73 markers: a quarter of a GiB for a matrix
 
 
 @dataclass(frozen=True)
@@ -358,6 +359,20 @@ class SensorDesign:
                 source=self.name,
                 field="frame.shape",
                 choices=["rectangle"],
+            )
+
+    def require_markers_that_fit(self) -> None:
+        """Raise InputError where sensing would not fit into memory: the splines of its surface
+        have (rows + 3) (columns + 3) numbers, and square matrices of them."""
+        size = (self.markers.rows + 3) * (self.markers.columns + 3)
+        if size > _SPLINE_NUMBERS_MOST:
+            gib = 8 * size**2 / 2**30
+            raise InputError(
+                f"{self.markers.rows} x {self.markers.columns} markers can be simulated, but "
+                f"sensing needs {gib:.1f} GiB for each of its matrices; it takes as many as "
+                f"{_SPLINE_NUMBERS_MOST} = (rows + 3) (columns + 3)",
+                source=self.name,
+                field="markers.rows",
             )
 
     @property

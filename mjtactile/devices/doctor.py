@@ -10,17 +10,16 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from serial.tools import list_ports
-
 from mjtactile.core import pace
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError
 from mjtactile.devices.camera.opencv import OpenCvCamera
+from mjtactile.devices.camera.v4l2 import video_devices
 from mjtactile.devices.dynamixel.bus import BusError, DynamixelBus
 from mjtactile.devices.dynamixel.gripper import read_report
 from mjtactile.devices.dynamixel.servo import REQUIRED
 from mjtactile.devices.dynamixel.tables import MODELS, NO_CURRENT_CONTROL
-from mjtactile.devices.listing import BAUDS, servos_at
+from mjtactile.devices.listing import BAUDS, serial_ports, servos_at
 from mjtactile.devices.valve.driver import connect_valves
 from mjtactile.rig.file import BusConfig, CameraConfig, RigFile, load_rig_file
 from mjtactile.rig.finding import Finding
@@ -28,6 +27,8 @@ from mjtactile.rig.sensors import calibration_findings
 
 # s for three servos at 1 Mbaud with latency_timer = 1; 16 ms is the driver's default timer
 _ROUND_TRIP_GOOD = 4e-3
+# times the data sheet's torque per ampere; gears' friction takes up to 20 % of it
+_TORQUE_OFF_MOST = 1.5
 _HOT = 60.0  # degrees C; X series shut down at 70
 _CAMERA_TIME = 2.0  # s that pictures of a camera are counted
 
@@ -40,6 +41,7 @@ def examine(rig: str | None, *, sensor: str = "dense", fix: bool = False) -> lis
         return findings
     rig_file = load_rig_file(rig)
     findings += calibration_findings(rig_file, load_sensor(sensor))
+    findings += _torques(rig_file)
     if rig_file.emulator is not None:
         return [
             *findings,
@@ -64,17 +66,36 @@ def examine(rig: str | None, *, sensor: str = "dense", fix: bool = False) -> lis
     return findings
 
 
+def _torques(rig_file: RigFile) -> Iterator[Finding]:
+    """Torque per ampere that no specimen of the model can have: forces would be off by as much."""
+    for servo in rig_file.gripper.servos:
+        model = MODELS.get(servo.model)
+        if model is None or servo.torque_per_A is None:
+            continue
+        ratio = servo.torque_per_A / model.torque_per_A
+        if not 1 / _TORQUE_OFF_MOST <= ratio <= _TORQUE_OFF_MOST:
+            yield Finding(
+                "bad",
+                f"servo {servo.id}",
+                f"torque_Nm_per_A = {servo.torque_per_A:g}, but the data sheet of the "
+                f"{servo.model} says {model.torque_per_A:g}: forces are {ratio:.2g} times what "
+                "they should be",
+                "leave the line out, or measure it: mjtactile calibrate gripper",
+            )
+
+
 def _bad(findings: list[Finding]) -> bool:
     return any(finding.level == "bad" for finding in findings)
 
 
 def _plugged_in() -> Iterator[Finding]:
-    ports = list_ports.comports()
+    """The same ports and cameras that `mjtactile devices` lists; nobody is asked."""
+    ports = serial_ports(ask=False)
     for port in ports:
-        yield Finding("ok", "serial port", f"{port.device} ({port.description})")
-    cameras = sorted(Path("/dev/v4l/by-id").glob("*")) if Path("/dev/v4l/by-id").is_dir() else []
+        yield Finding("ok", "serial port", f"{port.path} ({port.description})")
+    cameras = video_devices()
     for camera in cameras:
-        yield Finding("ok", "camera", str(camera))
+        yield Finding("ok", "camera", f"{camera.path} ({camera.name})")
     if not ports:
         yield Finding(
             "warn",
@@ -86,8 +107,8 @@ def _plugged_in() -> Iterator[Finding]:
         yield Finding(
             "warn",
             "cameras",
-            "none found in /dev/v4l/by-id",
-            "plug them in; `ls /dev/video*` shows those without id",
+            "none found",
+            "plug them in; in a container, pass their devices through",
         )
 
 

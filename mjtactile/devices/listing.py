@@ -53,21 +53,31 @@ class SerialPort:
 def serial_ports(
     more: Iterable[str] = (), *, ask: bool = True, say: Callable[[str], None] = lambda _: None
 ) -> list[SerialPort]:
-    """All USB serial ports, and those of `more`; `ask` who is on them, which takes some seconds
-    each."""
-    known = [
-        SerialPort(
-            _stable(port.device), port.device, port.description or "", port.serial_number or ""
-        )
-        for port in sorted(list_ports.comports(), key=lambda port: port.device)
-        if port.vid is not None
-    ]
-    known += [
-        SerialPort(path, path, "named", "")
-        for path in more
-        if path not in {port.device for port in known}
-    ]
-    return [_asked(port, say) if ask else port for port in known]
+    """All serial ports of this computer.
+
+    Args:
+        more: Others to look at, too.
+        ask: Whether to ask who is on them, which takes some seconds each. A built-in port, which
+            may be a console, is asked only where `more` names it.
+        say: Called with what is asked next.
+
+    Returns:
+        The computer's own by name, then those of `more` that are none of them.
+    """
+    named = list(more)
+    found = []
+    for port in sorted(list_ports.comports(), key=lambda port: port.device):
+        path = _stable(port.device)
+        known = SerialPort(path, port.device, port.description or "", port.serial_number or "")
+        if not ask:
+            found.append(known)
+        elif port.vid is None and port.device not in named:
+            found.append(replace(known, problem=f"built in: not asked without --port {path}"))
+        else:
+            found.append(_asked(known, say))
+    present = {port.device for port in found}
+    others = [SerialPort(path, path, "named", "") for path in named if path not in present]
+    return found + [_asked(port, say) if ask else port for port in others]
 
 
 def servos_at(

@@ -38,6 +38,9 @@ from mjtactile.sim.rig import build_sim_rig
 _BEHIND_MAX = 0.02
 _BREATH = 3e-4  # s of rest after each step, for the thread that draws the pictures
 _BACKDRIVE_FORCE = 0.05  # N: gear friction of servos without torque
+_GEAR_SLACK = 1e-4  # m of the opening over which that friction builds up
+_TOUCH_FORCE = 1e-3  # N; less is nobody who touches
+_STILL_SPEED = 0.01  # m/s and rad/s of an object that stands
 _FALL_SPEED_MAX = 0.5  # m/s of a lift without torque, whose gears turn with it
 _LEAK_TIME = 0.15  # s: a puncture's time constant
 # gain of the camera's picture: black markers at 13 times white are white too
@@ -69,6 +72,10 @@ class EmulatedWorld:
         self._cameras = Cameras(options, shared)
         self.streams = self._cameras.streams
         self._fall_speed = 0.0
+        self._rest_opening: float | None = None
+        joint = int(self.scene.model.body("object/object").jntadr[0])  # none of a soft body
+        self._object_joint = None if joint < 0 else self.scene.data.joint(joint)
+        self._kept_pose: Any = None
         self._picture_period = 1 / options.rig_file.cameras[0].rate
         self._next_picture = 0.0
         self._stop = pace.Event()
@@ -105,12 +112,7 @@ class EmulatedWorld:
     def _step(self) -> None:
         scene = self.scene
         shared = self._shared
-        goal = shared["goal"]
-        force = shared["force"]
-        nobody = math.isnan(goal) or force <= 0
-        scene.set_finger_target(
-            scene.opening if nobody else max(goal, 0.0), max(force, _BACKDRIVE_FORCE)
-        )
+        self._drive_jaws(shared["goal"], shared["force"])
         self._lift(shared["lift_goal"])
         for number, sensor in enumerate(scene.sensors, 1):
             if shared[f"open_{number}"]:
@@ -122,11 +124,41 @@ class EmulatedWorld:
             leaking.open_valve(leaking.pressure_gauge * (1 - scene.timestep / _LEAK_TIME))
             leaking.close_valve()
         scene.step()
+        self._keep_object()
         self._publish()
         if scene.time >= self._next_picture:
             self._next_picture += self._picture_period
             self._publish_forces()
             self._cameras.expose([scene.marker_poses(i) for i in range(len(scene.sensors))])
+
+    def _drive_jaws(self, goal: float, force: float) -> None:
+        """To the opening that is asked for; without torque the gears' friction holds them where
+        they are, unless something pushes harder."""
+        opening = self.scene.opening
+        if not math.isnan(goal) and force > 0:
+            self._rest_opening = None
+            self.scene.set_finger_target(max(goal, 0.0), max(force, _BACKDRIVE_FORCE))
+            return
+        rest = opening if self._rest_opening is None else self._rest_opening
+        rest = min(max(rest, opening - _GEAR_SLACK), opening + _GEAR_SLACK)
+        self._rest_opening = rest
+        self.scene.set_finger_target(max(rest, 0.0), _BACKDRIVE_FORCE)
+
+    def _keep_object(self) -> None:
+        """Keep an object that stands still while nobody drives the jaws and nothing touches it:
+        friction of simulated contacts creeps, and an egg on its end would fall over in minutes."""
+        fingers = range(1, len(self.scene.sensors) + 1)
+        is_left_alone = self._rest_opening is not None and all(
+            abs(self._shared[f"contact_{number}"]) < _TOUCH_FORCE for number in fingers
+        )
+        joint = self._object_joint
+        if joint is None or not is_left_alone or np.abs(joint.qvel).max() > _STILL_SPEED:
+            self._kept_pose = None
+            return
+        if self._kept_pose is None:
+            self._kept_pose = joint.qpos.copy()
+        joint.qpos[:] = self._kept_pose
+        joint.qvel[:] = 0.0
 
     def _lift(self, goal: float) -> None:
         """To the height that is asked for; a lift without torque falls."""

@@ -82,6 +82,7 @@ class Chain:
         *,
         settings: Settings = DEFAULTS,
     ):
+        design.require_markers_that_fit()
         self._measured = (
             Calibration("", design.name) if calibration is None else calibration.used(design)
         )

@@ -12,6 +12,7 @@ import pytest
 
 from mjtactile.cli import main
 from mjtactile.recording.reader import load_recording
+from mjtactile.rig.file import load_rig_file
 
 WAIT = 300  # s on a busy computer
 
@@ -145,3 +146,34 @@ def test_default_names_do_not_collide_within_a_second(tmp_path, monkeypatch):
             (folder / "result").touch()
             folders.append(folder)
     assert len(set(folders)) == 5 and len(list((tmp_path / "runs").iterdir())) == 5
+
+
+class Hardware:
+    """Emulated hardware that ends at once; each has ports of its own."""
+
+    started = 0
+
+    def __init__(self, *_, **__):
+        Hardware.started += 1
+        end = f"/dev/pts/{Hardware.started}"
+        self.endpoints = {"servo": end, "valve": end, "cameras": {"left": "a", "right": "b"}}
+
+    def truth(self):
+        raise KeyboardInterrupt
+
+    def close(self):
+        pass
+
+
+def test_an_emulators_rig_file_replaces_none_but_its_own(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("mjtactile.emulator.process.EmulatorProcess", Hardware)
+    monkeypatch.setattr("sys.stdin", [])
+    monkeypatch.setattr("time.sleep", lambda _: None)
+    out = tmp_path / "rig.toml"
+    for port in ("/dev/pts/1", "/dev/pts/2"):
+        assert main(["emulate", "--out", str(out)]) == 0
+        assert load_rig_file(out).bus.port == port
+    out.write_text("name = 'precious'\n")
+    assert main(["emulate", "--out", str(out)]) == 2
+    assert "exists already, and nothing is overwritten" in capsys.readouterr().err
+    assert out.read_text() == "name = 'precious'\n" and Hardware.started == 2

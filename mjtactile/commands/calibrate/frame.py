@@ -28,14 +28,15 @@ examples:
       left
   mjtactile calibrate frame flat/ --sensor my_sensor.toml --out left.json
 
-A grasp measures the same anew each time; `mjtactile reconstruct --calibration` uses what is
-in the file. Writes the part `frame` of each finger's calibration file. JSON (of several
-fingers: {"fingers": {FINGER: …}}): {"sensor", "images", "residual_px" (marker centres,
-rms), "scale_sd" (scatter of the radii over the images), "radius_mm": [lowest, highest],
-"offset_mm" and "tilt_deg" of the camera against the sensor file, "rest_stiffness_scale"
-(elastic forces of the sensor file times this balance the pressure; null without rest
-images), "verdict", "reasons", "date", "versions", "file"}. Refused (exit code 1): markers
-missing or of another size than the sensor file says, centres off by more than 1 px.
+For `mjtactile reconstruct --calibration`, which sees single pictures: `grasp`, `probe` and
+`record` measure the same anew when they begin. Writes the part `frame` of each finger's
+calibration file. JSON (of several fingers: {"fingers": {FINGER: …}}): {"sensor", "images",
+"residual_px" (marker centres, rms), "scale_sd" (scatter of the radii over the images),
+"radius_mm": [lowest, highest], "offset_mm" and "tilt_deg" of the camera against the sensor
+file, "rest_stiffness_scale" (elastic forces of the sensor file times this balance the
+pressure; null without rest images), "verdict", "reasons", "date", "versions", "file"}.
+Refused (exit code 1): markers missing or of another size than the sensor file says, centres
+off by more than 1 px.
 """
 
 

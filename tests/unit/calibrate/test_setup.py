@@ -5,10 +5,11 @@ import re
 
 import pytest
 
-from mjtactile.calibrate.setup import edited, setup
+from mjtactile.calibrate.setup import _bus, _Offered, _write, edited, setup
 from mjtactile.commands.emulate import client_text
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
+from mjtactile.devices.listing import SerialPort
 from mjtactile.devices.valve.driver import connect_valves
 from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.rig.file import load_rig_file
@@ -95,3 +96,24 @@ def test_values_change_where_they_stand():
         text, {("a", 0, "x"): 5.0, ("b.c", 1, "x"): 7, ("a", 0, "name"): "d", ("b.c", 0, "y"): 1}
     )
     assert new == '[a]\nx = 5.0  # one\nname = "d"\n\n[[b.c]]\ny = 1\nx = 2\n[[b.c]]\nx = 7\n'
+
+
+def test_a_value_goes_with_its_line():
+    text = "[a]\nx = 1  # one\ny = 2\n"
+    assert edited(text, {("a", 0, "x"): None, ("a", 0, "z"): None}) == "[a]\ny = 2\n"
+
+
+def test_a_servo_of_another_model_brings_its_own_torque_and_gain(tmp_path, monkeypatch):
+    """1.78 N m/A of an XM430 in the lines of an XL330, which has 0.354, made forces five times too
+    large."""
+    found = SerialPort("/dev/tty9", "/dev/tty9", "", "", 57600, {1: "XL330-M288", 2: "XM430-W350"})
+    monkeypatch.setattr("mjtactile.calibrate.setup.serial_ports", lambda *_, **__: [found])
+    path = tmp_path / "mine.toml"
+    path.write_text(load_rig_file("two_xm430").path.read_text())
+    said = []
+    changes = _bus(load_rig_file(path), _Offered((), said.append), lambda _: "1", said.append)
+    _write(path, changes)
+    first, second = load_rig_file(path).gripper.servos
+    assert (first.model, first.torque_per_A, first.position_p_gain) == ("XL330-M288", None, None)
+    assert (second.model, second.torque_per_A, second.position_p_gain) == ("XM430-W350", 1.78, 800)
+    assert any("XL330-M288: torque per ampere by its data sheet" in line for line in said)

@@ -130,3 +130,12 @@ def test_missing_and_unknown_files_are_named(tmp_path):
     (tmp_path / "x.toml").write_bytes(b"\xff\xfe[")
     with pytest.raises(InputError, match=r"x\.toml.*TOML"):
         load_sensor(tmp_path / "x.toml")
+
+
+def test_more_markers_than_sensing_has_memory_for_are_refused():
+    """A legal file with 200 x 200 markers asked for 12.7 GiB at once."""
+    markers = replace(load_sensor("dense").markers, rows=200, columns=200)
+    with pytest.raises(InputError, match=r"markers\.rows: 200 x 200 .* 12\.7 GiB") as caught:
+        replace(load_sensor("dense"), markers=markers).require_markers_that_fit()
+    assert "\n" not in str(caught.value)
+    load_sensor("dense").require_markers_that_fit()

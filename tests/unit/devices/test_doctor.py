@@ -1,14 +1,16 @@
 """What `mjtactile doctor` says of emulated servos."""
 
 import contextlib
+from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
-from mjtactile.devices.doctor import _servo
+from mjtactile.devices.doctor import _plugged_in, _servo, _torques
 from mjtactile.devices.dynamixel.bus import DynamixelBus
+from mjtactile.devices.listing import serial_ports
+from mjtactile.rig.file import load_rig_file
 from tests.emulated import servo_bench
-
-pytestmark = pytest.mark.clock
 
 
 def findings(**kind):
@@ -19,6 +21,7 @@ def findings(**kind):
             return [list(_servo(bus, servo, "XL330-M288")) for servo in (1, 2)]
 
 
+@pytest.mark.clock
 def test_settings_and_firmware_that_make_a_dead_host_dangerous():
     sound, moving = findings()
     assert [finding.level for finding in sound] == ["ok"]
@@ -35,3 +38,26 @@ def test_settings_and_firmware_that_make_a_dead_host_dangerous():
     )
     old = findings(firmware=51)[0]
     assert [finding.level for finding in old] == ["ok", "warn"] and "stops nothing" in old[1].text
+
+
+def test_a_torque_constant_of_another_model_is_bad():
+    """Of an XM430 (1.78 N m/A) on an XL330 (0.354): forces five times off."""
+    rig = load_rig_file("two_xm430")
+    assert list(_torques(rig)) == []
+    servos = tuple(replace(servo, model="XL330-M288") for servo in rig.gripper.servos)
+    found = list(_torques(replace(rig, gripper=replace(rig.gripper, servos=servos))))
+    assert [finding.level for finding in found] == ["bad", "bad"]
+    assert "1.78" in found[0].text and "0.354" in found[0].text and "5 times" in found[0].text
+
+
+def test_devices_and_doctor_list_the_same_ports(monkeypatch):
+    """A built-in port is listed by both, and asked by none: it may be a console."""
+    built_in = SimpleNamespace(device="/dev/ttyS0", description="n/a", serial_number=None, vid=None)
+    adapter = SimpleNamespace(device="/dev/ttyU0", description="USB", serial_number="7", vid=1027)
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [adapter, built_in])
+    seen = [f.text.split()[0] for f in _plugged_in() if f.what == "serial port"]
+    asked = []
+    listed = serial_ports(say=asked.append)
+    assert [port.path for port in listed] == seen == ["/dev/ttyS0", "/dev/ttyU0"]
+    assert listed[0].problem == "built in: not asked without --port /dev/ttyS0"
+    assert [text.split(":")[0] for text in asked] == ["/dev/ttyU0"]

@@ -6,11 +6,14 @@ import os
 import threading
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from mjtactile.core import system
+from mjtactile.core.design import load_sensor
 from mjtactile.emulator.faults import Faults
 from mjtactile.emulator.hardware import Hardware
+from mjtactile.emulator.options import EmulatorOptions
 from mjtactile.emulator.shared import SharedState
 from mjtactile.emulator.world import _FALL_SPEED_MAX, EmulatedWorld
 from mjtactile.rig.file import load_rig_file
@@ -34,6 +37,48 @@ def test_a_lift_without_torque_has_no_goal():
         lift.brown_out()
         assert wait_for(lambda: math.isnan(shared["lift_goal"]))
     shared.close()
+
+
+@pytest.fixture
+def world():
+    """The emulated world, stepped by hand; nobody drives."""
+    descriptor = system.memory_file("test")
+    shared = SharedState(descriptor)
+    os.close(descriptor)
+    options = EmulatorOptions(load_rig_file("emulated"), load_sensor("paper16"), "egg")
+    world = EmulatedWorld(options, shared)
+    shared["goal"] = shared["lift_goal"] = math.nan
+    yield world
+    world.close()
+
+
+def test_an_object_that_nobody_touches_stays_where_it_stands(world):
+    """An egg on its end that leans creeps on, and falls within minutes."""
+    joint = world.scene.data.joint(world._object_joint.id)
+
+    def lean(seconds):
+        for _ in range(round(seconds / world.scene.timestep)):
+            world._step()
+        return math.degrees(2 * math.asin(np.linalg.norm(joint.qpos[4:6])))
+
+    half = 0.5 * math.radians(1)
+    joint.qpos[3:] = [math.cos(half), math.sin(half), 0, 0]
+    world._kept_pose = None
+    seated = lean(0.3)
+    assert 0.5 < seated < 3 and lean(2.0) == pytest.approx(seated, abs=0.05)
+
+
+def test_jaws_without_torque_are_held_by_their_gears(world):
+    """Less than the gears' friction (0.05 N) moves them no farther than their slack; more does."""
+    moved = []
+    for force in (0.02, 0.2):
+        opening = world.scene.opening
+        for joint in ("left", "right"):
+            world.scene.data.joint(f"{joint}_jaw").qfrc_applied[:] = -force
+        for _ in range(round(1.0 / world.scene.timestep)):
+            world._step()
+        moved.append(abs(world.scene.opening - opening))
+    assert moved[0] < 2e-4 and moved[1] > 1e-3
 
 
 @pytest.mark.clock
