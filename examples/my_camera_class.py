@@ -1,10 +1,15 @@
 """A camera of your own on a finger: any class with `read`, named in the rig file and found by an
 entry point.
 
-Your package's pyproject.toml:          the finger's part of the rig file:
+In your package's pyproject.toml:
 
-    [project.entry-points."mjtactile.cameras"]      [[camera]]
-    newest = "my_camera_class:NewestFrame"          backend = "newest"
+    [project.entry-points."mjtactile.cameras"]
+    newest = "my_camera_class:NewestFrame"
+
+In the finger's part of the rig file:
+
+    [[camera]]
+    backend = "newest"
 
 Then `mjtactile doctor`, `record` and `grasp` use it like the shipped ones. This one reads a network
 stream with OpenCV.

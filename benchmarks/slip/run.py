@@ -16,11 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.slip.score import OUTCOMES, SLIPS, Frame, outcome, wilson
+from benchmarks.slip.score import OUTCOMES, SLIPS, Frame, outcome
 from benchmarks.slip.watch import Watched, references, watch
 from benchmarks.worlds.slip_cases import SlipCase, draw_case
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import SimulationError
+from mjtactile.evaluate.wilson import wilson
 from mjtactile.run.figures import new_figure
 from mjtactile.sensing.chain import Chain, ChainState
 

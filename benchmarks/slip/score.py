@@ -14,8 +14,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 # m, s, shares of friction, m
 SLIP = 0.5e-3
 IN_TIME = 0.1
@@ -35,7 +33,6 @@ OUTCOMES = (
 )
 SLIPS = OUTCOMES[:6]
 _ROUNDING = 1e-6  # s
-_Z = 1.96
 
 
 @dataclass(frozen=True)
@@ -85,14 +82,3 @@ def outcome(frames: Sequence[Frame]) -> Outcome:
         (False, False): "late",
     }
     return Outcome(name[way, soon], latency, detected.slid, speed)
-
-
-def wilson(count: int, of: int) -> tuple[float, float]:
-    """95 % interval of a share (Wilson 1927)."""
-    if not of:
-        return 0.0, 1.0
-    p = count / of
-    z2 = _Z**2
-    middle = p + z2 / (2 * of)
-    half = _Z * float(np.sqrt(p * (1 - p) / of + z2 / (4 * of**2)))
-    return max((middle - half) / (1 + z2 / of), 0.0), min((middle + half) / (1 + z2 / of), 1.0)

@@ -1,12 +1,11 @@
-"""What counts as a slip detected in time, late, early or falsely; and the interval
-of a share."""
+"""What counts as a slip detected in time, late, early or falsely."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from benchmarks.slip.score import Frame, outcome, wilson
+from benchmarks.slip.score import Frame, outcome
 from benchmarks.worlds.slip_cases import BODIES, FRICTION, HOLDS, SLIPS, draw_case
 
 RATE = 30.0
@@ -57,12 +56,6 @@ def test_holds_and_what_lies_between():
     assert outcome(frames(0.0, 0.5, slides=False)).name == "false"
     assert outcome(frames(0.0, 0.5, used=0.9, slides=False)).name == "between"
     assert outcome(frames(0.2e-3, 0.5)).name == "between"  # it slides by 0.2 mm
-
-
-def test_wilson():
-    """Wilson (1927): 8 of 10, as in any table; the ends stay within 0 and 1."""
-    assert wilson(8, 10) == pytest.approx((0.490, 0.943), abs=1e-3)
-    assert wilson(0, 10)[0] == 0.0 and wilson(10, 10)[1] == 1.0 and wilson(0, 0) == (0.0, 1.0)
 
 
 def test_cases_are_drawn_from_their_seed_and_cover_all_ways():
