@@ -104,24 +104,35 @@ class Film:
         *,
         data: ArrayLike | None = None,
     ) -> Obstacle:
-        """A body with a pose: see `mjtactile.film.bodies.obstacle`."""
+        """Make a body with a pose; see `mjtactile.film.bodies.obstacle`.
+
+        Args:
+            kind: One of KINDS, such as "sphere", "box", "cylinder".
+            sizes: Half sizes, m (curvatures 1/m), as in MJCF.
+            p_SO: (3,) m of its middle in S.
+            R_SO: (3, 3) its rotation in S; None: none.
+            data: Vertices, triangles or heights, m, of a kind that has them.
+
+        Returns:
+            The body.
+        """
         return bodies.obstacle(kind, sizes, p_SO, R_SO, data=data)
 
     def solve(
         self, obstacles: Obstacle | Sequence[Obstacle] = (), state: FilmState | None = None
     ) -> FilmState:
-        """Where the film rests on obstacles.
+        """Find where the film rests on obstacles.
 
         Args:
-            obstacles: one body or several.
-            state: where to start, usually the state before; None: untouched.
+            obstacles: One body or several.
+            state: Where to start, usually the state before; None: untouched.
 
         Returns:
             The state, with `converged` False where none was found.
 
         Raises:
-            InputError: an obstacle that touches the rim, lies on the glass, or pulls the sheet
-            inside out.
+            InputError: An obstacle touches the rim, lies on the glass, or pulls the sheet inside
+                out.
         """
         listed = (obstacles,) if isinstance(obstacles, Obstacle) else obstacles
         rows, pool = bodies.pooled(listed)
@@ -136,8 +147,15 @@ class Film:
         return _judged(FilmState(x, force, found))
 
     def heights_of(self, obstacles: Obstacle | Sequence[Obstacle], places: ArrayLike) -> Array:
-        """Heights (n,) m that obstacles leave to the sheet's middle over `places` (n, 2) m;
-        infinite where there is none."""
+        """Find how high obstacles leave the sheet's middle.
+
+        Args:
+            obstacles: One body or several.
+            places: (n, 2) m, in S.
+
+        Returns:
+            (n,) m; infinite where there is no body.
+        """
         rows, pool = bodies.pooled((obstacles,) if isinstance(obstacles, Obstacle) else obstacles)
         where = np.asarray(places, dtype=float).reshape(-1, 2)
         heights = np.empty(len(where))

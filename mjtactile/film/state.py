@@ -28,11 +28,14 @@ FOUND = 14
 
 @dataclass(frozen=True, eq=False)
 class FilmState:
-    """A film at rest on what presses it. SI units, frame S. Numbers of a state that is not
-    `converged` are NaN.
+    """A film at rest on what presses it. SI units, frame S.
 
-    `x` (3, nx, ny) m are the nodes' displacements, `force` (nx, ny) N the contact's along -z at
-    each of them, and `found` what the kernel adds up; all three are kept for a start from here.
+    Numbers of a state that is not `converged` are NaN.
+
+    Attributes:
+        x: (3, nx, ny) m, the nodes' displacements.
+        force: (nx, ny) N of the contact at each of them, along -z.
+        found: What the kernel adds up; all three are kept for a start from here.
     """
 
     x: Array
