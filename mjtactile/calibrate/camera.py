@@ -193,39 +193,33 @@ def _judge(c: CameraCalibration) -> list[str]:
         ),
         (
             len(c.dropped) <= len(c.view_rms) / 4,
-            f"{len(c.dropped)} pictures do not agree with "
-            "the others: is the board flat, "
-            "the lens fixed, --square-mm right?",
+            f"{len(c.dropped)} pictures do not agree with the others: is the board flat, the lens "
+            "fixed, --square-mm right?",
         ),
         (
             c.rms <= RMS_MAX_PX,
-            f"the corners are off by {c.rms:.2f} px (rms), at most {RMS_MAX_PX:g} is good: "
-            "focus, motion "
-            "blur, a board that is not flat",
+            f"the corners are off by {c.rms:.2f} px (rms), at most {RMS_MAX_PX:g} is good: focus, "
+            "motion blur, a board that is not flat",
         ),
         (
             c.holdout_px <= HOLDOUT_MAX_PX,
-            "in pictures that it was not fitted to it is off "
-            f"by {c.holdout_px:.2f} px, at most "
+            f"in pictures that it was not fitted to it is off by {c.holdout_px:.2f} px, at most "
             f"{HOLDOUT_MAX_PX:g} is good: take more pictures, all over the view",
         ),
         (
             focal_sd <= FOCAL_SD_MAX,
-            f"the focal length is known to {100 * focal_sd:.1f} % only, {100 * FOCAL_SD_MAX:g} "
-            "% is "
-            "needed: tilt the board more",
+            f"the focal length is known to {100 * focal_sd:.1f} % only, {100 * FOCAL_SD_MAX:g} % "
+            "is needed: tilt the board more",
         ),
         (
             tilted >= TILTED_MIN,
-            f"the board is tilted by more than {TILT_MIN_DEG:g} degrees in {tilted} pictures, "
-            "in "
+            f"the board is tilted by more than {TILT_MIN_DEG:g} degrees in {tilted} pictures, in "
             f"{TILTED_MIN} it must be: tilt it left, right, up and down",
         ),
         (
             c.coverage >= COVERAGE_MIN,
             f"corners were seen in {100 * c.coverage:.0f} % of the picture, "
-            f"{100 * COVERAGE_MIN:.0f} % "
-            "are needed: bring the board to the edges and corners too",
+            f"{100 * COVERAGE_MIN:.0f} % are needed: bring the board to the edges and corners too",
         ),
     ]
     return [text for good, text in checks if not good]

@@ -151,18 +151,16 @@ def _judge(
         return [f"the largest load is {largest:.2f} N, at least {FORCE_MIN:g} is needed"]
     if np.ptp(felt) < 0.1 * np.ptp(true):
         return [
-            f"the sensor feels {np.min(felt):.2f} to {np.max(felt):.2f} N while the load goes "
-            f"from {np.min(true):.2f} to "
-            f"{largest:.2f} N: was it put on the membrane, and are the images in the "
-            "order of the loads?"
+            f"the sensor feels {np.min(felt):.2f} to {np.max(felt):.2f} N while the load goes from "
+            f"{np.min(true):.2f} to {largest:.2f} N: was it put on the membrane, and are the "
+            "images in the order of the loads?"
         ]
     checks = [
         (
             abs(scale - 1) <= SCALE_OFF_MAX,
-            f"the load is {scale:.2f} times the force "
-            f"felt, {1 - SCALE_OFF_MAX:g} to "
-            f"{1 + SCALE_OFF_MAX:g} is plausible: thickness, modulus or pressure in the "
-            "sensor file",
+            f"the load is {scale:.2f} times the force felt, {1 - SCALE_OFF_MAX:g} to "
+            f"{1 + SCALE_OFF_MAX:g} is plausible: thickness, modulus or pressure in the sensor "
+            "file",
         ),
         (
             rms <= RMS_SHARE * largest,
@@ -171,17 +169,14 @@ def _judge(
         ),
         (
             abs(offset) <= RMS_SHARE * largest,
-            "without a load it would feel "
-            f"{-offset / scale:.2f} N: the rest images were "
-            "not "
-            "free of touch, or the load cell's zero is off",
+            f"without a load it would feel {-offset / scale:.2f} N: the rest images were not free "
+            "of touch, or the load cell's zero is off",
         ),
         (constant is not None, "the membrane's area does not grow with the load: no constant c"),
         (
             constant is None or constant.residual <= AREA_RMS_SHARE * largest,
-            "dF = c dA leaves "
-            f"{constant.residual if constant else np.nan:.2f} N of {largest:.2f}: too few or "
-            "too small loads",
+            f"dF = c dA leaves {constant.residual if constant else np.nan:.2f} N of {largest:.2f}: "
+            "too few or too small loads",
         ),
     ]
     return [text for good, text in checks if not good]

@@ -66,8 +66,7 @@ def calibrate_frame(
     )
     reasons = [
         f"the marker centres are off by {found.residual_px:.2f} px (rms), at most "
-        f"{RESIDUAL_MAX_PX:g} is good: camera "
-        "calibration, marker positions in the sensor "
-        "file, something that touches"
+        f"{RESIDUAL_MAX_PX:g} is good: camera calibration, marker positions in the sensor file, "
+        "something that touches"
     ] * (found.residual_px > RESIDUAL_MAX_PX)
     return part, report, reasons

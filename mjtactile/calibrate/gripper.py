@@ -114,9 +114,8 @@ def _judge_opening(c: OpeningCalibration) -> list[str]:
     checks = [
         (
             abs(c.scale - 1) <= SCALE_OFF_MAX,
-            f"the jaws move {c.scale:.3f} times as far as the "
-            "rig file says: mm_per_rad or law "
-            "is wrong",
+            f"the jaws move {c.scale:.3f} times as far as the rig file says: mm_per_rad or law is "
+            "wrong",
         ),
         (
             c.rms <= OPENING_RMS_MAX,
@@ -156,14 +155,12 @@ def _judge_force(c: ForceCalibration, largest: float) -> list[str]:
         (
             low <= c.factor <= high,
             f"the force is {c.factor:.2f} times what the currents say, {low:g} to {high:g} is "
-            "plausible: "
-            "wrong servo model, mm_per_rad or load cell range",
+            "plausible: wrong servo model, mm_per_rad or load cell range",
         ),
         (
             c.rms <= FORCE_RMS_SHARE * largest,
-            f"the forces are off a line by {c.rms:.2f} N of "
-            f"{largest:.2f}: stick-slip, a jaw "
-            "that touches something else",
+            f"the forces are off a line by {c.rms:.2f} N of {largest:.2f}: stick-slip, a jaw that "
+            "touches something else",
         ),
         (
             c.offset <= 0.1 * largest,

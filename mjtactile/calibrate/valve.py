@@ -106,9 +106,8 @@ def _judge(c: ValveCalibration) -> list[str]:
     checks = [
         (
             abs(c.offset) <= OFFSET_MAX_SHARE * size,
-            f"vented, the sensor shows {c.offset:.0f} Pa: "
-            "set its zero, or see that the "
-            "valve really vents",
+            f"vented, the sensor shows {c.offset:.0f} Pa: set its zero, or see that the valve "
+            "really vents",
         ),
         (
             c.noise_sd <= NOISE_MAX_SHARE * size,
@@ -116,9 +115,8 @@ def _judge(c: ValveCalibration) -> list[str]:
         ),
         (
             abs(c.step - c.asked) <= ERROR_MAX_SHARE * size,
-            f"{c.step:.0f} Pa were reached instead of "
-            f"{c.asked:.0f}: supply, valve "
-            "stuck, a leak as large as the flow",
+            f"{c.step:.0f} Pa were reached instead of {c.asked:.0f}: supply, valve stuck, a leak "
+            "as large as the flow",
         ),
         (
             c.rise_time <= RISE_MAX,

@@ -35,10 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         dest="object",
         default="egg",
         metavar="NAME|FILE.xml",
-        help="what stands on the table: "
-        f"{', '.join(resources.names('models/objects', '.xml'))}, or your "
-        "own "
-        "MJCF file (default: egg)",
+        help=f"what stands on the table: {', '.join(resources.names('models/objects', '.xml'))}, "
+        "or your own MJCF file (default: egg)",
     )
     parser.add_argument(
         "--sensor",

@@ -68,20 +68,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--press-mm",
         type=float,
         metavar="D",
-        help="deepest press that the camera must see "
-        "(default: 4, or a "
-        "quarter of "
-        "chamber or frame where that is less)",
+        help="deepest press that the camera must see (default: 4, or a quarter of chamber or frame "
+        "where that is less)",
     )
     parser.add_argument(
         "--speed-mm-s",
         type=float,
         default=25.0,
         metavar="V",
-        help="speed of a marker that smears by 0.05 "
-        "px "
-        "(default: 25, "
-        "as controllers/gentle.py closes)",
+        help="speed of a marker that smears by 0.05 px (default: 25, as controllers/gentle.py "
+        "closes)",
     )
     parser.add_argument(
         "--pixel-um", type=float, default=3.0, metavar="P", help="of the camera (default: 3)"

@@ -323,8 +323,7 @@ class Calibration:
             return PartState(
                 kind,
                 "outdated",
-                f"of {_day(part.stamp.date)}, older than the "
-                "sensor file, whose values have "
+                f"of {_day(part.stamp.date)}, older than the sensor file, whose values have "
                 "changed since: not used",
             )
         again = (
@@ -386,8 +385,7 @@ class Calibration:
         if self.lens is not None and (self.lens.width, self.lens.height) != size:
             raise InputError(
                 f"{self.lens.width} x {self.lens.height} pixels, but sensor {design.name!r} has "
-                f"{size[0]} x "
-                f"{size[1]}",
+                f"{size[0]} x {size[1]}",
                 source=source,
                 field="lens.width_px",
             )

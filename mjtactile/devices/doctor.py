@@ -122,9 +122,8 @@ def _port(what: str, path: str, *, fix: bool) -> Iterator[Finding]:
             "bad",
             what,
             f"{path} is not there",
-            "is it plugged in? `ls -l "
-            "/dev/serial/by-id` shows the names that "
-            "stay the same; write one of them into the rig file",
+            "is it plugged in? `ls -l /dev/serial/by-id` shows the names that stay the same; write "
+            "one of them into the rig file",
         )
         return
     if not os.access(path, os.R_OK | os.W_OK):

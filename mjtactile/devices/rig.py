@@ -148,8 +148,7 @@ def _check_picture(camera: CameraConfig, design: SensorDesign, rig_file: RigFile
     if (camera.width, camera.height) != (design.camera.width, design.camera.height):
         raise InputError(
             f"{camera.width} x {camera.height} pixels, but sensor {design.name!r} has "
-            f"{design.camera.width} x "
-            f"{design.camera.height}",
+            f"{design.camera.width} x {design.camera.height}",
             source=rig_file.path,
             field=f"camera.{camera.finger}.width_px",
         )

@@ -56,10 +56,8 @@ def _mechanics(layout: Layout) -> list[Item]:
         Item(
             "white rubber sheet",
             "1",
-            f"{2 * half_x:.0f} x {2 * half_y:.0f} mm, "
-            f"{MM * sheet.thickness:g} mm thick, E = "
-            f"{1e-6 * sheet.young:g} MPa "
-            f"(about Shore A {shore_a(sheet.young):.0f}), opaque",
+            f"{2 * half_x:.0f} x {2 * half_y:.0f} mm, {MM * sheet.thickness:g} mm thick, E = "
+            f"{1e-6 * sheet.young:g} MPa (about Shore A {shore_a(sheet.young):.0f}), opaque",
             "silicone or latex sheet",
         ),
         Item(
@@ -75,9 +73,8 @@ def _mechanics(layout: Layout) -> list[Item]:
             "glass pane",
             "1",
             f"{2 * layout.glass_x:.2f} x {2 * layout.glass_y:.2f} x "
-            f"{MM * design.glass.thickness:g} mm, "
-            f"n = {design.glass.refractive_index:g}, "
-            "edges ground",
+            f"{MM * design.glass.thickness:g} mm, n = {design.glass.refractive_index:g}, edges "
+            "ground",
             "float glass, anti-reflection coated where it can be had",
         ),
         Item(
@@ -112,40 +109,32 @@ def _seeing(layout: Layout, optics: Optics) -> list[Item]:
         Item(
             "camera module",
             "1",
-            f"monochrome, global shutter, {camera.width} "
-            f"x {camera.height} px of "
-            f"{1e3 * hardware.pixel:g} um, at least "
-            f"{camera.rate:g} Hz at 8 bit ({1e-6 * rate:.0f} MB/s), "
-            f"exposure fixed at {1e6 * optics.exposure:.0f} us or less, "
-            f"strobe output; holes {hardware.holes:g} x "
-            f"{hardware.holes:g} mm",
+            f"monochrome, global shutter, {camera.width} x {camera.height} px of "
+            f"{1e3 * hardware.pixel:g} um, at least {camera.rate:g} Hz at 8 bit ({1e-6 * rate:.0f} "
+            f"MB/s), exposure fixed at {1e6 * optics.exposure:.0f} us or less, strobe output; "
+            f"holes {hardware.holes:g} x {hardware.holes:g} mm",
             f"UVC board camera, USB {2 if rate < _USB2 else 3}",
         ),
         Item(
             "lens",
             "1",
             f"f = {optics.focal:.2f} mm, f/{optics.stop:g}, field of view {x:.0f} x {y:.0f} deg "
-            f"({across:.0f} "
-            "deg across), sharp from "
-            f"{optics.near:.1f} to {optics.far:.1f} mm, focused at {optics.focus:.1f} mm "
-            "and locked",
+            f"({across:.0f} deg across), sharp from {optics.near:.1f} to {optics.far:.1f} mm, "
+            f"focused at {optics.focus:.1f} mm and locked",
             "M12",
         ),
         Item(
             "LEDs",
             str(design.leds.count),
-            f"white, 120 deg, {optics.flux:.2g} W of light "
-            "each while the exposure lasts "
-            f"({100 * optics.exposure * camera.rate:.2g} "
-            "% of the time)",
+            f"white, 120 deg, {optics.flux:.2g} W of light each while the exposure lasts "
+            f"({100 * optics.exposure * camera.rate:.2g} % of the time)",
             "2835 package, pulsed by the camera's strobe output",
         ),
         Item(
             "linear polarising film",
             "2",
-            "crossed: one on the LED ring, one on the lens; "
-            "takes the LEDs' mirror images in "
-            "the pane away",
+            "crossed: one on the LED ring, one on the lens; takes the LEDs' mirror images in the "
+            "pane away",
             "film",
         ),
     ]
@@ -167,19 +156,15 @@ def _air(layout: Layout) -> list[Item]:
         Item(
             "hose",
             f"{_HOSE:g} m",
-            f"{layout.port.bore:g} mm bore, stiff: it holds {hose_volume(layout):.2f} mL with "
-            "the port, "
-            f"{100 * hose_volume(layout) / volume:.0f} % of the chamber's {volume:.1f} mL: "
-            "write it into "
-            "chamber.extra_volume_mL; the shorter the better",
+            f"{layout.port.bore:g} mm bore, stiff: it holds {hose_volume(layout):.2f} mL with the "
+            f"port, {100 * hose_volume(layout) / volume:.0f} % of the chamber's {volume:.1f} mL: "
+            "write it into chamber.extra_volume_mL; the shorter the better",
             "polyurethane",
         ),
         Item(
             "pump" if supply >= 0 else "vacuum pump",
             "1 a gripper",
-            f"{abs(supply):g} kPa and 50 % more, "
-            f"{max(volume / 1e3, 0.05):.2g} L/min, "
-            "with a "
+            f"{abs(supply):g} kPa and 50 % more, {max(volume / 1e3, 0.05):.2g} L/min, with a "
             "reservoir and a relief valve",
             "12 V diaphragm pump",
         ),
@@ -193,11 +178,9 @@ def _air(layout: Layout) -> list[Item]:
         Item(
             "pressure sensor",
             "1",
-            f"gauge, 0 to {max(2 * abs(supply), 2):g} kPa, "
-            f"resolution {resolution:.2g} Pa "
-            f"({1e3 * _FORCE_STEP:g} mN on the whole "
-            "membrane), zero stable, in a T-piece "
-            "behind the valve",
+            f"gauge, 0 to {max(2 * abs(supply), 2):g} kPa, resolution {resolution:.2g} Pa "
+            f"({1e3 * _FORCE_STEP:g} mN on the whole membrane), zero stable, in a T-piece behind "
+            "the valve",
             "I2C, temperature-compensated",
         ),
     ]
@@ -209,19 +192,15 @@ def _driving() -> list[Item]:
         Item(
             "servo",
             "1 a gripper or finger",
-            "current-based position mode, "
-            f"{2 * torque:.2g} N m at a pinion of "
-            f"{MM * _PINION:g} mm "
-            f"({_FORCE:g} N, the paper's range, "
-            "twofold)",
+            f"current-based position mode, {2 * torque:.2g} N m at a pinion of {MM * _PINION:g} mm "
+            f"({_FORCE:g} N, the paper's range, twofold)",
             "XL330-M288-T or XM430-W350-T, see docs/hardware.md",
         ),
         Item(
             "USB adapters",
             "1 + 1 a gripper",
-            "half-duplex TTL at 1 Mbaud for the servos, "
-            "latency timer 1 ms; serial for the "
-            "valve board",
+            "half-duplex TTL at 1 Mbaud for the servos, latency timer 1 ms; serial for the valve "
+            "board",
             "U2D2 kind; the board's own",
         ),
     ]

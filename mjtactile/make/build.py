@@ -87,24 +87,20 @@ def _check_parts(parts: dict[str, Part], solids: dict[str, Any]) -> None:
         if crossing(part):
             raise InputError(
                 f"holes and edges of the {name} would meet; other camera or lens dimensions "
-                "(--camera-holes-mm, "
-                "--lens-mm, --pupil-mm) may help",
+                "(--camera-holes-mm, --lens-mm, --pupil-mm) may help",
                 source="make",
                 field="parts",
             )
         volume = solids[name].volume()
         if solids[name].is_empty() or abs(volume - part.volume) > _VOLUME * part.volume + 0.05:
             raise MjtactileError(
-                f"make: the {name} came out with {volume:.3f} mm3 in place of "
-                f"{part.volume:.3f}: its holes "
-                "meet its edges"
+                f"make: the {name} came out with {volume:.3f} mm3 in place of {part.volume:.3f}: "
+                "its holes meet its edges"
             )
     for one, other, volume in mesh.overlaps(solids):
         raise InputError(
-            f"the {one} and the {other} would intersect by {volume:.3g} mm3; other camera or "
-            "lens dimensions "
-            "(--camera-holes-mm, --lens-mm, "
-            "--pupil-mm) may help",
+            f"the {one} and the {other} would intersect by {volume:.3g} mm3; other camera or lens "
+            "dimensions (--camera-holes-mm, --lens-mm, --pupil-mm) may help",
             source="make",
             field="parts",
         )

@@ -79,9 +79,8 @@ def plan_camera(
     Limit(
         "leds.count",
         design.leds.count,
-        f"LEDs would have to give {flux:.2g} W of light each, more than {hw.LED_FLUX:g}, "
-        "for an exposure of "
-        f"{1e6 * exposure:.0f} us at f/{stop:g} (or take a smaller --speed-mm-s)",
+        f"LEDs would have to give {flux:.2g} W of light each, more than {hw.LED_FLUX:g}, for an "
+        f"exposure of {1e6 * exposure:.0f} us at f/{stop:g} (or take a smaller --speed-mm-s)",
         math.ceil(design.leds.count * flux / hw.LED_FLUX),
     ).check(source)
     return Optics(
@@ -202,8 +201,7 @@ def _exposure(design: SensorDesign, hardware: Hardware, near: float) -> float:
     Limit(
         "--speed-mm-s",
         hardware.speed,
-        f"needs an exposure of {1e6 * exposure:.1f} us for "
-        f"{hw.SMEAR:g} px of smear, less than "
+        f"needs an exposure of {1e6 * exposure:.1f} us for {hw.SMEAR:g} px of smear, less than "
         f"{1e6 * _SHORTEST:g}",
         high=hardware.speed * exposure / _SHORTEST,
     ).check("")

@@ -93,9 +93,8 @@ def _pane(design: SensorDesign, hardware: Hardware) -> Iterator[Limit]:
     yield Limit(
         "glass.thickness_mm",
         thickness,
-        f"bends with {glass_stress(design):.3g} MPa "
-        "under the supply's pressure, more "
-        f"than the {hw.GLASS_STRESS:g} of glass",
+        f"bends with {glass_stress(design):.3g} MPa under the supply's pressure, more than the "
+        f"{hw.GLASS_STRESS:g} of glass",
         thickness * math.sqrt(glass_stress(design) / hw.GLASS_STRESS),
     )
     ends = MM * (design.camera.distance - design.chamber.depth - glass.thickness)

@@ -52,31 +52,26 @@ STEPS = (
             "nuts",
             "camera",
         ),
-        "From the front, left, to the back. Frame, clamping ring, glass seat, camera "
-        "mount and the stretching jig are made "
-        "from `cad/`; the rest is in [bill.md](bill.md). Print the parts in PETG, ABS or "
-        "resin with at least four "
-        "perimeters (air must not pass), or have them milled. Break the outer edges of "
-        "the frame's rim by 0.5 mm and polish "
-        "them: the rubber lies on them.",
+        "From the front, left, to the back. Frame, clamping ring, glass seat, camera mount and the "
+        "stretching jig are made from `cad/`; the rest is in [bill.md](bill.md). Print the parts "
+        "in PETG, ABS or resin with at least four perimeters (air must not pass), or have them "
+        "milled. Break the outer edges of the frame's rim by 0.5 mm and polish them: the rubber "
+        "lies on them.",
     ),
     Step(
         "The camera looks first",
         "camera",
         ("led_ring", "camera_mount", "camera"),
-        "Solder the LED ring after [led_ring.svg](led_ring.svg) and glue it into the "
-        "mount, LEDs to the front, wires "
-        "through the small hole on the +x side. Screw the camera on from behind with "
-        "{spacer:g} mm spacers, lens through "
-        "the large hole, the picture's right side to +x (the side of the air port). The "
-        "LEDs' faces must be in the plane of "
-        "the lens's pupil, {pupil:g} mm before the camera board. Focus on {focus:.1f} mm "
-        "from the pupil, lock the lens, set "
-        "exposure to {exposure:.0f} us and fix gain and white balance. Print "
-        "[board.pdf](board.pdf), glue it to something "
-        "flat, and calibrate before the pane is in the way:\n\n    mjtactile calibrate "
-        "camera --rig my_gripper.toml "
-        "--finger left --square-mm {square:g}",
+        "Solder the LED ring after [led_ring.svg](led_ring.svg) and glue it into the mount, LEDs "
+        "to the front, wires through the small hole on the +x side. Screw the camera on from "
+        "behind with {spacer:g} mm spacers, lens through the large hole, the picture's right side "
+        "to +x (the side of the air port). The LEDs' faces must be in the plane of the lens's "
+        "pupil, {pupil:g} mm before the camera board. Focus on {focus:.1f} mm from the pupil, lock "
+        "the lens, set exposure to {exposure:.0f} us and fix gain and white balance. Print "
+        "[board.pdf](board.pdf), glue it to something flat, and calibrate before the pane is in "
+        "the way:\n"
+        "\n"
+        "    mjtactile calibrate camera --rig my_gripper.toml --finger left --square-mm {square:g}",
     ),
     Step(
         "Markers on the rubber",
@@ -90,42 +85,34 @@ STEPS = (
         "Stretch",
         "stretch",
         ("sheet", "stretch_jig"),
-        "Hang the sheet on the pegs of the jig, markers down. That stretches it by "
-        "{stretch:g} both ways, alike in all "
-        "directions: the middle stays where it is, circles stay circles. Lay page 3 of "
-        "[markers.pdf](markers.pdf), printed "
-        "on film, on it: markers must lie within 0.3 mm. Where one side is off, move its "
-        "pegs' holes.",
+        "Hang the sheet on the pegs of the jig, markers down. That stretches it by {stretch:g} "
+        "both ways, alike in all directions: the middle stays where it is, circles stay circles. "
+        "Lay page 3 of [markers.pdf](markers.pdf), printed on film, on it: markers must lie within "
+        "0.3 mm. Where one side is off, move its pegs' holes.",
     ),
     Step(
         "Glue it to the rim",
         "glue",
         ("sheet", "stretch_jig", "frame"),
-        "Put a thin, even bead of adhesive on the front of the rim only. Push the frame "
-        "from below into the jig, which "
-        "guides it, until the rim lifts the sheet by half a millimetre; weigh it down and "
-        "let it cure. From now on the "
-        "pre-stretch is fixed.",
+        "Put a thin, even bead of adhesive on the front of the rim only. Push the frame from below "
+        "into the jig, which guides it, until the rim lifts the sheet by half a millimetre; weigh "
+        "it down and let it cure. From now on the pre-stretch is fixed.",
     ),
     Step(
         "Clamp",
         "clamp",
         ("bolts", "clamp_ring", "membrane", "frame"),
-        "Cut the sheet off around the flange, fold it down around the rim, and lay the "
-        "clamping ring over it. Punch the "
-        "{bolts} holes through the ring and put the bolts in ({bolt}). The bolts' heads "
-        "stay {recess:g} mm behind the "
-        "membrane: nothing but rubber is in front.",
+        "Cut the sheet off around the flange, fold it down around the rim, and lay the clamping "
+        "ring over it. Punch the {bolts} holes through the ring and put the bolts in ({bolt}). The "
+        "bolts' heads stay {recess:g} mm behind the membrane: nothing but rubber is in front.",
     ),
     Step(
         "Pane and mount",
         "glass",
         ("frame", "gasket", "glass", "glass_seat", "camera_mount", "nuts"),
-        "Gasket (cut along [gasket.svg](gasket.svg)) on the back of the frame, the pane "
-        "in its seat, the mount behind it, "
-        "nuts on; tighten crosswise, a quarter turn after they are hand-tight. Clean pane "
-        "and lens before: nothing can be "
-        "reached later.",
+        "Gasket (cut along [gasket.svg](gasket.svg)) on the back of the frame, the pane in its "
+        "seat, the mount behind it, nuts on; tighten crosswise, a quarter turn after they are "
+        "hand-tight. Clean pane and lens before: nothing can be reached later.",
     ),
     Step(
         "Closed",
@@ -143,11 +130,9 @@ STEPS = (
             "bolts",
             "nuts",
         ),
-        "A cut through the middle. Membrane to pane: {depth:g} mm; pupil to pane: "
-        "{distance:g} mm. Screw or glue "
-        "the air port into the hole on the +x side ({port}). Inflate to {supply:g} kPa "
-        "under water or with soap: "
-        "no bubbles.",
+        "A cut through the middle. Membrane to pane: {depth:g} mm; pupil to pane: {distance:g} mm. "
+        "Screw or glue the air port into the hole on the +x side ({port}). Inflate to {supply:g} "
+        "kPa under water or with soap: no bubbles.",
         cut=True,
     ),
     Step(
@@ -186,15 +171,12 @@ def facts(layout: Layout, optics: Optics) -> dict[str, Any]:
     first = optics.mirrors[0]
     ink = (
         "Lay the stencil on it and rub on elastic ink (silicone ink on silicone, latex ink on "
-        "latex), or transfer the "
-        "print. The ink must be thin and elastic: a stiff one holds the rubber and "
-        "comes out smaller than mounted size; if yours is stiff, or you glue "
-        "discs, make the folder again with "
-        "`--markers discs`."
+        "latex), or transfer the print. The ink must be thin and elastic: a stiff one holds the "
+        "rubber and comes out smaller than mounted size; if yours is stiff, or you glue discs, "
+        "make the folder again with `--markers discs`."
         if layout.hardware.markers == "ink"
-        else "Glue the discs through the stencil. They are stiffer than the rubber and keep "
-        "their size; their places are those "
-        "before stretching."
+        else "Glue the discs through the stencil. They are stiffer than the rubber and keep their "
+        "size; their places are those before stretching."
     )
     return {
         "spacer": hw.SPACER,
@@ -215,17 +197,10 @@ def facts(layout: Layout, optics: Optics) -> dict[str, Any]:
         "supply": 1e-3 * design.chamber.supply_gauge,
         "hose": hose_volume(layout),
         "mirrors": (
-            f"The pane mirrors {seen} of "
-            f"{len(optics.mirrors)} "
-            "LEDs into the picture, the first "
-            f"at {first[0]:.0f}, "
-            f"{first[1]:.0f} px (circles); the "
-            "simulator does not draw that. "
-            "Crossed polarising films on LEDs "
-            "and lens, or an anti-reflection "
-            "coated pane, take them away; "
-            "without these, markers there are "
-            "lost."
+            f"The pane mirrors {seen} of {len(optics.mirrors)} LEDs into the picture, the first at "
+            f"{first[0]:.0f}, {first[1]:.0f} px (circles); the simulator does not draw that. "
+            "Crossed polarising films on LEDs and lens, or an anti-reflection coated pane, take "
+            "them away; without these, markers there are lost."
             if seen
             else "No LED's mirror image in the pane is in the picture."
         ),
@@ -299,42 +274,26 @@ def checks(
     seems = MM * grown * design.camera.distance
     size = (
         f"ink grows with the rubber, by up to {100 * grown:.1f} % (mean of all), and then seems "
-        f"{seems:.2g} mm nearer; "
-        "discs do not"
+        f"{seems:.2g} mm nearer; discs do not"
         if hardware.markers == "ink"
         else "discs keep their size"
     )
     return {
-        "rubber": "stretched up to "
-        f"{max(state.stretch for state in states):.2f} "
-        "of "
-        "its free length; "
-        "the simulator's law holds "
-        f"to {STRETCHED:g}",
+        "rubber": f"stretched up to {max(state.stretch for state in states):.2f} of its free "
+        f"length; the simulator's law holds to {STRETCHED:g}",
         "markers' size": size,
         "markers to the edge of the opening": f"{min(opening_margins(design)):.2f} mm at least",
-        f"markers in the picture, {len(states)} "
-        "simulated "
-        f"states to {MM * press:.2g} mm of "
-        "press and "
-        f"{1e-3 * design.chamber.supply_gauge:g} "
+        f"markers in the picture, {len(states)} simulated states to {MM * press:.2g} mm of press "
+        f"and {1e-3 * design.chamber.supply_gauge:g} "
         "kPa": f"{optics.margin:.0f} px to spare ({optics.worst})",
-        "sharpness": f"blur {optics.blur:.2f} px (sd) from "
-        f"{optics.near:.1f} to {optics.far:.1f} "
-        "mm at "
-        f"f/{optics.stop:g}; the "
-        f"sensor file allows {design.camera.blur_px:g}",
-        "motion blur": f"{hw.SMEAR:g} px at {hardware.speed:g} "
-        "mm/s with an exposure of "
+        "sharpness": f"blur {optics.blur:.2f} px (sd) from {optics.near:.1f} to {optics.far:.1f} "
+        f"mm at f/{optics.stop:g}; the sensor file allows {design.camera.blur_px:g}",
+        "motion blur": f"{hw.SMEAR:g} px at {hardware.speed:g} mm/s with an exposure of "
         f"{1e6 * optics.exposure:.0f} us",
-        "light": f"{optics.flux:.2g} W from each of "
-        f"{design.leds.count} LEDs meanwhile; "
-        "photon noise "
-        f"{optics.noise:.1f} DN "
-        f"(sensor file: {design.camera.noise_dn:g})",
+        "light": f"{optics.flux:.2g} W from each of {design.leds.count} LEDs meanwhile; photon "
+        f"noise {optics.noise:.1f} DN (sensor file: {design.camera.noise_dn:g})",
         "pane": f"bends with {glass_stress(design):.2g} MPa of {hw.GLASS_STRESS:g} allowed",
         "bolts": f"{abs(design.chamber.supply_gauge) * design.frame.area / len(layout.bolts):.2g} "
-        "N "
-        f"each of {hw.BOLT_LOAD:g}",
+        f"N each of {hw.BOLT_LOAD:g}",
         "parts": f"closed, none intersects another, {gap:.2g} mm between what is not to touch",
     }

@@ -60,10 +60,8 @@ def marker_pages(layout: Layout) -> list[Sheet]:
     )
     tags = (
         f"{design.markers.count} markers, {scaled}",
-        "radius "
-        f"{MM * design.markers.radius * marker_shrink(design, layout.hardware):.4g} mm "
-        "here, "
-        f"{MM * design.markers.radius:g} mm mounted; seen from inside, as the camera does",
+        f"radius {MM * design.markers.radius * marker_shrink(design, layout.hardware):.4g} mm "
+        f"here, {MM * design.markers.radius:g} mm mounted; seen from inside, as the camera does",
     )
     around = [
         *_register(layout, 1 / stretch),
@@ -152,11 +150,8 @@ def led_page(layout: Layout) -> Sheet:
     ]
     notes = [
         "circuit board 1.6 mm; LEDs (2835) on the membrane's side,",
-        "their light leaving in the plane of the "
-        "lens's "
-        "pupil; drawn as seen from the camera, "
-        "through the "
-        "board",
+        "their light leaving in the plane of the lens's pupil; drawn as seen from the camera, "
+        "through the board",
     ]
     for number, (x, y) in enumerate(led_places(layout), 1):
         out = (layout.led_outer + 4) / math.hypot(x, y)
@@ -222,8 +217,7 @@ def board_page(design: SensorDesign) -> Sheet:
         rows * cell / 2,
         (
             f"ChArUco {board.columns} x {board.rows}, squares {square:g} mm, markers "
-            f"{MM * board.marker:g} mm, "
-            f"{board.dictionary}",
+            f"{MM * board.marker:g} mm, {board.dictionary}",
             f"glue it to something flat, measure a square: --square-mm {square:g}",
         ),
     )

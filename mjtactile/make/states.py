@@ -114,10 +114,8 @@ def simulate(
             say(f"pressed at {name}")
     except SimulationError as error:
         raise InputError(
-            f"the membrane does not do what is asked of it at {1e-3 * supply:g} kPa and a press "
-            "of "
-            f"{1e3 * depth:.2g} mm: "
-            f"{error.reason}",
+            f"the membrane does not do what is asked of it at {1e-3 * supply:g} kPa and a press of "
+            f"{1e3 * depth:.2g} mm: {error.reason}",
             source=source,
             field="chamber.supply_gauge_kPa",
         ) from error

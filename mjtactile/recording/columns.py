@@ -86,9 +86,8 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
     "force_shear": ("N", "felt along the membrane, its size", _of_touch(_shear)),
     "wrench": (
         "N, N m",
-        "felt: force on the membrane (x, y, z) and torque about the middle of the frame, frame "
-        "S; a press has a "
-        "negative z",
+        "felt: force on the membrane (x, y, z) and torque about the middle of the frame, frame S; "
+        "a press has a negative z",
         _of_part("traction", "wrench", _NAN6),
     ),
     "wrench_sd": (
@@ -115,10 +114,8 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
     "contact_depth": ("m", "of the deepest indentation", _of_part("contact", "depth", np.nan)),
     "patches": (
         "m^2, m, N",
-        "each place that touches, the strongest first: `area`, `centroid`, `depth`, `force` "
-        "(x, y, z), "
-        "`semi_axes` and `angle` (rad from x) of "
-        "its ellipse",
+        "each place that touches, the strongest first: `area`, `centroid`, `depth`, `force` (x, y, "
+        "z), `semi_axes` and `angle` (rad from x) of its ellipse",
         _of_touch(lambda t: [_patch(p) for p in t.patches]),
     ),
     "slip_state": (

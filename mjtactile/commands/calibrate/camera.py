@@ -93,9 +93,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--k3",
         action="store_true",
-        help="fit the distortion's sixth order too (wide "
-        "lenses); from circles it "
-        "is fitted without being asked for where it is plainly there",
+        help="fit the distortion's sixth order too (wide lenses); from circles it is fitted "
+        "without being asked for where it is plainly there",
     )
     parser.add_argument(
         "--print",
@@ -149,8 +148,7 @@ def run(options: argparse.Namespace) -> int:
         {**verdict, **residuals, **info},
         [
             f"{len(fit.view_rms)} pictures, {len(fit.dropped)} left out; corners fit to "
-            f"{fit.rms:.3f} px, "
-            f"{fit.holdout_px:.3f} px in pictures that were not fitted",
+            f"{fit.rms:.3f} px, {fit.holdout_px:.3f} px in pictures that were not fitted",
             f"  focal length {fx:.2f}, {fy:.2f} px (sd {fit.sd[0]:.2f}, {fit.sd[1]:.2f}), "
             f"centre {cx:.2f}, {cy:.2f} px",
             f"  {100 * fit.coverage:.0f} % of the view seen, board tilted by up to "
@@ -252,8 +250,7 @@ def _recorded(source: Path, finder) -> tuple[list, tuple[int, int]]:
     if not views:
         raise InputError(
             "the board is in none of the pictures: are --board and --dictionary those of the "
-            "print, or is it one of "
-            "circles (--from-circles)?",
+            "print, or is it one of circles (--from-circles)?",
             source=source,
         )
     return views, sizes.pop()
@@ -276,8 +273,7 @@ def _live(options: argparse.Namespace, finder) -> tuple[list, tuple[int, int]]:
     if not views:
         raise InputError(
             f"the board was never seen resting within {options.seconds:g} s: are --board and "
-            "--dictionary those of "
-            "the print, and is it sharp?",
+            "--dictionary those of the print, and is it sharp?",
             field="--rig",
         )
     return views, (camera.config.width, camera.config.height)

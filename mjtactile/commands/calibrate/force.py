@@ -173,8 +173,7 @@ def _lines(fit: Any) -> list[str]:
     )
     return [
         f"  {len(fit.true)} loads up to {max(fit.true):.2f} N: load = {fit.scale:.3f} (sd "
-        f"{fit.scale_sd:.3f}) x felt "
-        f"{fit.offset:+.3f} N, {fit.rms:.3f} N (rms) left",
+        f"{fit.scale_sd:.3f}) x felt {fit.offset:+.3f} N, {fit.rms:.3f} N (rms) left",
         f"  the paper's c: {constant}",
     ]
 

@@ -187,15 +187,13 @@ def _lines(opening: Any, force: Any, servos: list[dict[str, Any]], refused: bool
     lines = []
     if opening is not None:
         lines.append(
-            f"opening: off by {1e3 * opening.offset:+.3f} mm at zero, scale "
-            f"{opening.scale:.4f}, backlash "
-            f"{1e3 * opening.backlash:.3f} mm; {1e3 * opening.rms:.3f} mm (rms) left"
+            f"opening: off by {1e3 * opening.offset:+.3f} mm at zero, scale {opening.scale:.4f}, "
+            f"backlash {1e3 * opening.backlash:.3f} mm; {1e3 * opening.rms:.3f} mm (rms) left"
         )
     if force is not None:
         lines.append(
             f"force: {force.factor:.3f} times what the currents say (sd {force.factor_sd:.3f}), "
-            f"{force.offset:+.3f} N; "
-            f"{force.rms:.3f} N (rms) left"
+            f"{force.offset:+.3f} N; {force.rms:.3f} N (rms) left"
         )
     if not refused:
         lines.append("in place of what the rig file says:")

@@ -117,7 +117,6 @@ def _live(options: argparse.Namespace, targets: list[target.Target]) -> list[Any
 def _line(fit: Any) -> str:
     return (
         f"  zero {fit.offset:+.0f} Pa (noise {fit.noise_sd:.0f}), {fit.step:.0f} of "
-        f"{fit.asked:.0f} Pa in "
-        f"{fit.rise_time:.3f} s (10 to 90 %), sealed it loses {fit.leak:+.2f} Pa/s (sd "
-        f"{fit.leak_sd:.2f})"
+        f"{fit.asked:.0f} Pa in {fit.rise_time:.3f} s (10 to 90 %), sealed it loses "
+        f"{fit.leak:+.2f} Pa/s (sd {fit.leak_sd:.2f})"
     )

@@ -209,9 +209,8 @@ class OpenCvCamera:
                 else (f"{value:g}", f"{found:g}")
             )
             raise DeviceError(
-                f"{self.name}: {what} was set to {shown[0]} but is {shown[1]}; `mjtactile "
-                "doctor` lists what "
-                "it can do"
+                f"{self.name}: {what} was set to {shown[0]} but is {shown[1]}; `mjtactile doctor` "
+                "lists what it can do"
             )
 
     # -- the reader
@@ -248,8 +247,7 @@ class OpenCvCamera:
         if gray.shape != (self.config.height, self.config.width):
             self._fail(
                 f"it sends {gray.shape[1]} x {gray.shape[0]} pixels, the rig file says "
-                f"{self.config.width} x "
-                f"{self.config.height}"
+                f"{self.config.width} x {self.config.height}"
             )
             return
         captured = self._capture_time(arrival)

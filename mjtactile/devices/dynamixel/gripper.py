@@ -191,8 +191,7 @@ class DynamixelGripper:
         if failed:
             text = (
                 f"torque of servo {', '.join(map(str, failed))} on {self.bus.name} could not be "
-                "switched off "
-                f"({'; '.join(failed.values())}); its bus watchdog stops it. Cut its "
+                f"switched off ({'; '.join(failed.values())}); its bus watchdog stops it. Cut its "
                 "power before touching it"
             )
             _log.error(text)
@@ -214,8 +213,7 @@ class DynamixelGripper:
         except ValueError as error:
             raise DeviceError(
                 f"{servo.where} stands at {ticks} ticks: {error} turn puts its jaw within "
-                f"{low * 1e3:g} to {high * 1e3:g} mm; is its horn mounted as the rig file "
-                "says?"
+                f"{low * 1e3:g} to {high * 1e3:g} mm; is its horn mounted as the rig file says?"
             ) from error
 
     def _p_gain(self, servo: Servo) -> int | None:

@@ -42,9 +42,8 @@ REQUIRED = (  # register, what it must be, and what anything else means
     (
         "Homing Offset",
         0,
-        "with one, a tripped watchdog makes the motor turn (DynamixelSDK issue 584); "
-        "zero_ticks in the rig file "
-        "does the same",
+        "with one, a tripped watchdog makes the motor turn (DynamixelSDK issue 584); zero_ticks in "
+        "the rig file does the same",
     ),
     ("Startup Configuration", 0, "torque, or old settings, as soon as it has power"),
 )
@@ -131,8 +130,7 @@ class Servo:
             number, firmware = self._ask(lambda: self.bus.ping(self.id))
         except BusError as error:
             raise DeviceError(
-                f"{self.where} does not answer ({error}): is it powered, and are id and baud "
-                "rate "
+                f"{self.where} does not answer ({error}): is it powered, and are id and baud rate "
                 f"({baud}) right? `mjtactile doctor` looks for servos"
             ) from error
         model = require_model(number, self.where)
@@ -143,9 +141,8 @@ class Servo:
         bits = self.get("Hardware Error Status")
         if bits:
             raise ServoFault(
-                f"{self.where} has latched {describe_hardware_error(bits)}: find the cause, "
-                "then take its power "
-                "off and on (it is never rebooted from here)",
+                f"{self.where} has latched {describe_hardware_error(bits)}: find the cause, then "
+                "take its power off and on (it is never rebooted from here)",
                 self.id,
             )
         for name, wanted, meaning in REQUIRED:
@@ -157,9 +154,8 @@ class Servo:
                 )
         if not self.model.watchdog_stops(firmware):
             _log.warning(
-                "%s has firmware %d, whose bus watchdog stops nothing: a dead host leaves it "
-                "at its last goal and "
-                "force; update it with Dynamixel Wizard",
+                "%s has firmware %d, whose bus watchdog stops nothing: a dead host leaves it at "
+                "its last goal and force; update it with Dynamixel Wizard",
                 self.where,
                 firmware,
             )

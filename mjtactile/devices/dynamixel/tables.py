@@ -104,13 +104,11 @@ def require_model(number: int, where: str) -> ServoModel:
     if number in NO_CURRENT_CONTROL:
         raise DeviceError(
             f"{where} is a {NO_CURRENT_CONTROL[number]}, which has no goal current and cannot "
-            "limit its force; "
-            f"use one of {', '.join(MODELS)}"
+            f"limit its force; use one of {', '.join(MODELS)}"
         )
     if number not in MODEL_BY_NUMBER:
         raise DeviceError(
-            f"{where} has model number {number}, whose current "
-            "unit is not known; use one of "
+            f"{where} has model number {number}, whose current unit is not known; use one of "
             f"{', '.join(MODELS)}"
         )
     return MODEL_BY_NUMBER[number]

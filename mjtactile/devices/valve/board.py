@@ -136,8 +136,7 @@ class ValveBoard:
         if failed:
             text = (
                 f"valve board {self.name}: channel {', '.join(map(str, failed))} could not be "
-                "vented; the board vents by "
-                "itself when it hears nothing"
+                "vented; the board vents by itself when it hears nothing"
             )
             _log.error(text)
             if not quiet:
@@ -163,8 +162,7 @@ class ValveBoard:
         what = f"it said {heard!r}" if heard else "it said nothing that could be read"
         raise DeviceError(
             f"valve board {self.name} does not answer as {protocol.NAME} within "
-            f"{_HANDSHAKE_TIME:g} s: {what}; are "
-            "port and baud rate right, is firmware/valve on it?"
+            f"{_HANDSHAKE_TIME:g} s: {what}; are port and baud rate right, is firmware/valve on it?"
         )
 
     def _check(self, version: str, channels: int, most: float) -> None:

@@ -46,8 +46,7 @@ class BoardValve:
         if not 0 <= supply_gauge <= config.pressure_max:
             raise DeviceError(
                 f"valve {config.finger}: {supply_gauge:g} Pa is outside 0 to "
-                f"{config.pressure_max:g} Pa, the "
-                "largest that the rig file allows"
+                f"{config.pressure_max:g} Pa, the largest that the rig file allows"
             )
         if supply_gauge == 0:
             self.board.vent(config.channel)
@@ -74,8 +73,7 @@ class BoardValve:
         if abs(fixed - supply_gauge) > 0.05 * fixed:
             raise DeviceError(
                 f"valve {self.config.finger}: {supply_gauge:g} Pa was asked for, but its supply "
-                f"gives {fixed:g} Pa "
-                "and a board without a sensor cannot change that"
+                f"gives {fixed:g} Pa and a board without a sensor cannot change that"
             )
 
     def _has_moved(self, reading: ValveReading) -> bool:
@@ -89,9 +87,8 @@ class BoardValve:
     def _check_moves(self, reading: ValveReading) -> None:
         if pace.monotonic() - self._goal_time >= _SETTLE_TIME and not self._has_moved(reading):
             raise DeviceError(
-                f"valve {self.config.finger} is stuck: {self._goal:g} Pa was set "
-                f"{_SETTLE_TIME:g} s ago, the "
-                f"chamber has {reading.pressure_gauge:.0f} Pa"
+                f"valve {self.config.finger} is stuck: {self._goal:g} Pa was set {_SETTLE_TIME:g} "
+                f"s ago, the chamber has {reading.pressure_gauge:.0f} Pa"
             )
 
 
