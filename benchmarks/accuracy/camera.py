@@ -197,10 +197,8 @@ def table(result: dict[str, Any]) -> str:
         lines += [
             f"| {r['name']} | failed: {r['failed']} | | | | |"
             if "failed" in r
-            else f"| {r['name']} | {1e3 * r['force_error_N']:.1f} | "
-            f"{r['marker_error_um']:.1f} | {r['unknown']} | "
-            f"{r['camera_ms']:.1f} | "
-            f"{r['perception_ms']:.1f} |"
+            else f"| {r['name']} | {1e3 * r['force_error_N']:.1f} | {r['marker_error_um']:.1f} | "
+            f"{r['unknown']} | {r['camera_ms']:.1f} | {r['perception_ms']:.1f} |"
             for r in result[sweep]
         ] + [""]
     lines += [

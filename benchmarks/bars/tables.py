@@ -116,22 +116,18 @@ def table(result: Mapping[str, Any]) -> str:
     status = ", ".join(f"{count} {name}" for name, count in result["status"].items())
     lines = [
         f"{result['images']} images of {result['scenes']} scenes: {status}; "
-        f"{len(result['failed'])} scenes could not be "
-        "simulated.",
+        f"{len(result['failed'])} scenes could not be simulated.",
         "",
         "| chi-square | images | scenes | "
         + " | ".join(COMPONENTS)
-        + f" | beyond {FAR:g} sd: Fz | any of six "
-        "(in scenes) "
-        "| worst Fz, sd |",
+        + f" | beyond {FAR:g} sd: Fz | any of six (in scenes) | worst Fz, sd |",
         "|" + "---|" * 12,
     ]
     for name, g in result["groups"].items():
         chi = " | ".join(f"{value:.2f}" for value in g["chi_square"])
         lines.append(
             f"| {name} | {g['images']} | {g['scenes']} | {chi} | {g['far'][2]} | {g['far_any']} "
-            f"({g['far_scenes']}) "
-            f"| {g['worst'][2]:.1f} |"
+            f"({g['far_scenes']}) | {g['worst'][2]:.1f} |"
         )
     lines += [
         "",
@@ -142,7 +138,6 @@ def table(result: Mapping[str, Any]) -> str:
     for name, a in result["areas"].items():
         lines.append(
             f"| {name} | {a['images']} | {100 * a['median_error']:.0f} % | {a['median']:.2f} "
-            f"({a['range'][0]:.2f}-"
-            f"{a['range'][1]:.2f}) | {100 * a['within_10_percent']:.0f} % |"
+            f"({a['range'][0]:.2f}-{a['range'][1]:.2f}) | {100 * a['within_10_percent']:.0f} % |"
         )
     return "\n".join([*lines, ""])

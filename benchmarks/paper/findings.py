@@ -55,8 +55,7 @@ def _fig5b(result: Mapping[str, Any]) -> list[Row]:
     rows = [
         (
             f"5b: {name}: left by a line / by a parabola, rms",
-            f"{1e3 * result[name]['linear_rms_N']:.0f} "
-            "/ "
+            f"{1e3 * result[name]['linear_rms_N']:.0f} / "
             f"{1e3 * result[name]['parabola_rms_N']:.0f} mN",
             claim,
         )
@@ -68,8 +67,7 @@ def _fig5b(result: Mapping[str, Any]) -> list[Row]:
         (
             "5b: the sponge's own law F = K d + B d^2 without the membrane: K, B (true)",
             f"{law['stiffness_N_m']:.0f} N/m, {1e-6 * law['stiffening_N_m2']:.2f} N/mm^2 "
-            f"({law['stiffness_true_N_m']:.0f}, "
-            f"{1e-6 * law['stiffening_true_N_m2']:.2f})",
+            f"({law['stiffness_true_N_m']:.0f}, {1e-6 * law['stiffening_true_N_m2']:.2f})",
             '"possible"',
         ),
     ]
@@ -114,10 +112,8 @@ def _fig7(result: Mapping[str, Any]) -> list[Row]:
 def _air(result: Mapping[str, Any]) -> list[Row]:
     return [
         (
-            f"air: {r['supply_kPa']:g} kPa, {r['air_mL']:.0f} mL, valve {r['valve']}: force "
-            "for the "
-            "first mm; "
-            "noise-equivalent force",
+            f"air: {r['supply_kPa']:g} kPa, {r['air_mL']:.0f} mL, valve {r['valve']}: force for "
+            "the first mm; noise-equivalent force",
             f"{r['stiffness_N_mm']:.3f} N; {1e3 * r['noise_N']:.1f} mN",
             '"adjustable"',
         )
@@ -136,45 +132,30 @@ _ROWS = {
 
 _TEXT = {
     "fig5a": "**Fig. 5a.** A cylinder (6 mm) driven in by 1 mm at a time; the load cell reads the "
-    "true contact force. Ours is "
-    "the sensing chain's force, nothing calibrated. The paper's dF = c dA gets "
-    "its best case: c fitted to the very "
-    "points it is judged on. It still does worse than claimed, and the lower row "
-    "shows why. A dome that is pressed in "
-    "first loses area at the top and gains it at the flanks: the two cancel, and "
-    "with a closed valve the area grows "
-    "only with the square of the depth, while the force grows linearly. With the "
-    "valve open, where the "
-    "pressure stays, it even shrinks, and c has the wrong sign. The paper's "
-    "straight line needs a membrane that is "
-    "flat, not inflated. The mesh is finer here than the simulator's default, on "
-    "whose vertices, 3.3 mm apart, "
-    "this face rests at eleven points and is no circle. With 16 markers it stands "
-    "between four that see its rim alone: "
-    "their slopes tell that it is flat.",
-    "fig5b": "**Fig. 5b.** The same face, rigid and on a sponge. "
-    "Left as the paper plots it: driven "
-    "depth, membrane and "
-    "object in series. Even the solid's curve is no line, because the membrane "
-    "stiffens; the sponge's parabola is "
-    "the membrane's as much as its own. Right: where the membrane stands is seen "
-    "by the camera, so its share can "
-    "be taken away; what remains is the object's own law, and a solid's is a "
-    "vertical line.",
+    "true contact force. Ours is the sensing chain's force, nothing calibrated. The paper's dF = c "
+    "dA gets its best case: c fitted to the very points it is judged on. It still does worse than "
+    "claimed, and the lower row shows why. A dome that is pressed in first loses area at the top "
+    "and gains it at the flanks: the two cancel, and with a closed valve the area grows only with "
+    "the square of the depth, while the force grows linearly. With the valve open, where the "
+    "pressure stays, it even shrinks, and c has the wrong sign. The paper's straight line needs a "
+    "membrane that is flat, not inflated. The mesh is finer here than the simulator's default, on "
+    "whose vertices, 3.3 mm apart, this face rests at eleven points and is no circle. With 16 "
+    "markers it stands between four that see its rim alone: their slopes tell that it is flat.",
+    "fig5b": "**Fig. 5b.** The same face, rigid and on a sponge. Left as the paper plots it: "
+    "driven depth, membrane and object in series. Even the solid's curve is no line, because the "
+    "membrane stiffens; the sponge's parabola is the membrane's as much as its own. Right: where "
+    "the membrane stands is seen by the camera, so its share can be taken away; what remains is "
+    "the object's own law, and a solid's is a vertical line.",
     "fig5c": "**Fig. 5c.** Driven in at 2 mm/s, one image each 1/30 s, then held.",
     "fig6": "**Fig. 6.** Synthetic images of 16 circles in random poses, with blur 0.7 px and "
-    "noise 2 DN, by a renderer that "
-    "shares nothing with the detector.",
+    "noise 2 DN, by a renderer that shares nothing with the detector.",
     "fig7": "**Fig. 7.** Three objects: the camera's image, the reconstructed membrane, the force "
-    "on each node (tangential "
-    "forces with a minus sign, as in the paper).",
+    "on each node (tangential forces with a minus sign, as in the paper).",
     "air": "**Amount of air.** The claim holds for pressures above about 1 kPa and for the amount "
-    "of air: more of the one, or "
-    "less of the other, makes a touch meet more force in the first millimetre. More "
-    "pressure makes the noise grow as "
-    "fast, so that no finer motion is told; less air changes it little. The finest "
-    "force is felt with the valve "
-    "open, which keeps a known pressure; the finest motion with the valve closed.",
+    "of air: more of the one, or less of the other, makes a touch meet more force in the first "
+    "millimetre. More pressure makes the noise grow as fast, so that no finer motion is told; less "
+    "air changes it little. The finest force is felt with the valve open, which keeps a known "
+    "pressure; the finest motion with the valve closed.",
 }
 
 

@@ -146,8 +146,7 @@ def table(result: dict[str, Any]) -> str:
         median, worst = _reactions(rows)
         lines.append(
             f"| {kind} | {sum(r['safe'] for r in rows)} of {len(rows)} | {median:.0f} / "
-            f"{worst:.0f} | "
-            f"{rows[0]['outcome'][:110]} |"
+            f"{worst:.0f} | {rows[0]['outcome'][:110]} |"
         )
     return "\n".join(lines) + "\n"
 
@@ -197,9 +196,8 @@ def _loop_rows(loop: dict[str, Any]) -> list[tuple[str, str, str]]:
         (
             "capture to command, median / p99",
             "25 / 45 ms",
-            f"{loop['capture_to_command_median_ms']:.1f} / "
-            f"{loop['capture_to_command_p99_ms']:.1f} ms "
-            f"(p10 {loop['capture_to_command_p10_ms']:.1f})",
+            f"{loop['capture_to_command_median_ms']:.1f} / {loop['capture_to_command_p99_ms']:.1f} "
+            f"ms (p10 {loop['capture_to_command_p10_ms']:.1f})",
         ),
         (
             "of it, median",
@@ -214,8 +212,7 @@ def _loop_rows(loop: dict[str, Any]) -> list[tuple[str, str, str]]:
         (
             "processors used",
             "",
-            f"host {cpu['host']:.2f}, emulated world "
-            f"{cpu['world']:.2f}, emulated devices "
+            f"host {cpu['host']:.2f}, emulated world {cpu['world']:.2f}, emulated devices "
             f"{cpu['devices']:.2f}; load average {cpu['load_average']:.1f}",
         ),
     ]
@@ -250,9 +247,8 @@ def _killed_rows(runs: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
             f"host killed while squeezing an egg, on servos that then: {kind}",
             "300 ms, a safe hand",
             f"watchdogs tripped {time(kind, 'servos_stopped_s')}, valves vented "
-            f"{time(kind, 'valves_vented_s')}; squeeze "
-            f"{amount(kind, 'squeeze_before_N')} N before, "
-            f"{amount(kind, 'squeeze_after_N')} N a second later; jaws closed by "
+            f"{time(kind, 'valves_vented_s')}; squeeze {amount(kind, 'squeeze_before_N')} N "
+            f"before, {amount(kind, 'squeeze_after_N')} N a second later; jaws closed by "
             f"{amount(kind, 'closed_by_mm')} mm",
         )
         for kind in dict.fromkeys(run["kind"] for run in runs)
@@ -280,9 +276,8 @@ def _fuzz_rows(fuzz: dict[str, Any]) -> list[tuple[str, str, str]]:
         (
             f"bad bytes to the {name} driver",
             "10^7, none beyond what the CRC allows",
-            f"{r['bytes']} in {r['calls']} calls: {r['wrong']} wrong "
-            f"accepted, {r['true']} true accepted, longest call {1e3 * r['longest_s']:.0f} "
-            "ms",
+            f"{r['bytes']} in {r['calls']} calls: {r['wrong']} wrong accepted, {r['true']} true "
+            f"accepted, longest call {1e3 * r['longest_s']:.0f} ms",
         )
         for name, r in fuzz.items()
     ]

@@ -171,15 +171,13 @@ def table(result: dict[str, Any]) -> str:
         )
     lines += [
         f"| {row['scene']} at 4.17 ms | {row['ms_per_step']:.3f} | {row['ms_per_s']:.1f} | "
-        f"{row['real_time_factor']:.0f} | "
-        f"{row['ms_per_s'] / reference:.1f} |"
+        f"{row['real_time_factor']:.0f} | {row['ms_per_s'] / reference:.1f} |"
         for row in result["rigid"]
     ]
     lines += [
         "",
         "Cost of a step grows with the number of vertices to the power "
-        f"{result['growth']['exponent']:.2f} "
-        f"({result['growth']['rows'][0]['vertices']} to "
+        f"{result['growth']['exponent']:.2f} ({result['growth']['rows'][0]['vertices']} to "
         f"{result['growth']['rows'][-1]['vertices']} vertices).",
         "",
         sensors.table(result["many"]),
@@ -187,24 +185,21 @@ def table(result: dict[str, Any]) -> str:
         "A whole grasp of an egg, two cameras at 60 Hz with perception, as the loop "
         "runs it: wall time.",
         "",
-        "| accuracy | processes for perception | x real time | while the object is "
-        "held | core ms per simulated s | "
-        "load average |",
+        "| accuracy | processes for perception | x real time | while the object is held | core ms "
+        "per simulated s | load average |",
         "|---|---|---|---|---|---|",
     ]
     lines += [
         f"| {row['accuracy']} | {row['workers']} | {row['real_time_factor']:.2f} | "
-        f"{row['real_time_factor_held']:.2f} | "
-        f"{row['core_ms_per_s']:.0f} | "
+        f"{row['real_time_factor_held']:.2f} | {row['core_ms_per_s']:.0f} | "
         f"{row['load_average']:.1f} |"
         for row in result["loops"]
     ]
     slow = sum(row["denormals"] for row in result["loops"])
     lines += [
         "",
-        f"Denormal numbers in what chains and cameras keep, after these grasps: {slow}. They "
-        "make products up to 20 "
-        "times slower on some processors.",
+        f"Denormal numbers in what chains and cameras keep, after these grasps: {slow}. They make "
+        "products up to 20 times slower on some processors.",
     ]
     if "compared" in result:
         lines += ["", compare.table(result["compared"])]

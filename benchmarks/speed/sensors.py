@@ -65,8 +65,7 @@ def table(rows: list[Mapping[str, Any]]) -> str:
     ]
     lines += [
         f"| {row['sensors']} | {row['loaded_ms']:.2f} | "
-        f"{row['loaded_ms'] / row['sensors'] / one['loaded_ms']:.2f} | "
-        f"{row['asleep_ms']:.3f} |"
+        f"{row['loaded_ms'] / row['sensors'] / one['loaded_ms']:.2f} | {row['asleep_ms']:.3f} |"
         for row in rows
     ]
     return "\n".join(lines)

@@ -127,8 +127,7 @@ def _quiet(result: Mapping[str, Any]) -> Sequence[str]:
     for name, q in result["quiet"].items():
         lines.append(
             f"| {name} | {q['frames']} | {q['false_alarms']} | {q['mean_N']:+.4f} | "
-            f"{q['sd_N']:.4f} "
-            f"({q['predicted_sd_N']:.4f}) | {q['largest_N']:.4f} |"
+            f"{q['sd_N']:.4f} ({q['predicted_sd_N']:.4f}) | {q['largest_N']:.4f} |"
         )
     return lines
 
@@ -142,9 +141,8 @@ def _off_nominal(result: Mapping[str, Any]) -> Sequence[str]:
     for row in result["off_nominal"]:
         error = row["force_N"] - row["force_true_N"]
         lines.append(
-            f"| {row['case']} | {row['sensor']} | {row['force_true_N']:.3f} | "
-            f"{row['force_N']:.3f} | {error:+.3f} "
-            f"| {row['sd_N']:.3f} | {row['status']} |"
+            f"| {row['case']} | {row['sensor']} | {row['force_true_N']:.3f} | {row['force_N']:.3f} "
+            f"| {error:+.3f} | {row['sd_N']:.3f} | {row['status']} |"
         )
     return lines
 

@@ -72,9 +72,8 @@ def table(result: dict[str, Any]) -> str:
     """Markdown: in each case the number of each kind that is worst against what is asked; then
     where references come from."""
     lines = [
-        f"{result['met']} of {result['numbers']} numbers are as good as asked. Each row shows "
-        "the one that is worst against "
-        "what is asked.",
+        f"{result['met']} of {result['numbers']} numbers are as good as asked. Each row shows the "
+        "one that is worst against what is asked.",
         "",
         "| case | what | at | reference | measured | error | asked | as good |",
         "|---|---|---|---|---|---|---|---|",
@@ -100,7 +99,6 @@ def _line(about: str, numbers: Sequence[dict[str, Any]]) -> str:
     met = sum(n["is_met"] for n in numbers)
     return (
         f"| {about} | {worst['what']} | {worst['at']} | {worst['reference']:.4g}{unit} | "
-        f"{worst['measured']:.4g} | "
-        f"{worst['error']:+.2g}{share}{sd} | {worst['allowed']:.2g} | {met} of "
-        f"{len(numbers)} |"
+        f"{worst['measured']:.4g} | {worst['error']:+.2g}{share}{sd} | {worst['allowed']:.2g} | "
+        f"{met} of {len(numbers)} |"
     )

@@ -7,9 +7,8 @@ One that needs no simulator says `SIMULATES = False`.
 COMMANDS = {
     "grasp": "grasp a fragile object, lift it, hold it, set it down",
     "probe": "squeeze an object gently and say what it is made of",
-    "evaluate": "many grasps with other seeds and objects: how "
-    "often a controller holds, and which is "
-    "better",
+    "evaluate": "many grasps with other seeds and objects: how often a controller holds, and which "
+    "is better",
     "experiments": "the paper's experiments again: figures, and our numbers beside its own",
     "inflate": "inflate a sensor's membrane and compare its height with theory",
     "press": "drive an indenter into a sensor and compare the felt with the true force",

@@ -76,8 +76,7 @@ def _print_table(result: dict[str, Any], out: Path | None) -> None:
     for s in result["steps"]:
         print(
             f"{s['pressure_kPa']:12.3f} {s['centre_height_mm']:10.4f} "
-            f"{s['theory_height_mm']:10.4f} {s['volume_mL']:10.4f} "
-            f"{s['area_mm2']:10.2f} "
+            f"{s['theory_height_mm']:10.4f} {s['volume_mL']:10.4f} {s['area_mm2']:10.2f} "
             f"{s['max_stretch']:12.4f}{'' if s['converged'] else '  not settled'}"
         )
     for kind, reason in result["flags"].items():

@@ -70,11 +70,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--glass-mm",
         metavar="T:N:D",
-        help="a pane in front of the camera, normal to its axis: thickness in "
-        "mm, refractive index, distance of "
-        "its near face from the camera's centre in mm, such as 5:1.5:120 "
-        "(default: what the camera file says "
-        "under glass)",
+        help="a pane in front of the camera, normal to its axis: thickness in mm, refractive "
+        "index, distance of its near face from the camera's centre in mm, such as 5:1.5:120 "
+        "(default: what the camera file says under glass)",
     )
     parser.add_argument(
         "--radius-mm",
@@ -103,18 +101,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--neighbours",
         choices=["auto", "always", "never"],
         default="auto",
-        help="let many circles on one smooth surface help each other: small "
-        "ones (auto, the default), "
-        "of any size, or never",
+        help="let many circles on one smooth surface help each other: small ones (auto, the "
+        "default), of any size, or never",
     )
     parser.add_argument(
         "--gamma",
         type=_gamma,
         default=1.0,
         metavar="G|auto",
-        help="the camera's gamma, whose grey levels are light to the power of "
-        "1/G (default: 1; sRGB: 2.2), or "
-        "auto: what the circles of each image plainly say",
+        help="the camera's gamma, whose grey levels are light to the power of 1/G (default: 1; "
+        "sRGB: 2.2), or auto: what the circles of each image plainly say",
     )
     parser.add_argument(
         "--out",

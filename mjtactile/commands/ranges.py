@@ -59,9 +59,8 @@ def add_frames_argument(parser: argparse.ArgumentParser) -> None:
         type=frames,
         default=1,
         metavar="none|every:N|all",
-        help="camera images to keep in the recording: of no cycle, of every "
-        "N-th, of all (default). Without all "
-        "of them it cannot be replayed; two cameras take 9 MB a second",
+        help="camera images to keep in the recording: of no cycle, of every N-th, of all "
+        "(default). Without all of them it cannot be replayed; two cameras take 9 MB a second",
     )
 
 

@@ -207,8 +207,7 @@ def _print_table(rows: Sequence[dict[str, Any]], out: Path | None) -> None:
     for row in rows:
         force = None if row["force_N"] is None else -row["force_N"][2]
         print(
-            f"{row['source'][-32:]:<32} {len(row['markers']):>7} "
-            f"{number(row['area_mm2'], 10, 2)} "
+            f"{row['source'][-32:]:<32} {len(row['markers']):>7} {number(row['area_mm2'], 10, 2)} "
             f"{number(row['volume_mL'], 10, 4)} {number(row['contact_area_mm2'], 11, 1)} "
             f"{number(row['depth_mm'], 9, 3)} "
             f"{number(force, 8, 3)}{'' if row['status'] == 'ok' else '  ' + row['status']}"

@@ -16,10 +16,8 @@ def add_argument(parser: argparse.ArgumentParser) -> None:
         "--slow",
         type=_times,
         metavar="N",
-        help="emulated rig: its world, watchdogs and "
-        "heartbeats, and this "
-        "program's time-outs, run at 1/N of the speed, for a computer that "
-        "does not keep up (default: 1)",
+        help="emulated rig: its world, watchdogs and heartbeats, and this program's time-outs, run "
+        "at 1/N of the speed, for a computer that does not keep up (default: 1)",
     )
 
 

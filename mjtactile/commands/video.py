@@ -32,9 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=Path,
         metavar="FILE",
-        help=".mp4 (30 images a second), .gif or "
-        ".webp (10 and 15, half the "
-        "size) (default: RUN/video.mp4)",
+        help=".mp4 (30 images a second), .gif or .webp (10 and 15, half the size) (default: "
+        "RUN/video.mp4)",
     )
     parser.add_argument(
         "--speed",

@@ -86,8 +86,7 @@ def _line(episode: Episode) -> dict[str, Any] | None:
 def _progress(line: dict[str, Any], done: int, of: int, rate: float) -> str:
     return (
         f"{done} of {of}: {line['controller']}, {line['object']}, seed {line['seed']}: "
-        f"{line['outcome']}; "
-        f"{3600 * rate:.0f} an hour, {(of - done) / rate / 60:.0f} min left"
+        f"{line['outcome']}; {3600 * rate:.0f} an hour, {(of - done) / rate / 60:.0f} min left"
     )
 
 

@@ -103,8 +103,7 @@ def table(summary: Mapping[str, Any]) -> str:
     """The summary as Markdown."""
     lines = [
         "| controller | object | held | 95 % interval | dropped | crushed | errors | largest "
-        "force, N: median (worst) | "
-        "held with, N: 5-95 % |",
+        "force, N: median (worst) | held with, N: 5-95 % |",
         "|---" * 9 + "|",
     ]
     for name, mine in summary["controllers"].items():
@@ -113,9 +112,8 @@ def table(summary: Mapping[str, Any]) -> str:
             ended = group["episodes"] - group["error"]
             lines.append(
                 f"| {name} | {label} | {group['held']} of {ended} | "
-                f"{100 * low:.1f}-{100 * high:.1f} % | "
-                f"{group['dropped']} | {group['crushed']} | {group['error']} | "
-                f"{_texts(group['peak_N'], '{median:.2f} ({most:.2f})')} | "
+                f"{100 * low:.1f}-{100 * high:.1f} % | {group['dropped']} | {group['crushed']} | "
+                f"{group['error']} | {_texts(group['peak_N'], '{median:.2f} ({most:.2f})')} | "
                 f"{_texts(group['hold_N'], '{p5:.2f}-{p95:.2f}')} |"
             )
     for pair in summary["paired"]:

@@ -65,8 +65,7 @@ def _held(row: Any) -> str:
     force = "" if math.isnan(row.force_measured) else f", load cell {row.force_measured:.4f} N"
     return (
         f"held out, {row.recording}, {where}, {row.pressure:.0f} Pa: markers off by "
-        f"{1e6 * row.rms:.1f} um (rms), "
-        f"predicted {row.force:.4f} N{force}"
+        f"{1e6 * row.rms:.1f} um (rms), predicted {row.force:.4f} N{force}"
     )
 
 

@@ -38,8 +38,7 @@ ABOUT: Mapping[str, About] = {
     "membrane.pre_stretch": About("pre-stretch", _BULGE, 0.0, 0.003),
     "membrane.thickness_mm": About(
         "thickness",
-        "no recording tells it from the modulus: "
-        "measure the sheet, then --known "
+        "no recording tells it from the modulus: measure the sheet, then --known "
         "membrane.thickness_mm=…",
     ),
     "membrane.friction": About(
@@ -70,9 +69,8 @@ NOT_FITTED = {
     "membrane.poisson_ratio": "taken as the file says: modulus and pre-stretch "
     "are those of a sheet with this ratio",
     "chamber.valve_mL_s_kPa": "the recordings begin when the valve has closed",
-    "damping": "the simulated rubber has none that a file could "
-    "set, and a camera is too slow to see "
-    "it",
+    "damping": "the simulated rubber has none that a file could set, and a camera is too slow to "
+    "see it",
 }
 
 

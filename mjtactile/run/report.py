@@ -209,8 +209,7 @@ def draw_surface(axes: Any, touch: Touch, unit: float | None = None) -> None:
     felt = f"{touch.force_normal:.2f} ± {touch.force_normal_sd:.2f} N"
     axes.set_title(
         "membrane, and the traction on it with a minus sign\n"
-        "normal force "
-        f"{felt if touch.status == 'ok' else f'unknown: {touch.status}'}",
+        f"normal force {felt if touch.status == 'ok' else f'unknown: {touch.status}'}",
         fontsize=11,
     )
 

@@ -107,8 +107,7 @@ def _fingers(world: HandWorld) -> Iterator[Finding]:
             yield Finding(
                 "bad",
                 what,
-                f"z of site {finger.site!r} points {angle:.0f} degrees away from the middle of "
-                "the "
+                f"z of site {finger.site!r} points {angle:.0f} degrees away from the middle of the "
                 "fingertips",
                 "turn the site: its z goes out of the sensor, towards the object",
             )
@@ -131,9 +130,8 @@ def _fingers(world: HandWorld) -> Iterator[Finding]:
             yield Finding(
                 "warn",
                 what,
-                f"is {1e3 * abs(away[2]):.1f} mm {'below' if away[2] > 0 else 'above'} the "
-                "middle of the "
-                "fingertips",
+                f"is {1e3 * abs(away[2]):.1f} mm {'below' if away[2] > 0 else 'above'} the middle "
+                "of the fingertips",
                 "an object is tilted when it is gripped; move the site",
             )
         else:
@@ -217,9 +215,8 @@ def _jaws(reached: dict[float, tuple[float, float]], low: float, high: float) ->
         yield Finding(
             "warn",
             "jaws",
-            f"are not where the law says: by it they go from {_mm(opened)} to {_mm(closed)} mm, "
-            "by the "
-            f"sites {way}",
+            f"are not where the law says: by it they go from {_mm(opened)} to {_mm(closed)} mm, by "
+            f"the sites {way}",
             "mend law, ratio or opening_part_mm",
         )
     elif max(abs(opened - high), abs(closed - low)) > _OPENING_WRONG:

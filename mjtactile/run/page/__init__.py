@@ -217,12 +217,10 @@ def _simulated(recording: Recording) -> str:
         f"{name} {value}" for name, value in recording.notes.get("varied", {}).items()
     )
     return (
-        "<h2>What was simulated, and why</h2><p>Membranes of "
-        f"{' x '.join(map(str, how['mesh']))} vertices, steps of "
-        f"{how['timestep_ms']:.3g} ms. Costs and errors are those measured on the "
-        "shipped sensors "
-        f"(<code>mjtactile effects</code>).</p>{table(head, rows(True), text=True)}"
-        "<details><summary>what was left "
+        f"<h2>What was simulated, and why</h2><p>Membranes of {' x '.join(map(str, how['mesh']))} "
+        f"vertices, steps of {how['timestep_ms']:.3g} ms. Costs and errors are those measured on "
+        "the shipped sensors (<code>mjtactile "
+        f"effects</code>).</p>{table(head, rows(True), text=True)}<details><summary>what was left "
         f"out</summary>{table(head, rows(False), text=True)}</details>"
         + (
             "<details><summary>what was drawn for this "

@@ -78,10 +78,9 @@ def measure_flat(
     R_SC, p_SC, residual = fit_camera_pose(design, camera, design.markers.p_SM[ids], uv)
     if residual > s.residual_most:
         raise DeviceError(
-            f"sensor {design.name}: flat reference: marker centres are {residual:.1f} px (rms) "
-            "off the layout; "
-            "check the lens, [markers] layout and radius_mm in the sensor "
-            "file, and that the membrane is flat"
+            f"sensor {design.name}: flat reference: marker centres are {residual:.1f} px (rms) off "
+            "the layout; check the lens, [markers] layout and radius_mm in the sensor file, and "
+            "that the membrane is flat"
         )
     wanted = _apparent_depth(camera, (design.markers.p_SM - p_SC) @ R_SC)
     ratios = np.full((len(seen), count), np.nan)

@@ -77,10 +77,8 @@ def judge(squeeze: Squeeze, s: MaterialSettings = DEFAULTS.material) -> Material
     if len(phases.load) < s.samples_least or len(phases.hold) < s.samples_least:
         return _unknown(
             StatusCode.TOO_LITTLE_SEEN,
-            f"not enough contact yet: {len(phases.load)} "
-            "images of the press and "
-            f"{len(phases.hold)} of the hold, needs "
-            f"{s.samples_least} of each",
+            f"not enough contact yet: {len(phases.load)} images of the press and "
+            f"{len(phases.hold)} of the hold, needs {s.samples_least} of each",
         )
     return _verdict(squeeze, phases, _fit_press(squeeze, phases.load, s), s)
 

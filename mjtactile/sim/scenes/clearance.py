@@ -37,8 +37,7 @@ def require_clear(world: World, grasped: ObjectModel, opening: float) -> None:
     if any(not body or body.startswith(PREFIX) for _, body, _ in touched_by_sensors(world)):
         raise InputError(
             "stands in the way of a sensor before the jaws close: they open to "
-            f"{1e3 * opening:.0f} mm, and it is "
-            "wider there, or not in the middle",
+            f"{1e3 * opening:.0f} mm, and it is wider there, or not in the middle",
             source=grasped.path,
             field="object",
         )

@@ -259,8 +259,7 @@ def _plan_path(
             where = "the table" if height == 0 else f"{1e3 * height:.0f} mm above its start"
             field = "lift.kind" if height == 0 else "lift.travel_mm"
             raise InputError(
-                f"the arm does not reach {where}: the fingertips would be at {_mm(target)} mm, "
-                "and "
+                f"the arm does not reach {where}: the fingertips would be at {_mm(target)} mm, and "
                 f"{1e3 * rest:.1f} mm or mrad are missing",
                 source=rig.path,
                 field=field,
