@@ -71,8 +71,9 @@ def run(
     for name, scene in SCENES.items():
         say(f"markers: {name}")
         rows.append({"scene": name, **marker_errors(scene, IMAGES_QUICK if quick else IMAGES)})
-    count = (PAIRS_QUICK if quick else PAIRS) if pairs is None else pairs
-    return {"markers": rows, "grasps": _grasps(list(_pairs(count, say)))}
+    if pairs is None:
+        pairs = PAIRS_QUICK if quick else PAIRS
+    return {"markers": rows, "grasps": _grasps(list(_pairs(pairs, say)))}
 
 
 # -- markers

@@ -305,12 +305,14 @@ def run(
 
 def without_arrays(results: Mapping[str, Any]) -> dict[str, Any]:
     """The same without images and fields, for JSON."""
-    return {
-        key: [without_arrays(v) if isinstance(v, Mapping) else v for v in value]
-        if isinstance(value, list)
-        else without_arrays(value)
-        if isinstance(value, Mapping)
-        else value
-        for key, value in results.items()
-        if not (isinstance(value, np.ndarray) and value.ndim > 1)
-    }
+    plain = {}
+    for key, value in results.items():
+        if isinstance(value, np.ndarray) and value.ndim > 1:
+            continue
+        if isinstance(value, Mapping):
+            plain[key] = without_arrays(value)
+        elif isinstance(value, list):
+            plain[key] = [without_arrays(v) if isinstance(v, Mapping) else v for v in value]
+        else:
+            plain[key] = value
+    return plain

@@ -125,7 +125,9 @@ def _targets(result: Mapping[str, Any]) -> str:
 
 
 def _verdict(least: bool, aim: bool) -> str:
-    return "aim met" if aim else "met" if least else "missed"
+    if aim:
+        return "aim met"
+    return "met" if least else "missed"
 
 
 def _methods(result: Mapping[str, Any]) -> str:

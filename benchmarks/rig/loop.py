@@ -29,8 +29,8 @@ def measure_loop(seconds: float) -> dict[str, Any]:
 
     def on_cycle(cycle: Cycle) -> None:
         nonlocal count
-        # the driver's own
-        captured, sent = cycle.images[0].time, rigs[0].gripper.sent_time  # type: ignore[attr-defined]
+        captured = cycle.images[0].time
+        sent = rigs[0].gripper.sent_time  # type: ignore[attr-defined]  # the driver's own
         rows[count] = (
             cycle.time,
             sent - captured,
@@ -103,7 +103,8 @@ class _Usage:
         self.start()
 
     def start(self) -> None:
-        self._begin, self._before = time.monotonic(), self._times()
+        self._begin = time.monotonic()
+        self._before = self._times()
 
     def shares(self) -> dict[str, float]:
         passed = time.monotonic() - self._begin

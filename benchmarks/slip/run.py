@@ -54,7 +54,8 @@ def run(out: Path, *, quick: bool = False, say: Say = lambda _: None) -> dict[st
 
 def case_rows(seed: int) -> list[Row]:
     """Both fingers of one case; one row without a finger when the simulation could not do it."""
-    case, (design, chain, rest) = draw_case(seed), _sensor()
+    case = draw_case(seed)
+    design, chain, rest = _sensor()
     try:
         return rows_of(case, watch(design, chain, rest, case))
     except SimulationError as error:

@@ -61,11 +61,10 @@ class SlipWorld(World):
             name: self.model.actuator(name).id
             for name in ("left/x", "right/x", "left/y", "right/y")
         }
-        self._body, self._dofs = (
-            self.model.body("thing").id,
-            self.model.joint("thing").dofadr[0] + np.arange(6),
-        )
-        self._place = int(self.model.joint("thing").qposadr[0])
+        joint = self.model.joint("thing")
+        self._body = self.model.body("thing").id
+        self._dofs = joint.dofadr[0] + np.arange(6)
+        self._place = int(joint.qposadr[0])
         for sensor, friction in zip(self.sensors, case.friction, strict=True):
             self.model.geom_friction[sensor.vertex_geom_ids, 0] = friction
         self._reach = reach
