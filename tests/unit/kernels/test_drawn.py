@@ -2,6 +2,7 @@
 error of ours. `make sanitize` runs the same, more often, with kernels that notice every read and
 write beyond an array and all undefined behaviour."""
 
+import dataclasses
 import os
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import MjtactileError
+from mjtactile.core.fields import entries
 from mjtactile.kernels import kernel
 from mjtactile.kernels.library import declarations
 from mjtactile.sensing.chain import Chain
@@ -76,23 +78,27 @@ def test_a_kernel_stays_within_its_arrays(name, seed):
 
 
 def drawn(rng):
-    """A tenth of all settings from a quarter to four times their defaults; whole numbers stay
-    whole."""
+    """A tenth of all settings, each anywhere in its allowed range; the logarithm even."""
     values = {}
-    for name, default in DEFAULTS.to_dict().items():
-        if rng.random() > 0.1:
-            continue
-        values[name] = (
-            tuple(near(rng, one) for one in default)
-            if isinstance(default, tuple)
-            else near(rng, default)
-        )
+    for stage, owner in (("", DEFAULTS), *vars(DEFAULTS).items()):
+        for name, entry in entries(type(owner)).items() if dataclasses.is_dataclass(owner) else ():
+            default = getattr(owner, name)
+            if rng.random() > 0.1 or not isinstance(default, (int, float, tuple)):
+                continue
+            places = len(default) if isinstance(default, tuple) else 1
+            value = tuple(within(rng, entry) for _ in range(places))
+            values[f"{stage}.{name}".lstrip(".")] = (
+                value if isinstance(default, tuple) else value[0]
+            )
     return DEFAULTS.override(values)
 
 
-def near(rng, default):
-    other = default * 2.0 ** rng.uniform(-2, 2)
-    return max(1, round(other)) if isinstance(default, int) else other
+def within(rng, entry):
+    low, high = entry.low, entry.high
+    if low <= 0:
+        return float(rng.uniform(low, high))
+    value = float(np.exp(rng.uniform(np.log(low), np.log(high))))
+    return round(value) if entry.whole else min(max(value, low), high)
 
 
 @pytest.mark.parametrize("seed", range(DRAWS))
