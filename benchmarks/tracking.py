@@ -27,6 +27,7 @@ from mjtactile.core.optics import Camera
 from mjtactile.core.types import Array, Ellipses, Image
 from mjtactile.run.progress import Progress
 from mjtactile.sensing.image import markers, tracking
+from mjtactile.sensing.image.fit import as_ellipses
 from mjtactile.sim.picture.renderer import Renderer
 
 LENGTH = 100  # images of a sequence
@@ -88,7 +89,7 @@ def sequence_row(seed: int) -> dict[str, Any]:
         followed, tracks = tracking.follow(
             moment.image, before, design.markers.count, min_radius_px=least
         )
-        searched = markers.as_ellipses(
+        searched = as_ellipses(
             *markers.search(markers.grey_image(moment.image), min_radius_px=least)
         )
         (mine, off, sd), (theirs, theirs_off, theirs_sd) = (

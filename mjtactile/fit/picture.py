@@ -18,7 +18,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.optics import Camera
 from mjtactile.core.types import Array, Image
 from mjtactile.sensing.image.candidates import find
-from mjtactile.sensing.image.markers import fit_candidates
+from mjtactile.sensing.image.fit import fit_candidates
 from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sim.picture.light import Light
 

@@ -1,4 +1,4 @@
-/* Where markers may be, and which may be trusted: image/candidates.py and image/markers.py. */
+/* Where markers may be, and which may be trusted: image/candidates.py and image/judge.py. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -9,14 +9,17 @@
 
 /* As the dataclass MarkerSettings: one number a field, in its order. */
 typedef struct {
-    double room, blurred, too_blurred, wide, unsure, blur_spread, motion, covered, some, alike, close, longest, longest_flawed,
-        flawed, odd, odd_share, odd_share_cut, contrast, contrast_any, doubt, doubt_any, misfit, covered_usual, lost, sharper,
-        changed, moved, flattest, shrunk;
+    double profile_min_radius, profile_min_blurs, min_blurs, start_blur_share, sure_blurs,
+        blur_spread, min_motion, covered_share, min_peers, size_log_tolerance, min_edge_distance,
+        min_border_axes, min_flawed_axes, max_flawed_misfit, max_border_misfit, border_misfit_share,
+        border_misfit_share_cut, min_contrast, min_contrast_any, max_shape_sd, max_shape_sd_any,
+        max_residual, covered_residuals, max_lost_weight, sharper_ratio, max_shape_change, max_move,
+        min_fit_axes, shrunk_share;
 } MarkerSettings;
 
 _Static_assert(sizeof(MarkerSettings) == 29 * sizeof(double), "as in kernels.h");
 
-/* As markers.STATUSES. */
+/* As judge.STATUSES. */
 enum { OK, CUT, NOT_ELLIPSE, TOUCHING, LOW_CONTRAST, GLARE, SMALL, MOTION, BLURRED, LONG, NO_FIT, MOVED };
 
 static void axes_of(const double *shape, double *a, double *b) {
@@ -67,7 +70,7 @@ int64_t border_moments(int64_t n, const int64_t *counts, int64_t all, const int3
 
 /* Whether a border is far from its own ellipse (further if cut). */
 static int is_odd(double misfit, int cut, double b, const MarkerSettings *s) {
-    return misfit >= s->odd + (cut ? s->odd_share_cut : s->odd_share) * b;
+    return misfit >= s->max_border_misfit + (cut ? s->border_misfit_share_cut : s->border_misfit_share) * b;
 }
 
 int64_t judge_borders(int64_t n, const double *shapes, const double *misfit, const int64_t *cut, double min_radius,
@@ -80,17 +83,17 @@ int64_t judge_borders(int64_t n, const double *shapes, const double *misfit, con
     for (int64_t i = 0; i < n; i++) {
         double a, b;
         axes_of(shapes + 3 * i, &a, &b);
-        status[i] = b < min_radius ? SMALL : b <= s.longest * a ? LONG : is_odd(misfit[i], (int)cut[i], b, &s) ? NOT_ELLIPSE : OK;
+        status[i] = b < min_radius ? SMALL : b <= s.min_border_axes * a ? LONG : is_odd(misfit[i], (int)cut[i], b, &s) ? NOT_ELLIPSE : OK;
         if (status[i] == OK) size[fits++] = sqrt(a * b);
     }
-    if (fits >= s.some) {
+    if (fits >= s.min_peers) {
         /* a border as large as the others' but of another outline is a marker with glare or dirt on it, to be flagged */
         double usual = upper_median(size, fits);
         for (int64_t i = 0; i < n; i++) {
             double a, b, own;
             axes_of(shapes + 3 * i, &a, &b);
             own = sqrt(a * b);
-            if (fabs(log(own / usual)) < s.alike && b > s.longest_flawed * a && misfit[i] < s.flawed * own) status[i] = OK;
+            if (fabs(log(own / usual)) < s.size_log_tolerance && b > s.min_flawed_axes * a && misfit[i] < s.max_flawed_misfit * own) status[i] = OK;
         }
     }
     free(size);
@@ -120,11 +123,11 @@ static Fit fit_of(int64_t i, int64_t n, const double *centers, const double *sha
 
 static int trust(const Fit *f, double usual, const MarkerSettings *s) {
     int status = OK;
-    if (f->contrast < s->contrast * f->noise || f->doubt > s->doubt) status = LOW_CONTRAST;
-    if (f->residual > s->misfit * f->contrast) status = NOT_ELLIPSE;
-    int covered = f->residual > most(s->covered * f->contrast, s->covered_usual * usual) && f->b > s->room;
-    if (f->lost > s->lost || covered) status = GLARE;
-    return f->motion > s->motion ? MOTION : status;
+    if (f->contrast < s->min_contrast * f->noise || f->doubt > s->max_shape_sd) status = LOW_CONTRAST;
+    if (f->residual > s->max_residual * f->contrast) status = NOT_ELLIPSE;
+    int covered = f->residual > most(s->covered_share * f->contrast, s->covered_residuals * usual) && f->b > s->profile_min_radius;
+    if (f->lost > s->max_lost_weight || covered) status = GLARE;
+    return f->motion > s->min_motion ? MOTION : status;
 }
 
 static int reaches_border(const Fit *f, int64_t height, int64_t width, double close) {
@@ -136,24 +139,24 @@ static int reaches_border(const Fit *f, int64_t height, int64_t width, double cl
 /* The judgement that needs the image's `common` blur, and whether it is likely no marker at all. */
 static int judge(const Fit *f, int status, double common, int64_t height, int64_t width, double min_radius,
                  const MarkerSettings *s, int64_t *keep) {
-    if (f->b < s->too_blurred * clip(f->blur, common / s->blur_spread, common * s->blur_spread)) status = BLURRED;
-    if (f->blur < s->sharper * common && common > 1 && f->b < s->unsure * common) status = BLURRED;
+    if (f->b < s->min_blurs * clip(f->blur, common / s->blur_spread, common * s->blur_spread)) status = BLURRED;
+    if (f->blur < s->sharper_ratio * common && common > 1 && f->b < s->sure_blurs * common) status = BLURRED;
     double changed = 0, odd_b, odd_a;
     for (int k = 0; k < 3; k++) changed = most(fabs(f->shape[k] - f->start_shape[k]), changed);
-    if (changed > s->odd + s->changed * f->b) status = NOT_ELLIPSE;
+    if (changed > s->max_border_misfit + s->max_shape_change * f->b) status = NOT_ELLIPSE;
     if (f->b < min_radius) status = SMALL;
-    int cut = reaches_border(f, height, width, s->close) || f->cut;
+    int cut = reaches_border(f, height, width, s->min_edge_distance) || f->cut;
     if (cut) status = CUT;
     axes_of(f->start_shape, &odd_a, &odd_b);
     int odd = is_odd(f->misfit, f->cut, odd_b, s) && !cut;
     if (odd) status = GLARE;
     double way = hypot(f->center[0] - f->start[0], f->center[1] - f->start[1]);
     int drop = 0;
-    if (way > 1 + s->moved * f->b && !cut && !odd) status = MOVED, drop = 1;
-    if (f->contrast < s->contrast_any * f->noise) status = LOW_CONTRAST, drop = 1;
-    if (f->doubt > s->doubt_any || f->residual >= UNSETTLED) status = NO_FIT, drop = 1;
-    if (f->b < s->flattest * f->a) status = LONG, drop = 1;
-    if (f->b < s->shrunk * min_radius) status = SMALL, drop = 1;
+    if (way > 1 + s->max_move * f->b && !cut && !odd) status = MOVED, drop = 1;
+    if (f->contrast < s->min_contrast_any * f->noise) status = LOW_CONTRAST, drop = 1;
+    if (f->doubt > s->max_shape_sd_any || f->residual >= UNSETTLED) status = NO_FIT, drop = 1;
+    if (f->b < s->min_fit_axes * f->a) status = LONG, drop = 1;
+    if (f->b < s->shrunk_share * min_radius) status = SMALL, drop = 1;
     *keep = !drop;
     return status;
 }
@@ -204,7 +207,7 @@ int64_t judge_fits(int64_t n, const double *centers, const double *shapes, const
     double common = good ? upper_median(some, good) : 0;  /* blur is the image's; its scatter mostly the fit's */
     for (int64_t i = 0; i < n; i++)
         status[i] = judge(fits + i, (int)status[i], common, height, width, min_radius, &s, keep + i);
-    flag_crowded(fits, n, s.close, status);
+    flag_crowded(fits, n, s.min_edge_distance, status);
     free(fits), free(some);
     return 0;
 }

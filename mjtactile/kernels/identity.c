@@ -9,7 +9,7 @@
 #define ROUNDS 3 /* match, learn how the neighbourhood moved, match again */
 
 /* As the dataclass IdentitySettings. */
-typedef struct { double gate, inconsistent, neighbours, height_weight, same_shift; } IdentitySettings;
+typedef struct { double gate, displacement_tolerance, neighbours, height_weight, shift_resolution; } IdentitySettings;
 
 _Static_assert(sizeof(IdentitySettings) == 5 * sizeof(double), "as in kernels.h");
 
@@ -106,7 +106,7 @@ static int64_t drop_inconsistent(const Scene *scene, const IdentitySettings *s, 
     smooth(scene, moved, common, work);
     for (int64_t i = 0; i < scene->n; i++) {
         int64_t j = ids[i];
-        if (j >= 0 && squared_distance(moved + 2 * j, common + 2 * j) > square(s->inconsistent * scene->pitch))
+        if (j >= 0 && squared_distance(moved + 2 * j, common + 2 * j) > square(s->displacement_tolerance * scene->pitch))
             ids[i] = -1, moved[2 * j] = moved[2 * j + 1] = NAN, wrong++;
     }
     return wrong;
@@ -119,7 +119,7 @@ static void match(const Scene *scene, const IdentitySettings *s, int64_t *ids, d
     for (int tried = 0; tried <= ROUNDS; tried++) {
         if (tried == 1) {
             double common[2];
-            common_shift(scene, s->same_shift, common, offsets, work);
+            common_shift(scene, s->shift_resolution, common, offsets, work);
             for (int64_t j = 0; j < m; j++) shift[2 * j] = common[0], shift[2 * j + 1] = common[1];
         }
         mutual_nearest(scene, shift, s->gate * scene->pitch, ids, back, work);

@@ -116,7 +116,7 @@ int64_t measure_patch(int64_t nx, int64_t ny, int64_t refine, int64_t na, int64_
 int64_t border_moments(int64_t n, const int64_t *counts /* n */, int64_t all, const int32_t *points /* all, 2 */, int64_t height,
                        int64_t width, double *centers /* n, 2 */, double *shapes /* n, 3 */, double *misfit /* n */,
                        int64_t *cut /* n */);
-/* image/markers.py: out: `status` of borders, of fits, and whether a fit is likely a marker at all; `settings`: see
+/* image/judge.py: out: `status` of borders, of fits, and whether a fit is likely a marker at all; `settings`: see
    candidates.c; `levels` and `found` as below; `sign`: 1 for dark markers, -1 for bright ones. */
 int64_t judge_borders(int64_t n, const double *shapes /* n, 3 */, const double *misfit /* n */, const int64_t *cut /* n */,
                       double min_radius, const double *settings /* 29 */, int64_t *status /* n */);

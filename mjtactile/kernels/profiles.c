@@ -25,8 +25,10 @@ enum { INSIDE, OUTSIDE, AREA, SECOND, EDGE, BLUR, FILTERS };
 typedef float Eight __attribute__((vector_size(32)));  /* all filters of a sample */
 typedef float Two __attribute__((vector_size(8)));     /* neighbours in a row */
 
-typedef struct { double step, blur, spacing, level_outlier, outlier, outlier_least, blur_most, unmodelled, motion_doubt,
-                 sharpest; } Settings;
+typedef struct {
+    double step, start_blur, spacing, level_outlier, outlier_offsets, outlier_least,
+        max_blur_variance, covariance_factor, motion_sd_share, sharpest;
+} Settings;
 
 _Static_assert(sizeof(Settings) == 10 * sizeof(double), "as in kernels.h");
 
@@ -234,12 +236,12 @@ static double approach(const Image *image, long n, double *centers, double *shap
                        double *work, double *step) {
     const double step_moment = -(SAMPLES * SAMPLES - 1) / 8.0;  /* of [o < 0], in samples */
     Filters f;
-    double sigma = s->blur;
+    double sigma = s->start_blur;
     make_fan(fan, COARSE);
     *step = COARSE_STEP;
     for (int round = 0; round < COARSE_ROUNDS; round++) {
         double farthest = 0;
-        make_filters(&f, *step, s->blur);
+        make_filters(&f, *step, s->start_blur);
         for (long i = 0; i < n; i++) {
             double *shape = shapes + 3 * i, before[3], scaled[COARSE], move[5], squared = 0;
             memcpy(before, shape, sizeof before);
@@ -321,7 +323,7 @@ static void settle(const Lines *l, const Fan *fan, const Settings *s, const doub
         left[k] = delta[k] - offset_of(move, l, fan, k);
         mean += fabs(left[k]);
     }
-    double bound = most(s->outlier * mean / K, s->outlier_least);
+    double bound = most(s->outlier_offsets * mean / K, s->outlier_least);
     for (int k = 0; k < K; k++) {
         double c = fan->c[k], si = fan->s[k], b[5] = {c, si, c * c, 2 * c * si, si * si};
         weight[k] = l->arc[k] / (1 + square(square(left[k] / bound)));
@@ -354,9 +356,9 @@ static void settle(const Lines *l, const Fan *fan, const Settings *s, const doub
     /* how the levels' noise moves an offset: d(delta)/d(inside), d(delta)/d(outside), in px per unit of contrast */
     double gain_in = common->rest_edge, gain_out = common->sum_edge - common->rest_edge;
     double level = (square(gain_in * l->spread_in) + square(gain_out * l->spread_out)) * over2 * shared / K * size * size;
-    double doubt = square(s->motion_doubt * motion * size);
+    double doubt = square(s->motion_sd_share * motion * size);
     for (int i = 0; i < 5; i++)
-        for (int j = 0; j < 5; j++) inverse[i][j] *= s->unmodelled * variance * shared * arc;
+        for (int j = 0; j < 5; j++) inverse[i][j] *= s->covariance_factor * variance * shared * arc;
     /* an error of the levels moves all offsets together, V = I g, and one of their gradient moves the centre, w = g */
     inverse[0][0] += 2 * level, inverse[1][1] += 2 * level;
     inverse[2][2] += level + doubt, inverse[4][4] += level + doubt, inverse[2][4] += level, inverse[4][2] += level;
@@ -415,7 +417,7 @@ int64_t fit_profiles(const float *image, int64_t height, int64_t width, int64_t 
     }
     double profiles = 8 * ceil(upper_median(work, n) / s.spacing / 8);
     make_fan(&fan, profiles > LEAST ? (int)least(profiles, MOST) : LEAST);  /* also where it is not a number */
-    make_filters(&f, s.step * most(1, sigma / s.blur), sigma);
+    make_filters(&f, s.step * most(1, sigma / s.start_blur), sigma);
     free(work);
     int per = fan.count / 4, size = KEPT * fan.count + 3;
     work = malloc(n * (4 * per + size) * sizeof *work);
@@ -423,7 +425,7 @@ int64_t fit_profiles(const float *image, int64_t height, int64_t width, int64_t 
     double *blurs = work, *normals = work + n * per, *sorted = work + 3 * n * per, *kept = work + 4 * n * per;
     look(&picture, n, centers, shapes, &s, &fan, &f, sigma, &lines, kept, normals, blurs);
     memcpy(sorted, blurs, n * per * sizeof *sorted);
-    double middle = upper_median(sorted, n * per), bound = s.blur_most * middle * middle;
+    double middle = upper_median(sorted, n * per), bound = s.max_blur_variance * middle * middle;
     common.rest_edge = f.rest_edge, common.sum_edge = f.sums[EDGE], common.gain = gain(&f, middle);
     blur_tensor(n * per, normals, blurs, bound, &common);
     for (long i = 0; i < n; i++) {

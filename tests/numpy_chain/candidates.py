@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 from mjtactile.core.types import Array
 from mjtactile.sensing.image import candidates, edges, ellipse
 from mjtactile.sensing.image.candidates import Candidates
-from mjtactile.sensing.image.markers import (
+from mjtactile.sensing.image.judge import (
     BLURRED,
     CUT,
     GLARE,
@@ -95,22 +95,26 @@ def implausible(
     a, b = axes.T
     why = np.full(len(a), "", dtype="<U24")
     why[_odd(found, s)] = NOT_ELLIPSE
-    why[b <= s.longest * a] = LONG
+    why[b <= s.min_border_axes * a] = LONG
     why[b < min_radius_px] = SMALL
     fits = why == ""
-    if fits.sum() >= s.some:
+    if fits.sum() >= s.min_peers:
         # a border as large as the others' but of another outline is a marker with glare or dirt on
         # it, to be flagged
         size = np.sqrt(a * b)
-        alike = np.abs(np.log(size / ellipse.middle(size[fits]))) < s.alike
-        why[alike & (b > s.longest_flawed * a) & (found.misfit < s.flawed * size)] = ""
+        alike = np.abs(np.log(size / ellipse.middle(size[fits]))) < s.size_log_tolerance
+        why[alike & (b > s.min_flawed_axes * a) & (found.misfit < s.max_flawed_misfit * size)] = ""
     return why
 
 
 def _odd(found: candidates.Candidates, s: MarkerSettings) -> NDArray[np.bool_]:
     """Which borders are far from their own ellipses (further if cut)."""
     b = ellipse.axes_from_shape(found.shape)[0][:, 1]
-    return found.misfit >= s.odd + np.where(found.cut, s.odd_share_cut, s.odd_share) * b
+    return (
+        found.misfit
+        >= s.max_border_misfit
+        + np.where(found.cut, s.border_misfit_share_cut, s.border_misfit_share) * b
+    )
 
 
 def judge(
@@ -131,28 +135,28 @@ def judge(
     moved = np.hypot(*(fit.center - found.center).T)
     extent = np.hypot(fit.shape[:, [0, 2]], fit.shape[:, 1:2])
     out = (
-        (fit.center - extent < s.close)
-        | (fit.center + extent > np.array([size[1], size[0]]) - 1 - s.close)
+        (fit.center - extent < s.min_edge_distance)
+        | (fit.center + extent > np.array([size[1], size[0]]) - 1 - s.min_edge_distance)
     ).any(axis=1)
     status = np.full(len(b), "ok", dtype="<U24")
-    status[(contrast < s.contrast * noise) | (doubt > s.doubt)] = LOW_CONTRAST
-    status[fit.residual > s.misfit * contrast] = NOT_ELLIPSE
+    status[(contrast < s.min_contrast * noise) | (doubt > s.max_shape_sd)] = LOW_CONTRAST
+    status[fit.residual > s.max_residual * contrast] = NOT_ELLIPSE
     # of this image: its noise, its compression
     usual = ellipse.middle(fit.residual) if len(b) else 0.0
-    covered = (fit.residual > np.maximum(s.covered * contrast, s.covered_usual * usual)) & (
-        b > s.room
-    )
-    status[(fit.lost > s.lost) | covered] = GLARE
-    status[fit.motion > s.motion] = MOTION
+    covered = (
+        fit.residual > np.maximum(s.covered_share * contrast, s.covered_residuals * usual)
+    ) & (b > s.profile_min_radius)
+    status[(fit.lost > s.max_lost_weight) | covered] = GLARE
+    status[fit.motion > s.min_motion] = MOTION
     # blur is the image's, and its scatter from marker to marker mostly the fit's
     common = ellipse.middle(fit.blur[good]) if (good := status == "ok").any() else 0.0
-    status[
-        b < s.too_blurred * np.clip(fit.blur, common / s.blur_spread, common * s.blur_spread)
-    ] = BLURRED
-    took_blur_for_size = (fit.blur < s.sharper * common) & (common > 1)
-    status[took_blur_for_size & (b < s.unsure * common)] = BLURRED
+    status[b < s.min_blurs * np.clip(fit.blur, common / s.blur_spread, common * s.blur_spread)] = (
+        BLURRED
+    )
+    took_blur_for_size = (fit.blur < s.sharper_ratio * common) & (common > 1)
+    status[took_blur_for_size & (b < s.sure_blurs * common)] = BLURRED
     changed = np.abs(fit.shape - found.shape).max(axis=1)
-    status[changed > s.odd + s.changed * b] = NOT_ELLIPSE
+    status[changed > s.max_border_misfit + s.max_shape_change * b] = NOT_ELLIPSE
     status[b < min_radius_px] = SMALL
     cut = out | found.cut
     status[cut] = CUT
@@ -160,16 +164,18 @@ def judge(
     status[odd] = GLARE
     drop = np.zeros(len(b), dtype=bool)
     for what, why in (
-        ((moved > 1 + s.moved * b) & ~cut & ~odd, MOVED),
-        ((contrast < s.contrast_any * noise), LOW_CONTRAST),
-        ((doubt > s.doubt_any) | (fit.residual >= edges.UNSETTLED), NO_FIT),
-        (b < s.flattest * a, LONG),
-        (b < s.shrunk * min_radius_px, SMALL),
+        ((moved > 1 + s.max_move * b) & ~cut & ~odd, MOVED),
+        ((contrast < s.min_contrast_any * noise), LOW_CONTRAST),
+        ((doubt > s.max_shape_sd_any) | (fit.residual >= edges.UNSETTLED), NO_FIT),
+        (b < s.min_fit_axes * a, LONG),
+        (b < s.shrunk_share * min_radius_px, SMALL),
     ):
         drop |= what
         status[what] = why
     good = np.flatnonzero(status == "ok")
-    status[good[_crowded(fit.center[good], fit.shape[good], a[good], s.close)]] = TOUCHING
+    status[good[_crowded(fit.center[good], fit.shape[good], a[good], s.min_edge_distance)]] = (
+        TOUCHING
+    )
     return status, ~drop
 
 

@@ -44,7 +44,7 @@ def match(
         moved = np.full_like(layout, np.nan)
         moved[ids[ids >= 0]] = found[ids >= 0] - expected[ids[ids >= 0]]
         common = _smooth(moved, order, s)
-        wrong = np.linalg.norm(moved - common, axis=1) > s.inconsistent * pitch
+        wrong = np.linalg.norm(moved - common, axis=1) > s.displacement_tolerance * pitch
         ids[(ids >= 0) & wrong[ids]] = -1
         matched = (ids >= 0).sum()
         if not wrong.any() and matched == (
@@ -89,7 +89,7 @@ def _common_shift(found: Array, expected: Array, pitch: float, s: IdentitySettin
     offset = offset[(offset**2).sum(axis=1) < pitch * pitch]
     if not len(offset):
         return np.zeros(2)
-    near = _squared_distances(offset, offset) < (pitch / s.same_shift) ** 2
+    near = _squared_distances(offset, offset) < (pitch / s.shift_resolution) ** 2
     return np.median(offset[near[np.argmax(near.sum(axis=1))]], axis=0)
 
 

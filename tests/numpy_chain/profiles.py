@@ -106,7 +106,7 @@ def fit(
     pixels."""
     source = cv2.sepFilter2D(image, cv2.CV_32F, SOFTEN, SOFTEN, borderType=cv2.BORDER_REPLICATE)
     center, shape, sigma = _approach(source, center, shape, s)
-    step = s.step * max(1.0, sigma / s.blur)
+    step = s.step * max(1.0, sigma / s.start_blur)
     fan = _fan(int(np.clip(8 * np.ceil(middle(_perimeter(shape)) / s.spacing / 8), 32, 160)))
     line = _outline(shape, fan)
     numbers = _read(source, center, shape, line, fan, step, sigma)
@@ -117,7 +117,7 @@ def fit(
     blur = (numbers[BLUR] - sums[BLUR] * outside) * over + (sigma - rest[1])
     blur = np.maximum(blur, 0.5)
     delta *= 1 / _gain(step, sigma, middle(blur[:, ::4]))
-    blur, retreat, motion = _retreat(blur, line, s.blur_most)
+    blur, retreat, motion = _retreat(blur, line, s.max_blur_variance)
     delta = np.minimum(np.maximum(delta, -2), 2) + retreat
     center, shape, inverse, weight, left = _settle(center, shape, delta, line, fan, s)
     # how the levels' noise moves an offset: d(delta)/d(inside), d(delta)/d(outside), in px per unit
@@ -135,10 +135,10 @@ def _approach(
     blurred edge."""
     fan = _fan(_COARSE_COUNT)
     step = _COARSE_STEP
-    sigma = s.blur
+    sigma = s.start_blur
     for _ in range(_COARSE_ROUNDS):
         line = _outline(shape, fan)
-        numbers = _read(source, center, shape, line, fan, step, s.blur)
+        numbers = _read(source, center, shape, line, fan, step, s.start_blur)
         inside, outside, _ = _levels(numbers, fan, s.level_outlier)
         over = 1 / (inside - outside)
         delta = (numbers[AREA] - _SAMPLES * outside) * over - 0.5 * _SAMPLES
@@ -309,7 +309,10 @@ def _settle(
     scaled = delta * line.g
     # unweighted: only to see what does not belong
     left = delta - ((scaled @ fan.solve) @ fan.basis) * over
-    t = left * (1 / np.maximum(s.outlier * (np.abs(left) @ fan.mean), s.outlier_least))[:, None]
+    t = (
+        left
+        * (1 / np.maximum(s.outlier_offsets * (np.abs(left) @ fan.mean), s.outlier_least))[:, None]
+    )
     t *= t
     t *= t
     t += 1
@@ -347,12 +350,12 @@ def _result(
     reach = 4 * (SOFTEN_VARIANCE + _BILINEAR_VARIANCE)
     shared = 1 + 2 * np.exp(spacing**2 * _NEIGHBOURS / reach).sum(axis=0)
     variance *= (count - 5) / np.maximum(count - 5 * shared, 1)
-    cov = inverse * (s.unmodelled * variance * shared * spacing)[:, None, None]
+    cov = inverse * (s.covariance_factor * variance * shared * spacing)[:, None, None]
     # An error of the levels moves all offsets together, V = I g, and one of their gradient moves
     # the centre, w = g.
     level = common * shared / count * size**2
     cov += level[:, None, None] * _LEVEL_MOVES
-    cov[:, [2, 3, 4], [2, 3, 4]] += ((s.motion_doubt * motion * size) ** 2)[:, None]
+    cov[:, [2, 3, 4], [2, 3, 4]] += ((s.motion_sd_share * motion * size) ** 2)[:, None]
     # an offset's rms in px, as grey levels at the edge's slope, to compare with the contrast
     residual = np.sqrt(variance) * np.abs(inside - outside) / (np.sqrt(2 * np.pi) * blur)
     lost = 1 - total / (spacing * count)

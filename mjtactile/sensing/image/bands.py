@@ -111,18 +111,20 @@ class Around:
         """The neighbours of the first `count` markers whose bands are +-`width` px."""
         near = np.full((count, 0), -1, dtype=np.int64)
         if len(center) < 2:
-            return cls(center, shape, near, s.clear)
+            return cls(center, shape, near, s.neighbour_margin)
         reach = np.hypot(shape[:, [0, 2]], shape[:, 1:2]).max(axis=1)
         # lazily: a tenth of a second, and only small markers need it
         from scipy.spatial import KDTree
 
-        pairs = KDTree(center).query_pairs(2 * reach.max() + width + s.clear, output_type="ndarray")
+        pairs = KDTree(center).query_pairs(
+            2 * reach.max() + width + s.neighbour_margin, output_type="ndarray"
+        )
         i, j = np.concatenate([pairs, pairs[:, ::-1]]).T
         apart = np.hypot(*(center[i] - center[j]).T)
-        close = (i < count) & (apart < reach[i] + reach[j] + width + s.clear)
+        close = (i < count) & (apart < reach[i] + reach[j] + width + s.neighbour_margin)
         # no candidate that is the marker itself, or what it lies on, such as a sheet of paper
-        close &= (apart > np.maximum(reach[i], s.apart * reach[j])) & (
-            reach[j] < s.larger * reach[i]
+        close &= (apart > np.maximum(reach[i], s.min_distance_share * reach[j])) & (
+            reach[j] < s.max_size_ratio * reach[i]
         )
         order = np.flatnonzero(close)[np.argsort(i[close], kind="stable")]
         i = i[order]
@@ -130,7 +132,7 @@ class Around:
         counts = np.bincount(i, minlength=count)
         near = np.full((count, int(counts.max(initial=0))), -1, dtype=np.int64)
         near[i, np.arange(len(i)) - np.repeat(np.cumsum(counts) - counts, counts)] = j
-        return cls(center, shape, near, s.clear)
+        return cls(center, shape, near, s.neighbour_margin)
 
     def part(self, first: int, last: int) -> Around:
         return Around(self.center, self.shape, self.near[first:last], self.margin)

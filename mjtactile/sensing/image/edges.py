@@ -106,7 +106,9 @@ def fit(
     that may.
     """
     width = max(5.0, 3.5 * blur)
-    known = _KnownBlur(float(np.hypot(blur, np.sqrt(SOFTEN_VARIANCE))), s.coloured / blur_sd**2)
+    known = _KnownBlur(
+        float(np.hypot(blur, np.sqrt(SOFTEN_VARIANCE))), s.covariance_factor / blur_sd**2
+    )
     image = cv2.sepFilter2D(image, cv2.CV_32F, SOFTEN, SOFTEN, borderType=cv2.BORDER_REPLICATE)
     if others is not None:
         others = np.concatenate([center, others[0]]), np.concatenate([shape, others[1]])
@@ -177,7 +179,8 @@ def _fit_some(
     the last two at all, with one normal matrix between them (the fixed point does not depend on
     it)."""
     small = bool(
-        (shape[:, 0] * shape[:, 2] - shape[:, 1] ** 2).min() < (s.small * max(blur.sigma, 1)) ** 2
+        (shape[:, 0] * shape[:, 2] - shape[:, 1] ** 2).min()
+        < (s.small_radius * max(blur.sigma, 1)) ** 2
     )
     iterations += 8 if small else 0  # blur, radius and level are harder to tell apart
     pixels, used, origin = gather(image, center, shape, around, width)
@@ -209,7 +212,7 @@ def _fit_some(
         theta = _step(theta, H, right)
     wrong = (np.abs(theta - old)[:, :5].max(axis=1) > _SETTLED) | (theta[:, 9] < s.sharpest)
     residual[np.repeat(wrong, pixels.counts)] += UNSETTLED
-    return _result(theta, H, residual, weight, pixels, used, origin, s.coloured)
+    return _result(theta, H, residual, weight, pixels, used, origin, s.covariance_factor)
 
 
 def gather(
@@ -386,7 +389,7 @@ def _robust(pixels: Pixels, residual: NDArray, theta: Array, s: EdgeSettings) ->
     or a camera's sharpening that the model does not know is no outlier.
     """
     scale = np.maximum(
-        s.outlier * np.sqrt(pixels.sums(residual * residual) / pixels.counts),
+        s.outlier_residuals * np.sqrt(pixels.sums(residual * residual) / pixels.counts),
         s.outlier_share * np.abs(theta[:, 5] - theta[:, 6]),
     )
     t = residual * pixels.spread(1 / np.maximum(scale, 1e-3))

@@ -42,11 +42,11 @@ class Gamma:
         """Whether the image plainly has another gamma than `assumed`."""
         off = abs(np.log(self.value / assumed))
         # never, where it is unknown
-        return bool(off > s.plainly * self.sd / self.value and off > s.matters)
+        return bool(off > s.min_sds * self.sd / self.value and off > s.min_log_change)
 
     def size_doubt(self, assumed: float, s: GammaSettings) -> float:
         """Sd in px of circles' size where `assumed` was used."""
-        return s.size * float(np.hypot(np.log(self.value / assumed), self.sd / self.value))
+        return s.size_per_log * float(np.hypot(np.log(self.value / assumed), self.sd / self.value))
 
 
 UNKNOWN = Gamma(np.nan, np.nan, 0)
@@ -65,10 +65,10 @@ def estimate_gamma(grey: NDArray, ellipses: Ellipses, settings: Settings = DEFAU
     """Gamma of the image `grey` (H, W) from the `ellipses` found in it."""
     s = settings.gamma
     b = ellipses.semi_axes_px[:, 1]
-    use = np.flatnonzero((ellipses.status == "ok") & (b >= s.least_px))
-    if len(use) < s.fewest:
+    use = np.flatnonzero((ellipses.status == "ok") & (b >= s.min_radius))
+    if len(use) < s.min_circles:
         return UNKNOWN
-    use = use[np.argsort(np.abs(b[use] - np.median(b[use])), kind="stable")][: s.most]
+    use = use[np.argsort(np.abs(b[use] - np.median(b[use])), kind="stable")][: s.max_circles]
     center = ellipses.center_px[use]
     shape = ellipse.shape_from_axes(ellipses.semi_axes_px, ellipses.angle)[use]
     pixels, origin = _pixels(grey, center, shape, settings)
@@ -77,8 +77,10 @@ def estimate_gamma(grey: NDArray, ellipses: Ellipses, settings: Settings = DEFAU
 
 def _pixels(grey: NDArray, center: Array, shape: Array, settings: Settings) -> tuple[Pixels, Array]:
     """The bands' pixels as they are, not softened."""
-    around = Around.of(center, shape, len(center), settings.gamma.width, settings.edges)
-    pixels, _, origin = edges.gather(grey, center, shape, around, settings.gamma.width)
+    around = Around.of(
+        center, shape, len(center), settings.gamma.profile_half_width, settings.edges
+    )
+    pixels, _, origin = edges.gather(grey, center, shape, around, settings.gamma.profile_half_width)
     return pixels, origin
 
 
@@ -88,7 +90,7 @@ def _start(pixels: Pixels, center: Array, shape: Array, s: GammaSettings) -> Arr
     theta = np.zeros((len(center), edges.PARAMETERS))
     theta[:, :2] = center
     theta[:, 2:5] = shape
-    theta[:, 9] = s.blur
+    theta[:, 9] = s.start_blur
     p, q, r = pixels.spread(ellipse.inverse_shape(shape).T)
     cu, cv = pixels.spread(center.T)
     dx = pixels.x - cu
@@ -104,7 +106,7 @@ def _start(pixels: Pixels, center: Array, shape: Array, s: GammaSettings) -> Arr
 
 def _fit(pixels: Pixels, theta: Array, s: GammaSettings) -> Gamma:
     """Gauss-Newton for log gamma and every circle's parameters at once."""
-    log_gamma = float(np.log(s.start))
+    log_gamma = float(np.log(s.start_gamma))
     step = np.inf
     own = np.zeros(len(theta))
     sd = np.ones(len(theta))
@@ -129,7 +131,7 @@ def _fit(pixels: Pixels, theta: Array, s: GammaSettings) -> Gamma:
         log_gamma += step
         if abs(step) < _SETTLED:
             break
-    settled = abs(step) < _SETTLED and float(np.median(theta[:, 9])) >= s.least_blur
+    settled = abs(step) < _SETTLED and float(np.median(theta[:, 9])) >= s.min_blur
     return _judged(log_gamma, own, sd, s) if settled else UNKNOWN
 
 
@@ -170,11 +172,11 @@ def _judged(log_gamma: float, own: Array, sd: Array, s: GammaSettings) -> Gamma:
     unknown if it is no camera's."""
     good = np.isfinite(own) & np.isfinite(sd)
     gamma = float(np.exp(log_gamma))
-    if good.sum() < s.fewest or not s.range[0] <= gamma <= s.range[1]:
+    if good.sum() < s.min_circles or not s.range[0] <= gamma <= s.range[1]:
         return UNKNOWN
     scatter = max(float(np.median(np.abs(own[good]) / sd[good])) / 0.6745, 1.0)
     return Gamma(
         gamma,
-        gamma * float(np.hypot(scatter / np.sqrt((1 / sd[good] ** 2).sum()), s.unmodelled)),
+        gamma * float(np.hypot(scatter / np.sqrt((1 / sd[good] ** 2).sum()), s.model_sd_share)),
         int(good.sum()),
     )

@@ -22,6 +22,8 @@ from scipy.spatial import KDTree
 from mjtactile.core.types import Array, Ellipses, Image
 from mjtactile.sensing.image import candidates, edges, ellipse, markers
 from mjtactile.sensing.image.candidates import Candidates
+from mjtactile.sensing.image.fit import as_ellipses, fit_candidates, sound
+from mjtactile.sensing.image.judge import implausible, judge
 from mjtactile.sensing.settings import DEFAULTS, Settings, ThoroughSettings
 
 
@@ -67,18 +69,13 @@ def detect_thoroughly(
     eight = markers.eight_bit(grey)
     dark = eight if polarity == "dark" else 255 - eight
     first = candidates.find(dark, min_radius_px, settings.candidates)
-    why = markers.implausible(first, min_radius_px, s)
+    why = implausible(first, min_radius_px, s)
     found = _with_more(first.take(why == ""), dark, min_radius_px, settings)
     fit = _second_try(
-        grey,
-        found,
-        markers.fit_candidates(grey, found, settings),
-        polarity,
-        min_radius_px,
-        settings,
+        grey, found, fit_candidates(grey, found, settings), polarity, min_radius_px, settings
     )
-    status, keep = markers.judge(fit, found, polarity, grey.shape, min_radius_px, s)
-    kept = markers.as_ellipses(fit.take(keep), status[keep])
+    status, keep = judge(fit, found, polarity, grey.shape, min_radius_px, s)
+    kept = as_ellipses(fit.take(keep), status[keep])
     outlines = np.concatenate([first.shape[why != ""], found.shape[~keep]])
     places = np.concatenate([first.center[why != ""], found.center[~keep]])
     reasons = np.concatenate([why[why != ""], status[~keep]])
@@ -96,9 +93,14 @@ def _with_grey_edges(grey: NDArray, s: ThoroughSettings) -> NDArray:
     step = high - low
     edge = step > 0.5 * float(step.max(initial=0.0))
     level = (grey.astype(np.float32) - low)[edge] / step[edge] if step.any() else np.zeros(0)
-    if not level.size or ((level > s.grey[0]) & (level < s.grey[1])).mean() > s.grey_share:
+    if (
+        not level.size
+        or ((level > s.grey_levels[0]) & (level < s.grey_levels[1])).mean() > s.grey_share
+    ):
         return grey
-    return np.rint(cv2.GaussianBlur(grey.astype(np.float32), (0, 0), s.soft)).astype(grey.dtype)
+    return np.rint(cv2.GaussianBlur(grey.astype(np.float32), (0, 0), s.drawn_blur)).astype(
+        grey.dtype
+    )
 
 
 def _with_more(
@@ -123,11 +125,9 @@ def _with_more(
         part = Candidates(
             scale * part.center + (scale - 1) / 2, scale * part.shape, scale * part.misfit, part.cut
         )
-        more = more.joined(
-            part.take(markers.implausible(part, min_radius_px, settings.markers) == "")
-        )
-        scale *= s.scale
-    new = _new(more, s, settings.edges.larger)
+        more = more.joined(part.take(implausible(part, min_radius_px, settings.markers) == ""))
+        scale *= s.scale_step
+    new = _new(more, s, settings.edges.max_size_ratio)
     new[: len(found)] = True
     return more.take(new)
 
@@ -140,10 +140,10 @@ def _new(all_of_them: Candidates, s: ThoroughSettings, larger: float) -> NDArray
     pairs = KDTree(center).query_pairs(float(size.max(initial=0.0)), output_type="ndarray")
     i, j = np.concatenate([pairs, pairs[:, ::-1]]).T
     dx, dy = (center[i] - center[j]).T
-    inside = np.hypot(xx[j] * dx + xy[j] * dy, xy[j] * dx + yy[j] * dy) < s.rim
+    inside = np.hypot(xx[j] * dx + xy[j] * dy, xy[j] * dx + yy[j] * dy) < s.inside_ratio
     ratio = size[j] / size[i]
-    part = (ratio > s.alike) & (ratio < larger)
-    again = (ratio < s.alike) & (ratio > 1 / s.alike) & (j < i)
+    part = (ratio > s.same_size_ratio) & (ratio < larger)
+    again = (ratio < s.same_size_ratio) & (ratio > 1 / s.same_size_ratio) & (j < i)
     new = np.ones(len(center), dtype=bool)
     new[i[inside & (part | again)]] = False
     return new
@@ -154,9 +154,9 @@ def _black_hat(dark: NDArray[np.uint8], settings: Settings) -> NDArray[np.uint8]
     darkest place nearby."""
     s = settings.thorough
     soft = cv2.GaussianBlur(dark, (3, 3), 0)
-    kernel = cv2.getStructuringElement(cv2.MORPH_RECT, (s.kernel, s.kernel))
+    kernel = cv2.getStructuringElement(cv2.MORPH_RECT, (s.closing_size, s.closing_size))
     hat = cv2.subtract(cv2.morphologyEx(soft, cv2.MORPH_CLOSE, kernel), soft)
-    half = cv2.convertScaleAbs(cv2.dilate(hat, kernel), alpha=s.half)
+    half = cv2.convertScaleAbs(cv2.dilate(hat, kernel), alpha=s.dark_share)
     return cv2.compare(
         hat, cv2.max(half, 2 * candidates.noise_margin(soft, settings.candidates)), cv2.CMP_GT
     )
@@ -172,22 +172,22 @@ def _second_try(
 ) -> edges.EdgeFit:
     """`fit` with what was no marker fitted again, the blur being held near that of the markers that
     are trusted."""
-    status, keep = markers.judge(fit, found, polarity, grey.shape, min_radius_px, settings.markers)
+    status, keep = judge(fit, found, polarity, grey.shape, min_radius_px, settings.markers)
     if keep.all():
         return fit
     good = status == "ok"
     blur = ellipse.middle(fit.blur[good]) if good.any() else 0.0
     s = settings.thorough
-    if blur < s.sharp:
-        grey = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), s.sharp)
-        blur = float(np.hypot(blur, s.sharp))
+    if blur < s.retry_blur:
+        grey = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), s.retry_blur)
+        blur = float(np.hypot(blur, s.retry_blur))
     again = edges.fit(
         grey,
         found.center[~keep],
         found.shape[~keep],
         blur=blur,
-        blur_sd=s.blur_sd * blur,
+        blur_sd=s.blur_sd_share * blur,
         others=(found.center[keep], found.shape[keep]),
         s=settings.edges,
     )
-    return edges.merge(~keep, markers.sound(again), fit.take(keep))
+    return edges.merge(~keep, sound(again), fit.take(keep))

@@ -17,7 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array, Ellipses, Image
-from mjtactile.sensing.image import candidates, edges, markers
+from mjtactile.sensing.image import edges, markers
+from mjtactile.sensing.image.candidates import Candidates
+from mjtactile.sensing.image.fit import as_ellipses, fit_candidates
+from mjtactile.sensing.image.judge import judge
 from mjtactile.sensing.settings import DEFAULTS, Settings, TrackingSettings
 
 
@@ -51,22 +54,20 @@ def follow(
         step = image.time - before.time
         velocity = (fit.center - before.fit.center) / step if step > 0 else before.velocity
         status = np.full(len(fit.center), "ok", dtype="<U24")
-        return markers.as_ellipses(fit, status), Tracks(
-            image.time, fit, velocity, count, before.left - 1
-        )
+        return as_ellipses(fit, status), Tracks(image.time, fit, velocity, count, before.left - 1)
     fit, status = markers.search(grey, min_radius_px=min_radius_px, settings=settings)
     good = fit.take(status == "ok")
     if not len(good.center):
-        return markers.as_ellipses(fit, status), None
+        return as_ellipses(fit, status), None
     left = (
         0
         if len(good.center) < len(status) or not _calm(good, s)
-        else s.images
+        else s.images_between_searches
         if len(good.center) == count
         else 1
     )
     tracks = Tracks(image.time, good, _velocity(good.center, image.time, before), count, left)
-    return markers.as_ellipses(fit, status), tracks
+    return as_ellipses(fit, status), tracks
 
 
 def _tracked(
@@ -76,34 +77,34 @@ def _tracked(
     believed."""
     s = settings.tracking
     step = time - before.time
-    if before.left < 1 or not 0 <= step <= s.gap:
+    if before.left < 1 or not 0 <= step <= s.max_gap:
         return None
     n = len(before.fit.center)
     center = before.fit.center + step * before.velocity
-    start = candidates.Candidates(center, before.fit.shape, np.zeros(n), np.zeros(n, bool))
-    fit = markers.fit_candidates(grey, start, settings)
-    status, _ = markers.judge(fit, start, "dark", grey.shape, min_radius_px, settings.markers)
+    start = Candidates(center, before.fit.shape, np.zeros(n), np.zeros(n, bool))
+    fit = fit_candidates(grey, start, settings)
+    status, _ = judge(fit, start, "dark", grey.shape, min_radius_px, settings.markers)
     return fit if (status == "ok").all() and _believable(fit, start, before.fit, s) else None
 
 
 def _believable(
-    fit: edges.EdgeFit, start: candidates.Candidates, before: edges.EdgeFit, s: TrackingSettings
+    fit: edges.EdgeFit, start: Candidates, before: edges.EdgeFit, s: TrackingSettings
 ) -> bool:
     """Whether all fits are where and as they were expected."""
     contrast = fit.outside - fit.inside
     was = before.outside - before.inside
     return _calm(fit, s) and bool(
-        np.abs(fit.center - start.center).max() < s.way
-        and np.abs(fit.shape - start.shape).max() < s.change
-        and np.abs(contrast - was).max() < s.contrast * was.min()
+        np.abs(fit.center - start.center).max() < s.position_tolerance
+        and np.abs(fit.shape - start.shape).max() < s.shape_tolerance
+        and np.abs(contrast - was).max() < s.contrast_tolerance * was.min()
     )
 
 
 def _calm(fit: edges.EdgeFit, s: TrackingSettings) -> bool:
     """Whether no fit leaves more than its neighbours do: nothing lies on a marker's edge."""
     return bool(
-        fit.residual.max() < s.residual * statistics.median(fit.residual.tolist())
-        and fit.lost.max() < s.lost
+        fit.residual.max() < s.max_residual * statistics.median(fit.residual.tolist())
+        and fit.lost.max() < s.max_lost_weight
     )
 
 

@@ -31,7 +31,7 @@ def share_elongation(ellipses: Ellipses, s: ConsensusSettings = DEFAULTS.consens
     scatter really found.
     """
     ok = np.flatnonzero(ellipses.status == "ok")
-    if len(ok) < s.least:
+    if len(ok) < s.min_circles:
         return ellipses
     axes = ellipses.semi_axes_px[ok]
     angle = ellipses.angle[ok]
@@ -42,11 +42,11 @@ def share_elongation(ellipses: Ellipses, s: ConsensusSettings = DEFAULTS.consens
     # near a circle S = r (I + D): D = ((p - s)/2, q)/r
     variance = (cov[:, 2, 2] + cov[:, 4, 4] - 2 * cov[:, 2, 4]) / 4 + cov[:, 3, 3]
     sd = np.sqrt(variance / 2) / radius
-    field, leverage, weight, scatter = _field(ellipses.center_px[ok], D, sd, s.outlier)
+    field, leverage, weight, scatter = _field(ellipses.center_px[ok], D, sd, s.outlier_scatters)
     # most must agree, and by no more than what a camera may add
-    if scatter > s.excuse or np.median(weight) < s.majority:
+    if scatter > s.max_scatter or np.median(weight) < s.min_median_weight:
         return ellipses
-    agree = weight > s.agree  # what does not belong to the surface keeps its own
+    agree = weight > s.min_weight  # what does not belong to the surface keeps its own
     return _replaced(
         ellipses,
         ok[agree],

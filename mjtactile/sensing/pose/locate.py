@@ -189,7 +189,9 @@ def _together(
         alike, camera, estimate_poses(alike, camera, radius) if shared else poses, settings, shared
     )
     good = ellipses.status == "ok"
-    small = good.any() and np.median(ellipses.semi_axes_px[good, 1]) < settings.locate.small
+    small = (
+        good.any() and np.median(ellipses.semi_axes_px[good, 1]) < settings.locate.min_shared_radius
+    )
     asked = (small or neighbours == "always") and np.ptp(radius) == 0
     depth = agree_on_depth(poses, settings.smoothness) if asked else None
     if depth is None:
@@ -225,12 +227,16 @@ def _overexposed(grey: NDArray, ellipses: Ellipses, polarity: Polarity, s: Locat
     if not good.any() or top + 1 not in (2**8, 2**10, 2**12, 2**14, 2**16):
         return False
     shape = shape_from_axes(ellipses.semi_axes_px[good], ellipses.angle[good])
-    aside = shape + [s.aside, 0.0, s.aside] if polarity == "dark" else s.inside * shape
+    aside = (
+        shape + [s.ground_distance, 0.0, s.ground_distance]
+        if polarity == "dark"
+        else s.inside_share * shape
+    )
     u, v = (
         np.rint(boundary(ellipses.center_px[good], aside, 8)[0]).astype(np.int64).transpose(2, 0, 1)
     )
     inside = (u >= 0) & (v >= 0) & (u < grey.shape[1]) & (v < grey.shape[0])
-    return bool((grey[v[inside], u[inside]] > s.clipped * top).mean() > s.clipped_share)
+    return bool((grey[v[inside], u[inside]] > s.clipped_level * top).mean() > s.clipped_share)
 
 
 def _doubtful_size(poses: CirclePoses, ellipses: Ellipses, size_sd: float) -> Array:

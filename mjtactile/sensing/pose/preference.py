@@ -68,7 +68,7 @@ def _probability(poses: CirclePoses, n: Array, cov_n: Array, s: PreferenceSettin
     if found is None:
         return prior[0] / prior.sum(axis=0)
     surface, cov, known = found
-    density = np.where(known, _density(n, surface, _bounded(cov_n, s) + cov, s.surface_least), 0.0)
+    density = np.where(known, _density(n, surface, _bounded(cov_n, s) + cov, s.min_surface_sd), 0.0)
     share = 0.5
     ok = known & (poses.status == "ok")
     for _ in range(_ROUNDS if ok.any() else 0):
@@ -76,7 +76,7 @@ def _probability(poses: CirclePoses, n: Array, cov_n: Array, s: PreferenceSettin
         # so many each way beforehand, so that a handful that agree by chance cannot make certain of
         # all
         share = (1 + (on / (on + (1 - share) * prior[:, ok].sum(axis=0))).sum()) / (
-            1 + s.alone + ok.sum()
+            1 + s.free_circles_prior + ok.sum()
         )
     q = np.where(known, share * density + (1 - share) * prior, prior)
     return q[0] / q.sum(axis=0)
@@ -95,7 +95,7 @@ def _bounded(cov_n: Array, s: PreferenceSettings) -> Array:
     say."""
     return (
         cov_n
-        * np.minimum(1, 2 * s.normal_most**2 / np.trace(cov_n, axis1=2, axis2=3))[..., None, None]
+        * np.minimum(1, 2 * s.max_normal_sd**2 / np.trace(cov_n, axis1=2, axis2=3))[..., None, None]
     )
 
 
@@ -122,13 +122,13 @@ def _surface_normals(
     own error bars.
     """
     ok = np.flatnonzero((poses.status == "ok") & (poses.p_CM[:, 2] > 0))
-    if len(ok) < s.fewest:
+    if len(ok) < s.min_circles:
         return None
     # unknown: where the lens model cannot be inverted
     ray = np.nan_to_num(poses.p_CM / poses.p_CM[:, 2:])
     w = 1 / poses.p_CM[ok, 2]
     sd = np.sqrt(poses.cov_p[ok, 2, 2]) / poses.p_CM[ok, 2] ** 2
-    near = KDTree(ray[ok, :2]).query(ray[:, :2], min(s.nearest, len(ok)))[1]  # (N, k) of ok
+    near = KDTree(ray[ok, :2]).query(ray[:, :2], min(s.plane_circles, len(ok)))[1]  # (N, k) of ok
     A = ray[ok][near]
     b = w[near]
     normal = A.transpose(0, 2, 1) @ A
@@ -142,4 +142,4 @@ def _surface_normals(
     n = -plane / length[:, None]
     turn = (np.eye(3) - n[:, :, None] * n[:, None]) / length[:, None, None]
     cov = turn @ inverse @ turn * variance[:, None, None]
-    return n, cov, known & (np.trace(cov, axis1=1, axis2=2) < 2 * s.surface_most**2)
+    return n, cov, known & (np.trace(cov, axis1=1, axis2=2) < 2 * s.max_surface_sd**2)

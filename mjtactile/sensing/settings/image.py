@@ -47,7 +47,7 @@ class EdgeSettings:
     """Ellipses from the image itself, for small or much blurred markers (sensing/image/edges.py,
     sensing/image/bands.py)."""
 
-    small: float = number(
+    small_radius: float = number(
         7.0,
         "px, times a blur of more than 1 px; below this mean radius the edge's curvature is "
         "felt beyond "
@@ -59,7 +59,7 @@ class EdgeSettings:
         "px; a blur fitted below it was taken for size",
         "softening and the pixel's own square make 0.69 of no blur at all",
     )
-    outlier: float = number(
+    outlier_residuals: float = number(
         4.0, "times the marker's rms residual: where a pixel's weight falls off", "trial"
     )
     outlier_share: float = number(
@@ -67,16 +67,16 @@ class EdgeSettings:
         "of the contrast: no pixel nearer than that is an outlier",
         "a lens or a camera's sharpening that the model does not know; trial",
     )
-    coloured: float = number(
+    covariance_factor: float = number(
         4.3, "factor on the covariance: softened noise is not white", _MONTE_CARLO
     )
-    clear: float = number(
+    neighbour_margin: float = number(
         1.5, "px around another marker that are left out: most of its blurred rim", "trial"
     )
-    larger: float = number(
+    max_size_ratio: float = number(
         4.0, "times a marker's size: what is larger is no marker that stands beside it", "trial"
     )
-    apart: float = number(
+    min_distance_share: float = number(
         0.7,
         "of the other's radius; what is nearer is the marker itself, or what it lies on",
         "trial",
@@ -89,29 +89,29 @@ class ProfileSettings:
 
     step: float = number(
         0.75,
-        "px between samples along a profile, for blur up to `blur`; more blur stretches it",
+        "px between samples along a profile, for blur up to `start_blur`; more blur stretches it",
         "trial",
         low=0.1,
         high=10.0,
     )
-    blur: float = number(1.1, "px, see `step`; the blur to start from", "trial")
+    start_blur: float = number(1.1, "px, see `step`; the blur to start from", "trial")
     spacing: float = number(2.0, "px of arc between profiles", "trial; at first 1")
     level_outlier: float = number(
         2.5, "times the spread of a marker's levels, at which a profile's level is bounded", "trial"
     )
-    outlier: float = number(
+    outlier_offsets: float = number(
         6.0, "times the mean offset: where a profile's weight falls off", "trial"
     )
     outlier_least: float = number(0.08, "px; no profile nearer than that is an outlier", "trial")
-    blur_most: float = number(
+    max_blur_variance: float = number(
         3.0, "times the image's middle blur variance, at which a profile's is bounded", "trial"
     )
-    unmodelled: float = number(
+    covariance_factor: float = number(
         1.08,
         "factor on the covariance: rounding, interpolation and the blur's own noise",
         _MONTE_CARLO,
     )
-    motion_doubt: float = number(
+    motion_sd_share: float = number(
         0.5, "share of the correction for motion that is in doubt: motion is no Gaussian", "trial"
     )
     sharpest: float = number(
@@ -123,64 +123,80 @@ class ProfileSettings:
 
 @dataclass(frozen=True)
 class MarkerSettings:
-    """Which ellipses are to be trusted (sensing/image/markers.py)."""
+    """Which ellipses are to be trusted (sensing/image/judge.py, sensing/image/fit.py)."""
 
-    room: float = number(6.0, "px, semi-minor axis from which on profiles have room", "trial")
-    blurred: float = number(
+    profile_min_radius: float = number(
+        6.0, "px, semi-minor axis from which on profiles have room", "trial"
+    )
+    profile_min_blurs: float = number(
         7.5, "times the blur, below which profiles have no room either", "trial"
     )
-    too_blurred: float = number(
+    min_blurs: float = number(
         2.8, "times the blur, below which radius, blur and level cannot be told apart", "trial"
     )
-    wide: float = number(
+    start_blur_share: float = number(
         0.3, "of a marker's size: the blur to start from where it was taken for size", "trial"
     )
-    unsure: float = number(5.0, "times the blur; a larger marker knows its own", "trial")
+    sure_blurs: float = number(5.0, "times the blur; a larger marker knows its own", "trial")
     blur_spread: float = number(1.15, "factor of one marker's blur over the image's", "trial")
-    motion: float = number(0.06, "px of motion that are no noise", "trial")
-    covered: float = number(
+    min_motion: float = number(0.06, "px of motion that are no noise", "trial")
+    covered_share: float = number(
         0.08,
         "of the contrast: what a fit leaves over where part of the edge is not the marker's",
         "trial",
     )
-    some: int = number(5, "markers that say how large markers are", "trial")
-    alike: float = number(0.5, "log of size by which one may differ from their median", "trial")
-    close: float = number(
+    min_peers: int = number(5, "markers that say how large markers are", "trial")
+    size_log_tolerance: float = number(
+        0.5, "log of size by which one may differ from their median", "trial"
+    )
+    min_edge_distance: float = number(
         3.0, "px between two edges, or an edge and the image's border, that disturb a fit", "trial"
     )
-    longest: float = number(0.15, "least ratio of a border's axes", "trial")
-    longest_flawed: float = number(0.4, "the same of one with glare or dirt on it", "trial")
-    flawed: float = number(
+    min_border_axes: float = number(0.15, "least ratio of a border's axes", "trial")
+    min_flawed_axes: float = number(0.4, "the same of one with glare or dirt on it", "trial")
+    max_flawed_misfit: float = number(
         0.6, "of its size: how far such a border may be from its own ellipse", "trial"
     )
-    odd: float = number(1.2, "px that a border may be from its own ellipse, and ...", "trial")
-    odd_share: float = number(0.2, "... of its semi-minor axis beside that", "trial")
-    odd_share_cut: float = number(0.4, "the same where the image's border cuts it", "trial")
-    contrast: float = number(5.0, "times the residual: the least contrast", "trial")
-    contrast_any: float = number(2.0, "times it, below which there is no marker at all", "trial")
-    doubt: float = number(0.1, "of the semi-minor axis: the largest sd of a trusted shape", "trial")
-    doubt_any: float = number(0.5, "of it, above which there is no marker at all", "trial")
-    misfit: float = number(0.15, "of the contrast: a larger residual is no ellipse's", "trial")
-    covered_usual: float = number(
+    max_border_misfit: float = number(
+        1.2, "px that a border may be from its own ellipse, and ...", "trial"
+    )
+    border_misfit_share: float = number(0.2, "... of its semi-minor axis beside that", "trial")
+    border_misfit_share_cut: float = number(
+        0.4, "the same where the image's border cuts it", "trial"
+    )
+    min_contrast: float = number(5.0, "times the residual: the least contrast", "trial")
+    min_contrast_any: float = number(
+        2.0, "times it, below which there is no marker at all", "trial"
+    )
+    max_shape_sd: float = number(
+        0.1, "of the semi-minor axis: the largest sd of a trusted shape", "trial"
+    )
+    max_shape_sd_any: float = number(0.5, "of it, above which there is no marker at all", "trial")
+    max_residual: float = number(
+        0.15, "of the contrast: a larger residual is no ellipse's", "trial"
+    )
+    covered_residuals: float = number(
         5.0,
-        "times the image's middle residual, which `covered` must exceed, too",
+        "times the image's middle residual, which `covered_share` must exceed, too",
         "compressed photographs leave more of every marker",
     )
-    lost: float = number(0.25, "share of the robust weight lost to glare or dirt", "trial")
-    sharper: float = number(
+    max_lost_weight: float = number(
+        0.25, "share of the robust weight lost to glare or dirt", "trial"
+    )
+    sharper_ratio: float = number(
         0.7, "of the image's blur: a fit that found less may have taken the blur for size", "trial"
     )
-    changed: float = number(
+    max_shape_change: float = number(
         0.25,
-        "of the semi-minor axis (beside `odd`): how far the fit may move from its candidate's "
-        "shape",
+        "of the semi-minor axis (beside `max_border_misfit`): how far the fit may move from its "
+        "candidate's shape",
         "trial",
     )
-    moved: float = number(
+    max_move: float = number(
         0.3, "of the semi-minor axis (beside 1 px): how far it may move from its place", "trial"
     )
-    flattest: float = number(0.1, "least ratio of a fit's axes", "trial")
-    shrunk: float = number(
+    min_fit_axes: float = number(0.1, "least ratio of a fit's axes", "trial")
+    shrunk_share: float = number(
         0.5, "of the smallest radius asked for, below which there is no marker at all", "trial"
     )
 
@@ -192,62 +208,66 @@ _FOLLOWED = "egg grasps at 15 and 30 Hz, and the first 20 sequences of `bench tr
 class TrackingSettings:
     """When the last image's markers are believed without a search (sensing/image/tracking.py)."""
 
-    images: int = number(15, "images in a row without a search", "half a second at 30 Hz")
-    gap: float = number(
+    images_between_searches: int = number(
+        15, "images in a row without a search", "half a second at 30 Hz"
+    )
+    max_gap: float = number(
         0.15, "s between two images; after a longer one nothing is expected", "two images of 15 Hz"
     )
-    way: float = number(
+    position_tolerance: float = number(
         1.2,
         "px that a marker may be from where it was going; a fit finds its edge from two away",
         _FOLLOWED,
     )
-    change: float = number(0.7, "px that its shape may have changed by", _FOLLOWED)
-    contrast: float = number(
+    shape_tolerance: float = number(0.7, "px that its shape may have changed by", _FOLLOWED)
+    contrast_tolerance: float = number(
         0.15, "of the least contrast: how far a contrast may have changed", _FOLLOWED
     )
-    residual: float = number(1.7, "times the image's middle residual", _FOLLOWED)
-    lost: float = number(0.02, "share of the robust weight that is lost", _FOLLOWED)
+    max_residual: float = number(1.7, "times the image's middle residual", _FOLLOWED)
+    max_lost_weight: float = number(0.02, "share of the robust weight that is lost", _FOLLOWED)
 
 
 @dataclass(frozen=True)
 class ThoroughSettings:
     """The second look of `mjtactile locate` at photographs (sensing/image/thorough.py)."""
 
-    kernel: int = number(
+    closing_size: int = number(
         17,
         "px of the closing: blobs up to a radius of 8 px stand out, on the image and on "
         "smaller ones",
         "trial",
     )
-    scale: int = number(3, "from one image to the next smaller", "trial", low=2)
+    scale_step: int = number(3, "from one image to the next smaller", "trial", low=2)
     least_side: int = number(60, "px of the smallest one's shorter side", "trial")
-    half: float = number(
+    dark_share: float = number(
         0.5,
         "of how dark the darkest place nearby is: what belongs to the blob",
         "the middle of a blurred edge",
     )
-    alike: float = number(
+    same_size_ratio: float = number(
         1.5, "ratio of sizes up to which two outlines may be the same circle's", "trial"
     )
-    rim: float = number(
+    inside_ratio: float = number(
         1.3,
         "of its ellipse: how far out a part of a circle may lie, where the kernel's corner did "
         "not fit",
         "trial",
     )
-    sharp: float = number(
+    retry_blur: float = number(
         0.7, "px: a fit that failed is tried again with at least that much blur", "trial"
     )
-    blur_sd: float = number(
+    blur_sd_share: float = number(
         0.1, "of the blur: by how much it differs from place to place in a photograph", "trial"
     )
-    grey: tuple[float, float] = number((0.1, 0.9), "levels of an edge that are grey", "trial")
+    grey_levels: tuple[float, float] = number(
+        (0.1, 0.9), "levels of an edge that are grey", "trial"
+    )
     grey_share: float = number(
         0.05,
         "of an edge's pixels; with fewer grey ones it is black and white only",
         "what pixels' areas alone make of a sharp edge is 0.3",
     )
-    soft: float = number(
+    drawn_blur: float = number(
         0.5,
         "px of blur for such a picture",
         "0.5 to 1 leave the same error; the least has the best error bars",
@@ -258,33 +278,35 @@ class ThoroughSettings:
 class GammaSettings:
     """What a camera's gamma is told from (sensing/image/gamma.py)."""
 
-    fewest: int = number(6, "circles that must agree", "trial")
-    most: int = number(
+    min_circles: int = number(6, "circles that must agree", "trial")
+    max_circles: int = number(
         24,
         "circles that are looked at",
         "more cost time and tell no more than what is not modelled hides",
     )
-    least_px: float = number(
+    min_radius: float = number(
         4.0, "px of the semi-minor axis; below, blur and level are not told apart", "trial"
     )
-    width: float = number(5.0, "px to both sides of an edge that are looked at", "trial")
-    start: float = number(1.5, "to start from", "between 1 and 2.2")
-    blur: float = number(0.8, "px to start from", "trial")
-    least_blur: float = number(
+    profile_half_width: float = number(
+        5.0, "px to both sides of an edge that are looked at", "trial"
+    )
+    start_gamma: float = number(1.5, "to start from", "between 1 and 2.2")
+    start_blur: float = number(0.8, "px to start from", "trial")
+    min_blur: float = number(
         0.6,
         "px, the pixel's own square included; below, its corners are lopsided enough",
         "simulated circles: right from 0.65 on, 3.3 for a true 2.2 at 0.42",
     )
-    unmodelled: float = number(
+    model_sd_share: float = number(
         0.08, "of it: sd of what is not modelled", "simulated circles of 5 to 20 px"
     )
     range: tuple[float, float] = number(
         (0.3, 4.0), "beyond it, it is no gamma but sharpening or clipping", "cameras have 1 to 2.6"
     )
-    plainly: float = number(
+    min_sds: float = number(
         3.0, "sd by which it must differ from what was assumed, and ...", "trial"
     )
-    matters: float = number(0.25, "... its logarithm, to be said", "0.05 px of size")
-    size: float = number(
+    min_log_change: float = number(0.25, "... its logarithm, to be said", "0.05 px of size")
+    size_per_log: float = number(
         0.6, "px of size for a unit of log gamma that is wrong", "simulated circles: 0.4 to 0.6"
     )

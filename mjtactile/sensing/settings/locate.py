@@ -14,16 +14,16 @@ _PHOTOGRAPHS = "trial, on photographs of flat boards of dots"
 class LocateSettings:
     """Circles in photographs (sensing/pose/locate.py)."""
 
-    small: float = number(
+    min_shared_radius: float = number(
         6.0,
         "px, median semi-minor axis below which circles share depth",
         "a camera's processing of edges outweighs its noise there; " + _PHOTOGRAPHS,
     )
-    aside: float = number(
+    ground_distance: float = number(
         3.0, "px from a dark circle's edge, where the ground is looked at", "trial"
     )
-    inside: float = number(0.4, "of a bright circle's size, where it is looked at", "trial")
-    clipped: float = number(
+    inside_share: float = number(0.4, "of a bright circle's size, where it is looked at", "trial")
+    clipped_level: float = number(
         0.98,
         "of the camera's range, above which a pixel is clipped",
         "one of three averaged channels may not be",
@@ -40,15 +40,15 @@ class LocateSettings:
 class ConsensusSettings:
     """When circles share their elongation (sensing/pose/consensus.py)."""
 
-    least: int = number(40, "circles", "a second-order field asks for many")
-    excuse: float = number(
+    min_circles: int = number(40, "circles", "a second-order field asks for many")
+    max_scatter: float = number(
         4.0,
         "scatter over predicted sd, above which they do not agree",
         "what a real camera (sharpening, demosaicing, compression) may explain; " + _PHOTOGRAPHS,
     )
-    majority: float = number(0.5, "median weight below which they do not agree", "trial")
-    outlier: float = number(4.0, "times the scatter: where weights fall off", "trial")
-    agree: float = number(0.1, "weight below which a circle keeps its own elongation", "trial")
+    min_median_weight: float = number(0.5, "median weight below which they do not agree", "trial")
+    outlier_scatters: float = number(4.0, "times the scatter: where weights fall off", "trial")
+    min_weight: float = number(0.1, "weight below which a circle keeps its own elongation", "trial")
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class SmoothnessSettings:
     """When circles share their depth, and how smooth it is (sensing/shape/smoothness.py, Eq.
     V10)."""
 
-    circles: tuple[int, int] = number(
+    circle_range: tuple[int, int] = number(
         (40, 500),
         "least and most of them",
         "few say nothing about smoothness; the cost grows with the cube",
@@ -64,54 +64,54 @@ class SmoothnessSettings:
     per_freedom: float = number(
         8.0, "circles for each degree of freedom of the spline, at most", _PHOTOGRAPHS
     )
-    excuse: float = number(
+    max_scatter: float = number(
         5.0,
         "scatter over predicted sd, above which they lie on no smooth surface",
         "what a real camera may explain; " + _PHOTOGRAPHS,
     )
-    common: float = number(
+    common_share: float = number(
         0.33,
         "part of a depth's own sd that all share, so that it stays",
         "a camera's processing, an error of blur; trial",
     )
-    honest: float = number(
+    min_sd_share: float = number(
         0.7,
         "of the predicted sd: what errors are at least",
         "a noise-free bend and noise can look alike; trial",
     )
-    gross: float = number(
+    gross_scatters: float = number(
         5.0, "times the scatter about a second-order surface: where first weights fall off", "trial"
     )
-    outlier: float = number(
+    outlier_scatters: float = number(
         4.0, "times the scatter about the spline: where weights fall off", "trial"
     )
-    agree: float = number(0.1, "weight below which a circle keeps its own depth", "trial")
-    agree_share: float = number(0.8, "of the circles that must agree", "trial")
+    min_weight: float = number(0.1, "weight below which a circle keeps its own depth", "trial")
+    min_agreeing_share: float = number(0.8, "of the circles that must agree", "trial")
 
 
 @dataclass(frozen=True)
 class PreferenceSettings:
     """Which of a circle's two poses is likelier (sensing/pose/preference.py)."""
 
-    nearest: int = number(
+    plane_circles: int = number(
         9, "circles that a plane is laid through, the circle itself among them", "trial"
     )
-    fewest: int = number(
+    min_circles: int = number(
         6, "circles in the picture, for planes at all", "three are a plane's own degrees of freedom"
     )
-    normal_most: float = number(
+    max_normal_sd: float = number(
         0.5, "rad, what a normal's linearised sd may be", "face-on it is infinite"
     )
-    surface_most: float = number(
+    max_surface_sd: float = number(
         0.15,
         "rad, sd of a surface's normal from which on it says nothing",
         "circles each at its own depth, simulated: at 0.5 they made 0.75 right that were 0.85",
     )
-    alone: float = number(
+    free_circles_prior: float = number(
         4.0,
         "circles thought beforehand to hang each as it likes, against one on a surface",
         "trial",
     )
-    surface_least: float = number(
+    min_surface_sd: float = number(
         0.035, "rad, sd of a plane through neighbours for a bent sheet", "2 degrees; trial"
     )

@@ -22,7 +22,7 @@ class IdentitySettings:
         "of the pitch: a circle farther from where a marker is expected is not that marker",
         "trial",
     )
-    inconsistent: float = number(
+    displacement_tolerance: float = number(
         0.45, "of the pitch: a displacement farther off the neighbours' is a wrong match", "trial"
     )
     neighbours: int = number(8, "nearest markers that a marker is compared with", "trial", high=64)
@@ -31,7 +31,7 @@ class IdentitySettings:
         "1/m^2, one over the variance of heights that a circle's two normals are judged by",
         "heights known to 10 um",
     )
-    same_shift: float = number(
+    shift_resolution: float = number(
         5.0,
         "parts of a pitch: circles whose offsets are nearer than one agree on a common one",
         "trial",

@@ -82,15 +82,15 @@ def agree_on_depth(
     that disagree with the surface are not `at` it.
     """
     ok = np.flatnonzero(alone.status == "ok")
-    if not s.circles[0] <= len(ok) <= s.circles[1]:
+    if not s.circle_range[0] <= len(ok) <= s.circle_range[1]:
         return None
     z = alone.p_CM[ok, 2]
     sd = np.sqrt(alone.cov_p[ok, 2, 2]) / z**2
     smooth = _fit(alone.p_CM[ok, :2] / z[:, None], 1 / z, sd, s)
-    agree = (smooth.weight > s.agree) & (smooth.value > 0)
-    if smooth.scatter > s.excuse or agree.mean() < s.agree_share:
+    agree = (smooth.weight > s.min_weight) & (smooth.value > 0)
+    if smooth.scatter > s.max_scatter or agree.mean() < s.min_agreeing_share:
         return None
-    spread = np.hypot(smooth.sd, s.common * max(smooth.scatter, 1.0) * sd)
+    spread = np.hypot(smooth.sd, s.common_share * max(smooth.scatter, 1.0) * sd)
     return SharedDepth(ok[agree], 1 / smooth.value[agree], (spread / smooth.value**2)[agree])
 
 
@@ -101,7 +101,7 @@ def _fit(xy: Array, w: Array, sd: Array, s: SmoothnessSettings) -> _Smooth:
     square = ((x[:, None] - x[None]) ** 2).sum(axis=2)
     K = 0.5 * square * np.log(square + 1e-300)
     T = np.column_stack([np.ones(len(x)), x])
-    weight = _not_gross(x, w / sd, sd, s.gross)
+    weight = _not_gross(x, w / sd, sd, s.gross_scatters)
     value = w
     spread = sd
     scatter = np.inf
@@ -109,7 +109,7 @@ def _fit(xy: Array, w: Array, sd: Array, s: SmoothnessSettings) -> _Smooth:
         value, spread = _spline(K, T, w, sd / np.sqrt(weight), s)
         left = np.abs(w - value) / sd
         scatter = float(np.median(left) / 0.6745)  # of a normal distribution
-        weight = 1 / (1 + (left / (s.outlier * max(scatter, 1e-9))) ** 4)
+        weight = 1 / (1 + (left / (s.outlier_scatters * max(scatter, 1e-9))) ** 4)
     return _Smooth(value, spread, np.maximum(weight, 1e-6), scatter)
 
 
@@ -143,7 +143,7 @@ def _spline(K: Array, T: Array, w: Array, sd: Array, s: SmoothnessSettings) -> t
     gain = 1 + np.outer(_RATIOS / max(k[-1], 1e-300), k)  # (ratios, n - 3)
     freedom = n - (1 / gain).sum(axis=1)
     left = (z2 / gain).mean(axis=1)
-    variance = np.maximum(left, s.honest**2)
+    variance = np.maximum(left, s.min_sd_share**2)
     minus_log = np.log(gain).sum(axis=1) + (n - 3) * (np.log(variance) + left / variance)
     minus_log[freedom < n / s.per_freedom] = np.inf
     best = int(np.argmin(minus_log))

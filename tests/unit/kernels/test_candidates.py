@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from mjtactile.kernels import build
-from mjtactile.sensing.image import candidates, ellipse, markers
+from mjtactile.sensing.image import candidates, ellipse, judge
 from mjtactile.sensing.image.candidates import Candidates
 from mjtactile.sensing.image.edges import EdgeFit
+from mjtactile.sensing.image.fit import as_ellipses
 from mjtactile.sensing.settings import DEFAULTS, MarkerSettings
 from tests.numpy_chain import candidates as numpy_candidates
 
@@ -86,22 +87,22 @@ def test_judgement(polarity):
         for least in (1.5, 4.0):
             args = found, least, DEFAULTS.markers
             np.testing.assert_array_equal(
-                markers.implausible(*args), numpy_candidates.implausible(*args)
+                judge.implausible(*args), numpy_candidates.implausible(*args)
             )
             args = fit, found, polarity, SIZE, least, DEFAULTS.markers
             (status, keep), (wanted, wanted_keep) = (
-                markers.judge(*args),
+                judge.judge(*args),
                 numpy_candidates.judge(*args),
             )
             np.testing.assert_array_equal(status, wanted)
             np.testing.assert_array_equal(keep, wanted_keep)
             seen |= set(status)
-    assert polarity == "bright" or seen == set(markers.STATUSES)
+    assert polarity == "bright" or seen == set(judge.STATUSES)
 
 
 def test_semi_axes():
     fit, _ = drawn(np.random.default_rng(7), 50)
-    ellipses = markers.as_ellipses(fit, np.full(50, "ok"))
+    ellipses = as_ellipses(fit, np.full(50, "ok"))
     axes, angle = ellipse.axes_from_shape(fit.shape)
     np.testing.assert_allclose(ellipses.semi_axes_px, axes, rtol=1e-12)
     np.testing.assert_allclose(ellipses.angle, angle, rtol=1e-12)

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.paper import marker_accuracy, marker_scenes
 from mjtactile.core import optics
 from mjtactile.core.errors import InputError
-from mjtactile.sensing.image import edges, ellipse, markers
+from mjtactile.sensing.image import edges, ellipse, judge, markers
 from mjtactile.sensing.pose.circles import estimate_poses
 from mjtactile.sensing.pose.consensus import share_elongation
 from mjtactile.sensing.pose.locate import load_image, locate
@@ -257,7 +257,7 @@ def test_touching_and_cut_markers_are_flagged():
     _, poses = errors(marker_scenes.image(CAMERA, cut), cut)
     inside = (poses.status == "ok") & (np.abs(poses.uv_px - [320, 240]).max(axis=1) > 100)
     assert not inside.any()
-    assert (poses.status == markers.CUT).sum() >= 3
+    assert (poses.status == judge.CUT).sum() >= 3
 
 
 def test_nothing_there():

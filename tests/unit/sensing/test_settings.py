@@ -112,7 +112,9 @@ def test_every_stage_works_with_what_it_is_given():
     )
     blind = DEFAULTS.override({"candidates.margins": (250.0, 250.0)})
     assert (len(detect(image)), len(detect(image, settings=blind))) == (1, 0)
-    sure = DEFAULTS.override({"profiles.unmodelled": 4 * DEFAULTS.profiles.unmodelled})
+    sure = DEFAULTS.override(
+        {"profiles.covariance_factor": 4 * DEFAULTS.profiles.covariance_factor}
+    )
     # the levels' part stays
     assert (
         1.5 < np.sqrt(detect(image, settings=sure).cov[0, 2, 2] / detect(image).cov[0, 2, 2]) <= 2

@@ -55,7 +55,7 @@ def test_when_it_searches(monkeypatch):
         return bool(follow(Image(pixels, time), tracks, **settings) and searches)
 
     found, tracks = follow(image)
-    assert len(found) == COUNT and tracks.left == DEFAULTS.tracking.images
+    assert len(found) == COUNT and tracks.left == DEFAULTS.tracking.images_between_searches
     later = image.time + 0.03
     assert not again(image.pixels, later, tracks)
     assert again(image.pixels, image.time + 0.2, tracks)  # a gap

@@ -1,0 +1,84 @@
+"""An ellipse for each candidate: by profiles across its edge where they have room, by all its
+pixels, which costs ten times more, where they have none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core.types import Ellipses
+from mjtactile.kernels import kernel
+from mjtactile.sensing.image import edges, ellipse, profiles
+from mjtactile.sensing.image.candidates import Candidates
+from mjtactile.sensing.image.edges import EdgeFit
+from mjtactile.sensing.settings import Settings
+
+
+def fit_candidates(grey: NDArray, found: Candidates, settings: Settings) -> EdgeFit:
+    """An ellipse for each candidate in a grey image (H, W), with a covariance that can be believed
+    or is as large as the marker."""
+    axes, _ = ellipse.axes_from_shape(found.shape)
+    large = axes[:, 1] >= settings.markers.profile_min_radius
+    if not large.any():
+        return sound(edges.fit(grey, found.center, found.shape, s=settings.edges))
+    fit = _by_profiles(grey, found.take(large), axes[large, 1], settings)
+    if large.all():
+        return sound(fit)
+    small = found.take(~large)
+    others = found.center[large], found.shape[large]
+    by_pixels = edges.fit(grey, small.center, small.shape, others=others, s=settings.edges)
+    return sound(edges.merge(large, fit, by_pixels))
+
+
+def _by_profiles(grey: NDArray, found: Candidates, radius: NDArray, settings: Settings) -> EdgeFit:
+    """Fits of candidates with these semi-minor axes (N,) px by profiles; by pixels, again, where
+    the blur turns out to leave profiles no room."""
+    s = settings.markers
+    fit = profiles.fit(grey, found.center, found.shape, settings.profiles)
+    # fits by pixels know of no motion
+    blurred = (fit.blur * s.profile_min_blurs > radius) & (fit.motion < s.min_motion)
+    # a drawing, or a blur that was taken for size
+    sharpest = fit.blur < 1.01 * settings.profiles.sharpest
+    if sharpest.any():
+        start = found.take(sharpest)
+        wide = s.start_blur_share * float(ellipse.middle(radius[sharpest]))
+        again = edges.fit(grey, start.center, start.shape, blur=wide, s=settings.edges)
+        settled = again.residual < edges.UNSETTLED
+        sharpest[sharpest] = settled
+        fit = edges.merge(sharpest, again.take(settled), fit.take(~sharpest))
+        blurred &= ~sharpest
+    if not blurred.any():
+        return fit
+    common = float(np.median(fit.blur[blurred]))
+    again = edges.fit(grey, fit.center[blurred], fit.shape[blurred], blur=common, s=settings.edges)
+    return edges.merge(blurred, again, fit.take(~blurred))
+
+
+def sound(fit: EdgeFit) -> EdgeFit:
+    """`fit` with a covariance as large as the marker, and no trust, where the numbers are not those
+    of a minimum."""
+    variances = np.diagonal(fit.cov, axis1=1, axis2=2)
+    bad = ~(
+        np.isfinite(fit.cov.sum(axis=(1, 2)) + fit.residual)
+        & (variances.min(axis=1, initial=np.inf) > 0)
+    )
+    if not bad.any():
+        return fit
+    size = np.square(fit.shape[bad]).sum(axis=1)
+    cov = fit.cov.copy()
+    residual = fit.residual.copy()
+    cov[bad] = np.eye(5) * size[:, None, None]
+    residual[bad] = 1e9
+    return replace(fit, cov=cov, residual=residual)
+
+
+def as_ellipses(fit: EdgeFit, status: NDArray[np.str_]) -> Ellipses:
+    """Fits as semi-axes and angles."""
+    n = len(fit.center)
+    axes = np.empty((n, 2))
+    angle = np.empty(n)
+    cov = np.empty((n, 5, 5))
+    kernel("ellipse_axes")(n, fit.shape, fit.cov, axes, angle, cov)
+    return Ellipses(fit.center, axes, angle, cov, status)

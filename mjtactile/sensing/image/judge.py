@@ -1,0 +1,94 @@
+"""Which candidates and fits are markers, and which of these are to be trusted: a status for each.
+The arithmetic is in mjtactile/kernels/candidates.c."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.kernels import kernel
+from mjtactile.sensing.image.candidates import Candidates
+from mjtactile.sensing.image.edges import EdgeFit
+from mjtactile.sensing.settings import MarkerSettings, as_numbers
+
+CUT = "cut by image border"
+NOT_ELLIPSE = "not an ellipse"
+TOUCHING = "touches another"
+LOW_CONTRAST = "low contrast"
+GLARE = "glare or dirt"
+SMALL = "too small"
+MOTION = "motion blur"
+BLURRED = "too blurred"
+LONG = "too long"
+NO_FIT = "no fit"
+MOVED = "edge lies elsewhere"
+# in the order of the numbers in mjtactile/kernels/candidates.c
+STATUSES = np.array(
+    [
+        "ok",
+        CUT,
+        NOT_ELLIPSE,
+        TOUCHING,
+        LOW_CONTRAST,
+        GLARE,
+        SMALL,
+        MOTION,
+        BLURRED,
+        LONG,
+        NO_FIT,
+        MOVED,
+    ],
+    dtype="<U24",
+)
+
+
+def implausible(found: Candidates, min_radius_px: float, s: MarkerSettings) -> NDArray[np.str_]:
+    """Why each cannot be a marker: too small or long, or a border far from its own ellipse (further
+    if cut); "" if it can."""
+    codes = np.empty(len(found), np.int64)
+    kernel("judge_borders")(
+        len(found), found.shape, found.misfit, found.cut, min_radius_px, as_numbers(s), codes
+    )
+    return np.where(codes, STATUSES[codes], "")
+
+
+def judge(
+    fit: EdgeFit,
+    found: Candidates,
+    polarity: str,
+    size: tuple[int, ...],
+    min_radius_px: float,
+    s: MarkerSettings,
+) -> tuple[NDArray[np.str_], NDArray[np.bool_]]:
+    """Status (N,) of each fit, and whether (N,) it is likely a marker at all, be it to be trusted
+    or not.
+
+    An edge is weak, an outline no ellipse, or part of it covered, by the fit's own numbers and by
+    what is usual in this image; blur is the image's, so that a marker much sharper or more blurred
+    than the others was not understood; and a fit that left its candidate behind found something
+    else.
+    """
+    n = len(fit.center)
+    levels = np.stack([fit.inside, fit.outside])
+    codes = np.empty(n, np.int64)
+    keep = np.empty(n, np.int64)
+    numbers = np.stack([fit.blur, fit.residual, fit.pixels, fit.lost, fit.motion])
+    kernel("judge_fits")(
+        n,
+        fit.center,
+        fit.shape,
+        fit.cov,
+        levels,
+        numbers,
+        found.center,
+        found.shape,
+        found.misfit,
+        found.cut,
+        1.0 if polarity == "dark" else -1.0,
+        *size,
+        min_radius_px,
+        as_numbers(s),
+        codes,
+        keep,
+    )
+    return STATUSES[codes], keep != 0
