@@ -21,6 +21,8 @@
 #define SHELL 0.3
 #define MEMORY 4            /* steps that the next one learns from */
 #define LOOKS 3             /* steps that ask the bodies; later ones follow their slopes, else nodes at an edge come and go */
+#define EDGE_HALVES 8
+#define NEAREST_EDGE 0.95   /* of a spacing */
 #define LEAST_TURN 0.05    /* of a cell's shadow: below, the sheet is inside out */
 #define CORRECTION (1 / 24.) /* of curvature times spacing^2, by which the grid makes a smooth body too high */
 
@@ -35,6 +37,7 @@ typedef struct { double gas, sealed, tolerance, most_steps; } Settings; /* gas: 
 typedef struct {
     SheetFields fields;
     double *obstacle, *level, *slope, *lower;  /* heights (count), see `follow_bodies`, slopes (2, count), correction */
+    double *edge;                                      /* see `find_edges` (4, count) */
     double *residual, *moved, *pushed, *stiff, *plane; /* (count) each; plane (2 inner) */
     double *band, *y0, *y1, *y2;
     double *steps, *changes, *last_step, *now; /* of the last MEMORY steps: (MEMORY, 4, count) each, and (4, count) */
@@ -42,7 +45,7 @@ typedef struct {
 } Work;
 
 static long work_size(const Film *f) {
-    return (3 + 3 + 5 + 2 + 2 + 1 + 4 + 8 * MEMORY + 8) * f->count + 5 * f->inner +
+    return (3 + 3 + 5 + 2 + 2 + 1 + 4 + 4 + 8 * MEMORY + 8) * f->count + 5 * f->inner +
            f->inner * BAND_STRIDE(f->inner_rows + 1) + 2 * (f->count / 8 + 1);
 }
 
@@ -64,6 +67,7 @@ static Work work_of(const Film *f, double *room) {
     w.fields.own = take(&room, n), w.fields.up = take(&room, n), w.fields.right = take(&room, n);
     w.fields.right_up = take(&room, n), w.fields.right_down = take(&room, n);
     w.obstacle = take(&room, n), w.level = take(&room, n), w.slope = take(&room, 2 * n), w.lower = take(&room, n);
+    w.edge = take(&room, 4 * n);
     w.residual = take(&room, n), w.moved = take(&room, n), w.pushed = take(&room, n), w.stiff = take(&room, n);
     w.plane = take(&room, 2 * f->inner);
     w.y0 = take(&room, f->inner), w.y1 = take(&room, f->inner), w.y2 = take(&room, f->inner);
@@ -98,6 +102,55 @@ static void see_bodies(const Film *f, long bodies, const double *body, const dou
             }
             w->level[k] = w->obstacle[k] - w->slope[k] * x[k] - w->slope[f->count + k] * x[f->count + k];
         }
+}
+
+static int on_a_body(const Film *f, long bodies, const double *body, const double *pool, double x, double y) {
+    double height, slope[2];
+    for (long b = 0; b < bodies; b++)
+        if (!film_body_height(f, (const FilmBody *)(body + b * FILM_BODY), pool, x, y, &height, slope)) return 1;
+    return 0;
+}
+
+/* Where bodies end between a node that is on one and a neighbour that is not: the share of the way, for the neighbours at +x, -x,
+   +y and -y; negative where both are on, or both off. */
+static void find_edges(const Film *f, long bodies, const double *body, const double *pool, const double *x, Work *w) {
+    const long rows = f->rows, count = f->count, next[4] = {rows, -rows, 1, -1};
+    for (long k = 0; k < 4 * count; k++) w->edge[k] = -1;
+    for (long i = 1; i < f->columns - 1; i++)
+        for (long j = 1; j < rows - 1; j++)
+            for (int side = 0; side < 4; side++) {
+                const long k = i * rows + j, other = k + next[side];
+                if (!isfinite(w->obstacle[k]) || isfinite(w->obstacle[other])) continue;
+                const double at[2] = {i * f->dx - f->numbers.length_x / 2 + x[k], j * f->dy - f->numbers.length_y / 2 + x[count + k]};
+                const double way[2] = {side < 2 ? (side ? -1 : 1) * f->dx + x[other] - x[k] : 0,
+                                       side < 2 ? 0 : (side == 3 ? -1 : 1) * f->dy + x[count + other] - x[count + k]};
+                double low = 0, high = 1;
+                for (int half = 0; half < EDGE_HALVES; half++) {
+                    const double middle = (low + high) / 2;
+                    if (on_a_body(f, bodies, body, pool, at[0] + middle * way[0], at[1] + middle * way[1])) low = middle;
+                    else high = middle;
+                }
+                w->edge[side * count + k] = low;
+            }
+}
+
+/* A sheet that bends over an edge a share s of the spacing beyond the last node on the body falls to the next node over what is
+   left of it, 1 - s, and pulls that much more: as a spring beside the sheet. Changes residual and stiffness. */
+static void stiffen_edges(const Film *f, const double *z, Work *w) {
+    const long rows = f->rows, count = f->count, next[4] = {rows, -rows, 1, -1};
+    SheetFields *s = &w->fields;
+    for (long k = rows; k < count - rows; k++) {
+        if (!w->touching[k]) continue;
+        double *links[4] = {s->right + k, s->right + k - rows, s->up + k, s->up + k - 1};
+        for (int side = 0; side < 4; side++) {
+            const double share = least(w->edge[side * count + k], NEAREST_EDGE);
+            if (share <= 0) continue;
+            const long other = k + next[side];
+            const double spring = most(-*links[side], 0) * share / (1 - share), force = spring * (z[k] - z[other]);
+            *links[side] -= spring, s->own[k] += spring, s->own[other] += spring;
+            w->residual[k] += force, w->residual[other] -= force;
+        }
+    }
 }
 
 /* The same by the slopes that were seen last: `level` holds what a slope leaves of a height. */
@@ -323,7 +376,7 @@ static int come_to_rest(const Film *f, const double *plane_factor, const Setting
     double *z = x + 2 * f->count, last, last_before = 1e-4;
     memset(w->before, 0, f->count), memset(w->touching, 0, f->count), memset(w->pushed, 0, f->count * sizeof *w->pushed);
     for (long step = 0; step < (long)set->most_steps && status == NOT_CONVERGED; step++) {
-        if (step < LOOKS) see_bodies(f, bodies, body, pool, x, w);
+        if (step < LOOKS) see_bodies(f, bodies, body, pool, x, w), find_edges(f, bodies, body, pool, x, w);
         else follow_bodies(f, x, w);
         if (!step && (status = against_the_frame(f, w))) return status;
         status = NOT_CONVERGED;
@@ -349,6 +402,7 @@ static int come_to_rest(const Film *f, const double *plane_factor, const Setting
         for (long k = 0; k < f->count; k++)
             w->residual[k] = w->fields.elastic[2 * f->count + k] - pressure * w->fields.gradient[2 * f->count + k];
         stiffen_curved(f, z, w);
+        stiffen_edges(f, z, w);
         if ((changed || !factored) && factor_heights(f, w)) return INSIDE_OUT;
         factored = 1, memcpy(w->before, w->touching, f->count);
         step_heights(f, w, x, &sums, gas_stiffness);
@@ -386,23 +440,8 @@ static int come_to_rest(const Film *f, const double *plane_factor, const Setting
     return status;
 }
 
-/* Share of the cell about a node on which there is a body at all. */
-static double covered(const Film *f, long bodies, const double *body, const double *pool, const double *at) {
-    long on = 0;
-    for (int a = -2; a <= 2; a++)
-        for (int b = -2; b <= 2; b++)
-            for (long k = 0; k < bodies; k++) {
-                double height, slope[2];
-                const FilmBody *one = (const FilmBody *)(body + k * FILM_BODY);
-                if (film_body_height(f, one, pool, at[0] + a * f->dx / 5, at[1] + b * f->dy / 5, &height, slope)) continue;
-                on++;
-                break;
-            }
-    return on / 25.;
-}
-
 /* Wrench about S, and the area that touches: of each node's cell the share that its force is of what all of it would carry. */
-static void add_up(const Film *f, long bodies, const double *body, const double *pool, const double *x, const double *force,
+static void add_up(const Film *f, const double *x, const double *force,
                    double *found, const Work *w) {
     const double *h = w->obstacle;
     const long rows = f->rows;
@@ -429,7 +468,9 @@ static void add_up(const Film *f, long bodies, const double *body, const double 
                 const double whole = cell * (found[PRESSURE] + found[TENSION] * bend / (steep * sqrt(steep)));
                 share = whole > 0 ? least(force[k] / whole, 1) : 1;
             } else {
-                share = covered(f, bodies, body, pool, r);
+                double wide[4];
+                for (int side = 0; side < 4; side++) wide[side] = w->edge[side * f->count + k] >= 0 ? w->edge[side * f->count + k] : 0.5;
+                share = (wide[0] + wide[1]) * (wide[2] + wide[3]); /* to the edges, for there are no nodes beyond */
             }
             found[AREA] += share * cell * sqrt(1 + slope[0] * slope[0] + slope[1] * slope[1]);
         }
@@ -461,7 +502,7 @@ int64_t film_solve(const double *numbers, const double *law, int64_t columns, in
             }
         }
         own[STATUS] = status;
-        if (status == CONVERGED) add_up(&f, bodies, own_body, pool, own_x, own_force, own, &w);
+        if (status == CONVERGED) add_up(&f, own_x, own_force, own, &w);
     }
     return 0;
 }
