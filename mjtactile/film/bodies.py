@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 
-NUMBERS = (
-    18  # of a body: kind, sizes (3), R_SO (9), p_SO (3), first entry in the pool, number of entries
-)
+NUMBERS = 19
+"""Of a body: kind, sizes (3), R_SO (9), p_SO (3), first entry in the pool and number of entries, and
+its least width."""
 
 # Name: the kernel's number, and what `sizes` are.
 KINDS: dict[str, tuple[int, tuple[str, ...]]] = {
@@ -105,6 +105,7 @@ def obstacle(
             "a rim's radius is at most the disc's radius and half height", field="sizes"
         )
     numbers[17] = len(pool)
+    numbers[18] = _least_width(kind, size, data)
     return Obstacle(kind, numbers, pool.ravel())
 
 
@@ -117,6 +118,15 @@ def pooled(bodies: Sequence[Obstacle]) -> tuple[Array, Array | None]:
         return rows, None
     rows[:, 16] = np.cumsum([0, *sizes[:-1]])
     return rows, np.concatenate([body.pool for body in bodies])
+
+
+def _least_width(kind: str, size: Array, data: ArrayLike | None) -> float:
+    """How wide, m, a body is where it is thinnest; infinite for what cannot pass between nodes."""
+    if kind in ("mesh", "triangles"):
+        return float(np.ptp(np.asarray(data, dtype=float).reshape(-1, 3), axis=0).min())
+    if kind in ("plane", "quadric", "heights", "cone"):
+        return 0.0 if kind == "cone" else np.inf
+    return 0.0 if kind == "wedge" else 2 * float(size[:2].min())
 
 
 def _pool(kind: str, size: Array, data: ArrayLike | None) -> Array:

@@ -16,12 +16,18 @@
 #include "kernels.h"
 #include "small.h"
 
-#define CLOSE 1e5          /* N/m over m^2: how a gap counts against a force when the contact's nodes are chosen */
+#define RELEASED 2.0       /* Pa that may pull at a node before it is let go */
+#define ATTACHED 2e-7      /* m that a node may be in a body before it is held */
+#define PATIENCE 8         /* steps after which both grow, up to MOST_LOOSE times: on flat faces nodes come and go for next to nothing */
+#define MOST_LOOSE 10
 #define LONGEST_SHIFT 5e-4 /* m, of a step in the plane */
 #define SHELL 0.3
 #define MEMORY 4            /* steps that the next one learns from */
 #define LOOKS 3             /* steps that ask the bodies; later ones follow their slopes, else nodes at an edge come and go */
+#define NEAR_SINGULAR 1e-12
+#define MOST_LEARNT 10      /* of a step, beyond which nothing is learnt */
 #define EDGE_HALVES 8
+#define THIN 5              /* places looked at on each side of a node for what is thinner than the spacing */
 #define NEAREST_EDGE 0.95   /* of a spacing */
 #define LEAST_TURN 0.05    /* of a cell's shadow: below, the sheet is inside out */
 #define CORRECTION (1 / 24.) /* of curvature times spacing^2, by which the grid makes a smooth body too high */
@@ -86,19 +92,54 @@ static double dot(const double *a, const double *b, long n) {
 
 /* -- bodies ------------------------------------------------------------------------------------------------------------ */
 
+/* Lowest height, and its slopes, of all bodies over a place; 1 where there is none. */
+static int lowest(const Film *f, long bodies, const double *body, const double *pool, double x, double y, double *height,
+                  double slope[2]) {
+    double found = INFINITY, at, by[2];
+    for (long b = 0; b < bodies; b++) {
+        if (film_body_height(f, (const FilmBody *)(body + b * FILM_BODY), pool, x, y, &at, by) || at >= found) continue;
+        found = at, slope[0] = by[0], slope[1] = by[1];
+    }
+    *height = found;
+    return isinf(found);
+}
+
+/* What is thinner than the spacing and passes between nodes is moved under the nearest: the lowest place on the cross of a node's
+   cell. Returns the axis that it was found along, 1 or 2, or 0; `taken`: along which the node before has it already. */
+static int see_between(const Film *f, long bodies, const double *body, const double *pool, double x, double y, int taken,
+                       double *height, double slope[2]) {
+    int found = 0;
+    for (int part = -THIN; part <= THIN; part++)
+        for (int axis = 0; axis < 2; axis++) {
+            const double off = part / (2. * THIN + 1);
+            if (taken & (1 << axis)) continue;
+            double at, by[2];
+            if (lowest(f, bodies, body, pool, x + (axis ? 0 : off * f->dx), y + (axis ? off * f->dy : 0), &at, by)) continue;
+            if (at < *height) *height = at, slope[0] = by[0], slope[1] = by[1], found = 1 << axis;
+        }
+    return found;
+}
+
 /* Heights of all bodies over the nodes where they are now. */
 static void see_bodies(const Film *f, long bodies, const double *body, const double *pool, const double *x, Work *w) {
+    int thin = 0;
+    for (long b = 0; b < bodies; b++) thin |= ((const FilmBody *)(body + b * FILM_BODY))->least < most(f->dx, f->dy);
     for (long i = 0; i < f->columns; i++)
         for (long j = 0; j < f->rows; j++) {
             const long k = i * f->rows + j;
             const double at_x = i * f->dx - f->numbers.length_x / 2 + x[k];
             const double at_y = j * f->dy - f->numbers.length_y / 2 + x[f->count + k];
-            w->obstacle[k] = INFINITY, w->slope[k] = w->slope[f->count + k] = 0;
-            for (long b = 0; b < bodies; b++) {
-                double height, slope[2];
-                if (film_body_height(f, (const FilmBody *)(body + b * FILM_BODY), pool, at_x, at_y, &height, slope)) continue;
-                if (height >= w->obstacle[k]) continue;
-                w->obstacle[k] = height, w->slope[k] = slope[0], w->slope[f->count + k] = slope[1];
+            double slope[2] = {0, 0};
+            int axis = 0; /* kept in `edge`, which is found next */
+            if (lowest(f, bodies, body, pool, at_x, at_y, w->obstacle + k, slope) && thin) {
+                const int taken = (i && w->edge[k - f->rows] == 1) | (j && w->edge[k - 1] == 2) << 1;
+                axis = see_between(f, bodies, body, pool, at_x, at_y, taken, w->obstacle + k, slope);
+            }
+            w->edge[k] = axis;
+            w->slope[k] = slope[0], w->slope[f->count + k] = slope[1];
+            if (isinf(w->obstacle[k])) {
+                w->level[k] = INFINITY;
+                continue;
             }
             w->level[k] = w->obstacle[k] - w->slope[k] * x[k] - w->slope[f->count + k] * x[f->count + k];
         }
@@ -106,9 +147,7 @@ static void see_bodies(const Film *f, long bodies, const double *body, const dou
 
 static int on_a_body(const Film *f, long bodies, const double *body, const double *pool, double x, double y) {
     double height, slope[2];
-    for (long b = 0; b < bodies; b++)
-        if (!film_body_height(f, (const FilmBody *)(body + b * FILM_BODY), pool, x, y, &height, slope)) return 1;
-    return 0;
+    return !lowest(f, bodies, body, pool, x, y, &height, slope);
 }
 
 /* Where bodies end between a node that is on one and a neighbour that is not: the share of the way, for the neighbours at +x, -x,
@@ -134,9 +173,10 @@ static void find_edges(const Film *f, long bodies, const double *body, const dou
             }
 }
 
-/* A sheet that bends over an edge a share s of the spacing beyond the last node on the body falls to the next node over what is
-   left of it, 1 - s, and pulls that much more: as a spring beside the sheet. Changes residual and stiffness. */
-static void stiffen_edges(const Film *f, const double *z, Work *w) {
+/* A sheet that bends over an edge a share s of the spacing beyond the last node on the body rises to the next node over what is
+   left of it, 1 - s, and pulls that much more: as a spring beside the sheet. Changes residual and stiffness; returns a number that tells which edges pull. */
+static double stiffen_edges(const Film *f, const double *z, Work *w) {
+    double which = 0;
     const long rows = f->rows, count = f->count, next[4] = {rows, -rows, 1, -1};
     SheetFields *s = &w->fields;
     for (long k = rows; k < count - rows; k++) {
@@ -146,11 +186,16 @@ static void stiffen_edges(const Film *f, const double *z, Work *w) {
             const double share = least(w->edge[side * count + k], NEAREST_EDGE);
             if (share <= 0) continue;
             const long other = k + next[side];
-            const double spring = most(-*links[side], 0) * share / (1 - share), force = spring * (z[k] - z[other]);
+            const double along = side < 2 ? w->slope[k] * f->dx : w->slope[count + k] * f->dy;
+            const double rises = z[other] - z[k] - (side % 2 ? -along : along); /* over the face, drawn on */
+            if (rises <= 0) continue; /* it leaves the face before the edge */
+            const double spring = most(-*links[side], 0) * share / (1 - share), force = -spring * rises;
             *links[side] -= spring, s->own[k] += spring, s->own[other] += spring;
             w->residual[k] += force, w->residual[other] -= force;
+            which += 4. * k + side;
         }
     }
+    return which;
 }
 
 /* The same by the slopes that were seen last: `level` holds what a slope leaves of a height. */
@@ -328,8 +373,10 @@ static void move_plane(const Film *f, const double *plane, double by, double *x)
 
 /* Solves A y = b in place, symmetric and positive, of order n <= MEMORY. */
 static void solve_small(long n, double A[MEMORY][MEMORY], double *b) {
+    double trace = 0;
+    for (long k = 0; k < n; k++) trace += A[k][k];
+    for (long k = 0; k < n; k++) A[k][k] += NEAR_SINGULAR * trace;
     for (long k = 0; k < n; k++) {
-        A[k][k] *= 1 + 1e-12;
         for (long i = k + 1; i < n; i++) {
             const double by = A[i][k] / A[k][k];
             for (long j = k; j < n; j++) A[i][j] -= by * A[k][j];
@@ -352,8 +399,9 @@ static void learn(const Film *f, Work *w, long known, long newest) {
         for (long b = 0; b <= a; b++) A[a][b] = A[b][a] = dot(w->changes + a * all, w->changes + b * all, places);
     }
     solve_small(known, A, share);
+    for (long a = 0; a < known; a++)
+        if (!(fabs(share[a]) < MOST_LEARNT)) return;
     for (long a = 0; a < known; a++) {
-        if (!isfinite(share[a])) continue;
         for (long k = 0; k < all; k++) w->now[k] -= share[a] * (w->steps[a * all + k] + w->changes[a * all + k]);
     }
     (void)newest;
@@ -373,8 +421,9 @@ static int come_to_rest(const Film *f, const double *plane_factor, const Setting
                         const double *pool, double lifted, double *x, double *force, double *found, Work *w) {
     int status = NOT_CONVERGED, factored = 0;
     long known = 0, newest = 0;
-    double *z = x + 2 * f->count, last, last_before = 1e-4;
-    memset(w->before, 0, f->count), memset(w->touching, 0, f->count), memset(w->pushed, 0, f->count * sizeof *w->pushed);
+    double pulled = 0, *z = x + 2 * f->count, last, last_before = 1e-4;
+    memset(w->before, 0, f->count), memset(w->pushed, 0, f->count * sizeof *w->pushed);
+    for (long k = 0; k < f->count; k++) w->touching[k] = force[k] > 0;
     for (long step = 0; step < (long)set->most_steps && status == NOT_CONVERGED; step++) {
         if (step < LOOKS) see_bodies(f, bodies, body, pool, x, w), find_edges(f, bodies, body, pool, x, w);
         else follow_bodies(f, x, w);
@@ -386,11 +435,14 @@ static int come_to_rest(const Film *f, const double *plane_factor, const Setting
         double pressure, gas_stiffness, largest_shift, largest = 0;
         gas_of(f, set, before.volume, &pressure, &gas_stiffness);
         int changed = 0;
+        const double loose = step < PATIENCE ? 1 : least(step - PATIENCE + 1, MOST_LOOSE);
         for (long i = 1; i < f->columns - 1; i++)
             for (long j = 1; j < f->rows - 1; j++) {
                 const long k = i * f->rows + j;
                 w->obstacle[k] += lifted;
-                w->touching[k] = force[k] + CLOSE * f->dx * f->dy * (z[k] - w->obstacle[k] + w->lower[k]) > 0;
+                const double over = z[k] - w->obstacle[k] + w->lower[k];
+                if (w->touching[k]) w->touching[k] = isfinite(over) && force[k] > -loose * RELEASED * f->dx * f->dy;
+                else w->touching[k] = over > loose * ATTACHED;
                 changed |= w->touching[k] != w->before[k];
             }
         step_plane(f, w, plane_factor, pressure, force, &largest_shift);
@@ -402,8 +454,10 @@ static int come_to_rest(const Film *f, const double *plane_factor, const Setting
         for (long k = 0; k < f->count; k++)
             w->residual[k] = w->fields.elastic[2 * f->count + k] - pressure * w->fields.gradient[2 * f->count + k];
         stiffen_curved(f, z, w);
-        stiffen_edges(f, z, w);
-        if ((changed || !factored) && factor_heights(f, w)) return INSIDE_OUT;
+        const double pulling = stiffen_edges(f, z, w);
+        const int other_edges = pulling != pulled;
+        pulled = pulling;
+        if ((changed || other_edges || !factored) && factor_heights(f, w)) return INSIDE_OUT;
         factored = 1, memcpy(w->before, w->touching, f->count);
         step_heights(f, w, x, &sums, gas_stiffness);
         for (long k = 0; k < f->count; k++) {
@@ -417,7 +471,7 @@ static int come_to_rest(const Film *f, const double *plane_factor, const Setting
         if (!changed && last * shrinks / (1 - shrinks) < set->tolerance) status = CONVERGED;
         last_before = last;
         const long all = 4 * f->count;
-        if (changed) {
+        if (changed || other_edges) {
             known = 0;
         } else if (step > 0) {
             double *slot = w->changes + newest * all;
@@ -428,7 +482,7 @@ static int come_to_rest(const Film *f, const double *plane_factor, const Setting
         for (long c = 0; c < 2; c++)
             for (long k = 0; k < f->count; k++) x[c * f->count + k] -= w->now[c * f->count + k]; /* back to before the step */
         if (known && status != CONVERGED) learn(f, w, known, newest);
-        newest = changed ? 0 : known ? (newest + 1) % MEMORY : 0;
+        newest = changed || other_edges ? 0 : known ? (newest + 1) % MEMORY : 0;
         for (long k = 0; k < 3 * f->count; k++) x[k] += w->now[k];
         for (long k = 0; k < f->count; k++) force[k] = w->touching[k] ? force[k] + w->now[3 * f->count + k] : 0;
         memcpy(w->steps + newest * all, w->now, all * sizeof *w->now);

@@ -33,8 +33,9 @@ Film film_of(const double *numbers, const double *law);
 typedef struct {
     double kind, sizes[3], R[9], p[3]; /* R_SO by rows and p_SO */
     double first, number;              /* of its entries in the pool: planes, triangles, heights */
+    double least;                      /* m, how wide it is where it is thinnest */
 } FilmBody;
-#define FILM_BODY 18
+#define FILM_BODY 19
 
 enum { BODY_SPHERE, BODY_CAPSULE, BODY_ELLIPSOID, BODY_CYLINDER, BODY_BOX, BODY_PLANE, BODY_QUADRIC, BODY_DISC, BODY_CONE,
        BODY_CONVEX, BODY_TRIANGLES, BODY_HEIGHTS };

@@ -203,7 +203,7 @@ int64_t update_stiction(int64_t contacts, int64_t list, const int64_t *layout /*
 
 /* film/: the sheet of `numbers` and `law` as film.h has them, on nodes (columns, rows) of which the frame's are part. Out: heights
    over `places` of `bodies`, whose planes, triangles and fields are in `pool`; infinite where there are none. */
-int64_t film_heights(const double *numbers /* 17 */, int64_t bodies, const double *body /* bodies, 18 */, int64_t pooled,
+int64_t film_heights(const double *numbers /* 17 */, int64_t bodies, const double *body /* bodies, 19 */, int64_t pooled,
                      const double *pool /* pooled or NULL */, int64_t count, const double *places /* count, 2 */,
                      double *out /* count */);
 /* Out: the band's Cholesky `factor` of the stiffness in the plane at displacements `x`. */
@@ -217,7 +217,7 @@ int64_t film_solve(const double *numbers /* 17 */, const double *law /* 11 */, i
                    const double *plane_factor /* 2 * (columns - 2) * (rows - 2), BAND_STRIDE(2 * rows - 1) */,
                    const double *rest /* 3, columns, rows */, int64_t roomy, double *room /* roomy */, int64_t environments,
                    int64_t begin, int64_t end, const double *settings /* environments, 4 */, int64_t bodies,
-                   const double *body /* environments, bodies, 18 */, int64_t pooled, const double *pool /* pooled or NULL */,
+                   const double *body /* environments, bodies, 19 */, int64_t pooled, const double *pool /* pooled or NULL */,
                    double *x /* environments, 3, columns, rows */, double *force /* environments, columns, rows */,
                    double *found /* environments, 14 */);
 
