@@ -19,8 +19,8 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 
 NUMBERS = 19
-"""Of a body: kind, sizes (3), R_SO (9), p_SO (3), first entry in the pool and number of entries, and
-its least width."""
+"""Of a body: kind, sizes (3), R_SO (9), p_SO (3), first entry in the pool and number of entries,
+and its least width."""
 
 # Name: the kernel's number, and what `sizes` are.
 KINDS: dict[str, tuple[int, tuple[str, ...]]] = {

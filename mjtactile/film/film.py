@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +15,7 @@ from mjtactile.core.types import Array
 from mjtactile.film import bodies
 from mjtactile.film.bodies import Obstacle
 from mjtactile.film.law import law_numbers, tension_slope
-from mjtactile.film.state import FOUND, FilmState, Status
+from mjtactile.film.state import FOUND, FilmBatch, FilmState, Status
 from mjtactile.kernels import band_stride, kernel
 
 TOLERANCE = 5e-7  # m, of what is left of the displacements
@@ -146,6 +147,56 @@ class Film:
         self._run(settings, rows, pool, x, force, found)
         return _judged(FilmState(x, force, found))
 
+    def solve_batch(
+        self,
+        obstacles: Sequence[Sequence[Obstacle]],
+        batch: FilmBatch | None = None,
+        *,
+        threads: int = 1,
+    ) -> FilmBatch:
+        """Where the films of several environments rest.
+
+        Args:
+            obstacles: the bodies of each environment, as many in each.
+            batch: where to start; None: untouched. What did not converge starts untouched.
+            threads: among which environments are shared out; results are the same bits with any.
+
+        Returns:
+            The states, one after the other. What cannot be has a status, and raises nothing.
+
+        Raises:
+            InputError: no environment, or another number of bodies in one, or of environments in
+                `batch`.
+        """
+        counts = {len(one) for one in obstacles}
+        if len(counts) != 1:
+            raise InputError("every environment wants as many bodies", field="obstacles")
+        count = len(obstacles)
+        rows, pool = bodies.pooled([body for one in obstacles for body in one])
+        if batch is None:
+            x, force = (
+                np.repeat(one[None], count, axis=0) for one in (self.rest.x, self.rest.force)
+            )
+        else:
+            if len(batch.x) != count:
+                raise InputError(f"has {len(batch.x)} environments, not {count}", field="batch")
+            x, force = batch.x.copy(), batch.force.copy()
+            x[~batch.converged], force[~batch.converged] = self.rest.x, self.rest.force
+        found = np.empty((count, FOUND))
+        settings = np.tile([self._gas, self.sealed, TOLERANCE, _MOST_STEPS], (count, 1))
+        cuts = np.linspace(0, count, max(1, min(threads, count)) + 1).astype(int)
+
+        def some(begin: int, end: int) -> None:
+            room = np.empty_like(self._room)
+            self._run(settings, rows, pool, x, force, found, room=room, part=(begin, end))
+
+        if len(cuts) == 2:
+            some(0, count)
+        else:
+            with ThreadPoolExecutor(len(cuts) - 1) as workers:
+                list(workers.map(some, cuts[:-1].tolist(), cuts[1:].tolist()))
+        return FilmBatch(x, force, found)
+
     def heights_of(self, obstacles: Obstacle | Sequence[Obstacle], places: ArrayLike) -> Array:
         """Find how high obstacles leave the sheet's middle.
 
@@ -166,30 +217,26 @@ class Film:
         return heights
 
     def _run(
-        self, settings: Array, rows: Array, pool: Array | None, x: Array, force: Array, found: Array
+        self,
+        settings: Array,
+        rows: Array,
+        pool: Array | None,
+        x: Array,
+        force: Array,
+        found: Array,
+        *,
+        room: Array | None = None,
+        part: tuple[int, int] = (0, 1),
     ) -> None:
+        """The kernel, on environments `part` of (n, ...) fields; of one alone, that axis is left
+        out."""
         rest = self.rest.x if hasattr(self, "rest") else x
-        pooled = 0 if pool is None else len(pool)
-        kernel("film_solve")(
-            self._numbers,
-            self._law,
-            *self.grid,
-            self._plane,
-            rest,
-            len(self._room),
-            self._room,
-            1,
-            0,
-            1,
-            settings,
-            len(rows),
-            rows,
-            pooled,
-            pool,
-            x,
-            force,
-            found,
-        )
+        room = self._room if room is None else room
+        count = settings.size // 4
+        fixed = (self._numbers, self._law, *self.grid, self._plane, rest, room.size, room)
+        pooled = 0 if pool is None else pool.size
+        given = (settings, len(rows) // count, rows, pooled, pool)
+        kernel("film_solve")(*fixed, count, *part, *given, x, force, found)
 
     def _inflate(self) -> FilmState:
         """From a low bulge of about the right height to rest, with a stiffness in the plane that is

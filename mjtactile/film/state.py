@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 
@@ -98,3 +99,29 @@ class FilmState:
     def contact_forces(self) -> Array:
         """Force (nx, ny) N of the contact along -z, at each node."""
         return self.force if self.converged else np.full(self.force.shape, np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class FilmBatch:
+    """Films of n environments at rest: `x` (n, 3, nx, ny), `force` (n, nx, ny) and `found`
+    (n, FOUND), as of `FilmState`."""
+
+    x: Array
+    force: Array
+    found: Array
+
+    def __len__(self) -> int:
+        return len(self.found)
+
+    def __getitem__(self, number: int) -> FilmState:
+        return FilmState(self.x[number], self.force[number], self.found[number])
+
+    @property
+    def converged(self) -> NDArray[np.bool_]:
+        """(n,) of each."""
+        return self.found[:, STATUS] == Status.CONVERGED
+
+    @property
+    def force_normal(self) -> Array:
+        """(n,) N; NaN where it did not converge."""
+        return np.where(self.converged, -self.found[:, 2], np.nan)

@@ -85,3 +85,58 @@ def test_what_cannot_be_is_refused_in_one_line(coarse, kind, sizes, p_SO, says):
     with pytest.raises(InputError, match=says) as caught:
         coarse.solve(coarse.obstacle(kind, sizes, p_SO=p_SO))
     assert "\n" not in str(caught.value)
+
+
+def test_a_batch_is_each_of_its_films_with_any_number_of_threads(coarse):
+    obstacles = [[ball(coarse, 8, (k, -k), 9.5)] for k in range(5)]
+    one, three = (coarse.solve_batch(obstacles, threads=threads) for threads in (1, 3))
+    assert one.converged.all()
+    np.testing.assert_array_equal(one.x, three.x)
+    np.testing.assert_array_equal(one.found, three.found)
+    alone = coarse.solve(obstacles[3][0])
+    np.testing.assert_array_equal(one[3].x, alone.x)
+
+
+@pytest.mark.parametrize(
+    ("half", "depth", "force"), [(3e-3, 1e-3, 0.183), (6e-3, 1.5e-3, 0.595)], ids=["6 mm", "12 mm"]
+)
+def test_a_face_has_its_force_wherever_its_edges_fall(coarse, half, depth, force):
+    """Of the independent sheet, whose own grid makes faces too small, taken to no spacing."""
+    forces = []
+    areas = []
+    for at in [(0, 0), (0.5e-3, 0.3e-3), (1e-3, -0.7e-3), (1.3e-3, 0.2e-3)]:
+        middle = 2.8699e-3 - depth + HALF_THICKNESS + 0.01
+        state = coarse.solve(coarse.obstacle("box", (half, half, 0.01), p_SO=(*at, middle)))
+        forces.append(state.force_normal)
+        areas.append(state.area)
+    np.testing.assert_allclose(forces, force, rtol=0.05)  # on nodes 2 mm apart
+    np.testing.assert_allclose(areas, 4 * half**2, rtol=0.02)
+
+
+def test_a_blade_is_not_lost_between_nodes(coarse):
+    forces = [
+        coarse.solve(
+            coarse.obstacle("box", (2e-4, 6e-3, 0.01), p_SO=(x, 0, 0.22e-3 + 0.01))
+        ).force_normal
+        for x in (0.0, 0.5e-3, 1.0e-3, 1.3e-3)
+    ]
+    assert np.ptp(forces) < 0.06 * np.mean(forces)  # as its row of nodes is to either side of it
+
+
+def test_symmetric_bodies_are_the_same_in_any_turn(coarse):
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    straight = coarse.solve(coarse.obstacle("box", (4e-3, 2e-3, 0.01), p_SO=(0, 0, 0.0118)))
+    turned = coarse.solve(coarse.obstacle("box", (2e-3, 4e-3, 0.01), (0, 0, 0.0118), quarter))
+    assert turned.force_normal == pytest.approx(straight.force_normal, rel=1e-4)
+
+
+def test_capsule_ellipsoid_and_hull_agree_with_what_they_are_near(coarse):
+    sphere = coarse.solve(coarse.obstacle("sphere", (8e-3,), p_SO=(1e-3, 0, 9e-3))).force_normal
+    same = [("capsule", (8e-3, 1e-9)), ("ellipsoid", (8e-3, 8e-3, 8e-3))]
+    for kind, sizes in same:
+        state = coarse.solve(coarse.obstacle(kind, sizes, p_SO=(1e-3, 0, 9e-3)))
+        assert state.force_normal == pytest.approx(sphere, rel=2e-3)
+    corners = np.array(np.meshgrid(*[[-3e-3, 3e-3]] * 2, [-5e-3, 5e-3])).reshape(3, -1).T
+    hull = coarse.solve(coarse.obstacle("mesh", p_SO=(0, 0, 7e-3), data=corners))
+    box = coarse.solve(coarse.obstacle("box", (3e-3, 3e-3, 5e-3), p_SO=(0, 0, 7e-3)))
+    assert hull.force_normal == pytest.approx(box.force_normal, rel=1e-6)
