@@ -30,6 +30,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   fit         sensors that differ from their file, recorded and fitted: each number's error
   truth       the simulation and what is felt, against references from outside of the project
   studio      what watching costs: an egg grasp in Studio, a page looking on, against it alone
+  attacks     everything bad that the tests do, counted by what must come of it
   numbers     measures nothing: all numbers on one page, from the pages of the others
   headline    measures nothing: the few of them that the README shows"""
 EPILOG = """\
@@ -59,6 +60,7 @@ BENCHMARKS = {
     "truth": "truth.run",
     "fit": "fit",
     "studio": "studio.run",
+    "attacks": "attacks",
     "numbers": "numbers",
     "headline": "headline",
 }

@@ -33,6 +33,24 @@ ROBOT = (
     )
 )
 
+
+def bad_object(before, after, *words):
+    """The egg's file with one thing changed, and words that the message must have."""
+    return "--object", "a.xml", EGG.replace(before, after), ["a.xml", *words]
+
+
+def bad_sensor(before, after, *words):
+    return "--sensor", "a.toml", DENSE.replace(before, after), ["a.toml", *words]
+
+
+def bad_rig(before, after, *words):
+    return "--rig", "a.toml", ROBOT.replace(before, after), ["a.toml", *words]
+
+
+def bad_controller(text, *words):
+    return "--controller", "a.py", text, ["a.py", *words]
+
+
 # case: option, file name, its text (None: not made), words that the message must have
 CASES = {
     "unknown object": ("--object", "eg", None, ["eg", "egg", "strawberry", "vial"]),
@@ -40,104 +58,28 @@ CASES = {
     "unknown controller": ("--controller", "rough", None, ["rough", "gentle"]),
     "object file missing": ("--object", "./no.xml", None, ["no.xml", "no such file"]),
     "broken MJCF": ("--object", "a.xml", "<mujoco><worldbody></mujoco>", ["a.xml", "MJCF"]),
-    "no body named object": (
-        "--object",
-        "a.xml",
-        EGG.replace('"object"', '"egg"'),
-        ["a.xml", "'object'"],
+    "no body named object": bad_object('"object"', '"egg"', "'object'"),
+    "no free joint": bad_object("<freejoint/>", "", "free joint"),
+    "no break force": bad_object("break_force_N", "strength", "break_force_N"),
+    "unknown material": bad_object('"solid"', '"stone"', "material", "stone", "soft"),
+    "wider than the jaws open": bad_object(
+        "0.016 0.016 0.02", "0.06 0.06 0.06", "stands in the way", "they open to 80 mm", "wider"
     ),
-    "no free joint": (
-        "--object",
-        "a.xml",
-        EGG.replace("<freejoint/>", ""),
-        ["a.xml", "free joint"],
-    ),
-    "no break force": (
-        "--object",
-        "a.xml",
-        EGG.replace("break_force_N", "strength"),
-        ["a.xml", "break_force_N"],
-    ),
-    "unknown material": (
-        "--object",
-        "a.xml",
-        EGG.replace('"solid"', '"stone"'),
-        ["a.xml", "material", "stone", "soft"],
-    ),
-    "wider than the jaws open": (
-        "--object",
-        "a.xml",
-        EGG.replace("0.016 0.016 0.02", "0.06 0.06 0.06"),
-        ["a.xml", "stands in the way", "they open to 80 mm", "wider"],
-    ),
-    "field missing": (
-        "--sensor",
-        "a.toml",
-        DENSE.replace("young_MPa = 1.0", ""),
-        ["a.toml", "membrane.young_MPa"],
-    ),
-    "misspelt": (
-        "--sensor",
-        "a.toml",
-        DENSE.replace("young_MPa", "yung_MPa"),
-        ["a.toml", "yung_MPa", "young_MPa"],
-    ),
-    "wrong unit": (
-        "--sensor",
-        "a.toml",
-        DENSE.replace("young_MPa", "young_kPa"),
-        ["a.toml", "young_kPa", "young_MPa"],
-    ),
-    "negative": (
-        "--sensor",
-        "a.toml",
-        DENSE.replace("_MPa = 1.0", "_MPa = -1.0"),
-        ["a.toml", "young_MPa", "-1.0"],
-    ),
-    "not finite": (
-        "--sensor",
-        "a.toml",
-        DENSE.replace("_MPa = 1.0", "_MPa = nan"),
-        ["a.toml", "young_MPa", "nan"],
-    ),
+    "field missing": bad_sensor("young_MPa = 1.0", "", "membrane.young_MPa"),
+    "misspelt": bad_sensor("young_MPa", "yung_MPa", "yung_MPa", "young_MPa"),
+    "wrong unit": bad_sensor("young_MPa", "young_kPa", "young_kPa", "young_MPa"),
+    "negative": bad_sensor("_MPa = 1.0", "_MPa = -1.0", "young_MPa", "-1.0"),
+    "not finite": bad_sensor("_MPa = 1.0", "_MPa = nan", "young_MPa", "nan"),
     "not TOML": ("--sensor", "a.toml", "[frame", ["a.toml", "TOML"]),
-    "no fingers": (
-        "--rig",
-        "a.toml",
-        ROBOT.replace("[[finger]]", "[[fingr]]"),
-        ["a.toml", "finger", "'fingr'"],
+    "no fingers": bad_rig("[[finger]]", "[[fingr]]", "finger", "'fingr'"),
+    "two fingers of one name": bad_rig('"right"', '"left"', "finger.name", "'left'"),
+    "no such site": bad_rig(
+        '"right_fingertip"', '"tip"', "finger[1].site", "'tip'", "right_fingertip"
     ),
-    "two fingers of one name": (
-        "--rig",
-        "a.toml",
-        ROBOT.replace('"right"', '"left"'),
-        ["a.toml", "finger.name", "'left'"],
-    ),
-    "no such site": (
-        "--rig",
-        "a.toml",
-        ROBOT.replace('"right_fingertip"', '"tip"'),
-        ["a.toml", "finger[1].site", "'tip'", "right_fingertip"],
-    ),
-    "no such actuator": (
-        "--rig",
-        "a.toml",
-        ROBOT.replace('"jaw"', '"jw"'),
-        ["a.toml", "actuator[0].name", "'jw'", "jaw"],
-    ),
-    "robot file missing": (
-        "--rig",
-        "a.toml",
-        ROBOT.replace("two_finger.xml", "no.xml"),
-        ["a.toml", "sim.model", "no.xml"],
-    ),
-    "controller does not import": (
-        "--controller",
-        "a.py",
-        "import nothing_like_this",
-        ["a.py", "nothing_like_this"],
-    ),
-    "controller without step": ("--controller", "a.py", "x = 1", ["a.py", "step"]),
+    "no such actuator": bad_rig('"jaw"', '"jw"', "actuator[0].name", "'jw'", "jaw"),
+    "robot file missing": bad_rig("two_finger.xml", "no.xml", "sim.model", "no.xml"),
+    "controller does not import": bad_controller("import nothing_like_this", "nothing_like_this"),
+    "controller without step": bad_controller("x = 1", "step"),
 }
 
 
