@@ -46,14 +46,14 @@ SECOND_CLOCK := -m 'slow and clock and not browser'
 
 test: lint types contracts  ## lint, types, import contracts, and the tests of what users do (below 5 minutes)
 	$(BIN)/pytest -n 2 $(FIRST)
-	$(BIN)/pytest -n 6 $(FIRST_CLOCK)
+	$(BIN)/pytest -n 6 --dist loadgroup $(FIRST_CLOCK)
 	$(BIN)/pytest -n 0 -m browser
 
 test-all: test slow  ## all that CI runs: `make test`, then the other tests (below 10 minutes)
 
 slow: $(VENV)/.test-ready  ## the tests that `make test` leaves out: long ones, and whole rigs of emulated hardware
 	$(BIN)/pytest -n 2 $(SECOND)
-	$(BIN)/pytest -n 2 $(SECOND_CLOCK)
+	$(BIN)/pytest -n 3 --dist loadgroup $(SECOND_CLOCK)
 
 lint: $(VENV)/.test-ready  ## style and likely bugs (ruff)
 	$(BIN)/ruff check .

@@ -34,6 +34,7 @@ from mjtactile.sim.rig import build_sim_rig
 
 DESIGN = load_sensor("paper16")
 CYCLES = 12
+ONE_EMULATOR = pytest.mark.xdist_group("an emulated rig")  # of one worker: it takes long to start
 SIMULATED = ("sim", "sim_arm", "sim_three_finger")
 
 
@@ -97,7 +98,7 @@ def record(rig, folder):
 @pytest.fixture(
     params=[
         *SIMULATED,
-        pytest.param("emulated", marks=[pytest.mark.clock, pytest.mark.slow]),
+        pytest.param("emulated", marks=[pytest.mark.clock, pytest.mark.slow, ONE_EMULATOR]),
         "replay",
         pytest.param("hardware", marks=pytest.mark.hardware),
     ]
@@ -274,6 +275,7 @@ def test_gentle_lifts_an_egg(name, tmp_path):
 
 
 @pytest.mark.slow
+@ONE_EMULATOR
 @pytest.mark.clock
 def test_gentle_grasps_on_the_emulated_rig(emulator, tmp_path):
     heights = []
@@ -398,6 +400,7 @@ def test_what_cannot_be_replayed_is_refused(tmp_path):
 
 
 @pytest.mark.clock
+@ONE_EMULATOR
 def test_torque_is_off_and_valves_are_vented_after_close(emulator):
     rig = build_emulated_rig(
         patient_rig_file(), DESIGN, object_name="egg", seed=0, emulator=emulator
@@ -415,6 +418,8 @@ def test_torque_is_off_and_valves_are_vented_after_close(emulator):
     assert set(truth["valve"].values()) == {"vent"}
 
 
+@pytest.mark.clock
+@ONE_EMULATOR
 def test_the_emulator_refuses_an_unknown_fault(emulator):
     with pytest.raises(InputError, match="valid: servo_drop"):
         emulator.fault("meteorite")
