@@ -25,6 +25,7 @@ _FENCE = "````"
 _LANGUAGES = {".py": "python", ".toml": "toml", ".xml": "xml"}
 _DOORS = {
     "Touch in a MuJoCo scene": ("sim.attach", "plugin.mount", "plugin.sim_finger"),
+    "A scenario": ("core.scenario", "rig.scenario"),
     "Rigs and sessions": (
         "rig.finger",
         "rig.registry",
@@ -37,7 +38,7 @@ _DOORS = {
     "Sensing": ("sensing.chain", "sensing.pose.locate", "core.optics"),
     "Sensors and their calibration": ("core.design", "core.calibration"),
     "The film": ("film.film", "film.bodies", "film.state"),
-    "Recordings": ("recording.reader", "recording.writer"),
+    "Recordings": ("recording.reader", "recording.writer", "recording.observer"),
     "Policies": ("core.policy",),
     "Errors": ("core.errors",),
 }

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.design import SensorDesign, load_sensor
+from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array, Image
 from mjtactile.evaluate.episodes import Episode, run_episode
 from mjtactile.evaluate.wilson import wilson
@@ -157,7 +158,7 @@ def _pairs(count: int, say: Say) -> Iterator[dict[str, Any]]:
         for way, effects in (("images", "auto"), ("none", "-images"))[:: 1 if k % 2 else -1]:
             begin = time.process_time()
             line = run_episode(
-                Episode(k, "gentle", pair["object"], k, effects=effects, vary="default")
+                Episode(k, Scenario(object=pair["object"], seed=k, effects=effects, vary="default"))
             )
             pair[way] = {
                 key: line[key]

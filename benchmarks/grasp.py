@@ -9,29 +9,24 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile.core.errors import MjtactileError
+from mjtactile.core.scenario import Scenario
+from mjtactile.recording.observer import Observer
 from mjtactile.run.figures import new_figure
-from mjtactile.run.grasp import GraspOptions, GraspResult, run_grasp
+from mjtactile.run.grasp import GraspResult, run_grasp
 from mjtactile.run.progress import Progress
 
 OBJECTS = ("egg", "strawberry", "vial")  # the others that ship are there to be probed
 SEEDS = range(10)
 
 
-class _MarkerErrors:
-    """In place of recorder and progress display: keeps the marker errors, writes nothing, so that
-    the loop is timed."""
+class _MarkerErrors(Observer):
+    """Keeps the marker errors, writes nothing, so that the loop is timed."""
 
     def __init__(self) -> None:
         self.marker_errors: list[float] = []
-        self.patience = 0.0
 
-    def add(self, cycle: Any, **truth: Any) -> None:
+    def add(self, cycle: Any, view: Any = None, **truth: Any) -> None:
         self.marker_errors += truth.get("marker_error_true", [])
-
-    def note(self, **values: Any) -> None: ...
-    def add_reference(self, stage: str, images: Any, pressure_gauge: Any) -> None: ...
-    def message(self, text: str) -> None: ...
-    def update(self, phase: str, time: float, force: float) -> None: ...
 
 
 def run(out: Path, quick: bool = False) -> dict[str, Any]:
@@ -40,7 +35,7 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
     say = Progress().message
     for name in OBJECTS:
         for seed in SEEDS[:1] if quick else SEEDS:
-            row = _row(GraspOptions(object=name, sensor="dense", seed=seed))
+            row = _row(Scenario(object=name, seed=seed))
             rows.append(row)
             say(_line(row))
     _plot(rows, out)
@@ -58,14 +53,14 @@ def _line(row: Mapping[str, Any]) -> str:
     )
 
 
-def _row(options: GraspOptions) -> dict[str, Any]:
+def _row(scenario: Scenario) -> dict[str, Any]:
     errors_seen = _MarkerErrors()
     try:
-        result: GraspResult = run_grasp(options, recorder=errors_seen, progress=errors_seen)
+        result: GraspResult = run_grasp(scenario, [errors_seen])
     except MjtactileError as error:
         return {
-            "object": options.object,
-            "seed": options.seed,
+            "object": scenario.object,
+            "seed": scenario.seed,
             "outcome": "fault",
             "error": str(error),
         }

@@ -18,9 +18,10 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.errors import MjtactileError
+from mjtactile.core.scenario import Scenario
 from mjtactile.recording.files import write_json
 from mjtactile.run.figures import new_figure
-from mjtactile.run.probe import ProbeOptions, ProbeResult, run_probe
+from mjtactile.run.probe import ProbeResult, run_probe
 from mjtactile.sim.scenes.specimens import Kind, Specimen, to_mjcf
 
 FIRST_SEED = 4000
@@ -96,8 +97,9 @@ def _row(seed: int, folder: Path) -> dict[str, Any]:
     path = folder / f"body{seed}.xml"
     path.write_text(to_mjcf(specimen, path.stem), encoding="utf-8")
     row: dict[str, Any] = {"seed": seed, "kind": specimen.kind, "material_true": specimen.material}
+    scenario = Scenario(object=str(path), controller="probe", seed=seed)
     try:
-        return row | _compare(specimen, run_probe(ProbeOptions(object=str(path), seed=seed)))
+        return row | _compare(specimen, run_probe(scenario))
     except MjtactileError as error:
         return row | {"material": "fault", "error": str(error)}
 

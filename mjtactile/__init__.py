@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from mjtactile.core.policy import policy_command as policy_command
     from mjtactile.core.policy import policy_names as policy_names
     from mjtactile.core.policy import policy_vector as policy_vector
+    from mjtactile.core.scenario import Scenario as Scenario
     from mjtactile.core.types import Command as Command
     from mjtactile.core.types import GripperState as GripperState
     from mjtactile.core.types import Image as Image
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from mjtactile.plugin.mount import attach as attach
     from mjtactile.plugin.sim_finger import SimFinger as SimFinger
     from mjtactile.plugin.sim_finger import step as step
+    from mjtactile.recording.observer import Observer as Observer
     from mjtactile.recording.reader import Recording as Recording
     from mjtactile.recording.reader import load_recording as load_recording
     from mjtactile.recording.writer import Recorder as Recorder
@@ -51,6 +53,8 @@ if TYPE_CHECKING:
     from mjtactile.rig.finger import Rig as Rig
     from mjtactile.rig.registry import build_rig as build_rig
     from mjtactile.rig.registry import rig_names as rig_names
+    from mjtactile.rig.scenario import complete_scenario as complete_scenario
+    from mjtactile.rig.scenario import load_scenario as load_scenario
     from mjtactile.run.controller import load_controller as load_controller
     from mjtactile.run.session import Session as Session
     from mjtactile.run.session import open_session as open_session
@@ -74,17 +78,20 @@ _HOMES = {
     "core.optics": ("Camera",),
     "core.pace": ("monotonic",),
     "core.policy": ("policy_action", "policy_command", "policy_names", "policy_vector"),
+    "core.scenario": ("Scenario",),
     "core.types": ("Command", "GripperState", "Image", "Observation", "Touch", "ValveState"),
     "film.bodies": ("Obstacle",),
     "film.film": ("Film",),
     "film.state": ("FilmState",),
     "plugin.mount": ("Mount", "attach"),
     "plugin.sim_finger": ("SimFinger", "step"),
+    "recording.observer": ("Observer",),
     "recording.reader": ("Recording", "load_recording"),
     "recording.writer": ("Recorder",),
     "rig.file": ("load_rig_file",),
     "rig.finger": ("Finger", "Rig"),
     "rig.registry": ("build_rig", "rig_names"),
+    "rig.scenario": ("complete_scenario", "load_scenario"),
     "run.controller": ("load_controller",),
     "run.session": ("Session", "open_session"),
     "sensing.chain": ("Chain", "Perception"),

@@ -17,7 +17,7 @@ from benchmarks.rig.session import OBJECT, Bench, Closing, EndOfRun, design_at, 
 from mjtactile.core import pace
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Command
-from mjtactile.run.loop import Cycle
+from mjtactile.run.cycle import Cycle
 from mjtactile.run.session import Session
 from mjtactile.run.supervisor import Supervisor
 
@@ -240,22 +240,18 @@ def outcome(seed: int) -> dict[str, Any]:
 
     import numpy as np
 
+    from mjtactile.core.scenario import Scenario
     from mjtactile.recording.reader import load_recording
     from mjtactile.recording.writer import Recorder
-    from mjtactile.run.grasp import GraspOptions, run_grasp
-    from mjtactile.run.progress import Progress
+    from mjtactile.run.grasp import run_grasp
 
     result: dict[str, Any] = {"seed": seed}
     for rig in ("sim", "emulated"):
         try:
-            options = GraspOptions(
-                object=OBJECT, sensor="dense", controller="gentle", rig=rig, seed=seed
-            )
+            scenario = Scenario(object=OBJECT, rig=rig, seed=seed)
             with tempfile.TemporaryDirectory() as folder:
                 with Recorder(folder, {}, frames=False) as recorder:
-                    summary = run_grasp(
-                        options, recorder=recorder, progress=Progress(quiet=True)
-                    ).summary()
+                    summary = run_grasp(scenario, [recorder]).summary()
                 recording = load_recording(folder)
             holding = recording.columns["phase"] == "hold"
             drive = (

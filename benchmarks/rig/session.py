@@ -17,7 +17,8 @@ from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.emulator.rig import build_emulated_rig
 from mjtactile.rig.file import RigFile, load_rig_file
 from mjtactile.rig.finger import Rig
-from mjtactile.run.loop import Cycle
+from mjtactile.run.cycle import Cycle
+from mjtactile.run.references import inflate
 from mjtactile.run.session import Session
 from mjtactile.run.supervisor import Supervisor
 from mjtactile.sensing.chain import Chain, ChainState, Perception
@@ -95,7 +96,7 @@ class Bench:
             return session
         chain = Chain(self.design)
         session = Session(rig, [Perception(chain, state) for state in self._states])
-        session.inflate()
+        inflate(rig.fingers, rig.clock)
         return session
 
     def close(self) -> None:

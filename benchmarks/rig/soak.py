@@ -26,7 +26,7 @@ from mjtactile.core.types import Command, Observation
 from mjtactile.recording.reader import load_recording
 from mjtactile.recording.writer import Recorder
 from mjtactile.rig.finger import Rig
-from mjtactile.run.loop import Cycle
+from mjtactile.run.cycle import Cycle
 
 # s from fault to fault, and from grip to grip
 LEG = 300.0

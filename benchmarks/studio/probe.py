@@ -12,11 +12,13 @@ import time
 from typing import Any
 
 from benchmarks.core_time import core_time
-from mjtactile.run.grasp import GraspOptions, run_grasp
-from mjtactile.run.loop import Cycle
+from mjtactile.core.scenario import Scenario
+from mjtactile.recording.observer import Observer
+from mjtactile.run.cycle import Cycle
+from mjtactile.run.grasp import run_grasp
 from mjtactile.studio import panel
 from mjtactile.studio.serve import watch
-from mjtactile.studio.show import Show, Voice
+from mjtactile.studio.show import Show
 
 MARK = 171  # in the third byte of a picture that says in its first two which cycle's it is
 # of a cycle, s: of the simulation, on the clock, and of core time with its processes
@@ -28,7 +30,7 @@ class Watched(Show):
     """A show that takes its own time."""
 
     def __init__(self) -> None:
-        super().__init__(GraspOptions())
+        super().__init__()
         self.fastest = math.inf
         self.cycles: list[Moments] = []
         # s of the clock that the page has, too: when each cycle's images were there
@@ -36,9 +38,9 @@ class Watched(Show):
         self.spent: list[float] = []  # s of the session's thread, each cycle
         self.looks = 0
 
-    def still(self) -> None:
+    def on_images(self) -> None:
         begin = time.perf_counter()
-        super().still()
+        super().on_images()
         self.taken.append(time.time())
         self.spent.append(time.perf_counter() - begin)
 
@@ -85,26 +87,20 @@ def _begin(show: Watched) -> None:
     show.paused = False
 
 
-class Plain:
-    """A recorder that keeps nothing but the time."""
-
-    patience = math.inf
+class Plain(Observer):
+    """Keeps nothing but the time."""
 
     def __init__(self) -> None:
         self.cycles: list[Moments] = []
 
-    def note(self, **values: Any) -> None: ...
-
-    def add_reference(self, stage: str, images: Any, pressure_gauge: Any) -> None: ...
-
-    def add(self, cycle: Cycle, **truth: Any) -> None:
+    def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
         self.cycles.append((cycle.time, time.perf_counter(), core_time()))
 
 
 def plain() -> dict[str, Any]:
     """Without."""
     recorder = Plain()
-    run_grasp(GraspOptions(), recorder=recorder, progress=Voice(Show()))
+    run_grasp(Scenario(), [recorder])
     return _speed(recorder.cycles)
 
 

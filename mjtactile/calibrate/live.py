@@ -24,7 +24,7 @@ from mjtactile.devices.camera.opencv import OpenCvCamera
 from mjtactile.devices.dynamixel.gripper import DynamixelGripper
 from mjtactile.devices.valve.driver import BoardValve
 from mjtactile.rig.finger import Rig
-from mjtactile.run.session import Session
+from mjtactile.run.references import settled_images, take_references
 
 Say = Callable[[str], None]
 Ask = Callable[[str], float | None]
@@ -118,45 +118,14 @@ def _hint(taken: Sequence[View], shape: tuple[int, ...]) -> str:
 # --------------------------------------------------------------------------------
 
 
-class _Bystander:
-    """Stands where perception is asked for: the pictures are judged afterwards."""
-
-    def take_flat(self, images: Sequence[Image]) -> None: ...
-    def take_rest(
-        self, images: Sequence[Image], pressure_gauge: float, *, sealed: bool = True
-    ) -> None: ...
-    def perceive(self, image: Image, now: float) -> Any: ...
-
-
-class _Album:
-    """Keeps the pictures of the references."""
-
-    def __init__(self) -> None:
-        self.shots: dict[str, list[list[Image]]] = {}
-        self.pressures: list[float | None] = []
-
-    def add_reference(
-        self, stage: str, images: list[list[Image]], pressure_gauge: list[float | None]
-    ) -> None:
-        self.shots[stage] = images
-        self.pressures = pressure_gauge
-
-    def note(self, **_: Any) -> None: ...
-
-
 def reference_pictures(rig: Rig, say: Say) -> list[tuple[list[Image], list[Image], float | None]]:
     """Of each finger: pictures of the flat and of the inflated membrane, and what its pressure
     sensor says then, Pa."""
-    album = _Album()
-    Session(rig, [_Bystander() for _ in rig.fingers], say=say).take_references(album)
-    return list(
-        zip(
-            album.shots["flat"],
-            album.shots["rest"],
-            album.pressures or [None] * len(rig.fingers),
-            strict=True,
-        )
-    )
+    taken = {}
+    for reference in take_references(rig.fingers, rig.clock, say):
+        taken[reference.stage] = reference
+    pressures = taken["rest"].pressure_gauge or [None] * len(rig.fingers)
+    return list(zip(taken["flat"].images, taken["rest"].images, pressures, strict=True))
 
 
 def squeezed_pictures(
@@ -173,7 +142,7 @@ def squeezed_pictures(
         say(f"squeezing with up to {force:.2f} N")
         _squeeze(gripper, force)
         with kept_alive(gripper):
-            shots = Session(rig, []).settled_images()
+            shots = settled_images(rig.fingers, rig.clock)
             measured = load_cell(f"load cell, N (squeezed with {force:.2f})")
         if measured is not None:
             yield f"{force:.2f} N", measured, shots

@@ -58,19 +58,6 @@ def add_shared_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_vary_argument(parser: argparse.ArgumentParser, default: str) -> None:
-    shipped = ", ".join(resources.names("models/variations", ".toml"))
-    parser.add_argument(
-        "--vary",
-        default=default,
-        metavar="NAME|FILE.toml",
-        help="ranges of object, sensor, gas and rig, "
-        "from "
-        f"which the seed draws the simulated world: {shipped}, none, or "
-        f"your own file (default: {default})",
-    )
-
-
 def add_estimate_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--error-estimate",

@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from mjtactile import InputError
-from mjtactile.commands.effects import add_vary_argument
+from mjtactile import InputError, Scenario
+from mjtactile.commands import scenario
 from mjtactile.commands.output import insert_table, new_run_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
 
@@ -34,6 +34,8 @@ examples:
   mjtactile evaluate --episodes 4000 --backend dask --scheduler tcp://head:8786 --out runs/big
   mjtactile evaluate --merge runs/part1 runs/part2 --out runs/all
 """
+_OBJECTS = "egg,strawberry,vial"
+_DEFAULT = Scenario(vary="default")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,7 +47,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--objects",
-        default="egg,strawberry,vial",
         metavar="A,B,…",
         help="shipped names, FILE.xml, "
         "'my/*.xml', random (another thing each time), grasped in turn "
@@ -54,32 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--episodes", type=_count, default=30, metavar="N", help="for each controller (default: 30)"
     )
-    parser.add_argument(
-        "--seed",
-        type=int,
-        default=0,
-        metavar="N",
-        help="of the first episode; the others count on (default: 0)",
-    )
-    parser.add_argument(
-        "--sensor",
-        default="dense",
-        metavar="NAME",
-        help="shipped name or FILE.toml (default: dense)",
-    )
-    parser.add_argument(
-        "--rig",
-        default="sim",
-        metavar="NAME",
-        help="a simulated rig: shipped name or FILE.toml (default: sim)",
-    )
-    parser.add_argument(
-        "--effects", default="auto", metavar="LIST", help="as for `grasp` (default: auto)"
-    )
-    add_vary_argument(parser, "default")
-    parser.add_argument(
-        "--accuracy", default="", metavar="A", help="as for `grasp`: 0.02N or realtime"
-    )
+    scenario.add_arguments(parser, _DEFAULT, leave_out=("object", "controller"))
     parser.add_argument(
         "--workers",
         type=_count,
@@ -204,12 +180,16 @@ def _evaluate(options: argparse.Namespace, out: Path) -> dict[str, Any]:
     with stdout_to_stderr():
         if options.merge:
             return merge(options.merge, out)
+        controllers = options.controller
+        options.controller = None
+        common = scenario.scenario_of(options, _DEFAULT)
+        objects = _objects(options.objects or (common.object if options.scenario else _OBJECTS))
         return evaluate(
             out,
+            common,
             count=options.episodes,
-            controllers=options.controller or ["gentle"],
-            objects=_objects(options.objects),
-            first_seed=options.seed,
+            controllers=controllers or [common.controller],
+            objects=objects,
             shard=options.shard,
             workers=options.workers,
             backend=options.backend,
@@ -217,9 +197,4 @@ def _evaluate(options: argparse.Namespace, out: Path) -> dict[str, Any]:
             resume=options.resume,
             record=options.record,
             say=Progress().message,
-            sensor=options.sensor,
-            rig=options.rig,
-            effects=options.effects,
-            accuracy=options.accuracy,
-            vary=options.vary,
         )

@@ -9,10 +9,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjtactile import InputError, Interrupted, MjtactileError, Recorder, load_recording, rig_names
-from mjtactile.commands import effects, ranges, slow
+from mjtactile import InputError, Interrupted, MjtactileError, Recorder, Scenario, load_recording
+from mjtactile.commands import ranges, scenario, slow
 from mjtactile.commands.output import new_run_folder, output_folder, print_json, stdout_to_stderr
-from mjtactile.core import resources, signals
+from mjtactile.core import signals
 from mjtactile.recording.files import write_json
 from mjtactile.recording.strip import Strip
 from mjtactile.run.progress import Progress
@@ -29,6 +29,9 @@ examples:
   mjtactile grasp
   mjtactile grasp --object vial --sensor paper16 --seed 1
   mjtactile grasp --object my_fruit.xml --controller my_controller.py --out runs/fruit
+  mjtactile grasp --scenario my_scene.toml         `mjtactile new scenario my_scene` writes one
+  mjtactile grasp --scenario runs/egg/summary.json --seed 4
+      the same again, but for the seed
   mjtactile grasp --json > result.json
   mjtactile grasp --video egg.mp4
       scene, cameras and forces, in step with the simulated time
@@ -37,10 +40,11 @@ examples:
 The result (--json, summary.json) says: outcome ("held", "dropped", "crushed", "fault"),
 peak_force_N and hold_force_N as felt, peak_force_true_N, hold_force_true_N and slip_mm_true
 as they were (simulation only), real_time_factor, frames, perception_ms_median, object,
-sensor, controller, seed; a "reason" where it is known. exit codes: 0 held, 1 dropped or
-crushed, 2 bad input, 3 a device or the simulation failed, or Ctrl-C.
+sensor, controller, seed, the whole "scenario"; a "reason" where it is known. exit codes:
+0 held, 1 dropped or crushed, 2 bad input, 3 a device or the simulation failed, or Ctrl-C.
 """
 EXIT_CODES = {"held": 0, "dropped": 1, "crushed": 1, "fault": 3}
+_RESULTS = ("summary.json", "summary.png", "summary.html")
 _MEASURED = (
     "peak_force_N",
     "peak_force_true_N",
@@ -54,48 +58,13 @@ _MEASURED = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    def shipped(kind: str, suffix: str) -> str:
-        return ", ".join(resources.names(kind, suffix))
-
-    parser.add_argument(
-        "--object",
-        default="egg",
-        metavar="NAME|FILE.xml",
-        help=f"what to grasp: {shipped('models/objects', '.xml')}, random:N (one "
-        "of many), "
-        "or your own MJCF file (default: egg)",
-    )
-    parser.add_argument(
-        "--sensor",
-        default="dense",
-        metavar="NAME|FILE.toml",
-        help=f"on each finger: {shipped('models/sensors', '.toml')}, or your own "
-        "file (default: dense)",
-    )
-    parser.add_argument(
-        "--controller",
-        default="gentle",
-        metavar="NAME|FILE.py",
-        help=f"grasp controller: {shipped('controllers', '.py')}, or your own "
-        "file (default: gentle)",
-    )
-    parser.add_argument(
-        "--rig",
-        default="sim",
-        metavar="RIG",
-        help=f"what to run it on: {', '.join(rig_names())} (default: sim)",
-    )
-    parser.add_argument(
-        "--seed",
-        type=seed,
-        default=0,
-        metavar="N",
-        help="seed of the camera noise and of where the object stands (default: 0)",
-    )
+    scenario.add_arguments(parser)
     slow.add_argument(parser)
-    effects.add_shared_arguments(parser)
-    effects.add_vary_argument(parser, "none")
-    effects.add_estimate_argument(parser)
+    parser.add_argument(
+        "--error-estimate",
+        action="store_true",
+        help="simulate again on a coarser mesh, and report the force error that follows (N)",
+    )
     parser.add_argument(
         "--workers",
         type=_count,
@@ -122,12 +91,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def seed(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 up")
-    return int(text)
-
-
 def _count(text: str) -> int:
     if text not in tuple("012345678"):
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 to 8")
@@ -138,15 +101,16 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile.run.drawing import drawing_beside
 
     _check_video(options.video, options.frames)
-    slow.apply(options.slow, options.rig)
+    wanted = scenario.scenario_of(options)
+    slow.apply(options.slow, wanted.rig)
     progress = Progress()  # which looks whether stderr is a terminal
     folder = (
-        new_run_folder(Path(options.object).stem)
+        new_run_folder(scenario.stem(wanted))
         if options.out is None
-        else output_folder(options.out, "recording", "summary.json", "summary.png", "summary.html")
+        else output_folder(options.out, *_RESULTS, "recording")
     )
     with folder as out, stdout_to_stderr(), drawing_beside() as figure:
-        summary = _run_and_report(options, out, progress, figure)
+        summary = _run_and_report(wanted, options, out, progress, figure)
     with contextlib.suppress(BrokenPipeError):  # the exit code says how it went, read or not
         if options.json:
             print_json(summary)
@@ -155,37 +119,27 @@ def run(options: argparse.Namespace) -> int:
     return EXIT_CODES[summary["outcome"]]
 
 
-def _header(options: argparse.Namespace) -> dict[str, Any]:
-    return {key: getattr(options, key) for key in ("object", "sensor", "controller", "rig", "seed")}
-
-
-def _manner(options: argparse.Namespace) -> dict[str, Any]:
-    return {
-        key: getattr(options, key)
-        for key in ("accuracy", "effects", "vary", "error_estimate", "workers")
-    }
-
-
 def _run_and_report(
-    options: argparse.Namespace, out: Path, progress: Progress, figure: Drawing
+    wanted: Scenario, options: argparse.Namespace, out: Path, progress: Progress, figure: Drawing
 ) -> dict[str, Any]:
     """Run the grasp and write its report, also of a run that failed half-way; the error then
     carries its summary."""
     # now: in the end there may be no descriptors left to import it with
     from mjtactile.run import summary as _  # noqa: F401
-    from mjtactile.run.grasp import GraspOptions, run_grasp
+    from mjtactile.run.grasp import run_grasp
 
-    header = _header(options)
-    grasp = GraspOptions(**header, **_manner(options))
     recorder: Recorder | None = None
     try:
         with signals.deferred():  # no signal between an open file and who closes it
-            recorder = Recorder(
-                out / "recording", header | {"command": grasp.command()}, frames=options.frames
-            )
+            recorder = Recorder(out / "recording", wanted.header(), frames=options.frames)
             recorder.views = [] if options.video else None
             recorder.strip = Strip()
-        summary = run_grasp(grasp, recorder=recorder, progress=progress).summary()
+        summary = run_grasp(
+            wanted,
+            [recorder, progress],
+            workers=options.workers,
+            error_estimate=options.error_estimate,
+        ).summary()
     except (Exception, KeyboardInterrupt) as error:
         progress.close()
         if recorder is None:
@@ -193,7 +147,7 @@ def _run_and_report(
         if recorder.never_began(error):
             recorder.discard()
             raise
-        _report_fault(error, recorder, out, header, figure)
+        _report_fault(error, recorder, out, wanted, figure)
         raise
     progress.close()
     recorder.close(outcome=summary["outcome"])
@@ -237,19 +191,18 @@ def _check_video(path: Path | None, frames: int) -> None:
 
 
 def _report_fault(
-    error: BaseException, recorder: Recorder, out: Path, header: dict[str, Any], figure: Drawing
+    error: BaseException, recorder: Recorder, out: Path, wanted: Scenario, figure: Drawing
 ) -> None:
     """Keep what a failed run recorded and say where it is."""
     stopped = isinstance(error, (Interrupted, KeyboardInterrupt))
     reason = "interrupted" if stopped else " ".join(str(error).split())
-    names = {key: Path(header[key]).stem for key in ("object", "sensor", "controller")}
     summary = {
         "outcome": "fault",
         **dict.fromkeys(_MEASURED),
         "frames": recorder.cycles,
-        **names,
-        "seed": header["seed"],
+        **wanted.names(),
         "error": reason,
+        "scenario": wanted.to_dict(),
     }
     error.summary = summary  # type: ignore[attr-defined]  # cli prints it with --json
     recorder.close(outcome="fault", error=reason)
@@ -305,4 +258,7 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
     speed = summary["real_time_factor"]
     spent = summary["perception_ms_median"]
     print(f"  speed     {speed:.2f} x real time; perception takes {spent:.1f} ms a cycle (median)")
-    print(f"  results   {out}/summary.html, summary.png, summary.json, recording/")
+    results = [
+        name for name in ("summary.html", "summary.png", "summary.json") if (out / name).exists()
+    ]
+    print(f"  results   {out}/{', '.join([*results, 'recording/'])}")

@@ -13,14 +13,15 @@ from mjtactile.core import resources
 
 SIMULATES = False
 DESCRIPTION = """\
-Write a copy of a shipped controller, sensor, object or rig file, with its comments, under your
-own name, and say what to run next. An existing file is never overwritten."""
+Write a copy of a shipped controller, sensor, object, scenario or rig file, with its comments,
+under your own name, and say what to run next. An existing file is never overwritten."""
 EPILOG = """\
 examples:
   mjtactile new controller firm            firm.py, a copy of `gentle`
   mjtactile new sensor lab/my_sensor       lab/my_sensor.toml, a copy of `dense`
   mjtactile new object plum --like strawberry
   mjtactile new object thing --like random:7
+  mjtactile new scenario my_scene          what `grasp --scenario my_scene.toml` runs
   mjtactile new variation my_world         what `evaluate --vary my_world.toml` draws from
   mjtactile new rig my_gripper --like one_xl330_linkage
   mjtactile new rig my_arm --like sim_arm  my_arm.toml, and the robot in it, my_arm.xml
@@ -59,6 +60,9 @@ KINDS = {
         "objects",
         "mjtactile grasp --object {file}",
         r'(<mujoco model=)"[^"]*"',
+    ),
+    "scenario": Kind(
+        "models/scenarios", ".toml", "lift", "scenario", "mjtactile grasp --scenario {file}"
     ),
     "variation": Kind(
         "models/variations", ".toml", "default", "evaluate", "mjtactile evaluate --vary {file}"

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjtactile import InputError, Recorder, load_recording, rig_names
-from mjtactile.commands import plots, ranges
+from mjtactile import InputError, Recorder, Scenario, load_recording
+from mjtactile.commands import plots, ranges, scenario
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
-from mjtactile.core import resources, signals
+from mjtactile.core import signals
 from mjtactile.recording.files import write_json
 from mjtactile.recording.strip import Strip
 from mjtactile.run.progress import Progress
@@ -32,34 +33,16 @@ examples:
 "unknown" is a verdict: status then says why (not enough contact yet, or undecided).
 exit codes: 0 a class was named, 1 unknown, 2 bad input, 3 a device or the simulation failed.
 """
+_DEFAULT = Scenario(object="sponge", controller="probe")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    names = ", ".join(resources.names("models/objects", ".xml"))
-    parser.add_argument(
-        "--object",
-        metavar="NAME|FILE.xml",
-        help=f"what to probe: {names}, or your own (default: sponge)",
-    )
+    scenario.add_arguments(parser, _DEFAULT, leave_out=("accuracy", "effects", "vary", "task"))
     parser.add_argument(
         "--source",
         type=Path,
         metavar="RECORDING",
         help="judge the images of a recorded run instead",
-    )
-    parser.add_argument(
-        "--sensor",
-        metavar="NAME|FILE.toml",
-        help="on each finger (default: dense, or the recording's)",
-    )
-    parser.add_argument(
-        "--controller", default="probe", metavar="NAME|FILE.py", help="what moves (default: probe)"
-    )
-    parser.add_argument(
-        "--rig", default="sim", metavar="RIG", help=f"{', '.join(rig_names())} (default: sim)"
-    )
-    parser.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="seed of placement and noise (default: 0)"
     )
     ranges.add_frames_argument(parser)
     parser.add_argument(
@@ -73,8 +56,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     if options.source is not None and options.object is not None:
         raise InputError("say either what to probe or which recording to judge", field="--source")
-    if options.seed < 0:
-        raise InputError(f"{options.seed} is not a whole number from 0 up", field="--seed")
     with (
         optional_folder(options.out, "probe.json", "probe.png", "probe.html", "recording") as out,
         stdout_to_stderr(),
@@ -98,22 +79,20 @@ def _replay(options: argparse.Namespace) -> ProbeResult:
 
 def _live(options: argparse.Namespace, out: Path | None) -> ProbeResult:
     from mjtactile.run.page import write_page
-    from mjtactile.run.probe import ProbeOptions, run_probe
+    from mjtactile.run.probe import run_probe
 
-    names = {
-        "object": options.object or "sponge",
-        "sensor": options.sensor or "dense",
-        "controller": options.controller,
-        "rig": options.rig,
-        "seed": options.seed,
-    }
-    say = Progress(quiet=options.json).message
-    if out is None:
-        return run_probe(ProbeOptions(**names), say=say)
-    with signals.deferred(), Recorder(out / "recording", names, frames=options.frames) as recorder:
-        recorder.strip = Strip()
-        result = run_probe(ProbeOptions(**names), recorder=recorder, say=say)
-        recorder.close(outcome=result.material.kind)
+    wanted = scenario.scenario_of(options, _DEFAULT)
+    progress = Progress(quiet=options.json)
+    with contextlib.closing(progress):
+        if out is None:
+            return run_probe(wanted, [progress])
+        with (
+            signals.deferred(),
+            Recorder(out / "recording", wanted.header(), frames=options.frames) as recorder,
+        ):
+            recorder.strip = Strip()
+            result = run_probe(wanted, [recorder, progress])
+            recorder.close(outcome=result.material.kind)
     write_page(
         out / "probe.html",
         load_recording(out),

@@ -8,17 +8,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mjtactile import InputError, Recorder, rig_names
+from mjtactile import InputError, Recorder, Scenario, complete_scenario, rig_names
 from mjtactile.commands import ranges, slow
 from mjtactile.commands.output import output_folder, print_json, stdout_to_stderr
 from mjtactile.core import resources
+from mjtactile.recording.observer import Observer, Observers
 from mjtactile.run.progress import Progress
 from mjtactile.types import Command, Observation
 
 if TYPE_CHECKING:
     from mjtactile import SensorDesign, Session
     from mjtactile.recording.stage import Stage
-    from mjtactile.run.loop import Cycle
+    from mjtactile.run.cycle import Cycle
 
 DESCRIPTION = """\
 Record an episode in which nothing is commanded: the jaws hold where they stand, with the force
@@ -253,22 +254,23 @@ def _on_rig(
 ) -> dict[str, Any]:
     from mjtactile import open_session
 
-    with open_session(
-        options.rig,
-        design,
-        object_name=options.object,
-        seed=options.seed,
-        workers=0,
-        say=progress.message,
-    ) as session:
-        header = {
-            "object": options.object if session.rig.scene is not None else None,
-            "sensor": options.sensor,
-            "controller": "monitor",
-            "rig": options.rig,
-            "seed": options.seed,
-            "design": design.name,
-        }
+    wanted = complete_scenario(
+        Scenario(
+            object=options.object,
+            controller="monitor",
+            rig=options.rig,
+            sensor=options.sensor,
+            seed=options.seed,
+        )
+    )
+    # with the pressure that was asked for, unless the fingers name their own sensor
+    named = wanted.sensor == options.sensor
+    built = replace(wanted, sensor=design) if named else wanted
+    with open_session(built, workers=0, say=progress.message) as session:
+        header = wanted.header() | {"design": built.design().name}
+        del header["command"]  # it is no grasp
+        if session.rig.scene is None:
+            header["object"] = None
         for finger in session.rig.fingers if options.pressure is not None else ():
             if finger.design.chamber.supply_gauge != design.chamber.supply_gauge:
                 raise InputError(
@@ -283,30 +285,41 @@ def _on_rig(
     return result
 
 
+class _Watching(Observer):
+    """Keeps what is felt, and calls moves out when their time has come."""
+
+    def __init__(self, progress: Progress, stage: Stage | None):
+        self.forces: list[list[float]] = []
+        self.times: list[float] = []
+        self._progress = progress
+        self._left = list(stage.moves if stage else ())
+
+    def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
+        from mjtactile.recording.stage import describe
+
+        self.forces.append([touch.force_normal for touch in cycle.touch])
+        self.times.append(cycle.time)
+        while self._left and cycle.time - self.times[0] >= self._left[0].time - 1e-9:
+            self._progress.message(describe(self._left.pop(0)))
+
+
 def _record(
     session: Session, recorder: Recorder, seconds: float, progress: Progress, stage: Stage | None
 ) -> dict[str, Any]:
     """References, then the watch; moves are called out when their time has come."""
     import numpy as np
 
-    from mjtactile.recording.stage import describe
-
-    forces = []
-    times = []
-    left = list(stage.moves if stage else ())
-
-    def on_cycle(cycle: Cycle) -> None:
-        recorder.add(cycle)
-        forces.append([t.force_normal for t in cycle.touch])
-        times.append(cycle.time)
-        while left and cycle.time - times[0] >= left[0].time - 1e-9:
-            progress.message(describe(left.pop(0)))
-        progress.update(cycle.sent.phase, cycle.time, float(np.mean(forces[-1])))
-
-    recorder.patience = session.patience
+    watching = _Watching(progress, stage)
+    recorder.begin(session)
     session.take_references(recorder)
     seconds = min(seconds, session.rig.length)
-    session.run(Monitor(seconds), time_limit=seconds + 60, on_cycle=on_cycle)
+    session.run(
+        Monitor(seconds),
+        time_limit=seconds + 60,
+        observer=Observers([recorder, watching, progress]),
+    )
+    forces = watching.forces
+    times = watching.times
     known = np.array(forces)[np.isfinite(forces).all(axis=1)] if forces else np.zeros((0, 1))
     low, high = (float(known.min()), float(known.max())) if known.size else (float("nan"),) * 2
     return {

@@ -5,9 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 
-from mjtactile import load_recording, rig_names
-from mjtactile.commands import effects, slow
-from mjtactile.commands.grasp import seed
+from mjtactile import load_recording
+from mjtactile.commands import scenario, slow
 
 DESCRIPTION = """\
 Watch a grasp live in MuJoCo Studio, in the browser: the scene, the membranes coloured by
@@ -32,32 +31,7 @@ exit codes: 0 ended by closing it, 2 bad input, 3 a device or the simulation fai
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--object", default="egg", metavar="NAME|FILE.xml", help="as for `grasp` (default: egg)"
-    )
-    parser.add_argument(
-        "--sensor",
-        default="dense",
-        metavar="NAME|FILE.toml",
-        help="as for `grasp` (default: dense)",
-    )
-    parser.add_argument(
-        "--controller",
-        default="gentle",
-        metavar="NAME|FILE.py",
-        help="as for `grasp` (default: gentle)",
-    )
-    parser.add_argument(
-        "--rig", default="sim", metavar="RIG", help=f"{', '.join(rig_names())} (default: sim)"
-    )
-    parser.add_argument(
-        "--seed",
-        type=seed,
-        default=0,
-        metavar="N",
-        help="of the first run; the next has the next (default: 0)",
-    )
-    effects.add_shared_arguments(parser)
+    scenario.add_arguments(parser, leave_out=("vary",))
     slow.add_argument(parser)
     parser.add_argument(
         "--port",
@@ -86,7 +60,6 @@ def _port(text: str) -> int:
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.run.grasp import GraspOptions
     from mjtactile.studio.serve import watch
     from mjtactile.studio.show import Show
     from mjtactile.studio.tape import Tape
@@ -94,10 +67,9 @@ def run(options: argparse.Namespace) -> int:
     def say(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
 
-    slow.apply(options.slow, options.rig)
-    names = ("object", "sensor", "controller", "rig", "seed", "accuracy", "effects")
-    wanted = GraspOptions(**{name: getattr(options, name) for name in names})
-    backend, _, folder = options.rig.partition(":")
+    wanted = scenario.scenario_of(options)
+    slow.apply(options.slow, wanted.rig)
+    backend, _, folder = wanted.rig.partition(":")
     show = (
         Tape(wanted, load_recording(folder), say)
         if backend == "replay" and folder

@@ -32,5 +32,8 @@ def build_emulated_rig(
 def build(request: RigRequest) -> Rig:
     """The backend "emulator" of `mjtactile.rig.registry`."""
     return build_emulated_rig(
-        need_file(request), request.design, object_name=request.object, seed=request.seed
+        need_file(request),
+        request.design,
+        object_name=request.scenario.object,
+        seed=request.scenario.seed,
     )

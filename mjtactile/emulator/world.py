@@ -22,6 +22,7 @@ import numpy as np
 
 from mjtactile.core import pace, process
 from mjtactile.core.errors import MjtactileError
+from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import FINGERS
 from mjtactile.emulator.options import EmulatorOptions
 from mjtactile.emulator.shared import SharedState
@@ -61,9 +62,7 @@ class EmulatedWorld:
             ),
         )
         self.scene = build_sim_rig(
-            options.design,
-            object_name=options.object_name,
-            seed=options.seed,
+            Scenario(object=options.object_name, sensor=options.design, seed=options.seed),
             file=file,
             drawn=Drawn(specimens=emulator.specimens),
         ).scene

@@ -13,16 +13,18 @@ import math
 import shutil
 import traceback
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import Interrupted, MjtactileError
+from mjtactile.core.scenario import Scenario
+from mjtactile.recording.observer import Observer
 from mjtactile.recording.writer import Recorder
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.variation import draw
-from mjtactile.run.grasp import GraspOptions, run_grasp
+from mjtactile.run.cycle import Cycle
+from mjtactile.run.grasp import run_grasp
 from mjtactile.run.session import Session
 from mjtactile.sim.rig import SimClock
 from mjtactile.sim.scenes.random_objects import object_text as object_text
@@ -51,39 +53,19 @@ class Episode:
     controller."""
 
     index: int
-    controller: str
-    object: str
-    seed: int
-    sensor: str = "dense"
-    rig: str = "sim"
-    accuracy: str = ""
-    effects: str = "auto"
-    vary: str = "none"
+    scenario: Scenario
     recording: str = ""
     """Folder to record it into; no recording without. What its line says does not depend on it."""
 
     @property
+    def controller(self) -> str:
+        """The controller's name in lines."""
+        return Path(self.scenario.controller).stem
+
+    @property
     def name(self) -> str:
         """Of what is kept of it, unique within an evaluation."""
-        return name_of(Path(self.controller).stem, self.index)
-
-    def options(self) -> GraspOptions:
-        """The grasp that it is."""
-        return GraspOptions(
-            object=self.object,
-            sensor=self.sensor,
-            controller=self.controller,
-            rig=self.rig,
-            seed=self.seed,
-            accuracy=self.accuracy,
-            effects=self.effects,
-            vary=self.vary,
-            workers=0,
-        )
-
-    def command(self) -> str:
-        """How to run it again alone."""
-        return self.options().command()
+        return name_of(self.controller, self.index)
 
 
 def name_of(controller: str, index: int) -> str:
@@ -91,48 +73,44 @@ def name_of(controller: str, index: int) -> str:
 
 
 def plan(
+    scenario: Scenario,
     count: int,
     controllers: Sequence[str],
     objects: Sequence[str],
-    first_seed: int,
     *,
     shard: tuple[int, int] = (1, 1),
-    **manner: str,
 ) -> list[Episode]:
-    """`count` episodes for each controller, objects in turn, seeds from `first_seed` on; of these
-    the part that `shard` (k, n) names, the k-th of n."""
+    """The episodes of an evaluation.
+
+    Args:
+        scenario: Everything but controller and object; its seed is the first episode's.
+        count: Episodes for each controller.
+        controllers: Every one meets the same episodes.
+        objects: In turn; of "random" the one of each seed.
+        shard: (k, n): only the k-th of n parts.
+
+    Returns:
+        Episode after episode, each with every controller.
+    """
     part, parts = shard
-    return [
-        Episode(
-            index,
-            controller,
-            _of_seed(objects[index % len(objects)], first_seed + index),
-            first_seed + index,
-            **manner,
-        )
-        for index in range(count)
-        if index % parts == part - 1
-        for controller in controllers
-    ]
-
-
-def _of_seed(name: str, seed: int) -> str:
-    """The object of an episode: of "random" the one of its seed."""
-    return f"{RANDOM}:{seed}" if name == RANDOM else name
+    episodes = []
+    for index in range(part - 1, count, parts):
+        seed = scenario.seed + index
+        name = objects[index % len(objects)]
+        grasped = f"{RANDOM}:{seed}" if name == RANDOM else name
+        for controller in controllers:
+            own = replace(scenario, object=grasped, controller=controller, seed=seed)
+            episodes.append(Episode(index, own))
+    return episodes
 
 
 def run_episode(episode: Episode) -> dict[str, Any]:
     """The episode's line; whatever fails is an error of this episode. Raises Interrupted where it
     was told to end: then it has no line, and is run when the evaluation goes on."""
-    line: dict[str, Any] = {
-        "episode": episode.index,
-        "controller": Path(episode.controller).stem,
-        "object": Path(episode.object).stem.partition(":")[0],
-        "seed": episode.seed,
-    }
+    scenario = episode.scenario
+    facts = _Facts()
     with _recorder(episode) as recorder:
-        notes = _Notes(recorder)
-        summary = _run(episode, notes)
+        summary = _run(scenario, [facts] if recorder is None else [facts, recorder])
         if recorder is not None and recorder.cycles:
             recorder.close(outcome=summary["outcome"])
         elif recorder is not None:
@@ -140,33 +118,36 @@ def run_episode(episode: Episode) -> dict[str, Any]:
     # a world is megabytes in a few hundred objects that know each other: Python would keep dozens
     # of them
     gc.collect()
-    values = {key: _json(summary.get(key)) for key in _KEPT} | {
-        "time_s": notes.time,
-        "phases": " > ".join(notes.phases),
+    line: dict[str, Any] = {
+        "episode": episode.index,
+        "controller": episode.controller,
+        "object": Path(scenario.object).stem.partition(":")[0],
+        "seed": scenario.seed,
+        **{key: _json(summary.get(key)) for key in _KEPT},
+        "time_s": facts.time,
+        "phases": " > ".join(facts.phases),
     }
-    values |= {} if summary.get("images", True) else {"images": False}
-    varied = draw(
-        episode.vary, episode.seed, load_sensor(episode.sensor), load_sim_rig(episode.rig)
-    ).values
-    seed = seed_of(episode.object)
+    if not summary.get("images", True):
+        line["images"] = False
+    return line | {
+        "break_force_N": facts.break_force,
+        "varied": _drawn_values(scenario),
+        "again": scenario.command(),
+    }
+
+
+def _drawn_values(scenario: Scenario) -> dict[str, Any]:
+    """What the seed has drawn: of a random object, and from the variation."""
+    seed = seed_of(scenario.object)
     thing = {} if seed is None else random_thing(seed).values
-    return (
-        line
-        | values
-        | {
-            "break_force_N": notes.break_force,
-            "varied": thing | dict(varied),
-            "again": episode.command(),
-        }
-    )
+    file = load_sim_rig(scenario.rig)
+    return thing | dict(draw(scenario.vary, scenario.seed, scenario.design(), file).values)
 
 
-def _run(episode: Episode, notes: _Notes) -> dict[str, Any]:
+def _run(scenario: Scenario, observers: Sequence[Observer]) -> dict[str, Any]:
     """The grasp's summary, or that of an error. Raises Interrupted."""
     try:
-        return run_grasp(
-            episode.options(), recorder=notes, progress=notes, on_open=_alone
-        ).summary()
+        return run_grasp(scenario, observers, workers=0).summary()
     except Interrupted:
         raise
     except MjtactileError as error:
@@ -174,20 +155,9 @@ def _run(episode: Episode, notes: _Notes) -> dict[str, Any]:
     except Exception as error:  # noqa: BLE001
         # a mistake of ours in one episode shall not end the others
         last = traceback.extract_tb(error.__traceback__)[-1]
-        return {
-            "outcome": "error",
-            "reason": "internal error in "
-            f"{Path(last.filename).name}, line "
-            f"{last.lineno}: "
-            f"{type(error).__name__}: "
-            f"{' '.join(str(error).split())}",
-        }
-
-
-def _alone(session: Session) -> None:
-    """Episodes have a process each, and these fill the processors."""
-    if isinstance(session.rig.clock, SimClock):
-        session.rig.clock.step_in_turn()
+        what = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        where = f"{Path(last.filename).name}, line {last.lineno}"
+        return {"outcome": "error", "reason": f"internal error in {where}: {what}"}
 
 
 @contextlib.contextmanager
@@ -197,48 +167,33 @@ def _recorder(episode: Episode) -> Iterator[Recorder | None]:
         yield None
         return
     shutil.rmtree(episode.recording, ignore_errors=True)
-    names = ("object", "sensor", "controller", "rig", "seed")
-    with Recorder(
-        episode.recording,
-        {key: getattr(episode, key) for key in names} | {"command": episode.command()},
-    ) as recorder:
+    with Recorder(episode.recording, episode.scenario.header()) as recorder:
         yield recorder
 
 
-class _Notes:
-    """Stands in for a recorder and a progress: keeps at what force the object breaks, which phases
-    were gone through, and how long that took; hands all on to `recorder`, if there is one."""
+class _Facts(Observer):
+    """At what force the object breaks, which phases were gone through, and how long that took."""
 
-    def __init__(self, recorder: Recorder | None) -> None:
-        self._recorder = recorder
+    def __init__(self) -> None:
         self._begin = math.nan
-        self.patience = math.inf
         self.break_force: float | None = None
         self.phases: list[str] = []
         self.time = 0.0
         """s in the simulation, from the first cycle to the last."""
 
-    def note(self, **values: Any) -> None:
-        self.break_force = values.get("break_force_N", self.break_force)
-        if self._recorder is not None:
-            self._recorder.note(**values)
+    def begin(self, session: Session) -> None:
+        """Episodes have a process each, and these fill the processors."""
+        if isinstance(session.rig.clock, SimClock):
+            session.rig.clock.step_in_turn()
 
-    def add_reference(self, stage: str, images: Any, pressure_gauge: Any) -> None:
-        if self._recorder is not None:
-            self._recorder.add_reference(stage, images, pressure_gauge)
+    def note(self, **facts: Any) -> None:
+        self.break_force = facts.get("break_force_N", self.break_force)
 
-    def add(self, cycle: Any, **truth: Any) -> None:
+    def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
         self._begin = cycle.time if math.isnan(self._begin) else self._begin
         self.time = cycle.time - self._begin
-        if self._recorder is not None:
-            self._recorder.patience = self.patience
-            self._recorder.add(cycle, **truth)
-
-    def message(self, text: str) -> None: ...
-
-    def update(self, phase: str, time: float, force: float) -> None:
-        if self.phases[-1:] != [phase]:
-            self.phases.append(phase)
+        if self.phases[-1:] != [cycle.sent.phase]:
+            self.phases.append(cycle.sent.phase)
 
 
 def _json(value: Any) -> Any:

@@ -56,8 +56,10 @@ def page(
 def _head(manifest: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
     options = manifest["options"]
     controllers = escape(_words(options["controllers"]))
+    values = {key: value for key, value in options.items() if key != "scenario"}
+    values |= options["scenario"]
     said = ", ".join(
-        f"{key} {_words(value)}" for key, value in options.items() if value not in ("", None)
+        f"{key} {_words(value)}" for key, value in values.items() if value not in ("", None, {})
     )
     versions = ", ".join(f"{name} {version}" for name, version in manifest["versions"].items())
     return (

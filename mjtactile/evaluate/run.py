@@ -8,25 +8,26 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile.core import resources, system
-from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
+from mjtactile.core.scenario import Scenario
 from mjtactile.evaluate import report, store, worst
 from mjtactile.evaluate.episodes import RANDOM, Episode, name_of, plan
 from mjtactile.evaluate.pool import PROCESSES, Pool, Say, run_all
 from mjtactile.evaluate.statistics import summarise
 from mjtactile.recording.files import RECORDINGS
 from mjtactile.rig.file import load_sim_rig
-from mjtactile.rig.variation import NONE, load_variation
+from mjtactile.rig.scenario import scenario_from_table
+from mjtactile.rig.variation import load_variation
 from mjtactile.run.controller import load_controller
 
 
 def evaluate(
     folder: Path,
+    scenario: Scenario,
     *,
     count: int,
     controllers: Sequence[str],
     objects: Sequence[str],
-    first_seed: int = 0,
     shard: tuple[int, int] = (1, 1),
     workers: int | None = None,
     backend: str = PROCESSES,
@@ -34,39 +35,48 @@ def evaluate(
     resume: bool = False,
     record: bool = False,
     say: Say = lambda _: None,
-    **manner: str,
 ) -> dict[str, Any]:
-    """`count` episodes for each controller into `folder`; the summary of all that are there when
-    they have ended. `workers` processes of this machine run them, or those of the cluster behind
-    `scheduler` (`mjtactile.evaluate.pool`). `record` keeps each one's recording in
-    `folder`/recordings.
+    """Run many grasps, and say how often they hold.
 
-    Raises InputError for a controller, sensor or object that is not to be had, before anything is
-    run, and for a folder that holds another evaluation; DeviceError when a worker was killed: what
-    had ended is kept, and `resume` goes on.
+    Args:
+        folder: Where a line an episode is kept.
+        scenario: Everything but controller and object; its seed is the first episode's.
+        count: Episodes for each controller.
+        controllers: Every one meets the same episodes.
+        objects: Names and files, grasped in turn.
+        shard: (k, n): only the k-th of n parts.
+        workers: Processes of this machine (None: one a processor).
+        backend: Who runs the episodes; see `mjtactile.evaluate.pool`.
+        scheduler: Of a cluster.
+        resume: Go on with what is in the folder.
+        record: Keep each episode's recording in `folder`/recordings.
+        say: Is given a line an episode.
+
+    Returns:
+        The summary of all episodes that are there when they have ended.
+
+    Raises:
+        InputError: For a controller, sensor or object that is not to be had, before anything is
+            run, and for a folder that holds another evaluation.
+        DeviceError: When a worker was killed: what had ended is kept, and `resume` goes on.
     """
-    files = _files(controllers, objects, manner)
+    files = _files(scenario, controllers, objects)
     options = {
         "count": count,
         "controllers": list(controllers),
         "objects": list(objects),
-        "first_seed": first_seed,
         "shard": list(shard),
-        **manner,
+        "scenario": _common(scenario),
     }
     kept = store.Store(folder, store.manifest(options, files), resume=resume)
-    episodes = plan(count, controllers, objects, first_seed, shard=shard, **manner)
+    episodes = plan(scenario, count, controllers, objects, shard=shard)
     done = {(line["controller"], line["episode"]) for line in kept.lines}
     if record:
         episodes = [
             replace(episode, recording=str((folder / RECORDINGS / episode.name).absolute()))
             for episode in episodes
         ]
-    missing = [
-        episode
-        for episode in episodes
-        if (Path(episode.controller).stem, episode.index) not in done
-    ]
+    missing = [episode for episode in episodes if (episode.controller, episode.index) not in done]
     if done:
         say(f"{len(episodes) - len(missing)} of {len(episodes)} episodes are there already")
     run_all(
@@ -92,26 +102,30 @@ def write_report(folder: Path, worst_count: int, say: Say = lambda _: None) -> P
             f"{line['seed']}"
         )
         name = name_of(line["controller"], line["episode"])
-        pictures[name] = worst.draw(_episode(known["options"], line), folder / "worst" / name)
+        pictures[name] = worst.draw(
+            _episode(known, line, folder / store.MANIFEST), folder / "worst" / name
+        )
     path = folder / "report.html"
     with store.writing(path):
         path.write_text(report.page(known, lines, chosen, pictures), encoding="utf-8")
     return path
 
 
-def _episode(options: Mapping[str, Any], line: Mapping[str, Any]) -> Episode:
+def _common(scenario: Scenario) -> dict[str, Any]:
+    """What of the scenario all episodes share; the seed is the first one's."""
+    said = scenario.to_dict()
+    return {key: value for key, value in said.items() if key not in ("object", "controller")}
+
+
+def _episode(manifest: Mapping[str, Any], line: Mapping[str, Any], source: Path) -> Episode:
     """The episode of a line."""
+    options = manifest["options"]
     controller = next(
         name for name in options["controllers"] if Path(name).stem == line["controller"]
     )
-    manner = {
-        key: options[key]
-        for key in ("sensor", "rig", "effects", "accuracy", "vary")
-        if key in options
-    }
-    return plan(
-        line["episode"] + 1, [controller], options["objects"], options["first_seed"], **manner
-    )[-1]
+    scenario = scenario_from_table(options["scenario"], source, label="options.scenario")
+    episodes = plan(scenario, line["episode"] + 1, [controller], options["objects"])
+    return episodes[-1]
 
 
 def merge(folders: Sequence[Path], out: Path) -> dict[str, Any]:
@@ -141,9 +155,7 @@ def merge(folders: Sequence[Path], out: Path) -> dict[str, Any]:
     return summarise(joined.lines)
 
 
-def _files(
-    controllers: Sequence[str], objects: Sequence[str], manner: Mapping[str, str]
-) -> list[Path]:
+def _files(scenario: Scenario, controllers: Sequence[str], objects: Sequence[str]) -> list[Path]:
     """The files that are used, each once. Raises InputError for what is not to be had or cannot be
     used."""
     from mjtactile.sim.effects.catalog import choose
@@ -159,13 +171,16 @@ def _files(
     twice = next((stem for stem in stems if stems.count(stem) > 1), None)
     if twice is not None:
         raise InputError(f"two of them are called {twice!r}", field="--controller")
-    sensor = manner.get("sensor", "dense")
-    rig = load_sim_rig(manner.get("rig", "sim"))
-    choose(load_sensor(sensor), overrides=manner.get("effects", "auto"))
-    variation = load_variation(manner.get("vary", NONE))
+    rig = load_sim_rig(scenario.rig)
+    choose(scenario.design(), overrides=scenario.effects)
+    variation = load_variation(scenario.vary)
     found = [resources.find(name, "controllers", ".py") for name in controllers]
     found += [
         resources.find(name, "models/objects", ".xml") for name in named if seed_of(name) is None
     ]
-    found += [resources.find(sensor, "models/sensors", ".toml"), rig.path, rig.model]
-    return list(dict.fromkeys(found + ([variation.path] if variation.path else [])))
+    sensors = [scenario.sensor_name, *scenario.sensors.values()]
+    found += [resources.find(name, "models/sensors", ".toml") for name in sensors]
+    found += [rig.path, rig.model]
+    if variation.path is not None:
+        found.append(variation.path)
+    return list(dict.fromkeys(found))

@@ -21,7 +21,7 @@ from mjtactile.core.errors import DeviceError, InputError
 
 MANIFEST = "manifest.json"
 EPISODES = "episodes.jsonl"
-_MANNER = ("sensor", "rig", "effects", "accuracy", "vary")
+_SCENARIO = ("sensor", "rig", "effects", "accuracy", "vary")
 _PACKAGES = ("mjtactile", "mujoco", "numpy", "scipy", "opencv-contrib-python-headless")
 
 
@@ -47,14 +47,15 @@ def manifest(options: Mapping[str, Any], files: Iterable[Path]) -> dict[str, Any
 def command(options: Mapping[str, Any]) -> str:
     """The shell's line for `options`."""
     part, parts = options["shard"]
+    scenario = options["scenario"]
     words = [
         "mjtactile",
         "evaluate",
         *(f"--controller={name}" for name in options["controllers"]),
         f"--objects={','.join(options['objects'])}",
         f"--episodes={options['count']}",
-        f"--seed={options['first_seed']}",
-        *(f"--{name}={options[name]}" for name in _MANNER if options.get(name)),
+        f"--seed={scenario['seed']}",
+        *(f"--{name}={scenario[name]}" for name in _SCENARIO if scenario.get(name)),
         *([f"--shard={part}/{parts}"] if parts > 1 else []),
     ]
     return shlex.join(words)

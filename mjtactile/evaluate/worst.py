@@ -14,7 +14,6 @@ from mjtactile.evaluate.wilson import Line
 from mjtactile.recording.strip import Strip
 from mjtactile.recording.writer import Recorder
 from mjtactile.run.grasp import run_grasp
-from mjtactile.run.progress import Progress
 from mjtactile.run.summary import write_pictures
 
 _RANKS = {"crushed": 2, "dropped": 2, "error": 1, "held": 0}
@@ -56,23 +55,13 @@ def draw(episode: Episode, folder: Path) -> Path | None:
     picture = folder / "summary.png"
     if picture.exists():
         return picture
-    header: dict[str, Any] = {
-        key: getattr(episode, key) for key in ("object", "sensor", "controller", "rig", "seed")
-    }
-    header["command"] = episode.command()
-    summary: dict[str, Any] = {
-        "object": episode.object,
-        "outcome": "error",
-        "sensor": episode.sensor,
-        "seed": episode.seed,
-    }
+    scenario = episode.scenario
+    summary: dict[str, Any] = scenario.names() | {"outcome": "error"}
     try:
-        with Recorder(folder / "recording", header, frames=0) as recorder:
+        with Recorder(folder / "recording", scenario.header(), frames=0) as recorder:
             recorder.strip = Strip()
             try:
-                summary = run_grasp(
-                    episode.options(), recorder=recorder, progress=Progress(quiet=True)
-                ).summary()
+                summary = run_grasp(scenario, [recorder], workers=0).summary()
             except MjtactileError as error:
                 summary["reason"] = " ".join(str(error).split())
             recorder.close(outcome=summary["outcome"])

@@ -3,7 +3,15 @@
 gymnasium.make("mjtactile.gym:mjtactile/Grasp-v0", object="egg")
 """
 
-import gymnasium
+try:
+    import gymnasium
+except ModuleNotFoundError as missing:
+    if missing.name != "gymnasium":
+        raise
+    # without the traceback's first half: there is nothing to be learned from it
+    raise ModuleNotFoundError(
+        "Gymnasium is not installed: pip install 'mjtactile[gym]'", name="gymnasium"
+    ) from None
 
 ID = "mjtactile/Grasp-v0"
 

@@ -16,15 +16,17 @@ from typing import Any, ClassVar
 import gymnasium
 import numpy as np
 
-from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError, InputError, SimulationError
 from mjtactile.core.policy import policy_command
-from mjtactile.core.types import Array, Command, Image, Observation, Touch
+from mjtactile.core.scenario import Scenario
+from mjtactile.core.types import Array
 from mjtactile.gym.observe import show, space_of
+from mjtactile.recording.observer import Observer
 from mjtactile.rig.finger import Rig
 from mjtactile.rig.registry import SIMULATES, build_rig
 from mjtactile.rig.variation import NONE
-from mjtactile.run.loop import ENDS
+from mjtactile.run.cycle import ENDS, ControlCycle
+from mjtactile.run.perceive import Perceivers
 from mjtactile.run.scoring import GraspScore
 from mjtactile.run.session import Session
 from mjtactile.run.supervisor import Supervisor
@@ -36,13 +38,22 @@ time is over."""
 
 
 class GraspEnv(gymnasium.Env[Any, Array]):
-    """`object`, `sensor`, `rig`, `vary`, `effects` and `accuracy` as `mjtactile grasp` takes them;
-    `observation` "wrench", "markers" or "image"; `time_limit` s until an episode is cut off.
-    Actions: speed of opening, force limit and speed of lifting, each in [-1, 1]
-    (`mjtactile.policy_command`).
+    """One grasp an episode.
 
-    Raises InputError for names that do not exist. A seed is that of `grasp` and `evaluate`: the
-    same placement and noise.
+    Actions: speed of opening, force limit and speed of lifting, each in [-1, 1]
+    (`mjtactile.policy_command`). A seed is that of `grasp` and `evaluate`: the same placement and
+    noise.
+
+    Args:
+        object: As `mjtactile grasp` takes it, and so are `sensor`, `rig`, `vary`, `effects`,
+            `accuracy`.
+        observation: "wrench", "markers" or "image".
+        time_limit: s until an episode is cut off.
+        render_mode: None, or "rgb_array": the cameras' images.
+        scenario: In place of all of these names, and of its own seed, controller and time limit.
+
+    Raises:
+        InputError: For names that do not exist.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 30}
@@ -58,6 +69,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         accuracy: str = "",
         time_limit: float = 20.0,
         render_mode: str | None = None,
+        scenario: Scenario | None = None,
     ):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise InputError(
@@ -69,12 +81,12 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         self.render_mode = render_mode
         self._kind = observation
         self._limit = time_limit
-        self._design = load_sensor(sensor)
-        self._how = {"object_name": object, "effects": effects, "accuracy": accuracy, "vary": vary}
-        self._name = rig
-        self._vary = vary
+        self.scenario = scenario or Scenario(
+            object=object, sensor=sensor, rig=rig, vary=vary, effects=effects, accuracy=accuracy
+        )
         self._session: Session | None = None
         self._restart: Restart | None = None
+        self._cycle: Any = None  # before the first reset
         self._build(0)
         designs = [finger.design for finger in self._rig.fingers]
         self._pictures = "images" in self._rig.scene.effects
@@ -89,7 +101,6 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
         self.metadata = {**self.metadata, "render_fps": round(1 / self._rig.period)}
         self._markers = designs[0].markers.count
-        self._images: tuple[Image, ...] = ()
 
     # -- Gymnasium
     # --------------------------------------------------------------------------------
@@ -110,12 +121,15 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         rig = self._rig
         self._score = GraspScore(rig.scene)
         rig.scene.after_each_step(self._score.after_step)
-        self._start = rig.clock.now()
-        self._supervisor = Supervisor(rig.period)
         self._over = False
-        self._supervisor.arm(self._start)
-        state = rig.gripper.state()
-        self._command = Command(state.opening, 0.0, state.lift_height)
+        assert self._session is not None
+        perceivers = Perceivers(
+            self._session.perceptions, [finger.name for finger in rig.fingers], threads=0
+        )
+        self._cycle = ControlCycle.begin(
+            rig, perceivers, Supervisor(rig.period), _Snapshot(self._score)
+        )
+        self._start = self._cycle.now
         self._look()
         return self._shown(), self._info()
 
@@ -124,15 +138,13 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         if self._over:
             raise gymnasium.error.ResetNeeded("the episode is over: reset it")
         rig = self._rig
+        cycle = self._cycle
+        deadline = cycle.now + rig.period
         wanted = policy_command(self._seen, action)
-        rig.clock.start(deadline := self._seen.time + rig.period)
-        allowed = self._supervisor.decide(
-            self._seen.time, wanted, self._command, self._seen.touch, self._seen.valves
-        )
-        sent = rig.gripper.command(rig.limits.apply(allowed, self._command, rig.period))
-        self._command = replace(sent, phase=allowed.phase, memory=allowed.memory)
+        rig.clock.start(deadline)
+        sent = cycle.send(wanted)
         # a phase counts from the next images
-        self._score.columns(self._seen.touch, self._command.phase)
+        self._score.columns(cycle.touch, sent.phase)
         outcome = ""
         try:
             rig.clock.wait_until(deadline)
@@ -158,11 +170,10 @@ class GraspEnv(gymnasium.Env[Any, Array]):
 
     def render(self) -> Array | None:
         """The cameras' images side by side (h, w, 3) uint8."""
-        if self.render_mode is None or not self._images or not self._pictures:
+        if self.render_mode is None or self._cycle is None or not self._pictures:
             return None
-        return np.repeat(
-            np.concatenate([image.pixels for image in self._images], axis=1)[..., None], 3, axis=2
-        )
+        grey = np.concatenate([image.pixels for image in self._cycle.images], axis=1)
+        return np.repeat(grey[..., None], 3, axis=2)
 
     def close(self) -> None:
         """Let go of the simulation."""
@@ -182,44 +193,31 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         """A new world, whose sensors take their references; kept as a place to go back to where
         nothing else varies."""
         self.close()
-        rig = build_rig(self._name, self._design, seed=seed, **self._how)
+        rig = build_rig(replace(self.scenario, seed=seed))
         if rig.scene is None:
             rig.close()
             raise InputError(
-                f"the rig {self._name!r} is not simulated here",
+                f"the rig {self.scenario.rig!r} is not simulated here",
                 source="Grasp-v0",
                 field="rig",
                 choices=SIMULATES,
             )
         self._session = Session(rig, threads=0)
         self._session.take_references()
-        if self._vary == NONE and movable(rig.scene):
+        if self.scenario.vary == NONE and movable(rig.scene):
             self._restart = Restart(rig, seed)
             self._states = [perception.state for perception in self._session.perceptions]  # type: ignore[attr-defined]
 
     def _look(self) -> None:
         """Take the images of now, feel them, and note what a controller would be shown."""
-        rig = self._rig
-        assert self._session is not None
-        now = rig.clock.now()
         self._problem = ""
-        self._images = tuple(camera.read() for camera in rig.cameras)
-        self._score.snapshot()
-        touch: tuple[Touch, ...] = tuple(
-            perception.perceive(image, now)
-            for perception, image in zip(self._session.perceptions, self._images, strict=True)
-        )
-        self._seen = Observation(
-            now,
-            rig.period,
-            touch,
-            rig.gripper.state(),
-            tuple(valve.state() for valve in rig.valves),
-            self._command,
-        )
+        self._cycle.look()
+        self._seen = self._cycle.feel()
+        if self._cycle.failure is not None:
+            raise self._cycle.failure
 
     def _shown(self) -> Any:
-        return show(self._kind, self._seen, self._images, self._markers)
+        return show(self._kind, self._seen, self._cycle.images, self._markers)
 
     def _outcome(self) -> str:
         """How the episode ended; "" while it goes on."""
@@ -228,7 +226,9 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         if self._score.lost:
             return "dropped"
         return (
-            self._score.outcome() if self._command.phase in ENDS or self._supervisor.is_over else ""
+            self._score.outcome()
+            if self._cycle.last.phase in ENDS or self._cycle.supervisor.is_over
+            else ""
         )
 
     def _info(self) -> dict[str, Any]:
@@ -246,10 +246,20 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         return {
             "seed": self._seed,
             "time_s": self._seen.time - self._start,
-            "phase": self._command.phase,
+            "phase": self._cycle.last.phase,
             "force_normal_true_N": np.array(score.forces()),
             **{k: v for k, v in found.items() if math.isfinite(v)},
             **({} if self._pictures else {"images": False}),
             **({"varied": dict(varied)} if varied else {}),
             **({"problem": self._problem} if self._problem else {}),
         }
+
+
+class _Snapshot(Observer):
+    """Keeps the truth of the moment at which images were taken."""
+
+    def __init__(self, score: GraspScore):
+        self._score = score
+
+    def on_images(self) -> None:
+        self._score.snapshot()

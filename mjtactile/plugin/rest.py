@@ -15,10 +15,9 @@ from functools import lru_cache
 import mujoco
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.types import Array, Command, GripperState
-from mjtactile.rig.finger import Finger, Rig
-from mjtactile.rig.limits import Limits
-from mjtactile.run.session import Session
+from mjtactile.core.types import Array
+from mjtactile.rig.finger import Finger
+from mjtactile.run.references import take_references
 from mjtactile.sensing.chain import Chain, ChainState, Perception
 from mjtactile.sim.attach import attach_membrane, recommend_options
 from mjtactile.sim.camera import SimCamera
@@ -58,21 +57,8 @@ def at_rest(
     clock = SimClock(world)
     finger = Finger("alone", design, SimCamera(sensor, seed, effects), SimValve(sensor))
     perception = Perception.of(design)
-    Session(
-        Rig("alone", (finger,), _NoGripper(), clock, Limits(), clock.close), [perception]
-    ).take_references()
+    flat, rest = take_references([finger], clock)
+    perception.take_flat(flat.images[0])
+    perception.take_rest(rest.images[0], finger.pressure(rest.pressure_gauge[0]))
     clock.close()
     return Rest(sensor.displacements, sensor.pressure_gauge, perception.chain, perception.state)
-
-
-class _NoGripper:
-    """The gripper of a rig that has none: it stays where it is."""
-
-    def ask(self) -> None:
-        pass
-
-    def state(self) -> GripperState:
-        return GripperState(0.0, 0.0, 0.0, 0.0)
-
-    def command(self, command: Command) -> Command:
-        return command

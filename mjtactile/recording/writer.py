@@ -29,6 +29,7 @@ from mjtactile.recording.files import (
     provenance,
     to_json,
 )
+from mjtactile.recording.observer import Observer
 from mjtactile.recording.strip import Strip
 
 # that may wait for the disk: 2 s at 30 Hz, 40 MB with two cameras of 640 x 480 pixels
@@ -37,7 +38,7 @@ _FLUSH_TIME = 5.0  # s that the end of a run waits for the disk
 _logger = logging.getLogger(__name__)
 
 
-class Recorder:
+class Recorder(Observer):
     """Writes a recording while a run goes on.
 
     Nothing here fails or blocks a run: a recording that cannot be written, or whose disk stands
@@ -101,6 +102,10 @@ class Recorder:
         elif error is not None:
             self.close(outcome="fault", error=" ".join(str(error).split()) or type(error).__name__)
         self.close()
+
+    def begin(self, session: Any) -> None:
+        """A real world does not wait for a disk that is behind."""
+        self.patience = session.patience
 
     def add(self, cycle: CycleLike, view: Any = None, **truth: Any) -> None:
         """Record one cycle.
@@ -170,14 +175,14 @@ class Recorder:
             [pair for shots in named for pair in shots],
         )
 
-    def note(self, **values: Any) -> None:
+    def note(self, **facts: Any) -> None:
         """Record facts that are no cycle, such as `break_force_N`.
 
         Args:
-            **values: By name; `fingers` are the names that image files get.
+            **facts: By name; `fingers` are the names that image files get.
         """
-        self._fingers = tuple(values.get("fingers", self._fingers))
-        self._put({"kind": "note", **values})
+        self._fingers = tuple(facts.get("fingers", self._fingers))
+        self._put({"kind": "note", **facts})
 
     def _names(self, count: int) -> tuple[str, ...]:
         """What the fingers are called in the names of files: as was noted, where each name is a

@@ -8,17 +8,18 @@ would have wanted.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import chain
 
 from mjtactile.core.calibration import calibration_from_table
-from mjtactile.core.design import SensorDesign
+from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.types import Command, GripperState, Image, ValveState
 from mjtactile.recording.reader import Recording, load_recording
 from mjtactile.rig.finger import Rig, make_fingers
 from mjtactile.rig.limits import Limits
 from mjtactile.rig.registry import RigRequest
+from mjtactile.rig.scenario import complete_scenario
 
 
 class Tape:
@@ -167,9 +168,19 @@ class ReplayValve:
         """It was closed then."""
 
 
-def build_replay_rig(folder: str, design: SensorDesign) -> Rig:
-    """The recording in `folder` as a rig. Raises InputError when it cannot be replayed with this
-    sensor design."""
+def build_replay_rig(
+    folder: str, design: SensorDesign, sensors: Mapping[str, str] | None = None
+) -> Rig:
+    """The recording in `folder` as a rig.
+
+    Args:
+        folder: Of the recording, or of the run that it is in.
+        design: The sensor on the fingers.
+        sensors: Finger to its own sensor: name or file, where that is another one.
+
+    Raises:
+        InputError: When it cannot be replayed with this sensor design.
+    """
     recording = load_recording(folder)
     if (
         len(recording) == 0
@@ -205,9 +216,11 @@ def build_replay_rig(folder: str, design: SensorDesign) -> Rig:
         calibration_from_table(tables[name], folder) if name in tables else None
         for name in recording.fingers
     )
+    own = sensors or {}
+    designs = tuple(load_sensor(own[name]) if name in own else design for name in recording.fingers)
     return Rig(
         name="replay",
-        fingers=make_fingers(recording.fingers, (design,) * width, cameras, valves, calibrations),
+        fingers=make_fingers(recording.fingers, designs, cameras, valves, calibrations),
         gripper=ReplayGripper(tape),
         clock=ReplayClock(tape),
         limits=limits,
@@ -219,7 +232,8 @@ def build_replay_rig(folder: str, design: SensorDesign) -> Rig:
 
 def build(request: RigRequest) -> Rig:
     """The backend "replay" of `mjtactile.rig.registry`."""
-    return build_replay_rig(request.argument, request.design)
+    sensors = complete_scenario(request.scenario).sensors
+    return build_replay_rig(request.argument, request.design, sensors)
 
 
 def _reference_images(recording: Recording, finger: int) -> Iterator[Image]:

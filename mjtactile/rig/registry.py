@@ -16,8 +16,10 @@ from typing import Any
 from mjtactile.core import resources
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
+from mjtactile.core.scenario import Scenario
 from mjtactile.rig.file import RigFile, read_rig_file
 from mjtactile.rig.finger import Rig
+from mjtactile.rig.scenario import with_sensors
 from mjtactile.rig.simulated import SimRigFile
 from mjtactile.rig.variation import NONE
 
@@ -27,36 +29,33 @@ CAMERAS = "mjtactile.cameras"
 
 @dataclass(frozen=True)
 class RigRequest:
-    """What a user asked for: `argument` (the folder of "replay:FOLDER"), or a rig `file`; the
-    sensor on its fingers, the object and the seed, for rigs that place one; of a simulation
-    `accuracy`, `effects` and what is to `vary` ("", "auto" and "none" where nothing was asked)."""
+    """What a backend is to build: the rig of `scenario`, by its `argument` (the folder of
+    "replay:FOLDER") or a rig `file`; `design` is the sensor of fingers that name none."""
 
+    scenario: Scenario
     design: SensorDesign
-    object: str = "egg"
-    seed: int = 0
     argument: str = ""
     file: RigFile | SimRigFile | None = None
-    accuracy: str = ""
-    effects: str = "auto"
-    vary: str = NONE
 
 
-def build_rig(
-    name: str,
-    design: SensorDesign,
-    *,
-    object_name: str = "egg",
-    seed: int = 0,
-    accuracy: str = "",
-    effects: str = "auto",
-    vary: str = NONE,
-) -> Rig:
-    """Build the rig that the user named: "sim", "replay:FOLDER", a third party's name, or a rig
-    file (shipped or FILE.toml).
+def build_rig(scenario: Scenario | str, design: SensorDesign | None = None, **fields: Any) -> Rig:
+    """Build the rig of a scenario.
 
-    Raises InputError for an unknown rig, object or sensor; DeviceError for a device that is not
-    there.
+    Args:
+        scenario: A scenario; or the rig's name alone: "sim", "replay:FOLDER", a third party's, or a
+            rig file (shipped or FILE.toml).
+        design: With a name: the sensor on the fingers.
+        **fields: With a name: other fields of the scenario (`object_name` is its object).
+
+    Returns:
+        The rig; whoever builds it closes it.
+
+    Raises:
+        InputError: For an unknown rig, object or sensor.
+        DeviceError: For a device that is not there.
     """
+    wanted = as_scenario(scenario, design, **fields)
+    name = wanted.rig
     kind, _, argument = name.partition(":")
     file = None
     if kind not in _found(RIGS):
@@ -66,20 +65,32 @@ def build_rig(
             and name not in resources.names("models/rigs", ".toml")
         ):
             raise InputError(f"unknown rig {name!r}", field="--rig", choices=rig_names())
-        file = read_rig_file(name)
+        file = with_sensors(read_rig_file(name), wanted.sensors)
         argument = ""
         kind = file.backend
-    if kind not in SIMULATES and (accuracy, effects) != ("", "auto"):
+    if kind not in SIMULATES and (wanted.accuracy, wanted.effects) != ("", "auto"):
         raise InputError(f"the rig {name!r} is not simulated here", field="--accuracy or --effects")
-    if kind not in SIMULATES and vary != NONE:
+    if kind not in SIMULATES and wanted.vary != NONE:
         raise InputError(
             f"the rig {name!r} is not simulated here: its world is what it is",
             field="--vary",
             choices=[NONE],
         )
-    return load_backend(RIGS, kind)(
-        RigRequest(design, object_name, seed, argument, file, accuracy, effects, vary)
-    )
+    return load_backend(RIGS, kind)(RigRequest(wanted, wanted.design(), argument, file))
+
+
+def as_scenario(
+    scenario: Scenario | str, design: SensorDesign | None = None, **fields: Any
+) -> Scenario:
+    """A scenario as it is; or that of a rig's name, the sensor on its fingers and other fields
+    (`object_name` is its object)."""
+    if isinstance(scenario, Scenario):
+        return scenario
+    if "object_name" in fields:
+        fields["object"] = fields.pop("object_name")
+    if design is not None:
+        fields["sensor"] = design
+    return Scenario(rig=scenario, **fields)
 
 
 def need_file(request: RigRequest) -> RigFile:

@@ -1,8 +1,7 @@
 """What varies from one grasp to the next: a file of ranges and distributions, and the values that a
 seed draws from it.
 
-    design, file = load_sensor("dense"), load_sim_rig("sim") rig = build_sim_rig(design,
-    object_name="egg", seed=3, file=file, drawn=draw("default", 3, design, file))
+    rig = build_sim_rig(Scenario(object="egg", seed=3, vary="default"))
 
 The world is made of the drawn values; sensing and control keep the sensor file and the rig file. A
 value depends on the seed and on its own name alone, so that one more line in a file leaves the
@@ -112,10 +111,6 @@ class Drawn:
     def specimen(self, finger: str) -> SpecimenConfig:
         """That finger's; one like the sensor file where nothing else is said."""
         return next((one for one in self.specimens if one.finger == finger), SpecimenConfig(finger))
-
-
-AS_FILED = Drawn()
-"""A world in which everything is as its file says."""
 
 
 def _drawn_of(group: str) -> tuple[Number, ...]:

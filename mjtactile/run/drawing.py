@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mjtactile.core.errors import DeviceError, MjtactileError
-from mjtactile.run.apart import Apart, Wire
+from mjtactile.run.worker import Channel, WorkerProcess
 
 if TYPE_CHECKING:  # what a run needs is imported while this process starts
     from mjtactile.core.types import Array
@@ -38,8 +38,8 @@ class Drawing:
     """As `mjtactile.run.report.write_figure`, in a process; where there is none, or none any more,
     here."""
 
-    def __init__(self, apart: Apart | None):
-        self._apart = apart
+    def __init__(self, worker: WorkerProcess | None):
+        self._worker = worker
 
     def __call__(
         self,
@@ -52,13 +52,13 @@ class Drawing:
         from mjtactile.run.perceive import value_of
         from mjtactile.run.report import write_figure
 
-        if self._apart is None:
+        if self._worker is None:
             write_figure(path, recording, snapshot, summary, scene)
             return
         still = None if scene is None else _Still(scene.p_WS, scene.R_WS, *scene.triangles())
         try:
-            self._apart.begin(path, recording, snapshot, dict(summary), still)
-            answer = self._apart.outcome(_PATIENCE)
+            self._worker.begin(path, recording, snapshot, dict(summary), still)
+            answer = self._worker.outcome(_PATIENCE)
         except DeviceError:
             write_figure(path, recording, snapshot, summary, scene)
             return
@@ -71,14 +71,14 @@ class Drawing:
 def drawing_beside() -> Iterator[Drawing]:
     """What draws the figure of a run that goes on meanwhile."""
     with contextlib.ExitStack() as stack:
-        apart = None
+        worker = None
         with contextlib.suppress(OSError):  # a computer that has no room for another process
-            apart = Apart(__name__, "draws the figure")
-            stack.callback(apart.close)
-        yield Drawing(apart)
+            worker = WorkerProcess(__name__, "draws the figure")
+            stack.callback(worker.close)
+        yield Drawing(worker)
 
 
-def serve(wire: Wire) -> None:
+def serve(channel: Channel) -> None:
     """Draw what comes, until the parent hangs up."""
     from mjtactile.run.perceive import outcome_of
     from mjtactile.run.report import import_matplotlib, write_figure
@@ -87,8 +87,8 @@ def serve(wire: Wire) -> None:
         import_matplotlib()  # now: it takes as long as a figure
     with contextlib.suppress(OSError):
         while True:
-            wire.send(*outcome_of(write_figure, *(wire.receive(None) or ())))
+            channel.send(*outcome_of(write_figure, *(channel.receive(None) or ())))
 
 
 if __name__ == "__main__":
-    serve(Wire.of(sys.argv[1]))
+    serve(Channel.of(sys.argv[1]))

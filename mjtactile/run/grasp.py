@@ -4,82 +4,20 @@ scoring, which does."""
 from __future__ import annotations
 
 import math
-import shlex
 import time as wall
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any, Protocol
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError, SimulationError
-from mjtactile.core.types import Image
+from mjtactile.core.scenario import Scenario
+from mjtactile.recording.observer import Observer, Observers
 from mjtactile.rig.finger import Rig
-from mjtactile.rig.variation import NONE
 from mjtactile.run.controller import Stepper, load_controller
-from mjtactile.run.loop import Cycle
-from mjtactile.run.session import Session, open_session
-
-TIME_LIMIT = 60.0  # s on the rig's clock; a gentle grasp takes about 10
-
-
-@dataclass(frozen=True)
-class GraspOptions:
-    """What to grasp, with what: shipped names or files, the rig, and the seed of placement and
-    noise, and of what is drawn from the ranges of `vary`. `workers` processes beside a simulated
-    world, or threads on a real rig, look at the images (None: as many as are worth it here); the
-    result is the same with any number of them."""
-
-    object: str = "egg"
-    sensor: str = "dense"
-    controller: str = "gentle"
-    rig: str = "sim"
-    seed: int = 0
-    accuracy: str = ""
-    effects: str = "auto"
-    vary: str = NONE
-    error_estimate: bool = False
-    workers: int | None = None
-
-    def command(self) -> str:
-        """How to run it again from a shell; the number of workers changes nothing."""
-        words = [
-            "mjtactile",
-            "grasp",
-            "--object",
-            self.object,
-            "--controller",
-            self.controller,
-            "--seed",
-            str(self.seed),
-        ]
-        for name, default in (
-            ("sensor", "dense"),
-            ("rig", "sim"),
-            ("accuracy", ""),
-            ("effects", "auto"),
-            ("vary", NONE),
-        ):
-            if getattr(self, name) != default:
-                words += [f"--{name}={getattr(self, name)}"]
-        return shlex.join(words)
-
-
-class RecorderLike(Protocol):
-    patience: float
-
-    def note(self, **values: Any) -> None: ...
-    def add_reference(
-        self, stage: str, images: list[list[Image]], pressure_gauge: list[float | None]
-    ) -> None: ...
-    def add(self, cycle: Cycle, **truth: Any) -> None: ...
-
-
-class ProgressLike(Protocol):
-    def message(self, text: str) -> None: ...
-    def update(self, phase: str, time: float, force: float) -> None: ...
+from mjtactile.run.cycle import Cycle
+from mjtactile.run.session import open_session
 
 
 @dataclass(frozen=True)
@@ -88,7 +26,7 @@ class GraspResult:
     time per control cycle for camera, perception, controller and the rest (in simulation: waiting
     for the world, which steps and draws meanwhile); `perception_median` is a median."""
 
-    options: GraspOptions
+    scenario: Scenario
     outcome: str
     peak_force: float
     peak_force_true: float
@@ -110,10 +48,7 @@ class GraspResult:
     def summary(self) -> dict[str, Any]:
         """The JSON object of `mjtactile grasp --json`; what is unknown is NaN here and null
         there."""
-        names = {
-            key: Path(getattr(self.options, key)).stem for key in ("object", "sensor", "controller")
-        }
-        return {
+        found = {
             "outcome": self.outcome,
             "peak_force_N": self.peak_force,
             "peak_force_true_N": self.peak_force_true,
@@ -123,41 +58,52 @@ class GraspResult:
             "real_time_factor": self.real_time_factor,
             "frames": self.frames,
             "perception_ms_median": self.milliseconds["perception_median"],
-            **names,
-            "seed": self.options.seed,
-            **(
-                {}
-                if math.isnan(self.peak_stress_true)
-                else {
-                    "peak_stress_kPa_true": 1e-3 * self.peak_stress_true,
-                    "peak_energy_kJ_m3_true": 1e-3 * self.peak_energy_true,
-                }
-            ),
-            **({"reason": self.reason} if self.reason else {}),
-            **({} if self.images else {"images": False}),
-            **(
-                {}
-                if self.force_error_estimate is None
-                else {"force_error_estimate_N": self.force_error_estimate}
-            ),
+            **self.scenario.names(),
+        }
+        if not math.isnan(self.peak_stress_true):
+            found["peak_stress_kPa_true"] = 1e-3 * self.peak_stress_true
+            found["peak_energy_kJ_m3_true"] = 1e-3 * self.peak_energy_true
+        if self.reason:
+            found["reason"] = self.reason
+        if not self.images:
+            found["images"] = False
+        if self.force_error_estimate is not None:
+            found["force_error_estimate_N"] = self.force_error_estimate
+        return found | {"scenario": self.scenario.to_dict()}
+
+
+class _Log(Observer):
+    """What the loop says, cycle by cycle, for the result; hands it on with what is true of it."""
+
+    def __init__(self, watching: Observer, score: Any, estimate: Any):
+        self._watching = watching
+        self.score = score
+        self.estimate = estimate
+        self.forces: list[tuple[float, ...]] = []
+        self.phases: list[str] = []
+        self.milliseconds: dict[str, list[float]] = {
+            "camera": [],
+            "perception": [],
+            "controller": [],
         }
 
+    def on_images(self) -> None:
+        if self.score is not None:
+            self.score.snapshot()
+        if self.estimate is not None and self.phases[-1:] == ["hold"]:
+            self.estimate.keep()
+        self._watching.on_images()
 
-@dataclass
-class _Log:
-    """What the loop says, cycle by cycle, for the result."""
-
-    forces: list[tuple[float, ...]] = field(default_factory=list)
-    phases: list[str] = field(default_factory=list)
-    milliseconds: dict[str, list[float]] = field(
-        default_factory=lambda: {"camera": [], "perception": [], "controller": []}
-    )
-
-    def add(self, cycle: Cycle) -> None:
+    def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
         self.forces.append(tuple(touch.force_normal for touch in cycle.touch))
         self.phases.append(cycle.sent.phase)
         for part, values in self.milliseconds.items():
             values.append(getattr(cycle, f"{part}_ms"))
+        if self.score is None:
+            self._watching.add(cycle)
+        else:
+            true = self.score.columns(cycle.touch, cycle.sent.phase)
+            self._watching.add(cycle, self.score.view, **true)
 
     def hold_force(self) -> float:
         held = [
@@ -180,85 +126,58 @@ class _Log:
 
 
 def run_grasp(
-    options: GraspOptions,
+    scenario: Scenario,
+    observers: Sequence[Observer] = (),
     *,
-    recorder: RecorderLike,
-    progress: ProgressLike,
-    on_open: Callable[[Session], None] = lambda _: None,
-    on_still: Callable[[], None] = lambda: None,
-    wrap: Callable[[Stepper], Stepper] = lambda it: it,
-    time_limit: float = TIME_LIMIT,
+    controller: Stepper | None = None,
+    workers: int | None = None,
+    error_estimate: bool = False,
 ) -> GraspResult:
-    """Run one grasp on the rig that `options` names, within `time_limit` s; `on_open` is given the
-    session before anything moves, `wrap` the controller, and `on_still` is called in every cycle
-    when its images were taken and a simulated world stands still.
+    """Run one grasp.
 
-    Raises InputError for bad files or names, ControllerError, DeviceError, SimulationError; the rig
-    is brought to its safe state on every way out.
+    Args:
+        scenario: What is grasped, with what.
+        observers: Are told what happens.
+        controller: In place of the scenario's.
+        workers: Processes beside a simulated world, or threads on a real rig, that look at the
+            images (None: as many as are worth it here); the result is the same with any number.
+        error_estimate: Simulate again on a coarser mesh, for the force error that follows.
+
+    Returns:
+        How it went; a fault is raised.
+
+    Raises:
+        InputError: For bad files or names.
+        ControllerError: What the controller did wrong.
+        DeviceError: For a fault; the rig is brought to its safe state on every way out.
+        SimulationError: When the simulated world broke.
     """
-    design = load_sensor(options.sensor)
-    controller = wrap(load_controller(options.controller))
-    with open_session(
-        options.rig,
-        design,
-        object_name=options.object,
-        seed=options.seed,
-        accuracy=options.accuracy,
-        effects=options.effects,
-        vary=options.vary,
-        workers=options.workers,
-        say=progress.message,
-    ) as session:
+    watching = Observers(observers)
+    controller = load_controller(scenario.controller) if controller is None else controller
+    with open_session(scenario, workers=workers, say=watching.message) as session:
         rig = session.rig
-        on_open(session)
-        recorder.patience = session.patience
-        score = _score(rig, recorder)
-        session.take_references(recorder)
-        log = _Log()
-        estimate = _estimate(options, rig)
-
-        def on_images() -> None:
-            if score is not None:
-                score.snapshot()
-            if estimate is not None and log.phases and log.phases[-1] == "hold":
-                estimate.keep()
-            on_still()
-
-        def on_cycle(cycle: Cycle) -> None:
-            log.add(cycle)
-            recorder.add(
-                cycle,
-                **(
-                    {}
-                    if score is None
-                    else score.columns(cycle.touch, cycle.sent.phase) | {"view": score.view}
-                ),
-            )
-            progress.update(cycle.sent.phase, cycle.time, float(np.mean(log.forces[-1])))
-
+        watching.begin(session)
+        score = _score(rig, watching)
+        session.take_references(watching)
+        log = _Log(watching, score, _estimate(rig) if error_estimate else None)
         begin = wall.perf_counter()
         start = rig.clock.now()
         completed = False
         try:
-            last = session.run(
-                controller, time_limit=time_limit, on_cycle=on_cycle, on_images=on_images
-            )
+            last = session.run(controller, time_limit=scenario.time_limit, observer=log)
             completed = last.phase == "done"
         except SimulationError:
             if score is None or not score.lost:
                 raise  # else the grasp was decided before: the object had stayed behind
         factor = (rig.clock.now() - start) / (wall.perf_counter() - begin)
-    result = _result(options, log, score, factor, completed=completed, period=rig.period)
-    return (
-        result if estimate is None else replace(result, force_error_estimate=estimate.force_error())
-    )
+    result = _result(scenario, log, factor, completed=completed, period=rig.period)
+    if log.estimate is None:
+        return result
+    return replace(result, force_error_estimate=log.estimate.force_error())
 
 
-def _estimate(options: GraspOptions, rig: Rig) -> Any:
-    """What reckons the run's own force error, if that was asked for. Raises InputError on a rig
-    that is not simulated."""
-    if not options.error_estimate:
-        return None
+def _estimate(rig: Rig) -> Any:
+    """What reckons the run's own force error. Raises InputError on a rig that is not simulated."""
     if rig.scene is None:
         raise InputError(
             "only a simulated rig can repeat its run on another mesh", field="--error-estimate"
@@ -268,7 +187,7 @@ def _estimate(options: GraspOptions, rig: Rig) -> Any:
     return GraspEstimate(rig.scene)
 
 
-def _score(rig: Rig, recorder: RecorderLike) -> Any:
+def _score(rig: Rig, observer: Observer) -> Any:
     """A score that looks at the truth after every physics step; None on a rig that has no truth."""
     if rig.scene is None:
         return None
@@ -277,24 +196,23 @@ def _score(rig: Rig, recorder: RecorderLike) -> Any:
     score = GraspScore(rig.scene)
     rig.scene.after_each_step(score.after_step)
     force = rig.scene.object.break_force
-    recorder.note(
-        break_force_N=force if math.isfinite(force) else None,
-        **({"varied": rig.varied} if rig.varied else {}),
-    )
+    varied = {"varied": rig.varied} if rig.varied else {}
+    observer.note(break_force_N=force if math.isfinite(force) else None, **varied)
     return score
 
 
 def _result(
-    options: GraspOptions, log: _Log, score: Any, factor: float, *, completed: bool, period: float
+    scenario: Scenario, log: _Log, factor: float, *, completed: bool, period: float
 ) -> GraspResult:
     """Put the loop's log and the score together. Without a truth, "held" is what the controller
     believes."""
+    score = log.score
     parts = {part: float(np.mean(ms)) for part, ms in log.milliseconds.items()}
     parts["rest"] = 1e3 * period / factor - sum(parts.values())
     parts["perception_median"] = float(np.median(log.milliseconds["perception"]))
     outcome = score.outcome() if score is not None else "held" if completed else "dropped"
     return GraspResult(
-        options,
+        scenario,
         outcome,
         log.peak_force(),
         score.peak_force if score else math.nan,

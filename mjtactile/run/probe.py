@@ -6,56 +6,37 @@ Like `mjtactile.run.grasp` it joins the control loop to a result; no truth takes
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.core.types import Image, Material, Touch
+from mjtactile.core.scenario import Scenario
+from mjtactile.core.types import Material, Touch
+from mjtactile.recording.observer import Observer, Observers
 from mjtactile.recording.reader import Recording
+from mjtactile.rig.registry import build_rig
 from mjtactile.run.controller import load_controller
-from mjtactile.run.loop import Cycle
-from mjtactile.run.session import open_session
-from mjtactile.sensing.chain import Perception
+from mjtactile.run.cycle import Cycle
+from mjtactile.run.session import Session, open_session
 from mjtactile.sensing.settings import DEFAULTS, Settings
 from mjtactile.sensing.touch.material import judge
 from mjtactile.sensing.touch.squeeze import Squeeze
 
-TIME_LIMIT = 60.0  # s on the rig's clock; a probe takes about 12
 
-
-@dataclass(frozen=True)
-class ProbeOptions:
-    """What to probe, with what; as for a grasp."""
-
-    object: str = "sponge"
-    sensor: str = "dense"
-    controller: str = "probe"
-    rig: str = "sim"
-    seed: int = 0
-
-
-class RecorderLike(Protocol):
-    patience: float
-
-    def note(self, **values: Any) -> None: ...
-    def add_reference(
-        self, stage: str, images: list[list[Image]], pressure_gauge: list[float | None]
-    ) -> None: ...
-    def add(self, cycle: Cycle, **truth: Any) -> None: ...
-
-
-@dataclass
-class _Log:
+class _Log(Observer):
     """What the sensors said, cycle by cycle."""
 
-    touches: list[tuple[Touch, ...]] = field(default_factory=list)
-    openings: list[float] = field(default_factory=list)
-    phases: list[str] = field(default_factory=list)
+    def __init__(self) -> None:
+        self.touches: list[tuple[Touch, ...]] = []
+        self.openings: list[float] = []
+        self.phases: list[str] = []
 
-    def add(self, touch: Sequence[Touch], opening: float, phase: str) -> None:
+    def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
+        self.keep(cycle.touch, cycle.gripper.opening, cycle.sent.phase)
+
+    def keep(self, touch: Sequence[Touch], opening: float, phase: str) -> None:
         self.touches.append(tuple(touch))
         self.openings.append(opening)
         self.phases.append(phase)
@@ -112,48 +93,34 @@ class ProbeResult:
 
 
 def run_probe(
-    options: ProbeOptions,
-    *,
-    recorder: RecorderLike | None = None,
-    say: Callable[[str], None] = lambda _: None,
-    settings: Settings = DEFAULTS,
+    scenario: Scenario, observers: Sequence[Observer] = (), *, settings: Settings = DEFAULTS
 ) -> ProbeResult:
-    """Probe on the rig that `options` names.
+    """Squeeze an object, and judge what was felt.
 
-    Raises InputError, ControllerError, DeviceError, SimulationError; the rig is closed on every way
-    out.
+    Args:
+        scenario: What is probed, with what; its controller moves.
+        observers: Are told what happens.
+        settings: Of the sensing chains, and of the verdict.
+
+    Returns:
+        The verdict, and what it rests on.
+
+    Raises:
+        InputError: For bad files or names.
+        ControllerError: What the controller did wrong.
+        DeviceError: For a fault; the rig is closed on every way out.
+        SimulationError: When the simulated world broke.
     """
-    design = load_sensor(options.sensor)
-    controller = load_controller(options.controller)
+    watching = Observers(observers)
+    controller = load_controller(scenario.controller)
     log = _Log()
-
-    def on_cycle(cycle: Cycle) -> None:
-        if log.phases[-1:] != [cycle.sent.phase]:
-            say(f"{cycle.time:6.2f} s  {cycle.sent.phase}")
-        log.add(cycle.touch, cycle.gripper.opening, cycle.sent.phase)
-        if recorder is not None:
-            recorder.add(cycle)
-
-    with open_session(
-        options.rig,
-        design,
-        object_name=options.object,
-        seed=options.seed,
-        settings=settings,
-        say=say,
-    ) as session:
-        if recorder is not None:
-            recorder.patience = session.patience
-        session.take_references(recorder)
-        session.run(controller, time_limit=TIME_LIMIT, on_cycle=on_cycle)
-    return log.result(
-        {
-            "object": Path(options.object).stem,
-            "sensor": Path(options.sensor).stem,
-            "seed": options.seed,
-        },
-        settings,
-    )
+    with open_session(scenario, settings=settings, say=watching.message) as session:
+        watching.begin(session)
+        session.take_references(watching)
+        session.run(controller, time_limit=scenario.time_limit, observer=Observers([log, watching]))
+    names = scenario.names()
+    del names["controller"]
+    return log.result(names, settings)
 
 
 def replay_probe(
@@ -165,21 +132,16 @@ def replay_probe(
     """
     recording.require_images()
     name = sensor or str(recording.header.get("sensor", "dense"))
-    design = load_sensor(name)
-    stages = {reference.stage: reference for reference in recording.references}
-    if not {"flat", "rest"} <= set(stages) or not recording.width:
+    stages = {reference.stage for reference in recording.references}
+    if not {"flat", "rest"} <= stages or not recording.width:
         raise InputError(
             "has no reference images (flat and rest): the sensors cannot be zeroed",
             source=recording.folder,
         )
-    perceptions = [Perception.of(design, settings=settings) for _ in range(recording.width)]
-    for finger, perception in enumerate(perceptions):
-        perception.take_flat(list(stages["flat"].images(finger)))
-        gauge = stages["rest"].pressure_gauge[finger]
-        perception.take_rest(
-            list(stages["rest"].images(finger)),
-            design.chamber.supply_gauge if gauge is None else gauge,
-        )
+    rig = build_rig(Scenario(rig=f"replay:{recording.folder}", sensor=name))
+    session = Session(rig, settings=settings)
+    session.take_references()
+    perceptions = session.perceptions
     log = _Log()
     for cycle, images in enumerate(recording.images()):
         now = float(recording.columns["time"][cycle])
@@ -187,7 +149,7 @@ def replay_probe(
             perception.perceive(image, now)
             for perception, image in zip(perceptions, images, strict=True)
         ]
-        log.add(
+        log.keep(
             touch,
             float(recording.columns["opening"][cycle]),
             str(recording.columns["phase"][cycle]),

@@ -7,18 +7,24 @@ from __future__ import annotations
 import math
 import sys
 import time as wall
-from typing import TextIO
+from typing import TYPE_CHECKING, Any, TextIO
+
+import numpy as np
 
 from mjtactile.core.types import PHASES
+from mjtactile.recording.observer import Observer
+
+if TYPE_CHECKING:
+    from mjtactile.run.cycle import Cycle
 
 _BAR = 18
 _REFRESH = 0.1  # s of wall time between two drawings of the line
 _STEPS = PHASES[: PHASES.index("done")]  # the phases of a grasp in order: the bar counts them
 
 
-class Progress:
-    """Call `update` each cycle and `message` for what happens before and after; `close` ends the
-    line."""
+class Progress(Observer):
+    """An observer of a run, or by itself: call `update` each cycle and `message` for what happens
+    before and after; `close` ends the line."""
 
     def __init__(self, stream: TextIO | None = None, *, quiet: bool = False):
         self._stream = sys.stderr if stream is None else stream
@@ -33,6 +39,11 @@ class Progress:
         if not self._quiet:
             self.close()
             print(text, file=self._stream, flush=True)
+
+    def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
+        """Show a cycle, with the mean of what its fingers feel."""
+        force = float(np.mean([touch.force_normal for touch in cycle.touch]))
+        self.update(cycle.sent.phase, cycle.time, force)
 
     def update(self, phase: str, time: float, force: float) -> None:
         """`time` s on the rig's clock (shown: since the first call), `force` N mean felt normal

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import MjtactileError
+from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Image, Touch
 from mjtactile.recording.columns import Seen
 from mjtactile.recording.reader import Recording, load_recording
@@ -52,7 +52,9 @@ def write_pictures(
 
 
 @dataclass(frozen=True, eq=False)
-class _Again:
+class ReplayedCycle:
+    """What was seen and is felt again in a recorded cycle."""
+
     time: float
     images: tuple[Image, ...]
     touch: tuple[Touch, ...]
@@ -70,8 +72,8 @@ def see_again(recording: Recording, on_cycle: Callable[[Seen], None]) -> bool:
     )
     perceptions = []
     if felt:
-        design = load_sensor(str(recording.header.get("sensor", "dense")))
-        rig = build_rig(f"replay:{recording.folder}", design)
+        sensor = str(recording.header.get("sensor", "dense"))
+        rig = build_rig(Scenario(rig=f"replay:{recording.folder}", sensor=sensor))
         session = Session(rig)
         session.take_references()
         perceptions = session.perceptions
@@ -81,5 +83,5 @@ def see_again(recording: Recording, on_cycle: Callable[[Seen], None]) -> bool:
             for perception, image in zip(perceptions, images, strict=False)
         ]
         if images:
-            on_cycle(_Again(float(time), images, tuple(touch)))
+            on_cycle(ReplayedCycle(float(time), images, tuple(touch)))
     return felt

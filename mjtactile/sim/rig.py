@@ -7,11 +7,11 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Command, GripperState, ValveState
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.finger import Rig, make_fingers
@@ -19,7 +19,7 @@ from mjtactile.rig.limits import Limits
 from mjtactile.rig.registry import RigRequest
 from mjtactile.rig.simulated import SimRigFile
 from mjtactile.rig.specimen import SpecimenConfig, true_design
-from mjtactile.rig.variation import AS_FILED, FAULTLESS, Drawn, RigChange, draw
+from mjtactile.rig.variation import FAULTLESS, Drawn, RigChange, draw
 from mjtactile.sim.attach import DEFAULT_MESH
 from mjtactile.sim.camera import SimCamera
 from mjtactile.sim.effects.catalog import choose
@@ -202,29 +202,35 @@ class SimGripper:
 
 
 def build_sim_rig(
-    design: SensorDesign,
-    *,
-    object_name: str,
-    seed: int,
-    accuracy: str = "",
-    effects: str = "auto",
-    file: SimRigFile | str | Path = "sim",
-    drawn: Drawn = AS_FILED,
+    scenario: Scenario, *, file: SimRigFile | None = None, drawn: Drawn | None = None
 ) -> Rig:
-    """A simulated grasp with the rig of `file`. `seed` places the object by a few millimetres and
-    fixes the cameras' noise.
+    """A simulated grasp. The seed places the object by a few millimetres and fixes the cameras'
+    noise.
 
-    `accuracy` is "", "0.02N" or "realtime" (fidelity.py), `effects` "auto" or "+name,-name"
-    (catalog.py). The world is made of what was `drawn`; sensing knows the fingers' designs, and the
-    limits are the file's.
+    The world is made of what was drawn; sensing knows the fingers' designs, and the limits are the
+    file's.
+
+    Args:
+        scenario: Object, sensor, accuracy (fidelity.py), effects (catalog.py) and seed.
+        file: The rig, where that is not the scenario's.
+        drawn: The world, where that is not the one that the scenario's seed draws.
+
+    Returns:
+        The rig; its `scene` is the simulated world.
+
+    Raises:
+        InputError: For bad names or files.
     """
+    design = scenario.design()
+    file = load_sim_rig(scenario.rig) if file is None else file
+    drawn = draw(scenario.vary, scenario.seed, design, file) if drawn is None else drawn
+    seed = scenario.seed
     pose, seeds = start_of(seed)
-    file = file if isinstance(file, SimRigFile) else load_sim_rig(file)
-    fidelity = Fidelity.parse(accuracy) if accuracy else None
+    fidelity = Fidelity.parse(scenario.accuracy) if scenario.accuracy else None
     largest = _LARGEST_STEP if fidelity is None else fidelity.timestep * (1 + 1e-9)
-    grasped = load_object(object_name).changed(drawn.object)
+    grasped = load_object(scenario.object).changed(drawn.object)
     wanted = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.asked
-    chosen = choose(design, grasped, force_error=wanted, overrides=effects)
+    chosen = choose(design, grasped, force_error=wanted, overrides=scenario.effects)
     on = chosen.on
     files = finger_designs(file, design)
     designs = tuple(set_design(own, on) for own in files)
@@ -285,15 +291,7 @@ def build_sim_rig(
 def build(request: RigRequest) -> Rig:
     """The backend "sim" of `mjtactile.rig.registry`; without a file, the shipped "sim"."""
     file = request.file if isinstance(request.file, SimRigFile) else load_sim_rig("sim")
-    return build_sim_rig(
-        request.design,
-        object_name=request.object,
-        seed=request.seed,
-        accuracy=request.accuracy,
-        effects=request.effects,
-        file=file,
-        drawn=draw(request.vary, request.seed, request.design, file),
-    )
+    return build_sim_rig(request.scenario, file=file)
 
 
 def start_of(seed: int) -> tuple[tuple[float, float, float], Callable[[int], list[int]]]:

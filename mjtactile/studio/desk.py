@@ -36,12 +36,12 @@ class Desk(plugin.ViewerPlugin):
 
     def __init__(self, show: Show):
         self.show = show
-        self.complain = show.message_
+        self.complain = show.message
         self._layout = Layout()
         self._supply: float | None = None
         self._pierced: set[int] = set()
         self._session: Session | None = None
-        self._next = show.options
+        self._next = show.scenario
 
     @messages.handler
     @guarded
@@ -51,7 +51,7 @@ class Desk(plugin.ViewerPlugin):
         if show.session is not self._session:  # another world
             self._session = show.session
             self._pierced = set()
-            self._next = show.options
+            self._next = show.scenario
         self._layout.begin(imgui.GetIO().DisplaySize)
         self._layout.place(8, 0, LEFT, ABOVE_LOOK)
         if imgui.Begin("Session")[0]:
@@ -76,7 +76,7 @@ class Desk(plugin.ViewerPlugin):
             )
             if state.reason and state.state not in ("armed", "running"):
                 imgui.TextWrapped(state.reason)
-        imgui.TextWrapped(show.outcome or show.message)
+        imgui.TextWrapped(show.outcome or show.said)
 
     def _build_buttons(self) -> None:
         show = self.show
@@ -93,7 +93,7 @@ class Desk(plugin.ViewerPlugin):
                 show.step()
             imgui.SameLine()
         if imgui.Button("again"):
-            show.again(replace(show.options, seed=show.options.seed + 1))
+            show.again(replace(show.scenario, seed=show.scenario.seed + 1))
 
     def _build_valves(self, session: Session) -> None:
         if not session.rig.valves or not imgui.CollapsingHeader("valves", _OPEN):

@@ -56,7 +56,7 @@ class Mirror(plugin.SimPlugin):
 
     def __init__(self, show: Show):
         self.show = show
-        self.complain = show.message_
+        self.complain = show.message
         self._moment: Moment | None = None
         self._model: Any = None
         self._pulled = 0.0

@@ -9,17 +9,19 @@ import os
 import sys
 import threading
 import time
+from dataclasses import replace
 from typing import Any
 
 from mujoco.studio import app, viewer_handle, viewer_protocol
 
 from mjtactile.core.errors import Interrupted, MjtactileError
+from mjtactile.run.controller import load_controller
 from mjtactile.run.grasp import run_grasp
 from mjtactile.studio.desk import Desk
 from mjtactile.studio.loopback import launch
 from mjtactile.studio.mirror import Mirror
 from mjtactile.studio.panel import Panel
-from mjtactile.studio.show import Restart, Show, Voice
+from mjtactile.studio.show import Restart, Show
 from mjtactile.studio.tape import Deck, Tape
 
 _PERIOD = 0.005  # s between two looks at the session,
@@ -60,7 +62,7 @@ def watch(
     on.
     """
     config = viewer_protocol.ViewerConfig(
-        title=f"mjtactile: {show.options.object}",
+        title=f"mjtactile: {show.scenario.object}",
         http_port=port,
         open_browser=browser,
         gfx="" if native else "web",
@@ -92,15 +94,10 @@ def _run(show: Show) -> None:
     """One grasp; what fails is shown, and raised where nothing has been shown yet."""
     before = show.runs
     try:
-        result = run_grasp(
-            show.options,
-            recorder=show,
-            progress=Voice(show),
-            on_open=show.open,
-            on_still=show.still,
-            wrap=show.wrap,
-            time_limit=math.inf,
-        )
+        # who takes over by hand takes the time that it takes
+        scenario = replace(show.scenario, time_limit=math.inf)
+        controller = show.take_over(load_controller(scenario.controller))
+        result = run_grasp(scenario, [show], controller=controller)
         show.outcome = f"{result.outcome}" + (f": {result.reason}" if result.reason else "")
     except Restart:
         show.outcome = "again"
@@ -124,6 +121,6 @@ def _sync(handle: viewer_handle.ViewerHandle, mirror: Mirror, show: Show) -> Non
                     sent = time.monotonic()
                 time.sleep(_PERIOD)
     except Exception as error:  # noqa: BLE001  # the viewer ended; the session is told
-        show.message_(f"{type(error).__name__}: {error}")
+        show.message(f"{type(error).__name__}: {error}")
     finally:
         show.closed.set()

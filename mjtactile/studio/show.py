@@ -1,7 +1,7 @@
 """`Show`: what a session shows and what is asked of it. The session's thread writes, the viewer's
 reads, neither waits.
 
-It takes the place of a recorder and of a progress. What is asked of the world (a valve, a pull) is
+It observes a run. What is asked of the world (a valve, a pull) is
 done by the session's own thread when a cycle's images were taken and the world stands still, as a
 command of a controller would be.
 """
@@ -12,7 +12,7 @@ import math
 import queue
 import threading
 import time as wall
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,10 +20,11 @@ import numpy as np
 
 from mjtactile.core import signals
 from mjtactile.core.errors import DeviceError, Interrupted, SimulationError
+from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array, Image, Surface
+from mjtactile.recording.observer import Observer
 from mjtactile.run.controller import Stepper
-from mjtactile.run.grasp import GraspOptions
-from mjtactile.run.loop import Cycle
+from mjtactile.run.cycle import Cycle
 from mjtactile.run.session import Session
 from mjtactile.studio.hand import ByHand, Wish
 from mjtactile.studio.moment import Felt, History, Moment, Pose, SessionState
@@ -50,20 +51,18 @@ class Gas:
     temperature: tuple[float, ...] = ()
 
 
-class Show:
-    """Give it to `run_grasp` as recorder, progress, `on_open`, `on_still` and `wrap`. `options` are
-    the next run's."""
-
-    patience = math.inf
+class Show(Observer):
+    """An observer of `run_grasp`; its `take_over` wraps the controller. `scenario` is the next
+    run's."""
 
     def __init__(
-        self, options: GraspOptions | None = None, say: Callable[[str], None] = lambda _: None
+        self, scenario: Scenario | None = None, say: Callable[[str], None] = lambda _: None
     ):
-        self.options = GraspOptions() if options is None else options
+        self.scenario = scenario or Scenario()
         self.session: Session | None = None
         self.latest: Moment | None = None
         self.history = History()
-        self.message = ""
+        self.said = ""
         self.outcome = ""
         self.runs = 0
         self.paused = False
@@ -84,7 +83,7 @@ class Show:
 
     # what the session's thread calls
 
-    def open(self, session: Session) -> None:
+    def begin(self, session: Session) -> None:
         """A session begins."""
         self.session = session
         self.latest = None
@@ -94,29 +93,25 @@ class Show:
         self.history.clear()
         self.runs += 1
 
-    def wrap(self, controller: Stepper) -> Stepper:
+    def take_over(self, controller: Stepper) -> Stepper:
         """The controller, with a hand that can take over from it."""
         self._hand = ByHand(controller)
         self._hand.wish = self._wish
         return self._hand
 
-    def note(self, **values: Any) -> None: ...
-
     def add_reference(
-        self, stage: str, images: list[list[Image]], pressure_gauge: list[float | None]
+        self, stage: str, images: Sequence[Sequence[Image]], pressure_gauge: Sequence[float | None]
     ) -> None:
         if self._halted:  # nothing moves yet that the supervisor could retreat
             raise DeviceError(RED_BUTTON)
         if self.restart.is_set() or self.closed.is_set():
             raise Restart
 
-    def message_(self, text: str) -> None:
-        self.message = text
+    def message(self, text: str) -> None:
+        self.said = text
         self._say(text)
 
-    def update(self, phase: str, time: float, force: float) -> None: ...
-
-    def still(self) -> None:
+    def on_images(self) -> None:
         """The world stands: do what was asked for, wait while paused. Raises Restart when that was
         asked for."""
         self._work()
@@ -184,9 +179,9 @@ class Show:
         if self.session is not None:
             self.session.make_safe(RED_BUTTON)
 
-    def again(self, options: GraspOptions) -> None:
+    def again(self, scenario: Scenario) -> None:
         """End this run as it is, and begin another."""
-        self.options = options
+        self.scenario = scenario
         self.restart.set()
 
     def _work(self) -> None:
@@ -201,7 +196,7 @@ class Show:
         try:
             task(session)
         except Exception as error:  # noqa: BLE001  # the run goes on; the panel says it
-            self.message_(f"{type(error).__name__}: {error}")
+            self.message(f"{type(error).__name__}: {error}")
 
     def _leave(self) -> None:
         """Give a world up that waits; a real hand goes down and opens first, by the supervisor's
@@ -235,14 +230,6 @@ def interrupted() -> bool:
     except Interrupted:
         return True
     return False
-
-
-class Voice:
-    """The show's side of a progress."""
-
-    def __init__(self, show: Show):
-        self.message = show.message_
-        self.update = show.update
 
 
 def moment_of(

@@ -13,10 +13,10 @@ from typing import Any
 from mujoco.studio import messages, plugin
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 
+from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Image
 from mjtactile.recording.reader import Recording
-from mjtactile.run.grasp import GraspOptions
-from mjtactile.run.loop import Cycle
+from mjtactile.run.cycle import Cycle
 from mjtactile.studio.guard import guarded
 from mjtactile.studio.layout import ABOVE_LOOK, LEFT, Layout
 from mjtactile.studio.moment import Curves, History, Moment
@@ -28,12 +28,9 @@ class Tape(Show):
     `playing`."""
 
     def __init__(
-        self,
-        options: GraspOptions,
-        recording: Recording,
-        say: Callable[[str], None] = lambda _: None,
+        self, scenario: Scenario, recording: Recording, say: Callable[[str], None] = lambda _: None
     ):
-        super().__init__(options, say)
+        super().__init__(scenario, say)
         self.recording = recording
         self.history = TapeHistory(self)
         self._moments: list[Moment] = []
@@ -125,7 +122,7 @@ class Deck(plugin.ViewerPlugin):
 
     def __init__(self, tape: Tape):
         self.tape = tape
-        self.complain = tape.message_
+        self.complain = tape.message
         self._layout = Layout()
 
     @messages.handler
@@ -151,7 +148,7 @@ class Deck(plugin.ViewerPlugin):
                 tape.at = at
             felt = f"{len(tape.history.rows)} of {len(tape.recording)} cycles felt"
             imgui.TextUnformatted(felt if len(tape.history.rows) < len(tape.recording) else "")
-            imgui.TextWrapped(tape.outcome or tape.message)
+            imgui.TextWrapped(tape.outcome or tape.said)
         imgui.End()
 
 

@@ -10,6 +10,7 @@ from mjtactile.core import resources
 from mjtactile.core.design import load_sensor
 from mjtactile.rig.file import read_rig_file
 from mjtactile.rig.registry import build_rig
+from mjtactile.rig.scenario import load_scenario
 from mjtactile.rig.variation import load_variation
 from mjtactile.run.controller import load_controller
 from mjtactile.sim.scenes.objects import load_object
@@ -21,6 +22,7 @@ LOAD = {
     "object": load_object,
     "rig": read_rig_file,
     "variation": load_variation,
+    "scenario": load_scenario,
 }
 
 
@@ -33,7 +35,7 @@ def test_every_shipped_file_can_be_copied_and_the_copy_is_good(capsys, monkeypat
         copy = tmp_path / report["file"]
         assert copy.name == f"my_{like}{KINDS[kind].suffix}" and copy.name in report["next"]
         loaded = LOAD[kind](copy)
-        assert kind == "controller" or loaded.name == f"my_{like}"
+        assert kind in ("controller", "scenario") or loaded.name == f"my_{like}"
         assert "#" in copy.read_text() or "<!--" in copy.read_text()  # its comments came along
 
 

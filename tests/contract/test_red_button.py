@@ -7,10 +7,12 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError
+from mjtactile.core.scenario import Scenario
 from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.rig.file import load_rig_file
-from mjtactile.run.grasp import GraspOptions, run_grasp
-from mjtactile.studio.show import RED_BUTTON, Show, Voice
+from mjtactile.run.controller import load_controller
+from mjtactile.run.grasp import run_grasp
+from mjtactile.studio.show import RED_BUTTON, Show
 from tests.emulated_host import controller_text, rig_text
 
 pytestmark = pytest.mark.clock
@@ -44,19 +46,10 @@ def test_the_red_button_while_holding_sets_down_lets_go_and_vents(emulator, tmp_
     (tmp_path / "rig.toml").write_text(rig_text(emulator))
     (tmp_path / "mine.py").write_text(controller_text())
     show = Pressed()
-    options = GraspOptions(
-        sensor="paper16", controller=str(tmp_path / "mine.py"), rig=str(tmp_path / "rig.toml")
-    )
+    scenario = Scenario(sensor="paper16", rig=str(tmp_path / "rig.toml"), time_limit=math.inf)
+    controller = show.take_over(load_controller(tmp_path / "mine.py"))
     with pytest.raises(DeviceError, match=RED_BUTTON):
-        run_grasp(
-            options,
-            recorder=show,
-            progress=Voice(show),
-            on_open=show.open,
-            on_still=show.still,
-            wrap=show.wrap,
-            time_limit=math.inf,
-        )
+        run_grasp(scenario, [show], controller=controller)
     truth = emulator.truth()
     assert not any(truth["torque"].values()) and set(truth["valve"].values()) == {"vent"}
     # m, of its middle: it stands where it stood

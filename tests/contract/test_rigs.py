@@ -15,9 +15,11 @@ import pytest
 from mjtactile.core.calibration import Calibration, ForceScale, Lens, stamp
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError, InputError
+from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Command
 from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.emulator.rig import build_emulated_rig
+from mjtactile.recording.observer import Observer
 from mjtactile.recording.reader import load_recording
 from mjtactile.recording.writer import Recorder
 from mjtactile.replay.rig import build_replay_rig
@@ -25,7 +27,7 @@ from mjtactile.rig.file import load_rig_file, load_sim_rig
 from mjtactile.rig.protocols import Camera, Clock, Gripper, Valve
 from mjtactile.rig.registry import build_rig
 from mjtactile.run.controller import load_controller
-from mjtactile.run.loop import patient_read
+from mjtactile.run.references import patient_read
 from mjtactile.run.scoring import GraspScore
 from mjtactile.run.session import Session
 from mjtactile.sensing.chain import Chain
@@ -154,7 +156,7 @@ def test_the_loop_runs_on_it(rig, tmp_path):
 
 def test_images_have_the_designs_size_and_see_the_markers(rig):
     for camera in rig.cameras:
-        image = patient_read(rig, camera)
+        image = patient_read(camera, rig.clock, rig.period)
         assert image.pixels.shape == (DESIGN.camera.height, DESIGN.camera.width)
         chain = Chain(DESIGN)
         assert len(chain.see(chain.begin(), image)[0]) == DESIGN.markers.count
@@ -162,7 +164,7 @@ def test_images_have_the_designs_size_and_see_the_markers(rig):
 
 def test_state_is_finite_and_within_the_limits(rig):
     for camera in rig.cameras:
-        patient_read(rig, camera)
+        patient_read(camera, rig.clock, rig.period)
     state = rig.gripper.state()
     assert all(
         math.isfinite(value)
@@ -174,11 +176,11 @@ def test_state_is_finite_and_within_the_limits(rig):
 
 
 def test_every_reading_says_when_it_was_taken(rig):
-    images = [patient_read(rig, camera) for camera in rig.cameras]
+    images = [patient_read(camera, rig.clock, rig.period) for camera in rig.cameras]
     # a replay's first image begins its first cycle only after the references' images
     for _ in range(2):
         for camera in rig.cameras:
-            images.append(patient_read(rig, camera))
+            images.append(patient_read(camera, rig.clock, rig.period))
     before = rig.clock.now()
     readings = [rig.gripper.state(), *(valve.state() for valve in rig.valves)]
     after = rig.clock.now()
@@ -226,11 +228,14 @@ def near_rig(name, seed):
     """A simulated rig whose jaws begin near the egg, to spare the way."""
     file = load_sim_rig(name)
     return build_sim_rig(
-        DESIGN,
-        object_name="egg",
-        seed=seed,
+        Scenario(sensor=DESIGN, seed=seed),
         file=replace(file, gripper=replace(file.gripper, start=0.045)),
     )
+
+
+class OnImages(Observer):
+    def __init__(self, act):
+        self.on_images = act
 
 
 def run_gentle(rig, folder, until="hold", on_images=lambda: None):
@@ -238,7 +243,7 @@ def run_gentle(rig, folder, until="hold", on_images=lambda: None):
     gentle = Gentle(until)
     with Recorder(folder, {"object": "egg"}) as recorder:
         session.take_references(recorder)
-        session.run(gentle, time_limit=60.0, on_cycle=recorder.add, on_images=on_images)
+        session.run(gentle, time_limit=60.0, on_cycle=recorder.add, observer=OnImages(on_images))
     return gentle
 
 

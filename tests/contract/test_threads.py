@@ -12,22 +12,15 @@ import numpy as np
 import pytest
 
 from mjtactile.core import system
+from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Image
 from mjtactile.recording.writer import Recorder
-from mjtactile.run.grasp import GraspOptions, run_grasp
+from mjtactile.run.grasp import run_grasp
 from mjtactile.run.perceive import Perceivers, default_threads, unknown_touch
 from tests.emulated_host import controller_text
 
 IMAGE = Image(np.zeros((8, 8), np.uint8), 1.0)
 NAMES = "left", "right"
-
-
-class Silent:
-    def message(self, text):
-        pass
-
-    def update(self, phase, time, force):
-        pass
 
 
 @pytest.fixture(scope="module")
@@ -40,11 +33,9 @@ def grasps(tmp_path_factory):
     for folder, workers, rig in zip(
         folders, (0, 2, 1), ("sim", "sim", f"replay:{folders[0]}"), strict=True
     ):
-        options = GraspOptions(
-            sensor="paper16", rig=rig, controller=str(quick), seed=21, workers=workers
-        )
+        scenario = Scenario(sensor="paper16", rig=rig, controller=str(quick), seed=21)
         with Recorder(folder, {"object": "egg"}) as recorder:
-            run_grasp(options, recorder=recorder, progress=Silent())
+            run_grasp(scenario, [recorder], workers=workers)
     return folders
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
+from mjtactile.core.scenario import Scenario
 from mjtactile.run.estimate import GraspEstimate, coarser, richardson
 from mjtactile.sim import truth
 from mjtactile.sim.effects import steepness
@@ -187,7 +188,7 @@ def test_shadows_are_for_steep_sheets_and_grazing_light():
     ("effects", "kind"), [("+shadows", ShadowedLight), ("-shadows", Light), ("auto", Light)]
 )
 def test_a_rig_s_cameras_draw_shadows_when_they_are_on(effects, kind):
-    rig = build_sim_rig(DENSE, object_name="egg", seed=0, effects=effects)
+    rig = build_sim_rig(Scenario(effects=effects))
     rig.close()
     # off: the other is not even there
     assert {type(camera._renderer._light) for camera in rig.cameras} == {kind}

@@ -369,9 +369,9 @@ def _squeezed(rig: Any, most: float, cell: Callable[[str], float | None], by_han
 
 
 def _weighed(rig: Any, masses: Sequence[float], fingers: str) -> Loads:
-    from mjtactile import Session
     from mjtactile.calibrate.force import GRAVITY
+    from mjtactile.run.references import settled_images
 
     for mass in masses:
         confirm(f"put {mass:g} g on the middle of the {fingers} membrane")
-        yield f"{mass:g} g", 1e-3 * GRAVITY * mass, Session(rig, []).settled_images()
+        yield f"{mass:g} g", 1e-3 * GRAVITY * mass, settled_images(rig.fingers, rig.clock)

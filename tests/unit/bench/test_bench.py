@@ -36,11 +36,11 @@ class FakeResult:
         }
 
 
-def fake_run(options, *, recorder, progress):
-    if options.object == "vial":
+def fake_run(scenario, observers):
+    if scenario.object == "vial":
         raise SimulationError("diverged", step=7, time=0.1)
-    recorder.add(None, marker_error_true=[2e-5, math.nan])
-    return FakeResult(options)
+    observers[0].add(None, marker_error_true=[2e-5, math.nan])
+    return FakeResult(scenario)
 
 
 def test_a_failed_run_is_a_row_and_never_a_result(tmp_path, monkeypatch, capsys):

@@ -5,18 +5,26 @@ import argparse
 import json
 import resource
 import shlex
+from dataclasses import replace
 
 import pytest
 
 from mjtactile.commands.evaluate import add_arguments
+from mjtactile.commands.scenario import scenario_of
 from mjtactile.core.errors import DeviceError, InputError, Interrupted
+from mjtactile.core.scenario import Scenario
 from mjtactile.evaluate import episodes, store
 from mjtactile.evaluate.episodes import Episode, run_episode
 from mjtactile.evaluate.pool import Pool
 from mjtactile.evaluate.run import evaluate
 from tests.emulated_host import controller_text
 
-COMMON = dict(count=1, objects=["vial"], sensor="paper16", vary="none", effects="-images")
+COMMON = dict(scenario=Scenario(sensor="paper16", effects="-images"), count=1, objects=["vial"])
+
+
+def episode(controller, thing, seed, **fields):
+    """The first of an evaluation."""
+    return Episode(0, Scenario(object=thing, controller=controller, seed=seed, **fields))
 
 
 @pytest.fixture
@@ -79,7 +87,7 @@ def test_a_controller_that_hangs_or_raises_is_an_error_of_its_episode(
     monkeypatch.setattr("mjtactile.run.controller._FIRST_TIME", 0.2)
     path = tmp_path / "bad.py"
     path.write_text(text)
-    line = run_episode(Episode(0, str(path), "vial", 3, sensor="paper16", vary="default"))
+    line = run_episode(episode(str(path), "vial", 3, sensor="paper16", vary="default"))
     assert line["outcome"] == "error" and reason in line["reason"] and "\n" not in line["reason"]
     assert (
         line["varied"]["object.size_percent"]
@@ -91,13 +99,8 @@ def test_a_controller_that_hangs_or_raises_is_an_error_of_its_episode(
 def test_what_cannot_be_built_or_breaks_inside_is_an_error_too(tmp_path, monkeypatch, quick):
     (tmp_path / "huge.toml").write_text("[object]\nsize_percent = 100\nplace_mm = 30\n")
     wide = run_episode(
-        Episode(
-            0,
-            quick[0],
-            "random:3",
-            3,
-            sensor="paper16",
-            vary=str(tmp_path / "huge.toml"),
+        replace(
+            episode(quick[0], "random:3", 3, sensor="paper16", vary=str(tmp_path / "huge.toml")),
             recording=str(tmp_path / "recordings" / "a"),
         )
     )
@@ -105,7 +108,7 @@ def test_what_cannot_be_built_or_breaks_inside_is_an_error_too(tmp_path, monkeyp
     assert wide["outcome"] == "error" and "stands in the way of a sensor" in wide["reason"]
     assert wide["object"] == "random" and wide["varied"]["random.shape"] == "cylinder"
     monkeypatch.setattr("mjtactile.evaluate.episodes.run_grasp", lambda *_, **__: 1 / 0)
-    broken = run_episode(Episode(0, quick[0], "vial", 3))
+    broken = run_episode(episode(quick[0], "vial", 3))
     assert (
         broken["outcome"] == "error"
         and "ZeroDivisionError" in broken["reason"]
@@ -142,7 +145,7 @@ def test_an_episode_that_was_told_to_end_has_no_line(tmp_path, monkeypatch, quic
 
     monkeypatch.setattr(episodes, "run_grasp", told)
     with pytest.raises(Interrupted):
-        run_episode(Episode(0, "gentle", "egg", 0))
+        run_episode(episode("gentle", "egg", 0))
     with pytest.raises(DeviceError, match="a worker was told to end; --resume goes on"):
         evaluate(tmp_path / "out", controllers=quick, workers=1, **COMMON)
     assert store.read_lines(tmp_path / "out") == []
@@ -156,20 +159,16 @@ def test_the_manifest_says_how_to_run_it_again(tmp_path):
         "count": 40,
         "controllers": ["gentle", "my own.py"],
         "objects": ["egg", "cup.xml"],
-        "first_seed": 7,
         "shard": [2, 8],
-        "sensor": "paper16",
-        "rig": "sim",
-        "effects": "-images",
-        "accuracy": "",
-        "vary": "none",
+        "scenario": Scenario(sensor="paper16", effects="-images", seed=7).to_dict(),
     }
     found = store.manifest(options, [tmp_path / "cup.xml", tmp_path / "a" / "cup.xml"])
     assert len(found["files"]) == 2
     parser = argparse.ArgumentParser()
     add_arguments(parser)
     program, name, *words = shlex.split(found["command"])
-    read = vars(parser.parse_args(words))
+    parsed = parser.parse_args(words)
+    read = dict(vars(parsed))
     assert (program, name, read["episodes"], read["seed"], read["shard"]) == (
         "mjtactile",
         "evaluate",
@@ -178,6 +177,5 @@ def test_the_manifest_says_how_to_run_it_again(tmp_path):
         (2, 8),
     )
     assert read["controller"] == options["controllers"] and read["objects"] == "egg,cup.xml"
-    assert all(
-        read[key] == options[key] for key in ("sensor", "rig", "effects", "accuracy", "vary")
-    )
+    parsed.controller = None  # there are several
+    assert scenario_of(parsed, Scenario(vary="default")).to_dict() == options["scenario"]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import mannwhitneyu
 
+from mjtactile.core.scenario import Scenario
 from mjtactile.evaluate import report, store
 from mjtactile.evaluate.episodes import Episode
 from mjtactile.evaluate.run import write_report
@@ -141,7 +142,7 @@ def test_the_worst_are_of_every_kind():
 def test_the_page_is_whole_and_says_what_the_lines_say():
     table = lines() + lines(controller="a<b")
     manifest = {
-        "options": {"controllers": ["gentle", "a<b"], "count": 300},
+        "options": {"controllers": ["gentle", "a<b"], "count": 300, "scenario": {}},
         "versions": {"mjtactile": "1"},
     }
     page = Balanced(report.page(manifest, table, worst(table, 2), {}))
@@ -159,12 +160,7 @@ def test_pictures_of_the_worst_are_in_the_page(tmp_path, monkeypatch):
     kept = store.Store(
         tmp_path,
         {
-            "options": {
-                "controllers": ["gentle"],
-                "objects": ["egg"],
-                "first_seed": 3,
-                "vary": "none",
-            },
+            "options": {"controllers": ["gentle"], "objects": ["egg"], "scenario": {"seed": 3}},
             "versions": {},
             "files": {},
         },
@@ -183,7 +179,7 @@ def test_pictures_of_the_worst_are_in_the_page(tmp_path, monkeypatch):
 
     monkeypatch.setattr("mjtactile.evaluate.worst.draw", picture)
     path = write_report(tmp_path, 1)
-    assert asked == [Episode(asked[0].index, "gentle", "egg", 3 + asked[0].index, vary="none")]
+    assert asked == [Episode(asked[0].index, Scenario(seed=3 + asked[0].index))]
     assert 'src="data:image/png;base64,cG5n"' in path.read_text()
 
 
@@ -192,15 +188,18 @@ def test_a_worst_episode_is_run_again_and_drawn(tmp_path):
     from tests.emulated_host import controller_text
 
     (tmp_path / "quick.py").write_text(controller_text(hold=0.1))
-    episode = Episode(
-        0, str(tmp_path / "quick.py"), "random:3", 3, sensor="paper16", vary="default"
+    scenario = Scenario(
+        object="random:3",
+        controller=str(tmp_path / "quick.py"),
+        seed=3,
+        sensor="paper16",
+        vary="default",
     )
+    episode = Episode(0, scenario)
     picture = draw(episode, tmp_path / "worst")
     assert picture is not None and picture.read_bytes()[:4] == b"\x89PNG"
     assert "--seed 3" in Balanced(picture.with_suffix(".html").read_text()).text  # and its page
     assert '"varied"' in (tmp_path / "worst" / "recording" / "log.jsonl").read_text()
     (tmp_path / "bad.py").write_text("def step(observation):\n    return None\n")
-    assert (
-        draw(Episode(0, str(tmp_path / "bad.py"), "egg", 3, sensor="paper16"), tmp_path / "other")
-        is not None
-    )
+    bad = Scenario(controller=str(tmp_path / "bad.py"), seed=3, sensor="paper16")
+    assert draw(Episode(0, bad), tmp_path / "other") is not None

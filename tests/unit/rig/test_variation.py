@@ -13,6 +13,7 @@ from scipy.stats import kstest, truncnorm
 from mjtactile.core import resources
 from mjtactile.core.design import Chamber, load_sensor
 from mjtactile.core.errors import InputError
+from mjtactile.core.scenario import Scenario
 from mjtactile.core.toml import read_toml
 from mjtactile.core.types import Command
 from mjtactile.rig.file import load_sim_rig
@@ -172,7 +173,7 @@ def test_a_changed_object_weighs_and_measures_what_it_should(name):
 
 def test_the_world_is_as_drawn_and_sensing_does_not_know():
     world = draw("default", 3, DESIGN, FILE)
-    rig = build_sim_rig(DESIGN, object_name="egg", seed=3, drawn=world, effects="-shadows")
+    rig = build_sim_rig(Scenario(sensor=DESIGN, seed=3, effects="-shadows"), drawn=world)
     try:
         for finger, sensor in zip(rig.fingers, rig.scene.sensors, strict=True):
             assert (

@@ -74,7 +74,7 @@ def test_a_process_beside_the_run_draws_the_same_and_one_that_ended_is_not_misse
     pictures = []
     with drawing_beside() as beside:
         if not alive:
-            beside._apart._process.kill()
+            beside._worker._process.kill()
         for write in (report.write_figure, beside):
             write(
                 tmp_path / "summary.png",

@@ -13,6 +13,7 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import ControllerError, DeviceError, Interrupted
 from mjtactile.core.signals import Stop
 from mjtactile.core.types import Command, GripperState, Image, Touch, ValveState
+from mjtactile.recording.observer import CycleCallback
 from mjtactile.rig.finger import Finger, Rig
 from mjtactile.rig.limits import Limits
 from mjtactile.run import loop
@@ -184,7 +185,7 @@ class World:
                 [SimpleNamespace(perceive=perceive)],  # type: ignore[list-item]
                 SimpleNamespace(path=Path(__file__), step=controller),  # type: ignore[arg-type]
                 time_limit=time_limit,
-                on_cycle=on_cycle,
+                observer=CycleCallback(on_cycle),
                 stop=stop,
             )
         return cycles, str(caught.value)
@@ -326,7 +327,6 @@ def test_a_controllers_module_state_and_its_thread_last_for_the_run():
         [SimpleNamespace(perceive=lambda image, now: OK)],
         controller,  # type: ignore[list-item, arg-type]
         time_limit=30.0,
-        on_cycle=lambda cycle: None,
     )
     assert last.phase == "done" and len(calls) == 5 and len(threads) == 1
 
@@ -342,7 +342,6 @@ def test_a_controller_that_ends_with_the_hand_in_the_air(phase):
         [SimpleNamespace(perceive=lambda image, now: OK)],
         controller,  # type: ignore[list-item, arg-type]
         time_limit=30.0,
-        on_cycle=lambda cycle: None,
     )
     assert last.phase == phase and world.has_set_down()
 

@@ -8,10 +8,11 @@ import pytest
 
 from mjtactile.core import geometry
 from mjtactile.core.design import load_sensor
+from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Ellipses
 from mjtactile.recording.reader import load_recording
 from mjtactile.recording.writer import Recorder
-from mjtactile.run.grasp import GraspOptions, run_grasp
+from mjtactile.run.grasp import run_grasp
 from mjtactile.sensing.image import markers
 from mjtactile.sensing.image.ellipse import axes_from_shape
 from mjtactile.sensing.pose.circles import estimate_poses
@@ -125,14 +126,8 @@ def test_what_is_outside_of_the_image_or_missing_is_not_seen():
 
 @pytest.mark.slow
 def test_a_grasp_without_images_holds_the_egg_and_says_so(tmp_path):
-    class Quiet:
-        def message(self, text): ...
-        def update(self, phase, time, force): ...
-
     with Recorder(tmp_path / "run", {}) as recorder:
-        result = run_grasp(
-            GraspOptions(effects="-images", workers=0), recorder=recorder, progress=Quiet()
-        )
+        result = run_grasp(Scenario(effects="-images"), [recorder], workers=0)
         recorder.close(outcome=result.outcome)
     assert result.outcome == "held" and result.summary()["images"] is False
     assert result.hold_force_true == pytest.approx(0.6, abs=0.02)  # N, as with images

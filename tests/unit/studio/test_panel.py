@@ -12,8 +12,8 @@ from mujoco.studio.dear_imgui import dear_imgui
 from mujoco.studio.implot import implot
 
 from mjtactile.core.design import load_sensor
+from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Ellipses
-from mjtactile.run.grasp import GraspOptions
 from mjtactile.studio import desk, layout, marks, panel, plots, surface
 from mjtactile.studio.desk import Desk, toggled
 from mjtactile.studio.moment import Felt, Pose
@@ -72,11 +72,11 @@ def show():
     rest = SimpleNamespace(
         state=SimpleNamespace(reference=SimpleNamespace(surface=fake_touch(0.0, 0.0).surface))
     )
-    show = Show(GraspOptions(seed=4))
+    show = Show(Scenario(seed=4))
     show.fastest = np.inf
-    show.open(SimpleNamespace(rig=rig, perceptions=[rest, rest], holes=holes))
+    show.begin(SimpleNamespace(rig=rig, perceptions=[rest, rest], holes=holes))
     for i in range(40):
-        show.still()
+        show.on_images()
         show.add(fake_cycle(i), force_normal_true=[0.1, 0.2])
     return show
 
@@ -235,7 +235,7 @@ def test_the_desk_asks_the_session(gui, show):
     def do(label, value=True):
         gui.want(label, value)
         build(plugin)
-        show.still()
+        show.on_images()
 
     do("supply, kPa", 0.5)  # the valves are open: it counts at once
     do("close valves")
@@ -279,15 +279,19 @@ def test_another_run_is_of_another_object_with_other_effects(gui, show):
     gui.want("start")
     build(plugin)
     assert show.restart.is_set()
-    assert (show.options.object, show.options.accuracy, show.options.seed) == ("vial", "0.05N", 7)
-    assert show.options.effects in ("+shadows", "-shadows")  # whichever it was not
+    assert (show.scenario.object, show.scenario.accuracy, show.scenario.seed) == (
+        "vial",
+        "0.05N",
+        7,
+    )
+    assert show.scenario.effects in ("+shadows", "-shadows")  # whichever it was not
 
 
 def test_what_cannot_be_taken_out_is_said(gui, show):
     gui.want("large deflection", False)
     plugin = Desk(show)
     build(plugin)
-    assert "cannot be taken out" in show.message and plugin._next.effects == "auto"
+    assert "cannot be taken out" in show.said and plugin._next.effects == "auto"
 
 
 def test_an_effect_is_forced_and_let_go_of_again():

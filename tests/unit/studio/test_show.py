@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 
 from mjtactile.core.errors import DeviceError, Interrupted
-from mjtactile.run.grasp import GraspOptions, run_grasp
+from mjtactile.core.scenario import Scenario
+from mjtactile.recording.observer import Observer
+from mjtactile.run.controller import load_controller
+from mjtactile.run.grasp import run_grasp
 from mjtactile.run.overlay import find_ellipses, followed
 from mjtactile.studio.hand import Wish
 from mjtactile.studio.moment import finger_lines
-from mjtactile.studio.show import RED_BUTTON, Restart, Show, Voice
+from mjtactile.studio.show import RED_BUTTON, Restart, Show
 from tests.fake_run import fake_cycle
 
 
@@ -35,7 +38,7 @@ def until(condition, limit=300.0):
 
 def shown(show, count=1):
     for i in range(count):
-        show.still()
+        show.on_images()
         show.add(fake_cycle(i), force_normal_true=[0.1, 0.2])
 
 
@@ -87,7 +90,7 @@ def test_a_signal_ends_a_pause(monkeypatch):
         raise Interrupted
 
     monkeypatch.setattr("mjtactile.studio.show.signals.check", check)
-    show.still()
+    show.on_images()
     assert not show.paused
 
 
@@ -101,7 +104,7 @@ def test_what_is_asked_for_is_done_by_the_sessions_thread_and_what_raises_is_sai
     thread = threading.Thread(target=shown, args=(show,), name="session")
     thread.start()
     thread.join()
-    assert done == ["session", "after"] and show.message == "ZeroDivisionError: division by zero"
+    assert done == ["session", "after"] and show.said == "ZeroDivisionError: division by zero"
 
 
 @pytest.mark.parametrize("name", ["restart", "closed"])
@@ -142,12 +145,12 @@ def test_a_grasp_shows_its_scene_and_obeys():
     show.fastest = np.inf
     moments = []
 
-    def look():
-        show.still()
-        moments.append(show.moment())
-        act = actions.get(len(moments))
-        if act is not None:
-            act()
+    class Look(Observer):
+        def on_images(self):
+            moments.append(show.moment())
+            act = actions.get(len(moments))
+            if act is not None:
+                act()
 
     def supply():
         for valve in show.session.rig.valves:
@@ -155,14 +158,8 @@ def test_a_grasp_shows_its_scene_and_obeys():
 
     actions = {3: lambda: setattr(show, "wish", Wish(0.075, 0.01)), 10: supply, 20: show.halt}
     with pytest.raises(DeviceError, match=f"stopped safely: {RED_BUTTON}"):
-        run_grasp(
-            GraspOptions(workers=0),
-            recorder=show,
-            progress=Voice(show),
-            on_open=show.open,
-            on_still=look,
-            wrap=show.wrap,
-        )
+        controller = show.take_over(load_controller("gentle"))
+        run_grasp(Scenario(), [show, Look()], controller=controller, workers=0)
     moments = [moment for moment in moments if moment is not None]
     times = [moment.scene[1][0] for moment in moments]  # MuJoCo's state begins with its time
     np.testing.assert_allclose(np.diff(times), 1 / 30, atol=1e-9)

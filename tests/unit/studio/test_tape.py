@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from mjtactile.core.scenario import Scenario
 from mjtactile.recording.reader import load_recording
-from mjtactile.run.grasp import GraspOptions
 from mjtactile.studio.tape import Tape
 from tests.fake_run import write_fake_recording
 
@@ -14,7 +14,7 @@ COUNT = 12
 @pytest.fixture
 def tape(tmp_path):
     cycles = write_fake_recording(tmp_path, COUNT)
-    tape = Tape(GraspOptions(rig=f"replay:{tmp_path}"), load_recording(tmp_path))
+    tape = Tape(Scenario(rig=f"replay:{tmp_path}"), load_recording(tmp_path))
     for cycle in cycles:
         tape.add(cycle)
     tape.playing = False

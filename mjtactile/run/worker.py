@@ -17,17 +17,17 @@ _TAKES = 10.0  # s in which a process takes a question
 _NUMBER = struct.Struct("<Q")
 
 
-class Apart:
-    """A process that runs `module`, which answers on `Wire.of(sys.argv[1])`; `does` says what for,
-    in an error. It starts at once, and is given no other question before it has answered the last
-    one. Close it.
+class WorkerProcess:
+    """A process that runs `module`, which answers on `Channel.of(sys.argv[1])`; `does` says what
+    for, in an error. It starts at once, and is given no other question before it has answered the
+    last one. Close it.
 
     Raises OSError where there is no room for another process.
     """
 
     def __init__(self, module: str, does: str) -> None:
         ours, its = socket.socketpair()
-        self._wire = Wire(ours, _TAKES)
+        self._channel = Channel(ours, _TAKES)
         self._does = does
         self._due = 0
         self._is_late = False
@@ -39,14 +39,14 @@ class Apart:
     def begin(self, *question: Any) -> None:
         """Raises DeviceError when it has ended, or takes nothing."""
         try:
-            while self._due and self._wire.receive(0.0) is not None:
+            while self._due and self._channel.receive(0.0) is not None:
                 self._due -= 1  # nobody waits for it any more
             self._is_late = self._due > 0
             if not self._is_late:
-                self._wire.send(*question)
+                self._channel.send(*question)
                 self._due += 1
         except OSError as error:
-            self._wire.close()  # who has taken half of a question can be asked no other
+            self._channel.close()  # who has taken half of a question can be asked no other
             raise self._ended() from error
 
     def outcome(self, patience: float) -> tuple[Any, ...] | None:
@@ -54,14 +54,14 @@ class Apart:
         if self._is_late:
             return None
         try:
-            answer = self._wire.receive(patience)
+            answer = self._channel.receive(patience)
         except OSError as error:
             raise self._ended() from error
         self._due -= answer is not None
         return answer
 
     def close(self) -> None:
-        self._wire.close()
+        self._channel.close()
         process.stop(self._process)
 
     def _ended(self) -> DeviceError:
@@ -70,7 +70,7 @@ class Apart:
         )
 
 
-class Wire:
+class Channel:
     """Values over a socket. Arrays are not pickled but follow as they are, and arrive read-only.
     The other end takes what it is sent within `takes` s (None: when it likes)."""
 
@@ -83,7 +83,7 @@ class Wire:
         self._sized = False
 
     @classmethod
-    def of(cls, descriptor: str) -> Wire:
+    def of(cls, descriptor: str) -> Channel:
         """The end that a process was started with."""
         return cls(socket.socket(fileno=int(descriptor)))
 

@@ -18,24 +18,24 @@ from typing import Any
 from mjtactile.core import pace, system
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.types import Image, Touch
-from mjtactile.run.apart import Apart, Wire
 from mjtactile.run.perceive import PATIENCE, Outcome, late_touch, outcome_of, value_of
+from mjtactile.run.worker import Channel, WorkerProcess
 from mjtactile.sensing.chain import Perception
 
 _START = 120.0  # s; a busy computer takes 10 to import what a chain needs
 
 
-class Feelers:
-    """`count` processes, which start at once; each feels every `count`-th finger. Close them.
+class PerceptionPool:
+    """`count` processes, which start at once; each works on every `count`-th finger. Close them.
 
     Raises OSError where there is no room for so many.
     """
 
     def __init__(self, count: int) -> None:
         with contextlib.ExitStack() as unless_all_start:
-            self._feelers = [
+            self._workers = [
                 unless_all_start.enter_context(
-                    contextlib.closing(Apart(__name__, "feels for the loop"))
+                    contextlib.closing(WorkerProcess(__name__, "feels for the loop"))
                 )
                 for _ in range(count)
             ]
@@ -44,7 +44,7 @@ class Feelers:
         self._names: Sequence[str] = ()
 
     @contextlib.contextmanager
-    def at_work(self, perceptions: Sequence[Any], names: Sequence[str]) -> Iterator[Feelers]:
+    def at_work(self, perceptions: Sequence[Any], names: Sequence[str]) -> Iterator[PerceptionPool]:
         """Feel with these chains (`Perception`), from the states that they are in; they are left in
         those that the run ends in.
 
@@ -52,11 +52,11 @@ class Feelers:
         """
         self._perceptions = perceptions
         self._names = names
-        for feeler, own in self._shares(perceptions):
+        for worker, own in self._shares(perceptions):
             # whole: arrays that may be written to have their address read faster
-            feeler.begin("take", pickle.dumps(own))
-        for feeler, _ in self._shares(perceptions):
-            if feeler.outcome(_START) is None:
+            worker.begin("take", pickle.dumps(own))
+        for worker, _ in self._shares(perceptions):
+            if worker.outcome(_START) is None:
                 raise DeviceError(
                     f"a process that feels for the loop has not started within {_START:g} s"
                 )
@@ -73,18 +73,18 @@ class Feelers:
         Raises DeviceError for a process that has ended, and what a chain raised, when all have
         answered.
         """
-        for feeler, own in self._shares(images):
-            feeler.begin("feel", own, now)
+        for worker, own in self._shares(images):
+            worker.begin("feel", own, now)
         end = pace.monotonic() + patience
         felt = list[Outcome | None]([None] * len(images))
-        for first, (feeler, own) in enumerate(self._shares(self._perceptions)):
+        for first, (worker, own) in enumerate(self._shares(self._perceptions)):
             answer = list[tuple[Outcome, Any]](
-                feeler.outcome(max(0.0, end - pace.monotonic())) or []
+                worker.outcome(max(0.0, end - pace.monotonic())) or []
             )
             for finger, (perception, (outcome, tracks)) in enumerate(
                 zip(own, answer, strict=False)
             ):
-                felt[first + finger * len(self._feelers)] = outcome
+                felt[first + finger * len(self._workers)] = outcome
                 # for whoever draws them; the rest of a state is large, and not needed here
                 if tracks is not None:
                     perception.state = replace(perception.state, tracks=tracks)
@@ -96,18 +96,18 @@ class Feelers:
     def _give_back(self) -> None:
         """Those of a process that does not answer any more stay in the states that it began in."""
         with contextlib.suppress(DeviceError):
-            for feeler, own in self._shares(self._perceptions):
-                feeler.begin("give")
-                for perception, state in zip(own, feeler.outcome(PATIENCE) or (), strict=False):
+            for worker, own in self._shares(self._perceptions):
+                worker.begin("give")
+                for perception, state in zip(own, worker.outcome(PATIENCE) or (), strict=False):
                     perception.state = state
 
     def close(self) -> None:
         self._started.close()
 
-    def _shares(self, values: Sequence[Any]) -> list[tuple[Apart, list[Any]]]:
+    def _shares(self, values: Sequence[Any]) -> list[tuple[WorkerProcess, list[Any]]]:
         """Each process that has something to do, and what of `values` is its own."""
-        shares = [list(values[first :: len(self._feelers)]) for first in range(len(self._feelers))]
-        return [(feeler, own) for feeler, own in zip(self._feelers, shares, strict=True) if own]
+        shares = [list(values[first :: len(self._workers)]) for first in range(len(self._workers))]
+        return [(worker, own) for worker, own in zip(self._workers, shares, strict=True) if own]
 
 
 def default_count(cameras: int) -> int:
@@ -116,18 +116,18 @@ def default_count(cameras: int) -> int:
     return min(cameras, system.processors() - 1)
 
 
-def serve(wire: Wire) -> None:
+def serve(channel: Channel) -> None:
     """What a process does until its parent hangs up: takes chains, feels images, and gives the
     chains' states back."""
     perceptions: list[Perception] = []
     with contextlib.suppress(OSError):
         while True:
-            match wire.receive(None):
+            match channel.receive(None):
                 case "take", own:
                     perceptions = pickle.loads(own)
-                    wire.send()
+                    channel.send()
                 case "feel", images, now:
-                    wire.send(
+                    channel.send(
                         *[
                             (
                                 outcome_of(perception.perceive, image, now),
@@ -137,11 +137,11 @@ def serve(wire: Wire) -> None:
                         ]
                     )
                 case ("give",):
-                    wire.send(*[perception.state for perception in perceptions])
+                    channel.send(*[perception.state for perception in perceptions])
 
 
 if __name__ == "__main__":
     import cv2
 
     cv2.setNumThreads(1)  # the other processors are the world's
-    serve(Wire.of(sys.argv[1]))
+    serve(Channel.of(sys.argv[1]))

@@ -15,10 +15,12 @@ import pytest
 from mjtactile.core import process, system
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import DeviceError
+from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Image, Markers, Touch
+from mjtactile.recording.observer import Observer
 from mjtactile.recording.writer import Recorder
-from mjtactile.run.feelers import Feelers, default_count
-from mjtactile.run.grasp import GraspOptions, run_grasp
+from mjtactile.run.grasp import run_grasp
+from mjtactile.run.perception_pool import PerceptionPool, default_count
 from mjtactile.run.session import open_session
 
 IMAGE = Image(np.arange(64, dtype=np.uint8).reshape(8, 8), 1.0)
@@ -57,8 +59,8 @@ class Hangs(Feels):
 
 
 @pytest.fixture(params=[1, 2])
-def feelers(request):
-    made = Feelers(request.param)
+def pool(request):
+    made = PerceptionPool(request.param)
     yield made
     made.close()
 
@@ -71,10 +73,10 @@ def children():
     ]
 
 
-def test_what_is_felt_arrives_whole_and_read_only_and_so_do_the_states(feelers):
+def test_what_is_felt_arrives_whole_and_read_only_and_so_do_the_states(pool):
     chains = [Feels(), Feels()]
     for now in (1.5, 2.5):  # two runs: the second goes on where the first one ended
-        with feelers.at_work(chains, NAMES) as both:
+        with pool.at_work(chains, NAMES) as both:
             left, right = both.perceive([IMAGE, Image(IMAGE.pixels + np.uint8(1), 1.0)], now)
         assert (left.age, left.force_normal, left.status) == (now - 1, 0.5, "ok")
         assert left.markers.p_SM.tolist() == [[2016.0] * 3] and right.markers.p_SM.tolist() == [
@@ -84,8 +86,8 @@ def test_what_is_felt_arrives_whole_and_read_only_and_so_do_the_states(feelers):
     assert [chain.state for chain in chains] == [2, 2]
 
 
-def test_an_error_arrives_as_itself_and_the_next_image_is_looked_at(feelers):
-    with feelers.at_work([Feels(), Raises()], NAMES) as both:
+def test_an_error_arrives_as_itself_and_the_next_image_is_looked_at(pool):
+    with pool.at_work([Feels(), Raises()], NAMES) as both:
         with pytest.raises(ValueError, match="what it says"):
             both.perceive([IMAGE, IMAGE], 1.0)
         left, right = both.perceive([IMAGE, IMAGE], 2.0)
@@ -95,9 +97,9 @@ def test_an_error_arrives_as_itself_and_the_next_image_is_looked_at(feelers):
 @pytest.mark.slow
 def test_one_that_hangs_is_unknown_until_it_answers(tmp_path):
     until = tmp_path / "go"
-    feelers = Feelers(2)
+    pool = PerceptionPool(2)
     try:
-        with feelers.at_work([Feels(), Hangs(until)], NAMES) as both:
+        with pool.at_work([Feels(), Hangs(until)], NAMES) as both:
             # the second time it is not waited for at all
             for now, patience in ((1.0, 3.0), (2.0, 1e9)):
                 left, right = both.perceive([IMAGE, IMAGE], now, patience)
@@ -111,11 +113,11 @@ def test_one_that_hangs_is_unknown_until_it_answers(tmp_path):
             # no late answer was taken for a new one
             assert right.markers.ids == 2 and right.age == 2.0
     finally:
-        feelers.close()
+        pool.close()
 
 
-def test_one_that_stands_still_in_the_middle_is_not_waited_for_and_goes_on(feelers):
-    with feelers.at_work([Feels(), Feels()], NAMES) as both:
+def test_one_that_stands_still_in_the_middle_is_not_waited_for_and_goes_on(pool):
+    with pool.at_work([Feels(), Feels()], NAMES) as both:
         pids = children()
         for pid in pids:
             os.kill(pid, signal.SIGSTOP)
@@ -128,9 +130,9 @@ def test_one_that_stands_still_in_the_middle_is_not_waited_for_and_goes_on(feele
             pass
 
 
-def test_one_that_is_killed_is_said_and_leaves_its_chains_as_they_were(feelers):
+def test_one_that_is_killed_is_said_and_leaves_its_chains_as_they_were(pool):
     chains = [Feels(), Feels()]
-    with feelers.at_work(chains, NAMES) as both:
+    with pool.at_work(chains, NAMES) as both:
         both.perceive([IMAGE, IMAGE], 1.0)
         for pid in children():
             os.kill(pid, signal.SIGKILL)
@@ -141,16 +143,15 @@ def test_one_that_is_killed_is_said_and_leaves_its_chains_as_they_were(feelers):
     assert [chain.state for chain in chains] == [0, 0]
 
 
-class Killing:
-    """A progress that kills what this process has started, in the first cycle that holds the object
+class Killing(Observer):
+    """Kills what this process has started, in the first cycle that holds the object
     in the air."""
 
     def __init__(self):
         self.phases = []
 
-    def message(self, text): ...
-
-    def update(self, phase, time, force):
+    def add(self, cycle, view=None, **truth):
+        phase = cycle.sent.phase
         if phase == "hold" and "hold" not in self.phases:
             for pid in children():
                 os.kill(pid, signal.SIGKILL)
@@ -159,7 +160,7 @@ class Killing:
 
 @pytest.mark.slow
 def test_a_grasp_whose_process_is_killed_sets_down_and_says_why(tmp_path):
-    options = GraspOptions(sensor="paper16", seed=21, workers=1)
+    scenario = Scenario(sensor="paper16", seed=21)
     killing = Killing()
     with (
         Recorder(tmp_path, {"object": "egg"}) as recorder,
@@ -168,7 +169,7 @@ def test_a_grasp_whose_process_is_killed_sets_down_and_says_why(tmp_path):
             match="stopped safely: a process that feels for the loop has ended \\(by signal 9\\)",
         ),
     ):
-        run_grasp(options, recorder=recorder, progress=killing)
+        run_grasp(scenario, [recorder, killing], workers=1)
     assert killing.phases.count("hold") > 1  # the loop went on: it set down and opened
     assert children() == []
 
@@ -187,7 +188,7 @@ def test_without_room_for_the_second_process_the_first_is_ended_too_and_a_sessio
 
     monkeypatch.setattr(process, "start", refuse_the_second)
     with pytest.raises(BlockingIOError):
-        Feelers(2)
+        PerceptionPool(2)
     assert started[0].poll() is not None
     with open_session("sim", load_sensor("paper16"), workers=2) as session:
         assert children() == [] and len(session.perceptions) == 2

@@ -1,0 +1,118 @@
+"""`Scenario`: what one run is: object, task, controller, rig, sensors, simulation and seed.
+
+The one value that the command line fills, files describe, results and recordings keep, and
+everything that runs something takes. How fast or where it is run is no part of it: a scenario on
+the same versions gives the same numbers.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from mjtactile.core.design import SensorDesign, load_sensor
+from mjtactile.core.errors import InputError
+
+TASKS = ("lift",)
+"""Close on the object, lift it, hold it for two seconds, set it down."""
+TIME_LIMIT = 60.0  # s on the rig's clock; a gentle grasp takes about 10
+_TIME_LIMITS = (0.1, 86400.0)  # s
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One run. Names are of shipped files, or paths of a user's own; every field has a default.
+
+    Attributes:
+        object: What is grasped: a shipped name, FILE.xml or "random:N".
+        task: What is done with it, one of `TASKS`.
+        controller: Shipped name or FILE.py.
+        rig: Shipped name, FILE.toml, "replay:FOLDER", or that of an installed backend.
+        sensor: What is on each finger: shipped name, FILE.toml, or a design made in memory.
+        sensors: Finger to its own sensor, where that is not `sensor`; stronger than the rig file.
+        effects: "auto", or "+NAME,-NAME": what is simulated.
+        accuracy: "" (default), "0.02N" or "realtime": how finely it is simulated.
+        vary: Shipped name or FILE.toml of what the seed draws the world from, or "none".
+        seed: Of camera noise, of where the object stands, and of what is drawn from `vary`.
+        time_limit: s on the rig's clock after which the run is ended; inf: never.
+
+    Raises:
+        InputError: For an unknown task, or a seed or time limit out of range.
+    """
+
+    object: str = "egg"
+    task: str = "lift"
+    controller: str = "gentle"
+    rig: str = "sim"
+    sensor: str | SensorDesign = "dense"
+    sensors: Mapping[str, str] = field(default_factory=dict, hash=False)
+    effects: str = "auto"
+    accuracy: str = ""
+    vary: str = "none"
+    seed: int = 0
+    time_limit: float = TIME_LIMIT
+
+    def __post_init__(self) -> None:
+        if self.task not in TASKS:
+            raise InputError(f"unknown task {self.task!r}", field="task", choices=TASKS)
+        if self.seed < 0:
+            raise InputError(f"{self.seed} is not a whole number from 0 up", field="seed")
+        if not self.time_limit > 0:
+            raise InputError(f"{self.time_limit:g} is not above 0", field="time_limit_s")
+
+    def design(self) -> SensorDesign:
+        """The sensor of the fingers that have none of their own.
+
+        Raises:
+            InputError: For a sensor file that is missing or wrong.
+        """
+        if isinstance(self.sensor, SensorDesign):
+            return self.sensor
+        return load_sensor(self.sensor)
+
+    @property
+    def sensor_name(self) -> str:
+        """What `sensor` is called in files: a name, or the path of a user's file."""
+        return self.sensor.name if isinstance(self.sensor, SensorDesign) else self.sensor
+
+    def to_dict(self) -> dict[str, Any]:
+        """The scenario as files and results keep it; `mjtactile.load_scenario` reads it again."""
+        values = {one.name: getattr(self, one.name) for one in fields(self)}
+        limit = values.pop("time_limit")
+        return values | {
+            "sensor": self.sensor_name,
+            "sensors": dict(self.sensors),
+            "time_limit_s": limit,
+        }
+
+    def header(self) -> dict[str, Any]:
+        """What a recording's header says of the run: the scenario, and how to run it again."""
+        said = self.to_dict()
+        names = {key: said[key] for key in ("object", "sensor", "controller", "rig", "seed")}
+        return names | {"command": self.command(), "scenario": said}
+
+    def names(self) -> dict[str, Any]:
+        """What a run's summary calls object, sensor and controller, and its seed."""
+        sensors = {self.sensor_name: None} | dict.fromkeys(self.sensors.values())
+        return {
+            "object": Path(self.object).stem,
+            "sensor": ", ".join(Path(name).stem for name in sensors),
+            "controller": Path(self.controller).stem,
+            "seed": self.seed,
+        }
+
+    def command(self) -> str:
+        """How to run it again from a shell."""
+        words = ["mjtactile", "grasp", "--object", self.object]
+        words += ["--controller", self.controller, "--seed", str(self.seed)]
+        said = self.to_dict()
+        for name in ("task", "sensor", "rig", "accuracy", "effects", "vary"):
+            if said[name] != _DEFAULTS[name]:
+                words.append(f"--{name}={said[name]}")
+        return shlex.join(words)
+
+
+_DEFAULTS = Scenario().to_dict()

@@ -1,0 +1,82 @@
+"""`Observer`: what a run tells to whoever looks on: a recorder, a progress line, Studio."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+from mjtactile.core.types import Image
+
+
+class Observer:
+    """Its methods are called by a run, in the order in which they stand here; each does nothing
+    unless it is overridden.
+
+    They are called from the thread of the control loop. Whatever one of them raises in a cycle
+    makes the hand go down and open before it is raised to who started the run.
+    """
+
+    def begin(self, session: Any) -> None:
+        """The rig of a `Session` is there, and nothing has moved yet."""
+
+    def message(self, text: str) -> None:
+        """One line for a person to read."""
+
+    def note(self, **facts: Any) -> None:
+        """Facts of the run that are no cycle, by name."""
+
+    def add_reference(
+        self, stage: str, images: Sequence[Sequence[Image]], pressure_gauge: Sequence[float | None]
+    ) -> None:
+        """The images of a reference ("flat", "rest"), one list a finger, and the pressure of each
+        valve's chamber that it was taken at, Pa (None: it has no sensor)."""
+
+    def on_images(self) -> None:
+        """A cycle's images were taken, and a simulated world still stands at that time."""
+
+    def add(self, cycle: Any, view: Any = None, **truth: Any) -> None:
+        """A cycle's command was sent. `view` is the scene at that time and `truth` ground truth by
+        column (`mjtactile.recording.columns`), both of a simulation alone."""
+
+
+class Observers(Observer):
+    """Several as one: each is told in turn."""
+
+    def __init__(self, observers: Iterable[Observer]):
+        self._observers = tuple(observers)
+
+    def begin(self, session: Any) -> None:
+        for observer in self._observers:
+            observer.begin(session)
+
+    def message(self, text: str) -> None:
+        for observer in self._observers:
+            observer.message(text)
+
+    def note(self, **facts: Any) -> None:
+        for observer in self._observers:
+            observer.note(**facts)
+
+    def add_reference(
+        self, stage: str, images: Sequence[Sequence[Image]], pressure_gauge: Sequence[float | None]
+    ) -> None:
+        for observer in self._observers:
+            observer.add_reference(stage, images, pressure_gauge)
+
+    def on_images(self) -> None:
+        for observer in self._observers:
+            observer.on_images()
+
+    def add(self, cycle: Any, view: Any = None, **truth: Any) -> None:
+        for observer in self._observers:
+            observer.add(cycle, view, **truth)
+
+
+class CycleCallback(Observer):
+    """Calls a function with every cycle."""
+
+    def __init__(self, act: Callable[[Any], Any]):
+        self._act = act
+
+    def add(self, cycle: Any, view: Any = None, **truth: Any) -> None:
+        self._act(cycle)

@@ -1,0 +1,182 @@
+"""Read a scenario from a file or from a run's result, and complete it with what its rig file says.
+The format: docs/scenario.md."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from mjtactile.core import resources
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError
+from mjtactile.core.scenario import TASKS, TIME_LIMIT, Scenario
+from mjtactile.core.toml import Section, read_json, read_toml
+from mjtactile.recording.reader import load_recording
+from mjtactile.rig.file import RigFile, read_rig_file
+from mjtactile.rig.simulated import SimRigFile
+from mjtactile.rig.variation import NONE
+
+_KINDS = {
+    "object": ("models/objects", ".xml", ("random:N",)),
+    "controller": ("controllers", ".py", ()),
+    "sensor": ("models/sensors", ".toml", ()),
+    "rig": ("models/rigs", ".toml", ("replay:FOLDER",)),
+    "vary": ("models/variations", ".toml", (NONE,)),
+}
+"""Field to the folder that its shipped files are in, their suffix, and what else may be written."""
+_SEED_MAX = 2**63 - 1
+
+
+def load_scenario(source: str | Path) -> Scenario:
+    """Read a scenario from a TOML file, or from the `summary.json` of a run.
+
+    Files that a scenario names are looked for beside it first, then as they are.
+
+    Args:
+        source: The file; of a JSON file, what stands under "scenario".
+
+    Returns:
+        The scenario; a field that the file leaves out has its default.
+
+    Raises:
+        InputError: Naming file, field, value and valid choices for what is missing or wrong.
+    """
+    path = Path(source).expanduser()
+    if path.suffix not in (".toml", ".json"):
+        raise InputError(
+            f"{path.suffix or 'no suffix'!r} is no scenario's",
+            source=path,
+            field="--scenario",
+            choices=["FILE.toml", "RUN/summary.json"],
+        )
+    if path.suffix == ".toml":
+        return scenario_from_table(read_toml(path), path)
+    whole = read_json(path)
+    table = whole.get("scenario") if isinstance(whole, Mapping) else None
+    if not isinstance(table, Mapping):
+        raise InputError("holds no scenario", source=path, field="scenario")
+    return scenario_from_table(table, path, label="scenario")
+
+
+def scenario_from_table(table: Mapping[str, Any], path: Path, label: str = "") -> Scenario:
+    """Validate a parsed table of the file `path`; see `load_scenario`."""
+    # JSON has no infinity: null is a run without an end
+    unbounded = "time_limit_s" in table and table["time_limit_s"] is None
+    # "" is the default's own name
+    said = {key: value for key, value in table.items() if (key, value) != ("accuracy", "")}
+    root = Section(said, label, str(path))
+    default = Scenario()
+    names = {key: _name(root, key, getattr(default, key), path) for key in _KINDS}
+    limit = root.number("time_limit_s", 0.1, 86400, default=TIME_LIMIT)
+    scenario = Scenario(
+        **names,
+        task=root.text("task", TASKS, default=default.task),
+        sensors=_sensors(root, said.get("sensors", {}), path),
+        effects=root.text("effects", default=default.effects),
+        accuracy=root.text("accuracy", default=default.accuracy),
+        seed=root.whole("seed", 0, _SEED_MAX, default=default.seed),
+        time_limit=math.inf if unbounded else limit,
+    )
+    root.done()
+    return scenario
+
+
+def _sensors(root: Section, fingers: Mapping[str, Any], path: Path) -> dict[str, str]:
+    """The section [sensors]: finger to its own sensor."""
+    section = root.optional("sensors")
+    if section is None:
+        return {}
+    return {finger: _name(section, finger, None, path, "sensor") for finger in fingers}
+
+
+def _name(section: Section, key: str, default: str | None, path: Path, kind: str = "") -> str:
+    """A shipped name, or a file: beside the scenario's own, or as it is written."""
+    folder, suffix, others = _KINDS[kind or key]
+    value = section.text(key, default=... if default is None else default)
+    if value.endswith(suffix) or "/" in value and ":" not in value:
+        beside = path.parent / Path(value).expanduser()
+        if beside.is_file():
+            return str(beside)
+        if not Path(value).expanduser().is_file():
+            raise section.fail(
+                key, f"no such file: {value!r}", [*resources.names(folder, suffix), f"FILE{suffix}"]
+            )
+        return value
+    shipped = resources.names(folder, suffix)
+    # backends that are installed have names of their own: the rig's builder knows them
+    if key == "rig" or ":" in value or value in (*shipped, *others):
+        return value
+    raise section.fail(key, f"{value!r} is unknown", [*shipped, *others, f"FILE{suffix}"])
+
+
+def complete_scenario(scenario: Scenario) -> Scenario:
+    """The scenario with the sensor that each of the rig's fingers really has.
+
+    A rig file's fingers may name their own, and so do those of a recording that is replayed. Where
+    all fingers have the same, that is the scenario's `sensor`.
+
+    Raises:
+        InputError: For a rig file that is missing or wrong.
+    """
+    backend, _, folder = scenario.rig.partition(":")
+    if backend == "replay":
+        return replace(scenario, sensors=_recorded_sensors(folder) | dict(scenario.sensors))
+    if not _is_file(scenario.rig):
+        return scenario
+    default = scenario.sensor_name
+    file = with_sensors(read_rig_file(scenario.rig), scenario.sensors)
+    fitted = {name: sensor or default for name, sensor in _fitted(file).items()}
+    kinds = set(fitted.values())
+    if kinds == {default}:
+        return replace(scenario, sensors={})
+    if len(kinds) == 1:
+        return replace(scenario, sensor=kinds.pop(), sensors={})
+    own = {name: sensor for name, sensor in fitted.items() if sensor != default}
+    return replace(scenario, sensors=own)
+
+
+def _fitted(file: RigFile | SimRigFile) -> dict[str, str | None]:
+    """The sensor that the file gives each finger; None: whatever the scenario says."""
+    if isinstance(file, RigFile):
+        return {camera.finger: camera.sensor for camera in file.cameras}
+    sensors = {finger.name: finger.sensor for finger in file.fingers}
+    return {
+        name: sensor.name if isinstance(sensor, SensorDesign) else sensor
+        for name, sensor in sensors.items()
+    }
+
+
+def with_sensors(file: RigFile | SimRigFile, sensors: Mapping[str, str]) -> RigFile | SimRigFile:
+    """The rig file with these sensors on these fingers.
+
+    Raises:
+        InputError: For a finger that the rig does not have.
+    """
+    names = list(_fitted(file))
+    for name in sensors:
+        if name not in names:
+            raise InputError(f"no finger {name!r} on {file.name}", field="sensors", choices=names)
+    if isinstance(file, RigFile):
+        cameras = (
+            replace(camera, sensor=sensors.get(camera.finger, camera.sensor))
+            for camera in file.cameras
+        )
+        return replace(file, cameras=tuple(cameras))
+    fingers = (
+        replace(finger, sensor=sensors.get(finger.name, finger.sensor)) for finger in file.fingers
+    )
+    return replace(file, fingers=tuple(fingers))
+
+
+def _is_file(rig: str) -> bool:
+    return rig.endswith(".toml") or "/" in rig or rig in resources.names("models/rigs", ".toml")
+
+
+def _recorded_sensors(folder: str) -> dict[str, str]:
+    """Those that a recording's fingers had of their own."""
+    scenario = load_recording(folder).header.get("scenario")
+    sensors = scenario.get("sensors") if isinstance(scenario, Mapping) else None
+    return dict(sensors) if isinstance(sensors, Mapping) else {}

@@ -1,0 +1,191 @@
+"""The control cycle, step by step: images, touch, observation, command. The control loop and the
+Gymnasium environment step the same one."""
+
+from __future__ import annotations
+
+import math
+import time as wall
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
+
+from mjtactile.core.errors import DeviceError, SimulationError
+from mjtactile.core.status import Status, StatusCode
+from mjtactile.core.types import Command, GripperState, Image, Observation, Touch, ValveState
+from mjtactile.recording.observer import Observer
+from mjtactile.rig.finger import Rig
+from mjtactile.run.perceive import unknown_touch
+from mjtactile.run.references import patient_read
+from mjtactile.run.supervisor import Supervisor
+
+# s that a world which waits gives a perception or a controller; the real one gives a share of its
+# host_timeout
+WAIT_TIME = 10.0
+# 0.1 s of 0.25 s, so that the devices never take the loop for dead
+_PERCEPTION_SHARE = 0.4
+ENDS = ("done", "abort")  # phases
+_UNKNOWN_GRIPPER = GripperState(math.nan, math.nan, math.nan, math.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class Cycle:
+    """One turn of the loop, as it is recorded."""
+
+    time: float
+    images: tuple[Image, ...]
+    touch: tuple[Touch, ...]
+    gripper: GripperState
+    valves: tuple[ValveState, ...]
+    wanted: Command
+    sent: Command
+    camera_ms: float
+    perception_ms: float
+    controller_ms: float
+    state: str = "running"
+    reason: str = ""
+    last: Command | None = None
+
+
+class Perceiving(Protocol):
+    """The chains of all fingers (`Perceivers`, `PerceptionPool`)."""
+
+    def perceive(self, images: Any, now: float, patience: float) -> tuple[Touch, ...]: ...
+
+
+@dataclass(eq=False)
+class ControlCycle:
+    """A rig between two commands: `look`, `feel`, then `send` what somebody wants; and what its
+    cameras, sensors and devices said last.
+
+    A blind camera makes the force unknown; whatever else fails makes the supervisor take over.
+
+    Attributes:
+        last: The command before.
+        now: s on the rig's clock, when the images were taken.
+        failure: What made the supervisor retreat, to be raised when that is done; None: nothing,
+            or a fault of a device.
+    """
+
+    rig: Rig
+    perceptions: Perceiving
+    supervisor: Supervisor
+    observer: Observer
+    last: Command
+    now: float
+    images: tuple[Image, ...] = ()
+    touch: tuple[Touch, ...] = ()
+    valves: tuple[ValveState, ...] = ()
+    gripper: GripperState = _UNKNOWN_GRIPPER
+    failure: Exception | None = None
+    camera_ms: float = 0.0
+    perception_ms: float = 0.0
+    _blind: str = field(default="", init=False)
+    _seen: float = field(default=0.0, init=False)
+
+    @classmethod
+    def begin(
+        cls, rig: Rig, perceptions: Perceiving, supervisor: Supervisor, observer: Observer
+    ) -> ControlCycle:
+        """The first cycle: jaws and lift hold where they stand."""
+        state = rig.gripper.state()
+        last = Command(opening=state.opening, force_limit=0.0, lift_height=state.lift_height)
+        now = rig.clock.now()
+        supervisor.arm(now)
+        return cls(rig, perceptions, supervisor, observer, last, now)
+
+    def look(self) -> None:
+        """Take the newest images and what the valves say; a simulated world stands meanwhile."""
+        begin = wall.perf_counter()
+        self._blind = self._take_images()
+        self._seen = wall.perf_counter()
+        self.camera_ms = 1e3 * (self._seen - begin)
+        self.now = self.rig.clock.now()
+        self.attempt(self.rig.gripper.ask)
+        if not self.attempt(self._read_valves):
+            self.valves = tuple(
+                replace(valve, pressure_gauge=None, time=math.nan, age=math.nan)
+                for valve in self.valves
+            )
+        self.attempt(self.observer.on_images)
+
+    def feel(self) -> Observation:
+        """What the images say, and all else that a controller is shown."""
+        if self._blind:
+            self._touch_unknown(Status(StatusCode.NO_IMAGE, self._blind))
+        elif not self.attempt(self._perceive):
+            self._touch_unknown(Status(StatusCode.NO_ANSWER, self.supervisor.reason))
+        if not self.attempt(self._read_gripper):
+            self.gripper = _UNKNOWN_GRIPPER
+        self.perception_ms = 1e3 * (wall.perf_counter() - self._seen)
+        return Observation(
+            self.now, self.rig.period, self.touch, self.gripper, self.valves, self.last
+        )
+
+    def send(self, wanted: Command) -> Command:
+        """Send what supervisor and limits leave of `wanted`.
+
+        Returns:
+            What was sent: the command before, if nothing obeys any more, and then the devices' own
+            watchdogs act.
+        """
+        try:
+            self.last = self._send(wanted)
+        except DeviceError as error:
+            self.supervisor.latch(str(error), self.now)
+        return self.last
+
+    def give_up(self, error: Exception) -> None:
+        """Retreat because of `error`, unless the hand does already; it is raised when that is
+        done."""
+        if self.supervisor.state != "safe":
+            self.failure = error
+            self.supervisor.make_safe(str(error), self.now, self.last)
+
+    def attempt(self, act: Callable[[], None]) -> bool:
+        """Do what may fail; whatever does is no reason to drop what the hand holds, but one to set
+        it down."""
+        try:
+            act()
+        except SimulationError:  # there is no world any more to set it down in
+            raise
+        except DeviceError as error:
+            self.supervisor.make_safe(str(error), self.now, self.last)
+        except Exception as error:  # noqa: BLE001
+            # also a mistake in this package, or in what an observer does
+            self.give_up(error)
+        else:
+            return True
+        return False
+
+    def _take_images(self) -> str:
+        """What is wrong with the cameras, "" for nothing. The first images must come."""
+        rig = self.rig
+        if not self.images:
+            self.images = tuple(
+                patient_read(camera, rig.clock, rig.period) for camera in rig.cameras
+            )
+            return ""
+        try:
+            self.images = tuple(camera.read() for camera in rig.cameras)
+        except DeviceError as error:
+            return str(error)
+        return ""
+
+    def _read_valves(self) -> None:
+        self.valves = tuple(valve.state() for valve in self.rig.valves)
+
+    def _read_gripper(self) -> None:
+        self.gripper = self.rig.gripper.state()
+
+    def _perceive(self) -> None:
+        patience = min(_PERCEPTION_SHARE * self.rig.host_timeout, WAIT_TIME)
+        self.touch = self.perceptions.perceive(self.images, self.now, patience)
+
+    def _touch_unknown(self, status: Status) -> None:
+        self.touch = tuple(unknown_touch(image, self.now, status) for image in self.images)
+
+    def _send(self, wanted: Command) -> Command:
+        rig = self.rig
+        allowed = self.supervisor.decide(self.now, wanted, self.last, self.touch, self.valves)
+        sent = rig.gripper.command(rig.limits.apply(allowed, self.last, rig.period))
+        return replace(sent, phase=allowed.phase, memory=allowed.memory)

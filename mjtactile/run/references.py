@@ -1,0 +1,110 @@
+"""The references that every sensor is zeroed with: its membrane flat, then inflated, nothing
+touching."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from mjtactile.core import signals
+from mjtactile.core.errors import DeviceError
+from mjtactile.core.types import Image
+from mjtactile.rig.finger import Finger
+from mjtactile.rig.protocols import Camera, Clock
+
+REFERENCE_IMAGES = 10  # averaging ten takes the reference's noise to a third of an image's
+SETTLE_TIME = 0.5  # s for the membrane to come to rest after the valve moved
+PATIENCE = 2.0  # s to wait for an image before anything moves
+
+Shots = list[list[Image]]
+"""Images of every finger."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """Images of the membranes in one state, with nothing touching.
+
+    Attributes:
+        stage: "flat" (valves open to the air) or "rest" (inflated and sealed).
+        images: One list a finger.
+        pressure_gauge: Pa, one a valve; None: it has no pressure sensor.
+    """
+
+    stage: str
+    images: Shots
+    pressure_gauge: list[float | None]
+
+
+def take_references(
+    fingers: Sequence[Finger], clock: Clock, say: Callable[[str], None] = lambda _: None
+) -> Iterator[Reference]:
+    """Bring the membranes into each of their two reference states, and take their images there.
+
+    A generator: the second state is gone to when the first was worked on, so that a sensor that
+    does not know itself when flat is not inflated.
+
+    Args:
+        fingers: The sensors; nothing may touch them.
+        clock: Of their rig.
+        say: Is told which state comes.
+
+    Yields:
+        "flat", then "rest".
+
+    Raises:
+        DeviceError: For a device that does not answer.
+    """
+    valves = [finger.valve for finger in fingers if finger.valve is not None]
+    say("reference: flat, valve open")
+    for valve in valves:
+        valve.open(0.0)
+    yield Reference("flat", settled_images(fingers, clock), [0.0 for _ in valves])
+    say("reference: inflated, nothing touching")
+    inflate(fingers, clock)
+    images = settled_images(fingers, clock)
+    yield Reference("rest", images, [valve.state().pressure_gauge for valve in valves])
+
+
+def inflate(fingers: Sequence[Finger], clock: Clock) -> None:
+    """Fill every chamber to its supply's pressure and seal it."""
+    for finger in fingers:
+        if finger.valve is not None:
+            finger.valve.open(finger.design.chamber.supply_gauge)
+    clock.wait_until(clock.now() + SETTLE_TIME)
+    for finger in fingers:
+        if finger.valve is not None:
+            finger.valve.close()
+
+
+def settled_images(fingers: Sequence[Finger], clock: Clock) -> Shots:
+    """Wait until everything is still, then take REFERENCE_IMAGES images of each camera."""
+    period = control_period(fingers)
+    clock.wait_until(clock.now() + SETTLE_TIME)
+    shots: Shots = [[] for _ in fingers]
+    for _ in range(REFERENCE_IMAGES):
+        signals.check()
+        for finger, images in zip(fingers, shots, strict=True):
+            images.append(patient_read(finger.camera, clock, period))
+        clock.wait_until(clock.now() + period)
+    return shots
+
+
+def patient_read(camera: Camera, clock: Clock, period: float) -> Image:
+    """An image while nothing moves yet: a late one is waited for.
+
+    Raises:
+        DeviceError: When none comes.
+    """
+    deadline = clock.now() + PATIENCE
+    while True:
+        try:
+            return camera.read()
+        except DeviceError:
+            if clock.now() > deadline:
+                raise
+            clock.wait_until(clock.now() + period)
+
+
+def control_period(fingers: Sequence[Finger]) -> float:
+    """s: one frame of the slowest camera."""
+    return 1.0 / min(finger.design.camera.rate for finger in fingers)
