@@ -1,0 +1,160 @@
+"""A scenario: what a file says, what a result says, and what each finger really has."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+import mjtactile
+from mjtactile.cli import main
+from mjtactile.core import resources
+from mjtactile.core.errors import InputError
+from mjtactile.core.scenario import Scenario
+from mjtactile.recording.files import write_json
+from mjtactile.rig.scenario import complete_scenario, load_scenario
+
+OTHER = Scenario(
+    object="random:7",
+    controller="gentle",
+    rig="sim_three_finger",
+    sensor="paper16",
+    sensors={"finger1": "dense"},
+    effects="+bending,-friction",
+    accuracy="0.02N",
+    vary="default",
+    seed=12345,
+    time_limit=7.5,
+)
+
+
+def test_the_shipped_file_is_the_default_with_every_field(tmp_path):
+    """What a copy of it leaves out has the value that stands in it."""
+    shipped = resources.find("lift", "models/scenarios", ".toml")
+    assert load_scenario(shipped) == Scenario()
+    keys = {line.partition(" =")[0] for line in shipped.read_text().splitlines() if " = " in line}
+    assert keys >= set(Scenario().to_dict()) - {"sensors"}
+    (tmp_path / "empty.toml").write_text("")
+    assert load_scenario(tmp_path / "empty.toml") == Scenario()
+
+
+@pytest.mark.parametrize("scenario", [Scenario(), OTHER, replace(OTHER, time_limit=float("inf"))])
+def test_a_result_gives_the_same_scenario_again(tmp_path, scenario):
+    write_json(tmp_path / "summary.json", {"outcome": "held", "scenario": scenario.to_dict()})
+    assert load_scenario(tmp_path / "summary.json") == scenario
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ('objekt = "egg"', ["objekt", "did you mean 'object'"]),
+        ('object = "eg"', ["object", "'eg' is unknown", "egg"]),
+        ('sensor = "nowhere.toml"', ["sensor", "no such file: 'nowhere.toml'", "dense"]),
+        ('controller = "strong"', ["controller", "'strong' is unknown", "gentle"]),
+        ('vary = "wild"', ["vary", "'wild' is unknown", "none"]),
+        ('task = "juggle"', ["task", "'juggle' is unknown", "lift"]),
+        ("seed = -1", ["seed", "-1 is outside 0"]),
+        ("seed = 1.5", ["seed", "1.5 is not a whole number"]),
+        ("time_limit_s = 0", ["time_limit_s", "0 is outside 0.1"]),
+        ('[sensors]\nleft = "dens"', ["sensors.left", "'dens' is unknown", "dense"]),
+        ("sensors = 3", ["sensors", "not a section"]),
+        ("object = 3", ["object", "3 is not text"]),
+    ],
+)
+def test_what_is_wrong_is_one_line_with_file_field_value_and_choices(tmp_path, text, parts):
+    path = tmp_path / "mine.toml"
+    path.write_text(text + "\n")
+    with pytest.raises(InputError) as caught:
+        load_scenario(path)
+    said = str(caught.value)
+    assert "\n" not in said and all(part in said for part in ["mine.toml", *parts]), said
+
+
+def test_a_json_without_a_scenario_and_another_suffix(tmp_path):
+    (tmp_path / "other.json").write_text("[]")
+    with pytest.raises(InputError, match="holds no scenario"):
+        load_scenario(tmp_path / "other.json")
+    with pytest.raises(InputError, match=r"FILE.toml, RUN/summary.json"):
+        load_scenario(tmp_path / "other.txt")
+
+
+def test_files_are_looked_for_beside_the_scenario_first(tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    for folder in (tmp_path, tmp_path / "here"):
+        (folder / "mine.py").write_text("")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "here" / "a.toml").write_text('controller = "mine.py"\n')
+    assert load_scenario("here/a.toml").controller == "here/mine.py"
+    (tmp_path / "here" / "mine.py").unlink()
+    assert load_scenario("here/a.toml").controller == "mine.py"
+
+
+def rig_with(path, **sensors):
+    """The shipped simulated rig whose fingers name these sensors."""
+    source = resources.find("sim", "models/rigs", ".toml")
+    text = source.read_text().replace('model = "', f'model = "{source.parent}/')
+    for finger, sensor in sensors.items():
+        text = text.replace(f'name = "{finger}"', f'name = "{finger}"\nsensor = "{sensor}"')
+    path.write_text(text)
+    return str(path)
+
+
+def test_a_scenario_has_the_sensors_that_the_rigs_fingers_really_have(tmp_path):
+    same = complete_scenario(
+        Scenario(rig=rig_with(tmp_path / "same.toml", left="paper16", right="paper16"))
+    )
+    assert (same.sensor, same.sensors) == ("paper16", {})
+    one = complete_scenario(Scenario(rig=rig_with(tmp_path / "one.toml", left="paper16")))
+    assert (one.sensor, one.sensors) == ("dense", {"left": "paper16"})
+    assert one.names()["sensor"] == "dense, paper16"
+    assert complete_scenario(one) == one and complete_scenario(same) == same
+    # what a scenario says of a finger is stronger than the rig file
+    rig = mjtactile.build_rig(replace(one, sensors={"left": "dense", "right": "paper16"}))
+    rig.close()
+    assert [finger.design.name for finger in rig.fingers] == ["dense", "paper16"]
+    with pytest.raises(InputError, match=r"no finger 'thumb' on .*left, right"):
+        complete_scenario(replace(one, sensors={"thumb": "dense"}))
+
+
+QUICK = """
+from dataclasses import replace
+
+def step(observation):
+    command = observation.command
+    count = command.memory.get("count", 0) + 1
+    return replace(command, phase="done" if count > 3 else "approach", memory={"count": count})
+"""
+
+
+@pytest.mark.parametrize("fingers", [("left",), ("left", "right")])
+def test_a_run_says_its_fingers_own_sensors_and_is_felt_again_with_them(
+    tmp_path, monkeypatch, capsys, fingers
+):
+    """The summary of such a recording once failed: the chain of another sensor found few of its
+    markers."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "quick.py").write_text(QUICK)
+    rig = rig_with(tmp_path / "rig.toml", **dict.fromkeys(fingers, "paper16"))
+    code = main(["grasp", "--rig", rig, "--controller", "quick.py", "--out", "run", "--json"])
+    summary = json.loads(capsys.readouterr().out)
+    assert code == 1  # it only looked
+    assert summary["sensor"] == ("dense, paper16" if len(fingers) == 1 else "paper16")
+    assert main(["summary", "run", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["felt_again"]
+    recording = mjtactile.load_recording("run")
+    assert recording.header["scenario"] == summary["scenario"]
+    # and the same run again, from its result
+    assert main(["grasp", "--scenario", "run/summary.json", "--out", "again", "--json"]) == 1
+    again = json.loads(capsys.readouterr().out)
+    assert again["scenario"] == summary["scenario"]
+    first = recording.column("force_normal")
+    assert first.tolist() == mjtactile.load_recording("again").column("force_normal").tolist()
+
+
+def test_options_are_stronger_than_the_file(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "quick.py").write_text(QUICK)
+    (tmp_path / "mine.toml").write_text('object = "vial"\ncontroller = "quick.py"\nseed = 3\n')
+    words = ["--sensor", "paper16", "--seed", "4", "--out", "run", "--json"]
+    assert main(["grasp", "--scenario", "mine.toml", *words]) == 1
+    said = json.loads(capsys.readouterr().out)["scenario"]
+    assert (said["object"], said["seed"], said["sensor"]) == ("vial", 4, "paper16")
