@@ -27,6 +27,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   speed       two membranes holding an object: against the clock, rigid pads, mesh size
   cheap       episodes without images against episodes with them: markers, forces, time
   effects     what each effect costs, and what leaving it out costs
+  film        the film against an independent sheet, its scatter over places, and its time
   fit         sensors that differ from their file, recorded and fitted: each number's error
   truth       the simulation and what is felt, against references from outside of the project
   studio      what watching costs: an egg grasp in Studio, a page looking on, against it alone
@@ -58,6 +59,7 @@ BENCHMARKS = {
     "rig": "rig.run",
     "stability": "stability.run",
     "truth": "truth.run",
+    "film": "film",
     "fit": "fit",
     "studio": "studio.run",
     "attacks": "attacks",

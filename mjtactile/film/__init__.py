@@ -18,7 +18,7 @@ What it leaves out, and what that costs (docs/benchmarks.md, `bench film`):
   scatter from place to place.
 
 Frame S, SI units; p V^gamma with the design's gamma, or a pressure that is held. Equations:
-docs/equations.md, X1-X6. Why so: docs/decisions/0025-film.md.
+docs/equations.md, X1-X5. Why so: docs/decisions/0025-film.md.
 """
 
 from mjtactile.film.bodies import KINDS, Obstacle, obstacle

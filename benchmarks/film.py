@@ -1,0 +1,242 @@
+"""`mjtactile bench film`: the film against an independent sheet, against itself, and the clock.
+
+References (film_reference.json) are an independent solver's, in the same rubber and gas; no number
+of the film was chosen on them. That solver meets faces at its own nodes, 0.5 mm apart, so that
+squares have the width that those see: its force is that of a face up to 4 % smaller.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjtactile import Film, FilmState, Obstacle, load_sensor
+from mjtactile.core.types import Array
+from mjtactile.run.figures import new_figure
+from mjtactile.run.progress import Progress
+
+GRIDS = ((21, 16), (41, 31))
+PLACES, PLACES_QUICK = 12, 2
+BURSTS, BURSTS_QUICK = 20, 2
+_STEPS = 10  # of a burst, each 0.05 mm deeper
+_MARKERS = np.stack(
+    np.meshgrid(np.linspace(-0.016, 0.016, 9), np.linspace(-0.012, 0.012, 9), indexing="ij"), -1
+).reshape(-1, 2)
+
+Say = Callable[[str], None]
+
+
+def run(out: Path, *, quick: bool = False, say: Say | None = None) -> dict[str, Any]:
+    """Errors against the references, scatter over places, and times; draws `film.png`."""
+    say = say or Progress().message
+    path = Path(__file__).with_name("film_reference.json")
+    cases = json.loads(path.read_text(encoding="utf-8"))["cases"]
+    cases = cases[::20] if quick else cases
+    rows = []
+    for grid in GRIDS:
+        say(f"film: references, {grid[0]} x {grid[1]}")
+        rows += [{"grid": list(grid), **_against(case, grid)} for case in cases]
+    say("film: places and times")
+    places = [
+        {"grid": list(grid), **_scatter(grid, PLACES_QUICK if quick else PLACES)} for grid in GRIDS
+    ]
+    times = [_times(grid, BURSTS_QUICK if quick else BURSTS) for grid in GRIDS]
+    _draw(out / "film.png", [case for case in cases if "markers_um" in case][:6])
+    return {"rows": rows, "places": places, "times": times}
+
+
+# -- against the references ------------------------------------------------------------------------
+
+
+def _film(case: dict[str, Any], grid: tuple[int, int], kept: dict[Any, Film] | None = None) -> Film:
+    """The film of a case's design; made once."""
+    kept = _films if kept is None else kept
+    key = (case["thickness_mm"], case["pre_stretch"], case["rest_Pa"], grid)
+    if key not in kept:
+        design = load_sensor("dense")
+        changed = {"thickness": 1e-3 * key[0], "pre_stretch": key[1]}
+        design = replace(design, membrane=replace(design.membrane, **changed))
+        kept[key] = Film(design, grid, key[2])
+    return kept[key]
+
+
+_films: dict[Any, Film] = {}
+
+
+def _body(film: Film, case: dict[str, Any]) -> Obstacle:
+    """The reference's bodies meet the sheet's middle; the film's its outer face."""
+    off = film.design.membrane.thickness / 2
+    at = [1e-3 * value for value in case["at_mm"]]
+    size = [1e-3 * value for value in case["size_mm"]]
+    height = 1e-3 * case["height_mm"]
+    if case["kind"] == "ball":
+        return film.obstacle("sphere", (size[0] - off,), (*at, height))
+    return film.obstacle("box", (*size, 0.01), (*at, height + off + 0.01))
+
+
+def _against(case: dict[str, Any], grid: tuple[int, int]) -> dict[str, Any]:
+    film = _film(case, grid)
+    state = film.solve(_body(film, case))
+    row = {key: case[key] for key in case if key != "markers_um"}
+    row["converged"] = bool(state.converged)
+    row["force_error"] = state.force_normal / case["force_N"] - 1
+    row["pressure_error"] = state.pressure_gauge / case["pressure_Pa"] - 1
+    if "markers_um" in case:
+        off = _markers(film, state) - 1e-6 * np.array(case["markers_um"])
+        row["heights_um"] = 1e6 * float(np.sqrt(np.mean(off[:, 2] ** 2)))
+        row["plane_um"] = 1e6 * float(np.sqrt(np.mean((off[:, :2] ** 2).sum(axis=1))))
+    return row
+
+
+def _markers(film: Film, state: FilmState) -> Array:
+    """Places (81, 3) m of markers on the sheet, by cubic splines through the nodes."""
+    from scipy.interpolate import RectBivariateSpline
+
+    fields = (RectBivariateSpline(film.x, film.y, field) for field in state.displacements)
+    moved = np.stack([field.ev(*_MARKERS.T) for field in fields], axis=1)
+    return np.column_stack([_MARKERS, np.zeros(len(_MARKERS))]) + moved
+
+
+# -- against itself --------------------------------------------------------------------------------
+
+
+def _bodies(film: Film, at: Array) -> Iterator[tuple[str, list[Obstacle]]]:
+    """What has no reference: its force must not hang on where the nodes are."""
+    lying = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    x, y = at
+    yield "blade 0.4 x 12 mm", [film.obstacle("box", (2e-4, 6e-3, 0.01), (x, y, 0.0102))]
+    yield "rod 4 mm, lying", [film.obstacle("capsule", (2e-3, 4e-3), (x, y, 3.2e-3), lying)]
+    yield "disc 10 mm", [film.obstacle("cylinder", (5e-3, 0.01), (x, y, 0.0117))]
+    yield "square 12 mm", [film.obstacle("box", (6e-3, 6e-3, 0.01), (x, y, 0.0117))]
+    yield "wedge", [film.obstacle("wedge", (5e-3, 3e-3, 5e-3), (x, y, 1e-3))]
+    yield "cone", [film.obstacle("cone", (6e-3, 6e-3), (x, y, 1e-3))]
+    two = [film.obstacle("sphere", (4e-3,), (x + off, y, 5.5e-3)) for off in (-5e-3, 5e-3)]
+    yield "two balls", two
+
+
+def _scatter(grid: tuple[int, int], count: int) -> dict[str, Any]:
+    """Mean and spread, (max - min) / mean, of forces over `count` places within one millimetre."""
+    film = Film("dense", grid, 1000.0)
+    places = np.random.default_rng(4).uniform(-1e-3, 1e-3, (count, 2))
+    forces: dict[str, list[float]] = {}
+    for at in places:
+        for name, bodies in _bodies(film, at):
+            forces.setdefault(name, []).append(film.solve(bodies).force_normal)
+    return {
+        name: {"force_N": float(np.mean(values)), "spread": float(np.ptp(values) / np.mean(values))}
+        for name, values in forces.items()
+    }
+
+
+# -- time ------------------------------------------------------------------------------------------
+
+
+def _times(grid: tuple[int, int], bursts: int) -> dict[str, Any]:
+    """Best times, us, of a step from the one before, 0.05 mm deeper, and of 64 films at once."""
+    film = Film("dense", grid, 1000.0)
+    heights = [0.0095 - 5e-5 * k for k in range(_STEPS + 1)]
+    balls = [film.obstacle("sphere", (8e-3,), (0, 0, height)) for height in heights]
+    start = film.solve(balls[0])
+    best = np.full(_STEPS, np.inf)
+    steps = 0
+    for _ in range(bursts):
+        state = start
+        for k, one in enumerate(balls[1:]):
+            begin = time.perf_counter()
+            state = film.solve(one, state)
+            best[k] = min(best[k], time.perf_counter() - begin)
+            steps = max(steps, state.steps)
+    many = [[ball] for ball in balls[:8]] * 8
+    batch = film.solve_batch(many)
+    rates = {}
+    for threads in (1, 2):
+        least = np.inf
+        for _ in range(bursts):
+            begin = time.perf_counter()
+            film.solve_batch(many, batch, threads=threads)
+            least = min(least, time.perf_counter() - begin)
+        rates[str(threads)] = len(many) / least
+    return {"grid": list(grid), "step_us": 1e6 * float(np.median(best)), "most_steps": steps,
+            "batch_per_s": rates}  # fmt: skip
+
+
+# -- picture and table -----------------------------------------------------------------------------
+
+
+def _draw(path: Path, cases: list[dict[str, Any]]) -> None:
+    """The film's profiles and the reference's markers; without matplotlib say so on stderr."""
+    if not cases or (figure := new_figure(path.name, (12, 6), dpi=80)) is None:
+        return
+    for axes, case in zip(figure.subplots(2, 3).ravel(), cases, strict=False):
+        film = _film(case, GRIDS[1])
+        state = film.solve(_body(film, case))
+        markers = np.array(case["markers_um"])[4::9]
+        row = len(film.y) // 2
+        x, _, z = (1e3 * field[:, row] for field in state.displacements)
+        axes.plot(1e3 * film.x + x, z, label="film, 41 x 31")
+        axes.plot(1e-3 * markers[:, 0], 1e-3 * markers[:, 2], "o", label="independent sheet")
+        axes.set_title(f"{case['kind']} {case['size_mm'][0]:g} mm, {case['depth_mm']:g} mm deep")
+        axes.set_xlabel("x, mm")
+        axes.set_ylabel("height, mm")
+    figure.axes[0].legend()
+    figure.savefig(path)
+
+
+def _rms(values: list[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
+
+
+def _line(name: str, rows: list[dict[str, Any]], key: str, by: float, worst: bool = True) -> str:
+    cells = []
+    for grid in GRIDS:
+        found = [by * r[key] for r in rows if r["grid"] == list(grid) and key in r]
+        most = f" ({max(map(abs, found), default=float('nan')):.1f})" if worst else ""
+        cells.append(f"{_rms(found):.2f}{most}")
+    return f"| {name} | {' | '.join(cells)} |"
+
+
+def table(result: dict[str, Any]) -> str:
+    """Errors, scatter and times as Markdown."""
+    rows = result["rows"]
+    dense = [
+        r
+        for r in rows
+        if (r["thickness_mm"], r["pre_stretch"], r["rest_Pa"]) == (0.3, 1.05, 1000.0)
+    ]
+    balls = [r for r in dense if r["kind"] == "ball"]
+    squares = [r for r in dense if r["kind"] != "ball"]
+    others = [r for r in rows if r not in dense]
+    missed = sum(not r["converged"] for r in rows)
+    lines = [
+        f"{len(rows) // len(GRIDS)} presses of an independent sheet; {missed} did not converge.",
+        "",
+        "| error, rms (worst) | 21 x 16 | 41 x 31 |",
+        "|---|---|---|",
+        _line("balls of 4-30 mm, 0.5-3 mm deep, four places: force, %", balls, "force_error", 100),
+        _line("the same, gauge pressure, %", balls, "pressure_error", 100),
+        _line("squares of 6-14 mm, two places: force, %", squares, "force_error", 100),
+        _line("half and double thickness: force, %", others, "force_error", 100),
+        _line("heights at the markers, um", balls, "heights_um", 1),
+        _line("markers in the plane, um", balls, "plane_um", 1),
+    ]
+    lines += ["", "| force, N, and spread over places | 21 x 16 | 41 x 31 |", "|---|---|---|"]
+    for name in result["places"][0]:
+        if name != "grid":
+            cells = (
+                f"{p[name]['force_N']:.3f}, {100 * p[name]['spread']:.1f} %"
+                for p in result["places"]
+            )
+            lines.append(f"| {name} | {' | '.join(cells)} |")
+    lines += ["", "| time | 21 x 16 | 41 x 31 |", "|---|---|---|"]
+    times = result["times"]
+    steps = (f"{t['step_us']:.0f}" for t in times)
+    lines.append(f"| a step of 0.05 mm, us | {' | '.join(steps)} |")
+    gains = (f"{t['batch_per_s']['2'] / t['batch_per_s']['1']:.2f}" for t in times)
+    lines.append(f"| rate of 64 at once, two threads over one | {' | '.join(gains)} |")
+    return "\n".join(lines) + "\n"
