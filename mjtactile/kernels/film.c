@@ -24,6 +24,7 @@
 #define SHELL 0.3
 #define MEMORY 4            /* steps that the next one learns from */
 #define LOOKS 3             /* steps that ask the bodies; later ones follow their slopes, else nodes at an edge come and go */
+#define SAME 1e-9           /* m */
 #define NEAR_SINGULAR 1e-12
 #define MOST_LEARNT 10      /* of a step, beyond which nothing is learnt */
 #define EDGE_HALVES 8
@@ -120,9 +121,28 @@ static int see_between(const Film *f, long bodies, const double *body, const dou
     return found;
 }
 
+/* A ridge or a tip that passes through a node's cell beside the node is what the sheet meets there, with no slope across it. */
+static int see_ridge(const Film *f, long bodies, const double *body, const double *pool, double x, double y, int taken,
+                     double *height, double slope[2]) {
+    int found = 0;
+    for (int axis = 0; axis < 2; axis++) {
+        double low = INFINITY, by[2], at;
+        int where = 0;
+        for (int part = -THIN - 2; part <= THIN + 2; part++) { /* cells overlap: nodes have moved apart */
+            const double off = part / (2. * THIN + 1);
+            if (lowest(f, bodies, body, pool, x + (axis ? 0 : off * f->dx), y + (axis ? off * f->dy : 0), &at, by)) continue;
+            if (at < low - SAME || (at < low + SAME && abs(part) < abs(where))) low = at, where = part;
+        }
+        if (isinf(low) || abs(where) > THIN + 1 || taken & (1 << axis)) continue;
+        *height = least(*height, low), slope[axis] = 0, found |= 1 << axis;
+    }
+    return found;
+}
+
 /* Heights of all bodies over the nodes where they are now. */
 static void see_bodies(const Film *f, long bodies, const double *body, const double *pool, const double *x, Work *w) {
-    int thin = 0;
+    int thin = 0, sharp = 0;
+    for (long b = 0; b < bodies; b++) sharp |= ((const FilmBody *)(body + b * FILM_BODY))->least == 0;
     for (long b = 0; b < bodies; b++) thin |= ((const FilmBody *)(body + b * FILM_BODY))->least < most(f->dx, f->dy);
     for (long i = 0; i < f->columns; i++)
         for (long j = 0; j < f->rows; j++) {
@@ -131,10 +151,10 @@ static void see_bodies(const Film *f, long bodies, const double *body, const dou
             const double at_y = j * f->dy - f->numbers.length_y / 2 + x[f->count + k];
             double slope[2] = {0, 0};
             int axis = 0; /* kept in `edge`, which is found next */
-            if (lowest(f, bodies, body, pool, at_x, at_y, w->obstacle + k, slope) && thin) {
-                const int taken = (i && w->edge[k - f->rows] == 1) | (j && w->edge[k - 1] == 2) << 1;
-                axis = see_between(f, bodies, body, pool, at_x, at_y, taken, w->obstacle + k, slope);
-            }
+            const int off_all = lowest(f, bodies, body, pool, at_x, at_y, w->obstacle + k, slope);
+            const int taken = (i && ((int)w->edge[k - f->rows] & 1)) | (j && ((int)w->edge[k - 1] & 2)) << 1;
+            if (off_all && thin) axis = see_between(f, bodies, body, pool, at_x, at_y, taken, w->obstacle + k, slope);
+            if (!off_all && sharp) axis = see_ridge(f, bodies, body, pool, at_x, at_y, taken, w->obstacle + k, slope);
             w->edge[k] = axis;
             w->slope[k] = slope[0], w->slope[f->count + k] = slope[1];
             if (isinf(w->obstacle[k])) {

@@ -140,3 +140,13 @@ def test_capsule_ellipsoid_and_hull_agree_with_what_they_are_near(coarse):
     hull = coarse.solve(coarse.obstacle("mesh", p_SO=(0, 0, 7e-3), data=corners))
     box = coarse.solve(coarse.obstacle("box", (3e-3, 3e-3, 5e-3), p_SO=(0, 0, 7e-3)))
     assert hull.force_normal == pytest.approx(box.force_normal, rel=1e-6)
+
+
+@pytest.mark.parametrize("y", [0.0, 0.4e-3, 1e-3])
+def test_a_ridge_between_nodes_is_met(coarse, fine, y):
+    forces = [
+        film.solve(film.obstacle("wedge", (5e-3, 3e-3, 5e-3), p_SO=(0, y, 1.5e-3))).force_normal
+        for film in (coarse, fine)
+    ]
+    # on nodes 2 mm apart: its row may be a millimetre beside it, and its flanks are met at nodes
+    assert forces[0] == pytest.approx(forces[1], rel=0.2)
