@@ -99,7 +99,7 @@ def _markers(film: Film, state: FilmState) -> Array:
     from scipy.interpolate import RectBivariateSpline
 
     fields = (RectBivariateSpline(film.x, film.y, field) for field in state.displacements)
-    moved = np.stack([field.ev(*_MARKERS.T) for field in fields], axis=1)
+    moved = np.stack([field.ev(_MARKERS[:, 0], _MARKERS[:, 1]) for field in fields], axis=1)
     return np.column_stack([_MARKERS, np.zeros(len(_MARKERS))]) + moved
 
 

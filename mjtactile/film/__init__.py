@@ -14,7 +14,8 @@ What it leaves out, and what that costs (docs/benchmarks.md, `bench film`):
 - Mass and damping: it is always at rest.
 - What is undercut, or steeper than about 75 degrees: a body is seen along z alone (`bodies.py`).
 - What happens between nodes: a contact smaller than a cell is up to 14 % off (a 4 mm ball, 0.5 mm
-  deep, nodes 2 mm apart); ridges, tips and blades are met by the nearest row of nodes.
+  deep, nodes 2 mm apart); ridges and blades are met by the nearest row of nodes, a
+  steep cone's tip is a quarter too soft there.
 
 Frame S, SI units; p V^gamma with the design's gamma, or a pressure that is held. Equations:
 docs/equations.md, X1-X5. Why so: docs/decisions/0025-film.md.

@@ -125,7 +125,7 @@ def _least_width(kind: str, size: Array, data: ArrayLike | None) -> float:
     if kind in ("mesh", "triangles"):
         return float(np.ptp(np.asarray(data, dtype=float).reshape(-1, 3), axis=0).min())
     if kind in ("plane", "quadric", "heights", "cone"):
-        return 0.0 if kind == "cone" else np.inf
+        return np.inf
     return 0.0 if kind == "wedge" else 2 * float(size[:2].min())
 
 
