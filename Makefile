@@ -39,15 +39,17 @@ docs: $(VENV)/.docs-ready  ## the documentation as a site, build/site/index.html
 # to say, marked `slow`: a test that takes more than about 3 s, of a processor or of waiting, where a quicker one would notice
 # if the thing did not work at all. `clock` are those of emulated devices, which mostly wait: more of them at a time than there
 # are processors, and nothing that computes beside them. A browser without a graphics card wants two processors for itself.
-FIRST := -m 'not slow and not clock and not browser'
-FIRST_CLOCK := -m 'clock and not slow and not browser'
-SECOND := -m 'slow and not clock and not browser'
-SECOND_CLOCK := -m 'slow and clock and not browser'
+# Each worker reads all files that it is given: those that have the mark are enough.
+FIRST = -m 'not slow and not clock and not browser'
+FIRST_CLOCK = -m 'clock and not slow and not browser' $(call marked,clock)
+SECOND = -m 'slow and not clock and not browser' $(call marked,slow)
+SECOND_CLOCK = -m 'slow and clock and not browser' $(call marked,clock)
+marked = $(shell grep -rl --include='test_*.py' 'pytest\.mark\.$(1)' tests | sort)
 
 test: lint types contracts  ## lint, types, import contracts, and the tests of what users do (below 5 minutes)
 	$(BIN)/pytest -n 2 $(FIRST)
 	$(BIN)/pytest -n 6 --dist loadgroup $(FIRST_CLOCK)
-	$(BIN)/pytest -n 0 -m browser
+	$(BIN)/pytest -n 0 tests/browser
 
 test-all: test slow  ## all that CI runs: `make test`, then the other tests (below 10 minutes)
 

@@ -83,6 +83,9 @@ CASES = {
 }
 
 
+REPLACE = "from dataclasses import replace; return replace(observation.command"
+
+
 def assert_one_line(process, words, code=2):
     assert process.returncode == code, process.stderr
     line = process.stderr.strip().splitlines()[-1]
@@ -109,15 +112,11 @@ def test_bad_file_or_name(command, tmp_path, case):
     [
         ("return 1 / 0", ["line 2", "ZeroDivisionError"]),
         ("return None", ["step", "None"]),
-        (
-            "from dataclasses import replace; return "
-            "replace(observation.command, "
-            "opening=float('nan'))",
-            ["opening", "nan"],
+        pytest.param(
+            f"{REPLACE}, opening=float('nan'))", ["opening", "nan"], marks=pytest.mark.slow
         ),
-        (
-            "from dataclasses import replace; return replace(observation.command, phase='grab')",
-            ["phase", "grab", "hold"],
+        pytest.param(
+            f"{REPLACE}, phase='grab')", ["phase", "grab", "hold"], marks=pytest.mark.slow
         ),
     ],
 )

@@ -49,6 +49,7 @@ def test_twice_as_fast_a_part_of_it(tmp_path, recording):
     np.testing.assert_allclose(greys, 40 + 3 * np.arange(15, 46, 2), atol=1.4)
 
 
+@pytest.mark.slow
 def test_the_scene_is_beside_it(tmp_path, recording):
     write_video(tmp_path / "film.mp4", recording)
     write_video(tmp_path / "scene.mp4", recording, [(0.0, FakeScene(2)), (1.0, DarkScene(2))])
