@@ -362,8 +362,14 @@ class SensorDesign:
             )
 
     def require_markers_that_fit(self) -> None:
-        """Raise InputError where sensing would not fit into memory: the splines of its surface
-        have (rows + 3) (columns + 3) numbers, and square matrices of them."""
+        """Refuse more markers than sensing has memory for.
+
+        The splines of its surface have (rows + 3) (columns + 3) numbers, and square matrices of
+        them.
+
+        Raises:
+            InputError: There are too many.
+        """
         size = (self.markers.rows + 3) * (self.markers.columns + 3)
         if size > _SPLINE_NUMBERS_MOST:
             gib = 8 * size**2 / 2**30

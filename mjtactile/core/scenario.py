@@ -64,7 +64,10 @@ class Scenario:
             raise InputError(f"{self.time_limit:g} is not above 0", field="time_limit_s")
 
     def design(self) -> SensorDesign:
-        """The sensor of the fingers that have none of their own.
+        """Read the sensor of the fingers that have none of their own.
+
+        Returns:
+            The sensor.
 
         Raises:
             InputError: For a sensor file that is missing or wrong.
@@ -79,7 +82,11 @@ class Scenario:
         return self.sensor.name if isinstance(self.sensor, SensorDesign) else self.sensor
 
     def to_dict(self) -> dict[str, Any]:
-        """The scenario as files and results keep it; `mjtactile.load_scenario` reads it again."""
+        """Write it out.
+
+        Returns:
+            The scenario as files and results keep it; `mjtactile.load_scenario` reads it again.
+        """
         values = {one.name: getattr(self, one.name) for one in fields(self)}
         limit = values.pop("time_limit")
         return values | {
@@ -89,13 +96,21 @@ class Scenario:
         }
 
     def header(self) -> dict[str, Any]:
-        """What a recording's header says of the run: the scenario, and how to run it again."""
+        """Say of a recording what was run.
+
+        Returns:
+            The scenario, and how to run it again.
+        """
         said = self.to_dict()
         names = {key: said[key] for key in ("object", "sensor", "controller", "rig", "seed")}
         return names | {"command": self.command(), "scenario": said}
 
     def names(self) -> dict[str, Any]:
-        """What a run's summary calls object, sensor and controller, and its seed."""
+        """Say of a run's summary what was run.
+
+        Returns:
+            What object, sensor and controller are called, and the seed.
+        """
         sensors = {self.sensor_name: None} | dict.fromkeys(self.sensors.values())
         return {
             "object": Path(self.object).stem,
@@ -105,7 +120,11 @@ class Scenario:
         }
 
     def command(self) -> str:
-        """How to run it again from a shell."""
+        """Say how to run it again.
+
+        Returns:
+            The command, for a shell.
+        """
         words = ["mjtactile", "grasp", "--object", self.object]
         words += ["--controller", self.controller, "--seed", str(self.seed)]
         said = self.to_dict()

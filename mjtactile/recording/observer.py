@@ -17,26 +17,48 @@ class Observer:
     """
 
     def begin(self, session: Any) -> None:
-        """The rig of a `Session` is there, and nothing has moved yet."""
+        """The rig is there, and nothing has moved yet.
+
+        Args:
+            session: The `Session`.
+        """
 
     def message(self, text: str) -> None:
-        """One line for a person to read."""
+        """The run has something to say to a person.
+
+        Args:
+            text: One line.
+        """
 
     def note(self, **facts: Any) -> None:
-        """Facts of the run that are no cycle, by name."""
+        """There are facts of the run that are no cycle.
+
+        Args:
+            **facts: By name.
+        """
 
     def add_reference(
         self, stage: str, images: Sequence[Sequence[Image]], pressure_gauge: Sequence[float | None]
     ) -> None:
-        """The images of a reference ("flat", "rest"), one list a finger, and the pressure of each
-        valve's chamber that it was taken at, Pa (None: it has no sensor)."""
+        """A reference was taken.
+
+        Args:
+            stage: "flat" or "rest".
+            images: One list a finger.
+            pressure_gauge: Pa that it was taken at, for each valve; None: it has no sensor.
+        """
 
     def on_images(self) -> None:
         """A cycle's images were taken, and a simulated world still stands at that time."""
 
     def add(self, cycle: Any, view: Any = None, **truth: Any) -> None:
-        """A cycle's command was sent. `view` is the scene at that time and `truth` ground truth by
-        column (`mjtactile.recording.columns`), both of a simulation alone."""
+        """A cycle's command was sent.
+
+        Args:
+            cycle: What was seen, felt, asked for and sent.
+            view: The scene at that time; of a simulation alone.
+            **truth: Ground truth by column (`mjtactile.recording.columns`); of a simulation alone.
+        """
 
 
 class Observers(Observer):

@@ -104,7 +104,11 @@ class Recorder(Observer):
         self.close()
 
     def begin(self, session: Any) -> None:
-        """A real world does not wait for a disk that is behind."""
+        """Note how long this world waits for a disk that is behind: a real one does not.
+
+        Args:
+            session: The `Session`.
+        """
         self.patience = session.patience
 
     def add(self, cycle: CycleLike, view: Any = None, **truth: Any) -> None:

@@ -247,8 +247,17 @@ def read_rig_file(name_or_path: str | Path) -> RigFile | SimRigFile:
 
 
 def load_rig_file(name_or_path: str | Path) -> RigFile:
-    """Like `read_rig_file`, for jobs that need devices, real or emulated. Raises InputError for a
-    simulated rig."""
+    """Read the rig file of real or emulated devices.
+
+    Args:
+        name_or_path: A shipped name, or a TOML file.
+
+    Returns:
+        What it says, SI.
+
+    Raises:
+        InputError: The file is missing or wrong, or its rig is simulated.
+    """
     rig = read_rig_file(name_or_path)
     if isinstance(rig, SimRigFile):
         raise InputError("is simulated: it has no devices", source=rig.path, field="[sim]")

@@ -106,7 +106,11 @@ SIMULATES = ("sim",)
 
 
 def rig_names() -> list[str]:
-    """What a user may write after `--rig`."""
+    """List what a user may write after `--rig`.
+
+    Returns:
+        Shipped rigs, then the forms "FILE.toml" and "replay:FOLDER".
+    """
     return [*resources.names("models/rigs", ".toml"), "FILE.toml", "replay:FOLDER"]
 
 

@@ -113,10 +113,17 @@ def _name(section: Section, key: str, default: str | None, path: Path, kind: str
 
 
 def complete_scenario(scenario: Scenario) -> Scenario:
-    """The scenario with the sensor that each of the rig's fingers really has.
+    """Fill in the sensor that each of the rig's fingers really has.
 
     A rig file's fingers may name their own, and so do those of a recording that is replayed. Where
-    all fingers have the same, that is the scenario's `sensor`.
+    all
+    fingers have the same, that is the scenario's `sensor`.
+
+    Args:
+        scenario: As it was asked for.
+
+    Returns:
+        The scenario with its sensors.
 
     Raises:
         InputError: For a rig file that is missing or wrong.

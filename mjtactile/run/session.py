@@ -175,8 +175,13 @@ class Session:
             )
 
     def make_safe(self, reason: str) -> None:
-        """From the next cycle of `run` on, the hand goes down and opens, whatever the controller
-        says. For any thread."""
+        """From the next cycle of `run` on, lower and open the hand, whatever the controller says.
+
+        For any thread.
+
+        Args:
+            reason: Why, for the summary.
+        """
         self._supervisor.want_safe(reason)
 
 
