@@ -413,10 +413,13 @@ PHASES: tuple[str, ...] = get_args(Phase)
 class Command:
     """What a controller asks for. The rig limits it and returns what was really sent.
 
-    `opening` m is the gripper's goal, `force_limit` N the most the servo may push, `lift_height` m
-    the hand's goal, `phase` one of PHASES ("done" and "abort" end the run). `memory` is the
-    controller's own notebook: the loop hands it back in the next `Observation.command`, so that
-    `step` can be a pure function.
+    Attributes:
+        opening: m, the gripper's goal.
+        force_limit: N, the most that the servo may push.
+        lift_height: m, the hand's goal.
+        phase: One of PHASES; "done" and "abort" end the run.
+        memory: The controller's own notebook: the loop hands it back in the next
+            `Observation.command`, so that `step` can be a pure function.
     """
 
     opening: float

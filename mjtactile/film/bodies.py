@@ -43,8 +43,13 @@ _MAY_VANISH = {"curvature x", "curvature y", "rim radius"}
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """One body: its `kind`, its `numbers` (NUMBERS,) for the kernel, and its `pool` of planes,
-    triangles or heights."""
+    """One body that a film rests on.
+
+    Attributes:
+        kind: One of KINDS.
+        numbers: (NUMBERS,) for the kernel.
+        pool: Its planes, triangles or heights.
+    """
 
     kind: str
     numbers: Array
