@@ -138,6 +138,7 @@ def test_a_controller_that_misbehaves_is_named(command, tmp_path, body, words):
     assert json.loads(process.stdout)["exit_code"] == 2
 
 
+@pytest.mark.slow
 def test_what_was_recorded_before_a_controller_failed_is_kept(command, tmp_path):
     (tmp_path / "bad.py").write_text("""
 def step(observation):

@@ -54,6 +54,7 @@ def test_a_grip_harder_than_the_egg_stands_crushes_it(mjtactile, tmp_path):
     assert report["peak_force_true_N"] > 2.5  # the egg's break_force_N
 
 
+@pytest.mark.slow
 def test_an_object_that_is_not_gripped_is_dropped(mjtactile, tmp_path):
     # the fingers stay clear of the egg, 32 mm across
     process, report = run(mjtactile, tmp_path, 0.045, 4.0)

@@ -35,6 +35,7 @@ def quick(tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore")  # of the cluster's own
+@pytest.mark.slow
 def test_a_dask_cluster_writes_the_same_lines(tmp_path, quick):
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(

@@ -179,7 +179,7 @@ def test_blur_is_not_taken_for_size(radius_px, blur):
     assert (np.abs(z[ok] / depth - 1) < 0.02 + 3.5 * sd[ok] / depth).all()
 
 
-@pytest.mark.parametrize("blur", [1.2, 2.0, 3.0])
+@pytest.mark.parametrize("blur", [1.2, 2.0, pytest.param(3.0, marks=pytest.mark.slow)])
 def test_blur_on_small_circles_is_right_or_flagged(blur):
     circles = board()
     truth = np.array([c.p_C for c in circles])
