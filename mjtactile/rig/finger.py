@@ -47,7 +47,25 @@ class Finger:
 
 @dataclass(frozen=True)
 class Rig:
-    """A gripper with one or more fingers, in the order in which an observation has their touch."""
+    """A gripper with one or more fingers.
+
+    Attributes:
+        name: Of the backend.
+        fingers: In the order in which an observation has their touch.
+        gripper: The jaws, and what lifts the hand.
+        clock: The rig's time; in simulation, waiting on it is what moves the world.
+        limits: What commands are cut to.
+        close: Brings everything to its safe state and lets go of it; called on every exit path.
+        host_timeout: s without a call after which the devices take the loop for dead and stop by
+            themselves; inf: this world waits, as the simulated one and a replay do.
+        length: s from the first cycle to the last: a recording ends, a world does not.
+        varied: In a simulated world that is not as its files say: the values drawn for it, by name,
+            in the files' units.
+        simulated: How a world is simulated: `mesh`, `timestep_ms`, and each of the `effects`, on or
+            off, why, and its price.
+        scene: The simulated world, for scoring alone; None on a real rig. Sensing and controllers
+            never see a `Rig`.
+    """
 
     name: str
     fingers: tuple[Finger, ...]
@@ -55,21 +73,11 @@ class Rig:
     clock: Clock
     limits: Limits
     close: Callable[[], None]
-    """Bring everything to its safe state and let go of it; called on every exit path."""
     host_timeout: float = math.inf
-    """s without a call after which the devices take the loop for dead and stop by themselves; inf:
-    this world waits, as the simulated one and a replay do."""
     length: float = math.inf
-    """s from its first cycle to its last: a recording ends, a world does not."""
     varied: Mapping[str, Any] = field(default_factory=dict)
-    """In a simulated world that is not as its files say: the values drawn for it, by name, in the
-    files' units."""
     simulated: Mapping[str, Any] = field(default_factory=dict)
-    """How a world is simulated: `mesh`, `timestep_ms`, and each of the `effects`, on or off, why,
-    and its price."""
     scene: Any = None
-    """The simulated world, for scoring alone; None on a real rig. Sensing and controllers never see
-    a `Rig`."""
 
     @property
     def period(self) -> float:

@@ -67,12 +67,16 @@ class ChainState:
 
 
 class Chain:
-    """The sensing chain of one sensor: operators made from its design once, and nothing that
-    changes.
+    """The sensing chain of one sensor: operators made from its design once; nothing changes.
 
-    What was measured of it (`calibration`) stands in for what the sensor file says, but for parts
-    that are outdated. The force comes from inverse finite elements. `settings` are the stages'
-    fitted numbers.
+    What was measured of it stands in for what the sensor file says, but for parts that are
+    outdated.
+    The force comes from inverse finite elements.
+
+    Args:
+        design: The sensor file's values.
+        calibration: What was measured of this sensor; None: nothing.
+        settings: The stages' chosen numbers.
     """
 
     def __init__(
@@ -97,12 +101,19 @@ class Chain:
         )
 
     def begin(self) -> ChainState:
-        """The state before anything was measured: what the sensor file says."""
+        """Make the state before anything was measured: what the sensor file says.
+
+        Returns:
+            A state without references.
+        """
         return ChainState(FlatReference.nominal(self.design), self.design.markers.p_SM)
 
     def recall(self) -> ChainState:
-        """The state with the references that `calibrate frame` measured, as far as there are
-        any."""
+        """Make the state with the references that `calibrate frame` measured, if there are any.
+
+        Returns:
+            The state.
+        """
         state = self.begin()
         frame = self._measured.frame
         if frame is None:
@@ -124,10 +135,17 @@ class Chain:
     # --------------------------------------------------------------------------------
 
     def take_flat(self, state: ChainState, images: Sequence[Image]) -> ChainState:
-        """Measure the camera's pose and each marker's radius on the flat membrane (valve open to
-        the air).
+        """Measure the camera's pose and each marker's radius on the flat membrane.
 
-        Raises DeviceError when too few markers are seen, or they do not agree with the sensor file.
+        Args:
+            state: Any state; its own references are replaced.
+            images: With the valve open to the air, nothing touching.
+
+        Returns:
+            The state with the flat reference.
+
+        Raises:
+            DeviceError: Too few markers are seen, or they do not agree with the sensor file.
         """
         nominal = replace(state, flat=FlatReference.nominal(self.design))
         seen = [
@@ -145,17 +163,37 @@ class Chain:
         *,
         sealed: bool = True,
     ) -> ChainState:
-        """Measure the inflated membrane with nothing touching, at a known gauge pressure, Pa.
+        """Measure the inflated membrane with nothing touching.
 
-        `sealed`: from here on the chamber keeps its gas; otherwise the valve keeps its pressure.
-        Raises DeviceError when the membrane does not bulge as it must: a valve that did not move
-        where no pressure sensor says so, or another membrane.
+        Args:
+            state: With the flat reference.
+            images: Of the membrane at rest.
+            pressure_gauge: Pa in the chamber, above ambient.
+            sealed: Whether the chamber keeps its gas from here on; otherwise the valve keeps its
+                pressure.
+
+        Returns:
+            The state with the rest reference, without history.
+
+        Raises:
+            DeviceError: The membrane does not bulge as it must: a valve that did not move where no
+                pressure sensor says so, or another membrane.
         """
         return self.set_rest(state, self.rest_markers(state, images), pressure_gauge, sealed=sealed)
 
     def rest_markers(self, state: ChainState, images: Sequence[Image]) -> Markers:
-        """The markers of an inflated membrane that nothing touches, mean of `images`. Raises
-        DeviceError for too few."""
+        """Find the markers of an inflated membrane that nothing touches.
+
+        Args:
+            state: With the flat reference.
+            images: Of the membrane at rest.
+
+        Returns:
+            The markers, the mean of the images.
+
+        Raises:
+            DeviceError: Too few are seen.
+        """
         expected = self.design.markers.p_SM
         seen = []
         for image in images:
@@ -167,7 +205,20 @@ class Chain:
     def set_rest(
         self, state: ChainState, markers: Markers, pressure_gauge: float, *, sealed: bool = True
     ) -> ChainState:
-        """Use a rest state that was measured before; see `take_rest`."""
+        """Use a rest state that was measured before; see `take_rest`.
+
+        Args:
+            state: With the flat reference.
+            markers: At rest.
+            pressure_gauge: Pa in the chamber then.
+            sealed: Whether the chamber keeps its gas.
+
+        Returns:
+            The state with the rest reference, without history.
+
+        Raises:
+            DeviceError: The markers are no bulge of the sensor file's.
+        """
         rest = self.inverse.rest_state(markers, pressure_gauge, sealed=sealed)
         self._check_rest(state, markers, rest, pressure_gauge)
         return replace(
@@ -238,7 +289,15 @@ class Chain:
         return replace(touch, age=unknown.age), state
 
     def see(self, state: ChainState, image: Image) -> tuple[Markers, ChainState]:
-        """Identified markers in S, and the state in which they are expected where they are now."""
+        """Find and identify the markers in one image.
+
+        Args:
+            state: What the image before left.
+            image: The image.
+
+        Returns:
+            The markers in S, and the state in which they are expected where they are now.
+        """
         if isinstance(image, Sighting) and image.ellipses is not None:
             ellipses = image.ellipses
             tracks = None
@@ -258,7 +317,14 @@ class Chain:
         return markers, replace(state, expected=_moved(state.expected, markers), tracks=tracks)
 
     def enough(self, markers: Markers) -> Status:
-        """Whether so many were seen that the shape is no guess."""
+        """Judge whether so many markers were seen that the shape is no guess.
+
+        Args:
+            markers: What was seen.
+
+        Returns:
+            "ok", or why not.
+        """
         seen = len(markers)
         all_ = self.design.markers.count
         if seen >= self.settings.fewest_seen * all_:
@@ -348,7 +414,12 @@ class Chain:
 
 
 class Perception:
-    """A chain and its newest state, for those that only go forward in time."""
+    """A chain and its newest state, for those that only go forward in time.
+
+    Args:
+        chain: The chain.
+        state: Where to begin; None: before anything was measured.
+    """
 
     def __init__(self, chain: Chain, state: ChainState | None = None):
         self.chain = chain
@@ -362,18 +433,43 @@ class Perception:
         *,
         settings: Settings = DEFAULTS,
     ) -> Perception:
-        """Of a sensor that has no references yet."""
+        """Begin with a sensor that has no references yet.
+
+        Args:
+            design: The sensor file's values.
+            calibration: What was measured of this sensor; None: nothing.
+            settings: The stages' chosen numbers.
+
+        Returns:
+            Its chain, with the state before anything was measured.
+        """
         return cls(Chain(design, calibration, settings=settings))
 
     def take_flat(self, images: Sequence[Image]) -> FlatReference:
-        """See `Chain.take_flat`."""
+        """Take the flat reference; see `Chain.take_flat`.
+
+        Args:
+            images: With the valve open to the air, nothing touching.
+
+        Returns:
+            The flat reference.
+        """
         self.state = self.chain.take_flat(self.state, images)
         return self.state.flat
 
     def take_rest(
         self, images: Sequence[Image], pressure_gauge: float, *, sealed: bool = True
     ) -> Markers:
-        """See `Chain.take_rest`; returns the markers at rest."""
+        """Take the rest reference; see `Chain.take_rest`.
+
+        Args:
+            images: Of the membrane at rest.
+            pressure_gauge: Pa in the chamber, above ambient.
+            sealed: Whether the chamber keeps its gas.
+
+        Returns:
+            The markers at rest.
+        """
         markers = self.chain.rest_markers(self.state, images)
         self.state = self.chain.set_rest(self.state, markers, pressure_gauge, sealed=sealed)
         return markers
