@@ -12,6 +12,7 @@ from __future__ import annotations
 import datetime
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -37,7 +38,7 @@ from mjtactile.core.fields import (
     write,
 )
 from mjtactile.core.toml import Section, read_json
-from mjtactile.core.types import Array, Markers, Traction
+from mjtactile.core.types import Array, Markers, PressureReading, Traction, ValveState
 
 FORMAT = "mjtactile-calibration"
 VERSION = 1
@@ -188,6 +189,11 @@ class ForceScale:
         k = self.scale
         cov = k**2 * traction.wrench_cov + self.sd**2 * np.outer(wrench, wrench)
         return replace(traction, force=k * traction.force, wrench=k * wrench, wrench_cov=cov)
+
+
+GAUGE_SD = 5.0
+"""Pa, noise of a pressure gauge that nobody measured."""
+_RESOLUTION = 0.5  # Pa, of what a valve board says
 
 
 Part = Lens | FrameCalibration | ValveZero | ForceScale
@@ -482,3 +488,16 @@ def _now() -> str:
 
 def _day(date: str) -> str:
     return date[:10]
+
+
+def pressure_reading(
+    valve: ValveState, calibration: Calibration | None = None
+) -> PressureReading | None:
+    """What the chamber's gauge says where `valve` was asked; None where there is none, or it is
+    silent. `calibration` is the finger's."""
+    if valve.pressure_gauge is None or not math.isfinite(valve.pressure_gauge + valve.time):
+        return None
+    zero = None if calibration is None else calibration.valve
+    pressure = valve.pressure_gauge - (0.0 if zero is None else zero.offset)
+    sd = GAUGE_SD if zero is None else max(zero.noise_sd, _RESOLUTION)
+    return PressureReading(pressure, sd, valve.time, valve.is_open)

@@ -16,6 +16,7 @@ class StatusCode(StrEnum):
     NO_SHAPE = "no shape"  # the markers fit no shape that the membrane can have
     # the rest is not what it was: temperature, a camera that moved
     REFERENCE_LOST = "reference lost"
+    AIR_MOVES = "air moves"  # the chamber's pressure changes too fast to be followed
     TOO_WEAK = "too weak"  # too small a force to say it by
     TOO_LITTLE_SEEN = "too little seen"  # the probe was not finished
     UNDECIDED = "undecided"  # the evidence fits two answers

@@ -403,6 +403,17 @@ class ValveState:
     age: float = float("nan")
 
 
+@dataclass(frozen=True)
+class PressureReading:
+    """What the pressure gauge of a chamber showed at `time` s on the images' clock: Pa above the
+    air's, its zero taken off, with its `sd`; and whether the valve was open then."""
+
+    pressure_gauge: float
+    sd: float
+    time: float
+    is_open: bool = False
+
+
 Phase = Literal[
     "approach", "close", "regulate", "lift", "hold", "lower", "release", "done", "abort"
 ]

@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.core.calibration import Calibration, calibration_from_table
+from mjtactile.core.calibration import Calibration, calibration_from_table, pressure_reading
 from mjtactile.core.design import SensorDesign, load_sensor, sensor_from_table
 from mjtactile.core.errors import DeviceError, InputError
-from mjtactile.core.types import Array, Image, Touch
+from mjtactile.core.types import Array, Image, PressureReading, Touch
 from mjtactile.recording.columns import SENSED, TRUE
 from mjtactile.recording.files import LOG, RECORDINGS, to_json
 from mjtactile.recording.reader import Recording, load_recording
@@ -196,6 +196,14 @@ class Episode:
         perception.take_rest(list(rest.images(number)), gauge)
         return perception
 
+    def _readings(self, cycle: int) -> list[PressureReading | None]:
+        """What the chambers' gauges said in that cycle, of every finger."""
+        valves = dict(zip(self.fingers, self.recording.valves(cycle), strict=False))
+        return [
+            pressure_reading(valves[name], self.calibrations[name]) if name in valves else None
+            for name in self.fingers
+        ]
+
     def cycles(self) -> Iterator[Seen]:
         """All cycles in order. Raises InputError naming an image file that is missing or broken."""
         columns = self.recording.columns
@@ -205,8 +213,10 @@ class Episode:
             time = float(row["time"])
             touch = (
                 tuple(
-                    chain.perceive(image, time)
-                    for chain, image in zip(self._perceptions, images, strict=True)
+                    chain.perceive(image, time, reading)
+                    for chain, image, reading in zip(
+                        self._perceptions, images, self._readings(k), strict=True
+                    )
                 )
                 if self._perceptions
                 else ()

@@ -14,9 +14,11 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Image, Surface, Touch
 from mjtactile.plugin.rest import at_rest
+from mjtactile.rig.finger import Finger
 from mjtactile.sensing.chain import Perception
 from mjtactile.sim.attach import Attachment
 from mjtactile.sim.camera import SimCamera
+from mjtactile.sim.rig import SimValve
 from mjtactile.sim.sensor.loads import membrane_wrench
 from mjtactile.sim.sensor.runtime import TactileSensor
 from mjtactile.sim.step import advance
@@ -128,6 +130,8 @@ class SimFinger:
         """The membrane, its gas and its valve."""
         self.sensor.inflate(rest.displacements, rest.pressure_gauge)
         self._camera = SimCamera(self.sensor, self._seed, effects)
+        self._valve = SimValve(self.sensor, self._seed)
+        self._finger = Finger(self.name, self.design, self._camera, self._valve)
         self._perception = Perception(rest.chain, rest.state)
         self._stepper = Stepper(self._model, self._data, [self.sensor])
         self._time = float(self._data.time)
@@ -177,7 +181,8 @@ class SimFinger:
 
     def _look(self) -> None:
         self._image = self._camera.read()
-        self._touch = self._perception.perceive(self._image, self._time)
+        reading = self._finger.reading(self._valve.state())
+        self._touch = self._perception.perceive(self._image, self._time, reading)
         reference = self._perception.state.reference
         self._seen = Seen(
             self._image,

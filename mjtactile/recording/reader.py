@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.images import decode
-from mjtactile.core.types import Array, Image
+from mjtactile.core.types import Array, Image, ValveState
 from mjtactile.recording.check import wrong_column, wrong_note
 from mjtactile.recording.columns import KEYS
 from mjtactile.recording.files import FORMAT, LOG, VERSION, finger_names
@@ -74,6 +75,24 @@ class Recording:
 
     def __len__(self) -> int:
         return len(self.columns["time"])
+
+    def valves(self, cycle: int) -> tuple[ValveState, ...]:
+        """What the valves said in that cycle, in the order of their fingers."""
+
+        def number(key: str, finger: int) -> float:
+            value = self.columns[key][cycle][finger] if key in self.columns else None
+            return math.nan if value is None else float(value)
+
+        gauges = [number("pressure_gauge", k) for k in range(self.valve_count)]
+        return tuple(
+            ValveState(
+                bool(self.columns["valve_open"][cycle][k]),
+                None if math.isnan(gauge) else gauge,
+                number("valve_time", k),
+                number("valve_age", k),
+            )
+            for k, gauge in enumerate(gauges)
+        )
 
     def column(self, key: str, width: int | None = None) -> Array:
         """Look up a column of numbers.

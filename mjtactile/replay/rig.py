@@ -50,12 +50,6 @@ class Tape:
         column = self.recording.columns.get(key)
         return math.nan if column is None else float(column[self.cycle])
 
-    def values(self, key: str, finger: int) -> float:
-        """The same of one finger."""
-        column = self.recording.columns.get(key)
-        value = None if column is None else column[self.cycle][finger]
-        return math.nan if value is None else float(value)
-
     def _advance(self) -> None:
         images = None if self.ended else next(self._frames, None)
         if images is None:
@@ -154,12 +148,7 @@ class ReplayValve:
             return ValveState(
                 False, _pressure(recording.references[-1].pressure_gauge[self._finger])
             )
-        return ValveState(
-            bool(recording.columns["valve_open"][self._tape.cycle][self._finger]),
-            _pressure(recording.columns["pressure_gauge"][self._tape.cycle][self._finger]),
-            self._tape.values("valve_time", self._finger),
-            self._tape.values("valve_age", self._finger),
-        )
+        return recording.valves(self._tape.cycle)[self._finger]
 
     def open(self, supply_gauge: float) -> None:
         """It was opened then."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from mjtactile.core.calibration import Calibration
+from mjtactile.core.calibration import Calibration, pressure_reading
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.types import PressureReading, ValveState
 from mjtactile.rig.limits import Limits
 from mjtactile.rig.protocols import Camera, Clock, Gripper, Valve
 
@@ -43,6 +44,11 @@ class Finger:
         if reading is None:
             return self.design.chamber.supply_gauge
         return reading if self.calibration is None else self.calibration.pressure(reading)
+
+    def reading(self, valve: ValveState | None) -> PressureReading | None:
+        """What the chamber's gauge says where `valve` was asked; None: there is none, or it is
+        silent."""
+        return None if valve is None else pressure_reading(valve, self.calibration)
 
 
 @dataclass(frozen=True)
@@ -93,6 +99,14 @@ class Rig:
     def valves(self) -> tuple[Valve, ...]:
         """The valves that obey, in the order of their fingers."""
         return tuple(finger.valve for finger in self.fingers if finger.valve is not None)
+
+    def readings(self, valves: Sequence[ValveState]) -> tuple[PressureReading | None, ...]:
+        """What each finger's gauge says, of the states of all `valves`; None without a gauge."""
+        states = iter(valves)
+        return tuple(
+            finger.reading(next(states, None) if finger.valve is not None else None)
+            for finger in self.fingers
+        )
 
 
 def make_fingers(

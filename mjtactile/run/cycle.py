@@ -49,7 +49,9 @@ class Cycle:
 class Perceiving(Protocol):
     """The chains of all fingers (`Perceivers`, `PerceptionPool`)."""
 
-    def perceive(self, images: Any, now: float, patience: float) -> tuple[Touch, ...]: ...
+    def perceive(
+        self, images: Any, now: float, patience: float, readings: Any
+    ) -> tuple[Touch, ...]: ...
 
 
 @dataclass(eq=False)
@@ -179,7 +181,8 @@ class ControlCycle:
 
     def _perceive(self) -> None:
         patience = min(_PERCEPTION_SHARE * self.rig.host_timeout, WAIT_TIME)
-        self.touch = self.perceptions.perceive(self.images, self.now, patience)
+        readings = self.rig.readings(self.valves)
+        self.touch = self.perceptions.perceive(self.images, self.now, patience, readings)
 
     def _touch_unknown(self, status: Status) -> None:
         self.touch = tuple(unknown_touch(image, self.now, status) for image in self.images)

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 from mjtactile.core import pace, system
 from mjtactile.core.status import Status, StatusCode
-from mjtactile.core.types import Image, Touch
+from mjtactile.core.types import Image, PressureReading, Touch
 
 # s for an answer where nobody says how long; a chain needs a hundredth of a second for an image
 PATIENCE = 10.0
@@ -28,7 +28,9 @@ class Perceiver(Protocol):
     def take_rest(
         self, images: Sequence[Image], pressure_gauge: float, *, sealed: bool = True
     ) -> Any: ...
-    def perceive(self, image: Image, now: float) -> Touch: ...
+    def perceive(
+        self, image: Image, now: float, reading: PressureReading | None = None
+    ) -> Touch: ...
 
 
 class Perceivers:
@@ -60,18 +62,25 @@ class Perceivers:
                 thread.close()
 
     def perceive(
-        self, images: Sequence[Image], now: float, patience: float = PATIENCE
+        self,
+        images: Sequence[Image],
+        now: float,
+        patience: float = PATIENCE,
+        readings: Sequence[PressureReading | None] = (),
     ) -> tuple[Touch, ...]:
-        """What every sensor feels. A thread that does not answer within `patience` s makes its
-        touch unknown, and is given no other image before it has. Raises what a chain raised, when
-        all have ended."""
+        """What every sensor feels, with its gauge's newest reading where there are any.
+
+        A thread that does not answer within `patience` s makes its touch unknown, and is given no
+        other image before it has. Raises what a chain raised, when all have ended.
+        """
         pairs = list(zip(self._chains, images, strict=True))
-        for (chain, _, thread), image in pairs:
+        given = [(image, now, reading) for image, reading in with_readings(images, readings)]
+        for (chain, _, thread), seen in zip(self._chains, given, strict=True):
             if thread is not None:
-                thread.begin(chain.perceive, image, now)
+                thread.begin(chain.perceive, *seen)
         own = [
-            outcome_of(chain.perceive, image, now) if thread is None else None
-            for (chain, _, thread), image in pairs
+            outcome_of(chain.perceive, *seen) if thread is None else None
+            for (chain, _, thread), seen in zip(self._chains, given, strict=True)
         ]
         end = pace.monotonic() + patience
         found = [
@@ -82,6 +91,13 @@ class Perceivers:
             late_touch(name, image, now) if outcome is None else value_of(outcome)
             for ((_, name, _), image), outcome in zip(pairs, found, strict=True)
         )
+
+
+def with_readings(
+    images: Sequence[Image], readings: Sequence[PressureReading | None]
+) -> list[tuple[Image, PressureReading | None]]:
+    """Each image with its gauge's reading, None where there are none."""
+    return list(zip(images, readings or (None,) * len(images), strict=True))
 
 
 def unknown_touch(image: Image, now: float, status: Status) -> Touch:

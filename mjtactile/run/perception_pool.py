@@ -3,7 +3,7 @@ much as they do.
 
 A process is given the chains and their states when a run begins, then images, and hands the states
 back when the run ends: what a chain finds does not depend on where it runs
-(docs/decisions/0024-a-process-beside-the-world.md). It is told nothing but images.
+(docs/decisions/0024-a-process-beside-the-world.md). It is told nothing but images and pressures.
 """
 
 from __future__ import annotations
@@ -17,8 +17,15 @@ from typing import Any
 
 from mjtactile.core import pace, system
 from mjtactile.core.errors import DeviceError
-from mjtactile.core.types import Image, Touch
-from mjtactile.run.perceive import PATIENCE, Outcome, late_touch, outcome_of, value_of
+from mjtactile.core.types import Image, PressureReading, Touch
+from mjtactile.run.perceive import (
+    PATIENCE,
+    Outcome,
+    late_touch,
+    outcome_of,
+    value_of,
+    with_readings,
+)
 from mjtactile.run.worker import Channel, WorkerProcess
 from mjtactile.sensing.chain import Perception
 
@@ -66,14 +73,18 @@ class PerceptionPool:
             self._give_back()
 
     def perceive(
-        self, images: Sequence[Image], now: float, patience: float = PATIENCE
+        self,
+        images: Sequence[Image],
+        now: float,
+        patience: float = PATIENCE,
+        readings: Sequence[PressureReading | None] = (),
     ) -> tuple[Touch, ...]:
         """What every sensor feels; see `mjtactile.run.perceive.Perceivers.perceive`.
 
         Raises DeviceError for a process that has ended, and what a chain raised, when all have
         answered.
         """
-        for worker, own in self._shares(images):
+        for worker, own in self._shares(with_readings(images, readings)):
             worker.begin("feel", own, now)
         end = pace.monotonic() + patience
         felt = list[Outcome | None]([None] * len(images))
@@ -126,14 +137,14 @@ def serve(channel: Channel) -> None:
                 case "take", own:
                     perceptions = pickle.loads(own)
                     channel.send()
-                case "feel", images, now:
+                case "feel", seen, now:
                     channel.send(
                         *[
                             (
-                                outcome_of(perception.perceive, image, now),
+                                outcome_of(perception.perceive, image, now, reading),
                                 getattr(perception.state, "tracks", None),
                             )
-                            for perception, image in zip(perceptions, images, strict=True)
+                            for perception, (image, reading) in zip(perceptions, seen, strict=True)
                         ]
                     )
                 case ("give",):

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mjtactile.core.calibration import pressure_reading
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Material, Touch
@@ -145,9 +146,11 @@ def replay_probe(
     log = _Log()
     for cycle, images in enumerate(recording.images()):
         now = float(recording.columns["time"][cycle])
+        readings = [pressure_reading(valve) for valve in recording.valves(cycle)]
+        readings += [None] * (len(images) - len(readings))
         touch = [
-            perception.perceive(image, now)
-            for perception, image in zip(perceptions, images, strict=True)
+            perception.perceive(image, now, reading)
+            for perception, image, reading in zip(perceptions, images, readings, strict=True)
         ]
         log.keep(
             touch,

@@ -3,6 +3,7 @@ touching."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -61,8 +62,11 @@ def take_references(
     yield Reference("flat", settled_images(fingers, clock), [0.0 for _ in valves])
     say("reference: inflated, nothing touching")
     inflate(fingers, clock)
-    images = settled_images(fingers, clock)
-    yield Reference("rest", images, [valve.state().pressure_gauge for valve in valves])
+    readings: list[list[float | None]] = []
+    images = settled_images(
+        fingers, clock, lambda: readings.append([v.state().pressure_gauge for v in valves])
+    )
+    yield Reference("rest", images, [_mean(each) for each in zip(*readings, strict=True)])
 
 
 def inflate(fingers: Sequence[Finger], clock: Clock) -> None:
@@ -76,8 +80,11 @@ def inflate(fingers: Sequence[Finger], clock: Clock) -> None:
             finger.valve.close()
 
 
-def settled_images(fingers: Sequence[Finger], clock: Clock) -> Shots:
-    """Wait until everything is still, then take REFERENCE_IMAGES images of each camera."""
+def settled_images(
+    fingers: Sequence[Finger], clock: Clock, with_each: Callable[[], None] = lambda: None
+) -> Shots:
+    """Wait until everything is still, then take REFERENCE_IMAGES images of each camera, and do
+    `with_each` with each of them."""
     period = control_period(fingers)
     clock.wait_until(clock.now() + SETTLE_TIME)
     shots: Shots = [[] for _ in fingers]
@@ -85,8 +92,15 @@ def settled_images(fingers: Sequence[Finger], clock: Clock) -> Shots:
         signals.check()
         for finger, images in zip(fingers, shots, strict=True):
             images.append(patient_read(finger.camera, clock, period))
+        with_each()
         clock.wait_until(clock.now() + period)
     return shots
+
+
+def _mean(readings: Sequence[float | None]) -> float | None:
+    """Of what a gauge said several times; None where there is none."""
+    known = [reading for reading in readings if reading is not None]
+    return math.fsum(known) / len(known) if known else None
 
 
 def patient_read(camera: Camera, clock: Clock, period: float) -> Image:

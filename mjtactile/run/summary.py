@@ -77,10 +77,12 @@ def see_again(recording: Recording, on_cycle: Callable[[Seen], None]) -> bool:
         session = Session(rig)
         session.take_references()
         perceptions = session.perceptions
-    for time, images in zip(recording.column("time")[:, 0], recording.images(), strict=True):
+    for cycle, images in enumerate(recording.images()):
+        time = recording.column("time")[cycle, 0]
+        readings = rig.readings(recording.valves(cycle)) if felt else ()
         touch = [
-            perception.perceive(image, float(time))
-            for perception, image in zip(perceptions, images, strict=False)
+            perception.perceive(image, float(time), reading)
+            for perception, image, reading in zip(perceptions, images, readings, strict=False)
         ]
         if images:
             on_cycle(ReplayedCycle(float(time), images, tuple(touch)))

@@ -24,8 +24,9 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.optics import Camera
 from mjtactile.core.status import OK, Status, StatusCode
-from mjtactile.core.types import Array, Image, Markers, Sighting, Surface, Touch
+from mjtactile.core.types import Array, Image, Markers, PressureReading, Sighting, Surface, Touch
 from mjtactile.sensing.force import bulge, zero
+from mjtactile.sensing.force.gauge import GasState, GaugeFilter
 from mjtactile.sensing.force.inverse import InverseMembrane, InverseRest, Shape
 from mjtactile.sensing.image import tracking
 from mjtactile.sensing.pose import identity
@@ -49,8 +50,8 @@ class Reference:
 class ChainState:
     """What one image leaves for the next: the sensor's own references (`flat`, and `reference` once
     at rest), the marker positions `expected` (M, 3) m in S, the membrane's `shape`, the histories
-    of touch and slip, the markers' `tracks`, and how far they stand `apart` (M, 3) m from the
-    zero."""
+    of touch and slip, the markers' `tracks`, how far they stand `apart` (M, 3) m from the
+    zero, and the `gas`, where a gauge measures it."""
 
     flat: FlatReference
     expected: Array
@@ -60,9 +61,11 @@ class ChainState:
     slip: slip.SlipHistory | None = None
     tracks: tracking.Tracks | None = None
     apart: Array | None = None
+    gas: GasState | None = None
 
     def without_history(self) -> ChainState:
-        """The same references, as if no image had been seen since."""
+        """The same references, as if no image had been seen since; what is known of the gas
+        stays."""
         return replace(self, shape=None, detection=None, slip=None, tracks=None, apart=None)
 
 
@@ -94,6 +97,7 @@ class Chain:
         self.settings = settings
         self.camera = Camera.from_design(design.camera, design.glass)
         self.inverse = InverseMembrane(design, settings.inverse, settings.prior, settings.doubt)
+        self.gauge = GaugeFilter(design.chamber, settings.gauge)
         self.fitter = SurfaceFitter(design, settings.surface)
         # seen 60 degrees aslant and from half as far again
         self._smallest_px = max(
@@ -225,6 +229,7 @@ class Chain:
             state,
             reference=Reference(rest, self.fitter.fit(markers)),
             expected=self.inverse.positions(rest.c),
+            gas=None,
         ).without_history()
 
     def _check_rest(
@@ -269,9 +274,11 @@ class Chain:
     # -- an image
     # --------------------------------------------------------------------------------
 
-    def step(self, state: ChainState, image: Image, now: float) -> tuple[Touch, ChainState]:
+    def step(
+        self, state: ChainState, image: Image, now: float, reading: PressureReading | None = None
+    ) -> tuple[Touch, ChainState]:
         """Touch from one image, and the state for the next; `now` s on the clock of the image's
-        time.
+        time, and the newest `reading` of the chamber's pressure gauge, where there is one.
 
         Raises DeviceError where the references are missing; what is wrong with an image is in the
         touch's status.
@@ -285,7 +292,8 @@ class Chain:
         markers, state = self.see(state, image)
         if (status := self.enough(markers)) != OK:
             return replace(unknown, status=status), state
-        touch, state = self.feel(state, markers, self.fitter.fit(markers), image.time)
+        surface = self.fitter.fit(markers)
+        touch, state = self.feel(state, markers, surface, image.time, reading)
         return replace(touch, age=unknown.age), state
 
     def see(self, state: ChainState, image: Image) -> tuple[Markers, ChainState]:
@@ -332,17 +340,24 @@ class Chain:
         return Status(StatusCode.TOO_FEW_MARKERS, f"only {seen} of {all_} markers seen")
 
     def feel(
-        self, state: ChainState, markers: Markers, surface: Surface, time: float
+        self,
+        state: ChainState,
+        markers: Markers,
+        surface: Surface,
+        time: float,
+        reading: PressureReading | None = None,
     ) -> tuple[Touch, ChainState]:
-        """Force, contact and slip by inverse finite elements, from markers and surface at `time`
-        s."""
+        """Force, contact and slip by inverse finite elements, from markers and surface at `time` s,
+        and what the pressure gauge says."""
         if state.reference is None:
             raise DeviceError(f"sensor {self.design.name}: markers before the rest reference")
         unknown = Touch(time, 0.0, np.nan, np.nan, False, surface=surface, markers=markers)
-        rest = state.reference.rest
         before = state.detection
         s = self.settings
-        shape = self.inverse.estimate(markers, rest, state.shape)
+        reference = state.reference
+        shape, rest, state = self._shape(state, reference, markers, time, reading)
+        moved = rest.pressure_gauge - reference.rest.pressure_gauge
+        moved = moved if math.isfinite(moved) else 0.0  # no gauge
         drifted = shape.drift > s.zero.drift_most  # then all markers are off, and it is said below
         sharp = float(shape.excess[0].mean()) > s.inverse.excess_most and not drifted
         if sharp or not shape.misfit < s.inverse.misfit_most:
@@ -351,7 +366,7 @@ class Chain:
             return replace(unknown, slip=lost, status=status), state.without_history()
         force = self._measured.force
         traction = self.inverse.traction(
-            shape, state.shape, math.inf if before is None else time - before.time
+            shape, state.shape, math.inf if before is None else time - before.time, moved
         )
         traction = traction if force is None else force.apply(traction)
         found = zero.detect_touch(time, traction, before, s.zero)
@@ -373,10 +388,19 @@ class Chain:
             followed = zero.follow(
                 self.inverse, followed, shape, markers, found.time - before.time, s.zero
             )
+            gas = None if state.gas is None else state.gas.corrected(followed.share)
             state = replace(
-                state, reference=replace(state.reference, rest=followed.rest), apart=followed.apart
+                state,
+                reference=replace(state.reference, rest=followed.rest),
+                apart=followed.apart,
+                gas=gas,
             )
         sd = float(np.sqrt(traction.wrench_cov[2, 2]))
+        if abs(moved) > s.gauge.moved_most:
+            text = f"the chamber's pressure has moved by {moved:+.0f} Pa since the last image"
+            status = Status(StatusCode.AIR_MOVES, text)
+            lost = slip.unknown(status.code, "the air moves")
+            return replace(unknown, traction=traction, slip=lost, status=status), state
         if quiet and (
             found.force < -max(s.zero.pull_most, s.zero.touch_sd * sd)
             or shape.drift > s.zero.drift_most
@@ -401,6 +425,50 @@ class Chain:
             patches=patches,
             slip=judged,
         ), state
+
+    def _shape(
+        self,
+        state: ChainState,
+        reference: Reference,
+        markers: Markers,
+        time: float,
+        reading: PressureReading | None,
+    ) -> tuple[Shape, InverseRest, ChainState]:
+        """The membrane's shape, the rest that it is measured against, and the state in which the
+        gas is known as well as gauge and shape say.
+
+        In a sealed chamber a reading is weighed with the volume that the image shows; where it says
+        much that was not known, the image is looked at again.
+        """
+        rest = reference.rest
+        if reading is None and state.gas is None:
+            return self.inverse.estimate(markers, rest, state.shape), rest, state
+        gas = state.gas
+        if gas is None:
+            start = time if reading is None else min(time, reading.time)
+            volume = self.inverse.volume(rest.c)
+            gas = self.gauge.begin(rest.gas, start - 1e-3, volume)
+        if reading is not None:
+            gas = self.gauge.switched(gas, reading)
+            if gas.is_open:
+                gas, _ = self.gauge.read(gas, reading)
+        shape, rest = self._shape_with(gas, rest, state, markers, time)
+        share = self.settings.inverse.dent_share
+        seen = self.gauge.saw(gas, time, self.inverse.volume(shape.c), share)
+        if reading is not None and not gas.is_open:
+            seen, told = self.gauge.read(seen, reading)
+            if told:
+                shape, rest = self._shape_with(seen, rest, state, markers, time)
+                seen = seen.seen_again(self.inverse.volume(shape.c))
+        return shape, rest, replace(state, gas=seen, reference=replace(reference, rest=rest))
+
+    def _shape_with(
+        self, gas: GasState, rest: InverseRest, state: ChainState, markers: Markers, time: float
+    ) -> tuple[Shape, InverseRest]:
+        """The shape with what is known of the gas, and the sensor at rest with it."""
+        now, sd = self.gauge.gas_at(gas, time)
+        rest = self.inverse.with_gas(rest, now, sd, gas.seen[-1][1])
+        return self.inverse.estimate(markers, rest, state.shape), rest
 
     def _locate(self, state: ChainState, image: Image, expected: Array, what: str) -> Markers:
         markers, _ = self.see(replace(state, expected=expected), image)
@@ -474,9 +542,9 @@ class Perception:
         self.state = self.chain.set_rest(self.state, markers, pressure_gauge, sealed=sealed)
         return markers
 
-    def perceive(self, image: Image, now: float) -> Touch:
+    def perceive(self, image: Image, now: float, reading: PressureReading | None = None) -> Touch:
         """See `Chain.step`."""
-        touch, self.state = self.chain.step(self.state, image, now)
+        touch, self.state = self.chain.step(self.state, image, now, reading)
         return touch
 
 

@@ -35,16 +35,18 @@ class Restart:
         self._rig = rig
         self._world = world
         self._pose = place(world.object, start_of(seed)[0])
-        self._snapshot = Snapshot(world, rig.gripper, rig.clock, *rig.cameras)
+        self._snapshot = Snapshot(world, rig.gripper, rig.clock, *rig.cameras, *rig.valves)
 
     def again(self, seed: int) -> None:
-        """The rig as it was, but for what a seed says: where the object stands, and the cameras'
-        noise."""
+        """The rig as it was, but for what a seed says: where the object stands, and the noise of
+        cameras and gauges."""
         self._snapshot.restore()
         pose, seeds = start_of(seed)
         self._move(place(self._world.object, pose))
         for camera, own in zip(self._rig.cameras, seeds(len(self._rig.cameras)), strict=True):
             camera.reseed(own)  # pyright: ignore[reportAttributeAccessIssue] it is a SimCamera
+        for k, valve in enumerate(self._rig.valves):
+            valve.reseed(seed + k)  # pyright: ignore[reportAttributeAccessIssue] it is a SimValve
         self._rig.gripper.reseed(seed)  # pyright: ignore[reportAttributeAccessIssue]
 
     def _move(self, pose: tuple[float, float, float]) -> None:

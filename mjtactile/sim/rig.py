@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mjtactile.core.calibration import GAUGE_SD
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Command, GripperState, ValveState
@@ -116,13 +117,23 @@ class SimClock:
 
 
 class SimValve:
-    """The valve of one chamber; this rig has no pressure sensor, as the paper's device has none."""
+    """The valve of one chamber, with the gauge of a valve board: whole pascals, their noise, and
+    `zero` Pa that it shows too much."""
 
-    def __init__(self, sensor: TactileSensor):
+    def __init__(self, sensor: TactileSensor, seed: int = 0, zero: float = 0.0):
         self._sensor = sensor
+        self._zero = zero
+        self.reseed(seed)
+
+    def reseed(self, seed: int) -> None:
+        """Draw the gauge's noise from another generator."""
+        self._rng = np.random.default_rng([seed, 2])
 
     def state(self) -> ValveState:
-        return ValveState(self._sensor.valve_is_open, time=self._sensor.time, age=0.0)
+        sensor = self._sensor
+        shown = sensor.pressure_gauge + self._zero + GAUGE_SD * self._rng.standard_normal()
+        age = sensor.time - sensor.gas_time
+        return ValveState(sensor.valve_is_open, float(round(shown)), sensor.gas_time, age)
 
     def open(self, supply_gauge: float) -> None:
         self._sensor.open_valve(supply_gauge)
@@ -265,7 +276,10 @@ def build_sim_rig(
             sensor.puncture(own.leak)
             sensor.warm(own.warming)
     clock.on_arrival += [camera.draw for camera in cameras]
-    valves = tuple(SimValve(sensor) for sensor in world.sensors)
+    valves = tuple(
+        SimValve(sensor, seed + k, own.valve_zero)
+        for k, (sensor, own) in enumerate(zip(world.sensors, specimens, strict=True))
+    )
     limits = Limits(
         file.gripper.opening,
         file.gripper.speed,

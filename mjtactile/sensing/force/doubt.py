@@ -24,12 +24,14 @@ AXES = np.array([0, 0, 1, 2, 2, 3])
 class Felt:
     """What a shape says: nodal `force` (3, J) N, by how much the wrench has changed since the last
     image, `change` (6,), the mean `velocity` (3,) m/s of the sheet since then, and the mean over
-    all markers of their squared noise over its sd, `excess`."""
+    all markers of their squared noise over its sd, `excess`; by how much the pressure has changed
+    by itself, `air_moved` Pa."""
 
     force: Array
     change: Array
     velocity: Array
     excess: float
+    air_moved: float = 0.0
 
 
 class Doubt:
@@ -49,6 +51,7 @@ class Doubt:
         self._resistance = (
             settings.drag * frame.length * frame.width * sheet.young * sheet.thickness
         )
+        self._area = frame.length * frame.width
         self._unit = np.array([1.0, 1.0, 1.0, *np.full(3, settings.lever)])
 
     def variance(self, felt: Felt) -> Array:
@@ -66,5 +69,6 @@ class Doubt:
         variance = np.square(self._shares[:4] * loads).sum(axis=0) + np.square(
             self._shares[4] * felt.change / self._unit
         )
+        variance[2] += (self._shares[4, 2] * self._area * felt.air_moved) ** 2
         variance[:2] += (self._resistance * felt.velocity[:2]) ** 2
         return self._unit**2 * variance

@@ -18,7 +18,7 @@ arithmetic is in mjtactile/kernels/inverse.c.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,8 @@ STEP_LIMIT = 2e-3
 # m: a step that ends the iteration; a distance over which stiffness and gains are kept
 SETTLED = 1e-4
 NEAR = 2e-4
+_SD_RATIO = 1.3  # by which the gas's pressure may become better or worse known meanwhile
+_GAS_NEAR = 3.0  # Pa, over which the sheet at rest is kept
 REFINE = 5  # cells of the fine grid, for outlines, to a cell of the traction grid
 
 
@@ -49,12 +51,16 @@ class InverseRest:
     """What the sensor measured of itself with nothing touching: the `gas`, the factor
     `stiffness_scale` on Young's modulus that makes the model bulge as far as the markers do,
     coefficients `c` (3, n) m of that model, and what then remains, `offset` (N, 3) m, measured less
-    modelled marker positions."""
+    modelled marker positions. Where a gauge measures the gas: the sd of its pressure, `gas_sd` Pa,
+    in a chamber of `gas_volume` m^3, and the pressure at rest, `pressure_gauge` Pa."""
 
     gas: Gas
     stiffness_scale: float
     c: Array
     offset: Array
+    gas_sd: float | None = None
+    gas_volume: float = math.nan
+    pressure_gauge: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +89,16 @@ class Gain:
     prior: Array
     innovation: Array
     reweighted: int
+    gas: tuple[tuple[bool, bool], float]
 
-    def serves(self, c: Array, markers: Markers) -> bool:
-        """Whether it can be used near `c`, for these markers."""
-        return np.array_equal(self.ids, markers.ids) and bool(np.abs(c - self.c).max() < NEAR)
+    def serves(self, c: Array, markers: Markers, rest: InverseRest) -> bool:
+        """Whether it can be used near `c`, for these markers, with what is known of the gas."""
+        if not np.array_equal(self.ids, markers.ids) or np.abs(c - self.c).max() >= NEAR:
+            return False
+        known, then = self.gas
+        if known != (rest.gas_sd is not None, rest.gas.constant is None):
+            return False
+        return rest.gas_sd is None or then / _SD_RATIO < rest.gas_sd < then * _SD_RATIO
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,6 +194,22 @@ class InverseMembrane:
         offset[markers.ids] = markers.p_SM - self.positions(c)[markers.ids]
         return InverseRest(gas, scale, c, offset)
 
+    def volume(self, c: Array) -> float:
+        """Gas volume, m^3, behind the sheet at coefficients `c`."""
+        return self.design.chamber_volume_flat + self.sheet.state(c).volume
+
+    def with_gas(self, rest: InverseRest, gas: Gas, sd: float, volume: float) -> InverseRest:
+        """The same sensor at rest with `gas` in it, whose pressure is known to `sd` Pa in a chamber
+        of `volume` m^3."""
+        c = rest.c
+        state = self.sheet.state(c, rest.stiffness_scale)
+        # what holds this bulge, as far as a pressure does
+        held = float((state.elastic * state.gradient).sum() / (state.gradient**2).sum())
+        if abs(self.sheet.gas_pressure(state, gas)[0] - held) > _GAS_NEAR:
+            c = self.sheet.equilibrium(gas, rest.stiffness_scale, start=c)
+            held = self.sheet.gas_pressure(self.sheet.state(c), gas)[0]
+        return replace(rest, gas=gas, c=c, gas_sd=sd, gas_volume=volume, pressure_gauge=held)
+
     def positions(self, c: Array) -> Array:
         """Marker centres (N, 3) m in S."""
         return self._material + self._at_markers @ c.T
@@ -195,7 +223,7 @@ class InverseMembrane:
         c, before = (rest.c, None) if start is None else (start.c, start)
         gain = None if start is None else start.gain
         for steps in range(1, STEPS_MAX + 1):
-            if gain is None or gain.reweighted < REWEIGHTED or not gain.serves(c, markers):
+            if gain is None or gain.reweighted < REWEIGHTED or not gain.serves(c, markers, rest):
                 gain = self._gain(c, markers, rest, before)
             shape = self._step(c, markers, rest, gain, steps)
             settled = float(np.abs(shape.c - c).max()) < SETTLED
@@ -327,13 +355,19 @@ class InverseMembrane:
             prior,
             innovation,
             0 if before is None else before.gain.reweighted + 1,
+            ((rest.gas_sd is not None, rest.gas.constant is None), rest.gas_sd or 0.0),
         )
 
     def _gas_drift(self, state: State, rest: InverseRest) -> tuple[float, Array]:
         """One sd of the gas's drift, as pressure, Pa, and as a load (3, n)."""
+        chamber = self.design.chamber
         volume = self.design.chamber_volume_flat + state.volume
+        pressure = self.sheet.gas_pressure(state, rest.gas)[0] + chamber.ambient
+        if rest.gas_sd is not None:
+            change = (volume - rest.gas_volume) / volume if rest.gas.constant is not None else 0.0
+            sd = math.hypot(rest.gas_sd, self.settings.dent_share * change * pressure)
+            return sd, sd * state.gradient
         dent = self.sheet.state(rest.c).volume - state.volume
-        pressure = self.sheet.gas_pressure(state, rest.gas)[0] + self.design.chamber.ambient
         share = float(np.hypot(self.settings.drift_gas, self.settings.dent_share * dent / volume))
         pressure *= share if rest.gas.constant is not None else 0.0
         return pressure, pressure * state.gradient
@@ -342,10 +376,15 @@ class InverseMembrane:
     # --------------------------------------------------------------------------------
 
     def traction(
-        self, shape: Shape, before: Shape | None = None, seconds: float = math.inf
+        self,
+        shape: Shape,
+        before: Shape | None = None,
+        seconds: float = math.inf,
+        air_moved: float = 0.0,
     ) -> Traction:
         """Nodal forces on the grid, net wrench and its covariance, which grows with the motion
-        since `before`, `seconds` ago."""
+        since `before`, `seconds` ago, and with the gas's own change of pressure since then,
+        `air_moved` Pa."""
         force = shape.traction * self.node_area
         positions = self.node_positions(shape.c)
         wrench = _net(force, positions)
@@ -358,6 +397,7 @@ class InverseMembrane:
             wrench - _net(before.traction * self.node_area, positions),
             self.node_area @ moved / (self.node_area.sum() * max(seconds, 1e-3)),
             float(shape.excess[0].mean()),
+            air_moved,
         )
         cov = self._posterior(shape, positions)
         cov[np.diag_indices(6)] += self._doubt.variance(felt)

@@ -64,10 +64,12 @@ def detect_touch(
 @dataclass(frozen=True, eq=False)
 class Zero:
     """The rest state that is followed, and by how much all markers stand apart from it, `apart` (N,
-    3) m, a mean over about `ZeroSettings.smooth` s."""
+    3) m, a mean over about `ZeroSettings.smooth` s; `share` is by how much more of its gas it has
+    just been followed."""
 
     rest: InverseRest
     apart: Array
+    share: float = 0.0
 
     @classmethod
     def of(cls, rest: InverseRest) -> Zero:
@@ -110,16 +112,19 @@ def follow(
     return Zero(
         replace(rest, gas=gas, c=rest.c + share * bulge, offset=rest.offset + left),
         apart - share * moved - left,
+        share,
     )
 
 
 def _of_gas(estimator: InverseMembrane, rest: InverseRest, shape: Shape) -> Array:
     """Coefficients (3, n) m by which the sheet bulges further for a whole more of the gas; 0 where
     a valve keeps the pressure."""
-    if rest.gas.constant is None:
+    if rest.gas.constant is None and rest.gas_sd is None:
         return np.zeros_like(rest.c)
     state = estimator.sheet.state(rest.c, rest.stiffness_scale)
     chamber = estimator.design.chamber
+    if rest.gas.constant is None:
+        return shape.gain.stiffness.solve((chamber.ambient + rest.gas.gauge) * state.gradient)
     # Pa
     per_share = (
         rest.gas.constant

@@ -22,6 +22,7 @@ from typing import Any
 from mjtactile.core.errors import InputError
 from mjtactile.sensing.settings.force import (
     DoubtSettings,
+    GaugeSettings,
     InverseSettings,
     PriorSettings,
     ZeroSettings,
@@ -97,6 +98,7 @@ class Settings:
     prior: PriorSettings = field(default_factory=PriorSettings)
     inverse: InverseSettings = field(default_factory=InverseSettings)
     doubt: DoubtSettings = field(default_factory=DoubtSettings)
+    gauge: GaugeSettings = field(default_factory=GaugeSettings)
     zero: ZeroSettings = field(default_factory=ZeroSettings)
     patches: PatchSettings = field(default_factory=PatchSettings)
     slip: SlipSettings = field(default_factory=SlipSettings)

@@ -136,6 +136,35 @@ class DoubtSettings:
 
 
 @dataclass(frozen=True)
+class GaugeSettings:
+    """The gas that a pressure gauge tells of (sensing/force/gauge.py). Pressures and amounts are
+    shares of the absolute ambient pressure: 1e-5 is a pascal."""
+
+    floor: float = number(1.5, "Pa, sd of a gauge's mean, however many readings", "trial")
+    scale: float = number(
+        0.005, "sd of its scale, of what the pressure differs from that at rest", "data sheets: 1 %"
+    )
+    rate: float = number(5e-5, "1/s, sd of a sealed chamber's loss before any is seen", "5 Pa/s")
+    rate_time: float = number(3.0, "s, over which a rate is forgotten that is not seen", "trial")
+    walk: float = number(0.7e-5, "1/sqrt(s), of a sealed amount", "bench trust: shipped grasps")
+    rate_walk: float = number(1e-5, "1/s/sqrt(s), of its rate", "bench trust: shipped grasps")
+    open_walk: float = number(1e-4, "1/sqrt(s), of a pressure that a valve keeps", "trial")
+    open_rate: float = number(3e-3, "1/s/sqrt(s), of its rate", "1.4 kPa in a second")
+    moving: float = number(1e-3, "sd of the pressure when a valve has just moved", "trial")
+    moving_rate: float = number(0.2, "1/s, sd of its rate then", "1 kPa in 50 ms")
+    drift: float = number(5e-5, "sd of what is sealed, beside the pressure's own", "trial")
+    deviation_most: float = number(4.5, "sd by which one reading may surprise", "trial")
+    surprise_most: float = number(1.7, "sd by which the mean of several may", "4 sd of that mean")
+    telling: float = number(4.0, "of a reading's variance: what is known worse is told", "trial")
+    blend: float = number(0.3, "of the newest reading in that mean", "trial")
+    shortest: float = number(0.02, "s, in which a surprise has come about", "trial")
+    moved_most: float = number(
+        60.0, "Pa in an image, from which on the force is unknown", "bench trust: valves, holes"
+    )
+    least: float = number(0.01, "of ambient pressure, that a chamber has at least", "vacuum")
+
+
+@dataclass(frozen=True)
 class ZeroSettings:
     """Is there a touch, and the zero that follows the weather while there is none
     (sensing/force/zero.py)."""

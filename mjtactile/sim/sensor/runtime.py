@@ -274,6 +274,11 @@ class TactileSensor:
         return self._gas.pressure_gauge
 
     @property
+    def gas_time(self) -> float:
+        """When `pressure_gauge` was so, s."""
+        return self.time if self.is_asleep else self._time
+
+    @property
     def temperature(self) -> float:
         """Temperature of the gas in the chamber, K, at the last `update`."""
         return self._gas.temperature

@@ -1,0 +1,166 @@
+"""How much gas is in the chamber, from its pressure gauge (docs/equations.md, Eq. F17).
+
+Sealed, the gas law says how pressure follows volume, and what the gauge shows beyond that is a
+change of the amount: a leak, warmth, a hole. Open, the valve keeps a pressure of its own, and the
+gauge says which. A Kalman filter follows either, with its rate; readings that it does not expect
+make it doubt itself first, and believe them at once (a hole, a valve that moved).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mjtactile.core.design import Chamber
+from mjtactile.core.types import Array, PressureReading
+from mjtactile.sensing.force.sheet import Gas
+from mjtactile.sensing.settings import DEFAULTS, GaugeSettings
+
+
+@dataclass(frozen=True, eq=False)
+class GasState:
+    """What is known of the gas at `time` s: while `is_open`, `value` is the gauge pressure over the
+    absolute ambient one; sealed, the logarithm of its amount over `amount` (p V^gamma). `rate` 1/s
+    is its change and `cov` (2, 2) the covariance of both; `surprise` a mean of the last readings'
+    deviations over their sd. `seen` are (time s, volume m^3) of the last images, the newest last;
+    `zero` is how much more gas the membrane at rest shows than the gauge, a share."""
+
+    time: float
+    is_open: bool
+    amount: float
+    value: float
+    rate: float
+    cov: Array
+    seen: tuple[tuple[float, float], ...]
+    surprise: float = 0.0
+    zero: float = 0.0
+
+    def corrected(self, share: float) -> GasState:
+        """The same when the membrane at rest says that there is more gas by a `share`: the gauge's
+        zero has moved, or the weather."""
+        return replace(self, zero=self.zero + share)
+
+    def seen_again(self, volume: float) -> GasState:
+        """The same with another volume, m^3, in the last image."""
+        return replace(self, seen=(*self.seen[:-1], (self.seen[-1][0], volume)))
+
+    def volume_at(self, time: float) -> tuple[float, float]:
+        """Gas volume, m^3, at `time` s, and what of it is only extrapolated."""
+        if len(self.seen) < 2 or self.seen[1][0] <= self.seen[0][0]:
+            return self.seen[-1][1], 0.0
+        (t0, v0), (t1, v1) = self.seen
+        beyond = (v1 - v0) / (t1 - t0) * (time - t1)
+        return v1 + beyond, max(time - t1, t0 - time, 0.0) * abs(v1 - v0) / (t1 - t0)
+
+
+class GaugeFilter:
+    """Follows one chamber's gas."""
+
+    def __init__(self, chamber: Chamber, settings: GaugeSettings = DEFAULTS.gauge):
+        self._gamma = chamber.heat_ratio
+        self._ambient = chamber.ambient
+        self.settings = settings
+
+    def begin(self, gas: Gas, time: float, volume: float) -> GasState:
+        """The gas at rest in `volume` m^3, as it was measured a while ago."""
+        pressure = self._ambient + gas.pressure_gauge(volume, self._ambient, self._gamma)
+        is_open = gas.constant is None
+        return GasState(
+            time,
+            is_open,
+            pressure * volume**self._gamma,
+            gas.gauge / self._ambient if is_open else 0.0,
+            0.0,
+            np.diag([self.settings.drift, self.settings.rate]) ** 2,
+            ((time, volume),),
+        )
+
+    def gas_at(self, state: GasState, time: float) -> tuple[Gas, float]:
+        """The gas at `time` s, and the sd of its pressure, Pa."""
+        ahead = time - state.time
+        value = state.value + state.rate * ahead
+        cov = _moved(state.cov, ahead) + self._noise(state, abs(ahead))
+        sd = math.hypot(math.sqrt(cov[0, 0]) * self._ambient, self.settings.floor)
+        if state.is_open:
+            return Gas((value + state.zero) * self._ambient), sd
+        amount = state.amount * math.exp(value + state.zero)
+        volume = state.seen[-1][1]
+        return Gas(amount / volume**self._gamma - self._ambient, amount), sd
+
+    def saw(self, state: GasState, time: float, volume: float, dent_share: float) -> GasState:
+        """After an image at `time` s that shows `volume` m^3, wrong by `dent_share` of its
+        change."""
+        cov = state.cov.copy()
+        if not state.is_open:
+            change = self._gamma * (volume - state.seen[-1][1]) / volume
+            cov[0, 0] += (dent_share * change) ** 2
+        return replace(state, seen=(*state.seen[-1:], (time, volume)), cov=cov)
+
+    def switched(self, state: GasState, reading: PressureReading) -> GasState:
+        """The same gas when the valve was opened or closed, as the `reading` says."""
+        if reading.is_open == state.is_open:
+            return state
+        s = self.settings
+        volume = state.seen[-1][1]
+        if reading.is_open:
+            amount = state.amount * math.exp(state.value)
+            value = amount / volume**self._gamma / self._ambient - 1
+            cov = np.diag([s.moving, s.moving_rate]) ** 2
+            return replace(state, is_open=True, value=value, rate=0.0, cov=cov, surprise=0.0)
+        amount = (1 + state.value) * self._ambient * volume**self._gamma
+        cov = np.diag([math.hypot(s.drift, math.sqrt(state.cov[0, 0])), s.rate]) ** 2
+        return replace(
+            state, is_open=False, amount=amount, value=0.0, rate=0.0, cov=cov, surprise=0.0
+        )
+
+    def read(self, state: GasState, reading: PressureReading) -> tuple[GasState, bool]:
+        """After a reading, and whether it says much that was not known. One that is known
+        already changes nothing."""
+        ahead = reading.time - state.time
+        if not math.isfinite(reading.pressure_gauge) or ahead <= 0:
+            return state, False
+        s = self.settings
+        value = state.value + state.rate * ahead
+        cov = _moved(state.cov, ahead) + self._noise(state, ahead)
+        measured = reading.pressure_gauge / self._ambient
+        variance = (reading.sd / self._ambient) ** 2
+        if not state.is_open:
+            volume, beyond = state.volume_at(reading.time)
+            law = state.amount / volume**self._gamma / self._ambient
+            measured = math.log(max(1 + measured, s.least) / law)
+            variance += (self._gamma * beyond / volume) ** 2
+        off = measured - value
+        deviation = off / math.sqrt(cov[0, 0] + variance)
+        surprise = state.surprise + s.blend * (deviation - state.surprise)
+        surprised = abs(deviation) > s.deviation_most or abs(surprise) > s.surprise_most
+        if surprised:
+            surprise = 0.0
+            cov[0, 0] += off**2
+            cov[1, 1] += (off / max(ahead, s.shortest)) ** 2
+        cov_before = cov[0, 0]
+        gain = cov[:, 0] / (cov[0, 0] + variance)
+        cov = cov - np.outer(gain, cov[0])
+        return (
+            replace(
+                state,
+                time=reading.time,
+                value=value + gain[0] * off,
+                rate=state.rate * math.exp(-ahead / s.rate_time) + gain[1] * off,
+                cov=(cov + cov.T) / 2,
+                surprise=surprise,
+            ),
+            surprised or cov_before > s.telling * variance,
+        )
+
+    def _noise(self, state: GasState, seconds: float) -> Array:
+        """What may have changed within `seconds` besides the rate."""
+        s = self.settings
+        walk, rate = (s.open_walk, s.open_rate) if state.is_open else (s.walk, s.rate_walk)
+        return np.diag([walk**2 * seconds, rate**2 * seconds])
+
+
+def _moved(cov: Array, ahead: float) -> Array:
+    F = np.array([[1.0, ahead], [0.0, 1.0]])
+    return F @ cov @ F.T
