@@ -33,7 +33,7 @@ class Feels:
     def __init__(self):
         self.state = 0
 
-    def perceive(self, image, now):
+    def perceive(self, image, now, reading=None):
         self.state += 1
         p = np.full((1, 3), float(image.pixels.sum()))
         markers = Markers(np.array([self.state]), p, p, np.ones((1, 3, 3)))
@@ -41,7 +41,7 @@ class Feels:
 
 
 class Raises(Feels):
-    def perceive(self, image, now):
+    def perceive(self, image, now, reading=None):
         if now == 1.0:
             raise ValueError("what it says")
         return super().perceive(image, now)
@@ -52,7 +52,7 @@ class Hangs(Feels):
         super().__init__()
         self.until = until
 
-    def perceive(self, image, now):
+    def perceive(self, image, now, reading=None):
         while not self.until.exists():
             time.sleep(0.01)
         return super().perceive(image, now)

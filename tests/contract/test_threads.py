@@ -78,14 +78,14 @@ def chain(act):
     return SimpleNamespace(perceive=act)
 
 
-def felt(image, now):
+def felt(image, now, reading=None):
     return unknown_touch(image, now, "ok")
 
 
 def test_both_work_at_the_same_time():
     meet = threading.Barrier(2, timeout=300)  # each waits for the other
 
-    def act(image, now):
+    def act(image, now, reading=None):
         meet.wait()
         return felt(image, now)
 
@@ -98,7 +98,7 @@ def test_both_work_at_the_same_time():
 def test_an_error_arrives_as_itself_and_the_next_image_is_looked_at(threads):
     calls = []
 
-    def act(image, now):
+    def act(image, now, reading=None):
         calls.append(now)
         if now == 1.0:
             raise ValueError("what it says")
@@ -118,7 +118,7 @@ def test_one_that_hangs_is_unknown_until_it_answers():
     answered = threading.Event()
     seen = []
 
-    def hangs(image, now):
+    def hangs(image, now, reading=None):
         seen.append(now)
         assert go.wait(300)
         answered.set()

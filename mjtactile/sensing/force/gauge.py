@@ -48,9 +48,9 @@ class GasState:
 
     def volume_at(self, time: float) -> tuple[float, float]:
         """Gas volume, m^3, at `time` s, and what of it is only extrapolated."""
-        if len(self.seen) < 2 or self.seen[1][0] <= self.seen[0][0]:
-            return self.seen[-1][1], 0.0
-        (t0, v0), (t1, v1) = self.seen
+        (t0, v0), (t1, v1) = self.seen[0], self.seen[-1]
+        if t1 <= t0:
+            return v1, 0.0
         beyond = (v1 - v0) / (t1 - t0) * (time - t1)
         return v1 + beyond, max(time - t1, t0 - time, 0.0) * abs(v1 - v0) / (t1 - t0)
 
@@ -158,6 +158,7 @@ class GaugeFilter:
         """What may have changed within `seconds` besides the rate."""
         s = self.settings
         walk, rate = (s.open_walk, s.open_rate) if state.is_open else (s.walk, s.rate_walk)
+        rate = math.hypot(rate, s.rate_share * state.rate)  # a hole's rate falls with the pressure
         return np.diag([walk**2 * seconds, rate**2 * seconds])
 
 

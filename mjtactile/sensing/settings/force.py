@@ -148,6 +148,7 @@ class GaugeSettings:
     rate_time: float = number(3.0, "s, over which a rate is forgotten that is not seen", "trial")
     walk: float = number(0.7e-5, "1/sqrt(s), of a sealed amount", "bench trust: shipped grasps")
     rate_walk: float = number(1e-5, "1/s/sqrt(s), of its rate", "bench trust: shipped grasps")
+    rate_share: float = number(1.0, "1/sqrt(s), of the rate that is there", "a hole: trial")
     open_walk: float = number(1e-4, "1/sqrt(s), of a pressure that a valve keeps", "trial")
     open_rate: float = number(3e-3, "1/s/sqrt(s), of its rate", "1.4 kPa in a second")
     moving: float = number(1e-3, "sd of the pressure when a valve has just moved", "trial")

@@ -165,7 +165,7 @@ class World:
         time_limit=30.0,
         error=DeviceError,
         act=lambda: None,
-        perceive=lambda image, now: OK,
+        perceive=lambda image, now, reading=None: OK,
         host_timeout=math.inf,
         stop=None,
     ):
@@ -324,7 +324,7 @@ def test_a_controllers_module_state_and_its_thread_last_for_the_run():
     controller = SimpleNamespace(path=Path("mine.py"), step=step)
     last = loop.run_loop(
         world.rig(),
-        [SimpleNamespace(perceive=lambda image, now: OK)],
+        [SimpleNamespace(perceive=lambda image, now, reading=None: OK)],
         controller,  # type: ignore[list-item, arg-type]
         time_limit=30.0,
     )
@@ -339,7 +339,7 @@ def test_a_controller_that_ends_with_the_hand_in_the_air(phase):
     )
     last = loop.run_loop(
         world.rig(),
-        [SimpleNamespace(perceive=lambda image, now: OK)],
+        [SimpleNamespace(perceive=lambda image, now, reading=None: OK)],
         controller,  # type: ignore[list-item, arg-type]
         time_limit=30.0,
     )
@@ -357,7 +357,7 @@ def test_who_is_told_of_a_cycle_and_fails():
 
 
 def test_a_chain_that_fails():
-    def perceive(image, now):
+    def perceive(image, now, reading=None):
         if image.time > 0.2:
             raise ValueError("singular matrix")
         return OK
