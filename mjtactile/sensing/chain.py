@@ -452,23 +452,27 @@ class Chain:
             gas = self.gauge.switched(gas, reading)
             if gas.is_open:
                 gas, _ = self.gauge.read(gas, reading)
-        shape, rest = self._shape_with(gas, rest, state, markers, time)
-        share = self.settings.inverse.dent_share
-        seen = self.gauge.saw(gas, time, self.inverse.volume(shape.c), share)
+        shape, rest, volume = self._shape_with(gas, rest, state, markers, time)
+        seen = self.gauge.saw(gas, time, volume, self.settings.inverse.dent_share)
         if reading is not None and not gas.is_open:
             seen, told = self.gauge.read(seen, reading)
             if told:
-                shape, rest = self._shape_with(seen, rest, state, markers, time)
-                seen = seen.seen_again(self.inverse.volume(shape.c))
+                shape, rest, volume = self._shape_with(seen, rest, state, markers, time)
+                seen = seen.seen_again(volume)
         return shape, rest, replace(state, gas=seen, reference=replace(reference, rest=rest))
 
     def _shape_with(
         self, gas: GasState, rest: InverseRest, state: ChainState, markers: Markers, time: float
-    ) -> tuple[Shape, InverseRest]:
-        """The shape with what is known of the gas, and the sensor at rest with it."""
+    ) -> tuple[Shape, InverseRest, float]:
+        """The shape with what is known of the gas, the sensor at rest with it, and the
+        gas's volume, m^3."""
+        chamber = self.design.chamber
         now, sd = self.gauge.gas_at(gas, time)
         rest = self.inverse.with_gas(rest, now, sd, gas.seen[-1][1])
-        return self.inverse.estimate(markers, rest, state.shape), rest
+        shape = self.inverse.estimate(markers, rest, state.shape)
+        volume = self.inverse.volume(shape.c)
+        pressure = now.pressure_gauge(volume, chamber.ambient, chamber.heat_ratio)
+        return replace(shape, pressure_gauge=pressure), rest, volume
 
     def _locate(self, state: ChainState, image: Image, expected: Array, what: str) -> Markers:
         markers, _ = self.see(replace(state, expected=expected), image)
