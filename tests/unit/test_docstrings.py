@@ -57,7 +57,7 @@ def test_a_function_names_its_arguments_and_what_comes_back(name):
 
 
 def test_what_is_untold_is_still_there():
-    assert UNTOLD <= {name for name, _ in functions()}
+    assert {name for name, _ in functions()} >= UNTOLD
 
 
 @pytest.mark.parametrize("name", CLASSES)
