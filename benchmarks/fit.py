@@ -24,7 +24,7 @@ from mjtactile.fit.run import FitResult, fit_recordings
 from mjtactile.recording.files import write_json
 from mjtactile.recording.stage import Stage, read_moves
 from mjtactile.recording.writer import Recorder
-from mjtactile.run.figures import new_figure
+from mjtactile.report.figures import new_figure
 from mjtactile.run.progress import Progress
 from mjtactile.sim.attach import DEFAULT_MESH
 

@@ -11,7 +11,7 @@ from typing import Any
 from mjtactile.core.errors import MjtactileError
 from mjtactile.core.scenario import Scenario
 from mjtactile.recording.observer import Observer
-from mjtactile.run.figures import new_figure
+from mjtactile.report.figures import new_figure
 from mjtactile.run.grasp import GraspResult, run_grasp
 from mjtactile.run.progress import Progress
 

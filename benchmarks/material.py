@@ -20,7 +20,7 @@ import numpy as np
 from mjtactile.core.errors import MjtactileError
 from mjtactile.core.scenario import Scenario
 from mjtactile.recording.files import write_json
-from mjtactile.run.figures import new_figure
+from mjtactile.report.figures import new_figure
 from mjtactile.run.probe import ProbeResult, run_probe
 from mjtactile.sim.scenes.specimens import Kind, Specimen, to_mjcf
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.run.figures import new_figure
+from mjtactile.report.figures import new_figure
 
 PAPER_CIRCLE_MM = 0.39
 _COLOURS = {"solid": "tab:blue", "sponge": "tab:red"}  # as in the paper's Fig. 5

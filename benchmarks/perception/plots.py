@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from mjtactile.core.types import Array
-from mjtactile.run.figures import new_figure
+from mjtactile.report.figures import new_figure
 
 
 def plot(out: Path, errors: Mapping[str, Array], result: Mapping[str, Any]) -> None:

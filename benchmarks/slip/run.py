@@ -22,7 +22,7 @@ from benchmarks.worlds.slip_cases import SlipCase, draw_case
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import SimulationError
 from mjtactile.evaluate.wilson import wilson
-from mjtactile.run.figures import new_figure
+from mjtactile.report.figures import new_figure
 from mjtactile.sensing.chain import Chain, ChainState
 
 FIRST_SEED = 2000

@@ -22,8 +22,8 @@ from benchmarks.settings import HOLD_FORCE, Setting, attempt, core_ms, cost_and_
 from benchmarks.speed import compare, denormals, sensors
 from benchmarks.worlds import rigid
 from mjtactile.core.design import load_sensor
+from mjtactile.report.figures import new_figure
 from mjtactile.run.controller import load_controller
-from mjtactile.run.figures import new_figure
 from mjtactile.run.progress import Progress
 from mjtactile.run.session import open_session
 

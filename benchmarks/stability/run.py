@@ -30,7 +30,7 @@ from benchmarks.worlds.trials import Body, DropWorld, PinchWorld
 from mjtactile.core import system
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError, SimulationError
-from mjtactile.run.figures import new_figure
+from mjtactile.report.figures import new_figure
 from mjtactile.run.progress import Progress
 from mjtactile.sim import truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld

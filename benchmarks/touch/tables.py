@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.run.figures import new_figure
+from mjtactile.report.figures import new_figure
 
 LIGHT = 0.03  # N, the smallest touch that is asked for
 _DIRECTION_LEAST = 0.3  # N

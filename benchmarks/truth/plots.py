@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from mjtactile.run.figures import new_figure
+from mjtactile.report.figures import new_figure
 
 _COLUMNS = 4
 

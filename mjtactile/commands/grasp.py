@@ -18,7 +18,7 @@ from mjtactile.recording.strip import Strip
 from mjtactile.run.progress import Progress
 
 if TYPE_CHECKING:
-    from mjtactile.run.drawing import Drawing
+    from mjtactile.report.drawing import Drawing
 
 DESCRIPTION = """\
 Close a gripper on an object, feel the touch through the membrane camera of each finger,
@@ -98,7 +98,7 @@ def _count(text: str) -> int:
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.run.drawing import drawing_beside
+    from mjtactile.report.drawing import drawing_beside
 
     _check_video(options.video, options.frames)
     wanted = scenario.scenario_of(options)
@@ -125,7 +125,7 @@ def _run_and_report(
     """Run the grasp and write its report, also of a run that failed half-way; the error then
     carries its summary."""
     # now: in the end there may be no descriptors left to import it with
-    from mjtactile.run import summary as _  # noqa: F401
+    from mjtactile.report import summary as _  # noqa: F401
     from mjtactile.run.grasp import run_grasp
 
     recorder: Recorder | None = None
@@ -161,7 +161,7 @@ def _run_and_report(
 
 def _film(path: Path, out: Path, recorder: Recorder, progress: Progress) -> None:
     """Film the run; where that fails, the run stays what it was."""
-    from mjtactile.run.video import write_video
+    from mjtactile.report.video import write_video
 
     try:
         write_video(path, load_recording(out), recorder.views or (), say=progress.message)
@@ -220,7 +220,7 @@ def _write_report(
 ) -> None:
     """Write summary.json, then with a `figure` picture and page; what cannot be written does not
     change how the run went."""
-    from mjtactile.run.summary import write_pictures
+    from mjtactile.report.summary import write_pictures
 
     try:
         write_json(out / "summary.json", summary)

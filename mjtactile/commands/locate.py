@@ -16,7 +16,7 @@ import cv2
 from mjtactile import Camera, InputError, find_circles, marker_records
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
-from mjtactile.run.pictures import Frame, overlay, read_frames
+from mjtactile.report.pictures import Frame, overlay, read_frames
 
 SIMULATES = False
 DESCRIPTION = """\

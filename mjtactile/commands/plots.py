@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from mjtactile.run.figures import new_figure
+from mjtactile.report.figures import new_figure
 
 
 def save(path: Path, draw: Callable[[Any], None], size: tuple[float, float] = (7.0, 4.6)) -> None:

@@ -78,7 +78,7 @@ def _replay(options: argparse.Namespace) -> ProbeResult:
 
 
 def _live(options: argparse.Namespace, out: Path | None) -> ProbeResult:
-    from mjtactile.run.page import write_page
+    from mjtactile.report.page import write_page
     from mjtactile.run.probe import run_probe
 
     wanted = scenario.scenario_of(options, _DEFAULT)

@@ -16,9 +16,9 @@ from mjtactile import Chain, InputError, Perception, SensorDesign, load_calibrat
 from mjtactile.commands import plots
 from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
-from mjtactile.run.pictures import Frame, marker_overlay, read_frames, to_image
+from mjtactile.report.pictures import Frame, marker_overlay, read_frames, to_image
+from mjtactile.report.summary_figure import draw_surface
 from mjtactile.run.progress import Progress
-from mjtactile.run.report import draw_surface
 from mjtactile.types import Markers, Surface, Touch
 
 SIMULATES = False

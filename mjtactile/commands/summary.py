@@ -33,8 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.run.page import write_page
-    from mjtactile.run.summary import see_again
+    from mjtactile.report.page import write_page
+    from mjtactile.report.summary import see_again
 
     recording = load_recording(options.source)
     path = options.out or options.source / "summary.html"

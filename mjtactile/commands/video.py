@@ -76,7 +76,7 @@ def _positive(text: str) -> float:
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.run.video import write_video
+    from mjtactile.report.video import write_video
 
     recording = load_recording(options.source)
     path = options.out or options.source / "video.mp4"

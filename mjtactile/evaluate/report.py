@@ -15,7 +15,7 @@ from mjtactile.evaluate import svg
 from mjtactile.evaluate.statistics import NO_IMAGES, pair_text, summarise
 from mjtactile.evaluate.varied import measures
 from mjtactile.evaluate.wilson import Line
-from mjtactile.run.html import data_uri, document, table
+from mjtactile.report.html import data_uri, document, table
 
 _STYLE = (
     ".grid{display:flex;flex-wrap:wrap;gap:.8em}.grid "

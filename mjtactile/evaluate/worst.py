@@ -13,8 +13,8 @@ from mjtactile.evaluate.varied import measures
 from mjtactile.evaluate.wilson import Line
 from mjtactile.recording.strip import Strip
 from mjtactile.recording.writer import Recorder
+from mjtactile.report.summary import write_pictures
 from mjtactile.run.grasp import run_grasp
-from mjtactile.run.summary import write_pictures
 
 _RANKS = {"crushed": 2, "dropped": 2, "error": 1, "held": 0}
 _SLIP = 5.0  # mm that are as bad as breaking

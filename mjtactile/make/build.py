@@ -21,7 +21,7 @@ from mjtactile.make.sheets import write_pdf, write_png, write_svg
 from mjtactile.make.solid import Contour, Part, circle, crossing, plate
 from mjtactile.make.states import State, press_depth, simulate
 from mjtactile.make.step import write_step
-from mjtactile.run.figures import new_figure
+from mjtactile.report.figures import new_figure
 from mjtactile.sim.picture.renderer import Renderer
 
 _VOLUME = 2e-3  # of a part's volume: chords in place of arcs

@@ -16,7 +16,7 @@ from mjtactile.core.types import Array
 from mjtactile.kernels import kernel
 from mjtactile.make.mesh import triangles_of
 from mjtactile.make.solid import Part
-from mjtactile.run.figures import new_figure
+from mjtactile.report.figures import new_figure
 
 _LIGHT = np.array([-0.35, 0.60, 0.72])  # right, up, towards the viewer
 _AMBIENT = 0.5

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from mjtactile.core.types import Array
-from mjtactile.run.report import FINGER_COLOURS
+from mjtactile.report.summary_figure import FINGER_COLOURS
 from mjtactile.studio import surface
 from mjtactile.studio.moment import Felt, Pose
 

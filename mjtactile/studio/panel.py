@@ -15,7 +15,7 @@ from mujoco.studio.dear_imgui import dear_imgui as imgui
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Ellipses
-from mjtactile.run.overlay import find_ellipses, followed, with_ellipses
+from mjtactile.report.overlay import find_ellipses, followed, with_ellipses
 from mjtactile.studio import marks, plots, surface
 from mjtactile.studio.guard import guarded
 from mjtactile.studio.layout import LEFT, LOOK, RED, Layout

@@ -10,7 +10,7 @@ from mujoco.studio.dear_imgui import dear_imgui as imgui
 from mujoco.studio.implot import implot
 
 from mjtactile.core.types import Array
-from mjtactile.run.report import PHASE_COLOURS
+from mjtactile.report.summary_figure import PHASE_COLOURS
 from mjtactile.run.supervisor import STATES
 from mjtactile.studio.moment import Curves
 

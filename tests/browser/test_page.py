@@ -6,7 +6,7 @@ import pytest
 
 from mjtactile.recording.reader import load_recording
 from mjtactile.recording.strip import Strip
-from mjtactile.run.page import write_page
+from mjtactile.report.page import write_page
 from tests.browser.page import CHROMIUM, open_page
 from tests.fake_run import write_fake_recording
 from tests.unit.run.test_report import SUMMARY, FakeScene

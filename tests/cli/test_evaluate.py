@@ -90,7 +90,7 @@ def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile, monkeypatch, cap
     assert (tmp_path / "whole" / "episodes.jsonl").read_bytes() == episodes.read_bytes()
     capsys.readouterr()
     assert main(["evaluate", *COMMON[:-1], "8", "--out", "one", "--resume"]) == 2
-    assert "was begun with another options: first_seed" in capsys.readouterr().err
+    assert "was begun with another options: scenario" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

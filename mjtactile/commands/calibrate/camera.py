@@ -11,7 +11,7 @@ from mjtactile import InputError
 from mjtactile.commands.calibrate import target
 from mjtactile.commands.calibrate.terminal import check_folder, finish, say
 from mjtactile.commands.output import print_json, stdout_to_stderr
-from mjtactile.run.pictures import read_frames
+from mjtactile.report.pictures import read_frames
 
 HELP = "lens and focal length from pictures of a printed board (ROS camera_info)"
 DESCRIPTION = """\

@@ -13,7 +13,7 @@ from mjtactile import Calibration, InputError, SensorDesign, load_sensor
 from mjtactile.commands.calibrate import target
 from mjtactile.commands.calibrate.terminal import ask, confirm, finish_all, say
 from mjtactile.commands.output import stdout_to_stderr
-from mjtactile.run.pictures import read_frames, to_image
+from mjtactile.report.pictures import read_frames, to_image
 from mjtactile.types import Image
 
 HELP = "the force felt, and the paper's constant c, against weights or a load cell"

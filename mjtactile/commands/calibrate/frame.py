@@ -11,7 +11,7 @@ from mjtactile import InputError, SensorDesign, load_sensor
 from mjtactile.commands.calibrate import target
 from mjtactile.commands.calibrate.terminal import finish_all, say
 from mjtactile.commands.output import stdout_to_stderr
-from mjtactile.run.pictures import read_frames, to_image
+from mjtactile.report.pictures import read_frames, to_image
 from mjtactile.types import Image
 
 HELP = "camera pose and marker radii from the flat membrane"

@@ -1,5 +1,5 @@
-"""A scene as coloured triangles, for a picture of it where no OpenGL is: `mjtactile.run.report`
-projects and shades them."""
+"""A scene as coloured triangles, for a picture of it where no OpenGL is:
+`mjtactile.report.scene_picture` projects and shades them."""
 
 from __future__ import annotations
 

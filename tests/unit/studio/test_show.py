@@ -11,9 +11,9 @@ import pytest
 from mjtactile.core.errors import DeviceError, Interrupted
 from mjtactile.core.scenario import Scenario
 from mjtactile.recording.observer import Observer
+from mjtactile.report.overlay import find_ellipses, followed
 from mjtactile.run.controller import load_controller
 from mjtactile.run.grasp import run_grasp
-from mjtactile.run.overlay import find_ellipses, followed
 from mjtactile.studio.hand import Wish
 from mjtactile.studio.moment import finger_lines
 from mjtactile.studio.show import RED_BUTTON, Restart, Show

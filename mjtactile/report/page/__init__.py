@@ -15,8 +15,8 @@ import numpy as np
 from mjtactile.recording.columns import Seen
 from mjtactile.recording.files import to_json
 from mjtactile.recording.reader import Recording
-from mjtactile.run.html import document, table
-from mjtactile.run.page.data import page_data
+from mjtactile.report.html import document, table
+from mjtactile.report.page.data import page_data
 
 _SCRIPTS = ("curves.js", "membranes.js", "moment.js")
 _STYLE = """canvas{width:100%;touch-action:none;border:1px solid #e6e6e6;box-sizing:border-box}
@@ -203,7 +203,7 @@ def _simulated(recording: Recording) -> str:
         return [
             [
                 escape(row["effect"]),
-                _number(row["cost_ms_per_s"]),
+                _cost(row["cost_ms_per_s"]),
                 _number(row["left_out_N"], 1e3),
                 _number(row["left_out_um"]),
                 escape(row["why"]),
@@ -217,7 +217,7 @@ def _simulated(recording: Recording) -> str:
         f"{name} {value}" for name, value in recording.notes.get("varied", {}).items()
     )
     return (
-        f"<h2>What was simulated, and why</h2><p>Membranes of {' x '.join(map(str, how['mesh']))} "
+        f"<h2>What was simulated, and why</h2><p>Membranes of {escape(' x '.join(map(str, how['mesh'])))} "
         f"vertices, steps of {how['timestep_ms']:.3g} ms. Costs and errors are those measured on "
         "the shipped sensors (<code>mjtactile "
         f"effects</code>).</p>{table(head, rows(True), text=True)}<details><summary>what was left "
@@ -229,6 +229,11 @@ def _simulated(recording: Recording) -> str:
             else ""
         )
     )
+
+
+def _cost(value: float | None) -> str:
+    """A cost that was measured below zero is one below the measurement's noise."""
+    return "about 0" if value is not None and value <= 0 else _number(value)
 
 
 def _number(value: float | None, scale: float = 1.0) -> str:

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from mjtactile.core.types import Array, Image, Touch
 from mjtactile.recording.columns import Seen
 from mjtactile.recording.reader import Recording
-from mjtactile.run.html import data_uri
-from mjtactile.run.overlay import with_ellipses
-from mjtactile.run.report import FINGER_COLOURS, PHASE_COLOURS, arrow_unit, arrows
-from mjtactile.run.scene_picture import picture_of
+from mjtactile.report.html import data_uri
+from mjtactile.report.overlay import with_ellipses
+from mjtactile.report.scene_picture import picture_of
+from mjtactile.report.summary_figure import FINGER_COLOURS, PHASE_COLOURS, arrow_unit, arrows
 
 # px: width of a camera's picture; height and width of the scene's
 _CAMERA = 480

@@ -16,7 +16,7 @@ from mjtactile.core.errors import MjtactileError
 from mjtactile.core.types import Array, Ellipses, Image, Sighting, Surface, Touch
 from mjtactile.recording.columns import CycleLike
 from mjtactile.recording.reader import Recording
-from mjtactile.run.scene_picture import View, draw_scene
+from mjtactile.report.scene_picture import View, draw_scene
 from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
 from mjtactile.sensing.image.markers import detect
 

@@ -5,7 +5,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from mjtactile.run.scene_picture import picture_axes, rasterise
+from mjtactile.report.scene_picture import picture_axes, rasterise
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.view import SceneView, _shape
 

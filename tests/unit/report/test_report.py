@@ -12,8 +12,8 @@ from mjtactile.core import process
 from mjtactile.core.errors import MjtactileError
 from mjtactile.recording.reader import load_recording
 from mjtactile.recording.writer import Recorder
-from mjtactile.run import report
-from mjtactile.run.drawing import drawing_beside
+from mjtactile.report import summary_figure as report
+from mjtactile.report.drawing import drawing_beside
 from mjtactile.run.progress import Progress
 from tests.fake_run import fake_cycle, fake_touch, write_fake_recording
 

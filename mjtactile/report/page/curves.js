@@ -1,5 +1,5 @@
 "use strict";
-// Curves to zoom and read off. `data` is what mjtactile/run/page/data.py wrote; membranes.js and moment.js go on from here.
+// Curves to zoom and read off. `data` is what mjtactile/report/page/data.py wrote; membranes.js and moment.js go on from here.
 const $ = id => document.getElementById(id);
 const data = JSON.parse($("data").textContent);
 const LEFT = 56, RIGHT = 20, TOP = 22, BOTTOM = 26;
@@ -90,6 +90,7 @@ function drawChart() {
   }
   if (data.shots.length) line(c, [[x(data.shots[view.shot].time), TOP], [x(data.shots[view.shot].time), height]], "#444", 1, [2, 3]);
   if (view.pointer !== null) line(c, [[x(view.pointer), TOP], [x(view.pointer), height]], "#888", 1);
+  legend(c, plot.series, width - RIGHT, TOP + 14);
   c.restore();
   c.fillStyle = "#222";
   c.textAlign = "right";
@@ -97,6 +98,17 @@ function drawChart() {
   c.textAlign = "center";
   for (const [value, word] of ticks(from, to, width / 90)) c.fillText(`${word} s`, x(value), height - 8);
   $("readout").textContent = readout(view.pointer === null && data.shots.length ? data.shots[view.shot].time : view.pointer);
+}
+
+function legend(c, series, right, top) {  // a line as it is drawn, and what it is called
+  const widest = Math.max(0, ...series.map(one => c.measureText(one.name).width));
+  c.textAlign = "left";
+  series.forEach((one, k) => {
+    const left = right - widest - 30, middle = top + 16 * k;
+    line(c, [[left, middle - 4], [left + 22, middle - 4]], one.colour, 2, one.dash ? [5, 3] : []);
+    c.fillStyle = "#222";
+    c.fillText(one.name, left + 28, middle);
+  });
 }
 
 function line(c, points, colour, width, dash = []) {

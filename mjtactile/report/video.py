@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from mjtactile.core.errors import InputError, MjtactileError
 from mjtactile.core.types import Array, Image
 from mjtactile.recording.reader import Recording
-from mjtactile.run.overlay import with_ellipses
-from mjtactile.run.report import FINGER_COLOURS, PHASE_COLOURS
-from mjtactile.run.scene_picture import View, picture_of
+from mjtactile.report.overlay import with_ellipses
+from mjtactile.report.scene_picture import View, picture_of
+from mjtactile.report.summary_figure import FINGER_COLOURS, PHASE_COLOURS
 
 Pixels = NDArray[np.uint8]
 FORMATS = {".mp4": (30.0, 1.0), ".gif": (10.0, 0.5), ".webp": (15.0, 0.5)}

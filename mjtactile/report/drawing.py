@@ -16,7 +16,7 @@ if TYPE_CHECKING:  # what a run needs is imported while this process starts
     from mjtactile.core.types import Array
     from mjtactile.recording.columns import CycleLike
     from mjtactile.recording.reader import Recording
-    from mjtactile.run.scene_picture import View
+    from mjtactile.report.scene_picture import View
 
 _PATIENCE = 60.0  # s; a busy computer draws for some
 
@@ -35,8 +35,8 @@ class _Still:
 
 
 class Drawing:
-    """As `mjtactile.run.report.write_figure`, in a process; where there is none, or none any more,
-    here."""
+    """As `mjtactile.report.summary_figure.write_figure`, in a process; where there is none, or
+    none any more, here."""
 
     def __init__(self, worker: WorkerProcess | None):
         self._worker = worker
@@ -49,8 +49,8 @@ class Drawing:
         summary: Mapping[str, Any],
         scene: View | None = None,
     ) -> None:
+        from mjtactile.report.summary_figure import write_figure
         from mjtactile.run.perceive import value_of
-        from mjtactile.run.report import write_figure
 
         if self._worker is None:
             write_figure(path, recording, snapshot, summary, scene)
@@ -80,8 +80,8 @@ def drawing_beside() -> Iterator[Drawing]:
 
 def serve(channel: Channel) -> None:
     """Draw what comes, until the parent hangs up."""
+    from mjtactile.report.summary_figure import import_matplotlib, write_figure
     from mjtactile.run.perceive import outcome_of
-    from mjtactile.run.report import import_matplotlib, write_figure
 
     with contextlib.suppress(MjtactileError):
         import_matplotlib()  # now: it takes as long as a figure

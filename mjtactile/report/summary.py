@@ -15,9 +15,9 @@ from mjtactile.core.types import Image, Touch
 from mjtactile.recording.columns import Seen
 from mjtactile.recording.reader import Recording, load_recording
 from mjtactile.recording.writer import Recorder
+from mjtactile.report.page import write_page
+from mjtactile.report.summary_figure import write_figure
 from mjtactile.rig.registry import build_rig
-from mjtactile.run.page import write_page
-from mjtactile.run.report import write_figure
 from mjtactile.run.session import Session
 
 PICTURES = ("summary.png", "summary.html")
