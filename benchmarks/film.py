@@ -18,7 +18,7 @@ import numpy as np
 
 from mjtactile import Film, FilmState, Obstacle, load_sensor
 from mjtactile.core.types import Array
-from mjtactile.run.figures import new_figure
+from mjtactile.report.figures import new_figure
 from mjtactile.run.progress import Progress
 
 GRIDS = ((21, 16), (41, 31))

@@ -9,7 +9,7 @@ from mjtactile.recording.strip import Strip
 from mjtactile.report.page import write_page
 from tests.browser.page import CHROMIUM, open_page
 from tests.fake_run import write_fake_recording
-from tests.unit.run.test_report import SUMMARY, FakeScene
+from tests.unit.report.test_report import SUMMARY, FakeScene
 
 pytestmark = [
     pytest.mark.browser,

