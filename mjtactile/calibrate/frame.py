@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.calibrate.verdict import mark
+from mjtactile.calibrate.verdict import stamp_of
 from mjtactile.core.calibration import Calibration, FrameCalibration, RestMarkers
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError
@@ -60,7 +60,7 @@ def calibrate_frame(
         found.scale,
         found.residual_px,
         found.scale_sd,
-        mark(design, report),
+        stamp_of(design, report),
         None if markers is None else RestMarkers(markers, pressure_gauge, sealed),
         stiffness,
     )

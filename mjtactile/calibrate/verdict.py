@@ -20,7 +20,7 @@ from mjtactile.core.types import Array
 from mjtactile.recording.files import to_json, versions, write_json
 
 
-def mark(design: SensorDesign, residuals: Mapping[str, Any]) -> Stamp:
+def stamp_of(design: SensorDesign, residuals: Mapping[str, Any]) -> Stamp:
     """The stamp of a calibration's part that was measured now."""
     return calibration.stamp(design, versions(), to_json(residuals))
 

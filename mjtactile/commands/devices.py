@@ -48,13 +48,13 @@ def run(options: argparse.Namespace) -> int:
         )
         return 0
     for camera in cameras:
-        print(f"camera       {camera.path}\n             {_of(camera)}")
+        print(f"camera       {camera.path}\n             {_description(camera)}")
         for fourcc, width, height, rate in camera.formats:
             print(f"               {fourcc} {width} x {height}, up to {rate:g} Hz")
     for port in ports:
-        print(f"serial port  {port.path}\n             {_of(port)}")
-        nobody = port.problem or ("not asked" if options.no_ask else "nobody that we know answers")
-        for answer in port.answers or (nobody,):
+        print(f"serial port  {port.path}\n             {_description(port)}")
+        no_answer = port.problem or ("not asked" if options.no_ask else "nobody known answers")
+        for answer in port.answers or (no_answer,):
             print(f"               {answer}")
     missing = [name for name, found in (("cameras", cameras), ("serial ports", ports)) if not found]
     if missing:
@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _of(found: Any) -> str:
+def _description(found: Any) -> str:
     """What else is known of it, without what it has not."""
     about = getattr(found, "name", "") or getattr(found, "description", "")
     return (

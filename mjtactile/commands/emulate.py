@@ -91,7 +91,7 @@ def run(options: argparse.Namespace) -> int:
             _write(options.out, _HEAD + text)
         print(text)
         print("emulated hardware runs; Ctrl-C ends it", file=sys.stderr, flush=True)
-        _obey_terminal(emulator)
+        _read_faults(emulator)
     except KeyboardInterrupt:
         pass
     finally:
@@ -121,7 +121,7 @@ def _fault(text: str) -> tuple[str, float]:
         raise InputError(f"{value!r} is not a number", field=f"--faults {kind}") from error
 
 
-def _obey_terminal(emulator) -> None:
+def _read_faults(emulator) -> None:
     """Switch faults that are typed; when stdin is no terminal and ends, just go on."""
     from mjtactile import MjtactileError
 

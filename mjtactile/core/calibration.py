@@ -332,15 +332,11 @@ class Calibration:
                 f"of {_day(part.stamp.date)}, older than the sensor file, whose values have "
                 "changed since: not used",
             )
-        again = (
-            ""
-            if refusal is None
-            else (
-                f"; measured again on {_day(refusal.date)} and "
-                f"refused: {'; '.join(refusal.reasons)}"
-            )
-        )
-        return PartState(kind, "good", f"of {_day(part.stamp.date)}{again}")
+        text = f"of {_day(part.stamp.date)}"
+        if refusal is not None:
+            reasons = "; ".join(refusal.reasons)
+            text += f"; measured again on {_day(refusal.date)} and refused: {reasons}"
+        return PartState(kind, "good", text)
 
     def design(self, design: SensorDesign) -> SensorDesign:
         """Put what was measured in place of the sensor file's values.

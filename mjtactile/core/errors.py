@@ -16,10 +16,10 @@ class MjtactileError(Exception):
     def __reduce__(self) -> tuple[Any, ...]:
         """Errors cross processes, and their constructors take more, or less, than the text that
         they make."""
-        return _again, (type(self), self.args, self.__dict__)
+        return _rebuild, (type(self), self.args, self.__dict__)
 
 
-def _again(
+def _rebuild(
     kind: type[MjtactileError], args: tuple[Any, ...], state: dict[str, Any]
 ) -> MjtactileError:
     error = kind.__new__(kind, *args)

@@ -18,7 +18,7 @@ from mjtactile.core.errors import InputError
 _NAME = "MJTACTILE_SLOW"
 
 
-def _told() -> float:
+def _from_environment() -> float:
     text = os.environ.get(_NAME, "1")
     try:
         times = float(text)
@@ -29,7 +29,7 @@ def _told() -> float:
     return times
 
 
-_slow = _told()
+_slow = _from_environment()
 
 
 def slow() -> float:

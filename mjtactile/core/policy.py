@@ -208,8 +208,11 @@ def _next(phase: str, observation: Observation, time: float, grip: float) -> str
     gripper = observation.gripper
     height = gripper.lift_height
     if phase in ("approach", "close", "regulate"):
-        felt = "regulate" if all(touching) else "close" if any(touching) else "approach"
-        return "lift" if height > _RISEN else felt
+        if height > _RISEN:
+            return "lift"
+        if all(touching):
+            return "regulate"
+        return "close" if any(touching) else "approach"
     ends = {
         "lift": height > LIFT_HEIGHT - _NEAR,
         "hold": time >= HOLD_TIME,

@@ -91,13 +91,9 @@ def how_it_ended(process: subprocess.Popen[str]) -> str:
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(0.2)  # its pipes and sockets close a moment before it can be waited for
     code = process.poll()
-    return (
-        "it runs, but is not connected"
-        if code is None
-        else f"by signal {-code}"
-        if code < 0
-        else f"exit code {code}"
-    )
+    if code is None:
+        return "it runs, but is not connected"
+    return f"by signal {-code}" if code < 0 else f"exit code {code}"
 
 
 def stop(process: subprocess.Popen[str], patience: float = 0.0) -> None:

@@ -216,7 +216,7 @@ class Section:
         """The table `[key]`."""
         if (found := self.optional(key)) is None:
             raise InputError(
-                f"missing section{self._hint(key)}",
+                f"missing section{self._similar_unread(key)}",
                 source=self._source,
                 field=f"[{self._place(key)}]",
             )
@@ -267,10 +267,10 @@ class Section:
         self._known.append(key)
         value = self._table.get(key)
         if value is None and default is ...:
-            raise self.fail(key, f"missing field{self._hint(key)}")
+            raise self.fail(key, f"missing field{self._similar_unread(key)}")
         return value
 
-    def _hint(self, key: str) -> str:
+    def _similar_unread(self, key: str) -> str:
         """What stands in the table and may be meant where `key` is missing."""
         rest = [other for other in self._table if other not in self._known]
         for other in rest:

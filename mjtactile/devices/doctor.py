@@ -41,7 +41,7 @@ def examine(rig: str | None, *, sensor: str = "dense", fix: bool = False) -> lis
         return findings
     rig_file = load_rig_file(rig)
     findings += calibration_findings(rig_file, load_sensor(sensor))
-    findings += _torques(rig_file)
+    findings += _check_torques(rig_file)
     if rig_file.emulator is not None:
         return [
             *findings,
@@ -53,20 +53,20 @@ def examine(rig: str | None, *, sensor: str = "dense", fix: bool = False) -> lis
                 "`mjtactile doctor --rig FILE.toml`",
             ),
         ]
-    ports = [*_port("servo bus", rig_file.bus.port, fix=fix)]
-    findings += ports if _bad(ports) else [*ports, *_servos(rig_file)]
+    ports = [*_check_port("servo bus", rig_file.bus.port, fix=fix)]
+    findings += ports if _has_bad(ports) else [*ports, *_check_servos(rig_file)]
     ports = [
         f
         for port in dict.fromkeys(valve.port for valve in rig_file.valves)
-        for f in _port("valve board", port, fix=fix)
+        for f in _check_port("valve board", port, fix=fix)
     ]
-    findings += ports if _bad(ports) else [*ports, *_valves(rig_file)]
+    findings += ports if _has_bad(ports) else [*ports, *_check_valves(rig_file)]
     for camera in rig_file.cameras:
-        findings += _camera(camera)
+        findings += _check_camera(camera)
     return findings
 
 
-def _torques(rig_file: RigFile) -> Iterator[Finding]:
+def _check_torques(rig_file: RigFile) -> Iterator[Finding]:
     """Torque per ampere that no specimen of the model can have: forces would be off by as much."""
     for servo in rig_file.gripper.servos:
         model = MODELS.get(servo.model)
@@ -84,7 +84,7 @@ def _torques(rig_file: RigFile) -> Iterator[Finding]:
             )
 
 
-def _bad(findings: list[Finding]) -> bool:
+def _has_bad(findings: list[Finding]) -> bool:
     return any(finding.level == "bad" for finding in findings)
 
 
@@ -112,7 +112,7 @@ def _plugged_in() -> Iterator[Finding]:
         )
 
 
-def _port(what: str, path: str, *, fix: bool) -> Iterator[Finding]:
+def _check_port(what: str, path: str, *, fix: bool) -> Iterator[Finding]:
     """That the port is there, may be used, and does not wait 16 ms to hand over what it
     received."""
     if "://" in path:
@@ -137,10 +137,10 @@ def _port(what: str, path: str, *, fix: bool) -> Iterator[Finding]:
         return
     timer = Path("/sys/bus/usb-serial/devices") / Path(path).resolve().name / "latency_timer"
     if timer.is_file():
-        yield from _latency(what, timer, fix=fix)
+        yield from _check_latency(what, timer, fix=fix)
 
 
-def _latency(what: str, timer: Path, *, fix: bool) -> Iterator[Finding]:
+def _check_latency(what: str, timer: Path, *, fix: bool) -> Iterator[Finding]:
     value = timer.read_text().strip()
     if value == "1":
         yield Finding("ok", what, "latency timer 1 ms")
@@ -171,7 +171,7 @@ def _group(path: str) -> str:
     return "dialout"
 
 
-def _servos(rig_file: RigFile) -> Iterator[Finding]:
+def _check_servos(rig_file: RigFile) -> Iterator[Finding]:
     config = rig_file.bus
     try:
         bus = DynamixelBus(config.port, config.baud, reply_timeout=config.reply_timeout)
@@ -189,7 +189,7 @@ def _servos(rig_file: RigFile) -> Iterator[Finding]:
     try:
         answering = []
         for servo, model in wanted.items():
-            findings = list(_servo(bus, servo, model))
+            findings = list(_check_servo(bus, servo, model))
             yield from findings
             if not any("does not answer" in f.text for f in findings):
                 answering.append(servo)
@@ -198,10 +198,10 @@ def _servos(rig_file: RigFile) -> Iterator[Finding]:
     finally:
         bus.close()
     if not answering:
-        yield from _search(config)
+        yield from _search_servos(config)
 
 
-def _servo(bus: DynamixelBus, servo: int, model: str) -> Iterator[Finding]:
+def _check_servo(bus: DynamixelBus, servo: int, model: str) -> Iterator[Finding]:
     """One servo against what the file says."""
     what = f"servo {servo}"
     try:
@@ -290,7 +290,7 @@ def _round_trip(bus: DynamixelBus, servos: list[int], config: BusConfig) -> Find
     return Finding("ok", "servo bus", text)
 
 
-def _search(config: BusConfig) -> Iterator[Finding]:
+def _search_servos(config: BusConfig) -> Iterator[Finding]:
     """Nobody answered: look for servos with other ids and baud rates. Takes some seconds; pings
     change nothing."""
     bauds = (config.baud, *(baud for baud in BAUDS if baud != config.baud))
@@ -312,7 +312,7 @@ def _search(config: BusConfig) -> Iterator[Finding]:
     )
 
 
-def _valves(rig_file: RigFile) -> Iterator[Finding]:
+def _check_valves(rig_file: RigFile) -> Iterator[Finding]:
     """Handshake, limits and a reading of each; connecting sets limits and heartbeat, and leaves
     every valve vented."""
     if not rig_file.valves:
@@ -349,7 +349,7 @@ def _valves(rig_file: RigFile) -> Iterator[Finding]:
                 board.close()
 
 
-def _camera(config: CameraConfig) -> Iterator[Finding]:
+def _check_camera(config: CameraConfig) -> Iterator[Finding]:
     """Settings by read-back, then rate, age and jitter over two seconds."""
     what = f"camera {config.finger}"
     try:
@@ -366,15 +366,15 @@ def _camera(config: CameraConfig) -> Iterator[Finding]:
                 image = camera.read()
                 last = image.time
                 ages.append(pace.monotonic() - last)
-        yield _rate(what, camera, ages)
-        yield _light(what, camera)
+        yield _rate_finding(what, camera, ages)
+        yield _light_finding(what, camera)
     except DeviceError as error:
         yield Finding("bad", what, str(error))
     finally:
         camera.close()
 
 
-def _rate(what: str, camera: OpenCvCamera, ages: list[float]) -> Finding:
+def _rate_finding(what: str, camera: OpenCvCamera, ages: list[float]) -> Finding:
     counters = camera.counters
     config = camera.config
     if len(counters.intervals) < 3:
@@ -401,7 +401,7 @@ def _rate(what: str, camera: OpenCvCamera, ages: list[float]) -> Finding:
     return Finding("warn" if counters.duplicates else "ok", what, text)
 
 
-def _light(what: str, camera: OpenCvCamera) -> Finding:
+def _light_finding(what: str, camera: OpenCvCamera) -> Finding:
     pixels = camera.read().pixels
     mean = float(pixels.mean())
     white = float((pixels >= 254).mean())

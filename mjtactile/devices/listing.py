@@ -67,17 +67,17 @@ def serial_ports(
     named = list(more)
     found = []
     for port in sorted(list_ports.comports(), key=lambda port: port.device):
-        path = _stable(port.device)
+        path = _stable_path(port.device)
         known = SerialPort(path, port.device, port.description or "", port.serial_number or "")
         if not ask:
             found.append(known)
         elif port.vid is None and port.device not in named:
             found.append(replace(known, problem=f"built in: not asked without --port {path}"))
         else:
-            found.append(_asked(known, say))
+            found.append(_identify(known, say))
     present = {port.device for port in found}
     others = [SerialPort(path, path, "named", "") for path in named if path not in present]
-    return found + [_asked(port, say) if ask else port for port in others]
+    return found + [_identify(port, say) if ask else port for port in others]
 
 
 def servos_at(
@@ -89,12 +89,12 @@ def servos_at(
     for baud in bauds or BAUDS:
         bus = DynamixelBus(port, baud, reply_timeout=reply_time or _REPLY_TIME)
         try:
-            found = {servo: model for servo in IDS if (model := _model(bus, servo))}
+            found = {servo: model for servo in IDS if (model := _model_name(bus, servo))}
             if found:  # an answer may have got lost
                 found |= {
                     servo: model
                     for servo in IDS
-                    if servo not in found and (model := _model(bus, servo))
+                    if servo not in found and (model := _model_name(bus, servo))
                 }
                 return baud, dict(sorted(found.items()))
         finally:
@@ -127,7 +127,7 @@ def valve_board_at(port: str) -> str:
         line.close()
 
 
-def _asked(port: SerialPort, say: Callable[[str], None]) -> SerialPort:
+def _identify(port: SerialPort, say: Callable[[str], None]) -> SerialPort:
     say(f"{port.path}: servos? a valve board?")
     try:
         baud, servos = servos_at(port.path) if "://" not in port.path else (0, {})
@@ -138,7 +138,7 @@ def _asked(port: SerialPort, say: Callable[[str], None]) -> SerialPort:
         return replace(port, problem=str(error))
 
 
-def _model(bus: DynamixelBus, servo: int) -> str:
+def _model_name(bus: DynamixelBus, servo: int) -> str:
     """The model's name; "" of one that does not answer."""
     try:
         number, _ = bus.ping(servo)
@@ -150,7 +150,7 @@ def _model(bus: DynamixelBus, servo: int) -> str:
     return known.name if known else NO_CURRENT_CONTROL.get(number, f"model {number}")
 
 
-def _stable(device: str) -> str:
+def _stable_path(device: str) -> str:
     with contextlib.suppress(OSError):
         for link in sorted(Path("/dev/serial/by-id").glob("*")):
             if link.resolve() == Path(device).resolve():

@@ -20,7 +20,7 @@ from mjtactile.rig.finger import Rig, make_fingers
 from mjtactile.rig.gripper import calibrated_gripper
 from mjtactile.rig.limits import Limits
 from mjtactile.rig.protocols import Camera
-from mjtactile.rig.registry import CAMERAS, RigRequest, load_backend, need_file
+from mjtactile.rig.registry import CAMERAS, RigRequest, load_backend, require_file
 from mjtactile.rig.sensors import finger_calibration, finger_design
 
 _EMULATED = "/dev/pts/"  # where pseudo-terminals are; no servo is on one
@@ -140,7 +140,7 @@ def build_device_rig(
 
 def build(request: RigRequest) -> Rig:
     """The backend "devices" of `mjtactile.rig.registry`."""
-    file = need_file(request)
+    file = require_file(request)
     return build_device_rig(file, request.design, name=file.name)
 
 

@@ -72,7 +72,7 @@ class Emulator:
             "cameras": self._world.cameras,
         }
 
-    def obey(self, request: dict[str, Any]) -> dict[str, Any]:
+    def handle(self, request: dict[str, Any]) -> dict[str, Any]:
         """Answer one request."""
         if "fault" in request:
             return self._set_fault(request["fault"], float(request.get("value", 1)))
@@ -121,7 +121,7 @@ def serve(emulator: Emulator, requests: TextIO, answers: TextIO) -> None:
         if request.get("stop"):
             return
         try:
-            answer = json.dumps(emulator.obey(request))
+            answer = json.dumps(emulator.handle(request))
         except InputError as error:
             answer = process.failure(error)
         print(answer, file=answers, flush=True)

@@ -51,7 +51,7 @@ class Faults:
     def get(self, kind: str) -> float:
         return self.values.get(kind, 0.0)
 
-    def strikes(self, kind: str) -> bool:
+    def occurs(self, kind: str) -> bool:
         """Throw the dice of a probability."""
         chance = self.values.get(kind, 0.0)
         return chance > 0 and self.rng.random() < chance

@@ -116,10 +116,10 @@ class Hardware:
 
     def _tick(self, now: float, period: float) -> None:
         shared = self._shared
-        self._strike()
+        self._inject_faults()
         if not self.bus.is_busy():
             for servo in self.servos.values():
-                servo.look_at_watchdog(now)
+                servo.check_watchdog(now)
         goal, force = self._jaws.drive()
         shared["force"] = force
         shared["goal"] = math.nan if goal is None else goal
@@ -128,11 +128,13 @@ class Hardware:
             shared["lift_goal"] = (
                 drive.goal * self._rig_file.lift.per_rad if drive.torque_max > 0 else math.nan
             )
-            self._lift.feel(shared["lift_height"] / self._rig_file.lift.per_rad, 0.0, 0.0, period)
-        self._jaws.feel(shared["opening"], shared["speed"], shared["grip_force"], period)
+            self._lift.follow_load(
+                shared["lift_height"] / self._rig_file.lift.per_rad, 0.0, 0.0, period
+            )
+        self._jaws.follow_load(shared["opening"], shared["speed"], shared["grip_force"], period)
         self.firmware.tick(now, period)
 
-    def _strike(self) -> None:
+    def _inject_faults(self) -> None:
         """Carry out the faults that happen to a servo or to the world, rather than to a reply."""
         for kind, act in (
             ("servo_overload", lambda s: s.raise_error(0x20)),

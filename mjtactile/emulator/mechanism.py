@@ -68,7 +68,7 @@ class Jaws:
         forces = [drive.torque_max / abs(jaw.lever(jaw.servo.angle)) for jaw, drive in on]
         return sum(parts) / len(on) * len(self._jaws), sum(forces) / len(self._jaws)
 
-    def feel(self, opening: float, speed: float, force: float, period: float) -> None:
+    def follow_load(self, opening: float, speed: float, force: float, period: float) -> None:
         """Turn the shafts to where the jaws are; those that drive share the closing `force` N on
         each finger."""
         on = [jaw for jaw in self._jaws if jaw.servo.drive().torque_max > 0]
@@ -77,4 +77,4 @@ class Jaws:
             angle = jaw.angle(opening / count)
             lever = jaw.lever(angle)
             torque = -force * count / len(on) * lever if jaw in on else 0.0
-            jaw.servo.feel(angle, speed / count / lever, torque, period)
+            jaw.servo.follow_load(angle, speed / count / lever, torque, period)

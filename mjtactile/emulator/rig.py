@@ -7,7 +7,7 @@ from mjtactile.devices.rig import build_device_rig
 from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.rig.file import RigFile
 from mjtactile.rig.finger import Rig
-from mjtactile.rig.registry import RigRequest, need_file
+from mjtactile.rig.registry import RigRequest, require_file
 
 
 def build_emulated_rig(
@@ -32,7 +32,7 @@ def build_emulated_rig(
 def build(request: RigRequest) -> Rig:
     """The backend "emulator" of `mjtactile.rig.registry`."""
     return build_emulated_rig(
-        need_file(request),
+        require_file(request),
         request.design,
         object_name=request.scenario.object,
         seed=request.scenario.seed,

@@ -288,7 +288,7 @@ class EmulatedServo(Registers):
         with self._lock:
             self._power_up()
 
-    def look_at_watchdog(self, now: float) -> None:
+    def check_watchdog(self, now: float) -> None:
         """Trip if nothing was heard for the bus watchdog's time; it "monitors … when Torque
         Enable(64) is '1'"."""
         with self._lock:
@@ -303,7 +303,7 @@ class EmulatedServo(Registers):
                 # "When it stops, the Profile Acceleration(108) and
                 self.set("Profile Acceleration", 0)
                 self.set("Profile Velocity", 0)  # Profile Velocity(112) are applied as '0'."
-                if not self._goes_on:
+                if not self._ignores_watchdog:
                     self.set("Goal Velocity", 0)
                     self.set("Goal Position", self._ticks())
                     self._path.start(self.angle)
@@ -312,11 +312,15 @@ class EmulatedServo(Registers):
         """With a homing offset "the goal position gets updated to a value that is not the current
         position … This will keep happening indefinitely"
         (github.com/ROBOTIS-GIT/DynamixelSDK/issues/584, modes with positions)."""
-        if self._homing and not self._goes_on and self.get("Operating Mode") in ct.POSITION_MODES:
+        if (
+            self._homing
+            and not self._ignores_watchdog
+            and self.get("Operating Mode") in ct.POSITION_MODES
+        ):
             self.set("Goal Position", self._ticks() - self._homing)
 
     @property
-    def _goes_on(self) -> bool:
+    def _ignores_watchdog(self) -> bool:
         return (self._table.size, self.get("Firmware Version")) in ct.WATCHDOG_GOES_ON
 
     def drive(self) -> Drive:
@@ -325,7 +329,11 @@ class EmulatedServo(Registers):
             mode = self.get("Operating Mode")
             if not self.get("Torque Enable"):
                 return Drive(self.angle, 0.0)
-            if self.tripped and not self._goes_on and (self._trip == "limp" or mode in _FREE_MODES):
+            if (
+                self.tripped
+                and not self._ignores_watchdog
+                and (self._trip == "limp" or mode in _FREE_MODES)
+            ):
                 return Drive(self.angle, 0.0)
             full = self._current_max * self._torque_per_A
             # "directly controls" current or PWM: pulls with that, wherever it gets to
@@ -354,7 +362,7 @@ class EmulatedServo(Registers):
             else self._angle(self.get_signed("Goal Position"))
         )
 
-    def _plan(self, period: float) -> None:
+    def _plan_path(self, period: float) -> None:
         """Move along the trajectory of the profile."""
         acceleration = self.get("Profile Acceleration") * _ACCELERATION_UNIT
         if self.get("Operating Mode") == 1:
@@ -378,9 +386,9 @@ class EmulatedServo(Registers):
         drive = self.drive()
         most = _NO_LOAD_SPEED * period if drive.torque_max > 0 else 0.0
         step = min(max(drive.goal - self.angle, -most), most)
-        self.feel(self.angle + step, step / period, 0.0, period)
+        self.follow_load(self.angle + step, step / period, 0.0, period)
 
-    def feel(self, angle: float, speed: float, torque: float, period: float) -> None:
+    def follow_load(self, angle: float, speed: float, torque: float, period: float) -> None:
         """What the mechanism does to the shaft: angle rad, speed rad/s, and the torque N m that the
         motor gives now."""
         with self._lock:
@@ -388,7 +396,7 @@ class EmulatedServo(Registers):
             self.speed = speed
             self.current = torque / self._torque_per_A
             if self.get("Torque Enable"):
-                self._plan(period)
+                self._plan_path(period)
             else:
                 self._path.start(angle)
             self._warm(period)
@@ -428,10 +436,8 @@ class EmulatedServo(Registers):
         self.set("Position Trajectory", self._ticks(self._path.angle))
         # Moving(122)
         self.set("Moving", int(ongoing or abs(velocity) > self.get("Moving Threshold")))
-        profile = (
-            (0x30 if self.get("Profile Acceleration") else 0x10)
-            if self.get("Profile Velocity")
-            else 0
-        )
+        profile = 0
+        if self.get("Profile Velocity"):
+            profile = 0x30 if self.get("Profile Acceleration") else 0x10
         self.set("Moving Status", profile | ongoing << 1 | (arrived and in_position_mode))
         self.set("Realtime Tick", int(pace.monotonic() * 1e3) % 32768)

@@ -83,7 +83,7 @@ class ServoBus:
         if packet.servo == p2.BROADCAST:
             return self._broadcast(packet, awake, now) if packet.intact else b""
         answer = b"".join(
-            self._alone(servo, packet, now) for servo in awake if servo.id == packet.servo
+            self._single(servo, packet, now) for servo in awake if servo.id == packet.servo
         )
         for servo in awake:
             if (
@@ -95,7 +95,7 @@ class ServoBus:
                 servo.write(*_write_block(packet.parameters), ram_only=True)
         return answer
 
-    def _alone(self, servo: EmulatedServo, packet: p2.Instruction, now: float) -> bytes:
+    def _single(self, servo: EmulatedServo, packet: p2.Instruction, now: float) -> bytes:
         """Carry out and answer, from the id that was asked: a new one counts from the next packet
         on."""
         asked = servo.id
@@ -152,7 +152,7 @@ class ServoBus:
         """One packet to which each adds its part after the one before it: it ends at the first that
         is not there."""
         by_id = {servo.id: servo for servo in awake}
-        if self._faults.strikes("servo_drop"):
+        if self._faults.occurs("servo_drop"):
             return b""
         parts = []
         lengths = []
@@ -186,9 +186,9 @@ class ServoBus:
     def _status(
         self, servo: EmulatedServo, error: int, data: bytes, asked: int | None = None
     ) -> bytes:
-        if self._faults.strikes("servo_drop"):
+        if self._faults.occurs("servo_drop"):
             return b""
-        if self._faults.strikes("servo_short"):
+        if self._faults.occurs("servo_short"):
             data = data[:-1]
         return p2.status(servo.id if asked is None else asked, error | servo.alert, data)
 
@@ -198,7 +198,7 @@ class ServoBus:
         delay += 2e-6 * next(iter(self._servos.values())).get(
             "Return Delay Time"
         ) + self._faults.get("servo_late")
-        if self._faults.strikes("servo_corrupt"):
+        if self._faults.occurs("servo_corrupt"):
             place = self._faults.rng.randrange(len(answer))
             changed = answer[place] ^ (1 << self._faults.rng.randrange(8))
             answer = answer[:place] + bytes([changed]) + answer[place + 1 :]

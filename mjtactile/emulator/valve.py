@@ -26,7 +26,7 @@ _SUPPLY = 1000.0  # Pa; what the hose of a board without sensors carries
 _SENSOR_NOISE = 5.0  # Pa, sd
 _MAX = 6000  # Pa that the board never exceeds
 _BEAT = (20, 60000)  # ms
-_STRIKES = 3  # samples in a row that make a fault
+_READINGS_TO_TRIP = 3  # samples in a row that make a fault
 _SAMPLE = 0.005  # s between two
 _LONGEST = 80  # bytes of a line
 
@@ -83,8 +83,8 @@ class _Channel:
     goal: float = 0.0
     supply: float = 0.0  # what the hose carries now
     limit: int = 0
-    sensor_strikes: int = 0
-    pressure_strikes: int = 0
+    sensor_failures: int = 0
+    pressure_excesses: int = 0
 
     def trip(self, fault: str) -> None:
         """Vent, and take no pressure until the host has vented, too."""
@@ -94,7 +94,7 @@ class _Channel:
 
     def vent(self) -> None:
         self.trip("ok")
-        self.sensor_strikes = self.pressure_strikes = 0
+        self.sensor_failures = self.pressure_excesses = 0
 
 
 class ValveFirmware:
@@ -146,23 +146,23 @@ class ValveFirmware:
             self._since_sample += period
             if self._since_sample >= _SAMPLE:
                 self._since_sample = 0.0
-                self._look()
+                self._check_limits()
             if not self._faults.get("valve_stuck"):
-                self._move(period)
+                self._move_pressures(period)
 
-    def _look(self) -> None:
+    def _check_limits(self) -> None:
         """Faults of sensors and pressures."""
         for number, channel in self.channels.items() if self._sensors else ():
             failed = bool(self._faults.get("valve_sensor"))
             high = channel.state != "vent" and self._pressure(number) > channel.limit * 1.25 + 200
-            channel.sensor_strikes = channel.sensor_strikes + 1 if failed else 0
-            channel.pressure_strikes = channel.pressure_strikes + 1 if high and not failed else 0
-            if channel.sensor_strikes >= _STRIKES:
+            channel.sensor_failures = channel.sensor_failures + 1 if failed else 0
+            channel.pressure_excesses = channel.pressure_excesses + 1 if high and not failed else 0
+            if channel.sensor_failures >= _READINGS_TO_TRIP:
                 channel.trip("sensor")
-            elif channel.pressure_strikes >= _STRIKES:
+            elif channel.pressure_excesses >= _READINGS_TO_TRIP:
                 channel.trip("pressure")
 
-    def _move(self, period: float) -> None:
+    def _move_pressures(self, period: float) -> None:
         for number, channel in self.channels.items():
             if channel.state == "sealed":
                 self._chambers.seal(number)
@@ -186,9 +186,9 @@ class ValveFirmware:
             self.last_heard = now
             if self._faults.get("valve_garbage"):
                 return self._rng.randbytes(12).replace(b"\n", b"?") + b"\n"
-            return framed(f"{sequence} {self._obey(command)}")
+            return framed(f"{sequence} {self._execute(command)}")
 
-    def _obey(self, command: str) -> str:
+    def _execute(self, command: str) -> str:
         """The command again, or an error."""
         word, *arguments = command.split()
         if any(re.fullmatch(r"\d{1,6}", argument) is None for argument in arguments):
@@ -207,11 +207,11 @@ class ValveFirmware:
         if numbers[0] not in self.channels:
             return "error channel"
         return (
-            self._obey_channel(word, self.channels[numbers[0]], *numbers)
+            self._execute_for_channel(word, self.channels[numbers[0]], *numbers)
             or f"{word} {' '.join(map(str, numbers))}"
         )
 
-    def _obey_channel(
+    def _execute_for_channel(
         self, word: str, channel: _Channel, number: int, value: int = 0
     ) -> str | None:
         """An answer of its own, None for the command again."""

@@ -40,7 +40,7 @@ _BEHIND_MAX = 0.02
 _BREATH = 3e-4  # s of rest after each step, for the thread that draws the pictures
 _BACKDRIVE_FORCE = 0.05  # N: gear friction of servos without torque
 _GEAR_SLACK = 1e-4  # m of the opening over which that friction builds up
-_TOUCH_FORCE = 1e-3  # N; less is nobody who touches
+_TOUCH_FORCE = 1e-3  # N; less counts as no touch
 _STILL_SPEED = 0.01  # m/s and rad/s of an object that stands
 _FALL_SPEED_MAX = 0.5  # m/s of a lift without torque, whose gears turn with it
 _LEAK_TIME = 0.15  # s: a puncture's time constant
@@ -248,7 +248,11 @@ class Cameras:
         if shared["frames_stopped"]:
             return
         if not (shared["frames_frozen"] and name in self._last):
-            gain = _DARK if shared["frames_dark"] else _GLARE if shared["frames_saturated"] else 1.0
+            gain = 1.0
+            if shared["frames_dark"]:
+                gain = _DARK
+            elif shared["frames_saturated"]:
+                gain = _GLARE
             self._last[name] = renderer.render(p_SM, n_S, effects=Effects(gain=gain)).pixels
         if shared["frames_late"]:
             self._stop.wait(shared["frames_late"] / len(self._renderers))

@@ -42,7 +42,7 @@ _PARTS |= dict.fromkeys(("wrench_sd", "wrench_true"), _PARTS["wrench"])
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class Perceived:
     """One cycle: its `row` of the log (null: unknown), the images that were kept, with their
     `files`, and each finger's touch as the chain sees it again, () where it cannot."""
 
@@ -204,7 +204,7 @@ class Episode:
             for name in self.fingers
         ]
 
-    def cycles(self) -> Iterator[Seen]:
+    def cycles(self) -> Iterator[Perceived]:
         """All cycles in order. Raises InputError naming an image file that is missing or broken."""
         columns = self.recording.columns
         folder = self.recording.folder
@@ -223,7 +223,7 @@ class Episode:
             )
             for again, was in zip(touch, row["force_normal"], strict=False):
                 self.felt_apart = float(np.fmax(self.felt_apart, abs(again.force_normal - was)))
-            yield Seen(
+            yield Perceived(
                 time, row, images, tuple(folder / name for name in columns["images"][k]), touch
             )
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.types import Array, Touch
-from mjtactile.export.episode import NOT_OF_A_FINGER, Episode, Seen
+from mjtactile.export.episode import NOT_OF_A_FINGER, Episode, Perceived
 
 FACING = {
     0: np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]),
@@ -62,7 +62,7 @@ def items(episode: Episode) -> Iterator[Item]:
         yield from _of_cycle(episode, seen)
 
 
-def _of_cycle(episode: Episode, seen: Seen) -> Iterator[Item]:
+def _of_cycle(episode: Episode, seen: Perceived) -> Iterator[Item]:
     row = seen.row
     time = seen.time
     stamps = [float(value) for value in row["image_time"]]

@@ -46,7 +46,7 @@ def build(
 ) -> Build:
     """All files for `design`, read from `source` with the given `text`. Raises InputError for what
     cannot be built."""
-    mesh.need_libraries()
+    mesh.require_libraries()
     layout = Layout.of(design, hardware, source)
     parts = make_parts(layout)
     solids = {name: mesh.solid_of(part) for name, part in parts.items()}

@@ -20,7 +20,7 @@ COARSE = 6
 _TOUCH = 1e-3  # mm^3 that rounding may make of faces that touch
 
 
-def need_libraries() -> None:
+def require_libraries() -> None:
     """Raises InputError that says how to get what solids and pages are made with, where it is not
     there."""
     missing = [name for name in ("manifold3d", "matplotlib") if find_spec(name) is None]

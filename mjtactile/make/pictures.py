@@ -75,7 +75,7 @@ def draw(
     colours = _shaded(every, np.array([body.part.colour for body in bodies])[numbers])
     seen, depth = _paint(every, size)
     image = np.vstack([colours, np.ones((1, 3))])[seen]
-    image[_jumps(depth)] = _LINE
+    image[_depth_edges(depth)] = _LINE
     owners = np.append(numbers, -1)[seen]
     places = [_anchor(owners == number) for number in range(len(bodies))]
     return image.reshape(rows, _SAMPLES, pixels, _SAMPLES, 3).mean(axis=(1, 3)), places
@@ -101,7 +101,7 @@ def _paint(corners: Array, size: tuple[int, int]) -> tuple[NDArray[np.int64], Ar
     return seen[..., 0].astype(np.int64), depth
 
 
-def _jumps(depth: Array) -> Array:
+def _depth_edges(depth: Array) -> Array:
     """Where (h, w) the depth jumps: edges of things before others."""
     near = np.where(np.isfinite(depth), depth, -10.0)
     found = np.zeros(depth.shape, bool)

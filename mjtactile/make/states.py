@@ -89,7 +89,7 @@ def simulate(
             "chamber.supply_gauge_kPa",
             1e-3 * supply,
             "is more than this sheet holds: it goes on growing",
-            high=1e-3 * _bearable(design),
+            high=1e-3 * _pressure_limit(design),
         ).check(source)
     ball = min(_BALL, 0.25 * min(frame.length, frame.width))
     far = [max(_REACH * side - ball, 0.0) for side in (frame.length, frame.width)]
@@ -129,7 +129,7 @@ def _state(world: PressWorld, name: str) -> State:
     )
 
 
-def _bearable(design: SensorDesign) -> float:
+def _pressure_limit(design: SensorDesign) -> float:
     """The largest gauge pressure, Pa, that the closed form has a height for."""
     low = 1.0
     high = design.chamber.supply_gauge

@@ -68,11 +68,20 @@ _FINGERS = (
     "slip_state",
     "marker_count",
 )
-_HEADER = {"design": TEXT, "sensor": TEXT, "object": TEXT, "rig": TEXT, "files": TABLE}
+_HEADER = {
+    "design": TEXT,
+    "sensor": TEXT,
+    "object": TEXT,
+    "rig": TEXT,
+    "command": TEXT,
+    "files": TABLE,
+    "versions": TABLE,
+}
 _NOTES = {
     "start_opening": NUMBER,
     "start_lift_height": NUMBER,
     "calibration": TABLE,
+    "simulated": TABLE,
     "break_force_N": NUMBER,
     "fingers": (TEXT,),
 }
@@ -141,6 +150,10 @@ def wrong_note(row: Mapping[str, Any]) -> str | None:
             good = found == want or (row[key] is None and want != TABLE)
         if not good:
             return key
+    if "simulated" in row and not _is_simulated(row["simulated"]):
+        return "simulated"
+    if not {kind(value) for value in row.get("versions", {}).values()} <= {TEXT}:
+        return "versions"
     tables = {"files": TEXT, "calibration": None}
     return next(
         (
@@ -153,6 +166,22 @@ def wrong_note(row: Mapping[str, Any]) -> str | None:
             )
         ),
         None,
+    )
+
+
+def _is_simulated(how: Mapping[str, Any]) -> bool:
+    """Whether this is how a world was simulated: mesh, step and effects, as pages show them."""
+    effects = how.get("effects", [])
+    return (
+        kind(how.get("mesh", [])) in {(), (NUMBER, NUMBER)}
+        and kind(how.get("timestep_ms")) == NUMBER
+        and isinstance(effects, list)
+        and all(
+            kind(effect) == TABLE
+            and {kind(effect.get(key)) for key in ("effect", "why")} == {TEXT}
+            and {kind(effect.get(key)) for key in ("on", "built")} == {FLAG}
+            for effect in effects
+        )
     )
 
 

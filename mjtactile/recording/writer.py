@@ -80,9 +80,9 @@ class Recorder(Observer):
         self._queue: queue.Queue[tuple[Mapping[str, Any], list[tuple[str, Image]]] | None] = (
             queue.Queue(_QUEUE_CYCLES)
         )
-        self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
+        self._thread = threading.Thread(target=self._write_loop, name="recorder", daemon=True)
         self._thread.start()
-        self._put(
+        self._enqueue(
             {
                 "kind": "start",
                 "format": FORMAT,
@@ -126,20 +126,19 @@ class Recorder(Observer):
             and self.cycles % self._frames == 0
             and all(image.pixels.size for image in cycle.images)
         )
-        images = (
-            [
+        images = []
+        if kept:
+            fingers = self._names(len(cycle.images))
+            images = [
                 (f"{FRAMES}/{self.cycles:06d}_{finger}.png", image)
-                for finger, image in zip(self._names(len(cycle.images)), cycle.images, strict=True)
+                for finger, image in zip(fingers, cycle.images, strict=True)
             ]
-            if kept
-            else []
-        )
         try:
             row = make_row(cycle, [name for name, _ in images], truth)
         except Exception as error:  # noqa: BLE001  # whatever a controller put into its notebook
-            self._give_up(error)
+            self._stop_recording(error)
             return
-        self._put(row, images)
+        self._enqueue(row, images)
         self.cycles += 1
         if self.views is not None and view is not None:
             self.views.append((cycle.time, view))
@@ -159,16 +158,14 @@ class Recorder(Observer):
             images: One list a finger.
             pressure_gauge: Pa that they were taken at, for each valve; None: not measured.
         """
-        named = (
-            [
+        named = []
+        if self._frames and _has_pixels(images):
+            named = [
                 [(f"{FRAMES}/{stage}_{i:02d}_{finger}.png", image) for i, image in enumerate(shots)]
                 for finger, shots in zip(self._names(len(images)), images, strict=True)
             ]
-            if self._frames and _has_pixels(images)
-            else []
-        )
         self.references += 1
-        self._put(
+        self._enqueue(
             {
                 "kind": "reference",
                 "stage": stage,
@@ -186,7 +183,7 @@ class Recorder(Observer):
             **facts: By name; `fingers` are the names that image files get.
         """
         self._fingers = tuple(facts.get("fingers", self._fingers))
-        self._put({"kind": "note", **facts})
+        self._enqueue({"kind": "note", **facts})
 
     def _names(self, count: int) -> tuple[str, ...]:
         """What the fingers are called in the names of files: as was noted, where each name is a
@@ -204,13 +201,13 @@ class Recorder(Observer):
             return
         self._closed = True
         self.patience = _FLUSH_TIME
-        self._put({"kind": "end", **outcome})
+        self._enqueue({"kind": "end", **outcome})
         if not self.problem:
             with contextlib.suppress(queue.Full):
                 self._queue.put(None, timeout=_FLUSH_TIME)
             self._thread.join(_FLUSH_TIME)
             if self._thread.is_alive():
-                self._give_up("the disk stands still")
+                self._stop_recording("the disk stands still")
 
     def never_began(self, error: BaseException) -> bool:
         """Say whether a run left nothing worth keeping: a device was missing, a name was wrong.
@@ -244,15 +241,15 @@ class Recorder(Observer):
         except OSError as error:
             raise InputError(f"cannot be written: {error.strerror}", source=self.folder) from error
 
-    def _put(self, line: Mapping[str, Any], images: Sequence[tuple[str, Image]] = ()) -> None:
+    def _enqueue(self, line: Mapping[str, Any], images: Sequence[tuple[str, Image]] = ()) -> None:
         if self.problem:
             return
         try:
             self._queue.put((line, list(images)), block=self.patience > 0, timeout=self.patience)
         except queue.Full:
-            self._give_up(f"the disk is {_QUEUE_CYCLES} cycles behind")
+            self._stop_recording(f"the disk is {_QUEUE_CYCLES} cycles behind")
 
-    def _give_up(self, why: object) -> None:
+    def _stop_recording(self, why: object) -> None:
         """Record no more, and say so once."""
         text = (
             f"{type(why).__name__}: {why}"
@@ -265,7 +262,7 @@ class Recorder(Observer):
         if first:
             _logger.warning("%s: the recording was given up: %s", self.folder, self.problem)
 
-    def _work(self) -> None:
+    def _write_loop(self) -> None:
         """The background thread: images first, then the line that names them."""
         while not self.problem and (item := self._queue.get()) is not None:
             try:
@@ -276,7 +273,7 @@ class Recorder(Observer):
                 self._file.flush()
             except Exception as error:  # noqa: BLE001
                 # a full disk, a removed folder, a notebook that contains itself
-                self._give_up(error)
+                self._stop_recording(error)
         with contextlib.suppress(OSError):  # what could not be written before
             self._file.close()
         with contextlib.suppress(queue.Empty):  # so that nobody waits for a place in it

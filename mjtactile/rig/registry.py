@@ -93,7 +93,7 @@ def as_scenario(
     return Scenario(rig=scenario, **fields)
 
 
-def need_file(request: RigRequest) -> RigFile:
+def require_file(request: RigRequest) -> RigFile:
     """The devices' rig file of a request. Raises InputError where a backend that needs one was
     named without."""
     if not isinstance(request.file, RigFile):

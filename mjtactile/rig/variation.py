@@ -113,7 +113,7 @@ class Drawn:
         return next((one for one in self.specimens if one.finger == finger), SpecimenConfig(finger))
 
 
-def _drawn_of(group: str) -> tuple[Number, ...]:
+def _entries_of(group: str) -> tuple[Number, ...]:
     """What of a specimen a section of the file draws."""
     found = [entry for entry in entries(SpecimenConfig).values() if entry.group == group]
     # of missing markers their number is drawn, then which
@@ -123,8 +123,8 @@ def _drawn_of(group: str) -> tuple[Number, ...]:
 
 SECTIONS: dict[str, tuple[Number, ...]] = {
     "object": tuple(entries(ObjectChange).values()),
-    "sensor": _drawn_of("sensor"),
-    "gas": _drawn_of("gas"),
+    "sensor": _entries_of("sensor"),
+    "gas": _entries_of("gas"),
     "rig": tuple(entries(RigChange).values()),
 }
 """What can vary; `sensor` and `gas` are drawn for each finger."""
@@ -223,14 +223,14 @@ def variation_from_table(table: Mapping[str, Any], path: Path) -> Variation:
         spreads |= {
             f"{name}.{entry.key}": (entry, spread)
             for entry in known
-            if (spread := _spread(section, entry)) is not None
+            if (spread := _read_spread(section, entry)) is not None
         }
         section.done()
     root.done()
     return Variation(path.stem, spreads, path)
 
 
-def _spread(section: Section, entry: Number) -> Spread | None:
+def _read_spread(section: Section, entry: Number) -> Spread | None:
     """One field: a number, [low, high], {mean, sd} or {choices}."""
     kind = section.kind(entry.key)
     if kind is None:

@@ -107,7 +107,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     from mjtactile.calibrate.camera import camera_info, lens_part, report
-    from mjtactile.calibrate.verdict import mark, stamp, write, write_yaml
+    from mjtactile.calibrate.verdict import stamp, stamp_of, write, write_yaml
 
     if options.print_to is not None:
         return _print_board(options, _board(options))
@@ -137,7 +137,7 @@ def run(options: argparse.Namespace) -> int:
     if goal is None:
         path = write(path, verdict, to_yaml)
     else:
-        goal.write("lens", lens_part(fit, mark(goal.design, residuals)), reasons)
+        goal.write("lens", lens_part(fit, stamp_of(goal.design, residuals)), reasons)
     fx = fit.K[0, 0]
     fy = fit.K[1, 1]
     cx = fit.K[0, 2]

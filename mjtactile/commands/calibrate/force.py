@@ -121,7 +121,7 @@ Loads = Iterator[tuple[str, float, Sequence[Sequence[Image]]]]
 
 def run(options: argparse.Namespace) -> int:
     from mjtactile.calibrate.force import calibrate_force, force_part
-    from mjtactile.calibrate.verdict import mark, stamp
+    from mjtactile.calibrate.verdict import stamp, stamp_of
 
     if options.source is None and options.rig is None:
         raise InputError("give a CSV file (SOURCE), or --rig to load its sensors", field="SOURCE")
@@ -134,7 +134,7 @@ def run(options: argparse.Namespace) -> int:
     results = {}
     for goal, chain, forces, area in zip(targets, chains, felt, areas, strict=True):
         fit = calibrate_force(true, forces, area, chain.state.reference.surface.area)
-        goal.write("force", force_part(fit, mark(goal.design, fit.report())), fit.reasons)
+        goal.write("force", force_part(fit, stamp_of(goal.design, fit.report())), fit.reasons)
         results[goal.finger] = (
             goal.path,
             stamp("force", fit.reasons) | {"sensor": goal.design.name, **fit.report()},

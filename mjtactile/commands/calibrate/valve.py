@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     from mjtactile.calibrate.valve import valve_part
-    from mjtactile.calibrate.verdict import mark, stamp
+    from mjtactile.calibrate.verdict import stamp, stamp_of
 
     if options.source is None and options.rig is None:
         raise InputError(
@@ -76,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
         )
     results = {}
     for goal, fit in zip(targets, fits, strict=True):
-        goal.write("valve", valve_part(fit, mark(goal.design, fit.report())), fit.reasons)
+        goal.write("valve", valve_part(fit, stamp_of(goal.design, fit.report())), fit.reasons)
         results[goal.finger] = goal.path, stamp("valve", fit.reasons) | fit.report(), [_line(fit)]
     return finish_all(options, results)
 

@@ -95,7 +95,7 @@ class OpenCvCamera:
                 )
             if config.backend == "v4l2":
                 self._configure()
-            self._thread = threading.Thread(target=self._work, name=self.name, daemon=True)
+            self._thread = threading.Thread(target=self._read_loop, name=self.name, daemon=True)
             self._thread.start()
         except BaseException:
             self._capture.release()
@@ -216,7 +216,7 @@ class OpenCvCamera:
     # -- the reader
     # --------------------------------------------------------------------------------
 
-    def _work(self) -> None:
+    def _read_loop(self) -> None:
         failures = 0
         while not self._stopping.is_set():
             try:
@@ -229,7 +229,7 @@ class OpenCvCamera:
                 _log.debug("%s: %s", self.name, error)
             if good and pixels is not None:
                 failures = 0
-                self._take(pixels)
+                self._accept(pixels)
                 continue
             failures += 1
             # one broken JPEG is a lost picture; three failures in a row are a lost camera
@@ -237,11 +237,11 @@ class OpenCvCamera:
                 self._fail(
                     'it sends no JPEG; leave fourcc = "MJPG" out of the rig file'
                     if good and self._is_raw
-                    else self._why_nothing_comes()
+                    else self._no_picture_reason()
                 )
                 return
 
-    def _take(self, pixels: NDArray) -> None:
+    def _accept(self, pixels: NDArray) -> None:
         arrival = self._clock()
         gray = cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY) if pixels.ndim == 3 else pixels
         if gray.shape != (self.config.height, self.config.width):
@@ -288,7 +288,7 @@ class OpenCvCamera:
         )
         return arrival
 
-    def _why_nothing_comes(self) -> str:
+    def _no_picture_reason(self) -> str:
         silent = self._clock() - self.newest_time
         load = os.getloadavg()[0]
         processors = os.cpu_count() or 1

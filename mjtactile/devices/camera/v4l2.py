@@ -45,16 +45,18 @@ def video_devices(root: Path = Path("/")) -> list[VideoDevice]:
         (root / "sys/class/video4linux").glob("video*"),
         key=lambda path: (len(path.name), path.name),
     ):
-        if _text(folder / "index") != "0":  # a second node of the same camera, for its metadata
+        if (
+            _read_text(folder / "index") != "0"
+        ):  # a second node of the same camera, for its metadata
             continue
         device = root / "dev" / folder.name
         formats = tuple(formats_of(device))
         found.append(
             VideoDevice(
-                _stable(root, device),
+                _stable_path(root, device),
                 str(device),
-                _text(folder / "name"),
-                _text((folder / "device").resolve().parent / "serial"),
+                _read_text(folder / "name"),
+                _read_text((folder / "device").resolve().parent / "serial"),
                 formats,
             )
         )
@@ -113,7 +115,7 @@ def _largest_rate(number: int, code: int, width: int, height: int, ioctl: Ioctl)
     return max(rates)
 
 
-def _stable(root: Path, device: Path) -> str:
+def _stable_path(root: Path, device: Path) -> str:
     """A name that stays when it is plugged in again; two of the same kind without serial numbers
     differ by their sockets."""
     for folder in ("by-id", "by-path"):
@@ -127,7 +129,7 @@ def _stable(root: Path, device: Path) -> str:
     return str(device)
 
 
-def _text(path: Path) -> str:
+def _read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip()
     except OSError:

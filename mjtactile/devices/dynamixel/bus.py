@@ -180,7 +180,7 @@ class DynamixelBus:
             if not self._port.setBaudRate(baud):
                 raise DeviceError(f"{port}: the SDK knows no baud rate {baud}")
         except (serial.SerialException, OSError, ValueError) as error:
-            raise DeviceError(f"servo port {port} cannot be opened: {_plain(error)}") from error
+            raise DeviceError(f"servo port {port} cannot be opened: {_one_line(error)}") from error
 
     def close(self) -> None:
         with self._lock:
@@ -198,14 +198,16 @@ class DynamixelBus:
         """Read `size` bytes of one servo. `again`: the same was asked just before, so that a late
         answer to that is as good and need not be waited for and thrown away. Raises BusError."""
         with self._transaction(servo, again=again):
-            return self._exchange(servo, [2, *_word(address), *_word(size)], reply=size)
+            return self._exchange(
+                servo, [2, *_bytes_of_word(address), *_bytes_of_word(size)], reply=size
+            )
 
     def write(self, servo: int, address: int, size: int, value: int) -> bool:
         """Write one register and wait for the servo's status; returns its alert bit. Raises
         BusError."""
         data = (value & ((1 << 8 * size) - 1)).to_bytes(size, "little")
         with self._transaction(servo):
-            return self._exchange(servo, [3, *_word(address), *data], reply=0).alert
+            return self._exchange(servo, [3, *_bytes_of_word(address), *data], reply=0).alert
 
     def reboot(self, servo: int) -> None:
         """Restart one servo: its torque is off afterwards and its latched hardware error gone. A
@@ -276,7 +278,9 @@ class DynamixelBus:
                 raise
             except _LOST as error:
                 raise BusError(
-                    f"servo port {self.name} is lost: {_plain(error)}", servo=servo, reason="lost"
+                    f"servo port {self.name} is lost: {_one_line(error)}",
+                    servo=servo,
+                    reason="lost",
                 ) from error
             except (IndexError, ValueError, UnboundLocalError) as error:
                 # the SDK's parser on bad bytes
@@ -426,9 +430,9 @@ class DynamixelBus:
         return BusError(f"{who}: {text or result}", servo=servo, reason="lost")
 
 
-def _word(value: int) -> tuple[int, int]:
+def _bytes_of_word(value: int) -> tuple[int, int]:
     return value & 0xFF, value >> 8
 
 
-def _plain(error: BaseException) -> str:
+def _one_line(error: BaseException) -> str:
     return " ".join(str(getattr(error, "strerror", None) or error).split())

@@ -108,7 +108,7 @@ class DynamixelGripper:
                 self._poll_one()
             self._commanded = False
             for servo in self._servos.values():
-                servo.raise_trouble(_FAILURES_MAX)
+                servo.raise_fault(_FAILURES_MAX)
             ticks = {i: s.ticks for i, s in self._jaws.items()}
             return GripperState(
                 opening=self.geometry.opening(ticks),
@@ -263,23 +263,23 @@ class DynamixelGripper:
             list(self._servos), STATE_SIZE, fast=self._bus_config.fast_sync
         )
         for servo_id, reply in replies.items():
-            self._servos[servo_id].take(reply)
+            self._servos[servo_id].accept(reply)
         lost = [
             error
             for servo_id, error in failures.items()
-            if not self._ask_again(self._servos[servo_id], error)
+            if not self._reread(self._servos[servo_id], error)
         ]
         # They measure after the question, so that a state is never thought younger than it is.
         self._state_time = self._state_time if lost or asked is None else asked
 
-    def _ask_again(self, servo: Servo, error: BusError) -> bool:
+    def _reread(self, servo: Servo, error: BusError) -> bool:
         """A servo's reply was lost or damaged: ask it alone, once; whether it answered."""
         servo.failures = servo.failures + 1
         servo.last_failure = error.reason
         if servo.failures >= _FAILURES_MAX:
             return False
         try:
-            servo.take(self.bus.read(servo.id, STATE_START, STATE_SIZE, again=True))
+            servo.accept(self.bus.read(servo.id, STATE_START, STATE_SIZE, again=True))
         except BusError as second:
             if second.reason == "lost":
                 raise

@@ -205,7 +205,7 @@ class Servo:
     # -- every cycle
     # --------------------------------------------------------------------------------
 
-    def take(self, reply: Reply) -> None:
+    def accept(self, reply: Reply) -> None:
         """Note one reply to a read of the state block."""
         self.failures = 0
         self.current = signed(reply.value(0, 2), 2) * self.model.ampere_per_unit
@@ -222,7 +222,7 @@ class Servo:
             text = describe_hardware_error(self.get("Hardware Error Status"))
         except BusError as error:
             text = f"an alert that could not be read ({error.reason})"
-        self._note(text)
+        self._note_fault(text)
 
     def poll(self) -> None:
         """Ask for what the state block does not hold: a tripped watchdog, or one that a restart in
@@ -236,17 +236,17 @@ class Servo:
         if reply.alert:
             self.note_alert()
         elif reply.value(0, 1) == WATCHDOG_TRIPPED:
-            self._note("bus watchdog (the host was silent for too long)")
+            self._note_fault("bus watchdog (the host was silent for too long)")
             for value in (0, self.watchdog_units):
                 self.bus.write(self.id, register.address, register.size, value)
         elif reply.value(0, 1) != self.watchdog_units:
-            self._note("restart (its watchdog is off: did its voltage drop?)")
+            self._note_fault("restart (its watchdog is off: did its voltage drop?)")
 
-    def _note(self, fault: str) -> None:
+    def _note_fault(self, fault: str) -> None:
         if fault not in self.faults:
             self.faults.append(fault)
 
-    def raise_trouble(self, failures_max: int) -> None:
+    def raise_fault(self, failures_max: int) -> None:
         """Raise ServoFault for a noted fault, DeviceError for `failures_max` lost replies in a
         row."""
         if self.faults:

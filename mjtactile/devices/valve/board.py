@@ -72,7 +72,7 @@ class ValveBoard:
         self._interval = min(config.heartbeat for config in configs) / 8
         self._reply_time = max(config.reply_timeout for config in configs)
         self._command_time = max(_COMMAND_TIME, _COMMAND_SHARE * self._reply_time)
-        self._thread = threading.Thread(target=self._beat, name="valve", daemon=True)
+        self._thread = threading.Thread(target=self._heartbeat_loop, name="valve", daemon=True)
         try:
             self._handshake()
             self._set_up()
@@ -87,16 +87,16 @@ class ValveBoard:
     def set(self, channel: int, pressure: float) -> None:
         """Regulate to `pressure` Pa (without a sensor: open to the supply). Raises DeviceError when
         the board does not obey."""
-        self._obey(f"set {channel} {round(pressure)}", channel)
+        self._command(f"set {channel} {round(pressure)}", channel)
 
     def seal(self, channel: int) -> None:
         """Close both valves. Raises DeviceError when the board does not obey."""
-        self._obey(f"seal {channel}", channel)
+        self._command(f"seal {channel}", channel)
 
     def vent(self, channel: int) -> None:
         """Open to the air, which also acknowledges a fault. Raises DeviceError when the board does
         not obey."""
-        self._obey(f"vent {channel}", channel)
+        self._command(f"vent {channel}", channel)
 
     def reading(self, channel: int) -> ValveReading:
         """The heartbeat's newest reading, without waiting for the board. Raises DeviceError when it
@@ -116,7 +116,7 @@ class ValveBoard:
         """Ask the board now, for at most `patience` s (None: a command's). Raises DeviceError."""
         with self._lock:
             self._last_call = pace.monotonic()
-            return self._again(lambda: self._read(channel, patience))
+            return self._with_retry(lambda: self._read(channel, patience))
 
     def close(self, *, quiet: bool = False) -> None:
         """Vent every channel, also after one failed, then let go of the port. Raises DeviceError
@@ -193,9 +193,9 @@ class ValveBoard:
                     "gives",
                     field="valve.supply_kPa",
                 )
-            self._demand(f"vent {channel}")  # also says that what was before is known
-            self._demand(f"limit {channel} {round(config.pressure_max)}")
-        self._demand(
+            self._command_echoed(f"vent {channel}")  # also says that what was before is known
+            self._command_echoed(f"limit {channel} {round(config.pressure_max)}")
+        self._command_echoed(
             f"beat {round(1e3 * min(config.heartbeat for config in self._configs.values()))}"
         )
         for channel in self._configs:
@@ -204,23 +204,23 @@ class ValveBoard:
     # -- talking
     # --------------------------------------------------------------------------------
 
-    def _obey(self, text: str, channel: int) -> None:
+    def _command(self, text: str, channel: int) -> None:
         with self._lock:
             self._last_call = pace.monotonic()
-            self._demand(text)
+            self._command_echoed(text)
             self._read(channel)
 
-    def _demand(self, text: str) -> None:
+    def _command_echoed(self, text: str) -> None:
         """Send a command and check that the board repeats it. Raises DeviceError."""
-        reply = self._again(lambda: self._ask(text))
+        reply = self._with_retry(lambda: self._ask(text))
         if reply != text:
             raise DeviceError(f"valve board {self.name}: {text!r} was answered with {reply!r}")
 
     @staticmethod
-    def _again(act: Callable[[], _T]) -> _T:
+    def _with_retry(act: Callable[[], _T]) -> _T:
         """Once more when nothing comes: a command that is heard twice does the same."""
         for _ in range(_ATTEMPTS - 1):
-            with contextlib.suppress(_Unanswered):
+            with contextlib.suppress(_NoReply):
                 return act()
         return act()
 
@@ -261,7 +261,7 @@ class ValveBoard:
             waited = pace.monotonic() - asked
             # what has come is read: this thread may be late
             if waited > patience and (not data or waited > 2 * patience):
-                raise _Unanswered(
+                raise _NoReply(
                     f"valve board {self.name}: "
                     f"{'only noise' if damaged or self._received else 'no reply'}"
                 )
@@ -283,7 +283,7 @@ class ValveBoard:
         self._failures = 0
         return reading
 
-    def _beat(self) -> None:
+    def _heartbeat_loop(self) -> None:
         """The heartbeat: read all channels while the loop lives."""
         while not self._closed.wait(
             _RETRY_TIME if 0 < self._failures < _FAILURES_MAX else self._interval
@@ -301,7 +301,7 @@ class ValveBoard:
     def _vented(self, channel: int) -> bool:
         for _ in range(_ATTEMPTS):
             try:
-                self._demand(f"vent {channel}")
+                self._command_echoed(f"vent {channel}")
                 return True
             except Exception:  # noqa: BLE001
                 # whatever it is, the next channel must still be vented
@@ -309,7 +309,7 @@ class ValveBoard:
         return False
 
 
-class _Unanswered(DeviceError):
+class _NoReply(DeviceError):
     """Nothing readable came in time: the command may or may not have been heard."""
 
 

@@ -241,7 +241,7 @@ def _write_meta(
     pq.write_table(
         table.replace_schema_metadata({"pandas": json.dumps(pandas)}), meta / "tasks.parquet"
     )
-    write_json(meta / "stats.json", statistics.together(stats))
+    write_json(meta / "stats.json", statistics.combine(stats))
     infos = {key: feature.info() for key, feature in features.items()}
     for info in infos.values():
         if info["dtype"] == "video":

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.types import Array, Image
-from mjtactile.export.episode import LISTS, Episode, Seen, part_names
+from mjtactile.export.episode import LISTS, Episode, Perceived, part_names
 from mjtactile.recording.columns import TRUE
 from mjtactile.recording.files import to_json
 
@@ -41,7 +41,7 @@ class Feature:
 
     dtype: str
     names: list[str]
-    value: Callable[[Seen], Any]
+    value: Callable[[Perceived], Any]
     shape: tuple[int, ...] = ()
 
     def info(self) -> dict[str, Any]:
@@ -60,7 +60,7 @@ def features_of(episode: Episode, images: str) -> dict[str, Feature]:
         for name in ("fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm")
     ]
 
-    def state(seen: Seen) -> Array:
+    def state(seen: Perceived) -> Array:
         return np.concatenate(
             [
                 [float(seen.row[key]) for key, _ in _STATE],
@@ -129,7 +129,7 @@ def _text(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(to_json(value))
 
 
-def _markers(seen: Seen, finger: int, count: int) -> Array:
+def _markers(seen: Perceived, finger: int, count: int) -> Array:
     """Positions (3 count,) m in S; NaN of one that was not seen."""
     p_SM = np.full((count, 3), np.nan)
     if seen.touch and (markers := seen.touch[finger].markers) is not None:

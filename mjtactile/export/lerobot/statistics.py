@@ -46,7 +46,7 @@ def of_images(values: Array, channels: int) -> dict[str, Any]:
     }
 
 
-def together(stats: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def combine(stats: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Statistics of all episodes from those of each, weighted by their frames; quantiles are the
     episodes' mean."""
 

@@ -182,7 +182,7 @@ class Mechanism:
             )
             self.force = max(0.0, (self.block / 2 - self.jaw) * self.stiffness)
             for servo in self.servos.values():
-                servo.feel(
+                servo.follow_load(
                     self.motor / RADIUS,
                     (self.motor - before) / 0.002 / RADIUS,
                     -self.force * RADIUS / self.share,

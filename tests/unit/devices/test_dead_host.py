@@ -67,11 +67,11 @@ class Jaws:
         while not self._stop.wait(0.004):
             now = pace.monotonic()
             for servo in self.bench.servos.values():
-                servo.look_at_watchdog(now + self.silence)
-                self._move(servo, min(now - last, 0.02))
+                servo.check_watchdog(now + self.silence)
+                self._move_pressures(servo, min(now - last, 0.02))
             last = now
 
-    def _move(self, servo, period):
+    def _move_pressures(self, servo, period):
         drive = servo.drive()
         # where spring and motor balance
         pressed = (self.touch - drive.torque_max / RADIUS / STIFFNESS) / RADIUS
@@ -80,7 +80,7 @@ class Jaws:
         )
         step = min(max(goal - servo.angle, -SPEED * period), SPEED * period)
         torque = STIFFNESS * max(0.0, self.touch - RADIUS * servo.angle) * RADIUS
-        servo.feel(servo.angle + step, step / max(period, 1e-6), -torque, period)
+        servo.follow_load(servo.angle + step, step / max(period, 1e-6), -torque, period)
 
 
 @contextlib.contextmanager

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from mjtactile.devices.doctor import _plugged_in, _servo, _torques
+from mjtactile.devices.doctor import _check_servo, _check_torques, _plugged_in
 from mjtactile.devices.dynamixel.bus import DynamixelBus
 from mjtactile.devices.listing import serial_ports
 from mjtactile.rig.file import load_rig_file
@@ -18,7 +18,7 @@ def findings(**kind):
         bench.servos[2].set("Homing Offset", -300)
         bench.servos[2].set("Startup Configuration", 1)
         with contextlib.closing(DynamixelBus(bench.bus.path, reply_timeout=1.0)) as bus:
-            return [list(_servo(bus, servo, "XL330-M288")) for servo in (1, 2)]
+            return [list(_check_servo(bus, servo, "XL330-M288")) for servo in (1, 2)]
 
 
 @pytest.mark.clock
@@ -43,9 +43,9 @@ def test_settings_and_firmware_that_make_a_dead_host_dangerous():
 def test_a_torque_constant_of_another_model_is_bad():
     """Of an XM430 (1.78 N m/A) on an XL330 (0.354): forces five times off."""
     rig = load_rig_file("two_xm430")
-    assert list(_torques(rig)) == []
+    assert list(_check_torques(rig)) == []
     servos = tuple(replace(servo, model="XL330-M288") for servo in rig.gripper.servos)
-    found = list(_torques(replace(rig, gripper=replace(rig.gripper, servos=servos))))
+    found = list(_check_torques(replace(rig, gripper=replace(rig.gripper, servos=servos))))
     assert [finding.level for finding in found] == ["bad", "bad"]
     assert "1.78" in found[0].text and "0.354" in found[0].text and "5 times" in found[0].text
 

@@ -212,7 +212,7 @@ def test_the_turn_is_found_after_power_up():
 @pytest.mark.clock
 def test_state_is_in_si(bench):
     for servo in bench.servos.values():
-        servo.feel(ANGLE, -1.0, -0.06, 0.01)  # closing with 0.06 N m
+        servo.follow_load(ANGLE, -1.0, -0.06, 0.01)  # closing with 0.06 N m
     state = with_gripper(bench, lambda gripper: gripper.state())
     assert state.opening == pytest.approx(2 * 0.012 * ANGLE, abs=2 * 0.012 * TICK)
     # the unit is 0.229 rpm = 2.4 %/2 of 1 rad/s
@@ -319,7 +319,7 @@ def test_lift_moves_from_where_it_stood():
             assert wait_for(
                 lambda: bench.servos[3].get("Goal Position") == round((1.0 + 0.04 / 0.02) / TICK)
             )
-            bench.servos[3].feel(3.0, 0.0, 0.0, 0.01)
+            bench.servos[3].follow_load(3.0, 0.0, 0.0, 0.01)
             assert driver.state().lift_height == pytest.approx(0.04, abs=0.02 * TICK)
         finally:
             driver.close()

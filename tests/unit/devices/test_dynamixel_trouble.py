@@ -38,7 +38,7 @@ def test_a_state_is_of_the_time_it_was_asked_for(bench):
         gripper.ask()
         asked = pace.monotonic()
         wait_for(lambda: gripper.bus._port.ser.in_waiting >= 2 * 32)  # both have answered
-        bench.servos[2].feel(ANGLE + 0.5, 0.0, 0.0, 0.01)
+        bench.servos[2].follow_load(ANGLE + 0.5, 0.0, 0.0, 0.01)
         state = gripper.state()
         assert state.opening == before.opening and before.time < state.time <= asked
         # of the 6 mm that the jaw has moved
@@ -53,7 +53,7 @@ def test_what_comes_between_question_and_state_spoils_neither(bench):
         before = gripper.state()
         gripper.ask()
         gripper.command(Command(before.opening, 1.0))
-        bench.servos[2].feel(ANGLE + 0.5, 0.0, 0.0, 0.01)
+        bench.servos[2].follow_load(ANGLE + 0.5, 0.0, 0.0, 0.01)
         for _ in range(2):  # the answers were thrown away, so that the servos are asked again
             assert gripper.state().opening > before.opening + 0.005
     finally:
@@ -104,7 +104,7 @@ def test_a_damaged_reply_is_asked_for_again_in_the_same_cycle(bench):
     gripper = bench.gripper(reply_timeout=0.05)
     try:
         before = gripper.state()
-        bench.servos[2].feel(ANGLE + 0.5, 0.0, 0.0, 0.01)
+        bench.servos[2].follow_load(ANGLE + 0.5, 0.0, 0.0, 0.01)
         dropped = lose_a_reply(bench, 2)
         after = gripper.state()
         assert dropped
@@ -128,7 +128,7 @@ def test_a_silent_host_trips_the_watchdog_and_the_driver_says_so(bench):
     gripper = bench.gripper()
     try:
         gripper.command(Command(0.07, 2.0))
-        bench.servos[1].look_at_watchdog(pace.monotonic() + 10)
+        bench.servos[1].check_watchdog(pace.monotonic() + 10)
         assert bench.servos[1].drive().goal == pytest.approx(ANGLE, abs=TICK)  # held where it is
         with pytest.raises(ServoFault, match="bus watchdog"):
             for _ in range(12):
@@ -181,7 +181,7 @@ def test_torque_goes_off_on_the_others_when_one_motor_fails(bench):
 def test_torque_is_off_when_connecting_fails_half_way(bench):
     bench.servos[2].angle = 20.0  # out of the gripper's range
     bench.servos[2]._lost_turns = 0.0
-    bench.servos[2].feel(20.0, 0.0, 0.0, 0.01)
+    bench.servos[2].follow_load(20.0, 0.0, 0.0, 0.01)
     with pytest.raises(DeviceError, match=r"stands at .* ticks"):
         bench.gripper()
     assert bench.servos[1].get("Torque Enable") == 0

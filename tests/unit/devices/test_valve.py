@@ -243,7 +243,7 @@ def test_without_a_sensor_the_supply_is_what_the_file_says():
 )
 def test_another_board_is_refused(monkeypatch, answer, error, message):
     monkeypatch.setattr("mjtactile.devices.valve.board._HANDSHAKE_TIME", 1.0)
-    monkeypatch.setattr(emulated.ValveFirmware, "_obey", lambda *_: answer)
+    monkeypatch.setattr(emulated.ValveFirmware, "_execute", lambda *_: answer)
     with valve_bench() as (port, *_), pytest.raises(error, match=message):
         ValveBoard([ValveConfig("left", port.path)])
 

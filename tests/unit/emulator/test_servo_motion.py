@@ -135,7 +135,7 @@ def tripped(mode=5, **how):
     for address, size, value in ((11, 1, mode), (98, 1, 5), (64, 1, 1), goal):
         assert servo.write(address, value.to_bytes(size, "little")) == 0
     turn(servo, 0.05)
-    servo.look_at_watchdog(pace.monotonic() + 1)
+    servo.check_watchdog(pace.monotonic() + 1)
     return servo, servo.angle
 
 
@@ -163,7 +163,7 @@ def test_firmware_51_of_a_330_notes_the_trip_and_goes_on():
     turn(servo, 0.5)
     assert servo.get("Bus Watchdog") == 0xFF
     assert servo.angle == pytest.approx(1304 * 2 * math.pi / 4096) and servo.angle > at + 0.5
-    assert EmulatedServo(1, "XM430-W350", firmware=51)._goes_on is False
+    assert EmulatedServo(1, "XM430-W350", firmware=51)._ignores_watchdog is False
 
 
 @pytest.mark.clock
@@ -172,7 +172,7 @@ def test_with_a_homing_offset_a_trip_moves_the_motor():
     for address, size, value in ((20, 4, 300), (11, 1, 4), (98, 1, 5), (64, 1, 1)):
         assert servo.write(address, value.to_bytes(size, "little")) == 0
     for i in range(100):
-        servo.look_at_watchdog(pace.monotonic() + 1 + i)
+        servo.check_watchdog(pace.monotonic() + 1 + i)
         servo.turn(0.01)
     assert servo.angle < -1.0  # and on
 
@@ -181,5 +181,5 @@ def test_with_a_homing_offset_a_trip_moves_the_motor():
 def test_without_torque_it_does_not_trip():
     servo = EmulatedServo(1, "XL330-M288")
     assert servo.write(98, b"\x05") == 0
-    servo.look_at_watchdog(pace.monotonic() + 10)
+    servo.check_watchdog(pace.monotonic() + 10)
     assert servo.get("Bus Watchdog") == 5

@@ -119,5 +119,5 @@ def test_a_servo_with_more_torque_needs_less_current():
     servo = EmulatedServo(1, "XL330-M288")
     strong = EmulatedServo(1, "XL330-M288", torque_share=0.08)
     for one in (servo, strong):
-        one.feel(0.0, 0.0, 0.2, 0.01)
+        one.follow_load(0.0, 0.0, 0.2, 0.01)
     assert servo.current / strong.current == pytest.approx(1.08)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core.errors import InputError
+from mjtactile.recording.check import wrong_note
 from mjtactile.recording.reader import load_recording
 from tests.fake_run import write_fake_recording
 
@@ -107,3 +108,21 @@ def test_the_line_and_the_column_are_named(tmp_path, whole):
     assert found.problems[0] == (
         f"line {number + 1} is broken: force_normal; it and what follows was left out"
     )
+
+
+@pytest.mark.parametrize(
+    ("row", "wrong"),
+    [
+        ({"kind": "note", "simulated": {"mesh": ["<script>", 1], "timestep_ms": 4}}, "simulated"),
+        ({"kind": "note", "simulated": {"mesh": [13, 11], "timestep_ms": "4"}}, "simulated"),
+        (
+            {"kind": "note", "simulated": {"timestep_ms": 4, "effects": [{"effect": 1}]}},
+            "simulated",
+        ),
+        ({"kind": "start", "versions": {"numpy": 2}}, "versions"),
+        ({"kind": "start", "command": ["grasp"]}, "command"),
+        ({"kind": "note", "simulated": {"mesh": [13, 11], "timestep_ms": 4}}, None),
+    ],
+)
+def test_what_pages_show_of_a_header_is_checked(row, wrong):
+    assert wrong_note(row) == wrong
