@@ -44,8 +44,13 @@ def test_the_sdks_sync_read_write_example(bench):
         port.closePort()
 
 
-def test_the_easy_sdk(bench):
+def test_the_easy_sdk(bench, monkeypatch):
     easy = pytest.importorskip("dynamixel_easy_sdk")
+
+    def patient(port, length):
+        port.setPacketTimeoutMillis(1500)  # as above
+
+    monkeypatch.setattr(sdk.PortHandler, "setPacketTimeout", patient)
     connector = easy.Connector(bench.bus.path, 1_000_000)
     try:
         motor = connector.createMotor(1)
