@@ -77,7 +77,14 @@ class Recording:
         return len(self.columns["time"])
 
     def valves(self, cycle: int) -> tuple[ValveState, ...]:
-        """What the valves said in that cycle, in the order of their fingers."""
+        """Look up what the valves said in one cycle.
+
+        Args:
+            cycle: Its number, from 0.
+
+        Returns:
+            One state a valve, in the order of their fingers.
+        """
 
         def number(key: str, finger: int) -> float:
             value = self.columns[key][cycle][finger] if key in self.columns else None

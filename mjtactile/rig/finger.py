@@ -46,8 +46,14 @@ class Finger:
         return reading if self.calibration is None else self.calibration.pressure(reading)
 
     def reading(self, valve: ValveState | None) -> PressureReading | None:
-        """What the chamber's gauge says where `valve` was asked; None: there is none, or it is
-        silent."""
+        """Find what the chamber's gauge says.
+
+        Args:
+            valve: The valve's state, which has the reading; None: the finger has no valve.
+
+        Returns:
+            The reading, its zero taken off; None: there is no gauge, or it is silent.
+        """
         return None if valve is None else pressure_reading(valve, self.calibration)
 
 
@@ -101,7 +107,14 @@ class Rig:
         return tuple(finger.valve for finger in self.fingers if finger.valve is not None)
 
     def readings(self, valves: Sequence[ValveState]) -> tuple[PressureReading | None, ...]:
-        """What each finger's gauge says, of the states of all `valves`; None without a gauge."""
+        """Find what each finger's gauge says.
+
+        Args:
+            valves: The states of all valves, in the order of their fingers.
+
+        Returns:
+            One reading a finger; None without a gauge.
+        """
         states = iter(valves)
         return tuple(
             finger.reading(next(states, None) if finger.valve is not None else None)

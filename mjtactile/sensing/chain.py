@@ -277,11 +277,19 @@ class Chain:
     def step(
         self, state: ChainState, image: Image, now: float, reading: PressureReading | None = None
     ) -> tuple[Touch, ChainState]:
-        """Touch from one image, and the state for the next; `now` s on the clock of the image's
-        time, and the newest `reading` of the chamber's pressure gauge, where there is one.
+        """Feel what one image shows. Changes nothing: the same state and image give the same touch.
 
-        Raises DeviceError where the references are missing; what is wrong with an image is in the
-        touch's status.
+        Args:
+            state: What the image before left, with both references.
+            image: The image.
+            now: s on the clock of the image's time.
+            reading: Newest reading of the chamber's pressure gauge; None: there is none.
+
+        Returns:
+            The touch, in whose status is what is wrong with the image, and the state for the next.
+
+        Raises:
+            DeviceError: The references are missing.
         """
         if state.reference is None:
             raise DeviceError(
@@ -347,8 +355,21 @@ class Chain:
         time: float,
         reading: PressureReading | None = None,
     ) -> tuple[Touch, ChainState]:
-        """Force, contact and slip by inverse finite elements, from markers and surface at `time` s,
-        and what the pressure gauge says."""
+        """Find force, contact and slip from markers and surface.
+
+        Args:
+            state: What the image before left, with both references.
+            markers: What was seen.
+            surface: The membrane's shape through them.
+            time: Of the image's capture, s.
+            reading: Newest reading of the chamber's pressure gauge; None: there is none.
+
+        Returns:
+            The touch, as old as the image, and the state for the next.
+
+        Raises:
+            DeviceError: The rest reference is missing.
+        """
         if state.reference is None:
             raise DeviceError(f"sensor {self.design.name}: markers before the rest reference")
         unknown = Touch(time, 0.0, np.nan, np.nan, False, surface=surface, markers=markers)
@@ -547,7 +568,16 @@ class Perception:
         return markers
 
     def perceive(self, image: Image, now: float, reading: PressureReading | None = None) -> Touch:
-        """See `Chain.step`."""
+        """Feel what one image shows, and keep the state; see `Chain.step`.
+
+        Args:
+            image: The image.
+            now: s on the clock of the image's time.
+            reading: Newest reading of the chamber's pressure gauge; None: there is none.
+
+        Returns:
+            The touch.
+        """
         touch, self.state = self.chain.step(self.state, image, now, reading)
         return touch
 
