@@ -32,6 +32,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   truth       the simulation and what is felt, against references from outside of the project
   studio      what watching costs: an egg grasp in Studio, a page looking on, against it alone
   attacks     everything bad that the tests do, counted by what must come of it
+  settings    what half and twice of each number of the sensing chain do to what is felt
   numbers     measures nothing: all numbers on one page, from the pages of the others
   headline    measures nothing: the few of them that the README shows"""
 EPILOG = """\
@@ -63,6 +64,7 @@ BENCHMARKS = {
     "fit": "fit",
     "studio": "studio.run",
     "attacks": "attacks",
+    "settings": "sensitivity",
     "numbers": "numbers",
     "headline": "headline",
 }

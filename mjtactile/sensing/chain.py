@@ -37,6 +37,8 @@ from mjtactile.sensing.shape.surface import SurfaceFitter
 from mjtactile.sensing.touch import slip
 from mjtactile.sensing.touch.patches import find_patches, together
 
+_SET_ASIDE_SHARE = 0.03  # of the markers, and at least one: more are not dirt
+
 
 @dataclass(frozen=True, eq=False)
 class Reference:
@@ -51,7 +53,8 @@ class ChainState:
     """What one image leaves for the next: the sensor's own references (`flat`, and `reference` once
     at rest), the marker positions `expected` (M, 3) m in S, the membrane's `shape`, the histories
     of touch and slip, the markers' `tracks`, how far they stand `apart` (M, 3) m from the
-    zero, and the `gas`, where a gauge measures it."""
+    zero, the `gas`, where a gauge measures it, and the markers `set_aside` since nothing explains
+    where they seem to be."""
 
     flat: FlatReference
     expected: Array
@@ -62,11 +65,14 @@ class ChainState:
     tracks: tracking.Tracks | None = None
     apart: Array | None = None
     gas: GasState | None = None
+    set_aside: tuple[int, ...] = ()
 
     def without_history(self) -> ChainState:
         """The same references, as if no image had been seen since; what is known of the gas
         stays."""
-        return replace(self, shape=None, detection=None, slip=None, tracks=None, apart=None)
+        return replace(
+            self, shape=None, detection=None, slip=None, tracks=None, apart=None, set_aside=()
+        )
 
 
 class Chain:
@@ -204,6 +210,8 @@ class Chain:
             markers = self._locate(state, image, expected, "rest reference")
             expected = _moved(expected, markers)
             seen.append(markers)
+        if not seen:
+            raise DeviceError(f"sensor {self.design.name}: rest reference: no images")
         return _average(seen)
 
     def set_rest(
@@ -223,6 +231,7 @@ class Chain:
         Raises:
             DeviceError: The markers are no bulge of the sensor file's.
         """
+        self._require(markers, "rest reference")
         rest = self.inverse.rest_state(markers, pressure_gauge, sealed=sealed)
         self._check_rest(state, markers, rest, pressure_gauge)
         return replace(
@@ -373,15 +382,22 @@ class Chain:
         if state.reference is None:
             raise DeviceError(f"sensor {self.design.name}: markers before the rest reference")
         unknown = Touch(time, 0.0, np.nan, np.nan, False, surface=surface, markers=markers)
+        if (status := self.enough(markers)) != OK:
+            return replace(unknown, status=status), state
         before = state.detection
         s = self.settings
         reference = state.reference
-        shape, rest, state = self._shape(state, reference, markers, time, reading)
+        markers = _without(markers, state.set_aside)
+        found_shape = self._shape(state, reference, markers, time, reading)
+        if not self._is_explained(found_shape[0]):
+            markers, found_shape = self._without_worst(
+                state, reference, markers, time, reading, found_shape
+            )
+        unknown = replace(unknown, markers=markers)
+        shape, rest, state = found_shape
         moved = rest.pressure_gauge - reference.rest.pressure_gauge
         moved = moved if math.isfinite(moved) else 0.0  # no gauge
-        drifted = shape.drift > s.zero.drift_most  # then all markers are off, and it is said below
-        sharp = float(shape.excess[0].mean()) > s.inverse.excess_most and not drifted
-        if sharp or not shape.misfit < s.inverse.misfit_most:
+        if not self._is_explained(shape):
             status = Status(StatusCode.NO_SHAPE, "the markers fit no membrane shape")
             lost = slip.unknown(status.code, "shape not explained")
             return replace(unknown, slip=lost, status=status), state.without_history()
@@ -447,6 +463,36 @@ class Chain:
             slip=judged,
         ), state
 
+    def _is_explained(self, shape: Shape) -> bool:
+        """Whether the markers fit this shape; where all of them have drifted together they do, and
+        the reference is lost."""
+        s = self.settings
+        drifted = shape.drift > s.zero.drift_most
+        sharp = float(shape.excess[0].mean()) > s.inverse.excess_most and not drifted
+        return not sharp and shape.misfit < s.inverse.misfit_most
+
+    def _without_worst(
+        self,
+        state: ChainState,
+        reference: Reference,
+        markers: Markers,
+        time: float,
+        reading: PressureReading | None,
+        found: tuple[Shape, InverseRest, ChainState],
+    ) -> tuple[Markers, tuple[Shape, InverseRest, ChainState]]:
+        """Markers and what `_shape` finds without the one that fits worst, if all others fit: dirt
+        on one that makes it look larger, and nearer. Else what was `found` with it."""
+        allowed = max(1, round(_SET_ASIDE_SHARE * self.design.markers.count))
+        if len(state.set_aside) >= allowed:
+            return markers, found
+        worst = int(markers.ids[found[0].excess[0, markers.ids].argmax()])
+        fewer = _without(markers, (worst,))
+        if self.enough(fewer) != OK:
+            return markers, found
+        aside = replace(state, set_aside=(*state.set_aside, worst))
+        again = self._shape(aside, reference, fewer, time, reading)
+        return (fewer, again) if self._is_explained(again[0]) else (markers, found)
+
     def _shape(
         self,
         state: ChainState,
@@ -497,13 +543,17 @@ class Chain:
 
     def _locate(self, state: ChainState, image: Image, expected: Array, what: str) -> Markers:
         markers, _ = self.see(replace(state, expected=expected), image)
-        if self.enough(markers) != OK:
+        self._require(markers, what)
+        return markers
+
+    def _require(self, markers: Markers, what: str) -> None:
+        """Raise DeviceError for too few markers, or places that are no numbers."""
+        known = int(np.isfinite(markers.p_SM).all(axis=1).sum())
+        if known < len(markers) or self.enough(markers) != OK:
             raise DeviceError(
-                f"sensor {self.design.name}: {what}: only {len(markers)} of "
-                f"{self.design.markers.count} "
+                f"sensor {self.design.name}: {what}: only {known} of {self.design.markers.count} "
                 "markers found; check lighting, focus and the sensor file"
             )
-        return markers
 
 
 class Perception:
@@ -587,6 +637,14 @@ def _moved(expected: Array, markers: Markers) -> Array:
     expected = expected.copy()
     expected[markers.ids] = markers.p_SM
     return expected
+
+
+def _without(markers: Markers, ids: Sequence[int]) -> Markers:
+    """All markers but these."""
+    keep = ~np.isin(markers.ids, ids) if ids else np.ones(len(markers), bool)
+    if keep.all():
+        return markers
+    return Markers(markers.ids[keep], markers.p_SM[keep], markers.n_S[keep], markers.cov_p[keep])
 
 
 def _average(seen: Sequence[Markers]) -> Markers:

@@ -39,6 +39,12 @@ class Gas:
     gauge: float
     constant: float | None = None
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.gauge, int | float | np.number) or not np.isfinite(self.gauge):
+            raise InputError(
+                f"{self.gauge!r} is not a pressure, Pa", source="chamber", field="pressure_gauge"
+            )
+
     def pressure_gauge(self, volume: float, ambient: float, gamma: float) -> float:
         """Gauge pressure, Pa, at gas volume m^3 (Eq. G1)."""
         return self.gauge if self.constant is None else self.constant / volume**gamma - ambient
@@ -177,11 +183,18 @@ class Sheet:
 
     def linearise(self, state: State, gas: Gas) -> tuple[Array, Stiffness]:
         """Residual (3, n) and its factorised tangent, gas stiffness included. Where wrinkles make
-        the sheet's own indefinite, it is pushed towards the identity until it is not."""
+        the sheet's own indefinite, it is pushed towards the identity until it is not. Raises
+        MjtactileError where a number of the state is not finite."""
         pressure, gas_stiffness = self.gas_pressure(state, gas)
         band = self.tangent(state, pressure)
         softened = np.empty(3 * self.count)
-        kernel("factor_definite")(len(band), self.width, band)
+        try:
+            kernel("factor_definite")(len(band), self.width, band)
+        except np.linalg.LinAlgError:
+            raise MjtactileError(
+                f"sensor {self.design.name}: the membrane's stiffness is not finite: its sensor "
+                "file, the pressure or the markers are not"
+            ) from None
         share = kernel("soften")(*self.shape, band, state.gradient, gas_stiffness, softened)
         return self.residual(state, pressure), Stiffness(self, band, softened, share)
 

@@ -103,7 +103,12 @@ def _tilted(n: Array, p: Array) -> Array:
 
 
 def _radii(radius: ArrayLike, count: int) -> Array:
-    r = np.asarray(radius, dtype=float)
+    try:
+        r = np.asarray(radius, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"{radius!r} is not a number", source="estimate_poses", field="radius"
+        ) from None
     if r.ndim > 1 or (r.ndim == 1 and len(r) != count):
         raise InputError(
             f"shape {r.shape}",

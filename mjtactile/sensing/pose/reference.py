@@ -23,6 +23,9 @@ from mjtactile.sensing.settings import DEFAULTS, ReferenceSettings
 _STEPS = 20
 
 
+_FEWEST_MARKERS = 3  # that give a camera's pose
+
+
 @dataclass(frozen=True, eq=False)
 class FlatReference:
     """Camera pose `R_SC` (3, 3), `p_SC` (3,) m; `scale` (N,) true over nominal radius of each
@@ -73,7 +76,12 @@ def measure_flat(
     for markers in seen:
         total[markers.ids] += optics.project(camera, markers.p_SM - design.camera.p_SC)
         times[markers.ids] += 1
-    ids = np.flatnonzero(times >= len(seen) / 2)
+    ids = np.flatnonzero(times >= max(len(seen) / 2, 1))
+    if len(ids) < _FEWEST_MARKERS:
+        raise DeviceError(
+            f"sensor {design.name}: flat reference: {len(seen)} images, which together show "
+            f"{len(ids)} of {count} markers"
+        )
     uv = total[ids] / times[ids][:, None]
     R_SC, p_SC, residual = fit_camera_pose(design, camera, design.markers.p_SM[ids], uv)
     if residual > s.residual_most:

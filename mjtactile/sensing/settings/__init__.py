@@ -7,9 +7,9 @@ everything uses that is not told otherwise:
     Chain(design, settings=DEFAULTS.override({"zero.touch_least": 0.03}))
 
 A number's `source` names the benchmark that it was fitted with (`bench touch`: presses with seeds
-below 1000, which its own table leaves out), what bounds it, or "trial": it was chosen by trying,
-and on what was not written down. Recordings keep the settings in their header. Numbers of the
-numerics alone (steps, tolerances) stay with their code.
+below 1000, which its own table leaves out), what bounds it, or TRIED: it was chosen by
+trying, and docs/settings.md has what half and twice of it do. Recordings keep the settings in their
+header. Numbers of the numerics alone (steps, tolerances) stay with their code.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from mjtactile.sensing.settings.locate import (
     PreferenceSettings,
     SmoothnessSettings,
 )
-from mjtactile.sensing.settings.number import as_numbers, check, number
+from mjtactile.sensing.settings.number import TRIED, as_numbers, check, number
 from mjtactile.sensing.settings.pose import IdentitySettings, ReferenceSettings, SurfaceSettings
 from mjtactile.sensing.settings.touch import (
     MaterialSettings,
@@ -85,7 +85,7 @@ class Settings:
     """All stages' numbers."""
 
     fewest_seen: float = number(
-        0.4, "share of the markers below which the shape is a guess", "trial", high=1.0
+        0.4, "share of the markers below which the shape is a guess", TRIED, high=1.0
     )
     markers: MarkerSettings = field(default_factory=MarkerSettings)
     candidates: CandidateSettings = field(default_factory=CandidateSettings)

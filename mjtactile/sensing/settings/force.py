@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mjtactile.sensing.settings.number import number
+from mjtactile.sensing.settings.number import TRIED, number
 
 _BARS = "bench bars: fitted to scenes of seeds below 1000, which its table leaves out"
 
@@ -13,20 +13,20 @@ _BARS = "bench bars: fitted to scenes of seeds below 1000, which its table leave
 class PriorSettings:
     """What is believed of tractions before an image is seen (sensing/force/prior.py)."""
 
-    pressure_sd: float = number(4e3, "Pa, of contact before anything is known", "trial")
+    pressure_sd: float = number(4e3, "Pa, of contact before anything is known", TRIED)
     background: float = number(
-        0.03, "share of it that a node keeps when nothing was felt there", "trial"
+        0.03, "share of it that a node keeps when nothing was felt there", TRIED
     )
     pressure_most: float = number(
         20e3,
         "Pa; more on one node is a spike that no object makes",
         "a sheet of 28 N/m bent around 3 mm",
     )
-    friction: float = number(0.8, "ratio of shear to pressure", "trial")
+    friction: float = number(0.8, "ratio of shear to pressure", TRIED)
     correlation: float = number(
-        2e-3, "m, over which pressures go together: a fraction of an object's size", "trial"
+        2e-3, "m, over which pressures go together: a fraction of an object's size", TRIED
     )
-    softening: float = number(1e-3, "m, over which the pressures found before are smeared", "trial")
+    softening: float = number(1e-3, "m, over which the pressures found before are smeared", TRIED)
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class InverseSettings:
     """Tractions from markers (sensing/force/inverse.py, sensing/force/slopes.py)."""
 
     spans: tuple[int, int] = number(
-        (14, 10), "intervals of the sheet's spline along x and y", "trial", low=4, high=40
+        (14, 10), "intervals of the sheet's spline along x and y", TRIED, low=4, high=40
     )
     marker_floor: float = number(
         8e-6,
@@ -50,12 +50,12 @@ class InverseSettings:
     slope_model_sd: float = number(
         0.01, "what the sheet's splines cannot follow of slopes next to an edge", "bench touch"
     )
-    slope_sd_most: float = number(0.1, "slopes known worse are left out", "trial")
+    slope_sd_most: float = number(0.1, "slopes known worse are left out", TRIED)
     slope_off_most: float = number(
-        0.6, "and those farther off what is expected: the other of an ellipse's two", "trial"
+        0.6, "and those farther off what is expected: the other of an ellipse's two", TRIED
     )
     slopes_cell: float = number(
-        20e-6, "m^2 of sheet to a marker; where it is more, slopes are worth their time", "trial"
+        20e-6, "m^2 of sheet to a marker; where it is more, slopes are worth their time", TRIED
     )
     drift_gas: float = number(
         2e-4,
@@ -77,7 +77,7 @@ class InverseSettings:
         "bench bars, while nothing touches; " + _BARS,
     )
     informative_pressure: float = number(
-        100.0, "Pa; below, the bulge is too small to tell the stiffness", "trial"
+        100.0, "Pa; below, the bulge is too small to tell the stiffness", TRIED
     )
     rest_power: float = number(
         1.6,
@@ -171,42 +171,40 @@ class ZeroSettings:
     (sensing/force/zero.py)."""
 
     touch_sd: float = number(
-        5.0, "sd of the noise that a force, or its level, must exceed to be a touch", "trial"
+        5.0, "sd of the noise that a force, or its level, must exceed to be a touch", TRIED
     )
-    touch_least: float = number(0.02, "N that it must exceed too", "trial")
-    blend: float = number(0.5, "of the newest image in the level", "trial")
+    touch_least: float = number(0.02, "N that it must exceed too", TRIED)
+    blend: float = number(0.5, "of the newest image in the level", TRIED)
     jump_sd: float = number(
-        4.0, "sd; a larger change is no noise: the level follows at once", "trial"
+        4.0, "sd; a larger change is no noise: the level follows at once", TRIED
     )
     pull_most: float = number(
         0.15,
         "N; nothing pulls on the membrane, so more than this says that the zero is lost",
-        "trial",
+        TRIED,
     )
     drift_most: float = number(
-        30.0, "mean square of the drift found over its variance: the same by the shape", "trial"
+        30.0, "mean square of the drift found over its variance: the same by the shape", TRIED
     )
-    release: float = number(0.6, "of the threshold, below which a touch ends", "trial")
+    release: float = number(0.6, "of the threshold, below which a touch ends", TRIED)
     noise_first: float = number(
-        0.01, "N of noise believed at first, or what is predicted where that is less", "trial"
+        0.01, "N of noise believed at first, or what is predicted where that is less", TRIED
     )
-    memory_images: int = number(30, "images over which the noise is learnt", "trial")
-    quiet: float = number(0.5, "s without touch before the zero follows", "trial")
-    follow: float = number(4.0, "s, time constant of the zero", "trial")
+    memory_images: int = number(30, "images over which the noise is learnt", TRIED)
+    quiet: float = number(0.5, "s without touch before the zero follows", TRIED)
+    follow: float = number(4.0, "s, time constant of the zero", TRIED)
     smooth: float = number(
-        0.5, "s, over which markers' distance from the zero is averaged for that", "trial"
+        0.5, "s, over which markers' distance from the zero is averaged for that", TRIED
     )
     local_most: float = number(
         0.3,
         "mean square over the markers' variance of what neither gas nor camera does to that "
         "mean: "
         "more is a slow touch",
-        "trial",
+        TRIED,
     )
-    slowly: float = number(0.05, "of that speed at which the zero still follows then", "trial")
+    slowly: float = number(0.05, "of that speed at which the zero still follows then", TRIED)
     drift_rate: float = number(
         2e-4, "1/s, fastest change of the gas that is weather and no touch", "0.06 K/s"
     )
-    offset_share: float = number(
-        0.1, "of that change that a marker's own offset follows by", "trial"
-    )
+    offset_share: float = number(0.1, "of that change that a marker's own offset follows by", TRIED)

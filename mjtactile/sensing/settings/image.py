@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mjtactile.sensing.settings.number import number
+from mjtactile.sensing.settings.number import TRIED, number
 
 _MONTE_CARLO = "Monte Carlo: the covariance against the scatter of fits to simulated noise"
 
@@ -16,7 +16,7 @@ class CandidateSettings:
     cells: int = number(
         60,
         "cells of the threshold's grid along the image's shorter side, about",
-        "trial",
+        TRIED,
         low=4,
         high=400,
     )
@@ -33,12 +33,12 @@ class CandidateSettings:
         "trial; at first 4, whatever the noise",
     )
     noise: float = number(
-        4.0, "times the median difference of neighbours: the margin that noise asks for", "trial"
+        4.0, "times the median difference of neighbours: the margin that noise asks for", TRIED
     )
     smallest: float = number(
         0.7,
         "of the smallest radius asked for: what a border may look like before it is fitted",
-        "trial",
+        TRIED,
     )
 
 
@@ -52,7 +52,7 @@ class EdgeSettings:
         "px, times a blur of more than 1 px; below this mean radius the edge's curvature is "
         "felt beyond "
         "the first order",
-        "trial",
+        TRIED,
     )
     sharpest: float = number(
         0.55,
@@ -60,7 +60,7 @@ class EdgeSettings:
         "softening and the pixel's own square make 0.69 of no blur at all",
     )
     outlier_residuals: float = number(
-        4.0, "times the marker's rms residual: where a pixel's weight falls off", "trial"
+        4.0, "times the marker's rms residual: where a pixel's weight falls off", TRIED
     )
     outlier_share: float = number(
         0.1,
@@ -71,15 +71,13 @@ class EdgeSettings:
         4.3, "factor on the covariance: softened noise is not white", _MONTE_CARLO
     )
     neighbour_margin: float = number(
-        1.5, "px around another marker that are left out: most of its blurred rim", "trial"
+        1.5, "px around another marker that are left out: most of its blurred rim", TRIED
     )
     max_size_ratio: float = number(
-        4.0, "times a marker's size: what is larger is no marker that stands beside it", "trial"
+        4.0, "times a marker's size: what is larger is no marker that stands beside it", TRIED
     )
     min_distance_share: float = number(
-        0.7,
-        "of the other's radius; what is nearer is the marker itself, or what it lies on",
-        "trial",
+        0.7, "of the other's radius; what is nearer is the marker itself, or what it lies on", TRIED
     )
 
 
@@ -90,21 +88,21 @@ class ProfileSettings:
     step: float = number(
         0.75,
         "px between samples along a profile, for blur up to `start_blur`; more blur stretches it",
-        "trial",
+        TRIED,
         low=0.1,
         high=10.0,
     )
-    start_blur: float = number(1.1, "px, see `step`; the blur to start from", "trial")
+    start_blur: float = number(1.1, "px, see `step`; the blur to start from", TRIED)
     spacing: float = number(2.0, "px of arc between profiles", "trial; at first 1")
     level_outlier: float = number(
-        2.5, "times the spread of a marker's levels, at which a profile's level is bounded", "trial"
+        2.5, "times the spread of a marker's levels, at which a profile's level is bounded", TRIED
     )
     outlier_offsets: float = number(
-        6.0, "times the mean offset: where a profile's weight falls off", "trial"
+        6.0, "times the mean offset: where a profile's weight falls off", TRIED
     )
-    outlier_least: float = number(0.08, "px; no profile nearer than that is an outlier", "trial")
+    outlier_least: float = number(0.08, "px; no profile nearer than that is an outlier", TRIED)
     max_blur_variance: float = number(
-        3.0, "times the image's middle blur variance, at which a profile's is bounded", "trial"
+        3.0, "times the image's middle blur variance, at which a profile's is bounded", TRIED
     )
     covariance_factor: float = number(
         1.08,
@@ -112,7 +110,7 @@ class ProfileSettings:
         _MONTE_CARLO,
     )
     motion_sd_share: float = number(
-        0.5, "share of the correction for motion that is in doubt: motion is no Gaussian", "trial"
+        0.5, "share of the correction for motion that is in doubt: motion is no Gaussian", TRIED
     )
     sharpest: float = number(
         0.3,
@@ -126,78 +124,70 @@ class MarkerSettings:
     """Which ellipses are to be trusted (sensing/image/judge.py, sensing/image/fit.py)."""
 
     profile_min_radius: float = number(
-        6.0, "px, semi-minor axis from which on profiles have room", "trial"
+        6.0, "px, semi-minor axis from which on profiles have room", TRIED
     )
     profile_min_blurs: float = number(
-        7.5, "times the blur, below which profiles have no room either", "trial"
+        7.5, "times the blur, below which profiles have no room either", TRIED
     )
     min_blurs: float = number(
-        2.8, "times the blur, below which radius, blur and level cannot be told apart", "trial"
+        2.8, "times the blur, below which radius, blur and level cannot be told apart", TRIED
     )
     start_blur_share: float = number(
-        0.3, "of a marker's size: the blur to start from where it was taken for size", "trial"
+        0.3, "of a marker's size: the blur to start from where it was taken for size", TRIED
     )
-    sure_blurs: float = number(5.0, "times the blur; a larger marker knows its own", "trial")
-    blur_spread: float = number(1.15, "factor of one marker's blur over the image's", "trial")
-    min_motion: float = number(0.06, "px of motion that are no noise", "trial")
+    sure_blurs: float = number(5.0, "times the blur; a larger marker knows its own", TRIED)
+    blur_spread: float = number(1.15, "factor of one marker's blur over the image's", TRIED)
+    min_motion: float = number(0.06, "px of motion that are no noise", TRIED)
     covered_share: float = number(
         0.08,
         "of the contrast: what a fit leaves over where part of the edge is not the marker's",
-        "trial",
+        TRIED,
     )
-    min_peers: int = number(5, "markers that say how large markers are", "trial")
+    min_peers: int = number(5, "markers that say how large markers are", TRIED)
     size_log_tolerance: float = number(
-        0.5, "log of size by which one may differ from their median", "trial"
+        0.5, "log of size by which one may differ from their median", TRIED
     )
     min_edge_distance: float = number(
-        3.0, "px between two edges, or an edge and the image's border, that disturb a fit", "trial"
+        3.0, "px between two edges, or an edge and the image's border, that disturb a fit", TRIED
     )
-    min_border_axes: float = number(0.15, "least ratio of a border's axes", "trial")
-    min_flawed_axes: float = number(0.4, "the same of one with glare or dirt on it", "trial")
+    min_border_axes: float = number(0.15, "least ratio of a border's axes", TRIED)
+    min_flawed_axes: float = number(0.4, "the same of one with glare or dirt on it", TRIED)
     max_flawed_misfit: float = number(
-        0.6, "of its size: how far such a border may be from its own ellipse", "trial"
+        0.6, "of its size: how far such a border may be from its own ellipse", TRIED
     )
     max_border_misfit: float = number(
-        1.2, "px that a border may be from its own ellipse, and ...", "trial"
+        1.2, "px that a border may be from its own ellipse, and ...", TRIED
     )
-    border_misfit_share: float = number(0.2, "... of its semi-minor axis beside that", "trial")
-    border_misfit_share_cut: float = number(
-        0.4, "the same where the image's border cuts it", "trial"
-    )
-    min_contrast: float = number(5.0, "times the residual: the least contrast", "trial")
-    min_contrast_any: float = number(
-        2.0, "times it, below which there is no marker at all", "trial"
-    )
+    border_misfit_share: float = number(0.2, "... of its semi-minor axis beside that", TRIED)
+    border_misfit_share_cut: float = number(0.4, "the same where the image's border cuts it", TRIED)
+    min_contrast: float = number(5.0, "times the residual: the least contrast", TRIED)
+    min_contrast_any: float = number(2.0, "times it, below which there is no marker at all", TRIED)
     max_shape_sd: float = number(
-        0.1, "of the semi-minor axis: the largest sd of a trusted shape", "trial"
+        0.1, "of the semi-minor axis: the largest sd of a trusted shape", TRIED
     )
-    max_shape_sd_any: float = number(0.5, "of it, above which there is no marker at all", "trial")
-    max_residual: float = number(
-        0.15, "of the contrast: a larger residual is no ellipse's", "trial"
-    )
+    max_shape_sd_any: float = number(0.5, "of it, above which there is no marker at all", TRIED)
+    max_residual: float = number(0.15, "of the contrast: a larger residual is no ellipse's", TRIED)
     covered_residuals: float = number(
         5.0,
         "times the image's middle residual, which `covered_share` must exceed, too",
         "compressed photographs leave more of every marker",
     )
-    max_lost_weight: float = number(
-        0.25, "share of the robust weight lost to glare or dirt", "trial"
-    )
+    max_lost_weight: float = number(0.25, "share of the robust weight lost to glare or dirt", TRIED)
     sharper_ratio: float = number(
-        0.7, "of the image's blur: a fit that found less may have taken the blur for size", "trial"
+        0.7, "of the image's blur: a fit that found less may have taken the blur for size", TRIED
     )
     max_shape_change: float = number(
         0.25,
         "of the semi-minor axis (beside `max_border_misfit`): how far the fit may move from its "
         "candidate's shape",
-        "trial",
+        TRIED,
     )
     max_move: float = number(
-        0.3, "of the semi-minor axis (beside 1 px): how far it may move from its place", "trial"
+        0.3, "of the semi-minor axis (beside 1 px): how far it may move from its place", TRIED
     )
-    min_fit_axes: float = number(0.1, "least ratio of a fit's axes", "trial")
+    min_fit_axes: float = number(0.1, "least ratio of a fit's axes", TRIED)
     shrunk_share: float = number(
-        0.5, "of the smallest radius asked for, below which there is no marker at all", "trial"
+        0.5, "of the smallest radius asked for, below which there is no marker at all", TRIED
     )
 
 
@@ -235,33 +225,31 @@ class ThoroughSettings:
         17,
         "px of the closing: blobs up to a radius of 8 px stand out, on the image and on "
         "smaller ones",
-        "trial",
+        TRIED,
     )
-    scale_step: int = number(3, "from one image to the next smaller", "trial", low=2)
-    least_side: int = number(60, "px of the smallest one's shorter side", "trial")
+    scale_step: int = number(3, "from one image to the next smaller", TRIED, low=2)
+    least_side: int = number(60, "px of the smallest one's shorter side", TRIED)
     dark_share: float = number(
         0.5,
         "of how dark the darkest place nearby is: what belongs to the blob",
         "the middle of a blurred edge",
     )
     same_size_ratio: float = number(
-        1.5, "ratio of sizes up to which two outlines may be the same circle's", "trial"
+        1.5, "ratio of sizes up to which two outlines may be the same circle's", TRIED
     )
     inside_ratio: float = number(
         1.3,
         "of its ellipse: how far out a part of a circle may lie, where the kernel's corner did "
         "not fit",
-        "trial",
+        TRIED,
     )
     retry_blur: float = number(
-        0.7, "px: a fit that failed is tried again with at least that much blur", "trial"
+        0.7, "px: a fit that failed is tried again with at least that much blur", TRIED
     )
     blur_sd_share: float = number(
-        0.1, "of the blur: by how much it differs from place to place in a photograph", "trial"
+        0.1, "of the blur: by how much it differs from place to place in a photograph", TRIED
     )
-    grey_levels: tuple[float, float] = number(
-        (0.1, 0.9), "levels of an edge that are grey", "trial"
-    )
+    grey_levels: tuple[float, float] = number((0.1, 0.9), "levels of an edge that are grey", TRIED)
     grey_share: float = number(
         0.05,
         "of an edge's pixels; with fewer grey ones it is black and white only",
@@ -278,20 +266,18 @@ class ThoroughSettings:
 class GammaSettings:
     """What a camera's gamma is told from (sensing/image/gamma.py)."""
 
-    min_circles: int = number(6, "circles that must agree", "trial")
+    min_circles: int = number(6, "circles that must agree", TRIED)
     max_circles: int = number(
         24,
         "circles that are looked at",
         "more cost time and tell no more than what is not modelled hides",
     )
     min_radius: float = number(
-        4.0, "px of the semi-minor axis; below, blur and level are not told apart", "trial"
+        4.0, "px of the semi-minor axis; below, blur and level are not told apart", TRIED
     )
-    profile_half_width: float = number(
-        5.0, "px to both sides of an edge that are looked at", "trial"
-    )
+    profile_half_width: float = number(5.0, "px to both sides of an edge that are looked at", TRIED)
     start_gamma: float = number(1.5, "to start from", "between 1 and 2.2")
-    start_blur: float = number(0.8, "px to start from", "trial")
+    start_blur: float = number(0.8, "px to start from", TRIED)
     min_blur: float = number(
         0.6,
         "px, the pixel's own square included; below, its corners are lopsided enough",
@@ -303,9 +289,7 @@ class GammaSettings:
     range: tuple[float, float] = number(
         (0.3, 4.0), "beyond it, it is no gamma but sharpening or clipping", "cameras have 1 to 2.6"
     )
-    min_sds: float = number(
-        3.0, "sd by which it must differ from what was assumed, and ...", "trial"
-    )
+    min_sds: float = number(3.0, "sd by which it must differ from what was assumed, and ...", TRIED)
     min_log_change: float = number(0.25, "... its logarithm, to be said", "0.05 px of size")
     size_per_log: float = number(
         0.6, "px of size for a unit of log gamma that is wrong", "simulated circles: 0.4 to 0.6"

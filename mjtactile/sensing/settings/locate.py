@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mjtactile.sensing.settings.number import number
+from mjtactile.sensing.settings.number import TRIED, number
 
 _PHOTOGRAPHS = "trial, on photographs of flat boards of dots"
 
@@ -20,9 +20,9 @@ class LocateSettings:
         "a camera's processing of edges outweighs its noise there; " + _PHOTOGRAPHS,
     )
     ground_distance: float = number(
-        3.0, "px from a dark circle's edge, where the ground is looked at", "trial"
+        3.0, "px from a dark circle's edge, where the ground is looked at", TRIED
     )
-    inside_share: float = number(0.4, "of a bright circle's size, where it is looked at", "trial")
+    inside_share: float = number(0.4, "of a bright circle's size, where it is looked at", TRIED)
     clipped_level: float = number(
         0.98,
         "of the camera's range, above which a pixel is clipped",
@@ -46,9 +46,9 @@ class ConsensusSettings:
         "scatter over predicted sd, above which they do not agree",
         "what a real camera (sharpening, demosaicing, compression) may explain; " + _PHOTOGRAPHS,
     )
-    min_median_weight: float = number(0.5, "median weight below which they do not agree", "trial")
-    outlier_scatters: float = number(4.0, "times the scatter: where weights fall off", "trial")
-    min_weight: float = number(0.1, "weight below which a circle keeps its own elongation", "trial")
+    min_median_weight: float = number(0.5, "median weight below which they do not agree", TRIED)
+    outlier_scatters: float = number(4.0, "times the scatter: where weights fall off", TRIED)
+    min_weight: float = number(0.1, "weight below which a circle keeps its own elongation", TRIED)
 
 
 @dataclass(frozen=True)
@@ -80,13 +80,13 @@ class SmoothnessSettings:
         "a noise-free bend and noise can look alike; trial",
     )
     gross_scatters: float = number(
-        5.0, "times the scatter about a second-order surface: where first weights fall off", "trial"
+        5.0, "times the scatter about a second-order surface: where first weights fall off", TRIED
     )
     outlier_scatters: float = number(
-        4.0, "times the scatter about the spline: where weights fall off", "trial"
+        4.0, "times the scatter about the spline: where weights fall off", TRIED
     )
-    min_weight: float = number(0.1, "weight below which a circle keeps its own depth", "trial")
-    min_agreeing_share: float = number(0.8, "of the circles that must agree", "trial")
+    min_weight: float = number(0.1, "weight below which a circle keeps its own depth", TRIED)
+    min_agreeing_share: float = number(0.8, "of the circles that must agree", TRIED)
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class PreferenceSettings:
     """Which of a circle's two poses is likelier (sensing/pose/preference.py)."""
 
     plane_circles: int = number(
-        9, "circles that a plane is laid through, the circle itself among them", "trial"
+        9, "circles that a plane is laid through, the circle itself among them", TRIED
     )
     min_circles: int = number(
         6, "circles in the picture, for planes at all", "three are a plane's own degrees of freedom"
@@ -108,9 +108,7 @@ class PreferenceSettings:
         "circles each at its own depth, simulated: at 0.5 they made 0.75 right that were 0.85",
     )
     free_circles_prior: float = number(
-        4.0,
-        "circles thought beforehand to hang each as it likes, against one on a surface",
-        "trial",
+        4.0, "circles thought beforehand to hang each as it likes, against one on a surface", TRIED
     )
     min_surface_sd: float = number(
         0.035, "rad, sd of a plane through neighbours for a bent sheet", "2 degrees; trial"

@@ -11,6 +11,7 @@ import numpy as np
 from mjtactile.core.fields import Number, Numbers, entries, entry
 from mjtactile.core.toml import Section
 
+TRIED = "tried: docs/settings.md has what half and twice of it do"
 _FACTOR = 100.0
 _PLACES = ("first", "second", "third", "fourth")
 

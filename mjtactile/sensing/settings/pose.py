@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mjtactile.sensing.settings.number import number
+from mjtactile.sensing.settings.number import TRIED, number
 
 _BULGE = (
     "100 simulated sensors, each with its own stiffness (30 %), pre-stretch (0.02), lens (3 %, "
@@ -20,12 +20,12 @@ class IdentitySettings:
     gate: float = number(
         0.6,
         "of the pitch: a circle farther from where a marker is expected is not that marker",
-        "trial",
+        TRIED,
     )
     displacement_tolerance: float = number(
-        0.45, "of the pitch: a displacement farther off the neighbours' is a wrong match", "trial"
+        0.45, "of the pitch: a displacement farther off the neighbours' is a wrong match", TRIED
     )
-    neighbours: int = number(8, "nearest markers that a marker is compared with", "trial", high=64)
+    neighbours: int = number(8, "nearest markers that a marker is compared with", TRIED, high=64)
     height_weight: float = number(
         1e10,
         "1/m^2, one over the variance of heights that a circle's two normals are judged by",
@@ -34,7 +34,7 @@ class IdentitySettings:
     shift_resolution: float = number(
         5.0,
         "parts of a pitch: circles whose offsets are nearer than one agree on a common one",
-        "trial",
+        TRIED,
     )
 
 
@@ -44,10 +44,10 @@ class ReferenceSettings:
     sensing/force/bulge.py, sensing/chain.py)."""
 
     radius_range: float = number(
-        0.1, "share by which a marker's size may be off the sensor file's", "trial"
+        0.1, "share by which a marker's size may be off the sensor file's", TRIED
     )
     residual_most: float = number(
-        2.0, "px rms; beyond it, lens, layout or identity is wrong, not the pose", "trial"
+        2.0, "px rms; beyond it, lens, layout or identity is wrong, not the pose", TRIED
     )
     stiffness_off_most: float = number(
         3.0,
@@ -78,21 +78,21 @@ class ReferenceSettings:
 class SurfaceSettings:
     """The smoothing spline through the markers (sensing/shape/surface.py)."""
 
-    roughness: float = number(3e3, "1/m^2, rms gradient of the Laplacian to expect", "trial")
-    laplacian: float = number(300.0, "1/m, rms Laplacian to expect", "trial")
-    markers_least: int = number(4, "fewer markers give a surface whose status is not ok", "trial")
+    roughness: float = number(3e3, "1/m^2, rms gradient of the Laplacian to expect", TRIED)
+    laplacian: float = number(300.0, "1/m, rms Laplacian to expect", TRIED)
+    markers_least: int = number(4, "fewer markers give a surface whose status is not ok", TRIED)
     slope_model_sd: float = number(
         4e-3,
         "sd of a slope's misfit next to the edge of a contact, where a cubic spline cannot follow",
-        "trial",
+        TRIED,
     )
     slope_sd_most: float = number(
-        0.02, "a slope known worse says less than the heights do, and is left out", "trial"
+        0.02, "a slope known worse says less than the heights do, and is left out", TRIED
     )
     outlier_sd: float = number(
         6.0,
         "sd by which a marker off what the others predict is left out, if it is also ...",
-        "trial",
+        TRIED,
     )
-    outlier_least: float = number(1.2e-3, "... that far off, m", "trial")
-    outliers_leave: float = number(0.8, "share of the markers that is always kept", "trial")
+    outlier_least: float = number(1.2e-3, "... that far off, m", TRIED)
+    outliers_leave: float = number(0.8, "share of the markers that is always kept", TRIED)

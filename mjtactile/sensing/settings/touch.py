@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mjtactile.sensing.settings.number import number
+from mjtactile.sensing.settings.number import TRIED, number
 
 _PRESSED = "bench bars: fitted to scenes of seeds below 1000"
 
@@ -13,13 +13,13 @@ _PRESSED = "bench bars: fitted to scenes of seeds below 1000"
 class PatchSettings:
     """Where something touches (sensing/touch/patches.py)."""
 
-    smoothing: float = number(0.6, "sd of the smoothing, in nodes", "trial")
+    smoothing: float = number(0.6, "sd of the smoothing, in nodes", TRIED)
     separate_share: float = number(
         0.8,
         "of the geometric mean of gas pressure and peak; patches are apart where pressure "
         "falls "
         "below it",
-        "trial",
+        TRIED,
     )
     area_disc: float = number(1e-6, "m^2 at which an area is that of its uniform disc", _PRESSED)
     area_power: float = number(1.6, "how it goes with the disc's", _PRESSED)
@@ -30,10 +30,10 @@ class PatchSettings:
         0.7, "power of the means by which the smaller of the two areas counts", _PRESSED
     )
     core_share: float = number(
-        0.03, "of the peak: pressure below it does not count for the centroid", "trial"
+        0.03, "of the peak: pressure below it does not count for the centroid", TRIED
     )
     least_share: float = number(
-        0.1, "of the whole force: a patch that carries less is no patch", "trial"
+        0.1, "of the whole force: a patch that carries less is no patch", TRIED
     )
 
 
@@ -46,7 +46,7 @@ class SlipSettings:
 
     evidence: float = number(7.0, "sd of a wandering patch that are slip", _SLID)
     limit: float = number(
-        0.95, "share of the friction limit, as far as it is known, that is slip", "trial"
+        0.95, "share of the friction limit, as far as it is known, that is slip", TRIED
     )
     recent: float = number(
         0.12, "s, in which what is said to be a slip began", "four images at 30 Hz; " + _SLID
@@ -54,7 +54,7 @@ class SlipSettings:
     baseline: float = number(
         0.28, "s before it, from which it is counted", "eight images at 30 Hz; " + _SLID
     )
-    least_before: int = number(2, "images that a baseline needs", "trial")
+    least_before: int = number(2, "images that a baseline needs", TRIED)
     follows: float = number(
         0.35, "of the rubber's own way: how far partial slip takes the patch", _SLID
     )
@@ -74,13 +74,13 @@ class SlipSettings:
         "shear over normal force: what slips below it rolls, or is as smooth as nothing dry",
         _SLID,
     )
-    incipient: float = number(0.7, "share of the friction limit from which on slip begins", "trial")
+    incipient: float = number(0.7, "share of the friction limit from which on slip begins", TRIED)
     least_force: float = number(
-        0.05, "N; below, neither the patch nor its shear are known well enough", "trial"
+        0.05, "N; below, neither the patch nor its shear are known well enough", TRIED
     )
-    gap: float = number(0.2, "s without an image, after which the past does not count", "trial")
+    gap: float = number(0.2, "s without an image, after which the past does not count", TRIED)
     core_share: float = number(
-        0.03, "of the peak: pressure below it does not count for the place of the touch", "trial"
+        0.03, "of the peak: pressure below it does not count for the place of the touch", TRIED
     )
 
 

@@ -4,6 +4,8 @@ by name, to effect."""
 import dataclasses
 import json
 import math
+import re
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -16,6 +18,7 @@ from mjtactile.sensing.chain import Chain
 from mjtactile.sensing.force import zero
 from mjtactile.sensing.image.markers import detect
 from mjtactile.sensing.settings import DEFAULTS
+from mjtactile.sensing.settings.number import TRIED
 from mjtactile.sensing.touch.material import judge
 from mjtactile.sensing.touch.squeeze import Squeeze
 
@@ -34,6 +37,19 @@ def test_every_number_says_what_it_is_and_where_it_comes_from():
                     assert allowed.low <= value <= allowed.high, field.name
                 # a sensitivity is asked at half and at twice the value
                 assert allowed.whole or allowed.low < allowed.high / 4, field.name
+
+
+def test_a_number_that_was_tried_has_its_row_on_the_page():
+    page = (Path(__file__).parents[3] / "docs/settings.md").read_text()
+    tried = {
+        f"{stage}.{field.name}".lstrip(".")
+        for stage, owner in (("", DEFAULTS), *vars(DEFAULTS).items())
+        if dataclasses.is_dataclass(owner)
+        for field in dataclasses.fields(owner)
+        if field.metadata.get("source") == TRIED
+    }
+    # else: mjtactile bench settings --readme docs/settings.md
+    assert tried == set(re.findall(r"^\| `([\w.]+)` \|", page, re.M))
 
 
 def test_overriding_leaves_the_defaults_and_all_others_alone():

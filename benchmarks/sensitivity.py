@@ -1,0 +1,366 @@
+"""`mjtactile bench settings`: what the sensing chain's tried numbers are worth: the same images
+felt with each of them at half and at twice. Numbers that were derived, or fitted by another
+benchmark, are not among them.
+
+Touch: presses, drags and lifts of a ball on both shipped layouts, recorded once,
+references too, so that a change is the setting's alone. Pictures: what `locate` looks at, sharp,
+black and white, half in glare, small, of a camera with a gamma, blurred and noisy.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.core.design import SensorDesign, load_sensor
+from mjtactile.core.errors import MjtactileError
+from mjtactile.core.fields import entries
+from mjtactile.core.optics import Camera
+from mjtactile.core.types import Array, Image, Touch
+from mjtactile.experiments.station import View
+from mjtactile.recording.files import write_json
+from mjtactile.run.progress import Progress
+from mjtactile.sensing.chain import Chain
+from mjtactile.sensing.pose.locate import find_circles
+from mjtactile.sensing.settings import DEFAULTS, Settings
+from mjtactile.sensing.settings.number import TRIED
+from mjtactile.sim.scenes.indentation import Indenter, PressWorld
+
+FACTORS = (0.5, 2.0)
+PICTURE_STAGES = ("locate", "consensus", "smoothness", "preference", "thorough", "gamma")
+"""What only pictures see; the stages of an image are tried on both."""
+IMAGE_STAGES = ("candidates", "markers", "edges", "profiles")
+PRESSES = (("dense", "sphere:8", (3e-3, -2e-3), 0.0), ("paper16", "sphere:12", (1e-3, 2e-3), 0.0))
+"""Sensor, indenter, where, and tilt, rad."""
+DEPTHS = (-2e-4, 3e-4, 8e-4, 1.5e-3, 2e-3)  # m
+SHEAR = 1.5e-3  # m
+INTERVAL = 1 / 30  # s
+STILL_IMAGES = 8
+STILL_INTERVAL = 0.15  # s
+DRIFT = 2e-4  # of the bulge, from image to image: 0.6 K/s
+REFERENCE_IMAGES = 4
+# what is no change: N, of an error bar, of an area, m of depth
+FORCE_ALIKE = 1e-4
+BAR_ALIKE = 5e-3
+AREA_ALIKE = 0.05
+DEPTH_ALIKE = 1e-6
+WORKERS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Press:
+    """What a camera saw: flat, at rest under `pressure_gauge` Pa, and then."""
+
+    design: SensorDesign
+    flat: Sequence[Image]
+    rest: Sequence[Image]
+    pressure_gauge: float
+    images: Sequence[Image]
+
+
+@dataclass(frozen=True, eq=False)
+class Felt:
+    """Of all images of the presses, (n,) each: normal `force` N and its `sd`, `markers` seen,
+    contact `area` m^2, `said`: status, whether something touches, slip, and how many patches."""
+
+    force: Array
+    sd: Array
+    markers: Array
+    area: Array
+    said: NDArray[np.str_]
+
+
+@dataclass(frozen=True, eq=False)
+class Circles:
+    """Of one picture: where circles are, px, their depth m with its sd, and `status`."""
+
+    uv: Array
+    depth: Array
+    sd: Array
+    status: NDArray[np.str_]
+
+
+def record(sensor: str, indenter: str, at: tuple[float, float], tilt: float) -> Press:
+    """A press in steps, a drag, and the lift."""
+    design = load_sensor(sensor)
+    world = PressWorld(design, Indenter.parse(indenter), at=at, tilt=tilt)
+    view = View(world, design, seed=1)
+    world.inflate(0.0, seal=False)
+    flat = [view.image() for _ in range(REFERENCE_IMAGES)]
+    gauge = design.chamber.supply_gauge
+    world.inflate(gauge, seal=True)
+    rest = [view.image() for _ in range(REFERENCE_IMAGES)]
+    ways = [(depth, 0.0) for depth in DEPTHS]
+    ways += [(DEPTHS[-1], SHEAR * part / 3) for part in (1, 2, 3)]
+    ways += [(DEPTHS[0], SHEAR), (-2e-3, SHEAR), (-2e-3, SHEAR)]
+    images = []
+    for number, (depth, shear) in enumerate(ways):
+        world.drive(depth, shear)
+        pixels = view.image().pixels
+        images.append(Image(pixels, number * INTERVAL))
+    p, n = world.marker_poses(0)
+    for number in range(STILL_IMAGES):  # nothing touches while the gas cools
+        sunk = p * [1.0, 1.0, 1.0 - DRIFT * number]
+        time = (len(ways) - 1) * INTERVAL + (number + 1) * STILL_INTERVAL
+        images.append(view.renderer.render(sunk, n, time))
+    return Press(design, flat, rest, gauge, images)
+
+
+def feel(presses: Sequence[Press], settings: Settings) -> Felt:
+    """All presses by chains with these settings; where a reference is refused, no force."""
+    rows: list[tuple[Any, ...]] = []
+    for press in presses:
+        rows += _felt_images(press, settings)
+    force, sd, markers, area, said = zip(*rows, strict=True)
+    return Felt(*map(np.array, (force, sd, markers, area)), np.array(said))
+
+
+def _felt_images(press: Press, settings: Settings) -> list[tuple[Any, ...]]:
+    rows: list[tuple[Any, ...]] = []
+    try:
+        chain = Chain(press.design, settings=settings)
+        state = chain.take_flat(chain.begin(), press.flat)
+        state = chain.take_rest(state, press.rest, press.pressure_gauge)
+        for image in press.images:
+            touch, state = chain.step(state, image, image.time)
+            rows.append(_row(touch))
+    except (MjtactileError, np.linalg.LinAlgError) as error:
+        left = len(press.images) - len(rows)
+        rows += [(np.nan, np.nan, 0, 0.0, type(error).__name__)] * left
+    return rows
+
+
+def _row(touch: Touch) -> tuple[Any, ...]:
+    seen = 0 if touch.markers is None else len(touch.markers)
+    area = 0.0 if touch.contact is None else touch.contact.area
+    slips = "" if touch.slip is None else touch.slip.state
+    said = f"{touch.status.code.value} {touch.touching} {slips} {len(touch.patches)}"
+    return touch.force_normal, touch.force_normal_sd, seen, area, said
+
+
+def pictures(presses: Sequence[Press]) -> list[tuple[Image, Press]]:
+    """What a photograph may be: sharp, soft, noisy, black and white, with a bright window."""
+    found = []
+    rng = np.random.default_rng(0)
+    dense, coarse = presses[0], presses[-1]
+    sharp = dense.images[4].pixels
+    drawn = cv2.threshold(sharp, 110, 255, cv2.THRESH_BINARY)[1]
+    glare = sharp.copy()
+    glare[:, : sharp.shape[1] // 3] = np.minimum(glare[:, : sharp.shape[1] // 3] * 1.9, 255)
+    small = cv2.resize(sharp, None, fx=0.35, fy=0.35, interpolation=cv2.INTER_AREA)
+    framed = np.pad(small, 120, constant_values=40)
+    bent = np.round(255 * (sharp / 255.0) ** (1 / 2.2)).astype(np.uint8)
+    found += [(Image(one), dense) for one in (drawn, glare, bent)]
+    found += [(Image(framed), dense)]
+    large = coarse.images[4].pixels
+    soft = cv2.GaussianBlur(large, (0, 0), 2.0)
+    noise = rng.normal(0, 6, large.shape)
+    found += [(Image(np.clip(soft + noise, 0, 255).astype(np.uint8)), coarse)]
+    return found
+
+
+def look(images: Sequence[tuple[Image, Press]], settings: Settings) -> list[Circles]:
+    """All pictures by `locate` with these settings."""
+    return [_look(image, press, settings) for image, press in images]
+
+
+def _look(image: Image, press: Press, settings: Settings) -> Circles:
+    camera = Camera.from_design(press.design.camera, press.design.glass)
+    radius = press.design.markers.radius
+    try:
+        found = find_circles(image, camera, radius, gamma="auto", settings=settings)
+    except (MjtactileError, np.linalg.LinAlgError):
+        return Circles(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0, "<U24"))
+    poses = found.poses
+    sd = np.sqrt(poses.cov_p[:, 2, 2])
+    return Circles(found.ellipses.center_px, poses.p_CM[:, 2], sd, poses.status)
+
+
+# -- what changes
+
+
+def touch_change(before: Felt, now: Felt) -> dict[str, float]:
+    """How far felt force goes (rms, N; NaN where it was or is not known), by how much its error
+    bar changes (median ratio), how many markers fewer or more are seen (mean), and of how many
+    images something else is said, or an area that is 5 % off."""
+    known = np.isfinite(before.force) & np.isfinite(now.force)
+    off = now.force[known] - before.force[known]
+    area_off = np.abs(now.area - before.area) > AREA_ALIKE * np.maximum(before.area, now.area)
+    return {
+        "force_N": _rms(off),
+        "bar": _median_ratio(now.sd[known], before.sd[known]),
+        "markers": float((now.markers - before.markers).mean()),
+        "said": int(((now.said != before.said) | area_off).sum()),
+    }
+
+
+def picture_change(before: Sequence[Circles], now: Sequence[Circles]) -> dict[str, float]:
+    """How many circles come, go, or have another status; how far depths go (rms, m); by how much
+    error bars change (median ratio)."""
+    off: list[float] = []
+    ratios: list[float] = []
+    changed = 0
+    for old, new in zip(before, now, strict=True):
+        pairs = _pairs(old, new)
+        changed += len(old.uv) + len(new.uv) - 2 * len(pairs)
+        for i, j in pairs:
+            changed += int(old.status[i] != new.status[j])
+            if old.status[i] == new.status[j] == "ok":
+                off.append(float(new.depth[j] - old.depth[i]))
+                ratios.append(float(new.sd[j] / old.sd[i]))
+    return {
+        "circles": changed,
+        "depth_m": _rms(np.array(off)),
+        "circle_bar": float(np.median(ratios)) if ratios else np.nan,
+    }
+
+
+def _pairs(old: Circles, new: Circles) -> list[tuple[int, int]]:
+    """Circles at the same place, to 3 px."""
+    if not len(old.uv) or not len(new.uv):
+        return []
+    distance = np.linalg.norm(old.uv[:, None] - new.uv, axis=2)
+    nearest = distance.argmin(axis=1)
+    return [(i, int(j)) for i, j in enumerate(nearest) if distance[i, j] < 3]
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.square(values).mean())) if len(values) else float("nan")
+
+
+def _median_ratio(now: Array, before: Array) -> float:
+    return float(np.median(now / before)) if len(now) else float("nan")
+
+
+# -- all numbers
+
+
+def variants() -> list[tuple[str, float, Any]]:
+    """Name, factor and value of every number to try; a whole number goes to the next one, and
+    what is not allowed to the end of its range."""
+    found = []
+    for name, default in DEFAULTS.to_dict().items():
+        stage, _, field = name.rpartition(".")
+        owner = getattr(DEFAULTS, stage) if stage else DEFAULTS
+        if owner.__dataclass_fields__[field].metadata["source"] != TRIED:
+            continue
+        entry = entries(type(owner))[field]
+        for factor in FACTORS:
+            values = default if isinstance(default, tuple) else (default,)
+            tried = tuple(_within(value * factor, entry) for value in values)
+            found.append((name, factor, tried if isinstance(default, tuple) else tried[0]))
+    return found
+
+
+def _within(value: float, entry: Any) -> float:
+    value = min(max(value, entry.low), entry.high)
+    return round(value) if entry.whole else value
+
+
+_GIVEN: dict[str, Any] = {}
+
+
+def _prepare(quick: bool) -> None:
+    """In each process: the images, and what is made of them by the settings as they are."""
+    presses = [record(*press) for press in (PRESSES[:1] if quick else PRESSES)]
+    images = pictures(presses)
+    _GIVEN.update(
+        presses=presses, images=images, felt=feel(presses, DEFAULTS), seen=look(images, DEFAULTS)
+    )
+
+
+def _try(variant: tuple[str, float, Any]) -> dict[str, Any]:
+    name, factor, value = variant
+    settings = DEFAULTS.override({name: value})
+    stage = name.rpartition(".")[0]
+    row: dict[str, Any] = {"name": name, "factor": factor, "value": value}
+    if stage not in PICTURE_STAGES:
+        row |= touch_change(_GIVEN["felt"], feel(_GIVEN["presses"], settings))
+    if stage in (*PICTURE_STAGES, *IMAGE_STAGES):
+        row |= picture_change(_GIVEN["seen"], look(_GIVEN["images"], settings))
+    return row
+
+
+def run(out: Path, quick: bool) -> dict[str, Any]:
+    """Every tried number at half and at twice; what an interrupted run left in `out` is kept."""
+    todo = variants()[::20] if quick else variants()
+    progress = Progress()
+    kept = out / "settings-rows.jsonl"
+    rows = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
+    done = {(row["name"], row["factor"]) for row in rows}
+    todo = [variant for variant in todo if variant[:2] not in done]
+    with ProcessPoolExecutor(
+        WORKERS, get_context("spawn"), initializer=_prepare, initargs=(quick,)
+    ) as pool:
+        for row in pool.map(_try, todo):
+            rows.append(row)
+            with kept.open("a") as file:
+                file.write(json.dumps(row) + "\n")
+            if len(rows) % 20 == 0:
+                progress.message(f"{len(rows)} of {len(todo)}")
+    result = {"rows": rows, "images": sum(len(DEPTHS) + 6 + STILL_IMAGES for _ in PRESSES)}
+    write_json(out / "settings.json", result)
+    return result
+
+
+def is_insensitive(row: Mapping[str, Any]) -> bool:
+    """Whether nothing that was looked at changes."""
+    return (
+        abs(row.get("force_N", 0.0)) < FORCE_ALIKE
+        and abs(row.get("bar", 1.0) - 1) < BAR_ALIKE
+        and not row.get("markers", 0.0)
+        and not row.get("said", 0)
+        and not row.get("circles", 0)
+        and abs(row.get("depth_m", 0.0)) < DEPTH_ALIKE
+        and abs(row.get("circle_bar", 1.0) - 1) < BAR_ALIKE
+    )
+
+
+def table(result: Mapping[str, Any]) -> str:
+    """Markdown: a row for each number."""
+    by_name: dict[str, list[Mapping[str, Any]]] = {}
+    for row in result["rows"]:
+        by_name.setdefault(row["name"], []).append(row)
+    quiet = [name for name, rows in by_name.items() if all(map(is_insensitive, rows))]
+    lines = [
+        f"{len(by_name)} numbers; {len(quiet)} change nothing here.",
+        "",
+        "| number | default | force, mN | its bar, x | markers | images | circles | depth, um "
+        "| its bar, x |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    defaults = DEFAULTS.to_dict()
+    for name, rows in by_name.items():
+        cells = [
+            _both(rows, "force_N", lambda x: f"{1e3 * x:.1f}"),
+            _both(rows, "bar", lambda x: f"{x:.2f}"),
+            _both(rows, "markers", lambda x: f"{x:+.1f}"),
+            _both(rows, "said", lambda x: f"{x:.0f}"),
+            _both(rows, "circles", lambda x: f"{x:.0f}"),
+            _both(rows, "depth_m", lambda x: f"{1e6 * x:.0f}"),
+            _both(rows, "circle_bar", lambda x: f"{x:.2f}"),
+        ]
+        value = defaults[name]
+        shown = ", ".join(f"{v:g}" for v in (value if isinstance(value, tuple) else (value,)))
+        lines.append(f"| `{name}` | {shown} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _both(rows: Sequence[Mapping[str, Any]], key: str, text: Callable[[float], str]) -> str:
+    """At half and at twice; one where they are alike, a dash where nothing changes."""
+    if key not in rows[0]:
+        return ""
+    shown = [text(row[key]) if np.isfinite(row[key]) else "-" for row in rows]
+    nothing = {"0.0", "0", "1.00", "+0.0", "-0.0"}
+    if set(shown) <= nothing:
+        return ""
+    return " / ".join(shown)
