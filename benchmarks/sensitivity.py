@@ -121,7 +121,7 @@ def feel(presses: Sequence[Press], settings: Settings) -> Felt:
     for press in presses:
         rows += _felt_images(press, settings)
     force, sd, markers, area, said = zip(*rows, strict=True)
-    return Felt(*map(np.array, (force, sd, markers, area)), np.array(said))
+    return Felt(np.array(force), np.array(sd), np.array(markers), np.array(area), np.array(said))
 
 
 def _felt_images(press: Press, settings: Settings) -> list[tuple[Any, ...]]:
