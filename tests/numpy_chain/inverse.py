@@ -38,7 +38,7 @@ class _Gain:
     innovation: Array
     reweighted: int
 
-    def serves(self, c: Array, markers: Markers) -> bool:
+    def serves(self, c: Array, markers: Markers, rest: InverseRest) -> bool:
         """Whether it can be used near `c`, for these markers."""
         return np.array_equal(self.ids, markers.ids) and bool(
             np.abs(c - self.c).max() < inverse.NEAR
