@@ -101,6 +101,8 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile.report.drawing import drawing_beside
 
     _check_video(options.video, options.frames)
+    if options.rig is not None:
+        slow.apply(options.slow, options.rig)
     wanted = scenario.scenario_of(options)
     slow.apply(options.slow, wanted.rig)
     progress = Progress()  # which looks whether stderr is a terminal

@@ -147,6 +147,8 @@ class Supervisor:
                 for v in valves
             ]
             self._bulge = [t.surface.volume if t.surface else math.nan for t in touch]
+        for i, t in enumerate(touch):
+            self._note_sealed(i, t, valves[i] if i < len(valves) else None)
         lost = [
             f"chamber {i} lost pressure: {v.pressure_gauge:.0f} Pa, sealed at {sealed:.0f} Pa"
             for i, (v, sealed) in enumerate(zip(valves, self._sealed, strict=True))
@@ -167,6 +169,22 @@ class Supervisor:
         if lost:
             return f"leak: {lost[0]}"
         return f"leak: {sunk[0]}" if self._sink_cycles >= _SINK_CYCLES else ""
+
+    def _note_sealed(self, i: int, touch: Touch, valve: ValveState | None) -> None:
+        """What chamber `i` was sealed with: forgotten while its valve is open (no leak), and
+        taken again when it is closed and nothing touches."""
+        assert self._sealed is not None and self._bulge is not None
+        if valve is not None and valve.is_open:
+            self._sealed[i] = math.nan
+            self._bulge[i] = math.nan
+            return
+        if touch.touching:
+            return
+        gauge = None if valve is None else valve.pressure_gauge
+        if gauge is not None and math.isnan(self._sealed[i]):
+            self._sealed[i] = gauge
+        if touch.surface is not None and math.isnan(self._bulge[i]):
+            self._bulge[i] = touch.surface.volume
 
     def _enter(self, state: str, reason: str, now: float) -> None:
         self.state = state
