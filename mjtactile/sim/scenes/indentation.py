@@ -238,7 +238,7 @@ class PressWorld(World):
         that alone can touch.
         """
         sensor = self.sensors[0]
-        radius, _ = features.smallest_feature(self.model, sensor.body_id)
+        radius, _ = sensor.smallest
         if sensor.contact == "vertices" and radius < features.SLIPS * sensor.mesh.spacing:
             raise InputError(
                 "slips between the membrane's vertices; contact 'elements' feels it",
