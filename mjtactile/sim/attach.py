@@ -28,7 +28,7 @@ import mujoco
 
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.sim.sensor import features, limits, twins
+from mjtactile.sim.sensor import features, limits
 from mjtactile.sim.sensor.membrane import ANYTHING, BODY, FLEX, add_membrane
 from mjtactile.sim.sensor.mesh import MembraneMesh, make_mesh
 from mjtactile.sim.sensor.runtime import TactileSensor
@@ -79,11 +79,6 @@ class Attachment:
     contact: str = "auto"
     effects: frozenset[Effect] = PHYSICS
 
-    def prepare(self, spec: mujoco.MjSpec) -> None:
-        """Make meshes of thin boxes and capsules in `spec` that were added since it was attached;
-        before the scene is compiled."""
-        twins.replace_thin(spec, self.mesh, self.contact)
-
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> TactileSensor:
         """Return the sensor's runtime, and finish the model: pre-stretch and contact stiffness.
 
@@ -121,7 +116,7 @@ def attach_membrane(
     design = set_law(load_sensor(sensor), on)
     check_options(spec.option, source="attach")
     limits.check_design(design, mesh)
-    if contact not in (features.AUTO, features.AUTO_OF_MOVERS, *features.CONTACT_MODELS):
+    if contact not in ("auto", *features.CONTACT_MODELS):
         raise InputError(
             f"{contact!r} is not a contact model",
             source="attach",
@@ -142,7 +137,6 @@ def attach_membrane(
             field="prefix",
         )
     grid = make_mesh(design.frame.length, design.frame.width, *mesh, shape=design.frame.shape)
-    twins.replace_thin(spec, grid, contact)
     child = mujoco.MjSpec()
     body = child.worldbody.add_body(name=BODY)
     # a robot that does not feel its own weight does not feel the sensor's either

@@ -19,7 +19,6 @@ from mjtactile.sim.scenes.lifts import make_lift
 from mjtactile.sim.scenes.posture import solve
 from mjtactile.sim.scenes.start import Start, load_robot, place_jaws, plan_start
 from mjtactile.sim.scenes.world import World
-from mjtactile.sim.sensor import features
 from mjtactile.sim.sensor.switches import PHYSICS, set_servo
 
 DEFAULT_TIMESTEP = 4e-3
@@ -56,13 +55,7 @@ class HandWorld(World):
         recommend_options(spec, timestep)
         attachments = [
             attach_membrane(
-                spec,
-                design,
-                site=finger.site,
-                prefix=f"{finger.name}/",
-                mesh=mesh,
-                contact=features.AUTO_OF_MOVERS,
-                effects=effects,
+                spec, design, site=finger.site, prefix=f"{finger.name}/", mesh=mesh, effects=effects
             )
             for design, finger in zip(designs, rig.fingers, strict=True)
         ]

@@ -238,7 +238,7 @@ class PressWorld(World):
         that alone can touch.
         """
         sensor = self.sensors[0]
-        radius, _ = sensor.smallest
+        radius, _ = features.smallest_feature(self.model, sensor.body_id)
         if sensor.contact == "vertices" and radius < features.SLIPS * sensor.mesh.spacing:
             raise InputError(
                 "slips between the membrane's vertices; contact 'elements' feels it",

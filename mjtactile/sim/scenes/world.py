@@ -32,8 +32,6 @@ class World:
         """`place` puts the fresh state where the scene begins, before anything looks at it."""
         route_warnings()
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        for attachment in attachments:
-            attachment.prepare(spec)
         try:
             self.model = spec.compile()
         except ValueError as error:

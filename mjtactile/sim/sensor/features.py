@@ -17,9 +17,6 @@ from mjtactile.core.types import Array
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
 CONTACT_MODELS = ("vertices", "elements", "both")
-AUTO = "auto"
-AUTO_OF_MOVERS = "auto of movers"
-"""By the smallest feature of all that may touch, or of what moves: a stand is not grasped."""
 CONVEX = 0.98
 """Volume over that of the convex hull from which a mesh counts as convex."""
 END = 0.7
@@ -32,29 +29,12 @@ RESOLVED = 2.0
 
 
 def touching_geoms(model: mujoco.MjModel, carrier: int = 0) -> NDArray[np.int64]:
-    """Geoms that the membrane on body `carrier` may feel.
-
-    Args:
-        model: The scene.
-        carrier: The sensor's body; 0 asks for what a sensor that is fixed to the world may feel.
-
-    Returns:
-        (n,) Geoms with a contype that are not fixed to the carrier; static ones are among them if
-        the carrier moves.
-    """
-    welds = np.array([_weld(model, body) for body in range(model.nbody)])
-    others = welds[model.geom_bodyid] != welds[carrier]
-    return np.flatnonzero(others & (model.geom_contype != 0))
-
-
-def _weld(model: mujoco.MjModel, body: int) -> int:
-    """The body that `body` is fixed to: MuJoCo's, which takes mocap bodies for parts of the world,
-    or the mocap body."""
-    if model.body_weldid[body]:
-        return int(model.body_weldid[body])
-    while body and model.body_mocapid[body] < 0:
-        body = int(model.body_parentid[body])
-    return body
+    """Geoms that can move and that the membrane on body `carrier` feels: those with a contype that
+    are not fixed to the carrier (0: any body)."""
+    welds = model.body_weldid[model.geom_bodyid]
+    moving = (welds > 0) | (model.body_mocapid[model.geom_bodyid] >= 0)
+    others = welds != model.body_weldid[carrier]
+    return np.flatnonzero(moving & others & (model.geom_contype != 0))
 
 
 def feature_radius(model: mujoco.MjModel, geom: int) -> float:
@@ -73,28 +53,13 @@ def feature_radius(model: mujoco.MjModel, geom: int) -> float:
     return np.inf
 
 
-def name_of(model: mujoco.MjModel, geom: int) -> str:
-    return model.geom(geom).name or f"geom {geom}"
-
-
-def box_distances(
-    model: mujoco.MjModel, data: mujoco.MjData, geom: int, points: Array
-) -> NDArray[np.float64]:
-    """Distances (n,) m of `points` (n, 3) m, frame W, from the box around a geom; 0 inside."""
-    box = model.geom_aabb[geom]
-    local = (points - data.geom_xpos[geom]) @ data.geom_xmat[geom].reshape(3, 3) - box[:3]
-    return np.linalg.norm(np.maximum(np.abs(local) - box[3:], 0.0), axis=1)
-
-
-def smallest_feature(
-    model: mujoco.MjModel, carrier: int = 0, *, moving: bool = False
-) -> tuple[float, str]:
+def smallest_feature(model: mujoco.MjModel, carrier: int = 0) -> tuple[float, str]:
     """Radius, m, and name of the geom with the smallest feature that the membrane on body `carrier`
-    may feel, of those that move if `moving`; infinite when nothing can touch."""
-    geoms = touching_geoms(model, carrier)
-    if moving:
-        geoms = np.intersect1d(geoms, touching_geoms(model))
-    found = [(feature_radius(model, int(g)), name_of(model, int(g))) for g in geoms]
+    feels; infinite when nothing can touch."""
+    found = [
+        (feature_radius(model, int(g)), model.geom(int(g)).name or f"geom {g}")
+        for g in touching_geoms(model, carrier)
+    ]
     return min(found, default=(np.inf, ""))
 
 
@@ -132,10 +97,9 @@ def hull_flag(model: mujoco.MjModel, geom: int) -> str | None:
     )
 
 
-def contact_model(radius: float, mesh: MembraneMesh) -> str:
-    """ "vertices", or "elements" where the smallest feature, of `radius` m, can slip between
-    them."""
-    return "elements" if radius < SLIPS * mesh.spacing else "vertices"
+def contact_model(model: mujoco.MjModel, carrier: int, mesh: MembraneMesh) -> str:
+    """ "vertices", or "elements" when something in the scene can slip between the vertices."""
+    return "elements" if smallest_feature(model, carrier)[0] < SLIPS * mesh.spacing else "vertices"
 
 
 def resolution_flag(
@@ -145,7 +109,7 @@ def resolution_flag(
     mesh would carry it."""
     if radius >= RESOLVED * mesh.spacing:
         return None
-    name = name_of(model, geom)
+    name = model.geom(geom).name or f"geom {geom}"
     factor = RESOLVED * mesh.spacing / radius
     finer = tuple(int(np.ceil((n - 1) * factor)) + 1 for n in (mesh.nx, mesh.ny))
     remedy = (
@@ -182,13 +146,12 @@ def edge_flag(half_width: float, mesh: MembraneMesh) -> str | None:
     is out of the frame."""
     if half_width > np.abs(mesh.p_SV).max():
         return None
-    # Squares of 6 and 12 mm, where the ratio is 0.75 and 0.37, against an independent solver: 0.3
-    # to 1.4 and 0.5 to 1.2 times, by place and by what of the sheet touches
-    share = min(1.4 * mesh.spacing / half_width, 0.7)
+    share = min(1.1 * mesh.spacing / half_width, 1.0)  # 38 % was measured where the ratio is 0.37
     return (
-        f"an edge presses, {half_width * 1e3:.2g} mm from the middle of its face, and the mesh has "
-        f"{mesh.spacing * 1e3:.2g} mm between vertices: the force may be off by {share:.0%}, less "
-        f"or more ({1 - share:.1f} to {1 + min(share, 0.4):.1f} times); a finer mesh divides that"
+        f"an edge presses, {half_width * 1e3:.2g} mm from the middle of its face, and the mesh "
+        "has "
+        f"{mesh.spacing * 1e3:.2g} mm between vertices: the force may be off by "
+        f"{share:.0%}; a finer mesh divides that"
     )
 
 

@@ -177,7 +177,7 @@ class ContactPoints:
                 np.linalg.norm(vertices - middle, axis=1) - self._model.geom_rbound[geom]
                 < self._sizes
             )
-            if not len(close) or self._is_far(geom, vertices[close]):
+            if not len(close):
                 continue
             normal = self._upright[close].sum(axis=0)
             axes = _axes(normal / np.linalg.norm(normal))
@@ -209,13 +209,6 @@ class ContactPoints:
     def _is_touched(self) -> bool:
         numbers = self._data.contact.geom - self._first
         return bool(((numbers >= 0) & (numbers < len(self._sizes))).any())
-
-    def _is_far(self, geom: int, vertices: Array) -> bool:
-        """Whether the box around a geom, which fills little of its ball, is two cells away."""
-        data = self._data
-        p_WV = data.xpos[self._body] + vertices @ data.xmat[self._body].reshape(3, 3).T
-        away = features.box_distances(self._model, data, geom, p_WV)
-        return bool(away.min() > 2 * self._sizes[0])
 
     def _in_sensor(self, p_W: Array) -> Array:
         data = self._data

@@ -12,8 +12,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.rubber import Law, principal_stresses
 from mjtactile.core.types import Array
-from mjtactile.sim.sensor import features, limits, twins
-from mjtactile.sim.sensor.approach import Approach
+from mjtactile.sim.sensor import features, limits
 from mjtactile.sim.sensor.facets import StandOff
 from mjtactile.sim.sensor.membrane import FLEX, ContactStiffness, pre_stretch, touch_with
 from mjtactile.sim.sensor.mesh import MarkerInterpolator, MembraneMesh
@@ -68,27 +67,23 @@ class TactileSensor:
         pre_stretch(model, self.flex_id, mesh, design.membrane.pre_stretch)
         # a trace is needed to compile without a warning, none to simulate
         model.flex_damping[self.flex_id] = 0.0
-        self.smallest = features.smallest_feature(
-            model, self.body_id, moving=contact == features.AUTO_OF_MOVERS
-        )
-        """Radius, m, and name of the smallest thing that it is made to feel."""
-        if contact in (features.AUTO, features.AUTO_OF_MOVERS):
-            contact = features.contact_model(self.smallest[0], mesh)
+        if contact == "auto":
+            contact = features.contact_model(model, self.body_id, mesh)
         self.contact = contact
-        on_vertices = contact == "vertices"
-        if not on_vertices:
-            twins.refuse_thin(model, self.body_id, mesh)
         touch_with(model, self.vertex_geom_ids, self.flex_id, self.contact)
         self._contact_stiffness = ContactStiffness(
-            model, self.vertex_geom_ids, self.flex_id, mesh, design.membrane, remembers=on_vertices
+            model,
+            self.vertex_geom_ids,
+            self.flex_id,
+            mesh,
+            design.membrane,
+            remembers=self.contact == "vertices",
         )
         # a live view
         self._margins = model.geom_margin[self.vertex_geom_ids[0] : self.vertex_geom_ids[-1] + 1]
         self._stand_off = StandOff(model, data, self.vertex_geom_ids, mesh)
         sheet = design.membrane
-        self._approach = (
-            None if on_vertices else Approach(model, data, self.body_id, self.flex_id, mesh)
-        )
+        on_vertices = self.contact == "vertices"
         self._points = (
             ContactPoints(
                 model, data, self.vertex_geom_ids, self.body_id, mesh, sheet.young * sheet.thickness
@@ -164,8 +159,6 @@ class TactileSensor:
             self._rubber.update(p_SV)
         self._turning.update(p_SV)
         self._stand_off.update()
-        if self._approach:
-            self._approach.update(p_SV)
         if self._points:
             self._points.update(p_SV, self.tensions, pressure)
         if self._stiction:
@@ -206,9 +199,11 @@ class TactileSensor:
         mine = (pairs >= first) & (pairs <= self.vertex_geom_ids[-1])
         vertices = np.where(mine[:, 1], pairs[:, 1], pairs[:, 0]) - first
         on_vertex = mine.any(axis=1)  # else on a triangle
-        stand_off = self._stand_off.margins[np.where(on_vertex, vertices, 0)]
-        skin = self._approach.skin if self._approach else 0.0
-        margins = np.where(on_vertex, stand_off, skin)
+        margins = np.where(
+            on_vertex,
+            self._stand_off.margins[np.where(on_vertex, vertices, 0)],
+            contact.includemargin[rows],
+        )
         return margins - contact.dist[rows]
 
     @property
