@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from numbers import Real
 from types import MappingProxyType
 from typing import Any, Literal, get_args
@@ -431,6 +431,7 @@ class Command:
         phase: One of PHASES; "done" and "abort" end the run.
         memory: The controller's own notebook: the loop hands it back in the next
             `Observation.command`, so that `step` can be a pure function.
+        reason: Why the controller gives up, or sets down early; for the result and the log.
     """
 
     opening: float
@@ -438,6 +439,7 @@ class Command:
     lift_height: float = 0.0
     phase: str = "approach"
     memory: Mapping[str, float] = field(default_factory=dict)
+    reason: str = ""
 
     def __post_init__(self) -> None:
         for name in ("opening", "force_limit", "lift_height"):
@@ -448,13 +450,13 @@ class Command:
             raise InputError(
                 f"{self.phase!r} is not a phase", source="Command", field="phase", choices=PHASES
             )
+        if not isinstance(self.reason, str):
+            raise InputError(f"{self.reason!r} is no text", source="Command", field="reason")
         object.__setattr__(self, "memory", MappingProxyType(dict(self.memory)))
 
     def __reduce__(self):  # a mappingproxy does not pickle
-        return (
-            Command,
-            (self.opening, self.force_limit, self.lift_height, self.phase, dict(self.memory)),
-        )
+        values = {one.name: getattr(self, one.name) for one in fields(self)}
+        return Command, tuple((values | {"memory": dict(self.memory)}).values())
 
 
 @dataclass(frozen=True, eq=False)

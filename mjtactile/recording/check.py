@@ -19,6 +19,7 @@ _ONE = {
     "phase": TEXT,
     "state": TEXT,
     "reason": TEXT,
+    "command_reason": TEXT,
     "memory": TABLE,
     **dict.fromkeys(
         (

@@ -61,6 +61,10 @@ def _valves(name: str) -> Callable[[CycleLike], Any]:
     return lambda cycle: [getattr(valve, name) for valve in cycle.valves]
 
 
+def _reason(cycle: CycleLike) -> str:
+    return cycle.sent.reason
+
+
 def _of_touch(value: Callable[[Touch], Any]) -> Callable[[CycleLike], Any]:
     return lambda cycle: [value(touch) for touch in cycle.touch]
 
@@ -152,6 +156,7 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
     "command_opening": ("m", "as sent, after limits", lambda c: c.sent.opening),
     "command_force_limit": ("N", "the same", lambda c: c.sent.force_limit),
     "command_lift_height": ("m", "the same", lambda c: c.sent.lift_height),
+    "command_reason": ("", "what the controller said of it, where it gives up", _reason),
     "memory": ("", "the controller's own notebook", lambda c: dict(c.sent.memory)),
     "perception_ms": (
         "ms",

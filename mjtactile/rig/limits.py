@@ -32,4 +32,5 @@ class Limits:
             lift_height=limit(wanted.lift_height, last.lift_height, self.lift_speed, self.lift),
             phase=wanted.phase,
             memory=wanted.memory,
+            reason=wanted.reason,
         )

@@ -191,4 +191,5 @@ class ControlCycle:
         rig = self.rig
         allowed = self.supervisor.decide(self.now, wanted, self.last, self.touch, self.valves)
         sent = rig.gripper.command(rig.limits.apply(allowed, self.last, rig.period))
-        return replace(sent, phase=allowed.phase, memory=allowed.memory)
+        kept = {name: getattr(allowed, name) for name in ("phase", "memory", "reason")}
+        return replace(sent, **kept)

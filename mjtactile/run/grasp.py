@@ -81,6 +81,7 @@ class _Log(Observer):
         self.estimate = estimate
         self.forces: list[tuple[float, ...]] = []
         self.phases: list[str] = []
+        self.said = ""
         self.milliseconds: dict[str, list[float]] = {
             "camera": [],
             "perception": [],
@@ -97,6 +98,7 @@ class _Log(Observer):
     def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
         self.forces.append(tuple(touch.force_normal for touch in cycle.touch))
         self.phases.append(cycle.sent.phase)
+        self.said = cycle.sent.reason or self.said
         for part, values in self.milliseconds.items():
             values.append(getattr(cycle, f"{part}_ms"))
         if self.score is None:
@@ -112,13 +114,13 @@ class _Log(Observer):
         return float(np.nanmean(held)) if np.isfinite(held).any() else math.nan
 
     def gave_up(self, period: float) -> str:
-        """When and at what the controller gave up, "" if it did not."""
+        """When, at what and why the controller gave up, "" if it did not."""
         before = [phase for phase in self.phases if phase != "abort"]
         if len(before) in (0, len(self.phases)):
             return ""
         return (
             f"the controller gave up in phase {before[-1]!r}, {len(before) * period:.1f} s "
-            "after it began"
+            "after it began" + (f": {self.said}" if self.said else "")
         )
 
     def peak_force(self) -> float:

@@ -69,7 +69,12 @@ def test_an_object_that_is_not_gripped_is_dropped(mjtactile, tmp_path):
 @pytest.mark.slow
 def test_a_controller_that_gives_up_says_when(mjtactile, tmp_path):
     (tmp_path / "shy.py").write_text(
-        BLIND.replace("OPENING", "0.045").replace("FORCE", "4.0").replace('"lift"', '"abort"')
+        BLIND.replace("OPENING", "0.045")
+        .replace("FORCE", "4.0")
+        .replace(
+            'phase = "close" if t < 1.6 else "lift"', 'phase = "close" if t < 1.6 else "abort"'
+        )
+        .replace('memory={"t": t}', 'memory={"t": t}, reason="" if t < 1.6 else "shy"')
     )
     process = mjtactile(
         "grasp",
@@ -84,7 +89,9 @@ def test_a_controller_that_gives_up_says_when(mjtactile, tmp_path):
     )
     report = json.loads(process.stdout)
     assert (process.returncode, report["outcome"]) == (1, "dropped")
-    assert report["reason"] == "the controller gave up in phase 'close', 1.6 s after it began"
+    assert report["reason"] == "the controller gave up in phase 'close', 1.6 s after it began: shy"
+    log = load_recording(tmp_path / "result" / "recording")
+    assert log.columns["command_reason"][-1] == "shy"
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """The supervisor's state machine, and the control loop around it, on a rig of stubs."""
 
 import math
+import pickle
 import re
 import threading
 from dataclasses import replace
@@ -32,6 +33,12 @@ def supervisor():
     supervisor = Supervisor(PERIOD)
     supervisor.arm(0.0)
     return supervisor
+
+
+def test_the_reason_of_a_command_passes_limits_and_processes():
+    wanted = Command(0.04, 9.0, 0.03, "abort", {"t": 1.0}, reason="closed on nothing")
+    sent = pickle.loads(pickle.dumps(Limits(force=5.0).apply(wanted, LAST, PERIOD)))
+    assert (sent.reason, sent.force_limit, sent.memory["t"]) == ("closed on nothing", 5.0, 1.0)
 
 
 def test_known_forces_let_the_controller_through(supervisor):
