@@ -82,6 +82,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--merge", nargs="+", type=Path, metavar="DIR", help="join parts of one evaluation instead"
     )
     parser.add_argument(
+        "--partial",
+        action="store_true",
+        help="with --merge: join what is there, though episodes are missing; --resume in the new "
+        "folder runs them",
+    )
+    parser.add_argument(
         "--record",
         action="store_true",
         help="keep each episode's recording in "
@@ -152,6 +158,8 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile.evaluate.statistics import table
     from mjtactile.run.progress import Progress
 
+    if options.partial and not options.merge:
+        raise InputError("is for --merge", field="--partial")
     if options.out is None and options.resume:
         raise InputError("which folder?", field="--resume", choices=["--resume --out DIR"])
     if options.out is None:
@@ -179,7 +187,7 @@ def _evaluate(options: argparse.Namespace, out: Path) -> dict[str, Any]:
 
     with stdout_to_stderr():
         if options.merge:
-            return merge(options.merge, out)
+            return merge(options.merge, out, partial=options.partial)
         controllers = options.controller
         options.controller = None
         common = scenario.scenario_of(options, _DEFAULT)

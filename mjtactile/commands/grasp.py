@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 from mjtactile import InputError, Interrupted, MjtactileError, Recorder, Scenario, load_recording
 from mjtactile.commands import ranges, scenario, slow
-from mjtactile.commands.output import new_run_folder, output_folder, print_json, stdout_to_stderr
+from mjtactile.commands.output import (
+    new_run_folder,
+    output_folder,
+    print_json,
+    require_new,
+    stdout_to_stderr,
+)
 from mjtactile.core import signals
 from mjtactile.recording.files import write_json
 from mjtactile.recording.strip import Strip
@@ -175,6 +181,8 @@ def _check_video(path: Path | None, frames: int) -> None:
     """Before anything runs. Raises InputError for a film that could not be written."""
     from importlib.util import find_spec
 
+    from mjtactile.report import video
+
     if path is None:
         return
     if path.suffix not in (".mp4", ".gif", ".webp"):
@@ -186,6 +194,8 @@ def _check_video(path: Path | None, frames: int) -> None:
         )
     if not path.parent.is_dir():
         raise InputError("no such folder", source=path.parent, field="--video")
+    if not video.is_own(path):
+        require_new(path, "--video")
     if find_spec("av") is None:
         raise InputError("PyAV is not installed: pip install 'mjtactile[video]'", field="--video")
     if not frames:

@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 
 from mjtactile import InputError, load_recording
-from mjtactile.commands.output import print_json, stdout_to_stderr
+from mjtactile.commands.output import print_json, require_new, stdout_to_stderr
 from mjtactile.run.progress import Progress
 
 SIMULATES = False
@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="FILE",
         help=".mp4 (30 images a second), .gif or .webp (10 and 15, half the size) (default: "
-        "RUN/video.mp4)",
+        "RUN/video.mp4); nothing but an earlier film of its own is overwritten",
     )
     parser.add_argument(
         "--speed",
@@ -76,12 +76,14 @@ def _positive(text: str) -> float:
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.report.video import write_video
+    from mjtactile.report.video import is_own, write_video
 
     recording = load_recording(options.source)
     path = options.out or options.source / "video.mp4"
     if not path.parent.is_dir():
         raise InputError("no such folder", source=path.parent, field="--out")
+    if not is_own(path):
+        require_new(path)
     with stdout_to_stderr():
         result = write_video(
             path,

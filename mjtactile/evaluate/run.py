@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,8 @@ from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.scenario import scenario_from_table
 from mjtactile.rig.variation import load_variation
 from mjtactile.run.controller import load_controller
+
+_NAMED = 5  # missing episodes
 
 
 def evaluate(
@@ -128,9 +130,13 @@ def _episode(manifest: Mapping[str, Any], line: Mapping[str, Any], source: Path)
     return episodes[-1]
 
 
-def merge(folders: Sequence[Path], out: Path) -> dict[str, Any]:
-    """Join the shards of one evaluation in `folders` into `out`. Raises InputError where they are
-    not of the same one."""
+def merge(folders: Sequence[Path], out: Path, *, partial: bool = False) -> dict[str, Any]:
+    """Join the shards of one evaluation in `folders` into `out`.
+
+    Returns the summary; with `partial` its "missing" counts the episodes that are in none of them.
+    Raises InputError where the shards are not of the same evaluation, where two have an episode
+    that does not say the same, and where episodes are missing without `partial`.
+    """
     parts = [store.read_manifest(folder) for folder in folders]
     for folder, part in zip(folders[1:], parts[1:], strict=True):
         for name in ("versions", "files", "options"):
@@ -142,17 +148,51 @@ def merge(folders: Sequence[Path], out: Path) -> dict[str, Any]:
                 raise InputError(
                     f"its {name} are not those of {folders[0]}", source=folder, field="--merge"
                 )
-    lines = {
-        (line["episode"], line["controller"]): line
-        for folder in folders
-        for line in store.read_lines(folder)
-    }
+    lines = _joined(folders)
     options = parts[0]["options"] | {"shard": [1, 1]}
+    missing = _missing(options, lines)
+    if missing and not partial:
+        raise InputError(f"{missing_text(missing)}; --partial joins what is there", field="--merge")
     whole = parts[0] | {"options": options, "command": store.command(options)}
     joined = store.Store(out, whole, resume=False)
     joined.lines = [lines[key] for key in sorted(lines)]
     joined.finish()
-    return summarise(joined.lines)
+    return summarise(joined.lines) | ({"missing": missing} if missing else {})
+
+
+def _joined(folders: Sequence[Path]) -> dict[tuple[int, str], dict[str, Any]]:
+    """All lines, by episode and controller. Raises InputError where two folders differ in one."""
+    lines: dict[tuple[int, str], dict[str, Any]] = {}
+    homes: dict[tuple[int, str], Path] = {}
+    for folder in folders:
+        for line in store.read_lines(folder):
+            key = line["episode"], line["controller"]
+            if lines.setdefault(key, line) != line:
+                raise InputError(
+                    f"episode {key[0]} of {key[1]} is not the one in {homes[key]}",
+                    source=folder,
+                    field="--merge",
+                )
+            homes.setdefault(key, folder)
+    return lines
+
+
+def _missing(options: Mapping[str, Any], lines: Collection[tuple[int, str]]) -> list[str]:
+    """Names of the episodes that the evaluation has and the lines have not."""
+    controllers = [Path(name).stem for name in options["controllers"]]
+    return [
+        name_of(controller, index)
+        for index in range(options["count"])
+        for controller in controllers
+        if (index, controller) not in lines
+    ]
+
+
+def missing_text(missing: Sequence[str]) -> str:
+    """How many, and the first few by name."""
+    shown = ", ".join(missing[:_NAMED]) + (", …" if len(missing) > _NAMED else "")
+    are = "episode is" if len(missing) == 1 else "episodes are"
+    return f"{len(missing)} {are} missing: {shown}"
 
 
 def _files(scenario: Scenario, controllers: Sequence[str], objects: Sequence[str]) -> list[Path]:

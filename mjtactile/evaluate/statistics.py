@@ -118,6 +118,8 @@ def table(summary: Mapping[str, Any]) -> str:
             )
     for pair in summary["paired"]:
         lines += ["", pair_text(pair)]
+    if summary.get("missing"):
+        lines += ["", f"{len(summary['missing'])} episodes of this evaluation are missing."]
     if not summary.get("images", True):
         lines += ["", NO_IMAGES]
     return "\n".join(lines) + "\n"

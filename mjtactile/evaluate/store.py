@@ -21,6 +21,8 @@ from mjtactile.core.errors import DeviceError, InputError
 
 MANIFEST = "manifest.json"
 EPISODES = "episodes.jsonl"
+RESULTS = (EPISODES, "summary.json", "summary.md", "report.html", "recordings", "worst")
+"""What else an evaluation leaves in its folder."""
 _SCENARIO = ("sensor", "rig", "effects", "accuracy", "vary")
 _PACKAGES = ("mjtactile", "mujoco", "numpy", "scipy", "opencv-contrib-python-headless")
 
@@ -65,7 +67,8 @@ class Store:
     """The folder of one evaluation, opened to add to it. With `resume` it must hold the same
     evaluation, begun before.
 
-    Raises InputError where it holds another one, or one and `resume` is not asked for.
+    Raises InputError where it holds another one, or one and `resume` is not asked for, or results
+    and no manifest: nobody knows what these are of.
     """
 
     def __init__(self, folder: Path, what: Mapping[str, Any], *, resume: bool):
@@ -81,6 +84,8 @@ class Store:
         if known.exists():
             _same(known, what)
             self.lines = read_lines(folder)
+        else:
+            _refuse_what_is_not_known(folder)
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
             known.write_text(json.dumps(what, indent=1) + "\n", encoding="utf-8")
@@ -131,7 +136,28 @@ def read_lines(folder: Path) -> list[dict[str, Any]]:
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", source=folder / EPISODES) from error
     whole = text.splitlines() if text.endswith("\n") else text.splitlines()[:-1]
-    return [json.loads(line) for line in whole]
+    return [_line(line, folder / EPISODES, number) for number, line in enumerate(whole, 1)]
+
+
+def _line(text: str, source: Path, number: int) -> dict[str, Any]:
+    """One line. Raises InputError where it is none."""
+    try:
+        line = json.loads(text)
+        if {"episode", "controller"} <= line.keys():
+            return line
+    except (ValueError, AttributeError):
+        pass
+    raise InputError("is no episode", source=source, field=f"line {number}")
+
+
+def _refuse_what_is_not_known(folder: Path) -> None:
+    there = next((name for name in RESULTS if (folder / name).exists()), None)
+    if there is not None:
+        raise InputError(
+            f"holds {there} and no {MANIFEST}, which says what of: it is kept; name another folder",
+            source=folder,
+            field="--out",
+        )
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
@@ -143,7 +169,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 def _same(path: Path, what: Mapping[str, Any]) -> None:
-    before = json.loads(path.read_text(encoding="utf-8"))
+    before = read_manifest(path.parent)
     now = json.loads(json.dumps(what))
     for part in (name for name in now if name != "command"):  # the options say it, one by one
         if before.get(part) != now[part]:

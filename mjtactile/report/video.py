@@ -37,6 +37,7 @@ _MARGIN = 54  # px left of the curve, for its scale
 _INK = (40, 40, 40)
 _GRID = (225, 225, 225)
 _PAPER = (255, 255, 255)
+_NOTE = "written by mjtactile, whose next film of that name may replace it"
 
 
 def write_video(
@@ -94,6 +95,18 @@ def write_video(
         "height_px": size[1],
         "seconds": len(times) / rate,
     }
+
+
+def is_own(path: Path) -> bool:
+    """Whether an earlier run wrote the film, which may then be replaced; of .gif and .webp, which
+    carry no note, nobody knows."""
+    try:
+        import av
+
+        with av.open(str(path)) as file:
+            return file.metadata.get("comment") == _NOTE
+    except (ImportError, OSError, ValueError, EOFError):  # no film at all
+        return False
 
 
 class _Film:
@@ -290,6 +303,7 @@ class _Writer:
 
     def __enter__(self) -> Callable[[Pixels], None]:
         self._file = self._av.open(str(self._path), "w", format=self._CODECS[self._suffix][1])
+        self._file.metadata["comment"] = _NOTE
         return self._write
 
     def _write(self, bgr: Pixels) -> None:

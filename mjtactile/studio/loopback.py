@@ -1,11 +1,16 @@
-"""MuJoCo Studio in the browser, for this computer alone."""
+"""MuJoCo Studio in the browser, for this computer alone: MuJoCo's server, bound to loopback, that
+answers its own pages and nobody else.
+
+MuJoCo's binds every interface, lets any page of the web that the user has open read the model and
+talk to it, and has no option for either.
+"""
 
 from __future__ import annotations
 
-import functools
 import re
 from collections.abc import Sequence
 from typing import Any
+from urllib.parse import urlsplit
 
 from mujoco.studio import (
     endpoints,
@@ -16,13 +21,56 @@ from mujoco.studio import (
     web_viewer,
 )
 from mujoco.studio.web import web_server
+from websockets.asyncio.server import ServerConnection
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
 
 LOOPBACK = "127.0.0.1"
-# any port: a tunnel has its own
-_PAGES = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
-# MuJoCo's server lets any page of the web that the user has open talk to it, and has no option for
-# it either.
-web_server.serve = functools.partial(web_server.serve, origins=[None, _PAGES])
+# any port: a tunnel has its own; another name is somebody's who points it at this computer
+_HOST = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
+_OURS = ("same-origin", "none")
+"""What a browser says of a request (Sec-Fetch-Site) that a page of ours, or its user, asked for."""
+_serve_unguarded = web_server.serve
+
+
+def refusal(headers: Headers) -> str:
+    """Why a request with these headers is not answered, "" if it is: it must be for a name of this
+    computer (else a site could have its name point here), and from a page of the same origin."""
+    host = headers.get("Host", "")
+    if not _HOST.fullmatch(host.lower()):
+        return f"not for {host!r}: this is for the computer that it runs on"
+    origin = headers.get("Origin")
+    if origin is not None and urlsplit(origin).netloc.lower() != host.lower():
+        return f"not for pages of {origin!r}"
+    opens_page = headers.get("Sec-Fetch-Mode") == "navigate"
+    if not opens_page and headers.get("Sec-Fetch-Site", "none") not in _OURS:
+        return "not for other pages"
+    return ""
+
+
+def serve(*args: Any, process_request: Any, process_response: Any, **options: Any) -> Any:
+    """`websockets.asyncio.server.serve` with MuJoCo's handlers behind `refusal`; what they answer
+    is for the page alone."""
+
+    def ask(connection: ServerConnection, request: Request) -> Response | None:
+        why = refusal(request.headers)
+        if why:
+            return Response(403, "Forbidden", Headers(), f"{why}\n".encode())
+        return process_request(connection, request)
+
+    def answer(
+        connection: ServerConnection, request: Request, response: Response
+    ) -> Response | None:
+        process_response(connection, request, response)
+        del response.headers["Access-Control-Allow-Origin"]
+        del response.headers["Cross-Origin-Resource-Policy"]
+        response.headers["Cross-Origin-Resource-Policy"] = "same-origin"
+        return None
+
+    return _serve_unguarded(*args, process_request=ask, process_response=answer, **options)
+
+
+web_server.serve = serve
 
 
 class LoopbackViewer(web_viewer.WebViewer):
@@ -42,7 +90,7 @@ def launch(
     config = viewer_protocol.ViewerConfig(gfx="web") if config is None else config
     viewers, sims = plugin.split_plugins(plugins)
 
-    def serve(endpoint: endpoints.ViewerEndpoint) -> None:
+    def run(endpoint: endpoints.ViewerEndpoint) -> None:
         viewer_protocol.run_viewer_loop(LoopbackViewer(config, endpoint, plugins=viewers))
 
-    return launch_thread.launch_thread(serve, sim_plugins=sims)
+    return launch_thread.launch_thread(run, sim_plugins=sims)

@@ -240,8 +240,8 @@ def test_a_second_page_watches_and_strangers_change_nothing(studio):
     """Studio gives the windows to one page at a time and the scene to all; other web sites, and
     what speaks no HTTP, get none."""
     address = f"ws://localhost:{studio.port}"
-    # through a tunnel: another port
-    with connect(f"{address}/state?sid=second", origin=Origin("http://localhost:1")) as second:
+    own = Origin(f"http://localhost:{studio.port}")
+    with connect(f"{address}/state?sid=second", origin=own) as second:
         roster = next(
             text for text in second if isinstance(text, str) and text.startswith("viewers=")
         )

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from mjtactile.cli import main
 from mjtactile.core.errors import InputError
 from mjtactile.recording.reader import load_recording
 from mjtactile.report.video import write_video
@@ -71,6 +72,28 @@ def test_small_films(tmp_path, recording, suffix):
             result["height_px"],
             result["width_px"],
         )
+
+
+def test_nothing_but_its_own_film_is_overwritten(tmp_path, recording, capsys):
+    film = tmp_path / "film.mp4"
+    words = ["video", str(recording.folder), "--seconds", "0.1", "--out"]
+    assert main([*words, str(film)]) == 0
+    assert main([*words, str(film)]) == 0  # its own
+    with av.open(str(tmp_path / "theirs.mp4"), "w") as file:
+        stream = file.add_stream("libx264", rate=30)
+        stream.width = stream.height = 64
+        frame = av.VideoFrame.from_ndarray(np.zeros((64, 64, 3), np.uint8), format="rgb24")
+        file.mux([*stream.encode(frame), *stream.encode()])
+    (tmp_path / "notes.mp4").write_text("no film")
+    (tmp_path / "theirs.gif").write_text("no film")
+    for name in ("theirs.mp4", "notes.mp4", "theirs.gif"):
+        before = (tmp_path / name).read_bytes()
+        capsys.readouterr()
+        assert main([*words, str(tmp_path / name)]) == 2
+        assert f"{name}: --out: exists already" in capsys.readouterr().err
+        assert main(["grasp", "--video", str(tmp_path / name)]) == 2  # before anything runs
+        assert f"{name}: --video: exists already" in capsys.readouterr().err
+        assert (tmp_path / name).read_bytes() == before
 
 
 def test_bad_input_is_said(tmp_path, recording):

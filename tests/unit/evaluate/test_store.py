@@ -1,0 +1,97 @@
+"""What is in an evaluation's folder stays, and parts are joined as one evaluation or not at all."""
+
+import json
+
+import pytest
+
+from mjtactile.cli import main
+from mjtactile.core.errors import InputError
+from mjtactile.core.scenario import Scenario
+from mjtactile.evaluate import store
+from mjtactile.evaluate.run import merge
+
+OPTIONS = {
+    "count": 4,
+    "controllers": ["gentle", "my/own.py"],
+    "objects": ["egg"],
+    "scenario": Scenario().to_dict(),
+}
+
+
+def line(episode, controller, outcome="held"):
+    return {
+        "episode": episode,
+        "controller": controller,
+        "object": "egg",
+        "seed": episode,
+        "outcome": outcome,
+    }
+
+
+def write_part(folder, part, parts, **changed):
+    """The `part`-th of `parts` shards; `changed` are the outcomes of some of its episodes."""
+    what = {"options": OPTIONS | {"shard": [part, parts]}, "versions": {}, "files": {}}
+    kept = store.Store(folder, what, resume=False)
+    for episode in range(part - 1, 4, parts):
+        for controller in ("gentle", "own"):
+            name = f"{controller}{episode}"
+            kept.add(line(episode, controller, changed.get(name, "held")))
+    return folder
+
+
+@pytest.mark.parametrize("resume", [False, True])
+@pytest.mark.parametrize("name", ["episodes.jsonl", "summary.json", "report.html"])
+def test_results_of_nobody_knows_what_are_kept_and_named(tmp_path, resume, name):
+    text = json.dumps(line(0, "gentle")) + "\n"
+    (tmp_path / name).write_text(text * 6)
+    with pytest.raises(InputError, match=rf"--out: holds {name} and no manifest.json.* is kept"):
+        store.Store(tmp_path, {"options": {}}, resume=resume)
+    assert (tmp_path / name).read_text() == text * 6 and len(list(tmp_path.iterdir())) == 1
+
+
+def test_an_empty_folder_is_as_good_as_none(tmp_path):
+    store.Store(tmp_path, {"options": {}}, resume=True)
+    assert (tmp_path / "episodes.jsonl").read_text() == ""
+
+
+def test_a_line_that_is_none_is_named_and_nothing_is_lost(tmp_path):
+    write_part(tmp_path / "a", 1, 1)
+    path = tmp_path / "a" / "episodes.jsonl"
+    text = path.read_text().replace('{"episode": 1', "{episode: 1", 1)
+    path.write_text(text)
+    what = store.read_manifest(tmp_path / "a")
+    with pytest.raises(InputError, match=r"episodes.jsonl: line 3: is no episode"):
+        store.Store(tmp_path / "a", what, resume=True)
+    assert path.read_text() == text
+
+
+def test_shards_make_the_whole(tmp_path):
+    parts = [write_part(tmp_path / str(k), k, 3) for k in (3, 1, 2)]
+    summary = merge([*parts, parts[0]], tmp_path / "all")  # one twice: the same lines
+    assert summary["episodes"] == 8 and "missing" not in summary
+    order = [(one["episode"], one["controller"]) for one in store.read_lines(tmp_path / "all")]
+    assert order == [(k, name) for k in range(4) for name in ("gentle", "own")]
+
+
+def test_a_missing_shard_is_said_and_only_joined_when_asked(tmp_path, capsys):
+    parts = [str(write_part(tmp_path / str(k), k, 3)) for k in (1, 3)]
+    out = str(tmp_path / "all")
+    words = ["evaluate", "--worst", "0", "--out", out, "--merge", *parts]
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert "2 episodes are missing: gentle-000001, own-000001; --partial joins" in said
+    assert not (tmp_path / "all").exists()
+    assert main([*words, "--partial", "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["missing"] == ["gentle-000001", "own-000001"] and summary["episodes"] == 6
+    assert "2 episodes of this evaluation are missing" in (tmp_path / "all/summary.md").read_text()
+
+
+def test_two_that_differ_in_an_episode_are_both_named(tmp_path):
+    first = write_part(tmp_path / "first", 2, 2)
+    again = write_part(tmp_path / "again", 2, 2, own3="dropped")
+    other = write_part(tmp_path / "other", 1, 2)
+    with pytest.raises(
+        InputError, match=rf"{again}: --merge: episode 3 of own is not the one in {first}"
+    ):
+        merge([other, first, again], tmp_path / "all")

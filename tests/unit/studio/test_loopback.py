@@ -1,0 +1,84 @@
+"""Studio's server answers its own pages and no other site's, whatever way these ask."""
+
+import contextlib
+import http.client
+import socket
+
+import pytest
+from mujoco.studio.web import web_server
+
+from mjtactile.studio import loopback
+from tests.emulated import wait_for
+
+MODEL = b"a model that is nobody else's business"
+
+
+@pytest.fixture(scope="module")
+def port(tmp_path_factory):
+    """MuJoCo's server, as Studio starts it, without a viewer behind it."""
+    public = web_server.bind_public_socket(loopback.LOOPBACK, _free_port())
+    pages = tmp_path_factory.mktemp("pages")
+    (pages / "index.html").write_text("the page")
+    server = web_server.WebServer(
+        public, web_server.bind_loopback_socket(), str(pages), mjb_data=MODEL
+    )
+    server.start()
+    number = public.getsockname()[1]
+    assert wait_for(lambda: _listens(number))
+    yield number
+    server.stop()
+
+
+def _free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def _listens(port):
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+def get(port, path, **headers):
+    """(status, headers, body) of a GET; `{port}` in a header is the server's."""
+    said = {name.replace("_", "-"): text.format(port=port) for name, text in headers.items()}
+    with contextlib.closing(http.client.HTTPConnection("127.0.0.1", port, timeout=10)) as client:
+        client.request("GET", path, headers=said)
+        answer = client.getresponse()
+        return answer.status, dict(answer.getheaders()), answer.read()
+
+
+@pytest.mark.parametrize("path", ["/model", "/model?crc32=0", "/", "/ui", "/state"])
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Origin": "https://evil.example"},
+        {"Origin": "null"},  # a sandboxed frame, a file
+        {"Origin": "http://localhost:1"},  # another server of this computer
+        {"Host": "evil.example:{port}"},  # whose name points at this computer
+        {"Sec_Fetch_Site": "cross-site", "Sec_Fetch_Mode": "no-cors"},  # <script src=...>
+    ],
+    ids=["another site", "no origin", "another port", "another name", "a script"],
+)
+def test_strangers_get_nothing(port, path, headers):
+    status, said, body = get(port, path, **headers)
+    assert status == 403 and MODEL not in body and "Access-Control-Allow-Origin" not in said
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {},
+        {"Host": "localhost:{port}", "Origin": "http://localhost:{port}"},
+        {"Host": "localhost:9999", "Origin": "http://localhost:9999"},  # through a tunnel
+        {"Sec_Fetch_Site": "cross-site", "Sec_Fetch_Mode": "navigate"},  # somebody opens a link
+    ],
+    ids=["no browser", "the page", "a tunnel", "a link"],
+)
+def test_the_page_gets_its_model_and_no_other_page_may_read_it(port, headers):
+    status, said, body = get(port, "/model", **headers)
+    assert (status, body) == (200, MODEL)
+    assert "Access-Control-Allow-Origin" not in said
+    assert said["Cross-Origin-Resource-Policy"] == "same-origin"
+    assert said["Cross-Origin-Embedder-Policy"] == "require-corp"  # its threads need it
