@@ -33,6 +33,7 @@ from mjtactile.rig.variation import Drawn
 from mjtactile.sim import truth
 from mjtactile.sim.log import route_warnings
 from mjtactile.sim.picture.renderer import Effects, Renderer
+from mjtactile.sim.picture.troubles import TroubledPicture
 from mjtactile.sim.rig import build_sim_rig
 
 # s; a world that is further behind the clock lets time go rather than race after it
@@ -207,6 +208,10 @@ class Cameras:
             )
             for s, (design, own) in zip(seeds, fingers, strict=True)
         ]
+        self._suffered = {
+            own.finger: TroubledPicture(own.camera, int(s))
+            for s, (_, own) in zip(seeds, fingers, strict=True)
+        }
         self._period = 1 / options.rig_file.cameras[0].rate
         self._shared = shared
         self._rng = random.Random(options.seed)
@@ -253,7 +258,8 @@ class Cameras:
                 gain = _DARK
             elif shared["frames_saturated"]:
                 gain = _GLARE
-            self._last[name] = renderer.render(p_SM, n_S, effects=Effects(gain=gain)).pixels
+            image = renderer.render(p_SM, n_S, shared["time"], effects=Effects(gain=gain))
+            self._last[name] = self._suffered[name](image).pixels
         if shared["frames_late"]:
             self._stop.wait(shared["frames_late"] / len(self._renderers))
         self.streams.publish(name, self._last[name])

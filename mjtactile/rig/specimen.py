@@ -13,8 +13,19 @@ import numpy as np
 
 from mjtactile.core import geometry
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.fields import DEGREE, ML_S_KPA, MM, PERCENT, Numbers, entry, number, numbers
+from mjtactile.core.fields import (
+    DEGREE,
+    ML_S_KPA,
+    MM,
+    PERCENT,
+    Numbers,
+    entry,
+    number,
+    numbers,
+    part,
+)
 from mjtactile.core.types import Array
+from mjtactile.rig.troubles import UNTROUBLED, CameraTroubles
 
 
 @dataclass(frozen=True)
@@ -105,6 +116,9 @@ class SpecimenConfig:
     )
     valve_zero: float = number(
         "valve_zero_Pa", -1000, 1000, default=0.0, about="its pressure sensor shows so much more"
+    )
+    camera: CameraTroubles = part(
+        "camera", CameraTroubles, default=UNTROUBLED, about="what its pictures suffer"
     )
 
 

@@ -37,9 +37,11 @@ from mjtactile.core.fields import (
 from mjtactile.core.toml import Section, read_toml
 from mjtactile.rig.simulated import SimRigFile
 from mjtactile.rig.specimen import SpecimenConfig
+from mjtactile.rig.troubles import CameraTroubles
 
 MISSING = "missing_markers"
 NONE = "none"
+CAMERA = "camera"
 _CUT = 3.0
 """sd at which a normal distribution ends: what is drawn has bounds."""
 _MISSING_MOST = 40
@@ -125,9 +127,11 @@ SECTIONS: dict[str, tuple[Number, ...]] = {
     "object": tuple(entries(ObjectChange).values()),
     "sensor": _entries_of("sensor"),
     "gas": _entries_of("gas"),
+    CAMERA: tuple(entries(CameraTroubles).values()),
     "rig": tuple(entries(RigChange).values()),
 }
-"""What can vary; `sensor` and `gas` are drawn for each finger."""
+"""What can vary; `sensor`, `gas` and `camera` are drawn for each finger."""
+_OF_FINGERS = ("sensor", "gas", CAMERA)
 
 
 @dataclass(frozen=True)
@@ -166,15 +170,20 @@ class Variation:
         values: dict[str, Any] = {}
         for name, (entry, spread) in self.spreads.items():
             section, _, key = name.partition(".")
-            owners = fingers if section in ("sensor", "gas") else [section]
+            owners = fingers if section in _OF_FINGERS else [section]
+            # a section of the finger's own, as in a rig file
+            place = f"{CAMERA}.{key}" if section == CAMERA else key
             values |= {
-                f"{owner}.{key}": _draw(f"{owner}.{key}", entry, spread, seed, markers)
+                f"{owner}.{place}": _draw(f"{owner}.{place}", entry, spread, seed, markers)
                 for owner in owners
             }
         own: dict[str, dict[str, Any]] = {owner: {} for owner in ("object", "rig", *fingers)}
         for name, value in values.items():
-            owner, _, key = name.rpartition(".")
-            own[owner][key] = value
+            owner, *inner, key = name.split(".")
+            table = own[owner]
+            for section in inner:
+                table = table.setdefault(section, {})
+            table[key] = value
         return Drawn(
             from_table(ObjectChange, own["object"], self.name),
             from_table(RigChange, own["rig"], self.name),

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from mjtactile.core.errors import InputError
 from mjtactile.core.types import Image
 from mjtactile.rig.specimen import NOMINAL, SpecimenConfig, camera_pose, marker_radii
 from mjtactile.sim.picture.renderer import Renderer
 from mjtactile.sim.picture.sighting import Sighter
+from mjtactile.sim.picture.troubles import TroubledPicture
 from mjtactile.sim.sensor.runtime import TactileSensor
 from mjtactile.sim.sensor.switches import CAMERA, Effect, set_picture
 
@@ -28,8 +30,14 @@ class SimCamera:
     ):
         """`effects`: what is drawn (without IMAGES nothing: `read` gives a `Sighting`); LATENCY
         hands out the image before, MOTION_BLUR keeps the shutter open. `specimen` says where the
-        camera really is, and which markers it does not see."""
+        camera really is, which markers it does not see, and what its pictures suffer. Raises
+        InputError where that is something, and no pictures are drawn."""
         self._sensor = sensor
+        self._suffered = TroubledPicture(specimen.camera, seed)
+        if self._suffered.are_any and Effect.IMAGES not in effects:
+            raise InputError(
+                "camera troubles need images, and none are drawn", field="--effects -images"
+            )
         design = set_picture(sensor.design, effects)
         place = {"pose": camera_pose(design, specimen), "radius": marker_radii(design, specimen)}
         self._sighter = None if Effect.IMAGES in effects else Sighter(design, seed=seed, **place)
@@ -48,6 +56,7 @@ class SimCamera:
         again."""
         # one of them is there
         (self._sighter or self._renderer).reseed(seed)  # pyright: ignore[reportOptionalMemberAccess]
+        self._suffered = TroubledPicture(self._suffered.troubles, seed)
         self._drawn = None
 
     def draw(self) -> None:
@@ -60,7 +69,7 @@ class SimCamera:
         else:
             renderer = self._renderer
             assert renderer is not None
-            self._drawn = (
+            self._drawn = self._suffered(
                 self._blurred(renderer)
                 if self._moving
                 else renderer.render(*sensor.marker_poses(), sensor.time)

@@ -1,0 +1,58 @@
+"""Camera troubles: pure functions from picture to picture, one after the other.
+
+    shown = TroubledPicture(CameraTroubles(gamma=1.3, jpeg=80), seed=1)
+    image = shown(image)          # images of one camera, in their order
+
+What each is and its range stand on the fields of `mjtactile.rig.troubles.CameraTroubles`; what is
+random (where dust lies, which picture tears) follows from the seed and the picture's number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+
+from mjtactile.core.types import Image
+from mjtactile.rig.troubles import CameraTroubles
+from mjtactile.sim.picture.troubles import lens, processing, sensor
+from mjtactile.sim.picture.troubles.shot import Floats, Shot, Step
+
+STEPS: tuple[Step, ...] = (*lens.STEPS, *sensor.STEPS, *processing.STEPS)
+"""In the order of light, chip, processor and wire."""
+_DEFAULTS = {field.name: field.default for field in fields(CameraTroubles)}
+
+
+class TroubledPicture:
+    """The troubles of one camera, and what they keep from one picture to the next."""
+
+    def __init__(self, troubles: CameraTroubles, seed: int = 0):
+        self.troubles = troubles
+        self._seed = seed
+        self._steps = [step for step in STEPS if is_on(step, troubles)]
+        self._last: dict[str, tuple[float, Floats, Floats]] = {}
+        self._number = 0
+
+    @property
+    def are_any(self) -> bool:
+        """Whether it does anything to pictures."""
+        return bool(self._steps)
+
+    def __call__(self, image: Image) -> Image:
+        """The picture as it arrives; the same where nothing is on yet."""
+        if not self._steps or image.time < self.troubles.start:
+            return image
+        pixels = image.pixels.astype(np.float32)
+        for step in self._steps:
+            last = self._last.get(step.name)
+            shot = Shot(self._seed, self._number, image.time, step.name, last)
+            changed = step.apply(pixels, self.troubles, shot)
+            self._last[step.name] = image.time, pixels, changed
+            pixels = changed
+        self._number += 1
+        return Image(np.clip(np.rint(pixels), 0, 255).astype(np.uint8), image.time)
+
+
+def is_on(step: Step, troubles: CameraTroubles) -> bool:
+    """Whether any of the step's switches is not at its default."""
+    return any(getattr(troubles, name) != _DEFAULTS[name] for name in step.switches)

@@ -1,0 +1,134 @@
+"""Before the chip: the camera's place, its lens, what lies on the pane, the light."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from scipy.special import ndtr
+
+from mjtactile.rig.troubles import CameraTroubles
+from mjtactile.sim.picture.troubles.shot import Floats, Shot, Step
+
+_FOG_DN = 160.0
+_SPECK_EDGE = 1.5  # px, sd: the pane is out of focus
+_SCRATCH_TAKES = 0.35  # of the light
+# a fingertip's print, px: its size (sd), its ridges' period, what grease blurs by
+_PRINT = 45.0
+_RIDGE = 9.0
+_GREASE_BLUR = 4.0
+_RIDGE_TAKES = 0.25  # of the light
+_BANDS = 2.0  # of mains light from the first row to the last, whatever the rate
+
+
+def placed(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+    """Zoom, shift and turn about the picture's middle."""
+    height, width = pixels.shape
+    middle = ((width - 1) / 2, (height - 1) / 2)
+    change = cv2.getRotationMatrix2D(middle, math.degrees(t.turn), 1 + t.zoom)
+    change[:, 2] += t.knock
+    return _floats(
+        cv2.warpAffine(
+            pixels, change, (width, height), flags=cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REFLECT
+        )
+    )
+
+
+def defocused(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+    """A Gaussian of that sd."""
+    return _floats(cv2.GaussianBlur(pixels, (0, 0), t.defocus))
+
+
+def fogged(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+    """Part of the light comes from everywhere."""
+    return (1 - t.fog) * pixels + t.fog * _FOG_DN
+
+
+def dusty(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+    """Discs that take light, anywhere but at the very border."""
+    key = (round(t.dust), t.dust_radius, int(shot.fixed.integers(2**31)))
+    return _floats(pixels * (1 - t.dust_darkness * _specks(pixels.shape, *key)))
+
+
+def scratched(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+    """Straight fine lines, most of the picture long."""
+    lines = _lines(pixels.shape, round(t.scratches), int(shot.fixed.integers(2**31)))
+    return _floats(pixels * (1 - _SCRATCH_TAKES * lines))
+
+
+def fingerprinted(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+    """Within a fingertip grease blurs, and its ridges take light."""
+    tip, ridges = _fingertip(pixels.shape, int(shot.fixed.integers(2**31)))
+    greasy = cv2.GaussianBlur(pixels, (0, 0), _GREASE_BLUR)
+    share = t.fingerprint * tip
+    return (pixels + share * (0.5 * (greasy - pixels))) * (1 - _RIDGE_TAKES * share * ridges)
+
+
+def lit_aside(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+    """So much more light at the right border than at the left one."""
+    return pixels * np.linspace(1 - t.gradient / 2, 1 + t.gradient / 2, pixels.shape[1]).astype(
+        np.float32
+    )
+
+
+def flickering(pixels: Floats, t: CameraTroubles, shot: Shot) -> Floats:
+    """Light that swings while the rows are read."""
+    height = pixels.shape[0]
+    phase = t.flicker_rate * shot.time + _BANDS * np.arange(height) / height
+    swing = 1 + t.flicker * np.sin(2 * np.pi * phase)
+    return _floats(pixels * swing[:, None])
+
+
+STEPS = (
+    Step("placed", ("zoom", "knock", "turn"), placed),
+    Step("defocused", ("defocus",), defocused),
+    Step("fogged", ("fog",), fogged),
+    Step("dusty", ("dust",), dusty),
+    Step("scratched", ("scratches",), scratched),
+    Step("fingerprinted", ("fingerprint",), fingerprinted),
+    Step("lit aside", ("gradient",), lit_aside),
+    Step("flickering", ("flicker",), flickering),
+)
+
+
+@lru_cache(maxsize=8)
+def _specks(shape: tuple[int, int], count: int, radius: float, seed: int) -> Floats:
+    """How much (H, W), 0 to 1, specks cover."""
+    rng = np.random.default_rng(seed)
+    v, u = np.mgrid[: shape[0], : shape[1]]
+    cover = np.zeros(shape)
+    for _ in range(count):
+        at = rng.uniform(0.12, 0.88, 2) * shape
+        distance = np.hypot(v - at[0], u - at[1])
+        cover = np.maximum(cover, ndtr((radius - distance) / _SPECK_EDGE))
+    return _floats(cover)
+
+
+@lru_cache(maxsize=8)
+def _lines(shape: tuple[int, int], count: int, seed: int) -> Floats:
+    """How much (H, W), 0 to 1, scratches cover."""
+    rng = np.random.default_rng(seed)
+    cover = np.zeros(shape, np.float32)
+    for _ in range(count):
+        ends = rng.uniform(0.05, 0.95, (2, 2)) * shape[::-1]
+        cv2.line(cover, *(tuple(int(x) for x in end) for end in ends), 1.0, 1, cv2.LINE_AA)
+    return _floats(cv2.GaussianBlur(cover, (0, 0), 0.7))
+
+
+@lru_cache(maxsize=8)
+def _fingertip(shape: tuple[int, int], seed: int) -> tuple[Floats, Floats]:
+    """Where (H, W) a fingertip was, 0 to 1, and its ridges, 0 to 1."""
+    rng = np.random.default_rng(seed)
+    v, u = np.mgrid[: shape[0], : shape[1]]
+    at = rng.uniform(0.3, 0.7, 2) * shape
+    dv = v - at[0]
+    du = u - at[1]
+    tip = np.exp(-0.5 * (dv**2 / (1.3 * _PRINT) ** 2 + du**2 / _PRINT**2))
+    whorl = np.hypot(dv + 0.6 * _PRINT, 1.2 * du)
+    return _floats(tip), _floats(0.5 + 0.5 * np.cos(2 * np.pi * whorl / _RIDGE))
+
+
+def _floats(values: np.ndarray) -> Floats:
+    return np.asarray(values, np.float32)

@@ -1,0 +1,47 @@
+"""What a step of a troubled picture is given."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.rig.troubles import CameraTroubles
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One picture at one step: the camera's `seed`, the picture's `number` and `time` s, the step's
+    `name`, and of the picture before time, and levels before and after this step (None: there was
+    none)."""
+
+    seed: int
+    number: int
+    time: float
+    name: str
+    last: tuple[float, Floats, Floats] | None
+
+    @property
+    def fixed(self) -> np.random.Generator:
+        """For what is the same in all pictures of this camera."""
+        return np.random.default_rng([self.seed, zlib.crc32(self.name.encode())])
+
+    @property
+    def own(self) -> np.random.Generator:
+        """For what is another in each picture."""
+        return np.random.default_rng([self.seed, zlib.crc32(self.name.encode()), self.number + 1])
+
+
+@dataclass(frozen=True)
+class Step:
+    """One trouble: its `name`, the fields of `CameraTroubles` that switch it on, and the function
+    of levels (H, W) that does it."""
+
+    name: str
+    switches: tuple[str, ...]
+    apply: Callable[[Floats, CameraTroubles, Shot], Floats]

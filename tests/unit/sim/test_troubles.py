@@ -1,0 +1,192 @@
+"""Camera troubles: each changes a picture as its name says, and none does anything unasked."""
+
+import re
+import tomllib
+from dataclasses import fields, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from mjtactile.core import resources
+from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import InputError
+from mjtactile.core.fields import default_of, entries, from_table
+from mjtactile.core.types import Image
+from mjtactile.rig.file import load_rig_file, rig_from_table
+from mjtactile.rig.specimen import SpecimenConfig
+from mjtactile.rig.troubles import UNTROUBLED, CameraTroubles
+from mjtactile.rig.variation import CAMERA, load_variation
+from mjtactile.sensing.image.markers import detect
+from mjtactile.sim.camera import SimCamera
+from mjtactile.sim.picture.renderer import Renderer
+from mjtactile.sim.picture.troubles import STEPS, TroubledPicture
+from mjtactile.sim.sensor.switches import CAMERA as DRAWN
+from mjtactile.sim.sensor.switches import Effect
+
+DESIGN = load_sensor("dense")
+UP = np.tile([0.0, 0.0, 1.0], (DESIGN.markers.count, 1))
+PAGE = Path(__file__).resolve().parents[3] / "docs/camera.md"
+FIELDS = entries(CameraTroubles)
+PARAMETERS = {"start", "dust_radius", "dust_darkness", "flicker_rate"}
+"""Fields that say how, and switch nothing on."""
+STRONG = {
+    "zoom_percent": 1,
+    "knock_px": [3, 2],
+    "turn_deg": 1,
+    "defocus_px": 1.5,
+    "fog_percent": 50,
+    "dust_count": 8,
+    "scratch_count": 5,
+    "fingerprint_percent": 100,
+    "gradient_percent": 50,
+    "flicker_percent": 20,
+    "exposure_percent": 60,
+    "auto_exposure_DN": 100,
+    "rolling_shutter_ms": 20,
+    "smear_DN": 80,
+    "hot_pixel_count": 100,
+    "dead_row_count": 5,
+    "bayer_percent": 40,
+    "noise_reduction_percent": 50,
+    "sharpening_percent": 100,
+    "gamma": 1.5,
+    "black_DN": 60,
+    "white_DN": 150,
+    "bits": 4,
+    "yuyv": 1,
+    "jpeg_quality": 50,
+    "damaged_percent": 100,
+    "torn_percent": 100,
+    "lost_lines_percent": 100,
+}
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    """The flat sheet, and one period later the sheet 2 mm higher."""
+    renderer = Renderer(DESIGN, seed=1)
+    low = DESIGN.markers.p_SM
+    return [renderer.render(low, UP, 0.0), renderer.render(low + [0, 0, 2e-3], UP, 1 / 30)]
+
+
+def troubles(**table):
+    return from_table(CameraTroubles, table, "my.toml")
+
+
+def shown(pictures, seed=0, **table):
+    """The second of the pictures as it arrives after the first."""
+    camera = TroubledPicture(troubles(**table), seed)
+    return [camera(picture) for picture in pictures][-1].pixels.astype(float)
+
+
+def test_every_field_belongs_to_a_step_and_all_are_off_unless_asked(pictures):
+    switches = [name for step in STEPS for name in step.switches]
+    assert sorted([*switches, *PARAMETERS]) == sorted(
+        field.name for field in fields(CameraTroubles)
+    )
+    assert {FIELDS[name].key for name in switches} == set(STRONG)
+    assert TroubledPicture(UNTROUBLED)(pictures[0]) is pictures[0]
+    assert not TroubledPicture(troubles(dust_px=9, flicker_Hz=50)).are_any
+
+
+@pytest.mark.parametrize("key", STRONG)
+def test_each_changes_the_picture_and_is_the_same_again(pictures, key):
+    before = pictures[1].pixels
+    one = shown(pictures, **{key: STRONG[key]})
+    assert one.shape == before.shape and not np.array_equal(one, before)
+    assert np.array_equal(one, shown(pictures, **{key: STRONG[key]}))
+
+
+def test_nothing_happens_before_its_time(pictures):
+    camera = TroubledPicture(troubles(gamma=2, from_s=0.02))
+    first, second = [camera(picture) for picture in pictures]
+    assert first is pictures[0] and not np.array_equal(second.pixels, pictures[1].pixels)
+
+
+def test_a_zoom_and_a_knock_move_the_circles_as_they_say(pictures):
+    """About the picture's middle; circles are found to 0.02 px, the resampling adds as much."""
+    middle = np.array([319.5, 239.5])
+    before = detect(pictures[1]).center_px
+    camera = TroubledPicture(troubles(zoom_percent=1, knock_px=[3, 2]))
+    after = detect(camera(pictures[1])).center_px
+    wanted = middle + 1.01 * (before - middle) + [3, 2]
+    nearest = np.linalg.norm(after[:, None] - wanted, axis=2).min(axis=0)
+    assert len(after) == len(before) and nearest.max() < 0.1
+
+
+def test_levels_follow_their_curves():
+    """A wedge of all 256 levels, by the curves' own formulas."""
+    level = np.tile(np.arange(256.0), (4, 1))
+    wedge = Image(level.astype(np.uint8), 0.0)
+
+    def curve(**table):
+        return TroubledPicture(troubles(**table))(wedge).pixels
+
+    assert np.array_equal(curve(gamma=1.3), np.rint(255 * (level / 255) ** (1 / 1.3)))
+    assert np.array_equal(curve(black_DN=50, white_DN=200), np.clip(level, 50, 200))
+    assert np.array_equal(curve(exposure_percent=60), np.rint(np.minimum(1.6 * level, 255)))
+    assert len(np.unique(curve(bits=4))) == 16
+    assert len(np.unique(curve(yuyv=1))) == 220
+
+
+def test_noise_reduction_and_rolling_shutter_mix_the_last_two_pictures(pictures):
+    first, second = [picture.pixels.astype(float) for picture in pictures]
+    half = shown(pictures, noise_reduction_percent=50)
+    assert np.abs(half - (first + second) / 2).max() <= 0.5
+    rolled = shown(pictures, rolling_shutter_ms=1e3 / 30)  # the first row is a picture old
+    assert np.abs(rolled[0] - first[0]).max() <= 0.5
+    middle = len(rolled) // 2
+    assert np.abs(rolled[middle] - (first + second)[middle] / 2).max() <= 0.5
+    ends = shown(pictures, torn_percent=100)
+    assert np.array_equal(ends[0], second[0]) and np.array_equal(ends[-1], first[-1])
+
+
+def test_jpeg_is_that_of_the_codec(pictures):
+    data = cv2.imencode(".jpg", pictures[1].pixels, [cv2.IMWRITE_JPEG_QUALITY, 80])[1]
+    want = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
+    assert np.array_equal(shown(pictures, jpeg_quality=80), want)
+
+
+def test_a_rig_file_and_a_variation_name_them():
+    table = {
+        **_table("emulated"),
+        "emulator": {"specimen": {"left": {"camera": {"gamma": 1.3, "zoom_percent": 0.3}}}},
+    }
+    emulator = rig_from_table(table, Path("my.toml")).emulator
+    assert emulator.specimen("left").camera == CameraTroubles(gamma=1.3, zoom=0.003)
+    assert emulator.specimen("right").camera == UNTROUBLED
+    assert load_rig_file("emulated_specimen").emulator.specimen("left").camera == UNTROUBLED
+    table["emulator"]["specimen"]["left"]["camera"] = {"gama": 1.3}
+    with pytest.raises(InputError, match=r"camera.gama: unknown field, did you mean 'gamma'"):
+        rig_from_table(table, Path("my.toml"))
+
+
+def test_a_seed_draws_them_for_each_finger():
+    variation = load_variation("camera")
+    assert set(variation.spreads) == {f"{CAMERA}.{entry.key}" for entry in FIELDS.values()}
+    drawn = variation.draw(3, fingers=("left", "right"), markers=81)
+    left, right = (drawn.specimen(finger).camera for finger in ("left", "right"))
+    assert left != right and left.gamma == drawn.values["left.camera.gamma"]
+    assert replace(drawn.specimen("left"), camera=UNTROUBLED) == SpecimenConfig("left")
+
+
+def test_troubles_without_pictures_are_refused():
+    own = SpecimenConfig("left", camera=CameraTroubles(gamma=1.3))
+    with pytest.raises(InputError, match="need images"):
+        SimCamera(None, 0, DRAWN - {Effect.IMAGES}, own)  # it is refused before it looks
+
+
+def test_the_page_has_every_field_with_its_range():
+    rows = re.findall(r"^\| `(\w+)` \| (.*?) \| (.*?) \| (.*?) \|$", PAGE.read_text(), re.MULTILINE)
+    assert [row[0] for row in rows] == [entry.key for entry in FIELDS.values()]
+    for (_, allowed, off, about), (name, entry) in zip(rows, FIELDS.items(), strict=True):
+        assert allowed == f"{entry.low:g} to {entry.high:g}", name
+        default = default_of(CameraTroubles, name)
+        plain = default[0] if isinstance(default, tuple) else default
+        assert off == f"{plain / entry.unit:g}" and about == entry.about, name
+
+
+def _table(name):
+    return tomllib.loads(resources.find(name, "models/rigs", ".toml").read_text())
