@@ -43,13 +43,15 @@ examples:
       scene, cameras and forces, in step with the simulated time
   mjtactile grasp --workers 0              all in one process: the same numbers
 
-The result (--json, summary.json) says: outcome ("held", "dropped", "crushed", "fault"),
+The result (--json, summary.json) says: outcome ("held", "dropped", "crushed", "fault"; on
+a rig without truth "not set down": ended with the hand up and something in it),
 peak_force_N and hold_force_N as felt, peak_force_true_N, hold_force_true_N and slip_mm_true
 as they were (simulation only), real_time_factor, frames, perception_ms_median, object,
 sensor, controller, seed, the whole "scenario"; a "reason" where it is known. exit codes:
-0 held, 1 dropped or crushed, 2 bad input, 3 a device or the simulation failed, or Ctrl-C.
+0 held, 1 dropped, crushed or not set down, 2 bad input, 3 a device or the simulation failed,
+or Ctrl-C.
 """
-EXIT_CODES = {"held": 0, "dropped": 1, "crushed": 1, "fault": 3}
+EXIT_CODES = {"held": 0, "dropped": 1, "crushed": 1, "not set down": 1, "fault": 3}
 _RESULTS = ("summary.json", "summary.png", "summary.html")
 _MEASURED = (
     "peak_force_N",

@@ -18,12 +18,22 @@ from types import FrameType
 
 from mjtactile.core.errors import Interrupted
 
-# what there is of them: Windows, which is refused a little later, lacks two
-ENDING = tuple(
-    getattr(signal, name)
-    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
-    if hasattr(signal, name)
+
+def _found(*names: str) -> tuple[signal.Signals, ...]:
+    """What there is of them: no system has all."""
+    return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
+
+
+URGENT = _found("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+"""Sent by somebody who may send it again to say that he does not want to wait."""
+OTHERS = (
+    *_found("SIGABRT", "SIGALRM", "SIGVTALRM", "SIGPROF", "SIGUSR1", "SIGUSR2"),
+    *_found("SIGXCPU", "SIGPOLL", "SIGPWR", "SIGSTKFLT"),
+    *range(getattr(signal, "SIGRTMIN", 0), getattr(signal, "SIGRTMAX", -1) + 1),
 )
+"""End a process that does not handle them, too: a batch queue's warning, a timer, processor time
+that is used up (which repeats every second)."""
+ENDING = URGENT + OTHERS
 # s; what comes sooner after the first signal means the same: a finger that bounces, a shell that
 # repeats it
 SECOND_TIME = 1.0
@@ -37,7 +47,7 @@ class Stop:
 
     def __init__(self, *, ends_process: bool = False):
         self.asked = self.at_once = False
-        self._first = 0.0
+        self._urgent_since: float | None = None
         self._deferrals = 0
         self._ends_process = ends_process
 
@@ -50,13 +60,14 @@ class Stop:
         """The signal handler: note it, and raise KeyboardInterrupt only while nothing is
         connected."""
         now = time.monotonic()
-        if self.asked and now - self._first < SECOND_TIME:
-            return
-        self.at_once = self.asked
-        if not self.asked:
-            self.asked = True
-            self._first = now
-        if not self._deferrals:
+        is_first = not self.asked
+        self.asked = True
+        if number in URGENT:
+            if self._urgent_since is None:
+                self._urgent_since = now
+            elif now - self._urgent_since >= SECOND_TIME:
+                self.at_once = True
+        if not self._deferrals and (is_first or self.at_once):
             raise KeyboardInterrupt
 
     @contextlib.contextmanager
@@ -79,7 +90,8 @@ _heard: Stop | None = None  # signals belong to the process, and so does this
 
 @contextlib.contextmanager
 def listening(*, ends_process: bool = False) -> Iterator[Stop]:
-    """Hear the signals in `ENDING`; one that the process was told to ignore (nohup) stays ignored.
+    """Hear the signals in `ENDING`; one that the process was told to ignore (nohup) stays ignored,
+    and of `OTHERS` one that it handles itself.
 
     Inside another such block, that one's `Stop` is given. Outside of the main thread, where Python
     installs no handlers, nothing is heard. `ends_process`: the process ends with this block:
@@ -91,11 +103,16 @@ def listening(*, ends_process: bool = False) -> Iterator[Stop]:
         yield _heard or Stop()
         return
     _heard = stop = Stop(ends_process=ends_process)
-    before = {number: signal.getsignal(number) for number in ENDING}
+    handlers = {number: signal.getsignal(number) for number in ENDING}
+    before = {
+        number: handler
+        for number, handler in handlers.items()
+        if handler is signal.SIG_DFL
+        or (number in URGENT and handler not in (signal.SIG_IGN, None))  # None: it is not Python's
+    }
     try:
-        for number, handler in before.items():
-            if handler is not signal.SIG_IGN:
-                signal.signal(number, stop.hear)
+        for number in before:
+            signal.signal(number, stop.hear)
         yield stop
     finally:
         for number, handler in before.items():

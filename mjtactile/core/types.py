@@ -10,6 +10,7 @@ This is the only module of the project that a controller may import.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -420,6 +421,14 @@ Phase = Literal[
 PHASES: tuple[str, ...] = get_args(Phase)
 
 
+def _finite(value: Any, field: str) -> float:
+    """A number of a Command. Raises InputError."""
+    with contextlib.suppress(ArithmeticError, TypeError, ValueError):
+        if isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value):
+            return float(value)
+    raise InputError(f"{value!r} is not a finite number", source="Command", field=field)
+
+
 @dataclass(frozen=True)
 class Command:
     """What a controller asks for. The rig limits it and returns what was really sent.
@@ -443,16 +452,25 @@ class Command:
 
     def __post_init__(self) -> None:
         for name in ("opening", "force_limit", "lift_height"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
-                raise InputError(f"{value!r} is not a finite number", source="Command", field=name)
-        if self.phase not in PHASES:
+            object.__setattr__(self, name, _finite(getattr(self, name), name))
+        if not isinstance(self.phase, str) or self.phase not in PHASES:
             raise InputError(
                 f"{self.phase!r} is not a phase", source="Command", field="phase", choices=PHASES
             )
         if not isinstance(self.reason, str):
             raise InputError(f"{self.reason!r} is no text", source="Command", field="reason")
         object.__setattr__(self, "memory", MappingProxyType(dict(self.memory)))
+
+    def checked(self) -> Command:
+        """Check every value again, also of a subclass, or what was changed past the checks.
+
+        Returns:
+            A plain Command of the same values.
+
+        Raises:
+            InputError: A value is not what it must be.
+        """
+        return Command(**{one.name: getattr(self, one.name) for one in fields(Command)})
 
     def __reduce__(self):  # a mappingproxy does not pickle
         values = {one.name: getattr(self, one.name) for one in fields(self)}

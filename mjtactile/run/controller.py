@@ -9,6 +9,7 @@ import queue
 import sys
 import threading
 import traceback
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,8 +90,8 @@ class ControllerThread:
         self._questions.put(None)
 
     def step(self, observation: Observation) -> Command:
-        """The controller's answer. Raises what it raised, and ControllerError when it did not
-        answer in time: such a controller must not be asked again."""
+        """The controller's answer, its values checked. Raises what it raised, and ControllerError
+        when it did not answer in time: such a controller must not be asked again."""
         self._questions.put(observation)
         try:
             answer = self._answers.get(timeout=pace.wall(self._patience))
@@ -104,14 +105,15 @@ class ControllerThread:
     def _work(self) -> None:
         while (observation := self._questions.get()) is not None:
             try:
-                self._answers.put(self._controller.step(observation))
+                self._answers.put(self._controller.step(observation).checked())
             except ControllerError as error:
                 self._answers.put(error)
-            except BaseException as error:  # noqa: BLE001  # of a controller that is no file
+            except BaseException as error:  # noqa: BLE001  # a bad Command, or no controller file
                 self._answers.put(
                     ControllerError(
                         f"step() raised {type(error).__name__}: {error}",
                         source=self._controller.path,
+                        field="step",
                     )
                 )
 
@@ -156,13 +158,18 @@ def load_controller(name_or_path: str | Path) -> Controller:
         ControllerError: It does not import, or has no `step`.
     """
     path = resources.find(name_or_path, "controllers", ".py")
-    spec = importlib.util.spec_from_file_location(f"mjtactile_controller_{path.stem}", path)
+    place = zlib.crc32(str(path.absolute()).encode())  # others of the same name have theirs
+    name = f"mjtactile_controller_{path.stem}_{place:08x}"
+    spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise InputError("not a Python file", source=path, field="controller")
     module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # where dataclasses look up the types of their fields
     try:
         spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:
+    except KeyboardInterrupt:
+        raise  # Ctrl-C
+    except BaseException as error:
         line = getattr(error, "lineno", None)
         where = f"line {line}" if line else None
         raise ControllerError(

@@ -29,7 +29,7 @@ _UNKNOWN_GRIPPER = GripperState(math.nan, math.nan, math.nan, math.nan)
 
 @dataclass(frozen=True, eq=False)
 class Cycle:
-    """One turn of the loop, as it is recorded."""
+    """One turn of the loop, as it is recorded: of memories, only what can be written."""
 
     time: float
     images: tuple[Image, ...]
@@ -66,6 +66,7 @@ class ControlCycle:
         now: s on the rig's clock, when the images were taken.
         failure: What made the supervisor retreat, to be raised when that is done; None: nothing,
             or a fault of a device.
+        left_out: Entries of `Command.memory` that cannot be written, as was said once.
     """
 
     rig: Rig
@@ -81,6 +82,7 @@ class ControlCycle:
     failure: Exception | None = None
     camera_ms: float = 0.0
     perception_ms: float = 0.0
+    left_out: tuple[str, ...] = ()
     _blind: str = field(default="", init=False)
     _seen: float = field(default=0.0, init=False)
 
@@ -128,11 +130,19 @@ class ControlCycle:
 
         Returns:
             What was sent: the command before, if nothing obeys any more, and then the devices' own
-            watchdogs act.
+            watchdogs act. A command that cannot be obeyed leads to the retreat.
         """
         try:
             self.last = self._send(wanted)
+        except SimulationError:  # there is no world any more to set it down in
+            raise
         except DeviceError as error:
+            self.supervisor.latch(str(error), self.now)
+        except Exception as error:  # noqa: BLE001  # values that a controller made past their checks
+            retreats = self.supervisor.state in ("safe", "latched")
+            self.give_up(error)
+            if not retreats:
+                return self.send(self.last)
             self.supervisor.latch(str(error), self.now)
         return self.last
 
@@ -189,6 +199,7 @@ class ControlCycle:
 
     def _send(self, wanted: Command) -> Command:
         rig = self.rig
+        wanted = wanted.checked()
         allowed = self.supervisor.decide(self.now, wanted, self.last, self.touch, self.valves)
         sent = rig.gripper.command(rig.limits.apply(allowed, self.last, rig.period))
         kept = {name: getattr(allowed, name) for name in ("phase", "memory", "reason")}

@@ -18,6 +18,7 @@ from mjtactile.rig.finger import Rig
 from mjtactile.run.controller import Stepper, load_controller
 from mjtactile.run.cycle import Cycle
 from mjtactile.run.session import open_session
+from mjtactile.run.supervisor import HEIGHT_TOLERANCE
 
 
 @dataclass(frozen=True)
@@ -82,11 +83,18 @@ class _Log(Observer):
         self.forces: list[tuple[float, ...]] = []
         self.phases: list[str] = []
         self.said = ""
+        self.left = ""
         self.milliseconds: dict[str, list[float]] = {
             "camera": [],
             "perception": [],
             "controller": [],
         }
+
+    def message(self, text: str) -> None:
+        self._watching.message(text)
+
+    def note(self, **facts: Any) -> None:
+        self._watching.note(**facts)
 
     def on_images(self) -> None:
         if self.score is not None:
@@ -96,6 +104,8 @@ class _Log(Observer):
         self._watching.on_images()
 
     def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
+        if cycle.sent.phase == "done" and self.phases[-1:] != ["done"]:
+            self.left = _left(cycle)
         self.forces.append(tuple(touch.force_normal for touch in cycle.touch))
         self.phases.append(cycle.sent.phase)
         self.said = cycle.sent.reason or self.said
@@ -122,6 +132,10 @@ class _Log(Observer):
             f"the controller gave up in phase {before[-1]!r}, {len(before) * period:.1f} s "
             "after it began" + (f": {self.said}" if self.said else "")
         )
+
+    def ended(self) -> str:
+        """Why a controller that has not given up set nothing down, "" if it did."""
+        return "the controller ended (done) with the hand in the air" if self.left else ""
 
     def peak_force(self) -> float:
         return float(np.nanmax(self.forces)) if np.isfinite(self.forces).any() else math.nan
@@ -203,16 +217,25 @@ def _score(rig: Rig, observer: Observer) -> Any:
     return score
 
 
+def _left(cycle: Cycle) -> str:
+    """The outcome where a controller ended with the hand in the air: "" with the hand down."""
+    if cycle.sent.lift_height < HEIGHT_TOLERANCE:
+        return ""
+    may_hold = any(t.touching or not math.isfinite(t.force_normal) for t in cycle.touch)
+    return "not set down" if may_hold else "dropped"
+
+
 def _result(
     scenario: Scenario, log: _Log, factor: float, *, completed: bool, period: float
 ) -> GraspResult:
     """Put the loop's log and the score together. Without a truth, "held" is what the controller
-    believes."""
+    believes that has set down what it held."""
     score = log.score
     parts = {part: float(np.mean(ms)) for part, ms in log.milliseconds.items()}
     parts["rest"] = 1e3 * period / factor - sum(parts.values())
     parts["perception_median"] = float(np.median(log.milliseconds["perception"]))
-    outcome = score.outcome() if score is not None else "held" if completed else "dropped"
+    believed = (log.left or "held") if completed else "dropped"
+    outcome = believed if score is None else score.outcome()
     return GraspResult(
         scenario,
         outcome,
@@ -224,7 +247,7 @@ def _result(
         factor,
         len(log.phases),
         parts,
-        reason=(score.reason() if score else "") or log.gave_up(period),
+        reason=(score.reason() if score else log.ended()) or log.gave_up(period),
         images=score is None or "images" in score.world.effects,
         peak_stress_true=score.peak_stress if score else math.nan,
         peak_energy_true=score.peak_energy if score else math.nan,

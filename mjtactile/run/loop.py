@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import time as wall
 from collections.abc import Sequence
+from dataclasses import replace
 
 from mjtactile.core.errors import ControllerError, DeviceError, Interrupted
+from mjtactile.core.notebook import plain
 from mjtactile.core.signals import Stop
 from mjtactile.core.types import Command, Observation
 from mjtactile.recording.observer import Observer
@@ -124,22 +126,32 @@ def _turn(cycle: ControlCycle, controller: ControllerThread, deadline: float) ->
     wanted = _think(cycle, controller, observation)
     controller_ms = 1e3 * (wall.perf_counter() - begin)
     sent = cycle.send(wanted)
+    memory, left_out = plain(sent.memory)
     turn = Cycle(
         cycle.now,
         cycle.images,
         cycle.touch,
         cycle.gripper,
         cycle.valves,
-        wanted,
-        sent,
+        replace(wanted, memory=memory),
+        replace(sent, memory=memory),
         cycle.camera_ms,
         cycle.perception_ms,
         controller_ms,
         cycle.supervisor.state,
         cycle.supervisor.reason,
-        before,
+        replace(before, memory={}),
     )
     cycle.attempt(lambda: cycle.observer.add(turn))
+    if left_out and not cycle.left_out:
+        cycle.left_out = left_out
+        cycle.attempt(lambda: _say_left_out(cycle))
+
+
+def _say_left_out(cycle: ControlCycle) -> None:
+    names = ", ".join(cycle.left_out)
+    cycle.observer.message(f"Command.memory: what cannot be written is not recorded: {names}")
+    cycle.observer.note(memory_left_out=list(cycle.left_out))
 
 
 def _think(cycle: ControlCycle, controller: ControllerThread, observation: Observation) -> Command:

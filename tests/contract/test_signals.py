@@ -31,6 +31,7 @@ INT = signal.SIGINT
 TERM = signal.SIGTERM
 HUP = signal.SIGHUP
 QUIT = signal.SIGQUIT
+XCPU = signal.SIGXCPU
 TIMES = {
     "once": (),
     "twice, 1 ms": (0.001,),
@@ -38,16 +39,19 @@ TIMES = {
     "twice, 50 ms": (0.05,),
     "six": (0.001, 0.05, 0.01, 0.1, 0.03),
 }
+EACH_SECOND = (1.02, 1.02)
 PHASES = ("connecting", "references", "approach", "regulate", "lift", "hold", "lower", "release")
 SOME = [
     (INT, "twice, 30 ms", "hold"),
     (HUP, "six", "lift"),
-    (QUIT, "twice, 1 ms", "regulate"),
+    (XCPU, "each second", "hold"),
     (TERM, "six", "references"),
     (INT, "twice, 50 ms", "connecting"),
 ]
 ALL = os.environ.get("MJTACTILE_SIGNALS") == "all"
-CASES = list(itertools.product((INT, TERM, HUP, QUIT), TIMES, PHASES)) if ALL else SOME
+# nobody who sends these wants it quicker when they come again
+REPEATED = itertools.product((XCPU, signal.SIGALRM, signal.SIGUSR1), ("each second",), PHASES)
+CASES = [*itertools.product((INT, TERM, HUP, QUIT), TIMES, PHASES), *REPEATED] if ALL else SOME
 # the others also in test_safety.py
 FAULTS = ["while True: pass", "import sys; sys.exit(0)", "raise KeyboardInterrupt"]
 
@@ -87,7 +91,7 @@ def test_signals(emulator, tmp_path, number, times, phase):
     ) as running:
         wait_until(running, phase)
         running.signal(number)
-        for pause in TIMES[times]:
+        for pause in TIMES.get(times, EACH_SECOND):
             pace.sleep(pause)
             running.signal(number)
         output, errors = running.ends()

@@ -48,6 +48,38 @@ def test_a_second_one_after_a_while_means_at_once(monkeypatch):
         assert stop.at_once
 
 
+def test_processor_time_that_is_used_up_repeats_itself_and_a_person_after_it_is_the_first(
+    monkeypatch,
+):
+    monkeypatch.setattr(signals, "SECOND_TIME", 0.0)
+    with pytest.raises(Interrupted), deferred() as stop:
+        for _ in range(3):
+            signal.raise_signal(signal.SIGXCPU)
+        signal.raise_signal(signal.SIGINT)
+        assert stop.asked and not stop.at_once
+        signal.raise_signal(signal.SIGINT)
+        assert stop.at_once
+
+
+def test_every_signal_that_would_end_the_process_is_heard():
+    """What is left: those that nobody can catch, that a fault of the program raises, and that
+    end nothing."""
+    names = "KILL STOP ILL TRAP BUS FPE SEGV SYS PIPE XFSZ CHLD CONT TSTP TTIN TTOU URG WINCH"
+    others = {getattr(signal, f"SIG{name}") for name in names.split()}
+    assert signal.valid_signals() - set(ENDING) == others
+
+
+def test_a_signal_that_the_process_handles_itself_stays_its_own():
+    heard = []
+    before = signal.signal(signal.SIGUSR1, lambda *_: heard.append(1))
+    try:
+        with deferred() as stop:
+            signal.raise_signal(signal.SIGUSR1)
+            assert heard and not stop.asked
+    finally:
+        signal.signal(signal.SIGUSR1, before)
+
+
 def test_what_went_wrong_meanwhile_is_not_hidden():
     with pytest.raises(ZeroDivisionError), deferred():
         signal.raise_signal(signal.SIGINT)

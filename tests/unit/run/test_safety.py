@@ -5,6 +5,7 @@ import pickle
 import re
 import threading
 from dataclasses import replace
+from enum import Enum
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,11 +15,12 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import ControllerError, DeviceError, Interrupted
 from mjtactile.core.signals import Stop
 from mjtactile.core.types import Command, GripperState, Image, Touch, ValveState
-from mjtactile.recording.observer import CycleCallback
+from mjtactile.recording.observer import CycleCallback, Observer
 from mjtactile.rig.finger import Finger, Rig
 from mjtactile.rig.limits import Limits
 from mjtactile.run import loop
 from mjtactile.run.controller import Controller
+from mjtactile.run.cycle import ControlCycle
 from mjtactile.run.supervisor import BLIND_TIME_MAX, RETREAT_OPENING, Supervisor
 
 PERIOD = 0.05
@@ -26,6 +28,7 @@ OK = Touch(0.0, 0.0, 0.5, 0.01, True)
 BLIND = Touch(0.0, 0.0, math.nan, math.nan, False, status="too dark")
 SEALED = ValveState(False, 1000.0)
 LAST = Command(0.05, 4.0, 0.02, "hold")
+FEELS = SimpleNamespace(perceive=lambda images, now, patience, readings: (OK,))
 
 
 @pytest.fixture
@@ -292,6 +295,120 @@ def test_a_controller_that_raises_what_it_should_not(raised, tmp_path):
     )
     assert f"step() raised {type(raised).__name__}" in message
     assert world.has_set_down()
+
+
+def past_its_checks(**values):
+    """A change of a Command that its own checks do not see."""
+
+    def change(command):
+        for name, value in values.items():
+            object.__setattr__(command, name, value)
+        return command
+
+    return change
+
+
+class Unmade(Command):
+    """One that was never made."""
+
+    opening = property(lambda self: 1 / 0)  # type: ignore[assignment]
+
+
+BAD_COMMANDS = {
+    "opening that is no number": past_its_checks(opening=math.nan),
+    "opening that is text": past_its_checks(opening="wide"),
+    "force limit beyond floats": past_its_checks(force_limit=10**400),
+    "phase that is none": past_its_checks(phase="fly"),
+    "phase that is a list": past_its_checks(phase=["hold"]),
+    "memory that is a number": past_its_checks(memory=5),
+    "subclass whose values raise": lambda command: object.__new__(Unmade),
+    "no command": lambda command: SimpleNamespace(opening=0.0),
+}
+
+
+@pytest.mark.parametrize("change", BAD_COMMANDS.values(), ids=BAD_COMMANDS)
+def test_a_command_made_past_its_checks_leads_to_the_retreat(change):
+    def step(observation):
+        bad = observation.time > 0.2
+        return change(replace(observation.command)) if bad else observation.command
+
+    world = World()
+    cycles, message = world.run("", controller=step, error=ControllerError)
+    assert "test_safety.py: step: step() raised" in message
+    assert world.has_set_down() and len(cycles) == len(world.sent)
+
+
+@pytest.mark.parametrize("change", BAD_COMMANDS.values(), ids=BAD_COMMANDS)
+def test_whatever_sending_raises_leads_to_the_retreat(change):
+    """Values are checked where they are obeyed, too: not every command is a controller's."""
+    world = World()
+    cycle = ControlCycle.begin(world.rig(), FEELS, Supervisor(PERIOD), Observer())
+    cycle.look()
+    cycle.feel()
+    sent = cycle.send(change(Command(0.05, 4.0, 0.02, "hold")))
+    assert cycle.failure is not None and cycle.supervisor.state == "safe"
+    assert world.sent == [sent] and sent.lift_height < 0.02  # on its way down, in the same cycle
+
+
+def test_a_retreat_that_cannot_be_sent_is_the_end():
+    world = World()
+    world.command = lambda command: 1 / 0  # type: ignore[method-assign]
+    cycle = ControlCycle.begin(world.rig(), FEELS, Supervisor(PERIOD), Observer())
+    cycle.look()
+    cycle.feel()
+    cycle.send(Command(0.05, 4.0))
+    assert cycle.supervisor.is_over and isinstance(cycle.failure, ZeroDivisionError)
+
+
+def test_a_notebook_that_cannot_be_written_is_said_once_and_the_grasp_goes_on():
+    """What the loop hands to who records, draws or shows is plain; the controller has its own."""
+    cyclic: list = [1.0]
+    cyclic.append(cyclic)
+    strange = {
+        "colour": Enum("Colour", ["RED"]).RED,
+        "plan": lambda: None,
+        "loop": cyclic,
+        "many": [0.0] * 100_000,
+    }
+    told = Told()
+    world = World()
+    world.lift = 0.0
+
+    def step(observation):
+        is_over = observation.command.memory.get("count", 0) >= 5
+        assert not is_over or observation.command.memory["loop"] is cyclic
+        count = observation.command.memory.get("count", 0) + 1
+        phase = "done" if is_over else "hold"
+        return replace(observation.command, phase=phase, memory={"count": count, **strange})
+
+    last = loop.run_loop(
+        world.rig(),
+        [SimpleNamespace(perceive=lambda image, now, reading=None: OK)],  # type: ignore[list-item]
+        SimpleNamespace(path=Path("mine.py"), step=step),  # type: ignore[arg-type]
+        time_limit=30.0,
+        observer=told,
+    )
+    assert last.phase == "done"
+    assert [cycle.sent.memory for cycle in told.cycles] == [{"count": k + 1} for k in range(6)]
+    assert pickle.loads(pickle.dumps(told.cycles[-1].sent)) == told.cycles[-1].sent
+    assert [len(noted) for noted in told.noted] == [4] and len(told.messages) == 1
+    assert "plan (function)" in told.messages[0]
+
+
+class Told(Observer):
+    def __init__(self):
+        self.cycles: list = []
+        self.noted: list = []
+        self.messages: list = []
+
+    def add(self, cycle, view=None, **truth):
+        self.cycles.append(cycle)
+
+    def note(self, **facts):
+        self.noted.append(facts["memory_left_out"])
+
+    def message(self, text):
+        self.messages.append(text)
 
 
 def test_a_controller_that_does_not_return():

@@ -1,0 +1,97 @@
+"""What of a controller's notebook (`Command.memory`) can be written into a recording and handed to
+another process: numbers, texts, and lists and tables of them, within bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+MOST = 10_000  # numbers and letters in a cycle's line, which is then some 100 kB long
+DEEPEST = 16  # lists within lists; a list that contains itself is deeper
+_LARGEST = 2**63  # of whole numbers, as readers of JSON have them
+_NAMED_MOST = 20  # entries that are left out; after so many the rest is not looked at
+
+
+class _NotPlain(Exception):
+    """It is none of these, or too much of them."""
+
+
+class _Room:
+    """How many more numbers and letters have room."""
+
+    def __init__(self, left: int):
+        self.left = left
+
+    def has(self, count: int) -> None:
+        if count > self.left:
+            raise _NotPlain
+
+    def spend(self, count: int) -> None:
+        self.has(count)
+        self.left -= count
+
+
+def plain(memory: Mapping[Any, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Copy what can be written of a notebook.
+
+    Args:
+        memory: By name, whatever a controller put there.
+
+    Returns:
+        The entries that are numbers, texts, None, and lists, arrays and tables of them, `MOST` in
+        all; and the other entries' names with their types.
+    """
+    kept: dict[str, Any] = {}
+    left_out: list[str] = []
+    room = _Room(MOST)
+    for key, value in memory.items():
+        before = room.left
+        try:
+            name = _name(key, room)
+            kept[name] = _copy(value, room, 0)
+        except Exception:  # noqa: BLE001  # it is a stranger's object
+            room.left = before
+            name = key[:40] if isinstance(key, str) else "an entry"
+            left_out.append(f"{name} ({type(value).__name__})")
+            if len(left_out) == _NAMED_MOST:
+                break
+    return kept, tuple(left_out)
+
+
+def _name(key: object, room: _Room) -> str:
+    if not isinstance(key, (str, int)):
+        raise _NotPlain
+    room.spend(len(str(key)))
+    return str(key)
+
+
+def _copy(value: Any, room: _Room, depth: int) -> Any:
+    """A plain copy. Raises _NotPlain."""
+    if depth > DEEPEST:
+        raise _NotPlain
+    if isinstance(value, (np.generic, np.ndarray)):
+        room.has(value.size)
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        room.has(len(value))
+        return {_name(key, room): _copy(item, room, depth + 1) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        room.has(len(value))
+        return [_copy(item, room, depth + 1) for item in value]
+    return _one(value, room)
+
+
+def _one(value: Any, room: _Room) -> Any:
+    """A number or a text, without what an Enum adds to it: no other process knows that."""
+    room.spend(1 + len(value) if isinstance(value, str) else 1)
+    if value is None or isinstance(value, bool):
+        return value
+    if isinstance(value, int) and abs(value) < _LARGEST:
+        return int(value)
+    if isinstance(value, float):
+        return float(value)
+    if isinstance(value, str):
+        return "".join(value)
+    raise _NotPlain

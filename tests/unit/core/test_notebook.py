@@ -1,0 +1,83 @@
+"""What of a controller's notebook is written: the JSON of what is kept says the same."""
+
+import json
+import math
+from enum import Enum, IntEnum, StrEnum
+
+import numpy as np
+import pytest
+
+from mjtactile.core.notebook import DEEPEST, MOST, plain
+
+
+class Number(IntEnum):
+    ONE = 1
+
+
+class Word(StrEnum):
+    UP = "up"
+
+
+def nested(depth: int) -> list:
+    found: list = []
+    for _ in range(depth):
+        found = [found]
+    return found
+
+
+def cyclic() -> dict:
+    found: dict = {}
+    found["again"] = [found, found]
+    return found
+
+
+@pytest.mark.parametrize(
+    ("value", "kept"),
+    [
+        (1.5, 1.5),
+        (None, None),
+        (True, True),
+        ("text", "text"),
+        (np.float32(0.5), 0.5),
+        (np.arange(3), [0, 1, 2]),
+        ((1, [2.0, "b"]), [1, [2.0, "b"]]),
+        ({"a": {"b": 1}}, {"a": {"b": 1}}),
+        (Number.ONE, 1),
+        (Word.UP, "up"),
+    ],
+)
+def test_numbers_texts_lists_and_tables_are_kept(value, kept):
+    found, left_out = plain({"name": value})
+    assert json.loads(json.dumps(found)) == {"name": kept} and not left_out
+    assert type(found["name"]) is type(kept)  # no Enum: it would not be known elsewhere
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        object(),
+        lambda: None,
+        Enum("Colour", ["RED"]).RED,  # type: ignore[attr-defined]
+        2**70,
+        10**5000,
+        "x" * (MOST + 1),
+        [0.0] * (MOST + 1),
+        [[0.0] * (MOST // 2)] * 3,
+        np.zeros(MOST + 1),
+        np.array([object()]),
+        nested(DEEPEST + 2),
+        nested(100_000),
+        cyclic(),
+        {(1, 2): 3},
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_all_else_is_left_out_by_name_and_the_rest_stays(value):
+    found, left_out = plain({"before": 1.0, "odd": value, "after": math.inf})
+    assert found == {"before": 1.0, "after": math.inf}
+    assert left_out == (f"odd ({type(value).__name__})",)
+
+
+def test_a_notebook_of_very_many_entries_is_cut_off_and_takes_no_time():
+    found, left_out = plain(dict.fromkeys(range(1_000_000), 0.0))
+    assert 1_000 < len(found) < MOST and len(left_out) < 100

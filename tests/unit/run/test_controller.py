@@ -1,0 +1,43 @@
+"""Loading a user's controller file."""
+
+import pytest
+
+from mjtactile.core.errors import ControllerError
+from mjtactile.run.controller import load_controller
+
+DATACLASS = """
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+
+@dataclass(kw_only=True)
+class Plan:
+    force: float
+    kind: str = "NAME"
+
+
+def step(observation):
+    return replace(observation, phase=Plan(force=1.0).kind)
+"""
+
+
+def test_a_dataclass_with_deferred_annotations_in_files_of_one_name(tmp_path):
+    """A dataclass looks its fields' types up in its module's names."""
+    loaded = []
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        path = tmp_path / name / "mine.py"
+        path.write_text(DATACLASS.replace("NAME", name))
+        loaded.append(load_controller(path))
+    names = [one.function.__globals__["Plan"](force=1.0).kind for one in loaded]
+    assert names == ["a", "b"]
+    assert loaded[0].function.__module__ != loaded[1].function.__module__
+
+
+@pytest.mark.parametrize("raised", ["GeneratorExit", "SystemExit(3)", "BaseException('x')"])
+def test_whatever_importing_raises_is_one_line(tmp_path, raised):
+    path = tmp_path / "mine.py"
+    path.write_text(f"raise {raised}\n")
+    with pytest.raises(ControllerError, match=r"mine\.py: does not import: "):
+        load_controller(path)
