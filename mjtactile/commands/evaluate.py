@@ -18,10 +18,10 @@ that is settled.
 
 Every controller meets the same episodes: the same objects with the same seeds. From --vary
 the seed draws how object, sensors and gripper differ from their files, which sensing goes
-by. An episode that does not come to its end (the simulation fails, the controller raises or
-hangs) is an error and counts apart. Each ended episode is a line in DIR/episodes.jsonl with
-the command that runs it again alone; a run that was stopped goes on with --resume. The
-lines do not depend on the number of workers."""
+by. A controller that raises, hangs, or is stopped by the supervisor has failed; where the
+simulation does, it is an error and counts apart. Each ended episode is a line in
+DIR/episodes.jsonl with the command that runs it again alone; a run that was stopped goes on
+with --resume. The lines do not depend on the number of workers."""
 EPILOG = """\
 examples:
   mjtactile evaluate --episodes 30

@@ -59,7 +59,15 @@ class InputError(MjtactileError):
 
 class ControllerError(InputError):
     """A user's controller raised, returned nothing, or returned a value that cannot be carried
-    out."""
+    out.
+
+    Attributes:
+        kind: "raised", or "hung" where a step did not return.
+    """
+
+    def __init__(self, message: str, *, kind: str = "raised", **where: Any):
+        self.kind = kind
+        super().__init__(message, **where)
 
 
 class Interrupted(MjtactileError):
@@ -71,6 +79,18 @@ class Interrupted(MjtactileError):
 
 class DeviceError(MjtactileError):
     """A device is missing, stale or faulted; exit code 3."""
+
+
+class SafeStop(DeviceError):
+    """The hand was brought to its safe state in place of going on.
+
+    Attributes:
+        kind: "unsafe", or "hung" where the run did not end in its time.
+    """
+
+    def __init__(self, message: str, *, kind: str = "unsafe"):
+        self.kind = kind
+        super().__init__(message)
 
 
 class SimulationError(MjtactileError):

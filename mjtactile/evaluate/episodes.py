@@ -30,9 +30,12 @@ from mjtactile.sim.rig import SimClock
 from mjtactile.sim.scenes.random_objects import object_text as object_text
 from mjtactile.sim.scenes.random_objects import random_thing, seed_of
 
-OUTCOMES = ("held", "dropped", "crushed", "error")
-"""An error is an episode that did not come to an end (the simulation failed, the controller raised
-or hung): no failure."""
+STOPPED = ("unsafe", "hung", "raised")
+"""Failures of who controls that end a run before its end: the supervisor brought the hand to its
+safe state; a step did not return, or the run did not end in its time; a step raised."""
+OUTCOMES = ("held", "dropped", "crushed", *STOPPED, "error")
+"""An error is what is not the controller's fault (the simulation failed, an object does not fit):
+no failure."""
 RANDOM = "random"
 """In place of an object: another one each time."""
 _KEPT = (
@@ -151,7 +154,7 @@ def _run(scenario: Scenario, observers: Sequence[Observer]) -> dict[str, Any]:
     except Interrupted:
         raise
     except MjtactileError as error:
-        return {"outcome": "error", "reason": " ".join(str(error).split())}
+        return {"outcome": getattr(error, "kind", "error"), "reason": " ".join(str(error).split())}
     except Exception as error:  # noqa: BLE001
         # a mistake of ours in one episode shall not end the others
         last = traceback.extract_tb(error.__traceback__)[-1]

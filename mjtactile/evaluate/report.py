@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.evaluate import svg
-from mjtactile.evaluate.statistics import NO_IMAGES, pair_text, summarise
+from mjtactile.evaluate.statistics import NO_IMAGES, pair_text, stopped_text, summarise
 from mjtactile.evaluate.varied import measures
 from mjtactile.evaluate.wilson import Line
 from mjtactile.report.html import data_uri, document, table
@@ -91,6 +91,7 @@ def _success(summary: Mapping[str, Any]) -> str:
                     svg.interval_bar(low, share, high, colour),
                     group["dropped"],
                     group["crushed"],
+                    stopped_text(group),
                     group["error"],
                 ]
             )
@@ -103,12 +104,14 @@ def _success(summary: Mapping[str, Any]) -> str:
         "",
         "dropped",
         "crushed",
+        "stopped",
         "errors",
     ]
     return (
         "<h2>Success</h2>"
         + table(head, rows)
-        + ("<p>Errors did not come to an end, and are not in the shares.</p>")
+        + "<p>Stopped: the supervisor brought the hand to its safe state, or the controller hung or "
+        "raised. Errors are not the controller's fault, and are not in the shares.</p>"
     )
 
 

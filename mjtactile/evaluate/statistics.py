@@ -7,10 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
-from mjtactile.evaluate.episodes import OUTCOMES
+from mjtactile.evaluate.episodes import OUTCOMES, STOPPED
 from mjtactile.evaluate.varied import MEASURES, against, measures
-from mjtactile.evaluate.wilson import Line, Z, wilson
+from mjtactile.evaluate.wilson import Line, wilson
 
 FORCES = {"peak_N": "peak_force_true_N", "hold_N": "hold_force_true_N"}
 """On a finger, the largest and while holding, N: what a controller's touch is judged by where
@@ -19,9 +20,9 @@ everything is held."""
 
 def paired(first: Iterable[Line], second: Iterable[Line]) -> dict[str, Any]:
     """The share that `second` holds more often than `first`, of the episodes that both came to the
-    end of, with its 95 % interval (Agresti & Min, Statistics in Medicine 24, 2005: half an episode
-    added to each cell), and how many more episodes like these would put the interval to one side of
-    zero (None: there is no difference to settle)."""
+    end of, with its 95 % interval (`paired_interval`), in how many of them both ended alike, and
+    how many more episodes like these would put the interval to one side of zero (None: nothing
+    differs)."""
     held = [
         {line["episode"]: line["outcome"] == "held" for line in lines if line["outcome"] != "error"}
         for lines in (first, second)
@@ -30,24 +31,64 @@ def paired(first: Iterable[Line], second: Iterable[Line]) -> dict[str, Any]:
     n = len(both)
     only_first = sum(held[0][k] and not held[1][k] for k in both)
     only_second = sum(held[1][k] and not held[0][k] for k in both)
-    b = only_first + 0.5
-    c = only_second + 0.5
-    m = n + 2
-    middle = (c - b) / m
-    half = Z * math.sqrt(b + c - (c - b) ** 2 / m) / m
-    more = None
-    if only_first != only_second:
-        share = (only_first + only_second) / n
-        apart = (only_second - only_first) / n
-        more = max(0, math.ceil(Z * Z * (share - apart * apart) / (apart * apart)) - n)
     return {
         "episodes": n,
+        "alike": n - only_first - only_second,
         "only_first": only_first,
         "only_second": only_second,
         "difference": (only_second - only_first) / n if n else 0.0,
-        "difference_interval": [max(middle - half, -1.0), min(middle + half, 1.0)],
-        "episodes_to_settle": more,
+        "difference_interval": list(paired_interval(only_first, only_second, n)),
+        "episodes_to_settle": _episodes_to_settle(only_first, only_second, n),
     }
+
+
+def paired_interval(only_first: float, only_second: float, n: float) -> tuple[float, float]:
+    """95 % interval of a difference of two shares of the same `n` episodes, of which the first
+    alone held `only_first` and the second alone `only_second`.
+
+    The exact limits of these two shares (Clopper & Pearson, Biometrika 26, 1934), joined by what
+    each is off by, and by their correlation in a multinomial (Zou & Donner, Stat. Med. 27, 2008).
+    Counted out, it covers the truth with 95 % or more from 24 episodes on (94 % of 8), where
+    normal approximations cover down to 86 % when few episodes differ.
+    """
+    if not n:
+        return -1.0, 1.0
+    b = only_first / n
+    c = only_second / n
+    b_low, b_high = _exact(only_first, n)
+    c_low, c_high = _exact(only_second, n)
+    together = math.sqrt(b * c / ((1 - b) * (1 - c))) if max(b, c) < 1 else 1.0
+    down, up = (
+        math.sqrt(mine**2 + theirs**2 + 2 * together * mine * theirs)
+        for mine, theirs in ((c - c_low, b_high - b), (c_high - c, b - b_low))
+    )
+    return max(c - b - down, -1.0), min(c - b + up, 1.0)
+
+
+def _exact(count: float, n: float) -> tuple[float, float]:
+    """Clopper and Pearson's 95 % limits of a share."""
+    low = float(stats.beta.ppf(0.025, count, n - count + 1)) if count > 0 else 0.0
+    high = float(stats.beta.ppf(0.975, count + 1, n - count)) if count < n else 1.0
+    return low, high
+
+
+def _episodes_to_settle(only_first: int, only_second: int, n: int) -> int | None:
+    """How many more, with as many of each kind in them, put `paired_interval` to one side of
+    zero."""
+    if only_first == only_second:
+        return None
+
+    def is_settled(episodes: int) -> bool:
+        low, high = paired_interval(only_first * episodes / n, only_second * episodes / n, episodes)
+        return low > 0 or high < 0
+
+    least = most = n
+    while not is_settled(most):
+        least, most = most, 2 * most
+    while most - least > 1:
+        middle = (least + most) // 2
+        least, most = (least, middle) if is_settled(middle) else (middle, most)
+    return most - n
 
 
 def summarise(lines: Sequence[Line]) -> dict[str, Any]:
@@ -102,9 +143,9 @@ NO_IMAGES = "No images were drawn (`--effects -images`): markers with errors dra
 def table(summary: Mapping[str, Any]) -> str:
     """The summary as Markdown."""
     lines = [
-        "| controller | object | held | 95 % interval | dropped | crushed | errors | largest "
-        "force, N: median (worst) | held with, N: 5-95 % |",
-        "|---" * 9 + "|",
+        "| controller | object | held | 95 % interval | dropped | crushed | stopped | errors | "
+        "largest force, N: median (worst) | held with, N: 5-95 % |",
+        "|---" * 10 + "|",
     ]
     for name, mine in summary["controllers"].items():
         for label, group in (("all", mine), *mine["objects"].items()):
@@ -113,7 +154,8 @@ def table(summary: Mapping[str, Any]) -> str:
             lines.append(
                 f"| {name} | {label} | {group['held']} of {ended} | "
                 f"{100 * low:.1f}-{100 * high:.1f} % | {group['dropped']} | {group['crushed']} | "
-                f"{group['error']} | {_texts(group['peak_N'], '{median:.2f} ({most:.2f})')} | "
+                f"{stopped_text(group)} | {group['error']} | "
+                f"{_texts(group['peak_N'], '{median:.2f} ({most:.2f})')} | "
                 f"{_texts(group['hold_N'], '{p5:.2f}-{p95:.2f}')} |"
             )
     for pair in summary["paired"]:
@@ -125,6 +167,13 @@ def table(summary: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def stopped_text(group: Mapping[str, Any]) -> str:
+    """How many ended before their end, and how: "3 (2 hung, 1 raised)"."""
+    kinds = {kind: group.get(kind, 0) for kind in STOPPED}
+    said = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
+    return f"{sum(kinds.values())}" + (f" ({said})" if said else "")
+
+
 def _texts(spread: Mapping[str, float | None], words: str) -> str:
     return "" if spread["median"] is None else words.format(**spread)
 
@@ -134,7 +183,7 @@ def pair_text(pair: Mapping[str, Any]) -> str:
     low, high = pair["difference_interval"]
     more = pair["episodes_to_settle"]
     settled = (
-        "as good as each other here"
+        "no difference seen"
         if more is None
         else "settled"
         if not more
@@ -143,5 +192,6 @@ def pair_text(pair: Mapping[str, Any]) -> str:
     return (
         f"{pair['second']} holds {100 * pair['difference']:+.1f} % of {pair['episodes']} "
         "episodes more often than "
-        f"{pair['first']} (95 %: {100 * low:+.1f} to {100 * high:+.1f} %): {settled}."
+        f"{pair['first']} (95 %: {100 * low:+.1f} to {100 * high:+.1f} %; "
+        f"{pair['alike']} ended alike): {settled}."
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile.core.errors import MjtactileError
-from mjtactile.evaluate.episodes import Episode
+from mjtactile.evaluate.episodes import OUTCOMES, Episode
 from mjtactile.evaluate.varied import measures
 from mjtactile.evaluate.wilson import Line
 from mjtactile.recording.strip import Strip
@@ -16,7 +16,7 @@ from mjtactile.recording.writer import Recorder
 from mjtactile.report.summary import write_pictures
 from mjtactile.run.grasp import run_grasp
 
-_RANKS = {"crushed": 2, "dropped": 2, "error": 1, "held": 0}
+_RANKS = dict.fromkeys(OUTCOMES, 2) | {"error": 1, "held": 0}
 _SLIP = 5.0  # mm that are as bad as breaking
 
 

@@ -131,6 +131,7 @@ class ControllerThread:
             f"step() did not return within {self._patience:g} s at t = {time:.3f} s",
             source=path,
             field=line,
+            kind="hung",
         )
 
 

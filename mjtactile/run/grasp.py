@@ -183,8 +183,8 @@ def run_grasp(
             last = session.run(controller, time_limit=scenario.time_limit, observer=log)
             completed = last.phase == "done"
         except SimulationError:
-            if score is None or not score.lost:
-                raise  # else the grasp was decided before: the object had stayed behind
+            if score is None or not score.is_decided:
+                raise  # else the object had stayed behind before, or was broken
         factor = (rig.clock.now() - start) / (wall.perf_counter() - begin)
     result = _result(scenario, log, factor, completed=completed, period=rig.period)
     if log.estimate is None:
@@ -247,7 +247,9 @@ def _result(
         factor,
         len(log.phases),
         parts,
-        reason=(score.reason() if score else log.ended()) or log.gave_up(period),
+        reason="; ".join(
+            filter(None, [score.reason() if score else log.ended(), log.gave_up(period)])
+        ),
         images=score is None or "images" in score.world.effects,
         peak_stress_true=score.peak_stress if score else math.nan,
         peak_energy_true=score.peak_energy if score else math.nan,

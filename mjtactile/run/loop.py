@@ -9,7 +9,7 @@ import time as wall
 from collections.abc import Sequence
 from dataclasses import replace
 
-from mjtactile.core.errors import ControllerError, DeviceError, Interrupted
+from mjtactile.core.errors import ControllerError, Interrupted, SafeStop
 from mjtactile.core.notebook import plain
 from mjtactile.core.signals import Stop
 from mjtactile.core.types import Command, Observation
@@ -93,7 +93,7 @@ def run_loop(
     if cycle.failure is not None:
         raise cycle.failure
     if cycle.last.phase not in ENDS:
-        raise DeviceError(f"stopped safely: {cycle.supervisor.reason}")
+        raise SafeStop(f"stopped safely: {cycle.supervisor.reason}")
     return cycle.last
 
 
@@ -110,9 +110,10 @@ def _has_landed(cycle: ControlCycle) -> bool:
     return False
 
 
-def _too_late(controller: Stepper, command: Command, time_limit: float) -> DeviceError:
-    return DeviceError(
-        f"controller {controller.path}: still in phase {command.phase!r} after {time_limit:g} s"
+def _too_late(controller: Stepper, command: Command, time_limit: float) -> SafeStop:
+    return SafeStop(
+        f"controller {controller.path}: still in phase {command.phase!r} after {time_limit:g} s",
+        kind="hung",
     )
 
 

@@ -162,6 +162,11 @@ class GraspScore:
         return "held" if self._held and all(self._held) else "dropped"
 
     @property
+    def is_decided(self) -> bool:
+        """Whether nothing that comes can make the grasp a success."""
+        return self.lost or self.crushed_at is not None
+
+    @property
     def hold_force(self) -> float:
         """Mean normal force per finger over the hold phase, N; NaN when it was never reached."""
         return float(np.mean(self._hold_forces)) if self._hold_forces else float("nan")

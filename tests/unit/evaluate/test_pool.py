@@ -71,28 +71,35 @@ def test_bad_pools(monkeypatch, pool, message):
 
 
 HANGS = "import time\ndef step(observation):\n    time.sleep(1e3)\n"
+WAITS = "def step(observation):\n    return observation.command\n"
+LEAKS = "# in a world whose chambers leak"
 RAISES = "def step(observation):\n    return observation.touch[7]\n"
 
 
 @pytest.mark.parametrize(
-    ("text", "reason"),
+    ("text", "kind", "reason"),
     [
-        (HANGS, "step() did not return within"),
-        (RAISES, "step() raised IndexError: tuple index out of range"),
+        (HANGS, "hung", "step() did not return within"),
+        (RAISES, "raised", "step() raised IndexError: tuple index out of range"),
+        (WAITS, "hung", "still in phase 'approach' after 0.5 s"),
+        (WAITS + LEAKS, "unsafe", "stopped safely: leak: chamber 0 lost pressure"),
     ],
 )
-def test_a_controller_that_hangs_or_raises_is_an_error_of_its_episode(
-    tmp_path, monkeypatch, text, reason
-):
+def test_a_controller_that_does_not_end_well_has_failed(tmp_path, monkeypatch, text, kind, reason):
     monkeypatch.setattr("mjtactile.run.loop.WAIT_TIME", 0.2)
     monkeypatch.setattr("mjtactile.run.controller._FIRST_TIME", 0.2)
     path = tmp_path / "bad.py"
     path.write_text(text)
-    line = run_episode(episode(str(path), "vial", 3, sensor="paper16", vary="default"))
-    assert line["outcome"] == "error" and reason in line["reason"] and "\n" not in line["reason"]
+    world = tmp_path / "world.toml"
+    leak = 1.0 if text.endswith(LEAKS) else 0.0
+    world.write_text(f"[object]\nsize_percent = 5\n[gas]\nleak_mL_s_kPa = {leak}\n")
+    line = run_episode(
+        episode(str(path), "vial", 3, sensor="paper16", vary=str(world), time_limit=0.5)
+    )
+    assert line["outcome"] == kind and reason in line["reason"] and "\n" not in line["reason"]
     assert (
         line["varied"]["object.size_percent"]
-        and "--vary=default" in line["again"]
+        and f"--vary={world}" in line["again"]
         and json.dumps(line)
     )
 
