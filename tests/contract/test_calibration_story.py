@@ -6,6 +6,7 @@ user has: a printed board, a load cell, a caliper, a pressure of zero. The test 
 reads the instruments, in the emulated world.
 """
 
+import contextlib
 import json
 import sys
 from dataclasses import replace
@@ -88,34 +89,47 @@ class Brief:
         return replace(command, phase="done") if self._left < 0 else command
 
 
-def grasp_error(path):
-    """Mean felt less true force on each finger, N, while an egg is held; what the session said."""
+@contextlib.contextmanager
+def emulated_session(path):
+    """A session with references of a freshly emulated rig, its emulator, and what it said."""
     rig_file = load_rig_file(path)
     said = []
-    errors = []
     design = load_sensor(path.parent / "slower.toml")
     emulator = EmulatorProcess(rig_file, design, object_name="egg", seed=1)
-
-    def on_cycle(cycle):
-        if cycle.sent.phase == "hold":
-            truth = emulator.truth()
-            errors.append(
-                [
-                    touch.force_normal - truth[f"contact_{i}"]
-                    for i, touch in enumerate(cycle.touch, 1)
-                ]
-            )
-
     try:
         rig = build_emulated_rig(rig_file, design, object_name="egg", seed=1, emulator=emulator)
         try:
             session = Session(rig, say=said.append)
             session.take_references()
-            session.run(Brief(30), time_limit=60.0, on_cycle=on_cycle)
+            yield session, emulator, said
         finally:
             rig.close()
     finally:
         emulator.close()
+
+
+def said_of_calibrations(path):
+    """What a session says of the calibrations of its fingers."""
+    with emulated_session(path) as (_, _, said):
+        return said
+
+
+def grasp_error(path):
+    """Mean felt less true force on each finger, N, while an egg is held; what the session said."""
+    errors = []
+    with emulated_session(path) as (session, emulator, said):
+
+        def on_cycle(cycle):
+            if cycle.sent.phase == "hold":
+                truth = emulator.truth()
+                errors.append(
+                    [
+                        touch.force_normal - truth[f"contact_{i}"]
+                        for i, touch in enumerate(cycle.touch, 1)
+                    ]
+                )
+
+        session.run(Brief(30), time_limit=60.0, on_cycle=on_cycle)
     return np.nanmean(errors, axis=0), said
 
 
@@ -237,7 +251,7 @@ def calibrate_all(path, monkeypatch):
 @pytest.mark.slow
 def test_two_fingers_that_are_not_as_their_sensor_file_says(tmp_path, monkeypatch):
     path = write_rig(tmp_path)
-    before, said = grasp_error(path)
+    said = said_of_calibrations(path)
     assert "calibration of left: never measured: lens, frame, valve, force" in said
     with at_pace(2.0):  # most of it is three minutes of jaws that move and rest
         calibrate_all(path, monkeypatch)
@@ -261,7 +275,5 @@ def test_two_fingers_that_are_not_as_their_sensor_file_says(tmp_path, monkeypatc
     # data sheet of the XL330-M288
     assert servos[0]["torque_Nm_per_A"] / 0.354 == pytest.approx(1.08, abs=0.03)
     after, said = grasp_error(path)
-    # pytest -rP shows it
-    sys.stdout.write(f"felt less true force, N: before {before.round(4)}, after {after.round(4)}\n")
     assert not [text for text in said if text.startswith("calibration of")]
     assert np.abs(after).max() < ERROR_MAX
