@@ -37,7 +37,7 @@ _DOORS = {
     "What a controller sees and says": ("core.types",),
     "Sensing": ("sensing.chain", "sensing.pose.locate", "core.optics"),
     "Sensors and their calibration": ("core.design", "core.calibration"),
-    "The film": ("film.film", "film.bodies", "film.state"),
+    "The film": ("film.film", "film.bodies", "film.derivatives", "film.state"),
     "Recordings": ("recording.reader", "recording.writer", "recording.observer"),
     "Policies": ("core.policy",),
     "Errors": ("core.errors",),

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from mjtactile.core.types import Touch as Touch
     from mjtactile.core.types import ValveState as ValveState
     from mjtactile.film.bodies import Obstacle as Obstacle
+    from mjtactile.film.derivatives import FilmDerivatives as FilmDerivatives
     from mjtactile.film.film import Film as Film
     from mjtactile.film.state import FilmState as FilmState
     from mjtactile.plugin.mount import Mount as Mount
@@ -81,6 +82,7 @@ _HOMES = {
     "core.scenario": ("Scenario",),
     "core.types": ("Command", "GripperState", "Image", "Observation", "Touch", "ValveState"),
     "film.bodies": ("Obstacle",),
+    "film.derivatives": ("FilmDerivatives",),
     "film.film": ("Film",),
     "film.state": ("FilmState",),
     "plugin.mount": ("Mount", "attach"),

@@ -18,11 +18,12 @@ What it leaves out, and what that costs (docs/benchmarks.md, `bench film`):
   steep cone's tip is a quarter too soft there.
 
 Frame S, SI units; p V^gamma with the design's gamma, or a pressure that is held. Equations:
-docs/equations.md, X1-X5. Why so: docs/decisions/0025-film.md.
+docs/equations.md, X1-X6. Why so: docs/decisions/0025-film.md.
 """
 
 from mjtactile.film.bodies import KINDS, Obstacle, obstacle
+from mjtactile.film.derivatives import FilmDerivatives
 from mjtactile.film.film import Film
 from mjtactile.film.state import FilmState, Status
 
-__all__ = ["KINDS", "Film", "FilmState", "Obstacle", "Status", "obstacle"]
+__all__ = ["KINDS", "Film", "FilmDerivatives", "FilmState", "Obstacle", "Status", "obstacle"]

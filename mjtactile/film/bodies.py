@@ -92,7 +92,7 @@ def obstacle(
     number, names = KINDS[kind]
     numbers = np.zeros(NUMBERS)
     numbers[0] = number
-    size = _finite("sizes", sizes, (len(names),))
+    size = finite("sizes", sizes, (len(names),))
     for name, value in zip(names, size, strict=True):
         if (
             value < 0
@@ -103,7 +103,7 @@ def obstacle(
             raise InputError(f"{name} of {value:g} must be positive", field="sizes")
     numbers[1 : 1 + len(size)] = size
     numbers[4:13] = _rotation(R_SO).ravel()
-    numbers[13:16] = _finite("p_SO", p_SO, (3,))
+    numbers[13:16] = finite("p_SO", p_SO, (3,))
     pool = _pool(kind, size, data)
     if kind == "disc" and size[2] > min(size[0], size[1]):
         raise InputError(
@@ -151,8 +151,8 @@ def _pool(kind: str, size: Array, data: ArrayLike | None) -> Array:
             raise InputError("heights are (nx, ny), finite or +inf", field="data")
         return field.reshape(-1, 1)
     if kind == "mesh":
-        return _hull(_finite("data", data, (-1, 3)))
-    return _finite("data", data, (-1, 3, 3)).reshape(-1, 9)
+        return _hull(finite("data", data, (-1, 3)))
+    return finite("data", data, (-1, 3, 3)).reshape(-1, 9)
 
 
 def _hull(vertices: Array) -> Array:
@@ -171,19 +171,20 @@ def _rotation(R_SO: ArrayLike | None) -> Array:
         return np.eye(3)
     given = np.asarray(R_SO, dtype=float)
     if given.shape == (4,):
-        w, x, y, z = _finite("R_SO", given / max(float(np.linalg.norm(given)), 1e-300), (4,))
+        w, x, y, z = finite("R_SO", given / max(float(np.linalg.norm(given)), 1e-300), (4,))
         given = np.array([
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
             [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ])  # fmt: skip
-    R = _finite("R_SO", given, (3, 3))
+    R = finite("R_SO", given, (3, 3))
     if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0:
         raise InputError("is no rotation", field="R_SO")
     return R
 
 
-def _finite(field: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
+def finite(field: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """`values` as an array of `shape`, -1 where any number goes; InputError that names `field`."""
     try:
         array = np.asarray(values, dtype=float)
     except (TypeError, ValueError) as error:

@@ -14,6 +14,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.film import bodies
 from mjtactile.film.bodies import Obstacle
+from mjtactile.film.derivatives import FilmDerivatives, Shape, changed_bodies, gathered
 from mjtactile.film.law import law_numbers, tension_slope
 from mjtactile.film.state import FOUND, FilmBatch, FilmState, Status
 from mjtactile.kernels import band_stride, kernel
@@ -196,6 +197,43 @@ class Film:
             with ThreadPoolExecutor(len(cuts) - 1) as workers:
                 list(workers.map(some, cuts[:-1].tolist(), cuts[1:].tolist()))
         return FilmBatch(x, force, found)
+
+    def derivatives(
+        self, state: FilmState, shape: Shape, numbers: ArrayLike, steps: ArrayLike | None = None
+    ) -> FilmDerivatives:
+        """Find how a state changes with the numbers of what presses the film.
+
+        Args:
+            state: At rest on `shape(numbers)`.
+            shape: Makes a body, or several, of numbers (n,): of a place, sizes, angles, curvatures.
+            numbers: (n,), where to.
+            steps: (n,) by which `shape` is asked before and after; None: a millionth of each
+                number, or of one.
+
+        Returns:
+            The derivatives, by each number.
+
+        Raises:
+            InputError: A state that is none, or is about to lose its balance, numbers or steps that
+                are not finite.
+        """
+        if not state.converged or state.x.shape != self.rest.x.shape:
+            raise InputError("is not at rest, or not of this film", field="state")
+        listed, by = changed_bodies(shape, numbers, steps)
+        rows, pool = bodies.pooled([body for one in listed for body in one])
+        room = np.empty(kernel("film_derive_room")(self._numbers))
+        count = len(by)
+        by_x, by_force = np.empty((count, 3, *self.grid)), np.empty((count, *self.grid))
+        by_found = np.empty((count, FOUND))
+        settings = np.array([self._gas, self.sealed, TOLERANCE, 1.0])
+        fixed = (self._numbers, self._law, *self.grid, room.size, room, settings)
+        pooled = 0 if pool is None else pool.size
+        given = (len(listed[0]), count, rows, pooled, pool, by, state.x, state.force)
+        try:
+            kernel("film_derive")(*fixed, *given, by_x, by_force, by_found)
+        except np.linalg.LinAlgError as error:
+            raise InputError("loses its balance here", field="state") from error
+        return gathered(by_x, by_force, by_found)
 
     def heights_of(self, obstacles: Obstacle | Sequence[Obstacle], places: ArrayLike) -> Array:
         """Find how high obstacles leave the sheet's middle.

@@ -12,7 +12,7 @@
 #include <string.h>
 
 #include "band.h"
-#include "film_sheet.h"
+#include "film_work.h"
 #include "kernels.h"
 #include "small.h"
 
@@ -22,43 +22,20 @@
 #define MOST_LOOSE 10
 #define LONGEST_SHIFT 5e-4 /* m, of a step in the plane */
 #define SHELL 0.3
-#define MEMORY 4            /* steps that the next one learns from */
 #define LOOKS 3             /* steps that ask the bodies; later ones follow their slopes, else nodes at an edge come and go */
-#define SAME 1e-9           /* m */
 #define NEAR_SINGULAR 1e-12
 #define MOST_LEARNT 10      /* of a step, beyond which nothing is learnt */
-#define EDGE_HALVES 8
-#define THIN 5              /* places looked at on each side of a node for what is thinner than the spacing */
-#define NEAREST_EDGE 0.95   /* of a spacing */
+#define EDGE_HALVES 20
 #define LEAST_TURN 0.05    /* of a cell's shadow: below, the sheet is inside out */
-#define CORRECTION (1 / 24.) /* of curvature times spacing^2, by which the grid makes a smooth body too high */
 
-enum { CONVERGED, NOT_CONVERGED, AT_THE_RIM, ON_THE_GLASS, INSIDE_OUT };
-
-/* What is found, one row an environment. */
-enum { FORCE_X, FORCE_Y, FORCE_Z, TORQUE_X, TORQUE_Y, TORQUE_Z, PRESSURE, VOLUME, AREA, STATUS, STEPS, STRETCHED_AREA, TENSION,
-       LAST_STEP, FOUND };
-
-typedef struct { double gas, sealed, tolerance, most_steps; } Settings; /* gas: p V^gamma if sealed, else the pressure held */
-
-typedef struct {
-    SheetFields fields;
-    double *obstacle, *level, *slope, *lower;  /* heights (count), see `follow_bodies`, slopes (2, count), correction */
-    double *edge;                                      /* see `find_edges` (4, count) */
-    double *residual, *moved, *pushed, *stiff, *plane; /* (count) each; plane (2 inner) */
-    double *band, *y0, *y1, *y2;
-    double *steps, *changes, *last_step, *now; /* of the last MEMORY steps: (MEMORY, 4, count) each, and (4, count) */
-    uint8_t *touching, *before;
-} Work;
-
-static long work_size(const Film *f) {
-    return (3 + 3 + 5 + 2 + 2 + 1 + 4 + 4 + 8 * MEMORY + 8) * f->count + 5 * f->inner +
+long film_work_size(const Film *f) {
+    return (3 + 3 + 5 + 2 + 2 + 1 + 8 + 4 + 8 * MEMORY + 8) * f->count + 5 * f->inner +
            f->inner * BAND_STRIDE(f->inner_rows + 1) + 2 * (f->count / 8 + 1);
 }
 
 int64_t film_room(const double *numbers) {
     const Film f = film_of(numbers, 0);
-    return work_size(&f);
+    return film_work_size(&f);
 }
 
 static double *take(double **from, long n) {
@@ -67,14 +44,14 @@ static double *take(double **from, long n) {
     return here;
 }
 
-static Work work_of(const Film *f, double *room) {
+Work film_work(const Film *f, double *room) {
     const long n = f->count;
     Work w;
     w.fields.elastic = take(&room, 3 * n), w.fields.gradient = take(&room, 3 * n);
     w.fields.own = take(&room, n), w.fields.up = take(&room, n), w.fields.right = take(&room, n);
     w.fields.right_up = take(&room, n), w.fields.right_down = take(&room, n);
     w.obstacle = take(&room, n), w.level = take(&room, n), w.slope = take(&room, 2 * n), w.lower = take(&room, n);
-    w.edge = take(&room, 4 * n);
+    w.edge = take(&room, 4 * n), w.spring = take(&room, 4 * n);
     w.residual = take(&room, n), w.moved = take(&room, n), w.pushed = take(&room, n), w.stiff = take(&room, n);
     w.plane = take(&room, 2 * f->inner);
     w.y0 = take(&room, f->inner), w.y1 = take(&room, f->inner), w.y2 = take(&room, f->inner);
@@ -91,169 +68,6 @@ static double dot(const double *a, const double *b, long n) {
     return sum;
 }
 
-/* -- bodies ------------------------------------------------------------------------------------------------------------ */
-
-/* Lowest height, and its slopes, of all bodies over a place; 1 where there is none. */
-static int lowest(const Film *f, long bodies, const double *body, const double *pool, double x, double y, double *height,
-                  double slope[2]) {
-    double found = INFINITY, at, by[2];
-    for (long b = 0; b < bodies; b++) {
-        if (film_body_height(f, (const FilmBody *)(body + b * FILM_BODY), pool, x, y, &at, by) || at >= found) continue;
-        found = at, slope[0] = by[0], slope[1] = by[1];
-    }
-    *height = found;
-    return isinf(found);
-}
-
-/* What is thinner than the spacing and passes between nodes is moved under the nearest: the lowest place on the cross of a node's
-   cell. Returns the axis that it was found along, 1 or 2, or 0; `taken`: along which the node before has it already. */
-static int see_between(const Film *f, long bodies, const double *body, const double *pool, double x, double y, int taken,
-                       double *height, double slope[2]) {
-    int found = 0;
-    for (int part = -THIN; part <= THIN; part++)
-        for (int axis = 0; axis < 2; axis++) {
-            const double off = part / (2. * THIN + 1);
-            if (taken & (1 << axis)) continue;
-            double at, by[2];
-            if (lowest(f, bodies, body, pool, x + (axis ? 0 : off * f->dx), y + (axis ? off * f->dy : 0), &at, by)) continue;
-            if (at < *height) *height = at, slope[0] = by[0], slope[1] = by[1], found = 1 << axis;
-        }
-    return found;
-}
-
-/* A ridge or a tip that passes through a node's cell beside the node is what the sheet meets there, with no slope across it. */
-static int see_ridge(const Film *f, long bodies, const double *body, const double *pool, double x, double y, int taken,
-                     double *height, double slope[2]) {
-    int found = 0;
-    for (int axis = 0; axis < 2; axis++) {
-        double low = INFINITY, by[2], at;
-        int where = 0;
-        for (int part = -THIN - 2; part <= THIN + 2; part++) { /* cells overlap: nodes have moved apart */
-            const double off = part / (2. * THIN + 1);
-            if (lowest(f, bodies, body, pool, x + (axis ? 0 : off * f->dx), y + (axis ? off * f->dy : 0), &at, by)) continue;
-            if (at < low - SAME || (at < low + SAME && abs(part) < abs(where))) low = at, where = part;
-        }
-        if (isinf(low) || abs(where) > THIN + 1 || taken & (1 << axis)) continue;
-        *height = least(*height, low), slope[axis] = 0, found |= 1 << axis;
-    }
-    return found;
-}
-
-/* Heights of all bodies over the nodes where they are now. */
-static void see_bodies(const Film *f, long bodies, const double *body, const double *pool, const double *x, Work *w) {
-    int thin = 0, sharp = 0;
-    for (long b = 0; b < bodies; b++) sharp |= ((const FilmBody *)(body + b * FILM_BODY))->least == 0;
-    for (long b = 0; b < bodies; b++) thin |= ((const FilmBody *)(body + b * FILM_BODY))->least < most(f->dx, f->dy);
-    for (long i = 0; i < f->columns; i++)
-        for (long j = 0; j < f->rows; j++) {
-            const long k = i * f->rows + j;
-            const double at_x = i * f->dx - f->numbers.length_x / 2 + x[k];
-            const double at_y = j * f->dy - f->numbers.length_y / 2 + x[f->count + k];
-            double slope[2] = {0, 0};
-            int axis = 0; /* kept in `edge`, which is found next */
-            const int off_all = lowest(f, bodies, body, pool, at_x, at_y, w->obstacle + k, slope);
-            const int taken = (i && ((int)w->edge[k - f->rows] & 1)) | (j && ((int)w->edge[k - 1] & 2)) << 1;
-            if (off_all && thin) axis = see_between(f, bodies, body, pool, at_x, at_y, taken, w->obstacle + k, slope);
-            if (!off_all && sharp) axis = see_ridge(f, bodies, body, pool, at_x, at_y, taken, w->obstacle + k, slope);
-            w->edge[k] = axis;
-            w->slope[k] = slope[0], w->slope[f->count + k] = slope[1];
-            if (isinf(w->obstacle[k])) {
-                w->level[k] = INFINITY;
-                continue;
-            }
-            w->level[k] = w->obstacle[k] - w->slope[k] * x[k] - w->slope[f->count + k] * x[f->count + k];
-        }
-}
-
-static int on_a_body(const Film *f, long bodies, const double *body, const double *pool, double x, double y) {
-    double height, slope[2];
-    return !lowest(f, bodies, body, pool, x, y, &height, slope);
-}
-
-/* Where bodies end between a node that is on one and a neighbour that is not: the share of the way, for the neighbours at +x, -x,
-   +y and -y; negative where both are on, or both off. */
-static void find_edges(const Film *f, long bodies, const double *body, const double *pool, const double *x, Work *w) {
-    const long rows = f->rows, count = f->count, next[4] = {rows, -rows, 1, -1};
-    for (long k = 0; k < 4 * count; k++) w->edge[k] = -1;
-    for (long i = 1; i < f->columns - 1; i++)
-        for (long j = 1; j < rows - 1; j++)
-            for (int side = 0; side < 4; side++) {
-                const long k = i * rows + j, other = k + next[side];
-                if (!isfinite(w->obstacle[k]) || isfinite(w->obstacle[other])) continue;
-                const double at[2] = {i * f->dx - f->numbers.length_x / 2 + x[k], j * f->dy - f->numbers.length_y / 2 + x[count + k]};
-                const double way[2] = {side < 2 ? (side ? -1 : 1) * f->dx + x[other] - x[k] : 0,
-                                       side < 2 ? 0 : (side == 3 ? -1 : 1) * f->dy + x[count + other] - x[count + k]};
-                double low = 0, high = 1;
-                for (int half = 0; half < EDGE_HALVES; half++) {
-                    const double middle = (low + high) / 2;
-                    if (on_a_body(f, bodies, body, pool, at[0] + middle * way[0], at[1] + middle * way[1])) low = middle;
-                    else high = middle;
-                }
-                w->edge[side * count + k] = low;
-            }
-}
-
-/* A sheet that bends over an edge a share s of the spacing beyond the last node on the body rises to the next node over what is
-   left of it, 1 - s, and pulls that much more: as a spring beside the sheet. Changes residual and stiffness; returns a number that tells which edges pull. */
-static double stiffen_edges(const Film *f, const double *z, Work *w) {
-    double which = 0;
-    const long rows = f->rows, count = f->count, next[4] = {rows, -rows, 1, -1};
-    SheetFields *s = &w->fields;
-    for (long k = rows; k < count - rows; k++) {
-        if (!w->touching[k]) continue;
-        double *links[4] = {s->right + k, s->right + k - rows, s->up + k, s->up + k - 1};
-        for (int side = 0; side < 4; side++) {
-            const double share = least(w->edge[side * count + k], NEAREST_EDGE);
-            if (share <= 0) continue;
-            const long other = k + next[side];
-            const double along = side < 2 ? w->slope[k] * f->dx : w->slope[count + k] * f->dy;
-            const double rises = z[other] - z[k] - (side % 2 ? -along : along); /* over the face, drawn on */
-            if (rises <= 0) continue; /* it leaves the face before the edge */
-            const double spring = most(-*links[side], 0) * share / (1 - share), force = -spring * rises;
-            *links[side] -= spring, s->own[k] += spring, s->own[other] += spring;
-            w->residual[k] += force, w->residual[other] -= force;
-            which += 4. * k + side;
-        }
-    }
-    return which;
-}
-
-/* The same by the slopes that were seen last: `level` holds what a slope leaves of a height. */
-static void follow_bodies(const Film *f, const double *x, Work *w) {
-    for (long k = 0; k < f->count; k++)
-        w->obstacle[k] = w->level[k] + w->slope[k] * x[k] + w->slope[f->count + k] * x[f->count + k];
-}
-
-/* A sheet that bends at its nodes alone is held off a round body by half of what the body drops over half a spacing, which is
-   taken off; where the body ends beside a node, nothing is known of its curvature. */
-static void lower_round_bodies(const Film *f, const double *x, Work *w) {
-    const double *h = w->obstacle, *z = x + 2 * f->count;
-    const long rows = f->rows;
-    memset(w->lower, 0, f->count * sizeof *w->lower);
-    for (long i = 1; i < f->columns - 1; i++)
-        for (long j = 1; j < rows - 1; j++) {
-            const long k = i * rows + j;
-            if (!isfinite(h[k])) continue;
-            double bend = 0;
-            if (isfinite(h[k - rows] + h[k + rows])) bend += h[k - rows] + h[k + rows] - 2 * h[k];
-            if (isfinite(h[k - 1] + h[k + 1])) bend += h[k - 1] + h[k + 1] - 2 * h[k];
-            const double steep = 1 + square(w->slope[k]) + square(w->slope[f->count + k]);
-            w->lower[k] = CORRECTION * most(bend, 0) / (steep * sqrt(steep)); /* of the curvature, not of how the slope is seen */
-        }
-    (void)z;
-}
-
-static int against_the_frame(const Film *f, const Work *w) {
-    const double *h = w->obstacle;
-    for (long i = 0; i < f->columns; i++)
-        for (long j = 0; j < f->rows; j++) {
-            const long k = i * f->rows + j;
-            if ((i == 0 || j == 0 || i == f->columns - 1 || j == f->rows - 1) && h[k] < 0) return AT_THE_RIM;
-            if (h[k] - f->numbers.half_thickness <= -f->numbers.depth) return ON_THE_GLASS;
-        }
-    return CONVERGED;
-}
-
 /* -- heights ----------------------------------------------------------------------------------------------------------- */
 
 /* out = stiffness of the heights times `what`, at the inner nodes; `what` is zero on the frame. */
@@ -267,6 +81,21 @@ static void stiffness_times(const Film *f, const SheetFields *s, const double *w
                      s->right[k - rows] * what[k - rows] + s->right_up[k] * what[k + rows + 1] +
                      s->right_up[k - rows - 1] * what[k - rows - 1] + s->right_down[k] * what[k + rows - 1] +
                      s->right_down[k - rows + 1] * what[k - rows + 1];
+        }
+    }
+}
+
+static void stiffen_edges(const Film *f, const double *z, Work *w) {
+    SheetFields *s = &w->fields;
+    for (long k = f->rows; k < f->count - f->rows; k++) {
+        double *links[4] = {s->right + k, s->right + k - f->rows, s->up + k, s->up + k - 1};
+        for (int side = 0; side < 4; side++) {
+            const double spring = w->spring[side * f->count + k];
+            if (spring == 0) continue;
+            const long other = k + film_next(f, side);
+            const double force = -spring * rises_over_edge(f, w, z, k, side);
+            *links[side] -= spring, s->own[k] += spring, s->own[other] += spring;
+            w->residual[k] += force, w->residual[other] -= force;
         }
     }
 }
@@ -429,27 +258,20 @@ static void learn(const Film *f, Work *w, long known, long newest) {
 
 /* -- all of it --------------------------------------------------------------------------------------------------------- */
 
-static void gas_of(const Film *f, const Settings *set, double bulge, double *pressure, double *stiffness) {
-    *pressure = set->gas, *stiffness = 0;
-    if (!set->sealed) return;
-    const double volume = f->numbers.chamber_flat + bulge, absolute = set->gas / pow(volume, f->numbers.heat_ratio);
-    *pressure = absolute - f->numbers.ambient, *stiffness = f->numbers.heat_ratio * absolute / volume;
-}
-
 /* Bodies are `lifted` m off where they are. Returns a status. */
-static int come_to_rest(const Film *f, const double *plane_factor, const Settings *set, long bodies, const double *body,
-                        const double *pool, double lifted, double *x, double *force, double *found, Work *w) {
+static int come_to_rest(const Film *f, const double *plane_factor, const Settings *set, const Bodies *bodies,
+                        double lifted, double *x, double *force, double *found, Work *w) {
     int status = NOT_CONVERGED, factored = 0;
     long known = 0, newest = 0;
     double pulled = 0, *z = x + 2 * f->count, last, last_before = 1e-4;
     memset(w->before, 0, f->count), memset(w->pushed, 0, f->count * sizeof *w->pushed);
     for (long k = 0; k < f->count; k++) w->touching[k] = force[k] > 0;
     for (long step = 0; step < (long)set->most_steps && status == NOT_CONVERGED; step++) {
-        if (step < LOOKS) see_bodies(f, bodies, body, pool, x, w), find_edges(f, bodies, body, pool, x, w);
+        if (step < LOOKS) see_bodies(f, bodies, x, w), find_edges(f, bodies, x, EDGE_HALVES, w);
         else follow_bodies(f, x, w);
         if (!step && (status = against_the_frame(f, w))) return status;
         status = NOT_CONVERGED;
-        lower_round_bodies(f, x, w);
+        lower_round_bodies(f, w);
         const SheetSums before = film_sheet(f, x, &w->fields);
         if (before.least_turn < LEAST_TURN || !isfinite(before.area)) return INSIDE_OUT;
         double pressure, gas_stiffness, largest_shift, largest = 0;
@@ -474,7 +296,8 @@ static int come_to_rest(const Film *f, const double *plane_factor, const Setting
         for (long k = 0; k < f->count; k++)
             w->residual[k] = w->fields.elastic[2 * f->count + k] - pressure * w->fields.gradient[2 * f->count + k];
         stiffen_curved(f, z, w);
-        const double pulling = stiffen_edges(f, z, w);
+        const double pulling = find_springs(f, z, w);
+        stiffen_edges(f, z, w);
         const int other_edges = pulling != pulled;
         pulled = pulling;
         if ((changed || other_edges || !factored) && factor_heights(f, w)) return INSIDE_OUT;
@@ -514,64 +337,28 @@ static int come_to_rest(const Film *f, const double *plane_factor, const Setting
     return status;
 }
 
-/* Wrench about S, and the area that touches: of each node's cell the share that its force is of what all of it would carry. */
-static void add_up(const Film *f, const double *x, const double *force,
-                   double *found, const Work *w) {
-    const double *h = w->obstacle;
-    const long rows = f->rows;
-    for (int k = FORCE_X; k <= TORQUE_Z; k++) found[k] = 0;
-    found[AREA] = 0;
-    for (long i = 1; i < f->columns - 1; i++)
-        for (long j = 1; j < rows - 1; j++) {
-            const long k = i * rows + j;
-            if (!(force[k] > 0)) continue;
-            const double r[3] = {i * f->dx - f->numbers.length_x / 2 + x[k], j * f->dy - f->numbers.length_y / 2 + x[f->count + k],
-                                 x[2 * f->count + k]};
-            const double slope[2] = {w->slope[k], w->slope[f->count + k]};
-            const double F[3] = {force[k] * slope[0], force[k] * slope[1], -force[k]};
-            for (int c = 0; c < 3; c++) {
-                found[FORCE_X + c] += F[c];
-                found[TORQUE_X + c] += r[(c + 1) % 3] * F[(c + 2) % 3] - r[(c + 2) % 3] * F[(c + 1) % 3];
-            }
-            const double cell = w->fields.gradient[2 * f->count + k];
-            const double flanks = h[k - 1] + h[k + 1] + h[k - rows] + h[k + rows];
-            double share;
-            if (isfinite(flanks)) {
-                const double bend = (h[k - rows] + h[k + rows] - 2 * h[k]) / square(f->dx) + (h[k - 1] + h[k + 1] - 2 * h[k]) / square(f->dy);
-                const double steep = 1 + slope[0] * slope[0] + slope[1] * slope[1];
-                const double whole = cell * (found[PRESSURE] + found[TENSION] * bend / (steep * sqrt(steep)));
-                share = whole > 0 ? least(force[k] / whole, 1) : 1;
-            } else {
-                double wide[4];
-                for (int side = 0; side < 4; side++) wide[side] = w->edge[side * f->count + k] >= 0 ? w->edge[side * f->count + k] : 0.5;
-                share = (wide[0] + wide[1]) * (wide[2] + wide[3]); /* to the edges, for there are no nodes beyond */
-            }
-            found[AREA] += share * cell * sqrt(1 + slope[0] * slope[0] + slope[1] * slope[1]);
-        }
-}
-
 int64_t film_solve(const double *numbers, const double *law, int64_t columns, int64_t rows, const double *plane_factor,
                    const double *rest, int64_t roomy, double *room, int64_t environments, int64_t begin, int64_t end,
                    const double *settings, int64_t bodies, const double *body, int64_t pooled, const double *pool, double *x,
                    double *force, double *found) {
     const Film f = film_of(numbers, law);
-    if (columns != f.columns || rows != f.rows || roomy < work_size(&f) || begin < 0 || end > environments) return REFUSED;
+    if (columns != f.columns || rows != f.rows || roomy < film_work_size(&f) || begin < 0 || end > environments) return REFUSED;
     (void)pooled;
-    Work w = work_of(&f, room);
+    Work w = film_work(&f, room);
     for (long e = begin; e < end; e++) {
         double *own_x = x + e * 3 * f.count, *own_force = force + e * f.count, *own = found + e * FOUND;
-        const double *own_body = body + e * bodies * FILM_BODY;
+        const Bodies own_bodies = {bodies, body + e * bodies * FILM_BODY, pool};
         const Settings *set = (const Settings *)settings + e;
         memset(own, 0, FOUND * sizeof *own);
-        int status = come_to_rest(&f, plane_factor, set, bodies, own_body, pool, 0, own_x, own_force, own, &w);
+        int status = come_to_rest(&f, plane_factor, set, &own_bodies, 0, own_x, own_force, own, &w);
         if (set->most_steps > 1 && (status == NOT_CONVERGED || status == INSIDE_OUT)) { /* too large a jump: from rest, in smaller ones */
             memcpy(own_x, rest, 3 * f.count * sizeof *rest), memset(own_force, 0, f.count * sizeof *own_force);
-            see_bodies(&f, bodies, own_body, pool, own_x, &w);
+            see_bodies(&f, &own_bodies, own_x, &w);
             double deep = 0;
             for (long k = 0; k < f.count; k++) deep = most(deep, own_x[2 * f.count + k] - w.obstacle[k]);
             const long jumps = 16;
             for (long jump = jumps - 1; jump >= 0; jump--) {
-                status = come_to_rest(&f, plane_factor, set, bodies, own_body, pool, deep * jump / jumps, own_x, own_force, own, &w);
+                status = come_to_rest(&f, plane_factor, set, &own_bodies, deep * jump / jumps, own_x, own_force, own, &w);
                 if (status == INSIDE_OUT || status == AT_THE_RIM || status == ON_THE_GLASS) break;
             }
         }

@@ -7,8 +7,10 @@
 #include "small.h"
 
 #define FAR 1.0          /* m below everything: where lines start */
-#define MARCH_STEPS 60
-#define MARCH_NEAR 1e-8  /* m */
+#define STEEPEST 4.0 /* 75 degrees */
+#define SHARP 1.0 /* where a rim that is rounded by less than the spacing ends as an edge does */
+#define MOST_APPROACHES 50
+#define NEAR 1e-13 /* m */
 
 /* A vertical line in the body's frame: `from` + t `along`, t is the height in S. */
 typedef struct { double from[3], along[3]; } Line;
@@ -170,22 +172,25 @@ static int quadric(const FilmBody *b, const Line *line, double *t, double *n) {
 /* Distance to a flat disc of radius sizes[0] and half height sizes[1] whose rims are rounded by sizes[2]; normal in `n`. */
 static double rounded_disc(const FilmBody *b, const double *x, double *n) {
     const double r = hypot(x[0], x[1]), round = b->sizes[2];
-    const double across = r - (b->sizes[0] - round), up = fabs(x[2]) - (b->sizes[1] - round);
+    const double across = r - (b->sizes[0] - b->sizes[2]), up = fabs(x[2]) - (b->sizes[1] - b->sizes[2]);
     const double out_r = most(across, 0), out_z = most(up, 0), out = hypot(out_r, out_z);
     const double radial = out > 0 ? out_r / out : across > up, axial = out > 0 ? out_z / out : !(across > up);
     n[0] = r > 0 ? radial * x[0] / r : 0, n[1] = r > 0 ? radial * x[1] / r : 0, n[2] = x[2] < 0 ? -axial : axial;
     return out + least(most(across, up), 0) - round;
 }
 
+/* The distance along a line is convex: Newton's steps from outside come to the surface and never beyond. */
 static int disc(const FilmBody *b, const Line *line, double *t, double *n) {
     const double reach = b->sizes[0] + b->sizes[1];
-    double middle = -dot3(line->from, line->along), x[3];
-    *t = middle - reach;
-    for (int step = 0; step < MARCH_STEPS && *t < middle + reach; step++) {
+    double x[3];
+    *t = -dot3(line->from, line->along) - reach;
+    for (int step = 0; step < MOST_APPROACHES; step++) {
         for (int k = 0; k < 3; k++) x[k] = line->from[k] + *t * line->along[k];
-        double left = rounded_disc(b, x, n);
-        if (left < MARCH_NEAR) return 0;
-        *t += left;
+        const double left = rounded_disc(b, x, n), falls = -dot3(n, line->along);
+        if (left < NEAR) return 0;
+        if (falls <= 0) return 1;
+        *t += left / falls;
+        if (*t > -dot3(line->from, line->along) + reach) return 1;
     }
     return 1;
 }
@@ -229,10 +234,14 @@ static int heights(const Film *film, const double *field, double x, double y, do
     return 0;
 }
 
+/* What a distance across a slope is along z; where it is too steep to follow, the surface is nearly met from the side. */
+static double farther_along_z(const double slope[2]) { return least(sqrt(1 + square(slope[0]) + square(slope[1])), STEEPEST); }
+
 int film_body_height(const Film *film, const FilmBody *b, const double *pool, double x, double y, double *height,
                      double slope[2]) {
     static const double origin[3] = {0};
-    double t, n[3], out = film->numbers.half_thickness;
+    double t, n[3];
+    const double out = film->numbers.half_thickness;
     const Line line = line_in_body(b, x, y);
     const double *own = pool ? pool + (long)b->first : 0;
     int missed, exact = 0; /* exact: `out` is in it already */
@@ -252,11 +261,12 @@ int film_body_height(const Film *film, const FilmBody *b, const double *pool, do
         t = -line.from[2] / line.along[2], missed = !isfinite(t);
         break;
     default: missed = heights(film, own, x, y, &t, slope);
-        if (!missed) *height = t - out * sqrt(1 + square(slope[0]) + square(slope[1]));
+        if (!missed) *height = t - out * farther_along_z(slope);
         return missed;
     }
     if (missed || slopes_of(b, n, slope)) return 1;
-    *height = exact ? t : t - out * sqrt(1 + square(slope[0]) + square(slope[1]));
+    if ((int)b->kind == BODY_DISC && b->sizes[2] < most(film->dx, film->dy) && hypot(slope[0], slope[1]) > SHARP) return 1;
+    *height = exact ? t : t - out * farther_along_z(slope);
     return 0;
 }
 

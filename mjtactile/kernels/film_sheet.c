@@ -162,12 +162,7 @@ SheetSums film_sheet(const Film *film, const double *x, const SheetFields *to) {
     return sums;
 }
 
-/* -- stiffness in the plane, made once a film ------------------------------------------------------------------------------ */
-
-static long inner_of(const Film *film, long i, long j) {
-    if (i < 1 || j < 1 || i > film->columns - 2 || j > film->rows - 2) return -1;
-    return (i - 1) * film->inner_rows + j - 1;
-}
+/* -- stiffness ------------------------------------------------------------------------------------------------------------ */
 
 /* Derivative of the stress times 2 by C, S11 S22 S12 by C11 C22 C12, symmetric (Eq. F10). */
 static void moduli(const Film *film, const Strained *s, double D[3][3]) {
@@ -186,40 +181,56 @@ static void moduli(const Film *film, const Strained *s, double D[3][3]) {
     D[0][1] -= q, D[1][0] -= q, D[2][2] += q / 2;
 }
 
+void film_corner_nodes(const Film *film, long corner, long node[3]) {
+    const long i = corner / 4 / (film->rows - 1), j = corner / 4 % (film->rows - 1), ci = corner % 4 / 2, cj = corner % 2;
+    node[0] = (i + ci) * film->rows + j + cj;
+    node[1] = (i + 1 - ci) * film->rows + j + cj, node[2] = (i + ci) * film->rows + j + 1 - cj;
+}
+
+void film_corner(const Film *film, const double *x, double pressure, long corner, CornerStiffness *out) {
+    const long count = film->count, ci = corner % 4 / 2, cj = corner % 2;
+    const double weight = film->dx * film->dy / 4, over_x = (ci ? -1 : 1) / film->dx, over_y = (cj ? -1 : 1) / film->dy;
+    const double by1[3] = {-over_x, over_x, 0}, by2[3] = {-over_y, 0, over_y};
+    film_corner_nodes(film, corner, out->node);
+    const double *at = x + out->node[0], *beside = x + out->node[1], *above = x + out->node[2];
+    double g1[3] = {1, 0, 0}, g2[3] = {0, 1, 0}, D[3][3], strain[9][3], stress[9][3], turn[9];
+    for (int k = 0; k < 3; k++) {
+        g1[k] += over_x * (beside[k * count] - at[k * count]);
+        g2[k] += over_y * (above[k * count] - at[k * count]);
+    }
+    const Strained s = strained(&film->numbers, film->law, g1, g2, film->numbers.neo_hookean != 0);
+    moduli(film, &s, D);
+    for (int p = 0; p < 9; p++) {
+        const int n = p / 3, k = p % 3;
+        strain[p][0] = by1[n] * g1[k], strain[p][1] = by2[n] * g2[k], strain[p][2] = by1[n] * g2[k] + by2[n] * g1[k];
+        for (int e = 0; e < 3; e++) stress[p][e] = D[e][0] * strain[p][0] + D[e][1] * strain[p][1] + D[e][2] * strain[p][2];
+        turn[p] = k == 0 ? by1[n] * g2[1] - by2[n] * g1[1] : k == 1 ? by2[n] * g1[0] - by1[n] * g2[0] : 0;
+    }
+    const double height = at[2 * count];
+    for (int p = 0; p < 9; p++)
+        for (int q = 0; q <= p; q++) {
+            const int n = p / 3, m = q / 3, k = p % 3, l = q % 3;
+            double value = 0, volume = 0; /* the latter's second derivative */
+            for (int e = 0; e < 3; e++) value += stress[p][e] * strain[q][e];
+            if (k == l) value += by1[n] * (s.S11 * by1[m] + s.S12 * by2[m]) + by2[n] * (s.S12 * by1[m] + s.S22 * by2[m]);
+            if (k + l == 1) volume = (k ? -height : height) * (by1[n] * by2[m] - by2[n] * by1[m]);
+            volume += (p == 2) * turn[q] + (q == 2) * turn[p];
+            out->K[p][q] = out->K[q][p] = weight * (value - pressure * volume);
+        }
+}
+
 void film_plane_stiffness(const Film *film, const double *x, double *band) {
-    const long rows = film->rows, count = film->count, stride = BAND_STRIDE(FILM_PLANE_WIDTH(film));
-    const double weight = film->dx * film->dy / 4;
+    const long stride = BAND_STRIDE(FILM_PLANE_WIDTH(film));
     memset(band, 0, 2 * film->inner * stride * sizeof *band);
-    for (long cell = 0; cell < (film->columns - 1) * (rows - 1) * 4; cell++) {
-        const long i = cell / 4 / (rows - 1), j = cell / 4 % (rows - 1), ci = cell % 4 / 2, cj = cell % 2;
-        const long pi[4] = {i, i + 1, i + ci, i + ci}, pj[4] = {j + cj, j + cj, j, j + 1};
-        const double by1[4] = {-1 / film->dx, 1 / film->dx, 0, 0}, by2[4] = {0, 0, -1 / film->dy, 1 / film->dy};
-        double g1[3] = {1, 0, 0}, g2[3] = {0, 1, 0}, D[3][3];
-        for (int k = 0; k < 3; k++)
-            for (int a = 0; a < 4; a++) {
-                const double value = x[k * count + pi[a] * rows + pj[a]];
-                g1[k] += by1[a] * value, g2[k] += by2[a] * value;
-            }
-        const Strained s = strained(&film->numbers, film->law, g1, g2, film->numbers.neo_hookean != 0);
-        moduli(film, &s, D);
-        for (int a = 0; a < 4; a++)
-            for (int b = 0; b < 4; b++) {
-                const long m = inner_of(film, pi[a], pj[a]), n = inner_of(film, pi[b], pj[b]);
-                if (m < 0 || n < 0) continue;
-                const double geometric = by1[a] * (s.S11 * by1[b] + s.S12 * by2[b]) + by2[a] * (s.S12 * by1[b] + s.S22 * by2[b]);
-                for (int k = 0; k < 2; k++)
-                    for (int l = 0; l < 2; l++) {
-                        const long row = 2 * m + k, column = 2 * n + l;
-                        if (row < column) continue;
-                        /* changes of E11, E22, 2 E12 by the two displacements */
-                        const double Ea[3] = {by1[a] * g1[k], by2[a] * g2[k], by1[a] * g2[k] + by2[a] * g1[k]};
-                        const double Eb[3] = {by1[b] * g1[l], by2[b] * g2[l], by1[b] * g2[l] + by2[b] * g1[l]};
-                        double value = k == l ? geometric : 0;
-                        for (int e = 0; e < 3; e++)
-                            for (int f = 0; f < 3; f++) value += Ea[e] * D[e][f] * Eb[f];
-                        band[column * stride + row - column] += weight * value;
-                    }
+    CornerStiffness c;
+    for (long corner = 0; corner < FILM_CORNERS(film); corner++) {
+        film_corner(film, x, 0, corner, &c);
+        for (int p = 0; p < 9; p++)
+            for (int q = 0; q < 9; q++) {
+                const long m = film_inner(film, c.node[p / 3]), n = film_inner(film, c.node[q / 3]);
+                const long row = 2 * m + p % 3, column = 2 * n + q % 3;
+                if (m < 0 || n < 0 || p % 3 == 2 || q % 3 == 2 || row < column) continue;
+                band[column * stride + row - column] += c.K[p][q];
             }
     }
 }
-

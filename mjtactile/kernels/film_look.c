@@ -1,0 +1,221 @@
+/* Bodies as a film's nodes see them, and what a film that rests on them bears. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "film_work.h"
+#include "small.h"
+
+#define CORRECTION (1 / 24.) /* of curvature times spacing^2, by which the grid makes a smooth body too high */
+#define THIN 5              /* places looked at on each side of a node for what is thinner than the spacing */
+#define NEAREST_EDGE 0.95   /* of a spacing */
+#define SAME 1e-9           /* m */
+
+/* -- bodies ------------------------------------------------------------------------------------------------------------ */
+
+static const FilmBody *body_of(const Bodies *bodies, long number) {
+    return (const FilmBody *)(bodies->body + number * FILM_BODY);
+}
+
+/* Lowest height, and its slopes, of all bodies over a place; 1 where there is none. */
+static int lowest(const Film *f, const Bodies *bodies, double x, double y, double *height,
+                  double slope[2]) {
+    double found = INFINITY, at, by[2] = {0, 0};
+    for (long b = 0; b < bodies->count; b++) {
+        if (film_body_height(f, body_of(bodies, b), bodies->pool, x, y, &at, by) || at >= found) continue;
+        found = at, slope[0] = by[0], slope[1] = by[1];
+    }
+    *height = found;
+    return isinf(found);
+}
+
+/* What is thinner than the spacing and passes between nodes is moved under the nearest: the lowest place on the cross of a node's
+   cell. Returns the axis that it was found along, 1 or 2, or 0; `taken`: along which the node before has it already. */
+static int see_between(const Film *f, const Bodies *bodies, double x, double y, int taken,
+                       double *height, double slope[2]) {
+    int found = 0;
+    for (int part = -THIN; part <= THIN; part++)
+        for (int axis = 0; axis < 2; axis++) {
+            const double off = part / (2. * THIN + 1);
+            if (taken & (1 << axis)) continue;
+            double at, by[2] = {0, 0};
+            if (lowest(f, bodies, x + (axis ? 0 : off * f->dx), y + (axis ? off * f->dy : 0), &at, by)) continue;
+            if (at < *height) *height = at, slope[0] = by[0], slope[1] = by[1], found = 1 << axis;
+        }
+    return found;
+}
+
+/* A ridge or a tip that passes through a node's cell beside the node is what the sheet meets there, with no slope across it. */
+static int see_ridge(const Film *f, const Bodies *bodies, double x, double y, int taken,
+                     double *height, double slope[2]) {
+    int found = 0;
+    for (int axis = 0; axis < 2; axis++) {
+        double low = INFINITY, by[2] = {0, 0}, at;
+        int where = 0;
+        for (int part = -THIN - 2; part <= THIN + 2; part++) { /* cells overlap: nodes have moved apart */
+            const double off = part / (2. * THIN + 1);
+            if (lowest(f, bodies, x + (axis ? 0 : off * f->dx), y + (axis ? off * f->dy : 0), &at, by)) continue;
+            if (at < low - SAME || (at < low + SAME && abs(part) < abs(where))) low = at, where = part;
+        }
+        if (isinf(low) || abs(where) > THIN + 1 || taken & (1 << axis)) continue;
+        *height = least(*height, low), slope[axis] = 0, found |= 1 << axis;
+    }
+    return found;
+}
+
+/* Heights of all bodies over the nodes where they are now. */
+void see_bodies(const Film *f, const Bodies *bodies, const double *x, Work *w) {
+    int thin = 0, sharp = 0;
+    for (long b = 0; b < bodies->count; b++) sharp |= body_of(bodies, b)->least == 0;
+    for (long b = 0; b < bodies->count; b++) thin |= body_of(bodies, b)->least < most(f->dx, f->dy);
+    for (long i = 0; i < f->columns; i++)
+        for (long j = 0; j < f->rows; j++) {
+            const long k = i * f->rows + j;
+            const double at_x = i * f->dx - f->numbers.length_x / 2 + x[k];
+            const double at_y = j * f->dy - f->numbers.length_y / 2 + x[f->count + k];
+            double slope[2] = {0, 0};
+            int axis = 0; /* kept in `edge`, which is found next */
+            const int off_all = lowest(f, bodies, at_x, at_y, w->obstacle + k, slope);
+            const int taken = (i && ((int)w->edge[k - f->rows] & 1)) | (j && ((int)w->edge[k - 1] & 2)) << 1;
+            if (off_all && thin) axis = see_between(f, bodies, at_x, at_y, taken, w->obstacle + k, slope);
+            if (!off_all && sharp) axis = see_ridge(f, bodies, at_x, at_y, taken, w->obstacle + k, slope);
+            w->edge[k] = axis;
+            w->slope[k] = slope[0], w->slope[f->count + k] = slope[1];
+            if (isinf(w->obstacle[k])) {
+                w->level[k] = INFINITY;
+                continue;
+            }
+            w->level[k] = w->obstacle[k] - w->slope[k] * x[k] - w->slope[f->count + k] * x[f->count + k];
+        }
+}
+
+static int on_a_body(const Film *f, const Bodies *bodies, double x, double y) {
+    double height, slope[2];
+    return !lowest(f, bodies, x, y, &height, slope);
+}
+
+/* Where bodies end between a node that is on one and a neighbour that is not: the share of the way, for the neighbours at +x, -x,
+   +y and -y; negative where both are on, or both off. */
+void find_edges(const Film *f, const Bodies *bodies, const double *x, int halves, Work *w) {
+    const long rows = f->rows, count = f->count;
+    for (long k = 0; k < 4 * count; k++) w->edge[k] = -1;
+    for (long i = 1; i < f->columns - 1; i++)
+        for (long j = 1; j < rows - 1; j++)
+            for (int side = 0; side < 4; side++) {
+                const long k = i * rows + j, other = k + film_next(f, side);
+                if (!isfinite(w->obstacle[k]) || isfinite(w->obstacle[other])) continue;
+                const double at[2] = {i * f->dx - f->numbers.length_x / 2 + x[k], j * f->dy - f->numbers.length_y / 2 + x[count + k]};
+                const double way[2] = {side < 2 ? (side ? -1 : 1) * f->dx + x[other] - x[k] : 0,
+                                       side < 2 ? 0 : (side == 3 ? -1 : 1) * f->dy + x[count + other] - x[count + k]};
+                double low = 0, high = 1;
+                for (int half = 0; half < halves; half++) {
+                    const double middle = (low + high) / 2;
+                    if (on_a_body(f, bodies, at[0] + middle * way[0], at[1] + middle * way[1])) low = middle;
+                    else high = middle;
+                }
+                w->edge[side * count + k] = low;
+            }
+}
+
+double rises_over_edge(const Film *f, const Work *w, const double *z, long k, int side) {
+    const double along = side < 2 ? w->slope[k] * f->dx : w->slope[f->count + k] * f->dy;
+    return z[k + film_next(f, side)] - z[k] - (side % 2 ? -along : along);
+}
+
+/* A sheet that bends over an edge a share s of the spacing beyond the last node on the body rises to the next node over what is
+   left of it, 1 - s, and pulls that much more: as a spring beside the sheet. */
+double find_springs(const Film *f, const double *z, Work *w) {
+    double which = 0;
+    const SheetFields *s = &w->fields;
+    memset(w->spring, 0, 4 * f->count * sizeof *w->spring);
+    for (long k = f->rows; k < f->count - f->rows; k++) {
+        if (!w->touching[k]) continue;
+        const double links[4] = {s->right[k], s->right[k - f->rows], s->up[k], s->up[k - 1]};
+        for (int side = 0; side < 4; side++) {
+            const double share = least(w->edge[side * f->count + k], NEAREST_EDGE);
+            if (share <= 0 || rises_over_edge(f, w, z, k, side) <= 0) continue; /* it leaves the face before the edge */
+            w->spring[side * f->count + k] = most(-links[side], 0) * share / (1 - share);
+            which += 4. * k + side;
+        }
+    }
+    return which;
+}
+
+/* The same by the slopes that were seen last: `level` holds what a slope leaves of a height. */
+void follow_bodies(const Film *f, const double *x, Work *w) {
+    for (long k = 0; k < f->count; k++)
+        w->obstacle[k] = w->level[k] + w->slope[k] * x[k] + w->slope[f->count + k] * x[f->count + k];
+}
+
+/* A sheet that bends at its nodes alone is held off a round body by half of what the body drops over half a spacing, which is
+   taken off; where the body ends beside a node, nothing is known of its curvature. */
+void lower_round_bodies(const Film *f, Work *w) {
+    const double *h = w->obstacle;
+    const long rows = f->rows;
+    memset(w->lower, 0, f->count * sizeof *w->lower);
+    for (long i = 1; i < f->columns - 1; i++)
+        for (long j = 1; j < rows - 1; j++) {
+            const long k = i * rows + j;
+            if (!isfinite(h[k])) continue;
+            double bend = 0;
+            if (isfinite(h[k - rows] + h[k + rows])) bend += h[k - rows] + h[k + rows] - 2 * h[k];
+            if (isfinite(h[k - 1] + h[k + 1])) bend += h[k - 1] + h[k + 1] - 2 * h[k];
+            const double steep = 1 + square(w->slope[k]) + square(w->slope[f->count + k]);
+            w->lower[k] = CORRECTION * most(bend, 0) / (steep * sqrt(steep)); /* of the curvature, not of how the slope is seen */
+        }
+}
+
+int against_the_frame(const Film *f, const Work *w) {
+    const double *h = w->obstacle;
+    for (long i = 0; i < f->columns; i++)
+        for (long j = 0; j < f->rows; j++) {
+            const long k = i * f->rows + j;
+            if ((i == 0 || j == 0 || i == f->columns - 1 || j == f->rows - 1) && h[k] < 0) return AT_THE_RIM;
+            if (h[k] - f->numbers.half_thickness <= -f->numbers.depth) return ON_THE_GLASS;
+        }
+    return CONVERGED;
+}
+
+void gas_of(const Film *f, const Settings *set, double bulge, double *pressure, double *stiffness) {
+    *pressure = set->gas, *stiffness = 0;
+    if (!set->sealed) return;
+    const double volume = f->numbers.chamber_flat + bulge, absolute = set->gas / pow(volume, f->numbers.heat_ratio);
+    *pressure = absolute - f->numbers.ambient, *stiffness = f->numbers.heat_ratio * absolute / volume;
+}
+
+/* Wrench about S, and the area that touches: of each node's cell the share that its force is of what all of it would carry. */
+void add_up(const Film *f, const double *x, const double *force,
+                   double *found, const Work *w) {
+    const double *h = w->obstacle;
+    const long rows = f->rows;
+    for (int k = FORCE_X; k <= TORQUE_Z; k++) found[k] = 0;
+    found[AREA] = 0;
+    for (long i = 1; i < f->columns - 1; i++)
+        for (long j = 1; j < rows - 1; j++) {
+            const long k = i * rows + j;
+            if (!(force[k] > 0)) continue;
+            const double r[3] = {i * f->dx - f->numbers.length_x / 2 + x[k], j * f->dy - f->numbers.length_y / 2 + x[f->count + k],
+                                 x[2 * f->count + k]};
+            const double slope[2] = {w->slope[k], w->slope[f->count + k]};
+            const double F[3] = {force[k] * slope[0], force[k] * slope[1], -force[k]};
+            for (int c = 0; c < 3; c++) {
+                found[FORCE_X + c] += F[c];
+                found[TORQUE_X + c] += r[(c + 1) % 3] * F[(c + 2) % 3] - r[(c + 2) % 3] * F[(c + 1) % 3];
+            }
+            const double cell = w->fields.gradient[2 * f->count + k];
+            const double flanks = h[k - 1] + h[k + 1] + h[k - rows] + h[k + rows];
+            double share;
+            if (isfinite(flanks)) {
+                const double bend = (h[k - rows] + h[k + rows] - 2 * h[k]) / square(f->dx) + (h[k - 1] + h[k + 1] - 2 * h[k]) / square(f->dy);
+                const double steep = 1 + slope[0] * slope[0] + slope[1] * slope[1];
+                const double whole = cell * (found[PRESSURE] + found[TENSION] * bend / (steep * sqrt(steep)));
+                share = whole > 0 ? least(force[k] / whole, 1) : 1;
+            } else {
+                double wide[4];
+                for (int side = 0; side < 4; side++) wide[side] = w->edge[side * f->count + k] >= 0 ? w->edge[side * f->count + k] : 0.5;
+                share = (wide[0] + wide[1]) * (wide[2] + wide[3]); /* to the edges, for there are no nodes beyond */
+            }
+            found[AREA] += share * cell * sqrt(1 + slope[0] * slope[0] + slope[1] * slope[1]);
+        }
+}
+

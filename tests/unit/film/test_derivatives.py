@@ -1,0 +1,69 @@
+"""Derivatives by what presses, against differences of whole solutions."""
+
+import numpy as np
+import pytest
+
+from mjtactile import Film, InputError
+
+# What makes bodies of numbers, and the numbers: at places where no node is about to come or go.
+TURN = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+SHAPES = {
+    "ball": (lambda n: Film.obstacle("sphere", (n[3],), n[:3]), [1.3e-3, -0.7e-3, 9e-3, 8e-3]),
+    "rod": (
+        lambda n: Film.obstacle("capsule", (n[3], 4e-3), n[:3], TURN),
+        [1.3e-3, -0.7e-3, 5.5e-3, 4e-3],
+    ),
+    "quadric": (
+        lambda n: Film.obstacle("quadric", (n[3], n[4], 0.012), n[:3]),
+        [1.3e-3, -0.7e-3, 1.2e-3, 120, 60],
+    ),
+    "box": (
+        lambda n: Film.obstacle("box", (n[3], n[4], 0.01), n[:3]),
+        [1.3e-3, -0.7e-3, 0.0117, 5.3e-3, 4.1e-3],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_they_are_what_differences_say(monkeypatch, name):
+    monkeypatch.setattr("mjtactile.film.film.TOLERANCE", 1e-10)  # m; differences are of 1e-6
+    film = Film("dense", pressure_gauge=1000.0)
+    shape, numbers = SHAPES[name]
+
+    def settled(at, state=film.rest):
+        for _ in range(3):  # bodies are looked at for three steps of a solution only
+            state = film.solve(shape(at), state)
+        return state
+
+    numbers = np.array(numbers)
+    state = settled(numbers)
+    by = film.derivatives(state, shape, numbers)
+    steps = np.diag(np.where(np.abs(numbers) < 1, 1e-6, 1e-4 * numbers))  # m; of curvatures
+    # smooth bodies: what differences leave; edges: three sweeps of what the tangent leaves out
+    rel = 5e-3 if name == "box" else 1e-3
+    for k, step in enumerate(steps):
+        low, high = settled(numbers - step, state), settled(numbers + step, state)
+
+        def difference(of, low=low, high=high, by=2 * step[k]):
+            return (of(high) - of(low)) / by
+
+        displaced = difference(lambda s: s.displacements)
+        np.testing.assert_allclose(by.displacements[k], displaced, atol=rel * np.ptp(displaced))
+        wrench = difference(lambda s: s.wrench)
+        np.testing.assert_allclose(by.wrench[k, :3], wrench[:3], atol=rel * np.ptp(wrench[:3]))
+        np.testing.assert_allclose(by.wrench[k, 3:], wrench[3:], atol=rel * np.ptp(wrench[3:]))
+        assert by.pressure_gauge[k] == pytest.approx(difference(lambda s: s.pressure_gauge), rel)
+        assert by.volume[k] == pytest.approx(difference(lambda s: s.volume), rel)
+        area = np.abs(by.area * numbers).max() / abs(numbers[k])  # some areas hardly change
+        assert by.area[k] == pytest.approx(difference(lambda s: s.area), rel, abs=rel * area)
+
+
+def test_what_has_no_derivative_is_refused(monkeypatch):
+    film = Film("dense", (11, 9), 1000.0)
+    shape = SHAPES["ball"][0]
+    with pytest.raises(InputError, match="finite"):
+        film.derivatives(film.rest, shape, [np.nan, 0, 0.02, 8e-3])
+    with pytest.raises(InputError, match="steps"):
+        film.derivatives(film.rest, shape, [0, 0, 0.02, 8e-3], steps=[1e-6])
+    nothing = film.derivatives(film.rest, shape, [0, 0, 0.02, 8e-3])
+    assert not nothing.displacements.any() and not nothing.wrench.any()  # it touches nothing
