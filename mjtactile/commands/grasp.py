@@ -14,6 +14,7 @@ from mjtactile.commands import ranges, scenario, slow
 from mjtactile.commands.output import (
     new_run_folder,
     output_folder,
+    print_flags,
     print_json,
     require_new,
     stdout_to_stderr,
@@ -47,7 +48,8 @@ The result (--json, summary.json) says: outcome ("held", "dropped", "crushed", "
 a rig without truth "not set down": ended with the hand up and something in it),
 peak_force_N and hold_force_N as felt, peak_force_true_N, hold_force_true_N and slip_mm_true
 as they were (simulation only), real_time_factor, frames, perception_ms_median, object,
-sensor, controller, seed, the whole "scenario"; a "reason" where it is known. exit codes:
+sensor, controller, seed, the whole "scenario"; "flags", what makes the simulation's numbers
+worse than usual (kind to reason, docs/limits.md); a "reason" where it is known. exit codes:
 0 held, 1 dropped, crushed or not set down, 2 bad input, 3 a device or the simulation failed,
 or Ctrl-C.
 """
@@ -214,6 +216,7 @@ def _report_fault(
         "outcome": "fault",
         **dict.fromkeys(_MEASURED),
         "frames": recorder.cycles,
+        "flags": dict(recorder.flags),
         **wanted.names(),
         "error": reason,
         "scenario": wanted.to_dict(),
@@ -222,6 +225,8 @@ def _report_fault(
     recorder.close(outcome="fault", error=reason)
     # which takes longer than who stops a run will wait
     _write_report(out, recorder, summary, None if stopped else figure)
+    with contextlib.redirect_stdout(sys.stderr):
+        print_flags(recorder.flags)
     if recorder.cycles:
         print(
             f"mjtactile: {recorder.cycles} cycles were recorded and are kept in {out}",
@@ -269,6 +274,7 @@ def _print_summary(summary: dict[str, Any], out: Path) -> None:
             "  estimate  the simulated force is off by about "
             f"{1e3 * summary['force_error_estimate_N']:.0f} mN"
         )
+    print_flags(summary["flags"])
     speed = summary["real_time_factor"]
     spent = summary["perception_ms_median"]
     print(f"  speed     {speed:.2f} x real time; perception takes {spent:.1f} ms a cycle (median)")

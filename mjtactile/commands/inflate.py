@@ -8,7 +8,7 @@ from typing import Any
 
 from mjtactile import InputError, load_sensor
 from mjtactile.commands import plots, ranges
-from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
+from mjtactile.commands.output import optional_folder, print_flags, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
 from mjtactile.run.progress import Progress
 
@@ -79,8 +79,7 @@ def _print_table(result: dict[str, Any], out: Path | None) -> None:
             f"{s['theory_height_mm']:10.4f} {s['volume_mL']:10.4f} {s['area_mm2']:10.2f} "
             f"{s['max_stretch']:12.4f}{'' if s['converged'] else '  not settled'}"
         )
-    for kind, reason in result["flags"].items():
-        print(f"doubt ({kind}): {reason}")
+    print_flags(result["flags"])
     if out is not None:
         print(f"inflate.json and inflate.png are in {out}")
 

@@ -10,7 +10,7 @@ import json
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -119,6 +119,12 @@ def stdout_to_stderr() -> Iterator[None]:
 def print_json(value: Any) -> None:
     """Print one JSON object to stdout; non-finite numbers are null."""
     print(json.dumps(to_json(value), indent=2, allow_nan=False))
+
+
+def print_flags(flags: Mapping[str, str]) -> None:
+    """Say beside the numbers what makes a simulation's worse than usual."""
+    for kind, reason in flags.items():
+        print(f"  doubt ({kind}): {reason}")
 
 
 def insert_table(path: Path, name: str, table: str) -> None:

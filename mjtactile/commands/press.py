@@ -9,7 +9,7 @@ from typing import Any
 
 from mjtactile import InputError, SensorDesign, load_sensor
 from mjtactile.commands import effects, plots, ranges
-from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
+from mjtactile.commands.output import optional_folder, print_flags, print_json, stdout_to_stderr
 from mjtactile.recording.files import write_json
 from mjtactile.run.progress import Progress
 
@@ -162,8 +162,7 @@ def _print_table(result: dict[str, Any], out: Path | None) -> None:
             f"{s['pressure_kPa']:10.4f}{'' if s['converged'] else '  not settled'}"
             f"{'' if s['status'] == 'ok' else '  ' + s['status']}"
         )
-    for kind, reason in result["flags"].items():
-        print(f"doubt ({kind}): {reason}")
+    print_flags(result["flags"])
     if out is not None:
         print(f"press.json and press.png are in {out}")
 

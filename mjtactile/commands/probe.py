@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from mjtactile import InputError, Recorder, Scenario, load_recording
 from mjtactile.commands import plots, ranges, scenario
-from mjtactile.commands.output import optional_folder, print_json, stdout_to_stderr
+from mjtactile.commands.output import optional_folder, print_flags, print_json, stdout_to_stderr
 from mjtactile.core import signals
 from mjtactile.recording.files import write_json
 from mjtactile.recording.strip import Strip
@@ -135,6 +135,7 @@ def _print(result: ProbeResult, out: Path | None) -> None:
         )
     if known(m.speed):
         print(f"  flow         {1e3 * m.speed:.2f} mm/s after the fingers stopped")
+    print_flags(result.flags)
     if out is not None:
         print(f"  results      {out}/probe.html, probe.png, probe.json")
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from mjtactile import InputError, Recorder, Scenario, complete_scenario, rig_names
 from mjtactile.commands import ranges, slow
-from mjtactile.commands.output import output_folder, print_json, stdout_to_stderr
+from mjtactile.commands.output import output_folder, print_flags, print_json, stdout_to_stderr
 from mjtactile.core import resources
 from mjtactile.recording.observer import Observer, Observers
 from mjtactile.run.progress import Progress
@@ -171,7 +171,9 @@ def run(options: argparse.Namespace) -> int:
     result |= {"rig": options.rig, "sensor": design.name, "out": options.out}
     if options.json:
         print_json(result)
-    elif "unknown" not in result:
+        return 0
+    print_flags(result["flags"])
+    if "unknown" not in result:
         print(f"{result['cycles']} cycles\n  recorded in {options.out}/recording")
     else:
         print(
@@ -241,7 +243,7 @@ def _on_stage(
             say=progress.message,
         )
         recorder.close(outcome="recorded")
-    return {"cycles": cycles, "seconds": options.seconds}
+    return {"cycles": cycles, "seconds": options.seconds, "flags": dict(recorder.flags)}
 
 
 def _on_rig(
@@ -328,4 +330,5 @@ def _record(
         "unknown": len(forces) - len(known),
         "force_min_N": low,
         "force_max_N": high,
+        "flags": dict(session.flags),
     }

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mjtactile import InputError, Recording, load_recording
-from mjtactile.commands.output import print_json, stdout_to_stderr
+from mjtactile.commands.output import print_flags, print_json, stdout_to_stderr
 from mjtactile.recording.strip import Strip
 from mjtactile.run.progress import Progress
 
@@ -50,6 +50,7 @@ def run(options: argparse.Namespace) -> int:
         "cycles": len(recording),
         "shown": len(strip.kept),
         "felt_again": felt,
+        "flags": dict(recording.flags),
     }
     if options.json:
         print_json(result)
@@ -63,6 +64,7 @@ def run(options: argparse.Namespace) -> int:
             )
         )
         print(f"  written to {path}")
+        print_flags(recording.flags)
     return 0
 
 

@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 
 from mjtactile import InputError, load_recording
-from mjtactile.commands.output import print_json, require_new, stdout_to_stderr
+from mjtactile.commands.output import print_flags, print_json, require_new, stdout_to_stderr
 from mjtactile.run.progress import Progress
 
 SIMULATES = False
@@ -93,7 +93,7 @@ def run(options: argparse.Namespace) -> int:
             seconds=options.seconds,
             say=Progress(quiet=options.json).message,
         )
-    result |= {"out": str(path)}
+    result |= {"out": str(path), "flags": dict(recording.flags)}
     if options.json:
         print_json(result)
     else:
@@ -102,4 +102,5 @@ def run(options: argparse.Namespace) -> int:
             f"{result['height_px']} pixels\n"
             f"  written to {path}"
         )
+        print_flags(recording.flags)
     return 0

@@ -78,6 +78,7 @@ class EmulatedWorld:
         self._kept_pose: Any = None
         self._picture_period = 1 / options.rig_file.cameras[0].rate
         self._next_picture = 0.0
+        self._flagged: set[str] = set()
         self._stop = pace.Event()
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
         self._publish()
@@ -128,8 +129,17 @@ class EmulatedWorld:
         self._publish()
         if scene.time >= self._next_picture:
             self._next_picture += self._picture_period
+            self._say_flags()
             self._publish_forces()
             self._cameras.expose([scene.marker_poses(i) for i in range(len(scene.sensors))])
+
+    def _say_flags(self) -> None:
+        """Say once what makes this world's numbers worse than usual: no device can."""
+        for kind in self.scene.flags.keys() - self._flagged:
+            print(
+                f"emulator: doubt ({kind}): {self.scene.flags[kind]}", file=sys.stderr, flush=True
+            )
+        self._flagged |= self.scene.flags.keys()
 
     def _drive_jaws(self, goal: float, force: float) -> None:
         """To the opening that is asked for; without torque the gears' friction holds them where

@@ -12,7 +12,7 @@ import gc
 import math
 import shutil
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -134,6 +134,7 @@ def run_episode(episode: Episode) -> dict[str, Any]:
         line["images"] = False
     return line | {
         "break_force_N": facts.break_force,
+        "flags": dict(facts.flags),
         "varied": _drawn_values(scenario),
         "again": scenario.command(),
     }
@@ -180,6 +181,8 @@ class _Facts(Observer):
     def __init__(self) -> None:
         self._begin = math.nan
         self.break_force: float | None = None
+        self.flags: Mapping[str, str] = {}
+        """What makes the simulation's numbers worse than usual: the kind of doubt, its reason."""
         self.phases: list[str] = []
         self.time = 0.0
         """s in the simulation, from the first cycle to the last."""
@@ -191,6 +194,7 @@ class _Facts(Observer):
 
     def note(self, **facts: Any) -> None:
         self.break_force = facts.get("break_force_N", self.break_force)
+        self.flags = facts.get("flags", self.flags)
 
     def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
         self._begin = cycle.time if math.isnan(self._begin) else self._begin

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.evaluate import svg
+from mjtactile.evaluate.episodes import OUTCOMES
 from mjtactile.evaluate.statistics import NO_IMAGES, pair_text, stopped_text, summarise
 from mjtactile.evaluate.varied import measures
 from mjtactile.evaluate.wilson import Line
@@ -44,6 +45,7 @@ def page(
         _success(summary),
         _pairs(summary),
         _failures(lines),
+        _flags(summary, lines),
         _distributions(lines),
         _varied(summary),
         _worst(worst, pictures),
@@ -163,6 +165,37 @@ def _failures(lines: Sequence[Line]) -> str:
         rows,
         text=True,
     )
+
+
+def _flags(summary: Mapping[str, Any], lines: Sequence[Line]) -> str:
+    """Episodes by what makes the simulation's numbers worse than usual, and how those went that
+    have it, and those that have not."""
+    reasons: dict[str, str] = {}
+    for line in lines:
+        reasons = dict(line.get("flags", {})) | reasons
+    rows = [
+        [
+            escape(name),
+            escape(kind),
+            one["with"]["episodes"],
+            *(_went(one[side]) for side in ("with", "without")),
+            escape(reasons.get(kind, "")),
+        ]
+        for name, mine in summary["controllers"].items()
+        for kind, one in mine["flags"].items()
+    ]
+    head = ["controller", "doubt", "episodes", "with it", "without it", "reason (of the first)"]
+    return "<h2>What the simulation doubts of its own numbers</h2>" + (
+        table(head, rows, text=True) if rows else "<p>Nothing.</p>"
+    )
+
+
+def _went(group: Mapping[str, Any]) -> str:
+    """The outcomes of some episodes in words."""
+    counts = {name: group[name] for name in OUTCOMES if group[name]}
+    low, high = group["success_interval"]
+    share = f"; {100 * low:.0f}-{100 * high:.0f} %" if group["episodes"] > group["error"] else ""
+    return (", ".join(f"{count} {name}" for name, count in counts.items()) or "none") + share
 
 
 def _distributions(lines: Sequence[Line]) -> str:

@@ -104,6 +104,7 @@ def summarise(lines: Sequence[Line]) -> dict[str, Any]:
                 one: _group([line for line in mine if line["object"] == one]) for one in objects
             },
             "varied": against(mine, lines),
+            "flags": _by_flag(mine),
         }
     for k, first in enumerate(controllers):
         result["paired"] += [
@@ -115,7 +116,25 @@ def summarise(lines: Sequence[Line]) -> dict[str, Any]:
     )
 
 
-def _group(lines: Sequence[Line]) -> dict[str, Any]:
+def _by_flag(lines: Sequence[Line]) -> dict[str, Any]:
+    """Of each kind of doubt that the simulation had of its own numbers, how the episodes with it
+    went, and those without; and of any of them."""
+    kinds = dict.fromkeys(kind for line in lines for kind in line.get("flags", {}))
+    found = {}
+    for kind in (*sorted(kinds), *(["any"] if kinds else [])):
+        has = [kind in flags or (kind == "any" and bool(flags)) for flags in map(_flags, lines)]
+        found[kind] = {
+            "with": _outcomes([line for line, one in zip(lines, has, strict=True) if one]),
+            "without": _outcomes([line for line, one in zip(lines, has, strict=True) if not one]),
+        }
+    return found
+
+
+def _flags(line: Line) -> Mapping[str, str]:
+    return line.get("flags", {})
+
+
+def _outcomes(lines: Sequence[Line]) -> dict[str, Any]:
     counts = {outcome: sum(line["outcome"] == outcome for line in lines) for outcome in OUTCOMES}
     ended = len(lines) - counts["error"]
     return {
@@ -123,6 +142,12 @@ def _group(lines: Sequence[Line]) -> dict[str, Any]:
         **counts,
         "success": counts["held"] / ended if ended else math.nan,
         "success_interval": list(wilson(counts["held"], ended)),
+    }
+
+
+def _group(lines: Sequence[Line]) -> dict[str, Any]:
+    return {
+        **_outcomes(lines),
         **{name: _spread(measures(line)[name] for line in lines) for name in MEASURES},
         **{name: _spread(line.get(key) for line in lines) for name, key in FORCES.items()},
     }
@@ -162,6 +187,16 @@ def table(summary: Mapping[str, Any]) -> str:
         lines += ["", pair_text(pair)]
     if summary.get("missing"):
         lines += ["", f"{len(summary['missing'])} episodes of this evaluation are missing."]
+    for name, mine in summary["controllers"].items():
+        flags = {kind: one["with"]["episodes"] for kind, one in mine["flags"].items()}
+        if flags:
+            flagged = flags.pop("any")
+            kinds = ", ".join(f"{kind} {count}" for kind, count in flags.items())
+            lines += [
+                "",
+                f"{name}: the simulation doubts its own numbers in {flagged} of "
+                f"{mine['episodes']} episodes ({kinds}).",
+            ]
     if not summary.get("images", True):
         lines += ["", NO_IMAGES]
     return "\n".join(lines) + "\n"

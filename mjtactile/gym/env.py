@@ -251,6 +251,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
             **{k: v for k, v in found.items() if math.isfinite(v)},
             **({} if self._pictures else {"images": False}),
             **({"varied": dict(varied)} if varied else {}),
+            "flags": dict(rig.flags()),
             **({"problem": self._problem} if self._problem else {}),
         }
 

@@ -83,6 +83,7 @@ _NOTES = {
     "start_lift_height": NUMBER,
     "calibration": TABLE,
     "simulated": TABLE,
+    "flags": TABLE,
     "break_force_N": NUMBER,
     "fingers": (TEXT,),
 }
@@ -153,8 +154,9 @@ def wrong_note(row: Mapping[str, Any]) -> str | None:
             return key
     if "simulated" in row and not _is_simulated(row["simulated"]):
         return "simulated"
-    if not {kind(value) for value in row.get("versions", {}).values()} <= {TEXT}:
-        return "versions"
+    for texts in ("versions", "flags"):
+        if not {kind(value) for value in row.get(texts, {}).values()} <= {TEXT}:
+            return texts
     tables = {"files": TEXT, "calibration": None}
     return next(
         (

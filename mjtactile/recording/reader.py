@@ -70,6 +70,11 @@ class Recording:
         return tuple(self.notes.get("fingers") or finger_names(self.width))
 
     @property
+    def flags(self) -> Mapping[str, str]:
+        """What made a simulation's numbers worse than usual: the kind of doubt, and its reason."""
+        return self.notes.get("flags", {})
+
+    @property
     def valve_count(self) -> int:
         return len(self.columns["valve_open"][0]) if len(self) else 0
 

@@ -68,6 +68,8 @@ class Recorder(Observer):
         self.strip: Strip | None = None
         """Cycles spread over the run, where somebody gives one."""
         self.cycles = self.references = 0
+        self.flags: Mapping[str, str] = {}
+        """What makes a simulation's numbers worse than usual, as it was noted last."""
         self.problem = ""
         self.patience = 10.0
         """s that `add` waits for a disk that is 64 cycles behind; 0 where the world does not
@@ -183,6 +185,7 @@ class Recorder(Observer):
             **facts: By name; `fingers` are the names that image files get.
         """
         self._fingers = tuple(facts.get("fingers", self._fingers))
+        self.flags = facts.get("flags", self.flags)
         self._enqueue({"kind": "note", **facts})
 
     def _names(self, count: int) -> tuple[str, ...]:

@@ -216,6 +216,7 @@ def build_replay_rig(
         close=lambda: None,
         length=float(recording.columns["time"][-1] - recording.columns["time"][0]),
         simulated=recording.notes.get("simulated", {}),
+        flags=lambda: recording.flags,
     )
 
 

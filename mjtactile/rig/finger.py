@@ -75,6 +75,8 @@ class Rig:
             in the files' units.
         simulated: How a world is simulated: `mesh`, `timestep_ms`, and each of the `effects`, on or
             off, why, and its price.
+        flags: What makes the numbers of a simulation worse than usual, so far: the kind of doubt
+            and its reason; of a replay those that were recorded.
         scene: The simulated world, for scoring alone; None on a real rig. Sensing and controllers
             never see a `Rig`.
     """
@@ -89,6 +91,7 @@ class Rig:
     length: float = math.inf
     varied: Mapping[str, Any] = field(default_factory=dict)
     simulated: Mapping[str, Any] = field(default_factory=dict)
+    flags: Callable[[], Mapping[str, str]] = dict
     scene: Any = None
 
     @property

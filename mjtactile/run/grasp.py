@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import math
 import time as wall
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -45,6 +45,8 @@ class GraspResult:
     images: bool = True
     """False: no image was drawn (`--effects -images`); markers had errors drawn in place of those
     of the image stages."""
+    flags: Mapping[str, str] = field(default_factory=dict)
+    """What makes the simulation's numbers worse than usual: the kind of doubt, and its reason."""
 
     def summary(self) -> dict[str, Any]:
         """The JSON object of `mjtactile grasp --json`; what is unknown is NaN here and null
@@ -59,6 +61,7 @@ class GraspResult:
             "real_time_factor": self.real_time_factor,
             "frames": self.frames,
             "perception_ms_median": self.milliseconds["perception_median"],
+            "flags": dict(self.flags),
             **self.scenario.names(),
         }
         if not math.isnan(self.peak_stress_true):
@@ -186,7 +189,10 @@ def run_grasp(
             if score is None or not score.is_decided:
                 raise  # else the object had stayed behind before, or was broken
         factor = (rig.clock.now() - start) / (wall.perf_counter() - begin)
-    result = _result(scenario, log, factor, completed=completed, period=rig.period)
+        flags = session.flags
+    result = replace(
+        _result(scenario, log, factor, completed=completed, period=rig.period), flags=flags
+    )
     if log.estimate is None:
         return result
     return replace(result, force_error_estimate=log.estimate.force_error())

@@ -6,8 +6,8 @@ Like `mjtactile.run.grasp` it joins the control loop to a result; no truth takes
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -42,9 +42,12 @@ class _Log(Observer):
         self.openings.append(opening)
         self.phases.append(phase)
 
-    def result(self, names: dict[str, Any], settings: Settings) -> ProbeResult:
+    def result(
+        self, names: dict[str, Any], settings: Settings, flags: Mapping[str, str]
+    ) -> ProbeResult:
         squeeze = Squeeze.of(self.touches, self.openings, settings.squeeze)
-        return ProbeResult(names, judge(squeeze, settings.material), squeeze, tuple(self.phases))
+        material = judge(squeeze, settings.material)
+        return ProbeResult(names, material, squeeze, tuple(self.phases), flags)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +59,8 @@ class ProbeResult:
     material: Material
     squeeze: Squeeze
     phases: tuple[str, ...]
+    flags: Mapping[str, str] = field(default_factory=dict)
+    """What makes the simulation's numbers worse than usual: the kind of doubt, and its reason."""
 
     def summary(self) -> dict[str, Any]:
         """The JSON object of `mjtactile probe --json`; unknown is NaN here and null there."""
@@ -76,6 +81,7 @@ class ProbeResult:
             "permanent_set_sd_mm": 1e3 * m.permanent_set_sd,
             "deformation_speed_mm_s": 1e3 * m.speed,
             "frames": len(self.squeeze),
+            "flags": dict(self.flags),
         }
 
     def history(self) -> dict[str, Any]:
@@ -119,9 +125,10 @@ def run_probe(
         watching.begin(session)
         session.take_references(watching)
         session.run(controller, time_limit=scenario.time_limit, observer=Observers([log, watching]))
+        flags = session.flags
     names = scenario.names()
     del names["controller"]
-    return log.result(names, settings)
+    return log.result(names, settings, flags)
 
 
 def replay_probe(
@@ -165,4 +172,5 @@ def replay_probe(
             "seed": header.get("seed"),
         },
         settings,
+        session.flags,
     )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from mjtactile.core import signals
@@ -19,6 +19,7 @@ from mjtactile.rig.finger import Rig
 from mjtactile.rig.registry import as_scenario, build_rig
 from mjtactile.run.controller import Stepper
 from mjtactile.run.cycle import WAIT_TIME, Cycle
+from mjtactile.run.flags import FlagNotes
 from mjtactile.run.loop import run_loop
 from mjtactile.run.perceive import Perceiver
 from mjtactile.run.perception_pool import PerceptionPool, default_count
@@ -73,6 +74,12 @@ class Session:
     def patience(self) -> float:
         """s that this world waits for a disk that is behind: a real one does not."""
         return 0.0 if math.isfinite(self.rig.host_timeout) else WAIT_TIME
+
+    @property
+    def flags(self) -> Mapping[str, str]:
+        """What makes the numbers of a simulated or replayed rig worse than usual, so far: the kind
+        of doubt, and its reason; empty on a real rig."""
+        return dict(self.rig.flags())
 
     def take_references(self, observer: Observer | None = None) -> None:
         """Let every sensor measure itself: flat with the valve open to the air, then inflated,
@@ -158,16 +165,17 @@ class Session:
             SimulationError: When the simulated world broke.
         """
         self._supervisor = Supervisor(self.rig.period) if supervisor is None else supervisor
-        watching = [] if observer is None else [observer]
+        watching: list[Observer] = [] if observer is None else [observer]
         if on_cycle is not None:
             watching.append(CycleCallback(on_cycle))
-        with signals.deferred() as stop:
+        notes = FlagNotes(self.rig.flags, Observers(watching))
+        with signals.deferred() as stop, notes:
             return run_loop(
                 self.rig,
                 self.perceptions,
                 controller,
                 time_limit=time_limit,
-                observer=Observers(watching),
+                observer=Observers([notes, *watching]),
                 supervisor=self._supervisor,
                 stop=stop,
                 threads=self._threads,

@@ -297,6 +297,7 @@ def build_sim_rig(
         limits=limits,
         close=clock.close,
         varied=drawn.values,
+        flags=lambda: world.flags,
         scene=world,
         simulated={"mesh": mesh, "timestep_ms": 1e3 / (rate * steps), "effects": chosen.summary()},
     )

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from mjtactile.core.errors import SimulationError
-from mjtactile.sim.sensor.limits import Flags
+from mjtactile.sim.sensor.limits import GROWS, Flags
 from mjtactile.sim.sensor.monitor import SceneMonitor
 from mjtactile.sim.sensor.runtime import TactileSensor
 from mjtactile.sim.step import advance
@@ -24,7 +24,8 @@ _LOOK_PERIOD = 0.02  # s between the checks that cost more than a few microsecon
 class Stepper:
     """Advances model and data of a scene with `sensors`, which are bound to them.
 
-    `flags` has the kind of each doubt and its reason when it was first seen, `step_count` the steps
+    `flags` has the kind of each doubt and its reason when it was first seen (of those that say how
+    much, `limits.GROWS`, the most so far), `step_count` the steps
     so far. Each of `watchers` is called at every look, 20 ms apart, and returns flags of its own.
     """
 
@@ -77,7 +78,7 @@ class Stepper:
                 self._stop(reason)
         self._unsolved[0] += int(self._data.solver_niter[0] >= self._model.opt.iterations)
         if "speed" not in self.flags:
-            self.flags |= self._monitor.hurried()
+            self.flags = self.flags | self._monitor.hurried()
         if self.step_count % self._look_every == 0:
             self._look()
 
@@ -91,7 +92,7 @@ class Stepper:
         self._unsolved = [0, self._unsolved[0]]
         for watcher in self.watchers:
             flags |= watcher()
-        self.flags = flags | self.flags
+        self.flags = flags | self.flags | {kind: flags[kind] for kind in GROWS & flags.keys()}
         if reason:
             self._stop(reason)
 

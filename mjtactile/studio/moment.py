@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -54,13 +54,14 @@ class Felt:
 class Moment:
     """One cycle. `scene` is MuJoCo's model and state (mjSTATE_INTEGRATION) then, where there is
     one; `session` says what only a session has: phase, supervisor's state and reason, opening and
-    lift, m, ms of perception."""
+    lift, m, ms of perception; `flags` what makes a simulation's numbers worse than usual."""
 
     number: int
     time: float
     fingers: tuple[Felt, ...]
     session: SessionState | None = None
     scene: Any = None
+    flags: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -58,9 +58,19 @@ class OwnFingers:
                     )
                     for finger, one in zip(fingers, seen, strict=True)
                 ),
+                flags=_flags_of(fingers),
             )
             self.history.add(self._latest)
         return self._latest
+
+
+def _flags_of(fingers: Sequence[SimFinger]) -> dict[str, str]:
+    """What makes the numbers of each finger's simulation worse than usual."""
+    return {
+        f"{finger.name}: {kind}": reason
+        for finger in fingers
+        for kind, reason in finger.flags.items()
+    }
 
 
 class Sensors(plugin.SimPlugin):
@@ -85,6 +95,7 @@ class Sensors(plugin.SimPlugin):
         self._single = False
         self._pace: tuple[float, float] | None = None
         self._time = 0.0
+        self._flagged: set[str] = set()
 
     def complain(self, text: str) -> None:
         """Into Studio's console; and time stands."""
@@ -147,4 +158,12 @@ class Sensors(plugin.SimPlugin):
         self._single = False
         step(model, data, self.fingers, max(count, 0))
         self._time = float(data.time)
+        self._say_flags()
         return True
+
+    def _say_flags(self) -> None:
+        """Into Studio's console, each once."""
+        flags = _flags_of(self.fingers)
+        for kind in flags.keys() - self._flagged:
+            logging.getLogger("mjtactile").warning("doubt (%s): %s", kind, flags[kind])
+        self._flagged |= flags.keys()

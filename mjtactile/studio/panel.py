@@ -4,7 +4,7 @@ somebody's own scene."""
 from __future__ import annotations
 
 import time as wall
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -166,7 +166,7 @@ class Panel(plugin.ViewerPlugin):
     def on_build_gui(self, _: messages.BuildGuiEvent) -> None:
         moment = self.source.moment()
         self._layout.begin(imgui.GetIO().DisplaySize)
-        self._build_look()
+        self._build_look({} if moment is None else moment.flags)
         if moment is None:
             return
         for k, felt in enumerate(moment.fingers):
@@ -178,8 +178,8 @@ class Panel(plugin.ViewerPlugin):
             plots.build(self.source.history.curves(), [felt.name for felt in moment.fingers])
         imgui.End()
 
-    def _build_look(self) -> None:
-        """What is drawn into the scene."""
+    def _build_look(self, flags: Mapping[str, str]) -> None:
+        """What is drawn into the scene, and what the simulation doubts of its own numbers."""
         self._layout.place(8, -LOOK, LEFT, LOOK)
         if imgui.Begin("Touch in the scene")[0]:
             look = self.look
@@ -196,6 +196,8 @@ class Panel(plugin.ViewerPlugin):
             )
             self.look = marks.Look(choices[chosen], forces, field, contacts, camera)
             imgui.TextUnformatted(self._scale)
+            for kind, reason in flags.items():
+                imgui.TextWrapped(f"doubt ({kind}): {reason}")
             if self.error:
                 imgui.TextColored(RED, self.error)
         imgui.End()

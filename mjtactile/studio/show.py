@@ -76,6 +76,8 @@ class Show(Observer):
         self._hand: ByHand | None = None
         self._single = False
         self._halted = False
+        self._flagged: set[str] = set()
+        """Kinds of doubt that were said."""
         self._gas = Gas()
         self._say = say
         self._tasks: queue.SimpleQueue[Task] = queue.SimpleQueue()
@@ -90,6 +92,7 @@ class Show(Observer):
         self.outcome = ""
         self._pace = None
         self._halted = False
+        self._flagged = set()
         self.history.clear()
         self.runs += 1
 
@@ -110,6 +113,13 @@ class Show(Observer):
     def message(self, text: str) -> None:
         self.said = text
         self._say(text)
+
+    def note(self, **facts: Any) -> None:
+        """Say once what makes the simulation's numbers worse than usual."""
+        flags: Mapping[str, str] = facts.get("flags", {})
+        for kind in flags.keys() - self._flagged:
+            self.message(f"doubt ({kind}): {flags[kind]}")
+        self._flagged |= flags.keys()
 
     def on_images(self) -> None:
         """The world stands: do what was asked for, wait while paused. Raises Restart when that was
@@ -278,6 +288,7 @@ def moment_of(
         tuple(fingers),
         state,
         None if view is None else (view.model, view.state),
+        {} if session is None else session.flags,
     )
 
 

@@ -188,7 +188,15 @@ def _episode_row(
         key: None if (value := header.get(key)) is None else str(value)
         for key in ("object", "sensor", "controller", "rig")
     }
-    return row | names | {"seed": header.get("seed"), "outcome": notes.get("outcome")}
+    return (
+        row
+        | names
+        | {
+            "seed": header.get("seed"),
+            "outcome": notes.get("outcome"),
+            "flags": ", ".join(episode.recording.flags),
+        }
+    )
 
 
 def _keep_files(out: Path, number: int, episode: Episode) -> None:

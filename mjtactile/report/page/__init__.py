@@ -77,6 +77,7 @@ def _body(
 ) -> Iterator[str]:
     yield f"<h1>{escape(_title(summary))}</h1>"
     yield f'<div class="columns">{_facts(summary)}{_fingers(recording)}</div>'
+    yield _doubts(recording)
     if len(recording):
         data = page_data(recording, strip, snapshot)
         yield _curves(data)
@@ -110,6 +111,17 @@ def _facts(summary: Mapping[str, Any]) -> str:
         for kind, share in summary.get("probability", {}).items()
     ]
     return table([], rows)
+
+
+def _doubts(recording: Recording) -> str:
+    """What makes the simulation's numbers worse than usual."""
+    if not recording.flags:
+        return ""
+    rows = [[escape(kind), escape(reason)] for kind, reason in recording.flags.items()]
+    return (
+        "<h2>Doubts</h2><p>What makes the simulation's forces worse than usual, as it was said "
+        f"first.</p>{table(['kind', 'reason'], rows, text=True)}"
+    )
 
 
 def _is_known(value: Any) -> bool:

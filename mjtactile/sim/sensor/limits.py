@@ -19,6 +19,8 @@ Flags = dict[str, str]
 """Kind of doubt ("stretch", "wrinkles", "penetration", "mesh", "feature", "edge", "hull",
 "bending", "speed", "solver", "frame", "unsettled", "strain" of a soft object) to its reason."""
 
+GROWS = frozenset({"frame"})
+"""Kinds whose reason says how much: it is replaced when there is more."""
 STVK_ERROR = 0.02  # share of a height
 # against the free sheet; beyond, real rubber (Treloar 1944) is more than about 10 % off the
 # neo-Hookean law

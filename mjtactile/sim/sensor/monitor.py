@@ -56,6 +56,7 @@ class SceneMonitor:
         self._rest = [sensor.heights for sensor in sensors]
         self._deep = np.zeros((len(sensors), 5))  # shares at the last looks
         self._framed = np.zeros((len(sensors), 5))  # N at the last looks
+        self._most_framed = np.zeros(len(sensors))  # N that lasted
         self._looks = -1
         self._places = self._geoms_in(sensors)
         self._hulls: dict[int, str | None] = {}  # of those of `_geoms` that have touched
@@ -157,8 +158,10 @@ class SceneMonitor:
         load = loads.frame_load(self._data, self._sensors[number])
         self._framed[number] = [*self._framed[number, 1:], load]
         lasting = float(self._framed[number].min())
-        if lasting < _FRAMED:
+        most = self._most_framed.max()
+        if lasting < _FRAMED or lasting <= most:
             return {}
+        self._most_framed[number] = lasting
         return {
             "frame": f"the frame of sensor {self._sensors[number].prefix!r} carries {lasting:.1f} "
             "N, which touch does not tell: the camera sees the membrane alone"

@@ -108,3 +108,18 @@ def test_who_hangs_raises_or_is_stopped_has_failed():
     assert a["success"] == pytest.approx(1 / 5) and a["hung"] == 2
     assert "| a | all | 1 of 5 |" in (text := table(summary))
     assert "| 4 (1 unsafe, 2 hung, 1 raised) | 1 |" in text
+
+
+def test_outcomes_are_counted_with_and_without_each_doubt():
+    """Six episodes by hand: the three with an edge hold twice, the three without once."""
+    some = lines(["held", "held", "dropped", "held", "dropped", "error"])
+    for line in some[:3]:
+        line["flags"] = {"edge": "an edge presses"}
+    some[1]["flags"] |= {"frame": "the frame carries 3.0 N"}
+    found = summarise(some)
+    edge = found["controllers"]["a"]["flags"]["edge"]
+    assert (edge["with"]["held"], edge["with"]["dropped"], edge["with"]["episodes"]) == (2, 1, 3)
+    assert (edge["without"]["held"], edge["without"]["error"]) == (1, 1)
+    assert edge["without"]["success"] == 0.5  # an error counts apart
+    assert "doubts its own numbers in 3 of 6 episodes (edge 3, frame 1)" in table(found)
+    assert summarise(lines(["held"]))["controllers"]["a"]["flags"] == {}

@@ -92,7 +92,11 @@ def test_fingers_are_shown_anew_when_there_is_a_new_image():
         )
 
     finger = SimpleNamespace(
-        name="tip", design=None, sensor=SimpleNamespace(body_id=1), seen=seen(0)
+        name="tip",
+        design=None,
+        sensor=SimpleNamespace(body_id=1),
+        seen=seen(0),
+        flags={"edge": "one presses"},
     )
     fingers = []
     own = OwnFingers(fingers)

@@ -24,7 +24,7 @@ def fake_session(host_timeout=math.inf):
     """A session's stand-in on a rig without a scene; keeps why it was to be made safe."""
     fingers = [SimpleNamespace(name=name, design=None) for name in ("left", "right")]
     rig = SimpleNamespace(scene=None, host_timeout=host_timeout, fingers=fingers)
-    session = SimpleNamespace(rig=rig, perceptions=[None, None], reasons=[])
+    session = SimpleNamespace(rig=rig, perceptions=[None, None], reasons=[], flags={})
     session.make_safe = session.reasons.append
     return session
 
@@ -50,6 +50,18 @@ def test_a_cycle_is_shown_with_what_was_true():
     lines = finger_lines(moment.fingers[1])
     assert lines[0].startswith(f"normal {moment.fingers[1].touch.force_normal:+.3f} N")
     assert "true   +0.200 N" in lines
+
+
+def test_a_doubt_is_said_once_and_stays_beside_the_numbers():
+    said = []
+    show = Show(say=said.append)
+    session = fake_session()
+    session.flags = {"edge": "an edge presses"}
+    show.begin(session)
+    for _ in range(2):
+        show.note(flags=session.flags)
+        show.add(fake_cycle(0))
+    assert said == ["doubt (edge): an edge presses"] and show.moment().flags == session.flags
 
 
 def test_the_plots_show_the_last_seconds_only():

@@ -1,0 +1,103 @@
+"""What a simulation says of its own numbers reaches whoever reads them: lines, recordings, pages,
+commands, environments."""
+
+import json
+
+import gymnasium
+import numpy as np
+import pytest
+
+import mjtactile.gym
+from mjtactile.cli import main
+from mjtactile.core.scenario import Scenario
+from mjtactile.evaluate.episodes import Episode, run_episode
+from mjtactile.evaluate.report import page
+from mjtactile.export.episode import Episode as Exported
+from mjtactile.recording.observer import Observer
+from mjtactile.recording.reader import load_recording
+from mjtactile.run.flags import FlagNotes
+
+# closes on the block, whose faces have edges within the membrane's frame, and ends there
+CLOSES = """
+from dataclasses import replace
+
+def step(observation):
+    c = observation.command
+    t = c.memory.get("t", 0.0) + observation.period
+    opening = max(0.0, c.opening - 0.06 * observation.period)
+    phase = "close" if t < 1.3 else "done"
+    return replace(c, opening=opening, force_limit=1.0, phase=phase, memory={"t": t})
+"""
+SCENE = {"object": "block", "sensor": "paper16", "effects": "-images"}
+
+
+@pytest.fixture(scope="module")
+def closed(tmp_path_factory):
+    """An episode of `evaluate` that ends on the block: its line, its recording's folder."""
+    folder = tmp_path_factory.mktemp("flags")
+    (folder / "closes.py").write_text(CLOSES)
+    scenario = Scenario(controller=str(folder / "closes.py"), **SCENE)
+    line = run_episode(Episode(0, scenario, recording=str(folder / "recording")))
+    return line, folder
+
+
+def test_a_doubt_is_in_the_line_the_recording_and_the_export(closed):
+    line, folder = closed
+    assert "an edge presses" in line["flags"]["edge"]
+    recording = load_recording(folder / "recording")
+    assert dict(recording.flags) == line["flags"]
+    assert Exported(folder / "recording").facts["notes"]["flags"] == line["flags"]
+
+
+def test_a_doubt_is_on_the_pages_and_the_command_prints_it(closed, capsys):
+    line, folder = closed
+    assert main(["summary", str(folder), "--out", str(folder / "one.html")]) == 0
+    assert f"doubt (edge): {line['flags']['edge']}\n" in capsys.readouterr().out
+    for text in ((folder / "one.html").read_text(), _report(line)):
+        assert line["flags"]["edge"] in text
+
+
+def _report(line):
+    options = {"controllers": ["closes"], "scenario": {}}
+    return page({"options": options, "versions": {}}, [line], [], {})
+
+
+@pytest.mark.slow
+def test_a_doubt_is_in_what_grasp_says(closed, tmp_path, capsys):
+    line, folder = closed
+    options = [f"--{key}={value}" for key, value in SCENE.items()]
+    controller = f"--controller={folder / 'closes.py'}"
+    main(["grasp", *options, controller, "--out", str(tmp_path / "run")])
+    assert capsys.readouterr().out.count(f"doubt (edge): {line['flags']['edge']}") == 1
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["flags"] == line["flags"]  # the same world, bit for bit
+
+
+@pytest.mark.slow
+def test_an_environment_says_its_doubts_and_forgets_them_with_the_episode():
+    close = np.array([-1.0, 0.0, -0.9], np.float32)
+    with gymnasium.make(mjtactile.gym.ID, **SCENE) as env:
+        _, info = env.reset(seed=0)
+        assert info["flags"] == {}
+        for _ in range(45):
+            *_, info = env.step(close)
+        assert "edge" in info["flags"]
+        assert env.reset(seed=1)[1]["flags"] == {}
+
+
+def test_notes_are_taken_when_doubts_grow_and_at_the_end():
+    flags = {}
+    noted = []
+
+    class Keeps(Observer):
+        def note(self, **facts):
+            noted.append(facts)
+
+    with FlagNotes(lambda: flags, Keeps()) as notes:
+        notes.on_images()
+        flags["edge"] = "an edge presses"
+        notes.on_images()
+        notes.on_images()
+        flags["frame"] = "the frame carries 3.0 N"
+    both = {"edge": "an edge presses", "frame": "the frame carries 3.0 N"}
+    assert noted == [{"flags": {"edge": "an edge presses"}}, {"flags": both}]
