@@ -7,19 +7,92 @@ the same versions gives the same numbers.
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from mjtactile.core import resources
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
+from mjtactile.core.fields import Entry, Number, entry, text, whole
+from mjtactile.core.toml import Section
 
 TASKS = ("lift",)
 """Close on the object, lift it, hold it for two seconds, set it down."""
 TIME_LIMIT = 60.0  # s on the rig's clock; a gentle grasp takes about 10
-_TIME_LIMITS = (0.1, 86400.0)  # s
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileName(Entry):
+    """A file of `suffix`, beside the one that names it or else as it is written, or the name of one
+    that ships in `folder`; `others` may stand there, too."""
+
+    folder: str
+    suffix: str
+    others: tuple[str, ...] = ()
+
+    def read(self, section: Section, default: Any) -> str:
+        """The name, or the path of the file."""
+        return self.read_key(section, self.key, default)
+
+    def read_key(self, section: Section, key: str, default: Any = ...) -> str:
+        """`read`, under another key."""
+        value = section.text(key, default=default)
+        shipped = [*resources.names(self.folder, self.suffix), *self.others]
+        choices = [*shipped, f"FILE{self.suffix}"]
+        if value.endswith(self.suffix) or ("/" in value and ":" not in value):
+            written = Path(value).expanduser()
+            beside = section.folder / written
+            if beside.is_file():
+                return str(beside)
+            if not written.is_file():
+                raise section.fail(key, f"no such file: {value!r}", choices)
+        elif value not in shipped and not self._may_be(value):
+            raise section.fail(key, f"{value!r} is unknown", choices)
+        return value
+
+    def _may_be(self, value: str) -> bool:
+        """Whether it is left to whoever builds it: backends that are installed have their own
+        names."""
+        return ":" in value or self.key == "rig"
+
+
+@dataclass(frozen=True, kw_only=True)
+class _EachFinger(Entry):
+    """A section: finger to the file's name."""
+
+    name: FileName
+
+    def read(self, section: Section, default: Any) -> dict[str, str]:
+        own = section.optional(self.key)
+        fingers = section.table(self.key) if own is not None else ()
+        return {finger: self.name.read_key(own, finger) for finger in fingers}
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Limit(Number):
+    """A number, or null, which is how JSON says infinity."""
+
+    def read(self, section: Section, default: Any) -> Any:
+        return super().read(section, math.inf if section.has(self.key) else default)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _MaybeEmpty(Entry):
+    """Text that may be empty."""
+
+    def read(self, section: Section, default: Any) -> Any:
+        return section.text(self.key, default=default, empty=True)
+
+
+_SENSOR = FileName(key="sensor", folder="models/sensors", suffix=".toml")
+
+
+def _file(key: str, folder: str, suffix: str, *others: str, default: str) -> Any:
+    return entry(FileName(key=key, folder=folder, suffix=suffix, others=others), default)
 
 
 @dataclass(frozen=True)
@@ -43,17 +116,19 @@ class Scenario:
         InputError: For an unknown task, or a seed or time limit out of range.
     """
 
-    object: str = "egg"
-    task: str = "lift"
-    controller: str = "gentle"
-    rig: str = "sim"
-    sensor: str | SensorDesign = "dense"
-    sensors: Mapping[str, str] = field(default_factory=dict, hash=False)
-    effects: str = "auto"
-    accuracy: str = ""
-    vary: str = "none"
-    seed: int = 0
-    time_limit: float = TIME_LIMIT
+    object: str = _file("object", "models/objects", ".xml", "random:N", default="egg")
+    task: str = text("task", TASKS, default="lift")
+    controller: str = _file("controller", "controllers", ".py", default="gentle")
+    rig: str = _file("rig", "models/rigs", ".toml", "replay:FOLDER", default="sim")
+    sensor: str | SensorDesign = entry(_SENSOR, "dense")
+    sensors: Mapping[str, str] = entry(
+        _EachFinger(key="sensors", name=_SENSOR), default_factory=dict, hash=False
+    )
+    effects: str = text("effects", default="auto")
+    accuracy: str = entry(_MaybeEmpty(key="accuracy"), "")
+    vary: str = _file("vary", "models/variations", ".toml", "none", default="none")
+    seed: int = whole("seed", 0, 2**63 - 1, default=0)
+    time_limit: float = entry(_Limit(key="time_limit_s", low=0.1, high=86400), TIME_LIMIT)
 
     def __post_init__(self) -> None:
         if self.task not in TASKS:

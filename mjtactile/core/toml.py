@@ -168,12 +168,19 @@ class Section:
             raise self.fail(key, f"{value!r} is not a list of whole numbers")
         return tuple(self._number(f"{key}[{i}]", item, low, high) for i, item in enumerate(value))
 
-    def text(self, key: str, choices: Iterable[str] | None = None, default: Any = ...) -> Any:
-        """Text that is not empty, one of `choices` where they are given."""
+    def text(
+        self,
+        key: str,
+        choices: Iterable[str] | None = None,
+        default: Any = ...,
+        *,
+        empty: bool = False,
+    ) -> Any:
+        """Text, one of `choices` where they are given; not empty, unless it may be `empty`."""
         value = self._get(key, default)
         if value is None:
             return default
-        if not isinstance(value, str) or not value:
+        if not isinstance(value, str) or not (value or empty):
             raise self.fail(key, f"{value!r} is not text", choices)
         if choices is not None and value not in (choices := list(choices)):
             raise self.fail(key, f"{value!r} is unknown", choices)

@@ -3,7 +3,6 @@ The format: docs/scenario.md."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -12,22 +11,12 @@ from typing import Any
 from mjtactile.core import resources
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
-from mjtactile.core.scenario import TASKS, TIME_LIMIT, Scenario
+from mjtactile.core.fields import read
+from mjtactile.core.scenario import Scenario
 from mjtactile.core.toml import Section, read_json, read_toml
 from mjtactile.recording.reader import load_recording
 from mjtactile.rig.file import RigFile, read_rig_file
 from mjtactile.rig.simulated import SimRigFile
-from mjtactile.rig.variation import NONE
-
-_KINDS = {
-    "object": ("models/objects", ".xml", ("random:N",)),
-    "controller": ("controllers", ".py", ()),
-    "sensor": ("models/sensors", ".toml", ()),
-    "rig": ("models/rigs", ".toml", ("replay:FOLDER",)),
-    "vary": ("models/variations", ".toml", (NONE,)),
-}
-"""Field to the folder that its shipped files are in, their suffix, and what else may be written."""
-_SEED_MAX = 2**63 - 1
 
 
 def load_scenario(source: str | Path) -> Scenario:
@@ -63,61 +52,14 @@ def load_scenario(source: str | Path) -> Scenario:
 
 def scenario_from_table(table: Mapping[str, Any], path: Path, label: str = "") -> Scenario:
     """Validate a parsed table of the file `path`; see `load_scenario`."""
-    # JSON has no infinity: null is a run without an end
-    unbounded = "time_limit_s" in table and table["time_limit_s"] is None
-    # "" is the default's own name
-    said = {key: value for key, value in table.items() if (key, value) != ("accuracy", "")}
-    root = Section(said, label, str(path))
-    default = Scenario()
-    names = {key: _name(root, key, getattr(default, key), path) for key in _KINDS}
-    limit = root.number("time_limit_s", 0.1, 86400, default=TIME_LIMIT)
-    scenario = Scenario(
-        **names,
-        task=root.text("task", TASKS, default=default.task),
-        sensors=_sensors(root, said.get("sensors", {}), path),
-        effects=root.text("effects", default=default.effects),
-        accuracy=root.text("accuracy", default=default.accuracy),
-        seed=root.whole("seed", 0, _SEED_MAX, default=default.seed),
-        time_limit=math.inf if unbounded else limit,
-    )
-    root.done()
-    return scenario
-
-
-def _sensors(root: Section, fingers: Mapping[str, Any], path: Path) -> dict[str, str]:
-    """The section [sensors]: finger to its own sensor."""
-    section = root.optional("sensors")
-    if section is None:
-        return {}
-    return {finger: _name(section, finger, None, path, "sensor") for finger in fingers}
-
-
-def _name(section: Section, key: str, default: str | None, path: Path, kind: str = "") -> str:
-    """A shipped name, or a file: beside the scenario's own, or as it is written."""
-    folder, suffix, others = _KINDS[kind or key]
-    value = section.text(key, default=... if default is None else default)
-    if value.endswith(suffix) or "/" in value and ":" not in value:
-        beside = path.parent / Path(value).expanduser()
-        if beside.is_file():
-            return str(beside)
-        if not Path(value).expanduser().is_file():
-            raise section.fail(
-                key, f"no such file: {value!r}", [*resources.names(folder, suffix), f"FILE{suffix}"]
-            )
-        return value
-    shipped = resources.names(folder, suffix)
-    # backends that are installed have names of their own: the rig's builder knows them
-    if key == "rig" or ":" in value or value in (*shipped, *others):
-        return value
-    raise section.fail(key, f"{value!r} is unknown", [*shipped, *others, f"FILE{suffix}"])
+    return read(Scenario, Section(table, label, str(path)))
 
 
 def complete_scenario(scenario: Scenario) -> Scenario:
     """Fill in the sensor that each of the rig's fingers really has.
 
     A rig file's fingers may name their own, and so do those of a recording that is replayed. Where
-    all
-    fingers have the same, that is the scenario's `sensor`.
+    all fingers have the same, that is the scenario's `sensor`.
 
     Args:
         scenario: As it was asked for.
