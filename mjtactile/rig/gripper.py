@@ -6,8 +6,12 @@ import hashlib
 from dataclasses import replace
 
 from mjtactile.core.calibration import PartState
+from mjtactile.core.fields import entries
 from mjtactile.core.toml import Section, read_json
 from mjtactile.rig.file import GripperConfig, ServoConfig
+
+_SERVO = entries(ServoConfig)
+_MEASURED = ("zero_ticks", "per_rad", "torque_per_A")
 
 
 def gripper_fingerprint(config: GripperConfig) -> str:
@@ -24,7 +28,7 @@ def calibrated_gripper(config: GripperConfig) -> GripperConfig:
     table = _read(config)
     if table is None or table.text("fingerprint") != gripper_fingerprint(config):
         return config
-    lines = {line.whole("id", 0, 252): line for line in table.sections("servo", 1, 8)}
+    lines = {_SERVO["id"].read(line, ...): line for line in table.sections("servo", 1, 8)}
     ids = [servo.id for servo in config.servos]
     if sorted(lines) != sorted(ids):
         raise table.fail("servo", f"of servos {sorted(lines)}, but the rig file has {sorted(ids)}")
@@ -34,20 +38,16 @@ def calibrated_gripper(config: GripperConfig) -> GripperConfig:
 def gripper_state(config: GripperConfig) -> PartState:
     """How the gripper's calibration stands, for `mjtactile doctor`."""
     table = _read(config)
-    path = config.calibration
     if table is None:
+        path = config.calibration
         where = "names no file" if path is None else f"{path} is not there"
-        return PartState(
-            "gripper", "missing", f"never measured ({where}): the rig file's values count"
-        )
+        text = f"never measured ({where}): the rig file's values count"
+        return PartState("gripper", "missing", text)
     date = table.text("date")[:10]
-    if table.text("fingerprint") != gripper_fingerprint(config):
-        return PartState(
-            "gripper",
-            "outdated",
-            f"of {date}, older than the rig file, whose servos have changed since: not used",
-        )
-    return PartState("gripper", "good", f"of {date}")
+    if table.text("fingerprint") == gripper_fingerprint(config):
+        return PartState("gripper", "good", f"of {date}")
+    text = f"of {date}, older than the rig file, whose servos have changed since: not used"
+    return PartState("gripper", "outdated", text)
 
 
 def _read(config: GripperConfig) -> Section | None:
@@ -61,9 +61,7 @@ def _read(config: GripperConfig) -> Section | None:
 
 
 def _servo(servo: ServoConfig, line: Section) -> ServoConfig:
-    return replace(
-        servo,
-        zero_ticks=line.whole("zero_ticks", -1_048_575, 1_048_575, default=servo.zero_ticks),
-        per_rad=line.number("mm_per_rad", -500, 500, 1e-3, default=servo.per_rad),
-        torque_per_A=line.number("torque_Nm_per_A", 1e-3, 100, default=servo.torque_per_A),
-    )
+    """The rig file's, with what the line says in its place."""
+    values = {name: _SERVO[name].read(line, getattr(servo, name)) for name in _MEASURED}
+    line.done()
+    return replace(servo, **values)

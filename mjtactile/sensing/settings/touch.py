@@ -80,7 +80,10 @@ class SlipSettings:
     )
     gap: float = number(0.2, "s without an image, after which the past does not count", TRIED)
     core_share: float = number(
-        0.03, "of the peak: pressure below it does not count for the place of the touch", TRIED
+        0.03,
+        "of the peak: pressure below it does not count for the place of the touch",
+        TRIED,
+        high=0.9,
     )
 
 
