@@ -22,6 +22,7 @@ from benchmarks.settings import HOLD_FORCE, Setting, attempt, core_ms, cost_and_
 from benchmarks.speed import compare, denormals, sensors
 from benchmarks.worlds import rigid
 from mjtactile.core.design import load_sensor
+from mjtactile.core.scenario import Scenario
 from mjtactile.report.figures import new_figure
 from mjtactile.run.controller import load_controller
 from mjtactile.run.progress import Progress
@@ -114,7 +115,8 @@ def _loop(accuracy: str, workers: int, say: Callable[[str], None]) -> dict[str, 
     design = load_sensor("dense")
     design = replace(design, camera=replace(design.camera, rate=CAMERA_RATE))
     moments: list[tuple[bool, float, float]] = []  # held, the rig's time, wall time
-    with open_session("sim", design, seed=SEED, accuracy=accuracy, workers=workers) as session:
+    scenario = Scenario(sensor=design, seed=SEED, accuracy=accuracy)
+    with open_session(scenario, workers=workers) as session:
         clock = session.rig.clock
         session.take_references()
         start = (clock.now(), time.perf_counter())
