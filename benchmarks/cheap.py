@@ -211,9 +211,8 @@ def _grasps(pairs: list[dict[str, Any]]) -> dict[str, Any]:
 def table(result: dict[str, Any]) -> str:
     """Both comparisons as Markdown."""
     lines = [
-        "| markers, um (with images / without) | mean error, rms (x, y, z) | sd (x, y, z) | "
-        "said sd (x, y, z) | beyond "
-        "5 sd, % | missed, % |",
+        "| markers, um (with images / without) | mean error, rms (x, y, z) | sd (x, y, z) | said "
+        "sd (x, y, z) | beyond 5 sd, % | missed, % |",
         "|---" * 6 + "|",
     ]
     for row in result["markers"]:
@@ -232,14 +231,10 @@ def table(result: dict[str, Any]) -> str:
     lines += [
         "",
         f"The same {g['pairs']} episodes both ways (`gentle`; {', '.join(OBJECTS)}; `--vary "
-        "default`): the same "
-        f"outcome in {g['same_outcome']}; held {g['held']['images']} with images, "
-        f"{g['held']['none']} without "
-        f"(95 %: {low:.0f}-{high:.0f} %). "
-        f"The true held force differs by {g['force_mN']:+.2f} +- "
-        f"{g['force_interval_mN']:.2f} mN in the mean (95 %), "
-        f"{g['force_sd_mN']:.1f} mN from episode to episode. Episodes in an hour of "
-        f"one core: {g['an_hour']['images']:.0f} "
-        f"with images, {g['an_hour']['none']:.0f} without.",
+        f"default`): the same outcome in {g['same_outcome']}; held {g['held']['images']} with "
+        f"images, {g['held']['none']} without (95 %: {low:.0f}-{high:.0f} %). The true held force "
+        f"differs by {g['force_mN']:+.2f} +- {g['force_interval_mN']:.2f} mN in the mean (95 %), "
+        f"{g['force_sd_mN']:.1f} mN from episode to episode. Episodes in an hour of one core: "
+        f"{g['an_hour']['images']:.0f} with images, {g['an_hour']['none']:.0f} without.",
     ]
     return "\n".join(lines) + "\n"

@@ -268,12 +268,10 @@ def table(result: dict[str, Any]) -> str:
     bare = result["nothing_left"]
     return "\n".join(lines) + (
         f"\n\nA scene without sensors: {bare['mujoco_us']:.1f} us a step by MuJoCo alone, "
-        f"{bare['world_us']:.1f} us by `World`, "
-        "which also checks the state. With every effect off the model has "
-        f"{bare['gas_tendons']} gas tendons. A step with one "
-        f"inflated sensor that touches nothing takes {bare['awake_us']:.0f} us while it is "
-        f"awake, {bare['asleep_us']:.0f} us "
-        "asleep.\n"
+        f"{bare['world_us']:.1f} us by `World`, which also checks the state. With every effect "
+        f"off the model has {bare['gas_tendons']} gas tendons. A step with one inflated sensor "
+        f"that touches nothing takes {bare['awake_us']:.0f} us while it is awake, "
+        f"{bare['asleep_us']:.0f} us asleep.\n"
     )
 
 

@@ -114,8 +114,7 @@ def run(
         say(
             f"seed {seed}: worst number "
             f"{100 * max(abs(n['error']) for n in rows[-1]['numbers'] if n['is_fitted']):.1f} % "
-            "off, "
-            f"worst force {1e3 * max(abs(f['error_N']) for f in rows[-1]['forces']):.1f} mN"
+            f"off, worst force {1e3 * max(abs(f['error_N']) for f in rows[-1]['forces']):.1f} mN"
         )
     _plot(Path(out), rows)
     return {"specimens": rows}

@@ -111,9 +111,8 @@ def _summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 def table(result: Mapping[str, Any]) -> str:
     """The result as Markdown."""
     lines = [
-        "| object | held | crushed | hold force, N (true) | its error, N: mean / worst | peak, "
-        "N (true) "
-        "| slip, mm (true) | marker error, mm |",
+        "| object | held | crushed | hold force, N (true) | its error, N: mean / worst | peak, N "
+        "(true) | slip, mm (true) | marker error, mm |",
         "|---" * 8 + "|",
     ]
     for name, s in result["objects"].items():
@@ -122,11 +121,9 @@ def table(result: Mapping[str, Any]) -> str:
             continue
         lines.append(
             f"| {name} | {s['held']} of {s['runs']} | {s['crushed']} | "
-            f"{s['hold_force_true_N']:.2f} "
-            f"| {s['hold_force_error_N_mean']:+.3f} / "
-            f"{s['hold_force_error_N_worst']:+.3f} "
-            f"| {s['peak_force_true_N']:.2f} | {s['slip_mm_true']:.2f} | "
-            f"{s['marker_error_mm_mean']:.3f} |"
+            f"{s['hold_force_true_N']:.2f} | {s['hold_force_error_N_mean']:+.3f} / "
+            f"{s['hold_force_error_N_worst']:+.3f} | {s['peak_force_true_N']:.2f} | "
+            f"{s['slip_mm_true']:.2f} | {s['marker_error_mm_mean']:.3f} |"
         )
     return "\n".join([*lines, "", _share_table(result)]) + "\n"
 

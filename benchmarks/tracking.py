@@ -335,8 +335,8 @@ def table(result: Mapping[str, Any]) -> str:
     for name, g in result["groups"].items():
         numbers = [g["markers"], g["wrong"], g["missed"] - g["missed_twice"], g["missed_twice"]]
         lines.append(
-            f"| {name} | {g['images']} | "
-            f"{100 * g['searched'] / max(g['images'], 1):.0f} "
-            "% | " + " | ".join(map(str, numbers)) + f" | {g['apart_sd']:.1f} |"
+            f"| {name} | {g['images']} | {100 * g['searched'] / max(g['images'], 1):.0f} % | "
+            + " | ".join(map(str, numbers))
+            + f" | {g['apart_sd']:.1f} |"
         )
     return "\n".join(lines) + "\n"

@@ -98,8 +98,7 @@ def build_parser(*wanted: str) -> argparse.ArgumentParser:
         sub.add_argument(
             "--json",
             action="store_true",
-            help="print one JSON object to stdout, all "
-            "else to stderr; "
+            help="print one JSON object to stdout, all else to stderr; "
             'after an error it has the keys "error" and "exit_code"',
         )
         sub.add_argument("--debug", action="store_true", help="show the traceback of an error")

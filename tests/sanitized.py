@@ -27,6 +27,8 @@ TESTS = [
     "tests/unit/film",
     "tests/unit/sensing",
 ]
+# a third of the time of `slow` ones is OpenCV's and numpy's, on larger images of the same kind
+TESTS += ["-m", "not slow"]
 DRAWS = "40"
 INSIDE = "MJTACTILE_SANITIZED"
 

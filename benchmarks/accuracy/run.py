@@ -62,8 +62,7 @@ TOGETHER = tuple(
 ) + (Setting((21, 17)), Setting((25, 21)))
 _HEAD = (
     "| mesh | step ms | tolerance | iterations at most | contact softness | force error mN | "
-    "surface error um | "
-    "noise mN | penetration um | ms per simulated s |"
+    "surface error um | noise mN | penetration um | ms per simulated s |"
 )
 _REFERENCE = (Setting((25, 21), softness=0.1), Setting((37, 31), softness=0.1))
 _QUICK_REFERENCE = (Setting((17, 13), softness=0.1), Setting((21, 17), softness=0.1))
@@ -240,9 +239,8 @@ def table(result: dict[str, Any]) -> str:
     limit = result["reference"]
     lines = [
         f"Measured on {about['machine']}, Python {about['python']}, MuJoCo {about['mujoco']}, "
-        f"{about['date']}. The "
-        f"reference is itself uncertain by {1e3 * limit['force_N']:.1f} mN and "
-        f"{limit['surface_um']:.0f} um.",
+        f"{about['date']}. The reference is itself uncertain by {1e3 * limit['force_N']:.1f} mN "
+        f"and {limit['surface_um']:.0f} um.",
         "",
     ]
     for name, rows in {
@@ -269,14 +267,12 @@ def table(result: dict[str, Any]) -> str:
 
 def _row(row: dict[str, Any]) -> str:
     start = (
-        f"| {row['mesh'][0]}x{row['mesh'][1]} | {row['timestep_ms']:.2f} | {row['tolerance']:g} "
-        f"| {row['iterations']} | "
-        f"{row['softness']:g} | "
+        f"| {row['mesh'][0]}x{row['mesh'][1]} | {row['timestep_ms']:.2f} | {row['tolerance']:g} | "
+        f"{row['iterations']} | {row['softness']:g} | "
     )
     if "failed" in row:
         return f"{start}failed: {row['failed']} | | | | |"
     return (
         f"{start}{1e3 * row['force_error_N']:.1f} | {row['surface_error_um']:.0f} | "
-        f"{1e3 * row['force_noise_N']:.1f} | "
-        f"{row['penetration_um']:.0f} | {row['ms_per_s']:.0f} |"
+        f"{1e3 * row['force_noise_N']:.1f} | {row['penetration_um']:.0f} | {row['ms_per_s']:.0f} |"
     )

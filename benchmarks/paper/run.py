@@ -54,8 +54,7 @@ def fig5a(say: Say, quick: bool = False) -> dict[str, Any]:
             )
             say(
                 f"5a {name}, valve {'closed' if sealed else 'open'}: ours off by "
-                f"{rows[-1]['error_ours_N']:.3f} N, "
-                f"dF = c dA by {rows[-1]['error_paper_N']:.3f} N"
+                f"{rows[-1]['error_ours_N']:.3f} N, dF = c dA by {rows[-1]['error_paper_N']:.3f} N"
             )
     return {"runs": rows}
 
@@ -254,8 +253,7 @@ def air(say: Say, quick: bool = False) -> dict[str, Any]:
     for row in rows:
         say(
             f"air {row['supply_kPa']:.2f} kPa, {row['air_mL']:.1f} mL, valve {row['valve']}: "
-            f"{row['stiffness_N_mm']:.3f} N/mm, "
-            f"noise {1e3 * row['noise_N']:.2f} mN"
+            f"{row['stiffness_N_mm']:.3f} N/mm, noise {1e3 * row['noise_N']:.2f} mN"
         )
     return {"runs": rows}
 

@@ -107,19 +107,16 @@ def _targets(result: Mapping[str, Any]) -> str:
     inside = [low <= chi2 <= high for low, high in CHI2]
     rows.insert(
         6,
-        f"| chi-square per degree of freedom | {chi2:.3g} "
-        f"| {CHI2[0][0]:g}-{CHI2[0][1]:g} "
-        f"| {CHI2[1][0]:g}-{CHI2[1][1]:g} | {_verdict(*inside)} |",
+        f"| chi-square per degree of freedom | {chi2:.3g} | {CHI2[0][0]:g}-{CHI2[0][1]:g} | "
+        f"{CHI2[1][0]:g}-{CHI2[1][1]:g} | {_verdict(*inside)} |",
     )
     head = (
-        f"{a['circles']:.0f} circles of 1.5 mm radius, 30-60 mm away, tilted 0-45 degrees, 640 "
-        "x 480 pixels, blur "
-        f"{BLUR:g} px, noise {NOISE:g} DN; {a['missed']:.0f} missed. One image of one "
-        "circle allows two poses: the first of "
-        f"them was right in {100 * a['preferred_right']:.0f} %, of which `locate` was "
-        f"{100 * a['preferred_probability']:.0f} "
-        "% sure on average. Times are of one core of the machine that ran "
-        "this; compare the ratios below."
+        f"{a['circles']:.0f} circles of 1.5 mm radius, 30-60 mm away, tilted 0-45 degrees, 640 x "
+        f"480 pixels, blur {BLUR:g} px, noise {NOISE:g} DN; {a['missed']:.0f} missed. One image "
+        "of one circle allows two poses: the first of them was right in "
+        f"{100 * a['preferred_right']:.0f} %, of which `locate` was "
+        f"{100 * a['preferred_probability']:.0f} % sure on average. Times are of one core of the "
+        "machine that ran this; compare the ratios below."
     )
     return head + "\n\n" + _rows("| what | measured | at least | aim | |", rows)
 
@@ -182,16 +179,14 @@ def _surface(result: Mapping[str, Any]) -> str:
 
 def _speed(result: Mapping[str, Any]) -> str:
     rows = [
-        f"| {r['markers']} | {r['detect_ms']:.2f} | {r['pose_ms']:.2f} | {r['total_ms']:.2f} "
-        f"| {1e3 * r['total_ms'] / r['markers']:.0f} | {r['blob_detector_ms']:.1f} "
-        f"| {r['blob_detector_ms'] / r['total_ms']:.1f} "
-        f"| {r['opencv_sine_ms']:.1f} |"
+        f"| {r['markers']} | {r['detect_ms']:.2f} | {r['pose_ms']:.2f} | {r['total_ms']:.2f} | "
+        f"{1e3 * r['total_ms'] / r['markers']:.0f} | {r['blob_detector_ms']:.1f} | "
+        f"{r['blob_detector_ms'] / r['total_ms']:.1f} | {r['opencv_sine_ms']:.1f} |"
         for r in result["speed"]
     ]
     return _rows(
-        "| markers | detect, ms | pose, ms | total, ms | us a marker | SimpleBlobDetector, ms "
-        "| its ratio "
-        "| findContours + fitEllipse + sine rule, ms |",
+        "| markers | detect, ms | pose, ms | total, ms | us a marker | SimpleBlobDetector, ms | "
+        "its ratio | findContours + fitEllipse + sine rule, ms |",
         rows,
     )
 

@@ -171,8 +171,7 @@ def table(result: Mapping[str, Any]) -> str:
         "| what | asked | measured | 95 % interval |",
         "|---|---|---|---|",
         "| slips detected before 0.5 mm and within 100 ms | 95 % | "
-        f"{share(every['in_time'], every['slips'])} "
-        f"| {interval(every['in_time_interval'])} |",
+        f"{share(every['in_time'], every['slips'])} | {interval(every['in_time_interval'])} |",
         f"| holds with a false alarm | 1 % | {share(result['false'], result['holds'])} "
         f"| {interval(result['false_interval'])} |",
         f"| precision: slips among all alarms |  | {100 * result['precision']:.0f} % "

@@ -40,9 +40,8 @@ def compare(other: Path, *, quick: bool, say: Say) -> dict[str, Any]:
             }
         )
         say(
-            f"round {k + 1}: {rounds[-1]['now']['loop'][0]['factors']['all']:.2f} x real time "
-            "at 30 Hz, before "
-            f"{rounds[-1]['before']['loop'][0]['factors']['all']:.2f}; load "
+            f"round {k + 1}: {rounds[-1]['now']['loop'][0]['factors']['all']:.2f} x real time at "
+            f"30 Hz, before {rounds[-1]['before']['loop'][0]['factors']['all']:.2f}; load "
             f"{os.getloadavg()[0]:.1f}"
         )
     return {"rounds": rounds, "processor": _processor(), "load_average": os.getloadavg()[0]}
@@ -112,8 +111,7 @@ def table(result: Mapping[str, Any]) -> str:
     """Markdown."""
     rounds = result["rounds"]
     lines = [
-        f"Before and now in turns, median of {len(rounds)}; "
-        f"{result['processor']}, load average "
+        f"Before and now in turns, median of {len(rounds)}; {result['processor']}, load average "
         f"{result['load_average']:.1f}. Core time at 30 Hz, in one thread:",
         "",
         "| | before | now | ratio |",

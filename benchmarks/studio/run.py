@@ -122,20 +122,17 @@ def table(result: Mapping[str, Any]) -> str:
             "|---|---|---|---|",
             f"| speed in Studio over speed without | at least 0.7 | 0.9 | {median('ratio'):.2f} |",
             "| core time of a simulated second, s: in Studio (without the page's own), and "
-            "without |  |  | "
-            f"{median('core_s'):.2f}, {median('core_without_s'):.2f} |",
+            f"without |  |  | {median('core_s'):.2f}, {median('core_without_s'):.2f} |",
             "| Studio's time on the session's thread, ms a cycle | less than 1 |  | "
             f"{median('spent_ms'):.2f} |",
-            "| age of an image in the page's frame that has it, ms (9 of 10) | less than 150 | "
-            f"80 | {median('late_ms'):.0f} "
-            f"({median('late_90_ms'):.0f}) |",
+            "| age of an image in the page's frame that has it, ms (9 of 10) | less than 150 | 80 "
+            f"| {median('late_ms'):.0f} ({median('late_90_ms'):.0f}) |",
             "",
             f"Medians of {len(rounds)} egg grasps each way, in turns, {result['processors']} "
-            "processors, load average "
-            f"{median('load'):.1f}, {min(one['pictures'] for one in rounds)} pictures and more. "
-            "The page is headless Chromium's on "
-            "the same processors, 30 frames a second at most; it does all but draw, since "
-            "there is no graphics card.",
+            f"processors, load average {median('load'):.1f}, "
+            f"{min(one['pictures'] for one in rounds)} pictures and more. The page is headless "
+            "Chromium's on the same processors, 30 frames a second at most; it does all but draw, "
+            "since there is no graphics card.",
             "",
         ]
     )

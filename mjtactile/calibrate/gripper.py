@@ -119,8 +119,7 @@ def _judge_opening(c: OpeningCalibration) -> list[str]:
         ),
         (
             c.rms <= OPENING_RMS_MAX,
-            "the caliper is off the fit by "
-            f"{1e3 * c.rms:.2f} mm (rms), at most "
+            f"the caliper is off the fit by {1e3 * c.rms:.2f} mm (rms), at most "
             f'{1e3 * OPENING_RMS_MAX:g} is good: a slipped reading, or law "rack" for a crank',
         ),
         (

@@ -91,8 +91,7 @@ def _target(
         raise InputError(
             f"names no file for the {camera.finger} finger: write calibration = "
             f'"{camera.finger}.json" into this '
-            "[[camera]] (of a copy, if the rig is a shipped one), or give "
-            "--out",
+            "[[camera]] (of a copy, if the rig is a shipped one), or give --out",
             source=rig_file.path,
             field=f"camera[{number}].calibration",
         )

@@ -120,10 +120,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--soak",
         type=float,
         metavar="HOURS",
-        help="rig: also so much of the long run: a "
-        "grip every 20 s, a "
-        "fault every 5 min, all of it recorded (--parts soak: only that, "
-        "two hours)",
+        help="rig: also so much of the long run: a grip every 20 s, a fault every 5 min, all of "
+        "it recorded (--parts soak: only that, two hours)",
     )
     parser.add_argument(
         "--pairs", type=int, metavar="N", help="cheap: so many pairs of episodes (default: 200)"

@@ -48,9 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--objects",
         metavar="A,B,…",
-        help="shipped names, FILE.xml, "
-        "'my/*.xml', random (another thing each time), grasped in turn "
-        "(default: egg,strawberry,vial)",
+        help="shipped names, FILE.xml, 'my/*.xml', random (another thing each time), grasped in "
+        "turn (default: egg,strawberry,vial)",
     )
     parser.add_argument(
         "--episodes", type=_count, default=30, metavar="N", help="for each controller (default: 30)"
@@ -90,18 +89,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--record",
         action="store_true",
-        help="keep each episode's recording in "
-        "DIR/recordings, for `export` "
-        "(100 MB an episode; 1 without images)",
+        help="keep each episode's recording in DIR/recordings, for `export` (100 MB an episode; 1 "
+        "without images)",
     )
     parser.add_argument(
         "--worst",
         type=_any_count,
         default=10,
         metavar="N",
-        help="episodes that the report shows with "
-        "pictures: "
-        "they are run again at the end (default: 10)",
+        help="episodes that the report shows with pictures: they are run again at the end "
+        "(default: 10)",
     )
     parser.add_argument(
         "--out",
@@ -113,9 +110,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--readme",
         type=Path,
         metavar="FILE.md",
-        help="also put the table into this file, "
-        "between "
-        "<!-- bench:evaluate --> and <!-- /bench -->",
+        help="also put the table into this file, between <!-- bench:evaluate --> and <!-- /bench "
+        "-->",
     )
 
 

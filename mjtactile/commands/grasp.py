@@ -79,12 +79,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--workers",
         type=_count,
         metavar="N",
-        help="what looks at the camera images beside "
-        "the control loop: "
-        "processes beside a simulated world, threads on a real rig; at "
-        "most one a camera, the same result "
-        "with any number (default: one a camera as far as there are "
-        "processors for them)",
+        help="what looks at the camera images beside the control loop: processes beside a "
+        "simulated world, threads on a real rig; at most one a camera, the same result with any "
+        "number (default: one a camera as far as there are processors for them)",
     )
     ranges.add_frames_argument(parser)
     parser.add_argument(

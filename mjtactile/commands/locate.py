@@ -261,8 +261,8 @@ def _print_table(frames: Sequence[dict[str, Any]], out: Path | None) -> None:
         note += [_gamma_note(frame["gamma"])] if frame["gamma"] and frame["gamma"]["wrong"] else []
         print(
             f"{frame['source'][-40:]:<40} {len(frame['markers']):>7} {len(good):>5} "
-            f"{len(frame['rejected']):>8} "
-            f"{depth:>15.4f} {frame['ms']:>7.1f}  {', '.join(note)}".rstrip()
+            f"{len(frame['rejected']):>8} {depth:>15.4f} {frame['ms']:>7.1f}  "
+            f"{', '.join(note)}".rstrip()
         )
     if out is not None:
         print(f"overlays and locate.json are in {out}")

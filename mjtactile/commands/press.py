@@ -39,9 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--indenter",
         required=True,
         metavar="SHAPE",
-        help="sphere:R_mm, cylinder:R_mm (end face down), box:EDGE_mm, FILE.stl "
-        "or FILE.obj in mm, or FILE.xml: "
-        "all geoms of an MJCF file, which come down along -z",
+        help="sphere:R_mm, cylinder:R_mm (end face down), box:EDGE_mm, FILE.stl or FILE.obj in "
+        "mm, or FILE.xml: all geoms of an MJCF file, which come down along -z",
     )
     parser.add_argument(
         "--at",

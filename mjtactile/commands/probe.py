@@ -108,8 +108,8 @@ def _print(result: ProbeResult, out: Path | None) -> None:
     known = math.isfinite
     chances = ", ".join(f"{name} {100 * p:.0f} %" for name, p in m.probability.items())
     print(
-        f"{result.names['object']}: {m.kind} "
-        f"({chances})" + ("" if m.status == "ok" else f"; {m.status}")
+        f"{result.names['object']}: {m.kind} ({chances})"
+        + ("" if m.status == "ok" else f"; {m.status}")
     )
     if known(m.deformation):
         print(f"  gave way     {1e3 * m.deformation:.2f} mm under {m.force:.2f} N on each finger")

@@ -80,8 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--object",
         default="egg",
         metavar="NAME|FILE.xml",
-        help="sim and emulated: what stands on the "
-        "table: "
+        help="sim and emulated: what stands on the table: "
         f"{', '.join(resources.names('models/objects', '.xml'))} (default: egg)",
     )
     parser.add_argument(
@@ -177,10 +176,9 @@ def run(options: argparse.Namespace) -> int:
         print(f"{result['cycles']} cycles\n  recorded in {options.out}/recording")
     else:
         print(
-            f"{result['cycles']} cycles in {result['seconds']:.2f} s, {result['unknown']} with "
-            "an unknown force; felt "
-            f"{result['force_min_N']:.3f} to {result['force_max_N']:.3f} N\n  recorded in "
-            f"{options.out}/recording"
+            f"{result['cycles']} cycles in {result['seconds']:.2f} s, {result['unknown']} with an "
+            f"unknown force; felt {result['force_min_N']:.3f} to {result['force_max_N']:.3f} N\n  "
+            f"recorded in {options.out}/recording"
         )
     return 0
 

@@ -3,7 +3,7 @@
 Rectangle 2a x 2b under pressure p, pre-tension T0 per length, membrane stiffness E h, Poisson ratio
 nu:
 
-    p = C1(b/a) T0 w0 / a^2 + C2(b/a, nu) E h w0^3 / a^4                                       (Eq. M1)
+    p = C1(b/a) T0 w0 / a^2 + C2(b/a, nu) E h w0^3 / a^4                (Eq. M1)
 
 Each coefficient is exact where the other term vanishes; between, the shapes differ and the sum is
 up to 4 % low. The table was recomputed by Ritz, series and finite elements, which agree to 0.01 %;

@@ -156,8 +156,7 @@ def _check_latency(what: str, timer: Path, *, fix: bool) -> Iterator[Finding]:
         "warn",
         what,
         f"latency timer is {value} ms: each reading takes that long",
-        'for good: a udev rule ACTION=="add", SUBSYSTEM=="usb-serial", '
-        'DRIVER=="ftdi_sio", '
+        'for good: a udev rule ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", '
         'ATTR{latency_timer}="1" in /etc/udev/rules.d/99-latency.rules; for '
         "now: --fix as root",
     )

@@ -255,10 +255,11 @@ def _varied(summary: Mapping[str, Any]) -> str:
 
 
 _HOW_VARIED = """<p>
-As many episodes in each bin, written by its middle, with 95 % intervals. p: how often accident alone would part
-failures from successes as far as they are, in the value or (both ways) in its distance from the middle (Mann and
-Whitney); what stays below 5 % shared by all values stands out. rho: rank correlation with slip, held force's error and
-share of the breaking force, which grow before anything fails. What has most to do with failures comes first.</p>"""
+As many episodes in each bin, written by its middle, with 95 % intervals. p: how often accident
+alone would part failures from successes as far as they are, in the value or (both ways) in its
+distance from the middle (Mann and Whitney); what stays below 5 % shared by all values stands out.
+rho: rank correlation with slip, held force's error and share of the breaking force, which grow
+before anything fails. What has most to do with failures comes first.</p>"""
 
 
 def _grid(figures: Iterable[str]) -> str:
@@ -319,7 +320,8 @@ def _worst(worst: Iterable[Line], pictures: Mapping[str, Path | None]) -> str:
         parts.append(
             f"<h3>{escape(line['controller'])}, {escape(line['object'])}, seed {line['seed']}: "
             f"{line['outcome']}</h3>"
-            f"<p>{'; '.join(facts)}<br>{escape(line.get('phases', ''))}<br><code>{escape(line['again'])}</code></p>"
+            f"<p>{'; '.join(facts)}<br>{escape(line.get('phases', ''))}<br>"
+            f"<code>{escape(line['again'])}</code></p>"
         )
         picture = pictures.get(f"{line['controller']}-{line['episode']:06d}")
         if picture is not None:

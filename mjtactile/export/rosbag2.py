@@ -18,7 +18,8 @@ from mjtactile.recording.files import to_json
 PACKAGE = "mjtactile_msgs"
 MESSAGES = {
     "Touch": """\
-# What one sensor felt in one image. NaN: unknown; status says why. Frame: header.frame_id, z out of the sensor.
+# What one sensor felt in one image. NaN: unknown; status says why. Frame: header.frame_id, z out \
+of the sensor.
 std_msgs/Header header
 float64 force_normal        # N, positive for a press
 float64 force_normal_sd
@@ -54,7 +55,8 @@ _RENAMED = {"age": "touch_age"}
 _PACKAGE_XML = f"""\
 <?xml version="1.0"?>
 <package format="3">
-  <name>{PACKAGE}</name><version>0.1.0</version><description>What mjtactile's sensors feel</description>
+  <name>{PACKAGE}</name><version>0.1.0</version>
+  <description>What mjtactile's sensors feel</description>
   <maintainer email="nobody@example.com">mjtactile</maintainer><license>Apache-2.0</license>
   <buildtool_depend>ament_cmake</buildtool_depend><buildtool_depend>rosidl_default_generators</buildtool_depend>
   <depend>std_msgs</depend><exec_depend>rosidl_default_runtime</exec_depend>
@@ -67,7 +69,8 @@ project({PACKAGE})
 find_package(ament_cmake REQUIRED)
 find_package(std_msgs REQUIRED)
 find_package(rosidl_default_generators REQUIRED)
-rosidl_generate_interfaces(${{PROJECT_NAME}} {" ".join(f'"msg/{name}.msg"' for name in MESSAGES)} DEPENDENCIES std_msgs)
+rosidl_generate_interfaces(${{PROJECT_NAME}}
+  {" ".join(f'"msg/{name}.msg"' for name in MESSAGES)} DEPENDENCIES std_msgs)
 ament_package()
 """
 

@@ -68,17 +68,15 @@ def obstacle(
 
     Args:
         kind: one of KINDS. The axis of capsule, cylinder, disc and cone is the body's z; a cone's
-        tip and a wedge's edge are at
-            its origin, and both open towards z; a wedge's edge lies along x. A quadric is z >= (k_x
-            x^2 + k_y y^2) / 2 as far out as `reach`. A plane is solid on the side away from the
-            sensor.
+        tip and a wedge's edge are at its origin, and both open towards z; a wedge's edge lies along
+            x. A quadric is z >= (k_x x^2 + k_y y^2) / 2 as far out as `reach`. A plane is solid on
+            the side away from the sensor.
         sizes: half sizes, m (curvatures 1/m), in the order that KINDS has.
         p_SO: the body's middle, (3,) m in S.
         R_SO: its rotation, a matrix (3, 3) or a unit quaternion (4,), real part first; None: none.
         data: of a mesh the vertices (n, 3) m in the body's frame, whose convex hull is meant; of
-        triangles the corners
-            (n, 3, 3) m; of heights the heights (nx, ny) m over the film's nodes, infinite where
-            there is nothing.
+        triangles the corners (n, 3, 3) m; of heights the heights (nx, ny) m over the film's nodes,
+            infinite where there is nothing.
 
     Returns:
         The body, for `Film.solve`.

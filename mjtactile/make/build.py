@@ -126,8 +126,7 @@ def _bill(layout: Layout, optics: Optics) -> str:
     items = bill.bill(layout, optics)
     return (
         f"# What to buy for {layout.design.name!r}\n\nFor one finger, worked out of the sensor "
-        "file; what is called "
-        f"typical is a kind of part, not a shop's.\n\n{bill.table(items)}\n"
+        f"file; what is called typical is a kind of part, not a shop's.\n\n{bill.table(items)}\n"
     )
 
 

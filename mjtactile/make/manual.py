@@ -146,17 +146,13 @@ STEPS = (
         "",
         (),
         "Name a calibration file in the rig file, then\n\n    mjtactile doctor --rig "
-        "my_gripper.toml\n    mjtactile "
-        "calibrate valve --rig my_gripper.toml --finger left\n    mjtactile calibrate "
-        "frame --rig my_gripper.toml --finger "
-        "left\n    mjtactile calibrate force --rig my_gripper.toml --finger left\n    "
-        "mjtactile record --rig "
-        "my_gripper.toml --out runs/by_hand\n\n`calibrate frame` measures what has come "
-        "out differently: where the camera "
-        "sits, how large the markers really are, how stiff the rubber is. `mjtactile fit` "
-        "writes the sensor file of what "
-        "was built. The hose and the port hold {hose:.2f} mL: write that into "
-        "`chamber.extra_volume_mL`.",
+        "my_gripper.toml\n    mjtactile calibrate valve --rig my_gripper.toml --finger left\n    "
+        "mjtactile calibrate frame --rig my_gripper.toml --finger left\n    mjtactile calibrate "
+        "force --rig my_gripper.toml --finger left\n    mjtactile record --rig my_gripper.toml "
+        "--out runs/by_hand\n\n`calibrate frame` measures what has come out differently: where "
+        "the camera sits, how large the markers really are, how stiff the rubber is. `mjtactile "
+        "fit` writes the sensor file of what was built. The hose and the port hold {hose:.2f} mL: "
+        "write that into `chamber.extra_volume_mL`.",
     ),
 )
 SHEET = "sheet"
@@ -238,18 +234,22 @@ def readme(
     checked = "\n".join(f"| {what} | {value} |" for what, value in checks.items())
     return f"""# Sensor {layout.design.name!r}: all that a bench needs
 
-Made by `mjtactile make` from `{source}`; `sensor.toml` is a copy of it. Begin with [assembly.md](assembly.md); buy what
-is in [bill.md](bill.md).
+Made by `mjtactile make` from `{source}`; `sensor.toml` is a copy of it. Begin with
+[assembly.md](assembly.md); buy what is in [bill.md](bill.md).
 
 | file | what |
 |---|---|
 | [assembly.md](assembly.md) | step by step, with pictures |
 | [bill.md](bill.md) | what to buy, with the numbers that matter |
-| [markers.pdf](markers.pdf) | markers at 1:1: transfer print, stencil, and as mounted (to check); scale bars |
-| [markers.svg](markers.svg), [stencil.svg](stencil.svg) | the first two for cutters and lasers: mm, a circle each |
+| [markers.pdf](markers.pdf) | markers at 1:1: transfer print, stencil, and as mounted (to \
+check); scale bars |
+| [markers.svg](markers.svg), [stencil.svg](stencil.svg) | the first two for cutters and lasers: \
+mm, a circle each |
 | [board.pdf](board.pdf), [board.svg](board.svg) | ChArUco board for `mjtactile calibrate camera` |
-| [led_ring.svg](led_ring.svg), [gasket.svg](gasket.svg) | outlines to cut or to make a circuit board of |
-| `cad/*.step`, `cad/*.stl` | the parts below, exact and as triangles; mm, in the sensor's frame, so that they open in place |
+| [led_ring.svg](led_ring.svg), [gasket.svg](gasket.svg) | outlines to cut or to make a circuit \
+board of |
+| `cad/*.step`, `cad/*.stl` | the parts below, exact and as triangles; mm, in the sensor's \
+frame, so that they open in place |
 | `checks.json` | the numbers below and more, for programs |
 
 | part | size, mm | volume, cm3 | |
@@ -278,14 +278,16 @@ def checks(
         if hardware.markers == "ink"
         else "discs keep their size"
     )
+    simulated = (
+        f"markers in the picture, {len(states)} simulated states to {MM * press:.2g} mm of press "
+        f"and {1e-3 * design.chamber.supply_gauge:g} kPa"
+    )
     return {
         "rubber": f"stretched up to {max(state.stretch for state in states):.2f} of its free "
         f"length; the simulator's law holds to {STRETCHED:g}",
         "markers' size": size,
         "markers to the edge of the opening": f"{min(opening_margins(design)):.2f} mm at least",
-        f"markers in the picture, {len(states)} simulated states to {MM * press:.2g} mm of press "
-        f"and {1e-3 * design.chamber.supply_gauge:g} "
-        "kPa": f"{optics.margin:.0f} px to spare ({optics.worst})",
+        simulated: f"{optics.margin:.0f} px to spare ({optics.worst})",
         "sharpness": f"blur {optics.blur:.2f} px (sd) from {optics.near:.1f} to {optics.far:.1f} "
         f"mm at f/{optics.stop:g}; the sensor file allows {design.camera.blur_px:g}",
         "motion blur": f"{hw.SMEAR:g} px at {hardware.speed:g} mm/s with an exposure of "

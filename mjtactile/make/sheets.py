@@ -131,9 +131,8 @@ def write_svg(sheet: Sheet) -> str:
     )
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{_n(sheet.width)}mm" '
-        f'height="{_n(sheet.height)}mm" '
-        f'viewBox="{_n(-sheet.width / 2)} {_n(-sheet.height / 2)} {_n(sheet.width)} '
-        f'{_n(sheet.height)}">\n'
+        f'height="{_n(sheet.height)}mm" viewBox="{_n(-sheet.width / 2)} {_n(-sheet.height / 2)} '
+        f'{_n(sheet.width)} {_n(sheet.height)}">\n'
         f"<title>{escape(sheet.title)}</title>\n{body}\n</svg>\n"
     )
 
@@ -147,8 +146,7 @@ def _svg(shape: Shape) -> str:
         ((x, y),) = shape.points
         return (
             f'<text x="{_n(x)}" y="{_n(y)}" font-family="sans-serif" font-size="{shape.size}" '
-            f"{paint}>"
-            f"{escape(shape.text)}</text>"
+            f"{paint}>{escape(shape.text)}</text>"
         )
     if shape.contour is None:
         return (

@@ -2,12 +2,14 @@
 
     spec = mujoco.MjSpec.from_file("their_robot.xml")
     print(*mjtactile.recommend_options(spec), sep="\\n")       # what it changed, and why
-    tips = [mjtactile.attach(spec, "dense", site=site, prefix=f"{site}/") for site in ("left_tip", "right_tip")]
+    sites = ("left_tip", "right_tip")
+    tips = [mjtactile.attach(spec, "dense", site=site, prefix=f"{site}/") for site in sites]
     model = spec.compile()
     data = mujoco.MjData(model)
-    fingers = [tip.bind(model, data) for tip in tips]          # inflated, references taken on the sensor alone
+    # inflated, references taken on the sensor alone
+    fingers = [tip.bind(model, data) for tip in tips]
     while data.time < 5:
-        mjtactile.step(model, data, fingers)                   # gas, mj_step, images when they are due
+        mjtactile.step(model, data, fingers)  # gas, mj_step, images when they are due
         touch = fingers[0].touch                               # the newest image's, with its age
 
 The site's frame becomes the sensor's frame S: origin in the middle of the flat membrane, z outward.
@@ -41,9 +43,8 @@ class Mount:
         """Make the sensor ready to run: inflated, sealed, its references taken on the sensor alone.
 
         It finishes the model (pre-stretch, contact stiffness) and writes the membrane's joints in
-        `data`;
-        nothing else of the scene is touched. One model carries one bound state: bind again after
-        `spec.recompile`, or to start over.
+        `data`; nothing else of the scene is touched. One model carries one bound state: bind again
+        after `spec.recompile`, or to start over.
 
         Args:
             model: Compiled from the spec.

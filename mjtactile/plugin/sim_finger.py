@@ -217,9 +217,8 @@ class SimFinger:
         if now > self._time + slack:
             raise InputError(
                 f"it was left at {self._time:g} s and the scene is at {now:g} s: call "
-                "mjtactile.step(model, data, "
-                "fingers) with all fingers in place of "
-                "mj_step, or reset()",
+                "mjtactile.step(model, data, fingers) with all fingers in place of mj_step, or "
+                "reset()",
                 source=f"finger {self.name!r}",
             )
 

@@ -42,10 +42,8 @@ class Recorder(Observer):
     """Writes a recording while a run goes on.
 
     Nothing here fails or blocks a run: a recording that cannot be written, or whose disk stands
-    still,
-    is given up with a warning, and `problem` says why. Use it as a context manager, or call `close`
-    on
-    every way out.
+    still, is given up with a warning, and `problem` says why. Use it as a context manager, or call
+    `close` on every way out.
 
     Args:
         folder: Where to; made if needed.

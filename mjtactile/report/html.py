@@ -8,8 +8,10 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
 
-_STYLE = """body{font:15px/1.45 sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#222}
-table{border-collapse:collapse;margin:.6em 0}td,th{padding:.15em .7em;text-align:right;border-bottom:1px solid #e6e6e6}
+_STYLE = """body{font:15px/1.45 sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;
+color:#222}
+table{border-collapse:collapse;margin:.6em 0}
+td,th{padding:.15em .7em;text-align:right;border-bottom:1px solid #e6e6e6}
 td:first-child,th:first-child,table.text *{text-align:left}
 code{background:#f3f3f3;padding:.1em .3em;user-select:all;font-size:13px}img{max-width:100%}"""
 

@@ -79,8 +79,7 @@ class Chain:
     """The sensing chain of one sensor: operators made from its design once; nothing changes.
 
     What was measured of it stands in for what the sensor file says, but for parts that are
-    outdated.
-    The force comes from inverse finite elements.
+    outdated. The force comes from inverse finite elements.
 
     Args:
         design: The sensor file's values.
@@ -251,11 +250,9 @@ class Chain:
             height = 1e3 * float(np.abs(markers.p_SM[:, 2]).max())
             raise DeviceError(
                 f"sensor {self.design.name}: at {pressure_gauge:.0f} Pa the markers stand "
-                f"{height:.2f} mm high at "
-                f"most, as if the membrane were {rest.stiffness_scale:.1f} "
-                "times as stiff as in the sensor file: "
-                "does the valve move, and are the membrane's young_MPa and "
-                "thickness_mm right?"
+                f"{height:.2f} mm high at most, as if the membrane were "
+                f"{rest.stiffness_scale:.1f} times as stiff as in the sensor file: does the valve "
+                "move, and are the membrane's young_MPa and thickness_mm right?"
             )
         # hardly a bulge, and no stiffness was fitted to it
         if pressure_gauge <= self.settings.inverse.informative_pressure:
@@ -273,11 +270,9 @@ class Chain:
             off = 1e3 * float(np.abs(markers.p_SM[:, 2] - z).max())
             raise DeviceError(
                 f"sensor {self.design.name}: at rest the membrane is not the bulge that "
-                f"{pressure_gauge:.0f} Pa "
-                f"make: markers are up to {off:.2f} mm off "
-                f"({np.sqrt(misfit):.1f} standard deviations, rms); does "
-                "something touch it? Else the lens is not as in the sensor "
-                "file: `mjtactile calibrate camera`"
+                f"{pressure_gauge:.0f} Pa make: markers are up to {off:.2f} mm off "
+                f"({np.sqrt(misfit):.1f} standard deviations, rms); does something touch it? Else "
+                "the lens is not as in the sensor file: `mjtactile calibrate camera`"
             )
 
     # -- an image
@@ -444,9 +439,8 @@ class Chain:
         ):
             status = Status(
                 StatusCode.REFERENCE_LOST,
-                "the membrane seems pulled, or shifted: "
-                "the rest reference is lost "
-                "(temperature, camera)",
+                "the membrane seems pulled, or shifted: the rest reference is lost (temperature, "
+                "camera)",
             )
             return replace(
                 unknown, traction=traction, slip=slip.unknown(status.code, "no zero"), status=status

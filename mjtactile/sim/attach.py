@@ -11,7 +11,7 @@
     while True:
         for sensor in sensors:
             sensor.update()                                  # gas: before every mj_step
-        mujoco.mj_step(model, data)                          # or mjtactile.sim.step.advance, in half the time
+        mujoco.mj_step(model, data)  # or mjtactile.sim.step.advance, in half the time
         centres, normals = sensors[0].marker_poses()         # m, in the sensor's frame
 
 The site's frame becomes the sensor's frame S: origin in the middle of the flat membrane, z outward.
@@ -71,7 +71,8 @@ _LEAST_MEMORY = 1 << 24  # bytes
 
 @dataclass(frozen=True, eq=False)
 class Attachment:
-    """A sensor that `attach_membrane` put into a spec; `bind` it to each model compiled from that spec."""
+    """A sensor that `attach_membrane` put into a spec; `bind` it to each model compiled from that
+    spec."""
 
     design: SensorDesign
     mesh: MembraneMesh
@@ -264,9 +265,8 @@ def _site(spec: mujoco.MjSpec, site: mujoco.MjsSite | str) -> mujoco.MjsSite:
     carrier = _mocap_carrier(found.parent)
     if carrier is not None:
         raise InputError(
-            f"{found.name!r} is on the mocap body {carrier!r}, which cannot carry a membrane: "
-            "put it on a body "
-            "that follows this one by a weld",
+            f"{found.name!r} is on the mocap body {carrier!r}, which cannot carry a membrane: put "
+            "it on a body that follows this one by a weld",
             source="attach",
             field="site",
         )

@@ -4,7 +4,8 @@ pressure on an obstacle.
 The film is the membrane with the one tension T that it has near the contact and the gas pressure p,
 a height w over the frame:
 
-    div(grad w / sqrt(1 + |grad w|^2)) = (q - p) / T,   w <= obstacle,   q >= 0,   q = 0 where it does not touch.
+    div(grad w / sqrt(1 + |grad w|^2)) = (q - p) / T,
+    w <= obstacle,   q >= 0,   q = 0 where it does not touch.
 
 It leaves smooth bodies without a kink and edges with one. How far down the obstacle is, is found
 from the force: the film carries what the membrane carries. Solved by five-point differences and

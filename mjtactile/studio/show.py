@@ -1,9 +1,8 @@
 """`Show`: what a session shows and what is asked of it. The session's thread writes, the viewer's
 reads, neither waits.
 
-It observes a run. What is asked of the world (a valve, a pull) is
-done by the session's own thread when a cycle's images were taken and the world stands still, as a
-command of a controller would be.
+It observes a run. What is asked of the world (a valve, a pull) is done by the session's own thread
+when a cycle's images were taken and the world stands still, as a command of a controller would be.
 """
 
 from __future__ import annotations

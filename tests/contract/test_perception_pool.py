@@ -144,8 +144,7 @@ def test_one_that_is_killed_is_said_and_leaves_its_chains_as_they_were(pool):
 
 
 class Killing(Observer):
-    """Kills what this process has started, in the first cycle that holds the object
-    in the air."""
+    """Kills what this process has started, in the first cycle that holds the object in the air."""
 
     def __init__(self):
         self.phases = []

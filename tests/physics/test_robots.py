@@ -184,9 +184,8 @@ def test_a_base_that_is_turned_in_a_frame_is_raised_straight_up(tmp_path):
     turned = [
         (
             '<body name="hand" gravcomp="1">',
-            '<frame pos="0.1 0.2 -0.3" euler="1.5708 0 '
-            '0"><frame euler="-1.5708 0 0">'
-            '<body name="hand" gravcomp="1">',
+            '<frame pos="0.1 0.2 -0.3" euler="1.5708 0 0"><frame euler="-1.5708 0 0"><body '
+            'name="hand" gravcomp="1">',
         ),
         ("</worldbody>", "</frame></frame></worldbody>"),
     ]
@@ -319,9 +318,8 @@ def test_the_doctor_finds_the_shipped_ones_well(name):
             ],
             [],
             [
-                "warn finger left: z of site 'left_fingertip' misses the middle of the "
-                "fingertips by "
-                "30 degrees"
+                "warn finger left: z of site 'left_fingertip' misses the middle of the fingertips "
+                "by 30 degrees"
             ],
         ),
         (

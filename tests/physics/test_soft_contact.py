@@ -37,9 +37,7 @@ def test_a_ball_between_membranes_gives_way_as_under_their_even_pressure(tmp_pat
     rigid.write_text(
         re.sub(
             '<body name="object".*?</body>',
-            '<body name="object" pos="0 0 '
-            '0.032"><freejoint/>'
-            '<geom type="sphere" size="0.012" '
+            '<body name="object" pos="0 0 0.032"><freejoint/><geom type="sphere" size="0.012" '
             'mass="0.0075"/></body>',
             text,
             flags=re.DOTALL,

@@ -1,4 +1,5 @@
-"""What a user's scene says about itself: flags on the finger, a stop where numbers would be wrong."""
+"""What a user's scene says about itself: flags on the finger, a stop where numbers would be
+wrong."""
 
 import mujoco
 import numpy as np

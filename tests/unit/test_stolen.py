@@ -57,9 +57,7 @@ def test_too_many_undecided_are_a_failure(pytester, monkeypatch):
     pytester.makeini("[pytest]\nmarkers = clock")
     for count, code in ((stolen.MOST, 0), (stolen.MOST + 1, 1)):
         pytester.makepyfile(
-            "import "
-            "pytest\n@pytest.mark.clock\n@pytest.mark.parametrize('k', "
-            f"range({count}))\n"
+            f"import pytest\n@pytest.mark.clock\n@pytest.mark.parametrize('k', range({count}))\n"
             "def test_fails(k):\n    assert 0\n"
         )
         result = pytester.runpytest_inprocess(

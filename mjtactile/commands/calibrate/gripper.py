@@ -94,8 +94,7 @@ def run(options: argparse.Namespace) -> int:
     if out is None:
         raise InputError(
             'names no file for the result: write calibration = "gripper.json" into [gripper] '
-            "(of a copy, if the rig "
-            "is a shipped one), or give --out",
+            "(of a copy, if the rig is a shipped one), or give --out",
             source=rig_file.path,
             field="gripper.calibration",
         )

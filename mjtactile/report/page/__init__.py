@@ -23,7 +23,8 @@ _STYLE = """canvas{width:100%;touch-action:none;border:1px solid #e6e6e6;box-siz
 #chart{height:320px;cursor:crosshair}canvas.membrane{height:320px;cursor:grab}
 .row{display:flex;gap:1em}.row>div{flex:1;min-width:0}.row>div.scene{flex:0 0 240px}
 img.camera{width:100%;display:block}#readout{font-size:13px;min-height:2.9em}#slider{width:60%;vertical-align:middle}
-.hint{color:#666;font-size:13px}.columns{display:flex;flex-wrap:wrap;align-items:flex-start;gap:0 3em}h3{margin:.4em 0 .2em}"""
+.hint{color:#666;font-size:13px}
+.columns{display:flex;flex-wrap:wrap;align-items:flex-start;gap:0 3em}h3{margin:.4em 0 .2em}"""
 _FACTS: tuple[tuple[str, str, str], ...] = (
     ("outcome", "outcome", ""),
     ("reason", "because", ""),
@@ -229,7 +230,8 @@ def _simulated(recording: Recording) -> str:
         f"{name} {value}" for name, value in recording.notes.get("varied", {}).items()
     )
     return (
-        f"<h2>What was simulated, and why</h2><p>Membranes of {escape(' x '.join(map(str, how['mesh'])))} "
+        "<h2>What was simulated, and why</h2>"
+        f"<p>Membranes of {escape(' x '.join(map(str, how['mesh'])))} "
         f"vertices, steps of {how['timestep_ms']:.3g} ms. Costs and errors are those measured on "
         "the shipped sensors (<code>mjtactile "
         f"effects</code>).</p>{table(head, rows(True), text=True)}<details><summary>what was left "

@@ -5,7 +5,8 @@ With Q the circle's cone in ideal normalised coordinates (x^T Q x = 0 on the bou
 l1 >= l2 > 0 > l3, eigenvectors v1, v3 (v3 away from the camera), sin psi = sqrt((l1 - l2)/(l1 -
 l3)), cos psi = sqrt((l2 - l3)/(l1 - l3)):
 
-    C = r ( s sqrt(-l3/l1) sin psi v1 + sqrt(-l1/l3) cos psi v3 ),   n = s sin psi v1 - cos psi v3,   s = +1 or -1
+    C = r ( s sqrt(-l3/l1) sin psi v1 + sqrt(-l1/l3) cos psi v3 ),
+    n = s sin psi v1 - cos psi v3,   s = +1 or -1
 
 Departures from the paper (docs/equations.md): Q = K^T M K instead of the pixel conic M; the sign
 belongs to the sine term alone; C is the centre in space, not only its image, so that no sine rule

@@ -101,8 +101,7 @@ def find_circles(
     """Find circles of a known radius in one image, and their poses.
 
     Where the bright side of the edges is clipped, all dark circles look smaller by tenths of a
-    pixel
-    that nothing in the image tells; the covariance then allows for it.
+    pixel that nothing in the image tells; the covariance then allows for it.
 
     Args:
         image: (H, W) or (H, W, 3) grey levels or colours, or an `Image`.

@@ -12,7 +12,8 @@ Circles need not lie on a surface, and how many do is found from the image itsel
 that of a mixture, whose other part is the prior of tilts, by expectation-maximisation. With q_i the
 two densities of a circle's normals,
 
-    q_i = w N(n_i - n_surface; cov_i + cov_surface) + (1 - w) prior(n_i),    P(first) = q_1/(q_1 + q_2).
+    q_i = w N(n_i - n_surface; cov_i + cov_surface) + (1 - w) prior(n_i),
+    P(first) = q_1/(q_1 + q_2).
 
 The surface's normal is that of a plane (inverse depth linear in the image) through the circle and
 its nearest neighbours, with the covariance that its scatter about them gives; circles each at a

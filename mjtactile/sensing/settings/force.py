@@ -70,10 +70,8 @@ class InverseSettings:
     )
     posterior_share: tuple[float, float, float, float] = number(
         (0.006, 0.3, 0.25, 0.006),
-        "of the predicted variance of shear, normal force, tilt and spin: contacts are "
-        "smoother than "
-        "the prior says, and nearly all markers "
-        "see shear",
+        "of the predicted variance of shear, normal force, tilt and spin: contacts are smoother "
+        "than the prior says, and nearly all markers see shear",
         "bench bars, while nothing touches; " + _BARS,
     )
     informative_pressure: float = number(
@@ -198,8 +196,7 @@ class ZeroSettings:
     )
     local_most: float = number(
         0.3,
-        "mean square over the markers' variance of what neither gas nor camera does to that "
-        "mean: "
+        "mean square over the markers' variance of what neither gas nor camera does to that mean: "
         "more is a slow touch",
         TRIED,
     )

@@ -27,9 +27,8 @@ class CandidateSettings:
     )
     margins: tuple[float, float] = number(
         (3.0, 24.0),
-        "grey levels of 256 darker than its "
-        "neighbourhood: the least, and "
-        "the most that noise can ask for",
+        "grey levels of 256 darker than its neighbourhood: the least, and the most that noise can "
+        "ask for",
         "trial; at first 4, whatever the noise",
     )
     noise: float = number(
@@ -49,9 +48,8 @@ class EdgeSettings:
 
     small_radius: float = number(
         7.0,
-        "px, times a blur of more than 1 px; below this mean radius the edge's curvature is "
-        "felt beyond "
-        "the first order",
+        "px, times a blur of more than 1 px; below this mean radius the edge's curvature is felt "
+        "beyond the first order",
         TRIED,
     )
     sharpest: float = number(

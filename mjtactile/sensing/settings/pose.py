@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from mjtactile.sensing.settings.number import TRIED, number
 
 _BULGE = (
-    "100 simulated sensors, each with its own stiffness (30 %), pre-stretch (0.02), lens (3 %, "
-    "6 px, k1 0.04), camera and "
-    "pressure (tests/physics/test_rest_shape.py)"
+    "100 simulated sensors, each with its own stiffness (30 %), pre-stretch (0.02), lens (3 %, 6 "
+    "px, k1 0.04), camera and pressure (tests/physics/test_rest_shape.py)"
 )
 
 
@@ -57,9 +56,8 @@ class ReferenceSettings:
     bulge_misfit_most: float = number(
         5.0,
         "mean square misfit of the bulge's shape over its variance",
-        _BULGE + ": the worst that nothing touched had "
-        "3.7, and 1.0 where the lens was measured; what presses with 0.06 N gives 9 and "
-        "more where the lens is right",
+        _BULGE + ": the worst that nothing touched had 3.7, and 1.0 where the lens was measured; "
+        "what presses with 0.06 N gives 9 and more where the lens is right",
     )
     bulge_floor: float = number(
         15e-6, "m, of heights: the splines against the finer mesh of a real membrane", _BULGE

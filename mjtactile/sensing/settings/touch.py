@@ -16,8 +16,7 @@ class PatchSettings:
     smoothing: float = number(0.6, "sd of the smoothing, in nodes", TRIED)
     separate_share: float = number(
         0.8,
-        "of the geometric mean of gas pressure and peak; patches are apart where pressure "
-        "falls "
+        "of the geometric mean of gas pressure and peak; patches are apart where pressure falls "
         "below it",
         TRIED,
     )

@@ -5,9 +5,8 @@ the paper's route.
 boundary coefficients are left out, so that it is exactly zero on the frame. Its coefficients c
 minimise
 
-    sum ((z(x_i, y_i) - z_i) / sd_i)^2 + sum |(grad z - slope_i) / sd_slope_i|^2 + integral (|grad
-    lap z| / g)^2 / A
-                                                                                 + integral (lap z / k)^2 / A
+    sum ((z(x_i, y_i) - z_i) / sd_i)^2 + sum |(grad z - slope_i) / sd_slope_i|^2
+        + integral (|grad lap z| / g)^2 / A + integral (lap z / k)^2 / A
 
 The third term is the membrane's physics: where nothing touches, a sheet of uniform tension under
 uniform pressure has a constant Laplacian (Young-Laplace), so that inflating or pumping costs

@@ -268,9 +268,13 @@ def _relaxation(
 ) -> tuple[float, float]:
     """Time constant, s, of the stress at constant strain, and stiffness at rest, N/m.
 
-    Time 0: the force stayed. NaN: it fell, but not as a standard linear solid's. Press and hold of such a solid obey
-    F + tau F' = K d + tau (K + K_arm) d'  (Eq. P5). Integrated once over time this is linear in tau, K, tau (K + K_arm)
-    and the unknown free width; it needs no derivatives, and holds whatever the membranes do meanwhile.
+    Time 0: the force stayed. NaN: it fell, but not as a standard linear solid's. Press and hold of
+    such a solid obey
+
+        F + tau F' = K d + tau (K + K_arm) d'    (Eq. P5)
+
+    Integrated once over time this is linear in tau, K, tau (K + K_arm) and the unknown free width;
+    it needs no derivatives, and holds whatever the membranes do meanwhile.
     """
     rows = np.concatenate([phases.load, phases.hold])
     time = squeeze.time[rows]

@@ -1,9 +1,9 @@
 """`Fidelity`: how finely to simulate. A user says what is needed; the cheapest setting that was
 measured to give it is taken.
 
-    Fidelity.for_force_error(0.02)     the cheapest setting whose force error was measured to be at most 0.02 N
-    Fidelity.for_real_time()           the most accurate setting that runs at least as fast as the clock
-    Fidelity.parse("0.02N")            the same by what stands after --accuracy: "0.02N" or "realtime"
+    Fidelity.for_force_error(0.02)  the cheapest setting whose force error is at most 0.02 N
+    Fidelity.for_real_time()        the most accurate one that runs at least as fast as the clock
+    Fidelity.parse("0.02N")         the same by what follows --accuracy: "0.02N" or "realtime"
 
 The table behind it, models/fidelity/measured.json, is written by `mjtactile bench accuracy` and
 says on which machine and with which versions it was measured. Errors are those of the shipped

@@ -16,7 +16,8 @@ def deepest(design: SensorDesign, half_extents: tuple[float, float], force: floa
     """Angle t, rad, at which the sheet leaves an ellipsoid of half extents a, b m across, pressed
     with `force` F, N:
 
-        F = pi [(a + b) T(t) + a b p] sin(t)^2,    T = T0 + E h / (1 - nu^2) (1 / cos(t) - 1) / 2               (Eq. L5)
+        F = pi [(a + b) T(t) + a b p] sin(t)^2,
+        T = T0 + E h / (1 - nu^2) (1 / cos(t) - 1) / 2                  (Eq. L5)
 
     It touches as far as the object is no steeper; a flank's stretch spreads over twice its length.
     Spheres of 4-16 mm up to 1.8 N, 21 to 47 degrees steep in simulation: -4 to +4 degrees. Beside

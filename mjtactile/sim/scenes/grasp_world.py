@@ -100,16 +100,14 @@ class GraspWorld(HandWorld):
             return {}
         return {
             "strain": f"{self.object.name!r} is compressed by {compression:.0%} at its worst: its "
-            "elements are linear, and rubber is stiffer by a quarter from "
-            f"{_STRAINED:.0%} on"
+            f"elements are linear, and rubber is stiffer by a quarter from {_STRAINED:.0%} on"
         }
 
     def _check_clearance(self, tip_height: float, half: float) -> None:
         if tip_height <= half:
             raise InputError(
                 f"grasp height {tip_height * 1e3:g} mm is below {half * 1e3:g} mm: the sensors' "
-                "frames would hit "
-                "the table; put the object on a stand",
+                "frames would hit the table; put the object on a stand",
                 source=self.object.path,
                 field="grasp_height_m",
             )

@@ -203,8 +203,7 @@ class PressWorld(World):
                 return True
         self.flags.setdefault(
             "unsettled",
-            f"did not come to rest in {time_limit:g} s: forces "
-            "are those of a moving membrane; "
+            f"did not come to rest in {time_limit:g} s: forces are those of a moving membrane; "
             "use a smaller timestep",
         )
         return False

@@ -164,8 +164,10 @@ def to_mjcf(thing: Thing, name: str) -> str:
     turn = '    <numeric name="turn_deg" data="3"/>\n' if t.shape == "box" else ""
     asset, geoms = _BUILD[t.shape](t)
     body = "\n".join(f"      {line}" for line in geoms)
-    return f"""<!-- A random {t.shape}: {2e3 * t.a:.3g} mm between the fingers, {2e3 * t.c:.3g} mm high, {1e3 * t.mass:.3g} g.
-     Units: m, kg, N. Made by mjtactile.sim.scenes.random_objects; docs/objects.md says how they are drawn. -->
+    return f"""<!-- A random {t.shape}: {2e3 * t.a:.3g} mm between the fingers,
+     {2e3 * t.c:.3g} mm high, {1e3 * t.mass:.3g} g.
+     Units: m, kg, N. Made by mjtactile.sim.scenes.random_objects;
+     docs/objects.md says how they are drawn. -->
 <mujoco model="{name}">
   <compiler angle="degree"/>
   <custom>
@@ -196,8 +198,7 @@ def _geom(
 ) -> str:
     return (
         f'<geom name="{name}" type="{kind}" size="{_row(size)}" pos="{_row(pos)}" {_FRICTION} '
-        'conaffinity="0" '
-        f'rgba="{colour}"{more}/>'
+        f'conaffinity="0" rgba="{colour}"{more}/>'
     )
 
 
@@ -315,8 +316,7 @@ def _build_fruit(t: Thing) -> Built:
     for k in range(_SEGMENTS):
         turn = 2 * math.pi * k / _SEGMENTS
         lines += [
-            f'<body name="flesh{k}" pos="{off * math.cos(turn):.6g} {off * math.sin(turn):.6g} '
-            '0" '
+            f'<body name="flesh{k}" pos="{off * math.cos(turn):.6g} {off * math.sin(turn):.6g} 0" '
             f'euler="0 0 {math.degrees(turn):g}">',
             f'  <joint name="flesh{k}" type="slide" axis="1 0 0" '
             f'stiffness="{stiffness:.6g}" damping="{damping:.4g}"/>',

@@ -163,8 +163,10 @@ def to_mjcf(body: SoftBody, name: str, comment: str = "") -> str:
         f'          element="{_rows(elements)}"'
     )
     return f"""<!-- {comment or name}
-     Units: m, kg, N, s, Pa. Finite elements, made by mjtactile.sim.scenes.soft_bodies; docs/objects.md says how far they go.
-     The mesh of tetrahedra is what touches and is seen; the lattice of {"x".join(map(str, body.lattice))} cells is what deforms.
+     Units: m, kg, N, s, Pa. Finite elements, made by mjtactile.sim.scenes.soft_bodies;
+     docs/objects.md says how far they go.
+     The mesh of tetrahedra is what touches and is seen;
+     the lattice of {"x".join(map(str, body.lattice))} cells is what deforms.
      young, poisson, damping, mass and scale (the size) can be changed here. -->
 <mujoco model="{name}">
   <custom>
@@ -175,11 +177,14 @@ def to_mjcf(body: SoftBody, name: str, comment: str = "") -> str:
   <worldbody>
 {_cup(body) if body.shape == "ball" else _stand(body, float(points[:, 2].min()))}
     <body name="object" pos="0 0 {body.centre_height:g}">  <!-- no joint: a flex moves by itself -->
-      <flexcomp name="flesh" type="direct" dim="3" dof="trilinear" cellcount="{" ".join(map(str, body.lattice))}"
-          mass="{body.density * body.volume:.4g}" radius="{body.skin:g}" rgba="{body.rgba}" {mesh}>
+      <flexcomp name="flesh" type="direct" dim="3" dof="trilinear"
+                cellcount="{" ".join(map(str, body.lattice))}"
+                mass="{body.density * body.volume:.4g}" radius="{body.skin:g}"
+                rgba="{body.rgba}" {mesh}>
         <elasticity young="{body.young:g}" poisson="{body.poisson:g}" damping="{body.damping:g}"/>
         <contact selfcollide="none" contype="1" conaffinity="0" friction="0.3 0.005 0.0001"
-                 solref="0.008 1" solimp="0.99 0.999 0.0005" solmix="100"/>  <!-- stiff: contact softness is by inverse mass -->
+                 solref="0.008 1" solimp="0.99 0.999 0.0005" solmix="100"/>
+        <!-- stiff: contact softness is by inverse mass -->
       </flexcomp>
     </body>
   </worldbody>
@@ -204,7 +209,8 @@ def _stand(body: SoftBody, bottom: float) -> str:
     height = body.centre_height + bottom - body.skin
     radius = 0.5 * min(body.half[:2])
     return f"""    <body name="stand">
-      <geom name="stand" type="cylinder" pos="0 0 {height / 2:.5g}" size="{radius:g} {height / 2:.5g}" friction="0.3 0.005 0.0001"
+      <geom name="stand" type="cylinder" pos="0 0 {height / 2:.5g}"
+            size="{radius:g} {height / 2:.5g}" friction="0.3 0.005 0.0001"
             rgba="0.6 0.6 0.65 1"/>
     </body>"""
 

@@ -7,9 +7,12 @@ A acts as the spring K = E A / L; here the spring is given directly, and the tru
 left out: bulging sideways, stress that varies over the face, waves. What the fingers feel, the
 force between faces and how their distance answers, is what the model says.
 
-    elastic        plate --[k, stiffening]-- middle                             sponge, rubber
-    viscoelastic   the same, beside it --[k_arm]--(dashpot)-- middle            memory foam, gel (standard linear solid)
-    plastic        plate --[k]--(dry friction: yield)-- middle                  clay, granular bag; with a dashpot: dough, paste
+    elastic        plate --[k, stiffening]-- middle
+                   sponge, rubber
+    viscoelastic   the same, beside it --[k_arm]--(dashpot)-- middle
+                   memory foam, gel (standard linear solid)
+    plastic        plate --[k]--(dry friction: yield)-- middle
+                   clay, granular bag; with a dashpot: dough, paste
 """
 
 from __future__ import annotations
@@ -102,7 +105,8 @@ def to_mjcf(specimen: Specimen, name: str, comment: str = "") -> str:
     foot = s.height / 2 + 0.002
     slim = 0.2 * s.length
     return f"""<!-- {comment or name}
-     Units: m, kg, N, s. Lumped model, made by mjtactile.sim.scenes.specimens; docs/objects.md says what it stands for. -->
+     Units: m, kg, N, s. Lumped model, made by mjtactile.sim.scenes.specimens;
+     docs/objects.md says what it stands for. -->
 <mujoco model="{name}">
   <custom>
 {custom}
@@ -110,12 +114,14 @@ def to_mjcf(specimen: Specimen, name: str, comment: str = "") -> str:
   </custom>
   <worldbody>
     <body name="stand">
-      <geom name="stand" type="cylinder" pos="0 0 {_STAND / 2:.6g}" size="{slim:.6g} {_STAND / 2:.6g}"
+      <geom name="stand" type="cylinder" pos="0 0 {_STAND / 2:.6g}"
+            size="{slim:.6g} {_STAND / 2:.6g}"
             friction="0.3 0.005 0.0001" rgba="0.6 0.6 0.65 1"/>
     </body>
     <body name="object" pos="0 0 {_STAND + foot:.6g}">
       <freejoint/>
-      <geom name="foot" type="cylinder" pos="0 0 {-foot + 0.001:.6g}" size="{slim:.6g} 0.001" mass="0.002"
+      <geom name="foot" type="cylinder" pos="0 0 {-foot + 0.001:.6g}"
+            size="{slim:.6g} 0.001" mass="0.002"
             friction="0.3 0.005 0.0001" conaffinity="0" rgba="0.4 0.4 0.4 1"/>
 {parts}
     </body>
@@ -134,9 +140,8 @@ def _rigid(s: Specimen) -> tuple[str, str]:
     }[s.shape]
     kind = "ellipsoid" if s.shape == "sphere" else s.shape
     return (
-        f'      <geom name="body" type="{kind}" size="{size}" mass="{_CORE_MASS:g}" '
-        'friction="0.3 0.005 0.0001" '
-        'conaffinity="0" rgba="0.7 0.75 0.8 1"/>'
+        f'      <geom name="body" type="{kind}" size="{size}" mass="{_CORE_MASS:g}" friction="0.3 '
+        '0.005 0.0001" conaffinity="0" rgba="0.7 0.75 0.8 1"/>'
     ), ""
 
 
@@ -161,10 +166,9 @@ def _halves(s: Specimen) -> tuple[str, str]:
             f'        <joint name="{side}" type="slide" axis="{sign} 0 0" '
             f'{spring}damping="{_PLATE_DAMPING:g}" '
             f'range="{-_FREE_PLAY:g} {s.length / 2 - 2 * PLATE:.6g}" limited="true"/>',
-            f'        <geom name="{side}" type="box" pos="{sign * PLATE:g} 0 0" '
-            f'size="{PLATE:g} {s.width / 2:.6g} '
-            f'{s.height / 2:.6g}" mass="{_PLATE_MASS:g}" friction="0.3 0.005 0.0001" '
-            'conaffinity="0" rgba="0.9 0.75 0.5 1"/>',
+            f'        <geom name="{side}" type="box" pos="{sign * PLATE:g} 0 0" size="{PLATE:g} '
+            f'{s.width / 2:.6g} {s.height / 2:.6g}" mass="{_PLATE_MASS:g}" friction="0.3 0.005 '
+            '0.0001" conaffinity="0" rgba="0.9 0.75 0.5 1"/>',
             "      </body>",
         ]
         if s.kind in ("viscoelastic", "plastic"):
@@ -172,8 +176,7 @@ def _halves(s: Specimen) -> tuple[str, str]:
             stiffness = s.arm_stiffness if s.kind == "viscoelastic" else s.stiffness
             tendons.append(
                 f'    <fixed name="{side}_arm" stiffness="{2 * stiffness:.6g}" springlength="0" '
-                'damping="0.5">'
-                f'<joint joint="{side}" coef="1"/><joint joint="{side}_arm" '
+                f'damping="0.5"><joint joint="{side}" coef="1"/><joint joint="{side}_arm" '
                 'coef="-1"/></fixed>'
             )
     return "\n".join(lines), "  <tendon>\n" + "\n".join(

@@ -97,9 +97,10 @@ class GasTendon:
         """Push with the pressure, `gradient` (k, 3) = dV/dq, and let the tendon's spring carry its
         change in the step.
 
-        The spring is relaxed at the current state, so that it holds the *implicit* part only: f = p - k (V' - V). All but:
-        MuJoCo leaves out the stiffness of a spring whose length is exactly that at rest, as rounding will have it now and
-        then, and the gas of that step is explicit. It is therefore set off by far more than rounding, and its force given back.
+        The spring is relaxed at the current state, so that it holds the *implicit* part only: f = p
+        - k (V' - V). All but: MuJoCo leaves out the stiffness of a spring whose length is exactly
+        that at rest, as rounding will have it now and then, and the gas of that step is explicit.
+        It is therefore set off by far more than rounding, and its force given back.
         """
         self._apply(gradient, pressure_gauge, stiffness)
 

@@ -149,9 +149,8 @@ def edge_flag(half_width: float, mesh: MembraneMesh) -> str | None:
     share = min(1.1 * mesh.spacing / half_width, 1.0)  # 38 % was measured where the ratio is 0.37
     return (
         f"an edge presses, {half_width * 1e3:.2g} mm from the middle of its face, and the mesh "
-        "has "
-        f"{mesh.spacing * 1e3:.2g} mm between vertices: the force may be off by "
-        f"{share:.0%}; a finer mesh divides that"
+        f"has {mesh.spacing * 1e3:.2g} mm between vertices: the force may be off by {share:.0%}; "
+        "a finer mesh divides that"
     )
 
 

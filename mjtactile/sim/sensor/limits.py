@@ -38,10 +38,8 @@ def check_design(design: SensorDesign, mesh: tuple[int, int]) -> None:
     short = min(design.frame.length, design.frame.width)
     if sheet.thickness > _THICKEST * short:
         raise InputError(
-            f"{sheet.thickness * 1e3:g} is a plate, not a membrane, in a frame of "
-            f"{short * 1e3:g} mm: bending is "
-            "left out; at most "
-            f"{_THICKEST * short * 1e3:g}",
+            f"{sheet.thickness * 1e3:g} is a plate, not a membrane, in a frame of {short * 1e3:g} "
+            f"mm: bending is left out; at most {_THICKEST * short * 1e3:g}",
             source=design.name,
             field="membrane.thickness_mm",
         )
@@ -77,10 +75,8 @@ def design_flags(design: SensorDesign, nx: int, ny: int) -> Flags:
     if rigidity * wave > _BENDING * tension:
         share = rigidity * wave / tension
         flags["bending"] = (
-            "bending, which is left out, would add "
-            f"{share:.0%} to the stiffness of this "
-            f"{sheet.thickness * 1e3:g} mm sheet; a thinner or more "
-            "stretched sheet is a membrane"
+            f"bending, which is left out, would add {share:.0%} to the stiffness of this "
+            f"{sheet.thickness * 1e3:g} mm sheet; a thinner or more stretched sheet is a membrane"
         )
     return flags
 

@@ -89,10 +89,8 @@ class SceneMonitor:
             lasting = self._penetration(number, rows)
             if lasting > PENETRATION:
                 flags["penetration"] = (
-                    f"objects sink into the membrane by {lasting:.0%} of what they push in, "
-                    "more than "
-                    f"{PENETRATION:.0%}; a smaller timestep makes "
-                    "contact stiffer"
+                    f"objects sink into the membrane by {lasting:.0%} of what they push in, more "
+                    f"than {PENETRATION:.0%}; a smaller timestep makes contact stiffer"
                 )
             if lasting > _SUNK:
                 stop = f"sensor {sensor.prefix!r}: {flags['penetration']}"
@@ -224,8 +222,7 @@ class SceneMonitor:
                 best = _FAST / 2 * self._sizes[k] / speed[k] * 1e3
                 flags["speed"] = (
                     f"an object approaches at {speed[k]:.2g} m/s, more than half its size in a "
-                    "step; use a "
-                    f"timestep of at most {best:.2g} ms"
+                    f"step; use a timestep of at most {best:.2g} ms"
                 )
         return flags
 

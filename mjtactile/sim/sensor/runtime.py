@@ -369,8 +369,7 @@ def _require(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
     if found < 0:
         raise InputError(
             f"the model has no {kind.name.removeprefix('mjOBJ_').lower()} {name!r}; was it "
-            "compiled from "
-            "the spec that the sensor was attached to?",
+            "compiled from the spec that the sensor was attached to?",
             source="bind",
             field="model",
         )

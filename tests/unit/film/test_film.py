@@ -1,4 +1,5 @@
-"""The film against independent solutions of the full membrane, against statics, and against itself."""
+"""The film against independent solutions of the full membrane, against statics, and against
+itself."""
 
 import numpy as np
 import pytest
