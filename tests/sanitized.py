@@ -26,9 +26,10 @@ TESTS = [
     "tests/unit/kernels",
     "tests/unit/film",
     "tests/unit/sensing",
+    # those take the same ways through the kernels, with more and larger images
+    "-m",
+    "not slow",
 ]
-# a third of the time of `slow` ones is OpenCV's and numpy's, on larger images of the same kind
-TESTS += ["-m", "not slow"]
 DRAWS = "40"
 INSIDE = "MJTACTILE_SANITIZED"
 

@@ -68,8 +68,9 @@ class _EachFinger(Entry):
 
     def read(self, section: Section, default: Any) -> dict[str, str]:
         own = section.optional(self.key)
-        fingers = section.table(self.key) if own is not None else ()
-        return {finger: self.name.read_key(own, finger) for finger in fingers}
+        if own is None:
+            return {}
+        return {finger: self.name.read_key(own, finger) for finger in section.table(self.key)}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -112,8 +112,8 @@ def _success(summary: Mapping[str, Any]) -> str:
     return (
         "<h2>Success</h2>"
         + table(head, rows)
-        + "<p>Stopped: the supervisor brought the hand to its safe state, or the controller hung or "
-        "raised. Errors are not the controller's fault, and are not in the shares.</p>"
+        + "<p>Stopped: the supervisor brought the hand to its safe state, or the controller hung "
+        "or raised. Errors are not the controller's fault, and are not in the shares.</p>"
     )
 
 
