@@ -31,6 +31,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   fit         sensors that differ from their file, recorded and fitted: each number's error
   truth       the simulation and what is felt, against references from outside of the project
   studio      what watching costs: an egg grasp in Studio, a page looking on, against it alone
+  trust       one grasp felt again with its images changed, as some fifty camera troubles do
   attacks     everything bad that the tests do, counted by what must come of it
   settings    what half and twice of each number of the sensing chain do to what is felt
   numbers     measures nothing: all numbers on one page, from the pages of the others
@@ -63,6 +64,7 @@ BENCHMARKS = {
     "film": "film",
     "fit": "fit",
     "studio": "studio.run",
+    "trust": "trust.run",
     "attacks": "attacks",
     "settings": "sensitivity",
     "numbers": "numbers",

@@ -1,0 +1,1 @@
+"""What is felt when the camera is not as it was."""

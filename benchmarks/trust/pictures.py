@@ -1,0 +1,30 @@
+"""A page of pictures: one part of an image under each trouble."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from benchmarks.trust.kinds import ALWAYS, TABLES, Kind
+from benchmarks.trust.replay import Grasp
+from mjtactile.report.figures import new_figure
+from mjtactile.sim.picture.troubles import TroubledPicture
+
+_COLUMNS = 8
+_PART = (slice(150, 330), slice(230, 410))
+
+
+def draw(grasp: Grasp, path: Path) -> None:
+    """The last of three images under each trouble, a part of it."""
+    rows = -(-len(TABLES) // _COLUMNS)
+    figure = new_figure(path.name, (1.7 * _COLUMNS, 1.95 * rows))
+    if figure is None:
+        return
+    middle = len(grasp.images) // 2
+    for number, (name, table, _) in enumerate(TABLES):
+        camera = TroubledPicture(Kind(name, table, ALWAYS, 5).troubles, 5)
+        shown = [camera(image) for image in grasp.images[middle - 2 : middle + 1]][-1]
+        axes = figure.add_subplot(rows, _COLUMNS, number + 1)
+        axes.imshow(shown.pixels[_PART], cmap="gray", vmin=0, vmax=255)
+        axes.set_title(name, fontsize=6)
+        axes.set_axis_off()
+    figure.savefig(path)

@@ -1,0 +1,109 @@
+"""One finger's grasp kept in memory, and felt again with its images changed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.trust.kinds import ALWAYS, REFERENCES, Kind
+from mjtactile.core.calibration import pressure_reading
+from mjtactile.core.design import SensorDesign, load_sensor
+from mjtactile.core.errors import DeviceError
+from mjtactile.core.scenario import Scenario
+from mjtactile.core.types import Image, PressureReading, Touch
+from mjtactile.recording.observer import Observer
+from mjtactile.run.grasp import run_grasp
+from mjtactile.sensing.chain import Perception
+from mjtactile.sim.picture.troubles import TroubledPicture
+
+
+@dataclass(eq=False)
+class Grasp(Observer):
+    """What one finger's camera and gauge showed, and the true normal force, N, on it."""
+
+    design: SensorDesign
+    references: dict[str, list[Image]] = field(default_factory=dict)
+    pressure: float = 0.0
+    images: list[Image] = field(default_factory=list)
+    readings: list[PressureReading | None] = field(default_factory=list)
+    true: list[float] = field(default_factory=list)
+
+    def add_reference(
+        self, stage: str, images: Sequence[Sequence[Image]], pressure_gauge: Sequence[float | None]
+    ) -> None:
+        self.references[stage] = list(images[0])
+        self.pressure = float(pressure_gauge[0] or 0.0)
+
+    def add(self, cycle: Any, view: Any = None, **truth: Any) -> None:
+        self.images.append(cycle.images[0])
+        self.readings.append(pressure_reading(cycle.valves[0]))
+        self.true.append(truth["force_normal_true"][0])
+
+
+def record(sensor: str, seed: int) -> Grasp:
+    """Grasp an egg, with nothing wrong."""
+    grasp = Grasp(load_sensor(sensor))
+    run_grasp(Scenario(object="egg", sensor=sensor, seed=seed), [grasp])
+    return grasp
+
+
+@dataclass(frozen=True)
+class Felt:
+    """What came of one kind: the touches, or why the references were `refused`."""
+
+    touches: tuple[Touch, ...] = ()
+    refused: str = ""
+
+
+def feel(grasp: Grasp, kind: Kind, *, gauge: bool = True) -> Felt:
+    """The grasp as it is felt with that trouble, by the gauge or without."""
+    camera = TroubledPicture(kind.troubles, kind.seed)
+    before = kind.when in (ALWAYS, REFERENCES)
+    after = kind.when != REFERENCES
+
+    def shown(images: Sequence[Image], on: bool) -> list[Image]:
+        return [camera(image) if on else image for image in images]
+
+    perception = Perception.of(grasp.design)
+    try:
+        perception.take_flat(shown(grasp.references["flat"], before))
+        perception.take_rest(shown(grasp.references["rest"], before), grasp.pressure)
+    except DeviceError as error:
+        return Felt(refused=" ".join(str(error).split()))
+    touches = []
+    for image, reading in zip(grasp.images, grasp.readings, strict=True):
+        seen = camera(image) if after else image
+        touch = perception.perceive(seen, image.time, reading if gauge else None)
+        touches.append(replace(touch, traction=None, surface=None))  # they are large
+    return Felt(tuple(touches))
+
+
+def numbers(grasp: Grasp, felt: Felt) -> dict[str, Any]:
+    """Felt less true force where the status is ok, and how often it is far from it."""
+    touches = felt.touches
+    known = np.array([touch.status == "ok" for touch in touches], bool)
+    off = np.array([touch.force_normal for touch in touches]) - grasp.true[: len(touches)]
+    sd = np.array([touch.force_normal_sd for touch in touches])
+    off = off[known]
+    sd = sd[known]
+    far = (np.abs(off) > FAR_SD * sd) & (np.abs(off) > FAR_N)
+    said = [str(touch.status.code) for touch in touches]
+    count = [0 if touch.markers is None else len(touch.markers) for touch in touches]
+    return {
+        "images": len(grasp.images),
+        "ok": int(known.sum()),
+        "far": int(far.sum()),
+        "rms_N": float(np.sqrt((off**2).mean())) if len(off) else None,
+        "worst_N": float(np.abs(off).max()) if len(off) else None,
+        "sd_N": float(np.median(sd)) if len(sd) else None,
+        "status": {code: said.count(code) for code in sorted(set(said))},
+        "markers": float(np.median(count)) if count else None,
+        "refused": felt.refused,
+    }
+
+
+FAR_SD = 5.0
+FAR_N = 0.05

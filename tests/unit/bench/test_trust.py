@@ -1,0 +1,43 @@
+"""The table of camera troubles counts what is wrong in silence, and nothing else."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from benchmarks.trust.kinds import ALWAYS, REFERENCES, RUN, TABLES, kinds
+from benchmarks.trust.replay import Felt, numbers
+from benchmarks.trust.run import table
+from mjtactile.core.status import OK, Status, StatusCode
+from mjtactile.core.types import Touch
+
+
+def touch(force, sd, status=OK):
+    return Touch(0.0, 0.0, force, sd, False, status=status)
+
+
+def test_far_is_beyond_five_sd_and_a_twentieth_of_a_newton():
+    lost = Status(StatusCode.NO_SHAPE)
+    touches = (touch(1.0, 0.01), touch(1.06, 0.01), touch(1.04, 0.001), touch(1.3, 0.1))
+    grasp = SimpleNamespace(images=[0] * 5, true=[1.0] * 5)
+    found = numbers(grasp, Felt((*touches, touch(9.0, 0.01, lost))))
+    assert (found["images"], found["ok"], found["far"]) == (5, 4, 1)
+    assert found["worst_N"] == pytest.approx(0.3)
+    assert found["status"] == {"no shape": 1, "ok": 4}
+    row = {"sensor": "dense", "name": "x", "when": RUN, "strength": {"gamma": 1.3}, **found}
+    sums = {"dense": {key: found[key] for key in ("images", "ok", "far")}}
+    assert "(25.00 %)" in table({"rows": [row], "sums": sums})
+
+
+def test_strengths_are_near_their_names_and_the_same_again():
+    found = list(kinds(5))
+    assert found == list(kinds(5)) and found != list(kinds(6))
+    assert {kind.when for kind in found} == {ALWAYS, RUN, REFERENCES}
+    asked = {name: wanted for name, wanted, _ in TABLES}
+    for kind in found:
+        zoom = kind.table.get("zoom_percent")
+        if zoom is not None:
+            assert 0.8 <= zoom / asked[kind.name]["zoom_percent"] <= 1.2
+        gamma = kind.table.get("gamma", 1.0)
+        if gamma != 1.0:
+            assert 0.8 <= (gamma - 1) / (asked[kind.name]["gamma"] - 1) <= 1.2
+        assert kind.troubles  # within the fields' ranges
