@@ -10,6 +10,7 @@ simulated, the emulated and the real gripper. Copy it to make your own: any file
 from dataclasses import replace
 from math import isfinite
 
+from mjtactile.hold import shear, support
 from mjtactile.types import Command, Observation
 
 # N on each finger: enough friction for 60 g at a coefficient of 0.5, well below what an egg stands
@@ -36,6 +37,9 @@ LOST_TIME = 0.3
 LOST_SLIP = 0.005
 # m that the jaws lag behind: something stands between them where no membrane feels it
 BLOCKED = 0.015
+STOP_TIME = 0.3  # s that the rig lets the jaws close no further: they are at their own stop
+# N on each finger that something pushes up with while the hand goes down: what is held stands
+TABLE_FORCE = 0.1
 RELEASE_OPENING = 0.012  # m to open beyond the grip before the run ends
 
 
@@ -46,6 +50,7 @@ def step(observation: Observation) -> Command:
         "settled_time": 0.0,
         "blind_time": 0.0,
         "lost_time": 0.0,
+        "stuck_time": 0.0,
         **observation.command.memory,
     }
     memory["phase_time"] += observation.period
@@ -61,6 +66,7 @@ def step(observation: Observation) -> Command:
         return _blind(observation, command)
     if command.phase in ("lift", "hold", "lower") and _is_lost(observation, memory["lost_time"]):
         # here, not down onto what fell
+        command = replace(command, reason="what was gripped stayed behind")
         return _remember(_go(command, "release"), grip_opening=command.opening, lost=1.0)
     return _PHASES[command.phase](observation, command, felt)
 
@@ -71,14 +77,21 @@ def _go(command: Command, phase: str, **changes) -> Command:
     return replace(command, phase=phase, memory=memory, **changes)
 
 
-def _remember(command: Command, **values: float) -> Command:
+def _give_up(command: Command, reason: str) -> Command:
+    return replace(_go(command, "abort"), reason=reason)
+
+
+def _remember(command: Command, **values) -> Command:
     return replace(command, memory={**command.memory, **values})
 
 
 def _blind(observation: Observation, command: Command) -> Command:
     blind_time = command.memory["blind_time"] + observation.period
     command = _remember(command, blind_time=blind_time)
-    return _go(command, "abort") if blind_time > BLIND_TIME_MAX else command
+    if blind_time > BLIND_TIME_MAX:
+        blind = next(touch for touch in observation.touch if not isfinite(touch.force_normal))
+        return _give_up(command, f"no force is known: {blind.status}")
+    return command
 
 
 def _is_lost(observation: Observation, lost_time: float) -> bool:
@@ -91,10 +104,18 @@ def _approach(observation: Observation, command: Command, felt: list[float]) -> 
     """Close at a steady speed until either finger feels something."""
     if max(felt) > TOUCH_FORCE:
         return _go(command, "close")
-    if observation.gripper.opening <= 0.001:
-        return _go(command, "abort")  # closed on nothing
-    if observation.gripper.opening - command.opening > BLOCKED:
-        return _go(command, "abort", opening=observation.gripper.opening)
+    # what was sent is what the rig allows
+    gets_on = command.opening < command.memory.get("narrowest", 1.0) - 1e-4
+    stuck_time = 0.0 if gets_on else command.memory["stuck_time"] + observation.period
+    narrowest = command.opening if gets_on else command.memory["narrowest"]
+    command = _remember(command, stuck_time=stuck_time, narrowest=narrowest)
+    if stuck_time > STOP_TIME:
+        return _give_up(command, "closed on nothing")
+    actual = observation.gripper.opening
+    if actual - command.opening > BLOCKED:
+        return _give_up(
+            replace(command, opening=actual), "something that no finger feels blocks the jaws"
+        )
     return replace(command, opening=command.opening - CLOSING_SPEED * observation.period)
 
 
@@ -104,7 +125,7 @@ def _close(observation: Observation, command: Command, felt: list[float]) -> Com
     if min(felt) > TOUCH_FORCE or max(felt) > TARGET_FORCE:
         return _go(command, "regulate")
     if command.memory["phase_time"] > GRIP_TIMEOUT:
-        return _go(command, "abort")
+        return _give_up(command, "only one finger touched it")
     return replace(command, opening=command.opening - 0.3 * CLOSING_SPEED * observation.period)
 
 
@@ -126,7 +147,7 @@ def _regulate(observation: Observation, command: Command, felt: list[float]) -> 
     if settled_time >= SETTLE_TIME:
         return _go(command, "lift")
     if command.memory["phase_time"] > GRIP_TIMEOUT:
-        return _go(command, "abort")
+        return _give_up(command, "the force did not settle")
     return _remember(command, settled_time=settled_time)
 
 
@@ -141,6 +162,7 @@ def _lift(observation: Observation, command: Command, felt: list[float]) -> Comm
 
 def _hold(observation: Observation, command: Command, felt: list[float]) -> Command:
     command = _regulated(observation, command, felt)
+    command = _remember(command, held=shear(observation.touch).tolist())
     return _go(command, "lower") if command.memory["phase_time"] >= HOLD_TIME else command
 
 
@@ -148,6 +170,10 @@ def _lower(observation: Observation, command: Command, felt: list[float]) -> Com
     command = _regulated(observation, command, felt)
     height = max(0.0, command.lift_height - LIFT_SPEED * observation.period)
     command = replace(command, lift_height=height)
+    # what slid down in the grip stands before the hand is down: no further, onto its edge
+    held = command.memory.get("held", shear(observation.touch))
+    if support(observation.touch, held) > TABLE_FORCE:
+        return _remember(_go(command, "release"), grip_opening=command.opening)
     if height == 0.0 and (
         observation.gripper.lift_height < 0.001 or command.memory["phase_time"] > LOWER_TIME_MAX
     ):
@@ -161,7 +187,7 @@ def _release(observation: Observation, command: Command, felt: list[float]) -> C
     if observation.gripper.opening > goal - 0.001 and max(felt) < TOUCH_FORCE:
         return _go(command, "abort" if "lost" in command.memory else "done")
     if command.memory["phase_time"] > GRIP_TIMEOUT:
-        return _go(command, "abort")
+        return _give_up(command, "it sticks to a finger")
     return replace(command, opening=min(goal, command.opening + OPENING_SPEED * observation.period))
 
 

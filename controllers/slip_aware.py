@@ -10,6 +10,7 @@ in `Observation.command.memory`.
 from dataclasses import replace
 from math import isfinite
 
+from mjtactile.hold import shear, support
 from mjtactile.types import Command, Observation
 
 # N on each finger: what it begins with, and what it never asks for more of
@@ -41,6 +42,9 @@ FORCE_TOLERANCE = 0.06  # N around the target that counts as settled
 BLIND_TIME_MAX = 0.5  # s without a usable image before giving up
 LOST_TIME = 0.3  # s without a touch: the object stays behind
 RELEASE_OPENING = 0.012  # m to open beyond the grip before the run ends
+STOP_TIME = 0.3  # s that the rig lets the jaws close no further: they are at their own stop
+# N on each finger that something pushes up with while the hand goes down: what is held stands
+TABLE_FORCE = 0.1
 START = {
     "phase_time": 0.0,
     "settled_time": 0.0,
@@ -49,6 +53,8 @@ START = {
     "target": FIRST_FORCE,
     "since_slip": 1.0,
     "slips": 0.0,
+    "stuck_time": 0.0,
+    "narrowest": 1.0,
 }
 
 
@@ -62,11 +68,15 @@ def step(observation: Observation) -> Command:
     command = replace(observation.command, force_limit=SERVO_FORCE_LIMIT, memory=memory)
     if not all(isfinite(force) for force in felt):  # unknown is not zero: stand still, then give up
         command = _remember(command, blind_time=memory["blind_time"] + period)
-        return _go(command, "abort") if command.memory["blind_time"] > BLIND_TIME_MAX else command
+        blind = next(touch for touch in observation.touch if not isfinite(touch.force_normal))
+        if command.memory["blind_time"] > BLIND_TIME_MAX:
+            return _give_up(command, f"no force is known: {blind.status}")
+        return command
     lost_time = 0.0 if max(felt) > TOUCH_FORCE else memory["lost_time"] + period
     command = _remember(command, blind_time=0.0, lost_time=lost_time)
     if command.phase in ("lift", "hold", "lower"):
         if lost_time > LOST_TIME:
+            command = replace(command, reason="what was gripped stayed behind")
             return _remember(_go(command, "release"), grip_opening=command.opening, lost=1.0)
         command = _grip_as_needed(observation, command, felt)
     return _PHASES[command.phase](observation, command, felt)
@@ -77,7 +87,11 @@ def _go(command: Command, phase: str, **changes) -> Command:
     return replace(_remember(command, phase_time=0.0, settled_time=0.0), phase=phase, **changes)
 
 
-def _remember(command: Command, **values: float) -> Command:
+def _give_up(command: Command, reason: str) -> Command:
+    return replace(_go(command, "abort"), reason=reason)
+
+
+def _remember(command: Command, **values) -> Command:
     return replace(command, memory={**command.memory, **values})
 
 
@@ -116,10 +130,15 @@ def _approach(observation: Observation, command: Command, felt: list[float]) -> 
     """Close at a steady speed until either finger feels something, slower until both do."""
     if min(felt) > TOUCH_FORCE or max(felt) > command.memory["target"]:
         return _go(command, "regulate")
-    if observation.gripper.opening <= 0.001 or (
-        command.phase == "close" and command.memory["phase_time"] > GRIP_TIMEOUT
-    ):
-        return _go(command, "abort")  # closed on nothing, or on what gives way
+    # what was sent is what the rig allows
+    gets_on = command.opening < command.memory["narrowest"] - 1e-4
+    stuck_time = 0.0 if gets_on else command.memory["stuck_time"] + observation.period
+    narrowest = min(command.opening, command.memory["narrowest"])
+    command = _remember(command, stuck_time=stuck_time, narrowest=narrowest)
+    if stuck_time > STOP_TIME:
+        return _give_up(command, "closed on nothing")
+    if command.phase == "close" and command.memory["phase_time"] > GRIP_TIMEOUT:
+        return _give_up(command, "only one finger touched it")
     if command.phase == "approach" and max(felt) > TOUCH_FORCE:
         return _go(command, "close")
     speed = CLOSING_SPEED if command.phase == "approach" else 0.3 * CLOSING_SPEED
@@ -134,7 +153,7 @@ def _regulate(observation: Observation, command: Command, felt: list[float]) -> 
     if settled_time >= SETTLE_TIME:
         return _go(command, "lift")
     if command.memory["phase_time"] > GRIP_TIMEOUT:
-        return _go(command, "abort")
+        return _give_up(command, "the force did not settle")
     return _remember(command, settled_time=settled_time)
 
 
@@ -154,6 +173,7 @@ def _lift(observation: Observation, command: Command, felt: list[float]) -> Comm
 
 def _hold(observation: Observation, command: Command, felt: list[float]) -> Command:
     command = _regulated(observation, command, felt)
+    command = _remember(command, held=shear(observation.touch).tolist())
     return _go(command, "lower") if command.memory["phase_time"] >= HOLD_TIME else command
 
 
@@ -161,6 +181,10 @@ def _lower(observation: Observation, command: Command, felt: list[float]) -> Com
     command = _regulated(observation, command, felt)
     height = max(0.0, command.lift_height - LIFT_SPEED * observation.period)
     command = replace(command, lift_height=height)
+    # what slid down in the grip stands before the hand is down: no further, onto its edge
+    held = command.memory.get("held", shear(observation.touch))
+    if support(observation.touch, held) > TABLE_FORCE:
+        return _remember(_go(command, "release"), grip_opening=command.opening)
     if height == 0.0 and (
         observation.gripper.lift_height < 0.001 or command.memory["phase_time"] > LOWER_TIME_MAX
     ):
@@ -174,7 +198,7 @@ def _release(observation: Observation, command: Command, felt: list[float]) -> C
     if observation.gripper.opening > goal - 0.001 and max(felt) < TOUCH_FORCE:
         return _go(command, "abort" if "lost" in command.memory else "done")
     if command.memory["phase_time"] > GRIP_TIMEOUT:
-        return _go(command, "abort")
+        return _give_up(command, "it sticks to a finger")
     return replace(command, opening=min(goal, command.opening + OPENING_SPEED * observation.period))
 
 

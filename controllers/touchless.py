@@ -31,6 +31,7 @@ LOWER_TIME_MAX = LIFT_HEIGHT / LIFT_SPEED + 1.0
 # m beyond the grip, s
 RELEASE_OPENING = 0.012
 RELEASE_TIME = 2.0
+STOP_TIME = 0.3  # s that the rig lets the jaws close no further: they are at their own stop
 
 
 def step(observation: Observation) -> Command:
@@ -75,8 +76,13 @@ def _approach(observation: Observation, command: Command, time: float, effort: f
         command = replace(command, memory={**command.memory, "free": effort})
     elif effort - command.memory.get("free", 0.0) >= EFFORT:
         return _go(command, "regulate", opening=opening)
-    if opening <= 0.001:
-        return _go(command, "abort")  # closed on nothing
+    # what was sent is what the rig allows
+    gets_on = command.opening < command.memory.get("narrowest", 1.0) - 1e-4
+    narrowest = command.opening if gets_on else command.memory["narrowest"]
+    stuck = 0.0 if gets_on else command.memory["stuck"] + observation.period
+    command = replace(command, memory={**command.memory, "narrowest": narrowest, "stuck": stuck})
+    if stuck > STOP_TIME:
+        return replace(_go(command, "abort"), reason="closed on nothing")
     return replace(command, opening=command.opening - CLOSING_SPEED * observation.period)
 
 

@@ -40,6 +40,7 @@ ROOMS = {
     "rig": "Protocols: fingers, gripper, lift",
     "recording": "written, and read again",
     "film": "a sheet over its gas, on bodies: quick and coarse",
+    "hold": "what a held thing weighs, and how rough it is",
     "kernels": "loops in C",
     "core": "values, errors, geometry, optics, sensor designs",
 }

@@ -5,7 +5,7 @@ docs/conventions.md): S sensor (origin at the middle of the frame, in the flat m
 outward, away from the camera), C camera (x right, y down, z forward), M marker. `p_SM` is the
 position of marker M expressed in S.
 
-This is the only module of the project that a controller may import.
+This, and `mjtactile.hold`, is all of the project that a controller may import.
 """
 
 from __future__ import annotations

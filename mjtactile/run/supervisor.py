@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from mjtactile.core.types import Command, Touch, ValveState
+from mjtactile.run.landing import Load
 
 BLIND_TIME_MAX = 0.5  # s without a known force before the gripper opens by itself
 RETREAT_SPEED = 0.030  # m/s of opening, and of lowering
@@ -55,6 +56,8 @@ class Supervisor:
         self._bulge: list[float] | None = None
         self._sink_cycles = 0
         self._wanted_safe = ""
+        self._load = Load()
+        self._stands = False
 
     @property
     def is_over(self) -> bool:
@@ -75,14 +78,15 @@ class Supervisor:
         if self._wanted_safe:
             self.make_safe(self._wanted_safe, now, last)
         if self.state in ("safe", "latched"):
-            return self._retreat(now, last)
+            return self._retreat(now, last, touch)
+        self._load.note(touch, last.lift_height)
         leak = self._leak(touch, valves)
         if leak:
             self.make_safe(leak, now, last)
-            return self._retreat(now, last)
+            return self._retreat(now, last, touch)
         unknown = [t.status for t in touch if not math.isfinite(t.force_normal)]
         if unknown:
-            return self._hold(now, wanted, last, unknown[0])
+            return self._hold(now, wanted, last, touch, unknown[0])
         self._blind_since = None
         if self.state != "running":
             self._enter("running", "forces are known", now)
@@ -103,7 +107,9 @@ class Supervisor:
         """The end: nothing is sent any more."""
         self._enter("latched", self.reason if self.state == "safe" else reason, now)
 
-    def _hold(self, now: float, wanted: Command, last: Command, why: str) -> Command:
+    def _hold(
+        self, now: float, wanted: Command, last: Command, touch: Sequence[Touch], why: str
+    ) -> Command:
         """Nothing is known: neither close nor lift; what only opens or lowers is let through. Too
         long: open."""
         if self._blind_since is None:
@@ -111,7 +117,7 @@ class Supervisor:
             self._blind_why = why
         if now - self._blind_since > BLIND_TIME_MAX:
             self.make_safe(f"no force for {BLIND_TIME_MAX:g} s: {self._blind_why}", now, last)
-            return self._retreat(now, last)
+            return self._retreat(now, last, touch)
         if self.state != "holding":
             self._enter("holding", why, now)
         return replace(
@@ -121,10 +127,12 @@ class Supervisor:
             lift_height=min(wanted.lift_height, last.lift_height),
         )
 
-    def _retreat(self, now: float, last: Command) -> Command:
-        """Down, then open, both slowly; then latch."""
+    def _retreat(self, now: float, last: Command, touch: Sequence[Touch]) -> Command:
+        """Down, as far as what is held does not stand, then open, both slowly; then latch."""
         step = RETREAT_SPEED * self._period
-        if last.lift_height > HEIGHT_TOLERANCE and now - self._safe_since < RETREAT_TIME_MAX:
+        self._stands |= self._load.stands(touch, last.lift_height)
+        is_up = last.lift_height > HEIGHT_TOLERANCE and not self._stands
+        if is_up and now - self._safe_since < RETREAT_TIME_MAX:
             return replace(last, lift_height=max(0.0, last.lift_height - step))
         in_time = now - self._safe_since < RETREAT_TIME_MAX
         at_limit = last.opening == self._opening_before

@@ -78,6 +78,7 @@ class GraspWorld(HandWorld):
             timestep=timestep,
             mesh=mesh,
             opening=opening,
+            grip=self.object.width,
             effects=effects,
             furnish=furnish,
         )

@@ -41,12 +41,14 @@ class HandWorld(World):
         timestep: float = DEFAULT_TIMESTEP,
         mesh: tuple[int, int] = DEFAULT_MESH,
         opening: float | None = None,
+        grip: float | None = None,
         effects: frozenset[str] = PHYSICS,
         furnish: Callable[[mujoco.MjSpec, Start], None] = lambda spec, start: None,
     ):
         """`designs` are the fingers' sensors, `tip_height` m of the fingertips above the table;
         `timestep` s and `mesh` trade accuracy for speed; `opening` m is where the jaws start
-        (default: the rig file's), `effects` those of `Effect`; `furnish` puts things onto the
+        (default: the rig file's) and `grip` m where they meet what is grasped (default: there);
+        `effects` those of `Effect`; `furnish` puts things onto the
         table."""
         self.rig = rig
         self.effects = effects
@@ -73,7 +75,7 @@ class HandWorld(World):
                 self._check_clearance(tip_height, half)
             return rig.table_height + tip_height
 
-        self.start = plan_start(robot, rig, bodies, opening, height, coordinates, mocap)
+        self.start = plan_start(robot, rig, bodies, opening, height, coordinates, mocap, grip)
         self._robot_dofs = _dofs_without(robot, [f"{finger.name}/" for finger in rig.fingers])
         if rig.lift.kind in ("actuator", "none"):  # nothing else brings the hand to its height
             _raise(spec, robot, int(robot.body_rootid[self.start.hand]), self.start.raised)

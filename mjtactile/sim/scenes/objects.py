@@ -63,6 +63,8 @@ class ObjectModel:
     flesh: Flesh | None = None
     changes: ObjectChange = UNCHANGED
     text: str = ""
+    width: float | None = None
+    """m along x, in which the fingers close."""
 
     def changed(self, changes: ObjectChange) -> ObjectModel:
         """This object, larger, heavier, weaker as `changes` say."""
@@ -81,6 +83,7 @@ class ObjectModel:
             flesh=flesh,
             changes=changes,
             mass=(1 + changes.size) ** 3 * (1 + changes.mass) * self.mass,
+            width=None if self.width is None else (1 + changes.size) * self.width,
         )
 
 
@@ -102,9 +105,18 @@ def load_object(name_or_path: str | Path) -> ObjectModel:
     body = spec.body("object")
     height = _numeric(spec, path, "grasp_height_m", default=float(body.pos[2]))
     turn = min(math.radians(_numeric(spec, path, "turn_deg", default=180.0)), math.pi)
-    mass = _check_compiled(spec, path)
+    mass, width = _check_compiled(spec, path)
     return ObjectModel(
-        path.stem, path, break_force, _material(spec, path), height, mass, turn, flesh, text=text
+        path.stem,
+        path,
+        break_force,
+        _material(spec, path),
+        height,
+        mass,
+        turn,
+        flesh,
+        text=text,
+        width=width,
     )
 
 
@@ -211,8 +223,9 @@ def _material(spec: mujoco.MjSpec, path: Path) -> str:
     return found[0]
 
 
-def _check_compiled(spec: mujoco.MjSpec, path: Path) -> float:
-    """Compile the object alone, as the scene will run it; return its mass in kg."""
+def _check_compiled(spec: mujoco.MjSpec, path: Path) -> tuple[float, float]:
+    """Compile the object alone, as the scene will run it; return its mass in kg and its width along
+    x in m."""
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     spec.option.solver = mujoco.mjtSolver.mjSOL_CG
     try:
@@ -227,7 +240,17 @@ def _check_compiled(spec: mujoco.MjSpec, path: Path) -> float:
         raise InputError(
             "has no geom or flex with contype 1: nothing can touch it", source=path, field="object"
         )
-    return float(model.body_mass[moving].sum())
+    return float(model.body_mass[moving].sum()), _width(model, data, moving)
+
+
+def _width(model: mujoco.MjModel, data: mujoco.MjData, bodies: NDArray[np.int64]) -> float:
+    """Extent along x, m, of what can be touched of these bodies."""
+    geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies) & ((model.geom_contype & 1) > 0))
+    along = data.geom_xmat[geoms].reshape(-1, 3, 3)[:, 0]
+    middle = data.geom_xpos[geoms, 0] + (along * model.geom_aabb[geoms, :3]).sum(axis=1)
+    half = (np.abs(along) * model.geom_aabb[geoms, 3:]).sum(axis=1)
+    points = np.concatenate([middle - half, middle + half, data.flexvert_xpos[:, 0]])
+    return float(np.ptp(points))
 
 
 def moving_bodies(model: mujoco.MjModel, prefix: str = "") -> NDArray[np.int64]:

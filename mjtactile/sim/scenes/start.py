@@ -140,11 +140,14 @@ def plan_start(
     height: Callable[[Array], float],
     coordinates: Mapping[str, Array],
     mocap: Array | None,
+    grip: float | None = None,
 ) -> Start:
     """Plan the beginning on the `model` of the robot with its sensors, whose `bodies` are given.
 
     `height` says how high, m, the middle of the fingertips must be, from their rotations R_WS
-    (fingers, 3, 3). Raises InputError for jaws, or an arm, that do not get there.
+    (fingers, 3, 3). Tips on hinges move aside and down as they close: what counts is where they
+    are at the opening `grip`, m, at which they meet what is grasped (None: as they start). Raises
+    InputError for jaws, or an arm, that do not get there.
     """
     data = mujoco.MjData(model)
     for name, value in coordinates.items():
@@ -163,6 +166,8 @@ def plan_start(
     hand = _hand_body(model, bodies, rig)
     rotations = data.xmat[bodies].reshape(-1, 3, 3)
     centre = data.xpos[bodies].mean(axis=0)
+    if grip is not None:
+        centre = _centre_at(model, data, rig, bodies, grip, centre)
     yaw = math.atan2(rotations[0, 1, 2], rotations[0, 0, 2])
     raised = height(rotations) - centre[2]
     path = None
@@ -179,6 +184,28 @@ def plan_start(
     elif rig.lift.kind == "arm":
         path = _plan_path(model, data, rig, hand, centre, raised, jaws)
     return Start(data.qpos.copy(), data.mocap_pos.copy(), hand, centre.copy(), yaw, raised, path)
+
+
+def _centre_at(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    rig: SimRigFile,
+    bodies: Sequence[int],
+    opening: float,
+    start: Array,
+) -> Array:
+    """The fingertips' mean centre (3,) m with the jaws at `opening` m and the rest of the robot as
+    in `data`; `start`, where it is now, if that makes no difference or cannot be reached."""
+    low, high = rig.gripper.opening
+    moved = mujoco.MjData(model)
+    moved.qpos[:] = data.qpos
+    moved.mocap_pos[:] = data.mocap_pos
+    moved.mocap_quat[:] = data.mocap_quat
+    conditions = place_jaws(model, moved, rig, min(max(opening, low), high))
+    if solve(model, moved, conditions) > _GOOD:
+        return start
+    centre = moved.xpos[bodies].mean(axis=0)
+    return centre if np.linalg.norm(centre - start) > _GOOD else start
 
 
 def place_jaws(

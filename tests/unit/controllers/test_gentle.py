@@ -7,7 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mjtactile.core.types import Command, GripperState, Observation, Slip, Touch, ValveState
+from mjtactile.core.types import (
+    Command,
+    GripperState,
+    Observation,
+    Slip,
+    Touch,
+    Traction,
+    ValveState,
+)
+from mjtactile.rig.limits import Limits
 from mjtactile.run.controller import load_controller
 
 PERIOD = 1 / 30
@@ -18,6 +27,14 @@ def touch(force, slipped=0.0):
     return Touch(
         0.0, 0.01, force, 0.01, force > 0.08, slip=Slip("slipping", np.zeros(2), slipped, 0.0)
     )
+
+
+def heavy(fx, fy):
+    """A finger that presses with 0.6 N and carries a load."""
+    wrench = np.array([fx, fy, -0.6, 0.0, 0.0, 0.0])
+    grid = np.linspace(-0.01, 0.01, 3)
+    traction = Traction(grid, grid, np.zeros((3, 3, 3)), wrench, np.eye(6) * 1e-6, 1e3, "made up")
+    return replace(touch(0.6), traction=traction)
 
 
 def run(command, felt, count):
@@ -67,6 +84,43 @@ def test_jaws_that_are_blocked_by_what_no_finger_feels_do_not_push_for_ever():
     assert command.phase == "abort" and command.opening == pytest.approx(0.0354)
     # jaws that follow go on
     assert run(Command(0.08, 4.0, 0.0, "approach"), nothing, 60).phase == "approach"
+
+
+@pytest.mark.parametrize("controller", ["gentle", "slip_aware", "touchless"])
+@pytest.mark.parametrize("least", [0.0, 0.022])
+def test_jaws_at_their_own_stop_have_closed_on_nothing(controller, least):
+    """The three-fingered hand closes to 22 mm: until now the approach waited there for a minute."""
+    its_step = load_controller(controller).step
+    limits = Limits(opening=(least, 0.1), speed=0.1, force=5.0, lift=(0.0, 0.1))
+    command = Command(0.03, 0.0)
+    for i in range(300):
+        state = GripperState(command.opening, 0.0, 0.0, 0.0)
+        felt = () if controller == "touchless" else (touch(0.0),) * 2
+        wanted = its_step(Observation(i * PERIOD, PERIOD, felt, state, (), command))
+        command = limits.apply(wanted, command, PERIOD)
+        if command.phase == "abort":
+            break
+    assert command.phase == "abort" and command.reason == "closed on nothing"
+    # 30 mm at 10 to 25 mm/s, and 0.3 s at the stop
+    assert command.opening == least and i * PERIOD < (0.03 - least) / 0.01 + 1.0
+
+
+@pytest.mark.parametrize("controller", ["gentle", "slip_aware"])
+@pytest.mark.parametrize(("up", "stops"), [(-0.3, False), (0.0, False), (0.3, True)])
+def test_what_pushes_back_on_the_way_down_is_the_table(controller, up, stops):
+    """What slid 20 mm down stands while the hand is up: until now the hand was pushed on over its
+    edge. Shears are along x of one finger and y of the other: nobody says which way is down."""
+    its_step = load_controller(controller).step
+    command = Command(0.04, 4.0, 0.04, "hold", {"phase_time": 1.9, "target": 0.6})
+    phases = []
+    for i in range(30):
+        shear = -0.3 if command.phase == "hold" or command.lift_height > 0.02 else up
+        felt = (heavy(shear, 0.0), heavy(0.0, shear))
+        state = GripperState(command.opening, 0.0, 0.6, command.lift_height)
+        command = its_step(Observation(i * PERIOD, PERIOD, felt, state, (), command))
+        phases.append(command.phase)
+    assert "lower" in phases and ("release" in phases) == stops
+    assert not stops or command.lift_height > 0.015
 
 
 def test_a_moment_without_touch_or_sight_is_no_loss():

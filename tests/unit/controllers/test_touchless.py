@@ -1,8 +1,5 @@
 """The gripper without touch closes by its servo's current alone."""
 
-from dataclasses import replace
-from math import nan
-
 from controllers import touchless
 from mjtactile.types import Command, GripperState, Observation
 
@@ -28,11 +25,6 @@ def test_it_goes_through_a_grasp_by_effort_and_height():
             break
     assert seen == ["approach", "regulate", "lift", "hold", "lower", "release", "done"]
     assert lift == 0 and opening > 0.045
-
-
-def test_it_gives_up_where_nothing_stands():
-    command = replace(Command(0.0005, 0.0, 0.0, "approach", {}))
-    assert touchless.step(observe(command, opening=0.0005, effort=nan)).phase == "abort"
 
 
 def test_one_noisy_reading_does_not_stop_the_jaws():

@@ -9,12 +9,13 @@ from enum import Enum
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import ControllerError, DeviceError, Interrupted
 from mjtactile.core.signals import Stop
-from mjtactile.core.types import Command, GripperState, Image, Touch, ValveState
+from mjtactile.core.types import Command, GripperState, Image, Slip, Touch, Traction, ValveState
 from mjtactile.recording.observer import CycleCallback, Observer
 from mjtactile.rig.finger import Finger, Rig
 from mjtactile.rig.limits import Limits
@@ -31,6 +32,14 @@ LAST = Command(0.05, 4.0, 0.02, "hold")
 FEELS = SimpleNamespace(perceive=lambda images, now, patience, readings: (OK,))
 
 
+def loaded(shear):
+    """A finger along which so many N pull."""
+    wrench = np.array([0.0, shear, -1.0, 0.0, 0.0, 0.0])
+    grid = np.linspace(-0.01, 0.01, 3)
+    traction = Traction(grid, grid, np.zeros((3, 3, 3)), wrench, np.eye(6) * 1e-6, 1e3, "made up")
+    return replace(OK, traction=traction)
+
+
 @pytest.fixture
 def supervisor():
     supervisor = Supervisor(PERIOD)
@@ -42,6 +51,29 @@ def test_the_reason_of_a_command_passes_limits_and_processes():
     wanted = Command(0.04, 9.0, 0.03, "abort", {"t": 1.0}, reason="closed on nothing")
     sent = pickle.loads(pickle.dumps(Limits(force=5.0).apply(wanted, LAST, PERIOD)))
     assert (sent.reason, sent.force_limit, sent.memory["t"]) == ("closed on nothing", 5.0, 1.0)
+
+
+@pytest.mark.parametrize(("how", "height"), [("slid", 0.02), ("pushed", 0.01), ("hangs", 0.0)])
+def test_the_retreat_ends_where_what_is_held_stands(supervisor, how, height):
+    """Until now a bottle that had slid down was driven into the table: down, then open."""
+    slid = Slip("slipping", np.zeros(2), 0.02 if how == "slid" else 0.0, 0.0)
+    last = Command(0.05, 4.0, 0.04, "hold")
+    now = 0.0
+    for _ in range(20):
+        hanging = replace(loaded(-0.5), slip=slid)
+        last = supervisor.decide(now, last, last, (hanging, hanging), ())
+        now += PERIOD
+    supervisor.make_safe("a reason", now, last)
+    lowest = last.lift_height
+    while not supervisor.is_over:
+        up = 0.5 if how == "pushed" and last.lift_height < 0.01 else -0.5
+        felt = BLIND if how == "slid" else loaded(up)  # it slid off the membrane: no shape
+        last = supervisor.decide(now, last, last, (felt, felt), ())
+        lowest = min(lowest, last.lift_height)
+        now += PERIOD
+    # a step of the retreat is 1.5 mm
+    assert lowest == pytest.approx(height, abs=2e-3)
+    assert last.opening == pytest.approx(0.05 + RETREAT_OPENING, abs=1e-3)
 
 
 def test_known_forces_let_the_controller_through(supervisor):

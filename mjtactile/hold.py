@@ -1,0 +1,189 @@
+"""What a hand can know of the thing that it holds, from what its fingers feel: what it weighs, how
+rough it is, who carries how much, and whether the table or somebody else has a hand in it.
+
+Pure functions of touches, for any controller and any number of fingers; N, kg, m/s^2. A finger
+feels the force on its membrane in its own frame S and does not know which way is down. It need not:
+what changes between two moments is what counts, such as the shear that came when the object left
+the table, and the fingers of a grip share that in parallel planes (for tips that are inclined by an
+angle, it is too small by the angle's cosine).
+
+    before = shear(touch)               # gripped, on the table
+    ...
+    found = weigh(touch, before)        # lifted: 0.0602 kg +- 0.0014
+    grip = least_grip(found.mass, friction=0.6, fingers=2)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mjtactile.core.types import Array, Touch
+
+GRAVITY = 9.81  # m/s^2
+GAIN_SD = 0.015
+"""Of a felt shear force, beside its noise: what is left of stiffness and geometry after a
+calibration (docs/accuracy.md)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Weight:
+    """What hangs on a grip.
+
+    Attributes:
+        mass: kg; NaN where a force is unknown.
+        sd: Its standard deviation, kg.
+        load: (n,) N, what each finger carries of it.
+        share: (n,) the same as shares of the whole.
+    """
+
+    mass: float
+    sd: float
+    load: Array
+    share: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Friction:
+    """What a moment says of the friction between object and membranes.
+
+    Attributes:
+        used: (n,) shear over normal force of each finger, as slip sees it; NaN where nothing
+            presses.
+        sd: (n,) standard deviations.
+        least: The coefficient is at least this: the largest ratio that a finger holds without
+            slipping, less two of its sd; 0 where none says anything.
+        slipped: The coefficient itself, where fingers slip: the smallest ratio among them. NaN:
+            none does.
+    """
+
+    used: Array
+    sd: Array
+    least: float
+    slipped: float
+
+
+def shear(touch: Sequence[Touch]) -> Array:
+    """Say what each finger feels along its membrane.
+
+    Args:
+        touch: One value a finger.
+
+    Returns:
+        (n, 2) N in each finger's frame S; NaN where it is unknown.
+    """
+    return np.array([_wrench(one)[:2] for one in touch])
+
+
+def weigh(touch: Sequence[Touch], before: ArrayLike, *, acceleration: float = 0.0) -> Weight:
+    """Weigh what was lifted: sum of shears = m (g + a), and what the grip itself drags along the
+    membranes was there before.
+
+    Args:
+        touch: While the object hangs on the fingers alone.
+        before: (n, 2) N, `shear` when the table still carried it.
+        acceleration: Of the hand, m/s^2, positive upward.
+
+    Returns:
+        The weight, with its error from the forces' covariances and `GAIN_SD`.
+    """
+    change = shear(touch) - np.asarray(before, float)
+    load = np.linalg.norm(change, axis=1)
+    total = float(load.sum())
+    pull = GRAVITY + acceleration
+    if not math.isfinite(total) or pull <= 0:
+        unknown = np.full(len(touch), np.nan)
+        return Weight(math.nan, math.nan, unknown, unknown)
+    along = change / np.maximum(load, 1e-9)[:, None]
+    noise = sum(float(way @ _covariance(one) @ way) for one, way in zip(touch, along, strict=True))
+    sd = math.sqrt(2 * noise + (GAIN_SD * total) ** 2)  # twice: of both moments
+    return Weight(total / pull, sd / pull, load, load / max(total, 1e-9))
+
+
+def friction(touch: Sequence[Touch], *, least_force: float = 0.1) -> Friction:
+    """Say what the shears say of friction: a hold shows that there is more, a slip what it is
+    (Coulomb).
+
+    Args:
+        touch: One value a finger.
+        least_force: N; a finger that presses with less says nothing.
+
+    Returns:
+        What is known from this moment alone.
+    """
+    force = np.array([_wrench(one)[:3] for one in touch])
+    normal = -force[:, 2]
+    presses = normal > least_force
+    used = np.where(
+        presses, np.linalg.norm(force[:, :2], axis=1) / np.maximum(normal, 1e-9), np.nan
+    )
+    noise = np.array([math.sqrt(np.trace(_covariance(one))) for one in touch])
+    sd = np.where(presses, np.hypot(noise / np.maximum(normal, 1e-9), GAIN_SD * used), np.nan)
+    states = ["unknown" if one.slip is None else one.slip.state for one in touch]
+    slips = np.array([state == "slipping" for state in states]) & presses
+    holds = np.array([state in ("sticking", "incipient") for state in states]) & presses
+    least = float(np.max((used - 2 * sd)[holds], initial=0.0))
+    slipped = float(np.min(used[slips])) if slips.any() else math.nan
+    return Friction(used, sd, least, slipped)
+
+
+def least_grip(mass: float, friction: float, fingers: int, *, acceleration: float = 0.0) -> float:
+    """Say what each finger must press with at least: n mu N >= m |g + a|.
+
+    Args:
+        mass: kg.
+        friction: Coefficient.
+        fingers: How many share it.
+        acceleration: Of the hand, m/s^2, in any direction (the worst, upward, is taken).
+
+    Returns:
+        N, the mean of the fingers, for a grip at the centre of mass.
+    """
+    return mass * (GRAVITY + abs(acceleration)) / (fingers * friction)
+
+
+def support(touch: Sequence[Touch], held: ArrayLike) -> float:
+    """Say how hard something pushes back against the load that the fingers carried: the table, on
+    the way down.
+
+    As it takes over, the shear that the load made goes, and then comes again from the other side,
+    whichever side that is. Less than the load's own going (0 or below) is a table that carries
+    not more than the object.
+
+    Args:
+        touch: Now.
+        held: (n, 2) N, `shear` while the object hung on the fingers.
+
+    Returns:
+        N on each finger, beyond what it held; NaN where that is unknown.
+    """
+    before = np.asarray(held, float)
+    gone = np.linalg.norm(shear(touch) - before, axis=1)
+    return float(np.mean(gone - np.linalg.norm(before, axis=1)))
+
+
+def pull(touch: Sequence[Touch], held: ArrayLike) -> float:
+    """Say how hard somebody else pulls at what is held, along the membranes.
+
+    Args:
+        touch: Now.
+        held: (n, 2) N, `shear` while nobody did.
+
+    Returns:
+        N, over all fingers; NaN where that is unknown.
+    """
+    return float(np.linalg.norm(shear(touch) - np.asarray(held, float), axis=1).sum())
+
+
+def _wrench(touch: Touch) -> Array:
+    known = touch.traction is not None and math.isfinite(touch.force_normal)
+    return touch.traction.wrench if known and touch.traction is not None else np.full(6, np.nan)
+
+
+def _covariance(touch: Touch) -> Array:
+    """(2, 2) N^2 of the shear."""
+    return np.zeros((2, 2)) if touch.traction is None else touch.traction.wrench_cov[:2, :2]

@@ -1,0 +1,89 @@
+"""What is said of a held thing agrees with statics, for forces that are known."""
+
+import math
+
+import numpy as np
+import pytest
+
+from mjtactile import hold
+from mjtactile.core.types import Slip, Touch, Traction
+
+NOISE = 0.003  # N, of each component
+GRID = np.linspace(-0.01, 0.01, 3)
+
+
+def touch(fx, fy, normal, state="sticking"):
+    """A finger that feels this force on its membrane, N; `normal` positive for a press."""
+    wrench = np.array([fx, fy, -normal, 0.0, 0.0, 0.0])
+    cov = np.diag([NOISE**2] * 3 + [1e-8] * 3)
+    traction = Traction(GRID, GRID, np.zeros((3, 3, 3)), wrench, cov, 1000.0, "made up")
+    slip = Slip(state, np.zeros(2), 0.0, 1.0)
+    return Touch(0.0, 0.01, normal, NOISE, True, traction=traction, slip=slip)
+
+
+UNKNOWN = Touch(0.0, 0.01, math.nan, math.nan, False, status="too dark")
+
+
+@pytest.mark.parametrize("mass", [0.005, 0.06, 0.3])
+@pytest.mark.parametrize("acceleration", [0.0, 2.0])
+def test_what_hangs_on_the_fingers_is_weighed_whatever_their_axes(mass, acceleration):
+    """Shears of both fingers in frames that are turned by any angle, on top of what closing had
+    dragged along; the first carries two thirds."""
+    weight = mass * (9.81 + acceleration)
+    turned = [(math.cos(a), math.sin(a)) for a in (0.3, 2.0)]
+    before = np.array([[0.02, -0.05], [-0.01, 0.04]])
+    loads = weight * np.array([2 / 3, 1 / 3])
+    now = [
+        touch(x + load * way[0], y + load * way[1], 1.0)
+        for (x, y), load, way in zip(before, loads, turned, strict=True)
+    ]
+    found = hold.weigh(now, before, acceleration=acceleration)
+    assert found.mass == pytest.approx(mass, rel=1e-9)
+    np.testing.assert_allclose(found.load, loads)
+    np.testing.assert_allclose(found.share, [2 / 3, 1 / 3])
+
+
+def test_the_error_bar_of_a_weight_is_as_wide_as_its_errors():
+    rng = np.random.default_rng(1)
+    errors = []
+    for _ in range(2000):
+        before = rng.normal(0, NOISE, (2, 2))
+        noise = rng.normal(0, NOISE, (2, 2))
+        gain = 1 + hold.GAIN_SD * rng.standard_normal()
+        down = gain * 0.06 * 9.81 / 2
+        now = [touch(x, y - down, 1.0) for x, y in noise]
+        found = hold.weigh(now, before)
+        errors.append((found.mass - 0.06) / found.sd)
+    assert np.std(errors) == pytest.approx(1.0, abs=0.1)  # sd of 2000: 0.016
+    assert 0.0005 < found.sd < 0.0015  # 60 g to 1 g
+
+
+def test_a_hold_bounds_friction_from_below_and_a_slip_says_it():
+    held = hold.friction([touch(0.3, 0.4, 1.0), touch(0.0, 0.2, 1.0)])
+    assert held.least == pytest.approx(0.5 - 2 * held.sd[0]) and math.isnan(held.slipped)
+    slid = hold.friction([touch(0.3, 0.4, 1.0, "slipping"), touch(0.0, 0.2, 1.0)])
+    assert slid.slipped == pytest.approx(0.5) and 0.18 < slid.least < 0.2
+    nothing = hold.friction([touch(0.0, 0.0, 0.01), UNKNOWN])
+    assert nothing.least == 0.0 and np.isnan(nothing.used).all()
+
+
+def test_a_grip_is_as_hard_as_coulomb_asks():
+    # 100 g on two fingers of friction 0.5: 0.981 N each
+    assert hold.least_grip(0.1, 0.5, 2) == pytest.approx(0.981)
+    assert hold.least_grip(0.1, 0.5, 2, acceleration=-5.0) == pytest.approx(1.481)
+
+
+def test_the_table_is_told_from_a_load_that_it_took_over():
+    held = [(0.0, -0.3), (0.0, -0.3)]
+    assert hold.support([touch(0, -0.3, 1.0)] * 2, held) == pytest.approx(-0.3)  # hangs
+    assert hold.support([touch(0, 0.0, 1.0)] * 2, held) == pytest.approx(0.0)  # stands
+    assert hold.support([touch(0, 0.2, 1.0)] * 2, held) == pytest.approx(0.2)  # is pressed down
+    assert hold.pull([touch(0, 0.0, 1.0)] * 2, held) == pytest.approx(0.6)
+
+
+def test_unknown_is_not_zero():
+    both = [touch(0, 0, 1.0), UNKNOWN]
+    assert np.isnan(hold.shear(both)).tolist() == [[False, False], [True, True]]
+    assert math.isnan(hold.weigh(both, np.zeros((2, 2))).mass)
+    assert math.isnan(hold.support(both, np.zeros((2, 2))))
+    assert math.isnan(hold.pull(both, np.zeros((2, 2))))
