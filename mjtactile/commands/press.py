@@ -27,6 +27,9 @@ on the membrane, frame S: a press has a negative z), "wrench_estimated" (force N
 about the middle of the frame), "force_estimated_sd_N", "drive_force_N" (what a load cell on
 the drive reads), "contact_area_mm2", "contact_area_true_mm2", "penetration_mm" (how far the
 simulated bodies overlap: its error), "pressure_kPa", "volume_mL", "converged", "status"}],
+"shape": {what the images say of the body: "kind" (smooth, disc, face, edge, tip, unknown),
+"probabilities", "curvatures_per_m", "radius_mm", "direction_deg", "area_mm2",
+"area_interval_mm2" (68 %), "force_normal_N", "pose", "outline_mm", "misfit", "status"},
 "flags": {kind of doubt: reason}}
 """
 
@@ -161,9 +164,27 @@ def _print_table(result: dict[str, Any], out: Path | None) -> None:
             f"{s['pressure_kPa']:10.4f}{'' if s['converged'] else '  not settled'}"
             f"{'' if s['status'] == 'ok' else '  ' + s['status']}"
         )
+    print(_shape_line(result["shape"]))
     print_flags(result["flags"])
     if out is not None:
         print(f"press.json and press.png are in {out}")
+
+
+def _shape_line(shape: dict[str, Any]) -> str:
+    """What touched, in a line."""
+    if shape["kind"] == "unknown":
+        return f"shape unknown: {shape['status']}"
+    share = shape["probabilities"][shape["kind"]]
+    words = [f"shape: {shape['family']} ({100 * share:.0f} % {shape['kind']})"]
+    if shape["radius_mm"] is not None:
+        words.append(f"radius {shape['radius_mm']:.1f} +- {shape['radius_sd_mm']:.1f} mm")
+    elif shape["kind"] == "smooth":
+        words.append("curvatures {:.0f} and {:.0f} /m".format(*shape["curvatures_per_m"]))
+    if shape["direction_deg"] is not None:
+        words.append(f"along {shape['direction_deg']:.0f} deg")
+    low, high = shape["area_interval_mm2"]
+    words.append(f"area {shape['area_mm2']:.0f} mm2 (68 %: {low:.0f} to {high:.0f})")
+    return ", ".join(words)
 
 
 def _draw(figure: Any, result: dict[str, Any]) -> None:

@@ -260,6 +260,85 @@ class Contact:
         _keep_status(self)
 
 
+SHAPES: tuple[str, ...] = ("smooth", "disc", "face", "edge", "tip")
+"""Kinds of bodies by touch: smooth (two curvatures: plane, ball, lying cylinder), a flat face with
+a round rim, one with straight sides, an edge between two faces, a tip or corner."""
+
+
+@dataclass(frozen=True, eq=False)
+class FeltShape:
+    """What body touches, as the membrane's shape tells. What is not known, or has no meaning for
+    the kind, is NaN; frame S.
+
+    Attributes:
+        kind: One of SHAPES, or "unknown", and then `status` says why.
+        probabilities: Of each of SHAPES.
+        curvatures: (2,) 1/m of a smooth body where it touches, the larger first.
+        curvatures_sd: (2,) 1/m.
+        direction: rad from x of an edge, or of a smooth body's smaller curvature.
+        direction_sd: rad.
+        radius: m of a ball, of a lying cylinder, of a disc's rim.
+        radius_sd: m.
+        area: m^2 of the sheet that lies on it.
+        area_interval: m^2, 68 %, over the kinds that may be.
+        p_SO: (3,) m, its point that is nearest the sensor; of an edge, one on it.
+        R_SO: (3, 3) its axes; x along an edge or the smaller curvature, z away from the sensor.
+        pose_cov: (6, 6) of p_SO, m, and of small turns about the axes of S, rad.
+        outline: (P, 2) m, border of the contact.
+        force_normal: N that the body takes to be so deep in the sheet.
+        family: The narrower kind: "ball" and "cylinder" are "smooth".
+        misfit: Mean square of the markers' heights over their sd: near 1.
+        status: "ok", or why it is unknown.
+    """
+
+    kind: str
+    probabilities: Mapping[str, float]
+    curvatures: Array = field(default_factory=lambda: np.full(2, np.nan))
+    curvatures_sd: Array = field(default_factory=lambda: np.full(2, np.nan))
+    direction: float = np.nan
+    direction_sd: float = np.nan
+    radius: float = np.nan
+    radius_sd: float = np.nan
+    area: float = np.nan
+    area_interval: tuple[float, float] = (np.nan, np.nan)
+    p_SO: Array = field(default_factory=lambda: np.full(3, np.nan))
+    R_SO: Array = field(default_factory=lambda: np.full((3, 3), np.nan))
+    pose_cov: Array = field(default_factory=lambda: np.full((6, 6), np.nan))
+    outline: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    force_normal: float = np.nan
+    family: str = "unknown"
+    misfit: float = np.nan
+    status: Status = OK
+
+    def __post_init__(self) -> None:
+        if self.kind not in (*SHAPES, "unknown"):
+            raise InputError(
+                f"{self.kind!r} is not a shape",
+                source="FeltShape",
+                field="kind",
+                choices=(*SHAPES, "unknown"),
+            )
+        object.__setattr__(self, "probabilities", MappingProxyType(dict(self.probabilities)))
+        for name, shape in (
+            ("curvatures", (2,)),
+            ("curvatures_sd", (2,)),
+            ("p_SO", (3,)),
+            ("R_SO", (3, 3)),
+            ("pose_cov", (6, 6)),
+            ("outline", (None, 2)),
+        ):
+            _freeze(self, name, getattr(self, name), shape)
+        _keep_status(self)
+
+    def __reduce__(self):  # a mappingproxy does not pickle
+        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return (_felt_shape, (values | {"probabilities": dict(self.probabilities)},))
+
+
+def _felt_shape(values: dict[str, Any]) -> FeltShape:
+    return FeltShape(**values)
+
+
 SlipState = Literal["none", "sticking", "incipient", "slipping", "unknown"]
 SLIP_STATES: tuple[str, ...] = get_args(SlipState)
 
@@ -306,6 +385,7 @@ class Touch:
         status: "ok", or why the force is unknown.
         patches: Each place of contact, the strongest first.
         slip: Whether the object slips.
+        shape: What body touches; None where nobody asked (`Perception(shapes=True)`).
     """
 
     time: float
@@ -320,6 +400,7 @@ class Touch:
     status: Status = OK
     patches: tuple[Contact, ...] = ()
     slip: Slip | None = None
+    shape: FeltShape | None = None
 
     def __post_init__(self) -> None:
         _keep_status(self)

@@ -15,13 +15,14 @@ import numpy as np
 
 from mjtactile.core import theory
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.types import Touch
+from mjtactile.core.types import FeltShape, Touch
 from mjtactile.experiments.station import View, take_references
 from mjtactile.run.estimate import press_errors
 from mjtactile.sim import truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.sensor.switches import Effect
 
+_COARSEST = 1.7e-3  # m between vertices: heights of markers 25 um off, as from pixels
 _NOWHERE = Indenter("sphere", 1e-3)
 
 Say = Callable[[str], None]
@@ -90,11 +91,13 @@ def press(
     view = View(world, design, seed=seed, shadows=Effect.SHADOWS in simulation.get("effects", ()))
     take_references(world, [view], design.chamber.supply_gauge, sealed=plan.sealed)
     steps = []
+    touches = []
     for depth in plan.depths:
         converged = world.press(depth)
         if plan.shear:
             converged = world.press(depth, plan.shear)
-        steps.append(_step(world, view.touch(), converged))
+        touches.append(view.touch())
+        steps.append(_step(world, touches[-1], converged))
         if plan.shear:
             world.press(depth)
         say(
@@ -111,7 +114,61 @@ def press(
         )
         for step, error in zip(steps, errors, strict=True):
             step["force_error_estimate_N"] = error
-    return {"sensor": design.name, "steps": steps, "flags": world.flags}
+    shape = shape_report(view.perception.shape(touches))
+    flags = world.flags | _coarse(world)
+    return {"sensor": design.name, "steps": steps, "shape": shape, "flags": flags}
+
+
+def shape_report(shape: FeltShape) -> dict[str, Any]:
+    """A shape as JSON has it, in mm and degrees; None where a number is not known.
+
+    Args:
+        shape: What was felt.
+
+    Returns:
+        The JSON's "shape".
+    """
+
+    def known(value: float, factor: float = 1.0) -> float | None:
+        return factor * float(value) if np.isfinite(value) else None
+
+    def pair(values: Any, factor: float = 1.0) -> list[float | None]:
+        return [known(value, factor) for value in values]
+
+    return {
+        "kind": shape.kind,
+        "family": shape.family,
+        "probabilities": {name: known(p) for name, p in shape.probabilities.items()},
+        "curvatures_per_m": pair(shape.curvatures),
+        "curvatures_sd_per_m": pair(shape.curvatures_sd),
+        "radius_mm": known(shape.radius, 1e3),
+        "radius_sd_mm": known(shape.radius_sd, 1e3),
+        "direction_deg": known(shape.direction, np.degrees(1)),
+        "direction_sd_deg": known(shape.direction_sd, np.degrees(1)),
+        "area_mm2": known(shape.area, 1e6),
+        "area_interval_mm2": pair(shape.area_interval, 1e6),
+        "force_normal_N": known(shape.force_normal),
+        "pose": {
+            "p_SO_mm": pair(shape.p_SO, 1e3),
+            "p_SO_sd_mm": pair(np.sqrt(np.diag(shape.pose_cov)[:3]), 1e3),
+            "R_SO": [pair(row) for row in shape.R_SO],
+        },
+        "outline_mm": (1e3 * shape.outline).round(3).tolist(),
+        "misfit": known(shape.misfit),
+        "status": str(shape.status),
+    }
+
+
+def _coarse(world: PressWorld) -> dict[str, str]:
+    """A flag where the simulated sheet itself has not the shape that is looked for."""
+    mesh = world.sensors[0].mesh
+    if mesh.spacing <= _COARSEST:
+        return {}
+    return {
+        "shape": f"the simulated sheet bends at its vertices alone, {1e3 * mesh.spacing:.1f} mm "
+        f"apart on {mesh.nx} x {mesh.ny}: what is said of the body's shape is worth no more; "
+        "a finer mesh (--accuracy 0.005N) has the shape that rubber has"
+    }
 
 
 def _bare_steps(

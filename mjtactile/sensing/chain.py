@@ -24,7 +24,17 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError
 from mjtactile.core.optics import Camera
 from mjtactile.core.status import OK, Status, StatusCode
-from mjtactile.core.types import Array, Image, Markers, PressureReading, Sighting, Surface, Touch
+from mjtactile.core.types import (
+    Array,
+    FeltShape,
+    Image,
+    Markers,
+    PressureReading,
+    Sighting,
+    Surface,
+    Touch,
+)
+from mjtactile.sensing.body.finder import ShapeFinder
 from mjtactile.sensing.force import bulge, zero
 from mjtactile.sensing.force.gauge import GasState, GaugeFilter
 from mjtactile.sensing.force.inverse import InverseMembrane, InverseRest, Shape
@@ -274,6 +284,27 @@ class Chain:
                 f"({np.sqrt(misfit):.1f} standard deviations, rms); does something touch it? Else "
                 "the lens is not as in the sensor file: `mjtactile calibrate camera`"
             )
+
+    # -- what touches
+    # --------------------------------------------------------------------------------
+
+    def shape_finder(self, state: ChainState) -> ShapeFinder:
+        """Make what finds shapes with this rest; a twentieth of a second, once for a rest.
+
+        Args:
+            state: With the rest reference.
+
+        Returns:
+            The finder.
+
+        Raises:
+            DeviceError: The rest reference is missing.
+        """
+        if state.reference is None:
+            raise DeviceError(f"sensor {self.design.name}: a shape before the rest reference")
+        rest = state.reference.rest
+        p_rest = self.inverse.positions(rest.c) + rest.offset
+        return ShapeFinder(self.design, rest, p_rest, self.settings)
 
     # -- an image
     # --------------------------------------------------------------------------------
@@ -556,11 +587,14 @@ class Perception:
     Args:
         chain: The chain.
         state: Where to begin; None: before anything was measured.
+        shapes: Whether every touch has its `shape`; docs/effects.md has what that costs.
     """
 
-    def __init__(self, chain: Chain, state: ChainState | None = None):
+    def __init__(self, chain: Chain, state: ChainState | None = None, *, shapes: bool = False):
         self.chain = chain
         self.state = chain.begin() if state is None else state
+        self.shapes = shapes
+        self._finder: tuple[Reference, ShapeFinder] | None = None
 
     @classmethod
     def of(
@@ -623,7 +657,29 @@ class Perception:
             The touch.
         """
         touch, self.state = self.chain.step(self.state, image, now, reading)
+        if self.shapes:
+            touch = replace(touch, shape=self.shape([touch]))
         return touch
+
+    def shape(self, touches: Touch | Sequence[Touch]) -> FeltShape:
+        """Say what body touches.
+
+        Args:
+            touches: One touch, or those of one press, oldest first: a ball's contact grows with the
+                force and a flat face's does not, so that several tell more than one.
+
+        Returns:
+            The shape in the newest; "unknown", with a status, where it cannot be said.
+
+        Raises:
+            DeviceError: The rest reference is missing.
+        """
+        reference = self.state.reference
+        if self._finder is None or self._finder[0] is not reference:
+            finder = self.chain.shape_finder(self.state)
+            assert reference is not None
+            self._finder = (reference, finder)
+        return self._finder[1].find([touches] if isinstance(touches, Touch) else touches)
 
 
 def _moved(expected: Array, markers: Markers) -> Array:

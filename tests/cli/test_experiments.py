@@ -48,6 +48,12 @@ def test_press_feels_what_the_load_cell_reads(capsys):
         deep["pressure_kPa"] > shallow["pressure_kPa"] > 1.0
         and deep["volume_mL"] < shallow["volume_mL"]
     )
+    shape = result["shape"]
+    assert shape["kind"] == "smooth"
+    assert 13 < shape["radius_mm"] < 19  # what a sheet that bends at 13 x 11 vertices tells of 16
+    low, high = shape["area_interval_mm2"]
+    assert 0 < low < shape["area_mm2"] < high
+    assert "13 x 11" in result["flags"]["shape"]
 
 
 def test_open_valve_keeps_the_pressure(capsys):

@@ -45,6 +45,7 @@ from mjtactile.sensing.settings.locate import (
 from mjtactile.sensing.settings.number import TRIED, as_numbers, check, number
 from mjtactile.sensing.settings.pose import IdentitySettings, ReferenceSettings, SurfaceSettings
 from mjtactile.sensing.settings.touch import (
+    BodySettings,
     MaterialSettings,
     PatchSettings,
     SlipSettings,
@@ -53,6 +54,7 @@ from mjtactile.sensing.settings.touch import (
 
 __all__ = [
     "DEFAULTS",
+    "BodySettings",
     "CandidateSettings",
     "ConsensusSettings",
     "DoubtSettings",
@@ -101,6 +103,7 @@ class Settings:
     gauge: GaugeSettings = field(default_factory=GaugeSettings)
     zero: ZeroSettings = field(default_factory=ZeroSettings)
     patches: PatchSettings = field(default_factory=PatchSettings)
+    body: BodySettings = field(default_factory=BodySettings)
     slip: SlipSettings = field(default_factory=SlipSettings)
     squeeze: SqueezeSettings = field(default_factory=SqueezeSettings)
     material: MaterialSettings = field(default_factory=MaterialSettings)

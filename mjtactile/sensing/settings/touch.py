@@ -36,6 +36,31 @@ class PatchSettings:
     )
 
 
+_PRESSED_SHAPES = "bench shape: bodies of seeds below 1000, which its table leaves out"
+
+
+@dataclass(frozen=True)
+class BodySettings:
+    """What the body is that touches (sensing/body)."""
+
+    spacing: float = number(1.3e-3, "m, between the film's nodes", _PRESSED_SHAPES)
+    film_sd: float = number(
+        12e-6, "m, of a marker's height that the film does not know of", "bench film"
+    )
+    area_sd: float = number(0.06, "of the area, that the film does not know of", _PRESSED_SHAPES)
+    friction: float = number(
+        1.03, "force of a sheet that sticks over that of the film, which slides", _PRESSED_SHAPES
+    )
+    misfit_most: float = number(
+        6.0, "mean square of the heights over their sd, above which no body explains", "trial"
+    )
+    force_least: float = number(0.03, "N; less says nothing of a shape", _PRESSED_SHAPES)
+    images: int = number(4, "of a press that are looked at", "trial")
+    ball_ratio: float = number(
+        1.5, "of two curvatures, below which a smooth body has a radius", "trial"
+    )
+
+
 _SLID = "bench slip: tuned on its cases with seeds below 2000, which its table leaves out"
 
 
