@@ -522,6 +522,8 @@ class Command:
         memory: The controller's own notebook: the loop hands it back in the next
             `Observation.command`, so that `step` can be a pure function.
         reason: Why the controller gives up, or sets down early; for the result and the log.
+        pressure_gauge: Pa above ambient in each finger's chamber, in their order, which the valves
+            then keep. None: leave the air alone, sealed in.
     """
 
     opening: float
@@ -530,6 +532,7 @@ class Command:
     phase: str = "approach"
     memory: Mapping[str, float] = field(default_factory=dict)
     reason: str = ""
+    pressure_gauge: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         for name in ("opening", "force_limit", "lift_height"):
@@ -540,6 +543,9 @@ class Command:
             )
         if not isinstance(self.reason, str):
             raise InputError(f"{self.reason!r} is no text", source="Command", field="reason")
+        if self.pressure_gauge is not None:
+            pressures = tuple(_finite(one, "pressure_gauge") for one in self.pressure_gauge)
+            object.__setattr__(self, "pressure_gauge", pressures)
         object.__setattr__(self, "memory", MappingProxyType(dict(self.memory)))
 
     def checked(self) -> Command:

@@ -14,7 +14,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.devices.dynamixel.gripper import DynamixelGripper
 from mjtactile.devices.shutdown import close_all
-from mjtactile.devices.valve.driver import connect_valves
+from mjtactile.devices.valve.driver import ValveBoard, connect_valves
 from mjtactile.rig.file import CameraConfig, RigFile
 from mjtactile.rig.finger import Rig, make_fingers
 from mjtactile.rig.gripper import calibrated_gripper
@@ -125,6 +125,8 @@ def build_device_rig(
         force=config.force_max,
         lift=(0.0, rig_file.lift.travel),
         lift_speed=rig_file.lift.speed,
+        pressure=_pressure_range(rig_file, boards),
+        pressure_rate=min((one.pressure_rate for one in rig_file.valves), default=0.0),
     )
     names = tuple(camera.finger for camera in rig_file.cameras)
     return Rig(
@@ -136,6 +138,13 @@ def build_device_rig(
         close=lambda: close_all(closers),
         host_timeout=rig_file.bus.host_timeout,
     )
+
+
+def _pressure_range(rig_file: RigFile, boards: Sequence[ValveBoard]) -> tuple[float, float] | None:
+    """What every chamber can be kept at, Pa; None without valves, or without gauges."""
+    if not boards or not all(board.has_sensors for board in boards):
+        return None
+    return 0.0, min(valve.pressure_max for valve in rig_file.valves)
 
 
 def build(request: RigRequest) -> Rig:

@@ -233,6 +233,8 @@ class ValveFirmware:
             return "error fault"
         if word == "set" and value > channel.limit:
             return "error limit"
+        if word == "set" and channel.state == "sealed":
+            channel.supply = self._chambers.pressure(number)  # the hose between the two valves
         channel.state = "set" if word == "set" else "sealed"
         channel.goal = float(value) if word == "set" else channel.goal
         return None

@@ -65,6 +65,11 @@ def _reason(cycle: CycleLike) -> str:
     return cycle.sent.reason
 
 
+def _pressures(cycle: CycleLike) -> Any:
+    pressures = cycle.sent.pressure_gauge
+    return [np.nan] * len(cycle.touch) if pressures is None else pressures
+
+
 def _of_touch(value: Callable[[Touch], Any]) -> Callable[[CycleLike], Any]:
     return lambda cycle: [value(touch) for touch in cycle.touch]
 
@@ -156,6 +161,11 @@ SENSED: Mapping[str, tuple[str, str, Callable[[CycleLike], Any]]] = {
     "command_opening": ("m", "as sent, after limits", lambda c: c.sent.opening),
     "command_force_limit": ("N", "the same", lambda c: c.sent.force_limit),
     "command_lift_height": ("m", "the same", lambda c: c.sent.lift_height),
+    "command_pressure": (
+        "Pa",
+        "the same, of each finger's chamber; null while the air is left alone",
+        _pressures,
+    ),
     "command_reason": ("", "what the controller said of it, where it gives up", _reason),
     "memory": ("", "the controller's own notebook", lambda c: dict(c.sent.memory)),
     "perception_ms": (

@@ -106,6 +106,20 @@ class Recording:
             for k, gauge in enumerate(gauges)
         )
 
+    def command_pressure(self, cycle: int) -> tuple[float, ...] | None:
+        """Look up the pressures that were commanded in one cycle.
+
+        Args:
+            cycle: Its number, from 0.
+
+        Returns:
+            Pa, one a finger; None where the air was left alone, or by an older recording.
+        """
+        column = self.columns.get("command_pressure")
+        if column is None or any(one is None or one != one for one in column[cycle]):
+            return None
+        return tuple(float(one) for one in column[cycle])
+
     def column(self, key: str, width: int | None = None) -> Array:
         """Look up a column of numbers.
 

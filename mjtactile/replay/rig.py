@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from itertools import chain
 
 from mjtactile.core.calibration import calibration_from_table
@@ -126,12 +127,12 @@ class ReplayGripper:
 
     def command(self, command: Command) -> Command:
         value = self._tape.value
-        return Command(
-            value("command_opening"),
-            value("command_force_limit"),
-            value("command_lift_height"),
-            command.phase,
-            command.memory,
+        return replace(
+            command,
+            opening=value("command_opening"),
+            force_limit=value("command_force_limit"),
+            lift_height=value("command_lift_height"),
+            pressure_gauge=self._tape.recording.command_pressure(self._tape.cycle),
         )
 
 
@@ -155,6 +156,9 @@ class ReplayValve:
 
     def close(self) -> None:
         """It was closed then."""
+
+    def follow(self, pressure_gauge: float | None) -> None:
+        """It followed what was sent then."""
 
 
 def build_replay_rig(
@@ -199,6 +203,8 @@ def build_replay_rig(
         force=math.inf,
         lift=(-math.inf, math.inf),
         lift_speed=math.inf,
+        pressure=(0.0, math.inf) if count == width else None,
+        pressure_rate=math.inf,
     )
     tables = recording.notes.get("calibration", {})
     calibrations = tuple(

@@ -144,15 +144,17 @@ class CameraConfig:
 @dataclass(frozen=True)
 class ValveConfig:
     """Valve of one finger's chamber: `channel` on the board at `port` (firmware/valve);
-    `pressure_max` Pa gauge is set in the board, `heartbeat` s is the silence after which the board
-    vents, `reply_timeout` s what an answer to the heartbeat's questions may take, `supply_gauge` Pa
-    of a board without a sensor."""
+    `pressure_max` Pa gauge is set in the board, `pressure_rate` Pa/s is the fastest that a
+    controller may change it by, `heartbeat` s is the silence after which the board vents,
+    `reply_timeout` s what an answer to the heartbeat's questions may take, `supply_gauge` Pa of a
+    board without a sensor."""
 
     finger: str = text("finger", FINGERS)
     port: str = text("port")
     channel: int = whole("channel", 1, 99, default=1)
     baud: int = whole("baud", 300, 4_000_000, default=115200)
     pressure_max: float = number("pressure_max_kPa", 0.01, 1000, KPA, default=3000.0, required=True)
+    pressure_rate: float = number("pressure_rate_kPa_s", 0.01, 100, KPA, default=1200.0)
     heartbeat: float = number("heartbeat_ms", 20, 60000, MS, default=0.25)
     reply_timeout: float = number("reply_timeout_ms", 1, 1000, MS, default=0.03)
     supply_gauge: float | None = number("supply_kPa", -100, 1000, KPA, default=None)

@@ -45,6 +45,21 @@ class Finger:
             return self.design.chamber.supply_gauge
         return reading if self.calibration is None else self.calibration.pressure(reading)
 
+    def follow(self, pressure_gauge: float | None) -> None:
+        """Have the valve keep the chamber at a pressure.
+
+        Args:
+            pressure_gauge: Pa; the gauge's zero is added to it. None: seal the chamber as it is.
+
+        Raises:
+            DeviceError: The valve does not obey.
+        """
+        if self.valve is None:
+            return
+        measured = None if self.calibration is None else self.calibration.valve
+        zero = 0.0 if measured is None else measured.offset
+        self.valve.follow(None if pressure_gauge is None else pressure_gauge + zero)
+
     def reading(self, valve: ValveState | None) -> PressureReading | None:
         """Find what the chamber's gauge says.
 

@@ -61,6 +61,12 @@ class Valve(Protocol):
         """Seal the chamber: from here on the amount of gas is kept."""
         ...
 
+    def follow(self, pressure_gauge: float | None) -> None:
+        """Keep the chamber at what its gauge shows as `pressure_gauge` Pa from now on; None: seal
+        it as it is, if it was kept so. Waits for nothing; asked of rigs whose `Limits` have a
+        pressure."""
+        ...
+
 
 @runtime_checkable
 class Clock(Protocol):

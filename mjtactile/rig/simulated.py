@@ -15,6 +15,7 @@ from typing import Any
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.fields import (
     DEGREE,
+    KPA,
     MM,
     FilePath,
     Span,
@@ -147,6 +148,15 @@ class SimLift:
 
 
 @dataclass(frozen=True)
+class SimAir:
+    """What the valves give: up to `pressure_max` Pa above ambient, at `pressure_rate` Pa/s while a
+    controller commands it."""
+
+    pressure_max: float = number("pressure_max_kPa", 0.01, 1000, KPA, default=3000.0)
+    pressure_rate: float = number("pressure_rate_kPa_s", 0.01, 100, KPA, default=1200.0)
+
+
+@dataclass(frozen=True)
 class _World:
     """Section [sim]: the robot, and what it stands on."""
 
@@ -172,6 +182,7 @@ class SimRigFile:
     fingers: tuple[SimFinger, ...] = parts("finger", SimFinger, high=FINGERS_MAX)
     gripper: SimGripper = part("gripper", SimGripper)
     lift: SimLift = part("lift", SimLift)
+    air: SimAir = part("air", SimAir, default=SimAir())
     keyframe: str | None = None
     table: bool = True
     table_height: float = 0.0

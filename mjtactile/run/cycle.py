@@ -14,6 +14,7 @@ from mjtactile.core.status import Status, StatusCode
 from mjtactile.core.types import Command, GripperState, Image, Observation, Touch, ValveState
 from mjtactile.recording.observer import Observer
 from mjtactile.rig.finger import Rig
+from mjtactile.run import air
 from mjtactile.run.perceive import unknown_touch
 from mjtactile.run.references import patient_read
 from mjtactile.run.supervisor import Supervisor
@@ -200,7 +201,11 @@ class ControlCycle:
     def _send(self, wanted: Command) -> Command:
         rig = self.rig
         wanted = wanted.checked()
+        air.check(rig, wanted)
         allowed = self.supervisor.decide(self.now, wanted, self.last, self.touch, self.valves)
-        sent = rig.gripper.command(rig.limits.apply(allowed, self.last, rig.period))
+        last = air.started(rig, allowed, self.last, self.valves)
+        limited = rig.limits.apply(allowed, last, rig.period)
+        sent = rig.gripper.command(limited)
+        self.attempt(lambda: air.send(rig, limited, self.last))
         kept = {name: getattr(allowed, name) for name in ("phase", "memory", "reason")}
         return replace(sent, **kept)

@@ -125,6 +125,7 @@ class Supervisor:
             opening=max(wanted.opening, last.opening),
             force_limit=last.force_limit or wanted.force_limit,
             lift_height=min(wanted.lift_height, last.lift_height),
+            pressure_gauge=last.pressure_gauge,
         )
 
     def _retreat(self, now: float, last: Command, touch: Sequence[Touch]) -> Command:

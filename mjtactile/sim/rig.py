@@ -32,6 +32,7 @@ from mjtactile.sim.sensor.runtime import TactileSensor
 from mjtactile.sim.sensor.switches import set_design
 
 _SCATTER = 2e-3  # m, to each side
+_HOSE_TIME = 0.05  # s, time constant of a regulated supply, as the emulated board's
 _LARGEST_STEP = 6.7e-3  # s; against 1 ms, forces change by 1 mN (docs/accuracy.md)
 
 
@@ -118,11 +119,23 @@ class SimClock:
 
 class SimValve:
     """The valve of one chamber, with the gauge of a valve board: whole pascals, their noise, and
-    `zero` Pa that it shows too much."""
+    `zero` Pa that it shows too much. In a world that moves while it is asked, `defer` puts off
+    what it does, and `move` is called after each step."""
 
-    def __init__(self, sensor: TactileSensor, seed: int = 0, zero: float = 0.0):
+    def __init__(
+        self,
+        sensor: TactileSensor,
+        seed: int = 0,
+        zero: float = 0.0,
+        defer: Callable[[Callable[[], None]], None] = lambda act: act(),
+    ):
         self._sensor = sensor
         self._zero = zero
+        self._defer = defer
+        # Pa: what the chamber is to be kept at, and where its supply is on the way
+        self._goal: float | None = None
+        self._supply = 0.0
+        self._moved = 0.0  # s, when it was there
         self.reseed(seed)
 
     def reseed(self, seed: int) -> None:
@@ -136,10 +149,40 @@ class SimValve:
         return ValveState(sensor.valve_is_open, float(round(shown)), sensor.gas_time, age)
 
     def open(self, supply_gauge: float) -> None:
-        self._sensor.open_valve(supply_gauge)
+        self._defer(lambda: self._open(supply_gauge))
 
     def close(self) -> None:
+        self._defer(self._close)
+
+    def follow(self, pressure_gauge: float | None) -> None:
+        self._defer(lambda: self._follow(pressure_gauge))
+
+    def move(self) -> None:
+        """One step of the world: the supply goes to the goal as through a hose."""
+        if self._goal is None:
+            return
+        elapsed = self._sensor.time - self._moved
+        self._moved = self._sensor.time
+        self._supply += (self._goal - self._supply) * min(1.0, elapsed / _HOSE_TIME)
+        self._sensor.open_valve(self._supply)
+
+    def _open(self, supply_gauge: float) -> None:
+        self._goal = None
+        self._sensor.open_valve(supply_gauge)
+
+    def _close(self) -> None:
+        self._goal = None
         self._sensor.close_valve()
+
+    def _follow(self, pressure_gauge: float | None) -> None:
+        if pressure_gauge is None:
+            if self._goal is not None:
+                self._close()
+            return
+        if self._goal is None:
+            self._supply = self._sensor.pressure_gauge
+            self._moved = self._sensor.time
+        self._goal = pressure_gauge - self._zero  # it goes by its own gauge
 
 
 class SimGripper:
@@ -277,15 +320,19 @@ def build_sim_rig(
             sensor.warm(own.warming)
     clock.on_arrival += [camera.draw for camera in cameras]
     valves = tuple(
-        SimValve(sensor, seed + k, own.valve_zero)
+        SimValve(sensor, seed + k, own.valve_zero, clock.defer)
         for k, (sensor, own) in enumerate(zip(world.sensors, specimens, strict=True))
     )
+    for valve in valves:
+        world.after_each_step(valve.move)
     limits = Limits(
         file.gripper.opening,
         file.gripper.speed,
         file.gripper.force_max,
         (0.0, file.lift.travel),
         file.lift.speed,
+        (0.0, file.air.pressure_max),
+        file.air.pressure_rate,
     )
     return Rig(
         name=file.name,

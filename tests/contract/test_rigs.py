@@ -24,6 +24,7 @@ from mjtactile.recording.reader import load_recording
 from mjtactile.recording.writer import Recorder
 from mjtactile.replay.rig import build_replay_rig
 from mjtactile.rig.file import load_rig_file, load_sim_rig
+from mjtactile.rig.limits import PRESSURE_STEP
 from mjtactile.rig.protocols import Camera, Clock, Gripper, Valve
 from mjtactile.rig.registry import build_rig
 from mjtactile.run.controller import load_controller
@@ -40,8 +41,11 @@ ONE_EMULATOR = pytest.mark.xdist_group("an emulated rig")  # of one worker: it t
 SIMULATED = ("sim", "sim_arm", "sim_three_finger")
 
 
+PRESSURE = 1100.0  # Pa, that the controller below commands: from 1000 in three cycles
+
+
 class Nothing:
-    """A controller that closes a little and then is done."""
+    """A controller that closes a little, with some more air in the fingers, and then is done."""
 
     path = "test"
 
@@ -56,6 +60,7 @@ class Nothing:
             opening=observation.command.opening - 1e-4,
             force_limit=2.0,
             phase=phase,
+            pressure_gauge=(PRESSURE,) * len(observation.touch) if self.calls > 2 else None,
         )
 
 
@@ -152,6 +157,16 @@ def test_the_loop_runs_on_it(rig, tmp_path):
     assert np.diff(openings)[running] == pytest.approx(-1e-4, abs=1e-9)  # it closed, step by step
     # a picture that came late on a busy computer: it waited
     assert (np.diff(openings)[~running] >= 0).all()
+    pressures = recording.column("command_pressure")
+    assert np.isnan(pressures[:2]).all() and np.isfinite(pressures[2:]).all()
+    # from the gauge, with its noise and zero, a step a cycle
+    assert pressures[2] == pytest.approx(1000 + PRESSURE_STEP, abs=60)
+    assert (np.abs(np.diff(pressures[2:], axis=0)) <= PRESSURE_STEP + 1e-9).all()
+    if running.all():
+        assert pressures[-1] == pytest.approx(PRESSURE)
+        # noise of the gauge; a board is some 0.1 s behind, a busy one more
+        behind = 25 if math.isinf(rig.host_timeout) else 60
+        assert recording.column("pressure_gauge")[-1] == pytest.approx(PRESSURE, abs=behind)
 
 
 def test_images_have_the_designs_size_and_see_the_markers(rig):
@@ -206,12 +221,15 @@ def test_closing_twice_does_no_harm(rig):
 # --------------------------------------------------------------------------------
 
 
-class Gentle:
-    """The shipped controller, until it enters the phase `until`; keeps what was felt in every
-    cycle."""
+FIRMER = Path(__file__).resolve().parents[2] / "examples" / "firmer_in_the_air.py"
 
-    def __init__(self, until):
-        self.controller = load_controller("gentle")
+
+class Gentle:
+    """The shipped controller, or one made of it, until it enters the phase `until`; keeps what was
+    felt in every cycle."""
+
+    def __init__(self, until, name="gentle"):
+        self.controller = load_controller(name)
         self.until = until
         self.path = self.controller.path
         self.felt = []
@@ -282,21 +300,26 @@ def test_gentle_lifts_an_egg(name, tmp_path):
 @pytest.mark.slow
 @ONE_EMULATOR
 @pytest.mark.clock
-def test_gentle_grasps_on_the_emulated_rig(emulator, tmp_path):
+def test_gentle_grasps_on_the_emulated_rig_and_commands_its_air(emulator, tmp_path):
+    """From 0.6 to 2 kPa while the egg hangs between the fingers."""
     heights = []
+    errors = []
 
     class Watched(Recorder):
         def add(self, cycle, **rest):
             super().add(cycle, **rest)
             if cycle.sent.phase == "hold":
-                heights.append(emulator.truth()["object_height"])
+                true = emulator.truth()
+                heights.append(true["object_height"])
+                felt = [touch.force_normal for touch in cycle.touch]
+                errors.append([felt[0] - true["contact_1"], felt[1] - true["contact_2"]])
 
     rig = build_emulated_rig(
         patient_rig_file(), DESIGN, object_name="egg", seed=0, emulator=emulator
     )
     try:
         session = Session(rig)
-        gentle = Gentle("done")
+        gentle = Gentle("done", FIRMER)
         with Watched(tmp_path, {"object": "egg"}) as recorder:
             session.take_references(recorder)
             session.run(gentle, time_limit=60.0, on_cycle=recorder.add)
@@ -304,6 +327,12 @@ def test_gentle_grasps_on_the_emulated_rig(emulator, tmp_path):
         rig.close()
     # the servos' goals are rounded, and the pinions have play
     assert min(heights) - 0.0315 == pytest.approx(0.04, abs=5e-3)
+    # the jaws' play swings as the membranes grow: forces are compared some 0.1 s apart
+    assert np.nanmedian(np.abs(errors)) < 0.03
+    pressures = load_recording(tmp_path).column("pressure_gauge")
+    held = load_recording(tmp_path).columns["phase"] == "hold"
+    assert pressures[held].min() == pytest.approx(600.0, abs=60)
+    assert pressures[held].max() == pytest.approx(2000.0, abs=60)
 
 
 def test_gentle_on_a_replay_wants_what_it_wanted(tmp_path):
@@ -334,6 +363,8 @@ def test_a_replay_gives_the_same_numbers_bit_for_bit(recording_folder, tmp_path)
         "speed",
         "effort",
         "command_opening",
+        "command_pressure",
+        "pressure_gauge",
         "image_time",
         "gripper_time",
         "gripper_age",

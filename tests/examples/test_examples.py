@@ -12,8 +12,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import mjtactile
 from mjtactile.core import resources
 from mjtactile.recording.reader import load_recording
+from mjtactile.run.grasp import run_grasp
 from mjtactile.sim import truth
 from tests.fake_run import write_fake_recording
 
@@ -68,6 +70,22 @@ def test_two_sensors_on_an_arm():
     assert sum(force[0] for force in forces) == pytest.approx(weight, abs=0.02)
     for finger, force in zip(example.fingers, forces, strict=True):
         np.testing.assert_allclose(finger.touch.traction.wrench[:3], force, atol=0.03)
+
+
+@pytest.mark.slow
+def test_firmer_in_the_air(tmp_path):
+    """The pressure goes from 0.6 to 2 kPa while an egg is held, and the force stays right."""
+    scenario = mjtactile.Scenario(controller=str(FOLDER / "firmer_in_the_air.py"))
+    with mjtactile.Recorder(tmp_path, scenario.header(), frames=0) as recorder:
+        result = run_grasp(scenario, [recorder])
+    assert result.outcome == "held"
+    log = load_recording(tmp_path)
+    held = log.columns["phase"] == "hold"
+    pressures = log.column("pressure_gauge")[held]
+    assert pressures[0] == pytest.approx(600.0, abs=25.0)  # noise of the gauge
+    assert pressures[-1] == pytest.approx(2000.0, abs=25.0)
+    error = (log.column("force_normal") - log.column("force_normal_true"))[held]
+    assert np.abs(error).max() < 0.03  # and none of them is unknown
 
 
 def test_grasp_from_python(capsys):

@@ -10,6 +10,7 @@ import contextlib
 import logging
 import math
 import threading
+from dataclasses import replace
 
 from mjtactile.core import pace
 from mjtactile.core.errors import DeviceError
@@ -151,7 +152,7 @@ class DynamixelGripper:
             self._commanded = True
             self._sent_time = pace.monotonic()
             self._poll_one()  # here, where the cycle's picture waits for nothing any more
-            return Command(opening, force, height, command.phase, command.memory)
+            return replace(command, opening=opening, force_limit=force, lift_height=height)
 
     @property
     def sent_time(self) -> float:

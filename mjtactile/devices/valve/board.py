@@ -62,7 +62,11 @@ class ValveBoard:
         self._configs = {config.channel: config for config in configs}
         self._lock = threading.RLock()
         self._closed = pace.Event()
+        self._wake = pace.Event()  # the heartbeat's thread has something to do before its time
         self._readings: dict[int, ValveReading] = {}
+        # Pa that a channel is to be kept at (None: sealed), and what the board was told of it
+        self._aims: dict[int, int | None] = {}
+        self._told: dict[int, int | None] = {}
         self._sequence = 0
         self._received = bytearray()
         self._failures = 0
@@ -87,16 +91,31 @@ class ValveBoard:
     def set(self, channel: int, pressure: float) -> None:
         """Regulate to `pressure` Pa (without a sensor: open to the supply). Raises DeviceError when
         the board does not obey."""
+        self._forget_aim(channel)
         self._command(f"set {channel} {round(pressure)}", channel)
 
     def seal(self, channel: int) -> None:
         """Close both valves. Raises DeviceError when the board does not obey."""
+        self._forget_aim(channel)
         self._command(f"seal {channel}", channel)
 
     def vent(self, channel: int) -> None:
         """Open to the air, which also acknowledges a fault. Raises DeviceError when the board does
         not obey."""
+        self._forget_aim(channel)
         self._command(f"vent {channel}", channel)
+
+    def aim(self, channel: int, pressure: float | None) -> None:
+        """Have the heartbeat's thread tell the board to keep a channel at `pressure` Pa; None: seal
+        it, if it was kept so. Waits for nothing."""
+        if pressure is not None:
+            self._aims[channel] = round(pressure)
+        elif channel in self._aims:
+            self._aims[channel] = None
+        if self._is_told(channel):
+            return
+        self._last_call = pace.monotonic()
+        self._wake.set()
 
     def reading(self, channel: int) -> ValveReading:
         """The heartbeat's newest reading, without waiting for the board. Raises DeviceError when it
@@ -124,6 +143,7 @@ class ValveBoard:
         if self._closed.is_set():
             return
         self._closed.set()
+        self._wake.set()
         with deferred():
             self._finish(quiet)
 
@@ -285,18 +305,38 @@ class ValveBoard:
 
     def _heartbeat_loop(self) -> None:
         """The heartbeat: read all channels while the loop lives."""
-        while not self._closed.wait(
-            _RETRY_TIME if 0 < self._failures < _FAILURES_MAX else self._interval
-        ):
+        while not self._closed.is_set():
+            self._wake.wait(_RETRY_TIME if 0 < self._failures < _FAILURES_MAX else self._interval)
+            self._wake.clear()
+            if self._closed.is_set():
+                return
             if pace.monotonic() - self._last_call > _SILENCE:
                 continue
             for channel in self._configs:
                 try:
                     with self._lock:
+                        self._tell(channel)
                         self._read(channel, self._reply_time)
                 except DeviceError as error:
                     self._failures = self._failures + 1
                     self._last_error = str(error)
+
+    def _tell(self, channel: int) -> None:
+        """Pass on what a channel is to be kept at, where the board does not know it yet."""
+        if self._is_told(channel):
+            return
+        pressure = self._aims[channel]
+        self._command_echoed(f"seal {channel}" if pressure is None else f"set {channel} {pressure}")
+        self._told[channel] = pressure
+
+    def _is_told(self, channel: int) -> bool:
+        return channel not in self._aims or self._told.get(channel, ...) == self._aims[channel]
+
+    def _forget_aim(self, channel: int) -> None:
+        """What is commanded now counts."""
+        with self._lock:
+            self._aims.pop(channel, None)
+            self._told.pop(channel, None)
 
     def _vented(self, channel: int) -> bool:
         for _ in range(_ATTEMPTS):

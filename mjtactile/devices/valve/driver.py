@@ -68,6 +68,18 @@ class BoardValve:
         self.board.seal(self.config.channel)
         self._goal = None
 
+    def follow(self, pressure_gauge: float | None) -> None:
+        """Have the board keep the chamber at what its gauge shows as `pressure_gauge` Pa; None:
+        seal it, if it was kept so. The heartbeat's thread says it to the board."""
+        if pressure_gauge is None:
+            self.board.aim(self.config.channel, None)
+            self._goal = None
+            return
+        if self._goal is None:
+            self._goal_time = pace.monotonic()
+        self._goal = min(max(pressure_gauge, 0.0), self.config.pressure_max)
+        self.board.aim(self.config.channel, self._goal)
+
     def _check_supply(self, supply_gauge: float) -> None:
         fixed = self.config.supply_gauge or 0.0
         if abs(fixed - supply_gauge) > 0.05 * fixed:
@@ -85,7 +97,9 @@ class BoardValve:
         )
 
     def _check_moves(self, reading: ValveReading) -> None:
-        if pace.monotonic() - self._goal_time >= _SETTLE_TIME and not self._has_moved(reading):
+        if self._has_moved(reading):
+            self._goal_time = pace.monotonic()  # from here on it may be late again
+        elif pace.monotonic() - self._goal_time >= _SETTLE_TIME:
             raise DeviceError(
                 f"valve {self.config.finger} is stuck: {self._goal:g} Pa was set {_SETTLE_TIME:g} "
                 f"s ago, the chamber has {reading.pressure_gauge:.0f} Pa"

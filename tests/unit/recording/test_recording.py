@@ -339,3 +339,19 @@ def test_json_is_always_valid(tmp_path):
     }
     assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
     assert to_json(True) is True
+
+
+def test_commanded_pressures_are_read_back_and_older_recordings_have_none(tmp_path):
+    cycles = [fake_cycle(0), fake_cycle(1)]
+    commanded = replace(cycles[1].sent, pressure_gauge=(600.0, 700.0))
+    with Recorder(tmp_path, {}) as recorder:
+        recorder.add(cycles[0])
+        recorder.add(replace(cycles[1], sent=commanded))
+    recording = load_recording(tmp_path)
+    assert [recording.command_pressure(k) for k in range(2)] == [None, (600.0, 700.0)]
+    log = tmp_path / "log.jsonl"
+    lines = [json.loads(line) for line in log.read_text().splitlines()]
+    for line in lines:
+        line.pop("command_pressure", None)
+    log.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    assert load_recording(tmp_path).command_pressure(1) is None
