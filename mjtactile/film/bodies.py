@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 
-NUMBERS = 19
+NUMBERS = 20
 """Of a body: kind, sizes (3), R_SO (9), p_SO (3), first entry in the pool and number of entries,
-and its least width."""
+its least width and its reach."""
 
 # Name: the kernel's number, and what `sizes` are.
 KINDS: dict[str, tuple[int, tuple[str, ...]]] = {
@@ -109,6 +109,7 @@ def obstacle(
         )
     numbers[17] = len(pool)
     numbers[18] = _least_width(kind, size, data)
+    numbers[19] = _reach(kind, size, data)
     return Obstacle(kind, numbers, pool.ravel())
 
 
@@ -130,6 +131,17 @@ def _least_width(kind: str, size: Array, data: ArrayLike | None) -> float:
     if kind in ("plane", "quadric", "heights", "cone"):
         return np.inf
     return 0.0 if kind == "wedge" else 2 * float(size[:2].min())
+
+
+def _reach(kind: str, size: Array, data: ArrayLike | None) -> float:
+    """How far from its middle, m, a body ends at the latest."""
+    if kind in ("mesh", "triangles"):
+        return float(np.linalg.norm(np.asarray(data, dtype=float).reshape(-1, 3), axis=1).max())
+    if kind in ("plane", "heights"):
+        return np.inf
+    if kind == "quadric":
+        return float(size[2] * np.hypot(1, size[2] * np.abs(size[:2]).max() / 2))
+    return float(size.sum())
 
 
 def _pool(kind: str, size: Array, data: ArrayLike | None) -> Array:

@@ -37,6 +37,7 @@ _COMPLAINTS = {
     Status.AT_THE_RIM: "an obstacle touches the frame's rim",
     Status.ON_THE_GLASS: "an obstacle lies on the glass",
     Status.INSIDE_OUT: "an obstacle pulls the sheet inside out",
+    Status.BROKEN_DOWN: "the numbers break down on this obstacle",
 }
 
 

@@ -19,6 +19,7 @@ class Status(IntEnum):
     AT_THE_RIM = 2
     ON_THE_GLASS = 3
     INSIDE_OUT = 4
+    BROKEN_DOWN = 5
 
 
 # Places in `found`, as kernels/film.c has them.

@@ -3,16 +3,23 @@
 #include <math.h>
 #include <string.h>
 
+/* Loops are over whole vectors: behind a column's last entry the stride leaves room for seven more, which are zero. */
+typedef double Quad __attribute__((vector_size(32), aligned(8)));
+#define QUAD(p) (*(Quad *)(p))
+#define CONST_QUAD(p) (*(const Quad *)(p))
+
 /* Factors columns j to j + 3 (fewer at the end), which are up to date, as far as they see each other. */
 static int factor_panel(long columns, long stride, long length, double *panel) {
     for (long p = 0; p < columns; p++) {
         double *own = panel + p * stride;
         if (!(own[0] > 0)) return 1;
-        double over = 1 / sqrt(own[0]);
-        for (long i = 0; i < length; i++) own[i] *= over;
+        const double over = 1 / sqrt(own[0]);
+        for (long i = 0; i < length; i += 4) QUAD(own + i) *= over;
         for (long q = p + 1; q < columns; q++) {
-            double *other = panel + q * stride, factor = own[q - p];
-            for (long i = q - p; i < length; i++) other[i - (q - p)] -= factor * own[i];
+            double *other = panel + q * stride - (q - p);
+            const double factor = own[q - p];
+            if (factor == 0) continue;
+            for (long i = q - p; i < length; i += 4) QUAD(other + i) -= factor * QUAD(own + i);
         }
     }
     return 0;
@@ -24,34 +31,61 @@ int band_cholesky(long n, long width, double *a) {
         double *panel = a + j * stride;
         if (factor_panel(n - j < 4 ? n - j : 4, stride, width + 1, panel)) return 1;
         for (long t = j + 4; t < n && t <= j + 3 + width; t++) {
-            const double *restrict l0 = panel + (t - j), *restrict l1 = l0 + stride - 1;
-            const double *restrict l2 = l1 + stride - 1, *restrict l3 = l2 + stride - 1;
+            const double *l0 = panel + (t - j), *l1 = l0 + stride - 1, *l2 = l1 + stride - 1, *l3 = l2 + stride - 1;
             const double f0 = l0[0], f1 = l1[0], f2 = l2[0], f3 = l3[0];
-            double *restrict column = a + t * stride;
-            for (long i = 0; i <= j + 3 + width - t; i++) column[i] -= f0 * l0[i] + f1 * l1[i] + f2 * l2[i] + f3 * l3[i];
+            double *column = a + t * stride;
+            for (long i = 0; i <= j + 3 + width - t; i += 4)
+                QUAD(column + i) -= f0 * CONST_QUAD(l0 + i) + f1 * CONST_QUAD(l1 + i) + f2 * CONST_QUAD(l2 + i) + f3 * CONST_QUAD(l3 + i);
         }
     }
     return 0;
 }
 
+/* Columns j to j + 3 of what stands to be solved, all of which lie within n. */
 void band_forward(long n, long width, const double *L, double *x) {
     const long stride = BAND_STRIDE(width);
-    for (long j = 0; j < n; j++) {
+    long j = 0;
+    for (; j + 4 + width + 3 < n; j += 4) {
+        const double *l0 = L + j * stride, *l1 = l0 + stride - 1, *l2 = l1 + stride - 1, *l3 = l2 + stride - 1;
+        double *own = x + j;
+        const double x0 = own[0] / l0[0], x1 = (own[1] - x0 * l0[1]) / l1[1], x2 = (own[2] - x0 * l0[2] - x1 * l1[2]) / l2[2];
+        const double x3 = (own[3] - x0 * l0[3] - x1 * l1[3] - x2 * l2[3]) / l3[3];
+        own[0] = x0, own[1] = x1, own[2] = x2, own[3] = x3;
+        for (long i = 4; i <= width + 3; i += 4)
+            QUAD(own + i) -= x0 * CONST_QUAD(l0 + i) + x1 * CONST_QUAD(l1 + i) + x2 * CONST_QUAD(l2 + i) + x3 * CONST_QUAD(l3 + i);
+    }
+    for (; j < n; j++) {
         const double *column = L + j * stride;
-        double value = x[j] /= column[0];
-        long last = j + width < n ? width : n - 1 - j;
+        const double value = x[j] /= column[0];
+        const long last = j + width < n ? width : n - 1 - j;
         for (long i = 1; i <= last; i++) x[j + i] -= value * column[i];
     }
 }
 
+static double sum_of(Quad q) { return (q[0] + q[1]) + (q[2] + q[3]); }
+
 void band_backward(long n, long width, const double *L, double *x) {
-    const long stride = BAND_STRIDE(width);
-    for (long j = n - 1; j >= 0; j--) {
+    const long stride = BAND_STRIDE(width), whole = n - 4 - width - 3 > 0 ? (n - 4 - width - 3 + 3) / 4 * 4 : 0;
+    long j = n - 1;
+    for (; j >= whole; j--) {
         const double *column = L + j * stride;
+        const long last = j + width < n ? width : n - 1 - j;
         double sum = x[j];
-        long last = j + width < n ? width : n - 1 - j;
         for (long i = 1; i <= last; i++) sum -= x[j + i] * column[i];
         x[j] = sum / column[0];
+    }
+    for (j = whole - 4; j >= 0; j -= 4) {
+        const double *l0 = L + j * stride, *l1 = l0 + stride - 1, *l2 = l1 + stride - 1, *l3 = l2 + stride - 1;
+        double *own = x + j;
+        Quad s0 = {0}, s1 = {0}, s2 = {0}, s3 = {0};
+        for (long i = 4; i <= width + 3; i += 4) {
+            const Quad at = QUAD(own + i);
+            s0 += CONST_QUAD(l0 + i) * at, s1 += CONST_QUAD(l1 + i) * at, s2 += CONST_QUAD(l2 + i) * at, s3 += CONST_QUAD(l3 + i) * at;
+        }
+        own[3] = (own[3] - sum_of(s3)) / l3[3];
+        own[2] = (own[2] - sum_of(s2) - l2[3] * own[3]) / l2[2];
+        own[1] = (own[1] - sum_of(s1) - l1[3] * own[3] - l1[2] * own[2]) / l1[1];
+        own[0] = (own[0] - sum_of(s0) - l0[3] * own[3] - l0[2] * own[2] - l0[1] * own[1]) / l0[0];
     }
 }
 

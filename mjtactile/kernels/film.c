@@ -26,10 +26,14 @@
 #define NEAR_SINGULAR 1e-12
 #define MOST_LEARNT 10      /* of a step, beyond which nothing is learnt */
 #define EDGE_HALVES 20
+#define MOST_SETS 4          /* of nodes that touch, tried in a step */
+#define QUICK 3              /* steps that do so */
+#define SHORT 2e-4           /* m */
+#define FIRST_STEP 1e-4      /* m, that the first step is thought to come after */
 #define LEAST_TURN 0.05    /* of a cell's shadow: below, the sheet is inside out */
 
 long film_work_size(const Film *f) {
-    return (3 + 3 + 5 + 2 + 2 + 1 + 8 + 4 + 8 * MEMORY + 8) * f->count + 5 * f->inner +
+    return (3 + 3 + 5 + 2 + 2 + 1 + 8 + 4 + 2 + 8 * MEMORY + 8) * f->count + 7 * f->inner +
            f->inner * BAND_STRIDE(f->inner_rows + 1) + 2 * (f->count / 8 + 1);
 }
 
@@ -52,9 +56,12 @@ Work film_work(const Film *f, double *room) {
     w.fields.right_up = take(&room, n), w.fields.right_down = take(&room, n);
     w.obstacle = take(&room, n), w.level = take(&room, n), w.slope = take(&room, 2 * n), w.lower = take(&room, n);
     w.edge = take(&room, 4 * n), w.spring = take(&room, 4 * n);
-    w.residual = take(&room, n), w.moved = take(&room, n), w.pushed = take(&room, n), w.stiff = take(&room, n);
+    w.residual = take(&room, n), w.moved = take(&room, n), w.pushed = take(&room, n);
     w.plane = take(&room, 2 * f->inner);
-    w.y0 = take(&room, f->inner), w.y1 = take(&room, f->inner), w.y2 = take(&room, f->inner);
+    w.y0 = take(&room, f->inner), w.pulled = 0;
+    w.whole.area_by = take(&room, n), w.whole.volume_by = take(&room, n);
+    w.whole.b1 = take(&room, f->inner), w.whole.b2 = take(&room, f->inner);
+    w.whole.y1 = take(&room, f->inner), w.whole.y2 = take(&room, f->inner);
     w.band = take(&room, f->inner * BAND_STRIDE(f->inner_rows + 1));
     w.steps = take(&room, 4 * MEMORY * n), w.changes = take(&room, 4 * MEMORY * n);
     w.last_step = take(&room, 4 * n), w.now = take(&room, 4 * n);
@@ -85,12 +92,14 @@ static void stiffness_times(const Film *f, const SheetFields *s, const double *w
     }
 }
 
-static void stiffen_edges(const Film *f, const double *z, Work *w) {
+/* Edges' springs into residual and stiffness; `by` -1 takes them out again. */
+static void stiffen_edges(const Film *f, const double *z, double by, Work *w) {
     SheetFields *s = &w->fields;
     for (long k = f->rows; k < f->count - f->rows; k++) {
+        if (!w->touching[k]) continue;
         double *links[4] = {s->right + k, s->right + k - f->rows, s->up + k, s->up + k - 1};
         for (int side = 0; side < 4; side++) {
-            const double spring = w->spring[side * f->count + k];
+            const double spring = by * w->spring[side * f->count + k];
             if (spring == 0) continue;
             const long other = k + film_next(f, side);
             const double force = -spring * rises_over_edge(f, w, z, k, side);
@@ -146,40 +155,69 @@ static void gather(const Film *f, const uint8_t *touching, const double *field, 
         }
 }
 
-/* The heights' step `moved` and forces `pushed` of the contact. Tension and gas answer to the whole of it: a rank of two. */
-static void step_heights(const Film *f, Work *w, const double *x, const SheetSums *sums, double gas_stiffness) {
-    const long n = f->inner, rows = f->rows, width = f->inner_rows + 1;
-    const double *z = x + 2 * f->count, *volume_by = w->fields.gradient + 2 * f->count;
-    double *area_by = w->stiff; /* of the sheet by its heights: what pulls them back, over the tension */
+static void solve_heights(const Film *f, const Work *w, double *inner) {
+    band_forward(f->inner, f->inner_rows + 1, w->band, inner), band_backward(f->inner, f->inner_rows + 1, w->band, inner);
+}
+
+/* Factor with the nodes that touch held, and what tension and gas add to it, which answer to the whole of a step: a rank of two.
+   Sheets change little while the same nodes touch, so that it is kept until others do. */
+static int prepare_heights(const Film *f, const SheetSums *sums, double gas_stiffness, Work *w) {
     const double over_tension = 1 / most(sums->tension, 1e-3);
-    for (long k = 0; k < f->count; k++) {
-        area_by[k] = w->fields.elastic[2 * f->count + k] * over_tension;
-        w->moved[k] = w->touching[k] ? w->obstacle[k] - w->lower[k] - z[k] : 0;
-    }
-    for (long i = 0; i < f->columns; i++) area_by[i * rows] = area_by[i * rows + rows - 1] = 0;
-    memset(area_by, 0, rows * sizeof *area_by), memset(area_by + f->count - rows, 0, rows * sizeof *area_by);
-    const double c1 = f->numbers.tension_slope / (f->numbers.length_x * f->numbers.length_y), c2 = gas_stiffness;
+    Whole *all = &w->whole;
+    for (long i = 1; i < f->columns - 1; i++)
+        for (long k = i * f->rows + 1; k < (i + 1) * f->rows - 1; k++) { /* area's slope: what pulls heights back, over the tension */
+            all->area_by[k] = w->fields.elastic[2 * f->count + k] * over_tension;
+            all->volume_by[k] = w->fields.gradient[2 * f->count + k];
+        }
+    all->tension = f->numbers.tension_slope / (f->numbers.length_x * f->numbers.length_y), all->gas = gas_stiffness;
+    if (factor_heights(f, w)) return 1;
+    gather(f, w->touching, all->area_by, all->b1), gather(f, w->touching, all->volume_by, all->b2);
+    memcpy(all->y1, all->b1, f->inner * sizeof *all->b1), memcpy(all->y2, all->b2, f->inner * sizeof *all->b2);
+    solve_heights(f, w, all->y1), solve_heights(f, w, all->y2);
+    return 0;
+}
+
+/* The heights' step `moved` and what it leaves for the contact to carry, `pushed`. */
+static void step_heights(const Film *f, const double *z, Work *w) {
+    const Whole *all = &w->whole;
+    const long n = f->inner, rows = f->rows;
+    const double c1 = all->tension, c2 = all->gas;
+    for (long k = 0; k < f->count; k++) w->moved[k] = w->touching[k] ? w->obstacle[k] - w->lower[k] - z[k] : 0;
     stiffness_times(f, &w->fields, w->moved, w->pushed);
-    const double held_1 = c1 * dot(area_by, w->moved, f->count), held_2 = c2 * dot(volume_by, w->moved, f->count);
-    for (long k = 0; k < f->count; k++) w->pushed[k] = -(w->residual[k] + w->pushed[k] + held_1 * area_by[k] + held_2 * volume_by[k]);
-    gather(f, w->touching, w->pushed, w->y0), gather(f, w->touching, area_by, w->y1), gather(f, w->touching, volume_by, w->y2);
-    const double *b1 = w->plane; /* copies, before they are solved */
-    memcpy(w->plane, w->y1, n * sizeof *w->y1), memcpy(w->plane + n, w->y2, n * sizeof *w->y2);
-    double *sides[3] = {w->y0, w->y1, w->y2};
-    for (int k = 0; k < 3; k++) band_forward(n, width, w->band, sides[k]), band_backward(n, width, w->band, sides[k]);
-    const double *b2 = w->plane + n;
-    const double m11 = 1 + c1 * dot(b1, w->y1, n), m12 = c1 * dot(b1, w->y2, n), m21 = c2 * dot(b2, w->y1, n);
-    const double m22 = 1 + c2 * dot(b2, w->y2, n), r1 = c1 * dot(b1, w->y0, n), r2 = c2 * dot(b2, w->y0, n);
+    const double held_1 = c1 * dot(all->area_by, w->moved, f->count), held_2 = c2 * dot(all->volume_by, w->moved, f->count);
+    for (long k = 0; k < f->count; k++)
+        w->pushed[k] = -(w->residual[k] + w->pushed[k] + held_1 * all->area_by[k] + held_2 * all->volume_by[k]);
+    gather(f, w->touching, w->pushed, w->y0);
+    solve_heights(f, w, w->y0);
+    const double m11 = 1 + c1 * dot(all->b1, all->y1, n), m12 = c1 * dot(all->b1, all->y2, n), m21 = c2 * dot(all->b2, all->y1, n);
+    const double m22 = 1 + c2 * dot(all->b2, all->y2, n), r1 = c1 * dot(all->b1, w->y0, n), r2 = c2 * dot(all->b2, w->y0, n);
     const double det = m11 * m22 - m12 * m21, t1 = (r1 * m22 - r2 * m12) / det, t2 = (m11 * r2 - m21 * r1) / det;
     for (long i = 1; i < f->columns - 1; i++)
         for (long j = 1; j < rows - 1; j++) {
             const long k = i * rows + j, m = (i - 1) * f->inner_rows + j - 1;
-            if (!w->touching[k]) w->moved[k] = w->y0[m] - t1 * w->y1[m] - t2 * w->y2[m];
+            if (!w->touching[k]) w->moved[k] = w->y0[m] - t1 * all->y1[m] - t2 * all->y2[m];
         }
     stiffness_times(f, &w->fields, w->moved, w->pushed);
-    const double all_1 = c1 * dot(area_by, w->moved, f->count), all_2 = c2 * dot(volume_by, w->moved, f->count);
+    const double all_1 = c1 * dot(all->area_by, w->moved, f->count), all_2 = c2 * dot(all->volume_by, w->moved, f->count);
     for (long k = 0; k < f->count; k++)
-        w->pushed[k] = w->touching[k] ? -(w->residual[k] + w->pushed[k] + all_1 * area_by[k] + all_2 * volume_by[k]) : 0;
+        w->pushed[k] = w->touching[k] ? -(w->residual[k] + w->pushed[k] + all_1 * all->area_by[k] + all_2 * all->volume_by[k]) : 0;
+}
+
+/* Which nodes touch where heights are `moved` from `z` and contacts push with `force`; returns whether others did before. */
+static int decide_contact(const Film *f, const Bodies *bodies, const double *x, const double *moved, const double *force, double loose,
+                          int may_release, Work *w) {
+    const double *z = x + 2 * f->count;
+    const double released = -loose * RELEASED * f->dx * f->dy, attached = loose * ATTACHED;
+    int changed = 0;
+    for (long i = 1; i < f->columns - 1; i++)
+        for (long k = i * f->rows + 1; k < (i + 1) * f->rows - 1; k++) {
+            const double over = z[k] + moved[k] - w->obstacle[k] + w->lower[k];
+            const int touches = w->touching[k] ? isfinite(over) && (!may_release || force[k] > released) : over > attached;
+            if (touches == w->touching[k]) continue;
+            w->touching[k] = (uint8_t)touches, changed = 1;
+            if (touches) find_edges(f, bodies, x, k, EDGE_HALVES, w);
+        }
+    return changed;
 }
 
 /* -- in the plane ------------------------------------------------------------------------------------------------------ */
@@ -240,7 +278,7 @@ static void solve_small(long n, double A[MEMORY][MEMORY], double *b) {
 
 /* Anderson's mixing: `now` (4, count), the step that displacements and forces are about to make, becomes the one that would have
    ended at rest had the last `known` steps changed in proportion (Walker & Ni, SIAM J. Numer. Anal. 49, 2011). */
-static void learn(const Film *f, Work *w, long known, long newest) {
+static void learn(const Film *f, Work *w, long known) {
     const long all = 4 * f->count, places = 3 * f->count;
     double A[MEMORY][MEMORY], share[MEMORY];
     for (long a = 0; a < known; a++) {
@@ -253,88 +291,103 @@ static void learn(const Film *f, Work *w, long known, long newest) {
     for (long a = 0; a < known; a++) {
         for (long k = 0; k < all; k++) w->now[k] -= share[a] * (w->steps[a * all + k] + w->changes[a * all + k]);
     }
-    (void)newest;
 }
 
 /* -- all of it --------------------------------------------------------------------------------------------------------- */
 
+/* Heights and contact, with the sheet's stiffness as it is now; found anew as long as others touch. */
+static int settle_heights(const Film *f, const Bodies *bodies, const double *x, const double *force, const SheetSums *sums,
+                          double pressure, double gas_stiffness, double loose, int first, int most_sets, Work *w,
+                          int *changed) {
+    const double *z = x + 2 * f->count;
+    for (long k = 0; k < f->count; k++)
+        w->residual[k] = w->fields.elastic[2 * f->count + k] - pressure * w->fields.gradient[2 * f->count + k];
+    stiffen_curved(f, z, w);
+    memset(w->moved, 0, f->count * sizeof *w->moved);
+    int other = decide_contact(f, bodies, x, w->moved, force, loose, 1, w);
+    for (int sets = 0; sets < most_sets; sets++) {
+        const double pulling = find_springs(f, z, w);
+        stiffen_edges(f, z, 1, w);
+        if (first || other || pulling != w->pulled) {
+            *changed = 1, first = 0, w->pulled = pulling;
+            if (prepare_heights(f, sums, gas_stiffness, w)) return 1;
+        }
+        step_heights(f, z, w);
+        double largest = 0; /* after a long step forces say little of who will let go */
+        for (long k = 0; k < f->count; k++) largest = most(largest, fabs(w->moved[k]));
+        if (sets == most_sets - 1 || !(other = decide_contact(f, bodies, x, w->moved, w->pushed, loose, largest < SHORT, w))) return 0;
+        stiffen_edges(f, z, -1, w);
+    }
+    return 0;
+}
+
 /* Bodies are `lifted` m off where they are. Returns a status. */
-static int come_to_rest(const Film *f, const double *plane_factor, const Settings *set, const Bodies *bodies,
-                        double lifted, double *x, double *force, double *found, Work *w) {
-    int status = NOT_CONVERGED, factored = 0;
+static int come_to_rest(const Film *f, const double *plane_factor, const Settings *set, const Bodies *bodies, double lifted, double *x,
+                        double *force, double *found, Work *w) {
+    const long count = f->count, all = 4 * count;
+    const SheetFields no_stiffness = {.elastic = w->fields.elastic, .gradient = w->fields.gradient};
     long known = 0, newest = 0;
-    double pulled = 0, *z = x + 2 * f->count, last, last_before = 1e-4;
-    memset(w->before, 0, f->count), memset(w->pushed, 0, f->count * sizeof *w->pushed);
-    for (long k = 0; k < f->count; k++) w->touching[k] = force[k] > 0;
-    for (long step = 0; step < (long)set->most_steps && status == NOT_CONVERGED; step++) {
-        if (step < LOOKS) see_bodies(f, bodies, x, w), find_edges(f, bodies, x, EDGE_HALVES, w);
-        else follow_bodies(f, x, w);
-        if (!step && (status = against_the_frame(f, w))) return status;
-        status = NOT_CONVERGED;
+    double *z = x + 2 * count, last_before = FIRST_STEP;
+    memset(w->now, 0, all * sizeof *w->now), memset(w->whole.area_by, 0, 2 * count * sizeof *w->now);
+    for (long k = 0; k < count; k++) w->touching[k] = force[k] > 0;
+    for (long step = 0; step < (long)set->most_steps; step++) {
+        if (step < LOOKS) {
+            see_bodies(f, bodies, x, w);
+            for (long k = 0; k < count; k++)
+                if (w->touching[k]) find_edges(f, bodies, x, k, EDGE_HALVES, w);
+        } else {
+            follow_bodies(f, x, w);
+        }
+        const int misplaced = step ? CONVERGED : against_the_frame(f, w);
+        if (misplaced) return misplaced;
         lower_round_bodies(f, w);
-        const SheetSums before = film_sheet(f, x, &w->fields);
-        if (before.least_turn < LEAST_TURN || !isfinite(before.area)) return INSIDE_OUT;
-        double pressure, gas_stiffness, largest_shift, largest = 0;
-        gas_of(f, set, before.volume, &pressure, &gas_stiffness);
+        for (long k = 0; k < count; k++) w->obstacle[k] += lifted;
+
+        double pressure, gas_stiffness, largest = 0, largest_shift;
+        SheetSums sums = film_sheet(f, x, &w->fields);
+        if (sums.least_turn < LEAST_TURN) return INSIDE_OUT;
+        if (!isfinite(sums.area)) return BROKEN_DOWN;
+        gas_of(f, set, sums.volume, &pressure, &gas_stiffness);
         int changed = 0;
         const double loose = step < PATIENCE ? 1 : least(step - PATIENCE + 1, MOST_LOOSE);
-        for (long i = 1; i < f->columns - 1; i++)
-            for (long j = 1; j < f->rows - 1; j++) {
-                const long k = i * f->rows + j;
-                w->obstacle[k] += lifted;
-                const double over = z[k] - w->obstacle[k] + w->lower[k];
-                if (w->touching[k]) w->touching[k] = isfinite(over) && force[k] > -loose * RELEASED * f->dx * f->dy;
-                else w->touching[k] = over > loose * ATTACHED;
-                changed |= w->touching[k] != w->before[k];
-            }
-        step_plane(f, w, plane_factor, pressure, force, &largest_shift);
-        move_plane(f, w->plane, 1, x);
-        memset(w->now, 0, 4 * f->count * sizeof *w->now);
-        move_plane(f, w->plane, 1, w->now);
-        const SheetSums sums = film_sheet(f, x, &w->fields);
-        gas_of(f, set, sums.volume, &pressure, &gas_stiffness);
-        for (long k = 0; k < f->count; k++)
-            w->residual[k] = w->fields.elastic[2 * f->count + k] - pressure * w->fields.gradient[2 * f->count + k];
-        stiffen_curved(f, z, w);
-        const double pulling = find_springs(f, z, w);
-        stiffen_edges(f, z, w);
-        const int other_edges = pulling != pulled;
-        pulled = pulling;
-        if ((changed || other_edges || !factored) && factor_heights(f, w)) return INSIDE_OUT;
-        factored = 1, memcpy(w->before, w->touching, f->count);
-        step_heights(f, w, x, &sums, gas_stiffness);
-        for (long k = 0; k < f->count; k++) {
-            w->now[2 * f->count + k] = w->moved[k], w->now[3 * f->count + k] = w->pushed[k] - force[k];
+        if (settle_heights(f, bodies, x, force, &sums, pressure, gas_stiffness, loose, !step, step < QUICK ? MOST_SETS : 1, w, &changed)) return BROKEN_DOWN;
+        double *now_z = w->now + 2 * count, *now_force = w->now + 3 * count;
+        for (long k = 0; k < count; k++) {
+            now_z[k] = w->moved[k], now_force[k] = w->pushed[k] - force[k];
+            z[k] += w->moved[k], force[k] = w->pushed[k];
             largest = most(largest, fabs(w->moved[k]));
         }
-        last = most(largest, largest_shift);
-        if (!isfinite(last)) return INSIDE_OUT;
+        sums = film_sheet(f, x, &no_stiffness);
+        gas_of(f, set, sums.volume, &pressure, &gas_stiffness);
+        step_plane(f, w, plane_factor, pressure, force, &largest_shift);
+        memset(w->now, 0, 2 * count * sizeof *w->now);
+        move_plane(f, w->plane, 1, w->now), move_plane(f, w->plane, 1, x);
+
+        const double last = most(largest, largest_shift);
+        if (!isfinite(last)) return BROKEN_DOWN;
+        found[STEPS] += 1, found[LAST_STEP] = last, found[PRESSURE] = pressure, found[VOLUME] = sums.volume;
+        found[STRETCHED_AREA] = sums.area, found[TENSION] = sums.tension;
         /* steps shrink by a share that the last two tell; what all that would follow add up to is left */
         const double shrinks = clip(last / last_before, 0.05, 0.9);
-        if (!changed && last * shrinks / (1 - shrinks) < set->tolerance) status = CONVERGED;
+        if ((!changed || !step) && last * shrinks / (1 - shrinks) < set->tolerance) return CONVERGED;
         last_before = last;
-        const long all = 4 * f->count;
-        if (changed || other_edges) {
+        if (changed) {
             known = 0;
-        } else if (step > 0) {
+        } else {
             double *slot = w->changes + newest * all;
             for (long k = 0; k < all; k++) slot[k] = w->now[k] - w->last_step[k];
             known = known < MEMORY ? known + 1 : MEMORY;
         }
         memcpy(w->last_step, w->now, all * sizeof *w->now);
-        for (long c = 0; c < 2; c++)
-            for (long k = 0; k < f->count; k++) x[c * f->count + k] -= w->now[c * f->count + k]; /* back to before the step */
-        if (known && status != CONVERGED) learn(f, w, known, newest);
-        newest = changed || other_edges ? 0 : known ? (newest + 1) % MEMORY : 0;
-        for (long k = 0; k < 3 * f->count; k++) x[k] += w->now[k];
-        for (long k = 0; k < f->count; k++) force[k] = w->touching[k] ? force[k] + w->now[3 * f->count + k] : 0;
+        if (known) {
+            learn(f, w, known);
+            for (long k = 0; k < 3 * count; k++) x[k] += w->now[k] - w->last_step[k];
+            for (long k = 0; k < count; k++) force[k] = w->touching[k] ? force[k] + now_force[k] - w->last_step[3 * count + k] : 0;
+        }
+        newest = changed ? 0 : (newest + 1) % MEMORY;
         memcpy(w->steps + newest * all, w->now, all * sizeof *w->now);
-        found[STEPS] += 1, found[LAST_STEP] = last;
-        found[PRESSURE] = pressure - gas_stiffness * dot(w->fields.gradient + 2 * f->count, w->moved, f->count);
-        found[VOLUME] = sums.volume + dot(w->fields.gradient + 2 * f->count, w->moved, f->count);
-        found[STRETCHED_AREA] = sums.area, found[TENSION] = sums.tension;
     }
-    return status;
+    return NOT_CONVERGED;
 }
 
 int64_t film_solve(const double *numbers, const double *law, int64_t columns, int64_t rows, const double *plane_factor,
@@ -351,7 +404,7 @@ int64_t film_solve(const double *numbers, const double *law, int64_t columns, in
         const Settings *set = (const Settings *)settings + e;
         memset(own, 0, FOUND * sizeof *own);
         int status = come_to_rest(&f, plane_factor, set, &own_bodies, 0, own_x, own_force, own, &w);
-        if (set->most_steps > 1 && (status == NOT_CONVERGED || status == INSIDE_OUT)) { /* too large a jump: from rest, in smaller ones */
+        if (set->most_steps > 1 && (status == NOT_CONVERGED || status == INSIDE_OUT || status == BROKEN_DOWN)) { /* too large a jump: from rest, in smaller ones */
             memcpy(own_x, rest, 3 * f.count * sizeof *rest), memset(own_force, 0, f.count * sizeof *own_force);
             see_bodies(&f, &own_bodies, own_x, &w);
             double deep = 0;
@@ -359,7 +412,7 @@ int64_t film_solve(const double *numbers, const double *law, int64_t columns, in
             const long jumps = 16;
             for (long jump = jumps - 1; jump >= 0; jump--) {
                 status = come_to_rest(&f, plane_factor, set, &own_bodies, deep * jump / jumps, own_x, own_force, own, &w);
-                if (status == INSIDE_OUT || status == AT_THE_RIM || status == ON_THE_GLASS) break;
+                if (status != CONVERGED && status != NOT_CONVERGED) break;
             }
         }
         own[STATUS] = status;

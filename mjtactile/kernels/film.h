@@ -34,8 +34,9 @@ typedef struct {
     double kind, sizes[3], R[9], p[3]; /* R_SO by rows and p_SO */
     double first, number;              /* of its entries in the pool: planes, triangles, heights */
     double least;                      /* m, how wide it is where it is thinnest */
+    double reach;                      /* m, how far from p it ends at the latest */
 } FilmBody;
-#define FILM_BODY 19
+#define FILM_BODY 20
 
 enum { BODY_SPHERE, BODY_CAPSULE, BODY_ELLIPSOID, BODY_CYLINDER, BODY_BOX, BODY_PLANE, BODY_QUADRIC, BODY_DISC, BODY_CONE,
        BODY_CONVEX, BODY_TRIANGLES, BODY_HEIGHTS };

@@ -159,9 +159,11 @@ static void residuals(const Film *f, const Settings *set, const Bodies *bodies, 
                       int moved, Tangent *t, double *out) {
     Work *w = &t->work;
     const long count = f->count;
-    see_bodies(f, bodies, x, w), find_edges(f, bodies, x, FINE_HALVES, w);
-    for (long k = 0; k < count; k++) { /* a node on the very edge */
-        if (!w->touching[k] || isfinite(w->obstacle[k])) continue;
+    see_bodies(f, bodies, x, w);
+    for (long k = 0; k < count; k++) {
+        if (!w->touching[k]) continue;
+        find_edges(f, bodies, x, k, FINE_HALVES, w);
+        if (isfinite(w->obstacle[k])) continue; /* else it is on the very edge */
         w->obstacle[k] = t->obstacle[k], w->slope[k] = t->slope[k], w->slope[count + k] = t->slope[count + k];
     }
     lower_round_bodies(f, w);

@@ -22,7 +22,9 @@ static int lowest(const Film *f, const Bodies *bodies, double x, double y, doubl
                   double slope[2]) {
     double found = INFINITY, at, by[2] = {0, 0};
     for (long b = 0; b < bodies->count; b++) {
-        if (film_body_height(f, body_of(bodies, b), bodies->pool, x, y, &at, by) || at >= found) continue;
+        const FilmBody *one = body_of(bodies, b);
+        if (square(x - one->p[0]) + square(y - one->p[1]) > square(one->reach + f->numbers.half_thickness)) continue;
+        if (film_body_height(f, one, bodies->pool, x, y, &at, by) || at >= found) continue;
         found = at, slope[0] = by[0], slope[1] = by[1];
     }
     *height = found;
@@ -74,7 +76,7 @@ void see_bodies(const Film *f, const Bodies *bodies, const double *x, Work *w) {
             const double at_x = i * f->dx - f->numbers.length_x / 2 + x[k];
             const double at_y = j * f->dy - f->numbers.length_y / 2 + x[f->count + k];
             double slope[2] = {0, 0};
-            int axis = 0; /* kept in `edge`, which is found next */
+            int axis = 0; /* kept in `edge`, which is found later */
             const int off_all = lowest(f, bodies, at_x, at_y, w->obstacle + k, slope);
             const int taken = (i && ((int)w->edge[k - f->rows] & 1)) | (j && ((int)w->edge[k - 1] & 2)) << 1;
             if (off_all && thin) axis = see_between(f, bodies, at_x, at_y, taken, w->obstacle + k, slope);
@@ -95,26 +97,24 @@ static int on_a_body(const Film *f, const Bodies *bodies, double x, double y) {
 }
 
 /* Where bodies end between a node that is on one and a neighbour that is not: the share of the way, for the neighbours at +x, -x,
-   +y and -y; negative where both are on, or both off. */
-void find_edges(const Film *f, const Bodies *bodies, const double *x, int halves, Work *w) {
-    const long rows = f->rows, count = f->count;
-    for (long k = 0; k < 4 * count; k++) w->edge[k] = -1;
-    for (long i = 1; i < f->columns - 1; i++)
-        for (long j = 1; j < rows - 1; j++)
-            for (int side = 0; side < 4; side++) {
-                const long k = i * rows + j, other = k + film_next(f, side);
-                if (!isfinite(w->obstacle[k]) || isfinite(w->obstacle[other])) continue;
-                const double at[2] = {i * f->dx - f->numbers.length_x / 2 + x[k], j * f->dy - f->numbers.length_y / 2 + x[count + k]};
-                const double way[2] = {side < 2 ? (side ? -1 : 1) * f->dx + x[other] - x[k] : 0,
-                                       side < 2 ? 0 : (side == 3 ? -1 : 1) * f->dy + x[count + other] - x[count + k]};
-                double low = 0, high = 1;
-                for (int half = 0; half < halves; half++) {
-                    const double middle = (low + high) / 2;
-                    if (on_a_body(f, bodies, at[0] + middle * way[0], at[1] + middle * way[1])) low = middle;
-                    else high = middle;
-                }
-                w->edge[side * count + k] = low;
-            }
+   +y and -y; negative where both are on. */
+void find_edges(const Film *f, const Bodies *bodies, const double *x, long k, int halves, Work *w) {
+    const long rows = f->rows, count = f->count, i = k / rows, j = k % rows;
+    const double at[2] = {i * f->dx - f->numbers.length_x / 2 + x[k], j * f->dy - f->numbers.length_y / 2 + x[count + k]};
+    for (int side = 0; side < 4; side++) {
+        const long other = k + film_next(f, side);
+        w->edge[side * count + k] = -1;
+        if (!on_a_body(f, bodies, at[0], at[1]) || isfinite(w->obstacle[other])) continue;
+        const double way[2] = {side < 2 ? (side ? -1 : 1) * f->dx + x[other] - x[k] : 0,
+                               side < 2 ? 0 : (side == 3 ? -1 : 1) * f->dy + x[count + other] - x[count + k]};
+        double low = 0, high = 1;
+        for (int half = 0; half < halves; half++) {
+            const double middle = (low + high) / 2;
+            if (on_a_body(f, bodies, at[0] + middle * way[0], at[1] + middle * way[1])) low = middle;
+            else high = middle;
+        }
+        w->edge[side * count + k] = low;
+    }
 }
 
 double rises_over_edge(const Film *f, const Work *w, const double *z, long k, int side) {

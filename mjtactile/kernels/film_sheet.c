@@ -49,115 +49,137 @@ INLINE Strained strained(const FilmNumbers *o, const double *law, const double g
     return s;
 }
 
-/* What a corner of BLOCK cells in a line gives: forces on the ends of the edges along x and along y, likewise of the volume,
-   which also the corner's own height changes; stiffness of heights, three numbers; and what is summed. */
-#define BLOCK 64
+/* What BLOCK cells give. A cell has edges along x, low and high, and along y, left and right; what belongs to its nodes is in the
+   order low left, low right, high left, high right. Cells are counted by their low left nodes, so that loops go over whole fields
+   and the compiler makes vectors of them; behind each column's last cell is one that is none, and weighs nothing. */
+#define BLOCK 128
+enum { LOW_LEFT, LOW_RIGHT, HIGH_LEFT, HIGH_RIGHT };
 typedef struct {
-    double along_x[3][BLOCK], along_y[3][BLOCK], volume_x[2][BLOCK], volume_y[2][BLOCK], own[BLOCK];
-    double xx[BLOCK], yy[BLOCK], xy[BLOCK];
-    double tension[BLOCK], area[BLOCK], volume[BLOCK], turn[BLOCK];
-} Corners;
+    double force[3][4][BLOCK], volume[3][4][BLOCK];                      /* on its nodes, of elastic forces and of the volume */
+    double own[4][BLOCK], right[2][BLOCK], up[2][BLOCK], across[2][BLOCK]; /* stiffness: nodes, edges, diagonals rising and falling */
+    double weight[BLOCK], tension[BLOCK], area[BLOCK], bulge[BLOCK], turn[BLOCK];
+} Cells;
 
-/* Fields of displacements at both ends of the edges that meet in a corner, and the corner's height. */
-typedef struct { const double *low[3], *high[3], *under[3], *over[3], *height; } Ends;
+/* One corner: its stress times weight, and what it adds to sums and stiffness. */
+typedef struct { double S11, S22, S12, xx, yy, xy, turn, tension, area; } Corner;
 
-INLINE void see_corners(const Film *film, const Ends *ends, long cells, int neo_hookean, Corners *restrict out) {
+INLINE Corner see_corner(const FilmNumbers *o, const double *law, const double g1[3], const double g2[3], double weight, double over_x,
+                         double over_y, int neo_hookean, int stiffness) {
+    const Strained s = strained(o, law, g1, g2, neo_hookean);
+    Corner c = {.S11 = weight * s.S11, .S22 = weight * s.S22, .S12 = weight * s.S12, .turn = g1[0] * g2[1] - g1[1] * g2[0]};
+    c.tension = weight * (s.S11 * s.C11 + s.S22 * s.C22 + 2 * s.S12 * s.C12) * s.root / 2;
+    c.area = weight / s.root;
+    if (stiffness) {
+        const double least_tension = LEAST_TENSION * most(c.tension, 0), by = 1 / (1 + g1[2] * g1[2] + g2[2] * g2[2]);
+        c.xx = by * most(c.S11, least_tension) * over_x * over_x, c.yy = by * most(c.S22, least_tension) * over_y * over_y;
+        c.xy = by * c.S12 * over_x * over_y;
+    }
+    return c;
+}
+
+INLINE void see_cells(const Film *film, const double *restrict x, long cells, int neo_hookean, int stiffness, Cells *restrict out) {
     const Film f = *film; /* what is written might be part of it, for all that a compiler knows */
+    const long rows = f.rows;
     double law[FILM_LAW];
     memcpy(law, film->law, sizeof law);
-    const double over_x = 1 / f.dx, over_y = 1 / f.dy, weight = f.dx * f.dy / 4, wx = weight * over_x, wy = weight * over_y;
-    const double *restrict low_x = ends->low[0], *restrict low_y = ends->low[1], *restrict low_z = ends->low[2];
-    const double *restrict high_x = ends->high[0], *restrict high_y = ends->high[1], *restrict high_z = ends->high[2];
-    const double *restrict under_x = ends->under[0], *restrict under_y = ends->under[1], *restrict under_z = ends->under[2];
-    const double *restrict over_at_x = ends->over[0], *restrict over_at_y = ends->over[1], *restrict over_z = ends->over[2];
-    const double *restrict height = ends->height;
+    const double over_x = 1 / f.dx, over_y = 1 / f.dy;
+    const double *restrict y = x + f.count, *restrict z = y + f.count;
     for (long j = 0; j < cells; j++) {
-        const double g1[3] = {1 + (high_x[j] - low_x[j]) * over_x, (high_y[j] - low_y[j]) * over_x, (high_z[j] - low_z[j]) * over_x};
-        const double g2[3] = {(over_at_x[j] - under_x[j]) * over_y, 1 + (over_at_y[j] - under_y[j]) * over_y,
-                              (over_z[j] - under_z[j]) * over_y};
-        const Strained s = strained(&f.numbers, law, g1, g2, neo_hookean);
+        const double weight = out->weight[j], wx = weight * over_x, wy = weight * over_y;
+        const double *const at[3] = {x + j, y + j, z + j};
+        double low[3], high[3], left[3], right[3];
         for (int k = 0; k < 3; k++) {
-            out->along_x[k][j] = wx * (s.S11 * g1[k] + s.S12 * g2[k]);
-            out->along_y[k][j] = wy * (s.S12 * g1[k] + s.S22 * g2[k]);
+            low[k] = (k == 0) + (at[k][rows] - at[k][0]) * over_x, high[k] = (k == 0) + (at[k][rows + 1] - at[k][1]) * over_x;
+            left[k] = (k == 1) + (at[k][1] - at[k][0]) * over_y, right[k] = (k == 1) + (at[k][rows + 1] - at[k][rows]) * over_y;
         }
-        const double z = height[j], turn = g1[0] * g2[1] - g1[1] * g2[0];
-        out->volume_x[0][j] = wx * z * g2[1], out->volume_x[1][j] = -wx * z * g2[0];
-        out->volume_y[0][j] = -wy * z * g1[1], out->volume_y[1][j] = wy * z * g1[0];
-        out->own[j] = weight * turn;
-        const double tension = (s.S11 * s.C11 + s.S22 * s.C22 + 2 * s.S12 * s.C12) * s.root / 2;
-        const double least_tension = LEAST_TENSION * most(tension, 0), by = weight / (1 + g1[2] * g1[2] + g2[2] * g2[2]);
-        out->xx[j] = by * most(s.S11, least_tension) * over_x * over_x;
-        out->yy[j] = by * most(s.S22, least_tension) * over_y * over_y;
-        out->xy[j] = by * s.S12 * over_x * over_y;
-        out->tension[j] = weight * tension, out->area[j] = weight / (s.root * f.numbers.lambda2);
-        out->volume[j] = weight * z * turn, out->turn[j] = turn;
+        const Corner ll = see_corner(&f.numbers, law, low, left, weight, over_x, over_y, neo_hookean, stiffness);
+        const Corner lr = see_corner(&f.numbers, law, low, right, weight, over_x, over_y, neo_hookean, stiffness);
+        const Corner hl = see_corner(&f.numbers, law, high, left, weight, over_x, over_y, neo_hookean, stiffness);
+        const Corner hr = see_corner(&f.numbers, law, high, right, weight, over_x, over_y, neo_hookean, stiffness);
+        for (int k = 0; k < 3; k++) {
+            const double on_low = over_x * ((ll.S11 + lr.S11) * low[k] + ll.S12 * left[k] + lr.S12 * right[k]);
+            const double on_high = over_x * ((hl.S11 + hr.S11) * high[k] + hl.S12 * left[k] + hr.S12 * right[k]);
+            const double on_left = over_y * ((ll.S22 + hl.S22) * left[k] + ll.S12 * low[k] + hl.S12 * high[k]);
+            const double on_right = over_y * ((lr.S22 + hr.S22) * right[k] + lr.S12 * low[k] + hr.S12 * high[k]);
+            out->force[k][LOW_LEFT][j] = -on_low - on_left, out->force[k][LOW_RIGHT][j] = on_low - on_right;
+            out->force[k][HIGH_LEFT][j] = on_left - on_high, out->force[k][HIGH_RIGHT][j] = on_high + on_right;
+        }
+        const double zll = z[j], zlr = z[j + rows], zhl = z[j + 1], zhr = z[j + rows + 1];
+        for (int k = 0; k < 2; k++) { /* a corner's is its height times its shadow */
+            const double sign = k ? -1 : 1, along_left = sign * left[1 - k], along_right = sign * right[1 - k];
+            const double on_low = wx * (zll * along_left + zlr * along_right), on_high = wx * (zhl * along_left + zhr * along_right);
+            const double on_left = -wy * sign * (zll * low[1 - k] + zhl * high[1 - k]);
+            const double on_right = -wy * sign * (zlr * low[1 - k] + zhr * high[1 - k]);
+            out->volume[k][LOW_LEFT][j] = -on_low - on_left, out->volume[k][LOW_RIGHT][j] = on_low - on_right;
+            out->volume[k][HIGH_LEFT][j] = on_left - on_high, out->volume[k][HIGH_RIGHT][j] = on_high + on_right;
+        }
+        out->volume[2][LOW_LEFT][j] = weight * ll.turn, out->volume[2][LOW_RIGHT][j] = weight * lr.turn;
+        out->volume[2][HIGH_LEFT][j] = weight * hl.turn, out->volume[2][HIGH_RIGHT][j] = weight * hr.turn;
+        out->bulge[j] = weight * (zll * ll.turn + zlr * lr.turn + zhl * hl.turn + zhr * hr.turn);
+        out->tension[j] = ll.tension + lr.tension + hl.tension + hr.tension, out->area[j] = ll.area + lr.area + hl.area + hr.area;
+        out->turn[j] = (weight > 0 ? 0 : 1e9) + least(least(ll.turn, lr.turn), least(hl.turn, hr.turn));
+        if (!stiffness) continue;
+        const double xx_low = ll.xx + lr.xx, xx_high = hl.xx + hr.xx, yy_left = ll.yy + hl.yy, yy_right = lr.yy + hr.yy;
+        out->own[LOW_LEFT][j] = xx_low + yy_left + 2 * ll.xy, out->own[LOW_RIGHT][j] = xx_low + yy_right - 2 * lr.xy;
+        out->own[HIGH_LEFT][j] = xx_high + yy_left - 2 * hl.xy, out->own[HIGH_RIGHT][j] = xx_high + yy_right + 2 * hr.xy;
+        out->right[0][j] = lr.xy - ll.xy - xx_low, out->right[1][j] = hl.xy - hr.xy - xx_high;
+        out->up[0][j] = hl.xy - ll.xy - yy_left, out->up[1][j] = lr.xy - hr.xy - yy_right;
+        out->across[0][j] = -lr.xy - hl.xy, out->across[1][j] = ll.xy + hr.xy;
     }
 }
 
-static void see_rubber(const Film *film, const Ends *ends, long cells, Corners *restrict out) {
-    see_corners(film, ends, cells, 1, out);
+static void see_rubber(const Film *film, const double *x, long cells, Cells *out) { see_cells(film, x, cells, 1, 0, out); }
+static void see_plain(const Film *film, const double *x, long cells, Cells *out) { see_cells(film, x, cells, 0, 0, out); }
+static void see_stiff_rubber(const Film *film, const double *x, long cells, Cells *out) { see_cells(film, x, cells, 1, 1, out); }
+static void see_stiff_plain(const Film *film, const double *x, long cells, Cells *out) { see_cells(film, x, cells, 0, 1, out); }
+
+INLINE void add(double *restrict to, const double *restrict what, long n) {
+    for (long j = 0; j < n; j++) to[j] += what[j];
 }
 
-static void see_plain(const Film *film, const Ends *ends, long cells, Corners *restrict out) {
-    see_corners(film, ends, cells, 0, out);
+/* Of each cell's four nodes. */
+INLINE void add_to_nodes(double *restrict to, double what[4][BLOCK], long rows, long n) {
+    add(to, what[LOW_LEFT], n), add(to + 1, what[HIGH_LEFT], n);
+    add(to + rows, what[LOW_RIGHT], n), add(to + rows + 1, what[HIGH_RIGHT], n);
 }
 
-INLINE void add(double *restrict to, const double *restrict what, double by, long n) {
-    for (long j = 0; j < n; j++) to[j] += by * what[j];
-}
-
-/* An edge's force pulls at both its ends. */
-INLINE void pull(double *restrict low, double *restrict high, const double *restrict force, long n) {
-    for (long j = 0; j < n; j++) high[j] += force[j];
-    for (long j = 0; j < n; j++) low[j] -= force[j];
-}
-
-/* Of cells (i, first ..): corner (ci, cj). */
-static void add_corners(const Film *film, long i, long first, long n, int ci, int cj, const Corners *c, const SheetFields *to) {
-    const long rows = film->rows, count = film->count, low = i * rows + first + cj, side = (i + ci) * rows + first;
+static void add_cells(const Film *film, long first, long n, Cells *c, const SheetFields *to) {
+    const long rows = film->rows, count = film->count;
     for (int k = 0; k < 3; k++) {
-        double *elastic = to->elastic + k * count;
-        pull(elastic + low, elastic + low + rows, c->along_x[k], n), pull(elastic + side, elastic + side + 1, c->along_y[k], n);
+        add_to_nodes(to->elastic + k * count + first, c->force[k], rows, n);
+        add_to_nodes(to->gradient + k * count + first, c->volume[k], rows, n);
     }
-    for (int k = 0; k < 2; k++) {
-        double *volume = to->gradient + k * count;
-        pull(volume + low, volume + low + rows, c->volume_x[k], n), pull(volume + side, volume + side + 1, c->volume_y[k], n);
-    }
-    add(to->gradient + 2 * count + side + cj, c->own, 1, n);
     if (!to->own) return;
-    const double sign = ci == cj ? 1 : -1;
-    add(to->own + low, c->xx, 1, n), add(to->own + low + rows, c->xx, 1, n), add(to->right + low, c->xx, -1, n);
-    add(to->own + side, c->yy, 1, n), add(to->own + side + 1, c->yy, 1, n), add(to->up + side, c->yy, -1, n);
-    add(to->own + side + cj, c->xy, 2 * sign, n), add(to->right + low, c->xy, -sign, n), add(to->up + side, c->xy, -sign, n);
-    if (ci == cj) add(to->right_down + i * rows + first + 1, c->xy, 1, n); /* pairs (i, j + 1) and (i + 1, j) */
-    else add(to->right_up + i * rows + first, c->xy, -1, n);
+    add_to_nodes(to->own + first, c->own, rows, n);
+    add(to->right + first, c->right[0], n), add(to->right + first + 1, c->right[1], n);
+    add(to->up + first, c->up[0], n), add(to->up + first + rows, c->up[1], n);
+    add(to->right_up + first, c->across[0], n), add(to->right_down + first + 1, c->across[1], n);
 }
 
-static void sum_corners(const Corners *c, long n, SheetSums *sums) {
+static void sum_cells(const Film *film, const Cells *c, long n, SheetSums *sums) {
     double tension = 0, area = 0, volume = 0, turn = sums->least_turn;
-    for (long j = 0; j < n; j++) tension += c->tension[j], area += c->area[j], volume += c->volume[j];
+    for (long j = 0; j < n; j++) tension += c->tension[j], area += c->area[j], volume += c->bulge[j];
     for (long j = 0; j < n; j++) turn = c->turn[j] < turn ? c->turn[j] : turn;
-    sums->tension += tension, sums->area += area, sums->volume += volume, sums->least_turn = turn;
+    sums->tension += tension, sums->area += area / film->numbers.lambda2, sums->volume += volume, sums->least_turn = turn;
 }
 
 SheetSums film_sheet(const Film *film, const double *x, const SheetFields *to) {
-    const long rows = film->rows, count = film->count;
+    const long rows = film->rows, count = film->count, all = count - rows - 1;
+    const double weight = film->dx * film->dy / 4;
     SheetSums sums = {.least_turn = INFINITY};
-    Corners corners;
+    Cells cells;
     memset(to->elastic, 0, 3 * count * sizeof *to->elastic), memset(to->gradient, 0, 3 * count * sizeof *to->gradient);
     if (to->own) memset(to->own, 0, 5 * count * sizeof *to->own);
-    for (long cell = 0; cell < 4 * (film->columns - 1); cell++)
-        for (long first = 0; first < rows - 1; first += BLOCK) {
-            const long i = cell / 4, ci = cell / 2 % 2, cj = cell % 2, n = rows - 1 - first < BLOCK ? rows - 1 - first : BLOCK;
-            Ends ends = {.height = x + 2 * count + (i + ci) * rows + first + cj};
-            for (int k = 0; k < 3; k++) {
-                ends.low[k] = x + k * count + i * rows + first + cj, ends.high[k] = ends.low[k] + rows;
-                ends.under[k] = x + k * count + (i + ci) * rows + first, ends.over[k] = ends.under[k] + 1;
-            }
-            (film->numbers.neo_hookean != 0 ? see_rubber : see_plain)(film, &ends, n, &corners);
-            add_corners(film, i, first, n, ci, cj, &corners, to);
-            sum_corners(&corners, n, &sums);
-        }
+    void (*const see)(const Film *, const double *, long, Cells *) =
+        film->numbers.neo_hookean != 0 ? (to->own ? see_stiff_rubber : see_rubber) : (to->own ? see_stiff_plain : see_plain);
+    for (long first = 0; first < all; first += BLOCK) {
+        const long n = all - first < BLOCK ? all - first : BLOCK;
+        for (long j = 0; j < n; j++) cells.weight[j] = weight;
+        for (long j = rows - 1 - first % rows; j < n; j += rows) cells.weight[j] = 0;
+        see(film, x + first, n, &cells);
+        add_cells(film, first, n, &cells, to);
+        sum_cells(film, &cells, n, &sums);
+    }
     sums.tension /= film->numbers.length_x * film->numbers.length_y;
     return sums;
 }

@@ -4,7 +4,7 @@
 #include "film.h"
 #include "film_sheet.h"
 
-enum { CONVERGED, NOT_CONVERGED, AT_THE_RIM, ON_THE_GLASS, INSIDE_OUT };
+enum { CONVERGED, NOT_CONVERGED, AT_THE_RIM, ON_THE_GLASS, INSIDE_OUT, BROKEN_DOWN };
 
 /* What is found, one row an environment. */
 enum { FORCE_X, FORCE_Y, FORCE_Z, TORQUE_X, TORQUE_Y, TORQUE_Z, PRESSURE, VOLUME, AREA, STATUS, STEPS, STRETCHED_AREA, TENSION,
@@ -16,12 +16,18 @@ typedef struct { long count; const double *body, *pool; } Bodies;
 
 #define MEMORY 4 /* steps that the next one learns from */
 
+/* What tension and gas add to the heights' stiffness: tension a a^T + gas v v^T, a the area's and v the volume's slopes by heights,
+   (count) each; of the inner nodes that do not touch, b1 and b2, and y1 and y2 after the band's factor. */
+typedef struct { double tension, gas, *area_by, *volume_by, *b1, *b2, *y1, *y2; } Whole;
+
 typedef struct {
     SheetFields fields;
     double *obstacle, *level, *slope, *lower;          /* heights (count), see `follow_bodies`, slopes (2, count), correction */
     double *edge, *spring;                             /* see `find_edges` and `find_springs` (4, count) */
-    double *residual, *moved, *pushed, *stiff, *plane; /* (count) each; plane (2 inner) */
-    double *band, *y0, *y1, *y2;
+    double *residual, *moved, *pushed, *plane;         /* (count) each; plane (2 inner) */
+    double *band, *y0;
+    Whole whole;
+    double pulled; /* which edges' springs are in the factor */
     double *steps, *changes, *last_step, *now; /* of the last MEMORY steps: (MEMORY, 4, count) each, and (4, count) */
     uint8_t *touching, *before;
 } Work;
@@ -29,9 +35,9 @@ typedef struct {
 long film_work_size(const Film *film);
 Work film_work(const Film *film, double *room);
 
-/* Of bodies: heights and slopes over the nodes where they are; where they end, to 2^-halves of a spacing; corrections. */
+/* Of bodies: heights and slopes over the nodes where they are; where they end beside a node, to 2^-halves; corrections. */
 void see_bodies(const Film *film, const Bodies *bodies, const double *x, Work *work);
-void find_edges(const Film *film, const Bodies *bodies, const double *x, int halves, Work *work);
+void find_edges(const Film *film, const Bodies *bodies, const double *x, long node, int halves, Work *work);
 void follow_bodies(const Film *film, const double *x, Work *work);
 void lower_round_bodies(const Film *film, Work *work);
 int against_the_frame(const Film *film, const Work *work);

@@ -7,7 +7,7 @@
 
 enum { NO_MEMORY = -1, REFUSED = -2, NOT_DEFINITE = -3 };
 
-#define BAND_STRIDE(width) (((width) + 8) / 4 * 4) /* panels of four columns need three rows more */
+#define BAND_STRIDE(width) (((width) + 11) / 4 * 4) /* panels of four columns and vectors of four need seven rows more */
 #define SHEET_WIDTH(ny) (9 * (ny) + 11) /* of the band of a sheet's stiffness */
 #define SURFACE_WIDTH(nx) (3 * (nx) + 3) /* of that of a surface's normal equations */
 
@@ -203,7 +203,7 @@ int64_t update_stiction(int64_t contacts, int64_t list, const int64_t *layout /*
 
 /* film/: the sheet of `numbers` and `law` as film.h has them, on nodes (columns, rows) of which the frame's are part. Out: heights
    over `places` of `bodies`, whose planes, triangles and fields are in `pool`; infinite where there are none. */
-int64_t film_heights(const double *numbers /* 17 */, int64_t bodies, const double *body /* bodies, 19 */, int64_t pooled,
+int64_t film_heights(const double *numbers /* 17 */, int64_t bodies, const double *body /* bodies, 20 */, int64_t pooled,
                      const double *pool /* pooled or NULL */, int64_t count, const double *places /* count, 2 */,
                      double *out /* count */);
 /* Out: the band's Cholesky `factor` of the stiffness in the plane at displacements `x`. */
@@ -217,7 +217,7 @@ int64_t film_solve(const double *numbers /* 17 */, const double *law /* 11 */, i
                    const double *plane_factor /* 2 * (columns - 2) * (rows - 2), BAND_STRIDE(2 * rows - 1) */,
                    const double *rest /* 3, columns, rows */, int64_t roomy, double *room /* roomy */, int64_t environments,
                    int64_t begin, int64_t end, const double *settings /* environments, 4 */, int64_t bodies,
-                   const double *body /* environments, bodies, 19 */, int64_t pooled, const double *pool /* pooled or NULL */,
+                   const double *body /* environments, bodies, 20 */, int64_t pooled, const double *pool /* pooled or NULL */,
                    double *x /* environments, 3, columns, rows */, double *force /* environments, columns, rows */,
                    double *found /* environments, 14 */);
 int64_t film_derive_room(const double *numbers /* 17 */);
@@ -225,7 +225,7 @@ int64_t film_derive_room(const double *numbers /* 17 */);
    that are `steps` of it before, and those that are as much after. Out: of displacements, forces and what film_solve finds. */
 int64_t film_derive(const double *numbers /* 17 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t roomy,
                     double *room /* roomy */, const double *settings /* 4 */, int64_t bodies, int64_t changes,
-                    const double *body /* 1 + 2 * changes, bodies, 19 */, int64_t pooled, const double *pool /* pooled or NULL */,
+                    const double *body /* 1 + 2 * changes, bodies, 20 */, int64_t pooled, const double *pool /* pooled or NULL */,
                     const double *steps /* changes */, const double *x /* 3, columns, rows */,
                     const double *force /* columns, rows */, double *by_x /* changes, 3, columns, rows */,
                     double *by_force /* changes, columns, rows */, double *by_found /* changes, 14 */);
