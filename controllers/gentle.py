@@ -23,12 +23,10 @@ OPENING_SPEED = 0.040
 # m/s of opening for each N of error: with 160 N/m of grip, settles in 0.2 s, six times the delay
 REGULATION_GAIN = 0.03
 REGULATION_SPEED_MAX = 0.010
-LIFT_HEIGHT = 0.040
 LIFT_SPEED = 0.040
-# s, then what is held stands already, tilted, and keeps the hand up
-LOWER_TIME_MAX = LIFT_HEIGHT / LIFT_SPEED + 1.0
+# s more than lowering takes: then what is held stands already, tilted, and keeps the hand up
+LOWER_TIME_SPARE = 1.0
 SETTLE_TIME = 0.4
-HOLD_TIME = 2.0
 GRIP_TIMEOUT = 6.0
 FORCE_TOLERANCE = 0.08  # N around the target that counts as settled
 BLIND_TIME_MAX = 0.5  # s without a usable image before giving up
@@ -153,29 +151,39 @@ def _regulate(observation: Observation, command: Command, felt: list[float]) -> 
 
 def _lift(observation: Observation, command: Command, felt: list[float]) -> Command:
     command = _regulated(observation, command, felt)
-    height = min(LIFT_HEIGHT, command.lift_height + LIFT_SPEED * observation.period)
+    height = min(
+        observation.told.lift_height, command.lift_height + LIFT_SPEED * observation.period
+    )
     command = replace(command, lift_height=height)
     return (
-        _go(command, "hold") if observation.gripper.lift_height > LIFT_HEIGHT - 0.001 else command
+        _go(command, "hold")
+        if observation.gripper.lift_height > observation.told.lift_height - 0.001
+        else command
     )
 
 
 def _hold(observation: Observation, command: Command, felt: list[float]) -> Command:
     command = _regulated(observation, command, felt)
     command = _remember(command, held=shear(observation.touch).tolist())
-    return _go(command, "lower") if command.memory["phase_time"] >= HOLD_TIME else command
+    return (
+        _go(command, "lower")
+        if command.memory["phase_time"] >= observation.told.hold_time
+        else command
+    )
 
 
 def _lower(observation: Observation, command: Command, felt: list[float]) -> Command:
     command = _regulated(observation, command, felt)
-    height = max(0.0, command.lift_height - LIFT_SPEED * observation.period)
+    goal = observation.told.place_height
+    height = max(goal, command.lift_height - LIFT_SPEED * observation.period)
     command = replace(command, lift_height=height)
     # what slid down in the grip stands before the hand is down: no further, onto its edge
     held = command.memory.get("held", shear(observation.touch))
     if support(observation.touch, held) > TABLE_FORCE:
         return _remember(_go(command, "release"), grip_opening=command.opening)
-    if height == 0.0 and (
-        observation.gripper.lift_height < 0.001 or command.memory["phase_time"] > LOWER_TIME_MAX
+    time_max = (observation.told.lift_height - goal) / LIFT_SPEED + LOWER_TIME_SPARE
+    if height == goal and (
+        observation.gripper.lift_height < goal + 0.001 or command.memory["phase_time"] > time_max
     ):
         return _remember(_go(command, "release"), grip_opening=command.opening)
     return command

@@ -22,12 +22,9 @@ FREE_TIME = 0.5
 CLOSING_SPEED = 0.010
 OPENING_SPEED = 0.040
 LIFT_SPEED = 0.040
-# m, s
-LIFT_HEIGHT = 0.040
-HOLD_TIME = 2.0
-SETTLE_TIME = 0.4
-# s, then what is held stands already, tilted, and keeps the hand up
-LOWER_TIME_MAX = LIFT_HEIGHT / LIFT_SPEED + 1.0
+SETTLE_TIME = 0.4  # s
+# s more than lowering takes: then what is held stands already, tilted, and keeps the hand up
+LOWER_TIME_SPARE = 1.0
 # m beyond the grip, s
 RELEASE_OPENING = 0.012
 RELEASE_TIME = 2.0
@@ -38,6 +35,7 @@ def step(observation: Observation) -> Command:
     """One control cycle."""
     last = observation.command
     gripper = observation.gripper
+    told = observation.told
     period = observation.period
     time = last.memory.get("phase_time", 0.0) + period
     effort = last.memory.get("effort", 0.0)
@@ -52,14 +50,17 @@ def step(observation: Observation) -> Command:
         return _go(command, "lift") if time >= SETTLE_TIME else command
     if last.phase == "lift":
         command = replace(
-            command, lift_height=min(LIFT_HEIGHT, last.lift_height + LIFT_SPEED * period)
+            command, lift_height=min(told.lift_height, last.lift_height + LIFT_SPEED * period)
         )
-        return _go(command, "hold") if gripper.lift_height > LIFT_HEIGHT - 0.001 else command
+        is_up = gripper.lift_height > told.lift_height - 0.001
+        return _go(command, "hold") if is_up else command
     if last.phase == "hold":
-        return _go(command, "lower") if time >= HOLD_TIME else command
+        return _go(command, "lower") if time >= told.hold_time else command
     if last.phase == "lower":
-        command = replace(command, lift_height=max(0.0, last.lift_height - LIFT_SPEED * period))
-        stands = gripper.lift_height < 0.001 or time > LOWER_TIME_MAX
+        goal = told.place_height
+        command = replace(command, lift_height=max(goal, last.lift_height - LIFT_SPEED * period))
+        time_max = (told.lift_height - goal) / LIFT_SPEED + LOWER_TIME_SPARE
+        stands = gripper.lift_height < goal + 0.001 or time > time_max
         return _go(command, "release", grip=command.opening) if stands else command
     if last.phase == "release":
         goal = last.memory["grip"] + RELEASE_OPENING

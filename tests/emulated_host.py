@@ -58,7 +58,8 @@ def shipped_with(controller: str, **constants: float) -> str:
 
 def controller_text(hold: float = 60.0) -> str:
     """The shipped controller, quicker, holding for `hold` s."""
-    return shipped_with("gentle", CLOSING_SPEED=0.045, SETTLE_TIME=0.1, HOLD_TIME=hold)
+    text = shipped_with("gentle", CLOSING_SPEED=0.045, SETTLE_TIME=0.1)
+    return text.replace("observation.told.hold_time", f"{hold}")
 
 
 class Host:

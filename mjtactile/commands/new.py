@@ -22,6 +22,7 @@ examples:
   mjtactile new object plum --like strawberry
   mjtactile new object thing --like random:7
   mjtactile new scenario my_scene          what `grasp --scenario my_scene.toml` runs
+  mjtactile new task juggle --like shake   what `grasp --task ./juggle.toml` does
   mjtactile new variation my_world         what `evaluate --vary my_world.toml` draws from
   mjtactile new rig my_gripper --like one_xl330_linkage
   mjtactile new rig my_arm --like sim_arm  my_arm.toml, and the robot in it, my_arm.xml
@@ -64,6 +65,7 @@ KINDS = {
     "scenario": Kind(
         "models/scenarios", ".toml", "lift", "scenario", "mjtactile grasp --scenario {file}"
     ),
+    "task": Kind("models/tasks", ".toml", "lift", "tasks", "mjtactile grasp --task {file}"),
     "variation": Kind(
         "models/variations", ".toml", "default", "evaluate", "mjtactile evaluate --vary {file}"
     ),

@@ -54,7 +54,8 @@ def _option(name: str) -> dict[str, Any]:
             f"world: {_shipped('models/variations', '.toml')}, none, or your own file"
         )
         return {"metavar": "NAME|FILE.toml", "help": text}
-    return {"metavar": "TASK", "help": "what to do with it: lift"}
+    text = f"what is done with it: {_shipped('models/tasks', '.toml')}, or your own file"
+    return {"metavar": "NAME|FILE.toml", "help": text}
 
 
 def add_arguments(

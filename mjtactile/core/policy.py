@@ -22,9 +22,6 @@ from mjtactile.core.types import Array, Command, Observation, Touch
 OPENING_SPEED = 0.05
 FORCE_LIMIT = 8.0
 LIFT_SPEED = 0.05
-# m, s: how high a grasp lifts, and how long it holds there
-LIFT_HEIGHT = 0.040
-HOLD_TIME = 2.0
 PHASES = ("approach", "close", "regulate", "lift", "hold", "lower", "release")
 # m: from where on the hand is lifted; off its goal; above the table
 _RISEN = 0.002
@@ -125,7 +122,9 @@ def policy_command(observation: Observation, action: ArrayLike) -> Command:
     opening = last.opening + OPENING_SPEED * rate * period
     if math.isfinite(gripper.opening):
         opening = min(max(opening, gripper.opening - _LEAD), gripper.opening + _LEAD)
-    height = min(max(last.lift_height + LIFT_SPEED * lift * period, 0.0), LIFT_HEIGHT)
+    height = min(
+        max(last.lift_height + LIFT_SPEED * lift * period, 0.0), observation.told.lift_height
+    )
     phase, memory = _progress(observation)
     return replace(
         last,
@@ -214,9 +213,9 @@ def _next(phase: str, observation: Observation, time: float, grip: float) -> str
             return "regulate"
         return "close" if any(touching) else "approach"
     ends = {
-        "lift": height > LIFT_HEIGHT - _NEAR,
-        "hold": time >= HOLD_TIME,
-        "lower": height < _DOWN,
+        "lift": height > observation.told.lift_height - _NEAR,
+        "hold": time >= observation.told.hold_time,
+        "lower": height < observation.told.place_height + _DOWN,
         "release": not any(touching) and gripper.opening > grip + _CLEAR,
     }
     after = {"lift": "hold", "hold": "lower", "lower": "release", "release": "done"}

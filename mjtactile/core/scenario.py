@@ -20,8 +20,6 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.fields import Entry, Number, entry, text, whole
 from mjtactile.core.toml import Section
 
-TASKS = ("lift",)
-"""Close on the object, lift it, hold it for two seconds, set it down."""
 TIME_LIMIT = 60.0  # s on the rig's clock; a gentle grasp takes about 10
 
 
@@ -102,7 +100,7 @@ class Scenario:
 
     Attributes:
         object: What is grasped: a shipped name, FILE.xml or "random:N".
-        task: What is done with it, one of `TASKS`.
+        task: What is done with it: a shipped name, or FILE.toml.
         controller: Shipped name or FILE.py.
         rig: Shipped name, FILE.toml, "replay:FOLDER", or that of an installed backend.
         sensor: What is on each finger: shipped name, FILE.toml, or a design made in memory.
@@ -114,11 +112,11 @@ class Scenario:
         time_limit: s on the rig's clock after which the run is ended; inf: never.
 
     Raises:
-        InputError: For an unknown task, or a seed or time limit out of range.
+        InputError: For a seed or time limit out of range.
     """
 
     object: str = _file("object", "models/objects", ".xml", "random:N", default="egg")
-    task: str = text("task", TASKS, default="lift")
+    task: str = _file("task", "models/tasks", ".toml", default="lift")
     controller: str = _file("controller", "controllers", ".py", default="gentle")
     rig: str = _file("rig", "models/rigs", ".toml", "replay:FOLDER", default="sim")
     sensor: str | SensorDesign = entry(_SENSOR, "dense")
@@ -132,8 +130,6 @@ class Scenario:
     time_limit: float = entry(_Limit(key="time_limit_s", low=0.1, high=86400), TIME_LIMIT)
 
     def __post_init__(self) -> None:
-        if self.task not in TASKS:
-            raise InputError(f"unknown task {self.task!r}", field="task", choices=TASKS)
         if self.seed < 0:
             raise InputError(f"{self.seed} is not a whole number from 0 up", field="seed")
         if not self.time_limit > 0:

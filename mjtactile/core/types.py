@@ -564,6 +564,27 @@ class Command:
         return Command, tuple((values | {"memory": dict(self.memory)}).values())
 
 
+@dataclass(frozen=True)
+class Told:
+    """What a task asks of the robot.
+
+    Attributes:
+        lift_height: m, how high it shall lift.
+        hold_time: s, how long it shall hold there.
+        place_height: m of the hand over where it gripped, where the thing shall be set down; the
+            place may be higher or lower than that.
+        hand_over: Whether somebody will take the thing out of the hand.
+    """
+
+    lift_height: float = 0.040
+    hold_time: float = 2.0
+    place_height: float = 0.0
+    hand_over: bool = False
+
+
+TOLD = Told()
+
+
 @dataclass(frozen=True, eq=False)
 class Observation:
     """What a controller sees once a control cycle: only what the sensors say.
@@ -576,6 +597,7 @@ class Observation:
         valves: The valves' states, in the order of the fingers that have one.
         command: The last command really sent, with the `phase` and `memory` that the controller put
             into it.
+        told: What the task asks for.
     """
 
     time: float
@@ -584,3 +606,4 @@ class Observation:
     gripper: GripperState
     valves: tuple[ValveState, ...]
     command: Command
+    told: Told = TOLD

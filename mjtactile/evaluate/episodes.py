@@ -19,6 +19,7 @@ from typing import Any
 
 from mjtactile.core.errors import Interrupted, MjtactileError
 from mjtactile.core.scenario import Scenario
+from mjtactile.core.task import load_task
 from mjtactile.recording.observer import Observer
 from mjtactile.recording.writer import Recorder
 from mjtactile.rig.file import load_sim_rig
@@ -38,6 +39,8 @@ OUTCOMES = ("held", "dropped", "crushed", *STOPPED, "error")
 no failure."""
 RANDOM = "random"
 """In place of an object: another one each time."""
+JUDGED = ("margin_true", "margin_above_2_true", "bump_N_s_true", "tilt_deg_true", "let_go_s_true")
+"""What a task measures by truth; null where it has none of it."""
 _KEPT = (
     "outcome",
     "peak_force_N",
@@ -45,6 +48,7 @@ _KEPT = (
     "hold_force_N",
     "hold_force_true_N",
     "slip_mm_true",
+    *JUDGED,
     "frames",
     "reason",
 )
@@ -126,7 +130,7 @@ def run_episode(episode: Episode) -> dict[str, Any]:
         "controller": episode.controller,
         "object": Path(scenario.object).stem.partition(":")[0],
         "seed": scenario.seed,
-        **{key: _json(summary.get(key)) for key in _KEPT},
+        **{key: _json(summary.get(key)) for key in _KEPT if key not in JUDGED or key in summary},
         "time_s": facts.time,
         "phases": " > ".join(facts.phases),
     }
@@ -145,6 +149,8 @@ def _drawn_values(scenario: Scenario) -> dict[str, Any]:
     seed = seed_of(scenario.object)
     thing = {} if seed is None else random_thing(seed).values
     file = load_sim_rig(scenario.rig)
+    task = load_task(scenario.task).draw(scenario.seed, len(file.fingers))
+    thing = thing | dict(task.values)
     return thing | dict(draw(scenario.vary, scenario.seed, scenario.design(), file).values)
 
 

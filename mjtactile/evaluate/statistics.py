@@ -9,13 +9,17 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from mjtactile.evaluate.episodes import OUTCOMES, STOPPED
+from mjtactile.evaluate.episodes import JUDGED, OUTCOMES, STOPPED
 from mjtactile.evaluate.varied import MEASURES, against, measures
 from mjtactile.evaluate.wilson import Line, wilson
 
-FORCES = {"peak_N": "peak_force_true_N", "hold_N": "hold_force_true_N"}
+FORCES = {
+    "peak_N": "peak_force_true_N",
+    "hold_N": "hold_force_true_N",
+    **{name.removesuffix("_true"): name for name in JUDGED},
+}
 """On a finger, the largest and while holding, N: what a controller's touch is judged by where
-everything is held."""
+everything is held; and what a task measures."""
 
 
 def paired(first: Iterable[Line], second: Iterable[Line]) -> dict[str, Any]:
@@ -169,8 +173,8 @@ def table(summary: Mapping[str, Any]) -> str:
     """The summary as Markdown."""
     lines = [
         "| controller | object | held | 95 % interval | dropped | crushed | stopped | errors | "
-        "largest force, N: median (worst) | held with, N: 5-95 % |",
-        "|---" * 10 + "|",
+        "largest force, N: median (worst) | held with, N: 5-95 % | grip over need: median |",
+        "|---" * 11 + "|",
     ]
     for name, mine in summary["controllers"].items():
         for label, group in (("all", mine), *mine["objects"].items()):
@@ -181,7 +185,8 @@ def table(summary: Mapping[str, Any]) -> str:
                 f"{100 * low:.1f}-{100 * high:.1f} % | {group['dropped']} | {group['crushed']} | "
                 f"{stopped_text(group)} | {group['error']} | "
                 f"{_texts(group['peak_N'], '{median:.2f} ({most:.2f})')} | "
-                f"{_texts(group['hold_N'], '{p5:.2f}-{p95:.2f}')} |"
+                f"{_texts(group['hold_N'], '{p5:.2f}-{p95:.2f}')} | "
+                f"{_texts(group['margin'], '{median:.1f}')} |"
             )
     for pair in summary["paired"]:
         lines += ["", pair_text(pair)]

@@ -19,6 +19,7 @@ import numpy as np
 from mjtactile.core.errors import DeviceError, InputError, SimulationError
 from mjtactile.core.policy import policy_command
 from mjtactile.core.scenario import Scenario
+from mjtactile.core.task import load_task
 from mjtactile.core.types import Array
 from mjtactile.gym.observe import show, space_of
 from mjtactile.recording.observer import Observer
@@ -26,6 +27,7 @@ from mjtactile.rig.finger import Rig
 from mjtactile.rig.registry import SIMULATES, build_rig
 from mjtactile.rig.variation import NONE
 from mjtactile.run.cycle import ENDS, ControlCycle
+from mjtactile.run.judge import Judge
 from mjtactile.run.perceive import Perceivers
 from mjtactile.run.scoring import GraspScore
 from mjtactile.run.session import Session
@@ -51,6 +53,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         time_limit: s until an episode is cut off.
         render_mode: None, or "rgb_array": the cameras' images.
         scenario: In place of all of these names, and of its own seed, controller and time limit.
+        task: What is done: a shipped name, or FILE.toml.
 
     Raises:
         InputError: For names that do not exist.
@@ -70,6 +73,7 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         time_limit: float = 20.0,
         render_mode: str | None = None,
         scenario: Scenario | None = None,
+        task: str = "lift",
     ):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise InputError(
@@ -82,7 +86,13 @@ class GraspEnv(gymnasium.Env[Any, Array]):
         self._kind = observation
         self._limit = time_limit
         self.scenario = scenario or Scenario(
-            object=object, sensor=sensor, rig=rig, vary=vary, effects=effects, accuracy=accuracy
+            object=object,
+            sensor=sensor,
+            rig=rig,
+            vary=vary,
+            effects=effects,
+            accuracy=accuracy,
+            task=task,
         )
         self._session: Session | None = None
         self._restart: Restart | None = None
@@ -119,7 +129,8 @@ class GraspEnv(gymnasium.Env[Any, Array]):
             for perception, state in zip(self._session.perceptions, self._states, strict=True):  # type: ignore[union-attr]
                 perception.state = state  # type: ignore[attr-defined]
         rig = self._rig
-        self._score = GraspScore(rig.scene)
+        drawn = replace(self.scenario, seed=self._seed)
+        self._score = GraspScore(rig.scene, Judge.of(drawn, rig))
         rig.scene.after_each_step(self._score.after_step)
         self._over = False
         assert self._session is not None
@@ -204,7 +215,8 @@ class GraspEnv(gymnasium.Env[Any, Array]):
             )
         self._session = Session(rig, threads=0)
         self._session.take_references()
-        if self.scenario.vary == NONE and movable(rig.scene):
+        is_plain = load_task(self.scenario.task).is_plain
+        if self.scenario.vary == NONE and is_plain and movable(rig.scene):
             self._restart = Restart(rig, seed)
             self._states = [perception.state for perception in self._session.perceptions]  # type: ignore[attr-defined]
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from mjtactile.core.calibration import Calibration, pressure_reading
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.types import PressureReading, ValveState
+from mjtactile.core.types import TOLD, PressureReading, Told, ValveState
 from mjtactile.rig.limits import Limits
 from mjtactile.rig.protocols import Camera, Clock, Gripper, Valve
 
@@ -92,6 +92,7 @@ class Rig:
             off, why, and its price.
         flags: What makes the numbers of a simulation worse than usual, so far: the kind of doubt
             and its reason; of a replay those that were recorded.
+        told: What the task asks of the robot.
         scene: The simulated world, for scoring alone; None on a real rig. Sensing and controllers
             never see a `Rig`.
     """
@@ -108,6 +109,7 @@ class Rig:
     simulated: Mapping[str, Any] = field(default_factory=dict)
     flags: Callable[[], Mapping[str, str]] = dict
     scene: Any = None
+    told: Told = TOLD
 
     @property
     def period(self) -> float:

@@ -9,7 +9,7 @@ itself.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -17,6 +17,7 @@ from mjtactile.core import resources
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
+from mjtactile.core.task import load_task
 from mjtactile.rig.file import RigFile, read_rig_file
 from mjtactile.rig.finger import Rig
 from mjtactile.rig.scenario import with_sensors
@@ -76,7 +77,9 @@ def build_rig(scenario: Scenario | str, design: SensorDesign | None = None, **fi
             field="--vary",
             choices=[NONE],
         )
-    return load_backend(RIGS, kind)(RigRequest(wanted, wanted.design(), argument, file))
+    told = load_task(wanted.task).orders.told()
+    rig = load_backend(RIGS, kind)(RigRequest(wanted, wanted.design(), argument, file))
+    return replace(rig, told=told)
 
 
 def as_scenario(

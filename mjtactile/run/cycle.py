@@ -123,7 +123,13 @@ class ControlCycle:
             self.gripper = _UNKNOWN_GRIPPER
         self.perception_ms = 1e3 * (wall.perf_counter() - self._seen)
         return Observation(
-            self.now, self.rig.period, self.touch, self.gripper, self.valves, self.last
+            self.now,
+            self.rig.period,
+            self.touch,
+            self.gripper,
+            self.valves,
+            self.last,
+            self.rig.told,
         )
 
     def send(self, wanted: Command) -> Command:

@@ -13,6 +13,7 @@ import numpy as np
 
 from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.core.scenario import Scenario
+from mjtactile.core.task import load_task
 from mjtactile.recording.observer import Observer, Observers
 from mjtactile.rig.finger import Rig
 from mjtactile.run.controller import Stepper, load_controller
@@ -48,6 +49,9 @@ class GraspResult:
     flags: Mapping[str, str] = field(default_factory=dict)
     """What makes the simulation's numbers worse than usual: the kind of doubt, and its reason."""
 
+    measures: Mapping[str, float] = field(default_factory=dict)
+    """What the task measures by truth, by its name in results."""
+
     def summary(self) -> dict[str, Any]:
         """The JSON object of `mjtactile grasp --json`; what is unknown is NaN here and null
         there."""
@@ -67,6 +71,7 @@ class GraspResult:
         if not math.isnan(self.peak_stress_true):
             found["peak_stress_kPa_true"] = 1e-3 * self.peak_stress_true
             found["peak_energy_kJ_m3_true"] = 1e-3 * self.peak_energy_true
+        found |= self.measures
         if self.reason:
             found["reason"] = self.reason
         if not self.images:
@@ -176,14 +181,18 @@ def run_grasp(
     with open_session(scenario, workers=workers, say=watching.message) as session:
         rig = session.rig
         watching.begin(session)
-        score = _score(rig, watching)
+        score = _score(scenario, rig, watching)
         session.take_references(watching)
         log = _Log(watching, score, _estimate(rig) if error_estimate else None)
         begin = wall.perf_counter()
         start = rig.clock.now()
         completed = False
         try:
-            last = session.run(controller, time_limit=scenario.time_limit, observer=log)
+            last = session.run(
+                controller,
+                time_limit=min(scenario.time_limit, load_task(scenario.task).time_limit),
+                observer=log,
+            )
             completed = last.phase == "done"
         except SimulationError:
             if score is None or not score.is_decided:
@@ -209,13 +218,14 @@ def _estimate(rig: Rig) -> Any:
     return GraspEstimate(rig.scene)
 
 
-def _score(rig: Rig, observer: Observer) -> Any:
+def _score(scenario: Scenario, rig: Rig, observer: Observer) -> Any:
     """A score that looks at the truth after every physics step; None on a rig that has no truth."""
     if rig.scene is None:
         return None
+    from mjtactile.run.judge import Judge
     from mjtactile.run.scoring import GraspScore
 
-    score = GraspScore(rig.scene)
+    score = GraspScore(rig.scene, Judge.of(scenario, rig))
     rig.scene.after_each_step(score.after_step)
     force = rig.scene.object.break_force
     varied = {"varied": rig.varied} if rig.varied else {}
@@ -259,4 +269,5 @@ def _result(
         images=score is None or "images" in score.world.effects,
         peak_stress_true=score.peak_stress if score else math.nan,
         peak_energy_true=score.peak_energy if score else math.nan,
+        measures=score.measures() if score else {},
     )

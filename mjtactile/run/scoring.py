@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.types import Array, Touch
+from mjtactile.run.judge import Judge
 from mjtactile.sim import truth
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.view import SceneView
@@ -29,6 +30,7 @@ class GraspScore:
     began it."""
 
     world: GraspWorld
+    judge: Judge | None = None
     phase: str = "approach"
     peak_force: float = 0.0
     peak_stress: float = math.nan
@@ -100,6 +102,8 @@ class GraspScore:
             max(forces) > self.world.object.break_force or self._is_torn()
         ) and self.crushed_at is None:
             self.crushed_at = self.world.time
+        if self.judge is not None:
+            self.judge.after_step(forces, self.phase)
         if self.phase not in ("lift", "hold"):
             return
         p_WO = self._object_position()
@@ -145,6 +149,8 @@ class GraspScore:
 
     def reason(self) -> str:
         """Why a lifted object was dropped, if it was too heavy for the grip; "" otherwise."""
+        if self.outcome() == "dropped" and self._is_held and self.judge is not None:
+            return self.judge.failure()
         model = self.world.model
         weight = float(model.body_mass[self._bodies].sum() * np.linalg.norm(model.opt.gravity))
         if self.outcome() != "dropped" or self._grip_start is None or weight <= self._carried:
@@ -159,7 +165,16 @@ class GraspScore:
         "dropped"."""
         if self.crushed_at is not None:
             return "crushed"
-        return "held" if self._held and all(self._held) else "dropped"
+        fails = self.judge is not None and self.judge.failure()
+        return "held" if self._is_held and not fails else "dropped"
+
+    @property
+    def _is_held(self) -> bool:
+        return bool(self._held) and all(self._held)
+
+    def measures(self) -> dict[str, float]:
+        """What else the task measures, by its name in results."""
+        return {} if self.judge is None else self.judge.measures()
 
     @property
     def is_decided(self) -> bool:

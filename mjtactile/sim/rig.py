@@ -13,6 +13,7 @@ import numpy as np
 from mjtactile.core.calibration import GAUGE_SD
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.scenario import Scenario
+from mjtactile.core.task import DrawnTask, load_task
 from mjtactile.core.types import Command, GripperState, ValveState
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.finger import Rig, make_fingers
@@ -20,12 +21,13 @@ from mjtactile.rig.limits import Limits
 from mjtactile.rig.registry import RigRequest
 from mjtactile.rig.simulated import SimRigFile
 from mjtactile.rig.specimen import SpecimenConfig, true_design
-from mjtactile.rig.variation import FAULTLESS, Drawn, RigChange, draw
+from mjtactile.rig.variation import FAULTLESS, Drawn, ObjectChange, RigChange, draw
 from mjtactile.sim.attach import DEFAULT_MESH
 from mjtactile.sim.camera import SimCamera
 from mjtactile.sim.effects.catalog import choose
 from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR, Fidelity
 from mjtactile.sim.scenes.grasp_world import GraspWorld, finger_designs
+from mjtactile.sim.scenes.happenings import Happenings
 from mjtactile.sim.scenes.objects import ObjectModel, load_object
 from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor.runtime import TactileSensor
@@ -282,7 +284,11 @@ def build_sim_rig(
     pose, seeds = start_of(seed)
     fidelity = Fidelity.parse(scenario.accuracy) if scenario.accuracy else None
     largest = _LARGEST_STEP if fidelity is None else fidelity.timestep * (1 + 1e-9)
-    grasped = load_object(scenario.object).changed(drawn.object)
+    task = load_task(scenario.task)
+    drawn_task = task.draw(seed, len(file.fingers))
+    grasped = load_object(scenario.object)
+    drawn = replace(drawn, object=_with_task(drawn.object, drawn_task, grasped, design))
+    grasped = _breaking(grasped.changed(drawn.object), drawn_task, len(file.fingers))
     wanted = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.asked
     chosen = choose(design, grasped, force_error=wanted, overrides=scenario.effects)
     on = chosen.on
@@ -309,6 +315,9 @@ def build_sim_rig(
     )
     if fidelity is not None:
         world.model.opt.tolerance = fidelity.tolerance
+    if drawn_task.events:
+        happens = Happenings(world, drawn_task.events, task.orders.lift_height)
+        world.after_each_step(happens.step)
     clock = SimClock(world)
     cameras = tuple(
         SimCamera(sensor, s, on, own)
@@ -343,11 +352,32 @@ def build_sim_rig(
         clock=clock,
         limits=limits,
         close=clock.close,
-        varied=drawn.values,
+        varied={**drawn.values, **drawn_task.values},
         flags=lambda: world.flags,
         scene=world,
         simulated={"mesh": mesh, "timestep_ms": 1e3 / (rate * steps), "effects": chosen.summary()},
     )
+
+
+def _with_task(
+    change: ObjectChange, task: DrawnTask, grasped: ObjectModel, design: SensorDesign
+) -> ObjectChange:
+    """The object's changes with the mass and the friction that the task says, if it does."""
+    if task.mass is not None:
+        plain = (1 + change.size) ** 3 * grasped.mass
+        change = replace(change, mass=task.mass / plain - 1)
+    if task.friction is not None:
+        change = replace(change, friction=task.friction / design.membrane.friction - 1)
+    return change
+
+
+def _breaking(grasped: ObjectModel, task: DrawnTask, fingers: int) -> ObjectModel:
+    """The object with the break force that the task says, if it does: it goes with what the task
+    needs of a finger."""
+    if task.breaking is None or task.friction is None:
+        return grasped
+    need = task.need(grasped.mass, task.friction, fingers)
+    return replace(grasped, break_force=task.breaking * need)
 
 
 def build(request: RigRequest) -> Rig:

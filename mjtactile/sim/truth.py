@@ -246,6 +246,24 @@ def object_bodies(world: World) -> NDArray[np.int64]:
     return moving_bodies(world.model, PREFIX)
 
 
+def support_force(world: World, bodies: NDArray[np.int64]) -> float:
+    """Upward force, N, of what does not move (table, stand) on `bodies`, those of the object."""
+    data = world.data
+    model = world.model
+    is_geom = data.contact.geom >= 0
+    owner = np.where(is_geom, model.geom_bodyid[data.contact.geom], 0)
+    is_object = np.isin(owner, bodies) & is_geom
+    is_place = (model.body_weldid[owner] == 0) & is_geom
+    both = (is_object & is_place[:, ::-1]).any(axis=1) & (data.contact.efc_address >= 0)
+    force = np.zeros(6)
+    total = 0.0
+    for row in np.flatnonzero(both):
+        mujoco.mj_contactForce(model, data, row, force)
+        up = float(force[:3] @ data.contact.frame[row].reshape(3, 3)[:, 2])
+        total += up if is_object[row, 1] else -up  # it acts on the second
+    return total
+
+
 def object_position(world: World, bodies: NDArray[np.int64] | None = None) -> Array:
     """Centre of mass (3,) m of the grasped object with its soft parts, frame W."""
     parts = object_bodies(world) if bodies is None else bodies

@@ -1,0 +1,259 @@
+"""As hard as needed: grip as lightly as the load lets, and learn load and friction in the hand.
+
+- **Load.** A finger feels along its membrane what it carries. The grip follows the largest shear of
+  the last second: what is filled is gripped harder, what is emptied more lightly.
+- **Friction.** Coulomb: a finger holds as long as shear < mu * normal force. It begins with a low
+  `mu`. A hold at a ratio shows that mu is at least that; a slip at a ratio shows what mu is.
+- **Margin.** The grip is MARGIN times what load and friction ask for. While nothing slips the
+  belief in friction grows slowly, so that the grip loosens, down to where the ratio itself is the
+  proof; a slip takes it back at once.
+- **The table and other hands.** Shear that goes, and comes again from the other side, is the
+  table: the thing stands, let go. Shear that changes otherwise and stays so is somebody who pulls.
+
+`step` is pure: what it must remember it writes into `Command.memory` and finds again in
+`Observation.command.memory`. It knows no clock, simulator or device, nor which way is down.
+"""
+
+from dataclasses import replace
+from math import exp, isfinite
+
+import numpy as np
+
+from mjtactile.hold import friction, pull, shear, support, weigh
+from mjtactile.types import Command, Observation
+
+# N on each finger: what it closes to, the most that it ever asks for, and the least
+FIRST_FORCE = 0.20
+FORCE_MOST = 2.2
+FORCE_LEAST = 0.12
+TOUCH_FORCE = 0.08  # N: several times the noise of the estimate
+SERVO_FORCE_LIMIT = 5.0  # N: the most that the servo may push, whatever is felt
+MARGIN = 1.35  # grip over what load and friction ask for
+FRICTION_FIRST = 0.5
+FRICTION_MOST = 1.0  # rougher than that is not believed: rolling lets go before sliding does
+FRICTION_GROWTH = 0.03  # 1/s, of the belief in friction while nothing slips
+SLIP_SHARE = 0.85  # of the ratio at which it slipped: what is believed of friction then
+SLIP_PAUSE = 0.15  # s until a slip that goes on counts again: what the grip needs to follow
+KICK = 0.0008  # m that the jaws close at once at a slip: about 0.12 N of two soft membranes
+LOAD_TIME = 1.5  # s in which a load that has gone is forgotten
+LOAD_SPARE = 0.01  # N of shear beside what is felt: its noise
+# m/s
+CLOSING_SPEED = 0.020
+OPENING_SPEED = 0.040
+LIFT_SPEED = 0.030
+WEIGH_SPEED = 0.008
+PLACE_SPEED = 0.020
+WEIGH_HEIGHT = 0.004  # m, over which it lifts slowly: what hangs on the fingers comes on by itself
+# m/s of opening for each N of error, as in gentle.py; m/s, faster where it must hold than to spare
+REGULATION_GAIN = 0.04
+TIGHTEN_SPEED = 0.015
+LOOSEN_SPEED = 0.003
+FORCE_TOLERANCE = 0.06  # N around the target that counts as settled
+SETTLE_TIME = 0.25
+GRIP_TIMEOUT = 6.0
+STOP_TIME = 0.3  # s that the rig lets the jaws close no further: they are at their own stop
+BLIND_TIME_MAX = 0.5  # s without a usable image before giving up
+LOST_TIME = 0.3  # s without a touch: the object stays behind
+# N on each finger that something pushes up with on the way down: it stands
+TABLE_FORCE = 0.04
+SEARCH = 0.030  # m below where it shall be set down that the table is looked for
+# N over all fingers that somebody pulls with, and s for how long: a bump is shorter
+PULL_FORCE = 0.30
+PULL_TIME = 0.2
+RELEASE_OPENING = 0.012  # m to open beyond the grip before the run ends
+START = {
+    "phase_time": 0.0,
+    "settled_time": 0.0,
+    "blind_time": 0.0,
+    "lost_time": 0.0,
+    "stuck_time": 0.0,
+    "pull_time": 0.0,
+    "since_slip": 1.0,
+    "narrowest": 1.0,
+    "target": FIRST_FORCE,
+    "friction": FRICTION_FIRST,
+    "load": 0.0,
+}
+
+
+def step(observation: Observation) -> Command:
+    """One control cycle: dispatch on the phase that the last command was in."""
+    period = observation.period
+    felt = [touch.force_normal for touch in observation.touch]
+    memory = {**START, **observation.command.memory}
+    memory["phase_time"] += period
+    memory["since_slip"] += period
+    command = replace(observation.command, force_limit=SERVO_FORCE_LIMIT, memory=memory)
+    if not all(isfinite(force) for force in felt):  # unknown is not zero: stand still, then give up
+        command = _remember(command, blind_time=memory["blind_time"] + period)
+        blind = next(touch for touch in observation.touch if not isfinite(touch.force_normal))
+        if command.memory["blind_time"] > BLIND_TIME_MAX:
+            return _give_up(command, f"no force is known: {blind.status}")
+        return command
+    lost_time = 0.0 if max(felt) > TOUCH_FORCE / 2 else memory["lost_time"] + period
+    command = _remember(command, blind_time=0.0, lost_time=lost_time)
+    if command.phase in ("lift", "hold", "lower"):
+        if lost_time > LOST_TIME:
+            command = replace(command, reason="what was gripped stayed behind")
+            return _release_now(command, lost=1.0)
+        command = _grip_as_needed(observation, command)
+    return _PHASES[command.phase](observation, command, felt)
+
+
+def _go(command: Command, phase: str) -> Command:
+    """Enter `phase` with its clocks at zero."""
+    return replace(_remember(command, phase_time=0.0, settled_time=0.0), phase=phase)
+
+
+def _give_up(command: Command, reason: str) -> Command:
+    return replace(_go(command, "abort"), reason=reason)
+
+
+def _release_now(command: Command, **values) -> Command:
+    return _remember(_go(command, "release"), grip_opening=command.opening, **values)
+
+
+def _remember(command: Command, **values) -> Command:
+    return replace(command, memory={**command.memory, **values})
+
+
+def _grip_as_needed(observation: Observation, command: Command) -> Command:
+    """Learn load and friction from this moment, and ask for the grip that they need."""
+    memory = command.memory
+    period = observation.period
+    shears = shear(observation.touch)
+    now = float(np.linalg.norm(shears, axis=1).max()) + LOAD_SPARE
+    # at once when it grows, slowly when it goes: half of a shake is light
+    load = max(now, memory["load"] * exp(-period / LOAD_TIME))
+    told = friction(observation.touch)
+    believed = memory["friction"]
+    kick = 0.0
+    since_slip = memory["since_slip"]
+    if isfinite(told.slipped) and since_slip >= SLIP_PAUSE:
+        believed = min(believed, SLIP_SHARE * told.slipped)
+        believed = max(0.1, believed)
+        kick = KICK
+        since_slip = 0.0
+    elif since_slip > 1.0:
+        believed = min(FRICTION_MOST, believed * (1 + FRICTION_GROWTH * period))
+    # it has held at this ratio: friction is at least that
+    believed = max(believed, min(told.least, FRICTION_MOST)) if since_slip > 0.5 else believed
+    target = min(FORCE_MOST, max(FORCE_LEAST, MARGIN * load / believed))
+    command = replace(command, opening=command.opening - kick)
+    return _remember(command, load=load, friction=believed, target=target, since_slip=since_slip)
+
+
+def _regulated(observation: Observation, command: Command, felt: list[float]) -> Command:
+    """Move the opening so that the mean felt force goes to the target; stay within reach of the
+    real opening."""
+    error = command.memory["target"] - sum(felt) / len(felt)
+    speed = max(-LOOSEN_SPEED, min(TIGHTEN_SPEED, REGULATION_GAIN * error))
+    actual = observation.gripper.opening
+    opening = command.opening - speed * observation.period
+    return replace(command, opening=max(actual - 0.006, min(actual + 0.004, opening)))
+
+
+def _approach(observation: Observation, command: Command, felt: list[float]) -> Command:
+    """Close at a steady speed until either finger feels something, slower until both do."""
+    if min(felt) > TOUCH_FORCE or max(felt) > 2 * command.memory["target"]:
+        return _go(command, "regulate")
+    # what was sent is what the rig allows
+    gets_on = command.opening < command.memory["narrowest"] - 1e-4
+    stuck_time = 0.0 if gets_on else command.memory["stuck_time"] + observation.period
+    narrowest = min(command.opening, command.memory["narrowest"])
+    command = _remember(command, stuck_time=stuck_time, narrowest=narrowest)
+    if stuck_time > STOP_TIME:
+        return _give_up(command, "closed on nothing")
+    if command.phase == "close" and command.memory["phase_time"] > GRIP_TIMEOUT:
+        return _give_up(command, "only one finger touched it")
+    if command.phase == "approach" and max(felt) > TOUCH_FORCE:
+        return _go(command, "close")
+    speed = CLOSING_SPEED if command.phase == "approach" else 0.3 * CLOSING_SPEED
+    return replace(command, opening=command.opening - speed * observation.period)
+
+
+def _regulate(observation: Observation, command: Command, felt: list[float]) -> Command:
+    """Bring the force to the first target, and keep what the grip itself drags along."""
+    command = _regulated(observation, command, felt)
+    settled = abs(sum(felt) / len(felt) - command.memory["target"]) < FORCE_TOLERANCE
+    settled_time = command.memory["settled_time"] + observation.period if settled else 0.0
+    if settled_time >= SETTLE_TIME:
+        return _remember(_go(command, "lift"), standing=shear(observation.touch).tolist())
+    if command.memory["phase_time"] > GRIP_TIMEOUT:
+        return _give_up(command, "the force did not settle")
+    return _remember(command, settled_time=settled_time)
+
+
+def _lift(observation: Observation, command: Command, felt: list[float]) -> Command:
+    """Slowly at first: the load comes onto the fingers, and the grip with it; then on."""
+    command = _regulated(observation, command, felt)
+    behind = command.memory["target"] - sum(felt) / len(felt)
+    if command.memory["since_slip"] < 2 * SLIP_PAUSE or behind > FORCE_TOLERANCE:
+        return command  # grip first
+    told = observation.told
+    if observation.gripper.lift_height > told.lift_height - 0.001:
+        found = weigh(observation.touch, command.memory["standing"])
+        return _remember(_go(command, "hold"), mass=found.mass, mass_sd=found.sd)
+    slow = command.lift_height < WEIGH_HEIGHT
+    rise = (WEIGH_SPEED if slow else LIFT_SPEED) * observation.period
+    return replace(command, lift_height=min(told.lift_height, command.lift_height + rise))
+
+
+def _hold(observation: Observation, command: Command, felt: list[float]) -> Command:
+    """Hold; let go where somebody who was announced pulls for longer than a bump lasts."""
+    command = _regulated(observation, command, felt)
+    now = shear(observation.touch)
+    held = np.asarray(command.memory.get("held", now))
+    pulls = observation.told.hand_over and pull(observation.touch, held) > PULL_FORCE
+    if pulls:
+        pull_time = command.memory["pull_time"] + observation.period
+        command = _remember(command, pull_time=pull_time)
+        return _release_now(command) if pull_time > PULL_TIME else command
+    follow = min(1.0, 2.0 * observation.period)  # in half a second
+    held = (held + follow * (now - held)).tolist()
+    command = _remember(command, held=held, pull_time=0.0)
+    over = command.memory["phase_time"] >= observation.told.hold_time
+    return _go(command, "lower") if over else command
+
+
+def _lower(observation: Observation, command: Command, felt: list[float]) -> Command:
+    """Down until the table takes the load over, a little below where it should be at most."""
+    command = _regulated(observation, command, felt)
+    held = np.asarray(command.memory.get("held", shear(observation.touch)))
+    goal = max(0.0, observation.told.place_height - SEARCH)
+    near = command.lift_height < observation.told.place_height + SEARCH
+    speed = PLACE_SPEED if near else LIFT_SPEED
+    height = max(goal, command.lift_height - speed * observation.period)
+    # when the table carries four fifths of it, nothing presses yet
+    load = float(np.linalg.norm(held, axis=1).mean())
+    stands = support(observation.touch, held) > TABLE_FORCE - 0.2 * load
+    if stands or (height == goal and observation.gripper.lift_height < goal + 0.001):
+        return _release_now(command)
+    return replace(command, lift_height=height)
+
+
+def _release(observation: Observation, command: Command, felt: list[float]) -> Command:
+    """Open until the fingers are clear of the object."""
+    goal = command.memory["grip_opening"] + RELEASE_OPENING
+    if observation.gripper.opening > goal - 0.001 and max(felt) < TOUCH_FORCE:
+        return _go(command, "abort" if "lost" in command.memory else "done")
+    if command.memory["phase_time"] > GRIP_TIMEOUT:
+        return _give_up(command, "it sticks to a finger")
+    return replace(command, opening=min(goal, command.opening + OPENING_SPEED * observation.period))
+
+
+def _end(observation: Observation, command: Command, felt: list[float]) -> Command:
+    return command
+
+
+_PHASES = {
+    "approach": _approach,
+    "close": _approach,
+    "regulate": _regulate,
+    "lift": _lift,
+    "hold": _hold,
+    "lower": _lower,
+    "release": _release,
+    "done": _end,
+    "abort": _end,
+}

@@ -1,0 +1,287 @@
+"""`Task`: what is done with an object, what happens to it meanwhile, and what counts; a file.
+
+The seed draws from its ranges what the object weighs, how rough it is, what it stands, and each of
+the things that happen. The robot is told the `Orders` and nothing else. The format: docs/tasks.md.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjtactile.core import resources
+from mjtactile.core.fields import (
+    DEGREE,
+    MM,
+    Numbers,
+    entries,
+    flag,
+    from_table,
+    number,
+    numbers,
+    part,
+    parts,
+    text,
+)
+from mjtactile.core.toml import Section, read_toml
+from mjtactile.core.types import Told
+
+GRAVITY = 9.81  # m/s^2
+_SPAN = ("low", "high")
+KINDS = ("fill", "shake", "push", "table", "pull")
+Range = tuple[float, float]
+
+
+def _range(
+    key: str, low: float, high: float, unit: float = 1.0, *, of: str = "", about: str = ""
+) -> Any:
+    """A field that is [low, high], from which the seed draws; of one kind of `Happening` alone."""
+    only_if = ("kind", (of,)) if of else None
+    return numbers(key, _SPAN, low, high, unit, default=None, only_if=only_if, about=about)
+
+
+@dataclass(frozen=True)
+class Orders:
+    """What the robot is told."""
+
+    lift_height: float = number(
+        "lift_height_mm", 5, 150, MM, default=0.040, about="how high it lifts"
+    )
+    hold_time: float = number("hold_time_s", 0.1, 600, default=2.0, about="how long it holds there")
+    place_height: float = number(
+        "place_height_mm", 0, 150, MM, default=0.0, about="of the place it sets down on"
+    )
+    hand_over: bool = flag("hand_over", default=False, about="somebody will take it")
+
+    def told(self) -> Told:
+        """The value that controllers see."""
+        return Told(**{one.name: getattr(self, one.name) for one in fields(self)})
+
+
+@dataclass(frozen=True)
+class Thing:
+    """How the object differs from its file; what is left out does not."""
+
+    mass: Range | None = _range("mass_g", 0.1, 2000, 1e-3, about="evenly in its logarithm")
+    friction: Range | None = _range("friction", 0.05, 3, about="coefficient, with the membranes")
+    need_most: float = number(
+        "need_most_N",
+        0.01,
+        20,
+        default=math.inf,
+        about="mass and friction that need more of a finger are drawn again",
+    )
+    breaking: Range | None = _range(
+        "break_share_of_need", 1.05, 100, about="what it stands, over the least grip that holds"
+    )
+
+    def validate(self, section: Section) -> None:
+        _require_order(self, section)
+        if self.breaking is not None and self.friction is None:
+            raise section.fail("break_share_of_need", "rests on friction, which is missing")
+
+
+@dataclass(frozen=True)
+class Happening:
+    """One thing that happens, from `begin` s after the hand is up, for `last` s."""
+
+    kind: str = text("kind", KINDS)
+    begin: Range = numbers("begin_s", _SPAN, 0, 600, about="after the hand is up")
+    last: Range = numbers("last_s", _SPAN, 0.001, 600)
+    mass: Range | None = _range("to_g", 0.1, 2000, 1e-3, of="fill", about="its mass in the end")
+    acceleration: Range | None = _range("acceleration_m_s2", 0, 20, of="shake", about="amplitude")
+    rate: Range | None = _range("rate_Hz", 0.1, 20, of="shake")
+    tilt: Range | None = _range("tilt_deg", 0, 90, DEGREE, of="shake", about="it also turns")
+    impulse: Range | None = _range("impulse_N_s", 0, 1, of="push", about="from any side")
+    height: Range | None = _range(
+        "height_mm", -50, 50, MM, of="table", about="of the place, over where it stood"
+    )
+    force: Range | None = _range("force_N", 0, 20, of="pull", about="in the end, from any side")
+
+    def validate(self, section: Section) -> None:
+        wanted = {
+            "fill": ("mass",),
+            "shake": ("acceleration", "rate"),
+            "push": ("impulse",),
+            "table": ("height",),
+            "pull": ("force",),
+        }
+        _require_order(self, section)
+        for name in wanted[self.kind]:
+            if getattr(self, name) is None:
+                raise section.fail(entries(Happening)[name].key, "is missing")
+
+
+@dataclass(frozen=True)
+class Counts:
+    """What a success is, beside that the object is held and whole."""
+
+    upright: float = number(
+        "upright_deg", 0, 180, DEGREE, default=math.inf, about="it stands, no more tilted"
+    )
+    let_go: float = number(
+        "let_go_within_s", 0, 60, default=math.inf, about="of a pull; and not before it"
+    )
+
+
+@dataclass(frozen=True)
+class Event:
+    """A drawn `Happening`: SI values by the names of its fields, and a direction."""
+
+    kind: str
+    begin: float
+    last: float
+    values: Mapping[str, float]
+    direction: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class DrawnTask:
+    """What a seed has drawn: kg, the coefficient and N over the need, None where the task leaves
+    them; `values` in the file's units, for results."""
+
+    mass: float | None
+    friction: float | None
+    breaking: float | None
+    events: tuple[Event, ...]
+    values: Mapping[str, float]
+
+    def pulls(self) -> float:
+        """s after the hand is up from when on somebody pulls with more than 0.3 N; NaN: nobody."""
+        for event in self.events:
+            if event.kind == "pull":
+                return event.begin + event.last * min(_PULL / event.values["force"], 1.0)
+        return math.nan
+
+    def need(self, mass: float, friction: float, fingers: int) -> float:
+        """N that each finger must press with to hold `mass` kg through all of it (Coulomb)."""
+        heaviest = max([mass, *(event.values.get("mass", 0.0) for event in self.events)])
+        shaken = max((event.values.get("acceleration", 0.0) for event in self.events), default=0.0)
+        return heaviest * (GRAVITY + shaken) / (fingers * friction)
+
+
+@dataclass(frozen=True)
+class Task:
+    """A task file."""
+
+    name: str
+    happenings: tuple[Happening, ...] = parts("happens", Happening, 0, 20)
+    about: str = text("about", default="")
+    version: str = text("version", default="")
+    time_limit: float = number("time_limit_s", 0.1, 86400, default=60.0)
+    orders: Orders = part("told", Orders, default=Orders())
+    thing: Thing = part("object", Thing, default=Thing())
+    counts: Counts = part("counts", Counts, default=Counts())
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether nothing is drawn and nothing happens."""
+        return not self.happenings and self.thing == Thing()
+
+    def draw(self, seed: int, fingers: int) -> DrawnTask:
+        """The task of a seed, for a hand of so many fingers. A value depends on the seed and on
+        its own name alone."""
+        events = []
+        values: dict[str, float] = {}
+        for number_, happening in enumerate(self.happenings, 1):
+            drawn = {
+                name: _at(span, _share(seed, f"{number_}.{name}"))
+                for name in entries(Happening)
+                if isinstance(span := getattr(happening, name), tuple)
+            }
+            values |= {
+                f"task.{happening.kind}{number_}.{_key(Happening, name)}": _written(
+                    Happening, name, value
+                )
+                for name, value in drawn.items()
+            }
+            begin = drawn.pop("begin")
+            last = drawn.pop("last")
+            way = _direction(seed, f"{number_}.direction")
+            events.append(Event(happening.kind, begin, last, drawn, way))
+        thing = self._draw_thing(seed, fingers, tuple(events))
+        for name in ("mass", "friction", "breaking"):
+            value = getattr(thing, name)
+            if value is not None:
+                values[f"task.{_key(Thing, name)}"] = _written(Thing, name, value)
+        return DrawnTask(thing.mass, thing.friction, thing.breaking, thing.events, values)
+
+    def _draw_thing(self, seed: int, fingers: int, events: tuple[Event, ...]) -> DrawnTask:
+        spans = self.thing
+        breaking = None if spans.breaking is None else _at(spans.breaking, _share(seed, "breaking"))
+        attempt = 0
+        while True:
+            shares = [_share(seed, f"{name}.{attempt}") for name in ("mass", "friction")]
+            mass = None if spans.mass is None else _logarithmic(spans.mass, shares[0])
+            friction = None if spans.friction is None else _at(spans.friction, shares[1])
+            drawn = DrawnTask(mass, friction, breaking, events, {})
+            attempt += 1
+            if mass is None or friction is None or attempt > _ATTEMPTS:
+                return drawn
+            if drawn.need(mass, friction, fingers) <= spans.need_most:
+                return drawn
+
+
+_PULL = 0.3  # N
+_ATTEMPTS = 1000  # then what is drawn is not to be had, and the last stays
+
+
+def load_task(name_or_path: str | Path) -> Task:
+    """Read a task.
+
+    Args:
+        name_or_path: A shipped name, or a user's TOML file.
+
+    Returns:
+        The task; its name is the file's.
+
+    Raises:
+        InputError: Naming file, field, value and valid choices for what is missing or wrong.
+    """
+    path = resources.find(name_or_path, "models/tasks", ".toml")
+    return from_table(Task, read_toml(path), str(path), name=path.stem)
+
+
+def _require_order(value: Any, section: Section) -> None:
+    """Raise InputError for a range that ends below where it begins."""
+    for name, found in entries(type(value)).items():
+        span = getattr(value, name)
+        if isinstance(span, tuple) and span[0] > span[1]:
+            raise section.fail(found.key, "has its low above its high")
+
+
+def _key(kind: type, name: str) -> str:
+    return entries(kind)[name].key
+
+
+def _written(kind: type, name: str, value: float) -> float:
+    """In the file's units, as a result keeps it."""
+    found = entries(kind)[name]
+    unit = found.unit if isinstance(found, Numbers) else 1.0
+    return float(f"{value / unit:.6g}")
+
+
+def _share(seed: int, name: str) -> float:
+    return float(np.random.default_rng([seed, zlib.crc32(f"task.{name}".encode())]).random())
+
+
+def _at(span: Range, share: float) -> float:
+    return span[0] + share * (span[1] - span[0])
+
+
+def _logarithmic(span: Range, share: float) -> float:
+    return float(span[0] * (span[1] / span[0]) ** share)
+
+
+def _direction(seed: int, name: str) -> tuple[float, float, float]:
+    """A unit vector, any as likely as another."""
+    rng = np.random.default_rng([seed, zlib.crc32(f"task.{name}".encode())])
+    way = rng.standard_normal(3)
+    x, y, z = (float(value) for value in way / np.linalg.norm(way))
+    return x, y, z

@@ -1,0 +1,110 @@
+"""What happens in a task happens by mechanics, and what the judge says a grip needs is Coulomb's."""
+
+import math
+
+import numpy as np
+import pytest
+
+from mjtactile.core.task import Event, load_task
+from mjtactile.run.judge import Judge
+from mjtactile.sim import truth
+from mjtactile.sim.scenes.grasp_world import GraspWorld
+from mjtactile.sim.scenes.happenings import Happenings
+
+MESH = (11, 9)  # what happens does not depend on the mesh, so take a cheap one
+MASS = 0.02  # kg of the vial
+
+
+def world_with(*events):
+    """A vial on the table under the open hand, which counts as up at once."""
+    world = GraspWorld("paper16", "vial", mesh=MESH)
+    happens = Happenings(world, events, 0.0)
+    world.after_each_step(happens.step)
+    return world
+
+
+def event(kind, begin, last, direction=(1.0, 0.0, 0.0), **values):
+    return Event(kind, begin, last, values, direction)
+
+
+def advance(world, seconds):
+    world.step(round(seconds / world.timestep))
+
+
+def velocity(world):
+    return world.data.cvel[truth.object_bodies(world)[0], 3:].copy()
+
+
+def test_what_is_filled_presses_on_the_table_with_its_weight():
+    world = world_with(event("fill", 0.1, 0.4, mass=0.15))
+    bodies = truth.object_bodies(world)
+    advance(world, 0.1)
+    assert truth.support_force(world, bodies) == pytest.approx(MASS * 9.81, rel=0.01)
+    advance(world, 0.6)
+    assert truth.support_force(world, bodies) == pytest.approx(
+        0.15 * 9.81, rel=0.01
+    )  # its contacts settle
+    inertia = world.model.body_inertia[bodies[0]]
+    assert inertia[2] == pytest.approx(0.5 * 0.15 * 0.011**2, rel=1e-6)  # a cylinder of 22 mm
+
+
+def test_a_push_changes_momentum_by_its_impulse():
+    world = world_with(event("push", 0.02, 0.04, (0.0, 0.0, 1.0), impulse=0.02))
+    advance(world, 0.12)
+    # upward, off the table: m dv = impulse - weight * time in the air, which is since it began
+    flight = world.time - 0.02
+    assert MASS * velocity(world)[2] == pytest.approx(0.02 - MASS * 9.81 * flight, abs=8e-4)
+
+
+def test_a_shaken_hand_is_gravity_that_shakes_and_is_itself_again_afterwards():
+    way = (0.6, 0.0, 0.8)
+    world = world_with(event("shake", 0.1, 1.0, way, acceleration=4.0, rate=2.0, tilt=0.0))
+    seen = []
+    for _ in range(round(1.3 / world.timestep)):
+        world.step()
+        seen.append(world.model.opt.gravity.copy())
+    off = np.array(seen) - [0, 0, -9.81]
+    np.testing.assert_allclose(np.cross(off, way), 0, atol=1e-12)  # along its direction
+    assert 3.6 < np.linalg.norm(off, axis=1).max() <= 4.0
+    np.testing.assert_array_equal(world.model.opt.gravity, [0, 0, -9.81])
+
+
+def test_a_hand_that_turns_keeps_gravitys_size():
+    world = world_with(event("shake", 0.0, 1.0, acceleration=0.0, rate=2.0, tilt=math.radians(30)))
+    advance(world, 0.5)
+    gravity = world.model.opt.gravity
+    assert np.linalg.norm(gravity) == pytest.approx(9.81)
+    assert math.degrees(math.acos(-gravity[2] / 9.81)) == pytest.approx(30, abs=0.1)
+
+
+def test_the_place_goes_where_it_is_sent_and_what_stands_there_with_it():
+    world = world_with(event("table", 0.0, 0.5, height=0.02))
+    before = truth.object_position(world)[2]
+    advance(world, 0.8)
+    assert truth.object_position(world)[2] - before == pytest.approx(0.02, abs=2e-4)
+
+
+def test_who_takes_what_is_let_go_of_keeps_it_where_it_is():
+    world = world_with(event("pull", 0.0, 0.1, force=1.0))
+    before = truth.object_position(world)
+    advance(world, 0.5)
+    np.testing.assert_allclose(truth.object_position(world), before, atol=1e-3)
+
+
+def test_the_need_is_coulombs_for_a_grip_in_the_middle():
+    """The jaws stand on the vial at its centre of mass: m g / (2 mu), whatever they press with;
+    and more by what pulls, and by the torque of a load aside."""
+    world = GraspWorld("paper16", "vial", mesh=MESH)
+    judge = Judge(world, load_task("lift"))
+    assert judge.need() == 0.0  # nothing touches
+    world.set_finger_target(0.0, 0.5)
+    advance(world, 1.6)
+    friction = world.sensors[0].design.membrane.friction
+    # 0.2 mm between the patches' middles and the centre of mass, patches of 3 mm: 0.2 %
+    assert judge.need() == pytest.approx(MASS * 9.81 / (2 * friction), rel=0.02)
+    body = truth.object_bodies(world)[0]
+    world.data.xfrc_applied[body, :3] = [0.0, 0.0, -0.3]
+    assert judge.need() == pytest.approx((MASS * 9.81 + 0.3) / (2 * friction), rel=0.02)
+    # along the line through both fingers: carried by what they press with
+    world.data.xfrc_applied[body, :3] = [0.3, 0.0, 0.0]
+    assert judge.need() == pytest.approx(MASS * 9.81 / (2 * friction), rel=0.02)

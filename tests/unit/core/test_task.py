@@ -1,0 +1,121 @@
+"""A task file: what is wrong with it is said, and what a seed draws of it is the seed's alone."""
+
+import math
+import tomllib
+from dataclasses import fields, replace
+
+import pytest
+
+from mjtactile.core import resources
+from mjtactile.core.errors import InputError
+from mjtactile.core.fields import entries
+from mjtactile.core.task import Counts, Happening, Orders, Task, Thing, load_task
+from mjtactile.core.types import Told
+
+NAMES = resources.names("models/tasks", ".toml")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_shipped_ones_are_read_and_say_what_they_are(name):
+    task = load_task(name)
+    assert task.name == name and task.about and task.version
+    drawn = task.draw(3, 2)
+    assert drawn == task.draw(3, 2)
+    assert task.is_plain or drawn.values != task.draw(4, 2).values
+
+
+def test_lift_is_what_it_was_and_shows_every_field():
+    """Every result so far was of this task: nothing drawn, nothing happens."""
+    task = load_task("lift")
+    assert task.is_plain and task.orders.told() == Told() and task.time_limit == 60.0
+    assert task == replace(Task("lift", ()), about=task.about, version=task.version)
+    text = resources.find("lift", "models/tasks", ".toml").read_text()
+    whole = "\n".join(
+        line.removeprefix("# ") for line in text.splitlines() if "=" in line or "[" in line
+    )
+    keys = {entry.key for kind in (Orders, Thing, Counts) for entry in entries(kind).values()}
+    assert all(f"{key} = " in whole for key in keys)
+
+
+def test_what_is_drawn_is_within_its_range_and_the_file_s_own_units():
+    table = tomllib.loads(resources.find("pour", "models/tasks", ".toml").read_text())
+    task = load_task("pour")
+    for seed in range(50):
+        drawn = task.draw(seed, 2)
+        low, high = table["object"]["mass_g"]
+        assert low <= drawn.values["task.mass_g"] <= high
+        assert drawn.mass == pytest.approx(1e-3 * drawn.values["task.mass_g"], rel=1e-5)
+        low, high = table["happens"][0]["to_g"]
+        assert low <= drawn.values["task.fill1.to_g"] <= high
+        # nothing that the fingers cannot hold: heaviest of both, two fingers
+        heaviest = max(drawn.mass, drawn.events[0].values["mass"])
+        assert heaviest * 9.81 / (2 * drawn.friction) <= table["object"]["need_most_N"] + 1e-9
+
+
+def test_masses_are_as_likely_per_doubling():
+    masses = [load_task("weigh").thing.mass]
+    task = Task("mine", (), thing=Thing(mass=masses[0]))
+    drawn = [math.log(task.draw(seed, 2).mass) for seed in range(400)]
+    low, high = (math.log(value) for value in masses[0])
+    assert sum(drawn) / 400 == pytest.approx((low + high) / 2, abs=4 * (high - low) / 12**0.5 / 20)
+
+
+def test_one_more_happening_leaves_the_others_as_they_were():
+    task = load_task("bump")
+    assert (
+        task.draw(7, 2).events[0]
+        == replace(task, happenings=task.happenings[:1]).draw(7, 2).events[0]
+    )
+
+
+def test_the_need_is_coulombs_at_the_worst_moment():
+    drawn = load_task("shake").draw(5, 2)
+    shaken = drawn.events[0].values["acceleration"]
+    assert drawn.need(0.05, 0.5, 2) == pytest.approx(0.05 * (9.81 + shaken))
+    assert drawn.need(0.05, 0.5, 4) == pytest.approx(0.05 * (9.81 + shaken) / 2)
+
+
+def test_when_somebody_pulls_with_three_tenths_of_a_newton():
+    drawn = load_task("hand-over").draw(5, 2)
+    pull = drawn.events[1]
+    force = (drawn.pulls() - pull.begin) / pull.last * pull.values["force"]
+    assert force == pytest.approx(0.3) and math.isnan(load_task("lift").draw(5, 2).pulls())
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("[tell]", ["tell: unknown section", "told"]),
+        ("[told]\nhold_time_s = 0", ["told.hold_time_s", "0 is outside 0.1"]),
+        ("[object]\nmass_g = 5", ["object.mass_g"]),
+        ("[object]\nbreak_share_of_need = [2, 3]", ["break_share_of_need", "rests on friction"]),
+        (
+            '[[happens]]\nkind = "rain"\nbegin_s = [0, 1]\nlast_s = [1, 1]',
+            ["happens[0].kind", "fill"],
+        ),
+        (
+            '[[happens]]\nkind = "push"\nbegin_s = [0, 1]\nlast_s = [1, 1]',
+            ["impulse_N_s", "is missing"],
+        ),
+        (
+            '[[happens]]\nkind = "push"\nbegin_s = [0, 1]\nlast_s = [1, 1]\nimpulse_N_s = [0, 1]\n'
+            "rate_Hz = [1, 2]",
+            ["happens[0].rate_Hz"],
+        ),
+        ("[object]\nmass_g = [50, 20]", ["object.mass_g", "low above its high"]),
+    ],
+)
+def test_what_is_wrong_is_one_line_with_file_field_value_and_choices(tmp_path, text, parts):
+    path = tmp_path / "mine.toml"
+    path.write_text(text + "\n")
+    with pytest.raises(InputError) as caught:
+        load_task(path)
+    said = str(caught.value)
+    assert "\n" not in said and all(part in said for part in ["mine.toml", *parts]), said
+
+
+def test_the_robot_is_told_what_the_file_says_and_no_more():
+    told = load_task("place").orders.told()
+    assert (told.lift_height, told.place_height) == (0.06, 0.02)
+    assert {one.name for one in fields(Told)} == {one.name for one in fields(Orders)}
+    assert {one.name for one in fields(Happening)}.isdisjoint(fields(Told))
