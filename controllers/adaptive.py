@@ -29,11 +29,17 @@ FORCE_LEAST = 0.12
 TOUCH_FORCE = 0.08  # N: several times the noise of the estimate
 SERVO_FORCE_LIMIT = 5.0  # N: the most that the servo may push, whatever is felt
 MARGIN = 1.35  # grip over what load and friction ask for
-FRICTION_FIRST = 0.5
+FRICTION_FIRST = 0.7  # a slip at lift-off costs nothing, and teaches
+FRICTION_LEAST = 0.15
+PROOF_TIME = 10.0  # s in which a proof of friction is forgotten: things get wet
+PROOF_SHARE = 0.9
 FRICTION_MOST = 1.0  # rougher than that is not believed: rolling lets go before sliding does
-FRICTION_GROWTH = 0.03  # 1/s, of the belief in friction while nothing slips
+FRICTION_GROWTH = 0.04  # 1/s, of the belief in friction while nothing slips
 SLIP_SHARE = 0.85  # of the ratio at which it slipped: what is believed of friction then
-SLIP_PAUSE = 0.15  # s until a slip that goes on counts again: what the grip needs to follow
+SLIP_PAUSE = 0.25  # s until a slip that goes on counts again: what the grip needs to follow
+SLIP_TOGETHER = 0.3  # s within which all fingers must say so
+NEAR = 0.85  # of the friction that is believed: there one finger is enough
+SLIP_LATE = 0.2  # s that a slip is said late: the ratio at which it slipped was the largest since
 KICK = 0.0008  # m that the jaws close at once at a slip: about 0.12 N of two soft membranes
 LOAD_TIME = 1.5  # s in which a load that has gone is forgotten
 LOAD_SPARE = 0.01  # N of shear beside what is felt: its noise
@@ -41,9 +47,9 @@ LOAD_SPARE = 0.01  # N of shear beside what is felt: its noise
 CLOSING_SPEED = 0.020
 OPENING_SPEED = 0.040
 LIFT_SPEED = 0.030
-WEIGH_SPEED = 0.008
+WEIGH_SPEED = 0.003
 PLACE_SPEED = 0.020
-WEIGH_HEIGHT = 0.004  # m, over which it lifts slowly: what hangs on the fingers comes on by itself
+WEIGH_HEIGHT = 0.003  # m, over which it lifts slowly: what hangs on the fingers comes on by itself
 # m/s of opening for each N of error, as in gentle.py; m/s, faster where it must hold than to spare
 REGULATION_GAIN = 0.04
 TIGHTEN_SPEED = 0.015
@@ -73,6 +79,8 @@ START = {
     "target": FIRST_FORCE,
     "friction": FRICTION_FIRST,
     "load": 0.0,
+    "used": 0.0,
+    "proven": 0.0,
 }
 
 
@@ -122,25 +130,42 @@ def _grip_as_needed(observation: Observation, command: Command) -> Command:
     memory = command.memory
     period = observation.period
     shears = shear(observation.touch)
-    now = float(np.linalg.norm(shears, axis=1).max()) + LOAD_SPARE
+    now = float(np.linalg.norm(shears, axis=1).mean()) + LOAD_SPARE
     # at once when it grows, slowly when it goes: half of a shake is light
     load = max(now, memory["load"] * exp(-period / LOAD_TIME))
     told = friction(observation.touch)
+    used = max(float(np.nan_to_num(told.used).max()), memory["used"] * exp(-period / SLIP_LATE))
     believed = memory["friction"]
-    kick = 0.0
     since_slip = memory["since_slip"]
-    if isfinite(told.slipped) and since_slip >= SLIP_PAUSE:
-        believed = min(believed, SLIP_SHARE * told.slipped)
-        believed = max(0.1, believed)
+    # what it held at is a proof, whatever a sign of slip says while the grip changes
+    proven = memory["proven"] * exp(-period / PROOF_TIME)
+    if not isfinite(told.slipped) and since_slip > SLIP_PAUSE:
+        proven = max(proven, told.least)
+    kick = 0.0
+    # one finger alone may roll or lean: all of them, or one near what is believed
+    ages = np.asarray(memory.get("slip_ages", np.full(len(shears), 1.0))) + period
+    slips = [
+        touch.slip is not None and touch.slip.state == "slipping" for touch in observation.touch
+    ]
+    ages = np.where(slips, 0.0, ages)
+    slipped = ages.max() < SLIP_TOGETHER or (any(slips) and used > NEAR * believed)
+    if slipped and since_slip >= SLIP_PAUSE:
+        believed = max(FRICTION_LEAST, min(believed, SLIP_SHARE * used))
         kick = KICK
         since_slip = 0.0
     elif since_slip > 1.0:
         believed = min(FRICTION_MOST, believed * (1 + FRICTION_GROWTH * period))
-    # it has held at this ratio: friction is at least that
-    believed = max(believed, min(told.least, FRICTION_MOST)) if since_slip > 0.5 else believed
+    believed = max(believed, min(PROOF_SHARE * proven, FRICTION_MOST))
     target = min(FORCE_MOST, max(FORCE_LEAST, MARGIN * load / believed))
     command = replace(command, opening=command.opening - kick)
-    return _remember(command, load=load, friction=believed, target=target, since_slip=since_slip)
+    learnt = {
+        "load": load,
+        "used": used,
+        "proven": proven,
+        "friction": believed,
+        "since_slip": since_slip,
+    }
+    return _remember(command, target=target, **learnt)
 
 
 def _regulated(observation: Observation, command: Command, felt: list[float]) -> Command:

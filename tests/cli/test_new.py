@@ -8,6 +8,7 @@ from mjtactile.cli import main
 from mjtactile.commands.new import KINDS
 from mjtactile.core import resources
 from mjtactile.core.design import load_sensor
+from mjtactile.core.task import load_task
 from mjtactile.rig.file import read_rig_file
 from mjtactile.rig.registry import build_rig
 from mjtactile.rig.scenario import load_scenario
@@ -21,6 +22,7 @@ LOAD = {
     "sensor": load_sensor,
     "object": load_object,
     "rig": read_rig_file,
+    "task": load_task,
     "variation": load_variation,
     "scenario": load_scenario,
 }

@@ -308,4 +308,6 @@ def test_an_object_keeps_the_height_at_which_it_is_grasped():
     egg = load_object("egg")
     large = egg.changed(ObjectChange(size=0.05, breaking=0.2))
     assert large.grasp_height == egg.grasp_height and large.break_force == pytest.approx(3.0)
-    assert replace(large, changes=egg.changes, break_force=egg.break_force, mass=egg.mass) == egg
+    assert large.width == pytest.approx(1.05 * egg.width)
+    kept = {name: getattr(egg, name) for name in ("changes", "break_force", "mass", "width")}
+    assert replace(large, **kept) == egg
