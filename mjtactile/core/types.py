@@ -76,7 +76,8 @@ class Ellipses:
     """N ellipses in distorted pixel coordinates: centre (N, 2), semi-axes a >= b (N, 2), angle of a
     (N,) rad.
 
-    `cov` (N, 5, 5) is the covariance of (u, v, a, b, angle); `status` (N,) strings.
+    `cov` (N, 5, 5) is the covariance of (u, v, a, b, angle); `status` (N,) strings; `darkness` (N,)
+    the logarithm of the level inside over that outside (None: unknown).
     """
 
     center_px: Array
@@ -84,6 +85,7 @@ class Ellipses:
     angle: Array
     cov: Array
     status: NDArray[np.str_]
+    darkness: Array | None = None
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.center_px))
@@ -92,6 +94,8 @@ class Ellipses:
         _freeze(self, "angle", self.angle, (n,))
         _freeze(self, "cov", self.cov, (n, 5, 5))
         _freeze(self, "status", self.status, (n,), np.str_)
+        if self.darkness is not None:
+            _freeze(self, "darkness", self.darkness, (n,))
 
     def __len__(self) -> int:
         return len(self.angle)
@@ -141,12 +145,13 @@ class CirclePoses:
 @dataclass(frozen=True, eq=False)
 class Markers:
     """Identified markers in the sensor frame: `ids` (N,) indices into the design's layout, `p_SM`,
-    `n_S` (N, 3)."""
+    `n_S` (N, 3); `darkness` (N,) of each as in `Ellipses` (None: unknown)."""
 
     ids: NDArray[np.int64]
     p_SM: Array
     n_S: Array
     cov_p: Array
+    darkness: Array | None = None
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.ids))
@@ -154,6 +159,8 @@ class Markers:
         _freeze(self, "p_SM", self.p_SM, (n, 3))
         _freeze(self, "n_S", self.n_S, (n, 3))
         _freeze(self, "cov_p", self.cov_p, (n, 3, 3))
+        if self.darkness is not None:
+            _freeze(self, "darkness", self.darkness, (n,))
 
     def __len__(self) -> int:
         return len(self.ids)

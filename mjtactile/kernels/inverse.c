@@ -190,10 +190,10 @@ static void tractions(const Sheet *s, const Nodes *nodes, const double *prior, c
 int64_t inverse_step(int64_t nx, int64_t ny, const double *numbers, const double *factor, const double *softened, double share,
                      int64_t r, int64_t markers, const double *material, const double *weights, const double *tilts, int64_t jx, int64_t jy,
                      const double *load_x, const double *load_y, const double *root_x, const double *root_y, const double *prior,
-                     const double *innovation, const double *drift, const double *gas_load, const double *c,
+                     const double *innovation, int64_t modes, const double *drift, const double *gas_load, const double *c,
                      const double *residual, const double *data, const double *slopes_off, double *change, double *traction,
                      double *misfit, double *noise, double *drift_found) {
-    if (!is_sheet(nx, ny) || r != (tilts ? 5 : 3) * markers || (tilts && !slopes_off)) return REFUSED;
+    if (!is_sheet(nx, ny) || r != (tilts ? 5 : 3) * markers || (tilts && !slopes_off) || modes < 1) return REFUSED;
     Sheet s = sheet_of(nx, ny, numbers);
     Stiffness K = {factor, softened, share};
     Nodes nodes = {jx, jy, load_x, load_y, root_x, root_y};
@@ -223,13 +223,13 @@ int64_t inverse_step(int64_t nx, int64_t ny, const double *numbers, const double
     for (long r = 3 * markers; r < sight.rows; r++) misfit[r] = slopes_off[r - 3 * markers] + see(&s, &sight, r, relaxed);
     memcpy(noise, misfit, sight.rows * sizeof *noise);
     solve_dense(sight.rows, innovation, noise); /* what is left for the whitened markers' noise */
-    memset(x, 0, dofs * sizeof *x), memset(drift_found, 0, 4 * sizeof *drift_found);
+    memset(x, 0, dofs * sizeof *x), memset(drift_found, 0, modes * sizeof *drift_found);
     for (long r = 0; r < sight.rows; r++) {
         double row[PRODUCTS][3];
         const Seat *seat = row_of(&sight, r, row);
         for (int k = 0; k < PRODUCTS; k++)
             for (int i = 0; i < 3; i++) x[place(&s, seat, k) + i] += row[k][i] * noise[r];
-        for (int i = 0; i < 4; i++) drift_found[i] += drift[4 * r + i] * noise[r];
+        for (long i = 0; i < modes; i++) drift_found[i] += drift[modes * r + i] * noise[r];
     }
     solve_stiffness(&s, &K, x), apart(&s, x, parts);
     tractions(&s, &nodes, prior, parts, work, traction);

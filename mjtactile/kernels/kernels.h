@@ -88,11 +88,12 @@ int64_t inverse_step(int64_t nx, int64_t ny, const double *numbers /* 8 */,
                      const double *weights /* markers, 3, 3 */, const double *tilts /* 2, markers, 2, 3 or NULL */, int64_t jx,
                      int64_t jy, const double *load_x /* nx, jx */, const double *load_y /* ny, jy */,
                      const double *root_x /* jx, jx */, const double *root_y /* jy, jy */, const double *prior /* 3, jx, jy */,
-                     const double *innovation /* r, r */, const double *drift /* r, 4 */, const double *gas_load /* 3, nx, ny */,
+                     const double *innovation /* r, r */, int64_t modes, const double *drift /* r, modes */,
+                     const double *gas_load /* 3, nx, ny */,
                      const double *c /* 3, nx, ny */, const double *residual /* 3, nx, ny */, const double *data /* markers, 3 */,
                      const double *slopes_off /* markers, 2 or NULL */, double *change /* 3, nx, ny */,
                      double *traction /* 3, jx, jy */, double *misfit /* r */, double *noise /* r */,
-                     double *drift_found /* 4 */);
+                     double *drift_found /* modes */);
 
 /* Out: covariance `cov` of the net wrench of tractions on nodes at `positions` with `areas`, given what r rows saw. */
 int64_t wrench_posterior(int64_t r, int64_t jx, int64_t jy, const double *root_x /* jx, jx */, const double *root_y /* jy, jy */,

@@ -47,6 +47,7 @@ from mjtactile.sensing.shape.surface import SurfaceFitter
 from mjtactile.sensing.touch import slip
 from mjtactile.sensing.touch.patches import find_patches, together
 
+_KNOCKS_SURE = 3  # images in a row: a torn picture is no knock
 _SET_ASIDE_SHARE = 0.03  # of the markers, and at least one: more are not dirt
 
 
@@ -63,8 +64,9 @@ class ChainState:
     """What one image leaves for the next: the sensor's own references (`flat`, and `reference` once
     at rest), the marker positions `expected` (M, 3) m in S, the membrane's `shape`, the histories
     of touch and slip, the markers' `tracks`, how far they stand `apart` (M, 3) m from the
-    zero, the `gas`, where a gauge measures it, and the markers `set_aside` since nothing explains
-    where they seem to be."""
+    zero, the `gas`, where a gauge measures it, the markers `set_aside` since nothing explains
+    where they seem to be, and in how many images up to this one the camera seemed `knocked`: from
+    `_KNOCKS_SURE` on it was."""
 
     flat: FlatReference
     expected: Array
@@ -76,6 +78,7 @@ class ChainState:
     apart: Array | None = None
     gas: GasState | None = None
     set_aside: tuple[int, ...] = ()
+    knocked: int = 0
 
     def without_history(self) -> ChainState:
         """The same references, as if no image had been seen since; what is known of the gas
@@ -248,6 +251,7 @@ class Chain:
             reference=Reference(rest, self.fitter.fit(markers)),
             expected=self.inverse.positions(rest.c),
             gas=None,
+            knocked=0,
         ).without_history()
 
     def _check_rest(
@@ -363,7 +367,12 @@ class Chain:
         poses = estimate_poses(ellipses, self.camera, self.design.markers.radius)
         poses = state.flat.to_nominal(self.design, poses)
         markers = identity.identify(
-            poses, self.design, state.expected, state.flat.scale, self.settings.identity
+            poses,
+            self.design,
+            state.expected,
+            state.flat.scale,
+            self.settings.identity,
+            darkness=ellipses.darkness,
         )
         return markers, replace(state, expected=_moved(state.expected, markers), tracks=tracks)
 
@@ -415,6 +424,8 @@ class Chain:
         reference = state.reference
         markers = _without(markers, state.set_aside)
         found_shape = self._shape(state, reference, markers, time, reading)
+        if state.knocked < _KNOCKS_SURE:
+            found_shape = self._if_knocked(state, reference, markers, time, reading, found_shape)
         if not self._is_explained(found_shape[0]):
             markers, found_shape = self._without_worst(
                 state, reference, markers, time, reading, found_shape
@@ -496,6 +507,26 @@ class Chain:
         sharp = float(shape.excess[0].mean()) > s.inverse.excess_most and not drifted
         return not sharp and shape.misfit < s.inverse.misfit_most
 
+    def _if_knocked(
+        self,
+        state: ChainState,
+        reference: Reference,
+        markers: Markers,
+        time: float,
+        reading: PressureReading | None,
+        found: tuple[Shape, InverseRest, ChainState],
+    ) -> tuple[Shape, InverseRest, ChainState]:
+        """What `_shape` finds if the camera was knocked, where that explains the markers; else what
+        was `found`."""
+        shape, rest, after = found
+        if shape.drift > self.settings.inverse.knock_least:
+            sure = replace(state, knocked=_KNOCKS_SURE)
+            again, rest_again, later = self._shape(sure, reference, markers, time, reading)
+            better = again.drift < shape.drift and again.misfit < shape.misfit
+            if better and self._is_explained(again):
+                return again, rest_again, replace(later, knocked=state.knocked + 1)
+        return shape, rest, replace(after, knocked=0)
+
     def _without_worst(
         self,
         state: ChainState,
@@ -534,7 +565,7 @@ class Chain:
         """
         rest = reference.rest
         if reading is None and state.gas is None:
-            return self.inverse.estimate(markers, rest, state.shape), rest, state
+            return self._estimate(state, rest, markers), rest, state
         gas = state.gas
         if gas is None:
             start = time if reading is None else min(time, reading.time)
@@ -561,10 +592,14 @@ class Chain:
         chamber = self.design.chamber
         now, sd = self.gauge.gas_at(gas, time)
         rest = self.inverse.with_gas(rest, now, sd, gas.seen[-1][1])
-        shape = self.inverse.estimate(markers, rest, state.shape)
+        shape = self._estimate(state, rest, markers)
         volume = self.inverse.volume(shape.c)
         pressure = now.pressure_gauge(volume, chamber.ambient, chamber.heat_ratio)
         return replace(shape, pressure_gauge=pressure), rest, volume
+
+    def _estimate(self, state: ChainState, rest: InverseRest, markers: Markers) -> Shape:
+        knocked = state.knocked >= _KNOCKS_SURE
+        return self.inverse.estimate(markers, rest, state.shape, knocked=knocked)
 
     def _locate(self, state: ChainState, image: Image, expected: Array, what: str) -> Markers:
         markers, _ = self.see(replace(state, expected=expected), image)
@@ -694,7 +729,14 @@ def _without(markers: Markers, ids: Sequence[int]) -> Markers:
     keep = ~np.isin(markers.ids, ids) if ids else np.ones(len(markers), bool)
     if keep.all():
         return markers
-    return Markers(markers.ids[keep], markers.p_SM[keep], markers.n_S[keep], markers.cov_p[keep])
+    dark = markers.darkness
+    return Markers(
+        markers.ids[keep],
+        markers.p_SM[keep],
+        markers.n_S[keep],
+        markers.cov_p[keep],
+        None if dark is None else dark[keep],
+    )
 
 
 def _average(seen: Sequence[Markers]) -> Markers:
@@ -704,11 +746,15 @@ def _average(seen: Sequence[Markers]) -> Markers:
     total = np.zeros((len(count), 3))
     normal = np.zeros((len(count), 3))
     cov = np.zeros((len(count), 3, 3))
+    dark = np.zeros(len(count))
     for m in seen:
         total[m.ids] += m.p_SM
         normal[m.ids] += m.n_S
         cov[m.ids] += m.cov_p
+        dark[m.ids] += np.nan if m.darkness is None else m.darkness
     ids = np.flatnonzero(count >= len(seen) / 2)
     n = count[ids][:, None]
     direction = normal[ids] / np.linalg.norm(normal[ids], axis=1, keepdims=True)
-    return Markers(ids, total[ids] / n, direction, cov[ids] / n[..., None] ** 2)
+    mean = dark[ids] / count[ids]
+    darkness = mean if np.isfinite(mean).all() else None
+    return Markers(ids, total[ids] / n, direction, cov[ids] / n[..., None] ** 2, darkness)

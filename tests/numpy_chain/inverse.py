@@ -13,6 +13,7 @@ from mjtactile.core.bspline import hats
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, Markers
 from mjtactile.sensing.force import inverse
+from mjtactile.sensing.force.drift import MODES, camera_modes, drift_of
 from mjtactile.sensing.force.inverse import STEP_LIMIT, InverseMembrane, InverseRest, Shape
 from mjtactile.sensing.force.prior import LoadPrior
 from tests.numpy_chain.sheet import Sheet, State
@@ -38,7 +39,7 @@ class _Gain:
     innovation: Array
     reweighted: int
 
-    def serves(self, c: Array, markers: Markers, rest: InverseRest) -> bool:
+    def serves(self, c: Array, markers: Markers, rest: InverseRest, knocked: bool) -> bool:
         """Whether it can be used near `c`, for these markers."""
         return np.array_equal(self.ids, markers.ids) and bool(
             np.abs(c - self.c).max() < inverse.NEAR
@@ -126,10 +127,12 @@ class DenseInverse(InverseMembrane):
             gain,
             count,
             excess,
-            float((drift**2 / gain.drift_seen).mean()),
+            drift_of(drift, gain.drift_seen),
         )
 
-    def _gain(self, c: Array, markers: Markers, rest: InverseRest, before: Shape | None) -> _Gain:
+    def _gain(
+        self, c: Array, markers: Markers, rest: InverseRest, before: Shape | None, knocked: bool
+    ) -> _Gain:
         state = self._dense.state(c, rest.stiffness_scale)
         _, stiffness = self._dense.linearise(state, rest.gas)
         rows = self._at_markers[markers.ids]
@@ -152,7 +155,7 @@ class DenseInverse(InverseMembrane):
             )
             tilting = by_x[..., None] * along_x + by_y[..., None] * along_y
             unit = np.concatenate([unit, tilting.reshape(2 * len(rows), -1).T], axis=1)
-        drift, drift_gas = self._drift(state, rest, stiffness, weights, unit)
+        drift, drift_gas = self._drift(c, markers.ids, state, rest, stiffness, weights, unit)
         moved = cho_solve(stiffness, unit, check_finite=False).T
         response = (moved.reshape(-1, self.sheet.count) @ self._load).reshape(len(moved), -1)
         prior = self.prior.first() if before is None else self.prior.after(before.traction)
@@ -183,13 +186,15 @@ class DenseInverse(InverseMembrane):
 
     def _drift(
         self,
+        c: Array,
+        ids: NDArray[np.int64],
         state: State,
         rest: InverseRest,
         stiffness: tuple[Array, bool],
         weights: Array,
         unit: Array,
     ) -> tuple[Array, tuple[float, Array]]:
-        """What one sd of drift does: to the whitened markers (r, 4), and, by the gas, as pressure
+        """What one sd of drift does: to the whitened markers (r, 1 + MODES), and, by the gas, as pressure
         and as a load."""
         volume = self.design.chamber_volume_flat + state.volume
         dent = self._dense.state(rest.c).volume - state.volume
@@ -198,10 +203,11 @@ class DenseInverse(InverseMembrane):
         pressure *= share if rest.gas.constant is not None else 0.0
         load = pressure * self._dense.volume_gradient(state)
         bulge = cho_solve(stiffness, load.ravel(), check_finite=False)
-        drift = np.zeros((unit.shape[1], 4))
+        drift = np.zeros((unit.shape[1], 1 + MODES))
         drift[:, 0] = bulge @ unit
-        # slopes do not see the camera move
-        drift[: 3 * len(weights), 1:] = self.settings.drift_camera * weights.reshape(-1, 3)
+        # slopes hardly see the camera move
+        modes = camera_modes(self.design, self.positions(c)[ids], np.zeros(len(ids)), self.settings)
+        drift[: 3 * len(weights), 1:] = (weights @ modes).reshape(-1, MODES)
         return drift, (pressure, load)
 
 

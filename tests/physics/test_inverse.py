@@ -203,7 +203,7 @@ def test_covariance_is_that_of_errors_drawn_from_prior_and_noise(sensor, truth):
     t = root @ drawn
     y = (
         seen @ drawn
-        + gain.drift @ rng.standard_normal((4, 400))
+        + gain.drift @ rng.standard_normal((gain.drift.shape[1], 400))
         + rng.standard_normal((len(seen), 400))
     )
     S = seen @ seen.T + gain.drift @ gain.drift.T + np.eye(len(seen))

@@ -29,6 +29,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array, Markers, Traction
 from mjtactile.kernels import kernel
 from mjtactile.sensing.force.doubt import AXES, Doubt, Felt
+from mjtactile.sensing.force.drift import MODES, camera_modes, drift_of
 from mjtactile.sensing.force.prior import LoadPrior
 from mjtactile.sensing.force.sheet import Gas, Sheet, State, Stiffness
 from mjtactile.sensing.force.slopes import MarkerSlopes
@@ -43,6 +44,7 @@ SETTLED = 1e-4
 NEAR = 2e-4
 _SD_RATIO = 1.3  # by which the gas's pressure may become better or worse known meanwhile
 _GAS_NEAR = 3.0  # Pa, over which the sheet at rest is kept
+_DARKER_NEAR = 0.03  # of darkness, over which the camera's modes are kept
 REFINE = 5  # cells of the fine grid, for outlines, to a cell of the traction grid
 
 
@@ -52,7 +54,8 @@ class InverseRest:
     `stiffness_scale` on Young's modulus that makes the model bulge as far as the markers do,
     coefficients `c` (3, n) m of that model, and what then remains, `offset` (N, 3) m, measured less
     modelled marker positions. Where a gauge measures the gas: the sd of its pressure, `gas_sd` Pa,
-    in a chamber of `gas_volume` m^3, and the pressure at rest, `pressure_gauge` Pa."""
+    in a chamber of `gas_volume` m^3, and the pressure at rest, `pressure_gauge` Pa.
+    `darkness` (N,) is that of the markers then; NaN, or None: unknown."""
 
     gas: Gas
     stiffness_scale: float
@@ -61,6 +64,7 @@ class InverseRest:
     gas_sd: float | None = None
     gas_volume: float = math.nan
     pressure_gauge: float = math.nan
+    darkness: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +73,12 @@ class Gain:
     `half` covariance (r, 3 J) by the tractions' prior (r = 3 m positions, and 2 m slopes where they
     count); `weights` (m, 3, 3) that whiten positions, `slope_weights` (m,) and `tilts` (2, m, 2,
     3), the whitened slopes' derivatives by the sheet's tangents, or None, and the factors
-    `distrust` (2, m) on the sd of both that they contain; the response (r, 4) to one sd of `drift`
-    (gas, camera's x, y, z), the gas's part of it as pressure, Pa, and as a load (3, n), and the
-    share `drift_seen` (4,) of their variances that estimates have; prior sd (3 J,) of the
-    tractions; the lower factor of the predicted covariance of the whitened markers; and how often
-    it was `reweighted`: tractions had been found before it was made."""
+    `distrust` (2, m) on the sd of both that they contain; the response (r, 1 + MODES) to one sd of
+    `drift` (gas, the camera's modes), the gas's part of it as pressure, Pa, and as a load (3, n),
+    and the share `drift_seen` (1 + MODES,) of their variances that estimates have; prior sd (3 J,)
+    of the tractions; the lower factor of the predicted covariance of the whitened markers; and how
+    often it was `reweighted`: tractions had been found before it was made; by how much markers were
+    `darker` than at rest (m,), and whether the camera was taken for `knocked`."""
 
     c: Array
     ids: NDArray[np.int64]
@@ -90,10 +95,17 @@ class Gain:
     innovation: Array
     reweighted: int
     gas: tuple[tuple[bool, bool], float]
+    darker: Array
+    knocked: bool
 
-    def serves(self, c: Array, markers: Markers, rest: InverseRest) -> bool:
-        """Whether it can be used near `c`, for these markers, with what is known of the gas."""
+    def serves(self, c: Array, markers: Markers, rest: InverseRest, knocked: bool) -> bool:
+        """Whether it can be used near `c`, for these markers, with what is known of the gas and of
+        the camera."""
+        if knocked != self.knocked:
+            return False
         if not np.array_equal(self.ids, markers.ids) or np.abs(c - self.c).max() >= NEAR:
+            return False
+        if np.abs(darker(markers, rest) - self.darker).max(initial=0.0) > _DARKER_NEAR:
             return False
         known, then = self.gas
         if known != (rest.gas_sd is not None, rest.gas.constant is None):
@@ -106,8 +118,8 @@ class Shape:
     """An estimate: coefficients `c` (3, n) m of the deformation, nodal tractions (3, J) Pa, gauge
     pressure Pa, the mean square `misfit` of the markers over their predicted sd, the gain it came
     from, and the mean square noise over its sd, `excess` (2, N), of each marker's position and
-    slopes, and the mean square `drift` found, over what is to be expected. Hand it to the next
-    frame."""
+    slopes, and the mean square `drift` found, over what is to be expected (`drift_of`). Hand
+    it to the next frame."""
 
     c: Array
     traction: Array
@@ -192,7 +204,10 @@ class InverseMembrane:
         gas = self.sheet.seal(state, pressure_gauge) if sealed else valve
         offset = np.zeros((self.design.markers.count, 3))
         offset[markers.ids] = markers.p_SM - self.positions(c)[markers.ids]
-        return InverseRest(gas, scale, c, offset)
+        darkness = np.full(self.design.markers.count, np.nan)
+        if markers.darkness is not None:
+            darkness[markers.ids] = markers.darkness
+        return InverseRest(gas, scale, c, offset, darkness=darkness)
 
     def volume(self, c: Array) -> float:
         """Gas volume, m^3, behind the sheet at coefficients `c`."""
@@ -217,14 +232,25 @@ class InverseMembrane:
     # -- one frame
     # --------------------------------------------------------------------------------
 
-    def estimate(self, markers: Markers, rest: InverseRest, start: Shape | None = None) -> Shape:
+    def estimate(
+        self,
+        markers: Markers,
+        rest: InverseRest,
+        start: Shape | None = None,
+        *,
+        knocked: bool = False,
+    ) -> Shape:
         """Tractions and deformation that explain the markers, starting from the last frame's where
-        there is one."""
+        there is one; with a camera that may have been `knocked` since `rest`."""
         c, before = (rest.c, None) if start is None else (start.c, start)
         gain = None if start is None else start.gain
         for steps in range(1, STEPS_MAX + 1):
-            if gain is None or gain.reweighted < REWEIGHTED or not gain.serves(c, markers, rest):
-                gain = self._gain(c, markers, rest, before)
+            if (
+                gain is None
+                or gain.reweighted < REWEIGHTED
+                or not gain.serves(c, markers, rest, knocked)
+            ):
+                gain = self._gain(c, markers, rest, before, knocked)
             shape = self._step(c, markers, rest, gain, steps)
             settled = float(np.abs(shape.c - c).max()) < SETTLED
             c = shape.c
@@ -248,12 +274,13 @@ class InverseMembrane:
             ).T
         change = np.empty_like(c)
         traction = np.empty((3, len(self.nodes)))
-        (misfit, noise), drift = np.empty((2, len(gain.half))), np.empty(4)
+        (misfit, noise), drift = np.empty((2, len(gain.half))), np.empty(1 + MODES)
         kernel("inverse_step")(
             *self._sight(gain.stiffness, ids, gain.weights, gain.tilts),
             *self._nodes,
             gain.prior,
             gain.innovation,
+            1 + MODES,
             gain.drift,
             gain.drift_gas[1],
             c,
@@ -282,7 +309,7 @@ class InverseMembrane:
             gain,
             count,
             excess,
-            float((drift**2 / gain.drift_seen).mean()),
+            drift_of(drift, gain.drift_seen),
         )
 
     def _sight(
@@ -302,7 +329,9 @@ class InverseMembrane:
             tilts,
         )
 
-    def _gain(self, c: Array, markers: Markers, rest: InverseRest, before: Shape | None) -> Gain:
+    def _gain(
+        self, c: Array, markers: Markers, rest: InverseRest, before: Shape | None, knocked: bool
+    ) -> Gain:
         state = self.sheet.state(c, rest.stiffness_scale)
         ids = markers.ids
         _, stiffness = self.sheet.linearise(state, rest.gas)
@@ -321,9 +350,13 @@ class InverseMembrane:
         pressure, load = self._gas_drift(state, rest)
         rows = (3 if tilts is None else 5) * len(ids)
         half = np.empty((rows, 3 * len(self.nodes)))
-        drift = np.zeros((rows, 4))
-        # slopes do not see the camera move
-        drift[: 3 * len(ids), 1:] = self.settings.drift_camera * weights.reshape(-1, 3)
+        drift = np.zeros((rows, 1 + MODES))
+        # slopes hardly see the camera move
+        changed = darker(markers, rest)
+        modes = camera_modes(
+            self.design, self.positions(c)[ids], changed, self.settings, knocked=knocked
+        )
+        drift[: 3 * len(ids), 1:] = (weights @ modes).reshape(-1, MODES)
         bulge_seen = np.empty(rows)
         kernel("inverse_gain")(
             *self._sight(stiffness, ids, weights, tilts),
@@ -356,6 +389,8 @@ class InverseMembrane:
             innovation,
             0 if before is None else before.gain.reweighted + 1,
             ((rest.gas_sd is not None, rest.gas.constant is None), rest.gas_sd or 0.0),
+            changed,
+            knocked,
         )
 
     def _gas_drift(self, state: State, rest: InverseRest) -> tuple[float, Array]:
@@ -446,6 +481,13 @@ class InverseMembrane:
         """Share (6,) of the wrench's predicted variances: more where markers misfit or show
         drift."""
         return np.maximum(max(1.0, shape.misfit) * self._posterior_share, shape.drift - 1)
+
+
+def darker(markers: Markers, rest: InverseRest) -> Array:
+    """By how much the darkness (m,) of each marker has changed since `rest`; 0 where unknown."""
+    if markers.darkness is None or rest.darkness is None:
+        return np.zeros(len(markers))
+    return np.nan_to_num(markers.darkness - rest.darkness[markers.ids])
 
 
 def _net(force: Array, positions: Array) -> Array:

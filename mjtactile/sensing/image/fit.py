@@ -81,4 +81,5 @@ def as_ellipses(fit: EdgeFit, status: NDArray[np.str_]) -> Ellipses:
     angle = np.empty(n)
     cov = np.empty((n, 5, 5))
     kernel("ellipse_axes")(n, fit.shape, fit.cov, axes, angle, cov)
-    return Ellipses(fit.center, axes, angle, cov, status)
+    darkness = np.log(np.maximum(fit.inside, 0.5) / np.maximum(fit.outside, 0.5))
+    return Ellipses(fit.center, axes, angle, cov, status, darkness)

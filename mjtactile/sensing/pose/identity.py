@@ -31,8 +31,10 @@ def identify(
     expected: ArrayLike | None = None,
     scale: ArrayLike | None = None,
     s: IdentitySettings = DEFAULTS.identity,
+    *,
+    darkness: Array | None = None,
 ) -> Markers:
-    """Identified markers in S from circle poses in C.
+    """Identified markers in S from circle poses in C, with the circles' `darkness` (N,).
 
     `expected` (M, 3) m are the positions in S to look near, by default those of the flat membrane;
     `scale` (M,) is each marker's true radius over the nominal one that the poses were computed
@@ -68,7 +70,7 @@ def identify(
         normals,
         cov_p,
     )
-    return Markers(ids, p, normals, cov_p)
+    return Markers(ids, p, normals, cov_p, None if darkness is None else darkness[circle[ids]])
 
 
 def match(

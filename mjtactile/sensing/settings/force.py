@@ -65,6 +65,26 @@ class InverseSettings:
     drift_camera: float = number(
         3e-6, "m, sd of the camera's place since then", "10 K in 10 mm of a plastic housing"
     )
+    drift_turn: float = number(3e-5, "rad, sd of its direction", "a 50th of a pixel")
+    drift_zoom: float = number(0.01, "sd of the picture's scale", "a lens warmed; bench trust")
+    drift_size: float = number(
+        0.2, "px, sd of circles' radii", "gamma, clipping: 0.1 px and more; bench trust"
+    )
+    drift_levels: float = number(
+        0.5,
+        "px, sd of that for a level inside over that outside that is e times what it was",
+        "clipped blacks: 0.1 px for a fifth; bench trust",
+        low=0.0,
+    )
+    knock_place: float = number(
+        3e-4, "m, sd of the camera's place once it was knocked", "some pixels; bench trust"
+    )
+    knock_turn: float = number(0.01, "rad, sd of its direction then", "the same; bench trust")
+    knock_least: float = number(
+        6.0,
+        "mean square of the drift found over its variance, from which on it was knocked",
+        "bench trust: knocks of 0.5 px and more have 9, grasps 3",
+    )
     dent_share: float = number(
         0.03, "sd of the volume of a dent between the markers, of that volume", "bench touch"
     )

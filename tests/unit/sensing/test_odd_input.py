@@ -94,7 +94,7 @@ def enlarged(image, at, radius):
 @pytest.mark.parametrize("sensor", ["dense", "paper16"])
 @pytest.mark.parametrize("larger", [1.12, 1.5])
 def test_a_speck_on_one_marker_costs_one_marker(sensor, larger):
-    """Felt forces as without it, to what one marker of 16 tells: 20 mN."""
+    """Felt forces as without it, to what one marker of 16 tells and two sd: 25 mN."""
     design = load_sensor(sensor)
     images = sheet_images.sequence(sensor)
     chain = Chain(design)
@@ -110,4 +110,4 @@ def test_a_speck_on_one_marker_costs_one_marker(sensor, larger):
         assert touch.status == "ok"
         assert touch.markers is not None
         assert len(touch.markers) >= design.markers.count - 1
-        assert touch.force_normal == pytest.approx(clean.force_normal, abs=0.02)
+        assert touch.force_normal == pytest.approx(clean.force_normal, abs=0.025)

@@ -97,8 +97,10 @@ def test_zero_follows_a_warming_chamber_and_leaves_a_right_force(sensor):
     rng = np.random.default_rng(2)
     shape = None
     now = zero.Zero.of(rest)
-    before = estimator.traction(estimator.estimate(seen(estimator, c), rest)).wrench[2]
-    assert before > 0.015  # N: it looks like a pull
+    before = estimator.traction(estimator.estimate(seen(estimator, c), rest))
+    off = before.wrench[2]
+    # as far as it is not taken for a camera that sees all larger: within its bar
+    assert abs(off) < 5 * np.sqrt(before.wrench_cov[2, 2])
     for _ in range(300):
         markers = seen(estimator, c, rng)
         shape = estimator.estimate(markers, now.rest, shape)
@@ -157,13 +159,17 @@ def test_zero_is_frozen_in_contact_and_a_lost_zero_is_said():
     assert touch.touching and state.reference is not None and state.reference.rest is rest
     assert touch.contact is not None and touch.contact.area > 0 and len(touch.patches) == 1
     assert touch.slip is not None and touch.slip.state == "sticking"
-    hot = replace(rest.gas, constant=rest.gas.constant * 1.01)  # 3 K at once
+    # 3 K at once, and no gauge: as if the camera saw all larger, which is no force
+    hot = replace(rest.gas, constant=rest.gas.constant * 1.01)
     bulged = seen(estimator, estimator.sheet.equilibrium(hot, rest.stiffness_scale, start=rest.c))
+    warm, _ = chain.feel(state, bulged, surface, 10.0)
+    assert warm.status == "ok" and abs(warm.force_normal) < 3 * warm.force_normal_sd
+    pulled = seen(estimator, pressed(estimator, rest, np.array([0, 0, 0.25]))[0])
     for k in range(40):
-        touch, state = chain.feel(state, bulged, surface, 10 + k * FRAME)
+        touch, state = chain.feel(state, pulled, surface, 10 + k * FRAME)
         if touch.status != "ok":
             break
-    assert "pulled" in touch.status and np.isnan(touch.force_normal)
+    assert touch.status.code in ("reference lost", "no shape") and np.isnan(touch.force_normal)
 
 
 def parabola(estimator, force, place, radius=5e-3):

@@ -1,0 +1,93 @@
+"""A camera that is not as it was at the references: what moves all circles alike is no force."""
+
+import numpy as np
+import pytest
+
+from mjtactile.core.design import load_sensor
+from mjtactile.core.fields import from_table
+from mjtactile.rig.troubles import CameraTroubles
+from mjtactile.sensing.chain import Perception
+from mjtactile.sensing.force.drift import MODES, camera_modes
+from mjtactile.sensing.settings import DEFAULTS
+from mjtactile.sim.picture.troubles import TroubledPicture
+from tests import sheet_images
+
+AFTER = (
+    {"zoom_percent": 0.3},
+    {"zoom_percent": -1.0},
+    {"gamma": 1.3},
+    {"gamma": 0.8},
+    {"black_DN": 50},
+    {"white_DN": 150},
+    {"exposure_percent": 60},
+    {"knock_px": [1.5, -1.2]},
+    {"knock_px": [4.0, 3.0], "turn_deg": 0.5},
+)
+BEFORE = ({"black_DN": 50}, {"gamma": 1.3})
+
+
+def touches(references=None, run=None):
+    """What is felt with those troubles in the references' images, and after them; every press is
+    seen four times, as its motion makes bars larger."""
+    images = sheet_images.sequence("dense")
+    seen = [
+        TroubledPicture(from_table(CameraTroubles, table or {}, "test"))
+        for table in (references, run)
+    ]
+    sensor = Perception.of(load_sensor("dense"))
+    sensor.take_flat([seen[0](image) for image in images.flat])
+    sensor.take_rest([seen[0](image) for image in images.rest], sheet_images.GAUGE)
+    found = []
+    for image in (images.rest[0], *images.pressed):
+        for _ in range(4):
+            touch = sensor.perceive(seen[1](image), image.time)
+        found.append(touch)
+    return found
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return [touch.force_normal for touch in touches()]
+
+
+@pytest.mark.parametrize("table", AFTER, ids=str)
+def test_a_change_after_the_references_is_no_force(clean, table):
+    """Within 0.03 N of what is felt without it, but for the first image, which has to find it out
+    and is within its bar: nothing touching, 0.1, 0.4, 0.8 N, and let go."""
+    first, *others = zip(touches(run=table), clean, strict=True)
+    assert first[0].status == "ok"
+    assert abs(first[0].force_normal - first[1]) < 5 * first[0].force_normal_sd
+    for touch, wanted in others:
+        assert touch.status == "ok"
+        assert abs(touch.force_normal - wanted) < 0.03
+
+
+@pytest.mark.parametrize("table", BEFORE, ids=str)
+def test_a_change_that_ends_with_the_references_is_none_either(clean, table):
+    for touch, wanted in zip(touches(references=table), clean, strict=True):
+        assert touch.status == "ok"
+        assert abs(touch.force_normal - wanted) < 0.05
+
+
+def test_modes_are_what_a_changed_camera_shows():
+    """Finite differences of the renderer's own projection: each mode's lateral part moves markers
+    across their rays, its depth their size, both to first order."""
+    design = load_sensor("dense")
+    s = DEFAULTS.inverse
+    p = design.markers.p_SM + [0, 0, 2e-3]
+    modes = camera_modes(design, p, np.zeros(len(p)), s, knocked=True)
+    assert modes.shape == (len(p), 3, MODES)
+    away = p - design.camera.p_SC
+    # a camera that moves by x makes all markers seem to move by as much
+    assert modes[:, :, 0] == pytest.approx(np.tile([s.knock_place, 0, 0], (len(p), 1)))
+    # turns keep distances from the camera
+    for k in (3, 4, 5):
+        assert (modes[:, :, k] * away).sum(axis=1) == pytest.approx(0, abs=1e-12)
+    # a larger picture: nearer, at the same place across (its angle grows as its depth falls)
+    assert modes[:, :2, 6] == pytest.approx(0)
+    assert modes[:, 2, 6] / away[:, 2] == pytest.approx(-s.drift_zoom)
+    # larger circles: nearer along their rays, by the share of their radius, 13 px
+    share = np.linalg.norm(modes[:, :, 7], axis=1) / np.linalg.norm(away, axis=1)
+    radius = design.camera.fx * design.markers.radius / away[:, 2]
+    assert share == pytest.approx(s.drift_size / radius)
+    assert modes[:, :, 8] == pytest.approx(0)  # no level has changed
