@@ -14,18 +14,19 @@
 `Observation.command.memory`. It knows no clock, simulator or device, nor which way is down.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from math import exp, isfinite
 
 import numpy as np
 
-from mjtactile.hold import friction, pull, shear, support, weigh
+from mjtactile.hold import downward, friction, load_vector, shear, weigh
 from mjtactile.types import Command, Observation
 
 # N on each finger: what it closes to, the most that it ever asks for, and the least
-FIRST_FORCE = 0.20
+FIRST_FORCE = 0.25
 FORCE_MOST = 2.2
-FORCE_LEAST = 0.12
+FORCE_LEAST = 0.25
 TOUCH_FORCE = 0.08  # N: several times the noise of the estimate
 SERVO_FORCE_LIMIT = 5.0  # N: the most that the servo may push, whatever is felt
 MARGIN = 1.35  # grip over what load and friction ask for
@@ -36,7 +37,7 @@ PROOF_SHARE = 0.9
 FRICTION_MOST = 1.0  # rougher than that is not believed: rolling lets go before sliding does
 FRICTION_GROWTH = 0.04  # 1/s, of the belief in friction while nothing slips
 SLIP_SHARE = 0.85  # of the ratio at which it slipped: what is believed of friction then
-SLIP_PAUSE = 0.25  # s until a slip that goes on counts again: what the grip needs to follow
+SLIP_PAUSE = 0.4  # s until a slip that goes on counts again: what the grip needs to follow
 SLIP_TOGETHER = 0.3  # s within which all fingers must say so
 NEAR = 0.85  # of the friction that is believed: there one finger is enough
 SLIP_LATE = 0.2  # s that a slip is said late: the ratio at which it slipped was the largest since
@@ -60,12 +61,11 @@ GRIP_TIMEOUT = 6.0
 STOP_TIME = 0.3  # s that the rig lets the jaws close no further: they are at their own stop
 BLIND_TIME_MAX = 0.5  # s without a usable image before giving up
 LOST_TIME = 0.3  # s without a touch: the object stays behind
-# N on each finger that something pushes up with on the way down: it stands
-TABLE_FORCE = 0.04
+TABLE_FORCE = 0.03  # N, upward, over all fingers: it stands
 SEARCH = 0.030  # m below where it shall be set down that the table is looked for
 # N over all fingers that somebody pulls with, and s for how long: a bump is shorter
 PULL_FORCE = 0.30
-PULL_TIME = 0.2
+PULL_TIME = 0.13
 RELEASE_OPENING = 0.012  # m to open beyond the grip before the run ends
 START = {
     "phase_time": 0.0,
@@ -125,14 +125,22 @@ def _remember(command: Command, **values) -> Command:
     return replace(command, memory={**command.memory, **values})
 
 
+def _load(observation: Observation, memory: Mapping) -> np.ndarray:
+    """N, down, across and through, on what hangs on the fingers."""
+    return load_vector(observation.touch, memory["down"])
+
+
 def _grip_as_needed(observation: Observation, command: Command) -> Command:
     """Learn load and friction from this moment, and ask for the grip that they need."""
     memory = command.memory
     period = observation.period
     shears = shear(observation.touch)
-    now = float(np.linalg.norm(shears, axis=1).mean()) + LOAD_SPARE
+    if "down" in memory:
+        now = float(np.linalg.norm(_load(observation, memory)[:2])) / len(shears)
+    else:
+        now = float(np.linalg.norm(shears, axis=1).mean())
     # at once when it grows, slowly when it goes: half of a shake is light
-    load = max(now, memory["load"] * exp(-period / LOAD_TIME))
+    load = max(now + LOAD_SPARE, memory["load"] * exp(-period / LOAD_TIME))
     told = friction(observation.touch)
     used = max(float(np.nan_to_num(told.used).max()), memory["used"] * exp(-period / SLIP_LATE))
     believed = memory["friction"]
@@ -141,7 +149,6 @@ def _grip_as_needed(observation: Observation, command: Command) -> Command:
     proven = memory["proven"] * exp(-period / PROOF_TIME)
     if not isfinite(told.slipped) and since_slip > SLIP_PAUSE:
         proven = max(proven, told.least)
-    kick = 0.0
     # one finger alone may roll or lean: all of them, or one near what is believed
     ages = np.asarray(memory.get("slip_ages", np.full(len(shears), 1.0))) + period
     slips = [
@@ -151,13 +158,13 @@ def _grip_as_needed(observation: Observation, command: Command) -> Command:
     slipped = ages.max() < SLIP_TOGETHER or (any(slips) and used > NEAR * believed)
     if slipped and since_slip >= SLIP_PAUSE:
         believed = max(FRICTION_LEAST, min(believed, SLIP_SHARE * used))
-        kick = KICK
         since_slip = 0.0
     elif since_slip > 1.0:
         believed = min(FRICTION_MOST, believed * (1 + FRICTION_GROWTH * period))
     believed = max(believed, min(PROOF_SHARE * proven, FRICTION_MOST))
     target = min(FORCE_MOST, max(FORCE_LEAST, MARGIN * load / believed))
-    command = replace(command, opening=command.opening - kick)
+    if since_slip == 0.0 and target > memory["target"]:
+        command = replace(command, opening=command.opening - KICK)
     learnt = {
         "load": load,
         "used": used,
@@ -198,12 +205,12 @@ def _approach(observation: Observation, command: Command, felt: list[float]) -> 
 
 
 def _regulate(observation: Observation, command: Command, felt: list[float]) -> Command:
-    """Bring the force to the first target, and keep what the grip itself drags along."""
+    """Bring the force to the first target."""
     command = _regulated(observation, command, felt)
     settled = abs(sum(felt) / len(felt) - command.memory["target"]) < FORCE_TOLERANCE
     settled_time = command.memory["settled_time"] + observation.period if settled else 0.0
     if settled_time >= SETTLE_TIME:
-        return _remember(_go(command, "lift"), standing=shear(observation.touch).tolist())
+        return _go(command, "lift")
     if command.memory["phase_time"] > GRIP_TIMEOUT:
         return _give_up(command, "the force did not settle")
     return _remember(command, settled_time=settled_time)
@@ -216,9 +223,12 @@ def _lift(observation: Observation, command: Command, felt: list[float]) -> Comm
     if command.memory["since_slip"] < 2 * SLIP_PAUSE or behind > FORCE_TOLERANCE:
         return command  # grip first
     told = observation.told
+    if "down" not in command.memory and command.lift_height >= WEIGH_HEIGHT:
+        found = weigh(observation.touch)
+        down = downward(observation.touch).tolist()
+        command = _remember(command, mass=found.mass, mass_sd=found.sd, down=down)
     if observation.gripper.lift_height > told.lift_height - 0.001:
-        found = weigh(observation.touch, command.memory["standing"])
-        return _remember(_go(command, "hold"), mass=found.mass, mass_sd=found.sd)
+        return _go(command, "hold")
     slow = command.lift_height < WEIGH_HEIGHT
     rise = (WEIGH_SPEED if slow else LIFT_SPEED) * observation.period
     return replace(command, lift_height=min(told.lift_height, command.lift_height + rise))
@@ -227,16 +237,15 @@ def _lift(observation: Observation, command: Command, felt: list[float]) -> Comm
 def _hold(observation: Observation, command: Command, felt: list[float]) -> Command:
     """Hold; let go where somebody who was announced pulls for longer than a bump lasts."""
     command = _regulated(observation, command, felt)
-    now = shear(observation.touch)
+    now = _load(observation, command.memory)
     held = np.asarray(command.memory.get("held", now))
-    pulls = observation.told.hand_over and pull(observation.touch, held) > PULL_FORCE
-    if pulls:
+    pulls = float(np.linalg.norm(now - held)) > PULL_FORCE
+    if observation.told.hand_over and pulls:
         pull_time = command.memory["pull_time"] + observation.period
         command = _remember(command, pull_time=pull_time)
         return _release_now(command) if pull_time > PULL_TIME else command
     follow = min(1.0, 2.0 * observation.period)  # in half a second
-    held = (held + follow * (now - held)).tolist()
-    command = _remember(command, held=held, pull_time=0.0)
+    command = _remember(command, held=(held + follow * (now - held)).tolist(), pull_time=0.0)
     over = command.memory["phase_time"] >= observation.told.hold_time
     return _go(command, "lower") if over else command
 
@@ -244,14 +253,13 @@ def _hold(observation: Observation, command: Command, felt: list[float]) -> Comm
 def _lower(observation: Observation, command: Command, felt: list[float]) -> Command:
     """Down until the table takes the load over, a little below where it should be at most."""
     command = _regulated(observation, command, felt)
-    held = np.asarray(command.memory.get("held", shear(observation.touch)))
     goal = max(0.0, observation.told.place_height - SEARCH)
     near = command.lift_height < observation.told.place_height + SEARCH
     speed = PLACE_SPEED if near else LIFT_SPEED
     height = max(goal, command.lift_height - speed * observation.period)
-    # when the table carries four fifths of it, nothing presses yet
-    load = float(np.linalg.norm(held, axis=1).mean())
-    stands = support(observation.touch, held) > TABLE_FORCE - 0.2 * load
+    # the table carries four fifths of it, and a little more where that is nothing
+    weight = float(np.asarray(command.memory["held"])[0])
+    stands = float(_load(observation, command.memory)[0]) < 0.2 * weight - TABLE_FORCE
     if stands or (height == goal and observation.gripper.lift_height < goal + 0.001):
         return _release_now(command)
     return replace(command, lift_height=height)

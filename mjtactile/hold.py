@@ -3,13 +3,10 @@ rough it is, who carries how much, and whether the table or somebody else has a 
 
 Pure functions of touches, for any controller and any number of fingers; N, kg, m/s^2. A finger
 feels the force on its membrane in its own frame S and does not know which way is down. It need not:
-what changes between two moments is what counts, such as the shear that came when the object left
-the table, and the fingers of a grip share that in parallel planes (for tips that are inclined by an
-angle, it is too small by the angle's cosine).
+what hangs in the air hangs on the fingers alone, and these share it in parallel planes (for tips
+that are inclined by an angle, what is felt along them is too small by the angle's cosine).
 
-    before = shear(touch)               # gripped, on the table
-    ...
-    found = weigh(touch, before)        # lifted: 0.0602 kg +- 0.0014
+    found = weigh(touch)                # lifted: 0.0602 kg +- 0.0014
     grip = least_grip(found.mass, friction=0.6, fingers=2)
 """
 
@@ -79,13 +76,13 @@ def shear(touch: Sequence[Touch]) -> Array:
     return np.array([_wrench(one)[:2] for one in touch])
 
 
-def weigh(touch: Sequence[Touch], before: ArrayLike, *, acceleration: float = 0.0) -> Weight:
-    """Weigh what was lifted: sum of shears = m (g + a), and what the grip itself drags along the
-    membranes was there before.
+def weigh(touch: Sequence[Touch], before: ArrayLike = 0.0, *, acceleration: float = 0.0) -> Weight:
+    """Weigh what was lifted: sum of shears = m (g + a).
 
     Args:
         touch: While the object hangs on the fingers alone.
-        before: (n, 2) N, `shear` when the table still carried it.
+        before: (n, 2) N, `shear` that was there without the load and still is: the first weight's
+            where something was added. What the table's friction held before goes with the table.
         acceleration: Of the hand, m/s^2, positive upward.
 
     Returns:
@@ -164,6 +161,45 @@ def support(touch: Sequence[Touch], held: ArrayLike) -> float:
     before = np.asarray(held, float)
     gone = np.linalg.norm(shear(touch) - before, axis=1)
     return float(np.mean(gone - np.linalg.norm(before, axis=1)))
+
+
+def downward(touch: Sequence[Touch], before: ArrayLike = 0.0) -> Array:
+    """Find where the load drags each finger.
+
+    Args:
+        touch: While the object hangs on the fingers, and does not lean in them yet.
+        before: (n, 2) N, `shear` that was there without the load and still is.
+
+    Returns:
+        (n, 2) unit vectors, each in its finger's frame S; NaN where that is unknown.
+    """
+    change = shear(touch) - np.asarray(before, float)
+    return change / np.maximum(np.linalg.norm(change, axis=1), 1e-9)[:, None]
+
+
+def load_vector(touch: Sequence[Touch], down: ArrayLike) -> Array:
+    """Say with how much the world pulls at what is held, as far as the fingers can tell it from
+    what they do to each other: a thing that leans in the grip drags one finger up and the other
+    down, and the more so the harder it is gripped; that is no load, and cancels here.
+
+    Args:
+        touch: Now.
+        down: (n, 2), as of `downward`.
+
+    Returns:
+        (3,) N: downward; of two fingers that face each other also across (sideways along both) and
+            through (from the second to the first), which are 0 of more than two: those hold that
+            by pressing.
+    """
+    change = shear(touch)
+    way = np.asarray(down, float)
+    along = float((change * way).sum())
+    if len(touch) != 2:
+        return np.array([along, 0.0, 0.0])
+    side = change[:, 1] * way[:, 0] - change[:, 0] * way[:, 1]
+    press = [one.force_normal for one in touch]
+    # seen from outside, left of down is right of down for who faces it
+    return np.array([along, float(side[0] - side[1]), float(press[0] - press[1])])
 
 
 def pull(touch: Sequence[Touch], held: ArrayLike) -> float:

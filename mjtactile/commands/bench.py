@@ -34,6 +34,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   trust       one grasp felt again with its images changed, as some fifty camera troubles do
   attacks     everything bad that the tests do, counted by what must come of it
   settings    what half and twice of each number of the sensing chain do to what is felt
+  tasks       what touch buys: tasks that ask for it, with and without, over the same episodes
   numbers     measures nothing: all numbers on one page, from the pages of the others
   headline    measures nothing: the few of them that the README shows"""
 EPILOG = """\
@@ -67,6 +68,7 @@ BENCHMARKS = {
     "trust": "trust.run",
     "attacks": "attacks",
     "settings": "sensitivity",
+    "tasks": "tasks",
     "numbers": "numbers",
     "headline": "headline",
 }
@@ -74,12 +76,13 @@ BENCHMARKS = {
 draws into `out`, and `table(result) -> str` in Markdown."""
 
 OPTIONS = {
-    "resume": ("stability", "rig", "bars"),
+    "resume": ("stability", "rig", "bars", "tasks"),
     "parts": ("rig",),
     "soak": ("rig",),
     "cases": ("truth",),
     "against": ("speed",),
     "pairs": ("cheap",),
+    "episodes": ("tasks",),
 }
 """Options that only some have."""
 
@@ -104,7 +107,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--resume",
         action="store_true",
-        help="stability, rig, bars: keep what an interrupted run finished",
+        help="stability, rig, bars, tasks: keep what an interrupted run finished",
     )
     parser.add_argument(
         "--parts",
@@ -127,6 +130,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--pairs", type=int, metavar="N", help="cheap: so many pairs of episodes (default: 200)"
+    )
+    parser.add_argument(
+        "--episodes", type=int, metavar="N", help="tasks: so many of each (default: 200)"
     )
     parser.add_argument(
         "--readme",

@@ -77,6 +77,9 @@ class Thing:
         default=math.inf,
         about="mass and friction that need more of a finger are drawn again",
     )
+    breaking_least: float = number(
+        "break_least_N", 0, 100, default=0.0, about="no thing breaks at less: what touching takes"
+    )
     breaking: Range | None = _range(
         "break_share_of_need", 1.05, 100, about="what it stands, over the least grip that holds"
     )

@@ -13,7 +13,7 @@ import numpy as np
 from mjtactile.core.calibration import GAUGE_SD
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.scenario import Scenario
-from mjtactile.core.task import DrawnTask, load_task
+from mjtactile.core.task import DrawnTask, Task, load_task
 from mjtactile.core.types import Command, GripperState, ValveState
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.finger import Rig, make_fingers
@@ -288,7 +288,7 @@ def build_sim_rig(
     drawn_task = task.draw(seed, len(file.fingers))
     grasped = load_object(scenario.object)
     drawn = replace(drawn, object=_with_task(drawn.object, drawn_task, grasped, design))
-    grasped = _breaking(grasped.changed(drawn.object), drawn_task, len(file.fingers))
+    grasped = _breaking(grasped.changed(drawn.object), task, drawn_task, len(file.fingers))
     wanted = DEFAULT_FORCE_ERROR if fidelity is None else fidelity.asked
     chosen = choose(design, grasped, force_error=wanted, overrides=scenario.effects)
     on = chosen.on
@@ -371,13 +371,13 @@ def _with_task(
     return change
 
 
-def _breaking(grasped: ObjectModel, task: DrawnTask, fingers: int) -> ObjectModel:
+def _breaking(grasped: ObjectModel, task: Task, drawn: DrawnTask, fingers: int) -> ObjectModel:
     """The object with the break force that the task says, if it does: it goes with what the task
     needs of a finger."""
-    if task.breaking is None or task.friction is None:
+    if drawn.breaking is None or drawn.friction is None:
         return grasped
-    need = task.need(grasped.mass, task.friction, fingers)
-    return replace(grasped, break_force=task.breaking * need)
+    need = drawn.need(grasped.mass, drawn.friction, fingers)
+    return replace(grasped, break_force=max(task.thing.breaking_least, drawn.breaking * need))
 
 
 def build(request: RigRequest) -> Rig:

@@ -81,6 +81,39 @@ def test_the_table_is_told_from_a_load_that_it_took_over():
     assert hold.pull([touch(0, 0.0, 1.0)] * 2, held) == pytest.approx(0.6)
 
 
+@pytest.mark.parametrize("turned", [0.0, 0.7, 2.5])
+def test_what_fingers_do_to_each_other_is_no_load(turned):
+    """Two fingers that face each other along x, whose own axes are turned about their normals by
+    any angle; a world force on what they hold, and an inner one of any size that drags one up and
+    the other down, one to the front and the other to the back."""
+    cos, sin = math.cos(turned), math.sin(turned)
+    spin = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+    frames = [  # columns: axes of S in W, as in the shipped gripper
+        np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]]) @ spin,
+        np.array([[0, 0, -1], [-1, 0, 0], [0, 1, 0]]) @ spin,
+    ]
+
+    def feel(force, inner):
+        felt = []
+        for sign, R_WS, side in zip((1, -1), frames, (0.5, 0.5), strict=True):
+            push = np.array([-sign * 1.0, 0, 0])  # the grip
+            f_S = R_WS.T @ (push + side * np.asarray(force) + sign * np.asarray(inner))
+            felt.append(touch(f_S[0], f_S[1], -f_S[2]))
+        return felt
+
+    hangs = feel([0, 0, -0.3], [0, 0, 0.03])
+    down = hold.downward(hangs)
+    leans = feel([0.0, 0.2, -0.5], [0, 0.4, 0.9])
+    along, across, through = hold.load_vector(leans, down)
+    assert along == pytest.approx(0.5) and abs(across) == pytest.approx(0.2)
+    assert through == pytest.approx(0.0)
+    pulled = hold.load_vector(feel([0.4, 0, -0.3], [0, 0, 0]), down)
+    assert abs(pulled[2]) == pytest.approx(0.4) and pulled[0] == pytest.approx(0.3)
+    # more than two: downward alone
+    three = hold.load_vector([hangs[0]] * 3, [down[0]] * 3)
+    np.testing.assert_allclose(three, [3 * (0.15 - 0.03), 0, 0], atol=1e-12)
+
+
 def test_unknown_is_not_zero():
     both = [touch(0, 0, 1.0), UNKNOWN]
     assert np.isnan(hold.shear(both)).tolist() == [[False, False], [True, True]]
