@@ -97,7 +97,8 @@ def weigh(touch: Sequence[Touch], before: ArrayLike = 0.0, *, acceleration: floa
         return Weight(math.nan, math.nan, unknown, unknown)
     along = change / np.maximum(load, 1e-9)[:, None]
     noise = sum(float(way @ _covariance(one) @ way) for one, way in zip(touch, along, strict=True))
-    sd = math.sqrt(2 * noise + (GAIN_SD * total) ** 2)  # twice: of both moments
+    moments = 1 + bool(np.any(before))
+    sd = math.sqrt(moments * noise + (GAIN_SD * total) ** 2)
     return Weight(total / pull, sd / pull, load, load / max(total, 1e-9))
 
 

@@ -86,7 +86,7 @@ def test_jaws_that_are_blocked_by_what_no_finger_feels_do_not_push_for_ever():
     assert run(Command(0.08, 4.0, 0.0, "approach"), nothing, 60).phase == "approach"
 
 
-@pytest.mark.parametrize("controller", ["gentle", "slip_aware", "touchless"])
+@pytest.mark.parametrize("controller", ["gentle", "slip_aware", "touchless", "adaptive"])
 @pytest.mark.parametrize("least", [0.0, 0.022])
 def test_jaws_at_their_own_stop_have_closed_on_nothing(controller, least):
     """The three-fingered hand closes to 22 mm: until now the approach waited there for a minute."""

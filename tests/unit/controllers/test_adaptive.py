@@ -1,0 +1,132 @@
+"""The adaptive controller follows load and friction, and neither a lean nor a bump fools it: on
+touches that are made up by statics."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mjtactile.core.types import Command, GripperState, Observation, Slip, Told, Touch, Traction
+from mjtactile.run.controller import load_controller
+
+PERIOD = 1 / 30
+GRID = np.linspace(-0.01, 0.01, 3)
+step = load_controller("adaptive").step
+
+
+def finger(down, side=0.0, normal=0.4, state="sticking"):
+    """A finger whose y points up: it carries `down` N, and `side` N along x."""
+    wrench = np.array([side, -down, -normal, 0.0, 0.0, 0.0])
+    traction = Traction(GRID, GRID, np.zeros((3, 3, 3)), wrench, np.eye(6) * 9e-6, 1e3, "made up")
+    slip = Slip(state, np.zeros(2), 0.0, 1.0)
+    return Touch(0.0, 0.01, normal, 0.003, normal > 0.05, traction=traction, slip=slip)
+
+
+def run(command, feel, count, told=None):
+    """`count` cycles on a gripper that is where it was told to be; `feel(k, command)` is felt."""
+    for k in range(count):
+        state = GripperState(command.opening, 0.0, 0.4, command.lift_height)
+        felt = feel(k, command)
+        command = step(Observation(k * PERIOD, PERIOD, felt, state, (), command, told or Told()))
+    return command
+
+
+def holding(load=0.2, told=None):
+    """A command that has lifted `load` N on each finger, gripped as it asked for, and holds."""
+    start = Command(0.04, 5.0, 0.0, "lift")
+    told = told or Told(hold_time=60.0)
+    both = lambda k, c: (finger(load, normal=c.memory.get("target", 0.3)),) * 2  # noqa: E731
+    command = run(start, both, 150, told)
+    assert command.phase == "hold"
+    return command, told
+
+
+def test_it_weighs_what_it_lifts():
+    command, _ = holding(0.2)
+    mass = command.memory["mass"]
+    assert mass == pytest.approx(0.4 / 9.81, rel=1e-6)
+    # 3 mN of noise on each finger, and 1.5 %
+    sd = math.hypot(math.sqrt(2) * 0.003, 0.015 * 0.4) / 9.81
+    assert command.memory["mass_sd"] == pytest.approx(sd, rel=1e-3)
+
+
+def test_the_grip_goes_with_the_load_and_comes_back_slowly():
+    command, told = holding(0.2)
+    before = command.memory["target"]
+    more = run(command, lambda k, c: (finger(0.4, normal=1.0),) * 2, 10, told)
+    assert more.memory["target"] == pytest.approx(2 * before, rel=0.1)
+    less = run(more, lambda k, c: (finger(0.2, normal=1.0),) * 2, 6, told)
+    assert less.memory["target"] > 1.5 * before  # half of a shake is light
+    less = run(less, lambda k, c: (finger(0.2, normal=1.0),) * 2, 120, told)
+    assert less.memory["target"] == pytest.approx(before, rel=0.15)
+
+
+def test_a_thing_that_leans_in_the_grip_is_no_load():
+    """One finger is dragged up and the other down, the more the harder they press: gripping for
+    that would never end."""
+    command, told = holding(0.2)
+    before = command.memory["target"]
+
+    def lean(k, now):
+        inner = 0.5 * now.memory["target"]
+        return finger(0.2 + inner, normal=1.0), finger(0.2 - inner, normal=1.0)
+
+    assert run(command, lean, 60, told).memory["target"] == pytest.approx(before, rel=0.1)
+
+
+def test_a_slip_that_all_fingers_say_teaches_friction():
+    command, told = holding(0.2)
+    command = replace(command, memory={**command.memory, "proven": 0.0})
+    assert command.memory["friction"] > 0.6
+
+    def one(k, now):
+        return finger(0.2, normal=0.5, state="slipping"), finger(0.2, normal=0.5)
+
+    def both(k, now):
+        return (finger(0.2, normal=0.5, state="slipping"),) * 2
+
+    assert run(command, one, 3, told).memory["friction"] > 0.6  # it may roll
+    told_once = run(command, both, 1, told)
+    # it slipped at a ratio of 0.4, or had at a little more just before
+    assert 0.3 < told_once.memory["friction"] < 0.5
+    assert told_once.opening < command.opening - 5e-4  # it closes at once
+    again = run(told_once, both, 5, told)
+    assert again.memory["friction"] == told_once.memory["friction"]  # the same slip, not another
+
+
+def test_it_lets_go_where_somebody_pulls_and_not_at_a_bump():
+    told = Told(hold_time=60.0, hand_over=True)
+    command, _ = holding(0.2, told)
+
+    def pulled(count):
+        return lambda k, c: (finger(0.0 if k < count else 0.2, normal=0.5),) * 2
+
+    assert run(command, pulled(2), 10, told).phase == "hold"  # 0.07 s
+    assert run(command, pulled(99), 10, told).phase == "release"
+    alone, plain = holding(0.2)
+    assert run(alone, pulled(99), 10, plain).phase == "hold"  # nobody was announced
+
+
+@pytest.mark.parametrize("load", [0.03, 0.2, 1.0])
+def test_it_sets_down_where_the_table_takes_the_load(load):
+    command, _ = holding(load, Told(hold_time=60.0))
+    command = replace(command, phase="lower")
+
+    def table(k, now):
+        """At 17 mm; the membranes give way by 1 N for 5 mm."""
+        carried = load - max(0.017 - now.lift_height, 0.0) * 200
+        return (finger(carried, normal=max(0.3, 2 * load)),) * 2
+
+    down = run(command, table, 60)
+    assert down.phase == "release"
+    # as deep as the load is, 20 mm/s for two cycles of delay, and what counts as its weight's end
+    assert 0.017 - load / 200 - 0.002 < down.lift_height < 0.0175
+
+
+def test_what_is_not_known_stops_it():
+    command, told = holding(0.2)
+    blind = replace(finger(0.2), force_normal=math.nan, traction=None, status="too dark")
+    assert run(command, lambda k, c: (blind, finger(0.2)), 6, told).phase == "hold"
+    over = run(command, lambda k, c: (blind, finger(0.2)), 20, told)
+    assert over.phase == "abort" and over.reason == "no force is known: too dark"
