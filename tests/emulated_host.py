@@ -16,6 +16,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -73,10 +74,12 @@ class Host:
         *,
         stdout: int = subprocess.PIPE,
         stderr: int = subprocess.PIPE,
+        loss: str = "open",
     ):
         self.emulator = emulator
         self.log = folder / "out" / "recording" / "log.jsonl"
-        (folder / "rig.toml").write_text(rig_text(emulator))
+        text = rig_text(emulator).replace('on_host_loss = "open"', f'on_host_loss = "{loss}"')
+        (folder / "rig.toml").write_text(text)
         (folder / "mine.py").write_text(controller)
         self.process = subprocess.Popen(
             [
@@ -166,9 +169,9 @@ class Host:
 
 @contextlib.contextmanager
 def host(
-    emulator: EmulatorProcess, folder: Path, controller: str | None = None, **streams: int
+    emulator: EmulatorProcess, folder: Path, controller: str | None = None, **options: Any
 ) -> Iterator[Host]:
-    running = Host(emulator, folder, controller or controller_text(), **streams)
+    running = Host(emulator, folder, controller or controller_text(), **options)
     try:
         yield running
     finally:

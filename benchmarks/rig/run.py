@@ -15,14 +15,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from benchmarks.rig import faults, fuzz, loop
+from benchmarks.rig import faults, fuzz, loop, stopped
 from benchmarks.rig.soak import LEG, SoakBench, soak_rows
 from mjtactile.core import pace
 from mjtactile.core.errors import InputError
 from mjtactile.recording.files import to_json, write_json
 from mjtactile.run.progress import Progress
 
-PARTS = ("loop", "bus", "fuzz", "killed", "stuck", "outcomes", "faults")
+PARTS = ("loop", "bus", "fuzz", "killed", "stopped", "stuck", "outcomes", "faults")
 # only where it is asked for
 SOAK = "soak"
 HOURS = 2.0
@@ -52,6 +52,7 @@ def run(
         "killed": lambda: store.repeat(
             "killed", 3 * min(times, 3), lambda i: faults.killed(list(faults.DEAD)[i % 3])
         ),
+        "stopped": lambda: _stopped(store, times),
         "stuck": lambda: store.repeat("stuck", min(times, 5), lambda _: faults.stuck()),
         "outcomes": lambda: store.repeat("outcomes", seeds, faults.outcome),
         "faults": lambda: _faults(store, times),
@@ -100,6 +101,13 @@ def _soak(store: _Store, bench: SoakBench, hours: float) -> None:
         store.repeat(SOAK, max(1, round(3600 * hours / bench.leg)), bench.run)
     finally:
         bench.end()
+
+
+def _stopped(store: _Store, times: int) -> None:
+    """`times` runs with "hold", and a few with "open" beside them."""
+    few = min(times, 3)
+    store.repeat("stopped", times, lambda i: stopped.stopped(i, "hold"))
+    store.repeat("stopped", times + few, lambda i: stopped.stopped(i, "open"))
 
 
 def _faults(store: _Store, times: int) -> None:
@@ -163,6 +171,7 @@ def _rows(result: dict[str, Any]) -> list[tuple[str, str, str]]:
         (SOAK, soak_rows),
         ("bus", _bus_rows),
         ("killed", _killed_rows),
+        ("stopped", stopped.stopped_rows),
         ("outcomes", _outcome_rows),
         ("fuzz", _fuzz_rows),
         ("stuck", _stuck_rows),

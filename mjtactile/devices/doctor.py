@@ -29,6 +29,7 @@ from mjtactile.rig.sensors import calibration_findings
 _ROUND_TRIP_GOOD = 4e-3
 # times the data sheet's torque per ampere; gears' friction takes up to 20 % of it
 _TORQUE_OFF_MOST = 1.5
+_MAY_FALL = "what is held in the air falls when the host is lost: servos that brake, or a cup"
 _HOT = 60.0  # degrees C; X series shut down at 70
 _CAMERA_TIME = 2.0  # s that pictures of a camera are counted
 
@@ -42,6 +43,7 @@ def examine(rig: str | None, *, sensor: str = "dense", fix: bool = False) -> lis
     rig_file = load_rig_file(rig)
     findings += calibration_findings(rig_file, load_sensor(sensor))
     findings += _check_torques(rig_file)
+    findings += _check_host_loss(rig_file)
     if rig_file.emulator is not None:
         return [
             *findings,
@@ -82,6 +84,25 @@ def _check_torques(rig_file: RigFile) -> Iterator[Finding]:
                 "they should be",
                 "leave the line out, or measure it: mjtactile calibrate gripper",
             )
+
+
+def _check_host_loss(rig_file: RigFile) -> Iterator[Finding]:
+    """What becomes of what is held when the host is late or gone."""
+    what = "lost host"
+    heartbeat = min((valve.heartbeat for valve in rig_file.valves), default=0.0)
+    chambers = f"chambers vent {1e3 * heartbeat:.0f} ms after the last line"
+    if not rig_file.valves:
+        chambers = "chambers stay as they are: no valve board"
+    elif rig_file.hold:
+        chambers = f"chambers stay sealed for {rig_file.hold:g} s, then vent slowly"
+    text = f'on_host_loss = "{rig_file.on_host_loss}": {chambers}'
+    if rig_file.emulator is not None and rig_file.emulator.watchdog == "limp":
+        yield Finding("warn", what, f"{text}; the servos go limp and hold nothing", _MAY_FALL)
+    elif rig_file.lift.kind == "servo":
+        remedy = "a lift that must not fall needs a brake or a counterweight"
+        yield Finding("ok", what, f"{text}; jaws and lift stay as each servo does, below", remedy)
+    else:
+        yield Finding("ok", what, f"{text}; jaws stay as each servo does, below")
 
 
 def _has_bad(findings: list[Finding]) -> bool:
@@ -219,6 +240,9 @@ def _check_servo(bus: DynamixelBus, servo: int, model: str) -> Iterator[Finding]
         f"{report.voltage:.1f} V, "
         f"{report.temperature:.0f} C, torque {'on' if report.torque_on else 'off'}"
     )
+    if report.model in MODELS:
+        stops = MODELS[report.model].watchdog_stops(report.firmware)
+        text += f", without a host it {'holds its place' if stops else 'goes on to its last goal'}"
     if number in NO_CURRENT_CONTROL:
         yield Finding(
             "bad", what, f"{text}: it cannot limit its force", f"use one of {', '.join(MODELS)}"
@@ -317,7 +341,7 @@ def _check_valves(rig_file: RigFile) -> Iterator[Finding]:
     if not rig_file.valves:
         return
     try:
-        boards, valves = connect_valves(rig_file.valves)
+        boards, valves = connect_valves(rig_file.valves, rig_file.hold)
     except DeviceError as error:
         yield Finding(
             "bad",

@@ -109,7 +109,7 @@ def build_device_rig(
                 source=rig_file.path,
                 field="--slow",
             )
-        boards, valves = connect_valves(rig_file.valves)
+        boards, valves = connect_valves(rig_file.valves, rig_file.hold)
         closers.extend(board.close for board in boards)
         signals.check()
         config = calibrated_gripper(rig_file.gripper)

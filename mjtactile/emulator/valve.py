@@ -22,10 +22,12 @@ from mjtactile.emulator.pty_port import PtyPort
 
 _BOOT_TIME = 0.15  # s from opening the port to the banner; commands before are lost
 _LAG = 0.05  # s, time constant of hose and valve
+_SLOW_LAG = 2.0  # s, of an outlet that opens a little
 _SUPPLY = 1000.0  # Pa; what the hose of a board without sensors carries
 _SENSOR_NOISE = 5.0  # Pa, sd
 _MAX = 6000  # Pa that the board never exceeds
 _BEAT = (20, 60000)  # ms
+_HOLD = (0, 600000)  # ms
 _READINGS_TO_TRIP = 3  # samples in a row that make a fault
 _SAMPLE = 0.005  # s between two
 _LONGEST = 80  # bytes of a line
@@ -85,10 +87,12 @@ class _Channel:
     limit: int = 0
     sensor_failures: int = 0
     pressure_excesses: int = 0
+    slow: bool = False  # it vents slowly
 
     def trip(self, fault: str) -> None:
         """Vent, and take no pressure until the host has vented, too."""
         self.state = "vent"
+        self.slow = False
         self.goal = 0.0
         self.fault = fault
 
@@ -116,6 +120,7 @@ class ValveFirmware:
         self._sensors = sensors
         self.channels = {number: _Channel() for number in range(1, channels + 1)}
         self.heartbeat = 0.0
+        self.hold = 0.0
         self.last_heard = pace.monotonic()
         self.vent_time: float | None = None
         """When the heartbeat vented last (monotonic s), None if it did not."""
@@ -129,6 +134,7 @@ class ValveFirmware:
             for number, channel in self.channels.items():
                 self.channels[number] = _Channel(supply=channel.supply)
             self.heartbeat = 0.0
+            self.hold = 0.0
 
     def tick(self, now: float, period: float) -> None:
         """Advance by `period` s; vents when nothing was heard for the heartbeat time, and what is
@@ -139,16 +145,27 @@ class ValveFirmware:
                 self.reset()
             # it stays armed: whoever speaks again is watched again
             if 0 < self.heartbeat < now - self.last_heard:
-                for channel in self.channels.values():
-                    if channel.state != "vent":
-                        channel.trip("silent")
-                        self.vent_time = now
+                self._miss_host(now)
             self._since_sample += period
             if self._since_sample >= _SAMPLE:
                 self._since_sample = 0.0
                 self._check_limits()
             if not self._faults.get("valve_stuck"):
                 self._move_pressures(period)
+
+    def _miss_host(self, now: float) -> None:
+        """Hold what is there for a host that is late; vent for one that is gone."""
+        for number, channel in self.channels.items():
+            if channel.state == "vent":
+                continue
+            if now - self.last_heard <= self.heartbeat + self.hold:
+                channel.state = "sealed"
+                continue
+            if channel.state == "sealed" and self.hold:
+                channel.supply = self._chambers.pressure(number)
+            channel.trip("silent")
+            channel.slow = self.hold > 0
+            self.vent_time = now
 
     def _check_limits(self) -> None:
         """Faults of sensors and pressures."""
@@ -171,7 +188,8 @@ class ValveFirmware:
             # it regulates by its own sensor, whose zero is then in the chamber
             if channel.state == "set":
                 goal = goal - self._zeros.get(number, 0.0) if self._sensors else _SUPPLY
-            channel.supply += (goal - channel.supply) * min(1.0, period / _LAG)
+            lag = _SLOW_LAG if channel.slow else _LAG
+            channel.supply += (goal - channel.supply) * min(1.0, period / lag)
             self._chambers.connect(number, channel.supply)
 
     def reply(self, line: bytes, now: float) -> bytes | None:
@@ -195,12 +213,17 @@ class ValveFirmware:
             return "error number"
         numbers = [int(argument) for argument in arguments]
         if word == "id" and not numbers:
-            return f"id mjvalve 1.0 {len(self.channels)} {int(self._sensors)} {_MAX}"
+            return f"id mjvalve 1.1 {len(self.channels)} {int(self._sensors)} {_MAX}"
         if word == "beat" and len(numbers) == 1:
             if not _BEAT[0] <= numbers[0] <= _BEAT[1]:
                 return "error range"
             self.heartbeat = 1e-3 * numbers[0]
             return f"beat {numbers[0]}"
+        if word == "hold" and len(numbers) == 1:
+            if not _HOLD[0] <= numbers[0] <= _HOLD[1]:
+                return "error range"
+            self.hold = 1e-3 * numbers[0]
+            return f"hold {numbers[0]}"
         wanted = {"limit": 2, "set": 2, "seal": 1, "vent": 1, "state": 1}.get(word)
         if not numbers or wanted != len(numbers):
             return "error unknown"

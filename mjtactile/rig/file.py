@@ -204,7 +204,10 @@ def _specimens(section: Section | None) -> tuple[SpecimenConfig, ...]:
 
 @dataclass(frozen=True)
 class RigFile:
-    """A whole rig. `emulator` is None for real hardware."""
+    """A whole rig. `emulator` is None for real hardware. `on_host_loss` says what becomes of what
+    is held when the host is late or gone: chambers stay sealed for `hold_time` s and then vent
+    slowly ("hold"), or vent at once ("open"); jaws stand still in both, as far as their watchdogs
+    do what they promise."""
 
     name: str = text("name")
     path: Path = given()
@@ -213,12 +216,19 @@ class RigFile:
     lift: LiftConfig = part("lift", LiftConfig)
     cameras: tuple[CameraConfig, ...] = parts("camera", CameraConfig)
     valves: tuple[ValveConfig, ...] = parts("valve", ValveConfig, low=0)
+    on_host_loss: str = text("on_host_loss", ("open", "hold"), default="open")
+    hold_time: float = number("hold_s", 0.1, 600, default=10.0)
     emulator: EmulatorConfig | None = part("emulator", EmulatorConfig, default=None)
 
     @property
     def backend(self) -> str:
         """Which builder of rigs this file is for (see `mjtactile.rig.registry`)."""
         return "devices" if self.emulator is None else "emulator"
+
+    @property
+    def hold(self) -> float:
+        """s that chambers stay sealed without a host beyond their heartbeat."""
+        return self.hold_time if self.on_host_loss == "hold" else 0.0
 
     def validate(self, section: Section) -> None:
         """One camera and at most one valve a finger, servo ids all different."""

@@ -21,6 +21,7 @@ from mjtactile.core.types import Command, Observation
 
 # s that the first step may take in any case: it may import, and nothing is held yet
 _FIRST_TIME = 3.0
+_ANOTHER_MOMENT = 0.02
 
 
 class Stepper(Protocol):
@@ -94,13 +95,20 @@ class ControllerThread:
         when it did not answer in time: such a controller must not be asked again."""
         self._questions.put(observation)
         try:
-            answer = self._answers.get(timeout=pace.wall(self._patience))
+            answer = self._answer()
         except queue.Empty:
             raise self._late(observation.time) from None
         self._patience = self._limit
         if isinstance(answer, BaseException):
             raise answer
         return answer
+
+    def _answer(self) -> Command | BaseException:
+        """Raises queue.Empty. Where the whole process stood still, the time is up before the
+        controller could go on: it is given another moment."""
+        with contextlib.suppress(queue.Empty):
+            return self._answers.get(timeout=pace.wall(self._patience))
+        return self._answers.get(timeout=pace.wall(_ANOTHER_MOMENT))
 
     def _work(self) -> None:
         while (observation := self._questions.get()) is not None:

@@ -208,7 +208,9 @@ class ControlCycle:
         rig = self.rig
         wanted = wanted.checked()
         air.check(rig, wanted)
-        allowed = self.supervisor.decide(self.now, wanted, self.last, self.touch, self.valves)
+        allowed = self.supervisor.decide(
+            self.now, wanted, self.last, self.touch, self.valves, self.gripper.lift_height
+        )
         last = air.started(rig, allowed, self.last, self.valves)
         limited = rig.limits.apply(allowed, last, rig.period)
         sent = rig.gripper.command(limited)

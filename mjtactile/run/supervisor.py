@@ -21,6 +21,9 @@ BLIND_TIME_MAX = 0.5  # s without a known force before the gripper opens by itse
 RETREAT_SPEED = 0.030  # m/s of opening, and of lowering
 RETREAT_OPENING = 0.015  # m to open in `safe`: an object is let go of, and not thrown
 RETREAT_TIME_MAX = 5.0  # s; lowering 0.1 m takes 3.3 s
+# m and s: a hand above its goal has the rest of its way first, but something may keep it up
+_DOWN = 1e-3
+_DOWN_TIME_MAX = 1.0
 _OPENING_TOLERANCE = HEIGHT_TOLERANCE = 2e-4  # m: a servo's goal is rounded to 0.02 to 0.1 mm
 # of the sealed pressure; an object only ever raises it, temperature changes it by 1 % for 3 K
 _LEAK_SHARE = 0.8
@@ -58,6 +61,7 @@ class Supervisor:
         self._wanted_safe = ""
         self._load = Load()
         self._stands = False
+        self._height = self._down_since = math.nan
 
     @property
     def is_over(self) -> bool:
@@ -73,8 +77,11 @@ class Supervisor:
         last: Command,
         touch: Sequence[Touch],
         valves: Sequence[ValveState],
+        height: float = math.nan,
     ) -> Command:
-        """The command to pass on. `last` is the one before."""
+        """The command to pass on. `last` is the one before, `height` m where the hand is as far as
+        the gripper says."""
+        self._height = height
         if self._wanted_safe:
             self.make_safe(self._wanted_safe, now, last)
         if self.state in ("safe", "latched"):
@@ -96,7 +103,7 @@ class Supervisor:
         """From here on the hand goes down and opens, whatever the controller says."""
         if self.state not in ("safe", "latched"):
             self._retreat_goal = last.opening + RETREAT_OPENING
-            self._safe_since = now
+            self._safe_since = self._down_since = now
             self._enter("safe", reason, now)
 
     def want_safe(self, reason: str) -> None:
@@ -133,9 +140,13 @@ class Supervisor:
         step = RETREAT_SPEED * self._period
         self._stands |= self._load.stands(touch, last.lift_height)
         is_up = last.lift_height > HEIGHT_TOLERANCE and not self._stands
-        if is_up and now - self._safe_since < RETREAT_TIME_MAX:
-            return replace(last, lift_height=max(0.0, last.lift_height - step))
         in_time = now - self._safe_since < RETREAT_TIME_MAX
+        if is_up and in_time:
+            self._down_since = now
+            return replace(last, lift_height=max(0.0, last.lift_height - step))
+        is_above = self._height > last.lift_height + _DOWN
+        if is_above and now - self._down_since < _DOWN_TIME_MAX:
+            return last  # a lift that was stopped, or is slow, is still on its way
         at_limit = last.opening == self._opening_before
         self._opening_before = last.opening
         if (

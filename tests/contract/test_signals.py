@@ -175,6 +175,23 @@ def test_a_controller_that_fails(half_speed, emulator, tmp_path, fault):
         assert running.recording().columns["state"][-1] == "latched"
 
 
+@pytest.mark.slow
+def test_a_host_that_stood_still_finds_what_it_held_and_sets_it_down(emulator, tmp_path):
+    """With `on_host_loss = "hold"`: its servos' watchdogs have tripped, its chambers are sealed."""
+    with host(emulator, tmp_path, loss="hold") as running:
+        running.wait_for_phase("hold")
+        running.signal(signal.SIGSTOP)
+        assert wait_for(lambda: set(emulator.truth()["watchdog"].values()) == {0xFF})
+        pace.sleep(0.5)  # longer than the board's heartbeat, which began with the watchdogs'
+        assert set(emulator.truth()["valve"].values()) == {"sealed"}
+        running.signal(signal.SIGCONT)
+        _, errors = running.ends()
+        assert running.process.returncode == 3, errors
+        assert "stopped safely" in errors.splitlines()[-1]
+        running.has_set_down()
+        assert running.recording().columns["state"][-1] == "latched"
+
+
 def test_a_killed_host_leaves_it_to_the_watchdogs(emulator, tmp_path):
     (tmp_path / "rig.toml").write_text(rig_text(emulator))
     process = subprocess.Popen(

@@ -34,6 +34,7 @@ from dynamixel_sdk import (
 
 from mjtactile.core import pace
 from mjtactile.core.errors import DeviceError
+from mjtactile.devices.port import write
 
 # places in a status packet
 _ID = 4
@@ -113,6 +114,9 @@ class _Port(PortHandler):
             select.select([self.ser.fileno()], [], [], 5e-4)
             data = self.ser.read(length)
         return data
+
+    def writePort(self, packet: Any) -> int:
+        return write(self.ser, bytes(packet))
 
     def getCurrentTime(self) -> float:
         return 1e3 * pace.monotonic()

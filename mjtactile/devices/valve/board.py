@@ -22,6 +22,7 @@ import serial
 from mjtactile.core import pace
 from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.core.signals import deferred
+from mjtactile.devices.port import write
 from mjtactile.devices.valve import protocol
 from mjtactile.rig.file import ValveConfig
 
@@ -52,10 +53,12 @@ class ValveReading:
 
 class ValveBoard:
     """One board with one or more channels. Raises DeviceError when it is not there, another one, or
-    does not obey."""
+    does not obey. Chambers stay sealed for `hold` s beyond the heartbeat's time, and then vent
+    slowly."""
 
-    def __init__(self, configs: Sequence[ValveConfig]):
+    def __init__(self, configs: Sequence[ValveConfig], hold: float = 0.0):
         first = configs[0]
+        self._hold = hold
         self.name = first.port
         self.firmware = ""
         self.has_sensors = True
@@ -187,10 +190,12 @@ class ValveBoard:
 
     def _check(self, version: str, channels: int, most: float) -> None:
         self.firmware = version
-        if tuple(int(part) for part in version.split(".")) < protocol.VERSION_MIN:
-            oldest = ".".join(map(str, protocol.VERSION_MIN))
+        needed = protocol.HOLD_VERSION if self._hold else protocol.VERSION_MIN
+        if self._version < needed:
+            oldest = ".".join(map(str, needed))
+            what = " to hold what is there when the host is lost" if self._hold else ""
             raise DeviceError(
-                f"valve board {self.name} has firmware {version}, needs {oldest} or newer"
+                f"valve board {self.name} has firmware {version}, needs {oldest} or newer{what}"
             )
         for channel, config in self._configs.items():
             if channel > channels:
@@ -218,8 +223,14 @@ class ValveBoard:
         self._command_echoed(
             f"beat {round(1e3 * min(config.heartbeat for config in self._configs.values()))}"
         )
+        if self._version >= protocol.HOLD_VERSION:
+            self._command_echoed(f"hold {round(1e3 * self._hold)}")
         for channel in self._configs:
             self._read(channel)
+
+    @property
+    def _version(self) -> tuple[int, ...]:
+        return tuple(int(part) for part in self.firmware.split("."))
 
     # -- talking
     # --------------------------------------------------------------------------------
@@ -250,7 +261,7 @@ class ValveBoard:
         with self._lock:
             self._sequence = (self._sequence + 1) % protocol.SEQUENCES
             try:
-                self._serial.write(protocol.encode(self._sequence, text))
+                write(self._serial, protocol.encode(self._sequence, text))
                 reply = self._answer(self._command_time if patience is None else patience)
             except (serial.SerialException, OSError, termios.error, TypeError) as error:
                 # TypeError: a closed port

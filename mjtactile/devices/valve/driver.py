@@ -106,14 +106,18 @@ class BoardValve:
             )
 
 
-def connect_valves(configs: Sequence[ValveConfig]) -> tuple[list[ValveBoard], list[BoardValve]]:
-    """Connect every board once and return the valves in the order of `configs`. Raises
-    DeviceError."""
+def connect_valves(
+    configs: Sequence[ValveConfig], hold: float = 0.0
+) -> tuple[list[ValveBoard], list[BoardValve]]:
+    """Connect every board once and return the valves in the order of `configs`; chambers stay
+    sealed for `hold` s when the host is lost. Raises DeviceError."""
     boards: dict[str, ValveBoard] = {}
     try:
         for config in configs:
             if config.port not in boards:
-                boards[config.port] = ValveBoard([c for c in configs if c.port == config.port])
+                boards[config.port] = ValveBoard(
+                    [c for c in configs if c.port == config.port], hold
+                )
     except BaseException:
         for board in boards.values():
             board.close(quiet=True)

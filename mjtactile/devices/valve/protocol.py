@@ -13,6 +13,8 @@ import zlib
 
 NAME = "mjvalve"
 VERSION_MIN = (1, 0)
+HOLD_VERSION = (1, 1)
+"""From which on a board can hold what is there for a host that is late."""
 SEQUENCES = 65536
 LONGEST = 80  # bytes of a line without its end
 STATES = {"vent": True, "set": True, "sealed": False}

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from mjtactile.devices.doctor import _check_servo, _check_torques, _plugged_in
+from mjtactile.devices.doctor import _check_host_loss, _check_servo, _check_torques, _plugged_in
 from mjtactile.devices.dynamixel.bus import DynamixelBus
 from mjtactile.devices.listing import serial_ports
 from mjtactile.rig.file import load_rig_file
@@ -38,6 +38,20 @@ def test_settings_and_firmware_that_make_a_dead_host_dangerous():
     )
     old = findings(firmware=51)[0]
     assert [finding.level for finding in old] == ["ok", "warn"] and "stops nothing" in old[1].text
+    assert "without a host it holds its place" in sound[0].text
+    assert "without a host it goes on to its last goal" in old[0].text
+
+
+def test_what_a_lost_host_leaves_is_said_with_the_servos_that_hold_nothing():
+    rig = load_rig_file("emulated")
+    [opens] = _check_host_loss(rig)
+    assert opens.level == "ok" and "vent 250 ms after" in opens.text
+    holds = replace(rig, on_host_loss="hold", hold_time=5.0)
+    [found] = _check_host_loss(holds)
+    assert 'on_host_loss = "hold": chambers stay sealed for 5 s' in found.text
+    limp = replace(holds, emulator=replace(rig.emulator, watchdog="limp"))
+    [found] = _check_host_loss(limp)
+    assert found.level == "warn" and "go limp" in found.text
 
 
 def test_a_torque_constant_of_another_model_is_bad():

@@ -105,11 +105,11 @@ def test_servos_and_valve_boards_answer(capsys, monkeypatch):
         # WRITE, SYNC WRITE: nothing is set
         assert not any(packet.code in (0x03, 0x83) for packet in bench.log)
     with valve_bench() as (port, _, _, _):
-        assert valve_board_at(port.path) == "mjvalve 1.0, 2 channels, with pressure sensors"
+        assert valve_board_at(port.path) == "mjvalve 1.1, 2 channels, with pressure sensors"
         assert main(["devices", "--port", port.path, "--json"]) == 0
         ports = json.loads(capsys.readouterr().out)["serial_ports"]
         assert ports[-1]["answers"] == [
-            "valve board: mjvalve 1.0, 2 channels, with pressure sensors"
+            "valve board: mjvalve 1.1, 2 channels, with pressure sensors"
         ]
 
 

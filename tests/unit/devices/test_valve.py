@@ -84,7 +84,7 @@ def test_bad_lines_are_no_readings():
 @pytest.mark.clock
 def test_handshake_waits_for_the_boot_and_sets_the_heartbeat(rig):
     board, _, firmware, _, _ = rig
-    assert board.firmware == "1.0"
+    assert board.firmware == "1.1"
     assert firmware.heartbeat == pytest.approx(2.0)
 
 
@@ -325,6 +325,64 @@ def test_what_the_board_does_not_understand_is_an_error_and_stops_nothing(line):
         firmware.reply(emulated.framed(f"1 {text}").rstrip(), 0.0)
     assert b"error" in firmware.reply(emulated.framed(f"2 {line}").rstrip(), 0.0)
     assert firmware.reply(b"close;1;\xff", 0.0) is None
+
+
+class Still:
+    """Chambers that keep what they are given."""
+
+    def __init__(self):
+        self.pressures = {1: 0.0, 2: 0.0}
+
+    def connect(self, channel, supply_gauge):
+        self.pressures[channel] = supply_gauge
+
+    def seal(self, channel):
+        pass
+
+    def pressure(self, channel):
+        return self.pressures[channel]
+
+
+@pytest.mark.parametrize("hold", [0, 2000])
+def test_what_a_late_host_finds_goes_by_its_hold(hold):
+    """By the clock that the test gives: heartbeat 0.5 s; a sealed chamber and a regulated one."""
+    chambers = Still()
+    firmware = emulated.ValveFirmware(chambers, emulated.Faults())
+    for text in ("beat 500", f"hold {hold}"):
+        firmware.reply(emulated.framed(f"1 {text}").rstrip(), 0.0)
+    for channel, act in ((1, "seal"), (2, "set")):
+        for text in (f"vent {channel}", f"limit {channel} 2000", f"set {channel} 1000"):
+            firmware.reply(emulated.framed(f"1 {text}").rstrip(), 0.0)
+        chambers.pressures[channel] = firmware.channels[channel].supply = 1000.0
+        if act == "seal":
+            firmware.reply(emulated.framed(f"1 seal {channel}").rstrip(), 0.0)
+
+    def after(seconds):
+        firmware.tick(seconds, 0.01)
+        return [channel.state for channel in firmware.channels.values()]
+
+    assert after(0.4) == ["sealed", "set"]
+    assert after(0.6) == (["sealed", "sealed"] if hold else ["vent", "vent"])
+    if hold:
+        assert after(2.4) == ["sealed", "sealed"]
+        assert [channel.fault for channel in firmware.channels.values()] == ["ok", "ok"]
+        assert after(2.6) == ["vent", "vent"]
+        # 10 ms of 2 s
+        assert chambers.pressures == pytest.approx({1: 995.0, 2: 995.0}, abs=0.1)
+    else:
+        assert chambers.pressures == pytest.approx({1: 800.0, 2: 800.0})  # 10 ms of 50
+    assert {channel.fault for channel in firmware.channels.values()} == {"silent"}
+
+
+@pytest.mark.clock
+def test_a_board_of_before_cannot_hold(monkeypatch):
+    monkeypatch.setattr("mjtactile.devices.valve.board._HANDSHAKE_TIME", 1.0)
+    monkeypatch.setattr(emulated.ValveFirmware, "_execute", lambda *_: "id mjvalve 1.0 2 1 6000")
+    with (
+        valve_bench() as (port, *_),
+        pytest.raises(DeviceError, match=r"firmware 1\.0, needs 1\.1 or newer to hold"),
+    ):
+        ValveBoard([ValveConfig("left", port.path)], hold=1.0)
 
 
 def test_nothing_is_inflated_for_a_host_without_a_heartbeat_or_that_does_not_know_of_a_fault():

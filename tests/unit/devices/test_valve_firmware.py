@@ -138,7 +138,7 @@ def is_near(host, pressure, number=1):
 
 def test_it_regulates_seals_and_vents_both_chambers(rig):
     host, board, valves = rig
-    assert board.firmware == "1.0" and board.has_sensors
+    assert board.firmware == "1.1" and board.has_sensors
     for number, (valve, pressure) in enumerate(zip(valves, (1000.0, 2500.0), strict=True), 1):
         valve.open(pressure)
         assert is_near(host, pressure, number)
@@ -161,6 +161,23 @@ def test_a_dead_host_and_a_second_one(host):
         board._serial.close()
         assert wait_for(lambda: host.channel()[:2] == ("vent", "silent"))
         assert is_near(host, 0.0)
+
+
+def test_a_host_that_is_late_finds_its_chamber_sealed_and_one_that_is_gone_leaves_it_to_vent(host):
+    board = ValveBoard([ValveConfig("left", host.path, heartbeat=0.2)], hold=1.5)
+    board.set(1, 1000.0)
+    assert is_near(host, 1000.0)
+    board._closed.set()
+    board._wake.set()
+    board._thread.join()
+    assert wait_for(lambda: host.channel()[:2] == ("sealed", "ok"))
+    assert is_near(host, 1000.0)
+    assert board.measure(1).pressure_gauge == pytest.approx(1000.0, abs=40)  # it is back
+    assert wait_for(lambda: host.channel()[:2] == ("vent", "silent"))
+    # 5 % of an outlet that takes 0.1 s: 2 s
+    assert host.channel()[2] > 300.0
+    assert wait_for(lambda: host.channel()[2] < 300.0)
+    board._serial.close()
 
 
 @pytest.mark.parametrize(
@@ -279,7 +296,7 @@ def test_it_answers_as_the_emulated_board_does(host):
             b"id\n9 id*00000000\n\xff\xfe\n" + b"x" * 500 + b"\n" + emulated.framed("65535 id")
         )
         # and nothing to the damaged ones
-        assert port.readline() == emulated.framed("65535 id mjvalve 1.0 2 1 6000")
+        assert port.readline() == emulated.framed("65535 id mjvalve 1.1 2 1 6000")
 
 
 def test_ten_million_damaged_bytes_are_not_obeyed(program):

@@ -22,7 +22,7 @@ from mjtactile.rig.limits import Limits
 from mjtactile.run import loop
 from mjtactile.run.controller import Controller
 from mjtactile.run.cycle import ControlCycle
-from mjtactile.run.supervisor import BLIND_TIME_MAX, RETREAT_OPENING, Supervisor
+from mjtactile.run.supervisor import BLIND_TIME_MAX, RETREAT_OPENING, RETREAT_SPEED, Supervisor
 
 PERIOD = 0.05
 OK = Touch(0.0, 0.0, 0.5, 0.01, True)
@@ -662,3 +662,24 @@ def test_a_valve_that_does_not_obey_leads_to_the_retreat():
     with pytest.raises(DeviceError, match="stopped safely: valve left is lost"):
         run_air(world, Broken(), lambda o: replace(o.command, pressure_gauge=(900.0,)))
     assert world.has_set_down()
+
+
+def test_the_jaws_open_only_when_the_hand_is_down_as_far_as_the_gripper_says(supervisor):
+    """A lift that was stopped is behind; one that stays up for a second is kept up by something."""
+    supervisor.make_safe("a fault", 0.0, LAST)
+    last = LAST
+    opened = None
+    for step in range(60):
+        now = step * PERIOD
+        height = max(0.0, 0.02 - 0.01 * now)  # 2 s, where the command takes 0.7 s
+        last = supervisor.decide(now, last, last, (), (), height)
+        opened = now if opened is None and last.opening > LAST.opening else opened
+    assert opened == pytest.approx(0.02 / RETREAT_SPEED + 1.0, abs=2 * PERIOD)
+
+
+def test_the_jaws_open_at_once_when_the_hand_has_come_down_with_its_command(supervisor):
+    supervisor.make_safe("a fault", 0.0, LAST)
+    last = LAST
+    while last.opening == LAST.opening:
+        last = supervisor.decide(0.1, last, last, (), (), last.lift_height)
+    assert last.lift_height == 0.0

@@ -47,13 +47,19 @@ void Board::obey(char* body, uint32_t now) {
 // Carry out one command; returns the text of its answer: the command again, or an error.
 const char* Board::command(const char* word, const int32_t* numbers, int count) {
   if (!strcmp(word, "id") && count == 0) {
-    snprintf(text_, sizeof text_, "id mjvalve 1.0 %d %d %ld", kChannels, kSensors, static_cast<long>(kMaxPa));
+    snprintf(text_, sizeof text_, "id mjvalve 1.1 %d %d %ld", kChannels, kSensors, static_cast<long>(kMaxPa));
     return text_;
   }
   if (!strcmp(word, "beat") && count == 1) {
     if (numbers[0] < static_cast<int32_t>(kBeatMin) || numbers[0] > static_cast<int32_t>(kBeatMax)) return "error range";
     beat_ = static_cast<uint32_t>(numbers[0]);
     snprintf(text_, sizeof text_, "beat %ld", static_cast<long>(numbers[0]));
+    return text_;
+  }
+  if (!strcmp(word, "hold") && count == 1) {
+    if (numbers[0] > static_cast<int32_t>(kHoldMax)) return "error range";
+    hold_ = static_cast<uint32_t>(numbers[0]);
+    snprintf(text_, sizeof text_, "hold %ld", static_cast<long>(numbers[0]));
     return text_;
   }
   if (count < 1) return "error unknown";
@@ -72,9 +78,7 @@ const char* Board::command_channel(const char* word, Channel& channel, const int
     return text_;
   }
   if (is_vent) {  // always obeyed, and says that the host knows of the fault
-    channel.state = State::kVent;
-    channel.goal = 0;
-    channel.fault = Fault::kNone;
+    trip(channel, Fault::kNone);
     channel.sensor_strikes = channel.pressure_strikes = 0;
   } else if (is_limit) {
     if (numbers[1] < 1 || numbers[1] > kMaxPa) return "error limit";
@@ -102,10 +106,19 @@ void Board::answer(const char* sequence, const char* text) {
 }
 
 void Board::tick(uint32_t now, const Sample (&samples)[kChannels], Output (&outputs)[kChannels]) {
-  const bool silent = beat_ != 0 && now - heard_ > beat_;  // stays armed: whoever speaks again is watched again
+  const uint32_t quiet = now - heard_;
+  const bool silent = beat_ != 0 && quiet > beat_;  // stays armed: whoever speaks again is watched again
+  const bool lost = silent && quiet - beat_ > hold_;
   for (int i = 0; i < kChannels; ++i) {
     Channel& channel = channels_[i];
-    if (silent && channel.state != State::kVent) trip(channel, Fault::kSilent);
+    if (lost && channel.state != State::kVent) {
+      trip(channel, Fault::kSilent);
+      channel.slow = hold_ != 0;
+      channel.since = now;
+    } else if (silent && channel.state == State::kSet) {
+      channel.state = State::kSealed;  // a host that is only late finds what it left
+    }
+    if (channel.slow && now - channel.since > kSlowTime) channel.slow = false;
     look(channel, samples[i]);
     outputs[i] = control(channel);
   }
@@ -115,6 +128,7 @@ void Board::tick(uint32_t now, const Sample (&samples)[kChannels], Output (&outp
 void Board::trip(Channel& channel, Fault fault) {
   channel.state = State::kVent;
   channel.goal = 0;
+  channel.slow = false;
   channel.fault = fault;
 }
 
@@ -136,7 +150,10 @@ void Board::look(Channel& channel, const Sample& sample) {
 // Which way the valves stand: in proportion to what is missing, fully open from 500 Pa on; nothing within 10 Pa.
 Output Board::control(const Channel& channel) {
   Output out;
-  if (channel.state == State::kVent) return out;
+  if (channel.state == State::kVent) {
+    if (channel.slow) out.outlet = kSlowShare;
+    return out;
+  }
   out.outlet = 0;
   if (channel.state == State::kSealed) return out;
   if (!kSensors) {

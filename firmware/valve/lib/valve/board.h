@@ -21,6 +21,9 @@ constexpr int kChannels = VALVE_CHANNELS;
 constexpr int32_t kMaxPa = VALVE_MAX_PA;
 constexpr bool kSensors = VALVE_SENSORS;
 constexpr uint32_t kBeatMin = 20, kBeatMax = 60000;  // ms
+constexpr uint32_t kHoldMax = 600000;                // ms
+constexpr uint32_t kSlowTime = 10000;                // ms of venting through an outlet that is
+constexpr uint8_t kSlowShare = 13;                   // open by a twentieth, what was held for a host
 constexpr uint32_t kStrikes = 3;                     // samples in a row that make a fault
 
 enum class State : uint8_t { kVent, kSet, kSealed };
@@ -40,6 +43,8 @@ struct Channel {
   State state = State::kVent;
   Fault fault = Fault::kStart;
   int32_t goal = 0, limit = 0;  // Pa
+  bool slow = false;            // it vents slowly, since `since` ms
+  uint32_t since = 0;
   Sample sample;
   uint32_t sensor_strikes = 0, pressure_strikes = 0;
 };
@@ -72,7 +77,7 @@ class Board {
   void* context_;
   Receiver receiver_;
   Channel channels_[kChannels];
-  uint32_t beat_ = 0, heard_ = 0, accepted_ = 0;
+  uint32_t beat_ = 0, hold_ = 0, heard_ = 0, accepted_ = 0;
   char text_[kLongest];
 };
 

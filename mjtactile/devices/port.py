@@ -1,0 +1,30 @@
+"""Writing to a serial port from a process that may be made to stand still."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+from typing import Any
+
+import serial
+
+
+def write(port: Any, data: bytes) -> int:
+    """Write `data` to a pySerial port; returns how much was written.
+
+    pySerial's time-out counts the time that this process was stopped, also when all was written. A
+    port that takes more is not blocked: what was lost is found by the answer that does not come.
+    Raises SerialException.
+    """
+    try:
+        return port.write(data) or 0
+    except serial.SerialTimeoutException:
+        if not _takes_more(port):
+            raise
+        return len(data)
+
+
+def _takes_more(port: Any) -> bool:
+    with contextlib.suppress(AttributeError, OSError, ValueError):  # a port without a descriptor
+        return bool(select.select([], [port.fileno()], [], 0)[1])
+    return False
