@@ -10,6 +10,7 @@ from typing import Any
 from mjtactile.core import resources, system
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
+from mjtactile.core.task import load_task
 from mjtactile.evaluate import report, store, worst
 from mjtactile.evaluate.episodes import RANDOM, Episode, name_of, plan
 from mjtactile.evaluate.pool import PROCESSES, Pool, Say, run_all
@@ -214,13 +215,14 @@ def _files(scenario: Scenario, controllers: Sequence[str], objects: Sequence[str
     rig = load_sim_rig(scenario.rig)
     choose(scenario.design(), overrides=scenario.effects)
     variation = load_variation(scenario.vary)
+    load_task(scenario.task)
     found = [resources.find(name, "controllers", ".py") for name in controllers]
     found += [
         resources.find(name, "models/objects", ".xml") for name in named if seed_of(name) is None
     ]
     sensors = [scenario.sensor_name, *scenario.sensors.values()]
     found += [resources.find(name, "models/sensors", ".toml") for name in sensors]
-    found += [rig.path, rig.model]
+    found += [rig.path, rig.model, resources.find(scenario.task, "models/tasks", ".toml")]
     if variation.path is not None:
         found.append(variation.path)
     return list(dict.fromkeys(found))

@@ -23,7 +23,7 @@ MANIFEST = "manifest.json"
 EPISODES = "episodes.jsonl"
 RESULTS = (EPISODES, "summary.json", "summary.md", "report.html", "recordings", "worst")
 """What else an evaluation leaves in its folder."""
-_SCENARIO = ("sensor", "rig", "effects", "accuracy", "vary")
+_SCENARIO = ("task", "sensor", "rig", "effects", "accuracy", "vary")
 _PACKAGES = ("mjtactile", "mujoco", "numpy", "scipy", "opencv-contrib-python-headless")
 
 

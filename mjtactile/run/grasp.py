@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.errors import InputError, SimulationError
-from mjtactile.core.scenario import Scenario
+from mjtactile.core.scenario import TIME_LIMIT, Scenario
 from mjtactile.core.task import load_task
 from mjtactile.recording.observer import Observer, Observers
 from mjtactile.rig.finger import Rig
@@ -188,11 +188,7 @@ def run_grasp(
         start = rig.clock.now()
         completed = False
         try:
-            last = session.run(
-                controller,
-                time_limit=min(scenario.time_limit, load_task(scenario.task).time_limit),
-                observer=log,
-            )
+            last = session.run(controller, time_limit=_time_limit(scenario), observer=log)
             completed = last.phase == "done"
         except SimulationError:
             if score is None or not score.is_decided:
@@ -205,6 +201,13 @@ def run_grasp(
     if log.estimate is None:
         return result
     return replace(result, force_error_estimate=log.estimate.force_error())
+
+
+def _time_limit(scenario: Scenario) -> float:
+    """s: the task's, where the scenario says nothing else."""
+    if scenario.time_limit != TIME_LIMIT:
+        return scenario.time_limit
+    return load_task(scenario.task).time_limit
 
 
 def _estimate(rig: Rig) -> Any:

@@ -104,6 +104,7 @@ def test_interrupted_resumed_and_in_shards(tmp_path, mjtactile, monkeypatch, cap
         (["--resume"], "which folder?"),
         (["--vary", "no.toml"], "no.toml: variation: no such file"),
         (["--vary", "defalt"], "unknown variation"),
+        (["--task", "poor"], "poor: unknown task (valid: bump, "),
         (["--effects", "+bendig"], "is not +NAME"),
         (["--rig", "two_xm430"], "two_xm430"),
         (["--controller", "gentle", "--controller", "gentle"], "two of them are called 'gentle'"),

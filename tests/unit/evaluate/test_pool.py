@@ -168,7 +168,7 @@ def test_the_manifest_says_how_to_run_it_again(tmp_path):
         "controllers": ["gentle", "my own.py"],
         "objects": ["egg", "cup.xml"],
         "shard": [2, 8],
-        "scenario": Scenario(sensor="paper16", effects="-images", seed=7).to_dict(),
+        "scenario": Scenario(sensor="paper16", effects="-images", seed=7, task="pour").to_dict(),
     }
     found = store.manifest(options, [tmp_path / "cup.xml", tmp_path / "a" / "cup.xml"])
     assert len(found["files"]) == 2
