@@ -12,7 +12,8 @@ What it leaves out, and what that costs (docs/benchmarks.md, `bench film`):
   thicknesses.
 - Friction: 1 to 8 % of a force, and all shear.
 - Mass and damping: it is always at rest.
-- What is undercut, or steeper than about 75 degrees: a body is seen along z alone (`bodies.py`).
+- What is undercut, or steeper than about 75 degrees: a body is seen along z alone (`bodies.py`);
+  flanks of boxes and cylinders beyond 63 degrees are met at their edges only.
 - What happens between nodes: a contact smaller than a cell is up to 14 % off (a 4 mm ball, 0.5 mm
   deep, nodes 2 mm apart); ridges and blades are met by the nearest row of nodes, a
   steep cone's tip is a quarter too soft there.

@@ -108,14 +108,19 @@ def obstacle(
             "a rim's radius is at most the disc's radius and half height", field="sizes"
         )
     numbers[17] = len(pool)
+    if kind == "heights":
+        numbers[1:3] = np.shape(data)  # type: ignore[arg-type]
     numbers[18] = _least_width(kind, size, data)
     numbers[19] = _reach(kind, size, data)
     return Obstacle(kind, numbers, pool.ravel())
 
 
-def pooled(bodies: Sequence[Obstacle]) -> tuple[Array, Array | None]:
+def pooled(bodies: Sequence[Obstacle], grid: tuple[int, int]) -> tuple[Array, Array | None]:
     """Numbers (k, NUMBERS) of all bodies, and their pools one after the other (None: there are
-    none)."""
+    none); InputError where heights are not over the nodes of `grid`."""
+    for body in bodies:
+        if body.kind == "heights" and (shape := (*body.numbers[1:3].astype(int),)) != grid:
+            raise InputError(f"heights are over {shape} nodes, not {grid}", field="obstacle")
     rows = np.array([body.numbers for body in bodies]).reshape(-1, NUMBERS)
     sizes = [body.pool.size for body in bodies]
     if not any(sizes):

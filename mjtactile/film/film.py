@@ -138,7 +138,7 @@ class Film:
                 out.
         """
         listed = (obstacles,) if isinstance(obstacles, Obstacle) else obstacles
-        rows, pool = bodies.pooled(listed)
+        rows, pool = bodies.pooled(listed, self.grid)
         start = self.rest if state is None or not state.converged else state
         if start.x.shape != self.rest.x.shape:
             raise InputError(
@@ -174,7 +174,7 @@ class Film:
         if len(counts) != 1:
             raise InputError("every environment wants as many bodies", field="obstacles")
         count = len(obstacles)
-        rows, pool = bodies.pooled([body for one in obstacles for body in one])
+        rows, pool = bodies.pooled([body for one in obstacles for body in one], self.grid)
         if batch is None:
             x, force = (
                 np.repeat(one[None], count, axis=0) for one in (self.rest.x, self.rest.force)
@@ -221,7 +221,7 @@ class Film:
         if not state.converged or state.x.shape != self.rest.x.shape:
             raise InputError("is not at rest, or not of this film", field="state")
         listed, by = changed_bodies(shape, numbers, steps)
-        rows, pool = bodies.pooled([body for one in listed for body in one])
+        rows, pool = bodies.pooled([body for one in listed for body in one], self.grid)
         room = np.empty(kernel("film_derive_room")(self._numbers))
         count = len(by)
         by_x, by_force = np.empty((count, 3, *self.grid)), np.empty((count, *self.grid))
@@ -246,7 +246,8 @@ class Film:
         Returns:
             (n,) m; infinite where there is no body.
         """
-        rows, pool = bodies.pooled((obstacles,) if isinstance(obstacles, Obstacle) else obstacles)
+        listed = (obstacles,) if isinstance(obstacles, Obstacle) else obstacles
+        rows, pool = bodies.pooled(listed, self.grid)
         where = np.asarray(places, dtype=float).reshape(-1, 2)
         heights = np.empty(len(where))
         pooled = 0 if pool is None else len(pool)

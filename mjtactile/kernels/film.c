@@ -33,7 +33,7 @@
 #define LEAST_TURN 0.05    /* of a cell's shadow: below, the sheet is inside out */
 
 long film_work_size(const Film *f) {
-    return (3 + 3 + 5 + 2 + 2 + 1 + 8 + 4 + 2 + 8 * MEMORY + 8) * f->count + 7 * f->inner +
+    return (3 + 3 + 5 + 2 + 2 + 1 + 8 + 4 + 2 + 2 + 8 * MEMORY + 8) * f->count + 7 * f->inner +
            f->inner * BAND_STRIDE(f->inner_rows + 1) + 2 * (f->count / 8 + 1);
 }
 
@@ -55,7 +55,7 @@ Work film_work(const Film *f, double *room) {
     w.fields.own = take(&room, n), w.fields.up = take(&room, n), w.fields.right = take(&room, n);
     w.fields.right_up = take(&room, n), w.fields.right_down = take(&room, n);
     w.obstacle = take(&room, n), w.level = take(&room, n), w.slope = take(&room, 2 * n), w.lower = take(&room, n);
-    w.edge = take(&room, 4 * n), w.spring = take(&room, 4 * n);
+    w.edge = take(&room, 4 * n), w.spring = take(&room, 4 * n), w.away = take(&room, 2 * n);
     w.residual = take(&room, n), w.moved = take(&room, n), w.pushed = take(&room, n);
     w.plane = take(&room, 2 * f->inner);
     w.y0 = take(&room, f->inner), w.pulled = 0;

@@ -9,6 +9,7 @@
 #define FAR 1.0          /* m below everything: where lines start */
 #define STEEPEST 4.0 /* 75 degrees */
 #define SHARP 1.0 /* where a rim that is rounded by less than the spacing ends as an edge does */
+#define FLANK 2.0
 #define MOST_APPROACHES 50
 #define NEAR 1e-13 /* m */
 
@@ -207,7 +208,7 @@ static int triangles(const double *corners, long count, const Line *line, double
         const double *d = line->along, towards = dot3(normal, d);
         if (fabs(towards) < 1e-24) continue;
         const double q[3] = {from[1] * d[2] - from[2] * d[1], from[2] * d[0] - from[0] * d[2], from[0] * d[1] - from[1] * d[0]};
-        const double u = dot3(e2, q) / towards, v = -dot3(e1, q) / towards;
+        const double u = -dot3(e2, q) / towards, v = dot3(e1, q) / towards;
         if (u < 0 || v < 0 || u + v > 1) continue;
         const double way = -dot3(normal, from) / towards;
         if (towards > 0)
@@ -237,6 +238,15 @@ static int heights(const Film *film, const double *field, double x, double y, do
 /* What a distance across a slope is along z; where it is too steep to follow, the surface is nearly met from the side. */
 static double farther_along_z(const double slope[2]) { return least(sqrt(1 + square(slope[0]) + square(slope[1])), STEEPEST); }
 
+/* Beyond which a body counts as ended: at a flank that a sheet meets at its edge alone, and at a rim rounder than no cell can be. */
+static double steepest_of(const Film *film, const FilmBody *b) {
+    switch ((int)b->kind) {
+    case BODY_DISC: return b->sizes[2] < most(film->dx, film->dy) ? SHARP : INFINITY;
+    case BODY_BOX: case BODY_CYLINDER: return FLANK;
+    default: return INFINITY;
+    }
+}
+
 int film_body_height(const Film *film, const FilmBody *b, const double *pool, double x, double y, double *height,
                      double slope[2]) {
     static const double origin[3] = {0};
@@ -265,7 +275,7 @@ int film_body_height(const Film *film, const FilmBody *b, const double *pool, do
         return missed;
     }
     if (missed || slopes_of(b, n, slope)) return 1;
-    if ((int)b->kind == BODY_DISC && b->sizes[2] < most(film->dx, film->dy) && hypot(slope[0], slope[1]) > SHARP) return 1;
+    if (hypot(slope[0], slope[1]) > steepest_of(film, b)) return 1;
     *height = exact ? t : t - out * farther_along_z(slope);
     return 0;
 }

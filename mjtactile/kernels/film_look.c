@@ -34,7 +34,7 @@ static int lowest(const Film *f, const Bodies *bodies, double x, double y, doubl
 /* What is thinner than the spacing and passes between nodes is moved under the nearest: the lowest place on the cross of a node's
    cell. Returns the axis that it was found along, 1 or 2, or 0; `taken`: along which the node before has it already. */
 static int see_between(const Film *f, const Bodies *bodies, double x, double y, int taken,
-                       double *height, double slope[2]) {
+                       double *height, double slope[2], double *away) {
     int found = 0;
     for (int part = -THIN; part <= THIN; part++)
         for (int axis = 0; axis < 2; axis++) {
@@ -42,7 +42,7 @@ static int see_between(const Film *f, const Bodies *bodies, double x, double y, 
             if (taken & (1 << axis)) continue;
             double at, by[2] = {0, 0};
             if (lowest(f, bodies, x + (axis ? 0 : off * f->dx), y + (axis ? off * f->dy : 0), &at, by)) continue;
-            if (at < *height) *height = at, slope[0] = by[0], slope[1] = by[1], found = 1 << axis;
+            if (at < *height) *height = at, slope[0] = by[0], slope[1] = by[1], found = 1 << axis, *away = off;
         }
     return found;
 }
@@ -77,9 +77,11 @@ void see_bodies(const Film *f, const Bodies *bodies, const double *x, Work *w) {
             const double at_y = j * f->dy - f->numbers.length_y / 2 + x[f->count + k];
             double slope[2] = {0, 0};
             int axis = 0; /* kept in `edge`, which is found later */
+            double away = 0;
             const int off_all = lowest(f, bodies, at_x, at_y, w->obstacle + k, slope);
             const int taken = (i && ((int)w->edge[k - f->rows] & 1)) | (j && ((int)w->edge[k - 1] & 2)) << 1;
-            if (off_all && thin) axis = see_between(f, bodies, at_x, at_y, taken, w->obstacle + k, slope);
+            if (off_all && thin) axis = see_between(f, bodies, at_x, at_y, taken, w->obstacle + k, slope, &away);
+            w->away[k] = axis == 1 ? away * f->dx : 0, w->away[f->count + k] = axis == 2 ? away * f->dy : 0;
             if (!off_all && sharp) axis = see_ridge(f, bodies, at_x, at_y, taken, w->obstacle + k, slope);
             w->edge[k] = axis;
             w->slope[k] = slope[0], w->slope[f->count + k] = slope[1];
@@ -100,7 +102,8 @@ static int on_a_body(const Film *f, const Bodies *bodies, double x, double y) {
    +y and -y; negative where both are on. */
 void find_edges(const Film *f, const Bodies *bodies, const double *x, long k, int halves, Work *w) {
     const long rows = f->rows, count = f->count, i = k / rows, j = k % rows;
-    const double at[2] = {i * f->dx - f->numbers.length_x / 2 + x[k], j * f->dy - f->numbers.length_y / 2 + x[count + k]};
+    const double at[2] = {i * f->dx - f->numbers.length_x / 2 + x[k] + w->away[k],
+                          j * f->dy - f->numbers.length_y / 2 + x[count + k] + w->away[count + k]};
     for (int side = 0; side < 4; side++) {
         const long other = k + film_next(f, side);
         w->edge[side * count + k] = -1;
@@ -114,6 +117,10 @@ void find_edges(const Film *f, const Bodies *bodies, const double *x, long k, in
             else high = middle;
         }
         w->edge[side * count + k] = low;
+    }
+    for (int axis = 0; axis < 2; axis++) { /* what lies between nodes on both sides is taken to lie about its own */
+        double *one = w->edge + 2 * axis * count + k, *other = one + count;
+        if (*one >= 0 && *other >= 0) *one = *other = (*one + *other) / 2;
     }
 }
 

@@ -23,6 +23,7 @@ typedef struct { double tension, gas, *area_by, *volume_by, *b1, *b2, *y1, *y2; 
 typedef struct {
     SheetFields fields;
     double *obstacle, *level, *slope, *lower;          /* heights (count), see `follow_bodies`, slopes (2, count), correction */
+    double *away;                                      /* (2, count) m, from a node to what is thin and was moved under it */
     double *edge, *spring;                             /* see `find_edges` and `find_springs` (4, count) */
     double *residual, *moved, *pushed, *plane;         /* (count) each; plane (2 inner) */
     double *band, *y0;

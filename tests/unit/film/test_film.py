@@ -64,7 +64,7 @@ def test_the_frame_and_the_body_carry_what_the_gas_pushes(fine):
 
 
 def test_one_jump_and_many_steps_end_at_the_same_force(coarse):
-    state = None
+    state = coarse.rest
     for height in np.linspace(10.8, 5.0, 30):
         state = coarse.solve(ball(coarse, 8, (1, 0.5), height), state)
     jump = coarse.solve(ball(coarse, 8, (1, 0.5), 5.0))
