@@ -29,6 +29,8 @@ TESTS = [
     # those take the same ways through the kernels, with more and larger images
     "-m",
     "not slow",
+    # it asks for the name of the library that was built for use
+    "--deselect=tests/unit/kernels/test_library.py::test_another_source_is_another_library",
 ]
 DRAWS = "40"
 INSIDE = "MJTACTILE_SANITIZED"

@@ -23,7 +23,8 @@ from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import SimulationError
 from mjtactile.evaluate.wilson import wilson
 from mjtactile.report.figures import new_figure
-from mjtactile.sensing.chain import Chain, ChainState
+from mjtactile.sensing.chain import Chain
+from mjtactile.sensing.state import ChainState
 
 FIRST_SEED = 2000
 CASES = 200

@@ -10,7 +10,8 @@ from benchmarks.worlds.slip_cases import SlipCase
 from benchmarks.worlds.slip_world import SlipWorld
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Touch
-from mjtactile.sensing.chain import Chain, ChainState
+from mjtactile.sensing.chain import Chain
+from mjtactile.sensing.state import ChainState
 from mjtactile.sim import truth
 from mjtactile.sim.attach import DEFAULT_MESH
 from mjtactile.sim.picture.renderer import Renderer

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,6 +26,8 @@ from mjtactile.core.optics import Camera
 from mjtactile.core.status import OK, Status, StatusCode
 from mjtactile.core.types import (
     Array,
+    Contact,
+    Ellipses,
     FeltShape,
     Image,
     Markers,
@@ -33,20 +35,23 @@ from mjtactile.core.types import (
     Sighting,
     Surface,
     Touch,
+    Traction,
 )
 from mjtactile.sensing.body.finder import ShapeFinder
+from mjtactile.sensing.estimate import Estimate, ShapeEstimator
 from mjtactile.sensing.force import bulge, zero
-from mjtactile.sensing.force.gauge import GasState, GaugeFilter
-from mjtactile.sensing.force.inverse import InverseMembrane, InverseRest, Shape
+from mjtactile.sensing.force.inverse import InverseMembrane, InverseRest
 from mjtactile.sensing.image import tracking
 from mjtactile.sensing.pose import identity
 from mjtactile.sensing.pose.circles import estimate_poses
 from mjtactile.sensing.pose.reference import FlatReference, measure_flat
 from mjtactile.sensing.settings import DEFAULTS, Settings
 from mjtactile.sensing.shape.surface import SurfaceFitter
+from mjtactile.sensing.state import ChainState, Reference
 from mjtactile.sensing.touch import slip
 from mjtactile.sensing.touch.patches import find_patches, together
 
+<<<<<<< HEAD
 _KNOCKS_SURE = 3  # images in a row: a torn picture is no knock
 _SET_ASIDE_SHARE = 0.03  # of the markers, and at least one: more are not dirt
 
@@ -87,6 +92,8 @@ class ChainState:
             self, shape=None, detection=None, slip=None, tracks=None, apart=None, set_aside=()
         )
 
+=======
+>>>>>>> 9eca9ca (The chain in three files: what it keeps, how it estimates the shape, and what it makes of it)
 
 class Chain:
     """The sensing chain of one sensor: operators made from its design once; nothing changes.
@@ -115,7 +122,7 @@ class Chain:
         self.settings = settings
         self.camera = Camera.from_design(design.camera, design.glass)
         self.inverse = InverseMembrane(design, settings.inverse, settings.prior, settings.doubt)
-        self.gauge = GaugeFilter(design.chamber, settings.gauge)
+        self.estimator = ShapeEstimator(design, self.inverse, settings)
         self.fitter = SurfaceFitter(design, settings.surface)
         # seen 60 degrees aslant and from half as far again
         self._smallest_px = max(
@@ -140,18 +147,12 @@ class Chain:
         frame = self._measured.frame
         if frame is None:
             return state
-        state = replace(
-            state,
-            flat=FlatReference(
-                frame.R_SC, frame.p_SC, frame.scale, frame.residual_px, frame.scale_sd
-            ),
-        )
+        flat = FlatReference(frame.R_SC, frame.p_SC, frame.scale, frame.residual_px, frame.scale_sd)
+        state = replace(state, flat=flat)
         rest = frame.rest
-        return (
-            state
-            if rest is None
-            else self.set_rest(state, rest.markers, rest.pressure_gauge, sealed=rest.sealed)
-        )
+        if rest is None:
+            return state
+        return self.set_rest(state, rest.markers, rest.pressure_gauge, sealed=rest.sealed)
 
     # -- the sensor's own reference
     # --------------------------------------------------------------------------------
@@ -353,17 +354,7 @@ class Chain:
         Returns:
             The markers in S, and the state in which they are expected where they are now.
         """
-        if isinstance(image, Sighting) and image.ellipses is not None:
-            ellipses = image.ellipses
-            tracks = None
-        else:
-            ellipses, tracks = tracking.follow(
-                image,
-                state.tracks,
-                self.design.markers.count,
-                min_radius_px=self._smallest_px,
-                settings=self.settings,
-            )
+        ellipses, tracks = self._ellipses(state, image)
         poses = estimate_poses(ellipses, self.camera, self.design.markers.radius)
         poses = state.flat.to_nominal(self.design, poses)
         markers = identity.identify(
@@ -376,6 +367,18 @@ class Chain:
         )
         return markers, replace(state, expected=_moved(state.expected, markers), tracks=tracks)
 
+    def _ellipses(self, state: ChainState, image: Image) -> tuple[Ellipses, tracking.Tracks | None]:
+        """The markers' ellipses in the image, and what finds them in the next."""
+        if isinstance(image, Sighting) and image.ellipses is not None:
+            return image.ellipses, None
+        return tracking.follow(
+            image,
+            state.tracks,
+            self.design.markers.count,
+            min_radius_px=self._smallest_px,
+            settings=self.settings,
+        )
+
     def enough(self, markers: Markers) -> Status:
         """Judge whether so many markers were seen that the shape is no guess.
 
@@ -386,10 +389,10 @@ class Chain:
             "ok", or why not.
         """
         seen = len(markers)
-        all_ = self.design.markers.count
-        if seen >= self.settings.fewest_seen * all_:
+        if self.estimator.are_enough(seen):
             return OK
-        return Status(StatusCode.TOO_FEW_MARKERS, f"only {seen} of {all_} markers seen")
+        text = f"only {seen} of {self.design.markers.count} markers seen"
+        return Status(StatusCode.TOO_FEW_MARKERS, text)
 
     def feel(
         self,
@@ -419,6 +422,7 @@ class Chain:
         unknown = Touch(time, 0.0, np.nan, np.nan, False, surface=surface, markers=markers)
         if (status := self.enough(markers)) != OK:
             return replace(unknown, status=status), state
+<<<<<<< HEAD
         before = state.detection
         s = self.settings
         reference = state.reference
@@ -435,70 +439,82 @@ class Chain:
         moved = rest.pressure_gauge - reference.rest.pressure_gauge
         moved = moved if math.isfinite(moved) else 0.0  # no gauge
         if not self._is_explained(shape):
+=======
+        estimate = self.estimator.estimate(state, state.reference, markers, time, reading)
+        unknown = replace(unknown, markers=estimate.markers)
+        if not self.estimator.is_explained(estimate.shape):
+>>>>>>> 9eca9ca (The chain in three files: what it keeps, how it estimates the shape, and what it makes of it)
             status = Status(StatusCode.NO_SHAPE, "the markers fit no membrane shape")
             lost = slip.unknown(status.code, "shape not explained")
-            return replace(unknown, slip=lost, status=status), state.without_history()
+            return replace(unknown, slip=lost, status=status), estimate.state.without_history()
+        moved = estimate.rest.pressure_gauge - state.reference.rest.pressure_gauge
+        moved = moved if math.isfinite(moved) else 0.0  # no gauge
+        traction = self._traction(estimate, moved, time)
+        return self._judge(replace(unknown, traction=traction), traction, estimate, moved)
+
+    def _traction(self, estimate: Estimate, moved: float, time: float) -> Traction:
+        """The tractions, as a measured force scale has them; `moved` Pa by which the chamber's
+        pressure has changed."""
+        before = estimate.state.detection
+        elapsed = math.inf if before is None else time - before.time
+        traction = self.inverse.traction(estimate.shape, estimate.state.shape, elapsed, moved)
         force = self._measured.force
-        traction = self.inverse.traction(
-            shape, state.shape, math.inf if before is None else time - before.time, moved
-        )
-        traction = traction if force is None else force.apply(traction)
-        found = zero.detect_touch(time, traction, before, s.zero)
-        patches = find_patches(self.inverse, shape, rest, s.patches) if found.touching else ()
-        patches = (
-            patches
-            if force is None
-            else tuple(replace(patch, force=force.scale * patch.force) for patch in patches)
-        )
-        judged, history = slip.judge(time, self.inverse, shape, patches, state.slip, s.slip)
+        return traction if force is None else force.apply(traction)
+
+    def _patches(self, estimate: Estimate) -> tuple[Contact, ...]:
+        """Where it is touched, with the forces as a measured force scale has them."""
+        patches = find_patches(self.inverse, estimate.shape, estimate.rest, self.settings.patches)
+        force = self._measured.force
+        if force is None:
+            return patches
+        return tuple(replace(patch, force=force.scale * patch.force) for patch in patches)
+
+    def _judge(
+        self, touch: Touch, traction: Traction, estimate: Estimate, moved: float
+    ) -> tuple[Touch, ChainState]:
+        """Whether it is touched, where, and whether it slips; or what is doubtful about it."""
+        s = self.settings
+        state = estimate.state
+        shape = estimate.shape
+        before = state.detection
+        found = zero.detect_touch(touch.time, traction, before, s.zero)
+        patches = self._patches(estimate) if found.touching else ()
+        judged, history = slip.judge(touch.time, self.inverse, shape, patches, state.slip, s.slip)
         state = replace(state, shape=shape, detection=found, slip=history)
         quiet = (
             before is not None
             and not found.touching
             and found.time - found.quiet_since > s.zero.quiet
         )
-        if quiet and before is not None and state.reference is not None:
-            followed = zero.Zero.of(rest) if state.apart is None else zero.Zero(rest, state.apart)
-            followed = zero.follow(
-                self.inverse, followed, shape, markers, found.time - before.time, s.zero
-            )
-            gas = None if state.gas is None else state.gas.corrected(followed.share)
-            state = replace(
-                state,
-                reference=replace(state.reference, rest=followed.rest),
-                apart=followed.apart,
-                gas=gas,
-            )
+        if quiet and before is not None:
+            state = self._with_zero_followed(state, estimate, found.time - before.time)
         sd = float(np.sqrt(traction.wrench_cov[2, 2]))
         if abs(moved) > s.gauge.moved_most:
             text = f"the chamber's pressure has moved by {moved:+.0f} Pa since the last image"
             status = Status(StatusCode.AIR_MOVES, text)
             lost = slip.unknown(status.code, "the air moves")
-            return replace(unknown, traction=traction, slip=lost, status=status), state
-        if quiet and (
-            found.force < -max(s.zero.pull_most, s.zero.touch_sd * sd)
-            or shape.drift > s.zero.drift_most
-        ):
+            return replace(touch, slip=lost, status=status), state
+        pulled = found.force < -max(s.zero.pull_most, s.zero.touch_sd * sd)
+        if quiet and (pulled or shape.drift > s.zero.drift_most):
             status = Status(
                 StatusCode.REFERENCE_LOST,
                 "the membrane seems pulled, or shifted: the rest reference is lost (temperature, "
                 "camera)",
             )
-            return replace(
-                unknown, traction=traction, slip=slip.unknown(status.code, "no zero"), status=status
-            ), state
-        contact = together(patches, (len(traction.y), len(traction.x)))
-        return replace(
-            unknown,
+            lost = slip.unknown(status.code, "no zero")
+            return replace(touch, slip=lost, status=status), state
+        felt = replace(
+            touch,
             force_normal=found.force,
             force_normal_sd=sd,
             touching=found.touching,
-            contact=contact,
-            traction=traction,
+            contact=together(patches, (len(traction.y), len(traction.x))),
             patches=patches,
             slip=judged,
-        ), state
+        )
+        return felt, state
 
+<<<<<<< HEAD
     def _is_explained(self, shape: Shape) -> bool:
         """Whether the markers fit this shape; where all of them have drifted together they do, and
         the reference is lost."""
@@ -596,6 +612,29 @@ class Chain:
         volume = self.inverse.volume(shape.c)
         pressure = now.pressure_gauge(volume, chamber.ambient, chamber.heat_ratio)
         return replace(shape, pressure_gauge=pressure), rest, volume
+=======
+    def _with_zero_followed(
+        self, state: ChainState, estimate: Estimate, elapsed: float
+    ) -> ChainState:
+        """The rest reference follows a membrane that nothing has touched for a while."""
+        if state.reference is None:
+            return state
+        rest = estimate.rest
+        followed = zero.follow(
+            self.inverse,
+            zero.Zero.of(rest) if state.apart is None else zero.Zero(rest, state.apart),
+            estimate.shape,
+            estimate.markers,
+            elapsed,
+            self.settings.zero,
+        )
+        return replace(
+            state,
+            reference=replace(state.reference, rest=followed.rest),
+            apart=followed.apart,
+            gas=None if state.gas is None else state.gas.corrected(followed.share),
+        )
+>>>>>>> 9eca9ca (The chain in three files: what it keeps, how it estimates the shape, and what it makes of it)
 
     def _estimate(self, state: ChainState, rest: InverseRest, markers: Markers) -> Shape:
         knocked = state.knocked >= _KNOCKS_SURE
@@ -724,6 +763,7 @@ def _moved(expected: Array, markers: Markers) -> Array:
     return expected
 
 
+<<<<<<< HEAD
 def _without(markers: Markers, ids: Sequence[int]) -> Markers:
     """All markers but these."""
     keep = ~np.isin(markers.ids, ids) if ids else np.ones(len(markers), bool)
@@ -739,6 +779,8 @@ def _without(markers: Markers, ids: Sequence[int]) -> Markers:
     )
 
 
+=======
+>>>>>>> 9eca9ca (The chain in three files: what it keeps, how it estimates the shape, and what it makes of it)
 def _average(seen: Sequence[Markers]) -> Markers:
     """Mean of repeated measurements of markers at rest; a marker counts when at least half of them
     saw it."""

@@ -1,0 +1,153 @@
+"""The membrane's shape from one image's markers, with what a pressure gauge says of the gas."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.types import Markers, PressureReading
+from mjtactile.sensing.force.gauge import GasState, GaugeFilter
+from mjtactile.sensing.force.inverse import InverseMembrane, InverseRest, Shape
+from mjtactile.sensing.settings import Settings
+from mjtactile.sensing.state import ChainState, Reference
+
+_SET_ASIDE_SHARE = 0.03  # of the markers, and at least one: more are not dirt
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The `shape` that the `markers` show, measured against the sensor at `rest`, and the `state`
+    in which the gas is known as well as gauge and shape say."""
+
+    markers: Markers
+    shape: Shape
+    rest: InverseRest
+    state: ChainState
+
+
+class ShapeEstimator:
+    """Finds the membrane's shape in what the images show; nothing changes.
+
+    Args:
+        design: The sensor's values.
+        inverse: Its membrane.
+        settings: The stages' chosen numbers.
+    """
+
+    def __init__(self, design: SensorDesign, inverse: InverseMembrane, settings: Settings):
+        self._design = design
+        self._inverse = inverse
+        self._settings = settings
+        self.gauge = GaugeFilter(design.chamber, settings.gauge)
+
+    def estimate(
+        self,
+        state: ChainState,
+        reference: Reference,
+        markers: Markers,
+        time: float,
+        reading: PressureReading | None,
+    ) -> Estimate:
+        """The shape that explains these markers, or all but one: dirt on a marker makes it look
+        larger, and nearer. It is left out from then on.
+
+        Args:
+            state: What the image before left.
+            reference: The sensor at rest.
+            markers: What was seen.
+            time: Of the image's capture, s.
+            reading: Newest reading of the chamber's pressure gauge; None: there is none.
+
+        Returns:
+            The estimate; `is_explained` says whether its shape fits.
+        """
+        found = self._with_gas(state, reference, without(markers, state.set_aside), time, reading)
+        allowed = max(1, round(_SET_ASIDE_SHARE * self._design.markers.count))
+        if self.is_explained(found.shape) or len(state.set_aside) >= allowed:
+            return found
+        # whose misfit is largest
+        worst = int(found.markers.ids[found.shape.excess[0, found.markers.ids].argmax()])
+        fewer = without(found.markers, (worst,))
+        if not self.are_enough(len(fewer)):
+            return found
+        aside = replace(state, set_aside=(*state.set_aside, worst))
+        again = self._with_gas(aside, reference, fewer, time, reading)
+        return again if self.is_explained(again.shape) else found
+
+    def are_enough(self, seen: int) -> bool:
+        """Whether from so many markers the shape is no guess."""
+        return seen >= self._settings.fewest_seen * self._design.markers.count
+
+    def is_explained(self, shape: Shape) -> bool:
+        """Whether the markers fit this shape; where all of them have drifted together they do, and
+        the reference is lost."""
+        s = self._settings
+        drifted = shape.drift > s.zero.drift_most
+        sharp = float(shape.excess[0].mean()) > s.inverse.excess_most and not drifted
+        return not sharp and shape.misfit < s.inverse.misfit_most
+
+    def _with_gas(
+        self,
+        state: ChainState,
+        reference: Reference,
+        markers: Markers,
+        time: float,
+        reading: PressureReading | None,
+    ) -> Estimate:
+        """The shape, and the gas as well as it is known.
+
+        In a sealed chamber a reading is weighed with the volume that the image shows; where it says
+        much that was not known, the image is looked at again.
+        """
+        rest = reference.rest
+        gas = self._gas_before(state.gas, rest, time, reading)
+        if gas is None:
+            shape = self._inverse.estimate(markers, rest, state.shape)
+            return Estimate(markers, shape, rest, state)
+        shape, rest, volume = self._shape_with(gas, rest, state, markers, time)
+        seen = self.gauge.saw(gas, time, volume, self._settings.inverse.dent_share)
+        if reading is not None and not gas.is_open:
+            seen, told = self.gauge.read(seen, reading)
+            if told:
+                shape, rest, volume = self._shape_with(seen, rest, state, markers, time)
+                seen = seen.seen_again(volume)
+        state = replace(state, gas=seen, reference=replace(reference, rest=rest))
+        return Estimate(markers, shape, rest, state)
+
+    def _gas_before(
+        self, gas: GasState | None, rest: InverseRest, time: float, reading: PressureReading | None
+    ) -> GasState | None:
+        """The gas before the image is looked at; None without a gauge."""
+        if reading is None:
+            return gas
+        if gas is None:
+            volume = self._inverse.volume(rest.c)
+            gas = self.gauge.begin(rest.gas, min(time, reading.time) - 1e-3, volume)
+        gas = self.gauge.switched(gas, reading)
+        if gas.is_open:
+            gas, _ = self.gauge.read(gas, reading)
+        return gas
+
+    def _shape_with(
+        self, gas: GasState, rest: InverseRest, state: ChainState, markers: Markers, time: float
+    ) -> tuple[Shape, InverseRest, float]:
+        """The shape with what is known of the gas, the sensor at rest with it, and the gas's
+        volume, m^3."""
+        chamber = self._design.chamber
+        now, sd = self.gauge.gas_at(gas, time)
+        rest = self._inverse.with_gas(rest, now, sd, gas.seen[-1][1])
+        shape = self._inverse.estimate(markers, rest, state.shape)
+        volume = self._inverse.volume(shape.c)
+        pressure = now.pressure_gauge(volume, chamber.ambient, chamber.heat_ratio)
+        return replace(shape, pressure_gauge=pressure), rest, volume
+
+
+def without(markers: Markers, ids: Sequence[int]) -> Markers:
+    """All markers but these."""
+    keep = ~np.isin(markers.ids, ids) if ids else np.ones(len(markers), bool)
+    if keep.all():
+        return markers
+    return Markers(markers.ids[keep], markers.p_SM[keep], markers.n_S[keep], markers.cov_p[keep])

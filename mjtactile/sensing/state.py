@@ -1,0 +1,48 @@
+"""What one image leaves for the next: the references of a sensor, and what was seen since."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from mjtactile.core.types import Array, Surface
+from mjtactile.sensing.force import zero
+from mjtactile.sensing.force.gauge import GasState
+from mjtactile.sensing.force.inverse import InverseRest, Shape
+from mjtactile.sensing.image import tracking
+from mjtactile.sensing.pose.reference import FlatReference
+from mjtactile.sensing.touch import slip
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """What the chain knows of its own sensor at rest: its statics and its `surface`."""
+
+    rest: InverseRest
+    surface: Surface
+
+
+@dataclass(frozen=True, eq=False)
+class ChainState:
+    """What one image leaves for the next: the sensor's own references (`flat`, and `reference` once
+    at rest), the marker positions `expected` (M, 3) m in S, the membrane's `shape`, the histories
+    of touch and slip, the markers' `tracks`, how far they stand `apart` (M, 3) m from the
+    zero, the `gas`, where a gauge measures it, and the markers `set_aside` since nothing explains
+    where they seem to be."""
+
+    flat: FlatReference
+    expected: Array
+    reference: Reference | None = None
+    shape: Shape | None = None
+    detection: zero.Detection | None = None
+    slip: slip.SlipHistory | None = None
+    tracks: tracking.Tracks | None = None
+    apart: Array | None = None
+    gas: GasState | None = None
+    set_aside: tuple[int, ...] = ()
+
+    def without_history(self) -> ChainState:
+        """The same references, as if no image had been seen since; what is known of the gas
+        stays."""
+        return replace(
+            self, shape=None, detection=None, slip=None, tracks=None, apart=None, set_aside=()
+        )
