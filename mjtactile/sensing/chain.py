@@ -51,49 +51,6 @@ from mjtactile.sensing.state import ChainState, Reference
 from mjtactile.sensing.touch import slip
 from mjtactile.sensing.touch.patches import find_patches, together
 
-<<<<<<< HEAD
-_KNOCKS_SURE = 3  # images in a row: a torn picture is no knock
-_SET_ASIDE_SHARE = 0.03  # of the markers, and at least one: more are not dirt
-
-
-@dataclass(frozen=True, eq=False)
-class Reference:
-    """What the chain knows of its own sensor at rest: its statics and its `surface`."""
-
-    rest: InverseRest
-    surface: Surface
-
-
-@dataclass(frozen=True, eq=False)
-class ChainState:
-    """What one image leaves for the next: the sensor's own references (`flat`, and `reference` once
-    at rest), the marker positions `expected` (M, 3) m in S, the membrane's `shape`, the histories
-    of touch and slip, the markers' `tracks`, how far they stand `apart` (M, 3) m from the
-    zero, the `gas`, where a gauge measures it, the markers `set_aside` since nothing explains
-    where they seem to be, and in how many images up to this one the camera seemed `knocked`: from
-    `_KNOCKS_SURE` on it was."""
-
-    flat: FlatReference
-    expected: Array
-    reference: Reference | None = None
-    shape: Shape | None = None
-    detection: zero.Detection | None = None
-    slip: slip.SlipHistory | None = None
-    tracks: tracking.Tracks | None = None
-    apart: Array | None = None
-    gas: GasState | None = None
-    set_aside: tuple[int, ...] = ()
-    knocked: int = 0
-
-    def without_history(self) -> ChainState:
-        """The same references, as if no image had been seen since; what is known of the gas
-        stays."""
-        return replace(
-            self, shape=None, detection=None, slip=None, tracks=None, apart=None, set_aside=()
-        )
-
-=======
->>>>>>> 9eca9ca (The chain in three files: what it keeps, how it estimates the shape, and what it makes of it)
 
 class Chain:
     """The sensing chain of one sensor: operators made from its design once; nothing changes.
@@ -422,28 +379,9 @@ class Chain:
         unknown = Touch(time, 0.0, np.nan, np.nan, False, surface=surface, markers=markers)
         if (status := self.enough(markers)) != OK:
             return replace(unknown, status=status), state
-<<<<<<< HEAD
-        before = state.detection
-        s = self.settings
-        reference = state.reference
-        markers = _without(markers, state.set_aside)
-        found_shape = self._shape(state, reference, markers, time, reading)
-        if state.knocked < _KNOCKS_SURE:
-            found_shape = self._if_knocked(state, reference, markers, time, reading, found_shape)
-        if not self._is_explained(found_shape[0]):
-            markers, found_shape = self._without_worst(
-                state, reference, markers, time, reading, found_shape
-            )
-        unknown = replace(unknown, markers=markers)
-        shape, rest, state = found_shape
-        moved = rest.pressure_gauge - reference.rest.pressure_gauge
-        moved = moved if math.isfinite(moved) else 0.0  # no gauge
-        if not self._is_explained(shape):
-=======
         estimate = self.estimator.estimate(state, state.reference, markers, time, reading)
         unknown = replace(unknown, markers=estimate.markers)
         if not self.estimator.is_explained(estimate.shape):
->>>>>>> 9eca9ca (The chain in three files: what it keeps, how it estimates the shape, and what it makes of it)
             status = Status(StatusCode.NO_SHAPE, "the markers fit no membrane shape")
             lost = slip.unknown(status.code, "shape not explained")
             return replace(unknown, slip=lost, status=status), estimate.state.without_history()
@@ -514,105 +452,6 @@ class Chain:
         )
         return felt, state
 
-<<<<<<< HEAD
-    def _is_explained(self, shape: Shape) -> bool:
-        """Whether the markers fit this shape; where all of them have drifted together they do, and
-        the reference is lost."""
-        s = self.settings
-        drifted = shape.drift > s.zero.drift_most
-        sharp = float(shape.excess[0].mean()) > s.inverse.excess_most and not drifted
-        return not sharp and shape.misfit < s.inverse.misfit_most
-
-    def _if_knocked(
-        self,
-        state: ChainState,
-        reference: Reference,
-        markers: Markers,
-        time: float,
-        reading: PressureReading | None,
-        found: tuple[Shape, InverseRest, ChainState],
-    ) -> tuple[Shape, InverseRest, ChainState]:
-        """What `_shape` finds if the camera was knocked, where that explains the markers; else what
-        was `found`."""
-        shape, rest, after = found
-        if shape.drift > self.settings.inverse.knock_least:
-            sure = replace(state, knocked=_KNOCKS_SURE)
-            again, rest_again, later = self._shape(sure, reference, markers, time, reading)
-            better = again.drift < shape.drift and again.misfit < shape.misfit
-            if better and self._is_explained(again):
-                return again, rest_again, replace(later, knocked=state.knocked + 1)
-        return shape, rest, replace(after, knocked=0)
-
-    def _without_worst(
-        self,
-        state: ChainState,
-        reference: Reference,
-        markers: Markers,
-        time: float,
-        reading: PressureReading | None,
-        found: tuple[Shape, InverseRest, ChainState],
-    ) -> tuple[Markers, tuple[Shape, InverseRest, ChainState]]:
-        """Markers and what `_shape` finds without the one that fits worst, if all others fit: dirt
-        on one that makes it look larger, and nearer. Else what was `found` with it."""
-        allowed = max(1, round(_SET_ASIDE_SHARE * self.design.markers.count))
-        if len(state.set_aside) >= allowed:
-            return markers, found
-        worst = int(markers.ids[found[0].excess[0, markers.ids].argmax()])
-        fewer = _without(markers, (worst,))
-        if self.enough(fewer) != OK:
-            return markers, found
-        aside = replace(state, set_aside=(*state.set_aside, worst))
-        again = self._shape(aside, reference, fewer, time, reading)
-        return (fewer, again) if self._is_explained(again[0]) else (markers, found)
-
-    def _shape(
-        self,
-        state: ChainState,
-        reference: Reference,
-        markers: Markers,
-        time: float,
-        reading: PressureReading | None,
-    ) -> tuple[Shape, InverseRest, ChainState]:
-        """The membrane's shape, the rest that it is measured against, and the state in which the
-        gas is known as well as gauge and shape say.
-
-        In a sealed chamber a reading is weighed with the volume that the image shows; where it says
-        much that was not known, the image is looked at again.
-        """
-        rest = reference.rest
-        if reading is None and state.gas is None:
-            return self._estimate(state, rest, markers), rest, state
-        gas = state.gas
-        if gas is None:
-            start = time if reading is None else min(time, reading.time)
-            volume = self.inverse.volume(rest.c)
-            gas = self.gauge.begin(rest.gas, start - 1e-3, volume)
-        if reading is not None:
-            gas = self.gauge.switched(gas, reading)
-            if gas.is_open:
-                gas, _ = self.gauge.read(gas, reading)
-        shape, rest, volume = self._shape_with(gas, rest, state, markers, time)
-        seen = self.gauge.saw(gas, time, volume, self.settings.inverse.dent_share)
-        if reading is not None and not gas.is_open:
-            seen, told = self.gauge.read(seen, reading)
-            if told:
-                shape, rest, volume = self._shape_with(seen, rest, state, markers, time)
-                seen = seen.seen_again(volume)
-        return shape, rest, replace(state, gas=seen, reference=replace(reference, rest=rest))
-
-    def _shape_with(
-        self, gas: GasState, rest: InverseRest, state: ChainState, markers: Markers, time: float
-    ) -> tuple[Shape, InverseRest, float]:
-        """The shape with what is known of the gas, the sensor at rest with it, and the
-        gas's volume, m^3."""
-        chamber = self.design.chamber
-        now, sd = self.gauge.gas_at(gas, time)
-        rest = self.inverse.with_gas(rest, now, sd, gas.seen[-1][1])
-        shape = self._estimate(state, rest, markers)
-        volume = self.inverse.volume(shape.c)
-        pressure = now.pressure_gauge(volume, chamber.ambient, chamber.heat_ratio)
-        return replace(shape, pressure_gauge=pressure), rest, volume
-=======
     def _with_zero_followed(
         self, state: ChainState, estimate: Estimate, elapsed: float
     ) -> ChainState:
@@ -634,11 +473,6 @@ class Chain:
             apart=followed.apart,
             gas=None if state.gas is None else state.gas.corrected(followed.share),
         )
->>>>>>> 9eca9ca (The chain in three files: what it keeps, how it estimates the shape, and what it makes of it)
-
-    def _estimate(self, state: ChainState, rest: InverseRest, markers: Markers) -> Shape:
-        knocked = state.knocked >= _KNOCKS_SURE
-        return self.inverse.estimate(markers, rest, state.shape, knocked=knocked)
 
     def _locate(self, state: ChainState, image: Image, expected: Array, what: str) -> Markers:
         markers, _ = self.see(replace(state, expected=expected), image)
@@ -763,24 +597,6 @@ def _moved(expected: Array, markers: Markers) -> Array:
     return expected
 
 
-<<<<<<< HEAD
-def _without(markers: Markers, ids: Sequence[int]) -> Markers:
-    """All markers but these."""
-    keep = ~np.isin(markers.ids, ids) if ids else np.ones(len(markers), bool)
-    if keep.all():
-        return markers
-    dark = markers.darkness
-    return Markers(
-        markers.ids[keep],
-        markers.p_SM[keep],
-        markers.n_S[keep],
-        markers.cov_p[keep],
-        None if dark is None else dark[keep],
-    )
-
-
-=======
->>>>>>> 9eca9ca (The chain in three files: what it keeps, how it estimates the shape, and what it makes of it)
 def _average(seen: Sequence[Markers]) -> Markers:
     """Mean of repeated measurements of markers at rest; a marker counts when at least half of them
     saw it."""

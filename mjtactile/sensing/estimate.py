@@ -12,7 +12,7 @@ from mjtactile.core.types import Markers, PressureReading
 from mjtactile.sensing.force.gauge import GasState, GaugeFilter
 from mjtactile.sensing.force.inverse import InverseMembrane, InverseRest, Shape
 from mjtactile.sensing.settings import Settings
-from mjtactile.sensing.state import ChainState, Reference
+from mjtactile.sensing.state import KNOCKS_SURE, ChainState, Reference
 
 _SET_ASIDE_SHARE = 0.03  # of the markers, and at least one: more are not dirt
 
@@ -65,6 +65,8 @@ class ShapeEstimator:
             The estimate; `is_explained` says whether its shape fits.
         """
         found = self._with_gas(state, reference, without(markers, state.set_aside), time, reading)
+        if state.knocked < KNOCKS_SURE:
+            found = self._if_knocked(state, reference, found, time, reading)
         allowed = max(1, round(_SET_ASIDE_SHARE * self._design.markers.count))
         if self.is_explained(found.shape) or len(state.set_aside) >= allowed:
             return found
@@ -89,6 +91,25 @@ class ShapeEstimator:
         sharp = float(shape.excess[0].mean()) > s.inverse.excess_most and not drifted
         return not sharp and shape.misfit < s.inverse.misfit_most
 
+    def _if_knocked(
+        self,
+        state: ChainState,
+        reference: Reference,
+        found: Estimate,
+        time: float,
+        reading: PressureReading | None,
+    ) -> Estimate:
+        """What is found if the camera was knocked, where that explains the markers; else what was
+        `found`."""
+        shape = found.shape
+        if shape.drift > self._settings.inverse.knock_least:
+            sure = replace(state, knocked=KNOCKS_SURE)
+            again = self._with_gas(sure, reference, found.markers, time, reading)
+            better = again.shape.drift < shape.drift and again.shape.misfit < shape.misfit
+            if better and self.is_explained(again.shape):
+                return replace(again, state=replace(again.state, knocked=state.knocked + 1))
+        return replace(found, state=replace(found.state, knocked=0))
+
     def _with_gas(
         self,
         state: ChainState,
@@ -105,7 +126,7 @@ class ShapeEstimator:
         rest = reference.rest
         gas = self._gas_before(state.gas, rest, time, reading)
         if gas is None:
-            shape = self._inverse.estimate(markers, rest, state.shape)
+            shape = self._fit(state, rest, markers)
             return Estimate(markers, shape, rest, state)
         shape, rest, volume = self._shape_with(gas, rest, state, markers, time)
         seen = self.gauge.saw(gas, time, volume, self._settings.inverse.dent_share)
@@ -139,10 +160,14 @@ class ShapeEstimator:
         chamber = self._design.chamber
         now, sd = self.gauge.gas_at(gas, time)
         rest = self._inverse.with_gas(rest, now, sd, gas.seen[-1][1])
-        shape = self._inverse.estimate(markers, rest, state.shape)
+        shape = self._fit(state, rest, markers)
         volume = self._inverse.volume(shape.c)
         pressure = now.pressure_gauge(volume, chamber.ambient, chamber.heat_ratio)
         return replace(shape, pressure_gauge=pressure), rest, volume
+
+    def _fit(self, state: ChainState, rest: InverseRest, markers: Markers) -> Shape:
+        knocked = state.knocked >= KNOCKS_SURE
+        return self._inverse.estimate(markers, rest, state.shape, knocked=knocked)
 
 
 def without(markers: Markers, ids: Sequence[int]) -> Markers:
@@ -150,4 +175,11 @@ def without(markers: Markers, ids: Sequence[int]) -> Markers:
     keep = ~np.isin(markers.ids, ids) if ids else np.ones(len(markers), bool)
     if keep.all():
         return markers
-    return Markers(markers.ids[keep], markers.p_SM[keep], markers.n_S[keep], markers.cov_p[keep])
+    dark = markers.darkness
+    return Markers(
+        markers.ids[keep],
+        markers.p_SM[keep],
+        markers.n_S[keep],
+        markers.cov_p[keep],
+        None if dark is None else dark[keep],
+    )

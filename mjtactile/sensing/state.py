@@ -12,6 +12,8 @@ from mjtactile.sensing.image import tracking
 from mjtactile.sensing.pose.reference import FlatReference
 from mjtactile.sensing.touch import slip
 
+KNOCKS_SURE = 3  # images in a row: a torn picture is no knock
+
 
 @dataclass(frozen=True, eq=False)
 class Reference:
@@ -26,8 +28,9 @@ class ChainState:
     """What one image leaves for the next: the sensor's own references (`flat`, and `reference` once
     at rest), the marker positions `expected` (M, 3) m in S, the membrane's `shape`, the histories
     of touch and slip, the markers' `tracks`, how far they stand `apart` (M, 3) m from the
-    zero, the `gas`, where a gauge measures it, and the markers `set_aside` since nothing explains
-    where they seem to be."""
+    zero, the `gas`, where a gauge measures it, the markers `set_aside` since nothing explains
+    where they seem to be, and in how many images up to this one the camera seemed `knocked`: from
+    `KNOCKS_SURE` on it was."""
 
     flat: FlatReference
     expected: Array
@@ -39,6 +42,7 @@ class ChainState:
     apart: Array | None = None
     gas: GasState | None = None
     set_aside: tuple[int, ...] = ()
+    knocked: int = 0
 
     def without_history(self) -> ChainState:
         """The same references, as if no image had been seen since; what is known of the gas
