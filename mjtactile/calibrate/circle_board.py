@@ -71,7 +71,9 @@ class CircleFinder:
         alike = np.abs(np.log(size / np.median(size))) < np.log(_ALIKE)
         uv = ellipses.center_px[good][alike]
         places = number_grid(uv)
-        return View(name, _ids(places), uv[list(places)]) if len(places) >= CORNERS_MIN else None
+        if len(places) >= CORNERS_MIN:
+            return View(name, _ids(places), uv[list(places)])
+        return None
 
     def corners(self, view: View) -> Array:
         """The view's circles' centres (N, 3) m on the board."""
@@ -108,7 +110,9 @@ def calibrate_from_circles(
         return with_k3
     without = calibrate_camera(finder, views, size, k3=False)
     plain = abs(with_k3.distortion[4]) > _PLAIN * with_k3.sd[8]
-    return with_k3 if plain and with_k3.holdout_px <= without.holdout_px else without
+    if plain and with_k3.holdout_px <= without.holdout_px:
+        return with_k3
+    return without
 
 
 def number_grid(uv: Array) -> dict[int, tuple[int, int]]:

@@ -114,9 +114,10 @@ def calibrate_force(true: Array, felt: Array, area: Array, area_rest: float) -> 
         constant = AreaCalibration.fit(change, true)
     except InputError:
         constant = None
-    (offset, scale), (offset_sd, scale_sd), rms = (
-        fit_line(felt, true) if np.ptp(felt) > 0 else ((np.nan,) * 2,) * 2 + (np.nan,)
-    )
+    if np.ptp(felt) > 0:
+        (offset, scale), (offset_sd, scale_sd), rms = fit_line(felt, true)
+    else:
+        (offset, scale), (offset_sd, scale_sd), rms = ((np.nan,) * 2,) * 2 + (np.nan,)
     reasons = _judge(true, felt, constant, float(scale), float(offset), rms)
     return ForceCalibration(
         constant,

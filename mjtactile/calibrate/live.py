@@ -94,9 +94,9 @@ def camera_pictures(
 def _moved(view: View, other: View) -> float:
     """Largest movement in px of the corners that both have; infinite when they share none."""
     shared, a, b = np.intersect1d(view.ids, other.ids, return_indices=True)
-    return (
-        float(np.max(np.linalg.norm(view.uv[a] - other.uv[b], axis=1))) if len(shared) else np.inf
-    )
+    if len(shared):
+        return float(np.max(np.linalg.norm(view.uv[a] - other.uv[b], axis=1)))
+    return np.inf
 
 
 def _is_new(view: View, taken: Sequence[View], width: int) -> bool:
@@ -111,7 +111,9 @@ def _hint(taken: Sequence[View], shape: tuple[int, ...]) -> str:
         uv[:, 1] / shape[0], uv[:, 0] / shape[1], bins=4, range=((0, 1), (0, 1))
     )[0]
     empty = [str(names[i, j]) for i in (0, 1) for j in (0, 1) if quarter[3 * i, 3 * j] == 0]
-    return f"Now to the {empty[0]}, tilted." if empty else "Tilt it another way, or come closer."
+    if empty:
+        return f"Now to the {empty[0]}, tilted."
+    return "Tilt it another way, or come closer."
 
 
 # -- frame and force

@@ -138,11 +138,10 @@ def _objects(text: str) -> list[str]:
     found = []
     for name in (part.strip() for part in text.split(",")):
         anchor = Path(name).anchor
-        files = (
-            sorted(map(str, Path(anchor).glob(name[len(anchor) :])))
-            if set("*?[") & set(name)
-            else [name]
-        )
+        if set("*?[") & set(name):
+            files = sorted(map(str, Path(anchor).glob(name[len(anchor) :])))
+        else:
+            files = [name]
         if not files:
             raise InputError("no file is called like that", source=name, field="--objects")
         found += files

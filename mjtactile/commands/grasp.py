@@ -113,11 +113,10 @@ def run(options: argparse.Namespace) -> int:
     wanted = scenario.scenario_of(options)
     slow.apply(options.slow, wanted.rig)
     progress = Progress()  # which looks whether stderr is a terminal
-    folder = (
-        new_run_folder(scenario.stem(wanted))
-        if options.out is None
-        else output_folder(options.out, *_RESULTS, "recording")
-    )
+    if options.out is None:
+        folder = new_run_folder(scenario.stem(wanted))
+    else:
+        folder = output_folder(options.out, *_RESULTS, "recording")
     with folder as out, stdout_to_stderr(), drawing_beside() as figure:
         summary = _run_and_report(wanted, options, out, progress, figure)
     with contextlib.suppress(BrokenPipeError):  # the exit code says how it went, read or not
@@ -250,7 +249,9 @@ def _write_report(
 def _print_summary(summary: dict[str, Any], out: Path) -> None:
     def newton(key: str) -> str:
         value = summary.get(key)
-        return "unknown" if value is None or value != value else f"{value:.2f} N"
+        if value is None or value != value:
+            return "unknown"
+        return f"{value:.2f} N"
 
     print(f"{summary['object']}: {summary['outcome']}")
     if summary.get("reason"):

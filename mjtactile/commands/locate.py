@@ -249,11 +249,12 @@ def _print_table(frames: Sequence[dict[str, Any]], out: Path | None) -> None:
     )
     for frame in frames:
         good = [m for m in frame["markers"] if m["status"] == "ok"]
-        depth = (
-            statistics.median(math.sqrt(m["cov_center_mm2"][2][2] or math.nan) for m in good)
-            if good
-            else math.nan
-        )
+        if good:
+            depth = statistics.median(
+                math.sqrt(m["cov_center_mm2"][2][2] or math.nan) for m in good
+            )
+        else:
+            depth = math.nan
         note = [] if frame["status"] == "ok" else [frame["status"]]
         note += ["depth shared"] * ("depth" in frame["shared"]) + ["over-exposed"] * frame[
             "overexposed"

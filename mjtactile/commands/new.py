@@ -100,11 +100,10 @@ def run(options: argparse.Namespace) -> int:
     like = options.like or kind.like
     random = _random(like) if options.kind == "object" else None
     source = Path(like) if random else _shipped(kind, like)
-    path = (
-        options.name
-        if options.name.suffix == kind.suffix
-        else options.name.with_name(options.name.name + kind.suffix)
-    )
+    if options.name.suffix == kind.suffix:
+        path = options.name
+    else:
+        path = options.name.with_name(options.name.name + kind.suffix)
     text = random or source.read_text(encoding="utf-8")
     if kind.name:
         text = re.sub(kind.name, rf'\1"{path.stem}"', text, count=1)

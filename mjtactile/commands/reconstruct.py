@@ -198,7 +198,9 @@ def _figures(seen: Sequence[tuple[str, dict[str, Any], Touch | None]], out: Path
 
 def _print_table(rows: Sequence[dict[str, Any]], out: Path | None) -> None:
     def number(value: Any, width: int, digits: int) -> str:
-        return f"{value:{width}.{digits}f}" if value is not None else " " * (width - 1) + "-"
+        if value is not None:
+            return f"{value:{width}.{digits}f}"
+        return " " * (width - 1) + "-"
 
     print(
         f"{'source':<32} {'markers':>7} {'area mm2':>10} {'volume mL':>10} {'contact mm2':>11} "

@@ -217,11 +217,10 @@ def _on_stage(
     from mjtactile import load_sensor
     from mjtactile.experiments.stage import NOTHING, record_stage
 
-    true = (
-        design
-        if options.specimen is None
-        else _at_pressure(load_sensor(options.specimen), options.pressure)
-    )
+    if options.specimen is None:
+        true = design
+    else:
+        true = _at_pressure(load_sensor(options.specimen), options.pressure)
     header = {
         "object": None,
         "sensor": options.sensor,

@@ -70,11 +70,10 @@ def run(options: argparse.Namespace) -> int:
     wanted = scenario.scenario_of(options)
     slow.apply(options.slow, wanted.rig)
     backend, _, folder = wanted.rig.partition(":")
-    show = (
-        Tape(wanted, load_recording(folder), say)
-        if backend == "replay" and folder
-        else Show(wanted, say)
-    )
+    if backend == "replay" and folder:
+        show = Tape(wanted, load_recording(folder), say)
+    else:
+        show = Show(wanted, say)
     show.fastest = float("inf") if options.fast else 1.0
     watch(show, port=options.port, browser=not options.no_browser, native=options.native)
     return 0

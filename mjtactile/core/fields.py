@@ -400,7 +400,9 @@ def read_fields(kind: type, section: Section, **given: Any) -> dict[str, Any]:
 
 def write(value: Any) -> dict[str, Any]:
     """What stands in a file for a dataclass: keys to values in the file's units."""
-    return value.to_table() if hasattr(value, "to_table") else write_fields(value)
+    if hasattr(value, "to_table"):
+        return value.to_table()
+    return write_fields(value)
 
 
 def write_fields(value: Any) -> dict[str, Any]:

@@ -20,7 +20,9 @@ def decode(data: bytes, flags: int) -> NDArray | None:
     if data.startswith(_SIGNATURE) and not _is_sound_png(data):
         return None
     try:
-        return cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data else None
+        if data:
+            return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        return None
     except cv2.error:
         return None
 

@@ -91,11 +91,9 @@ class Camera(Pinhole):
         Returns:
             A new camera.
         """
-        return (
-            self
-            if glass is None
-            else self.behind_pane(glass.thickness, glass.refractive_index, glass.distance)
-        )
+        if glass is None:
+            return self
+        return self.behind_pane(glass.thickness, glass.refractive_index, glass.distance)
 
     def behind_pane(self, thickness: float, refractive_index: float, distance: float) -> Camera:
         """Put this camera behind a pane, in place of any other.
@@ -370,9 +368,9 @@ def _camera_from_table(table: dict[str, Any], source: str) -> Camera:
         )
     k = _numbers(table["distortion_coefficients"], "distortion_coefficients", (4, 5), source)
     camera = Camera(size["width"], size["height"], fx, fy, cx, cy, tuple((*k, 0.0)[:5]))
-    return (
-        camera if table.get("glass") is None else camera.behind_pane(*_pane(table["glass"], source))
-    )
+    if table.get("glass") is None:
+        return camera
+    return camera.behind_pane(*_pane(table["glass"], source))
 
 
 def _pane(glass: Any, source: str) -> tuple[float, float, float]:

@@ -178,16 +178,14 @@ def _progress(observation: Observation) -> tuple[str, Mapping[str, float]]:
     before = last.phase if last.phase in (*PHASES, "done", "abort") else PHASES[0]
     time = last.memory.get("phase_time", 0.0) + observation.period
     grip = last.memory.get("grip_opening", gripper.opening)
-    lost = (
-        0.0
-        if any(touch.touching for touch in observation.touch)
-        else last.memory.get("lost_time", 0.0) + observation.period
-    )
-    phase = (
-        "lower"
-        if before in ("lift", "hold") and lost > _LOST_TIME
-        else _next(before, observation, time, grip)
-    )
+    if any(touch.touching for touch in observation.touch):
+        lost = 0.0
+    else:
+        lost = last.memory.get("lost_time", 0.0) + observation.period
+    if before in ("lift", "hold") and lost > _LOST_TIME:
+        phase = "lower"
+    else:
+        phase = _next(before, observation, time, grip)
     if phase != before:
         time = 0.0
     if phase not in ("release", "done", "abort"):

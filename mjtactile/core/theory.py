@@ -83,11 +83,10 @@ def rectangle_coefficients(aspect: float, poisson: float) -> tuple[float, float]
     if not (_ASPECT[0] <= aspect <= _ASPECT[-1] and _POISSON[0] <= poisson <= _POISSON[-1]):
         return np.nan, np.nan
     table = np.array(_C2)  # a row for each aspect
-    c2 = (
-        np.interp(poisson, _POISSON, table[_ASPECT.index(aspect)])
-        if aspect in _ASPECT
-        else _between(_ASPECT, _between(_POISSON, table.T, poisson), aspect)
-    )
+    if aspect in _ASPECT:
+        c2 = np.interp(poisson, _POISSON, table[_ASPECT.index(aspect)])
+    else:
+        c2 = _between(_ASPECT, _between(_POISSON, table.T, poisson), aspect)
     return float(_between(_ASPECT, _C1, aspect)), float(c2)
 
 

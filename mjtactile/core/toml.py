@@ -89,7 +89,9 @@ class Section:
     ) -> Any:
         """A number within [low, high] (in the file's unit), times `scale`."""
         value = self._get(key, default)
-        return default if value is None else self._number(key, value, low, high) * scale
+        if value is None:
+            return default
+        return self._number(key, value, low, high) * scale
 
     def numbers(
         self,

@@ -359,11 +359,10 @@ def _check_valves(rig_file: RigFile) -> Iterator[Finding]:
             except DeviceError as error:
                 yield Finding("bad", what, str(error))
                 continue
-            pressure = (
-                "no pressure sensor"
-                if state.pressure_gauge is None
-                else f"{state.pressure_gauge:.0f} Pa"
-            )
+            if state.pressure_gauge is None:
+                pressure = "no pressure sensor"
+            else:
+                pressure = f"{state.pressure_gauge:.0f} Pa"
             board = f"firmware {valve.board.firmware}"
             yield Finding("ok", what, f"{board}, channel {valve.config.channel}, {pressure}")
     finally:

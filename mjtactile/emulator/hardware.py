@@ -125,9 +125,10 @@ class Hardware:
         shared["goal"] = math.nan if goal is None else goal
         if self._lift is not None:
             drive = self._lift.drive()
-            shared["lift_goal"] = (
-                drive.goal * self._rig_file.lift.per_rad if drive.torque_max > 0 else math.nan
-            )
+            if drive.torque_max > 0:
+                shared["lift_goal"] = drive.goal * self._rig_file.lift.per_rad
+            else:
+                shared["lift_goal"] = math.nan
             self._lift.follow_load(
                 shared["lift_height"] / self._rig_file.lift.per_rad, 0.0, 0.0, period
             )

@@ -95,9 +95,9 @@ class Registers:
         """The address that an indirect datum stands for ("Indirect Address", "Indirect Data"), else
         the same."""
         place = self._table.indirect.get(address)
-        return (
-            address if place is None else int.from_bytes(self._memory[place : place + 2], "little")
-        )
+        if place is None:
+            return address
+        return int.from_bytes(self._memory[place : place + 2], "little")
 
     def _parse(self, address: int, data: bytes) -> tuple[list[tuple[ct.Field, int]], int]:
         """The registers that `data` covers, with their new values; or an error."""
@@ -144,6 +144,8 @@ class Registers:
 
     def _bound(self, bound: ct.Bound | None) -> int:
         if isinstance(bound, str):
-            return -self.get(bound[1:]) if bound.startswith("-") else self.get(bound)
+            if bound.startswith("-"):
+                return -self.get(bound[1:])
+            return self.get(bound)
         assert bound is not None
         return bound

@@ -192,9 +192,9 @@ class EmulatedServo(Registers):
         """ticks that are added to the actual position (Homing Offset(20)); too large ones count for
         nothing in mode 3."""
         offset = self.get_signed("Homing Offset")
-        return (
-            0 if self.get("Operating Mode") == 3 and abs(offset) > ct.HOMING_JOINT_MAX else offset
-        )
+        if self.get("Operating Mode") == 3 and abs(offset) > ct.HOMING_JOINT_MAX:
+            return 0
+        return offset
 
     def _ticks(self, angle: float | None = None) -> int:
         """Position of the shaft as its registers say it."""
@@ -356,11 +356,9 @@ class EmulatedServo(Registers):
     def _planned(self) -> float:
         """Where the profile has got to; without one the goal itself ("Profile not used (Step
         Instruction)")."""
-        return (
-            self._path.angle
-            if self.get("Profile Velocity")
-            else self._angle(self.get_signed("Goal Position"))
-        )
+        if self.get("Profile Velocity"):
+            return self._path.angle
+        return self._angle(self.get_signed("Goal Position"))
 
     def _plan_path(self, period: float) -> None:
         """Move along the trajectory of the profile."""

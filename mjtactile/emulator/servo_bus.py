@@ -79,7 +79,9 @@ class ServoBus:
         for servo in awake:
             servo.last_packet = now
         if packet.code in _GROUPS:
-            return _GROUPS[packet.code](self, packet.parameters, awake) if packet.intact else b""
+            if packet.intact:
+                return _GROUPS[packet.code](self, packet.parameters, awake)
+            return b""
         if packet.servo == p2.BROADCAST:
             return self._broadcast(packet, awake, now) if packet.intact else b""
         answer = b"".join(
@@ -163,7 +165,9 @@ class ServoBus:
                 continue
             error, data = servo.read(address, size)
             parts.append((servo_id, error | servo.alert, data.ljust(size, b"\0")))
-        return p2.fast_status(parts, sum(lengths) + 4 * len(lengths)) if parts else b""
+        if parts:
+            return p2.fast_status(parts, sum(lengths) + 4 * len(lengths))
+        return b""
 
     def _sync_write(self, parameters: bytes, awake: Sequence[EmulatedServo]) -> bytes:
         address, size = _two_words(parameters[:4])
@@ -232,7 +236,9 @@ def _ping(servo: EmulatedServo, parameters: bytes, now: float) -> tuple[int, byt
 
 
 def _read(servo: EmulatedServo, parameters: bytes, now: float) -> tuple[int, bytes]:
-    return servo.read(*_two_words(parameters)) if len(parameters) == 4 else (LENGTH_ERROR, b"")
+    if len(parameters) == 4:
+        return servo.read(*_two_words(parameters))
+    return (LENGTH_ERROR, b"")
 
 
 def _reboot(servo: EmulatedServo, parameters: bytes, now: float) -> int:
@@ -241,7 +247,9 @@ def _reboot(servo: EmulatedServo, parameters: bytes, now: float) -> int:
 
 
 def _reset(servo: EmulatedServo, parameters: bytes, now: float) -> int:
-    return servo.factory_reset(parameters[0], now) if len(parameters) == 1 else LENGTH_ERROR
+    if len(parameters) == 1:
+        return servo.factory_reset(parameters[0], now)
+    return LENGTH_ERROR
 
 
 def _clear(servo: EmulatedServo, parameters: bytes, now: float) -> int:
@@ -249,7 +257,9 @@ def _clear(servo: EmulatedServo, parameters: bytes, now: float) -> int:
 
 
 def _back_up(servo: EmulatedServo, parameters: bytes, now: float) -> int:
-    return servo.back_up(parameters[0], now) if parameters[1:] == _BACKUP else INSTRUCTION_ERROR
+    if parameters[1:] == _BACKUP:
+        return servo.back_up(parameters[0], now)
+    return INSTRUCTION_ERROR
 
 
 _INSTRUCTIONS: Mapping[int, Callable[[EmulatedServo, bytes, float], tuple[int, bytes] | int]] = {

@@ -211,4 +211,6 @@ class _Facts(Observer):
 
 def _json(value: Any) -> Any:
     """`value` with null for what is not known."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

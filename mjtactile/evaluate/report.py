@@ -242,12 +242,13 @@ def _varied(summary: Mapping[str, Any]) -> str:
         figures.append(_figure(svg.shares(labels, series), _caption(value, mine)))
     if not figures:
         return "<h2>Success against what varies</h2><p>Nothing varied.</p>"
-    rest = (
-        f"<details><summary>{len(figures) - _SHOWN} "
-        f"more</summary>{_grid(figures[_SHOWN:])}</details>"
-        if len(figures) > _SHOWN
-        else ""
-    )
+    if len(figures) > _SHOWN:
+        rest = (
+            f"<details><summary>{len(figures) - _SHOWN} "
+            f"more</summary>{_grid(figures[_SHOWN:])}</details>"
+        )
+    else:
+        rest = ""
     return (
         "<h2>Success against what "
         f"varies</h2>{_HOW_VARIED}{_legend(list(controllers))}{_grid(figures[:_SHOWN])}{rest}"
@@ -269,11 +270,10 @@ def _grid(figures: Iterable[str]) -> str:
 def _caption(value: str, mine: Mapping[str, Mapping[str, Any]]) -> str:
     parts = [f"<b>{escape(value)}</b>"]
     for name, one in mine.items():
-        said = (
-            []
-            if one["p"] is None
-            else [f"p = {one['p']:.2g}{' (both ways)' if one['both_ways'] else ''}"]
-        )
+        if one["p"] is None:
+            said = []
+        else:
+            said = [f"p = {one['p']:.2g}{' (both ways)' if one['both_ways'] else ''}"]
         said += [
             f"rho {short} {one['correlation'][measure]:+.2f}"
             for measure, short in (
@@ -290,17 +290,17 @@ def _caption(value: str, mine: Mapping[str, Mapping[str, Any]]) -> str:
 
 def _bin(one: Mapping[str, Any]) -> str:
     if "value" in one:
-        return f"{one['value']:.3g}" if isinstance(one["value"], float) else str(one["value"])
+        if isinstance(one["value"], float):
+            return f"{one['value']:.3g}"
+        return str(one["value"])
     return f"{(one['from'] + one['to']) / 2:.2g}"
 
 
 def _point(own: Mapping[str, Any], label: str) -> tuple[float, float, float] | None:
     one = next((one for one in own["bins"] if _bin(one) == label), None)
-    return (
-        None
-        if one is None
-        else (one["success_interval"][0], one["success"], one["success_interval"][1])
-    )
+    if one is None:
+        return None
+    return (one["success_interval"][0], one["success"], one["success_interval"][1])
 
 
 def _worst(worst: Iterable[Line], pictures: Mapping[str, Path | None]) -> str:

@@ -222,13 +222,12 @@ def pair_text(pair: Mapping[str, Any]) -> str:
     """One difference as a sentence."""
     low, high = pair["difference_interval"]
     more = pair["episodes_to_settle"]
-    settled = (
-        "no difference seen"
-        if more is None
-        else "settled"
-        if not more
-        else f"{more} more episodes like these would settle it"
-    )
+    if more is None:
+        settled = "no difference seen"
+    elif not more:
+        settled = "settled"
+    else:
+        settled = f"{more} more episodes like these would settle it"
     return (
         f"{pair['second']} holds {100 * pair['difference']:+.1f} % of {pair['episodes']} "
         "episodes more often than "

@@ -173,11 +173,12 @@ def _same(path: Path, what: Mapping[str, Any]) -> None:
     now = json.loads(json.dumps(what))
     for part in (name for name in now if name != "command"):  # the options say it, one by one
         if before.get(part) != now[part]:
-            names = (
-                [name for name in now[part] if before.get(part, {}).get(name) != now[part][name]]
-                if isinstance(now[part], dict)
-                else [part]
-            )
+            if isinstance(now[part], dict):
+                names = [
+                    name for name in now[part] if before.get(part, {}).get(name) != now[part][name]
+                ]
+            else:
+                names = [part]
             raise InputError(
                 f"was begun with another {part}: {', '.join(names) or part}",
                 source=path,

@@ -87,7 +87,9 @@ class Episode:
     def rate(self) -> float:
         """Cycles a second, median."""
         times = self.recording.columns["time"]
-        return 1.0 / float(np.median(np.diff(times))) if len(times) > 1 else self.design.camera.rate
+        if len(times) > 1:
+            return 1.0 / float(np.median(np.diff(times)))
+        return self.design.camera.rate
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -149,11 +151,9 @@ class Episode:
     def design_of(self, finger: str) -> SensorDesign:
         """The design with the lens that was measured of this finger."""
         calibration = self.calibrations[finger]
-        return (
-            self.design
-            if calibration is None
-            else calibration.used(self.design).design(self.design)
-        )
+        if calibration is None:
+            return self.design
+        return calibration.used(self.design).design(self.design)
 
     @cached_property
     def camera_poses(self) -> dict[str, tuple[Array, Array]]:
@@ -211,16 +211,15 @@ class Episode:
         for k, images in enumerate(self.recording.images()):
             row = {key: columns[key][k] for key in self.keys}
             time = float(row["time"])
-            touch = (
-                tuple(
+            if self._perceptions:
+                touch = tuple(
                     chain.perceive(image, time, reading)
                     for chain, image, reading in zip(
                         self._perceptions, images, self._readings(k), strict=True
                     )
                 )
-                if self._perceptions
-                else ()
-            )
+            else:
+                touch = ()
             for again, was in zip(touch, row["force_normal"], strict=False):
                 self.felt_apart = float(np.fmax(self.felt_apart, abs(again.force_normal - was)))
             yield Perceived(
@@ -233,11 +232,10 @@ def find_episodes(path: Path) -> list[Episode]:
     evaluation those of its episodes, not those that were run again for pictures. Raises InputError
     for none."""
     within = path / RECORDINGS if (path / RECORDINGS).is_dir() else path
-    found = (
-        [path]
-        if (path / LOG).is_file() or (path / "recording" / LOG).is_file()
-        else sorted(log.parent for log in within.rglob(LOG))
-    )
+    if (path / LOG).is_file() or (path / "recording" / LOG).is_file():
+        found = [path]
+    else:
+        found = sorted(log.parent for log in within.rglob(LOG))
     if not found:
         raise InputError(
             "no recording here or below; an evaluation keeps them with --record",

@@ -211,9 +211,10 @@ def xyz(p: Array) -> dict[str, float]:
 
 
 def _json(item: stream.Item) -> Any:
-    values = (
-        dict(zip(_WRENCH, item.value, strict=True)) if item.kind == "wrench" else dict(item.value)
-    )
+    if item.kind == "wrench":
+        values = dict(zip(_WRENCH, item.value, strict=True))
+    else:
+        values = dict(item.value)
     sec, nsec = divmod(stream.nanoseconds(item.time), 10**9)
     return to_json({"timestamp": {"sec": sec, "nsec": nsec}, "frame_id": item.frame, **values})
 

@@ -312,7 +312,9 @@ def _value(value: Any, field: str, kind: Any) -> Any:
     if field in ("touching", "valve_open"):
         return bool(value) if value is not None and value == value else False
     if kind[0].name == "ARRAY":
-        return np.full(kind[1][1], np.nan) if value is None else np.asarray(value, float)
+        if value is None:
+            return np.full(kind[1][1], np.nan)
+        return np.asarray(value, float)
     return float("nan") if value is None else float(value)
 
 

@@ -101,9 +101,10 @@ def _of_cycle(episode: Episode, seen: Perceived) -> Iterator[Item]:
         if seen.touch:
             for name, cloud in _clouds(seen.touch[k]):
                 yield Item(f"/{finger}/{name}", "cloud", stamp, f"{finger}_sensor", cloud)
-    state = (
-        row["gripper_time"] if "gripper_time" in row and np.isfinite(row["gripper_time"]) else time
-    )
+    if "gripper_time" in row and np.isfinite(row["gripper_time"]):
+        state = row["gripper_time"]
+    else:
+        state = time
     yield Item(
         "/joint_states",
         "joints",

@@ -33,11 +33,10 @@ def law_numbers(sheet: Membrane) -> tuple[tuple[float, ...], Array]:
     """
     middle, per_unit, powers = _polynomial(sheet)
     neo_hookean = sheet.law is not Law.STVK
-    modulus = (
-        shear_modulus(sheet.young, sheet.poisson)
-        if neo_hookean
-        else sheet.young / (1 - sheet.poisson**2)
-    )
+    if neo_hookean:
+        modulus = shear_modulus(sheet.young, sheet.poisson)
+    else:
+        modulus = sheet.young / (1 - sheet.poisson**2)
     return (float(neo_hookean), modulus * sheet.thickness, sheet.poisson, middle, per_unit), powers
 
 

@@ -51,7 +51,9 @@ class Hold:
     def force(self) -> float:
         """What a load cell says, N; NaN: nothing, or a weight, which is where the depth comes
         from."""
-        return math.nan if self.move is None or self.move.is_weight else self.move.force
+        if self.move is None or self.move.is_weight:
+            return math.nan
+        return self.move.force
 
     @property
     def is_weighed(self) -> bool:
@@ -208,7 +210,9 @@ def _hold(
             - np.nanmean(positions[half:, often], axis=0)
         )
     )
-    return None if apart > _MOVES_MOST else Hold(mean, cov, pressure, move, time)
+    if apart > _MOVES_MOST:
+        return None
+    return Hold(mean, cov, pressure, move, time)
 
 
 def _holds(

@@ -32,7 +32,9 @@ class Scale:
 
     def scaled(self, value: float, nominal: float) -> float:
         """x of a value."""
-        return (value - nominal) / self.unit if self.unit else math.log(value / nominal)
+        if self.unit:
+            return (value - nominal) / self.unit
+        return math.log(value / nominal)
 
     def slope(self, value: float) -> float:
         """d(value)/dx."""

@@ -57,11 +57,10 @@ def _interval(number: Number) -> str:
 
 
 def _held(row: Any) -> str:
-    where = (
-        "no depth"
-        if math.isnan(row.depth)
-        else (f"{1e3 * row.depth:g} mm deep, {1e3 * row.shear:g} mm along x")
-    )
+    if math.isnan(row.depth):
+        where = "no depth"
+    else:
+        where = f"{1e3 * row.depth:g} mm deep, {1e3 * row.shear:g} mm along x"
     force = "" if math.isnan(row.force_measured) else f", load cell {row.force_measured:.4f} N"
     return (
         f"held out, {row.recording}, {where}, {row.pressure:.0f} Pa: markers off by "

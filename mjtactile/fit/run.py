@@ -299,13 +299,12 @@ def _numbers(
         ("membrane", name, value, sheet.cov[sheet.names.index(name)][sheet.names.index(name)])
         for name, value in sheet.values.items()
     ]
-    filled = (
-        []
-        if gas is None
-        else [
+    if gas is None:
+        filled = []
+    else:
+        filled = [
             ("chamber", name, gas.values[name], gas.cov[i][i]) for i, name in enumerate(gas.names)
         ]
-    )
     for section, attribute, value, variance in [*pressed, *filled]:
         field = _FIELD[section, attribute]
         scale = _SI[field][2]

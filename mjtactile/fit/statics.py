@@ -154,11 +154,10 @@ def _press_with(world: PressWorld, move: Move) -> None:
     too_little = -move.force
     too_much = math.nan
     for _ in range(_TRIES):
-        depth = (
-            high
-            if math.isnan(too_much)
-            else low + max(0.1, min(0.9, too_little / (too_little - too_much))) * (high - low)
-        )
+        if math.isnan(too_much):
+            depth = high
+        else:
+            depth = low + max(0.1, min(0.9, too_little / (too_little - too_much))) * (high - low)
         world.press(depth, move.shear, _SPEED)
         off = -float(world.drive_force[2]) - move.force
         if abs(off) < _FORCE_REACHED * move.force:
@@ -169,11 +168,8 @@ def _press_with(world: PressWorld, move: Move) -> None:
         else:
             low = depth
             too_little = off
-            high = (
-                high
-                if not math.isnan(too_much)
-                else min(1.5 * high, 0.9 * world.design.chamber.depth)
-            )
+            if math.isnan(too_much):
+                high = min(1.5 * high, 0.9 * world.design.chamber.depth)
 
 
 def _pressure(design: SensorDesign, evidence: Evidence, hold: Hold) -> float:
@@ -181,7 +177,9 @@ def _pressure(design: SensorDesign, evidence: Evidence, hold: Hold) -> float:
     keep."""
     if math.isfinite(hold.pressure):
         return hold.pressure
-    return evidence.rest.pressure if evidence.has_pressure else design.chamber.supply_gauge
+    if evidence.has_pressure:
+        return evidence.rest.pressure
+    return design.chamber.supply_gauge
 
 
 def _look(world: PressWorld) -> Simulated:
@@ -268,11 +266,9 @@ class _Problem:
 
     def offset(self, number: int, x: Array) -> float:
         """First touch of a recording, m, deeper than its mark."""
-        return (
-            self.touch_sd * float(x[len(self.names) + self.pressed.index(number)])
-            if number in self.pressed
-            else 0.0
-        )
+        if number in self.pressed:
+            return self.touch_sd * float(x[len(self.names) + self.pressed.index(number)])
+        return 0.0
 
     def simulate(self, number: int, x: Array) -> tuple[Simulated, ...]:
         return simulate(self.made(x), self.evidence[number], self.offset(number, x), self._mesh)

@@ -15,9 +15,10 @@ def rewrite(text: str, numbers: Sequence[Number], head: str) -> str:
     lines = text.splitlines()
     for number in numbers:
         section, key = number.field.split(".")
-        value = (
-            digits(number.value, number.sd) if number.state == "fitted" else f"{number.value:.10g}"
-        )
+        if number.state == "fitted":
+            value = digits(number.value, number.sd)
+        else:
+            value = f"{number.value:.10g}"
         _put(
             lines, section, key, value if any(c in value for c in ".einf") else f"{value}.0", number
         )

@@ -100,11 +100,9 @@ class Number:
             return (
                 f"fitted: {digits(low, self.sd)} to {digits(high, self.sd)} (95 %), {self.source}"
             )
-        return (
-            self.source
-            if self.state == "known"
-            else (f"not in these recordings; {ABOUT[self.field].record}")
-        )
+        if self.state == "known":
+            return self.source
+        return f"not in these recordings; {ABOUT[self.field].record}"
 
 
 def judge(
@@ -112,12 +110,13 @@ def judge(
 ) -> Number:
     """A fitted number, or the file's value where the recordings do not tell; `gas_mL` behind the
     flat membrane."""
-    known = (
-        sd <= GAS_SHARE * gas_mL
-        if field == "chamber.extra_volume_mL"
-        else ABOUT[field].is_known(value, sd)
-    )
-    return Number(field, value, sd, "fitted", source, before) if known else missing(field, before)
+    if field == "chamber.extra_volume_mL":
+        known = sd <= GAS_SHARE * gas_mL
+    else:
+        known = ABOUT[field].is_known(value, sd)
+    if known:
+        return Number(field, value, sd, "fitted", source, before)
+    return missing(field, before)
 
 
 def missing(field: str, before: float) -> Number:

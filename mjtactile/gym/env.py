@@ -237,11 +237,9 @@ class GraspEnv(gymnasium.Env[Any, Array]):
             return "crushed"
         if self._score.lost:
             return "dropped"
-        return (
-            self._score.outcome()
-            if self._cycle.last.phase in ENDS or self._cycle.supervisor.is_over
-            else ""
-        )
+        if self._cycle.last.phase in ENDS or self._cycle.supervisor.is_over:
+            return self._score.outcome()
+        return ""
 
     def _info(self) -> dict[str, Any]:
         """What no observation may say: the truth, and the seed. What is not known yet is left

@@ -160,7 +160,9 @@ def _compiler(target: str) -> list[str]:
     if _has_zig():
         zig = [sys.executable, "-m", "ziglang", "cc"]
         # Without a target Zig compiles for this very processor, whatever it has.
-        return [*zig, "-target", PLATFORMS[target][0]] if target in PLATFORMS else zig
+        if target in PLATFORMS:
+            return [*zig, "-target", PLATFORMS[target][0]]
+        return zig
     if target != this_platform():
         raise RuntimeError(f"only Zig compiles for {target} here: pip install ziglang")
     found = os.environ.get("CC") or shutil.which("cc")

@@ -145,11 +145,10 @@ def _air(layout: Layout) -> list[Item]:
     chamber = design.chamber
     volume = 1e6 * design.chamber_volume_flat
     supply = 1e-3 * chamber.supply_gauge
-    flow = (
-        "as fast as it gets"
-        if math.isinf(chamber.valve_conductance)
-        else (f"{1e9 * chamber.valve_conductance:g} mL/s at 1 kPa")
-    )
+    if math.isinf(chamber.valve_conductance):
+        flow = "as fast as it gets"
+    else:
+        flow = f"{1e9 * chamber.valve_conductance:g} mL/s at 1 kPa"
     resolution = _FORCE_STEP / design.frame.area
     return [
         Item("air port", "1", layout.port.what, "brass or steel"),

@@ -143,11 +143,10 @@ def _pictures(layout: Layout, optics: Optics, parts: dict[str, Part]) -> dict[st
     found: dict[str, bytes | None] = {}
     for step in manual.STEPS:
         if step.parts:
-            shifts = (
-                dict.fromkeys(step.parts, 0.0)
-                if step.cut
-                else pictures.pulled_apart(parts, step.parts)
-            )
+            if step.cut:
+                shifts = dict.fromkeys(step.parts, 0.0)
+            else:
+                shifts = pictures.pulled_apart(parts, step.parts)
             bodies = pictures.bodies_of(parts, solids, shifts)
             found[step.picture] = pictures.save_png(bodies, f"{step.picture}.png", **step.view)
     found["camera_view"] = _camera_view(layout.design, optics)

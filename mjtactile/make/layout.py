@@ -80,7 +80,9 @@ class Layout:
 
     @property
     def bolt(self) -> Bolt:
-        return BOLTS[0] if 2 * min(self.open_x, self.open_y) >= _SMALL else BOLTS[1]
+        if 2 * min(self.open_x, self.open_y) >= _SMALL:
+            return BOLTS[0]
+        return BOLTS[1]
 
     @property
     def wall(self) -> float:
@@ -272,4 +274,6 @@ class Layout:
 def _clear_of(holes: float, tube: float) -> float:
     """Half size of a tube, from `tube` on, whose wall is not where the camera's screws are."""
     clear = 1.6
-    return holes + clear if holes - clear - hw.TUBE_WALL < tube < holes + clear else tube
+    if holes - clear - hw.TUBE_WALL < tube < holes + clear:
+        return holes + clear
+    return tube

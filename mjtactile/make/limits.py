@@ -35,11 +35,10 @@ class Limit:
         slack = 1e-9 * abs(self.value)
         if self.low - slack <= self.value <= self.high + slack:
             return
-        limit = (
-            f"at least {_rounded(self.low, up=True)}"
-            if self.value < self.low
-            else f"at most {_rounded(self.high)}"
-        )
+        if self.value < self.low:
+            limit = f"at least {_rounded(self.low, up=True)}"
+        else:
+            limit = f"at most {_rounded(self.high)}"
         raise InputError(
             f"{self.value:g} {self.why}; {limit}",
             source=None if self.field.startswith("--") else source,

@@ -165,15 +165,18 @@ def facts(layout: Layout, optics: Optics) -> dict[str, Any]:
     half = sheet_size(layout)
     seen = mirrored_in_picture(design, optics.mirrors)
     first = optics.mirrors[0]
-    ink = (
-        "Lay the stencil on it and rub on elastic ink (silicone ink on silicone, latex ink on "
-        "latex), or transfer the print. The ink must be thin and elastic: a stiff one holds the "
-        "rubber and comes out smaller than mounted size; if yours is stiff, or you glue discs, "
-        "make the folder again with `--markers discs`."
-        if layout.hardware.markers == "ink"
-        else "Glue the discs through the stencil. They are stiffer than the rubber and keep their "
-        "size; their places are those before stretching."
-    )
+    if layout.hardware.markers == "ink":
+        ink = (
+            "Lay the stencil on it and rub on elastic ink (silicone ink on silicone, latex ink on "
+            "latex), or transfer the print. The ink must be thin and elastic: a stiff one holds "
+            "the rubber and comes out smaller than mounted size; if yours is stiff, or you glue "
+            "discs, make the folder again with `--markers discs`."
+        )
+    else:
+        ink = (
+            "Glue the discs through the stencil. They are stiffer than the rubber and keep their "
+            "size; their places are those before stretching."
+        )
     return {
         "spacer": hw.SPACER,
         "pupil": layout.hardware.pupil,
@@ -211,9 +214,10 @@ def assembly(layout: Layout, optics: Optics, pictures: Sequence[str]) -> str:
         "Lengths in mm. +x is the side of the air port; the camera's picture has it on the right.",
     ]
     for number, step in enumerate(STEPS):
-        picture = (
-            f"![{step.title}](pictures/{step.picture}.png)" if step.picture in pictures else ""
-        )
+        if step.picture in pictures:
+            picture = f"![{step.title}](pictures/{step.picture}.png)"
+        else:
+            picture = ""
         blocks += [f"## {number}. {step.title}", picture, step.text.format(**known)]
     return "\n\n".join(block for block in blocks if block) + "\n"
 
@@ -272,12 +276,13 @@ def checks(
     hardware = layout.hardware
     grown = growth(layout.design, states)
     seems = MM * grown * design.camera.distance
-    size = (
-        f"ink grows with the rubber, by up to {100 * grown:.1f} % (mean of all), and then seems "
-        f"{seems:.2g} mm nearer; discs do not"
-        if hardware.markers == "ink"
-        else "discs keep their size"
-    )
+    if hardware.markers == "ink":
+        size = (
+            f"ink grows with the rubber, by up to {100 * grown:.1f} % (mean of all), and then "
+            f"seems {seems:.2g} mm nearer; discs do not"
+        )
+    else:
+        size = "discs keep their size"
     simulated = (
         f"markers in the picture, {len(states)} simulated states to {MM * press:.2g} mm of press "
         f"and {1e-3 * design.chamber.supply_gauge:g} kPa"

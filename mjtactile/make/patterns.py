@@ -28,11 +28,10 @@ _ROWS = 7
 def markers(layout: Layout, *, mounted: bool = False) -> list[Contour]:
     """The markers as printed on the unstretched sheet, or as they lie on the mounted one."""
     design = layout.design
-    scale, shrink = (
-        (1.0, 1.0)
-        if mounted
-        else (1 / design.membrane.pre_stretch, marker_shrink(design, layout.hardware))
-    )
+    if mounted:
+        scale, shrink = (1.0, 1.0)
+    else:
+        scale, shrink = (1 / design.membrane.pre_stretch, marker_shrink(design, layout.hardware))
     return [
         circle(MM * design.markers.radius * shrink, MM * x * scale, MM * y * scale)
         for x, y, _ in design.markers.p_SM
@@ -53,11 +52,10 @@ def marker_pages(layout: Layout) -> list[Sheet]:
     design = layout.design
     stretch = layout.design.membrane.pre_stretch
     half_x, half_y = sheet_size(layout)
-    scaled = (
-        (f"at 1/{stretch:g} of the mounted size: the rubber is printed unstretched")
-        if stretch != 1
-        else "no pre-stretch"
-    )
+    if stretch != 1:
+        scaled = f"at 1/{stretch:g} of the mounted size: the rubber is printed unstretched"
+    else:
+        scaled = "no pre-stretch"
     tags = (
         f"{design.markers.count} markers, {scaled}",
         f"radius {MM * design.markers.radius * marker_shrink(design, layout.hardware):.4g} mm "

@@ -101,11 +101,10 @@ def _scale_bars(width: float, height: float) -> list[Shape]:
             along = 10 * k - length / 2
             long = 2.5 if k in (0, round(length / 10)) else 1.2
             found.append(line("scale", place(along, -long), place(along, 0)))
-        text = (
-            (f'{length:g} mm: measure it, print at 100 %, never "fit to page"')
-            if axis == 0
-            else f"{length:g} mm"
-        )
+        if axis == 0:
+            text = f'{length:g} mm: measure it, print at 100 %, never "fit to page"'
+        else:
+            text = f"{length:g} mm"
         found.append(
             Shape(
                 "black",

@@ -135,7 +135,8 @@ def _pressure_limit(design: SensorDesign) -> float:
     high = design.chamber.supply_gauge
     for _ in range(40):
         middle = (low + high) / 2
-        low, high = (
-            (low, middle) if np.isnan(theory.bulge_height(design, middle)) else (middle, high)
-        )
+        if np.isnan(theory.bulge_height(design, middle)):
+            high = middle
+        else:
+            low = middle
     return low

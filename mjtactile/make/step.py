@@ -179,9 +179,9 @@ def _levels(file: _File, part: Part) -> Iterable[int]:
 
 def _level_loop(file: _File, contour: Contour, z: float, *, forward: bool) -> Loop:
     ring = _ring(file, contour, z)
-    return (
-        [(edge, True) for edge in ring] if forward else [(edge, False) for edge in reversed(ring)]
-    )
+    if forward:
+        return [(edge, True) for edge in ring]
+    return [(edge, False) for edge in reversed(ring)]
 
 
 def _differences(solid: Layer | None, free: Layer | None) -> list[tuple[Contour, list[Contour]]]:

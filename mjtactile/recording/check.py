@@ -200,7 +200,9 @@ def _wrong_reference(row: Mapping[str, Any]) -> str | None:
         return "image_time"
     if any(names) and [*map(len, times)] != [*map(len, names)]:
         return "image_time"
-    return None if kind(pressures) == (NUMBER,) * len(times) else "pressure_gauge"
+    if kind(pressures) == (NUMBER,) * len(times):
+        return None
+    return "pressure_gauge"
 
 
 def _are_names(values: list[Any]) -> bool:

@@ -76,9 +76,10 @@ def provenance(header: Mapping[str, Any]) -> dict[str, Any]:
     for key, folder in (("sensor", "models/sensors"), ("rig", "models/rigs")):
         name = header.get(key)
         try:
-            text = (
-                resources.find(name, folder, ".toml").read_text(encoding="utf-8") if name else None
-            )
+            if name:
+                text = resources.find(name, folder, ".toml").read_text(encoding="utf-8")
+            else:
+                text = None
         except (InputError, OSError):  # a rig without a file: sim, replay
             text = None
         if text is not None:

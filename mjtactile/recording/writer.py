@@ -190,7 +190,9 @@ class Recorder(Observer):
         """What the fingers are called in the names of files: as was noted, where each name is a
         file's; else by their place."""
         noted = {name for name in self._fingers if name and not {"/", "\0"} & set(name)}
-        return self._fingers if len(noted) == len(self._fingers) == count else finger_names(count)
+        if len(noted) == len(self._fingers) == count:
+            return self._fingers
+        return finger_names(count)
 
     def close(self, **outcome: Any) -> None:
         """Write what is queued and an `end` line; later calls do nothing.
@@ -252,11 +254,10 @@ class Recorder(Observer):
 
     def _stop_recording(self, why: object) -> None:
         """Record no more, and say so once."""
-        text = (
-            f"{type(why).__name__}: {why}"
-            if isinstance(why, Exception) and not isinstance(why, OSError)
-            else str(why)
-        )
+        if isinstance(why, Exception) and not isinstance(why, OSError):
+            text = f"{type(why).__name__}: {why}"
+        else:
+            text = str(why)
         with self._lock:
             first = not self.problem
             self.problem = self.problem or " ".join(text.split())

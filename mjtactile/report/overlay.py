@@ -21,11 +21,9 @@ _NO_PIXELS = (480, 640)
 
 def find_ellipses(image: Image) -> Ellipses:
     """Those in the image, or those that stand for it."""
-    return (
-        image.ellipses
-        if isinstance(image, Sighting) and image.ellipses is not None
-        else detect(image)
-    )
+    if isinstance(image, Sighting) and image.ellipses is not None:
+        return image.ellipses
+    return detect(image)
 
 
 def followed(image: Image, tracks: Tracks | None) -> Ellipses | None:

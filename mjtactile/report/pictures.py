@@ -102,16 +102,14 @@ def marker_overlay(image: Image, camera: Camera, design: SensorDesign) -> NDArra
 def overlay(pixels: NDArray, ellipses: Ellipses, poses: CirclePoses) -> NDArray[np.uint8]:
     """The image with each ellipse (green: ok, orange: not to be trusted) and the projected
     centre."""
-    eight = (
-        pixels
-        if pixels.dtype == np.uint8
-        else cv2.convertScaleAbs(pixels, alpha=255 / max(int(pixels.max()), 1))
-    )
-    canvas = (
-        cv2.cvtColor(eight, cv2.COLOR_GRAY2BGR)
-        if eight.ndim == 2
-        else np.ascontiguousarray(eight[..., :3])
-    )
+    if pixels.dtype == np.uint8:
+        eight = pixels
+    else:
+        eight = cv2.convertScaleAbs(pixels, alpha=255 / max(int(pixels.max()), 1))
+    if eight.ndim == 2:
+        canvas = cv2.cvtColor(eight, cv2.COLOR_GRAY2BGR)
+    else:
+        canvas = np.ascontiguousarray(eight[..., :3])
     zoom = max(1, round(1280 / canvas.shape[1]))
     canvas = cv2.resize(canvas, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_NEAREST)
     if not len(ellipses):

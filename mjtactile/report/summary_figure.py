@@ -84,11 +84,10 @@ def write_figure(
         for finger, name in enumerate(recording.fingers[:fingers]):
             image = snapshot.images[finger]
             column = columns - fingers + finger
-            found = (
-                detect(image)
-                if not isinstance(image, Sighting) or image.ellipses is None
-                else image.ellipses
-            )
+            if not isinstance(image, Sighting) or image.ellipses is None:
+                found = detect(image)
+            else:
+                found = image.ellipses
             _draw_image(figure.add_subplot(grid[0, column]), image, found, f"camera of {name}")
             draw_surface(
                 figure.add_subplot(grid[1, column], projection="3d", computed_zorder=False),

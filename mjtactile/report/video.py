@@ -78,11 +78,8 @@ def write_video(
     with _Writer(part, path.suffix, rate) as write:
         for k, time in enumerate(times):
             frame = film.frame(float(time))
-            frame = (
-                frame
-                if scale == 1
-                else cv2.resize(frame, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-            )
+            if scale != 1:
+                frame = cv2.resize(frame, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
             frame = frame[: frame.shape[0] // 2 * 2, : frame.shape[1] // 2 * 2]
             size = (frame.shape[1], frame.shape[0])
             write(np.ascontiguousarray(frame))
@@ -161,9 +158,10 @@ class _Film:
             for name in ("force_normal", "force_normal_sd")
         )
         status = str(columns["status"][row][finger])
-        felt = (
-            f"{force:+.2f} N, sd {sd:.2f}" if math.isfinite(force) else f"force unknown: {status}"
-        )
+        if math.isfinite(force):
+            felt = f"{force:+.2f} N, sd {sd:.2f}"
+        else:
+            felt = f"force unknown: {status}"
         slip = columns["slip_state"][row][finger] if "slip_state" in columns else "unknown"
         colour = _bgr(FINGER_COLOURS[finger % len(FINGER_COLOURS)])
         _write(

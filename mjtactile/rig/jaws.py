@@ -53,7 +53,9 @@ class JawLaw:
             a, x = zip(*sorted(self.table, key=lambda pair: pair[1]), strict=True)
             return float(np.interp(part, x, a))
         coordinate = (part - self.offset) / self.ratio
-        return math.asin(max(-1.0, min(1.0, coordinate))) if self.kind == CRANK else coordinate
+        if self.kind == CRANK:
+            return math.asin(max(-1.0, min(1.0, coordinate)))
+        return coordinate
 
     def slope(self, coordinate: float) -> float:
         """dx/da at a coordinate; never below a hundredth of its size, where a crank is at its

@@ -143,10 +143,14 @@ class _Log(Observer):
 
     def ended(self) -> str:
         """Why a controller that has not given up set nothing down, "" if it did."""
-        return "the controller ended (done) with the hand in the air" if self.left else ""
+        if self.left:
+            return "the controller ended (done) with the hand in the air"
+        return ""
 
     def peak_force(self) -> float:
-        return float(np.nanmax(self.forces)) if np.isfinite(self.forces).any() else math.nan
+        if np.isfinite(self.forces).any():
+            return float(np.nanmax(self.forces))
+        return math.nan
 
 
 def run_grasp(

@@ -108,7 +108,9 @@ def unknown_touch(image: Image, now: float, status: Status) -> Touch:
 def default_threads(cameras: int = 2, busy: int = 0) -> int:
     """How many threads are worth having beside `busy` others, such as a simulated world's: one a
     camera where there are processors for all of them, else none."""
-    return cameras if cameras > 1 and system.processors() >= cameras + busy else 0
+    if cameras > 1 and system.processors() >= cameras + busy:
+        return cameras
+    return 0
 
 
 Outcome = tuple[bool, Any]

@@ -184,7 +184,9 @@ class GraspScore:
     @property
     def hold_force(self) -> float:
         """Mean normal force per finger over the hold phase, N; NaN when it was never reached."""
-        return float(np.mean(self._hold_forces)) if self._hold_forces else float("nan")
+        if self._hold_forces:
+            return float(np.mean(self._hold_forces))
+        return float("nan")
 
     @property
     def slip(self) -> float:

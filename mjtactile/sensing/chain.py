@@ -72,9 +72,10 @@ class Chain:
         settings: Settings = DEFAULTS,
     ):
         design.require_markers_that_fit()
-        self._measured = (
-            Calibration("", design.name) if calibration is None else calibration.used(design)
-        )
+        if calibration is None:
+            self._measured = Calibration("", design.name)
+        else:
+            self._measured = calibration.used(design)
         self.design = design = self._measured.design(design)
         self.settings = settings
         self.camera = Camera.from_design(design.camera, design.glass)

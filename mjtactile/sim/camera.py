@@ -41,11 +41,10 @@ class SimCamera:
         design = set_picture(sensor.design, effects)
         place = {"pose": camera_pose(design, specimen), "radius": marker_radii(design, specimen)}
         self._sighter = None if Effect.IMAGES in effects else Sighter(design, seed=seed, **place)
-        self._renderer = (
-            None
-            if self._sighter
-            else Renderer(design, seed=seed, shadows=Effect.SHADOWS in effects, **place)
-        )
+        if self._sighter:
+            self._renderer = None
+        else:
+            self._renderer = Renderer(design, seed=seed, shadows=Effect.SHADOWS in effects, **place)
         self._moving = Effect.MOTION_BLUR in effects
         self._late = Effect.LATENCY in effects
         self._before: Image | None = None

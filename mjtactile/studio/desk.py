@@ -226,11 +226,9 @@ def _effects(
 def _price(row: dict[str, Any]) -> str:
     cost = row["cost_ms_per_s"]
     force = 1e3 * row["left_out_N"]
-    return (
-        ""
-        if math.isnan(cost)
-        else f"{cost:.0f} ms/s" + ("" if math.isnan(force) else f", else {force:.2g} mN")
-    )
+    if math.isnan(cost):
+        return ""
+    return f"{cost:.0f} ms/s" + ("" if math.isnan(force) else f", else {force:.2g} mN")
 
 
 def _choice(label: str, now: str, choices: Any, nothing: str = "") -> str:

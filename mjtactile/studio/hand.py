@@ -57,9 +57,9 @@ class Wish:
         most = _SQUEEZE_SPEED if touching else _OPENING_SPEED
         speed = _SQUEEZE_GAIN * (self.force - felt) if touching else most
         wanted = last - max(-most, min(most, speed)) * period
-        return (
-            max(actual - _REACH, min(actual + _REACH, wanted)) if math.isfinite(actual) else wanted
-        )
+        if math.isfinite(actual):
+            return max(actual - _REACH, min(actual + _REACH, wanted))
+        return wanted
 
 
 def _towards(start: float, goal: float, most: float) -> float:
@@ -79,4 +79,6 @@ class ByHand:
 
     def step(self, observation: Observation) -> Command:
         wish = self.wish
-        return self._controller.step(observation) if wish is None else wish.command(observation)
+        if wish is None:
+            return self._controller.step(observation)
+        return wish.command(observation)

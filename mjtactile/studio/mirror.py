@@ -100,11 +100,10 @@ class Mirror(plugin.SimPlugin):
             and moment.scene[0] is self._model
         ):
             assert model is not None and data is not None  # it was published
-            pull = (
-                data.xfrc_applied.copy()
-                if wall.monotonic() - self._pulled < _HELD
-                else np.zeros_like(data.xfrc_applied)
-            )
+            if wall.monotonic() - self._pulled < _HELD:
+                pull = data.xfrc_applied.copy()
+            else:
+                pull = np.zeros_like(data.xfrc_applied)
             mujoco.mj_setState(model, data, moment.scene[1], _STATE)
             data.xfrc_applied[:] = pull
             self.show.pull = pull

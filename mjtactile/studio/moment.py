@@ -110,9 +110,10 @@ def _slip(touch: Touch) -> str:
     slip = touch.slip
     if slip.state in ("none", "unknown"):
         return slip.state
-    speed = (
-        (f", {1e3 * float(np.hypot(*slip.velocity)):.0f} mm/s") if slip.state == "slipping" else ""
-    )
+    if slip.state == "slipping":
+        speed = f", {1e3 * float(np.hypot(*slip.velocity)):.0f} mm/s"
+    else:
+        speed = ""
     return f"{slip.state}, {1e3 * slip.distance:.1f} mm so far{speed}"
 
 

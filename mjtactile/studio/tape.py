@@ -47,9 +47,10 @@ class Tape(Show):
     def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
         """Keep a cycle without its images: the recording has them."""
         number = len(self._moments)
-        true = (
-            {"force_normal_true": self._true[number].tolist()} if number < len(self._true) else {}
-        )
+        if number < len(self._true):
+            true = {"force_normal_true": self._true[number].tolist()}
+        else:
+            true = {}
         moment = moment_of(cycle, self.session, view, true, Gas(), number)
         self.history.add(moment)
         if not self._times:
@@ -114,7 +115,9 @@ class TapeHistory(History):
 
     def curves(self) -> Curves | None:
         found = super().curves()
-        return None if found is None else replace(found, now=found.time[0] + self._tape.at)
+        if found is None:
+            return None
+        return replace(found, now=found.time[0] + self._tape.at)
 
 
 class Deck(plugin.ViewerPlugin):

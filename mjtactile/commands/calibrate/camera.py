@@ -122,9 +122,10 @@ def run(options: argparse.Namespace) -> int:
         goal = target.find_targets(options)[0]
         path = goal.path
     with stdout_to_stderr():
-        views, size = (
-            _live(options, finder) if options.source is None else _recorded(options.source, finder)
-        )
+        if options.source is None:
+            views, size = _live(options, finder)
+        else:
+            views, size = _recorded(options.source, finder)
         fit = calibrate(finder, views, size, k3=options.k3)
     reasons = fit.reasons if goal is None else _fits(fit, goal.design)
     verdict = stamp("camera", reasons)

@@ -127,9 +127,10 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("give a CSV file (SOURCE), or --rig to load its sensors", field="SOURCE")
     targets = target.find_targets(options)
     with stdout_to_stderr():
-        chains, loads = (
-            _live(options, targets) if options.source is None else _recorded(options, targets[0])
-        )
+        if options.source is None:
+            chains, loads = _live(options, targets)
+        else:
+            chains, loads = _recorded(options, targets[0])
         true, felt, areas = _feel_all(options, chains, loads)
     results = {}
     for goal, chain, forces, area in zip(targets, chains, felt, areas, strict=True):
@@ -166,11 +167,10 @@ def _feel_all(
 
 
 def _lines(fit: Any) -> list[str]:
-    constant = (
-        "none"
-        if fit.area is None
-        else (f"{1e-3 * fit.area.constant:.1f} mN/mm2 (rms {fit.area.residual:.3f} N)")
-    )
+    if fit.area is None:
+        constant = "none"
+    else:
+        constant = f"{1e-3 * fit.area.constant:.1f} mN/mm2 (rms {fit.area.residual:.3f} N)"
     return [
         f"  {len(fit.true)} loads up to {max(fit.true):.2f} N: load = {fit.scale:.3f} (sd "
         f"{fit.scale_sd:.3f}) x felt {fit.offset:+.3f} N, {fit.rms:.3f} N (rms) left",

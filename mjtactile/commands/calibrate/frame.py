@@ -76,11 +76,10 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("give images (FLAT), or --rig to take some", field="FLAT")
     targets = target.find_targets(options)
     with stdout_to_stderr():
-        taken = (
-            _live(options, targets)
-            if options.source is None
-            else [_recorded(options, targets[0].design)]
-        )
+        if options.source is None:
+            taken = _live(options, targets)
+        else:
+            taken = [_recorded(options, targets[0].design)]
     results = {}
     for goal, (flat, rest, reading, sealed) in zip(targets, taken, strict=True):
         before = goal.load().used(goal.design)

@@ -71,9 +71,10 @@ def run(options: argparse.Namespace) -> int:
         )
     targets = target.find_targets(options)
     with stdout_to_stderr():
-        fits = (
-            _live(options, targets) if options.source is None else [_recorded(options, targets[0])]
-        )
+        if options.source is None:
+            fits = _live(options, targets)
+        else:
+            fits = [_recorded(options, targets[0])]
     results = {}
     for goal, fit in zip(targets, fits, strict=True):
         goal.write("valve", valve_part(fit, stamp_of(goal.design, fit.report())), fit.reasons)
@@ -82,7 +83,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _pressure(options: argparse.Namespace, goal: target.Target) -> float:
-    return goal.design.chamber.supply_gauge if options.pressure is None else 1e3 * options.pressure
+    if options.pressure is None:
+        return goal.design.chamber.supply_gauge
+    return 1e3 * options.pressure
 
 
 def _recorded(options: argparse.Namespace, goal: target.Target) -> Any:

@@ -203,11 +203,10 @@ class OpenCvCamera:
         self._capture.set(prop, value)
         found = self._capture.get(prop)
         if not math.isfinite(found) or abs(found - value) > tolerance:
-            shown = (
-                (_fourcc(value), _fourcc(found))
-                if what == "FOURCC"
-                else (f"{value:g}", f"{found:g}")
-            )
+            if what == "FOURCC":
+                shown = (_fourcc(value), _fourcc(found))
+            else:
+                shown = (f"{value:g}", f"{found:g}")
             raise DeviceError(
                 f"{self.name}: {what} was set to {shown[0]} but is {shown[1]}; `mjtactile doctor` "
                 "lists what it can do"
@@ -293,11 +292,10 @@ class OpenCvCamera:
         load = os.getloadavg()[0]
         processors = os.cpu_count() or 1
         since = f" for {1e3 * silent:.0f} ms" if math.isfinite(silent) else ""
-        busy = (
-            (f" Or are they late? {load:.0f} programs want this computer's {processors} processors")
-            if load > processors
-            else ""
-        )
+        busy = ""
+        if load > processors:
+            wanted = f"{load:.0f} programs want this computer's {processors} processors"
+            busy = f" Or are they late? {wanted}"
         return f"it has sent no pictures{since}: was it unplugged?{busy}"
 
     def _fail(self, reason: str) -> None:

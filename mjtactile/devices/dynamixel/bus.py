@@ -260,9 +260,10 @@ class DynamixelBus:
     ) -> tuple[dict[int, Reply], dict[int, BusError]]:
         """What the servos said to `ask_many` of the same arguments; see `read_many`."""
         with self._transaction(None, again=True):
-            replies, failures = (
-                self._receive_fast(servos, size) if fast else self._receive_each(servos, size)
-            )
+            if fast:
+                replies, failures = self._receive_fast(servos, size)
+            else:
+                replies, failures = self._receive_each(servos, size)
             self._dirty = bool(failures)
             return replies, failures
 

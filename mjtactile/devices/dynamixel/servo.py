@@ -295,19 +295,17 @@ class ServoReport:
 def read_report(bus: DynamixelBus, servo: int) -> ServoReport:
     """Ask one servo about itself. Changes nothing. Raises BusError."""
     number, firmware = bus.ping(servo)
-    name = (
-        MODEL_BY_NUMBER[number].name
-        if number in MODEL_BY_NUMBER
-        else NO_CURRENT_CONTROL.get(number, f"model {number}")
-    )
+    if number in MODEL_BY_NUMBER:
+        name = MODEL_BY_NUMBER[number].name
+    else:
+        name = NO_CURRENT_CONTROL.get(number, f"model {number}")
     error = bus.read(servo, 70, 1).value(0, 1)
     power = bus.read(servo, 144, 3)
     model = MODEL_BY_NUMBER.get(number)
-    settings = (
-        {}
-        if model is None
-        else {name: read_setting(bus, servo, model, name) for name, _, _ in REQUIRED}
-    )
+    if model is None:
+        settings = {}
+    else:
+        settings = {name: read_setting(bus, servo, model, name) for name, _, _ in REQUIRED}
     return ServoReport(
         servo,
         name,

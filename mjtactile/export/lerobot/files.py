@@ -33,11 +33,9 @@ class DataFiles:
 
         def kind(feature: Feature) -> Any:
             one = kinds[feature.dtype]
-            return (
-                one
-                if len(feature.names) == 1 or feature.dtype == "image"
-                else pa.list_(one, len(feature.names))
-            )
+            if len(feature.names) == 1 or feature.dtype == "image":
+                return one
+            return pa.list_(one, len(feature.names))
 
         fields = [
             (key, kind(feature)) for key, feature in features.items() if feature.dtype != "video"

@@ -177,23 +177,21 @@ def _moment(data: Mapping[str, Any], *, scene: bool) -> str:
         '<button id="play">play</button> <span class="hint">drag a membrane to turn '
         "it, wheel: closer</span></p>"
     ]
-    panels = (
-        [
+    if scene:
+        panels = [
             '<div class="scene"><h3>the scene</h3><img id="scene" class="scene" alt="the '
             'scene"></div>'
         ]
-        if scene
-        else []
-    )
+    else:
+        panels = []
     for finger, name in enumerate(data["fingers"]):
         drawn = any(
             shot["pictures"][finger : finger + 1] not in ([], [None]) for shot in data["shots"]
         )
-        camera = (
-            f'<img class="camera" alt="camera of {escape(name)}, ellipses fitted">'
-            if drawn
-            else '<img class="camera" alt="" hidden><p>no image was kept</p>'
-        )
+        if drawn:
+            camera = f'<img class="camera" alt="camera of {escape(name)}, ellipses fitted">'
+        else:
+            camera = '<img class="camera" alt="" hidden><p>no image was kept</p>'
         panels.append(
             f'<div><h3>{escape(name)}</h3>{camera}<canvas class="membrane"></canvas></div>'
         )

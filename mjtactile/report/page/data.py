@@ -66,7 +66,9 @@ PLOTS = (
 
 def _wrench_true(recording: Recording) -> Array:
     found = recording.column("wrench_true")
-    return found if found.ndim == 3 else np.full((len(recording), recording.width, 6), np.nan)
+    if found.ndim == 3:
+        return found
+    return np.full((len(recording), recording.width, 6), np.nan)
 
 
 def page_data(
@@ -129,11 +131,10 @@ def _plot(plot: Plot, recording: Recording) -> dict[str, Any]:
     series: list[dict[str, Any]] = []
     for finger in range(felt.shape[1]):
         colour = _GREY if single else FINGER_COLOURS[finger % len(FINGER_COLOURS)]
-        name = (
-            plot.label.split(",")[0]
-            if single
-            else dict(enumerate(recording.fingers)).get(finger, "")
-        )
+        if single:
+            name = plot.label.split(",")[0]
+        else:
+            name = dict(enumerate(recording.fingers)).get(finger, "")
         series += _series(
             name if true is None else f"{name} felt",
             colour,
@@ -144,11 +145,10 @@ def _plot(plot: Plot, recording: Recording) -> dict[str, Any]:
             [] if true is None else _series(f"{name} true", colour, true[:, finger], dash=True)
         )
     breaks = recording.notes.get("break_force_N")
-    lines = (
-        [(breaks, f"object breaks at {breaks:g} N")]
-        if plot.sd and isinstance(breaks, (int, float))
-        else []
-    )
+    if plot.sd and isinstance(breaks, (int, float)):
+        lines = [(breaks, f"object breaks at {breaks:g} N")]
+    else:
+        lines = []
     return {"label": plot.label, "series": series, "lines": lines}
 
 
@@ -198,11 +198,10 @@ def _grids(
 
 def _shot(cycle: Seen, view: Any, unit: float) -> dict[str, Any]:
     """What there is to see at one moment."""
-    scene = (
-        None
-        if view is None
-        else np.round(255 * picture_of(view, _SCENE, samples=1)[:, :, ::-1]).astype(np.uint8)
-    )
+    if view is None:
+        scene = None
+    else:
+        scene = np.round(255 * picture_of(view, _SCENE, samples=1)[:, :, ::-1]).astype(np.uint8)
     return {
         "time": round(cycle.time, 4),
         "pictures": [_camera(image) for image in cycle.images],
@@ -212,11 +211,9 @@ def _shot(cycle: Seen, view: Any, unit: float) -> dict[str, Any]:
 
 
 def _camera(image: Image) -> str | None:
-    return (
-        _jpeg(with_ellipses(image, min(_CAMERA, image.pixels.shape[1])))
-        if image.pixels.size
-        else None
-    )
+    if image.pixels.size:
+        return _jpeg(with_ellipses(image, min(_CAMERA, image.pixels.shape[1])))
+    return None
 
 
 def _jpeg(bgr: NDArray[np.uint8]) -> str:
@@ -230,11 +227,10 @@ def _felt(touch: Touch, unit: float) -> Mapping[str, Any] | None:
         return None
     foot, stress = arrows(touch, touch.surface)
     z = np.round(1e3 * touch.surface.z / unit).astype("<i2")
-    said = (
-        f"{touch.force_normal:.2f} \u00b1 {2 * touch.force_normal_sd:.2f} N"
-        if touch.status == "ok"
-        else f"force unknown: {touch.status}"
-    )
+    if touch.status == "ok":
+        said = f"{touch.force_normal:.2f} \u00b1 {2 * touch.force_normal_sd:.2f} N"
+    else:
+        said = f"force unknown: {touch.status}"
     return {
         "z": base64.b64encode(z.tobytes()).decode("ascii"),
         "arrows": np.column_stack([foot.round(2), -stress.round(0)]).tolist(),

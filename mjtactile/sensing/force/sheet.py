@@ -47,11 +47,15 @@ class Gas:
 
     def pressure_gauge(self, volume: float, ambient: float, gamma: float) -> float:
         """Gauge pressure, Pa, at gas volume m^3 (Eq. G1)."""
-        return self.gauge if self.constant is None else self.constant / volume**gamma - ambient
+        if self.constant is None:
+            return self.gauge
+        return self.constant / volume**gamma - ambient
 
     def stiffness(self, volume: float, gamma: float) -> float:
         """-dp/dV, Pa/m^3 (Eq. G3)."""
-        return 0.0 if self.constant is None else gamma * self.constant / volume ** (gamma + 1)
+        if self.constant is None:
+            return 0.0
+        return gamma * self.constant / volume ** (gamma + 1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -102,11 +102,10 @@ def follow(
     share, local = _explain(apart[ids], moved[ids], markers.cov_p)
     pace = step / (step + s.follow) * (s.slowly if local > s.local_most else 1.0)
     share = float(np.clip(pace * share, -s.drift_rate * step, s.drift_rate * step))
-    gas = (
-        rest.gas
-        if rest.gas.constant is None
-        else replace(rest.gas, constant=rest.gas.constant * (1 + share))
-    )
+    if rest.gas.constant is None:
+        gas = rest.gas
+    else:
+        gas = replace(rest.gas, constant=rest.gas.constant * (1 + share))
     left = np.zeros_like(apart)
     left[ids] = s.offset_share * pace * (apart[ids] - share * moved[ids])
     return Zero(

@@ -32,11 +32,9 @@ class Candidates:
         return len(self.center)
 
     def take(self, keep: NDArray[np.bool_]) -> Candidates:
-        return (
-            self
-            if keep.all()
-            else Candidates(self.center[keep], self.shape[keep], self.misfit[keep], self.cut[keep])
-        )
+        if keep.all():
+            return self
+        return Candidates(self.center[keep], self.shape[keep], self.misfit[keep], self.cut[keep])
 
     def joined(self, more: Candidates) -> Candidates:
         """These and then `more`."""

@@ -347,11 +347,13 @@ def _blurred_disc(
     F = np.zeros_like(A)
     phi = np.zeros_like(A)
     for offset, share in _HERMITE:
-        x, y = (
-            (e[0] + (np.float32(offset) * sigma) * d[0], e[1] + (np.float32(offset) * sigma) * d[1])
-            if offset
-            else e
-        )
+        if offset:
+            x, y = (
+                e[0] + (np.float32(offset) * sigma) * d[0],
+                e[1] + (np.float32(offset) * sigma) * d[1],
+            )
+        else:
+            x, y = e
         B = x * f[0] + y * f[1]
         under = B * B - A * (x * x + y * y - 1)
         root = np.sqrt(np.maximum(under, 0))

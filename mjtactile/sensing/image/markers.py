@@ -81,11 +81,10 @@ def grey_image(image: NDArray | Image) -> NDArray:
         )
     if pixels.ndim == 3 and pixels.shape[2] in (1, 3, 4):
         colour = pixels[..., :3]
-        pixels = (
-            np.rint(colour.mean(axis=2)).astype(pixels.dtype)
-            if pixels.shape[2] > 1
-            else pixels[..., 0]
-        )
+        if pixels.shape[2] > 1:
+            pixels = np.rint(colour.mean(axis=2)).astype(pixels.dtype)
+        else:
+            pixels = pixels[..., 0]
     if pixels.ndim != 2 or min(pixels.shape) < 8:
         raise InputError(
             f"shape {pixels.shape} is not an image of at least 8 x 8 pixels",

@@ -111,13 +111,12 @@ def _with_more(
     more = found
     s = settings.thorough
     while min(dark.shape) // scale >= s.least_side:
-        small = (
-            dark
-            if scale == 1
-            else cv2.resize(
+        if scale == 1:
+            small = dark
+        else:
+            small = cv2.resize(
                 dark, (dark.shape[1] // scale, dark.shape[0] // scale), interpolation=cv2.INTER_AREA
             )
-        )
         part = candidates.outlines(
             _black_hat(small, settings), max(min_radius_px / scale, 1.5), settings.candidates
         )

@@ -59,13 +59,12 @@ def follow(
     good = fit.take(status == "ok")
     if not len(good.center):
         return as_ellipses(fit, status), None
-    left = (
-        0
-        if len(good.center) < len(status) or not _calm(good, s)
-        else s.images_between_searches
-        if len(good.center) == count
-        else 1
-    )
+    if len(good.center) < len(status) or not _calm(good, s):
+        left = 0
+    elif len(good.center) == count:
+        left = s.images_between_searches
+    else:
+        left = 1
     tracks = Tracks(image.time, good, _velocity(good.center, image.time, before), count, left)
     return as_ellipses(fit, status), tracks
 
@@ -84,7 +83,9 @@ def _tracked(
     start = Candidates(center, before.fit.shape, np.zeros(n), np.zeros(n, bool))
     fit = fit_candidates(grey, start, settings)
     status, _ = judge(fit, start, "dark", grey.shape, min_radius_px, settings.markers)
-    return fit if (status == "ok").all() and _believable(fit, start, before.fit, s) else None
+    if (status == "ok").all() and _believable(fit, start, before.fit, s):
+        return fit
+    return None
 
 
 def _believable(

@@ -80,11 +80,9 @@ class Located:
         """ "ok", or why the image tells nothing."""
         if (self.poses.status == "ok").any():
             return "ok"
-        return (
-            (f"none of {len(self.poses)} circles can be trusted")
-            if len(self.poses)
-            else "no circle found"
-        )
+        if len(self.poses):
+            return f"none of {len(self.poses)} circles can be trusted"
+        return "no circle found"
 
 
 def find_circles(
@@ -226,11 +224,10 @@ def _overexposed(grey: NDArray, ellipses: Ellipses, polarity: Polarity, s: Locat
     if not good.any() or top + 1 not in (2**8, 2**10, 2**12, 2**14, 2**16):
         return False
     shape = shape_from_axes(ellipses.semi_axes_px[good], ellipses.angle[good])
-    aside = (
-        shape + [s.ground_distance, 0.0, s.ground_distance]
-        if polarity == "dark"
-        else s.inside_share * shape
-    )
+    if polarity == "dark":
+        aside = shape + [s.ground_distance, 0.0, s.ground_distance]
+    else:
+        aside = s.inside_share * shape
     u, v = (
         np.rint(boundary(ellipses.center_px[good], aside, 8)[0]).astype(np.int64).transpose(2, 0, 1)
     )

@@ -122,17 +122,15 @@ class Settings:
         for path, value in values.items():
             stage, _, name = path.rpartition(".")
             owner = getattr(result, stage, None) if stage else result
-            known = (
-                [f.name for f in dataclasses.fields(owner)]
-                if dataclasses.is_dataclass(owner)
-                else []
-            )
+            if dataclasses.is_dataclass(owner):
+                known = [f.name for f in dataclasses.fields(owner)]
+            else:
+                known = []
             if name not in known or dataclasses.is_dataclass(getattr(owner, name)):
-                choices = (
-                    [f"{stage}.{key}" for key in known]
-                    if known and stage
-                    else [f.name for f in dataclasses.fields(self)]
-                )
+                if known and stage:
+                    choices = [f"{stage}.{key}" for key in known]
+                else:
+                    choices = [f.name for f in dataclasses.fields(self)]
                 raise InputError("unknown setting", source="settings", field=path, choices=choices)
             value = check(owner, stage, name, value)
             changed = replace(owner, **{name: value})  # type: ignore[type-var]  # it is a dataclass

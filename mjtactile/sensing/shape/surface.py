@@ -201,9 +201,10 @@ class SurfaceFitter:
         is left out.
         """
         p = np.asarray(p_SM, dtype=float).reshape(-1, 3)
-        variance = (
-            np.full(len(p), 1e-10) if cov_p is None else np.asarray(cov_p, dtype=float)[:, 2, 2]
-        )
+        if cov_p is None:
+            variance = np.full(len(p), 1e-10)
+        else:
+            variance = np.asarray(cov_p, dtype=float)[:, 2, 2]
         c = np.empty((self.basis_y.count, self.basis_x.count))
         factor = np.empty_like(self._prior_band)
         found = np.empty(2)

@@ -162,9 +162,10 @@ def _verdict(squeeze: Squeeze, phases: _Phases, curve: _Curve, s: MaterialSettin
     if kind == "soft" and math.isfinite(at_rest):  # not all has relaxed by the end of the hold
         stiffness = (at_rest, min(at_rest, stiffness[1]), max(at_rest, stiffness[2]))
     area = float(np.median(squeeze.area[last]))
-    modulus = (
-        _modulus(stiffness, curve.free_width, area, s.area_share_sd) if kind == "soft" else unknown
-    )
+    if kind == "soft":
+        modulus = _modulus(stiffness, curve.free_width, area, s.area_share_sd)
+    else:
+        modulus = unknown
     status = OK
     if probability[kind] < s.sure:
         first, other = sorted(probability, key=lambda name: -probability[name])[:2]
@@ -290,4 +291,6 @@ def _relaxation(
 
     columns = np.column_stack([-(F - F[0]), integral(d), d, time - time[0]])
     tau, stiffness, _, _ = np.linalg.lstsq(columns, integral(F), rcond=None)[0]
-    return (float(tau), float(stiffness)) if tau > 0 and stiffness > 0 else (math.nan, math.nan)
+    if tau > 0 and stiffness > 0:
+        return (float(tau), float(stiffness))
+    return (math.nan, math.nan)

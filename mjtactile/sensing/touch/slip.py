@@ -84,11 +84,10 @@ def judge(
     slips = load > s.least_load and (
         reaches_limit or (way > s.least_way and evidence(now, normal, s) > s.evidence)
     )
-    slid = (
-        max(now.distance, way)
-        if slips and now.distance == 0
-        else now.distance + slips * _newest_way(now.samples)
-    )
+    if slips and now.distance == 0:
+        slid = max(now.distance, way)
+    else:
+        slid = now.distance + slips * _newest_way(now.samples)
     friction = load if slips else max(now.friction, load)
     used = load / friction
     state: SlipState = "slipping" if slips else "incipient" if used > s.incipient else "sticking"
@@ -163,7 +162,9 @@ def _motion(samples: Sequence[SlipSample], s: SlipSettings) -> tuple[Array, floa
 
 def _newest_way(samples: Sequence[SlipSample]) -> float:
     """How far the centre of pressure went in the newest image, m."""
-    return float(np.linalg.norm(samples[-1].p - samples[-2].p)) if len(samples) > 1 else 0.0
+    if len(samples) > 1:
+        return float(np.linalg.norm(samples[-1].p - samples[-2].p))
+    return 0.0
 
 
 def _extent(history: SlipHistory, along: Array) -> tuple[float, float]:
@@ -187,7 +188,9 @@ def mean_normal(estimator: InverseMembrane, shape: Shape) -> Array:
     """Outward unit normal (3,) of the membrane, averaged over where it is pressed."""
     weight = estimator.pressing_at_points(shape)
     n = estimator.sheet.area_vector(shape.c, weight)
-    return n / max(float(np.linalg.norm(n)), 1e-30) if weight.any() else np.array([0.0, 0.0, 1.0])
+    if weight.any():
+        return n / max(float(np.linalg.norm(n)), 1e-30)
+    return np.array([0.0, 0.0, 1.0])
 
 
 def _pressed(estimator: InverseMembrane, shape: Shape, core_share: float) -> Array:

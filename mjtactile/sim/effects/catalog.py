@@ -57,11 +57,9 @@ class Scene:
         """Height of the free bulge at the supply's pressure, m; an estimate outside of the theory's
         table."""
         height = theory.bulge_height(self.design, self.design.chamber.supply_gauge)
-        return (
-            abs(height)
-            if math.isfinite(height)
-            else 0.1 * min(self.design.frame.length, self.design.frame.width)
-        )
+        if math.isfinite(height):
+            return abs(height)
+        return 0.1 * min(self.design.frame.length, self.design.frame.width)
 
     @property
     def half_width(self) -> float:
@@ -399,4 +397,6 @@ def _number(value: float | None) -> float:
 def _measured() -> dict[str, dict[str, float]]:
     """What `bench effects` wrote, by name; empty when it never ran."""
     path = resources.folder("models/fidelity") / "effects.json"
-    return json.loads(path.read_text(encoding="utf-8"))["effects"] if path.is_file() else {}
+    if path.is_file():
+        return json.loads(path.read_text(encoding="utf-8"))["effects"]
+    return {}

@@ -75,16 +75,16 @@ class Fidelity:
             )
         rows, stamp = load_table(table)
         good = [row for row in rows if row.force_error <= force_error]
-        best = (
-            min(good, key=lambda row: row.cost)
-            if good
-            else min(rows, key=lambda row: row.force_error)
-        )
-        reason = (
-            f"cheapest with at most {force_error:g} N"
-            if good
-            else f"no setting reaches {force_error:g} N; the closest has {best.force_error:.3g} N"
-        )
+        if good:
+            best = min(good, key=lambda row: row.cost)
+        else:
+            best = min(rows, key=lambda row: row.force_error)
+        if good:
+            reason = f"cheapest with at most {force_error:g} N"
+        else:
+            reason = (
+                f"no setting reaches {force_error:g} N; the closest has {best.force_error:.3g} N"
+            )
         return replace(_with_basis(best, bool(good), reason, stamp), asked=force_error)
 
     @classmethod

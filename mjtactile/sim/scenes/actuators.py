@@ -50,9 +50,10 @@ class PositionActuator:
         self._qpos = model.jnt_qposadr[self.joints]
         self.dofs = model.jnt_dofadr[self.joints]
         limited = bool(model.actuator_forcelimited[self.id])
-        self._range = (
-            model.actuator_forcerange[self.id].copy() if limited else np.array([-np.inf, np.inf])
-        )
+        if limited:
+            self._range = model.actuator_forcerange[self.id].copy()
+        else:
+            self._range = np.array([-np.inf, np.inf])
         self.force_limit = float(self._range[1])
 
     @property

@@ -83,11 +83,12 @@ class GraspWorld(HandWorld):
             furnish=furnish,
         )
         flesh = self.object.flesh
-        self.solid = (
-            None
-            if flesh is None
-            else SoftSolid(self.model, soft_flex(self.model, PREFIX), flesh.young, flesh.poisson)
-        )
+        if flesh is None:
+            self.solid = None
+        else:
+            self.solid = SoftSolid(
+                self.model, soft_flex(self.model, PREFIX), flesh.young, flesh.poisson
+            )
         """Where and how far a soft object is strained: its elements, for scoring and for flags."""
         self._watch(self._strain_flags)
         require_clear(self, self.object, self.opening)

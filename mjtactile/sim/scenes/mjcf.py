@@ -27,7 +27,9 @@ def read_mjcf(path: Path, text: str = "", field: str | None = None) -> mujoco.Mj
                 f"larger than {LARGEST >> 20} MiB: not such a file", source=path, field=field
             )
         _check_copies(path, text or path.read_text(encoding="utf-8-sig", errors="replace"), field)
-        return mujoco.MjSpec.from_string(text) if text else mujoco.MjSpec.from_file(str(path))
+        if text:
+            return mujoco.MjSpec.from_string(text)
+        return mujoco.MjSpec.from_file(str(path))
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", source=path, field=field) from error
     except (ValueError, RuntimeError) as error:

@@ -65,7 +65,9 @@ Rng = np.random.Generator
 def seed_of(name: str) -> int | None:
     """The seed in "random:7"; None of any other name."""
     number = name.removeprefix(PREFIX)
-    return int(number) if name.startswith(PREFIX) and number.isdecimal() else None
+    if name.startswith(PREFIX) and number.isdecimal():
+        return int(number)
+    return None
 
 
 def object_text(name: str) -> str | None:
@@ -151,16 +153,15 @@ def to_mjcf(thing: Thing, name: str) -> str:
     t = thing
     stand = max(_CLEAR - t.c, 0.0)
     radius = max(min(t.a, t.b) - _ASIDE, 4e-3)
-    under = (
-        (
+    if stand:
+        under = (
             '    <body name="stand">\n      <geom name="stand" type="cylinder" pos="0 0 '
             f'{stand / 2:.6g}" '
             f'size="{radius:.6g} {stand / 2:.6g}" {_FRICTION} rgba="0.6 0.6 0.65 1"/>\n    '
             "</body>\n"
         )
-        if stand
-        else ""
-    )
+    else:
+        under = ""
     turn = '    <numeric name="turn_deg" data="3"/>\n' if t.shape == "box" else ""
     asset, geoms = _BUILD[t.shape](t)
     body = "\n".join(f"      {line}" for line in geoms)

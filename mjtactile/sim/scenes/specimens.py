@@ -156,11 +156,10 @@ def _halves(s: Specimen) -> tuple[str, str]:
     ]
     tendons = []
     for side, sign in (("left", 1), ("right", -1)):
-        spring = (
-            ""
-            if s.kind == "plastic"
-            else (f'stiffness="{2 * s.stiffness:.6g} {4 * s.stiffening:.6g} 0" ')
-        )
+        if s.kind == "plastic":
+            spring = ""
+        else:
+            spring = f'stiffness="{2 * s.stiffness:.6g} {4 * s.stiffening:.6g} 0" '
         lines += [
             f'      <body name="{side}" pos="{-sign * s.length / 2:.6g} 0 0">',
             f'        <joint name="{side}" type="slide" axis="{sign} 0 0" '

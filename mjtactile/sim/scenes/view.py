@@ -70,11 +70,10 @@ class SceneView:
         model = self.model
         hidden = {geom for ids in self.hidden for geom in ids.tolist()}
         for geom in range(model.ngeom):
-            rgba = (
-                model.geom_rgba[geom]
-                if model.geom_matid[geom] < 0
-                else model.mat_rgba[model.geom_matid[geom]]
-            )
+            if model.geom_matid[geom] < 0:
+                rgba = model.geom_rgba[geom]
+            else:
+                rgba = model.mat_rgba[model.geom_matid[geom]]
             if geom in hidden or model.geom_group[geom] >= _SHOWN or rgba[3] == 0:
                 continue
             points, faces = _shape(model, geom)
@@ -85,11 +84,10 @@ class SceneView:
         model = self.model
         for flex in range(model.nflex):
             solid = model.flex_dim[flex] == 3
-            start, count = (
-                (model.flex_shelldataadr[flex], model.flex_shellnum[flex])
-                if solid
-                else (model.flex_elemdataadr[flex], model.flex_elemnum[flex])
-            )
+            if solid:
+                start, count = (model.flex_shelldataadr[flex], model.flex_shellnum[flex])
+            else:
+                start, count = (model.flex_elemdataadr[flex], model.flex_elemnum[flex])
             index = model.flex_shell if solid else model.flex_elem
             if model.flex_dim[flex] < 2:
                 continue

@@ -53,7 +53,9 @@ class MembraneMesh:
 
     def coordinates(self, p_SM: Array) -> Array:
         """The mesh's own coordinates (N, 2) of points `p_SM` (N, 3) m of the flat sheet."""
-        return to_square(p_SM[:, :2] / self.radius) if self.radius else p_SM[:, :2]
+        if self.radius:
+            return to_square(p_SM[:, :2] / self.radius)
+        return p_SM[:, :2]
 
     @cached_property
     def inverse_edges(self) -> Array:

@@ -136,4 +136,6 @@ def _hull(model: mujoco.MjModel, mesh: int) -> Entry | None:
         planes = np.unique(ConvexHull(vertices).equations.round(6), axis=0)
     except QhullError:  # flat
         return None
-    return _polytope(planes[:, :3], -planes[:, 3]) if len(planes) <= MOST_FACES else None
+    if len(planes) <= MOST_FACES:
+        return _polytope(planes[:, :3], -planes[:, 3])
+    return None

@@ -200,11 +200,9 @@ class FlatGeometry:
 
 
 def make_geometry(mesh: MembraneMesh, volume_flat: float, on: frozenset[str]) -> Any:
-    return (
-        ChamberGeometry(mesh, volume_flat)
-        if Effect.FOLLOWER_PRESSURE in on
-        else FlatGeometry(mesh, volume_flat)
-    )
+    if Effect.FOLLOWER_PRESSURE in on:
+        return ChamberGeometry(mesh, volume_flat)
+    return FlatGeometry(mesh, volume_flat)
 
 
 def make_gas(chamber: Chamber, on: frozenset[str]) -> Gas:
