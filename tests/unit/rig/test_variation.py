@@ -309,10 +309,5 @@ def test_an_object_keeps_the_height_at_which_it_is_grasped():
     large = egg.changed(ObjectChange(size=0.05, breaking=0.2))
     assert large.grasp_height == egg.grasp_height and large.break_force == pytest.approx(3.0)
     assert large.width == pytest.approx(1.05 * egg.width)
-<<<<<<< HEAD
     kept = {name: getattr(egg, name) for name in ("changes", "break_force", "mass", "width")}
     assert replace(large, **kept) == egg
-=======
-    as_before = {name: getattr(egg, name) for name in ("changes", "break_force", "mass", "width")}
-    assert replace(large, **as_before) == egg
->>>>>>> 5b2e6b5 (An object that is drawn larger is wider, too)
