@@ -20,7 +20,7 @@ from mjtactile.core.types import Array
 from mjtactile.devices.camera.opencv import OpenCvCamera
 from mjtactile.devices.camera.v4l2 import video_devices
 from mjtactile.devices.listing import SerialPort, serial_ports, servos_at, valve_board_at
-from mjtactile.rig.file import CameraConfig, RigFile, load_rig_file, rig_from_table
+from mjtactile.rig.file import UNFLIPPED, CameraConfig, RigFile, load_rig_file, rig_from_table
 
 Ask = Callable[[str], str]
 Say = Callable[[str], None]
@@ -36,6 +36,8 @@ _LIMITS = (
 _OF_THE_MODEL = ("torque_Nm_per_A", "position_p_gain")
 _IMAGES = 5
 _ATTEMPTS = 3
+_ASIDE = 0.1  # of the picture's sides: a press that is nearer to its middle is in no corner
+_CORNER = "upper right corner (seen from outside, the air inlet on the right)"
 _CLEARER = 2.0  # times as much change in the finger's own picture as in any other
 _T = TypeVar("_T")
 
@@ -159,8 +161,11 @@ def _cameras(rig: RigFile, more: Sequence[str], ask: Ask, say: Say) -> Mapping[P
             field="camera",
             choices=["plug the others in and run it again", "--camera URL"],
         )
-    found = _assigned(rig, [_with_source(rig.cameras[0], source) for source in sources], ask, say)
-    return {("camera", number, "source"): source for number, source in enumerate(found)}
+    offered = [_with_source(rig.cameras[0], source) for source in sources]
+    changes: dict[Place, object] = {}
+    for number, (source, flip) in enumerate(_assigned(rig, offered, ask, say)):
+        changes |= {("camera", number, "source"): source, ("camera", number, "flipped"): flip}
+    return changes
 
 
 def _with_source(config: CameraConfig, source: str) -> CameraConfig:
@@ -168,15 +173,19 @@ def _with_source(config: CameraConfig, source: str) -> CameraConfig:
     return replace(
         config,
         source=source,
+        flipped=UNFLIPPED,
         **({"backend": "ffmpeg", "timestamps": "arrival"} if "://" in source else {}),
     )
 
 
-def _assigned(rig: RigFile, cameras: Sequence[CameraConfig], ask: Ask, say: Say) -> list[str]:
-    """The source of each finger's camera: whose picture changes when its membrane is pressed."""
+def _assigned(
+    rig: RigFile, cameras: Sequence[CameraConfig], ask: Ask, say: Say
+) -> list[tuple[str, str | None]]:
+    """The source of each finger's camera, whose picture changes when its membrane is pressed, and
+    how that picture is flipped (None: not at all, or not known)."""
     ask("Touch nothing, and press Enter: ")
     flat = {camera.source: _mean_image(camera) for camera in cameras}
-    found: list[str] = []
+    found: dict[str, str | None] = {}
     while len(found) < len(rig.cameras):
         finger = rig.cameras[len(found)].finger
         ask(f"Press the membrane of the {finger} finger with a thumb, hold it, and press Enter: ")
@@ -188,11 +197,42 @@ def _assigned(rig: RigFile, cameras: Sequence[CameraConfig], ask: Ask, say: Say)
         first, *others = sorted(changes, key=lambda source: -changes[source])
         if all(changes[first] > _CLEARER * changes[other] for other in others):
             say(f"{finger}: {first}")
-            found.append(first)
+            ask(f"Press the {_CORNER} of the {finger} finger, hold it, and press Enter: ")
+            camera = next(one for one in cameras if one.source == first)
+            flip = flip_of(_mean_image(camera) - flat[first])
+            if flip is None:
+                say(f"{finger}: that was in no corner; its picture is taken for upright")
+            elif flip != UNFLIPPED:
+                say(f"{finger}: its picture is flipped: {flip}")
+            found[first] = None if flip == UNFLIPPED else flip
         else:
             levels = ", ".join(f"{change:.1f}" for change in changes.values())
             say(f"no picture changed plainly more than the others ({levels} grey levels)")
-    return found
+    return list(found.items())
+
+
+def flip_of(change: Array) -> str | None:
+    """How a picture is flipped, one of `FLIPS`.
+
+    Args:
+        change: Of its grey levels (H, W), by a press where x and y of the sensor are largest, which
+            is at the right and at the bottom of an upright picture.
+
+    Returns:
+        None where it changed in no corner.
+    """
+    weight = np.square(change)
+    height, width = weight.shape
+    right = float(weight.sum(axis=0) @ np.arange(width) / weight.sum()) / width - 0.5
+    down = float(weight.sum(axis=1) @ np.arange(height) / weight.sum()) / height - 0.5
+    if not min(abs(right), abs(down)) > _ASIDE:
+        return None
+    return {
+        (True, True): UNFLIPPED,
+        (False, True): "left-right",
+        (True, False): "top-bottom",
+        (False, False): "both",
+    }[right > 0, down > 0]
 
 
 def _mean_image(config: CameraConfig) -> Array:

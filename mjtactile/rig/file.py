@@ -113,6 +113,11 @@ class GripperConfig:
     calibration: Path | None = file_path("calibration")
 
 
+UNFLIPPED = "no"
+FLIPS = (UNFLIPPED, "left-right", "top-bottom", "both")
+"""Of a camera's picture; "both" is upside down."""
+
+
 @dataclass(frozen=True)
 class CameraConfig:
     """One finger's camera. `source`: a device file or a stream's address. None of a control: leave
@@ -123,7 +128,8 @@ class CameraConfig:
     comes: "MJPG" is decoded straight to grey. `timestamps`: "kernel" (V4L2's, on the monotonic
     clock) or "arrival" (streams, which carry none). `delay` s from capture to arrival for
     "arrival". `sensor` is the finger's own sensor file and `calibration` what was measured of it
-    (None: none is named)."""
+    (None: none is named). `flipped`: how the camera's picture must be turned over so that the
+    sensor's x points right in it and its y down."""
 
     finger: str = text("finger", FINGERS)
     source: str = text("source")
@@ -137,6 +143,7 @@ class CameraConfig:
     white_balance: float | None = number("white_balance_K", 1000, 20000, default=None)
     timestamps: str = text("timestamps", ("kernel", "arrival"), default="kernel")
     delay: float = number("delay_ms", 0, 1000, MS, default=0.0)
+    flipped: str = text("flipped", FLIPS, default=UNFLIPPED)
     sensor: str | None = file_path("sensor", shipped=True)
     calibration: Path | None = file_path("calibration")
 

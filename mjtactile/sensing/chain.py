@@ -42,6 +42,8 @@ from mjtactile.sensing.estimate import Estimate, ShapeEstimator
 from mjtactile.sensing.force import bulge, zero
 from mjtactile.sensing.force.inverse import InverseMembrane, InverseRest
 from mjtactile.sensing.image import tracking
+from mjtactile.sensing.image.exposure import is_overexposed
+from mjtactile.sensing.image.markers import grey_image
 from mjtactile.sensing.pose import identity
 from mjtactile.sensing.pose.circles import estimate_poses
 from mjtactile.sensing.pose.reference import FlatReference, measure_flat
@@ -476,9 +478,29 @@ class Chain:
         )
 
     def _locate(self, state: ChainState, image: Image, expected: Array, what: str) -> Markers:
+        self._require_levels(image, what)
         markers, _ = self.see(replace(state, expected=expected), image)
         self._require(markers, what)
         return markers
+
+    def _require_levels(self, image: Image, what: str) -> None:
+        """Raise DeviceError for a picture that is white around most circles: how large they are
+        changes with the light then."""
+        if isinstance(image, Sighting):
+            return
+        settings = self.settings
+        ellipses, _ = tracking.follow(
+            image,
+            None,
+            self.design.markers.count,
+            min_radius_px=self._smallest_px,
+            settings=settings,
+        )
+        if is_overexposed(grey_image(image), ellipses, "dark", settings.locate):
+            raise DeviceError(
+                f"sensor {self.design.name}: {what}: the picture is overexposed, white around "
+                "most markers; less light, exposure or gain"
+            )
 
     def _require(self, markers: Markers, what: str) -> None:
         """Raise DeviceError for too few markers, or places that are no numbers."""

@@ -48,6 +48,10 @@ class Capture(Protocol):
     def release(self) -> None: ...
 
 
+_FLIPS = {"left-right": 1, "top-bottom": 0, "both": -1}
+"""`CameraConfig.flipped` as OpenCV has it."""
+
+
 @dataclass
 class CameraCounters:
     """What went by: pictures, pictures that never came (by their time), pictures with the very same
@@ -249,6 +253,9 @@ class OpenCvCamera:
                 f"{self.config.width} x {self.config.height}"
             )
             return
+        flip = _FLIPS.get(self.config.flipped)
+        if flip is not None:
+            gray = cv2.flip(gray, flip)
         captured = self._capture_time(arrival)
         with self._condition:
             last = self._newest

@@ -17,14 +17,14 @@ from mjtactile.core.design import CameraDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.images import decode
 from mjtactile.core.types import Array, CirclePoses, Ellipses, Image
-from mjtactile.sensing.image.ellipse import boundary, shape_from_axes
+from mjtactile.sensing.image.exposure import is_overexposed
 from mjtactile.sensing.image.gamma import UNKNOWN, Gamma, estimate_gamma, linear_light
 from mjtactile.sensing.image.markers import Polarity, grey_image
 from mjtactile.sensing.image.thorough import NO_REJECTED, Rejected, detect_thoroughly
 from mjtactile.sensing.pose.circles import estimate_poses, pose_covariances
 from mjtactile.sensing.pose.consensus import share_elongation
 from mjtactile.sensing.pose.preference import prefer
-from mjtactile.sensing.settings import DEFAULTS, LocateSettings, Settings
+from mjtactile.sensing.settings import DEFAULTS, Settings
 from mjtactile.sensing.shape.smoothness import agree_on_depth
 
 Neighbours = Literal["auto", "always", "never"]
@@ -141,7 +141,7 @@ def find_circles(
         detect_thoroughly, polarity=polarity, min_radius_px=min_radius_px, settings=settings
     )
     ellipses, rejected = search(linear_light(grey, assumed))
-    overexposed = _overexposed(grey, ellipses, polarity, settings.locate)
+    overexposed = is_overexposed(grey, ellipses, polarity, settings.locate)
     said = UNKNOWN if overexposed else estimate_gamma(grey, ellipses, settings)
     if gamma == "auto" and said.contradicts(assumed, settings.gamma):
         assumed = said.value
@@ -214,25 +214,6 @@ def _preferred(
     inside = (better.status == "ok") & ~np.isfinite(uv_px).all(axis=1)
     better = replace(better, uv_px=uv_px, status=np.where(inside, NOT_BEYOND_GLASS, better.status))
     return Located(ellipses, better, cov_p_alt, sure, shared)
-
-
-def _overexposed(grey: NDArray, ellipses: Ellipses, polarity: Polarity, s: LocateSettings) -> bool:
-    """Whether the bright side of most edges is at the end of the camera's range (8, 10, 12, 14 or
-    16 bits)."""
-    top = int(grey.max(initial=0))
-    good = ellipses.status == "ok"
-    if not good.any() or top + 1 not in (2**8, 2**10, 2**12, 2**14, 2**16):
-        return False
-    shape = shape_from_axes(ellipses.semi_axes_px[good], ellipses.angle[good])
-    if polarity == "dark":
-        aside = shape + [s.ground_distance, 0.0, s.ground_distance]
-    else:
-        aside = s.inside_share * shape
-    u, v = (
-        np.rint(boundary(ellipses.center_px[good], aside, 8)[0]).astype(np.int64).transpose(2, 0, 1)
-    )
-    inside = (u >= 0) & (v >= 0) & (u < grey.shape[1]) & (v < grey.shape[0])
-    return bool((grey[v[inside], u[inside]] > s.clipped_level * top).mean() > s.clipped_share)
 
 
 def _doubtful_size(poses: CirclePoses, ellipses: Ellipses, size_sd: float) -> Array:

@@ -3,9 +3,10 @@ answers is kept."""
 
 import re
 
+import numpy as np
 import pytest
 
-from mjtactile.calibrate.setup import _bus, _Offered, _write, edited, setup
+from mjtactile.calibrate.setup import _bus, _Offered, _write, edited, flip_of, setup
 from mjtactile.commands.emulate import client_text
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
@@ -13,6 +14,7 @@ from mjtactile.devices.listing import SerialPort
 from mjtactile.devices.valve.driver import connect_valves
 from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.rig.file import load_rig_file
+from mjtactile.sim.picture.renderer import Renderer
 
 
 @pytest.fixture
@@ -117,3 +119,36 @@ def test_a_servo_of_another_model_brings_its_own_torque_and_gain(tmp_path, monke
     assert (first.model, first.torque_per_A, first.position_p_gain) == ("XL330-M288", None, None)
     assert (second.model, second.torque_per_A, second.position_p_gain) == ("XM430-W350", 1.78, 800)
     assert any("XL330-M288: torque per ampere by its data sheet" in line for line in said)
+
+
+@pytest.mark.parametrize(
+    ("flip", "turned"),
+    [
+        ("no", lambda pixels: pixels),
+        ("left-right", lambda pixels: pixels[:, ::-1]),
+        ("top-bottom", lambda pixels: pixels[::-1]),
+        ("both", lambda pixels: pixels[::-1, ::-1]),
+    ],
+)
+def test_one_press_in_a_corner_says_how_a_picture_is_flipped(flip, turned):
+    """Where x and y are largest, drawn by the renderer."""
+    design = load_sensor("dense")
+    view = Renderer(design, seed=2)
+    up = np.tile([0.0, 0.0, 1.0], (design.markers.count, 1))
+    p = design.markers.p_SM
+    dent = np.exp(-0.5 * np.square((p[:, :2] - [0.012, 0.008]) / 4e-3).sum(axis=1))
+    flat = view.render(p, up).pixels.astype(float)
+    pressed = view.render(p - 2e-3 * dent[:, None] * up, up).pixels.astype(float)
+    assert flip_of(turned(pressed) - turned(flat)) == flip
+    bulged = view.render(p + [0, 0, 2e-3], up).pixels.astype(float)
+    assert flip_of(bulged - flat) is None
+
+
+def test_a_flipped_camera_of_a_rig_file_is_turned_over(tmp_path):
+    text = load_rig_file("two_xm430").path.read_text()
+    path = tmp_path / "mine.toml"
+    path.write_text(edited(text, {("camera", 1, "flipped"): "both"}))
+    assert [camera.flipped for camera in load_rig_file(path).cameras] == ["no", "both"]
+    path.write_text(edited(text, {("camera", 0, "flipped"): "mirrored"}))
+    with pytest.raises(InputError, match=r"flipped: 'mirrored'.*left-right"):
+        load_rig_file(path)

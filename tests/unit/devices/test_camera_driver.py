@@ -1,7 +1,9 @@
 """The camera driver with a capture object that behaves like V4L2: controls reset, clamped values,
 kernel times."""
 
+import contextlib
 import threading
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -156,6 +158,24 @@ def test_the_newest_picture_is_given(camera):
     assert camera.wait_newer(first.time, 5.0)
     assert camera.read().time > first.time
     assert camera.read().pixels.shape == (48, 64)
+
+
+@pytest.mark.parametrize(
+    ("flipped", "turned"),
+    [
+        ("no", lambda grey: grey),
+        ("left-right", np.fliplr),
+        ("top-bottom", np.flipud),
+        ("both", lambda grey: np.rot90(grey, 2)),
+    ],
+)
+def test_a_flipped_picture_is_turned_over(device, flipped, turned):
+    device.mode = "still"
+    config = replace(CONFIG, flipped=flipped)
+    with contextlib.closing(OpenCvCamera(config, capture=lambda: device)) as camera:
+        seen = camera.read().pixels
+        device.mode = "gone"
+    assert np.array_equal(seen, turned(cv2.cvtColor(device.pixels, cv2.COLOR_BGR2GRAY)))
 
 
 def test_a_frozen_camera_is_an_error(camera, device):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core.design import load_sensor
+from mjtactile.core.errors import DeviceError
 from mjtactile.core.fields import from_table
 from mjtactile.rig.troubles import CameraTroubles
 from mjtactile.sensing.chain import Perception
@@ -91,3 +92,19 @@ def test_modes_are_what_a_changed_camera_shows():
     radius = design.camera.fx * design.markers.radius / away[:, 2]
     assert share == pytest.approx(s.drift_size / radius)
     assert modes[:, :, 8] == pytest.approx(0)  # no level has changed
+
+
+@pytest.mark.parametrize("sensor", ["dense", "paper16"])
+def test_overexposed_references_are_refused(sensor):
+    """White around most circles, so that their size goes with the light; 20 % more is none."""
+    images = sheet_images.sequence(sensor)
+    perception = Perception.of(load_sensor(sensor))
+    bright, white = (
+        TroubledPicture(from_table(CameraTroubles, {"exposure_percent": more}, "test"))
+        for more in (20, 90)
+    )
+    with pytest.raises(DeviceError, match="flat reference: the picture is overexposed"):
+        perception.take_flat([white(image) for image in images.flat])
+    perception.take_flat([bright(image) for image in images.flat])
+    with pytest.raises(DeviceError, match="rest reference: the picture is overexposed"):
+        perception.take_rest([white(image) for image in images.rest], sheet_images.GAUGE)

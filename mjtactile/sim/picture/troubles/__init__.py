@@ -20,6 +20,8 @@ from mjtactile.sim.picture.troubles.shot import Floats, Shot, Step
 
 STEPS: tuple[Step, ...] = (*lens.STEPS, *sensor.STEPS, *processing.STEPS)
 """In the order of light, chip, processor and wire."""
+_FORGOTTEN = 0.15
+"""s: a camera that is not read goes on taking pictures, of which the last is like the next."""
 _DEFAULTS = {field.name: field.default for field in fields(CameraTroubles)}
 
 
@@ -45,6 +47,8 @@ class TroubledPicture:
         pixels = image.pixels.astype(np.float32)
         for step in self._steps:
             last = self._last.get(step.name)
+            if last is not None and image.time - last[0] > _FORGOTTEN:
+                last = None
             shot = Shot(self._seed, self._number, image.time, step.name, last)
             changed = step.apply(pixels, self.troubles, shot)
             self._last[step.name] = image.time, pixels, changed
