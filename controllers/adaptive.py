@@ -14,13 +14,13 @@
 `Observation.command.memory`. It knows no clock, simulator or device, nor which way is down.
 """
 
-from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from math import exp, isfinite
+from typing import Any
 
 import numpy as np
 
-from mjtactile.hold import downward, friction, load_vector, shear, weigh
+from mjtactile.hold import Belief, downward, load_vector, shear, weigh
 from mjtactile.types import Command, Observation
 
 # N on each finger: what it closes to, the most that it ever asks for, and the least
@@ -31,16 +31,7 @@ TOUCH_FORCE = 0.08  # N: several times the noise of the estimate
 SERVO_FORCE_LIMIT = 5.0  # N: the most that the servo may push, whatever is felt
 MARGIN = 1.35  # grip over what load and friction ask for
 FRICTION_FIRST = 0.7  # a slip at lift-off costs nothing, and teaches
-FRICTION_LEAST = 0.15
-PROOF_TIME = 10.0  # s in which a proof of friction is forgotten: things get wet
-PROOF_SHARE = 0.9
-FRICTION_MOST = 1.0  # rougher than that is not believed: rolling lets go before sliding does
-FRICTION_GROWTH = 0.04  # 1/s, of the belief in friction while nothing slips
-SLIP_SHARE = 0.85  # of the ratio at which it slipped: what is believed of friction then
-SLIP_PAUSE = 0.4  # s until a slip that goes on counts again: what the grip needs to follow
-SLIP_TOGETHER = 0.3  # s within which all fingers must say so
-NEAR = 0.85  # of the friction that is believed: there one finger is enough
-SLIP_LATE = 0.2  # s that a slip is said late: the ratio at which it slipped was the largest since
+SLIP_WAIT = 0.3  # s after a slip in which the hand waits
 KICK = 0.0008  # m that the jaws close at once at a slip: about 0.12 N of two soft membranes
 LOAD_TIME = 1.5  # s in which a load that has gone is forgotten
 LOAD_SPARE = 0.01  # N of shear beside what is felt: its noise
@@ -67,20 +58,12 @@ SEARCH = 0.030  # m below where it shall be set down that the table is looked fo
 PULL_FORCE = 0.30
 PULL_TIME = 0.13
 RELEASE_OPENING = 0.012  # m to open beyond the grip before the run ends
-START = {
-    "phase_time": 0.0,
-    "settled_time": 0.0,
-    "blind_time": 0.0,
-    "lost_time": 0.0,
-    "stuck_time": 0.0,
-    "pull_time": 0.0,
-    "since_slip": 1.0,
+CLOCKS = ("phase_time", "settled_time", "blind_time", "lost_time", "stuck_time", "pull_time")
+START = dict.fromkeys(CLOCKS, 0.0) | {
     "narrowest": 1.0,
     "target": FIRST_FORCE,
-    "friction": FRICTION_FIRST,
     "load": 0.0,
-    "used": 0.0,
-    "proven": 0.0,
+    "belief": asdict(Belief(FRICTION_FIRST)),
 }
 
 
@@ -90,7 +73,6 @@ def step(observation: Observation) -> Command:
     felt = [touch.force_normal for touch in observation.touch]
     memory = {**START, **observation.command.memory}
     memory["phase_time"] += period
-    memory["since_slip"] += period
     command = replace(observation.command, force_limit=SERVO_FORCE_LIMIT, memory=memory)
     if not all(isfinite(force) for force in felt):  # unknown is not zero: stand still, then give up
         command = _remember(command, blind_time=memory["blind_time"] + period)
@@ -125,54 +107,30 @@ def _remember(command: Command, **values) -> Command:
     return replace(command, memory={**command.memory, **values})
 
 
-def _load(observation: Observation, memory: Mapping) -> np.ndarray:
-    """N, down, across and through, on what hangs on the fingers."""
-    return load_vector(observation.touch, memory["down"])
+def _belief(command: Command) -> Belief:
+    kept: Any = command.memory["belief"]
+    return Belief(**kept)
+
+
+def _load(observation: Observation, command: Command) -> np.ndarray:
+    """(3,) N, down, across and through, on what hangs on the fingers."""
+    return load_vector(observation.touch, np.asarray(command.memory["down"]))
 
 
 def _grip_as_needed(observation: Observation, command: Command) -> Command:
     """Learn load and friction from this moment, and ask for the grip that they need."""
     memory = command.memory
-    period = observation.period
-    shears = shear(observation.touch)
     if "down" in memory:
-        now = float(np.linalg.norm(_load(observation, memory)[:2])) / len(shears)
+        now = float(np.linalg.norm(_load(observation, command)[:2])) / len(observation.touch)
     else:
-        now = float(np.linalg.norm(shears, axis=1).mean())
+        now = float(np.linalg.norm(shear(observation.touch), axis=1).mean())
     # at once when it grows, slowly when it goes: half of a shake is light
-    load = max(now + LOAD_SPARE, memory["load"] * exp(-period / LOAD_TIME))
-    told = friction(observation.touch)
-    used = max(float(np.nan_to_num(told.used).max()), memory["used"] * exp(-period / SLIP_LATE))
-    believed = memory["friction"]
-    since_slip = memory["since_slip"]
-    # what it held at is a proof, whatever a sign of slip says while the grip changes
-    proven = memory["proven"] * exp(-period / PROOF_TIME)
-    if not isfinite(told.slipped) and since_slip > SLIP_PAUSE:
-        proven = max(proven, told.least)
-    # one finger alone may roll or lean: all of them, or one near what is believed
-    ages = np.asarray(memory.get("slip_ages", np.full(len(shears), 1.0))) + period
-    slips = [
-        touch.slip is not None and touch.slip.state == "slipping" for touch in observation.touch
-    ]
-    ages = np.where(slips, 0.0, ages)
-    slipped = ages.max() < SLIP_TOGETHER or (any(slips) and used > NEAR * believed)
-    if slipped and since_slip >= SLIP_PAUSE:
-        believed = max(FRICTION_LEAST, min(believed, SLIP_SHARE * used))
-        since_slip = 0.0
-    elif since_slip > 1.0:
-        believed = min(FRICTION_MOST, believed * (1 + FRICTION_GROWTH * period))
-    believed = max(believed, min(PROOF_SHARE * proven, FRICTION_MOST))
-    target = min(FORCE_MOST, max(FORCE_LEAST, MARGIN * load / believed))
-    if since_slip == 0.0 and target > memory["target"]:
+    load = max(now + LOAD_SPARE, memory["load"] * exp(-observation.period / LOAD_TIME))
+    belief = _belief(command).after(observation.touch, observation.period)
+    target = min(FORCE_MOST, max(FORCE_LEAST, MARGIN * load / belief.friction))
+    if belief.has_slipped and target > memory["target"]:
         command = replace(command, opening=command.opening - KICK)
-    learnt = {
-        "load": load,
-        "used": used,
-        "proven": proven,
-        "friction": believed,
-        "since_slip": since_slip,
-    }
-    return _remember(command, target=target, **learnt)
+    return _remember(command, load=load, target=target, belief=asdict(belief))
 
 
 def _regulated(observation: Observation, command: Command, felt: list[float]) -> Command:
@@ -220,7 +178,7 @@ def _lift(observation: Observation, command: Command, felt: list[float]) -> Comm
     """Slowly at first: the load comes onto the fingers, and the grip with it; then on."""
     command = _regulated(observation, command, felt)
     behind = command.memory["target"] - sum(felt) / len(felt)
-    if command.memory["since_slip"] < 2 * SLIP_PAUSE or behind > FORCE_TOLERANCE:
+    if _belief(command).since_slip < SLIP_WAIT or behind > FORCE_TOLERANCE:
         return command  # grip first
     told = observation.told
     if "down" not in command.memory and command.lift_height >= WEIGH_HEIGHT:
@@ -237,7 +195,7 @@ def _lift(observation: Observation, command: Command, felt: list[float]) -> Comm
 def _hold(observation: Observation, command: Command, felt: list[float]) -> Command:
     """Hold; let go where somebody who was announced pulls for longer than a bump lasts."""
     command = _regulated(observation, command, felt)
-    now = _load(observation, command.memory)
+    now = _load(observation, command)
     held = np.asarray(command.memory.get("held", now))
     pulls = float(np.linalg.norm(now - held)) > PULL_FORCE
     if observation.told.hand_over and pulls:
@@ -259,7 +217,7 @@ def _lower(observation: Observation, command: Command, felt: list[float]) -> Com
     height = max(goal, command.lift_height - speed * observation.period)
     # the table carries four fifths of it, and a little more where that is nothing
     weight = float(np.asarray(command.memory["held"])[0])
-    stands = float(_load(observation, command.memory)[0]) < 0.2 * weight - TABLE_FORCE
+    stands = float(_load(observation, command)[0]) < 0.2 * weight - TABLE_FORCE
     if stands or (height == goal and observation.gripper.lift_height < goal + 0.001):
         return _release_now(command)
     return replace(command, lift_height=height)

@@ -64,6 +64,78 @@ class Friction:
     slipped: float
 
 
+@dataclass(frozen=True)
+class Belief:
+    """What a hand believes of friction, from one image to the next: a controller keeps it as
+    numbers (`dataclasses.asdict`) and takes it up again (`Belief(**kept)`).
+
+    Attributes:
+        friction: The coefficient that is believed.
+        proven: What it held at, of late: no sign of slip, while a grip changes, counts against it.
+        used: The largest shear over normal force of the last moment: a slip is said late.
+        since_slip: s since the last slip that was believed.
+        slip_ages: s since each finger said that it slips.
+    """
+
+    friction: float
+    proven: float = 0.0
+    used: float = 0.0
+    since_slip: float = 1.0
+    slip_ages: Sequence[float] = ()
+
+    @property
+    def has_slipped(self) -> bool:
+        """Whether a slip was believed in this very image."""
+        return self.since_slip == 0.0
+
+    def after(self, touch: Sequence[Touch], period: float) -> Belief:
+        """Take in one image.
+
+        A slip that all fingers say within 0.3 s, or one near the friction that is believed, shows
+        what friction is (one finger alone may roll or lean); not again for 0.4 s, in which the
+        grip follows. A second without any, and the belief grows by 4 % a second.
+
+        Args:
+            touch: What is felt now.
+            period: s since the image before.
+
+        Returns:
+            What is believed now.
+        """
+        told = friction(touch)
+        used = max(float(np.nan_to_num(told.used).max()), self.used * math.exp(-period / _LATE))
+        proven = self.proven * math.exp(-period / _PROOF_TIME)
+        since_slip = self.since_slip + period
+        if math.isnan(told.slipped) and since_slip > _PAUSE:
+            proven = max(proven, told.least)
+        before = self.slip_ages or [1.0] * len(touch)
+        slips = [one.slip is not None and one.slip.state == "slipping" for one in touch]
+        ages = [0.0 if now else age + period for now, age in zip(slips, before, strict=True)]
+        believed = self.friction
+        slipped = max(ages) < _TOGETHER or (any(slips) and used > _NEAR * believed)
+        if slipped and since_slip >= _PAUSE:
+            believed = max(_FRICTION_LEAST, min(believed, _SLIP_SHARE * used))
+            since_slip = 0.0
+        elif since_slip > 1.0:
+            believed *= 1 + _GROWTH * period
+        believed = min(max(believed, _PROOF_SHARE * proven), _FRICTION_MOST)
+        return Belief(believed, proven, used, since_slip, ages)
+
+
+# Of a belief in friction, tried in simulation: s that a slip is said late, and within which all
+# fingers must say it; s until it counts again, and until a proof is forgotten (things get wet)
+_LATE = 0.2
+_TOGETHER = 0.3
+_PAUSE = 0.4
+_PROOF_TIME = 10.0
+_NEAR = 0.85  # of what is believed: there one finger is enough
+_SLIP_SHARE = 0.85  # of the ratio at which it slipped: what is believed then
+_PROOF_SHARE = 0.9
+_GROWTH = 0.04  # 1/s
+_FRICTION_LEAST = 0.15
+_FRICTION_MOST = 1.0  # rougher than that is not believed: rolling lets go before sliding does
+
+
 def shear(touch: Sequence[Touch]) -> Array:
     """Say what each finger feels along its membrane.
 

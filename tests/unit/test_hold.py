@@ -1,6 +1,7 @@
 """What is said of a held thing agrees with statics, for forces that are known."""
 
 import math
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -112,6 +113,23 @@ def test_what_fingers_do_to_each_other_is_no_load(turned):
     # more than two: downward alone
     three = hold.load_vector([hangs[0]] * 3, [down[0]] * 3)
     np.testing.assert_allclose(three, [3 * (0.15 - 0.03), 0, 0], atol=1e-12)
+
+
+def test_a_belief_goes_from_image_to_image_as_numbers():
+    belief = hold.Belief(0.7)
+    for _ in range(30):
+        belief = hold.Belief(**asdict(belief)).after([touch(0, -0.4, 1.0)] * 2, 1 / 30)
+    # held at 0.4: a proof of nine tenths of that, less two sd, which fades within 10 s
+    assert 0.33 < belief.proven < 0.4 and belief.friction == pytest.approx(0.7, rel=0.05)
+    slipping = [touch(0, -0.4, 1.0, "slipping")] * 2
+    belief = belief.after(slipping, 1 / 30)
+    assert belief.has_slipped and 0.3 < belief.friction < 0.4
+    assert not belief.after(slipping, 1 / 30).has_slipped  # the same slip
+    # it is believed again, slowly, when nothing slips
+    held = belief
+    for _ in range(90):
+        held = held.after([touch(0, -0.4, 1.0)] * 2, 1 / 30)
+    assert 1.03 < held.friction / belief.friction < 1.12  # 4 % a second after the first
 
 
 def test_unknown_is_not_zero():
