@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mjtactile.core.types import Array
+from mjtactile.sensing.body.families import SHARP
 
 _MESH = '<geom type="mesh" mesh="hull"/>'
 _SIDES = 40  # of what stands for a circle
@@ -56,11 +57,13 @@ def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
 def _ball(rng: np.random.Generator, name: str, at: tuple[float, float]) -> Case:
     radius = _log_uniform(rng, 3e-3, 40e-3)
     geoms = f'<geom type="sphere" size="{radius}"/>'
-    return Case("smooth", name, geoms, at, radius=radius, curvatures=(1 / radius, 1 / radius))
+    family = "smooth" if 1 / radius < SHARP else "tip"
+    return Case(family, name, geoms, at, radius=radius, curvatures=(1 / radius, 1 / radius))
 
 
 def _ellipsoid(rng: np.random.Generator, name: str, at: tuple[float, float]) -> Case:
-    a, b, c = rng.uniform(5e-3, 25e-3, 3)
+    c = float(rng.uniform(8e-3, 20e-3))
+    a, b = np.sqrt(c / rng.uniform(20.0, SHARP, 2))  # of curvatures that are neither edge nor tip
     angle = float(rng.uniform(0, np.pi))
     turn = f'euler="0 0 {np.degrees(angle)}"'
     geoms = f'<geom type="ellipsoid" size="{a} {b} {c}" {turn}/>'
@@ -76,8 +79,9 @@ def _lying(rng: np.random.Generator, name: str, at: tuple[float, float]) -> Case
     way = 0.03 * np.array([np.cos(angle), np.sin(angle)])
     ends = f"{-way[0]} {-way[1]} 0 {way[0]} {way[1]} 0"
     geoms = f'<geom type="cylinder" size="{radius}" fromto="{ends}"/>'
+    family = "smooth" if 1 / radius < SHARP else "edge"
     return Case(
-        "smooth", name, geoms, at, radius=radius, curvatures=(1 / radius, 0.0), direction=angle
+        family, name, geoms, at, radius=radius, curvatures=(1 / radius, 0.0), direction=angle
     )
 
 
@@ -85,7 +89,7 @@ def _standing(rng: np.random.Generator, name: str, at: tuple[float, float]) -> C
     radius = float(rng.uniform(2.5e-3, 7e-3))
     tilt, about = float(rng.uniform(0, 4)), float(rng.uniform(0, 2 * np.pi))
     geoms = f'<geom type="cylinder" size="{radius} 0.015" {_tilted(tilt, about)}/>'
-    return Case("disc", name, geoms, at, radius=radius, extra={"tilt_deg": tilt})
+    return Case("face", name, geoms, at, radius=radius, extra={"tilt_deg": tilt})
 
 
 def _round_rim(rng: np.random.Generator, name: str, at: tuple[float, float]) -> Case:
@@ -97,7 +101,7 @@ def _round_rim(rng: np.random.Generator, name: str, at: tuple[float, float]) -> 
     profile.append((radius, 0.02))
     points = [(r * np.cos(t), r * np.sin(t), z) for r, z in profile for t in turn]
     return Case(
-        "disc", name, _MESH, at, _mesh(np.array(points)), radius=radius, extra={"rim_mm": 1e3 * rim}
+        "face", name, _MESH, at, _mesh(np.array(points)), radius=radius, extra={"rim_mm": 1e3 * rim}
     )
 
 
@@ -113,7 +117,7 @@ def _block(rng: np.random.Generator, name: str, at: tuple[float, float]) -> Case
 def _wedge(rng: np.random.Generator, name: str, at: tuple[float, float]) -> Case:
     opening = np.radians(rng.uniform(60, 150))
     angle = float(rng.uniform(0, np.pi))
-    lean = np.radians(rng.uniform(-10, 10))
+    lean = np.radians(rng.uniform(-3, 3))
     wide = 0.012 * np.tan(opening / 2)
     corners = [(x, 0.0, 0.0) for x in (-0.03, 0.03)]
     corners += [(x, y, 0.012) for x in (-0.03, 0.03) for y in (-wide, wide)]

@@ -28,6 +28,7 @@ Measure, with fixed seeds, and write NAME.json, NAME.md and plots into a folder:
   cheap       episodes without images against episodes with them: markers, forces, time
   effects     what each effect costs, and what leaving it out costs
   film        the film against an independent sheet, its scatter over places, and its time
+  shape       what body touches: contact area, kind, radius and edge, from images alone
   fit         sensors that differ from their file, recorded and fitted: each number's error
   truth       the simulation and what is felt, against references from outside of the project
   studio      what watching costs: an egg grasp in Studio, a page looking on, against it alone
@@ -63,6 +64,7 @@ BENCHMARKS = {
     "stability": "stability.run",
     "truth": "truth.run",
     "film": "film",
+    "shape": "shape.run",
     "fit": "fit",
     "studio": "studio.run",
     "trust": "trust.run",

@@ -267,9 +267,10 @@ class Contact:
         _keep_status(self)
 
 
-SHAPES: tuple[str, ...] = ("smooth", "disc", "face", "edge", "tip")
+SHAPES: tuple[str, ...] = ("smooth", "face", "edge", "tip")
 """Kinds of bodies by touch: smooth (two curvatures: plane, ball, lying cylinder), a flat face with
-a round rim, one with straight sides, an edge between two faces, a tip or corner."""
+a rim (round, or straight sides), an edge and a tip (sharper than 4 mm of radius, along a line or
+at a point)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,7 +294,7 @@ class FeltShape:
         pose_cov: (6, 6) of p_SO, m, and of small turns about the axes of S, rad.
         outline: (P, 2) m, border of the contact.
         force_normal: N that the body takes to be so deep in the sheet.
-        family: The narrower kind: "ball" and "cylinder" are "smooth".
+        family: The narrower kind: "ball" and "cylinder" are "smooth", "disc" and "block" a "face".
         misfit: Mean square of the markers' heights over their sd: near 1.
         status: "ok", or why it is unknown.
     """

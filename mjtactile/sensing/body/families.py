@@ -11,47 +11,61 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtr
 
 from mjtactile.core.types import Array
 from mjtactile.film import Obstacle, obstacle
 
+SHARP = 240.0
+"""1/m: what is more curved where it touches is an edge, or a tip. From radii of 4 mm on down to a
+sharp edge they look alike: the sheet leaves them before the faces begin."""
+LINE = 0.25
+"""Of the larger curvature, below which the smaller one is that of a line of contact."""
 _FLAT = 0.2  # 1/m: what is less curved is as good as flat over a sensor
-_LONG = 0.04  # m, half of what goes on beyond the sheet
-_TALL = 0.02  # m
+_RIM_SLOPE = 2.0  # of the flank beyond a rim
+_RIM_OUT = 1.4  # roundings by which a round rim's own lies outside of what it stands for
 
 
 @dataclass(frozen=True)
 class Hint:
     """Where a fit starts: `place` (2,) m in S of the touch, `height` m of the sheet's outer face
     there, `area` m^2 and `angle` rad of the patch as the nodal estimate has it, and half sides
-    `frame` (2,) m of where a body may be."""
+    `frame` (2,) m of where a body may be; places x, y (nx, ny) m of the film's `nodes`, and the
+    `rounding` m of what is sharp."""
 
     place: Array
     height: float
     area: float
     angle: float
     frame: Array
+    nodes: tuple[Array, Array]
+    rounding: float
 
 
 @dataclass(frozen=True)
 class Family:
-    """A kind of body; several may be one `kind` to the user, of which one is the simpler case.
+    """A family of bodies, of which one may be a simpler case of another.
 
     Attributes:
         names: Of its numbers; the first three are its place: x, y in mm from the hint's, z in mm
             from the hint's height.
         mean: What is believed of them.
         sd: How surely; also the scale of a step.
-        low, high: Bounds.
+        steps: Over which derivatives are taken: above the film's own tolerance, and for what turns
+            or shifts an edge over a good part of the way between nodes.
+        loose: By how much they may change from one image of a press to the next, as sd.
+        low: Lower bounds.
+        high: Upper bounds.
         build: From numbers and hint to what the film rests on.
         starts: From a hint to numbers to start from.
     """
 
-    kind: str
     name: str
     names: tuple[str, ...]
     mean: Array
     sd: Array
+    steps: Array
+    loose: Array
     low: Array
     high: Array
     build: Callable[[Array, Hint], tuple[Obstacle, ...]]
@@ -81,6 +95,20 @@ def principal(theta: Array) -> tuple[float, float, float]:
     return middle + half, middle - half, direction % math.pi
 
 
+def kinds_of(family: Family, theta: Array, cov: Array) -> dict[str, float]:
+    """What a user calls a body with numbers `theta` and covariance `cov`, with probabilities."""
+    if family.name in ("disc", "block"):
+        return {"face": 1.0}
+    if family.name == "smooth":
+        most, least, _ = principal(theta)
+        variance = max(cov[3, 3], cov[5, 5])
+    else:
+        most, variance = float(theta[3]), cov[3, 3]
+        least = most if family.name == "ball" else 0.0
+    sharp = float(ndtr((most - SHARP) / math.sqrt(max(variance, 1.0))))
+    return {"smooth": 1 - sharp, "edge" if least < LINE * most else "tip": sharp}
+
+
 def _smooth(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
     """An ellipsoid whose lowest point and curvatures are given: a ball, a lying cylinder, a plane
     are exact."""
@@ -92,7 +120,13 @@ def _smooth(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
 
 
 def _smooth_starts(hint: Hint) -> tuple[Array, ...]:
-    return tuple(np.array([0, 0, 0, k, 0, k]) for k in (120.0, 40.0))
+    c, s = math.cos(hint.angle), math.sin(hint.angle)
+    along = np.array([c * c, c * s, s * s])  # of the curvature along the patch's longer axis
+    across = np.array([s * s, -c * s, c * c])
+    return tuple(
+        np.array([0, 0, 0, *(a * along + b * across)])
+        for a, b in ((60.0, 60.0), (20.0, 150.0), (150.0, 20.0))
+    )
 
 
 def _ball(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
@@ -111,42 +145,58 @@ def _cylinder(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
     return (obstacle("cylinder", (radius, (back + forth) / 2), middle, turned),)
 
 
+def _soft(off: Array, rounding: float) -> Array:
+    """What a rim's flank rises over a face, m: nothing far inside, steeply outside, round between.
+
+    A sharp rim's film depends on where its nodes are, in steps; one that is as round as half a
+    spacing does not, and is found from any start.
+    """
+    return _RIM_SLOPE / 2 * (off + np.sqrt(off**2 + rounding**2))
+
+
+def _off_middle(theta: Array, hint: Hint) -> tuple[Array, Array, Array]:
+    """Nodes' places from the body's middle, (nx, ny) m, and the tilted face's heights there."""
+    place = place_of(theta, hint)
+    x, y = hint.nodes[0] - place[0], hint.nodes[1] - place[1]
+    return x, y, place[2] + theta[3] * y - theta[4] * x
+
+
+def lies_on(family: Family, theta: Array, hint: Hint) -> float:
+    """What a face's own area is of the round one's that stands for it."""
+    out = 1e3 * _RIM_OUT * hint.rounding
+    if family.name == "disc":
+        return float((theta[5] / (theta[5] + out)) ** 2)
+    if family.name == "block":
+        return float(np.prod(theta[6:8] / (theta[6:8] + out)))
+    return 1.0
+
+
 def _disc(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
-    R = about(0, theta[3]) @ about(1, theta[4])
-    radius = 1e-3 * theta[5]
-    return (obstacle("cylinder", (radius, _TALL), place_of(theta, hint) + R[:, 2] * _TALL, R),)
+    x, y, face = _off_middle(theta, hint)
+    off = np.hypot(x, y) - 1e-3 * theta[5] - _RIM_OUT * hint.rounding
+    return (obstacle("heights", data=face + _soft(off, hint.rounding)),)
 
 
 def _disc_starts(hint: Hint) -> tuple[Array, ...]:
-    radius = 1e3 * math.sqrt(max(hint.area, 1e-5) / math.pi)
-    return (np.array([0, 0, 0, 0, 0, min(max(radius, 2.0), 8.0)]),)
+    return tuple(np.array([0, 0, 0, 0, 0, radius]) for radius in (3.2, 5.2))
 
 
 def _face(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
-    R = about(2, theta[5]) @ about(0, theta[3]) @ about(1, theta[4])
-    sizes = (1e-3 * theta[6], 1e-3 * theta[7], _TALL)
-    return (obstacle("box", sizes, place_of(theta, hint) + R[:, 2] * _TALL, R),)
+    x, y, face = _off_middle(theta, hint)
+    c, s = math.cos(theta[5]), math.sin(theta[5])
+    flanks = np.zeros_like(x)
+    for along, half in ((c * x + s * y, theta[6]), (c * y - s * x, theta[7])):
+        off = np.abs(along) - 1e-3 * half - _RIM_OUT * hint.rounding
+        flanks += _soft(off, hint.rounding)
+    return (obstacle("heights", data=face + flanks),)
 
 
 def _face_starts(hint: Hint) -> tuple[Array, ...]:
-    half = min(max(0.5e3 * math.sqrt(max(hint.area, 1e-5)), 2.0), 8.0)
     return tuple(
-        np.array([0, 0, 0, 0, 0, hint.angle + turn, half, half]) for turn in (0.0, math.pi / 4)
+        np.array([0, 0, 0, 0, 0, hint.angle + turn, half, half])
+        for half in (4.0,)
+        for turn in (0.0, math.pi / 4)
     )
-
-
-def _edge(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
-    """Two faces that meet in a line, which ends before the frame."""
-    direction, lean, half, roll = theta[3:7]
-    R = about(2, direction) @ about(1, lean) @ about(0, roll)
-    place = place_of(theta, hint)
-    along = R[:, 0]
-    faces = [np.array([0, sign * math.cos(half), -math.sin(half)]) @ R.T for sign in (-1.0, 1.0)]
-    level = np.array([*along[:2], 0.0]) / math.hypot(*along[:2])
-    rows = [(*normal, normal @ place) for normal in faces]
-    for sign, reach in zip((-1.0, 1.0), _ways_to(hint.frame, place, level), strict=True):
-        rows.append((*(sign * level), sign * (level @ place) + reach))
-    return (_convex(np.array(rows)),)
 
 
 def _ways_to(frame: Array, place: Array, along: Array) -> tuple[float, float]:
@@ -163,38 +213,52 @@ def _ways_to(frame: Array, place: Array, along: Array) -> tuple[float, float]:
     return ways[0], ways[1]
 
 
-def _convex(rows: Array) -> Obstacle:
-    """What lies within all half-spaces n x <= d of `rows` (k, 4), in S."""
-    numbers = obstacle("wedge", (1.0, 1.0, 1.0)).numbers.copy()
-    numbers[17] = len(rows)
-    return Obstacle("mesh", numbers, rows.ravel())
+def _lying_starts(curvatures: tuple[float, ...]) -> Callable[[Hint], tuple[Array, ...]]:
+    turns = np.arange(4) * math.pi / 4
+
+    def starts(hint: Hint) -> tuple[Array, ...]:
+        return tuple(
+            np.array([0, 0, 0, k, hint.angle + turn, 0]) for k in curvatures for turn in turns
+        )
+
+    return starts
 
 
-def _edge_starts(hint: Hint) -> tuple[Array, ...]:
-    return tuple(
-        np.array([0, 0, -0.1, hint.angle + turn, 0, 0.85, 0]) for turn in (0.0, math.pi / 2)
-    )
-
-
-def _tip(theta: Array, hint: Hint) -> tuple[Obstacle, ...]:
-    R = about(0, theta[3]) @ about(1, theta[4])
-    return (obstacle("cone", (_TALL * math.tan(theta[5]), _TALL), place_of(theta, hint), R),)
-
-
-def _tip_starts(hint: Hint) -> tuple[Array, ...]:
-    return (np.array([0, 0, -0.3, 0, 0, 0.9]),)
+# Of derivatives, in the numbers' own units.
+_STEPS = {
+    "x": 0.1,
+    "y": 0.1,
+    "z": 0.03,
+    "k": 3.0,
+    "tilt": 0.006,
+    "lean": 0.006,
+    "direction": 0.03,
+    "angle": 0.03,
+    "half": 0.05,
+    "radius": 0.1,
+    "opening": 0.02,
+    "roll": 0.01,
+}
+# mm and rad from one image of a press to the next: the body is pressed on; what is not named stays,
+# but for a share of its sd.
+_LOOSE = {"x": 0.1, "y": 0.1, "z": 1.0, "tilt_x": 0.01, "tilt_y": 0.01, "lean": 0.01, "roll": 0.01}
+_STIFF = 0.02
 
 
 def _family(
-    kind: str,
     name: str,
     numbers: tuple[tuple[str, float, float, float, float], ...],
     build: Callable[[Array, Hint], tuple[Obstacle, ...]],
     starts: Callable[[Hint], tuple[Array, ...]],
 ) -> Family:
     columns = list(zip(*numbers, strict=True))
+    names = columns[0]
     mean, sd, low, high = (np.array(column, float) for column in columns[1:])
-    return Family(kind, name, columns[0], mean, sd, low, high, build, starts)
+    steps = np.array([_STEPS[number.split("_")[0]] for number in names])
+    loose = np.array(
+        [_LOOSE.get(number, _STIFF * spread) for number, spread in zip(names, sd, strict=True)]
+    )
+    return Family(name, names, mean, sd, steps, loose, low, high, build, starts)
 
 
 _AT = (("x", 0, 3, -8, 8), ("y", 0, 3, -8, 8), ("z", 0, 1, -4, 3))  # mm
@@ -203,87 +267,55 @@ FAMILIES: dict[str, Family] = {
     for family in (
         _family(
             "smooth",
-            "smooth",
             (
                 *_AT,
-                ("k_xx", 80, 100, -1, 600),
-                ("k_xy", 0, 70, -300, 300),
-                ("k_yy", 80, 100, -1, 600),
+                ("k_xx", 100, 150, -1, 800),
+                ("k_xy", 0, 100, -400, 400),
+                ("k_yy", 100, 150, -1, 800),
             ),
             _smooth,
             _smooth_starts,
         ),
         _family(
-            "smooth",
             "ball",
-            (*_AT, ("k", 80, 100, 0.2, 600)),
+            (*_AT, ("k", 100, 150, 0.2, 800)),
             _ball,
-            lambda hint: tuple(np.array([0, 0, 0, k]) for k in (120.0, 40.0)),
+            lambda hint: tuple(np.array([0, 0, 0, k]) for k in (200.0, 80.0, 25.0)),
         ),
         _family(
-            "smooth",
             "cylinder",
             (
                 *_AT,
-                ("k", 80, 100, 0.2, 600),
+                ("k", 100, 150, 0.2, 800),
                 ("direction", 0, 1.0, -9, 9),
                 ("lean", 0, 0.1, -0.3, 0.3),
             ),
             _cylinder,
-            lambda hint: tuple(
-                np.array([0, 0, 0, 100, hint.angle + turn, 0]) for turn in (0.0, math.pi / 2)
-            ),
+            _lying_starts((120.0,)),
         ),
         _family(
-            "disc",
             "disc",
             (
                 *_AT,
                 ("tilt_x", 0, 0.1, -0.5, 0.5),
                 ("tilt_y", 0, 0.1, -0.5, 0.5),
-                ("radius", 5, 3, 0.7, 14),
+                ("radius", 5, 2, 1.5, 14),
             ),
             _disc,
             _disc_starts,
         ),
         _family(
-            "face",
-            "face",
+            "block",
             (
                 *_AT,
                 ("tilt_x", 0, 0.1, -0.5, 0.5),
                 ("tilt_y", 0, 0.1, -0.5, 0.5),
                 ("angle", 0, 1.0, -9, 9),
-                ("half_x", 5, 3, 0.7, 14),
-                ("half_y", 5, 3, 0.7, 14),
+                ("half_x", 4.5, 2, 1.5, 14),
+                ("half_y", 4.5, 2, 1.5, 14),
             ),
             _face,
             _face_starts,
-        ),
-        _family(
-            "edge",
-            "edge",
-            (
-                *_AT,
-                ("direction", 0, 1.0, -9, 9),
-                ("lean", 0, 0.1, -0.5, 0.5),
-                ("half_opening", 0.85, 0.3, 0.3, 1.45),
-                ("roll", 0, 0.2, -0.7, 0.7),
-            ),
-            _edge,
-            _edge_starts,
-        ),
-        _family(
-            "tip",
-            "tip",
-            (
-                *_AT,
-                ("tilt_x", 0, 0.2, -0.7, 0.7),
-                ("tilt_y", 0, 0.2, -0.7, 0.7),
-                ("half_angle", 0.9, 0.2, 0.3, 1.3),
-            ),
-            _tip,
-            _tip_starts,
         ),
     )
 }

@@ -13,25 +13,28 @@ from scipy.special import ndtr
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.status import OK, Status, StatusCode
 from mjtactile.core.types import SHAPES, Array, FeltShape, Touch
-from mjtactile.sensing.body.families import FAMILIES, Family, Hint
-from mjtactile.sensing.body.fit import Data, Fit, fit
+from mjtactile.sensing.body.families import FAMILIES, Family, Hint, kinds_of
+from mjtactile.sensing.body.fit import Data, Fit, Prior, fit
 from mjtactile.sensing.body.forward import Forward
 from mjtactile.sensing.body.words import words
 from mjtactile.sensing.force.inverse import InverseRest
 from mjtactile.sensing.settings import DEFAULTS, Settings
 
 _EDGE = 1.5e-3  # m from the frame, where bodies that go on are cut off
+_LOST = 1e3  # of the log of evidence: a family of which no body can be there
+_ROUNDING = 0.5  # spacings of the film
 _INTERVAL = (0.16, 0.84)
 
 
 @dataclass(frozen=True, eq=False)
 class Weighed:
-    """A family's fits to the images, the newest last (None: no film rests on it), and its
-    probability."""
+    """A family's body in the newest image (None: no film rests on it), its probability, and those
+    of the kinds that it may be."""
 
     family: Family
-    fits: tuple[Fit | None, ...]
+    fit: Fit | None
     probability: float
+    kinds: dict[str, float]
 
 
 class ShapeFinder:
@@ -54,6 +57,9 @@ class ShapeFinder:
             max(round(side / spacing) + 1, 9) for side in (design.frame.length, design.frame.width)
         )
         self.forward = Forward(design, rest, p_rest, (grid[0], grid[1]))
+        film = self.forward.film
+        x, y = np.meshgrid(film.x, film.y, indexing="ij")
+        self._nodes = (x, y)
 
     def find(self, touches: Sequence[Touch]) -> FeltShape:
         """Say what touches.
@@ -75,25 +81,25 @@ class ShapeFinder:
         drift = (inverse.drift_gas, inverse.drift_camera)
         data = [Data.of(touch, self.forward.by_gas, s, drift) for touch in chosen]
         hints = [self._hint(touch) for touch in chosen]
-        weighed = self._weigh([self._fits(family, hints, data) for family in FAMILIES.values()])
-        best = max(weighed, key=lambda one: one.probability)
-        newest_fit = best.fits[-1]
-        if newest_fit is None:
+        weighed = self._follow(hints, data)
+        likely = max(weighed, key=lambda one: one.probability).fit
+        if likely is None:
             return _unknown(Status(StatusCode.NO_SHAPE, "no body of any family fits"))
-        misfit = newest_fit.chi2 / len(data[-1].ids)
+        misfit = likely.misfit
         probabilities = {
-            kind: sum(one.probability for one in weighed if one.family.kind == kind)
+            kind: sum(one.probability * one.kinds.get(kind, 0.0) for one in weighed)
             for kind in SHAPES
         }
         if misfit > s.misfit_most:
             text = f"no body explains the markers: misfit {misfit:.1f}, at most {s.misfit_most:g}"
             return _unknown(Status(StatusCode.NO_SHAPE, text), probabilities, misfit)
         kind = max(probabilities, key=lambda name: probabilities[name])
-        mine = [one for one in weighed if one.family.kind == kind]
-        spoken = max(mine, key=lambda one: one.probability).fits[-1]
+        spoken = max(weighed, key=lambda one: one.probability * one.kinds.get(kind, 0.0)).fit
         assert spoken is not None
-        scale = max(1.0, misfit)
-        return words(self.forward, spoken, probabilities, scale, self._interval(weighed, scale), s)
+        scale = max(s.noise_least, misfit)
+        return words(
+            self.forward, spoken, kind, probabilities, scale, self._interval(weighed, scale), s
+        )
 
     def _chosen(self, touches: Sequence[Touch]) -> list[Touch]:
         """Images of the press that tell something, spread over its forces, the newest last."""
@@ -123,61 +129,74 @@ class ShapeFinder:
             row = int(np.abs(surface.y - contact.centroid[1]).argmin())
             height = float(surface.z[row, column])
         sheet = self.forward.film.design.membrane.thickness
+        film = self.forward.film
+        spacing = float(film.x[1] - film.x[0])
         angle = contact.angle if math.isfinite(contact.angle) else 0.0
         return Hint(
-            np.array(contact.centroid), height + sheet / 2, contact.area, angle, self._frame
+            np.array(contact.centroid),
+            height + sheet / 2,
+            contact.area,
+            angle,
+            self._frame,
+            self._nodes,
+            _ROUNDING * spacing,
         )
 
-    def _fits(
-        self, family: Family, hints: Sequence[Hint], data: Sequence[Data]
-    ) -> tuple[Family, tuple[Fit | None, ...]]:
-        """The family's bodies, one an image; the newest image is fitted first, others start from
-        it."""
-        newest = self._best(family, hints[-1], family.starts(hints[-1]), data[-1])
-        if newest is None:
-            return family, tuple(None for _ in data)
-        earlier = [
-            self._best(family, hint, (_moved(newest, hint),), one)
-            for hint, one in zip(hints[:-1], data[:-1], strict=True)
-        ]
-        return family, (*earlier, newest)
+    def _follow(self, hints: Sequence[Hint], data: Sequence[Data]) -> list[Weighed]:
+        """Each family's body in the newest image, and its probability.
 
-    def _best(self, family: Family, hint: Hint, starts: Sequence[Array], data: Data) -> Fit | None:
-        found = [fit(self.forward, family, hint, start, data) for start in starts]
-        good = [one for one in found if one is not None]
-        return max(good, key=lambda one: one.log_evidence, default=None)
-
-    def _weigh(self, fitted: Sequence[tuple[Family, tuple[Fit | None, ...]]]) -> list[Weighed]:
-        """Probabilities by evidence. What even the best family leaves of the markers is the film's
-        and the simulator's doing: it is taken for noise, the same for all families."""
-        images = len(fitted[0][1])
-        logs = np.zeros(len(fitted))
-        for image in range(images):
-            fits = [row[1][image] for row in fitted]
-            misfits = [one.chi2 / len(one.heights_off) for one in fits if one is not None]
-            noise = max(1.0, min(misfits, default=1.0))
-            logs += [
-                -np.inf if one is None else one.log_evidence_with(noise) / math.sqrt(images)
-                for one in fits
-            ]
-        top = logs.max()
-        if not np.isfinite(top):
-            share = np.full(len(fitted), 1 / len(fitted))
-        else:
-            share = np.exp(logs - top)
-            share /= share.sum()
+        Images are taken in their order: what one tells of a body is believed before the next, but
+        for how deep it is pressed. What even the best family leaves of the markers is the film's
+        and the simulator's doing: it is taken for noise, the same for all families.
+        """
+        families = list(FAMILIES.values())
+        logs = np.zeros(len(families))
+        fits: list[Fit | None] = [None] * len(families)
+        noise = 1.0
+        for hint, one in zip(hints, data, strict=True):
+            now: list[Fit | None] = []
+            known = math.inf
+            for family, before in zip(families, fits, strict=True):
+                found = self._best(family, hint, one, before, noise, known)
+                known = known if found is None else min(known, found.chi2)
+                now.append(found)
+            noise = max(
+                self.settings.body.noise_least,
+                min((found.misfit for found in now if found), default=1.0),
+            )
+            logs += [found.log_evidence_with(noise) if found else -_LOST for found in now]
+            fits = now
+        share = np.exp(logs - logs.max())
+        share /= share.sum()
         return [
-            Weighed(family, fits, float(p)) for (family, fits), p in zip(fitted, share, strict=True)
+            Weighed(
+                family,
+                found,
+                float(p),
+                kinds_of(family, found.theta, found.cov_with(noise)) if found else {},
+            )
+            for family, found, p in zip(families, fits, share, strict=True)
         ]
+
+    def _best(
+        self, family: Family, hint: Hint, data: Data, before: Fit | None, noise: float, known: float
+    ) -> Fit | None:
+        """The family's body, from its starts or from the image before."""
+        if before is None:
+            prior, starts = Prior.of(family), family.starts(hint)
+        else:
+            prior = before.then(noise, hint, family.loose)
+            starts = (prior.mean * family.sd,)
+        return fit(self.forward, family, hint, starts, data, prior, known)
 
     def _interval(self, weighed: Sequence[Weighed], scale: float) -> tuple[float, float]:
         """68 % interval, m^2, of the area over all families."""
         parts = []
         for one in weighed:
-            found = one.fits[-1]
+            found = one.fit
             if found is not None and one.probability > 1e-3:
-                area = found.state.area
-                sd = math.hypot(found.area_sd * math.sqrt(scale), self.settings.body.area_sd * area)
+                area = found.area
+                sd = math.hypot(_area_sd(found, scale), self.settings.body.area_sd * area)
                 parts.append((one.probability, area, max(sd, 1e-9)))
         if not parts:
             return math.nan, math.nan
@@ -190,11 +209,10 @@ class ShapeFinder:
         return float(low), float(high)
 
 
-def _moved(found: Fit, hint: Hint) -> Array:
-    """The same body's numbers, counted from another hint; its height starts anew."""
-    theta = found.theta.copy()
-    theta[:2] += 1e3 * (found.hint.place - hint.place)
-    return theta
+def _area_sd(found: Fit, noise: float) -> float:
+    """Of the contact's area, m^2, by the numbers' covariance."""
+    by = found.gradients[:, 1]
+    return math.sqrt(max(float(by @ found.cov_with(noise) @ by), 0.0))
 
 
 def _unknown(

@@ -3,23 +3,25 @@ model, and the family's evidence (docs/equations.md, Eq. F18-F20)."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import solve_triangular
 
 from mjtactile.core.types import Array, Touch
-from mjtactile.film import FilmState, Obstacle
-from mjtactile.sensing.body.families import Family, Hint
+from mjtactile.film import FilmState
+from mjtactile.film.state import AREA, PRESSURE
+from mjtactile.sensing.body.families import Family, Hint, lies_on
 from mjtactile.sensing.body.forward import Forward
 from mjtactile.sensing.settings import BodySettings
 
-_STEP = 0.03  # of a number's sd: derivatives by differences, above the film's own tolerance
-_MOST_ROUNDS = 12
-_SETTLED = 0.3  # of the cost: half of what tells one from another by one sd
-_DAMPING = (1e-3, 1e-8, 1e4)  # first, least, most
-_APPROACH = (1.0, 0.65, 0.35, 0.1, 0.0)  # mm above the start: the film is pressed in steps
+_TRIED, _HOPELESS = 3, 2.0  # rounds, after which a cost so many times the best is given up
+_MOST_ROUNDS = 10
+_SETTLED = 0.5  # of the cost: less does not tell one body from another
+_DAMPING = (1e-2, 1e-8, 1e3)  # first, least, most
+_APPROACH = (1.2, 0.7, 0.3, 0.0)  # mm above the start: the film is pressed in steps
 _FORCE_STEPS = 3
 
 
@@ -57,6 +59,25 @@ class Data:
 
 
 @dataclass(frozen=True, eq=False)
+class Prior:
+    """What is believed of a family's numbers, over the family's own sd: `mean` (k,) and
+    `precision` (k, k)."""
+
+    mean: Array
+    precision: Array
+
+    @classmethod
+    def of(cls, family: Family) -> Prior:
+        """Before any image."""
+        return cls(family.mean / family.sd, np.eye(len(family.sd)))
+
+    def cost(self, t: Array) -> float:
+        """Of numbers `t` (k,) over their sd."""
+        off = t - self.mean
+        return float(off @ self.precision @ off)
+
+
+@dataclass(frozen=True, eq=False)
 class Fit:
     """A body of one family.
 
@@ -64,9 +85,9 @@ class Fit:
         family: Its family.
         hint: What its numbers count from.
         theta: Its numbers.
-        cov: Their covariance, without regard to misfit.
+        prior: What was believed of them.
         chi2: Sum of squares of the whitened markers.
-        curvature: (k, k) of half the cost by the numbers over their sd, the prior left out.
+        curvature: (k, k) of half of it by the numbers over their sd.
         heights_off: (n,) whitened heights that it leaves.
         state: The film on it.
         gradients: (k, 3) of normal force, N, area, m^2, and pressure, Pa, by its numbers.
@@ -75,104 +96,156 @@ class Fit:
     family: Family
     hint: Hint
     theta: Array
-    cov: Array
+    prior: Prior
     chi2: float
     curvature: Array
     heights_off: Array
     state: FilmState
     gradients: Array
 
+    @property
+    def misfit(self) -> float:
+        """Mean square of the whitened heights."""
+        return self.chi2 / len(self.heights_off)
+
+    @property
+    def area(self) -> float:
+        """Of the sheet that lies on it, m^2."""
+        return lies_on(self.family, self.theta, self.hint) * self.state.area
+
+    def precision_with(self, noise: float) -> Array:
+        """(k, k) of the numbers over their sd, where variances are `noise` times what is
+        believed."""
+        return self.curvature / noise + self.prior.precision
+
+    def cov_with(self, noise: float) -> Array:
+        """Covariance (k, k) of the numbers."""
+        return np.linalg.inv(self.precision_with(noise)) * np.outer(self.family.sd, self.family.sd)
+
     def log_evidence_with(self, noise: float) -> float:
-        """Log of the family's evidence (Laplace) where the markers' variances are `noise` times
-        what is believed."""
-        t = (self.theta - self.family.mean) / self.family.sd
-        H = self.curvature / noise + np.eye(len(t))
-        cost = self.chi2 / noise + float(t @ t)
-        return -0.5 * (cost + float(np.linalg.slogdet(H)[1]))
+        """Log of the family's evidence (Laplace) of this image where the markers' variances are
+        `noise` times what is believed."""
+        cost = self.chi2 / noise + self.prior.cost(self.theta / self.family.sd)
+        spread = np.linalg.slogdet(self.precision_with(noise))[1]
+        known = np.linalg.slogdet(self.prior.precision)[1]
+        return -0.5 * (cost + float(spread - known))
 
-    @property
-    def log_evidence(self) -> float:
-        """The same, as believed."""
-        return self.log_evidence_with(1.0)
-
-    @property
-    def area_sd(self) -> float:
-        """Of the contact's area, m^2, by the numbers' covariance."""
-        return float(np.sqrt(max(self.gradients[:, 1] @ self.cov @ self.gradients[:, 1], 0.0)))
-
-    @property
-    def bodies(self) -> tuple[Obstacle, ...]:
-        return self.family.build(self.theta, self.hint)
+    def then(self, noise: float, hint: Hint, loose: Array) -> Prior:
+        """What is believed of the next image's numbers, which count from `hint` and may have
+        changed by `loose` (k,) sd."""
+        theta = self.theta.copy()
+        theta[:2] += 1e3 * (self.hint.place - hint.place)
+        theta[2] += 1e3 * (self.hint.height - hint.height)
+        sd = self.family.sd
+        cov = np.linalg.inv(self.precision_with(noise)) + np.diag((loose / sd) ** 2)
+        return Prior(theta / sd, np.linalg.inv(cov))
 
 
-def fit(forward: Forward, family: Family, hint: Hint, start: Array, data: Data) -> Fit | None:
-    """The body of `family` that explains the markers best, near `start`; None where no film can
-    rest on it."""
-    reached = _approach(forward, family, hint, start, data)
-    if reached is None:
+def fit(
+    forward: Forward,
+    family: Family,
+    hint: Hint,
+    starts: Sequence[Array],
+    data: Data,
+    prior: Prior,
+    known: float = np.inf,
+) -> Fit | None:
+    """The body of `family` that explains the markers best; None where no film can rest on it.
+
+    Args:
+        forward: The film.
+        family: The family.
+        hint: What its numbers count from.
+        starts: Its numbers to start from; the one that explains most after the body is pressed in
+            as far as it feels the force is gone on with.
+        data: The image.
+        prior: What is believed.
+        known: The cost that another family reached: what stays far above it is given up.
+
+    Returns:
+        The body.
+    """
+    sd = family.sd
+    reached = [_approach(forward, family, hint, start, data) for start in starts]
+    begun = [
+        (*_cost(forward, one[0] / sd, one[1].x[None], data, prior), *one)
+        for one in reached
+        if one is not None
+    ]
+    if not begun:
         return None
-    theta, state = reached
-    residual, cost = _cost(forward, family, theta, state.x[None], data)
-    damping = _DAMPING[0]
+    residual, cost, theta, state = min(begun, key=lambda one: one[1])
     slopes = _slopes(forward, family, hint, theta, state, data)
-    for _ in range(_MOST_ROUNDS):
+    damping = _DAMPING[0]
+    for count in range(_MOST_ROUNDS):
         if slopes is None:
             return None
-        J, _ = slopes
-        t = (theta - family.mean) / family.sd
-        gradient = J.T @ residual + t
-        normal = J.T @ J
-        moved = False
-        while damping < _DAMPING[2]:
-            H = normal + np.eye(len(t)) + damping * np.diag(np.diag(normal))
-            step = cho_solve(cho_factor(H), -gradient) * family.sd
-            new = np.clip(theta + step, family.low, family.high)
-            batch = forward.solve([family.build(new, hint)], state)
-            if batch.converged[0]:
-                tried, less = _cost(forward, family, new, batch.x, data)
-                if less < cost:
-                    moved = True
-                    break
-            damping = max(10 * damping, 1e-2)
-        if not moved:
+        if count >= _TRIED and cost > _HOPELESS * (known + len(residual)):
             break
-        gained = cost - less  # pyright: ignore[reportPossiblyUnboundVariable]
-        theta, state, residual, cost = new, batch[0], tried, less  # pyright: ignore[reportPossiblyUnboundVariable]
-        damping = max(damping / 10, _DAMPING[1])
+        step = _Step(theta, state, residual, cost, slopes[0])
+        better, damping = _improve(forward, family, hint, step, data, prior, damping)
+        if better is None:
+            break
+        gained = cost - better[3]
+        theta, state, residual, cost = better
         slopes = _slopes(forward, family, hint, theta, state, data)
         if gained < _SETTLED:
             break
     if slopes is None:
         return None
     J, gradients = slopes
-    H = J.T @ J + np.eye(len(theta))
-    sd = family.sd
-    return Fit(
-        family,
-        hint,
-        theta,
-        np.linalg.inv(H) * np.outer(sd, sd),
-        float(residual @ residual),
-        J.T @ J,
-        residual,
-        state,
-        gradients / sd[:, None],
-    )
+    chi2 = float(residual @ residual)
+    return Fit(family, hint, theta, prior, chi2, J.T @ J, residual, state, gradients / sd[:, None])
 
 
-def _cost(
-    forward: Forward, family: Family, theta: Array, x: Array, data: Data
-) -> tuple[Array, float]:
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """Where a fit stands: numbers, film, whitened heights, cost, and their derivatives."""
+
+    theta: Array
+    state: FilmState
+    residual: Array
+    cost: float
+    slopes: Array
+
+
+def _improve(
+    forward: Forward,
+    family: Family,
+    hint: Hint,
+    at: _Step,
+    data: Data,
+    prior: Prior,
+    damping: float,
+) -> tuple[tuple[Array, FilmState, Array, float] | None, float]:
+    """Numbers with less cost, with their film, residual and cost (None: there are none), and the
+    damping from there."""
+    sd, J = family.sd, at.slopes
+    gradient = J.T @ at.residual + prior.precision @ (at.theta / sd - prior.mean)
+    normal = J.T @ J
+    while damping < _DAMPING[2]:
+        H = normal + prior.precision + damping * np.diag(np.diag(normal) + 1e-3)
+        new = np.clip(at.theta - np.linalg.solve(H, gradient) * sd, family.low, family.high)
+        batch = forward.solve([family.build(new, hint)], at.state)
+        if batch.converged[0]:
+            residual, cost = _cost(forward, new / sd, batch.x, data, prior)
+            if cost < at.cost:
+                return (new, batch[0], residual, cost), max(damping / 10, _DAMPING[1])
+        damping = max(10 * damping, 1e-2)
+    return None, damping
+
+
+def _cost(forward: Forward, t: Array, x: Array, data: Data, prior: Prior) -> tuple[Array, float]:
     residual = data.residual(forward.markers(x))[0]
-    t = (theta - family.mean) / family.sd
-    return residual, float(residual @ residual + t @ t)
+    return residual, float(residual @ residual) + prior.cost(t)
 
 
 def _slopes(
     forward: Forward, family: Family, hint: Hint, theta: Array, state: FilmState, data: Data
 ) -> tuple[Array, Array] | None:
     """By each number over its sd: whitened markers (m, k), and (k, 3) force, area, pressure."""
-    steps = _STEP * np.where(theta + _STEP * family.sd > family.high, -1.0, 1.0)
+    steps = family.steps / family.sd
+    steps = np.where(theta + family.steps > family.high, -steps, steps)
     thetas = theta + np.diag(steps * family.sd)
     batch = forward.solve([family.build(one, hint) for one in (theta, *thetas)], state)
     good = batch.converged
@@ -180,7 +253,7 @@ def _slopes(
         return None
     residual = data.residual(forward.markers(batch.x))
     J = (residual[1:] - residual[0]) / steps[:, None]
-    sums = np.column_stack([-batch.found[:, 2], batch.found[:, 8], batch.found[:, 6]])
+    sums = np.column_stack([-batch.found[:, 2], batch.found[:, AREA], batch.found[:, PRESSURE]])
     gradients = (sums[1:] - sums[0]) / steps[:, None]
     J[~good[1:]] = 0.0
     gradients[~good[1:]] = 0.0

@@ -22,6 +22,7 @@ _UNTOLD = math.pi / math.sqrt(12)  # rad, sd of a direction of which nothing is 
 def words(
     forward: Forward,
     found: Fit,
+    kind: str,
     probabilities: dict[str, float],
     scale: float,
     interval: tuple[float, float],
@@ -32,6 +33,7 @@ def words(
     Args:
         forward: The film.
         found: The body.
+        kind: What it is called.
         probabilities: Of the kinds.
         scale: Factor on the fit's covariance, from its misfit.
         interval: m^2, of the area.
@@ -40,14 +42,14 @@ def words(
     Returns:
         The shape.
     """
-    cov = scale * found.cov
+    cov = found.cov_with(scale)
     family = found.family.name
     measures = _MEASURES[family](found.theta, cov, s)
     R, turn = _axes(found, measures.get("direction", 0.0))
     return FeltShape(
-        found.family.kind,
+        kind,
         probabilities,
-        area=found.state.area,
+        area=found.area,
         area_interval=interval,
         p_SO=place_of(found.theta, found.hint),
         R_SO=R,
@@ -55,7 +57,7 @@ def words(
         outline=_outline(forward, found),
         force_normal=s.friction * found.state.force_normal,
         family=family,
-        misfit=found.chi2 / len(found.heights_off),
+        misfit=found.misfit,
         **measures,
     )
 
@@ -114,23 +116,7 @@ def _face(theta: Array, cov: Array, s: BodySettings) -> dict[str, Any]:
     return flat | _direction(theta[5], cov[5, 5])
 
 
-def _edge(theta: Array, cov: Array, s: BodySettings) -> dict[str, Any]:
-    return _direction(theta[3], cov[3, 3])
-
-
-def _tip(theta: Array, cov: Array, s: BodySettings) -> dict[str, Any]:
-    return {}
-
-
-_MEASURES = {
-    "ball": _ball,
-    "cylinder": _cylinder,
-    "smooth": _smooth,
-    "disc": _disc,
-    "face": _face,
-    "edge": _edge,
-    "tip": _tip,
-}
+_MEASURES = {"ball": _ball, "cylinder": _cylinder, "smooth": _smooth, "disc": _disc, "block": _face}
 
 # Of each family the numbers that turn it about x, y and z of S (or, of an edge and a cylinder, of
 # its own axes), where there are any.
@@ -139,9 +125,7 @@ _TURNS: dict[str, tuple[int | None, int | None, int | None]] = {
     "cylinder": (None, 5, 4),
     "smooth": (None, None, None),
     "disc": (3, 4, None),
-    "face": (3, 4, 5),
-    "edge": (6, 4, 3),
-    "tip": (3, 4, None),
+    "block": (3, 4, 5),
 }
 
 

@@ -45,7 +45,13 @@ class BodySettings:
 
     spacing: float = number(1.3e-3, "m, between the film's nodes", _PRESSED_SHAPES)
     film_sd: float = number(
-        12e-6, "m, of a marker's height that the film does not know of", "bench film"
+        16e-6, "m, of a marker's height that the film does not know of", "bench film"
+    )
+    noise_least: float = number(
+        2.0,
+        "of the heights' variance: what the film leaves is alike in neighbouring markers",
+        _PRESSED_SHAPES,
+        low=1.0,
     )
     area_sd: float = number(0.06, "of the area, that the film does not know of", _PRESSED_SHAPES)
     friction: float = number(
