@@ -8,6 +8,7 @@ says what was tried and nothing that was not.
 
 from __future__ import annotations
 
+import json
 import platform
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from typing import Any
 
 from benchmarks.accuracy.run import stamp
 from mjtactile.core.errors import InputError
+from mjtactile.recording.files import write_json
 from mjtactile.run.progress import Progress
 
 CHECKOUT = Path(__file__).resolve().parents[1]
@@ -57,12 +59,25 @@ KINDS = (
         ),
     ),
     Kind(
-        "controllers that raise, hang, exit, ask for NaN or too much, end with the hand up",
+        "controllers that raise, hang, exit, make commands past their checks, ask for NaN, too "
+        "much or air that a rig has not, end with the hand up, do not import",
         "the hand retreats, then one line that names the file",
         (
             "tests/unit/run/test_safety.py",
+            "tests/unit/run/test_controller.py",
+            "tests/unit/run/test_grasp_outcome.py",
             "tests/cli/test_bad_input.py::test_a_controller_that_misbehaves_is_named",
         ),
+    ),
+    Kind(
+        "notebooks with functions, objects, lists that contain themselves, 10^6 entries",
+        "not recorded, named once; the grasp goes on",
+        ("tests/unit/core/test_notebook.py",),
+    ),
+    Kind(
+        "each signal that ends a process, once, repeated, and after another",
+        "heard, raised where it does no harm; only a person's second one is at once",
+        ("tests/unit/core/test_stop.py",),
     ),
     Kind(
         "arrays of another size, settings drawn at random, meshes that are too coarse",
@@ -96,7 +111,8 @@ KINDS = (
         ("tests/unit/devices/test_camera_driver.py",),
     ),
     Kind(
-        "signals, a killed host, a stopped terminal, a full disk while an egg is held",
+        "signals, a host that is killed or stands still, a stopped terminal, a full disk while "
+        "an egg is held",
         "set down, torque off, chambers vented, the recording can be read",
         ("tests/contract/test_signals.py", "tests/contract/test_red_button.py"),
         quick=False,
@@ -104,22 +120,30 @@ KINDS = (
 )
 
 
-def run(out: Path, quick: bool = False) -> dict[str, Any]:
+def run(out: Path, quick: bool = False, resume: bool = False) -> dict[str, Any]:
     """Run the tests of each kind again.
 
     Args:
-        out: the folder for pytest's reports.
+        out: the folder for pytest's reports, and for the result after each kind.
         quick: leave out what needs an emulated rig.
+        resume: keep the kinds that an interrupted run has counted.
 
     Raises:
         InputError: there is no pytest.
     """
     say = Progress().message
-    rows = []
-    for number, kind in enumerate(kind for kind in KINDS if kind.quick or not quick):
+    path = out / "attacks.json"
+    before = json.loads(path.read_text())["kinds"] if resume and path.is_file() else []
+    done = {row["what"]: row for row in before}
+    kinds = [kind for kind in KINDS if kind.quick or not quick]
+    for number, kind in enumerate(kinds):
+        if kind.what in done:
+            continue
         counts = count(_report(kind.tests, out / f"attacks_{number}.xml"))
-        rows.append({"what": kind.what, "wanted": kind.wanted, **counts})
+        done[kind.what] = {"what": kind.what, "wanted": kind.wanted, **counts}
         say(f"{kind.what}: {counts['as_wanted']} of {counts['tried']}")
+        write_json(path, {"kinds": list(done.values())})
+    rows = [done[kind.what] for kind in kinds]
     return {"stamp": stamp(), "system": platform.system(), "kinds": rows}
 
 

@@ -78,7 +78,7 @@ BENCHMARKS = {
 draws into `out`, and `table(result) -> str` in Markdown."""
 
 OPTIONS = {
-    "resume": ("stability", "rig", "bars", "tasks"),
+    "resume": ("stability", "rig", "bars", "tasks", "attacks"),
     "parts": ("rig",),
     "soak": ("rig",),
     "cases": ("truth",),
@@ -109,12 +109,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--resume",
         action="store_true",
-        help="stability, rig, bars, tasks: keep what an interrupted run finished",
+        help="stability, rig, bars, tasks, attacks: keep what an interrupted run finished",
     )
     parser.add_argument(
         "--parts",
         metavar="A,B,…",
-        help="rig: only these of loop, bus, fuzz, killed, stuck, outcomes, faults, soak",
+        help="rig: only these of loop, bus, fuzz, killed, stopped, stuck, outcomes, faults, soak",
     )
     parser.add_argument("--cases", type=Path, metavar="DIR", help="truth: the cases of this folder")
     parser.add_argument(
