@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 import time as wall
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,7 +13,7 @@ from dataclasses import replace
 from mjtactile.core.errors import ControllerError, Interrupted, SafeStop
 from mjtactile.core.notebook import plain
 from mjtactile.core.signals import Stop
-from mjtactile.core.types import Command, Observation
+from mjtactile.core.types import Command, Observation, Touch
 from mjtactile.recording.observer import Observer
 from mjtactile.rig.finger import Rig
 from mjtactile.run.controller import ControllerThread, Stepper
@@ -98,16 +99,22 @@ def run_loop(
 
 
 def _has_landed(cycle: ControlCycle) -> bool:
-    """Whether the controller has ended with the hand down; one that ends with the hand in the air
-    makes it go down first."""
+    """Whether the controller has ended with the hand down, or empty over the place where it was
+    told to set down; one that ends with the hand in the air makes it go down first."""
     command = cycle.last
     if command.phase not in ENDS or cycle.supervisor.state == "safe":
         return False
     if command.lift_height < HEIGHT_TOLERANCE:
         return True
+    if cycle.rig.told.place_height > 0 and not any(_may_hold(touch) for touch in cycle.touch):
+        return True
     why = f"the controller ended ({command.phase}) with the hand in the air"
     cycle.supervisor.make_safe(why, cycle.now, command)
     return False
+
+
+def _may_hold(touch: Touch) -> bool:
+    return touch.touching or not math.isfinite(touch.force_normal)
 
 
 def _too_late(controller: Stepper, command: Command, time_limit: float) -> SafeStop:

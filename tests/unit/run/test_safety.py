@@ -15,7 +15,16 @@ import pytest
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import ControllerError, DeviceError, InputError, Interrupted
 from mjtactile.core.signals import Stop
-from mjtactile.core.types import Command, GripperState, Image, Slip, Touch, Traction, ValveState
+from mjtactile.core.types import (
+    Command,
+    GripperState,
+    Image,
+    Slip,
+    Told,
+    Touch,
+    Traction,
+    ValveState,
+)
 from mjtactile.recording.observer import CycleCallback, Observer
 from mjtactile.rig.finger import Finger, Rig
 from mjtactile.rig.limits import Limits
@@ -402,7 +411,7 @@ def test_a_notebook_that_cannot_be_written_is_said_once_and_the_grasp_goes_on():
         "loop": cyclic,
         "many": [0.0] * 100_000,
     }
-    told = Told()
+    told = Listener()
     world = World()
     world.lift = 0.0
 
@@ -427,7 +436,7 @@ def test_a_notebook_that_cannot_be_written_is_said_once_and_the_grasp_goes_on():
     assert "plan (function)" in told.messages[0]
 
 
-class Told(Observer):
+class Listener(Observer):
     def __init__(self):
         self.cycles: list = []
         self.noted: list = []
@@ -683,3 +692,22 @@ def test_the_jaws_open_at_once_when_the_hand_has_come_down_with_its_command(supe
     while last.opening == LAST.opening:
         last = supervisor.decide(0.1, last, last, (), (), last.lift_height)
     assert last.lift_height == 0.0
+
+
+@pytest.mark.parametrize(
+    ("place", "touch", "lands"),
+    [
+        (0.02, replace(OK, force_normal=0.0, touching=False), True),
+        (0.02, OK, False),  # it still holds something
+        (0.02, BLIND, False),  # or may
+        (0.0, replace(OK, force_normal=0.0, touching=False), False),
+    ],
+    ids=["empty", "holds", "blind", "no other place"],
+)
+def test_an_empty_hand_over_the_place_it_was_told_is_not_driven_into_it(
+    supervisor, place, touch, lands
+):
+    rig = SimpleNamespace(told=Told(place_height=place))
+    last = Command(0.06, 4.0, 0.025, "done")
+    cycle = SimpleNamespace(rig=rig, last=last, touch=(touch,), supervisor=supervisor, now=1.0)
+    assert loop._has_landed(cycle) == lands and (supervisor.state == "safe") != lands  # type: ignore[arg-type]
