@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from mjtactile.core.policy import policy_vector as policy_vector
     from mjtactile.core.scenario import Scenario as Scenario
     from mjtactile.core.types import Command as Command
+    from mjtactile.core.types import FeltShape as FeltShape
     from mjtactile.core.types import GripperState as GripperState
     from mjtactile.core.types import Image as Image
     from mjtactile.core.types import Observation as Observation
@@ -80,7 +81,15 @@ _HOMES = {
     "core.pace": ("monotonic",),
     "core.policy": ("policy_action", "policy_command", "policy_names", "policy_vector"),
     "core.scenario": ("Scenario",),
-    "core.types": ("Command", "GripperState", "Image", "Observation", "Touch", "ValveState"),
+    "core.types": (
+        "Command",
+        "FeltShape",
+        "GripperState",
+        "Image",
+        "Observation",
+        "Touch",
+        "ValveState",
+    ),
     "film.bodies": ("Obstacle",),
     "film.derivatives": ("FilmDerivatives",),
     "film.film": ("Film",),

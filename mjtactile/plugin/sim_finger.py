@@ -12,7 +12,7 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
-from mjtactile.core.types import Array, Image, Surface, Touch
+from mjtactile.core.types import Array, FeltShape, Image, Surface, Touch
 from mjtactile.plugin.rest import at_rest
 from mjtactile.rig.finger import Finger
 from mjtactile.sensing.chain import Perception
@@ -84,6 +84,15 @@ class SimFinger:
         """
         self._require_time(slack=1.5 * self._model.opt.timestep)
         return replace(self._touch, age=float(self._data.time) - self._touch.time)
+
+    @property
+    def shape(self) -> FeltShape:
+        """What body the newest image shows, found when it is asked for: a tenth of a second and
+        more.
+
+        Raises InputError as `touch` does.
+        """
+        return self._perception.shape(self.touch)
 
     @property
     def image(self) -> Image:

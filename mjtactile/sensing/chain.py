@@ -37,7 +37,7 @@ from mjtactile.core.types import (
     Touch,
     Traction,
 )
-from mjtactile.sensing.body.finder import ShapeFinder
+from mjtactile.sensing.body.finder import ShapeFinder, told_nothing
 from mjtactile.sensing.estimate import Estimate, ShapeEstimator
 from mjtactile.sensing.force import bulge, zero
 from mjtactile.sensing.force.inverse import InverseMembrane, InverseRest
@@ -605,12 +605,16 @@ class Perception:
         Raises:
             DeviceError: The rest reference is missing.
         """
+        history = [touches] if isinstance(touches, Touch) else list(touches)
+        lacking = told_nothing(history[-1], self.chain.settings.body)
+        if lacking is not None:
+            return lacking
         reference = self.state.reference
         if self._finder is None or self._finder[0] is not reference:
             finder = self.chain.shape_finder(self.state)
             assert reference is not None
             self._finder = (reference, finder)
-        return self._finder[1].find([touches] if isinstance(touches, Touch) else touches)
+        return self._finder[1].find(history)
 
 
 def _moved(expected: Array, markers: Markers) -> Array:

@@ -50,6 +50,16 @@ def test_touch_in_my_scene(capsys):
     assert "felt: " in capsys.readouterr().out
 
 
+@pytest.mark.slow
+def test_turn_an_edge(capsys):
+    example = run("turn_an_edge")
+    assert example.before.kind == example.after.kind == "edge"
+    # the sheet of 21 x 16 vertices knows an edge to about two degrees
+    assert abs(example.angle) < np.radians(4)
+    assert example.before.area_interval[0] < example.before.area < example.before.area_interval[1]
+    assert "left" in capsys.readouterr().out
+
+
 def test_a_newcomers_script_is_short():
     lines = [
         line

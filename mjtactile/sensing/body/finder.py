@@ -18,7 +18,7 @@ from mjtactile.sensing.body.fit import Data, Fit, Prior, fit
 from mjtactile.sensing.body.forward import Forward
 from mjtactile.sensing.body.words import words
 from mjtactile.sensing.force.inverse import InverseRest
-from mjtactile.sensing.settings import DEFAULTS, Settings
+from mjtactile.sensing.settings import DEFAULTS, BodySettings, Settings
 
 _EDGE = 1.5e-3  # m from the frame, where bodies that go on are cut off
 _LOST = 1e3  # of the log of evidence: a family of which no body can be there
@@ -72,10 +72,9 @@ class ShapeFinder:
         """
         s = self.settings.body
         newest = touches[-1]
-        if newest.status != OK or newest.contact is None or newest.markers is None:
-            return _unknown(Status(StatusCode.TOO_LITTLE_SEEN, f"no touch: {newest.status}"))
-        if not newest.touching or newest.force_normal < s.force_least:
-            return _unknown(Status(StatusCode.TOO_WEAK, f"less than {s.force_least:g} N"))
+        lacking = told_nothing(newest, s)
+        if lacking is not None:
+            return lacking
         chosen = self._chosen(touches)
         inverse = self.settings.inverse
         drift = (inverse.drift_gas, inverse.drift_camera)
@@ -207,6 +206,23 @@ class ShapeFinder:
         share = (p * ndtr((grid[:, None] - area) / sd)).sum(axis=1) / p.sum()
         low, high = np.interp(_INTERVAL, share, grid)
         return float(low), float(high)
+
+
+def told_nothing(touch: Touch, s: BodySettings) -> FeltShape | None:
+    """An unknown shape where an image tells nothing of one; None where it does.
+
+    Args:
+        touch: The image's.
+        s: Settings.
+
+    Returns:
+        The shape, or None.
+    """
+    if touch.status != OK or touch.contact is None or touch.markers is None:
+        return _unknown(Status(StatusCode.TOO_LITTLE_SEEN, f"no touch: {touch.status}"))
+    if not touch.touching or touch.force_normal < s.force_least:
+        return _unknown(Status(StatusCode.TOO_WEAK, f"less than {s.force_least:g} N"))
+    return None
 
 
 def _area_sd(found: Fit, noise: float) -> float:
