@@ -10,7 +10,8 @@ sheet's, not the matrices'.
 What it leaves out, and what that costs (docs/benchmarks.md, `bench film`):
 - Bending: nothing that a sheet of 0.3 mm shows, but for features narrower than about five
   thicknesses.
-- Friction: 1 to 8 % of a force, and all shear.
+- Friction: 1 to 8 % of a force. Shear and torsion of what sticks are beside it (`sticking.py`): a
+  patch is held by the sheet in the plane, and drags it along without changing what touches.
 - Mass and damping: it is always at rest.
 - What is undercut, or steeper than about 75 degrees: a body is seen along z alone (`bodies.py`);
   flanks of boxes and cylinders beyond 63 degrees are met at their edges only.
@@ -19,12 +20,16 @@ What it leaves out, and what that costs (docs/benchmarks.md, `bench film`):
   steep cone's tip is a quarter too soft there.
 
 Frame S, SI units; p V^gamma with the design's gamma, or a pressure that is held. Equations:
-docs/equations.md, X1-X6. Why so: docs/decisions/0025-film.md.
+docs/equations.md, X1-X7. Why so: docs/decisions/0025-film.md.
 """
 
 from mjtactile.film.bodies import KINDS, Obstacle, obstacle
 from mjtactile.film.derivatives import FilmDerivatives
 from mjtactile.film.film import Film
 from mjtactile.film.state import FilmState, Status
+from mjtactile.film.sticking import Held, Patch, drag
 
-__all__ = ["KINDS", "Film", "FilmDerivatives", "FilmState", "Obstacle", "Status", "obstacle"]
+__all__ = [
+    "KINDS", "Film", "FilmDerivatives", "FilmState", "Held", "Obstacle", "Patch", "Status", "drag",
+    "obstacle",
+]  # fmt: skip

@@ -17,6 +17,7 @@ from mjtactile.film.bodies import Obstacle
 from mjtactile.film.derivatives import FilmDerivatives, Shape, changed_bodies, gathered
 from mjtactile.film.law import law_numbers, tension_slope
 from mjtactile.film.state import FOUND, FilmBatch, FilmState, Status
+from mjtactile.film.sticking import Patch, patch_of
 from mjtactile.kernels import band_stride, kernel
 
 TOLERANCE = 5e-7  # m, of what is left of the displacements
@@ -235,6 +236,35 @@ class Film:
         except np.linalg.LinAlgError as error:
             raise InputError("loses its balance here", field="state") from error
         return gathered(by_x, by_force, by_found)
+
+    def patches(self, state: FilmState) -> list[Patch]:
+        """Find how stiffly each patch of contact, if it sticks, is held in the plane.
+
+        Args:
+            state: At rest.
+
+        Returns:
+            A patch for every set of neighbouring nodes that touch, largest force first; what lies
+            between two patches is free, and neither moves the other.
+
+        Raises:
+            InputError: A state that is not at rest, or not of this film.
+        """
+        from scipy.ndimage import label  # takes a while to import
+
+        if not state.converged or state.x.shape != self.rest.x.shape:
+            raise InputError("is not at rest, or not of this film", field="state")
+        factor, width = np.empty_like(self._plane), 2 * self.grid[1] - 1
+        kernel("film_plane")(self._numbers, self._law, *self.grid, state.x, factor)
+        marked: tuple[Array, int] = label(state.force > 0, np.ones((3, 3)))  # pyright: ignore[reportAssignmentType]
+        numbered, count = marked
+        found = []
+        for number in range(1, count + 1):
+            i, j = np.nonzero(numbered == number)
+            places = np.stack([self.x[i] + state.x[0, i, j], self.y[j] + state.x[1, i, j]], axis=1)
+            inner = (i - 1) * (self.grid[1] - 2) + j - 1
+            found.append(patch_of(places, inner, state.force[i, j], factor, width))
+        return sorted(found, key=lambda patch: -patch.force_normal)
 
     def heights_of(self, obstacles: Obstacle | Sequence[Obstacle], places: ArrayLike) -> Array:
         """Find how high obstacles leave the sheet's middle.

@@ -1,0 +1,112 @@
+"""What sticks to a film: how stiffly a patch of contact is held against being dragged and turned.
+
+The film itself is frictionless. Of nodes that touch and go with their body, the sheet's stiffness
+in the plane says what a drag of that body meets; no number is fitted (docs/equations.md, X7).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mjtactile.core.errors import InputError
+from mjtactile.core.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """One body's contact, all of which sticks. SI units, frame S.
+
+    Attributes:
+        place: (2,) m, its middle, weighed by force: what it turns about.
+        stiffness: (3, 3) of force along x and y, N, and torque about z, N m, by displacements along
+            x and y, m, and a turn about z, rad.
+        force_normal: N that it presses with.
+        radius: m, the mean distance of its force from its middle: what friction's torque acts on.
+    """
+
+    place: Array
+    stiffness: Array
+    force_normal: float
+    radius: float
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """What a sticking patch remembers: how far, (3,) m, m, rad, it is dragged and turned."""
+
+    strain: Array
+
+    @classmethod
+    def none(cls) -> Held:
+        return cls(np.zeros(3))
+
+
+def drag(patch: Patch, held: Held, moved: ArrayLike, friction: float) -> tuple[Array, Held]:
+    """Move a body that sticks, as far as friction lets it.
+
+    Coulomb's limit is one for force and torque together, an ellipse (Howe & Cutkosky, Int. J.
+    Robotics Res. 15(6), 1996): |f|^2 + (t / r)^2 <= (mu N)^2; beyond it, what is remembered shrinks
+    to the limit, and the rest has slid.
+
+    Args:
+        patch: As it is now; its force may have changed since.
+        held: What it remembers.
+        moved: (3,) by which the body moved and turned since, m, m, rad.
+        friction: Coefficient of Coulomb.
+
+    Returns:
+        Force along x and y, N, and torque about z, N m, (3,) of the sheet on the body; what is
+        remembered now.
+
+    Raises:
+        InputError: A motion that is not finite, or a negative friction.
+    """
+    step = np.asarray(moved, dtype=float)
+    if step.shape != (3,) or not np.isfinite(step).all():
+        raise InputError("are not three finite numbers", field="moved")
+    if not friction >= 0:
+        raise InputError(f"{friction:g} must not be negative", field="friction")
+    strain = held.strain + step
+    load = patch.stiffness @ strain
+    carried = float(np.hypot(np.hypot(load[0], load[1]), load[2] / max(patch.radius, 1e-9)))
+    limit = friction * patch.force_normal
+    if carried > limit:
+        strain = strain * (limit / carried)
+        load = load * (limit / carried)
+    return -load, Held(strain)
+
+
+def patch_of(
+    places: Array, inner: NDArray[np.intp], force: Array, factor: Array, width: int
+) -> Patch:
+    """The patch of some nodes.
+
+    Args:
+        places: (m, 2) m, where they are.
+        inner: (m,) their numbers among the nodes that move.
+        force: (m,) N that each carries.
+        factor: Band of the Cholesky factor of the stiffness in the plane, one row a column.
+        width: Of the band.
+
+    Returns:
+        The patch, whose nodes move as one body.
+    """
+    from scipy.linalg import cho_solve_banded  # takes a while to import
+
+    total = float(force.sum())
+    middle = force @ places / total
+    off = places - middle
+    rows = np.stack([2 * inner, 2 * inner + 1], axis=1).ravel()
+    ones = np.zeros((len(factor), len(rows)))
+    ones[rows, np.arange(len(rows))] = 1.0
+    band = np.ascontiguousarray(factor[:, : width + 1].T)
+    compliance = cho_solve_banded((band, True), ones)[rows]
+    rigid = np.zeros((len(rows), 3))
+    rigid[0::2, 0] = rigid[1::2, 1] = 1.0
+    rigid[0::2, 2], rigid[1::2, 2] = -off[:, 1], off[:, 0]
+    stiffness = rigid.T @ np.linalg.solve(compliance, rigid)
+    radius = float(force @ np.hypot(off[:, 0], off[:, 1]) / total)
+    return Patch(middle, (stiffness + stiffness.T) / 2, total, radius)
