@@ -117,7 +117,7 @@ def run(options: argparse.Namespace) -> int:
             )
         if out is not None:
             write_json(out / "press.json", result)
-            plots.save(out / "press.png", lambda figure: _draw(figure, result))
+            plots.save(out / "press.png", lambda figure: _draw(figure, result, design), (11.0, 4.2))
     if options.json:
         print_json(result)
     else:
@@ -187,9 +187,9 @@ def _shape_line(shape: dict[str, Any]) -> str:
     return ", ".join(words)
 
 
-def _draw(figure: Any, result: dict[str, Any]) -> None:
+def _draw(figure: Any, result: dict[str, Any], design: SensorDesign) -> None:
     steps = result["steps"]
-    force, gas = figure.subplots(1, 2)
+    force, gas, body = figure.subplots(1, 3)
     depths = [s["depth_mm"] for s in steps]
     force.plot(depths, [-s["force_true_N"][2] for s in steps], "k-o", ms=4, label="true")
     force.errorbar(
@@ -209,5 +209,24 @@ def _draw(figure: Any, result: dict[str, Any]) -> None:
     force.legend()
     gas.plot(depths, [s["pressure_kPa"] for s in steps], "o-", ms=4)
     gas.set(xlabel="depth below first touch, mm", ylabel="gauge pressure, kPa")
-    for axes in (force, gas):
+    _draw_body(body, result["shape"], design)
+    for axes in (force, gas, body):
         axes.grid(alpha=0.3)
+
+
+def _draw_body(axes: Any, shape: dict[str, Any], design: SensorDesign) -> None:
+    """Where the body is believed to lie on the sheet, in the sensor's frame."""
+    outline = shape["outline_mm"]
+    if outline:
+        x, y = zip(*[*outline, outline[0]], strict=True)
+        axes.fill(x, y, alpha=0.3)
+        axes.plot(x, y, "-", lw=1)
+    half = [500 * side for side in (design.frame.length, design.frame.width)]
+    axes.set(
+        xlim=(-half[0], half[0]),
+        ylim=(-half[1], half[1]),
+        aspect="equal",
+        xlabel="x, mm",
+        ylabel="y, mm",
+        title=_shape_line(shape).split(",")[0],
+    )

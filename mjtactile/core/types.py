@@ -245,6 +245,8 @@ class Contact:
         outline: (P, 2) m, a single patch's border as a closed polygon.
         semi_axes: (2,) m, of the ellipse of the same second moments, the larger first.
         angle: rad of the larger one from x.
+        area_from: What `area` and `outline` are of: the "nodal" estimate of pressures, or the
+            family of the body that was found (`Touch.shape`).
     """
 
     touching: bool
@@ -257,6 +259,7 @@ class Contact:
     outline: Array = field(default_factory=lambda: np.zeros((0, 2)))
     semi_axes: Array = field(default_factory=lambda: np.full(2, np.nan))
     angle: float = np.nan
+    area_from: str = "nodal"
 
     def __post_init__(self) -> None:
         _freeze(self, "centroid", self.centroid, (2,))

@@ -588,9 +588,7 @@ class Perception:
             The touch.
         """
         touch, self.state = self.chain.step(self.state, image, now, reading)
-        if self.shapes:
-            touch = replace(touch, shape=self.shape([touch]))
-        return touch
+        return with_shape(touch, self.shape(touch)) if self.shapes else touch
 
     def shape(self, touches: Touch | Sequence[Touch]) -> FeltShape:
         """Say what body touches.
@@ -615,6 +613,25 @@ class Perception:
             assert reference is not None
             self._finder = (reference, finder)
         return self._finder[1].find(history)
+
+
+def with_shape(touch: Touch, shape: FeltShape) -> Touch:
+    """A touch that knows what body it is of.
+
+    Args:
+        touch: As the nodal estimate has it.
+        shape: What was found of it.
+
+    Returns:
+        The touch with `shape`; the area and outline of all that touches are the body's where one is
+        known and `contact.area_from` says so.
+    """
+    contact = touch.contact
+    if contact is None or shape.kind == "unknown":
+        return replace(touch, shape=shape)
+    by_body = replace(contact, area=shape.area, outline=shape.outline, area_from=shape.family)
+    patches = (by_body,) if len(touch.patches) == 1 else touch.patches
+    return replace(touch, shape=shape, contact=by_body, patches=patches)
 
 
 def _moved(expected: Array, markers: Markers) -> Array:

@@ -14,6 +14,7 @@ import benchmarks.film
 from mjtactile import Chain, Film, load_sensor
 from mjtactile.core.types import Markers, Touch
 from mjtactile.sensing.body.forward import Forward
+from mjtactile.sensing.chain import with_shape
 
 NOISE = np.array([3.4e-6, 3.4e-6, 19e-6])  # m: `dense`, one image
 
@@ -66,7 +67,9 @@ def layout_places(case):
 )
 def test_a_ball_is_a_ball_of_its_radius(sensor, cases, radius_mm, at_mm):
     case = next(c for c in cases if c["size_mm"] == [radius_mm] and c["at_mm"] == at_mm)
-    shape = sensor[2].find([touch_of(sensor, layout_places(case))])
+    touch = touch_of(sensor, layout_places(case))
+    assert touch.contact.area_from == "nodal"
+    shape = sensor[2].find([touch])
     assert shape.kind == "smooth" and shape.status == "ok"
     assert sum(shape.probabilities.values()) == pytest.approx(1.0)
     # one image knows 3 % of it; the reference's sheet meets the ball with its middle, the film
@@ -78,6 +81,8 @@ def test_a_ball_is_a_ball_of_its_radius(sensor, cases, radius_mm, at_mm):
     # frictionless both, and the film is within 2 %; `friction` of 3 % is added for what sticks
     assert shape.force_normal == pytest.approx(1.03 * case["force_N"], rel=0.04)
     assert pickle.loads(pickle.dumps(shape)).kind == "smooth"
+    touch = with_shape(touch, shape)
+    assert touch.contact.area == shape.area and touch.contact.area_from == shape.family
 
 
 def test_a_flat_face_with_a_rim_is_not_smooth(sensor):
@@ -98,6 +103,7 @@ def test_nothing_is_said_of_what_does_not_touch(sensor):
     still = touch_of(sensor, chain.inverse.positions(state.reference.rest.c))
     shape = finder.find([still])
     assert shape.kind == "unknown" and shape.status != "ok"
+    assert with_shape(still, shape).contact.area_from == "nodal"
     assert np.isnan(shape.area) and np.isnan(shape.radius)
     assert all(np.isnan(p) for p in shape.probabilities.values())
 
