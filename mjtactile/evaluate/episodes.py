@@ -118,6 +118,8 @@ def run_episode(episode: Episode) -> dict[str, Any]:
     facts = _Facts()
     with _recorder(episode) as recorder:
         summary = _run(scenario, [facts] if recorder is None else [facts, recorder])
+        if summary["outcome"] == "error" and facts.is_crushed:
+            summary["outcome"] = "crushed"  # whatever came of it then
         if recorder is not None and recorder.cycles:
             recorder.close(outcome=summary["outcome"])
         elif recorder is not None:
@@ -190,6 +192,7 @@ class _Facts(Observer):
         self.flags: Mapping[str, str] = {}
         """What makes the simulation's numbers worse than usual: the kind of doubt, its reason."""
         self.phases: list[str] = []
+        self.is_crushed = False
         self.time = 0.0
         """s in the simulation, from the first cycle to the last."""
 
@@ -205,6 +208,8 @@ class _Facts(Observer):
     def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
         self._begin = cycle.time if math.isnan(self._begin) else self._begin
         self.time = cycle.time - self._begin
+        pressed = max(truth.get("force_normal_true", [0.0]))
+        self.is_crushed |= self.break_force is not None and pressed > self.break_force
         if self.phases[-1:] != [cycle.sent.phase]:
             self.phases.append(cycle.sent.phase)
 

@@ -195,8 +195,8 @@ def run_grasp(
             last = session.run(controller, time_limit=_time_limit(scenario), observer=log)
             completed = last.phase == "done"
         except SimulationError:
-            if score is None or not score.is_decided:
-                raise  # else the object had stayed behind before, or was broken
+            if score is None or not score.lost:
+                raise  # else the grasp was decided before: the object had stayed behind
         factor = (rig.clock.now() - start) / (wall.perf_counter() - begin)
         flags = session.flags
     result = replace(

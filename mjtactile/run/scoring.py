@@ -177,11 +177,6 @@ class GraspScore:
         return {} if self.judge is None else self.judge.measures()
 
     @property
-    def is_decided(self) -> bool:
-        """Whether nothing that comes can make the grasp a success."""
-        return self.lost or self.crushed_at is not None
-
-    @property
     def hold_force(self) -> float:
         """Mean normal force per finger over the hold phase, N; NaN when it was never reached."""
         if self._hold_forces:

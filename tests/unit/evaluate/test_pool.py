@@ -11,13 +11,14 @@ import pytest
 
 from mjtactile.commands.evaluate import add_arguments
 from mjtactile.commands.scenario import scenario_of
-from mjtactile.core.errors import DeviceError, InputError, Interrupted
+from mjtactile.core.errors import DeviceError, InputError, Interrupted, SimulationError
 from mjtactile.core.scenario import Scenario
 from mjtactile.evaluate import episodes, store
 from mjtactile.evaluate.episodes import Episode, run_episode
 from mjtactile.evaluate.pool import Pool
 from mjtactile.evaluate.run import evaluate
 from tests.emulated_host import controller_text
+from tests.fake_run import fake_cycle
 
 COMMON = dict(scenario=Scenario(sensor="paper16", effects="-images"), count=1, objects=["vial"])
 
@@ -187,3 +188,18 @@ def test_the_manifest_says_how_to_run_it_again(tmp_path):
     assert read["controller"] == options["controllers"] and read["objects"] == "egg,cup.xml"
     parsed.controller = None  # there are several
     assert scenario_of(parsed, Scenario(vary="default")).to_dict() == options["scenario"]
+
+
+def test_what_was_crushed_before_the_simulation_failed_is_crushed(tmp_path, monkeypatch, quick):
+    """Else who presses hardest would have no failures, but errors, which do not count."""
+
+    def presses(scenario, observers, **_):
+        for observer in observers:
+            observer.note(break_force_N=2.0)
+            for force in (0.5, 3.0):
+                observer.add(fake_cycle(0), force_normal_true=[force, force])
+        raise SimulationError("a membrane is where the model does not hold", step=7, time=0.1)
+
+    monkeypatch.setattr(episodes, "run_grasp", presses)
+    line = run_episode(episode(quick[0], "vial", 3))
+    assert line["outcome"] == "crushed" and "simulation failed at step 7" in line["reason"]
