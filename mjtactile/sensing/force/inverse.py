@@ -35,7 +35,7 @@ from mjtactile.sensing.force.sheet import Gas, Sheet, State, Stiffness
 from mjtactile.sensing.force.slopes import MarkerSlopes
 from mjtactile.sensing.settings import DEFAULTS, DoubtSettings, InverseSettings, PriorSettings
 
-REWEIGHTED = 2  # from a cold start
+REWEIGHTED = 4  # from a cold start: before, loads and a camera that drifted share what is seen
 # m
 STEPS_MAX = 8
 STEP_LIMIT = 2e-3
