@@ -30,6 +30,8 @@
 #define QUICK 3              /* steps that do so */
 #define SHORT 2e-4           /* m */
 #define FIRST_STEP 1e-4      /* m, that the first step is thought to come after */
+#define LEAST_SHARE 0.05     /* by which steps are thought to shrink at best; they do so by 0.3 at last, which far from rest comes sooner */
+#define LEAST_SHARE_FAR 0.3
 #define LEAST_TURN 0.05    /* of a cell's shadow: below, the sheet is inside out */
 
 long film_work_size(const Film *f) {
@@ -326,6 +328,7 @@ static int come_to_rest(const Film *f, const double *plane_factor, const Setting
                         double *force, double *found, Work *w) {
     const long count = f->count, all = 4 * count;
     const SheetFields no_stiffness = {.elastic = w->fields.elastic, .gradient = w->fields.gradient};
+    int far = 0;
     long known = 0, newest = 0;
     double *z = x + 2 * count, last_before = FIRST_STEP;
     memset(w->now, 0, all * sizeof *w->now), memset(w->whole.area_by, 0, 2 * count * sizeof *w->now);
@@ -368,7 +371,8 @@ static int come_to_rest(const Film *f, const double *plane_factor, const Setting
         found[STEPS] += 1, found[LAST_STEP] = last, found[PRESSURE] = pressure, found[VOLUME] = sums.volume;
         found[STRETCHED_AREA] = sums.area, found[TENSION] = sums.tension;
         /* steps shrink by a share that the last two tell; what all that would follow add up to is left */
-        const double shrinks = clip(last / last_before, 0.05, 0.9);
+        if (!step) far = largest > SHORT;
+        const double shrinks = clip(last / last_before, far ? LEAST_SHARE_FAR : LEAST_SHARE, 0.9);
         if ((!changed || !step) && last * shrinks / (1 - shrinks) < set->tolerance) return CONVERGED;
         last_before = last;
         if (changed) {

@@ -78,9 +78,13 @@ static void add_entry(const Film *f, double *band, long m, int k, long n, int l,
 }
 
 static void add_corner(const Film *f, double *band, const CornerStiffness *c) {
-    for (int p = 0; p < 9; p++)
-        for (int q = 0; q < 9; q++)
-            add_entry(f, band, film_inner(f, c->node[p / 3]), p % 3, film_inner(f, c->node[q / 3]), q % 3, c->K[p][q]);
+    const long inner[3] = {film_inner(f, c->node[0]), film_inner(f, c->node[1]), film_inner(f, c->node[2])};
+    for (int n = 0; n < 3; n++)
+        for (int m = 0; m < 3; m++) {
+            if (inner[n] < inner[m] || inner[m] < 0) continue;
+            for (int k = 0; k < 3; k++)
+                for (int l = 0; l < 3; l++) add_entry(f, band, inner[n], k, inner[m], l, c->K[3 * n + k][3 * m + l]);
+        }
 }
 
 /* What bends the force of a contact as the node that bears it slides: force times the body's curvature, by differences. */

@@ -247,12 +247,15 @@ void film_plane_stiffness(const Film *film, const double *x, double *band) {
     CornerStiffness c;
     for (long corner = 0; corner < FILM_CORNERS(film); corner++) {
         film_corner(film, x, 0, corner, &c);
-        for (int p = 0; p < 9; p++)
-            for (int q = 0; q < 9; q++) {
-                const long m = film_inner(film, c.node[p / 3]), n = film_inner(film, c.node[q / 3]);
-                const long row = 2 * m + p % 3, column = 2 * n + q % 3;
-                if (m < 0 || n < 0 || p % 3 == 2 || q % 3 == 2 || row < column) continue;
-                band[column * stride + row - column] += c.K[p][q];
+        const long inner[3] = {film_inner(film, c.node[0]), film_inner(film, c.node[1]), film_inner(film, c.node[2])};
+        for (int n = 0; n < 3; n++)
+            for (int m = 0; m < 3; m++) {
+                if (inner[n] < inner[m] || inner[m] < 0) continue;
+                for (int k = 0; k < 2; k++)
+                    for (int l = 0; l < 2; l++) {
+                        const long row = 2 * inner[n] + k, column = 2 * inner[m] + l;
+                        if (row >= column) band[column * stride + row - column] += c.K[3 * n + k][3 * m + l];
+                    }
             }
     }
 }
