@@ -7,6 +7,7 @@ Each trouble at a strength of its own seed, from the references on ("always"), a
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -18,22 +19,19 @@ from mjtactile.run.progress import Progress
 
 SENSORS = ("dense",)
 GRASP_SEED = 4
-QUICK = ("none", "zoom by 0.3 %", "gamma 1.3")
 
 
 def run(
     out: Path, *, quick: bool = False, say: Callable[[str], None] | None = None
 ) -> dict[str, Any]:
-    """All kinds on each sensor; draws the pictures into `out`."""
+    """All kinds on each sensor, or every second one; draws the pictures into `out`."""
     say = say or Progress().message
     rows = []
     for sensor in SENSORS:
         grasp = record(sensor, GRASP_SEED)
         if not rows:
             draw(grasp, out / "camera_troubles.png")
-        for kind in kinds():
-            if quick and kind.name not in QUICK:
-                continue
+        for kind in islice(kinds(), 0, None, 2 if quick else 1):
             row = {
                 "sensor": sensor,
                 "name": kind.name,
