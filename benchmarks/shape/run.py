@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.shape import independent
 from benchmarks.shape.bodies import Case, draw
 from benchmarks.shape.tables import summary, table
 from mjtactile.core.design import load_sensor
@@ -48,12 +49,13 @@ def run(out: Path, *, quick: bool = False, say: Say = lambda _: None) -> dict[st
         Rows, and their summary.
     """
     del out
+    balls = independent.rows()
     rows: list[dict[str, Any]] = []
     for seed in range(FIRST_SEED, FIRST_SEED + (BODIES_QUICK if quick else BODIES)):
         rows += _press(seed)
         said = [row["kind"] for row in rows if row["seed"] == seed]
         say(f"body {seed}, {rows[-1]['name']}: {', '.join(said)}")
-    return {"mesh": MESH, "rows": rows, "summary": summary(rows)}
+    return {"mesh": MESH, "rows": rows, "independent": balls, "summary": summary(rows)}
 
 
 def _press(seed: int) -> list[dict[str, Any]]:

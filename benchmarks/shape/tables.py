@@ -87,10 +87,14 @@ def table(result: dict[str, Any]) -> str:
 
     def errors(key: str) -> str:
         median, most, count = s[key]
+        if not count:
+            return "-"
         return f"{100 * median:.0f} % / {100 * most:.0f} % ({count})"
 
     def share(key: str) -> str:
         part, count = s[key]
+        if not count:
+            return "-"
         return f"{100 * part:.0f} % ({count})"
 
     def newtons(key: str) -> str:
@@ -128,6 +132,7 @@ def table(result: dict[str, Any]) -> str:
         ("time, ms an image, median", off("milliseconds"), ""),
     ]
     lines = ["| " + " | ".join(row) + " |" for row in rows]
+    lines += ["", *_independent(result["independent"])]
     kinds = "; ".join(
         f"{name}: " + ", ".join(f"{kind} {count}" for kind, count in said.items())
         for name, said in s["kinds"].items()
@@ -139,6 +144,31 @@ def table(result: dict[str, Any]) -> str:
         f"said of presses up to 0.3 N: {kinds}.",
     ]
     return "\n".join(lines)
+
+
+def _independent(balls: list[Row]) -> list[str]:
+    """Of balls of 4 to 30 mm under the sheet of another solver."""
+    right = sum(row["kind"] == "smooth" for row in balls)
+    radius = _errors(balls, "radius")
+    place = [row["place_off_mm"] for row in balls]
+    body = _errors(balls, "force", share=False)
+    nodal = _errors(balls, "force_nodal", share=False)
+    return [
+        f"| {len(balls)} balls of 4 to 30 mm, 2 mm deep, under an independent sheet | body | nodal "
+        "estimate, one image alone |",
+        "|---|---|---|",
+        f"| called smooth | {right} of {len(balls)} | none |",
+        f"| radius, error: median / worst | {100 * radius[0]:.1f} % / "
+        f"{100 * _worst(balls, 'radius_mm', 'radius_true_mm', share=True):.0f} % | none |",
+        f"| place, mm: median / worst | {np.median(place):.2f} / {max(place):.2f} | none |",
+        f"| normal force, N: median / worst | {body[0]:.4f} / "
+        f"{_worst(balls, 'force_N', 'force_true_N'):.4f} | {nodal[0]:.4f} / "
+        f"{_worst(balls, 'force_nodal_N', 'force_true_N'):.4f} |",
+    ]
+
+
+def _worst(rows: list[Row], name: str, true: str, *, share: bool = False) -> float:
+    return max(abs(row[name] - row[true]) / (row[true] if share else 1.0) for row in rows)
 
 
 def _errors(rows: list[Row], name: str, *, share: bool = True) -> list[float]:

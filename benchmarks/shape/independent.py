@@ -1,0 +1,75 @@
+"""Balls under an independent solver's sheet (film_reference.json), with a camera's noise on its
+markers: where the simulation has no part in it.
+
+That sheet slides, and meets bodies with its middle: a ball's radius is that of the body less half
+of the sheet, and the force has no friction in it.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import benchmarks
+from mjtactile import Chain, Film, load_sensor
+from mjtactile.core.types import Array, Markers
+from mjtactile.sensing.settings import DEFAULTS
+
+_NOISE = np.array([3.4e-6, 3.4e-6, 19e-6])  # m: one image of `dense`
+_GRID = np.stack(
+    np.meshgrid(np.linspace(-0.016, 0.016, 9), np.linspace(-0.012, 0.012, 9), indexing="ij"), -1
+).reshape(-1, 2)
+_FILM = (41, 31)
+
+
+def rows() -> list[dict[str, Any]]:
+    """What is said of each of the reference's balls.
+
+    Returns:
+        A row a ball.
+    """
+    design = load_sensor("dense")
+    chain = Chain(design)
+    film = Film(design, _FILM)
+    order = [int(np.abs(_GRID - at[:2]).sum(axis=1).argmin()) for at in design.markers.p_SM]
+    state = chain.set_rest(chain.begin(), _seen(_at_rest(film)[order]), film.pressure_gauge)
+    finder = chain.shape_finder(state)
+    path = Path(benchmarks.__path__[0]) / "film_reference.json"
+    found = []
+    for seed, case in enumerate(json.loads(path.read_text(encoding="utf-8"))["cases"]):
+        if "markers_um" not in case:
+            continue
+        places = 1e-6 * np.array(case["markers_um"])[order]
+        markers = _seen(places + _NOISE * np.random.default_rng(seed).standard_normal((81, 3)))
+        touch, _ = chain.feel(state, markers, chain.fitter.fit(markers), 0.0)
+        shape = finder.find([touch])
+        found.append(
+            {
+                "kind": shape.kind,
+                "radius_mm": 1e3 * shape.radius,
+                "radius_true_mm": case["size_mm"][0] - 0.5e3 * design.membrane.thickness,
+                "force_N": shape.force_normal / DEFAULTS.body.friction,
+                "force_nodal_N": touch.force_normal,
+                "force_true_N": case["force_N"],
+                "place_off_mm": float(np.hypot(*(1e3 * shape.p_SO[:2] - case["at_mm"]))),
+            }
+        )
+    return found
+
+
+def _at_rest(film: Film) -> Array:
+    """Places (81, 3) m of the markers on the film at rest."""
+    from scipy.interpolate import RectBivariateSpline
+
+    fields = (RectBivariateSpline(film.x, film.y, field) for field in film.rest.displacements)
+    moved = np.column_stack([field.ev(_GRID[:, 0], _GRID[:, 1]) for field in fields])
+    return moved + np.column_stack([_GRID, np.zeros(len(_GRID))])
+
+
+def _seen(places: Array) -> Markers:
+    count = len(places)
+    cov = np.tile(np.diag(_NOISE**2), (count, 1, 1))
+    return Markers(np.arange(count), places, np.tile([0.0, 0.0, 1.0], (count, 1)), cov)
