@@ -20,7 +20,8 @@ from mjtactile.run.landing import Load
 BLIND_TIME_MAX = 0.5  # s without a known force before the gripper opens by itself
 RETREAT_SPEED = 0.030  # m/s of opening, and of lowering
 RETREAT_OPENING = 0.015  # m to open in `safe`: an object is let go of, and not thrown
-RETREAT_TIME_MAX = 5.0  # s; lowering 0.1 m takes 3.3 s
+# s, of periods: lowering 0.1 m takes 3.3 s, and longer where the loop is late or was stopped
+RETREAT_TIME_MAX = 5.0
 # m and s: a hand above its goal has the rest of its way first, but something may keep it up
 _DOWN = 1e-3
 _DOWN_TIME_MAX = 1.0
@@ -54,14 +55,16 @@ class Supervisor:
         self.history: list[Transition] = []
         self._blind_since: float | None = None
         self._blind_why = ""
-        self._retreat_goal = self._safe_since = self._opening_before = math.nan
+        self._retreat_goal = self._opening_before = math.nan
         self._sealed: list[float] | None = None
         self._bulge: list[float] | None = None
         self._sink_cycles = 0
         self._wanted_safe = ""
         self._load = Load()
         self._stands = False
-        self._height = self._down_since = math.nan
+        self._height = math.nan
+        self._retreat_time = self._down_time = 0.0
+        self._went_down = False
 
     @property
     def is_over(self) -> bool:
@@ -103,7 +106,6 @@ class Supervisor:
         """From here on the hand goes down and opens, whatever the controller says."""
         if self.state not in ("safe", "latched"):
             self._retreat_goal = last.opening + RETREAT_OPENING
-            self._safe_since = self._down_since = now
             self._enter("safe", reason, now)
 
     def want_safe(self, reason: str) -> None:
@@ -140,12 +142,14 @@ class Supervisor:
         step = RETREAT_SPEED * self._period
         self._stands |= self._load.stands(touch, last.lift_height)
         is_up = last.lift_height > HEIGHT_TOLERANCE and not self._stands
-        in_time = now - self._safe_since < RETREAT_TIME_MAX
+        in_time = self._retreat_time < RETREAT_TIME_MAX
+        self._retreat_time += self._period
         if is_up and in_time:
-            self._down_since = now
+            self._went_down = True
             return replace(last, lift_height=max(0.0, last.lift_height - step))
-        is_above = self._height > last.lift_height + _DOWN
-        if is_above and now - self._down_since < _DOWN_TIME_MAX:
+        self._down_time += self._period
+        is_down = self._height <= last.lift_height + _DOWN  # not so where it is unknown
+        if self._went_down and not is_down and self._down_time < _DOWN_TIME_MAX:
             return last  # a lift that was stopped, or is slow, is still on its way
         at_limit = last.opening == self._opening_before
         self._opening_before = last.opening
