@@ -146,9 +146,10 @@ class Film:
                 f"is of a film of {start.x.shape[1:]} nodes, not {self.grid}", field="state"
             )
         x, force, found = start.x.copy(), start.force.copy(), np.empty(FOUND)
+        trend = np.zeros((4, *self.grid)) if start.trend is None else start.trend.copy()
         settings = np.array([self._gas, self.sealed, TOLERANCE, _MOST_STEPS])
-        self._run(settings, rows, pool, x, force, found)
-        return _judged(FilmState(x, force, found))
+        self._run(settings, rows, pool, x, force, trend, found)
+        return _judged(FilmState(x, force, found, trend))
 
     def solve_batch(
         self,
@@ -176,6 +177,7 @@ class Film:
             raise InputError("every environment wants as many bodies", field="obstacles")
         count = len(obstacles)
         rows, pool = bodies.pooled([body for one in obstacles for body in one], self.grid)
+        trend = np.zeros((count, 4, *self.grid))
         if batch is None:
             x, force = (
                 np.repeat(one[None], count, axis=0) for one in (self.rest.x, self.rest.force)
@@ -184,21 +186,24 @@ class Film:
             if len(batch.x) != count:
                 raise InputError(f"has {len(batch.x)} environments, not {count}", field="batch")
             x, force = batch.x.copy(), batch.force.copy()
-            x[~batch.converged], force[~batch.converged] = self.rest.x, self.rest.force
+            lost = ~batch.converged
+            x[lost], force[lost] = self.rest.x, self.rest.force
+            if batch.trend is not None:
+                trend[~lost] = batch.trend[~lost]
         found = np.empty((count, FOUND))
         settings = np.tile([self._gas, self.sealed, TOLERANCE, _MOST_STEPS], (count, 1))
         cuts = np.linspace(0, count, max(1, min(threads, count)) + 1).astype(int)
 
         def some(begin: int, end: int) -> None:
             room = np.empty_like(self._room)
-            self._run(settings, rows, pool, x, force, found, room=room, part=(begin, end))
+            self._run(settings, rows, pool, x, force, trend, found, room=room, part=(begin, end))
 
         if len(cuts) == 2:
             some(0, count)
         else:
             with ThreadPoolExecutor(len(cuts) - 1) as workers:
                 list(workers.map(some, cuts[:-1].tolist(), cuts[1:].tolist()))
-        return FilmBatch(x, force, found)
+        return FilmBatch(x, force, found, trend)
 
     def derivatives(
         self, state: FilmState, shape: Shape, numbers: ArrayLike, steps: ArrayLike | None = None
@@ -293,6 +298,7 @@ class Film:
         pool: Array | None,
         x: Array,
         force: Array,
+        trend: Array,
         found: Array,
         *,
         room: Array | None = None,
@@ -306,7 +312,7 @@ class Film:
         fixed = (self._numbers, self._law, *self.grid, self._plane, rest, room.size, room)
         pooled = 0 if pool is None else pool.size
         given = (settings, len(rows) // count, rows, pooled, pool)
-        kernel("film_solve")(*fixed, count, *part, *given, x, force, found)
+        kernel("film_solve")(*fixed, count, *part, *given, x, force, trend, found)
 
     def _inflate(self) -> FilmState:
         """From a low bulge of about the right height to rest, with a stiffness in the plane that is
@@ -323,7 +329,8 @@ class Film:
             except np.linalg.LinAlgError:
                 break
             settings = np.array([share * self.pressure_gauge, 0.0, _INFLATED, 4 * _MOST_STEPS])
-            self._run(settings, np.zeros((0, bodies.NUMBERS)), None, x, force, found)
+            trend = np.zeros((4, *self.grid))
+            self._run(settings, np.zeros((0, bodies.NUMBERS)), None, x, force, trend, found)
             if not FilmState(x, force, found).converged:
                 break
         else:

@@ -37,12 +37,15 @@ class FilmState:
     Attributes:
         x: (3, nx, ny) m, the nodes' displacements.
         force: (nx, ny) N of the contact at each of them, along -z.
-        found: What the kernel adds up; all three are kept for a start from here.
+        found: What the kernel adds up; all are kept for a start from here.
+        trend: (4, nx, ny) m and N, how `x` and `force` changed on the way here; a start goes on
+            with it as far as the bodies that touch did. None: it begins where this ends.
     """
 
     x: Array
     force: Array
     found: Array
+    trend: Array | None = None
 
     @property
     def status(self) -> Status:
@@ -104,18 +107,20 @@ class FilmState:
 
 @dataclass(frozen=True, eq=False)
 class FilmBatch:
-    """Films of n environments at rest: `x` (n, 3, nx, ny), `force` (n, nx, ny) and `found`
-    (n, FOUND), as of `FilmState`."""
+    """Films of n environments at rest: `x` (n, 3, nx, ny), `force` (n, nx, ny), `found`
+    (n, FOUND) and `trend` (n, 4, nx, ny), as of `FilmState`."""
 
     x: Array
     force: Array
     found: Array
+    trend: Array | None = None
 
     def __len__(self) -> int:
         return len(self.found)
 
     def __getitem__(self, number: int) -> FilmState:
-        return FilmState(self.x[number], self.force[number], self.found[number])
+        trend = None if self.trend is None else self.trend[number]
+        return FilmState(self.x[number], self.force[number], self.found[number], trend)
 
     @property
     def converged(self) -> NDArray[np.bool_]:

@@ -30,13 +30,15 @@
 #define QUICK 3              /* steps that do so */
 #define SHORT 2e-4           /* m */
 #define FIRST_STEP 1e-4      /* m, that the first step is thought to come after */
+#define MOST_TREND 2.0
+#define LEAST_EXPLAINED 0.5  /* of the gaps between bodies and the sheet, squared */
 #define LEAST_SHARE 0.05     /* by which steps are thought to shrink at best; they do so by 0.3 at last, which far from rest comes sooner */
 #define LEAST_SHARE_FAR 0.3
 #define LEAST_TURN 0.05    /* of a cell's shadow: below, the sheet is inside out */
 
 long film_work_size(const Film *f) {
-    return (3 + 3 + 5 + 2 + 2 + 1 + 8 + 4 + 2 + 2 + 8 * MEMORY + 8) * f->count + 7 * f->inner +
-           f->inner * BAND_STRIDE(f->inner_rows + 1) + 2 * (f->count / 8 + 1);
+    return (3 + 3 + 5 + 2 + 2 + 1 + 8 + 4 + 2 + 2 + 8 * MEMORY + 12) * f->count + 7 * f->inner +
+           f->inner * BAND_STRIDE(f->inner_rows + 1) + f->count / 8 + 1;
 }
 
 int64_t film_room(const double *numbers) {
@@ -66,8 +68,8 @@ Work film_work(const Film *f, double *room) {
     w.whole.y1 = take(&room, f->inner), w.whole.y2 = take(&room, f->inner);
     w.band = take(&room, f->inner * BAND_STRIDE(f->inner_rows + 1));
     w.steps = take(&room, 4 * MEMORY * n), w.changes = take(&room, 4 * MEMORY * n);
-    w.last_step = take(&room, 4 * n), w.now = take(&room, 4 * n);
-    w.touching = (uint8_t *)take(&room, n / 8 + 1), w.before = (uint8_t *)take(&room, n / 8 + 1);
+    w.last_step = take(&room, 4 * n), w.now = take(&room, 4 * n), w.start = take(&room, 4 * n);
+    w.touching = (uint8_t *)take(&room, n / 8 + 1);
     return w;
 }
 
@@ -323,9 +325,26 @@ static int settle_heights(const Film *f, const Bodies *bodies, const double *x, 
     return 0;
 }
 
-/* Bodies are `lifted` m off where they are. Returns a status. */
-static int come_to_rest(const Film *f, const double *plane_factor, const Settings *set, const Bodies *bodies, double lifted, double *x,
-                        double *force, double *found, Work *w) {
+/* Goes on as the film last went, `trend` (4, count) of displacements and forces, as far as the bodies that touch did. */
+static void go_on(const Film *f, const double *trend, double *x, double *force, Work *w) {
+    const long count = f->count;
+    double along = 0, trends = 0, gaps = 0;
+    for (long k = 0; k < count; k++) {
+        if (!w->touching[k] || isinf(w->obstacle[k])) continue;
+        const double gap = w->obstacle[k] - w->lower[k] - x[2 * count + k];
+        const double went = trend[2 * count + k] - w->slope[k] * trend[k] - w->slope[count + k] * trend[count + k];
+        along += gap * went, trends += square(went), gaps += square(gap);
+    }
+    const double share = along / trends; /* not finite where nothing went on */
+    if (!(fabs(share) < MOST_TREND && along * share > LEAST_EXPLAINED * gaps)) return;
+    for (long k = 0; k < 3 * count; k++) x[k] += share * trend[k];
+    for (long k = 0; k < count; k++) force[k] = w->touching[k] ? most(force[k] + share * trend[3 * count + k], 0) : 0;
+    follow_bodies(f, x, w);
+}
+
+/* Bodies are `lifted` m off where they are; `trend` may be none. Returns a status. */
+static int come_to_rest(const Film *f, const double *plane_factor, const Settings *set, const Bodies *bodies, double lifted,
+                        const double *trend, double *x, double *force, double *found, Work *w) {
     const long count = f->count, all = 4 * count;
     const SheetFields no_stiffness = {.elastic = w->fields.elastic, .gradient = w->fields.gradient};
     int far = 0;
@@ -344,6 +363,7 @@ static int come_to_rest(const Film *f, const double *plane_factor, const Setting
         const int misplaced = step ? CONVERGED : against_the_frame(f, w);
         if (misplaced) return misplaced;
         lower_round_bodies(f, w);
+        if (!step && trend) go_on(f, trend, x, force, w);
         for (long k = 0; k < count; k++) w->obstacle[k] += lifted;
 
         double pressure, gas_stiffness, largest = 0, largest_shift;
@@ -397,17 +417,19 @@ static int come_to_rest(const Film *f, const double *plane_factor, const Setting
 int64_t film_solve(const double *numbers, const double *law, int64_t columns, int64_t rows, const double *plane_factor,
                    const double *rest, int64_t roomy, double *room, int64_t environments, int64_t begin, int64_t end,
                    const double *settings, int64_t bodies, const double *body, int64_t pooled, const double *pool, double *x,
-                   double *force, double *found) {
+                   double *force, double *trend, double *found) {
     const Film f = film_of(numbers, law);
     if (columns != f.columns || rows != f.rows || roomy < film_work_size(&f) || begin < 0 || end > environments) return REFUSED;
     (void)pooled;
     Work w = film_work(&f, room);
     for (long e = begin; e < end; e++) {
         double *own_x = x + e * 3 * f.count, *own_force = force + e * f.count, *own = found + e * FOUND;
+        double *own_trend = trend + e * 4 * f.count;
         const Bodies own_bodies = {bodies, body + e * bodies * FILM_BODY, pool};
         const Settings *set = (const Settings *)settings + e;
         memset(own, 0, FOUND * sizeof *own);
-        int status = come_to_rest(&f, plane_factor, set, &own_bodies, 0, own_x, own_force, own, &w);
+        memcpy(w.start, own_x, 3 * f.count * sizeof *x), memcpy(w.start + 3 * f.count, own_force, f.count * sizeof *x);
+        int status = come_to_rest(&f, plane_factor, set, &own_bodies, 0, own_trend, own_x, own_force, own, &w);
         if (set->most_steps > 1 && (status == NOT_CONVERGED || status == INSIDE_OUT || status == BROKEN_DOWN)) { /* too large a jump: from rest, in smaller ones */
             memcpy(own_x, rest, 3 * f.count * sizeof *rest), memset(own_force, 0, f.count * sizeof *own_force);
             see_bodies(&f, &own_bodies, own_x, &w);
@@ -415,11 +437,13 @@ int64_t film_solve(const double *numbers, const double *law, int64_t columns, in
             for (long k = 0; k < f.count; k++) deep = most(deep, own_x[2 * f.count + k] - w.obstacle[k]);
             const long jumps = 16;
             for (long jump = jumps - 1; jump >= 0; jump--) {
-                status = come_to_rest(&f, plane_factor, set, &own_bodies, deep * jump / jumps, own_x, own_force, own, &w);
+                status = come_to_rest(&f, plane_factor, set, &own_bodies, deep * jump / jumps, 0, own_x, own_force, own, &w);
                 if (status != CONVERGED && status != NOT_CONVERGED) break;
             }
         }
         own[STATUS] = status;
+        for (long k = 0; k < 3 * f.count; k++) own_trend[k] = own_x[k] - w.start[k];
+        for (long k = 0; k < f.count; k++) own_trend[3 * f.count + k] = own_force[k] - w.start[3 * f.count + k];
         if (status == CONVERGED) add_up(&f, own_x, own_force, own, &w);
     }
     return 0;

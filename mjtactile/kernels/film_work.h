@@ -30,7 +30,8 @@ typedef struct {
     Whole whole;
     double pulled; /* which edges' springs are in the factor */
     double *steps, *changes, *last_step, *now; /* of the last MEMORY steps: (MEMORY, 4, count) each, and (4, count) */
-    uint8_t *touching, *before;
+    double *start;                       /* (4, count): where a solution began */
+    uint8_t *touching;
 } Work;
 
 long film_work_size(const Film *film);

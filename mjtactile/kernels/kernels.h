@@ -213,14 +213,15 @@ int64_t film_plane(const double *numbers /* 17 */, const double *law /* 11 */, i
                    double *factor /* 2 * (columns - 2) * (rows - 2), BAND_STRIDE(2 * rows - 1) */);
 int64_t film_room(const double *numbers /* 17 */); /* doubles of `room` that a solution wants */
 /* Of environments `begin` to `end` - 1, each with `settings` (see film.c) and `bodies`: displacements `x` and the contact's
-   forces `force` along -z, from where they are to where the film rests. Out: `found`, see film.c. */
+   forces `force` along -z, from where they are to where the film rests; `trend`, the change of both that led to where they are,
+   becomes this one. Out: `found`, see film.c. */
 int64_t film_solve(const double *numbers /* 17 */, const double *law /* 11 */, int64_t columns, int64_t rows,
                    const double *plane_factor /* 2 * (columns - 2) * (rows - 2), BAND_STRIDE(2 * rows - 1) */,
                    const double *rest /* 3, columns, rows */, int64_t roomy, double *room /* roomy */, int64_t environments,
                    int64_t begin, int64_t end, const double *settings /* environments, 4 */, int64_t bodies,
                    const double *body /* environments, bodies, 20 */, int64_t pooled, const double *pool /* pooled or NULL */,
                    double *x /* environments, 3, columns, rows */, double *force /* environments, columns, rows */,
-                   double *found /* environments, 14 */);
+                   double *trend /* environments, 4, columns, rows */, double *found /* environments, 14 */);
 int64_t film_derive_room(const double *numbers /* 17 */);
 /* Of a film at rest with `x` and `force`, derivatives by `changes` of its bodies: `body` as they are, then for each change those
    that are `steps` of it before, and those that are as much after. Out: of displacements, forces and what film_solve finds. */

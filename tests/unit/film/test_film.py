@@ -1,6 +1,8 @@
 """The film against independent solutions of the full membrane, against statics, and against
 itself."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -70,6 +72,22 @@ def test_one_jump_and_many_steps_end_at_the_same_force(coarse):
     jump = coarse.solve(ball(coarse, 8, (1, 0.5), 5.0))
     assert state.converged and jump.converged
     assert jump.force_normal == pytest.approx(state.force_normal, rel=2e-4)
+
+
+def test_a_film_goes_on_as_its_body_does(coarse):
+    """With the trend, a body that moves on evenly wants half the steps, and one that turns back is
+    met as well."""
+    steps = {True: 0, False: 0}
+    for kept in steps:
+        state = coarse.rest
+        for height in (*np.arange(9.0, 8.4, -0.05), 8.55, 8.65):
+            body = ball(coarse, 8, (2, 1), height)
+            state = coarse.solve(body, state if kept else replace(state, trend=None))
+            afresh = coarse.solve(body)
+            # what a tolerance of 0.5 um leaves of a force
+            assert state.force_normal == pytest.approx(afresh.force_normal, rel=2e-3)
+            steps[kept] += state.steps
+    assert steps[True] < 0.75 * steps[False]
 
 
 @pytest.mark.parametrize(
