@@ -18,6 +18,7 @@ import numpy as np
 
 from mjtactile.core import resources
 from mjtactile.core.errors import InputError
+from mjtactile.core.fiducials import Fiducials
 from mjtactile.core.fields import (
     KPA,
     ML,
@@ -330,6 +331,7 @@ class SensorDesign:
         glass: The pane before the camera.
         camera: Place, lens, image size and rate.
         leds: The light.
+        fiducials: Circles that do not move, beside the membrane; None: there are none.
         calibration: The file that a finger's own sensor file names for what was measured of it;
             None: it names none.
     """
@@ -342,6 +344,7 @@ class SensorDesign:
     glass: Glass = part("glass", Glass)
     camera: CameraDesign = part("camera", CameraDesign)
     leds: Leds = part("leds", Leds, default=Leds())
+    fiducials: Fiducials | None = part("fiducials", Fiducials, default=None)
     calibration: Path | None = file_path("calibration", compare=False)
 
     def require_rectangle(self, who: str) -> None:
@@ -389,7 +392,8 @@ class SensorDesign:
     @property
     def chamber_volume_flat(self) -> float:
         """Gas volume with a flat membrane, m^3."""
-        return self.frame.area * self.chamber.depth + self.chamber.extra_volume
+        volume = self.frame.area * self.chamber.depth + self.chamber.extra_volume
+        return volume if self.fiducials is None else volume + self.fiducials.volume(self)
 
     def validate(self, section: Section) -> None:
         """See that fields go together physically.
@@ -399,12 +403,14 @@ class SensorDesign:
 
         Raises:
             InputError: Markers overlap or leave the frame, the camera is nearer than the chamber is
-                deep, or markers are brighter than the membrane.
+                deep, markers are brighter than the membrane, or fiducials are not to be seen.
         """
         _check_markers(self, section)
         _check_depth(self, section)
         if self.leds.marker_dn >= self.leds.membrane_dn:
             raise section.fail("leds.marker_DN", "markers must be darker than the membrane")
+        if self.fiducials is not None:
+            self.fiducials.check(self, section)
 
 
 def load_sensor(name_or_path: str | Path | SensorDesign) -> SensorDesign:

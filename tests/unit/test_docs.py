@@ -15,7 +15,7 @@ from benchmarks import numbers
 from mjtactile.commands import COMMANDS
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.core.fields import Part, default_of, entries
+from mjtactile.core.fields import Number, Part, Text, default_of, entries
 from mjtactile.core.types import Command, GripperState, Observation, Slip, Touch, ValveState
 from mjtactile.recording.columns import SENSED, TRUE
 from mjtactile.run.controller import load_controller
@@ -363,9 +363,14 @@ def test_the_page_of_sensor_files_has_every_field_with_its_range_and_default(sec
     special = {...: "must be given", float("inf"): "infinite", (0.0,) * 5: "no distortion"}
     for attribute, entry in known.items():
         allowed, if_left_out, meaning = by_key[entry.key]
-        whole = ", whole" if entry.whole else ""
-        assert allowed == f"{entry.low:g} to {entry.high:g}{whole}", entry.key
         default = default_of(kind, attribute)
+        if isinstance(entry, Number):
+            whole = ", whole" if entry.whole else ""
+            assert allowed == f"{entry.low:g} to {entry.high:g}{whole}", entry.key
+        elif isinstance(entry, Text):
+            assert allowed == " or ".join(f'`"{word}"`' for word in entry.choices), entry.key
+        else:
+            assert allowed == "list of pairs", entry.key
         said = special[default] if default in special else f"{default / entry.unit:g}"
         assert if_left_out == said, entry.key
         assert meaning == entry.about, entry.key

@@ -24,6 +24,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.optics import Camera
 from mjtactile.core.types import Array, Image
 from mjtactile.kernels import kernel
+from mjtactile.sim.picture.fixed import FixedCircles
 from mjtactile.sim.picture.light import Light
 from mjtactile.sim.picture.shadows import ShadowedLight
 
@@ -81,6 +82,7 @@ class Renderer:
         pool = self._rng.standard_normal(_POOL_FRAMES * pixels, dtype=np.float32)
         self._noise: Floats = (pool - pool.mean()) / pool.std()
         self._bare: dict[float, Floats] = {}
+        self._fixed = FixedCircles.of(design)
 
     def reseed(self, seed: int) -> None:
         """Cut the noise of the images to come from other places of the pool."""
@@ -153,14 +155,36 @@ class Renderer:
         if blur not in self._bare:
             membrane = self.design.leds.membrane_dn
             marker = self.design.leds.marker_dn
-            opening = np.zeros((self.camera.height, self.camera.width), np.float32)
-            draw_opening(
-                self.camera, (_opening(self.design) - self._p_SC) @ self._R_SC, blur, opening
-            )
-            self._bare[blur] = (
-                membrane * (_WALL_SHARE + (1 - _WALL_SHARE) * opening) - marker
-            ).astype(np.float32)
+            white = self._polygon(_opening(self.design), blur)
+            black = None
+            if self._fixed is not None:
+                white, black = self._with_fixed(self._fixed, white, blur)
+            bare = membrane * (_WALL_SHARE + (1 - _WALL_SHARE) * white) - marker
+            if black is not None:
+                bare *= 1 - black
+            self._bare[blur] = bare.astype(np.float32)
         return self._bare[blur]
+
+    def _with_fixed(self, fixed: FixedCircles, white: Floats, blur: float) -> tuple[Floats, Floats]:
+        """What is `white` (H, W), with the ground of fiducials, and what they blacken."""
+        blur = max(blur, fixed.blur_px)
+        if fixed.white is None:
+            ground = self._discs(fixed, fixed.radius + fixed.ground, blur)
+        else:
+            outer, inner = (self._polygon(outline, blur) for outline in fixed.white)
+            ground = outer - inner
+        return np.maximum(white, ground), self._discs(fixed, fixed.radius, blur)
+
+    def _discs(self, fixed: FixedCircles, radius: float, blur: float) -> Floats:
+        p_CF = (fixed.p_SF - self._p_SC) @ self._R_SC
+        coverage = np.zeros((self.camera.height, self.camera.width), np.float32)
+        draw_discs(self.camera, p_CF, fixed.n_S @ self._R_SC, radius, blur, coverage)
+        return np.clip(coverage, 0.0, 1.0)
+
+    def _polygon(self, corners_SP: Array, blur: float) -> Floats:
+        coverage = np.zeros((self.camera.height, self.camera.width), np.float32)
+        draw_opening(self.camera, (corners_SP - self._p_SC) @ self._R_SC, blur, coverage)
+        return coverage
 
 
 def draw_discs(

@@ -21,6 +21,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.optics import Camera
 from mjtactile.core.types import Array, Ellipses, Sighting
 from mjtactile.kernels import kernel
+from mjtactile.sim.picture.fixed import FixedCircles
 from mjtactile.sim.picture.light import Light
 
 _POINTS = 12  # on a boundary: what lens and pane add has few harmonics; 1e-12 px
@@ -52,6 +53,10 @@ class Sighter:
             np.asarray(design.markers.radius if radius is None else radius, float),
             (design.markers.count,),
         )
+        self._fixed = FixedCircles.of(design)
+        if self._fixed is not None:
+            fixed = np.full(len(self._fixed.p_SF), self._fixed.radius)
+            self._radius = np.concatenate([self._radius, fixed])
         self._light = Light(design, self.camera)
         self.reseed(seed)
 
@@ -61,7 +66,10 @@ class Sighter:
 
     def sight(self, p_SM: Array, n_S: Array, time: float = 0.0) -> Sighting:
         """The ellipses of the markers with centres `p_SM` (N, 3) m and normals `n_S` (N, 3) in S
-        that are wholly in the image."""
+        that are wholly in the image, and of the fiducials."""
+        if self._fixed is not None:
+            p_SM = np.concatenate([p_SM, self._fixed.p_SF])
+            n_S = np.concatenate([n_S, self._fixed.n_S])
         center, shape = self._true(p_SM, n_S)
         keep = self._is_seen(center, shape)
         center = center[keep]

@@ -100,11 +100,14 @@ def test_a_wrong_field_is_named(changes, words):
 def test_every_field_is_checked():
     """No number of the file can be NaN or text without being named."""
     labels = [label for label, *_ in fields.scalars(SensorDesign)]
-    assert len(labels) == 41
+    assert len(labels) == 46
+    circles = {"surface": "rim", "radius_mm": 1.0, "places_mm": [[21.5, 3.0 * k] for k in range(4)]}
     for label in (*labels, "camera.distortion"):
+        on_pane = {"surface": "pane"} if label == "fiducials.blur_px" else {}
         for bad in (math.nan, "1"):
+            changes = {"fiducials": circles | on_pane, label.replace(".", "__"): bad}
             with pytest.raises(InputError, match=re.escape(label)):
-                build(**{label.replace(".", "__"): bad})
+                build(**changes)
 
 
 @pytest.mark.parametrize("name", resources.names("models/sensors", ".toml"))
@@ -112,7 +115,7 @@ def test_what_is_written_is_read_again(name):
     design = load_sensor(name)
     table = fields.write(design)
     assert sensor_from_table(table, name="other", source="other.toml") == design
-    round_one = replace(design, frame=Frame(0.07, 0.07, shape="circle"))
+    round_one = replace(design, frame=Frame(0.07, 0.07, shape="circle"), fiducials=None)
     table = fields.write(round_one)
     assert table["frame"] == {"diameter_mm": 70.0, "rim_mm": 3.0, "shape": "circle"}
     assert sensor_from_table(table, name="other", source="other.toml") == round_one
@@ -123,7 +126,7 @@ def test_optional_section_has_defaults():
 
 
 def test_missing_and_unknown_files_are_named(tmp_path):
-    with pytest.raises(InputError, match=r"dense, paper16"):
+    with pytest.raises(InputError, match=r"dense, dense_fiducials, paper16"):
         load_sensor("dence")
     with pytest.raises(InputError, match="no such file"):
         load_sensor(tmp_path / "x.toml")

@@ -1,0 +1,166 @@
+"""Circles that do not move: what a sensor file's `[fiducials]` says, and where they are.
+
+Straight chamber walls hide the frame's rim from the camera, so that circles on the rim need walls
+that step back behind it: the rim is a lip, `lip` thick and `step` wide, and the circles are on its
+inner face. They are as far away, as sharp and as lit as the membrane's markers. Circles on the
+pane's inner face need no step; they are nearer, out of focus, and lie in the strip of the picture
+that the opening leaves free.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from mjtactile.core.fields import MM, Pairs, entry, number, text
+from mjtactile.core.toml import Section
+from mjtactile.core.types import Array
+
+SensorDesign: TypeAlias = Any  # that of `mjtactile.core.design`, which imports this module
+
+SURFACES = ("rim", "pane")
+FEWEST = 4
+"""Fiducials that fix a camera's place, direction and scale, with one to spare."""
+_MOST = 64
+_WALL = 0.5e-3  # m that the step leaves of the rim
+_INK = 5e-6  # m, thickness of a print on the pane
+_BORDER_PX = 6.0  # of a circle's edge from the picture's: what its fit reads
+
+
+@dataclass(frozen=True)
+class Fiducials:
+    """Black circles on white ground that do not move, m; see the module.
+
+    Attributes:
+        surface: "rim" or "pane".
+        radius: Of each circle.
+        places: Centres (x, y) in S.
+        ground: Width of white around each.
+        lip: Thickness of the rim in front of them; the rim's only.
+        step: How far the walls stand back behind the lip; the rim's only.
+        blur_px: Blur of the picture there, sd; the pane's only, which is out of focus.
+    """
+
+    surface: str = text("surface", SURFACES, about="what they are on")
+    radius: float = number("radius_mm", 0.05, 50, MM, about="of each black circle")
+    places: tuple[tuple[float, float], ...] = entry(
+        Pairs(key="places_mm", units=(MM, MM), about="[x, y] of each, in the sensor's frame")
+    )
+    ground: float = number(
+        "ground_mm", 0.05, 50, MM, default=0.5e-3, about="white around each, 8 px or more"
+    )
+    lip: float = number(
+        "lip_mm",
+        0.2,
+        20,
+        MM,
+        default=1e-3,
+        about="thickness of the rim in front of them",
+        only_if=("surface", ("rim",)),
+    )
+    step: float = number(
+        "step_mm",
+        0.5,
+        50,
+        MM,
+        default=3.2e-3,
+        about="by which the walls stand back behind the lip",
+        only_if=("surface", ("rim",)),
+    )
+    blur_px: float = number(
+        "blur_px",
+        0,
+        20,
+        default=2.0,
+        about="standard deviation of the picture's blur there: the pane is out of focus",
+        only_if=("surface", ("pane",)),
+    )
+
+    @property
+    def count(self) -> int:
+        """Number of circles, F."""
+        return len(self.places)
+
+    def p_SF(self, design: SensorDesign) -> Array:
+        """Centres (F, 3) m in S."""
+        z = -self.lip if self.surface == "rim" else _INK - design.chamber.depth
+        return np.array([(x, y, z) for x, y in self.places])
+
+    def groove(self, design: SensorDesign) -> float:
+        """Height of the space behind the lip, m: as far back as the camera's sight of the circles
+        goes past the opening's edge; 0 on the pane."""
+        if self.surface != "rim":
+            return 0.0
+        half = np.array([design.frame.length, design.frame.width]) / 2
+        outside = np.abs(self.places) + self.radius + self.ground
+        past = np.where(outside > half, half / outside, 1.0).min()
+        behind = (1 - float(past)) * (design.camera.distance - self.lip)
+        return min(behind, design.chamber.depth - self.lip)
+
+    def volume(self, design: SensorDesign) -> float:
+        """Gas that the groove adds to the chamber, m^3."""
+        if self.surface != "rim":
+            return 0.0
+        frame = design.frame
+        outside = (frame.length + 2 * self.step) * (frame.width + 2 * self.step)
+        return (outside - frame.area) * self.groove(design)
+
+    def check(self, design: SensorDesign, section: Section) -> None:
+        """See that they are on their surface, apart, and seen.
+
+        Args:
+            design: The sensor that they are part of.
+            section: Its file's table, for the message.
+
+        Raises:
+            InputError: Names the field and what is wrong with it.
+        """
+        if design.frame.shape != "rectangle":
+            raise section.fail("fiducials", "need a frame.shape of 'rectangle'")
+        if not FEWEST <= self.count <= _MOST:
+            message = f"{self.count} circles; from {FEWEST} to {_MOST}"
+            raise section.fail("fiducials.places_mm", message)
+        if self.surface == "rim" and self.step + _WALL > design.frame.rim:
+            message = f"{self.step / MM:g} leaves no wall of frame.rim_mm {design.frame.rim / MM:g}"
+            raise section.fail("fiducials.step_mm", message)
+        if self.surface == "rim" and self.lip >= design.chamber.depth:
+            raise section.fail("fiducials.lip_mm", f"{self.lip / MM:g} fills the chamber")
+        xy = np.array(self.places)
+        apart = np.linalg.norm(xy[:, None] - xy, axis=2) + np.diag(np.full(len(xy), np.inf))
+        if apart.min() < 2 * self.radius + self.ground:
+            message = f"circles {apart.min() / MM:.3g} mm apart leave no ground between them"
+            raise section.fail("fiducials.places_mm", message)
+        for place, why in zip(self.places, self._wrong(design), strict=True):
+            if why:
+                message = f"[{place[0] / MM:g}, {place[1] / MM:g}] {why}"
+                raise section.fail("fiducials.places_mm", message)
+
+    def _wrong(self, design: SensorDesign) -> list[str]:
+        """What is wrong with each place, "" where nothing is."""
+        half = np.array([design.frame.length, design.frame.width]) / 2
+        reach = self.radius + self.ground
+        xy = np.abs(self.places)
+        # at the opening, as the camera sees it past them
+        depth = design.camera.distance - design.pane_thickness_apparent
+        here = depth + self.p_SF(design)[:, 2]
+        seen = xy if self.surface == "rim" else (xy - reach) * (depth / here)[:, None] + reach
+        hides = (seen - reach < half).all(axis=1)
+        beyond = (xy + reach > half + self.step).any(axis=1) & (self.surface == "rim")
+        out = self._out_of_picture(design, xy, here)
+        words = {"rim": "is not on the lip, ground and all", "pane": "hides a part of the membrane"}
+        found = np.where(out, "is out of the picture", "")
+        found = np.where(beyond, words["rim"], found)
+        return np.where(hides, words[self.surface], found).tolist()
+
+    def _out_of_picture(self, design: SensorDesign, xy: Array, depth: Array) -> Array:
+        """Which (F,) reach out of the picture, or nearly; `depth` (F,) as the pane has it."""
+        camera = design.camera
+        r = (xy + self.radius) / depth[:, None]
+        r2 = (r**2).sum(axis=1)[:, None]
+        k1, k2, _, _, k3 = camera.distortion
+        far = r * (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) * [camera.fx, camera.fy]
+        room_u = min(camera.cx, camera.width - 1 - camera.cx)
+        room_v = min(camera.cy, camera.height - 1 - camera.cy)
+        return (far > np.array([room_u, room_v]) - _BORDER_PX).any(axis=1)

@@ -1,0 +1,51 @@
+"""Fiducials as the camera sees them: white ground and black circles that never move, which become
+part of the background."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mjtactile.core.design import SensorDesign
+from mjtactile.core.fiducials import Fiducials
+from mjtactile.core.types import Array
+
+_INWARD = np.array([0.0, 0.0, -1.0])
+
+
+@dataclass(frozen=True)
+class FixedCircles:
+    """The fiducials of a sensor: discs `p_SF`, `n_S` (F, 3) of `radius` m, and what is white around
+    them: `ground` m of each disc, or what lies between the outlines `white` (outer, inner), (4, 3)
+    m each; `blur_px` of their picture where the camera's is less."""
+
+    p_SF: Array
+    n_S: Array
+    radius: float
+    ground: float
+    white: tuple[Array, Array] | None
+    blur_px: float
+
+    @classmethod
+    def of(cls, design: SensorDesign) -> FixedCircles | None:
+        """Those of `design`; None where it has none."""
+        fiducials = design.fiducials
+        if fiducials is None:
+            return None
+        p_SF = fiducials.p_SF(design)
+        n_S = np.broadcast_to(_INWARD, p_SF.shape)
+        on_rim = fiducials.surface == "rim"
+        white = _lip(design, fiducials) if on_rim else None
+        blur = 0.0 if on_rim else fiducials.blur_px
+        return cls(p_SF, n_S, fiducials.radius, fiducials.ground, white, blur)
+
+
+def _lip(design: SensorDesign, fiducials: Fiducials) -> tuple[Array, Array]:
+    """Outlines of the lip's inner face: the walls behind it, and the opening."""
+    half = np.array([design.frame.length, design.frame.width]) / 2
+    corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    height = np.full((4, 1), -fiducials.lip)
+    outer = np.hstack([corners * (half + fiducials.step), height])
+    inner = np.hstack([corners * half, height])
+    return outer, inner

@@ -1,0 +1,126 @@
+"""Fiducials in a sensor file: where they are, what they cost, and what is refused."""
+
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mjtactile.core import resources
+from mjtactile.core.calibration import fingerprint
+from mjtactile.core.design import load_sensor, sensor_from_table
+from mjtactile.core.errors import InputError
+from mjtactile.core.fiducials import Fiducials
+from mjtactile.core.fields import from_table, write
+
+PANE = {
+    "surface": "pane",
+    "radius_mm": 0.6,
+    "ground_mm": 0.35,
+    "places_mm": [[-12.0, -6.0], [-12.0, 6.0], [12.0, -6.0], [12.0, 6.0]],
+}
+
+
+def table(**changes):
+    """The shipped sensor's file with other fiducials."""
+    found = tomllib.loads(
+        resources.find("dense_fiducials", "models/sensors", ".toml").read_text("utf-8")
+    )
+    found["fiducials"] = {**found["fiducials"], **changes}
+    return found
+
+
+def read(fiducials):
+    return sensor_from_table({**table(), "fiducials": fiducials}, name="x", source="x.toml")
+
+
+def test_straight_walls_would_hide_the_rim():
+    """The line of sight to the innermost point of a circle passes the opening's edge behind the
+    lip, and the groove goes as far back as that of the outermost one."""
+    design = load_sensor("dense_fiducials")
+    fiducials = design.fiducials
+    p_SF = fiducials.p_SF(design)
+    assert p_SF.shape == (10, 3)
+    assert p_SF[:, 2] == pytest.approx(-1e-3)
+    outside = np.abs(p_SF[:, 0]).max() + fiducials.radius + fiducials.ground
+    depth = fiducials.groove(design)
+    # on the line from the camera to the outermost point, at the groove's back
+    share = 1 - depth / (design.camera.distance - fiducials.lip)
+    assert share * outside == pytest.approx(design.frame.length / 2)
+
+
+def test_the_groove_is_gas():
+    design = load_sensor("dense_fiducials")
+    fiducials = design.fiducials
+    without = replace(design, fiducials=None)
+    assert without.chamber_volume_flat == pytest.approx(24e-6)
+    around = (46.4 * 36.4 - 40 * 30) * 1e-6
+    more = design.chamber_volume_flat - without.chamber_volume_flat
+    assert more == pytest.approx(around * fiducials.groove(design))
+
+
+def test_on_the_pane_there_is_no_groove():
+    design = read(PANE)
+    assert design.fiducials.groove(design) == 0
+    assert design.chamber_volume_flat == pytest.approx(24e-6)
+    assert design.fiducials.p_SF(design)[:, 2] == pytest.approx(-20e-3, abs=1e-5)
+
+
+def test_what_is_written_is_read_again():
+    fiducials = load_sensor("dense_fiducials").fiducials
+    assert from_table(Fiducials, write(fiducials), "x.toml") == fiducials
+
+
+def test_a_sensor_without_them_has_the_fingerprint_that_it_had():
+    """Calibrations from before there were fiducials hold."""
+    assert fingerprint(load_sensor("dense")).startswith("19218ca0f031eb56")
+    assert fingerprint(load_sensor("dense_fiducials")) != fingerprint(
+        replace(load_sensor("dense_fiducials"), fiducials=None)
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "field", "words"),
+    [
+        ({"surface": "wall"}, "fiducials.surface", "rim, pane"),
+        ({"radius_mm": -1}, "fiducials.radius_mm", "-1"),
+        ({"places_mm": [[1, 2, 3]]}, "fiducials.places_mm", "pairs"),
+        ({"places_mm": [[21.5, 0.0]]}, "fiducials.places_mm", "1 circles; from 4 to 64"),
+        (
+            {"places_mm": [[21.5, 0], [21.5, 2], [21.5, 6], [-21.5, 0]]},
+            "fiducials.places_mm",
+            "2 mm apart",
+        ),
+        (
+            {"places_mm": [[20.5, 0], [21.5, 6], [21.5, -6], [-21.5, 0]]},
+            "fiducials.places_mm",
+            "[20.5, 0] is not on the lip",
+        ),
+        (
+            {"places_mm": [[22.5, 0], [21.5, 6], [21.5, -6], [-21.5, 0]]},
+            "fiducials.places_mm",
+            "[22.5, 0] is not on the lip",
+        ),
+        (
+            {"places_mm": [[0, 16.5], [21.5, 6], [21.5, -6], [-21.5, 0]]},
+            "fiducials.places_mm",
+            "[0, 16.5] is out of the picture",
+        ),
+        ({"step_mm": 3.8}, "fiducials.step_mm", "no wall of frame.rim_mm 4"),
+        ({"lip_mm": 20.0}, "fiducials.lip_mm", "fills the chamber"),
+        ({"blur_px": 2.0}, "fiducials.blur_px", "blur_px"),
+    ],
+)
+def test_what_cannot_be_seen_is_refused_in_a_line(changes, field, words):
+    with pytest.raises(InputError) as error:
+        sensor_from_table(table(**changes), name="x", source="x.toml")
+    text = str(error.value)
+    assert "\n" not in text.strip()
+    assert "x.toml" in text
+    assert field in text
+    assert words in text
+
+
+def test_on_the_pane_they_may_not_hide_the_membrane():
+    with pytest.raises(InputError, match="hides a part of the membrane"):
+        read({**PANE, "places_mm": [[-10.0, 0.0], *PANE["places_mm"]]})

@@ -1,0 +1,88 @@
+"""Fiducials in the simulated picture."""
+
+import tomllib
+
+import numpy as np
+import pytest
+
+from mjtactile.core import optics, resources
+from mjtactile.core.design import load_sensor, sensor_from_table
+from mjtactile.sensing.image.markers import detect
+from mjtactile.sim.picture.renderer import Effects, Renderer
+from mjtactile.sim.picture.sighting import Sighter
+from tests.unit.core.test_fiducials import PANE
+
+AROUND = np.linspace(0, 2 * np.pi, 720, endpoint=False)
+
+
+def on_pane():
+    path = resources.find("dense_fiducials", "models/sensors", ".toml")
+    table = {**tomllib.loads(path.read_text("utf-8")), "fiducials": PANE}
+    return sensor_from_table(table, name="on_pane", source="on_pane.toml")
+
+
+def flat(design):
+    return design.markers.p_SM, np.tile([0.0, 0.0, 1.0], (design.markers.count, 1))
+
+
+def outlines(design):
+    """Areas (F,) px^2 and centroids (F, 2) px of the projected circles, by the shoelace formula."""
+    camera = optics.Camera.from_design(design.camera, design.glass)
+    rim = np.column_stack([np.cos(AROUND), np.sin(AROUND), 0 * AROUND])
+    p = design.fiducials.p_SF(design)[:, None] + design.fiducials.radius * rim
+    x, y = np.moveaxis(optics.project(camera, p - design.camera.p_SC), 2, 0)
+    cross = x * np.roll(y, -1, 1) - np.roll(x, -1, 1) * y
+    area = cross.sum(axis=1) / 2
+    mean_x = ((x + np.roll(x, -1, 1)) * cross).sum(axis=1) / (6 * area)
+    mean_y = ((y + np.roll(y, -1, 1)) * cross).sum(axis=1) / (6 * area)
+    return np.abs(area), np.column_stack([mean_x, mean_y])
+
+
+@pytest.mark.parametrize(
+    ("design", "place", "size"),
+    [(load_sensor("dense_fiducials"), 0.01, 0.06), (on_pane(), 0.05, 0.3)],
+    ids=["rim", "pane"],
+)
+def test_they_are_where_lens_and_pane_have_them(design, place, size):
+    """Centroid and area of what is black, against the outline through lens and pane; the edge
+    finder's bias at 0.7 px of blur, and at 2 px, where it reads beyond the ground (px)."""
+    quiet = Renderer(design).render(*flat(design), effects=Effects(noise_dn=0.0))
+    found = detect(quiet)
+    area, center = outlines(design)
+    for a, c in zip(area, center, strict=True):
+        off = np.linalg.norm(found.center_px - c, axis=1)
+        nearest = int(np.nanargmin(off))
+        assert off[nearest] < place
+        radius = np.sqrt(found.semi_axes_px[nearest].prod())
+        assert radius == pytest.approx(np.sqrt(a / np.pi), abs=size)
+
+
+def test_their_ground_is_as_bright_as_the_membrane_and_nothing_else_has_changed():
+    """Within the opening the picture is that of a sensor without them; the lip has the grey level
+    of a membrane there."""
+    plain = load_sensor("dense")
+    design = load_sensor("dense_fiducials")
+    ours, theirs = (
+        Renderer(one).irradiance_image(*flat(one), effects=Effects()) for one in (design, plain)
+    )
+    camera = optics.Camera.from_design(plain.camera, plain.glass)
+    half = [plain.frame.length / 2, plain.frame.width / 2, 0.0]
+    low, high = (
+        optics.project(camera, s * np.array(half) - plain.camera.p_SC).astype(int) for s in (-1, 1)
+    )
+    inside = (slice(low[1] + 6, high[1] - 5), slice(low[0] + 6, high[0] - 5))
+    assert ours[inside] == pytest.approx(theirs[inside], abs=1e-3)
+    # between two circles of the left column: leds.membrane_DN, less what the corners lose
+    _, center = outlines(design)
+    u, v = np.rint(center[:2].mean(axis=0)).astype(int)
+    light = Renderer(design)._light.field(design.markers.p_SM)[v, u]
+    assert ours[v, u] == pytest.approx(design.leds.membrane_dn * light, abs=0.5)
+
+
+def test_a_sighting_has_them_too():
+    design = load_sensor("dense_fiducials")
+    seen = Sighter(design).sight(*flat(design)).ellipses
+    assert len(seen) == design.markers.count + 10
+    _, center = outlines(design)
+    # sd 0.01 px
+    assert seen.center_px[-10:] == pytest.approx(center, abs=0.1)
